@@ -1,0 +1,59 @@
+//! Who works on which subtask: the seam between the allocator process and its rules.
+
+use crate::entity_mask::EntityMask;
+
+/// Marks an agent without a subtask in an allocation.
+pub const UNASSIGNED: u8 = 0xFF;
+
+/// All that an allocator sees. N entities, of which the first A are agents; d features; T subtasks.
+#[derive(Clone, Copy, Debug)]
+pub struct AllocationState<'a> {
+    /// Number of agents A.
+    pub agents: usize,
+    /// Number of subtasks T.
+    pub tasks: usize,
+    /// Features `[N, stride]`; the first d columns of a row count.
+    pub rows: &'a [f32],
+    /// Columns of a row, d or more.
+    pub stride: usize,
+    /// The entities that exist.
+    pub present: EntityMask,
+    /// `[N]`: bit t set where the entity belongs to subtask t; agents: their last allocation.
+    pub entity_task: &'a [u32],
+    /// Bit t set where subtask t is present and not finished.
+    pub open_tasks: u32,
+}
+
+/// Why no allocation could be made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum AllocateError {
+    /// More agents, entities or subtasks than the allocator was sized for.
+    TooLarge,
+    /// A slice of the state or of the allocation has the wrong length.
+    BadLength,
+    /// A feature is not a finite number.
+    NonFinite,
+}
+
+impl core::fmt::Display for AllocateError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::TooLarge => "more agents, entities or subtasks than the allocator was made for",
+            Self::BadLength => "a part of the state or the allocation has the wrong length",
+            Self::NonFinite => "a feature is not a finite number",
+        })
+    }
+}
+
+impl core::error::Error for AllocateError {}
+
+/// Assigns agents to subtasks. Total: any state gives a feasible allocation or a refusal.
+pub trait Allocator {
+    /// Writes for every agent `[A]` an open subtask, or [`UNASSIGNED`].
+    fn allocate(
+        &mut self,
+        state: &AllocationState<'_>,
+        allocation: &mut [u8],
+    ) -> Result<(), AllocateError>;
+}

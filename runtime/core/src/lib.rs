@@ -1,0 +1,18 @@
+//! The runtime core: executes masked-attention policies, allocates agents to subtasks, speaks the wire format.
+//!
+//! No heap, no operating system, no panics: a plan is used in place, an arena is given by the caller,
+//! every error is a small enum. One plan gives the same bits on every target.
+#![no_std]
+#![deny(unsafe_code)]
+
+#[cfg(any(test, feature = "std"))]
+extern crate std;
+
+pub mod allocator;
+pub mod entity_mask;
+pub mod limits;
+pub mod policy;
+
+pub use allocator::{AllocateError, AllocationState, Allocator, UNASSIGNED};
+pub use entity_mask::EntityMask;
+pub use policy::{DecideError, Decision, NO_ACTION, Observation, Policy, visible};

@@ -1,0 +1,105 @@
+//! What an agent sees and how it decides: the seam between messages and networks.
+
+use crate::entity_mask::EntityMask;
+
+/// Marks "no action yet" among last actions, and "does not act" in an action message.
+pub const NO_ACTION: u16 = 0xFFFF;
+
+/// What one agent sees in one step. N entities, of which the first A are agents; d features; U actions.
+///
+/// The network's input has d + U columns: the last action's one-hot is implied, never materialised.
+#[derive(Clone, Copy, Debug)]
+pub struct Observation<'a> {
+    /// Features `[N, stride]`; the first d columns of a row count.
+    pub rows: &'a [f32],
+    /// Columns of a row, d or more.
+    pub stride: usize,
+    /// Last action `[A]` of every agent, [`NO_ACTION`] where there was none.
+    pub last_actions: &'a [u16],
+    /// The entities that this agent may attend to (see [`visible`]).
+    pub visible: EntityMask,
+    /// This agent's own row, which forms the query even where it is not visible.
+    pub self_index: usize,
+    /// Availability mask `[U]`: 0 = not available.
+    pub available: &'a [u16],
+}
+
+/// The chosen action and its utility.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Decision {
+    /// Index of the action.
+    pub action: u16,
+    /// The network's utility of that action.
+    pub utility: f32,
+}
+
+/// Why no decision could be taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum DecideError {
+    /// More entities are visible than the plan was sized for.
+    TooManyEntities {
+        /// The plan's limit.
+        max: usize,
+        /// The entities seen.
+        got: usize,
+    },
+    /// A slice of the observation, of the utilities or of the arena has the wrong length.
+    BadLength,
+    /// No action is available.
+    NoAvailableAction,
+    /// A visible feature, or a utility, is not a finite number.
+    NonFinite,
+}
+
+impl core::fmt::Display for DecideError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::TooManyEntities { max, got } => {
+                write!(f, "{got} entities are visible, the policy takes at most {max}")
+            }
+            Self::BadLength => f.write_str("a part of the observation has the wrong length"),
+            Self::NoAvailableAction => f.write_str("no action is available"),
+            Self::NonFinite => f.write_str("a feature or a utility is not a finite number"),
+        }
+    }
+}
+
+impl core::error::Error for DecideError {}
+
+/// A deployed utility network of one agent.
+pub trait Policy {
+    /// Number of actions U.
+    fn actions(&self) -> usize;
+
+    /// Writes the utilities `[U]`, not masked by availability.
+    fn utilities(
+        &mut self,
+        observation: &Observation<'_>,
+        utilities: &mut [f32],
+    ) -> Result<(), DecideError>;
+
+    /// Greedy choice among the available actions, lowest index on ties.
+    fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError>;
+}
+
+/// The entities that an agent of `subtask` may attend to: observable, present, and of the same subtask.
+///
+/// `entity_task[e]` has bit t set where entity e belongs to subtask t (dissertation section 7.3).
+/// An agent without a subtask belongs to no group and sees nothing. Pass the intersection of
+/// `observable` and `present` instead where the policy is not subtask-conditioned.
+pub fn visible(
+    observable: EntityMask,
+    present: EntityMask,
+    entity_task: &[u32],
+    subtask: Option<u8>,
+) -> EntityMask {
+    let bit = subtask.and_then(|task| 1u32.checked_shl(u32::from(task))).unwrap_or(0);
+    let mut mask = observable.and(&present);
+    for (entity, tasks) in entity_task.iter().enumerate() {
+        if tasks & bit == 0 {
+            mask.remove(entity);
+        }
+    }
+    mask
+}
