@@ -10,6 +10,7 @@ extern crate std;
 
 pub mod allocator;
 pub mod entity_mask;
+pub mod identity;
 pub mod limits;
 pub mod policy;
 
