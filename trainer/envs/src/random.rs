@@ -1,0 +1,27 @@
+//! Draws from a seeded generator: the same bits on every target.
+
+use rand_core::{Rng, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
+
+/// The generator of one instance: the same seed gives the same draws everywhere.
+pub fn generator(seed: u64) -> Xoshiro256PlusPlus {
+    Xoshiro256PlusPlus::seed_from_u64(seed)
+}
+
+/// A uniform integer in `0..bound`; 0 where the bound is 0.
+///
+/// Scaling 64 bits leaves a bias below `bound / 2^64`, far from measurable.
+pub fn below(rng: &mut Xoshiro256PlusPlus, bound: usize) -> usize {
+    ((u128::from(rng.next_u64()) * bound as u128) >> 64) as usize
+}
+
+/// A uniform number in `[0, 1)` with 53 random bits.
+pub fn unit(rng: &mut Xoshiro256PlusPlus) -> f64 {
+    const STEP: f64 = 1.0 / (1u64 << 53) as f64;
+    (rng.next_u64() >> 11) as f64 * STEP
+}
+
+/// True with the given probability.
+pub fn chance(rng: &mut Xoshiro256PlusPlus, probability: f64) -> bool {
+    unit(rng) < probability
+}

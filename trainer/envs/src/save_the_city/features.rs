@@ -1,0 +1,213 @@
+//! The feature row of one entity, written from its compact state.
+//!
+//! Every value is computed in f64 and rounded once to f32, so that rows rebuilt from stored states
+//! equal the observed ones bit for bit.
+
+use super::rules::ACTIONS;
+use super::state::{AgentState, BuildingState, City, Status};
+
+/// Columns of a feature row.
+pub const FEATURES: usize = 58;
+
+const X: usize = 5;
+const Y: usize = 21;
+pub(super) const X_SCALED: usize = 37;
+pub(super) const Y_SCALED: usize = 38;
+pub(super) const AVAILABLE: usize = 39;
+pub(super) const HEALTH: usize = 51;
+pub(super) const COMPLETE: usize = 52;
+const BURNED_DOWN: usize = 53;
+pub(super) const FIRE: usize = 54;
+pub(super) const BURNING: usize = 55;
+pub(super) const SINCE_LAST_FIRE: usize = 56;
+pub(super) const IGNITION_RATE: usize = 57;
+
+/// Names of the columns.
+pub const FEATURE_NAMES: [&str; FEATURES] = [
+    "building-fast",
+    "building-slow",
+    "agent-firefighter",
+    "agent-builder",
+    "agent-generalist",
+    "x-0",
+    "x-1",
+    "x-2",
+    "x-3",
+    "x-4",
+    "x-5",
+    "x-6",
+    "x-7",
+    "x-8",
+    "x-9",
+    "x-10",
+    "x-11",
+    "x-12",
+    "x-13",
+    "x-14",
+    "x-15",
+    "y-0",
+    "y-1",
+    "y-2",
+    "y-3",
+    "y-4",
+    "y-5",
+    "y-6",
+    "y-7",
+    "y-8",
+    "y-9",
+    "y-10",
+    "y-11",
+    "y-12",
+    "y-13",
+    "y-14",
+    "y-15",
+    "x-scaled",
+    "y-scaled",
+    "can-stay",
+    "can-north",
+    "can-east",
+    "can-south",
+    "can-west",
+    "can-north-2",
+    "can-east-2",
+    "can-south-2",
+    "can-west-2",
+    "can-fight",
+    "can-build",
+    "can-freeze",
+    "health",
+    "complete",
+    "burned-down",
+    "fire",
+    "burning",
+    "since-last-fire",
+    "ignition-rate",
+];
+
+/// Gives every column of an agent that may differ from zero, in rising order.
+#[inline]
+pub fn agent_features(agent: &AgentState, mut emit: impl FnMut(usize, f32)) {
+    place(agent.kind.type_index(), agent.x, agent.y, &mut emit);
+    for action in 0..ACTIONS {
+        if agent.available >> action & 1 == 1 {
+            emit(AVAILABLE + action, 1.0);
+        }
+    }
+}
+
+/// Gives every column of a building that may differ from zero, in rising order.
+#[inline]
+pub fn building_features(building: &BuildingState, mut emit: impl FnMut(usize, f32)) {
+    place(building.kind.type_index(), building.x, building.y, &mut emit);
+    emit(HEALTH, building.health as f32);
+    match building.status {
+        Status::Open => {}
+        Status::Complete => emit(COMPLETE, 1.0),
+        Status::BurnedDown => emit(BURNED_DOWN, 1.0),
+    }
+    if building.is_burning() {
+        emit(FIRE, building.fire as f32);
+        emit(BURNING, 1.0);
+    }
+    let period = f64::from(building.period);
+    emit(SINCE_LAST_FIRE, (f64::from(building.since_last_fire) / period) as f32);
+    emit(IGNITION_RATE, ignition_rate(period));
+}
+
+/// 1 for the shortest period of all, 10 steps, and 0 for the longest, 80.
+fn ignition_rate(period: f64) -> f32 {
+    ((1.0 / period - 1.0 / 80.0) / (1.0 / 10.0 - 1.0 / 80.0)) as f32
+}
+
+#[inline]
+fn place(type_index: usize, x: u8, y: u8, emit: &mut impl FnMut(usize, f32)) {
+    emit(type_index, 1.0);
+    emit(X + usize::from(x), 1.0);
+    emit(Y + usize::from(y), 1.0);
+    emit(X_SCALED, (f64::from(x) / 16.0) as f32);
+    emit(Y_SCALED, (f64::from(y) / 16.0) as f32);
+}
+
+/// Writes an agent's dense row into the first [`FEATURES`] columns of `row`.
+pub fn write_agent_row(agent: &AgentState, row: &mut [f32]) {
+    let row = &mut row[..FEATURES];
+    row.fill(0.0);
+    agent_features(agent, |column, value| row[column] = value);
+}
+
+/// Writes a building's dense row into the first [`FEATURES`] columns of `row`.
+pub fn write_building_row(building: &BuildingState, row: &mut [f32]) {
+    let row = &mut row[..FEATURES];
+    row.fill(0.0);
+    building_features(building, |column, value| row[column] = value);
+}
+
+/// Writes all rows `[N, stride]`; agents start at row 0, buildings at row `max_agents`.
+pub(super) fn write_rows(city: City<'_>, max_agents: usize, rows: &mut [f32], stride: usize) {
+    let (agent_rows, building_rows) = rows.split_at_mut(max_agents * stride);
+    let mut agent_rows = agent_rows.chunks_exact_mut(stride);
+    for (agent, row) in city.agents.iter().zip(&mut agent_rows) {
+        write_agent_row(agent, row);
+    }
+    let mut building_rows = building_rows.chunks_exact_mut(stride);
+    for (building, row) in city.buildings.iter().zip(&mut building_rows) {
+        write_building_row(building, row);
+    }
+    for row in agent_rows.chain(building_rows) {
+        row[..FEATURES].fill(0.0);
+    }
+}
+
+/// The non-zero columns of one row, in rising order.
+#[derive(Clone, Copy, Debug)]
+pub struct SparseRow {
+    columns: [u8; Self::CAPACITY],
+    values: [f32; Self::CAPACITY],
+    len: u8,
+}
+
+impl SparseRow {
+    /// More than any row needs: five columns of place and every action.
+    pub const CAPACITY: usize = 17;
+
+    /// The row of an agent.
+    pub fn of_agent(agent: &AgentState) -> Self {
+        let mut row = Self::empty();
+        agent_features(agent, |column, value| row.push(column, value));
+        row
+    }
+
+    /// The row of a building.
+    pub fn of_building(building: &BuildingState) -> Self {
+        let mut row = Self::empty();
+        building_features(building, |column, value| row.push(column, value));
+        row
+    }
+
+    /// The columns that are not zero.
+    pub fn columns(&self) -> &[u8] {
+        &self.columns[..usize::from(self.len)]
+    }
+
+    /// The values in those columns.
+    pub fn values(&self) -> &[f32] {
+        &self.values[..usize::from(self.len)]
+    }
+
+    /// Columns with their values.
+    pub fn entries(&self) -> impl Iterator<Item = (usize, f32)> + '_ {
+        self.columns().iter().map(|&column| usize::from(column)).zip(self.values().iter().copied())
+    }
+
+    fn empty() -> Self {
+        Self { columns: [0; Self::CAPACITY], values: [0.0; Self::CAPACITY], len: 0 }
+    }
+
+    fn push(&mut self, column: usize, value: f32) {
+        if value != 0.0 {
+            self.columns[usize::from(self.len)] = column as u8;
+            self.values[usize::from(self.len)] = value;
+            self.len += 1;
+        }
+    }
+}

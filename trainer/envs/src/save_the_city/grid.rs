@@ -1,0 +1,89 @@
+//! The map: which cells are free, and which building a cell lies beside.
+
+use super::state::{BuildingState, NO_BUILDING, SIDE};
+
+const WALL: usize = 2;
+const COLUMNS: usize = SIDE as usize + 2 * WALL;
+
+/// The free cells, one bit each, inside a wall that is two cells thick.
+///
+/// The wall is as thick as the longest move, so that no destination needs a bounds check.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct FreeCells([u32; COLUMNS]);
+
+impl FreeCells {
+    /// A map without any object.
+    pub(super) fn all() -> Self {
+        let mut columns = [0; COLUMNS];
+        columns[WALL..COLUMNS - WALL].fill(0xFFFF << WALL);
+        Self(columns)
+    }
+
+    /// Puts an object on a cell of the map.
+    pub(super) fn occupy(&mut self, x: u8, y: u8) {
+        self.0[usize::from(x) + WALL] &= !(1 << (usize::from(y) + WALL));
+    }
+
+    /// 1 where the cell at this displacement, at most two cells, is on the map and free.
+    pub(super) fn free_at(&self, x: u8, y: u8, dx: i8, dy: i8) -> u16 {
+        let column = (usize::from(x) + WALL).wrapping_add_signed(dx.into());
+        let row = (usize::from(y) + WALL).wrapping_add_signed(dy.into());
+        (self.0[column] >> row & 1) as u16
+    }
+
+    /// Whether the cell is on the map and free.
+    pub(super) fn is_free(&self, x: u8, y: u8) -> bool {
+        self.free_at(x, y, 0, 0) == 1
+    }
+}
+
+/// What stays as it is for an episode: the buildings' cells and the cells beside them.
+#[derive(Clone, Debug)]
+pub(super) struct Ground {
+    /// The cells without a building.
+    pub(super) free: FreeCells,
+    beside: [u8; SIDE as usize * SIDE as usize],
+}
+
+impl Ground {
+    /// The map of these buildings, or the two indices of buildings that lie too close together.
+    pub(super) fn new(buildings: &[BuildingState]) -> Result<Self, (usize, usize)> {
+        let mut ground = Self::empty();
+        for (index, building) in buildings.iter().enumerate() {
+            for (earlier, other) in buildings[..index].iter().enumerate() {
+                let apart = building.x.abs_diff(other.x).max(building.y.abs_diff(other.y));
+                if apart < 3 {
+                    return Err((earlier, index));
+                }
+            }
+            ground.free.occupy(building.x, building.y);
+            for (x, y) in neighbours(building.x, building.y) {
+                ground.beside[cell(x, y)] = index as u8;
+            }
+        }
+        Ok(ground)
+    }
+
+    /// The map without any building.
+    pub(super) fn empty() -> Self {
+        Self { free: FreeCells::all(), beside: [NO_BUILDING; 256] }
+    }
+
+    /// The building orthogonally beside a cell, or [`NO_BUILDING`].
+    pub(super) fn building_beside(&self, x: u8, y: u8) -> u8 {
+        self.beside[cell(x, y)]
+    }
+}
+
+/// Number of a cell, x-major.
+pub(super) fn cell(x: u8, y: u8) -> usize {
+    usize::from(x) * usize::from(SIDE) + usize::from(y)
+}
+
+/// The orthogonal neighbours on the map.
+pub(super) fn neighbours(x: u8, y: u8) -> impl Iterator<Item = (u8, u8)> {
+    super::rules::DIRECTIONS.into_iter().filter_map(move |(dx, dy)| {
+        let (x, y) = (x.checked_add_signed(dx)?, y.checked_add_signed(dy)?);
+        (x < SIDE && y < SIDE).then_some((x, y))
+    })
+}

@@ -1,0 +1,40 @@
+//! SaveTheCity: a team extinguishes and repairs burning buildings (dissertation chapter 7).
+//!
+//! Agrees bit for bit with the dissertation's public code from the same state, actions and collision
+//! losers. Buildings and subtasks are the same thing and share indices.
+
+mod allocation;
+mod coordinated;
+mod decode;
+mod error;
+mod features;
+mod grid;
+mod heuristic;
+mod metrics;
+mod reset;
+mod rules;
+mod scenarios;
+mod scripted;
+mod simulator;
+mod state;
+mod symmetry;
+
+pub use allocation::{AllocationRule, DecisionPoints, random_allocation};
+pub use coordinated::coordinated_allocation;
+pub use decode::{CityDecoder, CityRows, DecodeError};
+pub use error::CityError;
+pub use features::{
+    FEATURE_NAMES, FEATURES, SparseRow, agent_features, building_features, write_agent_row,
+    write_building_row,
+};
+pub use heuristic::heuristic_allocation;
+pub use metrics::EpisodeMetrics;
+pub use rules::{ACTION_NAMES, ACTIONS, Bounce, Constants, availability_code, availability_codes};
+pub use scenarios::{BuildingPlan, SET_NAMES, Scenario, ScenarioSet, Split};
+pub use scripted::{ScriptedTeam, scripted_actions};
+pub use simulator::SaveTheCity;
+pub use state::{
+    AgentKind, AgentState, BuildingKind, BuildingState, City, MAX_AGENTS, MAX_BUILDINGS,
+    NO_BUILDING, SIDE, Status, UNASSIGNED, manhattan,
+};
+pub use symmetry::Symmetry;
