@@ -9,9 +9,16 @@
 extern crate std;
 
 pub mod allocator;
+pub mod checksum;
+pub mod choose;
+pub mod decide;
 pub mod entity_mask;
 pub mod identity;
+pub mod kernels;
 pub mod limits;
+pub mod math;
+pub mod ops;
+pub mod plan;
 pub mod policy;
 
 pub use allocator::{AllocateError, AllocationState, Allocator, UNASSIGNED};

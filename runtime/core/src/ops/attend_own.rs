@@ -1,0 +1,189 @@
+//! Multi-head attention of one query: the agent's own.
+
+use serde::{Deserialize, Serialize};
+
+use super::embed_entities::embedding;
+use super::{Linear, Place, Scratch, Sizes, places, slice};
+use crate::kernels::dot::dot;
+use crate::kernels::nonzero::collect;
+use crate::kernels::product::{add_product, add_sparse_product, mix, padded};
+use crate::kernels::softmax::softmax;
+use crate::math::relu;
+use crate::policy::DecideError;
+
+/// Attention over the embedded rows, rewritten for a single query (dissertation section 2.3).
+///
+/// With q = W_q x_own / √h, the keys are absorbed: u_j = W_k,jᵀ q_j once per head j, then a score is u_j · x_e.
+/// The values are postponed: z_j = Σ a_e x_e, then o_j = W_v,j z_j. Both are exact rewrites that need one
+/// matrix product where the plain form needs one per entity. A row that sees nothing has o = 0.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AttendOwn {
+    /// The embeddings that [`super::EmbedEntities`] wrote.
+    pub rows: Place,
+    /// Width E of an embedding.
+    pub width: u16,
+    /// Heads.
+    pub heads: u16,
+    /// W_q, divided by the root of the head width h: E inputs, heads · h outputs.
+    pub query: Linear,
+    /// W_k: for every head a matrix of h inputs and E outputs.
+    pub keys: u32,
+    /// W_v: for every head a matrix of E inputs and h outputs.
+    pub values: u32,
+    /// W_o; its inputs are the heads' outputs, each padded like outputs are.
+    pub output: Linear,
+    /// Whether a ReLU follows.
+    pub relu: bool,
+    /// q, padded.
+    pub query_place: Place,
+    /// u of one head, padded E floats.
+    pub absorbed: Place,
+    /// Scores of one head, `[n_max]`.
+    pub scores: Place,
+    /// z of one head, padded E floats.
+    pub mixed: Place,
+    /// o of all heads, as many floats as the output layer has inputs.
+    pub attended: Place,
+    /// The result, padded.
+    pub to: Place,
+}
+
+impl AttendOwn {
+    fn head_width(&self) -> usize {
+        usize::from(self.query.outputs).checked_div(usize::from(self.heads)).unwrap_or(0)
+    }
+
+    fn padded_width(&self) -> usize {
+        padded(usize::from(self.width))
+    }
+
+    fn keys_len(&self) -> usize {
+        self.head_width() * self.padded_width()
+    }
+
+    fn values_len(&self) -> usize {
+        usize::from(self.width) * padded(self.head_width())
+    }
+
+    pub(super) fn check(&self, sizes: &Sizes) -> bool {
+        let (heads, head_width) = (usize::from(self.heads), self.head_width());
+        let rows = (u64::from(sizes.n_max) + 1).saturating_mul(self.padded_width() as u64);
+        let all = |len: usize| heads as u64 * len as u64;
+        let layers = self.query.check(sizes)
+            && self.output.check(sizes)
+            && sizes.holds_weights(self.keys, all(self.keys_len()))
+            && sizes.holds_weights(self.values, all(self.values_len()));
+        let widths = head_width > 0
+            && head_width * heads == usize::from(self.query.outputs)
+            && self.query.inputs == self.width
+            && usize::from(self.output.inputs) == heads * padded(head_width)
+            && sizes.lists(u64::from(self.width));
+        let lengths = u64::from(self.rows.len) == rows
+            && self.query_place.len as usize == self.query.padded_outputs()
+            && self.absorbed.len as usize == self.padded_width()
+            && self.scores.len == sizes.n_max
+            && self.mixed.len as usize == self.padded_width()
+            && self.attended.len == u32::from(self.output.inputs)
+            && self.to.len as usize == self.output.padded_outputs();
+        let places = self.places();
+        let apart = places.iter().enumerate().all(|(index, place)| {
+            sizes.holds(place) && places.iter().skip(index + 1).all(|other| place.disjoint(other))
+        });
+        layers && widths && lengths && apart
+    }
+
+    fn places(&self) -> [&Place; 7] {
+        let inner = [&self.absorbed, &self.scores, &self.mixed, &self.attended];
+        let [absorbed, scores, mixed, attended] = inner;
+        [&self.rows, &self.query_place, absorbed, scores, mixed, attended, &self.to]
+    }
+
+    pub(super) fn multiply_adds(&self, visible: usize) -> usize {
+        let heads = usize::from(self.heads);
+        let per_entity = 2 * heads * self.padded_width();
+        let matrices = heads * (self.keys_len() + self.values_len());
+        self.query.weights_len() + matrices + visible * per_entity + self.output.weights_len()
+    }
+
+    #[inline(always)]
+    pub(super) fn run(
+        &self,
+        weights: &[f32],
+        scratch: &mut Scratch<'_>,
+    ) -> Result<(), DecideError> {
+        let visible = scratch.visible;
+        if visible > 1 {
+            self.ask(weights, scratch)?;
+        }
+        let [rows, query, absorbed, scores, mixed, attended, to] =
+            places(scratch.floats, self.places())?;
+        let rows = rows.get(..visible * self.padded_width()).ok_or(DecideError::BadLength)?;
+        let scores = scores.get_mut(..visible).ok_or(DecideError::BadLength)?;
+        // The weight of a single entity is one, whatever its score.
+        scores.fill(1.0);
+        attended.fill(0.0);
+        let outputs = attended.chunks_exact_mut(padded(self.head_width()));
+        let heads = 0..if visible > 0 { usize::from(self.heads) } else { 0 };
+        for (head, output) in heads.zip(outputs) {
+            if visible > 1 {
+                self.score(weights, head, query, rows, absorbed, scores)?;
+            }
+            mix(scores, rows, mixed);
+            let values = self.head_matrix(weights, self.values, self.values_len(), head)?;
+            let mixed = mixed.get(..usize::from(self.width)).ok_or(DecideError::BadLength)?;
+            add_product(values, mixed, output);
+        }
+        self.output.start(weights, to)?;
+        add_product(self.output.matrix(weights)?, attended, to);
+        if self.relu {
+            to.iter_mut().for_each(|value| *value = relu(*value));
+        }
+        Ok(())
+    }
+
+    /// Computes q of the agent's own row, which comes out of a ReLU.
+    #[inline(always)]
+    fn ask(&self, weights: &[f32], scratch: &mut Scratch<'_>) -> Result<(), DecideError> {
+        let row = embedding(scratch.floats, &self.rows, self.padded_width(), scratch.own)?;
+        let row = row.get(..usize::from(self.width)).ok_or(DecideError::BadLength)?;
+        let count = collect(row, scratch.nonzeros);
+        let inputs = scratch.nonzeros.get(..count).ok_or(DecideError::BadLength)?;
+        let [query] = places(scratch.floats, [&self.query_place])?;
+        self.query.start(weights, query)?;
+        add_sparse_product(self.query.matrix(weights)?, usize::from(self.width), inputs, query);
+        Ok(())
+    }
+
+    /// Computes one head's attention weights of all rows.
+    #[inline(always)]
+    fn score(
+        &self,
+        weights: &[f32],
+        head: usize,
+        query: &[f32],
+        rows: &[f32],
+        absorbed: &mut [f32],
+        scores: &mut [f32],
+    ) -> Result<(), DecideError> {
+        let keys = self.head_matrix(weights, self.keys, self.keys_len(), head)?;
+        let start = head * self.head_width();
+        let query = query.get(start..start + self.head_width()).ok_or(DecideError::BadLength)?;
+        absorbed.fill(0.0);
+        add_product(keys, query, absorbed);
+        for (score, row) in scores.iter_mut().zip(rows.chunks_exact(self.padded_width())) {
+            *score = dot(absorbed, row);
+        }
+        softmax(scores).then_some(()).ok_or(DecideError::NonFinite)
+    }
+
+    #[inline(always)]
+    fn head_matrix<'w>(
+        &self,
+        weights: &'w [f32],
+        offset: u32,
+        len: usize,
+        head: usize,
+    ) -> Result<&'w [f32], DecideError> {
+        slice(weights, offset.saturating_add((head * len) as u32), len)
+    }
+}

@@ -1,0 +1,62 @@
+//! A layer on one vector.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Linear, Place, Scratch, Sizes, places};
+use crate::kernels::nonzero::collect;
+use crate::kernels::product::{add_product, add_sparse_product};
+use crate::math::relu;
+use crate::policy::DecideError;
+
+/// `W x + b`, with a ReLU where one follows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Dense {
+    /// The layer.
+    pub layer: Linear,
+    /// Whether a ReLU follows.
+    pub relu: bool,
+    /// Whether the input comes out of a ReLU, so that leaving out its zeros pays.
+    pub sparse_input: bool,
+    /// The input, as long as the layer's inputs.
+    pub from: Place,
+    /// The output, as long as the layer's padded outputs.
+    pub to: Place,
+}
+
+impl Dense {
+    pub(super) fn check(&self, sizes: &Sizes) -> bool {
+        self.layer.check(sizes)
+            && sizes.holds(&self.from)
+            && sizes.holds(&self.to)
+            && self.from.disjoint(&self.to)
+            && self.from.len == u32::from(self.layer.inputs)
+            && self.to.len as usize == self.layer.padded_outputs()
+            && (!self.sparse_input || sizes.lists(u64::from(self.layer.inputs)))
+    }
+
+    pub(super) fn multiply_adds(&self) -> usize {
+        self.layer.weights_len()
+    }
+
+    #[inline(always)]
+    pub(super) fn run(
+        &self,
+        weights: &[f32],
+        scratch: &mut Scratch<'_>,
+    ) -> Result<(), DecideError> {
+        let matrix = self.layer.matrix(weights)?;
+        let [from, to] = places(scratch.floats, [&self.from, &self.to])?;
+        self.layer.start(weights, to)?;
+        if self.sparse_input {
+            let count = collect(from, scratch.nonzeros);
+            let inputs = scratch.nonzeros.get(..count).ok_or(DecideError::BadLength)?;
+            add_sparse_product(matrix, usize::from(self.layer.inputs), inputs, to);
+        } else {
+            add_product(matrix, from, to);
+        }
+        if self.relu {
+            to.iter_mut().for_each(|value| *value = relu(*value));
+        }
+        Ok(())
+    }
+}

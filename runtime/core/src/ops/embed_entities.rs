@@ -1,0 +1,131 @@
+//! The first layer of an agent network, on the rows that the agent may see.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Linear, Place, Scratch, Sizes, place, places};
+use crate::kernels::nonzero::{Nonzero, all_finite, collect};
+use crate::kernels::product::add_sparse_product;
+use crate::math::relu;
+use crate::policy::{DecideError, NO_ACTION, Observation};
+
+/// `relu(W x + b)` of every visible entity and of the agent itself; invisible rows are never read.
+///
+/// The matrix has d inputs, and U more where the last action's one-hot is appended; the one-hot is one row
+/// of weights and never materialised. Features that are zero are left out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct EmbedEntities {
+    /// The layer; inputs are features, then last actions.
+    pub layer: Linear,
+    /// Last actions U that follow the features among the inputs, or 0.
+    pub last_actions: u16,
+    /// Whether a ReLU follows.
+    pub relu: bool,
+    /// Where the embeddings go: `[n_max + 1, padded outputs]`, the own row of an agent that does not see
+    /// itself behind the visible ones.
+    pub rows: Place,
+}
+
+impl EmbedEntities {
+    pub(super) fn check(&self, sizes: &Sizes) -> bool {
+        let inputs = u32::from(self.layer.inputs);
+        let actions = u32::from(self.last_actions);
+        let rows = (u64::from(sizes.n_max) + 1).saturating_mul(self.layer.padded_outputs() as u64);
+        self.layer.check(sizes)
+            && inputs.checked_sub(actions) == Some(sizes.features)
+            && (actions == 0 || actions == sizes.actions)
+            && sizes.lists(u64::from(inputs))
+            && sizes.holds(&self.rows)
+            && u64::from(self.rows.len) == rows
+    }
+
+    pub(super) fn multiply_adds(&self, visible: usize) -> usize {
+        visible * self.layer.weights_len()
+    }
+
+    #[inline(always)]
+    pub(super) fn run(
+        &self,
+        weights: &[f32],
+        observation: &Observation<'_>,
+        scratch: &mut Scratch<'_>,
+    ) -> Result<(), DecideError> {
+        let width = self.layer.padded_outputs();
+        let matrix = self.layer.matrix(weights)?;
+        let [rows] = places(scratch.floats, [&self.rows])?;
+        let mut rows = rows.chunks_exact_mut(width);
+        let mut embed = |entity: usize| {
+            let row = rows.next().ok_or(DecideError::BadLength)?;
+            let inputs = self.inputs(entity, observation, scratch.nonzeros)?;
+            self.layer.start(weights, row)?;
+            add_sparse_product(matrix, usize::from(self.layer.inputs), inputs, row);
+            if self.relu {
+                row.iter_mut().for_each(|value| *value = relu(*value));
+            }
+            Ok(())
+        };
+        (scratch.visible, scratch.own) = (0, usize::MAX);
+        for entity in observation.visible.iter() {
+            embed(entity)?;
+            if entity == observation.self_index {
+                scratch.own = scratch.visible;
+            }
+            scratch.visible += 1;
+        }
+        if scratch.own == usize::MAX {
+            embed(observation.self_index)?;
+            scratch.own = scratch.visible;
+        }
+        Ok(())
+    }
+
+    /// An entity's inputs that are not zero, its last action behind the features.
+    #[inline(always)]
+    fn inputs<'a>(
+        &self,
+        entity: usize,
+        observation: &Observation<'_>,
+        list: &'a mut [Nonzero],
+    ) -> Result<&'a [Nonzero], DecideError> {
+        let features = usize::from(self.layer.inputs.saturating_sub(self.last_actions));
+        let start = entity.saturating_mul(observation.stride);
+        let row = observation.rows.get(start..start.saturating_add(features));
+        let row = row.ok_or(DecideError::BadLength)?;
+        if !all_finite(row) {
+            return Err(DecideError::NonFinite);
+        }
+        let mut count = collect(row, list);
+        if let Some(action) = self.last_action(entity, observation)? {
+            let slot = list.get_mut(count).ok_or(DecideError::BadLength)?;
+            *slot = [features as u32 + u32::from(action), 1.0_f32.to_bits()];
+            count += 1;
+        }
+        list.get(..count).ok_or(DecideError::BadLength)
+    }
+
+    #[inline(always)]
+    fn last_action(
+        &self,
+        entity: usize,
+        observation: &Observation<'_>,
+    ) -> Result<Option<u16>, DecideError> {
+        match observation.last_actions.get(entity) {
+            Some(&action) if self.last_actions > 0 && action != NO_ACTION => {
+                (action < self.last_actions).then_some(Some(action)).ok_or(DecideError::BadLength)
+            }
+            _ => Ok(None),
+        }
+    }
+}
+
+/// The embedding of row `index`.
+#[inline(always)]
+pub(super) fn embedding<'a>(
+    floats: &'a [f32],
+    rows: &Place,
+    width: usize,
+    index: usize,
+) -> Result<&'a [f32], DecideError> {
+    let start = index.saturating_mul(width);
+    let all = place(floats, rows)?;
+    all.get(start..start.saturating_add(width)).ok_or(DecideError::BadLength)
+}

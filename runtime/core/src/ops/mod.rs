@@ -1,0 +1,220 @@
+//! The macro-operators of a plan, one file each: what they need, how they are checked, what they compute.
+//!
+//! An operator names its places in the weights and in the arena as offsets in floats. [`Op::check`] proves once,
+//! at load, that all of them lie inside and that what is written is not read by the same step; execution then
+//! only takes slices that exist, and still answers with an error where one does not.
+
+mod attend_own;
+mod dense;
+mod embed_entities;
+mod masked_argmax;
+
+use serde::{Deserialize, Serialize};
+
+pub use attend_own::AttendOwn;
+pub use dense::Dense;
+pub use embed_entities::EmbedEntities;
+pub use masked_argmax::MaskedArgmax;
+
+use crate::kernels::nonzero::Nonzero;
+use crate::kernels::product::padded;
+use crate::policy::{DecideError, Observation};
+
+/// One step of a program.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub enum Op {
+    /// The first layer, on visible rows.
+    EmbedEntities(EmbedEntities),
+    /// Attention of the agent's own query.
+    AttendOwn(AttendOwn),
+    /// A layer on one vector.
+    Dense(Dense),
+    /// The choice of the action; its input is the program's utilities.
+    MaskedArgmax(MaskedArgmax),
+}
+
+impl Op {
+    /// The operator's name, as reports show it.
+    pub const fn name(&self) -> &'static str {
+        match self {
+            Self::EmbedEntities(_) => "EmbedEntities",
+            Self::AttendOwn(_) => "AttendOwn",
+            Self::Dense(_) => "Dense",
+            Self::MaskedArgmax(_) => "MaskedArgmax",
+        }
+    }
+
+    /// Whether every place lies inside and sizes agree.
+    pub fn check(&self, sizes: &Sizes) -> bool {
+        match self {
+            Self::EmbedEntities(op) => op.check(sizes),
+            Self::AttendOwn(op) => op.check(sizes),
+            Self::Dense(op) => op.check(sizes),
+            Self::MaskedArgmax(op) => op.check(sizes),
+        }
+    }
+
+    /// Multiply-adds of one decision with `visible` entities, zeros not left out.
+    pub fn multiply_adds(&self, visible: usize) -> usize {
+        match self {
+            Self::EmbedEntities(op) => op.multiply_adds(visible),
+            Self::AttendOwn(op) => op.multiply_adds(visible),
+            Self::Dense(op) => op.multiply_adds(),
+            Self::MaskedArgmax(_) => 0,
+        }
+    }
+
+    #[inline(always)]
+    pub(crate) fn run(
+        &self,
+        weights: &[f32],
+        observation: &Observation<'_>,
+        scratch: &mut Scratch<'_>,
+    ) -> Result<(), DecideError> {
+        match self {
+            Self::EmbedEntities(op) => op.run(weights, observation, scratch),
+            Self::AttendOwn(op) => op.run(weights, scratch),
+            Self::Dense(op) => op.run(weights, scratch),
+            Self::MaskedArgmax(_) => Ok(()),
+        }
+    }
+}
+
+/// The sizes of a plan that its operators are checked against.
+#[derive(Clone, Copy, Debug)]
+pub struct Sizes {
+    /// Floats of the arena.
+    pub floats: u32,
+    /// Entries of the arena's list of inputs that are not zero.
+    pub nonzeros: u32,
+    /// Floats of the weights.
+    pub weights: u32,
+    /// Most visible entities.
+    pub n_max: u32,
+    /// Features d of an entity.
+    pub features: u32,
+    /// Actions U.
+    pub actions: u32,
+}
+
+impl Sizes {
+    fn holds_weights(&self, offset: u32, len: u64) -> bool {
+        u64::from(offset).saturating_add(len) <= u64::from(self.weights)
+    }
+
+    fn holds(&self, place: &Place) -> bool {
+        u64::from(place.offset) + u64::from(place.len) <= u64::from(self.floats)
+    }
+
+    fn lists(&self, inputs: u64) -> bool {
+        inputs <= u64::from(self.nonzeros)
+    }
+}
+
+/// A range of the arena, in floats.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Place {
+    /// First float.
+    pub offset: u32,
+    /// Number of floats.
+    pub len: u32,
+}
+
+impl Place {
+    pub(crate) fn range(&self) -> core::ops::Range<usize> {
+        let start = self.offset as usize;
+        start..start.saturating_add(self.len as usize)
+    }
+
+    fn disjoint(&self, other: &Self) -> bool {
+        let end = |place: &Self| u64::from(place.offset) + u64::from(place.len);
+        end(self) <= u64::from(other.offset) || end(other) <= u64::from(self.offset)
+    }
+}
+
+/// A matrix with bias: offsets into the weights, sizes as the network means them, before padding.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Linear {
+    /// Inputs.
+    pub inputs: u16,
+    /// Outputs.
+    pub outputs: u16,
+    /// Tiles of the matrix (see [`crate::kernels::product`]).
+    pub weights: u32,
+    /// Bias, padded like the outputs.
+    pub bias: u32,
+}
+
+impl Linear {
+    /// Outputs rounded up to whole tiles.
+    pub const fn padded_outputs(&self) -> usize {
+        padded(self.outputs as usize)
+    }
+
+    /// Floats of the matrix.
+    pub const fn weights_len(&self) -> usize {
+        (self.inputs as usize).saturating_mul(self.padded_outputs())
+    }
+
+    fn check(&self, sizes: &Sizes) -> bool {
+        self.inputs > 0
+            && self.outputs > 0
+            && sizes.holds_weights(self.weights, self.weights_len() as u64)
+            && sizes.holds_weights(self.bias, self.padded_outputs() as u64)
+    }
+
+    #[inline(always)]
+    fn matrix<'w>(&self, weights: &'w [f32]) -> Result<&'w [f32], DecideError> {
+        slice(weights, self.weights, self.weights_len())
+    }
+
+    /// Starts the outputs from the bias.
+    #[inline(always)]
+    fn start(&self, weights: &[f32], outputs: &mut [f32]) -> Result<(), DecideError> {
+        let bias = slice(weights, self.bias, self.padded_outputs())?;
+        copy(bias, outputs)
+    }
+}
+
+/// The arena of one decision, and what the operators tell each other.
+pub(crate) struct Scratch<'a> {
+    pub(crate) floats: &'a mut [f32],
+    pub(crate) nonzeros: &'a mut [Nonzero],
+    /// Visible entities, whose embeddings stand in rows 0 to `visible`.
+    pub(crate) visible: usize,
+    /// The row of the agent's own embedding, `visible` where it does not see itself.
+    pub(crate) own: usize,
+}
+
+#[inline(always)]
+fn slice(weights: &[f32], offset: u32, len: usize) -> Result<&[f32], DecideError> {
+    let start = offset as usize;
+    weights.get(start..start.saturating_add(len)).ok_or(DecideError::BadLength)
+}
+
+#[inline(always)]
+fn place<'a>(floats: &'a [f32], place: &Place) -> Result<&'a [f32], DecideError> {
+    floats.get(place.range()).ok_or(DecideError::BadLength)
+}
+
+/// Places that do not overlap, all writable.
+#[inline(always)]
+fn places<'a, const COUNT: usize>(
+    floats: &'a mut [f32],
+    wanted: [&Place; COUNT],
+) -> Result<[&'a mut [f32]; COUNT], DecideError> {
+    floats.get_disjoint_mut(wanted.map(Place::range)).map_err(|_| DecideError::BadLength)
+}
+
+/// Copies between slices of equal length.
+#[inline(always)]
+fn copy(from: &[f32], to: &mut [f32]) -> Result<(), DecideError> {
+    if from.len() != to.len() {
+        return Err(DecideError::BadLength);
+    }
+    for (to, from) in to.iter_mut().zip(from) {
+        *to = *from;
+    }
+    Ok(())
+}

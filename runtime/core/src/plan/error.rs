@@ -1,0 +1,108 @@
+//! Why a plan is refused.
+
+/// A part of a plan that a checksum covers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// Header and program.
+    Program,
+    /// Weights.
+    Weights,
+}
+
+/// Why a plan cannot be loaded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum PlanError {
+    /// The bytes are not a plan.
+    BadMagic,
+    /// The plan's format is newer than this reader, or of another major version.
+    Version {
+        /// The plan's major version.
+        major: u16,
+        /// The plan's minor version.
+        minor: u16,
+    },
+    /// The plan was written for the other byte order.
+    Endian,
+    /// Bytes are missing.
+    Truncated {
+        /// Bytes needed.
+        need: usize,
+        /// Bytes given.
+        got: usize,
+    },
+    /// A checksum does not match: the plan is damaged.
+    Crc(Part),
+    /// The plan or the arena does not start at a multiple of the needed alignment.
+    Misaligned {
+        /// Alignment needed, in bytes.
+        need: usize,
+        /// Largest alignment that the address has, in bytes.
+        got: usize,
+    },
+    /// The weights are laid out for another kind of machine.
+    WrongLayout {
+        /// The plan's layout id.
+        got: u32,
+    },
+    /// The arithmetic profile is not one of this build.
+    WrongProfile {
+        /// The plan's profile.
+        got: u8,
+    },
+    /// The program holds an operator that this build does not have.
+    UnknownOp,
+    /// Sizes or places of the program do not fit each other.
+    ShapeMismatch {
+        /// Index of the operator.
+        op: usize,
+    },
+    /// The arena is too small.
+    ArenaTooSmall {
+        /// Bytes needed.
+        need: usize,
+        /// Bytes given.
+        got: usize,
+    },
+}
+
+impl core::fmt::Display for PlanError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::BadMagic => f.write_str("this is not a plan"),
+            Self::Version { major, minor } => {
+                write!(
+                    f,
+                    "plan format {major}.{minor} is not readable here: compile the plan again"
+                )
+            }
+            Self::Endian => f.write_str("the plan was written for the other byte order"),
+            Self::Truncated { need, got } => {
+                write!(f, "the plan is cut off: it needs {need} bytes and has {got}")
+            }
+            Self::Crc(Part::Program) => f.write_str("the plan's header or program is damaged"),
+            Self::Crc(Part::Weights) => f.write_str("the plan's weights are damaged"),
+            Self::Misaligned { need, got } => {
+                write!(f, "must start at a multiple of {need} bytes, starts at one of {got}")
+            }
+            Self::WrongLayout { got } => {
+                write!(
+                    f,
+                    "weight layout {got} is for another machine: compile the plan for this one"
+                )
+            }
+            Self::WrongProfile { got } => {
+                write!(f, "arithmetic profile {got} is not part of this build")
+            }
+            Self::UnknownOp => {
+                f.write_str("the program has an operator that this build does not have")
+            }
+            Self::ShapeMismatch { op } => write!(f, "the sizes of operator {op} do not fit"),
+            Self::ArenaTooSmall { need, got } => {
+                write!(f, "the arena needs {need} bytes and has {got}")
+            }
+        }
+    }
+}
+
+impl core::error::Error for PlanError {}

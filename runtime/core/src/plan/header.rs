@@ -1,0 +1,302 @@
+//! The fixed first bytes of a plan.
+
+use super::error::PlanError;
+
+/// Bytes of the header.
+pub const HEADER_BYTES: usize = 128;
+/// The plan format that this build writes: major, minor. It reads the same major up to the same minor.
+pub const VERSION: (u16, u16) = (1, 0);
+/// Layout 1: f32 in tiles of 64 columns.
+pub const LAYOUT_TILES: u32 = 1;
+/// Alignment of the weights inside a plan and of the arena, in bytes.
+pub const ALIGNMENT: usize = 64;
+
+const MAGIC: [u8; 8] = *b"SORTIEPL";
+const ENDIAN_PROBE: u32 = 0x0102_0304;
+/// Where the checksum of header and program stands.
+pub(super) const CRC_OFFSET: usize = 60;
+
+/// How a plan computes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Profile {
+    /// f32 without fused multiply-add: the same bits on every target.
+    Exact,
+}
+
+/// What a plan computes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Network {
+    /// An agent's utilities.
+    Agent,
+}
+
+/// The header of a plan; magic, version, byte order and checksums are checked and not kept.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Header {
+    /// How the weights are laid out.
+    pub layout: u32,
+    /// Bytes of arena that one decision needs.
+    pub arena_bytes: u32,
+    /// Alignment of the arena, in bytes.
+    pub arena_alignment: u32,
+    /// Most visible entities.
+    pub n_max: u32,
+    /// Features d of an entity, the last action not counted.
+    pub features: u32,
+    /// Actions U.
+    pub actions: u32,
+    /// Floats of the hidden state, 0 if there is none.
+    pub hidden: u32,
+    /// Where the program starts.
+    pub program_offset: u32,
+    /// Bytes of the program.
+    pub program_len: u32,
+    /// Where the weights start, a multiple of [`ALIGNMENT`].
+    pub weights_offset: u32,
+    /// Bytes of the weights.
+    pub weights_len: u32,
+    /// SHA-256 of the ONNX file that the plan was made from.
+    pub source: [u8; 32],
+    /// Hash of the contract that the policy was trained for, 0 if unknown.
+    pub contract: u64,
+    /// Largest measured error against the source graph: |a - b| / (1 + |b|).
+    pub max_error: f32,
+    /// Measured share of inputs for which the chosen action differed from the source graph's.
+    pub action_mismatch: f32,
+    /// How the plan computes.
+    pub profile: Profile,
+    /// What it computes.
+    pub network: Network,
+    /// Most subtasks, 0 if none.
+    pub t_max: u16,
+}
+
+impl Header {
+    /// Reads and checks the header; the checksums are the caller's to compare.
+    pub fn read(plan: &[u8]) -> Result<(Self, Checksums), PlanError> {
+        let got = plan.len();
+        let header = plan.first_chunk::<HEADER_BYTES>();
+        let mut fields = Fields(header.ok_or(PlanError::Truncated { need: HEADER_BYTES, got })?);
+        if fields.next()? != MAGIC {
+            return Err(PlanError::BadMagic);
+        }
+        let (major, minor) = (fields.u16()?, fields.u16()?);
+        if major != VERSION.0 || minor > VERSION.1 {
+            return Err(PlanError::Version { major, minor });
+        }
+        if fields.u32()? != ENDIAN_PROBE {
+            return Err(PlanError::Endian);
+        }
+        let (layout, arena_bytes, arena_alignment) = (fields.u32()?, fields.u32()?, fields.u32()?);
+        let (n_max, features, actions) = (fields.u32()?, fields.u32()?, fields.u32()?);
+        let hidden = fields.u32()?;
+        let (program_offset, program_len) = (fields.u32()?, fields.u32()?);
+        let (weights_offset, weights_len) = (fields.u32()?, fields.u32()?);
+        let checksums = Checksums { program: fields.u32()?, weights: fields.u32()? };
+        let source = fields.next()?;
+        let contract = u64::from_le_bytes(fields.next()?);
+        let max_error = f32::from_le_bytes(fields.next()?);
+        let action_mismatch = f32::from_le_bytes(fields.next()?);
+        let [profile, network] = fields.next()?;
+        let t_max = fields.u16()?;
+        let header = Self {
+            layout,
+            arena_bytes,
+            arena_alignment,
+            n_max,
+            features,
+            actions,
+            hidden,
+            program_offset,
+            program_len,
+            weights_offset,
+            weights_len,
+            source,
+            contract,
+            max_error,
+            action_mismatch,
+            profile: Profile::from_id(profile)?,
+            network: Network::from_id(network)?,
+            t_max,
+        };
+        Ok((header, checksums))
+    }
+
+    /// The header as bytes, with the given checksums.
+    pub fn to_bytes(&self, checksums: Checksums) -> [u8; HEADER_BYTES] {
+        let mut bytes = [0; HEADER_BYTES];
+        let mut rest = bytes.as_mut_slice();
+        let mut put = |field: &[u8]| {
+            if let Some((to, after)) = core::mem::take(&mut rest).split_at_mut_checked(field.len())
+            {
+                to.copy_from_slice(field);
+                rest = after;
+            }
+        };
+        put(&MAGIC);
+        put(&VERSION.0.to_le_bytes());
+        put(&VERSION.1.to_le_bytes());
+        let sizes = [
+            ENDIAN_PROBE,
+            self.layout,
+            self.arena_bytes,
+            self.arena_alignment,
+            self.n_max,
+            self.features,
+            self.actions,
+            self.hidden,
+            self.program_offset,
+            self.program_len,
+            self.weights_offset,
+            self.weights_len,
+            checksums.program,
+            checksums.weights,
+        ];
+        sizes.iter().for_each(|size| put(&size.to_le_bytes()));
+        put(&self.source);
+        put(&self.contract.to_le_bytes());
+        put(&self.max_error.to_le_bytes());
+        put(&self.action_mismatch.to_le_bytes());
+        put(&[self.profile.id(), self.network.id()]);
+        put(&self.t_max.to_le_bytes());
+        bytes
+    }
+}
+
+/// CRC-32C of the parts of a plan.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Checksums {
+    /// Of header and program, the header's own checksum taken as zero.
+    pub program: u32,
+    /// Of the weights.
+    pub weights: u32,
+}
+
+/// Bytes of arena that the plan needs, as a constant: `static ARENA: [u8; arena_bytes(PLAN)]`.
+///
+/// A plan too short to have a header needs 0 bytes, and is refused at load.
+pub const fn arena_bytes(plan: &[u8]) -> usize {
+    let Some((_, rest)) = plan.split_at_checked(20) else { return 0 };
+    let Some(field) = rest.first_chunk::<4>() else { return 0 };
+    u32::from_le_bytes(*field) as usize
+}
+
+impl Profile {
+    /// The profile's number in the header.
+    pub const fn id(self) -> u8 {
+        match self {
+            Self::Exact => 0,
+        }
+    }
+
+    fn from_id(id: u8) -> Result<Self, PlanError> {
+        match id {
+            0 => Ok(Self::Exact),
+            got => Err(PlanError::WrongProfile { got }),
+        }
+    }
+}
+
+impl Network {
+    /// The network's number in the header.
+    pub const fn id(self) -> u8 {
+        match self {
+            Self::Agent => 0,
+        }
+    }
+
+    fn from_id(id: u8) -> Result<Self, PlanError> {
+        match id {
+            0 => Ok(Self::Agent),
+            _ => Err(PlanError::UnknownOp),
+        }
+    }
+}
+
+/// The fields of the header, one after the other.
+struct Fields<'a>(&'a [u8]);
+
+impl Fields<'_> {
+    fn next<const LEN: usize>(&mut self) -> Result<[u8; LEN], PlanError> {
+        let (field, rest) = self.0.split_first_chunk().ok_or(PlanError::BadMagic)?;
+        self.0 = rest;
+        Ok(*field)
+    }
+
+    fn u16(&mut self) -> Result<u16, PlanError> {
+        self.next().map(u16::from_le_bytes)
+    }
+
+    fn u32(&mut self) -> Result<u32, PlanError> {
+        self.next().map(u32::from_le_bytes)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn header() -> Header {
+        Header {
+            layout: LAYOUT_TILES,
+            arena_bytes: 9_000,
+            arena_alignment: 64,
+            n_max: 11,
+            features: 58,
+            actions: 12,
+            hidden: 0,
+            program_offset: 128,
+            program_len: 40,
+            weights_offset: 192,
+            weights_len: 4_096,
+            source: [7; 32],
+            contract: 0x0123_4567_89ab_cdef,
+            max_error: 1.5e-7,
+            action_mismatch: 0.0,
+            profile: Profile::Exact,
+            network: Network::Agent,
+            t_max: 6,
+        }
+    }
+
+    #[test]
+    fn comes_back_as_it_was_written() {
+        let checksums = Checksums { program: 1, weights: 2 };
+        let bytes = header().to_bytes(checksums);
+        assert_eq!(Header::read(&bytes), Ok((header(), checksums)));
+        assert_eq!(arena_bytes(&bytes), 9_000);
+    }
+
+    #[test]
+    fn fields_stand_where_the_format_says() {
+        let bytes = header().to_bytes(Checksums { program: 0xaabb_ccdd, weights: 0x1122_3344 });
+        assert_eq!(&bytes[..16], b"SORTIEPL\x01\0\0\0\x04\x03\x02\x01");
+        assert_eq!(bytes[16..20], 1_u32.to_le_bytes());
+        assert_eq!(bytes[28..32], 11_u32.to_le_bytes());
+        assert_eq!(bytes[44..48], 128_u32.to_le_bytes());
+        assert_eq!(bytes[60..64], 0xaabb_ccdd_u32.to_le_bytes());
+        assert_eq!(bytes[64..68], 0x1122_3344_u32.to_le_bytes());
+        assert_eq!(bytes[68..100], [7; 32]);
+        assert_eq!(bytes[108..112], 1.5e-7_f32.to_le_bytes());
+        assert_eq!(bytes[116..120], [0, 0, 6, 0]);
+        assert_eq!(bytes[120..], [0; 8]);
+    }
+
+    #[test]
+    fn refuses_what_it_cannot_read() {
+        let bytes = header().to_bytes(Checksums::default());
+        let with = |at: usize, value: u8| {
+            let mut changed = bytes;
+            changed[at] = value;
+            Header::read(&changed).map(|_| ())
+        };
+        assert_eq!(with(0, b'X'), Err(PlanError::BadMagic));
+        assert_eq!(with(8, 2), Err(PlanError::Version { major: 2, minor: 0 }));
+        assert_eq!(with(10, 1), Err(PlanError::Version { major: 1, minor: 1 }));
+        assert_eq!(with(12, 1), Err(PlanError::Endian));
+        assert_eq!(with(116, 9), Err(PlanError::WrongProfile { got: 9 }));
+        assert_eq!(Header::read(&bytes[..127]), Err(PlanError::Truncated { need: 128, got: 127 }));
+    }
+}

@@ -1,0 +1,219 @@
+//! Plans: a fixed header, a postcard program, raw aligned weights; used in place, checked once.
+//!
+//! [`Plan::load`] makes every check. After it a decision never allocates, blocks or panics; it fails only for
+//! the observation's sake ([`DecideError`]). Weights are never copied: they stay in the caller's bytes, be that
+//! flash, a memory map or [`AlignedBytes`].
+
+#[cfg(feature = "std")]
+mod aligned;
+mod error;
+mod header;
+mod program;
+
+#[cfg(feature = "std")]
+pub use aligned::AlignedBytes;
+pub use error::{Part, PlanError};
+pub use header::{
+    ALIGNMENT, Checksums, HEADER_BYTES, Header, LAYOUT_TILES, Network, Profile, VERSION,
+    arena_bytes,
+};
+pub use program::{OPS, Program};
+
+use zerocopy::FromBytes;
+
+use crate::checksum::{CRC32C, crc32c};
+use crate::choose::masked_argmax;
+use crate::kernels::nonzero::Nonzero;
+use crate::kernels::wide::{Work, widest};
+use crate::limits;
+use crate::ops::{Scratch, Sizes};
+use crate::policy::{DecideError, Decision, Observation};
+
+/// A loaded plan: checked, and bound to its weights.
+#[derive(Clone, Debug)]
+pub struct Plan<'a> {
+    header: Header,
+    program: Program,
+    weights: &'a [f32],
+}
+
+impl<'a> Plan<'a> {
+    /// Checks a plan and binds it to its weights. Bytes behind the weights are ignored.
+    pub fn load(plan: &'a [u8]) -> Result<Self, PlanError> {
+        let (header, checksums) = Header::read(plan)?;
+        let program_bytes = part(plan, header.program_offset, header.program_len)?;
+        if checksums.program != program_checksum(plan, program_bytes) {
+            return Err(PlanError::Crc(Part::Program));
+        }
+        if header.layout != LAYOUT_TILES {
+            return Err(PlanError::WrongLayout { got: header.layout });
+        }
+        let weights = part(plan, header.weights_offset, header.weights_len)?;
+        if checksums.weights != crc32c(weights) {
+            return Err(PlanError::Crc(Part::Weights));
+        }
+        check_alignment(weights)?;
+        let weights =
+            <[f32]>::ref_from_bytes(weights).map_err(|_| PlanError::ShapeMismatch { op: 0 })?;
+        let program: Program =
+            postcard::from_bytes(program_bytes).map_err(|_| PlanError::UnknownOp)?;
+        check(&header, &program)?;
+        Ok(Self { header, program, weights })
+    }
+
+    /// The header.
+    pub fn header(&self) -> &Header {
+        &self.header
+    }
+
+    /// The program.
+    pub fn program(&self) -> &Program {
+        &self.program
+    }
+
+    /// Bytes of arena that a decision needs.
+    pub fn arena_bytes(&self) -> usize {
+        self.header.arena_bytes as usize
+    }
+
+    /// Number of actions U.
+    pub fn actions(&self) -> usize {
+        self.header.actions as usize
+    }
+
+    /// Checks that an arena is large and aligned enough.
+    pub fn check_arena(&self, arena: &[u8]) -> Result<(), PlanError> {
+        let (need, got) = (self.arena_bytes(), arena.len());
+        if got < need {
+            return Err(PlanError::ArenaTooSmall { need, got });
+        }
+        check_alignment(arena)
+    }
+
+    /// Writes the utilities `[U]` of one agent, not masked by availability. `arena` is working memory.
+    pub fn utilities(
+        &self,
+        arena: &mut [u8],
+        observation: &Observation<'_>,
+        utilities: &mut [f32],
+    ) -> Result<(), DecideError> {
+        let computed = self.run(arena, observation)?;
+        if computed.len() != utilities.len() {
+            return Err(DecideError::BadLength);
+        }
+        utilities.copy_from_slice(computed);
+        Ok(())
+    }
+
+    /// Greedy choice among the available actions, lowest index on ties.
+    pub fn decide(
+        &self,
+        arena: &mut [u8],
+        observation: &Observation<'_>,
+    ) -> Result<Decision, DecideError> {
+        masked_argmax(self.run(arena, observation)?, observation.available)
+    }
+
+    /// Touches every cache line of the weights, so that the next decision finds them near.
+    pub fn warm(&self) {
+        let lines = self.weights.chunks(16).filter_map(|line| line.first());
+        core::hint::black_box(lines.fold(0, |bits, weight| bits ^ weight.to_bits()));
+    }
+
+    /// Runs the program and returns the utilities in the arena.
+    fn run<'s>(
+        &self,
+        arena: &'s mut [u8],
+        observation: &Observation<'_>,
+    ) -> Result<&'s [f32], DecideError> {
+        let (max, got) = (self.header.n_max as usize, observation.visible.len());
+        if got > max {
+            return Err(DecideError::TooManyEntities { max, got });
+        }
+        let float_bytes = 4 * self.program.floats as usize;
+        let arena = arena.get_mut(..self.arena_bytes()).ok_or(DecideError::BadLength)?;
+        let (floats, list) =
+            arena.split_at_mut_checked(float_bytes).ok_or(DecideError::BadLength)?;
+        let floats = <[f32]>::mut_from_bytes(floats).map_err(|_| DecideError::BadLength)?;
+        let nonzeros = <[Nonzero]>::mut_from_bytes(list).map_err(|_| DecideError::BadLength)?;
+        let mut scratch = Scratch { floats, nonzeros, visible: 0, own: 0 };
+        widest(Execution { plan: self, observation, scratch: &mut scratch })?;
+        let place = self.program.utilities().ok_or(DecideError::BadLength)?;
+        let utilities = scratch.floats.get(place.range()).ok_or(DecideError::BadLength)?;
+        if utilities.iter().all(|utility| utility.is_finite()) {
+            Ok(utilities)
+        } else {
+            Err(DecideError::NonFinite)
+        }
+    }
+}
+
+struct Execution<'p, 'a, 's> {
+    plan: &'p Plan<'a>,
+    observation: &'p Observation<'p>,
+    scratch: &'p mut Scratch<'s>,
+}
+
+impl Work for Execution<'_, '_, '_> {
+    type Output = Result<(), DecideError>;
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let ops = &self.plan.program.ops;
+        ops.iter().try_for_each(|op| op.run(self.plan.weights, self.observation, self.scratch))
+    }
+}
+
+/// Checks that header and program agree and that all sizes are ones that messages can express.
+fn check(header: &Header, program: &Program) -> Result<(), PlanError> {
+    let sizes = Sizes {
+        floats: program.floats,
+        nonzeros: program.nonzeros,
+        weights: header.weights_len / 4,
+        n_max: header.n_max,
+        features: header.features,
+        actions: header.actions,
+    };
+    let within = |size: u32, limit: usize| size > 0 && size as usize <= limit;
+    let fits = within(header.n_max, limits::ENTITIES)
+        && within(header.actions, limits::ACTIONS)
+        && within(header.features, limits::FEATURES)
+        && u64::from(header.arena_bytes) == program.arena_bytes();
+    if !fits {
+        return Err(PlanError::ShapeMismatch { op: program.ops.len() });
+    }
+    program.check(&sizes)
+}
+
+fn part(plan: &[u8], offset: u32, len: u32) -> Result<&[u8], PlanError> {
+    let (start, len) = (offset as usize, len as usize);
+    let need = start.saturating_add(len);
+    plan.get(start..need).ok_or(PlanError::Truncated { need, got: plan.len() })
+}
+
+fn check_alignment(bytes: &[u8]) -> Result<(), PlanError> {
+    let address = bytes.as_ptr().addr();
+    if bytes.is_empty() || address.is_multiple_of(ALIGNMENT) {
+        return Ok(());
+    }
+    Err(PlanError::Misaligned { need: ALIGNMENT, got: address & address.wrapping_neg() })
+}
+
+/// The checksum of header and program, the header's own checksum taken as zero.
+fn program_checksum(plan: &[u8], program: &[u8]) -> u32 {
+    let mut digest = CRC32C.digest();
+    let header = plan.get(..HEADER_BYTES).unwrap_or(plan);
+    let (before, rest) = header.split_at_checked(header::CRC_OFFSET).unwrap_or((header, &[]));
+    digest.update(before);
+    digest.update(&[0; 4]);
+    digest.update(rest.get(4..).unwrap_or(&[]));
+    digest.update(program);
+    digest.finalize()
+}
+
+/// The checksums that belong into the header, computed over its bytes, the program and the weights.
+pub fn checksums(header: &Header, program: &[u8], weights: &[u8]) -> Checksums {
+    let weights = crc32c(weights);
+    let bytes = header.to_bytes(Checksums { program: 0, weights });
+    Checksums { program: program_checksum(&bytes, program), weights }
+}

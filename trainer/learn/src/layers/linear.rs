@@ -1,0 +1,103 @@
+//! The dense linear layer `y = W x + b`.
+
+use super::matrix::{Matrix, MatrixMut, Store, multiply};
+
+/// Sizes of a linear layer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LinearShape {
+    /// Width of an input row.
+    pub input: usize,
+    /// Width of an output row.
+    pub output: usize,
+}
+
+/// Writes `y [rows, output]` from `x [rows, input]`, `weight [output, input]`, `bias [output]`.
+pub fn forward(shape: LinearShape, x: &[f32], weight: &[f32], bias: &[f32], y: &mut [f32]) {
+    let rows = y.len() / shape.output;
+    for row in y.chunks_exact_mut(shape.output) {
+        row.copy_from_slice(bias);
+    }
+    multiply(
+        MatrixMut::new(y, rows, shape.output),
+        Store::Add,
+        Matrix::new(x, rows, shape.input),
+        Matrix::new(weight, shape.output, shape.input).transposed(),
+    );
+}
+
+/// Writes `y [rows, output]` from `x [rows, input]` and `weight [output, input]`.
+pub fn forward_without_bias(shape: LinearShape, x: &[f32], weight: &[f32], y: &mut [f32]) {
+    let rows = y.len() / shape.output;
+    multiply(
+        MatrixMut::new(y, rows, shape.output),
+        Store::Replace,
+        Matrix::new(x, rows, shape.input),
+        Matrix::new(weight, shape.output, shape.input).transposed(),
+    );
+}
+
+/// Writes the input gradient `d_x [rows, input]` from `d_y [rows, output]`.
+pub fn backward_input(
+    shape: LinearShape,
+    d_y: &[f32],
+    weight: &[f32],
+    store: Store,
+    d_x: &mut [f32],
+) {
+    let rows = d_x.len() / shape.input;
+    multiply(
+        MatrixMut::new(d_x, rows, shape.input),
+        store,
+        Matrix::new(d_y, rows, shape.output),
+        Matrix::new(weight, shape.output, shape.input),
+    );
+}
+
+/// Adds to `d_weight [output, input]` the sum of outer products of `d_y` and `x`.
+pub fn backward_weight(shape: LinearShape, x: &[f32], d_y: &[f32], d_weight: &mut [f32]) {
+    let rows = x.len() / shape.input;
+    multiply(
+        MatrixMut::new(d_weight, shape.output, shape.input),
+        Store::Add,
+        Matrix::new(d_y, rows, shape.output).transposed(),
+        Matrix::new(x, rows, shape.input),
+    );
+}
+
+/// Adds to `d_bias [output]` the column sums of `d_y`.
+pub fn backward_bias(d_y: &[f32], d_bias: &mut [f32]) {
+    for row in d_y.chunks_exact(d_bias.len()) {
+        for (sum, d) in d_bias.iter_mut().zip(row) {
+            *sum += d;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::layers::gradient_check::{assert_gradient, random};
+
+    const SHAPE: LinearShape = LinearShape { input: 5, output: 3 };
+    const ROWS: usize = 7;
+
+    #[test]
+    fn gradients_agree_with_finite_differences() {
+        let (x, weight, bias) = (random(1, ROWS * 5), random(2, 15), random(3, 3));
+        let d_y = random(4, ROWS * 3);
+        let loss = |x: &[f32], weight: &[f32], bias: &[f32]| {
+            let mut y = vec![0.0; ROWS * 3];
+            forward(SHAPE, x, weight, bias, &mut y);
+            y.iter().zip(&d_y).map(|(y, d)| f64::from(*y) * f64::from(*d)).sum()
+        };
+        let mut d_x = vec![f32::NAN; ROWS * 5];
+        backward_input(SHAPE, &d_y, &weight, Store::Replace, &mut d_x);
+        let (mut d_weight, mut d_bias) = (vec![0.0; 15], vec![0.0; 3]);
+        backward_weight(SHAPE, &x, &d_y, &mut d_weight);
+        backward_bias(&d_y, &mut d_bias);
+
+        assert_gradient("x", &x, &d_x, |x| loss(x, &weight, &bias));
+        assert_gradient("weight", &weight, &d_weight, |weight| loss(&x, weight, &bias));
+        assert_gradient("bias", &bias, &d_bias, |bias| loss(&x, &weight, bias));
+    }
+}

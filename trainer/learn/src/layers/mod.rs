@@ -1,0 +1,18 @@
+//! Network layers with explicit forward and backward passes over plain slices.
+//!
+//! Every function writes into buffers that its caller owns; none allocates, blocks or reads a clock.
+//! Matrices are row-major. A weight matrix is `[out, in]` as in PyTorch, except that of
+//! [`sparse_linear`], whose input picks rows of an `[in, out]` matrix.
+//! `backward` functions *add* to weight gradients and *overwrite* input gradients unless they say otherwise.
+
+pub mod attention;
+pub mod linear;
+pub mod matrix;
+pub mod relu;
+pub mod sparse_linear;
+
+#[cfg(test)]
+pub(crate) mod gradient_check;
+
+pub use attention::VisibleLists;
+pub use sparse_linear::SparseRows;

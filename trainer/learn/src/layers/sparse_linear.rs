@@ -1,0 +1,136 @@
+//! The first layer: a linear layer whose input rows are mostly zeros.
+//!
+//! One-hot features turn the product into a sum of a dozen weight rows, so the weight is stored
+//! `[input, output]` and zero features cost nothing. The result equals the dense product.
+
+/// Rows of features without their zeros.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SparseRows {
+    /// Row r owns the entries `ends[r] .. ends[r + 1]`; the first end is 0.
+    ends: Vec<u32>,
+    columns: Vec<u16>,
+    values: Vec<f32>,
+}
+
+impl Default for SparseRows {
+    fn default() -> Self {
+        Self { ends: vec![0], columns: Vec::new(), values: Vec::new() }
+    }
+}
+
+impl SparseRows {
+    /// Forgets all rows, keeps the memory.
+    pub fn clear(&mut self) {
+        self.ends.truncate(1);
+        self.columns.clear();
+        self.values.clear();
+    }
+
+    /// Adds one feature to the row that the next [`end_row`](Self::end_row) closes.
+    pub fn push(&mut self, column: usize, value: f32) {
+        self.columns.push(column as u16);
+        self.values.push(value);
+    }
+
+    /// Closes a row.
+    pub fn end_row(&mut self) {
+        self.ends.push(self.columns.len() as u32);
+    }
+
+    /// Adds and closes a row given in full.
+    pub fn push_dense(&mut self, row: &[f32]) {
+        for (column, value) in row.iter().enumerate() {
+            if *value != 0.0 {
+                self.push(column, *value);
+            }
+        }
+        self.end_row();
+    }
+
+    /// Number of closed rows.
+    pub fn len(&self) -> usize {
+        self.ends.len() - 1
+    }
+
+    /// Whether no row has been closed.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Columns and values of the non-zero features of a row.
+    pub fn row(&self, row: usize) -> impl Iterator<Item = (usize, f32)> + '_ {
+        let range = self.ends[row] as usize..self.ends[row + 1] as usize;
+        self.columns[range.clone()]
+            .iter()
+            .map(|c| usize::from(*c))
+            .zip(self.values[range].iter().copied())
+    }
+}
+
+/// Writes `y [rows, width]` from `weight [input, width]` and `bias [width]`.
+pub fn forward(x: &SparseRows, weight: &[f32], bias: &[f32], y: &mut [f32]) {
+    let width = bias.len();
+    for (row, y) in y.chunks_exact_mut(width).enumerate() {
+        y.copy_from_slice(bias);
+        for (column, value) in x.row(row) {
+            for (y, weight) in y.iter_mut().zip(&weight[column * width..][..width]) {
+                *y += value * weight;
+            }
+        }
+    }
+}
+
+/// Adds the gradients of `weight [input, width]` and `bias [width]`; features have none.
+pub fn backward(x: &SparseRows, d_y: &[f32], d_weight: &mut [f32], d_bias: &mut [f32]) {
+    let width = d_bias.len();
+    for (row, d_y) in d_y.chunks_exact(width).enumerate() {
+        for (sum, d) in d_bias.iter_mut().zip(d_y) {
+            *sum += d;
+        }
+        for (column, value) in x.row(row) {
+            for (sum, d) in d_weight[column * width..][..width].iter_mut().zip(d_y) {
+                *sum += value * d;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::layers::gradient_check::{assert_gradient, random};
+
+    const INPUT: usize = 9;
+    const WIDTH: usize = 4;
+
+    fn rows() -> SparseRows {
+        let mut rows = SparseRows::default();
+        rows.push_dense(&[0.0, 1.0, 0.0, 0.5, 0.0, 0.0, 0.0, -2.0, 0.0]);
+        rows.push_dense(&[0.0; INPUT]);
+        rows.push_dense(&[1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.25]);
+        rows
+    }
+
+    #[test]
+    fn stores_only_what_is_not_zero() {
+        let rows = rows();
+        assert_eq!(rows.len(), 3);
+        assert_eq!(rows.row(0).collect::<Vec<_>>(), [(1, 1.0), (3, 0.5), (7, -2.0)]);
+        assert_eq!(rows.row(1).count(), 0);
+    }
+
+    #[test]
+    fn gradients_agree_with_finite_differences() {
+        let (weight, bias) = (random(1, INPUT * WIDTH), random(2, WIDTH));
+        let d_y = random(3, 3 * WIDTH);
+        let loss = |weight: &[f32], bias: &[f32]| {
+            let mut y = vec![0.0; 3 * WIDTH];
+            forward(&rows(), weight, bias, &mut y);
+            y.iter().zip(&d_y).map(|(y, d)| f64::from(*y) * f64::from(*d)).sum()
+        };
+        let (mut d_weight, mut d_bias) = (vec![0.0; INPUT * WIDTH], vec![0.0; WIDTH]);
+        backward(&rows(), &d_y, &mut d_weight, &mut d_bias);
+        assert_gradient("weight", &weight, &d_weight, |weight| loss(weight, &bias));
+        assert_gradient("bias", &bias, &d_bias, |bias| loss(&weight, bias));
+    }
+}

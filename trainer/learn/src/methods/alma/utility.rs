@@ -1,0 +1,275 @@
+//! The utility network of ALMA's agents, shared by all of them (dissertation section 7.3).
+//!
+//! `fc1` embeds every entity, attention lets the agent look at what it sees, `fc2` and `head` give one
+//! utility per action. Feed-forward; the subtask mask decides what is seen, not this network.
+
+use std::ops::Range;
+
+use serde::{Deserialize, Serialize};
+
+use crate::layers::attention::AttentionShape;
+use crate::layers::linear::LinearShape;
+use crate::random::{Generator, uniform};
+
+/// Sizes of a utility network.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct UtilityShape {
+    /// Input columns D of one entity: its features and its last action's one-hot.
+    pub input: usize,
+    /// Width E of the embedding and the attention.
+    pub width: usize,
+    /// Attention heads, a divisor of the width.
+    pub heads: usize,
+    /// Width R of the layer before the head.
+    pub base: usize,
+    /// Actions U.
+    pub actions: usize,
+}
+
+impl UtilityShape {
+    pub(super) fn attention(self) -> AttentionShape {
+        AttentionShape { width: self.width, heads: self.heads }
+    }
+
+    pub(super) fn queries(self) -> LinearShape {
+        LinearShape { input: self.width, output: self.width }
+    }
+
+    pub(super) fn keys_values(self) -> LinearShape {
+        LinearShape { input: self.width, output: 2 * self.width }
+    }
+
+    pub(super) fn fc2(self) -> LinearShape {
+        LinearShape { input: self.width, output: self.base }
+    }
+
+    pub(super) fn head(self) -> LinearShape {
+        LinearShape { input: self.base, output: self.actions }
+    }
+
+    /// Where each tensor stands in the flat parameter vector.
+    pub fn tensors(self) -> [Tensor; 9] {
+        let Self { input, width, base, actions, .. } = self;
+        let mut start = 0;
+        let mut next = |name, rows, columns| {
+            let range = start..start + rows * columns;
+            start = range.end;
+            Tensor { name, rows, columns, range }
+        };
+        [
+            next("fc1.weight", input, width),
+            next("fc1.bias", 1, width),
+            next("attention.in.weight", 3 * width, width),
+            next("attention.out.weight", width, width),
+            next("attention.out.bias", 1, width),
+            next("fc2.weight", base, width),
+            next("fc2.bias", 1, base),
+            next("head.weight", actions, base),
+            next("head.bias", 1, actions),
+        ]
+    }
+
+    /// Number of parameters.
+    pub fn parameters(self) -> usize {
+        self.tensors()[8].range.end
+    }
+}
+
+/// One tensor in the flat parameter vector.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Tensor {
+    /// Its name in files.
+    pub name: &'static str,
+    /// Rows of the stored matrix; 1 for a bias.
+    pub rows: usize,
+    /// Columns of the stored matrix.
+    pub columns: usize,
+    /// Its place.
+    pub range: Range<usize>,
+}
+
+/// The network: its sizes and all parameters in one vector.
+///
+/// Optimiser, target network and weight average work on the vector; only the passes know tensors.
+/// `fc1.weight` is stored `[input, width]`, all other matrices `[out, in]`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct UtilityNetwork {
+    shape: UtilityShape,
+    parameters: Vec<f32>,
+}
+
+impl UtilityNetwork {
+    /// Draws weights and biases uniformly in `±1/sqrt(inputs of the layer)`, as PyTorch does.
+    ///
+    /// For `fc1` the inputs count as `active_inputs`: its rows are one-hot codes with few non-zeros,
+    /// so that the full width would make the first activations too small.
+    pub fn initialise(shape: UtilityShape, active_inputs: f32, generator: &mut Generator) -> Self {
+        let mut parameters = vec![0.0; shape.parameters()];
+        let inputs = [active_inputs; 2]
+            .into_iter()
+            .chain([shape.width as f32; 5])
+            .chain([shape.base as f32; 2]);
+        for (tensor, inputs) in shape.tensors().into_iter().zip(inputs) {
+            let bound = 1.0 / inputs.sqrt();
+            for value in &mut parameters[tensor.range] {
+                *value = bound * (2.0 * uniform(generator) - 1.0);
+            }
+        }
+        Self { shape, parameters }
+    }
+
+    /// A network with these parameters, or `None` where their number does not fit the shape.
+    pub fn from_parameters(shape: UtilityShape, parameters: Vec<f32>) -> Option<Self> {
+        (parameters.len() == shape.parameters()).then_some(Self { shape, parameters })
+    }
+
+    /// The sizes.
+    pub fn shape(&self) -> UtilityShape {
+        self.shape
+    }
+
+    /// All parameters, in the order of [`UtilityShape::tensors`].
+    pub fn parameters(&self) -> &[f32] {
+        &self.parameters
+    }
+
+    /// All parameters, to be changed.
+    pub fn parameters_mut(&mut self) -> &mut [f32] {
+        &mut self.parameters
+    }
+
+    /// The tensors in PyTorch's layout, for export.
+    pub fn weights(&self) -> UtilityWeights {
+        let UtilityShape { input, width, .. } = self.shape;
+        let [fc1, fc1_bias, attention_in, out, out_bias, fc2, fc2_bias, head, head_bias] =
+            self.shape.tensors().map(|tensor| self.parameters[tensor.range].to_vec());
+        UtilityWeights {
+            shape: self.shape,
+            fc1_weight: transpose(&fc1, input, width),
+            fc1_bias,
+            attention_in_weight: attention_in,
+            attention_out_weight: out,
+            attention_out_bias: out_bias,
+            fc2_weight: fc2,
+            fc2_bias,
+            head_weight: head,
+            head_bias,
+        }
+    }
+
+    /// A network from tensors in PyTorch's layout, or `None` where a length does not fit the shape.
+    pub fn from_weights(weights: &UtilityWeights) -> Option<Self> {
+        let shape = weights.shape;
+        if weights.fc1_weight.len() != shape.input * shape.width {
+            return None;
+        }
+        let fc1 = transpose(&weights.fc1_weight, shape.width, shape.input);
+        let tensors = [
+            &fc1,
+            &weights.fc1_bias,
+            &weights.attention_in_weight,
+            &weights.attention_out_weight,
+            &weights.attention_out_bias,
+            &weights.fc2_weight,
+            &weights.fc2_bias,
+            &weights.head_weight,
+            &weights.head_bias,
+        ];
+        let fits = |(tensor, place): (&&Vec<f32>, Tensor)| tensor.len() == place.range.len();
+        if !tensors.iter().zip(shape.tensors()).all(fits) {
+            return None;
+        }
+        Self::from_parameters(shape, tensors.into_iter().flatten().copied().collect())
+    }
+
+    pub(super) fn view(&self) -> UtilityView<'_> {
+        let width = self.shape.width;
+        let [fc1, fc1_bias, attention_in, out, out_bias, fc2, fc2_bias, head, head_bias] =
+            self.shape.tensors().map(|tensor| &self.parameters[tensor.range]);
+        let (queries, keys_values) = attention_in.split_at(width * width);
+        UtilityView {
+            fc1,
+            fc1_bias,
+            queries,
+            keys_values,
+            out,
+            out_bias,
+            fc2,
+            fc2_bias,
+            head,
+            head_bias,
+        }
+    }
+}
+
+/// The tensors of a network, borrowed.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct UtilityView<'a> {
+    pub(super) fc1: &'a [f32],
+    pub(super) fc1_bias: &'a [f32],
+    pub(super) queries: &'a [f32],
+    pub(super) keys_values: &'a [f32],
+    pub(super) out: &'a [f32],
+    pub(super) out_bias: &'a [f32],
+    pub(super) fc2: &'a [f32],
+    pub(super) fc2_bias: &'a [f32],
+    pub(super) head: &'a [f32],
+    pub(super) head_bias: &'a [f32],
+}
+
+/// The tensors of a gradient vector, in the places of the parameters.
+#[derive(Debug)]
+pub(super) struct UtilityViewMut<'a> {
+    pub(super) fc1: &'a mut [f32],
+    pub(super) fc1_bias: &'a mut [f32],
+    pub(super) queries: &'a mut [f32],
+    pub(super) keys_values: &'a mut [f32],
+    pub(super) out: &'a mut [f32],
+    pub(super) out_bias: &'a mut [f32],
+    pub(super) fc2: &'a mut [f32],
+    pub(super) fc2_bias: &'a mut [f32],
+    pub(super) head: &'a mut [f32],
+    pub(super) head_bias: &'a mut [f32],
+}
+
+impl<'a> UtilityViewMut<'a> {
+    pub(super) fn new(shape: UtilityShape, vector: &'a mut [f32]) -> Self {
+        let width = shape.width;
+        let mut rest = vector;
+        let mut take = |count: usize| rest.split_off_mut(..count).expect("one place per parameter");
+        let [fc1, fc1_bias, attention_in, out, out_bias, fc2, fc2_bias, head, head_bias] =
+            shape.tensors().map(|tensor| take(tensor.range.len()));
+        let (queries, keys_values) = attention_in.split_at_mut(width * width);
+        Self { fc1, fc1_bias, queries, keys_values, out, out_bias, fc2, fc2_bias, head, head_bias }
+    }
+}
+
+/// All tensors in PyTorch's layout: matrices `[out, in]`, row-major.
+#[derive(Clone, Debug, PartialEq)]
+pub struct UtilityWeights {
+    /// The sizes D, E, heads, R, U.
+    pub shape: UtilityShape,
+    /// `[E, D]`
+    pub fc1_weight: Vec<f32>,
+    /// `[E]`
+    pub fc1_bias: Vec<f32>,
+    /// `[3 E, E]`: query, key, value; no bias.
+    pub attention_in_weight: Vec<f32>,
+    /// `[E, E]`
+    pub attention_out_weight: Vec<f32>,
+    /// `[E]`
+    pub attention_out_bias: Vec<f32>,
+    /// `[R, E]`
+    pub fc2_weight: Vec<f32>,
+    /// `[R]`
+    pub fc2_bias: Vec<f32>,
+    /// `[U, R]`
+    pub head_weight: Vec<f32>,
+    /// `[U]`
+    pub head_bias: Vec<f32>,
+}
+
+/// The transpose of a row-major matrix.
+fn transpose(matrix: &[f32], rows: usize, columns: usize) -> Vec<f32> {
+    (0..columns).flat_map(|j| (0..rows).map(move |i| matrix[i * columns + j])).collect()
+}

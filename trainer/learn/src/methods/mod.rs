@@ -1,0 +1,3 @@
+//! Algorithms, one folder each: networks, loss, rollout rule, configuration.
+
+pub mod alma;

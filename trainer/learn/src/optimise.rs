@@ -1,0 +1,106 @@
+//! What turns gradients into better weights: clipping, Adam, and two kinds of moving averages.
+//!
+//! All of them run over flat parameter vectors.
+
+/// Scales the gradient so that its Euclidean norm is at most `limit`; returns the norm before.
+///
+/// The scale is `min(1, limit / (norm + 1e-6))`, as in the public code. The norm is summed in f64.
+pub fn clip_norm(gradient: &mut [f32], limit: f32) -> f32 {
+    let norm = gradient.iter().map(|g| f64::from(*g) * f64::from(*g)).sum::<f64>().sqrt() as f32;
+    let scale = limit / (norm + 1e-6);
+    if scale < 1.0 {
+        gradient.iter_mut().for_each(|g| *g *= scale);
+    }
+    norm
+}
+
+/// Moves `average` a share `rate` of the way towards `values`.
+pub fn move_towards(average: &mut [f32], values: &[f32], rate: f32) {
+    for (average, value) in average.iter_mut().zip(values) {
+        *average += rate * (value - *average);
+    }
+}
+
+/// The Adam optimiser (Kingma and Ba 2015), with bias correction.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Adam {
+    /// Added to the denominator.
+    pub epsilon: f32,
+    /// Running mean of the gradient.
+    pub mean: Vec<f32>,
+    /// Running mean of the squared gradient.
+    pub square: Vec<f32>,
+    /// Steps taken.
+    pub steps: u64,
+}
+
+impl Adam {
+    const DECAY_MEAN: f32 = 0.9;
+    const DECAY_SQUARE: f32 = 0.999;
+
+    /// An optimiser that has taken no step yet.
+    pub fn new(parameters: usize, epsilon: f32) -> Self {
+        Self { epsilon, mean: vec![0.0; parameters], square: vec![0.0; parameters], steps: 0 }
+    }
+
+    /// Takes one step down the gradient.
+    pub fn step(&mut self, parameters: &mut [f32], gradient: &[f32], learning_rate: f32) {
+        self.steps += 1;
+        let correction = |decay: f32| (1.0 - f64::from(decay).powf(self.steps as f64)) as f32;
+        let rate = learning_rate / correction(Self::DECAY_MEAN);
+        let square_scale = 1.0 / correction(Self::DECAY_SQUARE);
+        let moments = self.mean.iter_mut().zip(&mut self.square);
+        for ((parameter, gradient), (mean, square)) in
+            parameters.iter_mut().zip(gradient).zip(moments)
+        {
+            *mean += (1.0 - Self::DECAY_MEAN) * (gradient - *mean);
+            *square += (1.0 - Self::DECAY_SQUARE) * (gradient * gradient - *square);
+            *parameter -= rate * *mean / ((*square * square_scale).sqrt() + self.epsilon);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn clipping_keeps_the_direction_and_the_limit() {
+        let mut gradient = [3.0, -4.0];
+        assert_eq!(clip_norm(&mut gradient, 10.0), 5.0);
+        assert_eq!(gradient, [3.0, -4.0]);
+        assert_eq!(clip_norm(&mut gradient, 1.0), 5.0);
+        assert!((gradient[0] - 0.6).abs() < 1e-6 && (gradient[1] + 0.8).abs() < 1e-6);
+    }
+
+    #[test]
+    fn first_adam_steps_agree_with_the_formula() {
+        let mut adam = Adam::new(1, 1e-5);
+        let mut parameter = [1.0];
+        adam.step(&mut parameter, &[0.5], 0.1);
+        assert!((parameter[0] - (1.0 - 0.1 * 0.5 / (0.5 + 1e-5))).abs() < 1e-6);
+        adam.step(&mut parameter, &[-0.25], 0.1);
+        let mean = (0.9 * 0.1 * 0.5 + 0.1 * -0.25) / (1.0 - 0.81);
+        let square = (0.999 * 0.001 * 0.25 + 0.001 * 0.0625) / (1.0 - 0.999_f32.powi(2));
+        let want = 1.0 - 0.1 * 0.5 / (0.5 + 1e-5) - 0.1 * mean / (square.sqrt() + 1e-5);
+        assert!((parameter[0] - want).abs() < 1e-5, "{} against {want}", parameter[0]);
+    }
+
+    #[test]
+    fn adam_finds_the_bottom_of_a_bowl() {
+        let mut adam = Adam::new(2, 1e-5);
+        let mut at = [3.0, -2.0];
+        for step in 0..2000 {
+            let slope = [2.0 * (at[0] - 1.0), 8.0 * (at[1] - 0.5)];
+            adam.step(&mut at, &slope, 0.05 * (1.0 - step as f32 / 2000.0));
+        }
+        assert!((at[0] - 1.0).abs() < 1e-3 && (at[1] - 0.5).abs() < 1e-3, "{at:?}");
+    }
+
+    #[test]
+    fn averages_move_by_their_rate() {
+        let mut average = [0.0, 1.0];
+        move_towards(&mut average, &[1.0, 1.0], 0.25);
+        assert_eq!(average, [0.25, 1.0]);
+    }
+}

@@ -1,0 +1,274 @@
+//! The layers against the reference's modules, on recorded inputs (`tests/golden/networks`).
+
+use std::collections::HashMap;
+use std::path::PathBuf;
+
+use safetensors::SafeTensors;
+use serde_json::Value;
+use sortie_learn::layers::attention::{self, AttentionShape};
+use sortie_learn::layers::linear::{self, LinearShape};
+use sortie_learn::layers::{SparseRows, VisibleLists};
+use sortie_learn::methods::alma::{
+    UtilityInput, UtilityNetwork, UtilityPass, UtilityShape, UtilityWeights,
+};
+
+/// A recorded tensor: its sizes and its numbers.
+#[derive(Clone, Debug)]
+struct Tensor {
+    shape: Vec<usize>,
+    data: Vec<f64>,
+}
+
+impl Tensor {
+    fn f32s(&self) -> Vec<f32> {
+        self.data.iter().map(|v| *v as f32).collect()
+    }
+}
+
+type Tensors = HashMap<String, Tensor>;
+
+/// One recorded case: `config/NAME` as scalars, then `w/`, `in/` and `out/`.
+struct Case {
+    name: String,
+    tensors: Tensors,
+}
+
+impl Case {
+    fn get(&self, name: &str) -> &Tensor {
+        self.tensors.get(name).unwrap_or_else(|| panic!("{}: no tensor `{name}`", self.name))
+    }
+}
+
+fn folder() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden/networks")
+}
+
+fn json_cases(group: &str) -> Vec<Case> {
+    let text =
+        std::fs::read_to_string(folder().join(format!("{group}.json"))).expect("golden file");
+    let file: Value = serde_json::from_str(&text).expect("golden JSON");
+    let cases = file["cases"].as_array().expect("a list of cases");
+    cases.iter().map(json_case).collect()
+}
+
+fn json_case(case: &Value) -> Case {
+    let mut tensors = Tensors::new();
+    for (part, prefix) in [("weights", "w"), ("inputs", "in"), ("outputs", "out")] {
+        for (name, tensor) in case[part].as_object().expect("tensors by name") {
+            let shape = tensor["shape"].as_array().expect("sizes");
+            let data = tensor["data"].as_array().expect("numbers");
+            let tensor = Tensor {
+                shape: shape.iter().map(|v| v.as_u64().expect("a size") as usize).collect(),
+                data: data.iter().map(|v| v.as_f64().expect("a number")).collect(),
+            };
+            tensors.insert(format!("{prefix}/{name}"), tensor);
+        }
+    }
+    Case { name: case["id"].to_string(), tensors }
+}
+
+fn safetensors_case(group: &str) -> Case {
+    let bytes = std::fs::read(folder().join(format!("{group}.safetensors"))).expect("golden file");
+    let file = SafeTensors::deserialize(&bytes).expect("golden tensors");
+    let mut tensors = Tensors::new();
+    for (name, view) in file.tensors() {
+        let data = match view.dtype() {
+            safetensors::Dtype::F32 => {
+                view.data().as_chunks().0.iter().map(|b| f32::from_le_bytes(*b).into()).collect()
+            }
+            safetensors::Dtype::F64 => {
+                view.data().as_chunks().0.iter().map(|b| f64::from_le_bytes(*b)).collect()
+            }
+            safetensors::Dtype::U8 => view.data().iter().map(|b| f64::from(*b)).collect(),
+            other => panic!("unexpected type {other:?}"),
+        };
+        tensors.insert(name, Tensor { shape: view.shape().to_vec(), data });
+    }
+    Case { name: group.to_owned(), tensors }
+}
+
+fn assert_close(what: &str, got: &[f32], want: &[f64]) {
+    assert_eq!(got.len(), want.len(), "{what}");
+    for (index, (got, want)) in got.iter().zip(want).enumerate() {
+        let error = (f64::from(*got) - want).abs();
+        assert!(error <= 1e-5 + 1e-5 * want.abs(), "{what}[{index}]: {got} against {want}");
+    }
+}
+
+/// Entities of several samples: rows of agents first, then the others, as the learner orders them.
+struct Order {
+    agents: usize,
+    entities: usize,
+    samples: usize,
+}
+
+impl Order {
+    fn row(&self, sample: usize, entity: usize) -> usize {
+        if entity < self.agents {
+            sample * self.agents + entity
+        } else {
+            let others = self.entities - self.agents;
+            self.samples * self.agents + sample * others + entity - self.agents
+        }
+    }
+
+    /// (sample, entity) in the order of the rows.
+    fn iter(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
+        let part = |range: std::ops::Range<usize>| {
+            (0..self.samples).flat_map(move |sample| range.clone().map(move |e| (sample, e)))
+        };
+        part(0..self.agents).chain(part(self.agents..self.entities))
+    }
+}
+
+#[test]
+fn attention_layer_agrees() {
+    for case in json_cases("attention_layer") {
+        let entities = case.get("in/entities");
+        let [samples, count, width] = entities.shape[..] else { panic!("sizes") };
+        let agents = case.get("in/post_mask").shape[1];
+        let order = Order { agents, entities: count, samples };
+        let blocked = &case.get("in/pre_mask").data;
+
+        let mut rows = Vec::new();
+        for (sample, entity) in order.iter() {
+            rows.extend(&entities.f32s()[(sample * count + entity) * width..][..width]);
+        }
+        let mut visible = VisibleLists::default();
+        for (sample, query) in order.iter().take(samples * agents) {
+            for entity in 0..count {
+                if blocked[(sample * count + query) * count + entity] == 0.0 {
+                    visible.push(order.row(sample, entity));
+                }
+            }
+            visible.end_list();
+        }
+
+        let shape = AttentionShape { width, heads: 4 };
+        let (weight_q, weight_kv) = {
+            let mut all = case.get("w/in_trans.weight").f32s();
+            let rest = all.split_off(width * width);
+            (all, rest)
+        };
+        let mut queries = vec![0.0; samples * agents * width];
+        let square = LinearShape { input: width, output: width };
+        linear::forward_without_bias(square, &rows[..queries.len()], &weight_q, &mut queries);
+        let mut keys_values = vec![0.0; samples * count * 2 * width];
+        let double = LinearShape { input: width, output: 2 * width };
+        linear::forward_without_bias(double, &rows, &weight_kv, &mut keys_values);
+        let mut weights = vec![0.0; visible.pairs() * 4];
+        let mut attended = vec![0.0; queries.len()];
+        attention::forward(shape, &visible, &queries, &keys_values, &mut weights, &mut attended);
+
+        let want = case.get("out/out");
+        let output = want.shape[2];
+        let mut got = vec![0.0; samples * agents * output];
+        linear::forward(
+            LinearShape { input: width, output },
+            &attended,
+            &case.get("w/out_trans.weight").f32s(),
+            &case.get("w/out_trans.bias").f32s(),
+            &mut got,
+        );
+        // Absent agents are not computed here; the reference blanks their rows.
+        let absent = &case.get("in/post_mask").data;
+        let mut compared = 0;
+        for (row, absent) in absent.iter().enumerate() {
+            if *absent == 0.0 {
+                let span = row * output..(row + 1) * output;
+                assert_close(&case.name, &got[span.clone()], &want.data[span]);
+                compared += 1;
+            }
+        }
+        assert!(compared > samples, "{}: too few agents present", case.name);
+    }
+}
+
+fn network(case: &Case, heads: usize) -> UtilityNetwork {
+    let sizes = |name: &str| case.get(name).shape.clone();
+    let (fc1, head) = (sizes("w/_base.fc1.weight"), sizes("w/_head.fc_out.weight"));
+    let tensor = |name: &str| case.get(name).f32s();
+    UtilityNetwork::from_weights(&UtilityWeights {
+        shape: UtilityShape {
+            input: fc1[1],
+            width: fc1[0],
+            heads,
+            base: head[1],
+            actions: head[0],
+        },
+        fc1_weight: tensor("w/_base.fc1.weight"),
+        fc1_bias: tensor("w/_base.fc1.bias"),
+        attention_in_weight: tensor("w/_base.attn.in_trans.weight"),
+        attention_out_weight: tensor("w/_base.attn.out_trans.weight"),
+        attention_out_bias: tensor("w/_base.attn.out_trans.bias"),
+        fc2_weight: tensor("w/_base.fc2.weight"),
+        fc2_bias: tensor("w/_base.fc2.bias"),
+        head_weight: tensor("w/_head.fc_out.weight"),
+        head_bias: tensor("w/_head.fc_out.bias"),
+    })
+    .expect("tensors of the golden network fit")
+}
+
+fn check_utility_network(case: &Case, subtask_mask: bool) {
+    let network = network(case, 4);
+    let shape = &case.get("in/entities").shape;
+    let (samples, count) = (shape[0] * shape[1], shape[2]);
+    let agents = case.get("out/q").shape[2];
+    let tasks = case.get("in/entity2task_mask").shape[3];
+    let order = Order { agents, entities: count, samples };
+    let (blocked, outside) = (&case.get("in/obs_mask").data, &case.get("in/entity2task_mask").data);
+    let same_task = |sample: usize, a: usize, b: usize| {
+        let member = |e: usize, t: usize| outside[(sample * count + e) * tasks + t] == 0.0;
+        (0..tasks).any(|task| member(a, task) && member(b, task))
+    };
+
+    let features = case.get("in/entities").f32s();
+    let width = network.shape().input;
+    let mut input = UtilityInput { rows: SparseRows::default(), ..UtilityInput::default() };
+    for (sample, entity) in order.iter() {
+        input.rows.push_dense(&features[(sample * count + entity) * width..][..width]);
+    }
+    for (sample, agent) in order.iter().take(samples * agents) {
+        for entity in 0..count {
+            let seen = blocked[(sample * count + agent) * count + entity] == 0.0;
+            if seen && (!subtask_mask || same_task(sample, agent, entity)) {
+                input.visible.push(order.row(sample, entity));
+            }
+        }
+        input.visible.end_list();
+    }
+
+    let mut pass = UtilityPass::new(network.shape());
+    let got = pass.forward(&network, &input);
+    let want = &case.get("out/q").data;
+    let actions = network.shape().actions;
+    let absent = &case.get("in/entity_mask").data;
+    let mut compared = 0;
+    for (sample, agent) in order.iter().take(samples * agents) {
+        if absent[sample * count + agent] == 0.0 {
+            let span = (sample * agents + agent) * actions..(sample * agents + agent + 1) * actions;
+            assert_close(&case.name, &got[span.clone()], &want[span]);
+            compared += 1;
+        }
+    }
+    assert!(compared > samples, "{}: too few agents present", case.name);
+}
+
+#[test]
+fn utility_network_without_subtasks_agrees() {
+    for case in json_cases("agent_ff_none") {
+        check_utility_network(&case, false);
+    }
+}
+
+#[test]
+fn utility_network_with_subtask_mask_agrees() {
+    for case in json_cases("agent_ff_mask") {
+        check_utility_network(&case, true);
+    }
+}
+
+#[test]
+fn utility_network_at_save_the_city_sizes_agrees() {
+    check_utility_network(&safetensors_case("agent_ff_default"), true);
+}
