@@ -16,11 +16,16 @@ pub mod entity_mask;
 pub mod identity;
 pub mod kernels;
 pub mod limits;
+pub mod link;
 pub mod math;
 pub mod ops;
 pub mod plan;
 pub mod policy;
+pub mod roles;
+pub mod wire;
+pub mod world;
 
 pub use allocator::{AllocateError, AllocationState, Allocator, UNASSIGNED};
 pub use entity_mask::EntityMask;
 pub use policy::{DecideError, Decision, NO_ACTION, Observation, Policy, visible};
+pub use world::{Shape, StepOutcome, UnavailableAction, World};

@@ -47,6 +47,7 @@ pub trait World {
     /// entity that is not an agent. Last actions and the agents' subtasks are the world role's to write.
     fn observe(&self, frame: &mut FrameMut<'_>);
 
-    /// Applies one action `[A]` per agent; entries of agents that are not present are ignored.
+    /// Applies one action `[A]` per agent. Agents that are not present, or whose entry is
+    /// [`NO_ACTION`](crate::NO_ACTION) because none is available to them, do nothing.
     fn step(&mut self, actions: &[u16]) -> Result<StepOutcome, UnavailableAction>;
 }

@@ -1,0 +1,56 @@
+//! World, runner and allocator as state machines over the link traits; time comes from the link.
+//!
+//! Each has `poll`, which works on what has arrived and says what to wait for. A loop around it
+//! takes the bell's token first, polls, and waits; nothing here blocks, allocates or panics.
+
+mod allocator;
+mod fallback;
+mod newest_allocation;
+mod presence;
+mod runner;
+mod world;
+
+pub use allocator::{AllocatorError, AllocatorOptions, AllocatorRole};
+pub use presence::Identity;
+pub use runner::{RunnerOptions, RunnerRole};
+pub use world::{TickReport, WorldError, WorldObserver, WorldOptions, WorldRole};
+
+/// Longest wait of a role: it looks at its topics at least this often.
+pub const HEARTBEAT_NS: u64 = 100_000_000;
+
+/// What a role wants next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Poll {
+    /// Something was done; poll again.
+    Again,
+    /// Nothing to do before a ring, or before this time.
+    Wait {
+        /// Time of the domain's clock.
+        until_ns: u64,
+    },
+    /// The role has ended.
+    Ended,
+}
+
+/// What a role has counted since its start.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counters {
+    /// Frames (runner, allocator) or world steps worked on.
+    pub ticks: u64,
+    /// Frames of an episode that this reader never worked on.
+    pub frame_gaps: u64,
+    /// Actions for a tick that was over.
+    pub late: u64,
+    /// Decisions with a stale allocation.
+    pub stale_allocations: u64,
+    /// Actions without any usable allocation.
+    pub no_allocations: u64,
+    /// Fallback actions.
+    pub fallbacks: u64,
+    /// Messages of another schema or ABI.
+    pub schema_rejects: u64,
+    /// Frames, allocations and actions with content that does not exist in the domain.
+    pub bad_messages: u64,
+    /// Frames and allocations of an earlier term or epoch than the newest.
+    pub old_term_rejects: u64,
+}

@@ -1,0 +1,212 @@
+//! Reading a frame: checked once, then read in place without checks that can fail.
+
+use zerocopy::{FromBytes, Immutable, KnownLayout};
+
+use super::frame_layout::Section;
+use super::{FrameFormat, FrameHead, FrameHeader};
+use crate::allocator::AllocationState;
+use crate::entity_mask::EntityMask;
+use crate::policy::NO_ACTION;
+
+/// Why a frame is not read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum FrameError {
+    /// Magic, ABI or schema are not this domain's.
+    Foreign,
+    /// The payload's length, or its alignment, is not that of the layout.
+    Length,
+    /// Counts or offsets differ from the layout.
+    Layout,
+    /// A set names an entity, a subtask or an action that the domain does not have.
+    Content,
+}
+
+impl core::fmt::Display for FrameError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Foreign => "the frame is of another schema or ABI",
+            Self::Length => "the frame's payload has the wrong length or alignment",
+            Self::Layout => "the frame's counts or offsets differ from the domain's",
+            Self::Content => "the frame names an entity, subtask or action that does not exist",
+        })
+    }
+}
+
+impl core::error::Error for FrameError {}
+
+/// A checked frame, read in place.
+#[derive(Clone, Copy, Debug)]
+pub struct FrameView<'a> {
+    header: &'a FrameHeader,
+    head: &'a FrameHead,
+    stride: usize,
+    present: EntityMask,
+    observable: &'a [u64],
+    entity_task: &'a [u32],
+    available: &'a [u16],
+    last_actions: &'a [u16],
+    rows: &'a [f32],
+}
+
+impl<'a> FrameView<'a> {
+    /// Checks a frame against the domain's format. Costs one pass over all but the features.
+    ///
+    /// # Errors
+    /// See [`FrameError`]; such a frame is dropped and counted.
+    pub fn new(
+        header: &'a FrameHeader,
+        payload: &'a [u8],
+        format: &FrameFormat,
+    ) -> Result<Self, FrameError> {
+        let layout = &format.layout;
+        if !header.fits(format.schema) {
+            return Err(FrameError::Foreign);
+        }
+        if payload.len() != layout.payload_bytes() || header.len as usize != payload.len() {
+            return Err(FrameError::Length);
+        }
+        let (head, _) = FrameHead::ref_from_prefix(payload).map_err(|_| FrameError::Length)?;
+        let expected = FrameHead {
+            open_tasks: head.open_tasks,
+            step: head.step,
+            decision_tick: head.decision_tick,
+            joined: head.joined,
+            ..layout.head()
+        };
+        if *head != expected {
+            return Err(FrameError::Layout);
+        }
+        let [present, observable, entity_task, available, last_actions, rows] = layout.sections();
+        let view = Self {
+            header,
+            head,
+            stride: layout.stride(),
+            present: EntityMask::from_words(section(payload, present)?),
+            observable: section(payload, observable)?,
+            entity_task: section(payload, entity_task)?,
+            available: section(payload, available)?,
+            last_actions: section(payload, last_actions)?,
+            rows: section(payload, rows)?,
+        };
+        if view.names_only_what_exists(format) { Ok(view) } else { Err(FrameError::Content) }
+    }
+
+    fn names_only_what_exists(&self, format: &FrameFormat) -> bool {
+        let layout = &format.layout;
+        let every_entity = layout.every_entity();
+        let entities_exist = |set: EntityMask| set.and(&every_entity) == set;
+        let tasks = self.entity_task.iter().fold(self.head.open_tasks, |all, one| all | one);
+        let actions = layout.shape().actions;
+        entities_exist(self.present)
+            && self
+                .observable
+                .chunks_exact(layout.words())
+                .all(|row| entities_exist(EntityMask::from_words(row)))
+            && tasks & !layout.every_task() == 0
+            && self.head.joined & !layout.every_agent() == 0
+            && self
+                .last_actions
+                .iter()
+                .all(|&action| action == NO_ACTION || usize::from(action) < actions)
+    }
+
+    /// The header.
+    pub fn header(&self) -> &'a FrameHeader {
+        self.header
+    }
+
+    /// A.
+    pub fn agents(&self) -> usize {
+        usize::from(self.head.agents)
+    }
+
+    /// Step in the episode.
+    pub fn step(&self) -> u32 {
+        self.head.step
+    }
+
+    /// The tick of the episode's first frame.
+    pub fn episode_start(&self) -> u64 {
+        self.header.tick.saturating_sub(u64::from(self.head.step))
+    }
+
+    /// Newest tick, this one included, that asked for an allocation.
+    pub fn decision_tick(&self) -> u64 {
+        self.head.decision_tick
+    }
+
+    /// Bit a: a process acts for agent a.
+    pub fn joined(&self) -> u64 {
+        self.head.joined
+    }
+
+    /// Bit t: subtask t is present and not finished.
+    pub fn open_tasks(&self) -> u32 {
+        self.head.open_tasks
+    }
+
+    /// The entities that exist.
+    pub fn present(&self) -> EntityMask {
+        self.present
+    }
+
+    /// The entities that `agent` sees; none for an agent that does not exist.
+    pub fn observable(&self, agent: usize) -> EntityMask {
+        let words = self.observable.len() / self.agents();
+        EntityMask::from_words(row(self.observable, agent, words))
+    }
+
+    /// `[N]`: bit t where the entity belongs to subtask t; agents: their last allocation.
+    pub fn entity_task(&self) -> &'a [u32] {
+        self.entity_task
+    }
+
+    /// Availability codes `[U]` of `agent`, 0 = not available; empty for one that does not exist.
+    pub fn available(&self, agent: usize) -> &'a [u16] {
+        row(self.available, agent, usize::from(self.head.actions))
+    }
+
+    /// Last action `[A]`, [`NO_ACTION`] where there was none.
+    pub fn last_actions(&self) -> &'a [u16] {
+        self.last_actions
+    }
+
+    /// Features `[N, stride]`.
+    pub fn rows(&self) -> &'a [f32] {
+        self.rows
+    }
+
+    /// Columns of a row.
+    pub fn stride(&self) -> usize {
+        self.stride
+    }
+
+    /// All that an allocator sees.
+    pub fn allocation_state(&self) -> AllocationState<'a> {
+        AllocationState {
+            agents: self.agents(),
+            tasks: usize::from(self.head.tasks),
+            rows: self.rows,
+            stride: self.stride,
+            present: self.present,
+            entity_task: self.entity_task,
+            open_tasks: self.head.open_tasks,
+        }
+    }
+}
+
+/// Row `index` of `columns` items, empty where it does not exist.
+fn row<T>(items: &[T], index: usize, columns: usize) -> &[T] {
+    items.get(index * columns..(index + 1) * columns).unwrap_or_default()
+}
+
+fn section<'a, T: FromBytes + Immutable + KnownLayout>(
+    payload: &'a [u8],
+    section: &Section,
+) -> Result<&'a [T], FrameError> {
+    payload
+        .get(section.offset..section.offset + section.bytes)
+        .and_then(|bytes| <[T]>::ref_from_bytes(bytes).ok())
+        .ok_or(FrameError::Length)
+}

@@ -1,0 +1,92 @@
+//! What a process says about itself: that it is there, and that it leaves.
+
+use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
+
+use super::{ABI, assert_layout};
+
+/// What a process is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Role {
+    /// Steps the environment, or the robots' own sensing.
+    World = 0,
+    /// Acts for one or more agents.
+    Runner = 1,
+    /// Assigns agents to subtasks.
+    Allocator = 2,
+    /// Starts and restarts the others.
+    Supervisor = 3,
+    /// Forwards topics between hosts.
+    Bridge = 4,
+    /// Looks on.
+    Watcher = 5,
+}
+
+/// State of one process.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, FromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C, align(64))]
+pub struct StatMsg {
+    /// Hash of the contract and of A, N, T.
+    pub schema: u64,
+    /// One more with every message of this publisher.
+    pub seq: u64,
+    /// Time of sending, in nanoseconds of the domain's clock.
+    pub t_ns: u64,
+    /// Time of the process's start.
+    pub start_ns: u64,
+    /// Process id.
+    pub pid: u32,
+    /// A [`Role`].
+    pub role: u8,
+    /// [`ABI`].
+    pub abi: u8,
+    /// Number of agents that the process acts for.
+    pub n_agents: u16,
+    /// Bit a: it acts for agent a.
+    pub agents: u64,
+    /// Newest tick it worked on.
+    pub last_tick: u64,
+    /// First 16 bytes of the model's id.
+    pub model: [u8; 16],
+    /// Build of the program.
+    pub build: u32,
+    /// A set of the flags named below.
+    pub flags: u32,
+    /// Counters.
+    pub counters: [u64; 16],
+    /// Histogram of the time from a frame's publishing to this process running.
+    pub hist_wake: [u32; 32],
+    /// Histogram of the time from running to publishing.
+    pub hist_work: [u32; 32],
+    /// Port name, zero padded.
+    pub name: [u8; 48],
+}
+
+assert_layout!(StatMsg, 512, {
+    schema: 0, seq: 8, t_ns: 16, start_ns: 24, pid: 32, role: 36, abi: 37, n_agents: 38,
+    agents: 40, last_tick: 48, model: 56, build: 72, flags: 76, counters: 80, hist_wake: 208,
+    hist_work: 336, name: 464,
+});
+
+impl StatMsg {
+    /// The process joins.
+    pub const HELLO: u32 = 1;
+    /// The process leaves.
+    pub const BYE: u32 = 2;
+    /// It works below what was asked for.
+    pub const DEGRADED: u32 = 4;
+    /// It leads its role.
+    pub const LEADER: u32 = 8;
+    /// It waits by spinning.
+    pub const SPINNING: u32 = 16;
+
+    /// Whether all flags of `flags` are set.
+    pub fn has(&self, flags: u32) -> bool {
+        self.flags & flags == flags
+    }
+
+    /// Whether ABI and schema are those of this domain.
+    pub fn fits(&self, schema: u64) -> bool {
+        u16::from(self.abi) == ABI && self.schema == schema
+    }
+}
