@@ -1,6 +1,7 @@
 //! Who works on which building, and when that is decided.
 
 use rand_xoshiro::Xoshiro256PlusPlus;
+use serde::{Deserialize, Serialize};
 
 use super::coordinated::coordinated_allocation;
 use super::heuristic::heuristic_allocation;
@@ -8,7 +9,8 @@ use super::state::{City, UNASSIGNED};
 use crate::random::below;
 
 /// A rule that assigns agents to buildings.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum AllocationRule {
     /// Every agent an open building, uniformly and independently.
     Random,
@@ -50,7 +52,7 @@ fn set_bits(bits: u32) -> impl Iterator<Item = u8> {
 /// once the open tasks changed.
 ///
 /// Ask once in every state that is not final. The count restarts at each decision.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DecisionPoints {
     action_length: u32,
     steps_since: Option<u32>,
