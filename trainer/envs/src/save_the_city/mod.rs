@@ -8,6 +8,8 @@ mod coordinated;
 mod decode;
 mod error;
 mod features;
+#[cfg(feature = "std")]
+pub mod golden;
 mod grid;
 mod heuristic;
 mod metrics;

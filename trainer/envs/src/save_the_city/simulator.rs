@@ -380,7 +380,8 @@ fn rewards(
     let scaled = |reward: f64| (reward * constants.reward_scale) / max_reward;
     let mut total = constants.ts_pen;
     for (change, task_reward) in changes.iter().zip(task_rewards) {
-        let shared = constants.health_delta_mult * change.health_delta
+        let shared = 0.0
+            + constants.health_delta_mult * change.health_delta
             + constants.burned_down * flag(change.burned)
             + constants.extinguish * flag(change.extinguished);
         total += shared + constants.complete * flag(change.completed);

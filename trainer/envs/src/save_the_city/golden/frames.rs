@@ -1,0 +1,205 @@
+//! What a recorded episode says of each state and step, as JSON.
+
+use crc::{CRC_32_ISO_HDLC, Crc};
+use serde_json::{Map, Value, json};
+
+use super::super::features::{FEATURES, SparseRow};
+use super::super::heuristic::heuristic_allocation;
+use super::super::metrics::EpisodeMetrics;
+use super::super::rules::{Bounce, availability_codes};
+use super::super::simulator::SaveTheCity;
+use super::super::state::{City, MAX_AGENTS, UNASSIGNED};
+use crate::environment::{Environment, ObservationBuffers, StepOutcome, Subtasks};
+
+const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
+
+/// The three masks that stay the same for an episode.
+pub(super) fn static_masks(environment: &SaveTheCity, instance: usize) -> Value {
+    let shape = environment.shape();
+    let mut buffers = ObservationBuffers::new(&shape);
+    environment.observe(instance, &mut buffers.lend());
+    let present = |entity: usize| buffers.present >> entity & 1 == 1;
+    let is_agent = |entity: usize| entity < shape.agents;
+    // Buildings look at buildings; agents look where they can.
+    let sees = |from: usize, to: usize| {
+        if is_agent(from) {
+            buffers.observable[from] >> to & 1 == 1
+        } else {
+            present(from) && present(to) && !is_agent(to)
+        }
+    };
+    let masked = |holds: bool| u8::from(!holds);
+    let entities = || 0..shape.entities;
+    let tasks_of = |entity: usize| environment.entity_task(instance, entity);
+    json!({
+        "obs_mask": entities()
+            .map(|from| entities().map(|to| masked(sees(from, to))).collect())
+            .collect::<Vec<Vec<u8>>>(),
+        "entity_mask": entities().map(|entity| masked(present(entity))).collect::<Vec<_>>(),
+        "entity2task_mask": entities()
+            .map(|entity| {
+                (0..shape.tasks).map(|task| masked(tasks_of(entity) >> task & 1 == 1)).collect()
+            })
+            .collect::<Vec<Vec<u8>>>(),
+    })
+}
+
+/// One state; with `features` also its rows, column by column.
+pub(super) fn frame(environment: &SaveTheCity, instance: usize, features: bool) -> Value {
+    let city = environment.city(instance);
+    let mut places = Vec::new();
+    for agent in city.agents {
+        places.extend([agent.x, agent.y]);
+    }
+    let buildings = || city.buildings.iter();
+    let mut frame = json!({
+        "agents": places,
+        "health": buildings().map(|building| building.health).collect::<Vec<_>>(),
+        "fire": buildings().map(|building| building.fire).collect::<Vec<_>>(),
+        "ttnf": buildings().map(|building| building.to_next_fire).collect::<Vec<_>>(),
+        "tslf": buildings().map(|building| building.since_last_fire).collect::<Vec<_>>(),
+        "status": buildings().map(|building| building.status as u8).collect::<Vec<_>>(),
+        "avail": city.agents.iter().map(availability_codes).collect::<Vec<_>>(),
+        "task_mask": task_mask(environment, instance),
+        "heur": heuristic(city),
+        "feat_crc": feature_checksum(environment, instance),
+    });
+    if features {
+        frame["feat"] = sparse_features(city, environment.shape().agents);
+    }
+    frame
+}
+
+/// One step that was just taken.
+pub(super) fn step(
+    environment: &SaveTheCity,
+    instance: usize,
+    actions: &[u16],
+    outcome: &StepOutcome,
+) -> Value {
+    let bounces = environment.bounces(instance);
+    let mut step = json!({
+        "actions": &actions[..environment.agent_count(instance)],
+        "bounces": bounces.iter().map(|&Bounce { first, second, loser }| [first, second, loser])
+            .collect::<Vec<_>>(),
+        "reward": outcome.reward,
+        "task_rewards": environment.task_rewards(instance),
+        "tasks_terminated": task_mask(environment, instance),
+        "tasks_changed": outcome.tasks_changed,
+        "done": outcome.done(),
+    });
+    if outcome.done() {
+        step["info"] = info(environment.metrics(instance));
+    }
+    step
+}
+
+fn info(metrics: &EpisodeMetrics) -> Value {
+    let mut info = json!({
+        "solved": u8::from(metrics.solved),
+        "prop_buildings_completed": metrics.proportion_completed(),
+        "fires_extinguished": metrics.fires_extinguished,
+        "buildings_completed": metrics.buildings_completed,
+        "buildings_burned": metrics.buildings_burned,
+        "buildings_health_delta": metrics.health_delta,
+    });
+    if metrics.timed_out {
+        info["episode_limit"] = true.into();
+    }
+    if let Some(mean) = metrics.types_per_firefight() {
+        info["types_per_firefight"] = mean.into();
+    }
+    if let Some(mean) = metrics.types_per_build() {
+        info["types_per_build"] = mean.into();
+    }
+    info
+}
+
+fn task_mask(environment: &SaveTheCity, instance: usize) -> Vec<u8> {
+    let open = environment.open_tasks(instance);
+    (0..environment.shape().tasks).map(|task| u8::from(open >> task & 1 == 0)).collect()
+}
+
+fn heuristic(city: City<'_>) -> Vec<i32> {
+    let mut allocation = [UNASSIGNED; MAX_AGENTS];
+    heuristic_allocation(city, &mut allocation);
+    let task = |&task: &u8| if task == UNASSIGNED { -1 } else { i32::from(task) };
+    allocation[..city.agents.len()].iter().map(task).collect()
+}
+
+fn feature_checksum(environment: &SaveTheCity, instance: usize) -> u32 {
+    let mut buffers = ObservationBuffers::with_stride(&environment.shape(), FEATURES);
+    environment.observe(instance, &mut buffers.lend());
+    let mut digest = CRC.digest();
+    for value in &buffers.rows {
+        digest.update(&value.to_le_bytes());
+    }
+    digest.finalize()
+}
+
+fn sparse_features(city: City<'_>, max_agents: usize) -> Value {
+    let agents = city.agents.iter().map(SparseRow::of_agent).enumerate();
+    let buildings = city.buildings.iter().map(SparseRow::of_building).enumerate();
+    let rows = agents.chain(buildings.map(|(index, row)| (max_agents + index, row)));
+    rows.map(|(index, row)| {
+        json!([index, row.columns(), row.values().iter().map(decimal).collect::<Vec<_>>()])
+    })
+    .collect()
+}
+
+/// The f64 with the shortest decimals of an f32, which is how the files give features.
+fn decimal(value: &f32) -> f64 {
+    value.to_string().parse().unwrap_or(f64::from(*value))
+}
+
+/// The constants and sizes of the environment.
+pub(super) fn config(environment: &SaveTheCity) -> Value {
+    let (set, constants) = (environment.scenario_set(), environment.constants());
+    json!({
+        "max_n_agents": set.max_agents,
+        "max_n_buildings": set.max_buildings,
+        "bld_spacing": set.spacing,
+        "episode_limit": constants.episode_limit,
+        "end_on_any_burn": constants.end_on_any_burn,
+        "reward_scale": constants.reward_scale,
+        "game_config": {
+            "init_fire_chance": constants.init_fire_chance,
+            "fire_burn_rate": constants.fire_burn_rate,
+            "fire_reduce_rate": constants.fire_reduce_rate,
+            "fire_growth_rate": constants.fire_growth_rate,
+            "base_build_rate": constants.base_build_rate,
+            "generalist_help_factor": constants.generalist_help_factor,
+        },
+        "reward_config": {
+            "health_delta_mult": constants.health_delta_mult,
+            "complete": constants.complete,
+            "burned_down": constants.burned_down,
+            "extinguish": constants.extinguish,
+            "solved": constants.solved,
+            "ts_pen": constants.ts_pen,
+        },
+    })
+}
+
+/// The first state.
+pub(super) fn initial(city: City<'_>) -> Value {
+    let agents = city.agents.iter().map(
+        |agent| json!({ "type": agent.kind.letter().to_string(), "x": agent.x, "y": agent.y }),
+    );
+    let buildings = city.buildings.iter().map(|building| {
+        json!({
+            "type": building.kind.letter().to_string(),
+            "x": building.x,
+            "y": building.y,
+            "health": building.health,
+            "fire": building.fire,
+            "rate": building.period,
+            "ttnf": building.to_next_fire,
+            "tslf": building.since_last_fire,
+        })
+    });
+    let mut initial = Map::new();
+    initial.insert("agents".into(), agents.collect());
+    initial.insert("buildings".into(), buildings.collect());
+    initial.into()
+}
