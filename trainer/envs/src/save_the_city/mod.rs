@@ -20,6 +20,7 @@ mod scripted;
 mod simulator;
 mod state;
 mod symmetry;
+mod throughput;
 
 pub use allocation::{AllocationRule, DecisionPoints, random_allocation};
 pub use coordinated::coordinated_allocation;
@@ -33,10 +34,11 @@ pub use heuristic::heuristic_allocation;
 pub use metrics::EpisodeMetrics;
 pub use rules::{ACTION_NAMES, ACTIONS, Bounce, Constants, availability_code, availability_codes};
 pub use scenarios::{BuildingPlan, SET_NAMES, Scenario, ScenarioSet, Split};
-pub use scripted::{ScriptedTeam, scripted_actions};
+pub use scripted::{ScriptedTeam, random_actions, scripted_actions};
 pub use simulator::SaveTheCity;
 pub use state::{
     AgentKind, AgentState, BuildingKind, BuildingState, City, MAX_AGENTS, MAX_BUILDINGS,
     NO_BUILDING, SIDE, Status, UNASSIGNED, manhattan,
 };
 pub use symmetry::Symmetry;
+pub use throughput::observe_and_step;

@@ -9,7 +9,8 @@ use super::state::{AgentKind, AgentState, BuildingState, City, MAX_AGENTS, SIDE,
 use crate::random::below;
 
 /// Steps from a cell to the goal; [`FAR`] where there is no way.
-type Distances = [u8; SIDE as usize * SIDE as usize];
+type Distances = [u8; CELLS];
+const CELLS: usize = SIDE as usize * SIDE as usize;
 const FAR: u8 = u8::MAX;
 
 /// Writes the scripted action of every agent, given its building or [`UNASSIGNED`].
@@ -81,36 +82,51 @@ fn walk(
             free.occupy(agent.x, agent.y);
         }
     }
-    let first = closest_move(agent, &distances(building, &free), unclaimed, rng);
-    first
-        .or_else(|| closest_move(agent, &distances(building, &around_buildings), unclaimed, rng))
-        .unwrap_or(STAY)
+    let mut closest = |free| closest_move(agent, &distances(building, agent, free), unclaimed, rng);
+    closest(&free).or_else(|| closest(&around_buildings)).unwrap_or(STAY)
 }
 
-/// Steps from every cell to the cells beside a building, over free cells.
-fn distances(building: &BuildingState, free: &FreeCells) -> Distances {
-    let mut distances = [FAR; SIDE as usize * SIDE as usize];
-    let mut queue = [(0, 0); SIDE as usize * SIDE as usize];
-    let mut length = 0;
-    let mut visit = |distances: &mut Distances, queue: &mut [(u8, u8)], cells, distance| {
-        for (x, y) in cells {
-            if free.is_free(x, y) && distances[cell(x, y)] == FAR {
-                distances[cell(x, y)] = distance;
-                queue[length] = (x, y);
-                length += 1;
-            }
-        }
-        length
-    };
-    let mut end = visit(&mut distances, &mut queue, neighbours(building.x, building.y), 0);
+/// Steps over free cells to the cells beside a building, for all cells nearer than the agent's.
+fn distances(building: &BuildingState, agent: &AgentState, free: &FreeCells) -> Distances {
+    let mut distances = [FAR; CELLS];
+    let mut queue = Queue { cells: [(0, 0); CELLS], length: 0 };
+    queue.visit(&mut distances, free, (building.x, building.y), 0);
     let mut next = 0;
-    while next < end {
-        let (x, y) = queue[next];
+    while next < queue.length {
+        let (x, y) = queue.cells[next];
+        if (x, y) == (agent.x, agent.y) {
+            break;
+        }
         let distance = distances[cell(x, y)] + 1;
-        end = visit(&mut distances, &mut queue, neighbours(x, y), distance);
+        queue.visit(&mut distances, free, (x, y), distance);
         next += 1;
     }
     distances
+}
+
+/// The cells found so far, nearest first.
+struct Queue {
+    cells: [(u8, u8); CELLS],
+    length: usize,
+}
+
+impl Queue {
+    /// Adds the free neighbours of a cell that were not found before.
+    fn visit(
+        &mut self,
+        distances: &mut Distances,
+        free: &FreeCells,
+        (x, y): (u8, u8),
+        distance: u8,
+    ) {
+        for (x, y) in neighbours(x, y) {
+            if free.is_free(x, y) && distances[cell(x, y)] == FAR {
+                distances[cell(x, y)] = distance;
+                self.cells[self.length] = (x, y);
+                self.length += 1;
+            }
+        }
+    }
 }
 
 /// The available move to an unclaimed cell that lowers the distance most, ties at random.
@@ -147,6 +163,17 @@ fn destination(agent: &AgentState, action: u16) -> Option<(u8, u8)> {
     let (dx, dy) = displacement(action)?;
     let (x, y) = (agent.x.checked_add_signed(dx)?, agent.y.checked_add_signed(dy)?);
     (x < SIDE && y < SIDE).then_some((x, y))
+}
+
+/// Writes an available action of every agent, drawn uniformly.
+pub fn random_actions(city: City<'_>, rng: &mut Xoshiro256PlusPlus, actions: &mut [u16]) {
+    for (agent, action) in city.agents.iter().zip(actions) {
+        let mut rest = agent.available;
+        for _ in 0..below(rng, rest.count_ones() as usize) {
+            rest &= rest - 1;
+        }
+        *action = rest.trailing_zeros() as u16;
+    }
 }
 
 /// A team that walks by script and is allocated by a rule: the yardstick for learned teams.
