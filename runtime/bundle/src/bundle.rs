@@ -1,0 +1,261 @@
+//! Reading and writing bundle folders.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use crate::contract::ContractV1;
+use crate::digest::{hex, sha256};
+use crate::error::BundleError;
+use crate::golden::{Golden, MIN_CASES};
+use crate::manifest::{Contract, Environment, FORMAT, Limits, Manifest, Network};
+
+/// The file that vouches for all others.
+pub const MANIFEST: &str = "bundle.toml";
+/// The agent's network.
+pub const AGENT: &str = "agent.onnx";
+/// Observations with expected answers.
+pub const GOLDEN: &str = "golden.json";
+/// The model card.
+pub const CARD: &str = "card.md";
+/// The learning curve, drawn.
+pub const CURVE: &str = "curve.svg";
+/// The learning curve, as numbers.
+pub const CURVE_DATA: &str = "curve.json";
+/// The resolved training configuration, with seed and version.
+pub const TRAINING: &str = "train.toml";
+
+/// A bundle that was read and checked: every part has the hash that the manifest states.
+#[derive(Clone, Debug)]
+pub struct Bundle {
+    folder: PathBuf,
+    id: [u8; 32],
+    manifest: Manifest,
+    parts: BTreeMap<String, Vec<u8>>,
+    golden: Golden,
+}
+
+/// What a new bundle is made of.
+#[derive(Clone, Debug)]
+pub struct Draft {
+    /// What the policy was trained for.
+    pub contract: ContractV1,
+    /// Where it was trained.
+    pub environment: Environment,
+    /// The largest domain that it serves.
+    pub limits: Limits,
+    /// What the networks are.
+    pub network: Network,
+    /// Observations with expected answers, at least [`MIN_CASES`].
+    pub golden: Golden,
+    /// The other files by name, [`AGENT`] among them.
+    pub parts: BTreeMap<String, Vec<u8>>,
+}
+
+impl Bundle {
+    /// Reads a bundle folder and checks versions, hashes, contract and golden observations.
+    pub fn open(folder: &Path) -> Result<Self, BundleError> {
+        let path = folder.join(MANIFEST);
+        let bytes = fs::read(&path).map_err(|source| match source.kind() {
+            io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => {
+                BundleError::NotABundle { path: folder.to_owned() }
+            }
+            _ => BundleError::Io { path: path.clone(), source },
+        })?;
+        let manifest = parse_manifest(&path, &bytes)?;
+        let mut parts = BTreeMap::new();
+        for (name, want) in &manifest.parts {
+            parts.insert(name.clone(), read_part(folder, name, want)?);
+        }
+        let golden = golden_part(folder, &manifest, &parts)?;
+        if !parts.contains_key(AGENT) {
+            return Err(BundleError::Missing { path: folder.join(AGENT) });
+        }
+        Ok(Self { folder: folder.to_owned(), id: sha256(&bytes), manifest, parts, golden })
+    }
+
+    /// The folder that the bundle was read from.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// The bundle's id: SHA-256 of `bundle.toml`.
+    pub fn id(&self) -> &[u8; 32] {
+        &self.id
+    }
+
+    /// The content of `bundle.toml`.
+    pub fn manifest(&self) -> &Manifest {
+        &self.manifest
+    }
+
+    /// What the policy was trained for.
+    pub fn contract(&self) -> &ContractV1 {
+        &self.manifest.contract.v1
+    }
+
+    /// Observations with expected answers.
+    pub fn golden(&self) -> &Golden {
+        &self.golden
+    }
+
+    /// A file of the bundle by name.
+    pub fn part(&self, name: &str) -> Option<&[u8]> {
+        self.parts.get(name).map(Vec::as_slice)
+    }
+
+    /// The agent's network.
+    pub fn agent_onnx(&self) -> &[u8] {
+        self.part(AGENT).unwrap_or_default()
+    }
+}
+
+impl Draft {
+    /// Writes the bundle to a new folder, all or nothing, and returns what was written.
+    ///
+    /// The files are written beside the folder and moved into place by one rename.
+    pub fn write(&self, folder: &Path) -> Result<Bundle, BundleError> {
+        if folder.exists() {
+            return Err(BundleError::Exists { path: folder.to_owned() });
+        }
+        let parts = self.all_parts(folder)?;
+        let manifest = self.manifest(&parts);
+        let text = toml::to_string_pretty(&manifest).map_err(|error| BundleError::Invalid {
+            path: folder.join(MANIFEST),
+            reason: error.to_string(),
+        })?;
+        let name = folder.file_name().unwrap_or_default().to_string_lossy();
+        let draft = folder.with_file_name(format!(".{name}.{}", std::process::id()));
+        let written = write_files(&draft, &parts, &text).and_then(|()| {
+            fs::rename(&draft, folder)
+                .map_err(|source| BundleError::Io { path: folder.to_owned(), source })
+        });
+        if let Err(error) = written {
+            // The first error matters; a draft that cannot be removed either changes nothing.
+            let _ = fs::remove_dir_all(&draft);
+            return Err(error);
+        }
+        Bundle::open(folder)
+    }
+
+    fn all_parts(&self, folder: &Path) -> Result<BTreeMap<String, Vec<u8>>, BundleError> {
+        let invalid = |name: &str, reason: String| {
+            Err(BundleError::Invalid { path: folder.join(name), reason })
+        };
+        if let Some(flaw) = self.contract.flaw() {
+            return invalid(MANIFEST, flaw);
+        }
+        if !self.parts.contains_key(AGENT) {
+            return invalid(AGENT, "a bundle needs the agent's network".to_owned());
+        }
+        if let Some(name) = self.parts.keys().find(|name| !is_plain(name)) {
+            return invalid(name, "not a plain file name, or one that the bundle uses".to_owned());
+        }
+        let cases = self.golden.cases.len();
+        if cases < MIN_CASES {
+            return invalid(GOLDEN, format!("{cases} cases, at least {MIN_CASES} are needed"));
+        }
+        let mut parts = self.parts.clone();
+        match self.golden.to_json(&self.contract) {
+            Ok(json) => parts.insert(GOLDEN.to_owned(), json),
+            Err(error) => return invalid(GOLDEN, error.to_string()),
+        };
+        Ok(parts)
+    }
+
+    fn manifest(&self, parts: &BTreeMap<String, Vec<u8>>) -> Manifest {
+        let hashed = |(name, bytes): (&String, &Vec<u8>)| (name.clone(), hex(&sha256(bytes)));
+        Manifest {
+            format: FORMAT,
+            contract: Contract {
+                hash: format!("{:016x}", self.contract.hash()),
+                environment: self.environment.clone(),
+                v1: self.contract.clone(),
+            },
+            limits: self.limits,
+            network: self.network.clone(),
+            parts: parts.iter().map(hashed).collect(),
+        }
+    }
+}
+
+fn parse_manifest(path: &Path, bytes: &[u8]) -> Result<Manifest, BundleError> {
+    let invalid = |reason: String| BundleError::Invalid { path: path.to_owned(), reason };
+    let text = str::from_utf8(bytes).map_err(|error| invalid(error.to_string()))?;
+    let unreadable =
+        |source| BundleError::Manifest { path: path.to_owned(), source: Box::new(source) };
+    // The version first: a newer file may have fields that this program does not know.
+    let table: toml::Table = text.parse().map_err(unreadable)?;
+    let format = table.get("format").and_then(toml::Value::as_integer).unwrap_or(0);
+    if format > i64::from(FORMAT) {
+        let got = u32::try_from(format).unwrap_or(u32::MAX);
+        return Err(BundleError::Version { path: path.to_owned(), got, max: FORMAT });
+    }
+    let manifest: Manifest = toml::from_str(text).map_err(unreadable)?;
+    if let Some(flaw) = manifest.contract.v1.flaw() {
+        return Err(invalid(flaw));
+    }
+    let (want, got) = (&manifest.contract.hash, format!("{:016x}", manifest.contract.v1.hash()));
+    if *want != got {
+        return Err(BundleError::Contract { path: path.to_owned(), want: want.clone(), got });
+    }
+    if let Some(name) = manifest.parts.keys().find(|name| *name != GOLDEN && !is_plain(name)) {
+        return Err(invalid(format!("`{name}` in [parts] is not a plain file name")));
+    }
+    Ok(manifest)
+}
+
+fn read_part(folder: &Path, name: &str, want: &str) -> Result<Vec<u8>, BundleError> {
+    let path = folder.join(name);
+    let bytes = match fs::read(&path) {
+        Ok(bytes) => bytes,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            return Err(BundleError::Missing { path });
+        }
+        Err(source) => return Err(BundleError::Io { path, source }),
+    };
+    let got = hex(&sha256(&bytes));
+    if got != want {
+        return Err(BundleError::Hash { path, want: want.to_owned(), got });
+    }
+    Ok(bytes)
+}
+
+fn golden_part(
+    folder: &Path,
+    manifest: &Manifest,
+    parts: &BTreeMap<String, Vec<u8>>,
+) -> Result<Golden, BundleError> {
+    let path = folder.join(GOLDEN);
+    let Some(json) = parts.get(GOLDEN) else { return Err(BundleError::Missing { path }) };
+    let invalid = |reason| BundleError::Invalid { path: path.clone(), reason };
+    let golden = Golden::from_json(json, &manifest.contract.v1).map_err(invalid)?;
+    let cases = golden.cases.len();
+    if cases < MIN_CASES {
+        return Err(invalid(format!("{cases} cases, at least {MIN_CASES} are needed")));
+    }
+    Ok(golden)
+}
+
+fn write_files(
+    folder: &Path,
+    parts: &BTreeMap<String, Vec<u8>>,
+    manifest: &str,
+) -> Result<(), BundleError> {
+    let put = |path: PathBuf, bytes: &[u8]| {
+        fs::write(&path, bytes).map_err(|source| BundleError::Io { path, source })
+    };
+    fs::create_dir_all(folder)
+        .map_err(|source| BundleError::Io { path: folder.to_owned(), source })?;
+    for (name, bytes) in parts {
+        put(folder.join(name), bytes)?;
+    }
+    put(folder.join(MANIFEST), manifest.as_bytes())
+}
+
+/// Whether a name stays inside the folder and is not one that the bundle writes itself.
+fn is_plain(name: &str) -> bool {
+    let simple = Path::new(name).file_name().is_some_and(|last| last == name);
+    simple && !name.starts_with('.') && name != MANIFEST && name != GOLDEN
+}

@@ -1,0 +1,150 @@
+//! What a policy was trained for, independent of team size.
+
+use serde::{Deserialize, Serialize};
+use sortie_core::identity::fnv1a;
+
+/// The wire format's version.
+pub const WIRE_ABI: u16 = 1;
+
+/// The contract, version 1; its hash is what processes compare.
+///
+/// Fields are hashed in this order, strings included, so that a reordered feature list differs.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ContractV1 {
+    /// Version of the wire format, [`WIRE_ABI`].
+    pub abi: u16,
+    /// Number of actions U.
+    pub actions: u16,
+    /// Number of features d of an entity, its last action not counted.
+    pub features: u16,
+    /// The features' names, in order.
+    pub feature_names: Vec<String>,
+    /// The actions' names, in order.
+    pub action_names: Vec<String>,
+    /// Steps between two allocations.
+    pub decision_interval: u32,
+    /// Whether the network takes the last action's one-hot behind the features.
+    pub append_last_action: bool,
+    /// How the policy knows its subtask.
+    pub subtask_conditioning: SubtaskConditioning,
+    /// Whether availability codes of 2 and more name a subtask or a target.
+    pub subtask_actions: bool,
+    /// The action of an agent that has no policy or no subtask; none: it does not act.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub safe_action: Option<u16>,
+    /// What agents do without a valid allocation.
+    pub fallback_allocation: FallbackAllocation,
+}
+
+/// How a policy is conditioned on its subtask (dissertation section 7.3).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SubtaskConditioning {
+    /// Not at all: a flat method.
+    None,
+    /// The agent attends only to entities of its subtask.
+    Mask,
+    /// Subtasks are embedded, everything observable stays visible.
+    FullObservation,
+}
+
+/// What agents do without a valid allocation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum FallbackAllocation {
+    /// They take the safe action.
+    Unallocated,
+    /// Every agent computes the same allocation by cost.
+    Heuristic,
+}
+
+impl ContractV1 {
+    /// 64-bit FNV-1a over the contract's postcard bytes.
+    pub fn hash(&self) -> u64 {
+        // Serialising plain fields to memory has no way to fail; an empty hash would still match nothing.
+        fnv1a(&postcard::to_stdvec(self).unwrap_or_default())
+    }
+
+    /// Columns D of the network's input.
+    pub fn input_width(&self) -> usize {
+        let last_action = if self.append_last_action { self.actions } else { 0 };
+        usize::from(self.features) + usize::from(last_action)
+    }
+
+    /// The first thing that is wrong with the contract itself.
+    pub fn flaw(&self) -> Option<String> {
+        let names = |what, names: &[String], count: u16| {
+            let unique: std::collections::BTreeSet<_> = names.iter().collect();
+            if names.len() != usize::from(count) {
+                Some(format!("{} {what} names for {count} {what}s", names.len()))
+            } else {
+                (unique.len() != names.len()).then(|| format!("the same {what} name stands twice"))
+            }
+        };
+        if self.abi != WIRE_ABI {
+            return Some(format!("wire format {} where {WIRE_ABI} is spoken", self.abi));
+        }
+        if self.actions == 0 || self.features == 0 || self.decision_interval == 0 {
+            return Some("actions, features and decision_interval must not be 0".to_owned());
+        }
+        if self.safe_action.is_some_and(|action| action >= self.actions) {
+            return Some("safe_action is not an action".to_owned());
+        }
+        names("feature", &self.feature_names, self.features)
+            .or_else(|| names("action", &self.action_names, self.actions))
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    pub(crate) fn contract() -> ContractV1 {
+        let names = |list: &[&str]| list.iter().map(|name| (*name).to_owned()).collect();
+        ContractV1 {
+            abi: WIRE_ABI,
+            actions: 2,
+            features: 3,
+            feature_names: names(&["x", "y", "health"]),
+            action_names: names(&["stay", "go"]),
+            decision_interval: 5,
+            append_last_action: true,
+            subtask_conditioning: SubtaskConditioning::Mask,
+            subtask_actions: false,
+            safe_action: Some(0),
+            fallback_allocation: FallbackAllocation::Unallocated,
+        }
+    }
+
+    #[test]
+    fn the_hash_is_that_of_the_documented_bytes() {
+        // Lengths and sizes are varints, strings carry theirs, enums are their index, options start with 1.
+        let bytes =
+            b"\x01\x02\x03\x03\x01x\x01y\x06health\x02\x04stay\x02go\x05\x01\x01\x00\x01\x00\x00";
+        assert_eq!(contract().hash(), fnv1a(bytes));
+    }
+
+    #[test]
+    fn a_reordered_feature_list_is_another_contract() {
+        let mut other = contract();
+        other.feature_names.swap(0, 1);
+        assert_ne!(other.hash(), contract().hash());
+    }
+
+    #[test]
+    fn flaws_are_named() {
+        assert_eq!(contract().flaw(), None);
+        let flaw = |change: fn(&mut ContractV1)| {
+            let mut contract = contract();
+            change(&mut contract);
+            contract.flaw().unwrap_or_default()
+        };
+        assert_eq!(flaw(|c| c.features = 4), "3 feature names for 4 features");
+        assert_eq!(
+            flaw(|c| c.action_names[1] = "stay".into()),
+            "the same action name stands twice"
+        );
+        assert_eq!(flaw(|c| c.safe_action = Some(2)), "safe_action is not an action");
+    }
+}

@@ -1,0 +1,186 @@
+//! `golden.json`: observations with the answers that every engine must give.
+//!
+//! Rows are written sparsely and by feature name, so that a person can read what an agent saw:
+//! `{"x": 0.25, "health": 1}`. Features that are not named are 0.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+use sortie_core::{EntityMask, NO_ACTION};
+
+use crate::contract::ContractV1;
+use crate::observation::OwnedObservation;
+
+/// Fewest cases of a bundle.
+pub const MIN_CASES: usize = 64;
+
+const FORMAT: &str = "sortie-golden-1";
+
+/// The golden observations of a bundle.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Golden {
+    /// The cases, at least [`MIN_CASES`] in a bundle.
+    pub cases: Vec<GoldenCase>,
+}
+
+/// One observation and its expected answer.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GoldenCase {
+    /// What the agent saw.
+    pub observation: OwnedObservation,
+    /// Expected utilities `[U]`.
+    pub utilities: Vec<f32>,
+    /// Expected greedy action.
+    pub action: u16,
+}
+
+#[derive(Serialize, Deserialize)]
+struct File {
+    format: String,
+    cases: Vec<Case>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Case {
+    entities: Vec<BTreeMap<String, f32>>,
+    last_actions: Vec<Option<u16>>,
+    visible: Vec<usize>,
+    #[serde(rename = "self")]
+    self_index: usize,
+    available: Vec<u16>,
+    utilities: Vec<f32>,
+    action: u16,
+}
+
+impl Golden {
+    /// Writes the cases as JSON, one case a line.
+    pub fn to_json(&self, contract: &ContractV1) -> Result<Vec<u8>, serde_json::Error> {
+        let mut text = format!("{{\"format\":\"{FORMAT}\",\"cases\":[\n");
+        for (index, case) in self.cases.iter().enumerate() {
+            text += if index > 0 { ",\n" } else { "" };
+            text += &serde_json::to_string(&Case::from_case(case, contract))?;
+        }
+        Ok((text + "\n]}\n").into_bytes())
+    }
+
+    /// Reads cases and checks them against the contract; the error says what is wrong.
+    pub fn from_json(json: &[u8], contract: &ContractV1) -> Result<Self, String> {
+        let file: File = serde_json::from_slice(json).map_err(|error| error.to_string())?;
+        if file.format != FORMAT {
+            return Err(format!("format `{}`, want `{FORMAT}`", file.format));
+        }
+        let cases = file.cases.into_iter().enumerate().map(|(index, case)| {
+            case.into_case(contract).map_err(|reason| format!("case {index}: {reason}"))
+        });
+        Ok(Self { cases: cases.collect::<Result<_, _>>()? })
+    }
+}
+
+impl Case {
+    fn from_case(case: &GoldenCase, contract: &ContractV1) -> Self {
+        let observation = &case.observation;
+        let named = |row: &[f32]| {
+            let named = contract.feature_names.iter().cloned().zip(row.iter().copied());
+            named.filter(|(_, value)| *value != 0.0).collect()
+        };
+        let last = |action: &u16| (*action != NO_ACTION).then_some(*action);
+        Self {
+            entities: observation.rows.chunks(observation.features.max(1)).map(named).collect(),
+            last_actions: observation.last_actions.iter().map(last).collect(),
+            visible: observation.visible.iter().collect(),
+            self_index: observation.self_index,
+            available: observation.available.clone(),
+            utilities: case.utilities.clone(),
+            action: case.action,
+        }
+    }
+
+    fn into_case(self, contract: &ContractV1) -> Result<GoldenCase, String> {
+        let (features, actions) = (usize::from(contract.features), usize::from(contract.actions));
+        let entities = self.entities.len();
+        let index: BTreeMap<&str, usize> =
+            contract.feature_names.iter().map(String::as_str).zip(0..features).collect();
+        let mut rows = vec![0.0; entities * features];
+        for (row, named) in rows.chunks_exact_mut(features.max(1)).zip(&self.entities) {
+            for (name, value) in named {
+                let column = index.get(name.as_str()).and_then(|&column| row.get_mut(column));
+                *column.ok_or_else(|| format!("`{name}` is not a feature"))? = *value;
+            }
+        }
+        if self.available.len() != actions || self.utilities.len() != actions {
+            return Err(format!("availability and utilities need {actions} entries each"));
+        }
+        if self.self_index >= entities || self.visible.iter().any(|&entity| entity >= entities) {
+            return Err(format!("an index lies beyond the {entities} entities"));
+        }
+        if self.last_actions.len() > entities
+            || self.last_actions.iter().flatten().any(|&action| action >= contract.actions)
+        {
+            return Err("a last action does not exist".to_owned());
+        }
+        let mut visible = EntityMask::EMPTY;
+        self.visible.iter().for_each(|&entity| visible.insert(entity));
+        let observation = OwnedObservation {
+            rows,
+            features,
+            last_actions: self.last_actions.iter().map(|last| last.unwrap_or(NO_ACTION)).collect(),
+            visible,
+            self_index: self.self_index,
+            available: self.available,
+        };
+        Ok(GoldenCase { observation, utilities: self.utilities, action: self.action })
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::contract::tests::contract;
+
+    pub(crate) fn golden(cases: usize) -> Golden {
+        let case = |index: usize| GoldenCase {
+            observation: OwnedObservation {
+                rows: vec![0.1 * index as f32, 0.0, 1.0, 0.0, -0.3, 0.0],
+                features: 3,
+                last_actions: vec![1, NO_ACTION],
+                visible: EntityMask::first(index % 3),
+                self_index: 0,
+                available: vec![1, 0],
+            },
+            utilities: vec![0.123_456_79, -1.0e-7],
+            action: 0,
+        };
+        Golden { cases: (0..cases).map(case).collect() }
+    }
+
+    #[test]
+    fn comes_back_bit_for_bit() {
+        let golden = golden(5);
+        let json = golden.to_json(&contract()).unwrap();
+        assert_eq!(Golden::from_json(&json, &contract()), Ok(golden));
+    }
+
+    #[test]
+    fn reads_like_a_sentence() {
+        let json = golden(2).to_json(&contract()).unwrap();
+        let text = String::from_utf8(json).unwrap();
+        assert!(text.contains(r#""entities":[{"health":1.0,"x":0.1},{"y":-0.3}]"#), "{text}");
+        assert!(text.contains(r#""last_actions":[1,null],"visible":[0],"self":0"#), "{text}");
+    }
+
+    #[test]
+    fn names_what_is_wrong() {
+        let json = String::from_utf8(golden(1).to_json(&contract()).unwrap()).unwrap();
+        let error = |from: &str, to: &str| {
+            Golden::from_json(json.replace(from, to).as_bytes(), &contract()).unwrap_err()
+        };
+        assert_eq!(error("health", "wealth"), "case 0: `wealth` is not a feature");
+        assert_eq!(error("[1,null]", "[2,null]"), "case 0: a last action does not exist");
+        assert_eq!(
+            error("\"self\":0", "\"self\":9"),
+            "case 0: an index lies beyond the 2 entities"
+        );
+        assert!(error("sortie-golden-1", "other").contains("format `other`"));
+        assert!(error("]}", "").contains("EOF"));
+    }
+}

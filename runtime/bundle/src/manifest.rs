@@ -1,0 +1,81 @@
+//! `bundle.toml`: contract, limits, network and the hashes of all parts.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use crate::contract::ContractV1;
+
+/// The bundle format that this program writes, and the newest that it reads.
+pub(crate) const FORMAT: u32 = 1;
+
+/// The content of `bundle.toml`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Manifest {
+    /// Version of the bundle format.
+    pub format: u32,
+    /// What the policy was trained for.
+    pub contract: Contract,
+    /// The largest domain that the bundle serves.
+    pub limits: Limits,
+    /// What the networks are.
+    pub network: Network,
+    /// SHA-256 of every other file, by name.
+    pub parts: BTreeMap<String, String>,
+}
+
+/// The contract with its hash, and facts for people that are not part of the hash.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Contract {
+    /// 16 hexadecimal digits: [`ContractV1::hash`].
+    pub hash: String,
+    /// Where the policy was trained.
+    #[serde(flatten)]
+    pub environment: Environment,
+    /// The contract itself.
+    #[serde(flatten)]
+    pub v1: ContractV1,
+}
+
+/// The environment that a policy was trained in, for people to read.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Environment {
+    /// Its name.
+    #[serde(rename = "environment")]
+    pub name: String,
+    /// Its version.
+    #[serde(rename = "environment_version")]
+    pub version: String,
+    /// Units of the features, in order; empty where none are given.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub feature_units: Vec<String>,
+    /// Smallest and largest value of the features, in order; empty where none are given.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub feature_ranges: Vec<[f32; 2]>,
+}
+
+/// The largest domain that a bundle serves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Limits {
+    /// Most visible entities.
+    pub n_max: u16,
+    /// Most subtasks.
+    pub t_max: u16,
+    /// Largest team per subtask.
+    pub team_max: u16,
+}
+
+/// What the networks of a bundle are.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Network {
+    /// Kind of the agent network, for example `masked-attention`.
+    pub agent: String,
+    /// Kind of the allocator's networks, where the bundle has them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub allocator: Option<String>,
+    /// Floats of the agent's hidden state, 0 if it has none.
+    pub hidden: u32,
+}

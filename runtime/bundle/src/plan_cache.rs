@@ -1,0 +1,77 @@
+//! Plans that were compiled before, kept beside the bundle.
+//!
+//! A cache only saves time: a plan that is missing, damaged or of another network is compiled again, and a
+//! plan that cannot be kept is compiled at the next start.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use sortie_core::plan::{AlignedBytes, Plan};
+
+use crate::digest::{hex, sha256};
+
+/// All that a compiled plan depends on.
+#[derive(Clone, Copy, Debug)]
+pub struct PlanKey<'a> {
+    /// The network.
+    pub onnx: &'a [u8],
+    /// The arithmetic profile's name.
+    pub profile: &'a str,
+    /// The compiler's version.
+    pub compiler: &'a str,
+    /// Hash of the contract.
+    pub contract: u64,
+    /// Most visible entities.
+    pub n_max: usize,
+}
+
+impl PlanKey<'_> {
+    /// The file name of the plan: the same for the same plan, different for any other.
+    fn file_name(&self) -> String {
+        let source = hex(&sha256(self.onnx));
+        let rest = (self.profile, self.compiler, self.contract, self.n_max);
+        hex(&sha256(format!("{source} {rest:?}").as_bytes())).split_at(32).0.to_owned() + ".plan"
+    }
+}
+
+/// The plan of `key`: from the cache beside `folder` or the user's, else from `compile`, and then kept.
+pub fn cached_plan<E>(
+    folder: &Path,
+    key: &PlanKey<'_>,
+    compile: impl FnOnce() -> Result<Vec<u8>, E>,
+) -> Result<AlignedBytes, E> {
+    let places: Vec<PathBuf> = places(folder).map(|place| place.join(key.file_name())).collect();
+    let source = sha256(key.onnx);
+    for path in &places {
+        let kept = fs::read(path).map(|bytes| AlignedBytes::copy_of(&bytes));
+        if let Ok(bytes) = kept
+            && Plan::load(bytes.as_slice()).is_ok_and(|plan| plan.header().source == source)
+        {
+            return Ok(bytes);
+        }
+    }
+    let plan = compile()?;
+    // The first place that can be written to keeps it; nowhere is fine too.
+    let _ = places.iter().any(|path| keep(path, &plan).is_ok());
+    Ok(AlignedBytes::copy_of(&plan))
+}
+
+/// Beside the bundle, then the user's cache.
+fn places(folder: &Path) -> impl Iterator<Item = PathBuf> {
+    let home = || std::env::home_dir().map(|home| home.join(".cache"));
+    let cache = std::env::var_os("XDG_CACHE_HOME").map(PathBuf::from).or_else(home);
+    [Some(folder.join("plans")), cache.map(|cache| cache.join("sortie"))].into_iter().flatten()
+}
+
+/// Writes beside the target and renames, so that no one ever reads half a plan.
+fn keep(path: &Path, plan: &[u8]) -> std::io::Result<()> {
+    if let Some(parent) = path.parent() {
+        fs::create_dir_all(parent)?;
+    }
+    let draft = path.with_extension(format!("{}", std::process::id()));
+    let written = fs::write(&draft, plan).and_then(|()| fs::rename(&draft, path));
+    if written.is_err() {
+        let _ = fs::remove_file(&draft);
+    }
+    written
+}

@@ -1,0 +1,148 @@
+//! A bundle comes back as it was written, and every change to it is noticed and named.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+use sortie_bundle::{
+    AGENT, Bundle, BundleError, CARD, ContractV1, Draft, Environment, FallbackAllocation, GOLDEN,
+    Golden, GoldenCase, Limits, MANIFEST, MIN_CASES, Network, OwnedObservation,
+    SubtaskConditioning, WIRE_ABI, hex, sha256,
+};
+use sortie_core::EntityMask;
+
+fn draft() -> Draft {
+    let contract = ContractV1 {
+        abi: WIRE_ABI,
+        actions: 2,
+        features: 1,
+        feature_names: vec!["distance".into()],
+        action_names: vec!["stay".into(), "go".into()],
+        decision_interval: 5,
+        append_last_action: false,
+        subtask_conditioning: SubtaskConditioning::Mask,
+        subtask_actions: false,
+        safe_action: None,
+        fallback_allocation: FallbackAllocation::Heuristic,
+    };
+    let case = |index: usize| GoldenCase {
+        observation: OwnedObservation {
+            rows: vec![index as f32 / 7.0, 1.0],
+            features: 1,
+            last_actions: vec![],
+            visible: EntityMask::first(2),
+            self_index: 0,
+            available: vec![1, 1],
+        },
+        utilities: vec![0.5, -0.25],
+        action: 0,
+    };
+    let environment = Environment {
+        name: "test-world".into(),
+        version: "1".into(),
+        feature_units: vec!["m".into()],
+        feature_ranges: vec![[0.0, 10.0]],
+    };
+    let parts = [(AGENT, b"network".as_slice()), (CARD, b"# A card")];
+    Draft {
+        contract,
+        environment,
+        limits: Limits { n_max: 11, t_max: 6, team_max: 3 },
+        network: Network { agent: "masked-attention".into(), allocator: None, hidden: 0 },
+        golden: Golden { cases: (0..MIN_CASES).map(case).collect() },
+        parts: parts.map(|(name, bytes)| (name.to_owned(), bytes.to_vec())).into(),
+    }
+}
+
+fn message(folder: &Path) -> String {
+    Bundle::open(folder).map(|_| ()).unwrap_err().to_string()
+}
+
+#[test]
+fn comes_back_as_it_was_written() {
+    let home = tempfile::tempdir().unwrap();
+    let folder = home.path().join("city");
+    let written = draft().write(&folder).unwrap();
+    let bundle = Bundle::open(&folder).unwrap();
+    assert_eq!(bundle.id(), written.id());
+    assert_eq!(*bundle.id(), sha256(&fs::read(folder.join(MANIFEST)).unwrap()));
+    assert_eq!(bundle.contract(), &draft().contract);
+    assert_eq!(bundle.manifest().contract.environment, draft().environment);
+    assert_eq!(bundle.golden(), &draft().golden);
+    assert_eq!(bundle.agent_onnx(), b"network");
+    assert_eq!(bundle.part(CARD), Some(b"# A card".as_slice()));
+    assert_eq!(fs::read_dir(home.path()).unwrap().count(), 1, "no draft is left behind");
+}
+
+#[test]
+fn the_same_draft_gives_the_same_id() {
+    let home = tempfile::tempdir().unwrap();
+    let ids = ["a", "b"].map(|name| *draft().write(&home.path().join(name)).unwrap().id());
+    assert_eq!(ids[0], ids[1]);
+}
+
+#[test]
+fn every_changed_or_missing_file_is_named() {
+    let home = tempfile::tempdir().unwrap();
+    let folder = home.path().join("city");
+    draft().write(&folder).unwrap();
+    for name in [AGENT, CARD, GOLDEN] {
+        let path = folder.join(name);
+        let bytes = fs::read(&path).unwrap();
+        fs::write(&path, [bytes.as_slice(), b" "].concat()).unwrap();
+        let changed = message(&folder);
+        assert!(changed.contains(name) && changed.contains("was changed"), "{changed}");
+        assert!(changed.contains(&hex(&sha256(&bytes))), "{changed}");
+        fs::remove_file(&path).unwrap();
+        let missing = message(&folder);
+        assert!(missing.contains(name) && missing.contains("is missing"), "{missing}");
+        fs::write(&path, bytes).unwrap();
+    }
+    assert!(Bundle::open(&folder).is_ok());
+}
+
+#[test]
+fn an_edited_manifest_is_refused_with_its_reason() {
+    let home = tempfile::tempdir().unwrap();
+    let folder = home.path().join("city");
+    draft().write(&folder).unwrap();
+    let path = folder.join(MANIFEST);
+    let text = fs::read_to_string(&path).unwrap();
+    let refused = |from: &str, to: &str| {
+        assert!(text.contains(from), "{from}");
+        fs::write(&path, text.replace(from, to)).unwrap();
+        message(&folder)
+    };
+    assert!(refused("format = 1", "format = 2").contains("update sortie"));
+    assert!(refused("decision_interval = 5", "decision_interval = 6").contains("was edited"));
+    assert!(refused("\"distance\"", "\"distance\", \"x\"").contains("2 feature names for 1"));
+    assert!(refused("\"card.md\"", "\"../card.md\"").contains("not a plain file name"));
+    assert!(refused("n_max = 11", "n_max = \"many\"").contains("cannot be read"));
+}
+
+#[test]
+fn what_is_not_a_bundle_is_said_so() {
+    let home = tempfile::tempdir().unwrap();
+    assert!(matches!(Bundle::open(home.path()), Err(BundleError::NotABundle { .. })));
+    let absent = home.path().join("nowhere");
+    assert!(message(&absent).contains("nowhere"));
+}
+
+#[test]
+fn a_bundle_is_never_overwritten_nor_half_written() {
+    let home = tempfile::tempdir().unwrap();
+    let folder = home.path().join("city");
+    draft().write(&folder).unwrap();
+    assert!(matches!(draft().write(&folder), Err(BundleError::Exists { .. })));
+    let other = home.path().join("other");
+    let mut few = draft();
+    few.golden.cases.truncate(MIN_CASES - 1);
+    let mut nameless = draft();
+    nameless.parts = BTreeMap::new();
+    let mut outside = draft();
+    outside.parts.insert("../outside".into(), vec![]);
+    for bad in [few, nameless, outside] {
+        assert!(matches!(bad.write(&other), Err(BundleError::Invalid { .. })));
+        assert!(!other.exists());
+    }
+}
