@@ -83,6 +83,24 @@ pub trait Policy {
     fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError>;
 }
 
+impl<P: Policy + ?Sized> Policy for &mut P {
+    fn actions(&self) -> usize {
+        (**self).actions()
+    }
+
+    fn utilities(
+        &mut self,
+        observation: &Observation<'_>,
+        utilities: &mut [f32],
+    ) -> Result<(), DecideError> {
+        (**self).utilities(observation, utilities)
+    }
+
+    fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
+        (**self).decide(observation)
+    }
+}
+
 /// The entities that an agent of `subtask` may attend to: observable, present, and of the same subtask.
 ///
 /// `entity_task[e]` has bit t set where entity e belongs to subtask t (dissertation section 7.3).
