@@ -82,16 +82,22 @@ fn place(type_index: usize, x: u8, y: u8, emit: &mut impl FnMut(usize, f32)) {
 
 /// Writes an agent's dense row into the first [`FEATURES`] columns of `row`.
 pub fn write_agent_row(agent: &AgentState, row: &mut [f32]) {
-    let row = &mut row[..FEATURES];
-    row.fill(0.0);
+    let row = cleared(row);
     agent_features(agent, |column, value| row[column] = value);
 }
 
 /// Writes a building's dense row into the first [`FEATURES`] columns of `row`.
 pub fn write_building_row(building: &BuildingState, row: &mut [f32]) {
-    let row = &mut row[..FEATURES];
-    row.fill(0.0);
+    let row = cleared(row);
     building_features(building, |column, value| row[column] = value);
+}
+
+/// The first columns of a row, as zeros; of known length, so that writing them needs few checks.
+#[inline]
+fn cleared(row: &mut [f32]) -> &mut [f32; FEATURES] {
+    let row = row.first_chunk_mut().expect("a row has all columns of the shape");
+    *row = [0.0; FEATURES];
+    row
 }
 
 /// Writes all rows `[N, stride]`; agents start at row 0, buildings at row `max_agents`.
@@ -106,7 +112,7 @@ pub(super) fn write_rows(city: City<'_>, max_agents: usize, rows: &mut [f32], st
         write_building_row(building, row);
     }
     for row in agent_rows.chain(building_rows) {
-        row[..FEATURES].fill(0.0);
+        cleared(row);
     }
 }
 

@@ -183,8 +183,8 @@ pub(super) fn act(
     constants: &Constants,
     agents: &mut [AgentState],
     actions: &[u16],
-) -> [Effort; MAX_BUILDINGS] {
-    let mut efforts = [Effort::default(); MAX_BUILDINGS];
+    efforts: &mut [Effort; MAX_BUILDINGS],
+) {
     for (agent, &action) in agents.iter_mut().zip(actions) {
         if let Some((dx, dy)) = displacement(action) {
             agent.x = agent.x.wrapping_add_signed(dx);
@@ -205,7 +205,6 @@ pub(super) fn act(
             }
         }
     }
-    efforts
 }
 
 /// What happened to one building in one step.

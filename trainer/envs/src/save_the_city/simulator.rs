@@ -11,7 +11,7 @@ use super::features::{FEATURES, write_rows};
 use super::grid::Ground;
 use super::metrics::EpisodeMetrics;
 use super::reset::{ABSENT_AGENT, ABSENT_BUILDING, Lots, draw_city};
-use super::rules::{self, ACTIONS, Bounce, Change, Constants, availability_codes};
+use super::rules::{self, ACTIONS, Bounce, Change, Constants, Effort, availability_codes};
 use super::scenarios::{ScenarioSet, Split};
 use super::state::{AgentState, BuildingState, City, MAX_BUILDINGS, SIDE, Status};
 use crate::environment::{Environment, ObservationMut, Shape, StepError, StepOutcome, Subtasks};
@@ -286,7 +286,8 @@ impl SaveTheCity {
         check_actions(episode, agents, actions)?;
 
         let previous = rules::cells(agents);
-        let efforts = rules::act(&self.constants, agents, actions);
+        let mut efforts = [Effort::default(); MAX_BUILDINGS];
+        rules::act(&self.constants, agents, actions, &mut efforts);
         let mut changes = [Change::default(); MAX_BUILDINGS];
         for ((building, effort), change) in buildings.iter_mut().zip(&efforts).zip(&mut changes) {
             if building.is_open() {

@@ -23,7 +23,8 @@ pub struct Labels {
 
 /// Records one episode of one instance.
 ///
-/// Start it right after a reset, tell it every step, and take the text when the episode is done.
+/// Start it right after a reset, tell it every step, and take the text when the episode is done and
+/// the instance not yet reset.
 pub struct Recorder {
     labels: Labels,
     instance: usize,

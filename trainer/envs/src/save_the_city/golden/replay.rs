@@ -24,7 +24,8 @@ use crate::environment::StepError;
 pub struct Mismatch {
     /// The file, as it was named.
     pub file: String,
-    /// The step, or the state before that step; 0 for what holds for the whole episode.
+    /// The step, or the state before that step; masks of the whole episode count as step 0, its
+    /// events as the last state.
     pub step: usize,
     /// Path of the field in the file.
     pub field: String,
