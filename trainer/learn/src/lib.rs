@@ -1,6 +1,13 @@
 //! Learns cooperative policies: layers with explicit gradients, algorithms, evaluation, ONNX export.
 #![deny(unsafe_code)]
 
+pub mod error;
+pub mod evaluate;
 pub mod layers;
 pub mod methods;
+pub mod optimise;
 pub mod random;
+pub mod schedule;
+mod workers;
+
+pub use error::LearnError;

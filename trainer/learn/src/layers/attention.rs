@@ -46,7 +46,13 @@ impl VisibleLists {
         self.rows.len()
     }
 
-    fn list(&self, query: usize) -> (usize, &[u32]) {
+    /// The rows that a query sees.
+    pub fn list(&self, query: usize) -> impl Iterator<Item = usize> + '_ {
+        self.span(query).1.iter().map(|row| *row as usize)
+    }
+
+    /// Where a query's pairs begin, and its rows.
+    fn span(&self, query: usize) -> (usize, &[u32]) {
         let (start, end) = (self.ends[query] as usize, self.ends[query + 1] as usize);
         (start, &self.rows[start..end])
     }
@@ -82,7 +88,7 @@ pub fn forward(
     let (head, scale) = (width / heads, shape.scale());
     for (index, output) in output.chunks_exact_mut(width).enumerate() {
         let query = &queries[index * width..][..width];
-        let (start, list) = visible.list(index);
+        let (start, list) = visible.span(index);
         let weights = &mut weights[start * heads..][..list.len() * heads];
         for (row, weights) in list.iter().zip(weights.chunks_exact_mut(heads)) {
             let key = &keys_values[*row as usize * 2 * width..][..width];
@@ -132,7 +138,7 @@ pub fn backward(shape: AttentionShape, visible: &VisibleLists, pass: Backward<'_
     let (head, scale) = (width / heads, shape.scale());
     pass.d_keys_values.fill(0.0);
     for index in 0..visible.queries() {
-        let (start, list) = visible.list(index);
+        let (start, list) = visible.span(index);
         let query = &pass.queries[index * width..][..width];
         let d_output = &pass.d_output[index * width..][..width];
         let weights = &pass.weights[start * heads..][..list.len() * heads];

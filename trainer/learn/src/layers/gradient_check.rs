@@ -1,14 +1,11 @@
 //! Finite differences for tests: one random direction per tensor, in f64 outside the layer.
 
-use rand_core::SeedableRng;
-use rand_xoshiro::Xoshiro256PlusPlus;
-
-use crate::random::uniform;
+use crate::random::{Purpose, generator, signed_unit};
 
 /// Numbers in -1..1 from a seed.
 pub(crate) fn random(seed: u64, count: usize) -> Vec<f32> {
-    let mut generator = Xoshiro256PlusPlus::seed_from_u64(seed);
-    (0..count).map(|_| 2.0 * uniform(&mut generator) - 1.0).collect()
+    let mut generator = generator(seed, Purpose::Weights, 0);
+    (0..count).map(|_| signed_unit(&mut generator)).collect()
 }
 
 /// Asserts that `gradient` is the slope of `loss` at `at` along random directions.

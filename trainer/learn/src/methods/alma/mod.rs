@@ -1,7 +1,25 @@
 //! ALMA: agents act on the subtask that an allocator gives them (dissertation chapter 7).
+//!
+//! The low level is learned from records: one step of one building's team, with the rewards of the next
+//! steps. Compared with the dissertation: records instead of windows, value decomposition by a sum
+//! instead of a mixing network, n-step returns, optional potential shaping, Adam, averaged weights.
 
+pub mod config;
+mod history;
+mod learner;
+mod replay;
+mod rollout;
+mod team_batch;
+mod temporal_difference;
 mod utility;
 mod utility_pass;
 
+pub use config::Config;
+pub use history::{History, Moment, Returns};
+pub use learner::{Knowledge, Learner, UpdateReport};
+pub use replay::{Record, Replay, TeamMember};
+pub use rollout::{EpisodeCounts, InstanceSnapshot, Rollout};
+pub use team_batch::{INPUT_COLUMNS, NO_ACTION, TeamBatch, best_action};
+pub use temporal_difference::{Chunk, Networks, Pick};
 pub use utility::{Tensor, UtilityNetwork, UtilityShape, UtilityWeights};
 pub use utility_pass::{UtilityInput, UtilityPass};

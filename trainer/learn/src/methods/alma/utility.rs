@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::layers::attention::AttentionShape;
 use crate::layers::linear::LinearShape;
-use crate::random::{Generator, uniform};
+use crate::random::{Generator, signed_unit};
 
 /// Sizes of a utility network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -112,7 +112,7 @@ impl UtilityNetwork {
         for (tensor, inputs) in shape.tensors().into_iter().zip(inputs) {
             let bound = 1.0 / inputs.sqrt();
             for value in &mut parameters[tensor.range] {
-                *value = bound * (2.0 * uniform(generator) - 1.0);
+                *value = bound * signed_unit(generator);
             }
         }
         Self { shape, parameters }

@@ -1,0 +1,192 @@
+//! Turns the steps of one episode into records with n-step returns.
+//!
+//! A record of step t and building b sums the rewards of b for up to n steps. It ends earlier, and
+//! bootstraps with the team of step t, when b gets another team; without bootstrapping when b is
+//! complete or burned down. A time-out bootstraps from the final state.
+
+use std::collections::VecDeque;
+
+use serde::{Deserialize, Serialize};
+use sortie_envs::save_the_city::{AgentState, BuildingState, City};
+
+use super::replay::{Record, Replay, TeamMember};
+
+/// How rewards of several steps become one target.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Returns {
+    /// Steps n after which a record bootstraps.
+    pub steps: u32,
+    /// Discount per step.
+    pub discount: f32,
+    /// Potential of one cell between an agent and its building; 0 leaves the rewards alone.
+    pub shaping: f32,
+}
+
+/// A state with what was decided in it.
+#[derive(Clone, Copy, Debug)]
+pub struct Moment<'a> {
+    /// Agents and buildings.
+    pub city: City<'a>,
+    /// The building of every agent.
+    pub allocation: &'a [u8],
+    /// The last action of every agent.
+    pub last_actions: &'a [u8],
+}
+
+/// A past step whose records are not all complete.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct Frame {
+    agents: Vec<AgentState>,
+    buildings: Vec<BuildingState>,
+    allocation: Vec<u8>,
+    last_actions: Vec<u8>,
+    actions: Vec<u8>,
+    /// Rewards of each building since this step, discounted.
+    returns: Vec<f32>,
+    /// Discount to the power of the steps since.
+    weight: f32,
+    steps: u32,
+    /// Buildings, as bits, whose record is incomplete.
+    pending: u32,
+}
+
+impl Frame {
+    fn team(&self, task: usize) -> impl Iterator<Item = usize> + Clone + '_ {
+        let member = move |building: &u8| usize::from(*building) == task;
+        (0..self.agents.len()).filter(move |agent| member(&self.allocation[*agent]))
+    }
+
+    fn same_team(&self, task: usize, allocation: &[u8]) -> bool {
+        let at = |building: u8| usize::from(building) == task;
+        let count = self.agents.len();
+        self.allocation[..count].iter().zip(allocation).all(|(a, b)| at(*a) == at(*b))
+    }
+}
+
+/// The incomplete records of one running episode.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct History {
+    returns: Returns,
+    frames: VecDeque<Frame>,
+    spare: Vec<Frame>,
+}
+
+impl History {
+    /// An empty history.
+    pub fn new(returns: Returns) -> Self {
+        Self { returns, frames: VecDeque::new(), spare: Vec::new() }
+    }
+
+    /// Completes records whose n steps are over or whose building has another team now.
+    ///
+    /// Call it once an allocation is in force and before the actions of the step.
+    pub fn decide(&mut self, now: Moment<'_>, replay: &mut Replay) {
+        let returns = self.returns;
+        for frame in &mut self.frames {
+            for task in bits(frame.pending) {
+                if frame.steps >= returns.steps || !frame.same_team(task, now.allocation) {
+                    complete(returns, frame, task, now, frame.weight, replay);
+                }
+            }
+        }
+        self.drop_complete();
+    }
+
+    /// Notes what the agents do in the state that [`decide`](Self::decide) saw.
+    pub fn act(&mut self, now: Moment<'_>, actions: &[u16]) {
+        let count = now.city.agents.len();
+        let mut frame = self.spare.pop().unwrap_or_default();
+        copy(&mut frame.agents, now.city.agents);
+        copy(&mut frame.buildings, now.city.buildings);
+        copy(&mut frame.allocation, &now.allocation[..count]);
+        copy(&mut frame.last_actions, &now.last_actions[..count]);
+        frame.actions.clear();
+        frame.actions.extend(actions[..count].iter().map(|action| *action as u8));
+        frame.returns.clear();
+        frame.returns.resize(now.city.buildings.len(), 0.0);
+        frame.weight = 1.0;
+        frame.steps = 0;
+        frame.pending = 0;
+        for task in bits(now.city.open_tasks()) {
+            let has_team = frame.team(task).next().is_some();
+            frame.pending |= u32::from(has_team) << task;
+        }
+        self.frames.push_back(frame);
+    }
+
+    /// Adds the rewards of the step just taken and completes the records of closed buildings.
+    pub fn reward(&mut self, after: Moment<'_>, task_rewards: &[f64], replay: &mut Replay) {
+        let (returns, open) = (self.returns, after.city.open_tasks());
+        for frame in &mut self.frames {
+            for task in bits(frame.pending) {
+                frame.returns[task] += frame.weight * task_rewards[task] as f32;
+            }
+            frame.weight *= returns.discount;
+            frame.steps += 1;
+            for task in bits(frame.pending & !open) {
+                complete(returns, frame, task, after, 0.0, replay);
+            }
+        }
+        self.drop_complete();
+    }
+
+    /// Ends the episode: what is incomplete bootstraps after a time-out and is worth nothing after an end.
+    pub fn end(&mut self, after: Moment<'_>, timed_out: bool, replay: &mut Replay) {
+        let returns = self.returns;
+        for frame in &mut self.frames {
+            let discount = if timed_out { frame.weight } else { 0.0 };
+            for task in bits(frame.pending) {
+                complete(returns, frame, task, after, discount, replay);
+            }
+        }
+        self.drop_complete();
+    }
+
+    fn drop_complete(&mut self) {
+        while self.frames.front().is_some_and(|frame| frame.pending == 0) {
+            self.spare.extend(self.frames.pop_front());
+        }
+    }
+}
+
+/// Stores the record of one building and takes it off the frame's list.
+fn complete(
+    returns: Returns,
+    frame: &mut Frame,
+    task: usize,
+    after: Moment<'_>,
+    discount: f32,
+    replay: &mut Replay,
+) {
+    frame.pending &= !(1 << task);
+    let (building, next_building) = (frame.buildings[task], after.city.buildings[task]);
+    let team = frame.team(task).map(|agent| TeamMember {
+        agent: frame.agents[agent],
+        last_action: frame.last_actions[agent],
+        action: frame.actions[agent],
+        next: after.city.agents[agent],
+        next_last_action: after.last_actions[agent],
+    });
+    let before: f32 = team.clone().map(|m| potential(returns, &m.agent, &building)).sum();
+    let later: f32 = team.clone().map(|m| potential(returns, &m.next, &next_building)).sum();
+    let reward = frame.returns[task] + discount * later - before;
+    replay.push(Record { building, next_building, reward, discount, size: 0 }, team);
+}
+
+/// Potential of an agent: the farther from its building, the lower.
+///
+/// Shaping with `discount^m * phi(s') - phi(s)` leaves the best policy as it is (Ng, Harada and
+/// Russell 1999). It is no part of the dissertation.
+fn potential(returns: Returns, agent: &AgentState, building: &BuildingState) -> f32 {
+    -returns.shaping * f32::from(agent.distance_to(building).saturating_sub(1))
+}
+
+fn copy<T: Copy>(to: &mut Vec<T>, from: &[T]) {
+    to.clear();
+    to.extend_from_slice(from);
+}
+
+/// Positions of the set bits.
+fn bits(mask: u32) -> impl Iterator<Item = usize> {
+    (0..32).filter(move |bit| mask >> bit & 1 == 1)
+}

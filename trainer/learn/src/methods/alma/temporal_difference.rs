@@ -1,0 +1,160 @@
+//! The loss of the low level: value decomposition per subtask, on records.
+//!
+//! The value of a team is the sum of its agents' utilities (VDN, the simplest mixer of dissertation
+//! section 7.3). Target: `reward + discount * sum of target utilities`, each of the action that the
+//! online network likes best among the available ones (double Q-learning), with the team of the
+//! record's own step. Loss: mean squared difference over the batch.
+
+use super::replay::Replay;
+use super::team_batch::{TeamBatch, best_action};
+use super::utility::{UtilityNetwork, UtilityShape};
+use super::utility_pass::UtilityPass;
+use sortie_envs::save_the_city::Symmetry;
+
+/// A record to learn from and how its map is turned, as an index of [`Symmetry::ALL`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Pick {
+    /// Index in the replay.
+    pub record: u32,
+    /// Index of the symmetry; 0 changes nothing.
+    pub symmetry: u8,
+}
+
+/// What the loss is computed with.
+#[derive(Clone, Copy, Debug)]
+pub struct Networks<'a> {
+    /// The network that learns.
+    pub online: &'a UtilityNetwork,
+    /// The slowly moving network that values the next state.
+    pub target: &'a UtilityNetwork,
+}
+
+/// Space to compute the gradient of some records, and the result.
+#[derive(Debug)]
+pub struct Chunk {
+    shape: UtilityShape,
+    now: TeamBatch,
+    next: TeamBatch,
+    pass: UtilityPass,
+    /// Action taken by each agent of `now`.
+    actions: Vec<u8>,
+    /// Available actions of each agent of `next`, then its best action.
+    next_available: Vec<u16>,
+    next_actions: Vec<u8>,
+    /// Reward, discount and team size of each record.
+    rewards: Vec<(f32, f32, usize)>,
+    d_utilities: Vec<f32>,
+    gradient: Vec<f32>,
+    squared_error: f64,
+}
+
+impl Chunk {
+    /// Empty space for networks of a shape.
+    pub fn new(shape: UtilityShape) -> Self {
+        Self {
+            shape,
+            now: TeamBatch::default(),
+            next: TeamBatch::default(),
+            pass: UtilityPass::new(shape),
+            actions: Vec::new(),
+            next_available: Vec::new(),
+            next_actions: Vec::new(),
+            rewards: Vec::new(),
+            d_utilities: Vec::new(),
+            gradient: vec![0.0; shape.parameters()],
+            squared_error: 0.0,
+        }
+    }
+
+    /// The gradient of the last [`learn`](Self::learn).
+    pub fn gradient(&self) -> &[f32] {
+        &self.gradient
+    }
+
+    /// The sum of squared errors of the last [`learn`](Self::learn).
+    pub fn squared_error(&self) -> f64 {
+        self.squared_error
+    }
+
+    /// Computes the gradient of `sum of squared errors / batch` over the picked records.
+    pub fn learn(&mut self, networks: Networks<'_>, replay: &Replay, picks: &[Pick], batch: usize) {
+        self.gather(replay, picks);
+        self.choose_next(networks.online);
+        self.descend(networks, batch);
+    }
+
+    /// Rebuilds the features of the records, turned as they were picked.
+    fn gather(&mut self, replay: &Replay, picks: &[Pick]) {
+        self.now.clear();
+        self.next.clear();
+        self.actions.clear();
+        self.next_available.clear();
+        self.rewards.clear();
+        for pick in picks {
+            let turn = Symmetry::ALL[usize::from(pick.symmetry)];
+            let turned_last = |action: u8| turn.action(action.into()) as u8;
+            let (record, team) = replay.get(pick.record as usize);
+            for member in team {
+                self.now.push_agent(&turn.agent(&member.agent), turned_last(member.last_action));
+                self.actions.push(turn.action(member.action.into()) as u8);
+            }
+            self.now.end_team(&turn.building(&record.building));
+            if record.discount > 0.0 {
+                for member in team {
+                    let agent = turn.agent(&member.next);
+                    self.next.push_agent(&agent, turned_last(member.next_last_action));
+                    self.next_available.push(agent.available);
+                }
+                self.next.end_team(&turn.building(&record.next_building));
+            }
+            self.rewards.push((record.reward, record.discount, team.len()));
+        }
+        self.now.finish();
+        self.next.finish();
+    }
+
+    fn choose_next(&mut self, online: &UtilityNetwork) {
+        let utilities = self.pass.forward(online, self.next.input());
+        let agents = utilities.chunks_exact(self.shape.actions).zip(&self.next_available);
+        self.next_actions.clear();
+        self.next_actions
+            .extend(agents.map(|(utilities, available)| best_action(utilities, *available)));
+    }
+
+    fn descend(&mut self, networks: Networks<'_>, batch: usize) {
+        let actions = self.shape.actions;
+        let utility =
+            |all: &[f32], agent: usize, action: u8| all[agent * actions + usize::from(action)];
+
+        let values = self.pass.forward(networks.target, self.next.input());
+        let mut first = 0;
+        for (target, discount, size) in &mut self.rewards {
+            if *discount > 0.0 {
+                let team = first..first + *size;
+                first = team.end;
+                let value: f32 = team.map(|a| utility(values, a, self.next_actions[a])).sum();
+                *target += *discount * value;
+            }
+        }
+
+        let utilities = self.pass.forward(networks.online, self.now.input());
+        self.d_utilities.clear();
+        self.d_utilities.resize(utilities.len(), 0.0);
+        self.squared_error = 0.0;
+        let mut first = 0;
+        for (target, _, size) in &self.rewards {
+            let team = first..first + size;
+            first = team.end;
+            let value: f32 = team.clone().map(|a| utility(utilities, a, self.actions[a])).sum();
+            let error = value - target;
+            self.squared_error += f64::from(error) * f64::from(error);
+            for agent in team {
+                let place = agent * actions + usize::from(self.actions[agent]);
+                self.d_utilities[place] = 2.0 * error / batch as f32;
+            }
+        }
+        self.gradient.fill(0.0);
+        let input = self.now.input();
+        self.pass.backward(networks.online, input, &self.d_utilities, &mut self.gradient);
+    }
+}
