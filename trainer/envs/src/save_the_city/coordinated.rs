@@ -45,8 +45,7 @@ fn cheapest_building(agent: &AgentState, buildings: &[BuildingState], given: &[G
 
 /// What it takes this agent, and what waits for it, at a building that nobody else goes to.
 fn cost(agent: &AgentState, building: &BuildingState) -> f64 {
-    let steps = f64::from(agent.distance_to(building).saturating_sub(1));
-    let travel = steps / f64::from(agent.kind.longest_move());
+    let travel = agent.travel_time_to(building);
     let health = f64::from(building.health as f32);
     let to_next_fire = f64::from(building.to_next_fire);
     if building.is_burning() {

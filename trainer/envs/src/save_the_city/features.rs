@@ -61,15 +61,27 @@ pub fn building_features(building: &BuildingState, mut emit: impl FnMut(usize, f
         emit(FIRE, building.fire as f32);
         emit(BURNING, 1.0);
     }
-    let period = f64::from(building.period);
-    emit(SINCE_LAST_FIRE, (f64::from(building.since_last_fire) / period) as f32);
-    emit(IGNITION_RATE, ignition_rate(period));
+    let since = f64::from(building.since_last_fire) / f64::from(building.period);
+    emit(SINCE_LAST_FIRE, since as f32);
+    let known = IGNITION_RATES.get(usize::from(building.period)).copied();
+    emit(IGNITION_RATE, known.unwrap_or_else(|| ignition_rate(building.period)));
 }
 
 /// 1 for the shortest period of all, 10 steps, and 0 for the longest, 80.
-fn ignition_rate(period: f64) -> f32 {
-    ((1.0 / period - 1.0 / 80.0) / (1.0 / 10.0 - 1.0 / 80.0)) as f32
+const fn ignition_rate(period: u16) -> f32 {
+    ((1.0 / period as f64 - 1.0 / 80.0) / (1.0 / 10.0 - 1.0 / 80.0)) as f32
 }
+
+/// The rates of all usual periods, since divisions would take a good part of an observation.
+const IGNITION_RATES: [f32; 81] = {
+    let mut rates = [0.0; 81];
+    let mut period = 1;
+    while period < rates.len() {
+        rates[period] = ignition_rate(period as u16);
+        period += 1;
+    }
+    rates
+};
 
 #[inline]
 fn place(type_index: usize, x: u8, y: u8, emit: &mut impl FnMut(usize, f32)) {
@@ -82,37 +94,39 @@ fn place(type_index: usize, x: u8, y: u8, emit: &mut impl FnMut(usize, f32)) {
 
 /// Writes an agent's dense row into the first [`FEATURES`] columns of `row`.
 pub fn write_agent_row(agent: &AgentState, row: &mut [f32]) {
-    let row = cleared(row);
+    let row = known_length(row);
+    row.fill(0.0);
     agent_features(agent, |column, value| row[column] = value);
 }
 
 /// Writes a building's dense row into the first [`FEATURES`] columns of `row`.
 pub fn write_building_row(building: &BuildingState, row: &mut [f32]) {
-    let row = cleared(row);
+    let row = known_length(row);
+    row.fill(0.0);
     building_features(building, |column, value| row[column] = value);
 }
 
-/// The first columns of a row, as zeros; of known length, so that writing them needs few checks.
+/// The columns of a row as an array, so that writing them needs few checks.
 #[inline]
-fn cleared(row: &mut [f32]) -> &mut [f32; FEATURES] {
-    let row = row.first_chunk_mut().expect("a row has all columns of the shape");
-    *row = [0.0; FEATURES];
-    row
+fn known_length(row: &mut [f32]) -> &mut [f32; FEATURES] {
+    row.first_chunk_mut().expect("a row has all columns of the shape")
 }
 
 /// Writes all rows `[N, stride]`; agents start at row 0, buildings at row `max_agents`.
 pub(super) fn write_rows(city: City<'_>, max_agents: usize, rows: &mut [f32], stride: usize) {
+    if stride == FEATURES {
+        rows.fill(0.0);
+    } else {
+        rows.chunks_exact_mut(stride).for_each(|row| row[..FEATURES].fill(0.0));
+    }
     let (agent_rows, building_rows) = rows.split_at_mut(max_agents * stride);
-    let mut agent_rows = agent_rows.chunks_exact_mut(stride);
-    for (agent, row) in city.agents.iter().zip(&mut agent_rows) {
-        write_agent_row(agent, row);
+    for (agent, row) in city.agents.iter().zip(agent_rows.chunks_exact_mut(stride)) {
+        let row = known_length(row);
+        agent_features(agent, |column, value| row[column] = value);
     }
-    let mut building_rows = building_rows.chunks_exact_mut(stride);
-    for (building, row) in city.buildings.iter().zip(&mut building_rows) {
-        write_building_row(building, row);
-    }
-    for row in agent_rows.chain(building_rows) {
-        cleared(row);
+    for (building, row) in city.buildings.iter().zip(building_rows.chunks_exact_mut(stride)) {
+        let row = known_length(row);
+        building_features(building, |column, value| row[column] = value);
     }
 }
 

@@ -4,8 +4,10 @@
 //! losers. Buildings and subtasks are the same thing and share indices.
 
 mod allocation;
+mod checks;
 mod coordinated;
 mod decode;
+mod episode;
 mod error;
 mod features;
 #[cfg(feature = "std")]

@@ -6,6 +6,8 @@ use alloc::vec::Vec;
 
 use rand_xoshiro::Xoshiro256PlusPlus;
 
+use super::checks::check_state;
+use super::episode::{Episode, rewards};
 use super::error::CityError;
 use super::features::{FEATURES, write_rows};
 use super::grid::Ground;
@@ -13,7 +15,7 @@ use super::metrics::EpisodeMetrics;
 use super::reset::{ABSENT_AGENT, ABSENT_BUILDING, Lots, draw_city};
 use super::rules::{self, ACTIONS, Bounce, Change, Constants, Effort, availability_codes};
 use super::scenarios::{ScenarioSet, Split};
-use super::state::{AgentState, BuildingState, City, MAX_BUILDINGS, SIDE, Status};
+use super::state::{AgentState, BuildingState, City, MAX_BUILDINGS, Status};
 use crate::environment::{Environment, ObservationMut, Shape, StepError, StepOutcome, Subtasks};
 use crate::random::{below, generator};
 
@@ -33,19 +35,6 @@ pub struct SaveTheCity {
     episodes: Vec<Episode>,
     generators: Vec<Xoshiro256PlusPlus>,
     lots: Lots,
-}
-
-/// What an instance has once.
-#[derive(Clone, Debug)]
-struct Episode {
-    agents: usize,
-    buildings: usize,
-    scenario: usize,
-    ground: Ground,
-    open_tasks: u32,
-    done: bool,
-    bounces: usize,
-    metrics: EpisodeMetrics,
 }
 
 impl SaveTheCity {
@@ -174,7 +163,7 @@ impl SaveTheCity {
         buildings: &[BuildingState],
         steps: u32,
     ) -> Result<(), CityError> {
-        self.check_state(agents, buildings)?;
+        check_state(&self.set, agents, buildings)?;
         let ground = Ground::new(buildings).map_err(|(one, other)| {
             CityError::State(format!("buildings {one} and {other} are less than 3 cells apart"))
         })?;
@@ -191,41 +180,6 @@ impl SaveTheCity {
         self.episodes[instance].scenario = 0;
         self.begin(instance, agents.len(), buildings.len(), ground);
         self.episodes[instance].metrics.steps = steps;
-        Ok(())
-    }
-
-    fn check_state(
-        &self,
-        agents: &[AgentState],
-        buildings: &[BuildingState],
-    ) -> Result<(), CityError> {
-        let require = |holds: bool, what: &str, index: usize, reason: &str| {
-            if holds { Ok(()) } else { Err(CityError::State(format!("{what} {index} {reason}"))) }
-        };
-        let on_map = |x: u8, y: u8| x < SIDE && y < SIDE;
-        let fits = (1..=self.set.max_agents).contains(&agents.len());
-        require(fits, "a team of", agents.len(), "does not fit the set")?;
-        let fits = (1..=self.set.max_buildings).contains(&buildings.len());
-        require(fits, "a number of buildings of", buildings.len(), "does not fit the set")?;
-        for (index, building) in buildings.iter().enumerate() {
-            let (health, fire) = (building.health, building.fire);
-            let say = |holds, reason| require(holds, "building", index, reason);
-            say(on_map(building.x, building.y), "is off the map")?;
-            say((0.0..=1.0).contains(&health), "has a health outside 0..=1")?;
-            say((0.0..=1.0).contains(&fire), "has a fire outside 0..=1")?;
-            say(building.period > 0, "has a period of 0")?;
-            let closed = Status::of_health(health) != Status::Open;
-            say(!(closed && building.is_burning()), "is closed and burns")?;
-            say(closed || building.to_next_fire > 0, "is open and its clock has run out")?;
-        }
-        for (index, agent) in agents.iter().enumerate() {
-            let say = |holds, reason| require(holds, "agent", index, reason);
-            say(on_map(agent.x, agent.y), "is off the map")?;
-            let place = (agent.x, agent.y);
-            let shared = agents[..index].iter().any(|other| (other.x, other.y) == place)
-                || buildings.iter().any(|building| (building.x, building.y) == place);
-            say(!shared, "shares its cell")?;
-        }
         Ok(())
     }
 
@@ -283,7 +237,7 @@ impl SaveTheCity {
         let agents = &mut self.agents[instance * self.set.max_agents..][..episode.agents];
         let buildings =
             &mut self.buildings[instance * self.set.max_buildings..][..episode.buildings];
-        check_actions(episode, agents, actions)?;
+        episode.check_actions(agents, actions)?;
 
         let previous = rules::cells(agents);
         let mut efforts = [Effort::default(); MAX_BUILDINGS];
@@ -313,86 +267,6 @@ impl SaveTheCity {
         episode.metrics.episode_return += total;
         Ok(outcome)
     }
-}
-
-fn check_actions(
-    episode: &Episode,
-    agents: &[AgentState],
-    actions: &[u16],
-) -> Result<(), StepError> {
-    if episode.done {
-        return Err(StepError::EpisodeOver);
-    }
-    if actions.len() < agents.len() {
-        return Err(StepError::TooFewActions { agents: agents.len(), actions: actions.len() });
-    }
-    for (index, (agent, &action)) in agents.iter().zip(actions).enumerate() {
-        if usize::from(action) >= ACTIONS || agent.available >> action & 1 == 0 {
-            return Err(StepError::Unavailable { agent: index, action });
-        }
-    }
-    Ok(())
-}
-
-impl Episode {
-    /// Advances the time, the counts and the open tasks, and decides whether the episode is over.
-    fn advance(
-        &mut self,
-        constants: &Constants,
-        buildings: &[BuildingState],
-        changes: &[Change],
-    ) -> StepOutcome {
-        let metrics = &mut self.metrics;
-        metrics.steps += 1;
-        for change in changes {
-            metrics.fires_extinguished += u32::from(change.extinguished);
-            metrics.buildings_completed += u32::from(change.completed);
-            metrics.buildings_burned += u32::from(change.burned);
-            metrics.health_delta += change.health_delta;
-        }
-        let open_before = self.open_tasks;
-        self.open_tasks = City { agents: &[], buildings }.open_tasks();
-
-        let all_complete = buildings.iter().all(|building| building.status == Status::Complete);
-        let any_burned = buildings.iter().any(|building| building.status == Status::BurnedDown);
-        let terminated = self.open_tasks == 0 || (constants.end_on_any_burn && any_burned);
-        let timed_out = !terminated && metrics.steps >= constants.episode_limit;
-        self.done = terminated || timed_out;
-        metrics.solved = all_complete;
-        metrics.timed_out = timed_out;
-        StepOutcome {
-            reward: 0.0,
-            terminated,
-            timed_out,
-            tasks_changed: self.open_tasks != open_before,
-        }
-    }
-}
-
-/// Writes every task's reward and returns the team's.
-fn rewards(
-    constants: &Constants,
-    changes: &[Change],
-    solved: bool,
-    max_reward: f64,
-    task_rewards: &mut [f64],
-) -> f64 {
-    let flag = |value: bool| f64::from(u8::from(value));
-    let scaled = |reward: f64| (reward * constants.reward_scale) / max_reward;
-    let mut total = constants.ts_pen;
-    for (change, task_reward) in changes.iter().zip(task_rewards) {
-        let shared = 0.0
-            + constants.health_delta_mult * change.health_delta
-            + constants.burned_down * flag(change.burned)
-            + constants.extinguish * flag(change.extinguished);
-        total += shared + constants.complete * flag(change.completed);
-        let own = shared + constants.solved * flag(change.completed);
-        *task_reward = scaled((0.0 + own) + constants.ts_pen);
-    }
-    if solved {
-        total += constants.solved;
-    }
-    scaled(total)
 }
 
 impl Environment for SaveTheCity {

@@ -174,6 +174,18 @@ impl AgentState {
     pub const fn at(kind: AgentKind, x: u8, y: u8) -> Self {
         Self { kind, x, y, beside: NO_BUILDING, available: 1 }
     }
+
+    /// Steps of length 1 from the agent's cell to the building's.
+    pub const fn distance_to(&self, building: &BuildingState) -> u8 {
+        manhattan((self.x, self.y), (building.x, building.y))
+    }
+
+    /// Steps until the agent stands beside the building, if nothing is in its way; halves count
+    /// for kinds that move by two.
+    pub fn travel_time_to(&self, building: &BuildingState) -> f64 {
+        let cells = self.distance_to(building).saturating_sub(1);
+        f64::from(cells) / f64::from(self.kind.longest_move())
+    }
 }
 
 /// One building.
@@ -234,11 +246,4 @@ impl City<'_> {
 /// Steps of length 1 between two cells.
 pub const fn manhattan(from: (u8, u8), to: (u8, u8)) -> u8 {
     from.0.abs_diff(to.0) + from.1.abs_diff(to.1)
-}
-
-impl AgentState {
-    /// Steps of length 1 from the agent's cell to the building's.
-    pub const fn distance_to(&self, building: &BuildingState) -> u8 {
-        manhattan((self.x, self.y), (building.x, building.y))
-    }
 }
