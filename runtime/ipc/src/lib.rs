@@ -1,1 +1,25 @@
-//! Under construction.
+//! World, runner and allocator as processes over shared memory, or all in one thread.
+//!
+//! A *domain* isolates one deployment: its paths, locks and shared-memory names carry its id. The
+//! roles are the state machines of `sortie-core`; this crate gives them links, locks and loops.
+//! Everything of a domain is removed by the last process that leaves it, or by the next that comes.
+#![deny(unsafe_code)]
+
+mod clock;
+mod domain;
+mod error;
+mod in_process;
+mod iox;
+mod processes;
+mod stop;
+
+pub use clock::MonotonicClock;
+pub use domain::{Domain, DomainContract, DomainFacts, Lock, Membership, Starting};
+pub use error::Error;
+pub use in_process::{InProcess, run_in_process};
+pub use iox::{IoxAgent, IoxAllocator, IoxWorld, LinkSetup};
+pub use processes::{
+    Children, ProcessSettings, WorldSettings, allocator_process, group_agents, runner_process,
+    world_process,
+};
+pub use stop::Stop;

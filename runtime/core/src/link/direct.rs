@@ -1,6 +1,7 @@
 //! One process, one thread: messages stay where they are written, nobody is woken.
 
 use heapless::Deque;
+use zerocopy::{FromBytes, FromZeros, Immutable, IntoBytes, KnownLayout};
 
 use super::{
     ActionRx, ActionTx, AllocRx, AllocTx, Bell, Clock, Frame, FrameRx, FrameTx, LinkError, StatRx,
@@ -13,6 +14,18 @@ use crate::wire::{ActionMsg, AllocMsg, FrameHeader, Role, StatMsg};
 const ACTIONS: usize = 2 * limits::AGENTS;
 /// Statuses that wait for the world; the oldest gives way.
 const STATUSES: usize = 8;
+
+/// 64 bytes of memory for frames, aligned as they need it.
+#[derive(Clone, Copy, FromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C, align(64))]
+pub struct FrameBlock([u8; 64]);
+
+impl FrameBlock {
+    /// Zeros.
+    pub fn zeroed() -> Self {
+        Self::new_zeroed()
+    }
+}
 
 /// The messages of a team that runs in one thread. Each role borrows it in turn.
 pub struct Direct<'b> {
@@ -35,12 +48,12 @@ pub struct DirectCursor {
 }
 
 impl<'b> Direct<'b> {
-    /// `payload` holds the newest frame: as long as the domain's layout says, aligned to 64 bytes.
-    pub fn new(payload: &'b mut [u8], clock: &'b dyn Clock) -> Self {
+    /// `memory` holds the newest frame: as many bytes as the domain's layout says.
+    pub fn new(memory: &'b mut [FrameBlock], clock: &'b dyn Clock) -> Self {
         Self {
             clock,
             header: FrameHeader::default(),
-            payload,
+            payload: memory.as_mut_bytes(),
             frames: 0,
             allocation: None,
             allocations: 0,

@@ -5,7 +5,7 @@
 
 mod direct;
 
-pub use direct::{Direct, DirectAgent, DirectAllocator, DirectCursor, DirectWorld};
+pub use direct::{Direct, DirectAgent, DirectAllocator, DirectCursor, DirectWorld, FrameBlock};
 
 use crate::wire::{ActionMsg, AllocMsg, FrameError, FrameHeader, Role, StatMsg};
 

@@ -188,7 +188,7 @@ impl WorldRole {
         link: &mut impl WorldLink,
         observer: &mut dyn WorldObserver,
     ) -> Result<(), LinkError> {
-        let Self { options, seats, allocation, counters, .. } = self;
+        let Self { options, seats, counters, .. } = self;
         let schema = options.format.schema;
         if self.phase != Phase::Acting {
             link.receive_statuses(&mut |status| {
@@ -200,12 +200,14 @@ impl WorldRole {
                 }
             })?;
         }
+        link.receive_actions(&mut |action| self.take(action))?;
+        // After the actions: an allocation that they were chosen by has then arrived as well.
+        let Self { options, allocation, counters, .. } = self;
         link.receive_allocations(&mut |offered| {
             if allocation.offer(offered, &options.format, counters) {
                 observer.allocated(offered);
             }
         })?;
-        link.receive_actions(&mut |action| self.take(action))?;
         self.allocate_next |= self.seats.take_changed();
         Ok(())
     }
@@ -443,7 +445,7 @@ impl WorldRole {
         outcome: StepOutcome,
         now_ns: u64,
     ) -> TickReport<'a> {
-        let newest = self.allocation.get().filter(|_| self.reallocated);
+        let newest = self.allocation.get().filter(|newest| newest.tick >= self.tick());
         TickReport {
             tick: self.tick(),
             episode: self.episode,

@@ -1,0 +1,237 @@
+//! What a running domain is, in a file that every process reads before it joins.
+
+use std::fs;
+use std::io;
+use std::path::Path;
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+use sortie_core::Shape;
+use sortie_core::identity::schema_hash;
+use sortie_core::wire::{ABI, FrameFormat, FrameLayout};
+
+use super::Domain;
+use crate::error::Error;
+use crate::stop::Stop;
+
+/// The file's name.
+const FILE: &str = "domain.toml";
+/// Pause between two looks for the file.
+const LOOK_EVERY: Duration = Duration::from_millis(10);
+
+/// What a policy was trained for, as far as messaging goes.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct DomainContract {
+    /// Hash of all fields.
+    pub hash: u64,
+    /// Ticks between two allocations.
+    pub decision_interval: u32,
+    /// Whether a policy attends only to its own subtask, and so needs allocations.
+    pub subtasks: bool,
+    /// Action of an agent without a subtask, and the fallback after the last action.
+    pub safe_action: Option<u16>,
+    /// All fields by name, so that a mismatch can name the first that differs.
+    pub fields: toml::Table,
+}
+
+/// What a running domain is.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct DomainFacts {
+    abi: u16,
+    /// Hexadecimal: TOML has no unsigned 64-bit numbers.
+    contract_hash: String,
+    agents: usize,
+    entities: usize,
+    tasks: usize,
+    actions: usize,
+    features: usize,
+    contract: toml::Table,
+}
+
+impl DomainFacts {
+    /// The facts of a world of this contract and shape.
+    pub fn new(contract: &DomainContract, shape: Shape) -> Self {
+        let Shape { agents, entities, tasks, actions, features } = shape;
+        Self {
+            abi: ABI,
+            contract_hash: format!("{:016x}", contract.hash),
+            agents,
+            entities,
+            tasks,
+            actions,
+            features,
+            contract: contract.fields.clone(),
+        }
+    }
+
+    /// The padded sizes.
+    pub fn shape(&self) -> Shape {
+        Shape {
+            agents: self.agents,
+            entities: self.entities,
+            tasks: self.tasks,
+            actions: self.actions,
+            features: self.features,
+        }
+    }
+
+    fn contract_hash(&self) -> u64 {
+        u64::from_str_radix(&self.contract_hash, 16).unwrap_or(0)
+    }
+
+    /// The frames of the domain.
+    ///
+    /// # Errors
+    /// The shape is over the limits of frames.
+    pub fn format(&self) -> Result<FrameFormat, Error> {
+        let layout = FrameLayout::new(self.shape())?;
+        // The limits of a layout fit 16 bits.
+        let [agents, entities, tasks] = [self.agents, self.entities, self.tasks].map(|n| n as u16);
+        let schema = schema_hash(self.contract_hash(), agents, entities, tasks);
+        Ok(FrameFormat { schema, layout })
+    }
+
+    /// Checks that a process of `contract` fits this domain.
+    ///
+    /// # Errors
+    /// [`Error::Contract`], which names the first field that differs.
+    pub(crate) fn check(&self, domain: &Domain, contract: &DomainContract) -> Result<(), Error> {
+        if self.contract_hash() == contract.hash && self.abi == ABI {
+            return Ok(());
+        }
+        Err(Error::Contract {
+            domain: domain.id().to_string(),
+            ours: contract.hash,
+            theirs: self.contract_hash(),
+            detail: first_difference(&contract.fields, &self.contract),
+        })
+    }
+
+    /// Checks that a world of `shape` fits this domain.
+    ///
+    /// # Errors
+    /// [`Error::Contract`], which names both shapes.
+    pub(crate) fn check_shape(
+        &self,
+        domain: &Domain,
+        contract: &DomainContract,
+        shape: Shape,
+    ) -> Result<(), Error> {
+        if self.shape() == shape {
+            return Ok(());
+        }
+        Err(Error::Contract {
+            domain: domain.id().to_string(),
+            ours: contract.hash,
+            theirs: self.contract_hash(),
+            detail: format!("the world is {shape:?} here, {:?} there", self.shape()),
+        })
+    }
+}
+
+fn first_difference(ours: &toml::Table, theirs: &toml::Table) -> String {
+    let names = ours.keys().chain(theirs.keys().filter(|name| !ours.contains_key(*name)));
+    for name in names {
+        let (here, there) = (ours.get(name), theirs.get(name));
+        if here != there {
+            let show = |value: Option<&toml::Value>| value.map_or("none".into(), short);
+            return format!("`{name}` is {} here, {} there", show(here), show(there));
+        }
+    }
+    "all named fields are equal".to_string()
+}
+
+/// A value in at most 60 characters.
+fn short(value: &toml::Value) -> String {
+    let text = value.to_string();
+    match text.char_indices().nth(60) {
+        Some((end, _)) => format!("{} …", text.get(..end).unwrap_or_default()),
+        None => text,
+    }
+}
+
+/// Writes the facts. Readers see the whole file or none.
+pub(super) fn write(domain: &Domain, facts: &DomainFacts) -> Result<(), Error> {
+    let path = domain.path(FILE);
+    let bad = |error: toml::ser::Error| Error::BadFile {
+        path: domain.path(FILE),
+        problem: error.to_string(),
+    };
+    let text = toml::to_string(facts).map_err(bad)?;
+    let unfinished = domain.path("domain.toml.new");
+    fs::write(&unfinished, text).map_err(Error::io("write", &unfinished))?;
+    fs::rename(&unfinished, &path).map_err(Error::io("write", &path))
+}
+
+/// The facts, if the domain has a world.
+pub(super) fn read(domain: &Domain) -> Result<Option<DomainFacts>, Error> {
+    let path = domain.path(FILE);
+    let text = match fs::read_to_string(&path) {
+        Ok(text) => text,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+        Err(error) => return Err(Error::io("read", &path)(error)),
+    };
+    parse(&path, &text).map(Some)
+}
+
+fn parse(path: &Path, text: &str) -> Result<DomainFacts, Error> {
+    toml::from_str(text)
+        .map_err(|error| Error::BadFile { path: path.to_path_buf(), problem: error.to_string() })
+}
+
+/// Waits for a world to write the facts.
+pub(super) fn wait_for(
+    domain: &Domain,
+    patience: Duration,
+    stop: &Stop,
+) -> Result<DomainFacts, Error> {
+    let started = std::time::Instant::now();
+    loop {
+        if let Some(facts) = read(domain)? {
+            return Ok(facts);
+        }
+        if stop.is_set() {
+            return Err(Error::Interrupted);
+        }
+        if started.elapsed() >= patience {
+            return Err(Error::NoWorld { domain: domain.id().to_string() });
+        }
+        std::thread::sleep(LOOK_EVERY);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn contract(hash: u64, actions: i64) -> DomainContract {
+        let mut fields = toml::Table::new();
+        fields.insert("environment".into(), "city".into());
+        fields.insert("actions".into(), actions.into());
+        DomainContract { hash, fields, ..DomainContract::default() }
+    }
+
+    #[test]
+    fn a_mismatch_names_the_first_field_that_differs() {
+        let shape = Shape { agents: 2, entities: 3, tasks: 1, actions: 4, features: 5 };
+        let domain = Domain::under(Path::new("/dev/shm"), "facts").unwrap();
+        let facts = DomainFacts::new(&contract(7, 4), shape);
+        assert!(facts.check(&domain, &contract(7, 4)).is_ok());
+        let error = facts.check(&domain, &contract(8, 5)).unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "domain `facts` runs another contract: here 0000000000000008, there \
+             0000000000000007; `actions` is 5 here, 4 there"
+        );
+        assert_eq!(error.exit_code(), 78);
+    }
+
+    #[test]
+    fn comes_back_from_its_file() {
+        let shape = Shape { agents: 2, entities: 3, tasks: 1, actions: 4, features: 5 };
+        let facts = DomainFacts::new(&contract(u64::MAX, 4), shape);
+        let text = toml::to_string(&facts).unwrap();
+        assert_eq!(parse(Path::new(FILE), &text).unwrap(), facts);
+        assert_eq!(facts.shape(), shape);
+    }
+}

@@ -1,0 +1,84 @@
+//! Locks that the kernel frees when their holder dies, however it dies.
+
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io::{self, Read, Seek, Write};
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
+use std::path::Path;
+
+use crate::error::Error;
+
+/// An exclusive lock on one role. Its file holds the last term and the holder's process id.
+#[derive(Debug)]
+pub struct Lock {
+    _file: File,
+    term: u32,
+}
+
+impl Lock {
+    /// Takes the lock and raises its term.
+    ///
+    /// # Errors
+    /// `Err(Ok(pid))` where another process holds it.
+    pub(super) fn take(path: &Path) -> Result<Result<Self, u64>, Error> {
+        let mut file = open(path)?;
+        let held = match file.try_lock() {
+            Ok(()) => read(&mut file).map_err(Error::io("read", path))?,
+            Err(TryLockError::WouldBlock) => {
+                let [_, pid] = read(&mut file).map_err(Error::io("read", path))?;
+                return Ok(Err(pid));
+            }
+            Err(TryLockError::Error(error)) => return Err(Error::io("lock", path)(error)),
+        };
+        let [last_term, _] = held;
+        let term = (last_term as u32).wrapping_add(1).max(1);
+        let pid = u64::from(std::process::id());
+        write(&mut file, [u64::from(term), pid]).map_err(Error::io("write", path))?;
+        Ok(Ok(Self { _file: file, term }))
+    }
+
+    /// The term of this leadership: larger than all before, from 1.
+    pub fn term(&self) -> u32 {
+        self.term
+    }
+}
+
+/// Opens a lock file, creating it for its user only.
+pub(super) fn open(path: &Path) -> Result<File, Error> {
+    create(path).map_err(Error::io("open", path))
+}
+
+fn create(path: &Path) -> io::Result<File> {
+    let mut options = OpenOptions::new();
+    options.read(true).write(true).create(true).truncate(false).mode(0o600).open(path)
+}
+
+/// Locks `path` exclusively, waiting for it. `None` if the file was removed meanwhile: a domain
+/// was purged, and its lock means nothing any more.
+pub(super) fn wait_for(path: &Path) -> Result<Option<File>, Error> {
+    let file = match create(path) {
+        Ok(file) => file,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+        Err(error) => return Err(Error::io("open", path)(error)),
+    };
+    file.lock().map_err(Error::io("lock", path))?;
+    let locked = file.metadata().map_err(Error::io("look at", path))?;
+    let is_same = path.metadata().is_ok_and(|now| now.ino() == locked.ino());
+    Ok(is_same.then_some(file))
+}
+
+/// The two numbers of a lock file; zeros where it is new.
+fn read(file: &mut File) -> io::Result<[u64; 2]> {
+    let mut bytes = Vec::new();
+    file.rewind()?;
+    file.take(16).read_to_end(&mut bytes)?;
+    let mut numbers = bytes
+        .chunks_exact(8)
+        .map(|chunk| chunk.iter().rev().fold(0, |number, &byte| number << 8 | u64::from(byte)));
+    Ok([numbers.next().unwrap_or(0), numbers.next().unwrap_or(0)])
+}
+
+fn write(file: &mut File, [term, pid]: [u64; 2]) -> io::Result<()> {
+    file.rewind()?;
+    file.write_all(&term.to_le_bytes())?;
+    file.write_all(&pid.to_le_bytes())
+}

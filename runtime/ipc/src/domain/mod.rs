@@ -1,0 +1,125 @@
+//! A domain: one deployment on one host, its paths and its names.
+
+mod facts;
+mod lock;
+mod membership;
+mod preflight;
+
+use std::env;
+use std::path::{Path, PathBuf};
+
+pub use facts::{DomainContract, DomainFacts};
+pub use lock::Lock;
+pub use membership::{Membership, Starting};
+
+use crate::error::Error;
+
+/// Where POSIX shared memory lives, whatever the base directory.
+pub(crate) const SHARED_MEMORY: &str = "/dev/shm";
+/// Directory in which domains live, instead of the default.
+const BASE_VARIABLE: &str = "SORTIE_BASE";
+/// Longest name of a domain.
+const ID_LENGTH: usize = 24;
+
+/// One deployment on one host.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Domain {
+    id: String,
+    uid: u32,
+    base: PathBuf,
+}
+
+impl Domain {
+    /// The domain `id`, under `SORTIE_BASE`, else `/dev/shm`, else `XDG_RUNTIME_DIR`.
+    ///
+    /// # Errors
+    /// The id has other characters than `a-z`, `0-9` and `-`, or no or more than 24 of them; or
+    /// there is no tmpfs to live on.
+    pub fn new(id: &str) -> Result<Self, Error> {
+        let uid = rustix::process::getuid().as_raw();
+        let parent = match env::var_os(BASE_VARIABLE) {
+            Some(directory) => PathBuf::from(directory),
+            None => default_parent(uid)?,
+        };
+        Self::under(&parent, id)
+    }
+
+    /// The domain `id` under a directory of the caller's choice, which must be on tmpfs.
+    ///
+    /// # Errors
+    /// The id has other characters than `a-z`, `0-9` and `-`, or no or more than 24 of them.
+    pub fn under(parent: &Path, id: &str) -> Result<Self, Error> {
+        let is_allowed =
+            |byte: u8| byte.is_ascii_lowercase() || byte.is_ascii_digit() || byte == b'-';
+        if id.is_empty() || id.len() > ID_LENGTH || !id.bytes().all(is_allowed) {
+            return Err(Error::DomainId(id.to_string()));
+        }
+        let uid = rustix::process::getuid().as_raw();
+        Ok(Self { id: id.to_string(), uid, base: parent.join(id) })
+    }
+
+    /// The id.
+    pub fn id(&self) -> &str {
+        &self.id
+    }
+
+    /// The directory of all its files.
+    pub fn base(&self) -> &Path {
+        &self.base
+    }
+
+    /// Root path of iceoryx2.
+    pub(crate) fn iox_root(&self) -> PathBuf {
+        self.base.join("iox")
+    }
+
+    /// Prefix of all its shared-memory objects.
+    pub(crate) fn prefix(&self) -> String {
+        format!("sortie-{}-{}-", self.uid, self.id)
+    }
+
+    /// Whether a shared-memory object is this domain's: the prefix, and no further `-`, which
+    /// would be part of a longer id.
+    pub(crate) fn owns(&self, object: &str) -> bool {
+        object.strip_prefix(&self.prefix()).is_some_and(|rest| !rest.contains('-'))
+    }
+
+    pub(crate) fn path(&self, name: &str) -> PathBuf {
+        self.base.join(name)
+    }
+}
+
+fn default_parent(uid: u32) -> Result<PathBuf, Error> {
+    let shared_memory = Path::new(SHARED_MEMORY);
+    let problem = match preflight::check_tmpfs(shared_memory) {
+        Ok(()) => return Ok(shared_memory.join(format!("sortie-{uid}"))),
+        Err(problem) => problem,
+    };
+    match env::var_os("XDG_RUNTIME_DIR") {
+        Some(directory) => Ok(PathBuf::from(directory).join("sortie")),
+        None => Err(problem),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn refuses_ids_that_do_not_fit_paths() {
+        for id in ["", "Team", "a/b", "a_b", "..", &"x".repeat(25)] {
+            let refused = Domain::under(Path::new("/dev/shm"), id);
+            assert!(matches!(refused, Err(Error::DomainId(_))), "{id}");
+        }
+        assert!(Domain::under(Path::new("/dev/shm"), "team-7").is_ok());
+    }
+
+    #[test]
+    fn never_owns_what_belongs_to_a_longer_id() {
+        let domain = Domain::under(Path::new("/dev/shm"), "team").unwrap();
+        let longer = Domain::under(Path::new("/dev/shm"), "team-2").unwrap();
+        let object = format!("{}123_4.connection", longer.prefix());
+        assert!(longer.owns(&object));
+        assert!(!domain.owns(&object));
+    }
+}

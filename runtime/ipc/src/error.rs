@@ -1,0 +1,189 @@
+//! Why a process could not start or go on.
+
+use std::io;
+use std::path::PathBuf;
+use std::process::ExitStatus;
+
+use sortie_core::link::LinkError;
+use sortie_core::roles::{AllocatorError, WorldError};
+use sortie_core::wire::LayoutError;
+
+/// What ended a process of a domain.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The domain's name cannot be used in paths.
+    #[error("`{0}` is no domain id: it takes 1 to 24 of `a` to `z`, `0` to `9` and `-`")]
+    DomainId(String),
+    /// Shared memory, or the domain's directory, cannot be used.
+    #[error("{path}: {problem}")]
+    Directory {
+        /// The directory.
+        path: PathBuf,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// A file of the domain could not be used.
+    #[error("cannot {action} {path}")]
+    Io {
+        /// What was tried.
+        action: &'static str,
+        /// The file.
+        path: PathBuf,
+        /// Why it failed.
+        source: io::Error,
+    },
+    /// A process of the team could not be started.
+    #[error("cannot start {name}")]
+    Spawn {
+        /// What it was to be.
+        name: String,
+        /// Why it failed.
+        source: io::Error,
+    },
+    /// Another process already has this role.
+    #[error("{what} of domain `{domain}` is already taken{}", holder(*.pid))]
+    Busy {
+        /// The role.
+        what: String,
+        /// The domain.
+        domain: String,
+        /// The process that has it; 0 = unknown.
+        pid: u64,
+    },
+    /// No world came.
+    #[error("no world has started in domain `{domain}`")]
+    NoWorld {
+        /// The domain.
+        domain: String,
+    },
+    /// This process was made for another domain than the one that runs.
+    #[error(
+        "domain `{domain}` runs another contract: here {ours:016x}, there {theirs:016x}; {detail}"
+    )]
+    Contract {
+        /// The domain.
+        domain: String,
+        /// Hash of this process's contract.
+        ours: u64,
+        /// Hash of the domain's contract.
+        theirs: u64,
+        /// The first field that differs.
+        detail: String,
+    },
+    /// The services of the domain carry another schema.
+    #[error("domain `{domain}` runs another schema than {schema:016x}")]
+    SchemaInUse {
+        /// The domain.
+        domain: String,
+        /// This process's schema.
+        schema: u64,
+    },
+    /// The domain is larger than what this process was made for.
+    #[error("the domain has {got} {what}, the model takes at most {max}")]
+    Limits {
+        /// What is too many.
+        what: &'static str,
+        /// The domain's number.
+        got: usize,
+        /// This process's limit.
+        max: usize,
+    },
+    /// An agent that the domain does not have, or none at all.
+    #[error("no such agents: {agents:?}; the domain has {count}, from 0")]
+    NoSuchAgent {
+        /// The agents asked for.
+        agents: Vec<u16>,
+        /// Agents of the domain.
+        count: usize,
+    },
+    /// A file of the domain has content that cannot be read.
+    #[error("{path}: {problem}")]
+    BadFile {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// The shape cannot be carried by frames.
+    #[error(transparent)]
+    Layout(#[from] LayoutError),
+    /// Shared memory could not be set up.
+    #[error("shared memory: {what}: {problem}")]
+    SharedMemory {
+        /// The service, port or node.
+        what: String,
+        /// The reason that the library gives.
+        problem: String,
+    },
+    /// A topic failed while running.
+    #[error("shared memory: {0}")]
+    Link(#[from] LinkError),
+    /// The world ended early.
+    #[error(transparent)]
+    World(WorldError),
+    /// The allocator ended early.
+    #[error(transparent)]
+    Allocator(AllocatorError),
+    /// A process of the team ended early.
+    #[error("{name} {}", ending(.status))]
+    Child {
+        /// What it was.
+        name: String,
+        /// How it ended.
+        status: ExitStatus,
+    },
+    /// The team in one thread waits for itself.
+    #[error("the team stands still: no role has anything to do")]
+    Stalled,
+    /// A signal ended the process.
+    #[error("interrupted")]
+    Interrupted,
+}
+
+impl Error {
+    /// The exit code that scripts rely on.
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Self::DomainId(_) | Self::NoSuchAgent { .. } => 2,
+            Self::BadFile { .. } | Self::Layout(_) => 65,
+            Self::World(WorldError::Unavailable(_)) => 65,
+            Self::Allocator(AllocatorError::Refused { .. }) => 65,
+            Self::World(WorldError::Link(_)) => 74,
+            Self::NoWorld { .. } | Self::World(_) => 69,
+            // What ended the process of the team says more than that it ended.
+            Self::Child { status, .. } => match status.code() {
+                Some(code @ (65 | 66 | 70 | 74 | 75 | 78)) => code as u8,
+                _ => 69,
+            },
+            Self::Stalled => 70,
+            Self::Directory { .. } | Self::Io { .. } | Self::Spawn { .. } => 74,
+            Self::SharedMemory { .. } | Self::Link(_) | Self::Allocator(_) => 74,
+            Self::Busy { .. } => 75,
+            Self::Contract { .. } | Self::SchemaInUse { .. } | Self::Limits { .. } => 78,
+            Self::Interrupted => 130,
+        }
+    }
+
+    /// Wraps a failed file operation.
+    pub(crate) fn io(
+        action: &'static str,
+        path: impl Into<PathBuf>,
+    ) -> impl FnOnce(io::Error) -> Self {
+        let path = path.into();
+        move |source| Self::Io { action, path, source }
+    }
+}
+
+fn holder(pid: u64) -> String {
+    if pid == 0 { String::new() } else { format!(" by process {pid}") }
+}
+
+fn ending(status: &ExitStatus) -> String {
+    use std::os::unix::process::ExitStatusExt;
+    match (status.code(), status.signal()) {
+        (Some(code), _) => format!("ended with exit code {code}"),
+        (None, Some(signal)) => format!("was killed by signal {signal}"),
+        (None, None) => "ended".to_string(),
+    }
+}

@@ -1,0 +1,284 @@
+//! Opening nodes, services and ports, with the retries that concurrent starts need.
+
+use std::fmt::Debug;
+use std::time::Duration;
+
+use iceoryx2::config::Config;
+use iceoryx2::port::listener::Listener;
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::publisher::Publisher;
+use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::prelude::*;
+use iceoryx2::service::attribute::{AttributeKey, AttributeValue};
+use iceoryx2::service::port_factory::publish_subscribe;
+use sortie_core::wire::{ABI, FrameHead, Role};
+
+use super::links::LinkSetup;
+use super::message::{FrameHeaderPayload, Message};
+use super::services::{self, Topic};
+use crate::domain::Domain;
+use crate::error::Error;
+
+/// Pauses between attempts: 1, 2, 4 … 64 ms, and 64 ms again until about 3 s have passed.
+const FIRST_PAUSE: Duration = Duration::from_millis(1);
+const LONGEST_PAUSE: Duration = Duration::from_millis(64);
+const ATTEMPTS: u32 = 52;
+
+/// What passes while other processes start or end.
+const PASSING: [&str; 6] = [
+    "SystemInFlux",
+    "IsBeingCreatedByAnotherInstance",
+    "IsMarkedForDestruction",
+    "HangsInCreation",
+    "ServiceInCorruptedState",
+    "UnableToCreateServiceTag",
+];
+
+pub(super) type FrameTopic = publish_subscribe::PortFactory<ipc::Service, [u8], FrameHeaderPayload>;
+pub(super) type FrameSender = Publisher<ipc::Service, [u8], FrameHeaderPayload>;
+pub(super) type FrameReceiver = Subscriber<ipc::Service, [u8], FrameHeaderPayload>;
+pub(super) type Sender<M> = Publisher<ipc::Service, M, ()>;
+pub(super) type Receiver<M> = Subscriber<ipc::Service, M, ()>;
+
+/// A node, and what is needed to open services with it.
+pub(super) struct Opener<'a> {
+    node: Node<ipc::Service>,
+    setup: &'a LinkSetup<'a>,
+    attributes: AttributeVerifier,
+}
+
+impl<'a> Opener<'a> {
+    pub(super) fn new(setup: &'a LinkSetup<'a>) -> Result<Self, Error> {
+        // Errors come back as values; `IOX2_LOG_LEVEL` brings the library's own words.
+        set_log_level_from_env_or(LogLevel::Fatal);
+        let config = config(setup.domain)?;
+        let name = NodeName::new(setup.name).map_err(failed("node name"))?;
+        let node = NodeBuilder::new()
+            .name(&name)
+            .config(&config)
+            .signal_handling_mode(SignalHandlingMode::Disabled)
+            .create::<ipc::Service>()
+            .map_err(failed("node"))?;
+        Ok(Self { node, setup, attributes: attributes(setup.format.schema)? })
+    }
+
+    pub(super) fn into_node(self) -> Node<ipc::Service> {
+        self.node
+    }
+
+    fn agents(&self) -> usize {
+        self.setup.format.layout.shape().agents
+    }
+
+    fn port_name(&self) -> Result<PortName, Error> {
+        PortName::new(self.setup.name).map_err(failed("port name"))
+    }
+
+    fn frames(&self) -> Result<FrameTopic, Error> {
+        let topic = services::frames(self.agents());
+        let name = service_name(topic.name)?;
+        let alignment = Alignment::new(align_of::<FrameHead>())
+            .ok_or("not a power of two")
+            .map_err(failed("alignment"))?;
+        self.retry(topic.name, || {
+            self.node
+                .service_builder(&name)
+                .publish_subscribe::<[u8]>()
+                .user_header::<FrameHeaderPayload>()
+                .payload_alignment(alignment)
+                .max_publishers(topic.publishers)
+                .max_subscribers(topic.subscribers)
+                .subscriber_max_buffer_size(topic.buffer)
+                .history_size(topic.history)
+                .subscriber_max_borrowed_samples(topic.borrow)
+                .enable_safe_overflow(true)
+                .max_nodes(services::processes(self.agents()))
+                .open_or_create_with_attributes(&self.attributes)
+        })
+    }
+
+    pub(super) fn frame_sender(&self) -> Result<FrameSender, Error> {
+        let topic = services::frames(self.agents());
+        let (service, name) = (self.frames()?, self.port_name()?);
+        self.port(topic.name, || {
+            service
+                .publisher_builder()
+                .name(&name)
+                .initial_max_slice_len(self.setup.format.layout.payload_bytes())
+                .allocation_strategy(AllocationStrategy::Static)
+                .max_loaned_samples(topic.loan)
+                .create()
+        })
+    }
+
+    pub(super) fn frame_receiver(&self) -> Result<FrameReceiver, Error> {
+        let topic = services::frames(self.agents());
+        let (service, name) = (self.frames()?, self.port_name()?);
+        self.port(topic.name, || {
+            service
+                .subscriber_builder()
+                .name(&name)
+                .buffer_size(topic.buffer)
+                .history_request(topic.history)
+                .create()
+        })
+    }
+
+    fn topic<M: Message>(
+        &self,
+        topic: Topic,
+    ) -> Result<publish_subscribe::PortFactory<ipc::Service, M, ()>, Error> {
+        let name = service_name(topic.name)?;
+        self.retry(topic.name, || {
+            self.node
+                .service_builder(&name)
+                .publish_subscribe::<M>()
+                .max_publishers(topic.publishers)
+                .max_subscribers(topic.subscribers)
+                .subscriber_max_buffer_size(topic.buffer)
+                .history_size(topic.history)
+                .subscriber_max_borrowed_samples(topic.borrow)
+                .enable_safe_overflow(true)
+                .max_nodes(services::processes(self.agents()))
+                .open_or_create_with_attributes(&self.attributes)
+        })
+    }
+
+    pub(super) fn sender<M: Message>(&self, topic: fn(usize) -> Topic) -> Result<Sender<M>, Error> {
+        let topic = topic(self.agents());
+        let (service, name) = (self.topic::<M>(topic)?, self.port_name()?);
+        self.port(topic.name, || {
+            service.publisher_builder().name(&name).max_loaned_samples(topic.loan).create()
+        })
+    }
+
+    pub(super) fn receiver<M: Message>(
+        &self,
+        topic: fn(usize) -> Topic,
+    ) -> Result<Receiver<M>, Error> {
+        let topic = topic(self.agents());
+        let (service, name) = (self.topic::<M>(topic)?, self.port_name()?);
+        self.port(topic.name, || {
+            service
+                .subscriber_builder()
+                .name(&name)
+                .buffer_size(topic.buffer)
+                .history_request(topic.history)
+                .create()
+        })
+    }
+
+    fn bell(
+        &self,
+        name: &'static str,
+    ) -> Result<iceoryx2::service::port_factory::event::PortFactory<ipc::Service>, Error> {
+        let service = service_name(name)?;
+        let ports = services::bell_ports(self.agents());
+        self.retry(name, || {
+            self.node
+                .service_builder(&service)
+                .event()
+                .event_id_max_value(services::BELL_IDS)
+                .max_listeners(ports)
+                .max_notifiers(ports)
+                .max_nodes(services::processes(self.agents()))
+                .open_or_create_with_attributes(&self.attributes)
+        })
+    }
+
+    pub(super) fn listener(&self, name: &'static str) -> Result<Listener<ipc::Service>, Error> {
+        let (service, port) = (self.bell(name)?, self.port_name()?);
+        self.port(name, || service.listener_builder().name(&port).create())
+    }
+
+    pub(super) fn notifier(
+        &self,
+        name: &'static str,
+        own: Role,
+    ) -> Result<Notifier<ipc::Service>, Error> {
+        let (service, port) = (self.bell(name)?, self.port_name()?);
+        let id = EventId::new(services::bell_id(own));
+        self.port(name, || service.notifier_builder().name(&port).default_event_id(id).create())
+    }
+
+    /// Opens a service, again and again while others are at it.
+    fn retry<T, E: Debug>(
+        &self,
+        service: &str,
+        mut attempt: impl FnMut() -> Result<T, E>,
+    ) -> Result<T, Error> {
+        let mut pause = FIRST_PAUSE;
+        for _ in 1..ATTEMPTS {
+            match attempt() {
+                Ok(opened) => return Ok(opened),
+                Err(error) if is_passing(&error) => {}
+                Err(error) => return Err(self.refused(service, &error)),
+            }
+            std::thread::sleep(pause);
+            pause = (pause * 2).min(LONGEST_PAUSE);
+        }
+        attempt().map_err(|error| self.refused(service, &error))
+    }
+
+    /// Creates a port; where dead processes hold all slots, cleans up and tries once more.
+    fn port<T, E: Debug>(
+        &self,
+        service: &str,
+        mut attempt: impl FnMut() -> Result<T, E>,
+    ) -> Result<T, Error> {
+        let first = attempt();
+        match first {
+            Err(error) if format!("{error:?}").contains("ExceedsMaxSupported") => {
+                self.node.try_cleanup_dead_nodes();
+                attempt().map_err(|error| self.refused(service, &error))
+            }
+            other => other.map_err(|error| self.refused(service, &error)),
+        }
+    }
+
+    fn refused(&self, service: &str, error: &impl Debug) -> Error {
+        let problem = format!("{error:?}");
+        if problem.contains("IncompatibleAttributes") {
+            return Error::SchemaInUse {
+                domain: self.setup.domain.id().to_string(),
+                schema: self.setup.format.schema,
+            };
+        }
+        Error::SharedMemory { what: service.to_string(), problem }
+    }
+}
+
+/// The library's error types differ by pattern and call; their names do not.
+fn is_passing(error: &impl Debug) -> bool {
+    let name = format!("{error:?}");
+    PASSING.iter().any(|passing| name.contains(passing))
+}
+
+fn config(domain: &Domain) -> Result<Config, Error> {
+    let root = domain.iox_root();
+    let root = Path::new(root.to_string_lossy().as_bytes()).map_err(failed("root path"))?;
+    let mut config = Config::default();
+    config.global.set_root_path(&root);
+    config.global.prefix = FileName::new(domain.prefix().as_bytes()).map_err(failed("prefix"))?;
+    Ok(config)
+}
+
+fn attributes(schema: u64) -> Result<AttributeVerifier, Error> {
+    let mut verifier = AttributeVerifier::new();
+    for (key, value) in
+        [("sortie.schema", format!("{schema:016x}")), ("sortie.abi", ABI.to_string())]
+    {
+        let key = AttributeKey::new(key.as_bytes()).map_err(failed("attribute"))?;
+        let value = AttributeValue::new(value.as_bytes()).map_err(failed("attribute"))?;
+        verifier = verifier.require(&key, &value).map_err(failed("attribute"))?;
+    }
+    Ok(verifier)
+}
+
+fn service_name(name: &str) -> Result<ServiceName, Error> {
+    ServiceName::new(name).map_err(failed(name))
+}
+
+fn failed<E: Debug>(what: &str) -> impl FnOnce(E) -> Error + use<'_, E> {
+    move |error| Error::SharedMemory { what: what.to_string(), problem: format!("{error:?}") }
+}

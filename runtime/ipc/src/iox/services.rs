@@ -1,0 +1,111 @@
+//! The table of all services. Every process opens them with these numbers and no others, so that
+//! it does not matter who comes first.
+
+use sortie_core::wire::{FrameLayout, Role};
+
+/// One publish-subscribe service.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Topic {
+    pub(super) name: &'static str,
+    pub(super) publishers: usize,
+    pub(super) subscribers: usize,
+    /// Messages that wait for each subscriber; the oldest gives way.
+    pub(super) buffer: usize,
+    /// Messages that a late subscriber gets.
+    pub(super) history: usize,
+    /// Messages that a subscriber may hold.
+    pub(super) borrow: usize,
+    /// Messages that a publisher may fill at once.
+    pub(super) loan: usize,
+}
+
+pub(super) fn frames(agents: usize) -> Topic {
+    Topic {
+        name: "sortie/1/frame",
+        publishers: 2,
+        subscribers: agents + 16,
+        buffer: 2,
+        history: 1,
+        borrow: 2,
+        loan: 1,
+    }
+}
+
+pub(super) fn actions(agents: usize) -> Topic {
+    Topic {
+        name: "sortie/1/act",
+        publishers: agents + 8,
+        subscribers: 8,
+        // One runner may act for all agents, and sends one message for each.
+        buffer: (2 * agents).max(4),
+        history: 0,
+        borrow: 2,
+        loan: 2,
+    }
+}
+
+pub(super) fn allocations(agents: usize) -> Topic {
+    Topic {
+        name: "sortie/1/alloc",
+        publishers: 4,
+        subscribers: agents + 16,
+        buffer: 1,
+        history: 1,
+        borrow: 1,
+        loan: 1,
+    }
+}
+
+pub(super) fn statuses(agents: usize) -> Topic {
+    Topic {
+        name: "sortie/1/stat",
+        publishers: agents + 24,
+        subscribers: 8,
+        buffer: 2,
+        history: 1,
+        borrow: 2,
+        loan: 1,
+    }
+}
+
+/// Largest event id of the bells.
+pub(super) const BELL_IDS: usize = 127;
+
+/// Id with which `role` rings.
+pub(super) fn bell_id(role: Role) -> usize {
+    64 + role as usize
+}
+
+/// Name of the bell that wakes all processes of `role`, if it has one.
+pub(super) fn bell_name(role: Role) -> Option<&'static str> {
+    match role {
+        Role::World => Some("sortie/1/wake/world"),
+        Role::Runner => Some("sortie/1/wake/agents"),
+        Role::Allocator => Some("sortie/1/wake/alloc"),
+        Role::Supervisor | Role::Bridge | Role::Watcher => None,
+    }
+}
+
+/// Most listeners, and most ringers, of a bell.
+pub(super) fn bell_ports(agents: usize) -> usize {
+    agents + 24
+}
+
+/// Most processes of a domain.
+pub(super) fn processes(agents: usize) -> usize {
+    agents + 32
+}
+
+/// Shared memory that the domain's publishers take at most, in bytes.
+pub(crate) fn worst_case_bytes(layout: &FrameLayout) -> u64 {
+    let agents = layout.shape().agents;
+    let slots = |topic: Topic| {
+        topic.subscribers * (topic.buffer + topic.borrow) + topic.history + topic.loan + 1
+    };
+    // A world, a runner per agent, an allocator; each of them says hello.
+    let frames = slots(frames(agents)) * (layout.payload_bytes() + 128);
+    let actions = agents * slots(actions(agents)) * 128;
+    let allocations = slots(allocations(agents)) * 192;
+    let statuses = (agents + 2) * slots(statuses(agents)) * 576;
+    (frames + actions + allocations + statuses) as u64
+}

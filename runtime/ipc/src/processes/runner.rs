@@ -1,0 +1,68 @@
+//! A runner process.
+
+use sortie_core::Policy;
+use sortie_core::roles::{Counters, Identity, RunnerOptions, RunnerRole};
+
+use super::{ProcessSettings, WORLD_PATIENCE, drive};
+use crate::domain::{Domain, DomainContract};
+use crate::error::Error;
+use crate::iox::{IoxAgent, LinkSetup};
+use crate::stop::Stop;
+
+/// Acts for `agents` of `domain` with `policy`, in this thread, until the world ends.
+///
+/// # Errors
+/// No world comes, it runs another contract, another process acts for one of the agents, or a
+/// signal came.
+pub fn runner_process(
+    domain: &Domain,
+    contract: &DomainContract,
+    agents: &[u16],
+    policy: &mut dyn Policy,
+    settings: &ProcessSettings,
+    stop: &Stop,
+) -> Result<Counters, Error> {
+    settings.end_with_parent()?;
+    let membership = domain.enter()?;
+    let facts = membership.await_facts(contract, WORLD_PATIENCE, stop)?;
+    let shape = facts.shape();
+    settings.check_limits(shape)?;
+    let seats = seats(agents, shape.agents)?;
+    let _locks =
+        agents.iter().map(|&agent| membership.take_seat(agent)).collect::<Result<Vec<_>, _>>()?;
+    let format = facts.format()?;
+    let name = port_name(agents);
+    let mut link = {
+        let _starting = membership.lock_start()?;
+        IoxAgent::open(&LinkSetup { domain, format, name: &name })?
+    };
+    let mut role = RunnerRole::new(RunnerOptions {
+        format,
+        identity: Identity { model: settings.model, ..Identity::new(std::process::id(), &name) },
+        agents: seats,
+        subtasks: contract.subtasks,
+        decision_interval: contract.decision_interval,
+        safe_action: contract.safe_action,
+    });
+    role.join(&mut link)?;
+    let ended = drive(&mut link, stop, |link| Ok(role.poll(link, policy)?), || Ok(()));
+    let left = role.leave(&mut link).map_err(Error::from);
+    ended.and(left).map(|()| *role.counters())
+}
+
+/// The agents as a set.
+fn seats(agents: &[u16], count: usize) -> Result<u64, Error> {
+    let exists = |agent: &u16| usize::from(*agent) < count;
+    if agents.is_empty() || !agents.iter().all(exists) {
+        return Err(Error::NoSuchAgent { agents: agents.to_vec(), count });
+    }
+    Ok(agents.iter().fold(0, |seats, agent| seats | 1 << agent))
+}
+
+fn port_name(agents: &[u16]) -> String {
+    match agents {
+        [agent] => format!("agent/{agent}"),
+        [first, ..] => format!("runner/{first}"),
+        [] => "runner".to_string(),
+    }
+}

@@ -1,0 +1,125 @@
+//! A world process.
+
+use std::time::Duration;
+
+use sortie_core::World;
+use sortie_core::roles::{Counters, WorldError, WorldObserver, WorldOptions, WorldRole};
+use sortie_core::wire::FrameFormat;
+
+use super::{Children, drive};
+use crate::domain::{Domain, DomainContract, DomainFacts};
+use crate::error::Error;
+use crate::iox::{IoxWorld, LinkSetup, worst_case_bytes};
+use crate::stop::Stop;
+
+/// How long the processes of the team may take to leave.
+const GOODBYE_PATIENCE: Duration = Duration::from_secs(2);
+
+/// How a world treats its team.
+#[derive(Clone, Copy, Debug)]
+pub struct WorldSettings {
+    /// Bit a: agent a must be acted for by a process; others play the fallback action meanwhile.
+    pub required: u64,
+    /// Whether an allocator is waited for and asked.
+    pub allocator: bool,
+    /// Longest wait for the required seats and the allocator before the first episode.
+    pub join_patience: Duration,
+    /// Longest wait for actions; for allocations half of it. Zero = no limit.
+    pub patience: Duration,
+    /// Episodes to run; `None` = until stopped.
+    pub episodes: Option<u32>,
+    /// Shortest time between two frames, for onlookers; zero = as fast as the team acts.
+    pub tick_interval: Duration,
+}
+
+impl Default for WorldSettings {
+    /// All agents required, no allocator, 10 s to join, 2 s to act, no end, no pause.
+    fn default() -> Self {
+        Self {
+            required: u64::MAX,
+            allocator: false,
+            join_patience: Duration::from_secs(10),
+            patience: Duration::from_secs(2),
+            episodes: None,
+            tick_interval: Duration::ZERO,
+        }
+    }
+}
+
+impl WorldSettings {
+    pub(crate) fn options(
+        &self,
+        contract: &DomainContract,
+        format: FrameFormat,
+        term: u32,
+    ) -> WorldOptions {
+        WorldOptions {
+            format,
+            term,
+            required: self.required & format.layout.every_agent(),
+            allocator: self.allocator,
+            join_patience_ns: nanoseconds(self.join_patience),
+            patience_ns: nanoseconds(self.patience),
+            decision_interval: contract.decision_interval,
+            safe_action: contract.safe_action,
+            episodes: self.episodes,
+            tick_interval_ns: nanoseconds(self.tick_interval),
+        }
+    }
+}
+
+fn nanoseconds(duration: Duration) -> u64 {
+    u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
+}
+
+/// Runs `world` as the world of `domain`, in this thread, until its episodes are done.
+///
+/// `start_team` is called once, as soon as the domain is this world's: it may start runner and
+/// allocator processes, which end with this call. They may as well be started by hand.
+///
+/// # Errors
+/// Another world runs, the team does not come or act in time, a process of it fails, or a signal
+/// came. Runners and allocator are told to end in any case.
+pub fn world_process(
+    domain: &Domain,
+    contract: &DomainContract,
+    world: &mut dyn World,
+    settings: &WorldSettings,
+    start_team: impl FnOnce(&mut Children) -> Result<(), Error>,
+    observer: &mut dyn WorldObserver,
+    stop: &Stop,
+) -> Result<Counters, Error> {
+    let facts = DomainFacts::new(contract, world.shape());
+    let format = facts.format()?;
+    let membership = domain.enter()?;
+    let lock = membership.lead_world(contract, &facts, worst_case_bytes(&format.layout))?;
+    // Before the first port, whose descriptors children would inherit.
+    let mut children = Children::default();
+    start_team(&mut children)?;
+    let mut link = {
+        let _starting = membership.lock_start()?;
+        IoxWorld::open(&LinkSetup { domain, format, name: "world" })?
+    };
+    let mut role = WorldRole::new(settings.options(contract, format, lock.term()));
+    let ended = drive(
+        &mut link,
+        stop,
+        |link| role.poll(link, world, observer).map_err(into_error),
+        || children.check(),
+    );
+    // A process that failed says more than that its agents no longer act.
+    let ended = match ended {
+        Err(Error::World(error)) => children.check().and(Err(Error::World(error))),
+        other => other,
+    };
+    let told = role.shut_down(&mut link, world).map_err(into_error);
+    children.finish(GOODBYE_PATIENCE);
+    ended.and(told).map(|()| *role.counters())
+}
+
+pub(crate) fn into_error(error: WorldError) -> Error {
+    match error {
+        WorldError::Link(error) => Error::Link(error),
+        other => Error::World(other),
+    }
+}

@@ -1,0 +1,4 @@
+//! The messaging of a team, over each of its links and as real processes.
+
+mod processes;
+mod toy;
