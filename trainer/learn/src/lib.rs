@@ -7,6 +7,7 @@ pub mod layers;
 pub mod methods;
 pub mod optimise;
 pub mod random;
+pub mod run;
 pub mod schedule;
 mod workers;
 

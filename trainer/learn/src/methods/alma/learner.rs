@@ -129,6 +129,13 @@ impl Learner {
         self.add_gradients(env_steps)
     }
 
+    /// The learning rate, `env_steps` into the run.
+    pub fn learning_rate(&self, env_steps: u64) -> f32 {
+        let (steps, optimiser) = (self.config.run.steps, &self.config.optimiser);
+        let from = (optimiser.decay_from * steps as f64) as u64;
+        constant_then_linear(optimiser.learning_rate, from, steps, env_steps)
+    }
+
     fn pick(&mut self, generator: &mut Generator) {
         let symmetries = if self.config.replay.symmetries { 8 } else { 1 };
         let mut knowledge = self.knowledge_mut();
@@ -152,9 +159,7 @@ impl Learner {
         }
         let gradient_norm = clip_norm(&mut self.gradient, optimiser.clip);
 
-        let steps = self.config.run.steps;
-        let from = (optimiser.decay_from * steps as f64) as u64;
-        let rate = constant_then_linear(optimiser.learning_rate, from, steps, env_steps);
+        let rate = self.learning_rate(env_steps);
         let shared = Arc::clone(&self.shared);
         let mut knowledge = shared.knowledge.write().unwrap_or_else(PoisonError::into_inner);
         let Knowledge { online, target, .. } = &mut *knowledge;

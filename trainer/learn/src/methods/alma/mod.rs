@@ -11,6 +11,7 @@ mod replay;
 mod rollout;
 mod team_batch;
 mod temporal_difference;
+mod trainer;
 mod utility;
 mod utility_pass;
 
@@ -21,5 +22,6 @@ pub use replay::{Record, Replay, TeamMember};
 pub use rollout::{EpisodeCounts, InstanceSnapshot, Rollout};
 pub use team_batch::{INPUT_COLUMNS, NO_ACTION, TeamBatch, best_action};
 pub use temporal_difference::{Chunk, Networks, Pick};
+pub use trainer::{Observer, Outcome, Progress, Trainer};
 pub use utility::{Tensor, UtilityNetwork, UtilityShape, UtilityWeights};
 pub use utility_pass::{UtilityInput, UtilityPass};

@@ -99,9 +99,10 @@ impl Replay {
         (record, &self.members[index * self.team_max..][..usize::from(record.size)])
     }
 
-    /// Whether the parts fit together, as they do unless a file was tampered with.
-    pub fn is_sound(&self) -> bool {
-        self.records.len() <= self.capacity
+    /// Whether this is a replay of that size whose parts fit together, as one from a file should be.
+    pub fn fits(&self, capacity: usize, team_max: usize) -> bool {
+        (self.capacity, self.team_max) == (capacity, team_max)
+            && self.records.len() <= self.capacity
             && self.next < self.capacity.max(1)
             && self.members.len() == self.records.len() * self.team_max
             && self.records.iter().all(|r| (1..=self.team_max).contains(&usize::from(r.size)))

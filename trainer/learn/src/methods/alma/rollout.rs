@@ -242,8 +242,7 @@ impl Rollout {
 /// A uniform choice among the available actions.
 fn random_action(available: u16, generator: &mut Generator) -> u8 {
     let chosen = below(generator, available.count_ones() as usize);
-    let set = (0..16).filter(|action| available >> action & 1 == 1);
-    set.clone().nth(chosen).or(set.last()).unwrap_or(0)
+    (0..16).filter(|action| available >> action & 1 == 1).nth(chosen).unwrap_or(0)
 }
 
 /// A rule, drawn by its weight.

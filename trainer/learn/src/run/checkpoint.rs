@@ -1,0 +1,334 @@
+//! Checkpoints: everything that a run needs to go on exactly as if it had never stopped.
+//!
+//! A checkpoint is a folder named by its environment steps. It is written beside its final place,
+//! forced to the disk, and renamed; the one before is deleted only afterwards. So a crash at any
+//! instant leaves a complete checkpoint, and a damaged one is recognised by its checksums.
+//!
+//! | file | content |
+//! | --- | --- |
+//! | `manifest.toml` | format version, version of Sortie, steps, network shape, sizes and CRC-64 of the others |
+//! | `tensors.safetensors` | `online/`, `target/`, `average/`, `adam-mean/`, `adam-square/` with the tensors of [`UtilityShape::tensors`] |
+//! | `state.postcard` | counters, generators, running episodes, the curve, the replay |
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use crc::{CRC_64_XZ, Crc, Table};
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+use super::{sync_folder, write_whole};
+use crate::error::LearnError;
+use crate::methods::alma::{UtilityNetwork, UtilityShape};
+
+/// Version of the files of a checkpoint; another version is refused.
+const FORMAT: u32 = 1;
+/// Checkpoints that are kept.
+const KEPT: usize = 2;
+const MANIFEST: &str = "manifest.toml";
+const TENSORS: &str = "tensors.safetensors";
+const STATE: &str = "state.postcard";
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Manifest {
+    format: u32,
+    version: String,
+    env_steps: u64,
+    shape: UtilityShape,
+    files: BTreeMap<String, FileSum>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FileSum {
+    bytes: u64,
+    /// CRC-64/XZ in hexadecimal.
+    crc64: String,
+}
+
+impl FileSum {
+    fn of(content: &[u8]) -> Self {
+        static CRC: Crc<u64, Table<16>> = Crc::<u64, Table<16>>::new(&CRC_64_XZ);
+        Self { bytes: content.len() as u64, crc64: format!("{:016x}", CRC.checksum(content)) }
+    }
+}
+
+/// The checkpoints of a run.
+#[derive(Clone, Debug)]
+pub struct Checkpoints {
+    folder: PathBuf,
+}
+
+/// A checkpoint, and why newer ones were passed over.
+#[derive(Clone, Debug)]
+pub struct Found {
+    /// The newest sound checkpoint.
+    pub checkpoint: Checkpoint,
+    /// One sentence per newer checkpoint that was refused.
+    pub refused: Vec<String>,
+}
+
+impl Checkpoints {
+    /// The checkpoints in a folder, which need not exist yet.
+    pub fn new(folder: &Path) -> Self {
+        Self { folder: folder.to_owned() }
+    }
+
+    /// Writes a checkpoint and deletes those that are no longer needed.
+    ///
+    /// `vectors` are parameter vectors by name; `state` is everything else.
+    pub fn write(
+        &self,
+        env_steps: u64,
+        shape: UtilityShape,
+        vectors: &[(&str, &[f32])],
+        state: &impl Serialize,
+    ) -> Result<PathBuf, LearnError> {
+        std::fs::create_dir_all(&self.folder).map_err(LearnError::file(&self.folder))?;
+        let place = self.folder.join(format!("{env_steps:012}"));
+        let unfinished = place.with_extension("unfinished");
+        remove(&unfinished)?;
+        std::fs::create_dir(&unfinished).map_err(LearnError::file(&unfinished))?;
+
+        let bad = |error: &dyn std::fmt::Display| LearnError::format(&unfinished, error);
+        let tensors = tensors_file(shape, vectors).map_err(|error| bad(&error))?;
+        let state = postcard::to_stdvec(state).map_err(|error| bad(&error))?;
+        let mut files = BTreeMap::new();
+        for (name, content) in [(TENSORS, &tensors), (STATE, &state)] {
+            write_whole(&unfinished.join(name), content)?;
+            files.insert(name.to_owned(), FileSum::of(content));
+        }
+        let version = env!("CARGO_PKG_VERSION").to_owned();
+        let manifest = Manifest { format: FORMAT, version, env_steps, shape, files };
+        let manifest = toml::to_string(&manifest).map_err(|error| bad(&error))?;
+        write_whole(&unfinished.join(MANIFEST), manifest.as_bytes())?;
+
+        remove(&place)?;
+        std::fs::rename(&unfinished, &place).map_err(LearnError::file(&place))?;
+        sync_folder(&self.folder)?;
+        for old in self.complete()?.iter().rev().skip(KEPT) {
+            remove(old)?;
+        }
+        Ok(place)
+    }
+
+    /// The newest checkpoint that is whole and of this version.
+    pub fn newest(&self) -> Result<Found, LearnError> {
+        let mut refused = Vec::new();
+        for place in self.complete()?.iter().rev() {
+            match Checkpoint::open(place) {
+                Ok(checkpoint) => return Ok(Found { checkpoint, refused }),
+                Err(error) => refused.push(error.to_string()),
+            }
+        }
+        let reason = if refused.is_empty() {
+            "there is no checkpoint".to_owned()
+        } else {
+            format!("no checkpoint can be used: {}", refused.join("; "))
+        };
+        Err(LearnError::format(&self.folder, reason))
+    }
+
+    /// Folders of finished checkpoints, the oldest first.
+    fn complete(&self) -> Result<Vec<PathBuf>, LearnError> {
+        if !self.folder.exists() {
+            return Ok(Vec::new());
+        }
+        let entries = std::fs::read_dir(&self.folder).map_err(LearnError::file(&self.folder))?;
+        let mut places = Vec::new();
+        for entry in entries {
+            let path = entry.map_err(LearnError::file(&self.folder))?.path();
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            if !name.is_empty() && name.bytes().all(|byte| byte.is_ascii_digit()) {
+                places.push(path);
+            }
+        }
+        places.sort();
+        Ok(places)
+    }
+}
+
+/// One checkpoint whose manifest fits its files.
+#[derive(Clone, Debug)]
+pub struct Checkpoint {
+    place: PathBuf,
+    manifest: Manifest,
+    tensors: Vec<u8>,
+}
+
+impl Checkpoint {
+    /// Opens a checkpoint's folder and checks its version and its files.
+    pub fn open(place: &Path) -> Result<Self, LearnError> {
+        let path = place.join(MANIFEST);
+        let text = std::fs::read_to_string(&path).map_err(LearnError::file(&path))?;
+        let table: toml::Table = text.parse().map_err(|e| LearnError::format(&path, e))?;
+        let format = table.get("format").and_then(toml::Value::as_integer);
+        if format != Some(FORMAT.into()) {
+            let found = format.map_or("none".to_owned(), |format| format.to_string());
+            let reason = format!("format {found}, but this version of Sortie reads {FORMAT}");
+            return Err(LearnError::format(&path, reason));
+        }
+        let manifest: Manifest = table.try_into().map_err(|e| LearnError::format(&path, e))?;
+        let mut checkpoint = Self { place: place.to_owned(), manifest, tensors: Vec::new() };
+        checkpoint.read(STATE)?;
+        checkpoint.tensors = checkpoint.read(TENSORS)?;
+        Ok(checkpoint)
+    }
+
+    /// Environment steps when it was written.
+    pub fn env_steps(&self) -> u64 {
+        self.manifest.env_steps
+    }
+
+    /// The shape of its networks.
+    pub fn shape(&self) -> UtilityShape {
+        self.manifest.shape
+    }
+
+    /// The network of one parameter vector: `online`, `target` or `average`.
+    pub fn network(&self, name: &str) -> Result<UtilityNetwork, LearnError> {
+        let vector = self.vector(name)?;
+        UtilityNetwork::from_parameters(self.shape(), vector)
+            .ok_or_else(|| self.bad(format!("`{name}` does not fit its shape")))
+    }
+
+    /// One parameter vector.
+    pub fn vector(&self, name: &str) -> Result<Vec<f32>, LearnError> {
+        let file = SafeTensors::deserialize(&self.tensors).map_err(|error| self.bad(error))?;
+        let mut vector = Vec::with_capacity(self.shape().parameters());
+        for tensor in self.shape().tensors() {
+            let name = format!("{name}/{}", tensor.name);
+            let view = file.tensor(&name).map_err(|error| self.bad(format!("{name}: {error}")))?;
+            let (numbers, rest) = view.data().as_chunks::<4>();
+            if view.dtype() != Dtype::F32 || numbers.len() != tensor.range.len() || !rest.is_empty()
+            {
+                return Err(self.bad(format!("{name} has another size or type")));
+            }
+            vector.extend(numbers.iter().map(|bytes| f32::from_le_bytes(*bytes)));
+        }
+        Ok(vector)
+    }
+
+    /// Everything that is not a parameter vector.
+    pub fn state<T: DeserializeOwned>(&self) -> Result<T, LearnError> {
+        postcard::from_bytes(&self.read(STATE)?).map_err(|error| self.bad(error))
+    }
+
+    fn read(&self, name: &str) -> Result<Vec<u8>, LearnError> {
+        let path = self.place.join(name);
+        let content = std::fs::read(&path).map_err(LearnError::file(&path))?;
+        let want = self.manifest.files.get(name);
+        if want != Some(&FileSum::of(&content)) {
+            let reason = "cut short or damaged: its size or checksum is not the manifest's";
+            return Err(LearnError::format(path, reason));
+        }
+        Ok(content)
+    }
+
+    fn bad(&self, reason: impl ToString) -> LearnError {
+        LearnError::format(&self.place, reason)
+    }
+}
+
+/// All vectors, cut into their tensors.
+fn tensors_file(
+    shape: UtilityShape,
+    vectors: &[(&str, &[f32])],
+) -> Result<Vec<u8>, safetensors::SafeTensorError> {
+    let bytes: Vec<(String, [usize; 2], Vec<u8>)> = vectors
+        .iter()
+        .flat_map(|(name, vector)| {
+            shape.tensors().map(|tensor| {
+                let numbers = &vector[tensor.range];
+                let bytes = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
+                (format!("{name}/{}", tensor.name), [tensor.rows, tensor.columns], bytes)
+            })
+        })
+        .collect();
+    let views = bytes
+        .iter()
+        .map(|(name, sizes, bytes)| Ok((name, TensorView::new(Dtype::F32, sizes.to_vec(), bytes)?)))
+        .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()?;
+    safetensors::serialize(views, None)
+}
+
+fn remove(folder: &Path) -> Result<(), LearnError> {
+    match std::fs::remove_dir_all(folder) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            Err(LearnError::file(folder)(error))
+        }
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SHAPE: UtilityShape = UtilityShape { input: 3, width: 4, heads: 2, base: 2, actions: 2 };
+
+    fn write(checkpoints: &Checkpoints, env_steps: u64) -> PathBuf {
+        let vector = vec![env_steps as f32; SHAPE.parameters()];
+        checkpoints.write(env_steps, SHAPE, &[("average", &vector)], &env_steps).unwrap()
+    }
+
+    fn steps_of(found: &Found) -> u64 {
+        let state: u64 = found.checkpoint.state().unwrap();
+        assert_eq!(state, found.checkpoint.env_steps());
+        assert_eq!(found.checkpoint.network("average").unwrap().parameters()[0], state as f32);
+        state
+    }
+
+    #[test]
+    fn the_newest_is_read_back_and_two_are_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let checkpoints = Checkpoints::new(folder.path());
+        assert!(checkpoints.newest().unwrap_err().to_string().contains("no checkpoint"));
+        for env_steps in [10, 20, 100] {
+            write(&checkpoints, env_steps);
+        }
+        let found = checkpoints.newest().unwrap();
+        assert_eq!(steps_of(&found), 100);
+        assert!(found.refused.is_empty());
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2);
+        assert!(found.checkpoint.vector("target").unwrap_err().to_string().contains("target/fc1"));
+    }
+
+    #[test]
+    fn a_half_cut_file_is_refused_and_the_one_before_is_used() {
+        for name in [TENSORS, STATE, MANIFEST] {
+            let folder = tempfile::tempdir().unwrap();
+            let checkpoints = Checkpoints::new(folder.path());
+            write(&checkpoints, 1);
+            let newest = write(&checkpoints, 2).join(name);
+            let content = std::fs::read(&newest).unwrap();
+            std::fs::write(&newest, &content[..content.len() / 2]).unwrap();
+            let found = checkpoints.newest().unwrap();
+            assert_eq!(steps_of(&found), 1);
+            assert_eq!(found.refused.len(), 1, "{name}");
+            assert!(found.refused[0].contains(name), "{}", found.refused[0]);
+        }
+    }
+
+    #[test]
+    fn another_format_is_refused_by_its_number() {
+        let folder = tempfile::tempdir().unwrap();
+        let checkpoints = Checkpoints::new(folder.path());
+        let manifest = write(&checkpoints, 1).join(MANIFEST);
+        let text = std::fs::read_to_string(&manifest).unwrap();
+        std::fs::write(&manifest, text.replace("format = 1", "format = 9")).unwrap();
+        let error = checkpoints.newest().unwrap_err().to_string();
+        assert!(error.contains("format 9") && error.contains("reads 1"), "{error}");
+    }
+
+    #[test]
+    fn an_unfinished_checkpoint_does_not_count() {
+        let folder = tempfile::tempdir().unwrap();
+        let checkpoints = Checkpoints::new(folder.path());
+        write(&checkpoints, 1);
+        std::fs::create_dir(folder.path().join("000000000002.unfinished")).unwrap();
+        assert_eq!(steps_of(&checkpoints.newest().unwrap()), 1);
+    }
+}

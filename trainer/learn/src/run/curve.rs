@@ -1,0 +1,53 @@
+//! The learning curve: one point per evaluation.
+
+use serde::{Deserialize, Serialize};
+
+/// What one evaluation during training found, and what training did since the one before.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CurvePoint {
+    /// Environment steps taken.
+    pub env_steps: u64,
+    /// Optimiser steps taken.
+    pub updates: u64,
+    /// Seconds since the run began, interruptions left out.
+    pub wall_s: f64,
+    /// Seconds of processor time, all threads together.
+    pub cpu_s: f64,
+    /// Share of greedy episodes with all buildings complete, played with the averaged weights.
+    pub success: f64,
+    /// 95 % Wilson interval of the success.
+    pub success_ci95: [f64; 2],
+    /// Share of those episodes that ran out of time.
+    pub timeouts: f64,
+    /// Mean return of those episodes.
+    pub return_mean: f64,
+    /// Mean steps of those episodes.
+    pub length_mean: f64,
+    /// Episodes of the evaluation.
+    pub episodes: usize,
+    /// Mean loss of the updates since the last point.
+    pub loss: f64,
+    /// Mean norm of the gradients since the last point, before clipping.
+    pub gradient_norm: f64,
+    /// Exploration at this point, before the instances' factors.
+    pub epsilon: f32,
+    /// Learning rate at this point.
+    pub learning_rate: f32,
+    /// Success of the exploring episodes since the last point.
+    pub training_success: f64,
+}
+
+/// One JSON object a line.
+pub(super) fn to_lines(curve: &[CurvePoint]) -> serde_json::Result<String> {
+    let mut text = String::new();
+    for point in curve {
+        text += &serde_json::to_string(point)?;
+        text.push('\n');
+    }
+    Ok(text)
+}
+
+/// Reads what [`to_lines`] wrote.
+pub(super) fn from_lines(text: &str) -> serde_json::Result<Vec<CurvePoint>> {
+    text.lines().map(serde_json::from_str).collect()
+}

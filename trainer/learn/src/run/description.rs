@@ -1,0 +1,83 @@
+//! `train.toml`: everything that a run depends on.
+
+use toml::Table;
+
+use crate::error::LearnError;
+use crate::methods::alma::Config;
+
+/// How a run learns. The same description gives the same weights, whatever the number of threads.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RunDescription {
+    /// The algorithm: `alma`.
+    pub method: String,
+    /// Version of Sortie that began the run.
+    pub version: String,
+    /// Seed of all random choices.
+    pub seed: u64,
+    /// Threads that compute gradients.
+    pub threads: usize,
+    /// The complete configuration.
+    pub config: Config,
+}
+
+impl RunDescription {
+    /// A run of this version of Sortie.
+    pub fn new(config: Config, seed: u64, threads: usize) -> Self {
+        Self {
+            method: "alma".to_owned(),
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            seed,
+            threads,
+            config,
+        }
+    }
+
+    /// The file's text: four lines about the run, then the configuration.
+    pub fn to_toml(&self) -> Result<String, LearnError> {
+        let Self { method, version, seed, threads, config } = self;
+        let config = config.to_toml()?;
+        Ok(format!(
+            "method = \"{method}\"\nversion = \"{version}\"\nseed = {seed}\nthreads = {threads}\n\n{config}"
+        ))
+    }
+
+    /// Reads the file's text.
+    pub fn from_toml(text: &str) -> Result<Self, LearnError> {
+        let bad = |what: &str| LearnError::Config(what.to_owned());
+        let mut table: Table = text.parse().map_err(|e: toml::de::Error| bad(e.message()))?;
+        let mut take = |name: &str| table.remove(name).ok_or_else(|| bad(&format!("no `{name}`")));
+        let (method, version) = (take("method")?, take("version")?);
+        let (seed, threads) = (take("seed")?, take("threads")?);
+        let text = |value: toml::Value| value.as_str().map(str::to_owned);
+        let number = |value: toml::Value| value.as_integer().and_then(|n| u64::try_from(n).ok());
+        let config: Config = table.try_into().map_err(|e: toml::de::Error| bad(e.message()))?;
+        config.check()?;
+        Ok(Self {
+            method: text(method).ok_or_else(|| bad("`method` is not text"))?,
+            version: text(version).ok_or_else(|| bad("`version` is not text"))?,
+            seed: number(seed).ok_or_else(|| bad("`seed` is not a number"))?,
+            threads: number(threads).ok_or_else(|| bad("`threads` is not a number"))? as usize,
+            config,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_written_file_reads_back() {
+        let mut config = Config::default();
+        config.set("optimiser.learning_rate=0.0007").unwrap();
+        let description = RunDescription::new(config, 7, 2);
+        let text = description.to_toml().unwrap();
+        assert_eq!(RunDescription::from_toml(&text).unwrap(), description, "{text}");
+    }
+
+    #[test]
+    fn a_file_without_its_seed_is_refused() {
+        let error = RunDescription::from_toml("method = \"alma\"\nversion = \"0\"").unwrap_err();
+        assert!(error.to_string().contains("`seed`"), "{error}");
+    }
+}

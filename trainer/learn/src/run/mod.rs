@@ -1,0 +1,134 @@
+//! A run's folder: what was learned, how, and how well.
+//!
+//! | file | content |
+//! | --- | --- |
+//! | `train.toml` | method, version, seed, threads, and the complete configuration |
+//! | `curve.json` | one JSON object per evaluation, see [`CurvePoint`] |
+//! | `curve.svg` | success against environment steps |
+//! | `checkpoints/` | the newest checkpoints, see [`checkpoint`] |
+
+pub mod chart;
+pub mod checkpoint;
+mod curve;
+mod description;
+
+use std::path::{Path, PathBuf};
+
+pub use checkpoint::{Checkpoint, Checkpoints};
+pub use curve::CurvePoint;
+pub use description::RunDescription;
+
+use crate::error::LearnError;
+use crate::methods::alma::UtilityNetwork;
+
+/// A finished or running run, opened to use what it learned.
+#[derive(Clone, Debug)]
+pub struct Run {
+    /// How it learns.
+    pub description: RunDescription,
+    /// Evaluations up to now.
+    pub curve: Vec<CurvePoint>,
+    /// The averaged weights of the newest sound checkpoint.
+    pub network: UtilityNetwork,
+    /// Environment steps at that checkpoint.
+    pub env_steps: u64,
+    /// Why newer checkpoints were passed over.
+    pub refused: Vec<String>,
+}
+
+impl Run {
+    /// Reads the folder of a run.
+    pub fn open(folder: &Path) -> Result<Self, LearnError> {
+        let folder = RunFolder::new(folder);
+        let description = folder.read_description()?;
+        let curve = folder.read_curve()?;
+        let found = folder.checkpoints().newest()?;
+        let network = found.checkpoint.network("average")?;
+        Ok(Self {
+            description,
+            curve,
+            network,
+            env_steps: found.checkpoint.env_steps(),
+            refused: found.refused,
+        })
+    }
+}
+
+/// The files of a run.
+#[derive(Clone, Debug)]
+pub(crate) struct RunFolder {
+    folder: PathBuf,
+}
+
+impl RunFolder {
+    pub(crate) fn new(folder: &Path) -> Self {
+        Self { folder: folder.to_owned() }
+    }
+
+    /// Makes the folder; refuses one that holds a run.
+    pub(crate) fn create(folder: &Path, description: &RunDescription) -> Result<Self, LearnError> {
+        let run = Self::new(folder);
+        if run.description_path().exists() {
+            let reason = "holds a run already; resume it, or choose another folder";
+            return Err(LearnError::format(folder, reason));
+        }
+        std::fs::create_dir_all(folder).map_err(LearnError::file(folder))?;
+        write_whole(&run.description_path(), description.to_toml()?.as_bytes())?;
+        Ok(run)
+    }
+
+    pub(crate) fn read_description(&self) -> Result<RunDescription, LearnError> {
+        let path = self.description_path();
+        let text = std::fs::read_to_string(&path).map_err(LearnError::file(&path))?;
+        RunDescription::from_toml(&text).map_err(|error| LearnError::format(path, error))
+    }
+
+    pub(crate) fn checkpoints(&self) -> Checkpoints {
+        Checkpoints::new(&self.folder.join("checkpoints"))
+    }
+
+    /// Replaces `curve.json` and `curve.svg`.
+    pub(crate) fn write_curve(&self, title: &str, curve: &[CurvePoint]) -> Result<(), LearnError> {
+        let path = self.curve_path();
+        let text = curve::to_lines(curve).map_err(|error| LearnError::format(&path, error))?;
+        write_whole(&path, text.as_bytes())?;
+        let path = self.folder.join("curve.svg");
+        let svg =
+            chart::success_curve(title, curve).map_err(|error| LearnError::format(&path, error))?;
+        write_whole(&path, svg.as_bytes())
+    }
+
+    fn read_curve(&self) -> Result<Vec<CurvePoint>, LearnError> {
+        let path = self.curve_path();
+        if !path.exists() {
+            return Ok(Vec::new());
+        }
+        let text = std::fs::read_to_string(&path).map_err(LearnError::file(&path))?;
+        curve::from_lines(&text).map_err(|error| LearnError::format(path, error))
+    }
+
+    fn description_path(&self) -> PathBuf {
+        self.folder.join("train.toml")
+    }
+
+    fn curve_path(&self) -> PathBuf {
+        self.folder.join("curve.json")
+    }
+}
+
+/// Replaces a file as a whole: whoever reads it sees the old or the new content, even after a crash.
+pub(crate) fn write_whole(path: &Path, content: &[u8]) -> Result<(), LearnError> {
+    use std::io::Write;
+    let temporary = path.with_extension("tmp");
+    let mut file = std::fs::File::create(&temporary).map_err(LearnError::file(&temporary))?;
+    file.write_all(content).map_err(LearnError::file(&temporary))?;
+    file.sync_all().map_err(LearnError::file(&temporary))?;
+    std::fs::rename(&temporary, path).map_err(LearnError::file(path))?;
+    sync_folder(path.parent().unwrap_or(Path::new(".")))
+}
+
+/// Makes renames in a folder durable.
+pub(crate) fn sync_folder(folder: &Path) -> Result<(), LearnError> {
+    let handle = std::fs::File::open(folder).map_err(LearnError::file(folder))?;
+    handle.sync_all().map_err(LearnError::file(folder))
+}

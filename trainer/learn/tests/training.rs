@@ -1,0 +1,142 @@
+//! Short runs: repeatable, independent of threads, resumable byte for byte.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use sortie_learn::methods::alma::{Config, Observer, Outcome, Progress, Trainer};
+use sortie_learn::run::Run;
+
+/// A run of a few seconds whose replay overflows.
+fn config() -> Config {
+    let mut config = Config::default();
+    for assignment in [
+        "environment.instances=4",
+        "network.width=16",
+        "network.base=16",
+        "allocation.heuristic=0.5",
+        "allocation.random=0.5",
+        "replay.capacity=3000",
+        "replay.warm_up=300",
+        "replay.batch=96",
+        "run.steps=3200",
+        "run.evaluate_every=1000",
+        "run.evaluate_episodes=20",
+        "run.checkpoint_minutes=60",
+    ] {
+        config.set(assignment).unwrap();
+    }
+    config
+}
+
+/// Sets the stop flag at some steps, and notes what it is told.
+struct Recorder<'a> {
+    stop_at: u64,
+    stop: &'a AtomicBool,
+    checkpoints: Vec<PathBuf>,
+    evaluated: Vec<u64>,
+}
+
+impl Observer for Recorder<'_> {
+    fn progress(&mut self, progress: &Progress) {
+        self.stop.store(progress.env_steps >= self.stop_at, Ordering::Relaxed);
+    }
+
+    fn evaluated(&mut self, point: &sortie_learn::run::CurvePoint) {
+        self.evaluated.push(point.env_steps);
+    }
+
+    fn saved(&mut self, checkpoint: &Path) {
+        self.checkpoints.push(checkpoint.to_owned());
+    }
+}
+
+/// Runs until a step and returns the outcome with the newest checkpoint's tensors.
+fn run(trainer: &mut Trainer, stop_at: u64) -> (Outcome, Vec<u8>, Vec<u64>) {
+    let stop = AtomicBool::new(false);
+    let mut recorder =
+        Recorder { stop_at, stop: &stop, checkpoints: Vec::new(), evaluated: Vec::new() };
+    let outcome = trainer.run(&mut recorder, &stop).unwrap();
+    let newest = recorder.checkpoints.last().expect("a checkpoint at the end");
+    (outcome, std::fs::read(newest.join("tensors.safetensors")).unwrap(), recorder.evaluated)
+}
+
+fn whole_run(seed: u64, threads: usize) -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    let mut trainer = Trainer::new(config(), seed, threads, folder.path()).unwrap();
+    let (outcome, tensors, evaluated) = run(&mut trainer, u64::MAX);
+    assert_eq!(outcome, Outcome::Finished);
+    assert_eq!(evaluated, [1000, 2000, 3000, 3200]);
+    tensors
+}
+
+#[test]
+fn a_seed_gives_the_same_weights_with_any_number_of_threads() {
+    let one = whole_run(5, 1);
+    assert!(one == whole_run(5, 2), "two threads give other weights than one");
+    assert!(one == whole_run(5, 3), "three threads give other weights than one");
+    assert!(one != whole_run(6, 1), "another seed gives the same weights");
+}
+
+#[test]
+fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut trainer = Trainer::new(config(), 5, 1, folder.path()).unwrap();
+    assert_eq!(run(&mut trainer, 1500).0, Outcome::Stopped);
+    drop(trainer);
+    let mut trainer = Trainer::resume(folder.path(), Some(2)).unwrap();
+    assert_eq!(run(&mut trainer, 2500).0, Outcome::Stopped);
+    drop(trainer);
+    let mut trainer = Trainer::resume(folder.path(), None).unwrap();
+    let (outcome, tensors, evaluated) = run(&mut trainer, u64::MAX);
+    assert_eq!((outcome, &evaluated[..]), (Outcome::Finished, &[3000, 3200][..]));
+    assert!(tensors == whole_run(5, 1), "the resumed run has other weights");
+
+    let whole = tempfile::tempdir().unwrap();
+    let mut trainer = Trainer::new(config(), 5, 1, whole.path()).unwrap();
+    run(&mut trainer, u64::MAX);
+    let (resumed, whole) = (Run::open(folder.path()).unwrap(), Run::open(whole.path()).unwrap());
+    assert_eq!(resumed.network, whole.network);
+    assert_eq!(resumed.curve.len(), 4);
+    for (resumed, whole) in resumed.curve.iter().zip(&whole.curve) {
+        assert_eq!(resumed.success, whole.success);
+        assert_eq!(resumed.loss, whole.loss, "at {}", resumed.env_steps);
+        assert_eq!(resumed.training_success, whole.training_success);
+    }
+}
+
+#[test]
+fn resuming_uses_the_checkpoint_before_a_damaged_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut trainer = Trainer::new(config(), 1, 1, folder.path()).unwrap();
+    run(&mut trainer, 1200);
+    run(&mut trainer, 2000);
+    let newest = folder.path().join("checkpoints/000000002000/state.postcard");
+    let content = std::fs::read(&newest).unwrap();
+    std::fs::write(&newest, &content[..content.len() / 2]).unwrap();
+
+    let trainer = Trainer::resume(folder.path(), None).unwrap();
+    assert_eq!(trainer.env_steps(), 1200);
+    assert!(trainer.refused()[0].contains("state.postcard"), "{:?}", trainer.refused());
+    assert_eq!(Run::open(folder.path()).unwrap().env_steps, 1200);
+}
+
+#[test]
+fn a_folder_with_a_run_is_not_overwritten() {
+    let folder = tempfile::tempdir().unwrap();
+    Trainer::new(config(), 1, 1, folder.path()).unwrap();
+    let error = Trainer::new(config(), 2, 1, folder.path()).unwrap_err();
+    assert!(error.to_string().contains("holds a run already"), "{error}");
+}
+
+#[test]
+fn a_run_describes_and_draws_itself() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut trainer = Trainer::new(config(), 3, 1, folder.path()).unwrap();
+    run(&mut trainer, u64::MAX);
+    let opened = Run::open(folder.path()).unwrap();
+    assert_eq!((opened.description.seed, &opened.description.config), (3, &config()));
+    assert_eq!(&opened.network, trainer.network());
+    assert!(opened.curve.iter().all(|point| point.loss > 0.0 && point.cpu_s > 0.0));
+    let svg = std::fs::read_to_string(folder.path().join("curve.svg")).unwrap();
+    assert!(svg.contains("alma on save-the-city 2-5a_2-5b, seed 3"));
+}
