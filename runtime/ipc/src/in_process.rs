@@ -15,6 +15,9 @@ use crate::error::Error;
 use crate::processes::{WorldSettings, into_allocator_error, into_world_error};
 use crate::stop::Stop;
 
+/// Longest pause before the next look at the stop flag.
+const LONGEST_PAUSE: Duration = Duration::from_millis(100);
+
 /// A team that acts in one thread.
 pub struct InProcess<'a> {
     /// What it acts in.
@@ -91,10 +94,13 @@ pub fn run_in_process(
     }
 }
 
-/// Waits for the world's next frame where it is paced; nothing else can be waited for.
+/// Waits for the world's next frame where it is paced: nothing else can be waited for.
 fn pause(world: Poll) -> Result<(), Error> {
     let Poll::Wait { until_ns } = world else { return Ok(()) };
-    let now = MonotonicClock.now_ns();
-    std::thread::sleep(Duration::from_nanos(until_ns.saturating_sub(now)));
+    if until_ns == u64::MAX {
+        return Err(Error::Stalled);
+    }
+    let left = Duration::from_nanos(until_ns.saturating_sub(MonotonicClock.now_ns()));
+    std::thread::sleep(left.min(LONGEST_PAUSE));
     Ok(())
 }

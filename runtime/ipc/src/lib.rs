@@ -17,7 +17,7 @@ pub use clock::MonotonicClock;
 pub use domain::{Domain, DomainContract, DomainFacts, Lock, Membership, Starting};
 pub use error::Error;
 pub use in_process::{InProcess, run_in_process};
-pub use iox::{IoxAgent, IoxAllocator, IoxWorld, LinkSetup};
+pub use iox::{Housekeeping, IoxAgent, IoxAllocator, IoxWorld, LinkSetup};
 pub use processes::{
     Children, ProcessSettings, WorldSettings, allocator_process, group_agents, runner_process,
     world_process,

@@ -1,6 +1,6 @@
 //! The allocator: a new allocation for every frame that asks for one.
 
-use super::{Counters, HEARTBEAT_NS, Identity, Poll};
+use super::{Counters, IDLE, Identity, Poll};
 use crate::allocator::{AllocateError, Allocator, UNASSIGNED};
 use crate::limits;
 use crate::link::{AllocLink, Frame, LinkError};
@@ -121,26 +121,25 @@ impl AllocatorRole {
         allocator: &mut A,
     ) -> Result<Poll, AllocatorError> {
         let accepted = link.receive_frames(&mut |frame| self.accepts(frame))?;
-        let now = link.now_ns();
-        let idle = Poll::Wait { until_ns: now.saturating_add(HEARTBEAT_NS) };
         let kept = if accepted { link.frame() } else { None };
         let Some(view) = kept.and_then(|frame| self.view(frame).ok()) else {
-            return Ok(idle);
+            return Ok(IDLE);
         };
         if view.header().has(FrameHeader::SHUTDOWN) {
             return Ok(Poll::Ended);
         }
         if !view.header().asks_for_actions() || view.decision_tick() <= self.done_decision {
-            return Ok(idle);
+            return Ok(IDLE);
         }
         let mut task = [UNASSIGNED; limits::AGENTS];
         let of_agents = task.get_mut(..view.agents()).unwrap_or_default();
         let tick = view.header().tick;
+        let started = link.now_ns();
         allocator
             .allocate(&view.allocation_state(), of_agents)
             .map_err(|reason| AllocatorError::Refused { tick, reason })?;
         let done = link.now_ns();
-        let message = self.message(&view, task, done, done.saturating_sub(now));
+        let message = self.message(&view, task, done, done.saturating_sub(started));
         self.done_decision = view.decision_tick();
         self.counters.ticks += 1;
         link.send_allocation(&message)?;

@@ -15,9 +15,6 @@ pub use presence::Identity;
 pub use runner::{RunnerOptions, RunnerRole};
 pub use world::{TickReport, WorldError, WorldObserver, WorldOptions, WorldRole};
 
-/// Longest wait of a role: it looks at its topics at least this often.
-pub const HEARTBEAT_NS: u64 = 100_000_000;
-
 /// What a role wants next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Poll {
@@ -25,12 +22,15 @@ pub enum Poll {
     Again,
     /// Nothing to do before a ring, or before this time.
     Wait {
-        /// Time of the domain's clock.
+        /// Time of the domain's clock; [`u64::MAX`] = only a ring helps.
         until_ns: u64,
     },
     /// The role has ended.
     Ended,
 }
+
+/// Only a ring helps.
+const IDLE: Poll = Poll::Wait { until_ns: u64::MAX };
 
 /// What a role has counted since its start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -5,7 +5,7 @@ use zerocopy::FromZeros;
 
 use super::fallback::{fallback_action, safe_action};
 use super::newest_allocation::NewestAllocation;
-use super::{Counters, HEARTBEAT_NS, Identity, Poll};
+use super::{Counters, IDLE, Identity, Poll};
 use crate::allocator::UNASSIGNED;
 use crate::limits;
 use crate::link::{AgentLink, Clock, Frame, LinkError};
@@ -112,11 +112,9 @@ impl RunnerRole {
         policy: &mut P,
     ) -> Result<Poll, LinkError> {
         self.receive(link)?;
-        let now = link.now_ns();
-        let heartbeat = now.saturating_add(HEARTBEAT_NS);
         let kept = if self.pending { link.frame() } else { None };
         let Some(view) = kept.and_then(|frame| self.view(frame).ok()) else {
-            return Ok(Poll::Wait { until_ns: heartbeat });
+            return Ok(IDLE);
         };
         let header = view.header();
         if header.has(FrameHeader::SHUTDOWN) {
@@ -127,12 +125,10 @@ impl RunnerRole {
             return Ok(Poll::Again);
         }
         if header.asks_for_actions() {
-            let wait_until = allocation_deadline(header);
-            if self.options.subtasks
-                && self.freshness(&view) != Freshness::Fresh
-                && now < wait_until
-            {
-                return Ok(Poll::Wait { until_ns: heartbeat.min(wait_until) });
+            let until_ns = allocation_deadline(header);
+            let is_missing = self.options.subtasks && self.freshness(&view) != Freshness::Fresh;
+            if is_missing && link.now_ns() < until_ns {
+                return Ok(Poll::Wait { until_ns });
             }
             self.count_gaps(&view);
             let answers = self.decide(&view, policy, link);

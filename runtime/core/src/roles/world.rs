@@ -10,7 +10,7 @@ use zerocopy::FromZeros;
 use self::seats::Seats;
 use super::fallback::fallback_action;
 use super::newest_allocation::NewestAllocation;
-use super::{Counters, HEARTBEAT_NS, Poll};
+use super::{Counters, Poll};
 use crate::limits;
 use crate::link::{LinkError, WorldLink};
 use crate::policy::NO_ACTION;
@@ -150,7 +150,6 @@ impl WorldRole {
             Phase::Pacing { until_ns } => {
                 self.require_all_seats()?;
                 if now < until_ns {
-                    let until_ns = until_ns.min(now.saturating_add(HEARTBEAT_NS));
                     return Ok(Poll::Wait { until_ns });
                 }
                 self.publish_tick(link, world)?;
@@ -257,7 +256,7 @@ impl WorldRole {
         if now >= until_ns {
             return Err(WorldError::NotJoined { seats, allocator });
         }
-        Ok(Poll::Wait { until_ns: until_ns.min(now.saturating_add(HEARTBEAT_NS)) })
+        Ok(Poll::Wait { until_ns })
     }
 
     fn start_episode<W: World + ?Sized>(
@@ -369,22 +368,22 @@ impl WorldRole {
             self.step(link, world, observer)?;
             return Ok(Poll::Again);
         }
-        let patience = match self.options.patience_ns {
-            0 => u64::MAX,
-            patience => patience,
+        let (allocate_by, act_by) = match self.options.patience_ns {
+            0 => (u64::MAX, u64::MAX),
+            patience => (
+                self.published_ns.saturating_add(patience / 2),
+                self.published_ns.saturating_add(patience),
+            ),
         };
-        let act_by = self.published_ns.saturating_add(patience);
-        let allocate_by = self.published_ns.saturating_add(patience / 2);
-        let allocated =
-            self.allocation.get().is_some_and(|newest| newest.tick >= self.decision_tick);
-        if self.reallocated && !allocated && now >= allocate_by {
+        let newest = self.allocation.get().map_or(0, |allocation| allocation.tick);
+        let is_unallocated = self.reallocated && newest < self.decision_tick;
+        if is_unallocated && now >= allocate_by {
             return Err(WorldError::AllocatorMissed { step: self.step });
         }
         if now >= act_by {
             return Err(WorldError::SeatsMissed { step: self.step, seats: missing });
         }
-        let deadline = if self.reallocated && !allocated { allocate_by } else { act_by };
-        Ok(Poll::Wait { until_ns: deadline.min(now.saturating_add(HEARTBEAT_NS)) })
+        Ok(Poll::Wait { until_ns: if is_unallocated { allocate_by } else { act_by } })
     }
 
     fn require_all_seats(&self) -> Result<(), WorldError> {

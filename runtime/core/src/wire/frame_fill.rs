@@ -106,15 +106,16 @@ impl<'a> FrameMut<'a> {
         self.head.open_tasks = tasks & self.layout.every_task();
     }
 
-    /// Last action of `agent`.
-    pub(crate) fn set_last_action(&mut self, agent: usize, action: u16) {
+    /// States the last action of `agent`. The world role writes it.
+    pub fn set_last_action(&mut self, agent: usize, action: u16) {
         if let Some(to) = self.last_actions.get_mut(agent) {
             *to = action;
         }
     }
 
-    /// Step in the episode, newest decision tick, and the seats for which a process acts.
-    pub(crate) fn set_progress(&mut self, step: u32, decision_tick: u64, joined: u64) {
+    /// States the step in the episode, the newest decision tick, and the seats for which a process
+    /// acts. The world role writes them.
+    pub fn set_progress(&mut self, step: u32, decision_tick: u64, joined: u64) {
         self.head.step = step;
         self.head.decision_tick = decision_tick;
         self.head.joined = joined & self.layout.every_agent();

@@ -10,6 +10,8 @@ mod frame_header;
 mod frame_layout;
 mod frame_view;
 mod status;
+#[cfg(test)]
+mod tests;
 
 pub use action::ActionMsg;
 pub use allocation::{AllocMsg, AllocationFault};

@@ -116,7 +116,7 @@ impl IoxAllocator {
 }
 
 /// What is due once per heartbeat, never between a frame and its action.
-pub(crate) trait Housekeeping {
+pub trait Housekeeping {
     /// Connects to new subscribers and hands them the history: publishers do this only when they
     /// send, or here.
     fn housekeep(&mut self);

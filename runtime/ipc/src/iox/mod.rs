@@ -12,6 +12,5 @@ mod message;
 mod open;
 mod services;
 
-pub(crate) use links::Housekeeping;
-pub use links::{IoxAgent, IoxAllocator, IoxWorld, LinkSetup};
+pub use links::{Housekeeping, IoxAgent, IoxAllocator, IoxWorld, LinkSetup};
 pub(crate) use services::worst_case_bytes;

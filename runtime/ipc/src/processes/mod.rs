@@ -13,7 +13,7 @@ use std::time::Duration;
 
 use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
 use sortie_core::link::{Bell, Clock};
-use sortie_core::roles::{HEARTBEAT_NS, Poll};
+use sortie_core::roles::Poll;
 
 pub use allocator::allocator_process;
 pub use children::Children;
@@ -25,6 +25,8 @@ use crate::error::Error;
 use crate::iox::Housekeeping;
 use crate::stop::Stop;
 
+/// Longest wait for a bell, so that signals and missed wake-ups are noticed.
+const HEARTBEAT_NS: u64 = 100_000_000;
 /// Longest wait of runners and the allocator for a world.
 const WORLD_PATIENCE: Duration = Duration::from_secs(10);
 

@@ -1,0 +1,304 @@
+//! The messages against bytes that another program packed, field by field, from the documented
+//! layout; and frames that must not be read.
+
+use std::string::String;
+use std::vec::Vec;
+use std::{array, format};
+
+use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
+
+use super::*;
+use crate::entity_mask::EntityMask;
+use crate::link::FrameBlock;
+use crate::world::Shape;
+
+const SCHEMA: u64 = 0x0102_0304_0506_0708;
+const TICK: u64 = 0x2_0000_0003;
+const SHAPE: Shape = Shape { agents: 2, entities: 3, tasks: 2, actions: 3, features: 5 };
+
+const FRAME_HEADER: &str = "\
+    534f52540100010008070605040302011100000000000000030000000200000088776655443322119988776655443322\
+    00020000030000000200000009000000\
+";
+const FRAME_PAYLOAD: &str = "\
+    020003000200030005000800ffff000002000000040000004000000080000000c0000000000100004001000080010000\
+    030000000200000001000000000000000500000000000000000000000000000000000000000000000000000000000000\
+    000000000000000000000000000000000000000000000000000000000000000001000000000000000700000000000000\
+    000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000\
+    010000000200000003000000000000000000000000000000000000000000000000000000000000000000000000000000\
+    000000000000000000000000000000000000010000000100000007000000000000000000000000000000000000000000\
+    00000000000000000000000000000000000000000000000000000000000000000200ffff000000000000000000000000\
+    000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000\
+    000000000000803f00000040000040400000804000000000000000000000000000002041000030410000404100005041\
+    000060410000000000000000000000000000a0410000a8410000b0410000b8410000c041000000000000000000000000\
+    0000000000000000000000000000000000000000000000000000000000000000\
+";
+const ACTION: &str = "\
+    0807060504030201120000000000000003000000020000003300000000000000a4a3a2a10700000005000b0021000301\
+    0000c0bfd204000002000000e1100000\
+";
+const ALLOCATION: &str = "\
+    080706050403020113000000000000000300000002000000440000000000000007000000020000000200000007000000\
+    b4b3b2b12e16000003000201030000000001ff0000000000000000000000000000000000000000000000000000000000\
+    0000000000000000000000000000000000000000000000000000000000000000\
+";
+const STATUS: &str = "\
+    0807060504030201140000000000000055000000000000006600000000000000e1100000010102000500000000000000\
+    0300000002000000000102030405060708090a0b0c0d0e0f4d0000000900000064000000000000006500000000000000\
+    66000000000000006700000000000000680000000000000069000000000000006a000000000000006b00000000000000\
+    6c000000000000006d000000000000006e000000000000006f0000000000000070000000000000007100000000000000\
+    72000000000000007300000000000000c8000000c9000000ca000000cb000000cc000000cd000000ce000000cf000000\
+    d0000000d1000000d2000000d3000000d4000000d5000000d6000000d7000000d8000000d9000000da000000db000000\
+    dc000000dd000000de000000df000000e0000000e1000000e2000000e3000000e4000000e5000000e6000000e7000000\
+    2c0100002d0100002e0100002f0100003001000031010000320100003301000034010000350100003601000037010000\
+    38010000390100003a0100003b0100003c0100003d0100003e0100003f01000040010000410100004201000043010000\
+    4401000045010000460100004701000048010000490100004a0100004b01000072756e6e65722f300000000000000000\
+    0000000000000000000000000000000000000000000000000000000000000000\
+";
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn assert_golden<M>(message: M, golden: &str)
+where
+    M: FromBytes + IntoBytes + Immutable + KnownLayout + PartialEq + core::fmt::Debug,
+{
+    assert_eq!(hex(message.as_bytes()), golden);
+    let bytes: Vec<u8> = golden.as_bytes().chunks(2).map(byte).collect();
+    assert_eq!(M::read_from_bytes(&bytes).unwrap(), message);
+}
+
+fn byte(digits: &[u8]) -> u8 {
+    u8::from_str_radix(core::str::from_utf8(digits).unwrap(), 16).unwrap()
+}
+
+fn header() -> FrameHeader {
+    FrameHeader {
+        magic: FrameHeader::MAGIC,
+        abi: ABI,
+        kind: FrameKind::World as u16,
+        schema: SCHEMA,
+        seq: 0x11,
+        tick: TICK,
+        t_ns: 0x1122_3344_5566_7788,
+        deadline_ns: 0x2233_4455_6677_8899,
+        len: 512,
+        flags: FrameHeader::EPISODE_START | FrameHeader::REALLOC,
+        world_term: 2,
+        episode: 9,
+    }
+}
+
+#[test]
+fn frame_header_has_its_golden_bytes() {
+    assert_golden(header(), FRAME_HEADER);
+}
+
+#[test]
+fn action_has_its_golden_bytes() {
+    let action = ActionMsg {
+        schema: SCHEMA,
+        seq: 0x12,
+        tick: TICK,
+        t_ns: 0x33,
+        model: 0xA1A2_A3A4,
+        alloc_epoch: 7,
+        agent: 5,
+        action: 11,
+        flags: ActionMsg::STALE_ALLOC | ActionMsg::FALLBACK,
+        task: 3,
+        abi: 1,
+        q: -1.5,
+        decide_ns: 1234,
+        alloc_term: 2,
+        runner: 4321,
+    };
+    assert_golden(action, ACTION);
+}
+
+#[test]
+fn allocation_has_its_golden_bytes() {
+    let mut task = [0; 64];
+    task[..3].copy_from_slice(&[0, 1, 255]);
+    let allocation = AllocMsg {
+        schema: SCHEMA,
+        seq: 0x13,
+        tick: TICK,
+        t_ns: 0x44,
+        valid_until: TICK + 4,
+        term: 2,
+        epoch: 7,
+        model: 0xB1B2_B3B4,
+        decide_ns: 5678,
+        n_agents: 3,
+        n_tasks: 2,
+        abi: 1,
+        flags: AllocMsg::FIRST_OF_TERM | AllocMsg::PARTIAL,
+        task,
+    };
+    assert_golden(allocation, ALLOCATION);
+}
+
+#[test]
+fn status_has_its_golden_bytes() {
+    let mut name = [0; 48];
+    name[..8].copy_from_slice(b"runner/0");
+    let status = StatMsg {
+        schema: SCHEMA,
+        seq: 0x14,
+        t_ns: 0x55,
+        start_ns: 0x66,
+        pid: 4321,
+        role: Role::Runner as u8,
+        abi: 1,
+        n_agents: 2,
+        agents: 0b101,
+        last_tick: TICK,
+        model: array::from_fn(|index| index as u8),
+        build: 77,
+        flags: StatMsg::HELLO | StatMsg::LEADER,
+        counters: array::from_fn(|index| 100 + index as u64),
+        hist_wake: array::from_fn(|index| 200 + index as u32),
+        hist_work: array::from_fn(|index| 300 + index as u32),
+        name,
+    };
+    assert_golden(status, STATUS);
+}
+
+fn format() -> FrameFormat {
+    FrameFormat { schema: SCHEMA, layout: FrameLayout::new(SHAPE).unwrap() }
+}
+
+/// Writes the frame of the golden bytes.
+fn fill(memory: &mut [FrameBlock]) {
+    let mut frame = FrameMut::new(memory.as_mut_bytes(), format().layout).unwrap();
+    frame.set_present(&EntityMask::from_words(&[0b101]));
+    frame.set_observable(0, &EntityMask::from_words(&[0b001]));
+    frame.set_observable(1, &EntityMask::from_words(&[0b111]));
+    for (entity, tasks) in [0b01, 0b10, 0b11].into_iter().enumerate() {
+        frame.set_entity_task(entity, tasks);
+        for (column, feature) in frame.row_mut(entity).iter_mut().enumerate() {
+            *feature = (10 * entity + column) as f32;
+        }
+    }
+    frame.available_mut(0).copy_from_slice(&[0, 1, 0]);
+    frame.available_mut(1).copy_from_slice(&[1, 0, 7]);
+    frame.set_last_action(0, 2);
+    frame.set_open_tasks(0b10);
+    frame.set_progress(4, TICK, 0b01);
+}
+
+fn memory() -> [FrameBlock; 8] {
+    let mut memory = [FrameBlock::zeroed(); 8];
+    // What an earlier frame left must not show.
+    memory.as_mut_bytes().fill(0xEE);
+    fill(&mut memory);
+    memory
+}
+
+#[test]
+fn frame_payload_has_its_golden_bytes() {
+    assert_eq!(hex(memory().as_bytes()), FRAME_PAYLOAD);
+}
+
+#[test]
+fn a_view_gives_what_was_written() {
+    let (memory, header) = (memory(), header());
+    let view = FrameView::new(&header, memory.as_bytes(), &format()).unwrap();
+    assert_eq!((view.agents(), view.step(), view.joined()), (2, 4, 0b01));
+    assert_eq!((view.decision_tick(), view.episode_start()), (TICK, TICK - 4));
+    assert!(view.present().iter().eq([0, 2]));
+    assert!(view.observable(1).iter().eq([0, 1, 2]));
+    assert!(view.observable(2).is_empty());
+    assert_eq!(view.entity_task(), [0b01, 0b10, 0b11]);
+    assert_eq!((view.available(1), view.available(2)), (&[1, 0, 7][..], &[][..]));
+    assert_eq!(view.last_actions(), [2, 0xFFFF]);
+    assert_eq!(view.rows()[2 * view.stride()..][..5], [20.0, 21.0, 22.0, 23.0, 24.0]);
+    let state = view.allocation_state();
+    assert_eq!((state.agents, state.tasks, state.open_tasks), (2, 2, 0b10));
+}
+
+#[test]
+fn writing_beyond_the_domain_is_ignored() {
+    let mut memory = memory();
+    let mut frame = FrameMut::new(memory.as_mut_bytes(), format().layout).unwrap();
+    frame.set_present(&EntityMask::first(128));
+    frame.set_observable(0, &EntityMask::first(128));
+    frame.set_observable(9, &EntityMask::first(128));
+    frame.set_entity_task(0, u32::MAX);
+    frame.set_entity_task(usize::MAX, u32::MAX);
+    frame.set_open_tasks(u32::MAX);
+    frame.set_progress(0, 0, u64::MAX);
+    assert!(frame.row_mut(3).is_empty());
+    assert!(frame.row_mut(usize::MAX).is_empty());
+    assert!(frame.available_mut(usize::MAX).is_empty());
+    let header = header();
+    let view = FrameView::new(&header, memory.as_bytes(), &format()).unwrap();
+    assert_eq!((view.present().len(), view.observable(1).len()), (3, 0));
+}
+
+#[test]
+fn what_does_not_fit_the_domain_is_refused() {
+    let (memory, header) = (memory(), header());
+    let refusal = |header: &FrameHeader, payload: &[u8]| {
+        FrameView::new(header, payload, &format()).map(|_| ()).unwrap_err()
+    };
+    let payload = memory.as_bytes();
+    for foreign in [
+        FrameHeader { magic: 0, ..header },
+        FrameHeader { abi: 2, ..header },
+        FrameHeader { schema: 1, ..header },
+    ] {
+        assert_eq!(refusal(&foreign, payload), FrameError::Foreign);
+    }
+    assert_eq!(refusal(&header, &payload[..448]), FrameError::Length);
+    assert_eq!(refusal(&FrameHeader { len: 448, ..header }, payload), FrameError::Length);
+    // Shifted by four bytes: aligned for the features, not for the sets.
+    let mut shifted = [FrameBlock::zeroed(); 9];
+    let place = &mut shifted.as_mut_bytes()[4..][..512];
+    place.copy_from_slice(payload);
+    assert_eq!(refusal(&header, place), FrameError::Length);
+}
+
+/// Every single changed bit is either refused or gives a view within the domain.
+#[test]
+fn no_bit_makes_a_view_name_what_does_not_exist() {
+    let header = header();
+    for bit in 0..512 * 8 {
+        let mut memory = memory();
+        memory.as_mut_bytes()[bit / 8] ^= 1 << (bit % 8);
+        let Ok(view) = FrameView::new(&header, memory.as_bytes(), &format()) else { continue };
+        assert!(view.present().iter().all(|entity| entity < 3), "bit {bit}");
+        assert!((0..2).all(|agent| view.observable(agent).iter().all(|entity| entity < 3)));
+        assert!(view.entity_task().iter().all(|tasks| tasks >> 2 == 0), "bit {bit}");
+        assert!(view.last_actions().iter().all(|&last| last < 3 || last == 0xFFFF), "bit {bit}");
+        assert!(view.open_tasks() >> 2 == 0 && view.joined() >> 2 == 0, "bit {bit}");
+        assert_eq!((view.agents(), view.stride()), (2, 8));
+    }
+}
+
+#[test]
+fn an_allocation_of_another_shape_is_dropped() {
+    let allocation = AllocMsg {
+        schema: SCHEMA,
+        abi: 1,
+        n_agents: 2,
+        n_tasks: 2,
+        task: [0xFF; 64],
+        ..AllocMsg::read_from_bytes(&[0; 128]).unwrap()
+    };
+    assert_eq!(allocation.check(SCHEMA, SHAPE), Ok(()));
+    let mut beyond = allocation;
+    beyond.task[1] = 2;
+    assert_eq!(beyond.check(SCHEMA, SHAPE), Err(AllocationFault::Content));
+    // A seat that the domain does not have is not looked at.
+    beyond.task = allocation.task;
+    beyond.task[2] = 2;
+    assert_eq!(beyond.check(SCHEMA, SHAPE), Ok(()));
+    let other = AllocMsg { n_agents: 3, ..allocation };
+    assert_eq!(other.check(SCHEMA, SHAPE), Err(AllocationFault::Content));
+    let foreign = AllocMsg { abi: 2, ..allocation };
+    assert_eq!(foreign.check(SCHEMA, SHAPE), Err(AllocationFault::Foreign));
+    assert_eq!(allocation.check(SCHEMA + 1, SHAPE), Err(AllocationFault::Foreign));
+}
