@@ -1,1 +1,27 @@
-//! Under construction.
+//! Compiles ONNX networks to plans, and proves that both compute the same.
+//!
+//! tract parses the file and simplifies the graph; patterns are matched on that graph by structure, never by node
+//! name; what matches is lowered to a plan. The finished plan and the graph then answer the same random
+//! observations, and a plan that differs is refused. The same graph also runs as [`TractPolicy`].
+#![forbid(unsafe_code)]
+
+mod assemble;
+mod compile;
+mod error;
+mod graph;
+mod inspect;
+mod layout;
+mod lower;
+mod matching;
+mod observations;
+mod parity;
+mod tract_policy;
+
+pub use compile::{
+    CompileOptions, Compiled, OperatorReport, Report, VERSION, compile, compile_bundle,
+};
+pub use error::CompileError;
+pub use inspect::{OnnxFacts, PlanFacts, inspect_onnx, inspect_plan};
+pub use observations::random_observations;
+pub use parity::{Comparison, TOLERANCE, compare_with_golden, compare_with_graph};
+pub use tract_policy::TractPolicy;

@@ -26,6 +26,7 @@ pub mod wire;
 pub mod world;
 
 pub use allocator::{AllocateError, AllocationState, Allocator, UNASSIGNED};
+pub use decide::PlanPolicy;
 pub use entity_mask::EntityMask;
 pub use policy::{DecideError, Decision, NO_ACTION, Observation, Policy, visible};
 pub use world::{Shape, StepOutcome, UnavailableAction, World};

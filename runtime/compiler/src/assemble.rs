@@ -1,0 +1,62 @@
+//! Program and weights become the bytes of a plan.
+
+use sortie_core::plan::{
+    ALIGNMENT, HEADER_BYTES, Header, LAYOUT_TILES, Network, Profile, Program, checksums,
+};
+
+use crate::layout::Weights;
+use crate::lower::AgentSizes;
+
+/// What the header says beside sizes and places.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Origin {
+    /// SHA-256 of the ONNX file.
+    pub(crate) source: [u8; 32],
+    /// Hash of the contract, 0 if unknown.
+    pub(crate) contract: u64,
+    /// Most subtasks, 0 if none.
+    pub(crate) t_max: u16,
+    /// Largest measured error against the graph.
+    pub(crate) max_error: f32,
+    /// Measured share of differing actions.
+    pub(crate) action_mismatch: f32,
+}
+
+/// Lays out header, program and weights.
+pub(crate) fn assemble(
+    program: &Program,
+    weights: &Weights,
+    sizes: AgentSizes,
+    origin: &Origin,
+) -> Vec<u8> {
+    // Serialising plain fields to memory has no way to fail; the loader would refuse an empty program.
+    let program_bytes = postcard::to_stdvec(program).unwrap_or_default();
+    let weight_bytes: Vec<u8> = weights.floats.iter().flat_map(|w| w.to_le_bytes()).collect();
+    let weights_offset = (HEADER_BYTES + program_bytes.len()).next_multiple_of(ALIGNMENT);
+    let header = Header {
+        layout: LAYOUT_TILES,
+        arena_bytes: program.arena_bytes() as u32,
+        arena_alignment: ALIGNMENT as u32,
+        n_max: sizes.n_max as u32,
+        features: sizes.features as u32,
+        actions: sizes.actions as u32,
+        hidden: 0,
+        program_offset: HEADER_BYTES as u32,
+        program_len: program_bytes.len() as u32,
+        weights_offset: weights_offset as u32,
+        weights_len: weight_bytes.len() as u32,
+        source: origin.source,
+        contract: origin.contract,
+        max_error: origin.max_error,
+        action_mismatch: origin.action_mismatch,
+        profile: Profile::Exact,
+        network: Network::Agent,
+        t_max: origin.t_max,
+    };
+    let checksums = checksums(&header, &program_bytes, &weight_bytes);
+    let mut plan = header.to_bytes(checksums).to_vec();
+    plan.extend(program_bytes);
+    plan.resize(weights_offset, 0);
+    plan.extend(weight_bytes);
+    plan
+}

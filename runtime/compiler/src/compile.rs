@@ -1,0 +1,192 @@
+//! From the bytes of an ONNX file to a plan that was checked against it.
+
+use std::path::Path;
+
+use serde::Serialize;
+use sortie_bundle::{Bundle, PlanKey, cached_plan, sha256};
+use sortie_core::limits;
+use sortie_core::ops::Op;
+use sortie_core::plan::{AlignedBytes, Plan, Program};
+
+use crate::assemble::{Origin, assemble};
+use crate::error::CompileError;
+use crate::graph::Graph;
+use crate::lower::{AgentSizes, lower_agent};
+use crate::matching::match_agent;
+use crate::observations::random_observations;
+use crate::parity::{TOLERANCE, plan_against_graph};
+
+/// The compiler's version; a plan of another version is compiled again.
+pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), "-1");
+
+/// Name of the arithmetic profile.
+const PROFILE: &str = "exact";
+
+/// What the file alone does not say.
+#[derive(Clone, Copy, Debug)]
+pub struct CompileOptions {
+    /// Most visible entities.
+    pub n_max: usize,
+    /// Most subtasks, 0 if none.
+    pub t_max: u16,
+    /// Features d before the last action's one-hot; none: as the file's metadata says, else all columns.
+    pub features: Option<usize>,
+    /// Hash of the contract; none: as the file's metadata says, else 0.
+    pub contract: Option<u64>,
+    /// Random observations that plan and graph must agree on.
+    pub inputs: usize,
+    /// Seed of the observations.
+    pub seed: u64,
+}
+
+impl Default for CompileOptions {
+    fn default() -> Self {
+        let n_max = 32.min(limits::ENTITIES);
+        Self { n_max, t_max: 0, features: None, contract: None, inputs: 256, seed: 0 }
+    }
+}
+
+/// A plan and what is known about it.
+#[derive(Clone, Debug)]
+pub struct Compiled {
+    /// The plan.
+    pub bytes: Vec<u8>,
+    /// Sizes, work and measured error.
+    pub report: Report,
+}
+
+/// What is known about a plan.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Report {
+    /// Bytes of the plan.
+    pub flash_bytes: usize,
+    /// Bytes of arena for one decision.
+    pub arena_bytes: usize,
+    /// Multiply-adds of one decision with all entities visible, zeros not left out.
+    pub macs: usize,
+    /// Largest measured error against the graph, |a - b| / (1 + |b|).
+    pub max_rel_error: f32,
+    /// Observations for which plan and graph choose differently.
+    pub action_mismatches: usize,
+    /// Observations compared.
+    pub inputs: usize,
+    /// The operators in order.
+    pub operators: Vec<OperatorReport>,
+}
+
+/// One operator of a plan.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct OperatorReport {
+    /// Its kind.
+    pub name: String,
+    /// Its sizes, for people.
+    pub detail: String,
+    /// Its multiply-adds with all entities visible.
+    pub macs: usize,
+}
+
+/// Compiles an ONNX file and proves the plan against it.
+pub fn compile(onnx: &[u8], options: &CompileOptions) -> Result<Compiled, CompileError> {
+    let graph = Graph::read(onnx)?;
+    let layers = match_agent(&graph)?;
+    let features = options.features.or_else(|| graph.number("sortie.features"));
+    let sizes = AgentSizes {
+        n_max: options.n_max,
+        features: features.unwrap_or(graph.columns),
+        actions: graph.actions,
+    };
+    let (program, weights) = lower_agent(&layers, sizes)?;
+    let metadata = graph.metadata.get("sortie.contract");
+    let known = metadata.and_then(|hash| u64::from_str_radix(hash, 16).ok());
+    let mut origin = Origin {
+        source: sha256(onnx),
+        contract: options.contract.or(known).unwrap_or(0),
+        t_max: options.t_max,
+        max_error: 0.0,
+        action_mismatch: 0.0,
+    };
+    let AgentSizes { n_max, features, actions } = sizes;
+    let observations = random_observations(options.inputs, n_max, features, actions, options.seed);
+    let draft = assemble(&program, &weights, sizes, &origin);
+    let comparison = plan_against_graph(&draft, &graph, &observations)?;
+    if comparison.max_rel_error.is_nan() || comparison.max_rel_error > TOLERANCE {
+        return Err(CompileError::Differs {
+            error: comparison.max_rel_error,
+            limit: TOLERANCE,
+            input: comparison.worst_input,
+            seed: options.seed,
+        });
+    }
+    origin.max_error = comparison.max_rel_error;
+    origin.action_mismatch = comparison.action_mismatches as f32 / comparison.inputs.max(1) as f32;
+    let bytes = assemble(&program, &weights, sizes, &origin);
+    let operators = operators(&program, n_max);
+    let report = Report {
+        flash_bytes: bytes.len(),
+        arena_bytes: program.arena_bytes() as usize,
+        macs: operators.iter().map(|operator| operator.macs).sum(),
+        max_rel_error: comparison.max_rel_error,
+        action_mismatches: comparison.action_mismatches,
+        inputs: comparison.inputs,
+        operators,
+    };
+    Ok(Compiled { bytes, report })
+}
+
+/// The plan of a bundle's agent, from the cache beside the bundle where it is still valid.
+pub fn compile_bundle(bundle: &Bundle) -> Result<AlignedBytes, CompileError> {
+    let (contract, limits) = (bundle.contract(), bundle.manifest().limits);
+    let options = CompileOptions {
+        n_max: usize::from(limits.n_max),
+        t_max: limits.t_max,
+        features: Some(usize::from(contract.features)),
+        contract: Some(contract.hash()),
+        ..CompileOptions::default()
+    };
+    let onnx = bundle.agent_onnx();
+    let key = PlanKey {
+        onnx,
+        profile: PROFILE,
+        compiler: VERSION,
+        contract: contract.hash(),
+        n_max: options.n_max,
+    };
+    let folder: &Path = bundle.folder();
+    let plan =
+        cached_plan(folder, &key, || compile(onnx, &options).map(|compiled| compiled.bytes))?;
+    let actions = Plan::load(plan.as_slice())?.actions();
+    if actions != usize::from(contract.actions) {
+        let want = usize::from(contract.actions);
+        return Err(CompileError::Size { what: "the number of utilities", got: actions, want });
+    }
+    Ok(plan)
+}
+
+/// The operators of a program, for reports.
+pub(crate) fn operators(program: &Program, n_max: usize) -> Vec<OperatorReport> {
+    let describe = |op: &Op| OperatorReport {
+        name: op.name().to_owned(),
+        detail: detail(op),
+        macs: op.multiply_adds(n_max),
+    };
+    program.ops.iter().map(describe).collect()
+}
+
+fn detail(op: &Op) -> String {
+    let relu = |relu: bool| if relu { ", relu" } else { "" };
+    match op {
+        Op::EmbedEntities(op) => {
+            format!("[N, {}] -> [N, {}]{}", op.layer.inputs, op.layer.outputs, relu(op.relu))
+        }
+        Op::AttendOwn(op) => {
+            let heads = if op.heads == 1 { "head" } else { "heads" };
+            let (width, outputs) = (op.width, op.output.outputs);
+            format!("[N, {width}] -> [{outputs}], {} {heads}{}", op.heads, relu(op.relu))
+        }
+        Op::Dense(op) => {
+            format!("[{}] -> [{}]{}", op.layer.inputs, op.layer.outputs, relu(op.relu))
+        }
+        Op::MaskedArgmax(op) => format!("[{}] -> action", op.from.len),
+        _ => String::new(),
+    }
+}

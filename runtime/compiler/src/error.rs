@@ -1,0 +1,87 @@
+//! Why a network does not become a plan.
+
+use sortie_core::plan::PlanError;
+
+/// Why a network could not be read, compiled or run.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum CompileError {
+    /// The bytes are not an ONNX model that can be read.
+    #[error("the ONNX file cannot be read: {reason}")]
+    Unreadable {
+        /// What the reader said.
+        reason: String,
+    },
+    /// The inputs are not those of an agent network.
+    #[error(
+        "an agent network needs entities f32 [N, D], self_index i64 [1] and visible bool [N]; the file has {found}"
+    )]
+    Inputs {
+        /// The inputs of the file, with types and shapes.
+        found: String,
+    },
+    /// The sizes of the file and of the contract do not fit.
+    #[error("{what} is {got} in the file, the contract says {want}")]
+    Size {
+        /// What differs.
+        what: &'static str,
+        /// In the file.
+        got: usize,
+        /// In the contract.
+        want: usize,
+    },
+    /// A size is beyond what a plan can express.
+    #[error("{what} is {got}, at most {max} is possible")]
+    TooLarge {
+        /// What is too large.
+        what: &'static str,
+        /// Its size.
+        got: usize,
+        /// The limit.
+        max: usize,
+    },
+    /// A part of the graph matches no pattern.
+    #[error(
+        "`{node}` ({operator} {shapes}) does not fit: {hint}; the tract back-end still runs this file"
+    )]
+    Unsupported {
+        /// The node's name.
+        node: String,
+        /// Its operator.
+        operator: String,
+        /// Shapes of its inputs.
+        shapes: String,
+        /// The nearest supported pattern.
+        hint: &'static str,
+    },
+    /// A weight is not a finite number.
+    #[error("the {layer} layer holds a weight that is not finite")]
+    NonFiniteWeight {
+        /// The layer.
+        layer: &'static str,
+    },
+    /// The plan and the graph disagree, so the plan was thrown away.
+    #[error(
+        "the plan differs from the graph by {error:.3e} on random input {input} of seed {seed} (limit {limit:.0e}): \
+         please report this file"
+    )]
+    Differs {
+        /// The largest error, |a - b| / (1 + |b|).
+        error: f32,
+        /// The limit.
+        limit: f32,
+        /// The input with the largest error.
+        input: usize,
+        /// The seed of the inputs.
+        seed: u64,
+    },
+    /// The network could not be run on an observation.
+    #[error("the network cannot be run: {reason}")]
+    Run {
+        /// What the engine said.
+        reason: String,
+    },
+    /// The plan is not one that can be loaded.
+    #[error("the plan cannot be loaded")]
+    Plan(#[from] PlanError),
+}

@@ -1,0 +1,119 @@
+//! Facts about ONNX files and plans, for people and scripts.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+use sortie_bundle::hex;
+use sortie_core::plan::{AlignedBytes, Plan};
+use tract_onnx::prelude::*;
+
+use crate::compile::{OperatorReport, operators};
+use crate::error::CompileError;
+use crate::graph::{guarded, shape};
+
+/// What an ONNX file holds.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct OnnxFacts {
+    /// Version of the file format.
+    pub ir_version: i64,
+    /// Version of the default operator set.
+    pub opset: i64,
+    /// The program that wrote the file.
+    pub producer: String,
+    /// Inputs with types and shapes.
+    pub inputs: Vec<(String, String)>,
+    /// Outputs with types and shapes.
+    pub outputs: Vec<(String, String)>,
+    /// Nodes per operator.
+    pub operators: BTreeMap<String, usize>,
+    /// Constant numbers stored in the file.
+    pub parameters: i64,
+    /// Metadata entries.
+    pub metadata: BTreeMap<String, String>,
+}
+
+/// What a plan holds.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PlanFacts {
+    /// Bytes of the plan.
+    pub flash_bytes: usize,
+    /// Bytes of arena for one decision.
+    pub arena_bytes: usize,
+    /// Most visible entities.
+    pub n_max: usize,
+    /// Features d of an entity.
+    pub features: usize,
+    /// Actions U.
+    pub actions: usize,
+    /// Most subtasks, 0 if none.
+    pub t_max: u16,
+    /// SHA-256 of the ONNX file that the plan was made from.
+    pub source: String,
+    /// Hash of the contract.
+    pub contract: String,
+    /// Largest measured error against the graph.
+    pub max_rel_error: f32,
+    /// Measured share of differing actions.
+    pub action_mismatch: f32,
+    /// Multiply-adds of one decision with all entities visible.
+    pub macs: usize,
+    /// The operators in order.
+    pub operators: Vec<OperatorReport>,
+}
+
+/// Reads the facts of an ONNX file, whether or not it can be compiled.
+pub fn inspect_onnx(onnx: &[u8]) -> Result<OnnxFacts, CompileError> {
+    let read = || {
+        let reader = tract_onnx::onnx();
+        let file = reader.proto_model_for_read(&mut &*onnx)?;
+        let model = reader.model_for_proto_model(&file)?.into_typed()?;
+        let graph = file.graph.clone().unwrap_or_default();
+        let mut operators = BTreeMap::new();
+        for node in &graph.node {
+            *operators.entry(node.op_type.clone()).or_insert(0) += 1;
+        }
+        let parameters = graph.initializer.iter().map(|t| t.dims.iter().product::<i64>()).sum();
+        let entries = file.metadata_props.iter();
+        let default_set = |domain: &str| domain.is_empty() || domain == "ai.onnx";
+        let opset = file.opset_import.iter().find(|set| default_set(&set.domain));
+        let names = |values: &[tract_onnx::pb::ValueInfoProto], outlets: &[OutletId]| {
+            let facts = outlets.iter().map(|&outlet| model.outlet_fact(outlet).map(shape));
+            let facts = facts.map(|fact| fact.unwrap_or_default());
+            values.iter().map(|value| value.name.clone()).zip(facts).collect()
+        };
+        Ok(OnnxFacts {
+            ir_version: file.ir_version,
+            opset: opset.map_or(0, |set| set.version),
+            producer: format!("{} {}", file.producer_name, file.producer_version).trim().to_owned(),
+            inputs: names(&graph.input, &model.inputs),
+            outputs: names(&graph.output, &model.outputs),
+            operators,
+            parameters,
+            metadata: entries.map(|entry| (entry.key.clone(), entry.value.clone())).collect(),
+        })
+    };
+    guarded(read).map_err(|reason| CompileError::Unreadable { reason })
+}
+
+/// Reads the facts of a plan.
+pub fn inspect_plan(plan: &[u8]) -> Result<PlanFacts, CompileError> {
+    let flash_bytes = plan.len();
+    let plan = AlignedBytes::copy_of(plan);
+    let plan = Plan::load(plan.as_slice())?;
+    let header = plan.header();
+    let operators = operators(plan.program(), header.n_max as usize);
+    Ok(PlanFacts {
+        flash_bytes,
+        arena_bytes: plan.arena_bytes(),
+        n_max: header.n_max as usize,
+        features: header.features as usize,
+        actions: header.actions as usize,
+        t_max: header.t_max,
+        source: hex(&header.source),
+        contract: format!("{:016x}", header.contract),
+        max_rel_error: header.max_error,
+        action_mismatch: header.action_mismatch,
+        macs: operators.iter().map(|operator| operator.macs).sum(),
+        operators,
+    })
+}

@@ -1,0 +1,204 @@
+//! Matched layers become operators: where weights lie and what the arena holds.
+
+use sortie_core::kernels::product::padded;
+use sortie_core::limits;
+use sortie_core::ops::{AttendOwn, Dense, EmbedEntities, MaskedArgmax, Op, Place};
+use sortie_core::plan::{OPS, Program};
+
+use crate::error::CompileError;
+use crate::layout::Weights;
+use crate::matching::{AgentLayers, Layer, Matrix};
+
+/// Sizes that the graph alone does not tell.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct AgentSizes {
+    /// Most visible entities.
+    pub(crate) n_max: usize,
+    /// Features d, the last action not counted.
+    pub(crate) features: usize,
+    /// Actions U.
+    pub(crate) actions: usize,
+}
+
+/// Lowers an agent network to a program and its weights.
+pub(crate) fn lower_agent(
+    layers: &AgentLayers,
+    sizes: AgentSizes,
+) -> Result<(Program, Weights), CompileError> {
+    check(layers, sizes)?;
+    let (mut weights, mut arena) = (Weights::default(), Arena::default());
+    let mut ops = heapless::Vec::new();
+    let mut push = |op| {
+        let full =
+            |_| CompileError::TooLarge { what: "the number of layers", got: OPS + 1, max: OPS };
+        ops.push(op).map_err(full)
+    };
+    let width = padded(layers.embed.matrix.outputs);
+    let rows = arena.place((sizes.n_max + 1) * width);
+    push(Op::EmbedEntities(EmbedEntities {
+        layer: weights.add_layer(&layers.embed),
+        last_actions: (layers.embed.matrix.inputs - sizes.features) as u16,
+        relu: layers.embed.relu,
+        rows,
+    }))?;
+    let attend = lower_attention(layers, sizes, rows, &mut weights, &mut arena);
+    push(Op::AttendOwn(attend))?;
+    let (mut from, mut sparse) = (attend.to, layers.output.relu);
+    for layer in &layers.dense {
+        let to = arena.place(padded(layer.matrix.outputs));
+        from.len = layer.matrix.inputs as u32;
+        let linear = weights.add_layer(layer);
+        let (relu, sparse_input) = (layer.relu, sparse);
+        push(Op::Dense(Dense { layer: linear, relu, sparse_input, from, to }))?;
+        (from, sparse) = (to, relu);
+    }
+    from.len = sizes.actions as u32;
+    push(Op::MaskedArgmax(MaskedArgmax { from }))?;
+    let nonzeros = layers.embed.matrix.inputs.max(longest_input(layers)) as u32;
+    Ok((Program { ops, floats: arena.floats(), nonzeros }, weights))
+}
+
+fn lower_attention(
+    layers: &AgentLayers,
+    sizes: AgentSizes,
+    rows: Place,
+    weights: &mut Weights,
+    arena: &mut Arena,
+) -> AttendOwn {
+    let (heads, width) = (layers.heads, layers.key.inputs);
+    let head_width = layers.key.outputs / heads;
+    let parts = |matrix: &Matrix| -> Vec<Matrix> {
+        (0..heads).map(|head| matrix.columns(head * head_width, head_width)).collect()
+    };
+    let keys: Vec<Matrix> = parts(&layers.key).iter().map(Matrix::transposed).collect();
+    let values = parts(&layers.value);
+    let output =
+        Layer { matrix: padded_heads(&layers.output.matrix, heads), ..layers.output.clone() };
+    AttendOwn {
+        rows,
+        width: width as u16,
+        heads: heads as u16,
+        query: weights.add_layer(&layers.query),
+        keys: weights.add_matrices(&keys.iter().collect::<Vec<_>>()),
+        values: weights.add_matrices(&values.iter().collect::<Vec<_>>()),
+        output: weights.add_layer(&output),
+        relu: layers.output.relu,
+        query_place: arena.place(padded(layers.query.matrix.outputs)),
+        absorbed: arena.place(padded(width)),
+        scores: arena.place(sizes.n_max),
+        mixed: arena.place(padded(width)),
+        attended: arena.place(output.matrix.inputs),
+        to: arena.place(padded(output.matrix.outputs)),
+    }
+}
+
+/// The matrix with zero rows behind every head, because heads write padded outputs.
+fn padded_heads(matrix: &Matrix, heads: usize) -> Matrix {
+    let head = matrix.inputs / heads * matrix.outputs;
+    let padded_head = padded(matrix.inputs / heads) * matrix.outputs;
+    let mut values = Vec::with_capacity(heads * padded_head);
+    for rows in matrix.values.chunks_exact(head) {
+        values.extend(rows);
+        values.resize(values.len() + padded_head - head, 0.0);
+    }
+    Matrix { inputs: heads * padded(matrix.inputs / heads), outputs: matrix.outputs, values }
+}
+
+fn longest_input(layers: &AgentLayers) -> usize {
+    let dense = layers.dense.iter().map(|layer| layer.matrix.inputs).max();
+    dense.unwrap_or(0).max(layers.key.inputs)
+}
+
+/// Checks that sizes fit together and into a plan.
+fn check(layers: &AgentLayers, sizes: AgentSizes) -> Result<(), CompileError> {
+    let at_most = |what, got, max| {
+        if got > max { Err(CompileError::TooLarge { what, got, max }) } else { Ok(()) }
+    };
+    at_most("the number of visible entities", sizes.n_max, limits::ENTITIES)?;
+    at_most("the number of features", sizes.features, limits::FEATURES)?;
+    at_most("the number of actions", sizes.actions, limits::ACTIONS)?;
+    let with_last_action = sizes.features + sizes.actions;
+    let got = layers.embed.matrix.inputs;
+    if got != sizes.features && got != with_last_action {
+        return Err(CompileError::Size { what: "the input width", got, want: with_last_action });
+    }
+    let attention = [
+        ("query", &layers.query.matrix, layers.query.bias.as_slice()),
+        ("key", &layers.key, &[]),
+        ("value", &layers.value, &[]),
+    ];
+    let plain = |name, layer| -> (&'static str, &Matrix, &[f32]) {
+        let Layer { matrix, bias, .. }: &Layer = layer;
+        (name, matrix, bias)
+    };
+    let dense = layers.dense.iter().map(|layer| plain("dense", layer));
+    let ends = [plain("first", &layers.embed), plain("attention output", &layers.output)];
+    for (layer, matrix, bias) in attention.into_iter().chain(ends).chain(dense) {
+        at_most(
+            "the width of a layer",
+            matrix.inputs.max(matrix.outputs),
+            usize::from(u16::MAX) / 8,
+        )?;
+        if matrix.values.iter().chain(bias).any(|value| !value.is_finite()) {
+            return Err(CompileError::NonFiniteWeight { layer });
+        }
+    }
+    check_chain(layers, sizes)
+}
+
+/// Checks that every layer takes what the one before it gives.
+fn check_chain(layers: &AgentLayers, sizes: AgentSizes) -> Result<(), CompileError> {
+    let width = layers.embed.matrix.outputs;
+    let inner = layers.query.matrix.outputs;
+    let mut pairs = vec![
+        ("the query's input", layers.query.matrix.inputs, width),
+        ("the keys' input", layers.key.inputs, width),
+        ("the values' input", layers.value.inputs, width),
+        ("the keys' width", layers.key.outputs, inner),
+        ("the values' width", layers.value.outputs, inner),
+        ("the attention output's input", layers.output.matrix.inputs, inner),
+        ("the heads' joint width", inner / layers.heads.max(1) * layers.heads, inner),
+    ];
+    let mut before = layers.output.matrix.outputs;
+    for layer in &layers.dense {
+        pairs.push(("a layer's input", layer.matrix.inputs, before));
+        before = layer.matrix.outputs;
+    }
+    pairs.push(("the number of utilities", before, sizes.actions));
+    match pairs.into_iter().find(|(_, got, want)| got != want) {
+        Some((what, got, want)) => Err(CompileError::Size { what, got, want }),
+        None => Ok(()),
+    }
+}
+
+/// Hands out places of the arena, each at the start of a cache line.
+#[derive(Default)]
+struct Arena {
+    used: usize,
+}
+
+impl Arena {
+    fn place(&mut self, len: usize) -> Place {
+        let place = Place { offset: self.used as u32, len: len as u32 };
+        self.used = (self.used + len).next_multiple_of(16);
+        place
+    }
+
+    fn floats(&self) -> u32 {
+        self.used as u32
+    }
+}
+
+impl Matrix {
+    fn columns(&self, start: usize, count: usize) -> Self {
+        let rows = self.values.chunks_exact(self.outputs);
+        let values = rows.flat_map(|row| row.iter().skip(start).take(count)).copied().collect();
+        Self { inputs: self.inputs, outputs: count, values }
+    }
+
+    fn transposed(&self) -> Self {
+        let column = |column: usize| self.values.iter().skip(column).step_by(self.outputs);
+        let values = (0..self.outputs).flat_map(column).copied().collect();
+        Self { inputs: self.outputs, outputs: self.inputs, values }
+    }
+}

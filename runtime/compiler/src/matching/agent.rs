@@ -1,0 +1,146 @@
+//! The masked-attention utility network (dissertation section 7.3).
+
+use tract_onnx::prelude::*;
+use tract_onnx::tract_core::ops::array::Gather;
+use tract_onnx::tract_core::ops::logic::Iff;
+use tract_onnx::tract_core::ops::nn::Softmax;
+use tract_onnx::tract_hir::internal::DimLike;
+
+use super::linear::{Found, Layer, Matrix, match_layer, match_product_of_two, match_scale};
+use crate::error::CompileError;
+use crate::graph::Graph;
+
+/// Logits of masked entities must be at least this small: e to that power is zero.
+const BLOCKED: f32 = -1.0e9;
+
+/// The layers of an agent network, all matrices `[inputs, outputs]`.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct AgentLayers {
+    /// Entities to embeddings.
+    pub(crate) embed: Layer,
+    /// Attention heads.
+    pub(crate) heads: usize,
+    /// Own embedding to queries, the scale of the scores included.
+    pub(crate) query: Layer,
+    /// Embeddings to keys.
+    pub(crate) key: Matrix,
+    /// Embeddings to values.
+    pub(crate) value: Matrix,
+    /// Heads to the attention's output.
+    pub(crate) output: Layer,
+    /// What follows the attention, in order.
+    pub(crate) dense: Vec<Layer>,
+}
+
+/// Matches embed, attend with the own query, dense layers, from the output backwards.
+pub(crate) fn match_agent(graph: &Graph) -> Result<AgentLayers, CompileError> {
+    let Some(&outlet) = graph.model.outputs.last() else {
+        return Err(CompileError::Unreadable { reason: "the graph has no output".to_owned() });
+    };
+    let mut dense = Vec::new();
+    let mut found = match_layer(graph, outlet)?;
+    while match_product_of_two(graph, found.input).is_none() {
+        dense.push(found.layer);
+        found = match_layer(graph, found.input)?;
+    }
+    dense.reverse();
+    let (output, mixed) = (found.layer, found.input);
+    let (weights, value) = match_mixed(graph, mixed)?;
+    let (scores, heads) = match_weights(graph, weights)?;
+    let (query, key, embedding) = match_scores(graph, scores)?;
+    let value = match_projection(graph, value, embedding)?;
+    let embed = match_layer(graph, embedding)?;
+    if graph.source(embed.input) != graph.input(graph.roles.entities).unwrap_or(mixed) {
+        return Err(graph.unsupported(embed.input, "attention reads one layer over the entities"));
+    }
+    Ok(AgentLayers { embed: embed.layer, heads, query, key, value, output, dense })
+}
+
+/// `weights · values`: which operand is which.
+fn match_mixed(graph: &Graph, mixed: OutletId) -> Result<(OutletId, OutletId), CompileError> {
+    match match_product_of_two(graph, mixed) {
+        Some([a, b]) if graph.node(a).op_is::<Iff>() => Ok((a, b)),
+        Some([a, b]) if graph.node(b).op_is::<Iff>() => Ok((b, a)),
+        _ => {
+            Err(graph
+                .unsupported(mixed, "attention multiplies Where(visible, weights, 0) by values"))
+        }
+    }
+}
+
+/// `Where(visible, softmax(Where(visible, logits, -1e30)), 0)`: the logits, and the number of heads.
+fn match_weights(graph: &Graph, weights: OutletId) -> Result<(OutletId, usize), CompileError> {
+    const HINT: &str =
+        "masked attention is Where(visible, Softmax(Where(visible, logits, -1e30)), 0)";
+    let masked = |outlet: OutletId| match graph.node(outlet).inputs.as_slice() {
+        &[visible, value, other] if graph.node(outlet).op_is::<Iff>() => {
+            let asks = Some(graph.source(visible)) == graph.input(graph.roles.visible);
+            let other = asks.then(|| graph.uniform(other)).flatten();
+            other.map(|other| (value, other))
+        }
+        _ => None,
+    };
+    let unsupported = |outlet| graph.unsupported(outlet, HINT);
+    let (softmax, nothing) = masked(weights).ok_or_else(|| unsupported(weights))?;
+    let node = graph.node(softmax);
+    let &[logits] = node.inputs.as_slice() else { return Err(unsupported(softmax)) };
+    let (logits, blocked) = masked(logits).ok_or_else(|| unsupported(logits))?;
+    if !node.op_is::<Softmax>() || nothing != 0.0 || blocked > BLOCKED {
+        return Err(unsupported(softmax));
+    }
+    let fact = graph.model.outlet_fact(graph.source(softmax)).map_err(|_| unsupported(softmax))?;
+    Ok((logits, fact.shape.iter().filter_map(|dim| dim.to_usize().ok()).product()))
+}
+
+/// `scale · (q · k)`: the query with the scale folded in, the keys, and the embedding of both.
+fn match_scores(
+    graph: &Graph,
+    scores: OutletId,
+) -> Result<(Layer, Matrix, OutletId), CompileError> {
+    const HINT: &str = "scores are the product of the own row's query and of keys";
+    let (product, scale) = match_scale(graph, scores);
+    let unsupported = || graph.unsupported(product, HINT);
+    let [a, b] = match_product_of_two(graph, product).ok_or_else(unsupported)?;
+    let [(a, scale_a), (b, scale_b)] = [match_scale(graph, a), match_scale(graph, b)];
+    let [a, b] = [match_layer(graph, a)?, match_layer(graph, b)?];
+    let own = |found: &Found| own_row(graph, found.input);
+    let (query, embedding, key) = match (own(&a), own(&b)) {
+        (Some(embedding), None) => (a, embedding, b),
+        (None, Some(embedding)) => (b, embedding, a),
+        _ => return Err(unsupported()),
+    };
+    if graph.source(key.input) != graph.source(embedding) || query.layer.relu || key.layer.relu {
+        return Err(unsupported());
+    }
+    let mut query = query.layer;
+    let scale = scale * scale_a * scale_b;
+    query.matrix.values.iter_mut().chain(&mut query.bias).for_each(|value| *value *= scale);
+    // A bias of the keys adds the same to every score of a head and drops out of the softmax.
+    Ok((query, key.layer.matrix, embedding))
+}
+
+/// The embedding whose own row `outlet` is.
+fn own_row(graph: &Graph, outlet: OutletId) -> Option<OutletId> {
+    let node = graph.node(outlet);
+    node.op_as::<Gather>().filter(|gather| gather.axis == 0)?;
+    match node.inputs.as_slice() {
+        &[rows, index] if Some(graph.source(index)) == graph.input(graph.roles.self_index) => {
+            Some(graph.source(rows))
+        }
+        _ => None,
+    }
+}
+
+fn match_projection(
+    graph: &Graph,
+    outlet: OutletId,
+    embedding: OutletId,
+) -> Result<Matrix, CompileError> {
+    let found = match_layer(graph, outlet)?;
+    if found.layer.relu || found.has_bias || graph.source(found.input) != embedding {
+        return Err(
+            graph.unsupported(outlet, "values are the embeddings times a matrix, without bias")
+        );
+    }
+    Ok(found.layer.matrix)
+}

@@ -1,0 +1,100 @@
+//! Whether two engines give the same answers.
+
+use serde::Serialize;
+use sortie_bundle::{Golden, OwnedObservation};
+use sortie_core::choose::masked_argmax;
+use sortie_core::plan::{AlignedBytes, Plan};
+use sortie_core::{DecideError, PlanPolicy, Policy};
+
+use crate::error::CompileError;
+use crate::graph::Graph;
+use crate::tract_policy::TractPolicy;
+
+/// Largest error |a - b| / (1 + |b|) of an f32 plan.
+pub const TOLERANCE: f32 = 1.0e-5;
+
+/// How far an engine is from the expected answers.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Comparison {
+    /// What was compared, for example `plan against tract`.
+    pub name: String,
+    /// Observations.
+    pub inputs: usize,
+    /// Largest |a - b| / (1 + |b|) of any utility.
+    pub max_rel_error: f32,
+    /// Observations for which another action was chosen.
+    pub action_mismatches: usize,
+    /// The observation with the largest error.
+    #[serde(skip)]
+    pub worst_input: usize,
+}
+
+impl Comparison {
+    fn new(name: &str) -> Self {
+        let name = name.to_owned();
+        Self { name, inputs: 0, max_rel_error: 0.0, action_mismatches: 0, worst_input: 0 }
+    }
+
+    fn add(&mut self, got: &[f32], want: &[f32], same_action: bool) {
+        let relative = |(got, want): (&f32, &f32)| (got - want).abs() / (1.0 + want.abs());
+        let error = got.iter().zip(want).map(relative).fold(0.0, f32::max);
+        if error > self.max_rel_error {
+            (self.max_rel_error, self.worst_input) = (error, self.inputs);
+        }
+        self.inputs += 1;
+        self.action_mismatches += usize::from(!same_action);
+    }
+}
+
+/// Compares a plan with the ONNX graph that it was made from.
+pub fn compare_with_graph(
+    plan: &[u8],
+    onnx: &[u8],
+    observations: &[OwnedObservation],
+) -> Result<Comparison, CompileError> {
+    plan_against_graph(plan, &Graph::read(onnx)?, observations)
+}
+
+pub(crate) fn plan_against_graph(
+    plan: &[u8],
+    graph: &Graph,
+    observations: &[OwnedObservation],
+) -> Result<Comparison, CompileError> {
+    let plan = AlignedBytes::copy_of(plan);
+    let plan = Plan::load(plan.as_slice())?;
+    let features = plan.header().features as usize;
+    let mut reference = TractPolicy::from_graph(graph, features)?.with_all_rows();
+    let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
+    let mut policy = PlanPolicy::new(plan, arena.as_mut_slice())?;
+    let mut comparison = Comparison::new("plan against tract");
+    let (mut got, mut want) = (vec![0.0; policy.actions()], vec![0.0; policy.actions()]);
+    for observation in observations {
+        let view = observation.view();
+        policy.utilities(&view, &mut got).map_err(cannot_run)?;
+        reference.utilities(&view, &mut want).map_err(cannot_run)?;
+        let action = |utilities: &[f32]| masked_argmax(utilities, view.available).map(|d| d.action);
+        comparison.add(&got, &want, action(&got) == action(&want));
+    }
+    Ok(comparison)
+}
+
+/// Compares a policy with recorded answers.
+pub fn compare_with_golden(
+    name: &str,
+    policy: &mut dyn Policy,
+    golden: &Golden,
+) -> Result<Comparison, CompileError> {
+    let mut comparison = Comparison::new(name);
+    let mut got = vec![0.0; policy.actions()];
+    for case in &golden.cases {
+        let view = case.observation.view();
+        policy.utilities(&view, &mut got).map_err(cannot_run)?;
+        let action = policy.decide(&view).map_err(cannot_run)?.action;
+        comparison.add(&got, &case.utilities, action == case.action);
+    }
+    Ok(comparison)
+}
+
+fn cannot_run(error: DecideError) -> CompileError {
+    CompileError::Run { reason: error.to_string() }
+}
