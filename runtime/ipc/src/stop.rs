@@ -4,7 +4,7 @@ use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::flag;
 
 /// Exit code of a process that a signal interrupted.
@@ -22,7 +22,8 @@ impl Stop {
         Self::default()
     }
 
-    /// A flag that SIGINT and SIGTERM set; the second signal ends the process at once.
+    /// A flag that SIGINT, SIGTERM and SIGHUP set. A second SIGINT or SIGTERM ends the process at
+    /// once; SIGHUP, which the kernel may send once for each thread of a parent that dies, does not.
     ///
     /// # Errors
     /// A handler could not be registered.
@@ -33,6 +34,7 @@ impl Stop {
             flag::register_conditional_shutdown(signal, INTERRUPTED, Arc::clone(&stop.flag))?;
             flag::register(signal, Arc::clone(&stop.flag))?;
         }
+        flag::register(SIGHUP, Arc::clone(&stop.flag))?;
         Ok(stop)
     }
 

@@ -39,7 +39,8 @@ pub struct ProcessSettings {
     pub entities_max: Option<usize>,
     /// Most subtasks that the model takes; `None` = any.
     pub tasks_max: Option<usize>,
-    /// Process id of the parent with which this process is to end.
+    /// Process id of the parent with which this process is to end: the kernel sends SIGHUP when it
+    /// dies, which [`Stop::on_signals`] understands.
     pub parent: Option<u32>,
 }
 
@@ -60,7 +61,7 @@ impl ProcessSettings {
     /// Has the kernel end this process when its parent dies.
     fn end_with_parent(&self) -> Result<(), Error> {
         let Some(parent) = self.parent else { return Ok(()) };
-        set_parent_process_death_signal(Some(Signal::TERM))
+        set_parent_process_death_signal(Some(Signal::HUP))
             .map_err(|error| Error::io("follow", "the parent process")(error.into()))?;
         // A parent that died before the call above sends nothing.
         let alive =

@@ -1,4 +1,5 @@
 //! The messaging of a team, over each of its links and as real processes.
 
+mod conformance;
 mod processes;
 mod toy;

@@ -1,26 +1,34 @@
 //! Whole teams: in one thread, and as processes. A child is this test binary again, running the
 //! test `child_process` with its role in the environment.
 
-use std::process::Command;
-use std::time::Duration;
+use std::fs::File;
+use std::io::{BufRead, BufReader};
+use std::os::unix::process::CommandExt;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
 
-use sortie_core::roles::Counters;
+use rustix::process::{Pid, Signal, kill_process, kill_process_group};
+use sortie_core::link::LinkError;
+use sortie_core::roles::{Counters, TickReport, WorldError, WorldObserver};
+use sortie_core::wire::{Role, StatMsg};
 use sortie_ipc::{
-    Children, Domain, Error, InProcess, ProcessSettings, Stop, WorldSettings, allocator_process,
-    run_in_process, runner_process, world_process,
+    Children, Domain, DomainContract, Error, InProcess, ProcessSettings, Stop, WorldSettings,
+    allocator_process, run_in_process, runner_process, world_process,
 };
 
-use crate::toy::{self, DecisionLog, ToyAllocator, ToyPolicy, ToyWorld};
+use crate::toy::{self, DecisionLog, ToyAllocator, ToyPolicy, ToyWorld, Watchdog};
 
 const ROLE: &str = "SORTIE_TEST_ROLE";
 const DOMAIN: &str = "SORTIE_TEST_DOMAIN";
 const PARENT: &str = "SORTIE_TEST_PARENT";
+/// What a world process prints when its first tick is done.
+const RUNNING: &str = "the team acts";
 
 fn settings(episodes: u32) -> WorldSettings {
     WorldSettings { allocator: true, episodes: Some(episodes), ..WorldSettings::default() }
 }
 
-/// A process of the team: `allocator`, or the agents of a runner as `0,2`.
+/// A process of the domain: `world`, `allocator`, or the agents of a runner as `0,2`.
 fn child(domain: &Domain, role: &str) -> Command {
     let mut command = Command::new(std::env::current_exe().unwrap());
     command
@@ -28,10 +36,11 @@ fn child(domain: &Domain, role: &str) -> Command {
         .env(ROLE, role)
         .env(DOMAIN, domain.id())
         .env(PARENT, std::process::id().to_string())
-        .stdout(std::process::Stdio::null());
+        .stdout(Stdio::null());
     command
 }
 
+/// Not a test of its own: what the processes of the other tests do.
 #[test]
 fn child_process() {
     let Ok(role) = std::env::var(ROLE) else { return };
@@ -40,30 +49,51 @@ fn child_process() {
     let settings = ProcessSettings { parent: Some(parent), ..ProcessSettings::default() };
     let stop = Stop::on_signals().unwrap();
     let contract = toy::contract();
-    let ended = if role == "allocator" {
-        allocator_process(&domain, &contract, &mut ToyAllocator, &settings, &stop)
-    } else {
-        let agents: Vec<u16> = role.split(',').map(|agent| agent.parse().unwrap()).collect();
-        runner_process(&domain, &contract, &agents, &mut ToyPolicy, &settings, &stop)
+    let ended = match role.as_str() {
+        "world" => endless_world(&domain, &stop),
+        "allocator" => allocator_process(&domain, &contract, &mut ToyAllocator, &settings, &stop),
+        agents => {
+            let agents: Vec<u16> = agents.split(',').map(|agent| agent.parse().unwrap()).collect();
+            runner_process(&domain, &contract, &agents, &mut ToyPolicy, &settings, &stop)
+        }
     };
-    match ended {
-        Ok(_) => {}
-        Err(error) => std::process::exit(error.exit_code().into()),
+    if let Err(error) = ended {
+        std::process::exit(error.exit_code().into());
     }
+}
+
+/// A world that starts its team and runs until it is stopped.
+fn endless_world(domain: &Domain, stop: &Stop) -> Result<Counters, Error> {
+    struct Announce;
+    impl WorldObserver for Announce {
+        fn tick(&mut self, report: &TickReport<'_>) {
+            if (report.episode, report.step) == (0, 0) {
+                println!("{RUNNING}");
+            }
+        }
+    }
+    let endless = WorldSettings { episodes: None, ..settings(0) };
+    let start_team = |children: &mut Children| start(children, domain, &["allocator", "0,2", "1"]);
+    let contract = toy::contract();
+    let mut world = ToyWorld::new();
+    world_process(domain, &contract, &mut world, &endless, start_team, &mut Announce, stop)
+}
+
+fn start(children: &mut Children, domain: &Domain, roles: &[&str]) -> Result<(), Error> {
+    roles.iter().try_for_each(|role| children.spawn(*role, &mut child(domain, role)))
 }
 
 fn run_processes(
     domain: &Domain,
     roles: &[&str],
     settings: &WorldSettings,
-    log: &mut DecisionLog,
+    observer: &mut dyn WorldObserver,
+    stop: &Stop,
 ) -> Result<Counters, Error> {
-    let start_team = |children: &mut Children| {
-        roles.iter().try_for_each(|role| children.spawn(*role, &mut child(domain, role)))
-    };
+    let start_team = |children: &mut Children| start(children, domain, roles);
     let contract = toy::contract();
     let mut world = ToyWorld::new();
-    world_process(domain, &contract, &mut world, settings, start_team, log, &Stop::new())
+    world_process(domain, &contract, &mut world, settings, start_team, observer, stop)
 }
 
 fn run_in_one_thread(episodes: u32) -> DecisionLog {
@@ -79,24 +109,267 @@ fn run_in_one_thread(episodes: u32) -> DecisionLog {
 
 #[test]
 fn processes_decide_exactly_as_one_thread_does() {
-    let alone = run_in_one_thread(4);
+    let _watchdog = Watchdog::new();
+    let episodes = 40;
+    let alone = run_in_one_thread(episodes);
+    assert_eq!((alone.episodes, alone.tick_ns.len()), (episodes, 1_000));
     for roles in [&["allocator", "0,1,2"][..], &["0", "1", "2", "allocator"]] {
         let domain = toy::domain();
         let mut log = DecisionLog::default();
-        run_processes(&domain, roles, &settings(4), &mut log).unwrap();
+        run_processes(&domain, roles, &settings(episodes), &mut log, &Stop::new()).unwrap();
         toy::assert_same_log(&log, &alone);
         assert_eq!(toy::leftovers(&domain), [""; 0]);
     }
-    assert_eq!(alone.episodes, 4);
+}
+
+#[test]
+fn a_team_in_one_thread_without_its_allocator_stands_still() {
+    let team = InProcess { world: &mut ToyWorld::new(), policy: &mut ToyPolicy, allocator: None };
+    let ended = run_in_process(team, &toy::contract(), &settings(1), &mut (), &Stop::new());
+    assert!(matches!(ended, Err(Error::Stalled)));
 }
 
 #[test]
 fn a_runner_that_never_comes_is_named() {
+    let _watchdog = Watchdog::new();
     let domain = toy::domain();
-    let mut log = DecisionLog::default();
     let impatient = WorldSettings { join_patience: Duration::from_millis(300), ..settings(1) };
-    let error = run_processes(&domain, &["allocator", "0,2"], &impatient, &mut log).unwrap_err();
+    let roles = ["allocator", "0,2"];
+    let error = run_processes(&domain, &roles, &impatient, &mut (), &Stop::new()).unwrap_err();
     assert_eq!(error.to_string(), "nobody has joined for agent 1");
     assert_eq!(error.exit_code(), 69);
     assert_eq!(toy::leftovers(&domain), [""; 0]);
+}
+
+/// Sends a signal to a process of the team, or to the own stop flag, once the team acts.
+struct Strike {
+    at_step: u32,
+    /// Its role, and an agent that it acts for.
+    victim: Option<(Role, u64)>,
+    signal: Signal,
+    pid: Option<Pid>,
+    stop: Stop,
+}
+
+impl Strike {
+    fn new(at_step: u32, victim: Option<(Role, u64)>, signal: Signal) -> Self {
+        Self { at_step, victim, signal, pid: None, stop: Stop::new() }
+    }
+}
+
+impl WorldObserver for Strike {
+    fn status(&mut self, status: &StatMsg) {
+        if let Some((role, agents)) = self.victim
+            && status.role == role as u8
+            && status.agents & agents == agents
+        {
+            self.pid = Pid::from_raw(status.pid as i32);
+        }
+    }
+
+    fn tick(&mut self, report: &TickReport<'_>) {
+        if (report.episode, report.step) == (0, self.at_step) {
+            match self.pid {
+                Some(pid) => kill_process(pid, self.signal).unwrap(),
+                None => self.stop.stop(),
+            }
+        }
+    }
+}
+
+fn run_struck(mut strike: Strike, patience: Duration) -> Error {
+    let _watchdog = Watchdog::new();
+    let domain = toy::domain();
+    let endless = WorldSettings { episodes: None, patience, ..settings(0) };
+    let stop = strike.stop.clone();
+    let roles = ["0,2", "1", "allocator"];
+    let error = run_processes(&domain, &roles, &endless, &mut strike, &stop).unwrap_err();
+    assert_eq!(toy::leftovers(&domain), [""; 0]);
+    error
+}
+
+#[test]
+fn a_stopped_world_ends_its_team() {
+    let error = run_struck(Strike::new(9, None, Signal::INT), Duration::from_secs(10));
+    assert_eq!((error.to_string().as_str(), error.exit_code()), ("interrupted", 130));
+}
+
+#[test]
+fn a_killed_runner_is_named_at_once() {
+    let strike = Strike::new(9, Some((Role::Runner, 0b101)), Signal::KILL);
+    // Long before the world's patience is over: the kernel says that it died.
+    let error = run_struck(strike, Duration::from_secs(1_000));
+    assert_eq!(error.to_string(), "0,2 was killed by signal 9");
+    assert_eq!(error.exit_code(), 69);
+}
+
+#[test]
+fn a_killed_allocator_is_named_at_once() {
+    let strike = Strike::new(9, Some((Role::Allocator, 0)), Signal::KILL);
+    let error = run_struck(strike, Duration::from_secs(1_000));
+    assert_eq!(error.to_string(), "allocator was killed by signal 9");
+}
+
+#[test]
+fn a_runner_that_hangs_is_named_when_patience_is_over() {
+    let strike = Strike::new(9, Some((Role::Runner, 0b010)), Signal::STOP);
+    let error = run_struck(strike, Duration::from_millis(300));
+    // The signal takes effect some ticks later.
+    assert!(error.to_string().starts_with("agent 1 did not act in time at step "), "{error}");
+    assert_eq!(error.exit_code(), 69);
+}
+
+#[test]
+fn an_allocator_that_hangs_is_named_when_patience_is_over() {
+    let strike = Strike::new(9, Some((Role::Allocator, 0)), Signal::STOP);
+    let error = run_struck(strike, Duration::from_millis(600));
+    let start = "the allocator did not allocate in time at step ";
+    assert!(error.to_string().starts_with(start), "{error}");
+}
+
+#[test]
+fn a_runner_that_leaves_is_named() {
+    let strike = Strike::new(9, Some((Role::Runner, 0b101)), Signal::TERM);
+    let error = run_struck(strike, Duration::from_secs(10));
+    // Its goodbye and its exit code race; both name it.
+    assert!(
+        ["the runner of agents 0, 2 left", "0,2 ended with exit code 130"]
+            .contains(&error.to_string().as_str()),
+        "{error}"
+    );
+    assert_eq!(error.exit_code(), 69);
+}
+
+/// Starts a world process with its team, in a process group of their own, and waits until it acts.
+fn running_world(domain: &Domain) -> Child {
+    let mut world = child(domain, "world").process_group(0).stdout(Stdio::piped()).spawn().unwrap();
+    let lines = BufReader::new(world.stdout.take().unwrap()).lines();
+    assert!(lines.map_while(Result::ok).any(|line| line.ends_with(RUNNING)));
+    world
+}
+
+fn pid(child: &Child) -> Pid {
+    Pid::from_child(child)
+}
+
+/// Waits until nothing is left of the domain.
+fn await_nothing_left(domain: &Domain) {
+    let until = Instant::now() + Duration::from_secs(20);
+    while toy::leftovers(domain) != [""; 0] && Instant::now() < until {
+        std::thread::yield_now();
+    }
+    assert_eq!(toy::leftovers(domain), [""; 0]);
+}
+
+#[test]
+fn an_interrupt_from_the_terminal_ends_all_processes() {
+    let _watchdog = Watchdog::new();
+    let domain = toy::domain();
+    let mut world = running_world(&domain);
+    kill_process_group(pid(&world), Signal::INT).unwrap();
+    assert_eq!(world.wait().unwrap().code(), Some(130));
+    assert_eq!(toy::leftovers(&domain), [""; 0]);
+}
+
+#[test]
+fn the_team_ends_with_its_killed_world_and_cleans_up() {
+    let _watchdog = Watchdog::new();
+    let domain = toy::domain();
+    let mut world = running_world(&domain);
+    world.kill().unwrap();
+    world.wait().unwrap();
+    await_nothing_left(&domain);
+}
+
+#[test]
+fn what_a_killed_domain_leaves_is_removed_by_the_next() {
+    let _watchdog = Watchdog::new();
+    let domain = toy::domain();
+    let mut world = running_world(&domain);
+    kill_process_group(pid(&world), Signal::KILL).unwrap();
+    world.wait().unwrap();
+    // Held by every process of the domain until it is dead.
+    File::open(domain.base().join("alive.lock")).unwrap().lock().unwrap();
+    assert_ne!(toy::leftovers(&domain), [""; 0]);
+    let mut log = DecisionLog::default();
+    run_processes(&domain, &["0,1,2", "allocator"], &settings(1), &mut log, &Stop::new()).unwrap();
+    toy::assert_same_log(&log, &run_in_one_thread(1));
+    assert_eq!(toy::leftovers(&domain), [""; 0]);
+}
+
+#[test]
+fn runners_may_come_before_their_world() {
+    let _watchdog = Watchdog::new();
+    let domain = toy::domain();
+    let mut team = Children::default();
+    start(&mut team, &domain, &["1", "allocator", "0,2"]).unwrap();
+    let mut log = DecisionLog::default();
+    run_processes(&domain, &[], &settings(1), &mut log, &Stop::new()).unwrap();
+    team.finish(Duration::from_secs(10));
+    team.check().unwrap();
+    toy::assert_same_log(&log, &run_in_one_thread(1));
+    assert_eq!(toy::leftovers(&domain), [""; 0]);
+}
+
+#[test]
+fn taken_roles_are_busy() {
+    let _watchdog = Watchdog::new();
+    let domain = toy::domain();
+    let mut world = running_world(&domain);
+    let stop = Stop::new();
+    let (contract, settings) = (toy::contract(), ProcessSettings::default());
+    let second = run_processes(&domain, &[], &self::settings(1), &mut (), &stop).unwrap_err();
+    let holder = format!("of domain `{}` is already taken by process ", domain.id());
+    assert!(second.to_string().starts_with(&format!("the world {holder}{}", world.id())));
+    let seat =
+        runner_process(&domain, &contract, &[2], &mut ToyPolicy, &settings, &stop).unwrap_err();
+    assert!(seat.to_string().starts_with(&format!("agent 2 {holder}")), "{seat}");
+    let allocator =
+        allocator_process(&domain, &contract, &mut ToyAllocator, &settings, &stop).unwrap_err();
+    assert!(allocator.to_string().starts_with(&format!("the allocator {holder}")));
+    assert_eq!([&second, &seat, &allocator].map(Error::exit_code), [75; 3]);
+    kill_process(pid(&world), Signal::TERM).unwrap();
+    assert_eq!(world.wait().unwrap().code(), Some(130));
+    assert_eq!(toy::leftovers(&domain), [""; 0]);
+}
+
+#[test]
+fn what_does_not_fit_the_domain_cannot_join() {
+    let _watchdog = Watchdog::new();
+    let domain = toy::domain();
+    let mut world = running_world(&domain);
+    let stop = Stop::new();
+    let join = |contract: &DomainContract, agents: &[u16], settings: &ProcessSettings| {
+        runner_process(&domain, contract, agents, &mut ToyPolicy, settings, &stop).unwrap_err()
+    };
+    let (fits, free) = (toy::contract(), ProcessSettings::default());
+    let mut other = toy::contract();
+    other.hash += 1;
+    other.fields.insert("environment".into(), "harbour".into());
+    let foreign = join(&other, &[0], &free);
+    assert!(foreign.to_string().ends_with("`environment` is \"harbour\" here, \"toy\" there"));
+    let small = join(&fits, &[0], &ProcessSettings { entities_max: Some(5), ..free });
+    assert_eq!(small.to_string(), "the domain has 6 entities, the model takes at most 5");
+    let beyond = join(&fits, &[0, 3], &free);
+    assert_eq!(beyond.to_string(), "no such agents: [0, 3]; the domain has 3, from 0");
+    assert_eq!([foreign, small, beyond].map(|error| error.exit_code()), [78, 78, 2]);
+    kill_process(pid(&world), Signal::TERM).unwrap();
+    world.wait().unwrap();
+    assert_eq!(toy::leftovers(&domain), [""; 0]);
+}
+
+#[test]
+fn exit_codes_are_those_that_scripts_rely_on() {
+    let missed = Error::World(WorldError::SeatsMissed { step: 1, seats: 1 });
+    let codes = [
+        (Error::DomainId(String::new()), 2),
+        (missed, 69),
+        (Error::NoWorld { domain: String::new() }, 69),
+        (Error::Link(LinkError::Frames), 74),
+        (Error::SchemaInUse { domain: String::new(), schema: 1 }, 78),
+        (Error::Interrupted, 130),
+    ];
+    for (error, code) in codes {
+        assert_eq!(error.exit_code(), code, "{error}");
+    }
 }

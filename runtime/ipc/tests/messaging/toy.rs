@@ -3,6 +3,8 @@
 
 use std::path::Path;
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::time::Duration;
 
 use sortie_core::roles::{TickReport, WorldObserver};
 use sortie_core::wire::{AllocMsg, FrameMut};
@@ -238,4 +240,23 @@ pub(crate) fn assert_same_log(one: &DecisionLog, other: &DecisionLog) {
         assert_eq!(one, other, "line {index}");
     }
     assert_eq!(one.lines.len(), other.lines.len());
+}
+
+/// Ends a test that hangs: the whole test process, since its threads cannot be ended.
+pub(crate) struct Watchdog {
+    _until_dropped: mpsc::Sender<()>,
+}
+
+impl Watchdog {
+    pub(crate) fn new() -> Self {
+        let (until_dropped, waits) = mpsc::channel::<()>();
+        let name = std::thread::current().name().unwrap_or_default().to_string();
+        std::thread::spawn(move || {
+            if waits.recv_timeout(Duration::from_secs(60)) == Err(RecvTimeoutError::Timeout) {
+                eprintln!("watchdog: {name} hangs");
+                std::process::exit(1);
+            }
+        });
+        Self { _until_dropped: until_dropped }
+    }
 }
