@@ -22,4 +22,4 @@ pub use error::BundleError;
 pub use golden::{Golden, GoldenCase, MIN_CASES};
 pub use manifest::{Contract, Environment, Limits, Manifest, Network};
 pub use observation::OwnedObservation;
-pub use plan_cache::{PlanKey, cached_plan};
+pub use plan_cache::{PlanKey, cached_plan, plan_places};

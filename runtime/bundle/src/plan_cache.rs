@@ -34,33 +34,36 @@ impl PlanKey<'_> {
     }
 }
 
-/// The plan of `key`: from the cache beside `folder` or the user's, else from `compile`, and then kept.
+/// The plan of `key`: from the first place that holds it, else from `compile`, and then kept in the first
+/// place that can be written to.
 pub fn cached_plan<E>(
-    folder: &Path,
+    places: &[PathBuf],
     key: &PlanKey<'_>,
     compile: impl FnOnce() -> Result<Vec<u8>, E>,
 ) -> Result<AlignedBytes, E> {
-    let places: Vec<PathBuf> = places(folder).map(|place| place.join(key.file_name())).collect();
+    let name = key.file_name();
     let source = sha256(key.onnx);
-    for path in &places {
-        let kept = fs::read(path).map(|bytes| AlignedBytes::copy_of(&bytes));
-        if let Ok(bytes) = kept
-            && Plan::load(bytes.as_slice()).is_ok_and(|plan| plan.header().source == source)
-        {
-            return Ok(bytes);
-        }
+    let kept = places.iter().filter_map(|place| fs::read(place.join(&name)).ok());
+    let valid = |bytes: &AlignedBytes| {
+        Plan::load(bytes.as_slice()).is_ok_and(|plan| plan.header().source == source)
+    };
+    if let Some(plan) = kept.map(|bytes| AlignedBytes::copy_of(&bytes)).find(valid) {
+        return Ok(plan);
     }
     let plan = compile()?;
-    // The first place that can be written to keeps it; nowhere is fine too.
-    let _ = places.iter().any(|path| keep(path, &plan).is_ok());
+    // Nowhere is fine too: the next start compiles again.
+    let _ = places.iter().any(|place| keep(&place.join(&name), &plan).is_ok());
     Ok(AlignedBytes::copy_of(&plan))
 }
 
-/// Beside the bundle, then the user's cache.
-fn places(folder: &Path) -> impl Iterator<Item = PathBuf> {
+/// Where plans of a bundle are kept: beside it, or in the user's cache where it cannot be written to.
+pub fn plan_places(folder: &Path) -> Vec<PathBuf> {
     let home = || std::env::home_dir().map(|home| home.join(".cache"));
     let cache = std::env::var_os("XDG_CACHE_HOME").map(PathBuf::from).or_else(home);
-    [Some(folder.join("plans")), cache.map(|cache| cache.join("sortie"))].into_iter().flatten()
+    [Some(folder.join("plans")), cache.map(|cache| cache.join("sortie"))]
+        .into_iter()
+        .flatten()
+        .collect()
 }
 
 /// Writes beside the target and renames, so that no one ever reads half a plan.

@@ -1,9 +1,7 @@
 //! From the bytes of an ONNX file to a plan that was checked against it.
 
-use std::path::Path;
-
 use serde::Serialize;
-use sortie_bundle::{Bundle, PlanKey, cached_plan, sha256};
+use sortie_bundle::{Bundle, PlanKey, cached_plan, plan_places, sha256};
 use sortie_core::limits;
 use sortie_core::ops::Op;
 use sortie_core::plan::{AlignedBytes, Plan, Program};
@@ -151,9 +149,9 @@ pub fn compile_bundle(bundle: &Bundle) -> Result<AlignedBytes, CompileError> {
         contract: contract.hash(),
         n_max: options.n_max,
     };
-    let folder: &Path = bundle.folder();
+    let places = plan_places(bundle.folder());
     let plan =
-        cached_plan(folder, &key, || compile(onnx, &options).map(|compiled| compiled.bytes))?;
+        cached_plan(&places, &key, || compile(onnx, &options).map(|compiled| compiled.bytes))?;
     let actions = Plan::load(plan.as_slice())?.actions();
     if actions != usize::from(contract.actions) {
         let want = usize::from(contract.actions);

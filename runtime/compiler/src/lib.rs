@@ -8,6 +8,8 @@
 mod assemble;
 mod compile;
 mod error;
+#[cfg(test)]
+mod executor_tests;
 mod graph;
 mod inspect;
 mod layout;
@@ -15,6 +17,8 @@ mod lower;
 mod matching;
 mod observations;
 mod parity;
+#[cfg(test)]
+mod testing;
 mod tract_policy;
 
 pub use compile::{

@@ -35,6 +35,7 @@ pub struct Plan<'a> {
     header: Header,
     program: Program,
     weights: &'a [f32],
+    portable: bool,
 }
 
 impl<'a> Plan<'a> {
@@ -58,7 +59,15 @@ impl<'a> Plan<'a> {
         let program: Program =
             postcard::from_bytes(program_bytes).map_err(|_| PlanError::UnknownOp)?;
         check(&header, &program)?;
-        Ok(Self { header, program, weights })
+        Ok(Self { header, program, weights, portable: false })
+    }
+
+    /// The same plan on the portable build of the kernels, whatever the processor offers.
+    ///
+    /// Both builds give the same bits; this one exists to check that.
+    pub fn portable(mut self) -> Self {
+        self.portable = true;
+        self
     }
 
     /// The header.
@@ -137,7 +146,8 @@ impl<'a> Plan<'a> {
         let floats = <[f32]>::mut_from_bytes(floats).map_err(|_| DecideError::BadLength)?;
         let nonzeros = <[Nonzero]>::mut_from_bytes(list).map_err(|_| DecideError::BadLength)?;
         let mut scratch = Scratch { floats, nonzeros, visible: 0, own: 0 };
-        widest(Execution { plan: self, observation, scratch: &mut scratch })?;
+        let execution = Execution { plan: self, observation, scratch: &mut scratch };
+        if self.portable { execution.run() } else { widest(execution) }?;
         let place = self.program.utilities().ok_or(DecideError::BadLength)?;
         let utilities = scratch.floats.get(place.range()).ok_or(DecideError::BadLength)?;
         if utilities.iter().all(|utility| utility.is_finite()) {
