@@ -233,3 +233,90 @@ fn check(tensor: &'static str, values: &[f32], want: usize) -> Result<(), Export
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use safetensors::SafeTensors;
+
+    use super::*;
+
+    fn file(path: &str) -> Vec<u8> {
+        let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/golden/");
+        std::fs::read(format!("{root}{path}")).unwrap()
+    }
+
+    /// Tensors of the recorded network by name.
+    struct Recorded(Vec<u8>);
+
+    impl Recorded {
+        fn tensor(&self, name: &str) -> Vec<f32> {
+            let file = SafeTensors::deserialize(&self.0).unwrap();
+            let data = file.tensor(&format!("w/{name}")).unwrap().data().to_vec();
+            data.as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect()
+        }
+    }
+
+    fn outputs_first(values: &[f32]) -> Matrix<'_> {
+        Matrix { values, layout: Layout::OutputsFirst }
+    }
+
+    fn export(change: impl FnOnce(&mut AgentNetwork<'_>)) -> Result<Vec<u8>, ExportError> {
+        let recorded = Recorded(file("networks/agent_ff_default.safetensors"));
+        let names = ["_base.fc1", "_base.attn.out_trans", "_base.fc2", "_head.fc_out"];
+        let [fc1, attention_out, fc2, head] = names.map(|name| {
+            let part = |part: &str| recorded.tensor(&format!("{name}.{part}"));
+            (part("weight"), part("bias"))
+        });
+        let attention_in = recorded.tensor("_base.attn.in_trans.weight");
+        let [fc1, attention_out, fc2, head] = [&fc1, &attention_out, &fc2, &head]
+            .map(|(weight, bias)| Layer { weight: outputs_first(weight), bias });
+        let mut network = AgentNetwork {
+            features: 58,
+            actions: 12,
+            append_last_action: true,
+            width: 128,
+            heads: 4,
+            base: 64,
+            fc1,
+            attention_in: outputs_first(&attention_in),
+            attention_out,
+            fc2,
+            head,
+            contract: 0,
+        };
+        change(&mut network);
+        agent_onnx(&network)
+    }
+
+    #[test]
+    fn the_recorded_network_becomes_the_recorded_file() {
+        let written = export(|_| {}).unwrap();
+        assert!(written == file("onnx/agent_ff_default.onnx"), "the exported bytes changed");
+    }
+
+    #[test]
+    fn the_layout_of_a_matrix_does_not_matter() {
+        let want = export(|_| {}).unwrap();
+        let transposed = |values: &[f32]| -> Vec<f32> {
+            (0..64).flat_map(|input| values.iter().skip(input).step_by(64)).copied().collect()
+        };
+        let head = Recorded(file("networks/agent_ff_default.safetensors"));
+        let head = transposed(&head.tensor("_head.fc_out.weight"));
+        let written = export(|network| {
+            // The matrix outlives the network only by a leak, which a test can afford.
+            let values = head.clone().leak();
+            network.head.weight = Matrix { values, layout: Layout::InputsFirst };
+        });
+        assert!(written.unwrap() == want);
+    }
+
+    #[test]
+    fn networks_that_do_not_fit_are_refused() {
+        let error = export(|network| network.base = 32).unwrap_err();
+        assert_eq!(error.to_string(), "`fc2` has 64 values, the network's shape asks for 32");
+        assert_eq!(export(|n| n.heads = 3), Err(ExportError::Heads { heads: 3, width: 128 }));
+        assert_eq!(export(|n| n.heads = 0), Err(ExportError::Heads { heads: 0, width: 128 }));
+        let error = export(|network| network.fc1.bias = &[f32::NAN; 128]).unwrap_err();
+        assert_eq!(error, ExportError::NonFinite { tensor: "fc1" });
+    }
+}
