@@ -464,6 +464,7 @@ impl<P: Policy> Team for PolicyTeam<P> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::methods::alma::NetworkPolicy;
 
     fn plan(episodes: usize) -> EvaluationPlan {
         EvaluationPlan::new("2-5a_2-5b", episodes, 11).unwrap()
@@ -489,6 +490,21 @@ mod tests {
             evaluate(&plan(100), &mut ScriptedActors::new(3), &mut AllocationRule::Random).unwrap()
         };
         assert_eq!(run(), run());
+    }
+
+    #[test]
+    fn a_policy_acts_as_the_network_that_it_is_made_of() {
+        let config = crate::methods::alma::Config::default();
+        let mut weights = generator(4, Purpose::Weights, 0);
+        let shape = config.network.shape(ACTIONS);
+        let network = UtilityNetwork::initialise(shape, 8.0, &mut weights);
+        let play = |team: &mut dyn Team| {
+            evaluate(&plan(40), team, &mut AllocationRule::Heuristic).unwrap()
+        };
+        let by_network = play(&mut NetworkTeam::new(&network));
+        let by_policy = play(&mut PolicyTeam::new(NetworkPolicy::new(&network)));
+        assert_eq!(by_network, by_policy);
+        assert!(by_network.length_mean > 10.0);
     }
 
     #[test]

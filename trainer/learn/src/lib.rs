@@ -3,6 +3,7 @@
 
 pub mod error;
 pub mod evaluate;
+pub mod export;
 pub mod layers;
 pub mod methods;
 pub mod optimise;

@@ -190,3 +190,150 @@ fn copy<T: Copy>(to: &mut Vec<T>, from: &[T]) {
 fn bits(mask: u32) -> impl Iterator<Item = usize> {
     (0..32).filter(move |bit| mask >> bit & 1 == 1)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sortie_envs::save_the_city::{AgentKind, BuildingKind, Status};
+
+    const RETURNS: Returns = Returns { steps: 3, discount: 0.5, shaping: 0.0 };
+
+    /// Two agents in a row at some x; two buildings, the second far away.
+    struct World {
+        agents: Vec<AgentState>,
+        buildings: Vec<BuildingState>,
+        allocation: Vec<u8>,
+        last_actions: Vec<u8>,
+        history: History,
+        replay: Replay,
+    }
+
+    impl World {
+        fn new(returns: Returns, allocation: [u8; 2]) -> Self {
+            let building = |x| BuildingState {
+                health: 0.5,
+                fire: 0.0,
+                period: 70,
+                to_next_fire: 60,
+                since_last_fire: 10,
+                kind: BuildingKind::Fast,
+                status: Status::Open,
+                x,
+                y: 4,
+            };
+            Self {
+                agents: vec![AgentState::at(AgentKind::Builder, 4, 7); 2],
+                buildings: vec![building(4), building(13)],
+                allocation: allocation.to_vec(),
+                last_actions: vec![9; 2],
+                history: History::new(returns),
+                replay: Replay::new(100, 2),
+            }
+        }
+
+        /// One step in which each building's task earns its reward.
+        fn step(&mut self, actions: [u16; 2], rewards: [f64; 2], change: impl FnOnce(&mut Self)) {
+            let Self { agents, buildings, allocation, last_actions, history, replay } = self;
+            let city = City { agents, buildings };
+            let now = Moment { city, allocation, last_actions };
+            history.decide(now, replay);
+            history.act(now, &actions);
+            self.last_actions = actions.iter().map(|action| *action as u8).collect();
+            change(self);
+            let Self { agents, buildings, allocation, last_actions, history, replay } = self;
+            let after = Moment { city: City { agents, buildings }, allocation, last_actions };
+            history.reward(after, &rewards, replay);
+        }
+
+        fn decide(&mut self) {
+            let Self { agents, buildings, allocation, last_actions, history, replay } = self;
+            let city = City { agents, buildings };
+            history.decide(Moment { city, allocation, last_actions }, replay);
+        }
+
+        fn end(&mut self, timed_out: bool) {
+            let Self { agents, buildings, allocation, last_actions, history, replay } = self;
+            let city = City { agents, buildings };
+            history.end(Moment { city, allocation, last_actions }, timed_out, replay);
+        }
+
+        /// (reward, discount, team size) of every record.
+        fn records(&self) -> Vec<(f32, f32, usize)> {
+            let record = |index| {
+                let (record, team) = self.replay.get(index);
+                (record.reward, record.discount, team.len())
+            };
+            (0..self.replay.len()).map(record).collect()
+        }
+    }
+
+    fn nothing(_: &mut World) {}
+
+    #[test]
+    fn a_record_sums_three_steps_and_bootstraps() {
+        let mut world = World::new(RETURNS, [0, 0]);
+        for (action, reward) in [(1, 1.0), (2, 2.0), (3, 4.0)] {
+            world.step([action, 0], [reward, 99.0], |world| world.agents[0].y += 1);
+            assert_eq!(world.replay.len(), 0);
+        }
+        world.decide();
+        assert_eq!(world.records(), [(1.0 + 1.0 + 1.0, 0.125, 2)]);
+        let member = world.replay.get(0).1[0];
+        assert_eq!((member.last_action, member.action, member.next_last_action), (9, 1, 3));
+        assert_eq!((member.agent.y, member.next.y), (7, 10));
+    }
+
+    #[test]
+    fn another_team_ends_a_record_which_bootstraps_with_the_old_team() {
+        let mut world = World::new(RETURNS, [0, 1]);
+        world.step([1, 2], [1.0, 3.0], nothing);
+        world.allocation = vec![0, 0];
+        world.decide();
+        // Both buildings have another team: the first gained an agent, the second lost its only one.
+        assert_eq!(world.records(), [(1.0, 0.5, 1), (3.0, 0.5, 1)]);
+    }
+
+    #[test]
+    fn a_new_decision_for_the_same_team_ends_nothing() {
+        let mut world = World::new(RETURNS, [0, 1]);
+        world.step([1, 2], [1.0, 0.0], nothing);
+        world.decide();
+        assert_eq!(world.replay.len(), 0);
+    }
+
+    #[test]
+    fn a_closed_building_ends_its_records_without_bootstrapping() {
+        let mut world = World::new(RETURNS, [0, 1]);
+        world.step([1, 2], [1.0, 0.0], nothing);
+        world.step([1, 2], [8.0, 0.0], |world| world.buildings[0].status = Status::Complete);
+        assert_eq!(world.records(), [(1.0 + 4.0, 0.0, 1), (8.0, 0.0, 1)]);
+        // A building without open work starts no more records.
+        world.step([0, 2], [5.0, 0.0], nothing);
+        assert_eq!(world.replay.len(), 2);
+    }
+
+    #[test]
+    fn a_timeout_bootstraps_from_the_final_state_and_an_end_does_not() {
+        for (timed_out, discount) in [(true, 0.5), (false, 0.0)] {
+            let mut world = World::new(RETURNS, [0, 0]);
+            world.step([1, 2], [1.0, 0.0], |world| world.agents[1].x = 5);
+            world.end(timed_out);
+            assert_eq!(world.records(), [(1.0, discount, 2)]);
+            assert_eq!(world.replay.get(0).1[1].next.x, 5);
+        }
+    }
+
+    #[test]
+    fn shaping_adds_the_difference_of_potentials() {
+        let returns = Returns { steps: 1, shaping: 0.5, ..RETURNS };
+        let mut world = World::new(returns, [0, 0]);
+        // Distance 3 and 3 before, 2 and 3 after: two and two cells too far, then one and two.
+        world.step([3, 0], [1.0, 0.0], |world| world.agents[0].y -= 1);
+        world.decide();
+        assert_eq!(world.records(), [(1.0 + 0.5 * -1.5 + 2.0, 0.5, 2)]);
+
+        let mut world = World::new(returns, [0, 0]);
+        world.step([3, 0], [1.0, 0.0], |world| world.buildings[0].status = Status::BurnedDown);
+        assert_eq!(world.records(), [(1.0 + 2.0, 0.0, 2)], "no later potential at the end");
+    }
+}

@@ -7,6 +7,7 @@
 pub mod config;
 mod history;
 mod learner;
+mod network_policy;
 mod replay;
 mod rollout;
 mod team_batch;
@@ -18,6 +19,7 @@ mod utility_pass;
 pub use config::Config;
 pub use history::{History, Moment, Returns};
 pub use learner::{Knowledge, Learner, UpdateReport};
+pub use network_policy::NetworkPolicy;
 pub use replay::{Record, Replay, TeamMember};
 pub use rollout::{EpisodeCounts, InstanceSnapshot, Rollout};
 pub use team_batch::{INPUT_COLUMNS, NO_ACTION, TeamBatch, best_action};

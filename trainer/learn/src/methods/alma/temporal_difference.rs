@@ -158,3 +158,94 @@ impl Chunk {
         self.pass.backward(networks.online, input, &self.d_utilities, &mut self.gradient);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::layers::gradient_check::assert_gradient;
+    use crate::methods::alma::{Config, EpisodeCounts, Rollout};
+    use crate::random::{Purpose, generator};
+    use sortie_envs::save_the_city::ACTIONS;
+
+    const BATCH: usize = 40;
+
+    fn network(seed: u64) -> UtilityNetwork {
+        let shape = UtilityShape { width: 8, base: 6, ..Config::default().network.shape(ACTIONS) };
+        UtilityNetwork::initialise(shape, 8.0, &mut generator(seed, Purpose::Weights, 0))
+    }
+
+    fn replay() -> Replay {
+        let mut config = Config::default();
+        config.allocation.heuristic = 1.0;
+        let mut rollout = Rollout::new(&config, network(1).shape(), 3).unwrap();
+        let mut replay = Replay::new(10_000, 5);
+        for _ in 0..60 {
+            rollout.step(&network(1), 1.0, &mut replay, &mut EpisodeCounts::default()).unwrap();
+        }
+        replay
+    }
+
+    fn picks(replay: &Replay, symmetry: impl Fn(usize) -> u8) -> Vec<Pick> {
+        let record = |i| (i * (replay.len() / BATCH)) as u32;
+        (0..BATCH).map(|i| Pick { record: record(i), symmetry: symmetry(i) }).collect()
+    }
+
+    #[test]
+    fn the_gradient_of_the_whole_loss_agrees_with_finite_differences() {
+        let (replay, online, target) = (replay(), network(1), network(2));
+        let picks = picks(&replay, |i| (i % 8) as u8);
+        let bootstraps = |pick: &Pick| replay.get(pick.record as usize).0.discount > 0.0;
+        assert!(picks.iter().any(bootstraps) && !picks.iter().all(bootstraps));
+
+        let loss = |parameters: &[f32]| {
+            let online = UtilityNetwork::from_parameters(online.shape(), parameters.to_vec());
+            let networks = Networks { online: &online.unwrap(), target: &target };
+            let mut chunk = Chunk::new(target.shape());
+            chunk.learn(networks, &replay, &picks, BATCH);
+            chunk.squared_error() / BATCH as f64
+        };
+        let mut chunk = Chunk::new(online.shape());
+        chunk.learn(Networks { online: &online, target: &target }, &replay, &picks, BATCH);
+        for tensor in online.shape().tensors() {
+            let at = &online.parameters()[tensor.range.clone()];
+            assert_gradient(tensor.name, at, &chunk.gradient()[tensor.range.clone()], |moved| {
+                let mut parameters = online.parameters().to_vec();
+                parameters[tensor.range.clone()].copy_from_slice(moved);
+                loss(&parameters)
+            });
+        }
+    }
+
+    #[test]
+    fn chunks_of_a_batch_add_up() {
+        let (replay, online, target) = (replay(), network(1), network(2));
+        let networks = Networks { online: &online, target: &target };
+        let picks = picks(&replay, |_| 0);
+        let mut whole = Chunk::new(online.shape());
+        whole.learn(networks, &replay, &picks, BATCH);
+        let mut sum = vec![0.0; online.shape().parameters()];
+        let mut chunk = Chunk::new(online.shape());
+        for part in picks.chunks(7) {
+            chunk.learn(networks, &replay, part, BATCH);
+            sum.iter_mut().zip(chunk.gradient()).for_each(|(sum, part)| *sum += part);
+        }
+        for (sum, whole) in sum.iter().zip(whole.gradient()) {
+            assert!((sum - whole).abs() < 1e-4, "{sum} against {whole}");
+        }
+    }
+
+    #[test]
+    fn a_record_without_discount_learns_its_reward_alone() {
+        let (mut replay, online) = (replay(), network(1));
+        let (record, team) = replay.get(0);
+        let (record, team) = (super::super::Record { discount: 0.0, ..*record }, team.to_vec());
+        replay.push(record, team);
+        let last = Pick { record: replay.len() as u32 - 1, symmetry: 0 };
+        let error = |target: &UtilityNetwork| {
+            let mut chunk = Chunk::new(online.shape());
+            chunk.learn(Networks { online: &online, target }, &replay, &[last], 1);
+            chunk.squared_error()
+        };
+        assert_eq!(error(&network(2)), error(&network(3)));
+    }
+}
