@@ -28,7 +28,8 @@ fn settings(episodes: u32) -> WorldSettings {
     WorldSettings { allocator: true, episodes: Some(episodes), ..WorldSettings::default() }
 }
 
-/// A process of the domain: `world`, `allocator`, or the agents of a runner as `0,2`.
+/// A process of the domain: `world` with its team or without, `allocator`, or the agents of a
+/// runner as `0,2`.
 fn child(domain: &Domain, role: &str) -> Command {
     let mut command = Command::new(std::env::current_exe().unwrap());
     command
@@ -50,7 +51,8 @@ fn child_process() {
     let stop = Stop::on_signals().unwrap();
     let contract = toy::contract();
     let ended = match role.as_str() {
-        "world" => endless_world(&domain, &stop),
+        "world" => endless_world(&domain, &["allocator", "0,2", "1"], &stop),
+        "world without team" => endless_world(&domain, &[], &stop),
         "allocator" => allocator_process(&domain, &contract, &mut ToyAllocator, &settings, &stop),
         agents => {
             let agents: Vec<u16> = agents.split(',').map(|agent| agent.parse().unwrap()).collect();
@@ -63,7 +65,7 @@ fn child_process() {
 }
 
 /// A world that starts its team and runs until it is stopped.
-fn endless_world(domain: &Domain, stop: &Stop) -> Result<Counters, Error> {
+fn endless_world(domain: &Domain, team: &[&str], stop: &Stop) -> Result<Counters, Error> {
     struct Announce;
     impl WorldObserver for Announce {
         fn tick(&mut self, report: &TickReport<'_>) {
@@ -73,7 +75,7 @@ fn endless_world(domain: &Domain, stop: &Stop) -> Result<Counters, Error> {
         }
     }
     let endless = WorldSettings { episodes: None, ..settings(0) };
-    let start_team = |children: &mut Children| start(children, domain, &["allocator", "0,2", "1"]);
+    let start_team = |children: &mut Children| start(children, domain, team);
     let contract = toy::contract();
     let mut world = ToyWorld::new();
     world_process(domain, &contract, &mut world, &endless, start_team, &mut Announce, stop)
@@ -242,7 +244,11 @@ fn a_runner_that_leaves_is_named() {
 
 /// Starts a world process with its team, in a process group of their own, and waits until it acts.
 fn running_world(domain: &Domain) -> Child {
-    let mut world = child(domain, "world").process_group(0).stdout(Stdio::piped()).spawn().unwrap();
+    running(child(domain, "world").process_group(0))
+}
+
+fn running(world: &mut Command) -> Child {
+    let mut world = world.stdout(Stdio::piped()).spawn().unwrap();
     let lines = BufReader::new(world.stdout.take().unwrap()).lines();
     assert!(lines.map_while(Result::ok).any(|line| line.ends_with(RUNNING)));
     world
@@ -308,6 +314,23 @@ fn runners_may_come_before_their_world() {
     team.finish(Duration::from_secs(10));
     team.check().unwrap();
     toy::assert_same_log(&log, &run_in_one_thread(1));
+    assert_eq!(toy::leftovers(&domain), [""; 0]);
+}
+
+#[test]
+fn a_team_goes_on_with_the_next_world_where_one_was_killed() {
+    let _watchdog = Watchdog::new();
+    let domain = toy::domain();
+    let mut team = Children::default();
+    start(&mut team, &domain, &["1", "allocator", "0,2"]).unwrap();
+    let mut world = running(&mut child(&domain, "world without team"));
+    world.kill().unwrap();
+    world.wait().unwrap();
+    let mut log = DecisionLog::default();
+    run_processes(&domain, &[], &settings(2), &mut log, &Stop::new()).unwrap();
+    team.finish(Duration::from_secs(10));
+    team.check().unwrap();
+    assert_eq!((log.episodes, log.tick_ns.len()), (2, 50));
     assert_eq!(toy::leftovers(&domain), [""; 0]);
 }
 
