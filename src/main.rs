@@ -1,2 +1,35 @@
-//! Under construction.
-fn main() {}
+//! The command line of Sortie: teams of learned agents, from training to deployment.
+
+mod arguments;
+mod bench;
+mod compile;
+mod deployment;
+mod environment;
+mod eval;
+mod export;
+mod failure;
+mod inspect;
+mod latency;
+mod output;
+mod policy;
+mod replay;
+mod run;
+mod subject;
+mod train;
+mod verify;
+mod worlds;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+
+fn main() -> ExitCode {
+    let arguments = arguments::Arguments::parse();
+    match arguments::dispatch(arguments) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            eprintln!("error: {}", failure.message);
+            ExitCode::from(failure.exit as u8)
+        }
+    }
+}

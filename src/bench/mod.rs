@@ -1,0 +1,125 @@
+//! `sortie bench`: our figures beside the peers', measured in one run.
+
+mod decision;
+mod environment;
+mod rounds;
+
+use clap::{Args, Subcommand};
+use rustix::thread::{CpuSet, sched_setaffinity};
+use serde::Serialize;
+
+use crate::arguments::Common;
+use crate::failure::{Exit, Failure, Outcome};
+use crate::output::{Table, print_json};
+
+/// Measure latency and throughput, ours and the peers' alternating in one run
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  sortie bench decision models/save-the-city --pin 1
+  sortie bench env --seconds 10")]
+pub(crate) struct BenchArguments {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    Decision(decision::DecisionArguments),
+    Env(environment::EnvironmentArguments),
+}
+
+/// What every measurement takes.
+#[derive(Clone, Copy, Debug, Args)]
+struct Measuring {
+    /// Core to run on
+    #[arg(long, default_value_t = 1, value_name = "CORE")]
+    pin: usize,
+    /// Seconds to measure for
+    #[arg(long, default_value_t = 10.0, value_name = "S")]
+    seconds: f64,
+    #[command(flatten)]
+    common: Common,
+}
+
+/// One measured distribution; `unit` says of what.
+#[derive(Clone, Debug, Serialize)]
+struct Row {
+    what: &'static str,
+    case: String,
+    engine: &'static str,
+    version: String,
+    p50: f64,
+    p99: f64,
+    p999: Option<f64>,
+    max: f64,
+    unit: &'static str,
+}
+
+/// How many times our figure a peer's is, paired round by round.
+#[derive(Clone, Debug, Serialize)]
+struct Ratio {
+    what: &'static str,
+    case: String,
+    peer: &'static str,
+    ratio: f64,
+    low: f64,
+    high: f64,
+}
+
+/// All that one measurement found.
+#[derive(Clone, Debug, Default, Serialize)]
+struct Figures {
+    rows: Vec<Row>,
+    ratios: Vec<Ratio>,
+}
+
+pub(crate) fn run(arguments: &BenchArguments) -> Outcome {
+    let (figures, common) = match &arguments.what {
+        What::Decision(arguments) => (decision::measure(arguments)?, arguments.measuring.common),
+        What::Env(arguments) => (environment::measure(arguments)?, arguments.measuring.common),
+    };
+    if common.json {
+        print_json(&figures);
+    } else {
+        figures.print();
+    }
+    Ok(())
+}
+
+/// Keeps this thread on one core, so that figures do not mix cores.
+fn pin(core: usize) -> Outcome {
+    let mut cores = CpuSet::new();
+    if core >= CpuSet::MAX_CPU {
+        return Err(no_core(core));
+    }
+    cores.set(core);
+    sched_setaffinity(None, &cores).map_err(|_| no_core(core))
+}
+
+fn no_core(core: usize) -> Failure {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let message = format!("core {core} cannot be used; this process has {cores}, counted from 0");
+    Failure::new(Exit::Usage, message)
+}
+
+impl Figures {
+    fn print(&self) {
+        let mut table = Table::new(&["case", "engine", "p50", "p99", "p99.9", "max", "unit"]);
+        for row in &self.rows {
+            let figure = |value: f64| format!("{value:.2}");
+            table.row([
+                row.case.clone(),
+                format!("{} {}", row.engine, row.version),
+                figure(row.p50),
+                figure(row.p99),
+                row.p999.map_or("-".to_string(), figure),
+                figure(row.max),
+                row.unit.to_string(),
+            ]);
+        }
+        table.print();
+        for Ratio { case, peer, ratio, low, high, .. } in &self.ratios {
+            println!("{case}: {ratio:.1} times as fast as {peer} (rounds {low:.1} to {high:.1})");
+        }
+    }
+}

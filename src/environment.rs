@@ -1,0 +1,90 @@
+//! Environments by name, and whether a bundle fits one.
+
+use std::fmt;
+
+use sortie_bundle::Bundle;
+use sortie_envs::save_the_city::{ACTION_NAMES, FEATURE_NAMES, SET_NAMES, ScenarioSet};
+
+use crate::failure::{Exit, Failure};
+use crate::subject::Subject;
+
+/// The environments that are built in.
+const NAMES: [&str; 1] = ["save-the-city"];
+/// The dissertation's scenario set.
+const DEFAULT_SET: &str = "2-5a_2-5b";
+
+/// An environment and one of its scenario sets, written `ENV/SET`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct ScenarioSetName {
+    environment: String,
+    set: String,
+}
+
+impl ScenarioSetName {
+    /// Reads `ENV` or `ENV/SET` and checks that both exist.
+    pub(crate) fn parse(text: &str) -> Result<Self, Failure> {
+        let (environment, set) = text.split_once('/').unwrap_or((text, DEFAULT_SET));
+        if !NAMES.contains(&environment) {
+            return Err(unknown("environment", environment, &NAMES));
+        }
+        if !SET_NAMES.contains(&set) {
+            return Err(unknown("scenario set", set, &SET_NAMES));
+        }
+        Ok(Self { environment: environment.to_string(), set: set.to_string() })
+    }
+
+    /// The scenario set's own name.
+    pub(crate) fn set(&self) -> &str {
+        &self.set
+    }
+}
+
+impl fmt::Display for ScenarioSetName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.environment, self.set)
+    }
+}
+
+fn unknown(what: &str, name: &str, known: &[&str]) -> Failure {
+    let known = known.join(", ");
+    Failure::new(Exit::Usage, format!("unknown {what} `{name}`; known: {known}"))
+}
+
+/// The scenario set asked for, else the subject's own.
+pub(crate) fn scenario_set(
+    asked: Option<&str>,
+    subject: &Subject,
+) -> Result<ScenarioSetName, Failure> {
+    match (asked, subject) {
+        (Some(name), _) => ScenarioSetName::parse(name),
+        (None, Subject::Bundle(bundle)) => {
+            ScenarioSetName::parse(&bundle.manifest().contract.environment.name)
+        }
+        (None, Subject::Run(run)) => {
+            let config = &run.description.config.environment;
+            ScenarioSetName::parse(&format!("{}/{}", config.name, config.set))
+        }
+        (None, Subject::Scripted) => ScenarioSetName::parse(NAMES[0]),
+    }
+}
+
+/// Refuses a bundle that was trained for other features or actions, or for smaller teams.
+pub(crate) fn check_fits(bundle: &Bundle, set: &ScenarioSet) -> Result<(), Failure> {
+    let mismatch = |reason: String| {
+        Err(Failure::new(Exit::Mismatch, format!("{}: {reason}", bundle.folder().display())))
+    };
+    let contract = bundle.contract();
+    if contract.feature_names != FEATURE_NAMES || contract.action_names != ACTION_NAMES {
+        return mismatch("the bundle was trained for other features or actions".to_string());
+    }
+    let limits = &bundle.manifest().limits;
+    let (entities, tasks) = (set.max_agents + set.max_buildings, set.max_buildings);
+    if entities > usize::from(limits.n_max) || tasks > usize::from(limits.t_max) {
+        return mismatch(format!(
+            "`{}` has {entities} entities and {tasks} subtasks, the bundle takes at most {} and {}; \
+             choose a smaller set with --env or train on this one",
+            set.name, limits.n_max, limits.t_max
+        ));
+    }
+    Ok(())
+}

@@ -1,0 +1,114 @@
+//! `sortie eval`: how good is a team, over fresh greedy episodes?
+
+use clap::Args;
+use serde::Serialize;
+use sortie_learn::evaluate::{
+    Evaluation, EvaluationPlan, NetworkTeam, PolicyTeam, ScriptedActors, Team, evaluate,
+};
+
+use crate::arguments::{Allocation, Common};
+use crate::environment::{self, ScenarioSetName};
+use crate::failure::{Failure, Outcome};
+use crate::output::{Table, print_json};
+use crate::policy::{Backend, DeployedPolicy};
+use crate::subject::Subject;
+
+/// Evaluate a team over fresh greedy episodes
+///
+/// SUBJECT is a bundle, the folder of a training run, or `scripted` for the environment's own
+/// hand-written low level. Episodes are drawn from the seed and never seen in training; the same seed
+/// gives the same episodes whoever plays them.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  sortie eval models/save-the-city --episodes 2000
+  sortie eval scripted --env save-the-city/2-8a_2-8b --allocation heuristic")]
+pub(crate) struct EvalArguments {
+    /// A bundle, a training run, or `scripted`
+    subject: String,
+    /// Environment and scenario set; default: those of the subject
+    #[arg(long, value_name = "ENV[/SET]")]
+    env: Option<String>,
+    /// Episodes to play
+    #[arg(long, default_value_t = 500, value_parser = clap::value_parser!(u32).range(1..))]
+    episodes: u32,
+    /// Who assigns agents to subtasks
+    #[arg(long, value_enum, default_value_t = Allocation::Coordinated)]
+    allocation: Allocation,
+    /// What executes a bundle's network
+    #[arg(long, value_enum, default_value_t = Backend::Plan)]
+    backend: Backend,
+    #[command(flatten)]
+    common: Common,
+}
+
+#[derive(Serialize)]
+struct Report<'a> {
+    env: &'a str,
+    subject: &'a str,
+    allocation: &'a str,
+    seed: u64,
+    #[serde(flatten)]
+    evaluation: &'a Evaluation,
+}
+
+pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
+    let subject = Subject::find(&arguments.subject)?;
+    let set = environment::scenario_set(arguments.env.as_deref(), &subject)?;
+    let plan = EvaluationPlan::new(set.set(), arguments.episodes as usize, arguments.common.seed)?;
+    let evaluation = match &subject {
+        Subject::Scripted => {
+            play(&plan, &mut ScriptedActors::new(arguments.common.seed), arguments)?
+        }
+        Subject::Run(run) => play(&plan, &mut NetworkTeam::new(&run.network), arguments)?,
+        Subject::Bundle(bundle) => {
+            environment::check_fits(bundle, &plan.set)?;
+            let mut policy = DeployedPolicy::open(bundle, arguments.backend)?;
+            play(&plan, &mut PolicyTeam::new(policy.policy()?.as_mut()), arguments)?
+        }
+    };
+    if arguments.common.json {
+        print_json(&Report {
+            env: &set.to_string(),
+            subject: &arguments.subject,
+            allocation: arguments.allocation.name(),
+            seed: arguments.common.seed,
+            evaluation: &evaluation,
+        });
+    } else {
+        print(&set, arguments, &evaluation);
+    }
+    Ok(())
+}
+
+fn play(
+    plan: &EvaluationPlan,
+    team: &mut dyn Team,
+    arguments: &EvalArguments,
+) -> Result<Evaluation, Failure> {
+    Ok(evaluate(plan, team, &mut arguments.allocation.rule())?)
+}
+
+fn print(set: &ScenarioSetName, arguments: &EvalArguments, evaluation: &Evaluation) {
+    let [low, high] = evaluation.success_ci95;
+    println!(
+        "{set}: {} under {} allocation, {} episodes",
+        arguments.subject,
+        arguments.allocation.name(),
+        evaluation.episodes
+    );
+    let mut table = Table::new(&["figure", "value"]);
+    let mut row = |name: &str, value: String| table.row([name.to_string(), value]);
+    row("success", format!("{:.3} ({low:.3} to {high:.3})", evaluation.success));
+    row("no building burned", format!("{:.3}", evaluation.none_burned));
+    row("time-outs", format!("{:.3}", evaluation.timeouts));
+    row("return", format!("{:.2} (sd {:.2})", evaluation.return_mean, evaluation.return_sd));
+    row("steps", format!("{:.1}", evaluation.length_mean));
+    table.print();
+    println!();
+    let mut teams = Table::new(&["team", "episodes", "success"]);
+    for (team, success) in &evaluation.by_team {
+        let share = success.solved as f64 / success.episodes.max(1) as f64;
+        teams.row([team.clone(), success.episodes.to_string(), format!("{share:.3}")]);
+    }
+    teams.print();
+}

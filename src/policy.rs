@@ -1,0 +1,85 @@
+//! What executes a bundle's network: its plan, or tract.
+
+use clap::ValueEnum;
+use sortie_bundle::Bundle;
+use sortie_compiler::{CompileError, TractPolicy, compile_bundle};
+use sortie_core::Policy;
+use sortie_core::decide::PlanPolicy;
+use sortie_core::plan::{AlignedBytes, Plan, PlanError};
+
+use crate::failure::{Exit, Failure, with_sources};
+
+/// What executes networks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Backend {
+    /// The compiled plan
+    Plan,
+    /// The ONNX graph itself, by tract
+    Tract,
+}
+
+impl Backend {
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Plan => "plan",
+            Self::Tract => "tract",
+        }
+    }
+}
+
+/// The memory of a bundle's policy.
+pub(crate) enum DeployedPolicy {
+    Plan { plan: AlignedBytes, arena: AlignedBytes },
+    Tract(Box<TractPolicy>),
+}
+
+impl DeployedPolicy {
+    /// Compiles the bundle's network, or takes the plan that was compiled before.
+    pub(crate) fn open(bundle: &Bundle, backend: Backend) -> Result<Self, Failure> {
+        let name = bundle.folder().display();
+        match backend {
+            Backend::Plan => {
+                let bytes =
+                    compile_bundle(bundle).map_err(|error| Failure::from(error).within(&name))?;
+                Self::of_plan(bytes).map_err(|error| Failure::from(error).within(&name))
+            }
+            Backend::Tract => {
+                let features = usize::from(bundle.contract().features);
+                let policy = TractPolicy::new(bundle.agent_onnx(), features)
+                    .map_err(|error| Failure::from(error).within(&name))?;
+                Ok(Self::Tract(Box::new(policy)))
+            }
+        }
+    }
+
+    /// A plan that was compiled before.
+    pub(crate) fn of_plan(plan: AlignedBytes) -> Result<Self, CompileError> {
+        let arena_bytes = Plan::load(plan.as_slice())?.arena_bytes();
+        Ok(Self::Plan { plan, arena: AlignedBytes::zeroed(arena_bytes) })
+    }
+
+    /// The policy over this memory.
+    pub(crate) fn policy(&mut self) -> Result<Box<dyn Policy + '_>, Failure> {
+        match self {
+            Self::Plan { plan, arena } => {
+                let policy = Plan::load(plan.as_slice())
+                    .and_then(|plan| PlanPolicy::new(plan, arena.as_mut_slice()))
+                    .map_err(CompileError::from)?;
+                Ok(Box::new(policy))
+            }
+            Self::Tract(policy) => Ok(Box::new(policy.as_mut())),
+        }
+    }
+}
+
+impl From<CompileError> for Failure {
+    fn from(error: CompileError) -> Self {
+        let exit = match &error {
+            CompileError::Plan(PlanError::Version { .. }) => Exit::Mismatch,
+            CompileError::Size { .. } => Exit::Mismatch,
+            CompileError::Differs { .. } => Exit::Bug,
+            _ => Exit::BadData,
+        };
+        Self::new(exit, with_sources(&error))
+    }
+}

@@ -1,0 +1,76 @@
+//! `sortie replay`: does this build's environment agree with recorded episodes, bit for bit?
+
+use std::path::PathBuf;
+
+use clap::Args;
+use serde::Serialize;
+use sortie_envs::save_the_city::golden::{self, GoldenError, Mismatch};
+
+use crate::arguments::Common;
+use crate::failure::{Exit, Failure, Outcome};
+use crate::output::{plural, print_json};
+
+/// Replay recorded episodes and compare every value bit for bit
+///
+/// Files follow the schema `sortie-golden/save-the-city/1`. This is how a port of an environment is
+/// checked: record episodes there, replay them here. Exit code 1 if anything differs.
+#[derive(Debug, Args)]
+#[command(after_help = "Example:\n  sortie replay tests/golden/save-the-city/*-scripted.json")]
+pub(crate) struct ReplayArguments {
+    /// Recorded episodes
+    #[arg(required = true)]
+    files: Vec<PathBuf>,
+    #[command(flatten)]
+    common: Common,
+}
+
+#[derive(Serialize)]
+struct Report {
+    files: usize,
+    steps: usize,
+    mismatches: Vec<Mismatch>,
+}
+
+pub(crate) fn run(arguments: &ReplayArguments) -> Outcome {
+    let mut report = Report { files: 0, steps: 0, mismatches: Vec::new() };
+    for path in &arguments.files {
+        let replay =
+            golden::replay_file(path).map_err(|error| unreadable(error).within(path.display()))?;
+        report.files += 1;
+        report.steps += replay.steps;
+        report.mismatches.extend(replay.mismatches);
+    }
+    if arguments.common.json {
+        print_json(&report);
+    } else if !arguments.common.quiet {
+        println!(
+            "{}, {}: {}",
+            plural(report.files, "file"),
+            plural(report.steps, "step"),
+            if report.mismatches.is_empty() { "all equal" } else { "DIFFERENT" }
+        );
+    }
+    report.mismatches.first().map_or(Ok(()), |first| Err(difference(first, &report)))
+}
+
+fn difference(first: &Mismatch, report: &Report) -> Failure {
+    Failure::difference(format!(
+        "{}: step {}: `{}` is {} in the file, {} here ({} in all)",
+        first.file,
+        first.step,
+        first.field,
+        first.want,
+        first.got,
+        plural(report.mismatches.len(), "difference"),
+    ))
+}
+
+fn unreadable(error: GoldenError) -> Failure {
+    let exit = match &error {
+        GoldenError::Read(source) if source.kind() == std::io::ErrorKind::NotFound => Exit::Missing,
+        GoldenError::Read(_) => Exit::InputOutput,
+        _ => Exit::BadData,
+    };
+    let reason = std::error::Error::source(&error).map(|source| format!(": {source}"));
+    Failure::new(exit, format!("{error}{}", reason.unwrap_or_default()))
+}

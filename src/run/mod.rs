@@ -1,0 +1,211 @@
+//! `sortie run`: deploys a bundle's team in a built-in world.
+
+mod onlooker;
+pub(crate) mod process;
+mod report;
+mod view;
+
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use clap::Args;
+use console::Term;
+use sortie_bundle::Bundle;
+use sortie_envs::save_the_city::{Constants, SaveTheCity, ScenarioSet};
+use sortie_ipc::{
+    Children, Domain, InProcess, Stop, WorldSettings, group_agents, run_in_process, world_process,
+};
+
+use self::onlooker::{Display, Onlooker};
+use self::report::{Report, Setup};
+use crate::arguments::{Allocation, Common};
+use crate::deployment::{domain_contract, open_bundle};
+use crate::environment::{ScenarioSetName, check_fits};
+use crate::failure::{Exit, Failure, Outcome};
+use crate::output::print_json;
+use crate::policy::{Backend, DeployedPolicy};
+use crate::worlds::save_the_city::{CityAllocator, CityWorld};
+
+/// Ticks a second at which a person can follow.
+const WATCHABLE_HZ: f64 = 10.0;
+
+/// Deploy a bundle's team in its world: world, runners and allocator as processes over shared memory
+///
+/// Plays episodes, shows them live on a terminal, and ends with success and latency. Ctrl-C ends every
+/// process and leaves nothing in shared memory.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  sortie run models/save-the-city
+  sortie run models/save-the-city --isolate --episodes 200 --rate 0
+  sortie run models/save-the-city --in-process --json")]
+pub(crate) struct RunArguments {
+    /// Folder of the bundle
+    bundle: PathBuf,
+    /// Scenario set to play; default: the one that the bundle was trained on
+    #[arg(long, value_name = "ENV[/SET]")]
+    env: Option<String>,
+    /// Episodes to play
+    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
+    episodes: u32,
+    /// Who assigns agents to subtasks
+    #[arg(long, value_enum, default_value_t = Allocation::Coordinated)]
+    allocation: Allocation,
+    /// What executes the networks
+    #[arg(long, value_enum, default_value_t = Backend::Plan)]
+    backend: Backend,
+    /// Seconds to wait for a runner's actions before giving up; for allocations half of it
+    #[arg(long, default_value_t = 2.0, value_name = "S", value_parser = positive_seconds)]
+    patience: f64,
+    /// World, agents and allocator in this process, without shared memory
+    #[arg(long, conflicts_with = "isolate")]
+    in_process: bool,
+    /// One process per agent
+    #[arg(long)]
+    isolate: bool,
+    /// Ticks a second, 0 for as fast as the team acts; default: 10 on a terminal, else 0
+    #[arg(long, value_name = "HZ", value_parser = rate)]
+    rate: Option<f64>,
+    /// Name that keeps this deployment apart from others on the host
+    #[arg(long, env = "SORTIE_DOMAIN", default_value = "default")]
+    domain: String,
+    #[command(flatten)]
+    common: Common,
+}
+
+fn positive_seconds(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(seconds) if seconds > 0.0 && seconds <= 3600.0 => Ok(seconds),
+        _ => Err("expected seconds above 0 and up to 3600".to_string()),
+    }
+}
+
+fn rate(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(hz) if (0.0..=1e6).contains(&hz) => Ok(hz),
+        _ => Err("expected ticks a second, from 0 to 1000000".to_string()),
+    }
+}
+
+pub(crate) fn run(arguments: &RunArguments) -> Outcome {
+    let stop = Stop::on_signals()
+        .map_err(|error| Failure::new(Exit::InputOutput, format!("signal handlers: {error}")))?;
+    let bundle = open_bundle(&arguments.bundle)?;
+    let trained_on = &bundle.manifest().contract.environment.name;
+    let set = ScenarioSetName::parse(arguments.env.as_deref().unwrap_or(trained_on))?;
+    let set = ScenarioSet::named(set.set()).map_err(Failure::bug)?;
+    check_fits(&bundle, &set)?;
+    let seed = arguments.common.seed;
+    let city = SaveTheCity::new(set, Constants::default(), 1, seed).map_err(Failure::bug)?;
+    let mut world = CityWorld::new(city);
+    let mut onlooker = Onlooker::new(
+        display(arguments),
+        arguments.episodes as usize,
+        world.city.clone(),
+        world.finished.clone(),
+    );
+    if arguments.in_process {
+        play_in_process(arguments, &bundle, &mut world, &mut onlooker, &stop)?;
+    } else {
+        play_as_processes(arguments, &bundle, &mut world, &mut onlooker, &stop)?;
+    }
+    let setup = Setup {
+        allocation: arguments.allocation.name().to_string(),
+        backend: arguments.backend.name().to_string(),
+        rate_hz: pace(arguments),
+    };
+    let report = Report::new(&world.finished.borrow(), &onlooker.figures, setup);
+    if arguments.common.json {
+        print_json(&report);
+    } else {
+        report.print(&onlooker.figures);
+    }
+    Ok(())
+}
+
+fn display(arguments: &RunArguments) -> Display {
+    if arguments.common.json || arguments.common.quiet {
+        Display::Silent
+    } else if Term::stdout().is_term() {
+        Display::Live
+    } else {
+        Display::Lines
+    }
+}
+
+/// Ticks a second that the run is held to.
+fn pace(arguments: &RunArguments) -> Option<f64> {
+    let watched = display(arguments) == Display::Live;
+    let rate = arguments.rate.unwrap_or(if watched { WATCHABLE_HZ } else { 0.0 });
+    (rate > 0.0).then_some(rate)
+}
+
+fn settings(arguments: &RunArguments) -> WorldSettings {
+    WorldSettings {
+        allocator: true,
+        patience: Duration::from_secs_f64(arguments.patience),
+        episodes: Some(arguments.episodes),
+        tick_interval: pace(arguments)
+            .map_or(Duration::ZERO, |hz| Duration::from_secs_f64(1.0 / hz)),
+        ..WorldSettings::default()
+    }
+}
+
+fn play_in_process(
+    arguments: &RunArguments,
+    bundle: &Bundle,
+    world: &mut CityWorld,
+    onlooker: &mut Onlooker,
+    stop: &Stop,
+) -> Outcome {
+    let mut policy = DeployedPolicy::open(bundle, arguments.backend)?;
+    let mut allocator = CityAllocator::new(arguments.allocation.rule(), arguments.common.seed);
+    let mut policy = policy.policy()?;
+    let team = InProcess { world, policy: policy.as_mut(), allocator: Some(&mut allocator) };
+    let contract = domain_contract(bundle);
+    run_in_process(team, &contract, &settings(arguments), onlooker, stop)?;
+    onlooker.figures.processes = 1;
+    Ok(())
+}
+
+fn play_as_processes(
+    arguments: &RunArguments,
+    bundle: &Bundle,
+    world: &mut CityWorld,
+    onlooker: &mut Onlooker,
+    stop: &Stop,
+) -> Outcome {
+    // Compiled once here, so that the runners find the plan.
+    DeployedPolicy::open(bundle, arguments.backend)?;
+    let domain = Domain::new(&arguments.domain)?;
+    let agents = sortie_core::World::shape(world).agents;
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let groups = group_agents(agents, cores, arguments.isolate);
+    let start_team = |children: &mut Children| {
+        for group in &groups {
+            let agents: Vec<String> = group.iter().map(u16::to_string).collect();
+            let name = format!("the runner of agents {}", agents.join(", "));
+            let mut command = process(arguments, "runner");
+            command.arg("--agents").arg(agents.join(","));
+            children.spawn(name, &mut command)?;
+        }
+        children.spawn("the allocator", &mut process(arguments, "allocator"))
+    };
+    let contract = domain_contract(bundle);
+    world_process(&domain, &contract, world, &settings(arguments), start_team, onlooker, stop)?;
+    Ok(())
+}
+
+/// This program again, as a process of the team.
+fn process(arguments: &RunArguments, role: &str) -> Command {
+    // A program that was replaced while it runs is still itself under this name.
+    let mut command = Command::new("/proc/self/exe");
+    command.arg("process").arg(role).arg(&arguments.bundle);
+    command.arg("--domain").arg(&arguments.domain);
+    command.arg("--parent").arg(std::process::id().to_string());
+    command.arg("--allocation").arg(arguments.allocation.name());
+    command.arg("--backend").arg(arguments.backend.name());
+    command.arg("--seed").arg(arguments.common.seed.to_string());
+    command.stdin(Stdio::null()).stdout(Stdio::null());
+    command
+}

@@ -1,0 +1,170 @@
+//! Watches the world of a run: collects latencies, shows the city.
+
+use std::cell::RefCell;
+use std::rc::Rc;
+
+use console::Term;
+use sortie_core::roles::{TickReport, WorldObserver};
+use sortie_core::wire::{AllocMsg, Role, StatMsg};
+use sortie_core::{NO_ACTION, UNASSIGNED, limits};
+use sortie_envs::save_the_city::SaveTheCity;
+
+use super::view::{self, Picture};
+use crate::latency::Latency;
+use crate::worlds::save_the_city::{EpisodeLog, FinishedEpisode};
+
+/// How a run is shown while it goes on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Display {
+    /// A picture that changes in place.
+    Live,
+    /// A line per episode.
+    Lines,
+    /// Nothing.
+    Silent,
+}
+
+/// The onlooker of a run.
+pub(super) struct Onlooker {
+    display: Display,
+    episodes: usize,
+    city: Rc<RefCell<SaveTheCity>>,
+    finished: EpisodeLog,
+    allocation: [u8; limits::AGENTS],
+    actions: [u16; limits::AGENTS],
+    screen: Screen,
+    pub(super) figures: Figures,
+}
+
+/// What a run measures.
+pub(super) struct Figures {
+    /// Decisions of all agents.
+    pub(super) decisions: u64,
+    /// One decision alone.
+    pub(super) decide: Latency,
+    /// From a frame's publishing to an agent's action.
+    pub(super) act: Latency,
+    /// From a frame's publishing to the end of the world's step.
+    pub(super) tick: Latency,
+    /// Processes that have said hello, the world included.
+    pub(super) processes: usize,
+}
+
+impl Onlooker {
+    pub(super) fn new(
+        display: Display,
+        episodes: usize,
+        city: Rc<RefCell<SaveTheCity>>,
+        finished: EpisodeLog,
+    ) -> Self {
+        let figures = Figures {
+            decisions: 0,
+            decide: Latency::new(),
+            act: Latency::new(),
+            tick: Latency::new(),
+            processes: 1,
+        };
+        Self {
+            display,
+            episodes,
+            city,
+            finished,
+            allocation: [UNASSIGNED; limits::AGENTS],
+            actions: [NO_ACTION; limits::AGENTS],
+            screen: Screen::default(),
+            figures,
+        }
+    }
+
+    fn draw(&mut self, step: u32) {
+        let finished = self.finished.borrow();
+        let city = self.city.borrow();
+        let lines = view::lines(&Picture {
+            city: city.city(0),
+            allocation: &self.allocation,
+            actions: &self.actions,
+            episode: (finished.len() + 1).min(self.episodes),
+            episodes: self.episodes,
+            finished: finished.len(),
+            solved: finished.iter().filter(|episode| episode.metrics.solved).count(),
+            step,
+            tick: self.figures.tick.percentiles(),
+        });
+        self.screen.show(&lines);
+    }
+}
+
+impl WorldObserver for Onlooker {
+    fn status(&mut self, status: &StatMsg) {
+        let is_process = status.role != Role::World as u8 && status.flags & StatMsg::HELLO != 0;
+        self.figures.processes += usize::from(is_process);
+    }
+
+    fn episode_started(&mut self, _episode: u32) {
+        self.allocation = [UNASSIGNED; limits::AGENTS];
+        self.actions = [NO_ACTION; limits::AGENTS];
+    }
+
+    fn allocated(&mut self, allocation: &AllocMsg) {
+        self.allocation = allocation.task;
+    }
+
+    fn tick(&mut self, report: &TickReport<'_>) {
+        for answer in report.answers() {
+            self.figures.decisions += 1;
+            self.figures.decide.record_ns(u64::from(answer.decide_ns));
+            self.figures.act.record_ns(answer.t_ns.saturating_sub(report.published_ns));
+        }
+        self.figures.tick.record_ns(report.tick_ns);
+        if self.display == Display::Live {
+            for (to, from) in self.actions.iter_mut().zip(report.actions) {
+                *to = *from;
+            }
+            self.draw(report.step + 1);
+        }
+    }
+
+    fn episode_ended(&mut self, episode: u32, _steps: u32) {
+        if self.display == Display::Lines
+            && let Some(finished) = self.finished.borrow().last()
+        {
+            eprintln!("{}", episode_line(episode as usize + 1, self.episodes, finished));
+        }
+    }
+}
+
+fn episode_line(episode: usize, episodes: usize, finished: &FinishedEpisode) -> String {
+    let metrics = &finished.metrics;
+    let end = match (metrics.solved, metrics.timed_out) {
+        (true, _) => "solved",
+        (false, true) => "timed out",
+        (false, false) => "lost",
+    };
+    format!(
+        "episode {episode:3} of {episodes}: {:8}  {end:9}  {} of {} buildings saved in {} steps",
+        finished.team, metrics.buildings_completed, metrics.buildings, metrics.steps
+    )
+}
+
+/// Redraws a block of lines in place.
+#[derive(Default)]
+struct Screen {
+    drawn: usize,
+}
+
+impl Screen {
+    /// A terminal that is gone or too small is no reason to stop the team.
+    fn show(&mut self, lines: &[String]) {
+        let terminal = Term::stdout();
+        let width = usize::from(terminal.size().1).max(1);
+        let mut text = String::new();
+        for line in lines {
+            text.push_str(&console::truncate_str(line, width - 1, ""));
+            text.push_str("\x1b[K\n");
+        }
+        let _ = terminal.move_cursor_up(self.drawn);
+        let _ = terminal.write_str(&text);
+        let _ = terminal.flush();
+        self.drawn = lines.len();
+    }
+}

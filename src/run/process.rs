@@ -1,0 +1,71 @@
+//! A process of a team: what `run` starts beside the world.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use sortie_ipc::{Domain, ProcessSettings, Stop, allocator_process, runner_process};
+
+use crate::arguments::Allocation;
+use crate::deployment::{domain_contract, model_id, open_bundle};
+use crate::failure::{Exit, Failure, Outcome};
+use crate::policy::{Backend, DeployedPolicy};
+use crate::worlds::save_the_city::CityAllocator;
+
+/// Run one process of a team; started by `run`
+#[derive(Debug, Args)]
+pub(crate) struct ProcessArguments {
+    #[arg(value_enum)]
+    role: Role,
+    bundle: PathBuf,
+    #[arg(long)]
+    domain: String,
+    /// Agents that a runner acts for
+    #[arg(long, value_delimiter = ',')]
+    agents: Vec<u16>,
+    #[arg(long, value_enum)]
+    allocation: Allocation,
+    #[arg(long, value_enum)]
+    backend: Backend,
+    #[arg(long)]
+    seed: u64,
+    /// Process with which this one ends
+    #[arg(long)]
+    parent: Option<u32>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Role {
+    Runner,
+    Allocator,
+}
+
+pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
+    let stop = Stop::on_signals()
+        .map_err(|error| Failure::new(Exit::InputOutput, format!("signal handlers: {error}")))?;
+    let bundle = open_bundle(&arguments.bundle)?;
+    let domain = Domain::new(&arguments.domain)?;
+    let contract = domain_contract(&bundle);
+    let limits = &bundle.manifest().limits;
+    let settings = ProcessSettings {
+        model: model_id(&bundle),
+        entities_max: Some(limits.n_max.into()),
+        tasks_max: Some(limits.t_max.into()),
+        parent: arguments.parent,
+    };
+    let ended = match arguments.role {
+        Role::Runner => {
+            let mut policy = DeployedPolicy::open(&bundle, arguments.backend)?;
+            let mut policy = policy.policy()?;
+            let agents = &arguments.agents;
+            runner_process(&domain, &contract, agents, policy.as_mut(), &settings, &stop)
+        }
+        Role::Allocator => {
+            let mut allocator = CityAllocator::new(arguments.allocation.rule(), arguments.seed);
+            allocator_process(&domain, &contract, &mut allocator, &settings, &stop)
+        }
+    };
+    match ended {
+        Ok(_) => Ok(()),
+        Err(error) => Err(error.into()),
+    }
+}

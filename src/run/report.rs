@@ -1,0 +1,130 @@
+//! What a run ends with: success by team, and latency.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+use sortie_learn::evaluate::wilson_interval;
+
+use super::onlooker::Figures;
+use crate::latency::{Latency, Percentiles};
+use crate::output::Table;
+use crate::worlds::save_the_city::FinishedEpisode;
+
+/// The summary of a run; scripts rely on its names.
+#[derive(Debug, Serialize)]
+pub(super) struct Report {
+    episodes: usize,
+    success: f64,
+    success_ci95: [f64; 2],
+    return_mean: f64,
+    buildings_saved: u32,
+    buildings: u32,
+    by_team: BTreeMap<String, TeamReport>,
+    decisions: u64,
+    decide_us: Percentiles,
+    act_us: Percentiles,
+    tick_us: Percentiles,
+    ticks: u64,
+    /// Ticks a second that the run was held to; absent where it went as fast as the team acts.
+    rate_hz: Option<f64>,
+    allocation: String,
+    backend: String,
+    processes: usize,
+}
+
+#[derive(Debug, Default, Serialize)]
+struct TeamReport {
+    episodes: usize,
+    solved: usize,
+}
+
+/// What the report says of the run's set-up.
+pub(super) struct Setup {
+    pub(super) allocation: String,
+    pub(super) backend: String,
+    pub(super) rate_hz: Option<f64>,
+}
+
+impl Report {
+    pub(super) fn new(finished: &[FinishedEpisode], figures: &Figures, setup: Setup) -> Self {
+        let episodes = finished.len();
+        let solved = finished.iter().filter(|episode| episode.metrics.solved).count();
+        let mut by_team: BTreeMap<String, TeamReport> = BTreeMap::new();
+        for episode in finished {
+            let team = by_team.entry(episode.team.clone()).or_default();
+            team.episodes += 1;
+            team.solved += usize::from(episode.metrics.solved);
+        }
+        let returns: f64 = finished.iter().map(|episode| episode.metrics.episode_return).sum();
+        let sum = |count: fn(&FinishedEpisode) -> u32| finished.iter().map(count).sum();
+        Self {
+            episodes,
+            success: solved as f64 / episodes.max(1) as f64,
+            success_ci95: wilson_interval(solved, episodes),
+            return_mean: returns / episodes.max(1) as f64,
+            buildings_saved: sum(|episode| episode.metrics.buildings_completed),
+            buildings: sum(|episode| episode.metrics.buildings),
+            by_team,
+            decisions: figures.decisions,
+            decide_us: figures.decide.percentiles(),
+            act_us: figures.act.percentiles(),
+            tick_us: figures.tick.percentiles(),
+            ticks: figures.tick.samples(),
+            rate_hz: setup.rate_hz,
+            allocation: setup.allocation,
+            backend: setup.backend,
+            processes: figures.processes,
+        }
+    }
+
+    /// The tables for people.
+    pub(super) fn print(&self, figures: &Figures) {
+        println!(
+            "success {:.2} (95 % interval {:.2} to {:.2}) over {} episodes, {} allocation",
+            self.success,
+            self.success_ci95[0],
+            self.success_ci95[1],
+            self.episodes,
+            self.allocation
+        );
+        println!(
+            "buildings saved {} of {}, mean return {:.1}\n",
+            self.buildings_saved, self.buildings, self.return_mean
+        );
+        let mut teams = Table::new(&["team", "episodes", "solved"]);
+        for (team, report) in &self.by_team {
+            teams.row([team.clone(), report.episodes.to_string(), report.solved.to_string()]);
+        }
+        teams.print();
+        println!(
+            "\n{} processes, {} decisions, pace {}\n",
+            self.processes,
+            self.decisions,
+            self.pace()
+        );
+        let mut latency = Table::new(&["latency, us", "p50", "p99", "p99.9", "max", "samples"]);
+        latency.row(latency_row("one decision", self.decide_us, &figures.decide));
+        latency.row(latency_row("observation to action", self.act_us, &figures.act));
+        latency.row(latency_row("whole tick", self.tick_us, &figures.tick));
+        latency.print();
+    }
+
+    fn pace(&self) -> String {
+        match self.rate_hz {
+            Some(rate) => format!("{rate} ticks a second"),
+            None => "as fast as the team acts".to_string(),
+        }
+    }
+}
+
+fn latency_row(name: &str, shown: Percentiles, latency: &Latency) -> [String; 6] {
+    let figure = |us: f64| format!("{us:.1}");
+    [
+        name.to_string(),
+        figure(shown.p50),
+        figure(shown.p99),
+        shown.p999.map_or("-".to_string(), figure),
+        figure(shown.max),
+        latency.samples().to_string(),
+    ]
+}

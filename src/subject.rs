@@ -1,0 +1,41 @@
+//! What a verb works on: a bundle, a training run, or the environment's own script.
+
+use std::path::Path;
+
+use sortie_bundle::{Bundle, MANIFEST, TRAINING};
+use sortie_learn::run::Run;
+
+use crate::deployment::open_bundle;
+use crate::failure::{Exit, Failure};
+
+/// What is evaluated.
+pub(crate) enum Subject {
+    /// A bundle, as deployed.
+    Bundle(Box<Bundle>),
+    /// A training run: its averaged weights.
+    Run(Box<Run>),
+    /// The environment's hand-written low level.
+    Scripted,
+}
+
+impl Subject {
+    /// Finds out what `text` names.
+    pub(crate) fn find(text: &str) -> Result<Self, Failure> {
+        if text == "scripted" {
+            return Ok(Self::Scripted);
+        }
+        let path = Path::new(text);
+        if path.join(MANIFEST).exists() {
+            return Ok(Self::Bundle(Box::new(open_bundle(path)?)));
+        }
+        if path.join(TRAINING).exists() {
+            return Ok(Self::Run(Box::new(Run::open(path)?)));
+        }
+        let reason = if path.exists() {
+            "is neither a bundle nor a training run: it has no `bundle.toml` and no `train.toml`"
+        } else {
+            "does not exist; name a bundle, a training run, or `scripted`"
+        };
+        Err(Failure::new(Exit::Missing, format!("`{text}` {reason}")))
+    }
+}

@@ -1,0 +1,196 @@
+//! `sortie train`: learns a team and writes a run that can be watched, resumed and exported.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use clap::{Args, ValueEnum};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use signal_hook::consts::{SIGINT, SIGTERM};
+use sortie_learn::LearnError;
+use sortie_learn::methods::alma::{Config, Observer, Outcome as Ending, Progress, Trainer};
+use sortie_learn::run::CurvePoint;
+
+use crate::arguments::{Allocation, Common};
+use crate::environment::ScenarioSetName;
+use crate::failure::{Exit, Failure, Outcome};
+use crate::output::print_json;
+
+/// Learn a team's policy and write the run to a folder
+///
+/// The folder gets `train.toml` (the resolved configuration), `curve.json`, `curve.svg` and checkpoints. Ctrl-C writes a
+/// checkpoint and stops; `--resume` goes on as if nothing had happened. The same seed gives the same weights.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  sortie train alma --out runs/first
+  sortie train alma --set network.width=128 --set run.steps=800000 --seed 7 --out runs/wide
+  sortie train alma --resume runs/first")]
+pub(crate) struct TrainArguments {
+    /// The algorithm
+    #[arg(value_enum)]
+    method: Method,
+    /// Environment and scenario set [default: save-the-city/2-5a_2-5b]
+    #[arg(long, value_name = "ENV[/SET]")]
+    env: Option<String>,
+    /// Named configuration to start from
+    #[arg(long, default_value = "fast")]
+    preset: String,
+    /// Configuration file to start from, as `train.toml` has it
+    #[arg(long, value_name = "FILE", conflicts_with = "preset")]
+    config: Option<PathBuf>,
+    /// Replace one value of the configuration; may be given several times
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    assignments: Vec<String>,
+    /// Who assigns agents to subtasks while they learn [default: as the configuration says]
+    #[arg(long, value_enum)]
+    allocation: Option<Allocation>,
+    /// Environment steps to learn for [default: as the configuration says]
+    #[arg(long)]
+    steps: Option<u64>,
+    /// Threads that compute gradients; they change no result [default: all cores]
+    #[arg(long)]
+    threads: Option<usize>,
+    /// Folder of the new run
+    #[arg(long, value_name = "DIR", required_unless_present = "resume")]
+    out: Option<PathBuf>,
+    /// Folder of a run to go on with, as it was configured
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["out", "config", "assignments", "allocation", "steps", "env"])]
+    resume: Option<PathBuf>,
+    #[command(flatten)]
+    common: Common,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Method {
+    /// Subtask-masked utilities under an allocation (dissertation chapter 7)
+    Alma,
+}
+
+pub(crate) fn run(arguments: &TrainArguments) -> Outcome {
+    let Method::Alma = arguments.method;
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM] {
+        signal_hook::flag::register_conditional_shutdown(
+            signal,
+            Exit::Interrupted as i32,
+            Arc::clone(&stop),
+        )
+        .and_then(|_| signal_hook::flag::register(signal, Arc::clone(&stop)))
+        .map_err(|error| Failure::new(Exit::InputOutput, format!("signal handlers: {error}")))?;
+    }
+    let (mut trainer, folder) = trainer(arguments)?;
+    for reason in trainer.refused() {
+        eprintln!("warning: {reason}; an earlier checkpoint is used");
+    }
+    let mut reporter = Reporter::new(&trainer, arguments.common);
+    let ending = trainer.run(&mut reporter, &stop)?;
+    reporter.bar.finish_and_clear();
+    match ending {
+        Ending::Stopped => Err(Failure::new(
+            Exit::Interrupted,
+            format!("stopped; go on with `sortie train alma --resume {}`", folder.display()),
+        )),
+        Ending::Finished => {
+            if !arguments.common.json && !arguments.common.quiet {
+                let folder = folder.display();
+                println!(
+                    "done; evaluate with `sortie eval {folder}`, deploy with `sortie export {folder} --out BUNDLE`"
+                );
+            }
+            Ok(())
+        }
+    }
+}
+
+fn trainer(arguments: &TrainArguments) -> Result<(Trainer, PathBuf), Failure> {
+    if let Some(folder) = &arguments.resume {
+        return Ok((Trainer::resume(folder, arguments.threads)?, folder.clone()));
+    }
+    let folder = arguments.out.clone().unwrap_or_default();
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let threads = arguments.threads.unwrap_or(cores);
+    let config = configuration(arguments)?;
+    Ok((Trainer::new(config, arguments.common.seed, threads, &folder)?, folder))
+}
+
+fn configuration(arguments: &TrainArguments) -> Result<Config, Failure> {
+    let mut config = match &arguments.config {
+        Some(path) => configuration_file(path)?,
+        None => Config::preset(&arguments.preset).map_err(usage)?,
+    };
+    if let Some(name) = &arguments.env {
+        config.environment.set = ScenarioSetName::parse(name)?.set().to_string();
+    }
+    if let Some(allocation) = arguments.allocation {
+        let weight = |rule| f64::from(u8::from(rule == allocation));
+        config.allocation.coordinated = weight(Allocation::Coordinated);
+        config.allocation.heuristic = weight(Allocation::Heuristic);
+        config.allocation.random = weight(Allocation::Random);
+    }
+    if let Some(steps) = arguments.steps {
+        config.run.steps = steps;
+    }
+    for assignment in &arguments.assignments {
+        config.set(assignment).map_err(usage)?;
+    }
+    Ok(config)
+}
+
+fn configuration_file(path: &Path) -> Result<Config, Failure> {
+    let text = fs::read_to_string(path).map_err(|error| Failure::file(path, &error))?;
+    Config::from_toml(&text)
+        .map_err(|error| Failure::new(Exit::BadData, format!("{}: {error}", path.display())))
+}
+
+fn usage(error: LearnError) -> Failure {
+    Failure::new(Exit::Usage, error.to_string())
+}
+
+/// Shows a run while it learns.
+struct Reporter {
+    bar: ProgressBar,
+    common: Common,
+}
+
+impl Reporter {
+    fn new(trainer: &Trainer, common: Common) -> Self {
+        let hidden = common.json || common.quiet;
+        let target =
+            if hidden { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
+        let bar =
+            ProgressBar::with_draw_target(Some(trainer.description().config.run.steps), target);
+        let style = ProgressStyle::with_template(
+            "{bar:30} {percent:>3} % of {human_len} steps, {eta} left, {msg}",
+        );
+        bar.set_style(style.expect("the template is a constant"));
+        bar.set_message("success not measured yet");
+        bar.set_position(trainer.env_steps());
+        bar.reset_eta();
+        Self { bar, common }
+    }
+}
+
+impl Observer for Reporter {
+    fn progress(&mut self, progress: &Progress) {
+        self.bar.set_position(progress.env_steps);
+    }
+
+    fn evaluated(&mut self, point: &CurvePoint) {
+        self.bar.set_message(format!("success {:.3}", point.success));
+        if self.common.json {
+            print_json(point);
+        } else if !self.common.quiet {
+            let line = format!(
+                "{:>9} steps  {:>6.0} s  {:>6.0} CPU s  success {:.3}  time-outs {:.3}  loss {:.4}",
+                point.env_steps,
+                point.wall_s,
+                point.cpu_s,
+                point.success,
+                point.timeouts,
+                point.loss
+            );
+            self.bar.suspend(|| println!("{line}"));
+        }
+    }
+}

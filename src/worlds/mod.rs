@@ -1,0 +1,3 @@
+//! The built-in worlds of `run`: environments behind the runtime's traits.
+
+pub(crate) mod save_the_city;

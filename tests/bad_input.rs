@@ -1,0 +1,110 @@
+//! Broken bundles, plans and domains: one line of error, the documented exit code, nothing left running.
+
+mod support;
+
+use std::fs;
+use std::path::Path;
+
+use support::{BUNDLE, TestDomain, assert_fails, copied_bundle, output, sortie};
+
+fn path_of(path: &Path) -> String {
+    path.display().to_string()
+}
+
+#[test]
+fn a_folder_without_a_bundle_is_named() {
+    assert_fails(&output(&["run", "no/such/bundle"]), 66, &["no/such/bundle", "bundle.toml"]);
+}
+
+#[test]
+fn a_truncated_network_is_named() {
+    let folder = copied_bundle();
+    let onnx = folder.path().join("agent.onnx");
+    let bytes = fs::read(&onnx).expect("the network");
+    fs::write(&onnx, &bytes[..bytes.len() / 2]).expect("half of it");
+    let bundle = path_of(folder.path());
+    assert_fails(&output(&["run", &bundle]), 65, &["agent.onnx", "SHA-256", "again"]);
+}
+
+#[test]
+fn a_truncated_onnx_file_is_refused_by_the_compiler() {
+    let folder = copied_bundle();
+    let onnx = folder.path().join("agent.onnx");
+    let bytes = fs::read(&onnx).expect("the network");
+    fs::write(&onnx, &bytes[..bytes.len() / 2]).expect("half of it");
+    let plan = path_of(&folder.path().join("half.plan"));
+    assert_fails(&output(&["compile", &path_of(&onnx), "-o", &plan]), 65, &["agent.onnx"]);
+    assert!(!Path::new(&plan).exists());
+}
+
+#[test]
+fn a_missing_part_is_named() {
+    let folder = copied_bundle();
+    fs::remove_file(folder.path().join("card.md")).expect("the card");
+    assert_fails(&output(&["run", &path_of(folder.path())]), 66, &["card.md", "missing"]);
+}
+
+#[test]
+fn a_broken_manifest_is_named() {
+    let folder = copied_bundle();
+    fs::write(folder.path().join("bundle.toml"), "format = [").expect("a broken manifest");
+    assert_fails(&output(&["run", &path_of(folder.path())]), 65, &["bundle.toml"]);
+}
+
+#[test]
+fn a_bundle_of_a_newer_format_asks_for_an_update() {
+    let folder = copied_bundle();
+    fs::write(folder.path().join("bundle.toml"), "format = 999\n").expect("a newer manifest");
+    let words = ["bundle.toml", "999", "update"];
+    assert_fails(&output(&["run", &path_of(folder.path())]), 78, &words);
+}
+
+#[test]
+fn a_plan_of_another_version_is_refused_by_name() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let plan = folder.path().join("agent.plan");
+    let onnx = format!("{BUNDLE}/agent.onnx");
+    let compiled = output(&["compile", &onnx, "-o", &path_of(&plan)]);
+    assert!(compiled.status.success(), "{}", support::stderr(&compiled));
+    let mut bytes = fs::read(&plan).expect("the plan");
+    bytes[8] = 99;
+    fs::write(&plan, bytes).expect("a plan of another version");
+    assert_fails(&output(&["inspect", &path_of(&plan)]), 78, &["agent.plan", "version"]);
+}
+
+#[test]
+fn an_unknown_environment_lists_the_known_ones() {
+    let words = ["mars", "save-the-city"];
+    assert_fails(&output(&["eval", "scripted", "--env", "mars"]), 2, &words);
+    let words = ["9z_9z", "2-5a_2-5b"];
+    assert_fails(&output(&["eval", "scripted", "--env", "save-the-city/9z_9z"]), 2, &words);
+}
+
+#[test]
+fn a_team_over_the_limits_of_the_bundle_is_refused() {
+    let arguments = ["run", BUNDLE, "--env", "save-the-city/24a_24b"];
+    assert_fails(&output(&arguments), 78, &[BUNDLE, "24a_24b", "49 entities"]);
+}
+
+#[test]
+fn a_second_world_of_a_domain_is_refused() {
+    let domain = TestDomain::new("second");
+    let arguments = ["run", BUNDLE, "--domain", &domain.id, "--episodes", "10000", "-q"];
+    let mut first = sortie(&arguments).args(["--rate", "20"]).spawn().expect("the first world");
+    support::wait_until("the first world leads", || {
+        domain.leftovers().iter().any(|path| path.join("domain.toml").exists())
+    });
+    let second = output(&["run", BUNDLE, "--domain", &domain.id, "--episodes", "1"]);
+    assert_fails(&second, 75, &["world", &domain.id]);
+    support::interrupt(&first);
+    assert_eq!(first.wait().expect("its status").code(), Some(130));
+    assert_eq!(domain.leftovers(), Vec::<std::path::PathBuf>::new());
+}
+
+#[test]
+fn shared_memory_on_a_disk_is_refused() {
+    let mut command = sortie(&["run", BUNDLE, "--episodes", "1"]);
+    command.env("SORTIE_BASE", env!("CARGO_TARGET_TMPDIR"));
+    let output = command.output().expect("the command line starts");
+    assert_fails(&output, 74, &[env!("CARGO_TARGET_TMPDIR"), "tmpfs"]);
+}

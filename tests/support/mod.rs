@@ -1,0 +1,119 @@
+//! Starts the command line as users do.
+#![allow(dead_code, reason = "every test file uses its own part of this")]
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output};
+use std::time::{Duration, Instant};
+
+use rustix::process::{Pid, Signal, kill_process};
+use serde_json::Value;
+
+/// The shipped bundle.
+pub const BUNDLE: &str = "models/save-the-city";
+
+/// The command line, started in the project's folder.
+pub fn sortie(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_sortie"));
+    command.current_dir(env!("CARGO_MANIFEST_DIR")).args(arguments);
+    command
+}
+
+/// Runs to the end.
+pub fn output(arguments: &[&str]) -> Output {
+    sortie(arguments).output().expect("the command line starts")
+}
+
+/// Runs to success and reads the last JSON object on standard output.
+pub fn json(arguments: &[&str]) -> Value {
+    let output = output(arguments);
+    assert!(output.status.success(), "{arguments:?}: {}", stderr(&output));
+    let text = String::from_utf8_lossy(&output.stdout);
+    serde_json::from_str(text.lines().last().unwrap_or_default()).expect("standard output is JSON")
+}
+
+/// Standard error as text.
+pub fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// Checks that the verb failed with this code, on one line that has all of these words.
+pub fn assert_fails(output: &Output, code: i32, words: &[&str]) {
+    let text = stderr(output);
+    assert_eq!(output.status.code(), Some(code), "{text}");
+    let errors: Vec<&str> = text.lines().filter(|line| line.starts_with("error: ")).collect();
+    assert_eq!(errors.len(), 1, "one line of error: {text}");
+    for word in words {
+        assert!(errors[0].contains(word), "`{word}` in: {}", errors[0]);
+    }
+}
+
+/// A domain of its own for each test, and what it may leave behind.
+pub struct TestDomain {
+    pub id: String,
+}
+
+impl TestDomain {
+    pub fn new(name: &str) -> Self {
+        Self { id: format!("test-{name}-{}", std::process::id() % 10_000) }
+    }
+
+    /// Everything in shared memory that carries the domain's name.
+    pub fn leftovers(&self) -> Vec<PathBuf> {
+        let mut found = Vec::new();
+        collect(Path::new("/dev/shm"), &self.id, &mut found);
+        found
+    }
+}
+
+fn collect(folder: &Path, name: &str, found: &mut Vec<PathBuf>) {
+    for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
+        let path = entry.path();
+        if entry.file_name().to_string_lossy().contains(name) {
+            found.push(path);
+        } else if path.is_dir() {
+            collect(&path, name, found);
+        }
+    }
+}
+
+/// A copy of the shipped bundle that a test may break.
+pub fn copied_bundle() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join(BUNDLE);
+    for entry in fs::read_dir(source).expect("the bundle").flatten() {
+        if entry.path().is_file() {
+            fs::copy(entry.path(), folder.path().join(entry.file_name())).expect("a copy");
+        }
+    }
+    folder
+}
+
+/// Polls until `done`, for at most half a minute.
+pub fn wait_until(what: &str, mut done: impl FnMut() -> bool) {
+    let until = Instant::now() + Duration::from_secs(30);
+    while !done() {
+        assert!(Instant::now() < until, "in 30 s: {what}");
+        std::thread::park_timeout(Duration::from_millis(5));
+    }
+}
+
+/// What Ctrl-C sends.
+pub fn interrupt(child: &Child) {
+    signal(child.id(), Signal::INT);
+}
+
+/// Ends a process without any warning.
+pub fn kill(pid: u32) {
+    signal(pid, Signal::KILL);
+}
+
+/// Stops a process as a debugger would.
+pub fn stop(pid: u32) {
+    signal(pid, Signal::STOP);
+}
+
+fn signal(pid: u32, signal: Signal) {
+    let pid = i32::try_from(pid).ok().and_then(Pid::from_raw).expect("a process id");
+    kill_process(pid, signal).expect("the signal is sent");
+}

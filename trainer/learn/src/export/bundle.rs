@@ -1,0 +1,253 @@
+//! A run becomes a bundle: contract, network, golden observations, card and curve.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::path::Path;
+
+use sortie_bundle::{
+    AGENT, CARD, CURVE, CURVE_DATA, ContractV1, Draft, Environment, FallbackAllocation, Golden,
+    GoldenCase, Limits, Network, OwnedObservation, SubtaskConditioning, TRAINING, WIRE_ABI,
+};
+use sortie_core::choose::masked_argmax;
+use sortie_core::{DecideError, Decision, Observation, Policy};
+use sortie_envs::save_the_city::{
+    ACTION_NAMES, ACTIONS, AllocationRule, FEATURE_NAMES, FEATURES, ScenarioSet,
+};
+
+use super::agent::{AgentNetwork, Layer, Layout, Matrix, agent_onnx};
+use crate::error::LearnError;
+use crate::evaluate::{Evaluation, EvaluationPlan, PolicyTeam, evaluate};
+use crate::methods::alma::{NetworkPolicy, UtilityWeights};
+use crate::run::Run;
+
+/// Golden observations of a bundle.
+const GOLDEN_CASES: usize = 256;
+/// One of so many decisions becomes golden, so that they come from many episodes.
+const GOLDEN_STRIDE: usize = 37;
+/// Episodes that golden observations are drawn from; they end sooner than all are needed.
+const GOLDEN_EPISODES: usize = 100;
+/// Action 0 is to stay, which is always available.
+const SAFE_ACTION: u16 = 0;
+
+/// A measured allocation rule, for the card.
+#[derive(Clone, Debug)]
+pub struct Measured {
+    /// Who allocated.
+    pub allocation: String,
+    /// How the team did.
+    pub evaluation: Evaluation,
+}
+
+/// Makes a bundle of the averaged weights of the run in `folder`.
+///
+/// # Errors
+/// Files of the run cannot be read, or its network is not finite.
+pub fn draft_bundle(
+    run: &Run,
+    folder: &Path,
+    measured: &[Measured],
+    seed: u64,
+) -> Result<Draft, LearnError> {
+    let set = ScenarioSet::named(&run.description.config.environment.set)?;
+    let contract = contract(run.description.config.allocation.interval);
+    let onnx = onnx(&run.network.weights(), contract.hash())
+        .map_err(|error| LearnError::format(folder, error))?;
+    let read = |name: &str| {
+        let path = folder.join(name);
+        std::fs::read(&path).map_err(LearnError::file(path))
+    };
+    let parts = BTreeMap::from([
+        (AGENT.to_owned(), onnx),
+        (CARD.to_owned(), card(run, measured).into_bytes()),
+        (CURVE.to_owned(), read(CURVE)?),
+        (CURVE_DATA.to_owned(), read(CURVE_DATA)?),
+        (TRAINING.to_owned(), read(TRAINING)?),
+    ]);
+    Ok(Draft {
+        environment: environment(run),
+        limits: limits(&set),
+        network: Network { agent: "masked-attention".to_owned(), allocator: None, hidden: 0 },
+        golden: golden(run, seed)?,
+        contract,
+        parts,
+    })
+}
+
+fn contract(decision_interval: u32) -> ContractV1 {
+    let names = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect();
+    ContractV1 {
+        abi: WIRE_ABI,
+        actions: ACTIONS as u16,
+        features: FEATURES as u16,
+        feature_names: names(&FEATURE_NAMES),
+        action_names: names(&ACTION_NAMES),
+        decision_interval,
+        append_last_action: true,
+        subtask_conditioning: SubtaskConditioning::Mask,
+        subtask_actions: false,
+        safe_action: Some(SAFE_ACTION),
+        fallback_allocation: FallbackAllocation::Unallocated,
+    }
+}
+
+fn environment(run: &Run) -> Environment {
+    let config = &run.description.config.environment;
+    let unit = |name: &&str| match *name {
+        "x-scaled" | "y-scaled" => "sides of the map",
+        "health" | "fire" => "share of full",
+        "since-last-fire" => "ignition periods",
+        "ignition-rate" => "share of the fastest",
+        _ => "flag",
+    };
+    Environment {
+        name: format!("{}/{}", config.name, config.set),
+        version: "1".to_owned(),
+        feature_units: FEATURE_NAMES.iter().map(|name| unit(name).to_owned()).collect(),
+        feature_ranges: vec![[0.0, 1.0]; FEATURES],
+    }
+}
+
+fn limits(set: &ScenarioSet) -> Limits {
+    Limits {
+        n_max: (set.max_agents + set.max_buildings) as u16,
+        t_max: set.max_buildings as u16,
+        team_max: set.max_agents as u16,
+    }
+}
+
+fn onnx(weights: &UtilityWeights, contract: u64) -> Result<Vec<u8>, super::ExportError> {
+    let matrix = |values| Matrix { values, layout: Layout::OutputsFirst };
+    let shape = weights.shape;
+    agent_onnx(&AgentNetwork {
+        features: FEATURES,
+        actions: shape.actions,
+        append_last_action: true,
+        width: shape.width,
+        heads: shape.heads,
+        base: shape.base,
+        fc1: Layer { weight: matrix(&weights.fc1_weight), bias: &weights.fc1_bias },
+        attention_in: matrix(&weights.attention_in_weight),
+        attention_out: Layer {
+            weight: matrix(&weights.attention_out_weight),
+            bias: &weights.attention_out_bias,
+        },
+        fc2: Layer { weight: matrix(&weights.fc2_weight), bias: &weights.fc2_bias },
+        head: Layer { weight: matrix(&weights.head_weight), bias: &weights.head_bias },
+        contract,
+    })
+}
+
+/// Observations of greedy episodes, with the answers of the trainer's own forward pass.
+fn golden(run: &Run, seed: u64) -> Result<Golden, LearnError> {
+    let config = &run.description.config;
+    let plan = EvaluationPlan {
+        constants: config.environment.constants,
+        interval: config.allocation.interval,
+        ..EvaluationPlan::new(&config.environment.set, GOLDEN_EPISODES, seed)?
+    };
+    let mut recorder =
+        Recorder { policy: NetworkPolicy::new(&run.network), decisions: 0, cases: Vec::new() };
+    let mut team = PolicyTeam::new(&mut recorder as &mut dyn Policy);
+    evaluate(&plan, &mut team, &mut AllocationRule::Coordinated)?;
+    Ok(Golden { cases: recorder.cases })
+}
+
+/// Decides, and keeps every so many-th decision.
+struct Recorder<'a> {
+    policy: NetworkPolicy<'a>,
+    decisions: usize,
+    cases: Vec<GoldenCase>,
+}
+
+impl Policy for Recorder<'_> {
+    fn actions(&self) -> usize {
+        self.policy.actions()
+    }
+
+    fn utilities(
+        &mut self,
+        observation: &Observation<'_>,
+        utilities: &mut [f32],
+    ) -> Result<(), DecideError> {
+        self.policy.utilities(observation, utilities)
+    }
+
+    fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
+        let mut utilities = vec![0.0; self.actions()];
+        self.utilities(observation, &mut utilities)?;
+        let decision = masked_argmax(&utilities, observation.available)?;
+        self.decisions += 1;
+        if self.decisions % GOLDEN_STRIDE == 1 && self.cases.len() < GOLDEN_CASES {
+            let observation = OwnedObservation::copy_of(observation, FEATURES);
+            self.cases.push(GoldenCase { observation, utilities, action: decision.action });
+        }
+        Ok(decision)
+    }
+}
+
+/// The model card.
+fn card(run: &Run, measured: &[Measured]) -> String {
+    let description = &run.description;
+    let config = &description.config;
+    let mut card = format!(
+        "# A team for {}/{}\n\n\
+         Every agent runs the same masked-attention utility network (dissertation section 7.3): it sees the\n\
+         entities of its own subtask, its team mates and one building, and nothing else. Trained by\n\
+         `sortie train {}`, seed {}, Sortie {}; `train.toml` repeats the run.\n\n",
+        config.environment.name,
+        config.environment.set,
+        description.method,
+        description.seed,
+        description.version,
+    );
+    card += "## How well it does\n\nGreedy episodes that training never saw.\n\n";
+    card += "| allocation | episodes | success (95 % interval) | no building burned | time-outs | return |\n";
+    card += "| --- | --- | --- | --- | --- | --- |\n";
+    for Measured { allocation, evaluation } in measured {
+        let [low, high] = evaluation.success_ci95;
+        // Writing to a string cannot fail.
+        let _ = writeln!(
+            card,
+            "| {allocation} | {} | {:.3} ({low:.3} to {high:.3}) | {:.3} | {:.3} | {:.2} |",
+            evaluation.episodes,
+            evaluation.success,
+            evaluation.none_burned,
+            evaluation.timeouts,
+            evaluation.return_mean,
+        );
+    }
+    if let Some(last) = run.curve.last() {
+        let _ = writeln!(
+            card,
+            "\nTraining took {} environment steps, {:.0} seconds of processor time and {:.0} seconds.",
+            last.env_steps, last.cpu_s, last.wall_s
+        );
+    }
+    card += &departures(run);
+    card += "\n## Limits\n\nIt serves teams and cities up to the size it was trained on; `bundle.toml` has the numbers.\n\
+             Agents that do not share a subtask do not see each other and can block each other's way.\n";
+    card
+}
+
+/// What is not in the dissertation.
+fn departures(run: &Run) -> String {
+    let config = &run.description.config;
+    let mut text = "\n## Where the training departs from the dissertation\n\n".to_owned();
+    text += &format!(
+        "- Utilities of a subtask's team are summed (VDN); there is no mixing network.\n\
+         - It learns from records of one step and one subtask, with {}-step returns and discount {}.\n\
+         - Adam with averaged weights; embedding width {}.\n",
+        config.returns.steps, config.returns.discount, config.network.width,
+    );
+    if config.returns.shaping != 0.0 {
+        text += &format!(
+            "- Potential shaping of {} per cell between an agent and its building, which leaves the best policy\n  \
+             as it is.\n",
+            config.returns.shaping
+        );
+    }
+    if config.replay.symmetries {
+        text += "- Sampled records are turned and mirrored at random.\n";
+    }
+    text
+}
