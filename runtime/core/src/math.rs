@@ -46,6 +46,14 @@ pub fn relu(x: f32) -> f32 {
     if x < 0.0 { 0.0 } else { x }
 }
 
+/// [`relu`] of every value.
+#[inline(always)]
+pub fn relu_all(values: &mut [f32]) {
+    for value in values {
+        *value = relu(*value);
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

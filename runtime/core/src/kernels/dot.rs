@@ -39,6 +39,8 @@ pub fn sum(values: &[f32]) -> f32 {
 /// Adds lanes j and j + 8, then neighbours, then neighbours again, then the two halves.
 #[inline(always)]
 fn join(lanes: [f32; LANES]) -> f32 {
+    // Hides the tree from the loops before it: else the compiler permutes their lanes to suit it.
+    let lanes = core::hint::black_box(lanes);
     let [a0, a1, a2, a3, a4, a5, a6, a7, b0, b1, b2, b3, b4, b5, b6, b7] = lanes;
     let low = ((a0 + b0) + (a1 + b1)) + ((a2 + b2) + (a3 + b3));
     let high = ((a4 + b4) + (a5 + b5)) + ((a6 + b6) + (a7 + b7));

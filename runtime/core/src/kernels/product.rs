@@ -4,6 +4,7 @@
 //! holds its columns of every input row, row after row. Outputs are padded with zeros to a multiple of 8.
 
 use super::nonzero::Nonzero;
+use crate::math::relu_all;
 
 /// Columns of the widest tile.
 pub const TILE: usize = 64;
@@ -23,40 +24,50 @@ pub const fn tile_width(rest: usize) -> usize {
     }
 }
 
-/// Adds the product of every input with its row to `sums`, whose length is a multiple of eight.
+/// What the sums of a product start from, and what happens to them at the end.
+#[derive(Clone, Copy, Debug)]
+pub struct Around<'a> {
+    /// Where each output starts, as long as the padded outputs; none: at zero.
+    pub bias: Option<&'a [f32]>,
+    /// Whether a ReLU follows.
+    pub relu: bool,
+}
+
+impl Around<'_> {
+    /// Just the product.
+    pub const NOTHING: Self = Self { bias: None, relu: false };
+}
+
+/// Writes the product of `inputs` and a matrix to `outputs`, whose length is a multiple of eight.
 #[inline(always)]
-pub fn add_product(weights: &[f32], inputs: &[f32], sums: &mut [f32]) {
-    let (mut weights, mut sums) = (weights, sums);
-    while !sums.is_empty() {
-        let (block, columns);
-        (block, weights, columns, sums) = match next_tile(weights, inputs.len(), sums) {
-            Some(parts) => parts,
-            None => return,
-        };
+pub fn product(weights: &[f32], inputs: &[f32], around: Around<'_>, outputs: &mut [f32]) {
+    let mut tiles = Tiles::new(weights, inputs.len(), around, outputs);
+    while let Some((block, start, columns)) = tiles.next() {
         match columns.len() {
-            64 => tile::<64>(block, inputs, columns),
-            32 => tile::<32>(block, inputs, columns),
-            16 => tile::<16>(block, inputs, columns),
-            _ => tile::<8>(block, inputs, columns),
+            64 => tile::<64>(block, inputs, start, around.relu, columns),
+            32 => tile::<32>(block, inputs, start, around.relu, columns),
+            16 => tile::<16>(block, inputs, start, around.relu, columns),
+            _ => tile::<8>(block, inputs, start, around.relu, columns),
         }
     }
 }
 
-/// As [`add_product`] for a matrix of `rows` inputs of which only those in `inputs` are not zero.
+/// As [`product`] for a matrix of `rows` inputs of which only those in `inputs` are not zero.
 #[inline(always)]
-pub fn add_sparse_product(weights: &[f32], rows: usize, inputs: &[Nonzero], sums: &mut [f32]) {
-    let (mut weights, mut sums) = (weights, sums);
-    while !sums.is_empty() {
-        let (block, columns);
-        (block, weights, columns, sums) = match next_tile(weights, rows, sums) {
-            Some(parts) => parts,
-            None => return,
-        };
+pub fn sparse_product(
+    weights: &[f32],
+    rows: usize,
+    inputs: &[Nonzero],
+    around: Around<'_>,
+    outputs: &mut [f32],
+) {
+    let mut tiles = Tiles::new(weights, rows, around, outputs);
+    while let Some((block, start, columns)) = tiles.next() {
         match columns.len() {
-            64 => sparse_tile::<64>(block, inputs, columns),
-            32 => sparse_tile::<32>(block, inputs, columns),
-            16 => sparse_tile::<16>(block, inputs, columns),
-            _ => sparse_tile::<8>(block, inputs, columns),
+            64 => sparse_tile::<64>(block, inputs, start, around.relu, columns),
+            32 => sparse_tile::<32>(block, inputs, start, around.relu, columns),
+            16 => sparse_tile::<16>(block, inputs, start, around.relu, columns),
+            _ => sparse_tile::<8>(block, inputs, start, around.relu, columns),
         }
     }
 }
@@ -100,36 +111,72 @@ fn mix_tile<const WIDTH: usize>(
     *columns = sums;
 }
 
-/// A tile's weights and columns, each with what follows.
-type Tile<'w, 's> = (&'w [f32], &'w [f32], &'s mut [f32], &'s mut [f32]);
+/// The tiles of a matrix, one after the other.
+struct Tiles<'w, 'o> {
+    weights: &'w [f32],
+    rows: usize,
+    bias: Option<&'w [f32]>,
+    outputs: &'o mut [f32],
+}
 
-#[inline(always)]
-fn next_tile<'w, 's>(weights: &'w [f32], rows: usize, sums: &'s mut [f32]) -> Option<Tile<'w, 's>> {
-    let width = tile_width(sums.len());
-    let (block, weights) = weights.split_at_checked(rows.checked_mul(width)?)?;
-    let (columns, sums) = sums.split_at_mut_checked(width)?;
-    Some((block, weights, columns, sums))
+/// Weights, bias and outputs of one tile.
+type Tile<'w, 'o> = (&'w [f32], Option<&'w [f32]>, &'o mut [f32]);
+
+impl<'w, 'o> Tiles<'w, 'o> {
+    #[inline(always)]
+    fn new(weights: &'w [f32], rows: usize, around: Around<'w>, outputs: &'o mut [f32]) -> Self {
+        Self { weights, rows, bias: around.bias, outputs }
+    }
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<Tile<'w, 'o>> {
+        if self.outputs.is_empty() {
+            return None;
+        }
+        let width = tile_width(self.outputs.len());
+        let (block, weights) = self.weights.split_at_checked(self.rows.checked_mul(width)?)?;
+        let outputs = core::mem::take(&mut self.outputs);
+        let (columns, outputs) = outputs.split_at_mut_checked(width)?;
+        let (start, bias) = match self.bias {
+            Some(bias) => {
+                let (start, bias) = bias.split_at_checked(width)?;
+                (Some(start), Some(bias))
+            }
+            None => (None, None),
+        };
+        (self.weights, self.outputs, self.bias) = (weights, outputs, bias);
+        Some((block, start, columns))
+    }
 }
 
 #[inline(always)]
-fn tile<const WIDTH: usize>(block: &[f32], inputs: &[f32], columns: &mut [f32]) {
-    let Ok(columns) = <&mut [f32; WIDTH]>::try_from(columns) else { return };
+fn tile<const WIDTH: usize>(
+    block: &[f32],
+    inputs: &[f32],
+    start: Option<&[f32]>,
+    relu: bool,
+    columns: &mut [f32],
+) {
     let (rows, _) = block.as_chunks::<WIDTH>();
-    // A local copy lets the sums stay in registers.
-    let mut sums = *columns;
+    let mut sums = first_sums::<WIDTH>(start);
     for (input, row) in inputs.iter().zip(rows) {
         for (sum, weight) in sums.iter_mut().zip(row) {
             *sum += input * weight;
         }
     }
-    *columns = sums;
+    finish(sums, relu, columns);
 }
 
 #[inline(always)]
-fn sparse_tile<const WIDTH: usize>(block: &[f32], inputs: &[Nonzero], columns: &mut [f32]) {
-    let Ok(columns) = <&mut [f32; WIDTH]>::try_from(columns) else { return };
+fn sparse_tile<const WIDTH: usize>(
+    block: &[f32],
+    inputs: &[Nonzero],
+    start: Option<&[f32]>,
+    relu: bool,
+    columns: &mut [f32],
+) {
     let (rows, _) = block.as_chunks::<WIDTH>();
-    let mut sums = *columns;
+    let mut sums = first_sums::<WIDTH>(start);
     for &[index, bits] in inputs {
         let input = f32::from_bits(bits);
         if let Some(row) = rows.get(index as usize) {
@@ -138,7 +185,23 @@ fn sparse_tile<const WIDTH: usize>(block: &[f32], inputs: &[Nonzero], columns: &
             }
         }
     }
-    *columns = sums;
+    finish(sums, relu, columns);
+}
+
+/// A local copy, so that the sums of a tile stay in registers.
+#[inline(always)]
+fn first_sums<const WIDTH: usize>(start: Option<&[f32]>) -> [f32; WIDTH] {
+    start.and_then(|start| start.first_chunk()).copied().unwrap_or([0.0; WIDTH])
+}
+
+#[inline(always)]
+fn finish<const WIDTH: usize>(mut sums: [f32; WIDTH], relu: bool, columns: &mut [f32]) {
+    if relu {
+        relu_all(&mut sums);
+    }
+    if let Some(columns) = columns.first_chunk_mut::<WIDTH>() {
+        *columns = sums;
+    }
 }
 
 #[cfg(test)]
@@ -162,10 +225,11 @@ mod tests {
     #[test]
     fn tiles_cover_every_width_in_order() {
         for outputs in (8..=256).step_by(8) {
-            let (inputs, mut sums) = (numbers(5, 1), vec![0.5; outputs]);
-            let weights = numbers(5 * outputs, 2);
-            add_product(&weights, &inputs, &mut sums);
-            let (mut start, mut want) = (0, vec![0.5; outputs]);
+            let (inputs, mut sums) = (numbers(5, 1), vec![f32::NAN; outputs]);
+            let (weights, bias) = (numbers(5 * outputs, 2), numbers(outputs, 7));
+            let around = Around { bias: Some(&bias), relu: false };
+            product(&weights, &inputs, around, &mut sums);
+            let (mut start, mut want) = (0, bias.clone());
             while start < outputs {
                 let width = tile_width(outputs - start);
                 for (i, input) in inputs.iter().enumerate() {
@@ -176,6 +240,9 @@ mod tests {
                 start += width;
             }
             assert_eq!(sums, want, "{outputs} outputs");
+            product(&weights, &inputs, Around { relu: true, ..around }, &mut sums);
+            relu_all(&mut want);
+            assert_eq!(sums, want, "{outputs} outputs, ReLU");
         }
     }
 
@@ -197,12 +264,14 @@ mod tests {
     fn leaving_out_zeros_keeps_every_bit() {
         for (inputs, outputs) in [(70, 128), (128, 64), (9, 8), (64, 16), (33, 120)] {
             let (weights, values) = (numbers(inputs * outputs, 3), numbers(inputs, 4));
-            let (mut dense, mut sparse) = (vec![0.25; outputs], vec![0.25; outputs]);
+            let (mut dense, mut sparse) = (vec![0.0; outputs], vec![0.0; outputs]);
+            let bias = vec![0.25; outputs];
+            let around = Around { bias: Some(&bias), relu: true };
             let mut list = vec![[0; 2]; inputs];
             let count = collect(&values, &mut list);
             assert!(count < inputs);
-            add_product(&weights, &values, &mut dense);
-            add_sparse_product(&weights, inputs, &list[..count], &mut sparse);
+            product(&weights, &values, around, &mut dense);
+            sparse_product(&weights, inputs, &list[..count], around, &mut sparse);
             let bits = |sums: &[f32]| sums.iter().map(|sum| sum.to_bits()).collect::<Vec<_>>();
             assert_eq!(bits(&dense), bits(&sparse));
         }

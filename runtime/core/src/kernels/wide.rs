@@ -9,16 +9,19 @@ pub trait Work {
     fn run(self) -> Self::Output;
 }
 
-/// Runs `work` with AVX2 where the processor has it and the feature `std` allows to ask, else as it is.
+/// Runs `work` with AVX2 where that is `allowed`, the processor has it and the feature `std` lets us ask for it;
+/// else as it is.
 #[inline]
-pub fn widest<W: Work>(work: W) -> W::Output {
+pub fn run_widest<W: Work>(work: W, allowed: bool) -> W::Output {
     #[cfg(all(feature = "std", target_arch = "x86_64"))]
-    if std::is_x86_feature_detected!("avx2") {
+    if allowed && std::is_x86_feature_detected!("avx2") {
         // SAFETY: the only obligation of calling a function with target features is that the processor has
         // them, which the line above asked.
         #[allow(unsafe_code)]
         return unsafe { with_avx2(work) };
     }
+    // Without a wider build there is nothing to allow.
+    let _ = allowed;
     work.run()
 }
 

@@ -6,9 +6,8 @@ use super::embed_entities::embedding;
 use super::{Linear, Place, Scratch, Sizes, places, slice};
 use crate::kernels::dot::dot;
 use crate::kernels::nonzero::collect;
-use crate::kernels::product::{add_product, add_sparse_product, mix, padded};
+use crate::kernels::product::{Around, mix, padded, product, sparse_product};
 use crate::kernels::softmax::softmax;
-use crate::math::relu;
 use crate::policy::DecideError;
 
 /// Attention over the embedded rows, rewritten for a single query (dissertation section 2.3).
@@ -131,13 +130,10 @@ impl AttendOwn {
             mix(scores, rows, mixed);
             let values = self.head_matrix(weights, self.values, self.values_len(), head)?;
             let mixed = mixed.get(..usize::from(self.width)).ok_or(DecideError::BadLength)?;
-            add_product(values, mixed, output);
+            product(values, mixed, Around::NOTHING, output);
         }
-        self.output.start(weights, to)?;
-        add_product(self.output.matrix(weights)?, attended, to);
-        if self.relu {
-            to.iter_mut().for_each(|value| *value = relu(*value));
-        }
+        let around = self.output.around(weights, self.relu)?;
+        product(self.output.matrix(weights)?, attended, around, to);
         Ok(())
     }
 
@@ -149,8 +145,9 @@ impl AttendOwn {
         let count = collect(row, scratch.nonzeros);
         let inputs = scratch.nonzeros.get(..count).ok_or(DecideError::BadLength)?;
         let [query] = places(scratch.floats, [&self.query_place])?;
-        self.query.start(weights, query)?;
-        add_sparse_product(self.query.matrix(weights)?, usize::from(self.width), inputs, query);
+        let around = self.query.around(weights, false)?;
+        let matrix = self.query.matrix(weights)?;
+        sparse_product(matrix, usize::from(self.width), inputs, around, query);
         Ok(())
     }
 
@@ -168,8 +165,7 @@ impl AttendOwn {
         let keys = self.head_matrix(weights, self.keys, self.keys_len(), head)?;
         let start = head * self.head_width();
         let query = query.get(start..start + self.head_width()).ok_or(DecideError::BadLength)?;
-        absorbed.fill(0.0);
-        add_product(keys, query, absorbed);
+        product(keys, query, Around::NOTHING, absorbed);
         for (score, row) in scores.iter_mut().zip(rows.chunks_exact(self.padded_width())) {
             *score = dot(absorbed, row);
         }

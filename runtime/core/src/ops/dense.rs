@@ -4,8 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Linear, Place, Scratch, Sizes, places};
 use crate::kernels::nonzero::collect;
-use crate::kernels::product::{add_product, add_sparse_product};
-use crate::math::relu;
+use crate::kernels::product::{product, sparse_product};
 use crate::policy::DecideError;
 
 /// `W x + b`, with a ReLU where one follows.
@@ -46,16 +45,13 @@ impl Dense {
     ) -> Result<(), DecideError> {
         let matrix = self.layer.matrix(weights)?;
         let [from, to] = places(scratch.floats, [&self.from, &self.to])?;
-        self.layer.start(weights, to)?;
+        let around = self.layer.around(weights, self.relu)?;
         if self.sparse_input {
             let count = collect(from, scratch.nonzeros);
             let inputs = scratch.nonzeros.get(..count).ok_or(DecideError::BadLength)?;
-            add_sparse_product(matrix, usize::from(self.layer.inputs), inputs, to);
+            sparse_product(matrix, usize::from(self.layer.inputs), inputs, around, to);
         } else {
-            add_product(matrix, from, to);
-        }
-        if self.relu {
-            to.iter_mut().for_each(|value| *value = relu(*value));
+            product(matrix, from, around, to);
         }
         Ok(())
     }

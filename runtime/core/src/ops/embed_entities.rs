@@ -4,8 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Linear, Place, Scratch, Sizes, place, places};
 use crate::kernels::nonzero::{Nonzero, all_finite, collect};
-use crate::kernels::product::add_sparse_product;
-use crate::math::relu;
+use crate::kernels::product::sparse_product;
 use crate::policy::{DecideError, NO_ACTION, Observation};
 
 /// `relu(W x + b)` of every visible entity and of the agent itself; invisible rows are never read.
@@ -49,31 +48,21 @@ impl EmbedEntities {
         observation: &Observation<'_>,
         scratch: &mut Scratch<'_>,
     ) -> Result<(), DecideError> {
-        let width = self.layer.padded_outputs();
         let matrix = self.layer.matrix(weights)?;
+        let around = self.layer.around(weights, self.relu)?;
         let [rows] = places(scratch.floats, [&self.rows])?;
-        let mut rows = rows.chunks_exact_mut(width);
-        let mut embed = |entity: usize| {
-            let row = rows.next().ok_or(DecideError::BadLength)?;
+        let rows = rows.chunks_exact_mut(self.layer.padded_outputs());
+        let visible = observation.visible;
+        let own = observation.self_index;
+        // The own row comes last where the agent does not see itself.
+        let hidden = (!visible.contains(own)).then_some(own);
+        (scratch.visible, scratch.own) = (visible.len(), visible.len());
+        for ((slot, entity), row) in visible.iter().chain(hidden).enumerate().zip(rows) {
+            if entity == own {
+                scratch.own = slot;
+            }
             let inputs = self.inputs(entity, observation, scratch.nonzeros)?;
-            self.layer.start(weights, row)?;
-            add_sparse_product(matrix, usize::from(self.layer.inputs), inputs, row);
-            if self.relu {
-                row.iter_mut().for_each(|value| *value = relu(*value));
-            }
-            Ok(())
-        };
-        (scratch.visible, scratch.own) = (0, usize::MAX);
-        for entity in observation.visible.iter() {
-            embed(entity)?;
-            if entity == observation.self_index {
-                scratch.own = scratch.visible;
-            }
-            scratch.visible += 1;
-        }
-        if scratch.own == usize::MAX {
-            embed(observation.self_index)?;
-            scratch.own = scratch.visible;
+            sparse_product(matrix, usize::from(self.layer.inputs), inputs, around, row);
         }
         Ok(())
     }

@@ -17,7 +17,7 @@ pub use embed_entities::EmbedEntities;
 pub use masked_argmax::MaskedArgmax;
 
 use crate::kernels::nonzero::Nonzero;
-use crate::kernels::product::padded;
+use crate::kernels::product::{Around, padded};
 use crate::policy::{DecideError, Observation};
 
 /// One step of a program.
@@ -169,11 +169,11 @@ impl Linear {
         slice(weights, self.weights, self.weights_len())
     }
 
-    /// Starts the outputs from the bias.
+    /// Bias and ReLU of the layer.
     #[inline(always)]
-    fn start(&self, weights: &[f32], outputs: &mut [f32]) -> Result<(), DecideError> {
+    fn around<'w>(&self, weights: &'w [f32], relu: bool) -> Result<Around<'w>, DecideError> {
         let bias = slice(weights, self.bias, self.padded_outputs())?;
-        copy(bias, outputs)
+        Ok(Around { bias: Some(bias), relu })
     }
 }
 
@@ -205,16 +205,4 @@ fn places<'a, const COUNT: usize>(
     wanted: [&Place; COUNT],
 ) -> Result<[&'a mut [f32]; COUNT], DecideError> {
     floats.get_disjoint_mut(wanted.map(Place::range)).map_err(|_| DecideError::BadLength)
-}
-
-/// Copies between slices of equal length.
-#[inline(always)]
-fn copy(from: &[f32], to: &mut [f32]) -> Result<(), DecideError> {
-    if from.len() != to.len() {
-        return Err(DecideError::BadLength);
-    }
-    for (to, from) in to.iter_mut().zip(from) {
-        *to = *from;
-    }
-    Ok(())
 }

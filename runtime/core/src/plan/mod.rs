@@ -24,7 +24,7 @@ use zerocopy::FromBytes;
 use crate::checksum::{CRC32C, crc32c};
 use crate::choose::masked_argmax;
 use crate::kernels::nonzero::Nonzero;
-use crate::kernels::wide::{Work, widest};
+use crate::kernels::wide::{Work, run_widest};
 use crate::limits;
 use crate::ops::{Scratch, Sizes};
 use crate::policy::{DecideError, Decision, Observation};
@@ -147,7 +147,7 @@ impl<'a> Plan<'a> {
         let nonzeros = <[Nonzero]>::mut_from_bytes(list).map_err(|_| DecideError::BadLength)?;
         let mut scratch = Scratch { floats, nonzeros, visible: 0, own: 0 };
         let execution = Execution { plan: self, observation, scratch: &mut scratch };
-        if self.portable { execution.run() } else { widest(execution) }?;
+        run_widest(execution, !self.portable)?;
         let place = self.program.utilities().ok_or(DecideError::BadLength)?;
         let utilities = scratch.floats.get(place.range()).ok_or(DecideError::BadLength)?;
         if utilities.iter().all(|utility| utility.is_finite()) {
@@ -169,8 +169,10 @@ impl Work for Execution<'_, '_, '_> {
 
     #[inline(always)]
     fn run(self) -> Self::Output {
-        let ops = &self.plan.program.ops;
-        ops.iter().try_for_each(|op| op.run(self.plan.weights, self.observation, self.scratch))
+        for op in &self.plan.program.ops {
+            op.run(self.plan.weights, self.observation, self.scratch)?;
+        }
+        Ok(())
     }
 }
 
