@@ -21,6 +21,9 @@ pub struct RunDescription {
 }
 
 impl RunDescription {
+    /// The keys of the file that are about the run, not its configuration.
+    pub const KEYS: [&str; 4] = ["method", "version", "seed", "threads"];
+
     /// A run of this version of Sortie.
     pub fn new(config: Config, seed: u64, threads: usize) -> Self {
         Self {
@@ -73,6 +76,7 @@ mod tests {
         let description = RunDescription::new(config, 7, 2);
         let text = description.to_toml().unwrap();
         assert_eq!(RunDescription::from_toml(&text).unwrap(), description, "{text}");
+        assert_eq!(Config::from_toml(&text).unwrap(), description.config);
     }
 
     #[test]

@@ -7,6 +7,7 @@ use super::history::Returns;
 use super::team_batch::INPUT_COLUMNS;
 use super::utility::UtilityShape;
 use crate::error::LearnError;
+use crate::run::RunDescription;
 
 /// The configuration of a run. Its defaults are the preset `fast`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -262,8 +263,15 @@ impl Config {
     }
 
     /// Reads a configuration; what is missing keeps its default.
+    ///
+    /// A run's `train.toml` will do: its lines about the run itself are passed over.
     pub fn from_toml(text: &str) -> Result<Self, LearnError> {
-        let config: Self = toml::from_str(text).map_err(|e| LearnError::Config(e.to_string()))?;
+        let bad = |error: toml::de::Error| LearnError::Config(error.message().to_owned());
+        let mut table: toml::Table = text.parse().map_err(bad)?;
+        for key in RunDescription::KEYS {
+            table.remove(key);
+        }
+        let config: Self = table.try_into().map_err(bad)?;
         config.check()?;
         Ok(config)
     }

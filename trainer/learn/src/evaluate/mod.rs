@@ -1,0 +1,239 @@
+//! Measures a team: greedy episodes on starts that training never sees.
+//!
+//! Anything that chooses actions can be measured: the utility network in training ([`NetworkTeam`]), a
+//! deployed policy ([`PolicyTeam`]) or the scripted low level ([`ScriptedActors`]). Episode e of a seed
+//! is the same whoever plays it, so that teams can be compared pair by pair.
+
+mod play;
+mod teams;
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+use sortie_envs::save_the_city::{
+    AllocationRule, City, Constants, DecisionPoints, EpisodeMetrics, ScenarioSet,
+};
+
+pub use teams::{NetworkTeam, PolicyTeam, ScriptedActors};
+
+use crate::error::LearnError;
+use crate::random::Generator;
+use play::{Finished, Play};
+
+/// One state in which a team is to act.
+#[derive(Clone, Copy, Debug)]
+pub struct Scene<'a> {
+    /// Agents and buildings.
+    pub city: City<'a>,
+    /// The building of every agent, or [`sortie_envs::save_the_city::UNASSIGNED`].
+    pub allocation: &'a [u8],
+    /// The last action of every agent, or [`crate::methods::alma::NO_ACTION`].
+    pub last_actions: &'a [u8],
+}
+
+/// What chooses the actions of all agents.
+pub trait Team {
+    /// Writes one available action per existing agent of every scene into `actions` `[scenes, A]`.
+    fn act(
+        &mut self,
+        scenes: &[Scene<'_>],
+        actions: &mut [u16],
+        agents: usize,
+    ) -> Result<(), LearnError>;
+}
+
+/// What assigns agents to buildings at decision points.
+pub trait Allocate {
+    /// Writes the building of every agent, or [`sortie_envs::save_the_city::UNASSIGNED`]; `generator` belongs to the episode.
+    fn allocate(
+        &mut self,
+        city: City<'_>,
+        generator: &mut Generator,
+        allocation: &mut [u8],
+    ) -> Result<(), LearnError>;
+}
+
+impl Allocate for AllocationRule {
+    fn allocate(
+        &mut self,
+        city: City<'_>,
+        generator: &mut Generator,
+        allocation: &mut [u8],
+    ) -> Result<(), LearnError> {
+        AllocationRule::allocate(*self, city, generator, allocation);
+        Ok(())
+    }
+}
+
+/// Which episodes are played.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EvaluationPlan {
+    /// The scenarios; their test list is used.
+    pub set: ScenarioSet,
+    /// Numbers of the rules.
+    pub constants: Constants,
+    /// Steps between decisions, unless the open tasks change.
+    pub interval: u32,
+    /// How many episodes.
+    pub episodes: usize,
+    /// Which episodes: the same seed gives the same starts.
+    pub seed: u64,
+}
+
+impl EvaluationPlan {
+    /// So many episodes of a scenario set by its name, with the usual rules.
+    pub fn new(set: &str, episodes: usize, seed: u64) -> Result<Self, LearnError> {
+        Ok(Self {
+            set: ScenarioSet::named(set)?,
+            constants: Constants::default(),
+            interval: DecisionPoints::ACTION_LENGTH,
+            episodes,
+            seed,
+        })
+    }
+}
+
+/// What a team achieved.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Evaluation {
+    /// Episodes played.
+    pub episodes: usize,
+    /// Share of episodes with all buildings complete.
+    pub success: f64,
+    /// 95 % Wilson interval of the success.
+    pub success_ci95: [f64; 2],
+    /// Mean of the team's return.
+    pub return_mean: f64,
+    /// Its standard deviation between episodes.
+    pub return_sd: f64,
+    /// Mean number of steps.
+    pub length_mean: f64,
+    /// Share of episodes that ran out of time.
+    pub timeouts: f64,
+    /// Share of episodes in which no building burned down.
+    pub none_burned: f64,
+    /// Success by team, its kinds as letters.
+    pub by_team: BTreeMap<String, TeamSuccess>,
+}
+
+/// How one composition of a team did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct TeamSuccess {
+    /// Episodes played.
+    pub episodes: usize,
+    /// Those with all buildings complete.
+    pub solved: usize,
+}
+
+/// Worlds played at the same time.
+const WORLDS: usize = 64;
+
+/// Plays the episodes of a plan with a team and an allocator.
+pub fn evaluate(
+    plan: &EvaluationPlan,
+    team: &mut dyn Team,
+    allocator: &mut dyn Allocate,
+) -> Result<Evaluation, LearnError> {
+    let worlds = WORLDS.min(plan.episodes);
+    let mut play = Play::new(plan, worlds)?;
+    let mut done = vec![None; plan.episodes];
+    while play.step(team, allocator, &mut done)? {}
+    Ok(summary(done.into_iter().flatten().collect()))
+}
+
+fn summary(episodes: Vec<Finished>) -> Evaluation {
+    let count = episodes.len();
+    let mean = |value: &dyn Fn(&EpisodeMetrics) -> f64| {
+        episodes.iter().map(|(_, metrics)| value(metrics)).sum::<f64>() / count.max(1) as f64
+    };
+    let share = |holds: &dyn Fn(&EpisodeMetrics) -> bool| mean(&|m| f64::from(u8::from(holds(m))));
+    let return_mean = mean(&|m| m.episode_return);
+    let spread: f64 = episodes.iter().map(|(_, m)| (m.episode_return - return_mean).powi(2)).sum();
+    let mut by_team = BTreeMap::<String, TeamSuccess>::new();
+    for (team, metrics) in &episodes {
+        let entry = by_team.entry(team.clone()).or_default();
+        entry.episodes += 1;
+        entry.solved += usize::from(metrics.solved);
+    }
+    let solved = by_team.values().map(|team| team.solved).sum();
+    Evaluation {
+        episodes: count,
+        success: share(&|m| m.solved),
+        success_ci95: wilson_interval(solved, count),
+        return_mean,
+        return_sd: (spread / count.saturating_sub(1).max(1) as f64).sqrt(),
+        length_mean: mean(&|m| f64::from(m.steps)),
+        timeouts: share(&|m| m.timed_out),
+        none_burned: share(&|m| m.none_burned()),
+        by_team,
+    }
+}
+
+/// The 95 % Wilson interval of a share.
+pub fn wilson_interval(successes: usize, trials: usize) -> [f64; 2] {
+    if trials == 0 {
+        return [0.0, 1.0];
+    }
+    let z = 1.959_964;
+    let (n, p) = (trials as f64, successes as f64 / trials as f64);
+    let middle = (p + z * z / (2.0 * n)) / (1.0 + z * z / n);
+    let half = z / (1.0 + z * z / n) * (p * (1.0 - p) / n + z * z / (4.0 * n * n)).sqrt();
+    [(middle - half).max(0.0), (middle + half).min(1.0)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::methods::alma::{Config, NetworkPolicy, UtilityNetwork};
+    use crate::random::{Purpose, generator};
+    use sortie_envs::save_the_city::ACTIONS;
+
+    fn plan(episodes: usize) -> EvaluationPlan {
+        EvaluationPlan::new("2-5a_2-5b", episodes, 11).unwrap()
+    }
+
+    #[test]
+    fn the_scripted_team_reaches_its_known_level() {
+        let mut team = ScriptedActors::new(1);
+        let coordinated =
+            evaluate(&plan(1000), &mut team, &mut AllocationRule::Coordinated).unwrap();
+        assert!((0.68..0.82).contains(&coordinated.success), "{coordinated:?}");
+        let heuristic = evaluate(&plan(1000), &mut team, &mut AllocationRule::Heuristic).unwrap();
+        assert!((0.44..0.56).contains(&heuristic.success), "{heuristic:?}");
+        assert_eq!(coordinated.by_team.len(), 13);
+        assert_eq!(coordinated.by_team.values().map(|team| team.episodes).sum::<usize>(), 1000);
+        let [low, high] = coordinated.success_ci95;
+        assert!(low < coordinated.success && coordinated.success < high);
+    }
+
+    #[test]
+    fn an_evaluation_repeats() {
+        let run = || {
+            evaluate(&plan(100), &mut ScriptedActors::new(3), &mut AllocationRule::Random).unwrap()
+        };
+        assert_eq!(run(), run());
+    }
+
+    #[test]
+    fn a_policy_acts_as_the_network_that_it_is_made_of() {
+        let config = Config::default();
+        let mut weights = generator(4, Purpose::Weights, 0);
+        let shape = config.network.shape(ACTIONS);
+        let network = UtilityNetwork::initialise(shape, 8.0, &mut weights);
+        let play = |team: &mut dyn Team| {
+            evaluate(&plan(40), team, &mut AllocationRule::Heuristic).unwrap()
+        };
+        let by_network = play(&mut NetworkTeam::new(&network));
+        let by_policy = play(&mut PolicyTeam::new(NetworkPolicy::new(&network)));
+        assert_eq!(by_network, by_policy);
+        assert!(by_network.length_mean > 10.0);
+    }
+
+    #[test]
+    fn the_wilson_interval_agrees_with_known_values() {
+        let [low, high] = wilson_interval(10, 20);
+        assert!((low - 0.2993).abs() < 1e-3 && (high - 0.7007).abs() < 1e-3, "{low} {high}");
+        assert_eq!(wilson_interval(0, 0), [0.0, 1.0]);
+        assert!(wilson_interval(20, 20)[1] <= 1.0);
+    }
+}

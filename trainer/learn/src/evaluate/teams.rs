@@ -1,0 +1,151 @@
+//! Teams that can be measured.
+
+use sortie_core::entity_mask::EntityMask;
+use sortie_core::policy::{NO_ACTION as NO_ACTION_YET, Observation, Policy, visible};
+use sortie_envs::save_the_city::{
+    ACTIONS, FEATURES, UNASSIGNED, scripted_actions, write_agent_row, write_building_row,
+};
+
+use super::{Scene, Team};
+use crate::error::LearnError;
+use crate::methods::alma::{NO_ACTION, TeamBatch, UtilityNetwork, UtilityPass, best_action};
+use crate::random::{Generator, Purpose, generator};
+
+/// The utility network, greedy, on all scenes at once.
+#[derive(Debug)]
+pub struct NetworkTeam<'a> {
+    network: &'a UtilityNetwork,
+    pass: UtilityPass,
+    batch: TeamBatch,
+    actors: Vec<(usize, usize)>,
+}
+
+impl<'a> NetworkTeam<'a> {
+    /// Acts by a network.
+    pub fn new(network: &'a UtilityNetwork) -> Self {
+        let pass = UtilityPass::new(network.shape());
+        Self { network, pass, batch: TeamBatch::default(), actors: Vec::new() }
+    }
+}
+
+impl Team for NetworkTeam<'_> {
+    fn act(
+        &mut self,
+        scenes: &[Scene<'_>],
+        actions: &mut [u16],
+        agents: usize,
+    ) -> Result<(), LearnError> {
+        self.batch.clear();
+        self.actors.clear();
+        for (place, scene) in scenes.iter().enumerate() {
+            self.batch.push_teams(scene.city, scene.allocation, scene.last_actions, |agent| {
+                self.actors.push((place, agent));
+            });
+        }
+        for (place, scene) in scenes.iter().enumerate() {
+            self.batch.push_unassigned(scene.city, scene.allocation, scene.last_actions, |agent| {
+                self.actors.push((place, agent))
+            });
+        }
+        let utilities = self.pass.forward(self.network, self.batch.finish());
+        for ((place, agent), utilities) in self.actors.iter().zip(utilities.chunks_exact(ACTIONS)) {
+            let available = scenes[*place].city.agents[*agent].available;
+            actions[place * agents + agent] = best_action(utilities, available).into();
+        }
+        Ok(())
+    }
+}
+
+/// The scripted low level.
+#[derive(Debug)]
+pub struct ScriptedActors {
+    generator: Generator,
+}
+
+impl ScriptedActors {
+    /// A script that breaks ties by a seed.
+    pub fn new(seed: u64) -> Self {
+        Self { generator: generator(seed, Purpose::Evaluation, u64::MAX) }
+    }
+}
+
+impl Team for ScriptedActors {
+    fn act(
+        &mut self,
+        scenes: &[Scene<'_>],
+        actions: &mut [u16],
+        agents: usize,
+    ) -> Result<(), LearnError> {
+        for (scene, actions) in scenes.iter().zip(actions.chunks_exact_mut(agents)) {
+            scripted_actions(scene.city, scene.allocation, &mut self.generator, actions);
+        }
+        Ok(())
+    }
+}
+
+/// A deployed policy, agent by agent, on what each of them would see.
+#[derive(Debug)]
+pub struct PolicyTeam<P> {
+    policy: P,
+    rows: Vec<f32>,
+    last_actions: Vec<u16>,
+    entity_task: Vec<u32>,
+}
+
+impl<P: Policy> PolicyTeam<P> {
+    /// Acts by a policy that was trained on SaveTheCity.
+    pub fn new(policy: P) -> Self {
+        Self { policy, rows: Vec::new(), last_actions: Vec::new(), entity_task: Vec::new() }
+    }
+
+    fn observe(&mut self, scene: &Scene<'_>) {
+        let (agents, buildings) = (scene.city.agents, scene.city.buildings);
+        self.rows.resize((agents.len() + buildings.len()) * FEATURES, 0.0);
+        let mut rows = self.rows.chunks_exact_mut(FEATURES);
+        for (agent, row) in agents.iter().zip(&mut rows) {
+            write_agent_row(agent, row);
+        }
+        for (building, row) in buildings.iter().zip(&mut rows) {
+            write_building_row(building, row);
+        }
+        let widen =
+            |action: &u8| if *action == NO_ACTION { NO_ACTION_YET } else { (*action).into() };
+        self.last_actions.clear();
+        self.last_actions.extend(scene.last_actions[..agents.len()].iter().map(widen));
+        let task_bit = |task: &u8| 1u32.checked_shl((*task).into()).unwrap_or(0);
+        self.entity_task.clear();
+        self.entity_task.extend(scene.allocation[..agents.len()].iter().map(task_bit));
+        self.entity_task.extend((0..buildings.len()).map(|task| 1 << task));
+    }
+}
+
+impl<P: Policy> Team for PolicyTeam<P> {
+    fn act(
+        &mut self,
+        scenes: &[Scene<'_>],
+        actions: &mut [u16],
+        agents: usize,
+    ) -> Result<(), LearnError> {
+        for (scene, actions) in scenes.iter().zip(actions.chunks_exact_mut(agents)) {
+            self.observe(scene);
+            let everything = EntityMask::first(self.entity_task.len());
+            for (index, agent) in scene.city.agents.iter().enumerate() {
+                let task = scene.allocation[index];
+                let subtask = (task != UNASSIGNED).then_some(task);
+                let available: [u16; ACTIONS] =
+                    std::array::from_fn(|action| agent.available >> action & 1);
+                let observation = Observation {
+                    rows: &self.rows,
+                    stride: FEATURES,
+                    last_actions: &self.last_actions,
+                    visible: visible(everything, everything, &self.entity_task, subtask),
+                    self_index: index,
+                    available: &available,
+                };
+                let decision = self.policy.decide(&observation);
+                actions[index] = decision.map_err(|e| LearnError::Team(e.to_string()))?.action;
+            }
+        }
+        Ok(())
+    }
+}
