@@ -9,9 +9,13 @@ use crate::math::relu_all;
 /// Columns of the widest tile.
 pub const TILE: usize = 64;
 
-/// `outputs` rounded up to a multiple of eight, the narrowest tile.
+/// `outputs` rounded up to a multiple of eight, the narrowest tile; at least eight, so that rows of padded
+/// outputs can be counted without asking whether they have any.
 pub const fn padded(outputs: usize) -> usize {
-    outputs.saturating_add(7) & !7
+    match outputs.saturating_add(7) & !7 {
+        0 => 8,
+        padded => padded,
+    }
 }
 
 /// The width of the tile that starts where `rest` padded columns remain.
@@ -102,7 +106,7 @@ fn mix_tile<const WIDTH: usize>(
 ) {
     let Ok(columns) = <&mut [f32; WIDTH]>::try_from(columns) else { return };
     let mut sums = [0.0; WIDTH];
-    for (weight, row) in weights.iter().zip(rows.chunks_exact(width)) {
+    for (weight, row) in weights.iter().zip(rows.chunks_exact(width.max(1))) {
         let Some(row) = row.get(start..).and_then(|row| row.first_chunk::<WIDTH>()) else { return };
         for (sum, value) in sums.iter_mut().zip(row) {
             *sum += weight * value;
