@@ -22,19 +22,17 @@ impl Stop {
         Self::default()
     }
 
-    /// A flag that SIGINT, SIGTERM and SIGHUP set. A second SIGINT or SIGTERM ends the process at
-    /// once; SIGHUP, which the kernel may send once for each thread of a parent that dies, does not.
+    /// A flag that SIGINT, SIGTERM and SIGHUP set; the second signal ends the process at once.
     ///
     /// # Errors
     /// A handler could not be registered.
     pub fn on_signals() -> io::Result<Self> {
         let stop = Self::default();
-        for signal in [SIGINT, SIGTERM] {
+        for signal in [SIGINT, SIGTERM, SIGHUP] {
             // In this order: the first signal finds the flag unset, and sets it.
             flag::register_conditional_shutdown(signal, INTERRUPTED, Arc::clone(&stop.flag))?;
             flag::register(signal, Arc::clone(&stop.flag))?;
         }
-        flag::register(SIGHUP, Arc::clone(&stop.flag))?;
         Ok(stop)
     }
 

@@ -3,6 +3,7 @@
 use sortie_core::Allocator;
 use sortie_core::roles::{AllocatorError, AllocatorOptions, AllocatorRole, Counters, Identity};
 
+use super::parent::Parent;
 use super::{ProcessSettings, WORLD_PATIENCE, drive};
 use crate::domain::{Domain, DomainContract};
 use crate::error::Error;
@@ -21,7 +22,7 @@ pub fn allocator_process(
     settings: &ProcessSettings,
     stop: &Stop,
 ) -> Result<Counters, Error> {
-    settings.end_with_parent()?;
+    let parent = Parent::follow(settings.parent)?;
     let membership = domain.enter()?;
     let facts = membership.await_facts(contract, WORLD_PATIENCE, stop)?;
     settings.check_limits(facts.shape())?;
@@ -41,7 +42,7 @@ pub fn allocator_process(
     });
     role.join(&mut link)?;
     let poll = |link: &mut IoxAllocator| role.poll(link, allocator).map_err(into_error);
-    let ended = drive(&mut link, stop, poll, || Ok(()));
+    let ended = drive(&mut link, stop, poll, || Parent::check(&parent));
     let left = role.leave(&mut link).map_err(Error::from);
     ended.and(left).map(|()| *role.counters())
 }

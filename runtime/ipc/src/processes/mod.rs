@@ -3,6 +3,7 @@
 mod allocator;
 mod children;
 mod grouping;
+mod parent;
 mod runner;
 mod world;
 
@@ -11,7 +12,6 @@ pub(crate) use world::into_error as into_world_error;
 
 use std::time::Duration;
 
-use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
 use sortie_core::link::{Bell, Clock};
 use sortie_core::roles::Poll;
 
@@ -27,6 +27,8 @@ use crate::stop::Stop;
 
 /// Longest wait for a bell, so that signals and missed wake-ups are noticed.
 const HEARTBEAT_NS: u64 = 100_000_000;
+/// Longest wait for a signal that explains a failure.
+const SIGNAL_PATIENCE: Duration = Duration::from_millis(100);
 /// Longest wait of runners and the allocator for a world.
 const WORLD_PATIENCE: Duration = Duration::from_secs(10);
 
@@ -39,8 +41,7 @@ pub struct ProcessSettings {
     pub entities_max: Option<usize>,
     /// Most subtasks that the model takes; `None` = any.
     pub tasks_max: Option<usize>,
-    /// Process id of the parent with which this process is to end: the kernel sends SIGHUP when it
-    /// dies, which [`Stop::on_signals`] understands.
+    /// Process id of the parent with which this process is to end.
     pub parent: Option<u32>,
 }
 
@@ -57,21 +58,25 @@ impl ProcessSettings {
         }
         Ok(())
     }
-
-    /// Has the kernel end this process when its parent dies.
-    fn end_with_parent(&self) -> Result<(), Error> {
-        let Some(parent) = self.parent else { return Ok(()) };
-        set_parent_process_death_signal(Some(Signal::HUP))
-            .map_err(|error| Error::io("follow", "the parent process")(error.into()))?;
-        // A parent that died before the call above sends nothing.
-        let alive =
-            getppid().map(Pid::as_raw_nonzero).is_some_and(|pid| pid.get() as u32 == parent);
-        if alive { Ok(()) } else { Err(Error::Interrupted) }
-    }
 }
 
 /// Polls a role and waits for its bell, until it ends or is stopped.
 fn drive<L: Bell + Clock + Housekeeping>(
+    link: &mut L,
+    stop: &Stop,
+    poll: impl FnMut(&mut L) -> Result<Poll, Error>,
+    each_heartbeat: impl FnMut() -> Result<(), Error>,
+) -> Result<(), Error> {
+    let ended = run(link, stop, poll, each_heartbeat);
+    if ended.is_err() && !stop.is_set() {
+        // A signal to the whole group may reach others first, and this process last.
+        std::thread::sleep(SIGNAL_PATIENCE);
+    }
+    // What fails while a signal ends the whole group is the signal's doing.
+    if ended.is_err() && stop.is_set() { Err(Error::Interrupted) } else { ended }
+}
+
+fn run<L: Bell + Clock + Housekeeping>(
     link: &mut L,
     stop: &Stop,
     mut poll: impl FnMut(&mut L) -> Result<Poll, Error>,
@@ -79,13 +84,11 @@ fn drive<L: Bell + Clock + Housekeeping>(
 ) -> Result<(), Error> {
     let mut kept_house_ns = link.now_ns();
     loop {
-        let token = link.token();
-        let polled = poll(link);
-        // What fails while a signal ends the whole group is the signal's doing.
         if stop.is_set() {
             return Err(Error::Interrupted);
         }
-        let until_ns = match polled? {
+        let token = link.token();
+        let until_ns = match poll(link)? {
             Poll::Again => continue,
             Poll::Ended => return Ok(()),
             Poll::Wait { until_ns } => until_ns,

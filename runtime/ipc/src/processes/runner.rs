@@ -3,6 +3,7 @@
 use sortie_core::Policy;
 use sortie_core::roles::{Counters, Identity, RunnerOptions, RunnerRole};
 
+use super::parent::Parent;
 use super::{ProcessSettings, WORLD_PATIENCE, drive};
 use crate::domain::{Domain, DomainContract};
 use crate::error::Error;
@@ -22,7 +23,7 @@ pub fn runner_process(
     settings: &ProcessSettings,
     stop: &Stop,
 ) -> Result<Counters, Error> {
-    settings.end_with_parent()?;
+    let parent = Parent::follow(settings.parent)?;
     let membership = domain.enter()?;
     let facts = membership.await_facts(contract, WORLD_PATIENCE, stop)?;
     let shape = facts.shape();
@@ -45,7 +46,8 @@ pub fn runner_process(
         safe_action: contract.safe_action,
     });
     role.join(&mut link)?;
-    let ended = drive(&mut link, stop, |link| Ok(role.poll(link, policy)?), || Ok(()));
+    let ended =
+        drive(&mut link, stop, |link| Ok(role.poll(link, policy)?), || Parent::check(&parent));
     let left = role.leave(&mut link).map_err(Error::from);
     ended.and(left).map(|()| *role.counters())
 }
