@@ -142,7 +142,8 @@ pub(crate) fn guarded<T>(work: impl FnOnce() -> TractResult<T>) -> Result<T, Str
 /// Type and shape of a value, as messages show it.
 pub(crate) fn shape(fact: &TypedFact) -> String {
     let dims: Vec<String> = fact.shape.iter().map(|dim| dim.to_string()).collect();
-    format!("{:?} [{}]", fact.datum_type, dims.join(", ")).to_lowercase()
+    let kind = format!("{:?}", fact.datum_type).to_lowercase();
+    format!("{kind} [{}]", dims.join(", "))
 }
 
 fn describe_inputs(model: &TypedModel) -> String {

@@ -125,7 +125,7 @@ fn metadata_tells_features_and_contract() {
     let onnx = golden("onnx/agent_small.onnx");
     let facts = inspect_onnx(&onnx).unwrap();
     assert_eq!((facts.ir_version, facts.opset), (8, 17));
-    assert_eq!(facts.inputs[0], ("entities".to_owned(), "f32 [n, 10]".to_owned()));
+    assert_eq!(facts.inputs[0], ("entities".to_owned(), "f32 [N, 10]".to_owned()));
     assert_eq!(facts.operators["MatMul"], 9);
     let plan = inspect_plan(&compiled(&onnx).bytes).unwrap();
     assert_eq!(plan.contract, "0123456789abcdef");
@@ -159,4 +159,44 @@ fn damaged_files_are_errors_never_panics() {
     }
     let error = compile(b"not a model", &CompileOptions::default()).unwrap_err();
     assert!(error.to_string().starts_with("the ONNX file cannot be read"), "{error}");
+}
+
+#[test]
+fn heads_and_widths_of_all_kinds_compile() {
+    for file in ["agent_one_head", "agent_eight_heads", "agent_odd_sizes"] {
+        let report = compiled(&golden(&format!("onnx/{file}.onnx"))).report;
+        assert!(report.max_rel_error < 1e-6, "{file}: {report:?}");
+        assert_eq!(report.action_mismatches, 0, "{file}");
+    }
+}
+
+#[test]
+fn names_of_nodes_mean_nothing() {
+    let onnx = golden("onnx/agent_small.onnx");
+    let mut renamed = onnx.clone();
+    for word in ["attention", "fc1", "fc2", "head", "visible", "entities", "self_index"] {
+        let places = 0..renamed.len() - word.len();
+        for at in places {
+            if renamed[at..].starts_with(word.as_bytes()) {
+                renamed[at] = b'Z';
+            }
+        }
+    }
+    let weights = |onnx: &[u8]| {
+        let plan = compiled(onnx).bytes;
+        plan[sortie_core::plan::HEADER_BYTES..].to_vec()
+    };
+    assert!(renamed != onnx);
+    assert!(weights(&renamed) == weights(&onnx));
+}
+
+#[test]
+fn what_does_not_match_is_named() {
+    let error = compile(&golden("onnx/agent_scalar.onnx"), &CompileOptions::default());
+    let Err(CompileError::Unsupported { node, operator, shapes, hint }) = error else {
+        panic!("{error:?}");
+    };
+    assert_eq!((node.as_str(), operator.as_str()), ("head.product", "EinSum"));
+    assert_eq!(shapes, "f32 [], f32 [1, 1]");
+    assert!(hint.contains("constant matrix"));
 }
