@@ -41,6 +41,7 @@ pub struct FrameView<'a> {
     header: &'a FrameHeader,
     head: &'a FrameHead,
     stride: usize,
+    words: usize,
     present: EntityMask,
     observable: &'a [u64],
     entity_task: &'a [u32],
@@ -82,6 +83,7 @@ impl<'a> FrameView<'a> {
             header,
             head,
             stride: layout.stride(),
+            words: layout.words(),
             present: EntityMask::from_words(section(payload, present)?),
             observable: section(payload, observable)?,
             entity_task: section(payload, entity_task)?,
@@ -99,10 +101,7 @@ impl<'a> FrameView<'a> {
         let tasks = self.entity_task.iter().fold(self.head.open_tasks, |all, one| all | one);
         let actions = layout.shape().actions;
         entities_exist(self.present)
-            && self
-                .observable
-                .chunks_exact(layout.words())
-                .all(|row| entities_exist(EntityMask::from_words(row)))
+            && (0..self.agents()).all(|agent| entities_exist(self.observable(agent)))
             && tasks & !layout.every_task() == 0
             && self.head.joined & !layout.every_agent() == 0
             && self
@@ -153,8 +152,7 @@ impl<'a> FrameView<'a> {
 
     /// The entities that `agent` sees; none for an agent that does not exist.
     pub fn observable(&self, agent: usize) -> EntityMask {
-        let words = self.observable.len() / self.agents();
-        EntityMask::from_words(row(self.observable, agent, words))
+        EntityMask::from_words(row(self.observable, agent, self.words))
     }
 
     /// `[N]`: bit t where the entity belongs to subtask t; agents: their last allocation.
