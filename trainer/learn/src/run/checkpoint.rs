@@ -61,6 +61,15 @@ pub struct Checkpoints {
     folder: PathBuf,
 }
 
+/// What a checkpoint is opened for, which decides how thoroughly it is checked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OpenFor {
+    /// To use a network: the checksum of the tensors and the size of the state.
+    Use,
+    /// To go on learning: both checksums.
+    Resume,
+}
+
 /// A checkpoint, and why newer ones were passed over.
 #[derive(Clone, Debug)]
 pub struct Found {
@@ -115,10 +124,10 @@ impl Checkpoints {
     }
 
     /// The newest checkpoint that is whole and of this version.
-    pub fn newest(&self) -> Result<Found, LearnError> {
+    pub fn newest(&self, purpose: OpenFor) -> Result<Found, LearnError> {
         let mut refused = Vec::new();
         for place in self.complete()?.iter().rev() {
-            match Checkpoint::open(place) {
+            match Checkpoint::open(place, purpose) {
                 Ok(checkpoint) => return Ok(Found { checkpoint, refused }),
                 Err(error) => refused.push(error.to_string()),
             }
@@ -160,7 +169,7 @@ pub struct Checkpoint {
 
 impl Checkpoint {
     /// Opens a checkpoint's folder and checks its version and its files.
-    pub fn open(place: &Path) -> Result<Self, LearnError> {
+    pub fn open(place: &Path, purpose: OpenFor) -> Result<Self, LearnError> {
         let path = place.join(MANIFEST);
         let text = std::fs::read_to_string(&path).map_err(LearnError::file(&path))?;
         let table: toml::Table = text.parse().map_err(|e| LearnError::format(&path, e))?;
@@ -172,7 +181,10 @@ impl Checkpoint {
         }
         let manifest: Manifest = table.try_into().map_err(|e| LearnError::format(&path, e))?;
         let mut checkpoint = Self { place: place.to_owned(), manifest, tensors: Vec::new() };
-        checkpoint.read(STATE)?;
+        match purpose {
+            OpenFor::Use => checkpoint.check_size(STATE)?,
+            OpenFor::Resume => drop(checkpoint.read(STATE)?),
+        }
         checkpoint.tensors = checkpoint.read(TENSORS)?;
         Ok(checkpoint)
     }
@@ -219,12 +231,21 @@ impl Checkpoint {
     fn read(&self, name: &str) -> Result<Vec<u8>, LearnError> {
         let path = self.place.join(name);
         let content = std::fs::read(&path).map_err(LearnError::file(&path))?;
-        let want = self.manifest.files.get(name);
-        if want != Some(&FileSum::of(&content)) {
-            let reason = "cut short or damaged: its size or checksum is not the manifest's";
-            return Err(LearnError::format(path, reason));
+        if self.manifest.files.get(name) == Some(&FileSum::of(&content)) {
+            Ok(content)
+        } else {
+            Err(LearnError::format(path, "cut short or damaged: its checksum is another"))
         }
-        Ok(content)
+    }
+
+    fn check_size(&self, name: &str) -> Result<(), LearnError> {
+        let path = self.place.join(name);
+        let bytes = std::fs::metadata(&path).map_err(LearnError::file(&path))?.len();
+        if self.manifest.files.get(name).is_some_and(|sum| sum.bytes == bytes) {
+            Ok(())
+        } else {
+            Err(LearnError::format(path, "cut short or damaged: its size is another"))
+        }
     }
 
     fn bad(&self, reason: impl ToString) -> LearnError {
@@ -285,11 +306,13 @@ mod tests {
     fn the_newest_is_read_back_and_two_are_kept() {
         let folder = tempfile::tempdir().unwrap();
         let checkpoints = Checkpoints::new(folder.path());
-        assert!(checkpoints.newest().unwrap_err().to_string().contains("no checkpoint"));
+        assert!(
+            checkpoints.newest(OpenFor::Use).unwrap_err().to_string().contains("no checkpoint")
+        );
         for env_steps in [10, 20, 100] {
             write(&checkpoints, env_steps);
         }
-        let found = checkpoints.newest().unwrap();
+        let found = checkpoints.newest(OpenFor::Use).unwrap();
         assert_eq!(steps_of(&found), 100);
         assert!(found.refused.is_empty());
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2);
@@ -305,11 +328,26 @@ mod tests {
             let newest = write(&checkpoints, 2).join(name);
             let content = std::fs::read(&newest).unwrap();
             std::fs::write(&newest, &content[..content.len() / 2]).unwrap();
-            let found = checkpoints.newest().unwrap();
-            assert_eq!(steps_of(&found), 1);
-            assert_eq!(found.refused.len(), 1, "{name}");
-            assert!(found.refused[0].contains(name), "{}", found.refused[0]);
+            for purpose in [OpenFor::Use, OpenFor::Resume] {
+                let found = checkpoints.newest(purpose).unwrap();
+                assert_eq!(steps_of(&found), 1);
+                assert_eq!(found.refused.len(), 1, "{name}");
+                assert!(found.refused[0].contains(name), "{}", found.refused[0]);
+            }
         }
+    }
+
+    #[test]
+    fn a_changed_byte_is_found_where_it_matters() {
+        let folder = tempfile::tempdir().unwrap();
+        let checkpoints = Checkpoints::new(folder.path());
+        write(&checkpoints, 1);
+        let state = write(&checkpoints, 2).join(STATE);
+        let mut content = std::fs::read(&state).unwrap();
+        content[0] ^= 1;
+        std::fs::write(&state, content).unwrap();
+        assert_eq!(steps_of(&checkpoints.newest(OpenFor::Resume).unwrap()), 1);
+        assert_eq!(checkpoints.newest(OpenFor::Use).unwrap().checkpoint.env_steps(), 2);
     }
 
     #[test]
@@ -319,7 +357,7 @@ mod tests {
         let manifest = write(&checkpoints, 1).join(MANIFEST);
         let text = std::fs::read_to_string(&manifest).unwrap();
         std::fs::write(&manifest, text.replace("format = 1", "format = 9")).unwrap();
-        let error = checkpoints.newest().unwrap_err().to_string();
+        let error = checkpoints.newest(OpenFor::Use).unwrap_err().to_string();
         assert!(error.contains("format 9") && error.contains("reads 1"), "{error}");
     }
 
@@ -329,6 +367,6 @@ mod tests {
         let checkpoints = Checkpoints::new(folder.path());
         write(&checkpoints, 1);
         std::fs::create_dir(folder.path().join("000000000002.unfinished")).unwrap();
-        assert_eq!(steps_of(&checkpoints.newest().unwrap()), 1);
+        assert_eq!(steps_of(&checkpoints.newest(OpenFor::Use).unwrap()), 1);
     }
 }

@@ -42,7 +42,7 @@ impl Run {
         let folder = RunFolder::new(folder);
         let description = folder.read_description()?;
         let curve = folder.read_curve()?;
-        let found = folder.checkpoints().newest()?;
+        let found = folder.checkpoints().newest(checkpoint::OpenFor::Use)?;
         let network = found.checkpoint.network("average")?;
         Ok(Self {
             description,

@@ -245,8 +245,8 @@ pub struct RunConfig {
 impl Default for RunConfig {
     fn default() -> Self {
         Self {
-            steps: 600_000,
-            evaluate_every: 25_000,
+            steps: 1_000_000,
+            evaluate_every: 50_000,
             evaluate_episodes: 500,
             checkpoint_minutes: 5.0,
         }

@@ -16,7 +16,7 @@ use crate::error::LearnError;
 use crate::evaluate::{Evaluation, EvaluationPlan, NetworkTeam, evaluate};
 use crate::methods::alma::Config;
 use crate::random::{Generator, Purpose, generator};
-use crate::run::{CurvePoint, RunDescription, RunFolder};
+use crate::run::{CurvePoint, RunDescription, RunFolder, checkpoint};
 use crate::schedule::linear;
 
 /// Is told how a run goes.
@@ -139,7 +139,7 @@ impl Trainer {
         let files = RunFolder::new(folder);
         let mut description = files.read_description()?;
         description.threads = threads.unwrap_or(description.threads).max(1);
-        let found = files.checkpoints().newest()?;
+        let found = files.checkpoints().newest(checkpoint::OpenFor::Resume)?;
         let state: State = found.checkpoint.state()?;
         let misfit =
             |what: &str| LearnError::format(folder, format!("{what} does not fit train.toml"));

@@ -122,20 +122,25 @@ impl UtilityPass {
         let view = network.view();
         let grad = UtilityViewMut::new(shape, gradient);
 
+        let embedding = &self.embedding[..rows * shape.width];
+        let attended = &self.attended[..queries * shape.width];
+        let looked = &self.looked[..queries * shape.width];
+        let base = &self.base[..queries * shape.base];
+
         let d_base = sized(&mut self.d_base, queries * shape.base);
-        linear::backward_weight(shape.head(), &self.base, d_utilities, grad.head);
+        linear::backward_weight(shape.head(), base, d_utilities, grad.head);
         linear::backward_bias(d_utilities, grad.head_bias);
         linear::backward_input(shape.head(), d_utilities, view.head, Store::Replace, d_base);
-        relu::backward(&self.base, d_base);
+        relu::backward(base, d_base);
 
         let d_looked = sized(&mut self.d_looked, queries * shape.width);
-        linear::backward_weight(shape.fc2(), &self.looked, d_base, grad.fc2);
+        linear::backward_weight(shape.fc2(), looked, d_base, grad.fc2);
         linear::backward_bias(d_base, grad.fc2_bias);
         linear::backward_input(shape.fc2(), d_base, view.fc2, Store::Replace, d_looked);
-        relu::backward(&self.looked, d_looked);
+        relu::backward(looked, d_looked);
 
         let d_attended = sized(&mut self.d_attended, queries * shape.width);
-        linear::backward_weight(shape.queries(), &self.attended, d_looked, grad.out);
+        linear::backward_weight(shape.queries(), attended, d_looked, grad.out);
         linear::backward_bias(d_looked, grad.out_bias);
         linear::backward_input(shape.queries(), d_looked, view.out, Store::Replace, d_attended);
 
@@ -157,13 +162,8 @@ impl UtilityPass {
 
         let own = queries * shape.width;
         let d_embedding = sized(&mut self.d_embedding, rows * shape.width);
-        linear::backward_weight(
-            shape.keys_values(),
-            &self.embedding,
-            d_keys_values,
-            grad.keys_values,
-        );
-        linear::backward_weight(shape.queries(), &self.embedding[..own], d_queries, grad.queries);
+        linear::backward_weight(shape.keys_values(), embedding, d_keys_values, grad.keys_values);
+        linear::backward_weight(shape.queries(), &embedding[..own], d_queries, grad.queries);
         linear::backward_input(
             shape.keys_values(),
             d_keys_values,
@@ -173,13 +173,16 @@ impl UtilityPass {
         );
         let d_own = &mut d_embedding[..own];
         linear::backward_input(shape.queries(), d_queries, view.queries, Store::Add, d_own);
-        relu::backward(&self.embedding, d_embedding);
+        relu::backward(embedding, d_embedding);
         sparse_linear::backward(&input.rows, d_embedding, grad.fc1, grad.fc1_bias);
     }
 }
 
-/// The buffer at exactly this length; its content is whatever stood there.
+/// The first `length` numbers of a buffer that grows but never shrinks; their content is whatever
+/// stood there.
 fn sized(buffer: &mut Vec<f32>, length: usize) -> &mut [f32] {
-    buffer.resize(length, 0.0);
-    buffer
+    if buffer.len() < length {
+        buffer.resize(length, 0.0);
+    }
+    &mut buffer[..length]
 }
