@@ -171,3 +171,38 @@ impl Learner {
         UpdateReport { loss: squared_error / self.config.replay.batch as f64, gradient_norm }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::methods::alma::{EpisodeCounts, Rollout};
+    use crate::random::{Purpose, generator};
+    use sortie_envs::save_the_city::ACTIONS;
+
+    #[test]
+    fn updates_learn_what_the_replay_says() {
+        let mut config = Config::default();
+        config.network.width = 32;
+        config.replay.batch = 100;
+        config.replay.symmetries = false;
+        config.optimiser.target_rate = 0.0;
+        let mut weights = generator(1, Purpose::Weights, 0);
+        let shape = config.network.shape(ACTIONS);
+        let online = UtilityNetwork::initialise(shape, 8.0, &mut weights);
+        let mut replay = Replay::new(300, 5);
+        let mut rollout = Rollout::new(&config, shape, 1).unwrap();
+        for _ in 0..40 {
+            rollout.step(&online, 1.0, &mut replay, &mut EpisodeCounts::default()).unwrap();
+        }
+        assert_eq!(replay.len(), 300, "the ring is full");
+
+        let mut learner = Learner::new(&config, online.clone(), replay, 2);
+        let mut picks = generator(1, Purpose::Replay, 0);
+        let losses: Vec<f64> = (0..400).map(|_| learner.update(&mut picks, 0).loss).collect();
+        let mean = |losses: &[f64]| losses.iter().sum::<f64>() / losses.len() as f64;
+        let (first, last) = (mean(&losses[..10]), mean(&losses[390..]));
+        assert!(last < 0.6 * first, "loss {first} became {last}");
+        assert_eq!(learner.knowledge().target, online, "a rate of zero moves no target");
+        assert_ne!(learner.average, learner.knowledge().online);
+    }
+}
