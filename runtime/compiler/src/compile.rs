@@ -62,7 +62,7 @@ pub struct Report {
     pub arena_bytes: usize,
     /// Multiply-adds of one decision with all entities visible, zeros not left out.
     pub macs: usize,
-    /// Largest measured error against the graph, |a - b| / (1 + |b|).
+    /// Largest measured error against the graph, |a - b| / (1 + max |b|).
     pub max_rel_error: f32,
     /// Observations for which plan and graph choose differently.
     pub action_mismatches: usize,

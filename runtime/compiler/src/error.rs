@@ -66,7 +66,7 @@ pub enum CompileError {
          please report this file"
     )]
     Differs {
-        /// The largest error, |a - b| / (1 + |b|).
+        /// The largest error, |a - b| / (1 + max |b|).
         error: f32,
         /// The limit.
         limit: f32,

@@ -10,7 +10,7 @@ use crate::error::CompileError;
 use crate::graph::Graph;
 use crate::tract_policy::TractPolicy;
 
-/// Largest error |a - b| / (1 + |b|) of an f32 plan.
+/// Largest error of an f32 plan, see [`Comparison::max_rel_error`].
 pub const TOLERANCE: f32 = 1.0e-5;
 
 /// How far an engine is from the expected answers.
@@ -20,7 +20,10 @@ pub struct Comparison {
     pub name: String,
     /// Observations.
     pub inputs: usize,
-    /// Largest |a - b| / (1 + |b|) of any utility.
+    /// Largest |a - b| / (1 + m) of any utility, with m the largest |b| of its observation.
+    ///
+    /// Rounding grows with the largest numbers of a sum, not with its result: a small utility beside
+    /// large ones carries their error, in the source graph as well.
     pub max_rel_error: f32,
     /// Observations for which another action was chosen.
     pub action_mismatches: usize,
@@ -36,8 +39,10 @@ impl Comparison {
     }
 
     fn add(&mut self, got: &[f32], want: &[f32], same_action: bool) {
-        let relative = |(got, want): (&f32, &f32)| (got - want).abs() / (1.0 + want.abs());
-        let error = got.iter().zip(want).map(relative).fold(0.0, f32::max);
+        let largest = want.iter().fold(0.0, |largest: f32, want| largest.max(want.abs()));
+        let distance =
+            got.iter().zip(want).map(|(got, want)| (got - want).abs()).fold(0.0, f32::max);
+        let error = distance / (1.0 + largest);
         if error > self.max_rel_error {
             (self.max_rel_error, self.worst_input) = (error, self.inputs);
         }

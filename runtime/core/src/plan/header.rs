@@ -61,7 +61,7 @@ pub struct Header {
     pub source: [u8; 32],
     /// Hash of the contract that the policy was trained for, 0 if unknown.
     pub contract: u64,
-    /// Largest measured error against the source graph: |a - b| / (1 + |b|).
+    /// Largest measured error against the source graph: |a - b| / (1 + max |b|).
     pub max_error: f32,
     /// Measured share of inputs for which the chosen action differed from the source graph's.
     pub action_mismatch: f32,
