@@ -69,7 +69,7 @@ fn a_plan_of_another_version_is_refused_by_name() {
     let mut bytes = fs::read(&plan).expect("the plan");
     bytes[8] = 99;
     fs::write(&plan, bytes).expect("a plan of another version");
-    assert_fails(&output(&["inspect", &path_of(&plan)]), 78, &["agent.plan", "version"]);
+    assert_fails(&output(&["inspect", &path_of(&plan)]), 78, &["agent.plan", "99", "compile"]);
 }
 
 #[test]
@@ -88,7 +88,7 @@ fn a_team_over_the_limits_of_the_bundle_is_refused() {
 
 #[test]
 fn a_second_world_of_a_domain_is_refused() {
-    let domain = TestDomain::new("second");
+    let domain = TestDomain::new("twice");
     let arguments = ["run", BUNDLE, "--domain", &domain.id, "--episodes", "10000", "-q"];
     let mut first = sortie(&arguments).args(["--rate", "20"]).spawn().expect("the first world");
     support::wait_until("the first world leads", || {

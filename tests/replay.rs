@@ -28,7 +28,7 @@ fn recorded_episodes_replay_bit_for_bit() {
 
 #[test]
 fn a_changed_reward_is_named_with_its_step() {
-    let file = edited("\"reward\":", "\"reward\":1");
+    let file = edited("\"reward\":-", "\"reward\":");
     let path = file.path().display().to_string();
     assert_fails(&output(&["replay", &path]), 1, &[&path, "step 0", "reward"]);
 }

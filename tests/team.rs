@@ -94,7 +94,7 @@ fn ctrl_c_ends_every_process_and_leaves_nothing() {
 
 #[test]
 fn a_killed_runner_ends_the_run_and_is_named() {
-    let domain = TestDomain::new("killed");
+    let domain = TestDomain::new("kill");
     let child = endless(&domain);
     support::kill(processes(&child, "runner")[2]);
     let output = child.wait_with_output().expect("its output");
@@ -104,7 +104,7 @@ fn a_killed_runner_ends_the_run_and_is_named() {
 
 #[test]
 fn a_stopped_runner_misses_its_patience_and_is_named() {
-    let domain = TestDomain::new("stopped");
+    let domain = TestDomain::new("stop");
     let child = endless(&domain);
     let runner = processes(&child, "runner")[1];
     support::stop(runner);

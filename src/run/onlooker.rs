@@ -156,7 +156,10 @@ impl Screen {
     /// A terminal that is gone or too small is no reason to stop the team.
     fn show(&mut self, lines: &[String]) {
         let terminal = Term::stdout();
-        let width = usize::from(terminal.size().1).max(1);
+        let (height, width) = terminal.size();
+        let (height, width) = (usize::from(height).max(2), usize::from(width).max(2));
+        // One row stays free for the cursor: a block that scrolls cannot be redrawn.
+        let lines = &lines[..lines.len().min(height - 1)];
         let mut text = String::new();
         for line in lines {
             text.push_str(&console::truncate_str(line, width - 1, ""));

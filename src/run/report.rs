@@ -80,7 +80,7 @@ impl Report {
     /// The tables for people.
     pub(super) fn print(&self, figures: &Figures) {
         println!(
-            "success {:.2} (95 % interval {:.2} to {:.2}) over {} episodes, {} allocation",
+            "\nsuccess {:.2} (95 % interval {:.2} to {:.2}) over {} episodes, {} allocation",
             self.success,
             self.success_ci95[0],
             self.success_ci95[1],

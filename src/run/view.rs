@@ -94,7 +94,7 @@ fn side_panel(picture: &Picture<'_>) -> Vec<String> {
         lines.push(building_line(picture, index, building));
     }
     lines.push(String::new());
-    lines.push("agent        assigned to  action".to_string());
+    lines.push("agent           assigned to  action".to_string());
     for index in 0..picture.city.agents.len() {
         lines.push(agent_line(picture, index));
     }
@@ -126,11 +126,11 @@ fn agent_line(picture: &Picture<'_>, index: usize) -> String {
     };
     let action = picture.actions.get(index).and_then(|&action| ACTION_NAMES.get(action as usize));
     let kind = match picture.city.agents[index].kind {
-        AgentKind::Firefighter => "fire",
-        AgentKind::Builder => "build",
-        AgentKind::Generalist => "general",
+        AgentKind::Firefighter => "firefighter",
+        AgentKind::Builder => "builder",
+        AgentKind::Generalist => "generalist",
     };
-    format!("{} {kind:8}  {task:11}  {}", agent_name(&picture.city, index), action.unwrap_or(&"-"))
+    format!("{} {kind:11}  {task:11}  {}", agent_name(&picture.city, index), action.unwrap_or(&"-"))
 }
 
 fn agent_name(city: &City<'_>, index: usize) -> String {
@@ -189,4 +189,52 @@ fn symbol(look: Look) -> String {
         Look::BurnedDown => '×',
     };
     look.style().apply_to(symbol).to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use sortie_envs::save_the_city::{AgentState, BuildingKind};
+
+    use super::*;
+
+    fn building(health: f64, fire: f64, x: u8) -> BuildingState {
+        BuildingState {
+            health,
+            fire,
+            period: 70,
+            to_next_fire: 60,
+            since_last_fire: 10,
+            kind: BuildingKind::Fast,
+            status: Status::of_health(health),
+            x,
+            y: 4,
+        }
+    }
+
+    #[test]
+    fn a_picture_shows_where_everything_is_and_who_works_where() {
+        console::set_colors_enabled(false);
+        let agents = [AgentState::at(AgentKind::Firefighter, 2, 4)];
+        let buildings = [building(0.5, 0.25, 1), building(1.0, 0.0, 4), building(0.0, 0.0, 7)];
+        let shown = lines(&Picture {
+            city: City { agents: &agents, buildings: &buildings },
+            allocation: &[0],
+            actions: &[9],
+            episode: 2,
+            episodes: 20,
+            finished: 1,
+            solved: 1,
+            step: 7,
+            tick: Percentiles { p50: 20.4, p99: 80.0, p999: None, max: 90.0 },
+        });
+        assert_eq!(
+            shown[0],
+            "episode 2 of 20, step   7   solved 1 of 1   tick p50 20 us, p99 80 us"
+        );
+        // The map's first line is its edge, the second y = 15: y = 4 is the thirteenth.
+        assert_eq!(shown[13], "│ ·▲aF0 ·■b · ·×c · · · · · · · ·│");
+        assert!(shown[2].ends_with("▲a burning   █████░░░░░  0.25  F0"), "{}", shown[2]);
+        assert!(shown[3].ends_with("■b complete  ██████████  0.00"), "{}", shown[3]);
+        assert!(shown[7].ends_with("F0 firefighter  a            fight"), "{}", shown[7]);
+    }
 }

@@ -10,22 +10,22 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
 /// The shipped bundle.
-pub const BUNDLE: &str = "models/save-the-city";
+pub(crate) const BUNDLE: &str = "models/save-the-city";
 
 /// The command line, started in the project's folder.
-pub fn sortie(arguments: &[&str]) -> Command {
+pub(crate) fn sortie(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_sortie"));
     command.current_dir(env!("CARGO_MANIFEST_DIR")).args(arguments);
     command
 }
 
 /// Runs to the end.
-pub fn output(arguments: &[&str]) -> Output {
+pub(crate) fn output(arguments: &[&str]) -> Output {
     sortie(arguments).output().expect("the command line starts")
 }
 
 /// Runs to success and reads the last JSON object on standard output.
-pub fn json(arguments: &[&str]) -> Value {
+pub(crate) fn json(arguments: &[&str]) -> Value {
     let output = output(arguments);
     assert!(output.status.success(), "{arguments:?}: {}", stderr(&output));
     let text = String::from_utf8_lossy(&output.stdout);
@@ -33,12 +33,12 @@ pub fn json(arguments: &[&str]) -> Value {
 }
 
 /// Standard error as text.
-pub fn stderr(output: &Output) -> String {
+pub(crate) fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
 /// Checks that the verb failed with this code, on one line that has all of these words.
-pub fn assert_fails(output: &Output, code: i32, words: &[&str]) {
+pub(crate) fn assert_fails(output: &Output, code: i32, words: &[&str]) {
     let text = stderr(output);
     assert_eq!(output.status.code(), Some(code), "{text}");
     let errors: Vec<&str> = text.lines().filter(|line| line.starts_with("error: ")).collect();
@@ -49,17 +49,18 @@ pub fn assert_fails(output: &Output, code: i32, words: &[&str]) {
 }
 
 /// A domain of its own for each test, and what it may leave behind.
-pub struct TestDomain {
-    pub id: String,
+pub(crate) struct TestDomain {
+    pub(crate) id: String,
 }
 
 impl TestDomain {
-    pub fn new(name: &str) -> Self {
-        Self { id: format!("test-{name}-{}", std::process::id() % 10_000) }
+    /// Short, since the id stands twice in socket paths, which the system limits.
+    pub(crate) fn new(name: &str) -> Self {
+        Self { id: format!("{name}-{}", std::process::id() % 10_000) }
     }
 
     /// Everything in shared memory that carries the domain's name.
-    pub fn leftovers(&self) -> Vec<PathBuf> {
+    pub(crate) fn leftovers(&self) -> Vec<PathBuf> {
         let mut found = Vec::new();
         collect(Path::new("/dev/shm"), &self.id, &mut found);
         found
@@ -78,7 +79,7 @@ fn collect(folder: &Path, name: &str, found: &mut Vec<PathBuf>) {
 }
 
 /// A copy of the shipped bundle that a test may break.
-pub fn copied_bundle() -> tempfile::TempDir {
+pub(crate) fn copied_bundle() -> tempfile::TempDir {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let source = Path::new(env!("CARGO_MANIFEST_DIR")).join(BUNDLE);
     for entry in fs::read_dir(source).expect("the bundle").flatten() {
@@ -90,7 +91,7 @@ pub fn copied_bundle() -> tempfile::TempDir {
 }
 
 /// Polls until `done`, for at most half a minute.
-pub fn wait_until(what: &str, mut done: impl FnMut() -> bool) {
+pub(crate) fn wait_until(what: &str, mut done: impl FnMut() -> bool) {
     let until = Instant::now() + Duration::from_secs(30);
     while !done() {
         assert!(Instant::now() < until, "in 30 s: {what}");
@@ -99,17 +100,17 @@ pub fn wait_until(what: &str, mut done: impl FnMut() -> bool) {
 }
 
 /// What Ctrl-C sends.
-pub fn interrupt(child: &Child) {
+pub(crate) fn interrupt(child: &Child) {
     signal(child.id(), Signal::INT);
 }
 
 /// Ends a process without any warning.
-pub fn kill(pid: u32) {
+pub(crate) fn kill(pid: u32) {
     signal(pid, Signal::KILL);
 }
 
 /// Stops a process as a debugger would.
-pub fn stop(pid: u32) {
+pub(crate) fn stop(pid: u32) {
     signal(pid, Signal::STOP);
 }
 

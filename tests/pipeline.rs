@@ -1,0 +1,97 @@
+//! From training to deployment, in small: train, stop, resume, export, verify, evaluate, run.
+
+mod support;
+
+use std::fs;
+use std::path::Path;
+
+use support::{assert_fails, interrupt, json, output, sortie, wait_until};
+
+/// A run that takes seconds.
+const SMALL: [&str; 10] = [
+    "--set",
+    "run.evaluate_every=1000",
+    "--set",
+    "run.evaluate_episodes=10",
+    "--set",
+    "replay.warm_up=300",
+    "--set",
+    "replay.batch=64",
+    "--set",
+    "network.width=32",
+];
+
+fn train(folder: &str, steps: &str, threads: &str) {
+    let mut arguments =
+        vec!["train", "alma", "--out", folder, "--steps", steps, "--threads", threads, "-q"];
+    arguments.extend(SMALL);
+    let output = output(&arguments);
+    assert!(output.status.success(), "{}", support::stderr(&output));
+}
+
+/// The weights and the optimiser of a run's newest checkpoint.
+fn newest_tensors(folder: &str) -> Vec<u8> {
+    let entries = fs::read_dir(Path::new(folder).join("checkpoints")).expect("checkpoints");
+    let newest = entries.flatten().map(|entry| entry.path()).max().expect("a checkpoint");
+    fs::read(newest.join("tensors.safetensors")).expect("its tensors")
+}
+
+#[test]
+fn a_run_becomes_a_bundle_that_a_team_plays_with() {
+    let place = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| place.path().join(name).display().to_string();
+    let (run, bundle, plan) = (path("run"), path("bundle"), path("agent.plan"));
+    train(&run, "3000", "2");
+
+    let exported = json(&["export", &run, "--out", &bundle, "--episodes", "20", "--json"]);
+    assert_eq!(exported["sha256"].as_str().map(str::len), Some(64));
+    let again = output(&["export", &run, "--out", &bundle, "--episodes", "20"]);
+    assert_fails(&again, 2, &[&bundle, "exists"]);
+
+    let verified = json(&["verify", &bundle, "--json"]);
+    assert_eq!(verified["engines"].as_array().map(Vec::len), Some(3), "{verified}");
+    let onnx = format!("{bundle}/agent.onnx");
+    let compiled = json(&["compile", &onnx, "-o", &plan, "--n-max", "11", "--json"]);
+    let inspected = json(&["inspect", &plan, "--json"]);
+    for key in ["flash_bytes", "arena_bytes", "macs"] {
+        assert_eq!(compiled[key], inspected[key], "{key}");
+    }
+
+    let trained = json(&["eval", &run, "--episodes", "50", "--json"]);
+    let deployed = json(&["eval", &bundle, "--episodes", "50", "--json"]);
+    for key in ["success", "return_mean", "length_mean"] {
+        assert_eq!(trained[key], deployed[key], "{key}");
+    }
+    let played = json(&["run", &bundle, "--in-process", "--episodes", "2", "--json"]);
+    assert_eq!(played["episodes"], 2);
+}
+
+#[test]
+fn the_same_seed_gives_the_same_weights_whatever_the_threads() {
+    let place = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| place.path().join(name).display().to_string();
+    let (one, two) = (path("one"), path("two"));
+    train(&one, "2000", "1");
+    train(&two, "2000", "2");
+    assert_eq!(newest_tensors(&one), newest_tensors(&two));
+}
+
+#[test]
+fn a_run_that_was_interrupted_goes_on_as_if_it_had_not_been() {
+    let place = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| place.path().join(name).display().to_string();
+    let (whole, parts) = (path("whole"), path("parts"));
+    train(&whole, "6000", "2");
+
+    let mut arguments = vec!["train", "alma", "--out", &parts, "--steps", "6000", "-q"];
+    arguments.extend(SMALL);
+    let mut child = sortie(&arguments).spawn().expect("the command line starts");
+    wait_until("it has measured once", || {
+        fs::metadata(Path::new(&parts).join("curve.json")).is_ok_and(|file| file.len() > 0)
+    });
+    interrupt(&child);
+    assert_eq!(child.wait().expect("its status").code(), Some(130));
+    let resumed = output(&["train", "alma", "--resume", &parts, "-q"]);
+    assert!(resumed.status.success(), "{}", support::stderr(&resumed));
+    assert_eq!(newest_tensors(&whole), newest_tensors(&parts));
+}
