@@ -1,13 +1,17 @@
 //! `sortie eval`: how good is a team, over fresh greedy episodes?
 
+use std::path::PathBuf;
+
 use clap::Args;
 use serde::Serialize;
 use sortie_learn::evaluate::{
     Evaluation, EvaluationPlan, NetworkTeam, PolicyTeam, ScriptedActors, Team, evaluate,
+    evaluate_watched,
 };
 
 use crate::arguments::{Allocation, Common};
 use crate::environment::{self, ScenarioSetName};
+use crate::episodes::EpisodeWriter;
 use crate::failure::{Failure, Outcome};
 use crate::output::{Table, print_json};
 use crate::policy::{Backend, DeployedPolicy};
@@ -34,6 +38,9 @@ pub(crate) struct EvalArguments {
     /// Who assigns agents to subtasks
     #[arg(long, value_enum, default_value_t = Allocation::Coordinated)]
     allocation: Allocation,
+    /// Record every episode into this folder, for `sortie replay`
+    #[arg(long, value_name = "DIR")]
+    episodes_out: Option<PathBuf>,
     /// What executes a bundle's network
     #[arg(long, value_enum, default_value_t = Backend::Plan)]
     backend: Backend,
@@ -85,7 +92,13 @@ fn play(
     team: &mut dyn Team,
     arguments: &EvalArguments,
 ) -> Result<Evaluation, Failure> {
-    Ok(evaluate(plan, team, &mut arguments.allocation.rule())?)
+    let mut allocator = arguments.allocation.rule();
+    let Some(folder) = &arguments.episodes_out else {
+        return Ok(evaluate(plan, team, &mut allocator)?);
+    };
+    let labels = (arguments.subject.as_str(), arguments.allocation.name());
+    let mut writer = EpisodeWriter::new(folder, labels, arguments.common.seed)?;
+    Ok(evaluate_watched(plan, team, &mut allocator, &mut writer)?)
 }
 
 fn print(set: &ScenarioSetName, arguments: &EvalArguments, evaluation: &Evaluation) {

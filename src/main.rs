@@ -5,6 +5,7 @@ mod bench;
 mod compile;
 mod deployment;
 mod environment;
+mod episodes;
 mod eval;
 mod export;
 mod failure;

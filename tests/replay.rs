@@ -51,3 +51,19 @@ fn text_that_is_no_json_is_refused() {
     let path = file.path().display().to_string();
     assert_fails(&output(&["replay", &path]), 65, &[&path, "not JSON"]);
 }
+
+#[test]
+fn recorded_evaluations_replay() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let place = folder.path().display().to_string();
+    json(&["eval", "scripted", "--episodes", "5", "--episodes-out", &place, "--json"]);
+    let files: Vec<String> = fs::read_dir(folder.path())
+        .expect("the folder")
+        .flatten()
+        .map(|entry| entry.path().display().to_string())
+        .collect();
+    assert_eq!(files.len(), 5);
+    let mut arguments = vec!["replay", "--json"];
+    arguments.extend(files.iter().map(String::as_str));
+    assert_eq!(json(&arguments)["files"], 5);
+}

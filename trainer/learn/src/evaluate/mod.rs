@@ -10,8 +10,9 @@ mod teams;
 use std::collections::BTreeMap;
 
 use serde::Serialize;
+use sortie_envs::StepOutcome;
 use sortie_envs::save_the_city::{
-    AllocationRule, City, Constants, DecisionPoints, EpisodeMetrics, ScenarioSet,
+    AllocationRule, City, Constants, DecisionPoints, EpisodeMetrics, SaveTheCity, ScenarioSet,
 };
 
 pub use teams::{NetworkTeam, PolicyTeam, ScriptedActors};
@@ -128,14 +129,60 @@ pub struct TeamSuccess {
 /// Worlds played at the same time.
 const WORLDS: usize = 64;
 
+/// One step of one of the worlds of an evaluation, just taken; the world is not yet reset.
+#[derive(Clone, Copy, Debug)]
+pub struct Watched<'a> {
+    /// Number of the episode, from 0.
+    pub episode: usize,
+    /// All worlds.
+    pub worlds: &'a SaveTheCity,
+    /// The instance that is meant.
+    pub instance: usize,
+}
+
+/// Watches the episodes of an evaluation, which are played side by side.
+pub trait Onlooker {
+    /// An episode has been reset and shows its first state.
+    fn started(&mut self, watched: Watched<'_>) -> Result<(), LearnError>;
+
+    /// A step was taken.
+    fn stepped(
+        &mut self,
+        watched: Watched<'_>,
+        actions: &[u16],
+        outcome: &StepOutcome,
+    ) -> Result<(), LearnError>;
+}
+
+/// Nobody watches.
+impl Onlooker for () {
+    fn started(&mut self, _: Watched<'_>) -> Result<(), LearnError> {
+        Ok(())
+    }
+
+    fn stepped(&mut self, _: Watched<'_>, _: &[u16], _: &StepOutcome) -> Result<(), LearnError> {
+        Ok(())
+    }
+}
+
 /// Plays the episodes of a plan with a team and an allocator.
 pub fn evaluate(
     plan: &EvaluationPlan,
     team: &mut dyn Team,
     allocator: &mut dyn Allocate,
 ) -> Result<Evaluation, LearnError> {
+    evaluate_watched(plan, team, allocator, &mut ())
+}
+
+/// Plays the episodes of a plan while `onlooker` watches.
+pub fn evaluate_watched(
+    plan: &EvaluationPlan,
+    team: &mut dyn Team,
+    allocator: &mut dyn Allocate,
+    onlooker: &mut dyn Onlooker,
+) -> Result<Evaluation, LearnError> {
     let worlds = WORLDS.min(plan.episodes);
-    let mut play = Play::new(plan, worlds)?;
+    let mut play = Play::new(plan, worlds, onlooker)?;
     let mut done = vec![None; plan.episodes];
     while play.step(team, allocator, &mut done)? {}
     Ok(summary(done.into_iter().flatten().collect()))

@@ -4,7 +4,7 @@ use rand_core::Rng;
 use sortie_envs::Environment;
 use sortie_envs::save_the_city::{DecisionPoints, EpisodeMetrics, SaveTheCity, Split, UNASSIGNED};
 
-use super::{Allocate, EvaluationPlan, Scene, Team};
+use super::{Allocate, EvaluationPlan, Onlooker, Scene, Team, Watched};
 use crate::error::LearnError;
 use crate::methods::alma::NO_ACTION;
 use crate::random::{Generator, Purpose, generator};
@@ -25,6 +25,7 @@ pub(super) type Finished = (String, EpisodeMetrics);
 /// The worlds of an evaluation and the episodes still to come.
 pub(super) struct Play<'a> {
     plan: &'a EvaluationPlan,
+    onlooker: &'a mut dyn Onlooker,
     city: SaveTheCity,
     worlds: Vec<World>,
     /// Worlds that still play.
@@ -35,7 +36,11 @@ pub(super) struct Play<'a> {
 
 impl<'a> Play<'a> {
     /// Starts the first episodes.
-    pub(super) fn new(plan: &'a EvaluationPlan, worlds: usize) -> Result<Self, LearnError> {
+    pub(super) fn new(
+        plan: &'a EvaluationPlan,
+        worlds: usize,
+        onlooker: &'a mut dyn Onlooker,
+    ) -> Result<Self, LearnError> {
         let agents = plan.set.max_agents;
         let mut city = SaveTheCity::new(plan.set.clone(), plan.constants, worlds, 0)?;
         city.use_split(Split::Test);
@@ -49,6 +54,7 @@ impl<'a> Play<'a> {
         };
         let mut play = Self {
             plan,
+            onlooker,
             city,
             worlds: (0..worlds).map(world).collect(),
             active: (0..worlds).collect(),
@@ -56,15 +62,15 @@ impl<'a> Play<'a> {
             actions: vec![0; worlds * agents],
         };
         for world in 0..worlds {
-            play.start(world);
+            play.start(world)?;
         }
         Ok(play)
     }
 
     /// Starts the next episode in a world; false when all episodes have begun.
-    fn start(&mut self, index: usize) -> bool {
+    fn start(&mut self, index: usize) -> Result<bool, LearnError> {
         if self.next_episode == self.plan.episodes {
-            return false;
+            return Ok(false);
         }
         let world = &mut self.worlds[index];
         world.episode = self.next_episode;
@@ -75,7 +81,9 @@ impl<'a> Play<'a> {
         self.city.seed(index, world.generator.next_u64());
         self.city.reset(index);
         self.next_episode += 1;
-        true
+        let watched = Watched { episode: world.episode, worlds: &self.city, instance: index };
+        self.onlooker.started(watched)?;
+        Ok(true)
     }
 
     /// One step in every active world; false when all episodes are finished.
@@ -134,6 +142,8 @@ impl<'a> Play<'a> {
         let actions = &self.actions[place * agents..][..agents];
         let outcome = self.city.step(index, actions)?;
         let world = &mut self.worlds[index];
+        let watched = Watched { episode: world.episode, worlds: &self.city, instance: index };
+        self.onlooker.stepped(watched, actions, &outcome)?;
         for (last, action) in world.last_actions.iter_mut().zip(actions) {
             *last = *action as u8;
         }
@@ -143,6 +153,6 @@ impl<'a> Play<'a> {
         }
         let letters = self.city.city(index).agents.iter().map(|agent| agent.kind.letter());
         done[world.episode] = Some((letters.collect(), *self.city.metrics(index)));
-        Ok(self.start(index))
+        self.start(index)
     }
 }

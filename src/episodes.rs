@@ -1,0 +1,62 @@
+//! Records the episodes of an evaluation, a file each.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use sortie_envs::StepOutcome;
+use sortie_envs::save_the_city::golden::{Labels, Recorder};
+use sortie_learn::LearnError;
+use sortie_learn::evaluate::{Onlooker, Watched};
+
+use crate::failure::Failure;
+
+/// Writes recorded episodes into a folder.
+pub(crate) struct EpisodeWriter {
+    folder: PathBuf,
+    policy: String,
+    seed: u64,
+    /// The running episodes by number.
+    recorders: BTreeMap<usize, Recorder>,
+}
+
+impl EpisodeWriter {
+    /// `labels` name who acts and who allocates.
+    pub(crate) fn new(folder: &Path, labels: (&str, &str), seed: u64) -> Result<Self, Failure> {
+        fs::create_dir_all(folder).map_err(|error| Failure::file(folder, &error))?;
+        let policy = format!("{}, {} allocation", labels.0, labels.1);
+        Ok(Self { folder: folder.to_owned(), policy, seed, recorders: BTreeMap::new() })
+    }
+}
+
+impl Onlooker for EpisodeWriter {
+    fn started(&mut self, watched: Watched<'_>) -> Result<(), LearnError> {
+        let Watched { episode, worlds, instance } = watched;
+        let team: String =
+            worlds.city(instance).agents.iter().map(|agent| agent.kind.letter()).collect();
+        let name = format!("{episode:05}-{team}");
+        let labels = Labels { name, policy: self.policy.clone(), seed: self.seed };
+        self.recorders.insert(episode, Recorder::new(worlds, instance, labels));
+        Ok(())
+    }
+
+    fn stepped(
+        &mut self,
+        watched: Watched<'_>,
+        actions: &[u16],
+        outcome: &StepOutcome,
+    ) -> Result<(), LearnError> {
+        let Watched { episode, worlds, instance } = watched;
+        if let Some(recorder) = self.recorders.get_mut(&episode) {
+            recorder.record(worlds, &actions[..worlds.city(instance).agents.len()], outcome);
+        }
+        if outcome.done()
+            && let Some(recorder) = self.recorders.remove(&episode)
+        {
+            let path = self.folder.join(format!("{episode:05}.json"));
+            fs::write(&path, recorder.finish(worlds))
+                .map_err(|source| LearnError::File { path, source })?;
+        }
+        Ok(())
+    }
+}
