@@ -1,13 +1,15 @@
 //! Learns a team-value allocator for the agents of a run, one thread:
 //! `cargo run --release -p sortie-learn --example team_value -- RUN SEED OUT [CONFIG.toml]`.
 //!
-//! Prints a JSON object per evaluation, then one for 2,000 fresh episodes. The averaged weights end up as
-//! the tensors `average/` of a checkpoint in OUT.
+//! Prints a JSON object per evaluation, then one for 2,000 fresh episodes, then the hand-written rules
+//! on the same episodes. The averaged weights end up as the tensors `average/` of a checkpoint in OUT.
 
 use std::path::Path;
 
 use rustix::time::{ClockId, clock_gettime};
 use serde_json::json;
+use sortie_envs::save_the_city::AllocationRule;
+use sortie_learn::evaluate::{NetworkTeam, evaluate};
 use sortie_learn::methods::alma::team_value::{TeamValueConfig, TeamValueTrainer};
 use sortie_learn::run::{Checkpoints, Run};
 
@@ -27,8 +29,17 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut trainer = TeamValueTrainer::new(config, seed.parse()?, &agents)?;
     trainer.run(|point| println!("{}", json!({ "cpu_s": cpu_s(), "point": point })))?;
     let learned_s = cpu_s();
-    let result = trainer.evaluate(FRESH_EPISODES, FRESH_SEED)?;
-    println!("{}", json!({ "cpu_s": learned_s, "fresh": result }));
+    let plan = trainer.plan(FRESH_EPISODES, FRESH_SEED)?;
+    let fresh = trainer.evaluate(&plan)?;
+    println!(
+        "{}",
+        json!({ "cpu_s": learned_s, "evaluation_s": cpu_s() - learned_s, "fresh": fresh })
+    );
+    for mut rule in [AllocationRule::Coordinated, AllocationRule::Heuristic] {
+        let start = cpu_s();
+        let fresh = evaluate(&plan, &mut NetworkTeam::new(&agents), &mut rule)?;
+        println!("{}", json!({ "rule": rule, "evaluation_s": cpu_s() - start, "fresh": fresh }));
+    }
     let network = trainer.network();
     let vectors: [(&str, &[f32]); 1] = [("average", network.parameters())];
     Checkpoints::new(Path::new(out)).write(0, network.shape(), &vectors, &())?;

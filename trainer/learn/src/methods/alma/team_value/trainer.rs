@@ -118,23 +118,27 @@ impl<'a> TeamValueTrainer<'a> {
         Ok(())
     }
 
-    /// Measures the averaged weights on fresh episodes of a seed.
-    pub fn evaluate(&self, episodes: usize, seed: u64) -> Result<Evaluation, LearnError> {
-        let plan = EvaluationPlan {
+    /// So many episodes of a seed in the world of this run.
+    pub fn plan(&self, episodes: usize, seed: u64) -> Result<EvaluationPlan, LearnError> {
+        Ok(EvaluationPlan {
             set: ScenarioSet::named(&self.config.environment.set)?,
             constants: self.config.environment.constants,
             interval: self.config.decisions.interval,
             episodes,
             seed,
-        };
+        })
+    }
+
+    /// Measures the averaged weights.
+    pub fn evaluate(&self, plan: &EvaluationPlan) -> Result<Evaluation, LearnError> {
         let mut allocator = TeamValueAllocator::new(self.network(), self.config.decisions.team_max);
-        evaluate(&plan, &mut NetworkTeam::new(self.agents), &mut allocator)
+        evaluate(plan, &mut NetworkTeam::new(self.agents), &mut allocator)
     }
 
     fn point(&mut self) -> Result<TeamValuePoint, LearnError> {
         // Counted from the top, so that ordinary seeds remain fresh for later evaluations.
-        let seed = u64::MAX - self.seed;
-        let result = self.evaluate(self.config.run.evaluate_episodes, seed)?;
+        let plan = self.plan(self.config.run.evaluate_episodes, u64::MAX - self.seed)?;
+        let result = self.evaluate(&plan)?;
         let (sum, count) = std::mem::take(&mut self.losses);
         Ok(TeamValuePoint {
             decisions: self.decisions,
