@@ -85,50 +85,97 @@ impl State {
         values: &mut impl TeamValue,
     ) -> bool {
         let from = usize::from(*place);
-        let left = self.members.get(from).map(|team| {
-            let team = team & !(1 << agent);
-            (team, comparable(values.value(from, team)))
-        });
-        let mut best: Option<(usize, u64, f32)> = None;
+        let asked = self.ask(agent, from, values);
+        // What stays behind where the agent leaves comes first, if it leaves anything.
+        let is_from = |question: &&Question| question.task == from;
+        let left = asked.questions().first().filter(is_from).copied();
+        let mut best: Option<Question> = None;
         let mut best_total = least;
-        for task in self.teams.tasks().filter(|task| *task != from) {
-            let Some(team) = self.members.get(task).filter(|t| has_room(self.teams, task, **t))
-            else {
-                continue;
-            };
-            let joined = team | 1 << agent;
-            let value = comparable(values.value(task, joined));
-            let total = self.total_with(from, left.map(|(_, value)| value), task, value);
+        for joined in asked.questions().iter().filter(|question| question.task != from) {
+            let total = self.total_with(left, *joined);
             if total > best_total {
-                best_total = total;
-                best = Some((task, joined, value));
+                (best, best_total) = (Some(*joined), total);
             }
         }
-        let Some((task, joined, value)) = best else { return false };
-        if let Some((team, value)) = left {
-            self.set(from, team, value);
-        }
-        self.set(task, joined, value);
-        *place = task as u8;
+        let Some(joined) = best else { return false };
+        left.into_iter().for_each(|left| self.set(left));
+        self.set(joined);
+        *place = joined.task as u8;
         true
     }
 
-    /// The total if `from` and `to` were worth something else; added in the order of [`Self::total`].
-    fn total_with(&self, from: usize, left: Option<f32>, to: usize, joined: f32) -> f64 {
+    /// The values of the team that an agent would leave and of all teams that it could join.
+    fn ask(&self, agent: usize, from: usize, values: &mut impl TeamValue) -> Asked {
+        let mut asked = Asked::default();
+        if let Some(team) = self.members.get(from) {
+            asked.push(from, team & !(1 << agent));
+        }
+        for task in self.teams.tasks().filter(|task| *task != from) {
+            let team = self.members.get(task).filter(|team| has_room(self.teams, task, **team));
+            if let Some(team) = team {
+                asked.push(task, team | 1 << agent);
+            }
+        }
+        asked.answer(values);
+        asked
+    }
+
+    /// The total after a move; added in the order of [`Self::total`].
+    fn total_with(&self, left: Option<Question>, joined: Question) -> f64 {
         let changed = |(task, value): (usize, &f32)| match left {
-            _ if task == to => f64::from(joined),
-            Some(left) if task == from => f64::from(left),
+            _ if task == joined.task => f64::from(joined.value),
+            Some(left) if task == left.task => f64::from(left.value),
             _ => f64::from(*value),
         };
         self.values.iter().enumerate().map(changed).sum()
     }
 
-    fn set(&mut self, task: usize, team: u64, value: f32) {
-        if let (Some(members), Some(place)) =
-            (self.members.get_mut(task), self.values.get_mut(task))
-        {
+    fn set(&mut self, question: Question) {
+        let Question { task, team, value } = question;
+        let places = (self.members.get_mut(task), self.values.get_mut(task));
+        if let (Some(members), Some(place)) = places {
             (*members, *place) = (team, value);
         }
+    }
+}
+
+/// A team at a subtask and, once answered, its value.
+#[derive(Clone, Copy)]
+struct Question {
+    task: usize,
+    team: u64,
+    value: f32,
+}
+
+/// Questions that are asked together: at most one per subtask.
+#[derive(Default)]
+struct Asked(heapless::Vec<Question, TASKS>);
+
+impl Asked {
+    fn push(&mut self, task: usize, team: u64) {
+        // There are as many places as subtasks, so that none is refused.
+        let _ = self.0.push(Question { task, team, value: 0.0 });
+    }
+
+    fn answer(&mut self, values: &mut impl TeamValue) {
+        let mut pairs = [(0, 0); TASKS];
+        let mut answers = [0.0; TASKS];
+        for (pair, question) in pairs.iter_mut().zip(&self.0) {
+            *pair = (question.task, question.team);
+        }
+        let (Some(pairs), Some(answers)) =
+            (pairs.get(..self.0.len()), answers.get_mut(..self.0.len()))
+        else {
+            return;
+        };
+        values.values(pairs, answers);
+        for (question, answer) in self.0.iter_mut().zip(answers) {
+            question.value = comparable(*answer);
+        }
+    }
+
+    fn questions(&self) -> &[Question] {
+        &self.0
     }
 }
 

@@ -8,7 +8,7 @@
 //! use sortie_core::allocate::{Teams, exact};
 //!
 //! // Two agents, subtasks 0 and 3 open; the empty team comes first, then agent 0, agent 1, both.
-//! let values = [0.0, 1.0, 5.0, 5.5, 0.0, 2.0, 6.0, 6.5];
+//! let values = [0.0, 1.0, 4.0, 4.5, 0.0, 2.0, 6.0, 6.5];
 //! let teams = Teams { agents: 2, open_tasks: 0b1001, team_max: 2 };
 //! let mut arena = [exact::Cell::default(); exact::cells(2, 2)];
 //! let mut allocation = [0; 2];

@@ -54,6 +54,13 @@ impl Teams {
 pub trait TeamValue {
     /// The value of giving `team` (bit a = agent a, may be empty) to `task`.
     fn value(&mut self, task: usize, team: u64) -> f32;
+
+    /// Writes the values `[n]` of several `(task, team)` at once: networks are faster that way.
+    fn values(&mut self, questions: &[(usize, u64)], values: &mut [f32]) {
+        for ((task, team), value) in questions.iter().zip(values) {
+            *value = self.value(*task, *team);
+        }
+    }
 }
 
 impl<F: FnMut(usize, u64) -> f32> TeamValue for F {

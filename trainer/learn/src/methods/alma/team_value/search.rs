@@ -1,6 +1,6 @@
 //! The best allocation by the team-value network.
 
-use sortie_core::allocate::{Teams, ascent, exact};
+use sortie_core::allocate::{TeamValue, Teams, ascent, exact};
 use sortie_envs::save_the_city::{City, Symmetry, UNASSIGNED, coordinated_allocation};
 
 use super::input::{TeamQuery, TeamValueInput};
@@ -54,13 +54,34 @@ impl TeamSearch {
         } else {
             coordinated_allocation(city, allocation);
             let Self { pass, input, .. } = self;
-            let mut value = |task, team| {
-                let query = TeamQuery { city, task, team, turn: Symmetry::ALL[0] };
-                pass.forward(network, input.queries(std::iter::once(query)))[0]
-            };
-            ascent::search(teams, &mut value, SWEEPS, &mut allocation[..agents]).map(drop)
+            let mut values = NetworkValue { network, city, pass, input };
+            ascent::search(teams, &mut values, SWEEPS, &mut allocation[..agents]).map(drop)
         };
         found.map_err(|error| LearnError::Team(error.to_string()))
+    }
+}
+
+/// The values of single teams, as the coordinate ascent asks for them.
+struct NetworkValue<'a> {
+    network: &'a UtilityNetwork,
+    city: City<'a>,
+    pass: &'a mut UtilityPass,
+    input: &'a mut TeamValueInput,
+}
+
+impl TeamValue for NetworkValue<'_> {
+    fn value(&mut self, task: usize, team: u64) -> f32 {
+        let mut value = [0.0];
+        self.values(&[(task, team)], &mut value);
+        value[0]
+    }
+
+    fn values(&mut self, questions: &[(usize, u64)], values: &mut [f32]) {
+        let (city, turn) = (self.city, Symmetry::ALL[0]);
+        let query =
+            |(task, team): &(usize, u64)| TeamQuery { city, task: *task, team: *team, turn };
+        let queries = questions.iter().map(query);
+        values.copy_from_slice(self.pass.forward(self.network, self.input.queries(queries)));
     }
 }
 
