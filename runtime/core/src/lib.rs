@@ -8,6 +8,7 @@
 #[cfg(any(test, feature = "std"))]
 extern crate std;
 
+pub mod allocate;
 pub mod allocator;
 pub mod checksum;
 pub mod choose;

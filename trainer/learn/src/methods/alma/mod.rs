@@ -11,6 +11,7 @@ mod network_policy;
 mod replay;
 mod rollout;
 mod team_batch;
+pub mod team_value;
 mod temporal_difference;
 mod trainer;
 mod utility;

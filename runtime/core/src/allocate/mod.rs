@@ -1,0 +1,97 @@
+//! The search of the team-value allocator: which teams are worth most together.
+//!
+//! An allocation is valued as the sum over the open subtasks of `f(subtask, its team)`, teams without
+//! agents included: what happens if nobody comes is worth knowing. [`exact`] finds the best of all
+//! allocations of up to [`exact::AGENTS`] agents, [`ascent`] improves a given one for more. Both are
+//! total: whatever the values, NaN and infinities among them, every agent gets an open subtask, or
+//! [`UNASSIGNED`](crate::UNASSIGNED) where no open subtask has room for it. Neither allocates, draws or
+//! reads a clock.
+//!
+//! Compared with the dissertation (section 7.4), the proposal network is replaced by search and the
+//! critic by a sum of one value per subtask.
+
+pub mod ascent;
+pub mod exact;
+
+use crate::allocator::AllocateError;
+use crate::limits::{AGENTS, TASKS};
+
+/// What is to be allocated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Teams {
+    /// Number of agents A, all of them present.
+    pub agents: usize,
+    /// Bit t set where subtask t is open.
+    pub open_tasks: u32,
+    /// Largest team of one subtask; 0 leaves everybody unassigned.
+    pub team_max: usize,
+}
+
+impl Teams {
+    /// Agents that find room at the open subtasks.
+    pub fn places(&self) -> usize {
+        self.agents.min(self.team_max.saturating_mul(self.open_tasks.count_ones() as usize))
+    }
+
+    /// The open subtasks in rising order.
+    fn tasks(&self) -> impl Iterator<Item = usize> + use<> {
+        let open = self.open_tasks;
+        (0..TASKS).filter(move |task| open >> task & 1 == 1)
+    }
+
+    fn check(&self, agents_max: usize, allocation: &[u8]) -> Result<(), AllocateError> {
+        if self.agents > agents_max.min(AGENTS) {
+            Err(AllocateError::TooLarge)
+        } else if allocation.len() != self.agents {
+            Err(AllocateError::BadLength)
+        } else {
+            Ok(())
+        }
+    }
+}
+
+/// What a team at a subtask is worth.
+pub trait TeamValue {
+    /// The value of giving `team` (bit a = agent a, may be empty) to `task`.
+    fn value(&mut self, task: usize, team: u64) -> f32;
+
+    /// Writes the values `[n]` of several `(task, team)` at once: networks are faster that way.
+    fn values(&mut self, questions: &[(usize, u64)], values: &mut [f32]) {
+        for ((task, team), value) in questions.iter().zip(values) {
+            *value = self.value(*task, *team);
+        }
+    }
+}
+
+impl<F: FnMut(usize, u64) -> f32> TeamValue for F {
+    fn value(&mut self, task: usize, team: u64) -> f32 {
+        self(task, team)
+    }
+}
+
+/// Largest magnitude of a value: the sum over all subtasks stays finite.
+const VALUE_MAX: f32 = f32::MAX / TASKS as f32;
+
+/// A value that can be added and compared: NaN counts as the lowest, infinities as the outermost.
+fn comparable(value: f32) -> f32 {
+    if value.is_nan() { -VALUE_MAX } else { value.clamp(-VALUE_MAX, VALUE_MAX) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn strange_values_become_comparable() {
+        assert_eq!(comparable(1.5), 1.5);
+        assert_eq!(comparable(f32::NAN), comparable(f32::NEG_INFINITY));
+        assert!((comparable(f32::INFINITY) * TASKS as f32).is_finite());
+    }
+
+    #[test]
+    fn places_never_exceed_the_agents() {
+        let teams = |team_max| Teams { agents: 5, open_tasks: 0b1011, team_max };
+        assert_eq!([0, 1, 2, usize::MAX].map(|max| teams(max).places()), [0, 3, 5, 5]);
+        assert!(teams(1).tasks().eq([0, 1, 3]));
+    }
+}

@@ -1,0 +1,27 @@
+//! The team-value allocator: learns what a team at a building is worth, and searches the best teams.
+//!
+//! An allocation b is worth `Q(s, b) = sum over open buildings t of f(s, t, team of t in b)`. f is one
+//! attention network of the agents' kind with a single output: the building's row is the query, and
+//! the keys are the building itself, every agent (in the team or not, and how far away) and the other
+//! open buildings. A team without agents is a legal input. `sortie_core::allocate` finds the best
+//! allocation by the values of all teams.
+//!
+//! f is learned by SARSA, one target per building, from the rewards of the building's own task. Compared
+//! with the dissertation (section 7.4): a sum of one value per subtask instead of a critic of the whole
+//! allocation, search instead of a proposal network, task rewards instead of the team's.
+
+pub mod config;
+mod input;
+mod learner;
+mod rollout;
+mod search;
+mod segments;
+mod trainer;
+
+pub use config::TeamValueConfig;
+pub use input::{COLUMNS, TeamQuery, TeamValueInput};
+pub use learner::TeamValueLearner;
+pub use rollout::{Behaviour, TeamValueRollout};
+pub use search::{TeamSearch, TeamValueAllocator};
+pub use segments::{Decision, Segment, Segments};
+pub use trainer::{TeamValuePoint, TeamValueTrainer};
