@@ -38,7 +38,7 @@ pub(crate) enum Exit {
 pub(crate) struct Failure {
     /// The exit code.
     pub(crate) exit: Exit,
-    /// One line: what failed, where, and what to do.
+    /// One line: what failed, where, and what to do. Empty where another process says it.
     pub(crate) message: String,
 }
 

@@ -29,7 +29,9 @@ fn main() -> ExitCode {
     match arguments::dispatch(arguments) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            eprintln!("error: {}", failure.message);
+            if !failure.message.is_empty() {
+                eprintln!("error: {}", failure.message);
+            }
             ExitCode::from(failure.exit as u8)
         }
     }

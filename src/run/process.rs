@@ -66,6 +66,8 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
     };
     match ended {
         Ok(_) => Ok(()),
+        // The world tells the person; one line is enough.
+        Err(sortie_ipc::Error::Interrupted) => Err(Failure::new(Exit::Interrupted, "")),
         Err(error) => Err(error.into()),
     }
 }
