@@ -56,6 +56,14 @@ impl Default for EnvironmentConfig {
     }
 }
 
+impl EnvironmentConfig {
+    /// Refuses values that cannot work.
+    pub(super) fn check(&self) -> Result<(), LearnError> {
+        require(self.name == "save-the-city", "`environment.name` must be `save-the-city`")?;
+        require(self.instances > 0, "`environment.instances` must be at least 1")
+    }
+}
+
 /// Who assigns agents to buildings. An episode draws its rule by these weights.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -110,6 +118,16 @@ impl Default for NetworkConfig {
 }
 
 impl NetworkConfig {
+    /// Refuses values that cannot work.
+    pub(super) fn check(&self) -> Result<(), LearnError> {
+        require(
+            self.heads > 0 && self.width > 0 && self.width.is_multiple_of(self.heads),
+            "`network.width` must be a multiple of `network.heads`",
+        )?;
+        require(self.base > 0, "`network.base` must be at least 1")?;
+        require(self.active_inputs > 0.0, "`network.active_inputs` must be positive")
+    }
+
     /// The network's shape in an environment with so many actions.
     pub fn shape(&self, actions: usize) -> UtilityShape {
         UtilityShape {
@@ -305,24 +323,15 @@ impl Config {
 
     /// Refuses values that cannot work.
     pub fn check(&self) -> Result<(), LearnError> {
-        let require = |holds: bool, what: &str| {
-            if holds { Ok(()) } else { Err(LearnError::Config(what.to_owned())) }
-        };
         let Self { environment, allocation, network, returns, replay, .. } = self;
-        require(environment.name == "save-the-city", "`environment.name` must be `save-the-city`")?;
-        require(environment.instances > 0, "`environment.instances` must be at least 1")?;
+        environment.check()?;
         let weights = allocation.weights();
         require(
             weights.iter().all(|(_, w)| *w >= 0.0) && weights.iter().any(|(_, w)| *w > 0.0),
             "the weights of `allocation` must not be negative, and one must be positive",
         )?;
         require(allocation.interval > 0, "`allocation.interval` must be at least 1")?;
-        require(
-            network.heads > 0 && network.width > 0 && network.width.is_multiple_of(network.heads),
-            "`network.width` must be a multiple of `network.heads`",
-        )?;
-        require(network.base > 0, "`network.base` must be at least 1")?;
-        require(network.active_inputs > 0.0, "`network.active_inputs` must be positive")?;
+        network.check()?;
         require(returns.steps > 0, "`returns.steps` must be at least 1")?;
         require((0.0..=1.0).contains(&returns.discount), "`returns.discount` must be in 0..1")?;
         require(
@@ -341,6 +350,11 @@ impl Config {
         require(self.run.evaluate_every > 0, "`run.evaluate_every` must be at least 1")?;
         require(self.run.evaluate_episodes > 0, "`run.evaluate_episodes` must be at least 1")
     }
+}
+
+/// Refuses a configuration that does not hold, with what it must be.
+pub(super) fn require(holds: bool, what: &str) -> Result<(), LearnError> {
+    if holds { Ok(()) } else { Err(LearnError::Config(what.to_owned())) }
 }
 
 /// Reads `text` as a value of the same kind as `old`.

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::input::COLUMNS;
 use crate::error::LearnError;
 use crate::methods::alma::UtilityShape;
-use crate::methods::alma::config::{EnvironmentConfig, NetworkConfig};
+use crate::methods::alma::config::{EnvironmentConfig, NetworkConfig, require};
 
 /// The configuration of a run that learns the allocator for agents that learn no more.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -163,21 +163,12 @@ impl TeamValueConfig {
 
     /// Refuses values that cannot work.
     pub fn check(&self) -> Result<(), LearnError> {
-        let require = |holds: bool, what: &str| {
-            if holds { Ok(()) } else { Err(LearnError::Config(what.to_owned())) }
-        };
         let Self { environment, decisions, network, behaviour, replay, run, .. } = self;
-        require(environment.name == "save-the-city", "`environment.name` must be `save-the-city`")?;
-        require(environment.instances > 0, "`environment.instances` must be at least 1")?;
+        environment.check()?;
         require(decisions.interval > 0, "`decisions.interval` must be at least 1")?;
         require(decisions.team_max > 0, "`decisions.team_max` must be at least 1")?;
         require((0.0..=1.0).contains(&decisions.discount), "`decisions.discount` must be in 0..1")?;
-        require(
-            network.heads > 0 && network.width > 0 && network.width.is_multiple_of(network.heads),
-            "`network.width` must be a multiple of `network.heads`",
-        )?;
-        require(network.base > 0, "`network.base` must be at least 1")?;
-        require(network.active_inputs > 0.0, "`network.active_inputs` must be positive")?;
+        network.check()?;
         let shares = [behaviour.rule_moved, behaviour.moved, behaviour.moved_decisions];
         require(
             shares.iter().all(|share| (0.0..=1.0).contains(share)),
