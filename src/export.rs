@@ -11,7 +11,7 @@ use sortie_learn::run::Run;
 
 use crate::arguments::{Allocation, Common};
 use crate::failure::Outcome;
-use crate::output::print_json;
+use crate::output::{print_json, warn_of_refused};
 
 /// Export a training run as a bundle: network as ONNX, contract, golden observations, card and curve
 ///
@@ -39,9 +39,7 @@ struct Report {
 
 pub(crate) fn run(arguments: &ExportArguments) -> Outcome {
     let run = Run::open(&arguments.run)?;
-    for reason in &run.refused {
-        eprintln!("warning: {reason}; an earlier checkpoint is used");
-    }
+    warn_of_refused(&run.refused);
     let (set, seed) = (&run.description.config.environment.set, arguments.common.seed);
     let plan = EvaluationPlan::new(set, arguments.episodes as usize, seed)?;
     let mut measured = Vec::new();

@@ -15,6 +15,7 @@ mod output;
 mod policy;
 mod replay;
 mod run;
+mod signals;
 mod subject;
 mod train;
 mod verify;

@@ -7,6 +7,13 @@ pub(crate) fn print_json(value: &impl Serialize) {
     println!("{}", serde_json::to_string(value).expect("reports have string keys only"));
 }
 
+/// Warns of checkpoints that were passed over.
+pub(crate) fn warn_of_refused(reasons: &[String]) {
+    for reason in reasons {
+        eprintln!("warning: {reason}; an earlier checkpoint is used");
+    }
+}
+
 /// `1 file`, `2 files`.
 pub(crate) fn plural(count: usize, noun: &str) -> String {
     format!("{count} {noun}{}", if count == 1 { "" } else { "s" })

@@ -52,8 +52,7 @@ impl DeployedPolicy {
         }
     }
 
-    /// A plan that was compiled before.
-    pub(crate) fn of_plan(plan: AlignedBytes) -> Result<Self, CompileError> {
+    fn of_plan(plan: AlignedBytes) -> Result<Self, CompileError> {
         let arena_bytes = Plan::load(plan.as_slice())?.arena_bytes();
         Ok(Self::Plan { plan, arena: AlignedBytes::zeroed(arena_bytes) })
     }

@@ -7,6 +7,7 @@ use sortie_learn::run::Run;
 
 use crate::deployment::open_bundle;
 use crate::failure::{Exit, Failure};
+use crate::output::warn_of_refused;
 
 /// What is evaluated.
 pub(crate) enum Subject {
@@ -29,7 +30,9 @@ impl Subject {
             return Ok(Self::Bundle(Box::new(open_bundle(path)?)));
         }
         if path.join(TRAINING).exists() {
-            return Ok(Self::Run(Box::new(Run::open(path)?)));
+            let run = Run::open(path)?;
+            warn_of_refused(&run.refused);
+            return Ok(Self::Run(Box::new(run)));
         }
         let reason = if path.exists() {
             "is neither a bundle nor a training run: it has no `bundle.toml` and no `train.toml`"

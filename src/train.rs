@@ -2,12 +2,9 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use signal_hook::consts::{SIGINT, SIGTERM};
 use sortie_learn::LearnError;
 use sortie_learn::methods::alma::{Config, Observer, Outcome as Ending, Progress, Trainer};
 use sortie_learn::run::CurvePoint;
@@ -15,7 +12,8 @@ use sortie_learn::run::CurvePoint;
 use crate::arguments::{Allocation, Common};
 use crate::environment::ScenarioSetName;
 use crate::failure::{Exit, Failure, Outcome};
-use crate::output::print_json;
+use crate::output::{print_json, warn_of_refused};
+use crate::signals::stop_on_signals;
 
 /// Learn a team's policy and write the run to a folder
 ///
@@ -69,22 +67,11 @@ enum Method {
 
 pub(crate) fn run(arguments: &TrainArguments) -> Outcome {
     let Method::Alma = arguments.method;
-    let stop = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM] {
-        signal_hook::flag::register_conditional_shutdown(
-            signal,
-            Exit::Interrupted as i32,
-            Arc::clone(&stop),
-        )
-        .and_then(|_| signal_hook::flag::register(signal, Arc::clone(&stop)))
-        .map_err(|error| Failure::new(Exit::InputOutput, format!("signal handlers: {error}")))?;
-    }
+    let stop = stop_on_signals()?;
     let (mut trainer, folder) = trainer(arguments)?;
-    for reason in trainer.refused() {
-        eprintln!("warning: {reason}; an earlier checkpoint is used");
-    }
+    warn_of_refused(trainer.refused());
     let mut reporter = Reporter::new(&trainer, arguments.common);
-    let ending = trainer.run(&mut reporter, &stop)?;
+    let ending = trainer.run(&mut reporter, stop.flag())?;
     reporter.bar.finish_and_clear();
     match ending {
         Ending::Stopped => Err(Failure::new(

@@ -22,9 +22,10 @@ use self::report::{Report, Setup};
 use crate::arguments::{Allocation, Common};
 use crate::deployment::{domain_contract, open_bundle};
 use crate::environment::{ScenarioSetName, check_fits};
-use crate::failure::{Exit, Failure, Outcome};
+use crate::failure::{Failure, Outcome};
 use crate::output::print_json;
 use crate::policy::{Backend, DeployedPolicy};
+use crate::signals::stop_on_signals;
 use crate::worlds::save_the_city::{CityAllocator, CityWorld};
 
 /// Ticks a second at which a person can follow.
@@ -88,8 +89,7 @@ fn rate(text: &str) -> Result<f64, String> {
 }
 
 pub(crate) fn run(arguments: &RunArguments) -> Outcome {
-    let stop = Stop::on_signals()
-        .map_err(|error| Failure::new(Exit::InputOutput, format!("signal handlers: {error}")))?;
+    let stop = stop_on_signals()?;
     let bundle = open_bundle(&arguments.bundle)?;
     let trained_on = &bundle.manifest().contract.environment.name;
     let set = ScenarioSetName::parse(arguments.env.as_deref().unwrap_or(trained_on))?;

@@ -3,12 +3,13 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use sortie_ipc::{Domain, ProcessSettings, Stop, allocator_process, runner_process};
+use sortie_ipc::{Domain, ProcessSettings, allocator_process, runner_process};
 
 use crate::arguments::Allocation;
 use crate::deployment::{domain_contract, model_id, open_bundle};
 use crate::failure::{Exit, Failure, Outcome};
 use crate::policy::{Backend, DeployedPolicy};
+use crate::signals::stop_on_signals;
 use crate::worlds::save_the_city::CityAllocator;
 
 /// Run one process of a team; started by `run`
@@ -40,8 +41,7 @@ enum Role {
 }
 
 pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
-    let stop = Stop::on_signals()
-        .map_err(|error| Failure::new(Exit::InputOutput, format!("signal handlers: {error}")))?;
+    let stop = stop_on_signals()?;
     let bundle = open_bundle(&arguments.bundle)?;
     let domain = Domain::new(&arguments.domain)?;
     let contract = domain_contract(&bundle);

@@ -36,6 +36,11 @@ impl Stop {
         Ok(stop)
     }
 
+    /// The flag itself, for loops that know nothing of this type.
+    pub fn flag(&self) -> &AtomicBool {
+        &self.flag
+    }
+
     /// Ends the loops.
     pub fn stop(&self) {
         self.flag.store(true, Ordering::SeqCst);
