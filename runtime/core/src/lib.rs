@@ -4,6 +4,16 @@
 //! every error is a small enum. One plan gives the same bits on every target.
 #![no_std]
 #![deny(unsafe_code)]
+#![cfg_attr(
+    not(test),
+    deny(
+        clippy::indexing_slicing,
+        clippy::unwrap_used,
+        clippy::expect_used,
+        clippy::panic,
+        clippy::unreachable
+    )
+)]
 
 #[cfg(any(test, feature = "std"))]
 extern crate std;
