@@ -5,6 +5,7 @@
 //! instead of a mixing network, n-step returns, optional potential shaping, Adam, averaged weights.
 
 pub mod config;
+mod entity_attention;
 mod history;
 mod learner;
 mod network_policy;
