@@ -189,7 +189,7 @@ mod tests {
         let mut weights = generator(1, Purpose::Weights, 0);
         let shape = config.network.shape(ACTIONS);
         let online = UtilityNetwork::initialise(shape, 8.0, &mut weights);
-        let mut replay = Replay::new(300, 5);
+        let mut replay = Replay::new(300, super::super::RecordLayout { agents: 5, buildings: 1 });
         let mut rollout = Rollout::new(&config, shape, 1).unwrap();
         for _ in 0..40 {
             rollout.step(&online, 1.0, &mut replay, &mut EpisodeCounts::default()).unwrap();

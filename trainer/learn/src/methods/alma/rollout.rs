@@ -9,8 +9,9 @@ use sortie_envs::{Environment, StepOutcome, Subtasks};
 
 use rand_core::Rng;
 
+use super::conditioning::Conditioning;
 use super::config::{AllocationConfig, Config};
-use super::history::{History, Moment};
+use super::history::{History, Moment, StepRewards};
 use super::replay::Replay;
 use super::team_batch::{NO_ACTION, TeamBatch, best_action};
 use super::utility::{UtilityNetwork, UtilityShape};
@@ -83,7 +84,7 @@ impl Rollout {
             tasks_changed: false,
             allocation: vec![UNASSIGNED; agents],
             last_actions: vec![NO_ACTION; agents],
-            history: History::new((&config.returns).into()),
+            history: History::new(Conditioning::Mask, (&config.returns).into()),
             episode_return: 0.0,
         });
         let mut rollout = Self {
@@ -179,7 +180,8 @@ impl Rollout {
             *last = *action as u8;
         }
         let after = Moment { city: self.city.city(index), allocation, last_actions };
-        history.reward(after, self.city.task_rewards(index), replay);
+        let rewards = StepRewards { tasks: self.city.task_rewards(index), team: outcome.reward };
+        history.reward(after, rewards, replay);
         instance.tasks_changed = outcome.tasks_changed;
         instance.episode_return += outcome.reward;
         if outcome.done() {

@@ -93,19 +93,36 @@ impl Chunk {
         for pick in picks {
             let turn = Symmetry::ALL[usize::from(pick.symmetry)];
             let turned_last = |action: u8| turn.action(action.into()) as u8;
-            let (record, team) = replay.get(pick.record as usize);
-            for member in team {
-                self.now.push_agent(&turn.agent(&member.agent), turned_last(member.last_action));
-                self.actions.push(turn.action(member.action.into()) as u8);
+            let sample = replay.get(pick.record as usize);
+            let record = sample.record;
+            let (team, others) = sample.split_team();
+            for step in team {
+                let agent = turn.agent(&step.agent);
+                self.now.push_agent(&agent, turned_last(step.last_action), step.task);
+                self.actions.push(turn.action(step.action.into()) as u8);
             }
-            self.now.end_team(&turn.building(&record.building));
+            for step in others {
+                let agent = turn.agent(&step.agent);
+                self.now.push_other(&agent, turned_last(step.last_action), step.task);
+            }
+            for (task, step) in (0..).zip(sample.buildings) {
+                self.now.push_building(&turn.building(&step.building), task);
+            }
+            self.now.end_team();
             if record.discount > 0.0 {
-                for member in team {
-                    let agent = turn.agent(&member.next);
-                    self.next.push_agent(&agent, turned_last(member.next_last_action));
+                for step in team {
+                    let agent = turn.agent(&step.next);
+                    self.next.push_agent(&agent, turned_last(step.next_last_action), step.task);
                     self.next_available.push(agent.available);
                 }
-                self.next.end_team(&turn.building(&record.next_building));
+                for step in others {
+                    let agent = turn.agent(&step.next);
+                    self.next.push_other(&agent, turned_last(step.next_last_action), step.task);
+                }
+                for (task, step) in (0..).zip(sample.buildings) {
+                    self.next.push_building(&turn.building(&step.next), task);
+                }
+                self.next.end_team();
             }
             self.rewards.push((record.reward, record.discount, team.len()));
         }
@@ -163,7 +180,7 @@ impl Chunk {
 mod tests {
     use super::*;
     use crate::layers::gradient_check::assert_gradient;
-    use crate::methods::alma::{Config, EpisodeCounts, Rollout};
+    use crate::methods::alma::{Config, EpisodeCounts, Record, RecordLayout, Rollout};
     use crate::random::{Purpose, generator};
     use sortie_envs::save_the_city::ACTIONS;
 
@@ -178,7 +195,7 @@ mod tests {
         let mut config = Config::default();
         config.allocation.heuristic = 1.0;
         let mut rollout = Rollout::new(&config, network(1).shape(), 3).unwrap();
-        let mut replay = Replay::new(10_000, 5);
+        let mut replay = Replay::new(10_000, RecordLayout { agents: 5, buildings: 1 });
         for _ in 0..60 {
             rollout.step(&network(1), 1.0, &mut replay, &mut EpisodeCounts::default()).unwrap();
         }
@@ -194,7 +211,7 @@ mod tests {
     fn the_gradient_of_the_whole_loss_agrees_with_finite_differences() {
         let (replay, online, target) = (replay(), network(1), network(2));
         let picks = picks(&replay, |i| (i % 8) as u8);
-        let bootstraps = |pick: &Pick| replay.get(pick.record as usize).0.discount > 0.0;
+        let bootstraps = |pick: &Pick| replay.get(pick.record as usize).record.discount > 0.0;
         assert!(picks.iter().any(bootstraps) && !picks.iter().all(bootstraps));
 
         let loss = |parameters: &[f32]| {
@@ -237,9 +254,10 @@ mod tests {
     #[test]
     fn a_record_without_discount_learns_its_reward_alone() {
         let (mut replay, online) = (replay(), network(1));
-        let (record, team) = replay.get(0);
-        let (record, team) = (super::super::Record { discount: 0.0, ..*record }, team.to_vec());
-        replay.push(record, team);
+        let first = replay.get(0);
+        let record = Record::new(first.record.reward, 0.0, first.record.size.into());
+        let (agents, buildings) = (first.agents.to_vec(), first.buildings.to_vec());
+        replay.push(record, agents, buildings);
         let last = Pick { record: replay.len() as u32 - 1, symmetry: 0 };
         let error = |target: &UtilityNetwork| {
             let mut chunk = Chunk::new(online.shape());

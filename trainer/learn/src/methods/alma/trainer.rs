@@ -8,8 +8,9 @@ use rustix::time::{ClockId, clock_gettime};
 use serde::{Deserialize, Serialize};
 use sortie_envs::save_the_city::{ACTIONS, AllocationRule, ScenarioSet};
 
+use super::conditioning::Conditioning;
 use super::learner::{Knowledge, Learner};
-use super::replay::Replay;
+use super::replay::{RecordLayout, Replay};
 use super::rollout::{EpisodeCounts, InstanceSnapshot, Rollout};
 use super::utility::UtilityNetwork;
 use crate::error::LearnError;
@@ -126,7 +127,10 @@ impl Trainer {
         config.check()?;
         let description = RunDescription::new(config, seed, threads.max(1));
         let set = ScenarioSet::named(&description.config.environment.set)?;
-        let replay = Replay::new(description.config.replay.capacity, set.max_agents);
+        let replay = Replay::new(
+            description.config.replay.capacity,
+            RecordLayout::new(Conditioning::Mask, &set),
+        );
         let trainer = Self::start(description, folder, replay)?;
         RunFolder::create(folder, &trainer.description)?;
         Ok(trainer)
@@ -147,7 +151,10 @@ impl Trainer {
             return Err(misfit("the checkpoint's network"));
         }
         let set = ScenarioSet::named(&description.config.environment.set)?;
-        if !state.replay.fits(description.config.replay.capacity, set.max_agents) {
+        if !state
+            .replay
+            .fits(description.config.replay.capacity, RecordLayout::new(Conditioning::Mask, &set))
+        {
             return Err(misfit("the checkpoint's replay"));
         }
 
