@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use sortie_envs::save_the_city::{AgentState, BuildingState, ScenarioSet};
 
 use super::conditioning::Conditioning;
+use super::learner::Samples;
 
 /// One agent at the step of a record and some steps later.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -168,6 +169,12 @@ impl Replay {
             && records.iter().all(|r| (1..=r.agents).contains(&r.size))
             && records.iter().all(|r| usize::from(r.agents) <= layout.agents)
             && records.iter().all(|r| (1..=layout.buildings).contains(&r.buildings.into()))
+    }
+}
+
+impl Samples for Replay {
+    fn count(&self) -> usize {
+        self.len()
     }
 }
 

@@ -37,6 +37,11 @@ impl TeamBatch {
         Self { conditioning, ..Self::default() }
     }
 
+    /// Columns of a row in a city of so many subtasks.
+    pub fn columns(&self, tasks: usize) -> usize {
+        INPUT_COLUMNS + self.conditioning.task_columns(tasks)
+    }
+
     /// Forgets all teams, keeps the memory.
     pub fn clear(&mut self) {
         self.input.clear();

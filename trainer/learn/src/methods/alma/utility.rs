@@ -8,6 +8,7 @@ use std::ops::Range;
 use serde::{Deserialize, Serialize};
 
 use super::entity_attention::{AttentionGradients, AttentionWeights};
+use super::learner::Parameters;
 use crate::layers::attention::AttentionShape;
 use crate::layers::linear::LinearShape;
 use crate::random::{Generator, signed_unit};
@@ -193,6 +194,16 @@ impl UtilityNetwork {
             head,
             head_bias,
         }
+    }
+}
+
+impl Parameters for UtilityNetwork {
+    fn parts(&self) -> Vec<&[f32]> {
+        vec![&self.parameters]
+    }
+
+    fn parts_mut(&mut self) -> Vec<&mut [f32]> {
+        vec![&mut self.parameters]
     }
 }
 

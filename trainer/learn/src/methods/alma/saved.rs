@@ -1,0 +1,296 @@
+//! What a run counts, and how it is written to a checkpoint and read back.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use sortie_envs::save_the_city::ScenarioSet;
+
+use super::config::Config;
+use super::learner::{Learner, Loss, UpdateReport};
+use super::mixed_network::MixedNetwork;
+use super::mixer::Mixer;
+use super::replay::{RecordLayout, Replay};
+use super::rollout::{EpisodeCounts, InstanceSnapshot};
+use super::team_value::Segments;
+use super::trainer::{Observer, Trainer};
+use super::utility::{UtilityNetwork, UtilityShape};
+use crate::error::LearnError;
+use crate::optimise::Adam;
+use crate::random::Generator;
+use crate::run::checkpoint::{Checkpoint, OpenFor, SavedNetwork};
+use crate::run::{CurvePoint, RunFolder};
+
+/// One value for the agents and one for the allocator.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Level<T> {
+    pub(super) agents: T,
+    pub(super) allocator: T,
+}
+
+/// Sums over the updates since the last evaluation.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(super) struct Updates {
+    pub(super) updates: u64,
+    loss: f64,
+    gradient_norm: f64,
+}
+
+impl Updates {
+    pub(super) fn add(&mut self, report: UpdateReport) {
+        self.updates += 1;
+        self.loss += report.loss;
+        self.gradient_norm += f64::from(report.gradient_norm);
+    }
+
+    pub(super) fn mean_loss(&self) -> f64 {
+        self.loss / self.updates.max(1) as f64
+    }
+
+    pub(super) fn mean_gradient_norm(&self) -> f64 {
+        self.gradient_norm / self.updates.max(1) as f64
+    }
+}
+
+/// What happened since the last evaluation.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(super) struct Window {
+    pub(super) agents: Updates,
+    pub(super) allocator: Updates,
+    pub(super) episodes: EpisodeCounts,
+}
+
+/// Where a run is.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(super) struct Counters {
+    pub(super) env_steps: u64,
+    /// Optimiser steps and decisions before the window.
+    pub(super) updates: Level<u64>,
+    pub(super) decisions: u64,
+    next_update: Level<u64>,
+    pub(super) next_evaluation: u64,
+    pub(super) wall_s: f64,
+    pub(super) cpu_s: f64,
+    pub(super) window: Window,
+    pub(super) curve: Vec<CurvePoint>,
+}
+
+impl Counters {
+    pub(super) fn new(config: &Config) -> Self {
+        Self { next_evaluation: config.run.evaluate_every, ..Self::default() }
+    }
+
+    /// Whether a level has an update to make.
+    pub(super) fn updates_due(&self) -> bool {
+        self.next_update.agents.min(self.next_update.allocator) <= self.env_steps
+    }
+
+    /// Which levels have an update to make; they are taken to have made it.
+    pub(super) fn take_due(&mut self, config: &Config) -> Level<bool> {
+        let take = |next: &mut u64, pause: u64| {
+            let due = *next <= self.env_steps;
+            *next += if due { pause } else { 0 };
+            due
+        };
+        Level {
+            agents: take(&mut self.next_update.agents, config.replay.steps_per_update),
+            allocator: take(
+                &mut self.next_update.allocator,
+                config.allocator.replay.steps_per_update,
+            ),
+        }
+    }
+
+    /// Closes the window: an evaluation was made.
+    pub(super) fn add_point(&mut self, point: CurvePoint) {
+        let Window { agents, allocator, episodes } = std::mem::take(&mut self.window);
+        self.updates.agents += agents.updates;
+        self.updates.allocator += allocator.updates;
+        self.decisions += episodes.decisions;
+        self.curve.push(point);
+    }
+}
+
+/// A checkpoint's state as it is written: what is large is borrowed.
+#[derive(Serialize)]
+struct StateRef<'a> {
+    counters: &'a Counters,
+    adam_steps: Level<u64>,
+    picks: &'a Level<Generator>,
+    instances: Vec<InstanceSnapshot>,
+    /// Parameters of the mixer: online, target and average.
+    mixers: [&'a [f32]; 3],
+    /// Adam's mean and square of the mixer.
+    mixer_adam: [&'a [f32]; 2],
+    records: &'a Replay,
+    segments: Option<&'a Segments>,
+}
+
+/// A checkpoint's state as it is read.
+#[derive(Deserialize)]
+struct State {
+    counters: Counters,
+    adam_steps: Level<u64>,
+    picks: Level<Generator>,
+    instances: Vec<InstanceSnapshot>,
+    mixers: [Vec<f32>; 3],
+    mixer_adam: [Vec<f32>; 2],
+    records: Replay,
+    segments: Option<Segments>,
+}
+
+/// Names of the networks in a checkpoint.
+const AGENTS: &str = "agents";
+const ALLOCATOR: &str = "allocator";
+
+impl Trainer {
+    /// Writes a checkpoint.
+    pub(super) fn save(&self, observer: &mut dyn Observer) -> Result<(), LearnError> {
+        let agents = self.agents.knowledge();
+        let allocator = self.allocator.as_ref().map(|learner| (learner, learner.knowledge()));
+        let mixed = [&agents.online, &agents.target, &self.agents.average];
+        let mut networks =
+            vec![saved(AGENTS, mixed.map(|network| &network.utility), &self.agents.adam)];
+        if let Some((learner, knowledge)) = &allocator {
+            let all = [&knowledge.online, &knowledge.target, &learner.average];
+            networks.push(saved(ALLOCATOR, all, &learner.adam));
+        }
+        let utilities = agents.online.utility.shape().parameters();
+        let state = StateRef {
+            counters: &self.counters,
+            adam_steps: Level {
+                agents: self.agents.adam.steps,
+                allocator: allocator.as_ref().map_or(0, |(learner, _)| learner.adam.steps),
+            },
+            picks: &self.picks,
+            instances: self.rollout.snapshot(),
+            mixers: mixed.map(|network| network.mixer.parameters()),
+            mixer_adam: [
+                &self.agents.adam.mean[utilities..],
+                &self.agents.adam.square[utilities..],
+            ],
+            records: &agents.replay,
+            segments: allocator.as_ref().map(|(_, knowledge)| &knowledge.replay),
+        };
+        let checkpoints = self.folder.checkpoints();
+        observer.saved(&checkpoints.write(self.counters.env_steps, &networks, &state)?);
+        Ok(())
+    }
+
+    /// Continues a run from its newest sound checkpoint, exactly as if it had not been stopped.
+    ///
+    /// `threads` may differ from before; it changes no result. `None` takes as many as before.
+    pub fn resume(folder: &Path, threads: Option<usize>) -> Result<Self, LearnError> {
+        let files = RunFolder::new(folder);
+        let mut description = files.read_description()?;
+        description.threads = threads.unwrap_or(description.threads).max(1);
+        let found = files.checkpoints().newest(OpenFor::Resume)?;
+        let state: State = found.checkpoint.state()?;
+        let misfit = |what: &str| {
+            LearnError::format(folder, format!("the checkpoint's {what} does not fit train.toml"))
+        };
+        let config = &description.config;
+        let set = ScenarioSet::named(&config.environment.set)?;
+        if !state
+            .records
+            .fits(config.replay.capacity, RecordLayout::new(config.network.subtask, &set))
+        {
+            return Err(misfit("replay"));
+        }
+        let fits = |segments: &Segments| segments.fits(config.allocator.replay.capacity);
+        if state.segments.is_some() != config.learns_allocator()
+            || !state.segments.as_ref().is_none_or(fits)
+        {
+            return Err(misfit("allocator"));
+        }
+
+        let mut trainer = Self::start(description, folder)?;
+        trainer.rollout.restore(state.instances)?;
+        trainer.picks = state.picks;
+        trainer.counters = state.counters;
+        let config = trainer.description.config.clone();
+        let shape = config.agent_shape()?;
+        let adam = Adam { steps: state.adam_steps.agents, ..trainer.agents.adam.clone() };
+        let Restored { networks, mut adam } = restored(&found.checkpoint, AGENTS, shape, adam)?;
+        let mixer_shape = config.mixer.shape(shape.input);
+        let [mean, square] = state.mixer_adam;
+        if [&mean, &square].iter().any(|vector| vector.len() != mixer_shape.parameters()) {
+            return Err(misfit("mixer"));
+        }
+        adam.mean.extend(mean);
+        adam.square.extend(square);
+        let mut mixed = Vec::new();
+        for (utility, parameters) in networks.into_iter().zip(state.mixers) {
+            let mixer = Mixer::from_parameters(mixer_shape, parameters);
+            mixed.push(MixedNetwork { utility, mixer: mixer.ok_or_else(|| misfit("mixer"))? });
+        }
+        let mixed = <[MixedNetwork; 3]>::try_from(mixed).map_err(|_| misfit("mixer"))?;
+        put_back(&mut trainer.agents, mixed, adam, state.records);
+        if let (Some(learner), Some(segments)) = (&mut trainer.allocator, state.segments) {
+            let shape = config.allocator.shape();
+            let adam = Adam { steps: state.adam_steps.allocator, ..learner.adam.clone() };
+            let restored = restored(&found.checkpoint, ALLOCATOR, shape, adam)?;
+            put_back(learner, restored.networks, restored.adam, segments);
+        }
+        trainer.refused = found.refused;
+        Ok(trainer)
+    }
+}
+
+/// The vectors of a network and of its optimiser, whose vectors may go on behind its own.
+fn saved<'a>(
+    name: &'static str,
+    [online, target, average]: [&'a UtilityNetwork; 3],
+    adam: &'a Adam,
+) -> SavedNetwork<'a> {
+    let count = online.shape().parameters();
+    SavedNetwork {
+        name,
+        shape: online.shape(),
+        vectors: vec![
+            ("online", online.parameters()),
+            ("target", target.parameters()),
+            ("average", average.parameters()),
+            ("adam-mean", &adam.mean[..count]),
+            ("adam-square", &adam.square[..count]),
+        ],
+    }
+}
+
+/// What a checkpoint holds of a network: online, target and average, and the optimiser.
+struct Restored {
+    networks: [UtilityNetwork; 3],
+    adam: Adam,
+}
+
+/// Reads a network of the shape that the configuration asks for.
+fn restored(
+    checkpoint: &Checkpoint,
+    name: &str,
+    shape: UtilityShape,
+    adam: Adam,
+) -> Result<Restored, LearnError> {
+    if checkpoint.shape(name)? != shape {
+        let reason = format!("its {name} network does not fit train.toml");
+        return Err(LearnError::format(checkpoint.place(), reason));
+    }
+    let network = |vector: &str| checkpoint.network(name, vector);
+    let mean = checkpoint.vector(name, "adam-mean")?;
+    let square = checkpoint.vector(name, "adam-square")?;
+    let networks = [network("online")?, network("target")?, network("average")?];
+    Ok(Restored { networks, adam: Adam { mean, square, ..adam } })
+}
+
+/// Puts a learner back to where it was.
+fn put_back<L: Loss>(
+    learner: &mut Learner<L>,
+    [online, target, average]: [L::Network; 3],
+    adam: Adam,
+    replay: L::Replay,
+) {
+    learner.average = average;
+    learner.adam = adam;
+    let mut knowledge = learner.knowledge_mut();
+    knowledge.online = online;
+    knowledge.target = target;
+    knowledge.replay = replay;
+}
