@@ -4,6 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
+use console::Term;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use sortie_learn::LearnError;
 use sortie_learn::methods::alma::{Config, Observer, Outcome as Ending, Progress, Trainer};
@@ -14,11 +15,12 @@ use crate::environment::ScenarioSetName;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::output::{print_json, warn_of_refused};
 use crate::signals::stop_on_signals;
+use crate::terminal_curve::terminal_curve;
 
 /// Learn a team's policy and write the run to a folder
 ///
 /// Agents and allocator are learned together. The folder gets `train.toml` (the resolved configuration), `curve.json`,
-/// `curve.svg`, checkpoints and, at the end, `result.json`. Ctrl-C writes a checkpoint and stops; `--resume` goes on as if nothing had happened. The same seed gives the same weights.
+/// `curve.csv`, `curve.svg`, an event file for TensorBoard, checkpoints and, at the end, `result.json`. Ctrl-C writes a checkpoint and stops; `--resume` goes on as if nothing had happened. The same seed gives the same weights.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   sortie train alma --out runs/first
@@ -135,9 +137,14 @@ fn usage(error: LearnError) -> Failure {
     Failure::new(Exit::Usage, error.to_string())
 }
 
+/// Lines of the curve below the progress bar.
+const CURVE_HEIGHT: usize = 10;
+
 /// Shows a run while it learns.
 struct Reporter {
     bar: ProgressBar,
+    /// Environment steps and success of the evaluations up to now.
+    curve: Vec<(f64, f64)>,
     common: Common,
 }
 
@@ -152,11 +159,29 @@ impl Reporter {
             "{bar:30} {percent:>3} % of {human_len} steps, {eta} left, {msg}",
         );
         bar.set_style(style.expect("the template is a constant"));
-        bar.set_message("success not measured yet");
         bar.set_position(trainer.env_steps());
         bar.reset_eta();
-        Self { bar, common }
+        let curve = trainer.curve().iter().map(place).collect();
+        let reporter = Self { bar, curve, common };
+        reporter.show_curve();
+        reporter
     }
+
+    /// Puts the newest success beside the progress bar and the curve below it.
+    fn show_curve(&self) {
+        let Some((_, success)) = self.curve.last() else {
+            self.bar.set_message("success not measured yet");
+            return;
+        };
+        let width = usize::from(Term::stderr().size().1);
+        let mut lines = vec![format!("success {success:.3}")];
+        lines.extend(terminal_curve(&self.curve, width, CURVE_HEIGHT));
+        self.bar.set_message(lines.join("\n"));
+    }
+}
+
+fn place(point: &CurvePoint) -> (f64, f64) {
+    (point.env_steps as f64, point.success)
 }
 
 impl Observer for Reporter {
@@ -165,7 +190,8 @@ impl Observer for Reporter {
     }
 
     fn evaluated(&mut self, point: &CurvePoint) {
-        self.bar.set_message(format!("success {:.3}", point.success));
+        self.curve.push(place(point));
+        self.show_curve();
         if self.common.json {
             print_json(point);
         } else if !self.common.quiet {

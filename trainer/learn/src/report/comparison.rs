@@ -262,6 +262,7 @@ pub(super) mod tests {
             (name.to_string(), TeamSuccess { episodes: 10, solved: *solved })
         };
         run.result = Some(FinalResult {
+            allocation: Some("random".to_owned()),
             episodes: 10 * teams.len(),
             success,
             return_mean: None,

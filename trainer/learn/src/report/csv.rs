@@ -7,7 +7,8 @@ use super::Row;
 
 /// One line of names, then one line per record; see [`Row`] for the names.
 ///
-/// A record that lacks a cell which another has leaves it empty, and so does null.
+/// A record that lacks a cell which another has leaves it empty, and so does null. Where a part with cells
+/// of its own is null in some records, it has no column besides those.
 pub fn to_csv(records: &[impl Serialize]) -> serde_json::Result<String> {
     let rows = records.iter().map(Row::of).collect::<Result<Vec<_>, _>>()?;
     let mut names = Vec::new();
@@ -16,6 +17,12 @@ pub fn to_csv(records: &[impl Serialize]) -> serde_json::Result<String> {
             names.push(name);
         }
     }
+    let parts: Vec<&str> = names.clone();
+    let is_part = |name: &str| {
+        parts.iter().any(|other| other.strip_prefix(name).is_some_and(|rest| rest.starts_with('_')))
+    };
+    let is_null = |name: &str| rows.iter().all(|row| row.cell(name).is_none_or(Value::is_null));
+    names.retain(|name| !(is_part(name) && is_null(name)));
     let mut text = line(names.iter().map(|name| quoted(name)));
     for row in &rows {
         text += &line(names.iter().map(|name| row.cell(name).map_or(String::new(), field)));
@@ -66,5 +73,19 @@ mod tests {
                         plain,0.1,,\n\
                         \"a, \"\"b\"\"\",1.0,2.0,3\n";
         assert_eq!(to_csv(&records).unwrap(), expected);
+    }
+
+    #[test]
+    fn a_part_that_is_null_in_some_records_has_no_column_of_its_own() {
+        #[derive(Serialize)]
+        struct Outer {
+            part: Option<Part>,
+        }
+        #[derive(Serialize)]
+        struct Part {
+            a: u8,
+        }
+        let records = [Outer { part: None }, Outer { part: Some(Part { a: 1 }) }];
+        assert_eq!(to_csv(&records).unwrap(), "part_a\n\n1\n");
     }
 }

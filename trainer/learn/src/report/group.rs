@@ -118,7 +118,7 @@ pub(super) mod tests {
         };
         RunRecord {
             folder: format!("made-up-s{seed}").into(),
-            method: None,
+            description: toml::Table::new(),
             seed: Some(seed),
             environment: None,
             curve: curve.iter().map(point).collect(),

@@ -59,8 +59,7 @@ mod tests {
 
     #[test]
     fn success_by_team_needs_final_evaluations() {
-        let always =
-            ["curves-steps.svg", "curves-cpu.svg", "table.md", "table.csv", "table.json"];
+        let always = ["curves-steps.svg", "curves-cpu.svg", "table.md", "table.csv", "table.json"];
         assert_eq!(names(&[group("a", vec![run(1, &[(10.0, 0.5)])])]), always);
         let with_teams = names(&[group("a", vec![evaluated(1, 0.5, &[("ab", 5)])])]);
         assert_eq!(with_teams[5..], ["teams.svg", "teams.csv"]);

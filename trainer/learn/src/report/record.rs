@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::Row;
 use crate::error::LearnError;
@@ -22,8 +22,8 @@ const DESCRIPTION: &str = "train.toml";
 pub struct RunRecord {
     /// Its folder.
     pub folder: PathBuf,
-    /// The algorithm, where the run says so.
-    pub method: Option<String>,
+    /// How it learns, as `train.toml` has it; empty where there is no such file.
+    pub description: toml::Table,
     /// Its seed, where the run or the name of its folder says so.
     pub seed: Option<u64>,
     /// Environment and scenario set, where the run says so.
@@ -50,8 +50,10 @@ pub struct Point {
 }
 
 /// The evaluation of the learned team on fresh episodes: `result.json`.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FinalResult {
+    /// Who allocated.
+    pub allocation: Option<String>,
     /// Episodes played.
     pub episodes: usize,
     /// Share of episodes with all buildings complete.
@@ -85,7 +87,6 @@ impl RunRecord {
         let environment = description.get("environment").and_then(toml::Value::as_table);
         let seed = description.get("seed").and_then(toml::Value::as_integer);
         Ok(Self {
-            method: text(&description, "method"),
             seed: seed.and_then(|seed| u64::try_from(seed).ok()).or(split_seed(&name(folder)).1),
             environment: environment.and_then(|table| {
                 Some(format!("{}/{}", text(table, "name")?, text(table, "set")?))
@@ -93,6 +94,7 @@ impl RunRecord {
             curve,
             rows,
             result: read_result(&folder.join(RESULT))?,
+            description,
             folder: folder.to_owned(),
         })
     }
@@ -226,7 +228,7 @@ mod tests {
     fn a_curve_alone_is_a_run() {
         let (_place, folder) = run("other-s12", &[(CURVE, LINES)]);
         let record = RunRecord::open(&folder).unwrap();
-        assert_eq!((record.seed, record.method.as_deref()), (Some(12), None));
+        assert_eq!((record.seed, record.description.len()), (Some(12), 0));
         assert_eq!(record.success(), 0.5);
     }
 

@@ -6,7 +6,7 @@
 use std::fmt;
 
 use serde::de::{Deserialize, Deserializer, Error, MapAccess, SeqAccess, Visitor};
-use serde::{Serialize, ser};
+use serde::{Serialize, Serializer, ser};
 use serde_json::Value;
 
 /// A record, its nested parts flattened into cells, in the order of its fields.
@@ -52,6 +52,12 @@ impl Row {
     /// All cells that are numbers.
     pub fn numbers(&self) -> impl Iterator<Item = (&str, f64)> {
         self.cells().filter_map(|(name, value)| Some((name, value.as_f64()?)))
+    }
+}
+
+impl Serialize for Row {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_map(self.cells())
     }
 }
 

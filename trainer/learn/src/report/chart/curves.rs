@@ -14,6 +14,9 @@ use crate::report::{Axis, Group, Sample};
 
 const HEIGHT: u32 = 680;
 const LABEL_SIZE: i32 = 20;
+const CAPTION_HEIGHT: i32 = 44;
+const CAPTION: &str = "Lines: mean of the runs. Bands: from the worst run to the best. \
+                       Between evaluations and after its end, a run counts with its last value.";
 /// Length of the line beside a label.
 const KEY: i32 = 52;
 /// Pixels between the lines of the legend.
@@ -28,9 +31,19 @@ pub fn curves(title: &str, groups: &[Group], axis: Axis) -> Result<String, Learn
     picture(HEIGHT, title, |canvas| {
         let (_, below) = canvas.split_vertically(TITLE_HEIGHT);
         let (width, _) = below.dim_in_pixel();
+        let (below, caption) =
+            below.split_vertically(HEIGHT as i32 - TITLE_HEIGHT - CAPTION_HEIGHT);
         let (plot, legend) = below.split_horizontally(width as i32 - legend_width(groups));
         draw_plot(&plot, &curves, &scale)?;
-        draw_legend(&legend, groups)
+        draw_legend(&legend, groups)?;
+        text(
+            &caption,
+            CAPTION,
+            (MARGIN, CAPTION_HEIGHT / 2 - 6),
+            LABEL_SIZE - 4,
+            FAINT_INK,
+            HPos::Left,
+        )
     })
 }
 
@@ -65,12 +78,12 @@ impl Scale {
 
 fn draw_plot(plot: &Canvas<'_>, curves: &[Vec<Sample>], scale: &Scale) -> Drawn {
     let mut chart = ChartBuilder::on(plot)
-        .margin_left(MARGIN - 12)
+        .margin_left(MARGIN - 8)
         .margin_right(MARGIN)
-        .margin_bottom(16)
+        .margin_bottom(8)
         .margin_top(8)
-        .x_label_area_size(74)
-        .y_label_area_size(84)
+        .x_label_area_size(66)
+        .y_label_area_size(80)
         .build_cartesian_2d(0.0..scale.of(scale.end), 0.0..1.0)?;
     chart
         .configure_mesh()
@@ -80,7 +93,7 @@ fn draw_plot(plot: &Canvas<'_>, curves: &[Vec<Sample>], scale: &Scale) -> Drawn 
         .axis_style(FAINT_INK)
         .x_desc(&scale.name)
         .y_desc("share of solved episodes")
-        .x_labels(8)
+        .x_labels(11)
         .y_labels(6)
         .x_label_formatter(&|x| (scale.label)(*x))
         .y_label_formatter(&|share| format!("{share:.1}"))
@@ -114,7 +127,7 @@ fn draw_plot(plot: &Canvas<'_>, curves: &[Vec<Sample>], scale: &Scale) -> Drawn 
 fn runs(group: &Group) -> String {
     match group.runs.len() {
         1 => "1 run".to_owned(),
-        count => format!("mean and range of {count} runs"),
+        count => format!("{count} runs"),
     }
 }
 
@@ -150,9 +163,7 @@ mod tests {
     #[test]
     fn every_label_has_its_line_and_only_several_seeds_a_band() {
         let svg = curves("A title", &groups(), Axis::Steps).unwrap();
-        for part in
-            ["A title", "first &amp; best", "mean and range of 2 runs", "1 run", "200 k", "</svg>"]
-        {
+        for part in ["A title", "first &amp; best", "2 runs", "1 run", "200 k", "</svg>"] {
             assert!(svg.contains(part), "no `{part}`");
         }
         assert_eq!(svg.matches("<polygon").count(), 1);
