@@ -5,21 +5,25 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::HPos;
 
 use super::{
-    Canvas, Drawn, FAINT_INK, GRID, INK, MARGIN, TITLE_HEIGHT, colour, dash, picture, stroke, text,
-    text_width,
+    Canvas, Drawn, FAINT_INK, GRID, INK, MARGIN, TITLE_HEIGHT, colour, dash, fitting, picture,
+    stroke, text, text_width,
 };
 use crate::error::LearnError;
 use crate::report::numbers::{TimeUnit, count};
 use crate::report::{Axis, Group, Sample};
 
-const HEIGHT: u32 = 680;
+/// Height of a picture whose legend is not longer than that.
+const HEIGHT: i32 = 680;
 const LABEL_SIZE: i32 = 20;
 const CAPTION_HEIGHT: i32 = 44;
 const CAPTION: &str = "Lines: mean of the runs. Bands: from the worst run to the best. \
                        Between evaluations and after its end, a run counts with its last value.";
+/// The widest label at its usual size.
+const LABEL_ROOM: i32 = 420;
 /// Length of the line beside a label.
 const KEY: i32 = 52;
-/// Pixels between the lines of the legend.
+/// Pixels above the legend, and between its lines.
+const LEGEND_TOP: i32 = 34;
 const LEGEND_STEP: i32 = 58;
 
 /// Draws mean success against environment steps or processor time, one line per group, with the range
@@ -28,11 +32,12 @@ pub fn curves(title: &str, groups: &[Group], axis: Axis) -> Result<String, Learn
     let curves: Vec<Vec<Sample>> = groups.iter().map(|group| group.curve(axis)).collect();
     let last = curves.iter().filter_map(|curve| curve.last()).map(|sample| sample.x);
     let scale = Scale::new(axis, last.fold(0.0, f64::max));
-    picture(HEIGHT, title, |canvas| {
+    let legend_height = LEGEND_TOP + LEGEND_STEP * groups.len() as i32;
+    let height = HEIGHT.max(TITLE_HEIGHT + legend_height + CAPTION_HEIGHT);
+    picture(height as u32, title, |canvas| {
         let (_, below) = canvas.split_vertically(TITLE_HEIGHT);
         let (width, _) = below.dim_in_pixel();
-        let (below, caption) =
-            below.split_vertically(HEIGHT as i32 - TITLE_HEIGHT - CAPTION_HEIGHT);
+        let (below, caption) = below.split_vertically(height - TITLE_HEIGHT - CAPTION_HEIGHT);
         let (plot, legend) = below.split_horizontally(width as i32 - legend_width(groups));
         draw_plot(&plot, &curves, &scale)?;
         draw_legend(&legend, groups)?;
@@ -132,19 +137,18 @@ fn runs(group: &Group) -> String {
 }
 
 fn legend_width(groups: &[Group]) -> i32 {
-    let widths = groups.iter().map(|group| {
-        text_width(&group.label, LABEL_SIZE).max(text_width(&runs(group), LABEL_SIZE - 4))
-    });
-    let widest = widths.max().unwrap_or(0).min(420);
+    let widths = groups.iter().map(|group| text_width(&group.label, LABEL_SIZE));
+    let widest = widths.max().unwrap_or(0).clamp(80, LABEL_ROOM);
     KEY + 14 + widest + MARGIN
 }
 
 fn draw_legend(legend: &DrawingArea<SVGBackend<'_>, Shift>, groups: &[Group]) -> Drawn {
     for (index, group) in groups.iter().enumerate() {
-        let middle = 34 + LEGEND_STEP * index as i32;
+        let middle = LEGEND_TOP + LEGEND_STEP * index as i32;
         stroke(legend, vec![(0, middle), (KEY, middle)], index)?;
         let place = |below| (KEY + 14, middle + below);
-        text(legend, &group.label, place(0), LABEL_SIZE, INK, HPos::Left)?;
+        let size = fitting(&group.label, LABEL_SIZE, LABEL_ROOM);
+        text(legend, &group.label, place(0), size, INK, HPos::Left)?;
         text(legend, &runs(group), place(23), LABEL_SIZE - 4, FAINT_INK, HPos::Left)?;
     }
     Ok(())

@@ -34,7 +34,7 @@ const COLOURS: [RGBColor; 7] = [
     RGBColor(0xd5, 0x5e, 0x00),
     RGBColor(0x00, 0x9e, 0x73),
     RGBColor(0xcc, 0x79, 0xa7),
-    RGBColor(0x22, 0x22, 0x22),
+    RGBColor(0x66, 0x66, 0x66),
     RGBColor(0x56, 0xb4, 0xe9),
     RGBColor(0xe6, 0x9f, 0x00),
 ];
@@ -72,7 +72,8 @@ fn picture(
 
 fn begin(canvas: &Canvas<'_>, title: &str) -> Drawn {
     canvas.fill(&WHITE)?;
-    text(canvas, title, (MARGIN, TITLE_HEIGHT / 2), 28, INK, HPos::Left)
+    let size = fitting(title, 28, WIDTH as i32 - 2 * MARGIN);
+    text(canvas, title, (MARGIN, TITLE_HEIGHT / 2), size, INK, HPos::Left)
 }
 
 /// One line of text, vertically centred at a place.
@@ -92,7 +93,12 @@ fn text(
 
 /// Pixels that a text takes at most, since the font is the reader's.
 fn text_width(line: &str, size: i32) -> i32 {
-    (line.chars().count() as f64 * f64::from(size) * 0.62).ceil() as i32
+    (line.chars().count() as f64 * f64::from(size) * 0.6).ceil() as i32
+}
+
+/// The size, or the largest one below it at which a text fits into so many pixels.
+fn fitting(line: &str, size: i32, room: i32) -> i32 {
+    (1..=size).rev().find(|size| text_width(line, *size) <= room).unwrap_or(1)
 }
 
 /// Line of a label: whole or dashed.
