@@ -15,7 +15,7 @@ const BITS: [[u8; 4]; 2] = [[0x01, 0x02, 0x04, 0x40], [0x08, 0x10, 0x20, 0x80]];
 /// Too little room gives no line at all.
 pub(crate) fn terminal_curve(points: &[(f64, f64)], width: usize, height: usize) -> Vec<String> {
     let Some((end, _)) = points.last() else { return Vec::new() };
-    if width < LEFT + 24 || height < 5 {
+    if width < LEFT + 30 || height < 5 {
         return Vec::new();
     }
     let mut plot = Plot::new(width - LEFT, height - 2);
@@ -79,7 +79,8 @@ impl Plot {
         let line = |(row, cells): (usize, &[u8])| {
             let label = labels.iter().find(|(other, _)| *other == row);
             let left = label.map_or("    │".to_owned(), |(_, share)| format!("{share:.1} ┤"));
-            left + &cells.iter().map(|cell| braille(*cell)).collect::<String>()
+            let dots: String = cells.iter().map(|cell| braille(*cell)).collect();
+            left + dots.trim_end()
         };
         self.cells.chunks(self.width).enumerate().map(line).collect()
     }
@@ -111,16 +112,15 @@ mod tests {
 
     #[test]
     fn a_rising_curve_goes_from_the_lower_left_to_the_upper_right() {
-        let lines = terminal_curve(&[(0.0, 0.0), (1e6, 1.0)], 40, 8);
+        let lines = terminal_curve(&[(0.0, 0.0), (1e6, 1.0)], 40, 7);
         let expected = "\
-1.0 ┤                               ⢀⣀⠤⠔⠊⠉
-    │                         ⢀⣀⠤⠔⠒⠉⠁     
-0.5 ┤                   ⢀⣀⠤⠔⠒⠉⠁           
-    │             ⢀⣀⠤⠔⠒⠉⠁                 
-    │       ⢀⣀⠤⠔⠒⠉⠁                       
-0.0 ┤⣀⣀⠤⠔⠒⠉⠁                              
-    └─────────────────┴─────────────────┴
-     0              500 k        1 M steps";
+1.0 ┤                            ⢀⣀⡤⠤⠖⠒⠋
+    │                     ⣀⣀⡤⠤⠖⠚⠉⠉
+0.5 ┤              ⣀⣠⠤⠴⠒⠚⠉⠁
+    │      ⢀⣀⣠⠤⠖⠒⠋⠉⠁
+0.0 ┤⣀⡤⠤⠖⠒⠋⠉
+    └─────────────────┴────────────────┴
+     0              500 k      1 M steps";
         assert_eq!(lines.join("\n"), expected, "\n{}", lines.join("\n"));
     }
 
@@ -128,7 +128,7 @@ mod tests {
     fn every_line_fits() {
         let points: Vec<(f64, f64)> =
             (1..200).map(|i| (f64::from(i) * 5e3, f64::from(i * 37 % 100) / 99.0)).collect();
-        for (width, height) in [(29, 5), (80, 10), (211, 12)] {
+        for (width, height) in [(35, 5), (80, 11), (211, 12)] {
             let lines = terminal_curve(&points, width, height);
             assert_eq!(lines.len(), height);
             assert!(lines.iter().all(|line| line.chars().count() <= width), "{}", lines.join("\n"));

@@ -14,7 +14,7 @@ use crate::terminal_curve::terminal_curve;
 /// Evaluations that the table shows.
 const SHOWN: usize = 8;
 /// Lines of the curve.
-const CURVE_HEIGHT: usize = 10;
+const CURVE_HEIGHT: usize = 11;
 
 #[derive(Serialize)]
 struct RunFacts<'a> {
@@ -46,7 +46,7 @@ pub(super) fn inspect(folder: &Path, json: bool) -> Outcome {
     let points: Vec<(f64, f64)> =
         run.curve().iter().map(|point| (point.env_steps, point.success)).collect();
     for line in terminal_curve(&points, usize::from(Term::stdout().size().1), CURVE_HEIGHT) {
-        println!("{}", line.trim_end());
+        println!("{line}");
     }
     print_result(&run);
     Ok(())

@@ -10,7 +10,7 @@ use crate::output::print_json;
 use crate::terminal_curve::terminal_curve;
 
 /// Lines of the curve below the progress bar.
-const CURVE_HEIGHT: usize = 10;
+const CURVE_HEIGHT: usize = 11;
 
 /// Shows a run while it learns.
 pub(super) struct Reporter {

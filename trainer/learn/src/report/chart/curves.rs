@@ -116,15 +116,16 @@ fn draw_plot(plot: &Canvas<'_>, curves: &[Vec<Sample>], scale: &Scale) -> Drawn 
         }
     }
     for (index, curve) in curves.iter().enumerate() {
-        let mean = curve.iter().map(|sample| (scale.of(sample.x), sample.mean));
-        let style = colour(index).stroke_width(4);
+        let at = |sample: &Sample| (scale.of(sample.x), sample.mean);
+        let (mean, style) = (curve.iter().map(at), colour(index).stroke_width(4));
         match dash(index) {
-            None => chart.draw_series(LineSeries::new(mean.clone(), style))?,
+            None => chart.draw_series(LineSeries::new(mean, style))?,
             Some((drawn, left_out)) => {
-                chart.draw_series(DashedLineSeries::new(mean.clone(), drawn, left_out, style))?
+                chart.draw_series(DashedLineSeries::new(mean, drawn, left_out, style))?
             }
         };
-        chart.draw_series(mean.last().map(|end| Circle::new(end, 6, colour(index).filled())))?;
+        let end = curve.last().map(at);
+        chart.draw_series(end.map(|end| Circle::new(end, 6, colour(index).filled())))?;
     }
     Ok(())
 }

@@ -107,7 +107,7 @@ fn stroke(canvas: &Canvas<'_>, points: Vec<(i32, i32)>, index: usize) -> Drawn {
     match dash(index) {
         None => canvas.draw(&PathElement::new(points, style)),
         Some((drawn, left_out)) => {
-            canvas.draw(&DashedPathElement::new(points.into_iter(), drawn, left_out, style))
+            canvas.draw(&DashedPathElement::new(points, drawn, left_out, style))
         }
     }
 }
