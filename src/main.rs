@@ -19,6 +19,7 @@ mod signals;
 mod subject;
 mod train;
 mod verify;
+mod view;
 mod worlds;
 
 use std::process::ExitCode;

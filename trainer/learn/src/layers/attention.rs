@@ -5,6 +5,8 @@
 //! A query that sees nothing gets a zero vector. Invisible entities are never touched, which is exact
 //! because their weight is zero.
 
+use std::ops::Range;
+
 /// For each query the rows that it sees.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VisibleLists {
@@ -51,10 +53,15 @@ impl VisibleLists {
         self.span(query).1.iter().map(|row| *row as usize)
     }
 
+    /// The places of a query's pairs among the pairs of all lists.
+    pub fn range(&self, query: usize) -> Range<usize> {
+        self.ends[query] as usize..self.ends[query + 1] as usize
+    }
+
     /// Where a query's pairs begin, and its rows.
     fn span(&self, query: usize) -> (usize, &[u32]) {
-        let (start, end) = (self.ends[query] as usize, self.ends[query + 1] as usize);
-        (start, &self.rows[start..end])
+        let range = self.range(query);
+        (range.start, &self.rows[range])
     }
 }
 

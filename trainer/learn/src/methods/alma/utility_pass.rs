@@ -108,6 +108,14 @@ impl UtilityPass {
         utilities
     }
 
+    /// The attention weights `[visible, heads]` of one query in the last forward pass, in the order of
+    /// its visible list.
+    pub fn attention(&self, visible: &VisibleLists, query: usize) -> &[f32] {
+        let heads = self.shape.heads;
+        let pairs = visible.range(query);
+        &self.weights[pairs.start * heads..pairs.end * heads]
+    }
+
     /// Adds to `gradient` (all parameters) the gradient of a loss whose slope by the utilities of the
     /// last forward pass is `d_utilities [queries, U]`.
     pub fn backward(
