@@ -69,14 +69,6 @@ impl Allocation {
         }
     }
 
-    pub(crate) fn of_rule(rule: AllocationRule) -> Self {
-        match rule {
-            AllocationRule::Coordinated => Self::Coordinated,
-            AllocationRule::Heuristic => Self::Heuristic,
-            AllocationRule::Random => Self::Random,
-        }
-    }
-
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Coordinated => "coordinated",

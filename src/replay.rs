@@ -50,7 +50,10 @@ pub(crate) fn run(arguments: &ReplayArguments) -> Outcome {
             if report.mismatches.is_empty() { "all equal" } else { "DIFFERENT" }
         );
     }
-    report.mismatches.first().map_or(Ok(()), |first| Err(difference(first, report.mismatches.len())))
+    report
+        .mismatches
+        .first()
+        .map_or(Ok(()), |first| Err(difference(first, report.mismatches.len())))
 }
 
 /// The first of so many differences, as a failure.

@@ -1,5 +1,6 @@
 //! `sortie view`: one episode as a page to look at, step by step.
 
+mod allocator;
 mod capture;
 mod data;
 mod episode;
@@ -12,9 +13,10 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde::Serialize;
+use sortie_envs::save_the_city::golden::Playback;
 use sortie_envs::save_the_city::{ACTION_NAMES, DecisionPoints, SIDE, SaveTheCity};
 use sortie_learn::LearnError;
-use sortie_learn::evaluate::{EvaluationPlan, Scene, ScriptedActors, Team};
+use sortie_learn::evaluate::{Allocate, EvaluationPlan, Scene, ScriptedActors, Team};
 use sortie_learn::methods::alma::NetworkPolicy;
 
 use crate::arguments::{Allocation, Common};
@@ -23,10 +25,12 @@ use crate::failure::{Exit, Failure, Outcome};
 use crate::output::{plural, print_json};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::subject::Subject;
+use allocator::{Assigner, LearnedAllocator};
 use capture::{Captured, Thinker, capture};
 use data::Page;
-use episode::{Played, Recorded};
+use episode::{Played, Replayed, open_recording};
 use mind::DeployedMind;
+use values::TeamValueProbe;
 
 /// Look at one episode: where everybody is, who is assigned where, what each agent computes
 ///
@@ -48,7 +52,7 @@ pub(crate) struct ViewArguments {
     /// Environment and scenario set; default: those of the subject
     #[arg(long, value_name = "ENV[/SET]")]
     env: Option<String>,
-    /// Who assigns agents to subtasks; default: coordinated, or what the recording says
+    /// Who assigns agents to subtasks; default: what the run learned or the recording says, else coordinated
     #[arg(long, value_enum)]
     allocation: Option<Allocation>,
     /// Show what this run or bundle computes in a recorded episode
@@ -93,18 +97,20 @@ fn played_page(arguments: &ViewArguments) -> Result<Page, Failure> {
     if let Subject::Bundle(bundle) = &subject {
         environment::check_fits(bundle, &plan.set)?;
     }
-    let allocation = arguments.allocation.unwrap_or(Allocation::Coordinated);
-    let mut allocator = allocation.rule();
-    let mut played = Played { plan: &plan, allocator: &mut allocator };
+    let asked = arguments.allocation.map(Assigner::Rule);
+    let assigner = asked.unwrap_or_else(|| Assigner::of_subject(&subject));
+    let mut allocator = assigner.allocator();
+    let mut played = Played { plan: &plan, allocator: allocator.as_mut() };
+    let probe = LearnedAllocator::of(Some(&subject)).map(TeamValueProbe::new);
     let captured = think(Some(&subject), arguments.common.seed, |thinker| {
-        capture(&mut played, thinker, None, plan.interval)
+        capture(&mut played, thinker, probe, plan.interval)
     })?;
     let mut notes = Vec::new();
     if matches!(subject, Subject::Scripted) {
         notes.push("The scripted low level has no network: no utilities, no attention.".into());
     }
     Ok(Page {
-        allocation: Some(allocation.name().into()),
+        allocation: Some(assigner.name().into()),
         env: set.to_string(),
         episode: Some((arguments.common.seed, number)),
         notes,
@@ -117,28 +123,30 @@ fn recorded_page(arguments: &ViewArguments, file: &Path) -> Result<Page, Failure
     if arguments.episode.is_some() || arguments.env.is_some() {
         return Err(usage("--episode and --env choose what is played, but this is a recording"));
     }
-    let mut recorded = Recorded::open(file)?;
-    match arguments.allocation {
-        Some(Allocation::Random) => {
-            return Err(usage("a random allocation cannot be computed again from a recording"));
-        }
-        Some(allocation) => recorded.set_rule(allocation.rule()),
-        None => {}
+    if arguments.allocation == Some(Allocation::Random) {
+        return Err(usage("a random allocation cannot be computed again from a recording"));
     }
+    let mut playback = open_recording(file)?;
     let subject = arguments.policy.as_deref().map(Subject::find).transpose()?;
-    let world = recorded.playback().world();
+    let world = playback.world();
     if let Some(Subject::Bundle(bundle)) = &subject {
         environment::check_fits(bundle, world.scenario_set())?;
     }
     let (env, episode_limit) = (environment_of(world), world.constants().episode_limit);
-    let name = recorded.playback().labels().name.clone();
-    let notes = notes_on_recording(&recorded, arguments.policy.as_deref());
-    let allocation = recorded.rule().map(Allocation::of_rule);
+    let learned = LearnedAllocator::of(subject.as_ref());
+    let asked = arguments.allocation.map(Assigner::Rule);
+    let assigner = asked.or_else(|| Assigner::of_label(&playback.labels().policy, learned));
+    let name = playback.labels().name.clone();
+    let notes = notes_on_recording(&playback, assigner, arguments.policy.as_deref());
+    let mut allocator = assigner.map(Assigner::allocator);
+    let allocator = allocator.as_mut().map(|allocator| allocator.as_mut() as &mut dyn Allocate);
+    let mut replayed = Replayed { playback: &mut playback, allocator };
+    let probe = learned.map(TeamValueProbe::new);
     let captured = think(subject.as_ref(), arguments.common.seed, |thinker| {
-        capture(&mut recorded, thinker, None, DecisionPoints::ACTION_LENGTH)
+        capture(&mut replayed, thinker, probe, DecisionPoints::ACTION_LENGTH)
     })?;
     Ok(Page {
-        allocation: allocation.map(|allocation| allocation.name().into()),
+        allocation: assigner.map(|assigner| assigner.name().into()),
         env,
         notes,
         episode_limit,
@@ -146,14 +154,25 @@ fn recorded_page(arguments: &ViewArguments, file: &Path) -> Result<Page, Failure
     })
 }
 
-fn notes_on_recording(recorded: &Recorded, policy: Option<&str>) -> Vec<String> {
-    let acting = &recorded.playback().labels().policy;
+fn notes_on_recording(
+    playback: &Playback,
+    assigner: Option<Assigner<'_>>,
+    policy: Option<&str>,
+) -> Vec<String> {
+    let acting = &playback.labels().policy;
     let mut notes = vec![format!("A recording of: {acting}.")];
-    notes.push(match recorded.rule() {
-        Some(_) => "Recordings hold no allocation; it is computed again by its rule.".into(),
-        None => "The recording does not say who was assigned where; --allocation RULE adds a rule's \
+    notes.push(match assigner {
+        Some(assigner) => {
+            format!(
+                "Recordings hold no allocation; here it is computed again: {}.",
+                assigner.name()
+            )
+        }
+        None => {
+            "The recording does not say who was assigned where; --allocation RULE adds a rule's \
                  allocation."
-            .into(),
+                .into()
+        }
     });
     notes.push(match policy {
         Some(policy) => {

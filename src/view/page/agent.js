@@ -45,7 +45,7 @@ function showUtilities(rows, view, state) {
   const utilities = state.thoughts?.[view.agent].utilities;
   const [low, high] = utilities ? [Math.min(...utilities), Math.max(...utilities)] : [0, 1];
   byId("utilities-range").textContent = utilities
-    ? `bars from ${low.toFixed(2)} to ${high.toFixed(2)}`
+    ? `bars from ${fixed(low)} to ${fixed(high)}`
     : "none known in this state";
   const taken = actionOf(view.at, view.agent);
   const best = utilities && bestAction(state, view.agent);
@@ -54,7 +54,7 @@ function showUtilities(rows, view, state) {
     element.classList.toggle("unavailable", !available);
     element.classList.toggle("taken", action === taken);
     bar.style.width = utilities ? `${2 + (98 * (utilities[action] - low)) / (high - low || 1)}%` : "0";
-    value.textContent = utilities ? utilities[action].toFixed(2) : "";
+    value.textContent = utilities ? fixed(utilities[action]) : "";
     const notes = [];
     if (action === taken) {
       notes.push("taken");

@@ -8,6 +8,7 @@ function createBuildingPanel(select) {
     return row;
   });
   byId("buildings").append(...rows.map((row) => row.element));
+  byId("buildings").classList.toggle("many", rows.length > 8);
 
   return function showBuildings(view) {
     const state = episode.states[view.at];
@@ -40,9 +41,9 @@ function createBuildingRow({ name }) {
         const { name: agentName, kind } = episode.agents[agent];
         return html("span", { class: `chip ${kind}` }, agentName);
       }));
-      const team_text = members.length ? `team ${members.map(entityName).join(" ")}` : "nobody assigned";
-      const [health_text, fire_text] = [state.health[building], state.fire[building]].map(percent);
-      element.setAttribute("aria-label", `building ${name}, ${word}, health ${health_text} percent, fire ${fire_text} percent, ${team_text}`);
+      const crew = members.length ? `team ${members.map(entityName).join(" ")}` : "nobody assigned";
+      const [whole, ablaze] = [state.health[building], state.fire[building]].map(percent);
+      element.setAttribute("aria-label", `building ${name}, ${word}, health ${whole} percent, fire ${ablaze} percent, ${crew}`);
     },
   };
 }
@@ -53,12 +54,11 @@ function buildingFacts(view, state) {
   const earned = episode.steps.slice(0, view.at).map((step) => step.task_rewards[building]);
   const facts = [
     ["health, fire", `${percent(state.health[building])} %, ${percent(state.fire[building])} %`],
-    ["rewarded, last step", signed(earned.at(-1) ?? 0)],
-    ["rewarded so far", signed(earned.reduce((sum, reward) => sum + reward, 0))],
+    ["rewarded", `${signed(earned.at(-1) ?? 0)} last step, ${signed(earned.reduce((sum, reward) => sum + reward, 0))} in all`],
   ];
   if (state.status[building] === 0) {
     const { period } = episode.buildings[building];
-    facts.push(["ignites again in", `${state.next_fire[building]} steps (every ${period}; hidden from agents)`]);
+    facts.push(["ignition in", `${state.next_fire[building]} of ${period} steps (hidden from agents)`]);
   }
   return facts;
 }
@@ -84,6 +84,6 @@ function showValues(view, state) {
     const bar = html("div", { class: "bar" });
     bar.style.width = `${2 + (98 * (value - low)) / (high - low || 1)}%`;
     const label = html("th", { scope: "row" }, name, ...(note ? [html("small", {}, note)] : []));
-    return html("tr", note ? { class: "taken" } : {}, label, html("td", { class: "track" }, bar), html("td", { class: "number" }, value.toFixed(2)));
+    return html("tr", note ? { class: "taken" } : {}, label, html("td", { class: "track" }, bar), html("td", { class: "number" }, fixed(value)));
   }));
 }

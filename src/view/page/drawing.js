@@ -42,7 +42,7 @@ function sign(name, scale = 1) {
 }
 
 /** The shape of an agent's kind, so that colour is never needed to tell kinds apart. */
-function agentShape(kind, radius = 15) {
+function agentShape(kind, radius = 16) {
   const r = radius;
   if (kind === "firefighter") {
     return svg("circle", { r, class: "body" });

@@ -55,10 +55,18 @@ function mean(numbers) {
   return numbers.reduce((sum, number) => sum + number, 0) / numbers.length;
 }
 
-/** "+0.25", "-1.2", "0". */
+/** Two decimals, with a real minus sign. */
+function fixed(number) {
+  return number.toFixed(2).replace("-", "−").replace("−0.00", "0.00");
+}
+
+/** "+0.25", "−1.20", "0". */
 function signed(number) {
-  const text = String(Math.round(number * 100) / 100);
-  return number > 0 && text !== "0" ? `+${text}` : text.replace("-", "−");
+  const text = fixed(number);
+  if (text === "0.00") {
+    return "0";
+  }
+  return number > 0 ? `+${text}` : text;
 }
 
 function percent(share) {

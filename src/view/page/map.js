@@ -1,7 +1,7 @@
 // The map: north is up.
 
 const CELL = 40;
-const HOUSE = 34;
+const HOUSE = 35;
 
 function place([x, y]) {
   return [(x + 0.5) * CELL, (episode.side - y - 0.5) * CELL];
@@ -27,9 +27,13 @@ function createMap(select) {
     return element;
   });
   createLegend();
+  let shown = null;
 
   return function showMap(view) {
     const state = episode.states[view.at];
+    // Agents glide from one state to the next, and jump elsewhere.
+    people.classList.toggle("gliding", Math.abs(view.at - shown) === 1 && shown !== null);
+    shown = view.at;
     buildings.forEach((house, building) => house.show(view, state, building));
     agents.forEach((element, agent) => {
       const [x, y] = place(state.places[agent]);
@@ -86,7 +90,7 @@ function createHouse(facts, building) {
 }
 
 function createPerson(facts) {
-  const text = svg("text", {}, facts.name);
+  const text = svg("text", { class: facts.name.length > 2 ? "long" : "" }, facts.name);
   return svg("g", { class: `person ${facts.kind}` }, agentShape(facts.kind), text);
 }
 
@@ -124,11 +128,7 @@ function attentionMarks(view, state) {
   return attention.map(({ entity, weights }) => {
     const [x, y] = place(entityPlace(state, entity));
     const weight = mean(weights);
-    const ring = svg("circle", { r: 23, "stroke-width": 1 + 7 * weight, opacity: 0.25 + 0.75 * weight });
-    const label = svg("g", { transform: "translate(-22, -22)" },
-      svg("rect", { x: -16, y: -9, width: 32, height: 18, rx: 9 }),
-      svg("text", {}, `${percent(weight)} %`));
-    return svg("g", { class: "attention", transform: `translate(${x}, ${y})` }, ring, label);
+    return svg("circle", { cx: x, cy: y, r: 25, "stroke-width": 0.5 + 11 * weight, class: "attention" });
   });
 }
 
@@ -142,13 +142,12 @@ function rewardMarks(view) {
   const rewards = episode.steps[view.at - 1]?.task_rewards ?? [];
   return rewards.flatMap((reward, building) => {
     const text = signed(reward);
-    if (text === "0" || text === "−0") {
+    if (text === "0") {
       return [];
     }
     const { x, y } = episode.buildings[building];
     const [cx, cy] = place([x, y]);
-    const below = y > 0;
-    return [svg("text", { x: cx, y: below ? cy + 32 : cy - 24, class: `earned ${reward > 0 ? "gain" : "loss"}` }, text)];
+    return [svg("text", { x: cx - 13, y: cy - 25, class: `earned ${reward > 0 ? "gain" : "loss"}` }, text)];
   });
 }
 
@@ -175,8 +174,9 @@ function createLegend() {
     const shape = svg("g", { class: `house ${look}` }, svg("rect", { ...box, class: "ground" }), health, svg("rect", { ...box, class: "walls" }), ...signs);
     return [icon(shape), name];
   };
-  const line = svg("line", { x1: -18, y1: 8, x2: 18, y2: -8, class: "sample" });
-  const ring = svg("circle", { r: 15, "stroke-width": 4 });
+  const line = svg("line", { x1: -16, y1: 8, x2: 16, y2: -8, class: "sample" });
+  const ring = svg("circle", { r: 15, "stroke-width": 4, class: "attention" });
+  const earned = svg("text", { class: "earned gain" }, "+1");
   const entries = [
     agent("firefighter"),
     agent("builder"),
@@ -185,8 +185,9 @@ function createLegend() {
     house("burning", "burning", sign("fire", 1.5)),
     house("complete", "complete", sign("complete", 1.3)),
     house("burned-down", "burned down", sign("burned-down", 1.3)),
-    [icon(svg("g", { class: "assignments" }, line)), "assigned to"],
-    [icon(svg("g", { class: "attention" }, ring)), "attended by the selected agent"],
+    [icon(line), "assigned to"],
+    [icon(ring), "the selected agent attends to it: wider is more"],
+    [icon(earned), "reward of the last step"],
   ];
   byId("legend").append(...entries.map((entry) => html("li", {}, ...entry)));
 }

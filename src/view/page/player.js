@@ -72,13 +72,12 @@ function showTransport() {
   const playing = timer !== null;
   const button = byId("play");
   button.textContent = playing ? "Pause" : "Play";
-  button.setAttribute("aria-label", button.textContent);
   const scrubber = byId("scrubber");
   scrubber.value = view.at;
   scrubber.setAttribute("aria-valuetext", `step ${view.at} of ${LAST}`);
   byId("step").textContent = `${view.at} / ${LAST}`;
   byId("reward").textContent = signed(episode.steps[view.at - 1]?.reward ?? 0);
-  byId("return").textContent = returns[view.at].toFixed(2);
+  byId("return").textContent = fixed(returns[view.at]);
   const events = eventsAt.get(view.at) ?? [];
   const happening = byId("happening");
   // While it plays, steps follow too fast to be read aloud.
