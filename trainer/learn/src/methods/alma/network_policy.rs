@@ -38,7 +38,7 @@ impl<'a> NetworkPolicy<'a> {
         let visible = observation.visible;
         let own_first = visible.contains(own).then_some(own);
         let others: Vec<usize> = visible.iter().filter(|entity| *entity != own).collect();
-        let weights = self.pass.attention(&self.input.visible, 0);
+        let weights = self.pass.attention(&self.input);
         own_first.into_iter().chain(others).zip(weights.chunks_exact(self.network.shape().heads))
     }
 

@@ -108,12 +108,10 @@ impl UtilityPass {
         utilities
     }
 
-    /// The attention weights `[visible, heads]` of one query in the last forward pass, in the order of
-    /// its visible list.
-    pub fn attention(&self, visible: &VisibleLists, query: usize) -> &[f32] {
-        let heads = self.shape.heads;
-        let pairs = visible.range(query);
-        &self.weights[pairs.start * heads..pairs.end * heads]
+    /// The attention weights `[pairs, heads]` of the last forward pass, which was about `input`: pair by
+    /// pair in the order of the visible lists.
+    pub fn attention(&self, input: &UtilityInput) -> &[f32] {
+        &self.weights[..input.visible.pairs() * self.shape.heads]
     }
 
     /// Adds to `gradient` (all parameters) the gradient of a loss whose slope by the utilities of the
