@@ -22,6 +22,7 @@ pub use description::RunDescription;
 pub use result::RunResult;
 
 use crate::error::LearnError;
+use crate::evaluate::NetworkTeam;
 use crate::methods::alma::UtilityNetwork;
 
 /// A finished or running run, opened to use what it learned.
@@ -42,6 +43,11 @@ pub struct Run {
 }
 
 impl Run {
+    /// The agents as a team that can be measured.
+    pub fn team(&self) -> NetworkTeam<'_> {
+        NetworkTeam::conditioned(&self.network, self.description.config.network.subtask)
+    }
+
     /// Reads the folder of a run.
     pub fn open(folder: &Path) -> Result<Self, LearnError> {
         let folder = RunFolder::new(folder);
