@@ -82,15 +82,12 @@ fn utilities_and_attention_agree_between_run_and_bundle_and_explain_the_actions(
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = |name: &str| folder.path().join(name).display().to_string();
     let (run, bundle) = (path("run"), path("bundle"));
-    let sets = ["run.final_episodes=1", "run.evaluate_episodes=1", "network.width=32"];
-    let mut train = vec!["train", "alma", "--allocation", "coordinated", "--steps", "1000", "-q"];
-    train.extend(["--out", &run]);
-    train.extend(sets.iter().flat_map(|set| ["--set", set]));
-    let trained = output(&train);
-    assert!(trained.status.success(), "{}", support::stderr(&trained));
+    train(&run, &[]);
     json(&["export", &run, "--out", &bundle, "--episodes", "1", "--json"]);
 
-    let (by_run, by_bundle) = (Page::of(&[&run]).data(), Page::of(&[&bundle]).data());
+    let page = |subject: &str| Page::of(&[subject, "--allocation", "coordinated"]);
+    let (run_page, bundle_page) = (page(&run), page(&bundle));
+    let (by_run, by_bundle) = (run_page.data(), bundle_page.data());
     assert_eq!(by_run["steps"], by_bundle["steps"]);
     let states = list(&by_run["states"]).iter().zip(list(&by_bundle["states"]));
     for ((one, other), step) in states.zip(list(&by_run["steps"])) {
@@ -101,6 +98,39 @@ fn utilities_and_attention_agree_between_run_and_bundle_and_explain_the_actions(
             assert_eq!(step["actions"][agent], best(&one_thought["utilities"], available));
         }
     }
+    assert_values_are_shown(&run_page);
+}
+
+/// A run that takes seconds.
+fn train(run: &str, more: &[&str]) {
+    let sets = ["run.final_episodes=1", "run.evaluate_episodes=1", "network.width=32"];
+    let mut arguments = vec!["train", "alma", "--steps", "1000", "-q", "--out", run];
+    arguments.extend(sets.iter().chain(more).flat_map(|set| ["--set", set]));
+    let trained = output(&arguments);
+    assert!(trained.status.success(), "{}", support::stderr(&trained));
+}
+
+#[test]
+fn agents_without_the_subtask_mask_are_refused() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    train(
+        &path("run"),
+        &["network.subtask=none", "allocation.coordinated=1", "allocation.learned=0"],
+    );
+    let refused = output(&["view", &path("run"), "-o", &path("page.html")]);
+    assert_fails(&refused, 2, &["subtask mask"]);
+}
+
+/// A run learns an allocator, unless told otherwise: the page shows its values of teams.
+fn assert_values_are_shown(page: &Page) {
+    let browser = Browser::start();
+    browser.open(&page.file());
+    let team = browser.text("#buildings button[aria-pressed=true] .team").replace('\n', " ");
+    let values = browser.text("#values");
+    assert!(values.contains(&format!("{team} chosen")), "{values}");
+    assert!(values.contains("nobody"), "{values}");
+    assert_eq!(browser.console(), Vec::<Value>::new());
 }
 
 /// The available action of highest utility.
@@ -238,6 +268,9 @@ fn a_reader_steps_through_an_episode() {
     assert!((shown - wanted).abs() < 0.006, "{shown} against {wanted}");
     browser.click("#jump option:last-child");
     assert_ne!(step(), at(5));
+    browser.click("#timeline");
+    let middle = browser.text("#step").split_once(" /").map(|(step, _)| step.parse::<usize>());
+    assert!(middle.is_some_and(|step| step.is_ok_and(|step| step.abs_diff(last / 2) <= 2)));
 
     // It plays by itself, and stops when asked.
     browser.press(HOME);

@@ -20,7 +20,6 @@ pub(super) struct Page {
     /// What the reader must know about where figures come from.
     pub(super) notes: Vec<String>,
     pub(super) side: u8,
-    pub(super) episode_limit: u32,
     pub(super) actions: &'static [&'static str],
     pub(super) agents: Vec<AgentFacts>,
     pub(super) buildings: Vec<BuildingFacts>,

@@ -17,7 +17,7 @@ use sortie_envs::save_the_city::golden::Playback;
 use sortie_envs::save_the_city::{ACTION_NAMES, DecisionPoints, SIDE, SaveTheCity};
 use sortie_learn::LearnError;
 use sortie_learn::evaluate::{Allocate, EvaluationPlan, Scene, ScriptedActors, Team};
-use sortie_learn::methods::alma::NetworkPolicy;
+use sortie_learn::methods::alma::{Conditioning, NetworkPolicy};
 
 use crate::arguments::{Allocation, Common};
 use crate::environment;
@@ -114,7 +114,6 @@ fn played_page(arguments: &ViewArguments) -> Result<Page, Failure> {
         env: set.to_string(),
         episode: Some((arguments.common.seed, number)),
         notes,
-        episode_limit: plan.constants.episode_limit,
         ..page_of(arguments.subject.clone(), captured)
     })
 }
@@ -132,7 +131,7 @@ fn recorded_page(arguments: &ViewArguments, file: &Path) -> Result<Page, Failure
     if let Some(Subject::Bundle(bundle)) = &subject {
         environment::check_fits(bundle, world.scenario_set())?;
     }
-    let (env, episode_limit) = (environment_of(world), world.constants().episode_limit);
+    let env = environment_of(world);
     let learned = LearnedAllocator::of(subject.as_ref());
     let asked = arguments.allocation.map(Assigner::Rule);
     let assigner = asked.or_else(|| Assigner::of_label(&playback.labels().policy, learned));
@@ -149,7 +148,6 @@ fn recorded_page(arguments: &ViewArguments, file: &Path) -> Result<Page, Failure
         allocation: assigner.map(|assigner| assigner.name().into()),
         env,
         notes,
-        episode_limit,
         ..page_of(name, captured)
     })
 }
@@ -194,7 +192,15 @@ fn think(
     watch: impl FnOnce(Thinker<'_>) -> Result<Captured, Failure>,
 ) -> Result<Captured, Failure> {
     match subject {
-        Some(Subject::Run(run)) => watch(Thinker::Mind(&mut NetworkPolicy::new(&run.network))),
+        Some(Subject::Run(run)) => {
+            if run.description.config.network.subtask != Conditioning::Mask {
+                return Err(usage(
+                    "the agents of this run do not act under the subtask mask; only \
+                                  such agents can be viewed",
+                ));
+            }
+            watch(Thinker::Mind(&mut NetworkPolicy::new(&run.network)))
+        }
         Some(Subject::Bundle(bundle)) => {
             let mut deployed = DeployedPolicy::open(bundle, Backend::Plan)?;
             let mut mind = DeployedMind::new(bundle, deployed.policy()?)?;
@@ -225,7 +231,6 @@ fn page_of(subject: String, captured: Captured) -> Page {
         episode: None,
         notes: Vec::new(),
         side: SIDE,
-        episode_limit: 0,
         actions: &ACTION_NAMES,
         agents,
         buildings,

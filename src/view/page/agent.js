@@ -3,7 +3,12 @@
 /** Builds the panel once; the returned function shows an agent in a state. */
 function createAgentPanel(select) {
   const buttons = episode.agents.map(({ name, kind }, agent) => {
-    const button = html("button", { type: "button", "aria-label": `${kind} ${name}` }, icon(agentShape(kind), `person ${kind}`), name);
+    const button = html(
+      "button",
+      { type: "button", "aria-label": `${kind} ${name}` },
+      icon(agentShape(kind), `person ${kind}`),
+      name,
+    );
     button.addEventListener("click", () => select({ agent }));
     return button;
   });
@@ -29,7 +34,9 @@ function agentText(view, state) {
     return "The episode is over.";
   }
   const where = task === null ? "unassigned" : `assigned to ${episode.buildings[task].name}`;
-  const bounced = episode.steps[view.at].bounced.includes(view.agent) ? ", but runs into another and goes back" : "";
+  const bounced = episode.steps[view.at].bounced.includes(view.agent)
+    ? ", but runs into another and goes back"
+    : "";
   return `${where}, action: ${episode.actions[action]}${bounced}`;
 }
 
@@ -64,7 +71,7 @@ function showUtilities(rows, view, state) {
     if (!available) {
       notes.push("unavailable");
     }
-    name.replaceChildren(episode.actions[action], ...notes.map((note) => html("small", {}, note)));
+    name.replaceChildren(episode.actions[action], ...notes.flatMap((note) => [" ", html("small", {}, note)]));
   });
 }
 
@@ -78,8 +85,13 @@ function showAttention(view, state) {
     .sort((one, other) => other.average - one.average)
     .map(({ entity, weights, average }) => attentionRow(view, entity, average, weights));
   const heads = attention[0]?.weights ?? [];
-  const head = html("tr", {}, html("td"), html("th", { scope: "col" }, "mean"),
-    ...heads.map((_, index) => html("th", { scope: "col" }, `head ${index + 1}`)));
+  const head = html(
+    "tr",
+    {},
+    html("td"),
+    html("th", { scope: "col" }, "mean"),
+    ...heads.map((_, index) => html("th", { scope: "col" }, `head ${index + 1}`)),
+  );
   table.tBodies[0].replaceChildren(head, ...rows);
 }
 
@@ -91,5 +103,11 @@ function attentionRow(view, entity, average, weights) {
     return element;
   };
   const label = entity < episode.agents.length ? entityName(entity) : `building ${entityName(entity)}`;
-  return html("tr", {}, html("th", { scope: "row" }, `${label}${own}`), cell(average, "mean"), ...weights.map((weight) => cell(weight, "heat")));
+  return html(
+    "tr",
+    {},
+    html("th", { scope: "row" }, `${label}${own}`),
+    cell(average, "mean"),
+    ...weights.map((weight) => cell(weight, "heat")),
+  );
 }

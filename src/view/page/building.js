@@ -15,8 +15,11 @@ function createBuildingPanel(select) {
     rows.forEach((row, building) => row.show(view, state, building));
     const facts = episode.buildings[view.building];
     byId("building-title").textContent = `Building ${facts.name}, ${facts.kind} burning`;
-    byId("building-facts").replaceChildren(...buildingFacts(view, state).map(([name, value]) =>
-      html("div", {}, html("dt", {}, name), html("dd", {}, value))));
+    byId("building-facts").replaceChildren(
+      ...buildingFacts(view, state).map(([name, value]) =>
+        html("div", {}, html("dt", {}, name), html("dd", {}, value)),
+      ),
+    );
     showValues(view, state);
   };
 }
@@ -37,13 +40,18 @@ function createBuildingRow({ name }) {
       health.firstChild.style.width = `${100 * state.health[building]}%`;
       fire.firstChild.style.width = `${100 * state.fire[building]}%`;
       const members = teamOf(state, building);
-      team.replaceChildren(...members.map((agent) => {
-        const { name: agentName, kind } = episode.agents[agent];
-        return html("span", { class: `chip ${kind}` }, agentName);
-      }));
+      team.replaceChildren(
+        ...members.map((agent) => {
+          const { name: agentName, kind } = episode.agents[agent];
+          return html("span", { class: `chip ${kind}` }, agentName);
+        }),
+      );
       const crew = members.length ? `team ${members.map(entityName).join(" ")}` : "nobody assigned";
       const [whole, ablaze] = [state.health[building], state.fire[building]].map(percent);
-      element.setAttribute("aria-label", `building ${name}, ${word}, health ${whole} percent, fire ${ablaze} percent, ${crew}`);
+      element.setAttribute(
+        "aria-label",
+        `building ${name}, ${word}, health ${whole} percent, fire ${ablaze} percent, ${crew}`,
+      );
     },
   };
 }
@@ -54,7 +62,10 @@ function buildingFacts(view, state) {
   const earned = episode.steps.slice(0, view.at).map((step) => step.task_rewards[building]);
   const facts = [
     ["health, fire", `${percent(state.health[building])} %, ${percent(state.fire[building])} %`],
-    ["rewarded", `${signed(earned.at(-1) ?? 0)} last step, ${signed(earned.reduce((sum, reward) => sum + reward, 0))} in all`],
+    [
+      "rewarded",
+      `${signed(earned.at(-1) ?? 0)} last step, ${signed(earned.reduce((sum, reward) => sum + reward, 0))} in all`,
+    ],
   ];
   if (state.status[building] === 0) {
     const { period } = episode.buildings[building];
@@ -80,10 +91,18 @@ function showValues(view, state) {
   rows.sort(([, one], [, other]) => other - one);
   const numbers = rows.map(([, value]) => value);
   const [low, high] = [Math.min(...numbers), Math.max(...numbers)];
-  table.tBodies[0].replaceChildren(...rows.map(([name, value, note]) => {
-    const bar = html("div", { class: "bar" });
-    bar.style.width = `${2 + (98 * (value - low)) / (high - low || 1)}%`;
-    const label = html("th", { scope: "row" }, name, ...(note ? [html("small", {}, note)] : []));
-    return html("tr", note ? { class: "taken" } : {}, label, html("td", { class: "track" }, bar), html("td", { class: "number" }, fixed(value)));
-  }));
+  table.tBodies[0].replaceChildren(
+    ...rows.map(([name, value, note]) => {
+      const bar = html("div", { class: "bar" });
+      bar.style.width = `${2 + (98 * (value - low)) / (high - low || 1)}%`;
+      const label = html("th", { scope: "row" }, name, ...(note ? [" ", html("small", {}, note)] : []));
+      return html(
+        "tr",
+        note ? { class: "taken" } : {},
+        label,
+        html("td", { class: "track" }, bar),
+        html("td", { class: "number" }, fixed(value)),
+      );
+    }),
+  );
 }

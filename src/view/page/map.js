@@ -10,7 +10,9 @@ function place([x, y]) {
 /** Draws the map once; the returned function shows a state of it. */
 function createMap(select) {
   const map = byId("map");
-  const layers = ["grid", "assignments", "trails", "houses", "people", "marks"].map((name) => svg("g", { class: name }));
+  const layers = ["grid", "assignments", "trails", "houses", "people", "marks"].map((name) =>
+    svg("g", { class: name }),
+  );
   const [grid, assignments, trails, houses, people, marks] = layers;
   map.append(...layers);
   grid.append(gridLines());
@@ -49,7 +51,10 @@ function createMap(select) {
 
 function gridLines() {
   const end = episode.side * CELL;
-  const lines = Array.from({ length: episode.side + 1 }, (_, i) => `M${i * CELL},0 V${end} M0,${i * CELL} H${end}`);
+  const lines = Array.from(
+    { length: episode.side + 1 },
+    (_, i) => `M${i * CELL},0 V${end} M0,${i * CELL} H${end}`,
+  );
   return svg("path", { d: lines.join(" ") });
 }
 
@@ -154,7 +159,8 @@ function rewardMarks(view) {
 /** The map in words. */
 function describe(state) {
   const buildings = episode.buildings.map(
-    ({ name }, building) => `building ${name} ${lookOf(state, building)}, health ${percent(state.health[building])} %`,
+    ({ name }, building) =>
+      `building ${name} ${lookOf(state, building)}, health ${percent(state.health[building])} %`,
   );
   const agents = episode.agents.map(({ name, kind }, agent) => {
     const [x, y] = state.places[agent];
@@ -171,7 +177,14 @@ function createLegend() {
     const half = HOUSE / 2;
     const box = { x: -half, y: -half, width: HOUSE, height: HOUSE, rx: 5 };
     const health = svg("rect", { x: -half, y: 2, width: HOUSE, height: half - 2, class: "health" });
-    const shape = svg("g", { class: `house ${look}` }, svg("rect", { ...box, class: "ground" }), health, svg("rect", { ...box, class: "walls" }), ...signs);
+    const shape = svg(
+      "g",
+      { class: `house ${look}` },
+      svg("rect", { ...box, class: "ground" }),
+      health,
+      svg("rect", { ...box, class: "walls" }),
+      ...signs,
+    );
     return [icon(shape), name];
   };
   const line = svg("line", { x1: -16, y1: 8, x2: 16, y2: -8, class: "sample" });

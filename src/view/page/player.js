@@ -90,7 +90,9 @@ function quiet() {
   if (view.at === LAST) {
     return "the episode is over";
   }
-  return episode.states[view.at].decided && episode.allocation ? "the allocator decides; nobody is moved" : "";
+  return episode.states[view.at].decided && episode.allocation
+    ? "the allocator decides; nobody is moved"
+    : "";
 }
 
 function createHeader() {
@@ -115,14 +117,21 @@ function createHeader() {
 function createTransport() {
   byId("scrubber").max = LAST;
   byId("scrubber").addEventListener("input", (event) => go(Number(event.target.value)));
-  const buttons = { first: () => go(0), previous: () => go(view.at - 1), play: toggle, next: () => go(view.at + 1), last: () => go(LAST) };
+  const buttons = {
+    first: () => go(0),
+    previous: () => go(view.at - 1),
+    play: toggle,
+    next: () => go(view.at + 1),
+    last: () => go(LAST),
+  };
   for (const [id, action] of Object.entries(buttons)) {
     byId(id).addEventListener("click", action);
   }
   byId("speed").addEventListener("change", () => changeSpeed(0));
   const jump = byId("jump");
   const options = [...eventsAt].map(([at, events]) =>
-    html("option", { value: at }, `${at}: ${events.map((event) => event.text).join(", ")}`));
+    html("option", { value: at }, `${at}: ${events.map((event) => event.text).join(", ")}`),
+  );
   jump.append(html("option", { value: "" }, `${episode.events.length} events …`), ...options);
   jump.addEventListener("change", () => jump.value && go(Number(jump.value)));
   byId("help-open").addEventListener("click", () => byId("help").showModal());

@@ -25,7 +25,8 @@ function createTimeline(go) {
     const agents = episode.agents.map((facts, agent) => agentLane(agent, facts, lane, column));
     buildings.forEach((element, i) => element.setAttribute("transform", `translate(${GUTTER}, ${i * lane})`));
     agents.forEach((element, i) =>
-      element.setAttribute("transform", `translate(${GUTTER}, ${(buildings.length + i) * lane + GAP})`));
+      element.setAttribute("transform", `translate(${GUTTER}, ${(buildings.length + i) * lane + GAP})`),
+    );
     timeline.replaceChildren(...buildings, ...agents, cursor);
     moveCursor();
   }
@@ -68,16 +69,34 @@ function buildingLane(building, { name }, lane, column) {
   });
   const area = svg("path", { class: "lane-health", d: `M0,${bottom} ${heights.join(" ")} V${bottom} Z` });
   const fires = runs(episode.states.slice(0, end), (state) => Math.round(state.fire[building] * 4)).flatMap(
-    ({ value, from, to }) => value > 0
-      ? [svg("rect", { class: "lane-fire", x: from * column, y: top, width: (to - from) * column, height: 3.5, opacity: 0.25 + value * 0.1875 })]
-      : []);
+    ({ value, from, to }) =>
+      value > 0
+        ? [
+            svg("rect", {
+              class: "lane-fire",
+              x: from * column,
+              y: top,
+              width: (to - from) * column,
+              height: 3.5,
+              opacity: 0.25 + value * 0.1875,
+            }),
+          ]
+        : [],
+  );
   const track = svg("rect", { class: "lane-track", x: 0, y: top, width: end * column, height: bottom - top });
   const rest = svg("line", { class: "lane-rest", x1: end * column, x2: width, y1: lane / 2, y2: lane / 2 });
-  const signs = episode.events.filter((event) => event.building === building).map((event) => {
-    const x = (event.at + 0.5) * column;
-    const element = svg("g", { transform: `translate(${x}, ${lane / 2})` }, sign(event.kind, lane / 20), svg("title", {}, `step ${event.at}: ${event.text}`));
-    return element;
-  });
+  const signs = episode.events
+    .filter((event) => event.building === building)
+    .map((event) => {
+      const x = (event.at + 0.5) * column;
+      const element = svg(
+        "g",
+        { transform: `translate(${x}, ${lane / 2})` },
+        sign(event.kind, lane / 20),
+        svg("title", {}, `step ${event.at}: ${event.text}`),
+      );
+      return element;
+    });
   return svg("g", {}, laneName(name, lane), track, area, rest, ...fires, ...signs);
 }
 
@@ -89,7 +108,11 @@ function agentLane(agent, { name, kind }, lane, column) {
     }
     const [x, width] = [from * column, (to - from) * column];
     const box = svg("rect", { x: x + 0.5, y: 1, width: Math.max(width - 1, 1), height: lane - 2, rx: 2 });
-    const label = svg("text", { x: x + width / 2, y: lane / 2, "font-size": Math.min(11, lane - 1) }, episode.buildings[value].name);
+    const label = svg(
+      "text",
+      { x: x + width / 2, y: lane / 2, "font-size": Math.min(11, lane - 1) },
+      episode.buildings[value].name,
+    );
     return width > 9 ? [box, label] : [box];
   });
   return svg("g", { class: `agent-lane ${kind}` }, laneName(name, lane), ...parts);

@@ -76,7 +76,7 @@ impl UtilityPass {
     /// The attention weights `[pairs, heads]` of the last forward pass, which was about `input`: pair by
     /// pair in the order of the visible lists.
     pub fn attention(&self, input: &UtilityInput) -> &[f32] {
-        &self.weights[..input.visible.pairs() * self.shape.heads]
+        self.attention.weights(self.shape.attention(), input)
     }
 
     /// Adds to `gradient` (all parameters) the gradient of a loss whose slope by the utilities of the
