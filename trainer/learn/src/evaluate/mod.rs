@@ -9,7 +9,7 @@ mod teams;
 
 use std::collections::BTreeMap;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use sortie_envs::StepOutcome;
 use sortie_envs::save_the_city::{
     AllocationRule, City, Constants, DecisionPoints, EpisodeMetrics, SaveTheCity, ScenarioSet,
@@ -135,7 +135,7 @@ pub struct Evaluation {
 }
 
 /// How one composition of a team did.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct TeamSuccess {
     /// Episodes played.
     pub episodes: usize,

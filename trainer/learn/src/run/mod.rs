@@ -4,6 +4,8 @@
 //! | --- | --- |
 //! | `train.toml` | method, version, seed, threads, and the complete configuration |
 //! | `curve.json` | one JSON object per evaluation, see [`CurvePoint`] |
+//! | `curve.csv` | the same as comma-separated values |
+//! | `events.out.tfevents.*` | the same for TensorBoard, a file per session, see [`RunEvents`] |
 //! | `curve.svg` | success against environment steps |
 //! | `result.json` | of a finished run: greedy success on fresh episodes, see [`RunResult`] |
 //! | `checkpoints/` | the newest checkpoints, see [`checkpoint`] |
@@ -24,6 +26,7 @@ pub use result::RunResult;
 use crate::error::LearnError;
 use crate::evaluate::NetworkTeam;
 use crate::methods::alma::UtilityNetwork;
+use crate::report::{RunEvents, csv};
 
 /// A finished or running run, opened to use what it learned.
 #[derive(Clone, Debug)]
@@ -68,14 +71,15 @@ impl Run {
 }
 
 /// The files of a run.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub(crate) struct RunFolder {
     folder: PathBuf,
+    events: RunEvents,
 }
 
 impl RunFolder {
     pub(crate) fn new(folder: &Path) -> Self {
-        Self { folder: folder.to_owned() }
+        Self { folder: folder.to_owned(), events: RunEvents::new(folder) }
     }
 
     /// Makes the folder; refuses one that holds a run.
@@ -100,11 +104,19 @@ impl RunFolder {
         Checkpoints::new(&self.folder.join("checkpoints"))
     }
 
-    /// Replaces `curve.json` and `curve.svg`.
-    pub(crate) fn write_curve(&self, title: &str, curve: &[CurvePoint]) -> Result<(), LearnError> {
+    /// Replaces `curve.json`, `curve.csv` and `curve.svg`, and tells TensorBoard of the newest point.
+    pub(crate) fn write_curve(
+        &mut self,
+        title: &str,
+        curve: &[CurvePoint],
+    ) -> Result<(), LearnError> {
         let path = self.curve_path();
         let text = curve::to_lines(curve).map_err(|error| LearnError::format(&path, error))?;
         write_whole(&path, text.as_bytes())?;
+        let path = self.folder.join("curve.csv");
+        let text = csv::to_csv(curve).map_err(|error| LearnError::format(&path, error))?;
+        write_whole(&path, text.as_bytes())?;
+        self.events.add(curve)?;
         let path = self.folder.join("curve.svg");
         let svg =
             chart::success_curve(title, curve).map_err(|error| LearnError::format(&path, error))?;
