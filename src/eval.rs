@@ -5,8 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 use sortie_learn::evaluate::{
-    Evaluation, EvaluationPlan, NetworkTeam, PolicyTeam, ScriptedActors, Team, evaluate,
-    evaluate_watched,
+    Evaluation, EvaluationPlan, PolicyTeam, ScriptedActors, Team, evaluate, evaluate_watched,
 };
 
 use crate::arguments::{Allocation, Common};
@@ -66,7 +65,7 @@ pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
         Subject::Scripted => {
             play(&plan, &mut ScriptedActors::new(arguments.common.seed), arguments)?
         }
-        Subject::Run(run) => play(&plan, &mut NetworkTeam::new(&run.network), arguments)?,
+        Subject::Run(run) => play(&plan, &mut run.team(), arguments)?,
         Subject::Bundle(bundle) => {
             environment::check_fits(bundle, &plan.set)?;
             let mut policy = DeployedPolicy::open(bundle, arguments.backend)?;
