@@ -236,3 +236,24 @@ fn a_run_under_a_rule_learns_no_allocator() {
     assert_eq!(opened.curve[0].allocator_updates, 0);
     assert_eq!(Trainer::resume(folder.path(), None).unwrap().env_steps(), 3200);
 }
+
+#[test]
+fn a_run_can_begin_with_what_another_learned() {
+    let first = tempfile::tempdir().unwrap();
+    let mut trainer = Trainer::new(config(), 3, 1, first.path()).unwrap();
+    run(&mut trainer, 1200);
+    let learned = Run::open(first.path()).unwrap();
+
+    let mut config = config();
+    config.run.from = first.path().display().to_string();
+    config.set("environment.set=2-8a_2-8b").unwrap();
+    let second = tempfile::tempdir().unwrap();
+    let trainer = Trainer::new(config.clone(), 4, 1, second.path()).unwrap();
+    assert_eq!(trainer.network(), &learned.network);
+    assert_eq!(trainer.allocator(), learned.allocator.as_ref());
+
+    config.set("network.width=32").unwrap();
+    let third = tempfile::tempdir().unwrap();
+    let error = Trainer::new(config, 4, 1, third.path()).unwrap_err();
+    assert!(error.to_string().contains("another shape"), "{error}");
+}
