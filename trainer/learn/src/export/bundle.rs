@@ -115,16 +115,27 @@ fn limits(set: &ScenarioSet) -> Limits {
     }
 }
 
-fn onnx(weights: &UtilityWeights, contract: u64) -> Result<Vec<u8>, super::ExportError> {
+/// The agents' network as ONNX.
+fn agent(weights: &UtilityWeights, contract: u64) -> Result<Vec<u8>, ExportError> {
+    let layers = layers(weights);
+    agent_onnx(&AgentNetwork { features: FEATURES, append_last_action: true, contract, layers })
+}
+
+/// The allocator's network as ONNX.
+fn team_value(weights: &UtilityWeights, contract: u64) -> Result<Vec<u8>, ExportError> {
+    let (features, relations, layers) = (FEATURES, RELATIONS, layers(weights));
+    team_value_onnx(&TeamValueExport { features, relations, contract, layers })
+}
+
+fn layers(weights: &UtilityWeights) -> AttentionNetwork<'_> {
     let matrix = |values| Matrix { values, layout: Layout::OutputsFirst };
     let shape = weights.shape;
-    agent_onnx(&AgentNetwork {
-        features: FEATURES,
-        actions: shape.actions,
-        append_last_action: true,
+    AttentionNetwork {
+        inputs: shape.input,
         width: shape.width,
         heads: shape.heads,
         base: shape.base,
+        outputs: shape.actions,
         fc1: Layer { weight: matrix(&weights.fc1_weight), bias: &weights.fc1_bias },
         attention_in: matrix(&weights.attention_in_weight),
         attention_out: Layer {
@@ -133,8 +144,7 @@ fn onnx(weights: &UtilityWeights, contract: u64) -> Result<Vec<u8>, super::Expor
         },
         fc2: Layer { weight: matrix(&weights.fc2_weight), bias: &weights.fc2_bias },
         head: Layer { weight: matrix(&weights.head_weight), bias: &weights.head_bias },
-        contract,
-    })
+    }
 }
 
 /// Observations of greedy episodes, with the answers of the trainer's own forward pass.

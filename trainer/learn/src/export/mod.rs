@@ -5,9 +5,13 @@
 //! softmax and their weights 0 after it.
 
 mod agent;
+mod attention;
 mod bundle;
 mod onnx;
 mod protobuf;
+mod team_value;
 
-pub use agent::{AgentNetwork, ExportError, Layer, Layout, Matrix, agent_onnx};
+pub use agent::{AgentNetwork, agent_onnx};
+pub use attention::{AttentionNetwork, ExportError, Layer, Layout, Matrix};
 pub use bundle::{Measured, draft_bundle};
+pub use team_value::{TeamValueExport, team_value_onnx};
