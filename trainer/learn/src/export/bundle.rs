@@ -5,19 +5,23 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use sortie_bundle::{
-    AGENT, CARD, CURVE, CURVE_DATA, ContractV1, Draft, Environment, FallbackAllocation, Golden,
-    GoldenCase, Limits, Network, OwnedObservation, SubtaskConditioning, TRAINING, WIRE_ABI,
+    AGENT, ALLOCATOR, CARD, CURVE, CURVE_DATA, ContractV1, Draft, Environment, FallbackAllocation,
+    Golden, GoldenCase, Limits, Network, OwnedObservation, SubtaskConditioning, TEAM_VALUE,
+    TRAINING, WIRE_ABI,
 };
 use sortie_core::choose::masked_argmax;
 use sortie_core::{DecideError, Decision, Observation, Policy};
 use sortie_envs::save_the_city::{
-    ACTION_NAMES, ACTIONS, AllocationRule, FEATURE_NAMES, FEATURES, ScenarioSet,
+    ACTION_NAMES, ACTIONS, AllocationRule, FEATURE_NAMES, FEATURES, RELATIONS, ScenarioSet,
 };
 
-use super::agent::{AgentNetwork, Layer, Layout, Matrix, agent_onnx};
+use super::agent::{AgentNetwork, agent_onnx};
+use super::attention::{AttentionNetwork, ExportError, Layer, Layout, Matrix};
+use super::golden_allocations::golden_allocations;
+use super::team_value::{TeamValueExport, team_value_onnx};
 use crate::error::LearnError;
 use crate::evaluate::{Evaluation, EvaluationPlan, PolicyTeam, evaluate};
-use crate::methods::alma::{NetworkPolicy, UtilityWeights};
+use crate::methods::alma::{NetworkPolicy, UtilityNetwork, UtilityWeights};
 use crate::run::Run;
 
 /// Golden observations of a bundle.
@@ -38,36 +42,54 @@ pub struct Measured {
     pub evaluation: Evaluation,
 }
 
-/// Makes a bundle of the averaged weights of the run in `folder`.
+/// A learned allocator.
+#[derive(Clone, Copy, Debug)]
+pub struct LearnedAllocator<'a> {
+    /// Its team-value network.
+    pub network: &'a UtilityNetwork,
+    /// Largest team of one building.
+    pub team_max: usize,
+}
+
+/// Makes a bundle of the averaged weights of the run in `folder`, with its allocator where it has one.
 ///
 /// # Errors
 /// Files of the run cannot be read, or its network is not finite.
 pub fn draft_bundle(
     run: &Run,
     folder: &Path,
+    allocator: Option<LearnedAllocator<'_>>,
     measured: &[Measured],
     seed: u64,
 ) -> Result<Draft, LearnError> {
     let set = ScenarioSet::named(&run.description.config.environment.set)?;
     let contract = contract(run.description.config.allocation.interval);
-    let onnx = onnx(&run.network.weights(), contract.hash())
-        .map_err(|error| LearnError::format(folder, error))?;
+    let diverged = |error: ExportError| LearnError::format(folder, error);
+    let agent = agent(&run.network.weights(), contract.hash()).map_err(diverged)?;
     let read = |name: &str| {
         let path = folder.join(name);
         std::fs::read(&path).map_err(LearnError::file(path))
     };
-    let parts = BTreeMap::from([
-        (AGENT.to_owned(), onnx),
-        (CARD.to_owned(), card(run, measured).into_bytes()),
+    let mut parts = BTreeMap::from([
+        (AGENT.to_owned(), agent),
+        (CARD.to_owned(), card(run, allocator, measured).into_bytes()),
         (CURVE.to_owned(), read(CURVE)?),
         (CURVE_DATA.to_owned(), read(CURVE_DATA)?),
         (TRAINING.to_owned(), read(TRAINING)?),
     ]);
+    if let Some(allocator) = allocator {
+        let onnx = team_value(&allocator.network.weights(), contract.hash()).map_err(diverged)?;
+        parts.insert(ALLOCATOR.to_owned(), onnx);
+    }
     Ok(Draft {
         environment: environment(run),
-        limits: limits(&set),
-        network: Network { agent: "masked-attention".to_owned(), allocator: None, hidden: 0 },
-        golden: golden(run, seed)?,
+        limits: limits(&set, allocator),
+        network: Network {
+            agent: "masked-attention".to_owned(),
+            allocator: allocator.map(|_| TEAM_VALUE.to_owned()),
+            hidden: 0,
+        },
+        golden: golden(run, allocator, seed)?,
         contract,
         parts,
     })
@@ -107,11 +129,12 @@ fn environment(run: &Run) -> Environment {
     }
 }
 
-fn limits(set: &ScenarioSet) -> Limits {
+fn limits(set: &ScenarioSet, allocator: Option<LearnedAllocator<'_>>) -> Limits {
+    let team_max = allocator.map_or(set.max_agents, |learned| learned.team_max.min(set.max_agents));
     Limits {
         n_max: (set.max_agents + set.max_buildings) as u16,
         t_max: set.max_buildings as u16,
-        team_max: set.max_agents as u16,
+        team_max: team_max as u16,
     }
 }
 
@@ -147,19 +170,27 @@ fn layers(weights: &UtilityWeights) -> AttentionNetwork<'_> {
     }
 }
 
-/// Observations of greedy episodes, with the answers of the trainer's own forward pass.
-fn golden(run: &Run, seed: u64) -> Result<Golden, LearnError> {
+/// Observations and allocation states of greedy episodes, with the answers of the trainer's own passes.
+fn golden(
+    run: &Run,
+    allocator: Option<LearnedAllocator<'_>>,
+    seed: u64,
+) -> Result<Golden, LearnError> {
     let config = &run.description.config;
     let plan = EvaluationPlan {
         constants: config.environment.constants,
         interval: config.allocation.interval,
         ..EvaluationPlan::new(&config.environment.set, GOLDEN_EPISODES, seed)?
     };
+    let allocations = match allocator {
+        Some(allocator) => golden_allocations(&plan, &run.network, allocator)?,
+        None => Vec::new(),
+    };
     let mut recorder =
         Recorder { policy: NetworkPolicy::new(&run.network), decisions: 0, cases: Vec::new() };
     let mut team = PolicyTeam::new(&mut recorder as &mut dyn Policy);
     evaluate(&plan, &mut team, &mut AllocationRule::Coordinated)?;
-    Ok(Golden { cases: recorder.cases })
+    Ok(Golden { cases: recorder.cases, allocations })
 }
 
 /// Decides, and keeps every so many-th decision.
@@ -196,7 +227,7 @@ impl Policy for Recorder<'_> {
 }
 
 /// The model card.
-fn card(run: &Run, measured: &[Measured]) -> String {
+fn card(run: &Run, allocator: Option<LearnedAllocator<'_>>, measured: &[Measured]) -> String {
     let description = &run.description;
     let config = &description.config;
     let mut card = format!(
@@ -210,6 +241,13 @@ fn card(run: &Run, measured: &[Measured]) -> String {
         description.seed,
         description.version,
     );
+    if let Some(LearnedAllocator { team_max, .. }) = allocator {
+        let _ = writeln!(
+            card,
+            "The allocator values every team at every open building by a network of the same kind and takes the\n\
+             best allocation; a team has at most {team_max} agents.\n"
+        );
+    }
     card += "## How well it does\n\nGreedy episodes that training never saw.\n\n";
     card += "| allocation | episodes | success (95 % interval) | no building burned | time-outs | return |\n";
     card += "| --- | --- | --- | --- | --- | --- |\n";
