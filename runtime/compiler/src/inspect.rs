@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 use sortie_bundle::hex;
-use sortie_core::plan::{AlignedBytes, Plan};
+use sortie_core::plan::{AlignedBytes, Network, Plan};
 use tract_onnx::prelude::*;
 
 use crate::compile::{OperatorReport, operators};
@@ -35,6 +35,8 @@ pub struct OnnxFacts {
 /// What a plan holds.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PlanFacts {
+    /// What it computes: `agent` or `team-value`.
+    pub network: String,
     /// Bytes of the plan.
     pub flash_bytes: usize,
     /// Bytes of arena for one decision.
@@ -103,6 +105,10 @@ pub fn inspect_plan(plan: &[u8]) -> Result<PlanFacts, CompileError> {
     let header = plan.header();
     let operators = operators(plan.program(), header.n_max as usize);
     Ok(PlanFacts {
+        network: match header.network {
+            Network::TeamValue => "team-value".to_owned(),
+            _ => "agent".to_owned(),
+        },
         flash_bytes,
         arena_bytes: plan.arena_bytes(),
         n_max: header.n_max as usize,

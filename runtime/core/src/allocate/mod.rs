@@ -17,7 +17,8 @@ pub mod team_value;
 
 pub use plan_value::PlanTeamValue;
 pub use team_value::{
-    LastAllocation, SearchMemory, TaskRelation, TeamQuery, TeamValueAllocator, TeamValueNetwork,
+    EXACT_AGENTS, LastAllocation, SearchMemory, TaskRelation, TeamQuery, TeamValueAllocator,
+    TeamValueNetwork,
 };
 
 use crate::allocator::AllocateError;

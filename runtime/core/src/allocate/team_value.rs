@@ -8,6 +8,9 @@ use crate::allocator::{AllocateError, AllocationState, Allocator, UNASSIGNED};
 use crate::entity_mask::EntityMask;
 use crate::limits;
 
+/// Most agents that are usually searched exactly: beyond, the values of all teams take too long.
+pub const EXACT_AGENTS: usize = 8;
+
 /// Sweeps of the coordinate ascent; few are needed until no agent moves.
 const SWEEPS: usize = 8;
 
@@ -140,7 +143,7 @@ pub struct TeamValueAllocator<'a, N, R, S> {
     pub start: S,
     /// Largest team of one subtask.
     pub team_max: usize,
-    /// Most agents that are searched exactly.
+    /// Most agents that are searched exactly, usually [`EXACT_AGENTS`].
     pub exact_agents: usize,
     /// Working memory.
     pub memory: SearchMemory<'a>,
