@@ -202,6 +202,14 @@ impl Profile {
 }
 
 impl Network {
+    /// The network's name, for people and scripts.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Agent => "agent",
+            Self::TeamValue => "team-value",
+        }
+    }
+
     /// The network's number in the header.
     pub const fn id(self) -> u8 {
         match self {

@@ -9,10 +9,9 @@ use crate::error::LearnError;
 use crate::random::Generator;
 
 /// A deployed allocator, on what it would see of a city.
-#[derive(Clone, Debug)]
-pub struct DeployedAllocator<A>(pub A);
+pub struct DeployedAllocator<'a>(pub Box<dyn Allocator + 'a>);
 
-impl<A: Allocator> Allocate for DeployedAllocator<A> {
+impl Allocate for DeployedAllocator<'_> {
     fn allocate(
         &mut self,
         city: City<'_>,

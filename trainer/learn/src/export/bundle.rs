@@ -51,6 +51,14 @@ pub struct LearnedAllocator<'a> {
     pub team_max: usize,
 }
 
+impl<'a> LearnedAllocator<'a> {
+    /// The allocator of a run, if the run learns one.
+    pub fn of(run: &'a Run) -> Option<Self> {
+        let team_max = run.description.config.allocation.team_max;
+        run.allocator.as_ref().map(|network| Self { network, team_max })
+    }
+}
+
 /// Makes a bundle of the averaged weights of the run in `folder`, with its allocator where it has one.
 ///
 /// # Errors
@@ -58,10 +66,10 @@ pub struct LearnedAllocator<'a> {
 pub fn draft_bundle(
     run: &Run,
     folder: &Path,
-    allocator: Option<LearnedAllocator<'_>>,
     measured: &[Measured],
     seed: u64,
 ) -> Result<Draft, LearnError> {
+    let allocator = LearnedAllocator::of(run);
     let set = ScenarioSet::named(&run.description.config.environment.set)?;
     let contract = contract(run.description.config.allocation.interval);
     let diverged = |error: ExportError| LearnError::format(folder, error);
