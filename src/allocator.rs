@@ -107,7 +107,7 @@ enum NetworkMemory {
 }
 
 enum BoundNetwork<'a> {
-    Plan(PlanTeamValue<'a>),
+    Plan(Box<PlanTeamValue<'a>>),
     Tract(&'a mut TractTeamValue),
 }
 
@@ -134,7 +134,7 @@ impl NetworkMemory {
                 let network = Plan::load(plan.as_slice())
                     .and_then(|plan| PlanTeamValue::new(plan, arena.as_mut_slice(), rows))
                     .map_err(CompileError::from)?;
-                Ok(BoundNetwork::Plan(network))
+                Ok(BoundNetwork::Plan(Box::new(network)))
             }
             Self::Tract(network) => Ok(BoundNetwork::Tract(network)),
         }

@@ -24,11 +24,11 @@ fn travel_bin(travel_time: f64) -> usize {
     TRAVEL_FROM.iter().filter(|from| travel_time >= **from).count()
 }
 
-/// Writes the relation `[N, RELATIONS]` of every entity to a building, each row one-hot.
+/// Writes the relation `[N, RELATIONS]` of every entity to an open building, each row one-hot.
 ///
 /// Agent i of the city stands in row `agent_rows[i]`, building b in row `first_building + b`. The row of
 /// the building itself stays zero, as do those of closed buildings and rows that hold no entity: no
-/// network looks at their relation. Rows that do not exist are left out.
+/// network looks at their relation. All rows stay zero where the building is not open.
 pub fn write_relation(
     city: City<'_>,
     task: usize,
@@ -37,7 +37,8 @@ pub fn write_relation(
     relation: &mut [f32],
 ) {
     relation.fill(0.0);
-    let Some(building) = city.buildings.get(task) else { return };
+    let building = city.buildings.get(task).filter(|building| building.is_open());
+    let Some(building) = building else { return };
     let mut mark = |row: usize, bin: usize| {
         if let Some(value) = relation.get_mut(row * RELATIONS + bin) {
             *value = 1.0;

@@ -158,7 +158,8 @@ fn team_value(weights: &UtilityWeights, contract: u64) -> Result<Vec<u8>, Export
     team_value_onnx(&TeamValueExport { features, relations, contract, layers })
 }
 
-fn layers(weights: &UtilityWeights) -> AttentionNetwork<'_> {
+/// The layers of a network.
+pub(super) fn layers(weights: &UtilityWeights) -> AttentionNetwork<'_> {
     let matrix = |values| Matrix { values, layout: Layout::OutputsFirst };
     let shape = weights.shape;
     AttentionNetwork {
