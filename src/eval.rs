@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 use sortie_learn::evaluate::{
-    Allocate, DeployedAllocator as AsDeployed, Evaluation, EvaluationPlan, NetworkTeam, PolicyTeam,
+    Allocate, DeployedAllocator as AsDeployed, Evaluation, EvaluationPlan, PolicyTeam,
     ScriptedActors, Team, evaluate, evaluate_watched,
 };
 use sortie_learn::export::LearnedAllocator;
@@ -81,7 +81,7 @@ pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
     };
     let evaluation = match &subject {
         Subject::Scripted => play(&mut ScriptedActors::new(arguments.common.seed))?,
-        Subject::Run(run) => play(&mut NetworkTeam::new(&run.network))?,
+        Subject::Run(run) => play(&mut run.team())?,
         Subject::Bundle(bundle) => {
             environment::check_fits(bundle, &plan.set)?;
             let mut policy = DeployedPolicy::open(bundle, arguments.backend)?;

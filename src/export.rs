@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 use sortie_bundle::hex;
-use sortie_learn::evaluate::{Allocate, EvaluationPlan, NetworkTeam, evaluate};
-use sortie_learn::export::{LearnedAllocator, Measured, draft_bundle};
+use sortie_learn::evaluate::{Allocate, EvaluationPlan, evaluate};
+use sortie_learn::export::{LearnedAllocator, Measured, check_exportable, draft_bundle};
 use sortie_learn::methods::alma::team_value::TeamValueAllocator;
 use sortie_learn::run::Run;
 
@@ -41,11 +41,12 @@ struct Report {
 pub(crate) fn run(arguments: &ExportArguments) -> Outcome {
     let run = Run::open(&arguments.run)?;
     warn_of_refused(&run.refused);
+    check_exportable(&run)?;
     let (set, seed) = (&run.description.config.environment.set, arguments.common.seed);
     let plan = EvaluationPlan::new(set, arguments.episodes as usize, seed)?;
     let mut measured = Vec::new();
     let mut measure = |name: &str, allocator: &mut dyn Allocate| -> Outcome {
-        let evaluation = evaluate(&plan, &mut NetworkTeam::new(&run.network), allocator)?;
+        let evaluation = evaluate(&plan, &mut run.team(), allocator)?;
         measured.push(Measured { allocation: name.to_string(), evaluation });
         Ok(())
     };

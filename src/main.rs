@@ -3,6 +3,7 @@
 mod allocator;
 mod arguments;
 mod bench;
+mod compare;
 mod compile;
 mod deployment;
 mod environment;
@@ -18,6 +19,7 @@ mod replay;
 mod run;
 mod signals;
 mod subject;
+mod terminal_curve;
 mod train;
 mod verify;
 mod worlds;

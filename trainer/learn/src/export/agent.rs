@@ -19,6 +19,11 @@ pub struct AgentNetwork<'a> {
 /// Writes the network as ONNX: `entities [N, D], self_index [1], visible [N] -> utilities [U]`.
 pub fn agent_onnx(network: &AgentNetwork<'_>) -> Result<Vec<u8>, ExportError> {
     let AgentNetwork { features, layers, .. } = network;
+    let last_actions = if network.append_last_action { layers.outputs } else { 0 };
+    let (want, got) = (features + last_actions, layers.inputs);
+    if want != got {
+        return Err(ExportError::Columns { want, got });
+    }
     let mut graph = Graph::default();
     declare(&mut graph, layers.inputs, layers.outputs);
     let inputs = Inputs { rows: "entities", own: "self_index", visible: "visible" };

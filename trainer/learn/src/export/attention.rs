@@ -79,6 +79,14 @@ pub enum ExportError {
         /// The tensor.
         tensor: &'static str,
     },
+    /// The network takes other columns than the graph's inputs have.
+    #[error("the network takes {got} columns, the graph has {want}")]
+    Columns {
+        /// Columns of the graph's inputs.
+        want: usize,
+        /// Columns that the network takes.
+        got: usize,
+    },
     /// The heads do not divide the width.
     #[error("{heads} heads do not divide the width {width}")]
     Heads {

@@ -21,7 +21,7 @@ use super::golden_allocations::golden_allocations;
 use super::team_value::{TeamValueExport, team_value_onnx};
 use crate::error::LearnError;
 use crate::evaluate::{Evaluation, EvaluationPlan, PolicyTeam, evaluate};
-use crate::methods::alma::{NetworkPolicy, UtilityNetwork, UtilityWeights};
+use crate::methods::alma::{Conditioning, NetworkPolicy, UtilityNetwork, UtilityWeights};
 use crate::run::Run;
 
 /// Golden observations of a bundle.
@@ -59,6 +59,21 @@ impl<'a> LearnedAllocator<'a> {
     }
 }
 
+/// Refuses runs whose agents need more than what a deployed agent is shown.
+///
+/// # Errors
+/// The agents are not conditioned on subtasks by masks.
+pub fn check_exportable(run: &Run) -> Result<(), LearnError> {
+    let conditioning = run.description.config.network.subtask;
+    if conditioning == Conditioning::Mask {
+        return Ok(());
+    }
+    Err(LearnError::Config(format!(
+        "agents with `network.subtask` {conditioning:?} are evaluated only: bundles hold agents that see their \
+         own subtask (`network.subtask=mask`)"
+    )))
+}
+
 /// Makes a bundle of the averaged weights of the run in `folder`, with its allocator where it has one.
 ///
 /// # Errors
@@ -69,6 +84,7 @@ pub fn draft_bundle(
     measured: &[Measured],
     seed: u64,
 ) -> Result<Draft, LearnError> {
+    check_exportable(run)?;
     let allocator = LearnedAllocator::of(run);
     let set = ScenarioSet::named(&run.description.config.environment.set)?;
     let contract = contract(run.description.config.allocation.interval);

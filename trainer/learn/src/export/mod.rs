@@ -9,10 +9,10 @@ mod attention;
 mod bundle;
 mod golden_allocations;
 mod onnx;
-mod protobuf;
+pub(crate) mod protobuf;
 mod team_value;
 
 pub use agent::{AgentNetwork, agent_onnx};
 pub use attention::{AttentionNetwork, ExportError, Layer, Layout, Matrix};
-pub use bundle::{LearnedAllocator, Measured, draft_bundle};
+pub use bundle::{LearnedAllocator, Measured, check_exportable, draft_bundle};
 pub use team_value::{TeamValueExport, team_value_onnx};

@@ -25,7 +25,7 @@ pub fn team_value_onnx(network: &TeamValueExport<'_>) -> Result<Vec<u8>, ExportE
     let TeamValueExport { features, relations, layers, .. } = network;
     let (want, got) = (features + 2 + relations, layers.inputs);
     if want != got {
-        return Err(ExportError::WrongLength { tensor: "fc1", want, got });
+        return Err(ExportError::Columns { want, got });
     }
     let mut graph = Graph::default();
     declare(&mut graph, *features, *relations);
@@ -109,6 +109,6 @@ mod tests {
     #[test]
     fn columns_that_do_not_add_up_are_refused() {
         let error = export(4).unwrap_err();
-        assert_eq!(error, ExportError::WrongLength { tensor: "fc1", want: 12, got: 11 });
+        assert_eq!(error, ExportError::Columns { want: 12, got: 11 });
     }
 }
