@@ -6,6 +6,7 @@
 #![forbid(unsafe_code)]
 
 mod assemble;
+mod attention;
 mod compile;
 mod error;
 #[cfg(test)]
@@ -23,6 +24,7 @@ mod testing;
 mod tract_policy;
 mod tract_team_value;
 
+pub use attention::AttentionProbe;
 pub use compile::{
     CompileOptions, Compiled, OperatorReport, Report, VERSION, compile, compile_allocator,
     compile_bundle,

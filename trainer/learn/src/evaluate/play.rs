@@ -35,9 +35,10 @@ pub(super) struct Play<'a> {
 }
 
 impl<'a> Play<'a> {
-    /// Starts the first episodes.
+    /// Starts as many episodes as there are worlds, from number `first_episode` on.
     pub(super) fn new(
         plan: &'a EvaluationPlan,
+        first_episode: usize,
         worlds: usize,
         onlooker: &'a mut dyn Onlooker,
     ) -> Result<Self, LearnError> {
@@ -58,7 +59,7 @@ impl<'a> Play<'a> {
             city,
             worlds: (0..worlds).map(world).collect(),
             active: (0..worlds).collect(),
-            next_episode: 0,
+            next_episode: first_episode,
             actions: vec![0; worlds * agents],
         };
         for world in 0..worlds {
