@@ -6,7 +6,7 @@ use clap::Args;
 use serde::Serialize;
 use sortie_bundle::hex;
 use sortie_learn::evaluate::{Allocate, EvaluationPlan, evaluate};
-use sortie_learn::export::{LearnedAllocator, Measured, check_deployable, draft_bundle};
+use sortie_learn::export::{LearnedAllocator, Measured, check_exportable, draft_bundle};
 use sortie_learn::methods::alma::team_value::TeamValueAllocator;
 use sortie_learn::run::Run;
 
@@ -41,7 +41,7 @@ struct Report {
 pub(crate) fn run(arguments: &ExportArguments) -> Outcome {
     let run = Run::open(&arguments.run)?;
     warn_of_refused(&run.refused);
-    check_deployable(&run)?;
+    check_exportable(&run)?;
     let (set, seed) = (&run.description.config.environment.set, arguments.common.seed);
     let plan = EvaluationPlan::new(set, arguments.episodes as usize, seed)?;
     let mut measured = Vec::new();

@@ -59,36 +59,32 @@ impl<'a> LearnedAllocator<'a> {
     }
 }
 
-/// Refuses a run whose agents no bundle can hold.
-///
-/// What an agent sees of other subtasks is part of a bundle's contract, and so far all of a bundle, its
-/// golden observations included, is made for agents under the subtask mask. Marks of subtasks are
-/// moreover nothing that an observation has room for.
+/// Refuses runs whose agents need more than what a deployed agent is shown.
 ///
 /// # Errors
-/// The agents were trained without the subtask mask.
-pub fn check_deployable(run: &Run) -> Result<(), LearnError> {
-    match run.description.config.network.subtask {
-        Conditioning::Mask => Ok(()),
-        Conditioning::Input | Conditioning::None => Err(LearnError::Config(
-            "only agents with `network.subtask = \"mask\"` can be deployed; the others are there \
-             to be compared with"
-                .to_owned(),
-        )),
+/// The agents are not conditioned on subtasks by masks.
+pub fn check_exportable(run: &Run) -> Result<(), LearnError> {
+    let conditioning = run.description.config.network.subtask;
+    if conditioning == Conditioning::Mask {
+        return Ok(());
     }
+    Err(LearnError::Config(format!(
+        "agents with `network.subtask` {conditioning:?} are evaluated only: bundles hold agents that see their \
+         own subtask (`network.subtask=mask`)"
+    )))
 }
 
 /// Makes a bundle of the averaged weights of the run in `folder`, with its allocator where it has one.
 ///
 /// # Errors
-/// The run is not [deployable](check_deployable), its files cannot be read, or its network is not finite.
+/// The run is not [deployable](check_exportable), its files cannot be read, or its network is not finite.
 pub fn draft_bundle(
     run: &Run,
     folder: &Path,
     measured: &[Measured],
     seed: u64,
 ) -> Result<Draft, LearnError> {
-    check_deployable(run)?;
+    check_exportable(run)?;
     let allocator = LearnedAllocator::of(run);
     let set = ScenarioSet::named(&run.description.config.environment.set)?;
     let contract = contract(run.description.config.allocation.interval);

@@ -14,5 +14,5 @@ mod team_value;
 
 pub use agent::{AgentNetwork, agent_onnx};
 pub use attention::{AttentionNetwork, ExportError, Layer, Layout, Matrix};
-pub use bundle::{LearnedAllocator, Measured, check_deployable, draft_bundle};
+pub use bundle::{LearnedAllocator, Measured, check_exportable, draft_bundle};
 pub use team_value::{TeamValueExport, team_value_onnx};
