@@ -2,8 +2,6 @@
 //!
 //! All of them run over flat parameter vectors.
 
-use crate::layers::vectorised::vectorised;
-
 /// Scales the gradient so that its Euclidean norm is at most `limit`; returns the norm before.
 ///
 /// The scale is `min(1, limit / (norm + 1e-6))`, as in the public code. The norm is summed in f64.
@@ -18,14 +16,9 @@ pub fn clip_norm(gradient: &mut [f32], limit: f32) -> f32 {
 
 /// Moves `average` a share `rate` of the way towards `values`.
 pub fn move_towards(average: &mut [f32], values: &[f32], rate: f32) {
-    vectorised(
-        #[inline(always)]
-        || {
-            for (average, value) in average.iter_mut().zip(values) {
-                *average += rate * (value - *average);
-            }
-        },
-    );
+    for (average, value) in average.iter_mut().zip(values) {
+        *average += rate * (value - *average);
+    }
 }
 
 /// The Adam optimiser (Kingma and Ba 2015), with bias correction.
@@ -61,19 +54,13 @@ impl Adam {
             let range = start..start + part.len();
             start = range.end;
             let moments = self.mean[range.clone()].iter_mut().zip(&mut self.square[range.clone()]);
-            let epsilon = self.epsilon;
-            vectorised(
-                #[inline(always)]
-                || {
-                    for ((parameter, gradient), (mean, square)) in
-                        part.iter_mut().zip(&gradient[range]).zip(moments)
-                    {
-                        *mean += (1.0 - Self::DECAY_MEAN) * (gradient - *mean);
-                        *square += (1.0 - Self::DECAY_SQUARE) * (gradient * gradient - *square);
-                        *parameter -= rate * *mean / ((*square * square_scale).sqrt() + epsilon);
-                    }
-                },
-            );
+            for ((parameter, gradient), (mean, square)) in
+                part.iter_mut().zip(&gradient[range]).zip(moments)
+            {
+                *mean += (1.0 - Self::DECAY_MEAN) * (gradient - *mean);
+                *square += (1.0 - Self::DECAY_SQUARE) * (gradient * gradient - *square);
+                *parameter -= rate * *mean / ((*square * square_scale).sqrt() + self.epsilon);
+            }
         }
     }
 }

@@ -9,7 +9,6 @@ use super::attention::{
     AttentionShape, VisibleLists, add_scaled, dot, softmax_columns, softmax_columns_backward,
 };
 use super::matrix::{Matrix, MatrixMut, Store, multiply};
-use super::vectorised::vectorised;
 
 /// The key and value matrices `[2 E, E]`, keys first.
 #[derive(Clone, Copy, Debug)]
@@ -89,10 +88,7 @@ impl AbsorbedAttention {
                 matrices.matrix(h, false),
             );
         }
-        vectorised(
-            #[inline(always)]
-            || self.attend(shape, visible, entities),
-        );
+        self.attend(shape, visible, entities);
         for h in 0..heads {
             multiply(
                 MatrixMut::new(output, count, width).columns(h * head..(h + 1) * head),
@@ -109,7 +105,6 @@ impl AbsorbedAttention {
     }
 
     /// Writes weights and weighted sums.
-    #[inline(always)]
     fn attend(&mut self, shape: AttentionShape, visible: &VisibleLists, entities: &[f32]) {
         let AttentionShape { width, heads } = shape;
         let wide = heads * width;
@@ -167,10 +162,7 @@ impl AbsorbedAttention {
                 Matrix::new(&self.sums, count, wide).columns(broad),
             );
         }
-        vectorised(
-            #[inline(always)]
-            || self.attend_backward(shape, visible, pass.entities, pass.d_entities),
-        );
+        self.attend_backward(shape, visible, pass.entities, pass.d_entities);
         let queries = Matrix::new(pass.queries, count, width);
         for h in 0..heads {
             let (narrow, broad) = (h * head..(h + 1) * head, h * width..(h + 1) * width);
@@ -191,7 +183,6 @@ impl AbsorbedAttention {
     }
 
     /// Writes the gradients of the absorbed queries and of the entities.
-    #[inline(always)]
     fn attend_backward(
         &mut self,
         shape: AttentionShape,

@@ -5,8 +5,6 @@
 //! A query that sees nothing gets a zero vector. Invisible entities are never touched, which is exact
 //! because their weight is zero.
 
-use super::vectorised::vectorised;
-
 /// For each query the rows that it sees.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VisibleLists {
@@ -54,7 +52,6 @@ impl VisibleLists {
     }
 
     /// Where a query's pairs begin, and its rows.
-    #[inline(always)]
     pub(super) fn span(&self, query: usize) -> (usize, &[u32]) {
         let (start, end) = (self.ends[query] as usize, self.ends[query + 1] as usize);
         (start, &self.rows[start..end])
@@ -87,40 +84,33 @@ pub fn forward(
     weights: &mut [f32],
     output: &mut [f32],
 ) {
-    vectorised(
-        #[inline(always)]
-        || {
-            let AttentionShape { width, heads } = shape;
-            let (head, scale) = (width / heads, shape.scale());
-            for (index, output) in output.chunks_exact_mut(width).enumerate() {
-                let query = &queries[index * width..][..width];
-                let (start, list) = visible.span(index);
-                let weights = &mut weights[start * heads..][..list.len() * heads];
-                for (row, weights) in list.iter().zip(weights.chunks_exact_mut(heads)) {
-                    let key = &keys_values[*row as usize * 2 * width..][..width];
-                    for ((weight, q), k) in
-                        weights.iter_mut().zip(query.chunks_exact(head)).zip(key.chunks_exact(head))
-                    {
-                        *weight = dot(q, k) * scale;
-                    }
-                }
-                softmax_columns(weights, heads);
-                output.fill(0.0);
-                for (row, weights) in list.iter().zip(weights.chunks_exact(heads)) {
-                    let value = &keys_values[(*row as usize * 2 + 1) * width..][..width];
-                    for ((weight, out), v) in weights
-                        .iter()
-                        .zip(output.chunks_exact_mut(head))
-                        .zip(value.chunks_exact(head))
-                    {
-                        for (out, v) in out.iter_mut().zip(v) {
-                            *out += weight * v;
-                        }
-                    }
+    let AttentionShape { width, heads } = shape;
+    let (head, scale) = (width / heads, shape.scale());
+    for (index, output) in output.chunks_exact_mut(width).enumerate() {
+        let query = &queries[index * width..][..width];
+        let (start, list) = visible.span(index);
+        let weights = &mut weights[start * heads..][..list.len() * heads];
+        for (row, weights) in list.iter().zip(weights.chunks_exact_mut(heads)) {
+            let key = &keys_values[*row as usize * 2 * width..][..width];
+            for ((weight, q), k) in
+                weights.iter_mut().zip(query.chunks_exact(head)).zip(key.chunks_exact(head))
+            {
+                *weight = dot(q, k) * scale;
+            }
+        }
+        softmax_columns(weights, heads);
+        output.fill(0.0);
+        for (row, weights) in list.iter().zip(weights.chunks_exact(heads)) {
+            let value = &keys_values[(*row as usize * 2 + 1) * width..][..width];
+            for ((weight, out), v) in
+                weights.iter().zip(output.chunks_exact_mut(head)).zip(value.chunks_exact(head))
+            {
+                for (out, v) in out.iter_mut().zip(v) {
+                    *out += weight * v;
                 }
             }
-        },
-    )
+        }
+    }
 }
 
 /// The tensors of a backward pass through [`forward`].
@@ -144,64 +134,56 @@ pub struct Backward<'a> {
 
 /// Writes the gradients of queries, keys and values.
 pub fn backward(shape: AttentionShape, visible: &VisibleLists, pass: Backward<'_>) {
-    vectorised(
-        #[inline(always)]
-        || {
-            let AttentionShape { width, heads } = shape;
-            let (head, scale) = (width / heads, shape.scale());
-            pass.d_keys_values.fill(0.0);
-            for index in 0..visible.queries() {
-                let (start, list) = visible.span(index);
-                let query = &pass.queries[index * width..][..width];
-                let d_output = &pass.d_output[index * width..][..width];
-                let weights = &pass.weights[start * heads..][..list.len() * heads];
-                let d_scores = &mut pass.d_scores[..list.len() * heads];
+    let AttentionShape { width, heads } = shape;
+    let (head, scale) = (width / heads, shape.scale());
+    pass.d_keys_values.fill(0.0);
+    for index in 0..visible.queries() {
+        let (start, list) = visible.span(index);
+        let query = &pass.queries[index * width..][..width];
+        let d_output = &pass.d_output[index * width..][..width];
+        let weights = &pass.weights[start * heads..][..list.len() * heads];
+        let d_scores = &mut pass.d_scores[..list.len() * heads];
 
-                for ((row, weights), d_weights) in list
-                    .iter()
-                    .zip(weights.chunks_exact(heads))
-                    .zip(d_scores.chunks_exact_mut(heads))
-                {
-                    let at = (*row as usize * 2 + 1) * width;
-                    let value = &pass.keys_values[at..][..width];
-                    let d_value = &mut pass.d_keys_values[at..][..width];
-                    for ((((weight, d_weight), d_out), v), d_v) in weights
-                        .iter()
-                        .zip(d_weights)
-                        .zip(d_output.chunks_exact(head))
-                        .zip(value.chunks_exact(head))
-                        .zip(d_value.chunks_exact_mut(head))
-                    {
-                        *d_weight = dot(d_out, v);
-                        add_scaled(d_v, *weight, d_out);
-                    }
-                }
-                softmax_columns_backward(weights, d_scores, heads);
-
-                let d_query = &mut pass.d_queries[index * width..][..width];
-                d_query.fill(0.0);
-                for (row, d_scores) in list.iter().zip(d_scores.chunks_exact(heads)) {
-                    let at = *row as usize * 2 * width;
-                    let key = &pass.keys_values[at..][..width];
-                    let d_key = &mut pass.d_keys_values[at..][..width];
-                    for ((((d_score, q), k), d_q), d_k) in d_scores
-                        .iter()
-                        .zip(query.chunks_exact(head))
-                        .zip(key.chunks_exact(head))
-                        .zip(d_query.chunks_exact_mut(head))
-                        .zip(d_key.chunks_exact_mut(head))
-                    {
-                        add_scaled(d_q, d_score * scale, k);
-                        add_scaled(d_k, d_score * scale, q);
-                    }
-                }
+        for ((row, weights), d_weights) in
+            list.iter().zip(weights.chunks_exact(heads)).zip(d_scores.chunks_exact_mut(heads))
+        {
+            let at = (*row as usize * 2 + 1) * width;
+            let value = &pass.keys_values[at..][..width];
+            let d_value = &mut pass.d_keys_values[at..][..width];
+            for ((((weight, d_weight), d_out), v), d_v) in weights
+                .iter()
+                .zip(d_weights)
+                .zip(d_output.chunks_exact(head))
+                .zip(value.chunks_exact(head))
+                .zip(d_value.chunks_exact_mut(head))
+            {
+                *d_weight = dot(d_out, v);
+                add_scaled(d_v, *weight, d_out);
             }
-        },
-    )
+        }
+        softmax_columns_backward(weights, d_scores, heads);
+
+        let d_query = &mut pass.d_queries[index * width..][..width];
+        d_query.fill(0.0);
+        for (row, d_scores) in list.iter().zip(d_scores.chunks_exact(heads)) {
+            let at = *row as usize * 2 * width;
+            let key = &pass.keys_values[at..][..width];
+            let d_key = &mut pass.d_keys_values[at..][..width];
+            for ((((d_score, q), k), d_q), d_k) in d_scores
+                .iter()
+                .zip(query.chunks_exact(head))
+                .zip(key.chunks_exact(head))
+                .zip(d_query.chunks_exact_mut(head))
+                .zip(d_key.chunks_exact_mut(head))
+            {
+                add_scaled(d_q, d_score * scale, k);
+                add_scaled(d_k, d_score * scale, q);
+            }
+        }
+    }
 }
 
 /// Softmax down each column of `scores [list, heads]`, in place. An empty list stays empty.
-#[inline(always)]
 pub(super) fn softmax_columns(scores: &mut [f32], heads: usize) {
     for j in 0..heads.min(scores.len()) {
         let column = scores[j..].iter().step_by(heads);
@@ -218,7 +200,6 @@ pub(super) fn softmax_columns(scores: &mut [f32], heads: usize) {
 }
 
 /// Turns gradients of the weights into gradients of the scores: `p * (d - sum(p * d))`.
-#[inline(always)]
 pub(super) fn softmax_columns_backward(weights: &[f32], gradient: &mut [f32], heads: usize) {
     for j in 0..heads {
         let mut sum = 0.0;
@@ -232,7 +213,6 @@ pub(super) fn softmax_columns_backward(weights: &[f32], gradient: &mut [f32], he
 }
 
 /// Dot product in eight lanes, summed in a fixed order.
-#[inline(always)]
 pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
     let mut lanes = [0.0_f32; 8];
     let (a_whole, a_rest) = a.as_chunks::<8>();
@@ -248,7 +228,6 @@ pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
     a_rest.iter().zip(b_rest).fold(whole, |sum, (a, b)| sum + a * b)
 }
 
-#[inline(always)]
 pub(super) fn add_scaled(out: &mut [f32], factor: f32, values: &[f32]) {
     for (out, value) in out.iter_mut().zip(values) {
         *out += factor * value;

@@ -12,7 +12,6 @@ pub mod matrix;
 pub mod relu;
 pub mod softmax;
 pub mod sparse_linear;
-pub(crate) mod vectorised;
 
 #[cfg(test)]
 pub(crate) mod gradient_check;

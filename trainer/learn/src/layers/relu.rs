@@ -1,29 +1,17 @@
 //! The rectifier `max(0, x)`, in place.
 
-use super::vectorised::vectorised;
-
 /// Replaces negative values by zero.
 pub fn forward(values: &mut [f32]) {
-    vectorised(
-        #[inline(always)]
-        || {
-            for value in values {
-                *value = value.max(0.0);
-            }
-        },
-    )
+    for value in values {
+        *value = value.max(0.0);
+    }
 }
 
 /// Zeroes the gradient where the rectified `output` is zero.
 pub fn backward(output: &[f32], gradient: &mut [f32]) {
-    vectorised(
-        #[inline(always)]
-        || {
-            for (output, gradient) in output.iter().zip(gradient) {
-                *gradient = if *output > 0.0 { *gradient } else { 0.0 };
-            }
-        },
-    )
+    for (output, gradient) in output.iter().zip(gradient) {
+        *gradient = if *output > 0.0 { *gradient } else { 0.0 };
+    }
 }
 
 #[cfg(test)]

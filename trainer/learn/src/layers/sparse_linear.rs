@@ -3,8 +3,6 @@
 //! One-hot features turn the product into a sum of a dozen weight rows, so the weight is stored
 //! `[input, output]` and zero features cost nothing. The result equals the dense product.
 
-use super::vectorised::vectorised;
-
 /// Rows of features without their zeros.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SparseRows {
@@ -79,40 +77,30 @@ impl SparseRows {
 
 /// Writes `y [rows, width]` from `weight [input, width]` and `bias [width]`.
 pub fn forward(x: &SparseRows, weight: &[f32], bias: &[f32], y: &mut [f32]) {
-    vectorised(
-        #[inline(always)]
-        || {
-            let width = bias.len();
-            for (row, y) in y.chunks_exact_mut(width).enumerate() {
-                y.copy_from_slice(bias);
-                for (column, value) in x.row(row) {
-                    for (y, weight) in y.iter_mut().zip(&weight[column * width..][..width]) {
-                        *y += value * weight;
-                    }
-                }
+    let width = bias.len();
+    for (row, y) in y.chunks_exact_mut(width).enumerate() {
+        y.copy_from_slice(bias);
+        for (column, value) in x.row(row) {
+            for (y, weight) in y.iter_mut().zip(&weight[column * width..][..width]) {
+                *y += value * weight;
             }
-        },
-    )
+        }
+    }
 }
 
 /// Adds the gradients of `weight [input, width]` and `bias [width]`; features have none.
 pub fn backward(x: &SparseRows, d_y: &[f32], d_weight: &mut [f32], d_bias: &mut [f32]) {
-    vectorised(
-        #[inline(always)]
-        || {
-            let width = d_bias.len();
-            for (row, d_y) in d_y.chunks_exact(width).enumerate() {
-                for (sum, d) in d_bias.iter_mut().zip(d_y) {
-                    *sum += d;
-                }
-                for (column, value) in x.row(row) {
-                    for (sum, d) in d_weight[column * width..][..width].iter_mut().zip(d_y) {
-                        *sum += value * d;
-                    }
-                }
+    let width = d_bias.len();
+    for (row, d_y) in d_y.chunks_exact(width).enumerate() {
+        for (sum, d) in d_bias.iter_mut().zip(d_y) {
+            *sum += d;
+        }
+        for (column, value) in x.row(row) {
+            for (sum, d) in d_weight[column * width..][..width].iter_mut().zip(d_y) {
+                *sum += value * d;
             }
-        },
-    )
+        }
+    }
 }
 
 #[cfg(test)]

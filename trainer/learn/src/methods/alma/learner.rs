@@ -11,7 +11,6 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, Rw
 use super::config::{OptimiserConfig, ReplayConfig};
 use rand_core::Rng;
 
-use crate::layers::vectorised::vectorised;
 use crate::optimise::{Adam, clip_norm, move_towards};
 use crate::random::{Generator, below};
 
@@ -215,14 +214,9 @@ impl<L: Loss> Learner<L> {
         let (mut squared_error, mut terms) = (0.0, 0);
         for index in 0..self.shared.chunks.len() {
             let chunk = self.shared.chunk(index);
-            vectorised(
-                #[inline(always)]
-                || {
-                    for (sum, part) in self.gradient.iter_mut().zip(chunk.gradient()) {
-                        *sum += part;
-                    }
-                },
-            );
+            for (sum, part) in self.gradient.iter_mut().zip(chunk.gradient()) {
+                *sum += part;
+            }
             squared_error += chunk.squared_error();
             terms += chunk.terms();
         }
