@@ -4,6 +4,7 @@
 //! deployed policy ([`PolicyTeam`]) or the scripted low level ([`ScriptedActors`]). Episode e of a seed
 //! is the same whoever plays it, so that teams can be compared pair by pair.
 
+mod allocators;
 mod play;
 mod teams;
 
@@ -16,6 +17,7 @@ use sortie_envs::save_the_city::{
     UNASSIGNED,
 };
 
+pub use allocators::{DeployedAllocator, allocation_state};
 pub use teams::{NetworkTeam, PolicyTeam, ScriptedActors};
 
 use crate::error::LearnError;
