@@ -87,6 +87,9 @@ impl OptimiserConfig {
     pub fn learning_rate_at(&self, step: u64, steps: u64) -> f32 {
         let from = (self.decay_from * steps as f64) as u64;
         let (start, end) = (self.learning_rate, self.learning_rate_end);
+        if step < from {
+            return start;
+        }
         linear(start, end, steps.saturating_sub(from), step.saturating_sub(from))
     }
 
@@ -113,5 +116,7 @@ mod tests {
         };
         let rates = [0, 50, 75, 100, 200].map(|step| optimiser.learning_rate_at(step, 100));
         assert_eq!(rates, [2.0, 2.0, 1.5, 1.0, 1.0]);
+        let constant = OptimiserConfig { decay_from: 1.0, ..optimiser };
+        assert_eq!([0, 50, 99].map(|step| constant.learning_rate_at(step, 100)), [2.0; 3]);
     }
 }
