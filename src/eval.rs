@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 use sortie_learn::evaluate::{
-    Evaluation, EvaluationPlan, NetworkTeam, PolicyTeam, ScriptedActors, Team, evaluate,
-    evaluate_watched,
+    Allocate, Evaluation, EvaluationPlan, NetworkTeam, Planner, PlannerReport, PolicyTeam,
+    ScriptedActors, Team, evaluate, evaluate_watched,
 };
 
 use crate::arguments::{Allocation, Common};
@@ -25,6 +25,7 @@ use crate::subject::Subject;
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   sortie eval models/save-the-city --episodes 2000
+  sortie eval models/save-the-city --plan 24
   sortie eval scripted --env save-the-city/2-8a_2-8b --allocation heuristic")]
 pub(crate) struct EvalArguments {
     /// A bundle, a training run, or `scripted`
@@ -38,6 +39,13 @@ pub(crate) struct EvalArguments {
     /// Who assigns agents to subtasks
     #[arg(long, value_enum, default_value_t = Allocation::Coordinated)]
     allocation: Allocation,
+    /// Yardstick: look ahead with the exact simulator and try up to K changed allocations a decision
+    ///
+    /// The allocator's choice is played to the end in a copy of the world; where that does not solve
+    /// the episode, K randomly changed allocations are played as well and the best is taken. It shows
+    /// what allocation could still gain with this team; it is not a learned policy.
+    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u16).range(1..))]
+    plan: Option<u16>,
     /// Record every episode into this folder, for `sortie replay`
     #[arg(long, value_name = "DIR")]
     episodes_out: Option<PathBuf>,
@@ -56,13 +64,18 @@ struct Report<'a> {
     seed: u64,
     #[serde(flatten)]
     evaluation: &'a Evaluation,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    planner: Option<PlannerReport>,
 }
+
+/// What was measured, and what the planner did if there was one.
+type Played = (Evaluation, Option<PlannerReport>);
 
 pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
     let subject = Subject::find(&arguments.subject)?;
     let set = environment::scenario_set(arguments.env.as_deref(), &subject)?;
     let plan = EvaluationPlan::new(set.set(), arguments.episodes as usize, arguments.common.seed)?;
-    let evaluation = match &subject {
+    let (evaluation, planner) = match &subject {
         Subject::Scripted => {
             play(&plan, &mut ScriptedActors::new(arguments.common.seed), arguments)?
         }
@@ -80,9 +93,10 @@ pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
             allocation: arguments.allocation.name(),
             seed: arguments.common.seed,
             evaluation: &evaluation,
+            planner,
         });
     } else {
-        print(&set, arguments, &evaluation);
+        print(&set, arguments, &evaluation, planner);
     }
     Ok(())
 }
@@ -91,17 +105,39 @@ fn play(
     plan: &EvaluationPlan,
     team: &mut dyn Team,
     arguments: &EvalArguments,
-) -> Result<Evaluation, Failure> {
+) -> Result<Played, Failure> {
     let mut allocator = arguments.allocation.rule();
-    let Some(folder) = &arguments.episodes_out else {
-        return Ok(evaluate(plan, team, &mut allocator)?);
+    let Some(candidates) = arguments.plan else {
+        return Ok((record(plan, team, &mut allocator, arguments)?, None));
     };
-    let labels = (arguments.subject.as_str(), arguments.allocation.name());
-    let mut writer = EpisodeWriter::new(folder, labels, arguments.common.seed)?;
-    Ok(evaluate_watched(plan, team, &mut allocator, &mut writer)?)
+    let mut planner = Planner::new(plan, &mut allocator, candidates.into())?;
+    let evaluation = record(plan, team, &mut planner, arguments)?;
+    Ok((evaluation, Some(planner.report())))
 }
 
-fn print(set: &ScenarioSetName, arguments: &EvalArguments, evaluation: &Evaluation) {
+/// Plays, and writes the episodes to files where that is wanted.
+fn record(
+    plan: &EvaluationPlan,
+    team: &mut dyn Team,
+    allocator: &mut dyn Allocate,
+    arguments: &EvalArguments,
+) -> Result<Evaluation, Failure> {
+    let Some(folder) = &arguments.episodes_out else {
+        return Ok(evaluate(plan, team, allocator)?);
+    };
+    let planned = if arguments.plan.is_some() { "planned from " } else { "" };
+    let allocation = format!("{planned}{}", arguments.allocation.name());
+    let labels = (arguments.subject.as_str(), allocation.as_str());
+    let mut writer = EpisodeWriter::new(folder, labels, arguments.common.seed)?;
+    Ok(evaluate_watched(plan, team, allocator, &mut writer)?)
+}
+
+fn print(
+    set: &ScenarioSetName,
+    arguments: &EvalArguments,
+    evaluation: &Evaluation,
+    planner: Option<PlannerReport>,
+) {
     let [low, high] = evaluation.success_ci95;
     println!(
         "{set}: {} under {} allocation, {} episodes",
@@ -109,6 +145,12 @@ fn print(set: &ScenarioSetName, arguments: &EvalArguments, evaluation: &Evaluati
         arguments.allocation.name(),
         evaluation.episodes
     );
+    if let Some(PlannerReport { candidates, decisions, changed, .. }) = planner {
+        println!(
+            "planned with the exact simulator, {candidates} candidates: no learned policy, but a yardstick \
+             ({changed} of {decisions} decisions changed)"
+        );
+    }
     let mut table = Table::new(&["figure", "value"]);
     let mut row = |name: &str, value: String| table.row([name.to_string(), value]);
     row("success", format!("{:.3} ({low:.3} to {high:.3})", evaluation.success));
@@ -117,6 +159,13 @@ fn print(set: &ScenarioSetName, arguments: &EvalArguments, evaluation: &Evaluati
     row("return", format!("{:.2} (sd {:.2})", evaluation.return_mean, evaluation.return_sd));
     row("steps", format!("{:.1}", evaluation.length_mean));
     table.print();
+    println!();
+    let mut causes = Table::new(&["cause of failure", "episodes", "share"]);
+    for (cause, count) in &evaluation.failures {
+        let share = *count as f64 / evaluation.episodes.max(1) as f64;
+        causes.row([cause.clone(), count.to_string(), format!("{share:.3}")]);
+    }
+    causes.print();
     println!();
     let mut teams = Table::new(&["team", "episodes", "success"]);
     for (team, success) in &evaluation.by_team {
