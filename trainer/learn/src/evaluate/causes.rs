@@ -188,7 +188,9 @@ impl CauseFinder {
         let task = after.allocation[agent];
         let Some(building) = self.buildings.get(usize::from(task)) else { return false };
         let before = &self.agents[agent];
-        before.beside != task
+        let nearer = after.city.agents[agent].distance_to(building) < before.distance_to(building);
+        !nearer
+            && before.beside != task
             && (bounces.iter().any(|bounce| usize::from(bounce.loser) == agent)
                 || !can_approach(before, building))
     }
