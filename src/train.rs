@@ -7,7 +7,7 @@ use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use sortie_learn::LearnError;
 use sortie_learn::methods::alma::{Config, Observer, Outcome as Ending, Progress, Trainer};
-use sortie_learn::run::CurvePoint;
+use sortie_learn::run::{CurvePoint, RunResult};
 
 use crate::arguments::{Allocation, Common};
 use crate::environment::ScenarioSetName;
@@ -17,8 +17,8 @@ use crate::signals::stop_on_signals;
 
 /// Learn a team's policy and write the run to a folder
 ///
-/// The folder gets `train.toml` (the resolved configuration), `curve.json`, `curve.svg` and checkpoints. Ctrl-C writes a
-/// checkpoint and stops; `--resume` goes on as if nothing had happened. The same seed gives the same weights.
+/// Agents and allocator are learned together. The folder gets `train.toml` (the resolved configuration), `curve.json`,
+/// `curve.svg`, checkpoints and, at the end, `result.json`. Ctrl-C writes a checkpoint and stops; `--resume` goes on as if nothing had happened. The same seed gives the same weights.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   sortie train alma --out runs/first
@@ -40,7 +40,7 @@ pub(crate) struct TrainArguments {
     /// Replace one value of the configuration; may be given several times
     #[arg(long = "set", value_name = "KEY=VALUE")]
     assignments: Vec<String>,
-    /// Who assigns agents to subtasks while they learn [default: as the configuration says]
+    /// Rule that assigns agents to subtasks in the place of a learned allocator
     #[arg(long, value_enum)]
     allocation: Option<Allocation>,
     /// Environment steps to learn for [default: as the configuration says]
@@ -111,6 +111,7 @@ fn configuration(arguments: &TrainArguments) -> Result<Config, Failure> {
     }
     if let Some(allocation) = arguments.allocation {
         let weight = |rule| f64::from(u8::from(rule == allocation));
+        config.allocation.learned = 0.0;
         config.allocation.coordinated = weight(Allocation::Coordinated);
         config.allocation.heuristic = weight(Allocation::Heuristic);
         config.allocation.random = weight(Allocation::Random);
@@ -169,13 +170,28 @@ impl Observer for Reporter {
             print_json(point);
         } else if !self.common.quiet {
             let line = format!(
-                "{:>9} steps  {:>6.0} s  {:>6.0} CPU s  success {:.3}  time-outs {:.3}  loss {:.4}",
+                "{:>9} steps  {:>6.0} s  {:>6.0} CPU s  success {:.3}  time-outs {:.3}  loss {:.4}  allocator {:.4}",
                 point.env_steps,
                 point.wall_s,
                 point.cpu_s,
                 point.success,
                 point.timeouts,
-                point.loss
+                point.loss,
+                point.allocator_loss
+            );
+            self.bar.suspend(|| println!("{line}"));
+        }
+    }
+
+    fn finished(&mut self, result: &RunResult) {
+        let RunResult { allocation, evaluation, .. } = result;
+        let [low, high] = evaluation.success_ci95;
+        if self.common.json {
+            print_json(result);
+        } else if !self.common.quiet {
+            let line = format!(
+                "{} fresh episodes under {allocation} allocation: success {:.3} ({low:.3} to {high:.3})",
+                evaluation.episodes, evaluation.success
             );
             self.bar.suspend(|| println!("{line}"));
         }

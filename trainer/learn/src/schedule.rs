@@ -8,11 +8,6 @@ pub fn linear(start: f32, end: f32, length: u64, step: u64) -> f32 {
     start + (end - start) * (step as f64 / length as f64) as f32
 }
 
-/// Stays at `value` until step `from`, then falls in a straight line to zero at step `to`.
-pub fn constant_then_linear(value: f32, from: u64, to: u64, step: u64) -> f32 {
-    linear(value, 0.0, to.saturating_sub(from), step.saturating_sub(from))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -23,8 +18,5 @@ mod tests {
         assert!((linear(1.0, 0.0, 100, 25) - 0.75).abs() < 1e-6);
         assert_eq!(linear(1.0, 0.05, 100, 1000), 0.05);
         assert_eq!(linear(1.0, 0.05, 0, 0), 0.05);
-        assert_eq!(constant_then_linear(2.0, 50, 100, 50), 2.0);
-        assert_eq!(constant_then_linear(2.0, 50, 100, 75), 1.0);
-        assert_eq!(constant_then_linear(2.0, 50, 100, 100), 0.0);
     }
 }

@@ -18,9 +18,18 @@ fn config() -> Config {
         "replay.capacity=3000",
         "replay.warm_up=300",
         "replay.batch=96",
+        "allocator.learns_from=400",
+        "allocator.decides_from=800",
+        "allocator.network.width=16",
+        "allocator.network.base=16",
+        "allocator.replay.warm_up=100",
+        "allocator.replay.capacity=500",
+        "allocator.replay.batch=40",
+        "allocator.replay.steps_per_update=32",
         "run.steps=3200",
         "run.evaluate_every=1000",
         "run.evaluate_episodes=20",
+        "run.final_episodes=20",
         "run.checkpoint_minutes=60",
     ] {
         config.set(assignment).unwrap();
@@ -96,10 +105,12 @@ fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
     run(&mut trainer, u64::MAX);
     let (resumed, whole) = (Run::open(folder.path()).unwrap(), Run::open(whole.path()).unwrap());
     assert_eq!(resumed.network, whole.network);
+    assert!(resumed.allocator.is_some() && resumed.allocator == whole.allocator);
     assert_eq!(resumed.curve.len(), 4);
     for (resumed, whole) in resumed.curve.iter().zip(&whole.curve) {
         assert_eq!(resumed.success, whole.success);
         assert_eq!(resumed.loss, whole.loss, "at {}", resumed.env_steps);
+        assert_eq!(resumed.allocator_loss, whole.allocator_loss);
         assert_eq!(resumed.training_success, whole.training_success);
     }
 }
@@ -139,4 +150,22 @@ fn a_run_describes_and_draws_itself() {
     assert!(opened.curve.iter().all(|point| point.loss > 0.0 && point.cpu_s > 0.0));
     let svg = std::fs::read_to_string(folder.path().join("curve.svg")).unwrap();
     assert!(svg.contains("alma on save-the-city 2-5a_2-5b, seed 3"));
+    let result = std::fs::read_to_string(folder.path().join("result.json")).unwrap();
+    assert!(result.contains("\"allocation\": \"learned\""), "{result}");
+    let last = opened.curve.last().unwrap();
+    assert!(last.decisions > 300 && last.allocator_updates > 30 && last.allocator_loss > 0.0);
+}
+
+#[test]
+fn a_run_under_a_rule_learns_no_allocator() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = config();
+    config.set("allocation.learned=0").unwrap();
+    let mut trainer = Trainer::new(config, 3, 1, folder.path()).unwrap();
+    run(&mut trainer, u64::MAX);
+    let opened = Run::open(folder.path()).unwrap();
+    assert!(opened.allocator.is_none());
+    assert_eq!(opened.curve[0].allocation, "heuristic");
+    assert_eq!(opened.curve[0].allocator_updates, 0);
+    assert_eq!(Trainer::resume(folder.path(), None).unwrap().env_steps(), 3200);
 }

@@ -6,9 +6,9 @@
 //!
 //! | file | content |
 //! | --- | --- |
-//! | `manifest.toml` | format version, version of Sortie, steps, network shape, sizes and CRC-64 of the others |
-//! | `tensors.safetensors` | `online/`, `target/`, `average/`, `adam-mean/`, `adam-square/` with the tensors of [`UtilityShape::tensors`] |
-//! | `state.postcard` | counters, generators, running episodes, the curve, the replay |
+//! | `manifest.toml` | format version, version of Sortie, steps, network shapes, sizes and CRC-64 of the others |
+//! | `tensors.safetensors` | `agents/` and `allocator/`, each with `online/`, `target/`, `average/`, `adam-mean/`, `adam-square/` and the tensors of [`UtilityShape::tensors`] |
+//! | `state.postcard` | counters, generators, running episodes, the curve, the replays |
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -23,7 +23,7 @@ use crate::error::LearnError;
 use crate::methods::alma::{UtilityNetwork, UtilityShape};
 
 /// Version of the files of a checkpoint; another version is refused.
-const FORMAT: u32 = 1;
+const FORMAT: u32 = 2;
 /// Checkpoints that are kept.
 const KEPT: usize = 2;
 const MANIFEST: &str = "manifest.toml";
@@ -36,7 +36,7 @@ struct Manifest {
     format: u32,
     version: String,
     env_steps: u64,
-    shape: UtilityShape,
+    shapes: BTreeMap<String, UtilityShape>,
     files: BTreeMap<String, FileSum>,
 }
 
@@ -53,6 +53,17 @@ impl FileSum {
         static CRC: Crc<u64, Table<16>> = Crc::<u64, Table<16>>::new(&CRC_64_XZ);
         Self { bytes: content.len() as u64, crc64: format!("{:016x}", CRC.checksum(content)) }
     }
+}
+
+/// A network as a checkpoint holds it: parameter vectors by name.
+#[derive(Clone, Debug)]
+pub struct SavedNetwork<'a> {
+    /// The network's name.
+    pub name: &'static str,
+    /// Its sizes.
+    pub shape: UtilityShape,
+    /// Vectors of one value per parameter.
+    pub vectors: Vec<(&'static str, &'a [f32])>,
 }
 
 /// The checkpoints of a run.
@@ -87,12 +98,11 @@ impl Checkpoints {
 
     /// Writes a checkpoint and deletes those that are no longer needed.
     ///
-    /// `vectors` are parameter vectors by name; `state` is everything else.
+    /// `state` is everything that is no parameter vector.
     pub fn write(
         &self,
         env_steps: u64,
-        shape: UtilityShape,
-        vectors: &[(&str, &[f32])],
+        networks: &[SavedNetwork<'_>],
         state: &impl Serialize,
     ) -> Result<PathBuf, LearnError> {
         std::fs::create_dir_all(&self.folder).map_err(LearnError::file(&self.folder))?;
@@ -102,7 +112,7 @@ impl Checkpoints {
         std::fs::create_dir(&unfinished).map_err(LearnError::file(&unfinished))?;
 
         let bad = |error: &dyn std::fmt::Display| LearnError::format(&unfinished, error);
-        let tensors = tensors_file(shape, vectors).map_err(|error| bad(&error))?;
+        let tensors = tensors_file(networks).map_err(|error| bad(&error))?;
         let state = postcard::to_stdvec(state).map_err(|error| bad(&error))?;
         let mut files = BTreeMap::new();
         for (name, content) in [(TENSORS, &tensors), (STATE, &state)] {
@@ -110,7 +120,8 @@ impl Checkpoints {
             files.insert(name.to_owned(), FileSum::of(content));
         }
         let version = env!("CARGO_PKG_VERSION").to_owned();
-        let manifest = Manifest { format: FORMAT, version, env_steps, shape, files };
+        let shapes = networks.iter().map(|n| (n.name.to_owned(), n.shape)).collect();
+        let manifest = Manifest { format: FORMAT, version, env_steps, shapes, files };
         let manifest = toml::to_string(&manifest).map_err(|error| bad(&error))?;
         write_whole(&unfinished.join(MANIFEST), manifest.as_bytes())?;
 
@@ -194,33 +205,45 @@ impl Checkpoint {
         self.manifest.env_steps
     }
 
-    /// The shape of its networks.
-    pub fn shape(&self) -> UtilityShape {
-        self.manifest.shape
+    /// Its folder.
+    pub fn place(&self) -> &Path {
+        &self.place
     }
 
-    /// The network of one parameter vector: `online`, `target` or `average`.
-    pub fn network(&self, name: &str) -> Result<UtilityNetwork, LearnError> {
-        let vector = self.vector(name)?;
-        UtilityNetwork::from_parameters(self.shape(), vector)
-            .ok_or_else(|| self.bad(format!("`{name}` does not fit its shape")))
+    /// Whether there is a network of that name.
+    pub fn has(&self, network: &str) -> bool {
+        self.manifest.shapes.contains_key(network)
     }
 
-    /// One parameter vector.
-    pub fn vector(&self, name: &str) -> Result<Vec<f32>, LearnError> {
+    /// The shape of a network: `agents` or `allocator`.
+    pub fn shape(&self, network: &str) -> Result<UtilityShape, LearnError> {
+        let shape = self.manifest.shapes.get(network).copied();
+        shape.ok_or_else(|| self.bad(format!("there is no `{network}` network")))
+    }
+
+    /// A network by one of its parameter vectors: `online`, `target` or `average`.
+    pub fn network(&self, network: &str, vector: &str) -> Result<UtilityNetwork, LearnError> {
+        let parameters = self.vector(network, vector)?;
+        UtilityNetwork::from_parameters(self.shape(network)?, parameters)
+            .ok_or_else(|| self.bad(format!("`{network}/{vector}` does not fit its shape")))
+    }
+
+    /// One parameter vector of a network.
+    pub fn vector(&self, network: &str, vector: &str) -> Result<Vec<f32>, LearnError> {
         let file = SafeTensors::deserialize(&self.tensors).map_err(|error| self.bad(error))?;
-        let mut vector = Vec::with_capacity(self.shape().parameters());
-        for tensor in self.shape().tensors() {
-            let name = format!("{name}/{}", tensor.name);
+        let shape = self.shape(network)?;
+        let mut parameters = Vec::with_capacity(shape.parameters());
+        for tensor in shape.tensors() {
+            let name = format!("{network}/{vector}/{}", tensor.name);
             let view = file.tensor(&name).map_err(|error| self.bad(format!("{name}: {error}")))?;
             let (numbers, rest) = view.data().as_chunks::<4>();
             if view.dtype() != Dtype::F32 || numbers.len() != tensor.range.len() || !rest.is_empty()
             {
                 return Err(self.bad(format!("{name} has another size or type")));
             }
-            vector.extend(numbers.iter().map(|bytes| f32::from_le_bytes(*bytes)));
+            parameters.extend(numbers.iter().map(|bytes| f32::from_le_bytes(*bytes)));
         }
-        Ok(vector)
+        Ok(parameters)
     }
 
     /// Everything that is not a parameter vector.
@@ -253,21 +276,19 @@ impl Checkpoint {
     }
 }
 
-/// All vectors, cut into their tensors.
-fn tensors_file(
-    shape: UtilityShape,
-    vectors: &[(&str, &[f32])],
-) -> Result<Vec<u8>, safetensors::SafeTensorError> {
-    let bytes: Vec<(String, [usize; 2], Vec<u8>)> = vectors
-        .iter()
-        .flat_map(|(name, vector)| {
-            shape.tensors().map(|tensor| {
-                let numbers = &vector[tensor.range];
-                let bytes = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
-                (format!("{name}/{}", tensor.name), [tensor.rows, tensor.columns], bytes)
-            })
-        })
-        .collect();
+/// All vectors of all networks, cut into their tensors.
+fn tensors_file(networks: &[SavedNetwork<'_>]) -> Result<Vec<u8>, safetensors::SafeTensorError> {
+    let mut bytes: Vec<(String, [usize; 2], Vec<u8>)> = Vec::new();
+    for SavedNetwork { name: network, shape, vectors } in networks {
+        for (vector, parameters) in vectors {
+            for tensor in shape.tensors() {
+                let numbers = &parameters[tensor.range];
+                let numbers = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
+                let name = format!("{network}/{vector}/{}", tensor.name);
+                bytes.push((name, [tensor.rows, tensor.columns], numbers));
+            }
+        }
+    }
     let views = bytes
         .iter()
         .map(|(name, sizes, bytes)| Ok((name, TensorView::new(Dtype::F32, sizes.to_vec(), bytes)?)))
@@ -287,18 +308,22 @@ fn remove(folder: &Path) -> Result<(), LearnError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::methods::alma::Parameters;
 
     const SHAPE: UtilityShape = UtilityShape { input: 3, width: 4, heads: 2, base: 2, actions: 2 };
 
     fn write(checkpoints: &Checkpoints, env_steps: u64) -> PathBuf {
         let vector = vec![env_steps as f32; SHAPE.parameters()];
-        checkpoints.write(env_steps, SHAPE, &[("average", &vector)], &env_steps).unwrap()
+        let network =
+            SavedNetwork { name: "agents", shape: SHAPE, vectors: vec![("average", &vector)] };
+        checkpoints.write(env_steps, &[network], &env_steps).unwrap()
     }
 
     fn steps_of(found: &Found) -> u64 {
         let state: u64 = found.checkpoint.state().unwrap();
         assert_eq!(state, found.checkpoint.env_steps());
-        assert_eq!(found.checkpoint.network("average").unwrap().parameters()[0], state as f32);
+        let network = found.checkpoint.network("agents", "average").unwrap();
+        assert_eq!(network.parameters()[0], state as f32);
         state
     }
 
@@ -316,7 +341,10 @@ mod tests {
         assert_eq!(steps_of(&found), 100);
         assert!(found.refused.is_empty());
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2);
-        assert!(found.checkpoint.vector("target").unwrap_err().to_string().contains("target/fc1"));
+        let missing =
+            |network, vector| found.checkpoint.vector(network, vector).unwrap_err().to_string();
+        assert!(missing("agents", "target").contains("agents/target/fc1"));
+        assert!(missing("allocator", "average").contains("no `allocator` network"));
     }
 
     #[test]
@@ -356,9 +384,9 @@ mod tests {
         let checkpoints = Checkpoints::new(folder.path());
         let manifest = write(&checkpoints, 1).join(MANIFEST);
         let text = std::fs::read_to_string(&manifest).unwrap();
-        std::fs::write(&manifest, text.replace("format = 1", "format = 9")).unwrap();
+        std::fs::write(&manifest, text.replace("format = 2", "format = 9")).unwrap();
         let error = checkpoints.newest(OpenFor::Use).unwrap_err().to_string();
-        assert!(error.contains("format 9") && error.contains("reads 1"), "{error}");
+        assert!(error.contains("format 9") && error.contains("reads 2"), "{error}");
     }
 
     #[test]

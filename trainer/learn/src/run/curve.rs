@@ -7,31 +7,41 @@ use serde::{Deserialize, Serialize};
 pub struct CurvePoint {
     /// Environment steps taken.
     pub env_steps: u64,
-    /// Optimiser steps taken.
+    /// Optimiser steps of the agents.
     pub updates: u64,
+    /// Decisions of who allocates.
+    pub decisions: u64,
     /// Seconds since the run began, interruptions left out.
     pub wall_s: f64,
     /// Seconds of processor time, all threads together.
     pub cpu_s: f64,
+    /// Who allocated in the evaluation.
+    pub allocation: String,
     /// Share of greedy episodes with all buildings complete, played with the averaged weights.
     pub success: f64,
     /// 95 % Wilson interval of the success.
     pub success_ci95: [f64; 2],
     /// Share of those episodes that ran out of time.
     pub timeouts: f64,
+    /// Share of those episodes in which no building burned down.
+    pub none_burned: f64,
     /// Mean return of those episodes.
     pub return_mean: f64,
     /// Mean steps of those episodes.
     pub length_mean: f64,
     /// Episodes of the evaluation.
     pub episodes: usize,
-    /// Mean loss of the updates since the last point.
+    /// Mean loss of the agents' updates since the last point.
     pub loss: f64,
-    /// Mean norm of the gradients since the last point, before clipping.
+    /// Mean norm of the agents' gradients since the last point, before clipping.
     pub gradient_norm: f64,
+    /// Optimiser steps of the allocator.
+    pub allocator_updates: u64,
+    /// Mean loss of the allocator's updates since the last point; 0 where none is learned.
+    pub allocator_loss: f64,
     /// Exploration at this point, before the instances' factors.
     pub epsilon: f32,
-    /// Learning rate at this point.
+    /// Learning rate of the agents at this point.
     pub learning_rate: f32,
     /// Success of the exploring episodes since the last point.
     pub training_success: f64,

@@ -5,18 +5,21 @@
 //! | `train.toml` | method, version, seed, threads, and the complete configuration |
 //! | `curve.json` | one JSON object per evaluation, see [`CurvePoint`] |
 //! | `curve.svg` | success against environment steps |
+//! | `result.json` | of a finished run: greedy success on fresh episodes, see [`RunResult`] |
 //! | `checkpoints/` | the newest checkpoints, see [`checkpoint`] |
 
 pub mod chart;
 pub mod checkpoint;
 mod curve;
 mod description;
+mod result;
 
 use std::path::{Path, PathBuf};
 
 pub use checkpoint::{Checkpoint, Checkpoints};
 pub use curve::CurvePoint;
 pub use description::RunDescription;
+pub use result::RunResult;
 
 use crate::error::LearnError;
 use crate::methods::alma::UtilityNetwork;
@@ -28,8 +31,10 @@ pub struct Run {
     pub description: RunDescription,
     /// Evaluations up to now.
     pub curve: Vec<CurvePoint>,
-    /// The averaged weights of the newest sound checkpoint.
+    /// The agents' averaged weights of the newest sound checkpoint.
     pub network: UtilityNetwork,
+    /// The allocator's averaged weights, if the run learns one.
+    pub allocator: Option<UtilityNetwork>,
     /// Environment steps at that checkpoint.
     pub env_steps: u64,
     /// Why newer checkpoints were passed over.
@@ -43,11 +48,13 @@ impl Run {
         let description = folder.read_description()?;
         let curve = folder.read_curve()?;
         let found = folder.checkpoints().newest(checkpoint::OpenFor::Use)?;
-        let network = found.checkpoint.network("average")?;
+        let average = |network| found.checkpoint.network(network, "average");
+        let allocator = found.checkpoint.has("allocator").then(|| average("allocator"));
         Ok(Self {
             description,
             curve,
-            network,
+            network: average("agents")?,
+            allocator: allocator.transpose()?,
             env_steps: found.checkpoint.env_steps(),
             refused: found.refused,
         })
@@ -96,6 +103,14 @@ impl RunFolder {
         let svg =
             chart::success_curve(title, curve).map_err(|error| LearnError::format(&path, error))?;
         write_whole(&path, svg.as_bytes())
+    }
+
+    /// Writes `result.json`.
+    pub(crate) fn write_result(&self, result: &RunResult) -> Result<(), LearnError> {
+        let path = self.folder.join("result.json");
+        let text = serde_json::to_string_pretty(result);
+        let text = text.map_err(|error| LearnError::format(&path, error))?;
+        write_whole(&path, text.as_bytes())
     }
 
     fn read_curve(&self) -> Result<Vec<CurvePoint>, LearnError> {

@@ -1,68 +1,116 @@
-//! Updates: pick records, compute their gradient on all threads, take one optimiser step.
+//! Updates: pick samples, compute their gradient on all threads, take one optimiser step.
 //!
 //! A batch is cut into chunks of fixed size. Threads take chunks as they come, every chunk has its own
 //! gradient, and gradients are added in the order of the chunks: the result depends neither on the
 //! number of threads nor on their timing.
 
+use std::fmt::Debug;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
-use super::config::Config;
-use super::replay::Replay;
-use super::temporal_difference::{Chunk, Networks, Pick};
-use super::utility::UtilityNetwork;
+use super::config::{OptimiserConfig, ReplayConfig};
 use crate::optimise::{Adam, clip_norm, move_towards};
 use crate::random::{Generator, below};
-use crate::schedule::constant_then_linear;
-use crate::workers::Workers;
 
-/// Records that one thread works on at a time: few enough for their activations to stay in cache.
-const CHUNK: usize = 64;
+/// A sample to learn from and how its map is turned.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Pick {
+    /// Index in the replay.
+    pub sample: u32,
+    /// Index in [`sortie_envs::save_the_city::Symmetry::ALL`]; 0 changes nothing.
+    pub symmetry: u8,
+}
+
+/// Something with weights in one flat vector.
+pub trait Parameters: Clone + Debug + Send + Sync + 'static {
+    /// All weights.
+    fn parameters(&self) -> &[f32];
+    /// All weights, to be changed.
+    fn parameters_mut(&mut self) -> &mut [f32];
+}
+
+/// Numbered samples.
+pub trait Samples: Debug + Send + Sync + 'static {
+    /// How many there are.
+    fn count(&self) -> usize;
+}
+
+/// What the loss is computed with.
+#[derive(Debug)]
+pub struct Networks<'a, N> {
+    /// The network that learns.
+    pub online: &'a N,
+    /// The slowly moving network that values what comes next.
+    pub target: &'a N,
+}
+
+/// A sum of squared errors over samples, with its gradient: the space to compute them, and the result.
+pub trait Loss: Clone + Debug + Send + 'static {
+    /// What learns.
+    type Network: Parameters;
+    /// What it learns from.
+    type Replay: Samples;
+    /// Samples that one thread works on at a time: few enough for their activations to stay in cache.
+    const CHUNK: usize;
+
+    /// Computes the sum over the picked samples.
+    fn learn(
+        &mut self,
+        networks: Networks<'_, Self::Network>,
+        replay: &Self::Replay,
+        picks: &[Pick],
+    );
+    /// The sum of squared errors.
+    fn squared_error(&self) -> f64;
+    /// Number of terms in the sum.
+    fn terms(&self) -> usize;
+    /// The gradient of the sum by all weights.
+    fn gradient(&self) -> &[f32];
+}
 
 /// What updates read; written only while no update runs.
 #[derive(Debug)]
-pub struct Knowledge {
+pub struct Knowledge<L: Loss> {
     /// The network that learns and acts.
-    pub online: UtilityNetwork,
-    /// The network that values next states.
-    pub target: UtilityNetwork,
+    pub online: L::Network,
+    /// The network that values what comes next.
+    pub target: L::Network,
     /// What was seen.
-    pub replay: Replay,
-    /// Records of the running update.
+    pub replay: L::Replay,
+    /// Samples of the running update.
     picks: Vec<Pick>,
 }
 
 #[derive(Debug)]
-struct Shared {
-    knowledge: RwLock<Knowledge>,
-    chunks: Vec<Mutex<Chunk>>,
+struct Shared<L: Loss> {
+    knowledge: RwLock<Knowledge<L>>,
+    chunks: Vec<Mutex<L>>,
     next_chunk: AtomicUsize,
 }
 
-impl Shared {
-    fn knowledge(&self) -> RwLockReadGuard<'_, Knowledge> {
+impl<L: Loss> Shared<L> {
+    fn knowledge(&self) -> RwLockReadGuard<'_, Knowledge<L>> {
         self.knowledge.read().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn chunk(&self, index: usize) -> MutexGuard<'_, Chunk> {
+    fn chunk(&self, index: usize) -> MutexGuard<'_, L> {
         self.chunks[index].lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Takes chunks until none is left.
     fn work(&self) {
         let knowledge = self.knowledge();
-        let networks = Networks { online: &knowledge.online, target: &knowledge.target };
-        let batch = knowledge.picks.len();
+        let Knowledge { online, target, replay, picks } = &*knowledge;
         loop {
             let index = self.next_chunk.fetch_add(1, Ordering::Relaxed);
-            let Some(picks) = knowledge.picks.chunks(CHUNK).nth(index) else { return };
-            self.chunk(index).learn(networks, &knowledge.replay, picks, batch);
+            let Some(picks) = picks.chunks(L::CHUNK).nth(index) else { return };
+            self.chunk(index).learn(Networks { online, target }, replay, picks);
         }
     }
 }
 
 /// What one update found.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct UpdateReport {
     /// Mean squared error of the batch.
     pub loss: f64,
@@ -70,139 +118,188 @@ pub struct UpdateReport {
     pub gradient_norm: f32,
 }
 
-/// The networks, the optimiser and the threads that compute gradients.
+/// The networks of one level, their optimiser and the pieces of a running update.
+///
+/// An update is [`pick`](Self::pick), the [`job`](Self::job) on any number of threads, and
+/// [`follow`](Self::follow).
 #[derive(Debug)]
-pub struct Learner {
-    shared: Arc<Shared>,
-    workers: Workers,
-    config: Config,
-    /// The moving average of the online weights.
-    pub average: UtilityNetwork,
+pub struct Learner<L: Loss> {
+    shared: Arc<Shared<L>>,
+    replay: ReplayConfig,
+    optimiser: OptimiserConfig,
+    /// The moving average of the online weights: what is measured and shipped.
+    pub average: L::Network,
     /// The optimiser.
     pub adam: Adam,
     gradient: Vec<f32>,
 }
 
-impl Learner {
-    /// A learner that starts from `online`, with an empty target history.
-    pub fn new(config: &Config, online: UtilityNetwork, replay: Replay, threads: usize) -> Self {
-        let shape = online.shape();
-        let batch = config.replay.batch;
-        let average = online.clone();
-        let knowledge = Knowledge {
-            target: online.clone(),
-            online,
-            replay,
-            picks: vec![Pick { record: 0, symmetry: 0 }; batch],
-        };
-        let shared = Arc::new(Shared {
-            knowledge: RwLock::new(knowledge),
-            chunks: (0..batch.div_ceil(CHUNK)).map(|_| Mutex::new(Chunk::new(shape))).collect(),
-            next_chunk: AtomicUsize::new(0),
-        });
-        let job = Arc::clone(&shared);
+impl<L: Loss> Learner<L> {
+    /// A learner that starts from `online`; `loss` is the space of one chunk, to be copied.
+    pub fn new(
+        config: (&ReplayConfig, &OptimiserConfig),
+        online: L::Network,
+        replay: L::Replay,
+        loss: &L,
+    ) -> Self {
+        let (replay_config, optimiser) = (config.0.clone(), config.1.clone());
+        let parameters = online.parameters().len();
+        let (target, average) = (online.clone(), online.clone());
+        let chunks = replay_config.batch.div_ceil(L::CHUNK);
+        let knowledge = Knowledge { online, target, replay, picks: Vec::new() };
         Self {
-            workers: Workers::new(threads, Arc::new(move || job.work())),
-            shared,
-            config: config.clone(),
+            shared: Arc::new(Shared {
+                knowledge: RwLock::new(knowledge),
+                chunks: (0..chunks).map(|_| Mutex::new(loss.clone())).collect(),
+                next_chunk: AtomicUsize::new(0),
+            }),
             average,
-            adam: Adam::new(shape.parameters(), config.optimiser.epsilon),
-            gradient: vec![0.0; shape.parameters()],
+            adam: Adam::new(parameters, optimiser.epsilon),
+            gradient: vec![0.0; parameters],
+            replay: replay_config,
+            optimiser,
         }
     }
 
     /// What has been learned and seen.
-    pub fn knowledge(&self) -> RwLockReadGuard<'_, Knowledge> {
+    pub fn knowledge(&self) -> RwLockReadGuard<'_, Knowledge<L>> {
         self.shared.knowledge()
     }
 
     /// The same, to be changed.
-    pub fn knowledge_mut(&mut self) -> RwLockWriteGuard<'_, Knowledge> {
+    pub fn knowledge_mut(&mut self) -> RwLockWriteGuard<'_, Knowledge<L>> {
         self.shared.knowledge.write().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Learns from one batch drawn from the replay, `env_steps` into the run.
-    pub fn update(&mut self, generator: &mut Generator, env_steps: u64) -> UpdateReport {
-        self.pick(generator);
-        self.shared.next_chunk.store(0, Ordering::Relaxed);
-        self.workers.run();
-        self.add_gradients(env_steps)
+    /// Whether there are enough samples to learn from.
+    pub fn is_warm(&self) -> bool {
+        self.knowledge().replay.count() >= self.replay.warm_up
     }
 
-    /// The learning rate, `env_steps` into the run.
-    pub fn learning_rate(&self, env_steps: u64) -> f32 {
-        let (steps, optimiser) = (self.config.run.steps, &self.config.optimiser);
-        let from = (optimiser.decay_from * steps as f64) as u64;
-        constant_then_linear(optimiser.learning_rate, from, steps, env_steps)
-    }
-
-    fn pick(&mut self, generator: &mut Generator) {
-        let symmetries = if self.config.replay.symmetries { 8 } else { 1 };
+    /// Draws the samples of an update.
+    pub fn pick(&mut self, generator: &mut Generator) {
+        let symmetries = if self.replay.symmetries { 8 } else { 1 };
+        let batch = self.replay.batch;
         let mut knowledge = self.knowledge_mut();
-        let records = knowledge.replay.len();
-        for pick in &mut knowledge.picks {
-            pick.record = below(generator, records) as u32;
-            pick.symmetry = below(generator, symmetries) as u8;
-        }
+        let samples = knowledge.replay.count();
+        knowledge.picks.clear();
+        knowledge.picks.extend((0..batch).map(|_| Pick {
+            sample: below(generator, samples) as u32,
+            symmetry: below(generator, symmetries) as u8,
+        }));
+        drop(knowledge);
+        self.shared.next_chunk.store(0, Ordering::Relaxed);
     }
 
-    fn add_gradients(&mut self, env_steps: u64) -> UpdateReport {
-        let optimiser = &self.config.optimiser;
+    /// Computes the gradients of the picked samples, together with whoever else runs it.
+    pub fn job(&self) -> impl Fn() + Send + Sync + 'static {
+        let shared = Arc::clone(&self.shared);
+        move || shared.work()
+    }
+
+    /// Takes one optimiser step by the gradients that the job computed.
+    pub fn follow(&mut self, learning_rate: f32) -> UpdateReport {
+        let optimiser = &self.optimiser;
         self.gradient.fill(0.0);
-        let mut squared_error = 0.0;
+        let (mut squared_error, mut terms) = (0.0, 0);
         for index in 0..self.shared.chunks.len() {
             let chunk = self.shared.chunk(index);
             for (sum, part) in self.gradient.iter_mut().zip(chunk.gradient()) {
                 *sum += part;
             }
             squared_error += chunk.squared_error();
+            terms += chunk.terms();
         }
+        let share = 1.0 / terms.max(1) as f32;
+        self.gradient.iter_mut().for_each(|slope| *slope *= share);
         let gradient_norm = clip_norm(&mut self.gradient, optimiser.clip);
 
-        let rate = self.learning_rate(env_steps);
-        let shared = Arc::clone(&self.shared);
-        let mut knowledge = shared.knowledge.write().unwrap_or_else(PoisonError::into_inner);
-        let Knowledge { online, target, .. } = &mut *knowledge;
-        self.adam.step(online.parameters_mut(), &self.gradient, rate);
+        let mut knowledge = self.shared.knowledge.write().unwrap_or_else(PoisonError::into_inner);
+        let Knowledge { online, target, picks, .. } = &mut *knowledge;
+        picks.clear();
+        self.adam.step(online.parameters_mut(), &self.gradient, learning_rate);
         move_towards(target.parameters_mut(), online.parameters(), optimiser.target_rate);
         // A plain mean at first, so that the initial weights do not linger.
         let average_rate = optimiser.average_rate.max(1.0 / self.adam.steps as f32);
         move_towards(self.average.parameters_mut(), online.parameters(), average_rate);
-        UpdateReport { loss: squared_error / self.config.replay.batch as f64, gradient_norm }
+        UpdateReport { loss: squared_error / terms.max(1) as f64, gradient_norm }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::methods::alma::{EpisodeCounts, Rollout};
     use crate::random::{Purpose, generator};
-    use sortie_envs::save_the_city::ACTIONS;
+
+    /// A slope through samples: the simplest thing that can be learned.
+    #[derive(Clone, Debug, PartialEq)]
+    struct Line(Vec<f32>);
+
+    impl Parameters for Line {
+        fn parameters(&self) -> &[f32] {
+            &self.0
+        }
+        fn parameters_mut(&mut self) -> &mut [f32] {
+            &mut self.0
+        }
+    }
+
+    impl Samples for Vec<(f32, f32)> {
+        fn count(&self) -> usize {
+            self.len()
+        }
+    }
+
+    #[derive(Clone, Debug, Default)]
+    struct LineLoss {
+        gradient: Vec<f32>,
+        squared_error: f64,
+        terms: usize,
+    }
+
+    impl Loss for LineLoss {
+        type Network = Line;
+        type Replay = Vec<(f32, f32)>;
+        const CHUNK: usize = 3;
+
+        fn learn(&mut self, networks: Networks<'_, Line>, replay: &Self::Replay, picks: &[Pick]) {
+            let slope = networks.online.0[0];
+            let errors = picks.iter().map(|pick| {
+                let (x, y) = replay[pick.sample as usize];
+                (x, slope * x - y)
+            });
+            self.gradient = vec![errors.clone().map(|(x, error)| 2.0 * error * x).sum()];
+            self.squared_error = errors.map(|(_, error)| f64::from(error * error)).sum();
+            self.terms = picks.len();
+        }
+        fn squared_error(&self) -> f64 {
+            self.squared_error
+        }
+        fn terms(&self) -> usize {
+            self.terms
+        }
+        fn gradient(&self) -> &[f32] {
+            &self.gradient
+        }
+    }
 
     #[test]
-    fn updates_learn_what_the_replay_says() {
-        let mut config = Config::default();
-        config.network.width = 32;
-        config.replay.batch = 100;
-        config.replay.symmetries = false;
-        config.optimiser.target_rate = 0.0;
-        let mut weights = generator(1, Purpose::Weights, 0);
-        let shape = config.network.shape(ACTIONS);
-        let online = UtilityNetwork::initialise(shape, 8.0, &mut weights);
-        let mut replay = Replay::new(300, 5);
-        let mut rollout = Rollout::new(&config, shape, 1).unwrap();
-        for _ in 0..40 {
-            rollout.step(&online, 1.0, &mut replay, &mut EpisodeCounts::default()).unwrap();
-        }
-        assert_eq!(replay.len(), 300, "the ring is full");
-
-        let mut learner = Learner::new(&config, online.clone(), replay, 2);
+    fn updates_find_the_line_through_the_samples() {
+        let samples = (1..20).map(|x| (x as f32 * 0.1, x as f32 * 0.3)).collect();
+        let replay = ReplayConfig { batch: 8, ..ReplayConfig::default() };
+        let optimiser = OptimiserConfig { target_rate: 0.0, ..OptimiserConfig::default() };
+        let start = Line(vec![0.0]);
+        let mut learner =
+            Learner::new((&replay, &optimiser), start.clone(), samples, &LineLoss::default());
         let mut picks = generator(1, Purpose::Replay, 0);
-        let losses: Vec<f64> = (0..400).map(|_| learner.update(&mut picks, 0).loss).collect();
-        let mean = |losses: &[f64]| losses.iter().sum::<f64>() / losses.len() as f64;
-        let (first, last) = (mean(&losses[..10]), mean(&losses[390..]));
-        assert!(last < 0.6 * first, "loss {first} became {last}");
-        assert_eq!(learner.knowledge().target, online, "a rate of zero moves no target");
+        let mut last = UpdateReport::default();
+        for _ in 0..2000 {
+            learner.pick(&mut picks);
+            learner.job()();
+            last = learner.follow(0.01);
+        }
+        assert!((learner.knowledge().online.0[0] - 3.0).abs() < 1e-3 && last.loss < 1e-6);
+        assert_eq!(learner.knowledge().target, start, "a rate of zero moves no target");
         assert_ne!(learner.average, learner.knowledge().online);
     }
 }

@@ -1,15 +1,19 @@
 //! ALMA: agents act on the subtask that an allocator gives them (dissertation chapter 7).
 //!
-//! The low level is learned from records: one step of one building's team, with the rewards of the next
-//! steps. Compared with the dissertation: records instead of windows, value decomposition by a sum
-//! instead of a mixing network, n-step returns, optional potential shaping, Adam, averaged weights.
+//! One run learns both levels. The agents learn from records: one step of one building's team, with the
+//! rewards of the next steps. The allocator learns from its decisions, see [`team_value`]. Compared with
+//! the dissertation: records instead of windows, value decomposition by a sum instead of a mixing
+//! network, n-step returns, optional potential shaping, Adam, averaged weights, search instead of a
+//! proposal network.
 
 pub mod config;
+mod deciding;
 mod history;
 mod learner;
 mod network_policy;
 mod replay;
 mod rollout;
+mod saved;
 mod team_batch;
 pub mod team_value;
 mod temporal_difference;
@@ -17,14 +21,14 @@ mod trainer;
 mod utility;
 mod utility_pass;
 
-pub use config::Config;
+pub use config::{Allocation, Config};
 pub use history::{History, Moment, Returns};
-pub use learner::{Knowledge, Learner, UpdateReport};
+pub use learner::{Knowledge, Learner, Loss, Networks, Parameters, Pick, Samples, UpdateReport};
 pub use network_policy::NetworkPolicy;
 pub use replay::{Record, Replay, TeamMember};
-pub use rollout::{EpisodeCounts, InstanceSnapshot, Rollout};
+pub use rollout::{Behaviour, EpisodeCounts, InstanceSnapshot, Memory, Rollout};
 pub use team_batch::{INPUT_COLUMNS, NO_ACTION, TeamBatch, best_action};
-pub use temporal_difference::{Chunk, Networks, Pick};
+pub use temporal_difference::Chunk;
 pub use trainer::{Observer, Outcome, Progress, Trainer};
 pub use utility::{Tensor, UtilityNetwork, UtilityShape, UtilityWeights};
 pub use utility_pass::{UtilityInput, UtilityPass};

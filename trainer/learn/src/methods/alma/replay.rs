@@ -6,6 +6,8 @@
 use serde::{Deserialize, Serialize};
 use sortie_envs::save_the_city::{AgentState, BuildingState};
 
+use super::learner::Samples;
+
 /// One agent of a team, at the step of a record and some steps later.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TeamMember {
@@ -106,5 +108,11 @@ impl Replay {
             && self.next < self.capacity.max(1)
             && self.members.len() == self.records.len() * self.team_max
             && self.records.iter().all(|r| (1..=self.team_max).contains(&usize::from(r.size)))
+    }
+}
+
+impl Samples for Replay {
+    fn count(&self) -> usize {
+        self.len()
     }
 }

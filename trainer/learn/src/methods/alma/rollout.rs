@@ -1,32 +1,28 @@
 //! Acting while learning: episodes in many instances, explored, cut into records.
 
 use serde::{Deserialize, Serialize};
-use sortie_envs::save_the_city::{
-    ACTIONS, AgentState, AllocationRule, BuildingState, DecisionPoints, SaveTheCity, ScenarioSet,
-    UNASSIGNED,
-};
+use sortie_envs::save_the_city::{ACTIONS, AgentState, BuildingState, SaveTheCity, ScenarioSet};
 use sortie_envs::{Environment, StepOutcome, Subtasks};
 
 use rand_core::Rng;
 
-use super::config::{AllocationConfig, Config};
+use super::config::Config;
+use super::deciding::{Deciding, Decisions};
 use super::history::{History, Moment};
 use super::replay::Replay;
 use super::team_batch::{NO_ACTION, TeamBatch, best_action};
+use super::team_value::Segments;
 use super::utility::{UtilityNetwork, UtilityShape};
 use super::utility_pass::UtilityPass;
 use crate::error::LearnError;
-use crate::random::{Generator, Purpose, below, chance, generator, unit};
+use crate::random::{Generator, Purpose, below, chance, generator};
 
 /// What an instance remembers between steps.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Instance {
     /// Draws episodes, collisions, allocations and exploration of this instance.
     generator: Generator,
-    rule: AllocationRule,
-    decisions: DecisionPoints,
-    tasks_changed: bool,
-    allocation: Vec<u8>,
+    decisions: Decisions,
     last_actions: Vec<u8>,
     history: History,
     episode_return: f64,
@@ -52,6 +48,28 @@ pub struct EpisodeCounts {
     pub timed_out: u64,
     /// Sum of the team's rewards.
     pub return_sum: f64,
+    /// Decisions of the allocator.
+    pub decisions: u64,
+}
+
+/// Who acts and allocates in a step.
+#[derive(Clone, Copy, Debug)]
+pub struct Behaviour<'a> {
+    /// The agents' utility network.
+    pub agents: &'a UtilityNetwork,
+    /// How often agents act at random, before the instances' factors.
+    pub epsilon: f32,
+    /// The team-value network; without one, rules decide in its stead.
+    pub allocator: Option<&'a UtilityNetwork>,
+}
+
+/// What keeps the experience of a step.
+#[derive(Debug)]
+pub struct Memory<'a> {
+    /// Records of the agents.
+    pub records: &'a mut Replay,
+    /// Segments of the allocator, if it learns.
+    pub segments: Option<&'a mut Segments>,
 }
 
 /// The instances of a run and the buffers to act in them.
@@ -59,7 +77,7 @@ pub struct EpisodeCounts {
 pub struct Rollout {
     city: SaveTheCity,
     instances: Vec<Instance>,
-    allocation: AllocationConfig,
+    deciding: Deciding,
     spread: Vec<f32>,
     batch: TeamBatch,
     pass: UtilityPass,
@@ -78,10 +96,7 @@ impl Rollout {
         let city = SaveTheCity::new(set, config.environment.constants, count, 0)?;
         let instances = (0..count).map(|index| Instance {
             generator: generator(seed, Purpose::Rollout, index as u64),
-            rule: AllocationRule::Coordinated,
-            decisions: DecisionPoints::every(config.allocation.interval),
-            tasks_changed: false,
-            allocation: vec![UNASSIGNED; agents],
+            decisions: Decisions::new(config.allocation.interval, agents),
             last_actions: vec![NO_ACTION; agents],
             history: History::new((&config.returns).into()),
             episode_return: 0.0,
@@ -89,7 +104,7 @@ impl Rollout {
         let mut rollout = Self {
             instances: instances.collect(),
             city,
-            allocation: config.allocation.clone(),
+            deciding: Deciding::new(config),
             spread: config.exploration.spread.clone(),
             batch: TeamBatch::default(),
             pass: UtilityPass::new(shape),
@@ -107,26 +122,26 @@ impl Rollout {
         self.instances.len()
     }
 
-    /// Takes one step in every instance and stores the records that it completes.
+    /// Takes one step in every instance and stores the records and segments that it completes.
     pub fn step(
         &mut self,
-        network: &UtilityNetwork,
-        epsilon: f32,
-        replay: &mut Replay,
+        behaviour: Behaviour<'_>,
+        mut memory: Memory<'_>,
         counts: &mut EpisodeCounts,
     ) -> Result<(), LearnError> {
         for (index, instance) in self.instances.iter_mut().enumerate() {
             let city = self.city.city(index);
-            if instance.decisions.is_due(instance.tasks_changed) {
-                let Instance { rule, generator, allocation, .. } = instance;
-                rule.allocate(city, generator, allocation);
-            }
-            let Instance { history, allocation, last_actions, .. } = instance;
-            history.decide(Moment { city, allocation, last_actions }, replay);
+            let Instance { decisions, generator, history, last_actions, .. } = instance;
+            let segments = memory.segments.as_deref_mut();
+            let decided =
+                self.deciding.decide(decisions, city, generator, behaviour.allocator, segments)?;
+            counts.decisions += u64::from(decided);
+            let allocation = &decisions.allocation;
+            history.decide(Moment { city, allocation, last_actions }, memory.records);
         }
-        self.choose(network, epsilon);
+        self.choose(behaviour.agents, behaviour.epsilon);
         for index in 0..self.instances.len() {
-            self.advance(index, replay, counts)?;
+            self.advance(index, &mut memory, counts)?;
         }
         Ok(())
     }
@@ -139,8 +154,8 @@ impl Rollout {
         self.actions.fill(0);
         for (index, instance) in self.instances.iter().enumerate() {
             let city = self.city.city(index);
-            let Instance { allocation, last_actions, .. } = instance;
-            self.batch.push_teams(city, allocation, last_actions, |agent| {
+            let Instance { decisions, last_actions, .. } = instance;
+            self.batch.push_teams(city, &decisions.allocation, last_actions, |agent| {
                 self.actors.push((index, agent));
             });
         }
@@ -163,13 +178,14 @@ impl Rollout {
     fn advance(
         &mut self,
         index: usize,
-        replay: &mut Replay,
+        memory: &mut Memory<'_>,
         counts: &mut EpisodeCounts,
     ) -> Result<(), LearnError> {
         let instance = &mut self.instances[index];
         let agents = self.city.shape().agents;
         let actions = &self.actions[index * agents..][..agents];
-        let Instance { history, allocation, last_actions, generator, .. } = instance;
+        let Instance { history, decisions, last_actions, generator, .. } = instance;
+        let allocation = &decisions.allocation;
         history.act(Moment { city: self.city.city(index), allocation, last_actions }, actions);
 
         let outcome = self.city.step_with_losers(index, actions, |first, second| {
@@ -179,11 +195,15 @@ impl Rollout {
             *last = *action as u8;
         }
         let after = Moment { city: self.city.city(index), allocation, last_actions };
-        history.reward(after, self.city.task_rewards(index), replay);
-        instance.tasks_changed = outcome.tasks_changed;
+        let task_rewards = self.city.task_rewards(index);
+        history.reward(after, task_rewards, memory.records);
         instance.episode_return += outcome.reward;
         if outcome.done() {
-            instance.history.end(after, outcome.timed_out, replay);
+            history.end(after, outcome.timed_out, memory.records);
+        }
+        decisions.reward(self.deciding.discount(), task_rewards, outcome.tasks_changed);
+        if outcome.done() {
+            decisions.end(outcome.timed_out, memory.segments.as_deref_mut());
             self.count(index, outcome, counts);
             self.restart(index);
         }
@@ -199,9 +219,7 @@ impl Rollout {
 
     fn restart(&mut self, index: usize) {
         let instance = &mut self.instances[index];
-        instance.rule = draw_rule(&self.allocation, &mut instance.generator);
-        instance.decisions.restart();
-        instance.tasks_changed = false;
+        instance.decisions.restart(self.deciding.allocation(), &mut instance.generator);
         instance.last_actions.fill(NO_ACTION);
         instance.episode_return = 0.0;
         self.city.seed(index, instance.generator.next_u64());
@@ -225,7 +243,8 @@ impl Rollout {
     pub fn restore(&mut self, snapshots: Vec<InstanceSnapshot>) -> Result<(), LearnError> {
         let agents = self.city.shape().agents;
         let fits = |s: &InstanceSnapshot| {
-            s.instance.allocation.len() == agents && s.instance.last_actions.len() == agents
+            s.instance.decisions.allocation.len() == agents
+                && s.instance.last_actions.len() == agents
         };
         if snapshots.len() != self.instances.len() || !snapshots.iter().all(fits) {
             return Err(LearnError::Config("the checkpoint has other instances".to_owned()));
@@ -245,16 +264,71 @@ fn random_action(available: u16, generator: &mut Generator) -> u8 {
     (0..16).filter(|action| available >> action & 1 == 1).nth(chosen).unwrap_or(0)
 }
 
-/// A rule, drawn by its weight.
-fn draw_rule(config: &AllocationConfig, generator: &mut Generator) -> AllocationRule {
-    let weights = config.weights();
-    let total: f64 = weights.iter().map(|(_, weight)| weight).sum();
-    let mut left = unit(generator) * total;
-    for (rule, weight) in weights {
-        left -= weight;
-        if left < 0.0 {
-            return rule;
-        }
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::methods::alma::team_value::Decision;
+
+    fn config(episode_limit: u32) -> Config {
+        let mut config = Config::default();
+        config.environment.constants.episode_limit = episode_limit;
+        config.environment.instances = 3;
+        config.allocator.network.width = 8;
+        config
     }
-    AllocationRule::Coordinated
+
+    /// Steps with greedy, untrained agents; an allocator decides from step `decides` on.
+    fn play(rollout: &mut Rollout, steps: usize, decides: usize, segments: &mut Segments) -> u64 {
+        let network =
+            |shape| UtilityNetwork::initialise(shape, 8.0, &mut generator(1, Purpose::Weights, 0));
+        let config = config(1);
+        let (agents, allocator) =
+            (network(config.network.shape(ACTIONS)), network(config.allocator.shape()));
+        let mut counts = EpisodeCounts::default();
+        for step in 0..steps {
+            let allocator = (step >= decides).then_some(&allocator);
+            let behaviour = Behaviour { agents: &agents, epsilon: 0.0, allocator };
+            let memory =
+                Memory { records: &mut Replay::new(100, 5), segments: Some(&mut *segments) };
+            rollout.step(behaviour, memory, &mut counts).unwrap();
+        }
+        counts.decisions
+    }
+
+    fn rollout(config: &Config) -> Rollout {
+        Rollout::new(config, config.network.shape(ACTIONS), 1).unwrap()
+    }
+
+    #[test]
+    fn segments_join_decisions_of_one_episode() {
+        let mut segments = Segments::new(10_000);
+        let decisions = play(&mut rollout(&config(200)), 600, 300, &mut segments);
+        assert!(segments.len() > 300 && segments.len() as u64 <= decisions);
+        assert!(segments.fits(10_000));
+        let (mut ends, mut full) = (0, 0);
+        for segment in (0..segments.len()).map(|index| segments.get(index)) {
+            let kinds = |decision: &Decision| {
+                decision.agents.iter().map(|agent| agent.kind).collect::<Vec<_>>()
+            };
+            assert_eq!(kinds(&segment.now), kinds(&segment.next));
+            for task in &segment.now.allocation {
+                assert!(segment.now.buildings[usize::from(*task)].is_open());
+            }
+            ends += usize::from(segment.discount == 0.0);
+            full += usize::from((segment.discount - 0.99_f32.powi(5)).abs() < 1e-6);
+        }
+        assert!(ends > 0 && full > 100, "{ends} ends, {full} full segments");
+    }
+
+    #[test]
+    fn a_segment_that_runs_out_of_time_is_dropped() {
+        let mut rollout = rollout(&config(5));
+        let mut segments = Segments::new(100);
+        play(&mut rollout, 4, 9, &mut segments);
+        let before = segments.len() as u64;
+        let decisions = play(&mut rollout, 1, 9, &mut segments);
+        assert_eq!(segments.len() as u64, before + decisions, "only decisions end segments");
+        assert_eq!(play(&mut rollout, 1, 9, &mut segments), 3);
+        assert_eq!(segments.len() as u64, before + decisions, "a new episode joins nothing");
+    }
 }

@@ -3,34 +3,17 @@
 //! The value of a team is the sum of its agents' utilities (VDN, the simplest mixer of dissertation
 //! section 7.3). Target: `reward + discount * sum of target utilities`, each of the action that the
 //! online network likes best among the available ones (double Q-learning), with the team of the
-//! record's own step. Loss: mean squared difference over the batch.
+//! record's own step. Loss: squared difference.
 
+use super::learner::{Loss, Networks, Pick};
 use super::replay::Replay;
 use super::team_batch::{TeamBatch, best_action};
 use super::utility::{UtilityNetwork, UtilityShape};
 use super::utility_pass::UtilityPass;
 use sortie_envs::save_the_city::Symmetry;
 
-/// A record to learn from and how its map is turned, as an index of [`Symmetry::ALL`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Pick {
-    /// Index in the replay.
-    pub record: u32,
-    /// Index of the symmetry; 0 changes nothing.
-    pub symmetry: u8,
-}
-
-/// What the loss is computed with.
-#[derive(Clone, Copy, Debug)]
-pub struct Networks<'a> {
-    /// The network that learns.
-    pub online: &'a UtilityNetwork,
-    /// The slowly moving network that values the next state.
-    pub target: &'a UtilityNetwork,
-}
-
 /// Space to compute the gradient of some records, and the result.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Chunk {
     shape: UtilityShape,
     now: TeamBatch,
@@ -66,23 +49,6 @@ impl Chunk {
         }
     }
 
-    /// The gradient of the last [`learn`](Self::learn).
-    pub fn gradient(&self) -> &[f32] {
-        &self.gradient
-    }
-
-    /// The sum of squared errors of the last [`learn`](Self::learn).
-    pub fn squared_error(&self) -> f64 {
-        self.squared_error
-    }
-
-    /// Computes the gradient of `sum of squared errors / batch` over the picked records.
-    pub fn learn(&mut self, networks: Networks<'_>, replay: &Replay, picks: &[Pick], batch: usize) {
-        self.gather(replay, picks);
-        self.choose_next(networks.online);
-        self.descend(networks, batch);
-    }
-
     /// Rebuilds the features of the records, turned as they were picked.
     fn gather(&mut self, replay: &Replay, picks: &[Pick]) {
         self.now.clear();
@@ -93,7 +59,7 @@ impl Chunk {
         for pick in picks {
             let turn = Symmetry::ALL[usize::from(pick.symmetry)];
             let turned_last = |action: u8| turn.action(action.into()) as u8;
-            let (record, team) = replay.get(pick.record as usize);
+            let (record, team) = replay.get(pick.sample as usize);
             for member in team {
                 self.now.push_agent(&turn.agent(&member.agent), turned_last(member.last_action));
                 self.actions.push(turn.action(member.action.into()) as u8);
@@ -121,7 +87,7 @@ impl Chunk {
             .extend(agents.map(|(utilities, available)| best_action(utilities, *available)));
     }
 
-    fn descend(&mut self, networks: Networks<'_>, batch: usize) {
+    fn descend(&mut self, networks: Networks<'_, UtilityNetwork>) {
         let actions = self.shape.actions;
         let utility =
             |all: &[f32], agent: usize, action: u8| all[agent * actions + usize::from(action)];
@@ -150,7 +116,7 @@ impl Chunk {
             self.squared_error += f64::from(error) * f64::from(error);
             for agent in team {
                 let place = agent * actions + usize::from(self.actions[agent]);
-                self.d_utilities[place] = 2.0 * error / batch as f32;
+                self.d_utilities[place] = 2.0 * error;
             }
         }
         self.gradient.fill(0.0);
@@ -159,11 +125,35 @@ impl Chunk {
     }
 }
 
+impl Loss for Chunk {
+    type Network = UtilityNetwork;
+    type Replay = Replay;
+    const CHUNK: usize = 64;
+
+    fn learn(&mut self, networks: Networks<'_, UtilityNetwork>, replay: &Replay, picks: &[Pick]) {
+        self.gather(replay, picks);
+        self.choose_next(networks.online);
+        self.descend(networks);
+    }
+
+    fn squared_error(&self) -> f64 {
+        self.squared_error
+    }
+
+    fn terms(&self) -> usize {
+        self.rewards.len()
+    }
+
+    fn gradient(&self) -> &[f32] {
+        &self.gradient
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::layers::gradient_check::assert_gradient;
-    use crate::methods::alma::{Config, EpisodeCounts, Rollout};
+    use crate::methods::alma::{Behaviour, Config, EpisodeCounts, Memory, Parameters, Rollout};
     use crate::random::{Purpose, generator};
     use sortie_envs::save_the_city::ACTIONS;
 
@@ -176,36 +166,38 @@ mod tests {
 
     fn replay() -> Replay {
         let mut config = Config::default();
-        config.allocation.heuristic = 1.0;
+        config.set("allocation.heuristic=1").unwrap();
         let mut rollout = Rollout::new(&config, network(1).shape(), 3).unwrap();
         let mut replay = Replay::new(10_000, 5);
         for _ in 0..60 {
-            rollout.step(&network(1), 1.0, &mut replay, &mut EpisodeCounts::default()).unwrap();
+            let behaviour = Behaviour { agents: &network(1), epsilon: 1.0, allocator: None };
+            let memory = Memory { records: &mut replay, segments: None };
+            rollout.step(behaviour, memory, &mut EpisodeCounts::default()).unwrap();
         }
         replay
     }
 
     fn picks(replay: &Replay, symmetry: impl Fn(usize) -> u8) -> Vec<Pick> {
         let record = |i| (i * (replay.len() / BATCH)) as u32;
-        (0..BATCH).map(|i| Pick { record: record(i), symmetry: symmetry(i) }).collect()
+        (0..BATCH).map(|i| Pick { sample: record(i), symmetry: symmetry(i) }).collect()
     }
 
     #[test]
     fn the_gradient_of_the_whole_loss_agrees_with_finite_differences() {
         let (replay, online, target) = (replay(), network(1), network(2));
         let picks = picks(&replay, |i| (i % 8) as u8);
-        let bootstraps = |pick: &Pick| replay.get(pick.record as usize).0.discount > 0.0;
+        let bootstraps = |pick: &Pick| replay.get(pick.sample as usize).0.discount > 0.0;
         assert!(picks.iter().any(bootstraps) && !picks.iter().all(bootstraps));
 
         let loss = |parameters: &[f32]| {
             let online = UtilityNetwork::from_parameters(online.shape(), parameters.to_vec());
             let networks = Networks { online: &online.unwrap(), target: &target };
             let mut chunk = Chunk::new(target.shape());
-            chunk.learn(networks, &replay, &picks, BATCH);
-            chunk.squared_error() / BATCH as f64
+            chunk.learn(networks, &replay, &picks);
+            chunk.squared_error()
         };
         let mut chunk = Chunk::new(online.shape());
-        chunk.learn(Networks { online: &online, target: &target }, &replay, &picks, BATCH);
+        chunk.learn(Networks { online: &online, target: &target }, &replay, &picks);
         for tensor in online.shape().tensors() {
             let at = &online.parameters()[tensor.range.clone()];
             assert_gradient(tensor.name, at, &chunk.gradient()[tensor.range.clone()], |moved| {
@@ -219,18 +211,18 @@ mod tests {
     #[test]
     fn chunks_of_a_batch_add_up() {
         let (replay, online, target) = (replay(), network(1), network(2));
-        let networks = Networks { online: &online, target: &target };
+        let networks = || Networks { online: &online, target: &target };
         let picks = picks(&replay, |_| 0);
         let mut whole = Chunk::new(online.shape());
-        whole.learn(networks, &replay, &picks, BATCH);
+        whole.learn(networks(), &replay, &picks);
         let mut sum = vec![0.0; online.shape().parameters()];
         let mut chunk = Chunk::new(online.shape());
         for part in picks.chunks(7) {
-            chunk.learn(networks, &replay, part, BATCH);
+            chunk.learn(networks(), &replay, part);
             sum.iter_mut().zip(chunk.gradient()).for_each(|(sum, part)| *sum += part);
         }
         for (sum, whole) in sum.iter().zip(whole.gradient()) {
-            assert!((sum - whole).abs() < 1e-4, "{sum} against {whole}");
+            assert!((sum - whole).abs() < 1e-2, "{sum} against {whole}");
         }
     }
 
@@ -240,10 +232,10 @@ mod tests {
         let (record, team) = replay.get(0);
         let (record, team) = (super::super::Record { discount: 0.0, ..*record }, team.to_vec());
         replay.push(record, team);
-        let last = Pick { record: replay.len() as u32 - 1, symmetry: 0 };
+        let last = Pick { sample: replay.len() as u32 - 1, symmetry: 0 };
         let error = |target: &UtilityNetwork| {
             let mut chunk = Chunk::new(online.shape());
-            chunk.learn(Networks { online: &online, target }, &replay, &[last], 1);
+            chunk.learn(Networks { online: &online, target }, &replay, &[last]);
             chunk.squared_error()
         };
         assert_eq!(error(&network(2)), error(&network(3)));

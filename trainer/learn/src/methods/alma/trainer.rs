@@ -1,23 +1,31 @@
 //! A training run from its first step to its last, or from where it was stopped.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use rustix::time::{ClockId, clock_gettime};
-use serde::{Deserialize, Serialize};
-use sortie_envs::save_the_city::{ACTIONS, AllocationRule, ScenarioSet};
+use sortie_envs::save_the_city::{ACTIONS, ScenarioSet};
 
+use super::config::{Allocation, Config};
 use super::learner::{Knowledge, Learner};
 use super::replay::Replay;
-use super::rollout::{EpisodeCounts, InstanceSnapshot, Rollout};
+use super::rollout::{Behaviour, Memory, Rollout};
+use super::saved::{Counters, Level};
+use super::team_value::{Segments, TeamValueAllocator, TeamValueLoss};
+use super::temporal_difference::Chunk;
 use super::utility::UtilityNetwork;
 use crate::error::LearnError;
 use crate::evaluate::{Evaluation, EvaluationPlan, NetworkTeam, evaluate};
-use crate::methods::alma::Config;
 use crate::random::{Generator, Purpose, generator};
-use crate::run::{CurvePoint, RunDescription, RunFolder, checkpoint};
-use crate::schedule::linear;
+use crate::run::{CurvePoint, RunDescription, RunFolder, RunResult};
+use crate::workers::Workers;
+
+/// Tells the allocator's streams of random numbers from the agents'.
+const ALLOCATOR_STREAM: u64 = 1;
+/// The episodes that every run reports on in the end: the same for all runs, seen by none.
+const REPORT_SEED: u64 = 2_000_000;
 
 /// Is told how a run goes.
 pub trait Observer {
@@ -35,6 +43,11 @@ pub trait Observer {
     fn saved(&mut self, checkpoint: &Path) {
         let _ = checkpoint;
     }
+
+    /// The run has ended and was measured on fresh episodes.
+    fn finished(&mut self, result: &RunResult) {
+        let _ = result;
+    }
 }
 
 /// Listens to nothing.
@@ -47,8 +60,6 @@ pub struct Progress {
     pub env_steps: u64,
     /// Environment steps of the whole run.
     pub env_steps_total: u64,
-    /// Loss of the last update; 0 before the first.
-    pub loss: f64,
 }
 
 /// How a call of [`Trainer::run`] ended.
@@ -60,59 +71,21 @@ pub enum Outcome {
     Stopped,
 }
 
-/// Sums since the last evaluation.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-struct Window {
-    updates: u64,
-    loss: f64,
-    gradient_norm: f64,
-    episodes: EpisodeCounts,
-}
-
-/// Counters that a checkpoint holds.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-struct Counters {
-    env_steps: u64,
-    updates: u64,
-    next_update: u64,
-    next_evaluation: u64,
-    wall_s: f64,
-    cpu_s: f64,
-    window: Window,
-    curve: Vec<CurvePoint>,
-}
-
-/// A checkpoint's state as it is written: the replay is borrowed, for it is large.
-#[derive(Serialize)]
-struct StateRef<'a> {
-    counters: &'a Counters,
-    adam_steps: u64,
-    picks: &'a Generator,
-    instances: Vec<InstanceSnapshot>,
-    replay: &'a Replay,
-}
-
-/// A checkpoint's state as it is read.
-#[derive(Deserialize)]
-struct State {
-    counters: Counters,
-    adam_steps: u64,
-    picks: Generator,
-    instances: Vec<InstanceSnapshot>,
-    replay: Replay,
-}
-
 /// A run that learns.
 #[derive(Debug)]
 pub struct Trainer {
-    description: RunDescription,
-    folder: RunFolder,
-    learner: Learner,
-    rollout: Rollout,
-    picks: Generator,
-    counters: Counters,
+    pub(super) description: RunDescription,
+    pub(super) folder: RunFolder,
+    pub(super) agents: Learner<Chunk>,
+    /// There is one if the run learns an allocator.
+    pub(super) allocator: Option<Learner<TeamValueLoss>>,
+    workers: Workers,
+    pub(super) rollout: Rollout,
+    /// What each level draws its samples with.
+    pub(super) picks: Level<Generator>,
+    pub(super) counters: Counters,
     /// Why newer checkpoints were passed over when the run was resumed.
-    refused: Vec<String>,
+    pub(super) refused: Vec<String>,
 }
 
 impl Trainer {
@@ -125,68 +98,31 @@ impl Trainer {
     ) -> Result<Self, LearnError> {
         config.check()?;
         let description = RunDescription::new(config, seed, threads.max(1));
-        let set = ScenarioSet::named(&description.config.environment.set)?;
-        let replay = Replay::new(description.config.replay.capacity, set.max_agents);
-        let trainer = Self::start(description, folder, replay)?;
+        let trainer = Self::start(description, folder)?;
         RunFolder::create(folder, &trainer.description)?;
         Ok(trainer)
     }
 
-    /// Continues a run from its newest sound checkpoint, exactly as if it had not been stopped.
-    ///
-    /// `threads` may differ from before; it changes no result. `None` takes as many as before.
-    pub fn resume(folder: &Path, threads: Option<usize>) -> Result<Self, LearnError> {
-        let files = RunFolder::new(folder);
-        let mut description = files.read_description()?;
-        description.threads = threads.unwrap_or(description.threads).max(1);
-        let found = files.checkpoints().newest(checkpoint::OpenFor::Resume)?;
-        let state: State = found.checkpoint.state()?;
-        let misfit =
-            |what: &str| LearnError::format(folder, format!("{what} does not fit train.toml"));
-        if found.checkpoint.shape() != description.config.network.shape(ACTIONS) {
-            return Err(misfit("the checkpoint's network"));
-        }
-        let set = ScenarioSet::named(&description.config.environment.set)?;
-        if !state.replay.fits(description.config.replay.capacity, set.max_agents) {
-            return Err(misfit("the checkpoint's replay"));
-        }
-
-        let mut trainer = Self::start(description, folder, state.replay)?;
-        trainer.rollout.restore(state.instances)?;
-        trainer.picks = state.picks;
-        trainer.counters = state.counters;
-        trainer.learner.average = found.checkpoint.network("average")?;
-        trainer.learner.adam.mean = found.checkpoint.vector("adam-mean")?;
-        trainer.learner.adam.square = found.checkpoint.vector("adam-square")?;
-        trainer.learner.adam.steps = state.adam_steps;
-        let mut knowledge = trainer.learner.knowledge_mut();
-        knowledge.online = found.checkpoint.network("online")?;
-        knowledge.target = found.checkpoint.network("target")?;
-        drop(knowledge);
-        trainer.refused = found.refused;
-        Ok(trainer)
-    }
-
-    fn start(
-        description: RunDescription,
-        folder: &Path,
-        replay: Replay,
-    ) -> Result<Self, LearnError> {
+    pub(super) fn start(description: RunDescription, folder: &Path) -> Result<Self, LearnError> {
         let RunDescription { config, seed, threads, .. } = &description;
-        let shape = config.network.shape(ACTIONS);
-        let mut weights = generator(*seed, Purpose::Weights, 0);
-        let online = UtilityNetwork::initialise(shape, config.network.active_inputs, &mut weights);
-        let rollout = Rollout::new(config, shape, *seed)?;
-        let learner = Learner::new(config, online, replay, *threads);
+        let agents = agents(config, *seed)?;
+        let allocator = config.allocation.is_learned().then(|| allocator(config, *seed));
+        let (act, allocate) = (agents.job(), allocator.as_ref().map(Learner::job));
+        let job = Arc::new(move || {
+            act();
+            allocate.iter().for_each(|allocate| allocate());
+        });
         Ok(Self {
-            picks: generator(*seed, Purpose::Replay, 0),
-            counters: Counters {
-                next_evaluation: config.run.evaluate_every,
-                ..Counters::default()
+            rollout: Rollout::new(config, config.network.shape(ACTIONS), *seed)?,
+            workers: Workers::new(*threads, job),
+            agents,
+            allocator,
+            picks: Level {
+                agents: generator(*seed, Purpose::Replay, 0),
+                allocator: generator(*seed, Purpose::Replay, ALLOCATOR_STREAM),
             },
+            counters: Counters::new(config),
             folder: RunFolder::new(folder),
-            learner,
-            rollout,
             description,
             refused: Vec::new(),
         })
@@ -207,9 +143,14 @@ impl Trainer {
         &self.refused
     }
 
-    /// The averaged weights: what is measured and shipped.
+    /// The agents' averaged weights: what is measured and shipped.
     pub fn network(&self) -> &UtilityNetwork {
-        &self.learner.average
+        &self.agents.average
+    }
+
+    /// The allocator's averaged weights, if the run learns one.
+    pub fn allocator(&self) -> Option<&UtilityNetwork> {
+        self.allocator.as_ref().map(|learner| &learner.average)
     }
 
     /// Environment steps taken.
@@ -250,77 +191,147 @@ impl Trainer {
             self.evaluate(observer)?;
         }
         self.save(observer)?;
+        self.report(observer)?;
         Ok(Outcome::Finished)
     }
 
     /// One step in every instance, and the updates that are due.
     fn step(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError> {
-        let config = &self.description.config;
-        let counters = &mut self.counters;
-        let epsilon = epsilon(config, counters.env_steps);
-        {
-            let mut knowledge = self.learner.knowledge_mut();
-            let Knowledge { online, replay, .. } = &mut *knowledge;
-            self.rollout.step(online, epsilon, replay, &mut counters.window.episodes)?;
+        self.act()?;
+        self.counters.env_steps += self.rollout.instances() as u64;
+        while self.counters.updates_due() {
+            self.update();
         }
-        counters.env_steps += self.rollout.instances() as u64;
-        let warm = self.learner.knowledge().replay.len() >= config.replay.warm_up;
-        let mut loss = 0.0;
-        while counters.next_update <= counters.env_steps {
-            counters.next_update += config.replay.steps_per_update;
-            if warm {
-                let report = self.learner.update(&mut self.picks, counters.env_steps);
-                counters.updates += 1;
-                counters.window.updates += 1;
-                counters.window.loss += report.loss;
-                counters.window.gradient_norm += f64::from(report.gradient_norm);
-                loss = report.loss;
-            }
-        }
-        let env_steps_total = config.run.steps;
-        observer.progress(&Progress { env_steps: counters.env_steps, env_steps_total, loss });
+        let env_steps_total = self.description.config.run.steps;
+        observer.progress(&Progress { env_steps: self.counters.env_steps, env_steps_total });
         Ok(())
     }
 
-    /// Measures the averaged weights and adds a point to the curve.
-    fn evaluate(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError> {
+    fn act(&mut self) -> Result<(), LearnError> {
+        let Config { exploration, allocator: config, .. } = &self.description.config;
+        let env_steps = self.counters.env_steps;
+        let mut agents = self.agents.knowledge_mut();
+        let Knowledge { online, replay, .. } = &mut *agents;
+        let mut allocator = self.allocator.as_mut().map(Learner::knowledge_mut);
+        let (mut network, mut segments) = (None, None);
+        if let Some(allocator) = &mut allocator {
+            let Knowledge { online, replay, .. } = &mut **allocator;
+            network = (env_steps >= config.decides_from).then_some(&*online);
+            segments = (env_steps >= config.learns_from).then_some(replay);
+        }
+        let epsilon = exploration.epsilon_at(env_steps);
+        let behaviour = Behaviour { agents: online, epsilon, allocator: network };
+        let memory = Memory { records: replay, segments };
+        self.rollout.step(behaviour, memory, &mut self.counters.window.episodes)
+    }
+
+    /// One update of each level that is due and has enough to learn from, both at the same time.
+    fn update(&mut self) {
         let config = &self.description.config;
-        let plan = EvaluationPlan {
+        let (now, end) = (self.counters.env_steps, config.run.steps);
+        let due = self.counters.take_due(config);
+        let learn_agents = due.agents && self.agents.is_warm();
+        if learn_agents {
+            self.agents.pick(&mut self.picks.agents);
+        }
+        let mut allocator =
+            self.allocator.as_mut().filter(|learner| due.allocator && learner.is_warm());
+        if let Some(learner) = &mut allocator {
+            learner.pick(&mut self.picks.allocator);
+        }
+        self.workers.run();
+        let window = &mut self.counters.window;
+        if learn_agents {
+            let rate = config.optimiser.learning_rate_at(now, end);
+            window.agents.add(self.agents.follow(rate));
+        }
+        if let Some(learner) = allocator {
+            let rate = config.allocator.optimiser.learning_rate_at(now, end);
+            window.allocator.add(learner.follow(rate));
+        }
+    }
+
+    /// So many episodes in the world of this run.
+    fn plan(&self, episodes: usize, seed: u64) -> Result<EvaluationPlan, LearnError> {
+        let config = &self.description.config;
+        Ok(EvaluationPlan {
             set: ScenarioSet::named(&config.environment.set)?,
             constants: config.environment.constants,
             interval: config.allocation.interval,
-            episodes: config.run.evaluate_episodes,
-            // Counted from the top, so that ordinary seeds remain fresh for later evaluations.
-            seed: u64::MAX - self.description.seed,
-        };
-        let mut team = NetworkTeam::new(&self.learner.average);
-        let result = evaluate(&plan, &mut team, &mut AllocationRule::Coordinated)?;
+            episodes,
+            seed,
+        })
+    }
+
+    /// Measures the averaged weights of both levels.
+    pub fn measure(&self, episodes: usize, seed: u64) -> Result<Evaluation, LearnError> {
+        let plan = self.plan(episodes, seed)?;
+        let config = &self.description.config.allocation;
+        let mut team = NetworkTeam::new(&self.agents.average);
+        match (config.measured(), self.allocator()) {
+            (Allocation::Rule(mut rule), _) => evaluate(&plan, &mut team, &mut rule),
+            (Allocation::Learned, network) => {
+                let network = network
+                    .ok_or_else(|| LearnError::Config("the run learns no allocator".to_owned()))?;
+                let mut allocator = TeamValueAllocator::new(network, config.team_max);
+                evaluate(&plan, &mut team, &mut allocator)
+            }
+        }
+    }
+
+    /// Adds a point to the curve.
+    fn evaluate(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError> {
+        let episodes = self.description.config.run.evaluate_episodes;
+        // Counted from the top, so that ordinary seeds remain fresh for later evaluations.
+        let result = self.measure(episodes, u64::MAX - self.description.seed)?;
         let point = self.point(&result);
         observer.evaluated(&point);
-        self.counters.curve.push(point);
-        self.counters.window = Window::default();
+        self.counters.add_point(point);
         self.folder.write_curve(&self.title(), &self.counters.curve)
     }
 
+    /// Measures the finished run on episodes that no run uses before its end.
+    fn report(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError> {
+        let Config { environment, allocation, run, .. } = &self.description.config;
+        if run.final_episodes == 0 {
+            return Ok(());
+        }
+        let result = RunResult {
+            env: format!("{}/{}", environment.name, environment.set),
+            allocation: allocation.measured().name().to_owned(),
+            seed: REPORT_SEED,
+            evaluation: self.measure(run.final_episodes, REPORT_SEED)?,
+        };
+        self.folder.write_result(&result)?;
+        observer.finished(&result);
+        Ok(())
+    }
+
     fn point(&self, result: &Evaluation) -> CurvePoint {
-        let Counters { env_steps, updates, wall_s, cpu_s, window, .. } = self.counters;
-        let mean = |sum: f64, count: u64| if count == 0 { 0.0 } else { sum / count as f64 };
+        let config = &self.description.config;
+        let Counters { env_steps, updates, decisions, wall_s, cpu_s, window, .. } = &self.counters;
+        let episodes = &window.episodes;
         CurvePoint {
-            env_steps,
-            updates,
-            wall_s,
-            cpu_s,
+            env_steps: *env_steps,
+            updates: updates.agents + window.agents.updates,
+            decisions: decisions + episodes.decisions,
+            wall_s: *wall_s,
+            cpu_s: *cpu_s,
+            allocation: config.allocation.measured().name().to_owned(),
             success: result.success,
             success_ci95: result.success_ci95,
             timeouts: result.timeouts,
+            none_burned: result.none_burned,
             return_mean: result.return_mean,
             length_mean: result.length_mean,
             episodes: result.episodes,
-            loss: mean(window.loss, window.updates),
-            gradient_norm: mean(window.gradient_norm, window.updates),
-            epsilon: epsilon(&self.description.config, env_steps),
-            learning_rate: self.learner.learning_rate(env_steps),
-            training_success: mean(window.episodes.solved as f64, window.episodes.episodes),
+            loss: window.agents.mean_loss(),
+            gradient_norm: window.agents.mean_gradient_norm(),
+            allocator_updates: updates.allocator + window.allocator.updates,
+            allocator_loss: window.allocator.mean_loss(),
+            epsilon: config.exploration.epsilon_at(*env_steps),
+            learning_rate: config.optimiser.learning_rate_at(*env_steps, config.run.steps),
+            training_success: episodes.solved as f64 / episodes.episodes.max(1) as f64,
         }
     }
 
@@ -328,35 +339,27 @@ impl Trainer {
         let RunDescription { method, seed, config, .. } = &self.description;
         format!("{method} on {} {}, seed {seed}", config.environment.name, config.environment.set)
     }
-
-    fn save(&self, observer: &mut dyn Observer) -> Result<(), LearnError> {
-        let knowledge = self.learner.knowledge();
-        let adam = &self.learner.adam;
-        let vectors = [
-            ("online", knowledge.online.parameters()),
-            ("target", knowledge.target.parameters()),
-            ("average", self.learner.average.parameters()),
-            ("adam-mean", &adam.mean),
-            ("adam-square", &adam.square),
-        ];
-        let state = StateRef {
-            counters: &self.counters,
-            adam_steps: adam.steps,
-            picks: &self.picks,
-            instances: self.rollout.snapshot(),
-            replay: &knowledge.replay,
-        };
-        let shape = knowledge.online.shape();
-        let place: PathBuf =
-            self.folder.checkpoints().write(self.counters.env_steps, shape, &vectors, &state)?;
-        observer.saved(&place);
-        Ok(())
-    }
 }
 
-fn epsilon(config: &Config, env_steps: u64) -> f32 {
-    let exploration = &config.exploration;
-    linear(exploration.start, exploration.end, exploration.steps, env_steps)
+/// The learner of the agents, before its first update.
+fn agents(config: &Config, seed: u64) -> Result<Learner<Chunk>, LearnError> {
+    let shape = config.network.shape(ACTIONS);
+    let mut weights = generator(seed, Purpose::Weights, 0);
+    let online = UtilityNetwork::initialise(shape, config.network.active_inputs, &mut weights);
+    let set = ScenarioSet::named(&config.environment.set)?;
+    let replay = Replay::new(config.replay.capacity, set.max_agents);
+    Ok(Learner::new((&config.replay, &config.optimiser), online, replay, &Chunk::new(shape)))
+}
+
+/// The learner of the allocator, before its first update.
+fn allocator(config: &Config, seed: u64) -> Learner<TeamValueLoss> {
+    let config = &config.allocator;
+    let mut weights = generator(seed, Purpose::Weights, ALLOCATOR_STREAM);
+    let inputs = config.network.active_inputs;
+    let online = UtilityNetwork::initialise(config.shape(), inputs, &mut weights);
+    let replay = Segments::new(config.replay.capacity);
+    let loss = TeamValueLoss::new(config.shape());
+    Learner::new((&config.replay, &config.optimiser), online, replay, &loss)
 }
 
 /// Wall and processor time since the last reading.

@@ -7,6 +7,7 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
+use super::learner::Parameters;
 use crate::layers::attention::AttentionShape;
 use crate::layers::linear::LinearShape;
 use crate::random::{Generator, signed_unit};
@@ -128,16 +129,6 @@ impl UtilityNetwork {
         self.shape
     }
 
-    /// All parameters, in the order of [`UtilityShape::tensors`].
-    pub fn parameters(&self) -> &[f32] {
-        &self.parameters
-    }
-
-    /// All parameters, to be changed.
-    pub fn parameters_mut(&mut self) -> &mut [f32] {
-        &mut self.parameters
-    }
-
     /// The tensors in PyTorch's layout, for export.
     pub fn weights(&self) -> UtilityWeights {
         let UtilityShape { input, width, .. } = self.shape;
@@ -199,6 +190,17 @@ impl UtilityNetwork {
             head,
             head_bias,
         }
+    }
+}
+
+/// In the order of [`UtilityShape::tensors`].
+impl Parameters for UtilityNetwork {
+    fn parameters(&self) -> &[f32] {
+        &self.parameters
+    }
+
+    fn parameters_mut(&mut self) -> &mut [f32] {
+        &mut self.parameters
     }
 }
 

@@ -144,7 +144,7 @@ fn end_row(rows: &mut SparseRows, travel_time: f64) -> usize {
 mod tests {
     use super::*;
     use crate::layers::gradient_check::assert_gradient;
-    use crate::methods::alma::{UtilityNetwork, UtilityPass, team_value::TeamValueConfig};
+    use crate::methods::alma::{Parameters, UtilityNetwork, UtilityPass, config::AllocatorConfig};
     use crate::random::{Purpose, generator};
     use sortie_envs::save_the_city::{Constants, SaveTheCity, ScenarioSet, Status};
 
@@ -156,7 +156,7 @@ mod tests {
     }
 
     fn network() -> UtilityNetwork {
-        let mut config = TeamValueConfig::default();
+        let mut config = AllocatorConfig::default();
         (config.network.width, config.network.base) = (16, 12);
         UtilityNetwork::initialise(config.shape(), 8.0, &mut generator(1, Purpose::Weights, 0))
     }

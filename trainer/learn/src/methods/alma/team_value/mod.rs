@@ -10,18 +10,12 @@
 //! with the dissertation (section 7.4): a sum of one value per subtask instead of a critic of the whole
 //! allocation, search instead of a proposal network, task rewards instead of the team's.
 
-pub mod config;
 mod input;
-mod learner;
-mod rollout;
+mod loss;
 mod search;
 mod segments;
-mod trainer;
 
-pub use config::TeamValueConfig;
 pub use input::{COLUMNS, TeamQuery, TeamValueInput};
-pub use learner::TeamValueLearner;
-pub use rollout::{Behaviour, TeamValueRollout};
+pub use loss::TeamValueLoss;
 pub use search::{TeamSearch, TeamValueAllocator};
 pub use segments::{Decision, Segment, Segments};
-pub use trainer::{TeamValuePoint, TeamValueTrainer};

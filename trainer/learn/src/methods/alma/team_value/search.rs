@@ -114,13 +114,13 @@ impl Allocate for TeamValueAllocator<'_> {
 mod tests {
     use super::*;
     use crate::evaluate::{EvaluationPlan, ScriptedActors, evaluate};
-    use crate::methods::alma::team_value::TeamValueConfig;
+    use crate::methods::alma::config::AllocatorConfig;
     use crate::random::{Purpose, generator};
     use sortie_envs::Environment;
     use sortie_envs::save_the_city::{Constants, SaveTheCity, ScenarioSet};
 
     fn network() -> UtilityNetwork {
-        let mut config = TeamValueConfig::default();
+        let mut config = AllocatorConfig::default();
         (config.network.width, config.network.base) = (8, 8);
         UtilityNetwork::initialise(config.shape(), 8.0, &mut generator(2, Purpose::Weights, 0))
     }

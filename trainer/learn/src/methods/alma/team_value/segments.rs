@@ -1,9 +1,12 @@
 //! What was decided and what it earned, up to the next decision.
 
+use serde::{Deserialize, Serialize};
 use sortie_envs::save_the_city::{AgentState, BuildingState, City};
 
+use crate::methods::alma::learner::Samples;
+
 /// A state with the allocation that was made in it.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Decision {
     /// The agents.
     pub agents: Vec<AgentState>,
@@ -36,7 +39,7 @@ impl Decision {
 }
 
 /// The steps from one decision to the next.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Segment {
     /// What was decided.
     pub now: Decision,
@@ -48,8 +51,20 @@ pub struct Segment {
     pub next: Decision,
 }
 
+impl Segment {
+    /// Whether its parts have the same agents and buildings.
+    fn fits(&self) -> bool {
+        let sizes = |decision: &Decision| (decision.agents.len(), decision.buildings.len());
+        let whole = |decision: &Decision| decision.allocation.len() == decision.agents.len();
+        sizes(&self.now) == sizes(&self.next)
+            && whole(&self.now)
+            && whole(&self.next)
+            && self.rewards.len() == self.now.buildings.len()
+    }
+}
+
 /// A ring of segments: the newest replaces the oldest.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Segments {
     capacity: usize,
     segments: Vec<Segment>,
@@ -84,6 +99,20 @@ impl Segments {
     /// A segment.
     pub fn get(&self, index: usize) -> &Segment {
         &self.segments[index]
+    }
+
+    /// Whether this is a ring of that size whose parts fit together, as one from a file should be.
+    pub fn fits(&self, capacity: usize) -> bool {
+        self.capacity == capacity
+            && self.segments.len() <= capacity
+            && self.next < capacity
+            && self.segments.iter().all(Segment::fits)
+    }
+}
+
+impl Samples for Segments {
+    fn count(&self) -> usize {
+        self.len()
     }
 }
 

@@ -1,0 +1,120 @@
+//! How the agents learn to act.
+
+use serde::{Deserialize, Serialize};
+
+use super::require;
+use crate::error::LearnError;
+use crate::methods::alma::history::Returns;
+use crate::methods::alma::team_batch::INPUT_COLUMNS;
+use crate::methods::alma::utility::UtilityShape;
+use crate::schedule::linear;
+
+/// Sizes of the utility network.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct NetworkConfig {
+    /// Width of embedding and attention. The dissertation has 128.
+    pub width: usize,
+    /// Attention heads.
+    pub heads: usize,
+    /// Width of the layer before the head.
+    pub base: usize,
+    /// Non-zero inputs that the initial weights of the first layer are sized for.
+    ///
+    /// PyTorch would take all columns, although rows are mostly zeros.
+    pub active_inputs: f32,
+}
+
+impl Default for NetworkConfig {
+    fn default() -> Self {
+        Self { width: 64, heads: 4, base: 64, active_inputs: 8.0 }
+    }
+}
+
+impl NetworkConfig {
+    /// Refuses values that cannot work; `of` names the section.
+    pub(super) fn check(&self, of: &str) -> Result<(), LearnError> {
+        require(
+            self.heads > 0 && self.width > 0 && self.width.is_multiple_of(self.heads),
+            &format!("`{of}.width` must be a multiple of `{of}.heads`"),
+        )?;
+        require(self.base > 0, &format!("`{of}.base` must be at least 1"))?;
+        require(self.active_inputs > 0.0, &format!("`{of}.active_inputs` must be positive"))
+    }
+
+    /// The network's shape in an environment with so many actions.
+    pub fn shape(&self, actions: usize) -> UtilityShape {
+        UtilityShape {
+            input: INPUT_COLUMNS,
+            width: self.width,
+            heads: self.heads,
+            base: self.base,
+            actions,
+        }
+    }
+}
+
+/// How rewards become targets.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ReturnsConfig {
+    /// Steps before a target bootstraps.
+    pub steps: u32,
+    /// Discount per step.
+    pub discount: f32,
+    /// Potential per cell between an agent and its building; 0 turns shaping off.
+    ///
+    /// Not in the dissertation. It leaves the best policy as it is and learning takes half as long.
+    pub shaping: f32,
+}
+
+impl Default for ReturnsConfig {
+    fn default() -> Self {
+        Self { steps: 3, discount: 0.97, shaping: 0.5 }
+    }
+}
+
+impl ReturnsConfig {
+    pub(super) fn check(&self) -> Result<(), LearnError> {
+        require(self.steps > 0, "`returns.steps` must be at least 1")?;
+        require((0.0..=1.0).contains(&self.discount), "`returns.discount` must be in 0..1")
+    }
+}
+
+impl From<&ReturnsConfig> for Returns {
+    fn from(config: &ReturnsConfig) -> Self {
+        let ReturnsConfig { steps, discount, shaping } = *config;
+        Self { steps, discount, shaping }
+    }
+}
+
+/// How much the agents try out: a random available action with probability epsilon.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ExplorationConfig {
+    /// Epsilon of the first step.
+    pub start: f32,
+    /// Epsilon from step `steps` on.
+    pub end: f32,
+    /// Environment steps of the way down.
+    pub steps: u64,
+    /// Factors on epsilon, dealt to the instances in turn: some act greedily, some more wildly.
+    pub spread: Vec<f32>,
+}
+
+impl Default for ExplorationConfig {
+    fn default() -> Self {
+        Self { start: 1.0, end: 0.05, steps: 60_000, spread: vec![0.0, 0.2, 1.0, 2.0] }
+    }
+}
+
+impl ExplorationConfig {
+    /// Epsilon before the instances' factors, `step` environment steps into a run.
+    pub fn epsilon_at(&self, step: u64) -> f32 {
+        linear(self.start, self.end, self.steps, step)
+    }
+
+    pub(super) fn check(&self) -> Result<(), LearnError> {
+        require(!self.spread.is_empty(), "`exploration.spread` must not be empty")
+    }
+}

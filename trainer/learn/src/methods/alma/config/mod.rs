@@ -1,0 +1,178 @@
+//! Everything that decides how a run learns, in one readable file.
+
+mod agents;
+mod allocation;
+mod learning;
+mod run;
+
+use serde::{Deserialize, Serialize};
+
+pub use agents::{ExplorationConfig, NetworkConfig, ReturnsConfig};
+pub use allocation::{Allocation, AllocationConfig, AllocatorConfig};
+pub use learning::{OptimiserConfig, ReplayConfig};
+pub use run::{EnvironmentConfig, RunConfig};
+
+use crate::error::LearnError;
+use crate::run::RunDescription;
+
+/// The configuration of a run. Its defaults are the preset `fast`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// The world to learn in.
+    pub environment: EnvironmentConfig,
+    /// Who assigns agents to buildings while learning.
+    pub allocation: AllocationConfig,
+    /// Sizes of the utility network.
+    pub network: NetworkConfig,
+    /// How rewards become targets.
+    pub returns: ReturnsConfig,
+    /// What is kept and how much of it an update sees.
+    pub replay: ReplayConfig,
+    /// How much the agents try out.
+    pub exploration: ExplorationConfig,
+    /// How the weights follow the gradient.
+    pub optimiser: OptimiserConfig,
+    /// How the allocator learns.
+    pub allocator: AllocatorConfig,
+    /// How long to learn, and when to measure and save.
+    pub run: RunConfig,
+}
+
+impl Config {
+    /// A preset by name: `fast`.
+    pub fn preset(name: &str) -> Result<Self, LearnError> {
+        match name {
+            "fast" => Ok(Self::default()),
+            _ => Err(LearnError::Config(format!("no preset `{name}`; there is `fast`"))),
+        }
+    }
+
+    /// Reads a configuration; what is missing keeps its default.
+    ///
+    /// A run's `train.toml` will do: its lines about the run itself are passed over.
+    pub fn from_toml(text: &str) -> Result<Self, LearnError> {
+        let bad = |error: toml::de::Error| LearnError::Config(error.message().to_owned());
+        let mut table: toml::Table = text.parse().map_err(bad)?;
+        for key in RunDescription::KEYS {
+            table.remove(key);
+        }
+        let config: Self = table.try_into().map_err(bad)?;
+        config.check()?;
+        Ok(config)
+    }
+
+    /// The configuration as a file that a person can read.
+    pub fn to_toml(&self) -> Result<String, LearnError> {
+        toml::to_string(self).map_err(|error| LearnError::Config(error.to_string()))
+    }
+
+    /// Replaces one value, named as in `replay.batch=256`.
+    pub fn set(&mut self, assignment: &str) -> Result<(), LearnError> {
+        let bad = |why: &str| LearnError::Config(format!("`{assignment}`: {why}"));
+        let (key, value) = assignment.split_once('=').ok_or_else(|| bad("not `key=value`"))?;
+        let mut table = toml::Table::try_from(&*self).map_err(|e| bad(&e.to_string()))?;
+        let (parents, name) = key.trim().rsplit_once('.').ok_or_else(|| bad("no such key"))?;
+        let mut place = &mut table;
+        for parent in parents.split('.') {
+            place = place
+                .get_mut(parent)
+                .and_then(toml::Value::as_table_mut)
+                .ok_or_else(|| bad("no such key"))?;
+        }
+        let old = place.get(name).ok_or_else(|| bad("no such key"))?;
+        let new = parse_like(old, value.trim()).ok_or_else(|| bad("not a value of that kind"))?;
+        place.insert(name.to_owned(), new);
+        let changed: Self = table.try_into().map_err(|e: toml::de::Error| bad(e.message()))?;
+        changed.check()?;
+        *self = changed;
+        Ok(())
+    }
+
+    /// Refuses values that cannot work.
+    pub fn check(&self) -> Result<(), LearnError> {
+        self.environment.check()?;
+        self.allocation.check()?;
+        self.network.check("network")?;
+        self.returns.check()?;
+        self.replay.check("replay")?;
+        self.exploration.check()?;
+        self.optimiser.check("optimiser")?;
+        self.allocator.check()?;
+        self.run.check()
+    }
+}
+
+/// Refuses a configuration that does not hold, with what it must be.
+fn require(holds: bool, what: &str) -> Result<(), LearnError> {
+    if holds { Ok(()) } else { Err(LearnError::Config(what.to_owned())) }
+}
+
+/// Reads `text` as a value of the same kind as `old`.
+fn parse_like(old: &toml::Value, text: &str) -> Option<toml::Value> {
+    use toml::Value;
+    Some(match old {
+        Value::String(_) => Value::String(text.to_owned()),
+        Value::Integer(_) => Value::Integer(text.replace('_', "").parse().ok()?),
+        Value::Float(_) => Value::Float(text.parse().ok()?),
+        Value::Boolean(_) => Value::Boolean(text.parse().ok()?),
+        _ => toml::from_str::<toml::Table>(&format!("value = {text}")).ok()?.remove("value")?,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_written_file_reads_back() {
+        let config = Config::default();
+        let text = config.to_toml().unwrap();
+        assert_eq!(Config::from_toml(&text).unwrap(), config, "{text}");
+        assert_eq!(Config::from_toml("").unwrap(), config);
+    }
+
+    #[test]
+    fn dotted_keys_replace_values_of_every_kind() {
+        let mut config = Config::default();
+        for assignment in [
+            "environment.set=2-8a_2-8b",
+            "replay.batch = 1_024",
+            "optimiser.learning_rate=5e-4",
+            "replay.symmetries=false",
+            "exploration.spread=[0.0, 1.0]",
+            "allocator.network.width=32",
+            "environment.constants.episode_limit=99",
+        ] {
+            config.set(assignment).unwrap_or_else(|error| panic!("{error}"));
+        }
+        assert_eq!(config.environment.set, "2-8a_2-8b");
+        assert_eq!(config.replay.batch, 1024);
+        assert_eq!(config.optimiser.learning_rate, 5e-4);
+        assert!(!config.replay.symmetries);
+        assert_eq!(config.exploration.spread, [0.0, 1.0]);
+        assert_eq!(config.environment.constants.episode_limit, 99);
+    }
+
+    #[test]
+    fn wrong_keys_and_values_are_refused_and_change_nothing() {
+        let mut config = Config::default();
+        for (assignment, part) in [
+            ("replay.batsch=3", "no such key"),
+            ("replay=3", "no such key"),
+            ("replay.batch", "key=value"),
+            ("replay.batch=many", "not a value"),
+            ("replay.batch=0", "at least 1"),
+            ("network.heads=5", "multiple"),
+            ("allocation.learned=0", "positive"),
+            ("allocator.moved=2", "`allocator.moved`"),
+            ("allocator.replay.batch=0", "`allocator.replay.batch`"),
+        ] {
+            let error = config.set(assignment).unwrap_err().to_string();
+            assert!(error.contains(part), "{assignment}: {error}");
+        }
+        assert_eq!(config, Config::default());
+        assert!(Config::from_toml("[replay]\nbatsch = 3").is_err());
+        assert!(Config::preset("slow").is_err());
+    }
+}

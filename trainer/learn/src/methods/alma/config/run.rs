@@ -1,0 +1,75 @@
+//! Where and how long a run learns.
+
+use serde::{Deserialize, Serialize};
+use sortie_envs::save_the_city::Constants;
+
+use super::require;
+use crate::error::LearnError;
+
+/// The world to learn in.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EnvironmentConfig {
+    /// Name of the environment: `save-the-city`.
+    pub name: String,
+    /// Scenario set.
+    pub set: String,
+    /// Episodes that run at the same time; one that ends restarts at once.
+    pub instances: usize,
+    /// Numbers of the rules.
+    pub constants: Constants,
+}
+
+impl Default for EnvironmentConfig {
+    fn default() -> Self {
+        Self {
+            name: "save-the-city".to_owned(),
+            set: "2-5a_2-5b".to_owned(),
+            instances: 16,
+            constants: Constants::default(),
+        }
+    }
+}
+
+impl EnvironmentConfig {
+    /// Refuses values that cannot work.
+    pub(super) fn check(&self) -> Result<(), LearnError> {
+        require(self.name == "save-the-city", "`environment.name` must be `save-the-city`")?;
+        require(self.instances > 0, "`environment.instances` must be at least 1")
+    }
+}
+
+/// How long to learn, and when to measure and save.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RunConfig {
+    /// Environment steps to learn for.
+    pub steps: u64,
+    /// Environment steps from one evaluation to the next.
+    pub evaluate_every: u64,
+    /// Greedy episodes of an evaluation.
+    pub evaluate_episodes: usize,
+    /// Greedy episodes of the evaluation at the end of the run, fresh ones that were never used before.
+    pub final_episodes: usize,
+    /// Minutes from one checkpoint to the next; one is always written at the end.
+    pub checkpoint_minutes: f64,
+}
+
+impl Default for RunConfig {
+    fn default() -> Self {
+        Self {
+            steps: 1_000_000,
+            evaluate_every: 50_000,
+            evaluate_episodes: 500,
+            final_episodes: 2_000,
+            checkpoint_minutes: 5.0,
+        }
+    }
+}
+
+impl RunConfig {
+    pub(super) fn check(&self) -> Result<(), LearnError> {
+        require(self.evaluate_every > 0, "`run.evaluate_every` must be at least 1")?;
+        require(self.evaluate_episodes > 0, "`run.evaluate_episodes` must be at least 1")
+    }
+}

@@ -1,0 +1,195 @@
+//! Who works where while learning: allocations of an episode, explored, cut into segments.
+
+use serde::{Deserialize, Serialize};
+use sortie_envs::save_the_city::{AllocationRule, City, DecisionPoints, UNASSIGNED};
+
+use super::config::{Allocation, AllocationConfig, AllocatorConfig, Config};
+use super::team_value::{Decision, Segment, Segments, TeamSearch};
+use super::utility::UtilityNetwork;
+use crate::error::LearnError;
+use crate::random::{Generator, below, chance, unit};
+
+/// Who stands in for an allocator that has not begun to decide.
+const STAND_INS: [AllocationRule; 2] = [AllocationRule::Coordinated, AllocationRule::Heuristic];
+
+/// What one episode remembers between its decisions.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct Decisions {
+    allocation_by: Allocation,
+    /// The rule that decides as long as the learned allocator does not.
+    stand_in: AllocationRule,
+    points: DecisionPoints,
+    tasks_changed: bool,
+    /// The building of every agent.
+    pub(super) allocation: Vec<u8>,
+    segment: Option<Segment>,
+}
+
+impl Decisions {
+    pub(super) fn new(interval: u32, agents: usize) -> Self {
+        Self {
+            allocation_by: Allocation::Learned,
+            stand_in: STAND_INS[0],
+            points: DecisionPoints::every(interval),
+            tasks_changed: false,
+            allocation: vec![UNASSIGNED; agents],
+            segment: None,
+        }
+    }
+
+    /// A new episode begins.
+    pub(super) fn restart(&mut self, config: &AllocationConfig, generator: &mut Generator) {
+        self.allocation_by = draw(config, generator);
+        self.stand_in = STAND_INS[below(generator, STAND_INS.len())];
+        self.points.restart();
+        self.tasks_changed = false;
+        self.segment = None;
+    }
+
+    /// Notes what a step earned and whether it changed the open tasks.
+    pub(super) fn reward(&mut self, discount: f32, task_rewards: &[f64], tasks_changed: bool) {
+        self.tasks_changed = tasks_changed;
+        if let Some(segment) = &mut self.segment {
+            for (sum, reward) in segment.rewards.iter_mut().zip(task_rewards) {
+                *sum += segment.discount * *reward as f32;
+            }
+            segment.discount *= discount;
+        }
+    }
+
+    /// Ends the episode. After a time-out nobody decides, so that there is no next team to value.
+    pub(super) fn end(&mut self, timed_out: bool, segments: Option<&mut Segments>) {
+        if let (Some(segment), Some(segments), false) = (self.segment.take(), segments, timed_out) {
+            segments.push(Segment { discount: 0.0, ..segment });
+        }
+    }
+
+    /// Ends the segment of the decision before and begins that of the one just made.
+    fn begin_segment(&mut self, city: City<'_>, segments: &mut Segments) {
+        let decision = Decision::new(city, &self.allocation);
+        if let Some(mut segment) = self.segment.take() {
+            segment.next = decision.clone();
+            segments.push(segment);
+        }
+        self.segment = Some(Segment {
+            rewards: vec![0.0; decision.buildings.len()],
+            discount: 1.0,
+            next: decision.clone(),
+            now: decision,
+        });
+    }
+}
+
+/// Makes the decisions of all episodes.
+#[derive(Debug)]
+pub(super) struct Deciding {
+    allocation: AllocationConfig,
+    allocator: AllocatorConfig,
+    search: TeamSearch,
+}
+
+impl Deciding {
+    pub(super) fn new(config: &Config) -> Self {
+        let (allocation, allocator) = (config.allocation.clone(), config.allocator.clone());
+        let search = TeamSearch::new(allocator.shape(), allocation.team_max);
+        Self { allocation, allocator, search }
+    }
+
+    /// Who allocates in a training episode, and how.
+    pub(super) fn allocation(&self) -> &AllocationConfig {
+        &self.allocation
+    }
+
+    /// Discount of the allocator's rewards per environment step.
+    pub(super) fn discount(&self) -> f32 {
+        self.allocator.discount
+    }
+
+    /// Decides if it is time to. `network` decides where the learned allocator is to, or a rule in
+    /// its stead; `segments` takes the segment that ends. Returns whether there was a decision.
+    pub(super) fn decide(
+        &mut self,
+        episode: &mut Decisions,
+        city: City<'_>,
+        generator: &mut Generator,
+        network: Option<&UtilityNetwork>,
+        segments: Option<&mut Segments>,
+    ) -> Result<bool, LearnError> {
+        if !episode.points.is_due(episode.tasks_changed) {
+            return Ok(false);
+        }
+        let allocation = &mut episode.allocation;
+        match (episode.allocation_by, network) {
+            (Allocation::Rule(rule), _) => rule.allocate(city, generator, allocation),
+            (Allocation::Learned, None) => {
+                episode.stand_in.allocate(city, generator, allocation);
+            }
+            (Allocation::Learned, Some(network)) => {
+                self.search.allocate(network, city, allocation)?;
+            }
+        }
+        let explores = episode.allocation_by == Allocation::Learned;
+        if explores && chance(generator, self.allocator.moved_decisions) {
+            move_some(city, self.allocator.moved, self.allocation.team_max, generator, allocation);
+        }
+        if let Some(segments) = segments {
+            episode.begin_segment(city, segments);
+        }
+        Ok(true)
+    }
+}
+
+/// Sends a share of the agents to random open buildings, except where the team is full.
+fn move_some(
+    city: City<'_>,
+    share: f64,
+    team_max: usize,
+    generator: &mut Generator,
+    allocation: &mut [u8],
+) {
+    let numbered = city.buildings.iter().enumerate();
+    let open: Vec<u8> = numbered.filter(|(_, b)| b.is_open()).map(|(task, _)| task as u8).collect();
+    for agent in 0..city.agents.len() {
+        if chance(generator, share) && !open.is_empty() {
+            let task = open[below(generator, open.len())];
+            if allocation.iter().filter(|own| **own == task).count() < team_max {
+                allocation[agent] = task;
+            }
+        }
+    }
+}
+
+/// An allocator, drawn by its weight.
+fn draw(config: &AllocationConfig, generator: &mut Generator) -> Allocation {
+    let weights = config.weights();
+    let total: f64 = weights.iter().map(|(_, weight)| weight).sum();
+    let mut left = unit(generator) * total;
+    for (allocation, weight) in weights {
+        left -= weight;
+        if left < 0.0 {
+            return allocation;
+        }
+    }
+    config.measured()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::{Purpose, generator};
+
+    #[test]
+    fn allocators_are_drawn_by_their_weights() {
+        let config = AllocationConfig {
+            learned: 1.0,
+            coordinated: 0.0,
+            heuristic: 3.0,
+            ..AllocationConfig::default()
+        };
+        let mut random = generator(1, Purpose::Rollout, 0);
+        let drawn: Vec<_> = (0..4000).map(|_| draw(&config, &mut random)).collect();
+        let share = |who| drawn.iter().filter(|drawn| **drawn == who).count() as f64 / 4000.0;
+        assert!((share(Allocation::Learned) - 0.25).abs() < 0.03);
+        assert!((share(Allocation::Rule(AllocationRule::Heuristic)) - 0.75).abs() < 0.03);
+    }
+}
