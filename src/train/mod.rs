@@ -1,19 +1,22 @@
 //! `sortie train`: learns a team and writes a run that can be watched, resumed and exported.
 
+mod reporter;
+mod seeds;
+
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use sortie_learn::LearnError;
-use sortie_learn::methods::alma::{Config, Observer, Outcome as Ending, Progress, Trainer};
-use sortie_learn::run::{CurvePoint, RunResult};
+use sortie_learn::methods::alma::{Config, Outcome as Ending, Trainer};
 
 use crate::arguments::{Allocation, Common};
 use crate::environment::ScenarioSetName;
 use crate::failure::{Exit, Failure, Outcome};
-use crate::output::{print_json, warn_of_refused};
+use crate::output::warn_of_refused;
 use crate::signals::stop_on_signals;
+use reporter::Reporter;
+use seeds::SeedRange;
 
 /// Learn a team's policy and write the run to a folder
 ///
@@ -22,6 +25,7 @@ use crate::signals::stop_on_signals;
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   sortie train alma --out runs/first
+  sortie train alma --seeds 1..5 --out runs/five
   sortie train alma --set network.width=128 --set run.steps=800000 --seed 7 --out runs/wide
   sortie train alma --resume runs/first")]
 pub(crate) struct TrainArguments {
@@ -46,8 +50,12 @@ pub(crate) struct TrainArguments {
     /// Environment steps to learn for [default: as the configuration says]
     #[arg(long)]
     steps: Option<u64>,
-    /// Threads that compute gradients; they change no result [default: all cores]
-    #[arg(long)]
+    /// One run per seed, A and B included: folders DIR-sA to DIR-sB, as many at a time as there are
+    /// cores; the same command again goes on with what is unfinished
+    #[arg(long, value_name = "A..B", conflicts_with_all = ["seed", "resume"])]
+    seeds: Option<SeedRange>,
+    /// Threads that compute gradients; they change no result [default: all cores, with --seeds one]
+    #[arg(long, value_parser = threads)]
     threads: Option<usize>,
     /// Folder of the new run
     #[arg(long, value_name = "DIR", required_unless_present = "resume")]
@@ -68,11 +76,16 @@ enum Method {
 pub(crate) fn run(arguments: &TrainArguments) -> Outcome {
     let Method::Alma = arguments.method;
     let stop = stop_on_signals()?;
+    if let (Some(seeds), Some(out)) = (arguments.seeds, &arguments.out) {
+        let config = configuration(arguments)?;
+        let threads = arguments.threads.unwrap_or(1);
+        return seeds::run(seeds, &config, threads, out, arguments.common, &stop);
+    }
     let (mut trainer, folder) = trainer(arguments)?;
     warn_of_refused(trainer.refused());
     let mut reporter = Reporter::new(&trainer, arguments.common);
     let ending = trainer.run(&mut reporter, stop.flag())?;
-    reporter.bar.finish_and_clear();
+    reporter.finish();
     match ending {
         Ending::Stopped => Err(Failure::new(
             Exit::Interrupted,
@@ -95,10 +108,20 @@ fn trainer(arguments: &TrainArguments) -> Result<(Trainer, PathBuf), Failure> {
         return Ok((Trainer::resume(folder, arguments.threads)?, folder.clone()));
     }
     let folder = arguments.out.clone().unwrap_or_default();
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let threads = arguments.threads.unwrap_or(cores);
+    let threads = arguments.threads.unwrap_or(cores());
     let config = configuration(arguments)?;
     Ok((Trainer::new(config, arguments.common.seed, threads, &folder)?, folder))
+}
+
+fn cores() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
+}
+
+fn threads(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(threads) if (1..=1024).contains(&threads) => Ok(threads),
+        _ => Err("expected a number of threads from 1 to 1024".to_string()),
+    }
 }
 
 fn configuration(arguments: &TrainArguments) -> Result<Config, Failure> {
@@ -133,67 +156,4 @@ fn configuration_file(path: &Path) -> Result<Config, Failure> {
 
 fn usage(error: LearnError) -> Failure {
     Failure::new(Exit::Usage, error.to_string())
-}
-
-/// Shows a run while it learns.
-struct Reporter {
-    bar: ProgressBar,
-    common: Common,
-}
-
-impl Reporter {
-    fn new(trainer: &Trainer, common: Common) -> Self {
-        let hidden = common.json || common.quiet;
-        let target =
-            if hidden { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
-        let bar =
-            ProgressBar::with_draw_target(Some(trainer.description().config.run.steps), target);
-        let style = ProgressStyle::with_template(
-            "{bar:30} {percent:>3} % of {human_len} steps, {eta} left, {msg}",
-        );
-        bar.set_style(style.expect("the template is a constant"));
-        bar.set_message("success not measured yet");
-        bar.set_position(trainer.env_steps());
-        bar.reset_eta();
-        Self { bar, common }
-    }
-}
-
-impl Observer for Reporter {
-    fn progress(&mut self, progress: &Progress) {
-        self.bar.set_position(progress.env_steps);
-    }
-
-    fn evaluated(&mut self, point: &CurvePoint) {
-        self.bar.set_message(format!("success {:.3}", point.success));
-        if self.common.json {
-            print_json(point);
-        } else if !self.common.quiet {
-            let line = format!(
-                "{:>9} steps  {:>6.0} s  {:>6.0} CPU s  success {:.3}  time-outs {:.3}  loss {:.4}  allocator {:.4}",
-                point.env_steps,
-                point.wall_s,
-                point.cpu_s,
-                point.success,
-                point.timeouts,
-                point.loss,
-                point.allocator_loss
-            );
-            self.bar.suspend(|| println!("{line}"));
-        }
-    }
-
-    fn finished(&mut self, result: &RunResult) {
-        let RunResult { allocation, evaluation, .. } = result;
-        let [low, high] = evaluation.success_ci95;
-        if self.common.json {
-            print_json(result);
-        } else if !self.common.quiet {
-            let line = format!(
-                "{} fresh episodes under {allocation} allocation: success {:.3} ({low:.3} to {high:.3})",
-                evaluation.episodes, evaluation.success
-            );
-            self.bar.suspend(|| println!("{line}"));
-        }
-    }
 }
