@@ -11,6 +11,7 @@ mod deciding;
 mod history;
 mod learner;
 mod network_policy;
+mod operations;
 mod replay;
 mod rollout;
 mod saved;

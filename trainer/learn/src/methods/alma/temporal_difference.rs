@@ -49,6 +49,11 @@ impl Chunk {
         }
     }
 
+    /// Floating-point operations up to now, as [`UtilityPass::operations`] counts them.
+    pub fn operations(&self) -> u64 {
+        self.pass.operations()
+    }
+
     /// Rebuilds the features of the records, turned as they were picked.
     fn gather(&mut self, replay: &Replay, picks: &[Pick]) {
         self.now.clear();

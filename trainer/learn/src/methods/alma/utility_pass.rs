@@ -1,5 +1,6 @@
 //! Forward and backward passes of the utility network over many samples at once.
 
+use super::operations;
 use super::utility::{UtilityNetwork, UtilityShape, UtilityViewMut};
 use crate::layers::attention::{self, Backward};
 use crate::layers::matrix::Store;
@@ -45,6 +46,7 @@ pub struct UtilityPass {
     d_attended: Vec<f32>,
     d_looked: Vec<f32>,
     d_base: Vec<f32>,
+    operations: u64,
 }
 
 impl UtilityPass {
@@ -67,13 +69,21 @@ impl UtilityPass {
             d_attended: Vec::new(),
             d_looked: Vec::new(),
             d_base: Vec::new(),
+            operations: 0,
         }
+    }
+
+    /// Floating-point operations of all passes up to now: those of matrix products and attention, a
+    /// multiplication and an addition being two.
+    pub fn operations(&self) -> u64 {
+        self.operations
     }
 
     /// Computes the utilities `[queries, U]`. Panics if the network has another shape.
     pub fn forward(&mut self, network: &UtilityNetwork, input: &UtilityInput) -> &[f32] {
         let shape = self.shape;
         assert_eq!(network.shape(), shape, "network of another shape");
+        self.operations += operations::forward(shape, input);
         let (rows, queries) = (input.rows.len(), input.visible.queries());
         let view = network.view();
 
@@ -120,6 +130,7 @@ impl UtilityPass {
         let shape = self.shape;
         let (rows, queries) = (input.rows.len(), input.visible.queries());
         let view = network.view();
+        self.operations += operations::backward(shape, input);
         let grad = UtilityViewMut::new(shape, gradient);
 
         let embedding = &self.embedding[..rows * shape.width];

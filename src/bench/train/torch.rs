@@ -1,0 +1,163 @@
+//! The same update in PyTorch, in a process of its own.
+
+use std::env;
+use std::fs;
+use std::io::{BufRead, BufReader, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+
+use super::batch::{self, Expected};
+use super::learning::Learning;
+use crate::failure::{Exit, Failure};
+
+const PROGRAM: &str = include_str!("../../../benches/train_step.py");
+/// Largest relative difference at which two updates count as the same.
+const TOLERANCE: f64 = 1e-3;
+
+/// A running program that waits for its turn.
+pub(super) struct Torch {
+    process: Child,
+    input: ChildStdin,
+    output: BufReader<ChildStdout>,
+    version: String,
+}
+
+/// What the program says once it is ready.
+#[derive(Deserialize)]
+struct Ready {
+    torch: String,
+    formulation: String,
+    loss: f64,
+    gradient_norm: f64,
+    gradient_error: f64,
+}
+
+#[derive(Deserialize)]
+struct Turn {
+    updates: f64,
+    cpu_s: f64,
+}
+
+impl Torch {
+    /// Starts the program, or says why there is none.
+    pub(super) fn start(
+        python: Option<&Path>,
+        learning: &mut Learning,
+        quiet: bool,
+    ) -> Result<Option<Self>, Failure> {
+        let asked = python.is_some();
+        let python = python.map_or_else(default_python, Path::to_path_buf);
+        if !has_torch(&python) {
+            let message = format!("{} has no torch", python.display());
+            if asked {
+                return Err(Failure::new(Exit::NotRunning, message));
+            }
+            if !quiet {
+                eprintln!(
+                    "note: {message}; only our figures follow (choose another with --python)"
+                );
+            }
+            return Ok(None);
+        }
+        let folder =
+            tempfile::tempdir().map_err(|error| Failure::file(&env::temp_dir(), &error))?;
+        let data = folder.path().join("updates.safetensors");
+        let program = folder.path().join("train_step.py");
+        fs::write(&program, PROGRAM).map_err(|error| Failure::file(&program, &error))?;
+        let expected = batch::write(learning, &data)?;
+        let mut process = Command::new(&python)
+            .args([&program, &data])
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .map_err(|error| Failure::file(&python, &error))?;
+        let (Some(input), Some(output)) = (process.stdin.take(), process.stdout.take()) else {
+            return Err(Failure::new(Exit::Bug, "the PyTorch program has no pipes"));
+        };
+        let mut torch =
+            Self { process, input, output: BufReader::new(output), version: String::new() };
+        let ready: Ready = torch.read()?;
+        check(&ready, &expected)?;
+        if !quiet {
+            eprintln!(
+                "note: same update in PyTorch: loss {:.6} (ours {:.6}), gradient norm {:.6} (ours {:.6}), \
+                 relative distance of the gradients {:.1e}",
+                ready.loss,
+                expected.loss,
+                ready.gradient_norm,
+                expected.gradient_norm,
+                ready.gradient_error
+            );
+        }
+        torch.version = format!("{} ({})", ready.torch, ready.formulation);
+        Ok(Some(torch))
+    }
+
+    /// Version of torch and how the records are laid out.
+    pub(super) fn version(&self) -> &str {
+        &self.version
+    }
+
+    /// Updates for so many CPU-seconds; returns updates per CPU-second.
+    pub(super) fn turn(&mut self, seconds: f64) -> Result<f64, Failure> {
+        writeln!(self.input, "{seconds}").map_err(ended)?;
+        let turn: Turn = self.read()?;
+        Ok(turn.updates / turn.cpu_s)
+    }
+
+    fn read<T: DeserializeOwned>(&mut self) -> Result<T, Failure> {
+        let mut line = String::new();
+        self.output.read_line(&mut line).map_err(ended)?;
+        serde_json::from_str(&line).map_err(ended)
+    }
+}
+
+/// The program is gone; what went wrong stands on its standard error.
+fn ended(error: impl Into<std::io::Error>) -> Failure {
+    Failure::new(Exit::NotRunning, format!("the PyTorch program stopped: {}", error.into()))
+}
+
+impl Drop for Torch {
+    fn drop(&mut self) {
+        // It may have ended already; either way it is gone then.
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+fn default_python() -> PathBuf {
+    match env::var_os("VIRTUAL_ENV") {
+        Some(folder) => Path::new(&folder).join("bin/python3"),
+        None => PathBuf::from("python3"),
+    }
+}
+
+fn has_torch(python: &Path) -> bool {
+    let mut command = Command::new(python);
+    command.args(["-c", "import torch"]).stdout(Stdio::null()).stderr(Stdio::null());
+    command.status().is_ok_and(|status| status.success())
+}
+
+/// Refuses to compare different things.
+fn check(ready: &Ready, expected: &Expected) -> Result<(), Failure> {
+    let differs = |got: f64, want: f64| (got - want).abs() > TOLERANCE * want.abs();
+    if ready.gradient_error > TOLERANCE
+        || differs(ready.loss, expected.loss)
+        || differs(ready.gradient_norm, expected.gradient_norm)
+    {
+        let message = format!(
+            "PyTorch computes another update: loss {} against ours {}, gradient norm {} against {}, \
+             relative distance {}",
+            ready.loss,
+            expected.loss,
+            ready.gradient_norm,
+            expected.gradient_norm,
+            ready.gradient_error
+        );
+        return Err(Failure::difference(message));
+    }
+    Ok(())
+}
