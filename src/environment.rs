@@ -21,15 +21,16 @@ pub(crate) struct ScenarioSetName {
 }
 
 impl ScenarioSetName {
-    /// Reads `ENV` or `ENV/SET` and checks that both exist.
+    /// Reads `ENV` or `ENV/SET`, several sets joined by `+`, and checks that they exist.
     pub(crate) fn parse(text: &str) -> Result<Self, Failure> {
         let (environment, set) = text.split_once('/').unwrap_or((text, DEFAULT_SET));
         if !NAMES.contains(&environment) {
             return Err(unknown("environment", environment, &NAMES));
         }
-        if !SET_NAMES.contains(&set) {
-            return Err(unknown("scenario set", set, &SET_NAMES));
+        if let Some(unknown_set) = set.split('+').find(|name| !SET_NAMES.contains(name)) {
+            return Err(unknown("scenario set", unknown_set, &SET_NAMES));
         }
+        ScenarioSet::named(set).map_err(|error| Failure::new(Exit::Usage, error.to_string()))?;
         Ok(Self { environment: environment.to_string(), set: set.to_string() })
     }
 

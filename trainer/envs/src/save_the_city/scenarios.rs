@@ -82,8 +82,28 @@ pub struct ScenarioSet {
 }
 
 impl ScenarioSet {
-    /// One of the sets of the dissertation's code, by its name there.
+    /// Sets of the dissertation's code by their names there, several of them joined by `+`.
     pub fn named(name: &str) -> Result<Self, CityError> {
+        let mut sets = name.split('+').map(Self::single);
+        let first = sets.next().unwrap_or_else(|| Err(CityError::UnknownSet(name.to_string())))?;
+        sets.try_fold(first, |union, set| union.joined(set?))
+    }
+
+    /// The scenarios of both sets.
+    fn joined(mut self, other: Self) -> Result<Self, CityError> {
+        if self.spacing != other.spacing {
+            let reason = format!("`{}` and `{}` have other sites", self.name, other.name);
+            return Err(CityError::Set(reason));
+        }
+        self.name = format!("{}+{}", self.name, other.name);
+        self.max_agents = self.max_agents.max(other.max_agents);
+        self.max_buildings = self.max_buildings.max(other.max_buildings);
+        self.train.extend(other.train);
+        self.test.extend(other.test);
+        Ok(self)
+    }
+
+    fn single(name: &str) -> Result<Self, CityError> {
         let unknown = || CityError::UnknownSet(name.to_string());
         let mut lines = SETS.lines().skip_while(|line| !is_header_of(line, name));
         let header = lines.next().ok_or_else(unknown)?;

@@ -121,3 +121,16 @@ fn scenarios_are_chosen_by_index_by_size_and_by_list() {
     }
     assert!(city.reset_with_tasks(0, 2).is_err());
 }
+
+#[test]
+fn a_union_of_sets_has_the_scenarios_of_both_and_the_larger_sizes() {
+    let [small, large] = ["2-5a_2-5b", "12a_12b"].map(|name| ScenarioSet::named(name).unwrap());
+    let union = ScenarioSet::named("2-5a_2-5b+12a_12b").unwrap();
+    union.check().unwrap();
+    assert_eq!(union.name, "2-5a_2-5b+12a_12b");
+    assert_eq!((union.max_agents, union.max_buildings), (12, 13));
+    assert_eq!(union.train.len(), small.train.len() + large.train.len());
+    assert_eq!(union.test[..13], small.test);
+    assert!(ScenarioSet::named("2-5a_2-5b+single_scen").is_err(), "sites differ");
+    assert!(ScenarioSet::named("2-5a_2-5b+nothing").is_err());
+}

@@ -52,7 +52,7 @@ impl VisibleLists {
     }
 
     /// Where a query's pairs begin, and its rows.
-    fn span(&self, query: usize) -> (usize, &[u32]) {
+    pub(super) fn span(&self, query: usize) -> (usize, &[u32]) {
         let (start, end) = (self.ends[query] as usize, self.ends[query + 1] as usize);
         (start, &self.rows[start..end])
     }
@@ -68,7 +68,7 @@ pub struct AttentionShape {
 }
 
 impl AttentionShape {
-    fn scale(self) -> f32 {
+    pub(super) fn scale(self) -> f32 {
         1.0 / ((self.width / self.heads) as f32).sqrt()
     }
 }
@@ -184,7 +184,7 @@ pub fn backward(shape: AttentionShape, visible: &VisibleLists, pass: Backward<'_
 }
 
 /// Softmax down each column of `scores [list, heads]`, in place. An empty list stays empty.
-fn softmax_columns(scores: &mut [f32], heads: usize) {
+pub(super) fn softmax_columns(scores: &mut [f32], heads: usize) {
     for j in 0..heads.min(scores.len()) {
         let column = scores[j..].iter().step_by(heads);
         let max = column.fold(f32::NEG_INFINITY, |max, score| max.max(*score));
@@ -200,7 +200,7 @@ fn softmax_columns(scores: &mut [f32], heads: usize) {
 }
 
 /// Turns gradients of the weights into gradients of the scores: `p * (d - sum(p * d))`.
-fn softmax_columns_backward(weights: &[f32], gradient: &mut [f32], heads: usize) {
+pub(super) fn softmax_columns_backward(weights: &[f32], gradient: &mut [f32], heads: usize) {
     for j in 0..heads {
         let mut sum = 0.0;
         for (p, d) in weights.iter().zip(gradient.iter()).skip(j).step_by(heads) {
@@ -213,7 +213,7 @@ fn softmax_columns_backward(weights: &[f32], gradient: &mut [f32], heads: usize)
 }
 
 /// Dot product in eight lanes, summed in a fixed order.
-fn dot(a: &[f32], b: &[f32]) -> f32 {
+pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
     let mut lanes = [0.0_f32; 8];
     let (a_whole, a_rest) = a.as_chunks::<8>();
     let (b_whole, b_rest) = b.as_chunks::<8>();
@@ -228,7 +228,7 @@ fn dot(a: &[f32], b: &[f32]) -> f32 {
     a_rest.iter().zip(b_rest).fold(whole, |sum, (a, b)| sum + a * b)
 }
 
-fn add_scaled(out: &mut [f32], factor: f32, values: &[f32]) {
+pub(super) fn add_scaled(out: &mut [f32], factor: f32, values: &[f32]) {
     for (out, value) in out.iter_mut().zip(values) {
         *out += factor * value;
     }

@@ -20,6 +20,13 @@ impl<'a> Matrix<'a> {
         Self { data: &data[..rows * columns], rows, columns, row_stride: columns, column_stride: 1 }
     }
 
+    /// Some columns of a matrix that was not transposed. Panics if the range reaches beyond it.
+    pub fn columns(self, range: Range<usize>) -> Self {
+        assert!(range.start <= range.end && range.end <= self.columns, "columns out of range");
+        let start = range.start.min(self.data.len());
+        Self { data: &self.data[start..], columns: range.len(), ..self }
+    }
+
     /// The same elements with rows and columns exchanged; nothing is moved.
     pub fn transposed(self) -> Self {
         Self {

@@ -5,6 +5,7 @@
 //! [`sparse_linear`], whose input picks rows of an `[in, out]` matrix.
 //! `backward` functions *add* to weight gradients and *overwrite* input gradients unless they say otherwise.
 
+pub mod absorbed_attention;
 pub mod attention;
 pub mod linear;
 pub mod matrix;

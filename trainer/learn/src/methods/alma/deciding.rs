@@ -16,7 +16,7 @@ const STAND_INS: [AllocationRule; 2] = [AllocationRule::Coordinated, AllocationR
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Decisions {
     allocation_by: Allocation,
-    /// The rule that decides as long as the learned allocator does not.
+    /// The rule that decides while the learned allocator learns but does not decide.
     stand_in: AllocationRule,
     points: DecisionPoints,
     tasks_changed: bool,
@@ -110,8 +110,10 @@ impl Deciding {
         self.allocator.discount
     }
 
-    /// Decides if it is time to. `network` decides where the learned allocator is to, or a rule in
-    /// its stead; `segments` takes the segment that ends. Returns whether there was a decision.
+    /// Decides if it is time to; returns whether it was.
+    ///
+    /// `network` decides where the learned allocator is to, or a rule in its stead. `segments` takes the
+    /// segment that ends; without them the allocator learns nothing, and nothing is tried out.
     pub(super) fn decide(
         &mut self,
         episode: &mut Decisions,
@@ -123,17 +125,19 @@ impl Deciding {
         if !episode.points.is_due(episode.tasks_changed) {
             return Ok(false);
         }
+        let learns = segments.is_some();
         let allocation = &mut episode.allocation;
         match (episode.allocation_by, network) {
-            (Allocation::Rule(rule), _) => rule.allocate(city, generator, allocation),
-            (Allocation::Learned, None) => {
-                episode.stand_in.allocate(city, generator, allocation);
-            }
             (Allocation::Learned, Some(network)) => {
                 self.search.allocate(network, city, allocation)?;
             }
+            (Allocation::Learned, None) if learns => {
+                episode.stand_in.allocate(city, generator, allocation);
+            }
+            (Allocation::Learned, None) => STAND_INS[0].allocate(city, generator, allocation),
+            (Allocation::Rule(rule), _) => rule.allocate(city, generator, allocation),
         }
-        let explores = episode.allocation_by == Allocation::Learned;
+        let explores = learns && episode.allocation_by == Allocation::Learned;
         if explores && chance(generator, self.allocator.moved_decisions) {
             move_some(city, self.allocator.moved, self.allocation.team_max, generator, allocation);
         }

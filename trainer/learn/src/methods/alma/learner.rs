@@ -19,6 +19,8 @@ pub struct Pick {
     pub sample: u32,
     /// Index in [`sortie_envs::save_the_city::Symmetry::ALL`]; 0 changes nothing.
     pub symmetry: u8,
+    /// A random number for losses that take a part of a sample.
+    pub lot: u16,
 }
 
 /// Something with weights in one flat vector.
@@ -193,6 +195,7 @@ impl<L: Loss> Learner<L> {
         knowledge.picks.extend((0..batch).map(|_| Pick {
             sample: below(generator, samples) as u32,
             symmetry: below(generator, symmetries) as u8,
+            lot: below(generator, 1 << 16) as u16,
         }));
         drop(knowledge);
         self.shared.next_chunk.store(0, Ordering::Relaxed);

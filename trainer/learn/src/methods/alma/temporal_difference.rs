@@ -172,7 +172,7 @@ mod tests {
     fn replay() -> Replay {
         let mut config = Config::default();
         config.set("allocation.heuristic=1").unwrap();
-        let mut rollout = Rollout::new(&config, network(1).shape(), 3).unwrap();
+        let mut rollout = Rollout::new(&config, network(1).shape(), 7).unwrap();
         let mut replay = Replay::new(10_000, 5);
         for _ in 0..60 {
             let behaviour = Behaviour { agents: &network(1), epsilon: 1.0, allocator: None };
@@ -184,7 +184,7 @@ mod tests {
 
     fn picks(replay: &Replay, symmetry: impl Fn(usize) -> u8) -> Vec<Pick> {
         let record = |i| (i * (replay.len() / BATCH)) as u32;
-        (0..BATCH).map(|i| Pick { sample: record(i), symmetry: symmetry(i) }).collect()
+        (0..BATCH).map(|i| Pick { sample: record(i), symmetry: symmetry(i), lot: 0 }).collect()
     }
 
     #[test]
@@ -237,7 +237,7 @@ mod tests {
         let (record, team) = replay.get(0);
         let (record, team) = (super::super::Record { discount: 0.0, ..*record }, team.to_vec());
         replay.push(record, team);
-        let last = Pick { sample: replay.len() as u32 - 1, symmetry: 0 };
+        let last = Pick { sample: replay.len() as u32 - 1, symmetry: 0, lot: 0 };
         let error = |target: &UtilityNetwork| {
             let mut chunk = Chunk::new(online.shape());
             chunk.learn(Networks { online: &online, target }, &replay, &[last]);

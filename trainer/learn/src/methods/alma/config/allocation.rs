@@ -101,10 +101,11 @@ impl AllocationConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct AllocatorConfig {
-    /// Environment steps before it learns: the first agents wander and teach nothing about teams.
+    /// Environment steps before it learns. Until then the coordinated rule decides in its stead: the
+    /// first agents wander and teach nothing about teams.
     pub learns_from: u64,
-    /// Environment steps before it decides; until then the hand-written rules do in its stead,
-    /// coordinated or heuristic with equal chance.
+    /// Environment steps before it decides. From `learns_from` until then an episode is decided by the
+    /// coordinated rule or the heuristic, with equal chance.
     pub decides_from: u64,
     /// Discount per environment step.
     pub discount: f32,
@@ -123,15 +124,15 @@ pub struct AllocatorConfig {
 impl Default for AllocatorConfig {
     fn default() -> Self {
         Self {
-            learns_from: 40_000,
-            decides_from: 80_000,
+            learns_from: 120_000,
+            decides_from: 150_000,
             discount: 0.99,
             moved: 0.15,
             moved_decisions: 0.7,
             network: NetworkConfig::default(),
             replay: ReplayConfig {
                 capacity: 60_000,
-                batch: 128,
+                batch: 256,
                 warm_up: 1_000,
                 ..ReplayConfig::default()
             },

@@ -2,22 +2,54 @@
 //!
 //! `y = discounted task rewards of the segment + discount * f_target(next state, building, its next team)`,
 //! the next team being the one really sent next. A building that is closed by then adds nothing. Loss:
-//! mean squared difference over all (decision, open building) pairs of the batch.
+//! squared difference. A drawn segment counts for one of the buildings that were open, drawn as well:
+//! the buildings of one decision have much in common, and teach less together than those of several.
 
 use sortie_envs::save_the_city::Symmetry;
 
 use super::input::{TeamQuery, TeamValueInput};
-use super::segments::{Segment, Segments};
+use super::segments::{Decision, Segment, Segments};
 use crate::methods::alma::learner::{Loss, Networks, Pick};
 use crate::methods::alma::{UtilityNetwork, UtilityPass, UtilityShape};
+
+/// A segment, one of the buildings that were open when it began, and how the map is turned.
+#[derive(Clone, Copy, Debug)]
+struct Picked<'a> {
+    segment: &'a Segment,
+    task: usize,
+    turn: Symmetry,
+}
+
+impl<'a> Picked<'a> {
+    /// The lot decides on the building. `None` where no building was open.
+    fn new(replay: &'a Segments, pick: &Pick) -> Option<Self> {
+        let segment = replay.get(pick.sample as usize);
+        let open = || {
+            let buildings = segment.now.buildings.iter().enumerate();
+            buildings.filter(|(_, building)| building.is_open()).map(|(task, _)| task)
+        };
+        let place = usize::from(pick.lot).checked_rem(open().count())?;
+        let turn = Symmetry::ALL[usize::from(pick.symmetry)];
+        open().nth(place).map(|task| Self { segment, task, turn })
+    }
+
+    /// Whether the building is still open at the next decision.
+    fn goes_on(&self) -> bool {
+        self.segment.discount > 0.0 && self.segment.next.buildings[self.task].is_open()
+    }
+
+    fn query(&self, decision: &'a Decision) -> TeamQuery<'a> {
+        let Self { task, turn, .. } = *self;
+        TeamQuery { city: decision.city(), task, team: decision.team(task), turn }
+    }
+}
 
 /// Space to compute the gradient of some segments, and the result.
 #[derive(Clone, Debug)]
 pub struct TeamValueLoss {
     pass: UtilityPass,
     input: TeamValueInput,
-    /// The tasks of the segments: segment number, building, target.
-    targets: Vec<(usize, usize, f32)>,
+    targets: Vec<f32>,
     slopes: Vec<f32>,
     gradient: Vec<f32>,
     squared_error: f64,
@@ -42,16 +74,12 @@ impl TeamValueLoss {
     }
 
     /// Computes the gradient of the summed squared differences to the targets.
-    fn descend(&mut self, online: &UtilityNetwork, picks: &[(&Segment, Symmetry)]) {
-        let queries = self.targets.iter().map(|(number, task, _)| {
-            let (segment, turn) = picks[*number];
-            let decision = &segment.now;
-            TeamQuery { city: decision.city(), task: *task, team: decision.team(*task), turn }
-        });
+    fn descend(&mut self, online: &UtilityNetwork, picks: &[Picked<'_>]) {
+        let queries = picks.iter().map(|picked| picked.query(&picked.segment.now));
         let values = self.pass.forward(online, self.input.queries(queries));
         self.slopes.clear();
         self.squared_error = 0.0;
-        for (value, (_, _, target)) in values.iter().zip(&self.targets) {
+        for (value, target) in values.iter().zip(&self.targets) {
             let error = value - target;
             self.squared_error += f64::from(error) * f64::from(error);
             self.slopes.push(2.0 * error);
@@ -61,28 +89,15 @@ impl TeamValueLoss {
         self.pass.backward(online, input, &self.slopes, &mut self.gradient);
     }
 
-    /// Writes a target for every open building of every segment.
-    fn find_targets(&mut self, target: &UtilityNetwork, picks: &[(&Segment, Symmetry)]) {
+    /// Writes the target of every picked building.
+    fn find_targets(&mut self, target: &UtilityNetwork, picks: &[Picked<'_>]) {
         self.targets.clear();
-        for (number, (segment, _)) in picks.iter().enumerate() {
-            let buildings = segment.now.buildings.iter().zip(&segment.rewards).enumerate();
-            let open = buildings.filter(|(_, (building, _))| building.is_open());
-            self.targets.extend(open.map(|(task, (_, reward))| (number, task, *reward)));
-        }
-        let goes_on = |number: usize, task: usize| {
-            let segment = picks[number].0;
-            segment.discount > 0.0 && segment.next.buildings[task].is_open()
-        };
-        let followed = self.targets.iter().filter(|(number, task, _)| goes_on(*number, *task));
-        let queries = followed.map(|(number, task, _)| {
-            let (segment, turn) = picks[*number];
-            let decision = &segment.next;
-            TeamQuery { city: decision.city(), task: *task, team: decision.team(*task), turn }
-        });
+        self.targets.extend(picks.iter().map(|picked| picked.segment.rewards[picked.task]));
+        let followed = || picks.iter().zip(0..).filter(|(picked, _)| picked.goes_on());
+        let queries = followed().map(|(picked, _)| picked.query(&picked.segment.next));
         let values = self.pass.forward(target, self.input.queries(queries));
-        let followed = self.targets.iter_mut().filter(|(number, task, _)| goes_on(*number, *task));
-        for ((number, _, target), value) in followed.zip(values) {
-            *target += picks[*number].0.discount * value;
+        for ((picked, number), value) in followed().zip(values) {
+            self.targets[number as usize] += picked.segment.discount * value;
         }
     }
 }
@@ -90,13 +105,11 @@ impl TeamValueLoss {
 impl Loss for TeamValueLoss {
     type Network = UtilityNetwork;
     type Replay = Segments;
-    const CHUNK: usize = 16;
+    const CHUNK: usize = 64;
 
     fn learn(&mut self, networks: Networks<'_, UtilityNetwork>, replay: &Segments, picks: &[Pick]) {
-        let turned = |pick: &Pick| {
-            (replay.get(pick.sample as usize), Symmetry::ALL[usize::from(pick.symmetry)])
-        };
-        let picks: Vec<(&Segment, Symmetry)> = picks.iter().map(turned).collect();
+        let picks: Vec<Picked<'_>> =
+            picks.iter().filter_map(|pick| Picked::new(replay, pick)).collect();
         self.find_targets(networks.target, &picks);
         self.descend(networks.online, &picks);
     }
@@ -116,7 +129,6 @@ impl Loss for TeamValueLoss {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Decision;
     use super::*;
     use crate::layers::gradient_check::assert_gradient;
     use crate::methods::alma::config::{AllocatorConfig, NetworkConfig};
@@ -151,7 +163,7 @@ mod tests {
     }
 
     fn picks() -> Vec<Pick> {
-        (0..20).map(|i| Pick { sample: i, symmetry: (i % 8) as u8 }).collect()
+        (0..20).map(|i| Pick { sample: i, symmetry: (i % 8) as u8, lot: i as u16 }).collect()
     }
 
     #[test]
@@ -179,12 +191,12 @@ mod tests {
         let (segments, target) = (segments(), network(2));
         let mut loss = TeamValueLoss::new(target.shape());
         for number in 0..20 {
-            let segment = segments.get(number);
-            loss.find_targets(&target, &[(segment, Symmetry::ALL[0])]);
-            assert_eq!(loss.targets.len(), segment.now.buildings.len());
-            for (_, task, target) in &loss.targets {
-                let bootstraps = number % 5 != 0 && (*task != 0 || number % 2 != 0);
-                assert_eq!(*target != *task as f32 - 1.0, bootstraps, "{number} {task}");
+            let tasks = segments.get(number).now.buildings.len();
+            for task in 0..tasks {
+                let pick = Pick { sample: number as u32, symmetry: 0, lot: task as u16 };
+                loss.find_targets(&target, &[Picked::new(&segments, &pick).unwrap()]);
+                let bootstraps = number % 5 != 0 && (task != 0 || number % 2 != 0);
+                assert_eq!(loss.targets[0] != task as f32 - 1.0, bootstraps, "{number} {task}");
             }
         }
     }
