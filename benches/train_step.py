@@ -1,11 +1,11 @@
 """The agents' update of preset `fast` in PyTorch: the peer of `sortie bench train`.
 
-One thread, records padded or packed, whichever is faster here, fused Adam. The features of the records
-come ready-made and dense; making them is not part of the measured time.
+One thread, fused Adam, records padded or packed. The features of the records come ready-made, dense and padded, as a replay of tensors gives them: making them is not part of the
+measured time, packing them is.
 
 Called as `train_step.py FILE`. FILE is a safetensors file with the networks, batches of records, and for
 the first batch the loss and the gradient to compare with. Prints a line of JSON with the comparison;
-then, for every line `SECONDS` on standard input, updates for so long and prints
+then, for every line `FORMULATION SECONDS` on standard input, updates for so long and prints
 `{"updates": N, "cpu_s": S}`.
 """
 
@@ -71,8 +71,8 @@ class Packed:
         present = batch["present"]
         n, team = present.shape
         agents = int(present.sum())
-        self.pack = lambda rows: torch.cat([rows[:, :-1][present], rows[:, -1]])
-        self.rows, self.next_rows = self.pack(batch["rows"]), self.pack(batch["next_rows"])
+        pack = lambda rows: torch.cat([rows[:, :-1][present], rows[:, -1]])
+        self.rows, self.next_rows = pack(batch["rows"]), pack(batch["next_rows"])
         number = torch.zeros(n, team, dtype=torch.int64)
         number[present] = torch.arange(agents)
         lists = torch.cat([number, agents + torch.arange(n)[:, None]], 1)
@@ -97,6 +97,9 @@ class Packed:
         return torch.zeros(self.records).index_add(0, self.record, values)
 
 
+FORMULATIONS = {"padded": Padded, "packed": Packed}
+
+
 def head(w, attended):
     looked = F.relu(F.linear(attended, w["attention.out.weight"], w["attention.out.bias"]))
     base = F.relu(F.linear(looked, w["fc2.weight"], w["fc2.bias"]))
@@ -115,20 +118,22 @@ class Learner:
             self.weights, lr=settings["learning_rate"], eps=settings["epsilon"], fused=True
         )
 
-    def loss(self, form, reward, discount):
+    def loss(self, formulation, batch):
         """Double Q-learning on the sum of the team's utilities."""
         with torch.no_grad():
+            form = formulation(batch)
             liked = form.utilities(self.online, self.heads, form.next_rows)
             best = liked.masked_fill(form.unavailable, -torch.inf).argmax(-1, keepdim=True)
             values = form.utilities(self.target, self.heads, form.next_rows)
-            wanted = reward + discount * form.sum(values.gather(-1, best).squeeze(-1))
+            value = form.sum(values.gather(-1, best).squeeze(-1))
+            wanted = batch["reward"] + batch["discount"] * value
         utilities = form.utilities(self.online, self.heads, form.rows)
         value = form.sum(utilities.gather(-1, form.actions).squeeze(-1))
         return F.mse_loss(value, wanted)
 
-    def update(self, batch):
+    def update(self, formulation, batch):
         self.adam.zero_grad()
-        self.loss(*batch).backward()
+        self.loss(formulation, batch).backward()
         torch.nn.utils.clip_grad_norm_(self.weights, self.settings["clip"])
         self.adam.step()
         with torch.no_grad():
@@ -136,10 +141,10 @@ class Learner:
             torch._foreach_lerp_(list(self.target.values()), online, self.settings["target_rate"])
             torch._foreach_lerp_(list(self.average.values()), online, self.settings["average_rate"])
 
-    def compare(self, batch, tensors):
+    def compare(self, formulation, batch, tensors):
         """Loss, gradient norm, and the relative distance of the gradient from the given one."""
         self.adam.zero_grad()
-        loss = self.loss(*batch)
+        loss = self.loss(formulation, batch)
         loss.backward()
         got = torch.cat([weight.grad.flatten() for weight in self.weights])
         want = torch.cat([tensors["gradient." + name].flatten() for name in self.online])
@@ -150,10 +155,10 @@ class Learner:
         }
 
 
-def run(learner, batches, seconds):
+def run(learner, formulation, batches, seconds):
     start, updates = time.process_time(), 0
     while time.process_time() - start < seconds:
-        learner.update(batches[updates % len(batches)])
+        learner.update(formulation, batches[updates % len(batches)])
         updates += 1
     return updates, time.process_time() - start
 
@@ -162,25 +167,18 @@ def main():
     torch.set_num_threads(1)
     torch.manual_seed(0)
     tensors, settings = read(sys.argv[1])
-    raw = [
+    batches = [
         {name: tensors[f"batch{number}.{name}"] for name in BATCH}
         for number in range(int(settings["batches"]))
     ]
-    rates = {}
-    for form in (Padded, Packed):
-        batches = [(form(batch), batch["reward"], batch["discount"]) for batch in raw]
-        comparison = Learner(tensors, settings).compare(batches[0], tensors)
-        learner = Learner(tensors, settings)
-        run(learner, batches, 0.3)
-        updates, cpu_s = run(learner, batches, 1.0)
-        rates[form.__name__.lower()] = (updates / cpu_s, comparison, learner, batches)
-    name, (_, comparison, learner, batches) = max(rates.items(), key=lambda item: item[1][0])
-    comparison["gradient_error"] = max(rate[1]["gradient_error"] for rate in rates.values())
-    ready = {"torch": torch.__version__, "formulation": name, **comparison}
-    ready["updates_per_s"] = {form: rate[0] for form, rate in rates.items()}
+    ready = {"torch": torch.__version__}
+    for name, formulation in FORMULATIONS.items():
+        ready[name] = Learner(tensors, settings).compare(formulation, batches[0], tensors)
+    learners = {name: Learner(tensors, settings) for name in FORMULATIONS}
     print(json.dumps(ready), flush=True)
     for line in sys.stdin:
-        updates, cpu_s = run(learner, batches, float(line))
+        name, seconds = line.split()
+        updates, cpu_s = run(learners[name], FORMULATIONS[name], batches, float(seconds))
         print(json.dumps({"updates": updates, "cpu_s": cpu_s}), flush=True)
 
 

@@ -7,6 +7,7 @@ mod train;
 
 use clap::{Args, Subcommand};
 use rustix::thread::{CpuSet, sched_setaffinity};
+use rustix::time::{ClockId, clock_gettime};
 use serde::Serialize;
 
 use crate::arguments::Common;
@@ -100,6 +101,12 @@ fn pin(core: usize) -> Outcome {
     }
     cores.set(core);
     sched_setaffinity(None, &cores).map_err(|_| no_core(core))
+}
+
+/// Processor time of this thread in seconds: other work on the core does not count.
+fn thread_cpu_s() -> f64 {
+    let time = clock_gettime(ClockId::ThreadCPUTime);
+    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }
 
 fn no_core(core: usize) -> Failure {

@@ -1,6 +1,5 @@
 //! What is timed: both levels of a run of preset `fast`, on experience of its own.
 
-use rustix::time::{ClockId, clock_gettime};
 use sortie_envs::save_the_city::{ACTIONS, MAX_AGENTS, ScenarioSet};
 use sortie_learn::methods::alma::team_value::{Segments, TeamSearch, TeamValueLoss};
 use sortie_learn::methods::alma::{
@@ -10,6 +9,7 @@ use sortie_learn::methods::alma::{
 use sortie_learn::random::{Generator, Purpose, generator};
 
 use super::{Case, Turn};
+use crate::bench::thread_cpu_s;
 use crate::failure::Failure;
 
 /// Environment steps that fill the replays before anything is timed.
@@ -215,9 +215,4 @@ pub(super) fn timed(
         cpu_s = thread_cpu_s() - start;
     }
     Ok(Turn { calls, cpu_s, operations: 0.0 })
-}
-
-fn thread_cpu_s() -> f64 {
-    let time = clock_gettime(ClockId::ThreadCPUTime);
-    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }

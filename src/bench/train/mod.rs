@@ -14,7 +14,7 @@ use super::rounds::paired_ratio;
 use super::{Figures, Measuring, Ratio, Row, pin};
 use crate::failure::Failure;
 use learning::{Learning, Work};
-use torch::Torch;
+use torch::{Formulation, Torch};
 
 /// Rounds in which everything has its turn.
 const ROUNDS: usize = 11;
@@ -24,8 +24,8 @@ const PEAK_SIDE: usize = 512;
 /// Updates, roll-out and allocator's search of preset `fast` per CPU-second of one thread
 ///
 /// Beside each figure stands the arithmetic that was done, and its share of what a large matrix product
-/// reaches in the same run. Where Python has torch, the agents' update of the same records alternates
-/// with a PyTorch program of ours, and loss and gradient are compared before.
+/// reaches in the same run. Where Python has torch, the agents' update alternates with a PyTorch program
+/// of ours on records of the same replay, in two formulations; loss and gradient are compared before.
 #[derive(Debug, Args)]
 pub(super) struct TrainArguments {
     /// Python with torch; default: that of $VIRTUAL_ENV, else `python3`
@@ -65,23 +65,34 @@ pub(super) fn measure(arguments: &TrainArguments) -> Result<Figures, Failure> {
     let mut learning = Learning::new(common.seed)?;
     let mut torch = Torch::start(arguments.python.as_deref(), &mut learning, common.quiet)?;
     let mut cases: Vec<Case> = Work::ALL.into_iter().map(|work| learning.case(work)).collect();
-    let mut peer = Vec::new();
+    let mut peers = Formulation::ALL.map(|_| Vec::new());
     let mut peaks = Vec::new();
-    let turns = Work::ALL.len() + 1 + usize::from(torch.is_some());
+    let turns = Work::ALL.len() + 1 + torch.iter().count() * peers.len();
     let turn_s = seconds / (ROUNDS * turns) as f64;
     for work in Work::ALL {
         learning.turn(work, turn_s)?;
+    }
+    for how in Formulation::ALL {
+        torch.as_mut().map(|torch| torch.turn(how, turn_s)).transpose()?;
     }
     for _ in 0..ROUNDS {
         peaks.push(peak_gflops(turn_s));
         for (work, case) in Work::ALL.into_iter().zip(&mut cases) {
             case.add(learning.turn(work, turn_s)?);
             if let (Work::AgentsUpdate, Some(torch)) = (work, &mut torch) {
-                peer.push(torch.turn(turn_s)? * case.units / 1e3);
+                for (how, rates) in Formulation::ALL.into_iter().zip(&mut peers) {
+                    rates.push(torch.turn(how, turn_s)? * case.units / 1e3);
+                }
             }
         }
     }
-    Ok(figures(&cases, &peaks, torch.map(|torch| (torch.version().to_string(), peer))))
+    let mut figures = figures(&cases, &peaks);
+    if let Some(torch) = torch {
+        for (how, rates) in Formulation::ALL.into_iter().zip(&peers) {
+            figures.add_peer(&cases[0], how.engine(), torch.version(), rates);
+        }
+    }
+    Ok(figures)
 }
 
 /// Calls, CPU-seconds and floating-point operations of one turn.
@@ -100,7 +111,7 @@ impl Case {
     }
 }
 
-fn figures(cases: &[Case], peaks: &[f64], peer: Option<(String, Vec<f64>)>) -> Figures {
+fn figures(cases: &[Case], peaks: &[f64]) -> Figures {
     let version = env!("CARGO_PKG_VERSION");
     let mut figures = Figures::default();
     let peak = peaks.iter().copied().fold(0.0, f64::max);
@@ -113,17 +124,21 @@ fn figures(cases: &[Case], peaks: &[f64], peer: Option<(String, Vec<f64>)>) -> F
             gflop_per_cpu_s,
             share_of_peak: gflop_per_cpu_s / peak,
         });
-        if let (true, Some((version, rates))) = (case.name == cases[0].name, &peer) {
-            figures.rows.push(row(&case.name, "pytorch", version, rates, case.unit));
-            // Rates, not times: the ratio is ours over the peer's.
-            let [ratio, low, high] = paired_ratio(rates, &case.rates);
-            let (what, case) = ("train", case.name.clone());
-            figures.ratios.push(Ratio { what, case, peer: "pytorch", ratio, low, high });
-        }
     }
     let name = format!("product of {PEAK_SIDE} x {PEAK_SIDE} matrices");
     figures.rows.push(row(&name, "gemm", version, peaks, "GFLOP per CPU-second"));
     figures
+}
+
+impl Figures {
+    /// Adds the same work done by a peer.
+    fn add_peer(&mut self, ours: &Case, peer: &'static str, version: &str, rates: &[f64]) {
+        self.rows.push(row(&ours.name, peer, version, rates, ours.unit));
+        // Rates, not times: the ratio is ours over the peer's.
+        let [ratio, low, high] = paired_ratio(rates, &ours.rates);
+        let (what, case) = ("train", ours.name.clone());
+        self.ratios.push(Ratio { what, case, peer, ratio, low, high });
+    }
 }
 
 fn row(case: &str, engine: &'static str, version: &str, rates: &[f64], unit: &'static str) -> Row {

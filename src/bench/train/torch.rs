@@ -25,11 +25,46 @@ pub(super) struct Torch {
     version: String,
 }
 
+/// How a batch of teams of different sizes becomes tensors.
+#[derive(Clone, Copy)]
+pub(super) enum Formulation {
+    /// Every team as large as the largest.
+    Padded,
+    /// All agents in one list, attention by indices.
+    Packed,
+}
+
+impl Formulation {
+    pub(super) const ALL: [Self; 2] = [Self::Padded, Self::Packed];
+
+    /// Its name as a peer.
+    pub(super) fn engine(self) -> &'static str {
+        match self {
+            Self::Padded => "pytorch, padded",
+            Self::Packed => "pytorch, packed",
+        }
+    }
+
+    /// Its name in the program.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Padded => "padded",
+            Self::Packed => "packed",
+        }
+    }
+}
+
 /// What the program says once it is ready.
 #[derive(Deserialize)]
 struct Ready {
     torch: String,
-    formulation: String,
+    padded: Comparison,
+    packed: Comparison,
+}
+
+/// The first batch in PyTorch.
+#[derive(Deserialize)]
+struct Comparison {
     loss: f64,
     gradient_norm: f64,
     gradient_error: f64,
@@ -80,30 +115,31 @@ impl Torch {
         let mut torch =
             Self { process, input, output: BufReader::new(output), version: String::new() };
         let ready: Ready = torch.read()?;
-        check(&ready, &expected)?;
-        if !quiet {
-            eprintln!(
-                "note: same update in PyTorch: loss {:.6} (ours {:.6}), gradient norm {:.6} (ours {:.6}), \
-                 relative distance of the gradients {:.1e}",
-                ready.loss,
-                expected.loss,
-                ready.gradient_norm,
-                expected.gradient_norm,
-                ready.gradient_error
-            );
+        for (formulation, found) in Formulation::ALL.iter().zip([&ready.padded, &ready.packed]) {
+            check(found, &expected)?;
+            if !quiet {
+                let Comparison { loss, gradient_norm, gradient_error } = found;
+                eprintln!(
+                    "note: {} computes the same update: loss {loss:.6} (ours {:.6}), gradient norm \
+                     {gradient_norm:.6} (ours {:.6}), relative distance of the gradients {gradient_error:.1e}",
+                    formulation.engine(),
+                    expected.loss,
+                    expected.gradient_norm,
+                );
+            }
         }
-        torch.version = format!("{} ({})", ready.torch, ready.formulation);
+        torch.version = ready.torch;
         Ok(Some(torch))
     }
 
-    /// Version of torch and how the records are laid out.
+    /// Version of torch.
     pub(super) fn version(&self) -> &str {
         &self.version
     }
 
     /// Updates for so many CPU-seconds; returns updates per CPU-second.
-    pub(super) fn turn(&mut self, seconds: f64) -> Result<f64, Failure> {
-        writeln!(self.input, "{seconds}").map_err(ended)?;
+    pub(super) fn turn(&mut self, how: Formulation, seconds: f64) -> Result<f64, Failure> {
+        writeln!(self.input, "{} {seconds}", how.name()).map_err(ended)?;
         let turn: Turn = self.read()?;
         Ok(turn.updates / turn.cpu_s)
     }
@@ -142,22 +178,21 @@ fn has_torch(python: &Path) -> bool {
 }
 
 /// Refuses to compare different things.
-fn check(ready: &Ready, expected: &Expected) -> Result<(), Failure> {
+fn check(found: &Comparison, expected: &Expected) -> Result<(), Failure> {
     let differs = |got: f64, want: f64| (got - want).abs() > TOLERANCE * want.abs();
-    if ready.gradient_error > TOLERANCE
-        || differs(ready.loss, expected.loss)
-        || differs(ready.gradient_norm, expected.gradient_norm)
+    if found.gradient_error > TOLERANCE
+        || differs(found.loss, expected.loss)
+        || differs(found.gradient_norm, expected.gradient_norm)
     {
-        let message = format!(
+        return Err(Failure::difference(format!(
             "PyTorch computes another update: loss {} against ours {}, gradient norm {} against {}, \
              relative distance {}",
-            ready.loss,
+            found.loss,
             expected.loss,
-            ready.gradient_norm,
+            found.gradient_norm,
             expected.gradient_norm,
-            ready.gradient_error
-        );
-        return Err(Failure::difference(message));
+            found.gradient_error
+        )));
     }
     Ok(())
 }
