@@ -4,7 +4,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use sortie_envs::save_the_city::AllocationRule;
 
 use crate::failure::Outcome;
-use crate::{bench, compile, eval, export, inspect, replay, run, train, verify};
+use crate::{bench, compare, compile, eval, export, inspect, replay, run, train, verify};
 
 const EXIT_CODES: &str = "\
 Exit codes: 0 done, 1 a check found a difference, 2 wrong use, 65 bad data, 66 file missing,
@@ -25,6 +25,7 @@ enum Verb {
     Eval(eval::EvalArguments),
     Replay(replay::ReplayArguments),
     Train(train::TrainArguments),
+    Compare(compare::CompareArguments),
     Export(export::ExportArguments),
     Compile(compile::CompileArguments),
     Inspect(inspect::InspectArguments),
@@ -83,6 +84,7 @@ pub(crate) fn dispatch(arguments: Arguments) -> Outcome {
         Verb::Eval(arguments) => eval::run(&arguments),
         Verb::Replay(arguments) => replay::run(&arguments),
         Verb::Train(arguments) => train::run(&arguments),
+        Verb::Compare(arguments) => compare::run(&arguments),
         Verb::Export(arguments) => export::run(&arguments),
         Verb::Compile(arguments) => compile::run(&arguments),
         Verb::Inspect(arguments) => inspect::run(&arguments),

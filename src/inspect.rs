@@ -1,11 +1,13 @@
-//! `sortie inspect`: the facts of a bundle, a plan or an ONNX file.
+//! `sortie inspect`: the facts of a bundle, a plan, an ONNX file or a training run.
+
+mod run;
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde::Serialize;
-use sortie_bundle::{AGENT, Bundle, Manifest, hex};
+use sortie_bundle::{AGENT, Bundle, MANIFEST, Manifest, TRAINING, hex};
 use sortie_compiler::{OnnxFacts, PlanFacts, inspect_onnx, inspect_plan};
 
 use crate::arguments::Common;
@@ -16,13 +18,14 @@ use crate::output::{Table, print_json};
 /// First bytes of every plan.
 const PLAN_MAGIC: &[u8] = b"SORTIEPL";
 
-/// Show what a bundle, a plan or an ONNX file holds, after checking it
+/// Show what a bundle, a plan, an ONNX file or a training run holds, after checking it
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   sortie inspect models/save-the-city
-  sortie inspect models/save-the-city/agent.onnx --json")]
+  sortie inspect models/save-the-city/agent.onnx --json
+  sortie inspect runs/first")]
 pub(crate) struct InspectArguments {
-    /// A bundle's folder, a plan, or an ONNX file
+    /// The folder of a bundle or of a training run, a plan, or an ONNX file
     file: PathBuf,
     #[command(flatten)]
     common: Common,
@@ -40,6 +43,9 @@ struct BundleFacts<'a> {
 
 pub(crate) fn run(arguments: &InspectArguments) -> Outcome {
     let path = &arguments.file;
+    if path.join(TRAINING).exists() && !path.join(MANIFEST).exists() {
+        return run::inspect(path, arguments.common.json);
+    }
     if path.is_dir() || !path.exists() {
         return inspect_bundle(path, arguments.common.json);
     }

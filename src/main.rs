@@ -2,6 +2,7 @@
 
 mod arguments;
 mod bench;
+mod compare;
 mod compile;
 mod deployment;
 mod environment;
@@ -17,6 +18,7 @@ mod replay;
 mod run;
 mod signals;
 mod subject;
+mod terminal_curve;
 mod train;
 mod verify;
 mod worlds;

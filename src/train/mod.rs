@@ -21,7 +21,7 @@ use seeds::SeedRange;
 /// Learn a team's policy and write the run to a folder
 ///
 /// Agents and allocator are learned together. The folder gets `train.toml` (the resolved configuration), `curve.json`,
-/// `curve.svg`, checkpoints and, at the end, `result.json`. Ctrl-C writes a checkpoint and stops; `--resume` goes on as if nothing had happened. The same seed gives the same weights.
+/// `curve.csv`, `curve.svg`, an event file for TensorBoard, checkpoints and, at the end, `result.json`. Ctrl-C writes a checkpoint and stops; `--resume` goes on as if nothing had happened. The same seed gives the same weights.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   sortie train alma --out runs/first

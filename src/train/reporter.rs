@@ -1,15 +1,22 @@
 //! What a person or a script sees of a run while it learns.
 
+use console::Term;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use sortie_learn::methods::alma::{Observer, Progress, Trainer};
 use sortie_learn::run::{CurvePoint, RunResult};
 
 use crate::arguments::Common;
 use crate::output::print_json;
+use crate::terminal_curve::terminal_curve;
+
+/// Lines of the curve below the progress bar.
+const CURVE_HEIGHT: usize = 11;
 
 /// Shows a run while it learns.
 pub(super) struct Reporter {
     bar: ProgressBar,
+    /// Environment steps and success of the evaluations up to now.
+    curve: Vec<(f64, f64)>,
     common: Common,
 }
 
@@ -24,10 +31,24 @@ impl Reporter {
             "{bar:30} {percent:>3} % of {human_len} steps, {eta} left, {msg}",
         );
         bar.set_style(style.expect("the template is a constant"));
-        bar.set_message("success not measured yet");
         bar.set_position(trainer.env_steps());
         bar.reset_eta();
-        Self { bar, common }
+        let curve = trainer.curve().iter().map(place).collect();
+        let reporter = Self { bar, curve, common };
+        reporter.show_curve();
+        reporter
+    }
+
+    /// Puts the newest success beside the progress bar and the curve below it.
+    fn show_curve(&self) {
+        let Some((_, success)) = self.curve.last() else {
+            self.bar.set_message("success not measured yet");
+            return;
+        };
+        let width = usize::from(Term::stderr().size().1);
+        let mut lines = vec![format!("success {success:.3}")];
+        lines.extend(terminal_curve(&self.curve, width, CURVE_HEIGHT));
+        self.bar.set_message(lines.join("\n"));
     }
 
     /// Clears the progress bar.
@@ -36,13 +57,18 @@ impl Reporter {
     }
 }
 
+fn place(point: &CurvePoint) -> (f64, f64) {
+    (point.env_steps as f64, point.success)
+}
+
 impl Observer for Reporter {
     fn progress(&mut self, progress: &Progress) {
         self.bar.set_position(progress.env_steps);
     }
 
     fn evaluated(&mut self, point: &CurvePoint) {
-        self.bar.set_message(format!("success {:.3}", point.success));
+        self.curve.push(place(point));
+        self.show_curve();
         if self.common.json {
             print_json(point);
         } else if !self.common.quiet {

@@ -8,7 +8,7 @@ use sortie_envs::save_the_city::{
     ACTIONS, AgentState, BuildingState, FEATURES, Symmetry, write_agent_row, write_building_row,
 };
 use sortie_learn::methods::alma::{
-    Chunk, INPUT_COLUMNS, Knowledge, NO_ACTION, Pick, Replay, UtilityNetwork, UtilityShape,
+    INPUT_COLUMNS, Knowledge, NO_ACTION, Pick, Replay, UtilityNetwork, UtilityShape,
 };
 
 use super::learning::{Learning, gradient};
@@ -104,7 +104,9 @@ impl Dense {
     fn push(&mut self, replay: &Replay, pick: Pick, team: usize) {
         let turn = Symmetry::ALL[usize::from(pick.symmetry)];
         let turned = |action: u8| turn.action(action.into()) as u8;
-        let (record, members) = replay.get(pick.sample as usize);
+        let sample = replay.get(pick.sample as usize);
+        let (record, building) = (sample.record, &sample.buildings[0]);
+        let (members, _) = sample.split_team();
         for place in 0..team {
             let member = members.get(place);
             self.present.push(member.is_some());
@@ -116,8 +118,8 @@ impl Dense {
             push_agent(&mut self.rows, now);
             push_agent(&mut self.next_rows, next);
         }
-        push_building(&mut self.rows, &turn.building(&record.building));
-        push_building(&mut self.next_rows, &turn.building(&record.next_building));
+        push_building(&mut self.rows, &turn.building(&building.building));
+        push_building(&mut self.next_rows, &turn.building(&building.next));
         self.reward.push(record.reward);
         self.discount.push(record.discount);
     }
@@ -150,21 +152,22 @@ pub(super) struct Expected {
 /// Writes networks, batches and, for the first batch, our gradient.
 pub(super) fn write(learning: &mut Learning, path: &Path) -> Result<Expected, Failure> {
     let mut tensors = Tensors::default();
-    let shape = learning.config.network.shape(ACTIONS);
     let mut expected = Expected { loss: f64::NAN, gradient_norm: f64::NAN };
     for number in 0..BATCHES {
-        let mut chunk = Chunk::new(shape);
+        let mut chunk = learning.chunk();
         let (loss, slopes) = gradient(&mut learning.agents, &mut chunk, &mut learning.picks);
         let knowledge = learning.agents.knowledge();
         let Knowledge { online, target, replay, .. } = &*knowledge;
-        let sizes = knowledge.picks().iter().map(|pick| replay.get(pick.sample as usize).1.len());
-        tensors.batch(number, replay, knowledge.picks(), sizes.max().unwrap_or(1));
+        let sizes =
+            knowledge.picks().iter().map(|pick| replay.get(pick.sample as usize).record.size);
+        let team = sizes.max().map_or(1, usize::from);
+        tensors.batch(number, replay, knowledge.picks(), team);
         if number == 0 {
             let norm = slopes.iter().map(|slope| f64::from(*slope).powi(2)).sum::<f64>().sqrt();
             expected = Expected { loss, gradient_norm: norm };
-            tensors.network("online", online);
-            tensors.network("target", target);
-            let slopes = UtilityNetwork::from_parameters(shape, slopes);
+            tensors.network("online", &online.utility);
+            tensors.network("target", &target.utility);
+            let slopes = UtilityNetwork::from_parameters(online.utility.shape(), slopes);
             slopes.iter().for_each(|slopes| tensors.network("gradient", slopes));
         }
     }

@@ -1,10 +1,10 @@
 //! What is timed: both levels of a run of preset `fast`, on experience of its own.
 
-use sortie_envs::save_the_city::{ACTIONS, MAX_AGENTS, ScenarioSet};
-use sortie_learn::methods::alma::team_value::{Segments, TeamSearch, TeamValueLoss};
+use sortie_envs::save_the_city::MAX_AGENTS;
+use sortie_learn::methods::alma::team_value::{TeamSearch, TeamValueLoss};
 use sortie_learn::methods::alma::{
-    Behaviour, Chunk, Config, EpisodeCounts, Knowledge, Learner, Loss, Memory, Networks, Replay,
-    Rollout, UtilityNetwork,
+    Behaviour, Chunk, Config, EpisodeCounts, Knowledge, Learner, Loss, Memory, Networks, Rollout,
+    agents_learner, allocator_learner,
 };
 use sortie_learn::random::{Generator, Purpose, generator};
 
@@ -47,33 +47,14 @@ impl Learning {
         let mut config = Config::preset("fast")?;
         // As much as is filled: the capacity of a whole run would only take memory.
         config.replay.capacity = 500_000;
-        let shape = config.network.shape(ACTIONS);
-        let inputs = config.network.active_inputs;
-        let network = |shape, stream| {
-            UtilityNetwork::initialise(
-                shape,
-                inputs,
-                &mut generator(seed, Purpose::Weights, stream),
-            )
-        };
-        let agents_max =
-            ScenarioSet::named(&config.environment.set).map_err(Failure::bug)?.max_agents;
-        let level = (&config.replay, &config.optimiser);
-        let replay = Replay::new(config.replay.capacity, agents_max);
-        let agents = Learner::new(level, network(shape, 0), replay, &Chunk::new(shape));
-        let (shape, own) = (config.allocator.shape(), &config.allocator);
-        let segments = Segments::new(own.replay.capacity);
-        let level = (&own.replay, &own.optimiser);
-        let allocator =
-            Learner::new(level, network(shape, 1), segments, &TeamValueLoss::new(shape));
         let mut learning = Self {
-            rollout: Rollout::new(&config, config.network.shape(ACTIONS), seed)?,
-            search: TeamSearch::new(shape, config.allocation.team_max),
+            agents: agents_learner(&config, seed)?,
+            allocator: allocator_learner(&config, seed),
+            rollout: Rollout::new(&config, config.agent_shape()?, seed)?,
+            search: TeamSearch::new(config.allocator.shape(), config.allocation.team_max),
             picks: generator(seed, Purpose::Replay, 0),
             decision: 0,
             config,
-            agents,
-            allocator,
         };
         for step in 0..FILL / learning.rollout.instances() as u64 {
             let env_steps = step * learning.rollout.instances() as u64;
@@ -89,11 +70,20 @@ impl Learning {
         let mut allocator = self.allocator.knowledge_mut();
         let Knowledge { online, replay: records, .. } = &mut *agents;
         let Knowledge { online: values, replay: segments, .. } = &mut *allocator;
-        let behaviour =
-            Behaviour { agents: online, epsilon, allocator: by_network.then_some(&*values) };
+        let behaviour = Behaviour {
+            agents: &online.utility,
+            epsilon,
+            allocator: by_network.then_some(&*values),
+        };
         let memory = Memory { records, segments: Some(segments) };
         self.rollout.step(behaviour, memory, &mut EpisodeCounts::default())?;
         Ok(())
+    }
+
+    /// Empty space for gradients of the agents' loss.
+    pub(super) fn chunk(&self) -> Chunk {
+        let Config { network, mixer, .. } = &self.config;
+        Chunk::new(&self.agents.knowledge().online, network.subtask, mixer.reward_factor())
     }
 
     /// The case of a work, without figures yet.
@@ -149,7 +139,7 @@ impl Learning {
         })?;
         turn.operations = match work {
             Work::AgentsUpdate => {
-                let mut chunk = Chunk::new(self.config.network.shape(ACTIONS));
+                let mut chunk = self.chunk();
                 gradient(&mut self.agents, &mut chunk, &mut self.picks);
                 chunk.operations() as f64 * turn.calls
             }

@@ -8,6 +8,7 @@ pub mod layers;
 pub mod methods;
 pub mod optimise;
 pub mod random;
+pub mod report;
 pub mod run;
 pub mod schedule;
 mod workers;

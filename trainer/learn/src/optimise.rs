@@ -43,19 +43,24 @@ impl Adam {
         Self { epsilon, mean: vec![0.0; parameters], square: vec![0.0; parameters], steps: 0 }
     }
 
-    /// Takes one step down the gradient.
-    pub fn step(&mut self, parameters: &mut [f32], gradient: &[f32], learning_rate: f32) {
+    /// Takes one step down the gradient, which has a number for every parameter of every part.
+    pub fn step(&mut self, parts: &mut [&mut [f32]], gradient: &[f32], learning_rate: f32) {
         self.steps += 1;
         let correction = |decay: f32| (1.0 - f64::from(decay).powf(self.steps as f64)) as f32;
         let rate = learning_rate / correction(Self::DECAY_MEAN);
         let square_scale = 1.0 / correction(Self::DECAY_SQUARE);
-        let moments = self.mean.iter_mut().zip(&mut self.square);
-        for ((parameter, gradient), (mean, square)) in
-            parameters.iter_mut().zip(gradient).zip(moments)
-        {
-            *mean += (1.0 - Self::DECAY_MEAN) * (gradient - *mean);
-            *square += (1.0 - Self::DECAY_SQUARE) * (gradient * gradient - *square);
-            *parameter -= rate * *mean / ((*square * square_scale).sqrt() + self.epsilon);
+        let mut start = 0;
+        for part in parts {
+            let range = start..start + part.len();
+            start = range.end;
+            let moments = self.mean[range.clone()].iter_mut().zip(&mut self.square[range.clone()]);
+            for ((parameter, gradient), (mean, square)) in
+                part.iter_mut().zip(&gradient[range]).zip(moments)
+            {
+                *mean += (1.0 - Self::DECAY_MEAN) * (gradient - *mean);
+                *square += (1.0 - Self::DECAY_SQUARE) * (gradient * gradient - *square);
+                *parameter -= rate * *mean / ((*square * square_scale).sqrt() + self.epsilon);
+            }
         }
     }
 }
@@ -77,13 +82,26 @@ mod tests {
     fn first_adam_steps_agree_with_the_formula() {
         let mut adam = Adam::new(1, 1e-5);
         let mut parameter = [1.0];
-        adam.step(&mut parameter, &[0.5], 0.1);
+        adam.step(&mut [&mut parameter], &[0.5], 0.1);
         assert!((parameter[0] - (1.0 - 0.1 * 0.5 / (0.5 + 1e-5))).abs() < 1e-6);
-        adam.step(&mut parameter, &[-0.25], 0.1);
+        adam.step(&mut [&mut parameter], &[-0.25], 0.1);
         let mean = (0.9 * 0.1 * 0.5 + 0.1 * -0.25) / (1.0 - 0.81);
         let square = (0.999 * 0.001 * 0.25 + 0.001 * 0.0625) / (1.0 - 0.999_f32.powi(2));
         let want = 1.0 - 0.1 * 0.5 / (0.5 + 1e-5) - 0.1 * mean / (square.sqrt() + 1e-5);
         assert!((parameter[0] - want).abs() < 1e-5, "{} against {want}", parameter[0]);
+    }
+
+    #[test]
+    fn parts_move_as_one_vector_does() {
+        let (gradient, mut whole) = ([0.5, -0.25, 2.0], [1.0, 2.0, 3.0]);
+        let (mut first, mut second) = ([1.0], [2.0, 3.0]);
+        let (mut by_parts, mut at_once) = (Adam::new(3, 1e-5), Adam::new(3, 1e-5));
+        for _ in 0..3 {
+            by_parts.step(&mut [&mut first, &mut second], &gradient, 0.1);
+            at_once.step(&mut [&mut whole], &gradient, 0.1);
+        }
+        assert_eq!(by_parts, at_once);
+        assert_eq!([first[0], second[0], second[1]], whole);
     }
 
     #[test]
@@ -92,7 +110,7 @@ mod tests {
         let mut at = [3.0, -2.0];
         for step in 0..2000 {
             let slope = [2.0 * (at[0] - 1.0), 8.0 * (at[1] - 0.5)];
-            adam.step(&mut at, &slope, 0.05 * (1.0 - step as f32 / 2000.0));
+            adam.step(&mut [&mut at], &slope, 0.05 * (1.0 - step as f32 / 2000.0));
         }
         assert!((at[0] - 1.0).abs() < 1e-3 && (at[1] - 0.5).abs() < 1e-3, "{at:?}");
     }

@@ -12,10 +12,11 @@ mod worlds;
 
 use std::collections::BTreeMap;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use sortie_envs::StepOutcome;
 use sortie_envs::save_the_city::{
     AllocationRule, City, Constants, DecisionPoints, EpisodeMetrics, SaveTheCity, ScenarioSet,
+    UNASSIGNED,
 };
 
 pub use causes::Cause;
@@ -94,6 +95,22 @@ impl Allocate for AllocationRule {
     }
 }
 
+/// Assigns nobody: what agents need that know of no subtasks.
+#[derive(Clone, Copy, Debug)]
+pub struct NoSubtasks;
+
+impl Allocate for NoSubtasks {
+    fn allocate(
+        &mut self,
+        _: City<'_>,
+        _: &mut Generator,
+        allocation: &mut [u8],
+    ) -> Result<(), LearnError> {
+        allocation.fill(UNASSIGNED);
+        Ok(())
+    }
+}
+
 /// Which episodes are played.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EvaluationPlan {
@@ -148,7 +165,7 @@ pub struct Evaluation {
 }
 
 /// How one composition of a team did.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct TeamSuccess {
     /// Episodes played.
     pub episodes: usize,
@@ -266,7 +283,6 @@ mod tests {
     use super::*;
     use crate::methods::alma::{Config, NetworkPolicy, UtilityNetwork};
     use crate::random::{Purpose, generator};
-    use sortie_envs::save_the_city::ACTIONS;
 
     fn plan(episodes: usize) -> EvaluationPlan {
         EvaluationPlan::new("2-5a_2-5b", episodes, 11).unwrap()
@@ -306,7 +322,7 @@ mod tests {
     fn a_policy_acts_as_the_network_that_it_is_made_of() {
         let config = Config::default();
         let mut weights = generator(4, Purpose::Weights, 0);
-        let shape = config.network.shape(ACTIONS);
+        let shape = config.agent_shape().unwrap();
         let network = UtilityNetwork::initialise(shape, 8.0, &mut weights);
         let play = |team: &mut dyn Team| {
             evaluate(&plan(40), team, &mut AllocationRule::Heuristic).unwrap()

@@ -8,7 +8,9 @@ use sortie_envs::save_the_city::{
 
 use super::{Scene, Team};
 use crate::error::LearnError;
-use crate::methods::alma::{NO_ACTION, TeamBatch, UtilityNetwork, UtilityPass, best_action};
+use crate::methods::alma::{
+    Conditioning, NO_ACTION, TeamBatch, UtilityNetwork, UtilityPass, best_action,
+};
 use crate::random::{Generator, Purpose, generator};
 
 /// The utility network, greedy, on all scenes at once.
@@ -21,10 +23,15 @@ pub struct NetworkTeam<'a> {
 }
 
 impl<'a> NetworkTeam<'a> {
-    /// Acts by a network.
+    /// Acts by a network that sees its subtask only.
     pub fn new(network: &'a UtilityNetwork) -> Self {
+        Self::conditioned(network, Conditioning::Mask)
+    }
+
+    /// Acts by a network that sees subtasks as it was trained to.
+    pub fn conditioned(network: &'a UtilityNetwork, conditioning: Conditioning) -> Self {
         let pass = UtilityPass::new(network.shape());
-        Self { network, pass, batch: TeamBatch::default(), actors: Vec::new() }
+        Self { network, pass, batch: TeamBatch::new(conditioning), actors: Vec::new() }
     }
 }
 
@@ -37,6 +44,11 @@ impl Team for NetworkTeam<'_> {
     ) -> Result<(), LearnError> {
         self.batch.clear();
         self.actors.clear();
+        let tasks = scenes.iter().map(|scene| scene.city.buildings.len()).max().unwrap_or(0);
+        if self.batch.columns(tasks) > self.network.shape().input {
+            let reason = format!("the network marks fewer subtasks than the {tasks} of this city");
+            return Err(LearnError::Team(reason));
+        }
         for (place, scene) in scenes.iter().enumerate() {
             self.batch.push_teams(scene.city, scene.allocation, scene.last_actions, |agent| {
                 self.actors.push((place, agent));

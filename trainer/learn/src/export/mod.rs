@@ -7,7 +7,7 @@
 mod agent;
 mod bundle;
 mod onnx;
-mod protobuf;
+pub(crate) mod protobuf;
 
 pub use agent::{AgentNetwork, ExportError, Layer, Layout, Matrix, agent_onnx};
 pub use bundle::{Measured, draft_bundle};

@@ -1,23 +1,37 @@
-//! The wire format of protocol buffers, as far as ONNX needs it.
+//! The wire format of protocol buffers, as far as ONNX and event files need it.
 
 /// A message under construction.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Message(Vec<u8>);
+pub(crate) struct Message(Vec<u8>);
 
 impl Message {
-    pub(super) fn into_bytes(self) -> Vec<u8> {
+    pub(crate) fn into_bytes(self) -> Vec<u8> {
         self.0
     }
 
     /// An integer field; negative numbers take ten bytes, as in every implementation.
-    pub(super) fn integer(mut self, field: u32, value: i64) -> Self {
+    pub(crate) fn integer(mut self, field: u32, value: i64) -> Self {
         self.tag(field, 0);
         self.varint(value as u64);
         self
     }
 
+    /// A field of eight bytes.
+    pub(crate) fn double(mut self, field: u32, value: f64) -> Self {
+        self.tag(field, 1);
+        self.0.extend(value.to_le_bytes());
+        self
+    }
+
+    /// A field of four bytes.
+    pub(crate) fn float(mut self, field: u32, value: f32) -> Self {
+        self.tag(field, 5);
+        self.0.extend(value.to_le_bytes());
+        self
+    }
+
     /// A field of bytes, text included.
-    pub(super) fn bytes(mut self, field: u32, value: &[u8]) -> Self {
+    pub(crate) fn bytes(mut self, field: u32, value: &[u8]) -> Self {
         self.tag(field, 2);
         self.varint(value.len() as u64);
         self.0.extend(value);
@@ -25,17 +39,17 @@ impl Message {
     }
 
     /// A text field.
-    pub(super) fn text(self, field: u32, value: &str) -> Self {
+    pub(crate) fn text(self, field: u32, value: &str) -> Self {
         self.bytes(field, value.as_bytes())
     }
 
     /// A field that is a message itself.
-    pub(super) fn message(self, field: u32, value: &Message) -> Self {
+    pub(crate) fn message(self, field: u32, value: &Message) -> Self {
         self.bytes(field, &value.0)
     }
 
     /// One field of the same number for every message.
-    pub(super) fn messages<'a>(
+    pub(crate) fn messages<'a>(
         self,
         field: u32,
         values: impl IntoIterator<Item = &'a Message>,
@@ -44,7 +58,7 @@ impl Message {
     }
 
     /// One field of the same number for every integer.
-    pub(super) fn integers(self, field: u32, values: &[i64]) -> Self {
+    pub(crate) fn integers(self, field: u32, values: &[i64]) -> Self {
         values.iter().fold(self, |message, value| message.integer(field, *value))
     }
 
@@ -77,5 +91,8 @@ mod tests {
         );
         let minus_one = Message::default().integer(1, -1).into_bytes();
         assert_eq!(minus_one.len(), 11);
+        assert_eq!(Message::default().float(2, 1.0).into_bytes(), [0x15, 0, 0, 0x80, 0x3f]);
+        let double = Message::default().double(1, 1.0).into_bytes();
+        assert_eq!(double, [0x09, 0, 0, 0, 0, 0, 0, 0xf0, 0x3f]);
     }
 }

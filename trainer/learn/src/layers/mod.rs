@@ -10,6 +10,7 @@ pub mod attention;
 pub mod linear;
 pub mod matrix;
 pub mod relu;
+pub mod softmax;
 pub mod sparse_linear;
 
 #[cfg(test)]

@@ -47,6 +47,14 @@ impl SparseRows {
         self.end_row();
     }
 
+    /// Adds all closed rows of another collection.
+    pub fn append(&mut self, other: &Self) {
+        let entries = self.columns.len() as u32;
+        self.ends.extend(other.ends[1..].iter().map(|end| entries + end));
+        self.columns.extend_from_slice(&other.columns);
+        self.values.extend_from_slice(&other.values);
+    }
+
     /// Number of closed rows.
     pub fn len(&self) -> usize {
         self.ends.len() - 1
@@ -122,6 +130,16 @@ mod tests {
         assert_eq!(rows.len(), 3);
         assert_eq!(rows.row(0).collect::<Vec<_>>(), [(1, 1.0), (3, 0.5), (7, -2.0)]);
         assert_eq!(rows.row(1).count(), 0);
+    }
+
+    #[test]
+    fn appended_rows_follow_the_own_ones() {
+        let mut both = rows();
+        both.append(&rows());
+        assert_eq!(both.len(), 6);
+        for row in 0..3 {
+            assert!(both.row(row).eq(rows().row(row)) && both.row(3 + row).eq(rows().row(row)));
+        }
     }
 
     #[test]

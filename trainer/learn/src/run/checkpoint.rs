@@ -308,7 +308,6 @@ fn remove(folder: &Path) -> Result<(), LearnError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::methods::alma::Parameters;
 
     const SHAPE: UtilityShape = UtilityShape { input: 3, width: 4, heads: 2, base: 2, actions: 2 };
 

@@ -8,7 +8,7 @@ use crate::methods::alma::Config;
 /// How a run learns. The same description gives the same weights, whatever the number of threads.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RunDescription {
-    /// The algorithm: `alma`.
+    /// The algorithm: `alma`, or `flat` where there are no subtasks.
     pub method: String,
     /// Version of Sortie that began the run.
     pub version: String,
@@ -26,8 +26,9 @@ impl RunDescription {
 
     /// A run of this version of Sortie.
     pub fn new(config: Config, seed: u64, threads: usize) -> Self {
+        let method = if config.network.subtask.has_subtasks() { "alma" } else { "flat" };
         Self {
-            method: "alma".to_owned(),
+            method: method.to_owned(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
             seed,
             threads,

@@ -4,6 +4,8 @@
 //! | --- | --- |
 //! | `train.toml` | method, version, seed, threads, and the complete configuration |
 //! | `curve.json` | one JSON object per evaluation, see [`CurvePoint`] |
+//! | `curve.csv` | the same as comma-separated values |
+//! | `events.out.tfevents.*` | the same for TensorBoard, a file per session, see [`RunEvents`] |
 //! | `curve.svg` | success against environment steps |
 //! | `result.json` | of a finished run: greedy success on fresh episodes, see [`RunResult`] |
 //! | `checkpoints/` | the newest checkpoints, see [`checkpoint`] |
@@ -22,7 +24,9 @@ pub use description::RunDescription;
 pub use result::RunResult;
 
 use crate::error::LearnError;
+use crate::evaluate::NetworkTeam;
 use crate::methods::alma::UtilityNetwork;
+use crate::report::{RunEvents, csv};
 
 /// A finished or running run, opened to use what it learned.
 #[derive(Clone, Debug)]
@@ -42,6 +46,11 @@ pub struct Run {
 }
 
 impl Run {
+    /// The agents as a team that can be measured.
+    pub fn team(&self) -> NetworkTeam<'_> {
+        NetworkTeam::conditioned(&self.network, self.description.config.network.subtask)
+    }
+
     /// Reads the folder of a run.
     pub fn open(folder: &Path) -> Result<Self, LearnError> {
         let folder = RunFolder::new(folder);
@@ -62,14 +71,15 @@ impl Run {
 }
 
 /// The files of a run.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub(crate) struct RunFolder {
     folder: PathBuf,
+    events: RunEvents,
 }
 
 impl RunFolder {
     pub(crate) fn new(folder: &Path) -> Self {
-        Self { folder: folder.to_owned() }
+        Self { folder: folder.to_owned(), events: RunEvents::new(folder) }
     }
 
     /// Makes the folder; refuses one that holds a run.
@@ -94,11 +104,19 @@ impl RunFolder {
         Checkpoints::new(&self.folder.join("checkpoints"))
     }
 
-    /// Replaces `curve.json` and `curve.svg`.
-    pub(crate) fn write_curve(&self, title: &str, curve: &[CurvePoint]) -> Result<(), LearnError> {
+    /// Replaces `curve.json`, `curve.csv` and `curve.svg`, and tells TensorBoard of the newest point.
+    pub(crate) fn write_curve(
+        &mut self,
+        title: &str,
+        curve: &[CurvePoint],
+    ) -> Result<(), LearnError> {
         let path = self.curve_path();
         let text = curve::to_lines(curve).map_err(|error| LearnError::format(&path, error))?;
         write_whole(&path, text.as_bytes())?;
+        let path = self.folder.join("curve.csv");
+        let text = csv::to_csv(curve).map_err(|error| LearnError::format(&path, error))?;
+        write_whole(&path, text.as_bytes())?;
+        self.events.add(curve)?;
         let path = self.folder.join("curve.svg");
         let svg =
             chart::success_curve(title, curve).map_err(|error| LearnError::format(&path, error))?;

@@ -3,13 +3,17 @@
 //! A record of step t and building b sums the rewards of b for up to n steps. It ends earlier, and
 //! bootstraps with the team of step t, when b gets another team; without bootstrapping when b is
 //! complete or burned down. A time-out bootstraps from the final state.
+//!
+//! Without subtasks there is one record for each step: everybody is its team, its rewards are the whole
+//! team's, and only the end of the episode cuts it.
 
 use std::collections::VecDeque;
 
 use serde::{Deserialize, Serialize};
 use sortie_envs::save_the_city::{AgentState, BuildingState, City};
 
-use super::replay::{Record, Replay, TeamMember};
+use super::conditioning::Conditioning;
+use super::replay::{AgentStep, BuildingStep, Record, Replay};
 
 /// How rewards of several steps become one target.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -20,6 +24,15 @@ pub struct Returns {
     pub discount: f32,
     /// Potential of one cell between an agent and its building; 0 leaves the rewards alone.
     pub shaping: f32,
+}
+
+/// Rewards of one step.
+#[derive(Clone, Copy, Debug)]
+pub struct StepRewards<'a> {
+    /// Reward of every building's task.
+    pub tasks: &'a [f64],
+    /// Reward of the whole team.
+    pub team: f64,
 }
 
 /// A state with what was decided in it.
@@ -41,12 +54,12 @@ struct Frame {
     allocation: Vec<u8>,
     last_actions: Vec<u8>,
     actions: Vec<u8>,
-    /// Rewards of each building since this step, discounted.
+    /// Rewards of each task since this step, discounted.
     returns: Vec<f32>,
     /// Discount to the power of the steps since.
     weight: f32,
     steps: u32,
-    /// Buildings, as bits, whose record is incomplete.
+    /// Tasks, as bits, whose record is incomplete.
     pending: u32,
 }
 
@@ -66,6 +79,7 @@ impl Frame {
 /// The incomplete records of one running episode.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct History {
+    conditioning: Conditioning,
     returns: Returns,
     frames: VecDeque<Frame>,
     spare: Vec<Frame>,
@@ -73,19 +87,22 @@ pub struct History {
 
 impl History {
     /// An empty history.
-    pub fn new(returns: Returns) -> Self {
-        Self { returns, frames: VecDeque::new(), spare: Vec::new() }
+    pub fn new(conditioning: Conditioning, returns: Returns) -> Self {
+        Self { conditioning, returns, frames: VecDeque::new(), spare: Vec::new() }
     }
 
     /// Completes records whose n steps are over or whose building has another team now.
     ///
     /// Call it once an allocation is in force and before the actions of the step.
     pub fn decide(&mut self, now: Moment<'_>, replay: &mut Replay) {
-        let returns = self.returns;
+        let Self { conditioning, returns, .. } = *self;
         for frame in &mut self.frames {
             for task in bits(frame.pending) {
-                if frame.steps >= returns.steps || !frame.same_team(task, now.allocation) {
-                    complete(returns, frame, task, now, frame.weight, replay);
+                let same_team =
+                    !conditioning.has_subtasks() || frame.same_team(task, now.allocation);
+                if frame.steps >= returns.steps || !same_team {
+                    let completion = Completion { after: now, discount: frame.weight };
+                    completion.store(conditioning, returns, frame, task, replay);
                 }
             }
         }
@@ -102,12 +119,19 @@ impl History {
         copy(&mut frame.last_actions, &now.last_actions[..count]);
         frame.actions.clear();
         frame.actions.extend(actions[..count].iter().map(|action| *action as u8));
+        let tasks = if self.conditioning.has_subtasks() {
+            now.city.buildings.len()
+        } else {
+            // One task that everybody works on.
+            frame.allocation.fill(0);
+            1
+        };
         frame.returns.clear();
-        frame.returns.resize(now.city.buildings.len(), 0.0);
+        frame.returns.resize(tasks, 0.0);
         frame.weight = 1.0;
         frame.steps = 0;
         frame.pending = 0;
-        for task in bits(now.city.open_tasks()) {
+        for task in bits(self.open_tasks(now.city)) {
             let has_team = frame.team(task).next().is_some();
             frame.pending |= u32::from(has_team) << task;
         }
@@ -115,16 +139,20 @@ impl History {
     }
 
     /// Adds the rewards of the step just taken and completes the records of closed buildings.
-    pub fn reward(&mut self, after: Moment<'_>, task_rewards: &[f64], replay: &mut Replay) {
-        let (returns, open) = (self.returns, after.city.open_tasks());
+    pub fn reward(&mut self, after: Moment<'_>, rewards: StepRewards<'_>, replay: &mut Replay) {
+        let Self { conditioning, returns, .. } = *self;
+        let open = self.open_tasks(after.city);
+        let whole = [rewards.team];
+        let rewards = if conditioning.has_subtasks() { rewards.tasks } else { &whole };
         for frame in &mut self.frames {
             for task in bits(frame.pending) {
-                frame.returns[task] += frame.weight * task_rewards[task] as f32;
+                frame.returns[task] += frame.weight * rewards[task] as f32;
             }
             frame.weight *= returns.discount;
             frame.steps += 1;
             for task in bits(frame.pending & !open) {
-                complete(returns, frame, task, after, 0.0, replay);
+                let completion = Completion { after, discount: 0.0 };
+                completion.store(conditioning, returns, frame, task, replay);
             }
         }
         self.drop_complete();
@@ -132,14 +160,20 @@ impl History {
 
     /// Ends the episode: what is incomplete bootstraps after a time-out and is worth nothing after an end.
     pub fn end(&mut self, after: Moment<'_>, timed_out: bool, replay: &mut Replay) {
-        let returns = self.returns;
+        let Self { conditioning, returns, .. } = *self;
         for frame in &mut self.frames {
             let discount = if timed_out { frame.weight } else { 0.0 };
             for task in bits(frame.pending) {
-                complete(returns, frame, task, after, discount, replay);
+                let completion = Completion { after, discount };
+                completion.store(conditioning, returns, frame, task, replay);
             }
         }
         self.drop_complete();
+    }
+
+    /// Tasks, as bits, that there is still something to do for.
+    fn open_tasks(&self, city: City<'_>) -> u32 {
+        if self.conditioning.has_subtasks() { city.open_tasks() } else { 1 }
     }
 
     fn drop_complete(&mut self) {
@@ -149,28 +183,61 @@ impl History {
     }
 }
 
-/// Stores the record of one building and takes it off the frame's list.
-fn complete(
-    returns: Returns,
-    frame: &mut Frame,
-    task: usize,
-    after: Moment<'_>,
+/// How a record ends.
+struct Completion<'a> {
+    after: Moment<'a>,
+    /// Factor of the value of the state after it.
     discount: f32,
-    replay: &mut Replay,
-) {
-    frame.pending &= !(1 << task);
-    let (building, next_building) = (frame.buildings[task], after.city.buildings[task]);
-    let team = frame.team(task).map(|agent| TeamMember {
-        agent: frame.agents[agent],
-        last_action: frame.last_actions[agent],
-        action: frame.actions[agent],
-        next: after.city.agents[agent],
-        next_last_action: after.last_actions[agent],
-    });
-    let before: f32 = team.clone().map(|m| potential(returns, &m.agent, &building)).sum();
-    let later: f32 = team.clone().map(|m| potential(returns, &m.next, &next_building)).sum();
-    let reward = frame.returns[task] + discount * later - before;
-    replay.push(Record { building, next_building, reward, discount, size: 0 }, team);
+}
+
+impl Completion<'_> {
+    /// Stores the record of one task and takes it off the frame's list.
+    fn store(
+        self,
+        conditioning: Conditioning,
+        returns: Returns,
+        frame: &mut Frame,
+        task: usize,
+        replay: &mut Replay,
+    ) {
+        let Self { after, discount } = self;
+        frame.pending &= !(1 << task);
+        let agent_step = |agent: usize| AgentStep {
+            agent: frame.agents[agent],
+            last_action: frame.last_actions[agent],
+            action: frame.actions[agent],
+            next: after.city.agents[agent],
+            next_last_action: after.last_actions[agent],
+            task: frame.allocation[agent],
+        };
+        let building_step = |building: usize| BuildingStep {
+            building: frame.buildings[building],
+            next: after.city.buildings[building],
+        };
+        let team = frame.team(task);
+        let (before, later): (f32, f32) = if conditioning.has_subtasks() {
+            let BuildingStep { building, next } = building_step(task);
+            let own = |agent: &AgentState, building| potential(returns, agent, building);
+            let steps = team.clone().map(agent_step);
+            (
+                steps.clone().map(|step| own(&step.agent, &building)).sum(),
+                steps.map(|step| own(&step.next, &next)).sum(),
+            )
+        } else {
+            let frame = City { agents: &frame.agents, buildings: &frame.buildings };
+            (potential_of_all(returns, frame), potential_of_all(returns, after.city))
+        };
+        let reward = frame.returns[task] + discount * later - before;
+        let record = Record::new(reward, discount, team.clone().count());
+        let buildings = 0..frame.buildings.len();
+        let (others_in_sight, buildings) = match conditioning {
+            Conditioning::Mask => (false, task..task + 1),
+            Conditioning::Input | Conditioning::None => (true, buildings),
+        };
+        let others = (0..frame.agents.len())
+            .filter(|agent| others_in_sight && usize::from(frame.allocation[*agent]) != task);
+        replay.push(record, team.chain(others).map(agent_step), buildings.map(building_step));
+    }
 }
 
 /// Potential of an agent: the farther from its building, the lower.
@@ -179,6 +246,15 @@ fn complete(
 /// Russell 1999). It is no part of the dissertation.
 fn potential(returns: Returns, agent: &AgentState, building: &BuildingState) -> f32 {
     -returns.shaping * f32::from(agent.distance_to(building).saturating_sub(1))
+}
+
+/// Potential of a state without subtasks: every agent counts by its nearest open building.
+fn potential_of_all(returns: Returns, city: City<'_>) -> f32 {
+    let nearest = |agent: &AgentState| {
+        let open = city.buildings.iter().filter(|building| building.is_open());
+        open.map(|building| potential(returns, agent, building)).reduce(f32::max).unwrap_or(0.0)
+    };
+    city.agents.iter().map(nearest).sum()
 }
 
 fn copy<T: Copy>(to: &mut Vec<T>, from: &[T]) {
@@ -193,6 +269,7 @@ fn bits(mask: u32) -> impl Iterator<Item = usize> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::replay::RecordLayout;
     use super::*;
     use sortie_envs::save_the_city::{AgentKind, BuildingKind, Status};
 
@@ -210,6 +287,12 @@ mod tests {
 
     impl World {
         fn new(returns: Returns, allocation: [u8; 2]) -> Self {
+            Self::with(Conditioning::Mask, returns, allocation)
+        }
+
+        fn with(conditioning: Conditioning, returns: Returns, allocation: [u8; 2]) -> Self {
+            let masked = conditioning == Conditioning::Mask;
+            let layout = RecordLayout { agents: 2, buildings: if masked { 1 } else { 2 } };
             let building = |x| BuildingState {
                 health: 0.5,
                 fire: 0.0,
@@ -226,8 +309,8 @@ mod tests {
                 buildings: vec![building(4), building(13)],
                 allocation: allocation.to_vec(),
                 last_actions: vec![9; 2],
-                history: History::new(returns),
-                replay: Replay::new(100, 2),
+                history: History::new(conditioning, returns),
+                replay: Replay::new(100, layout),
             }
         }
 
@@ -242,7 +325,8 @@ mod tests {
             change(self);
             let Self { agents, buildings, allocation, last_actions, history, replay } = self;
             let after = Moment { city: City { agents, buildings }, allocation, last_actions };
-            history.reward(after, &rewards, replay);
+            let rewards = StepRewards { tasks: &rewards, team: 10.0 };
+            history.reward(after, rewards, replay);
         }
 
         fn decide(&mut self) {
@@ -260,8 +344,8 @@ mod tests {
         /// (reward, discount, team size) of every record.
         fn records(&self) -> Vec<(f32, f32, usize)> {
             let record = |index| {
-                let (record, team) = self.replay.get(index);
-                (record.reward, record.discount, team.len())
+                let record = self.replay.get(index).record;
+                (record.reward, record.discount, record.size.into())
             };
             (0..self.replay.len()).map(record).collect()
         }
@@ -278,7 +362,7 @@ mod tests {
         }
         world.decide();
         assert_eq!(world.records(), [(1.0 + 1.0 + 1.0, 0.125, 2)]);
-        let member = world.replay.get(0).1[0];
+        let member = world.replay.get(0).agents[0];
         assert_eq!((member.last_action, member.action, member.next_last_action), (9, 1, 3));
         assert_eq!((member.agent.y, member.next.y), (7, 10));
     }
@@ -319,7 +403,7 @@ mod tests {
             world.step([1, 2], [1.0, 0.0], |world| world.agents[1].x = 5);
             world.end(timed_out);
             assert_eq!(world.records(), [(1.0, discount, 2)]);
-            assert_eq!(world.replay.get(0).1[1].next.x, 5);
+            assert_eq!(world.replay.get(0).agents[1].next.x, 5);
         }
     }
 
@@ -335,5 +419,64 @@ mod tests {
         let mut world = World::new(returns, [0, 0]);
         world.step([3, 0], [1.0, 0.0], |world| world.buildings[0].status = Status::BurnedDown);
         assert_eq!(world.records(), [(1.0 + 2.0, 0.0, 2)], "no later potential at the end");
+    }
+
+    #[test]
+    fn a_record_holds_what_its_team_may_see() {
+        let seen = |conditioning| {
+            let mut world = World::with(conditioning, RETURNS, [1, 0]);
+            world.agents[0].x = 9;
+            world.step([1, 2], [1.0, 3.0], |world| world.allocation = vec![1, 1]);
+            world.decide();
+            world.end(true);
+            let record = |index| {
+                let sample = world.replay.get(index);
+                let agents = sample.agents.iter().map(|step| (step.agent.x, step.task));
+                let buildings = sample.buildings.iter().map(|step| step.building.x);
+                (agents.collect::<Vec<_>>(), buildings.collect::<Vec<_>>())
+            };
+            (0..world.replay.len()).map(record).collect::<Vec<_>>()
+        };
+        assert_eq!(
+            seen(Conditioning::Mask),
+            [(vec![(4, 0)], vec![4]), (vec![(9, 1)], vec![13])],
+            "the team and its building"
+        );
+        assert_eq!(
+            seen(Conditioning::Input),
+            [(vec![(4, 0), (9, 1)], vec![4, 13]), (vec![(9, 1), (4, 0)], vec![4, 13])],
+            "everything, the team first, with the tasks of the record's own step"
+        );
+        assert_eq!(seen(Conditioning::None), [(vec![(9, 0), (4, 0)], vec![4, 13])]);
+    }
+
+    #[test]
+    fn without_subtasks_only_the_end_of_the_episode_cuts_a_record() {
+        let mut world = World::with(Conditioning::None, RETURNS, [0, 1]);
+        world.step([1, 2], [1.0, 3.0], |world| world.allocation = vec![1, 1]);
+        world.step([1, 2], [1.0, 3.0], |world| world.buildings[0].status = Status::Complete);
+        world.decide();
+        assert_eq!(world.replay.len(), 0, "neither another team nor a closed building");
+        world.step([1, 2], [1.0, 3.0], nothing);
+        world.decide();
+        assert_eq!(world.records(), [(10.0 + 5.0 + 2.5, 0.125, 2)], "the team's rewards");
+        world.end(true);
+        assert_eq!(world.records()[1..], [(10.0 + 5.0, 0.25, 2), (10.0, 0.5, 2)]);
+        world.step([1, 2], [1.0, 3.0], nothing);
+        world.end(false);
+        assert_eq!(world.records()[3], (10.0, 0.0, 2));
+    }
+
+    #[test]
+    fn without_subtasks_the_nearest_open_building_shapes() {
+        let returns = Returns { steps: 1, shaping: 0.5, ..RETURNS };
+        let mut world = World::with(Conditioning::None, returns, [1, 1]);
+        // Both agents are three cells from the first building, eleven and twelve from the second.
+        world.step([3, 0], [1.0, 0.0], |world| {
+            world.agents[0].x += 1;
+            world.buildings[0].status = Status::BurnedDown;
+        });
+        world.decide();
+        assert_eq!(world.records(), [(10.0 + 0.5 * -(5.0 + 5.5) + 2.0, 0.5, 2)]);
     }
 }

@@ -9,6 +9,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
 use super::config::{OptimiserConfig, ReplayConfig};
+use rand_core::Rng;
+
 use crate::optimise::{Adam, clip_norm, move_towards};
 use crate::random::{Generator, below};
 
@@ -19,16 +21,21 @@ pub struct Pick {
     pub sample: u32,
     /// Index in [`sortie_envs::save_the_city::Symmetry::ALL`]; 0 changes nothing.
     pub symmetry: u8,
-    /// A random number for losses that take a part of a sample.
-    pub lot: u16,
+    /// What else the loss draws for this sample comes from this number.
+    pub draw: u64,
 }
 
-/// Something with weights in one flat vector.
+/// Something with weights in flat vectors, always as many and as long.
 pub trait Parameters: Clone + Debug + Send + Sync + 'static {
     /// All weights.
-    fn parameters(&self) -> &[f32];
+    fn parts(&self) -> Vec<&[f32]>;
     /// All weights, to be changed.
-    fn parameters_mut(&mut self) -> &mut [f32];
+    fn parts_mut(&mut self) -> Vec<&mut [f32]>;
+
+    /// Number of weights.
+    fn count(&self) -> usize {
+        self.parts().iter().map(|part| part.len()).sum()
+    }
 }
 
 /// Numbered samples.
@@ -66,7 +73,7 @@ pub trait Loss: Clone + Debug + Send + 'static {
     fn squared_error(&self) -> f64;
     /// Number of terms in the sum.
     fn terms(&self) -> usize;
-    /// The gradient of the sum by all weights.
+    /// The gradient of the sum by all weights, one part behind the other.
     fn gradient(&self) -> &[f32];
 }
 
@@ -152,7 +159,7 @@ impl<L: Loss> Learner<L> {
         loss: &L,
     ) -> Self {
         let (replay_config, optimiser) = (config.0.clone(), config.1.clone());
-        let parameters = online.parameters().len();
+        let parameters = online.count();
         let (target, average) = (online.clone(), online.clone());
         let chunks = replay_config.batch.div_ceil(L::CHUNK);
         let knowledge = Knowledge { online, target, replay, picks: Vec::new() };
@@ -195,7 +202,7 @@ impl<L: Loss> Learner<L> {
         knowledge.picks.extend((0..batch).map(|_| Pick {
             sample: below(generator, samples) as u32,
             symmetry: below(generator, symmetries) as u8,
-            lot: below(generator, 1 << 16) as u16,
+            draw: generator.next_u64(),
         }));
         drop(knowledge);
         self.shared.next_chunk.store(0, Ordering::Relaxed);
@@ -227,11 +234,16 @@ impl<L: Loss> Learner<L> {
         let mut knowledge = self.shared.knowledge.write().unwrap_or_else(PoisonError::into_inner);
         let Knowledge { online, target, picks, .. } = &mut *knowledge;
         picks.clear();
-        self.adam.step(online.parameters_mut(), &self.gradient, learning_rate);
-        move_towards(target.parameters_mut(), online.parameters(), optimiser.target_rate);
+        self.adam.step(&mut online.parts_mut(), &self.gradient, learning_rate);
         // A plain mean at first, so that the initial weights do not linger.
         let average_rate = optimiser.average_rate.max(1.0 / self.adam.steps as f32);
-        move_towards(self.average.parameters_mut(), online.parameters(), average_rate);
+        let averages = self.average.parts_mut().into_iter();
+        for ((target, average), online) in
+            target.parts_mut().into_iter().zip(averages).zip(online.parts())
+        {
+            move_towards(target, online, optimiser.target_rate);
+            move_towards(average, online, average_rate);
+        }
         UpdateReport { loss: squared_error / terms.max(1) as f64, gradient_norm }
     }
 }
@@ -246,11 +258,11 @@ mod tests {
     struct Line(Vec<f32>);
 
     impl Parameters for Line {
-        fn parameters(&self) -> &[f32] {
-            &self.0
+        fn parts(&self) -> Vec<&[f32]> {
+            vec![&self.0]
         }
-        fn parameters_mut(&mut self) -> &mut [f32] {
-            &mut self.0
+        fn parts_mut(&mut self) -> Vec<&mut [f32]> {
+            vec![&mut self.0]
         }
     }
 

@@ -6,10 +6,14 @@
 //! network, n-step returns, optional potential shaping, Adam, averaged weights, search instead of a
 //! proposal network.
 
+mod conditioning;
 pub mod config;
 mod deciding;
+mod entity_attention;
 mod history;
 mod learner;
+mod mixed_network;
+mod mixer;
 mod network_policy;
 mod operations;
 mod replay;
@@ -22,14 +26,17 @@ mod trainer;
 mod utility;
 mod utility_pass;
 
+pub use conditioning::Conditioning;
 pub use config::{Allocation, Config};
-pub use history::{History, Moment, Returns};
+pub use history::{History, Moment, Returns, StepRewards};
 pub use learner::{Knowledge, Learner, Loss, Networks, Parameters, Pick, Samples, UpdateReport};
+pub use mixed_network::MixedNetwork;
+pub use mixer::{Mixer, MixerKind, MixerPass, MixerShape, MixerTensor, Teams};
 pub use network_policy::NetworkPolicy;
-pub use replay::{Record, Replay, TeamMember};
+pub use replay::{AgentStep, BuildingStep, Record, RecordLayout, Replay, Sample};
 pub use rollout::{Behaviour, EpisodeCounts, InstanceSnapshot, Memory, Rollout};
 pub use team_batch::{INPUT_COLUMNS, NO_ACTION, TeamBatch, best_action};
 pub use temporal_difference::Chunk;
-pub use trainer::{Observer, Outcome, Progress, Trainer};
+pub use trainer::{Observer, Outcome, Progress, Trainer, agents_learner, allocator_learner};
 pub use utility::{Tensor, UtilityNetwork, UtilityShape, UtilityWeights};
 pub use utility_pass::{UtilityInput, UtilityPass};

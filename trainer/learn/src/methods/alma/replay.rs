@@ -1,16 +1,18 @@
-//! What was seen, kept as compact states: a record is a step of one building's team.
+//! What was seen, kept as compact states: a record is a step of one team.
 //!
-//! Features are rebuilt when a record is used. Because the subtask mask hides everything else, a
-//! record is a complete training sample.
+//! Features are rebuilt when a record is used. A record holds everything that its team may see, so that
+//! it is a complete training sample: with the subtask mask that is the team and its building, otherwise
+//! the whole city.
 
 use serde::{Deserialize, Serialize};
-use sortie_envs::save_the_city::{AgentState, BuildingState};
+use sortie_envs::save_the_city::{AgentState, BuildingState, ScenarioSet};
 
+use super::conditioning::Conditioning;
 use super::learner::Samples;
 
-/// One agent of a team, at the step of a record and some steps later.
+/// One agent at the step of a record and some steps later.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct TeamMember {
+pub struct AgentStep {
     /// The agent when it acted.
     pub agent: AgentState,
     /// What it had done before.
@@ -21,63 +23,113 @@ pub struct TeamMember {
     pub next: AgentState,
     /// What it had done before that.
     pub next_last_action: u8,
+    /// Its subtask when it acted, which is held fixed for the bootstrap.
+    pub task: u8,
 }
 
-/// A building with the rewards that its team of one step earned over the next steps.
+/// One building at the step of a record and in the state to bootstrap from.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Record {
+pub struct BuildingStep {
     /// The building when the team acted.
     pub building: BuildingState,
-    /// The building in the state to bootstrap from.
-    pub next_building: BuildingState,
-    /// Discounted sum of the task's rewards in between.
+    /// The building later.
+    pub next: BuildingState,
+}
+
+/// The rewards that the team of one step earned over the next steps.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Record {
+    /// Discounted sum of the team's rewards until the state to bootstrap from.
     pub reward: f32,
     /// Factor of the bootstrapped value; 0 where there is nothing to bootstrap from.
     pub discount: f32,
     /// Agents in the team, at least one.
     pub size: u8,
+    agents: u8,
+    buildings: u8,
+}
+
+impl Record {
+    /// A record of a team of so many agents.
+    pub fn new(reward: f32, discount: f32, size: usize) -> Self {
+        Self { reward, discount, size: size as u8, agents: 0, buildings: 0 }
+    }
+}
+
+/// A record with what its team sees.
+#[derive(Clone, Copy, Debug)]
+pub struct Sample<'a> {
+    /// Rewards and discount.
+    pub record: &'a Record,
+    /// The team, then the other agents in sight.
+    pub agents: &'a [AgentStep],
+    /// The buildings in sight: all in the order of their subtasks, or the team's own.
+    pub buildings: &'a [BuildingStep],
+}
+
+impl<'a> Sample<'a> {
+    /// The agents that earned the reward, then the others.
+    pub fn split_team(&self) -> (&'a [AgentStep], &'a [AgentStep]) {
+        self.agents.split_at(self.record.size.into())
+    }
+}
+
+/// The most that one record can hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RecordLayout {
+    /// Agents in sight.
+    pub agents: usize,
+    /// Buildings in sight.
+    pub buildings: usize,
+}
+
+impl RecordLayout {
+    /// What a team may see in a scenario set.
+    pub fn new(conditioning: Conditioning, set: &ScenarioSet) -> Self {
+        let masked = conditioning == Conditioning::Mask;
+        Self { agents: set.max_agents, buildings: if masked { 1 } else { set.max_buildings } }
+    }
 }
 
 /// A ring of records: the newest replaces the oldest.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Replay {
     capacity: usize,
-    team_max: usize,
+    layout: RecordLayout,
     records: Vec<Record>,
-    /// `[records, team_max]`
-    members: Vec<TeamMember>,
+    /// `[records, layout.agents]`
+    agents: Vec<AgentStep>,
+    /// `[records, layout.buildings]`
+    buildings: Vec<BuildingStep>,
     next: usize,
 }
 
 impl Replay {
-    /// Room for `capacity` records of teams of at most `team_max` agents.
-    pub fn new(capacity: usize, team_max: usize) -> Self {
+    /// Room for `capacity` records.
+    pub fn new(capacity: usize, layout: RecordLayout) -> Self {
         Self {
             capacity,
-            team_max,
+            layout,
             records: Vec::with_capacity(capacity),
-            members: Vec::with_capacity(capacity * team_max),
+            agents: Vec::with_capacity(capacity * layout.agents),
+            buildings: Vec::with_capacity(capacity * layout.buildings),
             next: 0,
         }
     }
 
-    /// Stores a record with its team. Panics if the team is empty or too large.
-    pub fn push(&mut self, record: Record, team: impl IntoIterator<Item = TeamMember>) {
-        let start = self.next * self.team_max;
-        let mut size = 0;
-        for member in team {
-            assert!(size < self.team_max, "team of more than {} agents", self.team_max);
-            match self.members.get_mut(start + size) {
-                Some(place) => *place = member,
-                None => self.members.push(member),
-            }
-            size += 1;
-        }
-        assert!(size > 0, "a record needs a team");
-        while self.members.len() < start + self.team_max {
-            self.members.push(self.members[start]);
-        }
-        let record = Record { size: size as u8, ..record };
+    /// Stores a record with what its team sees, the team first.
+    ///
+    /// Panics if the team or the buildings are none, or more than the layout has room for.
+    pub fn push(
+        &mut self,
+        record: Record,
+        agents: impl IntoIterator<Item = AgentStep>,
+        buildings: impl IntoIterator<Item = BuildingStep>,
+    ) {
+        let agents = place(&mut self.agents, self.next, self.layout.agents, agents);
+        let buildings = place(&mut self.buildings, self.next, self.layout.buildings, buildings);
+        assert!((1..=agents).contains(&record.size), "a record needs a team");
+        let record = Record { agents, buildings, ..record };
         match self.records.get_mut(self.next) {
             Some(place) => *place = record,
             None => self.records.push(record),
@@ -95,19 +147,28 @@ impl Replay {
         self.records.is_empty()
     }
 
-    /// A record and its team.
-    pub fn get(&self, index: usize) -> (&Record, &[TeamMember]) {
+    /// A record and what its team sees.
+    pub fn get(&self, index: usize) -> Sample<'_> {
         let record = &self.records[index];
-        (record, &self.members[index * self.team_max..][..usize::from(record.size)])
+        Sample {
+            record,
+            agents: &self.agents[index * self.layout.agents..][..usize::from(record.agents)],
+            buildings: &self.buildings[index * self.layout.buildings..]
+                [..usize::from(record.buildings)],
+        }
     }
 
     /// Whether this is a replay of that size whose parts fit together, as one from a file should be.
-    pub fn fits(&self, capacity: usize, team_max: usize) -> bool {
-        (self.capacity, self.team_max) == (capacity, team_max)
-            && self.records.len() <= self.capacity
+    pub fn fits(&self, capacity: usize, layout: RecordLayout) -> bool {
+        let Self { records, .. } = self;
+        (self.capacity, self.layout) == (capacity, layout)
+            && records.len() <= self.capacity
             && self.next < self.capacity.max(1)
-            && self.members.len() == self.records.len() * self.team_max
-            && self.records.iter().all(|r| (1..=self.team_max).contains(&usize::from(r.size)))
+            && self.agents.len() == records.len() * layout.agents
+            && self.buildings.len() == records.len() * layout.buildings
+            && records.iter().all(|r| (1..=r.agents).contains(&r.size))
+            && records.iter().all(|r| usize::from(r.agents) <= layout.agents)
+            && records.iter().all(|r| (1..=layout.buildings).contains(&r.buildings.into()))
     }
 }
 
@@ -115,4 +176,28 @@ impl Samples for Replay {
     fn count(&self) -> usize {
         self.len()
     }
+}
+
+/// Writes the rows of one record, fills up its room in a ring that still grows, and returns their number.
+fn place<T: Copy>(
+    rows: &mut Vec<T>,
+    record: usize,
+    room: usize,
+    items: impl IntoIterator<Item = T>,
+) -> u8 {
+    let start = record * room;
+    let mut count = 0;
+    for item in items {
+        assert!(count < room, "a record with room for {room} rows");
+        match rows.get_mut(start + count) {
+            Some(place) => *place = item,
+            None => rows.push(item),
+        }
+        count += 1;
+    }
+    assert!(count > 0, "a record without rows");
+    while rows.len() < start + room {
+        rows.push(rows[start]);
+    }
+    count as u8
 }

@@ -8,7 +8,7 @@ use rand_core::Rng;
 
 use super::config::Config;
 use super::deciding::{Deciding, Decisions};
-use super::history::{History, Moment};
+use super::history::{History, Moment, StepRewards};
 use super::replay::Replay;
 use super::team_batch::{NO_ACTION, TeamBatch, best_action};
 use super::team_value::Segments;
@@ -98,7 +98,7 @@ impl Rollout {
             generator: generator(seed, Purpose::Rollout, index as u64),
             decisions: Decisions::new(config.allocation.interval, agents),
             last_actions: vec![NO_ACTION; agents],
-            history: History::new((&config.returns).into()),
+            history: History::new(config.network.subtask, (&config.returns).into()),
             episode_return: 0.0,
         });
         let mut rollout = Self {
@@ -106,7 +106,7 @@ impl Rollout {
             city,
             deciding: Deciding::new(config),
             spread: config.exploration.spread.clone(),
-            batch: TeamBatch::default(),
+            batch: TeamBatch::new(config.network.subtask),
             pass: UtilityPass::new(shape),
             actors: Vec::new(),
             actions: vec![0; count * agents],
@@ -201,7 +201,8 @@ impl Rollout {
         }
         let after = Moment { city: self.city.city(index), allocation, last_actions };
         let task_rewards = self.city.task_rewards(index);
-        history.reward(after, task_rewards, memory.records);
+        let rewards = StepRewards { tasks: task_rewards, team: outcome.reward };
+        history.reward(after, rewards, memory.records);
         instance.episode_return += outcome.reward;
         if outcome.done() {
             history.end(after, outcome.timed_out, memory.records);
@@ -272,6 +273,7 @@ fn random_action(available: u16, generator: &mut Generator) -> u8 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::methods::alma::RecordLayout;
     use crate::methods::alma::team_value::Decision;
 
     fn config(episode_limit: u32) -> Config {
@@ -288,20 +290,22 @@ mod tests {
             |shape| UtilityNetwork::initialise(shape, 8.0, &mut generator(1, Purpose::Weights, 0));
         let config = config(1);
         let (agents, allocator) =
-            (network(config.network.shape(ACTIONS)), network(config.allocator.shape()));
+            (network(config.agent_shape().unwrap()), network(config.allocator.shape()));
         let mut counts = EpisodeCounts::default();
         for step in 0..steps {
             let allocator = (step >= decides).then_some(&allocator);
             let behaviour = Behaviour { agents: &agents, epsilon: 0.0, allocator };
-            let memory =
-                Memory { records: &mut Replay::new(100, 5), segments: Some(&mut *segments) };
+            let memory = Memory {
+                records: &mut Replay::new(100, RecordLayout { agents: 5, buildings: 1 }),
+                segments: Some(&mut *segments),
+            };
             rollout.step(behaviour, memory, &mut counts).unwrap();
         }
         counts.decisions
     }
 
     fn rollout(config: &Config) -> Rollout {
-        Rollout::new(config, config.network.shape(ACTIONS), 1).unwrap()
+        Rollout::new(config, config.agent_shape().unwrap(), 1).unwrap()
     }
 
     #[test]

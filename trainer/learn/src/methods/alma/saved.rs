@@ -3,16 +3,19 @@
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use sortie_envs::save_the_city::{ACTIONS, ScenarioSet};
+use sortie_envs::save_the_city::ScenarioSet;
 
 use super::config::Config;
-use super::learner::{Learner, Loss, Parameters, UpdateReport};
-use super::replay::Replay;
+use super::learner::{Learner, Loss, UpdateReport};
+use super::mixed_network::MixedNetwork;
+use super::mixer::Mixer;
+use super::replay::{RecordLayout, Replay};
 use super::rollout::{EpisodeCounts, InstanceSnapshot};
 use super::team_value::Segments;
 use super::trainer::{Observer, Trainer};
 use super::utility::{UtilityNetwork, UtilityShape};
 use crate::error::LearnError;
+use crate::optimise::Adam;
 use crate::random::Generator;
 use crate::run::checkpoint::{Checkpoint, OpenFor, SavedNetwork};
 use crate::run::{CurvePoint, RunFolder};
@@ -114,6 +117,10 @@ struct StateRef<'a> {
     adam_steps: Level<u64>,
     picks: &'a Level<Generator>,
     instances: Vec<InstanceSnapshot>,
+    /// Parameters of the mixer: online, target and average.
+    mixers: [&'a [f32]; 3],
+    /// Adam's mean and square of the mixer.
+    mixer_adam: [&'a [f32]; 2],
     records: &'a Replay,
     segments: Option<&'a Segments>,
 }
@@ -125,6 +132,8 @@ struct State {
     adam_steps: Level<u64>,
     picks: Level<Generator>,
     instances: Vec<InstanceSnapshot>,
+    mixers: [Vec<f32>; 3],
+    mixer_adam: [Vec<f32>; 2],
     records: Replay,
     segments: Option<Segments>,
 }
@@ -138,10 +147,14 @@ impl Trainer {
     pub(super) fn save(&self, observer: &mut dyn Observer) -> Result<(), LearnError> {
         let agents = self.agents.knowledge();
         let allocator = self.allocator.as_ref().map(|learner| (learner, learner.knowledge()));
-        let mut networks = vec![saved(AGENTS, &self.agents, [&agents.online, &agents.target])];
+        let mixed = [&agents.online, &agents.target, &self.agents.average];
+        let mut networks =
+            vec![saved(AGENTS, mixed.map(|network| &network.utility), &self.agents.adam)];
         if let Some((learner, knowledge)) = &allocator {
-            networks.push(saved(ALLOCATOR, learner, [&knowledge.online, &knowledge.target]));
+            let all = [&knowledge.online, &knowledge.target, &learner.average];
+            networks.push(saved(ALLOCATOR, all, &learner.adam));
         }
+        let utilities = agents.online.utility.shape().parameters();
         let state = StateRef {
             counters: &self.counters,
             adam_steps: Level {
@@ -150,6 +163,11 @@ impl Trainer {
             },
             picks: &self.picks,
             instances: self.rollout.snapshot(),
+            mixers: mixed.map(|network| network.mixer.parameters()),
+            mixer_adam: [
+                &self.agents.adam.mean[utilities..],
+                &self.agents.adam.square[utilities..],
+            ],
             records: &agents.replay,
             segments: allocator.as_ref().map(|(_, knowledge)| &knowledge.replay),
         };
@@ -172,11 +190,14 @@ impl Trainer {
         };
         let config = &description.config;
         let set = ScenarioSet::named(&config.environment.set)?;
-        if !state.records.fits(config.replay.capacity, set.max_agents) {
+        if !state
+            .records
+            .fits(config.replay.capacity, RecordLayout::new(config.network.subtask, &set))
+        {
             return Err(misfit("replay"));
         }
         let fits = |segments: &Segments| segments.fits(config.allocator.replay.capacity);
-        if state.segments.is_some() != config.allocation.is_learned()
+        if state.segments.is_some() != config.learns_allocator()
             || !state.segments.as_ref().is_none_or(fits)
         {
             return Err(misfit("allocator"));
@@ -186,66 +207,90 @@ impl Trainer {
         trainer.rollout.restore(state.instances)?;
         trainer.picks = state.picks;
         trainer.counters = state.counters;
-        let shape = trainer.description.config.network.shape(ACTIONS);
-        let agents = Saved { checkpoint: &found.checkpoint, name: AGENTS, shape };
-        agents.restore(&mut trainer.agents, state.adam_steps.agents, state.records)?;
+        let config = trainer.description.config.clone();
+        let shape = config.agent_shape()?;
+        let adam = Adam { steps: state.adam_steps.agents, ..trainer.agents.adam.clone() };
+        let Restored { networks, mut adam } = restored(&found.checkpoint, AGENTS, shape, adam)?;
+        let mixer_shape = config.mixer.shape(shape.input);
+        let [mean, square] = state.mixer_adam;
+        if [&mean, &square].iter().any(|vector| vector.len() != mixer_shape.parameters()) {
+            return Err(misfit("mixer"));
+        }
+        adam.mean.extend(mean);
+        adam.square.extend(square);
+        let mut mixed = Vec::new();
+        for (utility, parameters) in networks.into_iter().zip(state.mixers) {
+            let mixer = Mixer::from_parameters(mixer_shape, parameters);
+            mixed.push(MixedNetwork { utility, mixer: mixer.ok_or_else(|| misfit("mixer"))? });
+        }
+        let mixed = <[MixedNetwork; 3]>::try_from(mixed).map_err(|_| misfit("mixer"))?;
+        put_back(&mut trainer.agents, mixed, adam, state.records);
         if let (Some(learner), Some(segments)) = (&mut trainer.allocator, state.segments) {
-            let shape = trainer.description.config.allocator.shape();
-            let allocator = Saved { checkpoint: &found.checkpoint, name: ALLOCATOR, shape };
-            allocator.restore(learner, state.adam_steps.allocator, segments)?;
+            let shape = config.allocator.shape();
+            let adam = Adam { steps: state.adam_steps.allocator, ..learner.adam.clone() };
+            let restored = restored(&found.checkpoint, ALLOCATOR, shape, adam)?;
+            put_back(learner, restored.networks, restored.adam, segments);
         }
         trainer.refused = found.refused;
         Ok(trainer)
     }
 }
 
-/// The vectors of a learner whose networks are borrowed.
-fn saved<'a, L: Loss<Network = UtilityNetwork>>(
+/// The vectors of a network and of its optimiser, whose vectors may go on behind its own.
+fn saved<'a>(
     name: &'static str,
-    learner: &'a Learner<L>,
-    [online, target]: [&'a UtilityNetwork; 2],
+    [online, target, average]: [&'a UtilityNetwork; 3],
+    adam: &'a Adam,
 ) -> SavedNetwork<'a> {
+    let count = online.shape().parameters();
     SavedNetwork {
         name,
         shape: online.shape(),
         vectors: vec![
             ("online", online.parameters()),
             ("target", target.parameters()),
-            ("average", learner.average.parameters()),
-            ("adam-mean", &learner.adam.mean),
-            ("adam-square", &learner.adam.square),
+            ("average", average.parameters()),
+            ("adam-mean", &adam.mean[..count]),
+            ("adam-square", &adam.square[..count]),
         ],
     }
 }
 
-/// A learner's part of a checkpoint.
-struct Saved<'a> {
-    checkpoint: &'a Checkpoint,
-    name: &'static str,
-    /// The shape that the configuration asks for.
-    shape: UtilityShape,
+/// What a checkpoint holds of a network: online, target and average, and the optimiser.
+struct Restored {
+    networks: [UtilityNetwork; 3],
+    adam: Adam,
 }
 
-impl Saved<'_> {
-    fn restore<L: Loss<Network = UtilityNetwork>>(
-        &self,
-        learner: &mut Learner<L>,
-        adam_steps: u64,
-        replay: L::Replay,
-    ) -> Result<(), LearnError> {
-        if self.checkpoint.shape(self.name)? != self.shape {
-            let reason = format!("its {} network does not fit train.toml", self.name);
-            return Err(LearnError::format(self.checkpoint.place(), reason));
-        }
-        let network = |vector: &str| self.checkpoint.network(self.name, vector);
-        learner.average = network("average")?;
-        learner.adam.mean = self.checkpoint.vector(self.name, "adam-mean")?;
-        learner.adam.square = self.checkpoint.vector(self.name, "adam-square")?;
-        learner.adam.steps = adam_steps;
-        let mut knowledge = learner.knowledge_mut();
-        knowledge.online = network("online")?;
-        knowledge.target = network("target")?;
-        knowledge.replay = replay;
-        Ok(())
+/// Reads a network of the shape that the configuration asks for.
+fn restored(
+    checkpoint: &Checkpoint,
+    name: &str,
+    shape: UtilityShape,
+    adam: Adam,
+) -> Result<Restored, LearnError> {
+    if checkpoint.shape(name)? != shape {
+        let reason = format!("its {name} network does not fit train.toml");
+        return Err(LearnError::format(checkpoint.place(), reason));
     }
+    let network = |vector: &str| checkpoint.network(name, vector);
+    let mean = checkpoint.vector(name, "adam-mean")?;
+    let square = checkpoint.vector(name, "adam-square")?;
+    let networks = [network("online")?, network("target")?, network("average")?];
+    Ok(Restored { networks, adam: Adam { mean, square, ..adam } })
+}
+
+/// Puts a learner back to where it was.
+fn put_back<L: Loss>(
+    learner: &mut Learner<L>,
+    [online, target, average]: [L::Network; 3],
+    adam: Adam,
+    replay: L::Replay,
+) {
+    learner.average = average;
+    learner.adam = adam;
+    let mut knowledge = learner.knowledge_mut();
+    knowledge.online = online;
+    knowledge.target = target;
+    knowledge.replay = replay;
 }

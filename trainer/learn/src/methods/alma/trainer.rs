@@ -6,18 +6,20 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use rustix::time::{ClockId, clock_gettime};
-use sortie_envs::save_the_city::{ACTIONS, ScenarioSet};
+use sortie_envs::save_the_city::ScenarioSet;
 
 use super::config::{Allocation, Config};
 use super::learner::{Knowledge, Learner};
-use super::replay::Replay;
+use super::mixed_network::MixedNetwork;
+use super::mixer::Mixer;
+use super::replay::{RecordLayout, Replay};
 use super::rollout::{Behaviour, Memory, Rollout};
 use super::saved::{Counters, Level};
 use super::team_value::{Segments, TeamValueAllocator, TeamValueLoss};
 use super::temporal_difference::Chunk;
 use super::utility::UtilityNetwork;
 use crate::error::LearnError;
-use crate::evaluate::{Evaluation, EvaluationPlan, NetworkTeam, evaluate};
+use crate::evaluate::{Evaluation, EvaluationPlan, NetworkTeam, NoSubtasks, evaluate};
 use crate::random::{Generator, Purpose, generator};
 use crate::run::{CurvePoint, RunDescription, RunFolder, RunResult};
 use crate::workers::Workers;
@@ -105,15 +107,15 @@ impl Trainer {
 
     pub(super) fn start(description: RunDescription, folder: &Path) -> Result<Self, LearnError> {
         let RunDescription { config, seed, threads, .. } = &description;
-        let agents = agents(config, *seed)?;
-        let allocator = config.allocation.is_learned().then(|| allocator(config, *seed));
+        let agents = agents_learner(config, *seed)?;
+        let allocator = config.learns_allocator().then(|| allocator_learner(config, *seed));
         let (act, allocate) = (agents.job(), allocator.as_ref().map(Learner::job));
         let job = Arc::new(move || {
             act();
             allocate.iter().for_each(|allocate| allocate());
         });
         Ok(Self {
-            rollout: Rollout::new(config, config.network.shape(ACTIONS), *seed)?,
+            rollout: Rollout::new(config, config.agent_shape()?, *seed)?,
             workers: Workers::new(*threads, job),
             agents,
             allocator,
@@ -145,7 +147,7 @@ impl Trainer {
 
     /// The agents' averaged weights: what is measured and shipped.
     pub fn network(&self) -> &UtilityNetwork {
-        &self.agents.average
+        &self.agents.average.utility
     }
 
     /// The allocator's averaged weights, if the run learns one.
@@ -220,7 +222,7 @@ impl Trainer {
             segments = (env_steps >= config.learns_from).then_some(replay);
         }
         let epsilon = exploration.epsilon_at(env_steps);
-        let behaviour = Behaviour { agents: online, epsilon, allocator: network };
+        let behaviour = Behaviour { agents: &online.utility, epsilon, allocator: network };
         let memory = Memory { records: replay, segments };
         self.rollout.step(behaviour, memory, &mut self.counters.window.episodes)
     }
@@ -266,8 +268,11 @@ impl Trainer {
     /// Measures the averaged weights of both levels.
     pub fn measure(&self, episodes: usize, seed: u64) -> Result<Evaluation, LearnError> {
         let plan = self.plan(episodes, seed)?;
-        let config = &self.description.config.allocation;
-        let mut team = NetworkTeam::new(&self.agents.average);
+        let Config { network, allocation: config, .. } = &self.description.config;
+        let mut team = NetworkTeam::conditioned(self.network(), network.subtask);
+        if !network.subtask.has_subtasks() {
+            return evaluate(&plan, &mut team, &mut NoSubtasks);
+        }
         match (config.measured(), self.allocator()) {
             (Allocation::Rule(mut rule), _) => evaluate(&plan, &mut team, &mut rule),
             (Allocation::Learned, network) => {
@@ -292,13 +297,14 @@ impl Trainer {
 
     /// Measures the finished run on episodes that no run uses before its end.
     fn report(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError> {
-        let Config { environment, allocation, run, .. } = &self.description.config;
+        let config = &self.description.config;
+        let Config { environment, run, .. } = config;
         if run.final_episodes == 0 {
             return Ok(());
         }
         let result = RunResult {
             env: format!("{}/{}", environment.name, environment.set),
-            allocation: allocation.measured().name().to_owned(),
+            allocation: config.measured_allocation().to_owned(),
             seed: REPORT_SEED,
             evaluation: self.measure(run.final_episodes, REPORT_SEED)?,
         };
@@ -317,7 +323,7 @@ impl Trainer {
             decisions: decisions + episodes.decisions,
             wall_s: *wall_s,
             cpu_s: *cpu_s,
-            allocation: config.allocation.measured().name().to_owned(),
+            allocation: config.measured_allocation().to_owned(),
             success: result.success,
             success_ci95: result.success_ci95,
             timeouts: result.timeouts,
@@ -342,17 +348,22 @@ impl Trainer {
 }
 
 /// The learner of the agents, before its first update.
-fn agents(config: &Config, seed: u64) -> Result<Learner<Chunk>, LearnError> {
-    let shape = config.network.shape(ACTIONS);
+pub fn agents_learner(config: &Config, seed: u64) -> Result<Learner<Chunk>, LearnError> {
+    let (shape, inputs) = (config.agent_shape()?, config.network.active_inputs);
     let mut weights = generator(seed, Purpose::Weights, 0);
-    let online = UtilityNetwork::initialise(shape, config.network.active_inputs, &mut weights);
+    let online = MixedNetwork {
+        utility: UtilityNetwork::initialise(shape, inputs, &mut weights),
+        mixer: Mixer::initialise(config.mixer.shape(shape.input), inputs, &mut weights),
+    };
     let set = ScenarioSet::named(&config.environment.set)?;
-    let replay = Replay::new(config.replay.capacity, set.max_agents);
-    Ok(Learner::new((&config.replay, &config.optimiser), online, replay, &Chunk::new(shape)))
+    let layout = RecordLayout::new(config.network.subtask, &set);
+    let replay = Replay::new(config.replay.capacity, layout);
+    let loss = Chunk::new(&online, config.network.subtask, config.mixer.reward_factor());
+    Ok(Learner::new((&config.replay, &config.optimiser), online, replay, &loss))
 }
 
 /// The learner of the allocator, before its first update.
-fn allocator(config: &Config, seed: u64) -> Learner<TeamValueLoss> {
+pub fn allocator_learner(config: &Config, seed: u64) -> Learner<TeamValueLoss> {
     let config = &config.allocator;
     let mut weights = generator(seed, Purpose::Weights, ALLOCATOR_STREAM);
     let inputs = config.network.active_inputs;

@@ -7,6 +7,7 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
+use super::entity_attention::{AttentionGradients, AttentionWeights};
 use super::learner::Parameters;
 use crate::layers::attention::AttentionShape;
 use crate::layers::linear::LinearShape;
@@ -34,10 +35,6 @@ impl UtilityShape {
 
     pub(super) fn queries(self) -> LinearShape {
         LinearShape { input: self.width, output: self.width }
-    }
-
-    pub(super) fn keys_values(self) -> LinearShape {
-        LinearShape { input: self.width, output: 2 * self.width }
     }
 
     pub(super) fn fc2(self) -> LinearShape {
@@ -129,6 +126,16 @@ impl UtilityNetwork {
         self.shape
     }
 
+    /// All parameters, in the order of [`UtilityShape::tensors`].
+    pub fn parameters(&self) -> &[f32] {
+        &self.parameters
+    }
+
+    /// All parameters, to be changed.
+    pub fn parameters_mut(&mut self) -> &mut [f32] {
+        &mut self.parameters
+    }
+
     /// The tensors in PyTorch's layout, for export.
     pub fn weights(&self) -> UtilityWeights {
         let UtilityShape { input, width, .. } = self.shape;
@@ -179,10 +186,7 @@ impl UtilityNetwork {
             self.shape.tensors().map(|tensor| &self.parameters[tensor.range]);
         let (queries, keys_values) = attention_in.split_at(width * width);
         UtilityView {
-            fc1,
-            fc1_bias,
-            queries,
-            keys_values,
+            attention: AttentionWeights { fc1, fc1_bias, queries, keys_values },
             out,
             out_bias,
             fc2,
@@ -193,24 +197,20 @@ impl UtilityNetwork {
     }
 }
 
-/// In the order of [`UtilityShape::tensors`].
 impl Parameters for UtilityNetwork {
-    fn parameters(&self) -> &[f32] {
-        &self.parameters
+    fn parts(&self) -> Vec<&[f32]> {
+        vec![&self.parameters]
     }
 
-    fn parameters_mut(&mut self) -> &mut [f32] {
-        &mut self.parameters
+    fn parts_mut(&mut self) -> Vec<&mut [f32]> {
+        vec![&mut self.parameters]
     }
 }
 
 /// The tensors of a network, borrowed.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct UtilityView<'a> {
-    pub(super) fc1: &'a [f32],
-    pub(super) fc1_bias: &'a [f32],
-    pub(super) queries: &'a [f32],
-    pub(super) keys_values: &'a [f32],
+    pub(super) attention: AttentionWeights<'a>,
     pub(super) out: &'a [f32],
     pub(super) out_bias: &'a [f32],
     pub(super) fc2: &'a [f32],
@@ -222,10 +222,7 @@ pub(super) struct UtilityView<'a> {
 /// The tensors of a gradient vector, in the places of the parameters.
 #[derive(Debug)]
 pub(super) struct UtilityViewMut<'a> {
-    pub(super) fc1: &'a mut [f32],
-    pub(super) fc1_bias: &'a mut [f32],
-    pub(super) queries: &'a mut [f32],
-    pub(super) keys_values: &'a mut [f32],
+    pub(super) attention: AttentionGradients<'a>,
     pub(super) out: &'a mut [f32],
     pub(super) out_bias: &'a mut [f32],
     pub(super) fc2: &'a mut [f32],
@@ -242,7 +239,8 @@ impl<'a> UtilityViewMut<'a> {
         let [fc1, fc1_bias, attention_in, out, out_bias, fc2, fc2_bias, head, head_bias] =
             shape.tensors().map(|tensor| take(tensor.range.len()));
         let (queries, keys_values) = attention_in.split_at_mut(width * width);
-        Self { fc1, fc1_bias, queries, keys_values, out, out_bias, fc2, fc2_bias, head, head_bias }
+        let attention = AttentionGradients { fc1, fc1_bias, queries, keys_values };
+        Self { attention, out, out_bias, fc2, fc2_bias, head, head_bias }
     }
 }
 

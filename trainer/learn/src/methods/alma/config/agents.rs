@@ -4,7 +4,9 @@ use serde::{Deserialize, Serialize};
 
 use super::require;
 use crate::error::LearnError;
+use crate::methods::alma::conditioning::Conditioning;
 use crate::methods::alma::history::Returns;
+use crate::methods::alma::mixer::{MixerKind, MixerShape};
 use crate::methods::alma::team_batch::INPUT_COLUMNS;
 use crate::methods::alma::utility::UtilityShape;
 use crate::schedule::linear;
@@ -54,6 +56,87 @@ impl NetworkConfig {
     }
 }
 
+/// The agents' network: its sizes, and what it sees of the subtasks.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AgentNetworkConfig {
+    /// What agents see of the subtasks: `mask`, `input` or `none`.
+    pub subtask: Conditioning,
+    /// Width of embedding and attention. The dissertation has 128.
+    pub width: usize,
+    /// Attention heads.
+    pub heads: usize,
+    /// Width of the layer before the head.
+    pub base: usize,
+    /// Non-zero inputs that the initial weights of the first layer are sized for.
+    pub active_inputs: f32,
+}
+
+impl Default for AgentNetworkConfig {
+    fn default() -> Self {
+        let NetworkConfig { width, heads, base, active_inputs } = NetworkConfig::default();
+        Self { subtask: Conditioning::Mask, width, heads, base, active_inputs }
+    }
+}
+
+impl AgentNetworkConfig {
+    /// The sizes alone.
+    pub(super) fn sizes(&self) -> NetworkConfig {
+        let Self { width, heads, base, active_inputs, .. } = *self;
+        NetworkConfig { width, heads, base, active_inputs }
+    }
+
+    /// The network's shape in an environment with so many actions and subtasks.
+    pub fn shape(&self, actions: usize, tasks: usize) -> UtilityShape {
+        let marks = self.subtask.task_columns(tasks);
+        UtilityShape { input: INPUT_COLUMNS + marks, ..self.sizes().shape(actions) }
+    }
+}
+
+/// How the utilities of a team become its value.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MixerConfig {
+    /// `sum` (VDN), `linear` or `qmix`.
+    pub kind: MixerKind,
+    /// Width of embedding and attention of the hypernetwork that `linear` and `qmix` have.
+    pub width: usize,
+    /// Its attention heads.
+    pub heads: usize,
+    /// Width between the two layers of `qmix`.
+    pub mixing: usize,
+    /// Factor on the rewards under `qmix`, whose layers shrink values at first.
+    pub reward_scale: f32,
+}
+
+impl Default for MixerConfig {
+    fn default() -> Self {
+        Self { kind: MixerKind::Sum, width: 64, heads: 4, mixing: 32, reward_scale: 0.2 }
+    }
+}
+
+impl MixerConfig {
+    /// The mixer's shape for entities of so many input columns.
+    pub fn shape(&self, input: usize) -> MixerShape {
+        let Self { kind, width, heads, mixing, .. } = *self;
+        MixerShape { kind, input, width, heads, mixing }
+    }
+
+    /// What rewards are multiplied by.
+    pub fn reward_factor(&self) -> f32 {
+        if self.kind == MixerKind::Qmix { self.reward_scale } else { 1.0 }
+    }
+
+    pub(super) fn check(&self) -> Result<(), LearnError> {
+        require(
+            self.heads > 0 && self.width > 0 && self.width.is_multiple_of(self.heads),
+            "`mixer.width` must be a multiple of `mixer.heads`",
+        )?;
+        require(self.mixing > 0, "`mixer.mixing` must be at least 1")?;
+        require(self.reward_scale > 0.0, "`mixer.reward_scale` must be positive")
+    }
+}
+
 /// How rewards become targets.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -62,7 +145,8 @@ pub struct ReturnsConfig {
     pub steps: u32,
     /// Discount per step.
     pub discount: f32,
-    /// Potential per cell between an agent and its building; 0 turns shaping off.
+    /// Potential per cell between an agent and its building; 0 turns shaping off. Without subtasks
+    /// the nearest open building counts.
     ///
     /// Not in the dissertation. It leaves the best policy as it is and learning takes half as long.
     pub shaping: f32,

@@ -7,11 +7,16 @@ mod run;
 
 use serde::{Deserialize, Serialize};
 
-pub use agents::{ExplorationConfig, NetworkConfig, ReturnsConfig};
+pub use agents::{
+    AgentNetworkConfig, ExplorationConfig, MixerConfig, NetworkConfig, ReturnsConfig,
+};
 pub use allocation::{Allocation, AllocationConfig, AllocatorConfig};
 pub use learning::{OptimiserConfig, ReplayConfig};
 pub use run::{EnvironmentConfig, RunConfig};
 
+use sortie_envs::save_the_city::{ACTIONS, ScenarioSet};
+
+use super::utility::UtilityShape;
 use crate::error::LearnError;
 use crate::run::RunDescription;
 
@@ -23,8 +28,10 @@ pub struct Config {
     pub environment: EnvironmentConfig,
     /// Who assigns agents to buildings while learning.
     pub allocation: AllocationConfig,
-    /// Sizes of the utility network.
-    pub network: NetworkConfig,
+    /// The agents' network.
+    pub network: AgentNetworkConfig,
+    /// How the utilities of a team become its value.
+    pub mixer: MixerConfig,
     /// How rewards become targets.
     pub returns: ReturnsConfig,
     /// What is kept and how much of it an update sees.
@@ -89,11 +96,28 @@ impl Config {
         Ok(())
     }
 
+    /// Whether the run learns an allocator; without subtasks there is nothing to allocate.
+    pub fn learns_allocator(&self) -> bool {
+        self.allocation.is_learned() && self.network.subtask.has_subtasks()
+    }
+
+    /// Who allocates where the run is measured, by name.
+    pub fn measured_allocation(&self) -> &'static str {
+        if self.network.subtask.has_subtasks() { self.allocation.measured().name() } else { "none" }
+    }
+
+    /// The shape of the agents' network in this run's environment.
+    pub fn agent_shape(&self) -> Result<UtilityShape, LearnError> {
+        let set = ScenarioSet::named(&self.environment.set)?;
+        Ok(self.network.shape(ACTIONS, set.max_buildings))
+    }
+
     /// Refuses values that cannot work.
     pub fn check(&self) -> Result<(), LearnError> {
         self.environment.check()?;
         self.allocation.check()?;
-        self.network.check("network")?;
+        self.network.sizes().check("network")?;
+        self.mixer.check()?;
         self.returns.check()?;
         self.replay.check("replay")?;
         self.exploration.check()?;
@@ -123,6 +147,7 @@ fn parse_like(old: &toml::Value, text: &str) -> Option<toml::Value> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::methods::alma::{Conditioning, MixerKind};
 
     #[test]
     fn the_written_file_reads_back() {
@@ -143,6 +168,8 @@ mod tests {
             "exploration.spread=[0.0, 1.0]",
             "allocator.network.width=32",
             "environment.constants.episode_limit=99",
+            "network.subtask=input",
+            "mixer.kind=qmix",
         ] {
             config.set(assignment).unwrap_or_else(|error| panic!("{error}"));
         }
@@ -152,6 +179,8 @@ mod tests {
         assert!(!config.replay.symmetries);
         assert_eq!(config.exploration.spread, [0.0, 1.0]);
         assert_eq!(config.environment.constants.episode_limit, 99);
+        assert_eq!(config.network.subtask, Conditioning::Input);
+        assert_eq!(config.mixer.kind, MixerKind::Qmix);
     }
 
     #[test]
@@ -164,6 +193,9 @@ mod tests {
             ("replay.batch=many", "not a value"),
             ("replay.batch=0", "at least 1"),
             ("network.heads=5", "multiple"),
+            ("network.subtask=masked", "unknown variant"),
+            ("mixer.kind=vdn", "unknown variant"),
+            ("mixer.heads=5", "`mixer.width`"),
             ("allocation.learned=0", "positive"),
             ("allocator.moved=2", "`allocator.moved`"),
             ("allocator.replay.batch=0", "`allocator.replay.batch`"),

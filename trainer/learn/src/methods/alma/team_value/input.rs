@@ -144,7 +144,7 @@ fn end_row(rows: &mut SparseRows, travel_time: f64) -> usize {
 mod tests {
     use super::*;
     use crate::layers::gradient_check::assert_gradient;
-    use crate::methods::alma::{Parameters, UtilityNetwork, UtilityPass, config::AllocatorConfig};
+    use crate::methods::alma::{UtilityNetwork, UtilityPass, config::AllocatorConfig};
     use crate::random::{Purpose, generator};
     use sortie_envs::save_the_city::{Constants, SaveTheCity, ScenarioSet, Status};
 

@@ -21,14 +21,14 @@ struct Picked<'a> {
 }
 
 impl<'a> Picked<'a> {
-    /// The lot decides on the building. `None` where no building was open.
+    /// The draw decides on the building. `None` where no building was open.
     fn new(replay: &'a Segments, pick: &Pick) -> Option<Self> {
         let segment = replay.get(pick.sample as usize);
         let open = || {
             let buildings = segment.now.buildings.iter().enumerate();
             buildings.filter(|(_, building)| building.is_open()).map(|(task, _)| task)
         };
-        let place = usize::from(pick.lot).checked_rem(open().count())?;
+        let place = (pick.draw as usize).checked_rem(open().count())?;
         let turn = Symmetry::ALL[usize::from(pick.symmetry)];
         open().nth(place).map(|task| Self { segment, task, turn })
     }
@@ -132,7 +132,6 @@ mod tests {
     use super::*;
     use crate::layers::gradient_check::assert_gradient;
     use crate::methods::alma::config::{AllocatorConfig, NetworkConfig};
-    use crate::methods::alma::learner::Parameters;
     use crate::random::{Purpose, generator};
     use sortie_envs::Environment;
     use sortie_envs::save_the_city::{Constants, SaveTheCity, ScenarioSet, Status};
@@ -163,7 +162,7 @@ mod tests {
     }
 
     fn picks() -> Vec<Pick> {
-        (0..20).map(|i| Pick { sample: i, symmetry: (i % 8) as u8, lot: i as u16 }).collect()
+        (0..20).map(|i| Pick { sample: i, symmetry: (i % 8) as u8, draw: i.into() }).collect()
     }
 
     #[test]
@@ -193,7 +192,7 @@ mod tests {
         for number in 0..20 {
             let tasks = segments.get(number).now.buildings.len();
             for task in 0..tasks {
-                let pick = Pick { sample: number as u32, symmetry: 0, lot: task as u16 };
+                let pick = Pick { sample: number as u32, symmetry: 0, draw: task as u64 };
                 loss.find_targets(&target, &[Picked::new(&segments, &pick).unwrap()]);
                 let bootstraps = number % 5 != 0 && (task != 0 || number % 2 != 0);
                 assert_eq!(loss.targets[0] != task as f32 - 1.0, bootstraps, "{number} {task}");

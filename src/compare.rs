@@ -1,0 +1,169 @@
+//! `sortie compare`: how methods did, over several seeds each.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use serde::Serialize;
+use sortie_learn::report::numbers::{count, duration};
+use sortie_learn::report::{self, Comparison, Group, GroupSummary, Reached, RunRecord};
+
+use crate::arguments::Common;
+use crate::failure::{Exit, Failure, Outcome};
+use crate::output::{Table, print_json};
+
+/// Compare training runs, several seeds to a label, as tables and pictures
+///
+/// Runs are finished or still learning. Those whose folders differ only in `-s<seed>` at the end of their names are one
+/// label. The folder gets `curves-steps.svg`, `curves-cpu.svg`, `table.md`, `table.csv`, `table.json` and, where runs
+/// have a `result.json`, success by team in `teams.svg` and `teams.csv`.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  sortie compare runs/alma-s1 runs/alma-s2 runs/random-s1 --out comparison
+  sortie compare --label 'ALMA=runs/alma-s*' --label 'random allocation=runs/random-s*' --out comparison")]
+pub(crate) struct CompareArguments {
+    /// Folders of runs, or folders that hold runs
+    #[arg(value_name = "RUN", required_unless_present = "labels")]
+    runs: Vec<String>,
+    /// Runs by folder or pattern, under a name of their own; may be given several times
+    #[arg(long = "label", value_name = "NAME=GLOB|FOLDER", value_parser = label)]
+    labels: Vec<(String, String)>,
+    /// Folder of the tables and pictures
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Title of the tables and pictures
+    #[arg(long, default_value = "Comparison of training runs")]
+    title: String,
+    #[command(flatten)]
+    common: Common,
+}
+
+fn label(text: &str) -> Result<(String, String), String> {
+    match text.split_once('=') {
+        Some((name, pattern)) if !name.is_empty() && !pattern.is_empty() => {
+            Ok((name.to_owned(), pattern.to_owned()))
+        }
+        _ => Err("expected NAME=FOLDER or NAME=GLOB".to_owned()),
+    }
+}
+
+#[derive(Serialize)]
+struct Report<'a> {
+    #[serde(flatten)]
+    comparison: &'a Comparison,
+    files: &'a [PathBuf],
+}
+
+pub(crate) fn run(arguments: &CompareArguments) -> Outcome {
+    let groups = groups(arguments)?;
+    let comparison = Comparison::of(&arguments.title, &groups);
+    let files = report::write(&arguments.out, &groups, &comparison)?;
+    if arguments.common.json {
+        print_json(&Report { comparison: &comparison, files: &files });
+    } else {
+        print(&comparison, arguments);
+    }
+    Ok(())
+}
+
+/// The groups in the order in which they are named: runs first, then labels.
+fn groups(arguments: &CompareArguments) -> Result<Vec<Group>, Failure> {
+    let mut groups = Vec::new();
+    for pattern in &arguments.runs {
+        for run in runs(pattern)? {
+            add(&mut groups, run.label(), run);
+        }
+    }
+    for (name, pattern) in &arguments.labels {
+        for run in runs(pattern)? {
+            add(&mut groups, name.clone(), run);
+        }
+    }
+    for group in &mut groups {
+        group.runs.sort_by_key(|run| (run.seed, run.name()));
+    }
+    Ok(groups)
+}
+
+/// Adds a run to its group, once.
+fn add(groups: &mut Vec<Group>, label: String, run: RunRecord) {
+    match groups.iter_mut().find(|group| group.label == label) {
+        Some(group) if group.runs.iter().any(|other| other.folder == run.folder) => {}
+        Some(group) => group.runs.push(run),
+        None => groups.push(Group { label, runs: vec![run] }),
+    }
+}
+
+/// The runs that a folder or a pattern means.
+fn runs(pattern: &str) -> Result<Vec<RunRecord>, Failure> {
+    let mut folders = Vec::new();
+    for place in places(pattern)? {
+        if RunRecord::is_in(&place) {
+            folders.push(place);
+        } else {
+            folders.extend(children(&place).into_iter().filter(|child| RunRecord::is_in(child)));
+        }
+    }
+    if folders.is_empty() {
+        let reason = "names no run that has been evaluated: there is no `curve.json`";
+        return Err(Failure::new(Exit::Missing, format!("`{pattern}` {reason}")));
+    }
+    Ok(folders.iter().map(|folder| RunRecord::open(folder)).collect::<Result<_, _>>()?)
+}
+
+fn places(pattern: &str) -> Result<Vec<PathBuf>, Failure> {
+    if Path::new(pattern).exists() {
+        return Ok(vec![pattern.into()]);
+    }
+    let found = glob::glob(pattern)
+        .map_err(|error| Failure::new(Exit::Usage, format!("`{pattern}`: {error}")))?;
+    Ok(found.flatten().collect())
+}
+
+fn children(folder: &Path) -> Vec<PathBuf> {
+    let entries = folder.read_dir().into_iter().flatten().flatten();
+    let mut children: Vec<PathBuf> = entries.map(|entry| entry.path()).collect();
+    children.sort();
+    children
+}
+
+fn print(comparison: &Comparison, arguments: &CompareArguments) {
+    let levels: Vec<&String> =
+        comparison.groups.iter().take(1).flat_map(|group| group.until.keys()).collect();
+    let mut header =
+        ["label", "runs", "success", "sd", "range", "steps", "CPU"].map(String::from).to_vec();
+    header.extend(levels.iter().map(|level| format!("CPU until {level}")));
+    let header: Vec<&str> = header.iter().map(String::as_str).collect();
+    let mut table = Table::new(&header);
+    for group in &comparison.groups {
+        table.row(cells(group, &levels));
+    }
+    table.print();
+    if !arguments.common.quiet {
+        for note in &comparison.notes {
+            eprintln!("note: {note}");
+        }
+        eprintln!("tables and pictures are in {}", arguments.out.display());
+    }
+}
+
+fn cells(group: &GroupSummary, levels: &[&String]) -> Vec<String> {
+    let success = group.success;
+    let mut cells = vec![
+        group.label.clone(),
+        group.runs.to_string(),
+        format!("{:.3}", success.mean),
+        success.sd.map_or(String::new(), |sd| format!("{sd:.3}")),
+        format!("{:.3}–{:.3}", success.min, success.max),
+        count(group.env_steps.mean),
+        duration(group.cpu_s.mean),
+    ];
+    for until in levels.iter().filter_map(|level| group.until.get(*level)) {
+        let mean = until.cpu_s.map(|Reached { mean, .. }| duration(mean));
+        cells.push(match mean {
+            None => "never".to_owned(),
+            Some(mean) if until.reached == group.runs => mean,
+            Some(mean) => format!("{mean} ({} of {})", until.reached, group.runs),
+        });
+    }
+    cells
+}

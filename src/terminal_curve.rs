@@ -1,0 +1,148 @@
+//! A learning curve as text, for terminals.
+
+use sortie_learn::report::numbers::count;
+
+/// Characters before the plot: a label and the axis.
+const LEFT: usize = 5;
+/// Braille characters have two columns and four rows of dots.
+const DOTS: (usize, usize) = (2, 4);
+/// The dots of a braille character by row, for its left and its right column.
+const BITS: [[u8; 4]; 2] = [[0x01, 0x02, 0x04, 0x40], [0x08, 0x10, 0x20, 0x80]];
+
+/// Draws success (0 to 1) against environment steps, in ascending order, on so many lines of so many
+/// characters; two of the lines are the axis.
+///
+/// Too little room gives no line at all.
+pub(crate) fn terminal_curve(points: &[(f64, f64)], width: usize, height: usize) -> Vec<String> {
+    let Some((end, _)) = points.last() else { return Vec::new() };
+    if width < LEFT + 30 || height < 5 {
+        return Vec::new();
+    }
+    let mut plot = Plot::new(width - LEFT, height - 2);
+    plot.draw(points, end.max(f64::MIN_POSITIVE));
+    let mut lines = plot.lines();
+    lines.extend(axis(*end, width - LEFT));
+    lines
+}
+
+/// Characters of dots, row by row.
+struct Plot {
+    width: usize,
+    height: usize,
+    cells: Vec<u8>,
+}
+
+impl Plot {
+    fn new(width: usize, height: usize) -> Self {
+        Self { width, height, cells: vec![0; width * height] }
+    }
+
+    /// The row of dots of a share, from the top.
+    fn dot_row(&self, share: f64) -> usize {
+        let last = self.height * DOTS.1 - 1;
+        ((1.0 - share.clamp(0.0, 1.0)) * last as f64).round() as usize
+    }
+
+    fn draw(&mut self, points: &[(f64, f64)], end: f64) {
+        let last = self.width * DOTS.0 - 1;
+        let place = |(x, share): &(f64, f64)| ((x / end).clamp(0.0, 1.0) * last as f64, *share);
+        let mut before = points.first().map(place);
+        for (x, share) in points.iter().map(place) {
+            let (from_x, from_share) = before.replace((x, share)).unwrap_or((x, share));
+            self.draw_segment((from_x, from_share), (x, share));
+        }
+    }
+
+    /// Every column from one place to another, its dots joined to those of the column before.
+    fn draw_segment(&mut self, from: (f64, f64), to: (f64, f64)) {
+        let columns = from.0.round() as usize..=to.0.round() as usize;
+        let mut row_before = self.dot_row(from.1);
+        for column in columns {
+            let along =
+                if to.0 > from.0 { (column as f64 - from.0) / (to.0 - from.0) } else { 1.0 };
+            let row = self.dot_row(from.1 + along.clamp(0.0, 1.0) * (to.1 - from.1));
+            for row in row.min(row_before)..=row.max(row_before) {
+                self.set(column, row);
+            }
+            row_before = row;
+        }
+    }
+
+    fn set(&mut self, column: usize, row: usize) {
+        let cell = row / DOTS.1 * self.width + column / DOTS.0;
+        self.cells[cell] |= BITS[column % DOTS.0][row % DOTS.1];
+    }
+
+    fn lines(&self) -> Vec<String> {
+        let label_row = |share| self.dot_row(share) / DOTS.1;
+        let labels = [0.0, 0.5, 1.0].map(|share| (label_row(share), share));
+        let line = |(row, cells): (usize, &[u8])| {
+            let label = labels.iter().find(|(other, _)| *other == row);
+            let left = label.map_or("    │".to_owned(), |(_, share)| format!("{share:.1} ┤"));
+            let dots: String = cells.iter().map(|cell| braille(*cell)).collect();
+            left + dots.trim_end()
+        };
+        self.cells.chunks(self.width).enumerate().map(line).collect()
+    }
+}
+
+/// The character of some dots; none of them is a space, which every font has.
+fn braille(dots: u8) -> char {
+    if dots == 0 { ' ' } else { char::from_u32(0x2800 + u32::from(dots)).unwrap_or(' ') }
+}
+
+/// The horizontal axis, and what it means.
+fn axis(end: f64, width: usize) -> [String; 2] {
+    let middle = width / 2;
+    let rule = |column| match column {
+        column if column == middle || column + 1 == width => '┴',
+        _ => '─',
+    };
+    let line = "    └".to_owned() + &(0..width).map(rule).collect::<String>();
+    let (half, whole) = (count(end / 2.0), format!("{} steps", count(end)));
+    let before_half = LEFT + middle - half.chars().count() / 2;
+    let before_whole = (LEFT + width).saturating_sub(whole.chars().count());
+    let labels = format!("{:<before_half$}{half}", "     0");
+    [line, format!("{labels:<before_whole$}{whole}")]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_rising_curve_goes_from_the_lower_left_to_the_upper_right() {
+        let lines = terminal_curve(&[(0.0, 0.0), (1e6, 1.0)], 40, 7);
+        let expected = "\
+1.0 ┤                            ⢀⣀⡤⠤⠖⠒⠋
+    │                     ⣀⣀⡤⠤⠖⠚⠉⠉
+0.5 ┤              ⣀⣠⠤⠴⠒⠚⠉⠁
+    │      ⢀⣀⣠⠤⠖⠒⠋⠉⠁
+0.0 ┤⣀⡤⠤⠖⠒⠋⠉
+    └─────────────────┴────────────────┴
+     0              500 k      1 M steps";
+        assert_eq!(lines.join("\n"), expected, "\n{}", lines.join("\n"));
+    }
+
+    #[test]
+    fn every_line_fits() {
+        let points: Vec<(f64, f64)> =
+            (1..200).map(|i| (f64::from(i) * 5e3, f64::from(i * 37 % 100) / 99.0)).collect();
+        for (width, height) in [(35, 5), (80, 11), (211, 12)] {
+            let lines = terminal_curve(&points, width, height);
+            assert_eq!(lines.len(), height);
+            assert!(lines.iter().all(|line| line.chars().count() <= width), "{}", lines.join("\n"));
+        }
+    }
+
+    #[test]
+    fn one_point_is_a_dot_and_none_is_nothing() {
+        let dots = |lines: &[String]| {
+            lines.iter().flat_map(|line| line.chars()).filter(|c| ('⠁'..='⣿').contains(c)).count()
+        };
+        assert_eq!(dots(&terminal_curve(&[(50.0, 0.5)], 60, 8)), 1);
+        assert_eq!(dots(&terminal_curve(&[(0.0, f64::NAN)], 60, 8)), 1);
+        assert!(terminal_curve(&[], 60, 8).is_empty());
+        assert!(terminal_curve(&[(50.0, 0.5)], 10, 8).is_empty());
+    }
+}

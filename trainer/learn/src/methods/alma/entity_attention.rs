@@ -1,0 +1,172 @@
+//! Entities embedded and looked at: what utility network and hypernetwork begin with.
+//!
+//! `fc1` and ReLU embed every entity, then each acting agent attends to what it sees (dissertation
+//! section 2.3). The projection behind the attention belongs to the networks that use this.
+
+use super::utility_pass::{UtilityInput, sized};
+use crate::layers::absorbed_attention::{AbsorbedAttention, AbsorbedBackward};
+use crate::layers::attention::{self, AttentionShape, Backward};
+use crate::layers::linear::{self, LinearShape};
+use crate::layers::matrix::Store;
+use crate::layers::{relu, sparse_linear};
+
+/// The weights, borrowed from a flat parameter vector.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct AttentionWeights<'a> {
+    /// `[D, E]`
+    pub(super) fc1: &'a [f32],
+    /// `[E]`
+    pub(super) fc1_bias: &'a [f32],
+    /// `[E, E]`
+    pub(super) queries: &'a [f32],
+    /// `[2 E, E]`
+    pub(super) keys_values: &'a [f32],
+}
+
+/// Their gradients, to be added to.
+#[derive(Debug)]
+pub(super) struct AttentionGradients<'a> {
+    pub(super) fc1: &'a mut [f32],
+    pub(super) fc1_bias: &'a mut [f32],
+    pub(super) queries: &'a mut [f32],
+    pub(super) keys_values: &'a mut [f32],
+}
+
+/// Buffers of one worker: the activations of the last forward pass and space for a backward pass.
+#[derive(Clone, Debug, Default)]
+pub(super) struct EntityAttention {
+    embedding: Vec<f32>,
+    queries: Vec<f32>,
+    keys_values: Vec<f32>,
+    weights: Vec<f32>,
+    attended: Vec<f32>,
+    absorbed: AbsorbedAttention,
+    d_embedding: Vec<f32>,
+    d_queries: Vec<f32>,
+    d_keys_values: Vec<f32>,
+    d_scores: Vec<f32>,
+}
+
+impl EntityAttention {
+    /// Computes what each acting agent attends to, `[queries, E]`.
+    pub(super) fn forward(
+        &mut self,
+        shape: AttentionShape,
+        view: AttentionWeights<'_>,
+        input: &UtilityInput,
+    ) -> &[f32] {
+        let width = shape.width;
+        let (rows, queries) = (input.rows.len(), input.visible.queries());
+        let embedding = sized(&mut self.embedding, rows * width);
+        sparse_linear::forward(&input.rows, view.fc1, view.fc1_bias, embedding);
+        relu::forward(embedding);
+
+        let own = &embedding[..queries * width];
+        let query = sized(&mut self.queries, queries * width);
+        linear::forward_without_bias(to_queries(width), own, view.queries, query);
+        let attended = sized(&mut self.attended, queries * width);
+        if absorbs(shape, input) {
+            let tensors = (&*query, &*embedding);
+            self.absorbed.forward(shape, &input.visible, view.keys_values, tensors, attended);
+            return attended;
+        }
+        let keys_values = sized(&mut self.keys_values, rows * 2 * width);
+        let projection = to_keys_values(width);
+        linear::forward_without_bias(projection, embedding, view.keys_values, keys_values);
+        let weights = sized(&mut self.weights, input.visible.pairs() * shape.heads);
+        attention::forward(shape, &input.visible, query, keys_values, weights, attended);
+        attended
+    }
+
+    /// What the last forward pass computed for so many numbers.
+    pub(super) fn attended(&self, numbers: usize) -> &[f32] {
+        &self.attended[..numbers]
+    }
+
+    /// Adds the gradients of a loss whose slope by the attended is `d_attended [queries, E]`.
+    pub(super) fn backward(
+        &mut self,
+        shape: AttentionShape,
+        view: AttentionWeights<'_>,
+        input: &UtilityInput,
+        d_attended: &[f32],
+        gradients: AttentionGradients<'_>,
+    ) {
+        let width = shape.width;
+        let (rows, queries) = (input.rows.len(), input.visible.queries());
+        let own = queries * width;
+        sized(&mut self.d_queries, own);
+        sized(&mut self.d_embedding, rows * width);
+        if absorbs(shape, input) {
+            let pass = AbsorbedBackward {
+                queries: &self.queries[..own],
+                entities: &self.embedding[..rows * width],
+                d_output: d_attended,
+                d_queries: &mut self.d_queries[..own],
+                d_entities: &mut self.d_embedding[..rows * width],
+                d_keys_values: gradients.keys_values,
+            };
+            self.absorbed.backward(shape, &input.visible, view.keys_values, pass);
+        } else {
+            self.backward_keys_values(shape, view, input, d_attended, gradients.keys_values);
+        }
+
+        let embedding = &self.embedding[..rows * width];
+        let (d_queries, d_embedding) =
+            (&self.d_queries[..own], &mut self.d_embedding[..rows * width]);
+        linear::backward_weight(to_queries(width), &embedding[..own], d_queries, gradients.queries);
+        let d_own = &mut d_embedding[..own];
+        linear::backward_input(to_queries(width), d_queries, view.queries, Store::Add, d_own);
+        relu::backward(embedding, d_embedding);
+        sparse_linear::backward(&input.rows, d_embedding, gradients.fc1, gradients.fc1_bias);
+    }
+
+    /// Goes back through attention, keys and values to queries and embedding.
+    fn backward_keys_values(
+        &mut self,
+        shape: AttentionShape,
+        view: AttentionWeights<'_>,
+        input: &UtilityInput,
+        d_attended: &[f32],
+        gradient: &mut [f32],
+    ) {
+        let width = shape.width;
+        let (rows, queries) = (input.rows.len(), input.visible.queries());
+        let d_keys_values = sized(&mut self.d_keys_values, rows * 2 * width);
+        let pass = Backward {
+            queries: &self.queries,
+            keys_values: &self.keys_values,
+            weights: &self.weights,
+            d_output: d_attended,
+            d_scores: sized(&mut self.d_scores, rows * shape.heads),
+            d_queries: &mut self.d_queries[..queries * width],
+            d_keys_values: &mut *d_keys_values,
+        };
+        attention::backward(shape, &input.visible, pass);
+        let projection = to_keys_values(width);
+        let (embedding, d_embedding) =
+            (&self.embedding[..rows * width], &mut self.d_embedding[..rows * width]);
+        linear::backward_weight(projection, embedding, d_keys_values, gradient);
+        let weights = view.keys_values;
+        linear::backward_input(projection, d_keys_values, weights, Store::Replace, d_embedding);
+    }
+}
+
+/// Whether queries absorb their keys, because that takes fewer multiplications than keys and values.
+///
+/// The products of whole matrices that keys and values allow are faster than the sums over pairs, so
+/// pairs count twice.
+pub(super) fn absorbs(shape: AttentionShape, input: &UtilityInput) -> bool {
+    let matrix = 2 * shape.width * shape.width;
+    let pair = 2 * shape.heads * shape.width;
+    let (rows, queries) = (input.rows.len(), input.visible.queries());
+    queries * matrix + 2 * input.visible.pairs() * pair < rows * matrix
+}
+
+fn to_queries(width: usize) -> LinearShape {
+    LinearShape { input: width, output: width }
+}
+
+fn to_keys_values(width: usize) -> LinearShape {
+    LinearShape { input: width, output: 2 * width }
+}

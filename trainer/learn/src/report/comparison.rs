@@ -1,0 +1,329 @@
+//! How methods did, beside one another.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde::Serialize;
+
+use super::{Axis, FinalResult, Group, Point, RunRecord, Spread};
+
+/// Shares of solved episodes of which it is said when a run first reached them.
+const LEVELS: [f64; 2] = [0.6, 0.8];
+
+/// What tables and pictures of a comparison show.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Comparison {
+    /// Its title.
+    pub title: String,
+    /// One entry per label, in the order given.
+    pub groups: Vec<GroupSummary>,
+    /// One entry per run, label by label.
+    pub runs: Vec<RunSummary>,
+    /// Success by team, for the labels whose runs have a final evaluation.
+    pub teams: Vec<TeamSummary>,
+    /// What a reader must know to judge the figures.
+    pub notes: Vec<String>,
+}
+
+/// How the runs of one label did.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct GroupSummary {
+    /// The label.
+    pub label: String,
+    /// Runs.
+    pub runs: usize,
+    /// Share of solved episodes at the end.
+    pub success: Spread,
+    /// Where the success is from: `result` (fresh episodes) or `curve` (last evaluation of training).
+    pub success_from: &'static str,
+    /// Share of episodes in which nothing burned down, where all runs say so.
+    pub none_burned: Option<Spread>,
+    /// Share of episodes that ran out of time, where all runs say so.
+    pub timeouts: Option<Spread>,
+    /// Mean return, where all runs say so.
+    pub return_mean: Option<Spread>,
+    /// Mean steps of an episode, where all runs say so.
+    pub length_mean: Option<Spread>,
+    /// Environment steps learned for.
+    pub env_steps: Spread,
+    /// Seconds of processor time.
+    pub cpu_s: Spread,
+    /// Seconds by the clock.
+    pub wall_s: Spread,
+    /// When the runs first reached a level, by the level as text: `0.60`.
+    pub until: BTreeMap<String, Until>,
+}
+
+/// When the runs of a label first reached a level of success in an evaluation during training.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Until {
+    /// Runs that reached it; the others are left out of the figures.
+    pub reached: usize,
+    /// Environment steps until then.
+    pub env_steps: Option<Reached>,
+    /// Seconds of processor time until then.
+    pub cpu_s: Option<Reached>,
+}
+
+/// What it took the runs that reached a level.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Reached {
+    /// Mean of the runs.
+    pub mean: f64,
+    /// Of the fastest.
+    pub min: f64,
+    /// Of the slowest.
+    pub max: f64,
+}
+
+/// How one run did.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RunSummary {
+    /// Its label.
+    pub label: String,
+    /// Its folder.
+    pub run: String,
+    /// Its seed, where it says so.
+    pub seed: Option<u64>,
+    /// Share of solved episodes: of the final evaluation, else of the last one during training.
+    pub success: f64,
+    /// Environment steps learned for.
+    pub env_steps: f64,
+    /// Seconds of processor time.
+    pub cpu_s: f64,
+    /// Seconds by the clock.
+    pub wall_s: f64,
+}
+
+/// How the runs of a label did with one team.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct TeamSummary {
+    /// The team, its kinds as letters.
+    pub team: String,
+    /// The label.
+    pub label: String,
+    /// Episodes played, all runs together.
+    pub episodes: usize,
+    /// Share of solved episodes.
+    pub success: Spread,
+}
+
+impl Comparison {
+    /// Compares groups, each of at least one run.
+    pub fn of(title: &str, groups: &[Group]) -> Self {
+        Self {
+            title: title.to_owned(),
+            groups: groups.iter().filter_map(GroupSummary::of).collect(),
+            runs: groups.iter().flat_map(RunSummary::of).collect(),
+            teams: teams(groups),
+            notes: notes(groups),
+        }
+    }
+}
+
+impl GroupSummary {
+    fn of(group: &Group) -> Option<Self> {
+        let result = |value: &dyn Fn(&FinalResult) -> Option<f64>| {
+            group.spread(|run| run.result.as_ref().and_then(value))
+        };
+        let fresh = has_results(group);
+        let last = |value: &dyn Fn(&Point) -> f64| group.spread(|run| Some(value(&run.last())));
+        let success = |run: &RunRecord| match &run.result {
+            Some(result) if fresh => Some(result.success),
+            _ => Some(run.last().success),
+        };
+        let level = |level: &f64| (format!("{level:.2}"), Until::of(group, *level));
+        Some(Self {
+            label: group.label.clone(),
+            runs: group.runs.len(),
+            success: group.spread(success)?,
+            success_from: if fresh { "result" } else { "curve" },
+            none_burned: result(&|result| result.none_burned),
+            timeouts: result(&|result| result.timeouts),
+            return_mean: result(&|result| result.return_mean),
+            length_mean: result(&|result| result.length_mean),
+            env_steps: last(&|point| point.env_steps)?,
+            cpu_s: last(&|point| point.cpu_s)?,
+            wall_s: last(&|point| point.wall_s)?,
+            until: LEVELS.iter().map(level).collect(),
+        })
+    }
+}
+
+impl RunSummary {
+    fn of(group: &Group) -> impl Iterator<Item = Self> {
+        group.runs.iter().map(|run| Self {
+            label: group.label.clone(),
+            run: run.folder.display().to_string(),
+            seed: run.seed,
+            success: run.success(),
+            env_steps: run.last().env_steps,
+            cpu_s: run.last().cpu_s,
+            wall_s: run.last().wall_s,
+        })
+    }
+}
+
+impl Until {
+    fn of(group: &Group, level: f64) -> Self {
+        let first = |run: &RunRecord| run.curve().iter().find(|p| p.success >= level).copied();
+        let first: Vec<Point> = group.runs.iter().filter_map(first).collect();
+        let reached = |axis: Axis| {
+            let spread = Spread::of(first.iter().map(|point| axis.of(point)))?;
+            Some(Reached { mean: spread.mean, min: spread.min, max: spread.max })
+        };
+        Self { reached: first.len(), env_steps: reached(Axis::Steps), cpu_s: reached(Axis::Cpu) }
+    }
+}
+
+/// Whether all runs of a group have been evaluated on fresh episodes.
+fn has_results(group: &Group) -> bool {
+    group.runs.iter().all(|run| run.result.is_some())
+}
+
+/// Small teams first, then by their letters; labels in the order given.
+fn teams(groups: &[Group]) -> Vec<TeamSummary> {
+    let results = |group: &Group| -> Vec<FinalResult> {
+        group.runs.iter().filter_map(|run| run.result.clone()).collect()
+    };
+    let results: Vec<(&str, Vec<FinalResult>)> = groups
+        .iter()
+        .filter(|group| has_results(group))
+        .map(|group| (group.label.as_str(), results(group)))
+        .collect();
+    let names: BTreeSet<(usize, &str)> = results
+        .iter()
+        .flat_map(|(_, results)| results)
+        .flat_map(|result| result.by_team.keys())
+        .map(|team| (team.chars().count(), team.as_str()))
+        .collect();
+    let summary = |team: &str, label: &str, results: &[FinalResult]| {
+        let played =
+            || results.iter().filter_map(|r| r.by_team.get(team)).filter(|team| team.episodes > 0);
+        Some(TeamSummary {
+            team: team.to_owned(),
+            label: label.to_owned(),
+            episodes: played().map(|team| team.episodes).sum(),
+            success: Spread::of(played().map(|team| team.solved as f64 / team.episodes as f64))?,
+        })
+    };
+    let summary = &summary;
+    names
+        .into_iter()
+        .flat_map(|(_, team)| {
+            results.iter().filter_map(move |(label, results)| summary(team, label, results))
+        })
+        .collect()
+}
+
+fn notes(groups: &[Group]) -> Vec<String> {
+    let mut notes = Vec::new();
+    for group in groups {
+        let label = &group.label;
+        if !has_results(group) {
+            notes.push(format!(
+                "`{label}`: not every run has a final evaluation, so its success is that of the last evaluation \
+                 during training"
+            ));
+        }
+        let steps = Spread::of(group.runs.iter().map(|run| run.last().env_steps));
+        if let Some(steps) = steps.filter(|steps| steps.min < steps.max) {
+            notes.push(format!(
+                "`{label}`: runs end after {} to {} steps; the shorter ones keep their last value in the curves",
+                steps.min, steps.max
+            ));
+        }
+    }
+    let environments: BTreeSet<&str> = groups
+        .iter()
+        .flat_map(|group| &group.runs)
+        .filter_map(|run| run.environment.as_deref())
+        .collect();
+    if environments.len() > 1 {
+        let names: Vec<&str> = environments.into_iter().collect();
+        notes.push(format!("the runs learned in different environments: {}", names.join(", ")));
+    }
+    notes
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::super::group::tests::{group, run};
+    use super::*;
+    use crate::evaluate::TeamSuccess;
+
+    /// A run with a final evaluation: success and solved episodes out of 10 by team.
+    pub(in crate::report) fn evaluated(
+        seed: u64,
+        success: f64,
+        teams: &[(&str, usize)],
+    ) -> RunRecord {
+        let mut run = run(seed, &[(100.0, 0.1), (200.0, 0.7), (300.0, 0.65)]);
+        let team = |(name, solved): &(&str, usize)| {
+            (name.to_string(), TeamSuccess { episodes: 10, solved: *solved })
+        };
+        run.result = Some(FinalResult {
+            allocation: Some("random".to_owned()),
+            episodes: 10 * teams.len(),
+            success,
+            return_mean: None,
+            length_mean: Some(60.0),
+            timeouts: Some(0.125),
+            none_burned: Some(0.75),
+            by_team: teams.iter().map(team).collect(),
+        });
+        run
+    }
+
+    #[test]
+    fn the_final_evaluation_counts_more_than_the_curve() {
+        let runs = vec![evaluated(1, 0.5, &[]), evaluated(2, 0.75, &[])];
+        let comparison = Comparison::of("t", &[group("a", runs)]);
+        let summary = &comparison.groups[0];
+        assert_eq!((summary.success.mean, summary.success_from), (0.625, "result"));
+        assert_eq!(summary.timeouts.unwrap().mean, 0.125);
+        assert_eq!(summary.return_mean, None);
+        assert_eq!(comparison.notes, Vec::<String>::new());
+    }
+
+    #[test]
+    fn a_group_with_one_run_unevaluated_is_judged_by_its_curves() {
+        let runs = vec![evaluated(1, 0.5, &[]), run(2, &[(100.0, 0.25)])];
+        let comparison = Comparison::of("t", &[group("a", runs)]);
+        let summary = &comparison.groups[0];
+        assert_eq!((summary.success.mean, summary.success_from), (0.45, "curve"));
+        assert_eq!(summary.none_burned, None);
+        assert!(comparison.notes[0].contains("not every run"), "{:?}", comparison.notes);
+        assert!(comparison.notes[1].contains("100 to 300"), "{:?}", comparison.notes);
+    }
+
+    #[test]
+    fn a_level_is_reached_at_the_first_evaluation_above_it() {
+        let slow = run(3, &[(100.0, 0.2), (400.0, 0.6)]);
+        let never = run(4, &[(100.0, 0.2)]);
+        let comparison =
+            Comparison::of("t", &[group("a", vec![evaluated(1, 0.5, &[]), slow, never])]);
+        let until = &comparison.groups[0].until;
+        assert_eq!(until["0.60"].reached, 2);
+        let steps = until["0.60"].env_steps.unwrap();
+        assert_eq!((steps.mean, steps.min, steps.max), (300.0, 200.0, 400.0));
+        assert_eq!(until["0.60"].cpu_s.unwrap().max, 0.4);
+        assert_eq!(until["0.80"], Until { reached: 0, env_steps: None, cpu_s: None });
+    }
+
+    #[test]
+    fn teams_are_compared_by_size_then_letters() {
+        let first =
+            vec![evaluated(1, 0.5, &[("ab", 5), ("b", 10)]), evaluated(2, 0.5, &[("ab", 7)])];
+        let second = vec![evaluated(1, 0.5, &[("ab", 2), ("aa", 0)])];
+        let comparison = Comparison::of("t", &[group("x", first), group("y", second)]);
+        let teams: Vec<_> = comparison
+            .teams
+            .iter()
+            .map(|team| (team.team.as_str(), team.label.as_str(), team.episodes, team.success.mean))
+            .collect();
+        assert_eq!(
+            teams,
+            [("b", "x", 10, 1.0), ("aa", "y", 10, 0.0), ("ab", "x", 20, 0.6), ("ab", "y", 10, 0.2)]
+        );
+    }
+}

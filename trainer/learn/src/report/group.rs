@@ -1,0 +1,165 @@
+//! The runs of one method, which differ in their seeds, and what they have in common.
+
+use serde::Serialize;
+
+use super::{Point, RunRecord};
+
+/// Runs under one label.
+#[derive(Clone, Debug)]
+pub struct Group {
+    /// What tables and legends call it.
+    pub label: String,
+    /// At least one run.
+    pub runs: Vec<RunRecord>,
+}
+
+/// What success is drawn against.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Axis {
+    /// Environment steps.
+    Steps,
+    /// Seconds of processor time.
+    Cpu,
+}
+
+impl Axis {
+    /// Where a point stands on the axis.
+    pub fn of(self, point: &Point) -> f64 {
+        match self {
+            Self::Steps => point.env_steps,
+            Self::Cpu => point.cpu_s,
+        }
+    }
+}
+
+/// The seeds of a group at one place of the axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sample {
+    /// The place: steps or seconds.
+    pub x: f64,
+    /// Mean success of the seeds.
+    pub mean: f64,
+    /// That of the worst seed.
+    pub min: f64,
+    /// That of the best seed.
+    pub max: f64,
+}
+
+/// How a quantity varies between seeds.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Spread {
+    /// Mean of the seeds.
+    pub mean: f64,
+    /// Standard deviation between them, where there are two or more.
+    pub sd: Option<f64>,
+    /// Smallest value.
+    pub min: f64,
+    /// Largest value.
+    pub max: f64,
+}
+
+impl Spread {
+    /// The spread of some values; none of no values.
+    pub fn of(values: impl IntoIterator<Item = f64>) -> Option<Self> {
+        let values: Vec<f64> = values.into_iter().collect();
+        let count = values.len() as f64;
+        let min = values.iter().copied().reduce(f64::min)?;
+        let max = values.iter().copied().reduce(f64::max)?;
+        let mean = values.iter().sum::<f64>() / count;
+        let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
+        let sd = (values.len() > 1).then(|| (squares / (count - 1.0)).sqrt());
+        Some(Self { mean, sd, min, max })
+    }
+}
+
+impl Group {
+    /// Mean and range of the seeds at every place where one of them was evaluated.
+    ///
+    /// A seed has the value of its last evaluation until the next one, and keeps that of its last when
+    /// others go on. The samples begin where every seed has been evaluated once.
+    pub fn curve(&self, axis: Axis) -> Vec<Sample> {
+        let firsts = self.runs.iter().filter_map(|run| run.curve().first());
+        let begin = firsts.map(|point| axis.of(point)).fold(f64::NEG_INFINITY, f64::max);
+        let all = self.runs.iter().flat_map(|run| run.curve());
+        let mut places: Vec<f64> =
+            all.map(|point| axis.of(point)).filter(|x| *x >= begin).collect();
+        places.sort_by(f64::total_cmp);
+        places.dedup();
+        places.into_iter().filter_map(|x| self.sample(axis, x)).collect()
+    }
+
+    fn sample(&self, axis: Axis, x: f64) -> Option<Sample> {
+        let known = |run: &RunRecord| {
+            let until = run.curve().partition_point(|point| axis.of(point) <= x);
+            Some(run.curve().get(until.checked_sub(1)?)?.success)
+        };
+        let spread = Spread::of(self.runs.iter().filter_map(known))?;
+        Some(Sample { x, mean: spread.mean, min: spread.min, max: spread.max })
+    }
+
+    /// The spread over the seeds of something that each has; none where one lacks it.
+    pub(super) fn spread(&self, value: impl Fn(&RunRecord) -> Option<f64>) -> Option<Spread> {
+        let values = self.runs.iter().map(value).collect::<Option<Vec<_>>>()?;
+        Spread::of(values)
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+
+    /// A run with a made-up curve of (steps, success); a step takes a millisecond of processor time.
+    pub(in crate::report) fn run(seed: u64, curve: &[(f64, f64)]) -> RunRecord {
+        let point = |(env_steps, success): &(f64, f64)| Point {
+            env_steps: *env_steps,
+            cpu_s: env_steps / 1000.0,
+            wall_s: env_steps / 500.0,
+            success: *success,
+        };
+        RunRecord {
+            folder: format!("made-up-s{seed}").into(),
+            description: toml::Table::new(),
+            seed: Some(seed),
+            environment: None,
+            curve: curve.iter().map(point).collect(),
+            rows: Vec::new(),
+            result: None,
+        }
+    }
+
+    pub(in crate::report) fn group(label: &str, runs: Vec<RunRecord>) -> Group {
+        Group { label: label.to_owned(), runs }
+    }
+
+    #[test]
+    fn a_seed_keeps_its_value_between_evaluations_and_after_its_end() {
+        let group = group(
+            "a",
+            vec![
+                run(1, &[(10.0, 0.0), (20.0, 0.5), (30.0, 0.75)]),
+                run(2, &[(15.0, 0.25), (25.0, 1.0)]),
+            ],
+        );
+        let sample = |x, mean, min, max| Sample { x, mean, min, max };
+        assert_eq!(
+            group.curve(Axis::Steps),
+            [
+                sample(15.0, 0.125, 0.0, 0.25),
+                sample(20.0, 0.375, 0.25, 0.5),
+                sample(25.0, 0.75, 0.5, 1.0),
+                sample(30.0, 0.875, 0.75, 1.0),
+            ]
+        );
+        let seconds: Vec<f64> = group.curve(Axis::Cpu).iter().map(|sample| sample.x).collect();
+        assert_eq!(seconds, [0.015, 0.02, 0.025, 0.03]);
+    }
+
+    #[test]
+    fn the_spread_is_that_of_a_sample() {
+        assert_eq!(Spread::of([]), None);
+        let one = Spread::of([2.0]).unwrap();
+        assert_eq!((one.mean, one.sd, one.min, one.max), (2.0, None, 2.0, 2.0));
+        let three = Spread::of([1.0, 2.0, 3.0]).unwrap();
+        assert_eq!((three.mean, three.sd, three.min, three.max), (2.0, Some(1.0), 1.0, 3.0));
+    }
+}

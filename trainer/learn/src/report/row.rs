@@ -1,0 +1,189 @@
+//! Any record as a row of named cells.
+//!
+//! Records are read through their JSON form, so that a field which is added to one appears in every
+//! table, event file and comparison by itself.
+
+use std::fmt;
+
+use serde::de::{Deserialize, Deserializer, Error, MapAccess, SeqAccess, Visitor};
+use serde::{Serialize, Serializer, ser};
+use serde_json::Value;
+
+/// A record, its nested parts flattened into cells, in the order of its fields.
+///
+/// Parts are joined by `_`. A list of two is an interval, `_low` and `_high`; the elements of other
+/// lists are numbered from 0. Every cell is a number, a text, a truth value or null.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Row(Vec<(String, Value)>);
+
+impl Row {
+    /// Flattens a record; numbers that are not finite become null.
+    pub fn of(record: &impl Serialize) -> serde_json::Result<Self> {
+        Self::from_json(&serde_json::to_string(record)?)
+    }
+
+    /// Flattens a JSON object.
+    pub fn from_json(text: &str) -> serde_json::Result<Self> {
+        match serde_json::from_str(text)? {
+            Node::Fields(fields) => {
+                let mut cells = Vec::new();
+                flatten("", Node::Fields(fields), &mut cells);
+                Ok(Self(cells))
+            }
+            _ => Err(ser::Error::custom("not an object of named fields")),
+        }
+    }
+
+    /// The cells by name.
+    pub fn cells(&self) -> impl Iterator<Item = (&str, &Value)> {
+        self.0.iter().map(|(name, value)| (name.as_str(), value))
+    }
+
+    /// The cell of a name.
+    pub fn cell(&self, name: &str) -> Option<&Value> {
+        self.cells().find(|(other, _)| *other == name).map(|(_, value)| value)
+    }
+
+    /// The cell of a name, where it is a number.
+    pub fn number(&self, name: &str) -> Option<f64> {
+        self.cell(name).and_then(Value::as_f64)
+    }
+
+    /// All cells that are numbers.
+    pub fn numbers(&self) -> impl Iterator<Item = (&str, f64)> {
+        self.cells().filter_map(|(name, value)| Some((name, value.as_f64()?)))
+    }
+}
+
+impl Serialize for Row {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_map(self.cells())
+    }
+}
+
+/// A JSON value that keeps the order of its fields, as [`Value`] does not.
+enum Node {
+    Scalar(Value),
+    List(Vec<Node>),
+    Fields(Vec<(String, Node)>),
+}
+
+fn flatten(name: &str, node: Node, cells: &mut Vec<(String, Value)>) {
+    let part = |part: &str| {
+        if name.is_empty() { part.to_owned() } else { format!("{name}_{part}") }
+    };
+    match node {
+        Node::Scalar(value) => cells.push((name.to_owned(), value)),
+        Node::Fields(fields) => {
+            for (field, node) in fields {
+                flatten(&part(&field), node, cells);
+            }
+        }
+        Node::List(nodes) => {
+            let interval = nodes.len() == 2;
+            for (index, node) in nodes.into_iter().enumerate() {
+                let element = match (interval, index) {
+                    (true, 0) => part("low"),
+                    (true, _) => part("high"),
+                    (false, _) => part(&index.to_string()),
+                };
+                flatten(&element, node, cells);
+            }
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for Node {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(NodeVisitor)
+    }
+}
+
+struct NodeVisitor;
+
+impl<'de> Visitor<'de> for NodeVisitor {
+    type Value = Node;
+
+    fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str("a JSON value")
+    }
+
+    fn visit_unit<E: Error>(self) -> Result<Node, E> {
+        Ok(Node::Scalar(Value::Null))
+    }
+
+    fn visit_bool<E: Error>(self, value: bool) -> Result<Node, E> {
+        Ok(Node::Scalar(value.into()))
+    }
+
+    fn visit_i64<E: Error>(self, value: i64) -> Result<Node, E> {
+        Ok(Node::Scalar(value.into()))
+    }
+
+    fn visit_u64<E: Error>(self, value: u64) -> Result<Node, E> {
+        Ok(Node::Scalar(value.into()))
+    }
+
+    fn visit_f64<E: Error>(self, value: f64) -> Result<Node, E> {
+        Ok(Node::Scalar(value.into()))
+    }
+
+    fn visit_str<E: Error>(self, value: &str) -> Result<Node, E> {
+        Ok(Node::Scalar(value.into()))
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut elements: A) -> Result<Node, A::Error> {
+        let mut list = Vec::new();
+        while let Some(element) = elements.next_element()? {
+            list.push(element);
+        }
+        Ok(Node::List(list))
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut entries: A) -> Result<Node, A::Error> {
+        let mut fields = Vec::new();
+        while let Some(entry) = entries.next_entry()? {
+            fields.push(entry);
+        }
+        Ok(Node::Fields(fields))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nested_parts_become_cells_in_the_order_of_the_fields() {
+        let row = Row::from_json(
+            r#"{"steps":7,"success_ci95":[0.25,0.5],"by":{"z":1.5,"a":null},"counts":[1,2,3],"rule":"random"}"#,
+        )
+        .unwrap();
+        let cells: Vec<String> =
+            row.cells().map(|(name, value)| format!("{name}={value}")).collect();
+        assert_eq!(
+            cells,
+            [
+                "steps=7",
+                "success_ci95_low=0.25",
+                "success_ci95_high=0.5",
+                "by_z=1.5",
+                "by_a=null",
+                "counts_0=1",
+                "counts_1=2",
+                "counts_2=3",
+                "rule=\"random\"",
+            ]
+        );
+        assert_eq!(row.number("by_z"), Some(1.5));
+        assert_eq!(row.number("rule"), None);
+        assert_eq!(row.numbers().count(), 7);
+    }
+
+    #[test]
+    fn what_is_not_an_object_is_refused() {
+        for text in ["3", "[1, 2]", "{", ""] {
+            assert!(Row::from_json(text).is_err(), "{text}");
+        }
+    }
+}

@@ -1,0 +1,196 @@
+//! A comparison as text: Markdown and CSV.
+
+use super::numbers::{count, duration};
+use super::{Comparison, GroupSummary, Reached, Spread, csv};
+
+impl Comparison {
+    /// A document with the tables and the notes.
+    pub fn markdown(&self) -> String {
+        let mut text = format!("# {}\n\n{}", self.title, self.success_table());
+        text += "\nMean ± standard deviation over the runs, and their range in brackets.\n\n";
+        text += &self.effort_table();
+        if !self.teams.is_empty() {
+            text += "\n## Success by team\n\n";
+            text += &self.team_table();
+        }
+        if !self.notes.is_empty() {
+            text += "\n## Notes\n\n";
+            text.extend(self.notes.iter().map(|note| format!("- {note}\n")));
+        }
+        text
+    }
+
+    fn success_table(&self) -> String {
+        let header =
+            ["method", "runs", "success", "none burned", "time-outs", "return", "steps an episode"];
+        table(
+            &header,
+            self.groups.iter().map(|group| {
+                let share = |spread: Option<Spread>| spread.map_or(String::new(), share);
+                let plain = |spread: Option<Spread>| {
+                    spread.map_or(String::new(), |s| format!("{:.1}", s.mean))
+                };
+                vec![
+                    escaped(&group.label),
+                    group.runs.to_string(),
+                    share(Some(group.success)),
+                    share(group.none_burned),
+                    share(group.timeouts),
+                    plain(group.return_mean),
+                    plain(group.length_mean),
+                ]
+            }),
+        )
+    }
+
+    fn effort_table(&self) -> String {
+        let levels: Vec<&String> =
+            self.groups.iter().take(1).flat_map(|g| g.until.keys()).collect();
+        let mut header =
+            vec!["method".to_owned(), "steps".into(), "CPU time".into(), "wall time".into()];
+        for level in &levels {
+            header.push(format!("steps until {level}"));
+            header.push(format!("CPU time until {level}"));
+        }
+        let row = |group: &GroupSummary| {
+            let mut cells = vec![
+                escaped(&group.label),
+                count(group.env_steps.mean),
+                duration(group.cpu_s.mean),
+                duration(group.wall_s.mean),
+            ];
+            for until in levels.iter().filter_map(|level| group.until.get(*level)) {
+                let part = |reached: Option<Reached>, show: fn(f64) -> String| {
+                    reached.map_or("never".to_owned(), |r| {
+                        reached_text(r, until.reached, group.runs, show)
+                    })
+                };
+                cells.push(part(until.env_steps, count));
+                cells.push(part(until.cpu_s, duration));
+            }
+            cells
+        };
+        table(&header, self.groups.iter().map(row))
+    }
+
+    fn team_table(&self) -> String {
+        let mut labels: Vec<&str> = Vec::new();
+        let mut teams: Vec<&str> = Vec::new();
+        for summary in &self.teams {
+            if !labels.contains(&summary.label.as_str()) {
+                labels.push(&summary.label);
+            }
+            if !teams.contains(&summary.team.as_str()) {
+                teams.push(&summary.team);
+            }
+        }
+        let mut header = vec!["team".to_owned()];
+        header.extend(labels.iter().map(|label| escaped(label)));
+        let success = |team: &str, label: &str| {
+            let summary = self.teams.iter().find(|s| s.team == team && s.label == label);
+            summary.map_or(String::new(), |summary| share(summary.success))
+        };
+        let success = &success;
+        table(
+            &header,
+            teams.iter().map(|team| {
+                std::iter::once((*team).to_owned())
+                    .chain(labels.iter().map(move |label| success(team, label)))
+                    .collect()
+            }),
+        )
+    }
+
+    /// One line per label, a column per figure; units as in [`GroupSummary`].
+    pub fn csv(&self) -> serde_json::Result<String> {
+        csv::to_csv(&self.groups)
+    }
+
+    /// One line per team and label.
+    pub fn teams_csv(&self) -> serde_json::Result<String> {
+        csv::to_csv(&self.teams)
+    }
+}
+
+/// `0.731 ± 0.020 (0.712–0.752)`, or the value alone of one run.
+fn share(spread: Spread) -> String {
+    match spread.sd {
+        Some(sd) => {
+            format!("{:.3} ± {sd:.3} ({:.3}–{:.3})", spread.mean, spread.min, spread.max)
+        }
+        None => format!("{:.3}", spread.mean),
+    }
+}
+
+/// `150 k (100 k–200 k)`, and how many runs reached it, where not all did.
+fn reached_text(reached: Reached, runs: usize, of: usize, show: fn(f64) -> String) -> String {
+    let mut text = show(reached.mean);
+    if reached.min < reached.max {
+        text += &format!(" ({}–{})", show(reached.min), show(reached.max));
+    }
+    if runs < of {
+        text += &format!(", {runs} of {of} runs");
+    }
+    text
+}
+
+fn table<H: AsRef<str>>(header: &[H], rows: impl Iterator<Item = Vec<String>>) -> String {
+    let line = |cells: Vec<&str>| format!("| {} |\n", cells.join(" | "));
+    let mut text = line(header.iter().map(AsRef::as_ref).collect());
+    text += &line(
+        header.iter().enumerate().map(|(i, _)| if i == 0 { "---" } else { "---:" }).collect(),
+    );
+    for row in rows {
+        text += &line(row.iter().map(String::as_str).collect());
+    }
+    text
+}
+
+/// Text that stays within its cell.
+fn escaped(text: &str) -> String {
+    text.replace('|', "\\|")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::comparison::tests::evaluated;
+    use super::super::group::tests::{group, run};
+    use super::*;
+
+    fn comparison() -> Comparison {
+        let alma = vec![evaluated(1, 0.5, &[("ab", 5)]), evaluated(2, 0.75, &[("ab", 7)])];
+        let other = vec![run(1, &[(100.0, 0.25)])];
+        Comparison::of("A title", &[group("alma", alma), group("a|b", other)])
+    }
+
+    #[test]
+    fn the_document_has_every_table() {
+        let text = comparison().markdown();
+        for line in [
+            "# A title",
+            "| alma | 2 | 0.625 ± 0.177 (0.500–0.750) | 0.750 ± 0.000 (0.750–0.750) | 0.125 ± 0.000 (0.125–0.125) |  | 60.0 |",
+            "| a\\|b | 1 | 0.250 |  |  |  |  |",
+            "| method | steps | CPU time | wall time | steps until 0.60 | CPU time until 0.60 | steps until 0.80 | CPU time until 0.80 |",
+            "| alma | 300 | 0.3 s | 0.6 s | 200 | 0.2 s | never | never |",
+            "| ab | 0.600 ± 0.141 (0.500–0.700) |",
+        ] {
+            assert!(text.lines().any(|other| other == line), "{line}\n\n{text}");
+        }
+    }
+
+    #[test]
+    fn the_columns_of_the_csv_are_the_figures() {
+        let text = comparison().csv().unwrap();
+        let lines: Vec<Vec<&str>> = text.lines().map(|line| line.split(',').collect()).collect();
+        let cell = |row: usize, name: &str| {
+            let column = lines[0].iter().position(|other| *other == name).expect(name);
+            lines[row][column]
+        };
+        assert_eq!(cell(1, "label"), "alma");
+        assert_eq!(cell(1, "runs"), "2");
+        assert_eq!(cell(1, "success_mean"), "0.625");
+        assert_eq!(cell(1, "until_0.60_env_steps_max"), "200.0");
+        assert_eq!(cell(2, "success_sd"), "");
+        assert_eq!(comparison().teams_csv().unwrap().lines().count(), 2);
+    }
+}
