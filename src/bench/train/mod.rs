@@ -61,9 +61,11 @@ struct Case {
 
 pub(super) fn measure(arguments: &TrainArguments) -> Result<Figures, Failure> {
     let Measuring { common, seconds, .. } = arguments.measuring;
+    let python = torch::find(arguments.python.as_deref(), common.quiet)?;
     pin(arguments.measuring.pin)?;
     let mut learning = Learning::new(common.seed)?;
-    let mut torch = Torch::start(arguments.python.as_deref(), &mut learning, common.quiet)?;
+    let start = |python: PathBuf| Torch::start(&python, &mut learning, common.quiet);
+    let mut torch = python.map(start).transpose()?;
     let mut cases: Vec<Case> = Work::ALL.into_iter().map(|work| learning.case(work)).collect();
     let mut peers = Formulation::ALL.map(|_| Vec::new());
     let mut peaks = Vec::new();

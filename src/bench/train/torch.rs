@@ -77,38 +77,24 @@ struct Turn {
 }
 
 impl Torch {
-    /// Starts the program, or says why there is none.
+    /// Starts the program and compares one update with ours.
     pub(super) fn start(
-        python: Option<&Path>,
+        python: &Path,
         learning: &mut Learning,
         quiet: bool,
-    ) -> Result<Option<Self>, Failure> {
-        let asked = python.is_some();
-        let python = python.map_or_else(default_python, Path::to_path_buf);
-        if !has_torch(&python) {
-            let message = format!("{} has no torch", python.display());
-            if asked {
-                return Err(Failure::new(Exit::NotRunning, message));
-            }
-            if !quiet {
-                eprintln!(
-                    "note: {message}; only our figures follow (choose another with --python)"
-                );
-            }
-            return Ok(None);
-        }
+    ) -> Result<Self, Failure> {
         let folder =
             tempfile::tempdir().map_err(|error| Failure::file(&env::temp_dir(), &error))?;
         let data = folder.path().join("updates.safetensors");
         let program = folder.path().join("train_step.py");
         fs::write(&program, PROGRAM).map_err(|error| Failure::file(&program, &error))?;
         let expected = batch::write(learning, &data)?;
-        let mut process = Command::new(&python)
+        let mut process = Command::new(python)
             .args([&program, &data])
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
-            .map_err(|error| Failure::file(&python, &error))?;
+            .map_err(|error| Failure::file(python, &error))?;
         let (Some(input), Some(output)) = (process.stdin.take(), process.stdout.take()) else {
             return Err(Failure::new(Exit::Bug, "the PyTorch program has no pipes"));
         };
@@ -129,7 +115,7 @@ impl Torch {
             }
         }
         torch.version = ready.torch;
-        Ok(Some(torch))
+        Ok(torch)
     }
 
     /// Version of torch.
@@ -162,6 +148,22 @@ impl Drop for Torch {
         let _ = self.process.kill();
         let _ = self.process.wait();
     }
+}
+
+/// The Python that has torch, or a note that there is none.
+pub(super) fn find(asked: Option<&Path>, quiet: bool) -> Result<Option<PathBuf>, Failure> {
+    let python = asked.map_or_else(default_python, Path::to_path_buf);
+    if has_torch(&python) {
+        return Ok(Some(python));
+    }
+    let message = format!("`{}` has no torch", python.display());
+    if asked.is_some() {
+        return Err(Failure::new(Exit::NotRunning, message));
+    }
+    if !quiet {
+        eprintln!("note: {message}; only our figures follow (name another with --python)");
+    }
+    Ok(None)
 }
 
 fn default_python() -> PathBuf {
