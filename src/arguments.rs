@@ -4,7 +4,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use sortie_envs::save_the_city::AllocationRule;
 
 use crate::failure::Outcome;
-use crate::{bench, compare, compile, eval, export, inspect, replay, run, train, verify};
+use crate::{bench, compare, compile, eval, export, inspect, replay, run, train, verify, view};
 
 const EXIT_CODES: &str = "\
 Exit codes: 0 done, 1 a check found a difference, 2 wrong use, 65 bad data, 66 file missing,
@@ -31,6 +31,7 @@ enum Verb {
     Inspect(inspect::InspectArguments),
     Verify(verify::VerifyArguments),
     Bench(bench::BenchArguments),
+    View(view::ViewArguments),
     #[command(hide = true)]
     Process(run::process::ProcessArguments),
 }
@@ -90,6 +91,7 @@ pub(crate) fn dispatch(arguments: Arguments) -> Outcome {
         Verb::Inspect(arguments) => inspect::run(&arguments),
         Verb::Verify(arguments) => verify::run(&arguments),
         Verb::Bench(arguments) => bench::run(&arguments),
+        Verb::View(arguments) => view::run(&arguments),
         Verb::Process(arguments) => run::process::run(&arguments),
     }
 }

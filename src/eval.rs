@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 use sortie_learn::evaluate::{
-    Allocate, Evaluation, EvaluationPlan, NetworkTeam, Planner, PlannerReport, PolicyTeam,
-    ScriptedActors, Team, evaluate, evaluate_watched,
+    Allocate, Evaluation, EvaluationPlan, Planner, PlannerReport, PolicyTeam, ScriptedActors, Team,
+    evaluate, evaluate_watched,
 };
 
 use crate::arguments::{Allocation, Common};
@@ -79,7 +79,7 @@ pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
         Subject::Scripted => {
             play(&plan, &mut ScriptedActors::new(arguments.common.seed), arguments)?
         }
-        Subject::Run(run) => play(&plan, &mut NetworkTeam::new(&run.network), arguments)?,
+        Subject::Run(run) => play(&plan, &mut run.team(), arguments)?,
         Subject::Bundle(bundle) => {
             environment::check_fits(bundle, &plan.set)?;
             let mut policy = DeployedPolicy::open(bundle, arguments.backend)?;

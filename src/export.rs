@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 use sortie_bundle::hex;
-use sortie_learn::evaluate::{EvaluationPlan, NetworkTeam, evaluate};
-use sortie_learn::export::{Measured, draft_bundle};
+use sortie_learn::evaluate::{EvaluationPlan, evaluate};
+use sortie_learn::export::{Measured, check_deployable, draft_bundle};
 use sortie_learn::run::Run;
 
 use crate::arguments::{Allocation, Common};
@@ -40,11 +40,12 @@ struct Report {
 pub(crate) fn run(arguments: &ExportArguments) -> Outcome {
     let run = Run::open(&arguments.run)?;
     warn_of_refused(&run.refused);
+    check_deployable(&run)?;
     let (set, seed) = (&run.description.config.environment.set, arguments.common.seed);
     let plan = EvaluationPlan::new(set, arguments.episodes as usize, seed)?;
     let mut measured = Vec::new();
     for allocation in [Allocation::Coordinated, Allocation::Heuristic] {
-        let mut team = NetworkTeam::new(&run.network);
+        let mut team = run.team();
         let evaluation = evaluate(&plan, &mut team, &mut allocation.rule())?;
         measured.push(Measured { allocation: allocation.name().to_string(), evaluation });
     }

@@ -21,6 +21,7 @@ mod subject;
 mod terminal_curve;
 mod train;
 mod verify;
+mod view;
 mod worlds;
 
 use std::process::ExitCode;

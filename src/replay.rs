@@ -50,10 +50,14 @@ pub(crate) fn run(arguments: &ReplayArguments) -> Outcome {
             if report.mismatches.is_empty() { "all equal" } else { "DIFFERENT" }
         );
     }
-    report.mismatches.first().map_or(Ok(()), |first| Err(difference(first, &report)))
+    report
+        .mismatches
+        .first()
+        .map_or(Ok(()), |first| Err(difference(first, report.mismatches.len())))
 }
 
-fn difference(first: &Mismatch, report: &Report) -> Failure {
+/// The first of so many differences, as a failure.
+pub(crate) fn difference(first: &Mismatch, count: usize) -> Failure {
     Failure::difference(format!(
         "{}: step {}: `{}` is {} in the file, {} here ({} in all)",
         first.file,
@@ -61,11 +65,12 @@ fn difference(first: &Mismatch, report: &Report) -> Failure {
         first.field,
         first.want,
         first.got,
-        plural(report.mismatches.len(), "difference"),
+        plural(count, "difference"),
     ))
 }
 
-fn unreadable(error: GoldenError) -> Failure {
+/// A recording that cannot be read, as a failure.
+pub(crate) fn unreadable(error: GoldenError) -> Failure {
     let exit = match &error {
         GoldenError::Read(source) if source.kind() == std::io::ErrorKind::NotFound => Exit::Missing,
         GoldenError::Read(_) => Exit::InputOutput,

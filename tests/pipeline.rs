@@ -67,6 +67,23 @@ fn a_run_becomes_a_bundle_that_a_team_plays_with() {
 }
 
 #[test]
+fn a_flat_run_is_evaluated_but_not_exported() {
+    let place = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| place.path().join(name).display().to_string();
+    let (run, bundle) = (path("run"), path("bundle"));
+    let mut arguments =
+        vec!["train", "flat", "--mixer", "qmix", "--out", &run, "--steps", "1000", "-q"];
+    arguments.extend(SMALL);
+    let trained = output(&arguments);
+    assert!(trained.status.success(), "{}", support::stderr(&trained));
+    assert_eq!(json(&["eval", &run, "--episodes", "5", "--json"])["episodes"], 5);
+    assert_fails(&output(&["export", &run, "--out", &bundle]), 2, &["network.subtask"]);
+
+    let contradiction = output(&["train", "flat", "--no-mask", "--out", &path("other")]);
+    assert_fails(&contradiction, 2, &["no subtasks"]);
+}
+
+#[test]
 fn the_same_seed_gives_the_same_weights_whatever_the_threads() {
     let place = tempfile::tempdir().expect("a temporary folder");
     let path = |name: &str| place.path().join(name).display().to_string();

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use sortie_learn::LearnError;
-use sortie_learn::methods::alma::{Config, Outcome as Ending, Trainer};
+use sortie_learn::methods::alma::{Conditioning, Config, MixerKind, Outcome as Ending, Trainer};
 
 use crate::arguments::{Allocation, Common};
 use crate::environment::ScenarioSetName;
@@ -27,6 +27,8 @@ use seeds::SeedRange;
   sortie train alma --out runs/first
   sortie train alma --seeds 1..5 --out runs/five
   sortie train alma --set network.width=128 --set run.steps=800000 --seed 7 --out runs/wide
+  sortie train alma --mixer qmix --no-mask --allocation coordinated --out runs/compared
+  sortie train flat --out runs/flat
   sortie train alma --resume runs/first")]
 pub(crate) struct TrainArguments {
     /// The algorithm
@@ -47,6 +49,12 @@ pub(crate) struct TrainArguments {
     /// Rule that assigns agents to subtasks in the place of a learned allocator
     #[arg(long, value_enum)]
     allocation: Option<Allocation>,
+    /// Agents see everything and their subtask as an input, instead of their own subtask only
+    #[arg(long)]
+    no_mask: bool,
+    /// How the utilities of a team become its value [default: as the configuration says]
+    #[arg(long, value_enum)]
+    mixer: Option<Mixer>,
     /// Environment steps to learn for [default: as the configuration says]
     #[arg(long)]
     steps: Option<u64>,
@@ -61,7 +69,7 @@ pub(crate) struct TrainArguments {
     #[arg(long, value_name = "DIR", required_unless_present = "resume")]
     out: Option<PathBuf>,
     /// Folder of a run to go on with, as it was configured
-    #[arg(long, value_name = "DIR", conflicts_with_all = ["out", "config", "assignments", "allocation", "steps", "env"])]
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["out", "config", "assignments", "allocation", "no_mask", "mixer", "steps", "env"])]
     resume: Option<PathBuf>,
     #[command(flatten)]
     common: Common,
@@ -71,10 +79,21 @@ pub(crate) struct TrainArguments {
 enum Method {
     /// Subtask-masked utilities under an allocation (dissertation chapter 7)
     Alma,
+    /// The same without subtasks: everybody sees everything and earns the whole team's reward
+    Flat,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Mixer {
+    /// Their sum (VDN)
+    Sum,
+    /// A weighted sum and a value of the state
+    Linear,
+    /// Two layers with non-negative weights (QMIX)
+    Qmix,
 }
 
 pub(crate) fn run(arguments: &TrainArguments) -> Outcome {
-    let Method::Alma = arguments.method;
     let stop = stop_on_signals()?;
     if let (Some(seeds), Some(out)) = (arguments.seeds, &arguments.out) {
         let config = configuration(arguments)?;
@@ -138,6 +157,22 @@ fn configuration(arguments: &TrainArguments) -> Result<Config, Failure> {
         config.allocation.coordinated = weight(Allocation::Coordinated);
         config.allocation.heuristic = weight(Allocation::Heuristic);
         config.allocation.random = weight(Allocation::Random);
+    }
+    if let Some(mixer) = arguments.mixer {
+        config.mixer.kind = match mixer {
+            Mixer::Sum => MixerKind::Sum,
+            Mixer::Linear => MixerKind::Linear,
+            Mixer::Qmix => MixerKind::Qmix,
+        };
+    }
+    match arguments.method {
+        Method::Alma if arguments.no_mask => config.network.subtask = Conditioning::Input,
+        Method::Alma => {}
+        Method::Flat if arguments.no_mask || arguments.allocation.is_some() => {
+            let reason = "`flat` has no subtasks: drop `--no-mask` and `--allocation`";
+            return Err(Failure::new(Exit::Usage, reason.to_string()));
+        }
+        Method::Flat => config.network.subtask = Conditioning::None,
     }
     if let Some(steps) = arguments.steps {
         config.run.steps = steps;

@@ -1,6 +1,8 @@
 //! Starts the command line as users do.
 #![allow(dead_code, reason = "every test file uses its own part of this")]
 
+pub(crate) mod browser;
+
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output};

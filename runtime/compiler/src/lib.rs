@@ -6,6 +6,7 @@
 #![forbid(unsafe_code)]
 
 mod assemble;
+mod attention;
 mod compile;
 mod error;
 #[cfg(test)]
@@ -21,6 +22,7 @@ mod parity;
 mod testing;
 mod tract_policy;
 
+pub use attention::AttentionProbe;
 pub use compile::{
     CompileOptions, Compiled, OperatorReport, Report, VERSION, compile, compile_bundle,
 };

@@ -3,6 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use sortie_envs::save_the_city::AllocationRule;
+use sortie_learn::evaluate::{EvaluationPlan, evaluate};
 use sortie_learn::methods::alma::{Config, Observer, Outcome, Progress, Trainer};
 use sortie_learn::run::Run;
 
@@ -34,6 +36,13 @@ fn config() -> Config {
     ] {
         config.set(assignment).unwrap();
     }
+    config
+}
+
+/// The same with some values replaced.
+fn with(assignments: &[&str]) -> Config {
+    let mut config = config();
+    assignments.iter().for_each(|assignment| config.set(assignment).unwrap());
     config
 }
 
@@ -116,6 +125,64 @@ fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
 }
 
 #[test]
+fn every_way_to_learn_resumes_exactly() {
+    for assignments in [
+        &["mixer.kind=qmix", "network.subtask=input", "mixer.width=16"][..],
+        &["mixer.kind=linear", "mixer.width=16"],
+        &["network.subtask=none", "replay.warm_up=200"],
+    ] {
+        let config = with(&[assignments, &["run.steps=1600"]].concat());
+        let state = |folder: &Path| {
+            let place = folder.join("checkpoints/000000001600");
+            ["tensors.safetensors"].map(|name| std::fs::read(place.join(name)).unwrap())
+        };
+        let whole = tempfile::tempdir().unwrap();
+        run(&mut Trainer::new(config.clone(), 5, 1, whole.path()).unwrap(), u64::MAX);
+
+        let stopped = tempfile::tempdir().unwrap();
+        let mut trainer = Trainer::new(config.clone(), 5, 2, stopped.path()).unwrap();
+        assert_eq!(run(&mut trainer, 900).0, Outcome::Stopped);
+        drop(trainer);
+        let mut trainer = Trainer::resume(stopped.path(), Some(1)).unwrap();
+        assert_eq!(run(&mut trainer, u64::MAX).0, Outcome::Finished);
+        assert!(state(whole.path()) == state(stopped.path()), "{assignments:?}");
+
+        let (resumed, whole) =
+            (Run::open(stopped.path()).unwrap(), Run::open(whole.path()).unwrap());
+        assert!(whole.curve.last().unwrap().updates > 50, "{assignments:?}");
+        for (resumed, whole) in resumed.curve.iter().zip(&whole.curve) {
+            assert_eq!(resumed.loss, whole.loss, "{assignments:?} at {}", resumed.env_steps);
+            assert_eq!(resumed.success, whole.success);
+        }
+    }
+}
+
+#[test]
+fn a_run_without_subtasks_learns_no_allocator_and_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = with(&["network.subtask=none", "run.steps=400"]);
+    run(&mut Trainer::new(config, 5, 1, folder.path()).unwrap(), u64::MAX);
+    let opened = Run::open(folder.path()).unwrap();
+    assert!(opened.allocator.is_none());
+    assert_eq!(opened.description.method, "flat");
+    assert!(opened.curve.iter().all(|point| point.allocation == "none"));
+    let error = sortie_learn::export::check_deployable(&opened).unwrap_err().to_string();
+    assert!(error.contains("network.subtask"), "{error}");
+}
+
+#[test]
+fn a_network_that_marks_subtasks_refuses_a_city_with_more_of_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = with(&["network.subtask=input", "run.steps=400"]);
+    run(&mut Trainer::new(config, 5, 1, folder.path()).unwrap(), u64::MAX);
+    let opened = Run::open(folder.path()).unwrap();
+    let plan = EvaluationPlan::new("12a_12b", 1, 1).unwrap();
+    let mut rule = AllocationRule::Coordinated;
+    let error = evaluate(&plan, &mut opened.team(), &mut rule).unwrap_err().to_string();
+    assert!(error.contains("fewer subtasks"), "{error}");
+}
+
+#[test]
 fn resuming_uses_the_checkpoint_before_a_damaged_one() {
     let folder = tempfile::tempdir().unwrap();
     let mut trainer = Trainer::new(config(), 1, 1, folder.path()).unwrap();
@@ -168,4 +235,25 @@ fn a_run_under_a_rule_learns_no_allocator() {
     assert_eq!(opened.curve[0].allocation, "heuristic");
     assert_eq!(opened.curve[0].allocator_updates, 0);
     assert_eq!(Trainer::resume(folder.path(), None).unwrap().env_steps(), 3200);
+}
+
+#[test]
+fn a_run_can_begin_with_what_another_learned() {
+    let first = tempfile::tempdir().unwrap();
+    let mut trainer = Trainer::new(config(), 3, 1, first.path()).unwrap();
+    run(&mut trainer, 1200);
+    let learned = Run::open(first.path()).unwrap();
+
+    let mut config = config();
+    config.run.from = first.path().display().to_string();
+    config.set("environment.set=2-8a_2-8b").unwrap();
+    let second = tempfile::tempdir().unwrap();
+    let trainer = Trainer::new(config.clone(), 4, 1, second.path()).unwrap();
+    assert_eq!(trainer.network(), &learned.network);
+    assert_eq!(trainer.allocator(), learned.allocator.as_ref());
+
+    config.set("network.width=32").unwrap();
+    let third = tempfile::tempdir().unwrap();
+    let error = Trainer::new(config, 4, 1, third.path()).unwrap_err();
+    assert!(error.to_string().contains("another shape"), "{error}");
 }

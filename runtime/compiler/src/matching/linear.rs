@@ -14,6 +14,17 @@ pub(crate) struct Matrix {
     pub(crate) values: Vec<f32>,
 }
 
+impl Matrix {
+    /// The product of one input row and this matrix.
+    pub(crate) fn apply(&self, input: &[f32]) -> Vec<f32> {
+        let mut output = vec![0.0; self.outputs];
+        for (factor, row) in input.iter().zip(self.values.chunks_exact(self.outputs)) {
+            output.iter_mut().zip(row).for_each(|(sum, weight)| *sum += factor * weight);
+        }
+        output
+    }
+}
+
 /// A matrix with its bias, and whether a ReLU follows.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Layer {

@@ -229,10 +229,23 @@ pub fn evaluate_watched(
     onlooker: &mut dyn Onlooker,
 ) -> Result<Evaluation, LearnError> {
     let worlds = WORLDS.min(plan.episodes);
-    let mut play = Play::new(plan, worlds, onlooker)?;
+    let mut play = Play::new(plan, 0, worlds, onlooker)?;
     let mut done = vec![None; plan.episodes];
     while play.step(team, allocator, &mut done)? {}
     Ok(summary(done.into_iter().flatten().collect()))
+}
+
+/// Plays the last episode of a plan alone: the same one that [`evaluate`] plays last.
+pub fn watch_last_episode(
+    plan: &EvaluationPlan,
+    team: &mut dyn Team,
+    allocator: &mut dyn Allocate,
+    onlooker: &mut dyn Onlooker,
+) -> Result<(), LearnError> {
+    let mut play = Play::new(plan, plan.episodes.saturating_sub(1), 1, onlooker)?;
+    let mut done = vec![None; plan.episodes];
+    while play.step(team, allocator, &mut done)? {}
+    Ok(())
 }
 
 fn summary(episodes: Vec<Finished>) -> Evaluation {

@@ -38,9 +38,10 @@ pub(super) struct Play<'a> {
 }
 
 impl<'a> Play<'a> {
-    /// Starts the first episodes.
+    /// Starts as many episodes as there are worlds, from number `first_episode` on.
     pub(super) fn new(
         plan: &'a EvaluationPlan,
+        first_episode: usize,
         worlds: usize,
         onlooker: &'a mut dyn Onlooker,
     ) -> Result<Self, LearnError> {
@@ -49,7 +50,7 @@ impl<'a> Play<'a> {
             onlooker,
             worlds: Worlds::new(plan, worlds)?,
             running: (0..worlds).map(|_| Running::default()).collect(),
-            next_episode: 0,
+            next_episode: first_episode,
         };
         for world in 0..worlds {
             play.start(world)?;

@@ -47,7 +47,7 @@ impl Team for NetworkTeam<'_> {
         let tasks = scenes.iter().map(|scene| scene.city.buildings.len()).max().unwrap_or(0);
         if self.batch.columns(tasks) > self.network.shape().input {
             let reason = format!("the network marks fewer subtasks than the {tasks} of this city");
-            return Err(LearnError::Team(reason));
+            return Err(LearnError::Config(reason));
         }
         for (place, scene) in scenes.iter().enumerate() {
             self.batch.push_teams(scene.city, scene.allocation, scene.last_actions, |agent| {

@@ -17,7 +17,7 @@ use sortie_envs::save_the_city::{
 use super::agent::{AgentNetwork, Layer, Layout, Matrix, agent_onnx};
 use crate::error::LearnError;
 use crate::evaluate::{Evaluation, EvaluationPlan, PolicyTeam, evaluate};
-use crate::methods::alma::{NetworkPolicy, UtilityWeights};
+use crate::methods::alma::{Conditioning, NetworkPolicy, UtilityWeights};
 use crate::run::Run;
 
 /// Golden observations of a bundle.
@@ -38,16 +38,36 @@ pub struct Measured {
     pub evaluation: Evaluation,
 }
 
+/// Refuses a run whose agents no bundle can hold.
+///
+/// What an agent sees of other subtasks is part of a bundle's contract, and so far all of a bundle, its
+/// golden observations included, is made for agents under the subtask mask. Marks of subtasks are
+/// moreover nothing that an observation has room for.
+///
+/// # Errors
+/// The agents were trained without the subtask mask.
+pub fn check_deployable(run: &Run) -> Result<(), LearnError> {
+    match run.description.config.network.subtask {
+        Conditioning::Mask => Ok(()),
+        Conditioning::Input | Conditioning::None => Err(LearnError::Config(
+            "only agents with `network.subtask = \"mask\"` can be deployed; the others are there \
+             to be compared with"
+                .to_owned(),
+        )),
+    }
+}
+
 /// Makes a bundle of the averaged weights of the run in `folder`.
 ///
 /// # Errors
-/// Files of the run cannot be read, or its network is not finite.
+/// The run is not [deployable](check_deployable), its files cannot be read, or its network is not finite.
 pub fn draft_bundle(
     run: &Run,
     folder: &Path,
     measured: &[Measured],
     seed: u64,
 ) -> Result<Draft, LearnError> {
+    check_deployable(run)?;
     let set = ScenarioSet::named(&run.description.config.environment.set)?;
     let contract = contract(run.description.config.allocation.interval);
     let onnx = onnx(&run.network.weights(), contract.hash())

@@ -10,4 +10,4 @@ mod onnx;
 pub(crate) mod protobuf;
 
 pub use agent::{AgentNetwork, ExportError, Layer, Layout, Matrix, agent_onnx};
-pub use bundle::{Measured, draft_bundle};
+pub use bundle::{Measured, check_deployable, draft_bundle};

@@ -99,6 +99,11 @@ impl AbsorbedAttention {
         }
     }
 
+    /// The attention weights `[pairs, heads]` of the last forward pass.
+    pub fn weights(&self) -> &[f32] {
+        &self.weights
+    }
+
     /// Writes weights and weighted sums.
     fn attend(&mut self, shape: AttentionShape, visible: &VisibleLists, entities: &[f32]) {
         let AttentionShape { width, heads } = shape;

@@ -8,10 +8,12 @@ mod error;
 mod events;
 mod fields;
 mod frames;
+mod playback;
 mod record;
 mod replay;
 
 pub use error::GoldenError;
+pub use playback::Playback;
 pub use record::{Labels, Recorder};
 pub use replay::{Mismatch, Replay, replay, replay_file};
 

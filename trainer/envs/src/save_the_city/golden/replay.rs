@@ -17,7 +17,7 @@ use super::error::GoldenError;
 use super::events::Events;
 use super::fields::Field;
 use super::frames;
-use crate::environment::StepError;
+use crate::environment::{StepError, StepOutcome};
 
 /// One value that came out differently.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -93,12 +93,25 @@ pub fn replay(file: &str, text: &str) -> Result<Replay, GoldenError> {
 }
 
 /// What a step is given: actions and collision losers.
-struct Moves {
-    actions: Vec<u16>,
+pub(super) struct Moves {
+    pub(super) actions: Vec<u16>,
     bounces: Vec<Bounce>,
 }
 
-fn read_moves(step: &Field<'_>, agents: usize) -> Result<Moves, GoldenError> {
+impl Moves {
+    /// Takes the step that was recorded.
+    pub(super) fn play(&self, environment: &mut SaveTheCity) -> Result<StepOutcome, StepError> {
+        let mut losers = self.bounces.iter().peekable();
+        environment.step_with_losers(0, &self.actions, |first, second| {
+            let known = |bounce: &&Bounce| {
+                (usize::from(bounce.first), usize::from(bounce.second)) == (first, second)
+            };
+            losers.next_if(known).map_or(first, |bounce| bounce.loser.into())
+        })
+    }
+}
+
+pub(super) fn read_moves(step: &Field<'_>, agents: usize) -> Result<Moves, GoldenError> {
     let mut actions = Vec::new();
     for action in step.get("actions")?.exactly(agents)? {
         actions.push(action.integer(0..=ACTIONS as u64 - 1)? as u16);
@@ -119,7 +132,7 @@ fn read_moves(step: &Field<'_>, agents: usize) -> Result<Moves, GoldenError> {
 }
 
 /// Sets up the city that the file describes, in its first state.
-fn restore(root: &Field<'_>) -> Result<SaveTheCity, GoldenError> {
+pub(super) fn restore(root: &Field<'_>) -> Result<SaveTheCity, GoldenError> {
     let config = root.get("config")?;
     let size = |name: &str, most: usize| -> Result<usize, GoldenError> {
         Ok(config.get(name)?.integer(1..=most as u64)? as usize)
@@ -215,14 +228,7 @@ impl Comparison<'_> {
         moves: &Moves,
         environment: &mut SaveTheCity,
     ) -> Result<bool, GoldenError> {
-        let mut losers = moves.bounces.iter().peekable();
-        let outcome = environment.step_with_losers(0, &moves.actions, |first, second| {
-            let known = |bounce: &&Bounce| {
-                (usize::from(bounce.first), usize::from(bounce.second)) == (first, second)
-            };
-            losers.next_if(known).map_or(first, |bounce| bounce.loser.into())
-        });
-        let outcome = match outcome {
+        let outcome = match moves.play(environment) {
             Ok(outcome) => outcome,
             Err(error) => {
                 let actions = step.get("actions")?;

@@ -78,6 +78,12 @@ impl EntityAttention {
         attended
     }
 
+    /// The weights `[pairs, heads]` of the last forward pass, which was about `input`.
+    pub(super) fn weights(&self, shape: AttentionShape, input: &UtilityInput) -> &[f32] {
+        let weights = if absorbs(shape, input) { self.absorbed.weights() } else { &self.weights };
+        &weights[..input.visible.pairs() * shape.heads]
+    }
+
     /// What the last forward pass computed for so many numbers.
     pub(super) fn attended(&self, numbers: usize) -> &[f32] {
         &self.attended[..numbers]

@@ -28,6 +28,20 @@ impl<'a> NetworkPolicy<'a> {
         }
     }
 
+    /// What the last answer attended to: every visible entity of `observation`, which must be the one
+    /// that was answered, with its weights `[heads]`; those of one head sum to 1.
+    pub fn attention(
+        &self,
+        observation: &Observation<'_>,
+    ) -> impl Iterator<Item = (usize, &[f32])> {
+        let own = observation.self_index;
+        let visible = observation.visible;
+        let own_first = visible.contains(own).then_some(own);
+        let others: Vec<usize> = visible.iter().filter(|entity| *entity != own).collect();
+        let weights = self.pass.attention(&self.input);
+        own_first.into_iter().chain(others).zip(weights.chunks_exact(self.network.shape().heads))
+    }
+
     /// The agent's own row comes first, as the query; what it sees follows.
     fn fill(&mut self, observation: &Observation<'_>) -> Result<(), DecideError> {
         let own = observation.self_index;

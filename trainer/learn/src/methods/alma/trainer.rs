@@ -21,7 +21,7 @@ use super::utility::UtilityNetwork;
 use crate::error::LearnError;
 use crate::evaluate::{Evaluation, EvaluationPlan, NetworkTeam, NoSubtasks, evaluate};
 use crate::random::{Generator, Purpose, generator};
-use crate::run::{CurvePoint, RunDescription, RunFolder, RunResult};
+use crate::run::{CurvePoint, Run, RunDescription, RunFolder, RunResult};
 use crate::workers::Workers;
 
 /// Tells the allocator's streams of random numbers from the agents'.
@@ -100,9 +100,35 @@ impl Trainer {
     ) -> Result<Self, LearnError> {
         config.check()?;
         let description = RunDescription::new(config, seed, threads.max(1));
-        let trainer = Self::start(description, folder)?;
+        let mut trainer = Self::start(description, folder)?;
+        if !trainer.description.config.run.from.is_empty() {
+            trainer.take_over(&Run::open(Path::new(&trainer.description.config.run.from))?)?;
+        }
         RunFolder::create(folder, &trainer.description)?;
         Ok(trainer)
+    }
+
+    /// Begins with the averaged weights of another run.
+    fn take_over(&mut self, run: &Run) -> Result<(), LearnError> {
+        let mut knowledge = self.agents.knowledge_mut();
+        let online = MixedNetwork { utility: run.network.clone(), ..knowledge.online.clone() };
+        if online.utility.shape() != knowledge.online.utility.shape() {
+            return Err(LearnError::Config("`run.from` has agents of another shape".to_owned()));
+        }
+        (knowledge.target, knowledge.online) = (online.clone(), online.clone());
+        drop(knowledge);
+        self.agents.average = online;
+        let (Some(learner), Some(network)) = (&mut self.allocator, &run.allocator) else {
+            return Ok(());
+        };
+        let mut knowledge = learner.knowledge_mut();
+        if network.shape() != knowledge.online.shape() {
+            return Err(LearnError::Config("`run.from` has another allocator".to_owned()));
+        }
+        (knowledge.target, knowledge.online) = (network.clone(), network.clone());
+        drop(knowledge);
+        learner.average = network.clone();
+        Ok(())
     }
 
     pub(super) fn start(description: RunDescription, folder: &Path) -> Result<Self, LearnError> {

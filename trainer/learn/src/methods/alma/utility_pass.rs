@@ -83,6 +83,12 @@ impl UtilityPass {
         utilities
     }
 
+    /// The attention weights `[pairs, heads]` of the last forward pass, which was about `input`: pair by
+    /// pair in the order of the visible lists.
+    pub fn attention(&self, input: &UtilityInput) -> &[f32] {
+        self.attention.weights(self.shape.attention(), input)
+    }
+
     /// Adds to `gradient` (all parameters) the gradient of a loss whose slope by the utilities of the
     /// last forward pass is `d_utilities [queries, U]`.
     pub fn backward(

@@ -43,6 +43,8 @@ impl EnvironmentConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RunConfig {
+    /// Folder of a run whose averaged weights this one begins with; empty for a run from scratch.
+    pub from: String,
     /// Environment steps to learn for.
     pub steps: u64,
     /// Environment steps from one evaluation to the next.
@@ -58,6 +60,7 @@ pub struct RunConfig {
 impl Default for RunConfig {
     fn default() -> Self {
         Self {
+            from: String::new(),
             steps: 1_000_000,
             evaluate_every: 50_000,
             evaluate_episodes: 500,

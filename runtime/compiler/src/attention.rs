@@ -1,0 +1,122 @@
+//! What an agent's network attends to, for people who look at its decisions.
+
+use sortie_core::{DecideError, NO_ACTION, Observation};
+
+use crate::error::CompileError;
+use crate::graph::Graph;
+use crate::matching::{AgentLayers, Layer, match_agent};
+
+/// Reads attention weights from an ONNX graph, which itself gives utilities only.
+///
+/// It computes the scores of the matched layers once more, slowly and allocating.
+#[derive(Clone, Debug)]
+pub struct AttentionProbe {
+    layers: AgentLayers,
+    features: usize,
+}
+
+impl AttentionProbe {
+    /// Reads an ONNX file; `features` is the number d of columns before the last action's one-hot.
+    pub fn new(onnx: &[u8], features: usize) -> Result<Self, CompileError> {
+        Ok(Self { layers: match_agent(&Graph::read(onnx)?)?, features })
+    }
+
+    /// Attention heads.
+    pub fn heads(&self) -> usize {
+        self.layers.heads
+    }
+
+    /// The weights `[visible, heads]`, entities in rising order; those of one head sum to 1.
+    pub fn weights(&self, observation: &Observation<'_>) -> Result<Vec<f32>, DecideError> {
+        let heads = self.heads();
+        let own = self.embed(observation, observation.self_index)?;
+        let query = affine(&self.layers.query, &own);
+        let mut weights = Vec::new();
+        for entity in observation.visible.iter() {
+            let key = self.layers.key.apply(&self.embed(observation, entity)?);
+            let width = key.len() / heads.max(1);
+            let parts = query.chunks_exact(width).zip(key.chunks_exact(width));
+            weights.extend(parts.map(|(q, k)| q.iter().zip(k).map(|(q, k)| q * k).sum::<f32>()));
+        }
+        for head in 0..heads {
+            softmax(weights.iter_mut().skip(head).step_by(heads).collect());
+        }
+        Ok(weights)
+    }
+
+    /// The embedding of an entity's row and last action.
+    fn embed(&self, observation: &Observation<'_>, entity: usize) -> Result<Vec<f32>, DecideError> {
+        let start = entity * observation.stride;
+        let row = observation.rows.get(start..start + self.features);
+        let mut input = row.ok_or(DecideError::BadLength)?.to_vec();
+        input.resize(self.layers.embed.matrix.inputs, 0.0);
+        let last_action = observation.last_actions.get(entity).filter(|&&last| last != NO_ACTION);
+        if let Some(one_hot) =
+            last_action.and_then(|last| input.get_mut(self.features + usize::from(*last)))
+        {
+            *one_hot = 1.0;
+        }
+        Ok(affine(&self.layers.embed, &input))
+    }
+}
+
+/// The layer's output for one input row.
+fn affine(layer: &Layer, input: &[f32]) -> Vec<f32> {
+    let mut output = layer.matrix.apply(input);
+    for (value, bias) in output.iter_mut().zip(&layer.bias) {
+        *value += bias;
+        if layer.relu {
+            *value = value.max(0.0);
+        }
+    }
+    output
+}
+
+fn softmax(scores: Vec<&mut f32>) {
+    let max = scores.iter().fold(f32::NEG_INFINITY, |max, score| max.max(**score));
+    let sum: f32 = scores.iter().map(|score| (**score - max).exp()).sum();
+    scores.into_iter().for_each(|score| *score = (*score - max).exp() / sum);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::matching::Matrix;
+    use sortie_core::EntityMask;
+
+    #[test]
+    fn weights_are_the_softmax_of_query_and_key_over_what_is_visible() {
+        let identity = || Matrix { inputs: 2, outputs: 2, values: vec![1.0, 0.0, 0.0, 1.0] };
+        let layer = || Layer { matrix: identity(), bias: vec![0.0; 2], relu: false };
+        let layers = AgentLayers {
+            embed: layer(),
+            heads: 2,
+            query: layer(),
+            key: identity(),
+            value: identity(),
+            output: layer(),
+            dense: Vec::new(),
+        };
+        let probe = AttentionProbe { layers, features: 2 };
+        let mut visible = EntityMask::first(3);
+        visible.remove(1);
+        let observation = Observation {
+            rows: &[1.0, 2.0, 9.0, 9.0, 3.0, 1.0],
+            stride: 2,
+            last_actions: &[],
+            visible,
+            self_index: 0,
+            available: &[1],
+        };
+        // Head 0 scores 1 and 3, head 1 scores 4 and 2.
+        let low = 1.0 / (1.0 + 2.0_f32.exp());
+        let weights = probe.weights(&observation).unwrap();
+        let wanted = [low, 1.0 - low, 1.0 - low, low];
+        assert_eq!(weights.len(), 4);
+        for (got, want) in weights.iter().zip(wanted) {
+            assert!((got - want).abs() < 1e-6, "{weights:?}");
+        }
+        let short = Observation { rows: &[1.0, 2.0], ..observation };
+        assert_eq!(probe.weights(&short), Err(DecideError::BadLength));
+    }
+}

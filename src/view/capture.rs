@@ -1,0 +1,194 @@
+//! Watches an episode and writes it down.
+
+use sortie_envs::save_the_city::{
+    AgentKind, BuildingKind, City, DecisionPoints, EpisodeMetrics, MAX_AGENTS, UNASSIGNED,
+};
+use sortie_envs::{StepOutcome, Subtasks};
+use sortie_learn::LearnError;
+use sortie_learn::evaluate::{Onlooker, PolicyTeam, Scene, Team, Watched};
+
+use super::data::{AgentFacts, BuildingFacts, EpisodeResult, State, Step, Thought, rounded};
+use super::episode::Episode;
+use super::mind::{Diary, Mind};
+use super::values::TeamValueProbe;
+use crate::failure::Failure;
+
+/// An episode as it went.
+pub(super) struct Captured {
+    pub(super) agents: Vec<AgentFacts>,
+    pub(super) buildings: Vec<BuildingFacts>,
+    pub(super) states: Vec<State>,
+    pub(super) steps: Vec<Step>,
+    pub(super) result: EpisodeResult,
+}
+
+/// Who is asked what it thinks.
+pub(super) enum Thinker<'a> {
+    /// Agents with utilities.
+    Mind(&'a mut dyn Mind),
+    /// A team that only acts.
+    Silent(&'a mut dyn Team),
+}
+
+/// Goes through an episode and writes it down, with what the team and the allocator think.
+pub(super) fn capture(
+    episode: &mut dyn Episode,
+    thinker: Thinker<'_>,
+    probe: Option<TeamValueProbe<'_>>,
+    interval: u32,
+) -> Result<Captured, Failure> {
+    let mut steps = StepLog { decisions: DecisionPoints::every(interval), ..StepLog::default() };
+    let (mut states, thoughts) = match thinker {
+        Thinker::Mind(mind) => {
+            let mut diary = Diary::new(mind);
+            let mut team = PolicyTeam::new(&mut diary);
+            let mut log = StateLog { team: &mut team, probe, states: Vec::new() };
+            episode.play(&mut log, &mut steps)?;
+            (log.states, diary.thoughts)
+        }
+        Thinker::Silent(team) => {
+            let mut log = StateLog { team, probe, states: Vec::new() };
+            episode.play(&mut log, &mut steps)?;
+            (log.states, Vec::new())
+        }
+    };
+    give_thoughts(&mut states, thoughts);
+    for (state, decided) in states.iter_mut().zip(&steps.decided) {
+        state.decided = *decided;
+    }
+    states.extend(steps.last_state);
+    let StepLog { agents, buildings, steps, result, .. } = steps;
+    let result = result.unwrap_or(EpisodeResult::TimedOut);
+    Ok(Captured { agents, buildings, states, steps, result })
+}
+
+/// Every decision was one agent's, agent by agent, state by state.
+fn give_thoughts(states: &mut [State], thoughts: Vec<Thought>) {
+    let mut thoughts = thoughts.into_iter();
+    for state in states {
+        let own: Vec<Thought> = thoughts.by_ref().take(state.places.len()).collect();
+        state.thoughts = (!own.is_empty()).then_some(own);
+    }
+}
+
+/// A team that writes down every state in which it acts.
+struct StateLog<'a> {
+    team: &'a mut dyn Team,
+    probe: Option<TeamValueProbe<'a>>,
+    states: Vec<State>,
+}
+
+impl Team for StateLog<'_> {
+    fn act(
+        &mut self,
+        scenes: &[Scene<'_>],
+        actions: &mut [u16],
+        agents: usize,
+    ) -> Result<(), LearnError> {
+        for scene in scenes {
+            let mut state = state(scene.city, scene.allocation);
+            state.values = self.probe.as_mut().map(|probe| probe.values(scene));
+            self.states.push(state);
+        }
+        self.team.act(scenes, actions, agents)
+    }
+}
+
+fn state(city: City<'_>, allocation: &[u8]) -> State {
+    let (agents, buildings) = (city.agents, city.buildings);
+    let assigned = allocation.iter().map(|&task| (task != UNASSIGNED).then_some(task));
+    State {
+        places: agents.iter().map(|agent| (agent.x, agent.y)).collect(),
+        health: buildings.iter().map(|building| rounded(building.health)).collect(),
+        fire: buildings.iter().map(|building| rounded(building.fire)).collect(),
+        status: buildings.iter().map(|building| building.status as u8).collect(),
+        next_fire: buildings.iter().map(|building| building.to_next_fire).collect(),
+        available: agents.iter().map(|agent| agent.available).collect(),
+        allocation: assigned.take(agents.len()).collect(),
+        decided: false,
+        thoughts: None,
+        values: None,
+    }
+}
+
+/// An onlooker that writes down every step.
+#[derive(Default)]
+struct StepLog {
+    agents: Vec<AgentFacts>,
+    buildings: Vec<BuildingFacts>,
+    decisions: DecisionPoints,
+    /// Of every state but the last.
+    decided: Vec<bool>,
+    steps: Vec<Step>,
+    /// The final state so far.
+    last_state: Option<State>,
+    result: Option<EpisodeResult>,
+}
+
+impl Onlooker for StepLog {
+    fn started(&mut self, watched: Watched<'_>) -> Result<(), LearnError> {
+        let City { agents, buildings } = watched.worlds.city(watched.instance);
+        let agent = |(number, kind): (usize, AgentKind)| AgentFacts {
+            name: format!("{}{number}", kind.letter()),
+            kind: kind_name(kind),
+        };
+        self.agents = agents.iter().map(|agent| agent.kind).enumerate().map(agent).collect();
+        let buildings = buildings.iter().enumerate().map(|(number, building)| BuildingFacts {
+            name: building_name(number),
+            kind: match building.kind {
+                BuildingKind::Fast => "fast",
+                BuildingKind::Slow => "slow",
+            },
+            x: building.x,
+            y: building.y,
+            period: building.period,
+        });
+        self.buildings = buildings.collect();
+        self.decided.push(self.decisions.is_due(false));
+        Ok(())
+    }
+
+    fn stepped(
+        &mut self,
+        watched: Watched<'_>,
+        actions: &[u16],
+        outcome: &StepOutcome,
+    ) -> Result<(), LearnError> {
+        let Watched { worlds, instance, .. } = watched;
+        let city = worlds.city(instance);
+        let rewards = worlds.task_rewards(instance).iter().take(city.buildings.len());
+        self.steps.push(Step {
+            actions: actions[..city.agents.len()].to_vec(),
+            reward: rounded(outcome.reward),
+            task_rewards: rewards.copied().map(rounded).collect(),
+            bounced: worlds.bounces(instance).iter().map(|bounce| bounce.loser).collect(),
+        });
+        if !outcome.done() {
+            self.decided.push(self.decisions.is_due(outcome.tasks_changed));
+        }
+        self.last_state = Some(state(city, &[UNASSIGNED; MAX_AGENTS]));
+        self.result = Some(result(worlds.metrics(instance)));
+        Ok(())
+    }
+}
+
+fn result(metrics: &EpisodeMetrics) -> EpisodeResult {
+    match (metrics.solved, metrics.timed_out) {
+        (true, _) => EpisodeResult::Solved,
+        (false, true) => EpisodeResult::TimedOut,
+        (false, false) => EpisodeResult::Lost,
+    }
+}
+
+fn kind_name(kind: AgentKind) -> &'static str {
+    match kind {
+        AgentKind::Firefighter => "firefighter",
+        AgentKind::Builder => "builder",
+        AgentKind::Generalist => "generalist",
+    }
+}
+
+/// `a` for building 0; a city has at most 25.
+fn building_name(number: usize) -> String {
+    char::from(b'a'.saturating_add(number as u8)).to_string()
+}

@@ -1,0 +1,83 @@
+//! Where an episode comes from: played now, or recorded before.
+
+use std::path::Path;
+
+use sortie_envs::save_the_city::golden::{self, Playback};
+use sortie_envs::save_the_city::{DecisionPoints, MAX_AGENTS, UNASSIGNED};
+use sortie_learn::evaluate::{
+    Allocate, EvaluationPlan, Onlooker, Scene, Team, Watched, watch_last_episode,
+};
+use sortie_learn::methods::alma::NO_ACTION;
+use sortie_learn::random::{Generator, Purpose, generator};
+
+use crate::failure::Failure;
+use crate::replay;
+
+/// An episode that a team goes through while somebody watches.
+pub(super) trait Episode {
+    /// Asks `team` in every state and tells `onlooker` what happens.
+    fn play(&mut self, team: &mut dyn Team, onlooker: &mut dyn Onlooker) -> Result<(), Failure>;
+}
+
+/// An episode that the team itself plays: the last one of a plan.
+pub(super) struct Played<'a> {
+    pub(super) plan: &'a EvaluationPlan,
+    pub(super) allocator: &'a mut dyn Allocate,
+}
+
+impl Episode for Played<'_> {
+    fn play(&mut self, team: &mut dyn Team, onlooker: &mut dyn Onlooker) -> Result<(), Failure> {
+        Ok(watch_last_episode(self.plan, team, self.allocator, onlooker)?)
+    }
+}
+
+/// A recorded episode: its actions stand, whatever the team that is asked would do.
+pub(super) struct Replayed<'a> {
+    pub(super) playback: &'a mut Playback,
+    /// Who assigned the agents, which recordings do not hold.
+    pub(super) allocator: Option<&'a mut dyn Allocate>,
+}
+
+/// Reads a recording and checks that it replays bit for bit.
+pub(super) fn open_recording(file: &Path) -> Result<Playback, Failure> {
+    let text = std::fs::read_to_string(file).map_err(|error| Failure::file(file, &error))?;
+    let name = file.display().to_string();
+    let unreadable = |error| replay::unreadable(error).within(&name);
+    let replayed = golden::replay(&name, &text).map_err(unreadable)?;
+    match replayed.mismatches.first() {
+        Some(first) => Err(replay::difference(first, replayed.mismatches.len())),
+        None => Playback::new(&text).map_err(unreadable),
+    }
+}
+
+fn watched(playback: &Playback) -> Watched<'_> {
+    Watched { episode: 0, worlds: playback.world(), instance: 0 }
+}
+
+impl Episode for Replayed<'_> {
+    fn play(&mut self, team: &mut dyn Team, onlooker: &mut dyn Onlooker) -> Result<(), Failure> {
+        onlooker.started(watched(self.playback))?;
+        let mut decisions = DecisionPoints::default();
+        let mut tasks_changed = false;
+        let mut allocation = [UNASSIGNED; MAX_AGENTS];
+        let mut last_actions = [NO_ACTION; MAX_AGENTS];
+        // No allocator that can be asked again draws from it.
+        let mut unused: Generator = generator(0, Purpose::Evaluation, 0);
+        while let Some(actions) = self.playback.next_actions().map(<[u16]>::to_vec) {
+            let city = self.playback.world().city(0);
+            let due = decisions.is_due(tasks_changed);
+            if let Some(allocator) = self.allocator.as_mut().filter(|_| due) {
+                allocator.allocate(city, &mut unused, &mut allocation)?;
+            }
+            let scene = Scene { city, allocation: &allocation, last_actions: &last_actions };
+            team.act(&[scene], &mut [0; MAX_AGENTS], MAX_AGENTS)?;
+            let Some(outcome) = self.playback.step().map_err(Failure::bug)? else { break };
+            onlooker.stepped(watched(self.playback), &actions, &outcome)?;
+            for (last, action) in last_actions.iter_mut().zip(&actions) {
+                *last = *action as u8;
+            }
+            tasks_changed = outcome.tasks_changed;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,114 @@
+//! What agents think: utilities and attention of a run's network or of a bundle's.
+
+use sortie_bundle::Bundle;
+use sortie_compiler::AttentionProbe;
+use sortie_core::choose::masked_argmax;
+use sortie_core::{DecideError, Decision, Observation, Policy};
+use sortie_learn::methods::alma::NetworkPolicy;
+
+use super::data::{Attention, Thought, rounded};
+use crate::failure::Failure;
+
+/// A policy that also tells what it attends to.
+pub(super) trait Mind: Policy {
+    /// Every visible entity with its weights `[heads]`, once the utilities of the same observation
+    /// have been asked for.
+    fn attention(
+        &mut self,
+        observation: &Observation<'_>,
+    ) -> Result<Vec<(usize, Vec<f32>)>, DecideError>;
+}
+
+impl Mind for NetworkPolicy<'_> {
+    fn attention(
+        &mut self,
+        observation: &Observation<'_>,
+    ) -> Result<Vec<(usize, Vec<f32>)>, DecideError> {
+        let attention = NetworkPolicy::attention(self, observation);
+        Ok(attention.map(|(entity, weights)| (entity, weights.to_vec())).collect())
+    }
+}
+
+/// A bundle as deployed, with the attention read from its graph.
+pub(super) struct DeployedMind<'a> {
+    policy: Box<dyn Policy + 'a>,
+    probe: AttentionProbe,
+}
+
+impl<'a> DeployedMind<'a> {
+    pub(super) fn new(bundle: &Bundle, policy: Box<dyn Policy + 'a>) -> Result<Self, Failure> {
+        let features = usize::from(bundle.contract().features);
+        let probe = AttentionProbe::new(bundle.agent_onnx(), features)?;
+        Ok(Self { policy, probe })
+    }
+}
+
+impl Policy for DeployedMind<'_> {
+    fn actions(&self) -> usize {
+        self.policy.actions()
+    }
+
+    fn utilities(
+        &mut self,
+        observation: &Observation<'_>,
+        utilities: &mut [f32],
+    ) -> Result<(), DecideError> {
+        self.policy.utilities(observation, utilities)
+    }
+
+    fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
+        self.policy.decide(observation)
+    }
+}
+
+impl Mind for DeployedMind<'_> {
+    fn attention(
+        &mut self,
+        observation: &Observation<'_>,
+    ) -> Result<Vec<(usize, Vec<f32>)>, DecideError> {
+        let weights = self.probe.weights(observation)?;
+        let parts = weights.chunks_exact(self.probe.heads()).map(<[f32]>::to_vec);
+        Ok(observation.visible.iter().zip(parts).collect())
+    }
+}
+
+/// Decides by a mind and notes every thought, in the order of the decisions.
+pub(super) struct Diary<'a> {
+    mind: &'a mut dyn Mind,
+    pub(super) thoughts: Vec<Thought>,
+}
+
+impl<'a> Diary<'a> {
+    pub(super) fn new(mind: &'a mut dyn Mind) -> Self {
+        Self { mind, thoughts: Vec::new() }
+    }
+}
+
+impl Policy for Diary<'_> {
+    fn actions(&self) -> usize {
+        self.mind.actions()
+    }
+
+    fn utilities(
+        &mut self,
+        observation: &Observation<'_>,
+        utilities: &mut [f32],
+    ) -> Result<(), DecideError> {
+        self.mind.utilities(observation, utilities)
+    }
+
+    fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
+        let mut utilities = vec![0.0; self.mind.actions()];
+        self.mind.utilities(observation, &mut utilities)?;
+        let attention = self.mind.attention(observation)?;
+        let attended = |(entity, weights): (usize, Vec<f32>)| Attention {
+            entity,
+            weights: weights.into_iter().map(rounded).collect(),
+        };
+        self.thoughts.push(Thought {
+            utilities: utilities.iter().copied().map(rounded).collect(),
+            attention: attention.into_iter().map(attended).collect(),
+        });
+        masked_argmax(&utilities, observation.available)
+    }
+}

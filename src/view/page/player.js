@@ -1,0 +1,182 @@
+// Which state, agent and building are shown, and everything that changes it.
+
+const view = { at: 0, agent: 0, building: 0 };
+/** A building that was chosen itself; otherwise the selected agent's is shown. */
+let chosenBuilding = null;
+let timer = null;
+
+const show = [
+  createMap(select),
+  createAgentPanel(select),
+  createBuildingPanel(select),
+  createTimeline(go),
+  showTransport,
+];
+
+function refresh() {
+  const own = episode.states[view.at].allocation[view.agent];
+  view.building = chosenBuilding ?? own ?? view.building;
+  show.forEach((part) => part(view));
+}
+
+/** Shows another state; out of range means the nearest. */
+function go(at) {
+  view.at = Math.max(0, Math.min(LAST, at));
+  refresh();
+}
+
+function select({ agent, building }) {
+  if (agent !== undefined) {
+    view.agent = agent;
+    chosenBuilding = null;
+  } else {
+    chosenBuilding = building;
+  }
+  refresh();
+}
+
+function pause() {
+  clearInterval(timer);
+  timer = null;
+  refresh();
+}
+
+/** Plays on from here, from the start where the end is reached. */
+function play() {
+  clearInterval(timer);
+  timer = setInterval(() => (view.at < LAST ? go(view.at + 1) : pause()), 1000 / Number(byId("speed").value));
+  go(view.at < LAST ? view.at : 0);
+}
+
+function toggle() {
+  (timer === null ? play : pause)();
+}
+
+/** The nearest event before or after this state. */
+function goToEvent(direction) {
+  const places = episode.events.map((event) => event.at).filter((at) => (at - view.at) * direction > 0);
+  if (places.length) {
+    go(direction > 0 ? Math.min(...places) : Math.max(...places));
+  }
+}
+
+function changeSpeed(by) {
+  const speed = byId("speed");
+  speed.selectedIndex = Math.max(0, Math.min(speed.options.length - 1, speed.selectedIndex + by));
+  if (timer !== null) {
+    play();
+  }
+}
+
+function showTransport() {
+  const playing = timer !== null;
+  const button = byId("play");
+  button.textContent = playing ? "Pause" : "Play";
+  const scrubber = byId("scrubber");
+  scrubber.value = view.at;
+  scrubber.setAttribute("aria-valuetext", `step ${view.at} of ${LAST}`);
+  byId("step").textContent = `${view.at} / ${LAST}`;
+  byId("reward").textContent = signed(episode.steps[view.at - 1]?.reward ?? 0);
+  byId("return").textContent = fixed(returns[view.at]);
+  const events = eventsAt.get(view.at) ?? [];
+  const happening = byId("happening");
+  // While it plays, steps follow too fast to be read aloud.
+  happening.setAttribute("aria-live", playing ? "off" : "polite");
+  happening.textContent = events.length ? events.map((event) => event.text).join(" · ") : quiet();
+  byId("jump").value = events.length ? String(view.at) : "";
+}
+
+function quiet() {
+  if (view.at === LAST) {
+    return "the episode is over";
+  }
+  return episode.states[view.at].decided && episode.allocation
+    ? "the allocator decides; nobody is moved"
+    : "";
+}
+
+function createHeader() {
+  const team = episode.agents.map(({ name }) => name[0]).join("");
+  byId("title").textContent = episode.subject;
+  document.title = `${episode.subject}: one episode`;
+  const facts = [episode.env, `team ${team}`];
+  if (episode.allocation) {
+    facts.push(`${episode.allocation} allocation`);
+  }
+  if (episode.episode) {
+    const [seed, number] = episode.episode;
+    facts.push(`episode ${number} of seed ${seed}`);
+  }
+  byId("facts").textContent = facts.join(" · ");
+  const result = byId("result");
+  result.classList.add(episode.result);
+  result.textContent = `${episode.result.replace("-", " ")} after ${LAST} steps`;
+  byId("notes").replaceChildren(...episode.notes.map((note) => html("p", {}, note)));
+}
+
+function createTransport() {
+  byId("scrubber").max = LAST;
+  byId("scrubber").addEventListener("input", (event) => go(Number(event.target.value)));
+  const buttons = {
+    first: () => go(0),
+    previous: () => go(view.at - 1),
+    play: toggle,
+    next: () => go(view.at + 1),
+    last: () => go(LAST),
+  };
+  for (const [id, action] of Object.entries(buttons)) {
+    byId(id).addEventListener("click", action);
+  }
+  byId("speed").addEventListener("change", () => changeSpeed(0));
+  const jump = byId("jump");
+  const options = [...eventsAt].map(([at, events]) =>
+    html("option", { value: at }, `${at}: ${events.map((event) => event.text).join(", ")}`),
+  );
+  jump.append(html("option", { value: "" }, `${episode.events.length} events …`), ...options);
+  jump.addEventListener("change", () => jump.value && go(Number(jump.value)));
+  byId("help-open").addEventListener("click", () => byId("help").showModal());
+}
+
+const KEYS = {
+  ArrowLeft: () => go(view.at - 1),
+  ArrowRight: () => go(view.at + 1),
+  Home: () => go(0),
+  End: () => go(LAST),
+  " ": toggle,
+  n: () => goToEvent(1),
+  p: () => goToEvent(-1),
+  "+": () => changeSpeed(1),
+  "-": () => changeSpeed(-1),
+  "?": () => byId("help").showModal(),
+};
+
+document.addEventListener("keydown", (event) => {
+  if (event.ctrlKey || event.altKey || event.metaKey || byId("help").open) {
+    return;
+  }
+  // Controls keep the keys that they understand themselves.
+  if (event.target.matches("select") || (event.key === " " && event.target.matches("button"))) {
+    return;
+  }
+  const agent = event.key.length === 1 && event.key >= "0" && event.key <= "9" ? Number(event.key) : null;
+  if (agent !== null && agent < episode.agents.length) {
+    select({ agent });
+  } else if (event.key in KEYS) {
+    event.preventDefault();
+    KEYS[event.key]();
+  }
+});
+
+/** `page.html#12` opens at step 12, `#12,1` with agent 1 selected. */
+function followAddress() {
+  const [at, agent] = location.hash.slice(1).split(",").map(Number);
+  if (episode.agents[agent]) {
+    select({ agent });
+  }
+  go(Number.isInteger(at) ? at : 0);
+}
+
+createHeader();
+createTransport();
+window.addEventListener("hashchange", followAddress);
+followAddress();

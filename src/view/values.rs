@@ -1,0 +1,132 @@
+//! What the learned allocator expects of teams.
+
+use sortie_envs::save_the_city::{City, Symmetry};
+use sortie_learn::evaluate::Scene;
+use sortie_learn::methods::alma::team_value::{TeamQuery, TeamValueInput};
+use sortie_learn::methods::alma::{UtilityNetwork, UtilityPass};
+
+use super::allocator::LearnedAllocator;
+use super::data::{TeamValues, rounded};
+
+/// Other teams that are shown.
+const OTHERS: usize = 3;
+/// Most agents for which all teams are compared; beyond, those that differ in one agent.
+const ALL_TEAMS: usize = 8;
+
+/// Asks a team-value network about the teams that are there, and about others.
+pub(super) struct TeamValueProbe<'a> {
+    network: &'a UtilityNetwork,
+    team_max: usize,
+    pass: UtilityPass,
+    input: TeamValueInput,
+}
+
+impl<'a> TeamValueProbe<'a> {
+    pub(super) fn new(allocator: LearnedAllocator<'a>) -> Self {
+        let LearnedAllocator { network, team_max } = allocator;
+        let (pass, input) = (UtilityPass::new(network.shape()), TeamValueInput::default());
+        Self { network, team_max, pass, input }
+    }
+
+    /// The values in one state, one entry per building, none for closed ones.
+    pub(super) fn values(&mut self, scene: &Scene<'_>) -> Vec<Option<TeamValues>> {
+        let city = scene.city;
+        let members = |task| {
+            let assigned = scene.allocation.iter().take(city.agents.len()).enumerate();
+            let here = assigned.filter(|(_, own)| usize::from(**own) == task);
+            here.fold(0, |team, (agent, _)| team | 1_u64 << agent)
+        };
+        let buildings = city.buildings.iter().enumerate();
+        buildings
+            .map(|(task, building)| {
+                building.is_open().then(|| self.at_building(city, task, members(task)))
+            })
+            .collect()
+    }
+
+    fn at_building(&mut self, city: City<'_>, task: usize, chosen: u64) -> TeamValues {
+        let teams = self.candidates(city.agents.len(), chosen);
+        let turn = Symmetry::ALL[0];
+        let queries = teams.iter().map(|&team| TeamQuery { city, task, team, turn });
+        let values = self.pass.forward(self.network, self.input.queries(queries));
+        let mut others = Vec::new();
+        let (mut own, mut nobody) = (0.0, 0.0);
+        for (&team, &value) in teams.iter().zip(values) {
+            if team == 0 {
+                nobody = rounded(value);
+            }
+            if team == chosen {
+                own = rounded(value);
+            } else if team != 0 {
+                let members = (0..city.agents.len()).filter(|agent| team >> agent & 1 == 1);
+                others.push((members.collect(), rounded(value)));
+            }
+        }
+        others.sort_by(|(_, one): &(Vec<usize>, f64), (_, other)| other.total_cmp(one));
+        others.truncate(OTHERS);
+        TeamValues { chosen: own, nobody, others }
+    }
+
+    /// Nobody, the chosen team, and others that the allocator may give.
+    fn candidates(&self, agents: usize, chosen: u64) -> Vec<u64> {
+        let fits = |team: &u64| team.count_ones() as usize <= self.team_max;
+        let mut teams: Vec<u64> = if agents <= ALL_TEAMS {
+            (0..1 << agents).filter(fits).collect()
+        } else {
+            (0..agents).map(|agent| chosen ^ 1 << agent).filter(fits).collect()
+        };
+        teams.extend([0, chosen]);
+        teams.sort_unstable();
+        teams.dedup();
+        teams
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sortie_envs::save_the_city::{Constants, SaveTheCity, ScenarioSet, Status, UNASSIGNED};
+    use sortie_learn::methods::alma::UtilityShape;
+    use sortie_learn::methods::alma::team_value::COLUMNS;
+    use sortie_learn::random::{Purpose, generator};
+
+    #[test]
+    fn values_are_those_of_the_network_for_the_teams_that_are_named() {
+        let set = ScenarioSet::named("2-8a_2-8b").unwrap();
+        let worlds = SaveTheCity::new(set, Constants::default(), 1, 3).unwrap();
+        let city = worlds.city(0);
+        let mut buildings = city.buildings.to_vec();
+        buildings[1].status = Status::Complete;
+        let city = City { agents: city.agents, buildings: &buildings };
+        let shape = UtilityShape { input: COLUMNS, width: 16, heads: 2, base: 8, actions: 1 };
+        let mut weights = generator(1, Purpose::Weights, 0);
+        let network = UtilityNetwork::initialise(shape, 8.0, &mut weights);
+        let mut allocation = vec![0; city.agents.len()];
+        allocation[0] = UNASSIGNED;
+
+        let mut probe = TeamValueProbe::new(LearnedAllocator { network: &network, team_max: 2 });
+        let scene = Scene { city, allocation: &allocation, last_actions: &[] };
+        let values = probe.values(&scene);
+        assert_eq!(values.len(), buildings.len());
+        assert!(values[1].is_none(), "closed buildings have no value");
+
+        let ask = |task, team| {
+            let mut input = TeamValueInput::default();
+            let query = TeamQuery { city, task, team, turn: Symmetry::ALL[0] };
+            let mut pass = UtilityPass::new(shape);
+            rounded(pass.forward(&network, input.queries(std::iter::once(query)))[0])
+        };
+        let everybody_else = (1 << city.agents.len()) - 2;
+        for (task, chosen) in [(0, everybody_else), (2, 0)] {
+            let found = values[task].as_ref().unwrap();
+            assert_eq!(found.chosen, ask(task, chosen));
+            assert_eq!(found.nobody, ask(task, 0));
+            assert!(found.others.is_sorted_by(|one, other| one.1 >= other.1));
+            for (agents, value) in &found.others {
+                assert!(agents.len() <= 2, "no team over the limit");
+                let team = agents.iter().fold(0, |team, agent| team | 1 << agent);
+                assert_eq!(*value, ask(task, team));
+            }
+        }
+    }
+}
