@@ -5,11 +5,14 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 use sortie_learn::evaluate::{
-    Allocate, Evaluation, EvaluationPlan, Planner, PlannerReport, PolicyTeam, ScriptedActors, Team,
-    evaluate, evaluate_watched,
+    Allocate, DeployedAllocator as AsDeployed, Evaluation, EvaluationPlan, Planner, PlannerReport,
+    PolicyTeam, ScriptedActors, Team, evaluate, evaluate_watched,
 };
+use sortie_learn::export::LearnedAllocator;
+use sortie_learn::methods::alma::team_value::TeamValueAllocator;
 
-use crate::arguments::{Allocation, Common};
+use crate::allocator::{DeployedAllocator, none_learned};
+use crate::arguments::{AllocatorChoice, Common};
 use crate::environment::{self, ScenarioSetName};
 use crate::episodes::EpisodeWriter;
 use crate::failure::{Failure, Outcome};
@@ -25,6 +28,7 @@ use crate::subject::Subject;
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   sortie eval models/save-the-city --episodes 2000
+  sortie eval models/save-the-city --allocator runs/other
   sortie eval models/save-the-city --plan 24
   sortie eval scripted --env save-the-city/2-8a_2-8b --allocation heuristic")]
 pub(crate) struct EvalArguments {
@@ -36,9 +40,12 @@ pub(crate) struct EvalArguments {
     /// Episodes to play
     #[arg(long, default_value_t = 500, value_parser = clap::value_parser!(u32).range(1..))]
     episodes: u32,
-    /// Who assigns agents to subtasks
-    #[arg(long, value_enum, default_value_t = Allocation::Coordinated)]
-    allocation: Allocation,
+    /// Who assigns agents to subtasks [default: learned where the subject has it, else coordinated]
+    #[arg(long, value_enum)]
+    allocation: Option<AllocatorChoice>,
+    /// Bundle or training run whose learned allocator takes the place of the subject's
+    #[arg(long, value_name = "BUNDLE|RUN", conflicts_with = "allocation")]
+    allocator: Option<String>,
     /// Yardstick: look ahead with the exact simulator and try up to K changed allocations a decision
     ///
     /// The allocator's choice is played to the end in a copy of the world; where that does not solve
@@ -61,6 +68,8 @@ struct Report<'a> {
     env: &'a str,
     subject: &'a str,
     allocation: &'a str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    allocator: Option<&'a str>,
     seed: u64,
     #[serde(flatten)]
     evaluation: &'a Evaluation,
@@ -75,28 +84,35 @@ pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
     let subject = Subject::find(&arguments.subject)?;
     let set = environment::scenario_set(arguments.env.as_deref(), &subject)?;
     let plan = EvaluationPlan::new(set.set(), arguments.episodes as usize, arguments.common.seed)?;
+    let other = arguments.allocator.as_deref().map(Subject::find).transpose()?;
+    let allocating = Allocating::new(arguments, &subject, other.as_ref())?;
+    let mut memory = allocating.open(&plan)?;
+    let mut allocator = allocating.allocator(memory.as_mut())?;
+    let mut play = |team: &mut dyn Team| {
+        let name = allocating.choice.name();
+        play(&plan, team, allocator.as_mut(), arguments, name)
+    };
     let (evaluation, planner) = match &subject {
-        Subject::Scripted => {
-            play(&plan, &mut ScriptedActors::new(arguments.common.seed), arguments)?
-        }
-        Subject::Run(run) => play(&plan, &mut run.team(), arguments)?,
+        Subject::Scripted => play(&mut ScriptedActors::new(arguments.common.seed))?,
+        Subject::Run(run) => play(&mut run.team())?,
         Subject::Bundle(bundle) => {
             environment::check_fits(bundle, &plan.set)?;
             let mut policy = DeployedPolicy::open(bundle, arguments.backend)?;
-            play(&plan, &mut PolicyTeam::new(policy.policy()?.as_mut()), arguments)?
+            play(&mut PolicyTeam::new(policy.policy()?.as_mut()))?
         }
     };
     if arguments.common.json {
         print_json(&Report {
             env: &set.to_string(),
             subject: &arguments.subject,
-            allocation: arguments.allocation.name(),
+            allocation: allocating.choice.name(),
+            allocator: arguments.allocator.as_deref(),
             seed: arguments.common.seed,
             evaluation: &evaluation,
             planner,
         });
     } else {
-        print(&set, arguments, &evaluation, planner);
+        print(&set, arguments, allocating.choice, &evaluation, planner);
     }
     Ok(())
 }
@@ -104,14 +120,16 @@ pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
 fn play(
     plan: &EvaluationPlan,
     team: &mut dyn Team,
+    allocator: &mut dyn Allocate,
     arguments: &EvalArguments,
+    allocation: &str,
 ) -> Result<Played, Failure> {
-    let mut allocator = arguments.allocation.rule();
     let Some(candidates) = arguments.plan else {
-        return Ok((record(plan, team, &mut allocator, arguments)?, None));
+        return Ok((record(plan, team, allocator, arguments, allocation)?, None));
     };
-    let mut planner = Planner::new(plan, &mut allocator, candidates.into())?;
-    let evaluation = record(plan, team, &mut planner, arguments)?;
+    let mut planner = Planner::new(plan, allocator, candidates.into())?;
+    let allocation = format!("planned from {allocation}");
+    let evaluation = record(plan, team, &mut planner, arguments, &allocation)?;
     Ok((evaluation, Some(planner.report())))
 }
 
@@ -121,28 +139,89 @@ fn record(
     team: &mut dyn Team,
     allocator: &mut dyn Allocate,
     arguments: &EvalArguments,
+    allocation: &str,
 ) -> Result<Evaluation, Failure> {
     let Some(folder) = &arguments.episodes_out else {
         return Ok(evaluate(plan, team, allocator)?);
     };
-    let planned = if arguments.plan.is_some() { "planned from " } else { "" };
-    let allocation = format!("{planned}{}", arguments.allocation.name());
-    let labels = (arguments.subject.as_str(), allocation.as_str());
+    let labels = (arguments.subject.as_str(), allocation);
     let mut writer = EpisodeWriter::new(folder, labels, arguments.common.seed)?;
     Ok(evaluate_watched(plan, team, allocator, &mut writer)?)
+}
+
+/// Who allocates, and whose the allocator is.
+struct Allocating<'a> {
+    choice: AllocatorChoice,
+    owner: &'a Subject,
+    arguments: &'a EvalArguments,
+}
+
+impl<'a> Allocating<'a> {
+    /// `other` is the subject that lends its allocator.
+    fn new(
+        arguments: &'a EvalArguments,
+        subject: &'a Subject,
+        other: Option<&'a Subject>,
+    ) -> Result<Self, Failure> {
+        let owner = other.unwrap_or(subject);
+        let learned = match owner {
+            Subject::Bundle(bundle) => bundle.allocator_onnx().is_some(),
+            Subject::Run(run) => run.allocator.is_some(),
+            Subject::Scripted => false,
+        };
+        let asked =
+            if other.is_some() { Some(AllocatorChoice::Learned) } else { arguments.allocation };
+        let choice = AllocatorChoice::or_default(asked, learned);
+        if choice == AllocatorChoice::Learned && !learned {
+            return Err(none_learned(arguments.allocator.as_ref().unwrap_or(&arguments.subject)));
+        }
+        Ok(Self { choice, owner, arguments })
+    }
+
+    /// The memory of a bundle's learned allocator; nothing where another one is chosen.
+    fn open(&self, plan: &EvaluationPlan) -> Result<Option<DeployedAllocator>, Failure> {
+        let (Subject::Bundle(bundle), AllocatorChoice::Learned) = (self.owner, self.choice) else {
+            return Ok(None);
+        };
+        environment::check_fits(bundle, &plan.set)?;
+        let (backend, seed) = (self.arguments.backend, self.arguments.common.seed);
+        DeployedAllocator::open(bundle, self.choice, backend, seed).map(Some)
+    }
+
+    fn allocator<'m>(
+        &self,
+        memory: Option<&'m mut DeployedAllocator>,
+    ) -> Result<Box<dyn Allocate + 'm>, Failure>
+    where
+        'a: 'm,
+    {
+        match (self.choice.rule(), memory, self.owner) {
+            (Some(rule), _, _) => Ok(Box::new(rule)),
+            (None, Some(memory), _) => Ok(Box::new(AsDeployed(memory.allocator()?))),
+            (None, None, Subject::Run(run)) => {
+                let learned = LearnedAllocator::of(run);
+                let LearnedAllocator { network, team_max } =
+                    learned.ok_or_else(|| none_learned(&self.arguments.subject))?;
+                Ok(Box::new(TeamValueAllocator::new(network, team_max)))
+            }
+            (None, None, _) => Err(none_learned(&self.arguments.subject)),
+        }
+    }
 }
 
 fn print(
     set: &ScenarioSetName,
     arguments: &EvalArguments,
+    choice: AllocatorChoice,
     evaluation: &Evaluation,
     planner: Option<PlannerReport>,
 ) {
     let [low, high] = evaluation.success_ci95;
     println!(
-        "{set}: {} under {} allocation, {} episodes",
+        "{set}: {} under {} allocation{}, {} episodes",
         arguments.subject,
-        arguments.allocation.name(),
+        choice.name(),
+        arguments.allocator.as_ref().map_or(String::new(), |name| format!(" of {name}")),
         evaluation.episodes
     );
     if let Some(PlannerReport { candidates, decisions, changed, .. }) = planner {

@@ -5,15 +5,16 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 use sortie_bundle::hex;
-use sortie_learn::evaluate::{EvaluationPlan, evaluate};
-use sortie_learn::export::{Measured, check_deployable, draft_bundle};
+use sortie_learn::evaluate::{Allocate, EvaluationPlan, evaluate};
+use sortie_learn::export::{LearnedAllocator, Measured, check_exportable, draft_bundle};
+use sortie_learn::methods::alma::team_value::TeamValueAllocator;
 use sortie_learn::run::Run;
 
 use crate::arguments::{Allocation, Common};
 use crate::failure::Outcome;
 use crate::output::{print_json, warn_of_refused};
 
-/// Export a training run as a bundle: network as ONNX, contract, golden observations, card and curve
+/// Export a training run as a bundle: networks as ONNX, contract, golden observations, card and curve
 ///
 /// The averaged weights are evaluated first, over fresh greedy episodes; the card tells the result.
 #[derive(Debug, Args)]
@@ -40,14 +41,20 @@ struct Report {
 pub(crate) fn run(arguments: &ExportArguments) -> Outcome {
     let run = Run::open(&arguments.run)?;
     warn_of_refused(&run.refused);
-    check_deployable(&run)?;
+    check_exportable(&run)?;
     let (set, seed) = (&run.description.config.environment.set, arguments.common.seed);
     let plan = EvaluationPlan::new(set, arguments.episodes as usize, seed)?;
     let mut measured = Vec::new();
+    let mut measure = |name: &str, allocator: &mut dyn Allocate| -> Outcome {
+        let evaluation = evaluate(&plan, &mut run.team(), allocator)?;
+        measured.push(Measured { allocation: name.to_string(), evaluation });
+        Ok(())
+    };
+    if let Some(LearnedAllocator { network, team_max }) = LearnedAllocator::of(&run) {
+        measure("learned", &mut TeamValueAllocator::new(network, team_max))?;
+    }
     for allocation in [Allocation::Coordinated, Allocation::Heuristic] {
-        let mut team = run.team();
-        let evaluation = evaluate(&plan, &mut team, &mut allocation.rule())?;
-        measured.push(Measured { allocation: allocation.name().to_string(), evaluation });
+        measure(allocation.name(), &mut allocation.rule())?;
     }
     let draft = draft_bundle(&run, &arguments.run, &measured, seed)?;
     let bundle = draft.write(&arguments.out)?;

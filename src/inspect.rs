@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde::Serialize;
-use sortie_bundle::{AGENT, Bundle, MANIFEST, Manifest, TRAINING, hex};
+use sortie_bundle::{AGENT, ALLOCATOR, Bundle, MANIFEST, Manifest, TRAINING, hex};
 use sortie_compiler::{OnnxFacts, PlanFacts, inspect_onnx, inspect_plan};
 
 use crate::arguments::Common;
@@ -38,7 +38,10 @@ struct BundleFacts<'a> {
     #[serde(flatten)]
     manifest: &'a Manifest,
     golden_cases: usize,
+    golden_allocations: usize,
     agent: OnnxFacts,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    allocator: Option<OnnxFacts>,
 }
 
 pub(crate) fn run(arguments: &InspectArguments) -> Outcome {
@@ -67,13 +70,17 @@ fn show<F: Serialize>(json: bool, facts: &F, print: fn(&F)) {
 
 fn inspect_bundle(path: &Path, json: bool) -> Outcome {
     let bundle = open_bundle(path)?;
-    let within = |error| Failure::from(error).within(path.join(AGENT).display());
+    let inspect = |name: &str, onnx: &[u8]| {
+        inspect_onnx(onnx).map_err(|error| Failure::from(error).within(path.join(name).display()))
+    };
     let facts = BundleFacts {
         bundle: path.display().to_string(),
         sha256: hex(bundle.id()),
         manifest: bundle.manifest(),
         golden_cases: bundle.golden().cases.len(),
-        agent: inspect_onnx(bundle.agent_onnx()).map_err(within)?,
+        golden_allocations: bundle.golden().allocations.len(),
+        agent: inspect(AGENT, bundle.agent_onnx())?,
+        allocator: bundle.allocator_onnx().map(|onnx| inspect(ALLOCATOR, onnx)).transpose()?,
     };
     if json {
         print_json(&facts);
@@ -94,7 +101,11 @@ fn print_bundle(facts: &BundleFacts<'_>, bundle: &Bundle) {
     row("features, actions", format!("{}, {}", contract.features, contract.actions));
     row("most entities, subtasks", format!("{}, {}", limits.n_max, limits.t_max));
     row("network", facts.manifest.network.agent.clone());
+    let allocator = facts.manifest.network.allocator.as_deref();
+    row("allocator", allocator.unwrap_or("none learned").to_string());
+    row("largest team", limits.team_max.to_string());
     row("golden observations", facts.golden_cases.to_string());
+    row("golden allocations", facts.golden_allocations.to_string());
     for (name, hash) in &facts.manifest.parts {
         row(name, hash.clone());
     }
@@ -104,6 +115,7 @@ fn print_bundle(facts: &BundleFacts<'_>, bundle: &Bundle) {
 fn print_plan(facts: &PlanFacts) {
     let mut table = Table::new(&["fact", ""]);
     let mut row = |name: &str, value: String| table.row([name.to_string(), value]);
+    row("network", facts.network.name().to_string());
     row("flash bytes", facts.flash_bytes.to_string());
     row("arena bytes", facts.arena_bytes.to_string());
     row("most visible entities", facts.n_max.to_string());

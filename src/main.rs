@@ -1,5 +1,6 @@
 //! The command line of Sortie: teams of learned agents, from training to deployment.
 
+mod allocator;
 mod arguments;
 mod bench;
 mod compare;

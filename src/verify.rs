@@ -7,19 +7,23 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 use sortie_bundle::Bundle;
 use sortie_compiler::{
-    Comparison, CompileError, CompileOptions, TOLERANCE, compare_with_golden, compare_with_graph,
-    compile, inspect_plan, random_observations,
+    Comparison, CompileError, CompileOptions, TOLERANCE, TractTeamValue,
+    compare_team_values_with_graph, compare_with_golden, compare_with_golden_allocations,
+    compare_with_graph, compile, inspect_plan, random_observations, random_team_queries,
 };
+use sortie_core::plan::Network;
 
+use crate::allocator::LearnedAllocator;
 use crate::arguments::Common;
 use crate::deployment::open_bundle;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::output::{Table, print_json};
 use crate::policy::{Backend, DeployedPolicy};
 
-/// Compare the plan with tract and with a bundle's golden observations
+/// Compare plans with tract and with a bundle's golden observations and allocations
 ///
-/// Exit code 1 if any utility differs by more than 1e-5 relative, or a golden action is not chosen.
+/// Exit code 1 if any utility or value differs by more than 1e-5 relative, or a golden action or allocation
+/// is not chosen.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   sortie verify models/save-the-city --inputs 10000
@@ -59,10 +63,17 @@ pub(crate) fn run(arguments: &VerifyArguments) -> Outcome {
             let entities = bundle.manifest().limits.n_max.into();
             let features = bundle.contract().features.into();
             engines.push(against_tract(arguments, bundle.agent_onnx(), entities, Some(features))?);
+            if let Some(onnx) = bundle.allocator_onnx() {
+                engines.push(against_tract(arguments, onnx, entities, None)?);
+            }
         }
         if wanted(Peer::Golden) {
             engines.push(against_golden(&bundle, Backend::Plan)?);
             engines.push(against_golden(&bundle, Backend::Tract)?);
+            if bundle.allocator_onnx().is_some() {
+                engines.push(against_golden_allocations(&bundle, Backend::Plan)?);
+                engines.push(against_golden_allocations(&bundle, Backend::Tract)?);
+            }
         }
     } else if arguments.against == Some(Peer::Golden) {
         let message = "golden observations belong to a bundle: name its folder";
@@ -94,6 +105,11 @@ fn against_tract(
         let plan = compile(onnx, &options)?.bytes;
         let facts = inspect_plan(&plan)?;
         let inputs = arguments.inputs as usize;
+        if facts.network == Network::TeamValue {
+            let (features, relations) = TractTeamValue::new(onnx)?.columns();
+            let queries = random_team_queries(inputs, n_max, features, relations, seed);
+            return compare_team_values_with_graph(&plan, onnx, &queries);
+        }
         let observations = random_observations(inputs, n_max, facts.features, facts.actions, seed);
         compare_with_graph(&plan, onnx, &observations)
     };
@@ -108,8 +124,17 @@ fn against_golden(bundle: &Bundle, backend: Backend) -> Result<Comparison, Failu
         .map_err(|error| Failure::from(error).within(bundle.folder().display()))
 }
 
+fn against_golden_allocations(bundle: &Bundle, backend: Backend) -> Result<Comparison, Failure> {
+    let name = format!("allocator {} against golden", backend.name());
+    let mut allocator = LearnedAllocator::open(bundle, backend)?;
+    let mut network = allocator.network()?;
+    let team_max = bundle.manifest().limits.team_max.into();
+    compare_with_golden_allocations(&name, &mut network, bundle.golden(), team_max)
+        .map_err(|error| Failure::from(error).within(bundle.folder().display()))
+}
+
 fn print(report: &Report) {
-    let mut table = Table::new(&["compared", "inputs", "largest error", "other actions"]);
+    let mut table = Table::new(&["compared", "inputs", "largest error", "other choices"]);
     for engine in &report.engines {
         table.row([
             engine.name.clone(),
@@ -129,7 +154,7 @@ fn judge(report: &Report) -> Outcome {
     match report.engines.iter().find(differs) {
         None => Ok(()),
         Some(engine) => Err(Failure::difference(format!(
-            "{}: largest error {:.1e} (limit {TOLERANCE:.0e}), {} other actions",
+            "{}: largest error {:.1e} (limit {TOLERANCE:.0e}), {} other choices",
             engine.name, engine.max_rel_error, engine.action_mismatches
         ))),
     }

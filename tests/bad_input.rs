@@ -5,6 +5,7 @@ mod support;
 use std::fs;
 use std::path::Path;
 
+use sortie_bundle::{hex, sha256};
 use support::{BUNDLE, TestDomain, assert_fails, copied_bundle, output, sortie};
 
 fn path_of(path: &Path) -> String {
@@ -24,6 +25,47 @@ fn a_truncated_network_is_named() {
     fs::write(&onnx, &bytes[..bytes.len() / 2]).expect("half of it");
     let bundle = path_of(folder.path());
     assert_fails(&output(&["run", &bundle]), 65, &["agent.onnx", "SHA-256", "again"]);
+}
+
+#[test]
+fn a_broken_allocator_is_named() {
+    let place = tempfile::tempdir().expect("a temporary folder");
+    let (_, bundle) = support::learned_bundle(place.path());
+    let path = Path::new(&bundle).join("allocator_team_value.onnx");
+    let onnx = fs::read(&path).expect("the allocator's network");
+    fs::write(&path, &onnx[..onnx.len() / 2]).expect("half of it");
+    let words = ["allocator_team_value.onnx", "SHA-256", "again"];
+    assert_fails(&output(&["run", &bundle]), 65, &words);
+
+    // An agent's network in its place, vouched for.
+    let agent = fs::read(Path::new(&bundle).join("agent.onnx")).expect("the agent's network");
+    fs::write(&path, &agent).expect("the wrong network");
+    let manifest = Path::new(&bundle).join("bundle.toml");
+    let text = fs::read_to_string(&manifest).expect("the manifest");
+    let text = text.replace(&hex(&sha256(&onnx)), &hex(&sha256(&agent)));
+    fs::write(&manifest, text).expect("a manifest with its hash");
+    for backend in ["plan", "tract"] {
+        let arguments = ["run", &bundle, "--backend", backend];
+        assert_fails(&output(&arguments), 65, &[&bundle, "allocator", "network"]);
+    }
+    let fallback = ["run", &bundle, "--allocation", "coordinated", "--in-process", "-q"];
+    let played = output(&[&fallback[..], &["--episodes", "1"]].concat());
+    assert!(played.status.success(), "{}", support::stderr(&played));
+
+    fs::remove_file(&path).expect("the network");
+    let words = ["allocator_team_value.onnx", "missing"];
+    assert_fails(&output(&["run", &bundle]), 66, &words);
+}
+
+#[test]
+fn an_allocator_that_was_not_learned_is_not_invented() {
+    let folder = copied_bundle();
+    let manifest = folder.path().join("bundle.toml");
+    let text = fs::read_to_string(&manifest).expect("the manifest");
+    let text = text.replace("allocator = \"team-value\"\n", "");
+    fs::write(&manifest, text).expect("a manifest without allocator");
+    let arguments = ["run", &path_of(folder.path()), "--allocation", "learned"];
+    assert_fails(&output(&arguments), 2, &["no learned allocator", "--allocation"]);
 }
 
 #[test]

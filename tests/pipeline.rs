@@ -5,21 +5,7 @@ mod support;
 use std::fs;
 use std::path::Path;
 
-use support::{assert_fails, interrupt, json, output, sortie, wait_until};
-
-/// A run that takes seconds.
-const SMALL: [&str; 10] = [
-    "--set",
-    "run.evaluate_every=1000",
-    "--set",
-    "run.evaluate_episodes=10",
-    "--set",
-    "replay.warm_up=300",
-    "--set",
-    "replay.batch=64",
-    "--set",
-    "network.width=32",
-];
+use support::{BUNDLE, SMALL, assert_fails, interrupt, json, output, sortie, wait_until};
 
 fn train(folder: &str, steps: &str, threads: &str) {
     let mut arguments =
@@ -49,21 +35,72 @@ fn a_run_becomes_a_bundle_that_a_team_plays_with() {
     assert_fails(&again, 2, &[&bundle, "exists"]);
 
     let verified = json(&["verify", &bundle, "--json"]);
-    assert_eq!(verified["engines"].as_array().map(Vec::len), Some(3), "{verified}");
-    let onnx = format!("{bundle}/agent.onnx");
-    let compiled = json(&["compile", &onnx, "-o", &plan, "--n-max", "11", "--json"]);
-    let inspected = json(&["inspect", &plan, "--json"]);
-    for key in ["flash_bytes", "arena_bytes", "macs"] {
-        assert_eq!(compiled[key], inspected[key], "{key}");
+    assert_eq!(verified["engines"].as_array().map(Vec::len), Some(6), "{verified}");
+    for (network, file) in [("agent", "agent.onnx"), ("team-value", "allocator_team_value.onnx")] {
+        let onnx = format!("{bundle}/{file}");
+        let compiled = json(&["compile", &onnx, "-o", &plan, "--n-max", "11", "--json"]);
+        let inspected = json(&["inspect", &plan, "--json"]);
+        assert_eq!(inspected["network"], network);
+        for key in ["flash_bytes", "arena_bytes", "macs"] {
+            assert_eq!(compiled[key], inspected[key], "{key}");
+        }
+        let alone = json(&["verify", &onnx, "--json"]);
+        assert_eq!(alone["engines"].as_array().map(Vec::len), Some(1), "{alone}");
     }
+    let facts = json(&["inspect", &bundle, "--json"]);
+    assert_eq!(facts["network"]["allocator"], "team-value");
+    assert!(facts["allocator"]["parameters"].as_u64() > Some(0), "{facts}");
 
     let trained = json(&["eval", &run, "--episodes", "50", "--json"]);
     let deployed = json(&["eval", &bundle, "--episodes", "50", "--json"]);
     for key in ["success", "return_mean", "length_mean"] {
         assert_eq!(trained[key], deployed[key], "{key}");
     }
+    assert_eq!(deployed["allocation"], "learned");
+    allocators_are_swapped(&run, &bundle);
     let played = json(&["run", &bundle, "--in-process", "--episodes", "2", "--json"]);
     assert_eq!(played["episodes"], 2);
+}
+
+/// The allocator of a run and of its bundle are the same to any agents, and differ from rules.
+fn allocators_are_swapped(run: &str, bundle: &str) {
+    let play = |subject: &str, more: &[&str]| {
+        let mut arguments = vec!["eval", subject, "--episodes", "40", "--json"];
+        arguments.extend(more);
+        json(&arguments)
+    };
+    for subject in ["scripted", run] {
+        let by_run = play(subject, &["--allocator", run]);
+        let by_bundle = play(subject, &["--allocator", bundle]);
+        assert_eq!(by_run["return_mean"], by_bundle["return_mean"]);
+        assert_eq!(by_bundle["allocator"], bundle);
+    }
+    let by_rule = play("scripted", &[]);
+    assert_eq!(by_rule["allocation"], "coordinated");
+    assert_ne!(by_rule["return_mean"], play("scripted", &["--allocator", run])["return_mean"]);
+    let larger = ["--env", "save-the-city/2-8a_2-8b", "--allocator"];
+    let by_run = play(run, &[&larger[..], &[run]].concat());
+    assert_eq!(by_run["env"], "save-the-city/2-8a_2-8b");
+    let arguments = ["eval", run, larger[0], larger[1], larger[2], bundle];
+    assert_fails(&output(&arguments), 78, &[bundle, "2-8a_2-8b"]);
+    let arguments = ["eval", "scripted", "--allocation", "learned"];
+    assert_fails(&output(&arguments), 2, &["scripted", "no learned allocator", "--allocation"]);
+    let both = ["eval", BUNDLE, "--allocator", run, "--allocation", "random"];
+    assert_eq!(output(&both).status.code(), Some(2));
+}
+
+#[test]
+fn agents_that_see_more_than_their_subtask_are_not_exported() {
+    let place = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| place.path().join(name).display().to_string();
+    let (run, bundle) = (path("run"), path("bundle"));
+    let mut arguments = vec!["train", "alma", "--out", &run, "--steps", "1000", "-q"];
+    arguments.extend(SMALL);
+    arguments.extend(["--set", "network.subtask=input"]);
+    let trained = output(&arguments);
+    assert!(trained.status.success(), "{}", support::stderr(&trained));
+    assert_eq!(json(&["eval", &run, "--episodes", "5", "--json"])["episodes"], 5);
+    assert_fails(&output(&["export", &run, "--out", &bundle]), 2, &["network.subtask", "mask"]);
 }
 
 #[test]

@@ -99,6 +99,31 @@ fn processes_and_one_thread_play_the_same_episodes() {
 }
 
 #[test]
+fn a_learned_allocator_allocates_in_its_own_process_as_in_one_thread() {
+    let place = tempfile::tempdir().expect("a temporary folder");
+    let (_, bundle) = support::learned_bundle(place.path());
+    let domain = TestDomain::new("learned");
+    let play = |more: &[&str]| {
+        let mut arguments = vec!["run", &bundle, "--json", "--domain", &domain.id];
+        arguments.extend(["--seed", "5"]);
+        arguments.extend(more);
+        json(&arguments)
+    };
+    let processes = play(&["--episodes", "3"]);
+    assert_eq!(processes["allocation"], "learned");
+    let in_process = play(&["--episodes", "3", "--in-process"]);
+    let tract = play(&["--in-process", "--backend", "tract", "--episodes", "1"]);
+    let one = play(&["--episodes", "1"]);
+    for key in ["success", "return_mean", "decisions", "ticks", "by_team"] {
+        assert_eq!(processes[key], in_process[key], "{key}");
+        assert_eq!(one[key], tract[key], "{key}");
+    }
+    let by_rule = play(&["--episodes", "1", "--allocation", "coordinated"]);
+    assert_eq!(by_rule["allocation"], "coordinated");
+    assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
+}
+
+#[test]
 fn ctrl_c_ends_every_process_and_leaves_nothing() {
     let domain = TestDomain::new("ctrlc");
     let run = Endless::start(&domain);

@@ -12,6 +12,7 @@ use std::time::Duration;
 use clap::Args;
 use console::Term;
 use sortie_bundle::Bundle;
+use sortie_core::Allocator;
 use sortie_envs::save_the_city::{Constants, SaveTheCity, ScenarioSet};
 use sortie_ipc::{
     Children, Domain, InProcess, Stop, WorldSettings, group_agents, run_in_process, world_process,
@@ -19,14 +20,15 @@ use sortie_ipc::{
 
 use self::onlooker::{Display, Onlooker};
 use self::report::{Report, Setup};
-use crate::arguments::{Allocation, Common};
+use crate::allocator::DeployedAllocator;
+use crate::arguments::{AllocatorChoice, Common};
 use crate::deployment::{domain_contract, open_bundle};
 use crate::environment::{ScenarioSetName, check_fits};
 use crate::failure::{Failure, Outcome};
 use crate::output::print_json;
 use crate::policy::{Backend, DeployedPolicy};
 use crate::signals::stop_on_signals;
-use crate::worlds::save_the_city::{CityAllocator, CityWorld};
+use crate::worlds::save_the_city::CityWorld;
 
 /// Ticks a second at which a person can follow.
 const WATCHABLE_HZ: f64 = 10.0;
@@ -49,9 +51,9 @@ pub(crate) struct RunArguments {
     /// Episodes to play
     #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
     episodes: u32,
-    /// Who assigns agents to subtasks
-    #[arg(long, value_enum, default_value_t = Allocation::Coordinated)]
-    allocation: Allocation,
+    /// Who assigns agents to subtasks [default: learned where the bundle has it, else coordinated]
+    #[arg(long, value_enum)]
+    allocation: Option<AllocatorChoice>,
     /// What executes the networks
     #[arg(long, value_enum, default_value_t = Backend::Plan)]
     backend: Backend,
@@ -98,6 +100,10 @@ pub(crate) fn run(arguments: &RunArguments) -> Outcome {
     let seed = arguments.common.seed;
     let city = SaveTheCity::new(set, Constants::default(), 1, seed).map_err(Failure::bug)?;
     let mut world = CityWorld::new(city);
+    let learned = bundle.allocator_onnx().is_some();
+    let allocation = AllocatorChoice::or_default(arguments.allocation, learned);
+    // Opened here even where another process allocates: errors show at once, and plans are compiled.
+    let mut allocator = DeployedAllocator::open(&bundle, allocation, arguments.backend, seed)?;
     let mut onlooker = Onlooker::new(
         display(arguments),
         arguments.episodes as usize,
@@ -105,12 +111,13 @@ pub(crate) fn run(arguments: &RunArguments) -> Outcome {
         world.finished.clone(),
     );
     if arguments.in_process {
-        play_in_process(arguments, &bundle, &mut world, &mut onlooker, &stop)?;
+        let mut allocator = allocator.allocator()?;
+        play_in_process(arguments, &bundle, &mut world, allocator.as_mut(), &mut onlooker, &stop)?;
     } else {
-        play_as_processes(arguments, &bundle, &mut world, &mut onlooker, &stop)?;
+        play_as_processes(arguments, &bundle, &mut world, allocation, &mut onlooker, &stop)?;
     }
     let setup = Setup {
-        allocation: arguments.allocation.name().to_string(),
+        allocation: allocation.name().to_string(),
         backend: arguments.backend.name().to_string(),
         rate_hz: pace(arguments),
     };
@@ -155,13 +162,13 @@ fn play_in_process(
     arguments: &RunArguments,
     bundle: &Bundle,
     world: &mut CityWorld,
+    allocator: &mut dyn Allocator,
     onlooker: &mut Onlooker,
     stop: &Stop,
 ) -> Outcome {
     let mut policy = DeployedPolicy::open(bundle, arguments.backend)?;
-    let mut allocator = CityAllocator::new(arguments.allocation.rule(), arguments.common.seed);
     let mut policy = policy.policy()?;
-    let team = InProcess { world, policy: policy.as_mut(), allocator: Some(&mut allocator) };
+    let team = InProcess { world, policy: policy.as_mut(), allocator: Some(allocator) };
     let contract = domain_contract(bundle);
     run_in_process(team, &contract, &settings(arguments), onlooker, stop)?;
     onlooker.figures.processes = 1;
@@ -172,6 +179,7 @@ fn play_as_processes(
     arguments: &RunArguments,
     bundle: &Bundle,
     world: &mut CityWorld,
+    allocation: AllocatorChoice,
     onlooker: &mut Onlooker,
     stop: &Stop,
 ) -> Outcome {
@@ -185,11 +193,11 @@ fn play_as_processes(
         for group in &groups {
             let agents: Vec<String> = group.iter().map(u16::to_string).collect();
             let name = format!("the runner of agents {}", agents.join(", "));
-            let mut command = process(arguments, "runner");
+            let mut command = process(arguments, allocation, "runner");
             command.arg("--agents").arg(agents.join(","));
             children.spawn(name, &mut command)?;
         }
-        children.spawn("the allocator", &mut process(arguments, "allocator"))
+        children.spawn("the allocator", &mut process(arguments, allocation, "allocator"))
     };
     let contract = domain_contract(bundle);
     world_process(&domain, &contract, world, &settings(arguments), start_team, onlooker, stop)?;
@@ -197,13 +205,13 @@ fn play_as_processes(
 }
 
 /// This program again, as a process of the team.
-fn process(arguments: &RunArguments, role: &str) -> Command {
+fn process(arguments: &RunArguments, allocation: AllocatorChoice, role: &str) -> Command {
     // A program that was replaced while it runs is still itself under this name.
     let mut command = Command::new("/proc/self/exe");
     command.arg("process").arg(role).arg(&arguments.bundle);
     command.arg("--domain").arg(&arguments.domain);
     command.arg("--parent").arg(std::process::id().to_string());
-    command.arg("--allocation").arg(arguments.allocation.name());
+    command.arg("--allocation").arg(allocation.name());
     command.arg("--backend").arg(arguments.backend.name());
     command.arg("--seed").arg(arguments.common.seed.to_string());
     command.stdin(Stdio::null()).stdout(Stdio::null());

@@ -5,12 +5,12 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 use sortie_ipc::{Domain, ProcessSettings, allocator_process, runner_process};
 
-use crate::arguments::Allocation;
+use crate::allocator::DeployedAllocator;
+use crate::arguments::AllocatorChoice;
 use crate::deployment::{domain_contract, model_id, open_bundle};
 use crate::failure::{Exit, Failure, Outcome};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::signals::stop_on_signals;
-use crate::worlds::save_the_city::CityAllocator;
 
 /// Run one process of a team; started by `run`
 #[derive(Debug, Args)]
@@ -24,7 +24,7 @@ pub(crate) struct ProcessArguments {
     #[arg(long, value_delimiter = ',')]
     agents: Vec<u16>,
     #[arg(long, value_enum)]
-    allocation: Allocation,
+    allocation: AllocatorChoice,
     #[arg(long, value_enum)]
     backend: Backend,
     #[arg(long)]
@@ -60,8 +60,10 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
             runner_process(&domain, &contract, agents, policy.as_mut(), &settings, &stop)
         }
         Role::Allocator => {
-            let mut allocator = CityAllocator::new(arguments.allocation.rule(), arguments.seed);
-            allocator_process(&domain, &contract, &mut allocator, &settings, &stop)
+            let ProcessArguments { allocation, backend, seed, .. } = *arguments;
+            let mut memory = DeployedAllocator::open(&bundle, allocation, backend, seed)?;
+            let mut allocator = memory.allocator()?;
+            allocator_process(&domain, &contract, allocator.as_mut(), &settings, &stop)
         }
     };
     match ended {

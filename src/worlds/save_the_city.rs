@@ -4,13 +4,14 @@ use std::cell::RefCell;
 use std::rc::Rc;
 
 use rand_xoshiro::Xoshiro256PlusPlus;
+use sortie_core::allocate::TaskRelation;
 use sortie_core::wire::FrameMut;
 use sortie_core::world::{Shape, StepOutcome, UnavailableAction, World};
 use sortie_core::{AllocateError, AllocationState, Allocator, EntityMask};
 use sortie_envs::random::generator;
 use sortie_envs::save_the_city::{
     ACTIONS, AllocationRule, CityDecoder, CityRows, DecodeError, EpisodeMetrics, MAX_AGENTS,
-    MAX_BUILDINGS, SaveTheCity,
+    MAX_BUILDINGS, RELATIONS, SaveTheCity,
 };
 use sortie_envs::{Environment, ObservationMut, StepError};
 
@@ -125,13 +126,41 @@ impl Allocator for CityAllocator {
         allocation: &mut [u8],
     ) -> Result<(), AllocateError> {
         let rows = city_rows(state);
-        self.decoder.allocate(self.rule, &rows, &mut self.generator, allocation).map_err(|error| {
-            match error {
-                DecodeError::TooLarge => AllocateError::TooLarge,
-                DecodeError::BadLength => AllocateError::BadLength,
-                _ => AllocateError::NonFinite,
-            }
-        })
+        let allocated = self.decoder.allocate(self.rule, &rows, &mut self.generator, allocation);
+        allocated.map_err(refusal)
+    }
+}
+
+/// Travel times, which the learned allocator knows beside features.
+pub(crate) struct CityRelation {
+    decoder: CityDecoder,
+}
+
+impl CityRelation {
+    pub(crate) fn new() -> Self {
+        Self { decoder: CityDecoder::new() }
+    }
+}
+
+impl TaskRelation for CityRelation {
+    fn columns(&self) -> usize {
+        RELATIONS
+    }
+
+    fn observe(&mut self, state: &AllocationState<'_>) -> Result<(), AllocateError> {
+        self.decoder.decode(&city_rows(state)).map(drop).map_err(refusal)
+    }
+
+    fn write(&mut self, state: &AllocationState<'_>, task: usize, relation: &mut [f32]) {
+        self.decoder.write_relation(&city_rows(state), task, relation);
+    }
+}
+
+fn refusal(error: DecodeError) -> AllocateError {
+    match error {
+        DecodeError::TooLarge => AllocateError::TooLarge,
+        DecodeError::BadLength => AllocateError::BadLength,
+        _ => AllocateError::NonFinite,
     }
 }
 

@@ -8,13 +8,15 @@ use std::path::{Path, PathBuf};
 use crate::contract::ContractV1;
 use crate::digest::{hex, sha256};
 use crate::error::BundleError;
-use crate::golden::{Golden, MIN_CASES};
-use crate::manifest::{Contract, Environment, FORMAT, Limits, Manifest, Network};
+use crate::golden::{Golden, MIN_ALLOCATIONS, MIN_CASES};
+use crate::manifest::{Contract, Environment, FORMAT, Limits, Manifest, Network, TEAM_VALUE};
 
 /// The file that vouches for all others.
 pub const MANIFEST: &str = "bundle.toml";
 /// The agent's network.
 pub const AGENT: &str = "agent.onnx";
+/// The team-value network of a learned allocator.
+pub const ALLOCATOR: &str = "allocator_team_value.onnx";
 /// Observations with expected answers.
 pub const GOLDEN: &str = "golden.json";
 /// The model card.
@@ -69,8 +71,10 @@ impl Bundle {
             parts.insert(name.clone(), read_part(folder, name, want)?);
         }
         let golden = golden_part(folder, &manifest, &parts)?;
-        if !parts.contains_key(AGENT) {
-            return Err(BundleError::Missing { path: folder.join(AGENT) });
+        for (name, needed) in [(AGENT, true), (ALLOCATOR, manifest.network.allocator.is_some())] {
+            if needed && !parts.contains_key(name) {
+                return Err(BundleError::Missing { path: folder.join(name) });
+            }
         }
         Ok(Self { folder: folder.to_owned(), id: sha256(&bytes), manifest, parts, golden })
     }
@@ -108,6 +112,11 @@ impl Bundle {
     /// The agent's network.
     pub fn agent_onnx(&self) -> &[u8] {
         self.part(AGENT).unwrap_or_default()
+    }
+
+    /// The allocator's network, where the allocator was learned.
+    pub fn allocator_onnx(&self) -> Option<&[u8]> {
+        self.manifest.network.allocator.as_ref().and_then(|_| self.part(ALLOCATOR))
     }
 }
 
@@ -152,9 +161,11 @@ impl Draft {
         if let Some(name) = self.parts.keys().find(|name| !is_plain(name)) {
             return invalid(name, "not a plain file name, or one that the bundle uses".to_owned());
         }
-        let cases = self.golden.cases.len();
-        if cases < MIN_CASES {
-            return invalid(GOLDEN, format!("{cases} cases, at least {MIN_CASES} are needed"));
+        if self.network.allocator.is_some() != self.parts.contains_key(ALLOCATOR) {
+            return invalid(ALLOCATOR, "an allocator needs its kind and its network".to_owned());
+        }
+        if let Some(flaw) = golden_flaw(&self.golden, &self.network) {
+            return invalid(GOLDEN, flaw);
         }
         let mut parts = self.parts.clone();
         match self.golden.to_json(&self.contract) {
@@ -200,6 +211,9 @@ fn parse_manifest(path: &Path, bytes: &[u8]) -> Result<Manifest, BundleError> {
     if *want != got {
         return Err(BundleError::Contract { path: path.to_owned(), want: want.clone(), got });
     }
+    if let Some(kind) = manifest.network.allocator.as_ref().filter(|kind| *kind != TEAM_VALUE) {
+        return Err(invalid(format!("allocator `{kind}` is not known: update sortie")));
+    }
     if let Some(name) = manifest.parts.keys().find(|name| *name != GOLDEN && !is_plain(name)) {
         return Err(invalid(format!("`{name}` in [parts] is not a plain file name")));
     }
@@ -231,11 +245,20 @@ fn golden_part(
     let Some(json) = parts.get(GOLDEN) else { return Err(BundleError::Missing { path }) };
     let invalid = |reason| BundleError::Invalid { path: path.clone(), reason };
     let golden = Golden::from_json(json, &manifest.contract.v1).map_err(invalid)?;
-    let cases = golden.cases.len();
-    if cases < MIN_CASES {
-        return Err(invalid(format!("{cases} cases, at least {MIN_CASES} are needed")));
+    match golden_flaw(&golden, &manifest.network) {
+        Some(flaw) => Err(invalid(flaw)),
+        None => Ok(golden),
     }
-    Ok(golden)
+}
+
+/// What is missing among the golden cases.
+fn golden_flaw(golden: &Golden, network: &Network) -> Option<String> {
+    let (cases, allocations) = (golden.cases.len(), golden.allocations.len());
+    if cases < MIN_CASES {
+        return Some(format!("{cases} cases, at least {MIN_CASES} are needed"));
+    }
+    let few = network.allocator.is_some() && allocations < MIN_ALLOCATIONS;
+    few.then(|| format!("{allocations} allocations, at least {MIN_ALLOCATIONS} are needed"))
 }
 
 fn write_files(

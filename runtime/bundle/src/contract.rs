@@ -1,5 +1,7 @@
 //! What a policy was trained for, independent of team size.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 use sortie_core::identity::fnv1a;
 
@@ -70,6 +72,27 @@ impl ContractV1 {
     pub fn input_width(&self) -> usize {
         let last_action = if self.append_last_action { self.actions } else { 0 };
         usize::from(self.features) + usize::from(last_action)
+    }
+
+    /// A row by feature names, zeros left out.
+    pub(crate) fn named(&self, row: &[f32]) -> BTreeMap<String, f32> {
+        let named = self.feature_names.iter().cloned().zip(row.iter().copied());
+        named.filter(|(_, value)| *value != 0.0).collect()
+    }
+
+    /// Rows `[N, d]` from features by name.
+    pub(crate) fn rows(&self, entities: &[BTreeMap<String, f32>]) -> Result<Vec<f32>, String> {
+        let features = usize::from(self.features);
+        let index: BTreeMap<&str, usize> =
+            self.feature_names.iter().map(String::as_str).zip(0..features).collect();
+        let mut rows = vec![0.0; entities.len() * features];
+        for (row, named) in rows.chunks_exact_mut(features.max(1)).zip(entities) {
+            for (name, value) in named {
+                let column = index.get(name.as_str()).and_then(|&column| row.get_mut(column));
+                *column.ok_or_else(|| format!("`{name}` is not a feature"))? = *value;
+            }
+        }
+        Ok(rows)
     }
 
     /// The first thing that is wrong with the contract itself.

@@ -1,18 +1,22 @@
 //! `golden.json`: observations with the answers that every engine must give.
 //!
 //! Rows are written sparsely and by feature name, so that a person can read what an agent saw:
-//! `{"x": 0.25, "health": 1}`. Features that are not named are 0.
+//! `{"x": 0.25, "health": 1}`. Features that are not named are 0. Bundles with an allocator add allocation
+//! states, see [`GoldenAllocation`].
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 use sortie_core::{EntityMask, NO_ACTION};
 
+use crate::allocation::{AllocationCase, GoldenAllocation};
 use crate::contract::ContractV1;
 use crate::observation::OwnedObservation;
 
 /// Fewest cases of a bundle.
 pub const MIN_CASES: usize = 64;
+/// Fewest allocation states of a bundle with an allocator.
+pub const MIN_ALLOCATIONS: usize = 16;
 
 const FORMAT: &str = "sortie-golden-1";
 
@@ -21,6 +25,8 @@ const FORMAT: &str = "sortie-golden-1";
 pub struct Golden {
     /// The cases, at least [`MIN_CASES`] in a bundle.
     pub cases: Vec<GoldenCase>,
+    /// What the allocator must answer, at least [`MIN_ALLOCATIONS`] in a bundle that has one.
+    pub allocations: Vec<GoldenAllocation>,
 }
 
 /// One observation and its expected answer.
@@ -38,6 +44,8 @@ pub struct GoldenCase {
 struct File {
     format: String,
     cases: Vec<Case>,
+    #[serde(default)]
+    allocations: Vec<AllocationCase>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -55,12 +63,15 @@ struct Case {
 impl Golden {
     /// Writes the cases as JSON, one case a line.
     pub fn to_json(&self, contract: &ContractV1) -> Result<Vec<u8>, serde_json::Error> {
+        let cases = self.cases.iter().map(|case| Case::from_case(case, contract));
         let mut text = format!("{{\"format\":\"{FORMAT}\",\"cases\":[\n");
-        for (index, case) in self.cases.iter().enumerate() {
-            text += if index > 0 { ",\n" } else { "" };
-            text += &serde_json::to_string(&Case::from_case(case, contract))?;
+        text += &lines(cases)?;
+        if !self.allocations.is_empty() {
+            let allocations = self.allocations.iter();
+            text += "],\"allocations\":[\n";
+            text += &lines(allocations.map(|case| AllocationCase::from_case(case, contract)))?;
         }
-        Ok((text + "\n]}\n").into_bytes())
+        Ok((text + "]}\n").into_bytes())
     }
 
     /// Reads cases and checks them against the contract; the error says what is wrong.
@@ -72,17 +83,26 @@ impl Golden {
         let cases = file.cases.into_iter().enumerate().map(|(index, case)| {
             case.into_case(contract).map_err(|reason| format!("case {index}: {reason}"))
         });
-        Ok(Self { cases: cases.collect::<Result<_, _>>()? })
+        let allocations = file.allocations.into_iter().enumerate().map(|(index, case)| {
+            case.into_case(contract).map_err(|reason| format!("allocation {index}: {reason}"))
+        });
+        Ok(Self {
+            cases: cases.collect::<Result<_, _>>()?,
+            allocations: allocations.collect::<Result<_, _>>()?,
+        })
     }
+}
+
+/// Values as JSON, one a line.
+fn lines(cases: impl Iterator<Item = impl Serialize>) -> Result<String, serde_json::Error> {
+    let lines = cases.map(|case| serde_json::to_string(&case)).collect::<Result<Vec<_>, _>>()?;
+    Ok(lines.join(",\n") + "\n")
 }
 
 impl Case {
     fn from_case(case: &GoldenCase, contract: &ContractV1) -> Self {
         let observation = &case.observation;
-        let named = |row: &[f32]| {
-            let named = contract.feature_names.iter().cloned().zip(row.iter().copied());
-            named.filter(|(_, value)| *value != 0.0).collect()
-        };
+        let named = |row: &[f32]| contract.named(row);
         let last = |action: &u16| (*action != NO_ACTION).then_some(*action);
         Self {
             entities: observation.rows.chunks(observation.features.max(1)).map(named).collect(),
@@ -98,15 +118,7 @@ impl Case {
     fn into_case(self, contract: &ContractV1) -> Result<GoldenCase, String> {
         let (features, actions) = (usize::from(contract.features), usize::from(contract.actions));
         let entities = self.entities.len();
-        let index: BTreeMap<&str, usize> =
-            contract.feature_names.iter().map(String::as_str).zip(0..features).collect();
-        let mut rows = vec![0.0; entities * features];
-        for (row, named) in rows.chunks_exact_mut(features.max(1)).zip(&self.entities) {
-            for (name, value) in named {
-                let column = index.get(name.as_str()).and_then(|&column| row.get_mut(column));
-                *column.ok_or_else(|| format!("`{name}` is not a feature"))? = *value;
-            }
-        }
+        let rows = contract.rows(&self.entities)?;
         if self.available.len() != actions || self.utilities.len() != actions {
             return Err(format!("availability and utilities need {actions} entries each"));
         }
@@ -150,7 +162,7 @@ pub(crate) mod tests {
             utilities: vec![0.123_456_79, -1.0e-7],
             action: 0,
         };
-        Golden { cases: (0..cases).map(case).collect() }
+        Golden { cases: (0..cases).map(case).collect(), allocations: Vec::new() }
     }
 
     #[test]

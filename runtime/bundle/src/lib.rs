@@ -1,11 +1,12 @@
 //! The bundle on disk: what the trainer writes and everything else reads.
 //!
 //! A folder with `bundle.toml` (contract, limits, network, and the SHA-256 of every other file), the networks as
-//! ONNX, golden observations with their expected answers, a model card and a learning curve. The SHA-256 of
+//! ONNX (the agent's, and the allocator's where it was learned), golden observations with their expected answers, a model card and a learning curve. The SHA-256 of
 //! `bundle.toml` is the bundle's id: one hash vouches for everything. Plans are derived from a bundle and cached
 //! beside it, never part of it.
 #![forbid(unsafe_code)]
 
+mod allocation;
 mod bundle;
 mod contract;
 mod digest;
@@ -15,11 +16,14 @@ mod manifest;
 mod observation;
 mod plan_cache;
 
-pub use bundle::{AGENT, Bundle, CARD, CURVE, CURVE_DATA, Draft, GOLDEN, MANIFEST, TRAINING};
+pub use allocation::{GoldenAllocation, GoldenValue, OwnedAllocationState};
+pub use bundle::{
+    AGENT, ALLOCATOR, Bundle, CARD, CURVE, CURVE_DATA, Draft, GOLDEN, MANIFEST, TRAINING,
+};
 pub use contract::{ContractV1, FallbackAllocation, SubtaskConditioning, WIRE_ABI};
 pub use digest::{hex, sha256};
 pub use error::BundleError;
-pub use golden::{Golden, GoldenCase, MIN_CASES};
-pub use manifest::{Contract, Environment, Limits, Manifest, Network};
+pub use golden::{Golden, GoldenCase, MIN_ALLOCATIONS, MIN_CASES};
+pub use manifest::{Contract, Environment, Limits, Manifest, Network, TEAM_VALUE};
 pub use observation::OwnedObservation;
 pub use plan_cache::{PlanKey, cached_plan, plan_places};

@@ -5,9 +5,10 @@ use std::fs;
 use std::path::Path;
 
 use sortie_bundle::{
-    AGENT, Bundle, BundleError, CARD, ContractV1, Draft, Environment, FallbackAllocation, GOLDEN,
-    Golden, GoldenCase, Limits, MANIFEST, MIN_CASES, Network, OwnedObservation,
-    SubtaskConditioning, WIRE_ABI, hex, sha256,
+    AGENT, ALLOCATOR, Bundle, BundleError, CARD, ContractV1, Draft, Environment,
+    FallbackAllocation, GOLDEN, Golden, GoldenAllocation, GoldenCase, GoldenValue, Limits,
+    MANIFEST, MIN_ALLOCATIONS, MIN_CASES, Network, OwnedAllocationState, OwnedObservation,
+    SubtaskConditioning, TEAM_VALUE, WIRE_ABI, hex, sha256,
 };
 use sortie_core::EntityMask;
 
@@ -49,9 +50,33 @@ fn draft() -> Draft {
         environment,
         limits: Limits { n_max: 11, t_max: 6, team_max: 3 },
         network: Network { agent: "masked-attention".into(), allocator: None, hidden: 0 },
-        golden: Golden { cases: (0..MIN_CASES).map(case).collect() },
+        golden: Golden { cases: (0..MIN_CASES).map(case).collect(), allocations: Vec::new() },
         parts: parts.map(|(name, bytes)| (name.to_owned(), bytes.to_vec())).into(),
     }
+}
+
+/// A draft with a learned allocator.
+fn draft_with_allocator() -> Draft {
+    let mut draft = draft();
+    let allocation = GoldenAllocation {
+        state: OwnedAllocationState {
+            agents: 1,
+            tasks: 1,
+            rows: vec![0.5, 0.25],
+            features: 1,
+            present: EntityMask::first(2),
+            entity_task: vec![0, 1],
+            open_tasks: 1,
+        },
+        relations: 0,
+        relation: vec![],
+        values: vec![GoldenValue { task: 0, team: 1, value: 0.75 }],
+        allocation: vec![0],
+    };
+    draft.golden.allocations = vec![allocation; MIN_ALLOCATIONS];
+    draft.network.allocator = Some(TEAM_VALUE.into());
+    draft.parts.insert(ALLOCATOR.into(), b"team values".to_vec());
+    draft
 }
 
 fn message(folder: &Path) -> String {
@@ -72,6 +97,33 @@ fn comes_back_as_it_was_written() {
     assert_eq!(bundle.agent_onnx(), b"network");
     assert_eq!(bundle.part(CARD), Some(b"# A card".as_slice()));
     assert_eq!(fs::read_dir(home.path()).unwrap().count(), 1, "no draft is left behind");
+}
+
+#[test]
+fn a_learned_allocator_comes_back_and_is_never_half_there() {
+    let home = tempfile::tempdir().unwrap();
+    let folder = home.path().join("city");
+    let bundle = draft_with_allocator().write(&folder).unwrap();
+    assert_eq!(bundle.allocator_onnx(), Some(b"team values".as_slice()));
+    assert_eq!(bundle.golden().allocations, draft_with_allocator().golden.allocations);
+    assert_eq!(draft().write(&home.path().join("plain")).unwrap().allocator_onnx(), None);
+
+    let path = folder.join(MANIFEST);
+    let text = fs::read_to_string(&path).unwrap();
+    fs::write(&path, text.replace("\"team-value\"", "\"oracle\"")).unwrap();
+    assert!(message(&folder).contains("allocator `oracle` is not known: update sortie"));
+    let without: Vec<&str> = text.lines().filter(|line| !line.contains(ALLOCATOR)).collect();
+    fs::write(&path, without.join("\n")).unwrap();
+    assert!(message(&folder).contains("allocator_team_value.onnx` is missing"));
+
+    let mut few = draft_with_allocator();
+    few.golden.allocations.truncate(MIN_ALLOCATIONS - 1);
+    let mut nameless = draft_with_allocator();
+    nameless.network.allocator = None;
+    for bad in [few, nameless] {
+        let refused = bad.write(&home.path().join("other"));
+        assert!(matches!(refused, Err(BundleError::Invalid { .. })));
+    }
 }
 
 #[test]

@@ -12,6 +12,8 @@ use crate::lower::AgentSizes;
 pub(crate) struct Origin {
     /// SHA-256 of the ONNX file.
     pub(crate) source: [u8; 32],
+    /// What the plan computes.
+    pub(crate) network: Network,
     /// Hash of the contract, 0 if unknown.
     pub(crate) contract: u64,
     /// Most subtasks, 0 if none.
@@ -50,7 +52,7 @@ pub(crate) fn assemble(
         max_error: origin.max_error,
         action_mismatch: origin.action_mismatch,
         profile: Profile::Exact,
-        network: Network::Agent,
+        network: origin.network,
         t_max: origin.t_max,
     };
     let checksums = checksums(&header, &program_bytes, &weight_bytes);

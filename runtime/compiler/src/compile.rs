@@ -4,15 +4,15 @@ use serde::Serialize;
 use sortie_bundle::{Bundle, PlanKey, cached_plan, plan_places, sha256};
 use sortie_core::limits;
 use sortie_core::ops::Op;
-use sortie_core::plan::{AlignedBytes, Plan, Program};
+use sortie_core::plan::{AlignedBytes, Network, Plan, Program};
 
 use crate::assemble::{Origin, assemble};
 use crate::error::CompileError;
-use crate::graph::Graph;
+use crate::graph::{Graph, Inputs, TeamRoles};
 use crate::lower::{AgentSizes, lower_agent};
-use crate::matching::match_agent;
-use crate::observations::random_observations;
-use crate::parity::{TOLERANCE, plan_against_graph};
+use crate::matching::{match_agent, match_team_value};
+use crate::observations::{random_observations, random_team_queries};
+use crate::parity::{Comparison, TOLERANCE, plan_against_graph, team_values_against_graph};
 
 /// The compiler's version; a plan of another version is compiled again.
 pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), "-1");
@@ -83,42 +83,34 @@ pub struct OperatorReport {
     pub macs: usize,
 }
 
-/// Compiles an ONNX file and proves the plan against it.
+/// Compiles an ONNX file, an agent's or an allocator's network, and proves the plan against it.
 pub fn compile(onnx: &[u8], options: &CompileOptions) -> Result<Compiled, CompileError> {
     let graph = Graph::read(onnx)?;
-    let layers = match_agent(&graph)?;
-    let features = options.features.or_else(|| graph.number("sortie.features"));
-    let sizes = AgentSizes {
-        n_max: options.n_max,
-        features: features.unwrap_or(graph.columns),
-        actions: graph.actions,
+    let (layers, features, network) = match graph.inputs {
+        Inputs::Agent(_) => {
+            let features = options.features.or_else(|| graph.number("sortie.features"));
+            (match_agent(&graph)?, features.unwrap_or(graph.columns), Network::Agent)
+        }
+        Inputs::TeamValue(_) => (match_team_value(&graph)?, graph.columns, Network::TeamValue),
     };
+    let sizes = AgentSizes { n_max: options.n_max, features, actions: graph.actions };
     let (program, weights) = lower_agent(&layers, sizes)?;
     let metadata = graph.metadata.get("sortie.contract");
     let known = metadata.and_then(|hash| u64::from_str_radix(hash, 16).ok());
     let mut origin = Origin {
         source: sha256(onnx),
+        network,
         contract: options.contract.or(known).unwrap_or(0),
         t_max: options.t_max,
         max_error: 0.0,
         action_mismatch: 0.0,
     };
-    let AgentSizes { n_max, features, actions } = sizes;
-    let observations = random_observations(options.inputs, n_max, features, actions, options.seed);
     let draft = assemble(&program, &weights, sizes, &origin);
-    let comparison = plan_against_graph(&draft, &graph, &observations)?;
-    if comparison.max_rel_error.is_nan() || comparison.max_rel_error > TOLERANCE {
-        return Err(CompileError::Differs {
-            error: comparison.max_rel_error,
-            limit: TOLERANCE,
-            input: comparison.worst_input,
-            seed: options.seed,
-        });
-    }
+    let comparison = prove(&draft, &graph, sizes, options)?;
     origin.max_error = comparison.max_rel_error;
     origin.action_mismatch = comparison.action_mismatches as f32 / comparison.inputs.max(1) as f32;
     let bytes = assemble(&program, &weights, sizes, &origin);
-    let operators = operators(&program, n_max);
+    let operators = operators(&program, sizes.n_max);
     let report = Report {
         flash_bytes: bytes.len(),
         arena_bytes: program.arena_bytes() as usize,
@@ -131,8 +123,56 @@ pub fn compile(onnx: &[u8], options: &CompileOptions) -> Result<Compiled, Compil
     Ok(Compiled { bytes, report })
 }
 
+/// Compares a plan with its graph on random inputs, and refuses one that differs.
+fn prove(
+    plan: &[u8],
+    graph: &Graph,
+    sizes: AgentSizes,
+    options: &CompileOptions,
+) -> Result<Comparison, CompileError> {
+    let CompileOptions { inputs, n_max, seed, .. } = *options;
+    let comparison = match graph.inputs {
+        Inputs::Agent(_) => {
+            let AgentSizes { features, actions, .. } = sizes;
+            let observations = random_observations(inputs, n_max, features, actions, seed);
+            plan_against_graph(plan, graph, &observations)?
+        }
+        Inputs::TeamValue(TeamRoles { features, relations, .. }) => {
+            let queries = random_team_queries(inputs, n_max, features, relations, seed);
+            team_values_against_graph(plan, graph, &queries)?
+        }
+    };
+    if comparison.max_rel_error.is_nan() || comparison.max_rel_error > TOLERANCE {
+        return Err(CompileError::Differs {
+            error: comparison.max_rel_error,
+            limit: TOLERANCE,
+            input: comparison.worst_input,
+            seed,
+        });
+    }
+    Ok(comparison)
+}
+
 /// The plan of a bundle's agent, from the cache beside the bundle where it is still valid.
 pub fn compile_bundle(bundle: &Bundle) -> Result<AlignedBytes, CompileError> {
+    let plan = cached(bundle, bundle.agent_onnx())?;
+    let actions = Plan::load(plan.as_slice())?.actions();
+    if actions != usize::from(bundle.contract().actions) {
+        let want = usize::from(bundle.contract().actions);
+        return Err(CompileError::Size { what: "the number of utilities", got: actions, want });
+    }
+    Ok(plan)
+}
+
+/// The plan of a bundle's learned allocator, if it has one, cached in the same way.
+pub fn compile_allocator(bundle: &Bundle) -> Result<Option<AlignedBytes>, CompileError> {
+    let Some(onnx) = bundle.allocator_onnx() else { return Ok(None) };
+    let plan = cached(bundle, onnx)?;
+    Plan::load(plan.as_slice())?.check_network(Network::TeamValue)?;
+    Ok(Some(plan))
+}
+
+fn cached(bundle: &Bundle, onnx: &[u8]) -> Result<AlignedBytes, CompileError> {
     let (contract, limits) = (bundle.contract(), bundle.manifest().limits);
     let options = CompileOptions {
         n_max: usize::from(limits.n_max),
@@ -141,7 +181,6 @@ pub fn compile_bundle(bundle: &Bundle) -> Result<AlignedBytes, CompileError> {
         contract: Some(contract.hash()),
         ..CompileOptions::default()
     };
-    let onnx = bundle.agent_onnx();
     let key = PlanKey {
         onnx,
         profile: PROFILE,
@@ -150,14 +189,7 @@ pub fn compile_bundle(bundle: &Bundle) -> Result<AlignedBytes, CompileError> {
         n_max: options.n_max,
     };
     let places = plan_places(bundle.folder());
-    let plan =
-        cached_plan(&places, &key, || compile(onnx, &options).map(|compiled| compiled.bytes))?;
-    let actions = Plan::load(plan.as_slice())?.actions();
-    if actions != usize::from(contract.actions) {
-        let want = usize::from(contract.actions);
-        return Err(CompileError::Size { what: "the number of utilities", got: actions, want });
-    }
-    Ok(plan)
+    cached_plan(&places, &key, || compile(onnx, &options).map(|compiled| compiled.bytes))
 }
 
 /// The operators of a program, for reports.

@@ -12,13 +12,20 @@ pub enum CompileError {
         /// What the reader said.
         reason: String,
     },
-    /// The inputs are not those of an agent network.
+    /// The inputs are those of no network that is known.
     #[error(
-        "an agent network needs entities f32 [N, D], self_index i64 [1] and visible bool [N]; the file has {found}"
+        "an agent network needs entities f32 [N, D], self_index i64 [1] and visible bool [N], a team-value network \
+         entities and relation f32 [N, _] and present, is_agent, in_task, open, team bool [N]; the file has {found}"
     )]
     Inputs {
         /// The inputs of the file, with types and shapes.
         found: String,
+    },
+    /// An agent's network stands where an allocator's is needed, or the other way round.
+    #[error("the file is not {want} network")]
+    OtherNetwork {
+        /// Whose network is needed.
+        want: &'static str,
     },
     /// The sizes of the file and of the contract do not fit.
     #[error("{what} is {got} in the file, the contract says {want}")]

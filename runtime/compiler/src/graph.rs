@@ -11,20 +11,27 @@ use tract_onnx::tract_hir::internal::DimLike;
 
 use crate::error::CompileError;
 
-/// A network with the inputs and outputs of an agent.
+/// A network with the inputs and outputs of an agent, or of an allocator.
 #[derive(Debug)]
 pub(crate) struct Graph {
     pub(crate) model: TypedModel,
-    pub(crate) roles: Roles,
+    pub(crate) inputs: Inputs,
     /// Metadata of the file.
     pub(crate) metadata: BTreeMap<String, String>,
-    /// Columns D of the entities.
+    /// Columns D of the rows that are embedded.
     pub(crate) columns: usize,
-    /// Actions U.
+    /// Outputs: actions U, or one value.
     pub(crate) actions: usize,
 }
 
-/// Which input of the graph is what.
+/// What kind of network it is, and which input of the graph is what.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Inputs {
+    Agent(Roles),
+    TeamValue(TeamRoles),
+}
+
+/// Which input of an agent's graph is what.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Roles {
     pub(crate) entities: usize,
@@ -32,8 +39,24 @@ pub(crate) struct Roles {
     pub(crate) visible: usize,
 }
 
+/// Which input of a team-value graph is what, and the columns of its rows.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct TeamRoles {
+    pub(crate) entities: usize,
+    pub(crate) present: usize,
+    pub(crate) is_agent: usize,
+    pub(crate) in_task: usize,
+    pub(crate) open: usize,
+    pub(crate) team: usize,
+    pub(crate) relation: usize,
+    /// Features d.
+    pub(crate) features: usize,
+    /// Columns F of the relation.
+    pub(crate) relations: usize,
+}
+
 impl Graph {
-    /// Reads an ONNX file and finds its inputs by type and shape.
+    /// Reads an ONNX file and finds its inputs: an agent's by type and shape, an allocator's by name.
     pub(crate) fn read(onnx: &[u8]) -> Result<Self, CompileError> {
         let (model, metadata) = guarded(|| {
             let onnx_reader = tract_onnx::onnx();
@@ -48,13 +71,40 @@ impl Graph {
             outlets.iter().filter_map(|&outlet| model.outlet_fact(outlet).ok().cloned()).collect()
         };
         let inputs = facts(&model.inputs);
-        let roles = roles(&inputs);
-        let columns = roles.and_then(|roles| fixed(inputs.get(roles.entities)?, 1));
         let actions = facts(&model.outputs).last().and_then(|fact| fixed(fact, fact.rank() - 1));
-        let (Some(roles), Some(columns), Some(actions)) = (roles, columns, actions) else {
+        let found = team_roles(&model, &inputs)
+            .map(|roles| (Inputs::TeamValue(roles), roles.features + 2 + roles.relations))
+            .or_else(|| {
+                let roles = roles(&inputs)?;
+                Some((Inputs::Agent(roles), fixed(inputs.get(roles.entities)?, 1)?))
+            });
+        let (Some((inputs, columns)), Some(actions)) = (found, actions) else {
             return Err(CompileError::Inputs { found: describe_inputs(&model) });
         };
-        Ok(Self { model, roles, metadata, columns, actions })
+        Ok(Self { model, inputs, metadata, columns, actions })
+    }
+
+    /// The inputs of an agent's graph.
+    pub(crate) fn agent_roles(&self) -> Result<Roles, CompileError> {
+        match self.inputs {
+            Inputs::Agent(roles) => Ok(roles),
+            Inputs::TeamValue(_) => Err(CompileError::OtherNetwork { want: "an agent's" }),
+        }
+    }
+
+    /// The inputs of an allocator's graph.
+    pub(crate) fn team_roles(&self) -> Result<TeamRoles, CompileError> {
+        match self.inputs {
+            Inputs::TeamValue(roles) => Ok(roles),
+            Inputs::Agent(_) => Err(CompileError::OtherNetwork { want: "an allocator's" }),
+        }
+    }
+
+    /// The graph, ready to run.
+    pub(crate) fn runnable(&self) -> Result<TypedSimpleState, CompileError> {
+        let model = self.model.clone();
+        guarded(|| model.into_optimized()?.into_runnable()?.spawn())
+            .map_err(|reason| CompileError::Run { reason })
     }
 
     /// A whole number of the file's metadata.
@@ -165,6 +215,28 @@ fn roles(inputs: &[TypedFact]) -> Option<Roles> {
         entities: only(&|fact| kind(fact, f32::datum_type(), 2))?,
         self_index: only(&|fact| kind(fact, i64::datum_type(), 1))?,
         visible: only(&|fact| kind(fact, bool::datum_type(), 1))?,
+    })
+}
+
+fn team_roles(model: &TypedModel, inputs: &[TypedFact]) -> Option<TeamRoles> {
+    let named = |name: &str, kind, rank| {
+        let place = model.inputs.iter().position(|input| model.node(input.node).name == name)?;
+        let fact = inputs.get(place)?;
+        (fact.datum_type == kind && fact.rank() == rank).then_some(place)
+    };
+    let mask = |name| named(name, bool::datum_type(), 1);
+    let rows = |name| named(name, f32::datum_type(), 2);
+    let (entities, relation) = (rows("entities")?, rows("relation")?);
+    Some(TeamRoles {
+        entities,
+        present: mask("present")?,
+        is_agent: mask("is_agent")?,
+        in_task: mask("in_task")?,
+        open: mask("open")?,
+        team: mask("team")?,
+        relation,
+        features: fixed(inputs.get(entities)?, 1)?,
+        relations: fixed(inputs.get(relation)?, 1)?,
     })
 }
 

@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 use sortie_bundle::hex;
-use sortie_core::plan::{AlignedBytes, Plan};
+use sortie_core::plan::{AlignedBytes, Network, Plan};
 use tract_onnx::prelude::*;
 
 use crate::compile::{OperatorReport, operators};
@@ -35,6 +35,9 @@ pub struct OnnxFacts {
 /// What a plan holds.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PlanFacts {
+    /// What it computes, by name for scripts: `agent` or `team-value`.
+    #[serde(serialize_with = "network_name")]
+    pub network: Network,
     /// Bytes of the plan.
     pub flash_bytes: usize,
     /// Bytes of arena for one decision.
@@ -95,6 +98,10 @@ pub fn inspect_onnx(onnx: &[u8]) -> Result<OnnxFacts, CompileError> {
     guarded(read).map_err(|reason| CompileError::Unreadable { reason })
 }
 
+fn network_name<S: Serializer>(network: &Network, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(network.name())
+}
+
 /// Reads the facts of a plan.
 pub fn inspect_plan(plan: &[u8]) -> Result<PlanFacts, CompileError> {
     let flash_bytes = plan.len();
@@ -103,6 +110,7 @@ pub fn inspect_plan(plan: &[u8]) -> Result<PlanFacts, CompileError> {
     let header = plan.header();
     let operators = operators(plan.program(), header.n_max as usize);
     Ok(PlanFacts {
+        network: header.network,
         flash_bytes,
         arena_bytes: plan.arena_bytes(),
         n_max: header.n_max as usize,

@@ -2,7 +2,7 @@
 //!
 //! tract parses the file and simplifies the graph; patterns are matched on that graph by structure, never by node
 //! name; what matches is lowered to a plan. The finished plan and the graph then answer the same random
-//! observations, and a plan that differs is refused. The same graph also runs as [`TractPolicy`].
+//! observations, and a plan that differs is refused. The same graph also runs as [`TractPolicy`] or [`TractTeamValue`].
 #![forbid(unsafe_code)]
 
 mod assemble;
@@ -11,6 +11,7 @@ mod compile;
 mod error;
 #[cfg(test)]
 mod executor_tests;
+mod golden_allocations;
 mod graph;
 mod inspect;
 mod layout;
@@ -21,13 +22,19 @@ mod parity;
 #[cfg(test)]
 mod testing;
 mod tract_policy;
+mod tract_team_value;
 
 pub use attention::AttentionProbe;
 pub use compile::{
-    CompileOptions, Compiled, OperatorReport, Report, VERSION, compile, compile_bundle,
+    CompileOptions, Compiled, OperatorReport, Report, VERSION, compile, compile_allocator,
+    compile_bundle,
 };
 pub use error::CompileError;
+pub use golden_allocations::compare_with_golden_allocations;
 pub use inspect::{OnnxFacts, PlanFacts, inspect_onnx, inspect_plan};
-pub use observations::random_observations;
-pub use parity::{Comparison, TOLERANCE, compare_with_golden, compare_with_graph};
+pub use observations::{OwnedTeamQuery, random_observations, random_team_queries};
+pub use parity::{
+    Comparison, TOLERANCE, compare_team_values_with_graph, compare_with_golden, compare_with_graph,
+};
 pub use tract_policy::TractPolicy;
+pub use tract_team_value::TractTeamValue;

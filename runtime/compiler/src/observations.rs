@@ -1,9 +1,30 @@
-//! Random observations of all mask patterns, by seed.
+//! Random observations and team queries of all mask patterns, by seed.
 
 use rand_core::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
-use sortie_bundle::OwnedObservation;
-use sortie_core::{EntityMask, NO_ACTION};
+use sortie_bundle::{OwnedAllocationState, OwnedObservation};
+use sortie_core::allocate::TeamQuery;
+use sortie_core::{AllocationState, EntityMask, NO_ACTION, limits};
+
+/// A team at a subtask, with all that its value depends on.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OwnedTeamQuery {
+    /// Entities, subtasks and agents.
+    pub state: OwnedAllocationState,
+    /// The subtask.
+    pub task: usize,
+    /// Bit a set where agent a is in the team.
+    pub team: u64,
+    /// How each entity relates to the subtask, `[N, F]`.
+    pub relation: Vec<f32>,
+}
+
+impl OwnedTeamQuery {
+    /// The query as networks take it. `state` is the view of this query's state.
+    pub fn view<'a>(&'a self, state: &'a AllocationState<'a>) -> TeamQuery<'a> {
+        TeamQuery { state, task: self.task, team: self.team, relation: &self.relation }
+    }
+}
 
 /// `count` random observations of up to `n_max` entities: rows sparse and dense in turn, masks that show
 /// everything, nothing, only the agent itself, everything but itself, or any entities.
@@ -16,6 +37,19 @@ pub fn random_observations(
 ) -> Vec<OwnedObservation> {
     let mut random = Random(Xoshiro256PlusPlus::seed_from_u64(seed));
     (0..count).map(|index| random.observation(index, n_max.max(1), features, actions)).collect()
+}
+
+/// `count` random team queries of up to `n_max` entities, teams and masks of all patterns: everybody,
+/// nobody, anybody; the subtask's own row may be absent.
+pub fn random_team_queries(
+    count: usize,
+    n_max: usize,
+    features: usize,
+    relations: usize,
+    seed: u64,
+) -> Vec<OwnedTeamQuery> {
+    let mut random = Random(Xoshiro256PlusPlus::seed_from_u64(seed));
+    (0..count).map(|index| random.team_query(index, n_max.max(1), features, relations)).collect()
 }
 
 struct Random(Xoshiro256PlusPlus);
@@ -39,6 +73,38 @@ impl Random {
         available.iter_mut().skip(any).take(1).for_each(|code| *code = 1);
         let visible = self.visible(index / 2 % 5, entities, self_index);
         OwnedObservation { rows, features, last_actions, visible, self_index, available }
+    }
+
+    fn team_query(
+        &mut self,
+        index: usize,
+        n_max: usize,
+        features: usize,
+        relations: usize,
+    ) -> OwnedTeamQuery {
+        let tasks = 1 + self.below(n_max.min(limits::TASKS));
+        let agents = self.below((n_max - tasks).min(limits::AGENTS) + 1);
+        let (entities, task) = (agents + tasks, self.below(tasks));
+        let own = agents + task;
+        let sparse = index.is_multiple_of(2);
+        let rows = (0..entities * features).map(|_| self.feature(sparse)).collect();
+        let relation = (0..entities * relations).map(|_| self.feature(sparse)).collect();
+        let present = self.visible(index / 2 % 5, entities, own);
+        let open = self.visible(index / 10 % 5, tasks, task);
+        let members = self.visible(index / 3 % 2 * 4, agents, 0);
+        let bits = |mask: EntityMask| mask.words().first().copied().unwrap_or(0);
+        let entity_task = (0..agents).map(|_| 0).chain((0..tasks).map(|task| 1 << task)).collect();
+        let open_tasks = bits(open) as u32 | 1 << task;
+        let state = OwnedAllocationState {
+            agents,
+            tasks,
+            rows,
+            features,
+            present,
+            entity_task,
+            open_tasks,
+        };
+        OwnedTeamQuery { state, task, team: bits(members), relation }
     }
 
     fn visible(&mut self, pattern: usize, entities: usize, own: usize) -> EntityMask {
@@ -96,5 +162,18 @@ mod tests {
         assert!(all.iter().any(|o| o.visible.len() == 1 && own(o)));
         assert!(all.iter().any(|o| !own(o) && !o.visible.is_empty()));
         assert!(all.iter().all(|o| o.available.iter().any(|&code| code > 0)));
+    }
+
+    #[test]
+    fn every_kind_of_team_and_absence_occurs() {
+        let all = random_team_queries(300, 9, 4, 2, 7);
+        assert_eq!(all, random_team_queries(300, 9, 4, 2, 7));
+        let own = |query: &OwnedTeamQuery| query.state.agents + query.task;
+        let absent = |query: &&OwnedTeamQuery| !query.state.present.contains(own(query));
+        assert!(all.iter().any(|query| absent(&query)));
+        assert!(all.iter().any(|query| query.team == 0 && query.state.agents > 2));
+        assert!(all.iter().any(|query| query.team.count_ones() as usize == query.state.agents));
+        assert!(all.iter().all(|query| query.state.entities() <= 9));
+        assert!(all.iter().all(|query| query.state.open().any(|task| task == query.task)));
     }
 }

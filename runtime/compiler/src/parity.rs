@@ -2,13 +2,16 @@
 
 use serde::Serialize;
 use sortie_bundle::{Golden, OwnedObservation};
+use sortie_core::allocate::{PlanTeamValue, TeamValueNetwork};
 use sortie_core::choose::masked_argmax;
 use sortie_core::plan::{AlignedBytes, Plan};
-use sortie_core::{DecideError, PlanPolicy, Policy};
+use sortie_core::{PlanPolicy, Policy};
 
 use crate::error::CompileError;
 use crate::graph::Graph;
+use crate::observations::OwnedTeamQuery;
 use crate::tract_policy::TractPolicy;
+use crate::tract_team_value::TractTeamValue;
 
 /// Largest error of an f32 plan, see [`Comparison::max_rel_error`].
 pub const TOLERANCE: f32 = 1.0e-5;
@@ -25,7 +28,7 @@ pub struct Comparison {
     /// Rounding grows with the largest numbers of a sum, not with its result: a small utility beside
     /// large ones carries their error, in the source graph as well.
     pub max_rel_error: f32,
-    /// Observations for which another action was chosen.
+    /// Observations for which another action, or another allocation, was chosen.
     pub action_mismatches: usize,
     /// The observation with the largest error.
     #[serde(skip)]
@@ -33,12 +36,12 @@ pub struct Comparison {
 }
 
 impl Comparison {
-    fn new(name: &str) -> Self {
+    pub(crate) fn new(name: &str) -> Self {
         let name = name.to_owned();
         Self { name, inputs: 0, max_rel_error: 0.0, action_mismatches: 0, worst_input: 0 }
     }
 
-    fn add(&mut self, got: &[f32], want: &[f32], same_action: bool) {
+    pub(crate) fn add(&mut self, got: &[f32], want: &[f32], same_action: bool) {
         let largest = want.iter().fold(0.0, |largest: f32, want| largest.max(want.abs()));
         let distance =
             got.iter().zip(want).map(|(got, want)| (got - want).abs()).fold(0.0, f32::max);
@@ -100,6 +103,38 @@ pub fn compare_with_golden(
     Ok(comparison)
 }
 
-fn cannot_run(error: DecideError) -> CompileError {
+/// Compares an allocator's plan with the ONNX graph that it was made from.
+pub fn compare_team_values_with_graph(
+    plan: &[u8],
+    onnx: &[u8],
+    queries: &[OwnedTeamQuery],
+) -> Result<Comparison, CompileError> {
+    team_values_against_graph(plan, &Graph::read(onnx)?, queries)
+}
+
+pub(crate) fn team_values_against_graph(
+    plan: &[u8],
+    graph: &Graph,
+    queries: &[OwnedTeamQuery],
+) -> Result<Comparison, CompileError> {
+    let plan = AlignedBytes::copy_of(plan);
+    let plan = Plan::load(plan.as_slice())?;
+    let mut reference = TractTeamValue::from_graph(graph)?.with_all_rows();
+    let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
+    let entities = queries.iter().map(|query| query.state.entities()).max().unwrap_or(0);
+    let mut rows = vec![0.0; PlanTeamValue::row_floats(&plan, entities)];
+    let mut network = PlanTeamValue::new(plan, arena.as_mut_slice(), &mut rows)?;
+    let mut comparison = Comparison::new("allocator plan against tract");
+    for query in queries {
+        let state = query.state.view();
+        let query = query.view(&state);
+        let got = network.value(&query).map_err(cannot_run)?;
+        let want = reference.value(&query).map_err(cannot_run)?;
+        comparison.add(&[got], &[want], true);
+    }
+    Ok(comparison)
+}
+
+pub(crate) fn cannot_run(error: impl std::fmt::Display) -> CompileError {
     CompileError::Run { reason: error.to_string() }
 }

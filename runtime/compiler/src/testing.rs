@@ -4,6 +4,7 @@ use rand_core::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sortie_bundle::OwnedObservation;
 use sortie_core::NO_ACTION;
+use sortie_core::plan::Network;
 
 use crate::assemble::{Origin, assemble};
 use crate::lower::{AgentSizes, lower_agent};
@@ -84,8 +85,14 @@ pub(crate) fn plan(layers: &AgentLayers, shape: Shape) -> Vec<u8> {
     let Shape { n_max, features, actions, .. } = shape;
     let sizes = AgentSizes { n_max, features, actions };
     let (program, weights) = lower_agent(layers, sizes).unwrap();
-    let origin =
-        Origin { source: [0; 32], contract: 0, t_max: 0, max_error: 0.0, action_mismatch: 0.0 };
+    let origin = Origin {
+        source: [0; 32],
+        network: Network::Agent,
+        contract: 0,
+        t_max: 0,
+        max_error: 0.0,
+        action_mismatch: 0.0,
+    };
     assemble(&program, &weights, sizes, &origin)
 }
 

@@ -28,16 +28,14 @@ impl TractPolicy {
     }
 
     pub(crate) fn from_graph(graph: &Graph, features: usize) -> Result<Self, CompileError> {
-        let model = graph.model.clone();
-        let state = guarded(|| model.into_optimized()?.into_runnable()?.spawn())
-            .map_err(|reason| CompileError::Run { reason })?;
+        let roles = graph.agent_roles()?;
+        let state = graph.runnable()?;
         let (columns, actions) = (graph.columns, graph.actions);
         if columns != features && columns != features + actions {
             let what = "the input width";
             return Err(CompileError::Size { what, got: columns, want: features + actions });
         }
         let utilities = vec![0.0; actions];
-        let roles = graph.roles;
         Ok(Self { state, roles, columns, features, actions, compact: true, utilities })
     }
 

@@ -52,7 +52,10 @@ fn bundle(home: &tempfile::TempDir, contract: ContractV1) -> Bundle {
         environment: Environment::default(),
         limits: Limits { n_max: 8, t_max: 3, team_max: 2 },
         network: Network { agent: "masked-attention".into(), allocator: None, hidden: 0 },
-        golden: Golden { cases: observations.into_iter().map(answer).collect() },
+        golden: Golden {
+            cases: observations.into_iter().map(answer).collect(),
+            allocations: Vec::new(),
+        },
         parts: [(AGENT.to_owned(), onnx())].into(),
     };
     draft.write(&home.path().join("bundle")).unwrap()

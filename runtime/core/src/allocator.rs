@@ -57,3 +57,13 @@ pub trait Allocator {
         allocation: &mut [u8],
     ) -> Result<(), AllocateError>;
 }
+
+impl<A: Allocator + ?Sized> Allocator for &mut A {
+    fn allocate(
+        &mut self,
+        state: &AllocationState<'_>,
+        allocation: &mut [u8],
+    ) -> Result<(), AllocateError> {
+        (**self).allocate(state, allocation)
+    }
+}

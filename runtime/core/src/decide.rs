@@ -1,6 +1,6 @@
 //! Policies that execute a plan.
 
-use crate::plan::{Plan, PlanError};
+use crate::plan::{Network, Plan, PlanError};
 use crate::policy::{DecideError, Decision, Observation, Policy};
 
 /// A policy over a plan and an arena that the caller gives.
@@ -11,8 +11,9 @@ pub struct PlanPolicy<'a> {
 }
 
 impl<'a> PlanPolicy<'a> {
-    /// Binds a plan to its arena, of [`Plan::arena_bytes`] bytes and aligned like the plan.
+    /// Binds an agent's plan to its arena, of [`Plan::arena_bytes`] bytes and aligned like the plan.
     pub fn new(plan: Plan<'a>, arena: &'a mut [u8]) -> Result<Self, PlanError> {
+        plan.check_network(Network::Agent)?;
         plan.check_arena(arena)?;
         Ok(Self { plan, arena })
     }

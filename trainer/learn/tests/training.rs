@@ -166,7 +166,7 @@ fn a_run_without_subtasks_learns_no_allocator_and_says_so() {
     assert!(opened.allocator.is_none());
     assert_eq!(opened.description.method, "flat");
     assert!(opened.curve.iter().all(|point| point.allocation == "none"));
-    let error = sortie_learn::export::check_deployable(&opened).unwrap_err().to_string();
+    let error = sortie_learn::export::check_exportable(&opened).unwrap_err().to_string();
     assert!(error.contains("network.subtask"), "{error}");
 }
 

@@ -32,11 +32,35 @@ pub(crate) struct AgentLayers {
     pub(crate) dense: Vec<Layer>,
 }
 
-/// Matches embed, attend with the own query, dense layers, from the output backwards.
+/// What attention asks: whose row forms the query, and what it may see.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Question {
+    /// The number of the own row.
+    pub(crate) own: OutletId,
+    /// The mask.
+    pub(crate) visible: OutletId,
+}
+
+/// Matches an agent's network, from the output backwards.
 pub(crate) fn match_agent(graph: &Graph) -> Result<AgentLayers, CompileError> {
-    let Some(&outlet) = graph.model.outputs.last() else {
-        return Err(CompileError::Unreadable { reason: "the graph has no output".to_owned() });
-    };
+    let roles = graph.agent_roles()?;
+    let input = |index| graph.input(index).ok_or_else(no_output);
+    let question = Question { own: input(roles.self_index)?, visible: input(roles.visible)? };
+    let (found, embedding) = match_network(graph, question)?;
+    let embed = match_layer(graph, embedding)?;
+    if graph.source(embed.input) != input(roles.entities)? {
+        return Err(graph.unsupported(embed.input, "attention reads one layer over the entities"));
+    }
+    Ok(found(embed.layer))
+}
+
+/// Matches attention of the own row's query and dense layers, without what embeds the rows: that is
+/// matched by the caller, at the outlet of the embedding.
+pub(super) fn match_network(
+    graph: &Graph,
+    question: Question,
+) -> Result<(impl FnOnce(Layer) -> AgentLayers + use<>, OutletId), CompileError> {
+    let &outlet = graph.model.outputs.last().ok_or_else(no_output)?;
     let mut dense = Vec::new();
     let mut found = match_layer(graph, outlet)?;
     while match_product_of_two(graph, found.input).is_none() {
@@ -46,14 +70,15 @@ pub(crate) fn match_agent(graph: &Graph) -> Result<AgentLayers, CompileError> {
     dense.reverse();
     let (output, mixed) = (found.layer, found.input);
     let (weights, value) = match_mixed(graph, mixed)?;
-    let (scores, heads) = match_weights(graph, weights)?;
-    let (query, key, embedding) = match_scores(graph, scores)?;
+    let (scores, heads) = match_weights(graph, weights, question.visible)?;
+    let (query, key, embedding) = match_scores(graph, scores, question.own)?;
     let value = match_projection(graph, value, embedding)?;
-    let embed = match_layer(graph, embedding)?;
-    if graph.source(embed.input) != graph.input(graph.roles.entities).unwrap_or(mixed) {
-        return Err(graph.unsupported(embed.input, "attention reads one layer over the entities"));
-    }
-    Ok(AgentLayers { embed: embed.layer, heads, query, key, value, output, dense })
+    let with = move |embed| AgentLayers { embed, heads, query, key, value, output, dense };
+    Ok((with, embedding))
+}
+
+fn no_output() -> CompileError {
+    CompileError::Unreadable { reason: "the graph lacks an input or output".to_owned() }
 }
 
 /// `weights · values`: which operand is which.
@@ -69,12 +94,16 @@ fn match_mixed(graph: &Graph, mixed: OutletId) -> Result<(OutletId, OutletId), C
 }
 
 /// `Where(visible, softmax(Where(visible, logits, -1e30)), 0)`: the logits, and the number of heads.
-fn match_weights(graph: &Graph, weights: OutletId) -> Result<(OutletId, usize), CompileError> {
+fn match_weights(
+    graph: &Graph,
+    weights: OutletId,
+    mask: OutletId,
+) -> Result<(OutletId, usize), CompileError> {
     const HINT: &str =
         "masked attention is Where(visible, Softmax(Where(visible, logits, -1e30)), 0)";
     let masked = |outlet: OutletId| match graph.node(outlet).inputs.as_slice() {
         &[visible, value, other] if graph.node(outlet).op_is::<Iff>() => {
-            let asks = Some(graph.source(visible)) == graph.input(graph.roles.visible);
+            let asks = graph.source(visible) == mask;
             let other = asks.then(|| graph.uniform(other)).flatten();
             other.map(|other| (value, other))
         }
@@ -96,6 +125,7 @@ fn match_weights(graph: &Graph, weights: OutletId) -> Result<(OutletId, usize), 
 fn match_scores(
     graph: &Graph,
     scores: OutletId,
+    own_index: OutletId,
 ) -> Result<(Layer, Matrix, OutletId), CompileError> {
     const HINT: &str = "scores are the product of the own row's query and of keys";
     let (product, scale) = match_scale(graph, scores);
@@ -103,7 +133,7 @@ fn match_scores(
     let [a, b] = match_product_of_two(graph, product).ok_or_else(unsupported)?;
     let [(a, scale_a), (b, scale_b)] = [match_scale(graph, a), match_scale(graph, b)];
     let [a, b] = [match_layer(graph, a)?, match_layer(graph, b)?];
-    let own = |found: &Found| own_row(graph, found.input);
+    let own = |found: &Found| own_row(graph, found.input, own_index);
     let (query, embedding, key) = match (own(&a), own(&b)) {
         (Some(embedding), None) => (a, embedding, b),
         (None, Some(embedding)) => (b, embedding, a),
@@ -120,13 +150,11 @@ fn match_scores(
 }
 
 /// The embedding whose own row `outlet` is.
-fn own_row(graph: &Graph, outlet: OutletId) -> Option<OutletId> {
+fn own_row(graph: &Graph, outlet: OutletId, own_index: OutletId) -> Option<OutletId> {
     let node = graph.node(outlet);
     node.op_as::<Gather>().filter(|gather| gather.axis == 0)?;
     match node.inputs.as_slice() {
-        &[rows, index] if Some(graph.source(index)) == graph.input(graph.roles.self_index) => {
-            Some(graph.source(rows))
-        }
+        &[rows, index] if graph.source(index) == own_index => Some(graph.source(rows)),
         _ => None,
     }
 }

@@ -120,7 +120,8 @@ fn as_matrix(einsum: &EinSum, constant: &Tensor, slot: usize) -> Option<Matrix> 
     Some(Matrix { inputs: inputs?, outputs: outputs?, values })
 }
 
-fn bias_values(graph: &Graph, outlet: OutletId, outputs: usize) -> Option<Vec<f32>> {
+/// The values of a bias, one per output.
+pub(super) fn bias_values(graph: &Graph, outlet: OutletId, outputs: usize) -> Option<Vec<f32>> {
     let constant = graph.constant(outlet)?;
     let values: Vec<f32> = constant.to_plain_array_view::<f32>().ok()?.iter().copied().collect();
     (values.len() == outputs).then_some(values)

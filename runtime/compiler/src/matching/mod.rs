@@ -2,6 +2,8 @@
 
 mod agent;
 mod linear;
+mod team_value;
 
 pub(crate) use agent::{AgentLayers, match_agent};
 pub(crate) use linear::{Layer, Matrix};
+pub(crate) use team_value::match_team_value;

@@ -12,6 +12,14 @@
 
 pub mod ascent;
 pub mod exact;
+mod plan_value;
+pub mod team_value;
+
+pub use plan_value::PlanTeamValue;
+pub use team_value::{
+    EXACT_AGENTS, LastAllocation, SearchMemory, TaskRelation, TeamQuery, TeamValueAllocator,
+    TeamValueNetwork,
+};
 
 use crate::allocator::AllocateError;
 use crate::limits::{AGENTS, TASKS};

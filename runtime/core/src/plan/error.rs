@@ -57,6 +57,8 @@ pub enum PlanError {
         /// Index of the operator.
         op: usize,
     },
+    /// The plan computes something else than what is asked of it: an agent's is none of an allocator.
+    WrongNetwork,
     /// The arena is too small.
     ArenaTooSmall {
         /// Bytes needed.
@@ -98,6 +100,9 @@ impl core::fmt::Display for PlanError {
                 f.write_str("the program has an operator that this build does not have")
             }
             Self::ShapeMismatch { op } => write!(f, "the sizes of operator {op} do not fit"),
+            Self::WrongNetwork => {
+                f.write_str("the plan is of another network: agents and allocators have their own")
+            }
             Self::ArenaTooSmall { need, got } => {
                 write!(f, "the arena needs {need} bytes and has {got}")
             }

@@ -30,6 +30,8 @@ pub enum Profile {
 pub enum Network {
     /// An agent's utilities.
     Agent,
+    /// The value of a team at a subtask.
+    TeamValue,
 }
 
 /// The header of a plan; magic, version, byte order and checksums are checked and not kept.
@@ -200,16 +202,26 @@ impl Profile {
 }
 
 impl Network {
+    /// The network's name, for people and scripts.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Agent => "agent",
+            Self::TeamValue => "team-value",
+        }
+    }
+
     /// The network's number in the header.
     pub const fn id(self) -> u8 {
         match self {
             Self::Agent => 0,
+            Self::TeamValue => 1,
         }
     }
 
     fn from_id(id: u8) -> Result<Self, PlanError> {
         match id {
             0 => Ok(Self::Agent),
+            1 => Ok(Self::TeamValue),
             _ => Err(PlanError::UnknownOp),
         }
     }

@@ -123,6 +123,11 @@ impl<'a> Plan<'a> {
         masked_argmax(self.run(arena, observation)?, observation.available)
     }
 
+    /// Refuses plans of other networks.
+    pub fn check_network(&self, network: Network) -> Result<(), PlanError> {
+        if self.header.network == network { Ok(()) } else { Err(PlanError::WrongNetwork) }
+    }
+
     /// Touches every cache line of the weights, so that the next decision finds them near.
     pub fn warm(&self) {
         let lines = self.weights.chunks(16).filter_map(|line| line.first());

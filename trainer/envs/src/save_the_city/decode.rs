@@ -10,6 +10,7 @@ use super::features::{
     AVAILABLE, BURNING, COMPLETE, FEATURES, FIRE, HEALTH, IGNITION_RATE, SINCE_LAST_FIRE, X_SCALED,
     Y_SCALED,
 };
+use super::relation::write_relation;
 use super::reset::ABSENT_BUILDING;
 use super::rules::ACTIONS;
 use super::state::{
@@ -128,6 +129,13 @@ impl CityDecoder {
             agent.beside = beside.map_or(NO_BUILDING, |index| index as u8);
         }
         Ok(City { agents: &self.agents, buildings: &self.buildings })
+    }
+
+    /// Writes the relation `[N, RELATIONS]` of every row of the frame that was decoded last to a
+    /// building; see [`write_relation`].
+    pub fn write_relation(&self, frame: &CityRows<'_>, task: usize, relation: &mut [f32]) {
+        let city = City { agents: &self.agents, buildings: &self.buildings };
+        write_relation(city, task, &self.agent_rows, frame.agents, relation);
     }
 
     /// Allocates from a frame alone: writes for every agent row `[A]` an open building or

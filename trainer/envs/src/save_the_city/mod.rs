@@ -15,6 +15,7 @@ pub mod golden;
 mod grid;
 mod heuristic;
 mod metrics;
+mod relation;
 mod reset;
 mod rules;
 mod scenarios;
@@ -34,6 +35,7 @@ pub use features::{
 };
 pub use heuristic::heuristic_allocation;
 pub use metrics::EpisodeMetrics;
+pub use relation::{RELATIONS, agent_relation, building_relation, write_relation};
 pub use rules::{
     ACTION_NAMES, ACTIONS, Bounce, Constants, FREEZE, availability_code, availability_codes,
     can_approach,

@@ -3,7 +3,8 @@
 use sortie_envs::random::generator;
 use sortie_envs::save_the_city::{
     AgentKind, AgentState, AllocationRule, BuildingKind, BuildingState, City, CityDecoder,
-    CityRows, DecisionPoints, DecodeError, SaveTheCity, Status, UNASSIGNED, coordinated_allocation,
+    CityRows, DecisionPoints, DecodeError, RELATIONS, SaveTheCity, Status, UNASSIGNED,
+    coordinated_allocation, write_relation,
 };
 use sortie_envs::{Environment, ObservationBuffers};
 
@@ -53,6 +54,24 @@ fn decoded_cities_equal_the_observed_ones() {
             let mut want = *want;
             (want.health, want.fire) = (f64::from(want.health as f32), f64::from(want.fire as f32));
             assert_eq!(*got, want, "{label}");
+        }
+    });
+}
+
+#[test]
+fn relations_are_the_same_from_a_state_and_from_its_rows() {
+    let mut decoder = CityDecoder::new();
+    for_random_states(2, |city, label| {
+        let (buffers, shape) = (observe(city), city.shape());
+        let rows = frame(city, &buffers);
+        decoder.decode(&rows).unwrap();
+        let agents: Vec<usize> = (0..city.city(0).agents.len()).collect();
+        let mut from_rows = vec![7.0; shape.entities * RELATIONS];
+        let mut from_state = from_rows.clone();
+        for task in 0..shape.tasks {
+            decoder.write_relation(&rows, task, &mut from_rows);
+            write_relation(city.city(0), task, &agents, shape.agents, &mut from_state);
+            assert_eq!(from_rows, from_state, "{label}, building {task}");
         }
     });
 }

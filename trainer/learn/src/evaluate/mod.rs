@@ -4,6 +4,7 @@
 //! deployed policy ([`PolicyTeam`]) or the scripted low level ([`ScriptedActors`]). Episode e of a seed
 //! is the same whoever plays it, so that teams can be compared pair by pair.
 
+mod allocators;
 mod causes;
 mod plan;
 mod play;
@@ -19,6 +20,7 @@ use sortie_envs::save_the_city::{
     UNASSIGNED,
 };
 
+pub use allocators::{DeployedAllocator, allocation_state};
 pub use causes::Cause;
 pub use plan::{Planner, PlannerReport};
 pub use teams::{NetworkTeam, PolicyTeam, ScriptedActors};

@@ -5,19 +5,23 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use sortie_bundle::{
-    AGENT, CARD, CURVE, CURVE_DATA, ContractV1, Draft, Environment, FallbackAllocation, Golden,
-    GoldenCase, Limits, Network, OwnedObservation, SubtaskConditioning, TRAINING, WIRE_ABI,
+    AGENT, ALLOCATOR, CARD, CURVE, CURVE_DATA, ContractV1, Draft, Environment, FallbackAllocation,
+    Golden, GoldenCase, Limits, Network, OwnedObservation, SubtaskConditioning, TEAM_VALUE,
+    TRAINING, WIRE_ABI,
 };
 use sortie_core::choose::masked_argmax;
 use sortie_core::{DecideError, Decision, Observation, Policy};
 use sortie_envs::save_the_city::{
-    ACTION_NAMES, ACTIONS, AllocationRule, FEATURE_NAMES, FEATURES, ScenarioSet,
+    ACTION_NAMES, ACTIONS, AllocationRule, FEATURE_NAMES, FEATURES, RELATIONS, ScenarioSet,
 };
 
-use super::agent::{AgentNetwork, Layer, Layout, Matrix, agent_onnx};
+use super::agent::{AgentNetwork, agent_onnx};
+use super::attention::{AttentionNetwork, ExportError, Layer, Layout, Matrix};
+use super::golden_allocations::golden_allocations;
+use super::team_value::{TeamValueExport, team_value_onnx};
 use crate::error::LearnError;
 use crate::evaluate::{Evaluation, EvaluationPlan, PolicyTeam, evaluate};
-use crate::methods::alma::{Conditioning, NetworkPolicy, UtilityWeights};
+use crate::methods::alma::{Conditioning, NetworkPolicy, UtilityNetwork, UtilityWeights};
 use crate::run::Run;
 
 /// Golden observations of a bundle.
@@ -38,56 +42,78 @@ pub struct Measured {
     pub evaluation: Evaluation,
 }
 
-/// Refuses a run whose agents no bundle can hold.
-///
-/// What an agent sees of other subtasks is part of a bundle's contract, and so far all of a bundle, its
-/// golden observations included, is made for agents under the subtask mask. Marks of subtasks are
-/// moreover nothing that an observation has room for.
-///
-/// # Errors
-/// The agents were trained without the subtask mask.
-pub fn check_deployable(run: &Run) -> Result<(), LearnError> {
-    match run.description.config.network.subtask {
-        Conditioning::Mask => Ok(()),
-        Conditioning::Input | Conditioning::None => Err(LearnError::Config(
-            "only agents with `network.subtask = \"mask\"` can be deployed; the others are there \
-             to be compared with"
-                .to_owned(),
-        )),
+/// A learned allocator.
+#[derive(Clone, Copy, Debug)]
+pub struct LearnedAllocator<'a> {
+    /// Its team-value network.
+    pub network: &'a UtilityNetwork,
+    /// Largest team of one building.
+    pub team_max: usize,
+}
+
+impl<'a> LearnedAllocator<'a> {
+    /// The allocator of a run, if the run learns one.
+    pub fn of(run: &'a Run) -> Option<Self> {
+        let team_max = run.description.config.allocation.team_max;
+        run.allocator.as_ref().map(|network| Self { network, team_max })
     }
 }
 
-/// Makes a bundle of the averaged weights of the run in `folder`.
+/// Refuses runs whose agents need more than what a deployed agent is shown.
 ///
 /// # Errors
-/// The run is not [deployable](check_deployable), its files cannot be read, or its network is not finite.
+/// The agents are not conditioned on subtasks by masks.
+pub fn check_exportable(run: &Run) -> Result<(), LearnError> {
+    let conditioning = run.description.config.network.subtask;
+    if conditioning == Conditioning::Mask {
+        return Ok(());
+    }
+    Err(LearnError::Config(format!(
+        "agents with `network.subtask` {conditioning:?} are evaluated only: bundles hold agents that see their \
+         own subtask (`network.subtask=mask`)"
+    )))
+}
+
+/// Makes a bundle of the averaged weights of the run in `folder`, with its allocator where it has one.
+///
+/// # Errors
+/// The run is not [deployable](check_exportable), its files cannot be read, or its network is not finite.
 pub fn draft_bundle(
     run: &Run,
     folder: &Path,
     measured: &[Measured],
     seed: u64,
 ) -> Result<Draft, LearnError> {
-    check_deployable(run)?;
+    check_exportable(run)?;
+    let allocator = LearnedAllocator::of(run);
     let set = ScenarioSet::named(&run.description.config.environment.set)?;
     let contract = contract(run.description.config.allocation.interval);
-    let onnx = onnx(&run.network.weights(), contract.hash())
-        .map_err(|error| LearnError::format(folder, error))?;
+    let diverged = |error: ExportError| LearnError::format(folder, error);
+    let agent = agent(&run.network.weights(), contract.hash()).map_err(diverged)?;
     let read = |name: &str| {
         let path = folder.join(name);
         std::fs::read(&path).map_err(LearnError::file(path))
     };
-    let parts = BTreeMap::from([
-        (AGENT.to_owned(), onnx),
-        (CARD.to_owned(), card(run, measured).into_bytes()),
+    let mut parts = BTreeMap::from([
+        (AGENT.to_owned(), agent),
+        (CARD.to_owned(), card(run, allocator, measured).into_bytes()),
         (CURVE.to_owned(), read(CURVE)?),
         (CURVE_DATA.to_owned(), read(CURVE_DATA)?),
         (TRAINING.to_owned(), read(TRAINING)?),
     ]);
+    if let Some(allocator) = allocator {
+        let onnx = team_value(&allocator.network.weights(), contract.hash()).map_err(diverged)?;
+        parts.insert(ALLOCATOR.to_owned(), onnx);
+    }
     Ok(Draft {
         environment: environment(run),
-        limits: limits(&set),
-        network: Network { agent: "masked-attention".to_owned(), allocator: None, hidden: 0 },
-        golden: golden(run, seed)?,
+        limits: limits(&set, allocator),
+        network: Network {
+            agent: "masked-attention".to_owned(),
+            allocator: allocator.map(|_| TEAM_VALUE.to_owned()),
+            hidden: 0,
+        },
+        golden: golden(run, allocator, seed)?,
         contract,
         parts,
     })
@@ -127,24 +153,37 @@ fn environment(run: &Run) -> Environment {
     }
 }
 
-fn limits(set: &ScenarioSet) -> Limits {
+fn limits(set: &ScenarioSet, allocator: Option<LearnedAllocator<'_>>) -> Limits {
+    let team_max = allocator.map_or(set.max_agents, |learned| learned.team_max.min(set.max_agents));
     Limits {
         n_max: (set.max_agents + set.max_buildings) as u16,
         t_max: set.max_buildings as u16,
-        team_max: set.max_agents as u16,
+        team_max: team_max as u16,
     }
 }
 
-fn onnx(weights: &UtilityWeights, contract: u64) -> Result<Vec<u8>, super::ExportError> {
+/// The agents' network as ONNX.
+fn agent(weights: &UtilityWeights, contract: u64) -> Result<Vec<u8>, ExportError> {
+    let layers = layers(weights);
+    agent_onnx(&AgentNetwork { features: FEATURES, append_last_action: true, contract, layers })
+}
+
+/// The allocator's network as ONNX.
+fn team_value(weights: &UtilityWeights, contract: u64) -> Result<Vec<u8>, ExportError> {
+    let (features, relations, layers) = (FEATURES, RELATIONS, layers(weights));
+    team_value_onnx(&TeamValueExport { features, relations, contract, layers })
+}
+
+/// The layers of a network.
+pub(super) fn layers(weights: &UtilityWeights) -> AttentionNetwork<'_> {
     let matrix = |values| Matrix { values, layout: Layout::OutputsFirst };
     let shape = weights.shape;
-    agent_onnx(&AgentNetwork {
-        features: FEATURES,
-        actions: shape.actions,
-        append_last_action: true,
+    AttentionNetwork {
+        inputs: shape.input,
         width: shape.width,
         heads: shape.heads,
         base: shape.base,
+        outputs: shape.actions,
         fc1: Layer { weight: matrix(&weights.fc1_weight), bias: &weights.fc1_bias },
         attention_in: matrix(&weights.attention_in_weight),
         attention_out: Layer {
@@ -153,23 +192,30 @@ fn onnx(weights: &UtilityWeights, contract: u64) -> Result<Vec<u8>, super::Expor
         },
         fc2: Layer { weight: matrix(&weights.fc2_weight), bias: &weights.fc2_bias },
         head: Layer { weight: matrix(&weights.head_weight), bias: &weights.head_bias },
-        contract,
-    })
+    }
 }
 
-/// Observations of greedy episodes, with the answers of the trainer's own forward pass.
-fn golden(run: &Run, seed: u64) -> Result<Golden, LearnError> {
+/// Observations and allocation states of greedy episodes, with the answers of the trainer's own passes.
+fn golden(
+    run: &Run,
+    allocator: Option<LearnedAllocator<'_>>,
+    seed: u64,
+) -> Result<Golden, LearnError> {
     let config = &run.description.config;
     let plan = EvaluationPlan {
         constants: config.environment.constants,
         interval: config.allocation.interval,
         ..EvaluationPlan::new(&config.environment.set, GOLDEN_EPISODES, seed)?
     };
+    let allocations = match allocator {
+        Some(allocator) => golden_allocations(&plan, &run.network, allocator)?,
+        None => Vec::new(),
+    };
     let mut recorder =
         Recorder { policy: NetworkPolicy::new(&run.network), decisions: 0, cases: Vec::new() };
     let mut team = PolicyTeam::new(&mut recorder as &mut dyn Policy);
     evaluate(&plan, &mut team, &mut AllocationRule::Coordinated)?;
-    Ok(Golden { cases: recorder.cases })
+    Ok(Golden { cases: recorder.cases, allocations })
 }
 
 /// Decides, and keeps every so many-th decision.
@@ -206,7 +252,7 @@ impl Policy for Recorder<'_> {
 }
 
 /// The model card.
-fn card(run: &Run, measured: &[Measured]) -> String {
+fn card(run: &Run, allocator: Option<LearnedAllocator<'_>>, measured: &[Measured]) -> String {
     let description = &run.description;
     let config = &description.config;
     let mut card = format!(
@@ -220,6 +266,13 @@ fn card(run: &Run, measured: &[Measured]) -> String {
         description.seed,
         description.version,
     );
+    if let Some(LearnedAllocator { team_max, .. }) = allocator {
+        let _ = writeln!(
+            card,
+            "The allocator values every team at every open building by a network of the same kind and takes the\n\
+             best allocation; a team has at most {team_max} agents.\n"
+        );
+    }
     card += "## How well it does\n\nGreedy episodes that training never saw.\n\n";
     card += "| allocation | episodes | success (95 % interval) | no building burned | time-outs | return |\n";
     card += "| --- | --- | --- | --- | --- | --- |\n";

@@ -5,9 +5,14 @@
 //! softmax and their weights 0 after it.
 
 mod agent;
+mod attention;
 mod bundle;
+mod golden_allocations;
 mod onnx;
 pub(crate) mod protobuf;
+mod team_value;
 
-pub use agent::{AgentNetwork, ExportError, Layer, Layout, Matrix, agent_onnx};
-pub use bundle::{Measured, check_deployable, draft_bundle};
+pub use agent::{AgentNetwork, agent_onnx};
+pub use attention::{AttentionNetwork, ExportError, Layer, Layout, Matrix};
+pub use bundle::{LearnedAllocator, Measured, check_exportable, draft_bundle};
+pub use team_value::{TeamValueExport, team_value_onnx};

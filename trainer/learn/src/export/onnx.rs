@@ -14,7 +14,7 @@ pub(super) enum Element {
 }
 
 impl Element {
-    fn id(self) -> i64 {
+    pub(super) fn id(self) -> i64 {
         match self {
             Self::Float => 1,
             Self::Int64 => 7,

@@ -1,7 +1,8 @@
 //! Teams at buildings, written as input of the team-value network.
 
 use sortie_envs::save_the_city::{
-    AgentState, BuildingState, City, FEATURES, Symmetry, agent_features, building_features,
+    AgentState, BuildingState, City, FEATURES, RELATIONS, Symmetry, agent_features, agent_relation,
+    building_features, building_relation,
 };
 
 use crate::layers::SparseRows;
@@ -12,12 +13,9 @@ const OWN: usize = FEATURES;
 /// Marks the agents of the team.
 const IN_TEAM: usize = FEATURES + 1;
 /// First of the columns that say how far away an entity is from the building.
-const TRAVEL: usize = FEATURES + 2;
-/// Travel times in steps from which on an entity belongs to the next column.
-const TRAVEL_FROM: [f64; 15] =
-    [0.5, 1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5, 8.5, 9.5, 11.5, 13.5, 15.5, 18.5, 22.5];
+const RELATION: usize = FEATURES + 2;
 /// Columns of a row: an entity's features, its part in the question, its travel time as one-hot.
-pub const COLUMNS: usize = TRAVEL + TRAVEL_FROM.len() + 1;
+pub const COLUMNS: usize = RELATION + RELATIONS;
 
 /// A team at a building of a city.
 #[derive(Clone, Copy, Debug)]
@@ -115,14 +113,13 @@ impl TeamValueInput {
         if in_team {
             rows.push(IN_TEAM, 1.0);
         }
-        end_row(rows, agent.travel_time_to(building))
+        end_row(rows, agent_relation(agent, building))
     }
 
     fn push_other(&mut self, other: &BuildingState, building: &BuildingState) -> usize {
         let rows = &mut self.input.rows;
         building_features(other, |column, value| rows.push(column, value));
-        let cells = other.x.abs_diff(building.x) + other.y.abs_diff(building.y);
-        end_row(rows, f64::from(cells.saturating_sub(1)))
+        end_row(rows, building_relation(other, building))
     }
 }
 
@@ -132,10 +129,9 @@ fn other_open<'a>(city: City<'a>, task: usize) -> impl Iterator<Item = &'a Build
     numbered.filter(move |(other, b)| *other != task && b.is_open()).map(|(_, b)| b)
 }
 
-/// Adds the travel time to a row and closes it; returns the row's number.
-fn end_row(rows: &mut SparseRows, travel_time: f64) -> usize {
-    let bin = TRAVEL_FROM.iter().filter(|from| travel_time >= **from).count();
-    rows.push(TRAVEL + bin, 1.0);
+/// Adds the relation to a row and closes it; returns the row's number.
+fn end_row(rows: &mut SparseRows, relation: usize) -> usize {
+    rows.push(RELATION + relation, 1.0);
     rows.end_row();
     rows.len() - 1
 }
@@ -217,16 +213,5 @@ mod tests {
                 loss(&parameters)
             });
         }
-    }
-
-    #[test]
-    fn travel_times_fall_into_rising_bins() {
-        let bin = |time| {
-            let mut rows = SparseRows::default();
-            end_row(&mut rows, time);
-            rows.row(0).next().unwrap().0 - TRAVEL
-        };
-        assert_eq!([0.0, 0.5, 1.0, 9.0, 10.0, 30.0].map(bin), [0, 1, 1, 9, 10, 15]);
-        assert_eq!(TRAVEL + 15, COLUMNS - 1);
     }
 }

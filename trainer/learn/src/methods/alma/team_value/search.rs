@@ -1,6 +1,6 @@
 //! The best allocation by the team-value network.
 
-use sortie_core::allocate::{TeamValue, Teams, ascent, exact};
+use sortie_core::allocate::{EXACT_AGENTS, TeamValue, Teams, ascent, exact};
 use sortie_envs::save_the_city::{City, Symmetry, UNASSIGNED, coordinated_allocation};
 
 use super::input::{TeamQuery, TeamValueInput};
@@ -9,8 +9,6 @@ use crate::evaluate::Allocate;
 use crate::methods::alma::{UtilityNetwork, UtilityPass, UtilityShape};
 use crate::random::Generator;
 
-/// Most agents that are searched exactly here: beyond, the values of all teams take too long.
-const EXACT_AGENTS: usize = 8;
 /// Sweeps of the coordinate ascent; few are needed until no agent moves.
 const SWEEPS: usize = 8;
 

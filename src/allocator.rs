@@ -1,0 +1,151 @@
+//! What allocates in a deployed team: a rule of the environment, or the network of a bundle.
+
+use sortie_bundle::Bundle;
+use sortie_compiler::{CompileError, TractTeamValue, compile_allocator};
+use sortie_core::allocate::{
+    EXACT_AGENTS, PlanTeamValue, SearchMemory, TaskRelation, TeamQuery, TeamValueAllocator,
+    TeamValueNetwork, exact,
+};
+use sortie_core::plan::{AlignedBytes, Plan, PlanError};
+use sortie_core::{AllocateError, Allocator};
+use sortie_envs::save_the_city::AllocationRule;
+
+use crate::arguments::AllocatorChoice;
+use crate::failure::{Exit, Failure};
+use crate::policy::Backend;
+use crate::worlds::save_the_city::{CityAllocator, CityRelation};
+
+/// The memory of a team's allocator.
+pub(crate) enum DeployedAllocator {
+    Rule(CityAllocator),
+    Learned(Box<LearnedAllocator>),
+}
+
+impl DeployedAllocator {
+    /// `seed` matters to the random rule only, `backend` to the learned allocator.
+    pub(crate) fn open(
+        bundle: &Bundle,
+        choice: AllocatorChoice,
+        backend: Backend,
+        seed: u64,
+    ) -> Result<Self, Failure> {
+        match choice.rule() {
+            Some(rule) => Ok(Self::Rule(CityAllocator::new(rule, seed))),
+            None => Ok(Self::Learned(Box::new(LearnedAllocator::open(bundle, backend)?))),
+        }
+    }
+
+    /// The allocator over this memory.
+    pub(crate) fn allocator(&mut self) -> Result<Box<dyn Allocator + '_>, Failure> {
+        match self {
+            Self::Rule(rule) => Ok(Box::new(rule)),
+            Self::Learned(learned) => Ok(Box::new(learned.allocator()?)),
+        }
+    }
+}
+
+/// A bundle's learned allocator: its network and the memory of the search.
+pub(crate) struct LearnedAllocator {
+    network: NetworkMemory,
+    cells: Vec<exact::Cell>,
+    values: Vec<f32>,
+    relation: Vec<f32>,
+    team_max: usize,
+}
+
+impl LearnedAllocator {
+    /// Compiles the bundle's team-value network, or takes the plan that was compiled before.
+    pub(crate) fn open(bundle: &Bundle, backend: Backend) -> Result<Self, Failure> {
+        let name = bundle.folder().display();
+        let onnx = bundle.allocator_onnx().ok_or_else(|| none_learned(&name.to_string()))?;
+        let limits = bundle.manifest().limits;
+        let entities = usize::from(limits.n_max);
+        let network = NetworkMemory::open(bundle, onnx, backend, entities)
+            .map_err(|error| Failure::from(error).within(&name))?;
+        let cells = exact::cells(EXACT_AGENTS, limits.t_max.into());
+        Ok(Self {
+            network,
+            cells: vec![exact::Cell::default(); cells],
+            values: vec![0.0; cells],
+            relation: vec![0.0; entities * CityRelation::new().columns()],
+            team_max: limits.team_max.into(),
+        })
+    }
+
+    /// The team-value network alone.
+    pub(crate) fn network(&mut self) -> Result<impl TeamValueNetwork + '_, Failure> {
+        self.network.bind()
+    }
+
+    fn allocator(&mut self) -> Result<impl Allocator + '_, Failure> {
+        Ok(TeamValueAllocator {
+            network: self.network.bind()?,
+            relation: CityRelation::new(),
+            start: CityAllocator::new(AllocationRule::Coordinated, 0),
+            team_max: self.team_max,
+            exact_agents: EXACT_AGENTS,
+            memory: SearchMemory {
+                cells: &mut self.cells,
+                values: &mut self.values,
+                relation: &mut self.relation,
+            },
+        })
+    }
+}
+
+/// No learned allocator where one was asked for.
+pub(crate) fn none_learned(name: &str) -> Failure {
+    let message = format!(
+        "`{name}` has no learned allocator; choose a rule with --allocation, or a team that learned one"
+    );
+    Failure::new(Exit::Usage, message)
+}
+
+enum NetworkMemory {
+    Plan { plan: AlignedBytes, arena: AlignedBytes, rows: Vec<f32> },
+    Tract(Box<TractTeamValue>),
+}
+
+enum BoundNetwork<'a> {
+    Plan(Box<PlanTeamValue<'a>>),
+    Tract(&'a mut TractTeamValue),
+}
+
+impl NetworkMemory {
+    fn open(
+        bundle: &Bundle,
+        onnx: &[u8],
+        backend: Backend,
+        entities: usize,
+    ) -> Result<Self, CompileError> {
+        if backend == Backend::Tract {
+            return Ok(Self::Tract(Box::new(TractTeamValue::new(onnx)?)));
+        }
+        let plan = compile_allocator(bundle)?.ok_or(PlanError::WrongNetwork)?;
+        let loaded = Plan::load(plan.as_slice())?;
+        let arena = AlignedBytes::zeroed(loaded.arena_bytes());
+        let rows = vec![0.0; PlanTeamValue::row_floats(&loaded, entities)];
+        Ok(Self::Plan { plan, arena, rows })
+    }
+
+    fn bind(&mut self) -> Result<BoundNetwork<'_>, Failure> {
+        match self {
+            Self::Plan { plan, arena, rows } => {
+                let network = Plan::load(plan.as_slice())
+                    .and_then(|plan| PlanTeamValue::new(plan, arena.as_mut_slice(), rows))
+                    .map_err(CompileError::from)?;
+                Ok(BoundNetwork::Plan(Box::new(network)))
+            }
+            Self::Tract(network) => Ok(BoundNetwork::Tract(network)),
+        }
+    }
+}
+
+impl TeamValueNetwork for BoundNetwork<'_> {
+    fn value(&mut self, query: &TeamQuery<'_>) -> Result<f32, AllocateError> {
+        match self {
+            Self::Plan(network) => network.value(query),
+            Self::Tract(network) => network.value(query),
+        }
+    }
+}

@@ -1,0 +1,233 @@
+//! The layers that agents and allocators share: embed every entity, attend with one row's query, two layers.
+
+use std::borrow::Cow;
+
+use super::onnx::{Attribute, Graph};
+
+/// Stands for minus infinity among logits; the softmax of a row that holds nothing else stays finite.
+const BLOCKED: f32 = -1.0e30;
+
+/// How a matrix is stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Layout {
+    /// `[outputs, inputs]`, as PyTorch does.
+    OutputsFirst,
+    /// `[inputs, outputs]`.
+    InputsFirst,
+}
+
+/// A matrix of weights.
+#[derive(Clone, Copy, Debug)]
+pub struct Matrix<'a> {
+    /// The weights, row-major.
+    pub values: &'a [f32],
+    /// Whether a row belongs to an output or an input.
+    pub layout: Layout,
+}
+
+/// A matrix and its bias.
+#[derive(Clone, Copy, Debug)]
+pub struct Layer<'a> {
+    /// The weights.
+    pub weight: Matrix<'a>,
+    /// The bias `[outputs]`.
+    pub bias: &'a [f32],
+}
+
+/// A feed-forward attention network (dissertation section 7.3): embed, attend, two layers.
+#[derive(Clone, Copy, Debug)]
+pub struct AttentionNetwork<'a> {
+    /// Input columns D of an entity.
+    pub inputs: usize,
+    /// Width E of the embedding and the attention.
+    pub width: usize,
+    /// Attention heads, a divisor of the width.
+    pub heads: usize,
+    /// Width R of the layer before the head.
+    pub base: usize,
+    /// Outputs U.
+    pub outputs: usize,
+    /// D to E.
+    pub fc1: Layer<'a>,
+    /// E to 3 E, without bias: query, key, value.
+    pub attention_in: Matrix<'a>,
+    /// E to E.
+    pub attention_out: Layer<'a>,
+    /// E to R.
+    pub fc2: Layer<'a>,
+    /// R to U.
+    pub head: Layer<'a>,
+}
+
+/// Why a network cannot be exported.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ExportError {
+    /// A tensor does not have the size that the network's shape asks for.
+    #[error("`{tensor}` has {got} values, the network's shape asks for {want}")]
+    WrongLength {
+        /// The tensor.
+        tensor: &'static str,
+        /// Values asked for.
+        want: usize,
+        /// Values given.
+        got: usize,
+    },
+    /// A tensor holds a value that is not a finite number: training diverged.
+    #[error("`{tensor}` holds a value that is not finite: the training diverged")]
+    NonFinite {
+        /// The tensor.
+        tensor: &'static str,
+    },
+    /// The network takes other columns than the graph's inputs have.
+    #[error("the network takes {got} columns, the graph has {want}")]
+    Columns {
+        /// Columns of the graph's inputs.
+        want: usize,
+        /// Columns that the network takes.
+        got: usize,
+    },
+    /// The heads do not divide the width.
+    #[error("{heads} heads do not divide the width {width}")]
+    Heads {
+        /// Attention heads.
+        heads: usize,
+        /// Width of the attention.
+        width: usize,
+    },
+}
+
+/// What the layers read, by the names of values in the graph.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Inputs<'a> {
+    /// Rows f32 `[N, D]`.
+    pub(super) rows: &'a str,
+    /// The row that forms the query, i64 `[1]`.
+    pub(super) own: &'a str,
+    /// What it attends to, bool `[N]`.
+    pub(super) visible: &'a str,
+}
+
+/// Adds the network's nodes; the last one gives `output` `[U]`.
+pub(super) fn add_network(
+    graph: &mut Graph,
+    network: &AttentionNetwork<'_>,
+    inputs: Inputs<'_>,
+    output: &str,
+) -> Result<(), ExportError> {
+    let AttentionNetwork { inputs: columns, width, heads, base, outputs, .. } = *network;
+    if heads == 0 || !width.is_multiple_of(heads) {
+        return Err(ExportError::Heads { heads, width });
+    }
+    let fc1 = layer(graph, "fc1", inputs.rows, &network.fc1, [columns, width])?;
+    let embedding = graph.node("fc1.relu", "Relu", &[&fc1], &[]);
+    let attended = attention(graph, network, inputs, &embedding)?;
+    let attended = graph.node("attention.relu", "Relu", &[&attended], &[]);
+    let fc2 = layer(graph, "fc2", &attended, &network.fc2, [width, base])?;
+    let fc2 = graph.node("fc2.relu", "Relu", &[&fc2], &[]);
+    let head = layer(graph, "head", &fc2, &network.head, [base, outputs])?;
+    let shape_name = format!("{output}.shape");
+    let shape = graph.integers(&shape_name, &[outputs as i64]);
+    graph.node(output, "Reshape", &[&head, shape], &[]);
+    Ok(())
+}
+
+/// Attention of the own row's query over all entities.
+fn attention(
+    graph: &mut Graph,
+    network: &AttentionNetwork<'_>,
+    inputs: Inputs<'_>,
+    embedding: &str,
+) -> Result<String, ExportError> {
+    let (width, heads) = (network.width, network.heads);
+    let packed = [width, 3 * width];
+    let weights = inputs_first("attention.in.weight", &network.attention_in, packed)?;
+    let [query, key, value] =
+        [0, 1, 2].map(|part| columns(&weights, 3 * width, part * width, width));
+    let own = graph.node("attention.own", "Gather", &[embedding, inputs.own], &[axis(0)]);
+
+    let split = graph.integers("attention.split", &[0, heads as i64, (width / heads) as i64]);
+    let mut heads_of = |name: &str, input: &str, weights: &[f32], order: &[i64]| {
+        let weight = format!("{name}.weight");
+        graph.floats(&weight, &[width, width], weights);
+        let product = graph.node(name, "MatMul", &[input, &weight], &[]);
+        let heads = graph.node(&format!("{name}.heads"), "Reshape", &[&product, split], &[]);
+        graph.node(
+            &format!("{name}.ordered"),
+            "Transpose",
+            &[&heads],
+            &[Attribute::Ints("perm", order)],
+        )
+    };
+    let query = heads_of("attention.query", &own, &query, &[1, 0, 2]);
+    let key = heads_of("attention.key", embedding, &key, &[1, 2, 0]);
+    let value = heads_of("attention.value", embedding, &value, &[1, 0, 2]);
+
+    let scale = 1.0 / ((width / heads) as f32).sqrt();
+    let scale = graph.floats("attention.scale", &[], &[scale]);
+    let blocked = graph.floats("attention.blocked", &[], &[BLOCKED]);
+    let nothing = graph.floats("attention.nothing", &[], &[0.0]);
+    let scores = graph.node("attention.scores", "MatMul", &[&query, &key], &[]);
+    let logits = graph.node("attention.logits", "Mul", &[&scores, scale], &[]);
+    let masked = graph.node("attention.masked", "Where", &[inputs.visible, &logits, blocked], &[]);
+    let shares = graph.node("attention.softmax", "Softmax", &[&masked], &[axis(-1)]);
+    let shares = graph.node("attention.weights", "Where", &[inputs.visible, &shares, nothing], &[]);
+
+    let mixed = graph.node("attention.mixed", "MatMul", &[&shares, &value], &[]);
+    let order = Attribute::Ints("perm", &[1, 0, 2]);
+    let mixed = graph.node("attention.mixed.ordered", "Transpose", &[&mixed], &[order]);
+    let join = graph.integers("attention.join", &[1, width as i64]);
+    let joined = graph.node("attention.joined", "Reshape", &[&mixed, join], &[]);
+    layer(graph, "attention.out", &joined, &network.attention_out, [width, width])
+}
+
+/// `input W + b`.
+fn layer(
+    graph: &mut Graph,
+    name: &'static str,
+    input: &str,
+    layer: &Layer<'_>,
+    [inputs, outputs]: [usize; 2],
+) -> Result<String, ExportError> {
+    check(name, layer.bias, outputs)?;
+    let (weight, bias) = (format!("{name}.weight"), format!("{name}.bias"));
+    let values = inputs_first(name, &layer.weight, [inputs, outputs])?;
+    graph.floats(&weight, &[inputs, outputs], &values);
+    graph.floats(&bias, &[outputs], layer.bias);
+    let product = graph.node(&format!("{name}.product"), "MatMul", &[input, &weight], &[]);
+    Ok(graph.node(name, "Add", &[&product, &bias], &[]))
+}
+
+pub(super) fn axis(axis: i64) -> Attribute<'static> {
+    Attribute::Int("axis", axis)
+}
+
+/// The matrix as `[inputs, outputs]`, so that no graph needs to transpose it.
+fn inputs_first<'a>(
+    tensor: &'static str,
+    matrix: &Matrix<'a>,
+    [inputs, outputs]: [usize; 2],
+) -> Result<Cow<'a, [f32]>, ExportError> {
+    check(tensor, matrix.values, inputs * outputs)?;
+    if matrix.layout == Layout::InputsFirst {
+        return Ok(Cow::Borrowed(matrix.values));
+    }
+    let column = |input: usize| matrix.values.iter().skip(input).step_by(inputs);
+    Ok((0..inputs).flat_map(column).copied().collect())
+}
+
+/// Some columns of a matrix of rows of `stride` values.
+fn columns(values: &[f32], stride: usize, start: usize, count: usize) -> Vec<f32> {
+    values.chunks(stride).flat_map(|row| row.iter().skip(start).take(count)).copied().collect()
+}
+
+fn check(tensor: &'static str, values: &[f32], want: usize) -> Result<(), ExportError> {
+    let got = values.len();
+    if got != want {
+        return Err(ExportError::WrongLength { tensor, want, got });
+    }
+    if values.iter().any(|value| !value.is_finite()) {
+        return Err(ExportError::NonFinite { tensor });
+    }
+    Ok(())
+}
