@@ -42,7 +42,11 @@ impl Comparison {
     }
 
     pub(crate) fn add(&mut self, got: &[f32], want: &[f32], same_action: bool) {
-        let largest = want.iter().fold(0.0, |largest: f32, want| largest.max(want.abs()));
+        self.add_on_scale(magnitude(want), got, want, same_action);
+    }
+
+    /// Adds answers whose largest magnitude is known from more than themselves.
+    fn add_on_scale(&mut self, largest: f32, got: &[f32], want: &[f32], same_action: bool) {
         let distance =
             got.iter().zip(want).map(|(got, want)| (got - want).abs()).fold(0.0, f32::max);
         let error = distance / (1.0 + largest);
@@ -52,6 +56,10 @@ impl Comparison {
         self.inputs += 1;
         self.action_mismatches += usize::from(!same_action);
     }
+}
+
+fn magnitude(values: &[f32]) -> f32 {
+    values.iter().fold(0.0, |largest: f32, value| largest.max(value.abs()))
 }
 
 /// Compares a plan with the ONNX graph that it was made from.
@@ -104,6 +112,9 @@ pub fn compare_with_golden(
 }
 
 /// Compares an allocator's plan with the ONNX graph that it was made from.
+///
+/// Errors are measured against the largest value of all queries: values are added up and compared with
+/// each other, so that their common scale counts, and one value has no others beside it.
 pub fn compare_team_values_with_graph(
     plan: &[u8],
     onnx: &[u8],
@@ -124,13 +135,17 @@ pub(crate) fn team_values_against_graph(
     let entities = queries.iter().map(|query| query.state.entities()).max().unwrap_or(0);
     let mut rows = vec![0.0; PlanTeamValue::row_floats(&plan, entities)];
     let mut network = PlanTeamValue::new(plan, arena.as_mut_slice(), &mut rows)?;
-    let mut comparison = Comparison::new("allocator plan against tract");
+    let (mut got, mut want) = (Vec::new(), Vec::new());
     for query in queries {
         let state = query.state.view();
         let query = query.view(&state);
-        let got = network.value(&query).map_err(cannot_run)?;
-        let want = reference.value(&query).map_err(cannot_run)?;
-        comparison.add(&[got], &[want], true);
+        got.push(network.value(&query).map_err(cannot_run)?);
+        want.push(reference.value(&query).map_err(cannot_run)?);
+    }
+    let largest = magnitude(&want);
+    let mut comparison = Comparison::new("allocator plan against tract");
+    for (got, want) in got.iter().zip(&want) {
+        comparison.add_on_scale(largest, &[*got], &[*want], true);
     }
     Ok(comparison)
 }
