@@ -64,6 +64,10 @@ struct Frame {
 }
 
 impl Frame {
+    fn city(&self) -> City<'_> {
+        City { agents: &self.agents, buildings: &self.buildings }
+    }
+
     fn team(&self, task: usize) -> impl Iterator<Item = usize> + Clone + '_ {
         let member = move |building: &u8| usize::from(*building) == task;
         (0..self.agents.len()).filter(move |agent| member(&self.allocation[*agent]))
@@ -79,8 +83,7 @@ impl Frame {
 /// The incomplete records of one running episode.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct History {
-    conditioning: Conditioning,
-    returns: Returns,
+    rules: Rules,
     frames: VecDeque<Frame>,
     spare: Vec<Frame>,
 }
@@ -88,21 +91,21 @@ pub struct History {
 impl History {
     /// An empty history.
     pub fn new(conditioning: Conditioning, returns: Returns) -> Self {
-        Self { conditioning, returns, frames: VecDeque::new(), spare: Vec::new() }
+        let rules = Rules { conditioning, returns };
+        Self { rules, frames: VecDeque::new(), spare: Vec::new() }
     }
 
     /// Completes records whose n steps are over or whose building has another team now.
     ///
     /// Call it once an allocation is in force and before the actions of the step.
     pub fn decide(&mut self, now: Moment<'_>, replay: &mut Replay) {
-        let Self { conditioning, returns, .. } = *self;
+        let rules = self.rules;
         for frame in &mut self.frames {
             for task in bits(frame.pending) {
                 let same_team =
-                    !conditioning.has_subtasks() || frame.same_team(task, now.allocation);
-                if frame.steps >= returns.steps || !same_team {
-                    let completion = Completion { after: now, discount: frame.weight };
-                    completion.store(conditioning, returns, frame, task, replay);
+                    !rules.conditioning.has_subtasks() || frame.same_team(task, now.allocation);
+                if frame.steps >= rules.returns.steps || !same_team {
+                    rules.complete(frame, task, now, frame.weight, replay);
                 }
             }
         }
@@ -116,22 +119,18 @@ impl History {
         copy(&mut frame.agents, now.city.agents);
         copy(&mut frame.buildings, now.city.buildings);
         copy(&mut frame.allocation, &now.allocation[..count]);
+        if !self.rules.conditioning.has_subtasks() {
+            frame.allocation.fill(WHOLE as u8);
+        }
         copy(&mut frame.last_actions, &now.last_actions[..count]);
         frame.actions.clear();
         frame.actions.extend(actions[..count].iter().map(|action| *action as u8));
-        let tasks = if self.conditioning.has_subtasks() {
-            now.city.buildings.len()
-        } else {
-            // One task that everybody works on.
-            frame.allocation.fill(0);
-            1
-        };
         frame.returns.clear();
-        frame.returns.resize(tasks, 0.0);
+        frame.returns.resize(now.city.buildings.len(), 0.0);
         frame.weight = 1.0;
         frame.steps = 0;
         frame.pending = 0;
-        for task in bits(self.open_tasks(now.city)) {
+        for task in bits(self.rules.open_tasks(now.city)) {
             let has_team = frame.team(task).next().is_some();
             frame.pending |= u32::from(has_team) << task;
         }
@@ -140,19 +139,21 @@ impl History {
 
     /// Adds the rewards of the step just taken and completes the records of closed buildings.
     pub fn reward(&mut self, after: Moment<'_>, rewards: StepRewards<'_>, replay: &mut Replay) {
-        let Self { conditioning, returns, .. } = *self;
-        let open = self.open_tasks(after.city);
-        let whole = [rewards.team];
-        let rewards = if conditioning.has_subtasks() { rewards.tasks } else { &whole };
+        let rules = self.rules;
+        let open = rules.open_tasks(after.city);
         for frame in &mut self.frames {
             for task in bits(frame.pending) {
-                frame.returns[task] += frame.weight * rewards[task] as f32;
+                let reward = if rules.conditioning.has_subtasks() {
+                    rewards.tasks[task]
+                } else {
+                    rewards.team
+                };
+                frame.returns[task] += frame.weight * reward as f32;
             }
-            frame.weight *= returns.discount;
+            frame.weight *= rules.returns.discount;
             frame.steps += 1;
             for task in bits(frame.pending & !open) {
-                let completion = Completion { after, discount: 0.0 };
-                completion.store(conditioning, returns, frame, task, replay);
+                rules.complete(frame, task, after, 0.0, replay);
             }
         }
         self.drop_complete();
@@ -160,20 +161,13 @@ impl History {
 
     /// Ends the episode: what is incomplete bootstraps after a time-out and is worth nothing after an end.
     pub fn end(&mut self, after: Moment<'_>, timed_out: bool, replay: &mut Replay) {
-        let Self { conditioning, returns, .. } = *self;
         for frame in &mut self.frames {
             let discount = if timed_out { frame.weight } else { 0.0 };
             for task in bits(frame.pending) {
-                let completion = Completion { after, discount };
-                completion.store(conditioning, returns, frame, task, replay);
+                self.rules.complete(frame, task, after, discount, replay);
             }
         }
         self.drop_complete();
-    }
-
-    /// Tasks, as bits, that there is still something to do for.
-    fn open_tasks(&self, city: City<'_>) -> u32 {
-        if self.conditioning.has_subtasks() { city.open_tasks() } else { 1 }
     }
 
     fn drop_complete(&mut self) {
@@ -183,24 +177,33 @@ impl History {
     }
 }
 
-/// How a record ends.
-struct Completion<'a> {
-    after: Moment<'a>,
-    /// Factor of the value of the state after it.
-    discount: f32,
+/// The only task where there are no subtasks: everybody works on it, and the episode's end closes it.
+const WHOLE: usize = 0;
+
+/// How steps become records.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+struct Rules {
+    conditioning: Conditioning,
+    returns: Returns,
 }
 
-impl Completion<'_> {
+impl Rules {
+    /// Tasks, as bits, that there is still something to do for.
+    fn open_tasks(self, city: City<'_>) -> u32 {
+        if self.conditioning.has_subtasks() { city.open_tasks() } else { 1 << WHOLE }
+    }
+
     /// Stores the record of one task and takes it off the frame's list.
-    fn store(
+    ///
+    /// `discount` is the factor of the value of the state after it.
+    fn complete(
         self,
-        conditioning: Conditioning,
-        returns: Returns,
         frame: &mut Frame,
         task: usize,
+        after: Moment<'_>,
+        discount: f32,
         replay: &mut Replay,
     ) {
-        let Self { after, discount } = self;
         frame.pending &= !(1 << task);
         let agent_step = |agent: usize| AgentStep {
             agent: frame.agents[agent],
@@ -214,47 +217,40 @@ impl Completion<'_> {
             building: frame.buildings[building],
             next: after.city.buildings[building],
         };
-        let team = frame.team(task);
-        let (before, later): (f32, f32) = if conditioning.has_subtasks() {
-            let BuildingStep { building, next } = building_step(task);
-            let own = |agent: &AgentState, building| potential(returns, agent, building);
-            let steps = team.clone().map(agent_step);
-            (
-                steps.clone().map(|step| own(&step.agent, &building)).sum(),
-                steps.map(|step| own(&step.next, &next)).sum(),
-            )
-        } else {
-            let frame = City { agents: &frame.agents, buildings: &frame.buildings };
-            (potential_of_all(returns, frame), potential_of_all(returns, after.city))
-        };
+        let before = self.potential(frame, task, frame.city());
+        let later = self.potential(frame, task, after.city);
         let reward = frame.returns[task] + discount * later - before;
+
+        let team = frame.team(task);
         let record = Record::new(reward, discount, team.clone().count());
-        let buildings = 0..frame.buildings.len();
-        let (others_in_sight, buildings) = match conditioning {
-            Conditioning::Mask => (false, task..task + 1),
-            Conditioning::Input | Conditioning::None => (true, buildings),
-        };
+        let masked = self.conditioning == Conditioning::Mask;
         let others = (0..frame.agents.len())
-            .filter(|agent| others_in_sight && usize::from(frame.allocation[*agent]) != task);
+            .filter(|agent| !masked && usize::from(frame.allocation[*agent]) != task);
+        let buildings = if masked { task..task + 1 } else { 0..frame.buildings.len() };
         replay.push(record, team.chain(others).map(agent_step), buildings.map(building_step));
     }
-}
 
-/// Potential of an agent: the farther from its building, the lower.
-///
-/// Shaping with `discount^m * phi(s') - phi(s)` leaves the best policy as it is (Ng, Harada and
-/// Russell 1999). It is no part of the dissertation.
-fn potential(returns: Returns, agent: &AgentState, building: &BuildingState) -> f32 {
-    -returns.shaping * f32::from(agent.distance_to(building).saturating_sub(1))
-}
-
-/// Potential of a state without subtasks: every agent counts by its nearest open building.
-fn potential_of_all(returns: Returns, city: City<'_>) -> f32 {
-    let nearest = |agent: &AgentState| {
-        let open = city.buildings.iter().filter(|building| building.is_open());
-        open.map(|building| potential(returns, agent, building)).reduce(f32::max).unwrap_or(0.0)
-    };
-    city.agents.iter().map(nearest).sum()
+    /// Potential of a state for the team that a frame has at a task: the farther an agent is from its
+    /// building, the lower. Without subtasks an agent counts by its nearest open building.
+    ///
+    /// Shaping with `discount^m * phi(s') - phi(s)` leaves the best policy as it is (Ng, Harada and
+    /// Russell 1999). It is no part of the dissertation.
+    fn potential(self, frame: &Frame, task: usize, city: City<'_>) -> f32 {
+        let cell = -self.returns.shaping;
+        let at = |agent: &AgentState, building: &BuildingState| {
+            cell * f32::from(agent.distance_to(building).saturating_sub(1))
+        };
+        let nearest = |agent: &AgentState| {
+            let open = city.buildings.iter().filter(|building| building.is_open());
+            open.map(|building| at(agent, building)).reduce(f32::max).unwrap_or(0.0)
+        };
+        let team = frame.team(task).map(|agent| &city.agents[agent]);
+        if self.conditioning.has_subtasks() {
+            team.map(|agent| at(agent, &city.buildings[task])).sum()
+        } else {
+            team.map(nearest).sum()
+        }
+    }
 }
 
 fn copy<T: Copy>(to: &mut Vec<T>, from: &[T]) {

@@ -8,7 +8,7 @@ use sortie_envs::save_the_city::ScenarioSet;
 use super::config::Config;
 use super::learner::{Learner, Loss, UpdateReport};
 use super::mixed_network::MixedNetwork;
-use super::mixer::Mixer;
+use super::mixer::{Mixer, MixerShape};
 use super::replay::{RecordLayout, Replay};
 use super::rollout::{EpisodeCounts, InstanceSnapshot};
 use super::team_value::Segments;
@@ -117,10 +117,7 @@ struct StateRef<'a> {
     adam_steps: Level<u64>,
     picks: &'a Level<Generator>,
     instances: Vec<InstanceSnapshot>,
-    /// Parameters of the mixer: online, target and average.
-    mixers: [&'a [f32]; 3],
-    /// Adam's mean and square of the mixer.
-    mixer_adam: [&'a [f32]; 2],
+    mixer: SavedMixer<&'a [f32]>,
     records: &'a Replay,
     segments: Option<&'a Segments>,
 }
@@ -132,10 +129,37 @@ struct State {
     adam_steps: Level<u64>,
     picks: Level<Generator>,
     instances: Vec<InstanceSnapshot>,
-    mixers: [Vec<f32>; 3],
-    mixer_adam: [Vec<f32>; 2],
+    mixer: SavedMixer<Vec<f32>>,
     records: Replay,
     segments: Option<Segments>,
+}
+
+/// The mixer's part of a state. Nobody needs it but the run itself.
+#[derive(Serialize, Deserialize)]
+struct SavedMixer<V> {
+    /// Parameters: online, target and average.
+    networks: [V; 3],
+    /// Mean and square of the optimiser.
+    adam: [V; 2],
+}
+
+impl SavedMixer<Vec<f32>> {
+    /// Puts utilities and mixers together again, or gives `None` where a length does not fit the shape.
+    fn join(self, utilities: Restored, shape: MixerShape) -> Option<([MixedNetwork; 3], Adam)> {
+        let [mean, square] = self.adam;
+        if [&mean, &square].iter().any(|vector| vector.len() != shape.parameters()) {
+            return None;
+        }
+        let mut adam = utilities.adam;
+        adam.mean.extend(mean);
+        adam.square.extend(square);
+        let mut mixed = Vec::new();
+        for (utility, parameters) in utilities.networks.into_iter().zip(self.networks) {
+            let mixer = Mixer::from_parameters(shape, parameters)?;
+            mixed.push(MixedNetwork { utility, mixer });
+        }
+        Some((mixed.try_into().ok()?, adam))
+    }
 }
 
 /// Names of the networks in a checkpoint.
@@ -154,7 +178,7 @@ impl Trainer {
             let all = [&knowledge.online, &knowledge.target, &learner.average];
             networks.push(saved(ALLOCATOR, all, &learner.adam));
         }
-        let utilities = agents.online.utility.shape().parameters();
+        let (utilities, adam) = (agents.online.utility.shape().parameters(), &self.agents.adam);
         let state = StateRef {
             counters: &self.counters,
             adam_steps: Level {
@@ -163,11 +187,10 @@ impl Trainer {
             },
             picks: &self.picks,
             instances: self.rollout.snapshot(),
-            mixers: mixed.map(|network| network.mixer.parameters()),
-            mixer_adam: [
-                &self.agents.adam.mean[utilities..],
-                &self.agents.adam.square[utilities..],
-            ],
+            mixer: SavedMixer {
+                networks: mixed.map(|network| network.mixer.parameters()),
+                adam: [&adam.mean[utilities..], &adam.square[utilities..]],
+            },
             records: &agents.replay,
             segments: allocator.as_ref().map(|(_, knowledge)| &knowledge.replay),
         };
@@ -210,20 +233,9 @@ impl Trainer {
         let config = trainer.description.config.clone();
         let shape = config.agent_shape()?;
         let adam = Adam { steps: state.adam_steps.agents, ..trainer.agents.adam.clone() };
-        let Restored { networks, mut adam } = restored(&found.checkpoint, AGENTS, shape, adam)?;
-        let mixer_shape = config.mixer.shape(shape.input);
-        let [mean, square] = state.mixer_adam;
-        if [&mean, &square].iter().any(|vector| vector.len() != mixer_shape.parameters()) {
-            return Err(misfit("mixer"));
-        }
-        adam.mean.extend(mean);
-        adam.square.extend(square);
-        let mut mixed = Vec::new();
-        for (utility, parameters) in networks.into_iter().zip(state.mixers) {
-            let mixer = Mixer::from_parameters(mixer_shape, parameters);
-            mixed.push(MixedNetwork { utility, mixer: mixer.ok_or_else(|| misfit("mixer"))? });
-        }
-        let mixed = <[MixedNetwork; 3]>::try_from(mixed).map_err(|_| misfit("mixer"))?;
+        let agents = restored(&found.checkpoint, AGENTS, shape, adam)?;
+        let mixer = config.mixer.shape(shape.input);
+        let (mixed, adam) = state.mixer.join(agents, mixer).ok_or_else(|| misfit("mixer"))?;
         put_back(&mut trainer.agents, mixed, adam, state.records);
         if let (Some(learner), Some(segments)) = (&mut trainer.allocator, state.segments) {
             let shape = config.allocator.shape();
