@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 use sortie_learn::evaluate::{
-    Allocate, DeployedAllocator as AsDeployed, Evaluation, EvaluationPlan, PolicyTeam,
-    ScriptedActors, Team, evaluate, evaluate_watched,
+    Allocate, DeployedAllocator as AsDeployed, Evaluation, EvaluationPlan, Planner, PlannerReport,
+    PolicyTeam, ScriptedActors, Team, evaluate, evaluate_watched,
 };
 use sortie_learn::export::LearnedAllocator;
 use sortie_learn::methods::alma::team_value::TeamValueAllocator;
@@ -29,6 +29,7 @@ use crate::subject::Subject;
 #[command(after_help = "Examples:
   sortie eval models/save-the-city --episodes 2000
   sortie eval models/save-the-city --allocator runs/other
+  sortie eval models/save-the-city --plan 24
   sortie eval scripted --env save-the-city/2-8a_2-8b --allocation heuristic")]
 pub(crate) struct EvalArguments {
     /// A bundle, a training run, or `scripted`
@@ -45,6 +46,13 @@ pub(crate) struct EvalArguments {
     /// Bundle or training run whose learned allocator takes the place of the subject's
     #[arg(long, value_name = "BUNDLE|RUN", conflicts_with = "allocation")]
     allocator: Option<String>,
+    /// Yardstick: look ahead with the exact simulator and try up to K changed allocations a decision
+    ///
+    /// The allocator's choice is played to the end in a copy of the world; where that does not solve
+    /// the episode, K randomly changed allocations are played as well and the best is taken. It shows
+    /// what allocation could still gain with this team; it is not a learned policy.
+    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u16).range(1..))]
+    plan: Option<u16>,
     /// Record every episode into this folder, for `sortie replay`
     #[arg(long, value_name = "DIR")]
     episodes_out: Option<PathBuf>,
@@ -65,7 +73,12 @@ struct Report<'a> {
     seed: u64,
     #[serde(flatten)]
     evaluation: &'a Evaluation,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    planner: Option<PlannerReport>,
 }
+
+/// What was measured, and what the planner did if there was one.
+type Played = (Evaluation, Option<PlannerReport>);
 
 pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
     let subject = Subject::find(&arguments.subject)?;
@@ -79,7 +92,7 @@ pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
         let name = allocating.choice.name();
         play(&plan, team, allocator.as_mut(), arguments, name)
     };
-    let evaluation = match &subject {
+    let (evaluation, planner) = match &subject {
         Subject::Scripted => play(&mut ScriptedActors::new(arguments.common.seed))?,
         Subject::Run(run) => play(&mut run.team())?,
         Subject::Bundle(bundle) => {
@@ -96,14 +109,32 @@ pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
             allocator: arguments.allocator.as_deref(),
             seed: arguments.common.seed,
             evaluation: &evaluation,
+            planner,
         });
     } else {
-        print(&set, arguments, allocating.choice, &evaluation);
+        print(&set, arguments, allocating.choice, &evaluation, planner);
     }
     Ok(())
 }
 
 fn play(
+    plan: &EvaluationPlan,
+    team: &mut dyn Team,
+    allocator: &mut dyn Allocate,
+    arguments: &EvalArguments,
+    allocation: &str,
+) -> Result<Played, Failure> {
+    let Some(candidates) = arguments.plan else {
+        return Ok((record(plan, team, allocator, arguments, allocation)?, None));
+    };
+    let mut planner = Planner::new(plan, allocator, candidates.into())?;
+    let allocation = format!("planned from {allocation}");
+    let evaluation = record(plan, team, &mut planner, arguments, &allocation)?;
+    Ok((evaluation, Some(planner.report())))
+}
+
+/// Plays, and writes the episodes to files where that is wanted.
+fn record(
     plan: &EvaluationPlan,
     team: &mut dyn Team,
     allocator: &mut dyn Allocate,
@@ -183,6 +214,7 @@ fn print(
     arguments: &EvalArguments,
     choice: AllocatorChoice,
     evaluation: &Evaluation,
+    planner: Option<PlannerReport>,
 ) {
     let [low, high] = evaluation.success_ci95;
     println!(
@@ -192,6 +224,12 @@ fn print(
         arguments.allocator.as_ref().map_or(String::new(), |name| format!(" of {name}")),
         evaluation.episodes
     );
+    if let Some(PlannerReport { candidates, decisions, changed, .. }) = planner {
+        println!(
+            "planned with the exact simulator, {candidates} candidates: no learned policy, but a yardstick \
+             ({changed} of {decisions} decisions changed)"
+        );
+    }
     let mut table = Table::new(&["figure", "value"]);
     let mut row = |name: &str, value: String| table.row([name.to_string(), value]);
     row("success", format!("{:.3} ({low:.3} to {high:.3})", evaluation.success));
@@ -200,6 +238,13 @@ fn print(
     row("return", format!("{:.2} (sd {:.2})", evaluation.return_mean, evaluation.return_sd));
     row("steps", format!("{:.1}", evaluation.length_mean));
     table.print();
+    println!();
+    let mut causes = Table::new(&["cause of failure", "episodes", "share"]);
+    for (cause, count) in &evaluation.failures {
+        let share = *count as f64 / evaluation.episodes.max(1) as f64;
+        causes.row([cause.clone(), count.to_string(), format!("{share:.3}")]);
+    }
+    causes.print();
     println!();
     let mut teams = Table::new(&["team", "episodes", "success"]);
     for (team, success) in &evaluation.by_team {

@@ -3,9 +3,11 @@
 mod decision;
 mod environment;
 mod rounds;
+mod train;
 
 use clap::{Args, Subcommand};
 use rustix::thread::{CpuSet, sched_setaffinity};
+use rustix::time::{ClockId, clock_gettime};
 use serde::Serialize;
 
 use crate::arguments::Common;
@@ -16,7 +18,8 @@ use crate::output::{Table, print_json};
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   sortie bench decision models/save-the-city --pin 1
-  sortie bench env --seconds 10")]
+  sortie bench env --seconds 10
+  sortie bench train --python venv/bin/python3 --seconds 30")]
 pub(crate) struct BenchArguments {
     #[command(subcommand)]
     what: What,
@@ -26,6 +29,7 @@ pub(crate) struct BenchArguments {
 enum What {
     Decision(decision::DecisionArguments),
     Env(environment::EnvironmentArguments),
+    Train(train::TrainArguments),
 }
 
 /// What every measurement takes.
@@ -71,12 +75,15 @@ struct Ratio {
 struct Figures {
     rows: Vec<Row>,
     ratios: Vec<Ratio>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    arithmetic: Vec<train::Arithmetic>,
 }
 
 pub(crate) fn run(arguments: &BenchArguments) -> Outcome {
     let (figures, common) = match &arguments.what {
         What::Decision(arguments) => (decision::measure(arguments)?, arguments.measuring.common),
         What::Env(arguments) => (environment::measure(arguments)?, arguments.measuring.common),
+        What::Train(arguments) => (train::measure(arguments)?, arguments.measuring.common),
     };
     if common.json {
         print_json(&figures);
@@ -94,6 +101,12 @@ fn pin(core: usize) -> Outcome {
     }
     cores.set(core);
     sched_setaffinity(None, &cores).map_err(|_| no_core(core))
+}
+
+/// Processor time of this thread in seconds: other work on the core does not count.
+fn thread_cpu_s() -> f64 {
+    let time = clock_gettime(ClockId::ThreadCPUTime);
+    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }
 
 fn no_core(core: usize) -> Failure {
@@ -118,8 +131,28 @@ impl Figures {
             ]);
         }
         table.print();
+        self.print_arithmetic();
         for Ratio { case, peer, ratio, low, high, .. } in &self.ratios {
             println!("{case}: {ratio:.1} times as fast as {peer} (rounds {low:.1} to {high:.1})");
         }
+    }
+
+    fn print_arithmetic(&self) {
+        if self.arithmetic.is_empty() {
+            return;
+        }
+        println!();
+        let mut table =
+            Table::new(&["case", "MFLOP each", "GFLOP per CPU-second", "share of peak"]);
+        for train::Arithmetic { case, mflop, gflop_per_cpu_s, share_of_peak } in &self.arithmetic {
+            table.row([
+                case.clone(),
+                format!("{mflop:.2}"),
+                format!("{gflop_per_cpu_s:.1}"),
+                format!("{:.0} %", 100.0 * share_of_peak),
+            ]);
+        }
+        table.print();
+        println!();
     }
 }

@@ -19,6 +19,8 @@ pub enum Purpose {
     Rollout = 3,
     /// Episodes to measure on.
     Evaluation = 4,
+    /// What a planner tries, and the chances that it assumes.
+    Planning = 5,
 }
 
 /// The generator of one purpose; `index` tells several of them apart.

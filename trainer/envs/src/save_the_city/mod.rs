@@ -36,7 +36,10 @@ pub use features::{
 pub use heuristic::heuristic_allocation;
 pub use metrics::EpisodeMetrics;
 pub use relation::{RELATIONS, agent_relation, building_relation, write_relation};
-pub use rules::{ACTION_NAMES, ACTIONS, Bounce, Constants, availability_code, availability_codes};
+pub use rules::{
+    ACTION_NAMES, ACTIONS, Bounce, Constants, FREEZE, availability_code, availability_codes,
+    can_approach,
+};
 pub use scenarios::{BuildingPlan, SET_NAMES, Scenario, ScenarioSet, Split};
 pub use scripted::{ScriptedTeam, random_actions, scripted_actions};
 pub use simulator::SaveTheCity;

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::grid::{FreeCells, Ground};
 use super::state::{
-    AgentKind, AgentState, BuildingState, MAX_AGENTS, MAX_BUILDINGS, NO_BUILDING, Status,
+    AgentKind, AgentState, BuildingState, MAX_AGENTS, MAX_BUILDINGS, NO_BUILDING, Status, manhattan,
 };
 
 /// Actions of every agent, whatever its kind.
@@ -24,7 +24,8 @@ pub(super) const DIRECTIONS: [(i8, i8); 4] = [(0, 1), (1, 0), (0, -1), (-1, 0)];
 pub(super) const STAY: u16 = 0;
 pub(super) const FIGHT: u16 = 9;
 pub(super) const BUILD: u16 = 10;
-pub(super) const FREEZE: u16 = 11;
+/// The action that keeps a fire from doing damage.
+pub const FREEZE: u16 = 11;
 
 /// Every number of the rules that may be configured.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -109,6 +110,16 @@ pub(super) fn displacement(action: u16) -> Option<(i8, i8)> {
     let (dx, dy) = *DIRECTIONS.get(index % 4)?;
     let length = 1 + (index / 4) as i8;
     (length <= 2).then_some((dx * length, dy * length))
+}
+
+/// Whether some available move brings the agent nearer to a building.
+pub fn can_approach(agent: &AgentState, building: &BuildingState) -> bool {
+    let nearer = |(dx, dy)| {
+        let cell = (agent.x.wrapping_add_signed(dx), agent.y.wrapping_add_signed(dy));
+        manhattan(cell, (building.x, building.y)) < agent.distance_to(building)
+    };
+    let available = |action: &u16| agent.available >> action & 1 == 1;
+    (1..FIGHT).filter(available).filter_map(displacement).any(nearer)
 }
 
 /// The actions that an agent on this cell may take, as bits.

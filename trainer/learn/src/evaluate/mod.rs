@@ -5,8 +5,11 @@
 //! is the same whoever plays it, so that teams can be compared pair by pair.
 
 mod allocators;
+mod causes;
+mod plan;
 mod play;
 mod teams;
+mod worlds;
 
 use std::collections::BTreeMap;
 
@@ -18,6 +21,8 @@ use sortie_envs::save_the_city::{
 };
 
 pub use allocators::{DeployedAllocator, allocation_state};
+pub use causes::Cause;
+pub use plan::{Planner, PlannerReport};
 pub use teams::{NetworkTeam, PolicyTeam, ScriptedActors};
 
 use crate::error::LearnError;
@@ -46,6 +51,17 @@ pub trait Team {
     ) -> Result<(), LearnError>;
 }
 
+/// The moment of a decision, all that is needed to play on from it in a copy of the world.
+#[derive(Clone, Copy, Debug)]
+pub struct Situation<'a> {
+    /// Agents and buildings.
+    pub city: City<'a>,
+    /// The last action of every agent, or [`crate::methods::alma::NO_ACTION`].
+    pub last_actions: &'a [u8],
+    /// Steps since the episode began.
+    pub steps: u32,
+}
+
 /// What assigns agents to buildings at decision points.
 pub trait Allocate {
     /// Writes the building of every agent, or [`sortie_envs::save_the_city::UNASSIGNED`]; `generator` belongs to the episode.
@@ -55,6 +71,18 @@ pub trait Allocate {
         generator: &mut Generator,
         allocation: &mut [u8],
     ) -> Result<(), LearnError>;
+
+    /// The same, with what a copy of the world could be played on from. Only [`Planner`] looks at it.
+    fn decide(
+        &mut self,
+        situation: Situation<'_>,
+        team: &mut dyn Team,
+        generator: &mut Generator,
+        allocation: &mut [u8],
+    ) -> Result<(), LearnError> {
+        let _ = team;
+        self.allocate(situation.city, generator, allocation)
+    }
 }
 
 impl Allocate for AllocationRule {
@@ -132,6 +160,8 @@ pub struct Evaluation {
     pub timeouts: f64,
     /// Share of episodes in which no building burned down.
     pub none_burned: f64,
+    /// Failed episodes by cause, every [`Cause`] by its name.
+    pub failures: BTreeMap<String, usize>,
     /// Success by team, its kinds as letters.
     pub by_team: BTreeMap<String, TeamSuccess>,
 }
@@ -223,17 +253,19 @@ pub fn watch_last_episode(
 fn summary(episodes: Vec<Finished>) -> Evaluation {
     let count = episodes.len();
     let mean = |value: &dyn Fn(&EpisodeMetrics) -> f64| {
-        episodes.iter().map(|(_, metrics)| value(metrics)).sum::<f64>() / count.max(1) as f64
+        episodes.iter().map(|episode| value(&episode.metrics)).sum::<f64>() / count.max(1) as f64
     };
     let share = |holds: &dyn Fn(&EpisodeMetrics) -> bool| mean(&|m| f64::from(u8::from(holds(m))));
     let return_mean = mean(&|m| m.episode_return);
-    let spread: f64 = episodes.iter().map(|(_, m)| (m.episode_return - return_mean).powi(2)).sum();
+    let spread: f64 =
+        episodes.iter().map(|e| (e.metrics.episode_return - return_mean).powi(2)).sum();
     let mut by_team = BTreeMap::<String, TeamSuccess>::new();
-    for (team, metrics) in &episodes {
-        let entry = by_team.entry(team.clone()).or_default();
+    for episode in &episodes {
+        let entry = by_team.entry(episode.team.clone()).or_default();
         entry.episodes += 1;
-        entry.solved += usize::from(metrics.solved);
+        entry.solved += usize::from(episode.metrics.solved);
     }
+    let failed = |cause: Cause| episodes.iter().filter(|e| e.cause == Some(cause)).count();
     let solved = by_team.values().map(|team| team.solved).sum();
     Evaluation {
         episodes: count,
@@ -244,6 +276,7 @@ fn summary(episodes: Vec<Finished>) -> Evaluation {
         length_mean: mean(&|m| f64::from(m.steps)),
         timeouts: share(&|m| m.timed_out),
         none_burned: share(&|m| m.none_burned()),
+        failures: Cause::ALL.map(|cause| (cause.name().to_owned(), failed(cause))).into(),
         by_team,
     }
 }
@@ -280,6 +313,14 @@ mod tests {
         assert!((0.44..0.56).contains(&heuristic.success), "{heuristic:?}");
         assert_eq!(coordinated.by_team.len(), 13);
         assert_eq!(coordinated.by_team.values().map(|team| team.episodes).sum::<usize>(), 1000);
+        let failed: usize = heuristic.failures.values().sum();
+        assert_eq!(
+            failed,
+            heuristic.by_team.values().map(|t| t.episodes - t.solved).sum::<usize>()
+        );
+        let burned = heuristic.failures.iter().filter(|(cause, _)| cause.starts_with("burned"));
+        let burned: usize = burned.map(|(_, count)| count).sum();
+        assert_eq!(burned as f64, (1000.0 * (1.0 - heuristic.none_burned)).round());
         let [low, high] = coordinated.success_ci95;
         assert!(low < coordinated.success && coordinated.success < high);
     }

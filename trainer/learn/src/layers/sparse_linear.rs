@@ -60,6 +60,11 @@ impl SparseRows {
         self.ends.len() - 1
     }
 
+    /// Number of non-zero features in all rows.
+    pub fn entries(&self) -> usize {
+        self.values.len()
+    }
+
     /// Whether no row has been closed.
     pub fn is_empty(&self) -> bool {
         self.len() == 0

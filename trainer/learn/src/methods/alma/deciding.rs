@@ -95,6 +95,11 @@ impl Deciding {
         Self { allocation, allocator, search }
     }
 
+    /// Floating-point operations of the searches up to now.
+    pub(super) fn operations(&self) -> u64 {
+        self.search.operations()
+    }
+
     /// Who allocates in a training episode, and how.
     pub(super) fn allocation(&self) -> &AllocationConfig {
         &self.allocation

@@ -162,11 +162,11 @@ impl EntityAttention {
 ///
 /// The products of whole matrices that keys and values allow are faster than the sums over pairs, so
 /// pairs count twice.
-fn absorbs(shape: AttentionShape, input: &UtilityInput) -> bool {
+pub(super) fn absorbs(shape: AttentionShape, input: &UtilityInput) -> bool {
     let matrix = 2 * shape.width * shape.width;
     let pair = 2 * shape.heads * shape.width;
     let (rows, queries) = (input.rows.len(), input.visible.queries());
-    queries * matrix + 2 * input.visible.pairs() * pair < rows * matrix
+    queries * matrix + 4 * input.visible.pairs() * pair < rows * matrix
 }
 
 fn to_queries(width: usize) -> LinearShape {

@@ -90,6 +90,13 @@ pub struct Knowledge<L: Loss> {
     picks: Vec<Pick>,
 }
 
+impl<L: Loss> Knowledge<L> {
+    /// The samples of the running update: those picked last and not yet followed.
+    pub fn picks(&self) -> &[Pick] {
+        &self.picks
+    }
+}
+
 #[derive(Debug)]
 struct Shared<L: Loss> {
     knowledge: RwLock<Knowledge<L>>,

@@ -122,6 +122,11 @@ impl Rollout {
         self.instances.len()
     }
 
+    /// Floating-point operations up to now, as [`UtilityPass::operations`] counts them.
+    pub fn operations(&self) -> u64 {
+        self.pass.operations() + self.deciding.operations()
+    }
+
     /// Takes one step in every instance and stores the records and segments that it completes.
     pub fn step(
         &mut self,

@@ -113,6 +113,11 @@ impl Chunk {
         }
     }
 
+    /// Floating-point operations of the utility networks up to now, see [`UtilityPass::operations`].
+    pub fn operations(&self) -> u64 {
+        self.pass.operations()
+    }
+
     /// Rebuilds the features of the records, turned as they were picked.
     fn gather(&mut self, replay: &Replay, picks: &[Pick]) {
         self.now.clear();

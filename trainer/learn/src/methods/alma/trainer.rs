@@ -133,8 +133,8 @@ impl Trainer {
 
     pub(super) fn start(description: RunDescription, folder: &Path) -> Result<Self, LearnError> {
         let RunDescription { config, seed, threads, .. } = &description;
-        let agents = agents(config, *seed)?;
-        let allocator = config.learns_allocator().then(|| allocator(config, *seed));
+        let agents = agents_learner(config, *seed)?;
+        let allocator = config.learns_allocator().then(|| allocator_learner(config, *seed));
         let (act, allocate) = (agents.job(), allocator.as_ref().map(Learner::job));
         let job = Arc::new(move || {
             act();
@@ -374,7 +374,7 @@ impl Trainer {
 }
 
 /// The learner of the agents, before its first update.
-fn agents(config: &Config, seed: u64) -> Result<Learner<Chunk>, LearnError> {
+pub fn agents_learner(config: &Config, seed: u64) -> Result<Learner<Chunk>, LearnError> {
     let (shape, inputs) = (config.agent_shape()?, config.network.active_inputs);
     let mut weights = generator(seed, Purpose::Weights, 0);
     let online = MixedNetwork {
@@ -389,7 +389,7 @@ fn agents(config: &Config, seed: u64) -> Result<Learner<Chunk>, LearnError> {
 }
 
 /// The learner of the allocator, before its first update.
-fn allocator(config: &Config, seed: u64) -> Learner<TeamValueLoss> {
+pub fn allocator_learner(config: &Config, seed: u64) -> Learner<TeamValueLoss> {
     let config = &config.allocator;
     let mut weights = generator(seed, Purpose::Weights, ALLOCATOR_STREAM);
     let inputs = config.network.active_inputs;

@@ -1,6 +1,7 @@
 //! Forward and backward passes of the utility network over many samples at once.
 
 use super::entity_attention::EntityAttention;
+use super::operations;
 use super::utility::{UtilityNetwork, UtilityShape, UtilityViewMut};
 use crate::layers::matrix::Store;
 use crate::layers::{SparseRows, VisibleLists, linear, relu};
@@ -37,6 +38,7 @@ pub struct UtilityPass {
     d_attended: Vec<f32>,
     d_looked: Vec<f32>,
     d_base: Vec<f32>,
+    operations: u64,
 }
 
 impl UtilityPass {
@@ -51,13 +53,21 @@ impl UtilityPass {
             d_attended: Vec::new(),
             d_looked: Vec::new(),
             d_base: Vec::new(),
+            operations: 0,
         }
+    }
+
+    /// Floating-point operations of all passes up to now: those of matrix products and attention, a
+    /// multiplication and an addition being two.
+    pub fn operations(&self) -> u64 {
+        self.operations
     }
 
     /// Computes the utilities `[queries, U]`. Panics if the network has another shape.
     pub fn forward(&mut self, network: &UtilityNetwork, input: &UtilityInput) -> &[f32] {
         let shape = self.shape;
         assert_eq!(network.shape(), shape, "network of another shape");
+        self.operations += operations::forward(shape, input);
         let queries = input.visible.queries();
         let view = network.view();
 
@@ -91,6 +101,7 @@ impl UtilityPass {
         let shape = self.shape;
         let queries = input.visible.queries();
         let view = network.view();
+        self.operations += operations::backward(shape, input);
         let grad = UtilityViewMut::new(shape, gradient);
 
         let attended = self.attention.attended(queries * shape.width);

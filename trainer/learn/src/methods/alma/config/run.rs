@@ -61,7 +61,7 @@ impl Default for RunConfig {
     fn default() -> Self {
         Self {
             from: String::new(),
-            steps: 1_000_000,
+            steps: 600_000,
             evaluate_every: 50_000,
             evaluate_episodes: 500,
             final_episodes: 2_000,

@@ -68,6 +68,11 @@ impl TeamValueLoss {
         }
     }
 
+    /// Floating-point operations up to now, as [`UtilityPass::operations`] counts them.
+    pub fn operations(&self) -> u64 {
+        self.pass.operations()
+    }
+
     /// Computes the gradient of the summed squared differences to the targets.
     fn descend(&mut self, online: &UtilityNetwork, picks: &[Picked<'_>]) {
         let queries = picks.iter().map(|picked| picked.query(&picked.segment.now));

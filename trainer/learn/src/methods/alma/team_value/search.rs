@@ -32,6 +32,11 @@ impl TeamSearch {
         }
     }
 
+    /// Floating-point operations up to now, as [`UtilityPass::operations`] counts them.
+    pub fn operations(&self) -> u64 {
+        self.pass.operations()
+    }
+
     /// Writes the best building of every agent; further entries are [`UNASSIGNED`].
     ///
     /// Exact for up to eight agents; for more, coordinate ascent from the coordinated allocation.

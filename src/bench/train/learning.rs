@@ -1,0 +1,208 @@
+//! What is timed: both levels of a run of preset `fast`, on experience of its own.
+
+use sortie_envs::save_the_city::MAX_AGENTS;
+use sortie_learn::methods::alma::team_value::{TeamSearch, TeamValueLoss};
+use sortie_learn::methods::alma::{
+    Behaviour, Chunk, Config, EpisodeCounts, Knowledge, Learner, Loss, Memory, Networks, Rollout,
+    agents_learner, allocator_learner,
+};
+use sortie_learn::random::{Generator, Purpose, generator};
+
+use super::{Case, Turn};
+use crate::bench::thread_cpu_s;
+use crate::failure::Failure;
+
+/// Environment steps that fill the replays before anything is timed.
+const FILL: u64 = 40_000;
+
+/// One kind of work.
+#[derive(Clone, Copy)]
+pub(super) enum Work {
+    AgentsUpdate,
+    Rollout,
+    AllocatorUpdate,
+    Search,
+}
+
+impl Work {
+    /// The agents' update first: it is the one that a peer is measured on.
+    pub(super) const ALL: [Self; 4] =
+        [Self::AgentsUpdate, Self::Rollout, Self::AllocatorUpdate, Self::Search];
+}
+
+/// Two learners and their roll-out.
+pub(super) struct Learning {
+    pub(super) config: Config,
+    pub(super) agents: Learner<Chunk>,
+    pub(super) picks: Generator,
+    allocator: Learner<TeamValueLoss>,
+    rollout: Rollout,
+    search: TeamSearch,
+    decision: usize,
+}
+
+impl Learning {
+    /// Acts for a while by initial networks, exploring as a run does, under rules that allocate.
+    pub(super) fn new(seed: u64) -> Result<Self, Failure> {
+        let mut config = Config::preset("fast")?;
+        // As much as is filled: the capacity of a whole run would only take memory.
+        config.replay.capacity = 500_000;
+        let mut learning = Self {
+            agents: agents_learner(&config, seed)?,
+            allocator: allocator_learner(&config, seed),
+            rollout: Rollout::new(&config, config.agent_shape()?, seed)?,
+            search: TeamSearch::new(config.allocator.shape(), config.allocation.team_max),
+            picks: generator(seed, Purpose::Replay, 0),
+            decision: 0,
+            config,
+        };
+        for step in 0..FILL / learning.rollout.instances() as u64 {
+            let env_steps = step * learning.rollout.instances() as u64;
+            let epsilon = learning.config.exploration.epsilon_at(env_steps);
+            learning.act(epsilon, false)?;
+        }
+        Ok(learning)
+    }
+
+    /// A step in every instance; the network allocates, or rules in its stead.
+    fn act(&mut self, epsilon: f32, by_network: bool) -> Result<(), Failure> {
+        let mut agents = self.agents.knowledge_mut();
+        let mut allocator = self.allocator.knowledge_mut();
+        let Knowledge { online, replay: records, .. } = &mut *agents;
+        let Knowledge { online: values, replay: segments, .. } = &mut *allocator;
+        let behaviour = Behaviour {
+            agents: &online.utility,
+            epsilon,
+            allocator: by_network.then_some(&*values),
+        };
+        let memory = Memory { records, segments: Some(segments) };
+        self.rollout.step(behaviour, memory, &mut EpisodeCounts::default())?;
+        Ok(())
+    }
+
+    /// Empty space for gradients of the agents' loss.
+    pub(super) fn chunk(&self) -> Chunk {
+        let Config { network, mixer, .. } = &self.config;
+        Chunk::new(&self.agents.knowledge().online, network.subtask, mixer.reward_factor())
+    }
+
+    /// The case of a work, without figures yet.
+    pub(super) fn case(&self, work: Work) -> Case {
+        let (records, decisions) = (self.config.replay.batch, self.config.allocator.replay.batch);
+        let (name, unit, units) = match work {
+            Work::AgentsUpdate => (
+                format!("agents' update, {records} records"),
+                "thousand records per CPU-second",
+                records,
+            ),
+            Work::Rollout => (
+                "roll-out, learned allocation".to_string(),
+                "thousand steps per CPU-second",
+                self.rollout.instances(),
+            ),
+            Work::AllocatorUpdate => (
+                format!("allocator's update, {decisions} decisions"),
+                "thousand decisions per CPU-second",
+                decisions,
+            ),
+            Work::Search => {
+                ("allocator's search".to_string(), "thousand decisions per CPU-second", 1)
+            }
+        };
+        let empty = Vec::new;
+        Case {
+            name,
+            unit,
+            units: units as f64,
+            rates: empty(),
+            mflop: empty(),
+            gflop_per_cpu_s: empty(),
+        }
+    }
+
+    /// Works for so many CPU-seconds.
+    pub(super) fn turn(&mut self, work: Work, seconds: f64) -> Result<Turn, Failure> {
+        let (rollout, search) = (self.rollout.operations(), self.search.operations());
+        let mut turn = timed(seconds, || match work {
+            Work::AgentsUpdate => {
+                self.agents.pick(&mut self.picks);
+                update(&mut self.agents, self.config.optimiser.learning_rate);
+                Ok(())
+            }
+            Work::AllocatorUpdate => {
+                self.allocator.pick(&mut self.picks);
+                update(&mut self.allocator, self.config.allocator.optimiser.learning_rate);
+                Ok(())
+            }
+            Work::Rollout => self.act(self.config.exploration.end, true),
+            Work::Search => self.decide(),
+        })?;
+        turn.operations = match work {
+            Work::AgentsUpdate => {
+                let mut chunk = self.chunk();
+                gradient(&mut self.agents, &mut chunk, &mut self.picks);
+                chunk.operations() as f64 * turn.calls
+            }
+            Work::AllocatorUpdate => {
+                let mut loss = TeamValueLoss::new(self.config.allocator.shape());
+                gradient(&mut self.allocator, &mut loss, &mut self.picks);
+                loss.operations() as f64 * turn.calls
+            }
+            Work::Rollout => (self.rollout.operations() - rollout) as f64,
+            Work::Search => (self.search.operations() - search) as f64,
+        };
+        Ok(turn)
+    }
+
+    /// Decides once more on a state in which it was decided before.
+    fn decide(&mut self) -> Result<(), Failure> {
+        let knowledge = self.allocator.knowledge();
+        self.decision = (self.decision + 1) % knowledge.replay.len();
+        let city = knowledge.replay.get(self.decision).now.city();
+        let mut allocation = [0; MAX_AGENTS];
+        self.search.allocate(&knowledge.online, city, &mut allocation)?;
+        std::hint::black_box(allocation);
+        Ok(())
+    }
+}
+
+fn update<L: Loss>(learner: &mut Learner<L>, rate: f32) {
+    learner.job()();
+    std::hint::black_box(learner.follow(rate));
+}
+
+/// The mean squared error of a batch and its gradient, computed beside the learner.
+pub(super) fn gradient<L: Loss>(
+    learner: &mut Learner<L>,
+    loss: &mut L,
+    picks: &mut Generator,
+) -> (f64, Vec<f32>) {
+    learner.pick(picks);
+    let knowledge = learner.knowledge();
+    let Knowledge { online, target, replay, .. } = &*knowledge;
+    let (mut sum, mut error, mut terms) = (Vec::new(), 0.0, 0);
+    for picks in knowledge.picks().chunks(L::CHUNK) {
+        loss.learn(Networks { online, target }, replay, picks);
+        sum.resize(loss.gradient().len(), 0.0);
+        sum.iter_mut().zip(loss.gradient()).for_each(|(sum, part)| *sum += part);
+        error += loss.squared_error();
+        terms += loss.terms();
+    }
+    let count = terms.max(1) as f64;
+    (error / count, sum.into_iter().map(|slope| slope / count as f32).collect())
+}
+
+/// Calls again and again for so many CPU-seconds of this thread.
+pub(super) fn timed(
+    seconds: f64,
+    mut call: impl FnMut() -> Result<(), Failure>,
+) -> Result<Turn, Failure> {
+    let start = thread_cpu_s();
+    let (mut calls, mut cpu_s) = (0.0, 0.0);
+    while calls == 0.0 || cpu_s < seconds {
+        call()?;
+        calls += 1.0;
+        cpu_s = thread_cpu_s() - start;
+    }
+    Ok(Turn { calls, cpu_s, operations: 0.0 })
+}
