@@ -11,21 +11,28 @@ use sortie_learn::methods::alma::team_value::TeamValueAllocator;
 use sortie_learn::run::Run;
 
 use crate::arguments::{Allocation, Common};
-use crate::failure::Outcome;
+use crate::environment::ScenarioSetName;
+use crate::failure::{Failure, Outcome};
 use crate::output::{print_json, warn_of_refused};
 
 /// Export a training run as a bundle: networks as ONNX, contract, golden observations, card and curve
 ///
 /// The averaged weights are evaluated first, over fresh greedy episodes; the card tells the result.
 #[derive(Debug, Args)]
-#[command(after_help = "Example:\n  sortie export runs/first --out models/first")]
+#[command(after_help = "Examples:
+  sortie export runs/first --out models/first
+  sortie export runs/large --env save-the-city/12a_12b --env save-the-city/24a_24b --out models/large")]
 pub(crate) struct ExportArguments {
     /// Folder of the run
     run: PathBuf,
     /// Folder of the new bundle
     #[arg(long, value_name = "BUNDLE")]
     out: PathBuf,
-    /// Episodes to evaluate for the card
+    /// Scenario set to measure on, and to size the bundle for; may be given several times [default:
+    /// what the run learned on]
+    #[arg(long, value_name = "ENV[/SET]")]
+    env: Vec<String>,
+    /// Episodes to evaluate for the card, on each set and under each allocation
     #[arg(long, default_value_t = 2000, value_parser = clap::value_parser!(u32).range(1..))]
     episodes: u32,
     #[command(flatten)]
@@ -42,19 +49,14 @@ pub(crate) fn run(arguments: &ExportArguments) -> Outcome {
     let run = Run::open(&arguments.run)?;
     warn_of_refused(&run.refused);
     check_exportable(&run)?;
-    let (set, seed) = (&run.description.config.environment.set, arguments.common.seed);
-    let plan = EvaluationPlan::new(set, arguments.episodes as usize, seed)?;
+    let seed = arguments.common.seed;
     let mut measured = Vec::new();
-    let mut measure = |name: &str, allocator: &mut dyn Allocate| -> Outcome {
-        let evaluation = evaluate(&plan, &mut run.team(), allocator)?;
-        measured.push(Measured { allocation: name.to_string(), evaluation });
-        Ok(())
-    };
-    if let Some(LearnedAllocator { network, team_max }) = LearnedAllocator::of(&run) {
-        measure("learned", &mut TeamValueAllocator::new(network, team_max))?;
-    }
-    for allocation in [Allocation::Coordinated, Allocation::Heuristic] {
-        measure(allocation.name(), &mut allocation.rule())?;
+    for set in sets(arguments, &run)? {
+        measure(
+            &run,
+            &EvaluationPlan::new(&set, arguments.episodes as usize, seed)?,
+            &mut measured,
+        )?;
     }
     let draft = draft_bundle(&run, &arguments.run, &measured, seed)?;
     let bundle = draft.write(&arguments.out)?;
@@ -63,6 +65,32 @@ pub(crate) fn run(arguments: &ExportArguments) -> Outcome {
         print_json(&report);
     } else if !arguments.common.quiet {
         println!("{}: {}", report.bundle.display(), report.sha256);
+    }
+    Ok(())
+}
+
+/// The scenario sets to measure on.
+fn sets(arguments: &ExportArguments, run: &Run) -> Result<Vec<String>, Failure> {
+    if arguments.env.is_empty() {
+        return Ok(vec![run.description.config.environment.set.clone()]);
+    }
+    let set = |name: &String| Ok(ScenarioSetName::parse(name)?.set().to_owned());
+    arguments.env.iter().map(set).collect()
+}
+
+/// Measures the run's agents under its own allocator and under the rules.
+fn measure(run: &Run, plan: &EvaluationPlan, measured: &mut Vec<Measured>) -> Outcome {
+    let mut add = |name: &str, allocator: &mut dyn Allocate| -> Outcome {
+        let evaluation = evaluate(plan, &mut run.team(), allocator)?;
+        let (set, allocation) = (plan.set.name.clone(), name.to_owned());
+        measured.push(Measured { set, allocation, evaluation });
+        Ok(())
+    };
+    if let Some(LearnedAllocator { network, team_max }) = LearnedAllocator::of(run) {
+        add("learned", &mut TeamValueAllocator::new(network, team_max))?;
+    }
+    for allocation in [Allocation::Coordinated, Allocation::Heuristic] {
+        add(allocation.name(), &mut allocation.rule())?;
     }
     Ok(())
 }

@@ -1,7 +1,6 @@
 //! A run becomes a bundle: contract, network, golden observations, card and curve.
 
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
 use std::path::Path;
 
 use sortie_bundle::{
@@ -17,6 +16,7 @@ use sortie_envs::save_the_city::{
 
 use super::agent::{AgentNetwork, agent_onnx};
 use super::attention::{AttentionNetwork, ExportError, Layer, Layout, Matrix};
+use super::card::card;
 use super::golden_allocations::golden_allocations;
 use super::team_value::{TeamValueExport, team_value_onnx};
 use crate::error::LearnError;
@@ -33,9 +33,11 @@ const GOLDEN_EPISODES: usize = 100;
 /// Action 0 is to stay, which is always available.
 const SAFE_ACTION: u16 = 0;
 
-/// A measured allocation rule, for the card.
+/// A measured allocation, for the card.
 #[derive(Clone, Debug)]
 pub struct Measured {
+    /// The scenario set that it was measured on; the bundle serves its sizes.
+    pub set: String,
     /// Who allocated.
     pub allocation: String,
     /// How the team did.
@@ -86,7 +88,6 @@ pub fn draft_bundle(
 ) -> Result<Draft, LearnError> {
     check_exportable(run)?;
     let allocator = LearnedAllocator::of(run);
-    let set = ScenarioSet::named(&run.description.config.environment.set)?;
     let contract = contract(run.description.config.allocation.interval);
     let diverged = |error: ExportError| LearnError::format(folder, error);
     let agent = agent(&run.network.weights(), contract.hash()).map_err(diverged)?;
@@ -107,7 +108,7 @@ pub fn draft_bundle(
     }
     Ok(Draft {
         environment: environment(run),
-        limits: limits(&set, allocator),
+        limits: limits(run, allocator, measured)?,
         network: Network {
             agent: "masked-attention".to_owned(),
             allocator: allocator.map(|_| TEAM_VALUE.to_owned()),
@@ -153,13 +154,24 @@ fn environment(run: &Run) -> Environment {
     }
 }
 
-fn limits(set: &ScenarioSet, allocator: Option<LearnedAllocator<'_>>) -> Limits {
-    let team_max = allocator.map_or(set.max_agents, |learned| learned.team_max.min(set.max_agents));
-    Limits {
-        n_max: (set.max_agents + set.max_buildings) as u16,
-        t_max: set.max_buildings as u16,
-        team_max: team_max as u16,
+/// Sizes of the set that the run learned on and of all sets that it was measured on.
+fn limits(
+    run: &Run,
+    allocator: Option<LearnedAllocator<'_>>,
+    measured: &[Measured],
+) -> Result<Limits, LearnError> {
+    let (mut agents, mut buildings) = (0, 0);
+    let learned_on = &run.description.config.environment.set;
+    for name in measured.iter().map(|measured| &measured.set).chain([learned_on]) {
+        let set = ScenarioSet::named(name)?;
+        (agents, buildings) = (set.max_agents.max(agents), set.max_buildings.max(buildings));
     }
+    let team_max = allocator.map_or(agents, |learned| learned.team_max.min(agents));
+    Ok(Limits {
+        n_max: (agents + buildings) as u16,
+        t_max: buildings as u16,
+        team_max: team_max as u16,
+    })
 }
 
 /// The agents' network as ONNX.
@@ -249,78 +261,4 @@ impl Policy for Recorder<'_> {
         }
         Ok(decision)
     }
-}
-
-/// The model card.
-fn card(run: &Run, allocator: Option<LearnedAllocator<'_>>, measured: &[Measured]) -> String {
-    let description = &run.description;
-    let config = &description.config;
-    let mut card = format!(
-        "# A team for {}/{}\n\n\
-         Every agent runs the same masked-attention utility network (dissertation section 7.3): it sees the\n\
-         entities of its own subtask, its team mates and one building, and nothing else. Trained by\n\
-         `sortie train {}`, seed {}, Sortie {}; `train.toml` repeats the run.\n\n",
-        config.environment.name,
-        config.environment.set,
-        description.method,
-        description.seed,
-        description.version,
-    );
-    if let Some(LearnedAllocator { team_max, .. }) = allocator {
-        let _ = writeln!(
-            card,
-            "The allocator values every team at every open building by a network of the same kind and takes the\n\
-             best allocation; a team has at most {team_max} agents.\n"
-        );
-    }
-    card += "## How well it does\n\nGreedy episodes that training never saw.\n\n";
-    card += "| allocation | episodes | success (95 % interval) | no building burned | time-outs | return |\n";
-    card += "| --- | --- | --- | --- | --- | --- |\n";
-    for Measured { allocation, evaluation } in measured {
-        let [low, high] = evaluation.success_ci95;
-        // Writing to a string cannot fail.
-        let _ = writeln!(
-            card,
-            "| {allocation} | {} | {:.3} ({low:.3} to {high:.3}) | {:.3} | {:.3} | {:.2} |",
-            evaluation.episodes,
-            evaluation.success,
-            evaluation.none_burned,
-            evaluation.timeouts,
-            evaluation.return_mean,
-        );
-    }
-    if let Some(last) = run.curve.last() {
-        let _ = writeln!(
-            card,
-            "\nTraining took {} environment steps, {:.0} seconds of processor time and {:.0} seconds.",
-            last.env_steps, last.cpu_s, last.wall_s
-        );
-    }
-    card += &departures(run);
-    card += "\n## Limits\n\nIt serves teams and cities up to the size it was trained on; `bundle.toml` has the numbers.\n\
-             Agents that do not share a subtask do not see each other and can block each other's way.\n";
-    card
-}
-
-/// What is not in the dissertation.
-fn departures(run: &Run) -> String {
-    let config = &run.description.config;
-    let mut text = "\n## Where the training departs from the dissertation\n\n".to_owned();
-    text += &format!(
-        "- Utilities of a subtask's team are summed (VDN); there is no mixing network.\n\
-         - It learns from records of one step and one subtask, with {}-step returns and discount {}.\n\
-         - Adam with averaged weights; embedding width {}.\n",
-        config.returns.steps, config.returns.discount, config.network.width,
-    );
-    if config.returns.shaping != 0.0 {
-        text += &format!(
-            "- Potential shaping of {} per cell between an agent and its building, which leaves the best policy\n  \
-             as it is.\n",
-            config.returns.shaping
-        );
-    }
-    if config.replay.symmetries {
-        text += "- Sampled records are turned and mirrored at random.\n";
-    }
-    text
 }

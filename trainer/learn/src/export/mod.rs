@@ -7,6 +7,7 @@
 mod agent;
 mod attention;
 mod bundle;
+mod card;
 mod golden_allocations;
 mod onnx;
 pub(crate) mod protobuf;

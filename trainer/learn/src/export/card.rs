@@ -1,0 +1,84 @@
+//! The model card: what a team is, how well it does, and how it was trained.
+
+use std::fmt::Write as _;
+
+use super::bundle::{LearnedAllocator, Measured};
+use crate::run::Run;
+
+/// The model card.
+pub(super) fn card(
+    run: &Run,
+    allocator: Option<LearnedAllocator<'_>>,
+    measured: &[Measured],
+) -> String {
+    let description = &run.description;
+    let config = &description.config;
+    let mut card = format!(
+        "# A team for {}/{}\n\n\
+         Every agent runs the same masked-attention utility network (dissertation section 7.3): it sees the\n\
+         entities of its own subtask, its team mates and one building, and nothing else. Trained by\n\
+         `sortie train {}`, seed {}, Sortie {}; `train.toml` repeats the run.\n\n",
+        config.environment.name,
+        config.environment.set,
+        description.method,
+        description.seed,
+        description.version,
+    );
+    if let Some(LearnedAllocator { team_max, .. }) = allocator {
+        let _ = writeln!(
+            card,
+            "The allocator values every team at every open building by a network of the same kind and takes the\n\
+             best allocation; a team has at most {team_max} agents.\n"
+        );
+    }
+    card += "## How well it does\n\nGreedy episodes that training never saw.\n\n";
+    card += "| scenarios | allocation | episodes | success (95 % interval) | no building burned | time-outs | return |\n";
+    card += "| --- | --- | --- | --- | --- | --- | --- |\n";
+    for Measured { set, allocation, evaluation } in measured {
+        let [low, high] = evaluation.success_ci95;
+        // Writing to a string cannot fail.
+        let _ = writeln!(
+            card,
+            "| `{set}` | {allocation} | {} | {:.3} ({low:.3} to {high:.3}) | {:.3} | {:.3} | {:.2} |",
+            evaluation.episodes,
+            evaluation.success,
+            evaluation.none_burned,
+            evaluation.timeouts,
+            evaluation.return_mean,
+        );
+    }
+    if let Some(last) = run.curve.last() {
+        let _ = writeln!(
+            card,
+            "\nTraining took {} environment steps, {:.0} seconds of processor time and {:.0} seconds.",
+            last.env_steps, last.cpu_s, last.wall_s
+        );
+    }
+    card += &departures(run);
+    card += "\n## Limits\n\nIt serves teams and cities up to the largest of these scenarios; `bundle.toml` has the numbers.\n\
+             Agents that do not share a subtask do not see each other and can block each other's way.\n";
+    card
+}
+
+/// What is not in the dissertation.
+fn departures(run: &Run) -> String {
+    let config = &run.description.config;
+    let mut text = "\n## Where the training departs from the dissertation\n\n".to_owned();
+    text += &format!(
+        "- Utilities of a subtask's team are summed (VDN); there is no mixing network.\n\
+         - It learns from records of one step and one subtask, with {}-step returns and discount {}.\n\
+         - Adam with averaged weights; embedding width {}.\n",
+        config.returns.steps, config.returns.discount, config.network.width,
+    );
+    if config.returns.shaping != 0.0 {
+        text += &format!(
+            "- Potential shaping of {} per cell between an agent and its building, which leaves the best policy\n  \
+             as it is.\n",
+            config.returns.shaping
+        );
+    }
+    if config.replay.symmetries {
+        text += "- Sampled records are turned and mirrored at random.\n";
+    }
+    text
+}
