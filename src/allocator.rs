@@ -77,7 +77,8 @@ impl LearnedAllocator {
         self.network.bind()
     }
 
-    fn allocator(&mut self) -> Result<impl Allocator + '_, Failure> {
+    /// Network and search.
+    pub(crate) fn allocator(&mut self) -> Result<impl Allocator + '_, Failure> {
         Ok(TeamValueAllocator {
             network: self.network.bind()?,
             relation: CityRelation::new(),

@@ -5,13 +5,10 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 use sortie_learn::evaluate::{
-    Allocate, DeployedAllocator as AsDeployed, Evaluation, EvaluationPlan, Planner, PlannerReport,
-    PolicyTeam, ScriptedActors, Team, evaluate, evaluate_watched,
+    Allocate, Evaluation, EvaluationPlan, Planner, PlannerReport, PolicyTeam, ScriptedActors, Team,
+    evaluate, evaluate_watched,
 };
-use sortie_learn::export::LearnedAllocator;
-use sortie_learn::methods::alma::team_value::TeamValueAllocator;
 
-use crate::allocator::{DeployedAllocator, none_learned};
 use crate::arguments::{AllocatorChoice, Common};
 use crate::environment::{self, ScenarioSetName};
 use crate::episodes::EpisodeWriter;
@@ -19,6 +16,7 @@ use crate::failure::{Failure, Outcome};
 use crate::output::{Table, print_json};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::subject::Subject;
+use crate::subject_allocator::SubjectAllocator;
 
 /// Evaluate a team over fresh greedy episodes
 ///
@@ -85,13 +83,17 @@ pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
     let set = environment::scenario_set(arguments.env.as_deref(), &subject)?;
     let plan = EvaluationPlan::new(set.set(), arguments.episodes as usize, arguments.common.seed)?;
     let other = arguments.allocator.as_deref().map(Subject::find).transpose()?;
-    let allocating = Allocating::new(arguments, &subject, other.as_ref())?;
-    let mut memory = allocating.open(&plan)?;
-    let mut allocator = allocating.allocator(memory.as_mut())?;
-    let mut play = |team: &mut dyn Team| {
-        let name = allocating.choice.name();
-        play(&plan, team, allocator.as_mut(), arguments, name)
-    };
+    let asked = other.as_ref().map(|_| AllocatorChoice::Learned).or(arguments.allocation);
+    let owner = other.as_ref().unwrap_or(&subject);
+    let choice = AllocatorChoice::or_default(asked, owner.has_allocator());
+    if let (Subject::Bundle(bundle), AllocatorChoice::Learned) = (owner, choice) {
+        environment::check_fits(bundle, &plan.set)?;
+    }
+    let name = arguments.allocator.as_ref().unwrap_or(&arguments.subject);
+    let mut allocator = SubjectAllocator::open(choice, Some(owner), name, arguments.backend)?;
+    let mut allocator = allocator.allocator()?;
+    let mut play =
+        |team: &mut dyn Team| play(&plan, team, allocator.as_mut(), arguments, choice.name());
     let (evaluation, planner) = match &subject {
         Subject::Scripted => play(&mut ScriptedActors::new(arguments.common.seed))?,
         Subject::Run(run) => play(&mut run.team())?,
@@ -105,14 +107,14 @@ pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
         print_json(&Report {
             env: &set.to_string(),
             subject: &arguments.subject,
-            allocation: allocating.choice.name(),
+            allocation: choice.name(),
             allocator: arguments.allocator.as_deref(),
             seed: arguments.common.seed,
             evaluation: &evaluation,
             planner,
         });
     } else {
-        print(&set, arguments, allocating.choice, &evaluation, planner);
+        print(&set, arguments, choice, &evaluation, planner);
     }
     Ok(())
 }
@@ -147,66 +149,6 @@ fn record(
     let labels = (arguments.subject.as_str(), allocation);
     let mut writer = EpisodeWriter::new(folder, labels, arguments.common.seed)?;
     Ok(evaluate_watched(plan, team, allocator, &mut writer)?)
-}
-
-/// Who allocates, and whose the allocator is.
-struct Allocating<'a> {
-    choice: AllocatorChoice,
-    owner: &'a Subject,
-    arguments: &'a EvalArguments,
-}
-
-impl<'a> Allocating<'a> {
-    /// `other` is the subject that lends its allocator.
-    fn new(
-        arguments: &'a EvalArguments,
-        subject: &'a Subject,
-        other: Option<&'a Subject>,
-    ) -> Result<Self, Failure> {
-        let owner = other.unwrap_or(subject);
-        let learned = match owner {
-            Subject::Bundle(bundle) => bundle.allocator_onnx().is_some(),
-            Subject::Run(run) => run.allocator.is_some(),
-            Subject::Scripted => false,
-        };
-        let asked =
-            if other.is_some() { Some(AllocatorChoice::Learned) } else { arguments.allocation };
-        let choice = AllocatorChoice::or_default(asked, learned);
-        if choice == AllocatorChoice::Learned && !learned {
-            return Err(none_learned(arguments.allocator.as_ref().unwrap_or(&arguments.subject)));
-        }
-        Ok(Self { choice, owner, arguments })
-    }
-
-    /// The memory of a bundle's learned allocator; nothing where another one is chosen.
-    fn open(&self, plan: &EvaluationPlan) -> Result<Option<DeployedAllocator>, Failure> {
-        let (Subject::Bundle(bundle), AllocatorChoice::Learned) = (self.owner, self.choice) else {
-            return Ok(None);
-        };
-        environment::check_fits(bundle, &plan.set)?;
-        let (backend, seed) = (self.arguments.backend, self.arguments.common.seed);
-        DeployedAllocator::open(bundle, self.choice, backend, seed).map(Some)
-    }
-
-    fn allocator<'m>(
-        &self,
-        memory: Option<&'m mut DeployedAllocator>,
-    ) -> Result<Box<dyn Allocate + 'm>, Failure>
-    where
-        'a: 'm,
-    {
-        match (self.choice.rule(), memory, self.owner) {
-            (Some(rule), _, _) => Ok(Box::new(rule)),
-            (None, Some(memory), _) => Ok(Box::new(AsDeployed(memory.allocator()?))),
-            (None, None, Subject::Run(run)) => {
-                let learned = LearnedAllocator::of(run);
-                let LearnedAllocator { network, team_max } =
-                    learned.ok_or_else(|| none_learned(&self.arguments.subject))?;
-                Ok(Box::new(TeamValueAllocator::new(network, team_max)))
-            }
-            (None, None, _) => Err(none_learned(&self.arguments.subject)),
-        }
-    }
 }
 
 fn print(

@@ -19,6 +19,7 @@ mod replay;
 mod run;
 mod signals;
 mod subject;
+mod subject_allocator;
 mod terminal_curve;
 mod train;
 mod verify;

@@ -41,4 +41,13 @@ impl Subject {
         };
         Err(Failure::new(Exit::Missing, format!("`{text}` {reason}")))
     }
+
+    /// Whether it has learned an allocator.
+    pub(crate) fn has_allocator(&self) -> bool {
+        match self {
+            Self::Bundle(bundle) => bundle.allocator_onnx().is_some(),
+            Self::Run(run) => run.allocator.is_some(),
+            Self::Scripted => false,
+        }
+    }
 }

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 use support::browser::Browser;
-use support::{BUNDLE, assert_fails, json, output, wait_until};
+use support::{BUNDLE, assert_fails, json, learned_bundle, output, wait_until};
 
 const EPISODE: &str = "tests/golden/save-the-city/043-3a-BFG-random-end-on-burn.json";
 /// WebDriver's names of keys.
@@ -71,58 +71,103 @@ fn a_page_shows_the_episode_that_an_evaluation_records() {
         assert_eq!(shown["actions"], step["actions"]);
         assert!((number(&shown["reward"]) - number(&step["reward"])).abs() < 1e-4);
     }
-    // The recording's label names the rule, so that even the allocation comes out the same.
+    assert_same_episode(&played, &replayed);
+}
+
+/// A recording's label names who allocated, so that even the allocation comes out the same.
+fn assert_same_episode(played: &Value, replayed: &Value) {
+    assert_eq!(played["allocation"], replayed["allocation"]);
     for part in ["states", "steps", "events", "agents", "buildings", "result"] {
         assert_eq!(played[part], replayed[part], "{part}");
     }
 }
 
 #[test]
-fn utilities_and_attention_agree_between_run_and_bundle_and_explain_the_actions() {
+fn a_run_and_its_bundle_show_what_was_learned() {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    let path = |name: &str| folder.path().join(name).display().to_string();
-    let (run, bundle) = (path("run"), path("bundle"));
-    train(&run, &[]);
-    json(&["export", &run, "--out", &bundle, "--episodes", "1", "--json"]);
+    let (run, bundle) = learned_bundle(folder.path());
+    assert_run_and_bundle_agree(&run, &bundle);
+    for subject in [&run, &bundle] {
+        assert_learned_allocation_is_computed_again(subject, folder.path());
+    }
+}
 
+/// Both compute the same utilities, attention and values of teams; the utilities explain the actions.
+fn assert_run_and_bundle_agree(run: &str, bundle: &str) {
     let page = |subject: &str| Page::of(&[subject, "--allocation", "coordinated"]);
-    let (run_page, bundle_page) = (page(&run), page(&bundle));
+    let (run_page, bundle_page) = (page(run), page(bundle));
     let (by_run, by_bundle) = (run_page.data(), bundle_page.data());
     assert_eq!(by_run["steps"], by_bundle["steps"]);
     let states = list(&by_run["states"]).iter().zip(list(&by_bundle["states"]));
     for ((one, other), step) in states.zip(list(&by_run["steps"])) {
+        assert_values_agree(&one["values"], &other["values"]);
         let thoughts = list(&one["thoughts"]).iter().zip(list(&other["thoughts"]));
         for (agent, (one_thought, other_thought)) in thoughts.enumerate() {
             assert_thoughts_agree(one_thought, other_thought);
             let available = one["available"][agent].as_u64().expect("bits");
-            assert_eq!(step["actions"][agent], best(&one_thought["utilities"], available));
+            let utilities = list(&one_thought["utilities"]).iter().map(number);
+            let taken = step["actions"][agent].as_u64().expect("an action");
+            assert_best(&utilities.collect::<Vec<f64>>(), taken as usize, available);
         }
     }
-    assert_values_are_shown(&run_page);
+    assert_values_are_shown(&bundle_page);
 }
 
-/// A run that takes seconds.
-fn train(run: &str, more: &[&str]) {
-    let sets = ["run.final_episodes=1", "run.evaluate_episodes=1", "network.width=32"];
-    let mut arguments = vec!["train", "alma", "--steps", "1000", "-q", "--out", run];
-    arguments.extend(sets.iter().chain(more).flat_map(|set| ["--set", set]));
-    let trained = output(&arguments);
-    assert!(trained.status.success(), "{}", support::stderr(&trained));
+/// Whoever learned an allocator plays under it, and so is a recording of it shown.
+fn assert_learned_allocation_is_computed_again(subject: &str, folder: &Path) {
+    let place = folder.join("episodes").display().to_string();
+    json(&["eval", subject, "--episodes", "2", "--episodes-out", &place, "--json"]);
+    let file = format!("{place}/00001.json");
+    let played = Page::of(&[subject, "--episode", "1"]).data();
+    assert_eq!(played["allocation"], "learned");
+    assert!(list(&played["states"])[0]["values"].is_array());
+    assert_same_episode(&played, &Page::of(&[&file, "--policy", subject]).data());
+    // Without the team, nobody knows what it allocated.
+    assert!(Page::of(&[&file]).data()["allocation"].is_null());
 }
 
 #[test]
 fn agents_without_the_subtask_mask_are_refused() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = |name: &str| folder.path().join(name).display().to_string();
-    train(
-        &path("run"),
-        &["network.subtask=none", "allocation.coordinated=1", "allocation.learned=0"],
-    );
+    let sets = [
+        "run.final_episodes=1",
+        "run.evaluate_episodes=1",
+        "network.width=32",
+        "network.subtask=none",
+        "allocation.coordinated=1",
+        "allocation.learned=0",
+    ];
+    let run = path("run");
+    let mut arguments = vec!["train", "alma", "--steps", "1000", "-q", "--out", &run];
+    arguments.extend(sets.iter().flat_map(|set| ["--set", set]));
+    let trained = output(&arguments);
+    assert!(trained.status.success(), "{}", support::stderr(&trained));
     let refused = output(&["view", &path("run"), "-o", &path("page.html")]);
     assert_fails(&refused, 2, &["subtask mask"]);
 }
 
-/// A run learns an allocator, unless told otherwise: the page shows its values of teams.
+/// The values of teams, the same but for rounding.
+fn assert_values_agree(one: &Value, other: &Value) {
+    let (one, other) = (list(one), list(other));
+    assert_eq!(one.len(), other.len());
+    let close = |one: &Value, other: &Value| {
+        assert!((number(one) - number(other)).abs() < 3e-4, "{one} against {other}");
+    };
+    for (one, other) in one.iter().zip(other) {
+        assert_eq!(one.is_null(), other.is_null(), "closed buildings have no values");
+        if one.is_null() {
+            continue;
+        }
+        close(&one["chosen"], &other["chosen"]);
+        close(&one["nobody"], &other["nobody"]);
+        let (one, other) = (list(&one["others"]), list(&other["others"]));
+        assert_eq!(one.len(), other.len());
+        one.iter().zip(other).for_each(|(one, other)| close(&one[1], &other[1]));
+    }
+}
+
+/// The page shows what the allocator expects of teams.
 fn assert_values_are_shown(page: &Page) {
     let browser = Browser::start();
     browser.open(&page.file());
@@ -133,12 +178,12 @@ fn assert_values_are_shown(page: &Page) {
     assert_eq!(browser.console(), Vec::<Value>::new());
 }
 
-/// The available action of highest utility.
-fn best(utilities: &Value, available: u64) -> usize {
-    let utilities = list(utilities).iter().map(number).enumerate();
-    let allowed = utilities.filter(|(action, _)| available >> action & 1 == 1);
-    let best = allowed.fold((0, f64::MIN), |best, next| if next.1 > best.1 { next } else { best });
-    best.0
+/// No available action has a higher utility; rounded ones may be equal.
+fn assert_best(utilities: &[f64], taken: usize, available: u64) {
+    assert!(available >> taken & 1 == 1, "action {taken} is not available");
+    let allowed = utilities.iter().enumerate().filter(|(action, _)| available >> action & 1 == 1);
+    let better = allowed.filter(|(_, utility)| **utility > utilities[taken]);
+    assert_eq!(better.count(), 0, "action {taken} of {utilities:?}");
 }
 
 fn assert_thoughts_agree(one: &Value, other: &Value) {
@@ -209,6 +254,10 @@ fn wrong_use_and_broken_recordings_are_named() {
     };
     fails(&["no/such/thing"], 66, &["no/such/thing"]);
     fails(&[EPISODE, "--allocation", "random"], 2, &["random"]);
+    fails(&[EPISODE, "--allocation", "learned"], 2, &["--policy"]);
+    let learned = ["--policy", BUNDLE, "--allocation", "learned"];
+    fails(&[&[EPISODE], &learned[..]].concat(), 2, &[BUNDLE, "learned"]);
+    fails(&[BUNDLE, "--allocation", "learned"], 2, &[BUNDLE, "learned"]);
     fails(&[EPISODE, "--episode", "1"], 2, &["--episode"]);
     fails(&[BUNDLE, "--policy", BUNDLE], 2, &["--policy"]);
     fails(&["README.md"], 65, &["README.md", "not JSON"]);

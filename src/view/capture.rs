@@ -41,16 +41,10 @@ pub(super) fn capture(
     let (mut states, thoughts) = match thinker {
         Thinker::Mind(mind) => {
             let mut diary = Diary::new(mind);
-            let mut team = PolicyTeam::new(&mut diary);
-            let mut log = StateLog { team: &mut team, probe, states: Vec::new() };
-            episode.play(&mut log, &mut steps)?;
-            (log.states, diary.thoughts)
+            let states = play(episode, &mut PolicyTeam::new(&mut diary), probe, &mut steps)?;
+            (states, diary.thoughts)
         }
-        Thinker::Silent(team) => {
-            let mut log = StateLog { team, probe, states: Vec::new() };
-            episode.play(&mut log, &mut steps)?;
-            (log.states, Vec::new())
-        }
+        Thinker::Silent(team) => (play(episode, team, probe, &mut steps)?, Vec::new()),
     };
     give_thoughts(&mut states, thoughts);
     for (state, decided) in states.iter_mut().zip(&steps.decided) {
@@ -60,6 +54,18 @@ pub(super) fn capture(
     let StepLog { agents, buildings, steps, result, .. } = steps;
     let result = result.unwrap_or(EpisodeResult::TimedOut);
     Ok(Captured { agents, buildings, states, steps, result })
+}
+
+/// Goes through an episode and returns the states in which `team` acts.
+fn play(
+    episode: &mut dyn Episode,
+    team: &mut dyn Team,
+    probe: Option<TeamValueProbe<'_>>,
+    steps: &mut StepLog,
+) -> Result<Vec<State>, Failure> {
+    let mut log = StateLog { team, probe, states: Vec::new() };
+    episode.play(&mut log, steps)?;
+    Ok(log.states)
 }
 
 /// Every decision was one agent's, agent by agent, state by state.
@@ -87,7 +93,7 @@ impl Team for StateLog<'_> {
     ) -> Result<(), LearnError> {
         for scene in scenes {
             let mut state = state(scene.city, scene.allocation);
-            state.values = self.probe.as_mut().map(|probe| probe.values(scene));
+            state.values = self.probe.as_mut().map(|probe| probe.values(scene)).transpose()?;
             self.states.push(state);
         }
         self.team.act(scenes, actions, agents)

@@ -7,6 +7,7 @@ mod episode;
 mod events;
 mod mind;
 mod page;
+mod value_networks;
 mod values;
 
 use std::path::{Path, PathBuf};
@@ -19,13 +20,13 @@ use sortie_learn::LearnError;
 use sortie_learn::evaluate::{Allocate, EvaluationPlan, Scene, ScriptedActors, Team};
 use sortie_learn::methods::alma::{Conditioning, NetworkPolicy};
 
-use crate::arguments::{Allocation, Common};
+use crate::arguments::{AllocatorChoice, Common};
 use crate::environment;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::output::{plural, print_json};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::subject::Subject;
-use allocator::{Assigner, LearnedAllocator};
+use crate::subject_allocator::SubjectAllocator;
 use capture::{Captured, Thinker, capture};
 use data::Page;
 use episode::{Played, Replayed, open_recording};
@@ -52,9 +53,10 @@ pub(crate) struct ViewArguments {
     /// Environment and scenario set; default: those of the subject
     #[arg(long, value_name = "ENV[/SET]")]
     env: Option<String>,
-    /// Who assigns agents to subtasks; default: what the run learned or the recording says, else coordinated
+    /// Who assigns agents to subtasks [default: learned where the subject has it, else coordinated;
+    /// for a recording what its label says]
     #[arg(long, value_enum)]
-    allocation: Option<Allocation>,
+    allocation: Option<AllocatorChoice>,
     /// Show what this run or bundle computes in a recorded episode
     #[arg(long, value_name = "RUN|BUNDLE", visible_aliases = ["run", "bundle"])]
     policy: Option<String>,
@@ -97,11 +99,12 @@ fn played_page(arguments: &ViewArguments) -> Result<Page, Failure> {
     if let Subject::Bundle(bundle) = &subject {
         environment::check_fits(bundle, &plan.set)?;
     }
-    let asked = arguments.allocation.map(Assigner::Rule);
-    let assigner = asked.unwrap_or_else(|| Assigner::of_subject(&subject));
-    let mut allocator = assigner.allocator();
+    let choice = AllocatorChoice::or_default(arguments.allocation, subject.has_allocator());
+    let mut allocator =
+        SubjectAllocator::open(choice, Some(&subject), &arguments.subject, Backend::Plan)?;
+    let mut allocator = allocator.allocator()?;
     let mut played = Played { plan: &plan, allocator: allocator.as_mut() };
-    let probe = LearnedAllocator::of(Some(&subject)).map(TeamValueProbe::new);
+    let probe = TeamValueProbe::of(&subject)?;
     let captured = think(Some(&subject), arguments.common.seed, |thinker| {
         capture(&mut played, thinker, probe, plan.interval)
     })?;
@@ -110,7 +113,7 @@ fn played_page(arguments: &ViewArguments) -> Result<Page, Failure> {
         notes.push("The scripted low level has no network: no utilities, no attention.".into());
     }
     Ok(Page {
-        allocation: Some(assigner.name().into()),
+        allocation: Some(choice.name().into()),
         env: set.to_string(),
         episode: Some((arguments.common.seed, number)),
         notes,
@@ -122,8 +125,14 @@ fn recorded_page(arguments: &ViewArguments, file: &Path) -> Result<Page, Failure
     if arguments.episode.is_some() || arguments.env.is_some() {
         return Err(usage("--episode and --env choose what is played, but this is a recording"));
     }
-    if arguments.allocation == Some(Allocation::Random) {
-        return Err(usage("a random allocation cannot be computed again from a recording"));
+    match (arguments.allocation, &arguments.policy) {
+        (Some(AllocatorChoice::Random), _) => {
+            return Err(usage("a random allocation cannot be computed again from a recording"));
+        }
+        (Some(AllocatorChoice::Learned), None) => {
+            return Err(usage("name the team that learned to allocate: --policy RUN or BUNDLE"));
+        }
+        _ => {}
     }
     let mut playback = open_recording(file)?;
     let subject = arguments.policy.as_deref().map(Subject::find).transpose()?;
@@ -132,20 +141,28 @@ fn recorded_page(arguments: &ViewArguments, file: &Path) -> Result<Page, Failure
         environment::check_fits(bundle, world.scenario_set())?;
     }
     let env = environment_of(world);
-    let learned = LearnedAllocator::of(subject.as_ref());
-    let asked = arguments.allocation.map(Assigner::Rule);
-    let assigner = asked.or_else(|| Assigner::of_label(&playback.labels().policy, learned));
+    let policy = arguments.policy.as_deref();
+    let choice = arguments.allocation.or_else(|| {
+        let is_learned = subject.as_ref().is_some_and(Subject::has_allocator);
+        let labelled = allocator::of_label(&playback.labels().policy);
+        labelled.filter(|choice| *choice != AllocatorChoice::Learned || is_learned)
+    });
     let name = playback.labels().name.clone();
-    let notes = notes_on_recording(&playback, assigner, arguments.policy.as_deref());
-    let mut allocator = assigner.map(Assigner::allocator);
+    let notes = notes_on_recording(&playback, choice, policy);
+    let open = |choice| {
+        let owner = policy.unwrap_or(&arguments.subject);
+        SubjectAllocator::open(choice, subject.as_ref(), owner, Backend::Plan)
+    };
+    let mut allocator = choice.map(open).transpose()?;
+    let mut allocator = allocator.as_mut().map(SubjectAllocator::allocator).transpose()?;
     let allocator = allocator.as_mut().map(|allocator| allocator.as_mut() as &mut dyn Allocate);
     let mut replayed = Replayed { playback: &mut playback, allocator };
-    let probe = learned.map(TeamValueProbe::new);
+    let probe = subject.as_ref().map(TeamValueProbe::of).transpose()?.flatten();
     let captured = think(subject.as_ref(), arguments.common.seed, |thinker| {
         capture(&mut replayed, thinker, probe, DecisionPoints::ACTION_LENGTH)
     })?;
     Ok(Page {
-        allocation: assigner.map(|assigner| assigner.name().into()),
+        allocation: choice.map(|choice| choice.name().into()),
         env,
         notes,
         ..page_of(name, captured)
@@ -154,17 +171,14 @@ fn recorded_page(arguments: &ViewArguments, file: &Path) -> Result<Page, Failure
 
 fn notes_on_recording(
     playback: &Playback,
-    assigner: Option<Assigner<'_>>,
+    choice: Option<AllocatorChoice>,
     policy: Option<&str>,
 ) -> Vec<String> {
     let acting = &playback.labels().policy;
     let mut notes = vec![format!("A recording of: {acting}.")];
-    notes.push(match assigner {
-        Some(assigner) => {
-            format!(
-                "Recordings hold no allocation; here it is computed again: {}.",
-                assigner.name()
-            )
+    notes.push(match choice {
+        Some(choice) => {
+            format!("Recordings hold no allocation; here it is computed again: {}.", choice.name())
         }
         None => {
             "The recording does not say who was assigned where; --allocation RULE adds a rule's \
@@ -176,7 +190,7 @@ fn notes_on_recording(
         Some(policy) => {
             format!("Utilities and attention are what {policy} computes in the recorded states.")
         }
-        None => "No network was given: --policy RUN adds utilities and attention.".into(),
+        None => "No network was given: --policy RUN or BUNDLE adds what it computes.".into(),
     });
     notes
 }

@@ -1,12 +1,16 @@
 //! What the learned allocator expects of teams.
 
-use sortie_envs::save_the_city::{City, Symmetry};
+use sortie_envs::save_the_city::City;
+use sortie_learn::LearnError;
 use sortie_learn::evaluate::Scene;
-use sortie_learn::methods::alma::team_value::{TeamQuery, TeamValueInput};
-use sortie_learn::methods::alma::{UtilityNetwork, UtilityPass};
+use sortie_learn::export::LearnedAllocator;
 
-use super::allocator::LearnedAllocator;
 use super::data::{TeamValues, rounded};
+use super::value_networks::{DeployedNetwork, RunNetwork, ValueTeams};
+use crate::allocator::LearnedAllocator as DeployedLearned;
+use crate::failure::Failure;
+use crate::policy::Backend;
+use crate::subject::Subject;
 
 /// Other teams that are shown.
 const OTHERS: usize = 3;
@@ -15,21 +19,34 @@ const ALL_TEAMS: usize = 8;
 
 /// Asks a team-value network about the teams that are there, and about others.
 pub(super) struct TeamValueProbe<'a> {
-    network: &'a UtilityNetwork,
+    network: Box<dyn ValueTeams + 'a>,
+    /// Largest team that the allocator sends to one building.
     team_max: usize,
-    pass: UtilityPass,
-    input: TeamValueInput,
 }
 
 impl<'a> TeamValueProbe<'a> {
-    pub(super) fn new(allocator: LearnedAllocator<'a>) -> Self {
-        let LearnedAllocator { network, team_max } = allocator;
-        let (pass, input) = (UtilityPass::new(network.shape()), TeamValueInput::default());
-        Self { network, team_max, pass, input }
+    /// Asks the network of a subject, if it learned an allocator.
+    pub(super) fn of(subject: &'a Subject) -> Result<Option<Self>, Failure> {
+        match subject {
+            Subject::Run(run) => Ok(LearnedAllocator::of(run).map(Self::of_run)),
+            Subject::Bundle(bundle) if bundle.allocator_onnx().is_some() => {
+                let network = DeployedNetwork(DeployedLearned::open(bundle, Backend::Plan)?);
+                let team_max = bundle.manifest().limits.team_max.into();
+                Ok(Some(Self { network: Box::new(network), team_max }))
+            }
+            Subject::Bundle(_) | Subject::Scripted => Ok(None),
+        }
+    }
+
+    fn of_run(LearnedAllocator { network, team_max }: LearnedAllocator<'a>) -> Self {
+        Self { network: Box::new(RunNetwork::new(network)), team_max }
     }
 
     /// The values in one state, one entry per building, none for closed ones.
-    pub(super) fn values(&mut self, scene: &Scene<'_>) -> Vec<Option<TeamValues>> {
+    pub(super) fn values(
+        &mut self,
+        scene: &Scene<'_>,
+    ) -> Result<Vec<Option<TeamValues>>, LearnError> {
         let city = scene.city;
         let members = |task| {
             let assigned = scene.allocation.iter().take(city.agents.len()).enumerate();
@@ -39,19 +56,24 @@ impl<'a> TeamValueProbe<'a> {
         let buildings = city.buildings.iter().enumerate();
         buildings
             .map(|(task, building)| {
-                building.is_open().then(|| self.at_building(city, task, members(task)))
+                let values =
+                    building.is_open().then(|| self.at_building(city, task, members(task)));
+                values.transpose()
             })
             .collect()
     }
 
-    fn at_building(&mut self, city: City<'_>, task: usize, chosen: u64) -> TeamValues {
+    fn at_building(
+        &mut self,
+        city: City<'_>,
+        task: usize,
+        chosen: u64,
+    ) -> Result<TeamValues, LearnError> {
         let teams = self.candidates(city.agents.len(), chosen);
-        let turn = Symmetry::ALL[0];
-        let queries = teams.iter().map(|&team| TeamQuery { city, task, team, turn });
-        let values = self.pass.forward(self.network, self.input.queries(queries));
+        let values = self.network.values(city, task, &teams)?;
         let mut others = Vec::new();
         let (mut own, mut nobody) = (0.0, 0.0);
-        for (&team, &value) in teams.iter().zip(values) {
+        for (&team, value) in teams.iter().zip(values) {
             if team == 0 {
                 nobody = rounded(value);
             }
@@ -64,7 +86,7 @@ impl<'a> TeamValueProbe<'a> {
         }
         others.sort_by(|(_, one): &(Vec<usize>, f64), (_, other)| other.total_cmp(one));
         others.truncate(OTHERS);
-        TeamValues { chosen: own, nobody, others }
+        Ok(TeamValues { chosen: own, nobody, others })
     }
 
     /// Nobody, the chosen team, and others that the allocator may give.
@@ -85,9 +107,11 @@ impl<'a> TeamValueProbe<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use sortie_envs::save_the_city::{Constants, SaveTheCity, ScenarioSet, Status, UNASSIGNED};
-    use sortie_learn::methods::alma::UtilityShape;
-    use sortie_learn::methods::alma::team_value::COLUMNS;
+    use sortie_envs::save_the_city::{
+        Constants, SaveTheCity, ScenarioSet, Status, Symmetry, UNASSIGNED,
+    };
+    use sortie_learn::methods::alma::team_value::{COLUMNS, TeamQuery, TeamValueInput};
+    use sortie_learn::methods::alma::{UtilityNetwork, UtilityPass, UtilityShape};
     use sortie_learn::random::{Purpose, generator};
 
     #[test]
@@ -104,9 +128,9 @@ mod tests {
         let mut allocation = vec![0; city.agents.len()];
         allocation[0] = UNASSIGNED;
 
-        let mut probe = TeamValueProbe::new(LearnedAllocator { network: &network, team_max: 2 });
+        let mut probe = TeamValueProbe::of_run(LearnedAllocator { network: &network, team_max: 2 });
         let scene = Scene { city, allocation: &allocation, last_actions: &[] };
-        let values = probe.values(&scene);
+        let values = probe.values(&scene).unwrap();
         assert_eq!(values.len(), buildings.len());
         assert!(values[1].is_none(), "closed buildings have no value");
 

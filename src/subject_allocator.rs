@@ -1,0 +1,56 @@
+//! What allocates in episodes that one process plays: a rule, or what a subject has learned.
+
+use sortie_envs::save_the_city::AllocationRule;
+use sortie_learn::evaluate::{Allocate, DeployedAllocator};
+use sortie_learn::export::LearnedAllocator;
+use sortie_learn::methods::alma::team_value::TeamValueAllocator;
+
+use crate::allocator::{LearnedAllocator as DeployedLearned, none_learned};
+use crate::arguments::AllocatorChoice;
+use crate::failure::Failure;
+use crate::policy::Backend;
+use crate::subject::Subject;
+
+/// The memory of an allocator.
+pub(crate) enum SubjectAllocator<'a> {
+    Rule(AllocationRule),
+    /// A run's, with the trainer's own forward pass.
+    Run(LearnedAllocator<'a>),
+    /// A bundle's, as deployed.
+    Bundle(Box<DeployedLearned>),
+}
+
+impl<'a> SubjectAllocator<'a> {
+    /// What was chosen; a learned allocator is that of `owner`, which is called `name`.
+    pub(crate) fn open(
+        choice: AllocatorChoice,
+        owner: Option<&'a Subject>,
+        name: &str,
+        backend: Backend,
+    ) -> Result<Self, Failure> {
+        if let Some(rule) = choice.rule() {
+            return Ok(Self::Rule(rule));
+        }
+        let owner = owner.filter(|owner| owner.has_allocator());
+        match owner {
+            Some(Subject::Bundle(bundle)) => {
+                Ok(Self::Bundle(Box::new(DeployedLearned::open(bundle, backend)?)))
+            }
+            Some(Subject::Run(run)) => {
+                LearnedAllocator::of(run).map(Self::Run).ok_or_else(|| none_learned(name))
+            }
+            Some(Subject::Scripted) | None => Err(none_learned(name)),
+        }
+    }
+
+    /// The allocator over this memory.
+    pub(crate) fn allocator(&mut self) -> Result<Box<dyn Allocate + '_>, Failure> {
+        Ok(match self {
+            Self::Rule(rule) => Box::new(*rule),
+            Self::Run(LearnedAllocator { network, team_max }) => {
+                Box::new(TeamValueAllocator::new(network, *team_max))
+            }
+            Self::Bundle(learned) => Box::new(DeployedAllocator(Box::new(learned.allocator()?))),
+        })
+    }
+}
