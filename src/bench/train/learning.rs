@@ -58,8 +58,7 @@ impl Learning {
         };
         for step in 0..FILL / learning.rollout.instances() as u64 {
             let env_steps = step * learning.rollout.instances() as u64;
-            let epsilon =
-                learning.config.exploration.epsilon_at(env_steps, learning.config.run.steps);
+            let epsilon = learning.config.exploration.epsilon_at(env_steps);
             learning.act(epsilon, false)?;
         }
         Ok(learning)

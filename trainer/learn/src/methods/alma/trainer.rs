@@ -236,7 +236,7 @@ impl Trainer {
     }
 
     fn act(&mut self) -> Result<(), LearnError> {
-        let Config { exploration, allocator: config, run, .. } = &self.description.config;
+        let Config { exploration, allocator: config, .. } = &self.description.config;
         let env_steps = self.counters.env_steps;
         let mut agents = self.agents.knowledge_mut();
         let Knowledge { online, replay, .. } = &mut *agents;
@@ -247,7 +247,7 @@ impl Trainer {
             network = (env_steps >= config.decides_from).then_some(&*online);
             segments = (env_steps >= config.learns_from).then_some(replay);
         }
-        let epsilon = exploration.epsilon_at(env_steps, run.steps);
+        let epsilon = exploration.epsilon_at(env_steps);
         let behaviour = Behaviour { agents: &online.utility, epsilon, allocator: network };
         let memory = Memory { records: replay, segments };
         self.rollout.step(behaviour, memory, &mut self.counters.window.episodes)
@@ -361,7 +361,7 @@ impl Trainer {
             gradient_norm: window.agents.mean_gradient_norm(),
             allocator_updates: updates.allocator + window.allocator.updates,
             allocator_loss: window.allocator.mean_loss(),
-            epsilon: config.exploration.epsilon_at(*env_steps, config.run.steps),
+            epsilon: config.exploration.epsilon_at(*env_steps),
             learning_rate: config.optimiser.learning_rate_at(*env_steps, config.run.steps),
             training_success: episodes.solved as f64 / episodes.episodes.max(1) as f64,
         }

@@ -178,65 +178,27 @@ impl From<&ReturnsConfig> for Returns {
 pub struct ExplorationConfig {
     /// Epsilon of the first step.
     pub start: f32,
-    /// Epsilon after `steps`.
+    /// Epsilon from step `steps` on.
     pub end: f32,
     /// Environment steps of the way down.
     pub steps: u64,
-    /// Epsilon at the end of the run: the allocator is to learn what the greedy team is worth.
-    pub last: f32,
-    /// Share of the run after which epsilon goes to `last` in a straight line.
-    pub last_from: f64,
     /// Factors on epsilon, dealt to the instances in turn: some act greedily, some more wildly.
     pub spread: Vec<f32>,
 }
 
 impl Default for ExplorationConfig {
     fn default() -> Self {
-        Self {
-            start: 1.0,
-            end: 0.05,
-            steps: 60_000,
-            last: 0.0,
-            last_from: 0.5,
-            spread: vec![0.0, 0.2, 1.0, 2.0],
-        }
+        Self { start: 1.0, end: 0.05, steps: 60_000, spread: vec![0.0, 0.2, 1.0, 2.0] }
     }
 }
 
 impl ExplorationConfig {
-    /// Epsilon before the instances' factors, `step` environment steps into a run of `run_steps`.
-    pub fn epsilon_at(&self, step: u64, run_steps: u64) -> f32 {
-        let last_from = (self.last_from * run_steps as f64) as u64;
-        let first = |step| linear(self.start, self.end, self.steps, step);
-        if step < last_from {
-            return first(step);
-        }
-        linear(first(last_from), self.last, run_steps - last_from, step - last_from)
+    /// Epsilon before the instances' factors, `step` environment steps into a run.
+    pub fn epsilon_at(&self, step: u64) -> f32 {
+        linear(self.start, self.end, self.steps, step)
     }
 
     pub(super) fn check(&self) -> Result<(), LearnError> {
-        require((0.0..=1.0).contains(&self.last_from), "`exploration.last_from` must be in 0..1")?;
         require(!self.spread.is_empty(), "`exploration.spread` must not be empty")
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn exploration_falls_twice() {
-        let exploration = ExplorationConfig {
-            start: 1.0,
-            end: 0.5,
-            steps: 100,
-            last: 0.25,
-            last_from: 0.5,
-            ..ExplorationConfig::default()
-        };
-        let epsilons = [0, 50, 100, 500, 750, 1000].map(|step| exploration.epsilon_at(step, 1000));
-        assert_eq!(epsilons, [1.0, 0.75, 0.5, 0.5, 0.375, 0.25]);
-        assert_eq!(exploration.epsilon_at(50, 100), 0.75, "a short run goes on from where it is");
-        assert_eq!(exploration.epsilon_at(2000, 1000), 0.25);
     }
 }
