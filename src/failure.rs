@@ -126,6 +126,22 @@ impl From<sortie_ipc::Error> for Failure {
     }
 }
 
+/// Ends the program without a word where the reader of its output has gone, as in `sortie … | head`.
+///
+/// `println!` panics then; there is no other place where all of them can be met.
+pub(crate) fn end_quietly_when_nobody_reads() {
+    /// What a shell reports of a program that SIGPIPE ended.
+    const BROKEN_PIPE: i32 = 128 + 13;
+    let usual = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        let message = panic.payload_as_str().unwrap_or_default();
+        if message.starts_with("failed printing to stdout") && message.contains("Broken pipe") {
+            std::process::exit(BROKEN_PIPE);
+        }
+        usual(panic);
+    }));
+}
+
 /// An error and what caused it, on one line.
 pub(crate) fn with_sources(error: &dyn Error) -> String {
     let mut message = error.to_string();

@@ -31,6 +31,7 @@ use std::process::ExitCode;
 use clap::Parser;
 
 fn main() -> ExitCode {
+    failure::end_quietly_when_nobody_reads();
     let arguments = arguments::Arguments::parse();
     match arguments::dispatch(arguments) {
         Ok(()) => ExitCode::SUCCESS,

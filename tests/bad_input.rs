@@ -150,3 +150,13 @@ fn shared_memory_on_a_disk_is_refused() {
     let output = command.output().expect("the command line starts");
     assert_fails(&output, 74, &[env!("CARGO_TARGET_TMPDIR"), "tmpfs"]);
 }
+
+#[test]
+fn output_that_nobody_reads_ends_the_program_without_a_word() {
+    let (reader, writer) = std::io::pipe().expect("a pipe");
+    drop(reader);
+    let mut command = sortie(&["inspect", BUNDLE]);
+    command.stdout(writer).stderr(std::process::Stdio::piped());
+    let output = command.output().expect("sortie runs");
+    assert_eq!((output.status.code(), support::stderr(&output).as_str()), (Some(141), ""));
+}
