@@ -255,9 +255,7 @@ fn wrong_use_and_broken_recordings_are_named() {
     fails(&["no/such/thing"], 66, &["no/such/thing"]);
     fails(&[EPISODE, "--allocation", "random"], 2, &["random"]);
     fails(&[EPISODE, "--allocation", "learned"], 2, &["--policy"]);
-    let learned = ["--policy", BUNDLE, "--allocation", "learned"];
-    fails(&[&[EPISODE], &learned[..]].concat(), 2, &[BUNDLE, "learned"]);
-    fails(&[BUNDLE, "--allocation", "learned"], 2, &[BUNDLE, "learned"]);
+    fails(&["scripted", "--allocation", "learned"], 2, &["scripted", "learned"]);
     fails(&[EPISODE, "--episode", "1"], 2, &["--episode"]);
     fails(&[BUNDLE, "--policy", BUNDLE], 2, &["--policy"]);
     fails(&["README.md"], 65, &["README.md", "not JSON"]);
