@@ -31,7 +31,8 @@ impl TeamQuery<'_> {
     /// The subtask's own row, which forms the query; none where no row belongs to it.
     pub fn own_row(&self) -> Option<usize> {
         let tasks = self.state.entity_task.iter().enumerate().skip(self.state.agents);
-        tasks.filter(|(_, tasks)| *tasks >> self.task & 1 == 1).map(|(row, _)| row).next()
+        let is_own = |tasks: u32| tasks.checked_shr(self.task as u32).unwrap_or(0) & 1 == 1;
+        tasks.filter(|(_, tasks)| is_own(**tasks)).map(|(row, _)| row).next()
     }
 
     /// Whether a row stands for something of an open subtask.
