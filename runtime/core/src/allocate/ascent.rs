@@ -1,6 +1,7 @@
-//! Coordinate ascent: moves one agent at a time for as long as the total grows.
+//! Coordinate ascent: moves one agent or exchanges two for as long as the total grows.
 //!
-//! For teams that are too large for [`exact`](super::exact). A sweep asks for about A * T values.
+//! For teams that are too large for [`exact`](super::exact). A sweep of moves asks for about A * T values,
+//! one of exchanges for up to A * (A - 1).
 
 use super::{TeamValue, Teams, comparable};
 use crate::allocator::{AllocateError, UNASSIGNED};
@@ -12,8 +13,10 @@ use crate::limits::{AGENTS, TASKS};
 /// highest of a team), are placed one by one, in rising order, where the total is then largest. From
 /// there on the total never falls. Every sweep offers each agent, in rising order, every open subtask
 /// that has room, and moves it where the total is largest and larger than before; equal totals go to
-/// the lowest subtask. The search ends with a sweep that moves nobody, or after `sweeps` of them.
-/// Totals are summed in f64, subtasks in rising order.
+/// the lowest subtask. Where a sweep moves nobody, every two agents of different subtasks, in rising
+/// order, change places if the total grows by it: two firefighters in each other's place, or a lone one
+/// that another fire needs more, are beyond single moves. The search ends where neither helps, or after
+/// `sweeps` sweeps. Totals are summed in f64, subtasks in rising order.
 ///
 /// # Errors
 /// `TooLarge` for more agents than [`AGENTS`]; `BadLength` for an allocation of another length.
@@ -37,7 +40,7 @@ pub fn search(
                 moved |= state.improve(agent, place, state.total(), values);
             }
         }
-        if !moved {
+        if !moved && !state.exchange_all(allocation, values) {
             break;
         }
     }
@@ -102,6 +105,51 @@ impl State {
         self.set(joined);
         *place = joined.task as u8;
         true
+    }
+
+    /// Offers every two agents each other's place; whether any took it.
+    fn exchange_all(&mut self, allocation: &mut [u8], values: &mut impl TeamValue) -> bool {
+        let mut exchanged = false;
+        for second in 1..allocation.len() {
+            let (firsts, rest) = allocation.split_at_mut_checked(second).unwrap_or_default();
+            let Some(place) = rest.first_mut() else { continue };
+            for (first, other) in firsts.iter_mut().enumerate() {
+                if self.exchange((first, *other), (second, *place), values) {
+                    core::mem::swap(place, other);
+                    exchanged = true;
+                }
+            }
+        }
+        exchanged
+    }
+
+    /// Exchanges two agents, each with its subtask, if the total grows by it.
+    fn exchange(
+        &mut self,
+        (first, here): (usize, u8),
+        (second, there): (usize, u8),
+        values: &mut impl TeamValue,
+    ) -> bool {
+        let (here, there) = (usize::from(here), usize::from(there));
+        let (Some(at_first), Some(at_second)) = (self.members.get(here), self.members.get(there))
+        else {
+            return false;
+        };
+        if here == there {
+            return false;
+        }
+        let both = 1_u64 << first | 1 << second;
+        let mut asked = Asked::default();
+        asked.push(here, at_first ^ both);
+        asked.push(there, at_second ^ both);
+        asked.answer(values);
+        let [left, joined] = asked.questions() else { return false };
+        let grows = self.total_with(Some(*left), *joined) > self.total();
+        if grows {
+            self.set(*left);
+            self.set(*joined);
+        }
+        grows
     }
 
     /// The values of the team that an agent would leave and of all teams that it could join.
@@ -242,12 +290,28 @@ mod tests {
     }
 
     #[test]
-    fn no_single_move_improves_the_end() {
-        let teams = Teams { agents: 5, open_tasks: 0b11_0110, team_max: 3 };
-        let mut values = |task, team| noise(3, task, team) as f32;
-        let mut allocation = vec![UNASSIGNED; 5];
+    fn exchanges_where_no_single_move_has_room() {
+        let teams = Teams { agents: 2, open_tasks: 0b11, team_max: 1 };
+        let mut values = |task: usize, team| if team == 1 << task { 1.0 } else { 2.0 };
+        let mut allocation = vec![0, 1];
+        let end = search(teams, &mut values, 8, &mut allocation).unwrap();
+        assert_eq!((end, allocation), (4.0, vec![1, 0]));
+    }
+
+    #[test]
+    fn no_move_and_no_exchange_improves_the_end() {
+        let teams = Teams { agents: 6, open_tasks: 0b11_0110, team_max: 3 };
+        let mut values = |task, team| noise(4, task, team) as f32;
+        let mut allocation = vec![UNASSIGNED; 6];
         let end = search(teams, &mut values, 100, &mut allocation).unwrap();
-        for agent in 0..5 {
+        for (first, second) in
+            (0..6).flat_map(|second| (0..second).map(move |first| (first, second)))
+        {
+            let mut exchanged = allocation.clone();
+            exchanged.swap(first, second);
+            assert!(total(teams, &mut values, &exchanged) <= end);
+        }
+        for agent in 0..6 {
             for task in teams.tasks() {
                 let mut moved = allocation.clone();
                 moved[agent] = task as u8;
