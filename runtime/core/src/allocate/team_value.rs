@@ -111,6 +111,9 @@ impl Allocator for LastAllocation {
         state: &AllocationState<'_>,
         allocation: &mut [u8],
     ) -> Result<(), AllocateError> {
+        if allocation.len() > state.entity_task.len() {
+            return Err(AllocateError::BadLength);
+        }
         for (place, tasks) in allocation.iter_mut().zip(state.entity_task) {
             let task = tasks & state.open_tasks;
             *place = if task == 0 { UNASSIGNED } else { task.trailing_zeros() as u8 };
@@ -144,7 +147,7 @@ pub struct TeamValueAllocator<'a, N, R, S> {
     pub start: S,
     /// Largest team of one subtask.
     pub team_max: usize,
-    /// Most agents that are searched exactly, usually [`EXACT_AGENTS`].
+    /// Most agents that are searched exactly, usually [`EXACT_AGENTS`]; never more than [`exact::AGENTS`].
     pub exact_agents: usize,
     /// Working memory.
     pub memory: SearchMemory<'a>,
@@ -506,6 +509,32 @@ mod tests {
         assert_eq!(allocate(&unknown, 3), Err(AllocateError::BadLength));
         let many = AllocationState { agents: 65, ..case.state() };
         assert_eq!(allocate(&many, 65), Err(AllocateError::TooLarge));
+    }
+
+    #[test]
+    fn a_full_team_is_beyond_the_exact_search_whatever_is_asked_for() {
+        let case = Case {
+            agents: 64,
+            tasks: 2,
+            present: EntityMask::first(66),
+            entity_task: (0..66).map(|row| if row < 64 { 0 } else { 1 << (row - 64) }).collect(),
+            open_tasks: 0b11,
+            team_max: 40,
+            exact_agents: usize::MAX,
+        };
+        let memory = SearchMemory { cells: &mut [], values: &mut [], relation: &mut vec![0.0; 66] };
+        let mut allocator = TeamValueAllocator {
+            network: noise(false, false),
+            relation: TaskNumber,
+            start: LastAllocation,
+            team_max: case.team_max,
+            exact_agents: case.exact_agents,
+            memory,
+        };
+        let mut allocation = [9; 64];
+        let state = AllocationState { rows: &[0.0; 66], ..case.state() };
+        allocator.allocate(&state, &mut allocation).unwrap();
+        assert!(allocation.iter().all(|task| *task < 2));
     }
 
     #[test]

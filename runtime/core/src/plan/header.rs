@@ -78,12 +78,14 @@ pub struct Header {
 impl Header {
     /// Reads and checks the header; the checksums are the caller's to compare.
     pub fn read(plan: &[u8]) -> Result<(Self, Checksums), PlanError> {
+        // What is no plan at all is called so even where it is short.
+        if plan.first_chunk().is_some_and(|start| *start != MAGIC) {
+            return Err(PlanError::BadMagic);
+        }
         let got = plan.len();
         let header = plan.first_chunk::<HEADER_BYTES>();
         let mut fields = Fields(header.ok_or(PlanError::Truncated { need: HEADER_BYTES, got })?);
-        if fields.next()? != MAGIC {
-            return Err(PlanError::BadMagic);
-        }
+        let _: [u8; MAGIC.len()] = fields.next()?;
         let (major, minor) = (fields.u16()?, fields.u16()?);
         if major != VERSION.0 || minor > VERSION.1 {
             return Err(PlanError::Version { major, minor });
@@ -310,5 +312,7 @@ mod tests {
         assert_eq!(with(12, 1), Err(PlanError::Endian));
         assert_eq!(with(116, 9), Err(PlanError::WrongProfile { got: 9 }));
         assert_eq!(Header::read(&bytes[..127]), Err(PlanError::Truncated { need: 128, got: 127 }));
+        assert_eq!(Header::read(b"SORTIE"), Err(PlanError::Truncated { need: 128, got: 6 }));
+        assert_eq!(Header::read(b"# a text file"), Err(PlanError::BadMagic));
     }
 }
