@@ -164,7 +164,7 @@ where
         state: &AllocationState<'_>,
         allocation: &mut [u8],
     ) -> Result<(), AllocateError> {
-        check(state, allocation)?;
+        state.check(allocation)?;
         self.relation.observe(state)?;
         let present = (0..state.agents).filter(|row| state.present.contains(*row));
         let rows: heapless::Vec<u8, { limits::AGENTS }> = present.map(|row| row as u8).collect();
@@ -281,18 +281,6 @@ impl<N: TeamValueNetwork, R: TaskRelation> TeamValue for Asked<'_, N, R> {
             f32::NAN
         })
     }
-}
-
-/// Checks that a state is as long as it says.
-fn check(state: &AllocationState<'_>, allocation: &[u8]) -> Result<(), AllocateError> {
-    let AllocationState { agents, tasks, rows, stride, entity_task, open_tasks, .. } = *state;
-    let entities = entity_task.len();
-    if agents > limits::AGENTS || entities > limits::ENTITIES || tasks > limits::TASKS {
-        return Err(AllocateError::TooLarge);
-    }
-    let known = u64::from(open_tasks) >> tasks == 0;
-    let fits = agents <= entities && rows.len() >= entities.saturating_mul(stride);
-    if known && fits && allocation.len() == agents { Ok(()) } else { Err(AllocateError::BadLength) }
 }
 
 #[cfg(test)]
