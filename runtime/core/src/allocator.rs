@@ -45,6 +45,7 @@ impl AllocationState<'_> {
 
 /// Why no allocation could be made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum AllocateError {
     /// More agents, entities or subtasks than the allocator was sized for.

@@ -124,34 +124,36 @@ pub fn hungarian(
 ) -> Result<(), AllocateError> {
     let mut state = State::new(teams, tasks, costs, allocation)?;
     while let Some(path) = state.cheapest_path() {
-        for (agent, task) in path.moves {
-            state.place(usize::from(agent), usize::from(task));
+        for (agent, task) in path.moves.iter().take(path.len) {
+            state.place(usize::from(*agent), usize::from(*task));
         }
     }
     Ok(())
 }
 
 /// A chain of moves that gives one more agent a place: each agent of it makes room for the one before.
-#[derive(Clone, Default)]
+#[derive(Clone, Copy, Default)]
 struct Path {
     cost: f64,
     /// The subtasks on the path, each at most once.
     tasks: u32,
-    /// Agent, and the subtask that it moves to.
-    moves: heapless::Vec<(u8, u8), TASKS>,
+    /// Agent, and the subtask that it moves to; the first `len` count.
+    moves: [(u8, u8); TASKS],
+    len: usize,
 }
 
 impl Path {
     /// The path with one more move; none where it would cross itself.
-    fn and_then(&self, agent: usize, task: usize, cost: f64) -> Option<Self> {
+    fn and_then(mut self, agent: usize, task: usize, cost: f64) -> Option<Self> {
         let bit = 1_u32.checked_shl(task as u32)?;
         if self.tasks & bit != 0 {
             return None;
         }
-        let mut path = self.clone();
-        path.moves.push((agent as u8, task as u8)).ok()?;
-        (path.cost, path.tasks) = (self.cost + cost, self.tasks | bit);
-        Some(path)
+        *self.moves.get_mut(self.len)? = (agent as u8, task as u8);
+        self.len += 1;
+        self.cost += cost;
+        self.tasks |= bit;
+        Some(self)
     }
 }
 
@@ -211,10 +213,10 @@ impl<'a> State<'a> {
 
     /// The cheapest path that ends where there is room.
     fn cheapest_path(&self) -> Option<Path> {
-        let mut paths = [const { None::<Path> }; TASKS];
+        let mut paths = [None; TASKS];
         for agent in (0..self.teams.agents).filter(|agent| self.is_free(*agent)) {
             for task in self.teams.tasks() {
-                self.offer(&mut paths, &Path::default(), agent, task, 0.0);
+                self.offer(&mut paths, Path::default(), agent, task, 0.0);
             }
         }
         // A path that cannot be made cheaper by a further move is cheapest after as many rounds as subtasks.
@@ -235,12 +237,12 @@ impl<'a> State<'a> {
     fn lengthen(&self, paths: &mut [Option<Path>; TASKS]) -> bool {
         let mut changed = false;
         for (agent, from) in self.places.iter().map(|place| usize::from(*place)).enumerate() {
-            let Some(path) = paths.get(from).cloned().flatten() else { continue };
+            let Some(path) = paths.get(from).copied().flatten() else { continue };
             let Some(saved) = self.cost(agent, from).filter(|_| !self.has_room(from)) else {
                 continue;
             };
             for task in self.teams.tasks() {
-                changed |= self.offer(paths, &path, agent, task, saved);
+                changed |= self.offer(paths, path, agent, task, saved);
             }
         }
         changed
@@ -250,23 +252,19 @@ impl<'a> State<'a> {
     fn offer(
         &self,
         paths: &mut [Option<Path>; TASKS],
-        from: &Path,
+        from: Path,
         agent: usize,
         task: usize,
         saved: f64,
     ) -> bool {
         let Some(cost) = self.cost(agent, task) else { return false };
         let Some(known) = paths.get_mut(task) else { return false };
-        if known.as_ref().is_some_and(|known| known.cost <= from.cost + cost - saved) {
+        if known.is_some_and(|known| known.cost <= from.cost + cost - saved) {
             return false;
         }
-        match from.and_then(agent, task, cost - saved) {
-            Some(path) => {
-                *known = Some(path);
-                true
-            }
-            None => false,
-        }
+        let path = from.and_then(agent, task, cost - saved);
+        *known = path.or(*known);
+        path.is_some()
     }
 }
 

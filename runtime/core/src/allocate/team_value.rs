@@ -167,7 +167,10 @@ where
         state.check(allocation)?;
         self.relation.observe(state)?;
         let present = (0..state.agents).filter(|row| state.present.contains(*row));
-        let rows: heapless::Vec<u8, { limits::AGENTS }> = present.map(|row| row as u8).collect();
+        let mut rows = heapless::Vec::<u8, { limits::AGENTS }>::new();
+        for row in present {
+            rows.push(row as u8).map_err(|_| AllocateError::TooLarge)?;
+        }
         let teams =
             Teams { agents: rows.len(), open_tasks: state.open_tasks, team_max: self.team_max };
         let mut places = [UNASSIGNED; limits::AGENTS];

@@ -18,6 +18,7 @@ pub(super) const CRC_OFFSET: usize = 60;
 
 /// How a plan computes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum Profile {
     /// f32 without fused multiply-add: the same bits on every target.
@@ -26,6 +27,7 @@ pub enum Profile {
 
 /// What a plan computes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum Network {
     /// An agent's utilities.
@@ -36,6 +38,7 @@ pub enum Network {
 
 /// The header of a plan; magic, version, byte order and checksums are checked and not kept.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Header {
     /// How the weights are laid out.
     pub layout: u32,
@@ -171,6 +174,7 @@ impl Header {
 
 /// CRC-32C of the parts of a plan.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Checksums {
     /// Of header and program, the header's own checksum taken as zero.
     pub program: u32,
