@@ -35,9 +35,11 @@ fuzz_target!(|bytes: &[u8]| {
         assert!(observation.self_index < case.observation.entities());
     }
     for case in &golden.allocations {
-        assert_eq!(case.state.view().agents, case.allocation.len());
+        let state = case.state.view();
+        assert_eq!(state.agents, case.allocation.len());
         for value in &case.values {
-            let _ = value.query(&case.state);
+            let query = case.query(&state, value);
+            assert!(query.own_row().is_none_or(|row| row < case.state.entities()));
         }
     }
     // Numbers that are not finite have no JSON.

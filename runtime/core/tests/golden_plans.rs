@@ -1,7 +1,7 @@
 //! Plans of every format version stay readable, with the bits that they had.
 
 use sortie_core::plan::{Aligned, Plan, PlanError, arena_bytes};
-use sortie_core::{EntityMask, NO_ACTION, Observation, include_plan};
+use sortie_core::{DecideError, EntityMask, NO_ACTION, Observation, include_plan};
 
 const AGENT: &[u8] = include_plan!("../../../tests/golden/plans/agent-1.0.plan");
 const ODD_SIZES: &[u8] = include_plan!("../../../tests/golden/plans/agent-odd-sizes-1.0.plan");
@@ -86,4 +86,19 @@ fn a_newer_major_version_is_refused_by_name() {
     let error = Plan::load(&newer.0).map(drop).expect_err("a version that is not known");
     assert_eq!(error, PlanError::Version { major: 2, minor: 0 });
     assert!(error.to_string().contains("plan format 2.0"), "{error}");
+}
+
+#[test]
+fn rows_that_overlap_are_refused() {
+    let plan = Plan::load(AGENT).expect("a golden plan");
+    let mut arena = Aligned([0; arena_bytes(AGENT)]);
+    let observation = Observation {
+        rows: &[0.0; 30],
+        stride: 5,
+        last_actions: &[],
+        visible: EntityMask::first(2),
+        self_index: 0,
+        available: &[1; 4],
+    };
+    assert_eq!(plan.decide(&mut arena.0, &observation), Err(DecideError::BadLength));
 }

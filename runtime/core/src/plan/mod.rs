@@ -150,6 +150,10 @@ impl<'a> Plan<'a> {
         if got > max {
             return Err(DecideError::TooManyEntities { max, got });
         }
+        // Else rows would overlap, and a hidden one could reach into a visible one.
+        if observation.stride < self.header.features as usize {
+            return Err(DecideError::BadLength);
+        }
         let float_bytes = 4 * self.program.floats as usize;
         let arena = arena.get_mut(..self.arena_bytes()).ok_or(DecideError::BadLength)?;
         let (floats, list) =

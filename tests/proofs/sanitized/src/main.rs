@@ -70,7 +70,7 @@ fn decide(plan: &Plan<'_>, arena: &mut [u8], rows: &[f32]) -> usize {
 #[cfg_attr(feature = "realtime", sanitize(realtime = "nonblocking"))]
 fn allocate(
     network: &mut PlanTeamValue<'_>,
-    mut memory: SearchMemory<'_>,
+    memory: SearchMemory<'_>,
     costs: &mut [f32],
     rows: &[f32],
 ) -> usize {
