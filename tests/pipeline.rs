@@ -57,6 +57,10 @@ fn a_run_becomes_a_bundle_that_a_team_plays_with() {
         assert_eq!(trained[key], deployed[key], "{key}");
     }
     assert_eq!(deployed["allocation"], "learned");
+    let pairs = path("pairs");
+    let exported = ["export", &run, "--out", &pairs, "--episodes", "20", "--team-max", "2", "-q"];
+    assert!(output(&exported).status.success());
+    assert_eq!(json(&["inspect", &pairs, "--json"])["limits"]["team_max"], 2);
     allocators_are_swapped(&run, &bundle);
     let played = json(&["run", &bundle, "--in-process", "--episodes", "2", "--json"]);
     assert_eq!(played["episodes"], 2);
