@@ -2,12 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::embed_entities::embedding;
 use super::{Linear, Place, Scratch, Sizes, places, slice};
-use crate::kernels::dot::dot;
-use crate::kernels::nonzero::collect;
-use crate::kernels::product::{Around, mix, padded, product, sparse_product};
-use crate::kernels::softmax::softmax;
+use crate::kernels::Kernels;
+use crate::kernels::product::{Around, Sparse, padded};
+use crate::kernels::softmax::slots;
 use crate::policy::DecideError;
 
 /// Attention over the embedded rows, rewritten for a single query (dissertation section 2.3).
@@ -91,10 +89,11 @@ impl AttendOwn {
         layers && widths && lengths && apart
     }
 
-    fn places(&self) -> [&Place; 7] {
-        let inner = [&self.absorbed, &self.scores, &self.mixed, &self.attended];
-        let [absorbed, scores, mixed, attended] = inner;
-        [&self.rows, &self.query_place, absorbed, scores, mixed, attended, &self.to]
+    fn places(&self) -> [Place; 7] {
+        // Scores are worked on in whole vectors, for which a plan leaves room behind the last one.
+        let scores = Place { len: slots(self.scores.len as usize) as u32, ..self.scores };
+        let Self { rows, query_place, absorbed, mixed, attended, to, .. } = *self;
+        [rows, query_place, absorbed, scores, mixed, attended, to]
     }
 
     pub(super) fn multiply_adds(&self, visible: usize) -> usize {
@@ -107,69 +106,66 @@ impl AttendOwn {
     #[inline(always)]
     pub(super) fn run(
         &self,
+        kernels: impl Kernels,
         weights: &[f32],
         scratch: &mut Scratch<'_>,
     ) -> Result<(), DecideError> {
         let visible = scratch.visible;
         if visible > 1 {
-            self.ask(weights, scratch)?;
+            self.ask(kernels, weights, scratch)?;
         }
         let [rows, query, absorbed, scores, mixed, attended, to] =
-            places(scratch.floats, self.places())?;
+            places(scratch.floats, self.places().each_ref())?;
         let rows = rows.get(..visible * self.padded_width()).ok_or(DecideError::BadLength)?;
-        let scores = scores.get_mut(..visible).ok_or(DecideError::BadLength)?;
-        // The weight of a single entity is one, whatever its score.
-        scores.fill(1.0);
-        attended.fill(0.0);
         let outputs = attended.chunks_exact_mut(padded(self.head_width()));
-        let heads = 0..if visible > 0 { usize::from(self.heads) } else { 0 };
-        for (head, output) in heads.zip(outputs) {
-            if visible > 1 {
-                self.score(weights, head, query, rows, absorbed, scores)?;
+        for (head, output) in (0..usize::from(self.heads)).zip(outputs) {
+            if visible == 0 {
+                output.fill(0.0);
+                continue;
             }
-            mix(scores, rows, mixed);
+            let scores = scores.get_mut(..slots(visible)).ok_or(DecideError::BadLength)?;
+            if visible > 1 {
+                let keys = self.head_matrix(weights, self.keys, self.keys_len(), head)?;
+                let start = head * self.head_width();
+                let query = query.get(start..start + self.head_width());
+                let query = query.ok_or(DecideError::BadLength)?;
+                kernels.product(keys, query, Around::NOTHING, absorbed);
+                kernels.dots(absorbed, rows, scores);
+                if !kernels.softmax(scores, visible) {
+                    return Err(DecideError::NonFinite);
+                }
+            } else {
+                // The weight of a single entity is one, whatever its score.
+                scores.fill(1.0);
+            }
+            kernels.mix(scores, rows, mixed);
             let values = self.head_matrix(weights, self.values, self.values_len(), head)?;
             let mixed = mixed.get(..usize::from(self.width)).ok_or(DecideError::BadLength)?;
-            product(values, mixed, Around::NOTHING, output);
+            kernels.product(values, mixed, Around::NOTHING, output);
         }
         let around = self.output.around(weights, self.relu)?;
-        product(self.output.matrix(weights)?, attended, around, to);
+        kernels.product(self.output.matrix(weights)?, attended, around, to);
         Ok(())
     }
 
     /// Computes q of the agent's own row, which comes out of a ReLU.
     #[inline(always)]
-    fn ask(&self, weights: &[f32], scratch: &mut Scratch<'_>) -> Result<(), DecideError> {
-        let row = embedding(scratch.floats, &self.rows, self.padded_width(), scratch.own)?;
-        let row = row.get(..usize::from(self.width)).ok_or(DecideError::BadLength)?;
-        let count = collect(row, scratch.nonzeros);
-        let inputs = scratch.nonzeros.get(..count).ok_or(DecideError::BadLength)?;
-        let [query] = places(scratch.floats, [&self.query_place])?;
+    fn ask(
+        &self,
+        kernels: impl Kernels,
+        weights: &[f32],
+        scratch: &mut Scratch<'_>,
+    ) -> Result<(), DecideError> {
+        let [rows, query] = places(scratch.floats, [&self.rows, &self.query_place])?;
+        let start = scratch.own * self.padded_width();
+        let row = rows.get(start..start + usize::from(self.width));
+        let values = row.ok_or(DecideError::BadLength)?;
+        kernels.mark(values, scratch.nonzeros);
+        let inputs = Sparse { values, marks: scratch.nonzeros, one: None, count: values.len() };
         let around = self.query.around(weights, false)?;
         let matrix = self.query.matrix(weights)?;
-        sparse_product(matrix, usize::from(self.width), inputs, around, query);
+        kernels.sparse_product(matrix, inputs, around, query);
         Ok(())
-    }
-
-    /// Computes one head's attention weights of all rows.
-    #[inline(always)]
-    fn score(
-        &self,
-        weights: &[f32],
-        head: usize,
-        query: &[f32],
-        rows: &[f32],
-        absorbed: &mut [f32],
-        scores: &mut [f32],
-    ) -> Result<(), DecideError> {
-        let keys = self.head_matrix(weights, self.keys, self.keys_len(), head)?;
-        let start = head * self.head_width();
-        let query = query.get(start..start + self.head_width()).ok_or(DecideError::BadLength)?;
-        product(keys, query, Around::NOTHING, absorbed);
-        for (score, row) in scores.iter_mut().zip(rows.chunks_exact(self.padded_width())) {
-            *score = dot(absorbed, row);
-        }
-        softmax(scores).then_some(()).ok_or(DecideError::NonFinite)
     }
 
     #[inline(always)]

@@ -16,7 +16,8 @@ pub use dense::Dense;
 pub use embed_entities::EmbedEntities;
 pub use masked_argmax::MaskedArgmax;
 
-use crate::kernels::nonzero::Nonzero;
+use crate::kernels::Kernels;
+use crate::kernels::mark::{MARKED, Marks};
 use crate::kernels::product::{Around, padded};
 use crate::policy::{DecideError, Observation};
 
@@ -68,14 +69,15 @@ impl Op {
     #[inline(always)]
     pub(crate) fn run(
         &self,
+        kernels: impl Kernels,
         weights: &[f32],
         observation: &Observation<'_>,
         scratch: &mut Scratch<'_>,
     ) -> Result<(), DecideError> {
         match self {
-            Self::EmbedEntities(op) => op.run(weights, observation, scratch),
-            Self::AttendOwn(op) => op.run(weights, scratch),
-            Self::Dense(op) => op.run(weights, scratch),
+            Self::EmbedEntities(op) => op.run(kernels, weights, observation, scratch),
+            Self::AttendOwn(op) => op.run(kernels, weights, scratch),
+            Self::Dense(op) => op.run(kernels, weights, scratch),
             Self::MaskedArgmax(_) => Ok(()),
         }
     }
@@ -86,7 +88,7 @@ impl Op {
 pub struct Sizes {
     /// Floats of the arena.
     pub floats: u32,
-    /// Entries of the arena's list of inputs that are not zero.
+    /// Marks that the arena holds, each of 64 inputs.
     pub nonzeros: u32,
     /// Floats of the weights.
     pub weights: u32,
@@ -108,7 +110,7 @@ impl Sizes {
     }
 
     fn lists(&self, inputs: u64) -> bool {
-        inputs <= u64::from(self.nonzeros)
+        inputs.div_ceil(MARKED as u64) <= u64::from(self.nonzeros)
     }
 }
 
@@ -180,7 +182,8 @@ impl Linear {
 /// The arena of one decision, and what the operators tell each other.
 pub(crate) struct Scratch<'a> {
     pub(crate) floats: &'a mut [f32],
-    pub(crate) nonzeros: &'a mut [Nonzero],
+    /// Marks the inputs of a sparse product.
+    pub(crate) nonzeros: &'a mut [Marks],
     /// Visible entities, whose embeddings stand in rows 0 to `visible`.
     pub(crate) visible: usize,
     /// The row of the agent's own embedding, `visible` where it does not see itself.
@@ -191,11 +194,6 @@ pub(crate) struct Scratch<'a> {
 fn slice(weights: &[f32], offset: u32, len: usize) -> Result<&[f32], DecideError> {
     let start = offset as usize;
     weights.get(start..start.saturating_add(len)).ok_or(DecideError::BadLength)
-}
-
-#[inline(always)]
-fn place<'a>(floats: &'a [f32], place: &Place) -> Result<&'a [f32], DecideError> {
-    floats.get(place.range()).ok_or(DecideError::BadLength)
 }
 
 /// Places that do not overlap, all writable.

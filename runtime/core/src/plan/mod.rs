@@ -23,8 +23,10 @@ use zerocopy::FromBytes;
 
 use crate::checksum::{CRC32C, crc32c};
 use crate::choose::masked_argmax;
-use crate::kernels::nonzero::Nonzero;
-use crate::kernels::wide::{Work, run_widest};
+use crate::kernels::Kernels;
+use crate::kernels::arithmetic::Exact;
+use crate::kernels::build::{Build, Work};
+use crate::kernels::mark::Marks;
 use crate::limits;
 use crate::ops::{Scratch, Sizes};
 use crate::policy::{DecideError, Decision, Observation};
@@ -35,7 +37,7 @@ pub struct Plan<'a> {
     header: Header,
     program: Program,
     weights: &'a [f32],
-    portable: bool,
+    build: Build,
 }
 
 impl<'a> Plan<'a> {
@@ -59,15 +61,14 @@ impl<'a> Plan<'a> {
         let program: Program =
             postcard::from_bytes(program_bytes).map_err(|_| PlanError::UnknownOp)?;
         check(&header, &program)?;
-        Ok(Self { header, program, weights, portable: false })
+        Ok(Self { header, program, weights, build: Build::widest() })
     }
 
-    /// The same plan on the portable build of the kernels, whatever the processor offers.
+    /// The same plan on another build of the kernels than the widest.
     ///
-    /// Both builds give the same bits; this one exists to check that.
-    pub fn portable(mut self) -> Self {
-        self.portable = true;
-        self
+    /// All builds give the same bits; this exists to check that.
+    pub fn on(self, build: Build) -> Self {
+        Self { build, ..self }
     }
 
     /// The header.
@@ -149,10 +150,10 @@ impl<'a> Plan<'a> {
         let (floats, list) =
             arena.split_at_mut_checked(float_bytes).ok_or(DecideError::BadLength)?;
         let floats = <[f32]>::mut_from_bytes(floats).map_err(|_| DecideError::BadLength)?;
-        let nonzeros = <[Nonzero]>::mut_from_bytes(list).map_err(|_| DecideError::BadLength)?;
+        let nonzeros = <[Marks]>::mut_from_bytes(list).map_err(|_| DecideError::BadLength)?;
         let mut scratch = Scratch { floats, nonzeros, visible: 0, own: 0 };
         let execution = Execution { plan: self, observation, scratch: &mut scratch };
-        run_widest(execution, !self.portable)?;
+        self.build.run::<Exact, _>(execution)?;
         let place = self.program.utilities().ok_or(DecideError::BadLength)?;
         let utilities = scratch.floats.get(place.range()).ok_or(DecideError::BadLength)?;
         if utilities.iter().all(|utility| utility.is_finite()) {
@@ -173,9 +174,9 @@ impl Work for Execution<'_, '_, '_> {
     type Output = Result<(), DecideError>;
 
     #[inline(always)]
-    fn run(self) -> Self::Output {
+    fn run(self, kernels: impl Kernels) -> Self::Output {
         for op in &self.plan.program.ops {
-            op.run(self.plan.weights, self.observation, self.scratch)?;
+            op.run(kernels, self.plan.weights, self.observation, self.scratch)?;
         }
         Ok(())
     }

@@ -16,12 +16,12 @@ pub struct Program {
     pub ops: Vec<Op, OPS>,
     /// Floats of the arena.
     pub floats: u32,
-    /// Entries of the list of inputs that are not zero, behind the floats.
+    /// Marks behind the floats, which say which of 64 inputs are not zero.
     pub nonzeros: u32,
 }
 
 impl Program {
-    /// Bytes of arena: floats, then the list's entries of two words.
+    /// Bytes of arena: floats, then marks of two words.
     pub fn arena_bytes(&self) -> u64 {
         4 * u64::from(self.floats) + 8 * u64::from(self.nonzeros)
     }
