@@ -14,7 +14,7 @@ mod failure;
 mod inspect;
 mod latency;
 mod observations;
-
+mod onnxruntime;
 mod output;
 mod policy;
 mod replay;
