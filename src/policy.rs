@@ -52,7 +52,8 @@ impl DeployedPolicy {
         }
     }
 
-    fn of_plan(plan: AlignedBytes) -> Result<Self, CompileError> {
+    /// The policy of a plan.
+    pub(crate) fn of_plan(plan: AlignedBytes) -> Result<Self, CompileError> {
         let arena_bytes = Plan::load(plan.as_slice())?.arena_bytes();
         Ok(Self::Plan { plan, arena: AlignedBytes::zeroed(arena_bytes) })
     }

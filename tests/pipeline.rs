@@ -34,7 +34,7 @@ fn a_run_becomes_a_bundle_that_a_team_plays_with() {
     let again = output(&["export", &run, "--out", &bundle, "--episodes", "20"]);
     assert_fails(&again, 2, &[&bundle, "exists"]);
 
-    let verified = json(&["verify", &bundle, "--json"]);
+    let verified = json(&["verify", &bundle, "--against", "tract,golden", "--json"]);
     assert_eq!(verified["engines"].as_array().map(Vec::len), Some(6), "{verified}");
     for (network, file) in [("agent", "agent.onnx"), ("team-value", "allocator_team_value.onnx")] {
         let onnx = format!("{bundle}/{file}");
@@ -44,7 +44,7 @@ fn a_run_becomes_a_bundle_that_a_team_plays_with() {
         for key in ["flash_bytes", "arena_bytes", "macs"] {
             assert_eq!(compiled[key], inspected[key], "{key}");
         }
-        let alone = json(&["verify", &onnx, "--json"]);
+        let alone = json(&["verify", &onnx, "--against", "tract", "--json"]);
         assert_eq!(alone["engines"].as_array().map(Vec::len), Some(1), "{alone}");
     }
     let facts = json(&["inspect", &bundle, "--json"]);

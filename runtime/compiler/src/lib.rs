@@ -8,16 +8,22 @@
 mod assemble;
 mod attention;
 mod compile;
+mod engine;
 mod error;
 #[cfg(test)]
 mod executor_tests;
+mod families;
 mod golden_allocations;
 mod graph;
+mod graph_inputs;
 mod inspect;
+mod judge;
 mod layout;
 mod lower;
 mod matching;
 mod observations;
+#[cfg(feature = "onnxruntime")]
+pub mod onnxruntime;
 mod parity;
 #[cfg(test)]
 mod testing;
@@ -30,8 +36,13 @@ pub use compile::{
     compile_bundle,
 };
 pub use error::CompileError;
+pub use families::{
+    Family, ObservationSizes, Standard, TeamQuerySizes, observation_families, team_query_families,
+};
 pub use golden_allocations::compare_with_golden_allocations;
+pub use graph_inputs::Rows;
 pub use inspect::{OnnxFacts, PlanFacts, inspect_onnx, inspect_plan};
+pub use judge::{Judge, judge_agent, judge_team_values};
 pub use observations::{OwnedTeamQuery, random_observations, random_team_queries};
 pub use parity::{
     Comparison, TOLERANCE, compare_team_values_with_graph, compare_with_golden, compare_with_graph,
