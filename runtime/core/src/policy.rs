@@ -26,6 +26,7 @@ pub struct Observation<'a> {
 
 /// The chosen action and its utility.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Decision {
     /// Index of the action.
     pub action: u16,
@@ -35,6 +36,7 @@ pub struct Decision {
 
 /// Why no decision could be taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum DecideError {
     /// More entities are visible than the plan was sized for.

@@ -2,6 +2,7 @@
 
 /// A part of a plan that a checksum covers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Part {
     /// Header and program.
     Program,
@@ -11,6 +12,7 @@ pub enum Part {
 
 /// Why a plan cannot be loaded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum PlanError {
     /// The bytes are not a plan.

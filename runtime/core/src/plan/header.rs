@@ -18,6 +18,7 @@ pub(super) const CRC_OFFSET: usize = 60;
 
 /// How a plan computes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum Profile {
     /// f32 without fused multiply-add: the same bits on every target.
@@ -26,6 +27,7 @@ pub enum Profile {
 
 /// What a plan computes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum Network {
     /// An agent's utilities.
@@ -36,6 +38,7 @@ pub enum Network {
 
 /// The header of a plan; magic, version, byte order and checksums are checked and not kept.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Header {
     /// How the weights are laid out.
     pub layout: u32,
@@ -78,12 +81,14 @@ pub struct Header {
 impl Header {
     /// Reads and checks the header; the checksums are the caller's to compare.
     pub fn read(plan: &[u8]) -> Result<(Self, Checksums), PlanError> {
+        // What is no plan at all is called so even where it is short.
+        if plan.first_chunk().is_some_and(|start| *start != MAGIC) {
+            return Err(PlanError::BadMagic);
+        }
         let got = plan.len();
         let header = plan.first_chunk::<HEADER_BYTES>();
         let mut fields = Fields(header.ok_or(PlanError::Truncated { need: HEADER_BYTES, got })?);
-        if fields.next()? != MAGIC {
-            return Err(PlanError::BadMagic);
-        }
+        let _: [u8; MAGIC.len()] = fields.next()?;
         let (major, minor) = (fields.u16()?, fields.u16()?);
         if major != VERSION.0 || minor > VERSION.1 {
             return Err(PlanError::Version { major, minor });
@@ -169,6 +174,7 @@ impl Header {
 
 /// CRC-32C of the parts of a plan.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Checksums {
     /// Of header and program, the header's own checksum taken as zero.
     pub program: u32,
@@ -310,5 +316,7 @@ mod tests {
         assert_eq!(with(12, 1), Err(PlanError::Endian));
         assert_eq!(with(116, 9), Err(PlanError::WrongProfile { got: 9 }));
         assert_eq!(Header::read(&bytes[..127]), Err(PlanError::Truncated { need: 128, got: 127 }));
+        assert_eq!(Header::read(b"SORTIE"), Err(PlanError::Truncated { need: 128, got: 6 }));
+        assert_eq!(Header::read(b"# a text file"), Err(PlanError::BadMagic));
     }
 }

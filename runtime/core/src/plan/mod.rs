@@ -8,6 +8,7 @@
 mod aligned;
 mod error;
 mod header;
+mod in_place;
 mod program;
 
 #[cfg(feature = "std")]
@@ -17,6 +18,7 @@ pub use header::{
     ALIGNMENT, Checksums, HEADER_BYTES, Header, LAYOUT_TILES, Network, Profile, VERSION,
     arena_bytes,
 };
+pub use in_place::Aligned;
 pub use program::{OPS, Program};
 
 use zerocopy::FromBytes;
@@ -55,12 +57,16 @@ impl<'a> Plan<'a> {
         if checksums.weights != crc32c(weights) {
             return Err(PlanError::Crc(Part::Weights));
         }
+        check_multiple(header.weights_offset as usize)?;
         check_alignment(weights)?;
         let weights =
             <[f32]>::ref_from_bytes(weights).map_err(|_| PlanError::ShapeMismatch { op: 0 })?;
-        let program: Program =
-            postcard::from_bytes(program_bytes).map_err(|_| PlanError::UnknownOp)?;
+        let (program, rest) =
+            postcard::take_from_bytes(program_bytes).map_err(|_| PlanError::UnknownOp)?;
         check(&header, &program)?;
+        if !rest.is_empty() {
+            return Err(PlanError::ShapeMismatch { op: program.ops.len() });
+        }
         Ok(Self { header, program, weights, build: Build::widest() })
     }
 
@@ -182,7 +188,7 @@ impl Work for Execution<'_, '_, '_> {
     }
 }
 
-/// Checks that header and program agree and that all sizes are ones that messages can express.
+/// Checks that header and program agree, that parts do not overlap and that all sizes are ones that messages can express.
 fn check(header: &Header, program: &Program) -> Result<(), PlanError> {
     let sizes = Sizes {
         floats: program.floats,
@@ -193,7 +199,11 @@ fn check(header: &Header, program: &Program) -> Result<(), PlanError> {
         actions: header.actions,
     };
     let within = |size: u32, limit: usize| size > 0 && size as usize <= limit;
-    let fits = within(header.n_max, limits::ENTITIES)
+    let program_end = u64::from(header.program_offset) + u64::from(header.program_len);
+    let fits = header.program_offset as usize >= HEADER_BYTES
+        && program_end <= u64::from(header.weights_offset)
+        && header.arena_alignment as usize == ALIGNMENT
+        && within(header.n_max, limits::ENTITIES)
         && within(header.actions, limits::ACTIONS)
         && within(header.features, limits::FEATURES)
         && u64::from(header.arena_bytes) == program.arena_bytes();
@@ -210,11 +220,14 @@ fn part(plan: &[u8], offset: u32, len: u32) -> Result<&[u8], PlanError> {
 }
 
 fn check_alignment(bytes: &[u8]) -> Result<(), PlanError> {
-    let address = bytes.as_ptr().addr();
-    if bytes.is_empty() || address.is_multiple_of(ALIGNMENT) {
+    if bytes.is_empty() { Ok(()) } else { check_multiple(bytes.as_ptr().addr()) }
+}
+
+fn check_multiple(place: usize) -> Result<(), PlanError> {
+    if place.is_multiple_of(ALIGNMENT) {
         return Ok(());
     }
-    Err(PlanError::Misaligned { need: ALIGNMENT, got: address & address.wrapping_neg() })
+    Err(PlanError::Misaligned { need: ALIGNMENT, got: place & place.wrapping_neg() })
 }
 
 /// The checksum of header and program, the header's own checksum taken as zero.
