@@ -23,6 +23,20 @@ fn newest_tensors(folder: &str) -> Vec<u8> {
 }
 
 #[test]
+fn every_shipped_bundle_agrees_with_its_golden_answers() {
+    let models = fs::read_dir("models").expect("the shipped bundles");
+    let mut bundles: Vec<_> = models.flatten().map(|entry| entry.path()).collect();
+    bundles.sort();
+    assert_eq!(bundles.len(), 2, "{bundles:?}");
+    for bundle in bundles {
+        let bundle = bundle.display().to_string();
+        let verified = json(&["verify", &bundle, "--inputs", "32", "--json"]);
+        let engines = verified["engines"].as_array().expect("engines");
+        assert!(engines.iter().all(|engine| engine["action_mismatches"] == 0), "{verified}");
+    }
+}
+
+#[test]
 fn a_run_becomes_a_bundle_that_a_team_plays_with() {
     let place = tempfile::tempdir().expect("a temporary folder");
     let path = |name: &str| place.path().join(name).display().to_string();
