@@ -9,7 +9,7 @@ use sortie_core::allocate::{TaskRelation, TeamQuery, Teams, exact};
 use sortie_core::{AllocateError, AllocationState, Allocator};
 
 use super::decision::{engine, some};
-use super::rounds::{Pace, alternate_calls};
+use super::rounds::alternate_long;
 use super::{Figures, Measuring, OURS, TRACT_VERSION, pin, scenes};
 use crate::allocator::{LearnedAllocator, none_learned};
 use crate::deployment::open_bundle;
@@ -28,7 +28,7 @@ const CALLS_PER_TURN: usize = 4;
 /// the best allocation
 ///
 /// onnxruntime computes the same values with the exported graph, a call for each team, and with a graph that
-/// takes all teams in one call.
+/// takes all teams in one call. In processor time: peers take longer than the system's time slices.
 #[derive(Debug, Args)]
 pub(super) struct AllocationArguments {
     /// Folder of the bundle
@@ -71,7 +71,7 @@ pub(super) fn measure(arguments: &AllocationArguments) -> Result<Figures, Failur
         engines.push(engine("onnxruntime, one call", &version, work));
     }
     let seconds = arguments.measuring.seconds;
-    let measured = alternate_calls(&mut engines, Pace::Hot, CALLS_PER_TURN, seconds);
+    let measured = alternate_long(&mut engines, CALLS_PER_TURN, seconds);
     let mut figures = Figures::default();
     let (agents, tasks) = SIZE;
     let case = format!("{agents} agents, {tasks} subtasks");

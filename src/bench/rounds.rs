@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use clap::ValueEnum;
 
+use super::thread_cpu_s;
 use crate::latency::Latency;
 
 /// Bytes written between two calls of [`Pace::Cold`]: more than any cache holds.
@@ -63,16 +64,29 @@ impl Pace {
 
 /// Alternates the engines for `seconds`, turn by turn, at least three rounds.
 pub(super) fn alternate(engines: &mut [Engine<'_>], pace: Pace, seconds: f64) -> Vec<Measured> {
-    let calls = pace.calls_per_turn();
-    alternate_calls(engines, pace, calls, seconds)
+    let since = Instant::now();
+    let clock = || since.elapsed().as_nanos() as u64;
+    take_turns(engines, pace, pace.calls_per_turn(), seconds, &clock)
 }
 
-/// The same with a number of calls in a turn, for work that takes longer than a decision.
-pub(super) fn alternate_calls(
+/// The same for work that takes longer than the system's time slices: hot, in processor time of this thread,
+/// so many calls in a turn.
+pub(super) fn alternate_long(
+    engines: &mut [Engine<'_>],
+    calls: usize,
+    seconds: f64,
+) -> Vec<Measured> {
+    let clock = || (thread_cpu_s() * 1e9) as u64;
+    take_turns(engines, Pace::Hot, calls, seconds, &clock)
+}
+
+/// Measures in nanoseconds of `clock`.
+fn take_turns(
     engines: &mut [Engine<'_>],
     pace: Pace,
     calls: usize,
     seconds: f64,
+    clock: &dyn Fn() -> u64,
 ) -> Vec<Measured> {
     const FEWEST_ROUNDS: usize = 3;
     let mut between = Between::new(pace);
@@ -89,9 +103,9 @@ pub(super) fn alternate_calls(
             calls_ns.clear();
             for call in round * calls..(round + 1) * calls {
                 between.pass();
-                let start = Instant::now();
+                let start = clock();
                 (engine.work)(call);
-                calls_ns.push(start.elapsed().as_nanos() as u64);
+                calls_ns.push(clock().saturating_sub(start));
             }
             calls_ns.iter().for_each(|ns| measured.latency.record_ns(*ns));
             calls_ns.sort_unstable();
@@ -158,7 +172,7 @@ mod tests {
             work: Box::new(|call| calls.borrow_mut().push((name, call))),
         };
         let mut engines = [engine("a"), engine("b")];
-        let measured = alternate_calls(&mut engines, Pace::Hot, 2, 0.0);
+        let measured = alternate_long(&mut engines, 2, 0.0);
         assert!(measured.iter().all(|engine| engine.medians_ns.len() == 3));
         assert!(measured.iter().all(|engine| engine.latency.samples() == 6));
         drop(engines);
