@@ -12,6 +12,7 @@ pub mod matrix;
 pub mod relu;
 pub mod softmax;
 pub mod sparse_linear;
+mod vectors;
 
 #[cfg(test)]
 pub(crate) mod gradient_check;
