@@ -45,7 +45,9 @@ fn decisions<const ARENA: usize>(bytes: &[u8]) -> String {
             available: &[],
         };
         let mut answers = [vec![0.0; plan.actions()], vec![0.0; plan.actions()]];
-        for (plan, utilities) in [plan.clone(), plan.clone().on(Build::PORTABLE)].iter().zip(&mut answers) {
+        for (plan, utilities) in
+            [plan.clone(), plan.clone().on(Build::PORTABLE)].iter().zip(&mut answers)
+        {
             plan.utilities(&mut arena.0, &observation, utilities).expect("finite utilities");
         }
         let [widest, portable] = answers.map(|utilities| {

@@ -5,7 +5,7 @@
 //! Per query that takes `2 E^2` multiplications, and `2 H E` per visible entity, where keys and values
 //! take `2 E^2` per entity: a gain where entities are seen by few queries each.
 
-use sortie_core::kernels::wide::{Work, run_widest};
+use super::wide::{Work, run_widest};
 
 use super::attention::{AttentionShape, VisibleLists, softmax_columns, softmax_columns_backward};
 use super::matrix::{Matrix, MatrixMut, Store, multiply};
@@ -90,7 +90,7 @@ impl AbsorbedAttention {
             );
         }
         let Self { absorbed, weights, sums, .. } = self;
-        run_widest(Attend { shape, visible, entities, absorbed, weights, sums }, true);
+        run_widest(Attend { shape, visible, entities, absorbed, weights, sums });
         for h in 0..heads {
             multiply(
                 MatrixMut::new(output, count, width).columns(h * head..(h + 1) * head),
@@ -149,7 +149,7 @@ impl AbsorbedAttention {
             d_absorbed: &mut self.d_absorbed,
             d_entities: pass.d_entities,
         };
-        run_widest(attended, true);
+        run_widest(attended);
         let queries = Matrix::new(pass.queries, count, width);
         for h in 0..heads {
             let (narrow, broad) = (h * head..(h + 1) * head, h * width..(h + 1) * width);

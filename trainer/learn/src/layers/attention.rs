@@ -5,7 +5,7 @@
 //! A query that sees nothing gets a zero vector. Invisible entities are never touched, which is exact
 //! because their weight is zero.
 
-use sortie_core::kernels::wide::{Work, run_widest};
+use super::wide::{Work, run_widest};
 use sortie_core::math::exp;
 
 use super::vectors::{add_scaled, dots, weighted_sum};
@@ -93,7 +93,7 @@ pub fn forward(
     weights: &mut [f32],
     output: &mut [f32],
 ) {
-    run_widest(Forward { shape, visible, queries, keys_values, weights, output }, true);
+    run_widest(Forward { shape, visible, queries, keys_values, weights, output });
 }
 
 struct Forward<'a> {
@@ -165,7 +165,7 @@ pub struct Backward<'a> {
 
 /// Writes the gradients of queries, keys and values.
 pub fn backward(shape: AttentionShape, visible: &VisibleLists, pass: Backward<'_>) {
-    run_widest(BackwardWork { shape, visible, pass }, true);
+    run_widest(BackwardWork { shape, visible, pass });
 }
 
 struct BackwardWork<'a> {

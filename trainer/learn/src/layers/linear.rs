@@ -1,6 +1,6 @@
 //! The dense linear layer `y = W x + b`.
 
-use sortie_core::kernels::wide::{Work, run_widest};
+use super::wide::{Work, run_widest};
 
 use super::matrix::{Matrix, MatrixMut, Store, multiply};
 use super::vectors::add_scaled;
@@ -17,7 +17,7 @@ pub struct LinearShape {
 /// Writes `y [rows, output]` from `x [rows, input]`, `weight [output, input]`, `bias [output]`.
 pub fn forward(shape: LinearShape, x: &[f32], weight: &[f32], bias: &[f32], y: &mut [f32]) {
     forward_without_bias(shape, x, weight, y);
-    run_widest(AddBias { least: f32::NEG_INFINITY, bias, y }, true);
+    run_widest(AddBias { least: f32::NEG_INFINITY, bias, y });
 }
 
 /// As [`forward`], with the rectifier `max(0, y)` behind it.
@@ -29,7 +29,7 @@ pub fn forward_rectified(
     y: &mut [f32],
 ) {
     forward_without_bias(shape, x, weight, y);
-    run_widest(AddBias { least: 0.0, bias, y }, true);
+    run_widest(AddBias { least: 0.0, bias, y });
 }
 
 struct AddBias<'a> {
@@ -93,7 +93,7 @@ pub fn backward_weight(shape: LinearShape, x: &[f32], d_y: &[f32], d_weight: &mu
 
 /// Adds to `d_bias [output]` the column sums of `d_y`.
 pub fn backward_bias(d_y: &[f32], d_bias: &mut [f32]) {
-    run_widest(BackwardBias { d_y, d_bias }, true);
+    run_widest(BackwardBias { d_y, d_bias });
 }
 
 struct BackwardBias<'a> {

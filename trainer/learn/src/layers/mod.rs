@@ -13,6 +13,7 @@ pub mod relu;
 pub mod softmax;
 pub mod sparse_linear;
 mod vectors;
+mod wide;
 
 #[cfg(test)]
 pub(crate) mod gradient_check;

@@ -1,10 +1,10 @@
 //! The rectifier `max(0, x)`, in place.
 
-use sortie_core::kernels::wide::{Work, run_widest};
+use super::wide::{Work, run_widest};
 
 /// Replaces negative values by zero.
 pub fn forward(values: &mut [f32]) {
-    run_widest(Forward(values), true);
+    run_widest(Forward(values));
 }
 
 struct Forward<'a>(&'a mut [f32]);
@@ -22,7 +22,7 @@ impl Work for Forward<'_> {
 
 /// Zeroes the gradient where the rectified `output` is zero.
 pub fn backward(output: &[f32], gradient: &mut [f32]) {
-    run_widest(Backward { output, gradient }, true);
+    run_widest(Backward { output, gradient });
 }
 
 struct Backward<'a> {

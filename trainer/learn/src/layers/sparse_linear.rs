@@ -3,7 +3,7 @@
 //! One-hot features turn the product into a sum of a dozen weight rows, so the weight is stored
 //! `[input, output]` and zero features cost nothing. The result equals the dense product.
 
-use sortie_core::kernels::wide::{Work, run_widest};
+use super::wide::{Work, run_widest};
 
 use super::vectors::{add_scaled, weighted_sum};
 
@@ -81,7 +81,7 @@ impl SparseRows {
 
 /// Writes `y [rows, width]` from `weight [input, width]` and `bias [width]`.
 pub fn forward(x: &SparseRows, weight: &[f32], bias: &[f32], y: &mut [f32]) {
-    run_widest(Forward { x, weight, bias, y }, true);
+    run_widest(Forward { x, weight, bias, y });
 }
 
 struct Forward<'a> {
@@ -109,7 +109,7 @@ impl Work for Forward<'_> {
 
 /// Adds the gradients of `weight [input, width]` and `bias [width]`; features have none.
 pub fn backward(x: &SparseRows, d_y: &[f32], d_weight: &mut [f32], d_bias: &mut [f32]) {
-    run_widest(Backward { x, d_y, d_weight, d_bias }, true);
+    run_widest(Backward { x, d_y, d_weight, d_bias });
 }
 
 struct Backward<'a> {
