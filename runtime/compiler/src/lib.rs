@@ -33,7 +33,7 @@ mod tract_team_value;
 pub use attention::AttentionProbe;
 pub use compile::{
     CompileOptions, Compiled, OperatorReport, Report, VERSION, compile, compile_allocator,
-    compile_bundle,
+    compile_bundle, compile_bundle_as,
 };
 pub use error::CompileError;
 pub use families::{

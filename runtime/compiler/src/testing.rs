@@ -4,7 +4,7 @@ use rand_core::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sortie_bundle::OwnedObservation;
 use sortie_core::NO_ACTION;
-use sortie_core::plan::Network;
+use sortie_core::plan::{Network, Profile};
 
 use crate::assemble::{Origin, assemble};
 use crate::lower::{AgentSizes, lower_agent};
@@ -87,6 +87,7 @@ pub(crate) fn plan(layers: &AgentLayers, shape: Shape) -> Vec<u8> {
     let (program, weights) = lower_agent(layers, sizes).unwrap();
     let origin = Origin {
         source: [0; 32],
+        profile: Profile::Exact,
         network: Network::Agent,
         contract: 0,
         t_max: 0,

@@ -1,13 +1,13 @@
 //! Decides in a loop on made-up observations: for instruction counts and quick timings of a plan.
 //!
-//! `cargo run --release -p sortie-core --features std --example decide -- agent.plan 11 1000 5`: a plan, visible
-//! entities, calls, and agents that decide in one call (one: the single decision).
+//! `cargo run --release -p sortie-core --features std --example decide -- agent.plan 11 1000 avx2 5`: a plan, visible
+//! entities, calls, a build of the kernels, and agents that decide in one call.
 
 use std::time::Instant;
 
 use sortie_core::kernels::build::Build;
 use sortie_core::plan::{AlignedBytes, Plan};
-use sortie_core::{EntityMask, Observation};
+use sortie_core::{DecideError, EntityMask, Observation};
 
 /// Different frames, so that branches cannot be learned by heart.
 const FRAMES: usize = 64;
@@ -17,36 +17,46 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut next = |name: &str| arguments.next().ok_or_else(|| format!("{name} is missing"));
     let bytes = AlignedBytes::copy_of(&std::fs::read(next("PLAN")?)?);
     let (visible, calls) = (next("VISIBLE")?.parse::<usize>()?, next("CALLS")?.parse::<usize>()?);
-    let mut plan = Plan::load(bytes.as_slice())?;
-    if let Ok(name) = next("BUILD") {
-        plan = plan.on(Build::all().find(|build| build.name() == name).ok_or("no such build")?);
-    }
-    let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
+    let name = next("BUILD")?;
+    let agents = next("AGENTS").map_or(Ok(1), |count| count.parse::<usize>())?;
+    let build = Build::all().find(|build| build.name() == name).ok_or("no such build")?;
+    let plan = Plan::load(bytes.as_slice())?.on(build);
+    let mut arena = AlignedBytes::zeroed(plan.batch_arena_bytes(agents));
     let header = *plan.header();
     let (stride, entities) = (header.features as usize, header.n_max as usize);
     let frames = rows(FRAMES * entities * stride);
     let actions: Vec<u16> = (0..entities.div_ceil(2)).map(|agent| (agent % 8) as u16).collect();
     let available = vec![1; plan.actions()];
-    let mut utilities = vec![0.0; plan.actions()];
+    let mut utilities = vec![0.0; agents * plan.actions()];
+    let mut results = vec![Err(DecideError::BadLength); agents];
     let mut hash = 0_u64;
-    let started = Instant::now();
+    let mut nanoseconds = Vec::with_capacity(calls);
     for call in 0..calls {
         let frame = frames.chunks(entities * stride).nth(call % FRAMES).unwrap_or(&[]);
-        let observation = Observation {
+        let see = |agent: usize| Observation {
             rows: frame,
             stride,
             last_actions: &actions,
             visible: EntityMask::first(visible),
-            self_index: call % visible.max(1),
+            self_index: (call + agent) % visible.max(1),
             available: &available,
         };
-        plan.utilities(arena.as_mut_slice(), &observation, &mut utilities)?;
+        let seen: Vec<Observation<'_>> = (0..agents).map(see).collect();
+        let started = Instant::now();
+        if agents == 1 {
+            plan.utilities(arena.as_mut_slice(), &seen[0], &mut utilities)?;
+        } else {
+            plan.utilities_batch(arena.as_mut_slice(), &seen, &mut utilities, &mut results);
+            results.iter().try_for_each(|result| *result)?;
+        }
+        nanoseconds.push(started.elapsed().as_nanos());
         for utility in &utilities {
             hash = hash.wrapping_mul(31).wrapping_add(u64::from(utility.to_bits()));
         }
     }
-    let nanoseconds = started.elapsed().as_nanos() as f64 / calls.max(1) as f64;
-    println!("{nanoseconds:.0} ns a call, bits {hash:016x}");
+    nanoseconds.sort_unstable();
+    let share = |tenths: usize| nanoseconds.get(calls * tenths / 10).copied().unwrap_or(0);
+    println!("{} ns a call, tenth percentile {}, bits {hash:016x}", share(5), share(1));
     Ok(())
 }
 

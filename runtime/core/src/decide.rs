@@ -11,7 +11,8 @@ pub struct PlanPolicy<'a> {
 }
 
 impl<'a> PlanPolicy<'a> {
-    /// Binds an agent's plan to its arena, of [`Plan::arena_bytes`] bytes and aligned like the plan.
+    /// Binds an agent's plan to its arena, of [`Plan::arena_bytes`] bytes and aligned like the plan; of
+    /// [`Plan::batch_arena_bytes`] where several agents are to be worked on together.
     pub fn new(plan: Plan<'a>, arena: &'a mut [u8]) -> Result<Self, PlanError> {
         plan.check_network(Network::Agent)?;
         plan.check_arena(arena)?;
@@ -39,5 +40,17 @@ impl Policy for PlanPolicy<'_> {
 
     fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
         self.plan.decide(self.arena, observation)
+    }
+
+    fn decide_batch(
+        &mut self,
+        observations: &[Observation<'_>],
+        decisions: &mut [Result<Decision, DecideError>],
+    ) {
+        self.plan.decide_batch(self.arena, observations, decisions);
+    }
+
+    fn warm(&self) {
+        self.plan.warm();
     }
 }

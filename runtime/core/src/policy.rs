@@ -83,6 +83,22 @@ pub trait Policy {
 
     /// Greedy choice among the available actions, lowest index on ties.
     fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError>;
+
+    /// Decides for several agents, each as [`Self::decide`] does. Agents of one frame, whose observations have
+    /// the same rows and last actions, are cheaper together. Answers beyond the shorter of the two slices are
+    /// not given.
+    fn decide_batch(
+        &mut self,
+        observations: &[Observation<'_>],
+        decisions: &mut [Result<Decision, DecideError>],
+    ) {
+        for (observation, decision) in observations.iter().zip(decisions) {
+            *decision = self.decide(observation);
+        }
+    }
+
+    /// Brings what the next decision reads near, ahead of a deadline; changes nothing else.
+    fn warm(&self) {}
 }
 
 impl<P: Policy + ?Sized> Policy for &mut P {
@@ -100,6 +116,18 @@ impl<P: Policy + ?Sized> Policy for &mut P {
 
     fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
         (**self).decide(observation)
+    }
+
+    fn decide_batch(
+        &mut self,
+        observations: &[Observation<'_>],
+        decisions: &mut [Result<Decision, DecideError>],
+    ) {
+        (**self).decide_batch(observations, decisions);
+    }
+
+    fn warm(&self) {
+        (**self).warm();
     }
 }
 

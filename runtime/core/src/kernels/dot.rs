@@ -1,6 +1,7 @@
 //! Sums and dot products in 16 lanes that a fixed tree joins.
 
 use super::arithmetic::Arithmetic;
+use super::rows::Rows;
 
 /// Lanes of a sum: element i goes to lane i mod 16.
 pub const LANES: usize = 16;
@@ -8,28 +9,20 @@ pub const LANES: usize = 16;
 /// Rows that are worked on together.
 pub const ROWS: usize = 4;
 
-/// The dot products of one vector with rows as long as it, one behind the other. `products` has one place
-/// per row, and room up to a multiple of four; what it has beyond the rows is overwritten with anything.
+/// The dot products of one vector with rows as wide as it. `products` has one place per row, and room up to a
+/// multiple of four; what it has beyond the rows is overwritten with anything.
 #[inline(always)]
 pub fn dots(
     vector: &[f32],
-    rows: &[f32],
+    rows: Rows<'_>,
     products: &mut [f32],
     four_dots: impl Fn(&[f32], [&[f32]; ROWS]) -> [f32; ROWS],
 ) {
-    let width = vector.len();
-    let last = rows.len().saturating_sub(width);
     let (groups, _) = products.as_chunks_mut::<ROWS>();
-    for (group, products) in groups.iter_mut().enumerate() {
-        let first = group * ROWS * width;
-        if first > last {
-            return;
-        }
+    for (slots, products) in rows.slots.chunks(ROWS).zip(groups) {
         // Where rows end, the last one stands for those that are missing.
-        let row = |index: usize| {
-            let start = (first + index * width).min(last);
-            rows.get(start..start + width).unwrap_or(&[])
-        };
+        let row =
+            |index: usize| slots.get(index).or(slots.last()).map_or(&[][..], |s| rows.row(*s));
         *products = four_dots(vector, [row(0), row(1), row(2), row(3)]);
     }
 }
@@ -100,9 +93,9 @@ mod tests {
                 let total = (len * (len + 1) / 2) as f32;
                 let want: Vec<f32> = (0..rows).map(|row| (row + 1) as f32 * total).collect();
                 let mut products = vec![f32::NAN; 12];
-                dots(&vector, &factors, &mut products, four_dots::<Exact>);
+                dots(&vector, Rows::first(&factors, len, rows), &mut products, four_dots::<Exact>);
                 assert_eq!(products[..rows], want);
-                dots(&vector, &factors, &mut products, four_dots::<Fused>);
+                dots(&vector, Rows::first(&factors, len, rows), &mut products, four_dots::<Fused>);
                 assert_eq!(products[..rows], want);
             }
         }

@@ -13,6 +13,7 @@ pub mod build;
 pub mod dot;
 pub mod mark;
 pub mod product;
+pub mod rows;
 pub mod several;
 pub mod softmax;
 #[cfg(all(feature = "std", target_arch = "x86_64"))]
@@ -23,7 +24,8 @@ use core::marker::PhantomData;
 use arithmetic::Arithmetic;
 use mark::{Marks, lanes_not_zero};
 use product::{Around, Sparse};
-use several::Pair;
+use rows::Rows;
+use several::{AddRows, Pair, STRIP};
 
 /// The kernels of one build and one profile.
 pub trait Kernels: Copy {
@@ -46,13 +48,13 @@ pub trait Kernels: Copy {
     fn products(self, weights: &[f32], pairs: &mut [Pair<'_>], around: Around<'_>);
 
     /// Dot products of one vector with rows ([`dot::dots`]).
-    fn dots(self, vector: &[f32], rows: &[f32], products: &mut [f32]);
+    fn dots(self, vector: &[f32], rows: Rows<'_>, products: &mut [f32]);
 
     /// Scores become weights ([`softmax::softmax`]).
     fn softmax(self, scores: &mut [f32], count: usize) -> bool;
 
     /// The weighted sum of rows ([`product::mix`]).
-    fn mix(self, weights: &[f32], rows: &[f32], sums: &mut [f32]);
+    fn mix(self, weights: &[f32], rows: Rows<'_>, sums: &mut [f32]);
 }
 
 /// The kernels as every processor of the target runs them.
@@ -100,10 +102,10 @@ impl<A: Arithmetic> Kernels for Portable<A> {
     }
 
     fn products(self, weights: &[f32], pairs: &mut [Pair<'_>], around: Around<'_>) {
-        several::products::<A, 8>(weights, pairs, around);
+        several::products::<A>(self, weights, pairs, around);
     }
 
-    fn dots(self, vector: &[f32], rows: &[f32], products: &mut [f32]) {
+    fn dots(self, vector: &[f32], rows: Rows<'_>, products: &mut [f32]) {
         dot::dots(vector, rows, products, dot::four_dots::<A>);
     }
 
@@ -111,7 +113,20 @@ impl<A: Arithmetic> Kernels for Portable<A> {
         softmax::softmax(scores, count)
     }
 
-    fn mix(self, weights: &[f32], rows: &[f32], sums: &mut [f32]) {
+    fn mix(self, weights: &[f32], rows: Rows<'_>, sums: &mut [f32]) {
         product::mix::<A>(weights, rows, sums);
+    }
+}
+
+impl<P> AddRows for Portable<P> {
+    #[inline(always)]
+    fn add_rows<A: Arithmetic, const WIDTH: usize, const COUNT: usize>(
+        self,
+        rows: &[[f32; WIDTH]],
+        part: usize,
+        start: [f32; STRIP],
+        inputs: [&[f32]; COUNT],
+    ) -> [[f32; STRIP]; COUNT] {
+        several::add_rows::<A, WIDTH, COUNT>(rows, part, start, inputs)
     }
 }

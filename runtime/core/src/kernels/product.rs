@@ -5,6 +5,7 @@
 
 use super::arithmetic::Arithmetic;
 use super::mark::{MARKED, Marks};
+use super::rows::Rows;
 use crate::math::relu_all;
 
 /// Columns of the widest tile.
@@ -102,39 +103,39 @@ pub fn sparse_product<A: Arithmetic>(
     }
 }
 
-/// The sum of rows, each times its weight; `rows` is as wide as `sums`, a multiple of eight.
+/// The sum of rows, each times its weight, as wide as a row: a multiple of eight.
 #[inline(always)]
-pub fn mix<A: Arithmetic>(weights: &[f32], rows: &[f32], sums: &mut [f32]) {
-    let mut columns = Columns { weights, rows, stride: sums.len(), first: 0 };
-    let (tiles, sums) = sums.as_chunks_mut::<64>();
-    tiles.iter_mut().for_each(|sums| columns.mix::<A, 64>(sums));
-    let (tiles, sums) = sums.as_chunks_mut::<32>();
-    tiles.iter_mut().for_each(|sums| columns.mix::<A, 32>(sums));
-    let (tiles, _) = sums.as_chunks_mut::<8>();
-    tiles.iter_mut().for_each(|sums| columns.mix::<A, 8>(sums));
+pub fn mix<A: Arithmetic>(weights: &[f32], rows: Rows<'_>, sums: &mut [f32]) {
+    let mut first = 0;
+    let mut sums = sums;
+    while let Some(sums) = sums.split_off_mut(..64) {
+        mix_columns::<A, 64>(weights, rows, &mut first, sums);
+    }
+    while let Some(sums) = sums.split_off_mut(..32) {
+        mix_columns::<A, 32>(weights, rows, &mut first, sums);
+    }
+    while let Some(sums) = sums.split_off_mut(..8) {
+        mix_columns::<A, 8>(weights, rows, &mut first, sums);
+    }
 }
 
-/// The columns of rows that are still to be summed up, from `first` on.
-struct Columns<'a> {
-    weights: &'a [f32],
-    rows: &'a [f32],
-    stride: usize,
-    first: usize,
-}
-
-impl Columns<'_> {
-    #[inline(always)]
-    fn mix<A: Arithmetic, const WIDTH: usize>(&mut self, sums: &mut [f32; WIDTH]) {
-        let columns = self.first..self.first + WIDTH;
-        self.first = columns.end;
-        *sums = [0.0; WIDTH];
-        let mut mixed = *sums;
-        for (weight, row) in self.weights.iter().zip(self.rows.chunks_exact(self.stride)) {
-            let Some(row) = row.get(columns.clone()).and_then(|row| row.first_chunk()) else {
-                return;
-            };
-            add_row::<A, WIDTH>(&mut mixed, *weight, row);
-        }
+/// The sums of some columns, the first of which is `first`.
+#[inline(always)]
+fn mix_columns<A: Arithmetic, const WIDTH: usize>(
+    weights: &[f32],
+    rows: Rows<'_>,
+    first: &mut usize,
+    sums: &mut [f32],
+) {
+    let columns = *first..*first + WIDTH;
+    *first = columns.end;
+    let mut mixed = [0.0; WIDTH];
+    for (weight, slot) in weights.iter().zip(rows.slots) {
+        let row = rows.row(*slot).get(columns.clone()).and_then(|row| row.first_chunk());
+        let Some(row) = row else { return };
+        add_row::<A, WIDTH>(&mut mixed, *weight, row);
+    }
+    if let Some(sums) = sums.first_chunk_mut() {
         *sums = mixed;
     }
 }
@@ -290,7 +291,7 @@ mod tests {
         for width in (8..=256).step_by(8) {
             let (weights, rows) = (numbers(7, 5), numbers(7 * width, 6));
             let mut sums = vec![f32::NAN; width];
-            mix::<Exact>(&weights, &rows, &mut sums);
+            mix::<Exact>(&weights, Rows::first(&rows, width, 7), &mut sums);
             for (column, sum) in sums.iter().enumerate() {
                 let terms = weights.iter().zip(rows.chunks(width));
                 let want = terms.fold(0.0, |sum, (weight, row)| sum + weight * row[column]);

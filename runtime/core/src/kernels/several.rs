@@ -15,10 +15,27 @@ pub struct Pair<'a> {
 /// Most vectors whose sums fit into registers beside the weights.
 const GROUP: usize = 6;
 
+/// Columns whose sums are held together.
+pub const STRIP: usize = 16;
+
+/// Adds up rows of weights for several vectors.
+pub trait AddRows: Copy {
+    /// For every vector `start`, plus each row's strip `part` times the vector's input, one row after the other.
+    /// There are as many inputs as rows.
+    fn add_rows<A: Arithmetic, const WIDTH: usize, const COUNT: usize>(
+        self,
+        rows: &[[f32; WIDTH]],
+        part: usize,
+        start: [f32; STRIP],
+        inputs: [&[f32]; COUNT],
+    ) -> [[f32; STRIP]; COUNT];
+}
+
 /// Writes the product of a matrix and every pair's inputs to its outputs, each with the bits that
-/// [`super::product::product`] gives. Sums are held for strips of `STRIP` columns of up to six vectors.
+/// [`super::product::product`] gives.
 #[inline(always)]
-pub fn products<A: Arithmetic, const STRIP: usize>(
+pub fn products<A: Arithmetic>(
+    adder: impl AddRows,
     weights: &[f32],
     pairs: &mut [Pair<'_>],
     around: Around<'_>,
@@ -30,10 +47,10 @@ pub fn products<A: Arithmetic, const STRIP: usize>(
     let mut tiles = Tiles { weights, around, rows, column: 0 };
     while tiles.column < columns {
         let done = match tile_width(columns - tiles.column) {
-            64 => tiles.add_all::<A, 64, STRIP>(pairs, group),
-            32 => tiles.add_all::<A, 32, STRIP>(pairs, group),
-            16 => tiles.add_all::<A, 16, 16>(pairs, group),
-            _ => tiles.add_all::<A, 8, 8>(pairs, group),
+            64 => tiles.add_wide::<A, 64>(adder, pairs, group),
+            32 => tiles.add_wide::<A, 32>(adder, pairs, group),
+            16 => tiles.add_wide::<A, 16>(adder, pairs, group),
+            _ => tiles.add_narrow::<A>(pairs),
         };
         if done.is_none() {
             return;
@@ -50,38 +67,60 @@ struct Tiles<'w> {
 }
 
 impl Tiles<'_> {
-    /// Works on the next tile, which is `WIDTH` columns wide.
+    /// Works on the next tile, which is `WIDTH` columns wide, strip by strip.
     #[inline(always)]
-    fn add_all<A: Arithmetic, const WIDTH: usize, const STRIP: usize>(
+    fn add_wide<A: Arithmetic, const WIDTH: usize>(
         &mut self,
+        adder: impl AddRows,
         pairs: &mut [Pair<'_>],
         group: usize,
     ) -> Option<()> {
         let rows = split_off_rows::<WIDTH>(&mut self.weights, self.rows)?;
         for part in 0..WIDTH / STRIP {
-            let first = self.column + part * STRIP;
-            let bias = self.around.bias.and_then(|bias| bias.get(first..)?.first_chunk());
-            let start = bias.copied().unwrap_or([0.0; STRIP]);
-            let strip = Strip { rows, part, start, relu: self.around.relu, first };
+            let start = self.start();
+            let strip = Strip { rows, part, start, relu: self.around.relu, first: self.column };
             for pairs in pairs.chunks_mut(group) {
                 match pairs.len() {
-                    1 => strip.add_all::<A, 1>(pairs),
-                    2 => strip.add_all::<A, 2>(pairs),
-                    3 => strip.add_all::<A, 3>(pairs),
-                    4 => strip.add_all::<A, 4>(pairs),
-                    5 => strip.add_all::<A, 5>(pairs),
-                    _ => strip.add_all::<A, GROUP>(pairs),
+                    1 => strip.add::<A, 1>(adder, pairs),
+                    2 => strip.add::<A, 2>(adder, pairs),
+                    3 => strip.add::<A, 3>(adder, pairs),
+                    4 => strip.add::<A, 4>(adder, pairs),
+                    5 => strip.add::<A, 5>(adder, pairs),
+                    _ => strip.add::<A, GROUP>(adder, pairs),
                 }
             }
+            self.column += STRIP;
         }
-        self.column += WIDTH;
         Some(())
+    }
+
+    /// Works on the next tile, which is eight columns wide: the last of a matrix, and small.
+    #[inline(always)]
+    fn add_narrow<A: Arithmetic>(&mut self, pairs: &mut [Pair<'_>]) -> Option<()> {
+        let rows = split_off_rows::<8>(&mut self.weights, self.rows)?;
+        for pair in pairs {
+            let mut sums: [f32; 8] = self.start();
+            for (input, row) in pair.inputs.iter().zip(rows) {
+                add_row::<A, 8>(&mut sums, *input, row);
+            }
+            *pair.outputs.get_mut(self.column..)?.first_chunk_mut()? =
+                finished(sums, self.around.relu);
+        }
+        self.column += 8;
+        Some(())
+    }
+
+    /// Where the sums of the next columns start.
+    #[inline(always)]
+    fn start<const COLUMNS: usize>(&self) -> [f32; COLUMNS] {
+        let bias = self.around.bias.and_then(|bias| bias.get(self.column..)?.first_chunk());
+        bias.copied().unwrap_or([0.0; COLUMNS])
     }
 }
 
 /// Some neighbouring columns of a tile.
 #[derive(Clone, Copy)]
-struct Strip<'w, const WIDTH: usize, const STRIP: usize> {
+struct Strip<'w, const WIDTH: usize> {
     rows: &'w [[f32; WIDTH]],
     /// Which strip of the tile it is.
     part: usize,
@@ -91,20 +130,13 @@ struct Strip<'w, const WIDTH: usize, const STRIP: usize> {
     first: usize,
 }
 
-impl<const WIDTH: usize, const STRIP: usize> Strip<'_, WIDTH, STRIP> {
+impl<const WIDTH: usize> Strip<'_, WIDTH> {
     #[inline(always)]
-    fn add_all<A: Arithmetic, const COUNT: usize>(self, pairs: &mut [Pair<'_>]) {
+    fn add<A: Arithmetic, const COUNT: usize>(self, adder: impl AddRows, pairs: &mut [Pair<'_>]) {
         let Some(pairs) = pairs.first_chunk_mut::<COUNT>() else { return };
-        let mut sums = [self.start; COUNT];
         let inputs = pairs.each_ref().map(|pair| pair.inputs.get(..self.rows.len()));
         let inputs = inputs.map(|inputs| inputs.unwrap_or(&[]));
-        for (index, row) in self.rows.iter().enumerate() {
-            let Some(row) = row.as_chunks::<STRIP>().0.get(self.part) else { return };
-            for (sums, inputs) in sums.iter_mut().zip(inputs) {
-                let Some(input) = inputs.get(index) else { return };
-                add_row::<A, STRIP>(sums, *input, row);
-            }
-        }
+        let sums = adder.add_rows::<A, WIDTH, COUNT>(self.rows, self.part, self.start, inputs);
         for (sums, pair) in sums.into_iter().zip(pairs) {
             let columns = pair.outputs.get_mut(self.first..);
             if let Some(columns) = columns.and_then(|columns| columns.first_chunk_mut()) {
@@ -114,9 +146,29 @@ impl<const WIDTH: usize, const STRIP: usize> Strip<'_, WIDTH, STRIP> {
     }
 }
 
+/// [`AddRows`] as every processor of the target runs it.
+#[inline(always)]
+pub(super) fn add_rows<A: Arithmetic, const WIDTH: usize, const COUNT: usize>(
+    rows: &[[f32; WIDTH]],
+    part: usize,
+    start: [f32; STRIP],
+    inputs: [&[f32]; COUNT],
+) -> [[f32; STRIP]; COUNT] {
+    let mut sums = [start; COUNT];
+    'rows: for (index, row) in rows.iter().enumerate() {
+        let Some(row) = row.as_chunks::<STRIP>().0.get(part) else { break };
+        for (sums, inputs) in sums.iter_mut().zip(inputs) {
+            let Some(input) = inputs.get(index) else { break 'rows };
+            add_row::<A, STRIP>(sums, *input, row);
+        }
+    }
+    sums
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::kernels::Portable;
     use crate::kernels::arithmetic::Exact;
     use crate::kernels::product::product;
     use std::vec::Vec;
@@ -141,7 +193,7 @@ mod tests {
                         .zip(together.chunks_mut(columns))
                         .map(|(inputs, outputs)| Pair { inputs, outputs })
                         .collect();
-                    products::<Exact, 16>(&weights, &mut pairs, around);
+                    products::<Exact>(Portable::<Exact>::new(), &weights, &mut pairs, around);
                     assert_eq!(alone, together, "{count} vectors, {rows} x {columns}");
                 }
             }

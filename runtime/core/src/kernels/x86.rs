@@ -4,9 +4,10 @@
 //! with intrinsics: comparing eight values into a byte, and the four dot products that end in one tree.
 
 use core::arch::x86_64::{
-    __m128, __m256, _CMP_NEQ_UQ, _mm_add_ps, _mm256_add_ps, _mm256_castps256_ps128, _mm256_cmp_ps,
-    _mm256_extractf128_ps, _mm256_fmadd_ps, _mm256_hadd_ps, _mm256_movemask_ps, _mm256_mul_ps,
-    _mm256_setzero_ps,
+    __m128, __m256, __m512, _CMP_NEQ_UQ, _mm_add_ps, _mm256_add_ps, _mm256_castps256_ps128,
+    _mm256_cmp_ps, _mm256_extractf128_ps, _mm256_fmadd_ps, _mm256_hadd_ps, _mm256_movemask_ps,
+    _mm256_mul_ps, _mm256_set1_ps, _mm256_setzero_ps, _mm512_add_ps, _mm512_fmadd_ps,
+    _mm512_mul_ps, _mm512_set1_ps,
 };
 use core::marker::PhantomData;
 
@@ -17,7 +18,8 @@ use super::arithmetic::Arithmetic;
 use super::dot::{self, ROWS};
 use super::mark::{self, LANES, Marks};
 use super::product::{self, Around, Sparse};
-use super::several::{self, Pair};
+use super::rows::Rows;
+use super::several::{self, AddRows, Pair, STRIP};
 use super::softmax;
 
 /// A bit for each value that is not zero.
@@ -65,9 +67,78 @@ fn four_dots<A: Arithmetic>(vector: &[f32], rows: [&[f32]; ROWS]) -> [f32; ROWS]
     transmute!(_mm_add_ps(first, second))
 }
 
+/// [`AddRows`] in two vectors of eight columns.
+#[inline]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
+fn add_rows_avx2<A: Arithmetic, const WIDTH: usize, const COUNT: usize>(
+    rows: &[[f32; WIDTH]],
+    part: usize,
+    start: [f32; STRIP],
+    inputs: [&[f32]; COUNT],
+) -> [[f32; STRIP]; COUNT] {
+    let start: [__m256; 2] = transmute!(start);
+    let mut sums = [start; COUNT];
+    // One way out, so that the lengths of all inputs are compared once.
+    'rows: for (index, row) in rows.iter().enumerate() {
+        let Some(row) = row.as_chunks::<STRIP>().0.get(part) else { break };
+        let weights: [__m256; 2] = transmute!(*row);
+        for (sums, inputs) in sums.iter_mut().zip(inputs) {
+            let Some(input) = inputs.get(index) else { break 'rows };
+            let input = _mm256_set1_ps(*input);
+            for (sum, weight) in sums.iter_mut().zip(weights) {
+                *sum = if A::FUSED {
+                    _mm256_fmadd_ps(input, weight, *sum)
+                } else {
+                    _mm256_add_ps(*sum, _mm256_mul_ps(input, weight))
+                };
+            }
+        }
+    }
+    sums.map(|sums| transmute!(sums))
+}
+
+/// [`AddRows`] in one vector of sixteen columns.
+#[inline]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
+fn add_rows_avx512<A: Arithmetic, const WIDTH: usize, const COUNT: usize>(
+    rows: &[[f32; WIDTH]],
+    part: usize,
+    start: [f32; STRIP],
+    inputs: [&[f32]; COUNT],
+) -> [[f32; STRIP]; COUNT] {
+    let add = |sums: &mut [__m512; COUNT], row: &[f32; WIDTH], inputs: [f32; COUNT]| {
+        let Some(row) = row.as_chunks::<STRIP>().0.get(part) else { return };
+        let weights: __m512 = transmute!(*row);
+        for (sum, input) in sums.iter_mut().zip(inputs) {
+            let input = _mm512_set1_ps(input);
+            *sum = if A::FUSED {
+                _mm512_fmadd_ps(input, weights, *sum)
+            } else {
+                _mm512_add_ps(*sum, _mm512_mul_ps(input, weights))
+            };
+        }
+    };
+    let start: __m512 = transmute!(start);
+    let mut sums = [start; COUNT];
+    // Four rows a turn, so that counting and checking cost little beside so few instructions.
+    let (groups, rest) = rows.as_chunks::<4>();
+    let inputs = inputs.map(|inputs| inputs.as_chunks::<4>());
+    for (index, [a, b, c, d]) in groups.iter().enumerate() {
+        let inputs = inputs.map(|(groups, _)| groups.get(index).unwrap_or(&[0.0; 4]));
+        add(&mut sums, a, inputs.map(|[input, _, _, _]| *input));
+        add(&mut sums, b, inputs.map(|[_, input, _, _]| *input));
+        add(&mut sums, c, inputs.map(|[_, _, input, _]| *input));
+        add(&mut sums, d, inputs.map(|[_, _, _, input]| *input));
+    }
+    for (index, row) in rest.iter().enumerate() {
+        add(&mut sums, row, inputs.map(|(_, rest)| rest.get(index).copied().unwrap_or(0.0)));
+    }
+    sums.map(|sums| transmute!(sums))
+}
+
 /// Builds all kernels for an instruction set.
 macro_rules! build {
-    ($(#[$doc:meta])* $name:ident, $module:ident, $features:literal, $strip:literal) => {
+    ($(#[$doc:meta])* $name:ident, $module:ident, $add_rows:ident, $features:literal) => {
         $(#[$doc])*
         #[derive(Debug)]
         pub(super) struct $name<A>(PhantomData<A>);
@@ -122,11 +193,11 @@ macro_rules! build {
 
             #[inline]
             fn products(self, weights: &[f32], pairs: &mut [Pair<'_>], around: Around<'_>) {
-                unsafe { $module::products::<A>(weights, pairs, around) }
+                unsafe { $module::products::<A>(self, weights, pairs, around) }
             }
 
             #[inline]
-            fn dots(self, vector: &[f32], rows: &[f32], products: &mut [f32]) {
+            fn dots(self, vector: &[f32], rows: Rows<'_>, products: &mut [f32]) {
                 unsafe { $module::dots::<A>(vector, rows, products) }
             }
 
@@ -136,8 +207,23 @@ macro_rules! build {
             }
 
             #[inline]
-            fn mix(self, weights: &[f32], rows: &[f32], sums: &mut [f32]) {
+            fn mix(self, weights: &[f32], rows: Rows<'_>, sums: &mut [f32]) {
                 unsafe { $module::mix::<A>(weights, rows, sums) }
+            }
+        }
+
+        // SAFETY: as above.
+        #[allow(unsafe_code, clippy::undocumented_unsafe_blocks)]
+        impl<P> AddRows for $name<P> {
+            #[inline(always)]
+            fn add_rows<A: Arithmetic, const WIDTH: usize, const COUNT: usize>(
+                self,
+                rows: &[[f32; WIDTH]],
+                part: usize,
+                start: [f32; STRIP],
+                inputs: [&[f32]; COUNT],
+            ) -> [[f32; STRIP]; COUNT] {
+                unsafe { $add_rows::<A, WIDTH, COUNT>(rows, part, start, inputs) }
             }
         }
 
@@ -171,15 +257,16 @@ macro_rules! build {
 
             #[target_feature(enable = $features)]
             pub(super) fn products<A: Arithmetic>(
+                kernels: $name<A>,
                 weights: &[f32],
                 pairs: &mut [Pair<'_>],
                 around: Around<'_>,
             ) {
-                several::products::<A, $strip>(weights, pairs, around);
+                several::products::<A>(kernels, weights, pairs, around);
             }
 
             #[target_feature(enable = $features)]
-            pub(super) fn dots<A: Arithmetic>(vector: &[f32], rows: &[f32], products: &mut [f32]) {
+            pub(super) fn dots<A: Arithmetic>(vector: &[f32], rows: Rows<'_>, products: &mut [f32]) {
                 dot::dots(vector, rows, products, |vector, rows| four_dots::<A>(vector, rows));
             }
 
@@ -189,7 +276,7 @@ macro_rules! build {
             }
 
             #[target_feature(enable = $features)]
-            pub(super) fn mix<A: Arithmetic>(weights: &[f32], rows: &[f32], sums: &mut [f32]) {
+            pub(super) fn mix<A: Arithmetic>(weights: &[f32], rows: Rows<'_>, sums: &mut [f32]) {
                 product::mix::<A>(weights, rows, sums);
             }
         }
@@ -198,11 +285,11 @@ macro_rules! build {
 
 build! {
     /// The kernels for processors with AVX2 and fused multiply-add.
-    Avx2, avx2, "avx2,fma,bmi1,bmi2,lzcnt,popcnt", 16
+    Avx2, avx2, add_rows_avx2, "avx2,fma,bmi1,bmi2,lzcnt,popcnt"
 }
 
 build! {
     /// The kernels for processors that also have AVX-512.
-    Avx512, avx512,
-    "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl", 32
+    Avx512, avx512, add_rows_avx512,
+    "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl"
 }

@@ -1,10 +1,14 @@
 //! Multi-head attention of one query: the agent's own.
 
+use core::ops::Range;
+
 use serde::{Deserialize, Serialize};
 
+use super::team::{Member, Team};
 use super::{Linear, Place, Scratch, Sizes, places, slice};
 use crate::kernels::Kernels;
 use crate::kernels::product::{Around, Sparse, padded};
+use crate::kernels::rows::Rows;
 use crate::kernels::softmax::slots;
 use crate::policy::DecideError;
 
@@ -116,35 +120,94 @@ impl AttendOwn {
         }
         let [rows, query, absorbed, scores, mixed, attended, to] =
             places(scratch.floats, self.places().each_ref())?;
-        let rows = rows.get(..visible * self.padded_width()).ok_or(DecideError::BadLength)?;
+        let rows = Rows::first(rows, self.padded_width(), visible);
         let outputs = attended.chunks_exact_mut(padded(self.head_width()));
         for (head, output) in (0..usize::from(self.heads)).zip(outputs) {
             if visible == 0 {
                 output.fill(0.0);
                 continue;
             }
-            let scores = scores.get_mut(..slots(visible)).ok_or(DecideError::BadLength)?;
             if visible > 1 {
-                let keys = self.head_matrix(weights, self.keys, self.keys_len(), head)?;
-                let start = head * self.head_width();
-                let query = query.get(start..start + self.head_width());
-                let query = query.ok_or(DecideError::BadLength)?;
-                kernels.product(keys, query, Around::NOTHING, absorbed);
-                kernels.dots(absorbed, rows, scores);
-                if !kernels.softmax(scores, visible) {
-                    return Err(DecideError::NonFinite);
-                }
-            } else {
-                // The weight of a single entity is one, whatever its score.
-                scores.fill(1.0);
+                let query = query.get(self.head(head)).ok_or(DecideError::BadLength)?;
+                kernels.product(self.keys(weights, head)?, query, Around::NOTHING, absorbed);
             }
-            kernels.mix(scores, rows, mixed);
-            let values = self.head_matrix(weights, self.values, self.values_len(), head)?;
+            self.attend(kernels, rows, absorbed, scores, mixed)?;
             let mixed = mixed.get(..usize::from(self.width)).ok_or(DecideError::BadLength)?;
-            kernels.product(values, mixed, Around::NOTHING, output);
+            kernels.product(self.values(weights, head)?, mixed, Around::NOTHING, output);
         }
         let around = self.output.around(weights, self.relu)?;
         kernels.product(self.output.matrix(weights)?, attended, around, to);
+        Ok(())
+    }
+
+    /// Mixes rows by one head's scores.
+    #[inline(always)]
+    fn attend(
+        &self,
+        kernels: impl Kernels,
+        rows: Rows<'_>,
+        absorbed: &[f32],
+        scores: &mut [f32],
+        mixed: &mut [f32],
+    ) -> Result<(), DecideError> {
+        let visible = rows.slots.len();
+        let scores = scores.get_mut(..slots(visible)).ok_or(DecideError::BadLength)?;
+        if visible > 1 {
+            kernels.dots(absorbed, rows, scores);
+            if !kernels.softmax(scores, visible) {
+                return Err(DecideError::NonFinite);
+            }
+        } else {
+            // The weight of a single entity is one, whatever its score.
+            scores.fill(1.0);
+        }
+        kernels.mix(scores, rows, mixed);
+        Ok(())
+    }
+
+    /// As [`Self::run`] for all members of a team.
+    pub(super) fn run_team(
+        &self,
+        kernels: impl Kernels,
+        weights: &[f32],
+        team: &mut Team<'_>,
+    ) -> Result<(), DecideError> {
+        let asks = |member: &Member| member.slots.len() > 1;
+        let sees = |member: &Member| !member.slots.is_empty();
+        let (width, absorbed) = (usize::from(self.width), &self.absorbed);
+        let step = padded(self.head_width());
+        let (matrix, around) = (self.query.matrix(weights)?, self.query.around(weights, false)?);
+        kernels.products(matrix, &mut team.own_rows(width, &self.query_place, asks), around);
+        for head in 0..usize::from(self.heads) {
+            let query = self.query_place.part(self.head(head));
+            let matrix = self.keys(weights, head)?;
+            kernels.products(matrix, &mut team.pairs(&query, absorbed, asks), Around::NOTHING);
+            self.attend_team(kernels, team)?;
+            let mixed = self.mixed.part(0..width);
+            let output = self.attended.part(head * step..(head + 1) * step);
+            let matrix = self.values(weights, head)?;
+            kernels.products(matrix, &mut team.pairs(&mixed, &output, sees), Around::NOTHING);
+        }
+        let (matrix, around) =
+            (self.output.matrix(weights)?, self.output.around(weights, self.relu)?);
+        kernels.products(matrix, &mut team.pairs(&self.attended, &self.to, |_| true), around);
+        Ok(())
+    }
+
+    /// Mixes rows by one head's scores for every member; who sees nothing gets zeros.
+    fn attend_team(&self, kernels: impl Kernels, team: &mut Team<'_>) -> Result<(), DecideError> {
+        let [_, _, absorbed, scores, mixed, attended, _] = self.places();
+        let wanted = [absorbed, scores, mixed, attended].map(|place| team.own_place(&place));
+        let Team { rows, own, own_floats, members, .. } = team;
+        for (member, floats) in members.iter_mut().zip(own.chunks_exact_mut(*own_floats)) {
+            let [absorbed, scores, mixed, attended] = places(floats, wanted.each_ref())?;
+            if member.slots.is_empty() {
+                attended.fill(0.0);
+                continue;
+            }
+            let rows = Rows { floats: rows, width: self.padded_width(), slots: &member.slots };
+            member.alone |= self.attend(kernels, rows, absorbed, scores, mixed).is_err();
+        }
         Ok(())
     }
 
@@ -168,14 +231,19 @@ impl AttendOwn {
         Ok(())
     }
 
-    #[inline(always)]
-    fn head_matrix<'w>(
-        &self,
-        weights: &'w [f32],
-        offset: u32,
-        len: usize,
-        head: usize,
-    ) -> Result<&'w [f32], DecideError> {
-        slice(weights, offset.saturating_add((head * len) as u32), len)
+    /// The range of one head's part of q.
+    fn head(&self, head: usize) -> Range<usize> {
+        let start = head * self.head_width();
+        start..start + self.head_width()
+    }
+
+    fn keys<'w>(&self, weights: &'w [f32], head: usize) -> Result<&'w [f32], DecideError> {
+        let len = self.keys_len();
+        slice(weights, self.keys.saturating_add((head * len) as u32), len)
+    }
+
+    fn values<'w>(&self, weights: &'w [f32], head: usize) -> Result<&'w [f32], DecideError> {
+        let len = self.values_len();
+        slice(weights, self.values.saturating_add((head * len) as u32), len)
     }
 }

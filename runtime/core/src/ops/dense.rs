@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::team::Team;
 use super::{Linear, Place, Scratch, Sizes, places};
 use crate::kernels::Kernels;
 use crate::kernels::product::Sparse;
@@ -55,6 +56,19 @@ impl Dense {
         } else {
             kernels.product(matrix, from, around, to);
         }
+        Ok(())
+    }
+
+    /// As [`Self::run`] for all members of a team, zeros not left out: which they are differs between members.
+    pub(super) fn run_team(
+        &self,
+        kernels: impl Kernels,
+        weights: &[f32],
+        team: &mut Team<'_>,
+    ) -> Result<(), DecideError> {
+        let around = self.layer.around(weights, self.relu)?;
+        let pairs = &mut team.pairs(&self.from, &self.to, |_| true);
+        kernels.products(self.layer.matrix(weights)?, pairs, around);
         Ok(())
     }
 }

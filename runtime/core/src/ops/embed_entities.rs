@@ -2,7 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::team::{Member, Team};
 use super::{Linear, Place, Scratch, Sizes, places};
+use crate::entity_mask::EntityMask;
 use crate::kernels::Kernels;
 use crate::kernels::mark::Marks;
 use crate::kernels::product::Sparse;
@@ -65,6 +67,40 @@ impl EmbedEntities {
             }
             let inputs = self.inputs(kernels, entity, observation, scratch.nonzeros)?;
             kernels.sparse_product(matrix, inputs, around, row);
+        }
+        Ok(())
+    }
+
+    /// As [`Self::run`] for all members of a team: a row that several see is embedded once.
+    pub(super) fn run_team(
+        &self,
+        kernels: impl Kernels,
+        weights: &[f32],
+        observations: &[Observation<'_>],
+        team: &mut Team<'_>,
+    ) -> Result<(), DecideError> {
+        let matrix = self.layer.matrix(weights)?;
+        let around = self.layer.around(weights, self.relu)?;
+        let Team { rows, nonzeros, members, .. } = team;
+        let own = |member: &Member| observations.get(member.index);
+        let mut union = EntityMask::EMPTY;
+        for observation in members.iter().filter_map(own) {
+            union = union.or(&observation.visible);
+            union.insert(observation.self_index);
+        }
+        let Some(frame) = members.first().and_then(own) else { return Ok(()) };
+        let rows = rows.chunks_exact_mut(self.layer.padded_outputs());
+        for ((slot, entity), row) in (0..).zip(union.iter()).zip(rows) {
+            let inputs = self.inputs(kernels, entity, frame, nonzeros).ok();
+            let embedded = inputs.map(|inputs| {
+                kernels.sparse_product(matrix, inputs, around, row);
+                slot
+            });
+            for member in members.iter_mut() {
+                if let Some(observation) = observations.get(member.index) {
+                    member.note(observation, entity, embedded);
+                }
+            }
         }
         Ok(())
     }

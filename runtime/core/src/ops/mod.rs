@@ -8,6 +8,7 @@ mod attend_own;
 mod dense;
 mod embed_entities;
 mod masked_argmax;
+pub(crate) mod team;
 
 use serde::{Deserialize, Serialize};
 
@@ -15,6 +16,8 @@ pub use attend_own::AttendOwn;
 pub use dense::Dense;
 pub use embed_entities::EmbedEntities;
 pub use masked_argmax::MaskedArgmax;
+
+use team::Team;
 
 use crate::kernels::Kernels;
 use crate::kernels::mark::{MARKED, Marks};
@@ -81,6 +84,33 @@ impl Op {
             Self::MaskedArgmax(_) => Ok(()),
         }
     }
+
+    /// Whether the operator can work for a team, whose members' own places lie behind the first `shared` floats.
+    pub(crate) fn works_for_teams(&self, shared: u32) -> bool {
+        match self {
+            Self::EmbedEntities(op) => op.rows == Place { offset: 0, len: shared },
+            // Its places do not overlap, and the first are the shared rows.
+            Self::AttendOwn(op) => op.rows == Place { offset: 0, len: shared },
+            Self::Dense(op) => op.from.offset.min(op.to.offset) >= shared,
+            Self::MaskedArgmax(op) => op.from.offset >= shared,
+        }
+    }
+
+    /// As [`Self::run`] for all members of a team, whose observations are of one frame.
+    pub(crate) fn run_team(
+        &self,
+        kernels: impl Kernels,
+        weights: &[f32],
+        observations: &[Observation<'_>],
+        team: &mut Team<'_>,
+    ) -> Result<(), DecideError> {
+        match self {
+            Self::EmbedEntities(op) => op.run_team(kernels, weights, observations, team),
+            Self::AttendOwn(op) => op.run_team(kernels, weights, team),
+            Self::Dense(op) => op.run_team(kernels, weights, team),
+            Self::MaskedArgmax(_) => Ok(()),
+        }
+    }
 }
 
 /// The sizes of a plan that its operators are checked against.
@@ -127,6 +157,13 @@ impl Place {
     pub(crate) fn range(&self) -> core::ops::Range<usize> {
         let start = self.offset as usize;
         start..start.saturating_add(self.len as usize)
+    }
+
+    /// Some floats of the place, which stay inside it.
+    fn part(&self, range: core::ops::Range<usize>) -> Self {
+        let start = range.start.min(self.len as usize) as u32;
+        let end = range.end.min(self.len as usize) as u32;
+        Self { offset: self.offset.saturating_add(start), len: end.saturating_sub(start) }
     }
 
     fn disjoint(&self, other: &Self) -> bool {

@@ -4,14 +4,17 @@
 //! the observation's sake ([`DecideError`]). Weights are never copied: they stay in the caller's bytes, be that
 //! flash, a memory map or [`AlignedBytes`].
 
-#[cfg(feature = "std")]
+#[cfg(any(test, feature = "std"))]
 mod aligned;
+mod batch;
 mod error;
 mod header;
 mod in_place;
 mod program;
+#[cfg(test)]
+mod tests;
 
-#[cfg(feature = "std")]
+#[cfg(any(test, feature = "std"))]
 pub use aligned::AlignedBytes;
 pub use error::{Part, PlanError};
 pub use header::{
@@ -27,6 +30,8 @@ use crate::checksum::{CRC32C, crc32c};
 use crate::choose::masked_argmax;
 use crate::kernels::Kernels;
 use crate::kernels::arithmetic::Exact;
+#[cfg(any(test, feature = "std"))]
+use crate::kernels::arithmetic::Fused;
 use crate::kernels::build::{Build, Work};
 use crate::kernels::mark::Marks;
 use crate::limits;
@@ -67,7 +72,11 @@ impl<'a> Plan<'a> {
         if !rest.is_empty() {
             return Err(PlanError::ShapeMismatch { op: program.ops.len() });
         }
-        Ok(Self { header, program, weights, build: Build::widest() })
+        let build = Build::widest();
+        if header.profile == Profile::Fused && !build.fuses() {
+            return Err(PlanError::WrongProfile { got: header.profile.id() });
+        }
+        Ok(Self { header, program, weights, build })
     }
 
     /// The same plan on another build of the kernels than the widest.
@@ -159,15 +168,25 @@ impl<'a> Plan<'a> {
         let nonzeros = <[Marks]>::mut_from_bytes(list).map_err(|_| DecideError::BadLength)?;
         let mut scratch = Scratch { floats, nonzeros, visible: 0, own: 0 };
         let execution = Execution { plan: self, observation, scratch: &mut scratch };
-        self.build.run::<Exact, _>(execution)?;
+        self.execute(execution)?;
         let place = self.program.utilities().ok_or(DecideError::BadLength)?;
         let utilities = scratch.floats.get(place.range()).ok_or(DecideError::BadLength)?;
-        if utilities.iter().all(|utility| utility.is_finite()) {
-            Ok(utilities)
-        } else {
-            Err(DecideError::NonFinite)
+        finite(utilities)
+    }
+
+    /// Runs work on the plan's build and in its profile.
+    fn execute<W: Work>(&self, work: W) -> W::Output {
+        match self.header.profile {
+            #[cfg(any(test, feature = "std"))]
+            Profile::Fused => self.build.run::<Fused, W>(work),
+            _ => self.build.run::<Exact, W>(work),
         }
     }
+}
+
+fn finite(utilities: &[f32]) -> Result<&[f32], DecideError> {
+    let is_finite = utilities.iter().all(|utility| utility.is_finite());
+    is_finite.then_some(utilities).ok_or(DecideError::NonFinite)
 }
 
 struct Execution<'p, 'a, 's> {
@@ -207,7 +226,10 @@ fn check(header: &Header, program: &Program) -> Result<(), PlanError> {
         && within(header.actions, limits::ACTIONS)
         && within(header.features, limits::FEATURES)
         && u64::from(header.arena_bytes) == program.arena_bytes();
-    if !fits {
+    // Plans of the first version say nothing about teams.
+    let per_agent = 4 * u64::from(program.own_floats().unwrap_or(0));
+    let fits_teams = [0, per_agent].contains(&u64::from(header.arena_bytes_per_agent));
+    if !fits || !fits_teams {
         return Err(PlanError::ShapeMismatch { op: program.ops.len() });
     }
     program.check(&sizes)

@@ -26,6 +26,15 @@ impl Program {
         4 * u64::from(self.floats) + 8 * u64::from(self.nonzeros)
     }
 
+    /// Floats of an agent's own places, behind the rows that a team shares; none where one agent is worked on
+    /// after the other.
+    pub fn own_floats(&self) -> Option<u32> {
+        let Some(Op::EmbedEntities(embed)) = self.ops.first() else { return None };
+        let shared = embed.rows.len;
+        let own = self.floats.checked_sub(shared).filter(|own| *own > 0)?;
+        self.ops.iter().all(|op| op.works_for_teams(shared)).then_some(own)
+    }
+
     /// Where the utilities stand after the program ran.
     pub fn utilities(&self) -> Option<Place> {
         match self.ops.last() {
