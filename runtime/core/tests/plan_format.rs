@@ -36,6 +36,7 @@ fn header() -> ([u8; HEADER_BYTES], Vec<(&'static str, Vec<u8>)>) {
         profile: Profile::Exact,
         network: Network::TeamValue,
         t_max: 118,
+        arena_bytes_per_agent: 120,
     };
     let word = |value: u32| value.to_le_bytes().to_vec();
     let fields = vec![
@@ -63,7 +64,8 @@ fn header() -> ([u8; HEADER_BYTES], Vec<(&'static str, Vec<u8>)>) {
         ("profile", vec![header.profile.id()]),
         ("network", vec![header.network.id()]),
         ("t_max", header.t_max.to_le_bytes().to_vec()),
-        ("reserved", vec![0; 8]),
+        ("arena_bytes_per_agent", word(header.arena_bytes_per_agent)),
+        ("reserved", vec![0; 4]),
     ];
     (header.to_bytes(checksums), fields)
 }
