@@ -142,7 +142,7 @@ impl NetworkMemory {
         }
         let plan = compile_allocator(bundle)?.ok_or(PlanError::WrongNetwork)?;
         let loaded = Plan::load(plan.as_slice())?;
-        let arena = AlignedBytes::zeroed(loaded.arena_bytes());
+        let arena = AlignedBytes::zeroed(loaded.batch_arena_bytes(sortie_core::limits::AGENTS));
         let rows = vec![0.0; PlanTeamValue::row_floats(&loaded, entities)];
         Ok(Self::Plan { plan, arena, rows })
     }
@@ -167,6 +167,19 @@ impl TeamValueNetwork for BoundNetwork<'_> {
             Self::Plan(network) => network.value(query),
             Self::Tract(network) => network.value(query),
             Self::OnnxRuntime(network) => network.value(query),
+        }
+    }
+
+    fn values(
+        &mut self,
+        query: &TeamQuery<'_>,
+        teams: &[u64],
+        values: &mut [f32],
+    ) -> Result<(), AllocateError> {
+        match self {
+            Self::Plan(network) => network.values(query, teams, values),
+            Self::Tract(network) => network.values(query, teams, values),
+            Self::OnnxRuntime(network) => network.values(query, teams, values),
         }
     }
 }

@@ -164,7 +164,7 @@ pub fn compile_bundle(bundle: &Bundle) -> Result<AlignedBytes, CompileError> {
 
 /// As [`compile_bundle`] in any profile.
 pub fn compile_bundle_as(bundle: &Bundle, profile: Profile) -> Result<AlignedBytes, CompileError> {
-    let plan = cached(bundle, bundle.agent_onnx(), profile)?;
+    let plan = cached(bundle, bundle.agent_onnx(), profile, bundle.manifest().limits.n_max.into())?;
     let actions = Plan::load(plan.as_slice())?.actions();
     if actions != usize::from(bundle.contract().actions) {
         let want = usize::from(bundle.contract().actions);
@@ -176,15 +176,22 @@ pub fn compile_bundle_as(bundle: &Bundle, profile: Profile) -> Result<AlignedByt
 /// The plan of a bundle's learned allocator, if it has one, cached in the same way.
 pub fn compile_allocator(bundle: &Bundle) -> Result<Option<AlignedBytes>, CompileError> {
     let Some(onnx) = bundle.allocator_onnx() else { return Ok(None) };
-    let plan = cached(bundle, onnx, Profile::Exact)?;
+    // Several teams are valued together, and every agent is a member of some and a stranger to others: two rows.
+    let n_max = (2 * usize::from(bundle.manifest().limits.n_max)).min(limits::ENTITIES);
+    let plan = cached(bundle, onnx, Profile::Exact, n_max)?;
     Plan::load(plan.as_slice())?.check_network(Network::TeamValue)?;
     Ok(Some(plan))
 }
 
-fn cached(bundle: &Bundle, onnx: &[u8], profile: Profile) -> Result<AlignedBytes, CompileError> {
+fn cached(
+    bundle: &Bundle,
+    onnx: &[u8],
+    profile: Profile,
+    n_max: usize,
+) -> Result<AlignedBytes, CompileError> {
     let (contract, limits) = (bundle.contract(), bundle.manifest().limits);
     let options = CompileOptions {
-        n_max: usize::from(limits.n_max),
+        n_max,
         profile,
         t_max: limits.t_max,
         features: Some(usize::from(contract.features)),
