@@ -17,8 +17,8 @@ use crate::limits;
 use crate::ops::team::{Member, TEAM, Team};
 use crate::policy::{DecideError, Decision, Observation};
 
-/// Takes the utilities of the observation of an index.
-type Answer<'a> = dyn FnMut(usize, Result<&[f32], DecideError>) + 'a;
+/// An agent's utilities in the arena, or why there are none.
+type Computed<'s> = Result<&'s [f32], DecideError>;
 
 impl Plan<'_> {
     /// Bytes of arena that every agent beyond the first needs to be worked on together with others; 0 where the
@@ -80,7 +80,7 @@ impl Plan<'_> {
         &self,
         arena: &mut [u8],
         observations: &[Observation<'_>],
-        answer: &mut Answer<'_>,
+        answer: &mut dyn FnMut(usize, Computed<'_>),
     ) {
         let mut next = 0;
         while next < observations.len() {
@@ -135,7 +135,7 @@ impl Plan<'_> {
         observations: &[Observation<'_>],
         members: Vec<Member, TEAM>,
         alone: &mut Vec<usize, TEAM>,
-        answer: &mut Answer<'_>,
+        answer: &mut dyn FnMut(usize, Computed<'_>),
     ) -> Result<(), DecideError> {
         let own_floats = self.program.own_floats().ok_or(DecideError::BadLength)? as usize;
         let shared = (self.program.floats as usize).saturating_sub(own_floats);

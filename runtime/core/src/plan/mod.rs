@@ -226,13 +226,15 @@ fn check(header: &Header, program: &Program) -> Result<(), PlanError> {
         && within(header.actions, limits::ACTIONS)
         && within(header.features, limits::FEATURES)
         && u64::from(header.arena_bytes) == program.arena_bytes();
+    let mismatch = PlanError::ShapeMismatch { op: program.ops.len() };
+    if !fits {
+        return Err(mismatch);
+    }
+    program.check(&sizes)?;
     // Plans of the first version say nothing about teams.
     let per_agent = 4 * u64::from(program.own_floats().unwrap_or(0));
     let fits_teams = [0, per_agent].contains(&u64::from(header.arena_bytes_per_agent));
-    if !fits || !fits_teams {
-        return Err(PlanError::ShapeMismatch { op: program.ops.len() });
-    }
-    program.check(&sizes)
+    fits_teams.then_some(()).ok_or(mismatch)
 }
 
 fn part(plan: &[u8], offset: u32, len: u32) -> Result<&[u8], PlanError> {
