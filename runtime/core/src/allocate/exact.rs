@@ -118,17 +118,11 @@ fn best_cell(team_max: usize, set: usize, values: &[f32], before: &[Cell]) -> Ce
 /// Follows the choices back from the last subtask to the first.
 fn write_back(teams: Teams, table: &[Cell], placed: usize, allocation: &mut [u8]) {
     let mut set = placed;
-    let mut tasks = [0_u8; crate::limits::TASKS];
-    let mut open = 0;
-    for (place, task) in tasks.iter_mut().zip(teams.tasks()) {
-        *place = task as u8;
-        open += 1;
-    }
-    for (row, task) in table.rchunks_exact(1 << teams.agents).zip(tasks.iter().take(open).rev()) {
+    for (row, task) in table.rchunks_exact(1 << teams.agents).zip(teams.tasks().rev()) {
         let team = row.get(set).map_or(0, |cell| usize::from(cell.team));
         for (agent, place) in allocation.iter_mut().enumerate() {
             if team >> agent & 1 == 1 {
-                *place = *task;
+                *place = task as u8;
             }
         }
         set &= !team;

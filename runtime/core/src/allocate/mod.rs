@@ -44,7 +44,7 @@ impl Teams {
     }
 
     /// The open subtasks in rising order.
-    fn tasks(&self) -> impl Iterator<Item = usize> + use<> {
+    fn tasks(&self) -> impl DoubleEndedIterator<Item = usize> + use<> {
         let open = self.open_tasks;
         (0..TASKS).filter(move |task| open >> task & 1 == 1)
     }
