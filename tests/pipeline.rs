@@ -23,6 +23,20 @@ fn newest_tensors(folder: &str) -> Vec<u8> {
 }
 
 #[test]
+fn every_shipped_bundle_agrees_with_its_golden_answers() {
+    let models = fs::read_dir("models").expect("the shipped bundles");
+    let mut bundles: Vec<_> = models.flatten().map(|entry| entry.path()).collect();
+    bundles.sort();
+    assert_eq!(bundles.len(), 2, "{bundles:?}");
+    for bundle in bundles {
+        let bundle = bundle.display().to_string();
+        let verified = json(&["verify", &bundle, "--inputs", "32", "--json"]);
+        let engines = verified["engines"].as_array().expect("engines");
+        assert!(engines.iter().all(|engine| engine["action_mismatches"] == 0), "{verified}");
+    }
+}
+
+#[test]
 fn a_run_becomes_a_bundle_that_a_team_plays_with() {
     let place = tempfile::tempdir().expect("a temporary folder");
     let path = |name: &str| place.path().join(name).display().to_string();
@@ -57,6 +71,10 @@ fn a_run_becomes_a_bundle_that_a_team_plays_with() {
         assert_eq!(trained[key], deployed[key], "{key}");
     }
     assert_eq!(deployed["allocation"], "learned");
+    let pairs = path("pairs");
+    let exported = ["export", &run, "--out", &pairs, "--episodes", "20", "--team-max", "2", "-q"];
+    assert!(output(&exported).status.success());
+    assert_eq!(json(&["inspect", &pairs, "--json"])["limits"]["team_max"], 2);
     allocators_are_swapped(&run, &bundle);
     let played = json(&["run", &bundle, "--in-process", "--episodes", "2", "--json"]);
     assert_eq!(played["episodes"], 2);
