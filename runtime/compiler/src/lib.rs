@@ -8,6 +8,8 @@
 mod assemble;
 mod attention;
 mod compile;
+#[cfg(test)]
+mod entities_tests;
 mod error;
 #[cfg(test)]
 mod executor_tests;
@@ -19,6 +21,8 @@ mod lower;
 mod matching;
 mod observations;
 mod parity;
+#[cfg(test)]
+mod recurrent_tests;
 #[cfg(test)]
 mod testing;
 mod tract_policy;

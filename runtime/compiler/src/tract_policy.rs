@@ -15,6 +15,8 @@ pub struct TractPolicy {
     columns: usize,
     features: usize,
     actions: usize,
+    /// The place of the utilities among the outputs.
+    answer: usize,
     compact: bool,
     utilities: Vec<f32>,
 }
@@ -36,7 +38,9 @@ impl TractPolicy {
             return Err(CompileError::Size { what, got: columns, want: features + actions });
         }
         let utilities = vec![0.0; actions];
-        Ok(Self { state, roles, columns, features, actions, compact: true, utilities })
+        let answer = graph.model.outputs.iter().position(|outlet| *outlet == graph.answer);
+        let answer = answer.unwrap_or(0);
+        Ok(Self { state, roles, columns, features, actions, answer, compact: true, utilities })
     }
 
     /// Gives all rows to the graph and leaves masking to it, as a check of the graph needs it.
@@ -56,7 +60,16 @@ impl TractPolicy {
         }
     }
 
-    fn run(&mut self, observation: &Observation<'_>) -> Result<Vec<f32>, DecideError> {
+    /// The utilities; `hidden` is replaced.
+    fn run(
+        &mut self,
+        observation: &Observation<'_>,
+        hidden: &mut [f32],
+    ) -> Result<Vec<f32>, DecideError> {
+        let (want, got) = (self.hidden(), hidden.len());
+        if want != got {
+            return Err(DecideError::HiddenState { want, got });
+        }
         let rows = self.rows(observation);
         let own = rows.iter().position(|&row| row == observation.self_index);
         let own = own.ok_or(DecideError::BadLength)? as i64;
@@ -66,20 +79,34 @@ impl TractPolicy {
         for (to, &row) in entities.chunks_exact_mut(self.columns).zip(&rows) {
             self.fill_row(row, observation, to)?;
         }
-        let count = rows.len();
+        let (count, answer, memory) = (rows.len(), self.answer, self.roles.memory);
+        let given = Tensor::from_shape(&[want], hidden).map_err(|_| DecideError::BadLength)?;
         let run = || {
             let mut inputs: Vec<(usize, Tensor)> = vec![
                 (self.roles.entities, Tensor::from_shape(&[count, self.columns], &entities)?),
                 (self.roles.self_index, Tensor::from_shape(&[1], &[own])?),
                 (self.roles.visible, Tensor::from_shape(&[count], &visible)?),
             ];
+            inputs.extend(memory.map(|memory| (memory.input, given)));
             inputs.sort_by_key(|(slot, _)| *slot);
             let outputs = self.state.run(inputs.into_iter().map(|(_, t)| t.into()).collect())?;
-            let last = outputs.last().ok_or_else(|| TractError::msg("no output"))?;
-            Ok(last.to_plain_array_view::<f32>()?.iter().copied().collect())
+            let output = |place: usize| -> TractResult<Vec<f32>> {
+                let output = outputs.get(place).ok_or_else(|| TractError::msg("no output"))?;
+                Ok(output.to_plain_array_view::<f32>()?.iter().copied().collect())
+            };
+            let state = memory.map_or(Ok(Vec::new()), |memory| output(memory.output))?;
+            Ok((output(answer)?, state))
         };
         // What tract may refuse are sizes that the graph cannot take.
-        guarded(run).map_err(|_| DecideError::BadLength)
+        let (utilities, state) = guarded(run).map_err(|_| DecideError::BadLength)?;
+        if utilities.iter().chain(&state).any(|value| !value.is_finite()) {
+            return Err(DecideError::NonFinite);
+        }
+        if state.len() != want {
+            return Err(DecideError::BadLength);
+        }
+        hidden.copy_from_slice(&state);
+        Ok(utilities)
     }
 
     fn fill_row(
@@ -117,21 +144,39 @@ impl Policy for TractPolicy {
         observation: &Observation<'_>,
         utilities: &mut [f32],
     ) -> Result<(), DecideError> {
-        let computed = self.run(observation)?;
+        self.utilities_with(observation, &mut [], utilities)
+    }
+
+    fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
+        self.decide_with(observation, &mut [])
+    }
+
+    fn hidden(&self) -> usize {
+        self.roles.memory.map_or(0, |memory| memory.size)
+    }
+
+    fn utilities_with(
+        &mut self,
+        observation: &Observation<'_>,
+        hidden: &mut [f32],
+        utilities: &mut [f32],
+    ) -> Result<(), DecideError> {
+        let computed = self.run(observation, hidden)?;
         if computed.len() != utilities.len() {
             return Err(DecideError::BadLength);
-        }
-        if computed.iter().any(|utility| !utility.is_finite()) {
-            return Err(DecideError::NonFinite);
         }
         utilities.copy_from_slice(&computed);
         Ok(())
     }
 
-    fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
+    fn decide_with(
+        &mut self,
+        observation: &Observation<'_>,
+        hidden: &mut [f32],
+    ) -> Result<Decision, DecideError> {
         let mut utilities = std::mem::take(&mut self.utilities);
         let chosen = self
-            .utilities(observation, &mut utilities)
+            .utilities_with(observation, hidden, &mut utilities)
             .and_then(|()| masked_argmax(&utilities, observation.available));
         self.utilities = utilities;
         chosen

@@ -73,7 +73,7 @@ impl<'a> PlanTeamValue<'a> {
             available: &[],
         };
         let mut value = [0.0];
-        self.plan.utilities(self.arena, &observation, &mut value)?;
+        self.plan.utilities(self.arena, &observation, None, &mut value)?;
         let [value] = value;
         Ok(value)
     }
