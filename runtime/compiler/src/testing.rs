@@ -90,7 +90,7 @@ impl Random {
         let mut gates = |inputs| std::array::from_fn(|_| self.layer(inputs, size, false));
         let unit = GruLayers { input: gates(shape.base), recurrent: gates(size) };
         layers.steps.truncate(1);
-        layers.steps.push(Step::Gru(unit));
+        layers.steps.push(Step::Gru(Box::new(unit)));
         layers.steps.push(Step::Dense(self.layer(size, shape.actions, false)));
         layers
     }

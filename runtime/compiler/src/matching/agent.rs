@@ -39,7 +39,7 @@ pub(crate) enum Step {
     /// A layer.
     Dense(Layer),
     /// A gated recurrent unit.
-    Gru(GruLayers),
+    Gru(Box<GruLayers>),
 }
 
 /// What attention asks: whose row forms the query, and what it may see.
@@ -74,7 +74,7 @@ pub(super) fn match_network(
     let mut outlet = graph.answer;
     let (output, mixed) = loop {
         if let Some(found) = match_gru(graph, outlet)? {
-            steps.push(Step::Gru(found.layers));
+            steps.push(Step::Gru(Box::new(found.layers)));
             outlet = found.input;
             continue;
         }

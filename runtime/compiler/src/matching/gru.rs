@@ -73,6 +73,13 @@ struct Unit<'g> {
     state: OutletId,
 }
 
+/// A sum of products, and all of its biases added up; none where the graph has none.
+#[derive(Default)]
+struct Sum {
+    products: Vec<(Matrix, OutletId)>,
+    bias: Vec<f32>,
+}
+
 /// One term of a sum.
 enum Term {
     Product(Matrix, OutletId),
@@ -84,7 +91,7 @@ impl Unit<'_> {
     /// `Sigmoid(W y + b + U h + c)`: both layers and y. All of the bias is the input's.
     fn gate(&self, gate: OutletId) -> Result<(Layer, Layer, OutletId), CompileError> {
         let sum = self.argument(gate)?;
-        let (mut products, bias) = self.sum(sum)?;
+        let Sum { mut products, bias } = self.sum(sum)?;
         let place = products.iter().position(|(_, input)| same(self.graph, *input, self.state));
         let (recurrent, _) = products.swap_remove(place.ok_or_else(|| self.unsupported(sum))?);
         let [(input, from)] = <[_; 1]>::try_from(products).map_err(|_| self.unsupported(sum))?;
@@ -107,7 +114,7 @@ impl Unit<'_> {
 
     /// One layer, of the state or not, and what it is applied to.
     fn one(&self, outlet: OutletId, of_state: bool) -> Result<(Layer, OutletId), CompileError> {
-        let (products, bias) = self.sum(outlet)?;
+        let Sum { products, bias } = self.sum(outlet)?;
         let [(matrix, input)] =
             <[_; 1]>::try_from(products).map_err(|_| self.unsupported(outlet))?;
         if same(self.graph, input, self.state) != of_state {
@@ -118,8 +125,8 @@ impl Unit<'_> {
     }
 
     /// The products and the summed biases of a sum, slices of either applied.
-    fn sum(&self, outlet: OutletId) -> Result<(Vec<(Matrix, OutletId)>, Vec<f32>), CompileError> {
-        let (mut products, mut bias) = (Vec::new(), Vec::new());
+    fn sum(&self, outlet: OutletId) -> Result<Sum, CompileError> {
+        let Sum { mut products, mut bias } = Sum::default();
         for term in self.terms(outlet, None) {
             match term {
                 Term::Product(matrix, input) => products.push((matrix, input)),
@@ -131,7 +138,7 @@ impl Unit<'_> {
         if !bias.is_empty() && bias.len() != outputs {
             return Err(self.unsupported(outlet));
         }
-        Ok((products, bias))
+        Ok(Sum { products, bias })
     }
 
     fn add_bias(
