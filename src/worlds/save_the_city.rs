@@ -125,6 +125,7 @@ impl Allocator for CityAllocator {
         state: &AllocationState<'_>,
         allocation: &mut [u8],
     ) -> Result<(), AllocateError> {
+        state.check(allocation)?;
         let rows = city_rows(state);
         let allocated = self.decoder.allocate(self.rule, &rows, &mut self.generator, allocation);
         allocated.map_err(refusal)

@@ -65,7 +65,7 @@ impl Bundle {
             }
             _ => BundleError::Io { path: path.clone(), source },
         })?;
-        let manifest = parse_manifest(&path, &bytes)?;
+        let manifest = Manifest::parse(&path, &bytes)?;
         let mut parts = BTreeMap::new();
         for (name, want) in &manifest.parts {
             parts.insert(name.clone(), read_part(folder, name, want)?);
@@ -191,33 +191,39 @@ impl Draft {
     }
 }
 
-fn parse_manifest(path: &Path, bytes: &[u8]) -> Result<Manifest, BundleError> {
-    let invalid = |reason: String| BundleError::Invalid { path: path.to_owned(), reason };
-    let text = str::from_utf8(bytes).map_err(|error| invalid(error.to_string()))?;
-    let unreadable =
-        |source| BundleError::Manifest { path: path.to_owned(), source: Box::new(source) };
-    // The version first: a newer file may have fields that this program does not know.
-    let table: toml::Table = text.parse().map_err(unreadable)?;
-    let format = table.get("format").and_then(toml::Value::as_integer).unwrap_or(0);
-    if format > i64::from(FORMAT) {
-        let got = u32::try_from(format).unwrap_or(u32::MAX);
-        return Err(BundleError::Version { path: path.to_owned(), got, max: FORMAT });
+impl Manifest {
+    /// Reads the bytes of a `bundle.toml` and checks version, contract and the names of the parts.
+    ///
+    /// `path` is what errors name.
+    pub fn parse(path: &Path, bytes: &[u8]) -> Result<Self, BundleError> {
+        let invalid = |reason: String| BundleError::Invalid { path: path.to_owned(), reason };
+        let text = str::from_utf8(bytes).map_err(|error| invalid(error.to_string()))?;
+        let unreadable =
+            |source| BundleError::Manifest { path: path.to_owned(), source: Box::new(source) };
+        // The version first: a newer file may have fields that this program does not know.
+        let table: toml::Table = text.parse().map_err(unreadable)?;
+        let format = table.get("format").and_then(toml::Value::as_integer).unwrap_or(0);
+        if format > i64::from(FORMAT) {
+            let got = u32::try_from(format).unwrap_or(u32::MAX);
+            return Err(BundleError::Version { path: path.to_owned(), got, max: FORMAT });
+        }
+        let manifest: Manifest = toml::from_str(text).map_err(unreadable)?;
+        if let Some(flaw) = manifest.contract.v1.flaw() {
+            return Err(invalid(flaw));
+        }
+        let (want, got) =
+            (&manifest.contract.hash, format!("{:016x}", manifest.contract.v1.hash()));
+        if *want != got {
+            return Err(BundleError::Contract { path: path.to_owned(), want: want.clone(), got });
+        }
+        if let Some(kind) = manifest.network.allocator.as_ref().filter(|kind| *kind != TEAM_VALUE) {
+            return Err(invalid(format!("allocator `{kind}` is not known: update sortie")));
+        }
+        if let Some(name) = manifest.parts.keys().find(|name| *name != GOLDEN && !is_plain(name)) {
+            return Err(invalid(format!("`{name}` in [parts] is not a plain file name")));
+        }
+        Ok(manifest)
     }
-    let manifest: Manifest = toml::from_str(text).map_err(unreadable)?;
-    if let Some(flaw) = manifest.contract.v1.flaw() {
-        return Err(invalid(flaw));
-    }
-    let (want, got) = (&manifest.contract.hash, format!("{:016x}", manifest.contract.v1.hash()));
-    if *want != got {
-        return Err(BundleError::Contract { path: path.to_owned(), want: want.clone(), got });
-    }
-    if let Some(kind) = manifest.network.allocator.as_ref().filter(|kind| *kind != TEAM_VALUE) {
-        return Err(invalid(format!("allocator `{kind}` is not known: update sortie")));
-    }
-    if let Some(name) = manifest.parts.keys().find(|name| *name != GOLDEN && !is_plain(name)) {
-        return Err(invalid(format!("`{name}` in [parts] is not a plain file name")));
-    }
-    Ok(manifest)
 }
 
 fn read_part(folder: &Path, name: &str, want: &str) -> Result<Vec<u8>, BundleError> {

@@ -4,7 +4,7 @@ use serde::Serialize;
 use sortie_bundle::{Bundle, PlanKey, cached_plan, plan_places, sha256};
 use sortie_core::limits;
 use sortie_core::ops::Op;
-use sortie_core::plan::{AlignedBytes, Network, Plan, Program};
+use sortie_core::plan::{AlignedBytes, Network, Plan, Profile, Program};
 
 use crate::assemble::{Origin, assemble};
 use crate::error::CompileError;
@@ -15,16 +15,15 @@ use crate::observations::{random_observations, random_team_queries};
 use crate::parity::{Comparison, TOLERANCE, plan_against_graph, team_values_against_graph};
 
 /// The compiler's version; a plan of another version is compiled again.
-pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), "-1");
-
-/// Name of the arithmetic profile.
-const PROFILE: &str = "exact";
+pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), "-2");
 
 /// What the file alone does not say.
 #[derive(Clone, Copy, Debug)]
 pub struct CompileOptions {
     /// Most visible entities.
     pub n_max: usize,
+    /// How the plan computes.
+    pub profile: Profile,
     /// Most subtasks, 0 if none.
     pub t_max: u16,
     /// Features d before the last action's one-hot; none: as the file's metadata says, else all columns.
@@ -40,7 +39,8 @@ pub struct CompileOptions {
 impl Default for CompileOptions {
     fn default() -> Self {
         let n_max = 32.min(limits::ENTITIES);
-        Self { n_max, t_max: 0, features: None, contract: None, inputs: 256, seed: 0 }
+        let profile = Profile::Exact;
+        Self { n_max, profile, t_max: 0, features: None, contract: None, inputs: 256, seed: 0 }
     }
 }
 
@@ -60,6 +60,8 @@ pub struct Report {
     pub flash_bytes: usize,
     /// Bytes of arena for one decision.
     pub arena_bytes: usize,
+    /// Bytes of arena for every further agent of a team that decides together, 0 where agents decide one by one.
+    pub arena_bytes_per_agent: usize,
     /// Multiply-adds of one decision with all entities visible, zeros not left out.
     pub macs: usize,
     /// Largest measured error against the graph, |a - b| / (1 + max |b|).
@@ -101,6 +103,7 @@ pub fn compile(onnx: &[u8], options: &CompileOptions) -> Result<Compiled, Compil
     let known = metadata.and_then(|hash| u64::from_str_radix(hash, 16).ok());
     let mut origin = Origin {
         source: sha256(onnx),
+        profile: options.profile,
         network,
         contract: options.contract.or(known).unwrap_or(0),
         t_max: options.t_max,
@@ -116,6 +119,7 @@ pub fn compile(onnx: &[u8], options: &CompileOptions) -> Result<Compiled, Compil
     let report = Report {
         flash_bytes: bytes.len(),
         arena_bytes: program.arena_bytes() as usize,
+        arena_bytes_per_agent: 4 * program.own_floats().unwrap_or(0) as usize,
         macs: operators.iter().map(|operator| operator.macs).sum(),
         max_rel_error: comparison.max_rel_error,
         action_mismatches: comparison.action_mismatches,
@@ -155,9 +159,14 @@ fn prove(
     Ok(comparison)
 }
 
-/// The plan of a bundle's agent, from the cache beside the bundle where it is still valid.
+/// The plan of a bundle's agent in the default profile, from the cache beside the bundle where it is still valid.
 pub fn compile_bundle(bundle: &Bundle) -> Result<AlignedBytes, CompileError> {
-    let plan = cached(bundle, bundle.agent_onnx())?;
+    compile_bundle_as(bundle, Profile::Exact)
+}
+
+/// As [`compile_bundle`] in any profile.
+pub fn compile_bundle_as(bundle: &Bundle, profile: Profile) -> Result<AlignedBytes, CompileError> {
+    let plan = cached(bundle, bundle.agent_onnx(), profile)?;
     let loaded = Plan::load(plan.as_slice())?;
     let (actions, hidden) = (loaded.actions(), loaded.hidden());
     if hidden != 0 {
@@ -174,15 +183,16 @@ pub fn compile_bundle(bundle: &Bundle) -> Result<AlignedBytes, CompileError> {
 /// The plan of a bundle's learned allocator, if it has one, cached in the same way.
 pub fn compile_allocator(bundle: &Bundle) -> Result<Option<AlignedBytes>, CompileError> {
     let Some(onnx) = bundle.allocator_onnx() else { return Ok(None) };
-    let plan = cached(bundle, onnx)?;
+    let plan = cached(bundle, onnx, Profile::Exact)?;
     Plan::load(plan.as_slice())?.check_network(Network::TeamValue)?;
     Ok(Some(plan))
 }
 
-fn cached(bundle: &Bundle, onnx: &[u8]) -> Result<AlignedBytes, CompileError> {
+fn cached(bundle: &Bundle, onnx: &[u8], profile: Profile) -> Result<AlignedBytes, CompileError> {
     let (contract, limits) = (bundle.contract(), bundle.manifest().limits);
     let options = CompileOptions {
         n_max: usize::from(limits.n_max),
+        profile,
         t_max: limits.t_max,
         features: Some(usize::from(contract.features)),
         contract: Some(contract.hash()),
@@ -190,7 +200,7 @@ fn cached(bundle: &Bundle, onnx: &[u8]) -> Result<AlignedBytes, CompileError> {
     };
     let key = PlanKey {
         onnx,
-        profile: PROFILE,
+        profile: profile.name(),
         compiler: VERSION,
         contract: contract.hash(),
         n_max: options.n_max,

@@ -1,9 +1,12 @@
 //! Networks over all entities: attention of every query, means, sums by group, several outputs.
 
+use sortie_core::kernels::build::Build;
+use sortie_core::kernels::mark::MARKED;
+use sortie_core::kernels::product::padded;
 use sortie_core::ops::{
     AttendAll, Dense, EmbedEntities, GroupSum, Linear, MeanRows, Members, Op, Output, OutputRows,
 };
-use sortie_core::plan::{AlignedBytes, Network, Plan, PlanError, Program};
+use sortie_core::plan::{AlignedBytes, Network, Plan, PlanError, Profile, Program};
 use sortie_core::{DecideError, Entities, EntityMask, PlanPolicy};
 
 use crate::assemble::{Origin, assemble};
@@ -12,7 +15,6 @@ use crate::layout::Weights;
 use crate::lower::{AgentSizes, Arena, Choice, padded_heads, side_by_side};
 use crate::matching::Layer;
 use crate::testing::{Random, apply, attend, run_forged};
-use sortie_core::kernels::product::padded;
 
 /// A critic that also gives the embedding after attention, and the sums of embeddings by group.
 struct Critic {
@@ -112,11 +114,12 @@ impl Critic {
             Op::Output(Output { from: attend.to, width, rows: OutputRows::Entities }),
             Op::Output(Output { from: sums, width, rows: by_group }),
         ];
-        let nonzeros = features.max(usize::from(width)) as u32;
+        let nonzeros = features.max(usize::from(width)).div_ceil(MARKED) as u32;
         let program = Program { ops: ops.into_iter().collect(), floats: arena.floats(), nonzeros };
         let sizes = AgentSizes { n_max, features, actions: outputs, choice: Choice::Greedy };
         let origin = Origin {
             source: [0; 32],
+            profile: Profile::Exact,
             network: Network::Entities,
             contract: 0,
             t_max: groups as u16,
@@ -208,7 +211,6 @@ fn every_output_agrees_with_plain_loops_in_every_build() {
         let critic = Critic::random(&mut random);
         let bytes = critic.plan();
         let plan = Plan::load(bytes.as_slice()).unwrap();
-        let portable = plan.clone().portable();
         for _ in 0..10 {
             let scene = Scene::random(&mut random, critic.shape);
             let got = critic.ask(&plan, &scene).unwrap();
@@ -218,8 +220,11 @@ fn every_output_agrees_with_plain_loops_in_every_build() {
                     assert!(error < 1e-5, "critic {index}, {:?}: {got}, {want}", critic.shape);
                 }
             }
-            let other = critic.ask(&portable, &scene).unwrap();
-            assert_eq!(got.each_ref().map(|o| bits(o)), other.each_ref().map(|o| bits(o)));
+            for build in Build::all() {
+                let other = critic.ask(&plan.clone().on(build), &scene).unwrap();
+                let want = got.each_ref().map(|o| bits(o));
+                assert_eq!(want, other.each_ref().map(|o| bits(o)), "{build:?}");
+            }
         }
     }
 }

@@ -2,6 +2,7 @@
 
 use sortie_bundle::OwnedObservation;
 use sortie_core::identity::fnv1a;
+use sortie_core::kernels::build::Build;
 use sortie_core::ops::Op;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError};
 use sortie_core::{DecideError, EntityMask, NO_ACTION, PlanPolicy, Policy};
@@ -40,7 +41,7 @@ impl Engine {
     }
 
     fn ask_portable(&mut self, observation: &OwnedObservation) -> Vec<f32> {
-        let plan = Plan::load(self.bytes.as_slice()).unwrap().portable();
+        let plan = Plan::load(self.bytes.as_slice()).unwrap().on(Build::PORTABLE);
         let mut utilities = vec![0.0; plan.actions()];
         let arena = self.arena.as_mut_slice();
         plan.utilities(arena, &observation.view(), None, &mut utilities).unwrap();

@@ -135,6 +135,14 @@ impl Graph {
         self.model.node(self.source(outlet).node)
     }
 
+    /// The name of the input at `index`.
+    #[cfg(feature = "onnxruntime")]
+    pub(crate) fn input_name(&self, index: usize) -> String {
+        self.input(index)
+            .map(|outlet| self.model.node(outlet.node).name.clone())
+            .unwrap_or_default()
+    }
+
     /// The input of the graph at `index`.
     pub(crate) fn input(&self, index: usize) -> Option<OutletId> {
         self.model.inputs.get(index).copied()

@@ -38,10 +38,14 @@ pub struct PlanFacts {
     /// What it computes, by name for scripts: `agent` or `team-value`.
     #[serde(serialize_with = "network_name")]
     pub network: Network,
+    /// Arithmetic profile, by name for scripts: `exact` or `fused`.
+    pub profile: &'static str,
     /// Bytes of the plan.
     pub flash_bytes: usize,
     /// Bytes of arena for one decision.
     pub arena_bytes: usize,
+    /// Bytes of arena for every further agent of a team that decides together.
+    pub arena_bytes_per_agent: usize,
     /// Most visible entities.
     pub n_max: usize,
     /// Features d of an entity.
@@ -113,8 +117,10 @@ pub fn inspect_plan(plan: &[u8]) -> Result<PlanFacts, CompileError> {
     let operators = operators(plan.program(), header.n_max as usize);
     Ok(PlanFacts {
         network: header.network,
+        profile: header.profile.name(),
         flash_bytes,
         arena_bytes: plan.arena_bytes(),
+        arena_bytes_per_agent: plan.arena_bytes_per_agent(),
         n_max: header.n_max as usize,
         features: header.features as usize,
         actions: header.actions as usize,

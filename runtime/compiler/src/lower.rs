@@ -1,5 +1,6 @@
 //! Matched layers become operators: where weights lie and what the arena holds.
 
+use sortie_core::kernels::mark::MARKED;
 use sortie_core::kernels::product::padded;
 use sortie_core::limits;
 use sortie_core::ops::{
@@ -81,7 +82,8 @@ pub(crate) fn lower_agent(
         Choice::Greedy => Op::MaskedArgmax(MaskedArgmax { from }),
         Choice::Drawn => Op::MaskedSample(MaskedSample { from }),
     })?;
-    let nonzeros = layers.embed.matrix.inputs.max(longest_input(layers)) as u32;
+    let inputs = layers.embed.matrix.inputs.max(longest_input(layers));
+    let nonzeros = inputs.div_ceil(MARKED) as u32;
     Ok((Program { ops, floats: arena.floats(), nonzeros }, weights))
 }
 

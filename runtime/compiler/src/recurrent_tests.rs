@@ -2,9 +2,10 @@
 
 use sortie_core::choose::masked_sample;
 use sortie_core::identity::fnv1a;
+use sortie_core::kernels::build::Build;
 use sortie_core::ops::FeedForward;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError};
-use sortie_core::{DecideError, PlanPolicy, Policy};
+use sortie_core::{DecideError, Decision, PlanPolicy, Policy};
 
 use crate::executor_tests::{SMALL, bits, small_observations};
 use crate::lower::Choice;
@@ -56,7 +57,7 @@ fn random_agents_agree_with_plain_loops_over_episodes() {
 fn every_build_remembers_the_same_bits_and_they_are_the_recorded_ones() {
     let bytes = small();
     let plan = Plan::load(bytes.as_slice()).unwrap();
-    let portable = plan.clone().portable();
+    let portable = plan.clone().on(Build::PORTABLE);
     let mut arena = arena(&plan);
     let (mut state, mut portable_state) = ([0.0; STATE], [0.0; STATE]);
     let mut recorded = Vec::new();
@@ -93,6 +94,9 @@ fn a_state_of_another_size_is_refused_and_none_is_touched() {
         assert_eq!(decision, Err(DecideError::NonFinite));
         assert_eq!(bits(&state), before);
     }
+    let mut decisions = [Ok(Decision { action: 0, utility: 0.0 }); 3];
+    policy.decide_batch(&[observation.view(); 3], &mut decisions);
+    assert_eq!(decisions, [refused(0); 3]);
     let forgetful = AlignedBytes::copy_of(&self::plan(&Random::new(1).layers(SMALL), SMALL));
     let plan = Plan::load(forgetful.as_slice()).unwrap();
     let mut policy = PlanPolicy::new(plan, arena.as_mut_slice()).unwrap();

@@ -5,7 +5,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use sortie_bundle::OwnedObservation;
 use sortie_core::NO_ACTION;
 use sortie_core::plan::{
-    AlignedBytes, Checksums, HEADER_BYTES, Header, Network, Plan, Program, checksums,
+    AlignedBytes, Checksums, HEADER_BYTES, Header, Network, Plan, Profile, Program, checksums,
 };
 
 use crate::assemble::{Origin, assemble};
@@ -108,6 +108,7 @@ pub(crate) fn plan_that(choice: Choice, layers: &AgentLayers, shape: Shape) -> V
     let (program, weights) = lower_agent(layers, sizes).unwrap();
     let origin = Origin {
         source: [0; 32],
+        profile: Profile::Exact,
         network: Network::Agent,
         contract: 0,
         t_max: 0,
@@ -225,6 +226,8 @@ pub(crate) fn with_program(good: &[u8], program: &Program) -> AlignedBytes {
     let forged = forge(good, |plan| {
         plan[HEADER_BYTES..HEADER_BYTES + bytes.len()].copy_from_slice(&bytes);
         plan[48..52].copy_from_slice(&(bytes.len() as u32).to_le_bytes());
+        let per_agent = 4 * program.own_floats().unwrap_or(0);
+        plan[120..124].copy_from_slice(&per_agent.to_le_bytes());
     });
     forged.unwrap()
 }

@@ -1,6 +1,7 @@
 //! Who works on which subtask: the seam between the allocator process and its rules.
 
 use crate::entity_mask::EntityMask;
+use crate::limits;
 
 /// Marks an agent without a subtask in an allocation.
 pub const UNASSIGNED: u8 = 0xFF;
@@ -24,8 +25,27 @@ pub struct AllocationState<'a> {
     pub open_tasks: u32,
 }
 
+impl AllocationState<'_> {
+    /// Checks that the state is as long as it says, and that `allocation` is `[A]`.
+    ///
+    /// # Errors
+    /// `TooLarge` beyond the [limits]; `BadLength` where something is too short, or an open subtask is none.
+    pub fn check(&self, allocation: &[u8]) -> Result<(), AllocateError> {
+        let Self { agents, tasks, rows, stride, entity_task, open_tasks, .. } = *self;
+        let entities = entity_task.len();
+        if agents > limits::AGENTS || entities > limits::ENTITIES || tasks > limits::TASKS {
+            return Err(AllocateError::TooLarge);
+        }
+        let known = u64::from(open_tasks) >> tasks == 0;
+        let fits = agents <= entities && rows.len() >= entities.saturating_mul(stride);
+        let fits = known && fits && allocation.len() == agents;
+        if fits { Ok(()) } else { Err(AllocateError::BadLength) }
+    }
+}
+
 /// Why no allocation could be made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum AllocateError {
     /// More agents, entities or subtasks than the allocator was sized for.

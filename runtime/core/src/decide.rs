@@ -12,7 +12,8 @@ pub struct PlanPolicy<'a, S: OperatorSet = AllOperators> {
 }
 
 impl<'a, S: OperatorSet> PlanPolicy<'a, S> {
-    /// Binds an agent's plan to its arena, of [`Plan::arena_bytes`] bytes and aligned like the plan.
+    /// Binds an agent's plan to its arena, of [`Plan::arena_bytes`] bytes and aligned like the plan; of
+    /// [`Plan::batch_arena_bytes`] where several agents are to be worked on together.
     pub fn new(plan: Plan<'a, S>, arena: &'a mut [u8]) -> Result<Self, PlanError> {
         plan.check_network(Network::Agent)?;
         plan.check_arena(arena)?;
@@ -61,5 +62,17 @@ impl<S: OperatorSet> Policy for PlanPolicy<'_, S> {
         hidden: &mut [f32],
     ) -> Result<Decision, DecideError> {
         self.plan.decide(self.arena, observation, Some(hidden))
+    }
+
+    fn decide_batch(
+        &mut self,
+        observations: &[Observation<'_>],
+        decisions: &mut [Result<Decision, DecideError>],
+    ) {
+        self.plan.decide_batch(self.arena, observations, decisions);
+    }
+
+    fn warm(&self) {
+        self.plan.warm();
     }
 }

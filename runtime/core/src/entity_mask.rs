@@ -6,6 +6,7 @@ const WORDS: usize = ENTITIES / 64;
 
 /// A set of entities; a set bit means present, or visible, as its use says.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct EntityMask {
     words: [u64; WORDS],
 }
@@ -61,6 +62,15 @@ impl EntityMask {
         let mut mask = *self;
         for (word, with) in mask.words.iter_mut().zip(other.words) {
             *word &= with;
+        }
+        mask
+    }
+
+    /// The entities in either set.
+    pub fn or(&self, other: &Self) -> Self {
+        let mut mask = *self;
+        for (word, with) in mask.words.iter_mut().zip(other.words) {
+            *word |= with;
         }
         mask
     }

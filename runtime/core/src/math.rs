@@ -80,6 +80,13 @@ pub fn relu_all(values: &mut [f32]) {
     }
 }
 
+/// Whether every value is a finite number.
+#[inline(always)]
+pub fn all_finite(values: &[f32]) -> bool {
+    let magnitude = |value: &f32| value.to_bits() & 0x7fff_ffff;
+    values.iter().map(magnitude).fold(0, u32::max) < 0x7f80_0000
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -130,5 +137,13 @@ mod tests {
         assert!(relu(f32::NAN).is_nan());
         assert_eq!(relu(-3.0), 0.0);
         assert_eq!(relu(2.0), 2.0);
+    }
+
+    #[test]
+    fn finds_what_is_not_finite() {
+        assert!(all_finite(&[0.0, -1.0, f32::MAX]));
+        for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+            assert!(!all_finite(&[0.0, bad, 1.0]));
+        }
     }
 }

@@ -26,6 +26,7 @@ pub struct Observation<'a> {
 
 /// The chosen action and its utility.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Decision {
     /// Index of the action.
     pub action: u16,
@@ -35,6 +36,7 @@ pub struct Decision {
 
 /// Why no decision could be taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum DecideError {
     /// More entities are visible than the plan was sized for.
@@ -95,6 +97,22 @@ pub trait Policy {
     /// Greedy choice among the available actions, lowest index on ties.
     fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError>;
 
+    /// Decides for several agents, each as [`Self::decide`] does. Agents of one frame, whose observations have
+    /// the same rows and last actions, are cheaper together. Answers beyond the shorter of the two slices are
+    /// not given.
+    fn decide_batch(
+        &mut self,
+        observations: &[Observation<'_>],
+        decisions: &mut [Result<Decision, DecideError>],
+    ) {
+        for (observation, decision) in observations.iter().zip(decisions) {
+            *decision = self.decide(observation);
+        }
+    }
+
+    /// Brings what the next decision reads near, ahead of a deadline; changes nothing else.
+    fn warm(&self) {}
+
     /// Floats R of the recurrent state, 0 for a policy without memory.
     fn hidden(&self) -> usize {
         0
@@ -145,6 +163,18 @@ impl<P: Policy + ?Sized> Policy for &mut P {
 
     fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
         (**self).decide(observation)
+    }
+
+    fn decide_batch(
+        &mut self,
+        observations: &[Observation<'_>],
+        decisions: &mut [Result<Decision, DecideError>],
+    ) {
+        (**self).decide_batch(observations, decisions);
+    }
+
+    fn warm(&self) {
+        (**self).warm();
     }
 
     fn hidden(&self) -> usize {

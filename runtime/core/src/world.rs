@@ -4,6 +4,7 @@ use crate::wire::FrameMut;
 
 /// Padded sizes of a domain; a bundle's limits must cover them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Shape {
     /// Agents A.
     pub agents: usize,

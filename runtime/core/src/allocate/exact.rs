@@ -32,9 +32,9 @@ pub struct Cell {
     team: u16,
 }
 
-/// Cells that [`search`] needs for so many agents and open subtasks.
+/// Cells that [`search`] needs for so many agents and open subtasks: more than there can be beyond [`AGENTS`].
 pub const fn cells(agents: usize, open_tasks: usize) -> usize {
-    open_tasks << agents
+    if agents > AGENTS { usize::MAX } else { open_tasks.saturating_mul(1 << agents) }
 }
 
 /// Writes the allocation `[A]` of the largest total and returns that total.

@@ -1,6 +1,6 @@
-//! The search of the team-value allocator: which teams are worth most together.
+//! Who works on which subtask: the search of the team-value allocator, and allocation by [`cost`].
 //!
-//! An allocation is valued as the sum over the open subtasks of `f(subtask, its team)`, teams without
+//! For the search an allocation is valued as the sum over the open subtasks of `f(subtask, its team)`, teams without
 //! agents included: what happens if nobody comes is worth knowing. [`exact`] finds the best of all
 //! allocations of up to [`exact::AGENTS`] agents, [`ascent`] improves a given one for more. Both are
 //! total: whatever the values, NaN and infinities among them, every agent gets an open subtask, or
@@ -11,10 +11,12 @@
 //! critic by a sum of one value per subtask.
 
 pub mod ascent;
+pub mod cost;
 pub mod exact;
 mod plan_value;
 pub mod team_value;
 
+pub use cost::{CostAllocator, CostMethod, CostModel};
 pub use plan_value::PlanTeamValue;
 pub use team_value::{
     EXACT_AGENTS, LastAllocation, SearchMemory, TaskRelation, TeamQuery, TeamValueAllocator,

@@ -111,6 +111,9 @@ impl Allocator for LastAllocation {
         state: &AllocationState<'_>,
         allocation: &mut [u8],
     ) -> Result<(), AllocateError> {
+        if allocation.len() > state.entity_task.len() {
+            return Err(AllocateError::BadLength);
+        }
         for (place, tasks) in allocation.iter_mut().zip(state.entity_task) {
             let task = tasks & state.open_tasks;
             *place = if task == 0 { UNASSIGNED } else { task.trailing_zeros() as u8 };
@@ -144,7 +147,7 @@ pub struct TeamValueAllocator<'a, N, R, S> {
     pub start: S,
     /// Largest team of one subtask.
     pub team_max: usize,
-    /// Most agents that are searched exactly, usually [`EXACT_AGENTS`].
+    /// Most agents that are searched exactly, usually [`EXACT_AGENTS`]; never more than [`exact::AGENTS`].
     pub exact_agents: usize,
     /// Working memory.
     pub memory: SearchMemory<'a>,
@@ -161,10 +164,13 @@ where
         state: &AllocationState<'_>,
         allocation: &mut [u8],
     ) -> Result<(), AllocateError> {
-        check(state, allocation)?;
+        state.check(allocation)?;
         self.relation.observe(state)?;
         let present = (0..state.agents).filter(|row| state.present.contains(*row));
-        let rows: heapless::Vec<u8, { limits::AGENTS }> = present.map(|row| row as u8).collect();
+        let mut rows = heapless::Vec::<u8, { limits::AGENTS }>::new();
+        for row in present {
+            rows.push(row as u8).map_err(|_| AllocateError::TooLarge)?;
+        }
         let teams =
             Teams { agents: rows.len(), open_tasks: state.open_tasks, team_max: self.team_max };
         let mut places = [UNASSIGNED; limits::AGENTS];
@@ -278,18 +284,6 @@ impl<N: TeamValueNetwork, R: TaskRelation> TeamValue for Asked<'_, N, R> {
             f32::NAN
         })
     }
-}
-
-/// Checks that a state is as long as it says.
-fn check(state: &AllocationState<'_>, allocation: &[u8]) -> Result<(), AllocateError> {
-    let AllocationState { agents, tasks, rows, stride, entity_task, open_tasks, .. } = *state;
-    let entities = entity_task.len();
-    if agents > limits::AGENTS || entities > limits::ENTITIES || tasks > limits::TASKS {
-        return Err(AllocateError::TooLarge);
-    }
-    let known = u64::from(open_tasks) >> tasks == 0;
-    let fits = agents <= entities && rows.len() >= entities.saturating_mul(stride);
-    if known && fits && allocation.len() == agents { Ok(()) } else { Err(AllocateError::BadLength) }
 }
 
 #[cfg(test)]
@@ -506,6 +500,32 @@ mod tests {
         assert_eq!(allocate(&unknown, 3), Err(AllocateError::BadLength));
         let many = AllocationState { agents: 65, ..case.state() };
         assert_eq!(allocate(&many, 65), Err(AllocateError::TooLarge));
+    }
+
+    #[test]
+    fn a_full_team_is_beyond_the_exact_search_whatever_is_asked_for() {
+        let case = Case {
+            agents: 64,
+            tasks: 2,
+            present: EntityMask::first(66),
+            entity_task: (0..66).map(|row| if row < 64 { 0 } else { 1 << (row - 64) }).collect(),
+            open_tasks: 0b11,
+            team_max: 40,
+            exact_agents: usize::MAX,
+        };
+        let memory = SearchMemory { cells: &mut [], values: &mut [], relation: &mut vec![0.0; 66] };
+        let mut allocator = TeamValueAllocator {
+            network: noise(false, false),
+            relation: TaskNumber,
+            start: LastAllocation,
+            team_max: case.team_max,
+            exact_agents: case.exact_agents,
+            memory,
+        };
+        let mut allocation = [9; 64];
+        let state = AllocationState { rows: &[0.0; 66], ..case.state() };
+        allocator.allocate(&state, &mut allocation).unwrap();
+        assert!(allocation.iter().all(|task| *task < 2));
     }
 
     #[test]

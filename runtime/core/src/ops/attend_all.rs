@@ -3,10 +3,10 @@
 use serde::{Deserialize, Serialize};
 
 use super::{Linear, Place, Scratch, Sizes, places};
-use crate::kernels::dot::dot;
-use crate::kernels::nonzero::collect;
-use crate::kernels::product::{padded, product, sparse_product};
-use crate::kernels::softmax::softmax;
+use crate::kernels::Kernels;
+use crate::kernels::product::{Sparse, padded};
+use crate::kernels::rows::Rows;
+use crate::kernels::softmax::slots;
 use crate::policy::DecideError;
 
 /// Attention in which every embedded row asks and every one answers (dissertation section 2.3).
@@ -32,15 +32,15 @@ pub struct AttendAll {
     pub output: Linear,
     /// Whether a ReLU follows.
     pub relu: bool,
-    /// q of every row, `[n_max, heads · padded head width]`.
+    /// q of every head and row, `[heads, visible, padded head width]`, with room for `n_max` rows.
     pub queries: Place,
-    /// k of every row, alike.
+    /// k, alike.
     pub keys: Place,
-    /// v of every row, alike.
+    /// v, alike.
     pub values: Place,
     /// Weights of one query and head, `[n_max]`.
     pub scores: Place,
-    /// The heads' outputs of one query.
+    /// The heads' outputs of one query; before, q, k or v of one row.
     pub attended: Place,
     /// The result, `[n_max, padded outputs]`.
     pub to: Place,
@@ -83,13 +83,14 @@ impl AttendAll {
             && self.scores.len == sizes.n_max
             && self.attended.len as usize == inner
             && sizes.holds_rows(&self.to, self.output.padded_outputs());
-        layers && lengths && sizes.hold_apart(&self.places())
+        layers && lengths && sizes.hold_apart(&self.places().each_ref())
     }
 
-    fn places(&self) -> [&Place; 7] {
-        let own = [&self.queries, &self.keys, &self.values];
-        let [queries, keys, values] = own;
-        [&self.rows, queries, keys, values, &self.scores, &self.attended, &self.to]
+    fn places(&self) -> [Place; 7] {
+        // Scores are worked on in whole vectors, for which a plan leaves room behind the last one.
+        let scores = Place { len: slots(self.scores.len as usize) as u32, ..self.scores };
+        let Self { rows, queries, keys, values, attended, to, .. } = *self;
+        [rows, queries, keys, values, scores, attended, to]
     }
 
     pub(super) fn multiply_adds(&self, visible: usize) -> usize {
@@ -101,67 +102,71 @@ impl AttendAll {
     #[inline(always)]
     pub(super) fn run(
         &self,
+        kernels: impl Kernels,
         weights: &[f32],
         scratch: &mut Scratch<'_>,
     ) -> Result<(), DecideError> {
         let visible = scratch.visible;
-        let [rows, queries, keys, values, scores, attended, to] =
-            places(scratch.floats, self.places())?;
-        for (layer, to) in
-            [(&self.query, &mut *queries), (&self.key, &mut *keys), (&self.value, &mut *values)]
-        {
-            let (matrix, around) = (layer.matrix(weights)?, layer.around(weights, false)?);
-            let rows = rows.chunks_exact(self.padded_width()).take(visible);
-            for (row, to) in rows.zip(to.chunks_exact_mut(self.inner().max(1))) {
-                let row = row.get(..usize::from(self.width)).ok_or(DecideError::BadLength)?;
-                let count = collect(row, scratch.nonzeros);
-                let inputs = scratch.nonzeros.get(..count).ok_or(DecideError::BadLength)?;
-                sparse_product(matrix, usize::from(self.width), inputs, around, to);
-            }
-        }
-        let scores = scores.get_mut(..visible).ok_or(DecideError::BadLength)?;
+        self.project(kernels, weights, scratch)?;
+        let [_, queries, keys, values, scores, attended, to] =
+            places(scratch.floats, self.places().each_ref())?;
+        let scores = scores.get_mut(..slots(visible)).ok_or(DecideError::BadLength)?;
         let (matrix, around) =
             (self.output.matrix(weights)?, self.output.around(weights, self.relu)?);
-        let queries = queries.chunks_exact(self.inner().max(1)).take(visible);
-        for (query, to) in queries.zip(to.chunks_exact_mut(self.output.padded_outputs())) {
-            self.attend(query, keys, values, scores, attended)?;
-            product(matrix, attended, around, to);
+        let (head, of_head) = self.head_floats(visible);
+        let to = to.chunks_exact_mut(self.output.padded_outputs()).take(visible);
+        for (row, to) in to.enumerate() {
+            let keys_and_values = keys.chunks_exact(of_head).zip(values.chunks_exact(of_head));
+            let heads = queries.chunks_exact(of_head).zip(keys_and_values);
+            for ((queries, (keys, values)), output) in heads.zip(attended.chunks_exact_mut(head)) {
+                let query = queries.chunks_exact(head).nth(row).ok_or(DecideError::BadLength)?;
+                kernels.dots(query, Rows::first(keys, head, visible), scores);
+                if !kernels.softmax(scores, visible) {
+                    return Err(DecideError::NonFinite);
+                }
+                kernels.mix(scores, Rows::first(values, head, visible), output);
+            }
+            kernels.product(matrix, attended, around, to);
         }
         Ok(())
     }
 
-    /// The heads' outputs of one query.
+    /// Computes q, k and v of every row.
     #[inline(always)]
-    fn attend(
+    fn project(
         &self,
-        query: &[f32],
-        keys: &[f32],
-        values: &[f32],
-        scores: &mut [f32],
-        attended: &mut [f32],
+        kernels: impl Kernels,
+        weights: &[f32],
+        scratch: &mut Scratch<'_>,
     ) -> Result<(), DecideError> {
-        let (inner, head) = (self.inner().max(1), self.head_width().max(1));
-        attended.fill(0.0);
-        let heads = query.chunks_exact(head).zip(attended.chunks_exact_mut(head));
-        for (index, (query, output)) in heads.enumerate() {
-            let part = |row| part(row, index * head, head);
-            for (score, key) in scores.iter_mut().zip(keys.chunks_exact(inner)) {
-                *score = dot(query, part(key)?);
-            }
-            if !softmax(scores) {
-                return Err(DecideError::NonFinite);
-            }
-            for (weight, value) in scores.iter().zip(values.chunks_exact(inner)) {
-                for (sum, value) in output.iter_mut().zip(part(value)?) {
-                    *sum += weight * value;
+        let [rows, queries, keys, values, _, attended, _] =
+            places(scratch.floats, self.places().each_ref())?;
+        let (head, of_head) = self.head_floats(scratch.visible);
+        for (layer, to) in [(&self.query, queries), (&self.key, keys), (&self.value, values)] {
+            let (matrix, around) = (layer.matrix(weights)?, layer.around(weights, false)?);
+            let rows = rows.chunks_exact(self.padded_width()).take(scratch.visible);
+            for (row, values) in rows.enumerate() {
+                let values = values.get(..usize::from(self.width));
+                let values = values.ok_or(DecideError::BadLength)?;
+                kernels.mark(values, scratch.nonzeros);
+                let marks = &*scratch.nonzeros;
+                let inputs = Sparse { values, marks, one: None, count: values.len() };
+                kernels.sparse_product(matrix, inputs, around, attended);
+                let heads = to.chunks_exact_mut(of_head).zip(attended.chunks_exact(head));
+                for (to, values) in heads {
+                    let to = to.chunks_exact_mut(head).nth(row).ok_or(DecideError::BadLength)?;
+                    for (to, value) in to.iter_mut().zip(values) {
+                        *to = *value;
+                    }
                 }
             }
         }
         Ok(())
     }
-}
 
-#[inline(always)]
-fn part(row: &[f32], start: usize, len: usize) -> Result<&[f32], DecideError> {
-    row.get(start..start.saturating_add(len)).ok_or(DecideError::BadLength)
+    /// Floats of one head in a row, and in all visible rows; neither is zero.
+    fn head_floats(&self, visible: usize) -> (usize, usize) {
+        let head = self.head_width().max(1);
+        (head, head * visible.max(1))
+    }
 }

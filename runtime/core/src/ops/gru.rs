@@ -3,9 +3,9 @@
 use serde::{Deserialize, Serialize};
 
 use super::{Linear, Place, Scratch, Sizes, places};
-use crate::kernels::nonzero::{all_finite, collect};
-use crate::kernels::product::{padded, product, sparse_product};
-use crate::math::{sigmoid, tanh};
+use crate::kernels::Kernels;
+use crate::kernels::product::{Sparse, padded};
+use crate::math::{all_finite, sigmoid, tanh};
 use crate::policy::DecideError;
 
 /// Gates of the unit, in the order of its matrices: reset r, update z, candidate n.
@@ -73,6 +73,7 @@ impl Gru {
     #[inline(always)]
     pub(super) fn run(
         &self,
+        kernels: impl Kernels,
         weights: &[f32],
         scratch: &mut Scratch<'_>,
     ) -> Result<(), DecideError> {
@@ -80,14 +81,15 @@ impl Gru {
         let matrix = self.input.matrix(weights)?;
         let around = self.input.around(weights, false)?;
         if self.sparse_input {
-            let count = collect(from, scratch.nonzeros);
-            let list = scratch.nonzeros.get(..count).ok_or(DecideError::BadLength)?;
-            sparse_product(matrix, usize::from(self.input.inputs), list, around, inputs);
+            kernels.mark(from, scratch.nonzeros);
+            let marks = &*scratch.nonzeros;
+            let from = Sparse { values: from, marks, one: None, count: from.len() };
+            kernels.sparse_product(matrix, from, around, inputs);
         } else {
-            product(matrix, from, around, inputs);
+            kernels.product(matrix, from, around, inputs);
         }
         let around = self.recurrent.around(weights, false)?;
-        product(self.recurrent.matrix(weights)?, state, around, recurrents);
+        kernels.product(self.recurrent.matrix(weights)?, state, around, recurrents);
         // The gates saturate: they would turn an overflow into a number.
         if !(all_finite(inputs) && all_finite(recurrents)) {
             return Err(DecideError::NonFinite);

@@ -15,6 +15,7 @@ mod masked_sample;
 mod mean_rows;
 mod output;
 mod set;
+pub(crate) mod team;
 
 use serde::{Deserialize, Serialize};
 
@@ -31,8 +32,11 @@ pub use output::{Output, OutputRows};
 pub(crate) use set::has;
 pub use set::{AllOperators, FeedForward, OpKind, OperatorSet};
 
+use team::Team;
+
 use crate::entity_mask::EntityMask;
-use crate::kernels::nonzero::Nonzero;
+use crate::kernels::Kernels;
+use crate::kernels::mark::{MARKED, Marks};
 use crate::kernels::product::{Around, padded};
 use crate::policy::{DecideError, Observation};
 
@@ -118,25 +122,69 @@ impl Op {
     #[inline(always)]
     pub(crate) fn run<S: OperatorSet>(
         &self,
+        kernels: impl Kernels,
         weights: &[f32],
         observation: &Observation<'_>,
         scratch: &mut Scratch<'_>,
     ) -> Result<(), DecideError> {
         match self {
             Self::EmbedEntities(op) if const { has::<S>(OpKind::EmbedEntities) } => {
-                op.run(weights, observation, scratch)
+                op.run(kernels, weights, observation, scratch)
             }
             Self::AttendOwn(op) if const { has::<S>(OpKind::AttendOwn) } => {
-                op.run(weights, scratch)
+                op.run(kernels, weights, scratch)
             }
-            Self::Dense(op) if const { has::<S>(OpKind::Dense) } => op.run(weights, scratch),
-            Self::Gru(op) if const { has::<S>(OpKind::Gru) } => op.run(weights, scratch),
+            Self::Dense(op) if const { has::<S>(OpKind::Dense) } => {
+                op.run(kernels, weights, scratch)
+            }
+            Self::Gru(op) if const { has::<S>(OpKind::Gru) } => op.run(kernels, weights, scratch),
             Self::AttendAll(op) if const { has::<S>(OpKind::AttendAll) } => {
-                op.run(weights, scratch)
+                op.run(kernels, weights, scratch)
             }
             Self::MeanRows(op) if const { has::<S>(OpKind::MeanRows) } => op.run(scratch),
             Self::GroupSum(op) if const { has::<S>(OpKind::GroupSum) } => op.run(scratch),
             // What the caller reads at the end, and what loading refused.
+            _ => Ok(()),
+        }
+    }
+
+    /// Whether the operator can work for a team, whose members' own places lie behind the first `shared` floats.
+    pub(crate) fn works_for_teams(&self, shared: u32) -> bool {
+        match self {
+            Self::EmbedEntities(op) => op.rows == Place { offset: 0, len: shared },
+            // Its places do not overlap, and the first are the shared rows.
+            Self::AttendOwn(op) => op.rows == Place { offset: 0, len: shared },
+            Self::Dense(op) => op.from.offset.min(op.to.offset) >= shared,
+            Self::MaskedArgmax(op) => op.from.offset >= shared,
+            Self::MaskedSample(op) => op.from.offset >= shared,
+            // Agents with memory bring their states one after the other; the others know no single agent.
+            Self::Gru(_)
+            | Self::AttendAll(_)
+            | Self::MeanRows(_)
+            | Self::GroupSum(_)
+            | Self::Output(_) => false,
+        }
+    }
+
+    /// As [`Self::run`] for all members of a team, whose observations are of one frame.
+    pub(crate) fn run_team<S: OperatorSet>(
+        &self,
+        kernels: impl Kernels,
+        weights: &[f32],
+        observations: &[Observation<'_>],
+        team: &mut Team<'_>,
+    ) -> Result<(), DecideError> {
+        match self {
+            Self::EmbedEntities(op) if const { has::<S>(OpKind::EmbedEntities) } => {
+                op.run_team(kernels, weights, observations, team)
+            }
+            Self::AttendOwn(op) if const { has::<S>(OpKind::AttendOwn) } => {
+                op.run_team(kernels, weights, team)
+            }
+            Self::Dense(op) if const { has::<S>(OpKind::Dense) } => {
+                op.run_team(kernels, weights, team)
+            }
+            // What the caller reads at the end, and what does not work for teams.
             _ => Ok(()),
         }
     }
@@ -147,7 +195,7 @@ impl Op {
 pub struct Sizes {
     /// Floats of the arena.
     pub floats: u32,
-    /// Entries of the arena's list of inputs that are not zero.
+    /// Marks that the arena holds, each of 64 inputs.
     pub nonzeros: u32,
     /// Floats of the weights.
     pub weights: u32,
@@ -183,7 +231,7 @@ impl Sizes {
     }
 
     fn lists(&self, inputs: u64) -> bool {
-        inputs <= u64::from(self.nonzeros)
+        inputs.div_ceil(MARKED as u64) <= u64::from(self.nonzeros)
     }
 }
 
@@ -200,6 +248,13 @@ impl Place {
     pub(crate) fn range(&self) -> core::ops::Range<usize> {
         let start = self.offset as usize;
         start..start.saturating_add(self.len as usize)
+    }
+
+    /// Some floats of the place, which stay inside it.
+    fn part(&self, range: core::ops::Range<usize>) -> Self {
+        let start = range.start.min(self.len as usize) as u32;
+        let end = range.end.min(self.len as usize) as u32;
+        Self { offset: self.offset.saturating_add(start), len: end.saturating_sub(start) }
     }
 
     fn disjoint(&self, other: &Self) -> bool {
@@ -255,7 +310,8 @@ impl Linear {
 /// The arena of one decision, and what the operators tell each other.
 pub(crate) struct Scratch<'a> {
     pub(crate) floats: &'a mut [f32],
-    pub(crate) nonzeros: &'a mut [Nonzero],
+    /// Marks the inputs of a sparse product.
+    pub(crate) nonzeros: &'a mut [Marks],
     /// Visible entities, whose embeddings stand in rows 0 to `visible`.
     pub(crate) visible: usize,
     /// The row of the agent's own embedding, `visible` where it does not see itself.
@@ -274,9 +330,9 @@ fn slice(weights: &[f32], offset: u32, len: usize) -> Result<&[f32], DecideError
     weights.get(start..start.saturating_add(len)).ok_or(DecideError::BadLength)
 }
 
-#[inline(always)]
-fn place<'a>(floats: &'a [f32], place: &Place) -> Result<&'a [f32], DecideError> {
-    floats.get(place.range()).ok_or(DecideError::BadLength)
+/// The floats of a place.
+fn place<'a>(floats: &'a [f32], wanted: &Place) -> Result<&'a [f32], DecideError> {
+    floats.get(wanted.range()).ok_or(DecideError::BadLength)
 }
 
 /// Places that do not overlap, all writable.

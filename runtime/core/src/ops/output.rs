@@ -3,9 +3,9 @@
 use serde::{Deserialize, Serialize};
 
 use super::{Place, Scratch, Sizes, place};
-use crate::kernels::nonzero::all_finite;
 use crate::kernels::product::padded;
 use crate::limits;
+use crate::math::all_finite;
 use crate::policy::DecideError;
 
 /// What the rows of an output stand for.

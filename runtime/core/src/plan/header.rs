@@ -18,14 +18,18 @@ pub(super) const CRC_OFFSET: usize = 60;
 
 /// How a plan computes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum Profile {
     /// f32 without fused multiply-add: the same bits on every target.
     Exact,
+    /// f32 with fused multiply-add: the same bits on every target that has it, none on others.
+    Fused,
 }
 
 /// What a plan computes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum Network {
     /// An agent's utilities.
@@ -38,6 +42,7 @@ pub enum Network {
 
 /// The header of a plan; magic, version, byte order and checksums are checked and not kept.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Header {
     /// How the weights are laid out.
     pub layout: u32,
@@ -75,17 +80,21 @@ pub struct Header {
     pub network: Network,
     /// Most subtasks, 0 if none.
     pub t_max: u16,
+    /// Bytes of arena that every further agent of a team needs, 0 where agents are worked on one by one.
+    pub arena_bytes_per_agent: u32,
 }
 
 impl Header {
     /// Reads and checks the header; the checksums are the caller's to compare.
     pub fn read(plan: &[u8]) -> Result<(Self, Checksums), PlanError> {
+        // What is no plan at all is called so even where it is short.
+        if plan.first_chunk().is_some_and(|start| *start != MAGIC) {
+            return Err(PlanError::BadMagic);
+        }
         let got = plan.len();
         let header = plan.first_chunk::<HEADER_BYTES>();
         let mut fields = Fields(header.ok_or(PlanError::Truncated { need: HEADER_BYTES, got })?);
-        if fields.next()? != MAGIC {
-            return Err(PlanError::BadMagic);
-        }
+        let _: [u8; MAGIC.len()] = fields.next()?;
         let (major, minor) = (fields.u16()?, fields.u16()?);
         if major != VERSION.0 || minor > VERSION.1 {
             return Err(PlanError::Version { major, minor });
@@ -105,6 +114,7 @@ impl Header {
         let action_mismatch = f32::from_le_bytes(fields.next()?);
         let [profile, network] = fields.next()?;
         let t_max = fields.u16()?;
+        let arena_bytes_per_agent = fields.u32()?;
         let header = Self {
             layout,
             arena_bytes,
@@ -124,6 +134,7 @@ impl Header {
             profile: Profile::from_id(profile)?,
             network: Network::from_id(network)?,
             t_max,
+            arena_bytes_per_agent,
         };
         Ok((header, checksums))
     }
@@ -165,12 +176,14 @@ impl Header {
         put(&self.action_mismatch.to_le_bytes());
         put(&[self.profile.id(), self.network.id()]);
         put(&self.t_max.to_le_bytes());
+        put(&self.arena_bytes_per_agent.to_le_bytes());
         bytes
     }
 }
 
 /// CRC-32C of the parts of a plan.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Checksums {
     /// Of header and program, the header's own checksum taken as zero.
     pub program: u32,
@@ -188,16 +201,26 @@ pub const fn arena_bytes(plan: &[u8]) -> usize {
 }
 
 impl Profile {
+    /// The profile's name, for people and scripts.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Exact => "exact",
+            Self::Fused => "fused",
+        }
+    }
+
     /// The profile's number in the header.
     pub const fn id(self) -> u8 {
         match self {
             Self::Exact => 0,
+            Self::Fused => 1,
         }
     }
 
     fn from_id(id: u8) -> Result<Self, PlanError> {
         match id {
             0 => Ok(Self::Exact),
+            1 => Ok(Self::Fused),
             got => Err(PlanError::WrongProfile { got }),
         }
     }
@@ -275,6 +298,7 @@ mod tests {
             profile: Profile::Exact,
             network: Network::Agent,
             t_max: 6,
+            arena_bytes_per_agent: 0x0403_0201,
         }
     }
 
@@ -298,7 +322,8 @@ mod tests {
         assert_eq!(bytes[68..100], [7; 32]);
         assert_eq!(bytes[108..112], 1.5e-7_f32.to_le_bytes());
         assert_eq!(bytes[116..120], [0, 0, 6, 0]);
-        assert_eq!(bytes[120..], [0; 8]);
+        assert_eq!(bytes[120..124], [1, 2, 3, 4]);
+        assert_eq!(bytes[124..], [0; 4]);
     }
 
     #[test]
@@ -315,5 +340,7 @@ mod tests {
         assert_eq!(with(12, 1), Err(PlanError::Endian));
         assert_eq!(with(116, 9), Err(PlanError::WrongProfile { got: 9 }));
         assert_eq!(Header::read(&bytes[..127]), Err(PlanError::Truncated { need: 128, got: 127 }));
+        assert_eq!(Header::read(b"SORTIE"), Err(PlanError::Truncated { need: 128, got: 6 }));
+        assert_eq!(Header::read(b"# a text file"), Err(PlanError::BadMagic));
     }
 }

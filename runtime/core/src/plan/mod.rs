@@ -4,19 +4,24 @@
 //! the observation's sake ([`DecideError`]). Weights are never copied: they stay in the caller's bytes, be that
 //! flash, a memory map or [`AlignedBytes`].
 
-#[cfg(feature = "std")]
+#[cfg(any(test, feature = "std"))]
 mod aligned;
+mod batch;
 mod error;
 mod header;
+mod in_place;
 mod program;
+#[cfg(test)]
+mod tests;
 
-#[cfg(feature = "std")]
+#[cfg(any(test, feature = "std"))]
 pub use aligned::AlignedBytes;
 pub use error::{Part, PlanError};
 pub use header::{
     ALIGNMENT, Checksums, HEADER_BYTES, Header, LAYOUT_TILES, Network, Profile, VERSION,
     arena_bytes,
 };
+pub use in_place::Aligned;
 pub use program::{OPS, Program};
 
 use core::marker::PhantomData;
@@ -27,9 +32,14 @@ use crate::checksum::{CRC32C, crc32c};
 use crate::choose::{masked_argmax, masked_sample};
 use crate::entities::Entities;
 use crate::entity_mask::EntityMask;
-use crate::kernels::nonzero::{Nonzero, all_finite};
-use crate::kernels::wide::{Work, run_widest};
+use crate::kernels::Kernels;
+use crate::kernels::arithmetic::Exact;
+#[cfg(any(test, feature = "std"))]
+use crate::kernels::arithmetic::Fused;
+use crate::kernels::build::{Build, Work};
+use crate::kernels::mark::Marks;
 use crate::limits;
+use crate::math::all_finite;
 use crate::ops::{AllOperators, OperatorSet, Scratch, Sizes};
 use crate::policy::{DecideError, Decision, Observation};
 
@@ -39,7 +49,7 @@ pub struct Plan<'a, S: OperatorSet = AllOperators> {
     header: Header,
     program: Program,
     weights: &'a [f32],
-    portable: bool,
+    build: Build,
     operators: PhantomData<S>,
 }
 
@@ -65,21 +75,28 @@ impl<'a, S: OperatorSet> Plan<'a, S> {
         if checksums.weights != crc32c(weights) {
             return Err(PlanError::Crc(Part::Weights));
         }
+        check_multiple(header.weights_offset as usize)?;
         check_alignment(weights)?;
         let weights =
             <[f32]>::ref_from_bytes(weights).map_err(|_| PlanError::ShapeMismatch { op: 0 })?;
-        let program: Program =
-            postcard::from_bytes(program_bytes).map_err(|_| PlanError::UnknownOp)?;
+        let (program, rest): (Program, _) =
+            postcard::take_from_bytes(program_bytes).map_err(|_| PlanError::UnknownOp)?;
         check::<S>(&header, &program)?;
-        Ok(Self { header, program, weights, portable: false, operators: PhantomData })
+        if !rest.is_empty() {
+            return Err(PlanError::ShapeMismatch { op: program.ops.len() });
+        }
+        let build = Build::widest();
+        if header.profile == Profile::Fused && !build.fuses() {
+            return Err(PlanError::WrongProfile { got: header.profile.id() });
+        }
+        Ok(Self { header, program, weights, build, operators: PhantomData })
     }
 
-    /// The same plan on the portable build of the kernels, whatever the processor offers.
+    /// The same plan on another build of the kernels than the widest.
     ///
-    /// Both builds give the same bits; this one exists to check that.
-    pub fn portable(mut self) -> Self {
-        self.portable = true;
-        self
+    /// All builds give the same bits; this exists to check that.
+    pub fn on(self, build: Build) -> Self {
+        Self { build, ..self }
     }
 
     /// The header.
@@ -181,7 +198,7 @@ impl<'a, S: OperatorSet> Plan<'a, S> {
         };
         let mut scratch = self.scratch(arena, &observation)?;
         (scratch.agents, scratch.groups) = (entities.agents, entities.groups);
-        self.execute(&observation, &mut scratch)?;
+        self.execute(Execution { plan: self, observation: &observation, scratch: &mut scratch })?;
         self.program.outputs().zip(outputs).try_for_each(|(output, to)| output.read(&scratch, to))
     }
 
@@ -215,13 +232,10 @@ impl<'a, S: OperatorSet> Plan<'a, S> {
                 *to = *from;
             }
         }
-        self.execute(observation, &mut scratch)?;
+        self.execute(Execution { plan: self, observation, scratch: &mut scratch })?;
         let place = self.program.utilities().ok_or(DecideError::BadLength)?;
         let floats: &'s [f32] = scratch.floats;
-        let utilities = floats.get(place.range()).ok_or(DecideError::BadLength)?;
-        if !all_finite(utilities) {
-            return Err(DecideError::NonFinite);
-        }
+        let utilities = finite(floats.get(place.range()).ok_or(DecideError::BadLength)?)?;
         if let Some(gru) = self.program.memory() {
             let state = floats.get(gru.to.range()).ok_or(DecideError::BadLength)?;
             for (to, from) in hidden.iter_mut().zip(state) {
@@ -246,19 +260,24 @@ impl<'a, S: OperatorSet> Plan<'a, S> {
         let (floats, list) =
             arena.split_at_mut_checked(float_bytes).ok_or(DecideError::BadLength)?;
         let floats = <[f32]>::mut_from_bytes(floats).map_err(|_| DecideError::BadLength)?;
-        let nonzeros = <[Nonzero]>::mut_from_bytes(list).map_err(|_| DecideError::BadLength)?;
+        let nonzeros = <[Marks]>::mut_from_bytes(list).map_err(|_| DecideError::BadLength)?;
         let present = observation.visible;
         let agents = EntityMask::EMPTY;
         Ok(Scratch { floats, nonzeros, visible: 0, own: 0, present, agents, groups: &[] })
     }
 
-    fn execute(
-        &self,
-        observation: &Observation<'_>,
-        scratch: &mut Scratch<'_>,
-    ) -> Result<(), DecideError> {
-        run_widest(Execution { plan: self, observation, scratch }, !self.portable)
+    /// Runs work on the plan's build and in its profile.
+    fn execute<W: Work>(&self, work: W) -> W::Output {
+        match self.header.profile {
+            #[cfg(any(test, feature = "std"))]
+            Profile::Fused => self.build.run::<Fused, W>(work),
+            _ => self.build.run::<Exact, W>(work),
+        }
     }
+}
+
+fn finite(utilities: &[f32]) -> Result<&[f32], DecideError> {
+    all_finite(utilities).then_some(utilities).ok_or(DecideError::NonFinite)
 }
 
 struct Execution<'p, 'a, 's, S: OperatorSet> {
@@ -271,18 +290,18 @@ impl<S: OperatorSet> Work for Execution<'_, '_, '_, S> {
     type Output = Result<(), DecideError>;
 
     #[inline(always)]
-    fn run(self) -> Self::Output {
+    fn run(self, kernels: impl Kernels) -> Self::Output {
         // Where no entity exists there is no row either, not even an agent's own.
         let skip =
             self.plan.header.network == Network::Entities && self.observation.visible.is_empty();
         for op in self.plan.program.ops.iter().skip(usize::from(skip)) {
-            op.run::<S>(self.plan.weights, self.observation, self.scratch)?;
+            op.run::<S>(kernels, self.plan.weights, self.observation, self.scratch)?;
         }
         Ok(())
     }
 }
 
-/// Checks that header and program agree and that all sizes are ones that messages can express.
+/// Checks that header and program agree, that parts do not overlap and that all sizes are ones that messages can express.
 fn check<S: OperatorSet>(header: &Header, program: &Program) -> Result<(), PlanError> {
     let sizes = Sizes {
         floats: program.floats,
@@ -294,11 +313,18 @@ fn check<S: OperatorSet>(header: &Header, program: &Program) -> Result<(), PlanE
         hidden: header.hidden,
     };
     let within = |size: u32, limit: usize| size > 0 && size as usize <= limit;
-    let fits = within(header.n_max, limits::ENTITIES)
+    let program_end = u64::from(header.program_offset) + u64::from(header.program_len);
+    let fits = header.program_offset as usize >= HEADER_BYTES
+        && program_end <= u64::from(header.weights_offset)
+        && header.arena_alignment as usize == ALIGNMENT
+        && within(header.n_max, limits::ENTITIES)
         && within(header.actions, limits::ACTIONS)
         && within(header.features, limits::FEATURES)
         && u64::from(header.arena_bytes) == program.arena_bytes();
-    if !fits {
+    // Plans of the first version say nothing about teams.
+    let per_agent = 4 * u64::from(program.own_floats().unwrap_or(0));
+    let fits_teams = [0, per_agent].contains(&u64::from(header.arena_bytes_per_agent));
+    if !fits || !fits_teams {
         return Err(PlanError::ShapeMismatch { op: program.ops.len() });
     }
     program.check::<S>(&sizes, header.network)
@@ -311,11 +337,14 @@ fn part(plan: &[u8], offset: u32, len: u32) -> Result<&[u8], PlanError> {
 }
 
 fn check_alignment(bytes: &[u8]) -> Result<(), PlanError> {
-    let address = bytes.as_ptr().addr();
-    if bytes.is_empty() || address.is_multiple_of(ALIGNMENT) {
+    if bytes.is_empty() { Ok(()) } else { check_multiple(bytes.as_ptr().addr()) }
+}
+
+fn check_multiple(place: usize) -> Result<(), PlanError> {
+    if place.is_multiple_of(ALIGNMENT) {
         return Ok(());
     }
-    Err(PlanError::Misaligned { need: ALIGNMENT, got: address & address.wrapping_neg() })
+    Err(PlanError::Misaligned { need: ALIGNMENT, got: place & place.wrapping_neg() })
 }
 
 /// The checksum of header and program, the header's own checksum taken as zero.

@@ -17,14 +17,23 @@ pub struct Program {
     pub ops: Vec<Op, OPS>,
     /// Floats of the arena.
     pub floats: u32,
-    /// Entries of the list of inputs that are not zero, behind the floats.
+    /// Marks behind the floats, which say which of 64 inputs are not zero.
     pub nonzeros: u32,
 }
 
 impl Program {
-    /// Bytes of arena: floats, then the list's entries of two words.
+    /// Bytes of arena: floats, then marks of two words.
     pub fn arena_bytes(&self) -> u64 {
         4 * u64::from(self.floats) + 8 * u64::from(self.nonzeros)
+    }
+
+    /// Floats of an agent's own places, behind the rows that a team shares; none where one agent is worked on
+    /// after the other.
+    pub fn own_floats(&self) -> Option<u32> {
+        let Some(Op::EmbedEntities(embed)) = self.ops.first() else { return None };
+        let shared = embed.rows.len;
+        let own = self.floats.checked_sub(shared).filter(|own| *own > 0)?;
+        self.ops.iter().all(|op| op.works_for_teams(shared)).then_some(own)
     }
 
     /// Where the utilities stand after the program ran.

@@ -48,6 +48,7 @@ assert_layout!(AllocMsg, 128, {
 
 /// Why an allocation is dropped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum AllocationFault {
     /// ABI or schema are not this domain's.
     Foreign,

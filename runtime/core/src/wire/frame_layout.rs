@@ -51,6 +51,7 @@ assert_layout!(FrameHead, 64, {
 
 /// A shape that the wire format cannot carry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum LayoutError {
     /// No agent, or more than the limit.

@@ -10,6 +10,7 @@ use crate::policy::NO_ACTION;
 
 /// Why a frame is not read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum FrameError {
     /// Magic, ABI or schema are not this domain's.
@@ -196,7 +197,8 @@ impl<'a> FrameView<'a> {
 
 /// Row `index` of `columns` items, empty where it does not exist.
 fn row<T>(items: &[T], index: usize, columns: usize) -> &[T] {
-    items.get(index * columns..(index + 1) * columns).unwrap_or_default()
+    let start = index.saturating_mul(columns);
+    items.get(start..start.saturating_add(columns)).unwrap_or_default()
 }
 
 fn section<'a, T: FromBytes + Immutable + KnownLayout>(

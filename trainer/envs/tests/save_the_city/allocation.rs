@@ -1,6 +1,6 @@
 //! Allocation from a state and from its feature rows, and when it is due.
 
-use sortie_envs::random::generator;
+use sortie_envs::random::{below, generator};
 use sortie_envs::save_the_city::{
     AgentKind, AgentState, AllocationRule, BuildingKind, BuildingState, City, CityDecoder,
     CityRows, DecisionPoints, DecodeError, RELATIONS, SaveTheCity, Status, UNASSIGNED,
@@ -116,6 +116,44 @@ fn rows_that_describe_no_city_are_refused() {
     assert_eq!(refusal(&|b| b.stride = 57), Some(DecodeError::BadLength));
     let too_large = CityRows { tasks: 26, ..frame(&city, &buffers) };
     assert_eq!(decoder.decode(&too_large).err(), Some(DecodeError::TooLarge));
+}
+
+#[test]
+fn any_rows_and_masks_give_a_possible_allocation_or_a_refusal() {
+    const STRANGE: [f32; 9] =
+        [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, 1e-40, -1.0, 0.0, 1.0, 17.0];
+    let (mut decoder, mut rng) = (CityDecoder::new(), generator(8));
+    let (mut allocated, mut refused) = (0, 0);
+    for_random_states(1, |city, label| {
+        let mut buffers = observe(city);
+        let columns = buffers.rows.len();
+        for _ in 0..below(&mut rng, 3) {
+            buffers.rows[below(&mut rng, columns)] = STRANGE[below(&mut rng, STRANGE.len())];
+        }
+        let bits = |rng: &mut _| below(rng, usize::MAX) as u128 | below(rng, usize::MAX) as u128;
+        buffers.present &= bits(&mut rng) | bits(&mut rng) << 64;
+        buffers.open_tasks = bits(&mut rng) as u32 & bits(&mut rng) as u32;
+        let frame = frame(city, &buffers);
+        for rule in [AllocationRule::Heuristic, AllocationRule::Coordinated, AllocationRule::Random]
+        {
+            let mut allocation = [7; 64];
+            match decoder.allocate(rule, &frame, &mut rng, &mut allocation) {
+                Ok(()) => allocated += 1,
+                Err(_) => {
+                    refused += 1;
+                    continue;
+                }
+            }
+            for (agent, task) in allocation.iter().enumerate().filter(|(_, t)| **t != UNASSIGNED) {
+                let possible = frame.present >> agent & 1 == 1 && agent < frame.agents;
+                assert!(possible, "{label}, {rule:?}: agent {agent}");
+                let building = frame.agents + usize::from(*task);
+                let open = frame.open_tasks >> task & 1 == 1 && frame.present >> building & 1 == 1;
+                assert!(open, "{label}, {rule:?}: building {task}");
+            }
+        }
+    });
+    assert!(allocated > 1000 && refused > 100, "{allocated} allocated, {refused} refused");
 }
 
 fn house(x: u8, health: f64, fire: f64, to_next_fire: u16) -> BuildingState {

@@ -1,0 +1,92 @@
+//! Plans of every format version stay readable, with the bits that they had.
+
+use sortie_core::kernels::build::Build;
+use sortie_core::plan::{Aligned, Plan, PlanError, arena_bytes};
+use sortie_core::{EntityMask, NO_ACTION, Observation, include_plan};
+
+const AGENT: &[u8] = include_plan!("../../../tests/golden/plans/agent-1.0.plan");
+const ODD_SIZES: &[u8] = include_plan!("../../../tests/golden/plans/agent-odd-sizes-1.0.plan");
+const TEAM_VALUE: &[u8] = include_plan!("../../../tests/golden/plans/team-value-1.0.plan");
+
+/// The numbers of the recorded observations, see the folder's README.
+struct Numbers(u64);
+
+impl Numbers {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+        self.0 >> 40
+    }
+
+    fn feature(&mut self) -> f32 {
+        match self.next() {
+            number if number % 3 == 0 => 0.0,
+            number => number as f32 / 8_388_608.0 - 1.0,
+        }
+    }
+}
+
+/// One line a case: what was seen, and the bits of the utilities.
+fn decisions<const ARENA: usize>(bytes: &[u8]) -> String {
+    let plan = Plan::load(bytes).expect("a plan of the golden files");
+    let (header, mut arena) = (*plan.header(), Aligned([0xFF; ARENA]));
+    let mut lines = String::new();
+    for seed in 0..16 {
+        let mut numbers = Numbers(seed);
+        let (entities, features) = (header.n_max as usize, header.features as usize);
+        let rows: Vec<f32> = (0..entities * features).map(|_| numbers.feature()).collect();
+        let last_actions = [numbers.next() as u16 % header.actions as u16, NO_ACTION];
+        let words = [numbers.next() % (1 << entities)];
+        let observation = Observation {
+            rows: &rows,
+            stride: features,
+            last_actions: &last_actions,
+            visible: EntityMask::from_words(&words),
+            self_index: numbers.next() as usize % entities,
+            available: &[],
+        };
+        let mut answers = [vec![0.0; plan.actions()], vec![0.0; plan.actions()]];
+        for (plan, utilities) in
+            [plan.clone(), plan.clone().on(Build::PORTABLE)].iter().zip(&mut answers)
+        {
+            plan.utilities(&mut arena.0, &observation, None, utilities).expect("finite utilities");
+        }
+        let [widest, portable] = answers.map(|utilities| {
+            utilities
+                .iter()
+                .map(|utility| format!(" {:08x}", utility.to_bits()))
+                .collect::<String>()
+        });
+        assert_eq!(widest, portable, "seed {seed}");
+        lines +=
+            &format!("{seed} visible {:02x} self {}:{widest}\n", words[0], observation.self_index);
+    }
+    lines
+}
+
+#[test]
+fn an_agent_of_format_1_0_decides_as_recorded() {
+    let want = include_str!("../../../tests/golden/plans/agent-1.0.txt");
+    assert_eq!(decisions::<{ arena_bytes(AGENT) }>(AGENT), want);
+}
+
+#[test]
+fn odd_sizes_of_format_1_0_decide_as_recorded() {
+    let want = include_str!("../../../tests/golden/plans/agent-odd-sizes-1.0.txt");
+    assert_eq!(decisions::<{ arena_bytes(ODD_SIZES) }>(ODD_SIZES), want);
+}
+
+#[test]
+fn a_team_value_of_format_1_0_is_as_recorded() {
+    let want = include_str!("../../../tests/golden/plans/team-value-1.0.txt");
+    assert_eq!(decisions::<{ arena_bytes(TEAM_VALUE) }>(TEAM_VALUE), want);
+}
+
+#[test]
+fn a_newer_major_version_is_refused_by_name() {
+    let mut newer = Aligned([0; AGENT.len()]);
+    newer.0.copy_from_slice(AGENT);
+    newer.0[8] = 2;
+    let error = Plan::load(&newer.0).map(drop).expect_err("a version that is not known");
+    assert_eq!(error, PlanError::Version { major: 2, minor: 0 });
+    assert!(error.to_string().contains("plan format 2.0"), "{error}");
+}

@@ -1,0 +1,164 @@
+//! Nothing after load touches the heap, shown by a counting allocator.
+//!
+//! `SORTIE_DECISIONS` sets the number of decisions (20,000); there is one allocation for every hundred.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+
+use sortie_core::allocate::{
+    CostAllocator, CostMethod, CostModel, LastAllocation, PlanTeamValue, SearchMemory,
+    TaskRelation, TeamValueAllocator, exact,
+};
+use sortie_core::plan::{Aligned, Plan, arena_bytes};
+use sortie_core::{
+    AllocateError, AllocationState, Allocator, EntityMask, NO_ACTION, Observation, PlanPolicy,
+    Policy, include_plan,
+};
+
+const AGENT: &[u8] = include_plan!("../../../tests/golden/plans/agent-1.0.plan");
+const TEAM_VALUE: &[u8] = include_plan!("../../../tests/golden/plans/team-value-1.0.plan");
+
+/// The system's allocator, counting the calls of each thread.
+struct Counting;
+
+thread_local! {
+    static CALLS: Cell<usize> = const { Cell::new(0) };
+}
+
+fn count() {
+    CALLS.set(CALLS.get() + 1);
+}
+
+// SAFETY: every call goes to the system's allocator as it came; counting touches no memory of the heap.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count();
+        // SAFETY: as the caller promises.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
+        count();
+        // SAFETY: as the caller promises.
+        unsafe { System.dealloc(memory, layout) }
+    }
+
+    unsafe fn realloc(&self, memory: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        count();
+        // SAFETY: as the caller promises.
+        unsafe { System.realloc(memory, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Heap calls of this thread while `work` runs.
+fn heap_calls(work: impl FnOnce()) -> usize {
+    let before = CALLS.get();
+    work();
+    CALLS.get() - before
+}
+
+fn decisions() -> usize {
+    let wanted = std::env::var("SORTIE_DECISIONS").ok();
+    wanted.map_or(20_000, |wanted| wanted.parse().expect("SORTIE_DECISIONS is a number"))
+}
+
+struct Constant(f32);
+
+impl TaskRelation for Constant {
+    fn columns(&self) -> usize {
+        3
+    }
+
+    fn observe(&mut self, _: &AllocationState<'_>) -> Result<(), AllocateError> {
+        Ok(())
+    }
+
+    fn write(&mut self, _: &AllocationState<'_>, _: usize, relation: &mut [f32]) {
+        relation.fill(self.0);
+    }
+}
+
+impl CostModel for Constant {
+    fn costs(&mut self, _: &AllocationState<'_>, costs: &mut [f32]) -> Result<(), AllocateError> {
+        costs.fill(self.0);
+        Ok(())
+    }
+}
+
+#[test]
+fn the_counter_counts() {
+    assert_eq!(heap_calls(|| drop(std::hint::black_box(Box::new(1)))), 2);
+}
+
+#[test]
+fn decisions_never_touch_the_heap() {
+    let rows: Vec<f32> = (0..30).map(|number| (number % 7) as f32 / 6.0 - 0.5).collect();
+    let mut arena = Aligned([0; arena_bytes(AGENT)]);
+    let count = decisions();
+    let mut decided = 0;
+    let calls = heap_calls(|| {
+        let plan = Plan::load(AGENT).expect("a golden plan");
+        let mut policy = PlanPolicy::new(plan, &mut arena.0).expect("an arena that fits");
+        for number in 0..count {
+            policy.plan().warm();
+            let decision = policy.decide(&Observation {
+                rows: &rows,
+                stride: 6,
+                last_actions: &[0, 3, NO_ACTION],
+                visible: EntityMask::from_words(&[number as u64 % 32]),
+                self_index: number / 32 % 5,
+                available: &[1, 1, 0, 1],
+            });
+            decided += usize::from(decision.is_ok());
+        }
+    });
+    assert_eq!((calls, decided), (0, count));
+}
+
+#[test]
+fn allocations_never_touch_the_heap() {
+    let rows: Vec<f32> = (0..30).map(|number| (number % 5) as f32 / 4.0 - 0.5).collect();
+    let plan = Plan::load(TEAM_VALUE).expect("a golden plan");
+    let mut arena = Aligned([0; arena_bytes(TEAM_VALUE)]);
+    let mut joined = vec![0.0; PlanTeamValue::row_floats(&plan, 5)];
+    let mut network =
+        PlanTeamValue::new(plan, &mut arena.0, &mut joined).expect("an arena that fits");
+    let (mut cells, mut values) =
+        ([exact::Cell::default(); exact::cells(3, 2)], [0.0; exact::cells(3, 2)]);
+    let (mut relation, mut costs) = ([0.0; 15], [0.0; 6]);
+    let state = AllocationState {
+        agents: 3,
+        tasks: 2,
+        rows: &rows,
+        stride: 6,
+        present: EntityMask::first(5),
+        entity_task: &[0, 0, 0, 1, 2],
+        open_tasks: 0b11,
+    };
+    let count = decisions() / 100;
+    let mut made = 0;
+    let calls = heap_calls(|| {
+        let mut allocation = [0; 3];
+        for number in 0..count {
+            let memory =
+                SearchMemory { cells: &mut cells, values: &mut values, relation: &mut relation };
+            let mut learned = TeamValueAllocator {
+                network: &mut network,
+                relation: Constant(number as f32 / count as f32),
+                start: LastAllocation,
+                team_max: 2,
+                exact_agents: [8, 0][number % 2],
+                memory,
+            };
+            made += usize::from(learned.allocate(&state, &mut allocation).is_ok());
+            let method = [CostMethod::Greedy, CostMethod::Hungarian][number % 2];
+            let (model, team_max) = (Constant(1.0), 2);
+            let mut by_cost = CostAllocator { model, method, team_max, costs: &mut costs };
+            made += usize::from(by_cost.allocate(&state, &mut allocation).is_ok());
+        }
+    });
+    assert_eq!((calls, made), (0, 2 * count));
+}

@@ -1,0 +1,221 @@
+//! The document of the plan format and the code say the same.
+
+use sortie_core::include_plan;
+use sortie_core::ops::{
+    AttendAll, GroupSum, Gru, Linear, MaskedSample, MeanRows, Members, Op, OpKind, Output,
+    OutputRows, Place,
+};
+use sortie_core::plan::{Checksums, HEADER_BYTES, Header, Network, Plan, Profile, VERSION};
+
+const DOCUMENT: &str = include_str!("../../../docs/plan-format.md");
+const AGENT: &[u8] = include_plan!("../../../tests/golden/plans/agent-1.0.plan");
+
+/// The cells of every row of the table whose first column is headed `heading`.
+fn table(heading: &str) -> impl Iterator<Item = Vec<&'static str>> {
+    let start = format!("| {heading} |");
+    let rows = DOCUMENT.lines().skip_while(move |line| !line.starts_with(&start)).skip(2);
+    let rows = rows.take_while(|line| line.starts_with('|'));
+    rows.map(|row| row.trim_matches('|').split(" | ").map(str::trim).collect())
+}
+
+/// A header whose fields are all different, and each field's bytes by its name in the document.
+fn header() -> ([u8; HEADER_BYTES], Vec<(&'static str, Vec<u8>)>) {
+    let checksums = Checksums { program: 0x6060_6060, weights: 0x6464_6464 };
+    let header = Header {
+        layout: 1,
+        arena_bytes: 0x2020,
+        arena_alignment: 64,
+        n_max: 28,
+        features: 32,
+        actions: 36,
+        hidden: 40,
+        program_offset: 44,
+        program_len: 48,
+        weights_offset: 52,
+        weights_len: 56,
+        source: [68; 32],
+        contract: 100,
+        max_error: 108.0,
+        action_mismatch: 112.0,
+        profile: Profile::Exact,
+        network: Network::TeamValue,
+        t_max: 118,
+        arena_bytes_per_agent: 120,
+    };
+    let word = |value: u32| value.to_le_bytes().to_vec();
+    let fields = vec![
+        ("magic", b"SORTIEPL".to_vec()),
+        ("major", VERSION.0.to_le_bytes().to_vec()),
+        ("minor", VERSION.1.to_le_bytes().to_vec()),
+        ("endian", vec![4, 3, 2, 1]),
+        ("layout", word(header.layout)),
+        ("arena_bytes", word(header.arena_bytes)),
+        ("arena_alignment", word(header.arena_alignment)),
+        ("n_max", word(header.n_max)),
+        ("features", word(header.features)),
+        ("actions", word(header.actions)),
+        ("hidden", word(header.hidden)),
+        ("program_offset", word(header.program_offset)),
+        ("program_len", word(header.program_len)),
+        ("weights_offset", word(header.weights_offset)),
+        ("weights_len", word(header.weights_len)),
+        ("program_checksum", word(checksums.program)),
+        ("weights_checksum", word(checksums.weights)),
+        ("source", header.source.to_vec()),
+        ("contract", header.contract.to_le_bytes().to_vec()),
+        ("max_error", header.max_error.to_le_bytes().to_vec()),
+        ("action_mismatch", header.action_mismatch.to_le_bytes().to_vec()),
+        ("profile", vec![header.profile.id()]),
+        ("network", vec![header.network.id()]),
+        ("t_max", header.t_max.to_le_bytes().to_vec()),
+        ("arena_bytes_per_agent", word(header.arena_bytes_per_agent)),
+        ("reserved", vec![0; 4]),
+    ];
+    (header.to_bytes(checksums), fields)
+}
+
+#[test]
+fn the_header_stands_where_the_document_says() {
+    let (bytes, fields) = header();
+    let (mut end, mut rows) = (0, 0);
+    for (row, (name, want)) in table("offset").zip(&fields) {
+        let number = |cell: &str| cell.parse::<usize>().expect("a number of the table");
+        let (offset, len) = (number(row[0]), number(row[1]));
+        assert_eq!((row[3], offset, len), (*name, end, want.len()), "{row:?}");
+        assert_eq!(bytes[offset..offset + len], want[..], "{name}");
+        (end, rows) = (offset + len, rows + 1);
+    }
+    assert_eq!((end, rows, table("offset").count()), (HEADER_BYTES, fields.len(), fields.len()));
+    assert!(DOCUMENT.contains(&format!("version {}.{}.", VERSION.0, VERSION.1)));
+}
+
+#[test]
+fn the_example_is_the_program_of_the_golden_plan() {
+    let cells = table("bytes").map(|row| row[0].trim_matches('`'));
+    let bytes: Vec<u8> = cells
+        .flat_map(str::split_whitespace)
+        .map(|byte| u8::from_str_radix(byte, 16).expect("a byte of the example"))
+        .collect();
+    let plan = Plan::load(AGENT).expect("the golden plan");
+    let (start, len) = (plan.header().program_offset as usize, plan.header().program_len as usize);
+    assert_eq!(bytes, AGENT[start..start + len]);
+}
+
+#[test]
+fn operators_have_the_documented_numbers() {
+    let plan = Plan::load(AGENT).expect("the golden plan");
+    let names: Vec<&str> = table("number").map(|row| row[1]).collect();
+    for (number, row) in table("number").enumerate() {
+        assert_eq!(row[0], number.to_string());
+    }
+    // The example shows each one's number at its start, in the program's order.
+    let shown = table("bytes").filter(|row| names.contains(&row[1]));
+    let shown: Vec<(&str, usize)> = shown
+        .map(|row| (row[1], usize::from_str_radix(row[0].trim_matches('`'), 16).expect("a number")))
+        .collect();
+    let ops = plan.program().ops.iter().map(|op| op.name());
+    assert!(ops.eq(shown.iter().map(|(name, _)| *name)), "{shown:?}");
+    assert!(shown.iter().all(|(name, number)| names.get(*number) == Some(name)), "{shown:?}");
+}
+
+/// One of every operator that the example has not, all of whose numbers take one byte.
+fn other_operators() -> [Op; 6] {
+    let linear = Linear { inputs: 1, outputs: 2, weights: 3, bias: 4 };
+    let place = |offset| Place { offset, len: 7 };
+    let gru = Gru {
+        size: 1,
+        input: linear,
+        recurrent: linear,
+        sparse_input: true,
+        from: place(1),
+        state: place(2),
+        input_gates: place(3),
+        recurrent_gates: place(4),
+        to: place(5),
+    };
+    let attend = AttendAll {
+        rows: place(1),
+        width: 2,
+        heads: 3,
+        query: linear,
+        key: linear,
+        value: linear,
+        output: linear,
+        relu: true,
+        queries: place(2),
+        keys: place(3),
+        values: place(4),
+        scores: place(5),
+        attended: place(6),
+        to: place(7),
+    };
+    let (rows, to) = (place(1), place(2));
+    [
+        Op::Gru(gru),
+        Op::MaskedSample(MaskedSample { from: place(1) }),
+        Op::AttendAll(attend),
+        Op::MeanRows(MeanRows { rows, width: 3, members: Members::Agents, to }),
+        Op::GroupSum(GroupSum { rows, width: 3, groups: 4, to }),
+        Op::Output(Output { from: place(1), width: 3, rows: OutputRows::Groups(4) }),
+    ]
+}
+
+/// Bytes of a list of fields as the document names them, where every number takes one byte.
+fn bytes_of_fields(fields: &str) -> usize {
+    let (mut bytes, mut names) = (0, 0);
+    for field in fields.split(", ") {
+        names += 1;
+        let Some((_, kind)) = field.split_once("` ") else { continue };
+        let each = match kind.trim_end_matches('s') {
+            "u16" | "u32" | "bool" | "member" => 1,
+            "place" | "output row" => 2,
+            "linear" => 4,
+            _ => panic!("an unknown kind of field: {field}"),
+        };
+        (bytes, names) = (bytes + each * names, 0);
+    }
+    assert_eq!(names, 0, "fields without a kind: {fields}");
+    bytes
+}
+
+#[test]
+fn every_operator_is_written_as_documented() {
+    let rows: Vec<Vec<&str>> = table("number").collect();
+    let names: Vec<&str> = rows.iter().map(|row| row[1]).collect();
+    assert!(OpKind::ALL.iter().map(|kind| kind.name()).eq(names.iter().copied()));
+    for op in other_operators() {
+        let row = rows.iter().find(|row| row[1] == op.name()).expect("a row of the table");
+        let mut buffer = [0; 64];
+        let bytes = postcard::to_slice(&op, &mut buffer).expect("an operator of few bytes");
+        assert_eq!(bytes[0].to_string(), row[0], "{}", op.name());
+        assert_eq!(bytes.len(), 1 + bytes_of_fields(row[2]), "{}", op.name());
+    }
+    let last = |op: Op| postcard::to_slice(&op, &mut [0; 64]).map(|bytes| bytes.last().copied());
+    let [.., mean, _, output] = other_operators();
+    let (Op::MeanRows(mean), Op::Output(output)) = (mean, output) else {
+        panic!("other operators")
+    };
+    // Numbers of choices stand before the last place, or last.
+    for (number, rows) in [OutputRows::One, OutputRows::Entities].into_iter().enumerate() {
+        assert_eq!(last(Op::Output(Output { rows, ..output })), Ok(Some(number as u8)));
+    }
+    for (number, members) in [Members::Present, Members::Agents].into_iter().enumerate() {
+        let mut buffer = [0; 64];
+        let op = Op::MeanRows(MeanRows { members, ..mean });
+        let bytes = postcard::to_slice(&op, &mut buffer).expect("an operator of few bytes");
+        assert_eq!(usize::from(bytes[bytes.len() - 3]), number);
+    }
+}
+
+#[test]
+fn networks_have_the_documented_numbers() {
+    let row = table("offset").find(|row| row[3] == "network").expect("a row of the table");
+    let networks = [
+        (Network::Agent, "0: an agent's utilities"),
+        (Network::TeamValue, "1: the value of a team"),
+        (Network::Entities, "5: outputs of a network over all entities"),
+    ];
+    for (network, text) in networks {
+        assert!(row[4].contains(text) && text.starts_with(&network.id().to_string()), "{text}");
+    }
+}

@@ -1,0 +1,165 @@
+//! Loads plans, decides, allocates, reads messages: on the bare machine, and without any path to a panic.
+//!
+//! The panic handler calls a function that exists nowhere, so that this program links only if the optimiser
+//! found that no panic can be reached. Everything comes from behind [`black_box`]: what is proved holds for any
+//! bytes and any sizes, not only for these.
+#![no_std]
+#![no_main]
+
+mod bare;
+
+use core::hint::black_box;
+
+use sortie_core::allocate::{
+    CostAllocator, CostMethod, CostModel, LastAllocation, PlanTeamValue, SearchMemory,
+    TaskRelation, TeamValueAllocator, exact,
+};
+use sortie_core::plan::{Aligned, Plan, arena_bytes};
+use sortie_core::wire::{AllocMsg, FrameFormat, FrameHeader, FrameLayout, FrameMut, FrameView};
+use sortie_core::{
+    AllocateError, AllocationState, Allocator, EntityMask, NO_ACTION, Observation, PlanPolicy,
+    Policy, Shape, include_plan,
+};
+use zerocopy::FromBytes;
+
+const AGENT: &[u8] = include_plan!("../../../golden/plans/agent-1.0.plan");
+const TEAM_VALUE: &[u8] = include_plan!("../../../golden/plans/team-value-1.0.plan");
+
+/// Whether all gave what it should.
+fn everything() -> bool {
+    #[cfg(feature = "control")]
+    if black_box(AGENT)[black_box(0)] == 0 {
+        return false;
+    }
+    decide() == Some(true) && allocate() == Some(true) && read_messages() == Some(true)
+}
+
+/// The first recorded decision of the golden plan.
+fn decide() -> Option<bool> {
+    let plan = Plan::load(black_box(AGENT)).ok()?;
+    let mut arena = Aligned([0; arena_bytes(AGENT)]);
+    let mut policy = PlanPolicy::new(plan, black_box(&mut arena.0)).ok()?;
+    let mut state = 0_u64;
+    let mut number = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+        state >> 40
+    };
+    let mut rows = [0.0; 30];
+    for value in &mut rows {
+        let number = number();
+        *value = if number % 3 == 0 { 0.0 } else { number as f32 / 8_388_608.0 - 1.0 };
+    }
+    let last_actions = [number() as u16 % 4, NO_ACTION];
+    let observation = black_box(Observation {
+        rows: &rows,
+        stride: 6,
+        last_actions: &last_actions,
+        visible: EntityMask::from_words(&[number() % 32]),
+        self_index: number() as usize % 5,
+        available: &[1; 4],
+    });
+    let mut utilities = [0.0; 4];
+    policy.utilities(&observation, black_box(&mut utilities)).ok()?;
+    let decision = policy.decide(&observation).ok()?;
+    policy.plan().warm();
+    let want = [0x3d88_a551, 0x3d82_935b, 0xbd6d_17ed, 0x3e8a_10e5];
+    Some(utilities.map(f32::to_bits) == want && decision.action == 3)
+}
+
+/// The same numbers everywhere.
+struct Constant(f32);
+
+impl TaskRelation for Constant {
+    fn columns(&self) -> usize {
+        3
+    }
+
+    fn observe(&mut self, _: &AllocationState<'_>) -> Result<(), AllocateError> {
+        Ok(())
+    }
+
+    fn write(&mut self, _: &AllocationState<'_>, _: usize, relation: &mut [f32]) {
+        relation.fill(self.0);
+    }
+}
+
+impl CostModel for Constant {
+    fn costs(&mut self, _: &AllocationState<'_>, costs: &mut [f32]) -> Result<(), AllocateError> {
+        costs.fill(self.0);
+        Ok(())
+    }
+}
+
+/// Every allocator places both agents.
+fn allocate() -> Option<bool> {
+    let plan = Plan::load(black_box(TEAM_VALUE)).ok()?;
+    let mut arena = Aligned([0; arena_bytes(TEAM_VALUE)]);
+    let mut rows = [0.0; 5 * 11];
+    let mut network = PlanTeamValue::new(plan, black_box(&mut arena.0), &mut rows).ok()?;
+    let mut cells = [exact::Cell::default(); exact::cells(3, 2)];
+    let (mut values, mut relation) = ([0.0; exact::cells(3, 2)], [0.0; 5 * 3]);
+    let state = black_box(AllocationState {
+        agents: 3,
+        tasks: 2,
+        rows: &[0.5; 30],
+        stride: 6,
+        present: EntityMask::from_words(&[0b11_101]),
+        entity_task: &[0, 0, 0, 1, 2],
+        open_tasks: 0b11,
+    });
+    let mut all = true;
+    for exact_agents in [8, 0] {
+        let mut allocator = TeamValueAllocator {
+            network: &mut network,
+            relation: Constant(0.25),
+            start: LastAllocation,
+            team_max: black_box(2),
+            exact_agents: black_box(exact_agents),
+            memory: SearchMemory {
+                cells: &mut cells,
+                values: &mut values,
+                relation: &mut relation,
+            },
+        };
+        all &= places_both(&mut allocator, &state);
+    }
+    for method in [CostMethod::Greedy, CostMethod::Hungarian] {
+        let (model, team_max) = (Constant(1.0), black_box(1));
+        let mut costs = [0.0; 6];
+        let costs = black_box(costs.as_mut_slice());
+        all &= places_both(&mut CostAllocator { model, method, team_max, costs }, &state);
+    }
+    Some(all)
+}
+
+fn places_both(allocator: &mut impl Allocator, state: &AllocationState<'_>) -> bool {
+    let mut allocation = [9; 3];
+    let places = black_box(allocation.as_mut_slice());
+    allocator.allocate(state, places).is_ok() && matches!(allocation, [0..=1, 0xFF, 0..=1])
+}
+
+/// A frame that was written is read, and an allocation of another schema is not.
+fn read_messages() -> Option<bool> {
+    let shape = black_box(Shape { agents: 2, entities: 3, tasks: 2, actions: 3, features: 5 });
+    let layout = FrameLayout::new(shape).ok()?;
+    let mut payload = Aligned([0; 2048]);
+    let payload = payload.0.get_mut(..layout.payload_bytes())?;
+    let mut frame = FrameMut::new(payload, layout).ok()?;
+    frame.set_present(&EntityMask::first(black_box(3)));
+    frame.set_observable(black_box(1), &EntityMask::first(2));
+    frame.set_last_action(black_box(0), 2);
+    let mut header = Aligned([0; size_of::<FrameHeader>()]);
+    let header = FrameHeader::mut_from_bytes(&mut header.0).ok()?;
+    header.magic = FrameHeader::MAGIC;
+    header.abi = sortie_core::wire::ABI;
+    header.len = payload.len() as u32;
+    let format = FrameFormat { layout, schema: 0 };
+    let view = FrameView::new(black_box(header), black_box(payload), &format).ok()?;
+    let agent = black_box(1);
+    let seen =
+        sortie_core::visible(view.observable(agent), view.present(), view.entity_task(), None);
+    let message = Aligned([0; size_of::<AllocMsg>()]);
+    let message = AllocMsg::ref_from_bytes(black_box(&message.0)).ok()?;
+    let refused = message.check(1, shape).is_err() && message.task_of(agent).is_some();
+    Some(seen.is_empty() && view.observable(agent).len() == 2 && refused)
+}
