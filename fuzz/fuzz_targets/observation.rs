@@ -54,8 +54,8 @@ fn answer(plan: Plan<'_>, old: u8, observation: &Observation<'_>) -> String {
     let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
     arena.as_mut_slice().fill(old);
     let mut utilities = vec![0.0; plan.actions()];
-    let computed = plan.utilities(arena.as_mut_slice(), observation, &mut utilities);
-    let decided = plan.decide(arena.as_mut_slice(), observation);
+    let computed = plan.utilities(arena.as_mut_slice(), observation, None, &mut utilities);
+    let decided = plan.decide(arena.as_mut_slice(), observation, None);
     let bits: Vec<u32> = utilities.iter().map(|utility| utility.to_bits()).collect();
     format!("{computed:?} {bits:?} {decided:?}")
 }

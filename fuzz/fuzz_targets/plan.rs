@@ -63,7 +63,7 @@ fn decide(plan: &Plan<'_>, bytes: &[u8]) {
         let mut memory = AlignedBytes::zeroed(plan.arena_bytes() + 2 * GUARD);
         memory.as_mut_slice().fill(0xA5);
         let end = GUARD + plan.arena_bytes();
-        let answer = plan.decide(&mut memory.as_mut_slice()[GUARD..end], &observation);
+        let answer = plan.decide(&mut memory.as_mut_slice()[GUARD..end], &observation, None);
         let (before, rest) = memory.as_slice().split_at(GUARD);
         let after = &rest[plan.arena_bytes()..];
         assert!(before.iter().chain(after).all(|byte| *byte == 0xA5), "left its arena");

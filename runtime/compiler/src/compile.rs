@@ -9,7 +9,7 @@ use sortie_core::plan::{AlignedBytes, Network, Plan, Profile, Program};
 use crate::assemble::{Origin, assemble};
 use crate::error::CompileError;
 use crate::graph::{Graph, Inputs, TeamRoles};
-use crate::lower::{AgentSizes, lower_agent};
+use crate::lower::{AgentSizes, Choice, lower_agent};
 use crate::matching::{match_agent, match_team_value};
 use crate::observations::{random_observations, random_team_queries};
 use crate::parity::{Comparison, TOLERANCE, plan_against_graph, team_values_against_graph};
@@ -95,7 +95,9 @@ pub fn compile(onnx: &[u8], options: &CompileOptions) -> Result<Compiled, Compil
         }
         Inputs::TeamValue(_) => (match_team_value(&graph)?, graph.columns, Network::TeamValue),
     };
-    let sizes = AgentSizes { n_max: options.n_max, features, actions: graph.actions };
+    let drawn = graph.metadata.get("sortie.choice").is_some_and(|choice| choice == "sample");
+    let choice = if drawn { Choice::Drawn } else { Choice::Greedy };
+    let sizes = AgentSizes { n_max: options.n_max, features, actions: graph.actions, choice };
     let (program, weights) = lower_agent(&layers, sizes)?;
     let metadata = graph.metadata.get("sortie.contract");
     let known = metadata.and_then(|hash| u64::from_str_radix(hash, 16).ok());
@@ -139,7 +141,7 @@ fn prove(
         Inputs::Agent(_) => {
             let AgentSizes { features, actions, .. } = sizes;
             let observations = random_observations(inputs, n_max, features, actions, seed);
-            plan_against_graph(plan, graph, &observations)?
+            plan_against_graph(plan, graph, &observations, seed)?
         }
         Inputs::TeamValue(TeamRoles { features, relations, .. }) => {
             let queries = random_team_queries(inputs, n_max, features, relations, seed);
@@ -165,7 +167,12 @@ pub fn compile_bundle(bundle: &Bundle) -> Result<AlignedBytes, CompileError> {
 /// As [`compile_bundle`] in any profile.
 pub fn compile_bundle_as(bundle: &Bundle, profile: Profile) -> Result<AlignedBytes, CompileError> {
     let plan = cached(bundle, bundle.agent_onnx(), profile, bundle.manifest().limits.n_max.into())?;
-    let actions = Plan::load(plan.as_slice())?.actions();
+    let loaded = Plan::load(plan.as_slice())?;
+    let (actions, hidden) = (loaded.actions(), loaded.hidden());
+    if hidden != 0 {
+        // Nobody who runs bundles keeps a state for an agent.
+        return Err(CompileError::Size { what: "the recurrent state", got: hidden, want: 0 });
+    }
     if actions != usize::from(bundle.contract().actions) {
         let want = usize::from(bundle.contract().actions);
         return Err(CompileError::Size { what: "the number of utilities", got: actions, want });
@@ -233,7 +240,9 @@ fn detail(op: &Op) -> String {
         Op::Dense(op) => {
             format!("[{}] -> [{}]{}", op.layer.inputs, op.layer.outputs, relu(op.relu))
         }
+        Op::Gru(op) => format!("[{}], state [{}]", op.input.inputs, op.size),
         Op::MaskedArgmax(op) => format!("[{}] -> action", op.from.len),
+        Op::MaskedSample(op) => format!("[{}] -> drawn action", op.from.len),
         _ => String::new(),
     }
 }

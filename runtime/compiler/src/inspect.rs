@@ -52,6 +52,8 @@ pub struct PlanFacts {
     pub features: usize,
     /// Actions U.
     pub actions: usize,
+    /// Floats of the recurrent state, 0 if there is none.
+    pub hidden: usize,
     /// Most subtasks, 0 if none.
     pub t_max: u16,
     /// SHA-256 of the ONNX file that the plan was made from.
@@ -122,6 +124,7 @@ pub fn inspect_plan(plan: &[u8]) -> Result<PlanFacts, CompileError> {
         n_max: header.n_max as usize,
         features: header.features as usize,
         actions: header.actions as usize,
+        hidden: header.hidden as usize,
         t_max: header.t_max,
         source: hex(&header.source),
         contract: format!("{:016x}", header.contract),

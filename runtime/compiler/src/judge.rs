@@ -60,6 +60,7 @@ impl Judge {
 ///
 /// A plan refuses a feature or a utility that is not finite; graphs compute on. Where a graph's utilities
 /// are not finite either, both have given no answer, and agree; see [`Standard`] for what is no number.
+/// Families hold no recurrent states, so that an agent with memory is not judged.
 pub fn judge_agent(
     plan: &[u8],
     onnx: &[u8],
@@ -68,6 +69,10 @@ pub fn judge_agent(
 ) -> Result<Vec<Comparison>, CompileError> {
     let plan = AlignedBytes::copy_of(plan);
     let plan = Plan::load(plan.as_slice())?;
+    if plan.hidden() != 0 {
+        let (what, got) = ("the recurrent state", plan.hidden());
+        return Err(CompileError::Size { what, got, want: 0 });
+    }
     let mut engine = judge.agent(onnx, plan.header().features as usize)?;
     let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
     let mut policy = PlanPolicy::new(plan, arena.as_mut_slice())?;

@@ -9,6 +9,8 @@ mod assemble;
 mod attention;
 mod compile;
 mod engine;
+#[cfg(test)]
+mod entities_tests;
 mod error;
 #[cfg(test)]
 mod executor_tests;
@@ -25,6 +27,8 @@ mod observations;
 #[cfg(feature = "onnxruntime")]
 pub mod onnxruntime;
 mod parity;
+#[cfg(test)]
+mod recurrent_tests;
 #[cfg(test)]
 mod testing;
 mod tract_policy;

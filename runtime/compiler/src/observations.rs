@@ -87,6 +87,17 @@ pub(crate) fn random_team_queries_of(
     (0..count).map(|index| random.team_query(index, agents, tasks, [features, relations])).collect()
 }
 
+/// Random recurrent states of `size` numbers in [-1, 1], the first one zeros as at an episode's start.
+pub(crate) fn random_states(size: usize, seed: u64) -> impl FnMut() -> Vec<f32> {
+    let mut random = Random(Xoshiro256PlusPlus::seed_from_u64(seed));
+    let mut bound = 0.0;
+    move || {
+        let state = (0..size).map(|_| random.feature(false) * bound).collect();
+        bound = 1.0;
+        state
+    }
+}
+
 struct Random(Xoshiro256PlusPlus);
 
 impl Random {

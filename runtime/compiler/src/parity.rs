@@ -7,11 +7,11 @@ use sortie_core::choose::masked_argmax;
 use sortie_core::plan::{AlignedBytes, Plan};
 use sortie_core::{PlanPolicy, Policy};
 
-use crate::engine::{AgentEngine, TeamValueEngine};
+use crate::engine::TeamValueEngine;
 use crate::error::CompileError;
 use crate::graph::Graph;
 use crate::graph_inputs::Rows;
-use crate::observations::OwnedTeamQuery;
+use crate::observations::{OwnedTeamQuery, random_states};
 use crate::tract_policy::TractPolicy;
 use crate::tract_team_value::TractTeamValue;
 
@@ -119,13 +119,14 @@ pub fn compare_with_graph(
     onnx: &[u8],
     observations: &[OwnedObservation],
 ) -> Result<Comparison, CompileError> {
-    plan_against_graph(plan, &Graph::read(onnx)?, observations)
+    plan_against_graph(plan, &Graph::read(onnx)?, observations, 0)
 }
 
 pub(crate) fn plan_against_graph(
     plan: &[u8],
     graph: &Graph,
     observations: &[OwnedObservation],
+    seed: u64,
 ) -> Result<Comparison, CompileError> {
     let plan = AlignedBytes::copy_of(plan);
     let plan = Plan::load(plan.as_slice())?;
@@ -135,12 +136,18 @@ pub(crate) fn plan_against_graph(
     let mut policy = PlanPolicy::new(plan, arena.as_mut_slice())?;
     let mut comparison = Comparison::new("plan against tract");
     let (mut got, mut want) = (vec![0.0; policy.actions()], vec![0.0; policy.actions()]);
+    let mut states = random_states(policy.hidden(), seed);
     for observation in observations {
         let view = observation.view();
-        policy.utilities(&view, &mut got).map_err(cannot_run)?;
-        reference.run(&view, Rows::All, &mut want).map_err(cannot_run)?;
+        let mut state = states();
+        let mut wanted_state = state.clone();
+        policy.utilities_with(&view, &mut state, &mut got).map_err(cannot_run)?;
+        reference.step(&view, Rows::All, &mut wanted_state, &mut want).map_err(cannot_run)?;
         let action = |utilities: &[f32]| masked_argmax(utilities, view.available).map(|d| d.action);
-        comparison.add(&got, &want, action(&got) == action(&want));
+        let same_action = action(&got) == action(&want);
+        // A wrong state shows in the next step's utilities, so it counts like them.
+        let both = |utilities: &[f32], state: &[f32]| [utilities, state].concat();
+        comparison.add(&both(&got, &state), &both(&want, &wanted_state), same_action);
     }
     Ok(comparison)
 }

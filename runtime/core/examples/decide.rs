@@ -44,7 +44,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let seen: Vec<Observation<'_>> = (0..agents).map(see).collect();
         let started = Instant::now();
         if agents == 1 {
-            plan.utilities(arena.as_mut_slice(), &seen[0], &mut utilities)?;
+            plan.utilities(arena.as_mut_slice(), &seen[0], None, &mut utilities)?;
         } else {
             plan.utilities_batch(arena.as_mut_slice(), &seen, &mut utilities, &mut results);
             results.iter().try_for_each(|result| *result)?;

@@ -48,7 +48,7 @@ fn decisions<const ARENA: usize>(bytes: &[u8]) -> String {
         for (plan, utilities) in
             [plan.clone(), plan.clone().on(Build::PORTABLE)].iter().zip(&mut answers)
         {
-            plan.utilities(&mut arena.0, &observation, utilities).expect("finite utilities");
+            plan.utilities(&mut arena.0, &observation, None, utilities).expect("finite utilities");
         }
         let [widest, portable] = answers.map(|utilities| {
             utilities

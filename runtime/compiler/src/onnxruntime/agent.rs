@@ -42,10 +42,15 @@ struct Bound {
 }
 
 impl OnnxRuntimePolicy {
-    /// Reads an ONNX file; `features` is the number d of columns before the last action's one-hot.
+    /// Reads an ONNX file; `features` is the number d of columns before the last action's one-hot. An agent with
+    /// memory is refused.
     pub fn new(runtime: &OnnxRuntime, onnx: &[u8], features: usize) -> Result<Self, CompileError> {
         let graph = Graph::read(onnx)?;
         let roles = graph.agent_roles()?;
+        if let Some(memory) = roles.memory {
+            let (what, got) = ("the recurrent state", memory.size);
+            return Err(CompileError::Size { what, got, want: 0 });
+        }
         let columns = AgentColumns::new(graph.columns, features, graph.actions)?;
         let names = Names {
             entities: graph.input_name(roles.entities),

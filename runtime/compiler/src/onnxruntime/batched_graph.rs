@@ -12,7 +12,7 @@ use tract_onnx::pb::type_proto;
 
 use crate::error::CompileError;
 use crate::graph::{Graph, Inputs};
-use crate::matching::{AgentLayers, Layer, Matrix, match_agent, match_team_value};
+use crate::matching::{AgentLayers, Layer, Matrix, Step, match_agent, match_team_value};
 
 const IR_VERSION: i64 = 8;
 const OPSET: i64 = 17;
@@ -43,7 +43,7 @@ pub fn batched_agents_onnx(onnx: &[u8]) -> Result<Vec<u8>, CompileError> {
     let value = model.heads(&value, &layers, 0, &[1, 0, 2]);
     let attended = model.attend(&query, &key, &value, "visible");
     let joined = model.join(&attended, &layers, &[1, 0, 2]);
-    model.rest(&joined, &layers, "utilities");
+    model.rest(&joined, &layers, "utilities")?;
     Ok(model.into_bytes("batched_agents"))
 }
 
@@ -77,7 +77,7 @@ pub fn batched_team_values_onnx(onnx: &[u8]) -> Result<Vec<u8>, CompileError> {
     let value = model.heads(&value, &layers, 1, &[0, 2, 1, 3]);
     let attended = model.attend(&query, &key, &value, "visible");
     let joined = model.join(&attended, &layers, &[0, 2, 1, 3]);
-    model.rest(&joined, &layers, "value");
+    model.rest(&joined, &layers, "value")?;
     Ok(model.into_bytes("batched_team_values"))
 }
 
@@ -219,12 +219,22 @@ impl Model {
     }
 
     /// What follows the attention, down to `output`.
-    fn rest(&mut self, joined: &str, layers: &AgentLayers, output: &str) {
+    fn rest(
+        &mut self,
+        joined: &str,
+        layers: &AgentLayers,
+        output: &str,
+    ) -> Result<(), CompileError> {
         let mut last = self.layer("output", joined, &layers.output);
-        for (index, layer) in layers.dense.iter().enumerate() {
+        for (index, step) in layers.steps.iter().enumerate() {
+            let Step::Dense(layer) = step else {
+                let (what, got) = ("the number of recurrent units", 1);
+                return Err(CompileError::Size { what, got, want: 0 });
+            };
             last = self.layer(&format!("dense.{index}"), &last, layer);
         }
         self.node(output, "Identity", &[&last], &[]);
+        Ok(())
     }
 
     fn into_bytes(mut self, name: &str) -> Vec<u8> {

@@ -86,11 +86,7 @@ impl AttendOwn {
             && self.mixed.len as usize == self.padded_width()
             && self.attended.len == u32::from(self.output.inputs)
             && self.to.len as usize == self.output.padded_outputs();
-        let places = self.places();
-        let apart = places.iter().enumerate().all(|(index, place)| {
-            sizes.holds(place) && places.iter().skip(index + 1).all(|other| place.disjoint(other))
-        });
-        layers && widths && lengths && apart
+        layers && widths && lengths && sizes.hold_apart(&self.places().each_ref())
     }
 
     fn places(&self) -> [Place; 7] {

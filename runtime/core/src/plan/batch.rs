@@ -14,13 +14,14 @@ use crate::kernels::Kernels;
 use crate::kernels::build::Work;
 use crate::kernels::mark::Marks;
 use crate::limits;
+use crate::ops::OperatorSet;
 use crate::ops::team::{Member, TEAM, Team};
 use crate::policy::{DecideError, Decision, Observation};
 
 /// An agent's utilities in the arena, or why there are none.
 type Computed<'s> = Result<&'s [f32], DecideError>;
 
-impl Plan<'_> {
+impl<S: OperatorSet> Plan<'_, S> {
     /// Bytes of arena that every agent beyond the first needs to be worked on together with others; 0 where the
     /// plan decides for one agent after the other.
     pub fn arena_bytes_per_agent(&self) -> usize {
@@ -94,7 +95,7 @@ impl Plan<'_> {
             }
             for index in alone {
                 if let Some(observation) = observations.get(index) {
-                    answer(index, self.run(arena, observation));
+                    answer(index, self.run(arena, observation, None));
                 }
             }
             next += count;
@@ -175,18 +176,18 @@ fn is_same_frame(a: &Observation<'_>, b: &Observation<'_>) -> bool {
         && core::ptr::eq(a.last_actions, b.last_actions)
 }
 
-struct TeamExecution<'p, 'a, 's> {
-    plan: &'p Plan<'a>,
+struct TeamExecution<'p, 'a, 's, S: OperatorSet> {
+    plan: &'p Plan<'a, S>,
     observations: &'p [Observation<'p>],
     team: &'p mut Team<'s>,
 }
 
-impl Work for TeamExecution<'_, '_, '_> {
+impl<S: OperatorSet> Work for TeamExecution<'_, '_, '_, S> {
     type Output = Result<(), DecideError>;
 
     fn run(self, kernels: impl Kernels) -> Self::Output {
         for op in &self.plan.program.ops {
-            op.run_team(kernels, self.plan.weights, self.observations, self.team)?;
+            op.run_team::<S>(kernels, self.plan.weights, self.observations, self.team)?;
         }
         Ok(())
     }

@@ -36,6 +36,8 @@ pub enum Network {
     Agent,
     /// The value of a team at a subtask.
     TeamValue,
+    /// Any outputs over all entities: a critic, the trunk of an allocator.
+    Entities,
 }
 
 /// The header of a plan; magic, version, byte order and checksums are checked and not kept.
@@ -230,6 +232,7 @@ impl Network {
         match self {
             Self::Agent => "agent",
             Self::TeamValue => "team-value",
+            Self::Entities => "entities",
         }
     }
 
@@ -238,6 +241,7 @@ impl Network {
         match self {
             Self::Agent => 0,
             Self::TeamValue => 1,
+            Self::Entities => 5,
         }
     }
 
@@ -245,6 +249,7 @@ impl Network {
         match id {
             0 => Ok(Self::Agent),
             1 => Ok(Self::TeamValue),
+            5 => Ok(Self::Entities),
             _ => Err(PlanError::UnknownOp),
         }
     }

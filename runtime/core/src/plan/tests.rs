@@ -261,7 +261,7 @@ fn alone(plan: &Plan<'_>, observations: &[Observation<'_>]) -> Vec<Answer> {
     let mut utilities = vec![0.0; plan.actions()];
     let ask = |observation| {
         arena.as_mut_slice().fill(0xff);
-        let answer = plan.utilities(arena.as_mut_slice(), observation, &mut utilities);
+        let answer = plan.utilities(arena.as_mut_slice(), observation, None, &mut utilities);
         answer.map(|()| bits(&utilities))
     };
     observations.iter().map(ask).collect()
@@ -337,7 +337,7 @@ fn a_team_decides_as_its_members_alone() {
         observations[2].available = &none;
         let mut arena = AlignedBytes::zeroed(plan.batch_arena_bytes(9));
         let arena = arena.as_mut_slice();
-        let ask = |observation| plan.decide(arena, observation);
+        let ask = |observation| plan.decide(arena, observation, None);
         let want: Vec<Result<Decision, DecideError>> = observations.iter().map(ask).collect();
         let mut got = vec![Err(DecideError::NonFinite); observations.len()];
         let mut arena = AlignedBytes::zeroed(plan.batch_arena_bytes(9));

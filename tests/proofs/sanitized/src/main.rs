@@ -60,6 +60,7 @@ fn decide(plan: &Plan<'_>, arena: &mut [u8], rows: &[f32]) -> usize {
                     self_index,
                     available: available.get(..plan.actions()).unwrap_or_default(),
                 },
+                None,
             );
             decisions += usize::from(decision.is_ok());
         }
