@@ -67,7 +67,7 @@ pub fn random_team_queries(
     let mut random = Random(Xoshiro256PlusPlus::seed_from_u64(seed));
     let mut query = |index| {
         let tasks = 1 + random.below(n_max.clamp(1, limits::TASKS));
-        let agents = random.below((n_max.max(1) - tasks).min(limits::AGENTS) + 1);
+        let agents = random.below(most_agents(n_max.max(1), tasks) + 1);
         random.team_query(index, agents, tasks, [features, relations])
     };
     (0..count).map(&mut query).collect()
@@ -83,8 +83,14 @@ pub(crate) fn random_team_queries_of(
 ) -> Vec<OwnedTeamQuery> {
     let mut random = Random(Xoshiro256PlusPlus::seed_from_u64(seed));
     let tasks = entities.div_ceil(2).clamp(1, limits::TASKS);
-    let agents = entities.saturating_sub(tasks).min(limits::AGENTS);
+    let agents = most_agents(entities, tasks);
     (0..count).map(|index| random.team_query(index, agents, tasks, [features, relations])).collect()
+}
+
+/// As many agents as a state of `entities` can have: each needs two rows where several teams are valued together.
+fn most_agents(entities: usize, tasks: usize) -> usize {
+    let rows = limits::ENTITIES.saturating_sub(tasks);
+    entities.saturating_sub(tasks).min(limits::AGENTS).min(rows / 2)
 }
 
 /// Random recurrent states of `size` numbers in [-1, 1], the first one zeros as at an episode's start.
