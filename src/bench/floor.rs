@@ -39,7 +39,7 @@ mod tests {
     fn every_word_is_read() {
         let bytes: Vec<u8> =
             (0..LANES as u64 * 3).flat_map(|word| (word * word).to_le_bytes()).collect();
-        let want = (0..LANES as u64 * 3).map(|word| word * word).sum();
+        let want: u64 = (0..LANES as u64 * 3).map(|word| word * word).sum();
         assert_eq!(Floor::new(&bytes).sum(), want);
     }
 }

@@ -165,18 +165,17 @@ mod tests {
 
     #[test]
     fn engines_take_turns_over_the_same_calls() {
-        let calls = std::cell::RefCell::new(Vec::new());
+        let calls = &std::cell::RefCell::new(Vec::new());
         let engine = |name| Engine {
             name,
             version: String::new(),
-            work: Box::new(|call| calls.borrow_mut().push((name, call))),
+            work: Box::new(move |call| calls.borrow_mut().push((name, call))),
         };
         let mut engines = [engine("a"), engine("b")];
         let measured = alternate_long(&mut engines, 2, 0.0);
         assert!(measured.iter().all(|engine| engine.medians_ns.len() == 3));
         assert!(measured.iter().all(|engine| engine.latency.samples() == 6));
-        drop(engines);
-        let calls = calls.into_inner();
+        let calls = calls.borrow();
         let warm_up = [("a", 0), ("a", 1), ("b", 0), ("b", 1)];
         assert_eq!(calls[..4], warm_up);
         let second_round = [("a", 2), ("a", 3), ("b", 2), ("b", 3)];
