@@ -96,8 +96,11 @@ impl<'a> PlanTeamValue<'a> {
         let stride = self.plan.header().features as usize;
         let frame = Frame { rows: self.rows, stride, own: slot(query, own, false) };
         let team = |team: &u64| frame.observation(&TeamQuery { team: *team, ..*query });
-        let observations: heapless::Vec<_, TOGETHER> =
-            teams.iter().take(TOGETHER).map(team).collect();
+        let mut observations = heapless::Vec::<_, TOGETHER>::new();
+        for observation in teams.iter().map(team) {
+            // Callers ask about as many as there is room for.
+            let _ = observations.push(observation);
+        }
         let mut results = [Ok(()); TOGETHER];
         let results = results.get_mut(..observations.len()).ok_or(DecideError::BadLength)?;
         self.plan.utilities_batch(self.arena, &observations, values, results);

@@ -303,10 +303,13 @@ impl<N: TeamValueNetwork, R: TaskRelation> Asked<'_, N, R> {
                 self.relation.write(self.state, task, self.buffer);
                 self.related = Some(task);
             }
-            let teams: heapless::Vec<u64, TOGETHER> =
-                teams.take(TOGETHER).map(|team| self.team_of_rows(team)).collect();
+            let mut rows = heapless::Vec::<u64, TOGETHER>::new();
+            for team in teams {
+                // Callers ask about as many as there is room for.
+                let _ = rows.push(self.team_of_rows(team));
+            }
             let query = TeamQuery { state: self.state, task, team: 0, relation: self.buffer };
-            self.error = self.network.values(&query, &teams, values).err();
+            self.error = self.network.values(&query, &rows, values).err();
         }
         if self.error.is_some() {
             values.fill(f32::NAN);

@@ -43,7 +43,8 @@ pub fn products<A: Arithmetic>(
     let Some(Pair { inputs, outputs }) = pairs.first() else { return };
     let (rows, columns) = (inputs.len(), outputs.len());
     // Groups of equal size: eight vectors are two times four.
-    let group = pairs.len().div_ceil(pairs.len().div_ceil(GROUP));
+    let groups = pairs.len().div_ceil(GROUP).max(1);
+    let group = pairs.len().div_ceil(groups).max(1);
     let mut tiles = Tiles { weights, around, rows, column: 0 };
     while tiles.column < columns {
         let done = match tile_width(columns - tiles.column) {

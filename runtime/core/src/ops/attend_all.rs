@@ -152,9 +152,10 @@ impl AttendAll {
                 let marks = &*scratch.nonzeros;
                 let inputs = Sparse { values, marks, one: None, count: values.len() };
                 kernels.sparse_product(matrix, inputs, around, attended);
-                let heads = to.chunks_exact_mut(of_head).zip(attended.chunks_exact(head));
+                let heads = to.chunks_exact_mut(of_head).zip(attended.chunks_exact(head.max(1)));
                 for (to, values) in heads {
-                    let to = to.chunks_exact_mut(head).nth(row).ok_or(DecideError::BadLength)?;
+                    let to = to.chunks_exact_mut(head.max(1)).nth(row);
+                    let to = to.ok_or(DecideError::BadLength)?;
                     for (to, value) in to.iter_mut().zip(values) {
                         *to = *value;
                     }
@@ -164,9 +165,9 @@ impl AttendAll {
         Ok(())
     }
 
-    /// Floats of one head in a row, and in all visible rows; neither is zero.
+    /// Floats of one head in a row, and in all visible rows; neither is zero, which the optimiser forgets in loops.
     fn head_floats(&self, visible: usize) -> (usize, usize) {
         let head = self.head_width().max(1);
-        (head, head * visible.max(1))
+        (head, head.saturating_mul(visible).max(1))
     }
 }

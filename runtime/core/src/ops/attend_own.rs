@@ -195,7 +195,7 @@ impl AttendOwn {
         let [_, _, absorbed, scores, mixed, attended, _] = self.places();
         let wanted = [absorbed, scores, mixed, attended].map(|place| team.own_place(&place));
         let Team { rows, own, own_floats, members, .. } = team;
-        for (member, floats) in members.iter_mut().zip(own.chunks_exact_mut(*own_floats)) {
+        for (member, floats) in members.iter_mut().zip(own.chunks_exact_mut((*own_floats).max(1))) {
             let [absorbed, scores, mixed, attended] = places(floats, wanted.each_ref())?;
             if member.slots.is_empty() {
                 attended.fill(0.0);

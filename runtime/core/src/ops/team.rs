@@ -76,7 +76,7 @@ impl<'a> Team<'a> {
     ) -> Pairs<'_> {
         let (from, to) = (self.own_place(from), self.own_place(to));
         let mut pairs = Vec::new();
-        let own = self.own.chunks_exact_mut(self.own_floats);
+        let own = self.own.chunks_exact_mut(self.own_floats.max(1));
         for (_, floats) in self.members.iter().zip(own).filter(|(member, _)| wanted(member)) {
             if let Ok([inputs, outputs]) = places(floats, [&from, &to]) {
                 // There is room for every member.
@@ -96,7 +96,7 @@ impl<'a> Team<'a> {
         let to = self.own_place(to);
         let stride = crate::kernels::product::padded(width);
         let mut pairs = Vec::new();
-        let own = self.own.chunks_exact_mut(self.own_floats);
+        let own = self.own.chunks_exact_mut(self.own_floats.max(1));
         for (member, floats) in self.members.iter().zip(own).filter(|(member, _)| wanted(member)) {
             let start = usize::from(member.own) * stride;
             let row = self.rows.get(start..start + width);

@@ -91,9 +91,11 @@ impl<S: OperatorSet> Plan<'_, S> {
             if count == 1
                 || self.run_team(arena, observations, members, &mut alone, answer).is_err()
             {
-                alone = (next..next + count).collect();
+                alone.clear();
+                // There is room for every member.
+                (next..next + count).for_each(|index| drop(alone.push(index)));
             }
-            for index in alone {
+            for &index in &alone {
                 if let Some(observation) = observations.get(index) {
                     answer(index, self.run(arena, observation, None));
                 }
@@ -157,7 +159,9 @@ impl<S: OperatorSet> Plan<'_, S> {
         self.execute(TeamExecution { plan: self, observations, team: &mut team })?;
         let place = self.program.utilities().ok_or(DecideError::BadLength)?;
         let place = team.own_place(&place);
-        for (member, floats) in team.members.iter().zip(team.own.chunks_exact(team.own_floats)) {
+        for (member, floats) in
+            team.members.iter().zip(team.own.chunks_exact(team.own_floats.max(1)))
+        {
             if member.alone {
                 let _ = alone.push(member.index);
                 continue;
