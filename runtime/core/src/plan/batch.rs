@@ -93,7 +93,9 @@ impl<S: OperatorSet> Plan<'_, S> {
             {
                 alone.clear();
                 // There is room for every member.
-                (next..next + count).for_each(|index| drop(alone.push(index)));
+                for index in next..next + count {
+                    let _ = alone.push(index);
+                }
             }
             for &index in &alone {
                 if let Some(observation) = observations.get(index) {
