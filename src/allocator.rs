@@ -1,6 +1,7 @@
 //! What allocates in a deployed team: a rule of the environment, or the network of a bundle.
 
 use sortie_bundle::Bundle;
+use sortie_compiler::onnxruntime::{OnnxRuntime, OnnxRuntimeTeamValue};
 use sortie_compiler::{CompileError, TractTeamValue, compile_allocator};
 use sortie_core::allocate::{
     EXACT_AGENTS, PlanTeamValue, SearchMemory, TaskRelation, TeamQuery, TeamValueAllocator,
@@ -56,12 +57,27 @@ pub(crate) struct LearnedAllocator {
 impl LearnedAllocator {
     /// Compiles the bundle's team-value network, or takes the plan that was compiled before.
     pub(crate) fn open(bundle: &Bundle, backend: Backend) -> Result<Self, Failure> {
+        let entities = usize::from(bundle.manifest().limits.n_max);
+        Self::with(bundle, |onnx| NetworkMemory::open(bundle, onnx, backend, entities))
+    }
+
+    /// The same with the network run by onnxruntime, as a peer.
+    pub(crate) fn of_onnxruntime(bundle: &Bundle, runtime: &OnnxRuntime) -> Result<Self, Failure> {
+        Self::with(bundle, |onnx| {
+            let network = OnnxRuntimeTeamValue::new(runtime, onnx)?;
+            Ok(NetworkMemory::OnnxRuntime(Box::new(network)))
+        })
+    }
+
+    fn with(
+        bundle: &Bundle,
+        network: impl FnOnce(&[u8]) -> Result<NetworkMemory, CompileError>,
+    ) -> Result<Self, Failure> {
         let name = bundle.folder().display();
         let onnx = bundle.allocator_onnx().ok_or_else(|| none_learned(&name.to_string()))?;
+        let network = network(onnx).map_err(|error| Failure::from(error).within(&name))?;
         let limits = bundle.manifest().limits;
         let entities = usize::from(limits.n_max);
-        let network = NetworkMemory::open(bundle, onnx, backend, entities)
-            .map_err(|error| Failure::from(error).within(&name))?;
         let cells = exact::cells(EXACT_AGENTS, limits.t_max.into());
         Ok(Self {
             network,
@@ -105,11 +121,13 @@ pub(crate) fn none_learned(name: &str) -> Failure {
 enum NetworkMemory {
     Plan { plan: AlignedBytes, arena: AlignedBytes, rows: Vec<f32> },
     Tract(Box<TractTeamValue>),
+    OnnxRuntime(Box<OnnxRuntimeTeamValue>),
 }
 
 enum BoundNetwork<'a> {
     Plan(Box<PlanTeamValue<'a>>),
     Tract(&'a mut TractTeamValue),
+    OnnxRuntime(&'a mut OnnxRuntimeTeamValue),
 }
 
 impl NetworkMemory {
@@ -124,7 +142,7 @@ impl NetworkMemory {
         }
         let plan = compile_allocator(bundle)?.ok_or(PlanError::WrongNetwork)?;
         let loaded = Plan::load(plan.as_slice())?;
-        let arena = AlignedBytes::zeroed(loaded.arena_bytes());
+        let arena = AlignedBytes::zeroed(loaded.batch_arena_bytes(sortie_core::limits::AGENTS));
         let rows = vec![0.0; PlanTeamValue::row_floats(&loaded, entities)];
         Ok(Self::Plan { plan, arena, rows })
     }
@@ -138,6 +156,7 @@ impl NetworkMemory {
                 Ok(BoundNetwork::Plan(Box::new(network)))
             }
             Self::Tract(network) => Ok(BoundNetwork::Tract(network)),
+            Self::OnnxRuntime(network) => Ok(BoundNetwork::OnnxRuntime(network)),
         }
     }
 }
@@ -147,6 +166,20 @@ impl TeamValueNetwork for BoundNetwork<'_> {
         match self {
             Self::Plan(network) => network.value(query),
             Self::Tract(network) => network.value(query),
+            Self::OnnxRuntime(network) => network.value(query),
+        }
+    }
+
+    fn values(
+        &mut self,
+        query: &TeamQuery<'_>,
+        teams: &[u64],
+        values: &mut [f32],
+    ) -> Result<(), AllocateError> {
+        match self {
+            Self::Plan(network) => network.values(query, teams, values),
+            Self::Tract(network) => network.values(query, teams, values),
+            Self::OnnxRuntime(network) => network.values(query, teams, values),
         }
     }
 }

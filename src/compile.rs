@@ -3,9 +3,10 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use serde::Serialize;
 use sortie_compiler::{CompileError, CompileOptions, Report, compile};
+use sortie_core::plan::Profile;
 
 use crate::arguments::Common;
 use crate::failure::{Failure, Outcome};
@@ -28,8 +29,30 @@ pub(crate) struct CompileArguments {
     /// Most visible entities, which sizes the arena
     #[arg(long, default_value_t = 32, value_parser = clap::value_parser!(u16).range(1..=128))]
     n_max: u16,
+    /// How the plan computes
+    #[arg(long, value_enum, default_value_t = PlanProfile::Exact)]
+    profile: PlanProfile,
     #[command(flatten)]
     common: Common,
+}
+
+/// An arithmetic profile.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum PlanProfile {
+    /// The same bits on every target
+    Exact,
+    /// Fused multiply-add: faster for teams, the same bits on every target that has the instruction
+    Fused,
+}
+
+impl PlanProfile {
+    /// As the plan's header has it.
+    pub(crate) fn profile(self) -> Profile {
+        match self {
+            Self::Exact => Profile::Exact,
+            Self::Fused => Profile::Fused,
+        }
+    }
 }
 
 #[derive(Serialize)]
@@ -58,6 +81,7 @@ pub(crate) fn run(arguments: &CompileArguments) -> Outcome {
     let onnx = fs::read(path).map_err(|error| Failure::file(path, &error))?;
     let options = CompileOptions {
         n_max: arguments.n_max.into(),
+        profile: arguments.profile.profile(),
         seed: arguments.common.seed,
         ..CompileOptions::default()
     };
@@ -93,10 +117,11 @@ fn refusal(error: &CompileError) -> Refusal<'_> {
 
 fn print(plan: &Path, report: &Report) {
     println!(
-        "{}: {} bytes of flash, {} bytes of arena",
+        "{}: {} bytes of flash, {} bytes of arena, {} more for every further agent of a team",
         plan.display(),
         report.flash_bytes,
-        report.arena_bytes
+        report.arena_bytes,
+        report.arena_bytes_per_agent
     );
     println!(
         "largest error against the graph {:.1e} on {} inputs, {} other actions",

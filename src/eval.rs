@@ -12,7 +12,8 @@ use sortie_learn::evaluate::{
 use crate::arguments::{AllocatorChoice, Common};
 use crate::environment::{self, ScenarioSetName};
 use crate::episodes::EpisodeWriter;
-use crate::failure::{Failure, Outcome};
+use crate::failure::{Exit, Failure, Outcome};
+use crate::observations::RecordingPolicy;
 use crate::output::{Table, print_json};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::subject::Subject;
@@ -28,6 +29,7 @@ use crate::subject_allocator::SubjectAllocator;
   sortie eval models/save-the-city --episodes 2000
   sortie eval models/save-the-city --allocator runs/other
   sortie eval models/save-the-city --plan 24
+  sortie eval models/save-the-city --episodes 100 --dump observations.bin
   sortie eval scripted --env save-the-city/2-8a_2-8b --allocation heuristic")]
 pub(crate) struct EvalArguments {
     /// A bundle, a training run, or `scripted`
@@ -54,6 +56,9 @@ pub(crate) struct EvalArguments {
     /// Record every episode into this folder, for `sortie replay`
     #[arg(long, value_name = "DIR")]
     episodes_out: Option<PathBuf>,
+    /// Record what the agents of a bundle see into this file, for `sortie bench decision --observations`
+    #[arg(long, value_name = "FILE", conflicts_with = "plan")]
+    dump: Option<PathBuf>,
     /// What executes a bundle's network
     #[arg(long, value_enum, default_value_t = Backend::Plan)]
     backend: Backend,
@@ -80,6 +85,10 @@ type Played = (Evaluation, Option<PlannerReport>);
 
 pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
     let subject = Subject::find(&arguments.subject)?;
+    if arguments.dump.is_some() && !matches!(subject, Subject::Bundle(_)) {
+        let message = "--dump records what the agents of a bundle see; name a bundle's folder";
+        return Err(Failure::new(Exit::Usage, message));
+    }
     let set = environment::scenario_set(arguments.env.as_deref(), &subject)?;
     let plan = EvaluationPlan::new(set.set(), arguments.episodes as usize, arguments.common.seed)?;
     let other = arguments.allocator.as_deref().map(Subject::find).transpose()?;
@@ -100,7 +109,16 @@ pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
         Subject::Bundle(bundle) => {
             environment::check_fits(bundle, &plan.set)?;
             let mut policy = DeployedPolicy::open(bundle, arguments.backend)?;
-            play(&mut PolicyTeam::new(policy.policy()?.as_mut()))?
+            let mut policy = policy.policy()?;
+            match &arguments.dump {
+                None => play(&mut PolicyTeam::new(policy.as_mut()))?,
+                Some(file) => {
+                    let mut recorder = RecordingPolicy::new(policy.as_mut(), bundle);
+                    let played = play(&mut PolicyTeam::new(&mut recorder))?;
+                    recorder.write(file)?;
+                    played
+                }
+            }
         }
     };
     if arguments.common.json {

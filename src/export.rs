@@ -35,6 +35,9 @@ pub(crate) struct ExportArguments {
     /// Episodes to evaluate for the card, on each set and under each allocation
     #[arg(long, default_value_t = 2000, value_parser = clap::value_parser!(u32).range(1..))]
     episodes: u32,
+    /// Largest team of one subtask that the deployed allocator forms [default: as in training]
+    #[arg(long, value_name = "AGENTS", value_parser = clap::value_parser!(u16).range(1..))]
+    team_max: Option<u16>,
     #[command(flatten)]
     common: Common,
 }
@@ -46,9 +49,12 @@ struct Report {
 }
 
 pub(crate) fn run(arguments: &ExportArguments) -> Outcome {
-    let run = Run::open(&arguments.run)?;
+    let mut run = Run::open(&arguments.run)?;
     warn_of_refused(&run.refused);
     check_exportable(&run)?;
+    if let Some(team_max) = arguments.team_max {
+        run.description.config.allocation.team_max = team_max.into();
+    }
     let seed = arguments.common.seed;
     let mut measured = Vec::new();
     for set in sets(arguments, &run)? {

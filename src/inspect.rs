@@ -116,8 +116,10 @@ fn print_plan(facts: &PlanFacts) {
     let mut table = Table::new(&["fact", ""]);
     let mut row = |name: &str, value: String| table.row([name.to_string(), value]);
     row("network", facts.network.name().to_string());
+    row("profile", facts.profile.to_string());
     row("flash bytes", facts.flash_bytes.to_string());
     row("arena bytes", facts.arena_bytes.to_string());
+    row("arena bytes per further agent", facts.arena_bytes_per_agent.to_string());
     row("most visible entities", facts.n_max.to_string());
     row("features, actions", format!("{}, {}", facts.features, facts.actions));
     row("multiply-adds", facts.macs.to_string());

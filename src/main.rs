@@ -13,6 +13,8 @@ mod export;
 mod failure;
 mod inspect;
 mod latency;
+mod observations;
+mod onnxruntime;
 mod output;
 mod policy;
 mod replay;

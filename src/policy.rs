@@ -3,9 +3,9 @@
 use clap::ValueEnum;
 use sortie_bundle::Bundle;
 use sortie_compiler::{CompileError, TractPolicy, compile_bundle};
-use sortie_core::Policy;
 use sortie_core::decide::PlanPolicy;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError};
+use sortie_core::{Policy, limits};
 
 use crate::failure::{Exit, Failure, with_sources};
 
@@ -52,8 +52,10 @@ impl DeployedPolicy {
         }
     }
 
-    fn of_plan(plan: AlignedBytes) -> Result<Self, CompileError> {
-        let arena_bytes = Plan::load(plan.as_slice())?.arena_bytes();
+    /// The policy of a plan.
+    pub(crate) fn of_plan(plan: AlignedBytes) -> Result<Self, CompileError> {
+        // A process may act for any number of agents.
+        let arena_bytes = Plan::load(plan.as_slice())?.batch_arena_bytes(limits::AGENTS);
         Ok(Self::Plan { plan, arena: AlignedBytes::zeroed(arena_bytes) })
     }
 

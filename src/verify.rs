@@ -1,4 +1,4 @@
-//! `sortie verify`: do the plan, tract and the recorded answers agree?
+//! `sortie verify`: do the plan, tract, onnxruntime and the recorded answers agree?
 
 use std::fs;
 use std::path::PathBuf;
@@ -6,10 +6,11 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 use sortie_bundle::Bundle;
+use sortie_compiler::onnxruntime::{OnnxRuntime, OnnxRuntimePolicy, OnnxRuntimeTeamValue};
 use sortie_compiler::{
-    Comparison, CompileError, CompileOptions, TOLERANCE, TractTeamValue,
-    compare_team_values_with_graph, compare_with_golden, compare_with_golden_allocations,
-    compare_with_graph, compile, inspect_plan, random_observations, random_team_queries,
+    Comparison, CompileError, CompileOptions, Judge, ObservationSizes, TOLERANCE, TeamQuerySizes,
+    TractTeamValue, compare_with_golden, compare_with_golden_allocations, compile, inspect_plan,
+    judge_agent, judge_team_values, observation_families, team_query_families,
 };
 use sortie_core::plan::Network;
 
@@ -17,74 +18,67 @@ use crate::allocator::LearnedAllocator;
 use crate::arguments::Common;
 use crate::deployment::open_bundle;
 use crate::failure::{Exit, Failure, Outcome};
+use crate::onnxruntime::OnnxRuntimeArguments;
 use crate::output::{Table, print_json};
 use crate::policy::{Backend, DeployedPolicy};
 
-/// Compare plans with tract and with a bundle's golden observations and allocations
+/// Compare plans with tract, with onnxruntime and with a bundle's golden observations and allocations
 ///
-/// Exit code 1 if any utility or value differs by more than 1e-5 relative, or a golden action or allocation
-/// is not chosen.
+/// Inputs are random ones of all mask patterns, and families that tend to break engines: nothing or everything
+/// visible, denormals, huge values, NaN and others. Exit code 1 if any utility or value differs by more than
+/// 1e-5 relative, if only one engine answers, or if a golden action or allocation is not chosen.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   sortie verify models/save-the-city --inputs 10000
+  sortie verify models/save-the-city --python venv/bin/python3
   sortie verify agent.onnx --against tract")]
 pub(crate) struct VerifyArguments {
     /// A bundle's folder or an ONNX file
     subject: PathBuf,
-    /// Random observations, of all mask patterns
+    /// Random inputs; every other family has a quarter of it
     #[arg(long, default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..))]
     inputs: u32,
-    /// What to compare with; default: all that there is
-    #[arg(long, value_enum)]
-    against: Option<Peer>,
+    /// What to compare with, several joined by commas [default: all that there is]
+    #[arg(long, value_enum, value_delimiter = ',')]
+    against: Vec<Peer>,
+    #[command(flatten)]
+    onnxruntime: OnnxRuntimeArguments,
     #[command(flatten)]
     common: Common,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Peer {
-    /// The ONNX graph, run by tract, on random observations
+    /// The ONNX graph, run by tract
     Tract,
-    /// The bundle's golden observations
+    /// The ONNX file, run by onnxruntime if that is found
+    Onnxruntime,
+    /// The bundle's golden observations and allocations
     Golden,
 }
 
 #[derive(Serialize)]
 struct Report {
-    engines: Vec<Comparison>,
+    engines: Vec<Compared>,
+    /// Peers that were wanted but not found.
+    not_compared: Vec<&'static str>,
+}
+
+/// What one engine gave beside another, over all families and for each.
+#[derive(Serialize)]
+struct Compared {
+    name: String,
+    inputs: usize,
+    max_rel_error: f32,
+    action_mismatches: usize,
+    refused: usize,
+    refusals_differ: usize,
+    swallowed: usize,
+    families: Vec<Comparison>,
 }
 
 pub(crate) fn run(arguments: &VerifyArguments) -> Outcome {
-    let wanted = |peer| arguments.against.is_none_or(|against| against == peer);
-    let mut engines = Vec::new();
-    if arguments.subject.is_dir() || !arguments.subject.exists() {
-        let bundle = open_bundle(&arguments.subject)?;
-        if wanted(Peer::Tract) {
-            let entities = bundle.manifest().limits.n_max.into();
-            let features = bundle.contract().features.into();
-            engines.push(against_tract(arguments, bundle.agent_onnx(), entities, Some(features))?);
-            if let Some(onnx) = bundle.allocator_onnx() {
-                engines.push(against_tract(arguments, onnx, entities, None)?);
-            }
-        }
-        if wanted(Peer::Golden) {
-            engines.push(against_golden(&bundle, Backend::Plan)?);
-            engines.push(against_golden(&bundle, Backend::Tract)?);
-            if bundle.allocator_onnx().is_some() {
-                engines.push(against_golden_allocations(&bundle, Backend::Plan)?);
-                engines.push(against_golden_allocations(&bundle, Backend::Tract)?);
-            }
-        }
-    } else if arguments.against == Some(Peer::Golden) {
-        let message = "golden observations belong to a bundle: name its folder";
-        return Err(Failure::new(Exit::Usage, message));
-    } else {
-        let path = &arguments.subject;
-        let onnx = fs::read(path).map_err(|error| Failure::file(path, &error))?;
-        let entities = CompileOptions::default().n_max;
-        engines.push(against_tract(arguments, &onnx, entities, None)?);
-    }
-    let report = Report { engines };
+    let report = compare(arguments)?;
     if arguments.common.json {
         print_json(&report);
     } else if !arguments.common.quiet {
@@ -93,69 +87,184 @@ pub(crate) fn run(arguments: &VerifyArguments) -> Outcome {
     judge(&report)
 }
 
-fn against_tract(
+fn compare(arguments: &VerifyArguments) -> Result<Report, Failure> {
+    let subject = &arguments.subject;
+    let asked = |peer| arguments.against.contains(&peer);
+    let wanted = |peer| arguments.against.is_empty() || asked(peer);
+    let runtime = match wanted(Peer::Onnxruntime) {
+        false => None,
+        true if asked(Peer::Onnxruntime) => Some(arguments.onnxruntime.open()?),
+        true => arguments.onnxruntime.open_or_note("onnxruntime is not compared"),
+    };
+    let tract = wanted(Peer::Tract).then_some(Judge::Tract);
+    let judges: Vec<Judge> = tract.into_iter().chain(runtime.map(Judge::OnnxRuntime)).collect();
+    let mut engines = Vec::new();
+    if subject.is_dir() || !subject.exists() {
+        let bundle = open_bundle(subject)?;
+        let n_max = bundle.manifest().limits.n_max.into();
+        let features = Some(usize::from(bundle.contract().features));
+        engines.extend(judged(arguments, bundle.agent_onnx(), (n_max, features), &judges)?);
+        if let Some(onnx) = bundle.allocator_onnx() {
+            engines.extend(judged(arguments, onnx, (n_max, None), &judges)?);
+        }
+        if wanted(Peer::Golden) {
+            engines.extend(against_golden(&bundle, runtime)?);
+        }
+    } else if asked(Peer::Golden) {
+        let message = "golden observations belong to a bundle: name its folder";
+        return Err(Failure::new(Exit::Usage, message));
+    } else {
+        let onnx = fs::read(subject).map_err(|error| Failure::file(subject, &error))?;
+        let n_max = CompileOptions::default().n_max;
+        engines.extend(judged(arguments, &onnx, (n_max, None), &judges)?);
+    }
+    let missing = wanted(Peer::Onnxruntime) && runtime.is_none();
+    Ok(Report { engines, not_compared: missing.then_some("onnxruntime").into_iter().collect() })
+}
+
+/// The plan of a network before its judges.
+fn judged(
     arguments: &VerifyArguments,
     onnx: &[u8],
-    n_max: usize,
-    features: Option<usize>,
-) -> Result<Comparison, Failure> {
-    let seed = arguments.common.seed;
-    let compare = || -> Result<Comparison, CompileError> {
+    (n_max, features): (usize, Option<usize>),
+    judges: &[Judge],
+) -> Result<Vec<Compared>, Failure> {
+    let (inputs, seed) = (arguments.inputs as usize, arguments.common.seed);
+    let compare = || -> Result<Vec<Compared>, CompileError> {
         let options = CompileOptions { n_max, features, seed, ..CompileOptions::default() };
         let plan = compile(onnx, &options)?.bytes;
         let facts = inspect_plan(&plan)?;
-        let inputs = arguments.inputs as usize;
-        if facts.network == Network::TeamValue {
-            let (features, relations) = TractTeamValue::new(onnx)?.columns();
-            let queries = random_team_queries(inputs, n_max, features, relations, seed);
-            return compare_team_values_with_graph(&plan, onnx, &queries);
+        let mut compared = Vec::new();
+        for judge in judges {
+            if facts.network == Network::TeamValue {
+                let (features, relations) = TractTeamValue::new(onnx)?.columns();
+                let sizes = TeamQuerySizes { n_max, features, relations };
+                let families = team_query_families(inputs, sizes, seed);
+                let families = judge_team_values(&plan, onnx, *judge, &families)?;
+                compared.push(Compared::new(
+                    format!("allocator plan against {}", judge.name()),
+                    families,
+                ));
+            } else {
+                let sizes =
+                    ObservationSizes { n_max, features: facts.features, actions: facts.actions };
+                let families = observation_families(inputs, sizes, seed);
+                let families = judge_agent(&plan, onnx, *judge, &families)?;
+                compared.push(Compared::new(format!("plan against {}", judge.name()), families));
+            }
         }
-        let observations = random_observations(inputs, n_max, facts.features, facts.actions, seed);
-        compare_with_graph(&plan, onnx, &observations)
+        Ok(compared)
     };
     compare().map_err(|error| Failure::from(error).within(arguments.subject.display()))
 }
 
-fn against_golden(bundle: &Bundle, backend: Backend) -> Result<Comparison, Failure> {
-    let name = format!("{} against golden", backend.name());
-    let mut policy = DeployedPolicy::open(bundle, backend)?;
-    let mut policy = policy.policy()?;
-    compare_with_golden(&name, policy.as_mut(), bundle.golden())
-        .map_err(|error| Failure::from(error).within(bundle.folder().display()))
+/// Every engine on what the bundle recorded.
+fn against_golden(
+    bundle: &Bundle,
+    runtime: Option<&'static OnnxRuntime>,
+) -> Result<Vec<Compared>, Failure> {
+    let named = |engine: &str| format!("{engine} against golden");
+    let failed = |error: CompileError| Failure::from(error).within(bundle.folder().display());
+    let mut found = Vec::new();
+    for backend in [Backend::Plan, Backend::Tract] {
+        let mut policy = DeployedPolicy::open(bundle, backend)?;
+        let name = named(backend.name());
+        found.push(compare_with_golden(&name, policy.policy()?.as_mut(), bundle.golden()));
+    }
+    if let Some(runtime) = runtime {
+        let features = bundle.contract().features.into();
+        let policy = OnnxRuntimePolicy::new(runtime, bundle.agent_onnx(), features);
+        let mut policy = policy.map_err(failed)?;
+        found.push(compare_with_golden(&named("onnxruntime"), &mut policy, bundle.golden()));
+    }
+    let team_max = bundle.manifest().limits.team_max.into();
+    if let Some(onnx) = bundle.allocator_onnx() {
+        for backend in [Backend::Plan, Backend::Tract] {
+            let mut allocator = LearnedAllocator::open(bundle, backend)?;
+            let name = format!("allocator {}", named(backend.name()));
+            let network = &mut allocator.network()?;
+            found.push(compare_with_golden_allocations(&name, network, bundle.golden(), team_max));
+        }
+        if let Some(runtime) = runtime {
+            let mut network = OnnxRuntimeTeamValue::new(runtime, onnx).map_err(failed)?;
+            let name = format!("allocator {}", named("onnxruntime"));
+            let network = &mut network;
+            found.push(compare_with_golden_allocations(&name, network, bundle.golden(), team_max));
+        }
+    }
+    let compared = |found: Comparison| {
+        let name = found.name.clone();
+        Compared::new(name, vec![Comparison { name: "golden".to_owned(), ..found }])
+    };
+    found.into_iter().map(|found| found.map(compared).map_err(failed)).collect()
 }
 
-fn against_golden_allocations(bundle: &Bundle, backend: Backend) -> Result<Comparison, Failure> {
-    let name = format!("allocator {} against golden", backend.name());
-    let mut allocator = LearnedAllocator::open(bundle, backend)?;
-    let mut network = allocator.network()?;
-    let team_max = bundle.manifest().limits.team_max.into();
-    compare_with_golden_allocations(&name, &mut network, bundle.golden(), team_max)
-        .map_err(|error| Failure::from(error).within(bundle.folder().display()))
+impl Compared {
+    fn new(name: String, families: Vec<Comparison>) -> Self {
+        let judged = || families.iter().filter(|family| family.judged);
+        let sum = |count: fn(&Comparison) -> usize| judged().map(count).sum();
+        Self {
+            name,
+            inputs: sum(|family| family.inputs),
+            max_rel_error: judged().map(|family| family.max_rel_error).fold(0.0, f32::max),
+            action_mismatches: sum(|family| family.action_mismatches),
+            refused: sum(|family| family.refused),
+            refusals_differ: sum(|family| family.refusals_differ),
+            swallowed: sum(|family| family.swallowed),
+            families,
+        }
+    }
 }
 
 fn print(report: &Report) {
-    let mut table = Table::new(&["compared", "inputs", "largest error", "other choices"]);
+    let header = [
+        "compared",
+        "inputs",
+        "largest error",
+        "other choices",
+        "refused",
+        "one refuses",
+        "swallowed",
+    ];
+    let mut table = Table::new(&header);
     for engine in &report.engines {
-        table.row([
-            engine.name.clone(),
-            engine.inputs.to_string(),
-            format!("{:.1e}", engine.max_rel_error),
-            engine.action_mismatches.to_string(),
-        ]);
+        for family in &engine.families {
+            let note = if family.judged { "" } else { " (not judged)" };
+            table.row([
+                format!("{}, {}{note}", engine.name, family.name),
+                family.inputs.to_string(),
+                format!("{:.1e}", family.max_rel_error),
+                family.action_mismatches.to_string(),
+                family.refused.to_string(),
+                family.refusals_differ.to_string(),
+                family.swallowed.to_string(),
+            ]);
+        }
     }
     table.print();
+    println!(
+        "refused: the plan returns an error, and the other engine's numbers are not finite or no action is available; \
+         swallowed: refused, where the other engine made a number of NaN or infinity"
+    );
 }
 
+/// Another choice within the tolerance is a near tie, but for golden observations, which have none.
 fn judge(report: &Report) -> Outcome {
-    let differs = |engine: &&Comparison| {
-        let other_action = engine.action_mismatches > 0 && engine.name.ends_with("golden");
-        engine.max_rel_error > TOLERANCE || other_action
-    };
-    match report.engines.iter().find(differs) {
-        None => Ok(()),
-        Some(engine) => Err(Failure::difference(format!(
-            "{}: largest error {:.1e} (limit {TOLERANCE:.0e}), {} other choices",
-            engine.name, engine.max_rel_error, engine.action_mismatches
-        ))),
+    for engine in &report.engines {
+        for family in &engine.families {
+            let other_action = family.action_mismatches > 0 && family.name == "golden";
+            if !family.agrees() || other_action {
+                return Err(Failure::difference(format!(
+                    "{}, {}: largest error {:.1e} (limit {TOLERANCE:.0e}), {} other choices, {} inputs that only \
+                     one answers",
+                    engine.name,
+                    family.name,
+                    family.max_rel_error,
+                    family.action_mismatches,
+                    family.refusals_differ
+                )));
+            }
+        }
     }
+    Ok(())
 }

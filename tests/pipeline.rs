@@ -23,6 +23,20 @@ fn newest_tensors(folder: &str) -> Vec<u8> {
 }
 
 #[test]
+fn every_shipped_bundle_agrees_with_its_golden_answers() {
+    let models = fs::read_dir("models").expect("the shipped bundles");
+    let mut bundles: Vec<_> = models.flatten().map(|entry| entry.path()).collect();
+    bundles.sort();
+    assert_eq!(bundles.len(), 2, "{bundles:?}");
+    for bundle in bundles {
+        let bundle = bundle.display().to_string();
+        let verified = json(&["verify", &bundle, "--inputs", "32", "--json"]);
+        let engines = verified["engines"].as_array().expect("engines");
+        assert!(engines.iter().all(|engine| engine["action_mismatches"] == 0), "{verified}");
+    }
+}
+
+#[test]
 fn a_run_becomes_a_bundle_that_a_team_plays_with() {
     let place = tempfile::tempdir().expect("a temporary folder");
     let path = |name: &str| place.path().join(name).display().to_string();
@@ -34,7 +48,7 @@ fn a_run_becomes_a_bundle_that_a_team_plays_with() {
     let again = output(&["export", &run, "--out", &bundle, "--episodes", "20"]);
     assert_fails(&again, 2, &[&bundle, "exists"]);
 
-    let verified = json(&["verify", &bundle, "--json"]);
+    let verified = json(&["verify", &bundle, "--against", "tract,golden", "--json"]);
     assert_eq!(verified["engines"].as_array().map(Vec::len), Some(6), "{verified}");
     for (network, file) in [("agent", "agent.onnx"), ("team-value", "allocator_team_value.onnx")] {
         let onnx = format!("{bundle}/{file}");
@@ -44,7 +58,7 @@ fn a_run_becomes_a_bundle_that_a_team_plays_with() {
         for key in ["flash_bytes", "arena_bytes", "macs"] {
             assert_eq!(compiled[key], inspected[key], "{key}");
         }
-        let alone = json(&["verify", &onnx, "--json"]);
+        let alone = json(&["verify", &onnx, "--against", "tract", "--json"]);
         assert_eq!(alone["engines"].as_array().map(Vec::len), Some(1), "{alone}");
     }
     let facts = json(&["inspect", &bundle, "--json"]);
@@ -57,6 +71,10 @@ fn a_run_becomes_a_bundle_that_a_team_plays_with() {
         assert_eq!(trained[key], deployed[key], "{key}");
     }
     assert_eq!(deployed["allocation"], "learned");
+    let pairs = path("pairs");
+    let exported = ["export", &run, "--out", &pairs, "--episodes", "20", "--team-max", "2", "-q"];
+    assert!(output(&exported).status.success());
+    assert_eq!(json(&["inspect", &pairs, "--json"])["limits"]["team_max"], 2);
     allocators_are_swapped(&run, &bundle);
     let played = json(&["run", &bundle, "--in-process", "--episodes", "2", "--json"]);
     assert_eq!(played["episodes"], 2);

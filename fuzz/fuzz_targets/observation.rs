@@ -7,6 +7,7 @@ use std::sync::LazyLock;
 
 use input::Input;
 use libfuzzer_sys::fuzz_target;
+use sortie_core::kernels::build::Build;
 use sortie_core::plan::{AlignedBytes, Plan};
 use sortie_core::{EntityMask, Observation, include_plan};
 
@@ -37,7 +38,7 @@ fuzz_target!(|bytes: &[u8]| {
         available: &available,
     };
     let first = answer(plan.clone(), 0x00, &observation);
-    assert_eq!(first, answer(plan.clone().portable(), 0xFF, &observation));
+    assert_eq!(first, answer(plan.clone().on(Build::PORTABLE), 0xFF, &observation));
     // NaN in every row that is neither visible nor the agent's own.
     let mut hidden = observation.rows.to_vec();
     for (entity, row) in hidden.chunks_exact_mut(stride.max(1)).enumerate() {
@@ -53,8 +54,8 @@ fn answer(plan: Plan<'_>, old: u8, observation: &Observation<'_>) -> String {
     let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
     arena.as_mut_slice().fill(old);
     let mut utilities = vec![0.0; plan.actions()];
-    let computed = plan.utilities(arena.as_mut_slice(), observation, &mut utilities);
-    let decided = plan.decide(arena.as_mut_slice(), observation);
+    let computed = plan.utilities(arena.as_mut_slice(), observation, None, &mut utilities);
+    let decided = plan.decide(arena.as_mut_slice(), observation, None);
     let bits: Vec<u32> = utilities.iter().map(|utility| utility.to_bits()).collect();
     format!("{computed:?} {bits:?} {decided:?}")
 }

@@ -7,6 +7,7 @@ mod input;
 
 use input::Input;
 use libfuzzer_sys::fuzz_target;
+use sortie_core::kernels::build::Build;
 use sortie_core::plan::{AlignedBytes, Checksums, Header, Plan, checksums};
 use sortie_core::{EntityMask, NO_ACTION, Observation};
 
@@ -58,11 +59,11 @@ fn decide(plan: &Plan<'_>, bytes: &[u8]) {
         self_index: input.up_to(entities - 1),
         available: &vec![1; plan.actions()],
     };
-    let answers = [plan.clone(), plan.clone().portable()].map(|plan| {
+    let answers = [plan.clone(), plan.clone().on(Build::PORTABLE)].map(|plan| {
         let mut memory = AlignedBytes::zeroed(plan.arena_bytes() + 2 * GUARD);
         memory.as_mut_slice().fill(0xA5);
         let end = GUARD + plan.arena_bytes();
-        let answer = plan.decide(&mut memory.as_mut_slice()[GUARD..end], &observation);
+        let answer = plan.decide(&mut memory.as_mut_slice()[GUARD..end], &observation, None);
         let (before, rest) = memory.as_slice().split_at(GUARD);
         let after = &rest[plan.arena_bytes()..];
         assert!(before.iter().chain(after).all(|byte| *byte == 0xA5), "left its arena");

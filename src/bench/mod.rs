@@ -1,8 +1,12 @@
 //! `sortie bench`: our figures beside the peers', measured in one run.
 
+mod allocation;
 mod decision;
 mod environment;
+mod floor;
 mod rounds;
+mod scenes;
+mod team;
 mod train;
 
 use clap::{Args, Subcommand};
@@ -13,11 +17,20 @@ use serde::Serialize;
 use crate::arguments::Common;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::output::{Table, print_json};
+use rounds::{Engine, Measured, paired_ratio};
+
+/// Our engine in tables: a compiled plan of the exact profile.
+const OURS: &str = "sortie exact";
+const TRACT_VERSION: &str = "0.23.9";
+/// What only reads the weights.
+const FLOOR: &str = "floor";
 
 /// Measure latency and throughput, ours and the peers' alternating in one run
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   sortie bench decision models/save-the-city --pin 1
+  sortie bench decision --python venv/bin/python3 --pace hot
+  sortie bench allocation --seconds 5
   sortie bench env --seconds 10
   sortie bench train --python venv/bin/python3 --seconds 30")]
 pub(crate) struct BenchArguments {
@@ -28,6 +41,7 @@ pub(crate) struct BenchArguments {
 #[derive(Debug, Subcommand)]
 enum What {
     Decision(decision::DecisionArguments),
+    Allocation(allocation::AllocationArguments),
     Env(environment::EnvironmentArguments),
     Train(train::TrainArguments),
 }
@@ -59,7 +73,7 @@ struct Row {
     unit: &'static str,
 }
 
-/// How many times our figure a peer's is, paired round by round.
+/// How many times as long as we a peer takes, paired round by round; less than 1 where it is faster.
 #[derive(Clone, Debug, Serialize)]
 struct Ratio {
     what: &'static str,
@@ -82,6 +96,9 @@ struct Figures {
 pub(crate) fn run(arguments: &BenchArguments) -> Outcome {
     let (figures, common) = match &arguments.what {
         What::Decision(arguments) => (decision::measure(arguments)?, arguments.measuring.common),
+        What::Allocation(arguments) => {
+            (allocation::measure(arguments)?, arguments.measuring.common)
+        }
         What::Env(arguments) => (environment::measure(arguments)?, arguments.measuring.common),
         What::Train(arguments) => (train::measure(arguments)?, arguments.measuring.common),
     };
@@ -116,13 +133,43 @@ fn no_core(core: usize) -> Failure {
 }
 
 impl Figures {
+    /// Adds what engines took for a case; the first is ours, the others are its peers.
+    fn add(
+        &mut self,
+        what: &'static str,
+        case: &str,
+        engines: &[Engine<'_>],
+        measured: &[Measured],
+    ) {
+        for (engine, measured) in engines.iter().zip(measured) {
+            let shown = measured.latency.percentiles();
+            self.rows.push(Row {
+                what,
+                case: case.to_string(),
+                engine: engine.name,
+                version: engine.version.clone(),
+                p50: shown.p50,
+                p99: shown.p99,
+                p999: shown.p999,
+                max: shown.max,
+                unit: "us",
+            });
+        }
+        let Some((ours, peers)) = measured.split_first() else { return };
+        for (engine, peer) in engines.iter().skip(1).zip(peers) {
+            let [ratio, low, high] = paired_ratio(&ours.medians_ns, &peer.medians_ns);
+            let case = case.to_string();
+            self.ratios.push(Ratio { what, case, peer: engine.name, ratio, low, high });
+        }
+    }
+
     fn print(&self) {
         let mut table = Table::new(&["case", "engine", "p50", "p99", "p99.9", "max", "unit"]);
         for row in &self.rows {
             let figure = |value: f64| format!("{value:.2}");
             table.row([
                 row.case.clone(),
-                format!("{} {}", row.engine, row.version),
+                format!("{} {}", row.engine, row.version).trim_end().to_string(),
                 figure(row.p50),
                 figure(row.p99),
                 row.p999.map_or("-".to_string(), figure),
@@ -133,6 +180,11 @@ impl Figures {
         table.print();
         self.print_arithmetic();
         for Ratio { case, peer, ratio, low, high, .. } in &self.ratios {
+            if *peer == FLOOR {
+                let [ratio, low, high] = [1.0 / ratio, 1.0 / high, 1.0 / low];
+                println!("{case}: {ratio:.2} times the floor (rounds {low:.2} to {high:.2})");
+                continue;
+            }
             println!("{case}: {ratio:.1} times as fast as {peer} (rounds {low:.1} to {high:.1})");
         }
     }

@@ -1,14 +1,27 @@
 //! Measures engines in alternation, so that whatever slows the machine slows all of them.
 
+use std::thread;
 use std::time::{Duration, Instant};
 
+use clap::ValueEnum;
+
+use super::thread_cpu_s;
 use crate::latency::Latency;
 
-/// Calls of one engine before the next has its turn.
-const CALLS_PER_TURN: usize = 256;
+/// Bytes written between two calls of [`Pace::Cold`]: more than any cache holds.
+const OTHER_WORK_BYTES: usize = 64 << 20;
+/// Time between two calls of [`Pace::Spaced`].
+const INTERVAL: Duration = Duration::from_millis(100);
 
 /// What is measured: call number i does the same work for every engine.
-pub(super) type Work<'a> = &'a mut dyn FnMut(usize);
+pub(super) type Work<'a> = Box<dyn FnMut(usize) + 'a>;
+
+/// What an engine is called in tables.
+pub(super) struct Engine<'a> {
+    pub(super) name: &'static str,
+    pub(super) version: String,
+    pub(super) work: Work<'a>,
+}
 
 /// One engine's figures.
 pub(super) struct Measured {
@@ -17,34 +30,115 @@ pub(super) struct Measured {
     pub(super) medians_ns: Vec<f64>,
 }
 
-/// Alternates the engines for `seconds`, turn by turn.
-pub(super) fn alternate(engines: &mut [Work<'_>], seconds: f64) -> Vec<Measured> {
-    for work in engines.iter_mut() {
-        turn(work, &mut Vec::new());
+/// What lies between two calls.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(super) enum Pace {
+    /// Nothing: everything stays in the caches.
+    Hot,
+    /// Other work that writes 64 MB.
+    Cold,
+    /// A tenth of a second of sleep, as in a process that wakes at 10 Hz.
+    Spaced,
+}
+
+impl Pace {
+    pub(super) const ALL: [Self; 3] = [Self::Hot, Self::Cold, Self::Spaced];
+
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Self::Hot => "hot",
+            Self::Cold => "cold",
+            Self::Spaced => "10 Hz",
+        }
     }
-    let mut measured: Vec<Measured> = engines
-        .iter()
-        .map(|_| Measured { latency: Latency::new(), medians_ns: Vec::new() })
-        .collect();
+
+    /// Calls of one engine before the next has its turn.
+    fn calls_per_turn(self) -> usize {
+        match self {
+            Self::Hot => 256,
+            Self::Cold => 8,
+            Self::Spaced => 1,
+        }
+    }
+}
+
+/// Alternates the engines for `seconds`, turn by turn, at least three rounds.
+pub(super) fn alternate(engines: &mut [Engine<'_>], pace: Pace, seconds: f64) -> Vec<Measured> {
+    let since = Instant::now();
+    let clock = || since.elapsed().as_nanos() as u64;
+    take_turns(engines, pace, pace.calls_per_turn(), seconds, &clock)
+}
+
+/// The same for work that takes longer than the system's time slices: hot, in processor time of this thread,
+/// so many calls in a turn.
+pub(super) fn alternate_long(
+    engines: &mut [Engine<'_>],
+    calls: usize,
+    seconds: f64,
+) -> Vec<Measured> {
+    let clock = || (thread_cpu_s() * 1e9) as u64;
+    take_turns(engines, Pace::Hot, calls, seconds, &clock)
+}
+
+/// Measures in nanoseconds of `clock`.
+fn take_turns(
+    engines: &mut [Engine<'_>],
+    pace: Pace,
+    calls: usize,
+    seconds: f64,
+    clock: &dyn Fn() -> u64,
+) -> Vec<Measured> {
+    const FEWEST_ROUNDS: usize = 3;
+    let mut between = Between::new(pace);
+    let mut calls_ns = Vec::with_capacity(calls);
+    for engine in engines.iter_mut() {
+        (0..calls).for_each(|call| (engine.work)(call));
+    }
+    let new = || Measured { latency: Latency::new(), medians_ns: Vec::new() };
+    let mut measured: Vec<Measured> = engines.iter().map(|_| new()).collect();
     let until = Instant::now() + Duration::from_secs_f64(seconds);
-    let mut calls_ns = Vec::with_capacity(CALLS_PER_TURN);
-    while Instant::now() < until {
-        for (work, measured) in engines.iter_mut().zip(&mut measured) {
-            turn(work, &mut calls_ns);
+    let mut round = 0;
+    while round < FEWEST_ROUNDS || Instant::now() < until {
+        for (engine, measured) in engines.iter_mut().zip(&mut measured) {
+            calls_ns.clear();
+            for call in round * calls..(round + 1) * calls {
+                between.pass();
+                let start = clock();
+                (engine.work)(call);
+                calls_ns.push(clock().saturating_sub(start));
+            }
             calls_ns.iter().for_each(|ns| measured.latency.record_ns(*ns));
             calls_ns.sort_unstable();
-            measured.medians_ns.push(calls_ns[CALLS_PER_TURN / 2] as f64);
+            measured.medians_ns.extend(calls_ns.get(calls / 2).map(|ns| *ns as f64));
         }
+        round += 1;
     }
     measured
 }
 
-fn turn(work: &mut Work<'_>, calls_ns: &mut Vec<u64>) {
-    calls_ns.clear();
-    for call in 0..CALLS_PER_TURN {
-        let start = Instant::now();
-        work(call);
-        calls_ns.push(start.elapsed().as_nanos() as u64);
+/// Does what lies between two calls.
+struct Between {
+    pace: Pace,
+    other_work: Vec<u64>,
+    written: u64,
+}
+
+impl Between {
+    fn new(pace: Pace) -> Self {
+        let words = if pace == Pace::Cold { OTHER_WORK_BYTES / 8 } else { 0 };
+        Self { pace, other_work: vec![0; words], written: 0 }
+    }
+
+    fn pass(&mut self) {
+        match self.pace {
+            Pace::Hot => {}
+            Pace::Cold => {
+                self.written += 1;
+                self.other_work.fill(self.written);
+                std::hint::black_box(&self.other_work);
+            }
+            Pace::Spaced => thread::sleep(INTERVAL),
+        }
     }
 }
 
@@ -67,5 +161,25 @@ mod tests {
     fn a_ratio_is_taken_round_by_round() {
         // Both are slowed alike in the last round: the ratio does not notice.
         assert_eq!(paired_ratio(&[1.0, 2.0, 50.0], &[10.0, 20.0, 500.0]), [10.0, 10.0, 10.0]);
+    }
+
+    #[test]
+    fn engines_take_turns_over_the_same_calls() {
+        let calls = std::cell::RefCell::new(Vec::new());
+        let calls = &calls;
+        let engine = |name| Engine {
+            name,
+            version: String::new(),
+            work: Box::new(move |call| calls.borrow_mut().push((name, call))),
+        };
+        let mut engines = [engine("a"), engine("b")];
+        let measured = alternate_long(&mut engines, 2, 0.0);
+        assert!(measured.iter().all(|engine| engine.medians_ns.len() == 3));
+        assert!(measured.iter().all(|engine| engine.latency.samples() == 6));
+        let calls = calls.borrow();
+        let warm_up = [("a", 0), ("a", 1), ("b", 0), ("b", 1)];
+        assert_eq!(calls[..4], warm_up);
+        let second_round = [("a", 2), ("a", 3), ("b", 2), ("b", 3)];
+        assert_eq!(calls[8..12], second_round);
     }
 }

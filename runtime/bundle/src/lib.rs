@@ -15,6 +15,7 @@ mod golden;
 mod manifest;
 mod observation;
 mod plan_cache;
+mod recording;
 
 pub use allocation::{GoldenAllocation, GoldenValue, OwnedAllocationState};
 pub use bundle::{
@@ -27,3 +28,4 @@ pub use golden::{Golden, GoldenCase, MIN_ALLOCATIONS, MIN_CASES};
 pub use manifest::{Contract, Environment, Limits, Manifest, Network, TEAM_VALUE};
 pub use observation::OwnedObservation;
 pub use plan_cache::{PlanKey, cached_plan, plan_places};
+pub use recording::{RecordedAgent, RecordedFrame, Recording, RecordingError};

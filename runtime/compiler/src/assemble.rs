@@ -12,7 +12,9 @@ use crate::lower::AgentSizes;
 pub(crate) struct Origin {
     /// SHA-256 of the ONNX file.
     pub(crate) source: [u8; 32],
-    /// What the plan computes.
+    /// How the plan computes.
+    pub(crate) profile: Profile,
+    /// What it computes.
     pub(crate) network: Network,
     /// Hash of the contract, 0 if unknown.
     pub(crate) contract: u64,
@@ -42,7 +44,7 @@ pub(crate) fn assemble(
         n_max: sizes.n_max as u32,
         features: sizes.features as u32,
         actions: sizes.actions as u32,
-        hidden: 0,
+        hidden: program.memory().map_or(0, |unit| u32::from(unit.size)),
         program_offset: HEADER_BYTES as u32,
         program_len: program_bytes.len() as u32,
         weights_offset: weights_offset as u32,
@@ -51,9 +53,10 @@ pub(crate) fn assemble(
         contract: origin.contract,
         max_error: origin.max_error,
         action_mismatch: origin.action_mismatch,
-        profile: Profile::Exact,
+        profile: origin.profile,
         network: origin.network,
         t_max: origin.t_max,
+        arena_bytes_per_agent: 4 * program.own_floats().unwrap_or(0),
     };
     let checksums = checksums(&header, &program_bytes, &weight_bytes);
     let mut plan = header.to_bytes(checksums).to_vec();

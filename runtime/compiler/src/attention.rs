@@ -95,7 +95,7 @@ mod tests {
             key: identity(),
             value: identity(),
             output: layer(),
-            dense: Vec::new(),
+            steps: Vec::new(),
         };
         let probe = AttentionProbe { layers, features: 2 };
         let mut visible = EntityMask::first(3);

@@ -4,27 +4,26 @@ use serde::Serialize;
 use sortie_bundle::{Bundle, PlanKey, cached_plan, plan_places, sha256};
 use sortie_core::limits;
 use sortie_core::ops::Op;
-use sortie_core::plan::{AlignedBytes, Network, Plan, Program};
+use sortie_core::plan::{AlignedBytes, Network, Plan, Profile, Program};
 
 use crate::assemble::{Origin, assemble};
 use crate::error::CompileError;
 use crate::graph::{Graph, Inputs, TeamRoles};
-use crate::lower::{AgentSizes, lower_agent};
+use crate::lower::{AgentSizes, Choice, lower_agent};
 use crate::matching::{match_agent, match_team_value};
 use crate::observations::{random_observations, random_team_queries};
 use crate::parity::{Comparison, TOLERANCE, plan_against_graph, team_values_against_graph};
 
 /// The compiler's version; a plan of another version is compiled again.
-pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), "-1");
-
-/// Name of the arithmetic profile.
-const PROFILE: &str = "exact";
+pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), "-2");
 
 /// What the file alone does not say.
 #[derive(Clone, Copy, Debug)]
 pub struct CompileOptions {
     /// Most visible entities.
     pub n_max: usize,
+    /// How the plan computes.
+    pub profile: Profile,
     /// Most subtasks, 0 if none.
     pub t_max: u16,
     /// Features d before the last action's one-hot; none: as the file's metadata says, else all columns.
@@ -40,7 +39,8 @@ pub struct CompileOptions {
 impl Default for CompileOptions {
     fn default() -> Self {
         let n_max = 32.min(limits::ENTITIES);
-        Self { n_max, t_max: 0, features: None, contract: None, inputs: 256, seed: 0 }
+        let profile = Profile::Exact;
+        Self { n_max, profile, t_max: 0, features: None, contract: None, inputs: 256, seed: 0 }
     }
 }
 
@@ -60,6 +60,8 @@ pub struct Report {
     pub flash_bytes: usize,
     /// Bytes of arena for one decision.
     pub arena_bytes: usize,
+    /// Bytes of arena for every further agent of a team that decides together, 0 where agents decide one by one.
+    pub arena_bytes_per_agent: usize,
     /// Multiply-adds of one decision with all entities visible, zeros not left out.
     pub macs: usize,
     /// Largest measured error against the graph, |a - b| / (1 + max |b|).
@@ -93,12 +95,15 @@ pub fn compile(onnx: &[u8], options: &CompileOptions) -> Result<Compiled, Compil
         }
         Inputs::TeamValue(_) => (match_team_value(&graph)?, graph.columns, Network::TeamValue),
     };
-    let sizes = AgentSizes { n_max: options.n_max, features, actions: graph.actions };
+    let drawn = graph.metadata.get("sortie.choice").is_some_and(|choice| choice == "sample");
+    let choice = if drawn { Choice::Drawn } else { Choice::Greedy };
+    let sizes = AgentSizes { n_max: options.n_max, features, actions: graph.actions, choice };
     let (program, weights) = lower_agent(&layers, sizes)?;
     let metadata = graph.metadata.get("sortie.contract");
     let known = metadata.and_then(|hash| u64::from_str_radix(hash, 16).ok());
     let mut origin = Origin {
         source: sha256(onnx),
+        profile: options.profile,
         network,
         contract: options.contract.or(known).unwrap_or(0),
         t_max: options.t_max,
@@ -114,6 +119,7 @@ pub fn compile(onnx: &[u8], options: &CompileOptions) -> Result<Compiled, Compil
     let report = Report {
         flash_bytes: bytes.len(),
         arena_bytes: program.arena_bytes() as usize,
+        arena_bytes_per_agent: 4 * program.own_floats().unwrap_or(0) as usize,
         macs: operators.iter().map(|operator| operator.macs).sum(),
         max_rel_error: comparison.max_rel_error,
         action_mismatches: comparison.action_mismatches,
@@ -135,7 +141,7 @@ fn prove(
         Inputs::Agent(_) => {
             let AgentSizes { features, actions, .. } = sizes;
             let observations = random_observations(inputs, n_max, features, actions, seed);
-            plan_against_graph(plan, graph, &observations)?
+            plan_against_graph(plan, graph, &observations, seed)?
         }
         Inputs::TeamValue(TeamRoles { features, relations, .. }) => {
             let queries = random_team_queries(inputs, n_max, features, relations, seed);
@@ -153,10 +159,20 @@ fn prove(
     Ok(comparison)
 }
 
-/// The plan of a bundle's agent, from the cache beside the bundle where it is still valid.
+/// The plan of a bundle's agent in the default profile, from the cache beside the bundle where it is still valid.
 pub fn compile_bundle(bundle: &Bundle) -> Result<AlignedBytes, CompileError> {
-    let plan = cached(bundle, bundle.agent_onnx())?;
-    let actions = Plan::load(plan.as_slice())?.actions();
+    compile_bundle_as(bundle, Profile::Exact)
+}
+
+/// As [`compile_bundle`] in any profile.
+pub fn compile_bundle_as(bundle: &Bundle, profile: Profile) -> Result<AlignedBytes, CompileError> {
+    let plan = cached(bundle, bundle.agent_onnx(), profile, bundle.manifest().limits.n_max.into())?;
+    let loaded = Plan::load(plan.as_slice())?;
+    let (actions, hidden) = (loaded.actions(), loaded.hidden());
+    if hidden != 0 {
+        // Nobody who runs bundles keeps a state for an agent.
+        return Err(CompileError::Size { what: "the recurrent state", got: hidden, want: 0 });
+    }
     if actions != usize::from(bundle.contract().actions) {
         let want = usize::from(bundle.contract().actions);
         return Err(CompileError::Size { what: "the number of utilities", got: actions, want });
@@ -167,15 +183,23 @@ pub fn compile_bundle(bundle: &Bundle) -> Result<AlignedBytes, CompileError> {
 /// The plan of a bundle's learned allocator, if it has one, cached in the same way.
 pub fn compile_allocator(bundle: &Bundle) -> Result<Option<AlignedBytes>, CompileError> {
     let Some(onnx) = bundle.allocator_onnx() else { return Ok(None) };
-    let plan = cached(bundle, onnx)?;
+    // Several teams are valued together, and every agent is a member of some and a stranger to others: two rows.
+    let n_max = (2 * usize::from(bundle.manifest().limits.n_max)).min(limits::ENTITIES);
+    let plan = cached(bundle, onnx, Profile::Exact, n_max)?;
     Plan::load(plan.as_slice())?.check_network(Network::TeamValue)?;
     Ok(Some(plan))
 }
 
-fn cached(bundle: &Bundle, onnx: &[u8]) -> Result<AlignedBytes, CompileError> {
+fn cached(
+    bundle: &Bundle,
+    onnx: &[u8],
+    profile: Profile,
+    n_max: usize,
+) -> Result<AlignedBytes, CompileError> {
     let (contract, limits) = (bundle.contract(), bundle.manifest().limits);
     let options = CompileOptions {
-        n_max: usize::from(limits.n_max),
+        n_max,
+        profile,
         t_max: limits.t_max,
         features: Some(usize::from(contract.features)),
         contract: Some(contract.hash()),
@@ -183,7 +207,7 @@ fn cached(bundle: &Bundle, onnx: &[u8]) -> Result<AlignedBytes, CompileError> {
     };
     let key = PlanKey {
         onnx,
-        profile: PROFILE,
+        profile: profile.name(),
         compiler: VERSION,
         contract: contract.hash(),
         n_max: options.n_max,
@@ -216,7 +240,9 @@ fn detail(op: &Op) -> String {
         Op::Dense(op) => {
             format!("[{}] -> [{}]{}", op.layer.inputs, op.layer.outputs, relu(op.relu))
         }
+        Op::Gru(op) => format!("[{}], state [{}]", op.input.inputs, op.size),
         Op::MaskedArgmax(op) => format!("[{}] -> action", op.from.len),
+        Op::MaskedSample(op) => format!("[{}] -> drawn action", op.from.len),
         _ => String::new(),
     }
 }

@@ -14,8 +14,8 @@ pub enum CompileError {
     },
     /// The inputs are those of no network that is known.
     #[error(
-        "an agent network needs entities f32 [N, D], self_index i64 [1] and visible bool [N], a team-value network \
-         entities and relation f32 [N, _] and present, is_agent, in_task, open, team bool [N]; the file has {found}"
+        "an agent network needs entities f32 [N, D], self_index i64 [1] and visible bool [N], with memory a state \
+         f32 [R] that comes out too, a team-value network entities and relation f32 [N, _] and present, is_agent, in_task, open, team bool [N]; the file has {found}"
     )]
     Inputs {
         /// The inputs of the file, with types and shapes.

@@ -2,16 +2,16 @@
 
 use sortie_bundle::OwnedObservation;
 use sortie_core::identity::fnv1a;
+use sortie_core::kernels::build::Build;
 use sortie_core::ops::Op;
-use sortie_core::plan::{
-    AlignedBytes, Checksums, HEADER_BYTES, Header, Plan, PlanError, checksums,
-};
+use sortie_core::plan::{AlignedBytes, Plan, PlanError};
 use sortie_core::{DecideError, EntityMask, NO_ACTION, PlanPolicy, Policy};
 
+use crate::matching::Step;
 use crate::observations::random_observations;
-use crate::testing::{Random, Shape, plan, reference};
+use crate::testing::{Random, Shape, ask_anything, plan, reference, run_forged, with_program};
 
-const SMALL: Shape =
+pub(crate) const SMALL: Shape =
     Shape { n_max: 6, features: 5, actions: 4, last_action: true, width: 16, heads: 2, base: 8 };
 
 /// A plan with its arena, for tests that ask it many questions.
@@ -41,18 +41,19 @@ impl Engine {
     }
 
     fn ask_portable(&mut self, observation: &OwnedObservation) -> Vec<f32> {
-        let plan = Plan::load(self.bytes.as_slice()).unwrap().portable();
+        let plan = Plan::load(self.bytes.as_slice()).unwrap().on(Build::PORTABLE);
         let mut utilities = vec![0.0; plan.actions()];
-        plan.utilities(self.arena.as_mut_slice(), &observation.view(), &mut utilities).unwrap();
+        let arena = self.arena.as_mut_slice();
+        plan.utilities(arena, &observation.view(), None, &mut utilities).unwrap();
         utilities
     }
 }
 
-fn bits(utilities: &[f32]) -> Vec<u32> {
+pub(crate) fn bits(utilities: &[f32]) -> Vec<u32> {
     utilities.iter().map(|utility| utility.to_bits()).collect()
 }
 
-fn small_observations(count: usize) -> Vec<OwnedObservation> {
+pub(crate) fn small_observations(count: usize) -> Vec<OwnedObservation> {
     random_observations(count, SMALL.n_max, SMALL.features, SMALL.actions, 3)
 }
 
@@ -66,7 +67,7 @@ fn random_networks_agree_with_plain_loops() {
         let Shape { n_max, features, actions, .. } = shape;
         for observation in random_observations(12, n_max, features, actions, index) {
             let got = engine.ask(&observation).unwrap();
-            for (got, want) in got.iter().zip(reference(&layers, &observation)) {
+            for (got, want) in got.iter().zip(reference(&layers, &observation, &mut Vec::new())) {
                 let error = (f64::from(*got) - want).abs() / (1.0 + want.abs());
                 assert!(error < 1e-5, "network {index}, {shape:?}: {got}, want {want}");
             }
@@ -165,7 +166,8 @@ fn an_agent_that_sees_nothing_gets_what_its_biases_say() {
         let got = engine.ask(&observation).unwrap();
         let relu = |sum: f32| if layers.output.relu { sum.max(0.0) } else { sum };
         let mut value: Vec<f32> = layers.output.bias.iter().map(|&bias| relu(bias)).collect();
-        for layer in &layers.dense {
+        for step in &layers.steps {
+            let Step::Dense(layer) = step else { panic!("{step:?}") };
             let mut sums = layer.bias.clone();
             for (input, row) in value.iter().zip(layer.matrix.values.chunks(layer.matrix.outputs)) {
                 sums.iter_mut().zip(row).for_each(|(sum, weight)| *sum += input * weight);
@@ -255,41 +257,11 @@ fn damaged_plans_are_refused_or_unchanged() {
     assert_eq!(Plan::load(&[]).map(|_| ()), Err(PlanError::Truncated { need: 128, got: 0 }));
 }
 
-/// The same plan with some bytes changed and its checksums made right again, as a forger would do.
-fn forge(good: &[u8], change: impl FnOnce(&mut Vec<u8>)) -> Option<AlignedBytes> {
-    let mut plan = good.to_vec();
-    change(&mut plan);
-    let (header, _) = Header::read(&plan).ok()?;
-    let part = |offset: u32, len: u32| plan.get(offset as usize..)?.get(..len as usize);
-    let program = part(header.program_offset, header.program_len)?;
-    let weights = part(header.weights_offset, header.weights_len)?;
-    let Checksums { program, weights } = checksums(&header, program, weights);
-    plan.splice(60..64, program.to_le_bytes());
-    plan.splice(64..68, weights.to_le_bytes());
-    Some(AlignedBytes::copy_of(&plan))
-}
-
 #[test]
 fn forged_plans_never_panic_or_leave_their_arena() {
-    let good = Engine::small().bytes.as_slice().to_vec();
-    let (header, _) = Header::read(&good).unwrap();
-    let end = HEADER_BYTES + header.program_len as usize;
     let observation = &small_observations(1)[0];
-    let (mut refused, mut ran) = (0, 0);
-    for at in 12..end {
-        for value in [0, 1, 2, 0x40, 0x7f, 0x80, 0xff, good[at].wrapping_add(1), good[at] ^ 0x10] {
-            let Some(bytes) = forge(&good, |plan| plan[at] = value) else { continue };
-            let Ok(plan) = Plan::load(bytes.as_slice()) else {
-                refused += 1;
-                continue;
-            };
-            ran += 1;
-            let mut arena = AlignedBytes::zeroed(plan.arena_bytes().min(1 << 20));
-            let mut utilities = vec![0.0; plan.actions()];
-            // Any answer will do: the checks must keep every access inside.
-            let _ = plan.utilities(arena.as_mut_slice(), &observation.view(), &mut utilities);
-        }
-    }
+    let (refused, ran) =
+        run_forged(Engine::small().bytes.as_slice(), |plan| ask_anything(plan, observation));
     assert!(refused > 200 && ran > 200, "{refused} refused, {ran} ran");
 }
 
@@ -302,12 +274,8 @@ fn a_program_without_its_ends_is_refused() {
     let shortened = |skip: usize, take: usize| {
         let mut program = program.clone();
         program.ops = program.ops.iter().skip(skip).take(take).copied().collect();
-        let bytes = postcard::to_stdvec(&program).unwrap();
-        let forged = forge(&good, |plan| {
-            plan[HEADER_BYTES..HEADER_BYTES + bytes.len()].copy_from_slice(&bytes);
-            plan[48..52].copy_from_slice(&(bytes.len() as u32).to_le_bytes());
-        });
-        Plan::load(forged.unwrap().as_slice()).map(|_| ()).unwrap_err()
+        let forged = with_program(&good, &program);
+        Plan::load(forged.as_slice()).map(|_| ()).unwrap_err()
     };
     assert_eq!(shortened(1, 16), PlanError::ShapeMismatch { op: 0 });
     assert!(matches!(shortened(0, 4), PlanError::ShapeMismatch { .. }));

@@ -22,6 +22,8 @@ pub(crate) struct Graph {
     pub(crate) columns: usize,
     /// Outputs: actions U, or one value.
     pub(crate) actions: usize,
+    /// What the network answers: an agent's utilities, an allocator's value.
+    pub(crate) answer: OutletId,
 }
 
 /// What kind of network it is, and which input of the graph is what.
@@ -37,6 +39,18 @@ pub(crate) struct Roles {
     pub(crate) entities: usize,
     pub(crate) self_index: usize,
     pub(crate) visible: usize,
+    pub(crate) memory: Option<Memory>,
+}
+
+/// Which input and output of an agent's graph is its recurrent state.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Memory {
+    /// The input, by place.
+    pub(crate) input: usize,
+    /// The output, by place.
+    pub(crate) output: usize,
+    /// Floats R of the state.
+    pub(crate) size: usize,
 }
 
 /// Which input of a team-value graph is what, and the columns of its rows.
@@ -67,21 +81,20 @@ impl Graph {
             Ok((model.into_typed()?.into_decluttered()?, metadata))
         })
         .map_err(|reason| CompileError::Unreadable { reason })?;
-        let facts = |outlets: &[OutletId]| -> Vec<TypedFact> {
-            outlets.iter().filter_map(|&outlet| model.outlet_fact(outlet).ok().cloned()).collect()
-        };
-        let inputs = facts(&model.inputs);
-        let actions = facts(&model.outputs).last().and_then(|fact| fixed(fact, fact.rank() - 1));
+        let inputs: Vec<TypedFact> = facts(&model, &model.inputs);
         let found = team_roles(&model, &inputs)
             .map(|roles| (Inputs::TeamValue(roles), roles.features + 2 + roles.relations))
             .or_else(|| {
-                let roles = roles(&inputs)?;
+                let roles = roles(&model, &inputs)?;
                 Some((Inputs::Agent(roles), fixed(inputs.get(roles.entities)?, 1)?))
             });
-        let (Some((inputs, columns)), Some(actions)) = (found, actions) else {
+        let answer = answer(&model);
+        let actions = answer.and_then(|answer| last_dim(model.outlet_fact(answer).ok()?));
+        let (Some((inputs, columns)), Some(answer), Some(actions)) = (found, answer, actions)
+        else {
             return Err(CompileError::Inputs { found: describe_inputs(&model) });
         };
-        Ok(Self { model, inputs, metadata, columns, actions })
+        Ok(Self { model, inputs, metadata, columns, actions, answer })
     }
 
     /// The inputs of an agent's graph.
@@ -113,19 +126,21 @@ impl Graph {
     }
 
     /// The outlet that `outlet` only reshapes or reorders.
-    pub(crate) fn source(&self, mut outlet: OutletId) -> OutletId {
-        while let Some(node) = self.model.nodes.get(outlet.node)
-            && node.op_is::<AxisOp>()
-            && let Some(&input) = node.inputs.first()
-        {
-            outlet = input;
-        }
-        outlet
+    pub(crate) fn source(&self, outlet: OutletId) -> OutletId {
+        source(&self.model, outlet)
     }
 
     /// The node that computes `outlet`, reshaping left out.
     pub(crate) fn node(&self, outlet: OutletId) -> &TypedNode {
         self.model.node(self.source(outlet).node)
+    }
+
+    /// The name of the input at `index`.
+    #[cfg(feature = "onnxruntime")]
+    pub(crate) fn input_name(&self, index: usize) -> String {
+        self.input(index)
+            .map(|outlet| self.model.node(outlet.node).name.clone())
+            .unwrap_or_default()
     }
 
     /// The input of the graph at `index`.
@@ -147,14 +162,17 @@ impl Graph {
         view.iter().all(|value| *value == first).then_some(first)
     }
 
-    /// The operands of a binary operator: what varies, and the constant.
-    pub(crate) fn with_constant(&self, outlet: OutletId, operator: &str) -> Option<[OutletId; 2]> {
+    /// The operands of a binary operator.
+    pub(crate) fn operands(&self, outlet: OutletId, operator: &str) -> Option<[OutletId; 2]> {
         let node = self.node(outlet);
         let binary = node.op_as::<TypedBinOp>()?;
         let &[a, b] = node.inputs.as_slice() else { return None };
-        if binary.0.name() != operator {
-            return None;
-        }
+        (binary.0.name() == operator).then_some([a, b])
+    }
+
+    /// The operands of a binary operator: what varies, and the constant.
+    pub(crate) fn with_constant(&self, outlet: OutletId, operator: &str) -> Option<[OutletId; 2]> {
+        let [a, b] = self.operands(outlet, operator)?;
         match (self.constant(a), self.constant(b)) {
             (None, Some(_)) => Some([a, b]),
             (Some(_), None) => Some([b, a]),
@@ -205,17 +223,78 @@ fn describe_inputs(model: &TypedModel) -> String {
     if inputs.is_empty() { "no inputs".to_owned() } else { inputs.join(", ") }
 }
 
-fn roles(inputs: &[TypedFact]) -> Option<Roles> {
-    let only = |matches: &dyn Fn(&TypedFact) -> bool| {
-        let mut found = inputs.iter().enumerate().filter(|(_, fact)| matches(fact));
+fn facts(model: &TypedModel, outlets: &[OutletId]) -> Vec<TypedFact> {
+    outlets.iter().filter_map(|&outlet| model.outlet_fact(outlet).ok().cloned()).collect()
+}
+
+fn roles(model: &TypedModel, inputs: &[TypedFact]) -> Option<Roles> {
+    let only = |wanted: DatumType, rank| {
+        let fits = |fact: &TypedFact| fact.datum_type == wanted && fact.rank() == rank;
+        let mut found = inputs.iter().enumerate().filter(|(_, fact)| fits(fact));
         found.next().filter(|_| found.next().is_none()).map(|(index, _)| index)
     };
-    let kind = |fact: &TypedFact, kind, rank| fact.datum_type == kind && fact.rank() == rank;
+    let state = only(f32::datum_type(), 1);
     Some(Roles {
-        entities: only(&|fact| kind(fact, f32::datum_type(), 2))?,
-        self_index: only(&|fact| kind(fact, i64::datum_type(), 1))?,
-        visible: only(&|fact| kind(fact, bool::datum_type(), 1))?,
+        entities: only(f32::datum_type(), 2)?,
+        self_index: only(i64::datum_type(), 1)?,
+        visible: only(bool::datum_type(), 1)?,
+        memory: match state {
+            Some(input) => Some(memory(model, input, fixed(inputs.get(input)?, 0)?)?),
+            None => None,
+        },
     })
+}
+
+/// The state that goes in at `input` comes out where the utilities, the other output, are computed from.
+fn memory(model: &TypedModel, input: usize, size: usize) -> Option<Memory> {
+    let answer = answer(model)?;
+    let output = model.outputs.iter().position(|outlet| *outlet != answer)?;
+    let fact = model.outlet_fact(*model.outputs.get(output)?).ok()?;
+    (fact.datum_type == f32::datum_type() && last_dim(fact) == Some(size)).then_some(Memory {
+        input,
+        output,
+        size,
+    })
+}
+
+/// The output that no other is computed from; the last one where several are.
+fn answer(model: &TypedModel) -> Option<OutletId> {
+    let feeds = |outlet: &OutletId| {
+        let source = source(model, *outlet);
+        let others = model.outputs.iter().filter(|other| *other != outlet);
+        others.clone().any(|other| is_computed_from(model, *other, source))
+    };
+    model.outputs.iter().rev().find(|outlet| !feeds(outlet)).copied()
+}
+
+/// Whether `source` is among what `outlet` is computed from.
+fn is_computed_from(model: &TypedModel, outlet: OutletId, source: OutletId) -> bool {
+    let (mut seen, mut open) = (vec![false; model.nodes.len()], vec![outlet]);
+    while let Some(outlet) = open.pop() {
+        if outlet == source {
+            return true;
+        }
+        let is_new = seen.get_mut(outlet.node).is_some_and(|seen| !std::mem::replace(seen, true));
+        if let Some(node) = model.nodes.get(outlet.node).filter(|_| is_new) {
+            open.extend(&node.inputs);
+        }
+    }
+    false
+}
+
+/// The outlet that `outlet` only reshapes or reorders.
+fn source(model: &TypedModel, mut outlet: OutletId) -> OutletId {
+    while let Some(node) = model.nodes.get(outlet.node)
+        && node.op_is::<AxisOp>()
+        && let Some(&input) = node.inputs.first()
+    {
+        outlet = input;
+    }
+    outlet
+}
+
+fn last_dim(fact: &TypedFact) -> Option<usize> {
+    fixed(fact, fact.rank().checked_sub(1)?)
 }
 
 fn team_roles(model: &TypedModel, inputs: &[TypedFact]) -> Option<TeamRoles> {

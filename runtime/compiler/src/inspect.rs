@@ -38,16 +38,22 @@ pub struct PlanFacts {
     /// What it computes, by name for scripts: `agent` or `team-value`.
     #[serde(serialize_with = "network_name")]
     pub network: Network,
+    /// Arithmetic profile, by name for scripts: `exact` or `fused`.
+    pub profile: &'static str,
     /// Bytes of the plan.
     pub flash_bytes: usize,
     /// Bytes of arena for one decision.
     pub arena_bytes: usize,
+    /// Bytes of arena for every further agent of a team that decides together.
+    pub arena_bytes_per_agent: usize,
     /// Most visible entities.
     pub n_max: usize,
     /// Features d of an entity.
     pub features: usize,
     /// Actions U.
     pub actions: usize,
+    /// Floats of the recurrent state, 0 if there is none.
+    pub hidden: usize,
     /// Most subtasks, 0 if none.
     pub t_max: u16,
     /// SHA-256 of the ONNX file that the plan was made from.
@@ -111,11 +117,14 @@ pub fn inspect_plan(plan: &[u8]) -> Result<PlanFacts, CompileError> {
     let operators = operators(plan.program(), header.n_max as usize);
     Ok(PlanFacts {
         network: header.network,
+        profile: header.profile.name(),
         flash_bytes,
         arena_bytes: plan.arena_bytes(),
+        arena_bytes_per_agent: plan.arena_bytes_per_agent(),
         n_max: header.n_max as usize,
         features: header.features as usize,
         actions: header.actions as usize,
+        hidden: header.hidden as usize,
         t_max: header.t_max,
         source: hex(&header.source),
         contract: format!("{:016x}", header.contract),

@@ -8,17 +8,27 @@
 mod assemble;
 mod attention;
 mod compile;
+mod engine;
+#[cfg(test)]
+mod entities_tests;
 mod error;
 #[cfg(test)]
 mod executor_tests;
+mod families;
 mod golden_allocations;
 mod graph;
+mod graph_inputs;
 mod inspect;
+mod judge;
 mod layout;
 mod lower;
 mod matching;
 mod observations;
+#[cfg(feature = "onnxruntime")]
+pub mod onnxruntime;
 mod parity;
+#[cfg(test)]
+mod recurrent_tests;
 #[cfg(test)]
 mod testing;
 mod tract_policy;
@@ -27,11 +37,16 @@ mod tract_team_value;
 pub use attention::AttentionProbe;
 pub use compile::{
     CompileOptions, Compiled, OperatorReport, Report, VERSION, compile, compile_allocator,
-    compile_bundle,
+    compile_bundle, compile_bundle_as,
 };
 pub use error::CompileError;
+pub use families::{
+    Family, ObservationSizes, Standard, TeamQuerySizes, observation_families, team_query_families,
+};
 pub use golden_allocations::compare_with_golden_allocations;
+pub use graph_inputs::Rows;
 pub use inspect::{OnnxFacts, PlanFacts, inspect_onnx, inspect_plan};
+pub use judge::{Judge, judge_agent, judge_team_values};
 pub use observations::{OwnedTeamQuery, random_observations, random_team_queries};
 pub use parity::{
     Comparison, TOLERANCE, compare_team_values_with_graph, compare_with_golden, compare_with_graph,

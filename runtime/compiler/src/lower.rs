@@ -1,13 +1,25 @@
 //! Matched layers become operators: where weights lie and what the arena holds.
 
+use sortie_core::kernels::mark::MARKED;
 use sortie_core::kernels::product::padded;
 use sortie_core::limits;
-use sortie_core::ops::{AttendOwn, Dense, EmbedEntities, MaskedArgmax, Op, Place};
+use sortie_core::ops::{
+    AttendOwn, Dense, EmbedEntities, Gru, MaskedArgmax, MaskedSample, Op, Place,
+};
 use sortie_core::plan::{OPS, Program};
 
 use crate::error::CompileError;
 use crate::layout::Weights;
-use crate::matching::{AgentLayers, Layer, Matrix};
+use crate::matching::{AgentLayers, GruLayers, Layer, Matrix, Step};
+
+/// How an agent chooses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Choice {
+    /// The largest utility.
+    Greedy,
+    /// A draw from the softmax of the utilities.
+    Drawn,
+}
 
 /// Sizes that the graph alone does not tell.
 #[derive(Clone, Copy, Debug)]
@@ -18,6 +30,8 @@ pub(crate) struct AgentSizes {
     pub(crate) features: usize,
     /// Actions U.
     pub(crate) actions: usize,
+    /// How an action is chosen.
+    pub(crate) choice: Choice,
 }
 
 /// Lowers an agent network to a program and its weights.
@@ -44,17 +58,32 @@ pub(crate) fn lower_agent(
     let attend = lower_attention(layers, sizes, rows, &mut weights, &mut arena);
     push(Op::AttendOwn(attend))?;
     let (mut from, mut sparse) = (attend.to, layers.output.relu);
-    for layer in &layers.dense {
-        let to = arena.place(padded(layer.matrix.outputs));
-        from.len = layer.matrix.inputs as u32;
-        let linear = weights.add_layer(layer);
-        let (relu, sparse_input) = (layer.relu, sparse);
-        push(Op::Dense(Dense { layer: linear, relu, sparse_input, from, to }))?;
-        (from, sparse) = (to, relu);
+    for step in &layers.steps {
+        let op = match step {
+            Step::Dense(layer) => {
+                let to = arena.place(padded(layer.matrix.outputs));
+                from.len = layer.matrix.inputs as u32;
+                let linear = weights.add_layer(layer);
+                let (relu, sparse_input) = (layer.relu, sparse);
+                let dense = Dense { layer: linear, relu, sparse_input, from, to };
+                (from, sparse) = (to, relu);
+                Op::Dense(dense)
+            }
+            Step::Gru(unit) => {
+                let gru = lower_gru(unit, from, sparse, &mut weights, &mut arena);
+                (from, sparse) = (gru.to, false);
+                Op::Gru(gru)
+            }
+        };
+        push(op)?;
     }
     from.len = sizes.actions as u32;
-    push(Op::MaskedArgmax(MaskedArgmax { from }))?;
-    let nonzeros = layers.embed.matrix.inputs.max(longest_input(layers)) as u32;
+    push(match sizes.choice {
+        Choice::Greedy => Op::MaskedArgmax(MaskedArgmax { from }),
+        Choice::Drawn => Op::MaskedSample(MaskedSample { from }),
+    })?;
+    let inputs = layers.embed.matrix.inputs.max(longest_input(layers));
+    let nonzeros = inputs.div_ceil(MARKED) as u32;
     Ok((Program { ops, floats: arena.floats(), nonzeros }, weights))
 }
 
@@ -92,8 +121,50 @@ fn lower_attention(
     }
 }
 
+fn lower_gru(
+    unit: &GruLayers,
+    mut from: Place,
+    sparse_input: bool,
+    weights: &mut Weights,
+    arena: &mut Arena,
+) -> Gru {
+    let (input, recurrent) = (side_by_side(&unit.input), side_by_side(&unit.recurrent));
+    let (size, gates) = (recurrent.matrix.inputs, recurrent.matrix.outputs);
+    from.len = input.matrix.inputs as u32;
+    Gru {
+        size: size as u16,
+        input: weights.add_layer(&input),
+        recurrent: weights.add_layer(&recurrent),
+        sparse_input,
+        from,
+        state: arena.place(size),
+        input_gates: arena.place(gates),
+        recurrent_gates: arena.place(gates),
+        to: arena.place(padded(size)),
+    }
+}
+
+/// One layer with the outputs of several, each padded with zeros.
+pub(crate) fn side_by_side(layers: &[Layer]) -> Layer {
+    let inputs = layers.first().map_or(0, |layer| layer.matrix.inputs);
+    let (mut values, mut bias) = (Vec::new(), Vec::new());
+    let zeros = |layer: &Layer| padded(layer.matrix.outputs) - layer.matrix.outputs;
+    for input in 0..inputs {
+        for layer in layers {
+            let row = layer.matrix.values.chunks_exact(layer.matrix.outputs).nth(input);
+            values.extend(row.unwrap_or_default());
+            values.resize(values.len() + zeros(layer), 0.0);
+        }
+    }
+    for layer in layers {
+        bias.extend(&layer.bias);
+        bias.resize(bias.len() + zeros(layer), 0.0);
+    }
+    Layer { matrix: Matrix { inputs, outputs: bias.len(), values }, bias, relu: false }
+}
+
 /// The matrix with zero rows behind every head, because heads write padded outputs.
-fn padded_heads(matrix: &Matrix, heads: usize) -> Matrix {
+pub(crate) fn padded_heads(matrix: &Matrix, heads: usize) -> Matrix {
     let head = matrix.inputs / heads * matrix.outputs;
     let padded_head = padded(matrix.inputs / heads) * matrix.outputs;
     let mut values = Vec::with_capacity(heads * padded_head);
@@ -105,8 +176,21 @@ fn padded_heads(matrix: &Matrix, heads: usize) -> Matrix {
 }
 
 fn longest_input(layers: &AgentLayers) -> usize {
-    let dense = layers.dense.iter().map(|layer| layer.matrix.inputs).max();
-    dense.unwrap_or(0).max(layers.key.inputs)
+    let input = |(_, layer): (_, &Layer)| layer.matrix.inputs;
+    step_layers(layers).map(input).max().unwrap_or(0).max(layers.key.inputs)
+}
+
+/// The layers behind the attention, with their names in messages.
+fn step_layers(layers: &AgentLayers) -> impl Iterator<Item = (&'static str, &Layer)> {
+    layers.steps.iter().flat_map(|step| -> Vec<(&'static str, &Layer)> {
+        match step {
+            Step::Dense(layer) => vec![("dense", layer)],
+            Step::Gru(unit) => {
+                let input = unit.input.iter().map(|layer| ("recurrent unit's", layer));
+                input.chain(unit.recurrent.iter().map(|l| ("recurrent unit's", l))).collect()
+            }
+        }
+    })
 }
 
 /// Checks that sizes fit together and into a plan.
@@ -131,7 +215,7 @@ fn check(layers: &AgentLayers, sizes: AgentSizes) -> Result<(), CompileError> {
         let Layer { matrix, bias, .. }: &Layer = layer;
         (name, matrix, bias)
     };
-    let dense = layers.dense.iter().map(|layer| plain("dense", layer));
+    let dense = step_layers(layers).map(|(name, layer)| plain(name, layer));
     let ends = [plain("first", &layers.embed), plain("attention output", &layers.output)];
     for (layer, matrix, bias) in attention.into_iter().chain(ends).chain(dense) {
         at_most(
@@ -160,9 +244,23 @@ fn check_chain(layers: &AgentLayers, sizes: AgentSizes) -> Result<(), CompileErr
         ("the heads' joint width", inner / layers.heads.max(1) * layers.heads, inner),
     ];
     let mut before = layers.output.matrix.outputs;
-    for layer in &layers.dense {
-        pairs.push(("a layer's input", layer.matrix.inputs, before));
-        before = layer.matrix.outputs;
+    for step in &layers.steps {
+        match step {
+            Step::Dense(layer) => {
+                pairs.push(("a layer's input", layer.matrix.inputs, before));
+                before = layer.matrix.outputs;
+            }
+            Step::Gru(unit) => {
+                let size = unit.recurrent.first().map_or(0, |layer| layer.matrix.inputs);
+                for (gate, input) in unit.recurrent.iter().zip(&unit.input) {
+                    pairs.push(("the recurrent unit's input", input.matrix.inputs, before));
+                    pairs.push(("the recurrent unit's state", gate.matrix.inputs, size));
+                    pairs.push(("a gate's width", gate.matrix.outputs, size));
+                    pairs.push(("a gate's width", input.matrix.outputs, size));
+                }
+                before = size;
+            }
+        }
     }
     pairs.push(("the number of utilities", before, sizes.actions));
     match pairs.into_iter().find(|(_, got, want)| got != want) {
@@ -173,32 +271,18 @@ fn check_chain(layers: &AgentLayers, sizes: AgentSizes) -> Result<(), CompileErr
 
 /// Hands out places of the arena, each at the start of a cache line.
 #[derive(Default)]
-struct Arena {
+pub(crate) struct Arena {
     used: usize,
 }
 
 impl Arena {
-    fn place(&mut self, len: usize) -> Place {
+    pub(crate) fn place(&mut self, len: usize) -> Place {
         let place = Place { offset: self.used as u32, len: len as u32 };
         self.used = (self.used + len).next_multiple_of(16);
         place
     }
 
-    fn floats(&self) -> u32 {
+    pub(crate) fn floats(&self) -> u32 {
         self.used as u32
-    }
-}
-
-impl Matrix {
-    fn columns(&self, start: usize, count: usize) -> Self {
-        let rows = self.values.chunks_exact(self.outputs);
-        let values = rows.flat_map(|row| row.iter().skip(start).take(count)).copied().collect();
-        Self { inputs: self.inputs, outputs: count, values }
-    }
-
-    fn transposed(&self) -> Self {
-        let column = |column: usize| self.values.iter().skip(column).step_by(self.outputs);
-        let values = (0..self.outputs).flat_map(column).copied().collect();
-        Self { inputs: self.outputs, outputs: self.inputs, values }
     }
 }

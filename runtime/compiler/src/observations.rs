@@ -36,7 +36,23 @@ pub fn random_observations(
     seed: u64,
 ) -> Vec<OwnedObservation> {
     let mut random = Random(Xoshiro256PlusPlus::seed_from_u64(seed));
-    (0..count).map(|index| random.observation(index, n_max.max(1), features, actions)).collect()
+    let mut observation = |index| {
+        let entities = 1 + random.below(n_max.max(1));
+        random.observation(index, entities, features, actions)
+    };
+    (0..count).map(&mut observation).collect()
+}
+
+/// The same with exactly `entities` entities each.
+pub(crate) fn random_observations_of(
+    count: usize,
+    entities: usize,
+    features: usize,
+    actions: usize,
+    seed: u64,
+) -> Vec<OwnedObservation> {
+    let mut random = Random(Xoshiro256PlusPlus::seed_from_u64(seed));
+    (0..count).map(|index| random.observation(index, entities.max(1), features, actions)).collect()
 }
 
 /// `count` random team queries of up to `n_max` entities, teams and masks of all patterns: everybody,
@@ -49,7 +65,43 @@ pub fn random_team_queries(
     seed: u64,
 ) -> Vec<OwnedTeamQuery> {
     let mut random = Random(Xoshiro256PlusPlus::seed_from_u64(seed));
-    (0..count).map(|index| random.team_query(index, n_max.max(1), features, relations)).collect()
+    let mut query = |index| {
+        let tasks = 1 + random.below(n_max.clamp(1, limits::TASKS));
+        let agents = random.below(most_agents(n_max.max(1), tasks) + 1);
+        random.team_query(index, agents, tasks, [features, relations])
+    };
+    (0..count).map(&mut query).collect()
+}
+
+/// The same with exactly `entities` entities each, as far as there can be so many agents and subtasks.
+pub(crate) fn random_team_queries_of(
+    count: usize,
+    entities: usize,
+    features: usize,
+    relations: usize,
+    seed: u64,
+) -> Vec<OwnedTeamQuery> {
+    let mut random = Random(Xoshiro256PlusPlus::seed_from_u64(seed));
+    let tasks = entities.div_ceil(2).clamp(1, limits::TASKS);
+    let agents = most_agents(entities, tasks);
+    (0..count).map(|index| random.team_query(index, agents, tasks, [features, relations])).collect()
+}
+
+/// As many agents as a state of `entities` can have: each needs two rows where several teams are valued together.
+fn most_agents(entities: usize, tasks: usize) -> usize {
+    let rows = limits::ENTITIES.saturating_sub(tasks);
+    entities.saturating_sub(tasks).min(limits::AGENTS).min(rows / 2)
+}
+
+/// Random recurrent states of `size` numbers in [-1, 1], the first one zeros as at an episode's start.
+pub(crate) fn random_states(size: usize, seed: u64) -> impl FnMut() -> Vec<f32> {
+    let mut random = Random(Xoshiro256PlusPlus::seed_from_u64(seed));
+    let mut bound = 0.0;
+    move || {
+        let state = (0..size).map(|_| random.feature(false) * bound).collect();
+        bound = 1.0;
+        state
+    }
 }
 
 struct Random(Xoshiro256PlusPlus);
@@ -58,11 +110,10 @@ impl Random {
     fn observation(
         &mut self,
         index: usize,
-        n_max: usize,
+        entities: usize,
         features: usize,
         actions: usize,
     ) -> OwnedObservation {
-        let entities = 1 + self.below(n_max);
         let agents = 1 + self.below(entities);
         let self_index = self.below(agents);
         let sparse = index.is_multiple_of(2);
@@ -78,12 +129,10 @@ impl Random {
     fn team_query(
         &mut self,
         index: usize,
-        n_max: usize,
-        features: usize,
-        relations: usize,
+        agents: usize,
+        tasks: usize,
+        [features, relations]: [usize; 2],
     ) -> OwnedTeamQuery {
-        let tasks = 1 + self.below(n_max.min(limits::TASKS));
-        let agents = self.below((n_max - tasks).min(limits::AGENTS) + 1);
         let (entities, task) = (agents + tasks, self.below(tasks));
         let own = agents + task;
         let sparse = index.is_multiple_of(2);

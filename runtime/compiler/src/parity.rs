@@ -7,9 +7,11 @@ use sortie_core::choose::masked_argmax;
 use sortie_core::plan::{AlignedBytes, Plan};
 use sortie_core::{PlanPolicy, Policy};
 
+use crate::engine::TeamValueEngine;
 use crate::error::CompileError;
 use crate::graph::Graph;
-use crate::observations::OwnedTeamQuery;
+use crate::graph_inputs::Rows;
+use crate::observations::{OwnedTeamQuery, random_states};
 use crate::tract_policy::TractPolicy;
 use crate::tract_team_value::TractTeamValue;
 
@@ -30,6 +32,15 @@ pub struct Comparison {
     pub max_rel_error: f32,
     /// Observations for which another action, or another allocation, was chosen.
     pub action_mismatches: usize,
+    /// Inputs without an answer, as it should be: an engine refuses, its numbers are not finite, or no
+    /// action is available.
+    pub refused: usize,
+    /// Inputs for which only one of both gave an answer, and inputs that should have been refused.
+    pub refusals_differ: usize,
+    /// Inputs that are no numbers, rightly refused, to which the other engine gave finite numbers.
+    pub swallowed: usize,
+    /// Whether differences count: not where products leave the range of f32 in any engine.
+    pub judged: bool,
     /// The observation with the largest error.
     #[serde(skip)]
     pub worst_input: usize,
@@ -37,16 +48,56 @@ pub struct Comparison {
 
 impl Comparison {
     pub(crate) fn new(name: &str) -> Self {
-        let name = name.to_owned();
-        Self { name, inputs: 0, max_rel_error: 0.0, action_mismatches: 0, worst_input: 0 }
+        Self {
+            name: name.to_owned(),
+            inputs: 0,
+            max_rel_error: 0.0,
+            action_mismatches: 0,
+            refused: 0,
+            refusals_differ: 0,
+            swallowed: 0,
+            judged: true,
+            worst_input: 0,
+        }
+    }
+
+    /// Adds an input that one engine did not answer, or both.
+    pub(crate) fn add_refusal(&mut self, agreed: bool) {
+        self.inputs += 1;
+        self.refused += usize::from(agreed);
+        self.refusals_differ += usize::from(!agreed);
+    }
+
+    /// Adds an input that must be refused, whatever the other engine makes of it.
+    pub(crate) fn add_no_number(&mut self, refused: bool, other_answers: bool) {
+        self.add_refusal(refused);
+        self.swallowed += usize::from(refused && other_answers);
+    }
+
+    /// Whether nothing counts as a difference, but for other choices: within the tolerance they are near ties.
+    pub fn agrees(&self) -> bool {
+        !self.judged || self.max_rel_error <= TOLERANCE && self.refusals_differ == 0
     }
 
     pub(crate) fn add(&mut self, got: &[f32], want: &[f32], same_action: bool) {
         self.add_on_scale(magnitude(want), got, want, same_action);
     }
 
+    /// Adds utilities from which no action was chosen, by both engines or by one.
+    pub(crate) fn add_unchosen(&mut self, got: &[f32], want: &[f32], by_both: bool) {
+        self.add(got, want, true);
+        self.refused += usize::from(by_both);
+        self.refusals_differ += usize::from(!by_both);
+    }
+
     /// Adds answers whose largest magnitude is known from more than themselves.
-    fn add_on_scale(&mut self, largest: f32, got: &[f32], want: &[f32], same_action: bool) {
+    pub(crate) fn add_on_scale(
+        &mut self,
+        largest: f32,
+        got: &[f32],
+        want: &[f32],
+        same_action: bool,
+    ) {
         let distance =
             got.iter().zip(want).map(|(got, want)| (got - want).abs()).fold(0.0, f32::max);
         let error = distance / (1.0 + largest);
@@ -58,7 +109,7 @@ impl Comparison {
     }
 }
 
-fn magnitude(values: &[f32]) -> f32 {
+pub(crate) fn magnitude(values: &[f32]) -> f32 {
     values.iter().fold(0.0, |largest: f32, value| largest.max(value.abs()))
 }
 
@@ -68,28 +119,35 @@ pub fn compare_with_graph(
     onnx: &[u8],
     observations: &[OwnedObservation],
 ) -> Result<Comparison, CompileError> {
-    plan_against_graph(plan, &Graph::read(onnx)?, observations)
+    plan_against_graph(plan, &Graph::read(onnx)?, observations, 0)
 }
 
 pub(crate) fn plan_against_graph(
     plan: &[u8],
     graph: &Graph,
     observations: &[OwnedObservation],
+    seed: u64,
 ) -> Result<Comparison, CompileError> {
     let plan = AlignedBytes::copy_of(plan);
     let plan = Plan::load(plan.as_slice())?;
     let features = plan.header().features as usize;
-    let mut reference = TractPolicy::from_graph(graph, features)?.with_all_rows();
+    let mut reference = TractPolicy::from_graph(graph, features)?;
     let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
     let mut policy = PlanPolicy::new(plan, arena.as_mut_slice())?;
     let mut comparison = Comparison::new("plan against tract");
     let (mut got, mut want) = (vec![0.0; policy.actions()], vec![0.0; policy.actions()]);
+    let mut states = random_states(policy.hidden(), seed);
     for observation in observations {
         let view = observation.view();
-        policy.utilities(&view, &mut got).map_err(cannot_run)?;
-        reference.utilities(&view, &mut want).map_err(cannot_run)?;
+        let mut state = states();
+        let mut wanted_state = state.clone();
+        policy.utilities_with(&view, &mut state, &mut got).map_err(cannot_run)?;
+        reference.step(&view, Rows::All, &mut wanted_state, &mut want).map_err(cannot_run)?;
         let action = |utilities: &[f32]| masked_argmax(utilities, view.available).map(|d| d.action);
-        comparison.add(&got, &want, action(&got) == action(&want));
+        let same_action = action(&got) == action(&want);
+        // A wrong state shows in the next step's utilities, so it counts like them.
+        let both = |utilities: &[f32], state: &[f32]| [utilities, state].concat();
+        comparison.add(&both(&got, &state), &both(&want, &wanted_state), same_action);
     }
     Ok(comparison)
 }
@@ -130,7 +188,7 @@ pub(crate) fn team_values_against_graph(
 ) -> Result<Comparison, CompileError> {
     let plan = AlignedBytes::copy_of(plan);
     let plan = Plan::load(plan.as_slice())?;
-    let mut reference = TractTeamValue::from_graph(graph)?.with_all_rows();
+    let mut reference = TractTeamValue::from_graph(graph)?;
     let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
     let entities = queries.iter().map(|query| query.state.entities()).max().unwrap_or(0);
     let mut rows = vec![0.0; PlanTeamValue::row_floats(&plan, entities)];
@@ -140,7 +198,7 @@ pub(crate) fn team_values_against_graph(
         let state = query.state.view();
         let query = query.view(&state);
         got.push(network.value(&query).map_err(cannot_run)?);
-        want.push(reference.value(&query).map_err(cannot_run)?);
+        want.push(reference.run(&query, Rows::All).map_err(cannot_run)?);
     }
     let largest = magnitude(&want);
     let mut comparison = Comparison::new("allocator plan against tract");

@@ -4,11 +4,13 @@ use rand_core::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sortie_bundle::OwnedObservation;
 use sortie_core::NO_ACTION;
-use sortie_core::plan::Network;
+use sortie_core::plan::{
+    AlignedBytes, Checksums, HEADER_BYTES, Header, Network, Plan, Profile, Program, checksums,
+};
 
 use crate::assemble::{Origin, assemble};
-use crate::lower::{AgentSizes, lower_agent};
-use crate::matching::{AgentLayers, Layer, Matrix};
+use crate::lower::{AgentSizes, Choice, lower_agent};
+use crate::matching::{AgentLayers, GruLayers, Layer, Matrix, Step};
 
 /// The shape of a random network.
 #[derive(Clone, Copy, Debug)]
@@ -58,7 +60,7 @@ impl Random {
         Matrix { inputs, outputs, values }
     }
 
-    fn layer(&mut self, inputs: usize, outputs: usize, relu: bool) -> Layer {
+    pub(crate) fn layer(&mut self, inputs: usize, outputs: usize, relu: bool) -> Layer {
         let matrix = self.matrix(inputs, outputs);
         let bias = (0..outputs).map(|_| self.uniform(0.5)).collect();
         Layer { matrix, bias, relu }
@@ -75,18 +77,38 @@ impl Random {
             key: self.matrix(width, width),
             value: self.matrix(width, width),
             output: self.layer(width, width, relu),
-            dense: vec![self.layer(width, base, true), self.layer(base, shape.actions, false)],
+            steps: vec![
+                Step::Dense(self.layer(width, base, true)),
+                Step::Dense(self.layer(base, shape.actions, false)),
+            ],
         }
+    }
+
+    /// As [`Self::layers`], with a recurrent unit of `size` floats in front of the head.
+    pub(crate) fn recurrent_layers(&mut self, shape: Shape, size: usize) -> AgentLayers {
+        let mut layers = self.layers(shape);
+        let mut gates = |inputs| std::array::from_fn(|_| self.layer(inputs, size, false));
+        let unit = GruLayers { input: gates(shape.base), recurrent: gates(size) };
+        layers.steps.truncate(1);
+        layers.steps.push(Step::Gru(Box::new(unit)));
+        layers.steps.push(Step::Dense(self.layer(size, shape.actions, false)));
+        layers
     }
 }
 
 /// The plan of a random network.
 pub(crate) fn plan(layers: &AgentLayers, shape: Shape) -> Vec<u8> {
+    plan_that(Choice::Greedy, layers, shape)
+}
+
+/// The plan of a random network that chooses in the given way.
+pub(crate) fn plan_that(choice: Choice, layers: &AgentLayers, shape: Shape) -> Vec<u8> {
     let Shape { n_max, features, actions, .. } = shape;
-    let sizes = AgentSizes { n_max, features, actions };
+    let sizes = AgentSizes { n_max, features, actions, choice };
     let (program, weights) = lower_agent(layers, sizes).unwrap();
     let origin = Origin {
         source: [0; 32],
+        profile: Profile::Exact,
         network: Network::Agent,
         contract: 0,
         t_max: 0,
@@ -96,8 +118,12 @@ pub(crate) fn plan(layers: &AgentLayers, shape: Shape) -> Vec<u8> {
     assemble(&program, &weights, sizes, &origin)
 }
 
-/// The utilities of the plain form of the network, in f64.
-pub(crate) fn reference(layers: &AgentLayers, observation: &OwnedObservation) -> Vec<f64> {
+/// The utilities of the plain form of the network, in f64. `state` is replaced by the new one.
+pub(crate) fn reference(
+    layers: &AgentLayers,
+    observation: &OwnedObservation,
+    state: &mut Vec<f64>,
+) -> Vec<f64> {
     let columns = layers.embed.matrix.inputs;
     let embedding = |entity: usize| {
         let row = &observation.rows[entity * observation.features..][..observation.features];
@@ -113,29 +139,60 @@ pub(crate) fn reference(layers: &AgentLayers, observation: &OwnedObservation) ->
     };
     let own = apply(&layers.query, &embedding(observation.self_index));
     let visible: Vec<Vec<f64>> = observation.visible.iter().map(embedding).collect();
-    let head = own.len() / layers.heads;
     let keys: Vec<Vec<f64>> = visible.iter().map(|x| product(&layers.key, x)).collect();
     let values: Vec<Vec<f64>> = visible.iter().map(|x| product(&layers.value, x)).collect();
-    let mut attended = vec![0.0; own.len()];
-    for start in (0..own.len()).step_by(head) {
+    let attended = attend(&own, &keys, &values, layers.heads);
+    let output = apply(&layers.output, &attended);
+    layers.steps.iter().fold(output, |input, step| match step {
+        Step::Dense(layer) => apply(layer, &input),
+        Step::Gru(unit) => {
+            *state = next_state(unit, &input, state);
+            state.clone()
+        }
+    })
+}
+
+/// What the heads of one query, already scaled, bring together.
+pub(crate) fn attend(
+    query: &[f64],
+    keys: &[Vec<f64>],
+    values: &[Vec<f64>],
+    heads: usize,
+) -> Vec<f64> {
+    let mut attended = vec![0.0; query.len()];
+    let head = query.len() / heads;
+    for start in (0..query.len()).step_by(head) {
         let range = start..start + head;
         let dot = |key: &Vec<f64>| {
-            own[range.clone()].iter().zip(&key[range.clone()]).map(|(a, b)| a * b).sum::<f64>()
+            query[range.clone()].iter().zip(&key[range.clone()]).map(|(a, b)| a * b).sum::<f64>()
         };
         let scores: Vec<f64> = keys.iter().map(dot).collect();
         let largest = scores.iter().copied().fold(f64::MIN, f64::max);
         let total: f64 = scores.iter().map(|score| (score - largest).exp()).sum();
-        for (score, value) in scores.iter().zip(&values) {
+        for (score, value) in scores.iter().zip(values) {
             let weight = (score - largest).exp() / total;
             let parts = attended[range.clone()].iter_mut().zip(&value[range.clone()]);
             parts.for_each(|(sum, value)| *sum += weight * value);
         }
     }
-    let output = apply(&layers.output, &attended);
-    layers.dense.iter().fold(output, |input, layer| apply(layer, &input))
+    attended
 }
 
-fn apply(layer: &Layer, input: &[f64]) -> Vec<f64> {
+/// One step of a recurrent unit.
+fn next_state(unit: &GruLayers, input: &[f64], state: &[f64]) -> Vec<f64> {
+    let [input_r, input_z, input_n] = unit.input.each_ref().map(|layer| apply(layer, input));
+    let [state_r, state_z, state_n] = unit.recurrent.each_ref().map(|layer| apply(layer, state));
+    let sigmoid = |x: f64| 1.0 / (1.0 + (-x).exp());
+    let next = |index: usize| {
+        let reset = sigmoid(input_r[index] + state_r[index]);
+        let update = sigmoid(input_z[index] + state_z[index]);
+        let new = (input_n[index] + reset * state_n[index]).tanh();
+        (1.0 - update) * new + update * state[index]
+    };
+    (0..state.len()).map(next).collect()
+}
+
+pub(crate) fn apply(layer: &Layer, input: &[f64]) -> Vec<f64> {
     let sums = product(&layer.matrix, input);
     let sums = sums.iter().zip(&layer.bias).map(|(sum, &bias)| sum + f64::from(bias));
     sums.map(|sum| if layer.relu { sum.max(0.0) } else { sum }).collect()
@@ -147,4 +204,60 @@ fn product(matrix: &Matrix, input: &[f64]) -> Vec<f64> {
         sums.iter_mut().zip(row).for_each(|(sum, &weight)| *sum += value * f64::from(weight));
     }
     sums
+}
+
+/// The same plan with some bytes changed and its checksums made right again, as a forger would do.
+pub(crate) fn forge(good: &[u8], change: impl FnOnce(&mut Vec<u8>)) -> Option<AlignedBytes> {
+    let mut plan = good.to_vec();
+    change(&mut plan);
+    let (header, _) = Header::read(&plan).ok()?;
+    let part = |offset: u32, len: u32| plan.get(offset as usize..)?.get(..len as usize);
+    let program = part(header.program_offset, header.program_len)?;
+    let weights = part(header.weights_offset, header.weights_len)?;
+    let Checksums { program, weights } = checksums(&header, program, weights);
+    plan.splice(60..64, program.to_le_bytes());
+    plan.splice(64..68, weights.to_le_bytes());
+    Some(AlignedBytes::copy_of(&plan))
+}
+
+/// The same plan with another program.
+pub(crate) fn with_program(good: &[u8], program: &Program) -> AlignedBytes {
+    let bytes = postcard::to_stdvec(program).unwrap();
+    let forged = forge(good, |plan| {
+        plan[HEADER_BYTES..HEADER_BYTES + bytes.len()].copy_from_slice(&bytes);
+        plan[48..52].copy_from_slice(&(bytes.len() as u32).to_le_bytes());
+        let per_agent = 4 * program.own_floats().unwrap_or(0);
+        plan[120..124].copy_from_slice(&per_agent.to_le_bytes());
+    });
+    forged.unwrap()
+}
+
+/// Changes every byte of header and program to several values, and runs what still loads: the checks must
+/// keep every access inside. Returns how many were refused and how many ran.
+pub(crate) fn run_forged(good: &[u8], mut run: impl FnMut(&Plan<'_>)) -> (usize, usize) {
+    let (header, _) = Header::read(good).unwrap();
+    let end = HEADER_BYTES + header.program_len as usize;
+    let (mut refused, mut ran) = (0, 0);
+    for at in 12..end {
+        for value in [0, 1, 2, 0x40, 0x7f, 0x80, 0xff, good[at].wrapping_add(1), good[at] ^ 0x10] {
+            let Some(bytes) = forge(good, |plan| plan[at] = value) else { continue };
+            match Plan::load(bytes.as_slice()) {
+                Ok(plan) => {
+                    ran += 1;
+                    run(&plan);
+                }
+                Err(_) => refused += 1,
+            }
+        }
+    }
+    (refused, ran)
+}
+
+/// Asks an agent's plan for utilities; any answer will do.
+pub(crate) fn ask_anything(plan: &Plan<'_>, observation: &OwnedObservation) {
+    let mut arena = AlignedBytes::zeroed(plan.arena_bytes().min(1 << 20));
+    let mut utilities = vec![0.0; plan.actions()];
+    let mut hidden = vec![0.5; plan.hidden()];
+    let (view, hidden) = (observation.view(), Some(hidden.as_mut_slice()));
+    let _ = plan.utilities(arena.as_mut_slice(), &view, hidden, &mut utilities);
 }

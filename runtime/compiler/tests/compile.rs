@@ -6,7 +6,8 @@ use sortie_compiler::{
     CompileError, CompileOptions, Compiled, TractPolicy, compare_with_graph, compile, inspect_onnx,
     inspect_plan, random_observations,
 };
-use sortie_core::plan::{AlignedBytes, Plan};
+use sortie_core::kernels::build::Build;
+use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
 use sortie_core::{EntityMask, NO_ACTION, PlanPolicy, Policy};
 
 fn golden(path: &str) -> Vec<u8> {
@@ -100,6 +101,26 @@ fn reports_what_the_plan_needs_and_how_exact_it_is() {
     assert_eq!((facts.macs, facts.arena_bytes), (report.macs, report.arena_bytes));
     assert_eq!(facts.max_rel_error, report.max_rel_error);
     assert_eq!(facts.operators, report.operators);
+}
+
+#[test]
+fn fused_plans_run_where_the_processor_fuses_and_are_refused_elsewhere() {
+    let onnx = golden("onnx/agent_ff_default.onnx");
+    let options =
+        CompileOptions { n_max: 11, profile: Profile::Fused, ..CompileOptions::default() };
+    let fused = compile(&onnx, &options);
+    if !Build::widest().fuses() {
+        let refused = matches!(fused, Err(CompileError::Plan(PlanError::WrongProfile { got: 1 })));
+        assert!(refused, "{fused:?}");
+        return;
+    }
+    let fused = fused.unwrap();
+    assert!(fused.report.max_rel_error < 1e-6, "{:?}", fused.report);
+    let (facts, exact) = (inspect_plan(&fused.bytes).unwrap(), compiled(&onnx));
+    assert_eq!(facts.profile, "fused");
+    assert_eq!(inspect_plan(&exact.bytes).unwrap().profile, "exact");
+    assert_eq!(facts.arena_bytes_per_agent, fused.report.arena_bytes_per_agent);
+    assert!(facts.arena_bytes_per_agent > 0 && facts.arena_bytes_per_agent < facts.arena_bytes);
 }
 
 #[test]

@@ -66,6 +66,15 @@ impl EntityMask {
         mask
     }
 
+    /// The entities in either set.
+    pub fn or(&self, other: &Self) -> Self {
+        let mut mask = *self;
+        for (word, with) in mask.words.iter_mut().zip(other.words) {
+            *word |= with;
+        }
+        mask
+    }
+
     /// Number of entities in the set.
     pub fn len(&self) -> usize {
         self.words.iter().map(|word| word.count_ones() as usize).sum()

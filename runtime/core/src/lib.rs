@@ -23,6 +23,7 @@ pub mod allocator;
 pub mod checksum;
 pub mod choose;
 pub mod decide;
+pub mod entities;
 pub mod entity_mask;
 pub mod identity;
 pub mod kernels;
@@ -38,6 +39,7 @@ pub mod world;
 
 pub use allocator::{AllocateError, AllocationState, Allocator, UNASSIGNED};
 pub use decide::PlanPolicy;
+pub use entities::Entities;
 pub use entity_mask::EntityMask;
 pub use policy::{DecideError, Decision, NO_ACTION, Observation, Policy, visible};
 pub use world::{Shape, StepOutcome, UnavailableAction, World};

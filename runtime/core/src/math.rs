@@ -40,6 +40,32 @@ pub fn exp(x: f32) -> f32 {
     mantissa * f32::from_bits(exponent)
 }
 
+/// 1 / (1 + e⁻ˣ), within three units in the last place. `x` is a number: NaN gives some value in [0, 1].
+#[inline(always)]
+pub fn sigmoid(x: f32) -> f32 {
+    // The power of a negative argument never overflows, on whichever side of zero `x` lies.
+    let power = exp(-x.abs());
+    let numerator = if x < 0.0 { power } else { 1.0 };
+    numerator / (1.0 + power)
+}
+
+/// The hyperbolic tangent, within three units in the last place. `x` is a number: NaN gives NaN or ±1.
+#[inline(always)]
+pub fn tanh(x: f32) -> f32 {
+    let size = x.abs();
+    let square = size * size;
+    let mut polynomial = -5.704_988_727_45e-3;
+    for coefficient in
+        [2.063_908_879_54e-2, -5.373_971_555_31e-2, 1.333_144_220_36e-1, -3.333_328_194_22e-1]
+    {
+        polynomial = polynomial * square + coefficient;
+    }
+    let near_zero = polynomial * square * size + size;
+    let far = 1.0 - 2.0 / (exp(2.0 * size) + 1.0);
+    let value = if size < 0.625 { near_zero } else { far };
+    value.copysign(x)
+}
+
 /// The larger of `x` and +0; NaN stays NaN, so that an overflow is still seen at the end.
 #[inline(always)]
 pub fn relu(x: f32) -> f32 {
@@ -52,6 +78,13 @@ pub fn relu_all(values: &mut [f32]) {
     for value in values {
         *value = relu(*value);
     }
+}
+
+/// Whether every value is a finite number.
+#[inline(always)]
+pub fn all_finite(values: &[f32]) -> bool {
+    let magnitude = |value: &f32| value.to_bits() & 0x7fff_ffff;
+    values.iter().map(magnitude).fold(0, u32::max) < 0x7f80_0000
 }
 
 #[cfg(test)]
@@ -76,9 +109,41 @@ mod tests {
     }
 
     #[test]
+    fn sigmoid_and_tanh_are_close_everywhere() {
+        for step in -87_000..95_000 {
+            let x = step as f32 / 1000.0;
+            let wide = f64::from(x);
+            let want = 1.0 / (1.0 + (-wide).exp());
+            let error = (f64::from(sigmoid(x)) - want).abs() / want;
+            assert!(error < 3.5e-7, "sigmoid({x}): relative error {error}");
+            let want = wide.tanh();
+            let error = (f64::from(tanh(x)) - want).abs() / want.abs().max(1e-30);
+            assert!(error < 2.5e-7, "tanh({x}): relative error {error}");
+        }
+    }
+
+    #[test]
+    fn sigmoid_and_tanh_reach_their_limits() {
+        for (x, low, high) in [(f32::MAX, 1.0, 1.0), (f32::INFINITY, 1.0, 1.0), (0.0, 0.5, 0.0)] {
+            assert_eq!((sigmoid(x), tanh(x)), (low, high));
+        }
+        assert_eq!(tanh(f32::MIN), -1.0);
+        assert!(sigmoid(f32::MIN) >= 0.0 && sigmoid(f32::MIN) < 1e-37);
+        assert_eq!(tanh(-0.0).to_bits(), (-0.0_f32).to_bits());
+    }
+
+    #[test]
     fn relu_keeps_nan() {
         assert!(relu(f32::NAN).is_nan());
         assert_eq!(relu(-3.0), 0.0);
         assert_eq!(relu(2.0), 2.0);
+    }
+
+    #[test]
+    fn finds_what_is_not_finite() {
+        assert!(all_finite(&[0.0, -1.0, f32::MAX]));
+        for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+            assert!(!all_finite(&[0.0, bad, 1.0]));
+        }
     }
 }

@@ -52,6 +52,15 @@ pub enum DecideError {
     NoAvailableAction,
     /// A visible feature, or a utility, is not a finite number.
     NonFinite,
+    /// The recurrent state that was given is not of the policy's size.
+    HiddenState {
+        /// Floats of the policy's state, 0 where it has none.
+        want: usize,
+        /// Floats given.
+        got: usize,
+    },
+    /// The policy chooses greedily: its utilities are not logits to draw from.
+    Greedy,
 }
 
 impl core::fmt::Display for DecideError {
@@ -63,6 +72,10 @@ impl core::fmt::Display for DecideError {
             Self::BadLength => f.write_str("a part of the observation has the wrong length"),
             Self::NoAvailableAction => f.write_str("no action is available"),
             Self::NonFinite => f.write_str("a feature or a utility is not a finite number"),
+            Self::HiddenState { want, got } => {
+                write!(f, "the policy's recurrent state has {want} numbers, {got} were given")
+            }
+            Self::Greedy => f.write_str("the policy chooses greedily and cannot be drawn from"),
         }
     }
 }
@@ -83,6 +96,56 @@ pub trait Policy {
 
     /// Greedy choice among the available actions, lowest index on ties.
     fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError>;
+
+    /// Decides for several agents, each as [`Self::decide`] does. Agents of one frame, whose observations have
+    /// the same rows and last actions, are cheaper together. Answers beyond the shorter of the two slices are
+    /// not given.
+    fn decide_batch(
+        &mut self,
+        observations: &[Observation<'_>],
+        decisions: &mut [Result<Decision, DecideError>],
+    ) {
+        for (observation, decision) in observations.iter().zip(decisions) {
+            *decision = self.decide(observation);
+        }
+    }
+
+    /// Brings what the next decision reads near, ahead of a deadline; changes nothing else.
+    fn warm(&self) {}
+
+    /// Floats R of the recurrent state, 0 for a policy without memory.
+    fn hidden(&self) -> usize {
+        0
+    }
+
+    /// As [`Self::utilities`] of a policy with memory. `hidden` `[R]` is this agent's state, which the caller
+    /// keeps and sets to zero where an episode begins; it is replaced if the utilities could be computed.
+    fn utilities_with(
+        &mut self,
+        observation: &Observation<'_>,
+        hidden: &mut [f32],
+        utilities: &mut [f32],
+    ) -> Result<(), DecideError> {
+        no_memory(hidden)?;
+        self.utilities(observation, utilities)
+    }
+
+    /// As [`Self::decide`] of a policy with memory, see [`Self::utilities_with`].
+    fn decide_with(
+        &mut self,
+        observation: &Observation<'_>,
+        hidden: &mut [f32],
+    ) -> Result<Decision, DecideError> {
+        no_memory(hidden)?;
+        self.decide(observation)
+    }
+}
+
+fn no_memory(hidden: &[f32]) -> Result<(), DecideError> {
+    match hidden.len() {
+        0 => Ok(()),
+        got => Err(DecideError::HiddenState { want: 0, got }),
+    }
 }
 
 impl<P: Policy + ?Sized> Policy for &mut P {
@@ -100,6 +163,39 @@ impl<P: Policy + ?Sized> Policy for &mut P {
 
     fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
         (**self).decide(observation)
+    }
+
+    fn decide_batch(
+        &mut self,
+        observations: &[Observation<'_>],
+        decisions: &mut [Result<Decision, DecideError>],
+    ) {
+        (**self).decide_batch(observations, decisions);
+    }
+
+    fn warm(&self) {
+        (**self).warm();
+    }
+
+    fn hidden(&self) -> usize {
+        (**self).hidden()
+    }
+
+    fn utilities_with(
+        &mut self,
+        observation: &Observation<'_>,
+        hidden: &mut [f32],
+        utilities: &mut [f32],
+    ) -> Result<(), DecideError> {
+        (**self).utilities_with(observation, hidden, utilities)
+    }
+
+    fn decide_with(
+        &mut self,
+        observation: &Observation<'_>,
+        hidden: &mut [f32],
+    ) -> Result<Decision, DecideError> {
+        (**self).decide_with(observation, hidden)
     }
 }
 

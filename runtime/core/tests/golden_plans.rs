@@ -1,5 +1,6 @@
 //! Plans of every format version stay readable, with the bits that they had.
 
+use sortie_core::kernels::build::Build;
 use sortie_core::plan::{Aligned, Plan, PlanError, arena_bytes};
 use sortie_core::{DecideError, EntityMask, NO_ACTION, Observation, include_plan};
 
@@ -44,8 +45,10 @@ fn decisions<const ARENA: usize>(bytes: &[u8]) -> String {
             available: &[],
         };
         let mut answers = [vec![0.0; plan.actions()], vec![0.0; plan.actions()]];
-        for (plan, utilities) in [plan.clone(), plan.clone().portable()].iter().zip(&mut answers) {
-            plan.utilities(&mut arena.0, &observation, utilities).expect("finite utilities");
+        for (plan, utilities) in
+            [plan.clone(), plan.clone().on(Build::PORTABLE)].iter().zip(&mut answers)
+        {
+            plan.utilities(&mut arena.0, &observation, None, utilities).expect("finite utilities");
         }
         let [widest, portable] = answers.map(|utilities| {
             utilities

@@ -6,6 +6,7 @@ use tract_onnx::tract_core::ops::logic::Iff;
 use tract_onnx::tract_core::ops::nn::Softmax;
 use tract_onnx::tract_hir::internal::DimLike;
 
+use super::gru::{GruLayers, match_gru};
 use super::linear::{Found, Layer, Matrix, match_layer, match_product_of_two, match_scale};
 use crate::error::CompileError;
 use crate::graph::Graph;
@@ -29,7 +30,16 @@ pub(crate) struct AgentLayers {
     /// Heads to the attention's output.
     pub(crate) output: Layer,
     /// What follows the attention, in order.
-    pub(crate) dense: Vec<Layer>,
+    pub(crate) steps: Vec<Step>,
+}
+
+/// What is done to one vector.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Step {
+    /// A layer.
+    Dense(Layer),
+    /// A gated recurrent unit.
+    Gru(Box<GruLayers>),
 }
 
 /// What attention asks: whose row forms the query, and what it may see.
@@ -60,20 +70,27 @@ pub(super) fn match_network(
     graph: &Graph,
     question: Question,
 ) -> Result<(impl FnOnce(Layer) -> AgentLayers + use<>, OutletId), CompileError> {
-    let &outlet = graph.model.outputs.last().ok_or_else(no_output)?;
-    let mut dense = Vec::new();
-    let mut found = match_layer(graph, outlet)?;
-    while match_product_of_two(graph, found.input).is_none() {
-        dense.push(found.layer);
-        found = match_layer(graph, found.input)?;
-    }
-    dense.reverse();
-    let (output, mixed) = (found.layer, found.input);
+    let mut steps = Vec::new();
+    let mut outlet = graph.answer;
+    let (output, mixed) = loop {
+        if let Some(found) = match_gru(graph, outlet)? {
+            steps.push(Step::Gru(Box::new(found.layers)));
+            outlet = found.input;
+            continue;
+        }
+        let found = match_layer(graph, outlet)?;
+        if match_product_of_two(graph, found.input).is_some() {
+            break (found.layer, found.input);
+        }
+        steps.push(Step::Dense(found.layer));
+        outlet = found.input;
+    };
+    steps.reverse();
     let (weights, value) = match_mixed(graph, mixed)?;
     let (scores, heads) = match_weights(graph, weights, question.visible)?;
     let (query, key, embedding) = match_scores(graph, scores, question.own)?;
     let value = match_projection(graph, value, embedding)?;
-    let with = move |embed| AgentLayers { embed, heads, query, key, value, output, dense };
+    let with = move |embed| AgentLayers { embed, heads, query, key, value, output, steps };
     Ok((with, embedding))
 }
 

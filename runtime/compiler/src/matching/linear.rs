@@ -23,6 +23,20 @@ impl Matrix {
         }
         output
     }
+
+    /// Some columns: the outputs from `start` on.
+    pub(crate) fn columns(&self, start: usize, count: usize) -> Self {
+        let rows = self.values.chunks_exact(self.outputs);
+        let values = rows.flat_map(|row| row.iter().skip(start).take(count)).copied().collect();
+        Self { inputs: self.inputs, outputs: count, values }
+    }
+
+    /// The matrix with inputs and outputs exchanged.
+    pub(crate) fn transposed(&self) -> Self {
+        let column = |column: usize| self.values.iter().skip(column).step_by(self.outputs);
+        let values = (0..self.outputs).flat_map(column).copied().collect();
+        Self { inputs: self.outputs, outputs: self.inputs, values }
+    }
 }
 
 /// A matrix with its bias, and whether a ReLU follows.

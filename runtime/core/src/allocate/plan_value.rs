@@ -2,8 +2,13 @@
 
 use super::team_value::{TeamQuery, TeamValueNetwork};
 use crate::allocator::AllocateError;
+use crate::entity_mask::EntityMask;
+use crate::limits;
 use crate::plan::{Network, Plan, PlanError};
 use crate::policy::{DecideError, Observation};
+
+/// Teams that are worked on together.
+const TOGETHER: usize = 16;
 
 /// Columns between features and relation: own flag and team flag.
 const FLAGS: usize = 2;
@@ -11,7 +16,9 @@ const FLAGS: usize = 2;
 /// A plan as team-value network, over memory that the caller gives.
 ///
 /// The network is an agent's in shape: the subtask's row looks at all others. Its columns are d features,
-/// a flag of the own row, a flag of the team's agents, and F relations.
+/// a flag of the own row, a flag of the team's agents, and F relations. Several teams are decided on like several
+/// agents of one frame: its rows are every agent once as a stranger and once as a member, then all others, and
+/// a team sees of each agent the row that fits. So rows are embedded once, and matrices read once, for all teams.
 #[derive(Debug)]
 pub struct PlanTeamValue<'a> {
     plan: Plan<'a>,
@@ -20,8 +27,8 @@ pub struct PlanTeamValue<'a> {
 }
 
 impl<'a> PlanTeamValue<'a> {
-    /// Binds an allocator's plan to its arena, as policies are, and to room for the joined rows of a
-    /// state's N entities: `[N, columns]`, see [`Self::row_floats`].
+    /// Binds an allocator's plan to its arena, as policies are (with [`Plan::batch_arena_bytes`] several teams are
+    /// worked on together), and to room for the joined rows of a state's N entities, see [`Self::row_floats`].
     pub fn new(
         plan: Plan<'a>,
         arena: &'a mut [u8],
@@ -32,23 +39,23 @@ impl<'a> PlanTeamValue<'a> {
         Ok(Self { plan, arena, rows })
     }
 
-    /// Floats of joined rows that `entities` entities need.
+    /// Floats of joined rows that `entities` entities need: every one may be an agent, and has two rows then.
     pub fn row_floats(plan: &Plan<'_>, entities: usize) -> usize {
-        entities.saturating_mul(plan.header().features as usize)
+        entities.saturating_mul(2 * plan.header().features as usize)
     }
 
-    /// Joins the columns of one row.
-    fn join(&mut self, query: &TeamQuery<'_>, row: usize, own: usize) -> Result<(), DecideError> {
+    /// Joins the columns of an entity in the row of its slot.
+    fn join(&mut self, query: &TeamQuery<'_>, row: usize, member: bool) -> Result<(), DecideError> {
         let (state, columns) = (query.state, self.plan.header().features as usize);
         let relations = query.relation.len().checked_div(state.entity_task.len()).unwrap_or(0);
         let features = columns.checked_sub(relations + FLAGS).ok_or(DecideError::BadLength)?;
         if features > state.stride {
             return Err(DecideError::BadLength);
         }
-        let start = row.saturating_mul(columns);
+        let start = slot(query, row, member).saturating_mul(columns);
         let to = self.rows.get_mut(start..start.saturating_add(columns));
         let from = part(state.rows, row, state.stride, features)?.iter();
-        let flags = [flag(row == own), flag(query.is_member(row))];
+        let flags = [flag(query.own_row() == Some(row)), flag(member)];
         let from = from.chain(&flags).chain(part(query.relation, row, relations, relations)?);
         for (to, from) in to.ok_or(DecideError::BadLength)?.iter_mut().zip(from) {
             *to = *from;
@@ -56,37 +63,110 @@ impl<'a> PlanTeamValue<'a> {
         Ok(())
     }
 
-    fn ask(&mut self, query: &TeamQuery<'_>) -> Result<f32, DecideError> {
-        let own = query.own_row().ok_or(DecideError::BadLength)?;
+    /// Joins all rows that any of the teams sees.
+    fn join_all(
+        &mut self,
+        query: &TeamQuery<'_>,
+        own: usize,
+        teams: &[u64],
+    ) -> Result<(), DecideError> {
+        let anybody = teams.iter().fold(0, |all, team| all | team);
+        let everybody = teams.iter().fold(u64::MAX, |all, team| all & team);
         let mut joined = query.visible();
-        let visible = joined;
         joined.insert(own);
         for row in joined.iter() {
-            self.join(query, row, own)?;
+            if !(TeamQuery { team: everybody, ..*query }).is_member(row) {
+                self.join(query, row, false)?;
+            }
+            if (TeamQuery { team: anybody, ..*query }).is_member(row) {
+                self.join(query, row, true)?;
+            }
         }
-        let observation = Observation {
-            rows: self.rows,
-            stride: self.plan.header().features as usize,
-            last_actions: &[],
-            visible,
-            self_index: own,
-            available: &[],
-        };
-        let mut value = [0.0];
-        self.plan.utilities(self.arena, &observation, &mut value)?;
-        let [value] = value;
-        Ok(value)
+        Ok(())
+    }
+
+    fn ask(
+        &mut self,
+        query: &TeamQuery<'_>,
+        teams: &[u64],
+        values: &mut [f32],
+    ) -> Result<(), DecideError> {
+        let own = query.own_row().ok_or(DecideError::BadLength)?;
+        self.join_all(query, own, teams)?;
+        let stride = self.plan.header().features as usize;
+        let frame = Frame { rows: self.rows, stride, own: slot(query, own, false) };
+        let team = |team: &u64| frame.observation(&TeamQuery { team: *team, ..*query });
+        let mut observations = heapless::Vec::<_, TOGETHER>::new();
+        for observation in teams.iter().map(team) {
+            // Callers ask about as many as there is room for.
+            let _ = observations.push(observation);
+        }
+        let mut results = [Ok(()); TOGETHER];
+        let results = results.get_mut(..observations.len()).ok_or(DecideError::BadLength)?;
+        self.plan.utilities_batch(self.arena, &observations, values, results);
+        results.iter().copied().collect()
     }
 }
 
 impl TeamValueNetwork for PlanTeamValue<'_> {
     fn value(&mut self, query: &TeamQuery<'_>) -> Result<f32, AllocateError> {
-        self.ask(query).map_err(|error| match error {
-            DecideError::TooManyEntities { .. } => AllocateError::TooLarge,
-            DecideError::NonFinite => AllocateError::NonFinite,
-            _ => AllocateError::BadLength,
-        })
+        let mut value = [0.0];
+        self.values(query, &[query.team], &mut value)?;
+        let [value] = value;
+        Ok(value)
     }
+
+    fn values(
+        &mut self,
+        query: &TeamQuery<'_>,
+        teams: &[u64],
+        values: &mut [f32],
+    ) -> Result<(), AllocateError> {
+        if slot(query, query.state.entity_task.len(), false) > limits::ENTITIES {
+            return Err(AllocateError::TooLarge);
+        }
+        for (teams, values) in teams.chunks(TOGETHER).zip(values.chunks_mut(TOGETHER)) {
+            self.ask(query, teams, values).map_err(|error| match error {
+                DecideError::TooManyEntities { .. } => AllocateError::TooLarge,
+                DecideError::NonFinite => AllocateError::NonFinite,
+                _ => AllocateError::BadLength,
+            })?;
+        }
+        Ok(())
+    }
+}
+
+/// The joined rows of one subtask.
+struct Frame<'a> {
+    rows: &'a [f32],
+    stride: usize,
+    /// The subtask's own slot.
+    own: usize,
+}
+
+impl<'a> Frame<'a> {
+    /// What a team sees.
+    fn observation(&self, query: &TeamQuery<'_>) -> Observation<'a> {
+        let mut visible = EntityMask::EMPTY;
+        for row in query.visible().iter() {
+            visible.insert(slot(query, row, query.is_member(row)));
+        }
+        Observation {
+            rows: self.rows,
+            stride: self.stride,
+            last_actions: &[],
+            visible,
+            self_index: self.own,
+            available: &[],
+        }
+    }
+}
+
+/// Where an entity's joined row stands: agents have two in turn, a stranger's and a member's, others follow.
+/// Rising with the entity, so that sums over rows keep their order.
+fn slot(query: &TeamQuery<'_>, row: usize, member: bool) -> usize {
+    let agents = query.state.agents;
+    if row < agents { 2 * row + usize::from(member) } else { agents.saturating_add(row) }
 }
 
 fn flag(set: bool) -> f32 {

@@ -11,6 +11,9 @@ use crate::limits;
 /// Most agents that are usually searched exactly: beyond, the values of all teams take too long.
 pub const EXACT_AGENTS: usize = 8;
 
+/// Teams whose values are asked for in one call.
+const TOGETHER: usize = 16;
+
 /// Sweeps of the coordinate ascent; few are needed until no agent moves.
 const SWEEPS: usize = 8;
 
@@ -65,11 +68,36 @@ pub trait TeamValueNetwork {
     /// # Errors
     /// The query does not fit the network, or a visible feature is not a finite number.
     fn value(&mut self, query: &TeamQuery<'_>) -> Result<f32, AllocateError>;
+
+    /// Writes the values of several teams in the place of the query's; networks may share work among them.
+    ///
+    /// # Errors
+    /// As [`Self::value`] of the first team that has one; values are then incomplete.
+    fn values(
+        &mut self,
+        query: &TeamQuery<'_>,
+        teams: &[u64],
+        values: &mut [f32],
+    ) -> Result<(), AllocateError> {
+        for (team, value) in teams.iter().zip(values) {
+            *value = self.value(&TeamQuery { team: *team, ..*query })?;
+        }
+        Ok(())
+    }
 }
 
 impl<V: TeamValueNetwork + ?Sized> TeamValueNetwork for &mut V {
     fn value(&mut self, query: &TeamQuery<'_>) -> Result<f32, AllocateError> {
         (**self).value(query)
+    }
+
+    fn values(
+        &mut self,
+        query: &TeamQuery<'_>,
+        teams: &[u64],
+        values: &mut [f32],
+    ) -> Result<(), AllocateError> {
+        (**self).values(query, teams, values)
     }
 }
 
@@ -214,8 +242,8 @@ where
         let values = values.ok_or(AllocateError::TooLarge)?;
         let mut asked = Asked::new(network, relation, state, rows, buffer)?;
         for (task, values) in teams.tasks().zip(values.chunks_exact_mut(1 << teams.agents)) {
-            for (team, value) in values.iter_mut().enumerate() {
-                *value = asked.value(task, team as u64);
+            for (first, values) in (0..).step_by(TOGETHER).zip(values.chunks_mut(TOGETHER)) {
+                asked.team_values(task, first..first + values.len() as u64, values);
             }
         }
         asked.failed()?;
@@ -267,22 +295,40 @@ impl<'a, N: TeamValueNetwork, R: TaskRelation> Asked<'a, N, R> {
     }
 }
 
+impl<N: TeamValueNetwork, R: TaskRelation> Asked<'_, N, R> {
+    /// The values of up to [`TOGETHER`] teams at a subtask; no numbers from the first error on.
+    fn team_values(&mut self, task: usize, teams: impl Iterator<Item = u64>, values: &mut [f32]) {
+        if self.error.is_none() {
+            if self.related != Some(task) {
+                self.relation.write(self.state, task, self.buffer);
+                self.related = Some(task);
+            }
+            let mut rows = heapless::Vec::<u64, TOGETHER>::new();
+            for team in teams {
+                // Callers ask about as many as there is room for.
+                let _ = rows.push(self.team_of_rows(team));
+            }
+            let query = TeamQuery { state: self.state, task, team: 0, relation: self.buffer };
+            self.error = self.network.values(&query, &rows, values).err();
+        }
+        if self.error.is_some() {
+            values.fill(f32::NAN);
+        }
+    }
+
+    /// A team of present agents as a team of rows.
+    fn team_of_rows(&self, team: u64) -> u64 {
+        let members = self.rows.iter().enumerate().filter(|(agent, _)| team >> agent & 1 == 1);
+        members.fold(0, |team, (_, row)| team | 1_u64 << (*row % 64))
+    }
+}
+
 impl<N: TeamValueNetwork, R: TaskRelation> TeamValue for Asked<'_, N, R> {
     fn value(&mut self, task: usize, team: u64) -> f32 {
-        if self.error.is_some() {
-            return f32::NAN;
-        }
-        if self.related != Some(task) {
-            self.relation.write(self.state, task, self.buffer);
-            self.related = Some(task);
-        }
-        let members = self.rows.iter().enumerate().filter(|(agent, _)| team >> agent & 1 == 1);
-        let team = members.fold(0, |team, (_, row)| team | 1_u64 << (*row % 64));
-        let query = TeamQuery { state: self.state, task, team, relation: self.buffer };
-        self.network.value(&query).unwrap_or_else(|error| {
-            self.error = Some(error);
-            f32::NAN
-        })
+        let mut value = [f32::NAN];
+        self.team_values(task, core::iter::once(team), &mut value);
+        let [value] = value;
+        value
     }
 }
 

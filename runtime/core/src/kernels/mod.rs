@@ -1,14 +1,132 @@
 //! Arithmetic on plain slices in a fixed order, so that every target computes the same bits.
 //!
-//! The contract ("exact" profile): no fused multiply-add; products of a matrix and a vector add one input
-//! after the other to all outputs; dot products run in 16 lanes that a fixed tree joins. Inputs that are
-//! exactly zero may be left out: they add ±0 to sums that are never -0.
+//! The contract: products of a matrix and a vector add one input after the other to all outputs; dot products
+//! run in 16 lanes that a fixed tree joins. Inputs that are exactly zero may be left out: they add ±0 to sums
+//! that are never -0. What a multiply-add rounds is the profile's ([`arithmetic`]).
 //!
-//! All is safe Rust over chunks of fixed size, which the compiler turns into vector instructions. Every
-//! function is inlined into its caller, so that [`wide`] can build the whole executor a second time for AVX2.
+//! The code is safe Rust over chunks of fixed size, which the compiler turns into vector instructions. It is
+//! built once for every target, and on x86-64 for AVX2 and AVX-512 as well: [`Kernels`] is what a build offers,
+//! [`build`] chooses one.
 
+pub mod arithmetic;
+pub mod build;
 pub mod dot;
-pub mod nonzero;
+pub mod mark;
 pub mod product;
+pub mod rows;
+pub mod several;
 pub mod softmax;
-pub mod wide;
+#[cfg(all(feature = "std", target_arch = "x86_64"))]
+mod x86;
+
+use core::marker::PhantomData;
+
+use arithmetic::Arithmetic;
+use mark::{Marks, lanes_not_zero};
+use product::{Around, Sparse};
+use rows::Rows;
+use several::{AddRows, Pair, STRIP};
+
+/// The kernels of one build and one profile.
+pub trait Kernels: Copy {
+    /// Marks the values that are not zero, and returns whether all are finite ([`mark::mark`]).
+    fn mark(self, values: &[f32], marks: &mut [Marks]) -> bool;
+
+    /// Matrix times vector ([`product::product`]).
+    fn product(self, weights: &[f32], inputs: &[f32], around: Around<'_>, outputs: &mut [f32]);
+
+    /// Matrix times a vector of which much is zero ([`product::sparse_product`]).
+    fn sparse_product(
+        self,
+        weights: &[f32],
+        inputs: Sparse<'_>,
+        around: Around<'_>,
+        outputs: &mut [f32],
+    );
+
+    /// Matrix times several vectors ([`several::products`]).
+    fn products(self, weights: &[f32], pairs: &mut [Pair<'_>], around: Around<'_>);
+
+    /// Dot products of one vector with rows ([`dot::dots`]).
+    fn dots(self, vector: &[f32], rows: Rows<'_>, products: &mut [f32]);
+
+    /// Scores become weights ([`softmax::softmax`]).
+    fn softmax(self, scores: &mut [f32], count: usize) -> bool;
+
+    /// The weighted sum of rows ([`product::mix`]).
+    fn mix(self, weights: &[f32], rows: Rows<'_>, sums: &mut [f32]);
+}
+
+/// The kernels as every processor of the target runs them.
+#[derive(Debug)]
+pub struct Portable<A>(PhantomData<A>);
+
+impl<A> Portable<A> {
+    /// The kernels.
+    pub const fn new() -> Self {
+        Self(PhantomData)
+    }
+}
+
+impl<A> Default for Portable<A> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl<A> Clone for Portable<A> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<A> Copy for Portable<A> {}
+
+impl<A: Arithmetic> Kernels for Portable<A> {
+    fn mark(self, values: &[f32], marks: &mut [Marks]) -> bool {
+        mark::mark(values, marks, lanes_not_zero)
+    }
+
+    fn product(self, weights: &[f32], inputs: &[f32], around: Around<'_>, outputs: &mut [f32]) {
+        product::product::<A>(weights, inputs, around, outputs);
+    }
+
+    fn sparse_product(
+        self,
+        weights: &[f32],
+        inputs: Sparse<'_>,
+        around: Around<'_>,
+        outputs: &mut [f32],
+    ) {
+        product::sparse_product::<A>(weights, inputs, around, outputs);
+    }
+
+    fn products(self, weights: &[f32], pairs: &mut [Pair<'_>], around: Around<'_>) {
+        several::products::<A>(self, weights, pairs, around);
+    }
+
+    fn dots(self, vector: &[f32], rows: Rows<'_>, products: &mut [f32]) {
+        dot::dots(vector, rows, products, dot::four_dots::<A>);
+    }
+
+    fn softmax(self, scores: &mut [f32], count: usize) -> bool {
+        softmax::softmax(scores, count)
+    }
+
+    fn mix(self, weights: &[f32], rows: Rows<'_>, sums: &mut [f32]) {
+        product::mix::<A>(weights, rows, sums);
+    }
+}
+
+impl<P> AddRows for Portable<P> {
+    #[inline(always)]
+    fn add_rows<A: Arithmetic, const WIDTH: usize, const COUNT: usize>(
+        self,
+        rows: &[[f32; WIDTH]],
+        part: usize,
+        start: [f32; STRIP],
+        inputs: [&[f32]; COUNT],
+    ) -> [[f32; STRIP]; COUNT] {
+        several::add_rows::<A, WIDTH, COUNT>(rows, part, start, inputs)
+    }
+}

@@ -1,13 +1,15 @@
 //! Multi-head attention of one query: the agent's own.
 
+use core::ops::Range;
+
 use serde::{Deserialize, Serialize};
 
-use super::embed_entities::embedding;
+use super::team::{Member, Team};
 use super::{Linear, Place, Scratch, Sizes, places, slice};
-use crate::kernels::dot::dot;
-use crate::kernels::nonzero::collect;
-use crate::kernels::product::{Around, mix, padded, product, sparse_product};
-use crate::kernels::softmax::softmax;
+use crate::kernels::Kernels;
+use crate::kernels::product::{Around, Sparse, padded};
+use crate::kernels::rows::Rows;
+use crate::kernels::softmax::slots;
 use crate::policy::DecideError;
 
 /// Attention over the embedded rows, rewritten for a single query (dissertation section 2.3).
@@ -84,17 +86,14 @@ impl AttendOwn {
             && self.mixed.len as usize == self.padded_width()
             && self.attended.len == u32::from(self.output.inputs)
             && self.to.len as usize == self.output.padded_outputs();
-        let places = self.places();
-        let apart = places.iter().enumerate().all(|(index, place)| {
-            sizes.holds(place) && places.iter().skip(index + 1).all(|other| place.disjoint(other))
-        });
-        layers && widths && lengths && apart
+        layers && widths && lengths && sizes.hold_apart(&self.places().each_ref())
     }
 
-    fn places(&self) -> [&Place; 7] {
-        let inner = [&self.absorbed, &self.scores, &self.mixed, &self.attended];
-        let [absorbed, scores, mixed, attended] = inner;
-        [&self.rows, &self.query_place, absorbed, scores, mixed, attended, &self.to]
+    fn places(&self) -> [Place; 7] {
+        // Scores are worked on in whole vectors, for which a plan leaves room behind the last one.
+        let scores = Place { len: slots(self.scores.len as usize) as u32, ..self.scores };
+        let Self { rows, query_place, absorbed, mixed, attended, to, .. } = *self;
+        [rows, query_place, absorbed, scores, mixed, attended, to]
     }
 
     pub(super) fn multiply_adds(&self, visible: usize) -> usize {
@@ -107,79 +106,140 @@ impl AttendOwn {
     #[inline(always)]
     pub(super) fn run(
         &self,
+        kernels: impl Kernels,
         weights: &[f32],
         scratch: &mut Scratch<'_>,
     ) -> Result<(), DecideError> {
         let visible = scratch.visible;
         if visible > 1 {
-            self.ask(weights, scratch)?;
+            self.ask(kernels, weights, scratch)?;
         }
         let [rows, query, absorbed, scores, mixed, attended, to] =
-            places(scratch.floats, self.places())?;
-        let rows = rows.get(..visible * self.padded_width()).ok_or(DecideError::BadLength)?;
-        let scores = scores.get_mut(..visible).ok_or(DecideError::BadLength)?;
-        // The weight of a single entity is one, whatever its score.
-        scores.fill(1.0);
-        attended.fill(0.0);
+            places(scratch.floats, self.places().each_ref())?;
+        let rows = Rows::first(rows, self.padded_width(), visible);
         let outputs = attended.chunks_exact_mut(padded(self.head_width()));
-        let heads = 0..if visible > 0 { usize::from(self.heads) } else { 0 };
-        for (head, output) in heads.zip(outputs) {
-            if visible > 1 {
-                self.score(weights, head, query, rows, absorbed, scores)?;
+        for (head, output) in (0..usize::from(self.heads)).zip(outputs) {
+            if visible == 0 {
+                output.fill(0.0);
+                continue;
             }
-            mix(scores, rows, mixed);
-            let values = self.head_matrix(weights, self.values, self.values_len(), head)?;
+            if visible > 1 {
+                let query = query.get(self.head(head)).ok_or(DecideError::BadLength)?;
+                kernels.product(self.keys(weights, head)?, query, Around::NOTHING, absorbed);
+            }
+            self.attend(kernels, rows, absorbed, scores, mixed)?;
             let mixed = mixed.get(..usize::from(self.width)).ok_or(DecideError::BadLength)?;
-            product(values, mixed, Around::NOTHING, output);
+            kernels.product(self.values(weights, head)?, mixed, Around::NOTHING, output);
         }
         let around = self.output.around(weights, self.relu)?;
-        product(self.output.matrix(weights)?, attended, around, to);
+        kernels.product(self.output.matrix(weights)?, attended, around, to);
+        Ok(())
+    }
+
+    /// Mixes rows by one head's scores.
+    #[inline(always)]
+    fn attend(
+        &self,
+        kernels: impl Kernels,
+        rows: Rows<'_>,
+        absorbed: &[f32],
+        scores: &mut [f32],
+        mixed: &mut [f32],
+    ) -> Result<(), DecideError> {
+        let visible = rows.slots.len();
+        let scores = scores.get_mut(..slots(visible)).ok_or(DecideError::BadLength)?;
+        if visible > 1 {
+            kernels.dots(absorbed, rows, scores);
+            if !kernels.softmax(scores, visible) {
+                return Err(DecideError::NonFinite);
+            }
+        } else {
+            // The weight of a single entity is one, whatever its score.
+            scores.fill(1.0);
+        }
+        kernels.mix(scores, rows, mixed);
+        Ok(())
+    }
+
+    /// As [`Self::run`] for all members of a team.
+    pub(super) fn run_team(
+        &self,
+        kernels: impl Kernels,
+        weights: &[f32],
+        team: &mut Team<'_>,
+    ) -> Result<(), DecideError> {
+        let asks = |member: &Member| member.slots.len() > 1;
+        let sees = |member: &Member| !member.slots.is_empty();
+        let (width, absorbed) = (usize::from(self.width), &self.absorbed);
+        let step = padded(self.head_width());
+        let (matrix, around) = (self.query.matrix(weights)?, self.query.around(weights, false)?);
+        kernels.products(matrix, &mut team.own_rows(width, &self.query_place, asks), around);
+        for head in 0..usize::from(self.heads) {
+            let query = self.query_place.part(self.head(head));
+            let matrix = self.keys(weights, head)?;
+            kernels.products(matrix, &mut team.pairs(&query, absorbed, asks), Around::NOTHING);
+            self.attend_team(kernels, team)?;
+            let mixed = self.mixed.part(0..width);
+            let output = self.attended.part(head * step..(head + 1) * step);
+            let matrix = self.values(weights, head)?;
+            kernels.products(matrix, &mut team.pairs(&mixed, &output, sees), Around::NOTHING);
+        }
+        let (matrix, around) =
+            (self.output.matrix(weights)?, self.output.around(weights, self.relu)?);
+        kernels.products(matrix, &mut team.pairs(&self.attended, &self.to, |_| true), around);
+        Ok(())
+    }
+
+    /// Mixes rows by one head's scores for every member; who sees nothing gets zeros.
+    fn attend_team(&self, kernels: impl Kernels, team: &mut Team<'_>) -> Result<(), DecideError> {
+        let [_, _, absorbed, scores, mixed, attended, _] = self.places();
+        let wanted = [absorbed, scores, mixed, attended].map(|place| team.own_place(&place));
+        let Team { rows, own, own_floats, members, .. } = team;
+        for (member, floats) in members.iter_mut().zip(own.chunks_exact_mut((*own_floats).max(1))) {
+            let [absorbed, scores, mixed, attended] = places(floats, wanted.each_ref())?;
+            if member.slots.is_empty() {
+                attended.fill(0.0);
+                continue;
+            }
+            let rows = Rows { floats: rows, width: self.padded_width(), slots: &member.slots };
+            member.alone |= self.attend(kernels, rows, absorbed, scores, mixed).is_err();
+        }
         Ok(())
     }
 
     /// Computes q of the agent's own row, which comes out of a ReLU.
     #[inline(always)]
-    fn ask(&self, weights: &[f32], scratch: &mut Scratch<'_>) -> Result<(), DecideError> {
-        let row = embedding(scratch.floats, &self.rows, self.padded_width(), scratch.own)?;
-        let row = row.get(..usize::from(self.width)).ok_or(DecideError::BadLength)?;
-        let count = collect(row, scratch.nonzeros);
-        let inputs = scratch.nonzeros.get(..count).ok_or(DecideError::BadLength)?;
-        let [query] = places(scratch.floats, [&self.query_place])?;
+    fn ask(
+        &self,
+        kernels: impl Kernels,
+        weights: &[f32],
+        scratch: &mut Scratch<'_>,
+    ) -> Result<(), DecideError> {
+        let [rows, query] = places(scratch.floats, [&self.rows, &self.query_place])?;
+        let start = scratch.own * self.padded_width();
+        let row = rows.get(start..start + usize::from(self.width));
+        let values = row.ok_or(DecideError::BadLength)?;
+        kernels.mark(values, scratch.nonzeros);
+        let inputs = Sparse { values, marks: scratch.nonzeros, one: None, count: values.len() };
         let around = self.query.around(weights, false)?;
         let matrix = self.query.matrix(weights)?;
-        sparse_product(matrix, usize::from(self.width), inputs, around, query);
+        kernels.sparse_product(matrix, inputs, around, query);
         Ok(())
     }
 
-    /// Computes one head's attention weights of all rows.
-    #[inline(always)]
-    fn score(
-        &self,
-        weights: &[f32],
-        head: usize,
-        query: &[f32],
-        rows: &[f32],
-        absorbed: &mut [f32],
-        scores: &mut [f32],
-    ) -> Result<(), DecideError> {
-        let keys = self.head_matrix(weights, self.keys, self.keys_len(), head)?;
+    /// The range of one head's part of q.
+    fn head(&self, head: usize) -> Range<usize> {
         let start = head * self.head_width();
-        let query = query.get(start..start + self.head_width()).ok_or(DecideError::BadLength)?;
-        product(keys, query, Around::NOTHING, absorbed);
-        for (score, row) in scores.iter_mut().zip(rows.chunks_exact(self.padded_width())) {
-            *score = dot(absorbed, row);
-        }
-        softmax(scores).then_some(()).ok_or(DecideError::NonFinite)
+        start..start + self.head_width()
     }
 
-    #[inline(always)]
-    fn head_matrix<'w>(
-        &self,
-        weights: &'w [f32],
-        offset: u32,
-        len: usize,
-        head: usize,
-    ) -> Result<&'w [f32], DecideError> {
-        slice(weights, offset.saturating_add((head * len) as u32), len)
+    fn keys<'w>(&self, weights: &'w [f32], head: usize) -> Result<&'w [f32], DecideError> {
+        let len = self.keys_len();
+        slice(weights, self.keys.saturating_add((head * len) as u32), len)
+    }
+
+    fn values<'w>(&self, weights: &'w [f32], head: usize) -> Result<&'w [f32], DecideError> {
+        let len = self.values_len();
+        slice(weights, self.values.saturating_add((head * len) as u32), len)
     }
 }

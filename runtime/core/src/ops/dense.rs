@@ -2,9 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::team::Team;
 use super::{Linear, Place, Scratch, Sizes, places};
-use crate::kernels::nonzero::collect;
-use crate::kernels::product::{product, sparse_product};
+use crate::kernels::Kernels;
+use crate::kernels::product::Sparse;
 use crate::policy::DecideError;
 
 /// `W x + b`, with a ReLU where one follows.
@@ -40,6 +41,7 @@ impl Dense {
     #[inline(always)]
     pub(super) fn run(
         &self,
+        kernels: impl Kernels,
         weights: &[f32],
         scratch: &mut Scratch<'_>,
     ) -> Result<(), DecideError> {
@@ -47,12 +49,26 @@ impl Dense {
         let [from, to] = places(scratch.floats, [&self.from, &self.to])?;
         let around = self.layer.around(weights, self.relu)?;
         if self.sparse_input {
-            let count = collect(from, scratch.nonzeros);
-            let inputs = scratch.nonzeros.get(..count).ok_or(DecideError::BadLength)?;
-            sparse_product(matrix, usize::from(self.layer.inputs), inputs, around, to);
+            kernels.mark(from, scratch.nonzeros);
+            let marks = &*scratch.nonzeros;
+            let inputs = Sparse { values: from, marks, one: None, count: from.len() };
+            kernels.sparse_product(matrix, inputs, around, to);
         } else {
-            product(matrix, from, around, to);
+            kernels.product(matrix, from, around, to);
         }
+        Ok(())
+    }
+
+    /// As [`Self::run`] for all members of a team, zeros not left out: which they are differs between members.
+    pub(super) fn run_team(
+        &self,
+        kernels: impl Kernels,
+        weights: &[f32],
+        team: &mut Team<'_>,
+    ) -> Result<(), DecideError> {
+        let around = self.layer.around(weights, self.relu)?;
+        let pairs = &mut team.pairs(&self.from, &self.to, |_| true);
+        kernels.products(self.layer.matrix(weights)?, pairs, around);
         Ok(())
     }
 }

@@ -2,9 +2,12 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Linear, Place, Scratch, Sizes, place, places};
-use crate::kernels::nonzero::{Nonzero, all_finite, collect};
-use crate::kernels::product::sparse_product;
+use super::team::{Member, Team};
+use super::{Linear, Place, Scratch, Sizes, places};
+use crate::entity_mask::EntityMask;
+use crate::kernels::Kernels;
+use crate::kernels::mark::Marks;
+use crate::kernels::product::Sparse;
 use crate::policy::{DecideError, NO_ACTION, Observation};
 
 /// `relu(W x + b)` of every visible entity and of the agent itself; invisible rows are never read.
@@ -44,6 +47,7 @@ impl EmbedEntities {
     #[inline(always)]
     pub(super) fn run(
         &self,
+        kernels: impl Kernels,
         weights: &[f32],
         observation: &Observation<'_>,
         scratch: &mut Scratch<'_>,
@@ -61,8 +65,42 @@ impl EmbedEntities {
             if entity == own {
                 scratch.own = slot;
             }
-            let inputs = self.inputs(entity, observation, scratch.nonzeros)?;
-            sparse_product(matrix, usize::from(self.layer.inputs), inputs, around, row);
+            let inputs = self.inputs(kernels, entity, observation, scratch.nonzeros)?;
+            kernels.sparse_product(matrix, inputs, around, row);
+        }
+        Ok(())
+    }
+
+    /// As [`Self::run`] for all members of a team: a row that several see is embedded once.
+    pub(super) fn run_team(
+        &self,
+        kernels: impl Kernels,
+        weights: &[f32],
+        observations: &[Observation<'_>],
+        team: &mut Team<'_>,
+    ) -> Result<(), DecideError> {
+        let matrix = self.layer.matrix(weights)?;
+        let around = self.layer.around(weights, self.relu)?;
+        let Team { rows, nonzeros, members, .. } = team;
+        let own = |member: &Member| observations.get(member.index);
+        let mut union = EntityMask::EMPTY;
+        for observation in members.iter().filter_map(own) {
+            union = union.or(&observation.visible);
+            union.insert(observation.self_index);
+        }
+        let Some(frame) = members.first().and_then(own) else { return Ok(()) };
+        let rows = rows.chunks_exact_mut(self.layer.padded_outputs());
+        for ((slot, entity), row) in (0..).zip(union.iter()).zip(rows) {
+            let inputs = self.inputs(kernels, entity, frame, nonzeros).ok();
+            let embedded = inputs.map(|inputs| {
+                kernels.sparse_product(matrix, inputs, around, row);
+                slot
+            });
+            for member in members.iter_mut() {
+                if let Some(observation) = observations.get(member.index) {
+                    member.note(observation, entity, embedded);
+                }
+            }
         }
         Ok(())
     }
@@ -71,24 +109,21 @@ impl EmbedEntities {
     #[inline(always)]
     fn inputs<'a>(
         &self,
+        kernels: impl Kernels,
         entity: usize,
-        observation: &Observation<'_>,
-        list: &'a mut [Nonzero],
-    ) -> Result<&'a [Nonzero], DecideError> {
+        observation: &Observation<'a>,
+        marks: &'a mut [Marks],
+    ) -> Result<Sparse<'a>, DecideError> {
         let features = usize::from(self.layer.inputs.saturating_sub(self.last_actions));
         let start = entity.saturating_mul(observation.stride);
         let row = observation.rows.get(start..start.saturating_add(features));
-        let row = row.ok_or(DecideError::BadLength)?;
-        if !all_finite(row) {
+        let values = row.ok_or(DecideError::BadLength)?;
+        if !kernels.mark(values, marks) {
             return Err(DecideError::NonFinite);
         }
-        let mut count = collect(row, list);
-        if let Some(action) = self.last_action(entity, observation)? {
-            let slot = list.get_mut(count).ok_or(DecideError::BadLength)?;
-            *slot = [features as u32 + u32::from(action), 1.0_f32.to_bits()];
-            count += 1;
-        }
-        list.get(..count).ok_or(DecideError::BadLength)
+        let action = self.last_action(entity, observation)?;
+        let one = action.map(|action| features + usize::from(action));
+        Ok(Sparse { values, marks, one, count: usize::from(self.layer.inputs) })
     }
 
     #[inline(always)]
@@ -104,17 +139,4 @@ impl EmbedEntities {
             _ => Ok(None),
         }
     }
-}
-
-/// The embedding of row `index`.
-#[inline(always)]
-pub(super) fn embedding<'a>(
-    floats: &'a [f32],
-    rows: &Place,
-    width: usize,
-    index: usize,
-) -> Result<&'a [f32], DecideError> {
-    let start = index.saturating_mul(width);
-    let all = place(floats, rows)?;
-    all.get(start..start.saturating_add(width)).ok_or(DecideError::BadLength)
 }

@@ -4,19 +4,39 @@
 //! at load, that all of them lie inside and that what is written is not read by the same step; execution then
 //! only takes slices that exist, and still answers with an error where one does not.
 
+mod attend_all;
 mod attend_own;
 mod dense;
 mod embed_entities;
+mod group_sum;
+mod gru;
 mod masked_argmax;
+mod masked_sample;
+mod mean_rows;
+mod output;
+mod set;
+pub(crate) mod team;
 
 use serde::{Deserialize, Serialize};
 
+pub use attend_all::AttendAll;
 pub use attend_own::AttendOwn;
 pub use dense::Dense;
 pub use embed_entities::EmbedEntities;
+pub use group_sum::GroupSum;
+pub use gru::Gru;
 pub use masked_argmax::MaskedArgmax;
+pub use masked_sample::MaskedSample;
+pub use mean_rows::{MeanRows, Members};
+pub use output::{Output, OutputRows};
+pub(crate) use set::has;
+pub use set::{AllOperators, FeedForward, OpKind, OperatorSet};
 
-use crate::kernels::nonzero::Nonzero;
+use team::Team;
+
+use crate::entity_mask::EntityMask;
+use crate::kernels::Kernels;
+use crate::kernels::mark::{MARKED, Marks};
 use crate::kernels::product::{Around, padded};
 use crate::policy::{DecideError, Observation};
 
@@ -32,17 +52,40 @@ pub enum Op {
     Dense(Dense),
     /// The choice of the action; its input is the program's utilities.
     MaskedArgmax(MaskedArgmax),
+    /// What the agent remembers.
+    Gru(Gru),
+    /// The draw of the action; its input is the program's logits.
+    MaskedSample(MaskedSample),
+    /// Attention of every entity's query.
+    AttendAll(AttendAll),
+    /// The mean of some rows.
+    MeanRows(MeanRows),
+    /// Sums of rows, one for every group.
+    GroupSum(GroupSum),
+    /// What the caller reads.
+    Output(Output),
 }
 
 impl Op {
+    /// The operator's kind.
+    pub const fn kind(&self) -> OpKind {
+        match self {
+            Self::EmbedEntities(_) => OpKind::EmbedEntities,
+            Self::AttendOwn(_) => OpKind::AttendOwn,
+            Self::Dense(_) => OpKind::Dense,
+            Self::MaskedArgmax(_) => OpKind::MaskedArgmax,
+            Self::Gru(_) => OpKind::Gru,
+            Self::MaskedSample(_) => OpKind::MaskedSample,
+            Self::AttendAll(_) => OpKind::AttendAll,
+            Self::MeanRows(_) => OpKind::MeanRows,
+            Self::GroupSum(_) => OpKind::GroupSum,
+            Self::Output(_) => OpKind::Output,
+        }
+    }
+
     /// The operator's name, as reports show it.
     pub const fn name(&self) -> &'static str {
-        match self {
-            Self::EmbedEntities(_) => "EmbedEntities",
-            Self::AttendOwn(_) => "AttendOwn",
-            Self::Dense(_) => "Dense",
-            Self::MaskedArgmax(_) => "MaskedArgmax",
-        }
+        self.kind().name()
     }
 
     /// Whether every place lies inside and sizes agree.
@@ -52,6 +95,12 @@ impl Op {
             Self::AttendOwn(op) => op.check(sizes),
             Self::Dense(op) => op.check(sizes),
             Self::MaskedArgmax(op) => op.check(sizes),
+            Self::Gru(op) => op.check(sizes),
+            Self::MaskedSample(op) => op.check(sizes),
+            Self::AttendAll(op) => op.check(sizes),
+            Self::MeanRows(op) => op.check(sizes),
+            Self::GroupSum(op) => op.check(sizes),
+            Self::Output(op) => op.check(sizes),
         }
     }
 
@@ -61,22 +110,82 @@ impl Op {
             Self::EmbedEntities(op) => op.multiply_adds(visible),
             Self::AttendOwn(op) => op.multiply_adds(visible),
             Self::Dense(op) => op.multiply_adds(),
-            Self::MaskedArgmax(_) => 0,
+            Self::Gru(op) => op.multiply_adds(),
+            Self::AttendAll(op) => op.multiply_adds(visible),
+            Self::GroupSum(op) => op.multiply_adds(visible),
+            Self::MaskedArgmax(_) | Self::MaskedSample(_) => 0,
+            Self::MeanRows(_) | Self::Output(_) => 0,
         }
     }
 
+    /// Runs the operator if it is of the set `S`; the code of others is not linked.
     #[inline(always)]
-    pub(crate) fn run(
+    pub(crate) fn run<S: OperatorSet>(
         &self,
+        kernels: impl Kernels,
         weights: &[f32],
         observation: &Observation<'_>,
         scratch: &mut Scratch<'_>,
     ) -> Result<(), DecideError> {
         match self {
-            Self::EmbedEntities(op) => op.run(weights, observation, scratch),
-            Self::AttendOwn(op) => op.run(weights, scratch),
-            Self::Dense(op) => op.run(weights, scratch),
-            Self::MaskedArgmax(_) => Ok(()),
+            Self::EmbedEntities(op) if const { has::<S>(OpKind::EmbedEntities) } => {
+                op.run(kernels, weights, observation, scratch)
+            }
+            Self::AttendOwn(op) if const { has::<S>(OpKind::AttendOwn) } => {
+                op.run(kernels, weights, scratch)
+            }
+            Self::Dense(op) if const { has::<S>(OpKind::Dense) } => {
+                op.run(kernels, weights, scratch)
+            }
+            Self::Gru(op) if const { has::<S>(OpKind::Gru) } => op.run(kernels, weights, scratch),
+            Self::AttendAll(op) if const { has::<S>(OpKind::AttendAll) } => {
+                op.run(kernels, weights, scratch)
+            }
+            Self::MeanRows(op) if const { has::<S>(OpKind::MeanRows) } => op.run(scratch),
+            Self::GroupSum(op) if const { has::<S>(OpKind::GroupSum) } => op.run(scratch),
+            // What the caller reads at the end, and what loading refused.
+            _ => Ok(()),
+        }
+    }
+
+    /// Whether the operator can work for a team, whose members' own places lie behind the first `shared` floats.
+    pub(crate) fn works_for_teams(&self, shared: u32) -> bool {
+        match self {
+            Self::EmbedEntities(op) => op.rows == Place { offset: 0, len: shared },
+            // Its places do not overlap, and the first are the shared rows.
+            Self::AttendOwn(op) => op.rows == Place { offset: 0, len: shared },
+            Self::Dense(op) => op.from.offset.min(op.to.offset) >= shared,
+            Self::MaskedArgmax(op) => op.from.offset >= shared,
+            Self::MaskedSample(op) => op.from.offset >= shared,
+            // Agents with memory bring their states one after the other; the others know no single agent.
+            Self::Gru(_)
+            | Self::AttendAll(_)
+            | Self::MeanRows(_)
+            | Self::GroupSum(_)
+            | Self::Output(_) => false,
+        }
+    }
+
+    /// As [`Self::run`] for all members of a team, whose observations are of one frame.
+    pub(crate) fn run_team<S: OperatorSet>(
+        &self,
+        kernels: impl Kernels,
+        weights: &[f32],
+        observations: &[Observation<'_>],
+        team: &mut Team<'_>,
+    ) -> Result<(), DecideError> {
+        match self {
+            Self::EmbedEntities(op) if const { has::<S>(OpKind::EmbedEntities) } => {
+                op.run_team(kernels, weights, observations, team)
+            }
+            Self::AttendOwn(op) if const { has::<S>(OpKind::AttendOwn) } => {
+                op.run_team(kernels, weights, team)
+            }
+            Self::Dense(op) if const { has::<S>(OpKind::Dense) } => {
+                op.run_team(kernels, weights, team)
+            }
+            // What the caller reads at the end, and what does not work for teams.
+            _ => Ok(()),
         }
     }
 }
@@ -86,7 +195,7 @@ impl Op {
 pub struct Sizes {
     /// Floats of the arena.
     pub floats: u32,
-    /// Entries of the arena's list of inputs that are not zero.
+    /// Marks that the arena holds, each of 64 inputs.
     pub nonzeros: u32,
     /// Floats of the weights.
     pub weights: u32,
@@ -96,6 +205,8 @@ pub struct Sizes {
     pub features: u32,
     /// Actions U.
     pub actions: u32,
+    /// Floats of the recurrent state, 0 if there is none.
+    pub hidden: u32,
 }
 
 impl Sizes {
@@ -107,8 +218,20 @@ impl Sizes {
         u64::from(place.offset) + u64::from(place.len) <= u64::from(self.floats)
     }
 
+    /// Whether all places lie inside and no two overlap.
+    fn hold_apart(&self, places: &[&Place]) -> bool {
+        places.iter().enumerate().all(|(index, place)| {
+            self.holds(place) && places.iter().skip(index + 1).all(|other| place.disjoint(other))
+        })
+    }
+
+    /// Whether a place has room for a row of `width` floats for every entity.
+    fn holds_rows(&self, place: &Place, width: usize) -> bool {
+        u64::from(place.len) >= u64::from(self.n_max).saturating_mul(width as u64)
+    }
+
     fn lists(&self, inputs: u64) -> bool {
-        inputs <= u64::from(self.nonzeros)
+        inputs.div_ceil(MARKED as u64) <= u64::from(self.nonzeros)
     }
 }
 
@@ -125,6 +248,13 @@ impl Place {
     pub(crate) fn range(&self) -> core::ops::Range<usize> {
         let start = self.offset as usize;
         start..start.saturating_add(self.len as usize)
+    }
+
+    /// Some floats of the place, which stay inside it.
+    fn part(&self, range: core::ops::Range<usize>) -> Self {
+        let start = range.start.min(self.len as usize) as u32;
+        let end = range.end.min(self.len as usize) as u32;
+        Self { offset: self.offset.saturating_add(start), len: end.saturating_sub(start) }
     }
 
     fn disjoint(&self, other: &Self) -> bool {
@@ -180,11 +310,18 @@ impl Linear {
 /// The arena of one decision, and what the operators tell each other.
 pub(crate) struct Scratch<'a> {
     pub(crate) floats: &'a mut [f32],
-    pub(crate) nonzeros: &'a mut [Nonzero],
+    /// Marks the inputs of a sparse product.
+    pub(crate) nonzeros: &'a mut [Marks],
     /// Visible entities, whose embeddings stand in rows 0 to `visible`.
     pub(crate) visible: usize,
     /// The row of the agent's own embedding, `visible` where it does not see itself.
     pub(crate) own: usize,
+    /// The entities whose rows are embedded, in this order.
+    pub(crate) present: EntityMask,
+    /// The agents among all entities.
+    pub(crate) agents: EntityMask,
+    /// The groups of every entity.
+    pub(crate) groups: &'a [u32],
 }
 
 #[inline(always)]
@@ -193,9 +330,9 @@ fn slice(weights: &[f32], offset: u32, len: usize) -> Result<&[f32], DecideError
     weights.get(start..start.saturating_add(len)).ok_or(DecideError::BadLength)
 }
 
-#[inline(always)]
-fn place<'a>(floats: &'a [f32], place: &Place) -> Result<&'a [f32], DecideError> {
-    floats.get(place.range()).ok_or(DecideError::BadLength)
+/// The floats of a place.
+fn place<'a>(floats: &'a [f32], wanted: &Place) -> Result<&'a [f32], DecideError> {
+    floats.get(wanted.range()).ok_or(DecideError::BadLength)
 }
 
 /// Places that do not overlap, all writable.

@@ -47,7 +47,8 @@ pub enum PlanError {
         /// The plan's layout id.
         got: u32,
     },
-    /// The arithmetic profile is not one of this build.
+    /// The arithmetic profile is none that this build runs on this machine: fused multiply-add where the
+    /// processor has none.
     WrongProfile {
         /// The plan's profile.
         got: u8,
@@ -96,7 +97,11 @@ impl core::fmt::Display for PlanError {
                 )
             }
             Self::WrongProfile { got } => {
-                write!(f, "arithmetic profile {got} is not part of this build")
+                let name = match got {
+                    1 => " (fused multiply-add)",
+                    _ => "",
+                };
+                write!(f, "this machine does not run arithmetic profile {got}{name}")
             }
             Self::UnknownOp => {
                 f.write_str("the program has an operator that this build does not have")

@@ -23,6 +23,8 @@ pub(super) const CRC_OFFSET: usize = 60;
 pub enum Profile {
     /// f32 without fused multiply-add: the same bits on every target.
     Exact,
+    /// f32 with fused multiply-add: the same bits on every target that has it, none on others.
+    Fused,
 }
 
 /// What a plan computes.
@@ -34,6 +36,8 @@ pub enum Network {
     Agent,
     /// The value of a team at a subtask.
     TeamValue,
+    /// Any outputs over all entities: a critic, the trunk of an allocator.
+    Entities,
 }
 
 /// The header of a plan; magic, version, byte order and checksums are checked and not kept.
@@ -76,6 +80,8 @@ pub struct Header {
     pub network: Network,
     /// Most subtasks, 0 if none.
     pub t_max: u16,
+    /// Bytes of arena that every further agent of a team needs, 0 where agents are worked on one by one.
+    pub arena_bytes_per_agent: u32,
 }
 
 impl Header {
@@ -108,6 +114,7 @@ impl Header {
         let action_mismatch = f32::from_le_bytes(fields.next()?);
         let [profile, network] = fields.next()?;
         let t_max = fields.u16()?;
+        let arena_bytes_per_agent = fields.u32()?;
         let header = Self {
             layout,
             arena_bytes,
@@ -127,6 +134,7 @@ impl Header {
             profile: Profile::from_id(profile)?,
             network: Network::from_id(network)?,
             t_max,
+            arena_bytes_per_agent,
         };
         Ok((header, checksums))
     }
@@ -168,6 +176,7 @@ impl Header {
         put(&self.action_mismatch.to_le_bytes());
         put(&[self.profile.id(), self.network.id()]);
         put(&self.t_max.to_le_bytes());
+        put(&self.arena_bytes_per_agent.to_le_bytes());
         bytes
     }
 }
@@ -192,16 +201,26 @@ pub const fn arena_bytes(plan: &[u8]) -> usize {
 }
 
 impl Profile {
+    /// The profile's name, for people and scripts.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Exact => "exact",
+            Self::Fused => "fused",
+        }
+    }
+
     /// The profile's number in the header.
     pub const fn id(self) -> u8 {
         match self {
             Self::Exact => 0,
+            Self::Fused => 1,
         }
     }
 
     fn from_id(id: u8) -> Result<Self, PlanError> {
         match id {
             0 => Ok(Self::Exact),
+            1 => Ok(Self::Fused),
             got => Err(PlanError::WrongProfile { got }),
         }
     }
@@ -213,6 +232,7 @@ impl Network {
         match self {
             Self::Agent => "agent",
             Self::TeamValue => "team-value",
+            Self::Entities => "entities",
         }
     }
 
@@ -221,6 +241,7 @@ impl Network {
         match self {
             Self::Agent => 0,
             Self::TeamValue => 1,
+            Self::Entities => 5,
         }
     }
 
@@ -228,6 +249,7 @@ impl Network {
         match id {
             0 => Ok(Self::Agent),
             1 => Ok(Self::TeamValue),
+            5 => Ok(Self::Entities),
             _ => Err(PlanError::UnknownOp),
         }
     }
@@ -276,6 +298,7 @@ mod tests {
             profile: Profile::Exact,
             network: Network::Agent,
             t_max: 6,
+            arena_bytes_per_agent: 0x0403_0201,
         }
     }
 
@@ -299,7 +322,8 @@ mod tests {
         assert_eq!(bytes[68..100], [7; 32]);
         assert_eq!(bytes[108..112], 1.5e-7_f32.to_le_bytes());
         assert_eq!(bytes[116..120], [0, 0, 6, 0]);
-        assert_eq!(bytes[120..], [0; 8]);
+        assert_eq!(bytes[120..124], [1, 2, 3, 4]);
+        assert_eq!(bytes[124..], [0; 4]);
     }
 
     #[test]

@@ -4,14 +4,17 @@
 //! the observation's sake ([`DecideError`]). Weights are never copied: they stay in the caller's bytes, be that
 //! flash, a memory map or [`AlignedBytes`].
 
-#[cfg(feature = "std")]
+#[cfg(any(test, feature = "std"))]
 mod aligned;
+mod batch;
 mod error;
 mod header;
 mod in_place;
 mod program;
+#[cfg(test)]
+mod tests;
 
-#[cfg(feature = "std")]
+#[cfg(any(test, feature = "std"))]
 pub use aligned::AlignedBytes;
 pub use error::{Part, PlanError};
 pub use header::{
@@ -21,28 +24,45 @@ pub use header::{
 pub use in_place::Aligned;
 pub use program::{OPS, Program};
 
+use core::marker::PhantomData;
+
 use zerocopy::FromBytes;
 
 use crate::checksum::{CRC32C, crc32c};
-use crate::choose::masked_argmax;
-use crate::kernels::nonzero::Nonzero;
-use crate::kernels::wide::{Work, run_widest};
+use crate::choose::{masked_argmax, masked_sample};
+use crate::entities::Entities;
+use crate::entity_mask::EntityMask;
+use crate::kernels::Kernels;
+use crate::kernels::arithmetic::Exact;
+#[cfg(any(test, feature = "std"))]
+use crate::kernels::arithmetic::Fused;
+use crate::kernels::build::{Build, Work};
+use crate::kernels::mark::Marks;
 use crate::limits;
-use crate::ops::{Scratch, Sizes};
+use crate::math::all_finite;
+use crate::ops::{AllOperators, OperatorSet, Scratch, Sizes};
 use crate::policy::{DecideError, Decision, Observation};
 
-/// A loaded plan: checked, and bound to its weights.
+/// A loaded plan: checked, bound to its weights, and run by the operators of `S`.
 #[derive(Clone, Debug)]
-pub struct Plan<'a> {
+pub struct Plan<'a, S: OperatorSet = AllOperators> {
     header: Header,
     program: Program,
     weights: &'a [f32],
-    portable: bool,
+    build: Build,
+    operators: PhantomData<S>,
 }
 
 impl<'a> Plan<'a> {
     /// Checks a plan and binds it to its weights. Bytes behind the weights are ignored.
     pub fn load(plan: &'a [u8]) -> Result<Self, PlanError> {
+        Self::load_with(plan)
+    }
+}
+
+impl<'a, S: OperatorSet> Plan<'a, S> {
+    /// As [`Plan::load`] with the operators of `S` alone; a plan that needs others is refused.
+    pub fn load_with(plan: &'a [u8]) -> Result<Self, PlanError> {
         let (header, checksums) = Header::read(plan)?;
         let program_bytes = part(plan, header.program_offset, header.program_len)?;
         if checksums.program != program_checksum(plan, program_bytes) {
@@ -59,21 +79,24 @@ impl<'a> Plan<'a> {
         check_alignment(weights)?;
         let weights =
             <[f32]>::ref_from_bytes(weights).map_err(|_| PlanError::ShapeMismatch { op: 0 })?;
-        let (program, rest) =
+        let (program, rest): (Program, _) =
             postcard::take_from_bytes(program_bytes).map_err(|_| PlanError::UnknownOp)?;
-        check(&header, &program)?;
+        check::<S>(&header, &program)?;
         if !rest.is_empty() {
             return Err(PlanError::ShapeMismatch { op: program.ops.len() });
         }
-        Ok(Self { header, program, weights, portable: false })
+        let build = Build::widest();
+        if header.profile == Profile::Fused && !build.fuses() {
+            return Err(PlanError::WrongProfile { got: header.profile.id() });
+        }
+        Ok(Self { header, program, weights, build, operators: PhantomData })
     }
 
-    /// The same plan on the portable build of the kernels, whatever the processor offers.
+    /// The same plan on another build of the kernels than the widest.
     ///
-    /// Both builds give the same bits; this one exists to check that.
-    pub fn portable(mut self) -> Self {
-        self.portable = true;
-        self
+    /// All builds give the same bits; this exists to check that.
+    pub fn on(self, build: Build) -> Self {
+        Self { build, ..self }
     }
 
     /// The header.
@@ -105,14 +128,21 @@ impl<'a> Plan<'a> {
         check_alignment(arena)
     }
 
-    /// Writes the utilities `[U]` of one agent, not masked by availability. `arena` is working memory.
+    /// Floats R of the recurrent state that the caller keeps for every agent, 0 if there is none.
+    pub fn hidden(&self) -> usize {
+        self.header.hidden as usize
+    }
+
+    /// Writes the utilities `[U]` of one agent, not masked by availability. `arena` is working memory;
+    /// `hidden` `[R]` is the agent's recurrent state, replaced if the utilities could be computed.
     pub fn utilities(
         &self,
         arena: &mut [u8],
         observation: &Observation<'_>,
+        hidden: Option<&mut [f32]>,
         utilities: &mut [f32],
     ) -> Result<(), DecideError> {
-        let computed = self.run(arena, observation)?;
+        let computed = self.run(arena, observation, hidden)?;
         if computed.len() != utilities.len() {
             return Err(DecideError::BadLength);
         }
@@ -125,8 +155,51 @@ impl<'a> Plan<'a> {
         &self,
         arena: &mut [u8],
         observation: &Observation<'_>,
+        hidden: Option<&mut [f32]>,
     ) -> Result<Decision, DecideError> {
-        masked_argmax(self.run(arena, observation)?, observation.available)
+        masked_argmax(self.run(arena, observation, hidden)?, observation.available)
+    }
+
+    /// An action drawn from the plan's logits by 32 random bits, of a plan that ends in a draw.
+    pub fn sample(
+        &self,
+        arena: &mut [u8],
+        observation: &Observation<'_>,
+        hidden: Option<&mut [f32]>,
+        random: u32,
+    ) -> Result<Decision, DecideError> {
+        if !self.program.draws() {
+            return Err(DecideError::Greedy);
+        }
+        masked_sample(self.run(arena, observation, hidden)?, observation.available, random)
+    }
+
+    /// Writes the outputs of a network over all entities, in the source graph's order: those of entities
+    /// `[N, width]` with zeros for absent ones, those of groups `[T, width]`.
+    pub fn evaluate(
+        &self,
+        arena: &mut [u8],
+        entities: &Entities<'_>,
+        outputs: &mut [&mut [f32]],
+    ) -> Result<(), DecideError> {
+        if self.header.network != Network::Entities
+            || outputs.len() != self.program.outputs().count()
+        {
+            return Err(DecideError::BadLength);
+        }
+        let observation = Observation {
+            rows: entities.rows,
+            stride: entities.stride,
+            last_actions: &[],
+            visible: entities.present,
+            // No row is embedded beside those of present entities.
+            self_index: entities.present.iter().next().unwrap_or(0),
+            available: &[],
+        };
+        let mut scratch = self.scratch(arena, &observation)?;
+        (scratch.agents, scratch.groups) = (entities.agents, entities.groups);
+        self.execute(Execution { plan: self, observation: &observation, scratch: &mut scratch })?;
+        self.program.outputs().zip(outputs).try_for_each(|(output, to)| output.read(&scratch, to))
     }
 
     /// Refuses plans of other networks.
@@ -145,7 +218,39 @@ impl<'a> Plan<'a> {
         &self,
         arena: &'s mut [u8],
         observation: &Observation<'_>,
+        hidden: Option<&mut [f32]>,
     ) -> Result<&'s [f32], DecideError> {
+        let hidden = hidden.unwrap_or_default();
+        let (want, got) = (self.hidden(), hidden.len());
+        if got != want {
+            return Err(DecideError::HiddenState { want, got });
+        }
+        let mut scratch = self.scratch(arena, observation)?;
+        if let Some(gru) = self.program.memory() {
+            let state = scratch.floats.get_mut(gru.state.range());
+            for (to, from) in state.ok_or(DecideError::BadLength)?.iter_mut().zip(&*hidden) {
+                *to = *from;
+            }
+        }
+        self.execute(Execution { plan: self, observation, scratch: &mut scratch })?;
+        let place = self.program.utilities().ok_or(DecideError::BadLength)?;
+        let floats: &'s [f32] = scratch.floats;
+        let utilities = finite(floats.get(place.range()).ok_or(DecideError::BadLength)?)?;
+        if let Some(gru) = self.program.memory() {
+            let state = floats.get(gru.to.range()).ok_or(DecideError::BadLength)?;
+            for (to, from) in hidden.iter_mut().zip(state) {
+                *to = *from;
+            }
+        }
+        Ok(utilities)
+    }
+
+    /// The arena as the operators see it.
+    fn scratch<'s>(
+        &self,
+        arena: &'s mut [u8],
+        observation: &Observation<'_>,
+    ) -> Result<Scratch<'s>, DecideError> {
         let (max, got) = (self.header.n_max as usize, observation.visible.len());
         if got > max {
             return Err(DecideError::TooManyEntities { max, got });
@@ -159,40 +264,49 @@ impl<'a> Plan<'a> {
         let (floats, list) =
             arena.split_at_mut_checked(float_bytes).ok_or(DecideError::BadLength)?;
         let floats = <[f32]>::mut_from_bytes(floats).map_err(|_| DecideError::BadLength)?;
-        let nonzeros = <[Nonzero]>::mut_from_bytes(list).map_err(|_| DecideError::BadLength)?;
-        let mut scratch = Scratch { floats, nonzeros, visible: 0, own: 0 };
-        let execution = Execution { plan: self, observation, scratch: &mut scratch };
-        run_widest(execution, !self.portable)?;
-        let place = self.program.utilities().ok_or(DecideError::BadLength)?;
-        let utilities = scratch.floats.get(place.range()).ok_or(DecideError::BadLength)?;
-        if utilities.iter().all(|utility| utility.is_finite()) {
-            Ok(utilities)
-        } else {
-            Err(DecideError::NonFinite)
+        let nonzeros = <[Marks]>::mut_from_bytes(list).map_err(|_| DecideError::BadLength)?;
+        let present = observation.visible;
+        let agents = EntityMask::EMPTY;
+        Ok(Scratch { floats, nonzeros, visible: 0, own: 0, present, agents, groups: &[] })
+    }
+
+    /// Runs work on the plan's build and in its profile.
+    fn execute<W: Work>(&self, work: W) -> W::Output {
+        match self.header.profile {
+            #[cfg(any(test, feature = "std"))]
+            Profile::Fused => self.build.run::<Fused, W>(work),
+            _ => self.build.run::<Exact, W>(work),
         }
     }
 }
 
-struct Execution<'p, 'a, 's> {
-    plan: &'p Plan<'a>,
+fn finite(utilities: &[f32]) -> Result<&[f32], DecideError> {
+    all_finite(utilities).then_some(utilities).ok_or(DecideError::NonFinite)
+}
+
+struct Execution<'p, 'a, 's, S: OperatorSet> {
+    plan: &'p Plan<'a, S>,
     observation: &'p Observation<'p>,
     scratch: &'p mut Scratch<'s>,
 }
 
-impl Work for Execution<'_, '_, '_> {
+impl<S: OperatorSet> Work for Execution<'_, '_, '_, S> {
     type Output = Result<(), DecideError>;
 
     #[inline(always)]
-    fn run(self) -> Self::Output {
-        for op in &self.plan.program.ops {
-            op.run(self.plan.weights, self.observation, self.scratch)?;
+    fn run(self, kernels: impl Kernels) -> Self::Output {
+        // Where no entity exists there is no row either, not even an agent's own.
+        let skip =
+            self.plan.header.network == Network::Entities && self.observation.visible.is_empty();
+        for op in self.plan.program.ops.iter().skip(usize::from(skip)) {
+            op.run::<S>(kernels, self.plan.weights, self.observation, self.scratch)?;
         }
         Ok(())
     }
 }
 
 /// Checks that header and program agree, that parts do not overlap and that all sizes are ones that messages can express.
-fn check(header: &Header, program: &Program) -> Result<(), PlanError> {
+fn check<S: OperatorSet>(header: &Header, program: &Program) -> Result<(), PlanError> {
     let sizes = Sizes {
         floats: program.floats,
         nonzeros: program.nonzeros,
@@ -200,6 +314,7 @@ fn check(header: &Header, program: &Program) -> Result<(), PlanError> {
         n_max: header.n_max,
         features: header.features,
         actions: header.actions,
+        hidden: header.hidden,
     };
     let within = |size: u32, limit: usize| size > 0 && size as usize <= limit;
     let program_end = u64::from(header.program_offset) + u64::from(header.program_len);
@@ -210,10 +325,15 @@ fn check(header: &Header, program: &Program) -> Result<(), PlanError> {
         && within(header.actions, limits::ACTIONS)
         && within(header.features, limits::FEATURES)
         && u64::from(header.arena_bytes) == program.arena_bytes();
+    let mismatch = PlanError::ShapeMismatch { op: program.ops.len() };
     if !fits {
-        return Err(PlanError::ShapeMismatch { op: program.ops.len() });
+        return Err(mismatch);
     }
-    program.check(&sizes)
+    program.check::<S>(&sizes, header.network)?;
+    // Plans of the first version say nothing about teams.
+    let per_agent = 4 * u64::from(program.own_floats().unwrap_or(0));
+    let fits_teams = [0, per_agent].contains(&u64::from(header.arena_bytes_per_agent));
+    fits_teams.then_some(()).ok_or(mismatch)
 }
 
 fn part(plan: &[u8], offset: u32, len: u32) -> Result<&[u8], PlanError> {

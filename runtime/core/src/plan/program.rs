@@ -4,7 +4,8 @@ use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
 use super::error::PlanError;
-use crate::ops::{Op, Place, Sizes};
+use super::header::Network;
+use crate::ops::{Gru, Op, OperatorSet, Output, OutputRows, Place, Sizes};
 
 /// Most operators of one program.
 pub const OPS: usize = 16;
@@ -12,47 +13,115 @@ pub const OPS: usize = 16;
 /// The operators in order, and what the arena holds.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Program {
-    /// The operators; the first embeds entities, the last chooses the action.
+    /// The operators; the first embeds entities, the last chooses the action or is an output.
     pub ops: Vec<Op, OPS>,
     /// Floats of the arena.
     pub floats: u32,
-    /// Entries of the list of inputs that are not zero, behind the floats.
+    /// Marks behind the floats, which say which of 64 inputs are not zero.
     pub nonzeros: u32,
 }
 
 impl Program {
-    /// Bytes of arena: floats, then the list's entries of two words.
+    /// Bytes of arena: floats, then marks of two words.
     pub fn arena_bytes(&self) -> u64 {
         4 * u64::from(self.floats) + 8 * u64::from(self.nonzeros)
+    }
+
+    /// Floats of an agent's own places, behind the rows that a team shares; none where one agent is worked on
+    /// after the other.
+    pub fn own_floats(&self) -> Option<u32> {
+        let Some(Op::EmbedEntities(embed)) = self.ops.first() else { return None };
+        let shared = embed.rows.len;
+        let own = self.floats.checked_sub(shared).filter(|own| *own > 0)?;
+        self.ops.iter().all(|op| op.works_for_teams(shared)).then_some(own)
     }
 
     /// Where the utilities stand after the program ran.
     pub fn utilities(&self) -> Option<Place> {
         match self.ops.last() {
             Some(Op::MaskedArgmax(op)) => Some(op.from),
+            Some(Op::MaskedSample(op)) => Some(op.from),
             _ => None,
         }
     }
 
-    /// Checks every operator, and that rows are embedded before anything attends to them.
-    pub(super) fn check(&self, sizes: &Sizes) -> Result<(), PlanError> {
+    /// Whether the utilities are logits to draw an action from.
+    pub fn draws(&self) -> bool {
+        matches!(self.ops.last(), Some(Op::MaskedSample(_)))
+    }
+
+    /// What the program remembers from one run to the next.
+    pub fn memory(&self) -> Option<&Gru> {
+        self.ops.iter().find_map(|op| match op {
+            Op::Gru(gru) => Some(gru),
+            _ => None,
+        })
+    }
+
+    /// What the caller of a network over all entities reads, in order.
+    pub fn outputs(&self) -> impl Iterator<Item = &Output> {
+        self.ops.iter().filter_map(|op| match op {
+            Op::Output(output) => Some(output),
+            _ => None,
+        })
+    }
+
+    /// Checks every operator, that rows are embedded before anything reads them, and that the program ends as
+    /// its network does: with one choice, or with outputs.
+    pub(super) fn check<S: OperatorSet>(
+        &self,
+        sizes: &Sizes,
+        network: Network,
+    ) -> Result<(), PlanError> {
+        if !self.ops.iter().all(|op| S::OPERATORS.contains(&op.kind())) {
+            return Err(PlanError::UnknownOp);
+        }
+        let is_end = |op: &Op| match network {
+            Network::Entities => matches!(op, Op::Output(_)),
+            Network::Agent | Network::TeamValue => {
+                matches!(op, Op::MaskedArgmax(_) | Op::MaskedSample(_))
+            }
+        };
+        let mut units = 0;
+        let mut ends = 0;
         for (index, op) in self.ops.iter().enumerate() {
             let first = matches!(op, Op::EmbedEntities(_)) == (index == 0);
-            let last = matches!(op, Op::MaskedArgmax(_)) == (index + 1 == self.ops.len());
-            if !(first && last && self.reads_written_rows(op) && op.check(sizes)) {
+            let is_choice = matches!(op, Op::MaskedArgmax(_) | Op::MaskedSample(_));
+            let in_place = match op {
+                Op::MaskedArgmax(_) | Op::MaskedSample(_) | Op::Output(_) => is_end(op),
+                _ => ends == 0,
+            };
+            units += u32::from(matches!(op, Op::Gru(_)));
+            ends += u32::from(is_end(op));
+            let alone = !is_choice || ends == 1;
+            let fits = first && in_place && alone && units <= 1;
+            if !(fits && self.reads_written_rows(index, op) && op.check(sizes)) {
                 return Err(PlanError::ShapeMismatch { op: index });
             }
         }
-        self.utilities().map(|_| ()).ok_or(PlanError::ShapeMismatch { op: self.ops.len() })
+        let remembered = self.memory().map_or(0, |gru| u32::from(gru.size));
+        if ends == 0 || remembered != sizes.hidden {
+            return Err(PlanError::ShapeMismatch { op: self.ops.len() });
+        }
+        Ok(())
     }
 
-    fn reads_written_rows(&self, op: &Op) -> bool {
-        match (op, self.ops.first()) {
-            (Op::AttendOwn(attend), Some(Op::EmbedEntities(embed))) => {
-                attend.rows == embed.rows && attend.width == embed.layer.outputs
-            }
-            (Op::AttendOwn(_), _) => false,
-            _ => true,
-        }
+    /// Whether the rows that an operator reads are rows that an earlier one wrote.
+    fn reads_written_rows(&self, index: usize, op: &Op) -> bool {
+        let (place, width) = match op {
+            Op::AttendOwn(op) => (op.rows, op.width),
+            Op::AttendAll(op) => (op.rows, op.width),
+            Op::MeanRows(op) => (op.rows, op.width),
+            Op::GroupSum(op) => (op.rows, op.width),
+            Op::Output(Output { from, width, rows: OutputRows::Entities }) => (*from, *width),
+            _ => return true,
+        };
+        let own = matches!(op, Op::AttendOwn(_));
+        self.ops.iter().take(index).any(|before| match before {
+            Op::EmbedEntities(op) => (op.rows, op.layer.outputs) == (place, width),
+            // It writes no row for an agent that does not see itself.
+            Op::AttendAll(before) => !own && (before.to, before.output.outputs) == (place, width),
+            _ => false,
+        })
     }
 }

@@ -9,7 +9,7 @@ use super::{Counters, IDLE, Identity, Poll};
 use crate::allocator::UNASSIGNED;
 use crate::limits;
 use crate::link::{AgentLink, Clock, Frame, LinkError};
-use crate::policy::{DecideError, NO_ACTION, Observation, Policy, visible};
+use crate::policy::{DecideError, Decision, NO_ACTION, Observation, Policy, visible};
 use crate::wire::{
     ABI, ActionMsg, AllocMsg, FrameError, FrameFormat, FrameHeader, FrameKind, FrameView, Role,
     StatMsg,
@@ -210,10 +210,12 @@ impl RunnerRole {
     /// Decides once for every own agent and forgets the decisions.
     fn warm_up<P: Policy + ?Sized>(&mut self, view: &FrameView<'_>, policy: &mut P) {
         let present = view.present();
-        for agent in self.agents().filter(|&agent| present.contains(agent)) {
-            let sees = view.observable(agent).and(&present);
-            let _ = policy.decide(&observation(view, agent, sees));
-        }
+        let agents = self.agents().filter(|&agent| present.contains(agent));
+        let seen: Vec<Observation<'_>, { limits::AGENTS }> = agents
+            .map(|agent| observation(view, agent, view.observable(agent).and(&present)))
+            .collect();
+        policy.warm();
+        policy.decide_batch(&seen, &mut [Err(DecideError::BadLength); limits::AGENTS]);
         self.warmed_term = view.header().world_term;
         self.pending = false;
     }
@@ -230,8 +232,9 @@ impl RunnerRole {
         let subtasks = self.subtasks(view, allocation.as_ref());
         let present = view.present();
         let mut answers = Vec::new();
+        let mut seen: Vec<Observation<'_>, { limits::AGENTS }> = Vec::new();
+        let mut deciding = 0_u64;
         for agent in self.agents().filter(|&agent| present.contains(agent)) {
-            let started = clock.now_ns();
             let mut answer = self.message(agent, view.header().tick);
             answer.flags = flags;
             let task = allocation.and_then(|allocation| allocation.task_of(agent));
@@ -240,29 +243,39 @@ impl RunnerRole {
             } else {
                 view.observable(agent).and(&present)
             };
+            // There is room for every agent: one answer and one observation at most.
             if self.options.subtasks && task.is_none() {
                 answer.action = safe_action(self.options.safe_action, view.available(agent));
-            } else {
-                self.act(&mut answer, policy, &observation(view, agent, sees));
+            } else if seen.push(observation(view, agent, sees)).is_ok() {
+                deciding |= 1 << agent;
             }
             answer.task = task.unwrap_or(UNASSIGNED);
             answer.alloc_epoch = allocation.map_or(0, |allocation| allocation.epoch);
             answer.alloc_term = allocation.map_or(0, |allocation| allocation.term);
-            let decided = clock.now_ns().saturating_sub(started);
-            answer.decide_ns = u32::try_from(decided).unwrap_or(u32::MAX);
-            // One answer per agent at most: there is room.
             let _ = answers.push(answer);
+        }
+        let mut decisions = [Err(DecideError::BadLength); limits::AGENTS];
+        let started = clock.now_ns();
+        policy.decide_batch(&seen, &mut decisions);
+        // Agents decide together; each is told its share of the time.
+        let share = clock.now_ns().saturating_sub(started).checked_div(seen.len() as u64);
+        let share = u32::try_from(share.unwrap_or(0)).unwrap_or(u32::MAX);
+        let acting =
+            answers.iter_mut().filter(|answer: &&mut ActionMsg| deciding >> answer.agent & 1 == 1);
+        for ((answer, observation), decision) in acting.zip(&seen).zip(decisions) {
+            self.act(answer, decision, observation);
+            answer.decide_ns = share;
         }
         answers
     }
 
-    fn act<P: Policy + ?Sized>(
+    fn act(
         &mut self,
         answer: &mut ActionMsg,
-        policy: &mut P,
+        decision: Result<Decision, DecideError>,
         observation: &Observation<'_>,
     ) {
-        match policy.decide(observation) {
+        match decision {
             Ok(decision) => {
                 answer.action = decision.action;
                 answer.q = decision.utility;

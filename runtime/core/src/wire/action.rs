@@ -32,7 +32,7 @@ pub struct ActionMsg {
     pub abi: u8,
     /// Utility of the action.
     pub q: f32,
-    /// Time of the decision alone, in nanoseconds.
+    /// Time of the decision alone, in nanoseconds; its share where agents decided together.
     pub decide_ns: u32,
     /// Term of the allocation acted on.
     pub alloc_term: u32,

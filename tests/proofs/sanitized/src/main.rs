@@ -6,6 +6,7 @@ use sortie_core::allocate::{
     CostAllocator, CostMethod, CostModel, LastAllocation, PlanTeamValue, SearchMemory,
     TaskRelation, TeamValueAllocator, exact,
 };
+use sortie_core::kernels::build::Build;
 use sortie_core::plan::{AlignedBytes, Plan};
 use sortie_core::{
     AllocateError, AllocationState, Allocator, EntityMask, NO_ACTION, Observation, include_plan,
@@ -59,6 +60,7 @@ fn decide(plan: &Plan<'_>, arena: &mut [u8], rows: &[f32]) -> usize {
                     self_index,
                     available: available.get(..plan.actions()).unwrap_or_default(),
                 },
+                None,
             );
             decisions += usize::from(decision.is_ok());
         }
@@ -118,7 +120,7 @@ fn main() {
         // From the heap, where the address sanitizer guards both ends.
         let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
         decisions += decide(&plan, arena.as_mut_slice(), &rows);
-        decisions += decide(&plan.portable(), arena.as_mut_slice(), &rows);
+        decisions += decide(&plan.on(Build::PORTABLE), arena.as_mut_slice(), &rows);
     }
     let plan = Plan::load(TEAM_VALUE).expect("a golden plan");
     let mut arena = AlignedBytes::zeroed(plan.arena_bytes());

@@ -22,6 +22,9 @@ pub(super) const BURNING: usize = 55;
 pub(super) const SINCE_LAST_FIRE: usize = 56;
 pub(super) const IGNITION_RATE: usize = 57;
 
+/// The availability mask of all actions.
+const ALL_ACTIONS: u16 = (1 << ACTIONS) - 1;
+
 /// Names of the columns.
 #[rustfmt::skip]
 pub const FEATURE_NAMES: [&str; FEATURES] = [
@@ -40,10 +43,11 @@ pub const FEATURE_NAMES: [&str; FEATURES] = [
 #[inline]
 pub fn agent_features(agent: &AgentState, mut emit: impl FnMut(usize, f32)) {
     place(agent.kind.type_index(), agent.x, agent.y, &mut emit);
-    for action in 0..ACTIONS {
-        if agent.available >> action & 1 == 1 {
-            emit(AVAILABLE + action, 1.0);
-        }
+    // From bit to bit: most actions are not available, and testing each would be guessed wrong often.
+    let mut available = agent.available & ALL_ACTIONS;
+    while available != 0 {
+        emit(AVAILABLE + available.trailing_zeros() as usize, 1.0);
+        available &= available - 1;
     }
 }
 

@@ -1,6 +1,6 @@
 //! The eight symmetries of the square, exact on states and actions.
 
-use super::rules::{ACTIONS, DIRECTIONS};
+use super::rules::DIRECTIONS;
 use super::state::{AgentState, BuildingState, SIDE};
 
 /// A turn or reflection of the map. The rules look the same from every side.
@@ -46,13 +46,15 @@ impl Symmetry {
 
     /// An availability mask on the changed map.
     pub const fn available(self, available: u16) -> u16 {
-        let mut changed = 0;
-        let mut action = 0;
-        while action < ACTIONS as u16 {
-            changed |= (available >> action & 1) << self.action(action);
-            action += 1;
-        }
-        changed
+        let turned = &TURNED_DIRECTIONS[self.index()];
+        let near = turned[(available >> 1 & 15) as usize] as u16;
+        let far = turned[(available >> 5 & 15) as usize] as u16;
+        available & !MOVES | near << 1 | far << 5
+    }
+
+    /// Its place in [`ALL`](Self::ALL).
+    const fn index(self) -> usize {
+        self.mirror_x as usize | (self.mirror_y as usize) << 1 | (self.transpose as usize) << 2
     }
 
     /// An agent on the changed map.
@@ -90,3 +92,19 @@ impl Symmetry {
         }
     }
 }
+
+/// Bits of the moves in an availability mask: near ones from 1, far ones from 5.
+const MOVES: u16 = 0x1FE;
+
+/// For each symmetry the directions, as bits, that four bits of directions become.
+const TURNED_DIRECTIONS: [[u8; 16]; 8] = {
+    let mut turned = [[0; 16]; 8];
+    let mut place = 0;
+    while place < 8 * 16 * 4 {
+        let (symmetry, set, direction) = (place / 64, place / 4 % 16, place % 4);
+        let bit = (set >> direction & 1) as u8;
+        turned[symmetry][set] |= bit << Symmetry::ALL[symmetry].direction(direction);
+        place += 1;
+    }
+    turned
+};

@@ -1,7 +1,7 @@
 //! Teams that can be measured.
 
 use sortie_core::entity_mask::EntityMask;
-use sortie_core::policy::{NO_ACTION as NO_ACTION_YET, Observation, Policy, visible};
+use sortie_core::policy::{DecideError, NO_ACTION as NO_ACTION_YET, Observation, Policy, visible};
 use sortie_envs::save_the_city::{
     ACTIONS, FEATURES, UNASSIGNED, scripted_actions, write_agent_row, write_building_row,
 };
@@ -141,21 +141,30 @@ impl<P: Policy> Team for PolicyTeam<P> {
         for (scene, actions) in scenes.iter().zip(actions.chunks_exact_mut(agents)) {
             self.observe(scene);
             let everything = EntityMask::first(self.entity_task.len());
-            for (index, agent) in scene.city.agents.iter().enumerate() {
+            let available: Vec<[u16; ACTIONS]> = scene
+                .city
+                .agents
+                .iter()
+                .map(|agent| std::array::from_fn(|action| agent.available >> action & 1))
+                .collect();
+            let see = |(index, available)| {
                 let task = scene.allocation[index];
                 let subtask = (task != UNASSIGNED).then_some(task);
-                let available: [u16; ACTIONS] =
-                    std::array::from_fn(|action| agent.available >> action & 1);
-                let observation = Observation {
+                Observation {
                     rows: &self.rows,
                     stride: FEATURES,
                     last_actions: &self.last_actions,
                     visible: visible(everything, everything, &self.entity_task, subtask),
                     self_index: index,
-                    available: &available,
-                };
-                let decision = self.policy.decide(&observation);
-                actions[index] = decision.map_err(|e| LearnError::Team(e.to_string()))?.action;
+                    available,
+                }
+            };
+            let observations: Vec<Observation<'_>> =
+                available.iter().map(<[u16; ACTIONS]>::as_slice).enumerate().map(see).collect();
+            let mut decisions = vec![Err(DecideError::BadLength); observations.len()];
+            self.policy.decide_batch(&observations, &mut decisions);
+            for (action, decision) in actions.iter_mut().zip(decisions) {
+                *action = decision.map_err(|e| LearnError::Team(e.to_string()))?.action;
             }
         }
         Ok(())

@@ -18,27 +18,42 @@ pub struct AgentNetwork<'a> {
 
 /// Writes the network as ONNX: `entities [N, D], self_index [1], visible [N] -> utilities [U]`.
 pub fn agent_onnx(network: &AgentNetwork<'_>) -> Result<Vec<u8>, ExportError> {
-    let AgentNetwork { features, layers, .. } = network;
+    let mut graph = begin(network)?;
+    add_network(&mut graph, &network.layers, INPUTS, "utilities")?;
+    Ok(graph.into_model("agent", DOC, &metadata(network)))
+}
+
+/// The inputs of every agent's graph.
+pub(super) const INPUTS: Inputs<'_> =
+    Inputs { rows: "entities", own: "self_index", visible: "visible" };
+
+/// What every agent's graph says of itself.
+pub(super) const DOC: &str = "Utilities of one agent. Masked entities have no influence; an agent that sees \
+                              nothing, not even itself, gets the utilities of its biases.";
+
+/// A graph with the inputs and the output that every agent has.
+pub(super) fn begin(network: &AgentNetwork<'_>) -> Result<Graph, ExportError> {
+    let layers = &network.layers;
     let last_actions = if network.append_last_action { layers.outputs } else { 0 };
-    let (want, got) = (features + last_actions, layers.inputs);
+    let (want, got) = (network.features + last_actions, layers.inputs);
     if want != got {
         return Err(ExportError::Columns { want, got });
     }
     let mut graph = Graph::default();
     declare(&mut graph, layers.inputs, layers.outputs);
-    let inputs = Inputs { rows: "entities", own: "self_index", visible: "visible" };
-    add_network(&mut graph, layers, inputs, "utilities")?;
-    let metadata = [
+    Ok(graph)
+}
+
+/// The metadata that every agent has.
+pub(super) fn metadata(network: &AgentNetwork<'_>) -> [(&'static str, String); 6] {
+    [
         ("sortie.graph", "agent".to_owned()),
         ("sortie.format", "1".to_owned()),
         ("sortie.contract", format!("{:016x}", network.contract)),
-        ("sortie.features", features.to_string()),
-        ("sortie.actions", layers.outputs.to_string()),
+        ("sortie.features", network.features.to_string()),
+        ("sortie.actions", network.layers.outputs.to_string()),
         ("sortie.append_last_action", u8::from(network.append_last_action).to_string()),
-    ];
-    let doc = "Utilities of one agent. Masked entities have no influence; an agent that sees nothing, \
-               not even itself, gets the utilities of its biases.";
-    Ok(graph.into_model("agent", doc, &metadata))
+    ]
 }
 
 fn declare(graph: &mut Graph, inputs: usize, actions: usize) {

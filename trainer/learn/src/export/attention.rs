@@ -115,17 +115,40 @@ pub(super) fn add_network(
     inputs: Inputs<'_>,
     output: &str,
 ) -> Result<(), ExportError> {
-    let AttentionNetwork { inputs: columns, width, heads, base, outputs, .. } = *network;
+    let base = add_base(graph, network, inputs, true)?;
+    add_head(graph, network, &base, output)
+}
+
+/// Adds the nodes in front of the head and returns the last one's name; its value is `[1, R]`.
+pub(super) fn add_base(
+    graph: &mut Graph,
+    network: &AttentionNetwork<'_>,
+    inputs: Inputs<'_>,
+    attention_relu: bool,
+) -> Result<String, ExportError> {
+    let AttentionNetwork { inputs: columns, width, heads, base, .. } = *network;
     if heads == 0 || !width.is_multiple_of(heads) {
         return Err(ExportError::Heads { heads, width });
     }
     let fc1 = layer(graph, "fc1", inputs.rows, &network.fc1, [columns, width])?;
     let embedding = graph.node("fc1.relu", "Relu", &[&fc1], &[]);
-    let attended = attention(graph, network, inputs, &embedding)?;
-    let attended = graph.node("attention.relu", "Relu", &[&attended], &[]);
+    let mut attended = attention(graph, network, inputs, &embedding)?;
+    if attention_relu {
+        attended = graph.node("attention.relu", "Relu", &[&attended], &[]);
+    }
     let fc2 = layer(graph, "fc2", &attended, &network.fc2, [width, base])?;
-    let fc2 = graph.node("fc2.relu", "Relu", &[&fc2], &[]);
-    let head = layer(graph, "head", &fc2, &network.head, [base, outputs])?;
+    Ok(graph.node("fc2.relu", "Relu", &[&fc2], &[]))
+}
+
+/// Adds the last layer, on `input` `[1, R]`; it gives `output` `[U]`.
+pub(super) fn add_head(
+    graph: &mut Graph,
+    network: &AttentionNetwork<'_>,
+    input: &str,
+    output: &str,
+) -> Result<(), ExportError> {
+    let AttentionNetwork { base, outputs, .. } = *network;
+    let head = layer(graph, "head", input, &network.head, [base, outputs])?;
     let shape_name = format!("{output}.shape");
     let shape = graph.integers(&shape_name, &[outputs as i64]);
     graph.node(output, "Reshape", &[&head, shape], &[]);
@@ -182,7 +205,7 @@ fn attention(
 }
 
 /// `input W + b`.
-fn layer(
+pub(super) fn layer(
     graph: &mut Graph,
     name: &'static str,
     input: &str,

@@ -47,6 +47,9 @@ pub(super) fn card(
             evaluation.return_mean,
         );
     }
+    if !config.run.from.is_empty() {
+        let _ = writeln!(card, "\nIt began with the networks of the run `{}`.", config.run.from);
+    }
     if let Some(last) = run.curve.last() {
         let _ = writeln!(
             card,

@@ -11,9 +11,11 @@ mod card;
 mod golden_allocations;
 mod onnx;
 pub(crate) mod protobuf;
+mod recurrent;
 mod team_value;
 
 pub use agent::{AgentNetwork, agent_onnx};
 pub use attention::{AttentionNetwork, ExportError, Layer, Layout, Matrix};
 pub use bundle::{LearnedAllocator, Measured, check_exportable, draft_bundle};
+pub use recurrent::{GruCell, RecurrentAgent, recurrent_agent_onnx};
 pub use team_value::{TeamValueExport, team_value_onnx};

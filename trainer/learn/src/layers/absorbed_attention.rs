@@ -5,10 +5,11 @@
 //! Per query that takes `2 E^2` multiplications, and `2 H E` per visible entity, where keys and values
 //! take `2 E^2` per entity: a gain where entities are seen by few queries each.
 
-use super::attention::{
-    AttentionShape, VisibleLists, add_scaled, dot, softmax_columns, softmax_columns_backward,
-};
+use super::wide::{Work, run_widest};
+
+use super::attention::{AttentionShape, VisibleLists, softmax_columns, softmax_columns_backward};
 use super::matrix::{Matrix, MatrixMut, Store, multiply};
+use super::vectors::{add_scaled, dots_with, weighted_sum};
 
 /// The key and value matrices `[2 E, E]`, keys first.
 #[derive(Clone, Copy, Debug)]
@@ -88,7 +89,8 @@ impl AbsorbedAttention {
                 matrices.matrix(h, false),
             );
         }
-        self.attend(shape, visible, entities);
+        let Self { absorbed, weights, sums, .. } = self;
+        run_widest(Attend { shape, visible, entities, absorbed, weights, sums });
         for h in 0..heads {
             multiply(
                 MatrixMut::new(output, count, width).columns(h * head..(h + 1) * head),
@@ -102,33 +104,6 @@ impl AbsorbedAttention {
     /// The attention weights `[pairs, heads]` of the last forward pass.
     pub fn weights(&self) -> &[f32] {
         &self.weights
-    }
-
-    /// Writes weights and weighted sums.
-    fn attend(&mut self, shape: AttentionShape, visible: &VisibleLists, entities: &[f32]) {
-        let AttentionShape { width, heads } = shape;
-        let wide = heads * width;
-        let scale = shape.scale();
-        let absorbed = self.absorbed.chunks_exact(wide);
-        for (index, (absorbed, sums)) in absorbed.zip(self.sums.chunks_exact_mut(wide)).enumerate()
-        {
-            let (start, list) = visible.span(index);
-            let weights = &mut self.weights[start * heads..][..list.len() * heads];
-            for (row, weights) in list.iter().zip(weights.chunks_exact_mut(heads)) {
-                let entity = &entities[*row as usize * width..][..width];
-                for (weight, absorbed) in weights.iter_mut().zip(absorbed.chunks_exact(width)) {
-                    *weight = scale * dot(absorbed, entity);
-                }
-            }
-            softmax_columns(weights, heads);
-            sums.fill(0.0);
-            for (row, weights) in list.iter().zip(weights.chunks_exact(heads)) {
-                let entity = &entities[*row as usize * width..][..width];
-                for (weight, sum) in weights.iter().zip(sums.chunks_exact_mut(width)) {
-                    add_scaled(sum, *weight, entity);
-                }
-            }
-        }
     }
 
     /// Writes the gradients of queries and entities, and adds that of the matrices.
@@ -162,7 +137,19 @@ impl AbsorbedAttention {
                 Matrix::new(&self.sums, count, wide).columns(broad),
             );
         }
-        self.attend_backward(shape, visible, pass.entities, pass.d_entities);
+        self.d_absorbed.resize(self.d_sums.len(), 0.0);
+        let attended = AttendBackward {
+            shape,
+            visible,
+            entities: pass.entities,
+            absorbed: &self.absorbed,
+            weights: &self.weights,
+            d_sums: &self.d_sums,
+            d_scores: &mut self.d_scores,
+            d_absorbed: &mut self.d_absorbed,
+            d_entities: pass.d_entities,
+        };
+        run_widest(attended);
         let queries = Matrix::new(pass.queries, count, width);
         for h in 0..heads {
             let (narrow, broad) = (h * head..(h + 1) * head, h * width..(h + 1) * width);
@@ -181,48 +168,113 @@ impl AbsorbedAttention {
             );
         }
     }
+}
 
-    /// Writes the gradients of the absorbed queries and of the entities.
-    fn attend_backward(
-        &mut self,
-        shape: AttentionShape,
-        visible: &VisibleLists,
-        entities: &[f32],
-        d_entities: &mut [f32],
-    ) {
+/// Writes weights and weighted sums.
+struct Attend<'a> {
+    shape: AttentionShape,
+    visible: &'a VisibleLists,
+    entities: &'a [f32],
+    absorbed: &'a [f32],
+    weights: &'a mut [f32],
+    sums: &'a mut [f32],
+}
+
+impl Work for Attend<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        match self.shape {
+            AttentionShape::USUAL => self.attend(AttentionShape::USUAL),
+            shape => self.attend(shape),
+        }
+    }
+}
+
+impl Attend<'_> {
+    #[inline(always)]
+    fn attend(self, shape: AttentionShape) {
         let AttentionShape { width, heads } = shape;
-        let wide = heads * width;
-        let scale = shape.scale();
-        d_entities.fill(0.0);
-        self.d_absorbed.resize(self.d_sums.len(), 0.0);
-        for index in 0..visible.queries() {
-            let (start, list) = visible.span(index);
+        let (wide, scale) = (heads * width, shape.scale());
+        let entity = |row: &u32| &self.entities[*row as usize * width..][..width];
+        let absorbed = self.absorbed.chunks_exact(wide);
+        for (index, (absorbed, sums)) in absorbed.zip(self.sums.chunks_exact_mut(wide)).enumerate()
+        {
+            let (start, list) = self.visible.span(index);
+            let weights = &mut self.weights[start * heads..][..list.len() * heads];
+            for (row, scores) in list.iter().zip(weights.chunks_exact_mut(heads)) {
+                dots_with(absorbed, entity(row), scores);
+                scores.iter_mut().for_each(|score| *score *= scale);
+            }
+            softmax_columns(weights, heads);
+            for (h, sum) in sums.chunks_exact_mut(width).enumerate() {
+                let rows = list.iter().zip(weights.chunks_exact(heads));
+                weighted_sum::<64>(None, rows.map(|(row, weights)| (weights[h], entity(row))), sum);
+            }
+        }
+    }
+}
+
+/// Writes the gradients of the absorbed queries and of the entities.
+struct AttendBackward<'a> {
+    shape: AttentionShape,
+    visible: &'a VisibleLists,
+    entities: &'a [f32],
+    absorbed: &'a [f32],
+    weights: &'a [f32],
+    d_sums: &'a [f32],
+    d_scores: &'a mut Vec<f32>,
+    d_absorbed: &'a mut [f32],
+    d_entities: &'a mut [f32],
+}
+
+impl Work for AttendBackward<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        match self.shape {
+            AttentionShape::USUAL => self.descend(AttentionShape::USUAL),
+            shape => self.descend(shape),
+        }
+    }
+}
+
+impl AttendBackward<'_> {
+    #[inline(always)]
+    fn descend(self, shape: AttentionShape) {
+        let AttentionShape { width, heads } = shape;
+        let (wide, scale) = (heads * width, shape.scale());
+        let entity = |row: &u32| &self.entities[*row as usize * width..][..width];
+        self.d_entities.fill(0.0);
+        for index in 0..self.visible.queries() {
+            let (start, list) = self.visible.span(index);
             let weights = &self.weights[start * heads..][..list.len() * heads];
             let d_sums = &self.d_sums[index * wide..][..wide];
             let absorbed = &self.absorbed[index * wide..][..wide];
             let d_absorbed = &mut self.d_absorbed[index * wide..][..wide];
 
             self.d_scores.resize(list.len() * heads, 0.0);
-            for (row, d_scores) in list.iter().zip(self.d_scores.chunks_exact_mut(heads)) {
-                let entity = &entities[*row as usize * width..][..width];
-                for (d_score, d_sum) in d_scores.iter_mut().zip(d_sums.chunks_exact(width)) {
-                    *d_score = dot(d_sum, entity);
-                }
+            let d_scores = &mut self.d_scores[..];
+            for (row, d_scores) in list.iter().zip(d_scores.chunks_exact_mut(heads)) {
+                dots_with(d_sums, entity(row), d_scores);
             }
-            softmax_columns_backward(weights, &mut self.d_scores, heads);
+            softmax_columns_backward(weights, d_scores, heads);
+            d_scores.iter_mut().for_each(|d_score| *d_score *= scale);
 
-            d_absorbed.fill(0.0);
-            let pairs = weights.chunks_exact(heads).zip(self.d_scores.chunks_exact(heads));
+            for (h, d_absorbed) in d_absorbed.chunks_exact_mut(width).enumerate() {
+                let rows = list.iter().zip(d_scores.chunks_exact(heads));
+                let terms = rows.map(|(row, d_scores)| (d_scores[h], entity(row)));
+                weighted_sum::<64>(None, terms, d_absorbed);
+            }
+            let pairs = weights.chunks_exact(heads).zip(d_scores.chunks_exact(heads));
             for (row, (weights, d_scores)) in list.iter().zip(pairs) {
-                let place = *row as usize * width;
-                let entity = &entities[place..][..width];
-                let d_entity = &mut d_entities[place..][..width];
+                let d_entity = &mut self.d_entities[*row as usize * width..][..width];
                 for h in 0..heads {
-                    let slope = scale * d_scores[h];
                     let broad = h * width..(h + 1) * width;
-                    add_scaled(&mut d_absorbed[broad.clone()], slope, entity);
                     add_scaled(d_entity, weights[h], &d_sums[broad.clone()]);
-                    add_scaled(d_entity, slope, &absorbed[broad]);
+                    add_scaled(d_entity, d_scores[h], &absorbed[broad]);
                 }
             }
         }
@@ -235,7 +287,9 @@ mod tests {
     use crate::layers::attention;
     use crate::layers::gradient_check::{assert_gradient, random};
 
-    const SHAPE: AttentionShape = AttentionShape { width: 8, heads: 2 };
+    /// The usual sizes, and fewer heads than are computed at once.
+    const SHAPES: [AttentionShape; 2] =
+        [AttentionShape::USUAL, AttentionShape { width: 8, heads: 2 }];
     const QUERIES: usize = 3;
     const ROWS: usize = 5;
 
@@ -249,62 +303,78 @@ mod tests {
         lists
     }
 
-    fn forward(queries: &[f32], entities: &[f32], matrices: &[f32]) -> Vec<f32> {
-        let mut output = vec![f32::NAN; QUERIES * SHAPE.width];
+    fn forward(
+        shape: AttentionShape,
+        queries: &[f32],
+        entities: &[f32],
+        matrices: &[f32],
+    ) -> Vec<f32> {
+        let mut output = vec![f32::NAN; QUERIES * shape.width];
         let mut attention = AbsorbedAttention::default();
-        attention.forward(SHAPE, &lists(), matrices, (queries, entities), &mut output);
+        attention.forward(shape, &lists(), matrices, (queries, entities), &mut output);
         output
     }
 
-    fn inputs() -> [Vec<f32>; 3] {
-        [(1, QUERIES * 8), (2, ROWS * 8), (3, 2 * 8 * 8)].map(|(seed, count)| random(seed, count))
+    /// Queries, entities and matrices; the wider, the smaller the matrices, so that scores stay moderate.
+    fn inputs(AttentionShape { width, .. }: AttentionShape) -> [Vec<f32>; 3] {
+        let mut matrices = random(3, 2 * width * width);
+        matrices.iter_mut().for_each(|weight| *weight *= 8.0 / width as f32);
+        [random(1, QUERIES * width), random(2, ROWS * width), matrices]
     }
 
     #[test]
     fn the_result_is_that_of_keys_and_values() {
-        let [queries, entities, matrices] = inputs();
-        let mut keys_values = vec![0.0; ROWS * 16];
-        multiply(
-            MatrixMut::new(&mut keys_values, ROWS, 16),
-            Store::Replace,
-            Matrix::new(&entities, ROWS, 8),
-            Matrix::new(&matrices, 16, 8).transposed(),
-        );
-        let mut want = vec![f32::NAN; QUERIES * 8];
-        let mut weights = vec![0.0; lists().pairs() * 2];
-        attention::forward(SHAPE, &lists(), &queries, &keys_values, &mut weights, &mut want);
-        for (got, want) in forward(&queries, &entities, &matrices).iter().zip(&want) {
-            assert!((got - want).abs() < 1e-5, "{got} against {want}");
+        for shape in SHAPES {
+            let width = shape.width;
+            let [queries, entities, matrices] = inputs(shape);
+            let mut keys_values = vec![0.0; ROWS * 2 * width];
+            multiply(
+                MatrixMut::new(&mut keys_values, ROWS, 2 * width),
+                Store::Replace,
+                Matrix::new(&entities, ROWS, width),
+                Matrix::new(&matrices, 2 * width, width).transposed(),
+            );
+            let mut want = vec![f32::NAN; QUERIES * width];
+            let mut weights = vec![0.0; lists().pairs() * shape.heads];
+            attention::forward(shape, &lists(), &queries, &keys_values, &mut weights, &mut want);
+            for (got, want) in forward(shape, &queries, &entities, &matrices).iter().zip(&want) {
+                assert!((got - want).abs() < 1e-5, "{got} against {want}");
+            }
         }
     }
 
     #[test]
     fn gradients_agree_with_finite_differences() {
-        let [queries, entities, matrices] = inputs();
-        let d_output = random(4, QUERIES * 8);
-        let loss = |output: Vec<f32>| -> f64 {
-            output.iter().zip(&d_output).map(|(y, d)| f64::from(*y) * f64::from(*d)).sum()
-        };
-        let mut attention = AbsorbedAttention::default();
-        let mut output = vec![0.0; QUERIES * 8];
-        attention.forward(SHAPE, &lists(), &matrices, (&queries, &entities), &mut output);
-        let (mut d_queries, mut d_entities) = (vec![f32::NAN; 24], vec![f32::NAN; ROWS * 8]);
-        let mut d_matrices = vec![0.0; matrices.len()];
-        let pass = AbsorbedBackward {
-            queries: &queries,
-            entities: &entities,
-            d_output: &d_output,
-            d_queries: &mut d_queries,
-            d_entities: &mut d_entities,
-            d_keys_values: &mut d_matrices,
-        };
-        attention.backward(SHAPE, &lists(), &matrices, pass);
-        let run = |queries: &[f32], entities: &[f32], matrices: &[f32]| {
-            loss(forward(queries, entities, matrices))
-        };
-        assert_gradient("queries", &queries, &d_queries, |q| run(q, &entities, &matrices));
-        assert_gradient("entities", &entities, &d_entities, |x| run(&queries, x, &matrices));
-        assert_gradient("matrices", &matrices, &d_matrices, |m| run(&queries, &entities, m));
-        assert_eq!(d_entities[3 * 8..4 * 8], [0.0; 8], "nobody sees entity 3");
+        for shape in SHAPES {
+            let width = shape.width;
+            let [queries, entities, matrices] = inputs(shape);
+            let d_output = random(4, QUERIES * width);
+            let loss = |output: Vec<f32>| -> f64 {
+                output.iter().zip(&d_output).map(|(y, d)| f64::from(*y) * f64::from(*d)).sum()
+            };
+            let mut attention = AbsorbedAttention::default();
+            let mut output = vec![0.0; QUERIES * width];
+            attention.forward(shape, &lists(), &matrices, (&queries, &entities), &mut output);
+            let mut d_queries = vec![f32::NAN; queries.len()];
+            let mut d_entities = vec![f32::NAN; entities.len()];
+            let mut d_matrices = vec![0.0; matrices.len()];
+            let pass = AbsorbedBackward {
+                queries: &queries,
+                entities: &entities,
+                d_output: &d_output,
+                d_queries: &mut d_queries,
+                d_entities: &mut d_entities,
+                d_keys_values: &mut d_matrices,
+            };
+            attention.backward(shape, &lists(), &matrices, pass);
+            let run = |queries: &[f32], entities: &[f32], matrices: &[f32]| {
+                loss(forward(shape, queries, entities, matrices))
+            };
+            assert_gradient("queries", &queries, &d_queries, |q| run(q, &entities, &matrices));
+            assert_gradient("entities", &entities, &d_entities, |x| run(&queries, x, &matrices));
+            assert_gradient("matrices", &matrices, &d_matrices, |m| run(&queries, &entities, m));
+            let unseen = &d_entities[3 * width..4 * width];
+            assert!(unseen.iter().all(|slope| *slope == 0.0), "nobody sees entity 3");
+        }
     }
 }

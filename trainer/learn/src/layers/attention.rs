@@ -5,6 +5,11 @@
 //! A query that sees nothing gets a zero vector. Invisible entities are never touched, which is exact
 //! because their weight is zero.
 
+use super::wide::{Work, run_widest};
+use sortie_core::math::exp;
+
+use super::vectors::{add_scaled, dots, weighted_sum};
+
 /// For each query the rows that it sees.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VisibleLists {
@@ -68,6 +73,10 @@ pub struct AttentionShape {
 }
 
 impl AttentionShape {
+    /// The sizes of the presets, for which the passes are built with constant sizes.
+    pub(super) const USUAL: Self = Self { width: 64, heads: 4 };
+
+    #[inline(always)]
     pub(super) fn scale(self) -> f32 {
         1.0 / ((self.width / self.heads) as f32).sqrt()
     }
@@ -84,30 +93,52 @@ pub fn forward(
     weights: &mut [f32],
     output: &mut [f32],
 ) {
-    let AttentionShape { width, heads } = shape;
-    let (head, scale) = (width / heads, shape.scale());
-    for (index, output) in output.chunks_exact_mut(width).enumerate() {
-        let query = &queries[index * width..][..width];
-        let (start, list) = visible.span(index);
-        let weights = &mut weights[start * heads..][..list.len() * heads];
-        for (row, weights) in list.iter().zip(weights.chunks_exact_mut(heads)) {
-            let key = &keys_values[*row as usize * 2 * width..][..width];
-            for ((weight, q), k) in
-                weights.iter_mut().zip(query.chunks_exact(head)).zip(key.chunks_exact(head))
-            {
-                *weight = dot(q, k) * scale;
-            }
+    run_widest(Forward { shape, visible, queries, keys_values, weights, output });
+}
+
+struct Forward<'a> {
+    shape: AttentionShape,
+    visible: &'a VisibleLists,
+    queries: &'a [f32],
+    keys_values: &'a [f32],
+    weights: &'a mut [f32],
+    output: &'a mut [f32],
+}
+
+impl Work for Forward<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        // With sizes that the compiler knows, the inner loops are unrolled and unchecked.
+        match self.shape {
+            AttentionShape::USUAL => self.attend(AttentionShape::USUAL),
+            shape => self.attend(shape),
         }
-        softmax_columns(weights, heads);
-        output.fill(0.0);
-        for (row, weights) in list.iter().zip(weights.chunks_exact(heads)) {
-            let value = &keys_values[(*row as usize * 2 + 1) * width..][..width];
-            for ((weight, out), v) in
-                weights.iter().zip(output.chunks_exact_mut(head)).zip(value.chunks_exact(head))
-            {
-                for (out, v) in out.iter_mut().zip(v) {
-                    *out += weight * v;
-                }
+    }
+}
+
+impl Forward<'_> {
+    #[inline(always)]
+    fn attend(self, shape: AttentionShape) {
+        let AttentionShape { width, heads } = shape;
+        let (head, scale) = (width / heads, shape.scale());
+        for (index, output) in self.output.chunks_exact_mut(width).enumerate() {
+            let query = &self.queries[index * width..][..width];
+            let (start, list) = self.visible.span(index);
+            let weights = &mut self.weights[start * heads..][..list.len() * heads];
+            for (row, scores) in list.iter().zip(weights.chunks_exact_mut(heads)) {
+                let key = &self.keys_values[*row as usize * 2 * width..][..width];
+                dots(query, key, scores);
+                scores.iter_mut().for_each(|score| *score *= scale);
+            }
+            softmax_columns(weights, heads);
+            for (h, output) in output.chunks_exact_mut(head).enumerate() {
+                let values = list.iter().zip(weights.chunks_exact(heads)).map(|(row, weights)| {
+                    let value = (*row as usize * 2 + 1) * width + h * head;
+                    (weights[h], &self.keys_values[value..][..head])
+                });
+                weighted_sum::<16>(None, values, output);
             }
         }
     }
@@ -134,103 +165,149 @@ pub struct Backward<'a> {
 
 /// Writes the gradients of queries, keys and values.
 pub fn backward(shape: AttentionShape, visible: &VisibleLists, pass: Backward<'_>) {
-    let AttentionShape { width, heads } = shape;
-    let (head, scale) = (width / heads, shape.scale());
-    pass.d_keys_values.fill(0.0);
-    for index in 0..visible.queries() {
-        let (start, list) = visible.span(index);
-        let query = &pass.queries[index * width..][..width];
-        let d_output = &pass.d_output[index * width..][..width];
-        let weights = &pass.weights[start * heads..][..list.len() * heads];
-        let d_scores = &mut pass.d_scores[..list.len() * heads];
+    run_widest(BackwardWork { shape, visible, pass });
+}
 
-        for ((row, weights), d_weights) in
-            list.iter().zip(weights.chunks_exact(heads)).zip(d_scores.chunks_exact_mut(heads))
-        {
-            let at = (*row as usize * 2 + 1) * width;
-            let value = &pass.keys_values[at..][..width];
-            let d_value = &mut pass.d_keys_values[at..][..width];
-            for ((((weight, d_weight), d_out), v), d_v) in weights
-                .iter()
-                .zip(d_weights)
-                .zip(d_output.chunks_exact(head))
-                .zip(value.chunks_exact(head))
-                .zip(d_value.chunks_exact_mut(head))
-            {
-                *d_weight = dot(d_out, v);
-                add_scaled(d_v, *weight, d_out);
-            }
+struct BackwardWork<'a> {
+    shape: AttentionShape,
+    visible: &'a VisibleLists,
+    pass: Backward<'a>,
+}
+
+impl Work for BackwardWork<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        match self.shape {
+            AttentionShape::USUAL => self.descend(AttentionShape::USUAL),
+            shape => self.descend(shape),
         }
-        softmax_columns_backward(weights, d_scores, heads);
+    }
+}
 
-        let d_query = &mut pass.d_queries[index * width..][..width];
-        d_query.fill(0.0);
-        for (row, d_scores) in list.iter().zip(d_scores.chunks_exact(heads)) {
-            let at = *row as usize * 2 * width;
-            let key = &pass.keys_values[at..][..width];
-            let d_key = &mut pass.d_keys_values[at..][..width];
-            for ((((d_score, q), k), d_q), d_k) in d_scores
-                .iter()
-                .zip(query.chunks_exact(head))
-                .zip(key.chunks_exact(head))
-                .zip(d_query.chunks_exact_mut(head))
-                .zip(d_key.chunks_exact_mut(head))
+impl BackwardWork<'_> {
+    #[inline(always)]
+    fn descend(self, shape: AttentionShape) {
+        let Self { visible, pass, .. } = self;
+        let AttentionShape { width, heads } = shape;
+        let (head, scale) = (width / heads, shape.scale());
+        pass.d_keys_values.fill(0.0);
+        for index in 0..visible.queries() {
+            let (start, list) = visible.span(index);
+            let query = &pass.queries[index * width..][..width];
+            let d_output = &pass.d_output[index * width..][..width];
+            let weights = &pass.weights[start * heads..][..list.len() * heads];
+            let d_scores = &mut pass.d_scores[..list.len() * heads];
+
+            for ((row, weights), d_weights) in
+                list.iter().zip(weights.chunks_exact(heads)).zip(d_scores.chunks_exact_mut(heads))
             {
-                add_scaled(d_q, d_score * scale, k);
-                add_scaled(d_k, d_score * scale, q);
+                let at = (*row as usize * 2 + 1) * width;
+                let value = &pass.keys_values[at..][..width];
+                let d_value = &mut pass.d_keys_values[at..][..width];
+                dots(d_output, value, d_weights);
+                for ((weight, d_out), d_v) in weights
+                    .iter()
+                    .zip(d_output.chunks_exact(head))
+                    .zip(d_value.chunks_exact_mut(head))
+                {
+                    add_scaled(d_v, *weight, d_out);
+                }
+            }
+            softmax_columns_backward(weights, d_scores, heads);
+
+            d_scores.iter_mut().for_each(|d_score| *d_score *= scale);
+
+            let d_query = &mut pass.d_queries[index * width..][..width];
+            for (h, d_query) in d_query.chunks_exact_mut(head).enumerate() {
+                let keys = list.iter().zip(d_scores.chunks_exact(heads)).map(|(row, d_scores)| {
+                    (d_scores[h], &pass.keys_values[*row as usize * 2 * width + h * head..][..head])
+                });
+                weighted_sum::<16>(None, keys, d_query);
+            }
+            for (row, d_scores) in list.iter().zip(d_scores.chunks_exact(heads)) {
+                let d_key = &mut pass.d_keys_values[*row as usize * 2 * width..][..width];
+                for ((d_score, q), d_k) in
+                    d_scores.iter().zip(query.chunks_exact(head)).zip(d_key.chunks_exact_mut(head))
+                {
+                    add_scaled(d_k, *d_score, q);
+                }
             }
         }
     }
 }
 
+/// Heads whose softmax is computed at once.
+const GROUP: usize = 4;
+
 /// Softmax down each column of `scores [list, heads]`, in place. An empty list stays empty.
+#[inline(always)]
 pub(super) fn softmax_columns(scores: &mut [f32], heads: usize) {
-    for j in 0..heads.min(scores.len()) {
-        let column = scores[j..].iter().step_by(heads);
-        let max = column.fold(f32::NEG_INFINITY, |max, score| max.max(*score));
-        let mut sum = 0.0;
-        for score in scores[j..].iter_mut().step_by(heads) {
-            *score = (*score - max).exp();
-            sum += *score;
+    let whole = heads / GROUP * GROUP;
+    for first in (0..whole).step_by(GROUP) {
+        softmax_group::<GROUP>(scores, heads, first);
+    }
+    for head in whole..heads {
+        softmax_group::<1>(scores, heads, head);
+    }
+}
+
+#[inline(always)]
+fn softmax_group<const HEADS: usize>(scores: &mut [f32], heads: usize, first: usize) {
+    let mut largest = [f32::NEG_INFINITY; HEADS];
+    for scores in scores.chunks_exact(heads) {
+        for (largest, score) in largest.iter_mut().zip(&scores[first..][..HEADS]) {
+            *largest = if *score > *largest { *score } else { *largest };
         }
-        for score in scores[j..].iter_mut().step_by(heads) {
-            *score /= sum;
+    }
+    let mut sums = [0.0; HEADS];
+    for scores in scores.chunks_exact_mut(heads) {
+        let scores = &mut scores[first..][..HEADS];
+        for ((score, largest), sum) in scores.iter_mut().zip(largest).zip(&mut sums) {
+            *score = exp(*score - largest);
+            *sum += *score;
+        }
+    }
+    let shares = sums.map(|sum| 1.0 / sum);
+    for weights in scores.chunks_exact_mut(heads) {
+        for (weight, share) in weights[first..][..HEADS].iter_mut().zip(shares) {
+            *weight *= share;
         }
     }
 }
 
 /// Turns gradients of the weights into gradients of the scores: `p * (d - sum(p * d))`.
+#[inline(always)]
 pub(super) fn softmax_columns_backward(weights: &[f32], gradient: &mut [f32], heads: usize) {
-    for j in 0..heads {
-        let mut sum = 0.0;
-        for (p, d) in weights.iter().zip(gradient.iter()).skip(j).step_by(heads) {
-            sum += p * d;
+    let whole = heads / GROUP * GROUP;
+    for first in (0..whole).step_by(GROUP) {
+        softmax_group_backward::<GROUP>(weights, gradient, heads, first);
+    }
+    for head in whole..heads {
+        softmax_group_backward::<1>(weights, gradient, heads, head);
+    }
+}
+
+#[inline(always)]
+fn softmax_group_backward<const HEADS: usize>(
+    weights: &[f32],
+    gradient: &mut [f32],
+    heads: usize,
+    first: usize,
+) {
+    let mut sums = [0.0; HEADS];
+    for (weights, slopes) in weights.chunks_exact(heads).zip(gradient.chunks_exact(heads)) {
+        let (weights, slopes) = (&weights[first..][..HEADS], &slopes[first..][..HEADS]);
+        for ((sum, p), d) in sums.iter_mut().zip(weights).zip(slopes) {
+            *sum += p * d;
         }
-        for (p, d) in weights.iter().zip(gradient.iter_mut()).skip(j).step_by(heads) {
+    }
+    for (weights, slopes) in weights.chunks_exact(heads).zip(gradient.chunks_exact_mut(heads)) {
+        let (weights, slopes) = (&weights[first..][..HEADS], &mut slopes[first..][..HEADS]);
+        for ((sum, p), d) in sums.iter().zip(weights).zip(slopes) {
             *d = p * (*d - sum);
         }
-    }
-}
-
-/// Dot product in eight lanes, summed in a fixed order.
-pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
-    let mut lanes = [0.0_f32; 8];
-    let (a_whole, a_rest) = a.as_chunks::<8>();
-    let (b_whole, b_rest) = b.as_chunks::<8>();
-    for (a, b) in a_whole.iter().zip(b_whole) {
-        for i in 0..8 {
-            lanes[i] += a[i] * b[i];
-        }
-    }
-    let halves =
-        [lanes[0] + lanes[4], lanes[1] + lanes[5], lanes[2] + lanes[6], lanes[3] + lanes[7]];
-    let whole = (halves[0] + halves[2]) + (halves[1] + halves[3]);
-    a_rest.iter().zip(b_rest).fold(whole, |sum, (a, b)| sum + a * b)
-}
-
-pub(super) fn add_scaled(out: &mut [f32], factor: f32, values: &[f32]) {
-    for (out, value) in out.iter_mut().zip(values) {
-        *out += factor * value;
     }
 }
 
@@ -239,7 +316,12 @@ mod tests {
     use super::*;
     use crate::layers::gradient_check::{assert_gradient, random};
 
-    const SHAPE: AttentionShape = AttentionShape { width: 8, heads: 2 };
+    /// The usual sizes, a group of heads with one more, and fewer heads than a group.
+    const SHAPES: [AttentionShape; 3] = [
+        AttentionShape::USUAL,
+        AttentionShape { width: 30, heads: 5 },
+        AttentionShape { width: 8, heads: 2 },
+    ];
     const QUERIES: usize = 3;
     const ROWS: usize = 4;
 
@@ -253,54 +335,60 @@ mod tests {
         lists
     }
 
-    fn run(queries: &[f32], keys_values: &[f32]) -> (Vec<f32>, Vec<f32>) {
-        let mut weights = vec![f32::NAN; lists().pairs() * SHAPE.heads];
-        let mut output = vec![f32::NAN; QUERIES * SHAPE.width];
-        forward(SHAPE, &lists(), queries, keys_values, &mut weights, &mut output);
+    fn run(shape: AttentionShape, queries: &[f32], keys_values: &[f32]) -> (Vec<f32>, Vec<f32>) {
+        let mut weights = vec![f32::NAN; lists().pairs() * shape.heads];
+        let mut output = vec![f32::NAN; QUERIES * shape.width];
+        forward(shape, &lists(), queries, keys_values, &mut weights, &mut output);
         (weights, output)
+    }
+
+    fn inputs(shape: AttentionShape) -> (Vec<f32>, Vec<f32>) {
+        (random(1, QUERIES * shape.width), random(2, ROWS * 2 * shape.width))
     }
 
     #[test]
     fn weights_of_a_list_sum_to_one_and_an_empty_list_gives_zeros() {
-        let (weights, output) =
-            run(&random(1, QUERIES * SHAPE.width), &random(2, ROWS * 2 * SHAPE.width));
-        for list in [&weights[..4], &weights[4..]] {
-            for head in 0..2 {
-                let sum: f32 = list.iter().skip(head).step_by(2).sum();
-                assert!((sum - 1.0).abs() < 1e-6);
+        for shape in SHAPES {
+            let (queries, keys_values) = inputs(shape);
+            let (weights, output) = run(shape, &queries, &keys_values);
+            let (first, third) = weights.split_at(2 * shape.heads);
+            for (list, head) in [first, third]
+                .into_iter()
+                .flat_map(|list| (0..shape.heads).map(move |head| (list, head)))
+            {
+                let sum: f32 = list.iter().skip(head).step_by(shape.heads).sum();
+                assert!((sum - 1.0).abs() < 1e-6, "{shape:?}");
             }
+            assert!(output[shape.width..2 * shape.width].iter().all(|value| *value == 0.0));
         }
-        assert_eq!(output[8..16], [0.0; 8]);
     }
 
     #[test]
     fn gradients_agree_with_finite_differences() {
-        let queries = random(1, QUERIES * SHAPE.width);
-        let keys_values = random(2, ROWS * 2 * SHAPE.width);
-        let d_output = random(3, QUERIES * SHAPE.width);
-        let loss = |queries: &[f32], keys_values: &[f32]| {
-            let (_, output) = run(queries, keys_values);
-            output.iter().zip(&d_output).map(|(y, d)| f64::from(*y) * f64::from(*d)).sum()
-        };
-        let (weights, _) = run(&queries, &keys_values);
-        let mut d_queries = vec![f32::NAN; queries.len()];
-        let mut d_keys_values = vec![f32::NAN; keys_values.len()];
-        backward(
-            SHAPE,
-            &lists(),
-            Backward {
+        for shape in SHAPES {
+            let (queries, keys_values) = inputs(shape);
+            let d_output = random(3, QUERIES * shape.width);
+            let loss = |queries: &[f32], keys_values: &[f32]| {
+                let (_, output) = run(shape, queries, keys_values);
+                output.iter().zip(&d_output).map(|(y, d)| f64::from(*y) * f64::from(*d)).sum()
+            };
+            let (weights, _) = run(shape, &queries, &keys_values);
+            let mut d_queries = vec![f32::NAN; queries.len()];
+            let mut d_keys_values = vec![f32::NAN; keys_values.len()];
+            let pass = Backward {
                 queries: &queries,
                 keys_values: &keys_values,
                 weights: &weights,
                 d_output: &d_output,
-                d_scores: &mut [0.0; ROWS * 2],
+                d_scores: &mut vec![0.0; ROWS * shape.heads],
                 d_queries: &mut d_queries,
                 d_keys_values: &mut d_keys_values,
-            },
-        );
-        assert_gradient("queries", &queries, &d_queries, |queries| loss(queries, &keys_values));
-        assert_gradient("keys and values", &keys_values, &d_keys_values, |keys_values| {
-            loss(&queries, keys_values)
-        });
+            };
+            backward(shape, &lists(), pass);
+            assert_gradient("queries", &queries, &d_queries, |queries| loss(queries, &keys_values));
+            assert_gradient("keys and values", &keys_values, &d_keys_values, |keys_values| {
+                loss(&queries, keys_values)
+            });
+        }
     }
 }

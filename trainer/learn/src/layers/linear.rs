@@ -1,6 +1,9 @@
 //! The dense linear layer `y = W x + b`.
 
+use super::wide::{Work, run_widest};
+
 use super::matrix::{Matrix, MatrixMut, Store, multiply};
+use super::vectors::add_scaled;
 
 /// Sizes of a linear layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -13,16 +16,40 @@ pub struct LinearShape {
 
 /// Writes `y [rows, output]` from `x [rows, input]`, `weight [output, input]`, `bias [output]`.
 pub fn forward(shape: LinearShape, x: &[f32], weight: &[f32], bias: &[f32], y: &mut [f32]) {
-    let rows = y.len() / shape.output;
-    for row in y.chunks_exact_mut(shape.output) {
-        row.copy_from_slice(bias);
+    forward_without_bias(shape, x, weight, y);
+    run_widest(AddBias { least: f32::NEG_INFINITY, bias, y });
+}
+
+/// As [`forward`], with the rectifier `max(0, y)` behind it.
+pub fn forward_rectified(
+    shape: LinearShape,
+    x: &[f32],
+    weight: &[f32],
+    bias: &[f32],
+    y: &mut [f32],
+) {
+    forward_without_bias(shape, x, weight, y);
+    run_widest(AddBias { least: 0.0, bias, y });
+}
+
+struct AddBias<'a> {
+    bias: &'a [f32],
+    /// What smaller sums are replaced by.
+    least: f32,
+    y: &'a mut [f32],
+}
+
+impl Work for AddBias<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        for row in self.y.chunks_exact_mut(self.bias.len()) {
+            for (y, bias) in row.iter_mut().zip(self.bias) {
+                *y = (*y + bias).max(self.least);
+            }
+        }
     }
-    multiply(
-        MatrixMut::new(y, rows, shape.output),
-        Store::Add,
-        Matrix::new(x, rows, shape.input),
-        Matrix::new(weight, shape.output, shape.input).transposed(),
-    );
 }
 
 /// Writes `y [rows, output]` from `x [rows, input]` and `weight [output, input]`.
@@ -66,9 +93,21 @@ pub fn backward_weight(shape: LinearShape, x: &[f32], d_y: &[f32], d_weight: &mu
 
 /// Adds to `d_bias [output]` the column sums of `d_y`.
 pub fn backward_bias(d_y: &[f32], d_bias: &mut [f32]) {
-    for row in d_y.chunks_exact(d_bias.len()) {
-        for (sum, d) in d_bias.iter_mut().zip(row) {
-            *sum += d;
+    run_widest(BackwardBias { d_y, d_bias });
+}
+
+struct BackwardBias<'a> {
+    d_y: &'a [f32],
+    d_bias: &'a mut [f32],
+}
+
+impl Work for BackwardBias<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        for row in self.d_y.chunks_exact(self.d_bias.len()) {
+            add_scaled(self.d_bias, 1.0, row);
         }
     }
 }

@@ -1,16 +1,43 @@
 //! The rectifier `max(0, x)`, in place.
 
+use super::wide::{Work, run_widest};
+
 /// Replaces negative values by zero.
 pub fn forward(values: &mut [f32]) {
-    for value in values {
-        *value = value.max(0.0);
+    run_widest(Forward(values));
+}
+
+struct Forward<'a>(&'a mut [f32]);
+
+impl Work for Forward<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        for value in self.0 {
+            *value = value.max(0.0);
+        }
     }
 }
 
 /// Zeroes the gradient where the rectified `output` is zero.
 pub fn backward(output: &[f32], gradient: &mut [f32]) {
-    for (output, gradient) in output.iter().zip(gradient) {
-        *gradient = if *output > 0.0 { *gradient } else { 0.0 };
+    run_widest(Backward { output, gradient });
+}
+
+struct Backward<'a> {
+    output: &'a [f32],
+    gradient: &'a mut [f32],
+}
+
+impl Work for Backward<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        for (output, gradient) in self.output.iter().zip(self.gradient) {
+            *gradient = if *output > 0.0 { *gradient } else { 0.0 };
+        }
     }
 }
 

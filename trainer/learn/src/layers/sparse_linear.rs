@@ -3,18 +3,22 @@
 //! One-hot features turn the product into a sum of a dozen weight rows, so the weight is stored
 //! `[input, output]` and zero features cost nothing. The result equals the dense product.
 
+use super::wide::{Work, run_widest};
+
+use super::vectors::{add_scaled, weighted_sum};
+
 /// Rows of features without their zeros.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SparseRows {
     /// Row r owns the entries `ends[r] .. ends[r + 1]`; the first end is 0.
     ends: Vec<u32>,
-    columns: Vec<u16>,
-    values: Vec<f32>,
+    /// Columns and values.
+    entries: Vec<(u16, f32)>,
 }
 
 impl Default for SparseRows {
     fn default() -> Self {
-        Self { ends: vec![0], columns: Vec::new(), values: Vec::new() }
+        Self { ends: vec![0], entries: Vec::new() }
     }
 }
 
@@ -22,19 +26,17 @@ impl SparseRows {
     /// Forgets all rows, keeps the memory.
     pub fn clear(&mut self) {
         self.ends.truncate(1);
-        self.columns.clear();
-        self.values.clear();
+        self.entries.clear();
     }
 
     /// Adds one feature to the row that the next [`end_row`](Self::end_row) closes.
     pub fn push(&mut self, column: usize, value: f32) {
-        self.columns.push(column as u16);
-        self.values.push(value);
+        self.entries.push((column as u16, value));
     }
 
     /// Closes a row.
     pub fn end_row(&mut self) {
-        self.ends.push(self.columns.len() as u32);
+        self.ends.push(self.entries.len() as u32);
     }
 
     /// Adds and closes a row given in full.
@@ -49,10 +51,9 @@ impl SparseRows {
 
     /// Adds all closed rows of another collection.
     pub fn append(&mut self, other: &Self) {
-        let entries = self.columns.len() as u32;
+        let entries = self.entries.len() as u32;
         self.ends.extend(other.ends[1..].iter().map(|end| entries + end));
-        self.columns.extend_from_slice(&other.columns);
-        self.values.extend_from_slice(&other.values);
+        self.entries.extend_from_slice(&other.entries);
     }
 
     /// Number of closed rows.
@@ -62,7 +63,7 @@ impl SparseRows {
 
     /// Number of non-zero features in all rows.
     pub fn entries(&self) -> usize {
-        self.values.len()
+        self.entries.len()
     }
 
     /// Whether no row has been closed.
@@ -71,38 +72,76 @@ impl SparseRows {
     }
 
     /// Columns and values of the non-zero features of a row.
-    pub fn row(&self, row: usize) -> impl Iterator<Item = (usize, f32)> + '_ {
+    #[inline(always)]
+    pub fn row(&self, row: usize) -> impl Iterator<Item = (usize, f32)> + Clone + '_ {
         let range = self.ends[row] as usize..self.ends[row + 1] as usize;
-        self.columns[range.clone()]
-            .iter()
-            .map(|c| usize::from(*c))
-            .zip(self.values[range].iter().copied())
+        self.entries[range].iter().map(|(column, value)| (usize::from(*column), *value))
     }
 }
 
 /// Writes `y [rows, width]` from `weight [input, width]` and `bias [width]`.
 pub fn forward(x: &SparseRows, weight: &[f32], bias: &[f32], y: &mut [f32]) {
-    let width = bias.len();
-    for (row, y) in y.chunks_exact_mut(width).enumerate() {
-        y.copy_from_slice(bias);
-        for (column, value) in x.row(row) {
-            for (y, weight) in y.iter_mut().zip(&weight[column * width..][..width]) {
-                *y += value * weight;
-            }
+    run_widest(Forward { x, weight, bias, y });
+}
+
+struct Forward<'a> {
+    x: &'a SparseRows,
+    weight: &'a [f32],
+    bias: &'a [f32],
+    y: &'a mut [f32],
+}
+
+impl Work for Forward<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let width = self.bias.len();
+        for (row, y) in self.y.chunks_exact_mut(width).enumerate() {
+            let terms = self
+                .x
+                .row(row)
+                .map(|(column, value)| (value, &self.weight[column * width..][..width]));
+            weighted_sum::<USUAL_WIDTH>(Some(self.bias), terms, y);
         }
     }
 }
 
 /// Adds the gradients of `weight [input, width]` and `bias [width]`; features have none.
 pub fn backward(x: &SparseRows, d_y: &[f32], d_weight: &mut [f32], d_bias: &mut [f32]) {
-    let width = d_bias.len();
-    for (row, d_y) in d_y.chunks_exact(width).enumerate() {
-        for (sum, d) in d_bias.iter_mut().zip(d_y) {
-            *sum += d;
+    run_widest(Backward { x, d_y, d_weight, d_bias });
+}
+
+struct Backward<'a> {
+    x: &'a SparseRows,
+    d_y: &'a [f32],
+    d_weight: &'a mut [f32],
+    d_bias: &'a mut [f32],
+}
+
+impl Work for Backward<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        match self.d_bias.len() {
+            USUAL_WIDTH => self.descend(USUAL_WIDTH),
+            width => self.descend(width),
         }
-        for (column, value) in x.row(row) {
-            for (sum, d) in d_weight[column * width..][..width].iter_mut().zip(d_y) {
-                *sum += value * d;
+    }
+}
+
+/// The width of the presets, for which the loops are built with a constant length.
+const USUAL_WIDTH: usize = 64;
+
+impl Backward<'_> {
+    #[inline(always)]
+    fn descend(self, width: usize) {
+        let d_bias = &mut self.d_bias[..width];
+        for (row, d_y) in self.d_y.chunks_exact(width).enumerate() {
+            add_scaled(d_bias, 1.0, d_y);
+            for (column, value) in self.x.row(row) {
+                add_scaled(&mut self.d_weight[column * width..][..width], value, d_y);
             }
         }
     }

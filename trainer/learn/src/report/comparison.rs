@@ -20,6 +20,8 @@ pub struct Comparison {
     pub runs: Vec<RunSummary>,
     /// Success by team, for the labels whose runs have a final evaluation.
     pub teams: Vec<TeamSummary>,
+    /// Why episodes failed, for the labels whose runs all say so.
+    pub causes: Vec<CauseSummary>,
     /// What a reader must know to judge the figures.
     pub notes: Vec<String>,
 }
@@ -107,6 +109,17 @@ pub struct TeamSummary {
     pub success: Spread,
 }
 
+/// How often the runs of a label failed for one cause.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CauseSummary {
+    /// The cause, as evaluations name it.
+    pub cause: String,
+    /// The label.
+    pub label: String,
+    /// Share of all episodes that failed for it.
+    pub share: Spread,
+}
+
 impl Comparison {
     /// Compares groups, each of at least one run.
     pub fn of(title: &str, groups: &[Group]) -> Self {
@@ -115,6 +128,7 @@ impl Comparison {
             groups: groups.iter().filter_map(GroupSummary::of).collect(),
             runs: groups.iter().flat_map(RunSummary::of).collect(),
             teams: teams(groups),
+            causes: causes(groups),
             notes: notes(groups),
         }
     }
@@ -215,6 +229,36 @@ fn teams(groups: &[Group]) -> Vec<TeamSummary> {
         .collect()
 }
 
+/// Causes in the order of their names; labels in the order given.
+fn causes(groups: &[Group]) -> Vec<CauseSummary> {
+    let results = |group: &Group| -> Vec<FinalResult> {
+        let told = |result: &FinalResult| !result.failures.is_empty() && result.episodes > 0;
+        group.runs.iter().filter_map(|run| run.result.clone().filter(told)).collect()
+    };
+    let results: Vec<(&Group, Vec<FinalResult>)> = groups
+        .iter()
+        .map(|group| (group, results(group)))
+        .filter(|(group, results)| results.len() == group.runs.len())
+        .collect();
+    let names: BTreeSet<&String> =
+        results.iter().flat_map(|(_, results)| results).flat_map(|r| r.failures.keys()).collect();
+    let summary = |cause: &str, group: &Group, results: &[FinalResult]| {
+        let share = |result: &FinalResult| {
+            let failed = result.failures.get(cause).copied().unwrap_or(0);
+            failed as f64 / result.episodes as f64
+        };
+        let share = Spread::of(results.iter().map(share))?;
+        Some(CauseSummary { cause: cause.to_owned(), label: group.label.clone(), share })
+    };
+    let summary = &summary;
+    names
+        .into_iter()
+        .flat_map(|cause| {
+            results.iter().filter_map(move |(group, results)| summary(cause, group, results))
+        })
+        .collect()
+}
+
 fn notes(groups: &[Group]) -> Vec<String> {
     let mut notes = Vec::new();
     for group in groups {
@@ -269,6 +313,7 @@ pub(super) mod tests {
             length_mean: Some(60.0),
             timeouts: Some(0.125),
             none_burned: Some(0.75),
+            failures: [("burned_late".to_owned(), teams.len())].into(),
             by_team: teams.iter().map(team).collect(),
         });
         run
@@ -308,6 +353,16 @@ pub(super) mod tests {
         assert_eq!((steps.mean, steps.min, steps.max), (300.0, 200.0, 400.0));
         assert_eq!(until["0.60"].cpu_s.unwrap().max, 0.4);
         assert_eq!(until["0.80"], Until { reached: 0, env_steps: None, cpu_s: None });
+    }
+
+    #[test]
+    fn causes_are_shares_of_all_episodes() {
+        let told = vec![evaluated(1, 0.5, &[("ab", 5)]), evaluated(2, 0.5, &[("ab", 7)])];
+        let silent = vec![evaluated(1, 0.5, &[]), run(2, &[(100.0, 0.25)])];
+        let comparison = Comparison::of("t", &[group("x", told), group("y", silent)]);
+        let [cause] = &comparison.causes[..] else { panic!("{:?}", comparison.causes) };
+        assert_eq!((cause.cause.as_str(), cause.label.as_str()), ("burned_late", "x"));
+        assert_eq!(cause.share.mean, 0.1);
     }
 
     #[test]

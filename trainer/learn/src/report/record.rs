@@ -66,6 +66,9 @@ pub struct FinalResult {
     pub timeouts: Option<f64>,
     /// Share of episodes in which no building burned down.
     pub none_burned: Option<f64>,
+    /// Failed episodes by cause.
+    #[serde(default)]
+    pub failures: BTreeMap<String, usize>,
     /// Success by team, its kinds as letters.
     #[serde(default)]
     pub by_team: BTreeMap<String, TeamSuccess>,

@@ -13,6 +13,10 @@ impl Comparison {
             text += "\n## Success by team\n\n";
             text += &self.team_table();
         }
+        if !self.causes.is_empty() {
+            text += "\n## Why episodes failed\n\nShare of all episodes.\n\n";
+            text += &self.cause_table();
+        }
         if !self.notes.is_empty() {
             text += "\n## Notes\n\n";
             text.extend(self.notes.iter().map(|note| format!("- {note}\n")));
@@ -74,31 +78,13 @@ impl Comparison {
     }
 
     fn team_table(&self) -> String {
-        let mut labels: Vec<&str> = Vec::new();
-        let mut teams: Vec<&str> = Vec::new();
-        for summary in &self.teams {
-            if !labels.contains(&summary.label.as_str()) {
-                labels.push(&summary.label);
-            }
-            if !teams.contains(&summary.team.as_str()) {
-                teams.push(&summary.team);
-            }
-        }
-        let mut header = vec!["team".to_owned()];
-        header.extend(labels.iter().map(|label| escaped(label)));
-        let success = |team: &str, label: &str| {
-            let summary = self.teams.iter().find(|s| s.team == team && s.label == label);
-            summary.map_or(String::new(), |summary| share(summary.success))
-        };
-        let success = &success;
-        table(
-            &header,
-            teams.iter().map(|team| {
-                std::iter::once((*team).to_owned())
-                    .chain(labels.iter().map(move |label| success(team, label)))
-                    .collect()
-            }),
-        )
+        let cells = self.teams.iter();
+        grid("team", cells.map(|s| (s.team.as_str(), s.label.as_str(), share(s.success))))
+    }
+
+    fn cause_table(&self) -> String {
+        let cells = self.causes.iter();
+        grid("cause", cells.map(|s| (s.cause.as_str(), s.label.as_str(), share(s.share))))
     }
 
     /// One line per label, a column per figure; units as in [`GroupSummary`].
@@ -146,6 +132,30 @@ fn table<H: AsRef<str>>(header: &[H], rows: impl Iterator<Item = Vec<String>>) -
     text
 }
 
+/// A table of a row per name and a column per label, of cells (name, label, text).
+fn grid<'a>(corner: &str, cells: impl Iterator<Item = (&'a str, &'a str, String)>) -> String {
+    let cells: Vec<_> = cells.collect();
+    let (mut names, mut labels) = (Vec::new(), Vec::new());
+    for (name, label, _) in &cells {
+        if !names.contains(name) {
+            names.push(*name);
+        }
+        if !labels.contains(label) {
+            labels.push(*label);
+        }
+    }
+    let header = std::iter::once(corner.to_owned()).chain(labels.iter().map(|l| escaped(l)));
+    let text = |name: &str, label: &str| {
+        let cell = cells.iter().find(|(n, l, _)| *n == name && *l == label);
+        cell.map_or(String::new(), |(_, _, text)| text.clone())
+    };
+    let row = |name: &&str| {
+        let texts = labels.iter().map(|label| text(name, label));
+        std::iter::once((*name).to_owned()).chain(texts).collect()
+    };
+    table(&header.collect::<Vec<_>>(), names.iter().map(row))
+}
+
 /// Text that stays within its cell.
 fn escaped(text: &str) -> String {
     text.replace('|', "\\|")
@@ -172,6 +182,7 @@ mod tests {
             "| a\\|b | 1 | 0.250 |  |  |  |  |",
             "| method | steps | CPU time | wall time | steps until 0.60 | CPU time until 0.60 | steps until 0.80 | CPU time until 0.80 |",
             "| alma | 300 | 0.3 s | 0.6 s | 200 | 0.2 s | never | never |",
+            "| burned_late | 0.100 ± 0.000 (0.100–0.100) |",
             "| ab | 0.600 ± 0.141 (0.500–0.700) |",
         ] {
             assert!(text.lines().any(|other| other == line), "{line}\n\n{text}");

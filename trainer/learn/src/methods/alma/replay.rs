@@ -158,6 +158,19 @@ impl Replay {
         }
     }
 
+    /// Reads a little of each of these records, so that all are on their way from memory at the same time.
+    pub fn fetch(&self, indices: impl Iterator<Item = usize>) {
+        let RecordLayout { agents, buildings } = self.layout;
+        let read = indices.map(|index| {
+            let place = index * agents;
+            let (first, last) = (&self.agents[place], &self.agents[place + agents - 1]);
+            let building = &self.buildings[index * buildings];
+            self.records[index].size ^ first.task ^ last.task ^ building.next.x
+        });
+        // What was read is not needed, which the compiler must not know.
+        std::hint::black_box(read.fold(0, |sum, read| sum ^ read));
+    }
+
     /// Whether this is a replay of that size whose parts fit together, as one from a file should be.
     pub fn fits(&self, capacity: usize, layout: RecordLayout) -> bool {
         let Self { records, .. } = self;

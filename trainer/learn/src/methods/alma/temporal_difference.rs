@@ -124,6 +124,7 @@ impl Chunk {
         self.next.clear();
         self.next_available.clear();
         self.rewards.clear();
+        replay.fetch(picks.iter().map(|pick| pick.sample as usize));
         for pick in picks {
             exchange(&mut self.marks, self.shape.input - INPUT_COLUMNS, pick.draw);
             let mark = |task: u8| self.marks.get(usize::from(task)).copied().unwrap_or(task);
@@ -229,7 +230,7 @@ fn exchange(marks: &mut Vec<u8>, tasks: usize, draw: u64) {
 impl Loss for Chunk {
     type Network = MixedNetwork;
     type Replay = Replay;
-    const CHUNK: usize = 64;
+    const CHUNK: usize = 128;
 
     fn learn(&mut self, networks: Networks<'_, MixedNetwork>, replay: &Replay, picks: &[Pick]) {
         self.gather(replay, picks);

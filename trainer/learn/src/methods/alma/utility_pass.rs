@@ -73,11 +73,9 @@ impl UtilityPass {
 
         let attended = self.attention.forward(shape.attention(), view.attention, input);
         let looked = sized(&mut self.looked, queries * shape.width);
-        linear::forward(shape.queries(), attended, view.out, view.out_bias, looked);
-        relu::forward(looked);
+        linear::forward_rectified(shape.queries(), attended, view.out, view.out_bias, looked);
         let base = sized(&mut self.base, queries * shape.base);
-        linear::forward(shape.fc2(), looked, view.fc2, view.fc2_bias, base);
-        relu::forward(base);
+        linear::forward_rectified(shape.fc2(), looked, view.fc2, view.fc2_bias, base);
         let utilities = sized(&mut self.utilities, queries * shape.actions);
         linear::forward(shape.head(), base, view.head, view.head_bias, utilities);
         utilities

@@ -1,0 +1,169 @@
+//! A plan before a judge: the source graph in an independent engine, family by family of inputs.
+
+use sortie_bundle::OwnedObservation;
+use sortie_core::allocate::{PlanTeamValue, TeamValueNetwork};
+use sortie_core::choose::masked_argmax;
+use sortie_core::plan::{AlignedBytes, Plan};
+use sortie_core::{PlanPolicy, Policy};
+
+use crate::engine::{AgentEngine, TeamValueEngine};
+use crate::error::CompileError;
+use crate::families::{Family, Standard};
+use crate::graph_inputs::all_finite;
+use crate::observations::OwnedTeamQuery;
+#[cfg(feature = "onnxruntime")]
+use crate::onnxruntime::{OnnxRuntime, OnnxRuntimePolicy, OnnxRuntimeTeamValue};
+use crate::parity::{Comparison, magnitude};
+use crate::tract_policy::TractPolicy;
+use crate::tract_team_value::TractTeamValue;
+
+/// An engine that runs the source graph itself.
+#[derive(Clone, Copy, Debug)]
+pub enum Judge {
+    /// tract, on the simplified graph.
+    Tract,
+    /// onnxruntime, on the file as it is.
+    #[cfg(feature = "onnxruntime")]
+    OnnxRuntime(&'static OnnxRuntime),
+}
+
+impl Judge {
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Tract => "tract",
+            #[cfg(feature = "onnxruntime")]
+            Self::OnnxRuntime(_) => "onnxruntime",
+        }
+    }
+
+    fn agent(self, onnx: &[u8], features: usize) -> Result<Box<dyn AgentEngine>, CompileError> {
+        Ok(match self {
+            Self::Tract => Box::new(TractPolicy::new(onnx, features)?),
+            #[cfg(feature = "onnxruntime")]
+            Self::OnnxRuntime(runtime) => {
+                Box::new(OnnxRuntimePolicy::new(runtime, onnx, features)?)
+            }
+        })
+    }
+
+    fn team_value(self, onnx: &[u8]) -> Result<Box<dyn TeamValueEngine>, CompileError> {
+        Ok(match self {
+            Self::Tract => Box::new(TractTeamValue::new(onnx)?),
+            #[cfg(feature = "onnxruntime")]
+            Self::OnnxRuntime(runtime) => Box::new(OnnxRuntimeTeamValue::new(runtime, onnx)?),
+        })
+    }
+}
+
+/// Compares an agent's plan with its graph, a comparison for each family.
+///
+/// A plan refuses a feature or a utility that is not finite; graphs compute on. Where a graph's utilities
+/// are not finite either, both have given no answer, and agree; see [`Standard`] for what is no number.
+/// Families hold no recurrent states, so that an agent with memory is not judged.
+pub fn judge_agent(
+    plan: &[u8],
+    onnx: &[u8],
+    judge: Judge,
+    families: &[Family<OwnedObservation>],
+) -> Result<Vec<Comparison>, CompileError> {
+    let plan = AlignedBytes::copy_of(plan);
+    let plan = Plan::load(plan.as_slice())?;
+    if plan.hidden() != 0 {
+        let (what, got) = ("the recurrent state", plan.hidden());
+        return Err(CompileError::Size { what, got, want: 0 });
+    }
+    let mut engine = judge.agent(onnx, plan.header().features as usize)?;
+    let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
+    let mut policy = PlanPolicy::new(plan, arena.as_mut_slice())?;
+    let compare = |family| compare_agents(&mut policy, engine.as_mut(), family);
+    Ok(families.iter().map(compare).collect())
+}
+
+fn compare_agents(
+    policy: &mut dyn Policy,
+    engine: &mut dyn AgentEngine,
+    family: &Family<OwnedObservation>,
+) -> Comparison {
+    let mut comparison = Comparison::of_family(family);
+    let (mut got, mut want) = (vec![0.0; policy.actions()], vec![0.0; policy.actions()]);
+    for observation in &family.inputs {
+        let view = observation.view();
+        let ours = policy.utilities(&view, &mut got).is_ok();
+        let theirs = engine.run(&view, family.rows, &mut want).is_ok() && all_finite(&want);
+        if family.standard == Standard::Refusal {
+            comparison.add_no_number(!ours, theirs);
+            continue;
+        }
+        if !ours || !theirs {
+            comparison.add_refusal(ours == theirs);
+            continue;
+        }
+        // The choice is a path of its own in a plan.
+        let chosen = policy.decide(&view).map(|decision| decision.action);
+        let wanted = masked_argmax(&want, view.available).map(|decision| decision.action);
+        if chosen.is_ok() && wanted.is_ok() {
+            comparison.add(&got, &want, chosen == wanted);
+        } else {
+            comparison.add_unchosen(&got, &want, chosen == wanted);
+        }
+    }
+    comparison
+}
+
+/// Compares an allocator's plan with its graph, a comparison for each family.
+///
+/// Errors are measured against the largest value of a family: values are added up and compared with each other.
+pub fn judge_team_values(
+    plan: &[u8],
+    onnx: &[u8],
+    judge: Judge,
+    families: &[Family<OwnedTeamQuery>],
+) -> Result<Vec<Comparison>, CompileError> {
+    let plan = AlignedBytes::copy_of(plan);
+    let plan = Plan::load(plan.as_slice())?;
+    let mut engine = judge.team_value(onnx)?;
+    let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
+    let entities = families.iter().flat_map(|family| &family.inputs);
+    let entities = entities.map(|query| query.state.entities()).max().unwrap_or(0);
+    let mut rows = vec![0.0; PlanTeamValue::row_floats(&plan, entities)];
+    let mut network = PlanTeamValue::new(plan, arena.as_mut_slice(), &mut rows)?;
+    let compare = |family| compare_values(&mut network, engine.as_mut(), family);
+    Ok(families.iter().map(compare).collect())
+}
+
+fn compare_values(
+    network: &mut dyn TeamValueNetwork,
+    engine: &mut dyn TeamValueEngine,
+    family: &Family<OwnedTeamQuery>,
+) -> Comparison {
+    let mut comparison = Comparison::of_family(family);
+    let (mut got, mut want) = (Vec::new(), Vec::new());
+    for query in &family.inputs {
+        let state = query.state.view();
+        let query = query.view(&state);
+        let ours = network.value(&query);
+        let theirs = engine.run(&query, family.rows).ok().filter(|value| value.is_finite());
+        match (ours, theirs) {
+            (ours, theirs) if family.standard == Standard::Refusal => {
+                comparison.add_no_number(ours.is_err(), theirs.is_some());
+            }
+            (Ok(ours), Some(theirs)) => {
+                got.push(ours);
+                want.push(theirs);
+            }
+            (ours, theirs) => comparison.add_refusal(ours.is_ok() == theirs.is_some()),
+        }
+    }
+    let largest = magnitude(&want);
+    for (got, want) in got.iter().zip(&want) {
+        comparison.add_on_scale(largest, &[*got], &[*want], true);
+    }
+    comparison
+}
+
+impl Comparison {
+    fn of_family<T>(family: &Family<T>) -> Self {
+        Self { judged: family.standard != Standard::Nothing, ..Self::new(family.name) }
+    }
+}

@@ -1,0 +1,41 @@
+//! Rows of a matrix, in any order.
+
+use crate::limits::ENTITIES;
+
+/// Rows that stand somewhere in a matrix.
+#[derive(Clone, Copy, Debug)]
+pub struct Rows<'a> {
+    /// The matrix.
+    pub floats: &'a [f32],
+    /// Its columns.
+    pub width: usize,
+    /// Which of its rows are meant, one after the other.
+    pub slots: &'a [u8],
+}
+
+/// All slots in order.
+static IN_ORDER: [u8; ENTITIES] = {
+    let mut slots = [0; ENTITIES];
+    let (mut rest, mut slot) = (slots.as_mut_slice(), 0);
+    while let Some((first, others)) = rest.split_first_mut() {
+        *first = slot;
+        slot += 1;
+        rest = others;
+    }
+    slots
+};
+
+impl<'a> Rows<'a> {
+    /// The first rows of a matrix, at most as many as there can be entities.
+    #[inline]
+    pub fn first(floats: &'a [f32], width: usize, count: usize) -> Self {
+        Self { floats, width, slots: IN_ORDER.get(..count).unwrap_or(&IN_ORDER) }
+    }
+
+    /// The row in a slot, empty where there is none.
+    #[inline(always)]
+    pub fn row(&self, slot: u8) -> &'a [f32] {
+        let start = usize::from(slot) * self.width;
+        self.floats.get(start..start + self.width).unwrap_or(&[])
+    }
+}

@@ -1,0 +1,80 @@
+//! What the caller reads of a network over all entities.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Place, Scratch, Sizes, place};
+use crate::kernels::product::padded;
+use crate::limits;
+use crate::math::all_finite;
+use crate::policy::DecideError;
+
+/// What the rows of an output stand for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub enum OutputRows {
+    /// One row.
+    One,
+    /// A row for every entity; those of absent ones are zeros.
+    Entities,
+    /// A row for every one of so many groups.
+    Groups(u16),
+}
+
+/// One output of a network that has several; outputs come in the order of the source graph.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Output {
+    /// The values; a row is padded.
+    pub from: Place,
+    /// Floats of a row, without padding.
+    pub width: u16,
+    /// What the rows stand for.
+    pub rows: OutputRows,
+}
+
+impl Output {
+    pub(super) fn check(&self, sizes: &Sizes) -> bool {
+        let padded = padded(usize::from(self.width));
+        let fits = match self.rows {
+            OutputRows::One => self.from.len as usize == padded,
+            OutputRows::Entities => sizes.holds_rows(&self.from, padded),
+            OutputRows::Groups(groups) => {
+                usize::from(groups) <= limits::TASKS
+                    && self.from.len as usize == usize::from(groups) * padded
+            }
+        };
+        self.width > 0 && fits && sizes.holds(&self.from)
+    }
+
+    /// Copies the values out, padding left behind.
+    pub(crate) fn read(&self, scratch: &Scratch<'_>, to: &mut [f32]) -> Result<(), DecideError> {
+        let width = usize::from(self.width);
+        let rows = place(scratch.floats, &self.from)?.chunks_exact(padded(width));
+        match self.rows {
+            OutputRows::One | OutputRows::Groups(_) => {
+                if to.len() != width * rows.len() {
+                    return Err(DecideError::BadLength);
+                }
+                for (to, row) in to.chunks_exact_mut(width.max(1)).zip(rows) {
+                    copy(row, to)?;
+                }
+            }
+            OutputRows::Entities => {
+                to.fill(0.0);
+                for (entity, row) in scratch.present.iter().zip(rows) {
+                    let start = entity.saturating_mul(width);
+                    let to = to.get_mut(start..start.saturating_add(width));
+                    copy(row, to.ok_or(DecideError::BadLength)?)?;
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Copies a row without its padding.
+fn copy(row: &[f32], to: &mut [f32]) -> Result<(), DecideError> {
+    for (to, from) in to.iter_mut().zip(row) {
+        *to = *from;
+    }
+    all_finite(to).then_some(()).ok_or(DecideError::NonFinite)
+}

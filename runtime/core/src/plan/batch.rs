@@ -1,0 +1,200 @@
+//! Decisions of several agents in one call.
+//!
+//! Observations of one frame are worked on together, as many as the arena has room for: rows that several agents
+//! see are embedded once, and every matrix is read once for all of them. Each answer has the bits that the agent
+//! would get alone. An observation with which something is wrong is answered alone, and so gets its own error.
+
+use heapless::Vec;
+use zerocopy::FromBytes;
+
+use super::Plan;
+use crate::choose::masked_argmax;
+use crate::entity_mask::EntityMask;
+use crate::kernels::Kernels;
+use crate::kernels::build::Work;
+use crate::kernels::mark::Marks;
+use crate::limits;
+use crate::ops::OperatorSet;
+use crate::ops::team::{Member, TEAM, Team};
+use crate::policy::{DecideError, Decision, Observation};
+
+/// An agent's utilities in the arena, or why there are none.
+type Computed<'s> = Result<&'s [f32], DecideError>;
+
+impl<S: OperatorSet> Plan<'_, S> {
+    /// Bytes of arena that every agent beyond the first needs to be worked on together with others; 0 where the
+    /// plan decides for one agent after the other.
+    pub fn arena_bytes_per_agent(&self) -> usize {
+        self.program.own_floats().map_or(0, |floats| 4 * floats as usize)
+    }
+
+    /// Bytes of arena with which `agents` agents are worked on together. [`Plan::decide_batch`] takes any
+    /// arena that is enough for one.
+    pub fn batch_arena_bytes(&self, agents: usize) -> usize {
+        let further = agents.min(TEAM).saturating_sub(1);
+        self.arena_bytes() + further * self.arena_bytes_per_agent()
+    }
+
+    /// Decides for every observation as [`Plan::decide`] does. Answers beyond the shorter of the two slices are
+    /// not given.
+    pub fn decide_batch(
+        &self,
+        arena: &mut [u8],
+        observations: &[Observation<'_>],
+        decisions: &mut [Result<Decision, DecideError>],
+    ) {
+        self.run_batch(arena, observations, &mut |index, utilities| {
+            let place = decisions.get_mut(index).zip(observations.get(index));
+            if let Some((decision, observation)) = place {
+                *decision =
+                    utilities.and_then(|utilities| masked_argmax(utilities, observation.available));
+            }
+        });
+    }
+
+    /// Writes the utilities `[B, U]` of every observation as [`Plan::utilities`] does, and whether it could.
+    pub fn utilities_batch(
+        &self,
+        arena: &mut [u8],
+        observations: &[Observation<'_>],
+        utilities: &mut [f32],
+        results: &mut [Result<(), DecideError>],
+    ) {
+        let actions = self.actions();
+        self.run_batch(arena, observations, &mut |index, computed| {
+            let start = index.saturating_mul(actions);
+            let to = utilities.get_mut(start..start.saturating_add(actions));
+            if let Some(result) = results.get_mut(index) {
+                *result = match (computed, to) {
+                    (Ok(computed), Some(to)) if computed.len() == to.len() => {
+                        to.copy_from_slice(computed);
+                        Ok(())
+                    }
+                    (Err(error), _) => Err(error),
+                    _ => Err(DecideError::BadLength),
+                };
+            }
+        });
+    }
+
+    fn run_batch(
+        &self,
+        arena: &mut [u8],
+        observations: &[Observation<'_>],
+        answer: &mut dyn FnMut(usize, Computed<'_>),
+    ) {
+        let mut next = 0;
+        while next < observations.len() {
+            let members = self.team(arena.len(), observations, next);
+            let count = members.len().max(1);
+            let mut alone: Vec<usize, TEAM> = Vec::new();
+            if count == 1
+                || self.run_team(arena, observations, members, &mut alone, answer).is_err()
+            {
+                alone.clear();
+                // There is room for every member.
+                for index in next..next + count {
+                    let _ = alone.push(index);
+                }
+            }
+            for &index in &alone {
+                if let Some(observation) = observations.get(index) {
+                    answer(index, self.run(arena, observation, None));
+                }
+            }
+            next += count;
+        }
+    }
+
+    /// The agents from `next` on that can be worked on together.
+    fn team(
+        &self,
+        arena_bytes: usize,
+        observations: &[Observation<'_>],
+        next: usize,
+    ) -> Vec<Member, TEAM> {
+        let mut members = Vec::new();
+        let spare = arena_bytes.saturating_sub(self.arena_bytes());
+        let further = spare.checked_div(self.arena_bytes_per_agent()).unwrap_or(0);
+        let n_max = self.header.n_max as usize;
+        let mut rows = EntityMask::EMPTY;
+        let mut frame: Option<&Observation<'_>> = None;
+        for (index, observation) in observations.iter().enumerate().skip(next).take(further + 1) {
+            rows = rows.or(&observation.visible);
+            rows.insert(observation.self_index);
+            let fits = rows.len() <= n_max + 1
+                && observation.visible.len() <= n_max
+                && observation.self_index < limits::ENTITIES
+                && is_same_frame(frame.get_or_insert(observation), observation);
+            if !fits || members.push(Member { index, ..Member::default() }).is_err() {
+                break;
+            }
+        }
+        members
+    }
+
+    /// Works for a team; who is to be asked alone afterwards is added to `alone`.
+    fn run_team(
+        &self,
+        arena: &mut [u8],
+        observations: &[Observation<'_>],
+        members: Vec<Member, TEAM>,
+        alone: &mut Vec<usize, TEAM>,
+        answer: &mut dyn FnMut(usize, Computed<'_>),
+    ) -> Result<(), DecideError> {
+        let own_floats = self.program.own_floats().ok_or(DecideError::BadLength)? as usize;
+        let shared = (self.program.floats as usize).saturating_sub(own_floats);
+        let rest = arena.split_at_mut_checked(4 * shared);
+        let (rows, rest) = rest.ok_or(DecideError::BadLength)?;
+        let rest = rest.split_at_mut_checked(4 * own_floats * members.len());
+        let (own, rest) = rest.ok_or(DecideError::BadLength)?;
+        let marks = rest.get_mut(..8 * self.program.nonzeros as usize);
+        let mut team = Team {
+            rows: <[f32]>::mut_from_bytes(rows).map_err(|_| DecideError::BadLength)?,
+            own: <[f32]>::mut_from_bytes(own).map_err(|_| DecideError::BadLength)?,
+            own_floats: own_floats.max(1),
+            nonzeros: marks
+                .and_then(|marks| <[Marks]>::mut_from_bytes(marks).ok())
+                .ok_or(DecideError::BadLength)?,
+            members,
+        };
+        self.execute(TeamExecution { plan: self, observations, team: &mut team })?;
+        let place = self.program.utilities().ok_or(DecideError::BadLength)?;
+        let place = team.own_place(&place);
+        for (member, floats) in
+            team.members.iter().zip(team.own.chunks_exact(team.own_floats.max(1)))
+        {
+            if member.alone {
+                let _ = alone.push(member.index);
+                continue;
+            }
+            let utilities = floats.get(place.range()).ok_or(DecideError::BadLength);
+            answer(member.index, utilities.and_then(super::finite));
+        }
+        Ok(())
+    }
+}
+
+/// Whether two agents look at the same rows.
+fn is_same_frame(a: &Observation<'_>, b: &Observation<'_>) -> bool {
+    core::ptr::eq(a.rows, b.rows)
+        && a.stride == b.stride
+        && core::ptr::eq(a.last_actions, b.last_actions)
+}
+
+struct TeamExecution<'p, 'a, 's, S: OperatorSet> {
+    plan: &'p Plan<'a, S>,
+    observations: &'p [Observation<'p>],
+    team: &'p mut Team<'s>,
+}
+
+impl<S: OperatorSet> Work for TeamExecution<'_, '_, '_, S> {
+    type Output = Result<(), DecideError>;
+
+    fn run(self, kernels: impl Kernels) -> Self::Output {
+        for op in &self.plan.program.ops {
+            op.run_team::<S>(kernels, self.plan.weights, self.observations, self.team)?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,64 @@
+//! What benchmarks decide on: observations and allocation states of real episodes, played by the bundle itself.
+
+use sortie_bundle::{Bundle, OwnedAllocationState, Recording};
+use sortie_core::{AllocateError, AllocationState, Allocator, Policy};
+use sortie_envs::save_the_city::AllocationRule;
+use sortie_learn::evaluate::{DeployedAllocator, EvaluationPlan, PolicyTeam, evaluate};
+
+use crate::failure::Failure;
+use crate::observations::RecordingPolicy;
+
+/// Episodes that are recorded: some thousand observations.
+const EPISODES: usize = 64;
+
+/// Plays episodes of a scenario set under the coordinated rule and records what every agent sees.
+pub(super) fn record(
+    bundle: &Bundle,
+    policy: &mut dyn Policy,
+    set: &str,
+    seed: u64,
+) -> Result<Recording, Failure> {
+    let plan = EvaluationPlan::new(set, EPISODES, seed)?;
+    let mut recorder = RecordingPolicy::new(policy, bundle);
+    evaluate(&plan, &mut PolicyTeam::new(&mut recorder), &mut AllocationRule::Coordinated)?;
+    Ok(recorder.into_recording())
+}
+
+/// Plays episodes with an allocator and keeps the states that it was asked about.
+pub(super) fn allocation_states(
+    policy: &mut dyn Policy,
+    allocator: impl Allocator,
+    set: &str,
+    seed: u64,
+) -> Result<Vec<OwnedAllocationState>, Failure> {
+    let plan = EvaluationPlan::new(set, EPISODES, seed)?;
+    let mut states = Vec::new();
+    let diary = Diary { allocator, states: &mut states };
+    evaluate(&plan, &mut PolicyTeam::new(policy), &mut DeployedAllocator(Box::new(diary)))?;
+    Ok(states)
+}
+
+/// An allocator that keeps what it is asked.
+struct Diary<'a, A> {
+    allocator: A,
+    states: &'a mut Vec<OwnedAllocationState>,
+}
+
+impl<A: Allocator> Allocator for Diary<'_, A> {
+    fn allocate(
+        &mut self,
+        state: &AllocationState<'_>,
+        allocation: &mut [u8],
+    ) -> Result<(), AllocateError> {
+        self.states.push(OwnedAllocationState {
+            agents: state.agents,
+            tasks: state.tasks,
+            rows: state.rows.to_vec(),
+            features: state.stride,
+            present: state.present,
+            entity_task: state.entity_task.to_vec(),
+            open_tasks: state.open_tasks,
+        });
+        self.allocator.allocate(state, allocation)
+    }
+}

@@ -1,0 +1,146 @@
+//! The inner loops of the layers: sums of products, in a fixed order.
+//!
+//! All are inlined into their callers, which are built a second time for AVX2 (see
+//! [`sortie_core::kernels::wide`]). Without fused multiply-add both builds give the same bits.
+
+/// Adds `factor` times `values` to `out`.
+#[inline(always)]
+pub(super) fn add_scaled(out: &mut [f32], factor: f32, values: &[f32]) {
+    let (out, out_rest) = out.as_chunks_mut::<8>();
+    let (values, values_rest) = values.as_chunks::<8>();
+    for (out, values) in out.iter_mut().zip(values) {
+        // A local copy: that nothing is written before all is read lets the compiler take all at once.
+        let mut sums = *out;
+        for (sum, value) in sums.iter_mut().zip(values) {
+            *sum += factor * value;
+        }
+        *out = sums;
+    }
+    for (out, value) in out_rest.iter_mut().zip(values_rest) {
+        *out += factor * value;
+    }
+}
+
+/// Writes to `out` the sum of `start`, if any, and of every vector in `terms` times its factor.
+///
+/// The terms are gone through once for every `LANES` columns, whose sums stay in registers meanwhile.
+#[inline(always)]
+pub(super) fn weighted_sum<'a, const LANES: usize>(
+    start: Option<&[f32]>,
+    terms: impl Iterator<Item = (f32, &'a [f32])> + Clone,
+    out: &mut [f32],
+) {
+    let (blocks, rest) = out.as_chunks_mut::<LANES>();
+    let mut column = 0;
+    for block in blocks {
+        let chunk = |values: &[f32]| values[column..].first_chunk::<LANES>().copied();
+        let mut sums = start.and_then(chunk).unwrap_or([0.0; LANES]);
+        for (factor, values) in terms.clone() {
+            let values = values[column..].first_chunk::<LANES>().expect("as long as the sum");
+            for i in 0..LANES {
+                sums[i] += factor * values[i];
+            }
+        }
+        *block = sums;
+        column += LANES;
+    }
+    match start {
+        Some(start) => rest.copy_from_slice(&start[column..]),
+        None => rest.fill(0.0),
+    }
+    for (factor, values) in terms {
+        add_scaled(rest, factor, &values[column..]);
+    }
+}
+
+/// Vectors whose dot products are taken at once.
+const GROUP: usize = 4;
+
+/// Writes the dot products of the vectors that stand behind each other in `a` and in `b`, as many as `out`.
+#[inline(always)]
+pub(super) fn dots(a: &[f32], b: &[f32], out: &mut [f32]) {
+    let width = a.len() / out.len().max(1);
+    write_dots(out, |index| (&a[index * width..][..width], &b[index * width..][..width]));
+}
+
+/// Writes the dot products of `b` and each of the vectors that stand behind each other in `a`.
+#[inline(always)]
+pub(super) fn dots_with(a: &[f32], b: &[f32], out: &mut [f32]) {
+    let width = b.len();
+    write_dots(out, |index| (&a[index * width..][..width], b));
+}
+
+/// Writes the dot product of each pair of vectors, which have equal lengths.
+#[inline(always)]
+fn write_dots<'a>(out: &mut [f32], pair: impl Fn(usize) -> (&'a [f32], &'a [f32])) {
+    let (groups, rest) = out.as_chunks_mut::<GROUP>();
+    let grouped = groups.len() * GROUP;
+    for (index, group) in groups.iter_mut().enumerate() {
+        *group = group_of_dots(|vector| pair(index * GROUP + vector));
+    }
+    for (index, out) in rest.iter_mut().enumerate() {
+        [*out] = group_of_dots(|_| pair(grouped + index));
+    }
+}
+
+/// Dot products in four lanes each, which are joined for all of them at once.
+#[inline(always)]
+fn group_of_dots<'a, const COUNT: usize>(
+    pair: impl Fn(usize) -> (&'a [f32], &'a [f32]),
+) -> [f32; COUNT] {
+    let mut lanes = [[0.0_f32; 4]; COUNT];
+    for (vector, lanes) in lanes.iter_mut().enumerate() {
+        let (a, b) = pair(vector);
+        let (a, a_rest) = a.as_chunks::<4>();
+        let (b, b_rest) = b.as_chunks::<4>();
+        for (a, b) in a.iter().zip(b) {
+            for lane in 0..4 {
+                lanes[lane] += a[lane] * b[lane];
+            }
+        }
+        for ((lane, a), b) in lanes.iter_mut().zip(a_rest).zip(b_rest) {
+            *lane += a * b;
+        }
+    }
+    lanes.map(|[a, b, c, d]| (a + c) + (b + d))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::layers::gradient_check::random;
+
+    fn assert_close(got: &[f32], want: impl Iterator<Item = f32>) {
+        for (got, want) in got.iter().zip(want) {
+            assert!((got - want).abs() < 1e-5, "{got} against {want}");
+        }
+    }
+
+    #[test]
+    fn a_weighted_sum_covers_whole_blocks_and_the_rest() {
+        for width in [3, 16, 21, 40] {
+            let (start, values) = (random(1, width), random(2, 3 * width));
+            let factors = [0.5, -2.0, 0.25];
+            let terms = factors.into_iter().zip(values.chunks_exact(width));
+            let sum = |j: usize| -> f32 {
+                factors.iter().enumerate().map(|(i, factor)| factor * values[i * width + j]).sum()
+            };
+            let mut out = vec![f32::NAN; width];
+            weighted_sum::<16>(None, terms.clone(), &mut out);
+            assert_close(&out, (0..width).map(sum));
+            weighted_sum::<16>(Some(&start), terms, &mut out);
+            assert_close(&out, (0..width).map(|j| start[j] + sum(j)));
+        }
+    }
+
+    #[test]
+    fn dot_products_of_groups_and_of_the_rest_agree_with_plain_sums() {
+        for (count, width) in [(4, 16), (1, 5), (6, 7), (11, 8)] {
+            let (a, b) = (random(1, count * width), random(2, count * width));
+            let mut out = vec![f32::NAN; count];
+            dots(&a, &b, &mut out);
+            let pairs = a.chunks_exact(width).zip(b.chunks_exact(width));
+            assert_close(&out, pairs.map(|(a, b)| a.iter().zip(b).map(|(a, b)| a * b).sum()));
+        }
+    }
+}
