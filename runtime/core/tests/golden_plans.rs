@@ -103,5 +103,5 @@ fn rows_that_overlap_are_refused() {
         self_index: 0,
         available: &[1; 4],
     };
-    assert_eq!(plan.decide(&mut arena.0, &observation), Err(DecideError::BadLength));
+    assert_eq!(plan.decide(&mut arena.0, &observation, None), Err(DecideError::BadLength));
 }
