@@ -10,7 +10,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use sortie_compiler::{CompileOptions, compile};
 
 /// Seeds that every run tries.
-const SEEDS: u64 = 300;
+const SEEDS: u64 = 20;
 
 const FILES: [(&str, &[u8]); 4] = [
     ("agent_eight_heads", include_bytes!("../../../tests/golden/onnx/agent_eight_heads.onnx")),
