@@ -94,7 +94,8 @@ fn a_newer_major_version_is_refused_by_name() {
 #[test]
 fn rows_that_overlap_are_refused() {
     let plan = Plan::load(AGENT).expect("a golden plan");
-    let mut arena = Aligned([0; arena_bytes(AGENT)]);
+    // With room for a team, so that several agents are worked on together.
+    let mut arena = Aligned([0; 8 * arena_bytes(AGENT)]);
     let observation = Observation {
         rows: &[0.0; 30],
         stride: 5,
@@ -104,4 +105,7 @@ fn rows_that_overlap_are_refused() {
         available: &[1; 4],
     };
     assert_eq!(plan.decide(&mut arena.0, &observation, None), Err(DecideError::BadLength));
+    let mut together = [Err(DecideError::Greedy); 2];
+    plan.decide_batch(&mut arena.0, &[observation; 2], &mut together);
+    assert_eq!(together, [Err(DecideError::BadLength); 2]);
 }

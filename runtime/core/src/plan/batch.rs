@@ -122,7 +122,8 @@ impl<S: OperatorSet> Plan<'_, S> {
         for (index, observation) in observations.iter().enumerate().skip(next).take(further + 1) {
             rows = rows.or(&observation.visible);
             rows.insert(observation.self_index);
-            let fits = rows.len() <= n_max + 1
+            let fits = observation.stride >= self.header.features as usize
+                && rows.len() <= n_max + 1
                 && observation.visible.len() <= n_max
                 && observation.self_index < limits::ENTITIES
                 && is_same_frame(frame.get_or_insert(observation), observation);
