@@ -1,5 +1,7 @@
 //! Who decides in a benchmark: a bundle's plans in every profile, tract, onnxruntime and the floor.
 
+use std::path::Path;
+
 use sortie_bundle::Bundle;
 use sortie_compiler::onnxruntime::{BatchedAgents, OnnxRuntime, OnnxRuntimePolicy};
 use sortie_compiler::{CompileError, CompileOptions, compile};
@@ -9,7 +11,9 @@ use sortie_envs::save_the_city::ScenarioSet;
 
 use super::decision::LARGE_SET;
 use super::floor::Floor;
+use super::quantised::quantise_or_note;
 use crate::failure::Failure;
+use crate::onnxruntime::OnnxRuntimeArguments;
 use crate::policy::{Backend, DeployedPolicy};
 
 /// The profiles of our plans, and what their engines are called.
@@ -32,6 +36,8 @@ pub(super) struct Contestants<'b> {
 pub(super) struct OnnxRuntimePeer {
     pub(super) runtime: &'static OnnxRuntime,
     pub(super) alone: OnnxRuntimePolicy,
+    /// The same network quantised by onnxruntime.
+    pub(super) quantised: Option<OnnxRuntimePolicy>,
     pub(super) team: BatchedAgents,
 }
 
@@ -39,7 +45,7 @@ impl<'b> Contestants<'b> {
     /// Compiles the bundle's network in every profile that this machine has.
     pub(super) fn open(
         bundle: &'b Bundle,
-        runtime: Option<&'static OnnxRuntime>,
+        onnxruntime: &OnnxRuntimeArguments,
     ) -> Result<Self, Failure> {
         let folder = bundle.folder();
         let within = |error: CompileError| Failure::from(error).within(folder.display());
@@ -58,7 +64,10 @@ impl<'b> Contestants<'b> {
                 Err(error) => return Err(within(error)),
             }
         }
-        let peer = runtime.map(|runtime| OnnxRuntimePeer::open(runtime, bundle).map_err(within));
+        let runtime = onnxruntime.open_or_note("onnxruntime is not measured");
+        let peer = runtime.map(|runtime| {
+            OnnxRuntimePeer::open(runtime, onnxruntime.python(), bundle).map_err(within)
+        });
         Ok(Self {
             bundle,
             name: folder.file_name().unwrap_or(folder.as_os_str()).display().to_string(),
@@ -77,12 +86,18 @@ impl<'b> Contestants<'b> {
 }
 
 impl OnnxRuntimePeer {
-    fn open(runtime: &'static OnnxRuntime, bundle: &Bundle) -> Result<Self, CompileError> {
+    fn open(
+        runtime: &'static OnnxRuntime,
+        python: Option<&Path>,
+        bundle: &Bundle,
+    ) -> Result<Self, CompileError> {
         let features = bundle.contract().features.into();
         let onnx = bundle.agent_onnx();
         let alone = OnnxRuntimePolicy::new(runtime, onnx, features)?;
+        let quantised = quantise_or_note(python, onnx)
+            .map(|variant| OnnxRuntimePolicy::of_variant(runtime, onnx, &variant, features));
         let team = BatchedAgents::new(runtime, onnx, features)?;
-        Ok(Self { runtime, alone, team })
+        Ok(Self { runtime, alone, quantised: quantised.transpose()?, team })
     }
 }
 

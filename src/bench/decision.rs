@@ -42,11 +42,10 @@ pub(super) struct DecisionArguments {
 }
 
 pub(super) fn measure(arguments: &DecisionArguments) -> Result<Figures, Failure> {
-    let runtime = arguments.onnxruntime.open_or_note("onnxruntime is not measured");
     let mut figures = Figures::default();
     for folder in &arguments.bundles {
         let bundle = open_bundle(folder)?;
-        let mut contestants = Contestants::open(&bundle, runtime)?;
+        let mut contestants = Contestants::open(&bundle, &arguments.onnxruntime)?;
         let recordings = recordings(arguments, &bundle, contestants.first()?.as_mut())?;
         pin(arguments.measuring.pin)?;
         let schedule = Schedule::new(arguments);
@@ -82,6 +81,9 @@ fn alone(
         if let Some(peer) = onnxruntime {
             let version = peer.runtime.version();
             engines.push(engine("onnxruntime", version, |call| case.decide(&mut peer.alone, call)));
+            if let Some(peer) = &mut peer.quantised {
+                engines.push(engine("onnxruntime int8", version, |call| case.decide(peer, call)));
+            }
         }
         engines.push(engine(FLOOR, "", |_| floor.read()));
         let measured = alternate(&mut engines, *pace, schedule.seconds(*pace));

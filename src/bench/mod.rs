@@ -6,6 +6,7 @@ mod contestants;
 mod decision;
 mod environment;
 mod floor;
+mod quantised;
 mod rounds;
 mod scenes;
 mod team;
@@ -195,18 +196,25 @@ impl Figures {
         }
         table.print();
         self.print_arithmetic();
-        for Ratio { case, engine, peer, ratio, low, high, .. } in &self.ratios {
-            if *peer == FLOOR {
-                let [ratio, low, high] = [1.0 / ratio, 1.0 / high, 1.0 / low];
-                println!(
-                    "{case}: {engine} takes {ratio:.2} times the floor (rounds {low:.2} to {high:.2})"
-                );
-                continue;
-            }
-            println!(
-                "{case}: {engine} is {ratio:.1} times as fast as {peer} (rounds {low:.1} to {high:.1})"
-            );
+        self.print_ratios();
+    }
+
+    fn print_ratios(&self) {
+        if self.ratios.is_empty() {
+            return;
         }
+        println!();
+        let mut table = Table::new(&["case", "engine", "", "peer", "rounds"]);
+        for Ratio { case, engine, peer, ratio, low, high, .. } in &self.ratios {
+            let (said, low, high) = if *peer == FLOOR {
+                (format!("takes {:.2} times", 1.0 / ratio), 1.0 / high, 1.0 / low)
+            } else {
+                (format!("{ratio:.1} times as fast as"), *low, *high)
+            };
+            let rounds = format!("{low:.2} to {high:.2}");
+            table.row([case.clone(), (*engine).to_owned(), said, (*peer).to_owned(), rounds]);
+        }
+        table.print();
     }
 
     fn print_arithmetic(&self) {
