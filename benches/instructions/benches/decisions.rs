@@ -12,6 +12,9 @@ use sortie_core::decide::PlanPolicy;
 use sortie_core::plan::{AlignedBytes, Plan};
 use sortie_core::{DecideError, Decision, EntityMask, Observation, Policy};
 
+/// Variables that name the bundle's folder, and that of its plans `exact.plan` and so on.
+const BUNDLE: &str = "SORTIE_BUNDLE";
+const PLANS: &str = "SORTIE_PLANS";
 /// Decisions of a benchmark.
 const DECISIONS: usize = 60;
 /// Entities of the frames that are decided on, and agents of a team.
@@ -37,8 +40,8 @@ enum Sight {
 
 fn scene(profile: &str, sight: Sight) -> Scene {
     let variable = |name: &str| std::env::var(name).expect("`.ci/count` sets it");
-    let bundle = Bundle::open(Path::new(&variable("SORTIE_BUNDLE"))).expect("a shipped bundle");
-    let plan = Path::new(&variable("SORTIE_PLANS")).join(profile).with_extension("plan");
+    let bundle = Bundle::open(Path::new(&variable(BUNDLE))).expect("a shipped bundle");
+    let plan = Path::new(&variable(PLANS)).join(profile).with_extension("plan");
     let plan = Box::leak(Box::new(AlignedBytes::copy_of(&std::fs::read(plan).expect("a plan"))));
     let plan = Plan::load(plan.as_slice()).expect("a plan of this version");
     let arena = AlignedBytes::zeroed(plan.batch_arena_bytes(TEAM));
@@ -71,7 +74,9 @@ fn at_most(instructions_per_decision: u64) -> LibraryBenchmarkConfig {
     let limit = instructions_per_decision * DECISIONS as u64 * 101 / 100;
     let mut callgrind = Callgrind::with_args(["--cache-sim=no"]);
     callgrind.hard_limits([(EventKind::Ir, limit)]);
-    LibraryBenchmarkConfig::default().tool(callgrind).clone()
+    let mut config = LibraryBenchmarkConfig::default();
+    config.pass_through_envs([BUNDLE, PLANS]).tool(callgrind);
+    config
 }
 
 #[library_benchmark]
