@@ -143,7 +143,7 @@ impl NetworkMemory {
         let plan = compile_allocator(bundle)?.ok_or(PlanError::WrongNetwork)?;
         let loaded = Plan::load(plan.as_slice())?;
         let arena = AlignedBytes::zeroed(loaded.batch_arena_bytes(sortie_core::limits::AGENTS));
-        let rows = vec![0.0; PlanTeamValue::row_floats(&loaded, entities)];
+        let rows = vec![0.0; PlanTeamValue::memory_floats(&loaded, entities)];
         Ok(Self::Plan { plan, arena, rows })
     }
 

@@ -191,7 +191,7 @@ pub(crate) fn team_values_against_graph(
     let mut reference = TractTeamValue::from_graph(graph)?;
     let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
     let entities = queries.iter().map(|query| query.state.entities()).max().unwrap_or(0);
-    let mut rows = vec![0.0; PlanTeamValue::row_floats(&plan, entities)];
+    let mut rows = vec![0.0; PlanTeamValue::memory_floats(&plan, entities)];
     let mut network = PlanTeamValue::new(plan, arena.as_mut_slice(), &mut rows)?;
     let (mut got, mut want) = (Vec::new(), Vec::new());
     for query in queries {

@@ -50,11 +50,11 @@ pub struct AttendOwn {
 }
 
 impl AttendOwn {
-    fn head_width(&self) -> usize {
+    pub(super) fn head_width(&self) -> usize {
         usize::from(self.query.outputs).checked_div(usize::from(self.heads)).unwrap_or(0)
     }
 
-    fn padded_width(&self) -> usize {
+    pub(super) fn padded_width(&self) -> usize {
         padded(usize::from(self.width))
     }
 
@@ -89,7 +89,7 @@ impl AttendOwn {
         layers && widths && lengths && sizes.hold_apart(&self.places().each_ref())
     }
 
-    fn places(&self) -> [Place; 7] {
+    pub(super) fn places(&self) -> [Place; 7] {
         // Scores are worked on in whole vectors, for which a plan leaves room behind the last one.
         let scores = Place { len: slots(self.scores.len as usize) as u32, ..self.scores };
         let Self { rows, query_place, absorbed, mixed, attended, to, .. } = *self;
@@ -168,6 +168,9 @@ impl AttendOwn {
         weights: &[f32],
         team: &mut Team<'_>,
     ) -> Result<(), DecideError> {
+        if team.shared.len() >= self.shared_floats() && team.is_one_entity() {
+            return self.run_shared(kernels, weights, team);
+        }
         let asks = |member: &Member| member.slots.len() > 1;
         let sees = |member: &Member| !member.slots.is_empty();
         let (width, absorbed) = (usize::from(self.width), &self.absorbed);
@@ -228,17 +231,25 @@ impl AttendOwn {
     }
 
     /// The range of one head's part of q.
-    fn head(&self, head: usize) -> Range<usize> {
+    pub(super) fn head(&self, head: usize) -> Range<usize> {
         let start = head * self.head_width();
         start..start + self.head_width()
     }
 
-    fn keys<'w>(&self, weights: &'w [f32], head: usize) -> Result<&'w [f32], DecideError> {
+    pub(super) fn keys<'w>(
+        &self,
+        weights: &'w [f32],
+        head: usize,
+    ) -> Result<&'w [f32], DecideError> {
         let len = self.keys_len();
         slice(weights, self.keys.saturating_add((head * len) as u32), len)
     }
 
-    fn values<'w>(&self, weights: &'w [f32], head: usize) -> Result<&'w [f32], DecideError> {
+    pub(super) fn values<'w>(
+        &self,
+        weights: &'w [f32],
+        head: usize,
+    ) -> Result<&'w [f32], DecideError> {
         let len = self.values_len();
         slice(weights, self.values.saturating_add((head * len) as u32), len)
     }

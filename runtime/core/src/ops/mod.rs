@@ -6,6 +6,7 @@
 
 mod attend_all;
 mod attend_own;
+mod attend_own_shared;
 mod dense;
 mod embed_entities;
 mod group_sum;
