@@ -122,7 +122,7 @@ impl<P> AddRows for Portable<P> {
     const GROUP: usize = 6;
 
     #[inline(always)]
-    fn parts(self, _: usize) -> usize {
+    fn parts<B: Arithmetic>(self, _: usize) -> usize {
         1
     }
 

@@ -21,7 +21,7 @@ pub trait AddRows: Copy {
     const GROUP: usize;
 
     /// The parts of a row whose sums fit into registers for `count` vectors: 4, 2 or 1.
-    fn parts(self, count: usize) -> usize;
+    fn parts<A: Arithmetic>(self, count: usize) -> usize;
 
     /// For every vector `start`, plus each row of the strip times the vector's input, one row after the other.
     /// There are as many inputs as rows.
@@ -67,7 +67,7 @@ pub fn products<A: Arithmetic, R: AddRows>(
             add_narrow::<A>(tile, column, pairs, around);
         }
         for pairs in pairs.chunks_mut(group) {
-            let parts = adder.parts(pairs.len()).min(width / PART).max(1);
+            let parts = adder.parts::<A>(pairs.len()).min(width / PART).max(1);
             // The last tile, eight columns wide, has no strip.
             for first in (0..width / PART).map(|part| part * PART).step_by(parts) {
                 let strip = Strip { tile, width, first };
@@ -138,7 +138,7 @@ fn add_for<A: Arithmetic, R: AddRows, const PARTS: usize, const COUNT: usize>(
     pairs: &mut [Pair<'_>],
     around: Around<'_>,
 ) {
-    if COUNT > R::GROUP || PARTS > adder.parts(COUNT) {
+    if COUNT > R::GROUP || PARTS > adder.parts::<A>(COUNT) {
         return;
     }
     let Some(pairs) = pairs.first_chunk_mut::<COUNT>() else { return };

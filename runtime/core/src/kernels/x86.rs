@@ -157,8 +157,8 @@ macro_rules! build {
             const GROUP: usize = $vectors::GROUP;
 
             #[inline(always)]
-            fn parts(self, count: usize) -> usize {
-                $vectors::parts(count)
+            fn parts<A: Arithmetic>(self, count: usize) -> usize {
+                $vectors::parts::<A>(count)
             }
 
             #[inline(always)]

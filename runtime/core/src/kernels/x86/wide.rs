@@ -95,7 +95,7 @@ pub(super) fn join(low: [__m256; ROWS], high: [__m256; ROWS]) -> [f32; ROWS] {
 pub(super) const GROUP: usize = 6;
 
 /// See [`crate::kernels::several::AddRows::parts`]: enough sums that none waits for its last addition.
-pub(super) const fn parts(count: usize) -> usize {
+pub(super) const fn parts<A: Arithmetic>(count: usize) -> usize {
     if count <= 3 { 2 } else { 1 }
 }
 
@@ -133,5 +133,5 @@ pub(super) fn add_rows<A: Arithmetic, const PARTS: usize, const COUNT: usize>(
 
 sparse::sparse_product! {
     /// See [`crate::kernels::product::sparse_product`]; the sums of one tile fit into registers.
-    [__m256; 8], _mm256_set1_ps, _mm256_loadu_ps, 1, "avx2,fma,bmi1,bmi2,lzcnt,popcnt"
+    __m256, _mm256_set1_ps, _mm256_loadu_ps, 1, "avx2,fma,bmi1,bmi2,lzcnt,popcnt"
 }

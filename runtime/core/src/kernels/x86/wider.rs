@@ -90,8 +90,16 @@ pub(super) fn four_dots<A: Arithmetic>(vector: &[f32], rows: [&[f32]; ROWS]) -> 
 pub(super) const GROUP: usize = 8;
 
 /// See [`crate::kernels::several::AddRows::parts`]: enough sums that none waits for its last addition.
-pub(super) const fn parts(count: usize) -> usize {
-    if count <= 4 { 4 } else { 2 }
+///
+/// With one part, multiplications take the input from memory. Where additions run beside them, registers cannot
+/// be read fast enough for both.
+pub(super) const fn parts<A: Arithmetic>(count: usize) -> usize {
+    match count {
+        1 => 4,
+        2..=3 => 2,
+        _ if A::FUSED => 2,
+        _ => 1,
+    }
 }
 
 /// See [`crate::kernels::several::AddRows::add_rows`].
@@ -130,5 +138,5 @@ pub(super) fn add_rows<A: Arithmetic, const PARTS: usize, const COUNT: usize>(
 
 sparse::sparse_product! {
     /// See [`crate::kernels::product::sparse_product`]; the sums of two tiles fit into registers.
-    [__m512; 8], _mm512_set1_ps, _mm512_loadu_ps, 2, "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl"
+    __m512, _mm512_set1_ps, _mm512_loadu_ps, 2, "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl"
 }
