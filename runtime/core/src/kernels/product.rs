@@ -172,7 +172,7 @@ impl<'w, 'o> Tiles<'w, 'o> {
 
 /// Takes the rows of a tile off the weights.
 #[inline(always)]
-pub(super) fn split_off_rows<'w, const WIDTH: usize>(
+fn split_off_rows<'w, const WIDTH: usize>(
     weights: &mut &'w [f32],
     rows: usize,
 ) -> Option<&'w [[f32; WIDTH]]> {

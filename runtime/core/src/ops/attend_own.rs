@@ -117,17 +117,22 @@ impl AttendOwn {
         let [rows, query, absorbed, scores, mixed, attended, to] =
             places(scratch.floats, self.places().each_ref())?;
         let rows = Rows::first(rows, self.padded_width(), visible);
+        let heads = usize::from(self.heads);
         let outputs = attended.chunks_exact_mut(padded(self.head_width()));
-        for (head, output) in (0..usize::from(self.heads)).zip(outputs) {
+        for (head, output) in (0..heads).zip(outputs) {
             if visible == 0 {
                 output.fill(0.0);
                 continue;
             }
-            if visible > 1 {
-                let query = query.get(self.head(head)).ok_or(DecideError::BadLength)?;
-                kernels.product(self.keys(weights, head)?, query, Around::NOTHING, absorbed);
+            if head == 0 && visible > 1 {
+                self.absorb(kernels, weights, head, query, absorbed)?;
             }
-            self.attend(kernels, rows, absorbed, scores, mixed)?;
+            let scores = self.weigh(kernels, rows, absorbed, scores)?;
+            // Before the weights are used: while they are waited for, matrices of the next head are read.
+            if head + 1 < heads && visible > 1 {
+                self.absorb(kernels, weights, head + 1, query, absorbed)?;
+            }
+            kernels.mix(scores, rows, mixed);
             let mixed = mixed.get(..usize::from(self.width)).ok_or(DecideError::BadLength)?;
             kernels.product(self.values(weights, head)?, mixed, Around::NOTHING, output);
         }
@@ -136,16 +141,30 @@ impl AttendOwn {
         Ok(())
     }
 
-    /// Mixes rows by one head's scores.
+    /// Computes u of one head.
     #[inline(always)]
-    fn attend(
+    fn absorb(
+        &self,
+        kernels: impl Kernels,
+        weights: &[f32],
+        head: usize,
+        query: &[f32],
+        absorbed: &mut [f32],
+    ) -> Result<(), DecideError> {
+        let query = query.get(self.head(head)).ok_or(DecideError::BadLength)?;
+        kernels.product(self.keys(weights, head)?, query, Around::NOTHING, absorbed);
+        Ok(())
+    }
+
+    /// The weights of rows in one head.
+    #[inline(always)]
+    fn weigh<'s>(
         &self,
         kernels: impl Kernels,
         rows: Rows<'_>,
         absorbed: &[f32],
-        scores: &mut [f32],
-        mixed: &mut [f32],
-    ) -> Result<(), DecideError> {
+        scores: &'s mut [f32],
+    ) -> Result<&'s [f32], DecideError> {
         let visible = rows.slots.len();
         let scores = scores.get_mut(..slots(visible)).ok_or(DecideError::BadLength)?;
         if visible > 1 {
@@ -157,8 +176,7 @@ impl AttendOwn {
             // The weight of a single entity is one, whatever its score.
             scores.fill(1.0);
         }
-        kernels.mix(scores, rows, mixed);
-        Ok(())
+        Ok(scores)
     }
 
     /// As [`Self::run`] for all members of a team.
@@ -205,7 +223,10 @@ impl AttendOwn {
                 continue;
             }
             let rows = Rows { floats: rows, width: self.padded_width(), slots: &member.slots };
-            member.alone |= self.attend(kernels, rows, absorbed, scores, mixed).is_err();
+            match self.weigh(kernels, rows, absorbed, scores) {
+                Ok(scores) => kernels.mix(scores, rows, mixed),
+                Err(_) => member.alone = true,
+            }
         }
         Ok(())
     }

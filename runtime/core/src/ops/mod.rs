@@ -168,6 +168,7 @@ impl Op {
     }
 
     /// As [`Self::run`] for all members of a team, whose observations are of one frame.
+    #[inline(always)]
     pub(crate) fn run_team<S: OperatorSet>(
         &self,
         kernels: impl Kernels,

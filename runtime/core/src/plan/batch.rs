@@ -219,6 +219,7 @@ struct TeamExecution<'p, 'a, 's, S: OperatorSet> {
 impl<S: OperatorSet> Work for TeamExecution<'_, '_, '_, S> {
     type Output = Result<(), DecideError>;
 
+    #[inline(always)]
     fn run(self, kernels: impl Kernels) -> Self::Output {
         for op in &self.plan.program.ops {
             op.run_team::<S>(kernels, self.plan.weights, self.observations, self.team)?;
