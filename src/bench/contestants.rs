@@ -4,7 +4,7 @@ use std::path::Path;
 
 use sortie_bundle::Bundle;
 use sortie_compiler::onnxruntime::{BatchedAgents, OnnxRuntime, OnnxRuntimePolicy};
-use sortie_compiler::{CompileError, CompileOptions, compile};
+use sortie_compiler::{CompileError, CompileOptions};
 use sortie_core::Policy;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
 use sortie_envs::save_the_city::ScenarioSet;
@@ -12,6 +12,7 @@ use sortie_envs::save_the_city::ScenarioSet;
 use super::decision::LARGE_SET;
 use super::floor::Floor;
 use super::quantised::quantise_or_note;
+use crate::compiler::compiler;
 use crate::failure::Failure;
 use crate::onnxruntime::OnnxRuntimeArguments;
 use crate::policy::{Backend, DeployedPolicy};
@@ -111,7 +112,7 @@ fn plan_for_large_teams(bundle: &Bundle, profile: Profile) -> Result<AlignedByte
         profile,
         ..CompileOptions::default()
     };
-    let compiled = compile(bundle.agent_onnx(), &options);
+    let compiled = compiler().compile(bundle.agent_onnx(), &options);
     let failed = |error: CompileError| Failure::from(error).within(bundle.folder().display());
     compiled.map(|compiled| AlignedBytes::copy_of(&compiled.bytes)).map_err(failed)
 }

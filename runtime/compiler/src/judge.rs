@@ -70,7 +70,7 @@ pub fn judge_agent(
     let plan = AlignedBytes::copy_of(plan);
     let plan = Plan::load(plan.as_slice())?;
     if plan.hidden() != 0 {
-        let (what, got) = ("the recurrent state", plan.hidden());
+        let (what, got) = ("the recurrent state".into(), plan.hidden());
         return Err(CompileError::Size { what, got, want: 0 });
     }
     let mut engine = judge.agent(onnx, plan.header().features as usize)?;

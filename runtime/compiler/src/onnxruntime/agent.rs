@@ -58,7 +58,7 @@ impl OnnxRuntimePolicy {
         let graph = Graph::read(onnx)?;
         let roles = graph.agent_roles()?;
         if let Some(memory) = roles.memory {
-            let (what, got) = ("the recurrent state", memory.size);
+            let (what, got) = ("the recurrent state".into(), memory.size);
             return Err(CompileError::Size { what, got, want: 0 });
         }
         let columns = AgentColumns::new(graph.columns, features, graph.actions)?;
