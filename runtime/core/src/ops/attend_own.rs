@@ -5,7 +5,7 @@ use core::ops::Range;
 use serde::{Deserialize, Serialize};
 
 use super::team::{Member, Team};
-use super::{Linear, Place, Scratch, Sizes, places, slice};
+use super::{Linear, Place, Scratch, Sizes, place, places, slice};
 use crate::kernels::Kernels;
 use crate::kernels::product::{Around, Sparse, padded};
 use crate::kernels::rows::Rows;
@@ -186,16 +186,17 @@ impl AttendOwn {
         weights: &[f32],
         team: &mut Team<'_>,
     ) -> Result<(), DecideError> {
-        let asks = |member: &Member| member.slots.len() > 1;
-        let sees = |member: &Member| !member.slots.is_empty();
+        team.appoint_leaders();
+        let leads = |index: usize, member: &Member| member.asks() && member.leader == index;
+        let sees = |_: usize, member: &Member| !member.slots.is_empty();
         let (width, absorbed) = (usize::from(self.width), &self.absorbed);
         let step = padded(self.head_width());
         let (matrix, around) = (self.query.matrix(weights)?, self.query.around(weights, false)?);
-        kernels.products(matrix, &mut team.own_rows(width, &self.query_place, asks), around);
+        kernels.products(matrix, &mut team.own_rows(width, &self.query_place, leads), around);
         for head in 0..usize::from(self.heads) {
             let query = self.query_place.part(self.head(head));
             let matrix = self.keys(weights, head)?;
-            kernels.products(matrix, &mut team.pairs(&query, absorbed, asks), Around::NOTHING);
+            kernels.products(matrix, &mut team.pairs(&query, absorbed, leads), Around::NOTHING);
             self.attend_team(kernels, team)?;
             let mixed = self.mixed.part(0..width);
             let output = self.attended.part(head * step..(head + 1) * step);
@@ -204,7 +205,7 @@ impl AttendOwn {
         }
         let (matrix, around) =
             (self.output.matrix(weights)?, self.output.around(weights, self.relu)?);
-        kernels.products(matrix, &mut team.pairs(&self.attended, &self.to, |_| true), around);
+        kernels.products(matrix, &mut team.pairs(&self.attended, &self.to, |_, _| true), around);
         Ok(())
     }
 
@@ -212,9 +213,18 @@ impl AttendOwn {
     fn attend_team(&self, kernels: impl Kernels, team: &mut Team<'_>) -> Result<(), DecideError> {
         let [_, _, absorbed, scores, mixed, attended, _] = self.places();
         let wanted = [absorbed, scores, mixed, attended].map(|place| team.own_place(&place));
+        let [absorbed, ..] = wanted;
         let Team { rows, own, own_floats, members, .. } = team;
-        for (member, floats) in members.iter_mut().zip(own.chunks_exact_mut((*own_floats).max(1))) {
-            let [absorbed, scores, mixed, attended] = places(floats, wanted.each_ref())?;
+        let own_floats = (*own_floats).max(1);
+        for (index, member) in members.iter_mut().enumerate() {
+            let split = own.split_at_mut_checked(index * own_floats);
+            let (before, floats) = split.ok_or(DecideError::BadLength)?;
+            let floats = floats.get_mut(..own_floats).ok_or(DecideError::BadLength)?;
+            let [own_absorbed, scores, mixed, attended] = places(floats, wanted.each_ref())?;
+            let absorbed = match before.chunks_exact(own_floats).nth(member.leader) {
+                Some(leader) => place(leader, &absorbed)?,
+                None => own_absorbed,
+            };
             if member.slots.is_empty() {
                 attended.fill(0.0);
                 continue;

@@ -67,7 +67,7 @@ impl Dense {
         team: &mut Team<'_>,
     ) -> Result<(), DecideError> {
         let around = self.layer.around(weights, self.relu)?;
-        let pairs = &mut team.pairs(&self.from, &self.to, |_| true);
+        let pairs = &mut team.pairs(&self.from, &self.to, |_, _| true);
         kernels.products(self.layer.matrix(weights)?, pairs, around);
         Ok(())
     }

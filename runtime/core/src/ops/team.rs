@@ -20,6 +20,8 @@ pub(crate) struct Member {
     pub(crate) slots: Vec<u8, { limits::ENTITIES }>,
     /// Its own row.
     pub(crate) own: u8,
+    /// The first member that asks with the same own row, and so the same query: itself, or one before it.
+    pub(crate) leader: usize,
     /// Whether something is wrong with what it sees, so that it is to decide alone and get its own error.
     pub(crate) alone: bool,
 }
@@ -60,7 +62,26 @@ pub(crate) struct Team<'a> {
 /// Inputs and outputs of the members that a product is for.
 pub(crate) type Pairs<'a> = Vec<Pair<'a>, TEAM>;
 
+impl Member {
+    /// Whether it asks others than itself.
+    pub(crate) fn asks(&self) -> bool {
+        self.slots.len() > 1
+    }
+}
+
 impl<'a> Team<'a> {
+    /// Finds out who asks the same.
+    pub(crate) fn appoint_leaders(&mut self) {
+        for index in 0..self.members.len() {
+            let own = self.members.get(index).map(|member| member.own);
+            let asks_the_same = |member: &Member| member.asks() && Some(member.own) == own;
+            let leader = self.members.iter().position(asks_the_same).unwrap_or(index);
+            if let Some(member) = self.members.get_mut(index) {
+                member.leader = leader.min(index);
+            }
+        }
+    }
+
     /// A place among a member's own.
     pub(crate) fn own_place(&self, place: &Place) -> Place {
         // That places lie behind the rows was checked at load.
@@ -72,12 +93,15 @@ impl<'a> Team<'a> {
         &mut self,
         from: &Place,
         to: &Place,
-        wanted: impl Fn(&Member) -> bool,
+        wanted: impl Fn(usize, &Member) -> bool,
     ) -> Pairs<'_> {
         let (from, to) = (self.own_place(from), self.own_place(to));
         let mut pairs = Vec::new();
         let own = self.own.chunks_exact_mut(self.own_floats.max(1));
-        for (_, floats) in self.members.iter().zip(own).filter(|(member, _)| wanted(member)) {
+        for ((index, member), floats) in self.members.iter().enumerate().zip(own) {
+            if !wanted(index, member) {
+                continue;
+            }
             if let Ok([inputs, outputs]) = places(floats, [&from, &to]) {
                 // There is room for every member.
                 let _ = pairs.push(Pair { inputs, outputs });
@@ -91,13 +115,16 @@ impl<'a> Team<'a> {
         &mut self,
         width: usize,
         to: &Place,
-        wanted: impl Fn(&Member) -> bool,
+        wanted: impl Fn(usize, &Member) -> bool,
     ) -> Pairs<'_> {
         let to = self.own_place(to);
         let stride = crate::kernels::product::padded(width);
         let mut pairs = Vec::new();
         let own = self.own.chunks_exact_mut(self.own_floats.max(1));
-        for (member, floats) in self.members.iter().zip(own).filter(|(member, _)| wanted(member)) {
+        for ((index, member), floats) in self.members.iter().enumerate().zip(own) {
+            if !wanted(index, member) {
+                continue;
+            }
             let start = usize::from(member.own) * stride;
             let row = self.rows.get(start..start + width);
             if let (Some(inputs), Ok([outputs])) = (row, places(floats, [&to])) {
