@@ -110,7 +110,7 @@ impl<A: Arithmetic> Kernels for Portable<A> {
     }
 
     fn softmax(self, scores: &mut [f32], count: usize) -> bool {
-        softmax::softmax(scores, count)
+        softmax::softmax(scores, count, softmax::largest)
     }
 
     fn mix(self, weights: &[f32], rows: Rows<'_>, sums: &mut [f32]) {

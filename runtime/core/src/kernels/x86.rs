@@ -217,7 +217,7 @@ macro_rules! build {
 
             #[target_feature(enable = $features)]
             pub(super) fn softmax(scores: &mut [f32], count: usize) -> bool {
-                softmax::softmax(scores, count)
+                softmax::softmax(scores, count, |lanes| $vectors::largest(lanes))
             }
 
             #[target_feature(enable = $features)]

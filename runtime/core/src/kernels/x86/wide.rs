@@ -1,9 +1,10 @@
 //! What is written by hand for AVX2: vectors of eight floats.
 
 use core::arch::x86_64::{
-    __m128, __m256, _CMP_NEQ_UQ, _mm_add_ps, _mm256_add_ps, _mm256_castps256_ps128, _mm256_cmp_ps,
-    _mm256_extractf128_ps, _mm256_fmadd_ps, _mm256_hadd_ps, _mm256_loadu_ps, _mm256_movemask_ps,
-    _mm256_mul_ps, _mm256_set1_ps, _mm256_setzero_ps,
+    __m128, __m256, _CMP_NEQ_UQ, _mm_add_ps, _mm_cvtss_f32, _mm_max_ps, _mm_max_ss,
+    _mm_movehdup_ps, _mm_movehl_ps, _mm256_add_ps, _mm256_castps256_ps128, _mm256_cmp_ps,
+    _mm256_extractf128_ps, _mm256_fmadd_ps, _mm256_hadd_ps, _mm256_loadu_ps, _mm256_max_ps,
+    _mm256_movemask_ps, _mm256_mul_ps, _mm256_set1_ps, _mm256_setzero_ps,
 };
 
 use zerocopy::transmute;
@@ -89,6 +90,17 @@ pub(super) fn join(low: [__m256; ROWS], high: [__m256; ROWS]) -> [f32; ROWS] {
     let halves = [_mm256_castps256_ps128(neighbours), _mm256_extractf128_ps::<1>(neighbours)];
     let [first, second]: [__m128; 2] = halves;
     transmute!(_mm_add_ps(first, second))
+}
+
+/// See [`crate::kernels::softmax::largest`].
+#[inline]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
+pub(super) fn largest(lanes: [f32; PART]) -> f32 {
+    let [low, high]: [__m256; 2] = transmute!(lanes);
+    let eight = _mm256_max_ps(low, high);
+    let four = _mm_max_ps(_mm256_castps256_ps128(eight), _mm256_extractf128_ps::<1>(eight));
+    let two = _mm_max_ps(four, _mm_movehl_ps(four, four));
+    _mm_cvtss_f32(_mm_max_ss(two, _mm_movehdup_ps(two)))
 }
 
 /// Most vectors of inputs whose sums fit into sixteen registers beside weights.

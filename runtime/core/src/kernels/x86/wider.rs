@@ -3,7 +3,7 @@
 use core::arch::x86_64::{
     __m512, _CMP_NEQ_UQ, _mm512_add_ps, _mm512_castps512_ps256, _mm512_cmp_ps_mask,
     _mm512_extractf32x8_ps, _mm512_fmadd_ps, _mm512_fpclass_ps_mask, _mm512_loadu_ps,
-    _mm512_maskz_loadu_ps, _mm512_mul_ps, _mm512_set1_ps, _mm512_setzero_ps,
+    _mm512_maskz_loadu_ps, _mm512_mul_ps, _mm512_reduce_max_ps, _mm512_set1_ps, _mm512_setzero_ps,
 };
 
 use zerocopy::transmute;
@@ -86,6 +86,13 @@ pub(super) fn four_dots<A: Arithmetic>(vector: &[f32], rows: [&[f32]; ROWS]) -> 
         _mm512_extractf32x8_ps::<1>(d),
     ];
     wide::join(low, high)
+}
+
+/// See [`crate::kernels::softmax::largest`].
+#[inline]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
+pub(super) fn largest(lanes: [f32; LANES]) -> f32 {
+    _mm512_reduce_max_ps(transmute!(lanes))
 }
 
 /// Most vectors of inputs whose sums fit into registers beside weights, two for each.
