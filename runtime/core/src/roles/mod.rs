@@ -4,7 +4,9 @@
 //! takes the bell's token first, polls, and waits; nothing here blocks, allocates or panics.
 
 mod allocator;
+mod deadlines;
 mod fallback;
+mod feasible;
 mod newest_allocation;
 mod presence;
 mod runner;
@@ -53,4 +55,26 @@ pub struct Counters {
     pub bad_messages: u64,
     /// Frames and allocations of an earlier term or epoch than the newest.
     pub old_term_rejects: u64,
+}
+
+impl Counters {
+    /// The counters of a status, in the order of the wire; those of loops and bells are not known here.
+    pub(crate) fn to_wire(self) -> [u64; 16] {
+        let mut counters = [0; 16];
+        let known = [
+            self.ticks,
+            self.frame_gaps,
+            self.late,
+            self.stale_allocations,
+            self.no_allocations,
+            self.fallbacks,
+            self.schema_rejects,
+            self.bad_messages,
+            self.old_term_rejects,
+        ];
+        for (to, from) in counters.iter_mut().zip(known) {
+            *to = from;
+        }
+        counters
+    }
 }

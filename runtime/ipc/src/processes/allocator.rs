@@ -37,9 +37,9 @@ pub fn allocator_process(
     let mut role = AllocatorRole::new(AllocatorOptions {
         format,
         identity: Identity { model: settings.model, ..Identity::new(pid, &name) },
-        term: lock.term(),
         decision_interval: contract.decision_interval,
     });
+    role.lead(lock.term());
     role.join(&mut link)?;
     let poll = |link: &mut IoxAllocator| role.poll(link, allocator).map_err(into_error);
     let ended = drive(&mut link, stop, poll, || Parent::check(&parent));

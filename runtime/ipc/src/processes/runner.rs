@@ -43,6 +43,7 @@ pub fn runner_process(
         agents: seats,
         subtasks: contract.subtasks,
         decision_interval: contract.decision_interval,
+        period_ns: 0,
         safe_action: contract.safe_action,
     });
     role.join(&mut link)?;

@@ -14,6 +14,8 @@ use crate::stop::Stop;
 
 /// How long the processes of the team may take to leave.
 const GOODBYE_PATIENCE: Duration = Duration::from_secs(2);
+/// A seat that leaves so many ticks in a row unanswered is vacant.
+const ABSENT_AFTER: u32 = 3;
 
 /// How a world treats its team.
 #[derive(Clone, Copy, Debug)]
@@ -58,6 +60,10 @@ impl WorldSettings {
             term,
             required: self.required & format.layout.every_agent(),
             allocator: self.allocator,
+            strict: true,
+            pipelined: false,
+            period_ns: 0,
+            absent_after: ABSENT_AFTER,
             join_patience_ns: nanoseconds(self.join_patience),
             patience_ns: nanoseconds(self.patience),
             decision_interval: contract.decision_interval,
