@@ -255,9 +255,12 @@ impl Fleet {
             }
             Seat::Runner(index) => {
                 let agents = self.setup.runners[index];
-                (Role::Runner, process::runner(&self.setup, pid, agents))
+                (Role::Runner, Body::Runner(Box::new(process::runner(&self.setup, pid, agents))))
             }
-            Seat::Allocator(_) => (Role::Allocator, process::allocator(&self.setup, pid)),
+            Seat::Allocator(_) => {
+                let role = process::allocator(&self.setup, pid);
+                (Role::Allocator, Body::Allocator(Box::new(role)))
+            }
         };
         self.note(|| format!("{seat:?} starts as {pid}"));
         self.disturb(self.now_ns);

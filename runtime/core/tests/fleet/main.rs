@@ -10,6 +10,7 @@
 //! SORTIE_FLEET_SEED=17 cargo test -p sortie-core --test fleet replay -- --nocapture # one, with its trace
 //! ```
 
+mod decision_log;
 mod fleet;
 mod link;
 mod network;

@@ -12,6 +12,7 @@ use zerocopy::{FromBytes, IntoBytes};
 use crate::oracle::Oracle;
 use crate::random::Random;
 use crate::setup::{MICROSECOND, MILLISECOND, Weather};
+use crate::toy::ACTIONS;
 
 /// A frame as sent.
 #[derive(Clone)]
@@ -193,7 +194,7 @@ impl Network {
 
     pub(crate) fn send_action(&mut self, pid: u32, action: &ActionMsg) {
         self.oracle.action_sent(self.now_ns, pid, action);
-        self.send(pid, Role::World, action, damage, |endpoint| &mut endpoint.actions);
+        self.send(pid, Role::World, action, damage_action, |endpoint| &mut endpoint.actions);
     }
 
     pub(crate) fn send_allocation(&mut self, pid: u32, allocation: &AllocMsg) {
@@ -295,6 +296,15 @@ fn damage<M: Clone + FromBytes + IntoBytes>(random: &mut Random, message: &M) ->
     let mut damaged = message.clone();
     let is_noticed = flip(random, damaged.as_mut_bytes());
     (damaged, is_noticed)
+}
+
+/// A damaged action: often one that looks right, for another agent or of another kind.
+fn damage_action(random: &mut Random, action: &ActionMsg) -> (ActionMsg, bool) {
+    if random.chance(300) {
+        return damage(random, action);
+    }
+    let (agent, chosen) = (random.below(6) as u16, random.below(ACTIONS as u64 + 1) as u16);
+    (ActionMsg { agent, action: chosen, ..*action }, true)
 }
 
 /// Changes one byte or a few. Returns whether a checksum notices.

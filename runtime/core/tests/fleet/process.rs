@@ -159,7 +159,12 @@ impl WorldObserver for Watch<'_> {
 }
 
 pub(crate) fn world(setup: &Setup, term: u32) -> Body {
-    let role = WorldRole::new(WorldOptions {
+    let role = Box::new(WorldRole::new(world_options(setup, term)));
+    Body::World { role, world: ToyWorld::new(setup.agents, setup.seed ^ u64::from(term) << 48) }
+}
+
+pub(crate) fn world_options(setup: &Setup, term: u32) -> WorldOptions {
+    WorldOptions {
         format: setup.format,
         term,
         required: (1 << setup.agents) - 1,
@@ -174,13 +179,11 @@ pub(crate) fn world(setup: &Setup, term: u32) -> Body {
         safe_action: Some(toy::SAFE),
         episodes: None,
         tick_interval_ns: setup.tick_interval_ns,
-    });
-    let world = ToyWorld::new(setup.agents, setup.seed ^ u64::from(term) << 48);
-    Body::World { role: Box::new(role), world }
+    }
 }
 
-pub(crate) fn runner(setup: &Setup, pid: u32, agents: u64) -> Body {
-    Body::Runner(Box::new(RunnerRole::new(RunnerOptions {
+pub(crate) fn runner(setup: &Setup, pid: u32, agents: u64) -> RunnerRole {
+    RunnerRole::new(RunnerOptions {
         format: setup.format,
         identity: Identity::new(pid, "runner"),
         agents,
@@ -188,13 +191,13 @@ pub(crate) fn runner(setup: &Setup, pid: u32, agents: u64) -> Body {
         decision_interval: setup.decision_interval,
         period_ns: setup.period_ns,
         safe_action: Some(toy::SAFE),
-    })))
+    })
 }
 
-pub(crate) fn allocator(setup: &Setup, pid: u32) -> Body {
-    Body::Allocator(Box::new(AllocatorRole::new(AllocatorOptions {
+pub(crate) fn allocator(setup: &Setup, pid: u32) -> AllocatorRole {
+    AllocatorRole::new(AllocatorOptions {
         format: setup.format,
         identity: Identity::new(pid, "allocator"),
         decision_interval: setup.decision_interval,
-    })))
+    })
 }
