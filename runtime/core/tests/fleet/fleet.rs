@@ -375,7 +375,9 @@ impl Fleet {
     }
 
     fn failed(&mut self, pid: u32, error: &str) {
-        if self.setup.weather == Weather::Hostile {
+        // Allocators refuse what damaged frames show them.
+        let is_world = self.seats.get(&Seat::World) == Some(&pid);
+        if self.setup.weather == Weather::Hostile && !is_world {
             self.bury(pid, true);
         } else {
             self.violate(Invariant::NoFailure, format!("process {pid}: {error}"));

@@ -173,7 +173,8 @@ impl Allocator for ToyAllocator {
             if self.refuses && feature < 0.002 {
                 return Err(AllocateError::NonFinite);
             }
-            let wish = ((feature * 1024.0) as u32 + state.entity_task[agent]) % (TASKS as u32 + 1);
+            let wish = ((feature * 1024.0) as u32).wrapping_add(state.entity_task[agent])
+                % (TASKS as u32 + 1);
             let is_open = wish < TASKS as u32 && state.open_tasks >> wish & 1 == 1;
             *task = if is_open { wish as u8 } else { UNASSIGNED };
         }
