@@ -55,10 +55,14 @@ pub struct Counters {
     pub bad_messages: u64,
     /// Frames and allocations of an earlier term or epoch than the newest.
     pub old_term_rejects: u64,
+    /// Waits that only their heartbeat ended; known to the loop around the role.
+    pub bell_timeouts: u64,
+    /// Messages found after such a wait: a ringer died before it rang, or a ring was lost.
+    pub missed_wake_ups: u64,
 }
 
 impl Counters {
-    /// The counters of a status, in the order of the wire; those of loops and bells are not known here.
+    /// The counters of a status, in the order of the wire.
     pub(crate) fn to_wire(self) -> [u64; 16] {
         let mut counters = [0; 16];
         let known = [
@@ -71,6 +75,8 @@ impl Counters {
             self.schema_rejects,
             self.bad_messages,
             self.old_term_rejects,
+            self.bell_timeouts,
+            self.missed_wake_ups,
         ];
         for (to, from) in counters.iter_mut().zip(known) {
             *to = from;
