@@ -51,6 +51,7 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
         entities_max: Some(limits.n_max.into()),
         tasks_max: Some(limits.t_max.into()),
         parent: arguments.parent,
+        ..ProcessSettings::default()
     };
     let ended = match arguments.role {
         Role::Runner => {

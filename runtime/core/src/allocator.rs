@@ -54,6 +54,8 @@ pub enum AllocateError {
     BadLength,
     /// A feature is not a finite number.
     NonFinite,
+    /// The rules gave an agent a subtask that is not open.
+    Infeasible,
 }
 
 impl core::fmt::Display for AllocateError {
@@ -62,6 +64,7 @@ impl core::fmt::Display for AllocateError {
             Self::TooLarge => "more agents, entities or subtasks than the allocator was made for",
             Self::BadLength => "a part of the state or the allocation has the wrong length",
             Self::NonFinite => "a feature is not a finite number",
+            Self::Infeasible => "an agent was given a subtask that is not open",
         })
     }
 }
@@ -70,7 +73,7 @@ impl core::error::Error for AllocateError {}
 
 /// Assigns agents to subtasks. Total: any state gives a feasible allocation or a refusal.
 pub trait Allocator {
-    /// Writes for every agent `[A]` an open subtask, or [`UNASSIGNED`].
+    /// Writes for every agent `[A]` an open subtask, or [`UNASSIGNED`]. What absent agents get does not count.
     fn allocate(
         &mut self,
         state: &AllocationState<'_>,

@@ -56,12 +56,12 @@ pub fn run_in_process(
         agents: format.layout.every_agent(),
         subtasks: contract.subtasks,
         decision_interval: contract.decision_interval,
+        period_ns: 0,
         safe_action: contract.safe_action,
     });
     let mut allocator_role = AllocatorRole::new(AllocatorOptions {
         format,
         identity: Identity::new(pid, "allocator"),
-        term: 1,
         decision_interval: contract.decision_interval,
     });
     let mut memory = vec![FrameBlock::zeroed(); format.layout.payload_bytes() / 64];
@@ -69,6 +69,7 @@ pub fn run_in_process(
     let [mut world_cursor, mut runner_cursor, mut allocator_cursor] = [DirectCursor::default(); 3];
     runner_role.join(&mut team.agent(&mut runner_cursor))?;
     if allocator.is_some() {
+        allocator_role.lead(1);
         allocator_role.join(&mut team.allocator(&mut allocator_cursor))?;
     }
     loop {

@@ -7,19 +7,28 @@
 
 mod clock;
 mod domain;
+mod doorbell;
 mod error;
 mod in_process;
 mod iox;
 mod processes;
 mod stop;
+mod threads;
+mod waker;
 
 pub use clock::MonotonicClock;
-pub use domain::{Domain, DomainContract, DomainFacts, Lock, Membership, Starting};
+pub use domain::{BellKind, Domain, DomainContract, DomainFacts, Lock, Membership, Starting};
+pub use doorbell::Doorbell;
 pub use error::Error;
 pub use in_process::{InProcess, run_in_process};
-pub use iox::{Housekeeping, IoxAgent, IoxAllocator, IoxWorld, LinkSetup};
+pub use iox::{
+    Housekeeping, InterProcess, IntraProcess, IoxAgent, IoxAllocator, IoxWorld, LinkService,
+    LinkSetup,
+};
 pub use processes::{
     Children, ProcessSettings, WorldSettings, allocator_process, group_agents, runner_process,
     world_process,
 };
 pub use stop::Stop;
+pub use threads::{ThreadAgent, ThreadAllocator, ThreadWorld, Threads};
+pub use waker::{Wakeable, Waker};

@@ -1,19 +1,23 @@
 //! A flag that ends a process loop, set by signals or by another thread.
 
 use std::io;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
 
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
-use signal_hook::flag;
+use signal_hook::{flag, low_level};
+
+use crate::waker::Waker;
 
 /// Exit code of a process that a signal interrupted.
 const INTERRUPTED: i32 = 130;
 
-/// A flag that ends the loops that look at it, at the latest after one heartbeat.
+/// A flag that ends the loops that look at it: at once the first one that it wakes, others after
+/// one heartbeat.
 #[derive(Clone, Debug, Default)]
 pub struct Stop {
     flag: Arc<AtomicBool>,
+    waker: Arc<OnceLock<Waker>>,
 }
 
 impl Stop {
@@ -29,11 +33,20 @@ impl Stop {
     pub fn on_signals() -> io::Result<Self> {
         let stop = Self::default();
         for signal in [SIGINT, SIGTERM, SIGHUP] {
-            // In this order: the first signal finds the flag unset, and sets it.
+            // In this order: the first signal finds the flag unset, sets it, and wakes the loop.
             flag::register_conditional_shutdown(signal, INTERRUPTED, Arc::clone(&stop.flag))?;
             flag::register(signal, Arc::clone(&stop.flag))?;
+            stop.wake_on(signal)?;
         }
         Ok(stop)
+    }
+
+    #[allow(unsafe_code)]
+    fn wake_on(&self, signal: i32) -> io::Result<()> {
+        let stop = self.clone();
+        // SAFETY: the action is async-signal-safe: an atomic load, and a waker, which promises
+        // atomic accesses and system calls. It neither allocates, locks, panics nor sets `errno`.
+        unsafe { low_level::register(signal, move || stop.wake()) }.map(drop)
     }
 
     /// The flag itself, for loops that know nothing of this type.
@@ -44,10 +57,22 @@ impl Stop {
     /// Ends the loops.
     pub fn stop(&self) {
         self.flag.store(true, Ordering::SeqCst);
+        self.wake();
     }
 
     /// Whether the loops are to end.
     pub fn is_set(&self) -> bool {
         self.flag.load(Ordering::SeqCst)
+    }
+
+    /// Wakes a loop when the flag is set; the first one that asks for it.
+    pub(crate) fn wakes(&self, waker: Waker) {
+        let _ = self.waker.set(waker);
+    }
+
+    fn wake(&self) {
+        if let Some(waker) = self.waker.get() {
+            waker.wake();
+        }
     }
 }

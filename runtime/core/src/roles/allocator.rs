@@ -1,5 +1,10 @@
 //! The allocator: a new allocation for every frame that asks for one.
+//!
+//! Of several allocators one leads; which one, a lock outside decides. The others stand by: they read
+//! all frames, so that whoever is told to lead next answers the newest frame at once.
 
+use super::feasible::allocate;
+use super::presence::Presence;
 use super::{Counters, IDLE, Identity, Poll};
 use crate::allocator::{AllocateError, Allocator, UNASSIGNED};
 use crate::limits;
@@ -15,8 +20,6 @@ pub struct AllocatorOptions {
     pub format: FrameFormat,
     /// Who this is.
     pub identity: Identity,
-    /// Leadership term, larger than that of every earlier allocator of the domain.
-    pub term: u32,
     /// Ticks for which an allocation is meant to hold.
     pub decision_interval: u32,
 }
@@ -55,25 +58,39 @@ impl From<LinkError> for AllocatorError {
     }
 }
 
+/// Who publishes allocations.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Leadership {
+    /// Another allocator does.
+    StandsBy,
+    /// This one does, and has published `epoch` allocations of its term.
+    Leads { term: u32, epoch: u32 },
+}
+
 /// The allocator as a state machine.
 pub struct AllocatorRole {
     options: AllocatorOptions,
+    leadership: Leadership,
+    /// The world has not been told of a change of leadership.
+    is_leadership_news: bool,
     seen_tick: u64,
     done_decision: u64,
-    epoch: u32,
-    statuses: u64,
+    allocations: u64,
+    presence: Presence,
     counters: Counters,
 }
 
 impl AllocatorRole {
-    /// An allocator that has seen nothing yet.
+    /// An allocator that stands by and has seen nothing yet.
     pub fn new(options: AllocatorOptions) -> Self {
         Self {
             options,
+            leadership: Leadership::StandsBy,
+            is_leadership_news: false,
             seen_tick: 0,
             done_decision: 0,
-            epoch: 0,
-            statuses: 0,
+            allocations: 0,
+            presence: Presence::default(),
             counters: Counters::default(),
         }
     }
@@ -83,12 +100,34 @@ impl AllocatorRole {
         &self.counters
     }
 
+    /// The term that it leads, if it does.
+    pub fn term(&self) -> Option<u32> {
+        match self.leadership {
+            Leadership::StandsBy => None,
+            Leadership::Leads { term, .. } => Some(term),
+        }
+    }
+
+    /// Leads from now on: the lock has been acquired, and `term` is larger than that of every earlier
+    /// leader of the domain. The next poll answers the newest frame, whether or not it asks.
+    pub fn lead(&mut self, term: u32) {
+        self.leadership = Leadership::Leads { term, epoch: 0 };
+        self.is_leadership_news = true;
+    }
+
+    /// Stands by from now on, after which the lock may be released.
+    pub fn stand_by(&mut self) {
+        self.leadership = Leadership::StandsBy;
+        self.is_leadership_news = true;
+    }
+
     /// Announces the allocator to the world.
     ///
     /// # Errors
     /// A topic failed.
     pub fn join(&mut self, link: &mut impl AllocLink) -> Result<(), LinkError> {
-        self.send_status(link, StatMsg::HELLO | StatMsg::LEADER)
+        self.send_status(link, StatMsg::HELLO)?;
+        link.ring(Role::World)
     }
 
     /// Says goodbye to the world.
@@ -96,19 +135,18 @@ impl AllocatorRole {
     /// # Errors
     /// A topic failed.
     pub fn leave(&mut self, link: &mut impl AllocLink) -> Result<(), LinkError> {
-        self.send_status(link, StatMsg::BYE)
+        self.send_status(link, StatMsg::BYE)?;
+        link.ring(Role::World)
     }
 
     fn send_status(&mut self, link: &mut impl AllocLink, flags: u32) -> Result<(), LinkError> {
-        self.statuses += 1;
-        let status = StatMsg {
-            seq: self.statuses,
-            t_ns: link.now_ns(),
-            last_tick: self.seen_tick,
-            ..self.options.identity.status(self.options.format.schema, Role::Allocator, flags)
-        };
-        link.send_status(&status)?;
-        link.ring(Role::World)
+        let leader = if self.term().is_some() { StatMsg::LEADER } else { 0 };
+        let domain = (self.options.format.schema, Role::Allocator);
+        let Self { options, counters, .. } = self;
+        let now = link.now_ns();
+        let told = self.presence.tell(&options.identity, domain, counters, flags | leader, now);
+        self.is_leadership_news = false;
+        link.send_status(&StatMsg { last_tick: self.seen_tick, ..told })
     }
 
     /// Looks at the newest frame and answers it if it asks for an allocation.
@@ -120,65 +158,112 @@ impl AllocatorRole {
         link: &mut impl AllocLink,
         allocator: &mut A,
     ) -> Result<Poll, AllocatorError> {
+        self.poll_rules(link, &mut |view, task| allocate(allocator, view, task).map(|()| 0))
+    }
+
+    /// As [`Self::poll`]; where `allocator` refuses a state, `heuristic` allocates, and the message says so.
+    ///
+    /// # Errors
+    /// A topic failed, or both refuse.
+    pub fn poll_with_heuristic<A: Allocator + ?Sized, H: Allocator + ?Sized>(
+        &mut self,
+        link: &mut impl AllocLink,
+        allocator: &mut A,
+        heuristic: &mut H,
+    ) -> Result<Poll, AllocatorError> {
+        self.poll_rules(link, &mut |view, task| match allocate(allocator, view, task) {
+            Ok(()) => Ok(0),
+            Err(_) => allocate(heuristic, view, task).map(|()| AllocMsg::HEURISTIC),
+        })
+    }
+
+    fn poll_rules(
+        &mut self,
+        link: &mut impl AllocLink,
+        rules: &mut Rules<'_>,
+    ) -> Result<Poll, AllocatorError> {
         let accepted = link.receive_frames(&mut |frame| self.accepts(frame))?;
-        let kept = if accepted { link.frame() } else { None };
+        let is_first = matches!(self.leadership, Leadership::Leads { epoch: 0, .. });
+        let kept = if accepted || is_first { link.frame() } else { None };
         let Some(view) = kept.and_then(|frame| self.view(frame).ok()) else {
-            return Ok(IDLE);
+            return self.rest(link);
         };
         if view.header().has(FrameHeader::SHUTDOWN) {
             return Ok(Poll::Ended);
         }
-        if !view.header().asks_for_actions() || view.decision_tick() <= self.done_decision {
-            return Ok(IDLE);
+        let asks = view.header().asks_for_actions() && view.decision_tick() > self.done_decision;
+        if self.term().is_none() || !(asks || is_first) {
+            return self.rest(link);
         }
-        let mut task = [UNASSIGNED; limits::AGENTS];
-        let of_agents = task.get_mut(..view.agents()).unwrap_or_default();
         let tick = view.header().tick;
         let started = link.now_ns();
-        allocator
-            .allocate(&view.allocation_state(), of_agents)
-            .map_err(|reason| AllocatorError::Refused { tick, reason })?;
+        let mut task = [UNASSIGNED; limits::AGENTS];
+        let flags =
+            rules(&view, &mut task).map_err(|reason| AllocatorError::Refused { tick, reason })?;
         let done = link.now_ns();
-        let message = self.message(&view, task, done, done.saturating_sub(started));
         self.done_decision = view.decision_tick();
-        self.counters.ticks += 1;
-        link.send_allocation(&message)?;
-        link.ring(Role::Runner)?;
-        link.ring(Role::World)?;
+        if let Some(message) = self.message(&view, task, flags, (started, done)) {
+            self.counters.ticks += 1;
+            link.send_allocation(&message)?;
+            link.ring(Role::Runner)?;
+            link.ring(Role::World)?;
+        }
         Ok(Poll::Again)
     }
 
+    /// Nothing to allocate: tells who leads if that changed, and now and then that it is there.
+    fn rest(&mut self, link: &mut impl AllocLink) -> Result<Poll, AllocatorError> {
+        let is_news = self.is_leadership_news;
+        if is_news || self.presence.is_due(link.now_ns()) {
+            self.send_status(link, 0)?;
+        }
+        if is_news {
+            link.ring(Role::World)?;
+        }
+        Ok(IDLE)
+    }
+
+    /// The next message of this leader; `None` once a term has no epochs left: it stands by then.
     fn message(
         &mut self,
         view: &FrameView<'_>,
         task: [u8; limits::AGENTS],
-        t_ns: u64,
-        decide_ns: u64,
-    ) -> AllocMsg {
+        flags: u32,
+        (started, done): (u64, u64),
+    ) -> Option<AllocMsg> {
+        let Leadership::Leads { term, epoch } = self.leadership else { return None };
+        let Some(epoch) = epoch.checked_add(1) else {
+            self.stand_by();
+            return None;
+        };
+        self.leadership = Leadership::Leads { term, epoch };
+        self.allocations += 1;
         let shape = self.options.format.layout.shape();
-        self.epoch += 1;
         let present = view.present();
         let all_present = (0..shape.agents).all(|agent| present.contains(agent));
-        let first = if self.epoch == 1 { AllocMsg::FIRST_OF_TERM } else { 0 };
+        let first = if epoch == 1 { AllocMsg::FIRST_OF_TERM } else { 0 };
         let partial = if all_present { 0 } else { AllocMsg::PARTIAL };
         let tick = view.header().tick;
-        AllocMsg {
+        // Pipelined agents act on the allocation of an earlier tick while this one is computed.
+        let intervals = if view.header().has(FrameHeader::PIPELINED_ALLOC) { 2 } else { 1 };
+        let valid_for = intervals * u64::from(self.options.decision_interval);
+        Some(AllocMsg {
             schema: self.options.format.schema,
-            seq: u64::from(self.epoch),
+            seq: self.allocations,
             tick,
-            t_ns,
-            valid_until: tick.saturating_add(u64::from(self.options.decision_interval)),
-            term: self.options.term,
-            epoch: self.epoch,
+            t_ns: done,
+            valid_until: tick.saturating_add(valid_for),
+            term,
+            epoch,
             model: self.options.identity.short_model(),
-            decide_ns: u32::try_from(decide_ns).unwrap_or(u32::MAX),
+            decide_ns: u32::try_from(done.saturating_sub(started)).unwrap_or(u32::MAX),
             // The limits of a layout fit the fields.
             n_agents: shape.agents as u16,
             n_tasks: shape.tasks as u8,
             abi: ABI as u8,
-            flags: first | partial,
+            flags: flags | first | partial,
             task,
-        }
+        })
     }
 
     fn view<'a>(&self, frame: Frame<'a>) -> Result<FrameView<'a>, FrameError> {
@@ -200,3 +285,7 @@ impl AllocatorRole {
         false
     }
 }
+
+/// Allocates a frame, and tells the flags of the message.
+type Rules<'a> =
+    dyn FnMut(&FrameView<'_>, &mut [u8; limits::AGENTS]) -> Result<u32, AllocateError> + 'a;

@@ -4,7 +4,9 @@
 //! takes the bell's token first, polls, and waits; nothing here blocks, allocates or panics.
 
 mod allocator;
+mod deadlines;
 mod fallback;
+mod feasible;
 mod newest_allocation;
 mod presence;
 mod runner;
@@ -53,4 +55,32 @@ pub struct Counters {
     pub bad_messages: u64,
     /// Frames and allocations of an earlier term or epoch than the newest.
     pub old_term_rejects: u64,
+    /// Waits that only their heartbeat ended; known to the loop around the role.
+    pub bell_timeouts: u64,
+    /// Messages found after such a wait: a ringer died before it rang, or a ring was lost.
+    pub missed_wake_ups: u64,
+}
+
+impl Counters {
+    /// The counters of a status, in the order of the wire.
+    pub(crate) fn to_wire(self) -> [u64; 16] {
+        let mut counters = [0; 16];
+        let known = [
+            self.ticks,
+            self.frame_gaps,
+            self.late,
+            self.stale_allocations,
+            self.no_allocations,
+            self.fallbacks,
+            self.schema_rejects,
+            self.bad_messages,
+            self.old_term_rejects,
+            self.bell_timeouts,
+            self.missed_wake_ups,
+        ];
+        for (to, from) in counters.iter_mut().zip(known) {
+            *to = from;
+        }
+        counters
+    }
 }

@@ -2,7 +2,11 @@
 
 use zerocopy::FromZeros;
 
+use super::Counters;
 use crate::wire::{ABI, Role, StatMsg};
+
+/// A process that is there says so this often.
+const STATUS_INTERVAL_NS: u64 = 100_000_000;
 
 /// Who a process is: what it puts into its messages.
 #[derive(Clone, Copy, Debug)]
@@ -32,19 +36,73 @@ impl Identity {
         let [a, b, c, d, ..] = self.model;
         u32::from_le_bytes([a, b, c, d])
     }
+}
 
-    /// A status with `flags`, everything that changes left zero.
-    pub(super) fn status(&self, schema: u64, role: Role, flags: u32) -> StatMsg {
+/// What a process tells of itself, and when: a world that starts later learns from it who is there.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Presence {
+    sent: u64,
+    start_ns: u64,
+    told_ns: u64,
+    is_there: bool,
+}
+
+impl Presence {
+    /// Whether a process that has said hello is to be heard of again.
+    pub(super) fn is_due(&self, now_ns: u64) -> bool {
+        self.is_there && now_ns.saturating_sub(self.told_ns) >= STATUS_INTERVAL_NS
+    }
+
+    /// The next status of a process, with `flags`.
+    pub(super) fn tell(
+        &mut self,
+        identity: &Identity,
+        (schema, role): (u64, Role),
+        counters: &Counters,
+        flags: u32,
+        now_ns: u64,
+    ) -> StatMsg {
+        if self.sent == 0 {
+            self.start_ns = now_ns;
+        }
+        self.sent += 1;
+        self.told_ns = now_ns;
+        self.is_there = flags & StatMsg::BYE == 0;
         StatMsg {
             schema,
-            pid: self.pid,
+            seq: self.sent,
+            t_ns: now_ns,
+            start_ns: self.start_ns,
+            pid: identity.pid,
             role: role as u8,
             abi: ABI as u8,
-            model: self.model,
-            build: self.build,
+            model: identity.model,
+            build: identity.build,
             flags,
-            name: self.name,
+            counters: counters.to_wire(),
+            name: identity.name,
             ..StatMsg::new_zeroed()
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn is_heard_of_ten_times_a_second_between_hello_and_goodbye() {
+        let mut presence = Presence::default();
+        let identity = Identity::new(7, "runner/0");
+        assert!(!presence.is_due(u64::MAX));
+        let tell = |presence: &mut Presence, flags, now| {
+            presence.tell(&identity, (5, Role::Runner), &Counters::default(), flags, now)
+        };
+        let hello = tell(&mut presence, StatMsg::HELLO, 40);
+        assert_eq!((hello.seq, hello.start_ns, hello.pid, hello.schema), (1, 40, 7, 5));
+        assert!(!presence.is_due(40 + STATUS_INTERVAL_NS - 1));
+        assert!(presence.is_due(40 + STATUS_INTERVAL_NS));
+        tell(&mut presence, StatMsg::BYE, 90);
+        assert!(!presence.is_due(u64::MAX));
     }
 }

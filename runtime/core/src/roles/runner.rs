@@ -3,16 +3,18 @@
 use heapless::Vec;
 use zerocopy::FromZeros;
 
+use super::deadlines::allocate_by;
 use super::fallback::{fallback_action, safe_action};
+use super::feasible::{allocate, is_open};
 use super::newest_allocation::NewestAllocation;
+use super::presence::Presence;
 use super::{Counters, IDLE, Identity, Poll};
-use crate::allocator::UNASSIGNED;
+use crate::allocator::{Allocator, UNASSIGNED};
 use crate::limits;
 use crate::link::{AgentLink, Clock, Frame, LinkError};
 use crate::policy::{DecideError, Decision, NO_ACTION, Observation, Policy, visible};
 use crate::wire::{
-    ABI, ActionMsg, AllocMsg, FrameError, FrameFormat, FrameHeader, FrameKind, FrameView, Role,
-    StatMsg,
+    ABI, ActionMsg, FrameError, FrameFormat, FrameHeader, FrameKind, FrameView, Role, StatMsg,
 };
 
 /// What a runner is started with.
@@ -28,6 +30,8 @@ pub struct RunnerOptions {
     pub subtasks: bool,
     /// Ticks for which an allocation is meant to hold; after it, twice as many are its grace.
     pub decision_interval: u32,
+    /// The world's period, as the world is started with; 0 = none.
+    pub period_ns: u64,
     /// The contract's safe action.
     pub safe_action: Option<u16>,
 }
@@ -38,6 +42,20 @@ enum Freshness {
     Fresh,
     Stale,
     None,
+}
+
+/// The subtasks that agents act for in a frame.
+struct InForce {
+    freshness: Freshness,
+    task: [u8; limits::AGENTS],
+    /// Term and epoch of the allocation; zeros where there is none.
+    order: (u32, u32),
+}
+
+impl InForce {
+    fn task_of(&self, agent: usize) -> Option<u8> {
+        self.task.get(agent).copied().filter(|&task| task != UNASSIGNED)
+    }
 }
 
 /// A runner as a state machine.
@@ -51,8 +69,10 @@ pub struct RunnerRole {
     gaps_told: u64,
     warmed_term: u32,
     allocation: NewestAllocation,
+    /// The newest decision tick whose allocation did not come in time: it is not waited for again.
+    given_up: Option<u64>,
     actions: u64,
-    statuses: u64,
+    presence: Presence,
     counters: Counters,
 }
 
@@ -67,8 +87,9 @@ impl RunnerRole {
             gaps_told: 0,
             warmed_term: 0,
             allocation: NewestAllocation::default(),
+            given_up: None,
             actions: 0,
-            statuses: 0,
+            presence: Presence::default(),
             counters: Counters::default(),
         }
     }
@@ -102,7 +123,8 @@ impl RunnerRole {
         link.ring(Role::World)
     }
 
-    /// Answers the newest frame, once its allocation is there.
+    /// Answers the newest frame, once its allocation is there. Without a usable allocation, agents act
+    /// unallocated.
     ///
     /// # Errors
     /// A topic failed.
@@ -111,10 +133,33 @@ impl RunnerRole {
         link: &mut impl AgentLink,
         policy: &mut P,
     ) -> Result<Poll, LinkError> {
+        self.poll_frame(link, policy, None)
+    }
+
+    /// As [`Self::poll`]; without a usable allocation, agents act on that of `heuristic`, which has to give
+    /// the same one to every runner.
+    ///
+    /// # Errors
+    /// A topic failed.
+    pub fn poll_with_heuristic<P: Policy + ?Sized>(
+        &mut self,
+        link: &mut impl AgentLink,
+        policy: &mut P,
+        heuristic: &mut dyn Allocator,
+    ) -> Result<Poll, LinkError> {
+        self.poll_frame(link, policy, Some(heuristic))
+    }
+
+    fn poll_frame<P: Policy + ?Sized>(
+        &mut self,
+        link: &mut impl AgentLink,
+        policy: &mut P,
+        heuristic: Option<&mut dyn Allocator>,
+    ) -> Result<Poll, LinkError> {
         self.receive(link)?;
         let kept = if self.pending { link.frame() } else { None };
         let Some(view) = kept.and_then(|frame| self.view(frame).ok()) else {
-            return Ok(IDLE);
+            return self.rest(link);
         };
         let header = view.header();
         if header.has(FrameHeader::SHUTDOWN) {
@@ -125,20 +170,28 @@ impl RunnerRole {
             return Ok(Poll::Again);
         }
         if header.asks_for_actions() {
-            let until_ns = allocation_deadline(header);
-            let is_missing = self.options.subtasks && self.freshness(&view) != Freshness::Fresh;
-            if is_missing && link.now_ns() < until_ns {
+            if let Some(until_ns) = self.awaits_allocation(&view, link.now_ns()) {
                 return Ok(Poll::Wait { until_ns });
             }
-            self.count_gaps(&view);
-            let answers = self.decide(&view, policy, link);
-            for answer in answers {
+            let is_reset = self.count_gaps(&view) && policy.begin_episode();
+            let in_force = self.in_force(&view, heuristic);
+            let answers = self.decide(&view, policy, &in_force, link);
+            for mut answer in answers {
+                answer.flags |= if is_reset { ActionMsg::STATE_RESET } else { 0 };
                 self.send(link, answer)?;
             }
             link.ring(Role::World)?;
         }
         self.pending = false;
         Ok(Poll::Again)
+    }
+
+    /// Nothing to answer: says now and then that the runner is there.
+    fn rest(&mut self, link: &mut impl AgentLink) -> Result<Poll, LinkError> {
+        if self.presence.is_due(link.now_ns()) {
+            self.send_status(link, 0)?;
+        }
+        Ok(IDLE)
     }
 
     fn receive(&mut self, link: &mut impl AgentLink) -> Result<(), LinkError> {
@@ -185,26 +238,67 @@ impl RunnerRole {
         else {
             return Freshness::None;
         };
+        let tick = view.header().tick;
+        let is_fresh = if view.header().has(FrameHeader::PIPELINED_ALLOC) {
+            allocation.valid_until >= tick
+        } else {
+            allocation.tick >= view.decision_tick()
+        };
         let grace = 2 * u64::from(self.options.decision_interval);
-        if allocation.tick >= view.decision_tick() {
+        if is_fresh {
             Freshness::Fresh
-        } else if view.header().tick <= allocation.valid_until.saturating_add(grace) {
+        } else if tick <= allocation.valid_until.saturating_add(grace) {
             Freshness::Stale
         } else {
             Freshness::None
         }
     }
 
-    /// Counts the frames between the last one worked on and this one of the same episode.
-    fn count_gaps(&mut self, view: &FrameView<'_>) {
-        let FrameHeader { world_term, episode, tick, .. } = *view.header();
-        if let Some((term, last_episode, last_tick)) = self.worked
-            && (term, last_episode) == (world_term, episode)
+    /// Until when the agents wait for the frame's allocation, if they do. Once it has not come in time,
+    /// later frames of the same decision do not wait for it again.
+    fn awaits_allocation(&mut self, view: &FrameView<'_>, now_ns: u64) -> Option<u64> {
+        let header = view.header();
+        let waits = self.options.subtasks
+            && !header.has(FrameHeader::PIPELINED_ALLOC)
+            && self.given_up.is_none_or(|given_up| view.decision_tick() > given_up)
+            && self.freshness(view) != Freshness::Fresh;
+        let until_ns = allocate_by(header.t_ns, header.deadline_ns, self.options.period_ns);
+        if waits && now_ns >= until_ns {
+            self.given_up = Some(view.decision_tick());
+        }
+        (waits && now_ns < until_ns).then_some(until_ns)
+    }
+
+    /// What the agents act for: the newest allocation while it may be used, then the heuristic's, if there
+    /// is one that allocates this frame, else nothing.
+    fn in_force(&self, view: &FrameView<'_>, heuristic: Option<&mut dyn Allocator>) -> InForce {
+        let freshness = self.freshness(view);
+        let nothing = [UNASSIGNED; limits::AGENTS];
+        let mut in_force = InForce { freshness, task: nothing, order: (0, 0) };
+        let usable = self.allocation.get().filter(|_| freshness != Freshness::None);
+        if let Some(newest) = usable {
+            in_force.task = newest.task;
+            in_force.order = newest.order();
+        } else if let Some(heuristic) = heuristic.filter(|_| self.options.subtasks)
+            && allocate(heuristic, view, &mut in_force.task).is_err()
         {
-            self.counters.frame_gaps += tick.saturating_sub(last_tick + 1);
+            in_force.task = nothing;
+        }
+        in_force
+    }
+
+    /// Counts the frames between the last one worked on and this one of the same episode. Returns whether
+    /// it is of another episode.
+    fn count_gaps(&mut self, view: &FrameView<'_>) -> bool {
+        let FrameHeader { world_term, episode, tick, .. } = *view.header();
+        let last = self.worked.filter(|(term, last, _)| (*term, *last) == (world_term, episode));
+        if let Some((_, _, last_tick)) = last {
+            let next = last_tick.saturating_add(1);
+            self.counters.frame_gaps += tick.saturating_sub(next);
         }
         self.worked = Some((world_term, episode, tick));
         self.counters.ticks += 1;
+        last.is_none()
     }
 
     /// Decides once for every own agent and forgets the decisions.
@@ -224,20 +318,19 @@ impl RunnerRole {
         &mut self,
         view: &FrameView<'_>,
         policy: &mut P,
+        in_force: &InForce,
         clock: &impl Clock,
     ) -> Vec<ActionMsg, { limits::AGENTS }> {
-        let freshness = self.freshness(view);
-        let allocation = self.allocation.get().copied().filter(|_| freshness != Freshness::None);
-        let flags = self.flags(view, freshness, clock.now_ns());
-        let subtasks = self.subtasks(view, allocation.as_ref());
+        let flags = self.flags(view, in_force.freshness, clock.now_ns());
+        let subtasks = subtasks(view, in_force);
         let present = view.present();
         let mut answers = Vec::new();
         let mut seen: Vec<Observation<'_>, { limits::AGENTS }> = Vec::new();
         let mut deciding = 0_u64;
         for agent in self.agents().filter(|&agent| present.contains(agent)) {
             let mut answer = self.message(agent, view.header().tick);
-            answer.flags = flags;
-            let task = allocation.and_then(|allocation| allocation.task_of(agent));
+            let task = in_force.task_of(agent);
+            answer.flags = flags | self.finished(view, in_force.freshness, task);
             let sees = if self.options.subtasks {
                 visible(view.observable(agent), present, &subtasks, task)
             } else {
@@ -250,8 +343,7 @@ impl RunnerRole {
                 deciding |= 1 << agent;
             }
             answer.task = task.unwrap_or(UNASSIGNED);
-            answer.alloc_epoch = allocation.map_or(0, |allocation| allocation.epoch);
-            answer.alloc_term = allocation.map_or(0, |allocation| allocation.term);
+            (answer.alloc_term, answer.alloc_epoch) = in_force.order;
             let _ = answers.push(answer);
         }
         let mut decisions = [Err(DecideError::BadLength); limits::AGENTS];
@@ -292,6 +384,16 @@ impl RunnerRole {
         }
     }
 
+    /// The flag of an agent whose subtask has been finished since it was allocated: it is kept for now.
+    fn finished(&mut self, view: &FrameView<'_>, freshness: Freshness, task: Option<u8>) -> u16 {
+        let is_finished = task.is_some_and(|task| !is_open(view, task));
+        if self.options.subtasks && freshness == Freshness::Fresh && is_finished {
+            self.counters.stale_allocations += 1;
+            return ActionMsg::STALE_ALLOC;
+        }
+        0
+    }
+
     fn flags(&mut self, view: &FrameView<'_>, freshness: Freshness, now: u64) -> u16 {
         let mut flags = 0;
         match freshness {
@@ -317,23 +419,6 @@ impl RunnerRole {
         flags
     }
 
-    /// The frame's subtasks `[N]`, agents' rows overwritten by the allocation.
-    fn subtasks(
-        &self,
-        view: &FrameView<'_>,
-        allocation: Option<&AllocMsg>,
-    ) -> [u32; limits::ENTITIES] {
-        let mut subtasks = [0; limits::ENTITIES];
-        for (to, from) in subtasks.iter_mut().zip(view.entity_task()) {
-            *to = *from;
-        }
-        for (agent, to) in subtasks.iter_mut().enumerate().take(view.agents()) {
-            let task = allocation.and_then(|allocation| allocation.task_of(agent));
-            *to = task.and_then(|task| 1u32.checked_shl(u32::from(task))).unwrap_or(0);
-        }
-        subtasks
-    }
-
     fn message(&self, agent: usize, tick: u64) -> ActionMsg {
         ActionMsg {
             schema: self.options.format.schema,
@@ -356,26 +441,27 @@ impl RunnerRole {
     }
 
     fn send_status(&mut self, link: &mut impl AgentLink, flags: u32) -> Result<(), LinkError> {
-        self.statuses += 1;
-        let agents = self.options.agents;
-        let status = StatMsg {
-            seq: self.statuses,
-            t_ns: link.now_ns(),
-            agents,
-            n_agents: agents.count_ones() as u16,
-            last_tick: self.seen_tick,
-            ..self.options.identity.status(self.options.format.schema, Role::Runner, flags)
-        };
-        link.send_status(&status)
+        let Self { options, counters, .. } = self;
+        let domain = (options.format.schema, Role::Runner);
+        let now = link.now_ns();
+        let told = self.presence.tell(&options.identity, domain, counters, flags, now);
+        let agents = options.agents;
+        let n_agents = agents.count_ones() as u16;
+        link.send_status(&StatMsg { agents, n_agents, last_tick: self.seen_tick, ..told })
     }
 }
 
-/// Until when agents wait for the allocation of a frame: half of the time that the world waits.
-fn allocation_deadline(header: &FrameHeader) -> u64 {
-    match header.deadline_ns {
-        0 => u64::MAX,
-        deadline => header.t_ns + deadline.saturating_sub(header.t_ns) / 2,
+/// The frame's subtasks `[N]`, agents' rows overwritten by those in force.
+fn subtasks(view: &FrameView<'_>, in_force: &InForce) -> [u32; limits::ENTITIES] {
+    let mut subtasks = [0; limits::ENTITIES];
+    for (to, from) in subtasks.iter_mut().zip(view.entity_task()) {
+        *to = *from;
     }
+    for (agent, to) in subtasks.iter_mut().enumerate().take(view.agents()) {
+        let task = in_force.task_of(agent);
+        *to = task.and_then(|task| 1u32.checked_shl(u32::from(task))).unwrap_or(0);
+    }
+    subtasks
 }
 
 fn observation<'a>(

@@ -1,5 +1,7 @@
 //! The world: publishes a frame per tick, waits for the actions, steps.
 
+mod acting;
+mod action_mask;
 mod frames;
 mod report;
 mod seats;
@@ -8,6 +10,7 @@ pub use report::{TickReport, WorldError, WorldObserver};
 
 use zerocopy::FromZeros;
 
+use self::action_mask::ActionMask;
 use self::seats::Seats;
 use super::newest_allocation::NewestAllocation;
 use super::{Counters, Poll};
@@ -15,7 +18,7 @@ use crate::limits;
 use crate::link::{LinkError, WorldLink};
 use crate::policy::NO_ACTION;
 use crate::wire::{ActionMsg, FrameFormat, FrameHeader, FrameKind, Role};
-use crate::world::{StepOutcome, World};
+use crate::world::World;
 
 /// Warm-up frames before the first tick.
 const WARM_UP_FRAMES: usize = 8;
@@ -27,16 +30,26 @@ pub struct WorldOptions {
     pub format: FrameFormat,
     /// Leadership term, larger than that of every earlier world of the domain; not 0.
     pub term: u32,
-    /// Bit a: no episode starts before a process acts for agent a, and none goes on without it.
-    /// Agents of other seats play the fallback action while nobody acts for them.
+    /// Bit a: the first episode waits until a process acts for agent a.
     pub required: u64,
     /// Whether an allocator is waited for and asked.
     pub allocator: bool,
-    /// Longest wait for the required seats and the allocator before the first episode.
+    /// Whether the world ends when a required seat, or the allocator, leaves or misses its time. Otherwise
+    /// nothing ends it: agents for which nobody acts play the fallback action.
+    pub strict: bool,
+    /// Whether agents act on the allocation of an earlier tick while a new one is computed.
+    pub pipelined: bool,
+    /// Longest wait for the required seats and the allocator before the first episode, which a world that
+    /// is not strict then starts without them.
     pub join_patience_ns: u64,
-    /// Longest wait for actions; for allocations half of it. 0 = no limit, for lock-step in one
-    /// thread.
+    /// Time from frame to frame, of which agents get 80 % to act and the allocator 35 %. 0 = none: a
+    /// tick takes as long as the team.
+    pub period_ns: u64,
+    /// Without a period, the longest wait for actions; for allocations half of it. 0 = no limit, for
+    /// lock-step in one thread.
     pub patience_ns: u64,
+    /// A seat that leaves so many ticks in a row unanswered is vacant.
+    pub absent_after: u32,
     /// Ticks between two allocations.
     pub decision_interval: u32,
     /// The contract's safe action.
@@ -78,14 +91,24 @@ pub struct WorldRole {
     allocate_next: bool,
     decision_tick: u64,
     allocation: NewestAllocation,
+    allocations_missed: u32,
+    /// First of the ticks in a row in which agents acted without a usable allocation.
+    unallocated_since: Option<u64>,
+    /// When the current frame was to be published, and when it was.
+    due_ns: u64,
     published_ns: u64,
+    /// Until when actions count for it; 0 = for ever.
+    deadline_ns: u64,
     reallocated: bool,
+    /// The runners have been woken for it.
+    runners_rung: bool,
     /// Bit a: agent a exists in the current frame.
     present: u64,
     /// Bit a: agent a has answered the current frame.
     answered: u64,
     answers: [ActionMsg; limits::AGENTS],
     fallback: [u16; limits::AGENTS],
+    available: [ActionMask; limits::AGENTS],
     last_actions: [u16; limits::AGENTS],
     tasks: [u32; limits::AGENTS],
     counters: Counters,
@@ -106,12 +129,18 @@ impl WorldRole {
             allocate_next: true,
             decision_tick: 0,
             allocation: NewestAllocation::default(),
+            allocations_missed: 0,
+            unallocated_since: None,
+            due_ns: 0,
             published_ns: 0,
+            deadline_ns: 0,
             reallocated: false,
+            runners_rung: false,
             present: 0,
             answered: 0,
             answers: [ActionMsg::new_zeroed(); limits::AGENTS],
             fallback: [NO_ACTION; limits::AGENTS],
+            available: [ActionMask::default(); limits::AGENTS],
             last_actions: [NO_ACTION; limits::AGENTS],
             tasks: [0; limits::AGENTS],
             counters: Counters::default(),
@@ -126,6 +155,12 @@ impl WorldRole {
     /// Bit a: a process acts for agent a.
     pub fn joined(&self) -> u64 {
         self.seats.joined()
+    }
+
+    /// Whether agents have acted without a usable allocation for longer than its grace.
+    pub fn is_degraded(&self) -> bool {
+        let grace = 2 * u64::from(self.options.decision_interval);
+        self.unallocated_since.is_some_and(|since| self.tick().saturating_sub(since) > grace)
     }
 
     /// Takes in what has arrived and goes on as far as it can.
@@ -152,6 +187,8 @@ impl WorldRole {
                 if now < until_ns {
                     return Ok(Poll::Wait { until_ns });
                 }
+                let is_on_time = now - until_ns < self.options.period_ns;
+                self.due_ns = if is_on_time { until_ns } else { now };
                 self.publish_tick(link, world)?;
                 Ok(Poll::Again)
             }
@@ -201,37 +238,15 @@ impl WorldRole {
         }
         link.receive_actions(&mut |action| self.take(action))?;
         // After the actions: an allocation that they were chosen by has then arrived as well.
-        let Self { options, allocation, counters, .. } = self;
+        let Self { options, allocation, allocations_missed, counters, .. } = self;
         link.receive_allocations(&mut |offered| {
             if allocation.offer(offered, &options.format, counters) {
+                *allocations_missed = 0;
                 observer.allocated(offered);
             }
         })?;
         self.allocate_next |= self.seats.take_changed();
         Ok(())
-    }
-
-    /// Accepts an answer to the current frame; counts what is late or foreign.
-    fn take(&mut self, action: &ActionMsg) {
-        let shape = self.options.format.layout.shape();
-        let agent = usize::from(action.agent);
-        if !action.fits(self.options.format.schema) {
-            self.counters.schema_rejects += 1;
-        } else if agent >= shape.agents {
-            self.counters.bad_messages += 1;
-        } else if action.has(ActionMsg::BYE) {
-            self.seats.leave(agent, action.runner);
-        } else if action.tick < self.tick() {
-            self.counters.late += 1;
-        } else if action.tick > self.tick() || !is_valid(action, shape.actions, shape.tasks) {
-            self.counters.bad_messages += 1;
-        } else if self.phase == Phase::Acting && self.seats.joined() >> agent & 1 == 1 {
-            let is_first = self.answered >> agent & 1 == 0;
-            if let Some(answer) = self.answers.get_mut(agent).filter(|_| is_first) {
-                *answer = *action;
-                self.answered |= 1 << agent;
-            }
-        }
     }
 
     fn gather<W: World + ?Sized>(
@@ -243,8 +258,12 @@ impl WorldRole {
         until_ns: u64,
     ) -> Result<Poll, WorldError> {
         let seats = self.options.required & !self.seats.joined();
-        let allocator = self.options.allocator && !self.seats.has_allocator();
-        if seats == 0 && !allocator {
+        let allocator = self.options.allocator && !self.seats.has_leader();
+        let is_over = now >= until_ns;
+        if is_over && self.options.strict && (seats != 0 || allocator) {
+            return Err(WorldError::NotJoined { seats, allocator });
+        }
+        if is_over || seats == 0 && !allocator {
             self.start_episode(world, observer);
             for _ in 0..WARM_UP_FRAMES {
                 self.publish(link, world, FrameKind::WarmUp, 0)?;
@@ -252,9 +271,6 @@ impl WorldRole {
             }
             self.phase = Phase::Pacing { until_ns: now };
             return Ok(Poll::Again);
-        }
-        if now >= until_ns {
-            return Err(WorldError::NotJoined { seats, allocator });
         }
         Ok(Poll::Wait { until_ns })
     }
@@ -270,110 +286,6 @@ impl WorldRole {
         self.last_actions = [NO_ACTION; limits::AGENTS];
         self.tasks = [0; limits::AGENTS];
         observer.episode_started(self.episode);
-    }
-
-    fn await_actions<W: World + ?Sized>(
-        &mut self,
-        link: &mut impl WorldLink,
-        world: &mut W,
-        observer: &mut dyn WorldObserver,
-        now: u64,
-    ) -> Result<Poll, WorldError> {
-        self.require_all_seats()?;
-        let missing = self.present & self.seats.joined() & !self.answered;
-        if missing == 0 {
-            self.step(link, world, observer)?;
-            return Ok(Poll::Again);
-        }
-        let (allocate_by, act_by) = match self.options.patience_ns {
-            0 => (u64::MAX, u64::MAX),
-            patience => (
-                self.published_ns.saturating_add(patience / 2),
-                self.published_ns.saturating_add(patience),
-            ),
-        };
-        let newest = self.allocation.get().map_or(0, |allocation| allocation.tick);
-        let is_unallocated = self.reallocated && newest < self.decision_tick;
-        if is_unallocated && now >= allocate_by {
-            return Err(WorldError::AllocatorMissed { step: self.step });
-        }
-        if now >= act_by {
-            return Err(WorldError::SeatsMissed { step: self.step, seats: missing });
-        }
-        Ok(Poll::Wait { until_ns: if is_unallocated { allocate_by } else { act_by } })
-    }
-
-    fn require_all_seats(&self) -> Result<(), WorldError> {
-        match self.options.required & !self.seats.joined() {
-            0 if self.options.allocator && !self.seats.has_allocator() => {
-                Err(WorldError::AllocatorLeft)
-            }
-            0 => Ok(()),
-            seats => Err(WorldError::SeatsLeft { seats }),
-        }
-    }
-
-    fn step<W: World + ?Sized>(
-        &mut self,
-        link: &mut impl WorldLink,
-        world: &mut W,
-        observer: &mut dyn WorldObserver,
-    ) -> Result<(), WorldError> {
-        let agents = self.options.format.layout.shape().agents;
-        let applied = self.applied_actions();
-        let actions = applied.get(..agents).unwrap_or_default();
-        let outcome = world.step(actions).map_err(WorldError::Unavailable)?;
-        self.counters.ticks += 1;
-        observer.tick(&self.report(actions, outcome, link.now_ns()));
-        self.last_actions = applied;
-        self.step += 1;
-        self.allocate_next |= outcome.tasks_changed;
-        self.phase = Phase::Pacing {
-            until_ns: self.published_ns.saturating_add(self.options.tick_interval_ns),
-        };
-        if outcome.episode_ended {
-            self.end_episode(link, world, observer)?;
-        }
-        Ok(())
-    }
-
-    /// The answers, and the fallback for present agents for which nobody acts.
-    fn applied_actions(&mut self) -> [u16; limits::AGENTS] {
-        let mut actions = [NO_ACTION; limits::AGENTS];
-        let answers = self.answers.iter().zip(self.fallback).zip(&mut self.tasks);
-        for (agent, (action, ((answer, fallback), task))) in
-            actions.iter_mut().zip(answers).enumerate()
-        {
-            if self.answered >> agent & 1 == 1 {
-                *action = answer.action;
-                *task = 1u32.checked_shl(u32::from(answer.task)).unwrap_or(0);
-            } else if self.present >> agent & 1 == 1 {
-                *action = fallback;
-                self.counters.fallbacks += 1;
-            }
-        }
-        actions
-    }
-
-    fn report<'a>(
-        &'a self,
-        actions: &'a [u16],
-        outcome: StepOutcome,
-        now_ns: u64,
-    ) -> TickReport<'a> {
-        let newest = self.allocation.get().filter(|newest| newest.tick >= self.tick());
-        TickReport {
-            tick: self.tick(),
-            episode: self.episode,
-            step: self.step,
-            actions,
-            answers: self.answers.get(..actions.len()).unwrap_or_default(),
-            answered: self.answered,
-            allocation: newest,
-            published_ns: self.published_ns,
-            tick_ns: now_ns.saturating_sub(self.published_ns),
-            outcome,
-        }
     }
 
     fn end_episode<W: World + ?Sized>(
@@ -395,12 +307,6 @@ impl WorldRole {
         self.start_episode(world, observer);
         Ok(())
     }
-}
-
-fn is_valid(action: &ActionMsg, actions: usize, tasks: usize) -> bool {
-    let action_exists = action.action == NO_ACTION || usize::from(action.action) < actions;
-    let task_exists = action.task == crate::UNASSIGNED || usize::from(action.task) < tasks;
-    action_exists && task_exists
 }
 
 fn ring_all(link: &mut impl WorldLink) -> Result<(), LinkError> {

@@ -19,7 +19,8 @@ pub enum FrameError {
     Length,
     /// Counts or offsets differ from the layout.
     Layout,
-    /// A set names an entity, a subtask or an action that the domain does not have.
+    /// A set names an entity, a subtask or an action that the domain does not have, or ticks contradict
+    /// each other.
     Content,
 }
 
@@ -29,7 +30,7 @@ impl core::fmt::Display for FrameError {
             Self::Foreign => "the frame is of another schema or ABI",
             Self::Length => "the frame's payload has the wrong length or alignment",
             Self::Layout => "the frame's counts or offsets differ from the domain's",
-            Self::Content => "the frame names an entity, subtask or action that does not exist",
+            Self::Content => "the frame names what does not exist, or contradicts itself",
         })
     }
 }
@@ -92,7 +93,16 @@ impl<'a> FrameView<'a> {
             last_actions: section(payload, last_actions)?,
             rows: section(payload, rows)?,
         };
-        if view.names_only_what_exists(format) { Ok(view) } else { Err(FrameError::Content) }
+        let is_sound = view.agrees_with_header() && view.names_only_what_exists(format);
+        if is_sound { Ok(view) } else { Err(FrameError::Content) }
+    }
+
+    /// The tick is of the world's term; step and decision tick are not beyond it.
+    fn agrees_with_header(&self) -> bool {
+        let FrameHeader { tick, world_term, .. } = *self.header;
+        let is_of_term = |tick: u64| tick >> 32 == u64::from(world_term);
+        let earliest = tick.saturating_sub(u64::from(self.head.step));
+        is_of_term(tick) && is_of_term(earliest) && self.head.decision_tick <= tick
     }
 
     fn names_only_what_exists(&self, format: &FrameFormat) -> bool {

@@ -10,7 +10,7 @@ use sortie_core::Shape;
 use sortie_core::identity::schema_hash;
 use sortie_core::wire::{ABI, FrameFormat, FrameLayout};
 
-use super::Domain;
+use super::{BellKind, Domain};
 use crate::error::Error;
 use crate::stop::Stop;
 
@@ -45,6 +45,7 @@ pub struct DomainFacts {
     tasks: usize,
     actions: usize,
     features: usize,
+    bell: BellKind,
     contract: toml::Table,
 }
 
@@ -60,8 +61,19 @@ impl DomainFacts {
             tasks,
             actions,
             features,
+            bell: BellKind::default(),
             contract: contract.fields.clone(),
         }
+    }
+
+    /// The same with bells of this kind.
+    pub fn with_bell(self, bell: BellKind) -> Self {
+        Self { bell, ..self }
+    }
+
+    /// How the domain's processes wake each other.
+    pub fn bell(&self) -> BellKind {
+        self.bell
     }
 
     /// The padded sizes.
@@ -107,24 +119,28 @@ impl DomainFacts {
         })
     }
 
-    /// Checks that a world of `shape` fits this domain.
+    /// Checks that a world of `ours` fits this domain.
     ///
     /// # Errors
-    /// [`Error::Contract`], which names both shapes.
-    pub(crate) fn check_shape(
+    /// [`Error::Contract`], which names both shapes, or both kinds of bells.
+    pub(crate) fn check_world(
         &self,
         domain: &Domain,
         contract: &DomainContract,
-        shape: Shape,
+        ours: &DomainFacts,
     ) -> Result<(), Error> {
-        if self.shape() == shape {
+        let detail = if self.shape() != ours.shape() {
+            format!("the world is {:?} here, {:?} there", ours.shape(), self.shape())
+        } else if self.bell != ours.bell {
+            format!("bells are {:?} here, {:?} there", ours.bell, self.bell)
+        } else {
             return Ok(());
-        }
+        };
         Err(Error::Contract {
             domain: domain.id().to_string(),
             ours: contract.hash,
             theirs: self.contract_hash(),
-            detail: format!("the world is {shape:?} here, {:?} there", self.shape()),
+            detail,
         })
     }
 }

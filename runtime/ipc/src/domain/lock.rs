@@ -21,19 +21,35 @@ impl Lock {
     /// `Err(Ok(pid))` where another process holds it.
     pub(super) fn take(path: &Path) -> Result<Result<Self, u64>, Error> {
         let mut file = open(path)?;
-        let held = match file.try_lock() {
-            Ok(()) => read(&mut file).map_err(Error::io("read", path))?,
+        match file.try_lock() {
+            Ok(()) => Self::raise_term(file, path).map(Ok),
             Err(TryLockError::WouldBlock) => {
                 let [_, pid] = read(&mut file).map_err(Error::io("read", path))?;
-                return Ok(Err(pid));
+                Ok(Err(pid))
             }
-            Err(TryLockError::Error(error)) => return Err(Error::io("lock", path)(error)),
-        };
-        let [last_term, _] = held;
+            Err(TryLockError::Error(error)) => Err(Error::io("lock", path)(error)),
+        }
+    }
+
+    /// Waits for the lock, and raises its term if it is wanted then; `None` if not.
+    pub(super) fn wait(path: &Path, is_wanted: &dyn Fn() -> bool) -> Result<Option<Self>, Error> {
+        let file = open(path)?;
+        loop {
+            match file.lock() {
+                Ok(()) if is_wanted() => return Self::raise_term(file, path).map(Some),
+                Ok(()) => return Ok(None),
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(Error::io("lock", path)(error)),
+            }
+        }
+    }
+
+    fn raise_term(mut file: File, path: &Path) -> Result<Self, Error> {
+        let [last_term, _] = read(&mut file).map_err(Error::io("read", path))?;
         let term = (last_term as u32).wrapping_add(1).max(1);
         let pid = u64::from(std::process::id());
         write(&mut file, [u64::from(term), pid]).map_err(Error::io("write", path))?;
-        Ok(Ok(Self { _file: file, term }))
+        Ok(Self { _file: file, term })
     }
 
     /// The term of this leadership: larger than all before, from 1.

@@ -119,19 +119,19 @@ impl Membership {
         match facts::read(&self.domain)? {
             Some(earlier) => {
                 earlier.check(&self.domain, contract)?;
-                earlier.check_shape(&self.domain, contract, facts.shape())?;
+                earlier.check_world(&self.domain, contract, facts)?;
             }
             None => facts::write(&self.domain, facts)?,
         }
         Ok(lock)
     }
 
-    /// Takes the allocator's role.
-    ///
-    /// # Errors
-    /// Another allocator runs.
-    pub fn lead_allocator(&self) -> Result<Lock, Error> {
-        self.take("allocator.lock", "the allocator")
+    /// What waits until this process leads the allocators of the domain, or no longer wants to.
+    pub(crate) fn wait_to_lead_allocators(
+        &self,
+    ) -> impl FnOnce(&dyn Fn() -> bool) -> Result<Option<Lock>, Error> + Send + use<> {
+        let path = self.domain.path("allocator.lock");
+        move |is_wanted| Lock::wait(&path, is_wanted)
     }
 
     /// Takes the seat of `agent`.

@@ -1,5 +1,6 @@
 //! A domain: one deployment on one host, its paths and its names.
 
+mod bell_kind;
 mod facts;
 mod lock;
 mod membership;
@@ -8,6 +9,7 @@ mod preflight;
 use std::env;
 use std::path::{Path, PathBuf};
 
+pub use bell_kind::BellKind;
 pub use facts::{DomainContract, DomainFacts};
 pub use lock::Lock;
 pub use membership::{Membership, Starting};
@@ -76,6 +78,11 @@ impl Domain {
     /// Prefix of all its shared-memory objects.
     pub(crate) fn prefix(&self) -> String {
         format!("sortie-{}-{}-", self.uid, self.id)
+    }
+
+    /// Name of the doorbell's shared-memory object.
+    pub(crate) fn bell_object(&self) -> String {
+        self.prefix() + "bell"
     }
 
     /// Whether a shared-memory object is this domain's: the prefix, and no further `-`, which

@@ -1,79 +1,57 @@
-//! Bells by iceoryx2 events.
+//! The bell of a link: the doorbell, or events.
 
-use std::os::fd::BorrowedFd;
-
-use iceoryx2::port::listener::Listener;
-use iceoryx2::port::notifier::Notifier;
-use iceoryx2::prelude::*;
-use rustix::event::{PollFd, PollFlags, Timespec, poll};
-use sortie_core::link::{Clock, LinkError, Wake};
+use sortie_core::link::{LinkError, Wake};
 use sortie_core::wire::Role;
 
+use super::LinkService;
+use super::event::EventBell;
 use super::open::Opener;
-use super::services;
-use crate::clock::MonotonicClock;
+use crate::domain::BellKind;
+use crate::doorbell::Doorbell;
 use crate::error::Error;
+use crate::waker::Waker;
 
-/// The own bell, and those of the peers.
-pub(super) struct EventBell {
-    listener: Listener<ipc::Service>,
-    peers: Vec<(Role, Notifier<ipc::Service>)>,
+pub(super) enum LinkBell<S: LinkService> {
+    Doorbell(Doorbell),
+    Event(EventBell<S>),
 }
 
-impl EventBell {
-    pub(super) fn new(opener: &Opener<'_>, own: Role, peers: &[Role]) -> Result<Self, Error> {
-        let name = |role| {
-            services::bell_name(role).ok_or_else(|| Error::SharedMemory {
-                what: format!("bell of {role:?}"),
-                problem: "this role has none".to_string(),
-            })
-        };
-        let listener = opener.listener(name(own)?)?;
-        let peers = peers
-            .iter()
-            .map(|&role| Ok((role, opener.notifier(name(role)?, own)?)))
-            .collect::<Result<_, Error>>()?;
-        Ok(Self { listener, peers })
+impl<S: LinkService> LinkBell<S> {
+    /// The bell of `own`, which rings those of `peers`.
+    pub(super) fn open(opener: &Opener<'_, S>, own: Role, peers: &[Role]) -> Result<Self, Error> {
+        let setup = opener.setup();
+        Ok(match setup.bell {
+            BellKind::Doorbell => Self::Doorbell(Doorbell::open(setup.domain, own, setup.spin)?),
+            BellKind::Event => Self::Event(EventBell::new(opener, own, peers)?),
+        })
+    }
+
+    /// Rings by events wait in the listener until they are drained: there is nothing to remember.
+    pub(super) fn token(&self) -> u32 {
+        match self {
+            Self::Doorbell(bell) => bell.token(),
+            Self::Event(_) => 0,
+        }
+    }
+
+    pub(super) fn wait_until(&self, token: u32, until_ns: u64) -> Wake {
+        match self {
+            Self::Doorbell(bell) => bell.wait_until(token, until_ns),
+            Self::Event(bell) => bell.wait_until(until_ns),
+        }
     }
 
     pub(super) fn ring(&self, role: Role) -> Result<(), LinkError> {
-        let notifiers = self.peers.iter().filter(|(peer, _)| *peer == role);
-        for (_, notifier) in notifiers {
-            notifier.notify().map_err(|_| LinkError::Bell)?;
+        match self {
+            Self::Doorbell(bell) => bell.ring(role),
+            Self::Event(bell) => bell.ring(role),
         }
-        Ok(())
     }
 
-    /// Whether somebody rang; forgets it.
-    fn drain(&self) -> bool {
-        // A listener that fails is looked at again after the next heartbeat.
-        self.listener.try_wait(|_| {}).is_ok_and(|rings| rings > 0)
-    }
-
-    pub(super) fn wait_until(&self, until_ns: u64) -> Wake {
-        if self.drain() {
-            return Wake::Rung;
+    pub(super) fn waker(&self) -> Waker {
+        match self {
+            Self::Doorbell(bell) => bell.waker(),
+            Self::Event(bell) => bell.waker(),
         }
-        let now = MonotonicClock.now_ns();
-        if now >= until_ns {
-            return Wake::Timeout;
-        }
-        let left = until_ns - now;
-        let timeout = Timespec {
-            tv_sec: (left / 1_000_000_000) as i64,
-            tv_nsec: (left % 1_000_000_000) as _,
-        };
-        // Time-out, ring and signal need no telling apart: the topics are looked at in any case.
-        let _ =
-            poll(&mut [PollFd::from_borrowed_fd(self.descriptor(), PollFlags::IN)], Some(&timeout));
-        if self.drain() { Wake::Rung } else { Wake::Timeout }
-    }
-
-    #[allow(unsafe_code)]
-    fn descriptor(&self) -> BorrowedFd<'_> {
-        let descriptor = self.listener.file_descriptor();
-        // SAFETY: the listener owns the descriptor and keeps it open for as long as it lives; the
-        // result borrows `self`, which owns the listener. It is neither stored nor closed here.
-        unsafe { BorrowedFd::borrow_raw(descriptor.native_handle()) }
     }
 }

@@ -1,5 +1,7 @@
 //! The links of world, runner and allocator.
 
+use std::time::Duration;
+
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::*;
 use iceoryx2::sample::Sample;
@@ -9,13 +11,15 @@ use sortie_core::link::{
 };
 use sortie_core::wire::{ActionMsg, AllocMsg, FrameFormat, FrameHeader, Role, StatMsg};
 
-use super::bell::EventBell;
+use super::bell::LinkBell;
 use super::message::{ActionPayload, AllocPayload, FrameHeaderPayload, Message, StatPayload};
 use super::open::{FrameReceiver, FrameSender, Opener, Receiver, Sender};
 use super::services;
+use super::{InterProcess, LinkService};
 use crate::clock::MonotonicClock;
-use crate::domain::Domain;
+use crate::domain::{BellKind, Domain};
 use crate::error::Error;
+use crate::waker::{Wakeable, Waker};
 
 /// What a link is opened with.
 #[derive(Clone, Copy, Debug)]
@@ -26,42 +30,46 @@ pub struct LinkSetup<'a> {
     pub format: FrameFormat,
     /// Name of the process's node and ports.
     pub name: &'a str,
+    /// How its processes wake each other.
+    pub bell: BellKind,
+    /// How long waits spin before they sleep; with doorbells only.
+    pub spin: Duration,
 }
 
 /// The world's link over shared memory.
-pub struct IoxWorld {
-    frames: FrameSender,
+pub struct IoxWorld<S: LinkService = InterProcess> {
+    frames: FrameSender<S>,
     payload_bytes: usize,
-    actions: Receiver<ActionPayload>,
-    allocations: Receiver<AllocPayload>,
-    statuses: Receiver<StatPayload>,
-    bell: EventBell,
+    actions: Receiver<S, ActionPayload>,
+    allocations: Receiver<S, AllocPayload>,
+    statuses: Receiver<S, StatPayload>,
+    bell: LinkBell<S>,
     /// Dropped last.
-    _node: Node<ipc::Service>,
+    _node: Node<S>,
 }
 
 /// A runner's link over shared memory.
-pub struct IoxAgent {
-    frames: FrameReader,
-    allocations: Receiver<AllocPayload>,
-    actions: Sender<ActionPayload>,
-    statuses: Sender<StatPayload>,
-    bell: EventBell,
+pub struct IoxAgent<S: LinkService = InterProcess> {
+    frames: FrameReader<S>,
+    allocations: Receiver<S, AllocPayload>,
+    actions: Sender<S, ActionPayload>,
+    statuses: Sender<S, StatPayload>,
+    bell: LinkBell<S>,
     /// Dropped last.
-    _node: Node<ipc::Service>,
+    _node: Node<S>,
 }
 
 /// The allocator's link over shared memory.
-pub struct IoxAllocator {
-    frames: FrameReader,
-    allocations: Sender<AllocPayload>,
-    statuses: Sender<StatPayload>,
-    bell: EventBell,
+pub struct IoxAllocator<S: LinkService = InterProcess> {
+    frames: FrameReader<S>,
+    allocations: Sender<S, AllocPayload>,
+    statuses: Sender<S, StatPayload>,
+    bell: LinkBell<S>,
     /// Dropped last.
-    _node: Node<ipc::Service>,
+    _node: Node<S>,
 }
 
-impl IoxWorld {
+impl<S: LinkService> IoxWorld<S> {
     /// Opens the world's topics and bells.
     ///
     /// # Errors
@@ -74,13 +82,13 @@ impl IoxWorld {
             statuses: opener.receiver(services::statuses)?,
             frames: opener.frame_sender()?,
             payload_bytes: setup.format.layout.payload_bytes(),
-            bell: EventBell::new(&opener, Role::World, &[Role::Runner, Role::Allocator])?,
+            bell: LinkBell::open(&opener, Role::World, &[Role::Runner, Role::Allocator])?,
             _node: opener.into_node(),
         })
     }
 }
 
-impl IoxAgent {
+impl<S: LinkService> IoxAgent<S> {
     /// Opens a runner's topics and bells.
     ///
     /// # Errors
@@ -92,13 +100,13 @@ impl IoxAgent {
             allocations: opener.receiver(services::allocations)?,
             actions: opener.sender(services::actions)?,
             statuses: opener.sender(services::statuses)?,
-            bell: EventBell::new(&opener, Role::Runner, &[Role::World])?,
+            bell: LinkBell::open(&opener, Role::Runner, &[Role::World])?,
             _node: opener.into_node(),
         })
     }
 }
 
-impl IoxAllocator {
+impl<S: LinkService> IoxAllocator<S> {
     /// Opens the allocator's topics and bells.
     ///
     /// # Errors
@@ -109,7 +117,7 @@ impl IoxAllocator {
             frames: FrameReader::new(opener.frame_receiver()?),
             allocations: opener.sender(services::allocations)?,
             statuses: opener.sender(services::statuses)?,
-            bell: EventBell::new(&opener, Role::Allocator, &[Role::World, Role::Runner])?,
+            bell: LinkBell::open(&opener, Role::Allocator, &[Role::World, Role::Runner])?,
             _node: opener.into_node(),
         })
     }
@@ -122,21 +130,21 @@ pub trait Housekeeping {
     fn housekeep(&mut self);
 }
 
-impl Housekeeping for IoxWorld {
+impl<S: LinkService> Housekeeping for IoxWorld<S> {
     fn housekeep(&mut self) {
         // A connection that fails is tried again at the next heartbeat.
         let _ = self.frames.update_connections();
     }
 }
 
-impl Housekeeping for IoxAgent {
+impl<S: LinkService> Housekeeping for IoxAgent<S> {
     fn housekeep(&mut self) {
         let _ = self.actions.update_connections();
         let _ = self.statuses.update_connections();
     }
 }
 
-impl Housekeeping for IoxAllocator {
+impl<S: LinkService> Housekeeping for IoxAllocator<S> {
     fn housekeep(&mut self) {
         let _ = self.allocations.update_connections();
         let _ = self.statuses.update_connections();
@@ -144,13 +152,13 @@ impl Housekeeping for IoxAllocator {
 }
 
 /// Keeps the frame that was accepted last.
-struct FrameReader {
-    receiver: FrameReceiver,
-    kept: Option<Sample<ipc::Service, [u8], FrameHeaderPayload>>,
+struct FrameReader<S: LinkService> {
+    receiver: FrameReceiver<S>,
+    kept: Option<Sample<S, [u8], FrameHeaderPayload>>,
 }
 
-impl FrameReader {
-    fn new(receiver: FrameReceiver) -> Self {
+impl<S: LinkService> FrameReader<S> {
+    fn new(receiver: FrameReceiver<S>) -> Self {
         Self { receiver, kept: None }
     }
 
@@ -172,8 +180,8 @@ impl FrameReader {
     }
 }
 
-fn drain<M: Message>(
-    receiver: &Receiver<M>,
+fn drain<S: LinkService, M: Message>(
+    receiver: &Receiver<S, M>,
     failure: LinkError,
     take: &mut dyn FnMut(&M::Wire),
 ) -> Result<(), LinkError> {
@@ -183,15 +191,15 @@ fn drain<M: Message>(
     Ok(())
 }
 
-fn send<M: Message>(
-    sender: &Sender<M>,
+fn send<S: LinkService, M: Message>(
+    sender: &Sender<S, M>,
     failure: LinkError,
     message: &M::Wire,
 ) -> Result<(), LinkError> {
     sender.send_copy(M::wrap(message)).map(|_| ()).map_err(|_| failure)
 }
 
-impl FrameTx for IoxWorld {
+impl<S: LinkService> FrameTx for IoxWorld<S> {
     fn send_frame(
         &mut self,
         fill: &mut dyn FnMut(&mut [u8]) -> Result<FrameHeader, LinkError>,
@@ -204,37 +212,37 @@ impl FrameTx for IoxWorld {
     }
 }
 
-impl ActionRx for IoxWorld {
+impl<S: LinkService> ActionRx for IoxWorld<S> {
     fn receive_actions(&mut self, take: &mut dyn FnMut(&ActionMsg)) -> Result<(), LinkError> {
         drain(&self.actions, LinkError::Actions, take)
     }
 }
 
-impl AllocRx for IoxWorld {
+impl<S: LinkService> AllocRx for IoxWorld<S> {
     fn receive_allocations(&mut self, take: &mut dyn FnMut(&AllocMsg)) -> Result<(), LinkError> {
         drain(&self.allocations, LinkError::Allocations, take)
     }
 }
 
-impl StatRx for IoxWorld {
+impl<S: LinkService> StatRx for IoxWorld<S> {
     fn receive_statuses(&mut self, take: &mut dyn FnMut(&StatMsg)) -> Result<(), LinkError> {
         drain(&self.statuses, LinkError::Statuses, take)
     }
 }
 
-impl AllocRx for IoxAgent {
+impl<S: LinkService> AllocRx for IoxAgent<S> {
     fn receive_allocations(&mut self, take: &mut dyn FnMut(&AllocMsg)) -> Result<(), LinkError> {
         drain(&self.allocations, LinkError::Allocations, take)
     }
 }
 
-impl ActionTx for IoxAgent {
+impl<S: LinkService> ActionTx for IoxAgent<S> {
     fn send_action(&mut self, action: &ActionMsg) -> Result<(), LinkError> {
         send(&self.actions, LinkError::Actions, action)
     }
 }
 
-impl AllocTx for IoxAllocator {
+impl<S: LinkService> AllocTx for IoxAllocator<S> {
     fn send_allocation(&mut self, allocation: &AllocMsg) -> Result<(), LinkError> {
         send(&self.allocations, LinkError::Allocations, allocation)
     }
@@ -242,7 +250,7 @@ impl AllocTx for IoxAllocator {
 
 macro_rules! reads_frames_and_tells_status {
     ($($link:ident),+) => {$(
-        impl FrameRx for $link {
+        impl<S: LinkService> FrameRx for $link<S> {
             fn receive_frames(
                 &mut self,
                 accept: &mut dyn FnMut(Frame<'_>) -> bool,
@@ -255,7 +263,7 @@ macro_rules! reads_frames_and_tells_status {
             }
         }
 
-        impl StatTx for $link {
+        impl<S: LinkService> StatTx for $link<S> {
             fn send_status(&mut self, status: &StatMsg) -> Result<(), LinkError> {
                 send(&self.statuses, LinkError::Statuses, status)
             }
@@ -266,14 +274,13 @@ reads_frames_and_tells_status!(IoxAgent, IoxAllocator);
 
 macro_rules! has_bell_and_clock {
     ($($link:ident),+) => {$(
-        impl Bell for $link {
-            /// Rings wait in the listener until they are drained, so there is nothing to remember.
+        impl<S: LinkService> Bell for $link<S> {
             fn token(&self) -> u32 {
-                0
+                self.bell.token()
             }
 
-            fn wait_until(&mut self, _token: u32, until_ns: u64) -> Wake {
-                self.bell.wait_until(until_ns)
+            fn wait_until(&mut self, token: u32, until_ns: u64) -> Wake {
+                self.bell.wait_until(token, until_ns)
             }
 
             fn ring(&mut self, role: Role) -> Result<(), LinkError> {
@@ -281,7 +288,13 @@ macro_rules! has_bell_and_clock {
             }
         }
 
-        impl Clock for $link {
+        impl<S: LinkService> Wakeable for $link<S> {
+            fn waker(&self) -> Waker {
+                self.bell.waker()
+            }
+        }
+
+        impl<S: LinkService> Clock for $link<S> {
             fn now_ns(&self) -> u64 {
                 MonotonicClock.now_ns()
             }

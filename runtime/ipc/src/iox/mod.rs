@@ -7,10 +7,36 @@
 //! * ports stay on the thread that made them; processes are spawned, never forked.
 
 mod bell;
+mod event;
 mod links;
 mod message;
 mod open;
 mod services;
 
+use iceoryx2::port::listener::Listener;
+use iceoryx2::prelude::{FileDescriptor, FileDescriptorBased};
+use iceoryx2::service::Service;
+pub use iceoryx2::service::ipc::Service as InterProcess;
+pub use iceoryx2::service::local_threadsafe::Service as IntraProcess;
+
 pub use links::{Housekeeping, IoxAgent, IoxAllocator, IoxWorld, LinkSetup};
 pub(crate) use services::worst_case_bytes;
+
+/// The services that links are opened over: [`InterProcess`], or [`IntraProcess`] for threads of one
+/// process, with nothing in shared memory.
+pub trait LinkService: Service {
+    /// What becomes readable when a listener is notified.
+    #[doc(hidden)]
+    fn descriptor(listener: &Listener<Self>) -> &FileDescriptor;
+}
+
+macro_rules! opens_links {
+    ($($service:ident),+) => {$(
+        impl LinkService for $service {
+            fn descriptor(listener: &Listener<Self>) -> &FileDescriptor {
+                listener.file_descriptor()
+            }
+        }
+    )+};
+}
+opens_links!(InterProcess, IntraProcess);

@@ -13,6 +13,7 @@ use iceoryx2::service::attribute::{AttributeKey, AttributeValue};
 use iceoryx2::service::port_factory::publish_subscribe;
 use sortie_core::wire::{ABI, FrameHead, Role};
 
+use super::LinkService;
 use super::links::LinkSetup;
 use super::message::{FrameHeaderPayload, Message};
 use super::services::{self, Topic};
@@ -34,20 +35,20 @@ const PASSING: [&str; 6] = [
     "UnableToCreateServiceTag",
 ];
 
-pub(super) type FrameTopic = publish_subscribe::PortFactory<ipc::Service, [u8], FrameHeaderPayload>;
-pub(super) type FrameSender = Publisher<ipc::Service, [u8], FrameHeaderPayload>;
-pub(super) type FrameReceiver = Subscriber<ipc::Service, [u8], FrameHeaderPayload>;
-pub(super) type Sender<M> = Publisher<ipc::Service, M, ()>;
-pub(super) type Receiver<M> = Subscriber<ipc::Service, M, ()>;
+pub(super) type FrameTopic<S> = publish_subscribe::PortFactory<S, [u8], FrameHeaderPayload>;
+pub(super) type FrameSender<S> = Publisher<S, [u8], FrameHeaderPayload>;
+pub(super) type FrameReceiver<S> = Subscriber<S, [u8], FrameHeaderPayload>;
+pub(super) type Sender<S, M> = Publisher<S, M, ()>;
+pub(super) type Receiver<S, M> = Subscriber<S, M, ()>;
 
 /// A node, and what is needed to open services with it.
-pub(super) struct Opener<'a> {
-    node: Node<ipc::Service>,
+pub(super) struct Opener<'a, S: LinkService> {
+    node: Node<S>,
     setup: &'a LinkSetup<'a>,
     attributes: AttributeVerifier,
 }
 
-impl<'a> Opener<'a> {
+impl<'a, S: LinkService> Opener<'a, S> {
     pub(super) fn new(setup: &'a LinkSetup<'a>) -> Result<Self, Error> {
         // Errors come back as values; `IOX2_LOG_LEVEL` brings the library's own words.
         set_log_level_from_env_or(LogLevel::Fatal);
@@ -57,12 +58,16 @@ impl<'a> Opener<'a> {
             .name(&name)
             .config(&config)
             .signal_handling_mode(SignalHandlingMode::Disabled)
-            .create::<ipc::Service>()
+            .create::<S>()
             .map_err(failed("node"))?;
         Ok(Self { node, setup, attributes: attributes(setup.format.schema)? })
     }
 
-    pub(super) fn into_node(self) -> Node<ipc::Service> {
+    pub(super) fn setup(&self) -> &'a LinkSetup<'a> {
+        self.setup
+    }
+
+    pub(super) fn into_node(self) -> Node<S> {
         self.node
     }
 
@@ -74,7 +79,7 @@ impl<'a> Opener<'a> {
         PortName::new(self.setup.name).map_err(failed("port name"))
     }
 
-    fn frames(&self) -> Result<FrameTopic, Error> {
+    fn frames(&self) -> Result<FrameTopic<S>, Error> {
         let topic = services::frames(self.agents());
         let name = service_name(topic.name)?;
         let alignment = Alignment::new(align_of::<FrameHead>())
@@ -97,7 +102,7 @@ impl<'a> Opener<'a> {
         })
     }
 
-    pub(super) fn frame_sender(&self) -> Result<FrameSender, Error> {
+    pub(super) fn frame_sender(&self) -> Result<FrameSender<S>, Error> {
         let topic = services::frames(self.agents());
         let (service, name) = (self.frames()?, self.port_name()?);
         self.port(topic.name, || {
@@ -111,7 +116,7 @@ impl<'a> Opener<'a> {
         })
     }
 
-    pub(super) fn frame_receiver(&self) -> Result<FrameReceiver, Error> {
+    pub(super) fn frame_receiver(&self) -> Result<FrameReceiver<S>, Error> {
         let topic = services::frames(self.agents());
         let (service, name) = (self.frames()?, self.port_name()?);
         self.port(topic.name, || {
@@ -127,7 +132,7 @@ impl<'a> Opener<'a> {
     fn topic<M: Message>(
         &self,
         topic: Topic,
-    ) -> Result<publish_subscribe::PortFactory<ipc::Service, M, ()>, Error> {
+    ) -> Result<publish_subscribe::PortFactory<S, M, ()>, Error> {
         let name = service_name(topic.name)?;
         self.retry(topic.name, || {
             self.node
@@ -144,7 +149,10 @@ impl<'a> Opener<'a> {
         })
     }
 
-    pub(super) fn sender<M: Message>(&self, topic: fn(usize) -> Topic) -> Result<Sender<M>, Error> {
+    pub(super) fn sender<M: Message>(
+        &self,
+        topic: fn(usize) -> Topic,
+    ) -> Result<Sender<S, M>, Error> {
         let topic = topic(self.agents());
         let (service, name) = (self.topic::<M>(topic)?, self.port_name()?);
         self.port(topic.name, || {
@@ -155,7 +163,7 @@ impl<'a> Opener<'a> {
     pub(super) fn receiver<M: Message>(
         &self,
         topic: fn(usize) -> Topic,
-    ) -> Result<Receiver<M>, Error> {
+    ) -> Result<Receiver<S, M>, Error> {
         let topic = topic(self.agents());
         let (service, name) = (self.topic::<M>(topic)?, self.port_name()?);
         self.port(topic.name, || {
@@ -171,7 +179,7 @@ impl<'a> Opener<'a> {
     fn bell(
         &self,
         name: &'static str,
-    ) -> Result<iceoryx2::service::port_factory::event::PortFactory<ipc::Service>, Error> {
+    ) -> Result<iceoryx2::service::port_factory::event::PortFactory<S>, Error> {
         let service = service_name(name)?;
         let ports = services::bell_ports(self.agents());
         self.retry(name, || {
@@ -186,16 +194,12 @@ impl<'a> Opener<'a> {
         })
     }
 
-    pub(super) fn listener(&self, name: &'static str) -> Result<Listener<ipc::Service>, Error> {
+    pub(super) fn listener(&self, name: &'static str) -> Result<Listener<S>, Error> {
         let (service, port) = (self.bell(name)?, self.port_name()?);
         self.port(name, || service.listener_builder().name(&port).create())
     }
 
-    pub(super) fn notifier(
-        &self,
-        name: &'static str,
-        own: Role,
-    ) -> Result<Notifier<ipc::Service>, Error> {
+    pub(super) fn notifier(&self, name: &'static str, own: Role) -> Result<Notifier<S>, Error> {
         let (service, port) = (self.bell(name)?, self.port_name()?);
         let id = EventId::new(services::bell_id(own));
         self.port(name, || service.notifier_builder().name(&port).default_event_id(id).create())

@@ -1,6 +1,7 @@
 //! The roles as processes: locks, link, loop, goodbye.
 
 mod allocator;
+mod candidacy;
 mod children;
 mod grouping;
 mod parent;
@@ -12,8 +13,8 @@ pub(crate) use world::into_error as into_world_error;
 
 use std::time::Duration;
 
-use sortie_core::link::{Bell, Clock};
-use sortie_core::roles::Poll;
+use sortie_core::link::{Bell, Clock, Wake};
+use sortie_core::roles::{Counters, Poll};
 
 pub use allocator::allocator_process;
 pub use children::Children;
@@ -24,6 +25,7 @@ pub use world::{WorldSettings, world_process};
 use crate::error::Error;
 use crate::iox::Housekeeping;
 use crate::stop::Stop;
+use crate::waker::Wakeable;
 
 /// Longest wait for a bell, so that signals and missed wake-ups are noticed.
 const HEARTBEAT_NS: u64 = 100_000_000;
@@ -43,6 +45,9 @@ pub struct ProcessSettings {
     pub tasks_max: Option<usize>,
     /// Process id of the parent with which this process is to end.
     pub parent: Option<u32>,
+    /// How long waits spin before they sleep; with doorbells only. More spinning processes than
+    /// cores are slower than none.
+    pub spin: Duration,
 }
 
 impl ProcessSettings {
@@ -60,14 +65,31 @@ impl ProcessSettings {
     }
 }
 
+/// How the waits of a loop ended.
+#[derive(Clone, Copy, Debug, Default)]
+struct Waits {
+    /// Heartbeats without a ring.
+    timeouts: u64,
+    /// Of these, such after which there was something to do: somebody did not ring, or was not heard.
+    missed: u64,
+}
+
+impl Waits {
+    fn add_to(self, counters: Counters) -> Counters {
+        Counters { bell_timeouts: self.timeouts, missed_wake_ups: self.missed, ..counters }
+    }
+}
+
 /// Polls a role and waits for its bell, until it ends or is stopped.
-fn drive<L: Bell + Clock + Housekeeping>(
+fn drive<L: Bell + Clock + Housekeeping + Wakeable>(
     link: &mut L,
     stop: &Stop,
+    waits: &mut Waits,
     poll: impl FnMut(&mut L) -> Result<Poll, Error>,
     each_heartbeat: impl FnMut() -> Result<(), Error>,
 ) -> Result<(), Error> {
-    let ended = run(link, stop, poll, each_heartbeat);
+    stop.wakes(link.waker());
+    let ended = run(link, stop, waits, poll, each_heartbeat);
     if ended.is_err() && !stop.is_set() {
         // A signal to the whole group may reach others first, and this process last.
         std::thread::sleep(SIGNAL_PATIENCE);
@@ -79,16 +101,22 @@ fn drive<L: Bell + Clock + Housekeeping>(
 fn run<L: Bell + Clock + Housekeeping>(
     link: &mut L,
     stop: &Stop,
+    waits: &mut Waits,
     mut poll: impl FnMut(&mut L) -> Result<Poll, Error>,
     mut each_heartbeat: impl FnMut() -> Result<(), Error>,
 ) -> Result<(), Error> {
     let mut kept_house_ns = link.now_ns();
+    // The bell's state after a heartbeat that nobody ended.
+    let mut unrung = None;
     loop {
         if stop.is_set() {
             return Err(Error::Interrupted);
         }
         let token = link.token();
-        let until_ns = match poll(link)? {
+        let polled = poll(link)?;
+        let is_missed = unrung.take() == Some(token) && polled != Poll::Wait { until_ns: u64::MAX };
+        waits.missed += u64::from(is_missed);
+        let until_ns = match polled {
             Poll::Again => continue,
             Poll::Ended => return Ok(()),
             Poll::Wait { until_ns } => until_ns,
@@ -99,6 +127,12 @@ fn run<L: Bell + Clock + Housekeeping>(
             each_heartbeat()?;
             kept_house_ns = now;
         }
-        link.wait_until(token, until_ns.min(now.saturating_add(HEARTBEAT_NS)));
+        let heartbeat_ns = now.saturating_add(HEARTBEAT_NS);
+        let woken = link.wait_until(token, until_ns.min(heartbeat_ns));
+        // A role that waits for a time has something to do then without any ring.
+        if woken == Wake::Timeout && until_ns == u64::MAX {
+            waits.timeouts += 1;
+            unrung = Some(token);
+        }
     }
 }

@@ -4,7 +4,7 @@ use sortie_core::Policy;
 use sortie_core::roles::{Counters, Identity, RunnerOptions, RunnerRole};
 
 use super::parent::Parent;
-use super::{ProcessSettings, WORLD_PATIENCE, drive};
+use super::{ProcessSettings, WORLD_PATIENCE, Waits, drive};
 use crate::domain::{Domain, DomainContract};
 use crate::error::Error;
 use crate::iox::{IoxAgent, LinkSetup};
@@ -33,9 +33,10 @@ pub fn runner_process(
         agents.iter().map(|&agent| membership.take_seat(agent)).collect::<Result<Vec<_>, _>>()?;
     let format = facts.format()?;
     let name = port_name(agents);
-    let mut link = {
+    let mut link: IoxAgent = {
         let _starting = membership.lock_start()?;
-        IoxAgent::open(&LinkSetup { domain, format, name: &name })?
+        let (bell, spin) = (facts.bell(), settings.spin);
+        IoxAgent::open(&LinkSetup { domain, format, name: &name, bell, spin })?
     };
     let mut role = RunnerRole::new(RunnerOptions {
         format,
@@ -43,13 +44,15 @@ pub fn runner_process(
         agents: seats,
         subtasks: contract.subtasks,
         decision_interval: contract.decision_interval,
+        period_ns: 0,
         safe_action: contract.safe_action,
     });
     role.join(&mut link)?;
-    let ended =
-        drive(&mut link, stop, |link| Ok(role.poll(link, policy)?), || Parent::check(&parent));
+    let mut waits = Waits::default();
+    let poll = |link: &mut IoxAgent| Ok(role.poll(link, policy)?);
+    let ended = drive(&mut link, stop, &mut waits, poll, || Parent::check(&parent));
     let left = role.leave(&mut link).map_err(Error::from);
-    ended.and(left).map(|()| *role.counters())
+    ended.and(left).map(|()| waits.add_to(*role.counters()))
 }
 
 /// The agents as a set.

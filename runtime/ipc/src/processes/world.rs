@@ -6,14 +6,16 @@ use sortie_core::World;
 use sortie_core::roles::{Counters, WorldError, WorldObserver, WorldOptions, WorldRole};
 use sortie_core::wire::FrameFormat;
 
-use super::{Children, drive};
-use crate::domain::{Domain, DomainContract, DomainFacts};
+use super::{Children, Waits, drive};
+use crate::domain::{BellKind, Domain, DomainContract, DomainFacts};
 use crate::error::Error;
 use crate::iox::{IoxWorld, LinkSetup, worst_case_bytes};
 use crate::stop::Stop;
 
 /// How long the processes of the team may take to leave.
 const GOODBYE_PATIENCE: Duration = Duration::from_secs(2);
+/// A seat that leaves so many ticks in a row unanswered is vacant.
+const ABSENT_AFTER: u32 = 3;
 
 /// How a world treats its team.
 #[derive(Clone, Copy, Debug)]
@@ -30,6 +32,10 @@ pub struct WorldSettings {
     pub episodes: Option<u32>,
     /// Shortest time between two frames, for onlookers; zero = as fast as the team acts.
     pub tick_interval: Duration,
+    /// How the processes of the domain wake each other.
+    pub bell: BellKind,
+    /// How long waits spin before they sleep; with doorbells only.
+    pub spin: Duration,
 }
 
 impl Default for WorldSettings {
@@ -42,6 +48,8 @@ impl Default for WorldSettings {
             patience: Duration::from_secs(2),
             episodes: None,
             tick_interval: Duration::ZERO,
+            bell: BellKind::default(),
+            spin: Duration::ZERO,
         }
     }
 }
@@ -58,6 +66,10 @@ impl WorldSettings {
             term,
             required: self.required & format.layout.every_agent(),
             allocator: self.allocator,
+            strict: true,
+            pipelined: false,
+            period_ns: 0,
+            absent_after: ABSENT_AFTER,
             join_patience_ns: nanoseconds(self.join_patience),
             patience_ns: nanoseconds(self.patience),
             decision_interval: contract.decision_interval,
@@ -89,21 +101,24 @@ pub fn world_process(
     observer: &mut dyn WorldObserver,
     stop: &Stop,
 ) -> Result<Counters, Error> {
-    let facts = DomainFacts::new(contract, world.shape());
+    let facts = DomainFacts::new(contract, world.shape()).with_bell(settings.bell);
     let format = facts.format()?;
     let membership = domain.enter()?;
     let lock = membership.lead_world(contract, &facts, worst_case_bytes(&format.layout))?;
     // Before the first port, whose descriptors children would inherit.
     let mut children = Children::default();
     start_team(&mut children)?;
-    let mut link = {
+    let mut link: IoxWorld = {
         let _starting = membership.lock_start()?;
-        IoxWorld::open(&LinkSetup { domain, format, name: "world" })?
+        let (bell, spin) = (facts.bell(), settings.spin);
+        IoxWorld::open(&LinkSetup { domain, format, name: "world", bell, spin })?
     };
     let mut role = WorldRole::new(settings.options(contract, format, lock.term()));
+    let mut waits = Waits::default();
     let ended = drive(
         &mut link,
         stop,
+        &mut waits,
         |link| role.poll(link, world, observer).map_err(into_error),
         || children.check(),
     );
@@ -114,7 +129,7 @@ pub fn world_process(
     };
     let told = role.shut_down(&mut link, world).map_err(into_error);
     children.finish(GOODBYE_PATIENCE);
-    ended.and(told).map(|()| *role.counters())
+    ended.and(told).map(|()| waits.add_to(*role.counters()))
 }
 
 pub(crate) fn into_error(error: WorldError) -> Error {

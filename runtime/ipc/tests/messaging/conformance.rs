@@ -1,6 +1,7 @@
 //! What every link must do, once for each: the laws are written against the core's traits alone.
 
 use std::borrow::BorrowMut;
+use std::time::Duration;
 
 use sortie_core::link::{
     AgentLink, AllocLink, Direct, DirectAgent, DirectAllocator, DirectCursor, DirectWorld,
@@ -8,8 +9,9 @@ use sortie_core::link::{
 };
 use sortie_core::wire::FrameFormat;
 use sortie_ipc::{
-    Domain, DomainContract, DomainFacts, Housekeeping, IoxAgent, IoxAllocator, IoxWorld, LinkSetup,
-    Membership, MonotonicClock,
+    BellKind, Domain, DomainContract, DomainFacts, Housekeeping, InterProcess, IntraProcess,
+    IoxAgent, IoxAllocator, IoxWorld, LinkService, LinkSetup, Membership, MonotonicClock,
+    ThreadAgent, ThreadAllocator, ThreadWorld, Threads,
 };
 
 use crate::toy;
@@ -90,24 +92,52 @@ impl Transport for OneThread {
     fn housekeep(&mut self) {}
 }
 
-struct SharedMemory {
-    world: Option<IoxWorld>,
-    agents: [Option<IoxAgent>; 3],
-    allocators: [Option<IoxAllocator>; 2],
+/// Links over a service of iceoryx2, woken by one kind of bell.
+trait Service {
+    type Kind: LinkService;
+    const BELL: BellKind;
+}
+
+struct SharedMemory;
+impl Service for SharedMemory {
+    type Kind = InterProcess;
+    const BELL: BellKind = BellKind::Doorbell;
+}
+
+struct SharedMemoryEvents;
+impl Service for SharedMemoryEvents {
+    type Kind = InterProcess;
+    const BELL: BellKind = BellKind::Event;
+}
+
+struct OneProcess;
+impl Service for OneProcess {
+    type Kind = IntraProcess;
+    const BELL: BellKind = BellKind::Event;
+}
+
+struct Iox<S: Service> {
+    world: Option<IoxWorld<S::Kind>>,
+    agents: [Option<IoxAgent<S::Kind>>; 3],
+    allocators: [Option<IoxAllocator<S::Kind>>; 2],
     format: FrameFormat,
     membership: Membership,
 }
 
-impl SharedMemory {
+fn setup<'a>(domain: &'a Domain, format: FrameFormat, name: &'a str) -> LinkSetup<'a> {
+    LinkSetup { domain, format, name, bell: BellKind::Doorbell, spin: Duration::ZERO }
+}
+
+impl<S: Service> Iox<S> {
     fn setup<'a>(domain: &'a Domain, format: FrameFormat, name: &'a str) -> LinkSetup<'a> {
-        LinkSetup { domain, format, name }
+        LinkSetup { bell: S::BELL, ..setup(domain, format, name) }
     }
 }
 
-impl Transport for SharedMemory {
-    type WorldLink<'a> = IoxWorld;
-    type AgentLink<'a> = IoxAgent;
-    type AllocLink<'a> = IoxAllocator;
+impl<S: Service + 'static> Transport for Iox<S> {
+    type WorldLink<'a> = IoxWorld<S::Kind>;
+    type AgentLink<'a> = IoxAgent<S::Kind>;
+    type AllocLink<'a> = IoxAllocator<S::Kind>;
 
     fn new() -> Self {
         Self {
@@ -145,6 +175,45 @@ impl Transport for SharedMemory {
     }
 }
 
+struct InThreads {
+    team: Threads,
+    format: FrameFormat,
+    world: ThreadWorld,
+    agents: [Option<ThreadAgent>; 3],
+    allocators: [ThreadAllocator; 2],
+}
+
+impl Transport for InThreads {
+    type WorldLink<'a> = ThreadWorld;
+    type AgentLink<'a> = ThreadAgent;
+    type AllocLink<'a> = ThreadAllocator;
+
+    fn new() -> Self {
+        let format = format_of(&toy::contract());
+        let team = Threads::new(&format);
+        let allocators = [team.allocator(), team.allocator()];
+        Self { world: team.world(), agents: [None, None, None], allocators, format, team }
+    }
+
+    fn format(&self) -> FrameFormat {
+        self.format
+    }
+
+    fn world(&mut self) -> impl BorrowMut<Self::WorldLink<'_>> {
+        &mut self.world
+    }
+
+    fn agent(&mut self, index: usize) -> impl BorrowMut<Self::AgentLink<'_>> {
+        self.agents[index].get_or_insert_with(|| self.team.agent())
+    }
+
+    fn allocator(&mut self, index: usize) -> impl BorrowMut<Self::AllocLink<'_>> {
+        &mut self.allocators[index]
+    }
+
+    fn housekeep(&mut self) {}
+}
+
 macro_rules! every_link_obeys {
     ($($subject:ident: $($law:ident),+;)+) => {
         mod one_thread {
@@ -154,11 +223,23 @@ macro_rules! every_link_obeys {
             })+)+
         }
 
-        mod shared_memory {
+        mod in_threads {
+            $($(#[test]
+            fn $law() {
+                super::$subject::$law::<super::InThreads>();
+            })+)+
+        }
+
+        every_link_obeys! { shared_memory, SharedMemory; $($subject: $($law),+;)+ }
+        every_link_obeys! { shared_memory_events, SharedMemoryEvents; $($subject: $($law),+;)+ }
+        every_link_obeys! { one_process, OneProcess; $($subject: $($law),+;)+ }
+    };
+    ($module:ident, $service:ident; $($subject:ident: $($law:ident),+;)+) => {
+        mod $module {
             $($(#[test]
             fn $law() {
                 let _watchdog = crate::toy::Watchdog::new();
-                super::$subject::$law::<super::SharedMemory>();
+                super::$subject::$law::<super::Iox<super::$service>>();
             })+)+
         }
     };
@@ -195,10 +276,10 @@ every_link_obeys! {
 fn a_link_of_another_schema_is_refused() {
     let membership = toy::domain().enter().unwrap();
     let format = format_of(&toy::contract());
-    let _world = IoxWorld::open(&SharedMemory::setup(membership.domain(), format, "world"));
+    let _world: IoxWorld = IoxWorld::open(&setup(membership.domain(), format, "world")).unwrap();
     let other = FrameFormat { schema: format.schema + 1, ..format };
-    let setup = SharedMemory::setup(membership.domain(), other, "agent");
-    let refused = IoxAgent::open(&setup).err().unwrap();
+    let setup = setup(membership.domain(), other, "agent");
+    let refused = IoxAgent::<InterProcess>::open(&setup).err().unwrap();
     assert!(refused.to_string().contains("runs another schema"), "{refused}");
     assert_eq!(refused.exit_code(), 78);
 }

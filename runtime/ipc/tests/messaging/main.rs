@@ -2,4 +2,6 @@
 
 mod conformance;
 mod processes;
+mod stress;
+mod threads;
 mod toy;

@@ -10,10 +10,10 @@ use std::time::{Duration, Instant};
 use rustix::process::{Pid, Signal, kill_process, kill_process_group};
 use sortie_core::link::LinkError;
 use sortie_core::roles::{Counters, TickReport, WorldError, WorldObserver};
-use sortie_core::wire::{Role, StatMsg};
+use sortie_core::wire::{AllocMsg, Role, StatMsg};
 use sortie_ipc::{
-    Children, Domain, DomainContract, Error, InProcess, ProcessSettings, Stop, WorldSettings,
-    allocator_process, run_in_process, runner_process, world_process,
+    BellKind, Children, Domain, DomainContract, Error, InProcess, ProcessSettings, Stop,
+    WorldSettings, allocator_process, run_in_process, runner_process, world_process,
 };
 
 use crate::toy::{self, DecisionLog, ToyAllocator, ToyPolicy, ToyWorld, Watchdog};
@@ -98,7 +98,7 @@ fn run_processes(
     world_process(domain, &contract, &mut world, settings, start_team, observer, stop)
 }
 
-fn run_in_one_thread(episodes: u32) -> DecisionLog {
+pub(crate) fn run_in_one_thread(episodes: u32) -> DecisionLog {
     let mut log = DecisionLog::default();
     let team = InProcess {
         world: &mut ToyWorld::new(),
@@ -115,10 +115,17 @@ fn processes_decide_exactly_as_one_thread_does() {
     let episodes = 40;
     let alone = run_in_one_thread(episodes);
     assert_eq!((alone.episodes, alone.tick_ns.len()), (episodes, 1_000));
-    for roles in [&["allocator", "0,1,2"][..], &["0", "1", "2", "allocator"]] {
+    let teams = [
+        (&["allocator", "0,1,2"][..], BellKind::Doorbell),
+        (&["0", "1", "2", "allocator"], BellKind::Doorbell),
+        (&["0", "1", "2", "allocator"], BellKind::Event),
+    ];
+    for (roles, bell) in teams {
         let domain = toy::domain();
         let mut log = DecisionLog::default();
-        run_processes(&domain, roles, &settings(episodes), &mut log, &Stop::new()).unwrap();
+        let settings = WorldSettings { bell, ..settings(episodes) };
+        let counters = run_processes(&domain, roles, &settings, &mut log, &Stop::new()).unwrap();
+        assert_eq!(counters.missed_wake_ups, 0);
         toy::assert_same_log(&log, &alone);
         assert_eq!(toy::leftovers(&domain), [""; 0]);
     }
@@ -334,6 +341,72 @@ fn a_team_goes_on_with_the_next_world_where_one_was_killed() {
     assert_eq!(toy::leftovers(&domain), [""; 0]);
 }
 
+/// Notes who allocates, and kills every leader but the last after some of its allocations.
+struct KillLeaders {
+    log: DecisionLog,
+    pids: Vec<Pid>,
+    kills: usize,
+    terms: Vec<(u32, u32, usize)>,
+}
+
+impl WorldObserver for KillLeaders {
+    fn status(&mut self, status: &StatMsg) {
+        if status.role == Role::Allocator as u8 && status.has(StatMsg::LEADER) {
+            self.pids.push(Pid::from_raw(status.pid as i32).unwrap());
+            self.pids.dedup();
+        }
+    }
+
+    fn allocated(&mut self, allocation: &AllocMsg) {
+        match self.terms.last_mut() {
+            Some((term, _, number)) if *term == allocation.term => *number += 1,
+            _ => self.terms.push((allocation.term, allocation.flags, 1)),
+        }
+    }
+
+    fn tick(&mut self, report: &TickReport<'_>) {
+        self.log.tick(report);
+        let is_due = self.terms.last().is_some_and(|(_, _, number)| *number >= 3);
+        if is_due && self.terms.len() <= self.kills && self.pids.len() == self.terms.len() {
+            kill_process(*self.pids.last().unwrap(), Signal::KILL).unwrap();
+        }
+    }
+
+    fn episode_ended(&mut self, episode: u32, steps: u32) {
+        self.log.episode_ended(episode, steps);
+    }
+}
+
+#[test]
+fn standbys_take_over_from_killed_allocators() {
+    let _watchdog = Watchdog::new();
+    for bell in [BellKind::Doorbell, BellKind::Event] {
+        let domain = toy::domain();
+        let mut allocators = Children::default();
+        start(&mut allocators, &domain, &["allocator"; 3]).unwrap();
+        let mut runners = Children::default();
+        start(&mut runners, &domain, &["0,1,2"]).unwrap();
+        let mut watch = KillLeaders {
+            log: DecisionLog::default(),
+            pids: Vec::new(),
+            kills: 2,
+            terms: Vec::new(),
+        };
+        let settings = WorldSettings { bell, ..settings(40) };
+        run_processes(&domain, &[], &settings, &mut watch, &Stop::new()).unwrap();
+        allocators.finish(Duration::from_secs(10));
+        runners.finish(Duration::from_secs(10));
+        runners.check().unwrap();
+        assert_eq!((watch.log.episodes, watch.log.tick_ns.len()), (40, 1_000));
+        let terms: Vec<u32> = watch.terms.iter().map(|(term, ..)| *term).collect();
+        assert_eq!(terms, [1, 2, 3]);
+        let all_first =
+            watch.terms.iter().all(|(_, flags, _)| flags & AllocMsg::FIRST_OF_TERM != 0);
+        assert!(all_first, "{:?}", watch.terms);
+        assert_eq!(toy::leftovers(&domain), [""; 0]);
+    }
+}
+
 #[test]
 fn taken_roles_are_busy() {
     let _watchdog = Watchdog::new();
@@ -347,10 +420,7 @@ fn taken_roles_are_busy() {
     let seat =
         runner_process(&domain, &contract, &[2], &mut ToyPolicy, &settings, &stop).unwrap_err();
     assert!(seat.to_string().starts_with(&format!("agent 2 {holder}")), "{seat}");
-    let allocator =
-        allocator_process(&domain, &contract, &mut ToyAllocator, &settings, &stop).unwrap_err();
-    assert!(allocator.to_string().starts_with(&format!("the allocator {holder}")));
-    assert_eq!([&second, &seat, &allocator].map(Error::exit_code), [75; 3]);
+    assert_eq!([&second, &seat].map(Error::exit_code), [75; 2]);
     kill_process(pid(&world), Signal::TERM).unwrap();
     assert_eq!(world.wait().unwrap().code(), Some(130));
     assert_eq!(toy::leftovers(&domain), [""; 0]);

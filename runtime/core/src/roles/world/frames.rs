@@ -1,11 +1,15 @@
 //! How a world writes its frames.
 
-use super::{Phase, WorldError, WorldRole};
+use super::{ActionMask, Phase, WorldError, WorldRole};
 use crate::link::{LinkError, WorldLink};
 use crate::policy::NO_ACTION;
+use crate::roles::deadlines::act_within;
 use crate::roles::fallback::fallback_action;
 use crate::wire::{ABI, FrameHeader, FrameKind, FrameMut, Role};
 use crate::world::World;
+
+/// Count of the last tick of a term: the end of its episode and the goodbye still follow.
+const LAST_COUNT: u32 = u32::MAX - 2;
 
 impl WorldRole {
     pub(super) fn publish_tick<W: World + ?Sized>(
@@ -13,6 +17,9 @@ impl WorldRole {
         link: &mut impl WorldLink,
         world: &W,
     ) -> Result<(), WorldError> {
+        if self.count >= LAST_COUNT {
+            return Err(WorldError::TicksExhausted);
+        }
         self.count += 1;
         let since = self.tick().saturating_sub(self.decision_tick);
         let is_due = since >= u64::from(self.options.decision_interval);
@@ -24,13 +31,25 @@ impl WorldRole {
         if self.reallocated {
             flags |= FrameHeader::REALLOC;
             self.decision_tick = self.tick();
+            self.allocations_missed = self.allocations_missed.saturating_add(1);
+        }
+        if self.options.pipelined {
+            flags |= FrameHeader::PIPELINED_ALLOC;
         }
         self.allocate_next = false;
         self.answered = 0;
         self.publish(link, world, FrameKind::World, flags)?;
+        self.due_ns = self.published_ns;
         self.phase = Phase::Acting;
-        // Agents cannot act before the allocation: the allocator wakes them.
-        Ok(link.ring(if self.reallocated { Role::Allocator } else { Role::Runner })?)
+        if self.reallocated {
+            link.ring(Role::Allocator)?;
+        }
+        // Agents that cannot act before the allocation are woken by the allocator.
+        self.runners_rung = !self.reallocated || self.options.pipelined;
+        if self.runners_rung {
+            link.ring(Role::Runner)?;
+        }
+        Ok(())
     }
 
     /// Writes one frame into the link's memory and sends it.
@@ -46,10 +65,9 @@ impl WorldRole {
         self.published_ns = now;
         let (seq, tick) = (self.seq, self.tick());
         let layout = self.options.format.layout;
-        let deadline_ns = match self.options.patience_ns {
-            0 => 0,
-            patience => now.saturating_add(patience),
-        };
+        let act_within = act_within(self.options.period_ns, self.options.patience_ns);
+        let deadline_ns = act_within.map_or(0, |patience| now.saturating_add(patience));
+        self.deadline_ns = deadline_ns;
         let header = FrameHeader {
             magic: FrameHeader::MAGIC,
             abi: ABI,
@@ -85,8 +103,12 @@ impl WorldRole {
             if present.contains(agent) {
                 self.present |= 1 << agent;
             }
+            let available = frame.available(agent);
             if let Some(action) = self.fallback.get_mut(agent) {
-                *action = fallback_action(last, self.options.safe_action, frame.available(agent));
+                *action = fallback_action(last, self.options.safe_action, available);
+            }
+            if let Some(actions) = self.available.get_mut(agent) {
+                *actions = ActionMask::of(available);
             }
         }
     }

@@ -26,6 +26,11 @@ pub struct TickReport<'a> {
     pub published_ns: u64,
     /// From the frame's publishing to the end of the world's step.
     pub tick_ns: u64,
+    /// Allocations asked for, one after the other, since the last one came. A leader that leaves three
+    /// unanswered is to step down.
+    pub allocations_missed: u32,
+    /// Agents have acted without a usable allocation for longer than its grace.
+    pub degraded: bool,
     /// What the step did.
     pub outcome: StepOutcome,
 }
@@ -44,7 +49,7 @@ impl<'a> TickReport<'a> {
 
 /// Watches a world. Called between two ticks of the hot loop: keep it short.
 pub trait WorldObserver {
-    /// A process said hello or goodbye.
+    /// A process said that it is there, or goodbye.
     fn status(&mut self, _status: &StatMsg) {}
 
     /// An episode starts; the world has just been reset.
@@ -97,6 +102,8 @@ pub enum WorldError {
     },
     /// The world refused an action.
     Unavailable(UnavailableAction),
+    /// This term has no ticks left; a restarted world has a new one.
+    TicksExhausted,
 }
 
 impl From<LinkError> for WorldError {
@@ -125,6 +132,7 @@ impl core::fmt::Display for WorldError {
             Self::Unavailable(UnavailableAction { agent, action }) => {
                 write!(f, "agent {agent} chose action {action}, which is not available")
             }
+            Self::TicksExhausted => f.write_str("the world has used all its ticks: start it again"),
         }
     }
 }

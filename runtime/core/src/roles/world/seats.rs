@@ -9,13 +9,17 @@ pub(super) struct Seats {
     joined: u64,
     /// Process that acts for each joined agent.
     owners: [u32; limits::AGENTS],
-    allocator: Option<u32>,
+    /// Ticks in a row that each agent left unanswered.
+    silent: [u32; limits::AGENTS],
+    /// The allocator that leads.
+    leader: Option<u32>,
     changed: bool,
 }
 
 impl Default for Seats {
     fn default() -> Self {
-        Self { joined: 0, owners: [0; limits::AGENTS], allocator: None, changed: false }
+        let none = [0; limits::AGENTS];
+        Self { joined: 0, owners: none, silent: none, leader: None, changed: false }
     }
 }
 
@@ -25,8 +29,8 @@ impl Seats {
         self.joined
     }
 
-    pub(super) fn has_allocator(&self) -> bool {
-        self.allocator.is_some()
+    pub(super) fn has_leader(&self) -> bool {
+        self.leader.is_some()
     }
 
     /// Whether seats were taken or left since the last call.
@@ -34,43 +38,128 @@ impl Seats {
         core::mem::take(&mut self.changed)
     }
 
-    /// Seats a process that says hello, and frees the seats of one that says goodbye.
+    /// Seats a process that is there, and frees the seats of one that says goodbye. Not only a hello
+    /// counts: of processes that were there first, a restarted world sees a later status.
     pub(super) fn note(&mut self, status: &StatMsg) {
+        let leaves = status.has(StatMsg::BYE);
         if status.role == Role::Allocator as u8 {
-            self.note_allocator(status);
+            self.note_allocator(status.pid, status.has(StatMsg::LEADER) && !leaves);
         } else if status.role == Role::Runner as u8 {
             for agent in (0..limits::AGENTS).filter(|agent| status.agents >> agent & 1 == 1) {
-                if status.has(StatMsg::HELLO) {
-                    self.join(agent, status.pid);
-                } else if status.has(StatMsg::BYE) {
+                if leaves {
                     self.leave(agent, status.pid);
+                } else {
+                    self.join(agent, status.pid);
                 }
             }
         }
     }
 
-    fn note_allocator(&mut self, status: &StatMsg) {
-        if status.has(StatMsg::HELLO) {
-            self.allocator = Some(status.pid);
-        } else if status.has(StatMsg::BYE) && self.allocator == Some(status.pid) {
-            self.allocator = None;
+    fn note_allocator(&mut self, process: u32, leads: bool) {
+        if leads {
+            self.leader = Some(process);
+        } else if self.leader == Some(process) {
+            self.leader = None;
         }
     }
 
     fn join(&mut self, agent: usize, process: u32) {
-        if let Some(owner) = self.owners.get_mut(agent) {
+        let Some(owner) = self.owners.get_mut(agent) else { return };
+        if self.joined >> agent & 1 == 0 || *owner != process {
             *owner = process;
             self.joined |= 1 << agent;
             self.changed = true;
+            self.hear(agent);
+        }
+    }
+
+    fn hear(&mut self, agent: usize) {
+        if let Some(silent) = self.silent.get_mut(agent) {
+            *silent = 0;
         }
     }
 
     /// Frees a seat if `process` holds it: the goodbye of an earlier holder may come late.
     pub(super) fn leave(&mut self, agent: usize, process: u32) {
-        let is_owner = self.owners.get(agent) == Some(&process);
-        if is_owner && self.joined >> agent & 1 == 1 {
+        if self.owners.get(agent) == Some(&process) {
+            self.vacate(agent);
+        }
+    }
+
+    fn vacate(&mut self, agent: usize) {
+        if self.joined >> agent & 1 == 1 {
             self.joined &= !(1 << agent);
             self.changed = true;
         }
+    }
+
+    /// After a tick: of the agents that were to answer, those that did not are silent. A seat that is
+    /// silent for `absent_after` ticks in a row is vacant.
+    pub(super) fn note_answers(&mut self, asked: u64, answered: u64, absent_after: u32) {
+        for agent in (0..limits::AGENTS).filter(|agent| asked >> agent & 1 == 1) {
+            if answered >> agent & 1 == 1 {
+                self.hear(agent);
+            } else if let Some(silent) = self.silent.get_mut(agent) {
+                *silent = silent.saturating_add(1);
+                if *silent >= absent_after {
+                    self.vacate(agent);
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use zerocopy::FromZeros;
+
+    fn status(role: Role, pid: u32, flags: u32) -> StatMsg {
+        StatMsg { pid, role: role as u8, agents: 0b11, flags, ..StatMsg::new_zeroed() }
+    }
+
+    #[test]
+    fn a_seat_is_vacant_after_silent_ticks_in_a_row() {
+        let mut seats = Seats::default();
+        seats.note(&status(Role::Runner, 5, 0));
+        assert!(seats.take_changed());
+        for answered in [0, 0, 0b1, 0, 0] {
+            seats.note_answers(0b1, answered, 3);
+        }
+        assert_eq!((seats.joined(), seats.take_changed()), (0b11, false));
+        seats.note_answers(0b1, 0, 3);
+        assert_eq!((seats.joined(), seats.take_changed()), (0b10, true));
+        // It is heard of again.
+        seats.note(&status(Role::Runner, 5, 0));
+        seats.note_answers(0b1, 0, 3);
+        assert_eq!((seats.joined(), seats.take_changed()), (0b11, true));
+    }
+
+    #[test]
+    fn news_of_who_is_there_already_change_nothing() {
+        let mut seats = Seats::default();
+        seats.note(&status(Role::Runner, 5, StatMsg::HELLO));
+        assert!(seats.take_changed());
+        seats.note(&status(Role::Runner, 5, 0));
+        assert!(!seats.take_changed());
+        seats.note(&status(Role::Runner, 6, StatMsg::HELLO));
+        assert!(seats.take_changed());
+        seats.note(&status(Role::Runner, 5, StatMsg::BYE));
+        assert_eq!((seats.joined(), seats.take_changed()), (0b11, false));
+    }
+
+    #[test]
+    fn only_a_leader_is_an_allocator_that_is_there() {
+        let mut seats = Seats::default();
+        seats.note(&status(Role::Allocator, 7, StatMsg::HELLO));
+        assert!(!seats.has_leader());
+        seats.note(&status(Role::Allocator, 7, StatMsg::LEADER));
+        seats.note(&status(Role::Allocator, 8, 0));
+        assert!(seats.has_leader());
+        seats.note(&status(Role::Allocator, 8, StatMsg::LEADER));
+        seats.note(&status(Role::Allocator, 7, StatMsg::BYE));
+        assert!(seats.has_leader());
+        seats.note(&status(Role::Allocator, 8, StatMsg::BYE | StatMsg::LEADER));
+        assert!(!seats.has_leader());
     }
 }

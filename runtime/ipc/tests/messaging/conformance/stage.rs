@@ -118,6 +118,7 @@ pub(super) fn runner<T: Transport>(
         agents,
         subtasks,
         decision_interval: 4,
+        period_ns: 0,
         safe_action: Some(3),
     });
     drop(team.agent(index));

@@ -61,6 +61,10 @@ fn options(required: u64, patience_ns: u64) -> impl Fn(FrameFormat) -> WorldOpti
         term: 7,
         required,
         allocator: false,
+        strict: true,
+        pipelined: false,
+        period_ns: 0,
+        absent_after: 3,
         join_patience_ns: LONG,
         patience_ns,
         decision_interval: 4,
@@ -161,10 +165,10 @@ pub(super) fn an_allocator_that_does_not_allocate_is_named<T: Transport>() {
     let mut allocator = AllocatorRole::new(AllocatorOptions {
         format: asks.format,
         identity: Identity::new(200, "allocator"),
-        term: 1,
         decision_interval: 4,
     });
     drop(team.world());
+    allocator.lead(1);
     allocator.join(team.allocator(0).borrow_mut()).unwrap();
     let mut world = joined_world(&mut team, |_| asks);
     for agent in 0..3 {
@@ -247,7 +251,6 @@ pub(super) fn shutting_down_ends_everyone<T: Transport>() {
     let mut allocator = AllocatorRole::new(AllocatorOptions {
         format: team.format(),
         identity: Identity::new(200, "allocator"),
-        term: 1,
         decision_interval: 4,
     });
     drop(team.allocator(0));

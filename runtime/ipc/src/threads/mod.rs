@@ -1,0 +1,243 @@
+//! A team in the threads of one process, without shared memory: the newest frame and allocations
+//! are handed on by pointer, and threads park until they are rung.
+
+mod bell;
+mod topics;
+
+use std::sync::Arc;
+
+use sortie_core::limits;
+use sortie_core::link::{
+    ActionRx, ActionTx, AllocRx, AllocTx, Bell, Clock, Frame, FrameRx, FrameTx, LinkError, StatRx,
+    StatTx, Wake,
+};
+use sortie_core::wire::{ActionMsg, AllocMsg, FrameFormat, FrameHeader, Role, StatMsg};
+
+use self::bell::ParkingBell;
+use self::topics::{Allocations, FrameBuffer, Latest, Queue};
+use crate::clock::MonotonicClock;
+use crate::doorbell::{Memory, ring, wait_until};
+
+/// Actions that wait for the world.
+const ACTIONS: usize = 2 * limits::AGENTS;
+/// Statuses that wait for the world.
+const STATUSES: usize = 2 * limits::AGENTS;
+
+/// The messages of a team; makes the ends of its threads.
+pub struct Threads {
+    topics: Arc<Topics>,
+    payload_bytes: usize,
+}
+
+struct Topics {
+    frames: Latest<Arc<FrameBuffer>>,
+    actions: Queue<ActionMsg>,
+    allocations: Allocations,
+    statuses: Queue<StatMsg>,
+    bells: [ParkingBell; 3],
+}
+
+impl Topics {
+    fn bell(&self, role: Role) -> Option<&ParkingBell> {
+        self.bells.get(role as usize)
+    }
+}
+
+impl Threads {
+    /// A team whose frames have this format.
+    pub fn new(format: &FrameFormat) -> Self {
+        let topics = Topics {
+            frames: Latest::default(),
+            actions: Queue::new(ACTIONS),
+            allocations: Allocations::default(),
+            statuses: Queue::new(STATUSES),
+            bells: Default::default(),
+        };
+        Self { topics: Arc::new(topics), payload_bytes: format.layout.payload_bytes() }
+    }
+
+    /// The world's end; a team has one at a time.
+    pub fn world(&self) -> ThreadWorld {
+        ThreadWorld {
+            topics: Arc::clone(&self.topics),
+            buffers: Vec::new(),
+            payload_bytes: self.payload_bytes,
+            allocations: Vec::new(),
+        }
+    }
+
+    /// A runner's end.
+    pub fn agent(&self) -> ThreadAgent {
+        let topics = Arc::clone(&self.topics);
+        ThreadAgent { topics, frames: FrameCursor::default(), allocations: Vec::new() }
+    }
+
+    /// An allocator's end.
+    pub fn allocator(&self) -> ThreadAllocator {
+        ThreadAllocator {
+            topics: Arc::clone(&self.topics),
+            frames: FrameCursor::default(),
+            allocation: self.topics.allocations.slot(),
+        }
+    }
+}
+
+/// The world's end of a [`Threads`].
+pub struct ThreadWorld {
+    topics: Arc<Topics>,
+    /// Frames that readers may still hold; as many as that takes.
+    buffers: Vec<Arc<FrameBuffer>>,
+    payload_bytes: usize,
+    allocations: Vec<u64>,
+}
+
+/// A runner's end of a [`Threads`].
+pub struct ThreadAgent {
+    topics: Arc<Topics>,
+    frames: FrameCursor,
+    allocations: Vec<u64>,
+}
+
+/// An allocator's end of a [`Threads`].
+pub struct ThreadAllocator {
+    topics: Arc<Topics>,
+    frames: FrameCursor,
+    allocation: Arc<Latest<AllocMsg>>,
+}
+
+/// What a reader has seen, and the frame that it keeps.
+#[derive(Default)]
+struct FrameCursor {
+    seen: u64,
+    kept: Option<Arc<FrameBuffer>>,
+}
+
+impl FrameCursor {
+    fn receive(&mut self, topics: &Topics, accept: &mut dyn FnMut(Frame<'_>) -> bool) -> bool {
+        let Some(newest) = topics.frames.newer(&mut self.seen) else { return false };
+        let accepted = accept(newest.frame());
+        if accepted {
+            self.kept = Some(newest);
+        }
+        accepted
+    }
+}
+
+impl FrameTx for ThreadWorld {
+    fn send_frame(
+        &mut self,
+        fill: &mut dyn FnMut(&mut [u8]) -> Result<FrameHeader, LinkError>,
+    ) -> Result<(), LinkError> {
+        let free = self.buffers.iter_mut().position(|buffer| Arc::get_mut(buffer).is_some());
+        let mut buffer = match free {
+            Some(index) => self.buffers.swap_remove(index),
+            None => Arc::new(FrameBuffer::new(self.payload_bytes)),
+        };
+        let filled = Arc::make_mut(&mut buffer).fill(fill);
+        if filled.is_ok() {
+            self.topics.frames.put(Arc::clone(&buffer));
+        }
+        self.buffers.push(buffer);
+        filled
+    }
+}
+
+impl ActionRx for ThreadWorld {
+    fn receive_actions(&mut self, take: &mut dyn FnMut(&ActionMsg)) -> Result<(), LinkError> {
+        while let Some(action) = self.topics.actions.pop() {
+            take(&action);
+        }
+        Ok(())
+    }
+}
+
+impl StatRx for ThreadWorld {
+    fn receive_statuses(&mut self, take: &mut dyn FnMut(&StatMsg)) -> Result<(), LinkError> {
+        while let Some(status) = self.topics.statuses.pop() {
+            take(&status);
+        }
+        Ok(())
+    }
+}
+
+impl ActionTx for ThreadAgent {
+    fn send_action(&mut self, action: &ActionMsg) -> Result<(), LinkError> {
+        self.topics.actions.push(*action);
+        Ok(())
+    }
+}
+
+impl AllocTx for ThreadAllocator {
+    fn send_allocation(&mut self, allocation: &AllocMsg) -> Result<(), LinkError> {
+        self.allocation.put(*allocation);
+        Ok(())
+    }
+}
+
+macro_rules! reads_frames_and_tells_status {
+    ($($end:ident),+) => {$(
+        impl FrameRx for $end {
+            fn receive_frames(
+                &mut self,
+                accept: &mut dyn FnMut(Frame<'_>) -> bool,
+            ) -> Result<bool, LinkError> {
+                Ok(self.frames.receive(&self.topics, accept))
+            }
+
+            fn frame(&self) -> Option<Frame<'_>> {
+                self.frames.kept.as_deref().map(FrameBuffer::frame)
+            }
+        }
+
+        impl StatTx for $end {
+            fn send_status(&mut self, status: &StatMsg) -> Result<(), LinkError> {
+                self.topics.statuses.push(*status);
+                Ok(())
+            }
+        }
+    )+};
+}
+reads_frames_and_tells_status!(ThreadAgent, ThreadAllocator);
+
+macro_rules! receives_allocations {
+    ($($end:ident),+) => {$(
+        impl AllocRx for $end {
+            fn receive_allocations(
+                &mut self,
+                take: &mut dyn FnMut(&AllocMsg),
+            ) -> Result<(), LinkError> {
+                self.topics.allocations.receive(&mut self.allocations, take);
+                Ok(())
+            }
+        }
+    )+};
+}
+receives_allocations!(ThreadAgent, ThreadWorld);
+
+macro_rules! waits_for_its_bell {
+    ($($end:ident: $role:ident),+) => {$(
+        impl Bell for $end {
+            fn token(&self) -> u32 {
+                self.topics.bell(Role::$role).map_or(0, Memory::sequence)
+            }
+
+            fn wait_until(&mut self, token: u32, until_ns: u64) -> Wake {
+                let is_rung = |bell| wait_until(bell, token, until_ns, 0);
+                let is_rung = self.topics.bell(Role::$role).is_some_and(is_rung);
+                if is_rung { Wake::Rung } else { Wake::Timeout }
+            }
+
+            fn ring(&mut self, role: Role) -> Result<(), LinkError> {
+                ring(self.topics.bell(role).ok_or(LinkError::Bell)?);
+                Ok(())
+            }
+        }
+
+        impl Clock for $end {
+            fn now_ns(&self) -> u64 {
+                MonotonicClock.now_ns()
+            }
+        }
+    )+};
+}
+waits_for_its_bell!(ThreadWorld: World, ThreadAgent: Runner, ThreadAllocator: Allocator);
