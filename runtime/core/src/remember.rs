@@ -108,7 +108,7 @@ mod tests {
             self_index,
             available: &[1],
         };
-        let mut count = |policy: &mut Remembering<'_, _>, agent| {
+        let count = |policy: &mut Remembering<'_, _>, agent| {
             policy.decide(&observed(agent)).map(|decision| decision.utility)
         };
         assert_eq!(count(&mut policy, 0), Ok(1.0));
