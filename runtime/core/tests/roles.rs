@@ -3,7 +3,7 @@
 use std::cell::Cell;
 
 use sortie_core::link::{
-    ActionRx, AllocRx, AllocTx, Clock, Direct, DirectCursor, FrameBlock, FrameTx, StatRx,
+    ActionRx, ActionTx, AllocRx, AllocTx, Clock, Direct, DirectCursor, FrameBlock, FrameTx, StatRx,
 };
 use sortie_core::roles::{
     AllocatorError, AllocatorOptions, AllocatorRole, Identity, Poll, RunnerOptions, RunnerRole,
@@ -13,9 +13,10 @@ use sortie_core::wire::{
     ActionMsg, AllocMsg, FrameFormat, FrameHeader, FrameKind, FrameLayout, FrameMut, StatMsg,
 };
 use sortie_core::{
-    AllocateError, AllocationState, Allocator, DecideError, Decision, EntityMask, Observation,
-    Policy, Shape, StepOutcome, UNASSIGNED, UnavailableAction, World,
+    AllocateError, AllocationState, Allocator, DecideError, Decision, EntityMask, NO_ACTION,
+    Observation, Policy, Shape, StepOutcome, UNASSIGNED, UnavailableAction, World,
 };
+use zerocopy::FromZeros;
 
 const SHAPE: Shape = Shape { agents: 2, entities: 4, tasks: 2, actions: 3, features: 1 };
 const TERM: u64 = 7 << 32;
@@ -30,10 +31,11 @@ impl Clock for Hand {
     }
 }
 
-/// Everybody is present, sees everything and may do anything; subtask 1 is open, as `open` says.
+/// Nothing happens in it; the sets are what the tests make them.
 struct Still {
     open: u32,
     present: u64,
+    available: [u16; SHAPE.actions],
 }
 
 impl World for Still {
@@ -47,7 +49,7 @@ impl World for Still {
         frame.set_present(&EntityMask::from_words(&[self.present]));
         frame.set_open_tasks(self.open);
         for agent in 0..SHAPE.agents {
-            frame.available_mut(agent).fill(1);
+            frame.available_mut(agent).copy_from_slice(&self.available);
         }
     }
 
@@ -107,8 +109,10 @@ impl Stage {
         let clock: &'static Hand = Box::leak(Box::new(Hand(Cell::new(1_000))));
         let [world, runner, allocator] = [DirectCursor::default(); 3];
         let team = Direct::new(memory, clock);
-        let (format, still) =
-            (FrameFormat { schema: 5, layout }, Still { open: 0b11, present: 0b1111 });
+        let (format, still) = (
+            FrameFormat { schema: 5, layout },
+            Still { open: 0b11, present: 0b1111, available: [1; 3] },
+        );
         Self { team, clock, format, world, runner, allocator, still }
     }
 
@@ -461,6 +465,38 @@ fn a_world_that_is_not_strict_goes_on_with_whoever_is_there() {
     assert_eq!(back.ticks.last(), Some(&(vec![1, 1], 0b11)));
     // No allocator was there for all that time.
     assert!(back.missed > 2 && back.degraded && world.is_degraded());
+}
+
+#[test]
+fn an_answer_that_cannot_be_given_is_not_applied() {
+    let mut stage = Stage::new();
+    stage.still.present = 0b1110;
+    stage.still.available = [0, 1, 0];
+    let mut world = WorldRole::new(stage.world_options());
+    let mut runner = stage.runner_role(1_000);
+    runner.join(&mut stage.team.agent(&mut stage.runner)).unwrap();
+    let mut watch = Watch::default();
+    // No allocator comes; the first frame is published once the patience to join is over.
+    while stage.answers().is_empty() {
+        match stage.poll_world(&mut world, &mut watch).unwrap() {
+            Poll::Wait { until_ns } => stage.clock.0.set(until_ns),
+            _ => continue,
+        }
+        stage.poll_runner(&mut runner);
+    }
+    let tick = TERM + 1;
+    let mut sent = |agent, action| {
+        let good = ActionMsg { schema: 5, abi: 1, tick, agent, action, ..ActionMsg::new_zeroed() };
+        stage.team.agent(&mut stage.runner).send_action(&good).unwrap();
+    };
+    sent(0, 1);
+    sent(1, 2);
+    let bad = world.counters().bad_messages;
+    stage.poll_world(&mut world, &mut watch).unwrap();
+    assert_eq!(world.counters().bad_messages - bad, 2);
+    stage.clock.0.set(10_000);
+    stage.poll_world(&mut world, &mut watch).unwrap();
+    assert_eq!(watch.ticks, [(vec![NO_ACTION, 1], 0)]);
 }
 
 #[test]

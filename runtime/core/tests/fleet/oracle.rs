@@ -19,6 +19,9 @@ pub(crate) const RECOVERY_NS: u64 = 300 * MILLISECOND;
 const TAKEOVER_NS: u64 = 10 * MILLISECOND;
 /// How much later than its deadline a tick may end.
 const LATENESS_NS: u64 = MILLISECOND;
+/// Ticks in a row for which a silent agent is waited for: three, and three more each time that a process
+/// for its seat is heard of meanwhile.
+const SILENT_TICKS: u32 = 10;
 /// Ticks that are remembered.
 const MEMORY: usize = 400;
 
@@ -29,6 +32,8 @@ pub(crate) enum Invariant {
     TicksInTime,
     /// In every tick, every agent that is present gets an action that is available, and nobody else does.
     EveryAgentActs,
+    /// An agent that is silent is not waited for in tick after tick.
+    SilenceIsNoticed,
     /// What the world takes for an answer is one, given to this frame.
     AnswersAreGiven,
     /// An agent acts on a valid allocation, or on the stated fallback, and says which.
@@ -103,6 +108,7 @@ impl Coverage {
 /// What one process has seen.
 #[derive(Default)]
 struct Reader {
+    /// The newest frame that it took.
     kept_tick: u64,
     /// Since when it has a frame.
     since_ns: Option<u64>,
@@ -123,6 +129,8 @@ pub(crate) struct Oracle {
     newest_order: (u32, u32),
     readers: BTreeMap<u32, Reader>,
     leader: Option<Leader>,
+    /// Ticks in a row that each agent was waited for in vain.
+    silent: Vec<u32>,
     calm_since_ns: u64,
     /// The world runs, undisturbed, since then.
     world_since_ns: Option<u64>,
@@ -141,6 +149,7 @@ enum Freshness {
 impl Oracle {
     pub(crate) fn new(setup: Setup, traces: bool) -> Self {
         Self {
+            silent: vec![0; setup.agents],
             setup,
             frames: BTreeMap::new(),
             answers: BTreeMap::new(),
@@ -246,7 +255,7 @@ impl Oracle {
     pub(crate) fn frame_kept(&mut self, pid: u32, header: &FrameHeader) {
         let reader = self.readers.entry(pid).or_default();
         if header.kind == FrameKind::World as u16 {
-            reader.kept_tick = header.tick;
+            reader.kept_tick = reader.kept_tick.max(header.tick);
             reader.since_ns.get_or_insert(header.t_ns + 2 * MILLISECOND);
         }
     }
@@ -448,7 +457,8 @@ impl Oracle {
             let fault = self
                 .wrong_action(report, &view, agent)
                 .or_else(|| self.ungiven(report, agent))
-                .or_else(|| self.unrecovered(report, &view, agent).filter(|_| is_calm));
+                .or_else(|| self.unrecovered(report, &view, agent).filter(|_| is_calm))
+                .or_else(|| self.waited_for_silent(report, &view, agent));
             self.count(report, &view, agent);
             if let Some((invariant, detail)) = fault {
                 self.violate(invariant, now_ns, format!("{}, agent {agent}: {detail}", Tick(tick)));
@@ -495,6 +505,24 @@ impl Oracle {
         let is_applied = report.actions[agent] == answer.action;
         let is_right = given && is_applied && usize::from(answer.agent) == agent;
         (!is_right).then(|| (Invariant::AnswersAreGiven, format!("{answer:?} is applied")))
+    }
+
+    fn waited_for_silent(
+        &mut self,
+        report: &TickReport<'_>,
+        view: &FrameView<'_>,
+        agent: usize,
+    ) -> Option<(Invariant, String)> {
+        let is_joined = view.joined() >> agent & 1 == 1;
+        let silent = &mut self.silent[agent];
+        if !is_joined || report.answered >> agent & 1 == 1 {
+            *silent = 0;
+        } else if view.present().contains(agent) {
+            *silent += 1;
+        }
+        let is_waited_for = *silent > SILENT_TICKS && self.setup.weather != Weather::Hostile;
+        let detail = || (Invariant::SilenceIsNoticed, format!("is silent for {silent} ticks"));
+        is_waited_for.then(detail)
     }
 
     fn unrecovered(
