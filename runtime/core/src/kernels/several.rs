@@ -211,7 +211,12 @@ mod tests {
                         .zip(together.chunks_mut(columns))
                         .map(|(inputs, outputs)| Pair { inputs, outputs })
                         .collect();
-                    products::<Exact, Portable<Exact>>(Portable::new(), &weights, &mut pairs, around);
+                    products::<Exact, Portable<Exact>>(
+                        Portable::new(),
+                        &weights,
+                        &mut pairs,
+                        around,
+                    );
                     assert_eq!(alone, together, "{count} vectors, {rows} x {columns}");
                 }
             }

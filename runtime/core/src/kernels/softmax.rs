@@ -14,11 +14,7 @@ pub const fn slots(count: usize) -> usize {
 /// Turns the first `count` scores into weights that add up to one, and what stands behind them into zeros.
 /// Returns false where a score is not finite. `largest_of` is [`largest`], in whichever order.
 #[inline(always)]
-pub fn softmax(
-    scores: &mut [f32],
-    count: usize,
-    largest_of: impl Fn([f32; LANES]) -> f32,
-) -> bool {
+pub fn softmax(scores: &mut [f32], count: usize, largest_of: impl Fn([f32; LANES]) -> f32) -> bool {
     let (chunks, _) = scores.as_chunks_mut::<LANES>();
     let mut magnitudes = [0; LANES];
     let mut largest = [f32::MIN; LANES];

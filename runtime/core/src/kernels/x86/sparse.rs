@@ -12,7 +12,8 @@ pub(super) struct Rest<'w, 'o> {
 }
 
 /// Weights of some columns, where their sums start, and where they go.
-type Columns<'w, 'o, const COLUMNS: usize> = (&'w [f32], [f32; COLUMNS], &'o mut [f32; COLUMNS]);
+type Columns<'w, 'o, const COLUMNS: usize> =
+    (&'w [f32], &'w [f32; COLUMNS], &'o mut [f32; COLUMNS]);
 
 impl<'w, 'o> Rest<'w, 'o> {
     /// The next tiles of 64 columns, if so many are left.
@@ -21,8 +22,8 @@ impl<'w, 'o> Rest<'w, 'o> {
         let columns = self.outputs.split_off_mut(..COLUMNS)?.first_chunk_mut()?;
         let tiles = self.weights.split_off(..self.rows.saturating_mul(COLUMNS))?;
         let start = match &mut self.around.bias {
-            Some(bias) => *bias.split_off(..COLUMNS)?.first_chunk()?,
-            None => [0.0; COLUMNS],
+            Some(bias) => bias.split_off(..COLUMNS)?.first_chunk()?,
+            None => &[0.0; COLUMNS],
         };
         Some((tiles, start, columns))
     }
@@ -52,13 +53,13 @@ macro_rules! sparse_product {
             let mut rest = Rest { weights, around, outputs, rows: inputs.count };
             if $tiles > 1 {
                 while let Some((tiles, start, columns)) = rest.take::<{ $tiles * TILE }>() {
-                    let sums = add_marked::<A, { $tiles * TILE_VECTORS }>(tiles, &inputs, transmute!(start));
+                    let sums = add_marked::<A, { $tiles * TILE_VECTORS }>(tiles, &inputs, transmute!(*start));
                     let sums: [f32; $tiles * TILE] = transmute!(sums);
                     *columns = finished(sums, around.relu);
                 }
             }
             while let Some((tile, start, columns)) = rest.take::<TILE>() {
-                let sums = add_marked::<A, TILE_VECTORS>(tile, &inputs, transmute!(start));
+                let sums = add_marked::<A, TILE_VECTORS>(tile, &inputs, transmute!(*start));
                 let sums: [f32; TILE] = transmute!(sums);
                 *columns = finished(sums, around.relu);
             }

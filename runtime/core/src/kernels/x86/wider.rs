@@ -2,8 +2,8 @@
 
 use core::arch::x86_64::{
     __m512, _CMP_NEQ_UQ, _mm512_add_ps, _mm512_castps512_ps256, _mm512_cmp_ps_mask,
-    _mm512_extractf32x8_ps, _mm512_fmadd_ps, _mm512_fpclass_ps_mask, _mm512_loadu_ps, _mm512_maskz_loadu_ps,
-    _mm512_mul_ps, _mm512_reduce_max_ps, _mm512_set1_ps, _mm512_setzero_ps,
+    _mm512_extractf32x8_ps, _mm512_fmadd_ps, _mm512_fpclass_ps_mask, _mm512_loadu_ps,
+    _mm512_maskz_loadu_ps, _mm512_mul_ps, _mm512_reduce_max_ps, _mm512_set1_ps, _mm512_setzero_ps,
 };
 
 use zerocopy::transmute;
@@ -64,7 +64,9 @@ pub(super) fn four_dots<A: Arithmetic>(vector: &[f32], rows: [&[f32]; ROWS]) -> 
     let [r0, r1, r2, r3] = rows;
     let [r0, r1, r2, r3] = [lanes_of(r0), lanes_of(r1), lanes_of(r2), lanes_of(r3)];
     let mut sums = [_mm512_setzero_ps(); ROWS];
-    for (lanes, (((r0, r1), r2), r3)) in lanes_of(vector).iter().zip(r0.iter().zip(r1).zip(r2).zip(r3)) {
+    for (lanes, (((r0, r1), r2), r3)) in
+        lanes_of(vector).iter().zip(r0.iter().zip(r1).zip(r2).zip(r3))
+    {
         let vector = load(lanes);
         for (sum, row) in sums.iter_mut().zip([r0, r1, r2, r3]) {
             *sum = multiply_add::<A>(*sum, vector, load(row));
