@@ -107,7 +107,7 @@ pub(super) fn largest(lanes: [f32; PART]) -> f32 {
 pub(super) const GROUP: usize = 6;
 
 /// See [`crate::kernels::several::AddRows::parts`]: enough sums that none waits for its last addition.
-pub(super) const fn parts<A: Arithmetic>(count: usize) -> usize {
+pub(super) const fn parts(count: usize, _: bool) -> usize {
     if count <= 3 { 2 } else { 1 }
 }
 
