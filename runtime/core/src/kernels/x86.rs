@@ -158,7 +158,7 @@ macro_rules! build {
 
             #[inline(always)]
             fn parts<A: Arithmetic>(self, count: usize) -> usize {
-                $vectors::parts::<A>(count)
+                $vectors::parts(count, A::FUSED)
             }
 
             #[inline(always)]

@@ -1,18 +1,18 @@
 //! The product of a matrix and inputs of which much is zero: eight vectors of sums stay in registers while the
 //! inputs are looked through. (The compiler keeps them there for one tile only, and compares every index twice.)
 
-use crate::kernels::product::Around;
-
 /// What is still to be worked on of a product.
 pub(super) struct Rest<'w, 'o> {
     pub(super) weights: &'w [f32],
-    pub(super) around: Around<'w>,
+    // Not the whole `Around`: its flag, just written, would have to be waited for when it is copied in one piece.
+    pub(super) bias: Option<&'w [f32]>,
     pub(super) outputs: &'o mut [f32],
     pub(super) rows: usize,
 }
 
 /// Weights of some columns, where their sums start, and where they go.
-type Columns<'w, 'o, const COLUMNS: usize> = (&'w [f32], [f32; COLUMNS], &'o mut [f32; COLUMNS]);
+type Columns<'w, 'o, const COLUMNS: usize> =
+    (&'w [f32], &'w [f32; COLUMNS], &'o mut [f32; COLUMNS]);
 
 impl<'w, 'o> Rest<'w, 'o> {
     /// The next tiles of 64 columns, if so many are left.
@@ -20,9 +20,9 @@ impl<'w, 'o> Rest<'w, 'o> {
     pub(super) fn take<const COLUMNS: usize>(&mut self) -> Option<Columns<'w, 'o, COLUMNS>> {
         let columns = self.outputs.split_off_mut(..COLUMNS)?.first_chunk_mut()?;
         let tiles = self.weights.split_off(..self.rows.saturating_mul(COLUMNS))?;
-        let start = match &mut self.around.bias {
-            Some(bias) => *bias.split_off(..COLUMNS)?.first_chunk()?,
-            None => [0.0; COLUMNS],
+        let start = match &mut self.bias {
+            Some(bias) => bias.split_off(..COLUMNS)?.first_chunk()?,
+            None => &[0.0; COLUMNS],
         };
         Some((tiles, start, columns))
     }
@@ -49,20 +49,21 @@ macro_rules! sparse_product {
             around: Around<'_>,
             outputs: &mut [f32],
         ) {
-            let mut rest = Rest { weights, around, outputs, rows: inputs.count };
+            let mut rest = Rest { weights, bias: around.bias, outputs, rows: inputs.count };
             if $tiles > 1 {
                 while let Some((tiles, start, columns)) = rest.take::<{ $tiles * TILE }>() {
-                    let sums = add_marked::<A, { $tiles * TILE_VECTORS }>(tiles, &inputs, transmute!(start));
+                    let sums = add_marked::<A, { $tiles * TILE_VECTORS }>(tiles, &inputs, transmute!(*start));
                     let sums: [f32; $tiles * TILE] = transmute!(sums);
                     *columns = finished(sums, around.relu);
                 }
             }
             while let Some((tile, start, columns)) = rest.take::<TILE>() {
-                let sums = add_marked::<A, TILE_VECTORS>(tile, &inputs, transmute!(start));
+                let sums = add_marked::<A, TILE_VECTORS>(tile, &inputs, transmute!(*start));
                 let sums: [f32; TILE] = transmute!(sums);
                 *columns = finished(sums, around.relu);
             }
-            product::sparse_product::<A>(rest.weights, inputs, rest.around, rest.outputs);
+            let around = Around { bias: rest.bias, relu: around.relu };
+            product::sparse_product::<A>(rest.weights, inputs, around, rest.outputs);
         }
 
         /// Adds the rows of marked inputs to the sums of tiles, which stand one behind the other.

@@ -102,11 +102,11 @@ pub(super) const GROUP: usize = 8;
 ///
 /// With one part, multiplications take the input from memory. Where additions run beside them, registers cannot
 /// be read fast enough for both.
-pub(super) const fn parts<A: Arithmetic>(count: usize) -> usize {
+pub(super) const fn parts(count: usize, fused: bool) -> usize {
     match count {
         1 => 4,
         2..=3 => 2,
-        _ if A::FUSED => 2,
+        _ if fused => 2,
         _ => 1,
     }
 }
