@@ -12,7 +12,7 @@ pub struct Remembering<'m, P> {
 }
 
 impl<'m, P: Policy> Remembering<'m, P> {
-    /// `memory` `[agents, R]` holds the states of the first agents, of which the largest index counts.
+    /// `memory`, `[agents, R]`, holds the states of the first agents, of which the largest index counts.
     pub fn new(policy: P, memory: &'m mut [f32]) -> Self {
         memory.fill(0.0);
         Self { policy, memory }
@@ -108,7 +108,7 @@ mod tests {
             self_index,
             available: &[1],
         };
-        let mut count = |policy: &mut Remembering<'_, _>, agent| {
+        let count = |policy: &mut Remembering<'_, _>, agent| {
             policy.decide(&observed(agent)).map(|decision| decision.utility)
         };
         assert_eq!(count(&mut policy, 0), Ok(1.0));
