@@ -12,7 +12,7 @@ pub struct Remembering<'m, P> {
 }
 
 impl<'m, P: Policy> Remembering<'m, P> {
-    /// `memory` `[agents, R]` holds the states of the first agents, of which the largest index counts.
+    /// `memory`, `[agents, R]`, holds the states of the first agents, of which the largest index counts.
     pub fn new(policy: P, memory: &'m mut [f32]) -> Self {
         memory.fill(0.0);
         Self { policy, memory }
