@@ -2,7 +2,7 @@
 
 use sortie_bundle::Bundle;
 use sortie_compiler::onnxruntime::{OnnxRuntime, OnnxRuntimeTeamValue};
-use sortie_compiler::{CompileError, TractTeamValue, compile_allocator};
+use sortie_compiler::{CompileError, TractTeamValue};
 use sortie_core::allocate::{
     EXACT_AGENTS, PlanTeamValue, SearchMemory, TaskRelation, TeamQuery, TeamValueAllocator,
     TeamValueNetwork, exact,
@@ -12,6 +12,7 @@ use sortie_core::{AllocateError, Allocator};
 use sortie_envs::save_the_city::AllocationRule;
 
 use crate::arguments::AllocatorChoice;
+use crate::compiler::compiler;
 use crate::failure::{Exit, Failure};
 use crate::policy::Backend;
 use crate::worlds::save_the_city::{CityAllocator, CityRelation};
@@ -138,12 +139,13 @@ impl NetworkMemory {
         entities: usize,
     ) -> Result<Self, CompileError> {
         if backend == Backend::Tract {
+            compiler().rehearse(onnx, entities, None)?;
             return Ok(Self::Tract(Box::new(TractTeamValue::new(onnx)?)));
         }
-        let plan = compile_allocator(bundle)?.ok_or(PlanError::WrongNetwork)?;
+        let plan = compiler().compile_allocator(bundle)?.ok_or(PlanError::WrongNetwork)?;
         let loaded = Plan::load(plan.as_slice())?;
         let arena = AlignedBytes::zeroed(loaded.batch_arena_bytes(sortie_core::limits::AGENTS));
-        let rows = vec![0.0; PlanTeamValue::row_floats(&loaded, entities)];
+        let rows = vec![0.0; PlanTeamValue::memory_floats(&loaded, entities)];
         Ok(Self::Plan { plan, arena, rows })
     }
 

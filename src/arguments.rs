@@ -4,7 +4,9 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use sortie_envs::save_the_city::AllocationRule;
 
 use crate::failure::Outcome;
-use crate::{bench, compare, compile, eval, export, inspect, replay, run, train, verify, view};
+use crate::{
+    bench, compare, compile, compiler, eval, export, inspect, replay, run, train, verify, view,
+};
 
 const EXIT_CODES: &str = "\
 Exit codes: 0 done, 1 a check found a difference, 2 wrong use, 65 bad data, 66 file missing,
@@ -32,6 +34,8 @@ enum Verb {
     Verify(verify::VerifyArguments),
     Bench(bench::BenchArguments),
     View(view::ViewArguments),
+    #[command(hide = true)]
+    Compiler(compiler::CompilerArguments),
     #[command(hide = true)]
     Process(run::process::ProcessArguments),
 }
@@ -131,6 +135,7 @@ pub(crate) fn dispatch(arguments: Arguments) -> Outcome {
         Verb::Verify(arguments) => verify::run(&arguments),
         Verb::Bench(arguments) => bench::run(&arguments),
         Verb::View(arguments) => view::run(&arguments),
+        Verb::Compiler(arguments) => compiler::run(&arguments),
         Verb::Process(arguments) => run::process::run(&arguments),
     }
 }

@@ -5,10 +5,11 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use serde::Serialize;
-use sortie_compiler::{CompileError, CompileOptions, Report, compile};
+use sortie_compiler::{CompileError, CompileOptions, Report};
 use sortie_core::plan::Profile;
 
 use crate::arguments::Common;
+use crate::compiler::compiler;
 use crate::failure::{Failure, Outcome};
 use crate::output::{Table, print_json};
 
@@ -85,7 +86,7 @@ pub(crate) fn run(arguments: &CompileArguments) -> Outcome {
         seed: arguments.common.seed,
         ..CompileOptions::default()
     };
-    let compiled = compile(&onnx, &options).map_err(|error| {
+    let compiled = compiler().compile(&onnx, &options).map_err(|error| {
         if arguments.common.json {
             print_json(&Refused { error: refusal(&error) });
         }

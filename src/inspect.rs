@@ -8,9 +8,10 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 use sortie_bundle::{AGENT, ALLOCATOR, Bundle, MANIFEST, Manifest, TRAINING, hex};
-use sortie_compiler::{OnnxFacts, PlanFacts, inspect_onnx, inspect_plan};
+use sortie_compiler::{OnnxFacts, PlanFacts, inspect_plan};
 
 use crate::arguments::Common;
+use crate::compiler::compiler;
 use crate::deployment::open_bundle;
 use crate::failure::{Failure, Outcome};
 use crate::output::{Table, print_json};
@@ -58,7 +59,7 @@ pub(crate) fn run(arguments: &InspectArguments) -> Outcome {
         let facts = inspect_plan(&bytes).map_err(within)?;
         show(arguments.common.json, &facts, print_plan);
     } else {
-        let facts = inspect_onnx(&bytes).map_err(within)?;
+        let facts = compiler().inspect_onnx(&bytes).map_err(within)?;
         show(arguments.common.json, &facts, print_onnx);
     }
     Ok(())
@@ -71,7 +72,8 @@ fn show<F: Serialize>(json: bool, facts: &F, print: fn(&F)) {
 fn inspect_bundle(path: &Path, json: bool) -> Outcome {
     let bundle = open_bundle(path)?;
     let inspect = |name: &str, onnx: &[u8]| {
-        inspect_onnx(onnx).map_err(|error| Failure::from(error).within(path.join(name).display()))
+        let facts = compiler().inspect_onnx(onnx);
+        facts.map_err(|error| Failure::from(error).within(path.join(name).display()))
     };
     let facts = BundleFacts {
         bundle: path.display().to_string(),

@@ -5,6 +5,7 @@ mod arguments;
 mod bench;
 mod compare;
 mod compile;
+mod compiler;
 mod deployment;
 mod environment;
 mod episodes;

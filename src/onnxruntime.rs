@@ -21,6 +21,11 @@ impl OnnxRuntimeArguments {
         open(self.python.as_deref())
     }
 
+    /// The interpreter that was named.
+    pub(crate) fn python(&self) -> Option<&Path> {
+        self.python.as_deref()
+    }
+
     /// Opens the library, or says that it is left out and what would help.
     pub(crate) fn open_or_note(&self, left_out: &str) -> Option<&'static OnnxRuntime> {
         self.open().inspect_err(|error| eprintln!("note: {left_out}: {error}")).ok()

@@ -2,11 +2,12 @@
 
 use clap::ValueEnum;
 use sortie_bundle::Bundle;
-use sortie_compiler::{CompileError, TractPolicy, compile_bundle};
+use sortie_compiler::{CompileError, Ending, TractPolicy};
 use sortie_core::decide::PlanPolicy;
-use sortie_core::plan::{AlignedBytes, Plan, PlanError};
+use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
 use sortie_core::{Policy, limits};
 
+use crate::compiler::compiler;
 use crate::failure::{Exit, Failure, with_sources};
 
 /// What executes networks.
@@ -36,20 +37,19 @@ pub(crate) enum DeployedPolicy {
 impl DeployedPolicy {
     /// Compiles the bundle's network, or takes the plan that was compiled before.
     pub(crate) fn open(bundle: &Bundle, backend: Backend) -> Result<Self, Failure> {
-        let name = bundle.folder().display();
-        match backend {
+        let opened = match backend {
             Backend::Plan => {
-                let bytes =
-                    compile_bundle(bundle).map_err(|error| Failure::from(error).within(&name))?;
-                Self::of_plan(bytes).map_err(|error| Failure::from(error).within(&name))
+                compiler().compile_bundle(bundle, Profile::Exact).and_then(Self::of_plan)
             }
-            Backend::Tract => {
-                let features = usize::from(bundle.contract().features);
-                let policy = TractPolicy::new(bundle.agent_onnx(), features)
-                    .map_err(|error| Failure::from(error).within(&name))?;
-                Ok(Self::Tract(Box::new(policy)))
-            }
-        }
+            Backend::Tract => Self::of_graph(bundle),
+        };
+        opened.map_err(|error| Failure::from(error).within(bundle.folder().display()))
+    }
+
+    fn of_graph(bundle: &Bundle) -> Result<Self, CompileError> {
+        let (onnx, features) = (bundle.agent_onnx(), bundle.contract().features.into());
+        compiler().rehearse(onnx, bundle.manifest().limits.n_max.into(), Some(features))?;
+        Ok(Self::Tract(Box::new(TractPolicy::new(onnx, features)?)))
     }
 
     /// The policy of a plan.
@@ -79,6 +79,9 @@ impl From<CompileError> for Failure {
             CompileError::Plan(PlanError::Version { .. }) => Exit::Mismatch,
             CompileError::Size { .. } => Exit::Mismatch,
             CompileError::Differs { .. } => Exit::Bug,
+            CompileError::NoProcess { .. } => Exit::InputOutput,
+            // Ctrl-C reaches every process of the terminal.
+            CompileError::GivenUp { ending: Ending::Signal(2), .. } => Exit::Interrupted,
             _ => Exit::BadData,
         };
         Self::new(exit, with_sources(&error))

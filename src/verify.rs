@@ -9,13 +9,15 @@ use sortie_bundle::Bundle;
 use sortie_compiler::onnxruntime::{OnnxRuntime, OnnxRuntimePolicy, OnnxRuntimeTeamValue};
 use sortie_compiler::{
     Comparison, CompileError, CompileOptions, Judge, ObservationSizes, TOLERANCE, TeamQuerySizes,
-    TractTeamValue, compare_with_golden, compare_with_golden_allocations, compile, inspect_plan,
-    judge_agent, judge_team_values, observation_families, team_query_families,
+    TractTeamValue, compare_entities_with_graph, compare_with_golden,
+    compare_with_golden_allocations, inspect_plan, judge_agent, judge_team_values,
+    observation_families, random_entities, team_query_families,
 };
 use sortie_core::plan::Network;
 
 use crate::allocator::LearnedAllocator;
 use crate::arguments::Common;
+use crate::compiler::compiler;
 use crate::deployment::open_bundle;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::onnxruntime::OnnxRuntimeArguments;
@@ -132,11 +134,19 @@ fn judged(
     let (inputs, seed) = (arguments.inputs as usize, arguments.common.seed);
     let compare = || -> Result<Vec<Compared>, CompileError> {
         let options = CompileOptions { n_max, features, seed, ..CompileOptions::default() };
-        let plan = compile(onnx, &options)?.bytes;
+        // The graph that this process reads for its judges has then been read and run elsewhere.
+        let plan = compiler().compile(onnx, &options)?.bytes;
         let facts = inspect_plan(&plan)?;
         let mut compared = Vec::new();
         for judge in judges {
-            if facts.network == Network::TeamValue {
+            if facts.network == Network::Entities {
+                let Judge::Tract = judge else { continue };
+                let groups = facts.t_max.into();
+                let steps = random_entities(inputs, n_max, facts.features, groups, seed);
+                let found = compare_entities_with_graph(&plan, onnx, &steps)?;
+                let found = Comparison { name: "random".to_owned(), ..found };
+                compared.push(Compared::new(format!("plan against {}", judge.name()), vec![found]));
+            } else if facts.network == Network::TeamValue {
                 let (features, relations) = TractTeamValue::new(onnx)?.columns();
                 let sizes = TeamQuerySizes { n_max, features, relations };
                 let families = team_query_families(inputs, sizes, seed);

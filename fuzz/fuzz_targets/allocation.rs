@@ -72,7 +72,7 @@ fuzz_target!(|bytes: &[u8]| {
     }
     let plan = Plan::load(TEAM_VALUE).expect("a golden plan");
     let mut arena = Aligned([0; arena_bytes(TEAM_VALUE)]);
-    let mut rows = vec![0.0; PlanTeamValue::row_floats(&plan, 128)];
+    let mut rows = vec![0.0; PlanTeamValue::memory_floats(&plan, 128)];
     let network = PlanTeamValue::new(plan, &mut arena.0, &mut rows).expect("an arena that fits");
     let mut cells = vec![exact::Cell::default(); exact::cells(4, 4)];
     let (mut values, mut relation) = (vec![0.0; cells.len()], vec![0.0; 128 * RELATIONS]);

@@ -8,8 +8,8 @@ use sortie_compiler::onnxruntime::{BatchedTeamValues, OnnxRuntime};
 use sortie_core::allocate::{TaskRelation, TeamQuery, Teams, exact};
 use sortie_core::{AllocateError, AllocationState, Allocator};
 
-use super::decision::{engine, some};
-use super::rounds::alternate_long;
+use super::cases::some;
+use super::rounds::{alternate_long, engine, our_engine};
 use super::{Figures, Measuring, OURS, TRACT_VERSION, pin, scenes};
 use crate::allocator::{LearnedAllocator, none_learned};
 use crate::deployment::open_bundle;
@@ -59,7 +59,7 @@ pub(super) fn measure(arguments: &AllocationArguments) -> Result<Figures, Failur
     let state = |call: usize| states[call % states.len()].view();
     let version = runtime.map_or(String::new(), |runtime| runtime.version().to_owned());
     let mut engines = vec![
-        engine(OURS, env!("CARGO_PKG_VERSION"), |call| decide(&state(call), &mut ours)),
+        our_engine(OURS, |call| decide(&state(call), &mut ours)),
         engine("tract", TRACT_VERSION, |call| decide(&state(call), &mut tract)),
     ];
     if let Some(single) = &mut single {

@@ -1,9 +1,12 @@
 //! `sortie bench`: our figures beside the peers', measured in one run.
 
 mod allocation;
+mod cases;
+mod contestants;
 mod decision;
 mod environment;
 mod floor;
+mod quantised;
 mod rounds;
 mod scenes;
 mod team;
@@ -21,6 +24,7 @@ use rounds::{Engine, Measured, paired_ratio};
 
 /// Our engine in tables: a compiled plan of the exact profile.
 const OURS: &str = "sortie exact";
+const VERSION: &str = env!("CARGO_PKG_VERSION");
 const TRACT_VERSION: &str = "0.23.9";
 /// What only reads the weights.
 const FLOOR: &str = "floor";
@@ -28,8 +32,8 @@ const FLOOR: &str = "floor";
 /// Measure latency and throughput, ours and the peers' alternating in one run
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
-  sortie bench decision models/save-the-city --pin 1
-  sortie bench decision --python venv/bin/python3 --pace hot
+  sortie bench decision --pin 1
+  sortie bench decision models/save-the-city --python venv/bin/python3 --pace hot
   sortie bench allocation --seconds 5
   sortie bench env --seconds 10
   sortie bench train --python venv/bin/python3 --seconds 30")]
@@ -73,11 +77,12 @@ struct Row {
     unit: &'static str,
 }
 
-/// How many times as long as we a peer takes, paired round by round; less than 1 where it is faster.
+/// How many times as long as one of our engines a peer takes, paired round by round; less than 1 where it is faster.
 #[derive(Clone, Debug, Serialize)]
 struct Ratio {
     what: &'static str,
     case: String,
+    engine: &'static str,
     peer: &'static str,
     ratio: f64,
     low: f64,
@@ -133,7 +138,7 @@ fn no_core(core: usize) -> Failure {
 }
 
 impl Figures {
-    /// Adds what engines took for a case; the first is ours, the others are its peers.
+    /// Adds what engines took for a case, and the ratio of every peer to every engine of ours.
     fn add(
         &mut self,
         what: &'static str,
@@ -155,11 +160,23 @@ impl Figures {
                 unit: "us",
             });
         }
-        let Some((ours, peers)) = measured.split_first() else { return };
-        for (engine, peer) in engines.iter().skip(1).zip(peers) {
-            let [ratio, low, high] = paired_ratio(&ours.medians_ns, &peer.medians_ns);
-            let case = case.to_string();
-            self.ratios.push(Ratio { what, case, peer: engine.name, ratio, low, high });
+        let (ours, peers): (Vec<_>, Vec<_>) =
+            engines.iter().zip(measured).partition(|(engine, _)| engine.is_ours());
+        for (our, our_times) in ours {
+            for (peer, peer_times) in &peers {
+                let [ratio, low, high] =
+                    paired_ratio(&our_times.medians_ns, &peer_times.medians_ns);
+                let (engine, peer) = (our.name, peer.name);
+                self.ratios.push(Ratio {
+                    what,
+                    case: case.to_string(),
+                    engine,
+                    peer,
+                    ratio,
+                    low,
+                    high,
+                });
+            }
         }
     }
 
@@ -179,14 +196,25 @@ impl Figures {
         }
         table.print();
         self.print_arithmetic();
-        for Ratio { case, peer, ratio, low, high, .. } in &self.ratios {
-            if *peer == FLOOR {
-                let [ratio, low, high] = [1.0 / ratio, 1.0 / high, 1.0 / low];
-                println!("{case}: {ratio:.2} times the floor (rounds {low:.2} to {high:.2})");
-                continue;
-            }
-            println!("{case}: {ratio:.1} times as fast as {peer} (rounds {low:.1} to {high:.1})");
+        self.print_ratios();
+    }
+
+    fn print_ratios(&self) {
+        if self.ratios.is_empty() {
+            return;
         }
+        println!();
+        let mut table = Table::new(&["case", "engine", "", "peer", "rounds"]);
+        for Ratio { case, engine, peer, ratio, low, high, .. } in &self.ratios {
+            let (said, low, high) = if *peer == FLOOR {
+                (format!("takes {:.2} times", 1.0 / ratio), 1.0 / high, 1.0 / low)
+            } else {
+                (format!("{ratio:.1} times as fast as"), *low, *high)
+            };
+            let rounds = format!("{low:.2} to {high:.2}");
+            table.row([case.clone(), (*engine).to_owned(), said, (*peer).to_owned(), rounds]);
+        }
+        table.print();
     }
 
     fn print_arithmetic(&self) {

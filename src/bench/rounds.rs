@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use clap::ValueEnum;
 
-use super::thread_cpu_s;
+use super::{VERSION, thread_cpu_s};
 use crate::latency::Latency;
 
 /// Bytes written between two calls of [`Pace::Cold`]: more than any cache holds.
@@ -16,11 +16,34 @@ const INTERVAL: Duration = Duration::from_millis(100);
 /// What is measured: call number i does the same work for every engine.
 pub(super) type Work<'a> = Box<dyn FnMut(usize) + 'a>;
 
-/// What an engine is called in tables.
+/// One of those that take turns.
 pub(super) struct Engine<'a> {
+    /// What it is called in tables.
     pub(super) name: &'static str,
     pub(super) version: String,
-    pub(super) work: Work<'a>,
+    /// Whether it is ours, so that the others are its peers.
+    ours: bool,
+    work: Work<'a>,
+}
+
+/// A peer.
+pub(super) fn engine<'a>(
+    name: &'static str,
+    version: &str,
+    work: impl FnMut(usize) + 'a,
+) -> Engine<'a> {
+    Engine { name, version: version.to_owned(), ours: false, work: Box::new(work) }
+}
+
+/// One of our own engines.
+pub(super) fn our_engine<'a>(name: &'static str, work: impl FnMut(usize) + 'a) -> Engine<'a> {
+    Engine { name, version: VERSION.to_owned(), ours: true, work: Box::new(work) }
+}
+
+impl Engine<'_> {
+    pub(super) fn is_ours(&self) -> bool {
+        self.ours
+    }
 }
 
 /// One engine's figures.
@@ -167,11 +190,7 @@ mod tests {
     fn engines_take_turns_over_the_same_calls() {
         let calls = std::cell::RefCell::new(Vec::new());
         let calls = &calls;
-        let engine = |name| Engine {
-            name,
-            version: String::new(),
-            work: Box::new(move |call| calls.borrow_mut().push((name, call))),
-        };
+        let engine = |name| engine(name, "", move |call| calls.borrow_mut().push((name, call)));
         let mut engines = [engine("a"), engine("b")];
         let measured = alternate_long(&mut engines, 2, 0.0);
         assert!(measured.iter().all(|engine| engine.medians_ns.len() == 3));

@@ -1,70 +1,73 @@
 //! The decisions of a whole team in one process, against one batched call of onnxruntime.
 
-use sortie_bundle::{Bundle, RecordedFrame, Recording};
+use sortie_bundle::{RecordedFrame, Recording};
 use sortie_compiler::TOLERANCE;
-use sortie_compiler::onnxruntime::{BatchedAgents, OnnxRuntime};
+use sortie_compiler::onnxruntime::BatchedAgents;
 use sortie_core::choose::masked_argmax;
-use sortie_core::{Observation, Policy};
+use sortie_core::{DecideError, Observation, Policy};
 
-use super::decision::{engine, some};
-use super::floor::Floor;
-use super::rounds::{Pace, alternate};
-use super::{FLOOR, Figures, OURS};
+use super::cases::some;
+use super::contestants::Contestants;
+use super::decision::Schedule;
+use super::rounds::{alternate, engine, our_engine};
+use super::{FLOOR, Figures};
 use crate::failure::{Failure, Outcome};
 
 /// Agents, and entities of their frames.
 pub(super) const SIZES: [(usize, usize); 2] = [(5, 11), (8, 17)];
-
-/// What teams are measured with.
-pub(super) struct Contest<'a> {
-    pub(super) bundle: &'a Bundle,
-    pub(super) runtime: Option<&'static OnnxRuntime>,
-    pub(super) floor: &'a Floor,
-    pub(super) recordings: &'a [Recording],
-}
+/// Agents of the largest team.
+const LARGEST: usize = 8;
 
 /// Measures teams of all sizes on recorded masks.
 pub(super) fn measure(
-    contest: &Contest<'_>,
-    ours: &mut dyn Policy,
+    contestants: &mut Contestants<'_>,
+    recordings: &[Recording],
+    schedule: &Schedule<'_>,
     figures: &mut Figures,
-    paces: &[Pace],
-    seconds: &dyn Fn(Pace) -> f64,
 ) -> Outcome {
-    let features = contest.bundle.contract().features.into();
-    let peer = contest.runtime.map(|runtime| {
-        let onnx = contest.bundle.agent_onnx();
-        let peer = BatchedAgents::new(runtime, onnx, features).map_err(Failure::from)?;
-        Ok::<_, Failure>((peer, runtime.version()))
-    });
-    let mut peer = peer.transpose()?;
     for (agents, entities) in SIZES {
-        let frames = frames(contest.recordings, agents, entities);
-        let case = format!("{agents} agents, N = {entities}");
+        let frames = frames(recordings, agents, entities);
+        let case = format!("{}: {agents} agents, N = {entities}", contestants.name);
         if frames.is_empty() {
             eprintln!("note: no frame of `{case}` was recorded");
             continue;
         }
-        if let Some((peer, _)) = &mut peer {
-            check(&frames, ours, peer)?;
+        check(&frames, contestants)?;
+        measure_team(contestants, &case, &frames, schedule, figures)?;
+    }
+    Ok(())
+}
+
+/// Measures all decisions of a frame in one call of each engine.
+fn measure_team(
+    contestants: &mut Contestants<'_>,
+    case: &str,
+    frames: &[Vec<Observation<'_>>],
+    schedule: &Schedule<'_>,
+    figures: &mut Figures,
+) -> Outcome {
+    let agents = frames.first().map_or(0, Vec::len);
+    let actions = usize::from(contestants.bundle.contract().actions);
+    let Contestants { ours, onnxruntime, floor, .. } = contestants;
+    let mut plans = Vec::new();
+    for (profile, plan) in ours {
+        plans.push((*profile, plan.policy()?));
+    }
+    let mut utilities = vec![0.0; agents * actions];
+    let frame = |call: usize| &frames[call % frames.len()];
+    for pace in schedule.paces {
+        let mut engines = Vec::new();
+        for (profile, policy) in &mut plans {
+            engines.push(our_engine(profile, |call| decide_together(frame(call), policy.as_mut())));
         }
-        for pace in paces {
-            let frame = |call: usize| &frames[call % frames.len()];
-            let mut engines = vec![engine(OURS, env!("CARGO_PKG_VERSION"), |call| {
-                one_by_one(frame(call), ours);
-            })];
-            if let Some((peer, version)) = &mut peer {
-                let actions = usize::from(contest.bundle.contract().actions);
-                let mut utilities = vec![0.0; agents * actions];
-                engines.push(engine("onnxruntime", version, move |call| {
-                    at_once(frame(call), peer, &mut utilities);
-                }));
-            }
-            let floor = contest.floor;
-            engines.push(engine(FLOOR, "", |_| floor.read()));
-            let measured = alternate(&mut engines, *pace, seconds(*pace));
-            figures.add("team", &format!("{case}, {}", pace.name()), &engines, &measured);
+        if let Some(peer) = onnxruntime {
+            let utilities = &mut utilities;
+            let at_once = |call| at_once(frame(call), &mut peer.team, utilities);
+            engines.push(engine("onnxruntime", peer.runtime.version(), at_once));
         }
+        engines.push(engine(FLOOR, "", |_| floor.read()));
+        let measured = alternate(&mut engines, *pace, schedule.seconds(*pace));
+        figures.add("team", &format!("{case}, {}", pace.name()), &engines, &measured);
     }
     Ok(())
 }
@@ -81,10 +84,11 @@ fn frames(recordings: &[Recording], agents: usize, entities: usize) -> Vec<Vec<O
     some(all.collect())
 }
 
-/// A decision for each agent in turn.
-fn one_by_one(frame: &[Observation<'_>], policy: &mut dyn Policy) {
-    for observation in frame {
-        let decision = policy.decide(observation);
+/// The decisions of all agents in one call.
+fn decide_together(frame: &[Observation<'_>], policy: &mut dyn Policy) {
+    let mut decisions = [Err(DecideError::BadLength); LARGEST];
+    policy.decide_batch(frame, &mut decisions);
+    for decision in decisions.iter().take(frame.len()) {
         std::hint::black_box(decision.expect("observations of episodes can be decided on"));
     }
 }
@@ -100,16 +104,16 @@ fn at_once(frame: &[Observation<'_>], peer: &mut BatchedAgents, utilities: &mut 
 }
 
 /// The batched graph must compute what the single one does, which our plan was proved against.
-fn check(
-    frames: &[Vec<Observation<'_>>],
-    ours: &mut dyn Policy,
-    peer: &mut BatchedAgents,
-) -> Outcome {
+fn check(frames: &[Vec<Observation<'_>>], contestants: &mut Contestants<'_>) -> Outcome {
+    let Contestants { ours, onnxruntime: Some(peer), .. } = contestants else { return Ok(()) };
+    let (_, exact) = ours.first_mut().expect("every machine runs the exact profile");
+    let mut ours = exact.policy()?;
     let actions = ours.actions();
     let mut want = vec![0.0; actions];
     for frame in frames {
         let mut got = vec![0.0; frame.len() * actions];
-        peer.utilities(frame, &mut got)
+        peer.team
+            .utilities(frame, &mut got)
             .map_err(|error| Failure::difference(format!("the batched graph: {error}")))?;
         for (observation, got) in frame.iter().zip(got.chunks_exact(actions)) {
             ours.utilities(observation, &mut want)

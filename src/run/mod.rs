@@ -171,7 +171,6 @@ fn play_in_process(
     let team = InProcess { world, policy: policy.as_mut(), allocator: Some(allocator) };
     let contract = domain_contract(bundle);
     run_in_process(team, &contract, &settings(arguments), onlooker, stop)?;
-    onlooker.figures.processes = 1;
     Ok(())
 }
 

@@ -1,11 +1,12 @@
 //! Watches the world of a run: collects latencies, shows the city.
 
 use std::cell::RefCell;
+use std::collections::BTreeSet;
 use std::rc::Rc;
 
 use console::Term;
 use sortie_core::roles::{TickReport, WorldObserver};
-use sortie_core::wire::{AllocMsg, Role, StatMsg};
+use sortie_core::wire::{AllocMsg, StatMsg};
 use sortie_core::{NO_ACTION, UNASSIGNED, limits};
 use sortie_envs::save_the_city::SaveTheCity;
 
@@ -46,8 +47,8 @@ pub(super) struct Figures {
     pub(super) act: Latency,
     /// From a frame's publishing to the end of the world's step.
     pub(super) tick: Latency,
-    /// Processes that have said hello, the world included.
-    pub(super) processes: usize,
+    /// Ids of the processes heard of, the world's included.
+    pub(super) processes: BTreeSet<u32>,
 }
 
 impl Onlooker {
@@ -62,7 +63,7 @@ impl Onlooker {
             decide: Latency::new(),
             act: Latency::new(),
             tick: Latency::new(),
-            processes: 1,
+            processes: BTreeSet::from([std::process::id()]),
         };
         Self {
             display,
@@ -96,8 +97,7 @@ impl Onlooker {
 
 impl WorldObserver for Onlooker {
     fn status(&mut self, status: &StatMsg) {
-        let is_process = status.role != Role::World as u8 && status.flags & StatMsg::HELLO != 0;
-        self.figures.processes += usize::from(is_process);
+        self.figures.processes.insert(status.pid);
     }
 
     fn episode_started(&mut self, _episode: u32) {

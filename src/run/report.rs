@@ -73,7 +73,7 @@ impl Report {
             rate_hz: setup.rate_hz,
             allocation: setup.allocation,
             backend: setup.backend,
-            processes: figures.processes,
+            processes: figures.processes.len(),
         }
     }
 

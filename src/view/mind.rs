@@ -7,6 +7,7 @@ use sortie_core::{DecideError, Decision, Observation, Policy};
 use sortie_learn::methods::alma::NetworkPolicy;
 
 use super::data::{Attention, Thought, rounded};
+use crate::compiler::compiler;
 use crate::failure::Failure;
 
 /// A policy that also tells what it attends to.
@@ -38,7 +39,9 @@ pub(super) struct DeployedMind<'a> {
 impl<'a> DeployedMind<'a> {
     pub(super) fn new(bundle: &Bundle, policy: Box<dyn Policy + 'a>) -> Result<Self, Failure> {
         let features = usize::from(bundle.contract().features);
-        let probe = AttentionProbe::new(bundle.agent_onnx(), features)?;
+        let onnx = bundle.agent_onnx();
+        compiler().rehearse(onnx, bundle.manifest().limits.n_max.into(), Some(features))?;
+        let probe = AttentionProbe::new(onnx, features)?;
         Ok(Self { policy, probe })
     }
 }

@@ -1,30 +1,34 @@
 //! From the bytes of an ONNX file to a plan that was checked against it.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use sortie_bundle::{Bundle, PlanKey, cached_plan, plan_places, sha256};
 use sortie_core::limits;
-use sortie_core::ops::Op;
+use sortie_core::ops::{Members, Op, OutputRows};
 use sortie_core::plan::{AlignedBytes, Network, Plan, Profile, Program};
 
 use crate::assemble::{Origin, assemble};
 use crate::error::CompileError;
-use crate::graph::{Graph, Inputs, TeamRoles};
+use crate::graph::{EntityRoles, Graph, Inputs, TeamRoles};
+use crate::layout::Weights;
 use crate::lower::{AgentSizes, Choice, lower_agent};
-use crate::matching::{match_agent, match_team_value};
-use crate::observations::{random_observations, random_team_queries};
-use crate::parity::{Comparison, TOLERANCE, plan_against_graph, team_values_against_graph};
+use crate::lower_entities::{EntitySizes, lower_entities};
+use crate::matching::{match_agent, match_entities, match_team_value};
+use crate::observations::{random_entities, random_observations, random_team_queries};
+use crate::parity::{
+    Comparison, TOLERANCE, entities_against_graph, plan_against_graph, team_values_against_graph,
+};
 
 /// The compiler's version; a plan of another version is compiled again.
 pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), "-2");
 
 /// What the file alone does not say.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct CompileOptions {
     /// Most visible entities.
     pub n_max: usize,
     /// How the plan computes.
     pub profile: Profile,
-    /// Most subtasks, 0 if none.
+    /// Most subtasks, 0 if none. A network over all entities says itself how many groups it has.
     pub t_max: u16,
     /// Features d before the last action's one-hot; none: as the file's metadata says, else all columns.
     pub features: Option<usize>,
@@ -45,7 +49,7 @@ impl Default for CompileOptions {
 }
 
 /// A plan and what is known about it.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Compiled {
     /// The plan.
     pub bytes: Vec<u8>,
@@ -54,7 +58,7 @@ pub struct Compiled {
 }
 
 /// What is known about a plan.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Report {
     /// Bytes of the plan.
     pub flash_bytes: usize,
@@ -75,7 +79,7 @@ pub struct Report {
 }
 
 /// One operator of a plan.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct OperatorReport {
     /// Its kind.
     pub name: String,
@@ -85,20 +89,13 @@ pub struct OperatorReport {
     pub macs: usize,
 }
 
-/// Compiles an ONNX file, an agent's or an allocator's network, and proves the plan against it.
+/// Compiles an ONNX file, a network of an agent, of an allocator or over all entities, and proves the plan against it.
+///
+/// A damaged file can make the parser allocate without bound, loop or overflow the stack: files of strangers are
+/// for a [`crate::CompilerProcess`].
 pub fn compile(onnx: &[u8], options: &CompileOptions) -> Result<Compiled, CompileError> {
     let graph = Graph::read(onnx)?;
-    let (layers, features, network) = match graph.inputs {
-        Inputs::Agent(_) => {
-            let features = options.features.or_else(|| graph.number("sortie.features"));
-            (match_agent(&graph)?, features.unwrap_or(graph.columns), Network::Agent)
-        }
-        Inputs::TeamValue(_) => (match_team_value(&graph)?, graph.columns, Network::TeamValue),
-    };
-    let drawn = graph.metadata.get("sortie.choice").is_some_and(|choice| choice == "sample");
-    let choice = if drawn { Choice::Drawn } else { Choice::Greedy };
-    let sizes = AgentSizes { n_max: options.n_max, features, actions: graph.actions, choice };
-    let (program, weights) = lower_agent(&layers, sizes)?;
+    let Lowered { program, weights, sizes, network } = lower(&graph, options)?;
     let metadata = graph.metadata.get("sortie.contract");
     let known = metadata.and_then(|hash| u64::from_str_radix(hash, 16).ok());
     let mut origin = Origin {
@@ -106,7 +103,10 @@ pub fn compile(onnx: &[u8], options: &CompileOptions) -> Result<Compiled, Compil
         profile: options.profile,
         network,
         contract: options.contract.or(known).unwrap_or(0),
-        t_max: options.t_max,
+        t_max: match graph.inputs {
+            Inputs::Entities(EntityRoles { group_count, .. }) => group_count as u16,
+            _ => options.t_max,
+        },
         max_error: 0.0,
         action_mismatch: 0.0,
     };
@@ -129,6 +129,40 @@ pub fn compile(onnx: &[u8], options: &CompileOptions) -> Result<Compiled, Compil
     Ok(Compiled { bytes, report })
 }
 
+/// A network as a program.
+struct Lowered {
+    program: Program,
+    weights: Weights,
+    sizes: AgentSizes,
+    network: Network,
+}
+
+/// Matches a graph and lowers what was found.
+fn lower(graph: &Graph, options: &CompileOptions) -> Result<Lowered, CompileError> {
+    let n_max = options.n_max;
+    let drawn = graph.metadata.get("sortie.choice").is_some_and(|choice| choice == "sample");
+    let choice = if drawn { Choice::Drawn } else { Choice::Greedy };
+    let mut sizes = AgentSizes { n_max, features: graph.columns, actions: graph.actions, choice };
+    let (layers, network) = match graph.inputs {
+        Inputs::Agent(_) => {
+            let features = options.features.or_else(|| graph.number("sortie.features"));
+            sizes.features = features.unwrap_or(graph.columns);
+            (match_agent(graph)?, Network::Agent)
+        }
+        Inputs::TeamValue(_) => (match_team_value(graph)?, Network::TeamValue),
+        Inputs::Entities(EntityRoles { group_count: groups, .. }) => {
+            // No action is chosen, but a plan has one at least.
+            sizes.actions = 1;
+            let layers = match_entities(graph)?;
+            let of_entities = EntitySizes { n_max, features: graph.columns, groups };
+            let (program, weights) = lower_entities(&layers, of_entities)?;
+            return Ok(Lowered { program, weights, sizes, network: Network::Entities });
+        }
+    };
+    let (program, weights) = lower_agent(&layers, sizes)?;
+    Ok(Lowered { program, weights, sizes, network })
+}
+
 /// Compares a plan with its graph on random inputs, and refuses one that differs.
 fn prove(
     plan: &[u8],
@@ -146,6 +180,10 @@ fn prove(
         Inputs::TeamValue(TeamRoles { features, relations, .. }) => {
             let queries = random_team_queries(inputs, n_max, features, relations, seed);
             team_values_against_graph(plan, graph, &queries)?
+        }
+        Inputs::Entities(EntityRoles { group_count, .. }) => {
+            let steps = random_entities(inputs, n_max, sizes.features, group_count, seed);
+            entities_against_graph(plan, graph, &steps)?
         }
     };
     if comparison.max_rel_error.is_nan() || comparison.max_rel_error > TOLERANCE {
@@ -166,26 +204,52 @@ pub fn compile_bundle(bundle: &Bundle) -> Result<AlignedBytes, CompileError> {
 
 /// As [`compile_bundle`] in any profile.
 pub fn compile_bundle_as(bundle: &Bundle, profile: Profile) -> Result<AlignedBytes, CompileError> {
-    let plan = cached(bundle, bundle.agent_onnx(), profile, bundle.manifest().limits.n_max.into())?;
-    let loaded = Plan::load(plan.as_slice())?;
-    let (actions, hidden) = (loaded.actions(), loaded.hidden());
-    if hidden != 0 {
-        // Nobody who runs bundles keeps a state for an agent.
-        return Err(CompileError::Size { what: "the recurrent state", got: hidden, want: 0 });
-    }
-    if actions != usize::from(bundle.contract().actions) {
-        let want = usize::from(bundle.contract().actions);
-        return Err(CompileError::Size { what: "the number of utilities", got: actions, want });
-    }
-    Ok(plan)
+    agent_plan(bundle, profile, &compile)
 }
 
 /// The plan of a bundle's learned allocator, if it has one, cached in the same way.
 pub fn compile_allocator(bundle: &Bundle) -> Result<Option<AlignedBytes>, CompileError> {
+    allocator_plan(bundle, &compile)
+}
+
+/// What compiles: this process or another.
+pub(crate) type Compile<'a> = &'a dyn Fn(&[u8], &CompileOptions) -> Result<Compiled, CompileError>;
+
+/// As [`compile_bundle_as`] by any compiler.
+pub(crate) fn agent_plan(
+    bundle: &Bundle,
+    profile: Profile,
+    compile: Compile<'_>,
+) -> Result<AlignedBytes, CompileError> {
+    let n_max = bundle.manifest().limits.n_max.into();
+    let plan = cached(bundle, bundle.agent_onnx(), profile, n_max, compile)?;
+    let loaded = Plan::load(plan.as_slice())?;
+    let (actions, hidden) = (loaded.actions(), loaded.hidden());
+    if hidden != 0 {
+        // Nobody who runs bundles keeps a state for an agent.
+        return Err(CompileError::Size {
+            what: "the recurrent state".into(),
+            got: hidden,
+            want: 0,
+        });
+    }
+    if actions != usize::from(bundle.contract().actions) {
+        let want = usize::from(bundle.contract().actions);
+        let what = "the number of utilities".into();
+        return Err(CompileError::Size { what, got: actions, want });
+    }
+    Ok(plan)
+}
+
+/// As [`compile_allocator`] by any compiler.
+pub(crate) fn allocator_plan(
+    bundle: &Bundle,
+    compile: Compile<'_>,
+) -> Result<Option<AlignedBytes>, CompileError> {
     let Some(onnx) = bundle.allocator_onnx() else { return Ok(None) };
     // Several teams are valued together, and every agent is a member of some and a stranger to others: two rows.
     let n_max = (2 * usize::from(bundle.manifest().limits.n_max)).min(limits::ENTITIES);
-    let plan = cached(bundle, onnx, Profile::Exact, n_max)?;
+    let plan = cached(bundle, onnx, Profile::Exact, n_max, compile)?;
     Plan::load(plan.as_slice())?.check_network(Network::TeamValue)?;
     Ok(Some(plan))
 }
@@ -195,6 +259,7 @@ fn cached(
     onnx: &[u8],
     profile: Profile,
     n_max: usize,
+    compile: Compile<'_>,
 ) -> Result<AlignedBytes, CompileError> {
     let (contract, limits) = (bundle.contract(), bundle.manifest().limits);
     let options = CompileOptions {
@@ -241,6 +306,21 @@ fn detail(op: &Op) -> String {
             format!("[{}] -> [{}]{}", op.layer.inputs, op.layer.outputs, relu(op.relu))
         }
         Op::Gru(op) => format!("[{}], state [{}]", op.input.inputs, op.size),
+        Op::AttendAll(op) => {
+            let heads = if op.heads == 1 { "head" } else { "heads" };
+            let (width, outputs) = (op.width, op.output.outputs);
+            format!("[N, {width}] -> [N, {outputs}], {} {heads}{}", op.heads, relu(op.relu))
+        }
+        Op::MeanRows(op) => {
+            let whose = if op.members == Members::Agents { "of agents" } else { "of all" };
+            format!("[N, {}] -> [{}], {whose}", op.width, op.width)
+        }
+        Op::GroupSum(op) => format!("[N, {}] -> [{}, {}]", op.width, op.groups, op.width),
+        Op::Output(op) => match op.rows {
+            OutputRows::Entities => format!("[N, {}]", op.width),
+            OutputRows::Groups(groups) => format!("[{groups}, {}]", op.width),
+            _ => format!("[{}]", op.width),
+        },
         Op::MaskedArgmax(op) => format!("[{}] -> action", op.from.len),
         Op::MaskedSample(op) => format!("[{}] -> drawn action", op.from.len),
         _ => String::new(),

@@ -1,19 +1,15 @@
 //! Networks over all entities: attention of every query, means, sums by group, several outputs.
 
 use sortie_core::kernels::build::Build;
-use sortie_core::kernels::mark::MARKED;
-use sortie_core::kernels::product::padded;
-use sortie_core::ops::{
-    AttendAll, Dense, EmbedEntities, GroupSum, Linear, MeanRows, Members, Op, Output, OutputRows,
-};
-use sortie_core::plan::{AlignedBytes, Network, Plan, PlanError, Profile, Program};
+use sortie_core::ops::{Members, OutputRows};
+use sortie_core::plan::{AlignedBytes, Network, Plan, PlanError, Profile};
 use sortie_core::{DecideError, Entities, EntityMask, PlanPolicy};
 
 use crate::assemble::{Origin, assemble};
 use crate::executor_tests::bits;
-use crate::layout::Weights;
-use crate::lower::{AgentSizes, Arena, Choice, padded_heads, side_by_side};
-use crate::matching::Layer;
+use crate::lower::{AgentSizes, Choice};
+use crate::lower_entities::{EntitySizes, lower_entities};
+use crate::matching::{AllAttention, EntityLayers, EntityStep, Layer};
 use crate::testing::{Random, apply, attend, run_forged};
 
 /// A critic that also gives the embedding after attention, and the sums of embeddings by group.
@@ -62,60 +58,22 @@ impl Critic {
     }
 
     fn plan(&self) -> AlignedBytes {
-        let Shape { n_max, features, width, heads, groups, outputs } = self.shape;
-        let (mut weights, mut arena) = (Weights::default(), Arena::default());
-        let head_width = width / heads;
-        let mut by_heads = |layer: &Layer| -> Linear {
-            let head = |head: usize| Layer {
-                matrix: layer.matrix.columns(head * head_width, head_width),
-                bias: layer.bias[head * head_width..][..head_width].to_vec(),
-                relu: false,
-            };
-            weights.add_layer(&side_by_side(&(0..heads).map(head).collect::<Vec<_>>()))
+        let Shape { n_max, features, heads, groups, outputs, .. } = self.shape;
+        let [query, key, value, output] =
+            [&self.query, &self.key, &self.value, &self.output].map(Layer::clone);
+        let attention = Box::new(AllAttention { heads, query, key, value, output });
+        let layers = EntityLayers {
+            embed: self.embed.clone(),
+            steps: vec![
+                EntityStep::Attend { rows: 0, attention },
+                EntityStep::Mean { rows: 1, members: Members::Agents },
+                EntityStep::Dense { from: 2, layer: self.head.clone() },
+                EntityStep::GroupSum { rows: 0 },
+            ],
+            outputs: vec![3, 1, 4],
         };
-        let [query, key, value] = [&self.query, &self.key, &self.value].map(&mut by_heads);
-        let matrix = padded_heads(&self.output.matrix, heads);
-        let inner = matrix.inputs;
-        let output = weights.add_layer(&Layer { matrix, ..self.output.clone() });
-        let rows = arena.place((n_max + 1) * padded(width));
-        let attend = AttendAll {
-            rows,
-            width: width as u16,
-            heads: heads as u16,
-            query,
-            key,
-            value,
-            output,
-            relu: true,
-            queries: arena.place(n_max * inner),
-            keys: arena.place(n_max * inner),
-            values: arena.place(n_max * inner),
-            scores: arena.place(n_max),
-            attended: arena.place(inner),
-            to: arena.place(n_max * padded(width)),
-        };
-        let mean = arena.place(padded(width));
-        let sums = arena.place(groups * padded(width));
-        let head = arena.place(padded(outputs));
-        let width = width as u16;
-        let mut from = mean;
-        from.len = u32::from(width);
-        let layer = weights.add_layer(&self.head);
-        let embed = weights.add_layer(&self.embed);
-        let one = OutputRows::One;
-        let by_group = OutputRows::Groups(groups as u16);
-        let ops = [
-            Op::EmbedEntities(EmbedEntities { layer: embed, last_actions: 0, relu: true, rows }),
-            Op::AttendAll(attend),
-            Op::MeanRows(MeanRows { rows: attend.to, width, members: Members::Agents, to: mean }),
-            Op::Dense(Dense { layer, relu: false, sparse_input: true, from, to: head }),
-            Op::GroupSum(GroupSum { rows, width, groups: groups as u16, to: sums }),
-            Op::Output(Output { from: head, width: outputs as u16, rows: one }),
-            Op::Output(Output { from: attend.to, width, rows: OutputRows::Entities }),
-            Op::Output(Output { from: sums, width, rows: by_group }),
-        ];
-        let nonzeros = features.max(usize::from(width)).div_ceil(MARKED) as u32;
-        let program = Program { ops: ops.into_iter().collect(), floats: arena.floats(), nonzeros };
+        let of_entities = EntitySizes { n_max, features, groups };
+        let (program, weights) = lower_entities(&layers, of_entities).unwrap();
         let sizes = AgentSizes { n_max, features, actions: outputs, choice: Choice::Greedy };
         let origin = Origin {
             source: [0; 32],

@@ -1,9 +1,14 @@
 //! Why a network does not become a plan.
 
+use std::borrow::Cow;
+
+use serde::{Deserialize, Serialize};
 use sortie_core::plan::PlanError;
 
+use crate::process::Ending;
+
 /// Why a network could not be read, compiled or run.
-#[derive(Debug, thiserror::Error)]
+#[derive(Debug, thiserror::Error, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum CompileError {
     /// The bytes are not an ONNX model that can be read.
@@ -15,7 +20,9 @@ pub enum CompileError {
     /// The inputs are those of no network that is known.
     #[error(
         "an agent network needs entities f32 [N, D], self_index i64 [1] and visible bool [N], with memory a state \
-         f32 [R] that comes out too, a team-value network entities and relation f32 [N, _] and present, is_agent, in_task, open, team bool [N]; the file has {found}"
+         f32 [R] that comes out too, a team-value network entities and relation f32 [N, _] and present, is_agent, in_task, open, team bool [N], \
+         a network over all entities entities f32 [N, D], present bool [N] and, where needed, is_agent bool [N] and \
+         groups bool [N, T]; the file has {found}"
     )]
     Inputs {
         /// The inputs of the file, with types and shapes.
@@ -25,13 +32,13 @@ pub enum CompileError {
     #[error("the file is not {want} network")]
     OtherNetwork {
         /// Whose network is needed.
-        want: &'static str,
+        want: Cow<'static, str>,
     },
     /// The sizes of the file and of the contract do not fit.
     #[error("{what} is {got} in the file, the contract says {want}")]
     Size {
         /// What differs.
-        what: &'static str,
+        what: Cow<'static, str>,
         /// In the file.
         got: usize,
         /// In the contract.
@@ -41,7 +48,7 @@ pub enum CompileError {
     #[error("{what} is {got}, at most {max} is possible")]
     TooLarge {
         /// What is too large.
-        what: &'static str,
+        what: Cow<'static, str>,
         /// Its size.
         got: usize,
         /// The limit.
@@ -59,13 +66,13 @@ pub enum CompileError {
         /// Shapes of its inputs.
         shapes: String,
         /// The nearest supported pattern.
-        hint: &'static str,
+        hint: Cow<'static, str>,
     },
     /// A weight is not a finite number.
     #[error("the {layer} layer holds a weight that is not finite")]
     NonFiniteWeight {
         /// The layer.
-        layer: &'static str,
+        layer: Cow<'static, str>,
     },
     /// The plan and the graph disagree, so the plan was thrown away.
     #[error(
@@ -86,6 +93,23 @@ pub enum CompileError {
     #[error("the network cannot be run: {reason}")]
     Run {
         /// What the engine said.
+        reason: String,
+    },
+    /// The process that reads the file ended without an answer.
+    #[error(
+        "reading the ONNX file was given up, because {ending}{}: it is damaged, or larger than networks of agents are",
+        if said.is_empty() { String::new() } else { format!(" (`{said}`)") }
+    )]
+    GivenUp {
+        /// How it ended.
+        ending: Ending,
+        /// What it said, empty if nothing.
+        said: String,
+    },
+    /// The process that reads the file cannot be started.
+    #[error("no process can be started that reads the ONNX file: {reason}")]
+    NoProcess {
+        /// What the system said.
         reason: String,
     },
     /// The plan is not one that can be loaded.

@@ -11,7 +11,7 @@ use tract_onnx::tract_hir::internal::DimLike;
 
 use crate::error::CompileError;
 
-/// A network with the inputs and outputs of an agent, or of an allocator.
+/// A network with the inputs and outputs of an agent, of an allocator, or over all entities.
 #[derive(Debug)]
 pub(crate) struct Graph {
     pub(crate) model: TypedModel,
@@ -20,9 +20,9 @@ pub(crate) struct Graph {
     pub(crate) metadata: BTreeMap<String, String>,
     /// Columns D of the rows that are embedded.
     pub(crate) columns: usize,
-    /// Outputs: actions U, or one value.
+    /// Width of the answer: actions U, or one value.
     pub(crate) actions: usize,
-    /// What the network answers: an agent's utilities, an allocator's value.
+    /// What the network answers: an agent's utilities, an allocator's value, one output of several.
     pub(crate) answer: OutletId,
 }
 
@@ -31,6 +31,7 @@ pub(crate) struct Graph {
 pub(crate) enum Inputs {
     Agent(Roles),
     TeamValue(TeamRoles),
+    Entities(EntityRoles),
 }
 
 /// Which input of an agent's graph is what.
@@ -69,8 +70,19 @@ pub(crate) struct TeamRoles {
     pub(crate) relations: usize,
 }
 
+/// Which input of a network over all entities is what.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct EntityRoles {
+    pub(crate) entities: usize,
+    pub(crate) present: usize,
+    pub(crate) is_agent: Option<usize>,
+    pub(crate) groups: Option<usize>,
+    /// Columns T of the groups, 0 where there are none.
+    pub(crate) group_count: usize,
+}
+
 impl Graph {
-    /// Reads an ONNX file and finds its inputs: an agent's by type and shape, an allocator's by name.
+    /// Reads an ONNX file and finds its inputs: an agent's by type and shape, those of others by name.
     pub(crate) fn read(onnx: &[u8]) -> Result<Self, CompileError> {
         let (model, metadata) = guarded(|| {
             let onnx_reader = tract_onnx::onnx();
@@ -84,6 +96,10 @@ impl Graph {
         let inputs: Vec<TypedFact> = facts(&model, &model.inputs);
         let found = team_roles(&model, &inputs)
             .map(|roles| (Inputs::TeamValue(roles), roles.features + 2 + roles.relations))
+            .or_else(|| {
+                let roles = entity_roles(&model, &inputs)?;
+                Some((Inputs::Entities(roles), fixed(inputs.get(roles.entities)?, 1)?))
+            })
             .or_else(|| {
                 let roles = roles(&model, &inputs)?;
                 Some((Inputs::Agent(roles), fixed(inputs.get(roles.entities)?, 1)?))
@@ -101,7 +117,7 @@ impl Graph {
     pub(crate) fn agent_roles(&self) -> Result<Roles, CompileError> {
         match self.inputs {
             Inputs::Agent(roles) => Ok(roles),
-            Inputs::TeamValue(_) => Err(CompileError::OtherNetwork { want: "an agent's" }),
+            _ => Err(CompileError::OtherNetwork { want: "an agent's".into() }),
         }
     }
 
@@ -109,7 +125,15 @@ impl Graph {
     pub(crate) fn team_roles(&self) -> Result<TeamRoles, CompileError> {
         match self.inputs {
             Inputs::TeamValue(roles) => Ok(roles),
-            Inputs::Agent(_) => Err(CompileError::OtherNetwork { want: "an allocator's" }),
+            _ => Err(CompileError::OtherNetwork { want: "an allocator's".into() }),
+        }
+    }
+
+    /// The inputs of a graph over all entities.
+    pub(crate) fn entity_roles(&self) -> Result<EntityRoles, CompileError> {
+        match self.inputs {
+            Inputs::Entities(roles) => Ok(roles),
+            _ => Err(CompileError::OtherNetwork { want: "an all-entities".into() }),
         }
     }
 
@@ -189,7 +213,7 @@ impl Graph {
             node: node.name.clone(),
             operator: node.op.name().into_owned(),
             shapes: shapes.join(", "),
-            hint,
+            hint: hint.into(),
         }
     }
 }
@@ -297,14 +321,35 @@ fn last_dim(fact: &TypedFact) -> Option<usize> {
     fixed(fact, fact.rank().checked_sub(1)?)
 }
 
-fn team_roles(model: &TypedModel, inputs: &[TypedFact]) -> Option<TeamRoles> {
-    let named = |name: &str, kind, rank| {
-        let place = model.inputs.iter().position(|input| model.node(input.node).name == name)?;
-        let fact = inputs.get(place)?;
-        (fact.datum_type == kind && fact.rank() == rank).then_some(place)
+/// The place of an input of this name, type and rank.
+fn named(
+    model: &TypedModel,
+    inputs: &[TypedFact],
+    name: &str,
+    (kind, rank): (DatumType, usize),
+) -> Option<usize> {
+    let place = model.inputs.iter().position(|input| model.node(input.node).name == name)?;
+    let fact = inputs.get(place)?;
+    (fact.datum_type == kind && fact.rank() == rank).then_some(place)
+}
+
+fn entity_roles(model: &TypedModel, inputs: &[TypedFact]) -> Option<EntityRoles> {
+    let mask = |name, rank| named(model, inputs, name, (bool::datum_type(), rank));
+    let (is_agent, groups) = (mask("is_agent", 1), mask("groups", 2));
+    let roles = EntityRoles {
+        entities: named(model, inputs, "entities", (f32::datum_type(), 2))?,
+        present: mask("present", 1)?,
+        is_agent,
+        groups,
+        group_count: groups.map_or(Some(0), |groups| fixed(inputs.get(groups)?, 1))?,
     };
-    let mask = |name| named(name, bool::datum_type(), 1);
-    let rows = |name| named(name, f32::datum_type(), 2);
+    let known = 2 + usize::from(is_agent.is_some()) + usize::from(groups.is_some());
+    (inputs.len() == known).then_some(roles)
+}
+
+fn team_roles(model: &TypedModel, inputs: &[TypedFact]) -> Option<TeamRoles> {
+    let mask = |name| named(model, inputs, name, (bool::datum_type(), 1));
+    let rows = |name| named(model, inputs, name, (f32::datum_type(), 2));
     let (entities, relation) = (rows("entities")?, rows("relation")?);
     Some(TeamRoles {
         entities,

@@ -32,7 +32,7 @@ impl AgentColumns {
         actions: usize,
     ) -> Result<Self, CompileError> {
         if columns != features && columns != features + actions {
-            let what = "the input width";
+            let what = "the input width".into();
             return Err(CompileError::Size { what, got: columns, want: features + actions });
         }
         Ok(Self { columns, features })

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use serde::{Serialize, Serializer};
+use serde::{Deserialize, Serialize, Serializer};
 use sortie_bundle::hex;
 use sortie_core::plan::{AlignedBytes, Network, Plan};
 use tract_onnx::prelude::*;
@@ -12,7 +12,7 @@ use crate::error::CompileError;
 use crate::graph::{guarded, shape};
 
 /// What an ONNX file holds.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct OnnxFacts {
     /// Version of the file format.
     pub ir_version: i64,

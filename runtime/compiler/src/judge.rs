@@ -70,7 +70,7 @@ pub fn judge_agent(
     let plan = AlignedBytes::copy_of(plan);
     let plan = Plan::load(plan.as_slice())?;
     if plan.hidden() != 0 {
-        let (what, got) = ("the recurrent state", plan.hidden());
+        let (what, got) = ("the recurrent state".into(), plan.hidden());
         return Err(CompileError::Size { what, got, want: 0 });
     }
     let mut engine = judge.agent(onnx, plan.header().features as usize)?;
@@ -126,7 +126,7 @@ pub fn judge_team_values(
     let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
     let entities = families.iter().flat_map(|family| &family.inputs);
     let entities = entities.map(|query| query.state.entities()).max().unwrap_or(0);
-    let mut rows = vec![0.0; PlanTeamValue::row_floats(&plan, entities)];
+    let mut rows = vec![0.0; PlanTeamValue::memory_floats(&plan, entities)];
     let mut network = PlanTeamValue::new(plan, arena.as_mut_slice(), &mut rows)?;
     let compare = |family| compare_values(&mut network, engine.as_mut(), family);
     Ok(families.iter().map(compare).collect())

@@ -3,6 +3,8 @@
 //! tract parses the file and simplifies the graph; patterns are matched on that graph by structure, never by node
 //! name; what matches is lowered to a plan. The finished plan and the graph then answer the same random
 //! observations, and a plan that differs is refused. The same graph also runs as [`TractPolicy`] or [`TractTeamValue`].
+//!
+//! Files of strangers are read by another process, with limits: [`CompilerProcess`].
 #![forbid(unsafe_code)]
 
 mod assemble;
@@ -22,15 +24,18 @@ mod inspect;
 mod judge;
 mod layout;
 mod lower;
+mod lower_entities;
 mod matching;
 mod observations;
 #[cfg(feature = "onnxruntime")]
 pub mod onnxruntime;
 mod parity;
+mod process;
 #[cfg(test)]
 mod recurrent_tests;
 #[cfg(test)]
 mod testing;
+mod tract_entities;
 mod tract_policy;
 mod tract_team_value;
 
@@ -47,9 +52,13 @@ pub use golden_allocations::compare_with_golden_allocations;
 pub use graph_inputs::Rows;
 pub use inspect::{OnnxFacts, PlanFacts, inspect_onnx, inspect_plan};
 pub use judge::{Judge, judge_agent, judge_team_values};
-pub use observations::{OwnedTeamQuery, random_observations, random_team_queries};
-pub use parity::{
-    Comparison, TOLERANCE, compare_team_values_with_graph, compare_with_golden, compare_with_graph,
+pub use observations::{
+    OwnedEntities, OwnedTeamQuery, random_entities, random_observations, random_team_queries,
 };
+pub use parity::{
+    Comparison, TOLERANCE, compare_entities_with_graph, compare_team_values_with_graph,
+    compare_with_golden, compare_with_graph,
+};
+pub use process::{CompilerProcess, Ending, ProcessLimits, answer_compiler};
 pub use tract_policy::TractPolicy;
 pub use tract_team_value::TractTeamValue;

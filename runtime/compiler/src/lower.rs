@@ -43,8 +43,11 @@ pub(crate) fn lower_agent(
     let (mut weights, mut arena) = (Weights::default(), Arena::default());
     let mut ops = heapless::Vec::new();
     let mut push = |op| {
-        let full =
-            |_| CompileError::TooLarge { what: "the number of layers", got: OPS + 1, max: OPS };
+        let full = |_| CompileError::TooLarge {
+            what: "the number of layers".into(),
+            got: OPS + 1,
+            max: OPS,
+        };
         ops.push(op).map_err(full)
     };
     let width = padded(layers.embed.matrix.outputs);
@@ -195,16 +198,14 @@ fn step_layers(layers: &AgentLayers) -> impl Iterator<Item = (&'static str, &Lay
 
 /// Checks that sizes fit together and into a plan.
 fn check(layers: &AgentLayers, sizes: AgentSizes) -> Result<(), CompileError> {
-    let at_most = |what, got, max| {
-        if got > max { Err(CompileError::TooLarge { what, got, max }) } else { Ok(()) }
-    };
     at_most("the number of visible entities", sizes.n_max, limits::ENTITIES)?;
     at_most("the number of features", sizes.features, limits::FEATURES)?;
     at_most("the number of actions", sizes.actions, limits::ACTIONS)?;
     let with_last_action = sizes.features + sizes.actions;
     let got = layers.embed.matrix.inputs;
     if got != sizes.features && got != with_last_action {
-        return Err(CompileError::Size { what: "the input width", got, want: with_last_action });
+        let what = "the input width".into();
+        return Err(CompileError::Size { what, got, want: with_last_action });
     }
     let attention = [
         ("query", &layers.query.matrix, layers.query.bias.as_slice()),
@@ -218,14 +219,7 @@ fn check(layers: &AgentLayers, sizes: AgentSizes) -> Result<(), CompileError> {
     let dense = step_layers(layers).map(|(name, layer)| plain(name, layer));
     let ends = [plain("first", &layers.embed), plain("attention output", &layers.output)];
     for (layer, matrix, bias) in attention.into_iter().chain(ends).chain(dense) {
-        at_most(
-            "the width of a layer",
-            matrix.inputs.max(matrix.outputs),
-            usize::from(u16::MAX) / 8,
-        )?;
-        if matrix.values.iter().chain(bias).any(|value| !value.is_finite()) {
-            return Err(CompileError::NonFiniteWeight { layer });
-        }
+        check_weights(layer, matrix, bias)?;
     }
     check_chain(layers, sizes)
 }
@@ -263,10 +257,31 @@ fn check_chain(layers: &AgentLayers, sizes: AgentSizes) -> Result<(), CompileErr
         }
     }
     pairs.push(("the number of utilities", before, sizes.actions));
-    match pairs.into_iter().find(|(_, got, want)| got != want) {
-        Some((what, got, want)) => Err(CompileError::Size { what, got, want }),
-        None => Ok(()),
+    pairs.into_iter().try_for_each(|(what, got, want)| same_sizes(what, got, want))
+}
+
+pub(crate) fn at_most(what: &'static str, got: usize, max: usize) -> Result<(), CompileError> {
+    let what = what.into();
+    if got > max { Err(CompileError::TooLarge { what, got, max }) } else { Ok(()) }
+}
+
+pub(crate) fn same_sizes(what: &'static str, got: usize, want: usize) -> Result<(), CompileError> {
+    let what = what.into();
+    if got == want { Ok(()) } else { Err(CompileError::Size { what, got, want }) }
+}
+
+/// Checks that a plan can express a layer's width, and that its numbers are finite.
+pub(crate) fn check_weights(
+    layer: &'static str,
+    matrix: &Matrix,
+    bias: &[f32],
+) -> Result<(), CompileError> {
+    let widest = matrix.inputs.max(matrix.outputs);
+    at_most("the width of a layer", widest, usize::from(u16::MAX) / 8)?;
+    if matrix.values.iter().chain(bias).any(|value| !value.is_finite()) {
+        return Err(CompileError::NonFiniteWeight { layer: layer.into() });
     }
+    Ok(())
 }
 
 /// Hands out places of the arena, each at the start of a cache line.

@@ -1,10 +1,10 @@
-//! Random observations and team queries of all mask patterns, by seed.
+//! Random observations, team queries and entities of all mask patterns, by seed.
 
 use rand_core::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sortie_bundle::{OwnedAllocationState, OwnedObservation};
 use sortie_core::allocate::TeamQuery;
-use sortie_core::{AllocationState, EntityMask, NO_ACTION, limits};
+use sortie_core::{AllocationState, Entities, EntityMask, NO_ACTION, limits};
 
 /// A team at a subtask, with all that its value depends on.
 #[derive(Clone, Debug, PartialEq)]
@@ -24,6 +24,46 @@ impl OwnedTeamQuery {
     pub fn view<'a>(&'a self, state: &'a AllocationState<'a>) -> TeamQuery<'a> {
         TeamQuery { state, task: self.task, team: self.team, relation: &self.relation }
     }
+}
+
+/// All entities of one step.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OwnedEntities {
+    /// Features `[N, d]`.
+    pub rows: Vec<f32>,
+    /// Features d.
+    pub features: usize,
+    /// The entities that exist.
+    pub present: EntityMask,
+    /// The agents, present or not.
+    pub agents: EntityMask,
+    /// The groups `[N]` of every entity: bit t for group t.
+    pub groups: Vec<u32>,
+}
+
+impl OwnedEntities {
+    /// The entities as networks take them.
+    pub fn view(&self) -> Entities<'_> {
+        let Self { rows, features: stride, present, agents, groups } = self;
+        Entities { rows, stride: *stride, present: *present, agents: *agents, groups }
+    }
+}
+
+/// `count` random steps of up to `n_max` entities and `groups` groups: everything, nothing, one, all but one or any
+/// of them present, the same of agents.
+pub fn random_entities(
+    count: usize,
+    n_max: usize,
+    features: usize,
+    groups: usize,
+    seed: u64,
+) -> Vec<OwnedEntities> {
+    let mut random = Random(Xoshiro256PlusPlus::seed_from_u64(seed));
+    let mut entities = |index| {
+        let entities = 1 + random.below(n_max.max(1));
+        random.entities(index, entities, [features, groups])
+    };
+    (0..count).map(&mut entities).collect()
 }
 
 /// `count` random observations of up to `n_max` entities: rows sparse and dense in turn, masks that show
@@ -156,6 +196,24 @@ impl Random {
         OwnedTeamQuery { state, task, team: bits(members), relation }
     }
 
+    fn entities(
+        &mut self,
+        index: usize,
+        entities: usize,
+        [features, groups]: [usize; 2],
+    ) -> OwnedEntities {
+        let sparse = index.is_multiple_of(2);
+        let one = self.below(entities);
+        let most = u32::MAX.checked_shr(32 - groups.min(32) as u32).unwrap_or(0);
+        OwnedEntities {
+            rows: (0..entities * features).map(|_| self.feature(sparse)).collect(),
+            features,
+            present: self.visible(index / 2 % 5, entities, one),
+            agents: self.visible(index / 10 % 5, entities, one),
+            groups: (0..entities).map(|_| self.0.next_u32() & most).collect(),
+        }
+    }
+
     fn visible(&mut self, pattern: usize, entities: usize, own: usize) -> EntityMask {
         let mut mask = EntityMask::EMPTY;
         for entity in 0..entities {
@@ -211,6 +269,18 @@ mod tests {
         assert!(all.iter().any(|o| o.visible.len() == 1 && own(o)));
         assert!(all.iter().any(|o| !own(o) && !o.visible.is_empty()));
         assert!(all.iter().all(|o| o.available.iter().any(|&code| code > 0)));
+    }
+
+    #[test]
+    fn entities_of_every_kind_occur() {
+        let all = random_entities(100, 6, 4, 3, 7);
+        assert_eq!(all, random_entities(100, 6, 4, 3, 7));
+        let absent_agent = |step: &OwnedEntities| step.agents.and(&step.present) != step.agents;
+        assert!(all.iter().any(|step| step.present.is_empty() && !step.agents.is_empty()));
+        assert!(all.iter().any(|step| step.present.len() == step.groups.len()));
+        assert!(all.iter().any(|step| step.agents.is_empty() && step.present.len() > 2));
+        assert!(all.iter().any(|step| absent_agent(step) && !step.present.is_empty()));
+        assert!(all.iter().flat_map(|step| &step.groups).all(|groups| *groups < 8));
     }
 
     #[test]

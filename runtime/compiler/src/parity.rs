@@ -4,6 +4,7 @@ use serde::Serialize;
 use sortie_bundle::{Golden, OwnedObservation};
 use sortie_core::allocate::{PlanTeamValue, TeamValueNetwork};
 use sortie_core::choose::masked_argmax;
+use sortie_core::ops::OutputRows;
 use sortie_core::plan::{AlignedBytes, Plan};
 use sortie_core::{PlanPolicy, Policy};
 
@@ -11,7 +12,8 @@ use crate::engine::TeamValueEngine;
 use crate::error::CompileError;
 use crate::graph::Graph;
 use crate::graph_inputs::Rows;
-use crate::observations::{OwnedTeamQuery, random_states};
+use crate::observations::{OwnedEntities, OwnedTeamQuery, random_states};
+use crate::tract_entities::TractEntities;
 use crate::tract_policy::TractPolicy;
 use crate::tract_team_value::TractTeamValue;
 
@@ -191,7 +193,7 @@ pub(crate) fn team_values_against_graph(
     let mut reference = TractTeamValue::from_graph(graph)?;
     let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
     let entities = queries.iter().map(|query| query.state.entities()).max().unwrap_or(0);
-    let mut rows = vec![0.0; PlanTeamValue::row_floats(&plan, entities)];
+    let mut rows = vec![0.0; PlanTeamValue::memory_floats(&plan, entities)];
     let mut network = PlanTeamValue::new(plan, arena.as_mut_slice(), &mut rows)?;
     let (mut got, mut want) = (Vec::new(), Vec::new());
     for query in queries {
@@ -204,6 +206,56 @@ pub(crate) fn team_values_against_graph(
     let mut comparison = Comparison::new("allocator plan against tract");
     for (got, want) in got.iter().zip(&want) {
         comparison.add_on_scale(largest, &[*got], &[*want], true);
+    }
+    Ok(comparison)
+}
+
+/// Compares the plan of a network over all entities with the ONNX graph that it was made from.
+///
+/// Every output is measured on its own scale; the worst one counts.
+pub fn compare_entities_with_graph(
+    plan: &[u8],
+    onnx: &[u8],
+    steps: &[OwnedEntities],
+) -> Result<Comparison, CompileError> {
+    entities_against_graph(plan, &Graph::read(onnx)?, steps)
+}
+
+pub(crate) fn entities_against_graph(
+    plan: &[u8],
+    graph: &Graph,
+    steps: &[OwnedEntities],
+) -> Result<Comparison, CompileError> {
+    let plan = AlignedBytes::copy_of(plan);
+    let plan = Plan::load(plan.as_slice())?;
+    let mut reference = TractEntities::from_graph(graph)?;
+    let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
+    let mut comparison = Comparison::new("plan against tract");
+    for step in steps {
+        let view = step.view();
+        let mut got: Vec<Vec<f32>> = Vec::new();
+        for output in plan.program().outputs() {
+            let rows = match output.rows {
+                OutputRows::Entities => view.groups.len(),
+                OutputRows::Groups(groups) => groups.into(),
+                _ => 1,
+            };
+            got.push(vec![0.0; rows * usize::from(output.width)]);
+        }
+        let mut outputs: Vec<&mut [f32]> = got.iter_mut().map(Vec::as_mut_slice).collect();
+        plan.evaluate(arena.as_mut_slice(), &view, &mut outputs).map_err(cannot_run)?;
+        let want = reference.run(&view)?;
+        let sizes = |outputs: &[Vec<f32>]| outputs.iter().map(Vec::len).collect::<Vec<_>>();
+        if sizes(&got) != sizes(&want) {
+            return Err(cannot_run("the outputs of plan and graph have other sizes"));
+        }
+        let scaled = got.iter().zip(&want).map(|(got, want)| {
+            let scale = 1.0 + magnitude(want);
+            let on_scale = |values: &[f32]| values.iter().map(|v| v / scale).collect::<Vec<_>>();
+            (on_scale(got), on_scale(want))
+        });
+        let (got, want): (Vec<_>, Vec<_>) = scaled.unzip();
+        comparison.add_on_scale(0.0, &got.concat(), &want.concat(), true);
     }
     Ok(comparison)
 }

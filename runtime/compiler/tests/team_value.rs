@@ -27,7 +27,7 @@ fn ask(plan: &AlignedBytes, query: &OwnedTeamQuery) -> Result<f32, AllocateError
     let plan = Plan::load(plan.as_slice()).unwrap();
     let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
     arena.as_mut_slice().fill(0xff);
-    let mut rows = vec![f32::NAN; PlanTeamValue::row_floats(&plan, query.state.entities())];
+    let mut rows = vec![f32::NAN; PlanTeamValue::memory_floats(&plan, query.state.entities())];
     let mut network = PlanTeamValue::new(plan, arena.as_mut_slice(), &mut rows).unwrap();
     let state = query.state.view();
     network.value(&query.view(&state))
@@ -113,7 +113,8 @@ fn agents_and_allocators_do_not_run_each_other() {
     for (plan, is_agent) in [(AlignedBytes::copy_of(&agent), true), (plan(), false)] {
         let plan = Plan::load(plan.as_slice()).unwrap();
         let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
-        let value = PlanTeamValue::new(plan.clone(), arena.as_mut_slice(), &mut []).map(drop);
+        let mut memory = vec![0.0; PlanTeamValue::memory_floats(&plan, 1)];
+        let value = PlanTeamValue::new(plan.clone(), arena.as_mut_slice(), &mut memory).map(drop);
         let act = PlanPolicy::new(plan, arena.as_mut_slice()).map(drop);
         let (right, wrong) = if is_agent { (act, value) } else { (value, act) };
         assert_eq!((right, wrong), (Ok(()), Err(PlanError::WrongNetwork)));

@@ -113,6 +113,11 @@ pub trait Policy {
     /// Brings what the next decision reads near, ahead of a deadline; changes nothing else.
     fn warm(&self) {}
 
+    /// Forgets all earlier decisions: an episode begins. Returns whether there is memory to be cleared.
+    fn begin_episode(&mut self) -> bool {
+        false
+    }
+
     /// Floats R of the recurrent state, 0 for a policy without memory.
     fn hidden(&self) -> usize {
         0
@@ -175,6 +180,10 @@ impl<P: Policy + ?Sized> Policy for &mut P {
 
     fn warm(&self) {
         (**self).warm();
+    }
+
+    fn begin_episode(&mut self) -> bool {
+        (**self).begin_episode()
     }
 
     fn hidden(&self) -> usize {

@@ -147,7 +147,7 @@ fn check(count: &mut Count, case: &Case, allocator: &mut dyn Allocator, absent_a
 fn the_team_value_allocator_is_total_with_a_network() {
     let plan = Plan::load(TEAM_VALUE).expect("a golden plan");
     let mut arena = Aligned([0; arena_bytes(TEAM_VALUE)]);
-    let mut rows = vec![0.0; PlanTeamValue::row_floats(&plan, 16)];
+    let mut rows = vec![0.0; PlanTeamValue::memory_floats(&plan, 16)];
     let mut network =
         PlanTeamValue::new(plan, &mut arena.0, &mut rows).expect("an arena that fits");
     let mut cells = vec![exact::Cell::default(); exact::cells(5, 6)];

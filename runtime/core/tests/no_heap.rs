@@ -123,7 +123,7 @@ fn allocations_never_touch_the_heap() {
     let rows: Vec<f32> = (0..30).map(|number| (number % 5) as f32 / 4.0 - 0.5).collect();
     let plan = Plan::load(TEAM_VALUE).expect("a golden plan");
     let mut arena = Aligned([0; arena_bytes(TEAM_VALUE)]);
-    let mut joined = vec![0.0; PlanTeamValue::row_floats(&plan, 5)];
+    let mut joined = vec![0.0; PlanTeamValue::memory_floats(&plan, 5)];
     let mut network =
         PlanTeamValue::new(plan, &mut arena.0, &mut joined).expect("an arena that fits");
     let (mut cells, mut values) =

@@ -138,8 +138,8 @@ impl Figures {
         self.rows.push(row(&ours.name, peer, version, rates, ours.unit));
         // Rates, not times: the ratio is ours over the peer's.
         let [ratio, low, high] = paired_ratio(rates, &ours.rates);
-        let (what, case) = ("train", ours.name.clone());
-        self.ratios.push(Ratio { what, case, peer, ratio, low, high });
+        let (what, case, engine) = ("train", ours.name.clone(), "sortie");
+        self.ratios.push(Ratio { what, case, engine, peer, ratio, low, high });
     }
 }
 

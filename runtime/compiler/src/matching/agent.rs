@@ -94,12 +94,15 @@ pub(super) fn match_network(
     Ok((with, embedding))
 }
 
-fn no_output() -> CompileError {
+pub(super) fn no_output() -> CompileError {
     CompileError::Unreadable { reason: "the graph lacks an input or output".to_owned() }
 }
 
 /// `weights · values`: which operand is which.
-fn match_mixed(graph: &Graph, mixed: OutletId) -> Result<(OutletId, OutletId), CompileError> {
+pub(super) fn match_mixed(
+    graph: &Graph,
+    mixed: OutletId,
+) -> Result<(OutletId, OutletId), CompileError> {
     match match_product_of_two(graph, mixed) {
         Some([a, b]) if graph.node(a).op_is::<Iff>() => Ok((a, b)),
         Some([a, b]) if graph.node(b).op_is::<Iff>() => Ok((b, a)),
@@ -111,7 +114,7 @@ fn match_mixed(graph: &Graph, mixed: OutletId) -> Result<(OutletId, OutletId), C
 }
 
 /// `Where(visible, softmax(Where(visible, logits, -1e30)), 0)`: the logits, and the number of heads.
-fn match_weights(
+pub(super) fn match_weights(
     graph: &Graph,
     weights: OutletId,
     mask: OutletId,

@@ -204,7 +204,7 @@ fn layer(matrix: Matrix, bias: Vec<f32>) -> Layer {
 }
 
 /// Whether `outlet` is the function of that name.
-fn is(graph: &Graph, outlet: OutletId, function: &str) -> bool {
+pub(super) fn is(graph: &Graph, outlet: OutletId, function: &str) -> bool {
     let node = graph.node(outlet);
     node.op_as::<ElementWiseOp>().is_some_and(|op| op.0.name() == function)
 }
@@ -215,7 +215,7 @@ fn same(graph: &Graph, a: OutletId, b: OutletId) -> bool {
 }
 
 /// The operands of a binary operator, first the one that `matches`.
-fn with(
+pub(super) fn with(
     graph: &Graph,
     outlet: OutletId,
     operator: &str,

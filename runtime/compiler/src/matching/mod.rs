@@ -1,11 +1,13 @@
 //! Patterns on the typed graph, recognised by structure and never by name.
 
 mod agent;
+mod entities;
 mod gru;
 mod linear;
 mod team_value;
 
 pub(crate) use agent::{AgentLayers, Step, match_agent};
+pub(crate) use entities::{AllAttention, EntityLayers, EntityStep, match_entities};
 pub(crate) use gru::GruLayers;
 pub(crate) use linear::{Layer, Matrix};
 pub(crate) use team_value::match_team_value;

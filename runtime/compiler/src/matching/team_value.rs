@@ -102,7 +102,7 @@ fn terms(graph: &Graph, sum: OutletId) -> Vec<OutletId> {
 }
 
 /// What a cast was applied to.
-fn uncast(graph: &Graph, outlet: OutletId) -> OutletId {
+pub(super) fn uncast(graph: &Graph, outlet: OutletId) -> OutletId {
     let node = graph.node(outlet);
     match node.inputs.as_slice() {
         &[input] if node.op_is::<Cast>() => input,

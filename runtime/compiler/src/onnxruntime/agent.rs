@@ -45,10 +45,20 @@ impl OnnxRuntimePolicy {
     /// Reads an ONNX file; `features` is the number d of columns before the last action's one-hot. An agent with
     /// memory is refused.
     pub fn new(runtime: &OnnxRuntime, onnx: &[u8], features: usize) -> Result<Self, CompileError> {
+        Self::of_variant(runtime, onnx, onnx, features)
+    }
+
+    /// Runs `variant`, which has the inputs and outputs of `onnx`: the same network quantised, for example.
+    pub fn of_variant(
+        runtime: &OnnxRuntime,
+        onnx: &[u8],
+        variant: &[u8],
+        features: usize,
+    ) -> Result<Self, CompileError> {
         let graph = Graph::read(onnx)?;
         let roles = graph.agent_roles()?;
         if let Some(memory) = roles.memory {
-            let (what, got) = ("the recurrent state", memory.size);
+            let (what, got) = ("the recurrent state".into(), memory.size);
             return Err(CompileError::Size { what, got, want: 0 });
         }
         let columns = AgentColumns::new(graph.columns, features, graph.actions)?;
@@ -58,7 +68,7 @@ impl OnnxRuntimePolicy {
             visible: graph.input_name(roles.visible),
             utilities: String::new(),
         };
-        let session = runtime.session(onnx)?;
+        let session = runtime.session(variant)?;
         let output = session.outputs.last().map(|output| output.name.clone());
         let names = Names { utilities: output.unwrap_or_default(), ..names };
         let bound = (0..=limits::ENTITIES).map(|_| None).collect();

@@ -53,7 +53,7 @@ pub fn batched_agents_onnx(onnx: &[u8]) -> Result<Vec<u8>, CompileError> {
 pub fn batched_team_values_onnx(onnx: &[u8]) -> Result<Vec<u8>, CompileError> {
     let graph = Graph::read(onnx)?;
     let Inputs::TeamValue(roles) = graph.inputs else {
-        return Err(CompileError::OtherNetwork { want: "an allocator's" });
+        return Err(CompileError::OtherNetwork { want: "an allocator's".into() });
     };
     let layers = match_team_value(&graph)?;
     let (d, f) = (roles.features, roles.relations);
@@ -228,7 +228,7 @@ impl Model {
         let mut last = self.layer("output", joined, &layers.output);
         for (index, step) in layers.steps.iter().enumerate() {
             let Step::Dense(layer) = step else {
-                let (what, got) = ("the number of recurrent units", 1);
+                let (what, got) = ("the number of recurrent units".into(), 1);
                 return Err(CompileError::Size { what, got, want: 0 });
             };
             last = self.layer(&format!("dense.{index}"), &last, layer);

@@ -18,30 +18,42 @@ const FLAGS: usize = 2;
 /// The network is an agent's in shape: the subtask's row looks at all others. Its columns are d features,
 /// a flag of the own row, a flag of the team's agents, and F relations. Several teams are decided on like several
 /// agents of one frame: its rows are every agent once as a stranger and once as a member, then all others, and
-/// a team sees of each agent the row that fits. So rows are embedded once, and matrices read once, for all teams.
+/// a team sees of each agent the row that fits. So rows are embedded once, and matrices read once, for all teams;
+/// and as all of them ask the subtask's own query, scores and values of rows are computed once as well.
 #[derive(Debug)]
 pub struct PlanTeamValue<'a> {
     plan: Plan<'a>,
     arena: &'a mut [u8],
+    /// What all teams have in common.
+    shared: &'a mut [f32],
     rows: &'a mut [f32],
 }
 
 impl<'a> PlanTeamValue<'a> {
     /// Binds an allocator's plan to its arena, as policies are (with [`Plan::batch_arena_bytes`] several teams are
-    /// worked on together), and to room for the joined rows of a state's N entities, see [`Self::row_floats`].
+    /// worked on together), and to memory for states of N entities, see [`Self::memory_floats`].
+    ///
+    /// # Errors
+    /// The plan is another network's, or the arena or the memory is too small.
     pub fn new(
         plan: Plan<'a>,
         arena: &'a mut [u8],
-        rows: &'a mut [f32],
+        memory: &'a mut [f32],
     ) -> Result<Self, PlanError> {
         plan.check_network(Network::TeamValue)?;
         plan.check_arena(arena)?;
-        Ok(Self { plan, arena, rows })
+        let (need, got) = (plan.shared_floats(), memory.len());
+        let (shared, rows) = memory
+            .split_at_mut_checked(need)
+            .ok_or(PlanError::ArenaTooSmall { need: 4 * need, got: 4 * got })?;
+        Ok(Self { plan, arena, shared, rows })
     }
 
-    /// Floats of joined rows that `entities` entities need: every one may be an agent, and has two rows then.
-    pub fn row_floats(plan: &Plan<'_>, entities: usize) -> usize {
-        entities.saturating_mul(2 * plan.header().features as usize)
+    /// Floats of memory for states of `entities` entities: what teams share, and joined rows, of which every
+    /// entity may be an agent and have two.
+    pub fn memory_floats(plan: &Plan<'_>, entities: usize) -> usize {
+        let rows = entities.saturating_mul(2 * plan.header().features as usize);
+        plan.shared_floats().saturating_add(rows)
     }
 
     /// Joins the columns of an entity in the row of its slot.
@@ -103,7 +115,8 @@ impl<'a> PlanTeamValue<'a> {
         }
         let mut results = [Ok(()); TOGETHER];
         let results = results.get_mut(..observations.len()).ok_or(DecideError::BadLength)?;
-        self.plan.utilities_batch(self.arena, &observations, values, results);
+        let Self { plan, arena, shared, .. } = self;
+        plan.utilities_shared(arena, shared, &observations, values, results);
         results.iter().copied().collect()
     }
 }

@@ -9,7 +9,7 @@ use crate::entity_mask::EntityMask;
 use crate::limits;
 
 /// Most agents that are usually searched exactly: beyond, the values of all teams take too long.
-pub const EXACT_AGENTS: usize = 8;
+pub const EXACT_AGENTS: usize = exact::AGENTS;
 
 /// Teams whose values are asked for in one call.
 const TOGETHER: usize = 16;
@@ -242,9 +242,7 @@ where
         let values = values.ok_or(AllocateError::TooLarge)?;
         let mut asked = Asked::new(network, relation, state, rows, buffer)?;
         for (task, values) in teams.tasks().zip(values.chunks_exact_mut(1 << teams.agents)) {
-            for (first, values) in (0..).step_by(TOGETHER).zip(values.chunks_mut(TOGETHER)) {
-                asked.team_values(task, first..first + values.len() as u64, values);
-            }
+            asked.all_values(task, teams.team_max, values);
         }
         asked.failed()?;
         exact::search(teams, values, cells, places).map(drop)
@@ -296,6 +294,31 @@ impl<'a, N: TeamValueNetwork, R: TaskRelation> Asked<'a, N, R> {
 }
 
 impl<N: TeamValueNetwork, R: TaskRelation> Asked<'_, N, R> {
+    /// The values `[2^A]` of all teams at a subtask. Those of more than `team_max` agents stay as they are: the search
+    /// never reads them.
+    fn all_values(&mut self, task: usize, team_max: usize, values: &mut [f32]) {
+        let mut small =
+            (0..values.len() as u64).filter(|team| team.count_ones() as usize <= team_max);
+        let mut answers = [f32::NAN; TOGETHER];
+        loop {
+            let mut teams = heapless::Vec::<u64, TOGETHER>::new();
+            for team in small.by_ref().take(TOGETHER) {
+                // There is room for as many.
+                let _ = teams.push(team);
+            }
+            let Some(answers) = answers.get_mut(..teams.len()) else { return };
+            if answers.is_empty() {
+                return;
+            }
+            self.team_values(task, teams.iter().copied(), answers);
+            for (team, answer) in teams.iter().zip(answers) {
+                if let Some(value) = values.get_mut(*team as usize) {
+                    *value = *answer;
+                }
+            }
+        }
+    }
+
     /// The values of up to [`TOGETHER`] teams at a subtask; no numbers from the first error on.
     fn team_values(&mut self, task: usize, teams: impl Iterator<Item = u64>, values: &mut [f32]) {
         if self.error.is_none() {
@@ -358,16 +381,22 @@ mod tests {
             assert_eq!(query.relation.len(), query.state.entity_task.len());
             assert!(query.relation.iter().all(|value| *value == query.task as f32));
             self.asked.push((query.task, query.team));
-            let word = (query.team << 5 | query.task as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15);
-            let noise = (word >> 44) as f32;
-            match word >> 61 {
+            match noise_word(query.task, query.team) >> 61 {
                 0 if self.strange => Ok(f32::NAN),
                 1 if self.strange => Ok(f32::INFINITY),
                 2 if self.strange => Ok(f32::NEG_INFINITY),
                 _ if self.refuses && self.asked.len() == 7 => Err(AllocateError::NonFinite),
-                _ => Ok(noise),
+                _ => Ok(noise_of(query.task, query.team)),
             }
         }
+    }
+
+    fn noise_word(task: usize, team: u64) -> u64 {
+        (team << 5 | task as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15)
+    }
+
+    fn noise_of(task: usize, team: u64) -> f32 {
+        (noise_word(task, team) >> 44) as f32
     }
 
     /// One column that repeats the subtask.
@@ -430,7 +459,7 @@ mod tests {
         }
 
         fn run(&self, noise: &mut Noise) -> Result<Vec<u8>, AllocateError> {
-            let mut cells = vec![exact::Cell::default(); exact::cells(7, 6)];
+            let mut cells = vec![exact::Cell::default(); exact::cells(EXACT_AGENTS, 6)];
             let (mut values, mut relation) = (vec![0.0; cells.len()], vec![0.0; 32]);
             let memory =
                 SearchMemory { cells: &mut cells, values: &mut values, relation: &mut relation };
@@ -505,6 +534,42 @@ mod tests {
             better += usize::from(exact > ascent);
         }
         assert!(better > 10, "only {better} of 200 states tell the two apart");
+    }
+
+    #[test]
+    fn the_best_of_all_allocations_of_ten_agents_is_found_and_no_larger_team_valued() {
+        for (team_max, teams) in [(10, 1024), (5, 638), (3, 176)] {
+            let case = Case {
+                agents: 10,
+                tasks: 2,
+                present: EntityMask::first(12),
+                entity_task: [0; 10].into_iter().chain([1, 2]).collect(),
+                open_tasks: 0b11,
+                team_max,
+                exact_agents: EXACT_AGENTS,
+            };
+            let mut network = noise(false, false);
+            let allocation = case.run(&mut network).unwrap();
+            assert_eq!(network.asked.len(), 2 * teams, "teams of up to {team_max}");
+            let total = |places: &[u8]| -> Option<f32> {
+                let team_of = |task: u8| {
+                    let rows = (0..10).filter(|row| places[*row] == task);
+                    rows.map(|row| 1_u64 << row).sum::<u64>()
+                };
+                let of_tasks = [0, 1].map(|task| (usize::from(task), team_of(task)));
+                let sizes = of_tasks.map(|(_, team)| team.count_ones() as usize);
+                let placed = sizes.iter().sum::<usize>() == 10.min(2 * team_max);
+                let fits = placed && sizes.iter().all(|size| *size <= team_max);
+                fits.then(|| of_tasks.map(|(task, team)| noise_of(task, team)).iter().sum())
+            };
+            let choices = [0, 1, UNASSIGNED];
+            let all = (0..3_usize.pow(10)).filter_map(|number| {
+                let places: [u8; 10] =
+                    core::array::from_fn(|row| choices[number / 3_usize.pow(row as u32) % 3]);
+                total(&places)
+            });
+            assert_eq!(total(&allocation), Some(all.fold(0.0, f32::max)));
+        }
     }
 
     #[test]

@@ -5,7 +5,7 @@ use core::fmt;
 use super::arithmetic::Arithmetic;
 use super::{Kernels, Portable};
 
-/// A computation by kernels of any build.
+/// A computation by kernels of any build. Where `run` is always inlined, it is itself compiled for the build.
 pub trait Work {
     /// What it computes.
     type Output;
@@ -86,11 +86,11 @@ impl Build {
             // SAFETY: a build with features comes from `widest` or `all`, which asked the processor for them.
             #[cfg(all(feature = "std", target_arch = "x86_64"))]
             #[allow(unsafe_code)]
-            InstructionSet::Avx2 => work.run(unsafe { super::x86::Avx2::<A>::new() }),
+            InstructionSet::Avx2 => unsafe { super::x86::Avx2::<A>::run(work) },
             // SAFETY: as above.
             #[cfg(all(feature = "std", target_arch = "x86_64"))]
             #[allow(unsafe_code)]
-            InstructionSet::Avx512 => work.run(unsafe { super::x86::Avx512::<A>::new() }),
+            InstructionSet::Avx512 => unsafe { super::x86::Avx512::<A>::run(work) },
         }
     }
 }

@@ -25,7 +25,7 @@ use arithmetic::Arithmetic;
 use mark::{Marks, lanes_not_zero};
 use product::{Around, Sparse};
 use rows::Rows;
-use several::{AddRows, Pair, STRIP};
+use several::{AddRows, PART, Pair, Strip};
 
 /// The kernels of one build and one profile.
 pub trait Kernels: Copy {
@@ -102,7 +102,7 @@ impl<A: Arithmetic> Kernels for Portable<A> {
     }
 
     fn products(self, weights: &[f32], pairs: &mut [Pair<'_>], around: Around<'_>) {
-        several::products::<A>(self, weights, pairs, around);
+        several::products::<A, Self>(self, weights, pairs, around);
     }
 
     fn dots(self, vector: &[f32], rows: Rows<'_>, products: &mut [f32]) {
@@ -110,7 +110,7 @@ impl<A: Arithmetic> Kernels for Portable<A> {
     }
 
     fn softmax(self, scores: &mut [f32], count: usize) -> bool {
-        softmax::softmax(scores, count)
+        softmax::softmax(scores, count, softmax::largest)
     }
 
     fn mix(self, weights: &[f32], rows: Rows<'_>, sums: &mut [f32]) {
@@ -119,14 +119,20 @@ impl<A: Arithmetic> Kernels for Portable<A> {
 }
 
 impl<P> AddRows for Portable<P> {
+    const GROUP: usize = 6;
+
     #[inline(always)]
-    fn add_rows<A: Arithmetic, const WIDTH: usize, const COUNT: usize>(
+    fn parts<B: Arithmetic>(self, _: usize) -> usize {
+        1
+    }
+
+    #[inline(always)]
+    fn add_rows<A: Arithmetic, const PARTS: usize, const COUNT: usize>(
         self,
-        rows: &[[f32; WIDTH]],
-        part: usize,
-        start: [f32; STRIP],
+        strip: Strip<'_>,
+        start: [[f32; PART]; PARTS],
         inputs: [&[f32]; COUNT],
-    ) -> [[f32; STRIP]; COUNT] {
-        several::add_rows::<A, WIDTH, COUNT>(rows, part, start, inputs)
+    ) -> [[[f32; PART]; PARTS]; COUNT] {
+        several::add_rows::<A, PARTS, COUNT>(strip, start, inputs)
     }
 }

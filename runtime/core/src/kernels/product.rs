@@ -65,7 +65,7 @@ pub fn product<A: Arithmetic>(
     around: Around<'_>,
     outputs: &mut [f32],
 ) {
-    let mut tiles = Tiles { weights, rows: inputs.len(), around, outputs };
+    let mut tiles = Tiles::new(weights, inputs.len(), around, outputs);
     while let Some(tile) = tiles.next::<64>() {
         tile.add_all::<A>(inputs);
     }
@@ -88,7 +88,7 @@ pub fn sparse_product<A: Arithmetic>(
     around: Around<'_>,
     outputs: &mut [f32],
 ) {
-    let mut tiles = Tiles { weights, rows: inputs.count, around, outputs };
+    let mut tiles = Tiles::new(weights, inputs.count, around, outputs);
     while let Some(tile) = tiles.next::<64>() {
         tile.add_marked::<A>(&inputs);
     }
@@ -144,7 +144,8 @@ fn mix_columns<A: Arithmetic, const WIDTH: usize>(
 struct Tiles<'w, 'o> {
     weights: &'w [f32],
     rows: usize,
-    around: Around<'w>,
+    bias: Option<&'w [f32]>,
+    relu: bool,
     outputs: &'o mut [f32],
 }
 
@@ -157,22 +158,28 @@ struct Tile<'w, 'o, const WIDTH: usize> {
 }
 
 impl<'w, 'o> Tiles<'w, 'o> {
+    /// Takes `Around` apart: copied in one piece, its flag, just written, would have to be waited for.
+    #[inline(always)]
+    fn new(weights: &'w [f32], rows: usize, around: Around<'w>, outputs: &'o mut [f32]) -> Self {
+        Self { weights, rows, bias: around.bias, relu: around.relu, outputs }
+    }
+
     /// The next tile, unless it is narrower.
     #[inline(always)]
     fn next<const WIDTH: usize>(&mut self) -> Option<Tile<'w, 'o, WIDTH>> {
         let columns = self.outputs.split_off_mut(..WIDTH)?.first_chunk_mut()?;
         let rows = split_off_rows(&mut self.weights, self.rows)?;
-        let start = match &mut self.around.bias {
+        let start = match &mut self.bias {
             Some(bias) => *bias.split_off(..WIDTH)?.first_chunk()?,
             None => [0.0; WIDTH],
         };
-        Some(Tile { rows, start, relu: self.around.relu, columns })
+        Some(Tile { rows, start, relu: self.relu, columns })
     }
 }
 
 /// Takes the rows of a tile off the weights.
 #[inline(always)]
-pub(super) fn split_off_rows<'w, const WIDTH: usize>(
+fn split_off_rows<'w, const WIDTH: usize>(
     weights: &mut &'w [f32],
     rows: usize,
 ) -> Option<&'w [[f32; WIDTH]]> {

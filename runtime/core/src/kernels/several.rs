@@ -1,7 +1,7 @@
 //! One matrix times several vectors: weights are read once for all of them.
 
 use super::arithmetic::Arithmetic;
-use super::product::{Around, add_row, finished, split_off_rows, tile_width};
+use super::product::{Around, add_row, finished, tile_width};
 
 /// A vector of inputs, and the place of its outputs, whose length is a multiple of eight.
 #[derive(Debug)]
@@ -12,155 +12,172 @@ pub struct Pair<'a> {
     pub outputs: &'a mut [f32],
 }
 
-/// Most vectors whose sums fit into registers beside the weights.
-const GROUP: usize = 6;
-
-/// Columns whose sums are held together.
-pub const STRIP: usize = 16;
+/// Columns that are counted together: what a tile of 64, 32 or 16 is made of.
+pub const PART: usize = 16;
 
 /// Adds up rows of weights for several vectors.
 pub trait AddRows: Copy {
-    /// For every vector `start`, plus each row's strip `part` times the vector's input, one row after the other.
+    /// Most vectors whose sums are worked on together.
+    const GROUP: usize;
+
+    /// The parts of a row whose sums fit into registers for `count` vectors: 4, 2 or 1.
+    fn parts<A: Arithmetic>(self, count: usize) -> usize;
+
+    /// For every vector `start`, plus each row of the strip times the vector's input, one row after the other.
     /// There are as many inputs as rows.
-    fn add_rows<A: Arithmetic, const WIDTH: usize, const COUNT: usize>(
+    fn add_rows<A: Arithmetic, const PARTS: usize, const COUNT: usize>(
         self,
-        rows: &[[f32; WIDTH]],
-        part: usize,
-        start: [f32; STRIP],
+        strip: Strip<'_>,
+        start: [[f32; PART]; PARTS],
         inputs: [&[f32]; COUNT],
-    ) -> [[f32; STRIP]; COUNT];
+    ) -> [[[f32; PART]; PARTS]; COUNT];
+}
+
+/// Some neighbouring columns of a tile.
+#[derive(Clone, Copy, Debug)]
+pub struct Strip<'w> {
+    /// The tile.
+    pub tile: &'w [f32],
+    /// The tile's columns.
+    pub width: usize,
+    /// The first column of the strip within the tile.
+    pub first: usize,
 }
 
 /// Writes the product of a matrix and every pair's inputs to its outputs, each with the bits that
 /// [`super::product::product`] gives.
 #[inline(always)]
-pub fn products<A: Arithmetic>(
-    adder: impl AddRows,
+pub fn products<A: Arithmetic, R: AddRows>(
+    adder: R,
     weights: &[f32],
     pairs: &mut [Pair<'_>],
     around: Around<'_>,
 ) {
     let Some(Pair { inputs, outputs }) = pairs.first() else { return };
     let (rows, columns) = (inputs.len(), outputs.len());
-    // Groups of equal size: eight vectors are two times four.
-    let groups = pairs.len().div_ceil(GROUP).max(1);
+    // Groups of equal size: ten vectors are two times five.
+    let groups = pairs.len().div_ceil(R::GROUP).max(1);
     let group = pairs.len().div_ceil(groups).max(1);
-    let mut tiles = Tiles { weights, around, rows, column: 0 };
-    while tiles.column < columns {
-        let done = match tile_width(columns - tiles.column) {
-            64 => tiles.add_wide::<A, 64>(adder, pairs, group),
-            32 => tiles.add_wide::<A, 32>(adder, pairs, group),
-            16 => tiles.add_wide::<A, 16>(adder, pairs, group),
-            _ => tiles.add_narrow::<A>(pairs),
-        };
-        if done.is_none() {
-            return;
+    let mut weights = weights;
+    let mut column = 0;
+    while column < columns {
+        let width = tile_width(columns - column);
+        let Some(tile) = weights.split_off(..rows.saturating_mul(width)) else { return };
+        if width < PART {
+            add_narrow::<A>(tile, column, pairs, around);
         }
-    }
-}
-
-/// The tiles of a matrix that are still to be worked on, from `column` on.
-struct Tiles<'w> {
-    weights: &'w [f32],
-    around: Around<'w>,
-    rows: usize,
-    column: usize,
-}
-
-impl Tiles<'_> {
-    /// Works on the next tile, which is `WIDTH` columns wide, strip by strip.
-    #[inline(always)]
-    fn add_wide<A: Arithmetic, const WIDTH: usize>(
-        &mut self,
-        adder: impl AddRows,
-        pairs: &mut [Pair<'_>],
-        group: usize,
-    ) -> Option<()> {
-        let rows = split_off_rows::<WIDTH>(&mut self.weights, self.rows)?;
-        for part in 0..WIDTH / STRIP {
-            let start = self.start();
-            let strip = Strip { rows, part, start, relu: self.around.relu, first: self.column };
-            for pairs in pairs.chunks_mut(group) {
-                match pairs.len() {
-                    1 => strip.add::<A, 1>(adder, pairs),
-                    2 => strip.add::<A, 2>(adder, pairs),
-                    3 => strip.add::<A, 3>(adder, pairs),
-                    4 => strip.add::<A, 4>(adder, pairs),
-                    5 => strip.add::<A, 5>(adder, pairs),
-                    _ => strip.add::<A, GROUP>(adder, pairs),
+        for pairs in pairs.chunks_mut(group) {
+            let parts = adder.parts::<A>(pairs.len()).min(width / PART).max(1);
+            // The last tile, eight columns wide, has no strip.
+            for first in (0..width / PART).map(|part| part * PART).step_by(parts) {
+                let strip = Strip { tile, width, first };
+                let column = column + first;
+                match parts {
+                    4 => add_strip::<A, R, 4>(adder, strip, column, pairs, around),
+                    2 => add_strip::<A, R, 2>(adder, strip, column, pairs, around),
+                    _ => add_strip::<A, R, 1>(adder, strip, column, pairs, around),
                 }
             }
-            self.column += STRIP;
         }
-        Some(())
-    }
-
-    /// Works on the next tile, which is eight columns wide: the last of a matrix, and small.
-    #[inline(always)]
-    fn add_narrow<A: Arithmetic>(&mut self, pairs: &mut [Pair<'_>]) -> Option<()> {
-        let rows = split_off_rows::<8>(&mut self.weights, self.rows)?;
-        for pair in pairs {
-            let mut sums: [f32; 8] = self.start();
-            for (input, row) in pair.inputs.iter().zip(rows) {
-                add_row::<A, 8>(&mut sums, *input, row);
-            }
-            *pair.outputs.get_mut(self.column..)?.first_chunk_mut()? =
-                finished(sums, self.around.relu);
-        }
-        self.column += 8;
-        Some(())
-    }
-
-    /// Where the sums of the next columns start.
-    #[inline(always)]
-    fn start<const COLUMNS: usize>(&self) -> [f32; COLUMNS] {
-        let bias = self.around.bias.and_then(|bias| bias.get(self.column..)?.first_chunk());
-        bias.copied().unwrap_or([0.0; COLUMNS])
+        column += width;
     }
 }
 
-/// Some neighbouring columns of a tile.
-#[derive(Clone, Copy)]
-struct Strip<'w, const WIDTH: usize> {
-    rows: &'w [[f32; WIDTH]],
-    /// Which strip of the tile it is.
-    part: usize,
-    start: [f32; STRIP],
-    relu: bool,
-    /// Its first column among the outputs.
-    first: usize,
-}
-
-impl<const WIDTH: usize> Strip<'_, WIDTH> {
-    #[inline(always)]
-    fn add<A: Arithmetic, const COUNT: usize>(self, adder: impl AddRows, pairs: &mut [Pair<'_>]) {
-        let Some(pairs) = pairs.first_chunk_mut::<COUNT>() else { return };
-        let inputs = pairs.each_ref().map(|pair| pair.inputs.get(..self.rows.len()));
-        let inputs = inputs.map(|inputs| inputs.unwrap_or(&[]));
-        let sums = adder.add_rows::<A, WIDTH, COUNT>(self.rows, self.part, self.start, inputs);
-        for (sums, pair) in sums.into_iter().zip(pairs) {
-            let columns = pair.outputs.get_mut(self.first..);
-            if let Some(columns) = columns.and_then(|columns| columns.first_chunk_mut()) {
-                *columns = finished(sums, self.relu);
-            }
-        }
-    }
-}
-
-/// [`AddRows`] as every processor of the target runs it.
+/// Where the sums of some columns start.
 #[inline(always)]
-pub(super) fn add_rows<A: Arithmetic, const WIDTH: usize, const COUNT: usize>(
-    rows: &[[f32; WIDTH]],
-    part: usize,
-    start: [f32; STRIP],
+fn start<const COLUMNS: usize>(around: Around<'_>, column: usize) -> [f32; COLUMNS] {
+    let bias = around.bias.and_then(|bias| bias.get(column..)?.first_chunk());
+    bias.copied().unwrap_or([0.0; COLUMNS])
+}
+
+/// Works on a tile of eight columns: the last of a matrix, and small.
+#[inline(always)]
+fn add_narrow<A: Arithmetic>(
+    tile: &[f32],
+    column: usize,
+    pairs: &mut [Pair<'_>],
+    around: Around<'_>,
+) {
+    for pair in pairs {
+        let mut sums: [f32; 8] = start(around, column);
+        for (input, row) in pair.inputs.iter().zip(tile.as_chunks().0) {
+            add_row::<A, 8>(&mut sums, *input, row);
+        }
+        write(pair, column, finished(sums, around.relu));
+    }
+}
+
+/// Works on a strip, which starts at `column` of the outputs.
+#[inline(always)]
+fn add_strip<A: Arithmetic, R: AddRows, const PARTS: usize>(
+    adder: R,
+    strip: Strip<'_>,
+    column: usize,
+    pairs: &mut [Pair<'_>],
+    around: Around<'_>,
+) {
+    match pairs.len() {
+        1 => add_for::<A, R, PARTS, 1>(adder, strip, column, pairs, around),
+        2 => add_for::<A, R, PARTS, 2>(adder, strip, column, pairs, around),
+        3 => add_for::<A, R, PARTS, 3>(adder, strip, column, pairs, around),
+        4 => add_for::<A, R, PARTS, 4>(adder, strip, column, pairs, around),
+        5 => add_for::<A, R, PARTS, 5>(adder, strip, column, pairs, around),
+        6 => add_for::<A, R, PARTS, 6>(adder, strip, column, pairs, around),
+        7 => add_for::<A, R, PARTS, 7>(adder, strip, column, pairs, around),
+        _ => add_for::<A, R, PARTS, 8>(adder, strip, column, pairs, around),
+    }
+}
+
+/// As [`add_strip`] for a number of vectors that is known to the compiler, if the build works on them with
+/// strips of this width.
+#[inline(always)]
+fn add_for<A: Arithmetic, R: AddRows, const PARTS: usize, const COUNT: usize>(
+    adder: R,
+    strip: Strip<'_>,
+    column: usize,
+    pairs: &mut [Pair<'_>],
+    around: Around<'_>,
+) {
+    if COUNT > R::GROUP || PARTS > adder.parts::<A>(COUNT) {
+        return;
+    }
+    let Some(pairs) = pairs.first_chunk_mut::<COUNT>() else { return };
+    let mut starts = [[0.0; PART]; PARTS];
+    for (start_at, first) in starts.iter_mut().zip((column..).step_by(PART)) {
+        *start_at = start(around, first);
+    }
+    let inputs = pairs.each_ref().map(|pair| pair.inputs);
+    let sums = adder.add_rows::<A, PARTS, COUNT>(strip, starts, inputs);
+    for (sums, pair) in sums.iter().zip(pairs) {
+        for (sums, first) in sums.iter().zip((column..).step_by(PART)) {
+            write(pair, first, finished(*sums, around.relu));
+        }
+    }
+}
+
+#[inline(always)]
+fn write<const COLUMNS: usize>(pair: &mut Pair<'_>, first: usize, sums: [f32; COLUMNS]) {
+    let columns = pair.outputs.get_mut(first..);
+    if let Some(columns) = columns.and_then(|columns| columns.first_chunk_mut()) {
+        *columns = sums;
+    }
+}
+
+/// [`AddRows::add_rows`] as every processor of the target runs it.
+#[inline(always)]
+pub(super) fn add_rows<A: Arithmetic, const PARTS: usize, const COUNT: usize>(
+    strip: Strip<'_>,
+    start: [[f32; PART]; PARTS],
     inputs: [&[f32]; COUNT],
-) -> [[f32; STRIP]; COUNT] {
+) -> [[[f32; PART]; PARTS]; COUNT] {
     let mut sums = [start; COUNT];
-    'rows: for (index, row) in rows.iter().enumerate() {
-        let Some(row) = row.as_chunks::<STRIP>().0.get(part) else { break };
+    'rows: for (index, row) in strip.tile.chunks_exact(strip.width.max(1)).enumerate() {
+        let Some(row) = row.get(strip.first..) else { break };
         for (sums, inputs) in sums.iter_mut().zip(inputs) {
             let Some(input) = inputs.get(index) else { break 'rows };
-            add_row::<A, STRIP>(sums, *input, row);
+            for (sums, row) in sums.iter_mut().zip(row.as_chunks().0) {
+                add_row::<A, PART>(sums, *input, row);
+            }
         }
     }
     sums
@@ -194,7 +211,12 @@ mod tests {
                         .zip(together.chunks_mut(columns))
                         .map(|(inputs, outputs)| Pair { inputs, outputs })
                         .collect();
-                    products::<Exact>(Portable::<Exact>::new(), &weights, &mut pairs, around);
+                    products::<Exact, Portable<Exact>>(
+                        Portable::new(),
+                        &weights,
+                        &mut pairs,
+                        around,
+                    );
                     assert_eq!(alone, together, "{count} vectors, {rows} x {columns}");
                 }
             }

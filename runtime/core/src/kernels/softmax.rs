@@ -12,9 +12,9 @@ pub const fn slots(count: usize) -> usize {
 }
 
 /// Turns the first `count` scores into weights that add up to one, and what stands behind them into zeros.
-/// Returns false where a score is not finite.
+/// Returns false where a score is not finite. `largest_of` is [`largest`], in whichever order.
 #[inline(always)]
-pub fn softmax(scores: &mut [f32], count: usize) -> bool {
+pub fn softmax(scores: &mut [f32], count: usize, largest_of: impl Fn([f32; LANES]) -> f32) -> bool {
     let (chunks, _) = scores.as_chunks_mut::<LANES>();
     let mut magnitudes = [0; LANES];
     let mut largest = [f32::MIN; LANES];
@@ -28,7 +28,7 @@ pub fn softmax(scores: &mut [f32], count: usize) -> bool {
             *largest = if *score > *largest { *score } else { *largest };
         }
     }
-    let largest = largest.iter().fold(f32::MIN, |a, &b| if b > a { b } else { a });
+    let largest = largest_of(largest);
     let mut sums = [0.0; LANES];
     for (first, chunk) in (0..).step_by(LANES).zip(chunks.iter_mut()) {
         let scores = count.saturating_sub(first) as u32;
@@ -45,6 +45,12 @@ pub fn softmax(scores: &mut [f32], count: usize) -> bool {
     magnitudes.iter().fold(0, |a, &b| u32::max(a, b)) < 0x7f80_0000
 }
 
+/// The largest of numbers that are finite.
+#[inline(always)]
+pub fn largest(lanes: [f32; LANES]) -> f32 {
+    lanes.iter().fold(f32::MIN, |a, &b| if b > a { b } else { a })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -55,7 +61,7 @@ mod tests {
         for score in [0.0, -3.0e30, 17.25] {
             let mut scores = [f32::NAN; 16];
             scores[0] = score;
-            assert!(softmax(&mut scores, 1));
+            assert!(softmax(&mut scores, 1, largest));
             assert_eq!((scores[0], &scores[1..]), (1.0, [0.0; 15].as_slice()));
         }
     }
@@ -64,7 +70,7 @@ mod tests {
     fn equal_scores_share() {
         for count in 1..=64 {
             let mut scores = vec![5.0; slots(count)];
-            assert!(softmax(&mut scores, count));
+            assert!(softmax(&mut scores, count, largest));
             let share = 1.0 / count as f32;
             assert!(scores[..count].iter().all(|&weight| weight == share));
             assert!(scores[count..].iter().all(|&weight| weight == 0.0));
@@ -77,10 +83,10 @@ mod tests {
             for place in 0..20 {
                 let mut scores = [0.5; 32];
                 scores[place] = bad;
-                assert!(!softmax(&mut scores, 20));
+                assert!(!softmax(&mut scores, 20, largest));
                 scores = [0.5; 32];
                 scores[20 + place % 12] = bad;
-                assert!(softmax(&mut scores, 20));
+                assert!(softmax(&mut scores, 20, largest));
             }
         }
     }

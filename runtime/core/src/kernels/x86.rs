@@ -1,144 +1,72 @@
 //! The kernels for AVX2 and AVX-512.
 //!
-//! Both are the portable code, compiled once more. Only what the compiler does not find by itself is written
-//! with intrinsics: comparing eight values into a byte, and the four dot products that end in one tree.
+//! Both are the portable code, compiled once more. Only what the compiler does not find by itself is written with
+//! intrinsics, in [`wide`] and [`wider`].
 
-use core::arch::x86_64::{
-    __m128, __m256, __m512, _CMP_NEQ_UQ, _mm_add_ps, _mm256_add_ps, _mm256_castps256_ps128,
-    _mm256_cmp_ps, _mm256_extractf128_ps, _mm256_fmadd_ps, _mm256_hadd_ps, _mm256_movemask_ps,
-    _mm256_mul_ps, _mm256_set1_ps, _mm256_setzero_ps, _mm512_add_ps, _mm512_fmadd_ps,
-    _mm512_mul_ps, _mm512_set1_ps,
-};
+mod sparse;
+mod wide;
+mod wider;
+
 use core::marker::PhantomData;
-
-use zerocopy::transmute;
 
 use super::Kernels;
 use super::arithmetic::Arithmetic;
-use super::dot::{self, ROWS};
-use super::mark::{self, LANES, Marks};
+use super::build::Work;
+use super::dot;
+use super::mark::Marks;
 use super::product::{self, Around, Sparse};
 use super::rows::Rows;
-use super::several::{self, AddRows, Pair, STRIP};
+use super::several::{self, AddRows, PART, Pair, Strip};
 use super::softmax;
 
-/// A bit for each value that is not zero.
-#[inline]
-#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
-fn lanes_not_zero(values: &[f32; LANES]) -> u8 {
-    let values: __m256 = transmute!(*values);
-    _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_NEQ_UQ>(values, _mm256_setzero_ps())) as u8
+/// The rows of a strip, each with its inputs.
+struct StripRows<'w, const PARTS: usize, const COUNT: usize> {
+    strip: Strip<'w>,
+    inputs: [&'w [f32]; COUNT],
+    row: usize,
+    rows: usize,
 }
 
-/// The dot products of a vector with four rows: see [`dot::four_dots`].
-#[inline]
-#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
-fn four_dots<A: Arithmetic>(vector: &[f32], rows: [&[f32]; ROWS]) -> [f32; ROWS] {
-    let multiply_add = |sum: __m256, a: __m256, b: __m256| {
-        if A::FUSED { _mm256_fmadd_ps(a, b, sum) } else { _mm256_add_ps(sum, _mm256_mul_ps(a, b)) }
-    };
-    let load = |lanes: &[f32; LANES]| -> __m256 { transmute!(*lanes) };
-    let (pairs, rest) = vector.as_chunks::<LANES>().0.as_chunks::<2>();
-    let [r0, r1, r2, r3] = rows.map(|row| row.as_chunks::<LANES>().0.as_chunks::<2>());
-    let mut low = [_mm256_setzero_ps(); ROWS];
-    let mut high = low;
-    let rows = r0.0.iter().zip(r1.0).zip(r2.0).zip(r3.0);
-    for ([low_v, high_v], (((r0, r1), r2), r3)) in pairs.iter().zip(rows) {
-        let (low_v, high_v) = (load(low_v), load(high_v));
-        let sums = low.iter_mut().zip(&mut high);
-        for ((low, high), [low_row, high_row]) in sums.zip([r0, r1, r2, r3]) {
-            *low = multiply_add(*low, low_v, load(low_row));
-            *high = multiply_add(*high, high_v, load(high_row));
-        }
+impl<'w, const PARTS: usize, const COUNT: usize> StripRows<'w, PARTS, COUNT> {
+    /// All rows; none where strip or inputs are too short for them.
+    #[inline(always)]
+    fn new(strip: Strip<'w>, inputs: [&'w [f32]; COUNT]) -> Self {
+        let inside = strip.first + PARTS * PART <= strip.width;
+        let rows = strip.tile.len().checked_div(strip.width).unwrap_or(0);
+        let enough = inside && inputs.iter().all(|inputs| inputs.len() >= rows);
+        Self { strip, inputs, row: 0, rows: if enough { rows } else { 0 } }
     }
-    let rows = [r0.1, r1.1, r2.1, r3.1];
-    for (low, row) in low.iter_mut().zip(rows) {
-        if let (Some(v), Some(row)) = (rest.first(), row.first()) {
-            *low = multiply_add(*low, load(v), load(row));
-        }
-    }
-    let [a, b, c, d] = low;
-    let [e, f, g, h] = high;
-    let [a, b] = [_mm256_add_ps(a, e), _mm256_add_ps(b, f)];
-    let [c, d] = [_mm256_add_ps(c, g), _mm256_add_ps(d, h)];
-    let neighbours = _mm256_hadd_ps(_mm256_hadd_ps(a, b), _mm256_hadd_ps(c, d));
-    let halves = [_mm256_castps256_ps128(neighbours), _mm256_extractf128_ps::<1>(neighbours)];
-    let [first, second]: [__m128; 2] = halves;
-    transmute!(_mm_add_ps(first, second))
 }
 
-/// [`AddRows`] in two vectors of eight columns.
-#[inline]
-#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
-fn add_rows_avx2<A: Arithmetic, const WIDTH: usize, const COUNT: usize>(
-    rows: &[[f32; WIDTH]],
-    part: usize,
-    start: [f32; STRIP],
-    inputs: [&[f32]; COUNT],
-) -> [[f32; STRIP]; COUNT] {
-    let start: [__m256; 2] = transmute!(start);
-    let mut sums = [start; COUNT];
-    // One way out, so that the lengths of all inputs are compared once.
-    'rows: for (index, row) in rows.iter().enumerate() {
-        let Some(row) = row.as_chunks::<STRIP>().0.get(part) else { break };
-        let weights: [__m256; 2] = transmute!(*row);
-        for (sums, inputs) in sums.iter_mut().zip(inputs) {
-            let Some(input) = inputs.get(index) else { break 'rows };
-            let input = _mm256_set1_ps(*input);
-            for (sum, weight) in sums.iter_mut().zip(weights) {
-                *sum = if A::FUSED {
-                    _mm256_fmadd_ps(input, weight, *sum)
-                } else {
-                    _mm256_add_ps(*sum, _mm256_mul_ps(input, weight))
-                };
-            }
-        }
-    }
-    sums.map(|sums| transmute!(sums))
-}
+impl<'w, const PARTS: usize, const COUNT: usize> Iterator for StripRows<'w, PARTS, COUNT> {
+    type Item = (&'w [[f32; PART]; PARTS], [&'w f32; COUNT]);
 
-/// [`AddRows`] in one vector of sixteen columns.
-#[inline]
-#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
-fn add_rows_avx512<A: Arithmetic, const WIDTH: usize, const COUNT: usize>(
-    rows: &[[f32; WIDTH]],
-    part: usize,
-    start: [f32; STRIP],
-    inputs: [&[f32]; COUNT],
-) -> [[f32; STRIP]; COUNT] {
-    let add = |sums: &mut [__m512; COUNT], row: &[f32; WIDTH], inputs: [f32; COUNT]| {
-        let Some(row) = row.as_chunks::<STRIP>().0.get(part) else { return };
-        let weights: __m512 = transmute!(*row);
-        for (sum, input) in sums.iter_mut().zip(inputs) {
-            let input = _mm512_set1_ps(input);
-            *sum = if A::FUSED {
-                _mm512_fmadd_ps(input, weights, *sum)
-            } else {
-                _mm512_add_ps(*sum, _mm512_mul_ps(input, weights))
-            };
+    // Checked once in `new` and not for each row and input, which are half as many as the multiply-adds.
+    #[inline(always)]
+    #[allow(unsafe_code)]
+    fn next(&mut self) -> Option<Self::Item> {
+        let row = self.row;
+        if row == self.rows {
+            return None;
         }
-    };
-    let start: __m512 = transmute!(start);
-    let mut sums = [start; COUNT];
-    // Four rows a turn, so that counting and checking cost little beside so few instructions.
-    let (groups, rest) = rows.as_chunks::<4>();
-    let inputs = inputs.map(|inputs| inputs.as_chunks::<4>());
-    for (index, [a, b, c, d]) in groups.iter().enumerate() {
-        let inputs = inputs.map(|(groups, _)| groups.get(index).unwrap_or(&[0.0; 4]));
-        add(&mut sums, a, inputs.map(|[input, _, _, _]| *input));
-        add(&mut sums, b, inputs.map(|[_, input, _, _]| *input));
-        add(&mut sums, c, inputs.map(|[_, _, input, _]| *input));
-        add(&mut sums, d, inputs.map(|[_, _, _, input]| *input));
+        self.row += 1;
+        let first = row * self.strip.width + self.strip.first;
+        // SAFETY: the strip lies inside the tile's width, and as many rows of that width inside the tile; arrays of
+        // floats are aligned as floats are.
+        let weights = unsafe { &*self.strip.tile.as_ptr().add(first).cast() };
+        // By reference, because numbers are spread over a vector for nothing when they are loaded into it.
+        let mut values = [&0.0; COUNT];
+        for (value, inputs) in values.iter_mut().zip(&self.inputs) {
+            // SAFETY: there are at least as many inputs as rows.
+            *value = unsafe { inputs.get_unchecked(row) };
+        }
+        Some((weights, values))
     }
-    for (index, row) in rest.iter().enumerate() {
-        add(&mut sums, row, inputs.map(|(_, rest)| rest.get(index).copied().unwrap_or(0.0)));
-    }
-    sums.map(|sums| transmute!(sums))
 }
 
 /// Builds all kernels for an instruction set.
 macro_rules! build {
-    ($(#[$doc:meta])* $name:ident, $module:ident, $add_rows:ident, $features:literal) => {
+    ($(#[$doc:meta])* $name:ident, $module:ident, $vectors:ident, $features:literal) => {
         $(#[$doc])*
         #[derive(Debug)]
         pub(super) struct $name<A>(PhantomData<A>);
@@ -149,6 +77,17 @@ macro_rules! build {
             #[allow(unsafe_code)]
             pub(super) const unsafe fn new() -> Self {
                 Self(PhantomData)
+            }
+
+            /// Runs work that is compiled for these kernels as far as it is inlined.
+            #[target_feature(enable = $features)]
+            pub(super) fn run<W: Work>(work: W) -> W::Output
+            where
+                A: Arithmetic,
+            {
+                // SAFETY: only where the processor has the features is this function called.
+                #[allow(unsafe_code)]
+                work.run(unsafe { Self::new() })
             }
         }
 
@@ -215,15 +154,21 @@ macro_rules! build {
         // SAFETY: as above.
         #[allow(unsafe_code, clippy::undocumented_unsafe_blocks)]
         impl<P> AddRows for $name<P> {
+            const GROUP: usize = $vectors::GROUP;
+
             #[inline(always)]
-            fn add_rows<A: Arithmetic, const WIDTH: usize, const COUNT: usize>(
+            fn parts<A: Arithmetic>(self, count: usize) -> usize {
+                $vectors::parts(count, A::FUSED)
+            }
+
+            #[inline(always)]
+            fn add_rows<A: Arithmetic, const PARTS: usize, const COUNT: usize>(
                 self,
-                rows: &[[f32; WIDTH]],
-                part: usize,
-                start: [f32; STRIP],
+                strip: Strip<'_>,
+                start: [[f32; PART]; PARTS],
                 inputs: [&[f32]; COUNT],
-            ) -> [[f32; STRIP]; COUNT] {
-                unsafe { $add_rows::<A, WIDTH, COUNT>(rows, part, start, inputs) }
+            ) -> [[[f32; PART]; PARTS]; COUNT] {
+                unsafe { $vectors::add_rows::<A, PARTS, COUNT>(strip, start, inputs) }
             }
         }
 
@@ -232,7 +177,7 @@ macro_rules! build {
 
             #[target_feature(enable = $features)]
             pub(super) fn mark(values: &[f32], marks: &mut [Marks]) -> bool {
-                mark::mark(values, marks, |lanes| lanes_not_zero(lanes))
+                $vectors::mark(values, marks)
             }
 
             #[target_feature(enable = $features)]
@@ -252,7 +197,7 @@ macro_rules! build {
                 around: Around<'_>,
                 outputs: &mut [f32],
             ) {
-                product::sparse_product::<A>(weights, inputs, around, outputs);
+                $vectors::sparse_product::<A>(weights, inputs, around, outputs);
             }
 
             #[target_feature(enable = $features)]
@@ -262,17 +207,17 @@ macro_rules! build {
                 pairs: &mut [Pair<'_>],
                 around: Around<'_>,
             ) {
-                several::products::<A>(kernels, weights, pairs, around);
+                several::products::<A, $name<A>>(kernels, weights, pairs, around);
             }
 
             #[target_feature(enable = $features)]
             pub(super) fn dots<A: Arithmetic>(vector: &[f32], rows: Rows<'_>, products: &mut [f32]) {
-                dot::dots(vector, rows, products, |vector, rows| four_dots::<A>(vector, rows));
+                dot::dots(vector, rows, products, |vector, rows| $vectors::four_dots::<A>(vector, rows));
             }
 
             #[target_feature(enable = $features)]
             pub(super) fn softmax(scores: &mut [f32], count: usize) -> bool {
-                softmax::softmax(scores, count)
+                softmax::softmax(scores, count, |lanes| $vectors::largest(lanes))
             }
 
             #[target_feature(enable = $features)]
@@ -285,11 +230,11 @@ macro_rules! build {
 
 build! {
     /// The kernels for processors with AVX2 and fused multiply-add.
-    Avx2, avx2, add_rows_avx2, "avx2,fma,bmi1,bmi2,lzcnt,popcnt"
+    Avx2, avx2, wide, "avx2,fma,bmi1,bmi2,lzcnt,popcnt"
 }
 
 build! {
     /// The kernels for processors that also have AVX-512.
-    Avx512, avx512, add_rows_avx512,
+    Avx512, avx512, wider,
     "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl"
 }

@@ -50,11 +50,11 @@ pub struct AttendOwn {
 }
 
 impl AttendOwn {
-    fn head_width(&self) -> usize {
+    pub(super) fn head_width(&self) -> usize {
         usize::from(self.query.outputs).checked_div(usize::from(self.heads)).unwrap_or(0)
     }
 
-    fn padded_width(&self) -> usize {
+    pub(super) fn padded_width(&self) -> usize {
         padded(usize::from(self.width))
     }
 
@@ -89,7 +89,7 @@ impl AttendOwn {
         layers && widths && lengths && sizes.hold_apart(&self.places().each_ref())
     }
 
-    fn places(&self) -> [Place; 7] {
+    pub(super) fn places(&self) -> [Place; 7] {
         // Scores are worked on in whole vectors, for which a plan leaves room behind the last one.
         let scores = Place { len: slots(self.scores.len as usize) as u32, ..self.scores };
         let Self { rows, query_place, absorbed, mixed, attended, to, .. } = *self;
@@ -117,17 +117,22 @@ impl AttendOwn {
         let [rows, query, absorbed, scores, mixed, attended, to] =
             places(scratch.floats, self.places().each_ref())?;
         let rows = Rows::first(rows, self.padded_width(), visible);
+        let heads = usize::from(self.heads);
         let outputs = attended.chunks_exact_mut(padded(self.head_width()));
-        for (head, output) in (0..usize::from(self.heads)).zip(outputs) {
+        for (head, output) in (0..heads).zip(outputs) {
             if visible == 0 {
                 output.fill(0.0);
                 continue;
             }
-            if visible > 1 {
-                let query = query.get(self.head(head)).ok_or(DecideError::BadLength)?;
-                kernels.product(self.keys(weights, head)?, query, Around::NOTHING, absorbed);
+            if head == 0 && visible > 1 {
+                self.absorb(kernels, weights, head, query, absorbed)?;
             }
-            self.attend(kernels, rows, absorbed, scores, mixed)?;
+            let scores = self.weigh(kernels, rows, absorbed, scores)?;
+            // Before the weights are used: while they are waited for, matrices of the next head are read.
+            if head + 1 < heads && visible > 1 {
+                self.absorb(kernels, weights, head + 1, query, absorbed)?;
+            }
+            kernels.mix(scores, rows, mixed);
             let mixed = mixed.get(..usize::from(self.width)).ok_or(DecideError::BadLength)?;
             kernels.product(self.values(weights, head)?, mixed, Around::NOTHING, output);
         }
@@ -136,16 +141,30 @@ impl AttendOwn {
         Ok(())
     }
 
-    /// Mixes rows by one head's scores.
+    /// Computes u of one head.
     #[inline(always)]
-    fn attend(
+    fn absorb(
+        &self,
+        kernels: impl Kernels,
+        weights: &[f32],
+        head: usize,
+        query: &[f32],
+        absorbed: &mut [f32],
+    ) -> Result<(), DecideError> {
+        let query = query.get(self.head(head)).ok_or(DecideError::BadLength)?;
+        kernels.product(self.keys(weights, head)?, query, Around::NOTHING, absorbed);
+        Ok(())
+    }
+
+    /// The weights of rows in one head.
+    #[inline(always)]
+    fn weigh<'s>(
         &self,
         kernels: impl Kernels,
         rows: Rows<'_>,
         absorbed: &[f32],
-        scores: &mut [f32],
-        mixed: &mut [f32],
-    ) -> Result<(), DecideError> {
+        scores: &'s mut [f32],
+    ) -> Result<&'s [f32], DecideError> {
         let visible = rows.slots.len();
         let scores = scores.get_mut(..slots(visible)).ok_or(DecideError::BadLength)?;
         if visible > 1 {
@@ -157,8 +176,7 @@ impl AttendOwn {
             // The weight of a single entity is one, whatever its score.
             scores.fill(1.0);
         }
-        kernels.mix(scores, rows, mixed);
-        Ok(())
+        Ok(scores)
     }
 
     /// As [`Self::run`] for all members of a team.
@@ -168,6 +186,9 @@ impl AttendOwn {
         weights: &[f32],
         team: &mut Team<'_>,
     ) -> Result<(), DecideError> {
+        if team.shared.len() >= self.shared_floats() && team.is_one_entity() {
+            return self.run_shared(kernels, weights, team);
+        }
         let asks = |member: &Member| member.slots.len() > 1;
         let sees = |member: &Member| !member.slots.is_empty();
         let (width, absorbed) = (usize::from(self.width), &self.absorbed);
@@ -202,7 +223,10 @@ impl AttendOwn {
                 continue;
             }
             let rows = Rows { floats: rows, width: self.padded_width(), slots: &member.slots };
-            member.alone |= self.attend(kernels, rows, absorbed, scores, mixed).is_err();
+            match self.weigh(kernels, rows, absorbed, scores) {
+                Ok(scores) => kernels.mix(scores, rows, mixed),
+                Err(_) => member.alone = true,
+            }
         }
         Ok(())
     }
@@ -228,17 +252,25 @@ impl AttendOwn {
     }
 
     /// The range of one head's part of q.
-    fn head(&self, head: usize) -> Range<usize> {
+    pub(super) fn head(&self, head: usize) -> Range<usize> {
         let start = head * self.head_width();
         start..start + self.head_width()
     }
 
-    fn keys<'w>(&self, weights: &'w [f32], head: usize) -> Result<&'w [f32], DecideError> {
+    pub(super) fn keys<'w>(
+        &self,
+        weights: &'w [f32],
+        head: usize,
+    ) -> Result<&'w [f32], DecideError> {
         let len = self.keys_len();
         slice(weights, self.keys.saturating_add((head * len) as u32), len)
     }
 
-    fn values<'w>(&self, weights: &'w [f32], head: usize) -> Result<&'w [f32], DecideError> {
+    pub(super) fn values<'w>(
+        &self,
+        weights: &'w [f32],
+        head: usize,
+    ) -> Result<&'w [f32], DecideError> {
         let len = self.values_len();
         slice(weights, self.values.saturating_add((head * len) as u32), len)
     }

@@ -6,6 +6,7 @@
 
 mod attend_all;
 mod attend_own;
+mod attend_own_shared;
 mod dense;
 mod embed_entities;
 mod group_sum;
@@ -167,6 +168,7 @@ impl Op {
     }
 
     /// As [`Self::run`] for all members of a team, whose observations are of one frame.
+    #[inline(always)]
     pub(crate) fn run_team<S: OperatorSet>(
         &self,
         kernels: impl Kernels,

@@ -51,6 +51,9 @@ pub(crate) struct Team<'a> {
     pub(crate) own: &'a mut [f32],
     /// Floats of one member's own places, at least one.
     pub(crate) own_floats: usize,
+    /// Room for what members share that are the same entity, see [`super::AttendOwn::shared_floats`]; none where
+    /// every member is to get the bits that it would get alone.
+    pub(crate) shared: &'a mut [f32],
     /// Marks the inputs of a sparse product.
     pub(crate) nonzeros: &'a mut [Marks],
     /// The members.
@@ -61,6 +64,13 @@ pub(crate) struct Team<'a> {
 pub(crate) type Pairs<'a> = Vec<Pair<'a>, TEAM>;
 
 impl<'a> Team<'a> {
+    /// Whether all members are the same entity, which looks at several selections of rows.
+    pub(crate) fn is_one_entity(&self) -> bool {
+        let mut members = self.members.iter();
+        let first = members.next().map(|member| member.own);
+        members.all(|member| Some(member.own) == first)
+    }
+
     /// A place among a member's own.
     pub(crate) fn own_place(&self, place: &Place) -> Place {
         // That places lie behind the rows was checked at load.

@@ -14,8 +14,8 @@ use crate::kernels::Kernels;
 use crate::kernels::build::Work;
 use crate::kernels::mark::Marks;
 use crate::limits;
-use crate::ops::OperatorSet;
 use crate::ops::team::{Member, TEAM, Team};
+use crate::ops::{Op, OperatorSet};
 use crate::policy::{DecideError, Decision, Observation};
 
 /// An agent's utilities in the arena, or why there are none.
@@ -43,7 +43,7 @@ impl<S: OperatorSet> Plan<'_, S> {
         observations: &[Observation<'_>],
         decisions: &mut [Result<Decision, DecideError>],
     ) {
-        self.run_batch(arena, observations, &mut |index, utilities| {
+        self.run_batch(arena, &mut [], observations, &mut |index, utilities| {
             let place = decisions.get_mut(index).zip(observations.get(index));
             if let Some((decision, observation)) = place {
                 *decision =
@@ -60,8 +60,22 @@ impl<S: OperatorSet> Plan<'_, S> {
         utilities: &mut [f32],
         results: &mut [Result<(), DecideError>],
     ) {
+        self.utilities_shared(arena, &mut [], observations, utilities, results);
+    }
+
+    /// As [`Self::utilities_batch`] for one entity that looks at several selections of a frame's rows. With
+    /// [`Self::shared_floats`] of memory, scores and values of rows are computed once for all of them: utilities
+    /// are the same but for rounding, and do not depend on what else is asked in the same call.
+    pub fn utilities_shared(
+        &self,
+        arena: &mut [u8],
+        shared: &mut [f32],
+        observations: &[Observation<'_>],
+        utilities: &mut [f32],
+        results: &mut [Result<(), DecideError>],
+    ) {
         let actions = self.actions();
-        self.run_batch(arena, observations, &mut |index, computed| {
+        self.run_batch(arena, shared, observations, &mut |index, computed| {
             let start = index.saturating_mul(actions);
             let to = utilities.get_mut(start..start.saturating_add(actions));
             if let Some(result) = results.get_mut(index) {
@@ -77,9 +91,19 @@ impl<S: OperatorSet> Plan<'_, S> {
         });
     }
 
+    /// Floats of memory in which several selections share what they have in common.
+    pub fn shared_floats(&self) -> usize {
+        let floats = |op: &Op| match op {
+            Op::AttendOwn(op) => op.shared_floats(),
+            _ => 0,
+        };
+        self.program.ops.iter().map(floats).max().unwrap_or(0)
+    }
+
     fn run_batch(
         &self,
         arena: &mut [u8],
+        shared: &mut [f32],
         observations: &[Observation<'_>],
         answer: &mut dyn FnMut(usize, Computed<'_>),
     ) {
@@ -88,8 +112,9 @@ impl<S: OperatorSet> Plan<'_, S> {
             let members = self.team(arena.len(), observations, next);
             let count = members.len().max(1);
             let mut alone: Vec<usize, TEAM> = Vec::new();
-            if count == 1
-                || self.run_team(arena, observations, members, &mut alone, answer).is_err()
+            // Who shares nothing and has no company is faster alone.
+            if (count == 1 && shared.is_empty())
+                || self.run_team(arena, shared, observations, members, &mut alone, answer).is_err()
             {
                 alone.clear();
                 // There is room for every member.
@@ -138,14 +163,15 @@ impl<S: OperatorSet> Plan<'_, S> {
     fn run_team(
         &self,
         arena: &mut [u8],
+        shared: &mut [f32],
         observations: &[Observation<'_>],
         members: Vec<Member, TEAM>,
         alone: &mut Vec<usize, TEAM>,
         answer: &mut dyn FnMut(usize, Computed<'_>),
     ) -> Result<(), DecideError> {
         let own_floats = self.program.own_floats().ok_or(DecideError::BadLength)? as usize;
-        let shared = (self.program.floats as usize).saturating_sub(own_floats);
-        let rest = arena.split_at_mut_checked(4 * shared);
+        let row_floats = (self.program.floats as usize).saturating_sub(own_floats);
+        let rest = arena.split_at_mut_checked(4 * row_floats);
         let (rows, rest) = rest.ok_or(DecideError::BadLength)?;
         let rest = rest.split_at_mut_checked(4 * own_floats * members.len());
         let (own, rest) = rest.ok_or(DecideError::BadLength)?;
@@ -154,6 +180,7 @@ impl<S: OperatorSet> Plan<'_, S> {
             rows: <[f32]>::mut_from_bytes(rows).map_err(|_| DecideError::BadLength)?,
             own: <[f32]>::mut_from_bytes(own).map_err(|_| DecideError::BadLength)?,
             own_floats: own_floats.max(1),
+            shared,
             nonzeros: marks
                 .and_then(|marks| <[Marks]>::mut_from_bytes(marks).ok())
                 .ok_or(DecideError::BadLength)?,
@@ -192,6 +219,7 @@ struct TeamExecution<'p, 'a, 's, S: OperatorSet> {
 impl<S: OperatorSet> Work for TeamExecution<'_, '_, '_, S> {
     type Output = Result<(), DecideError>;
 
+    #[inline(always)]
     fn run(self, kernels: impl Kernels) -> Self::Output {
         for op in &self.plan.program.ops {
             op.run_team::<S>(kernels, self.plan.weights, self.observations, self.team)?;

@@ -1,7 +1,9 @@
 //! Why a plan is refused.
 
+use serde::{Deserialize, Serialize};
+
 /// A part of a plan that a checksum covers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Part {
     /// Header and program.
@@ -11,7 +13,7 @@ pub enum Part {
 }
 
 /// Why a plan cannot be loaded.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum PlanError {

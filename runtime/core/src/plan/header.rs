@@ -1,5 +1,7 @@
 //! The fixed first bytes of a plan.
 
+use serde::{Deserialize, Serialize};
+
 use super::error::PlanError;
 
 /// Bytes of the header.
@@ -17,7 +19,7 @@ const ENDIAN_PROBE: u32 = 0x0102_0304;
 pub(super) const CRC_OFFSET: usize = 60;
 
 /// How a plan computes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum Profile {

@@ -173,10 +173,11 @@ impl RunnerRole {
             if let Some(until_ns) = self.awaits_allocation(&view, link.now_ns()) {
                 return Ok(Poll::Wait { until_ns });
             }
-            self.count_gaps(&view);
+            let is_reset = self.count_gaps(&view) && policy.begin_episode();
             let in_force = self.in_force(&view, heuristic);
             let answers = self.decide(&view, policy, &in_force, link);
-            for answer in answers {
+            for mut answer in answers {
+                answer.flags |= if is_reset { ActionMsg::STATE_RESET } else { 0 };
                 self.send(link, answer)?;
             }
             link.ring(Role::World)?;
@@ -286,16 +287,18 @@ impl RunnerRole {
         in_force
     }
 
-    /// Counts the frames between the last one worked on and this one of the same episode.
-    fn count_gaps(&mut self, view: &FrameView<'_>) {
+    /// Counts the frames between the last one worked on and this one of the same episode. Returns whether
+    /// it is of another episode.
+    fn count_gaps(&mut self, view: &FrameView<'_>) -> bool {
         let FrameHeader { world_term, episode, tick, .. } = *view.header();
-        if let Some((term, last_episode, last_tick)) = self.worked
-            && (term, last_episode) == (world_term, episode)
-        {
-            self.counters.frame_gaps += tick.saturating_sub(last_tick.saturating_add(1));
+        let last = self.worked.filter(|(term, last, _)| (*term, *last) == (world_term, episode));
+        if let Some((_, _, last_tick)) = last {
+            let next = last_tick.saturating_add(1);
+            self.counters.frame_gaps += tick.saturating_sub(next);
         }
         self.worked = Some((world_term, episode, tick));
         self.counters.ticks += 1;
+        last.is_none()
     }
 
     /// Decides once for every own agent and forgets the decisions.

@@ -30,7 +30,7 @@ pub struct WorldOptions {
     pub format: FrameFormat,
     /// Leadership term, larger than that of every earlier world of the domain; not 0.
     pub term: u32,
-    /// Bit a: the first episode does not start before a process acts for agent a.
+    /// Bit a: the first episode waits until a process acts for agent a.
     pub required: u64,
     /// Whether an allocator is waited for and asked.
     pub allocator: bool,
@@ -39,7 +39,8 @@ pub struct WorldOptions {
     pub strict: bool,
     /// Whether agents act on the allocation of an earlier tick while a new one is computed.
     pub pipelined: bool,
-    /// Longest wait for the required seats and the allocator before the first episode.
+    /// Longest wait for the required seats and the allocator before the first episode, which a world that
+    /// is not strict then starts without them.
     pub join_patience_ns: u64,
     /// Time from frame to frame, of which agents get 80 % to act and the allocator 35 %. 0 = none: a
     /// tick takes as long as the team.
@@ -258,7 +259,11 @@ impl WorldRole {
     ) -> Result<Poll, WorldError> {
         let seats = self.options.required & !self.seats.joined();
         let allocator = self.options.allocator && !self.seats.has_leader();
-        if seats == 0 && !allocator {
+        let is_over = now >= until_ns;
+        if is_over && self.options.strict && (seats != 0 || allocator) {
+            return Err(WorldError::NotJoined { seats, allocator });
+        }
+        if is_over || seats == 0 && !allocator {
             self.start_episode(world, observer);
             for _ in 0..WARM_UP_FRAMES {
                 self.publish(link, world, FrameKind::WarmUp, 0)?;
@@ -266,9 +271,6 @@ impl WorldRole {
             }
             self.phase = Phase::Pacing { until_ns: now };
             return Ok(Poll::Again);
-        }
-        if now >= until_ns {
-            return Err(WorldError::NotJoined { seats, allocator });
         }
         Ok(Poll::Wait { until_ns })
     }

@@ -21,7 +21,7 @@ const FRAME_HEADER: &str = "\
     00020000030000000200000009000000\
 ";
 const FRAME_PAYLOAD: &str = "\
-    020003000200030005000800ffff000002000000040000004000000080000000c0000000000100004001000080010000\
+    020003000200030005000800ffff000002000000030000004000000080000000c0000000000100004001000080010000\
     030000000200000001000000000000000500000000000000000000000000000000000000000000000000000000000000\
     000000000000000000000000000000000000000000000000000000000000000001000000000000000700000000000000\
     000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000\
@@ -186,7 +186,7 @@ fn fill(memory: &mut [FrameBlock]) {
     frame.available_mut(1).copy_from_slice(&[1, 0, 7]);
     frame.set_last_action(0, 2);
     frame.set_open_tasks(0b10);
-    frame.set_progress(4, TICK, 0b01);
+    frame.set_progress(3, TICK, 0b01);
 }
 
 fn memory() -> [FrameBlock; 8] {
@@ -206,8 +206,8 @@ fn frame_payload_has_its_golden_bytes() {
 fn a_view_gives_what_was_written() {
     let (memory, header) = (memory(), header());
     let view = FrameView::new(&header, memory.as_bytes(), &format()).unwrap();
-    assert_eq!((view.agents(), view.step(), view.joined()), (2, 4, 0b01));
-    assert_eq!((view.decision_tick(), view.episode_start()), (TICK, TICK - 4));
+    assert_eq!((view.agents(), view.step(), view.joined()), (2, 3, 0b01));
+    assert_eq!((view.decision_tick(), view.episode_start()), (TICK, TICK - 3));
     assert!(view.present().iter().eq([0, 2]));
     assert!(view.observable(1).iter().eq([0, 1, 2]));
     assert!(view.observable(2).is_empty());

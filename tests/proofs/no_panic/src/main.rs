@@ -94,8 +94,8 @@ impl CostModel for Constant {
 fn allocate() -> Option<bool> {
     let plan = Plan::load(black_box(TEAM_VALUE)).ok()?;
     let mut arena = Aligned([0; arena_bytes(TEAM_VALUE)]);
-    let mut rows = [0.0; 2 * 5 * 11];
-    let mut network = PlanTeamValue::new(plan, black_box(&mut arena.0), &mut rows).ok()?;
+    let mut memory = [0.0; 1024];
+    let mut network = PlanTeamValue::new(plan, black_box(&mut arena.0), &mut memory).ok()?;
     let mut cells = [exact::Cell::default(); exact::cells(3, 2)];
     let (mut values, mut relation) = ([0.0; exact::cells(3, 2)], [0.0; 5 * 3]);
     let state = black_box(AllocationState {

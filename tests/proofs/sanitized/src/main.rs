@@ -124,7 +124,7 @@ fn main() {
     }
     let plan = Plan::load(TEAM_VALUE).expect("a golden plan");
     let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
-    let mut joined = vec![0.0; PlanTeamValue::row_floats(&plan, 5)];
+    let mut joined = vec![0.0; PlanTeamValue::memory_floats(&plan, 5)];
     let mut network =
         PlanTeamValue::new(plan, arena.as_mut_slice(), &mut joined).expect("an arena that fits");
     let (mut cells, mut values) = (vec![exact::Cell::default(); 16], vec![0.0; 16]);

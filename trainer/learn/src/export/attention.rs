@@ -102,8 +102,8 @@ pub enum ExportError {
 pub(super) struct Inputs<'a> {
     /// Rows f32 `[N, D]`.
     pub(super) rows: &'a str,
-    /// The row that forms the query, i64 `[1]`.
-    pub(super) own: &'a str,
+    /// The row that forms the query, i64 `[1]`; none: every row forms one.
+    pub(super) own: Option<&'a str>,
     /// What it attends to, bool `[N]`.
     pub(super) visible: &'a str,
 }
@@ -126,17 +126,38 @@ pub(super) fn add_base(
     inputs: Inputs<'_>,
     attention_relu: bool,
 ) -> Result<String, ExportError> {
-    let AttentionNetwork { inputs: columns, width, heads, base, .. } = *network;
+    let (_, attended) = add_attention(graph, network, inputs, attention_relu)?;
+    add_second(graph, network, &attended)
+}
+
+/// Adds the embedding `[N, E]` and the attention `[1, E]`, or `[N, E]` where every row asks; returns both names.
+pub(super) fn add_attention(
+    graph: &mut Graph,
+    network: &AttentionNetwork<'_>,
+    inputs: Inputs<'_>,
+    relu: bool,
+) -> Result<(String, String), ExportError> {
+    let AttentionNetwork { inputs: columns, width, heads, .. } = *network;
     if heads == 0 || !width.is_multiple_of(heads) {
         return Err(ExportError::Heads { heads, width });
     }
     let fc1 = layer(graph, "fc1", inputs.rows, &network.fc1, [columns, width])?;
     let embedding = graph.node("fc1.relu", "Relu", &[&fc1], &[]);
     let mut attended = attention(graph, network, inputs, &embedding)?;
-    if attention_relu {
+    if relu {
         attended = graph.node("attention.relu", "Relu", &[&attended], &[]);
     }
-    let fc2 = layer(graph, "fc2", &attended, &network.fc2, [width, base])?;
+    Ok((embedding, attended))
+}
+
+/// Adds the layer in front of the head, on `input` `[1, E]`; its value is `[1, R]`.
+pub(super) fn add_second(
+    graph: &mut Graph,
+    network: &AttentionNetwork<'_>,
+    input: &str,
+) -> Result<String, ExportError> {
+    let AttentionNetwork { width, base, .. } = *network;
+    let fc2 = layer(graph, "fc2", input, &network.fc2, [width, base])?;
     Ok(graph.node("fc2.relu", "Relu", &[&fc2], &[]))
 }
 
@@ -155,7 +176,7 @@ pub(super) fn add_head(
     Ok(())
 }
 
-/// Attention of the own row's query over all entities.
+/// Attention of the own row's query, or of every row's, over all entities.
 fn attention(
     graph: &mut Graph,
     network: &AttentionNetwork<'_>,
@@ -167,7 +188,10 @@ fn attention(
     let weights = inputs_first("attention.in.weight", &network.attention_in, packed)?;
     let [query, key, value] =
         [0, 1, 2].map(|part| columns(&weights, 3 * width, part * width, width));
-    let own = graph.node("attention.own", "Gather", &[embedding, inputs.own], &[axis(0)]);
+    let asking = match inputs.own {
+        Some(own) => graph.node("attention.own", "Gather", &[embedding, own], &[axis(0)]),
+        None => embedding.to_owned(),
+    };
 
     let split = graph.integers("attention.split", &[0, heads as i64, (width / heads) as i64]);
     let mut heads_of = |name: &str, input: &str, weights: &[f32], order: &[i64]| {
@@ -182,7 +206,7 @@ fn attention(
             &[Attribute::Ints("perm", order)],
         )
     };
-    let query = heads_of("attention.query", &own, &query, &[1, 0, 2]);
+    let query = heads_of("attention.query", &asking, &query, &[1, 0, 2]);
     let key = heads_of("attention.key", embedding, &key, &[1, 2, 0]);
     let value = heads_of("attention.value", embedding, &value, &[1, 0, 2]);
 
@@ -199,7 +223,9 @@ fn attention(
     let mixed = graph.node("attention.mixed", "MatMul", &[&shares, &value], &[]);
     let order = Attribute::Ints("perm", &[1, 0, 2]);
     let mixed = graph.node("attention.mixed.ordered", "Transpose", &[&mixed], &[order]);
-    let join = graph.integers("attention.join", &[1, width as i64]);
+    // Zero keeps the number of rows.
+    let rows = i64::from(inputs.own.is_some());
+    let join = graph.integers("attention.join", &[rows, width as i64]);
     let joined = graph.node("attention.joined", "Reshape", &[&mixed, join], &[]);
     layer(graph, "attention.out", &joined, &network.attention_out, [width, width])
 }

@@ -29,7 +29,7 @@ pub fn team_value_onnx(network: &TeamValueExport<'_>) -> Result<Vec<u8>, ExportE
     }
     let mut graph = Graph::default();
     declare(&mut graph, *features, *relations);
-    let inputs = Inputs { rows: "rows", own: "own", visible: "visible" };
+    let inputs = Inputs { rows: "rows", own: Some("own"), visible: "visible" };
     add_inputs(&mut graph);
     add_network(&mut graph, layers, inputs, "value")?;
     let metadata = [

@@ -33,7 +33,7 @@ impl WorldRole {
         }
     }
 
-    /// Whether action and subtask exist, and the action is available. A strict world leaves the last to
+    /// Whether agent, action and subtask exist, and the action is available. A strict world leaves the last to
     /// the world itself, which ends with the agent's name.
     fn is_possible(&self, agent: usize, answer: &ActionMsg) -> bool {
         let shape = self.options.format.layout.shape();
@@ -43,7 +43,8 @@ impl WorldRole {
             || usize::from(answer.action) < shape.actions
                 && (self.options.strict || is_available());
         let is_task = answer.task == crate::UNASSIGNED || usize::from(answer.task) < shape.tasks;
-        is_action && is_task
+        let is_present = self.present >> agent & 1 == 1;
+        is_present && is_action && is_task
     }
 
     pub(super) fn await_actions<W: World + ?Sized>(

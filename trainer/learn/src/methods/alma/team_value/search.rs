@@ -39,7 +39,7 @@ impl TeamSearch {
 
     /// Writes the best building of every agent; further entries are [`UNASSIGNED`].
     ///
-    /// Exact for up to eight agents; for more, coordinate ascent from the coordinated allocation.
+    /// Exact for up to [`EXACT_AGENTS`] agents; for more, coordinate ascent from the coordinated allocation.
     pub fn allocate(
         &mut self,
         network: &UtilityNetwork,

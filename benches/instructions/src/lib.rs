@@ -1,0 +1,1 @@
+//! Its benchmark counts the instructions of decisions.

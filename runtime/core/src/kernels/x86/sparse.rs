@@ -1,0 +1,128 @@
+//! The product of a matrix and inputs of which much is zero: eight vectors of sums stay in registers while the
+//! inputs are looked through. (The compiler keeps them there for one tile only, and compares every index twice.)
+
+/// What is still to be worked on of a product.
+pub(super) struct Rest<'w, 'o> {
+    pub(super) weights: &'w [f32],
+    // Not the whole `Around`: its flag, just written, would have to be waited for when it is copied in one piece.
+    pub(super) bias: Option<&'w [f32]>,
+    pub(super) outputs: &'o mut [f32],
+    pub(super) rows: usize,
+}
+
+/// Weights of some columns, where their sums start, and where they go.
+type Columns<'w, 'o, const COLUMNS: usize> =
+    (&'w [f32], &'w [f32; COLUMNS], &'o mut [f32; COLUMNS]);
+
+impl<'w, 'o> Rest<'w, 'o> {
+    /// The next tiles of 64 columns, if so many are left.
+    #[inline(always)]
+    pub(super) fn take<const COLUMNS: usize>(&mut self) -> Option<Columns<'w, 'o, COLUMNS>> {
+        let columns = self.outputs.split_off_mut(..COLUMNS)?.first_chunk_mut()?;
+        let tiles = self.weights.split_off(..self.rows.saturating_mul(COLUMNS))?;
+        let start = match &mut self.bias {
+            Some(bias) => bias.split_off(..COLUMNS)?.first_chunk()?,
+            None => &[0.0; COLUMNS],
+        };
+        Some((tiles, start, columns))
+    }
+}
+
+/// Builds the kernel for an instruction set: its vectors, how to make them, and the tiles of 64 columns that eight
+/// of them hold.
+macro_rules! sparse_product {
+    ($(#[$doc:meta])* $vector:ty, $spread:ident, $load:ident, $tiles:literal, $features:literal) => {
+        use $crate::kernels::mark::MARKED;
+        use $crate::kernels::product::{self, Around, Sparse, TILE, finished};
+
+        use super::sparse::Rest;
+
+        /// Vectors that a tile is wide.
+        const TILE_VECTORS: usize = TILE * size_of::<f32>() / size_of::<$vector>();
+
+        $(#[$doc])*
+        #[inline]
+        #[target_feature(enable = $features)]
+        pub(super) fn sparse_product<A: Arithmetic>(
+            weights: &[f32],
+            inputs: Sparse<'_>,
+            around: Around<'_>,
+            outputs: &mut [f32],
+        ) {
+            let mut rest = Rest { weights, bias: around.bias, outputs, rows: inputs.count };
+            if $tiles > 1 {
+                while let Some((tiles, start, columns)) = rest.take::<{ $tiles * TILE }>() {
+                    let sums = add_marked::<A, { $tiles * TILE_VECTORS }>(tiles, &inputs, transmute!(*start));
+                    let sums: [f32; $tiles * TILE] = transmute!(sums);
+                    *columns = finished(sums, around.relu);
+                }
+            }
+            while let Some((tile, start, columns)) = rest.take::<TILE>() {
+                let sums = add_marked::<A, TILE_VECTORS>(tile, &inputs, transmute!(*start));
+                let sums: [f32; TILE] = transmute!(sums);
+                *columns = finished(sums, around.relu);
+            }
+            let around = Around { bias: rest.bias, relu: around.relu };
+            product::sparse_product::<A>(rest.weights, inputs, around, rest.outputs);
+        }
+
+        /// Adds the rows of marked inputs to the sums of tiles, which stand one behind the other.
+        #[inline]
+        #[target_feature(enable = $features)]
+        #[allow(unsafe_code)]
+        fn add_marked<A: Arithmetic, const SUMS: usize>(
+            tiles: &[f32],
+            inputs: &Sparse<'_>,
+            start: [$vector; SUMS],
+        ) -> [$vector; SUMS] {
+            let mut sums = start;
+            let (values, count) = (inputs.values, inputs.count);
+            if values.len() > count || tiles.len() < count * TILE * SUMS / TILE_VECTORS {
+                return sums;
+            }
+            // Checked here and not for each row: the loop is short beside its branches.
+            let groups = (0..).step_by(MARKED).zip(values.chunks(MARKED));
+            for ((first, group), [low, high]) in groups.zip(inputs.marks) {
+                let existing = u64::MAX >> (MARKED - group.len());
+                let mut marks = (u64::from(*low) | u64::from(*high) << 32) & existing;
+                while marks != 0 {
+                    let index: usize = first + marks.trailing_zeros() as usize;
+                    marks &= marks - 1;
+                    // SAFETY: the mark is of a value that exists, and there are at least as many rows.
+                    unsafe { add_row::<A, SUMS>(&mut sums, values.get_unchecked(index), tiles, index, count) };
+                }
+            }
+            if let Some(index) = inputs.one.filter(|index| *index < count) {
+                // SAFETY: there are `count` rows.
+                unsafe { add_row::<A, SUMS>(&mut sums, &1.0, tiles, index, count) };
+            }
+            sums
+        }
+
+        /// Adds one row of every tile, times an input.
+        ///
+        /// # Safety
+        /// Each tile has `count` rows, and `index` is less.
+        #[inline]
+        #[target_feature(enable = $features)]
+        #[allow(unsafe_code)]
+        unsafe fn add_row<A: Arithmetic, const SUMS: usize>(
+            sums: &mut [$vector; SUMS],
+            input: &f32,
+            tiles: &[f32],
+            index: usize,
+            count: usize,
+        ) {
+            let input = $spread(*input);
+            for (place, sum) in sums.iter_mut().enumerate() {
+                let column = place % TILE_VECTORS * (TILE / TILE_VECTORS);
+                let start = place / TILE_VECTORS * count * TILE + index * TILE + column;
+                // SAFETY: inside row `index` of the vector's tile.
+                let weights = unsafe { $load(tiles.as_ptr().add(start)) };
+                *sum = multiply_add::<A>(*sum, input, weights);
+            }
+        }
+    };
+}
+
+pub(super) use sparse_product;

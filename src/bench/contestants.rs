@@ -1,0 +1,126 @@
+//! Who decides in a benchmark: a bundle's plans in every profile, tract, onnxruntime and the floor.
+
+use std::path::Path;
+
+use sortie_bundle::Bundle;
+use sortie_compiler::onnxruntime::{BatchedAgents, OnnxRuntime, OnnxRuntimePolicy};
+use sortie_compiler::{CompileError, CompileOptions};
+use sortie_core::Policy;
+use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
+use sortie_envs::save_the_city::ScenarioSet;
+
+use super::decision::LARGE_SET;
+use super::floor::Floor;
+use super::quantised::quantise_or_note;
+use crate::compiler::compiler;
+use crate::failure::Failure;
+use crate::onnxruntime::OnnxRuntimeArguments;
+use crate::policy::{Backend, DeployedPolicy};
+
+/// The profiles of our plans, and what their engines are called.
+const PROFILES: [(&str, Profile); 2] =
+    [("sortie exact", Profile::Exact), ("sortie fused", Profile::Fused)];
+
+/// All engines of one bundle.
+pub(super) struct Contestants<'b> {
+    pub(super) bundle: &'b Bundle,
+    /// The folder's own name.
+    pub(super) name: String,
+    /// Our plans; the first is of the profile `exact`.
+    pub(super) ours: Vec<(&'static str, DeployedPolicy)>,
+    pub(super) tract: DeployedPolicy,
+    pub(super) onnxruntime: Option<OnnxRuntimePeer>,
+    pub(super) floor: Floor,
+}
+
+/// The peer's sessions.
+pub(super) struct OnnxRuntimePeer {
+    pub(super) runtime: &'static OnnxRuntime,
+    pub(super) alone: OnnxRuntimePolicy,
+    /// The same network quantised by onnxruntime.
+    pub(super) quantised: Option<OnnxRuntimePolicy>,
+    pub(super) team: BatchedAgents,
+}
+
+impl<'b> Contestants<'b> {
+    /// Compiles the bundle's network in every profile that this machine has.
+    pub(super) fn open(
+        bundle: &'b Bundle,
+        onnxruntime: &OnnxRuntimeArguments,
+    ) -> Result<Self, Failure> {
+        let folder = bundle.folder();
+        let within = |error: CompileError| Failure::from(error).within(folder.display());
+        let mut ours = Vec::new();
+        let mut floor = None;
+        for (name, profile) in PROFILES {
+            let plan = plan_for_large_teams(bundle, profile)?;
+            if profile == Profile::Exact {
+                floor = Some(floor_of(plan.as_slice()).map_err(within)?);
+            }
+            match DeployedPolicy::of_plan(plan) {
+                Ok(policy) => ours.push((name, policy)),
+                Err(CompileError::Plan(PlanError::WrongProfile { .. })) => {
+                    eprintln!("note: this machine cannot run `{name}`");
+                }
+                Err(error) => return Err(within(error)),
+            }
+        }
+        let runtime = onnxruntime.open_or_note("onnxruntime is not measured");
+        let peer = runtime.map(|runtime| {
+            OnnxRuntimePeer::open(runtime, onnxruntime.python(), bundle).map_err(within)
+        });
+        Ok(Self {
+            bundle,
+            name: folder.file_name().unwrap_or(folder.as_os_str()).display().to_string(),
+            ours,
+            tract: DeployedPolicy::open(bundle, Backend::Tract)?,
+            onnxruntime: peer.transpose()?,
+            floor: floor.expect("the exact profile is among ours"),
+        })
+    }
+
+    /// Our policy of the default profile.
+    pub(super) fn first(&mut self) -> Result<Box<dyn Policy + '_>, Failure> {
+        let (_, exact) = self.ours.first_mut().expect("every machine runs the exact profile");
+        exact.policy()
+    }
+}
+
+impl OnnxRuntimePeer {
+    fn open(
+        runtime: &'static OnnxRuntime,
+        python: Option<&Path>,
+        bundle: &Bundle,
+    ) -> Result<Self, CompileError> {
+        let features = bundle.contract().features.into();
+        let onnx = bundle.agent_onnx();
+        let alone = OnnxRuntimePolicy::new(runtime, onnx, features)?;
+        let quantised = quantise_or_note(python, onnx)
+            .map(|variant| OnnxRuntimePolicy::of_variant(runtime, onnx, &variant, features));
+        let team = BatchedAgents::new(runtime, onnx, features)?;
+        Ok(Self { runtime, alone, quantised: quantised.transpose()?, team })
+    }
+}
+
+/// The bundle's network for more entities than it may have been exported for.
+fn plan_for_large_teams(bundle: &Bundle, profile: Profile) -> Result<AlignedBytes, Failure> {
+    let large = ScenarioSet::named(LARGE_SET).map_err(Failure::bug)?;
+    let large = large.max_agents + large.max_buildings;
+    let options = CompileOptions {
+        n_max: large.max(bundle.manifest().limits.n_max.into()),
+        features: Some(bundle.contract().features.into()),
+        profile,
+        ..CompileOptions::default()
+    };
+    let compiled = compiler().compile(bundle.agent_onnx(), &options);
+    let failed = |error: CompileError| Failure::from(error).within(bundle.folder().display());
+    compiled.map(|compiled| AlignedBytes::copy_of(&compiled.bytes)).map_err(failed)
+}
+
+fn floor_of(plan: &[u8]) -> Result<Floor, CompileError> {
+    let loaded = Plan::load(plan)?;
+    let header = loaded.header();
+    let start = header.weights_offset as usize;
+    let weights = plan.get(start..start + header.weights_len as usize);
+    Ok(Floor::new(weights.unwrap_or_default()))
+}
