@@ -1,0 +1,121 @@
+//! The floor: one page of shared memory and two futexes, no checks, no types, no discovery.
+
+use std::fs::OpenOptions;
+use std::num::NonZeroU32;
+use std::path::Path;
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use std::time::Instant;
+
+use memmap2::MmapRaw;
+use rustix::thread::futex;
+
+use super::{AGENTS, decide};
+
+/// Words of a frame of the same size as the team's.
+const FRAME_WORDS: usize = 564;
+/// The tick that ends the agents.
+const END: u64 = u64::MAX;
+
+#[repr(C, align(64))]
+struct Word {
+    sequence: AtomicU32,
+    waiters: AtomicU32,
+}
+
+#[repr(C, align(64))]
+struct Slot(AtomicU64);
+
+#[repr(C, align(64))]
+struct Memory {
+    agents: Word,
+    world: Word,
+    tick: Slot,
+    frame: [AtomicU64; FRAME_WORDS],
+    actions: [Slot; AGENTS],
+}
+
+struct Mapping(MmapRaw);
+
+impl Mapping {
+    fn open(path: &Path) -> Self {
+        let mut options = OpenOptions::new();
+        options.read(true).write(true).create(true).truncate(false);
+        let file = options.open(path).unwrap();
+        file.set_len(size_of::<Memory>() as u64).unwrap();
+        Self(MmapRaw::map_raw(&file).unwrap())
+    }
+
+    fn memory(&self) -> &Memory {
+        // SAFETY: the mapping is page-aligned, as long as a `Memory`, and lives as long as `self`;
+        // a `Memory` is atomics only, so any bytes are valid and others may write them.
+        unsafe { &*self.0.as_ptr().cast::<Memory>() }
+    }
+}
+
+impl Word {
+    fn ring(&self) {
+        self.sequence.fetch_add(1, Ordering::SeqCst);
+        if self.waiters.load(Ordering::SeqCst) != 0 {
+            let _ = futex::wake(&self.sequence, futex::Flags::empty(), i32::MAX as u32);
+        }
+    }
+
+    fn wait(&self, token: u32) {
+        while self.sequence.load(Ordering::SeqCst) == token {
+            self.waiters.fetch_add(1, Ordering::SeqCst);
+            let all = NonZeroU32::MAX;
+            let _ = futex::wait_bitset(&self.sequence, futex::Flags::empty(), token, None, all);
+            self.waiters.fetch_sub(1, Ordering::SeqCst);
+        }
+    }
+}
+
+/// An agent: answers every tick until the last.
+pub(crate) fn agent(path: &Path, agent: usize) {
+    let mapping = Mapping::open(path);
+    let memory = mapping.memory();
+    let mut seen = 0;
+    loop {
+        let token = memory.agents.sequence.load(Ordering::SeqCst);
+        let tick = memory.tick.0.load(Ordering::Acquire);
+        if tick == END {
+            return;
+        }
+        if tick == seen {
+            memory.agents.wait(token);
+            continue;
+        }
+        seen = tick;
+        let sum = memory.frame.iter().fold(0, |sum, word| sum ^ word.load(Ordering::Relaxed));
+        decide(1);
+        std::hint::black_box(sum);
+        memory.actions[agent].0.store(tick, Ordering::Release);
+        memory.world.ring();
+    }
+}
+
+/// The world: times so many ticks, in nanoseconds.
+pub(crate) fn world(path: &Path, ticks: usize) -> Vec<u64> {
+    let mapping = Mapping::open(path);
+    let memory = mapping.memory();
+    let mut times = Vec::with_capacity(ticks);
+    for tick in 1..=ticks as u64 {
+        let started = Instant::now();
+        for word in &memory.frame {
+            word.store(tick, Ordering::Relaxed);
+        }
+        memory.tick.0.store(tick, Ordering::Release);
+        memory.agents.ring();
+        loop {
+            let token = memory.world.sequence.load(Ordering::SeqCst);
+            if memory.actions.iter().all(|slot| slot.0.load(Ordering::Acquire) == tick) {
+                break;
+            }
+            memory.world.wait(token);
+        }
+        times.push(started.elapsed().as_nanos() as u64);
+    }
+    memory.tick.0.store(END, Ordering::Release);
+    memory.agents.ring();
+    times
+}
