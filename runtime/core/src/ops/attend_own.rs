@@ -127,37 +127,12 @@ impl AttendOwn {
                 let query = query.get(self.head(head)).ok_or(DecideError::BadLength)?;
                 kernels.product(self.keys(weights, head)?, query, Around::NOTHING, absorbed);
             }
-            self.attend(kernels, rows, absorbed, scores, mixed)?;
+            attend(kernels, rows, absorbed, scores, mixed)?;
             let mixed = mixed.get(..usize::from(self.width)).ok_or(DecideError::BadLength)?;
             kernels.product(self.values(weights, head)?, mixed, Around::NOTHING, output);
         }
         let around = self.output.around(weights, self.relu)?;
         kernels.product(self.output.matrix(weights)?, attended, around, to);
-        Ok(())
-    }
-
-    /// Mixes rows by one head's scores.
-    #[inline(always)]
-    fn attend(
-        &self,
-        kernels: impl Kernels,
-        rows: Rows<'_>,
-        absorbed: &[f32],
-        scores: &mut [f32],
-        mixed: &mut [f32],
-    ) -> Result<(), DecideError> {
-        let visible = rows.slots.len();
-        let scores = scores.get_mut(..slots(visible)).ok_or(DecideError::BadLength)?;
-        if visible > 1 {
-            kernels.dots(absorbed, rows, scores);
-            if !kernels.softmax(scores, visible) {
-                return Err(DecideError::NonFinite);
-            }
-        } else {
-            // The weight of a single entity is one, whatever its score.
-            scores.fill(1.0);
-        }
-        kernels.mix(scores, rows, mixed);
         Ok(())
     }
 
@@ -202,7 +177,7 @@ impl AttendOwn {
                 continue;
             }
             let rows = Rows { floats: rows, width: self.padded_width(), slots: &member.slots };
-            member.alone |= self.attend(kernels, rows, absorbed, scores, mixed).is_err();
+            member.alone |= attend(kernels, rows, absorbed, scores, mixed).is_err();
         }
         Ok(())
     }
@@ -242,4 +217,28 @@ impl AttendOwn {
         let len = self.values_len();
         slice(weights, self.values.saturating_add((head * len) as u32), len)
     }
+}
+
+/// Mixes rows by one head's scores.
+#[inline(always)]
+pub(super) fn attend(
+    kernels: impl Kernels,
+    rows: Rows<'_>,
+    absorbed: &[f32],
+    scores: &mut [f32],
+    mixed: &mut [f32],
+) -> Result<(), DecideError> {
+    let visible = rows.slots.len();
+    let scores = scores.get_mut(..slots(visible)).ok_or(DecideError::BadLength)?;
+    if visible > 1 {
+        kernels.dots(absorbed, rows, scores);
+        if !kernels.softmax(scores, visible) {
+            return Err(DecideError::NonFinite);
+        }
+    } else {
+        // The weight of a single entity is one, whatever its score.
+        scores.fill(1.0);
+    }
+    kernels.mix(scores, rows, mixed);
+    Ok(())
 }
