@@ -2,9 +2,9 @@
 
 use clap::ValueEnum;
 use sortie_bundle::Bundle;
-use sortie_compiler::{CompileError, TractPolicy, compile_bundle};
+use sortie_compiler::{CompileError, TractPolicy, compile_bundle_as};
 use sortie_core::decide::PlanPolicy;
-use sortie_core::plan::{AlignedBytes, Plan, PlanError};
+use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
 use sortie_core::{Policy, limits};
 
 use crate::failure::{Exit, Failure, with_sources};
@@ -36,11 +36,20 @@ pub(crate) enum DeployedPolicy {
 impl DeployedPolicy {
     /// Compiles the bundle's network, or takes the plan that was compiled before.
     pub(crate) fn open(bundle: &Bundle, backend: Backend) -> Result<Self, Failure> {
+        Self::open_as(bundle, backend, Profile::Exact)
+    }
+
+    /// As [`Self::open`], the plan in any profile.
+    pub(crate) fn open_as(
+        bundle: &Bundle,
+        backend: Backend,
+        profile: Profile,
+    ) -> Result<Self, Failure> {
         let name = bundle.folder().display();
         match backend {
             Backend::Plan => {
-                let bytes =
-                    compile_bundle(bundle).map_err(|error| Failure::from(error).within(&name))?;
+                let bytes = compile_bundle_as(bundle, profile)
+                    .map_err(|error| Failure::from(error).within(&name))?;
                 Self::of_plan(bytes).map_err(|error| Failure::from(error).within(&name))
             }
             Backend::Tract => {

@@ -10,7 +10,8 @@ use crate::assemble::{Origin, assemble};
 use crate::error::CompileError;
 use crate::graph::{Graph, Inputs, TeamRoles};
 use crate::lower::{AgentSizes, Choice, lower_agent};
-use crate::matching::{match_agent, match_team_value};
+use crate::lower_int8::lower_agent_int8;
+use crate::matching::{AgentLayers, match_agent, match_team_value};
 use crate::observations::{random_observations, random_team_queries};
 use crate::parity::{Comparison, TOLERANCE, plan_against_graph, team_values_against_graph};
 
@@ -98,7 +99,7 @@ pub fn compile(onnx: &[u8], options: &CompileOptions) -> Result<Compiled, Compil
     let drawn = graph.metadata.get("sortie.choice").is_some_and(|choice| choice == "sample");
     let choice = if drawn { Choice::Drawn } else { Choice::Greedy };
     let sizes = AgentSizes { n_max: options.n_max, features, actions: graph.actions, choice };
-    let (program, weights) = lower_agent(&layers, sizes)?;
+    let (program, weights) = lower(&layers, sizes, network, options.profile)?;
     let metadata = graph.metadata.get("sortie.contract");
     let known = metadata.and_then(|hash| u64::from_str_radix(hash, 16).ok());
     let mut origin = Origin {
@@ -129,7 +130,24 @@ pub fn compile(onnx: &[u8], options: &CompileOptions) -> Result<Compiled, Compil
     Ok(Compiled { bytes, report })
 }
 
-/// Compares a plan with its graph on random inputs, and refuses one that differs.
+/// Lowers a network to operators of the profile, and their weights as the plan holds them.
+fn lower(
+    layers: &AgentLayers,
+    sizes: AgentSizes,
+    network: Network,
+    profile: Profile,
+) -> Result<(Program, Vec<u8>), CompileError> {
+    if profile != Profile::Int8 {
+        return lower_agent(layers, sizes).map(|(program, weights)| (program, weights.to_bytes()));
+    }
+    if network != Network::Agent {
+        return Err(CompileError::NoInt8 { what: "an allocator's network" });
+    }
+    lower_agent_int8(layers, sizes).map(|(program, weights)| (program, weights.bytes))
+}
+
+/// Compares a plan with its graph on random inputs, and refuses one that differs; of an int8 plan only the error is
+/// measured, as its actions in the real environment decide about it.
 fn prove(
     plan: &[u8],
     graph: &Graph,
@@ -148,9 +166,10 @@ fn prove(
             team_values_against_graph(plan, graph, &queries)?
         }
     };
-    if comparison.max_rel_error.is_nan() || comparison.max_rel_error > TOLERANCE {
+    let error = comparison.max_rel_error;
+    if error.is_nan() || error > TOLERANCE && options.profile != Profile::Int8 {
         return Err(CompileError::Differs {
-            error: comparison.max_rel_error,
+            error,
             limit: TOLERANCE,
             input: comparison.worst_input,
             seed,
@@ -241,6 +260,17 @@ fn detail(op: &Op) -> String {
             format!("[{}] -> [{}]{}", op.layer.inputs, op.layer.outputs, relu(op.relu))
         }
         Op::Gru(op) => format!("[{}], state [{}]", op.input.inputs, op.size),
+        Op::Int8EmbedEntities(op) => {
+            format!("[N, {}] -> [N, {}]{}", op.layer.inputs, op.layer.outputs, relu(op.relu))
+        }
+        Op::Int8AttendOwn(op) => {
+            let heads = if op.heads == 1 { "head" } else { "heads" };
+            let (width, outputs) = (op.width, op.output.outputs);
+            format!("[N, {width}] -> [{outputs}], {} {heads}{}", op.heads, relu(op.relu))
+        }
+        Op::Int8Dense(op) => {
+            format!("[{}] -> [{}]{}", op.layer.inputs, op.layer.outputs, relu(op.relu))
+        }
         Op::MaskedArgmax(op) => format!("[{}] -> action", op.from.len),
         Op::MaskedSample(op) => format!("[{}] -> drawn action", op.from.len),
         _ => String::new(),

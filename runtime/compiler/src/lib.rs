@@ -5,6 +5,7 @@
 //! observations, and a plan that differs is refused. The same graph also runs as [`TractPolicy`] or [`TractTeamValue`].
 #![forbid(unsafe_code)]
 
+mod agreement;
 mod assemble;
 mod attention;
 mod compile;
@@ -19,9 +20,13 @@ mod golden_allocations;
 mod graph;
 mod graph_inputs;
 mod inspect;
+mod int8_layout;
+#[cfg(test)]
+mod int8_tests;
 mod judge;
 mod layout;
 mod lower;
+mod lower_int8;
 mod matching;
 mod observations;
 #[cfg(feature = "onnxruntime")]
@@ -34,6 +39,9 @@ mod testing;
 mod tract_policy;
 mod tract_team_value;
 
+pub use agreement::{
+    Agreement, LEAST_AGREEMENT, LEAST_OBSERVATIONS, Quantised, RECORDED, agreement, quantise,
+};
 pub use attention::AttentionProbe;
 pub use compile::{
     CompileOptions, Compiled, OperatorReport, Report, VERSION, compile, compile_allocator,

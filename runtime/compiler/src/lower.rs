@@ -194,7 +194,7 @@ fn step_layers(layers: &AgentLayers) -> impl Iterator<Item = (&'static str, &Lay
 }
 
 /// Checks that sizes fit together and into a plan.
-fn check(layers: &AgentLayers, sizes: AgentSizes) -> Result<(), CompileError> {
+pub(crate) fn check(layers: &AgentLayers, sizes: AgentSizes) -> Result<(), CompileError> {
     let at_most = |what, got, max| {
         if got > max { Err(CompileError::TooLarge { what, got, max }) } else { Ok(()) }
     };
