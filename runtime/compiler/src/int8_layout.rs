@@ -1,6 +1,6 @@
 //! Weights as an int8 plan stores them: layout 2, strips of 16 columns, pairs of inputs side by side.
 
-use sortie_core::kernels::int8::STRIP;
+use sortie_core::kernels::int8::{PAIRS, STRIP};
 use sortie_core::ops::Int8Layer;
 
 use crate::matching::{Layer, Matrix};
@@ -49,7 +49,8 @@ impl Int8Weights {
     }
 
     fn add_rows(&mut self, matrix: &Matrix, steps: &[f32], order: Order) {
-        let (pairs, strips) = (matrix.inputs.div_ceil(2), matrix.outputs.div_ceil(STRIP));
+        let pairs = matrix.inputs.div_ceil(2).next_multiple_of(PAIRS);
+        let strips = matrix.outputs.div_ceil(STRIP);
         let weight = |input: usize, output: usize| match steps.get(output) {
             Some(step) if input < matrix.inputs && *step > 0.0 => {
                 (matrix.values[input * matrix.outputs + output] / step).round() as i8
@@ -113,15 +114,17 @@ mod tests {
 
     #[test]
     fn rows_stand_where_the_format_says() {
-        // Inputs 0, 1 and 2 weigh -127, 0 and 127 for every output; there is no input 3.
-        let both = |pair: usize| if pair == 0 { [129, 0] } else { [127, 0] };
-        for (order, places) in [
-            (Order::Strips, [(0, 0), (1, 0), (0, 1), (1, 1)]),
-            (Order::Pairs, [(0, 0), (0, 1), (1, 0), (1, 1)]),
-        ] {
+        // Inputs 0, 1 and 2 weigh -127, 0 and 127 for every output; there is no input 3 or beyond.
+        let both = |pair: usize| [[129, 0], [127, 0], [0, 0], [0, 0]][pair];
+        for order in [Order::Strips, Order::Pairs] {
+            let place = |row: usize| match order {
+                Order::Strips => (row % 4, row / 4),
+                Order::Pairs => (row / 2, row % 2),
+            };
+            let places = (0..8).map(place);
             let mut weights = Int8Weights::default();
             let added = weights.add_layer(&layer(), order);
-            assert_eq!((added.weights, added.steps, added.bias), (0, 32, 64));
+            assert_eq!((added.weights, added.steps, added.bias), (0, 64, 96));
             for (row, (pair, strip)) in weights.bytes.chunks(32).zip(places) {
                 for (column, got) in row.chunks(2).enumerate() {
                     let exists = strip * STRIP + column < 18;
@@ -131,8 +134,8 @@ mod tests {
             let float = |index: usize| {
                 f32::from_le_bytes(*weights.bytes[4 * index..].first_chunk().unwrap())
             };
-            assert_eq!((float(32), float(49), float(50)), (1.0 / 127.0, 18.0 / 127.0, 0.0));
-            assert!(weights.bytes[256..].iter().all(|byte| *byte == 0));
+            assert_eq!((float(64), float(81), float(82)), (1.0 / 127.0, 18.0 / 127.0, 0.0));
+            assert!(weights.bytes[384..].iter().all(|byte| *byte == 0));
         }
     }
 

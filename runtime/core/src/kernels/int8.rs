@@ -19,6 +19,12 @@ pub type Row = [i8; 2 * STRIP];
 /// Quantised inputs are filled up with zeros to a multiple of this.
 pub const INPUTS: usize = 32;
 
+/// Pairs of inputs that are worked on together; a matrix has whole groups of them.
+pub const PAIRS: usize = 4;
+
+/// A group of pairs of inputs.
+pub type Inputs = [Pair; PAIRS];
+
 /// Most strips whose sums are held together where few inputs are not zero.
 const STRIPS: usize = 8;
 
@@ -68,8 +74,8 @@ pub struct Matrix<'a> {
     /// The weights. Of a product: strip after strip, in each a row for every pair of inputs. Of a product with few
     /// inputs: for every pair of inputs the rows of all strips.
     pub rows: &'a [Row],
-    /// Pairs of inputs.
-    pub pairs: usize,
+    /// Groups of pairs of inputs.
+    pub groups: usize,
     /// What a weight of each column counts, whole strips.
     pub steps: &'a [f32],
     /// What is added to each column, whole strips; none: nothing.
@@ -81,8 +87,8 @@ pub struct Matrix<'a> {
 /// Quantised inputs, and the place of the outputs.
 #[derive(Debug)]
 pub struct Vector<'a> {
-    /// The inputs, as many pairs as the matrix has or more.
-    pub inputs: &'a [Pair],
+    /// The inputs, as many groups as the matrix has or more.
+    pub inputs: &'a [Inputs],
     /// What an integer counts.
     pub step: f32,
     /// The outputs.
@@ -106,20 +112,16 @@ pub trait AddPairs: Copy {
     /// The sums of a strip for several vectors.
     fn add_strip<const COUNT: usize>(
         self,
-        rows: &[Row],
-        inputs: [&[Pair]; COUNT],
+        rows: &[[Row; PAIRS]],
+        inputs: [&[Inputs]; COUNT],
     ) -> [[i32; STRIP]; COUNT];
 
-    /// Adds one pair of inputs to the sums of several strips.
-    fn add_pair<const COUNT: usize>(
+    /// The sums of `COUNT` strips, from a first one on, of pairs of which few are not zero.
+    fn add_marked<const COUNT: usize>(
         self,
-        sums: [[i32; STRIP]; COUNT],
-        rows: &[Row; COUNT],
-        inputs: Pair,
+        strips: Strips<'_>,
+        inputs: &[Pair],
     ) -> [[i32; STRIP]; COUNT];
-
-    /// A bit for each pair that is not zero.
-    fn not_zero(self, pairs: &[Pair; STRIP]) -> u16;
 }
 
 /// Makes integers of numbers: the largest absolute value, or `least` where that is larger, becomes [`input_max`].
@@ -163,7 +165,8 @@ pub fn products(adder: impl AddPairs, matrix: &Matrix<'_>, vectors: &mut [Vector
     // Groups of equal size: eight vectors are two times four.
     let groups = vectors.len().div_ceil(GROUP).max(1);
     let group = vectors.len().div_ceil(groups).max(1);
-    for (strip, rows) in matrix.rows.chunks_exact(matrix.pairs.max(1)).enumerate() {
+    let rows = matrix.rows.as_chunks().0;
+    for (strip, rows) in rows.chunks_exact(matrix.groups.max(1)).enumerate() {
         for vectors in vectors.chunks_mut(group) {
             match vectors.len() {
                 1 => add_strip::<1>(adder, matrix, (strip, rows), vectors),
@@ -182,11 +185,15 @@ pub fn products(adder: impl AddPairs, matrix: &Matrix<'_>, vectors: &mut [Vector
 fn add_strip<const COUNT: usize>(
     adder: impl AddPairs,
     matrix: &Matrix<'_>,
-    (strip, rows): (usize, &[Row]),
+    (strip, rows): (usize, &[[Row; PAIRS]]),
     vectors: &mut [Vector<'_>],
 ) {
     let Some(vectors) = vectors.first_chunk_mut::<COUNT>() else { return };
-    let sums = adder.add_strip(rows, vectors.each_ref().map(|vector| vector.inputs));
+    let mut inputs = [&[] as &[Inputs]; COUNT];
+    for (inputs, vector) in inputs.iter_mut().zip(vectors.iter()) {
+        *inputs = vector.inputs;
+    }
+    let sums = adder.add_strip(rows, inputs);
     for (sums, vector) in sums.iter().zip(vectors) {
         matrix.finish(strip, sums, vector);
     }
@@ -196,45 +203,68 @@ fn add_strip<const COUNT: usize>(
 /// side by side.
 #[inline(always)]
 pub fn sparse_product(adder: impl AddPairs, matrix: &Matrix<'_>, mut vector: Vector<'_>) {
-    let strips = vector.outputs.len().div_ceil(STRIP);
-    let mut strip = 0;
-    while strip < strips {
-        strip += match strips - strip {
-            STRIPS.. => add_marked::<STRIPS>(adder, matrix, (strip, strips), &mut vector),
-            4.. => add_marked::<4>(adder, matrix, (strip, strips), &mut vector),
-            2.. => add_marked::<2>(adder, matrix, (strip, strips), &mut vector),
-            _ => add_marked::<1>(adder, matrix, (strip, strips), &mut vector),
+    let all = vector.outputs.len().div_ceil(STRIP);
+    let mut strips = Strips { rows: matrix.rows, all, first: 0 };
+    while strips.first < all {
+        strips.first += match all - strips.first {
+            STRIPS.. => add_marked::<STRIPS>(adder, matrix, strips, &mut vector),
+            4.. => add_marked::<4>(adder, matrix, strips, &mut vector),
+            2.. => add_marked::<2>(adder, matrix, strips, &mut vector),
+            _ => add_marked::<1>(adder, matrix, strips, &mut vector),
         };
     }
 }
 
-/// `COUNT` of a matrix's strips, from the given one on, for a vector. Returns how many were done.
+/// `COUNT` of a matrix's strips for a vector. Returns how many were done.
 #[inline(always)]
 fn add_marked<const COUNT: usize>(
     adder: impl AddPairs,
     matrix: &Matrix<'_>,
-    (first, strips): (usize, usize),
+    strips: Strips<'_>,
     vector: &mut Vector<'_>,
 ) -> usize {
-    let mut sums = [[0; STRIP]; COUNT];
-    for (start, pairs) in (0..).step_by(4 * STRIP).zip(vector.inputs.chunks(4 * STRIP)) {
-        let mut marks = 0;
-        for (part, pairs) in pairs.as_chunks().0.iter().enumerate() {
-            marks |= u64::from(adder.not_zero(pairs)) << (part * STRIP);
-        }
-        while marks != 0 {
-            let index = marks.trailing_zeros() as usize;
-            marks &= marks - 1;
-            let place = (start + index).saturating_mul(strips).saturating_add(first);
-            let rows = matrix.rows.get(place..).and_then(|rows| rows.first_chunk());
-            let (Some(rows), Some(pair)) = (rows, pairs.get(index)) else { break };
-            sums = adder.add_pair(sums, rows, *pair);
-        }
-    }
-    for (strip, sums) in (first..).zip(&sums) {
+    let sums = adder.add_marked::<COUNT>(strips, vector.inputs.as_flattened());
+    for (strip, sums) in (strips.first..).zip(&sums) {
         matrix.finish(strip, sums, vector);
     }
     COUNT
+}
+
+/// Strips of a matrix that stores those of a pair side by side.
+#[derive(Clone, Copy, Debug)]
+pub struct Strips<'a> {
+    /// The matrix.
+    pub rows: &'a [Row],
+    /// Its strips.
+    pub all: usize,
+    /// The first strip that is meant.
+    pub first: usize,
+}
+
+impl<'a> Strips<'a> {
+    /// Shows `add` every pair of inputs that is not zero, with its weights.
+    #[inline(always)]
+    pub fn for_each<const COUNT: usize>(
+        self,
+        inputs: &[Pair],
+        not_zero: impl Fn(&[Pair; STRIP]) -> u16,
+        mut add: impl FnMut(&'a [Row; COUNT], Pair),
+    ) {
+        for (start, pairs) in (0..).step_by(4 * STRIP).zip(inputs.chunks(4 * STRIP)) {
+            let mut marks = 0;
+            for (part, pairs) in pairs.as_chunks().0.iter().enumerate() {
+                marks |= u64::from(not_zero(pairs)) << (part * STRIP);
+            }
+            while marks != 0 {
+                let index = marks.trailing_zeros() as usize;
+                marks &= marks - 1;
+                let place = (start + index).saturating_mul(self.all).saturating_add(self.first);
+                let rows = self.rows.get(place..).and_then(|rows| rows.first_chunk());
+                let (Some(rows), Some(pair)) = (rows, pairs.get(index)) else { break };
+                add(rows, *pair);
+            }
+        }
+    }
 }
 
 impl Matrix<'_> {
@@ -267,39 +297,41 @@ impl<A> AddPairs for super::Portable<A> {
     #[inline(always)]
     fn add_strip<const COUNT: usize>(
         self,
-        rows: &[Row],
-        inputs: [&[Pair]; COUNT],
+        rows: &[[Row; PAIRS]],
+        inputs: [&[Inputs]; COUNT],
     ) -> [[i32; STRIP]; COUNT] {
-        inputs.map(|inputs| {
-            let mut sums = [0; STRIP];
-            for (row, pair) in rows.iter().zip(inputs) {
-                add_row(&mut sums, row, *pair);
+        let mut sums = [[0; STRIP]; COUNT];
+        for (sums, inputs) in sums.iter_mut().zip(inputs) {
+            for (row, pair) in rows.as_flattened().iter().zip(inputs.as_flattened()) {
+                add_row(sums, row, *pair);
             }
-            sums
-        })
-    }
-
-    #[inline(always)]
-    fn add_pair<const COUNT: usize>(
-        self,
-        mut sums: [[i32; STRIP]; COUNT],
-        rows: &[Row; COUNT],
-        inputs: Pair,
-    ) -> [[i32; STRIP]; COUNT] {
-        for (sums, row) in sums.iter_mut().zip(rows) {
-            add_row(sums, row, inputs);
         }
         sums
     }
 
     #[inline(always)]
-    fn not_zero(self, pairs: &[Pair; STRIP]) -> u16 {
-        let mut marks = 0;
-        for (index, pair) in pairs.iter().enumerate() {
-            marks |= u16::from(*pair != [0; 2]) << index;
-        }
-        marks
+    fn add_marked<const COUNT: usize>(
+        self,
+        strips: Strips<'_>,
+        inputs: &[Pair],
+    ) -> [[i32; STRIP]; COUNT] {
+        let mut sums = [[0; STRIP]; COUNT];
+        strips.for_each::<COUNT>(inputs, not_zero, |rows, pair| {
+            for (sums, row) in sums.iter_mut().zip(rows) {
+                add_row(sums, row, pair);
+            }
+        });
+        sums
     }
+}
+
+/// A bit for each pair that is not zero.
+fn not_zero(pairs: &[Pair; STRIP]) -> u16 {
+    let mut marks = 0;
+    for (index, pair) in pairs.iter().enumerate() {
+        marks |= u16::from(*pair != [0; 2]) << index;
+    }
+    marks
 }
 
 #[inline(always)]
@@ -333,11 +365,6 @@ mod tests {
     use std::vec;
     use std::vec::Vec;
 
-    /// Rows for `pairs` pairs and `strips` strips, with the largest weights that bytes can hold.
-    fn rows(pairs: usize, strips: usize) -> Vec<Row> {
-        vec![[-128; 2 * STRIP]; pairs * strips]
-    }
-
     #[test]
     fn no_sum_leaves_i32() {
         for inputs in [1, 2, 31, 64, 511, 512, 513, 1000, 8191, 65_535] {
@@ -346,8 +373,9 @@ mod tests {
             assert!(most >= 1 && largest_sum <= i64::from(i32::MAX), "{inputs}: {largest_sum}");
         }
         assert_eq!((input_max(512), input_max(513)), (32_767, 32_704));
-        let inputs = vec![[-32_767; 2]; 256];
-        let sums = Portable::<Exact>::new().add_strip(&rows(256, 1), [&inputs]);
+        let inputs = [[[-32_767; 2]; PAIRS]; 64];
+        let rows = [[[-128; 2 * STRIP]; PAIRS]; 64];
+        let sums = Portable::<Exact>::new().add_strip(&rows, [&inputs]);
         assert_eq!(sums, [[512 * 128 * 32_767; STRIP]]);
     }
 
@@ -399,9 +427,11 @@ mod tests {
             *weight = column as i8;
         }
         let (steps, bias) = ([0.5; STRIP], [-3.0; STRIP]);
-        let mut matrix = Matrix { rows: &[row], pairs: 1, steps: &steps, bias: None, relu: false };
+        let rows = [row, [0; 2 * STRIP], [0; 2 * STRIP], [0; 2 * STRIP]];
+        let mut matrix = Matrix { rows: &rows, groups: 1, steps: &steps, bias: None, relu: false };
         let mut ask = |matrix: &Matrix<'_>, sparse: bool| {
-            let (inputs, mut outputs) = ([[4, 10]; STRIP], [f32::NAN; 8]);
+            let (mut inputs, mut outputs) = ([[[0; 2]; PAIRS]; STRIP], [f32::NAN; 8]);
+            inputs[0][0] = [4, 10];
             let vector = Vector { inputs: &inputs, step: 0.25, outputs: &mut outputs };
             if sparse {
                 kernels.int8_sparse_product(matrix, vector);

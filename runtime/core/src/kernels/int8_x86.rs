@@ -12,7 +12,9 @@ use core::arch::x86_64::{
 
 use zerocopy::transmute;
 
-use super::int8::{AddPairs, Int8Kernels, Matrix, Pair, Row, STRIP, Scale, Vector};
+use super::int8::{
+    AddPairs, Inputs, Int8Kernels, Matrix, PAIRS, Pair, Row, STRIP, Scale, Strips, Vector,
+};
 use super::int8::{products, quantise, sparse_product};
 use super::x86::{Avx2, Avx512};
 
@@ -25,8 +27,9 @@ type Sums256 = [__m256i; 2];
 fn add_row_avx2(sums: Sums256, row: &Row, inputs: Pair) -> Sums256 {
     let halves: [__m128i; 2] = transmute!(*row);
     let inputs = _mm256_set1_epi32(transmute!(inputs));
-    let [low, high] = halves.map(|half| _mm256_madd_epi16(_mm256_cvtepi8_epi16(half), inputs));
-    let [a, b] = sums;
+    let ([low, high], [a, b]) = (halves, sums);
+    let low = _mm256_madd_epi16(_mm256_cvtepi8_epi16(low), inputs);
+    let high = _mm256_madd_epi16(_mm256_cvtepi8_epi16(high), inputs);
     [_mm256_add_epi32(a, low), _mm256_add_epi32(b, high)]
 }
 
@@ -43,62 +46,65 @@ fn add_row_avx512(sums: __m512i, row: &Row, inputs: Pair) -> __m512i {
 #[inline]
 #[target_feature(enable = "avx2")]
 fn add_strip_avx2<const COUNT: usize, const SETS: usize>(
-    rows: &[Row],
-    inputs: [&[Pair]; COUNT],
+    rows: &[[Row; PAIRS]],
+    inputs: [&[Inputs]; COUNT],
 ) -> [[i32; STRIP]; COUNT] {
     let mut sums = [[[_mm256_setzero_si256(); 2]; SETS]; COUNT];
-    let (groups, rest) = rows.as_chunks::<SETS>();
-    let inputs = inputs.map(|inputs| inputs.as_chunks::<SETS>());
-    for (index, rows) in groups.iter().enumerate() {
-        for (sums, (groups, _)) in sums.iter_mut().zip(&inputs) {
-            let Some(inputs) = groups.get(index) else { break };
-            for ((sum, row), pair) in sums.iter_mut().zip(rows).zip(inputs) {
-                *sum = add_row_avx2(*sum, row, *pair);
+    for (index, rows) in rows.iter().enumerate() {
+        for (sums, inputs) in sums.iter_mut().zip(inputs) {
+            // Inputs do not end before the rows; zeros that stand for them need no way out of the loop.
+            let inputs = inputs.get(index).unwrap_or(&[[0; 2]; PAIRS]);
+            let sets = rows.as_chunks::<SETS>().0.iter().zip(inputs.as_chunks::<SETS>().0);
+            for (rows, inputs) in sets {
+                for ((sum, row), pair) in sums.iter_mut().zip(rows).zip(inputs) {
+                    *sum = add_row_avx2(*sum, row, *pair);
+                }
             }
         }
     }
-    for (sums, (groups, after)) in sums.iter_mut().zip(&inputs) {
-        let pairs = groups.get(rows.len() / SETS..).unwrap_or(&[]).as_flattened();
-        for ((sum, row), pair) in sums.iter_mut().zip(rest).zip(pairs.iter().chain(*after)) {
-            *sum = add_row_avx2(*sum, row, *pair);
+    // Closures would stay calls: what maps arrays is not built for these instructions.
+    let mut joined = [[0; STRIP]; COUNT];
+    for (joined, sums) in joined.iter_mut().zip(sums) {
+        let mut total = [_mm256_setzero_si256(); 2];
+        for set in sums {
+            let ([a, b], [c, d]) = (total, set);
+            total = [_mm256_add_epi32(a, c), _mm256_add_epi32(b, d)];
         }
+        *joined = transmute!(total);
     }
-    sums.map(|sums| {
-        let zero = [_mm256_setzero_si256(); 2];
-        let add =
-            |[a, b]: Sums256, [c, d]: Sums256| [_mm256_add_epi32(a, c), _mm256_add_epi32(b, d)];
-        transmute!(sums.into_iter().fold(zero, add))
-    })
+    joined
 }
 
 /// [`AddPairs::add_strip`] with `SETS` sums for every column, so that additions need not wait for each other.
 #[inline]
 #[target_feature(enable = "avx2,avx512f,avx512bw,avx512vnni")]
 fn add_strip_avx512<const COUNT: usize, const SETS: usize>(
-    rows: &[Row],
-    inputs: [&[Pair]; COUNT],
+    rows: &[[Row; PAIRS]],
+    inputs: [&[Inputs]; COUNT],
 ) -> [[i32; STRIP]; COUNT] {
     let mut sums = [[_mm512_setzero_si512(); SETS]; COUNT];
-    let (groups, rest) = rows.as_chunks::<SETS>();
-    let inputs = inputs.map(|inputs| inputs.as_chunks::<SETS>());
-    for (index, rows) in groups.iter().enumerate() {
-        for (sums, (groups, _)) in sums.iter_mut().zip(&inputs) {
-            let Some(inputs) = groups.get(index) else { break };
-            for ((sum, row), pair) in sums.iter_mut().zip(rows).zip(inputs) {
-                *sum = add_row_avx512(*sum, row, *pair);
+    for (index, rows) in rows.iter().enumerate() {
+        for (sums, inputs) in sums.iter_mut().zip(inputs) {
+            // Inputs do not end before the rows; zeros that stand for them need no way out of the loop.
+            let inputs = inputs.get(index).unwrap_or(&[[0; 2]; PAIRS]);
+            let sets = rows.as_chunks::<SETS>().0.iter().zip(inputs.as_chunks::<SETS>().0);
+            for (rows, inputs) in sets {
+                for ((sum, row), pair) in sums.iter_mut().zip(rows).zip(inputs) {
+                    *sum = add_row_avx512(*sum, row, *pair);
+                }
             }
         }
     }
-    for (sums, (groups, after)) in sums.iter_mut().zip(&inputs) {
-        let pairs = groups.get(rows.len() / SETS..).unwrap_or(&[]).as_flattened();
-        for ((sum, row), pair) in sums.iter_mut().zip(rest).zip(pairs.iter().chain(*after)) {
-            *sum = add_row_avx512(*sum, row, *pair);
+    // Closures would stay calls: what maps arrays is not built for these instructions.
+    let mut joined = [[0; STRIP]; COUNT];
+    for (joined, sums) in joined.iter_mut().zip(sums) {
+        let mut total = _mm512_setzero_si512();
+        for set in sums {
+            total = _mm512_add_epi32(total, set);
         }
+        *joined = transmute!(total);
     }
-    sums.map(|sums| {
-        let add = |a: __m512i, b: __m512i| _mm512_add_epi32(a, b);
-        transmute!(sums.into_iter().fold(_mm512_setzero_si512(), add))
-    })
+    joined
 }
 
 /// A bit for each pair that is not zero.
@@ -106,11 +112,12 @@ fn add_strip_avx512<const COUNT: usize, const SETS: usize>(
 #[target_feature(enable = "avx2")]
 fn not_zero_avx2(pairs: &[Pair; STRIP]) -> u16 {
     let halves: [__m256i; 2] = transmute!(*pairs);
-    let [low, high] = halves.map(|half| {
+    let zeros = |half: __m256i| {
         let zeros = _mm256_cmpeq_epi32(half, _mm256_setzero_si256());
         _mm256_movemask_ps(_mm256_castsi256_ps(zeros)) as u16
-    });
-    !(low | high << 8)
+    };
+    let [low, high] = halves;
+    !(zeros(low) | zeros(high) << 8)
 }
 
 /// A bit for each pair that is not zero.
@@ -121,6 +128,48 @@ fn not_zero_avx512(pairs: &[Pair; STRIP]) -> u16 {
     _mm512_test_epi32_mask(pairs, pairs)
 }
 
+/// [`AddPairs::add_marked`].
+#[inline]
+#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
+fn add_marked_avx2<const COUNT: usize>(
+    strips: Strips<'_>,
+    inputs: &[Pair],
+) -> [[i32; STRIP]; COUNT] {
+    let mut sums = [[_mm256_setzero_si256(); 2]; COUNT];
+    let not_zero = |pairs: &[Pair; STRIP]| not_zero_avx2(pairs);
+    strips.for_each::<COUNT>(inputs, not_zero, |rows, pair| {
+        for (sum, row) in sums.iter_mut().zip(rows) {
+            *sum = add_row_avx2(*sum, row, pair);
+        }
+    });
+    let mut joined = [[0; STRIP]; COUNT];
+    for (joined, sum) in joined.iter_mut().zip(sums) {
+        *joined = transmute!(sum);
+    }
+    joined
+}
+
+/// [`AddPairs::add_marked`].
+#[inline]
+#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512vnni")]
+fn add_marked_avx512<const COUNT: usize>(
+    strips: Strips<'_>,
+    inputs: &[Pair],
+) -> [[i32; STRIP]; COUNT] {
+    let mut sums = [_mm512_setzero_si512(); COUNT];
+    let not_zero = |pairs: &[Pair; STRIP]| not_zero_avx512(pairs);
+    strips.for_each::<COUNT>(inputs, not_zero, |rows, pair| {
+        for (sum, row) in sums.iter_mut().zip(rows) {
+            *sum = add_row_avx512(*sum, row, pair);
+        }
+    });
+    let mut joined = [[0; STRIP]; COUNT];
+    for (joined, sum) in joined.iter_mut().zip(sums) {
+        *joined = transmute!(sum);
+    }
+    joined
+}
+
 // SAFETY (all calls): a value of this type exists only where the processor has the features, which is the one
 // obligation of calling a function that is built with them.
 #[allow(unsafe_code, clippy::undocumented_unsafe_blocks)]
@@ -128,33 +177,24 @@ impl<A> AddPairs for Avx2<A> {
     #[inline(always)]
     fn add_strip<const COUNT: usize>(
         self,
-        rows: &[Row],
-        inputs: [&[Pair]; COUNT],
+        rows: &[[Row; PAIRS]],
+        inputs: [&[Inputs]; COUNT],
     ) -> [[i32; STRIP]; COUNT] {
         // Sixteen registers hold the sums of six vectors once, of one vector four times.
         if COUNT == 1 {
-            unsafe { add_strip_avx2::<COUNT, 4>(rows, inputs) }
+            unsafe { add_strip_avx2::<COUNT, PAIRS>(rows, inputs) }
         } else {
             unsafe { add_strip_avx2::<COUNT, 1>(rows, inputs) }
         }
     }
 
     #[inline(always)]
-    fn add_pair<const COUNT: usize>(
+    fn add_marked<const COUNT: usize>(
         self,
-        mut sums: [[i32; STRIP]; COUNT],
-        rows: &[Row; COUNT],
-        inputs: Pair,
+        strips: Strips<'_>,
+        inputs: &[Pair],
     ) -> [[i32; STRIP]; COUNT] {
-        for (sums, row) in sums.iter_mut().zip(rows) {
-            *sums = transmute!(unsafe { add_row_avx2(transmute!(*sums), row, inputs) });
-        }
-        sums
-    }
-
-    #[inline(always)]
-    fn not_zero(self, pairs: &[Pair; STRIP]) -> u16 {
-        unsafe { not_zero_avx2(pairs) }
+        unsafe { add_marked_avx2(strips, inputs) }
     }
 }
 
@@ -164,28 +204,19 @@ impl<A> AddPairs for Avx512<A> {
     #[inline(always)]
     fn add_strip<const COUNT: usize>(
         self,
-        rows: &[Row],
-        inputs: [&[Pair]; COUNT],
+        rows: &[[Row; PAIRS]],
+        inputs: [&[Inputs]; COUNT],
     ) -> [[i32; STRIP]; COUNT] {
-        unsafe { add_strip_avx512::<COUNT, 4>(rows, inputs) }
+        unsafe { add_strip_avx512::<COUNT, PAIRS>(rows, inputs) }
     }
 
     #[inline(always)]
-    fn add_pair<const COUNT: usize>(
+    fn add_marked<const COUNT: usize>(
         self,
-        mut sums: [[i32; STRIP]; COUNT],
-        rows: &[Row; COUNT],
-        inputs: Pair,
+        strips: Strips<'_>,
+        inputs: &[Pair],
     ) -> [[i32; STRIP]; COUNT] {
-        for (sums, row) in sums.iter_mut().zip(rows) {
-            *sums = transmute!(unsafe { add_row_avx512(transmute!(*sums), row, inputs) });
-        }
-        sums
-    }
-
-    #[inline(always)]
-    fn not_zero(self, pairs: &[Pair; STRIP]) -> u16 {
-        unsafe { not_zero_avx512(pairs) }
+        unsafe { add_marked_avx512(strips, inputs) }
     }
 }
 

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::embed_entities::last_action;
-use super::int8_layer::{Int8Layer, as_pairs, integers, quantised_floats};
+use super::int8_layer::{Int8Layer, as_inputs, integers, quantised_floats};
 use super::team::{Member, Team};
 use super::{Place, Scratch, Sizes, places};
 use crate::entity_mask::EntityMask;
@@ -124,7 +124,7 @@ impl Int8EmbedEntities {
         if let Some(one) = action.and_then(|a| integers.get_mut(features + usize::from(a))) {
             *one = scale.integer(1.0);
         }
-        let vector = Vector { inputs: as_pairs(integers), step: scale.step, outputs };
+        let vector = Vector { inputs: as_inputs(integers), step: scale.step, outputs };
         kernels.int8_sparse_product(matrix, vector);
         Ok(())
     }

@@ -7,7 +7,7 @@ use zerocopy::{FromBytes, IntoBytes};
 use super::team::{Member, TEAM, Team};
 use super::{Place, Sizes, places, slice};
 use crate::kernels::Kernels;
-use crate::kernels::int8::{INPUTS, Matrix, Pair, Row, STRIP, Scale, Vector};
+use crate::kernels::int8::{INPUTS, Inputs, Matrix, PAIRS, Row, STRIP, Scale, Vector};
 use crate::kernels::product::padded;
 use crate::policy::DecideError;
 
@@ -37,8 +37,9 @@ pub(super) struct Int8Shape {
 }
 
 impl Int8Shape {
-    fn pairs(self) -> usize {
-        self.inputs.div_ceil(2)
+    /// Groups of pairs of inputs.
+    fn groups(self) -> usize {
+        self.inputs.div_ceil(2 * PAIRS)
     }
 
     /// Floats of steps or bias: outputs, rounded up to whole strips.
@@ -48,7 +49,8 @@ impl Int8Shape {
 
     /// Floats of the matrix.
     pub(super) fn weights_len(self) -> usize {
-        self.pairs().saturating_mul(self.columns() / STRIP).saturating_mul(ROW_FLOATS)
+        let rows = self.groups().saturating_mul(self.columns() / STRIP).saturating_mul(PAIRS);
+        rows.saturating_mul(ROW_FLOATS)
     }
 
     pub(super) fn multiply_adds(self) -> usize {
@@ -66,7 +68,7 @@ impl Int8Shape {
         let rows = slice(floats, weights, self.weights_len())?.as_bytes();
         let rows = <[Row]>::ref_from_bytes(rows).map_err(|_| DecideError::BadLength)?;
         let steps = slice(floats, steps, self.columns())?;
-        Ok(Matrix { rows, pairs: self.pairs(), steps, bias: None, relu: false })
+        Ok(Matrix { rows, groups: self.groups(), steps, bias: None, relu: false })
     }
 }
 
@@ -120,8 +122,8 @@ pub(super) fn integers(floats: &mut [f32], inputs: usize) -> Result<&mut [i16], 
 
 /// Quantised inputs as kernels take them.
 #[inline(always)]
-pub(super) fn as_pairs(integers: &[i16]) -> &[Pair] {
-    integers.as_chunks().0
+pub(super) fn as_inputs(integers: &[i16]) -> &[Inputs] {
+    integers.as_chunks().0.as_chunks().0
 }
 
 /// Quantises inputs at `quantised`.
@@ -130,10 +132,10 @@ fn quantise<'q>(
     kernels: impl Kernels,
     values: &[f32],
     quantised: &'q mut [f32],
-) -> Result<(&'q [Pair], Scale), DecideError> {
+) -> Result<(&'q [Inputs], Scale), DecideError> {
     let integers = integers(quantised, values.len())?;
     let scale = kernels.quantise(values, 0.0, integers).ok_or(DecideError::NonFinite)?;
-    Ok((as_pairs(integers), scale))
+    Ok((as_inputs(integers), scale))
 }
 
 /// Writes the product of a matrix and `from`, which is quantised at `quantised`.
@@ -212,7 +214,7 @@ mod tests {
     #[test]
     fn sizes_are_whole_strips_and_pairs() {
         let len = |inputs, outputs| Int8Shape { inputs, outputs }.weights_len();
-        assert_eq!([len(1, 1), len(2, 16), len(3, 17)], [8, 8, 32]);
+        assert_eq!([len(1, 1), len(8, 16), len(9, 17)], [32, 32, 128]);
         assert_eq!([quantised_floats(1), quantised_floats(32), quantised_floats(33)], [16, 16, 32]);
         assert_eq!(Int8Shape { inputs: 4, outputs: 12 }.columns(), 16);
     }

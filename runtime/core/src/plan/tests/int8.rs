@@ -21,7 +21,7 @@ impl Builder<'_> {
     /// Matrices of int8 weights, one behind the other, and their steps.
     fn int8_matrices(&mut self, count: usize, inputs: usize, outputs: usize) -> (u32, u32) {
         let start = self.numbers(0, 0.0);
-        let floats = count * inputs.div_ceil(2) * columns(outputs) / 2;
+        let floats = count * inputs.div_ceil(8) * 4 * columns(outputs) / 2;
         let word =
             |random: &mut Random| (random.below(1 << 16) << 16 | random.below(1 << 16)) as u32;
         self.weights.extend((0..floats).map(|_| f32::from_bits(word(self.random))));
