@@ -429,7 +429,7 @@ mod tests {
         let (steps, bias) = ([0.5; STRIP], [-3.0; STRIP]);
         let rows = [row, [0; 2 * STRIP], [0; 2 * STRIP], [0; 2 * STRIP]];
         let mut matrix = Matrix { rows: &rows, groups: 1, steps: &steps, bias: None, relu: false };
-        let mut ask = |matrix: &Matrix<'_>, sparse: bool| {
+        let ask = |matrix: &Matrix<'_>, sparse: bool| {
             let (mut inputs, mut outputs) = ([[[0; 2]; PAIRS]; STRIP], [f32::NAN; 8]);
             inputs[0][0] = [4, 10];
             let vector = Vector { inputs: &inputs, step: 0.25, outputs: &mut outputs };
