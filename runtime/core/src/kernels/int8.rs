@@ -35,7 +35,7 @@ const GROUP: usize = 6;
 const NOTHING: f32 = 1.0e-30;
 
 /// 1.5 · 2²³: added to a number below 2²², it leaves the nearest integer, ties to even, in the low bits.
-const ROUND: f32 = 12_582_912.0;
+pub(super) const ROUND: f32 = 12_582_912.0;
 
 /// The largest absolute value of a quantised input where `inputs` of them are added up.
 ///
@@ -107,14 +107,26 @@ pub trait Int8Kernels: Copy {
     fn int8_sparse_product(self, matrix: &Matrix<'_>, vector: Vector<'_>);
 }
 
-/// Adds up rows of weights, each times its pair of inputs.
-pub trait AddPairs: Copy {
+/// What a build writes with its own instructions.
+pub trait Lanes: Copy {
+    /// The bits of the largest absolute value: those of numbers are in the order of the numbers.
+    fn largest_magnitude(self, values: &[f32]) -> u32;
+
+    /// [`Scale::integer`] of every value.
+    fn integers(self, scale: Scale, values: &[f32; STRIP]) -> [i16; STRIP];
+
+    /// Sums as numbers: each times what it counts, plus its bias.
+    fn numbers(self, sums: &[i32; STRIP], count: Count<'_>) -> [f32; STRIP];
+
     /// The sums of a strip for several vectors.
     fn add_strip<const COUNT: usize>(
         self,
         rows: &[[Row; PAIRS]],
         inputs: [&[Inputs]; COUNT],
     ) -> [[i32; STRIP]; COUNT];
+
+    /// The sums of two strips for one vector.
+    fn add_two_strips(self, rows: [&[[Row; PAIRS]]; 2], inputs: &[Inputs]) -> [[i32; STRIP]; 2];
 
     /// The sums of `COUNT` strips, from a first one on, of pairs of which few are not zero.
     fn add_marked<const COUNT: usize>(
@@ -124,12 +136,29 @@ pub trait AddPairs: Copy {
     ) -> [[i32; STRIP]; COUNT];
 }
 
+/// What the sums of a strip count.
+#[derive(Clone, Copy, Debug)]
+pub struct Count<'a> {
+    /// What an integer input counts.
+    pub step: f32,
+    /// What a weight of each column counts.
+    pub steps: &'a [f32; STRIP],
+    /// What is added to each column.
+    pub bias: &'a [f32; STRIP],
+    /// Whether a ReLU follows.
+    pub relu: bool,
+}
+
 /// Makes integers of numbers: the largest absolute value, or `least` where that is larger, becomes [`input_max`].
 /// Integers behind the values are zero. None where a value is not a finite number.
 #[inline(always)]
-pub fn quantise(values: &[f32], least: f32, integers: &mut [i16]) -> Option<Scale> {
-    let magnitude = |value: &f32| value.to_bits() & 0x7fff_ffff;
-    let largest = values.iter().map(magnitude).fold(least.to_bits(), u32::max);
+pub fn quantise(
+    lanes: impl Lanes,
+    values: &[f32],
+    least: f32,
+    integers: &mut [i16],
+) -> Option<Scale> {
+    let largest = u32::max(lanes.largest_magnitude(values), least.to_bits());
     if largest >= 0x7f80_0000 {
         return None;
     }
@@ -139,18 +168,20 @@ pub fn quantise(values: &[f32], least: f32, integers: &mut [i16]) -> Option<Scal
     } else {
         Scale { factor: 0.0, step: 0.0 }
     };
-    let (to, behind) = integers.split_at_mut_checked(values.len())?;
-    behind.fill(0);
+    for zeros in integers.as_chunks_mut::<INPUTS>().0 {
+        *zeros = [0; INPUTS];
+    }
+    let to = integers.get_mut(..values.len())?;
     let (chunks, rest) = values.as_chunks::<STRIP>();
     for (place, chunk) in to.as_chunks_mut().0.iter_mut().zip(chunks) {
-        *place = chunk.map(|value| scale.integer(value));
+        *place = lanes.integers(scale, chunk);
     }
     if rest.is_empty() {
         return Some(scale);
     }
     // Computing some of them once more changes nothing.
     if let (Some(chunk), Some(place)) = (values.last_chunk::<STRIP>(), to.last_chunk_mut()) {
-        *place = chunk.map(|value| scale.integer(value));
+        *place = lanes.integers(scale, chunk);
     } else {
         for (place, value) in to.iter_mut().zip(rest) {
             *place = scale.integer(*value);
@@ -161,7 +192,10 @@ pub fn quantise(values: &[f32], least: f32, integers: &mut [i16]) -> Option<Scal
 
 /// Writes the product of a matrix and each vector to its outputs.
 #[inline(always)]
-pub fn products(adder: impl AddPairs, matrix: &Matrix<'_>, vectors: &mut [Vector<'_>]) {
+pub fn products(lanes: impl Lanes, matrix: &Matrix<'_>, vectors: &mut [Vector<'_>]) {
+    if let [vector] = vectors {
+        return product(lanes, matrix, vector);
+    }
     // Groups of equal size: eight vectors are two times four.
     let groups = vectors.len().div_ceil(GROUP).max(1);
     let group = vectors.len().div_ceil(groups).max(1);
@@ -169,13 +203,30 @@ pub fn products(adder: impl AddPairs, matrix: &Matrix<'_>, vectors: &mut [Vector
     for (strip, rows) in rows.chunks_exact(matrix.groups.max(1)).enumerate() {
         for vectors in vectors.chunks_mut(group) {
             match vectors.len() {
-                1 => add_strip::<1>(adder, matrix, (strip, rows), vectors),
-                2 => add_strip::<2>(adder, matrix, (strip, rows), vectors),
-                3 => add_strip::<3>(adder, matrix, (strip, rows), vectors),
-                4 => add_strip::<4>(adder, matrix, (strip, rows), vectors),
-                5 => add_strip::<5>(adder, matrix, (strip, rows), vectors),
-                _ => add_strip::<GROUP>(adder, matrix, (strip, rows), vectors),
+                1 => add_strip::<1>(lanes, matrix, (strip, rows), vectors),
+                2 => add_strip::<2>(lanes, matrix, (strip, rows), vectors),
+                3 => add_strip::<3>(lanes, matrix, (strip, rows), vectors),
+                4 => add_strip::<4>(lanes, matrix, (strip, rows), vectors),
+                5 => add_strip::<5>(lanes, matrix, (strip, rows), vectors),
+                _ => add_strip::<GROUP>(lanes, matrix, (strip, rows), vectors),
             }
+        }
+    }
+}
+
+/// As [`products`] for one vector: two strips together, so that inputs are read once for both.
+#[inline(always)]
+fn product(lanes: impl Lanes, matrix: &Matrix<'_>, vector: &mut Vector<'_>) {
+    let strips = matrix.rows.as_chunks().0.chunks_exact(matrix.groups.max(1));
+    let mut strips = strips.enumerate();
+    while let Some((strip, first)) = strips.next() {
+        if let Some((_, second)) = strips.next() {
+            let [low, high] = lanes.add_two_strips([first, second], vector.inputs);
+            matrix.finish(lanes, strip, &low, vector);
+            matrix.finish(lanes, strip + 1, &high, vector);
+        } else {
+            let [sums] = lanes.add_strip(first, [vector.inputs]);
+            matrix.finish(lanes, strip, &sums, vector);
         }
     }
 }
@@ -183,7 +234,7 @@ pub fn products(adder: impl AddPairs, matrix: &Matrix<'_>, vectors: &mut [Vector
 /// One strip of a matrix for `COUNT` vectors.
 #[inline(always)]
 fn add_strip<const COUNT: usize>(
-    adder: impl AddPairs,
+    lanes: impl Lanes,
     matrix: &Matrix<'_>,
     (strip, rows): (usize, &[[Row; PAIRS]]),
     vectors: &mut [Vector<'_>],
@@ -193,24 +244,24 @@ fn add_strip<const COUNT: usize>(
     for (inputs, vector) in inputs.iter_mut().zip(vectors.iter()) {
         *inputs = vector.inputs;
     }
-    let sums = adder.add_strip(rows, inputs);
+    let sums = lanes.add_strip(rows, inputs);
     for (sums, vector) in sums.iter().zip(vectors) {
-        matrix.finish(strip, sums, vector);
+        matrix.finish(lanes, strip, sums, vector);
     }
 }
 
 /// As [`products`] for one vector of which few pairs of inputs are not zero; the matrix stores all strips of a pair
 /// side by side.
 #[inline(always)]
-pub fn sparse_product(adder: impl AddPairs, matrix: &Matrix<'_>, mut vector: Vector<'_>) {
+pub fn sparse_product(lanes: impl Lanes, matrix: &Matrix<'_>, mut vector: Vector<'_>) {
     let all = vector.outputs.len().div_ceil(STRIP);
     let mut strips = Strips { rows: matrix.rows, all, first: 0 };
     while strips.first < all {
         strips.first += match all - strips.first {
-            STRIPS.. => add_marked::<STRIPS>(adder, matrix, strips, &mut vector),
-            4.. => add_marked::<4>(adder, matrix, strips, &mut vector),
-            2.. => add_marked::<2>(adder, matrix, strips, &mut vector),
-            _ => add_marked::<1>(adder, matrix, strips, &mut vector),
+            STRIPS.. => add_marked::<STRIPS>(lanes, matrix, strips, &mut vector),
+            4.. => add_marked::<4>(lanes, matrix, strips, &mut vector),
+            2.. => add_marked::<2>(lanes, matrix, strips, &mut vector),
+            _ => add_marked::<1>(lanes, matrix, strips, &mut vector),
         };
     }
 }
@@ -218,14 +269,14 @@ pub fn sparse_product(adder: impl AddPairs, matrix: &Matrix<'_>, mut vector: Vec
 /// `COUNT` of a matrix's strips for a vector. Returns how many were done.
 #[inline(always)]
 fn add_marked<const COUNT: usize>(
-    adder: impl AddPairs,
+    lanes: impl Lanes,
     matrix: &Matrix<'_>,
     strips: Strips<'_>,
     vector: &mut Vector<'_>,
 ) -> usize {
-    let sums = adder.add_marked::<COUNT>(strips, vector.inputs.as_flattened());
+    let sums = lanes.add_marked::<COUNT>(strips, vector.inputs.as_flattened());
     for (strip, sums) in (strips.first..).zip(&sums) {
-        matrix.finish(strip, sums, vector);
+        matrix.finish(lanes, strip, sums, vector);
     }
     COUNT
 }
@@ -258,7 +309,8 @@ impl<'a> Strips<'a> {
             while marks != 0 {
                 let index = marks.trailing_zeros() as usize;
                 marks &= marks - 1;
-                let place = (start + index).saturating_mul(self.all).saturating_add(self.first);
+                // Far from overflow: inputs and outputs are numbers of 16 bits.
+                let place = (start + index).wrapping_mul(self.all).wrapping_add(self.first);
                 let rows = self.rows.get(place..).and_then(|rows| rows.first_chunk());
                 let (Some(rows), Some(pair)) = (rows, pairs.get(index)) else { break };
                 add(rows, *pair);
@@ -270,17 +322,18 @@ impl<'a> Strips<'a> {
 impl Matrix<'_> {
     /// Makes numbers of a strip's sums and writes them where the vector's outputs are.
     #[inline(always)]
-    fn finish(&self, strip: usize, sums: &[i32; STRIP], vector: &mut Vector<'_>) {
-        let strip_of = |values: &[f32]| values.as_chunks::<STRIP>().0.get(strip).copied();
-        let Some(steps) = strip_of(self.steps) else { return };
-        let bias = self.bias.and_then(strip_of).unwrap_or([0.0; STRIP]);
-        let mut numbers = [0.0; STRIP];
-        for (((number, sum), step), bias) in numbers.iter_mut().zip(sums).zip(steps).zip(bias) {
-            *number = *sum as f32 * (vector.step * step) + bias;
-        }
-        if self.relu {
-            numbers = numbers.map(relu);
-        }
+    fn finish(
+        &self,
+        lanes: impl Lanes,
+        strip: usize,
+        sums: &[i32; STRIP],
+        vector: &mut Vector<'_>,
+    ) {
+        let Some(steps) = self.steps.as_chunks().0.get(strip) else { return };
+        let bias = self.bias.and_then(|bias| bias.as_chunks().0.get(strip));
+        let bias = bias.unwrap_or(&[0.0; STRIP]);
+        let count = Count { step: vector.step, steps, bias, relu: self.relu };
+        let numbers = lanes.numbers(sums, count);
         let Some(outputs) = vector.outputs.get_mut(strip * STRIP..) else { return };
         match outputs.first_chunk_mut() {
             Some(outputs) => *outputs = numbers,
@@ -293,7 +346,29 @@ impl Matrix<'_> {
     }
 }
 
-impl<A> AddPairs for super::Portable<A> {
+impl<A> Lanes for super::Portable<A> {
+    #[inline(always)]
+    fn largest_magnitude(self, values: &[f32]) -> u32 {
+        let magnitude = |value: &f32| value.to_bits() & 0x7fff_ffff;
+        values.iter().map(magnitude).fold(0, u32::max)
+    }
+
+    #[inline(always)]
+    fn integers(self, scale: Scale, values: &[f32; STRIP]) -> [i16; STRIP] {
+        values.map(|value| scale.integer(value))
+    }
+
+    #[inline(always)]
+    fn numbers(self, sums: &[i32; STRIP], count: Count<'_>) -> [f32; STRIP] {
+        let mut numbers = [0.0; STRIP];
+        let counts = count.steps.iter().zip(count.bias);
+        for ((number, sum), (step, bias)) in numbers.iter_mut().zip(sums).zip(counts) {
+            let sum = *sum as f32 * (count.step * step) + bias;
+            *number = if count.relu { relu(sum) } else { sum };
+        }
+        numbers
+    }
+
     #[inline(always)]
     fn add_strip<const COUNT: usize>(
         self,
@@ -302,6 +377,17 @@ impl<A> AddPairs for super::Portable<A> {
     ) -> [[i32; STRIP]; COUNT] {
         let mut sums = [[0; STRIP]; COUNT];
         for (sums, inputs) in sums.iter_mut().zip(inputs) {
+            for (row, pair) in rows.as_flattened().iter().zip(inputs.as_flattened()) {
+                add_row(sums, row, *pair);
+            }
+        }
+        sums
+    }
+
+    #[inline(always)]
+    fn add_two_strips(self, rows: [&[[Row; PAIRS]]; 2], inputs: &[Inputs]) -> [[i32; STRIP]; 2] {
+        let mut sums = [[0; STRIP]; 2];
+        for (sums, rows) in sums.iter_mut().zip(rows) {
             for (row, pair) in rows.as_flattened().iter().zip(inputs.as_flattened()) {
                 add_row(sums, row, *pair);
             }
@@ -345,7 +431,7 @@ fn add_row(sums: &mut [i32; STRIP], row: &Row, [first, second]: Pair) {
 
 impl<A> Int8Kernels for super::Portable<A> {
     fn quantise(self, values: &[f32], least: f32, integers: &mut [i16]) -> Option<Scale> {
-        quantise(values, least, integers)
+        quantise(self, values, least, integers)
     }
 
     fn int8_products(self, matrix: &Matrix<'_>, vectors: &mut [Vector<'_>]) {
@@ -385,7 +471,7 @@ mod tests {
             let values: Vec<f32> = (0..len).map(|i| (i as f32 - 20.0) / 7.0).collect();
             let largest = values.iter().fold(0.0_f32, |most, value| most.max(value.abs()));
             let mut integers = vec![-7; 160];
-            let scale = quantise(&values, 0.0, &mut integers).unwrap();
+            let scale = Portable::<Exact>::new().quantise(&values, 0.0, &mut integers).unwrap();
             assert!((scale.step * 32_767.0 - largest).abs() < 1e-6 * largest);
             for (value, integer) in values.iter().zip(&integers) {
                 let error = (value - f32::from(*integer) * scale.step).abs();
@@ -400,7 +486,7 @@ mod tests {
     #[test]
     fn a_scale_reaches_as_far_as_is_asked() {
         let mut integers = [1; 32];
-        let scale = quantise(&[0.25, -0.5], 1.0, &mut integers).unwrap();
+        let scale = Portable::<Exact>::new().quantise(&[0.25, -0.5], 1.0, &mut integers).unwrap();
         assert_eq!((scale.integer(1.0), integers[0], integers[1]), (32_767, 8192, -16_384));
     }
 
@@ -408,13 +494,14 @@ mod tests {
     fn next_to_nothing_is_nothing_and_no_number_is_refused() {
         let mut integers = [1; 32];
         for values in [[0.0, -0.0], [1e-40, -1e-31], [f32::MIN_POSITIVE, 0.0]] {
-            let scale = quantise(&values, 0.0, &mut integers).unwrap();
+            let scale = Portable::<Exact>::new().quantise(&values, 0.0, &mut integers).unwrap();
             assert_eq!((scale.step, integers), (0.0, [0; 32]));
         }
         for bad in [f32::NAN, -f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
-            assert_eq!(quantise(&[0.5, bad], 0.0, &mut integers), None);
+            assert_eq!(Portable::<Exact>::new().quantise(&[0.5, bad], 0.0, &mut integers), None);
         }
-        let scale = quantise(&[f32::MAX, f32::MIN], 0.0, &mut integers).unwrap();
+        let scale =
+            Portable::<Exact>::new().quantise(&[f32::MAX, f32::MIN], 0.0, &mut integers).unwrap();
         assert!(scale.factor > 0.0 && integers[..2] == [32_767, -32_767]);
     }
 
