@@ -5,22 +5,28 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use serde::Serialize;
-use sortie_compiler::{CompileError, CompileOptions, Report};
+use sortie_compiler::{
+    Agreement, CompileError, CompileOptions, Compiled, LEAST_AGREEMENT, LEAST_OBSERVATIONS,
+    Quantised, Report, quantise,
+};
 use sortie_core::plan::Profile;
 
 use crate::arguments::Common;
 use crate::compiler::compiler;
 use crate::failure::{Failure, Outcome};
+use crate::observations::read_any_recording;
 use crate::output::{Table, print_json};
 
 /// Compile an ONNX network to a plan for the runtime core
 ///
 /// The plan is compared with the graph on random observations of all mask patterns and refused where
-/// they differ by more than 1e-5 relative. Prints what the plan will cost: flash, arena, work.
+/// they differ by more than 1e-5 relative. An int8 plan is compared with the f32 plan on recorded observations
+/// instead, and refused where it takes another action in more than 0.5 % of them. Prints what the plan will
+/// cost: flash, arena, work.
 #[derive(Debug, Args)]
-#[command(
-    after_help = "Example:\n  sortie compile models/save-the-city/agent.onnx -o agent.plan --n-max 11"
-)]
+#[command(after_help = "Examples:
+  sortie compile models/save-the-city/agent.onnx -o agent.plan --n-max 11
+  sortie compile models/save-the-city/agent.onnx -o agent.plan --n-max 11 --profile int8 --observations seen.bin")]
 pub(crate) struct CompileArguments {
     /// The network
     onnx: PathBuf,
@@ -33,6 +39,12 @@ pub(crate) struct CompileArguments {
     /// How the plan computes
     #[arg(long, value_enum, default_value_t = PlanProfile::Exact)]
     profile: PlanProfile,
+    /// Observations of `sortie eval BUNDLE --dump FILE`, on which an int8 plan must act as the f32 plan does
+    #[arg(long, value_name = "FILE", required_if_eq("profile", "int8"))]
+    observations: Option<PathBuf>,
+    /// Write an int8 plan however seldom it takes the same action, and whatever was recorded
+    #[arg(long)]
+    force: bool,
     #[command(flatten)]
     common: Common,
 }
@@ -44,6 +56,8 @@ pub(crate) enum PlanProfile {
     Exact,
     /// Fused multiply-add: faster for teams, the same bits on every target that has the instruction
     Fused,
+    /// int8 weights: a quarter of the bytes, faster, nearly the same utilities; the same bits on every target
+    Int8,
 }
 
 impl PlanProfile {
@@ -52,6 +66,7 @@ impl PlanProfile {
         match self {
             Self::Exact => Profile::Exact,
             Self::Fused => Profile::Fused,
+            Self::Int8 => Profile::Int8,
         }
     }
 }
@@ -61,6 +76,11 @@ struct Written<'a> {
     plan: &'a Path,
     #[serde(flatten)]
     report: &'a Report,
+    /// How an int8 plan acts beside the f32 plan of the same network, and what that costs.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    agreement: Option<&'a Agreement>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    exact: Option<&'a Report>,
 }
 
 #[derive(Serialize)]
@@ -86,20 +106,72 @@ pub(crate) fn run(arguments: &CompileArguments) -> Outcome {
         seed: arguments.common.seed,
         ..CompileOptions::default()
     };
-    let compiled = compiler().compile(&onnx, &options).map_err(|error| {
+    let failed = |error: CompileError| {
         if arguments.common.json {
             print_json(&Refused { error: refusal(&error) });
         }
         Failure::from(error).within(path.display())
-    })?;
+    };
     let plan = &arguments.output;
-    fs::write(plan, &compiled.bytes).map_err(|error| Failure::file(plan, &error))?;
-    if arguments.common.json {
-        print_json(&Written { plan, report: &compiled.report });
-    } else if !arguments.common.quiet {
-        print(plan, &compiled.report);
+    let write = |bytes: &[u8]| fs::write(plan, bytes).map_err(|error| Failure::file(plan, &error));
+    let recording = arguments.observations.as_deref().map(read_any_recording).transpose()?;
+    if let (Profile::Int8, Some(recording)) = (options.profile, &recording) {
+        let compile = |profile| compiler().compile(&onnx, &CompileOptions { profile, ..options });
+        let quantised = quantise(compile, recording).map_err(failed)?;
+        if !arguments.common.json && !arguments.common.quiet {
+            print_agreement(&quantised);
+        }
+        judge(&quantised.agreement, arguments.force)?;
+        write(&quantised.compiled.bytes)?;
+        let Quantised { compiled, exact, agreement } = &quantised;
+        print(arguments, &compiled.report, Some((agreement, exact)));
+        return Ok(());
     }
+    let compiled = compiler().compile(&onnx, &options).map_err(failed)?;
+    write(&compiled.bytes)?;
+    print(arguments, &compiled.report, None);
     Ok(())
+}
+
+/// Refuses an int8 plan that acts differently too often, or of which too little is known.
+fn judge(agreement: &Agreement, force: bool) -> Outcome {
+    let Agreement { observations, .. } = *agreement;
+    let flaw = if observations < LEAST_OBSERVATIONS {
+        format!(
+            "{observations} observations say too little about an int8 plan, {LEAST_OBSERVATIONS} are needed: \
+             record more with `sortie eval BUNDLE --episodes 1000 --dump FILE`"
+        )
+    } else if !agreement.is_enough() {
+        format!(
+            "the int8 plan takes the same action on {:.3} % of the observations, {:.1} % are needed",
+            100.0 * agreement.share(),
+            100.0 * LEAST_AGREEMENT
+        )
+    } else {
+        return Ok(());
+    };
+    if !force {
+        return Err(Failure::difference(format!("{flaw}; `--force` writes the plan all the same")));
+    }
+    eprintln!("warning: {flaw}");
+    Ok(())
+}
+
+fn print_agreement(quantised: &Quantised) {
+    let Quantised { compiled: Compiled { report, .. }, exact, agreement } = quantised;
+    println!(
+        "same action on {:.3} % of {} recorded observations, largest error of a utility {:.1e}",
+        100.0 * agreement.share(),
+        agreement.observations,
+        agreement.max_utility_error
+    );
+    let mut table = Table::new(&["bytes", "int8", "f32"]);
+    let mut row = |name: &str, int8: usize, exact: usize| {
+        table.row([name.to_string(), int8.to_string(), exact.to_string()]);
+    };
+    row("flash", report.flash_bytes, exact.flash_bytes);
+    row("arena", report.arena_bytes, exact.arena_bytes);
+    table.print();
 }
 
 fn refusal(error: &CompileError) -> Refusal<'_> {
@@ -116,7 +188,15 @@ fn refusal(error: &CompileError) -> Refusal<'_> {
     }
 }
 
-fn print(plan: &Path, report: &Report) {
+fn print(arguments: &CompileArguments, report: &Report, int8: Option<(&Agreement, &Report)>) {
+    let plan = &arguments.output;
+    if arguments.common.json {
+        let (agreement, exact) = int8.unzip();
+        print_json(&Written { plan, report, agreement, exact });
+    }
+    if arguments.common.json || arguments.common.quiet {
+        return;
+    }
     println!(
         "{}: {} bytes of flash, {} bytes of arena, {} more for every further agent of a team",
         plan.display(),

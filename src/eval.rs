@@ -10,6 +10,7 @@ use sortie_learn::evaluate::{
 };
 
 use crate::arguments::{AllocatorChoice, Common};
+use crate::compile::PlanProfile;
 use crate::environment::{self, ScenarioSetName};
 use crate::episodes::EpisodeWriter;
 use crate::failure::{Exit, Failure, Outcome};
@@ -29,6 +30,7 @@ use crate::subject_allocator::SubjectAllocator;
   sortie eval models/save-the-city --episodes 2000
   sortie eval models/save-the-city --allocator runs/other
   sortie eval models/save-the-city --plan 24
+  sortie eval models/save-the-city --profile int8
   sortie eval models/save-the-city --episodes 100 --dump observations.bin
   sortie eval scripted --env save-the-city/2-8a_2-8b --allocation heuristic")]
 pub(crate) struct EvalArguments {
@@ -56,12 +58,15 @@ pub(crate) struct EvalArguments {
     /// Record every episode into this folder, for `sortie replay`
     #[arg(long, value_name = "DIR")]
     episodes_out: Option<PathBuf>,
-    /// Record what the agents of a bundle see into this file, for `sortie bench decision --observations`
+    /// Record what the agents of a bundle see into this file, for `sortie bench decision` and `sortie compile`
     #[arg(long, value_name = "FILE", conflicts_with = "plan")]
     dump: Option<PathBuf>,
     /// What executes a bundle's network
     #[arg(long, value_enum, default_value_t = Backend::Plan)]
     backend: Backend,
+    /// How a bundle's plan computes
+    #[arg(long, value_enum, default_value_t = PlanProfile::Exact, conflicts_with = "backend")]
+    profile: PlanProfile,
     #[command(flatten)]
     common: Common,
 }
@@ -108,7 +113,8 @@ pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
         Subject::Run(run) => play(&mut run.team())?,
         Subject::Bundle(bundle) => {
             environment::check_fits(bundle, &plan.set)?;
-            let mut policy = DeployedPolicy::open(bundle, arguments.backend)?;
+            let profile = arguments.profile.profile();
+            let mut policy = DeployedPolicy::open_as(bundle, arguments.backend, profile)?;
             let mut policy = policy.policy()?;
             match &arguments.dump {
                 None => play(&mut PolicyTeam::new(policy.as_mut()))?,

@@ -51,11 +51,16 @@ impl Policy for RecordingPolicy<'_> {
     }
 }
 
+/// Reads a file of observations, whatever they are of.
+pub(crate) fn read_any_recording(path: &Path) -> Result<Recording, Failure> {
+    let bytes = fs::read(path).map_err(|error| Failure::file(path, &error))?;
+    Recording::from_bytes(&bytes)
+        .map_err(|error| Failure::new(Exit::BadData, error.to_string()).within(path.display()))
+}
+
 /// Reads a file of observations that fit a bundle.
 pub(crate) fn read_recording(path: &Path, bundle: &Bundle) -> Result<Recording, Failure> {
-    let bytes = fs::read(path).map_err(|error| Failure::file(path, &error))?;
-    let recording = Recording::from_bytes(&bytes)
-        .map_err(|error| Failure::new(Exit::BadData, error.to_string()).within(path.display()))?;
+    let recording = read_any_recording(path)?;
     let (want, got) = (bundle.contract().hash(), recording.contract);
     if want != got {
         let message = format!(

@@ -37,10 +37,17 @@ pub(crate) enum DeployedPolicy {
 impl DeployedPolicy {
     /// Compiles the bundle's network, or takes the plan that was compiled before.
     pub(crate) fn open(bundle: &Bundle, backend: Backend) -> Result<Self, Failure> {
+        Self::open_as(bundle, backend, Profile::Exact)
+    }
+
+    /// As [`Self::open`], the plan in any profile.
+    pub(crate) fn open_as(
+        bundle: &Bundle,
+        backend: Backend,
+        profile: Profile,
+    ) -> Result<Self, Failure> {
         let opened = match backend {
-            Backend::Plan => {
-                compiler().compile_bundle(bundle, Profile::Exact).and_then(Self::of_plan)
-            }
+            Backend::Plan => compiler().compile_bundle(bundle, profile).and_then(Self::of_plan),
             Backend::Tract => Self::of_graph(bundle),
         };
         opened.map_err(|error| Failure::from(error).within(bundle.folder().display()))

@@ -5,21 +5,23 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use serde::Serialize;
-use sortie_bundle::Bundle;
+use sortie_bundle::{Bundle, Recording};
 use sortie_compiler::onnxruntime::{OnnxRuntime, OnnxRuntimePolicy, OnnxRuntimeTeamValue};
 use sortie_compiler::{
-    Comparison, CompileError, CompileOptions, Judge, ObservationSizes, TOLERANCE, TeamQuerySizes,
-    TractTeamValue, compare_entities_with_graph, compare_with_golden,
-    compare_with_golden_allocations, inspect_plan, judge_agent, judge_team_values,
-    observation_families, random_entities, team_query_families,
+    Comparison, CompileError, CompileOptions, Judge, LEAST_AGREEMENT, ObservationSizes, RECORDED,
+    TOLERANCE, TeamQuerySizes, TractTeamValue, agreement, compare_entities_with_graph,
+    compare_with_golden, compare_with_golden_allocations, inspect_plan, judge_agent,
+    judge_team_values, observation_families, random_entities, team_query_families,
 };
-use sortie_core::plan::Network;
+use sortie_core::plan::{Network, Profile};
 
 use crate::allocator::LearnedAllocator;
 use crate::arguments::Common;
+use crate::compile::PlanProfile;
 use crate::compiler::compiler;
 use crate::deployment::open_bundle;
 use crate::failure::{Exit, Failure, Outcome};
+use crate::observations::read_recording;
 use crate::onnxruntime::OnnxRuntimeArguments;
 use crate::output::{Table, print_json};
 use crate::policy::{Backend, DeployedPolicy};
@@ -28,11 +30,13 @@ use crate::policy::{Backend, DeployedPolicy};
 ///
 /// Inputs are random ones of all mask patterns, and families that tend to break engines: nothing or everything
 /// visible, denormals, huge values, NaN and others. Exit code 1 if any utility or value differs by more than
-/// 1e-5 relative, if only one engine answers, or if a golden action or allocation is not chosen.
+/// 1e-5 relative, if only one engine answers, or if a golden action or allocation is not chosen. An int8 plan fails
+/// where it takes another action in more than 0.5 % of the golden and of the recorded observations.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   sortie verify models/save-the-city --inputs 10000
   sortie verify models/save-the-city --python venv/bin/python3
+  sortie verify models/save-the-city --profile int8 --observations seen.bin
   sortie verify agent.onnx --against tract")]
 pub(crate) struct VerifyArguments {
     /// A bundle's folder or an ONNX file
@@ -43,6 +47,12 @@ pub(crate) struct VerifyArguments {
     /// What to compare with, several joined by commas [default: all that there is]
     #[arg(long, value_enum, value_delimiter = ',')]
     against: Vec<Peer>,
+    /// How the agent's plan computes; int8 plans are judged by the actions that they take
+    #[arg(long, value_enum, default_value_t = PlanProfile::Exact)]
+    profile: PlanProfile,
+    /// Observations of `sortie eval BUNDLE --dump FILE`, on which the plan is compared with the exact one
+    #[arg(long, value_name = "FILE")]
+    observations: Option<PathBuf>,
     #[command(flatten)]
     onnxruntime: OnnxRuntimeArguments,
     #[command(flatten)]
@@ -86,7 +96,10 @@ pub(crate) fn run(arguments: &VerifyArguments) -> Outcome {
     } else if !arguments.common.quiet {
         print(&report);
     }
-    judge(&report)
+    match arguments.profile {
+        PlanProfile::Int8 => judge_actions(&report),
+        PlanProfile::Exact | PlanProfile::Fused => judge(&report.engines),
+    }
 }
 
 fn compare(arguments: &VerifyArguments) -> Result<Report, Failure> {
@@ -105,35 +118,58 @@ fn compare(arguments: &VerifyArguments) -> Result<Report, Failure> {
         let bundle = open_bundle(subject)?;
         let n_max = bundle.manifest().limits.n_max.into();
         let features = Some(usize::from(bundle.contract().features));
-        engines.extend(judged(arguments, bundle.agent_onnx(), (n_max, features), &judges)?);
+        let profile = arguments.profile.profile();
+        let network = Judged { onnx: bundle.agent_onnx(), n_max, features, profile };
+        engines.extend(judged(arguments, network, &judges)?);
         if let Some(onnx) = bundle.allocator_onnx() {
-            engines.extend(judged(arguments, onnx, (n_max, None), &judges)?);
+            let profile = Profile::Exact;
+            let network = Judged { onnx, n_max, features: None, profile };
+            engines.extend(judged(arguments, network, &judges)?);
         }
         if wanted(Peer::Golden) {
-            engines.extend(against_golden(&bundle, runtime)?);
+            engines.extend(against_golden(&bundle, runtime, profile)?);
         }
+        if let Some(file) = &arguments.observations {
+            let recording = read_recording(file, &bundle)?;
+            engines.push(against_exact(&bundle, profile, &recording)?);
+        }
+    } else if arguments.observations.is_some() {
+        let message = "recorded observations belong to a bundle: name its folder";
+        return Err(Failure::new(Exit::Usage, message));
     } else if asked(Peer::Golden) {
         let message = "golden observations belong to a bundle: name its folder";
         return Err(Failure::new(Exit::Usage, message));
     } else {
         let onnx = fs::read(subject).map_err(|error| Failure::file(subject, &error))?;
         let n_max = CompileOptions::default().n_max;
-        engines.extend(judged(arguments, &onnx, (n_max, None), &judges)?);
+        let profile = arguments.profile.profile();
+        let network = Judged { onnx: &onnx, n_max, features: None, profile };
+        engines.extend(judged(arguments, network, &judges)?);
     }
     let missing = wanted(Peer::Onnxruntime) && runtime.is_none();
     Ok(Report { engines, not_compared: missing.then_some("onnxruntime").into_iter().collect() })
 }
 
+/// A network whose plan is judged.
+#[derive(Clone, Copy)]
+struct Judged<'a> {
+    onnx: &'a [u8],
+    n_max: usize,
+    features: Option<usize>,
+    profile: Profile,
+}
+
 /// The plan of a network before its judges.
 fn judged(
     arguments: &VerifyArguments,
-    onnx: &[u8],
-    (n_max, features): (usize, Option<usize>),
+    network: Judged<'_>,
     judges: &[Judge],
 ) -> Result<Vec<Compared>, Failure> {
+    let Judged { onnx, n_max, features, profile } = network;
     let (inputs, seed) = (arguments.inputs as usize, arguments.common.seed);
     let compare = || -> Result<Vec<Compared>, CompileError> {
-        let options = CompileOptions { n_max, features, seed, ..CompileOptions::default() };
+        let options =
+            CompileOptions { n_max, features, profile, seed, ..CompileOptions::default() };
         // The graph that this process reads for its judges has then been read and run elsewhere.
         let plan = compiler().compile(onnx, &options)?.bytes;
         let facts = inspect_plan(&plan)?;
@@ -172,12 +208,13 @@ fn judged(
 fn against_golden(
     bundle: &Bundle,
     runtime: Option<&'static OnnxRuntime>,
+    profile: Profile,
 ) -> Result<Vec<Compared>, Failure> {
     let named = |engine: &str| format!("{engine} against golden");
     let failed = |error: CompileError| Failure::from(error).within(bundle.folder().display());
     let mut found = Vec::new();
     for backend in [Backend::Plan, Backend::Tract] {
-        let mut policy = DeployedPolicy::open(bundle, backend)?;
+        let mut policy = DeployedPolicy::open_as(bundle, backend, profile)?;
         let name = named(backend.name());
         found.push(compare_with_golden(&name, policy.policy()?.as_mut(), bundle.golden()));
     }
@@ -207,6 +244,19 @@ fn against_golden(
         Compared::new(name, vec![Comparison { name: "golden".to_owned(), ..found }])
     };
     found.into_iter().map(|found| found.map(compared).map_err(failed)).collect()
+}
+
+/// A bundle's plan beside its exact plan, on recorded observations.
+fn against_exact(
+    bundle: &Bundle,
+    profile: Profile,
+    recording: &Recording,
+) -> Result<Compared, Failure> {
+    let failed = |error: CompileError| Failure::from(error).within(bundle.folder().display());
+    let plan = |profile| compiler().compile_bundle(bundle, profile).map_err(failed);
+    let (plan, exact) = (plan(profile)?, plan(Profile::Exact)?);
+    let found = agreement(plan.as_slice(), exact.as_slice(), recording).map_err(failed)?;
+    Ok(Compared::new(format!("{} plan against exact plan", profile.name()), vec![found.into()]))
 }
 
 impl Compared {
@@ -258,9 +308,35 @@ fn print(report: &Report) {
     );
 }
 
+/// Other actions in real situations count: golden and recorded ones. Elsewhere only one engine's refusal does, and
+/// whatever the allocator's plan, which is exact, gives.
+fn judge_actions(report: &Report) -> Outcome {
+    let (allocators, agents): (Vec<_>, Vec<_>) =
+        report.engines.iter().partition(|engine| engine.name.starts_with("allocator"));
+    for engine in agents {
+        for family in &engine.families {
+            let real = ["golden", RECORDED].contains(&family.name.as_str());
+            let other = family.action_mismatches as f64 / family.inputs.max(1) as f64;
+            if real && other > 1.0 - LEAST_AGREEMENT || family.judged && family.refusals_differ > 0
+            {
+                return Err(Failure::difference(format!(
+                    "{}, {}: {} other choices on {} inputs (limit {:.1} %), {} inputs that only one answers",
+                    engine.name,
+                    family.name,
+                    family.action_mismatches,
+                    family.inputs,
+                    100.0 * (1.0 - LEAST_AGREEMENT),
+                    family.refusals_differ
+                )));
+            }
+        }
+    }
+    judge(allocators)
+}
+
 /// Another choice within the tolerance is a near tie, but for golden observations, which have none.
-fn judge(report: &Report) -> Outcome {
-    for engine in &report.engines {
+fn judge<'a>(engines: impl IntoIterator<Item = &'a Compared>) -> Outcome {
+    for engine in engines {
         for family in &engine.families {
             let other_action = family.action_mismatches > 0 && family.name == "golden";
             if !family.agrees() || other_action {

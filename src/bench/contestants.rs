@@ -18,8 +18,11 @@ use crate::onnxruntime::OnnxRuntimeArguments;
 use crate::policy::{Backend, DeployedPolicy};
 
 /// The profiles of our plans, and what their engines are called.
-const PROFILES: [(&str, Profile); 2] =
-    [("sortie exact", Profile::Exact), ("sortie fused", Profile::Fused)];
+const PROFILES: [(&str, Profile); 3] = [
+    ("sortie exact", Profile::Exact),
+    ("sortie fused", Profile::Fused),
+    ("sortie int8", Profile::Int8),
+];
 
 /// All engines of one bundle.
 pub(super) struct Contestants<'b> {

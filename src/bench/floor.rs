@@ -41,6 +41,7 @@ mod tests {
         let lines = 0..LANES as u64 * 3 + 1;
         let words = lines.clone().flat_map(|line| [line * line, 9, 9, 9, 9, 9, 9, 9]);
         let bytes: Vec<u8> = words.flat_map(u64::to_le_bytes).collect();
-        assert_eq!(Floor::new(&bytes).sum(), lines.map(|line| line * line).sum());
+        let want: u64 = lines.map(|line| line * line).sum();
+        assert_eq!(Floor::new(&bytes).sum(), want);
     }
 }

@@ -1,10 +1,7 @@
 //! Program and weights become the bytes of a plan.
 
-use sortie_core::plan::{
-    ALIGNMENT, HEADER_BYTES, Header, LAYOUT_TILES, Network, Profile, Program, checksums,
-};
+use sortie_core::plan::{ALIGNMENT, HEADER_BYTES, Header, Network, Profile, Program, checksums};
 
-use crate::layout::Weights;
 use crate::lower::AgentSizes;
 
 /// What the header says beside sizes and places.
@@ -29,16 +26,15 @@ pub(crate) struct Origin {
 /// Lays out header, program and weights.
 pub(crate) fn assemble(
     program: &Program,
-    weights: &Weights,
+    weights: &[u8],
     sizes: AgentSizes,
     origin: &Origin,
 ) -> Vec<u8> {
     // Serialising plain fields to memory has no way to fail; the loader would refuse an empty program.
     let program_bytes = postcard::to_stdvec(program).unwrap_or_default();
-    let weight_bytes: Vec<u8> = weights.floats.iter().flat_map(|w| w.to_le_bytes()).collect();
     let weights_offset = (HEADER_BYTES + program_bytes.len()).next_multiple_of(ALIGNMENT);
     let header = Header {
-        layout: LAYOUT_TILES,
+        layout: origin.profile.layout(),
         arena_bytes: program.arena_bytes() as u32,
         arena_alignment: ALIGNMENT as u32,
         n_max: sizes.n_max as u32,
@@ -48,7 +44,7 @@ pub(crate) fn assemble(
         program_offset: HEADER_BYTES as u32,
         program_len: program_bytes.len() as u32,
         weights_offset: weights_offset as u32,
-        weights_len: weight_bytes.len() as u32,
+        weights_len: weights.len() as u32,
         source: origin.source,
         contract: origin.contract,
         max_error: origin.max_error,
@@ -58,10 +54,10 @@ pub(crate) fn assemble(
         t_max: origin.t_max,
         arena_bytes_per_agent: 4 * program.own_floats().unwrap_or(0),
     };
-    let checksums = checksums(&header, &program_bytes, &weight_bytes);
+    let checksums = checksums(&header, &program_bytes, weights);
     let mut plan = header.to_bytes(checksums).to_vec();
     plan.extend(program_bytes);
     plan.resize(weights_offset, 0);
-    plan.extend(weight_bytes);
+    plan.extend(weights);
     plan
 }

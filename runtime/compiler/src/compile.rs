@@ -9,10 +9,10 @@ use sortie_core::plan::{AlignedBytes, Network, Plan, Profile, Program};
 use crate::assemble::{Origin, assemble};
 use crate::error::CompileError;
 use crate::graph::{EntityRoles, Graph, Inputs, TeamRoles};
-use crate::layout::Weights;
 use crate::lower::{AgentSizes, Choice, lower_agent};
 use crate::lower_entities::{EntitySizes, lower_entities};
-use crate::matching::{match_agent, match_entities, match_team_value};
+use crate::lower_int8::lower_agent_int8;
+use crate::matching::{AgentLayers, match_agent, match_entities, match_team_value};
 use crate::observations::{random_entities, random_observations, random_team_queries};
 use crate::parity::{
     Comparison, TOLERANCE, entities_against_graph, plan_against_graph, team_values_against_graph,
@@ -132,7 +132,7 @@ pub fn compile(onnx: &[u8], options: &CompileOptions) -> Result<Compiled, Compil
 /// A network as a program.
 struct Lowered {
     program: Program,
-    weights: Weights,
+    weights: Vec<u8>,
     sizes: AgentSizes,
     network: Network,
 }
@@ -156,14 +156,39 @@ fn lower(graph: &Graph, options: &CompileOptions) -> Result<Lowered, CompileErro
             let layers = match_entities(graph)?;
             let of_entities = EntitySizes { n_max, features: graph.columns, groups };
             let (program, weights) = lower_entities(&layers, of_entities)?;
-            return Ok(Lowered { program, weights, sizes, network: Network::Entities });
+            if options.profile == Profile::Int8 {
+                return Err(CompileError::NoInt8 { what: "a network over all entities".into() });
+            }
+            return Ok(Lowered {
+                program,
+                weights: weights.to_bytes(),
+                sizes,
+                network: Network::Entities,
+            });
         }
     };
-    let (program, weights) = lower_agent(&layers, sizes)?;
+    let (program, weights) = lower_layers(&layers, sizes, network, options.profile)?;
     Ok(Lowered { program, weights, sizes, network })
 }
 
-/// Compares a plan with its graph on random inputs, and refuses one that differs.
+/// Lowers a network to operators of the profile, and their weights as the plan holds them.
+fn lower_layers(
+    layers: &AgentLayers,
+    sizes: AgentSizes,
+    network: Network,
+    profile: Profile,
+) -> Result<(Program, Vec<u8>), CompileError> {
+    if profile != Profile::Int8 {
+        return lower_agent(layers, sizes).map(|(program, weights)| (program, weights.to_bytes()));
+    }
+    if network != Network::Agent {
+        return Err(CompileError::NoInt8 { what: "an allocator's network".into() });
+    }
+    lower_agent_int8(layers, sizes).map(|(program, weights)| (program, weights.bytes))
+}
+
+/// Compares a plan with its graph on random inputs, and refuses one that differs; of an int8 plan only the error is
+/// measured, as its actions in the real environment decide about it.
 fn prove(
     plan: &[u8],
     graph: &Graph,
@@ -186,9 +211,10 @@ fn prove(
             entities_against_graph(plan, graph, &steps)?
         }
     };
-    if comparison.max_rel_error.is_nan() || comparison.max_rel_error > TOLERANCE {
+    let error = comparison.max_rel_error;
+    if error.is_nan() || error > TOLERANCE && options.profile != Profile::Int8 {
         return Err(CompileError::Differs {
-            error: comparison.max_rel_error,
+            error,
             limit: TOLERANCE,
             input: comparison.worst_input,
             seed,
@@ -321,6 +347,17 @@ fn detail(op: &Op) -> String {
             OutputRows::Groups(groups) => format!("[{groups}, {}]", op.width),
             _ => format!("[{}]", op.width),
         },
+        Op::Int8EmbedEntities(op) => {
+            format!("[N, {}] -> [N, {}]{}", op.layer.inputs, op.layer.outputs, relu(op.relu))
+        }
+        Op::Int8AttendOwn(op) => {
+            let heads = if op.heads == 1 { "head" } else { "heads" };
+            let (width, outputs) = (op.width, op.output.outputs);
+            format!("[N, {width}] -> [{outputs}], {} {heads}{}", op.heads, relu(op.relu))
+        }
+        Op::Int8Dense(op) => {
+            format!("[{}] -> [{}]{}", op.layer.inputs, op.layer.outputs, relu(op.relu))
+        }
         Op::MaskedArgmax(op) => format!("[{}] -> action", op.from.len),
         Op::MaskedSample(op) => format!("[{}] -> drawn action", op.from.len),
         _ => String::new(),

@@ -84,7 +84,7 @@ impl Critic {
             max_error: 0.0,
             action_mismatch: 0.0,
         };
-        AlignedBytes::copy_of(&assemble(&program, &weights, sizes, &origin))
+        AlignedBytes::copy_of(&assemble(&program, &weights.to_bytes(), sizes, &origin))
     }
 
     /// The three outputs by the book.

@@ -68,6 +68,12 @@ pub enum CompileError {
         /// The nearest supported pattern.
         hint: Cow<'static, str>,
     },
+    /// A part of the network has no int8 form.
+    #[error("{what} has no int8 form: compile with the profile exact or fused")]
+    NoInt8 {
+        /// The part.
+        what: Cow<'static, str>,
+    },
     /// A weight is not a finite number.
     #[error("the {layer} layer holds a weight that is not finite")]
     NonFiniteWeight {

@@ -38,7 +38,7 @@ pub struct PlanFacts {
     /// What it computes, by name for scripts: `agent` or `team-value`.
     #[serde(serialize_with = "network_name")]
     pub network: Network,
-    /// Arithmetic profile, by name for scripts: `exact` or `fused`.
+    /// Arithmetic profile, by name for scripts: `exact`, `fused` or `int8`.
     pub profile: &'static str,
     /// Bytes of the plan.
     pub flash_bytes: usize,

@@ -15,6 +15,11 @@ pub(crate) struct Weights {
 }
 
 impl Weights {
+    /// The weights as a plan holds them.
+    pub(crate) fn to_bytes(&self) -> Vec<u8> {
+        self.floats.iter().flat_map(|weight| weight.to_le_bytes()).collect()
+    }
+
     /// Adds a layer, its columns in tiles, matrix and bias padded with zeros.
     pub(crate) fn add_layer(&mut self, layer: &Layer) -> Linear {
         let Matrix { inputs, outputs, .. } = layer.matrix;

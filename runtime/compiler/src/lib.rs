@@ -7,6 +7,7 @@
 //! Files of strangers are read by another process, with limits: [`CompilerProcess`].
 #![forbid(unsafe_code)]
 
+mod agreement;
 mod assemble;
 mod attention;
 mod compile;
@@ -21,10 +22,14 @@ mod golden_allocations;
 mod graph;
 mod graph_inputs;
 mod inspect;
+mod int8_layout;
+#[cfg(test)]
+mod int8_tests;
 mod judge;
 mod layout;
 mod lower;
 mod lower_entities;
+mod lower_int8;
 mod matching;
 mod observations;
 #[cfg(feature = "onnxruntime")]
@@ -39,6 +44,9 @@ mod tract_entities;
 mod tract_policy;
 mod tract_team_value;
 
+pub use agreement::{
+    Agreement, LEAST_AGREEMENT, LEAST_OBSERVATIONS, Quantised, RECORDED, agreement, quantise,
+};
 pub use attention::AttentionProbe;
 pub use compile::{
     CompileOptions, Compiled, OperatorReport, Report, VERSION, compile, compile_allocator,

@@ -197,7 +197,7 @@ fn step_layers(layers: &AgentLayers) -> impl Iterator<Item = (&'static str, &Lay
 }
 
 /// Checks that sizes fit together and into a plan.
-fn check(layers: &AgentLayers, sizes: AgentSizes) -> Result<(), CompileError> {
+pub(crate) fn check(layers: &AgentLayers, sizes: AgentSizes) -> Result<(), CompileError> {
     at_most("the number of visible entities", sizes.n_max, limits::ENTITIES)?;
     at_most("the number of features", sizes.features, limits::FEATURES)?;
     at_most("the number of actions", sizes.actions, limits::ACTIONS)?;

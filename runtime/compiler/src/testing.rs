@@ -10,6 +10,7 @@ use sortie_core::plan::{
 
 use crate::assemble::{Origin, assemble};
 use crate::lower::{AgentSizes, Choice, lower_agent};
+use crate::lower_int8::lower_agent_int8;
 use crate::matching::{AgentLayers, GruLayers, Layer, Matrix, Step};
 
 /// The shape of a random network.
@@ -115,7 +116,24 @@ pub(crate) fn plan_that(choice: Choice, layers: &AgentLayers, shape: Shape) -> V
         max_error: 0.0,
         action_mismatch: 0.0,
     };
-    assemble(&program, &weights, sizes, &origin)
+    assemble(&program, &weights.to_bytes(), sizes, &origin)
+}
+
+/// The int8 plan of a random network.
+pub(crate) fn int8_plan(layers: &AgentLayers, shape: Shape) -> Vec<u8> {
+    let Shape { n_max, features, actions, .. } = shape;
+    let sizes = AgentSizes { n_max, features, actions, choice: Choice::Greedy };
+    let (program, weights) = lower_agent_int8(layers, sizes).unwrap();
+    let origin = Origin {
+        source: [0; 32],
+        profile: Profile::Int8,
+        network: Network::Agent,
+        contract: 0,
+        t_max: 0,
+        max_error: 0.0,
+        action_mismatch: 0.0,
+    };
+    assemble(&program, &weights.bytes, sizes, &origin)
 }
 
 /// The utilities of the plain form of the network, in f64. `state` is replaced by the new one.

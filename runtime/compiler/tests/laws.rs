@@ -8,7 +8,7 @@ use sortie_core::choose::masked_argmax;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
 use sortie_core::{DecideError, EntityMask, NO_ACTION};
 
-const PROFILES: [Profile; 2] = [Profile::Exact, Profile::Fused];
+const PROFILES: [Profile; 3] = [Profile::Exact, Profile::Fused, Profile::Int8];
 
 /// A shipped network in one profile.
 struct Network {

@@ -5,6 +5,7 @@ use sortie_core::plan::{Aligned, Plan, PlanError, arena_bytes};
 use sortie_core::{DecideError, EntityMask, NO_ACTION, Observation, include_plan};
 
 const AGENT: &[u8] = include_plan!("../../../tests/golden/plans/agent-1.0.plan");
+const INT8: &[u8] = include_plan!("../../../tests/golden/plans/agent-int8-1.1.plan");
 const ODD_SIZES: &[u8] = include_plan!("../../../tests/golden/plans/agent-odd-sizes-1.0.plan");
 const TEAM_VALUE: &[u8] = include_plan!("../../../tests/golden/plans/team-value-1.0.plan");
 
@@ -67,6 +68,12 @@ fn decisions<const ARENA: usize>(bytes: &[u8]) -> String {
 fn an_agent_of_format_1_0_decides_as_recorded() {
     let want = include_str!("../../../tests/golden/plans/agent-1.0.txt");
     assert_eq!(decisions::<{ arena_bytes(AGENT) }>(AGENT), want);
+}
+
+#[test]
+fn an_int8_agent_of_format_1_1_decides_as_recorded() {
+    let want = include_str!("../../../tests/golden/plans/agent-int8-1.1.txt");
+    assert_eq!(decisions::<{ arena_bytes(INT8) }>(INT8), want);
 }
 
 #[test]

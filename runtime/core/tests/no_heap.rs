@@ -16,6 +16,7 @@ use sortie_core::{
 };
 
 const AGENT: &[u8] = include_plan!("../../../tests/golden/plans/agent-1.0.plan");
+const INT8: &[u8] = include_plan!("../../../tests/golden/plans/agent-int8-1.1.plan");
 const TEAM_VALUE: &[u8] = include_plan!("../../../tests/golden/plans/team-value-1.0.plan");
 
 /// The system's allocator, counting the calls of each thread.
@@ -95,12 +96,21 @@ fn the_counter_counts() {
 
 #[test]
 fn decisions_never_touch_the_heap() {
+    decide::<{ arena_bytes(AGENT) }>(AGENT);
+}
+
+#[test]
+fn int8_decisions_never_touch_the_heap() {
+    decide::<{ arena_bytes(INT8) }>(INT8);
+}
+
+fn decide<const ARENA: usize>(plan: &[u8]) {
     let rows: Vec<f32> = (0..30).map(|number| (number % 7) as f32 / 6.0 - 0.5).collect();
-    let mut arena = Aligned([0; arena_bytes(AGENT)]);
+    let mut arena = Aligned([0; ARENA]);
     let count = decisions();
     let mut decided = 0;
     let calls = heap_calls(|| {
-        let plan = Plan::load(AGENT).expect("a golden plan");
+        let plan = Plan::load(plan).expect("a golden plan");
         let mut policy = PlanPolicy::new(plan, &mut arena.0).expect("an arena that fits");
         for number in 0..count {
             policy.plan().warm();

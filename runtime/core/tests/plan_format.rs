@@ -2,12 +2,13 @@
 
 use sortie_core::include_plan;
 use sortie_core::ops::{
-    AttendAll, GroupSum, Gru, Linear, MaskedSample, MeanRows, Members, Op, OpKind, Output,
-    OutputRows, Place,
+    AttendAll, GroupSum, Gru, Int8AttendOwn, Int8Dense, Int8EmbedEntities, Int8Layer, Linear,
+    MaskedSample, MeanRows, Members, Op, OpKind, Output, OutputRows, Place,
 };
 use sortie_core::plan::{Checksums, HEADER_BYTES, Header, Network, Plan, Profile, VERSION};
 
 const DOCUMENT: &str = include_str!("../../../docs/plan-format.md");
+const INT8: &[u8] = include_plan!("../../../tests/golden/plans/agent-int8-1.1.plan");
 const AGENT: &[u8] = include_plan!("../../../tests/golden/plans/agent-1.0.plan");
 
 /// The cells of every row of the table whose first column is headed `heading`.
@@ -119,7 +120,8 @@ fn operators_have_the_documented_numbers() {
 }
 
 /// One of every operator that the example has not, all of whose numbers take one byte.
-fn other_operators() -> [Op; 6] {
+fn other_operators() -> [Op; 9] {
+    let layer = Int8Layer { inputs: 1, outputs: 2, weights: 3, steps: 4, bias: 5 };
     let linear = Linear { inputs: 1, outputs: 2, weights: 3, bias: 4 };
     let place = |offset| Place { offset, len: 7 };
     let gru = Gru {
@@ -150,7 +152,36 @@ fn other_operators() -> [Op; 6] {
         to: place(7),
     };
     let (rows, to) = (place(1), place(2));
+    let int8_attend = Int8AttendOwn {
+        rows: place(1),
+        width: 2,
+        heads: 3,
+        query: layer,
+        keys: 4,
+        key_steps: 5,
+        values: 6,
+        value_steps: 7,
+        output: layer,
+        relu: true,
+        query_place: place(2),
+        absorbed: place(3),
+        scores: place(4),
+        mixed: place(5),
+        attended: place(6),
+        to: place(7),
+        quantised: place(8),
+    };
+    let (from, quantised) = (place(3), place(4));
     [
+        Op::Int8EmbedEntities(Int8EmbedEntities {
+            layer,
+            last_actions: 1,
+            relu: true,
+            rows,
+            quantised,
+        }),
+        Op::Int8AttendOwn(int8_attend),
+        Op::Int8Dense(Int8Dense { layer, relu: true, from, to, quantised }),
         Op::Gru(gru),
         Op::MaskedSample(MaskedSample { from: place(1) }),
         Op::AttendAll(attend),
@@ -170,6 +201,7 @@ fn bytes_of_fields(fields: &str) -> usize {
             "u16" | "u32" | "bool" | "member" => 1,
             "place" | "output row" => 2,
             "linear" => 4,
+            "int8 layer" => 5,
             _ => panic!("an unknown kind of field: {field}"),
         };
         (bytes, names) = (bytes + each * names, 0);
@@ -205,6 +237,58 @@ fn every_operator_is_written_as_documented() {
         let bytes = postcard::to_slice(&op, &mut buffer).expect("an operator of few bytes");
         assert_eq!(usize::from(bytes[bytes.len() - 3]), number);
     }
+}
+
+#[test]
+fn profiles_have_the_documented_numbers_and_versions() {
+    let row = table("offset").find(|row| row[3] == "profile").expect("a row of the table");
+    let plan = *Plan::load(AGENT).expect("the golden plan").header();
+    for (profile, text, minor) in [
+        (Profile::Exact, "0: exact", 0),
+        (Profile::Fused, "1: fused multiply-add", 0),
+        (Profile::Int8, "2: int8", 1),
+    ] {
+        assert!(row[4].contains(text) && text.starts_with(&profile.id().to_string()), "{text}");
+        let written =
+            Header { profile, layout: profile.layout(), ..plan }.to_bytes(Checksums::default());
+        assert_eq!((written[10], u32::from(written[16])), (minor, profile.layout()), "{text}");
+    }
+    assert_eq!([Profile::Fused, Profile::Int8].map(Profile::layout), [1, 2]);
+}
+
+#[test]
+fn int8_weights_stand_where_the_document_says() {
+    for text in [
+        "P = 4 · ceil(I / 8), strips S = ceil(O / 16)",
+        "32 · (s · P + p)    in Int8AttendOwn and Int8Dense",
+        "32 · (p · S + s)    in Int8EmbedEntities",
+        "byte 2 · (o mod 16) + i mod 2 of the row of pair i / 2 and strip o / 16",
+    ] {
+        assert!(DOCUMENT.contains(text), "{text}");
+    }
+    let plan = Plan::load(INT8).expect("the golden plan");
+    let start = plan.header().weights_offset as usize;
+    let Some(Op::Int8EmbedEntities(embed)) = plan.program().ops.first() else {
+        panic!("another operator")
+    };
+    let (inputs, outputs) = (usize::from(embed.layer.inputs), usize::from(embed.layer.outputs));
+    let (pairs, strips) = (4 * inputs.div_ceil(8), outputs.div_ceil(16));
+    let matrix = &INT8[start + 4 * embed.layer.weights as usize..];
+    let mut largest = vec![0_u8; outputs];
+    for pair in 0..pairs {
+        for output in 0..16 * strips {
+            for of_pair in 0..2 {
+                let row = 32 * (pair * strips + output / 16);
+                let weight = (matrix[row + 2 * (output % 16) + of_pair] as i8).unsigned_abs();
+                match largest.get_mut(output) {
+                    Some(largest) if 2 * pair + of_pair < inputs => *largest = weight.max(*largest),
+                    _ => assert_eq!(weight, 0, "padding"),
+                }
+            }
+        }
+    }
+    // The largest weight of every output is what its step was made for.
+    assert_eq!(largest, vec![127; outputs]);
 }
 
 #[test]

@@ -11,6 +11,9 @@
 pub mod arithmetic;
 pub mod build;
 pub mod dot;
+pub mod int8;
+#[cfg(all(feature = "std", target_arch = "x86_64"))]
+mod int8_x86;
 pub mod mark;
 pub mod product;
 pub mod rows;
@@ -22,13 +25,14 @@ mod x86;
 use core::marker::PhantomData;
 
 use arithmetic::Arithmetic;
+use int8::Int8Kernels;
 use mark::{Marks, lanes_not_zero};
 use product::{Around, Sparse};
 use rows::Rows;
 use several::{AddRows, PART, Pair, Strip};
 
 /// The kernels of one build and one profile.
-pub trait Kernels: Copy {
+pub trait Kernels: Copy + Int8Kernels {
     /// Marks the values that are not zero, and returns whether all are finite ([`mark::mark`]).
     fn mark(self, values: &[f32], marks: &mut [Marks]) -> bool;
 

@@ -234,7 +234,7 @@ build! {
 }
 
 build! {
-    /// The kernels for processors that also have AVX-512.
+    /// The kernels for processors that also have AVX-512 and its instruction for integer networks.
     Avx512, avx512, wider,
-    "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl"
+    "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl,avx512vnni"
 }

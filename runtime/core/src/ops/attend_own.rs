@@ -127,7 +127,7 @@ impl AttendOwn {
             if head == 0 && visible > 1 {
                 self.absorb(kernels, weights, head, query, absorbed)?;
             }
-            let scores = self.weigh(kernels, rows, absorbed, scores)?;
+            let scores = weigh(kernels, rows, absorbed, scores)?;
             // Before the weights are used: while they are waited for, matrices of the next head are read.
             if head + 1 < heads && visible > 1 {
                 self.absorb(kernels, weights, head + 1, query, absorbed)?;
@@ -154,29 +154,6 @@ impl AttendOwn {
         let query = query.get(self.head(head)).ok_or(DecideError::BadLength)?;
         kernels.product(self.keys(weights, head)?, query, Around::NOTHING, absorbed);
         Ok(())
-    }
-
-    /// The weights of rows in one head.
-    #[inline(always)]
-    fn weigh<'s>(
-        &self,
-        kernels: impl Kernels,
-        rows: Rows<'_>,
-        absorbed: &[f32],
-        scores: &'s mut [f32],
-    ) -> Result<&'s [f32], DecideError> {
-        let visible = rows.slots.len();
-        let scores = scores.get_mut(..slots(visible)).ok_or(DecideError::BadLength)?;
-        if visible > 1 {
-            kernels.dots(absorbed, rows, scores);
-            if !kernels.softmax(scores, visible) {
-                return Err(DecideError::NonFinite);
-            }
-        } else {
-            // The weight of a single entity is one, whatever its score.
-            scores.fill(1.0);
-        }
-        Ok(scores)
     }
 
     /// As [`Self::run`] for all members of a team.
@@ -223,10 +200,7 @@ impl AttendOwn {
                 continue;
             }
             let rows = Rows { floats: rows, width: self.padded_width(), slots: &member.slots };
-            match self.weigh(kernels, rows, absorbed, scores) {
-                Ok(scores) => kernels.mix(scores, rows, mixed),
-                Err(_) => member.alone = true,
-            }
+            member.alone |= attend(kernels, rows, absorbed, scores, mixed).is_err();
         }
         Ok(())
     }
@@ -274,4 +248,39 @@ impl AttendOwn {
         let len = self.values_len();
         slice(weights, self.values.saturating_add((head * len) as u32), len)
     }
+}
+
+/// Mixes rows by one head's scores.
+#[inline(always)]
+pub(super) fn attend(
+    kernels: impl Kernels,
+    rows: Rows<'_>,
+    absorbed: &[f32],
+    scores: &mut [f32],
+    mixed: &mut [f32],
+) -> Result<(), DecideError> {
+    kernels.mix(weigh(kernels, rows, absorbed, scores)?, rows, mixed);
+    Ok(())
+}
+
+/// The weights of rows in one head.
+#[inline(always)]
+fn weigh<'s>(
+    kernels: impl Kernels,
+    rows: Rows<'_>,
+    absorbed: &[f32],
+    scores: &'s mut [f32],
+) -> Result<&'s [f32], DecideError> {
+    let visible = rows.slots.len();
+    let scores = scores.get_mut(..slots(visible)).ok_or(DecideError::BadLength)?;
+    if visible > 1 {
+        kernels.dots(absorbed, rows, scores);
+        if !kernels.softmax(scores, visible) {
+            return Err(DecideError::NonFinite);
+        }
+    } else {
+        // The weight of a single entity is one, whatever its score.
+        scores.fill(1.0);
+    }
+    Ok(scores)
 }

@@ -121,22 +121,23 @@ impl EmbedEntities {
         if !kernels.mark(values, marks) {
             return Err(DecideError::NonFinite);
         }
-        let action = self.last_action(entity, observation)?;
+        let action = last_action(self.last_actions, entity, observation)?;
         let one = action.map(|action| features + usize::from(action));
         Ok(Sparse { values, marks, one, count: usize::from(self.layer.inputs) })
     }
+}
 
-    #[inline(always)]
-    fn last_action(
-        &self,
-        entity: usize,
-        observation: &Observation<'_>,
-    ) -> Result<Option<u16>, DecideError> {
-        match observation.last_actions.get(entity) {
-            Some(&action) if self.last_actions > 0 && action != NO_ACTION => {
-                (action < self.last_actions).then_some(Some(action)).ok_or(DecideError::BadLength)
-            }
-            _ => Ok(None),
+/// An entity's last action, if the network takes `last_actions` and there was one.
+#[inline(always)]
+pub(super) fn last_action(
+    last_actions: u16,
+    entity: usize,
+    observation: &Observation<'_>,
+) -> Result<Option<u16>, DecideError> {
+    match observation.last_actions.get(entity) {
+        Some(&action) if last_actions > 0 && action != NO_ACTION => {
+            (action < last_actions).then_some(Some(action)).ok_or(DecideError::BadLength)
         }
+        _ => Ok(None),
     }
 }

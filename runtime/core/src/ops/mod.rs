@@ -11,6 +11,10 @@ mod dense;
 mod embed_entities;
 mod group_sum;
 mod gru;
+mod int8_attend_own;
+mod int8_dense;
+mod int8_embed_entities;
+mod int8_layer;
 mod masked_argmax;
 mod masked_sample;
 mod mean_rows;
@@ -26,12 +30,16 @@ pub use dense::Dense;
 pub use embed_entities::EmbedEntities;
 pub use group_sum::GroupSum;
 pub use gru::Gru;
+pub use int8_attend_own::Int8AttendOwn;
+pub use int8_dense::Int8Dense;
+pub use int8_embed_entities::Int8EmbedEntities;
+pub use int8_layer::{Int8Layer, quantised_floats};
 pub use masked_argmax::MaskedArgmax;
 pub use masked_sample::MaskedSample;
 pub use mean_rows::{MeanRows, Members};
 pub use output::{Output, OutputRows};
 pub(crate) use set::has;
-pub use set::{AllOperators, FeedForward, OpKind, OperatorSet};
+pub use set::{AllOperators, FeedForward, Int8FeedForward, OpKind, OperatorSet};
 
 use team::Team;
 
@@ -65,6 +73,12 @@ pub enum Op {
     GroupSum(GroupSum),
     /// What the caller reads.
     Output(Output),
+    /// The first layer, on visible rows, of int8 weights.
+    Int8EmbedEntities(Int8EmbedEntities),
+    /// Attention of the agent's own query, of int8 weights.
+    Int8AttendOwn(Int8AttendOwn),
+    /// A layer on one vector, of int8 weights.
+    Int8Dense(Int8Dense),
 }
 
 impl Op {
@@ -81,6 +95,9 @@ impl Op {
             Self::MeanRows(_) => OpKind::MeanRows,
             Self::GroupSum(_) => OpKind::GroupSum,
             Self::Output(_) => OpKind::Output,
+            Self::Int8EmbedEntities(_) => OpKind::Int8EmbedEntities,
+            Self::Int8AttendOwn(_) => OpKind::Int8AttendOwn,
+            Self::Int8Dense(_) => OpKind::Int8Dense,
         }
     }
 
@@ -102,6 +119,9 @@ impl Op {
             Self::MeanRows(op) => op.check(sizes),
             Self::GroupSum(op) => op.check(sizes),
             Self::Output(op) => op.check(sizes),
+            Self::Int8EmbedEntities(op) => op.check(sizes),
+            Self::Int8AttendOwn(op) => op.check(sizes),
+            Self::Int8Dense(op) => op.check(sizes),
         }
     }
 
@@ -114,6 +134,9 @@ impl Op {
             Self::Gru(op) => op.multiply_adds(),
             Self::AttendAll(op) => op.multiply_adds(visible),
             Self::GroupSum(op) => op.multiply_adds(visible),
+            Self::Int8EmbedEntities(op) => op.multiply_adds(visible),
+            Self::Int8AttendOwn(op) => op.multiply_adds(visible),
+            Self::Int8Dense(op) => op.multiply_adds(),
             Self::MaskedArgmax(_) | Self::MaskedSample(_) => 0,
             Self::MeanRows(_) | Self::Output(_) => 0,
         }
@@ -144,6 +167,15 @@ impl Op {
             }
             Self::MeanRows(op) if const { has::<S>(OpKind::MeanRows) } => op.run(scratch),
             Self::GroupSum(op) if const { has::<S>(OpKind::GroupSum) } => op.run(scratch),
+            Self::Int8EmbedEntities(op) if const { has::<S>(OpKind::Int8EmbedEntities) } => {
+                op.run(kernels, weights, observation, scratch)
+            }
+            Self::Int8AttendOwn(op) if const { has::<S>(OpKind::Int8AttendOwn) } => {
+                op.run(kernels, weights, scratch)
+            }
+            Self::Int8Dense(op) if const { has::<S>(OpKind::Int8Dense) } => {
+                op.run(kernels, weights, scratch)
+            }
             // What the caller reads at the end, and what loading refused.
             _ => Ok(()),
         }
@@ -158,6 +190,12 @@ impl Op {
             Self::Dense(op) => op.from.offset.min(op.to.offset) >= shared,
             Self::MaskedArgmax(op) => op.from.offset >= shared,
             Self::MaskedSample(op) => op.from.offset >= shared,
+            // As above: places of an operator do not overlap.
+            Self::Int8EmbedEntities(op) => op.rows == Place { offset: 0, len: shared },
+            Self::Int8AttendOwn(op) => op.rows == Place { offset: 0, len: shared },
+            Self::Int8Dense(op) => {
+                [op.from, op.to, op.quantised].iter().all(|place| place.offset >= shared)
+            }
             // Agents with memory bring their states one after the other; the others know no single agent.
             Self::Gru(_)
             | Self::AttendAll(_)
@@ -184,6 +222,15 @@ impl Op {
                 op.run_team(kernels, weights, team)
             }
             Self::Dense(op) if const { has::<S>(OpKind::Dense) } => {
+                op.run_team(kernels, weights, team)
+            }
+            Self::Int8EmbedEntities(op) if const { has::<S>(OpKind::Int8EmbedEntities) } => {
+                op.run_team(kernels, weights, observations, team)
+            }
+            Self::Int8AttendOwn(op) if const { has::<S>(OpKind::Int8AttendOwn) } => {
+                op.run_team(kernels, weights, team)
+            }
+            Self::Int8Dense(op) if const { has::<S>(OpKind::Int8Dense) } => {
                 op.run_team(kernels, weights, team)
             }
             // What the caller reads at the end, and what does not work for teams.

@@ -1,5 +1,7 @@
 //! Which operators a binary has, chosen by type.
 
+use crate::plan::{LAYOUT_INT8, LAYOUT_TILES};
+
 /// The kinds of operators.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
@@ -24,6 +26,12 @@ pub enum OpKind {
     GroupSum,
     /// [`super::Output`].
     Output,
+    /// [`super::Int8EmbedEntities`].
+    Int8EmbedEntities,
+    /// [`super::Int8AttendOwn`].
+    Int8AttendOwn,
+    /// [`super::Int8Dense`].
+    Int8Dense,
 }
 
 impl OpKind {
@@ -39,7 +47,21 @@ impl OpKind {
         Self::MeanRows,
         Self::GroupSum,
         Self::Output,
+        Self::Int8EmbedEntities,
+        Self::Int8AttendOwn,
+        Self::Int8Dense,
     ];
+
+    /// Whether plans of this weight layout have the operator.
+    pub(crate) const fn fits(self, layout: u32) -> bool {
+        match self {
+            Self::MaskedArgmax | Self::MaskedSample => true,
+            Self::Int8EmbedEntities | Self::Int8AttendOwn | Self::Int8Dense => {
+                layout == LAYOUT_INT8
+            }
+            _ => layout == LAYOUT_TILES,
+        }
+    }
 
     /// The operator's name, as reports show it.
     pub const fn name(self) -> &'static str {
@@ -54,6 +76,9 @@ impl OpKind {
             Self::MeanRows => "MeanRows",
             Self::GroupSum => "GroupSum",
             Self::Output => "Output",
+            Self::Int8EmbedEntities => "Int8EmbedEntities",
+            Self::Int8AttendOwn => "Int8AttendOwn",
+            Self::Int8Dense => "Int8Dense",
         }
     }
 }
@@ -93,6 +118,19 @@ pub struct FeedForward;
 impl OperatorSet for FeedForward {
     const OPERATORS: &[OpKind] =
         &[OpKind::EmbedEntities, OpKind::AttendOwn, OpKind::Dense, OpKind::MaskedArgmax];
+}
+
+/// What feed-forward agents with int8 weights need.
+#[derive(Clone, Copy, Debug)]
+pub struct Int8FeedForward;
+
+impl OperatorSet for Int8FeedForward {
+    const OPERATORS: &[OpKind] = &[
+        OpKind::Int8EmbedEntities,
+        OpKind::Int8AttendOwn,
+        OpKind::Int8Dense,
+        OpKind::MaskedArgmax,
+    ];
 }
 
 /// Whether `kind` is among the operators of `S`; constant, so that what is missing is not linked.

@@ -6,10 +6,13 @@ use super::error::PlanError;
 
 /// Bytes of the header.
 pub const HEADER_BYTES: usize = 128;
-/// The plan format that this build writes: major, minor. It reads the same major up to the same minor.
-pub const VERSION: (u16, u16) = (1, 0);
+/// The plan format of this build: major, minor. It reads the same major up to the same minor, and writes the
+/// lowest minor that has what the plan uses.
+pub const VERSION: (u16, u16) = (1, 1);
 /// Layout 1: f32 in tiles of 64 columns.
 pub const LAYOUT_TILES: u32 = 1;
+/// Layout 2: int8 in strips of 16 columns, pairs of inputs side by side; steps and biases f32.
+pub const LAYOUT_INT8: u32 = 2;
 /// Alignment of the weights inside a plan and of the arena, in bytes.
 pub const ALIGNMENT: usize = 64;
 
@@ -27,6 +30,9 @@ pub enum Profile {
     Exact,
     /// f32 with fused multiply-add: the same bits on every target that has it, none on others.
     Fused,
+    /// int8 weights, int16 inputs, sums in i32; what lies between layers is f32 without fused multiply-add: the
+    /// same bits on every target.
+    Int8,
 }
 
 /// What a plan computes.
@@ -154,7 +160,7 @@ impl Header {
         };
         put(&MAGIC);
         put(&VERSION.0.to_le_bytes());
-        put(&VERSION.1.to_le_bytes());
+        put(&self.profile.minor().to_le_bytes());
         let sizes = [
             ENDIAN_PROBE,
             self.layout,
@@ -208,6 +214,7 @@ impl Profile {
         match self {
             Self::Exact => "exact",
             Self::Fused => "fused",
+            Self::Int8 => "int8",
         }
     }
 
@@ -216,6 +223,23 @@ impl Profile {
         match self {
             Self::Exact => 0,
             Self::Fused => 1,
+            Self::Int8 => 2,
+        }
+    }
+
+    /// How the weights of such plans are laid out.
+    pub const fn layout(self) -> u32 {
+        match self {
+            Self::Exact | Self::Fused => LAYOUT_TILES,
+            Self::Int8 => LAYOUT_INT8,
+        }
+    }
+
+    /// The minor version that has the profile.
+    const fn minor(self) -> u16 {
+        match self {
+            Self::Exact | Self::Fused => 0,
+            Self::Int8 => 1,
         }
     }
 
@@ -223,6 +247,7 @@ impl Profile {
         match id {
             0 => Ok(Self::Exact),
             1 => Ok(Self::Fused),
+            2 => Ok(Self::Int8),
             got => Err(PlanError::WrongProfile { got }),
         }
     }
@@ -338,7 +363,7 @@ mod tests {
         };
         assert_eq!(with(0, b'X'), Err(PlanError::BadMagic));
         assert_eq!(with(8, 2), Err(PlanError::Version { major: 2, minor: 0 }));
-        assert_eq!(with(10, 1), Err(PlanError::Version { major: 1, minor: 1 }));
+        assert_eq!(with(10, 2), Err(PlanError::Version { major: 1, minor: 2 }));
         assert_eq!(with(12, 1), Err(PlanError::Endian));
         assert_eq!(with(116, 9), Err(PlanError::WrongProfile { got: 9 }));
         assert_eq!(Header::read(&bytes[..127]), Err(PlanError::Truncated { need: 128, got: 127 }));

@@ -18,8 +18,8 @@ mod tests;
 pub use aligned::AlignedBytes;
 pub use error::{Part, PlanError};
 pub use header::{
-    ALIGNMENT, Checksums, HEADER_BYTES, Header, LAYOUT_TILES, Network, Profile, VERSION,
-    arena_bytes,
+    ALIGNMENT, Checksums, HEADER_BYTES, Header, LAYOUT_INT8, LAYOUT_TILES, Network, Profile,
+    VERSION, arena_bytes,
 };
 pub use in_place::Aligned;
 pub use program::{OPS, Program};
@@ -68,7 +68,7 @@ impl<'a, S: OperatorSet> Plan<'a, S> {
         if checksums.program != program_checksum(plan, program_bytes) {
             return Err(PlanError::Crc(Part::Program));
         }
-        if header.layout != LAYOUT_TILES {
+        if header.layout != header.profile.layout() {
             return Err(PlanError::WrongLayout { got: header.layout });
         }
         let weights = part(plan, header.weights_offset, header.weights_len)?;
@@ -329,7 +329,7 @@ fn check<S: OperatorSet>(header: &Header, program: &Program) -> Result<(), PlanE
     if !fits {
         return Err(mismatch);
     }
-    program.check::<S>(&sizes, header.network)?;
+    program.check::<S>(&sizes, header)?;
     // Plans of the first version say nothing about teams.
     let per_agent = 4 * u64::from(program.own_floats().unwrap_or(0));
     let fits_teams = [0, per_agent].contains(&u64::from(header.arena_bytes_per_agent));

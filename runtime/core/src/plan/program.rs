@@ -4,7 +4,7 @@ use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
 use super::error::PlanError;
-use super::header::Network;
+use super::header::{Header, Network};
 use crate::ops::{Gru, Op, OperatorSet, Output, OutputRows, Place, Sizes};
 
 /// Most operators of one program.
@@ -30,8 +30,8 @@ impl Program {
     /// Floats of an agent's own places, behind the rows that a team shares; none where one agent is worked on
     /// after the other.
     pub fn own_floats(&self) -> Option<u32> {
-        let Some(Op::EmbedEntities(embed)) = self.ops.first() else { return None };
-        let shared = embed.rows.len;
+        let (rows, _) = self.ops.first().and_then(embedded)?;
+        let shared = rows.len;
         let own = self.floats.checked_sub(shared).filter(|own| *own > 0)?;
         self.ops.iter().all(|op| op.works_for_teams(shared)).then_some(own)
     }
@@ -71,12 +71,12 @@ impl Program {
     pub(super) fn check<S: OperatorSet>(
         &self,
         sizes: &Sizes,
-        network: Network,
+        header: &Header,
     ) -> Result<(), PlanError> {
         if !self.ops.iter().all(|op| S::OPERATORS.contains(&op.kind())) {
             return Err(PlanError::UnknownOp);
         }
-        let is_end = |op: &Op| match network {
+        let is_end = |op: &Op| match header.network {
             Network::Entities => matches!(op, Op::Output(_)),
             Network::Agent | Network::TeamValue => {
                 matches!(op, Op::MaskedArgmax(_) | Op::MaskedSample(_))
@@ -85,7 +85,7 @@ impl Program {
         let mut units = 0;
         let mut ends = 0;
         for (index, op) in self.ops.iter().enumerate() {
-            let first = matches!(op, Op::EmbedEntities(_)) == (index == 0);
+            let first = embedded(op).is_some() == (index == 0);
             let is_choice = matches!(op, Op::MaskedArgmax(_) | Op::MaskedSample(_));
             let in_place = match op {
                 Op::MaskedArgmax(_) | Op::MaskedSample(_) | Op::Output(_) => is_end(op),
@@ -94,7 +94,7 @@ impl Program {
             units += u32::from(matches!(op, Op::Gru(_)));
             ends += u32::from(is_end(op));
             let alone = !is_choice || ends == 1;
-            let fits = first && in_place && alone && units <= 1;
+            let fits = first && in_place && alone && units <= 1 && op.kind().fits(header.layout);
             if !(fits && self.reads_written_rows(index, op) && op.check(sizes)) {
                 return Err(PlanError::ShapeMismatch { op: index });
             }
@@ -110,18 +110,30 @@ impl Program {
     fn reads_written_rows(&self, index: usize, op: &Op) -> bool {
         let (place, width) = match op {
             Op::AttendOwn(op) => (op.rows, op.width),
+            Op::Int8AttendOwn(op) => (op.rows, op.width),
             Op::AttendAll(op) => (op.rows, op.width),
             Op::MeanRows(op) => (op.rows, op.width),
             Op::GroupSum(op) => (op.rows, op.width),
             Op::Output(Output { from, width, rows: OutputRows::Entities }) => (*from, *width),
             _ => return true,
         };
-        let own = matches!(op, Op::AttendOwn(_));
+        let own = matches!(op, Op::AttendOwn(_) | Op::Int8AttendOwn(_));
         self.ops.iter().take(index).any(|before| match before {
-            Op::EmbedEntities(op) => (op.rows, op.layer.outputs) == (place, width),
+            Op::EmbedEntities(_) | Op::Int8EmbedEntities(_) => {
+                embedded(before) == Some((place, width))
+            }
             // It writes no row for an agent that does not see itself.
             Op::AttendAll(before) => !own && (before.to, before.output.outputs) == (place, width),
             _ => false,
         })
+    }
+}
+
+/// The rows that an operator embeds, and their width.
+fn embedded(op: &Op) -> Option<(Place, u16)> {
+    match op {
+        Op::EmbedEntities(op) => Some((op.rows, op.layer.outputs)),
+        Op::Int8EmbedEntities(op) => Some((op.rows, op.layer.outputs)),
+        _ => None,
     }
 }

@@ -1,12 +1,14 @@
 //! Laws of plans of random shapes and weights: every build of the kernels gives the same bits, and a team the bits
 //! of its members alone.
 
+mod int8;
+
 use std::vec;
 use std::vec::Vec;
 
 use super::{
-    ALIGNMENT, AlignedBytes, HEADER_BYTES, Header, LAYOUT_TILES, Network, Plan, PlanError, Profile,
-    Program, checksums,
+    ALIGNMENT, AlignedBytes, HEADER_BYTES, Header, Network, Plan, PlanError, Profile, Program,
+    checksums,
 };
 use crate::kernels::build::Build;
 use crate::kernels::mark::MARKED;
@@ -15,11 +17,11 @@ use crate::ops::{AttendOwn, Dense, EmbedEntities, Linear, MaskedArgmax, Op, Plac
 use crate::policy::NO_ACTION;
 use crate::{DecideError, Decision, EntityMask, Observation};
 
-const PROFILES: [Profile; 2] = [Profile::Exact, Profile::Fused];
+const PROFILES: [Profile; 3] = [Profile::Exact, Profile::Int8, Profile::Fused];
 
 /// The profiles that the widest build runs: without the feature `std` it is the portable one, which does not fuse.
 fn profiles() -> &'static [Profile] {
-    if Build::widest().fuses() { &PROFILES } else { &[Profile::Exact] }
+    if Build::widest().fuses() { &PROFILES } else { &[Profile::Exact, Profile::Int8] }
 }
 
 /// Pseudo-random numbers of a linear congruential generator.
@@ -95,6 +97,9 @@ impl Builder<'_> {
 
 /// A plan of a random network.
 fn plan(sizes: Sizes, profile: Profile, random: &mut Random) -> AlignedBytes {
+    if profile == Profile::Int8 {
+        return int8::plan(sizes, random);
+    }
     let Sizes { n_max, features, actions, width, heads, head, base, .. } = sizes;
     let mut build = Builder { random, weights: Vec::new(), floats: 0 };
     let rows = build.place((n_max + 1) * width);
@@ -162,7 +167,7 @@ fn assemble(sizes: Sizes, profile: Profile, program: &Program, weights: &[f32]) 
     let weights: Vec<u8> = weights.iter().flat_map(|weight| weight.to_le_bytes()).collect();
     let offset = (HEADER_BYTES + program_bytes.len()).next_multiple_of(ALIGNMENT);
     let header = Header {
-        layout: LAYOUT_TILES,
+        layout: profile.layout(),
         arena_bytes: program.arena_bytes() as u32,
         arena_alignment: ALIGNMENT as u32,
         n_max: sizes.n_max as u32,
@@ -180,7 +185,7 @@ fn assemble(sizes: Sizes, profile: Profile, program: &Program, weights: &[f32]) 
         profile,
         network: Network::Agent,
         t_max: 0,
-        arena_bytes_per_agent: 4 * program.own_floats().unwrap(),
+        arena_bytes_per_agent: 4 * program.own_floats().unwrap_or(0),
     };
     let mut bytes = header.to_bytes(checksums(&header, program_bytes, &weights)).to_vec();
     bytes.extend_from_slice(program_bytes);
@@ -324,7 +329,7 @@ fn a_team_decides_as_its_members_alone() {
     let mut random = Random(3);
     for round in 0..60 {
         let sizes = Sizes::random(&mut random);
-        let bytes = plan(sizes, Profile::Exact, &mut random);
+        let bytes = plan(sizes, PROFILES[round % 2], &mut random);
         let plan = Plan::load(bytes.as_slice()).unwrap();
         let frames = [
             Frame::random(sizes, 4, &mut random),
@@ -349,9 +354,9 @@ fn a_team_decides_as_its_members_alone() {
 #[test]
 fn a_team_never_reads_what_no_member_sees() {
     let mut random = Random(4);
-    for _ in 0..60 {
+    for round in 0..60 {
         let sizes = Sizes::random(&mut random);
-        let bytes = plan(sizes, Profile::Exact, &mut random);
+        let bytes = plan(sizes, PROFILES[round % 2], &mut random);
         let plan = Plan::load(bytes.as_slice()).unwrap();
         let mut frame = Frame::random(sizes, 6, &mut random);
         let want = together(&plan, &frame.observations(), 6);
@@ -381,7 +386,7 @@ fn profiles_differ_in_rounding_only() {
     let mut differ = 0;
     for seed in 0..30 {
         let sizes = Sizes::random(&mut random);
-        let answers = PROFILES.map(|profile| {
+        let answers = [Profile::Exact, Profile::Fused].map(|profile| {
             let bytes = plan(sizes, profile, &mut Random(seed));
             let frame = Frame::random(sizes, 4, &mut Random(seed));
             alone(&Plan::load(bytes.as_slice()).unwrap(), &frame.observations())

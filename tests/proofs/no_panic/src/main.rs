@@ -23,6 +23,7 @@ use sortie_core::{
 use zerocopy::FromBytes;
 
 const AGENT: &[u8] = include_plan!("../../../golden/plans/agent-1.0.plan");
+const INT8: &[u8] = include_plan!("../../../golden/plans/agent-int8-1.1.plan");
 const TEAM_VALUE: &[u8] = include_plan!("../../../golden/plans/team-value-1.0.plan");
 
 /// Whether all gave what it should.
@@ -31,13 +32,18 @@ fn everything() -> bool {
     if black_box(AGENT)[black_box(0)] == 0 {
         return false;
     }
-    decide() == Some(true) && allocate() == Some(true) && read_messages() == Some(true)
+    let agent = [0x3d88_a551, 0x3d82_935b, 0xbd6d_17ed, 0x3e8a_10e5];
+    let int8 = [0x3d87_888d, 0x3d82_5ab5, 0xbd6c_2308, 0x3e8a_1056];
+    decide::<{ arena_bytes(AGENT) }>(AGENT, agent) == Some(true)
+        && decide::<{ arena_bytes(INT8) }>(INT8, int8) == Some(true)
+        && allocate() == Some(true)
+        && read_messages() == Some(true)
 }
 
-/// The first recorded decision of the golden plan.
-fn decide() -> Option<bool> {
-    let plan = Plan::load(black_box(AGENT)).ok()?;
-    let mut arena = Aligned([0; arena_bytes(AGENT)]);
+/// The first recorded decision of a golden plan.
+fn decide<const ARENA: usize>(plan: &[u8], want: [u32; 4]) -> Option<bool> {
+    let plan = Plan::load(black_box(plan)).ok()?;
+    let mut arena = Aligned([0; ARENA]);
     let mut policy = PlanPolicy::new(plan, black_box(&mut arena.0)).ok()?;
     let mut state = 0_u64;
     let mut number = || {
@@ -62,7 +68,6 @@ fn decide() -> Option<bool> {
     policy.utilities(&observation, black_box(&mut utilities)).ok()?;
     let decision = policy.decide(&observation).ok()?;
     policy.plan().warm();
-    let want = [0x3d88_a551, 0x3d82_935b, 0xbd6d_17ed, 0x3e8a_10e5];
     Some(utilities.map(f32::to_bits) == want && decision.action == 3)
 }
 

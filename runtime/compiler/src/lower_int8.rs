@@ -1,0 +1,117 @@
+//! Matched layers become operators of int8 weights.
+
+use sortie_core::kernels::product::padded;
+use sortie_core::ops::{
+    Int8AttendOwn, Int8Dense, Int8EmbedEntities, MaskedArgmax, MaskedSample, Op, Place,
+    quantised_floats,
+};
+use sortie_core::plan::{OPS, Program};
+
+use crate::error::CompileError;
+use crate::int8_layout::{Int8Weights, Order};
+use crate::lower::{AgentSizes, Arena, Choice, check, padded_heads, side_by_side};
+use crate::matching::{AgentLayers, Layer, Matrix, Step};
+
+/// As [`crate::lower::lower_agent`], to operators of int8 weights.
+pub(crate) fn lower_agent_int8(
+    layers: &AgentLayers,
+    sizes: AgentSizes,
+) -> Result<(Program, Int8Weights), CompileError> {
+    check(layers, sizes)?;
+    let (mut weights, mut arena) = (Int8Weights::default(), Arena::default());
+    let mut ops = heapless::Vec::new();
+    let mut push = |op| {
+        let full = |_| CompileError::TooLarge {
+            what: "the number of layers".into(),
+            got: OPS + 1,
+            max: OPS,
+        };
+        ops.push(op).map_err(full)
+    };
+    let Matrix { inputs, outputs: width, .. } = layers.embed.matrix;
+    let rows = arena.place((sizes.n_max + 1) * padded(width));
+    push(Op::Int8EmbedEntities(Int8EmbedEntities {
+        layer: weights.add_layer(&layers.embed, Order::Pairs),
+        last_actions: (inputs - sizes.features) as u16,
+        relu: layers.embed.relu,
+        rows,
+        quantised: arena.place(quantised_floats(inputs)),
+    }))?;
+    let attend = lower_attention(layers, sizes, rows, &mut weights, &mut arena);
+    push(Op::Int8AttendOwn(attend))?;
+    let mut from = attend.to;
+    for step in &layers.steps {
+        let layer = match step {
+            Step::Dense(layer) => layer,
+            Step::Gru(_) => {
+                return Err(CompileError::NoInt8 { what: "a recurrent unit (Gru)".into() });
+            }
+        };
+        from.len = layer.matrix.inputs as u32;
+        let dense = Int8Dense {
+            layer: weights.add_layer(layer, Order::Strips),
+            relu: layer.relu,
+            from,
+            to: arena.place(padded(layer.matrix.outputs)),
+            quantised: arena.place(quantised_floats(layer.matrix.inputs)),
+        };
+        from = dense.to;
+        push(Op::Int8Dense(dense))?;
+    }
+    from.len = sizes.actions as u32;
+    push(match sizes.choice {
+        Choice::Greedy => Op::MaskedArgmax(MaskedArgmax { from }),
+        Choice::Drawn => Op::MaskedSample(MaskedSample { from }),
+    })?;
+    Ok((Program { ops, floats: arena.floats(), nonzeros: 0 }, weights))
+}
+
+fn lower_attention(
+    layers: &AgentLayers,
+    sizes: AgentSizes,
+    rows: Place,
+    weights: &mut Int8Weights,
+    arena: &mut Arena,
+) -> Int8AttendOwn {
+    let (heads, width) = (layers.heads, layers.key.inputs);
+    let head_width = layers.key.outputs / heads;
+    let attended = heads * padded(head_width);
+    let parts = |matrix: &Matrix| -> Vec<Matrix> {
+        (0..heads).map(|head| matrix.columns(head * head_width, head_width)).collect()
+    };
+    let query: Vec<Layer> = parts(&layers.query.matrix)
+        .into_iter()
+        .zip(layers.query.bias.chunks_exact(head_width))
+        .map(|(matrix, bias)| Layer { matrix, bias: bias.to_vec(), relu: false })
+        .collect();
+    let keys: Vec<Matrix> =
+        parts(&layers.key).iter().map(|keys| padded_heads(&keys.transposed(), 1)).collect();
+    let values = parts(&layers.value);
+    let output =
+        Layer { matrix: padded_heads(&layers.output.matrix, heads), ..layers.output.clone() };
+    let all = |matrices: &[Matrix], weights: &mut Int8Weights| {
+        weights.add_matrices(&matrices.iter().collect::<Vec<_>>(), Order::Strips)
+    };
+    let query = weights.add_layer(&side_by_side(&query), Order::Strips);
+    let (keys, key_steps) = all(&keys, weights);
+    let (values, value_steps) = all(&values, weights);
+    Int8AttendOwn {
+        rows,
+        width: width as u16,
+        heads: heads as u16,
+        query,
+        keys,
+        key_steps,
+        values,
+        value_steps,
+        output: weights.add_layer(&output, Order::Strips),
+        relu: layers.output.relu,
+        query_place: arena.place(attended),
+        absorbed: arena.place(padded(width)),
+        scores: arena.place(sizes.n_max),
+        mixed: arena.place(padded(width)),
+        attended: arena.place(attended),
+        to: arena.place(padded(layers.output.matrix.outputs)),
+        quantised: arena.place(quantised_floats(width.max(attended))),
+    }
+}

@@ -1,0 +1,227 @@
+//! Multi-head attention of the agent's own query, with int8 weights.
+
+use serde::{Deserialize, Serialize};
+
+use super::attend_own::attend;
+use super::int8_layer::{
+    Between, From, Int8Layer, Int8Shape, product, quantised_floats, team_products,
+};
+use super::team::{Member, Team};
+use super::{Place, Scratch, Sizes, places};
+use crate::kernels::Kernels;
+use crate::kernels::int8::Matrix;
+use crate::kernels::product::padded;
+use crate::kernels::rows::Rows;
+use crate::kernels::softmax::slots;
+use crate::policy::DecideError;
+
+/// As [`super::AttendOwn`]: queries, absorbed keys, values and output are int8 products, each of whose inputs are
+/// quantised anew; scores, their softmax and the mixed rows stay f32.
+///
+/// Every head has the query's outputs divided by the heads, a multiple of eight: what a narrower head has beyond
+/// its width has weights of zero.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Int8AttendOwn {
+    /// The embeddings that [`super::Int8EmbedEntities`] wrote.
+    pub rows: Place,
+    /// Width E of an embedding.
+    pub width: u16,
+    /// Heads.
+    pub heads: u16,
+    /// W_q, divided by the root of the head width.
+    pub query: Int8Layer,
+    /// W_k: for every head a matrix of E outputs.
+    pub keys: u32,
+    /// What the weights of W_k count, for every head whole strips.
+    pub key_steps: u32,
+    /// W_v: for every head a matrix of E inputs.
+    pub values: u32,
+    /// What the weights of W_v count, for every head whole strips.
+    pub value_steps: u32,
+    /// W_o.
+    pub output: Int8Layer,
+    /// Whether a ReLU follows.
+    pub relu: bool,
+    /// q.
+    pub query_place: Place,
+    /// u of one head, padded E floats.
+    pub absorbed: Place,
+    /// Scores of one head, `[n_max]`.
+    pub scores: Place,
+    /// z of one head, padded E floats.
+    pub mixed: Place,
+    /// o of all heads, as many floats as the output layer has inputs.
+    pub attended: Place,
+    /// The result, padded.
+    pub to: Place,
+    /// The quantised inputs of a product.
+    pub quantised: Place,
+}
+
+impl Int8AttendOwn {
+    /// Outputs of a head, those of padding included.
+    fn head_width(&self) -> usize {
+        usize::from(self.query.outputs).checked_div(usize::from(self.heads)).unwrap_or(0)
+    }
+
+    fn padded_width(&self) -> usize {
+        padded(usize::from(self.width))
+    }
+
+    fn key_shape(&self) -> Int8Shape {
+        Int8Shape { inputs: self.head_width(), outputs: usize::from(self.width) }
+    }
+
+    fn value_shape(&self) -> Int8Shape {
+        Int8Shape { inputs: usize::from(self.width), outputs: self.head_width() }
+    }
+
+    pub(super) fn check(&self, sizes: &Sizes) -> bool {
+        let (heads, head_width) = (usize::from(self.heads), self.head_width());
+        let rows = (u64::from(sizes.n_max) + 1).saturating_mul(self.padded_width() as u64);
+        let all = |len: usize| (heads as u64).saturating_mul(len as u64);
+        let matrices = [
+            (self.keys, self.key_shape().weights_len()),
+            (self.key_steps, self.key_shape().columns()),
+            (self.values, self.value_shape().weights_len()),
+            (self.value_steps, self.value_shape().columns()),
+        ];
+        let layers = self.query.check(sizes)
+            && self.output.check(sizes)
+            && matrices.iter().all(|(offset, len)| sizes.holds_weights(*offset, all(*len)));
+        let widths = head_width > 0
+            && head_width == padded(head_width)
+            && all(head_width) == u64::from(self.query.outputs)
+            && self.query.inputs == self.width
+            && self.output.inputs == self.query.outputs;
+        let longest = usize::from(self.width.max(self.output.inputs));
+        let lengths = u64::from(self.rows.len) == rows
+            && self.query_place.len == u32::from(self.query.outputs)
+            && self.absorbed.len as usize == self.padded_width()
+            && self.scores.len == sizes.n_max
+            && self.mixed.len as usize == self.padded_width()
+            && self.attended.len == u32::from(self.output.inputs)
+            && self.to.len as usize == self.output.padded_outputs()
+            && self.quantised.len as usize == quantised_floats(longest);
+        layers && widths && lengths && sizes.hold_apart(&self.places().each_ref())
+    }
+
+    fn places(&self) -> [Place; 8] {
+        // Scores are worked on in whole vectors, for which a plan leaves room behind the last one.
+        let scores = Place { len: slots(self.scores.len as usize) as u32, ..self.scores };
+        let Self { rows, query_place, absorbed, mixed, attended, to, quantised, .. } = *self;
+        [rows, query_place, absorbed, scores, mixed, attended, to, quantised]
+    }
+
+    pub(super) fn multiply_adds(&self, visible: usize) -> usize {
+        let per_entity = self.padded_width().saturating_mul(2);
+        let per_head = self
+            .key_shape()
+            .multiply_adds()
+            .saturating_add(self.value_shape().multiply_adds())
+            .saturating_add(visible.saturating_mul(per_entity));
+        let layers = [self.query, self.output].map(|layer| layer.shape().multiply_adds());
+        layers.into_iter().fold(per_head.saturating_mul(self.heads.into()), usize::saturating_add)
+    }
+
+    #[inline(always)]
+    pub(super) fn run(
+        &self,
+        kernels: impl Kernels,
+        weights: &[f32],
+        scratch: &mut Scratch<'_>,
+    ) -> Result<(), DecideError> {
+        let visible = scratch.visible;
+        let [rows, query, absorbed, scores, mixed, attended, to, quantised] =
+            places(scratch.floats, self.places().each_ref())?;
+        let width = usize::from(self.width);
+        if visible > 1 {
+            let start = scratch.own.saturating_mul(self.padded_width());
+            let own = rows.get(start..start.saturating_add(width));
+            let matrix = self.query.matrix(weights, false)?;
+            product(kernels, &matrix, own.ok_or(DecideError::BadLength)?, quantised, query)?;
+        }
+        let rows = Rows::first(rows, self.padded_width(), visible);
+        let head_width = self.head_width().max(1);
+        let heads = query.chunks_exact(head_width).zip(attended.chunks_exact_mut(head_width));
+        for (head, (query, output)) in (0..self.heads).zip(heads) {
+            if visible == 0 {
+                output.fill(0.0);
+                continue;
+            }
+            if visible > 1 {
+                product(kernels, &self.keys(weights, head)?, query, quantised, absorbed)?;
+            }
+            attend(kernels, rows, absorbed, scores, mixed)?;
+            let mixed = mixed.get(..width).ok_or(DecideError::BadLength)?;
+            product(kernels, &self.values(weights, head)?, mixed, quantised, output)?;
+        }
+        product(kernels, &self.output.matrix(weights, self.relu)?, attended, quantised, to)
+    }
+
+    /// As [`Self::run`] for all members of a team.
+    pub(super) fn run_team(
+        &self,
+        kernels: impl Kernels,
+        weights: &[f32],
+        team: &mut Team<'_>,
+    ) -> Result<(), DecideError> {
+        let asks = |member: &Member| member.slots.len() > 1;
+        let sees = |member: &Member| !member.slots.is_empty();
+        let (width, step, quantised) =
+            (usize::from(self.width), self.head_width(), &self.quantised);
+        let between = Between { from: From::Rows(width), quantised, to: &self.query_place };
+        team_products(kernels, &self.query.matrix(weights, false)?, team, between, asks)?;
+        for head in 0..self.heads {
+            let start = usize::from(head) * step;
+            let part = |place: &Place| place.part(start..start + step);
+            let (query, output) = (part(&self.query_place), part(&self.attended));
+            let between = Between { from: From::Own(&query), quantised, to: &self.absorbed };
+            team_products(kernels, &self.keys(weights, head)?, team, between, asks)?;
+            self.attend_team(kernels, team)?;
+            let mixed = self.mixed.part(0..width);
+            let between = Between { from: From::Own(&mixed), quantised, to: &output };
+            team_products(kernels, &self.values(weights, head)?, team, between, sees)?;
+        }
+        let matrix = self.output.matrix(weights, self.relu)?;
+        let between = Between { from: From::Own(&self.attended), quantised, to: &self.to };
+        team_products(kernels, &matrix, team, between, |_| true)
+    }
+
+    /// Mixes rows by one head's scores for every member; who sees nothing gets zeros.
+    fn attend_team(&self, kernels: impl Kernels, team: &mut Team<'_>) -> Result<(), DecideError> {
+        let [_, _, absorbed, scores, mixed, attended, _, _] = self.places();
+        let wanted = [absorbed, scores, mixed, attended].map(|place| team.own_place(&place));
+        let Team { rows, own, own_floats, members, .. } = team;
+        for (member, floats) in members.iter_mut().zip(own.chunks_exact_mut((*own_floats).max(1))) {
+            let [absorbed, scores, mixed, attended] = places(floats, wanted.each_ref())?;
+            if member.slots.is_empty() {
+                attended.fill(0.0);
+                continue;
+            }
+            let rows = Rows { floats: rows, width: self.padded_width(), slots: &member.slots };
+            member.alone |= attend(kernels, rows, absorbed, scores, mixed).is_err();
+        }
+        Ok(())
+    }
+
+    fn keys<'w>(&self, weights: &'w [f32], head: u16) -> Result<Matrix<'w>, DecideError> {
+        of_head(self.key_shape(), weights, (self.keys, self.key_steps), head)
+    }
+
+    fn values<'w>(&self, weights: &'w [f32], head: u16) -> Result<Matrix<'w>, DecideError> {
+        of_head(self.value_shape(), weights, (self.values, self.value_steps), head)
+    }
+}
+
+/// One head's matrix; weights and steps of all heads stand one behind the other.
+fn of_head(
+    shape: Int8Shape,
+    floats: &[f32],
+    (weights, steps): (u32, u32),
+    head: u16,
+) -> Result<Matrix<'_>, DecideError> {
+    let of =
+        |start: u32, len: usize| start.saturating_add(u32::from(head).saturating_mul(len as u32));
+    shape.matrix(floats, of(weights, shape.weights_len()), of(steps, shape.columns()))
+}

@@ -1,0 +1,63 @@
+//! A layer on one vector, of int8 weights.
+
+use serde::{Deserialize, Serialize};
+
+use super::int8_layer::{Between, From, Int8Layer, product, quantised_floats, team_products};
+use super::team::Team;
+use super::{Place, Scratch, Sizes, places};
+use crate::kernels::Kernels;
+use crate::policy::DecideError;
+
+/// `W x + b`, with a ReLU where one follows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Int8Dense {
+    /// The layer.
+    pub layer: Int8Layer,
+    /// Whether a ReLU follows.
+    pub relu: bool,
+    /// The input, as long as the layer's inputs.
+    pub from: Place,
+    /// The output, as long as the layer's padded outputs.
+    pub to: Place,
+    /// The quantised input.
+    pub quantised: Place,
+}
+
+impl Int8Dense {
+    pub(super) fn check(&self, sizes: &Sizes) -> bool {
+        self.layer.check(sizes)
+            && sizes.hold_apart(&[&self.from, &self.to, &self.quantised])
+            && self.from.len == u32::from(self.layer.inputs)
+            && self.to.len as usize == self.layer.padded_outputs()
+            && self.quantised.len as usize == quantised_floats(self.layer.inputs.into())
+    }
+
+    pub(super) fn multiply_adds(&self) -> usize {
+        self.layer.shape().multiply_adds()
+    }
+
+    #[inline(always)]
+    pub(super) fn run(
+        &self,
+        kernels: impl Kernels,
+        weights: &[f32],
+        scratch: &mut Scratch<'_>,
+    ) -> Result<(), DecideError> {
+        let wanted = [&self.from, &self.quantised, &self.to];
+        let [from, quantised, to] = places(scratch.floats, wanted)?;
+        product(kernels, &self.layer.matrix(weights, self.relu)?, from, quantised, to)
+    }
+
+    /// As [`Self::run`] for all members of a team.
+    pub(super) fn run_team(
+        &self,
+        kernels: impl Kernels,
+        weights: &[f32],
+        team: &mut Team<'_>,
+    ) -> Result<(), DecideError> {
+        let Self { from, quantised, to, .. } = self;
+        let matrix = self.layer.matrix(weights, self.relu)?;
+        let between = Between { from: From::Own(from), quantised, to };
+        team_products(kernels, &matrix, team, between, |_| true)
+    }
+}
