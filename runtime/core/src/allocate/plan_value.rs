@@ -57,67 +57,75 @@ impl<'a> PlanTeamValue<'a> {
     }
 
     /// Joins the columns of an entity in the row of its slot.
-    fn join(&mut self, query: &TeamQuery<'_>, row: usize, member: bool) -> Result<(), DecideError> {
-        let (state, columns) = (query.state, self.plan.header().features as usize);
+    fn join(&mut self, scene: &Scene<'_>, row: usize, member: bool) -> Result<(), DecideError> {
+        let (query, columns) = (scene.query, self.plan.header().features as usize);
+        let (state, stride) = (query.state, query.state.stride);
         let relations = query.relation.len().checked_div(state.entity_task.len()).unwrap_or(0);
-        let features = columns.checked_sub(relations + FLAGS).ok_or(DecideError::BadLength)?;
-        if features > state.stride {
-            return Err(DecideError::BadLength);
-        }
+        let features = columns.checked_sub(relations + FLAGS).filter(|count| *count <= stride);
+        let features = features.ok_or(DecideError::BadLength)?;
         let start = slot(query, row, member).saturating_mul(columns);
         let to = self.rows.get_mut(start..start.saturating_add(columns));
-        let from = part(state.rows, row, state.stride, features)?.iter();
-        let flags = [flag(query.own_row() == Some(row)), flag(member)];
-        let from = from.chain(&flags).chain(part(query.relation, row, relations, relations)?);
-        for (to, from) in to.ok_or(DecideError::BadLength)?.iter_mut().zip(from) {
-            *to = *from;
-        }
+        let [flags_at, relations_at] = [features, features + FLAGS];
+        let (to, to_relations) = to
+            .and_then(|to| to.split_at_mut_checked(relations_at))
+            .ok_or(DecideError::BadLength)?;
+        let (to, to_flags) = to.split_at_mut_checked(flags_at).ok_or(DecideError::BadLength)?;
+        copy(part(state.rows, row, stride, features)?, to);
+        copy(&[flag(scene.own == row), flag(member)], to_flags);
+        copy(part(query.relation, row, relations, relations)?, to_relations);
         Ok(())
     }
 
     /// Joins all rows that any of the teams sees.
-    fn join_all(
-        &mut self,
-        query: &TeamQuery<'_>,
-        own: usize,
-        teams: &[u64],
-    ) -> Result<(), DecideError> {
+    fn join_all(&mut self, scene: &Scene<'_>, teams: &[u64]) -> Result<(), DecideError> {
         let anybody = teams.iter().fold(0, |all, team| all | team);
         let everybody = teams.iter().fold(u64::MAX, |all, team| all & team);
-        let mut joined = query.visible();
-        joined.insert(own);
+        let mut joined = scene.seen;
+        joined.insert(scene.own);
         for row in joined.iter() {
-            if !(TeamQuery { team: everybody, ..*query }).is_member(row) {
-                self.join(query, row, false)?;
+            if !scene.is_member(everybody, row) {
+                self.join(scene, row, false)?;
             }
-            if (TeamQuery { team: anybody, ..*query }).is_member(row) {
-                self.join(query, row, true)?;
+            if scene.is_member(anybody, row) {
+                self.join(scene, row, true)?;
             }
         }
         Ok(())
     }
 
+    /// Values teams whose rows are joined.
     fn ask(
+        &mut self,
+        scene: &Scene<'_>,
+        teams: &[u64],
+        values: &mut [f32],
+    ) -> Result<(), DecideError> {
+        let Self { plan, arena, shared, rows } = self;
+        let stride = plan.header().features as usize;
+        let mut observations = heapless::Vec::<_, TOGETHER>::new();
+        for team in teams {
+            // Callers ask about as many as there is room for.
+            let _ = observations.push(scene.observation(rows, stride, *team));
+        }
+        let mut results = [Ok(()); TOGETHER];
+        let results = results.get_mut(..observations.len()).ok_or(DecideError::BadLength)?;
+        plan.utilities_shared(arena, shared, &observations, values, results);
+        results.iter().copied().collect()
+    }
+
+    fn ask_all(
         &mut self,
         query: &TeamQuery<'_>,
         teams: &[u64],
         values: &mut [f32],
     ) -> Result<(), DecideError> {
         let own = query.own_row().ok_or(DecideError::BadLength)?;
-        self.join_all(query, own, teams)?;
-        let stride = self.plan.header().features as usize;
-        let frame = Frame { rows: self.rows, stride, own: slot(query, own, false) };
-        let team = |team: &u64| frame.observation(&TeamQuery { team: *team, ..*query });
-        let mut observations = heapless::Vec::<_, TOGETHER>::new();
-        for observation in teams.iter().map(team) {
-            // Callers ask about as many as there is room for.
-            let _ = observations.push(observation);
+        let scene = Scene { query, own, seen: query.visible() };
+        self.join_all(&scene, teams)?;
+        for (teams, values) in teams.chunks(TOGETHER).zip(values.chunks_mut(TOGETHER)) {
+            self.ask(&scene, teams, values)?;
         }
-        let mut results = [Ok(()); TOGETHER];
-        let results = results.get_mut(..observations.len()).ok_or(DecideError::BadLength)?;
-        let Self { plan, arena, shared, .. } = self;
-        plan.utilities_shared(arena, shared, &observations, values, results);
-        results.iter().copied().collect()
+        Ok(())
     }
 }
 
@@ -138,38 +146,40 @@ impl TeamValueNetwork for PlanTeamValue<'_> {
         if slot(query, query.state.entity_task.len(), false) > limits::ENTITIES {
             return Err(AllocateError::TooLarge);
         }
-        for (teams, values) in teams.chunks(TOGETHER).zip(values.chunks_mut(TOGETHER)) {
-            self.ask(query, teams, values).map_err(|error| match error {
-                DecideError::TooManyEntities { .. } => AllocateError::TooLarge,
-                DecideError::NonFinite => AllocateError::NonFinite,
-                _ => AllocateError::BadLength,
-            })?;
-        }
-        Ok(())
+        self.ask_all(query, teams, values).map_err(|error| match error {
+            DecideError::TooManyEntities { .. } => AllocateError::TooLarge,
+            DecideError::NonFinite => AllocateError::NonFinite,
+            _ => AllocateError::BadLength,
+        })
     }
 }
 
-/// The joined rows of one subtask.
-struct Frame<'a> {
-    rows: &'a [f32],
-    stride: usize,
-    /// The subtask's own slot.
+/// What all teams of a subtask have in common.
+struct Scene<'a> {
+    query: &'a TeamQuery<'a>,
+    /// The subtask's own row.
     own: usize,
+    /// The rows that its query attends to.
+    seen: EntityMask,
 }
 
-impl<'a> Frame<'a> {
-    /// What a team sees.
-    fn observation(&self, query: &TeamQuery<'_>) -> Observation<'a> {
+impl Scene<'_> {
+    fn is_member(&self, team: u64, row: usize) -> bool {
+        row < self.query.state.agents && team.checked_shr(row as u32).unwrap_or(0) & 1 == 1
+    }
+
+    /// What a team sees of the joined rows.
+    fn observation<'r>(&self, rows: &'r [f32], stride: usize, team: u64) -> Observation<'r> {
         let mut visible = EntityMask::EMPTY;
-        for row in query.visible().iter() {
-            visible.insert(slot(query, row, query.is_member(row)));
+        for row in self.seen.iter() {
+            visible.insert(slot(self.query, row, self.is_member(team, row)));
         }
         Observation {
-            rows: self.rows,
-            stride: self.stride,
+            rows,
+            stride,
             last_actions: &[],
             visible,
-            self_index: self.own,
+            self_index: slot(self.query, self.own, false),
             available: &[],
         }
     }
@@ -180,6 +190,13 @@ impl<'a> Frame<'a> {
 fn slot(query: &TeamQuery<'_>, row: usize, member: bool) -> usize {
     let agents = query.state.agents;
     if row < agents { 2 * row + usize::from(member) } else { agents.saturating_add(row) }
+}
+
+/// Copies as much as there is of both.
+fn copy(from: &[f32], to: &mut [f32]) {
+    for (from, to) in from.iter().zip(to) {
+        *to = *from;
+    }
 }
 
 fn flag(set: bool) -> f32 {
