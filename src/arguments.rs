@@ -5,7 +5,8 @@ use sortie_envs::save_the_city::AllocationRule;
 
 use crate::failure::Outcome;
 use crate::{
-    bench, compare, compile, compiler, eval, export, inspect, replay, run, train, verify, view,
+    bench, compare, compile, compiler, doctor, eval, export, inspect, replay, run, train, verify,
+    view,
 };
 
 const EXIT_CODES: &str = "\
@@ -24,6 +25,8 @@ pub(crate) struct Arguments {
 #[derive(Debug, Subcommand)]
 enum Verb {
     Run(run::RunArguments),
+    Up(run::up::UpArguments),
+    Doctor(doctor::DoctorArguments),
     Eval(eval::EvalArguments),
     Replay(replay::ReplayArguments),
     Train(train::TrainArguments),
@@ -125,6 +128,8 @@ impl AllocatorChoice {
 pub(crate) fn dispatch(arguments: Arguments) -> Outcome {
     match arguments.verb {
         Verb::Run(arguments) => run::run(&arguments),
+        Verb::Up(arguments) => run::up::run(&arguments),
+        Verb::Doctor(arguments) => doctor::run(&arguments),
         Verb::Eval(arguments) => eval::run(&arguments),
         Verb::Replay(arguments) => replay::run(&arguments),
         Verb::Train(arguments) => train::run(&arguments),

@@ -7,6 +7,7 @@ mod compare;
 mod compile;
 mod compiler;
 mod deployment;
+mod doctor;
 mod environment;
 mod episodes;
 mod eval;

@@ -5,6 +5,7 @@ mod cases;
 mod contestants;
 mod decision;
 mod environment;
+pub(crate) mod faults;
 mod floor;
 mod quantised;
 mod rounds;
@@ -36,6 +37,7 @@ const FLOOR: &str = "floor";
   sortie bench decision models/save-the-city --python venv/bin/python3 --pace hot
   sortie bench allocation --seconds 5
   sortie bench env --seconds 10
+  sortie bench faults --runner-kills 1000 --allocator-kills 200
   sortie bench train --python venv/bin/python3 --seconds 30")]
 pub(crate) struct BenchArguments {
     #[command(subcommand)]
@@ -48,6 +50,7 @@ enum What {
     Allocation(allocation::AllocationArguments),
     Env(environment::EnvironmentArguments),
     Train(train::TrainArguments),
+    Faults(faults::FaultsArguments),
 }
 
 /// What every measurement takes.
@@ -105,6 +108,7 @@ pub(crate) fn run(arguments: &BenchArguments) -> Outcome {
             (allocation::measure(arguments)?, arguments.measuring.common)
         }
         What::Env(arguments) => (environment::measure(arguments)?, arguments.measuring.common),
+        What::Faults(arguments) => return faults::run(arguments),
         What::Train(arguments) => (train::measure(arguments)?, arguments.measuring.common),
     };
     if common.json {

@@ -3,28 +3,30 @@
 mod onlooker;
 pub(crate) mod process;
 mod report;
+mod team;
+pub(crate) mod up;
 mod view;
+mod world;
 
 use std::path::PathBuf;
-use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use clap::Args;
 use console::Term;
 use sortie_bundle::Bundle;
 use sortie_core::Allocator;
-use sortie_envs::save_the_city::{Constants, SaveTheCity, ScenarioSet};
 use sortie_ipc::{
     Children, Domain, InProcess, Stop, WorldSettings, group_agents, run_in_process, world_process,
 };
 
 use self::onlooker::{Display, Onlooker};
 use self::report::{Report, Setup};
+use self::team::Team;
+use self::world::open_world;
 use crate::allocator::DeployedAllocator;
 use crate::arguments::{AllocatorChoice, Common};
 use crate::deployment::{domain_contract, open_bundle};
-use crate::environment::{ScenarioSetName, check_fits};
-use crate::failure::{Failure, Outcome};
+use crate::failure::Outcome;
 use crate::output::print_json;
 use crate::policy::{Backend, DeployedPolicy};
 use crate::signals::stop_on_signals;
@@ -93,20 +95,15 @@ fn rate(text: &str) -> Result<f64, String> {
 pub(crate) fn run(arguments: &RunArguments) -> Outcome {
     let stop = stop_on_signals()?;
     let bundle = open_bundle(&arguments.bundle)?;
-    let trained_on = &bundle.manifest().contract.environment.name;
-    let set = ScenarioSetName::parse(arguments.env.as_deref().unwrap_or(trained_on))?;
-    let set = ScenarioSet::named(set.set()).map_err(Failure::bug)?;
-    check_fits(&bundle, &set)?;
     let seed = arguments.common.seed;
-    let city = SaveTheCity::new(set, Constants::default(), 1, seed).map_err(Failure::bug)?;
-    let mut world = CityWorld::new(city);
+    let mut world = open_world(&bundle, arguments.env.as_deref(), seed)?;
     let learned = bundle.allocator_onnx().is_some();
     let allocation = AllocatorChoice::or_default(arguments.allocation, learned);
     // Opened here even where another process allocates: errors show at once, and plans are compiled.
     let mut allocator = DeployedAllocator::open(&bundle, allocation, arguments.backend, seed)?;
     let mut onlooker = Onlooker::new(
         display(arguments),
-        arguments.episodes as usize,
+        Some(arguments.episodes as usize),
         world.city.clone(),
         world.finished.clone(),
     );
@@ -188,31 +185,22 @@ fn play_as_processes(
     let agents = sortie_core::World::shape(world).agents;
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let groups = group_agents(agents, cores, arguments.isolate);
+    let team = Team {
+        bundle: &arguments.bundle,
+        domain: &arguments.domain,
+        allocation,
+        backend: arguments.backend,
+        seed: arguments.common.seed,
+        parent: Some(std::process::id()),
+    };
     let start_team = |children: &mut Children| {
-        for group in &groups {
-            let agents: Vec<String> = group.iter().map(u16::to_string).collect();
-            let name = format!("the runner of agents {}", agents.join(", "));
-            let mut command = process(arguments, allocation, "runner");
-            command.arg("--agents").arg(agents.join(","));
-            children.spawn(name, &mut command)?;
+        let runners = groups.iter().map(|group| team.runner(group));
+        for mut charge in runners.chain([team.allocator("the allocator".to_string())]) {
+            children.spawn(charge.name, &mut charge.command)?;
         }
-        children.spawn("the allocator", &mut process(arguments, allocation, "allocator"))
+        Ok(())
     };
     let contract = domain_contract(bundle);
     world_process(&domain, &contract, world, &settings(arguments), start_team, onlooker, stop)?;
     Ok(())
-}
-
-/// This program again, as a process of the team.
-fn process(arguments: &RunArguments, allocation: AllocatorChoice, role: &str) -> Command {
-    // A program that was replaced while it runs is still itself under this name.
-    let mut command = Command::new("/proc/self/exe");
-    command.arg("process").arg(role).arg(&arguments.bundle);
-    command.arg("--domain").arg(&arguments.domain);
-    command.arg("--parent").arg(std::process::id().to_string());
-    command.arg("--allocation").arg(allocation.name());
-    command.arg("--backend").arg(arguments.backend.name());
-    command.arg("--seed").arg(arguments.common.seed.to_string());
-    command.stdin(Stdio::null()).stdout(Stdio::null());
-    command
 }

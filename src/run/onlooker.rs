@@ -28,7 +28,8 @@ pub(super) enum Display {
 /// The onlooker of a run.
 pub(super) struct Onlooker {
     display: Display,
-    episodes: usize,
+    /// `None` = without end.
+    episodes: Option<usize>,
     city: Rc<RefCell<SaveTheCity>>,
     finished: EpisodeLog,
     allocation: [u8; limits::AGENTS],
@@ -47,6 +48,8 @@ pub(super) struct Figures {
     pub(super) act: Latency,
     /// From a frame's publishing to the end of the world's step.
     pub(super) tick: Latency,
+    /// Fallback actions that were played for agents without an answer in time.
+    pub(super) fallbacks: u64,
     /// Ids of the processes heard of, the world's included.
     pub(super) processes: BTreeSet<u32>,
 }
@@ -54,7 +57,7 @@ pub(super) struct Figures {
 impl Onlooker {
     pub(super) fn new(
         display: Display,
-        episodes: usize,
+        episodes: Option<usize>,
         city: Rc<RefCell<SaveTheCity>>,
         finished: EpisodeLog,
     ) -> Self {
@@ -63,6 +66,7 @@ impl Onlooker {
             decide: Latency::new(),
             act: Latency::new(),
             tick: Latency::new(),
+            fallbacks: 0,
             processes: BTreeSet::from([std::process::id()]),
         };
         Self {
@@ -84,7 +88,7 @@ impl Onlooker {
             city: city.city(0),
             allocation: &self.allocation,
             actions: &self.actions,
-            episode: (finished.len() + 1).min(self.episodes),
+            episode: (finished.len() + 1).min(self.episodes.unwrap_or(usize::MAX)),
             episodes: self.episodes,
             finished: finished.len(),
             solved: finished.iter().filter(|episode| episode.metrics.solved).count(),
@@ -115,6 +119,7 @@ impl WorldObserver for Onlooker {
             self.figures.decide.record_ns(u64::from(answer.decide_ns));
             self.figures.act.record_ns(answer.t_ns.saturating_sub(report.published_ns));
         }
+        self.figures.fallbacks += unanswered(report);
         self.figures.tick.record_ns(report.tick_ns);
         if self.display == Display::Live {
             for (to, from) in self.actions.iter_mut().zip(report.actions) {
@@ -133,15 +138,22 @@ impl WorldObserver for Onlooker {
     }
 }
 
-fn episode_line(episode: usize, episodes: usize, finished: &FinishedEpisode) -> String {
+/// Agents that acted without an answer.
+fn unanswered(report: &TickReport<'_>) -> u64 {
+    let acted = report.actions.iter().enumerate().filter(|(_, action)| **action != NO_ACTION);
+    acted.filter(|(agent, _)| report.answered >> agent & 1 == 0).count() as u64
+}
+
+fn episode_line(episode: usize, episodes: Option<usize>, finished: &FinishedEpisode) -> String {
     let metrics = &finished.metrics;
     let end = match (metrics.solved, metrics.timed_out) {
         (true, _) => "solved",
         (false, true) => "timed out",
         (false, false) => "lost",
     };
+    let of = episodes.map_or(String::new(), |episodes| format!(" of {episodes}"));
     format!(
-        "episode {episode:3} of {episodes}: {:8}  {end:9}  {} of {} buildings saved in {} steps",
+        "episode {episode:3}{of}: {:8}  {end:9}  {} of {} buildings saved in {} steps",
         finished.team, metrics.buildings_completed, metrics.buildings, metrics.steps
     )
 }

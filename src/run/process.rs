@@ -1,10 +1,11 @@
-//! A process of a team: what `run` starts beside the world.
+//! A process of a team: what `run` and `up` start.
 
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use sortie_ipc::{Domain, ProcessSettings, allocator_process, runner_process};
 
+use super::world::{Playing, WorldOfTeam, play};
 use crate::allocator::DeployedAllocator;
 use crate::arguments::AllocatorChoice;
 use crate::deployment::{domain_contract, model_id, open_bundle};
@@ -12,23 +13,30 @@ use crate::failure::{Exit, Failure, Outcome};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::signals::stop_on_signals;
 
-/// Run one process of a team; started by `run`
+/// Run one process of a team: what `run` and `up` start, and what a person may start in its place
 #[derive(Debug, Args)]
 pub(crate) struct ProcessArguments {
     #[arg(value_enum)]
     role: Role,
     bundle: PathBuf,
-    #[arg(long)]
+    #[arg(long, env = "SORTIE_DOMAIN", default_value = "default")]
     domain: String,
     /// Agents that a runner acts for
     #[arg(long, value_delimiter = ',')]
     agents: Vec<u16>,
-    #[arg(long, value_enum)]
+    #[arg(long, value_enum, default_value = "coordinated")]
     allocation: AllocatorChoice,
-    #[arg(long, value_enum)]
+    #[arg(long, value_enum, default_value_t = Backend::Plan)]
     backend: Backend,
-    #[arg(long)]
+    #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// What a world plays
+    #[command(flatten)]
+    playing: Playing,
+    #[arg(long)]
+    json: bool,
+    #[arg(long)]
+    quiet: bool,
     /// Process with which this one ends
     #[arg(long)]
     parent: Option<u32>,
@@ -36,6 +44,7 @@ pub(crate) struct ProcessArguments {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Role {
+    World,
     Runner,
     Allocator,
 }
@@ -54,6 +63,11 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
         ..ProcessSettings::default()
     };
     let ended = match arguments.role {
+        Role::World => {
+            let ProcessArguments { allocation, backend, seed, json, quiet, .. } = *arguments;
+            let world = WorldOfTeam { bundle: &bundle, allocation, backend, seed, json, quiet };
+            return play(&world, &arguments.playing, &domain, &stop);
+        }
         Role::Runner => {
             let mut policy = DeployedPolicy::open(&bundle, arguments.backend)?;
             let mut policy = policy.policy()?;

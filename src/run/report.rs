@@ -21,6 +21,8 @@ pub(super) struct Report {
     buildings: u32,
     by_team: BTreeMap<String, TeamReport>,
     decisions: u64,
+    /// Actions of agents for which nobody answered in time.
+    fallbacks: u64,
     decide_us: Percentiles,
     act_us: Percentiles,
     tick_us: Percentiles,
@@ -66,6 +68,7 @@ impl Report {
             buildings: sum(|episode| episode.metrics.buildings),
             by_team,
             decisions: figures.decisions,
+            fallbacks: figures.fallbacks,
             decide_us: figures.decide.percentiles(),
             act_us: figures.act.percentiles(),
             tick_us: figures.tick.percentiles(),
@@ -97,9 +100,10 @@ impl Report {
         }
         teams.print();
         println!(
-            "\n{} processes, {} decisions, pace {}\n",
+            "\n{} processes, {} decisions, {} fallback actions, pace {}\n",
             self.processes,
             self.decisions,
+            self.fallbacks,
             self.pace()
         );
         let mut latency = Table::new(&["latency, us", "p50", "p99", "p99.9", "max", "samples"]);

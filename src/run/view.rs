@@ -19,7 +19,8 @@ pub(super) struct Picture<'a> {
     /// Last action of every agent, by index.
     pub(super) actions: &'a [u16],
     pub(super) episode: usize,
-    pub(super) episodes: usize,
+    /// `None` = without end.
+    pub(super) episodes: Option<usize>,
     pub(super) finished: usize,
     pub(super) solved: usize,
     pub(super) step: u32,
@@ -42,10 +43,10 @@ pub(super) fn lines(picture: &Picture<'_>) -> Vec<String> {
 }
 
 fn headline(picture: &Picture<'_>) -> String {
+    let of = picture.episodes.map_or(String::new(), |episodes| format!(" of {episodes}"));
     format!(
-        "episode {} of {}, step {:3}   solved {} of {}   tick p50 {:.0} us, p99 {:.0} us",
+        "episode {}{of}, step {:3}   solved {} of {}   tick p50 {:.0} us, p99 {:.0} us",
         picture.episode,
-        picture.episodes,
         picture.step,
         picture.solved,
         picture.finished,
@@ -221,7 +222,7 @@ mod tests {
             allocation: &[0],
             actions: &[9],
             episode: 2,
-            episodes: 20,
+            episodes: Some(20),
             finished: 1,
             solved: 1,
             step: 7,

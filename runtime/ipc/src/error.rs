@@ -133,6 +133,16 @@ pub enum Error {
         /// How it ended.
         status: ExitStatus,
     },
+    /// A process ends again and again as soon as it is started.
+    #[error("{name} {}, for the {times}th time in a row; it is not started again", ending(.status))]
+    KeepsDying {
+        /// What it was.
+        name: String,
+        /// How often it was started in vain.
+        times: u32,
+        /// How it ended at last.
+        status: ExitStatus,
+    },
     /// The team in one thread waits for itself.
     #[error("the team stands still: no role has anything to do")]
     Stalled,
@@ -152,7 +162,7 @@ impl Error {
             Self::World(WorldError::Link(_)) => 74,
             Self::NoWorld { .. } | Self::World(_) => 69,
             // What ended the process of the team says more than that it ended.
-            Self::Child { status, .. } => match status.code() {
+            Self::Child { status, .. } | Self::KeepsDying { status, .. } => match status.code() {
                 Some(code @ (65 | 66 | 70 | 74 | 75 | 78)) => code as u8,
                 _ => 69,
             },
@@ -179,7 +189,8 @@ fn holder(pid: u64) -> String {
     if pid == 0 { String::new() } else { format!(" by process {pid}") }
 }
 
-fn ending(status: &ExitStatus) -> String {
+/// How a process ended, as the end of a sentence.
+pub(crate) fn ending(status: &ExitStatus) -> String {
     use std::os::unix::process::ExitStatusExt;
     match (status.code(), status.signal()) {
         (Some(code), _) => format!("ended with exit code {code}"),

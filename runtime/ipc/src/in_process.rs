@@ -29,7 +29,7 @@ pub struct InProcess<'a> {
 }
 
 /// Runs the team until its episodes are done. Deterministic: nobody waits for time, so the
-/// patience of `settings` does not count, nor does its `allocator` flag.
+/// patience and period of `settings` do not count, nor does its `allocator` flag.
 ///
 /// # Errors
 /// A role fails, or a signal came.
@@ -45,6 +45,7 @@ pub fn run_in_process(
     let pid = std::process::id();
     let settings = WorldSettings {
         patience: Duration::ZERO,
+        period: Duration::ZERO,
         required: u64::MAX,
         allocator: allocator.is_some(),
         ..*settings

@@ -6,6 +6,7 @@
 #![deny(unsafe_code)]
 
 mod clock;
+mod doctor;
 mod domain;
 mod doorbell;
 mod error;
@@ -13,22 +14,26 @@ mod in_process;
 mod iox;
 mod processes;
 mod stop;
+pub mod storm;
+mod supervisor;
 mod threads;
 mod waker;
 
 pub use clock::MonotonicClock;
+pub use doctor::{Finding, Severity, examine};
 pub use domain::{BellKind, Domain, DomainContract, DomainFacts, Lock, Membership, Starting};
 pub use doorbell::Doorbell;
 pub use error::Error;
 pub use in_process::{InProcess, run_in_process};
 pub use iox::{
-    Housekeeping, InterProcess, IntraProcess, IoxAgent, IoxAllocator, IoxWorld, LinkService,
-    LinkSetup,
+    FrameNews, Housekeeping, InterProcess, IntraProcess, IoxAgent, IoxAllocator, IoxWatcher,
+    IoxWorld, LinkService, LinkSetup,
 };
 pub use processes::{
     Children, ProcessSettings, WorldSettings, allocator_process, group_agents, runner_process,
     world_process,
 };
 pub use stop::Stop;
+pub use supervisor::{Charge, RestartPolicy, Supervision, SupervisorEvent, supervise};
 pub use threads::{ThreadAgent, ThreadAllocator, ThreadWorld, Threads};
 pub use waker::{Wakeable, Waker};

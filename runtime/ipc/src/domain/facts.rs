@@ -46,6 +46,8 @@ pub struct DomainFacts {
     actions: usize,
     features: usize,
     bell: BellKind,
+    /// Nanoseconds from frame to frame; 0 = as long as the team takes.
+    period_ns: u64,
     contract: toml::Table,
 }
 
@@ -62,6 +64,7 @@ impl DomainFacts {
             actions,
             features,
             bell: BellKind::default(),
+            period_ns: 0,
             contract: contract.fields.clone(),
         }
     }
@@ -69,6 +72,17 @@ impl DomainFacts {
     /// The same with bells of this kind.
     pub fn with_bell(self, bell: BellKind) -> Self {
         Self { bell, ..self }
+    }
+
+    /// The same with this time from frame to frame; zero = as long as the team takes.
+    pub fn with_period(self, period: Duration) -> Self {
+        // TOML has no unsigned 64-bit numbers; its largest is 292 years.
+        Self { period_ns: nanoseconds(period).min(i64::MAX as u64), ..self }
+    }
+
+    /// Nanoseconds from frame to frame; 0 = as long as the team takes.
+    pub fn period_ns(&self) -> u64 {
+        self.period_ns
     }
 
     /// How the domain's processes wake each other.
@@ -122,7 +136,7 @@ impl DomainFacts {
     /// Checks that a world of `ours` fits this domain.
     ///
     /// # Errors
-    /// [`Error::Contract`], which names both shapes, or both kinds of bells.
+    /// [`Error::Contract`], which names both shapes, kinds of bells, or periods.
     pub(crate) fn check_world(
         &self,
         domain: &Domain,
@@ -133,6 +147,8 @@ impl DomainFacts {
             format!("the world is {:?} here, {:?} there", ours.shape(), self.shape())
         } else if self.bell != ours.bell {
             format!("bells are {:?} here, {:?} there", ours.bell, self.bell)
+        } else if self.period_ns != ours.period_ns {
+            format!("the period is {} ns here, {} there", ours.period_ns, self.period_ns)
         } else {
             return Ok(());
         };
@@ -143,6 +159,10 @@ impl DomainFacts {
             detail,
         })
     }
+}
+
+pub(crate) fn nanoseconds(duration: Duration) -> u64 {
+    u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
 }
 
 fn first_difference(ours: &toml::Table, theirs: &toml::Table) -> String {

@@ -2,7 +2,7 @@
 
 use std::fs::{self, File};
 use std::io;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use super::facts::{self, DomainContract, DomainFacts};
@@ -62,6 +62,19 @@ impl Domain {
         }
     }
 
+    /// Whether a process of the domain lives. Creates nothing.
+    ///
+    /// # Errors
+    /// A lock of the domain cannot be used.
+    pub fn is_alive(&self) -> Result<bool, Error> {
+        if !self.base().exists() {
+            return Ok(false);
+        }
+        // Whoever starts looks at the same lock under this one.
+        let Some(_starting) = lock::wait_for(&self.path(STARTING))? else { return Ok(false) };
+        Ok(lock::open(&self.path(ALIVE))?.try_lock().is_err())
+    }
+
     /// Removes what only processes that live could use.
     fn remove_leftovers(&self) -> Result<(), Error> {
         let root = self.iox_root();
@@ -77,15 +90,26 @@ impl Domain {
     }
 
     fn remove_shared_memory(&self) -> Result<(), Error> {
+        for path in self.shared_memory()? {
+            ignore_missing(fs::remove_file(&path)).map_err(Error::io("remove", &path))?;
+        }
+        Ok(())
+    }
+
+    /// The domain's objects in shared memory.
+    ///
+    /// # Errors
+    /// Shared memory cannot be listed.
+    pub fn shared_memory(&self) -> Result<Vec<PathBuf>, Error> {
         let directory = Path::new(SHARED_MEMORY);
+        let mut objects = Vec::new();
         for entry in fs::read_dir(directory).map_err(Error::io("list", directory))? {
             let entry = entry.map_err(Error::io("list", directory))?;
             if entry.file_name().to_str().is_some_and(|name| self.owns(name)) {
-                let path = entry.path();
-                ignore_missing(fs::remove_file(&path)).map_err(Error::io("remove", &path))?;
+                objects.push(entry.path());
             }
         }
-        Ok(())
+        Ok(objects)
     }
 }
 
@@ -163,6 +187,14 @@ impl Membership {
         let facts = facts::wait_for(&self.domain, patience, stop)?;
         facts.check(&self.domain, contract)?;
         Ok(facts)
+    }
+
+    /// What the domain is, once a world has stated it.
+    ///
+    /// # Errors
+    /// The file that states it cannot be read.
+    pub fn facts(&self) -> Result<Option<DomainFacts>, Error> {
+        facts::read(&self.domain)
     }
 
     fn leave(&self) -> Result<(), Error> {

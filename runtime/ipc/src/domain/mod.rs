@@ -4,12 +4,13 @@ mod bell_kind;
 mod facts;
 mod lock;
 mod membership;
-mod preflight;
+pub(crate) mod preflight;
 
 use std::env;
 use std::path::{Path, PathBuf};
 
 pub use bell_kind::BellKind;
+pub(crate) use facts::nanoseconds;
 pub use facts::{DomainContract, DomainFacts};
 pub use lock::Lock;
 pub use membership::{Membership, Starting};

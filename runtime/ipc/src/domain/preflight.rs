@@ -16,8 +16,23 @@ const SOCKET_NAME: usize = 46;
 /// Shared memory that must be free, as a multiple of what the domain takes at most.
 const HEADROOM: u64 = 4;
 
+/// File descriptors that a process of a domain may need: 64 of its own, and 7 for each of 12 services.
+const DESCRIPTORS: u64 = 64 + 12 * 7;
+
+/// Checks that a process may open as many files as it needs.
+pub(crate) fn check_descriptors() -> Result<(), Error> {
+    let limit = rustix::process::getrlimit(rustix::process::Resource::Nofile).current;
+    match limit {
+        Some(limit) if limit < DESCRIPTORS => Err(directory(
+            Path::new("/proc/self/fd"),
+            format!("takes {limit} open files, a process needs {DESCRIPTORS}; raise `ulimit -n`"),
+        )),
+        _ => Ok(()),
+    }
+}
+
 /// Checks that `path` exists, on tmpfs: setting up on a disk takes 25 times as long.
-pub(super) fn check_tmpfs(path: &Path) -> Result<(), Error> {
+pub(crate) fn check_tmpfs(path: &Path) -> Result<(), Error> {
     let status = rustix::fs::statfs(path).map_err(|error| directory(path, error))?;
     if status.f_type as u64 == TMPFS_MAGIC {
         Ok(())
@@ -27,7 +42,7 @@ pub(super) fn check_tmpfs(path: &Path) -> Result<(), Error> {
 }
 
 /// Checks that the socket paths of the domain fit the system's limit.
-pub(super) fn check_path_length(domain: &Domain) -> Result<(), Error> {
+pub(crate) fn check_path_length(domain: &Domain) -> Result<(), Error> {
     let root = domain.iox_root();
     let length = root.as_os_str().as_bytes().len() + domain.prefix().len() + SOCKET_NAME;
     if length <= SOCKET_PATH {
@@ -53,7 +68,7 @@ pub(super) fn create_directory(path: &Path) -> Result<(), Error> {
 
 /// Checks that shared memory has room for `bytes`, with headroom: writing to a full one kills the
 /// process.
-pub(super) fn check_space(bytes: u64) -> Result<(), Error> {
+pub(crate) fn check_space(bytes: u64) -> Result<(), Error> {
     let path = Path::new(SHARED_MEMORY);
     let status = rustix::fs::statvfs(path).map_err(|error| directory(path, error))?;
     let free = status.f_bavail.saturating_mul(status.f_frsize);

@@ -12,6 +12,7 @@ mod links;
 mod message;
 mod open;
 mod services;
+mod watcher;
 
 use iceoryx2::port::listener::Listener;
 use iceoryx2::prelude::{FileDescriptor, FileDescriptorBased};
@@ -21,6 +22,8 @@ pub use iceoryx2::service::local_threadsafe::Service as IntraProcess;
 
 pub use links::{Housekeeping, IoxAgent, IoxAllocator, IoxWorld, LinkSetup};
 pub(crate) use services::worst_case_bytes;
+pub(crate) use watcher::dead_nodes;
+pub use watcher::{FrameNews, IoxWatcher};
 
 /// The services that links are opened over: [`InterProcess`], or [`IntraProcess`] for threads of one
 /// process, with nothing in shared memory.

@@ -258,7 +258,7 @@ fn is_passing(error: &impl Debug) -> bool {
     PASSING.iter().any(|passing| name.contains(passing))
 }
 
-fn config(domain: &Domain) -> Result<Config, Error> {
+pub(super) fn config(domain: &Domain) -> Result<Config, Error> {
     let root = domain.iox_root();
     let root = Path::new(root.to_string_lossy().as_bytes()).map_err(failed("root path"))?;
     let mut config = Config::default();

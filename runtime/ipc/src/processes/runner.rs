@@ -44,7 +44,7 @@ pub fn runner_process(
         agents: seats,
         subtasks: contract.subtasks,
         decision_interval: contract.decision_interval,
-        period_ns: 0,
+        period_ns: facts.period_ns(),
         safe_action: contract.safe_action,
     });
     role.join(&mut link)?;

@@ -7,7 +7,7 @@ use sortie_core::roles::{Counters, WorldError, WorldObserver, WorldOptions, Worl
 use sortie_core::wire::FrameFormat;
 
 use super::{Children, Waits, drive};
-use crate::domain::{BellKind, Domain, DomainContract, DomainFacts};
+use crate::domain::{BellKind, Domain, DomainContract, DomainFacts, nanoseconds};
 use crate::error::Error;
 use crate::iox::{IoxWorld, LinkSetup, worst_case_bytes};
 use crate::stop::Stop;
@@ -30,6 +30,11 @@ pub struct WorldSettings {
     pub patience: Duration,
     /// Episodes to run; `None` = until stopped.
     pub episodes: Option<u32>,
+    /// Whether a process that is missing, or misses its time, ends the world; otherwise nothing does, and
+    /// agents for which nobody acts play the fallback action.
+    pub strict: bool,
+    /// Time from frame to frame, of which agents have 80 % to act; zero = as long as the team takes.
+    pub period: Duration,
     /// Shortest time between two frames, for onlookers; zero = as fast as the team acts.
     pub tick_interval: Duration,
     /// How the processes of the domain wake each other.
@@ -39,7 +44,7 @@ pub struct WorldSettings {
 }
 
 impl Default for WorldSettings {
-    /// All agents required, no allocator, 10 s to join, 2 s to act, no end, no pause.
+    /// All agents required, strictly; no allocator, 10 s to join, 2 s to act, no end, no period, no pause.
     fn default() -> Self {
         Self {
             required: u64::MAX,
@@ -47,6 +52,8 @@ impl Default for WorldSettings {
             join_patience: Duration::from_secs(10),
             patience: Duration::from_secs(2),
             episodes: None,
+            strict: true,
+            period: Duration::ZERO,
             tick_interval: Duration::ZERO,
             bell: BellKind::default(),
             spin: Duration::ZERO,
@@ -66,9 +73,9 @@ impl WorldSettings {
             term,
             required: self.required & format.layout.every_agent(),
             allocator: self.allocator,
-            strict: true,
+            strict: self.strict,
             pipelined: false,
-            period_ns: 0,
+            period_ns: nanoseconds(self.period),
             absent_after: ABSENT_AFTER,
             join_patience_ns: nanoseconds(self.join_patience),
             patience_ns: nanoseconds(self.patience),
@@ -78,10 +85,6 @@ impl WorldSettings {
             tick_interval_ns: nanoseconds(self.tick_interval),
         }
     }
-}
-
-fn nanoseconds(duration: Duration) -> u64 {
-    u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
 }
 
 /// Runs `world` as the world of `domain`, in this thread, until its episodes are done.
@@ -101,7 +104,9 @@ pub fn world_process(
     observer: &mut dyn WorldObserver,
     stop: &Stop,
 ) -> Result<Counters, Error> {
-    let facts = DomainFacts::new(contract, world.shape()).with_bell(settings.bell);
+    let facts = DomainFacts::new(contract, world.shape())
+        .with_bell(settings.bell)
+        .with_period(settings.period);
     let format = facts.format()?;
     let membership = domain.enter()?;
     let lock = membership.lead_world(contract, &facts, worst_case_bytes(&format.layout))?;

@@ -2,6 +2,8 @@
 
 mod conformance;
 mod processes;
+mod storm;
 mod stress;
+mod supervisor;
 mod threads;
 mod toy;

@@ -30,7 +30,7 @@ fn settings(episodes: u32) -> WorldSettings {
 
 /// A process of the domain: `world` with its team or without, `allocator`, or the agents of a
 /// runner as `0,2`.
-fn child(domain: &Domain, role: &str) -> Command {
+pub(crate) fn child(domain: &Domain, role: &str) -> Command {
     let mut command = Command::new(std::env::current_exe().unwrap());
     command
         .args(["processes::child_process", "--exact", "--nocapture"])

@@ -1,0 +1,265 @@
+//! What is wrong with the machine, or with a domain.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use sortie_core::link::StatRx;
+use sortie_core::wire::{Role, StatMsg};
+
+use crate::domain::{Domain, Membership, SHARED_MEMORY, preflight};
+use crate::error::Error;
+use crate::iox::{IoxWatcher, LinkSetup, dead_nodes, worst_case_bytes};
+
+/// What a domain of eight agents takes at most, where none runs.
+const USUAL_BYTES: u64 = 512 << 10;
+/// Every process tells of itself in this time.
+const LISTENING: Duration = Duration::from_millis(350);
+/// Pause between two looks.
+const LOOK_EVERY: Duration = Duration::from_millis(20);
+
+/// How bad a finding is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Severity {
+    /// As it should be.
+    Fine,
+    /// Works, but is worth a look.
+    Warning,
+    /// Something will not work.
+    Problem,
+}
+
+/// One thing that was looked at.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Finding {
+    /// What was looked at.
+    pub check: &'static str,
+    /// How bad it is.
+    pub severity: Severity,
+    /// What was found.
+    pub found: String,
+    /// What to do about it; empty where nothing is to be done.
+    pub advice: &'static str,
+}
+
+impl Finding {
+    fn new(
+        severity: Severity,
+        check: &'static str,
+        found: impl Into<String>,
+        advice: &'static str,
+    ) -> Self {
+        Self { check, severity, found: found.into(), advice }
+    }
+
+    fn fine(check: &'static str, found: impl Into<String>) -> Self {
+        Self::new(Severity::Fine, check, found, "")
+    }
+
+    /// What a check came to.
+    fn of(check: &'static str, result: Result<(), Error>, advice: &'static str) -> Self {
+        match result {
+            Ok(()) => Self::fine(check, "enough, and of the right kind"),
+            Err(error) => Self::new(Severity::Problem, check, error.to_string(), advice),
+        }
+    }
+}
+
+/// Looks at the machine, and at the domain if it runs, which it joins for a moment.
+///
+/// # Errors
+/// The domain could not be looked at.
+pub fn examine(domain: &Domain) -> Result<Vec<Finding>, Error> {
+    let mut findings = examine_machine(domain);
+    if domain.is_alive()? {
+        let membership = domain.enter()?;
+        examine_running(&membership, &mut findings)?;
+    } else {
+        findings.push(examine_leftovers(domain)?);
+    }
+    Ok(findings)
+}
+
+fn examine_machine(domain: &Domain) -> Vec<Finding> {
+    let existing = domain.base().ancestors().find(|path| path.exists()).unwrap_or(Path::new("/"));
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    vec![
+        Finding::of(
+            "base directory",
+            preflight::check_tmpfs(existing),
+            "set `SORTIE_BASE` to a directory on tmpfs",
+        ),
+        Finding::of(
+            "socket paths",
+            preflight::check_path_length(domain),
+            "use a shorter domain id, or a shorter `SORTIE_BASE`",
+        ),
+        Finding::of(
+            "shared memory",
+            preflight::check_tmpfs(Path::new(SHARED_MEMORY))
+                .and_then(|()| preflight::check_space(USUAL_BYTES)),
+            "remove what fills /dev/shm, or enlarge it: `mount -o remount,size=64m /dev/shm`",
+        ),
+        Finding::of(
+            "open files",
+            preflight::check_descriptors(),
+            "raise the limit: `ulimit -n 1024`",
+        ),
+        match cores {
+            1 => Finding::new(
+                Severity::Warning,
+                "cores",
+                "1 core",
+                "runners and world take turns: expect late ticks",
+            ),
+            _ => Finding::fine("cores", format!("{cores} cores")),
+        },
+    ]
+}
+
+fn examine_leftovers(domain: &Domain) -> Result<Finding, Error> {
+    let objects = domain.shared_memory()?.len();
+    if objects == 0 && !domain.base().exists() {
+        return Ok(Finding::fine("leftovers", "nothing runs, and nothing is left"));
+    }
+    Ok(Finding::new(
+        Severity::Warning,
+        "leftovers",
+        format!("nothing runs, {objects} objects in shared memory are left of killed processes"),
+        "nothing: the next start of a process of this domain removes them",
+    ))
+}
+
+fn examine_running(membership: &Membership, findings: &mut Vec<Finding>) -> Result<(), Error> {
+    let Some(facts) = membership.facts()? else {
+        findings.push(Finding::new(
+            Severity::Problem,
+            "world",
+            "processes wait for a world",
+            "start one: `sortie up BUNDLE`",
+        ));
+        return Ok(());
+    };
+    let format = facts.format()?;
+    findings.push(Finding::of(
+        "room for the domain",
+        preflight::check_space(worst_case_bytes(&format.layout)),
+        "remove what fills /dev/shm, or enlarge it: `mount -o remount,size=64m /dev/shm`",
+    ));
+    let domain = membership.domain();
+    let name = format!("watcher/{}", std::process::id());
+    let setup = LinkSetup { domain, format, name: &name, bell: facts.bell(), spin: Duration::ZERO };
+    let mut watcher: IoxWatcher = {
+        let _starting = membership.lock_start()?;
+        IoxWatcher::open(&setup)?
+    };
+    let (statuses, is_ticking) = listen(&mut watcher)?;
+    findings.push(if is_ticking {
+        Finding::fine("world", "sends frames")
+    } else {
+        Finding::new(
+            Severity::Problem,
+            "world",
+            "sends no frames",
+            "look whether it is stopped, or start one: `sortie up BUNDLE`",
+        )
+    });
+    findings.extend(statuses.values().map(examine_process));
+    findings.push(examine_seats(&statuses, format.layout.every_agent()));
+    findings.push(examine_allocators(&statuses));
+    drop(watcher);
+    findings.push(match dead_nodes(domain)? {
+        0 => Finding::fine("dead nodes", "none"),
+        dead => Finding::new(
+            Severity::Warning,
+            "dead nodes",
+            format!("{dead} of processes that were killed"),
+            "nothing: they cost a start half a millisecond, and go with the domain's next cold start",
+        ),
+    });
+    Ok(())
+}
+
+/// The newest status of every process that lives, and whether frames come.
+fn listen(watcher: &mut IoxWatcher) -> Result<(BTreeMap<u32, StatMsg>, bool), Error> {
+    let until = Instant::now() + LISTENING;
+    let mut statuses = BTreeMap::new();
+    let (mut first, mut is_ticking) = (None, false);
+    while Instant::now() < until {
+        watcher.receive_statuses(&mut |status| {
+            if status.has(StatMsg::BYE) {
+                statuses.remove(&status.pid);
+            } else {
+                statuses.insert(status.pid, *status);
+            }
+        })?;
+        if let Some(frame) = watcher.newest_frame()? {
+            is_ticking |= frame.tick > *first.get_or_insert(frame.tick);
+        }
+        std::thread::sleep(LOOK_EVERY);
+    }
+    // The dead told of themselves as well: their last status stays.
+    statuses.retain(|pid, _| Path::new("/proc").join(pid.to_string()).exists());
+    Ok((statuses, is_ticking))
+}
+
+/// Index of missed wake-ups in the counters of a status.
+const MISSED_WAKE_UPS: usize = 10;
+
+fn examine_process(status: &StatMsg) -> Finding {
+    let role = if status.role == Role::Allocator as u8 { "allocator" } else { "runner" };
+    let leads = if status.has(StatMsg::LEADER) { ", leads" } else { "" };
+    let model = status.model.iter().take(4).map(|byte| format!("{byte:02x}")).collect::<String>();
+    let missed = status.counters.get(MISSED_WAKE_UPS).copied().unwrap_or(0);
+    let found = format!(
+        "{role} {}{leads}, model {model}, {} ticks, {} late, {} lost wake-ups",
+        status.pid, status.counters[0], status.counters[2], missed
+    );
+    if missed == 0 {
+        return Finding::fine("process", found);
+    }
+    Finding::new(
+        Severity::Warning,
+        "process",
+        found,
+        "expected only where a process was killed; otherwise please report it",
+    )
+}
+
+fn examine_seats(statuses: &BTreeMap<u32, StatMsg>, agents: u64) -> Finding {
+    let runners = statuses.values().filter(|status| status.role == Role::Runner as u8);
+    let missing = agents & !runners.fold(0, |seats, status| seats | status.agents);
+    if missing == 0 {
+        return Finding::fine("seats", "a process acts for every agent");
+    }
+    let missing: Vec<String> =
+        (0..u64::BITS).filter(|agent| missing >> agent & 1 == 1).map(|a| a.to_string()).collect();
+    Finding::new(
+        Severity::Problem,
+        "seats",
+        format!("nobody acts for agents {}", missing.join(", ")),
+        "start a runner: `sortie process runner BUNDLE --domain ID --agents …`",
+    )
+}
+
+fn examine_allocators(statuses: &BTreeMap<u32, StatMsg>) -> Finding {
+    let is_allocator = |status: &&StatMsg| status.role == Role::Allocator as u8;
+    let allocators = statuses.values().filter(is_allocator).count();
+    let leaders =
+        statuses.values().filter(is_allocator).filter(|status| status.has(StatMsg::LEADER));
+    match (leaders.count(), allocators) {
+        (0, _) => Finding::new(
+            Severity::Problem,
+            "allocator",
+            "none leads; agents act on their last allocation, then without",
+            "start one: `sortie process allocator BUNDLE --domain ID`",
+        ),
+        (_, 1) => Finding::new(
+            Severity::Warning,
+            "allocator",
+            "one leads, none stands by",
+            "start another: `sortie process allocator BUNDLE --domain ID`",
+        ),
+        (_, count) => Finding::fine("allocator", format!("one leads, {} stand by", count - 1)),
+    }
+}

@@ -1,0 +1,170 @@
+//! The link of a supervisor: keeps all services open, and sees what passes.
+
+use std::time::Duration;
+
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::prelude::*;
+use sortie_core::NO_ACTION;
+use sortie_core::link::{AllocRx, LinkError, StatRx};
+use sortie_core::wire::{
+    ABI, ActionMsg, AllocMsg, FrameFormat, FrameHeader, FrameView, Role, StatMsg,
+};
+use zerocopy::FromZeros;
+
+use super::links::LinkSetup;
+use super::message::{ActionPayload, AllocPayload, Message, StatPayload};
+use super::open::{FrameReceiver, Opener, Receiver, Sender, config};
+use super::{InterProcess, LinkService, services};
+use crate::domain::{BellKind, Domain};
+use crate::doorbell::Doorbell;
+use crate::error::Error;
+
+/// Sees frames, allocations and statuses of a domain, and says goodbye for the dead.
+pub struct IoxWatcher<S: LinkService = InterProcess> {
+    format: FrameFormat,
+    frames: FrameReceiver<S>,
+    allocations: Receiver<S, AllocPayload>,
+    statuses: Receiver<S, StatPayload>,
+    actions: Sender<S, ActionPayload>,
+    bells: Bells<S>,
+    /// Dropped last.
+    node: Node<S>,
+}
+
+/// The bells of the others: a watcher has none of its own.
+enum Bells<S: LinkService> {
+    Doorbell(Doorbell),
+    Events(Vec<(Role, Notifier<S>)>),
+}
+
+/// The newest frame, in short.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FrameNews {
+    /// Its tick: the world's term in the upper half.
+    pub tick: u64,
+    /// The world's term.
+    pub world_term: u32,
+    /// The newest tick that asked for an allocation.
+    pub decision_tick: u64,
+    /// Whether the world ends with it.
+    pub is_last: bool,
+}
+
+impl<S: LinkService> IoxWatcher<S> {
+    /// Opens all topics and bells.
+    ///
+    /// # Errors
+    /// Shared memory cannot be used, or the domain runs another schema.
+    pub fn open(setup: &LinkSetup<'_>) -> Result<Self, Error> {
+        let opener = Opener::new(setup)?;
+        let bells = match setup.bell {
+            BellKind::Doorbell => {
+                Bells::Doorbell(Doorbell::open(setup.domain, Role::Watcher, Duration::ZERO)?)
+            }
+            BellKind::Event => Bells::Events(notifiers(&opener)?),
+        };
+        Ok(Self {
+            format: setup.format,
+            frames: opener.frame_receiver()?,
+            allocations: opener.receiver(services::allocations)?,
+            statuses: opener.receiver(services::statuses)?,
+            actions: opener.sender(services::actions)?,
+            bells,
+            node: opener.into_node(),
+        })
+    }
+
+    /// The newest frame since the last call.
+    ///
+    /// # Errors
+    /// [`LinkError::Frames`].
+    pub fn newest_frame(&mut self) -> Result<Option<FrameNews>, LinkError> {
+        let mut newest = None;
+        while let Some(sample) = self.frames.receive().map_err(|_| LinkError::Frames)? {
+            let header = sample.user_header().message();
+            if let Ok(view) = FrameView::new(header, sample.payload(), &self.format) {
+                newest = Some(FrameNews {
+                    tick: header.tick,
+                    world_term: header.world_term,
+                    decision_tick: view.decision_tick(),
+                    is_last: header.has(FrameHeader::SHUTDOWN),
+                });
+            }
+        }
+        Ok(newest)
+    }
+
+    /// Says goodbye for a runner that died: its seats are vacant at once, and nobody waits for it.
+    ///
+    /// # Errors
+    /// [`LinkError::Actions`], [`LinkError::Bell`].
+    pub fn bury_runner(&mut self, pid: u32, agents: u64) -> Result<(), LinkError> {
+        for agent in (0..u64::BITS as u16).filter(|agent| agents >> agent & 1 == 1) {
+            let goodbye = ActionMsg {
+                schema: self.format.schema,
+                agent,
+                action: NO_ACTION,
+                flags: ActionMsg::BYE,
+                abi: ABI as u8,
+                runner: pid,
+                ..ActionMsg::new_zeroed()
+            };
+            let sent = self.actions.send_copy(ActionPayload::wrap(&goodbye));
+            sent.map_err(|_| LinkError::Actions)?;
+        }
+        self.ring(Role::World)
+    }
+
+    /// Frees what dead processes hold in shared memory, where nobody else is at it.
+    pub fn clean_up(&mut self) {
+        self.node.try_cleanup_dead_nodes();
+    }
+
+    fn ring(&self, role: Role) -> Result<(), LinkError> {
+        match &self.bells {
+            Bells::Doorbell(bell) => bell.ring(role),
+            Bells::Events(peers) => peers
+                .iter()
+                .filter(|(peer, _)| *peer == role)
+                .try_for_each(|(_, peer)| peer.notify().map(drop))
+                .map_err(|_| LinkError::Bell),
+        }
+    }
+}
+
+/// Nodes of dead processes that nobody has cleaned up, and those in a state that nobody can.
+pub(crate) fn dead_nodes(domain: &Domain) -> Result<usize, Error> {
+    let mut dead = 0;
+    let listed = Node::<InterProcess>::list(&config(domain)?, |state| {
+        dead += usize::from(matches!(state, NodeState::Dead(_) | NodeState::Undefined(_)));
+        CallbackProgression::Continue
+    });
+    listed.map(|()| dead).map_err(|error| Error::SharedMemory {
+        what: "nodes".to_string(),
+        problem: format!("{error:?}"),
+    })
+}
+
+fn notifiers<S: LinkService>(opener: &Opener<'_, S>) -> Result<Vec<(Role, Notifier<S>)>, Error> {
+    let roles = [Role::World, Role::Runner, Role::Allocator];
+    let named = roles.into_iter().filter_map(|role| Some((role, services::bell_name(role)?)));
+    named.map(|(role, name)| Ok((role, opener.notifier(name, Role::Watcher)?))).collect()
+}
+
+impl<S: LinkService> AllocRx for IoxWatcher<S> {
+    fn receive_allocations(&mut self, take: &mut dyn FnMut(&AllocMsg)) -> Result<(), LinkError> {
+        while let Some(sample) = self.allocations.receive().map_err(|_| LinkError::Allocations)? {
+            take(sample.payload().message());
+        }
+        Ok(())
+    }
+}
+
+impl<S: LinkService> StatRx for IoxWatcher<S> {
+    fn receive_statuses(&mut self, take: &mut dyn FnMut(&StatMsg)) -> Result<(), LinkError> {
+        while let Some(sample) = self.statuses.receive().map_err(|_| LinkError::Statuses)? {
+            take(sample.payload().message());
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,165 @@
+//! One supervised process: started, reaped, started again.
+
+use std::os::fd::OwnedFd;
+use std::process::{Child, Command, ExitStatus};
+use std::time::{Duration, Instant};
+
+use rustix::process::{Pid, PidfdFlags, Signal, kill_process, pidfd_open};
+use sortie_core::wire::Role;
+
+use super::RestartPolicy;
+use crate::error::Error;
+
+/// First pause before a process that ended at once is started again; doubled each time.
+const FIRST_PAUSE: Duration = Duration::from_millis(1);
+/// Longest such pause.
+const LONGEST_PAUSE: Duration = Duration::from_millis(64);
+/// Pause before the next try where another process has the role.
+const BUSY_PAUSE: Duration = Duration::from_secs(1);
+/// Exit code of a process whose role another one has.
+const BUSY: i32 = 75;
+/// Exit codes that come back whenever the same program is started in the same way.
+const LASTING: [i32; 6] = [2, 65, 66, 70, 74, 78];
+
+/// A process to keep alive.
+#[derive(Debug)]
+pub struct Charge {
+    /// What reports call it.
+    pub name: String,
+    /// What it is.
+    pub role: Role,
+    /// Bit a: it acts for agent a.
+    pub agents: u64,
+    /// How it is started, by exec.
+    pub command: Command,
+}
+
+/// A charge and its process.
+pub(super) struct Kept {
+    pub(super) charge: Charge,
+    state: State,
+    /// Times in a row that it ended at once.
+    vain: u32,
+}
+
+enum State {
+    Due(Instant),
+    Running { child: Child, ended: OwnedFd, since: Instant },
+    Over,
+}
+
+/// What follows the end of a process.
+#[derive(Debug)]
+pub(super) enum After {
+    /// It has done its work, or is not to be started again.
+    Over,
+    /// It is started again after this pause.
+    Again(Duration),
+    /// It cannot go on.
+    GiveUp(Error),
+}
+
+impl Kept {
+    pub(super) fn new(charge: Charge) -> Self {
+        Self { charge, state: State::Due(Instant::now()), vain: 0 }
+    }
+
+    /// Starts the process if it is due; its id if it was.
+    pub(super) fn start_if_due(&mut self, now: Instant) -> Result<Option<u32>, Error> {
+        if !matches!(self.state, State::Due(at) if at <= now) {
+            return Ok(None);
+        }
+        let failed = |source| Error::Spawn { name: self.charge.name.clone(), source };
+        let mut child = self.charge.command.spawn().map_err(failed)?;
+        let ended = match pidfd_open(Pid::from_child(&child), PidfdFlags::empty()) {
+            Ok(ended) => ended,
+            Err(error) => {
+                let _ = child.kill();
+                let _ = child.wait();
+                return Err(Error::io("follow", &self.charge.name)(error.into()));
+            }
+        };
+        let pid = child.id();
+        self.state = State::Running { child, ended, since: now };
+        Ok(Some(pid))
+    }
+
+    /// Looks whether the process has ended: its id, how, and what follows.
+    pub(super) fn reap(
+        &mut self,
+        policy: &RestartPolicy,
+        now: Instant,
+    ) -> Option<(u32, ExitStatus, After)> {
+        let State::Running { child, since, .. } = &mut self.state else { return None };
+        let status = child.try_wait().ok()??;
+        let (pid, lived) = (child.id(), now.saturating_duration_since(*since));
+        let after = self.judge(policy, status, lived);
+        self.state = match after {
+            After::Again(pause) => State::Due(now + pause),
+            After::Over | After::GiveUp(_) => State::Over,
+        };
+        Some((pid, status, after))
+    }
+
+    fn judge(&mut self, policy: &RestartPolicy, status: ExitStatus, lived: Duration) -> After {
+        let name = || self.charge.name.clone();
+        match status.code() {
+            Some(0) => return After::Over,
+            _ if policy.never => return After::Over,
+            Some(BUSY) => return After::Again(BUSY_PAUSE),
+            Some(code) if LASTING.contains(&code) => {
+                return After::GiveUp(Error::Child { name: name(), status });
+            }
+            _ => {}
+        }
+        self.vain = if lived < policy.immediate { self.vain + 1 } else { 0 };
+        if self.vain >= policy.give_up_after {
+            return After::GiveUp(Error::KeepsDying { name: name(), times: self.vain, status });
+        }
+        After::Again((FIRST_PAUSE * (1 << self.vain.saturating_sub(1).min(6))).min(LONGEST_PAUSE))
+    }
+
+    /// The running process.
+    pub(super) fn pid(&self) -> Option<u32> {
+        match &self.state {
+            State::Running { child, .. } => Some(child.id()),
+            State::Due(_) | State::Over => None,
+        }
+    }
+
+    /// Readable once the running process has ended.
+    pub(super) fn ended(&self) -> Option<&OwnedFd> {
+        match &self.state {
+            State::Running { ended, .. } => Some(ended),
+            State::Due(_) | State::Over => None,
+        }
+    }
+
+    /// When it is to be started, if it is.
+    pub(super) fn due(&self) -> Option<Instant> {
+        match self.state {
+            State::Due(at) => Some(at),
+            State::Running { .. } | State::Over => None,
+        }
+    }
+
+    pub(super) fn is_over(&self) -> bool {
+        matches!(self.state, State::Over)
+    }
+
+    /// Sends a signal. A process that is not reaped keeps its id, so nobody else can get it.
+    pub(super) fn signal(&self, signal: Signal) {
+        if let State::Running { child, .. } = &self.state {
+            // It may have ended just now.
+            let _ = kill_process(Pid::from_child(child), signal);
+        }
+    }
+
+    /// Waits for its end.
+    pub(super) fn wait(&mut self) {
+        if let State::Running { child, .. } = &mut self.state {
+            let _ = child.wait();
+        }
+        self.state = State::Over;
+    }
+}

@@ -1,0 +1,362 @@
+//! Keeps the processes of a domain alive: starts them, starts them again when they die, and keeps
+//! the domain's services open, so that nothing is lost while others come and go.
+//!
+//! It is on no path between frame and action: a supervisor that is killed changes nothing for the
+//! others, and one that is started again takes over as they die.
+
+mod charge;
+mod vigil;
+
+use std::collections::BTreeSet;
+use std::os::fd::OwnedFd;
+use std::process::ExitStatus;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
+use rustix::io::{read, write};
+use rustix::process::Signal;
+use sortie_core::link::{AllocRx, StatRx};
+use sortie_core::wire::{Role, StatMsg};
+
+pub use charge::Charge;
+use charge::{After, Kept};
+use vigil::Vigil;
+
+use crate::domain::{Domain, Membership};
+use crate::error::{Error, ending};
+use crate::iox::{IoxWatcher, LinkSetup};
+use crate::stop::Stop;
+use crate::waker::Waker;
+
+/// Longest pause between two looks at what passes.
+const HEARTBEAT: Duration = Duration::from_millis(100);
+/// How long processes may take to leave.
+const GOODBYE_PATIENCE: Duration = Duration::from_secs(2);
+
+/// When a process that died is started again.
+#[derive(Clone, Copy, Debug)]
+pub struct RestartPolicy {
+    /// Never.
+    pub never: bool,
+    /// A process that lived shorter died at once: the pause before its next start doubles.
+    pub immediate: Duration,
+    /// Times in a row that a process may die at once.
+    pub give_up_after: u32,
+}
+
+impl Default for RestartPolicy {
+    /// Always, until it died ten times in a row within its first second.
+    fn default() -> Self {
+        Self { never: false, immediate: Duration::from_secs(1), give_up_after: 10 }
+    }
+}
+
+/// What a supervisor tells.
+#[derive(Clone, Copy, Debug)]
+pub enum SupervisorEvent<'a> {
+    /// A process was started.
+    Started {
+        /// What it is.
+        name: &'a str,
+        /// Its id.
+        pid: u32,
+    },
+    /// A process said hello, or a world sent its first frame.
+    Joined {
+        /// What it is.
+        name: &'a str,
+        /// Its id.
+        pid: u32,
+    },
+    /// An allocator leads from now on.
+    Leads {
+        /// What it is.
+        name: &'a str,
+        /// Its id.
+        pid: u32,
+    },
+    /// A process has ended.
+    Ended {
+        /// What it was.
+        name: &'a str,
+        /// Its id.
+        pid: u32,
+        /// How it ended.
+        status: ExitStatus,
+        /// After which pause it is started again, if it is.
+        again: Option<Duration>,
+    },
+    /// The leading allocator was asked five times in vain, and is killed.
+    LeaderSilent {
+        /// What it is.
+        name: &'a str,
+        /// Its id.
+        pid: u32,
+    },
+}
+
+impl std::fmt::Display for SupervisorEvent<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match *self {
+            Self::Started { name, pid } => write!(f, "{name} started as process {pid}"),
+            Self::Joined { name, pid } => write!(f, "{name} joined, process {pid}"),
+            Self::Leads { name, pid } => write!(f, "{name} leads the allocators, process {pid}"),
+            Self::LeaderSilent { name, pid } => {
+                write!(f, "{name} leads but does not answer, process {pid} is killed")
+            }
+            Self::Ended { name, pid, ref status, again } => {
+                write!(f, "{name} {}, process {pid}", ending(status))?;
+                match again {
+                    Some(pause) => write!(f, "; starts again in {} ms", pause.as_millis()),
+                    None => Ok(()),
+                }
+            }
+        }
+    }
+}
+
+/// What a supervisor did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Supervision {
+    /// Processes started, again ones included.
+    pub starts: u64,
+    /// Processes that ended other than with success.
+    pub deaths: u64,
+}
+
+/// Keeps `charges` alive in `domain` until the world among them, or all of them, have done their work,
+/// or `stop` is set. None of them outlives this call.
+///
+/// Processes started by hand take part as well: where one has a charge's role, the charge waits for it.
+///
+/// # Errors
+/// A process ends with an exit code that would come again, or dies at once too often; the domain
+/// cannot be used; or a signal came.
+pub fn supervise(
+    domain: &Domain,
+    charges: Vec<Charge>,
+    policy: &RestartPolicy,
+    tell: &mut dyn FnMut(&SupervisorEvent<'_>),
+    stop: &Stop,
+) -> Result<Supervision, Error> {
+    let wake = eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)
+        .map_err(|error| Error::io("create", "eventfd")(error.into()))?;
+    let wake = Arc::new(wake);
+    stop.wakes(waker(&wake));
+    let mut supervisor = Supervisor {
+        membership: domain.enter()?,
+        watcher: None,
+        kept: charges.into_iter().map(Kept::new).collect(),
+        joined: BTreeSet::new(),
+        leader: None,
+        world_term: 0,
+        vigil: Vigil::default(),
+        is_someone_dead: false,
+        done: Supervision::default(),
+    };
+    supervisor.run(policy, tell, stop, &wake).map(|()| supervisor.done)
+}
+
+fn waker(wake: &Arc<OwnedFd>) -> Waker {
+    let wake = Arc::clone(wake);
+    Waker::new(move || {
+        // A count that is full wakes as well.
+        let _ = write(&*wake, &1_u64.to_ne_bytes());
+    })
+}
+
+struct Supervisor {
+    membership: Membership,
+    /// Opened as soon as a world has stated what the domain is.
+    watcher: Option<IoxWatcher>,
+    kept: Vec<Kept>,
+    /// Processes that were heard of, by id.
+    joined: BTreeSet<u32>,
+    leader: Option<u32>,
+    world_term: u32,
+    vigil: Vigil,
+    is_someone_dead: bool,
+    done: Supervision,
+}
+
+type Tell<'a> = &'a mut dyn FnMut(&SupervisorEvent<'_>);
+
+impl Supervisor {
+    fn run(
+        &mut self,
+        policy: &RestartPolicy,
+        tell: Tell<'_>,
+        stop: &Stop,
+        wake: &OwnedFd,
+    ) -> Result<(), Error> {
+        loop {
+            if stop.is_set() {
+                return Err(Error::Interrupted);
+            }
+            self.reap(policy, tell)?;
+            if self.is_done() {
+                return Ok(());
+            }
+            self.start_due(tell)?;
+            self.open_watcher()?;
+            self.watch(tell)?;
+            self.wait(wake);
+        }
+    }
+
+    fn is_done(&self) -> bool {
+        let is_world = |kept: &&Kept| kept.charge.role == Role::World;
+        match self.kept.iter().find(is_world) {
+            Some(world) => world.is_over(),
+            None => self.kept.iter().all(Kept::is_over),
+        }
+    }
+
+    fn reap(&mut self, policy: &RestartPolicy, tell: Tell<'_>) -> Result<(), Error> {
+        let now = Instant::now();
+        for kept in &mut self.kept {
+            let Some((pid, status, after)) = kept.reap(policy, now) else { continue };
+            self.done.deaths += u64::from(!status.success());
+            self.is_someone_dead = true;
+            self.joined.remove(&pid);
+            let Charge { name, role, agents, .. } = &kept.charge;
+            let again = if let After::Again(pause) = after { Some(pause) } else { None };
+            tell(&SupervisorEvent::Ended { name, pid, status, again });
+            if let (Role::Runner, Some(watcher)) = (role, &mut self.watcher) {
+                watcher.bury_runner(pid, *agents)?;
+            }
+            if let After::GiveUp(error) = after {
+                return Err(error);
+            }
+        }
+        Ok(())
+    }
+
+    fn start_due(&mut self, tell: Tell<'_>) -> Result<(), Error> {
+        let now = Instant::now();
+        for kept in &mut self.kept {
+            if let Some(pid) = kept.start_if_due(now)? {
+                self.done.starts += 1;
+                tell(&SupervisorEvent::Started { name: &kept.charge.name, pid });
+            }
+        }
+        Ok(())
+    }
+
+    /// From here on the services outlive every other process of the domain.
+    fn open_watcher(&mut self) -> Result<(), Error> {
+        if self.watcher.is_some() {
+            return Ok(());
+        }
+        let Some(facts) = self.membership.facts()? else { return Ok(()) };
+        let (domain, format, bell) = (self.membership.domain(), facts.format()?, facts.bell());
+        let name = format!("supervisor/{}", std::process::id());
+        let _starting = self.membership.lock_start()?;
+        let setup = LinkSetup { domain, format, name: &name, bell, spin: Duration::ZERO };
+        self.watcher = Some(IoxWatcher::open(&setup)?);
+        Ok(())
+    }
+
+    /// Takes in what has passed since the last look.
+    fn watch(&mut self, tell: Tell<'_>) -> Result<(), Error> {
+        let Some(watcher) = &mut self.watcher else { return Ok(()) };
+        let (kept, joined, leader) = (&self.kept, &mut self.joined, &mut self.leader);
+        watcher.receive_statuses(&mut |status| {
+            let Some(name) = name_of(kept, status.pid) else { return };
+            let is_news = !status.has(StatMsg::BYE) && joined.insert(status.pid);
+            if is_news {
+                tell(&SupervisorEvent::Joined { name, pid: status.pid });
+            }
+            if status.has(StatMsg::LEADER) && *leader != Some(status.pid) {
+                *leader = Some(status.pid);
+                tell(&SupervisorEvent::Leads { name, pid: status.pid });
+            }
+        })?;
+        let vigil = &mut self.vigil;
+        watcher.receive_allocations(&mut |allocation| vigil.answered(allocation.tick))?;
+        if let Some(frame) = watcher.newest_frame()? {
+            let world = kept.iter().find(|kept| kept.charge.role == Role::World);
+            if frame.world_term > self.world_term
+                && let Some((world, pid)) = world.and_then(|world| Some((world, world.pid()?)))
+            {
+                tell(&SupervisorEvent::Joined { name: &world.charge.name, pid });
+            }
+            self.world_term = frame.world_term;
+            vigil.asked(frame.decision_tick);
+        }
+        if vigil.is_silent()
+            && let Some(pid) = *leader
+            && let Some(allocator) = kept.iter().find(|kept| kept.pid() == Some(pid))
+        {
+            tell(&SupervisorEvent::LeaderSilent { name: &allocator.charge.name, pid });
+            allocator.signal(Signal::KILL);
+            *vigil = Vigil::default();
+        }
+        if std::mem::take(&mut self.is_someone_dead) {
+            watcher.clean_up();
+        }
+        Ok(())
+    }
+
+    /// Waits for the end of a process, for a start that is due, for a signal, or for a heartbeat.
+    fn wait(&self, wake: &OwnedFd) {
+        let now = Instant::now();
+        let due = self.kept.iter().filter_map(Kept::due).min();
+        let left = due.map_or(HEARTBEAT, |due| due.saturating_duration_since(now).min(HEARTBEAT));
+        let mut descriptors: Vec<PollFd<'_>> = self
+            .kept
+            .iter()
+            .filter_map(Kept::ended)
+            .map(|fd| PollFd::new(fd, PollFlags::IN))
+            .collect();
+        descriptors.push(PollFd::new(wake, PollFlags::IN));
+        if let Ok(left) = Timespec::try_from(left) {
+            // What ended it is looked at anew in any case.
+            let _ = poll(&mut descriptors, Some(&left));
+        }
+        let _ = read(wake, &mut [0_u8; 8]);
+    }
+
+    /// Tells all to end, and kills those that take too long.
+    fn end_all(&mut self) {
+        let until = Instant::now() + GOODBYE_PATIENCE;
+        self.kept.iter().for_each(|kept| kept.signal(Signal::TERM));
+        while Instant::now() < until && self.kept.iter().any(is_running) {
+            await_end(self.kept.iter().filter_map(Kept::ended), until);
+            for kept in &mut self.kept {
+                kept.reap(
+                    &RestartPolicy { never: true, ..RestartPolicy::default() },
+                    Instant::now(),
+                );
+            }
+        }
+        for kept in &mut self.kept {
+            kept.signal(Signal::KILL);
+            kept.wait();
+        }
+    }
+}
+
+impl Drop for Supervisor {
+    fn drop(&mut self) {
+        self.end_all();
+    }
+}
+
+fn is_running(kept: &Kept) -> bool {
+    kept.ended().is_some()
+}
+
+fn await_end<'a>(running: impl Iterator<Item = &'a OwnedFd>, until: Instant) {
+    let mut descriptors: Vec<PollFd<'_>> =
+        running.map(|fd| PollFd::new(fd, PollFlags::IN)).collect();
+    if let Ok(left) = Timespec::try_from(until.saturating_duration_since(Instant::now())) {
+        let _ = poll(&mut descriptors, Some(&left));
+    }
+}
+
+fn name_of(kept: &[Kept], pid: u32) -> Option<&str> {
+    let kept = kept.iter().find(|kept| kept.pid() == Some(pid))?;
+    Some(&kept.charge.name)
+}

@@ -1,0 +1,58 @@
+//! The processes of a team: this program again, once for each.
+
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use sortie_core::wire::Role;
+use sortie_ipc::Charge;
+
+use crate::arguments::AllocatorChoice;
+use crate::policy::Backend;
+
+/// What all processes of a team are started with.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Team<'a> {
+    pub(crate) bundle: &'a Path,
+    pub(crate) domain: &'a str,
+    pub(crate) allocation: AllocatorChoice,
+    pub(crate) backend: Backend,
+    pub(crate) seed: u64,
+    /// Process with which they end.
+    pub(crate) parent: Option<u32>,
+}
+
+impl Team<'_> {
+    /// The runner of these agents.
+    pub(crate) fn runner(&self, agents: &[u16]) -> Charge {
+        let list = agents.iter().map(u16::to_string).collect::<Vec<_>>().join(",");
+        let mut command = self.command("runner");
+        command.arg("--agents").arg(&list);
+        Charge {
+            name: format!("the runner of agents {}", list.replace(',', ", ")),
+            role: Role::Runner,
+            agents: agents.iter().fold(0, |seats, agent| seats | 1 << agent),
+            command,
+        }
+    }
+
+    /// An allocator, one of several that differ by name only.
+    pub(crate) fn allocator(&self, name: String) -> Charge {
+        Charge { name, role: Role::Allocator, agents: 0, command: self.command("allocator") }
+    }
+
+    /// This program as a process of the team.
+    pub(crate) fn command(&self, role: &str) -> Command {
+        // A program that was replaced while it runs is still itself under this name.
+        let mut command = Command::new("/proc/self/exe");
+        command.arg("process").arg(role).arg(self.bundle);
+        command.arg("--domain").arg(self.domain);
+        if let Some(parent) = self.parent {
+            command.arg("--parent").arg(parent.to_string());
+        }
+        command.arg("--allocation").arg(self.allocation.name());
+        command.arg("--backend").arg(self.backend.name());
+        command.arg("--seed").arg(self.seed.to_string());
+        command.stdin(Stdio::null()).stdout(Stdio::null());
+        command
+    }
+}

@@ -1,0 +1,143 @@
+//! `sortie up`: a team as supervised processes that go on whatever dies.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use clap::{Args, ValueEnum};
+use sortie_core::World;
+use sortie_core::wire::Role;
+use sortie_ipc::{Charge, Domain, RestartPolicy, SupervisorEvent, group_agents, supervise};
+
+use super::team::Team;
+use super::world::{Playing, open_world};
+use crate::allocator::DeployedAllocator;
+use crate::arguments::{AllocatorChoice, Common};
+use crate::deployment::open_bundle;
+use crate::failure::{Exit, Failure, Outcome};
+use crate::policy::{Backend, DeployedPolicy};
+use crate::signals::stop_on_signals;
+
+/// Keep a bundle's team running: world, runners, a leading allocator and its standbys, supervised
+///
+/// Any process may be killed at any time: agents without a runner play the fallback action, a standby takes
+/// over from the allocator, and whoever died is started again. Ctrl-C ends all and leaves nothing in shared
+/// memory.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  sortie up models/save-the-city
+  sortie up models/save-the-city --isolate --episodes 100 --rate 200
+  sortie up models/save-the-city --domain north --standbys 2 --restart never")]
+pub(crate) struct UpArguments {
+    /// Folder of the bundle
+    bundle: PathBuf,
+    #[command(flatten)]
+    playing: Playing,
+    /// Who assigns agents to subtasks [default: learned where the bundle has it, else coordinated]
+    #[arg(long, value_enum)]
+    allocation: Option<AllocatorChoice>,
+    /// What executes the networks
+    #[arg(long, value_enum, default_value_t = Backend::Plan)]
+    backend: Backend,
+    /// One process per agent
+    #[arg(long)]
+    isolate: bool,
+    /// Allocators that stand by, ready to take over
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(0..=2))]
+    standbys: u32,
+    /// Whether a process that died is started again
+    #[arg(long, value_enum, default_value_t = Restart::OnFailure)]
+    restart: Restart,
+    /// Name that keeps this deployment apart from others on the host
+    #[arg(long, env = "SORTIE_DOMAIN", default_value = "default")]
+    domain: String,
+    #[command(flatten)]
+    common: Common,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Restart {
+    /// Always, but for one that dies at once again and again
+    OnFailure,
+    /// The others carry on without it
+    Never,
+}
+
+pub(crate) fn run(arguments: &UpArguments) -> Outcome {
+    let stop = stop_on_signals()?;
+    let bundle = open_bundle(&arguments.bundle)?;
+    let seed = arguments.common.seed;
+    // Opened here although others will: errors show once, and plans are compiled.
+    let world = open_world(&bundle, arguments.playing.env.as_deref(), seed)?;
+    let learned = bundle.allocator_onnx().is_some();
+    let allocation = AllocatorChoice::or_default(arguments.allocation, learned);
+    DeployedPolicy::open(&bundle, arguments.backend)?;
+    DeployedAllocator::open(&bundle, allocation, arguments.backend, seed)?;
+    let domain = Domain::new(&arguments.domain)?;
+    let team = Team {
+        bundle: &arguments.bundle,
+        domain: &arguments.domain,
+        allocation,
+        backend: arguments.backend,
+        seed,
+        parent: None,
+    };
+    let charges = charges(arguments, &team, world.shape().agents);
+    let is_told = !arguments.common.quiet && !arguments.common.json;
+    if is_told {
+        eprintln!(
+            "domain `{}`; by hand, each of these takes the place of a process that is missing:",
+            domain.id()
+        );
+        charges.iter().for_each(|charge| eprintln!("  {}", by_hand(&charge.command)));
+    }
+    let policy =
+        RestartPolicy { never: arguments.restart == Restart::Never, ..RestartPolicy::default() };
+    let mut tell = |event: &SupervisorEvent<'_>| {
+        if is_told {
+            eprintln!("{event}");
+        }
+    };
+    match supervise(&domain, charges, &policy, &mut tell, &stop) {
+        Ok(_) => Ok(()),
+        Err(sortie_ipc::Error::Interrupted) => Err(Failure::new(Exit::Interrupted, "interrupted")),
+        Err(error) => Err(error.into()),
+    }
+}
+
+fn charges(arguments: &UpArguments, team: &Team<'_>, agents: usize) -> Vec<Charge> {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let groups = group_agents(agents, cores, arguments.isolate);
+    let allocators =
+        (0..=arguments.standbys).map(|index| team.allocator(format!("allocator {index}")));
+    let runners = groups.iter().map(|group| team.runner(group));
+    [world(arguments, team)].into_iter().chain(allocators).chain(runners).collect()
+}
+
+/// The world, which prints the report.
+fn world(arguments: &UpArguments, team: &Team<'_>) -> Charge {
+    let mut command = team.command("world");
+    let Playing { env, episodes, rate, patience } = &arguments.playing;
+    if let Some(env) = env {
+        command.arg("--env").arg(env);
+    }
+    if let Some(episodes) = episodes {
+        command.arg("--episodes").arg(episodes.to_string());
+    }
+    command.arg("--rate").arg(rate.to_string());
+    command.arg("--patience").arg(patience.to_string());
+    for (flag, is_set) in [("--json", arguments.common.json), ("--quiet", arguments.common.quiet)] {
+        if is_set {
+            command.arg(flag);
+        }
+    }
+    command.stdout(Stdio::inherit());
+    Charge { name: "the world".to_string(), role: Role::World, agents: 0, command }
+}
+
+/// A command as a person types it.
+fn by_hand(command: &Command) -> String {
+    let own = std::env::args().next().unwrap_or_default();
+    let program = Path::new(&own).display().to_string();
+    let words = command.get_args().map(|word| word.to_string_lossy().into_owned());
+    [program].into_iter().chain(words).collect::<Vec<_>>().join(" ")
+}

@@ -1,0 +1,102 @@
+//! A world process of a supervised team.
+
+use std::time::Duration;
+
+use clap::Args;
+use sortie_bundle::Bundle;
+use sortie_envs::save_the_city::{Constants, SaveTheCity, ScenarioSet};
+use sortie_ipc::{Domain, Stop, WorldSettings, world_process};
+
+use super::onlooker::{Display, Onlooker};
+use super::report::{Report, Setup};
+use super::{positive_seconds, rate};
+use crate::arguments::AllocatorChoice;
+use crate::deployment::domain_contract;
+use crate::environment::{ScenarioSetName, check_fits};
+use crate::failure::{Exit, Failure, Outcome};
+use crate::output::print_json;
+use crate::policy::Backend;
+use crate::worlds::save_the_city::CityWorld;
+
+/// What a supervised world plays.
+#[derive(Clone, Debug, Args)]
+pub(crate) struct Playing {
+    /// Scenario set to play; default: the one that the bundle was trained on
+    #[arg(long, value_name = "ENV[/SET]")]
+    pub(super) env: Option<String>,
+    /// Episodes to play; default: until stopped
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
+    pub(super) episodes: Option<u32>,
+    /// Ticks a second; agents have 80 % of a tick to act. 0 for as fast as the team acts
+    #[arg(long, default_value_t = 100.0, value_name = "HZ", value_parser = rate)]
+    pub(super) rate: f64,
+    /// With --rate 0, seconds to wait for an action before the fallback is played
+    #[arg(long, default_value_t = 2.0, value_name = "S", value_parser = positive_seconds)]
+    pub(super) patience: f64,
+}
+
+/// The city that a bundle is to play in.
+pub(super) fn open_world(
+    bundle: &Bundle,
+    asked: Option<&str>,
+    seed: u64,
+) -> Result<CityWorld, Failure> {
+    let trained_on = &bundle.manifest().contract.environment.name;
+    let set = ScenarioSetName::parse(asked.unwrap_or(trained_on))?;
+    let set = ScenarioSet::named(set.set()).map_err(Failure::bug)?;
+    check_fits(bundle, &set)?;
+    let city = SaveTheCity::new(set, Constants::default(), 1, seed).map_err(Failure::bug)?;
+    Ok(CityWorld::new(city))
+}
+
+/// The world's part of a team.
+pub(super) struct WorldOfTeam<'a> {
+    pub(super) bundle: &'a Bundle,
+    pub(super) allocation: AllocatorChoice,
+    pub(super) backend: Backend,
+    pub(super) seed: u64,
+    pub(super) json: bool,
+    pub(super) quiet: bool,
+}
+
+/// Plays with whoever is there, and reports.
+pub(super) fn play(
+    team: &WorldOfTeam<'_>,
+    playing: &Playing,
+    domain: &Domain,
+    stop: &Stop,
+) -> Outcome {
+    let mut world = open_world(team.bundle, playing.env.as_deref(), team.seed)?;
+    let display = if team.json || team.quiet { Display::Silent } else { Display::Lines };
+    let episodes = playing.episodes.map(|episodes| episodes as usize);
+    let (city, finished) = (world.city.clone(), world.finished.clone());
+    let mut onlooker = Onlooker::new(display, episodes, city, finished);
+    let rate_hz = (playing.rate > 0.0).then_some(playing.rate);
+    let settings = WorldSettings {
+        allocator: true,
+        strict: false,
+        period: rate_hz.map_or(Duration::ZERO, |hz| Duration::from_secs_f64(1.0 / hz)),
+        patience: Duration::from_secs_f64(playing.patience),
+        episodes: playing.episodes,
+        ..WorldSettings::default()
+    };
+    let contract = domain_contract(team.bundle);
+    let start = |_: &mut _| Ok(());
+    let ended = world_process(domain, &contract, &mut world, &settings, start, &mut onlooker, stop);
+    let setup = Setup {
+        allocation: team.allocation.name().to_string(),
+        backend: team.backend.name().to_string(),
+        rate_hz,
+    };
+    let report = Report::new(&world.finished.borrow(), &onlooker.figures, setup);
+    if team.json {
+        print_json(&report);
+    } else if !team.quiet {
+        report.print(&onlooker.figures);
+    }
+    match ended {
+        Ok(_) => Ok(()),
+        Err(sortie_ipc::Error::Interrupted) => Err(Failure::new(Exit::Interrupted, "")),
+        Err(error) => Err(error.into()),
+    }
+}

@@ -1,0 +1,110 @@
+//! A supervised team through the command line: whoever is killed comes back, and the others go on.
+
+mod support;
+
+use std::io::{BufRead, BufReader, Read};
+use std::process::{Child, ChildStderr, Stdio};
+
+use support::{BUNDLE, TestDomain, assert_fails, interrupt, json, kill, output, sortie, stderr};
+
+/// A team that is up, and what it tells.
+struct Up {
+    child: Child,
+    lines: BufReader<ChildStderr>,
+}
+
+impl Up {
+    fn start(domain: &TestDomain, more: &[&str]) -> Self {
+        let mut child = sortie(&["up", BUNDLE, "--domain", &domain.id])
+            .args(more)
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("the command line starts");
+        let lines = BufReader::new(child.stderr.take().expect("standard error"));
+        Self { child, lines }
+    }
+
+    /// Reads on until a line has all of these words.
+    fn await_line(&mut self, words: &[&str]) -> String {
+        loop {
+            let mut line = String::new();
+            let read = self.lines.read_line(&mut line).expect("a line");
+            assert!(read > 0, "no line with {words:?}");
+            if words.iter().all(|word| line.contains(word)) {
+                return line;
+            }
+        }
+    }
+
+    /// Interrupts the supervisor, and waits for its end.
+    fn end(mut self) -> Option<i32> {
+        interrupt(&self.child);
+        self.lines.read_to_end(&mut Vec::new()).expect("its standard error");
+        self.child.wait().expect("its status").code()
+    }
+}
+
+/// The process that a line names last.
+fn pid(line: &str) -> u32 {
+    let digits = line.rsplit(|c: char| !c.is_ascii_digit()).find(|digits| !digits.is_empty());
+    digits.and_then(|digits| digits.parse().ok()).expect("a process id")
+}
+
+#[test]
+fn killed_runners_and_allocators_take_their_places_again() {
+    let domain = TestDomain::new("up");
+    let mut up = Up::start(&domain, &["--isolate"]);
+    let runner = pid(&up.await_line(&["the runner of agents 2 joined"]));
+    let leader = up.await_line(&["leads the allocators"]);
+    kill(runner);
+    up.await_line(&["the runner of agents 2 was killed by signal 9", "starts again"]);
+    assert_ne!(pid(&up.await_line(&["the runner of agents 2 joined"])), runner);
+    kill(pid(&leader));
+    let next = up.await_line(&["leads the allocators"]);
+    assert_ne!(pid(&next), pid(&leader));
+    assert_eq!(up.end(), Some(130));
+    assert_eq!(domain.leftovers(), Vec::<std::path::PathBuf>::new());
+}
+
+#[test]
+fn a_team_that_is_up_plays_its_episodes_and_reports() {
+    let domain = TestDomain::new("upend");
+    let report =
+        json(&["up", BUNDLE, "--domain", &domain.id, "--episodes", "2", "--rate", "0", "--json"]);
+    assert_eq!(report["episodes"], 2);
+    assert!(report["decisions"].as_u64() > Some(0), "{report}");
+    assert_eq!(domain.leftovers(), Vec::<std::path::PathBuf>::new());
+}
+
+#[test]
+fn a_doctor_names_what_is_missing() {
+    let domain = TestDomain::new("doctor");
+    let idle = json(&["doctor", "--domain", &domain.id, "--json"]);
+    assert_eq!(idle["problems"], 0, "{idle}");
+    let mut up = Up::start(&domain, &["--restart", "never", "--isolate", "--standbys", "0"]);
+    let runner = pid(&up.await_line(&["the runner of agents 1 joined"]));
+    up.await_line(&["leads the allocators"]);
+    kill(runner);
+    up.await_line(&["the runner of agents 1 was killed by signal 9"]);
+    let examined = output(&["doctor", "--domain", &domain.id]);
+    let told = String::from_utf8_lossy(&examined.stdout).into_owned();
+    assert!(told.contains("nobody acts for agents 1\n"), "{told}");
+    assert!(told.contains("one leads, none stands by"), "{told}");
+    assert_fails(&examined, 1, &["problem"]);
+    assert_eq!(up.end(), Some(130));
+    assert_eq!(domain.leftovers(), Vec::<std::path::PathBuf>::new());
+}
+
+#[test]
+fn a_seat_that_is_taken_is_refused_by_name() {
+    let domain = TestDomain::new("seat");
+    let mut up = Up::start(&domain, &["--isolate"]);
+    let runner = pid(&up.await_line(&["the runner of agents 0 joined"]));
+    let arguments = ["process", "runner", BUNDLE, "--domain", &domain.id, "--agents", "0"];
+    let second = output(&arguments);
+    assert_fails(&second, 75, &["agent 0", &runner.to_string()]);
+    let beyond = output(&[&arguments[..6], &["99"]].concat());
+    assert_fails(&beyond, 2, &["no such agents: [99]"]);
+    assert_eq!(up.end(), Some(130), "{}", stderr(&second));
+}
