@@ -81,6 +81,8 @@ impl WorldRole {
             return Ok(Poll::Again);
         }
         let until_ns = if is_awaited && now < allocate_by { allocate_by } else { act_by };
+        // Runners ring once after all their answers, the allocator once after an allocation.
+        link.await_rings(self.seats.holders(missing) + u32::from(is_awaited));
         Ok(Poll::Wait { until_ns })
     }
 
