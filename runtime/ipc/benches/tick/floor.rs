@@ -71,8 +71,8 @@ impl Word {
     }
 }
 
-/// An agent: answers every tick until the last.
-pub(crate) fn agent(path: &Path, agent: usize) {
+/// A process with so many agents: answers every tick until the last.
+pub(crate) fn process(path: &Path, agents: usize, index: usize) {
     let mapping = Mapping::open(path);
     let memory = mapping.memory();
     let mut seen = 0;
@@ -88,15 +88,16 @@ pub(crate) fn agent(path: &Path, agent: usize) {
         }
         seen = tick;
         let sum = memory.frame.iter().fold(0, |sum, word| sum ^ word.load(Ordering::Relaxed));
-        decide(1);
+        decide(agents as u32);
         std::hint::black_box(sum);
-        memory.actions[agent].0.store(tick, Ordering::Release);
+        memory.actions[index].0.store(tick, Ordering::Release);
         memory.world.ring();
     }
 }
 
-/// The world: times so many ticks, in nanoseconds. A patient one is woken by the last answer only.
-pub(crate) fn world(path: &Path, ticks: usize, is_patient: bool) -> Vec<u64> {
+/// The world: times so many ticks of so many processes, in nanoseconds. A patient one is woken by the
+/// last answer only.
+pub(crate) fn world(path: &Path, ticks: usize, processes: usize, is_patient: bool) -> Vec<u64> {
     let mapping = Mapping::open(path);
     let memory = mapping.memory();
     let mut times = Vec::with_capacity(ticks);
@@ -108,12 +109,13 @@ pub(crate) fn world(path: &Path, ticks: usize, is_patient: bool) -> Vec<u64> {
         memory.tick.0.store(tick, Ordering::Release);
         if is_patient {
             // All answers of the ticks before are in: every agent rings once more.
-            memory.world.patience.store((AGENTS * tick as usize) as u32, Ordering::SeqCst);
+            memory.world.patience.store((processes * tick as usize) as u32, Ordering::SeqCst);
         }
         memory.agents.ring();
         loop {
             let token = memory.world.sequence.load(Ordering::SeqCst);
-            if memory.actions.iter().all(|slot| slot.0.load(Ordering::Acquire) == tick) {
+            let answers = &memory.actions[..processes];
+            if answers.iter().all(|slot| slot.0.load(Ordering::Acquire) == tick) {
                 break;
             }
             memory.world.wait(token);

@@ -3,9 +3,11 @@
 //! iceoryx2, Unix sockets. Rounds alternate; ratios are paired.
 //!
 //! `cargo bench -p sortie-ipc --bench tick [-- ROUNDS TICKS [CASE...]]`
+//! `cargo bench -p sortie-ipc --bench tick -- soak SECONDS`
 
 mod floor;
 mod plain;
+mod soak;
 mod sockets;
 mod spread;
 
@@ -13,7 +15,7 @@ use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use sortie_core::roles::{TickReport, WorldObserver};
+use sortie_core::roles::{Counters, TickReport, WorldObserver};
 use sortie_core::wire::FrameMut;
 use sortie_core::{
     DecideError, Decision, EntityMask, Observation, Policy, Shape, StepOutcome, UnavailableAction,
@@ -45,7 +47,8 @@ const EVENTS: &str = "events";
 const PLAIN: &str = "plain iceoryx2";
 const SOCKETS: &str = "unix sockets";
 const RUNNER: &str = "one runner";
-const CASES: [&str; 7] = [FLOOR, PATIENT, DOORBELL, EVENTS, PLAIN, SOCKETS, RUNNER];
+const RAW_RUNNER: &str = "raw, one runner";
+const CASES: [&str; 8] = [FLOOR, PATIENT, DOORBELL, EVENTS, PLAIN, SOCKETS, RUNNER, RAW_RUNNER];
 
 /// What rounds of one case measured, in nanoseconds.
 struct Case {
@@ -71,6 +74,9 @@ fn main() {
     let mut numbers = arguments.iter().filter_map(|argument| argument.parse::<usize>().ok());
     let rounds = numbers.next().unwrap_or(15);
     let ticks = numbers.next().unwrap_or(2_000);
+    if arguments.iter().any(|argument| argument == "soak") {
+        return soak::soak(rounds);
+    }
     let is_named = |name: &str| arguments.iter().any(|argument| argument == name);
     let mut cases: Vec<Case> = CASES
         .into_iter()
@@ -95,6 +101,11 @@ fn main() {
             println!("  {:30} {ratios}", format!("{} / {}", above.name, below.name));
         }
     }
+    if let Some(raw) = find(RAW_RUNNER) {
+        let decisions = DECISION.as_nanos() as f64 * AGENTS as f64;
+        let beyond: Vec<f64> = raw.ticks.iter().map(|tick| tick - decisions).collect();
+        println!("  {:30} {}", "raw, one runner - decisions", spread(&beyond, 1e-3, " us"));
+    }
     if let Some(runner) = find(RUNNER) {
         println!("  {:30} {}", "one runner - its decisions", spread(&runner.beyond, 1e-3, " us"));
     }
@@ -106,8 +117,9 @@ impl Case {
         let name = format!("bench{}-{index}{round}", std::process::id());
         let alone: Vec<String> = (0..AGENTS).map(|agent| agent.to_string()).collect();
         let times = match self.name {
-            FLOOR => raw(&name, ticks, false),
-            PATIENT => raw(&name, ticks, true),
+            FLOOR => raw(&name, ticks, 1, false),
+            PATIENT => raw(&name, ticks, 1, true),
+            RAW_RUNNER => raw(&name, ticks, AGENTS, false),
             PLAIN => plain(&name, ticks),
             SOCKETS => sockets(&name, ticks),
             DOORBELL => team(&name, &alone, BellKind::Doorbell, ticks),
@@ -129,10 +141,10 @@ fn process(role: &str, place: &str) -> Command {
     command
 }
 
-/// Runs `world` among agents of a kind that knows nothing of us.
-fn among(kind: &str, place: &str, world: impl FnOnce() -> Vec<u64>) -> Vec<Tick> {
-    let start = |agent| process(&format!("{kind} {agent}"), place).spawn().unwrap();
-    let agents: Vec<Child> = (0..AGENTS).map(start).collect();
+/// Runs `world` among so many processes of a kind that knows nothing of us.
+fn among(kind: &str, processes: usize, place: &str, world: impl FnOnce() -> Vec<u64>) -> Vec<Tick> {
+    let start = |index| process(&format!("{kind} {index}"), place).spawn().unwrap();
+    let agents: Vec<Child> = (0..processes).map(start).collect();
     let times = world();
     for mut agent in agents {
         agent.wait().unwrap();
@@ -140,47 +152,64 @@ fn among(kind: &str, place: &str, world: impl FnOnce() -> Vec<u64>) -> Vec<Tick>
     times.into_iter().map(|took| Tick { took, decisions: 0 }).collect()
 }
 
-fn raw(name: &str, ticks: usize, is_patient: bool) -> Vec<Tick> {
+/// Each process decides for so many agents.
+fn raw(name: &str, ticks: usize, agents: usize, is_patient: bool) -> Vec<Tick> {
     let path = PathBuf::from("/dev/shm").join(name);
-    let times = among("raw", path.to_str().unwrap(), || floor::world(&path, ticks, is_patient));
+    let (place, kind) = (path.to_str().unwrap(), format!("raw {agents}"));
+    let processes = AGENTS / agents;
+    let times =
+        among(&kind, processes, place, || floor::world(&path, ticks, processes, is_patient));
     std::fs::remove_file(&path).unwrap();
     times
 }
 
 fn plain(name: &str, ticks: usize) -> Vec<Tick> {
     let world = PlainWorld::open(name);
-    among("plain", name, || world.run(ticks))
+    among("plain", AGENTS, name, || world.run(ticks))
 }
 
 fn sockets(name: &str, ticks: usize) -> Vec<Tick> {
     let path = PathBuf::from("/dev/shm").join(name);
     let socket = sockets::world_socket(&path);
-    let times = among("sockets", path.to_str().unwrap(), || sockets::world(&socket, &path, ticks));
+    let times =
+        among("sockets", AGENTS, path.to_str().unwrap(), || sockets::world(&socket, &path, ticks));
     std::fs::remove_dir_all(&path).unwrap();
     times
 }
 
 fn team(name: &str, runners: &[String], bell: BellKind, ticks: usize) -> Vec<Tick> {
-    let domain = Domain::new(name).unwrap();
     let settings = WorldSettings { episodes: Some(1), bell, ..WorldSettings::default() };
+    let mut times = Times(Vec::with_capacity(ticks));
+    run_team(name, runners, &settings, ticks, &mut times);
+    times.0
+}
+
+/// Runs one episode of so many ticks in this process, with these runners as others.
+fn run_team(
+    name: &str,
+    runners: &[String],
+    settings: &WorldSettings,
+    ticks: usize,
+    observer: &mut dyn WorldObserver,
+) -> Counters {
+    let domain = Domain::new(name).unwrap();
     let start_team = |children: &mut Children| {
         runners.iter().try_for_each(|runner| children.spawn("runner", &mut process(runner, name)))
     };
     let mut world = Idle { left: ticks };
-    let mut times = Times(Vec::with_capacity(ticks));
     let (contract, stop) = (contract(), Stop::new());
-    world_process(&domain, &contract, &mut world, &settings, start_team, &mut times, &stop)
-        .unwrap();
-    times.0
+    world_process(&domain, &contract, &mut world, settings, start_team, observer, &stop).unwrap()
 }
 
 /// What the processes do that the bench starts.
 fn act(role: &str, place: &str) {
     let path = PathBuf::from(place);
-    match role.split_once(' ') {
-        Some(("raw", agent)) => floor::agent(&path, agent.parse().unwrap()),
-        Some(("plain", agent)) => plain::agent(place, agent.parse().unwrap()),
-        Some(("sockets", agent)) => sockets::agent(&path, agent.parse().unwrap()),
+    match *role.split(' ').collect::<Vec<_>>() {
+        ["raw", agents, index] => {
+            floor::process(&path, agents.parse().unwrap(), index.parse().unwrap());
+        }
+        ["plain", agent] => plain::agent(place, agent.parse().unwrap()),
+        ["sockets", agent] => sockets::agent(&path, agent.parse().unwrap()),
         _ => run_agents(role, place),
     }
 }
