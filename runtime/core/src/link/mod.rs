@@ -150,6 +150,10 @@ pub trait Bell {
     /// Waits until somebody rang since `token` was taken, or until `until_ns`.
     fn wait_until(&mut self, token: u32, until_ns: u64) -> Wake;
 
+    /// Lets the next wait sleep through all but the last of so many rings. A wait may end earlier:
+    /// bells that cannot tell rings apart end it with the first.
+    fn await_rings(&mut self, _rings: u32) {}
+
     /// Wakes every process of `role`.
     ///
     /// # Errors

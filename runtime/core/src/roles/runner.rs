@@ -113,11 +113,12 @@ impl RunnerRole {
     /// # Errors
     /// A topic failed.
     pub fn leave(&mut self, link: &mut impl AgentLink) -> Result<(), LinkError> {
+        let now = link.now_ns();
         for agent in self.agents() {
             let mut goodbye = self.message(agent, self.seen_tick);
             goodbye.action = NO_ACTION;
             goodbye.flags = ActionMsg::BYE;
-            self.send(link, goodbye)?;
+            self.send(link, &mut goodbye, now)?;
         }
         self.send_status(link, StatMsg::BYE)?;
         link.ring(Role::World)
@@ -158,7 +159,11 @@ impl RunnerRole {
     ) -> Result<Poll, LinkError> {
         self.receive(link)?;
         let kept = if self.pending { link.frame() } else { None };
-        let Some(view) = kept.and_then(|frame| self.view(frame).ok()) else {
+        let format = &self.options.format;
+        let view = kept.and_then(|Frame { header, payload }| {
+            FrameView::checked_before(header, payload, format).ok()
+        });
+        let Some(view) = view else {
             return self.rest(link);
         };
         let header = view.header();
@@ -175,10 +180,13 @@ impl RunnerRole {
             }
             let is_reset = self.count_gaps(&view) && policy.begin_episode();
             let in_force = self.in_force(&view, heuristic);
-            let answers = self.decide(&view, policy, &in_force, link);
-            for mut answer in answers {
+            let mut answers = Vec::new();
+            self.decide(&view, policy, &in_force, link, &mut answers);
+            // One time for all: they are sent together.
+            let now = link.now_ns();
+            for answer in &mut answers {
                 answer.flags |= if is_reset { ActionMsg::STATE_RESET } else { 0 };
-                self.send(link, answer)?;
+                self.send(link, answer, now)?;
             }
             link.ring(Role::World)?;
         }
@@ -320,21 +328,20 @@ impl RunnerRole {
         policy: &mut P,
         in_force: &InForce,
         clock: &impl Clock,
-    ) -> Vec<ActionMsg, { limits::AGENTS }> {
+        answers: &mut Vec<ActionMsg, { limits::AGENTS }>,
+    ) {
         let flags = self.flags(view, in_force.freshness, clock.now_ns());
-        let subtasks = subtasks(view, in_force);
+        let subtasks = self.options.subtasks.then(|| subtasks(view, in_force));
         let present = view.present();
-        let mut answers = Vec::new();
         let mut seen: Vec<Observation<'_>, { limits::AGENTS }> = Vec::new();
         let mut deciding = 0_u64;
         for agent in self.agents().filter(|&agent| present.contains(agent)) {
             let mut answer = self.message(agent, view.header().tick);
             let task = in_force.task_of(agent);
             answer.flags = flags | self.finished(view, in_force.freshness, task);
-            let sees = if self.options.subtasks {
-                visible(view.observable(agent), present, &subtasks, task)
-            } else {
-                view.observable(agent).and(&present)
+            let sees = match &subtasks {
+                Some(subtasks) => visible(view.observable(agent), present, subtasks, task),
+                None => view.observable(agent).and(&present),
             };
             // There is room for every agent: one answer and one observation at most.
             if self.options.subtasks && task.is_none() {
@@ -346,7 +353,9 @@ impl RunnerRole {
             (answer.alloc_term, answer.alloc_epoch) = in_force.order;
             let _ = answers.push(answer);
         }
-        let mut decisions = [Err(DecideError::BadLength); limits::AGENTS];
+        let undecided = seen.iter().map(|_| Err(DecideError::BadLength));
+        let mut decisions: Vec<Result<Decision, DecideError>, { limits::AGENTS }> =
+            undecided.collect();
         let started = clock.now_ns();
         policy.decide_batch(&seen, &mut decisions);
         // Agents decide together; each is told its share of the time.
@@ -358,7 +367,6 @@ impl RunnerRole {
             self.act(answer, decision, observation);
             answer.decide_ns = share;
         }
-        answers
     }
 
     fn act(
@@ -433,11 +441,16 @@ impl RunnerRole {
         }
     }
 
-    fn send(&mut self, link: &mut impl AgentLink, mut answer: ActionMsg) -> Result<(), LinkError> {
+    fn send(
+        &mut self,
+        link: &mut impl AgentLink,
+        answer: &mut ActionMsg,
+        now_ns: u64,
+    ) -> Result<(), LinkError> {
         self.actions += 1;
         answer.seq = self.actions;
-        answer.t_ns = link.now_ns();
-        link.send_action(&answer)
+        answer.t_ns = now_ns;
+        link.send_action(answer)
     }
 
     fn send_status(&mut self, link: &mut impl AgentLink, flags: u32) -> Result<(), LinkError> {

@@ -62,6 +62,20 @@ impl<'a> FrameView<'a> {
         payload: &'a [u8],
         format: &FrameFormat,
     ) -> Result<Self, FrameError> {
+        let view = Self::checked_before(header, payload, format)?;
+        let is_sound = view.agrees_with_header() && view.names_only_what_exists(format);
+        if is_sound { Ok(view) } else { Err(FrameError::Content) }
+    }
+
+    /// Reads a frame whose content has been checked.
+    ///
+    /// # Errors
+    /// As [`Self::new`], but for the content.
+    pub(crate) fn checked_before(
+        header: &'a FrameHeader,
+        payload: &'a [u8],
+        format: &FrameFormat,
+    ) -> Result<Self, FrameError> {
         let layout = &format.layout;
         if !header.fits(format.schema) {
             return Err(FrameError::Foreign);
@@ -81,7 +95,7 @@ impl<'a> FrameView<'a> {
             return Err(FrameError::Layout);
         }
         let [present, observable, entity_task, available, last_actions, rows] = layout.sections();
-        let view = Self {
+        Ok(Self {
             header,
             head,
             stride: layout.stride(),
@@ -92,9 +106,7 @@ impl<'a> FrameView<'a> {
             available: section(payload, available)?,
             last_actions: section(payload, last_actions)?,
             rows: section(payload, rows)?,
-        };
-        let is_sound = view.agrees_with_header() && view.names_only_what_exists(format);
-        if is_sound { Ok(view) } else { Err(FrameError::Content) }
+        })
     }
 
     /// The tick is of the world's term; step and decision tick are not beyond it.

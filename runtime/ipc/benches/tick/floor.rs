@@ -9,10 +9,8 @@ use std::time::Instant;
 use memmap2::MmapRaw;
 use rustix::thread::futex;
 
-use super::{AGENTS, decide};
+use super::{AGENTS, FRAME_WORDS, decide};
 
-/// Words of a frame of the same size as the team's.
-const FRAME_WORDS: usize = 564;
 /// The tick that ends the agents.
 const END: u64 = u64::MAX;
 
@@ -20,6 +18,8 @@ const END: u64 = u64::MAX;
 struct Word {
     sequence: AtomicU32,
     waiters: AtomicU32,
+    /// The sequence number that the waiter sleeps for; 0 = the next.
+    patience: AtomicU32,
 }
 
 #[repr(C, align(64))]
@@ -54,8 +54,9 @@ impl Mapping {
 
 impl Word {
     fn ring(&self) {
-        self.sequence.fetch_add(1, Ordering::SeqCst);
-        if self.waiters.load(Ordering::SeqCst) != 0 {
+        let sequence = self.sequence.fetch_add(1, Ordering::SeqCst) + 1;
+        let is_due = sequence >= self.patience.load(Ordering::SeqCst);
+        if self.waiters.load(Ordering::SeqCst) != 0 && is_due {
             let _ = futex::wake(&self.sequence, futex::Flags::empty(), i32::MAX as u32);
         }
     }
@@ -70,8 +71,8 @@ impl Word {
     }
 }
 
-/// An agent: answers every tick until the last.
-pub(crate) fn agent(path: &Path, agent: usize) {
+/// A process with so many agents: answers every tick until the last.
+pub(crate) fn process(path: &Path, agents: usize, index: usize) {
     let mapping = Mapping::open(path);
     let memory = mapping.memory();
     let mut seen = 0;
@@ -87,15 +88,16 @@ pub(crate) fn agent(path: &Path, agent: usize) {
         }
         seen = tick;
         let sum = memory.frame.iter().fold(0, |sum, word| sum ^ word.load(Ordering::Relaxed));
-        decide(1);
+        decide(agents as u32);
         std::hint::black_box(sum);
-        memory.actions[agent].0.store(tick, Ordering::Release);
+        memory.actions[index].0.store(tick, Ordering::Release);
         memory.world.ring();
     }
 }
 
-/// The world: times so many ticks, in nanoseconds.
-pub(crate) fn world(path: &Path, ticks: usize) -> Vec<u64> {
+/// The world: times so many ticks of so many processes, in nanoseconds. A patient one is woken by the
+/// last answer only.
+pub(crate) fn world(path: &Path, ticks: usize, processes: usize, is_patient: bool) -> Vec<u64> {
     let mapping = Mapping::open(path);
     let memory = mapping.memory();
     let mut times = Vec::with_capacity(ticks);
@@ -105,10 +107,15 @@ pub(crate) fn world(path: &Path, ticks: usize) -> Vec<u64> {
             word.store(tick, Ordering::Relaxed);
         }
         memory.tick.0.store(tick, Ordering::Release);
+        if is_patient {
+            // All answers of the ticks before are in: every agent rings once more.
+            memory.world.patience.store((processes * tick as usize) as u32, Ordering::SeqCst);
+        }
         memory.agents.ring();
         loop {
             let token = memory.world.sequence.load(Ordering::SeqCst);
-            if memory.actions.iter().all(|slot| slot.0.load(Ordering::Acquire) == tick) {
+            let answers = &memory.actions[..processes];
+            if answers.iter().all(|slot| slot.0.load(Ordering::Acquire) == tick) {
                 break;
             }
             memory.world.wait(token);

@@ -1,15 +1,21 @@
-//! The tick of a team of eight processes: raw shared memory and futexes, our messages with the
-//! doorbell, and with events; and one runner for all agents. Rounds alternate; ratios are paired.
+//! The tick of a team of eight agents: our messages with the doorbell and with events, and one
+//! runner for all agents, beside what others would do it with: raw shared memory and futexes, plain
+//! iceoryx2, Unix sockets. Rounds alternate; ratios are paired.
 //!
-//! `cargo bench -p sortie-ipc --bench tick [-- ROUNDS TICKS]`
+//! `cargo bench -p sortie-ipc --bench tick [-- ROUNDS TICKS [CASE...]]`
+//! `cargo bench -p sortie-ipc --bench tick -- soak SECONDS`
 
 mod floor;
+mod plain;
+mod soak;
+mod sockets;
+mod spread;
 
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use sortie_core::roles::{TickReport, WorldObserver};
+use sortie_core::roles::{Counters, TickReport, WorldObserver};
 use sortie_core::wire::FrameMut;
 use sortie_core::{
     DecideError, Decision, EntityMask, Observation, Policy, Shape, StepOutcome, UnavailableAction,
@@ -20,8 +26,13 @@ use sortie_ipc::{
     runner_process, world_process,
 };
 
+use plain::PlainWorld;
+use spread::{median, ratios, spread};
+
 const AGENTS: usize = 8;
 const SHAPE: Shape = Shape { agents: AGENTS, entities: 16, tasks: 4, actions: 14, features: 58 };
+/// Words of a frame of that shape, for those who know no frames.
+const FRAME_WORDS: usize = 564;
 /// Time of one decision.
 const DECISION: Duration = Duration::from_micros(2);
 /// Ticks of a round before the first that counts.
@@ -29,43 +40,99 @@ const WARM_UP: usize = 100;
 const ROLE: &str = "SORTIE_BENCH_ROLE";
 const PLACE: &str = "SORTIE_BENCH_PLACE";
 
+const FLOOR: &str = "raw floor";
+const PATIENT: &str = "raw, one wake-up";
+const DOORBELL: &str = "doorbell";
+const EVENTS: &str = "events";
+const PLAIN: &str = "plain iceoryx2";
+const SOCKETS: &str = "unix sockets";
+const RUNNER: &str = "one runner";
+const RAW_RUNNER: &str = "raw, one runner";
+const CASES: [&str; 8] = [FLOOR, PATIENT, DOORBELL, EVENTS, PLAIN, SOCKETS, RUNNER, RAW_RUNNER];
+
+/// What rounds of one case measured, in nanoseconds.
+struct Case {
+    name: &'static str,
+    /// Median tick of each round.
+    ticks: Vec<f64>,
+    /// Median of what ticks took beyond their decisions.
+    beyond: Vec<f64>,
+}
+
+/// One tick, in nanoseconds.
+struct Tick {
+    took: u64,
+    /// Of it in decisions, where they are one after the other; else 0.
+    decisions: u64,
+}
+
 fn main() {
     if let Ok(role) = std::env::var(ROLE) {
         return act(&role, &std::env::var(PLACE).unwrap());
     }
-    let mut numbers = std::env::args().filter_map(|argument| argument.parse::<usize>().ok());
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let mut numbers = arguments.iter().filter_map(|argument| argument.parse::<usize>().ok());
     let rounds = numbers.next().unwrap_or(15);
     let ticks = numbers.next().unwrap_or(2_000);
-    let cases = ["raw floor", "doorbell", "events", "one runner"];
-    let mut medians = [const { Vec::new() }; 4];
+    if arguments.iter().any(|argument| argument == "soak") {
+        return soak::soak(rounds);
+    }
+    let is_named = |name: &str| arguments.iter().any(|argument| argument == name);
+    let mut cases: Vec<Case> = CASES
+        .into_iter()
+        .filter(|name| is_named(name) || !CASES.into_iter().any(is_named))
+        .map(|name| Case { name, ticks: Vec::new(), beyond: Vec::new() })
+        .collect();
     for round in 0..rounds {
-        for (case, medians) in medians.iter_mut().enumerate() {
-            medians.push(median(&run(case, round, ticks)));
+        for case in &mut cases {
+            case.run(round, ticks);
         }
     }
     println!("tick of {AGENTS} agents that decide in {DECISION:?}, {rounds} rounds of {ticks}:");
-    for (case, medians) in cases.iter().zip(&medians) {
-        println!("  {case:11} p50 {}", spread(medians, 1e-3, " us"));
+    for case in &cases {
+        println!("  {:16} p50 {}", case.name, spread(&case.ticks, 1e-3, " us"));
     }
-    let [floor, doorbell, events, runner] = &medians;
-    println!("  doorbell / raw floor   {}", spread(&ratios(doorbell, floor), 1.0, ""));
-    println!("  events / doorbell      {}", spread(&ratios(events, doorbell), 1.0, ""));
-    let decisions = AGENTS as f64 * DECISION.as_nanos() as f64;
-    let beyond: Vec<f64> = runner.iter().map(|tick| tick - decisions).collect();
-    println!("  one runner - decisions {}", spread(&beyond, 1e-3, " us"));
+    let find = |name| cases.iter().find(|case| case.name == name);
+    for (above, below) in
+        [(DOORBELL, FLOOR), (DOORBELL, PATIENT), (EVENTS, DOORBELL), (SOCKETS, DOORBELL)]
+    {
+        if let (Some(above), Some(below)) = (find(above), find(below)) {
+            let ratios = spread(&ratios(&above.ticks, &below.ticks), 1.0, "");
+            println!("  {:30} {ratios}", format!("{} / {}", above.name, below.name));
+        }
+    }
+    if let Some(raw) = find(RAW_RUNNER) {
+        let decisions = DECISION.as_nanos() as f64 * AGENTS as f64;
+        let beyond: Vec<f64> = raw.ticks.iter().map(|tick| tick - decisions).collect();
+        println!("  {:30} {}", "raw, one runner - decisions", spread(&beyond, 1e-3, " us"));
+    }
+    if let Some(runner) = find(RUNNER) {
+        println!("  {:30} {}", "one runner - its decisions", spread(&runner.beyond, 1e-3, " us"));
+    }
 }
 
-/// Runs one case and returns its tick times in nanoseconds.
-fn run(case: usize, round: usize, ticks: usize) -> Vec<f64> {
-    let name = format!("bench{}-{case}{round}", std::process::id());
-    let alone: Vec<String> = (0..AGENTS).map(|agent| agent.to_string()).collect();
-    let times = match case {
-        0 => raw(&name, ticks),
-        1 => team(&name, &alone, BellKind::Doorbell, ticks),
-        2 => team(&name, &alone, BellKind::Event, ticks),
-        _ => team(&name, &[alone.join(",")], BellKind::Doorbell, ticks),
-    };
-    times.iter().skip(WARM_UP).map(|&time| time as f64).collect()
+impl Case {
+    fn run(&mut self, round: usize, ticks: usize) {
+        let index = CASES.iter().position(|name| *name == self.name).unwrap();
+        let name = format!("bench{}-{index}{round}", std::process::id());
+        let alone: Vec<String> = (0..AGENTS).map(|agent| agent.to_string()).collect();
+        let times = match self.name {
+            FLOOR => raw(&name, ticks, 1, false),
+            PATIENT => raw(&name, ticks, 1, true),
+            RAW_RUNNER => raw(&name, ticks, AGENTS, false),
+            PLAIN => plain(&name, ticks),
+            SOCKETS => sockets(&name, ticks),
+            DOORBELL => team(&name, &alone, BellKind::Doorbell, ticks),
+            EVENTS => team(&name, &alone, BellKind::Event, ticks),
+            _ => team(&name, &[alone.join(",")], BellKind::Doorbell, ticks),
+        };
+        let times = times.get(WARM_UP..).unwrap_or_default();
+        let of = |value: fn(&Tick) -> u64| {
+            median(&times.iter().map(|tick| value(tick) as f64).collect::<Vec<_>>())
+        };
+        self.ticks.push(of(|tick| tick.took));
+        self.beyond.push(of(|tick| tick.took.saturating_sub(tick.decisions)));
+    }
 }
 
 fn process(role: &str, place: &str) -> Command {
@@ -74,46 +141,93 @@ fn process(role: &str, place: &str) -> Command {
     command
 }
 
-fn raw(name: &str, ticks: usize) -> Vec<u64> {
-    let path = PathBuf::from("/dev/shm").join(name);
-    let place = path.to_str().unwrap();
-    let agents: Vec<Child> =
-        (0..AGENTS).map(|agent| process(&format!("raw {agent}"), place).spawn().unwrap()).collect();
-    let times = floor::world(&path, ticks);
+/// Runs `world` among so many processes of a kind that knows nothing of us.
+fn among(kind: &str, processes: usize, place: &str, world: impl FnOnce() -> Vec<u64>) -> Vec<Tick> {
+    let start = |index| process(&format!("{kind} {index}"), place).spawn().unwrap();
+    let agents: Vec<Child> = (0..processes).map(start).collect();
+    let times = world();
     for mut agent in agents {
         agent.wait().unwrap();
     }
+    times.into_iter().map(|took| Tick { took, decisions: 0 }).collect()
+}
+
+/// Each process decides for so many agents.
+fn raw(name: &str, ticks: usize, agents: usize, is_patient: bool) -> Vec<Tick> {
+    let path = PathBuf::from("/dev/shm").join(name);
+    let (place, kind) = (path.to_str().unwrap(), format!("raw {agents}"));
+    let processes = AGENTS / agents;
+    let times =
+        among(&kind, processes, place, || floor::world(&path, ticks, processes, is_patient));
     std::fs::remove_file(&path).unwrap();
     times
 }
 
-fn team(name: &str, runners: &[String], bell: BellKind, ticks: usize) -> Vec<u64> {
-    let domain = Domain::new(name).unwrap();
+fn plain(name: &str, ticks: usize) -> Vec<Tick> {
+    let world = PlainWorld::open(name);
+    among("plain", AGENTS, name, || world.run(ticks))
+}
+
+fn sockets(name: &str, ticks: usize) -> Vec<Tick> {
+    let path = PathBuf::from("/dev/shm").join(name);
+    let socket = sockets::world_socket(&path);
+    let times =
+        among("sockets", AGENTS, path.to_str().unwrap(), || sockets::world(&socket, &path, ticks));
+    std::fs::remove_dir_all(&path).unwrap();
+    times
+}
+
+fn team(name: &str, runners: &[String], bell: BellKind, ticks: usize) -> Vec<Tick> {
     let settings = WorldSettings { episodes: Some(1), bell, ..WorldSettings::default() };
+    let mut times = Times(Vec::with_capacity(ticks));
+    run_team(name, runners, &settings, ticks, &mut times);
+    times.0
+}
+
+/// Runs one episode of so many ticks in this process, with these runners as others.
+fn run_team(
+    name: &str,
+    runners: &[String],
+    settings: &WorldSettings,
+    ticks: usize,
+    observer: &mut dyn WorldObserver,
+) -> Counters {
+    let domain = Domain::new(name).unwrap();
     let start_team = |children: &mut Children| {
         runners.iter().try_for_each(|runner| children.spawn("runner", &mut process(runner, name)))
     };
     let mut world = Idle { left: ticks };
-    let mut times = Times(Vec::with_capacity(ticks));
     let (contract, stop) = (contract(), Stop::new());
-    world_process(&domain, &contract, &mut world, &settings, start_team, &mut times, &stop)
-        .unwrap();
-    times.0
+    world_process(&domain, &contract, &mut world, settings, start_team, observer, &stop).unwrap()
 }
 
 /// What the processes do that the bench starts.
 fn act(role: &str, place: &str) {
-    if let Some(agent) = role.strip_prefix("raw ") {
-        return floor::agent(&PathBuf::from(place), agent.parse().unwrap());
+    let path = PathBuf::from(place);
+    match *role.split(' ').collect::<Vec<_>>() {
+        ["raw", agents, index] => {
+            floor::process(&path, agents.parse().unwrap(), index.parse().unwrap());
+        }
+        ["plain", agent] => plain::agent(place, agent.parse().unwrap()),
+        ["sockets", agent] => sockets::agent(&path, agent.parse().unwrap()),
+        _ => run_agents(role, place),
     }
-    let agents: Vec<u16> = role.split(',').map(|agent| agent.parse().unwrap()).collect();
-    let domain = Domain::new(place).unwrap();
+}
+
+fn run_agents(agents: &str, domain: &str) {
+    let agents: Vec<u16> = agents.split(',').map(|agent| agent.parse().unwrap()).collect();
+    let domain = Domain::new(domain).unwrap();
     let (settings, stop) = (ProcessSettings::default(), Stop::new());
     runner_process(&domain, &contract(), &agents, &mut Slow, &settings, &stop).unwrap();
 }
 
 fn contract() -> DomainContract {
     DomainContract { hash: 1, decision_interval: 10, safe_action: Some(0), ..Default::default() }
+}
+
+/// Reads a frame: every word, at the speed of memory.
+fn read(frame: &[u64; FRAME_WORDS]) {
+    std::hint::black_box(frame.iter().fold(0, |sum, word| sum ^ word));
 }
 
 /// Spends the time of so many decisions.
@@ -174,35 +288,11 @@ impl Policy for Slow {
     }
 }
 
-struct Times(Vec<u64>);
+struct Times(Vec<Tick>);
 
 impl WorldObserver for Times {
     fn tick(&mut self, report: &TickReport<'_>) {
-        self.0.push(report.tick_ns);
+        let decisions = report.answers().map(|answer| u64::from(answer.decide_ns)).sum();
+        self.0.push(Tick { took: report.tick_ns, decisions });
     }
-}
-
-fn quantile(sorted: &[f64], q: f64) -> f64 {
-    sorted[((sorted.len() - 1) as f64 * q).round() as usize]
-}
-
-fn sorted(values: &[f64]) -> Vec<f64> {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    sorted
-}
-
-fn median(values: &[f64]) -> f64 {
-    quantile(&sorted(values), 0.5)
-}
-
-fn ratios(values: &[f64], of: &[f64]) -> Vec<f64> {
-    values.iter().zip(of).map(|(value, of)| value / of).collect()
-}
-
-/// Median and interquartile range.
-fn spread(values: &[f64], scale: f64, unit: &str) -> String {
-    let sorted = sorted(values);
-    let [low, middle, high] = [0.25, 0.5, 0.75].map(|q| quantile(&sorted, q) * scale);
-    format!("{middle:.2}{unit} ({low:.2} to {high:.2})")
 }

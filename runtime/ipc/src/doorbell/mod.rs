@@ -13,8 +13,8 @@ use std::time::Duration;
 use sortie_core::link::{LinkError, Wake};
 use sortie_core::wire::Role;
 
-pub(crate) use algorithm::Memory;
-pub(crate) use algorithm::{ring, wait_until};
+use algorithm::summon;
+pub(crate) use algorithm::{Memory, Wait, ring, wait};
 
 use self::region::Region;
 use crate::domain::Domain;
@@ -51,7 +51,14 @@ impl Doorbell {
 
     /// Waits until somebody rang the own bell since `token` was taken, or until `until_ns`.
     pub fn wait_until(&self, token: u32, until_ns: u64) -> Wake {
-        let is_rung = |bell| wait_until(bell, token, until_ns, self.spin_ns);
+        self.wait_for_rings(token, 1, until_ns)
+    }
+
+    /// Waits until the own bell was rung so often since `token` was taken, or until `until_ns`. Of
+    /// the processes of one role, one may wait for more than one ring.
+    pub fn wait_for_rings(&self, token: u32, rings: u32, until_ns: u64) -> Wake {
+        let awaited = Wait { token, rings, until_ns, spin_ns: self.spin_ns };
+        let is_rung = |bell| wait(bell, awaited);
         if self.region.bell(self.own).is_some_and(is_rung) { Wake::Rung } else { Wake::Timeout }
     }
 
@@ -70,7 +77,7 @@ impl Doorbell {
         let (region, own) = (Arc::clone(&self.region), self.own);
         Waker::new(move || {
             if let Some(bell) = region.bell(own) {
-                ring(bell);
+                summon(bell);
             }
         })
     }

@@ -32,7 +32,8 @@ const _: () = assert!(FIRST_AGENT + limits::AGENTS <= BELLS);
 pub(super) struct Bell {
     sequence: AtomicU32,
     waiters: AtomicU32,
-    _unused: [AtomicU32; 14],
+    patience: AtomicU32,
+    _unused: [AtomicU32; 13],
 }
 
 #[repr(C, align(64))]
@@ -100,8 +101,8 @@ impl Memory for Bell {
         self.sequence.load(Ordering::SeqCst)
     }
 
-    fn raise_sequence(&self) {
-        self.sequence.fetch_add(1, Ordering::SeqCst);
+    fn raise_sequence(&self, by: u32) -> u32 {
+        self.sequence.fetch_add(by, Ordering::SeqCst).wrapping_add(by)
     }
 
     fn waiters(&self) -> u32 {
@@ -114,6 +115,14 @@ impl Memory for Bell {
 
     fn remove_waiter(&self) {
         self.waiters.fetch_sub(1, Ordering::SeqCst);
+    }
+
+    fn patience(&self) -> u32 {
+        self.patience.load(Ordering::SeqCst)
+    }
+
+    fn set_patience(&self, until_sequence: u32) {
+        self.patience.store(until_sequence, Ordering::SeqCst);
     }
 
     fn sleep(&self, expected: u32, until_ns: u64) {

@@ -34,9 +34,9 @@ impl<S: LinkService> LinkBell<S> {
         }
     }
 
-    pub(super) fn wait_until(&self, token: u32, until_ns: u64) -> Wake {
+    pub(super) fn wait_for_rings(&self, token: u32, rings: u32, until_ns: u64) -> Wake {
         match self {
-            Self::Doorbell(bell) => bell.wait_until(token, until_ns),
+            Self::Doorbell(bell) => bell.wait_for_rings(token, rings, until_ns),
             Self::Event(bell) => bell.wait_until(until_ns),
         }
     }

@@ -44,6 +44,8 @@ pub struct IoxWorld<S: LinkService = InterProcess> {
     allocations: Receiver<S, AllocPayload>,
     statuses: Receiver<S, StatPayload>,
     bell: LinkBell<S>,
+    /// Rings that end the next wait.
+    rings: u32,
     /// Dropped last.
     _node: Node<S>,
 }
@@ -55,6 +57,8 @@ pub struct IoxAgent<S: LinkService = InterProcess> {
     actions: Sender<S, ActionPayload>,
     statuses: Sender<S, StatPayload>,
     bell: LinkBell<S>,
+    /// Rings that end the next wait.
+    rings: u32,
     /// Dropped last.
     _node: Node<S>,
 }
@@ -65,6 +69,8 @@ pub struct IoxAllocator<S: LinkService = InterProcess> {
     allocations: Sender<S, AllocPayload>,
     statuses: Sender<S, StatPayload>,
     bell: LinkBell<S>,
+    /// Rings that end the next wait.
+    rings: u32,
     /// Dropped last.
     _node: Node<S>,
 }
@@ -83,6 +89,7 @@ impl<S: LinkService> IoxWorld<S> {
             frames: opener.frame_sender()?,
             payload_bytes: setup.format.layout.payload_bytes(),
             bell: LinkBell::open(&opener, Role::World, &[Role::Runner, Role::Allocator])?,
+            rings: 1,
             _node: opener.into_node(),
         })
     }
@@ -101,6 +108,7 @@ impl<S: LinkService> IoxAgent<S> {
             actions: opener.sender(services::actions)?,
             statuses: opener.sender(services::statuses)?,
             bell: LinkBell::open(&opener, Role::Runner, &[Role::World])?,
+            rings: 1,
             _node: opener.into_node(),
         })
     }
@@ -118,6 +126,7 @@ impl<S: LinkService> IoxAllocator<S> {
             allocations: opener.sender(services::allocations)?,
             statuses: opener.sender(services::statuses)?,
             bell: LinkBell::open(&opener, Role::Allocator, &[Role::World, Role::Runner])?,
+            rings: 1,
             _node: opener.into_node(),
         })
     }
@@ -280,7 +289,12 @@ macro_rules! has_bell_and_clock {
             }
 
             fn wait_until(&mut self, token: u32, until_ns: u64) -> Wake {
-                self.bell.wait_until(token, until_ns)
+                let rings = std::mem::replace(&mut self.rings, 1);
+                self.bell.wait_for_rings(token, rings, until_ns)
+            }
+
+            fn await_rings(&mut self, rings: u32) {
+                self.rings = rings.max(1);
             }
 
             fn ring(&mut self, role: Role) -> Result<(), LinkError> {

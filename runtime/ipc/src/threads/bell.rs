@@ -14,6 +14,7 @@ use crate::doorbell::Memory;
 pub(super) struct ParkingBell {
     sequence: AtomicU32,
     waiters: AtomicU32,
+    patience: AtomicU32,
     sleepers: Mutex<Vec<Thread>>,
 }
 
@@ -28,8 +29,8 @@ impl Memory for ParkingBell {
         self.sequence.load(Ordering::SeqCst)
     }
 
-    fn raise_sequence(&self) {
-        self.sequence.fetch_add(1, Ordering::SeqCst);
+    fn raise_sequence(&self, by: u32) -> u32 {
+        self.sequence.fetch_add(by, Ordering::SeqCst).wrapping_add(by)
     }
 
     fn waiters(&self) -> u32 {
@@ -42,6 +43,14 @@ impl Memory for ParkingBell {
 
     fn remove_waiter(&self) {
         self.waiters.fetch_sub(1, Ordering::SeqCst);
+    }
+
+    fn patience(&self) -> u32 {
+        self.patience.load(Ordering::SeqCst)
+    }
+
+    fn set_patience(&self, until_sequence: u32) {
+        self.patience.store(until_sequence, Ordering::SeqCst);
     }
 
     fn sleep(&self, expected: u32, until_ns: u64) {

@@ -16,7 +16,7 @@ use sortie_core::wire::{ActionMsg, AllocMsg, FrameFormat, FrameHeader, Role, Sta
 use self::bell::ParkingBell;
 use self::topics::{Allocations, FrameBuffer, Latest, Queue};
 use crate::clock::MonotonicClock;
-use crate::doorbell::{Memory, ring, wait_until};
+use crate::doorbell::{Memory, Wait, ring, wait};
 
 /// Actions that wait for the world.
 const ACTIONS: usize = 2 * limits::AGENTS;
@@ -63,13 +63,14 @@ impl Threads {
             buffers: Vec::new(),
             payload_bytes: self.payload_bytes,
             allocations: Vec::new(),
+            rings: 1,
         }
     }
 
     /// A runner's end.
     pub fn agent(&self) -> ThreadAgent {
         let topics = Arc::clone(&self.topics);
-        ThreadAgent { topics, frames: FrameCursor::default(), allocations: Vec::new() }
+        ThreadAgent { topics, frames: FrameCursor::default(), allocations: Vec::new(), rings: 1 }
     }
 
     /// An allocator's end.
@@ -78,6 +79,7 @@ impl Threads {
             topics: Arc::clone(&self.topics),
             frames: FrameCursor::default(),
             allocation: self.topics.allocations.slot(),
+            rings: 1,
         }
     }
 }
@@ -89,6 +91,8 @@ pub struct ThreadWorld {
     buffers: Vec<Arc<FrameBuffer>>,
     payload_bytes: usize,
     allocations: Vec<u64>,
+    /// Rings that end the next wait.
+    rings: u32,
 }
 
 /// A runner's end of a [`Threads`].
@@ -96,6 +100,8 @@ pub struct ThreadAgent {
     topics: Arc<Topics>,
     frames: FrameCursor,
     allocations: Vec<u64>,
+    /// Rings that end the next wait.
+    rings: u32,
 }
 
 /// An allocator's end of a [`Threads`].
@@ -103,6 +109,8 @@ pub struct ThreadAllocator {
     topics: Arc<Topics>,
     frames: FrameCursor,
     allocation: Arc<Latest<AllocMsg>>,
+    /// Rings that end the next wait.
+    rings: u32,
 }
 
 /// What a reader has seen, and the frame that it keeps.
@@ -222,9 +230,15 @@ macro_rules! waits_for_its_bell {
             }
 
             fn wait_until(&mut self, token: u32, until_ns: u64) -> Wake {
-                let is_rung = |bell| wait_until(bell, token, until_ns, 0);
+                let rings = std::mem::replace(&mut self.rings, 1);
+                let awaited = Wait { token, rings, until_ns, spin_ns: 0 };
+                let is_rung = |bell| wait(bell, awaited);
                 let is_rung = self.topics.bell(Role::$role).is_some_and(is_rung);
                 if is_rung { Wake::Rung } else { Wake::Timeout }
+            }
+
+            fn await_rings(&mut self, rings: u32) {
+                self.rings = rings.max(1);
             }
 
             fn ring(&mut self, role: Role) -> Result<(), LinkError> {

@@ -11,12 +11,13 @@ use loom::sync::atomic::AtomicU32;
 use loom::sync::atomic::Ordering::{Relaxed, SeqCst};
 use loom::thread::{self, Thread};
 
-use algorithm::{Memory, ring, wait_until};
+use algorithm::{Memory, Wait, ring, summon, wait};
 
 /// A bell, and the kernel's queue of those who sleep on it.
 struct Model {
     sequence: AtomicU32,
     waiters: AtomicU32,
+    patience: AtomicU32,
     /// Waiters are not counted: they set a flag, which ringers clear.
     has_flag: bool,
     /// Unknown to the explorer: what is done to it is one step with the access before.
@@ -34,8 +35,8 @@ impl Memory for Model {
         newest(&self.sequence)
     }
 
-    fn raise_sequence(&self) {
-        self.sequence.fetch_add(1, SeqCst);
+    fn raise_sequence(&self, by: u32) -> u32 {
+        self.sequence.fetch_add(by, SeqCst).wrapping_add(by)
     }
 
     fn waiters(&self) -> u32 {
@@ -54,6 +55,14 @@ impl Memory for Model {
         if !self.has_flag {
             self.waiters.fetch_sub(1, SeqCst);
         }
+    }
+
+    fn patience(&self) -> u32 {
+        newest(&self.patience)
+    }
+
+    fn set_patience(&self, until_sequence: u32) {
+        self.patience.swap(until_sequence, SeqCst);
     }
 
     /// The kernel compares and queues in one step.
@@ -82,6 +91,7 @@ impl Model {
         Self {
             sequence: AtomicU32::new(0),
             waiters: AtomicU32::new(0),
+            patience: AtomicU32::new(0),
             has_flag: false,
             sleepers: Mutex::new(Vec::new()),
         }
@@ -92,10 +102,20 @@ impl Model {
     fn await_rings(&self, rings: u32) {
         let mut token = 0;
         while token < rings {
-            assert!(wait_until(self, token, u64::MAX, 0));
+            assert!(wait(self, rings_since(token, 1)));
             token = self.sequence();
         }
     }
+
+    /// Sleeps through all rings but the last of so many.
+    fn await_last_ring(&self, rings: u32) {
+        assert!(wait(self, rings_since(0, rings)));
+        assert!(newest(&self.sequence) >= rings);
+    }
+}
+
+fn rings_since(token: u32, rings: u32) -> Wait {
+    Wait { token, rings, until_ns: u64::MAX, spin_ns: 0 }
 }
 
 /// Runs `ringers` threads with `ring`, and `waiters`, of which this thread is one. Explores all
@@ -169,7 +189,7 @@ fn a_ringer_that_dies_takes_only_its_own_ring_with_it() {
     loom::model(|| {
         let model = Arc::new(Model::new());
         let (dying, living) = (Arc::clone(&model), Arc::clone(&model));
-        thread::spawn(move || dying.raise_sequence());
+        thread::spawn(move || dying.raise_sequence(1));
         let data = Arc::new(AtomicU32::new(0));
         let sends = Arc::clone(&data);
         thread::spawn(move || {
@@ -181,7 +201,7 @@ fn a_ringer_that_dies_takes_only_its_own_ring_with_it() {
             if newest(&data) == 1 {
                 return;
             }
-            assert!(wait_until(&*model, token, u64::MAX, 0));
+            assert!(wait(&*model, rings_since(token, 1)));
         }
     });
 }
@@ -198,6 +218,73 @@ fn a_waiter_that_died_asleep_costs_the_others_nothing() {
     });
 }
 
+/// Explores a patient waiter among so many ringers, which waits for all their rings.
+fn explore_patience(ringers: u32, switches: Option<usize>, new: fn() -> Model, ring: fn(&Model)) {
+    let mut explorer = loom::model::Builder::new();
+    explorer.preemption_bound = explorer.preemption_bound.or(switches);
+    explorer.check(move || {
+        let model = Arc::new(new());
+        for _ in 0..ringers {
+            let model = Arc::clone(&model);
+            thread::spawn(move || ring(&model));
+        }
+        model.await_last_ring(ringers);
+        assert_eq!(newest(&model.patience), 0);
+    });
+}
+
+#[test]
+fn the_last_of_two_rings_wakes_the_patient() {
+    explore_patience(2, None, Model::new, ring);
+}
+
+#[test]
+fn the_last_of_three_rings_wakes_the_patient() {
+    explore_patience(3, Some(3), Model::new, ring);
+}
+
+#[test]
+fn the_patient_are_woken_across_the_wrap_of_the_sequence_number() {
+    // The number waited for is the one that says that nobody waits.
+    let token = u32::MAX - 1;
+    loom::model(move || {
+        let model = Arc::new(Model { sequence: AtomicU32::new(token), ..Model::new() });
+        for _ in 0..2 {
+            let model = Arc::clone(&model);
+            thread::spawn(move || ring(&*model));
+        }
+        assert!(wait(&*model, rings_since(token, 2)));
+        assert_eq!(model.sequence(), 0);
+    });
+}
+
+#[test]
+fn summons_wake_the_patient_however_many_rings_are_missing() {
+    loom::model(|| {
+        let model = Arc::new(Model::new());
+        let (rings, summons) = (Arc::clone(&model), Arc::clone(&model));
+        thread::spawn(move || ring(&*rings));
+        thread::spawn(move || summon(&*summons));
+        assert!(wait(&*model, rings_since(0, 64)));
+    });
+}
+
+#[test]
+fn a_patient_waiter_does_not_keep_others_asleep() {
+    let mut explorer = loom::model::Builder::new();
+    explorer.preemption_bound = explorer.preemption_bound.or(Some(2));
+    explorer.check(|| {
+        let model = Arc::new(Model::new());
+        for _ in 0..2 {
+            let model = Arc::clone(&model);
+            thread::spawn(move || ring(&*model));
+        }
+        let other = Arc::clone(&model);
+        thread::spawn(move || other.await_rings(2));
+        model.await_last_ring(2);
+    });
+}
+
 /// Wrong variants, which the explorer must refute: an explorer that finds nothing proves nothing.
 mod wrong {
     use super::*;
@@ -210,11 +297,11 @@ mod wrong {
         if model.waiters() != 0 {
             model.wake_all();
         }
-        model.raise_sequence();
+        model.raise_sequence(1);
     }
 
     fn clears_the_flag(model: &Model) {
-        model.raise_sequence();
+        model.raise_sequence(1);
         if model.waiters() != 0 {
             model.waiters.swap(0, SeqCst);
             model.wake_all();
@@ -222,7 +309,7 @@ mod wrong {
     }
 
     fn swaps_the_flag(model: &Model) {
-        model.raise_sequence();
+        model.raise_sequence(1);
         if model.waiters.swap(0, SeqCst) != 0 {
             model.wake_all();
         }
@@ -246,5 +333,34 @@ mod wrong {
     #[should_panic(expected = "deadlock")]
     fn a_flag_that_ringers_swap_loses_wake_ups() {
         explore((2, 1), None, with_flag, swaps_the_flag);
+    }
+
+    /// Two such ringers both find that the other's ring is still missing.
+    fn looks_before_it_counts(model: &Model) {
+        let sequence = model.sequence() + 1;
+        model.raise_sequence(1);
+        if model.patience() == sequence {
+            model.wake_all();
+        }
+    }
+
+    /// The waiter may announce itself in between, and sleep.
+    fn reads_the_patience_before_it_counts(model: &Model) {
+        let patience = model.patience();
+        if model.raise_sequence(1) == patience {
+            model.wake_all();
+        }
+    }
+
+    #[test]
+    #[should_panic(expected = "deadlock")]
+    fn a_ring_that_does_not_know_its_own_number_is_lost_on_the_patient() {
+        explore_patience(2, None, Model::new, looks_before_it_counts);
+    }
+
+    #[test]
+    #[should_panic(expected = "deadlock")]
+    fn a_ring_that_looks_for_the_patient_before_it_counts_is_lost() {
+        explore_patience(2, None, Model::new, reads_the_patience_before_it_counts);
     }
 }

@@ -81,6 +81,8 @@ impl WorldRole {
             return Ok(Poll::Again);
         }
         let until_ns = if is_awaited && now < allocate_by { allocate_by } else { act_by };
+        // Runners ring once after all their answers, the allocator once after an allocation.
+        link.await_rings(self.seats.holders(missing) + u32::from(is_awaited));
         Ok(Poll::Wait { until_ns })
     }
 
@@ -131,10 +133,11 @@ impl WorldRole {
 
     /// The answers, and the fallback for present agents for which nobody acts.
     fn applied_actions(&mut self) -> [u16; limits::AGENTS] {
+        let agents = self.options.format.layout.shape().agents;
         let mut actions = [NO_ACTION; limits::AGENTS];
         let answers = self.answers.iter().zip(self.fallback).zip(&mut self.tasks);
         for (agent, (action, ((answer, fallback), task))) in
-            actions.iter_mut().zip(answers).enumerate()
+            actions.iter_mut().zip(answers).enumerate().take(agents)
         {
             if self.answered >> agent & 1 == 1 {
                 *action = answer.action;
@@ -149,7 +152,8 @@ impl WorldRole {
 
     /// Notes whether agents act without a usable allocation.
     fn note_unallocated(&mut self) {
-        let answers = self.answers.iter().enumerate();
+        let agents = self.options.format.layout.shape().agents;
+        let answers = self.answers.iter().enumerate().take(agents);
         let mut answers = answers.filter(|(agent, _)| self.answered >> agent & 1 == 1);
         let is_unallocated = answers.any(|(_, answer)| answer.has(ActionMsg::NO_ALLOC));
         let since = self.unallocated_since.unwrap_or(self.tick());

@@ -1,5 +1,7 @@
 //! Who acts for which agent.
 
+use heapless::Vec;
+
 use crate::limits;
 use crate::wire::{Role, StatMsg};
 
@@ -27,6 +29,20 @@ impl Seats {
     /// Bit a: a process acts for agent a.
     pub(super) fn joined(&self) -> u64 {
         self.joined
+    }
+
+    /// How many processes hold these seats.
+    pub(super) fn holders(&self, seats: u64) -> u32 {
+        let owners = self.owners.iter().enumerate();
+        let mut holders: Vec<u32, { limits::AGENTS }> = Vec::new();
+        for (_, owner) in owners.filter(|(agent, _)| seats >> agent & 1 == 1) {
+            if !holders.contains(owner) {
+                // There is room for one for each agent.
+                let _ = holders.push(*owner);
+            }
+        }
+        // The limit of agents fits.
+        holders.len() as u32
     }
 
     pub(super) fn has_leader(&self) -> bool {
@@ -133,6 +149,17 @@ mod tests {
         seats.note(&status(Role::Runner, 5, 0));
         seats.note_answers(0b1, 0, 3);
         assert_eq!((seats.joined(), seats.take_changed()), (0b11, true));
+    }
+
+    #[test]
+    fn processes_count_once_however_many_seats_they_hold() {
+        let mut seats = Seats::default();
+        seats.note(&status(Role::Runner, 5, 0));
+        seats.note(&StatMsg { agents: 0b100, ..status(Role::Runner, 6, 0) });
+        assert_eq!(
+            [0b111, 0b011, 0b110, 0b010, 0].map(|missing| seats.holders(missing)),
+            [2, 1, 2, 1, 0]
+        );
     }
 
     #[test]

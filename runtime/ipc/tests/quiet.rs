@@ -1,0 +1,301 @@
+//! Once connections are made, a tick by doorbell does not call the kernel, as long as nobody sleeps,
+//! and of the heap takes only what iceoryx2 does: shown over shared memory by a counting allocator,
+//! and by the kernel itself, which turns the system calls of a thread into signals.
+#![cfg(all(target_os = "linux", target_arch = "x86_64"))]
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::sync::atomic::{AtomicU8, AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
+
+use rustix::thread::{disable_syscall_user_dispatch, enable_syscall_user_dispatch};
+use sortie_core::roles::{
+    AllocatorOptions, AllocatorRole, Identity, Poll, RunnerOptions, RunnerRole, TickReport,
+    WorldObserver, WorldOptions, WorldRole,
+};
+use sortie_core::wire::FrameMut;
+use sortie_core::{
+    AllocateError, AllocationState, Allocator, DecideError, Decision, EntityMask, Observation,
+    Policy, Shape, StepOutcome, UnavailableAction, World,
+};
+use sortie_ipc::{
+    BellKind, Domain, DomainContract, DomainFacts, IoxAgent, IoxAllocator, IoxWorld, LinkSetup,
+};
+
+const SHAPE: Shape = Shape { agents: 8, entities: 16, tasks: 4, actions: 14, features: 58 };
+const EVERY_AGENT: u64 = 0b1111_1111;
+/// Ticks in which connections are made.
+const WARM_UP: usize = 200;
+const TICKS: usize = 5_000;
+/// iceoryx2 keeps the handle of a message on the heap while it is written: taken, and given back.
+const HEAP_CALLS_OF_A_MESSAGE: usize = 2;
+
+/// The system's allocator, counting the calls of each thread.
+struct Counting;
+
+thread_local! {
+    static HEAP_CALLS: Cell<usize> = const { Cell::new(0) };
+}
+
+fn count() {
+    HEAP_CALLS.set(HEAP_CALLS.get() + 1);
+}
+
+// SAFETY: every call goes to the system's allocator as it came; counting touches no memory of the heap.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count();
+        // SAFETY: as the caller promises.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
+        count();
+        // SAFETY: as the caller promises.
+        unsafe { System.dealloc(memory, layout) }
+    }
+
+    unsafe fn realloc(&self, memory: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        count();
+        // SAFETY: as the caller promises.
+        unsafe { System.realloc(memory, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// What the kernel does with the system calls of a watched thread: [`ALLOW`], or a signal.
+static FILTER: AtomicU8 = AtomicU8::new(ALLOW);
+const ALLOW: u8 = 0;
+const BLOCK: u8 = 1;
+static BLOCKED: AtomicUsize = AtomicUsize::new(0);
+
+/// How often `work` tries to call the kernel from this thread; what it calls is not done.
+fn system_calls(work: impl FnOnce()) -> usize {
+    BLOCKED.store(0, Ordering::SeqCst);
+    FILTER.store(BLOCK, Ordering::SeqCst);
+    work();
+    FILTER.store(ALLOW, Ordering::SeqCst);
+    BLOCKED.load(Ordering::SeqCst)
+}
+
+/// Watches the system calls of this thread while `work` runs, which says when. One thread at a time.
+fn watched(work: impl FnOnce()) {
+    static TURN: Mutex<()> = Mutex::new(());
+    let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+    let note = || {
+        BLOCKED.fetch_add(1, Ordering::SeqCst);
+        // The return from the handler is a system call as well.
+        FILTER.store(ALLOW, Ordering::SeqCst);
+    };
+    // Any region will do from which nobody calls the kernel.
+    static NO_CODE: [u8; 1] = [0];
+    // SAFETY: the handler accesses atomics only.
+    let handler = unsafe { signal_hook::low_level::register(SIGSYS, note) }.unwrap();
+    // SAFETY: the flag lives for ever; all calls are allowed for now.
+    unsafe { enable_syscall_user_dispatch(&NO_CODE, &FILTER) }.unwrap();
+    work();
+    // SAFETY: the flag says that all calls are allowed, as without.
+    unsafe { disable_syscall_user_dispatch() }.unwrap();
+    signal_hook::low_level::unregister(handler);
+}
+const SIGSYS: i32 = 31;
+
+/// Everybody sees everything; an episode is longer than any test.
+struct Still;
+
+impl World for Still {
+    fn shape(&self) -> Shape {
+        SHAPE
+    }
+
+    fn reset(&mut self) {}
+
+    fn observe(&self, frame: &mut FrameMut<'_>) {
+        let all = EntityMask::first(SHAPE.entities);
+        frame.set_present(&all);
+        frame.set_open_tasks(1);
+        for agent in 0..SHAPE.agents {
+            frame.set_observable(agent, &all);
+            frame.available_mut(agent).fill(1);
+        }
+    }
+
+    fn step(&mut self, _: &[u16]) -> Result<StepOutcome, UnavailableAction> {
+        Ok(StepOutcome { episode_ended: false, tasks_changed: false })
+    }
+}
+
+struct First;
+
+impl Policy for First {
+    fn actions(&self) -> usize {
+        SHAPE.actions
+    }
+
+    fn utilities(&mut self, _: &Observation<'_>, _: &mut [f32]) -> Result<(), DecideError> {
+        Ok(())
+    }
+
+    fn decide(&mut self, _: &Observation<'_>) -> Result<Decision, DecideError> {
+        Ok(Decision { action: 0, utility: 0.0 })
+    }
+}
+
+impl Allocator for First {
+    fn allocate(
+        &mut self,
+        _: &AllocationState<'_>,
+        allocation: &mut [u8],
+    ) -> Result<(), AllocateError> {
+        allocation.fill(0);
+        Ok(())
+    }
+}
+
+#[derive(Default)]
+struct Ticks {
+    done: usize,
+    allocated: usize,
+    statuses: usize,
+}
+
+impl Ticks {
+    /// Messages sent: a frame and the answers of each tick, and what else the world was told.
+    fn messages(&self) -> usize {
+        self.done * (1 + SHAPE.agents) + self.allocated + self.statuses
+    }
+}
+
+impl WorldObserver for Ticks {
+    fn tick(&mut self, report: &TickReport<'_>) {
+        assert_eq!(report.answered, EVERY_AGENT);
+        self.done += 1;
+    }
+
+    fn status(&mut self, _: &sortie_core::wire::StatMsg) {
+        self.statuses += 1;
+    }
+
+    fn allocated(&mut self, _: &sortie_core::wire::AllocMsg) {
+        self.allocated += 1;
+    }
+}
+
+/// A team in one thread, which takes turns instead of sleeping.
+struct Team {
+    world: (WorldRole, IoxWorld),
+    runners: [(RunnerRole, IoxAgent); 2],
+    allocator: (AllocatorRole, IoxAllocator),
+    ticks: Ticks,
+}
+
+impl Team {
+    fn open(domain: &Domain) -> Self {
+        let contract = DomainContract { hash: 1, decision_interval: 4, ..Default::default() };
+        let format = DomainFacts::new(&contract, SHAPE).format().unwrap();
+        let setup = LinkSetup {
+            domain,
+            format,
+            name: "quiet",
+            bell: BellKind::Doorbell,
+            spin: Duration::ZERO,
+        };
+        let world = WorldRole::new(WorldOptions {
+            format,
+            term: 1,
+            required: EVERY_AGENT,
+            allocator: true,
+            strict: true,
+            pipelined: false,
+            join_patience_ns: u64::MAX,
+            period_ns: 0,
+            patience_ns: 0,
+            absent_after: 3,
+            decision_interval: 4,
+            safe_action: Some(0),
+            episodes: None,
+            tick_interval_ns: 0,
+        });
+        let runner = |pid: u32, agents| {
+            let options = RunnerOptions {
+                format,
+                identity: Identity::new(pid, "runner"),
+                agents,
+                subtasks: true,
+                decision_interval: 4,
+                period_ns: 0,
+                safe_action: Some(0),
+            };
+            (RunnerRole::new(options), IoxAgent::open(&setup).unwrap())
+        };
+        let mut allocator = AllocatorRole::new(AllocatorOptions {
+            format,
+            identity: Identity::new(3, "allocator"),
+            decision_interval: 4,
+        });
+        allocator.lead(1);
+        let mut team = Self {
+            world: (world, IoxWorld::open(&setup).unwrap()),
+            runners: [runner(1, 0b1111), runner(2, 0b1111_0000)],
+            allocator: (allocator, IoxAllocator::open(&setup).unwrap()),
+            ticks: Ticks::default(),
+        };
+        team.allocator.0.join(&mut team.allocator.1).unwrap();
+        for (role, link) in &mut team.runners {
+            role.join(link).unwrap();
+        }
+        team
+    }
+
+    /// Goes on until so many ticks are done.
+    fn run(&mut self, ticks: usize) {
+        while self.ticks.done < ticks {
+            let (world, link) = &mut self.world;
+            assert_ne!(world.poll(link, &mut Still, &mut self.ticks).unwrap(), Poll::Ended);
+            let (allocator, link) = &mut self.allocator;
+            allocator.poll(link, &mut First).unwrap();
+            for (runner, link) in &mut self.runners {
+                runner.poll(link, &mut First).unwrap();
+            }
+        }
+    }
+}
+
+#[test]
+fn a_tick_without_sleepers_does_not_call_the_kernel_and_leaves_the_heap_to_the_library() {
+    let domain = Domain::new(&format!("quiet{}", std::process::id())).unwrap();
+    let _membership = domain.enter().unwrap();
+    let mut team = Team::open(&domain);
+    team.run(WARM_UP);
+    let (messages, allocated) = (team.ticks.messages(), team.ticks.allocated);
+    let mut calls = 0;
+    let mut heap_calls = 0;
+    watched(|| {
+        let before = HEAP_CALLS.get();
+        calls = system_calls(|| team.run(WARM_UP + TICKS));
+        heap_calls = HEAP_CALLS.get() - before;
+    });
+    assert_eq!(calls, 0);
+    assert_eq!(team.ticks.allocated - allocated, TICKS / 4);
+    // Runners and allocator may have told their last status when the world looked no more.
+    let messages = team.ticks.messages() - messages;
+    let sent = messages..=messages + 3;
+    assert!(sent.contains(&(heap_calls / HEAP_CALLS_OF_A_MESSAGE)), "{heap_calls}, {sent:?}");
+}
+
+#[test]
+fn system_calls_are_noticed() {
+    let mut calls = [0; 2];
+    watched(|| {
+        calls = [
+            system_calls(|| {
+                let _ = rustix::thread::gettid();
+            }),
+            system_calls(|| {}),
+        ];
+    });
+    assert_eq!(calls, [1, 0]);
+}
