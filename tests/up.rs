@@ -3,6 +3,7 @@
 mod support;
 
 use std::io::{BufRead, BufReader, Read};
+use std::path::PathBuf;
 use std::process::{Child, ChildStderr, Stdio};
 
 use support::{BUNDLE, TestDomain, assert_fails, interrupt, json, kill, output, sortie, stderr};
@@ -11,29 +12,34 @@ use support::{BUNDLE, TestDomain, assert_fails, interrupt, json, kill, output, s
 struct Up {
     child: Child,
     lines: BufReader<ChildStderr>,
+    /// Lines that nobody has waited for yet: their order is not always the same.
+    unclaimed: Vec<String>,
 }
 
 impl Up {
     fn start(domain: &TestDomain, more: &[&str]) -> Self {
         let mut child = sortie(&["up", BUNDLE, "--domain", &domain.id])
             .args(more)
+            .arg("--episodes=60")
             .stdout(Stdio::null())
             .stderr(Stdio::piped())
             .spawn()
             .expect("the command line starts");
         let lines = BufReader::new(child.stderr.take().expect("standard error"));
-        Self { child, lines }
+        Self { child, lines, unclaimed: Vec::new() }
     }
 
-    /// Reads on until a line has all of these words.
+    /// The first line with all of these words that was not waited for before.
     fn await_line(&mut self, words: &[&str]) -> String {
         loop {
+            let has_all = |line: &String| words.iter().all(|word| line.contains(word));
+            if let Some(index) = self.unclaimed.iter().position(has_all) {
+                return self.unclaimed.remove(index);
+            }
             let mut line = String::new();
             let read = self.lines.read_line(&mut line).expect("a line");
-            assert!(read > 0, "no line with {words:?}");
-            if words.iter().all(|word| line.contains(word)) {
-                return line;
-            }
+            assert!(read > 0, "no line with {words:?}: {:?}", self.unclaimed);
+            self.unclaimed.push(line);
         }
     }
 
@@ -64,7 +70,7 @@ fn killed_runners_and_allocators_take_their_places_again() {
     let next = up.await_line(&["leads the allocators"]);
     assert_ne!(pid(&next), pid(&leader));
     assert_eq!(up.end(), Some(130));
-    assert_eq!(domain.leftovers(), Vec::<std::path::PathBuf>::new());
+    assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
 }
 
 #[test]
@@ -74,7 +80,7 @@ fn a_team_that_is_up_plays_its_episodes_and_reports() {
         json(&["up", BUNDLE, "--domain", &domain.id, "--episodes", "2", "--rate", "0", "--json"]);
     assert_eq!(report["episodes"], 2);
     assert!(report["decisions"].as_u64() > Some(0), "{report}");
-    assert_eq!(domain.leftovers(), Vec::<std::path::PathBuf>::new());
+    assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
 }
 
 #[test]
@@ -93,7 +99,7 @@ fn a_doctor_names_what_is_missing() {
     assert!(told.contains("one leads, none stands by"), "{told}");
     assert_fails(&examined, 1, &["problem"]);
     assert_eq!(up.end(), Some(130));
-    assert_eq!(domain.leftovers(), Vec::<std::path::PathBuf>::new());
+    assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
 }
 
 #[test]
