@@ -165,7 +165,10 @@ fn raw(name: &str, ticks: usize, agents: usize, is_patient: bool) -> Vec<Tick> {
 
 fn plain(name: &str, ticks: usize) -> Vec<Tick> {
     let world = PlainWorld::open(name);
-    among("plain", AGENTS, name, || world.run(ticks))
+    let times = among("plain", AGENTS, name, || world.run(ticks));
+    drop(world);
+    plain::clean_up(name);
+    times
 }
 
 fn sockets(name: &str, ticks: usize) -> Vec<Tick> {

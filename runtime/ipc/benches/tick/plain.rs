@@ -17,9 +17,25 @@ type Frame = [u64; FRAME_WORDS];
 /// Tick and agent.
 type Action = [u64; 8];
 
+/// Where the library keeps its files: in memory, as ours are.
+fn root(place: &str) -> String {
+    format!("/dev/shm/{place}-root")
+}
+
+/// Removes what the library leaves behind of a domain whose processes are gone.
+pub(crate) fn clean_up(place: &str) {
+    let _ = std::fs::remove_dir_all(root(place));
+    for entry in std::fs::read_dir("/dev/shm").unwrap().flatten() {
+        if entry.file_name().to_string_lossy().starts_with(place) {
+            let _ = std::fs::remove_file(entry.path());
+        }
+    }
+}
+
 fn node(place: &str) -> Node<ipc::Service> {
     let mut config = Config::default();
     config.global.prefix = FileName::new(place.as_bytes()).unwrap();
+    config.global.set_root_path(&Path::new(root(place).as_bytes()).unwrap());
     set_log_level(LogLevel::Fatal);
     NodeBuilder::new()
         .config(&config)
