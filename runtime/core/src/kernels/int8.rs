@@ -5,7 +5,12 @@
 //! chosen so that no sum can leave i32, whatever the weights are. Weights are stored for pairs of inputs, as vector
 //! instructions multiply them ([`Row`]). A sum becomes f32 once, at the end of its layer.
 
-use crate::math::relu;
+mod portable;
+mod sparse;
+#[cfg(test)]
+mod tests;
+
+pub use sparse::{Marked, SparseVector, Strips, sparse_product};
 
 /// Columns of weights that are worked on together.
 pub const STRIP: usize = 16;
@@ -24,9 +29,6 @@ pub const PAIRS: usize = 4;
 
 /// A group of pairs of inputs.
 pub type Inputs = [Pair; PAIRS];
-
-/// Most strips whose sums are held together where few inputs are not zero.
-const STRIPS: usize = 8;
 
 /// Most vectors whose sums fit into registers beside the weights.
 const GROUP: usize = 6;
@@ -95,6 +97,14 @@ pub struct Vector<'a> {
     pub outputs: &'a mut [f32],
 }
 
+impl Count<'_> {
+    /// No number is less.
+    #[inline(always)]
+    pub(super) fn least(&self) -> f32 {
+        if self.relu { 0.0 } else { f32::NEG_INFINITY }
+    }
+}
+
 /// The int8 kernels of one build.
 pub trait Int8Kernels: Copy {
     /// Makes integers of numbers ([`quantise`]).
@@ -104,7 +114,7 @@ pub trait Int8Kernels: Copy {
     fn int8_products(self, matrix: &Matrix<'_>, vectors: &mut [Vector<'_>]);
 
     /// A matrix times a vector of which much is zero ([`sparse_product`]).
-    fn int8_sparse_product(self, matrix: &Matrix<'_>, vector: Vector<'_>);
+    fn int8_sparse_product(self, matrix: &Matrix<'_>, vector: SparseVector<'_>) -> Option<()>;
 }
 
 /// What a build writes with its own instructions.
@@ -128,12 +138,14 @@ pub trait Lanes: Copy {
     /// The sums of two strips for one vector.
     fn add_two_strips(self, rows: [&[[Row; PAIRS]]; 2], inputs: &[Inputs]) -> [[i32; STRIP]; 2];
 
-    /// The sums of `COUNT` strips, from a first one on, of pairs of which few are not zero.
+    /// `COUNT` strips of a product, from a first one on, with inputs of which few pairs are not zero: sums and the
+    /// numbers that come of them in one, so that sums never leave their registers.
     fn add_marked<const COUNT: usize>(
         self,
         strips: Strips<'_>,
-        inputs: &[Pair],
-    ) -> [[i32; STRIP]; COUNT];
+        inputs: Marked<'_>,
+        outputs: &mut [f32],
+    );
 }
 
 /// What the sums of a strip count.
@@ -168,17 +180,15 @@ pub fn quantise(
     } else {
         Scale { factor: 0.0, step: 0.0 }
     };
-    for zeros in integers.as_chunks_mut::<INPUTS>().0 {
-        *zeros = [0; INPUTS];
-    }
-    let to = integers.get_mut(..values.len())?;
     let (chunks, rest) = values.as_chunks::<STRIP>();
-    for (place, chunk) in to.as_chunks_mut().0.iter_mut().zip(chunks) {
-        *place = lanes.integers(scale, chunk);
+    for (index, place) in integers.as_chunks_mut().0.iter_mut().enumerate() {
+        // Zeros become zeros.
+        *place = lanes.integers(scale, chunks.get(index).unwrap_or(&[0.0; STRIP]));
     }
     if rest.is_empty() {
         return Some(scale);
     }
+    let to = integers.get_mut(..values.len())?;
     // Computing some of them once more changes nothing.
     if let (Some(chunk), Some(place)) = (values.last_chunk::<STRIP>(), to.last_chunk_mut()) {
         *place = lanes.integers(scale, chunk);
@@ -221,12 +231,11 @@ fn product(lanes: impl Lanes, matrix: &Matrix<'_>, vector: &mut Vector<'_>) {
     let mut strips = strips.enumerate();
     while let Some((strip, first)) = strips.next() {
         if let Some((_, second)) = strips.next() {
-            let [low, high] = lanes.add_two_strips([first, second], vector.inputs);
-            matrix.finish(lanes, strip, &low, vector);
-            matrix.finish(lanes, strip + 1, &high, vector);
+            let sums = lanes.add_two_strips([first, second], vector.inputs);
+            matrix.finish(lanes, strip, &sums, vector.step, vector.outputs);
         } else {
-            let [sums] = lanes.add_strip(first, [vector.inputs]);
-            matrix.finish(lanes, strip, &sums, vector);
+            let sums = lanes.add_strip(first, [vector.inputs]);
+            matrix.finish(lanes, strip, &sums, vector.step, vector.outputs);
         }
     }
 }
@@ -246,290 +255,69 @@ fn add_strip<const COUNT: usize>(
     }
     let sums = lanes.add_strip(rows, inputs);
     for (sums, vector) in sums.iter().zip(vectors) {
-        matrix.finish(lanes, strip, sums, vector);
-    }
-}
-
-/// As [`products`] for one vector of which few pairs of inputs are not zero; the matrix stores all strips of a pair
-/// side by side.
-#[inline(always)]
-pub fn sparse_product(lanes: impl Lanes, matrix: &Matrix<'_>, mut vector: Vector<'_>) {
-    let all = vector.outputs.len().div_ceil(STRIP);
-    let mut strips = Strips { rows: matrix.rows, all, first: 0 };
-    while strips.first < all {
-        strips.first += match all - strips.first {
-            STRIPS.. => add_marked::<STRIPS>(lanes, matrix, strips, &mut vector),
-            4.. => add_marked::<4>(lanes, matrix, strips, &mut vector),
-            2.. => add_marked::<2>(lanes, matrix, strips, &mut vector),
-            _ => add_marked::<1>(lanes, matrix, strips, &mut vector),
-        };
-    }
-}
-
-/// `COUNT` of a matrix's strips for a vector. Returns how many were done.
-#[inline(always)]
-fn add_marked<const COUNT: usize>(
-    lanes: impl Lanes,
-    matrix: &Matrix<'_>,
-    strips: Strips<'_>,
-    vector: &mut Vector<'_>,
-) -> usize {
-    let sums = lanes.add_marked::<COUNT>(strips, vector.inputs.as_flattened());
-    for (strip, sums) in (strips.first..).zip(&sums) {
-        matrix.finish(lanes, strip, sums, vector);
-    }
-    COUNT
-}
-
-/// Strips of a matrix that stores those of a pair side by side.
-#[derive(Clone, Copy, Debug)]
-pub struct Strips<'a> {
-    /// The matrix.
-    pub rows: &'a [Row],
-    /// Its strips.
-    pub all: usize,
-    /// The first strip that is meant.
-    pub first: usize,
-}
-
-impl<'a> Strips<'a> {
-    /// Shows `add` every pair of inputs that is not zero, with its weights.
-    #[inline(always)]
-    pub fn for_each<const COUNT: usize>(
-        self,
-        inputs: &[Pair],
-        not_zero: impl Fn(&[Pair; STRIP]) -> u16,
-        mut add: impl FnMut(&'a [Row; COUNT], Pair),
-    ) {
-        for (start, pairs) in (0..).step_by(4 * STRIP).zip(inputs.chunks(4 * STRIP)) {
-            let mut marks = 0;
-            for (part, pairs) in pairs.as_chunks().0.iter().enumerate() {
-                marks |= u64::from(not_zero(pairs)) << (part * STRIP);
-            }
-            while marks != 0 {
-                let index = marks.trailing_zeros() as usize;
-                marks &= marks - 1;
-                // Far from overflow: inputs and outputs are numbers of 16 bits.
-                let place = (start + index).wrapping_mul(self.all).wrapping_add(self.first);
-                let rows = self.rows.get(place..).and_then(|rows| rows.first_chunk());
-                let (Some(rows), Some(pair)) = (rows, pairs.get(index)) else { break };
-                add(rows, *pair);
-            }
-        }
+        matrix.finish(lanes, strip, &[*sums], vector.step, vector.outputs);
     }
 }
 
 impl Matrix<'_> {
-    /// Makes numbers of a strip's sums and writes them where the vector's outputs are.
+    /// Makes numbers of the sums of `COUNT` strips and writes them where the vector's outputs are.
     #[inline(always)]
-    fn finish(
+    pub(super) fn finish<const COUNT: usize>(
         &self,
         lanes: impl Lanes,
-        strip: usize,
-        sums: &[i32; STRIP],
-        vector: &mut Vector<'_>,
+        first: usize,
+        sums: &[[i32; STRIP]; COUNT],
+        step: f32,
+        outputs: &mut [f32],
     ) {
-        let Some(steps) = self.steps.as_chunks().0.get(strip) else { return };
-        let bias = self.bias.and_then(|bias| bias.as_chunks().0.get(strip));
-        let bias = bias.unwrap_or(&[0.0; STRIP]);
-        let count = Count { step: vector.step, steps, bias, relu: self.relu };
-        let numbers = lanes.numbers(sums, count);
-        let Some(outputs) = vector.outputs.get_mut(strip * STRIP..) else { return };
-        match outputs.first_chunk_mut() {
-            Some(outputs) => *outputs = numbers,
-            None => {
-                for (output, number) in outputs.iter_mut().zip(numbers) {
-                    *output = number;
-                }
-            }
+        let Some(outputs) = outputs.get_mut(first * STRIP..) else { return };
+        if let Some(whole) = outputs.as_chunks_mut().0.first_chunk_mut() {
+            self.numbers(lanes, first, sums, step, whole);
+            return;
+        }
+        let mut whole = [[0.0; STRIP]; COUNT];
+        self.numbers(lanes, first, sums, step, &mut whole);
+        for (output, number) in outputs.iter_mut().zip(whole.as_flattened()) {
+            *output = *number;
         }
     }
-}
 
-impl<A> Lanes for super::Portable<A> {
+    /// Makes numbers of the sums of `COUNT` strips.
     #[inline(always)]
-    fn largest_magnitude(self, values: &[f32]) -> u32 {
-        let magnitude = |value: &f32| value.to_bits() & 0x7fff_ffff;
-        values.iter().map(magnitude).fold(0, u32::max)
-    }
-
-    #[inline(always)]
-    fn integers(self, scale: Scale, values: &[f32; STRIP]) -> [i16; STRIP] {
-        values.map(|value| scale.integer(value))
-    }
-
-    #[inline(always)]
-    fn numbers(self, sums: &[i32; STRIP], count: Count<'_>) -> [f32; STRIP] {
-        let mut numbers = [0.0; STRIP];
-        let counts = count.steps.iter().zip(count.bias);
-        for ((number, sum), (step, bias)) in numbers.iter_mut().zip(sums).zip(counts) {
-            let sum = *sum as f32 * (count.step * step) + bias;
-            *number = if count.relu { relu(sum) } else { sum };
-        }
-        numbers
-    }
-
-    #[inline(always)]
-    fn add_strip<const COUNT: usize>(
-        self,
-        rows: &[[Row; PAIRS]],
-        inputs: [&[Inputs]; COUNT],
-    ) -> [[i32; STRIP]; COUNT] {
-        let mut sums = [[0; STRIP]; COUNT];
-        for (sums, inputs) in sums.iter_mut().zip(inputs) {
-            for (row, pair) in rows.as_flattened().iter().zip(inputs.as_flattened()) {
-                add_row(sums, row, *pair);
-            }
-        }
-        sums
-    }
-
-    #[inline(always)]
-    fn add_two_strips(self, rows: [&[[Row; PAIRS]]; 2], inputs: &[Inputs]) -> [[i32; STRIP]; 2] {
-        let mut sums = [[0; STRIP]; 2];
-        for (sums, rows) in sums.iter_mut().zip(rows) {
-            for (row, pair) in rows.as_flattened().iter().zip(inputs.as_flattened()) {
-                add_row(sums, row, *pair);
-            }
-        }
-        sums
-    }
-
-    #[inline(always)]
-    fn add_marked<const COUNT: usize>(
-        self,
-        strips: Strips<'_>,
-        inputs: &[Pair],
-    ) -> [[i32; STRIP]; COUNT] {
-        let mut sums = [[0; STRIP]; COUNT];
-        strips.for_each::<COUNT>(inputs, not_zero, |rows, pair| {
-            for (sums, row) in sums.iter_mut().zip(rows) {
-                add_row(sums, row, pair);
-            }
-        });
-        sums
-    }
-}
-
-/// A bit for each pair that is not zero.
-fn not_zero(pairs: &[Pair; STRIP]) -> u16 {
-    let mut marks = 0;
-    for (index, pair) in pairs.iter().enumerate() {
-        marks |= u16::from(*pair != [0; 2]) << index;
-    }
-    marks
-}
-
-#[inline(always)]
-fn add_row(sums: &mut [i32; STRIP], row: &Row, [first, second]: Pair) {
-    let (first, second) = (i32::from(first), i32::from(second));
-    for (sum, [a, b]) in sums.iter_mut().zip(row.as_chunks().0) {
-        // Never wraps, see `input_max`.
-        *sum = sum.wrapping_add(i32::from(*a) * first + i32::from(*b) * second);
-    }
-}
-
-impl<A> Int8Kernels for super::Portable<A> {
-    fn quantise(self, values: &[f32], least: f32, integers: &mut [i16]) -> Option<Scale> {
-        quantise(self, values, least, integers)
-    }
-
-    fn int8_products(self, matrix: &Matrix<'_>, vectors: &mut [Vector<'_>]) {
-        products(self, matrix, vectors);
-    }
-
-    fn int8_sparse_product(self, matrix: &Matrix<'_>, vector: Vector<'_>) {
-        sparse_product(self, matrix, vector);
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::Portable;
-    use super::super::arithmetic::Exact;
-    use super::*;
-    use std::vec;
-    use std::vec::Vec;
-
-    #[test]
-    fn no_sum_leaves_i32() {
-        for inputs in [1, 2, 31, 64, 511, 512, 513, 1000, 8191, 65_535] {
-            let most = i64::from(input_max(inputs));
-            let largest_sum = inputs as i64 * 128 * most;
-            assert!(most >= 1 && largest_sum <= i64::from(i32::MAX), "{inputs}: {largest_sum}");
-        }
-        assert_eq!((input_max(512), input_max(513)), (32_767, 32_704));
-        let inputs = [[[-32_767; 2]; PAIRS]; 64];
-        let rows = [[[-128; 2 * STRIP]; PAIRS]; 64];
-        let sums = Portable::<Exact>::new().add_strip(&rows, [&inputs]);
-        assert_eq!(sums, [[512 * 128 * 32_767; STRIP]]);
-    }
-
-    #[test]
-    fn integers_are_the_nearest() {
-        for len in [1, 7, 15, 16, 17, 31, 58, 70, 128] {
-            let values: Vec<f32> = (0..len).map(|i| (i as f32 - 20.0) / 7.0).collect();
-            let largest = values.iter().fold(0.0_f32, |most, value| most.max(value.abs()));
-            let mut integers = vec![-7; 160];
-            let scale = Portable::<Exact>::new().quantise(&values, 0.0, &mut integers).unwrap();
-            assert!((scale.step * 32_767.0 - largest).abs() < 1e-6 * largest);
-            for (value, integer) in values.iter().zip(&integers) {
-                let error = (value - f32::from(*integer) * scale.step).abs();
-                assert!(error <= 0.51 * scale.step, "{value} became {integer} of {len}");
-            }
-            assert!(integers[len..].iter().all(|integer| *integer == 0));
-            let largest = integers.iter().map(|integer| integer.unsigned_abs()).max();
-            assert_eq!(largest, Some(32_767));
-        }
-    }
-
-    #[test]
-    fn a_scale_reaches_as_far_as_is_asked() {
-        let mut integers = [1; 32];
-        let scale = Portable::<Exact>::new().quantise(&[0.25, -0.5], 1.0, &mut integers).unwrap();
-        assert_eq!((scale.integer(1.0), integers[0], integers[1]), (32_767, 8192, -16_384));
-    }
-
-    #[test]
-    fn next_to_nothing_is_nothing_and_no_number_is_refused() {
-        let mut integers = [1; 32];
-        for values in [[0.0, -0.0], [1e-40, -1e-31], [f32::MIN_POSITIVE, 0.0]] {
-            let scale = Portable::<Exact>::new().quantise(&values, 0.0, &mut integers).unwrap();
-            assert_eq!((scale.step, integers), (0.0, [0; 32]));
-        }
-        for bad in [f32::NAN, -f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
-            assert_eq!(Portable::<Exact>::new().quantise(&[0.5, bad], 0.0, &mut integers), None);
-        }
-        let scale =
-            Portable::<Exact>::new().quantise(&[f32::MAX, f32::MIN], 0.0, &mut integers).unwrap();
-        assert!(scale.factor > 0.0 && integers[..2] == [32_767, -32_767]);
-    }
-
-    #[test]
-    fn sums_become_numbers_once() {
-        let kernels = Portable::<Exact>::new();
-        // Column c of the only pair has the weights c and 1.
-        let mut row = [1; 2 * STRIP];
-        for (column, [weight, _]) in row.as_chunks_mut::<2>().0.iter_mut().enumerate() {
-            *weight = column as i8;
-        }
-        let (steps, bias) = ([0.5; STRIP], [-3.0; STRIP]);
-        let rows = [row, [0; 2 * STRIP], [0; 2 * STRIP], [0; 2 * STRIP]];
-        let mut matrix = Matrix { rows: &rows, groups: 1, steps: &steps, bias: None, relu: false };
-        let ask = |matrix: &Matrix<'_>, sparse: bool| {
-            let (mut inputs, mut outputs) = ([[[0; 2]; PAIRS]; STRIP], [f32::NAN; 8]);
-            inputs[0][0] = [4, 10];
-            let vector = Vector { inputs: &inputs, step: 0.25, outputs: &mut outputs };
-            if sparse {
-                kernels.int8_sparse_product(matrix, vector);
-            } else {
-                kernels.int8_products(matrix, &mut [vector]);
-            }
-            outputs
+    fn numbers<const COUNT: usize>(
+        &self,
+        lanes: impl Lanes,
+        first: usize,
+        sums: &[[i32; STRIP]; COUNT],
+        step: f32,
+        numbers: &mut [[f32; STRIP]; COUNT],
+    ) {
+        let bias = match self.bias {
+            Some(bias) => chunks_from::<COUNT>(bias, first),
+            None => Some(const { &[[0.0; STRIP]; COUNT] }),
         };
-        let want: [f32; 8] = std::array::from_fn(|column| (4 * column + 10) as f32 * 0.125);
-        assert_eq!((ask(&matrix, false), ask(&matrix, true)), (want, want));
-        matrix = Matrix { bias: Some(&bias), relu: true, ..matrix };
-        assert_eq!(ask(&matrix, false), want.map(|number| (number - 3.0).max(0.0)));
+        let (Some(steps), Some(bias)) = (chunks_from::<COUNT>(self.steps, first), bias) else {
+            return;
+        };
+        let counts = steps.iter().zip(bias);
+        for ((numbers, sums), (steps, bias)) in numbers.iter_mut().zip(sums).zip(counts) {
+            // Written at once, one strip after the other: arrays of them would be copied by calls.
+            *numbers = lanes.numbers(sums, Count { step, steps, bias, relu: self.relu });
+        }
     }
+}
+
+/// The floats of `COUNT` strips, from a first one on.
+#[inline(always)]
+fn chunks_from<const COUNT: usize>(floats: &[f32], first: usize) -> Option<&[[f32; STRIP]; COUNT]> {
+    floats.as_chunks().0.get(first..)?.first_chunk()
+}
+
+/// Values with zeros behind them.
+pub(super) fn filled<const LANES: usize>(values: &[f32]) -> [f32; LANES] {
+    let mut lanes = [0.0; LANES];
+    for (lane, value) in lanes.iter_mut().zip(values) {
+        *lane = *value;
+    }
+    lanes
 }

@@ -3,12 +3,12 @@
 use serde::{Deserialize, Serialize};
 
 use super::embed_entities::last_action;
-use super::int8_layer::{Int8Layer, as_inputs, integers, quantised_floats};
+use super::int8_layer::{Int8Layer, integers, quantised_floats};
 use super::team::{Member, Team};
 use super::{Place, Scratch, Sizes, places};
 use crate::entity_mask::EntityMask;
 use crate::kernels::Kernels;
-use crate::kernels::int8::{Matrix, Vector};
+use crate::kernels::int8::{Matrix, SparseVector};
 use crate::policy::{DecideError, Observation};
 
 /// As [`super::EmbedEntities`]; every row is quantised by itself, and pairs of inputs that are both zero are left
@@ -118,14 +118,8 @@ impl Int8EmbedEntities {
         let values = row.ok_or(DecideError::BadLength)?;
         let integers = integers(quantised, self.layer.inputs.into())?;
         let action = last_action(self.last_actions, entity, observation)?;
-        // The one of a one-hot is an input as well.
-        let least = if action.is_some() { 1.0 } else { 0.0 };
-        let scale = kernels.quantise(values, least, integers).ok_or(DecideError::NonFinite)?;
-        if let Some(one) = action.and_then(|a| integers.get_mut(features + usize::from(a))) {
-            *one = scale.integer(1.0);
-        }
-        let vector = Vector { inputs: as_inputs(integers), step: scale.step, outputs };
-        kernels.int8_sparse_product(matrix, vector);
-        Ok(())
+        let one = action.map(|action| features + usize::from(action));
+        let vector = SparseVector { values, one, integers, outputs };
+        kernels.int8_sparse_product(matrix, vector).ok_or(DecideError::NonFinite)
     }
 }

@@ -122,7 +122,7 @@ pub(super) fn integers(floats: &mut [f32], inputs: usize) -> Result<&mut [i16], 
 
 /// Quantised inputs as kernels take them.
 #[inline(always)]
-pub(super) fn as_inputs(integers: &[i16]) -> &[Inputs] {
+fn as_inputs(integers: &[i16]) -> &[Inputs] {
     integers.as_chunks().0.as_chunks().0
 }
 

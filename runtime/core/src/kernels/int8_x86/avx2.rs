@@ -1,0 +1,187 @@
+//! The int8 kernels for AVX2: eight sums in a vector.
+
+use core::arch::x86_64::{
+    __m128i, __m256, __m256i, _mm_max_epu32, _mm256_add_epi32, _mm256_add_ps, _mm256_and_si256,
+    _mm256_castps_si256, _mm256_castsi256_pd, _mm256_cmpeq_epi64, _mm256_cvtepi8_epi16,
+    _mm256_cvtepi32_ps, _mm256_madd_epi16, _mm256_max_epu32, _mm256_max_ps, _mm256_movemask_pd,
+    _mm256_mul_ps, _mm256_packs_epi32, _mm256_permute4x64_epi64, _mm256_set1_epi32, _mm256_set1_ps,
+    _mm256_setzero_si256, _mm256_slli_epi32, _mm256_srai_epi32,
+};
+
+use zerocopy::transmute;
+
+use super::MAGNITUDE;
+use crate::kernels::int8::{
+    Count, Inputs, Lanes, Marked, PAIRS, Pair, ROUND, Row, STRIP, Scale, Strips, filled,
+};
+
+/// Sums of a strip, eight columns in each vector.
+type Sums = [__m256i; 2];
+
+/// Adds a row of weights, times its pair of inputs.
+#[inline]
+#[target_feature(enable = "avx2")]
+fn add_row(sums: Sums, row: &Row, inputs: Pair) -> Sums {
+    let halves: [__m128i; 2] = transmute!(*row);
+    let inputs = _mm256_set1_epi32(transmute!(inputs));
+    let ([low, high], [a, b]) = (halves, sums);
+    let low = _mm256_madd_epi16(_mm256_cvtepi8_epi16(low), inputs);
+    let high = _mm256_madd_epi16(_mm256_cvtepi8_epi16(high), inputs);
+    [_mm256_add_epi32(a, low), _mm256_add_epi32(b, high)]
+}
+
+#[inline]
+#[target_feature(enable = "avx2")]
+fn add_sums([a, b]: Sums, [c, d]: Sums) -> Sums {
+    [_mm256_add_epi32(a, c), _mm256_add_epi32(b, d)]
+}
+
+/// [`crate::kernels::int8::Lanes::add_strip`] with `SETS` sums for every column, so that additions need not wait for each other.
+#[inline]
+#[target_feature(enable = "avx2")]
+pub(super) fn add_strip<const COUNT: usize, const SETS: usize>(
+    rows: &[[Row; PAIRS]],
+    inputs: [&[Inputs]; COUNT],
+) -> [[i32; STRIP]; COUNT] {
+    let mut sums = [[[_mm256_setzero_si256(); 2]; SETS]; COUNT];
+    for (index, rows) in rows.iter().enumerate() {
+        for (sums, inputs) in sums.iter_mut().zip(inputs) {
+            // Inputs do not end before the rows; zeros that stand for them need no way out of the loop.
+            let inputs = inputs.get(index).unwrap_or(&[[0; 2]; PAIRS]);
+            let sets = rows.as_chunks::<SETS>().0.iter().zip(inputs.as_chunks::<SETS>().0);
+            for (rows, inputs) in sets {
+                for ((sum, row), pair) in sums.iter_mut().zip(rows).zip(inputs) {
+                    *sum = add_row(*sum, row, *pair);
+                }
+            }
+        }
+    }
+    // Closures would stay calls: what maps arrays is not built for these instructions.
+    let mut joined = [[0; STRIP]; COUNT];
+    for (joined, sums) in joined.iter_mut().zip(sums) {
+        let mut total = [_mm256_setzero_si256(); 2];
+        for set in sums {
+            total = add_sums(total, set);
+        }
+        *joined = transmute!(total);
+    }
+    joined
+}
+
+/// [`crate::kernels::int8::Lanes::add_two_strips`].
+#[inline]
+#[target_feature(enable = "avx2")]
+pub(super) fn add_two_strips(rows: [&[[Row; PAIRS]]; 2], inputs: &[Inputs]) -> [[i32; STRIP]; 2] {
+    let [first, second] = rows;
+    let mut sums = [[[_mm256_setzero_si256(); 2]; 2]; 2];
+    for ((first, second), inputs) in first.iter().zip(second).zip(inputs) {
+        let rows = first.iter().zip(second).zip(inputs);
+        for (index, ((first, second), pair)) in rows.enumerate() {
+            let Some([low, high]) = sums.get_mut(index % 2) else { continue };
+            *low = add_row(*low, first, *pair);
+            *high = add_row(*high, second, *pair);
+        }
+    }
+    let [[low, high], [more_low, more_high]] = sums;
+    let add = |[a, b]: Sums, [c, d]: Sums| -> [i32; STRIP] {
+        transmute!([_mm256_add_epi32(a, c), _mm256_add_epi32(b, d)])
+    };
+    [add(low, more_low), add(high, more_high)]
+}
+
+/// A bit for each pair of values that is not zero.
+#[inline]
+#[target_feature(enable = "avx2")]
+fn not_zero(values: &[f32; STRIP]) -> u8 {
+    let [low, high]: [__m256i; 2] = transmute!(*values);
+    let magnitude = _mm256_set1_epi32(MAGNITUDE);
+    let zero = _mm256_setzero_si256();
+    let low = _mm256_cmpeq_epi64(_mm256_and_si256(low, magnitude), zero);
+    let high = _mm256_cmpeq_epi64(_mm256_and_si256(high, magnitude), zero);
+    let low = _mm256_movemask_pd(_mm256_castsi256_pd(low)) as u8;
+    let high = _mm256_movemask_pd(_mm256_castsi256_pd(high)) as u8;
+    !(low | high << 4)
+}
+
+/// [`crate::kernels::int8::Lanes::add_marked`].
+#[inline]
+#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
+pub(super) fn add_marked<const COUNT: usize>(
+    lanes: impl Lanes,
+    strips: Strips<'_>,
+    inputs: Marked<'_>,
+    outputs: &mut [f32],
+) {
+    let mut sums = [[_mm256_setzero_si256(); 2]; COUNT];
+    strips.for_each::<COUNT>(
+        inputs,
+        |values| not_zero(values),
+        |rows, pair| {
+            for (sum, row) in sums.iter_mut().zip(rows) {
+                *sum = add_row(*sum, row, pair);
+            }
+        },
+    );
+    let mut joined = [[0; STRIP]; COUNT];
+    for (joined, sum) in joined.iter_mut().zip(sums) {
+        *joined = transmute!(sum);
+    }
+    strips.matrix.finish(lanes, strips.first, &joined, inputs.step, outputs);
+}
+
+/// [`crate::kernels::int8::Lanes::largest_magnitude`].
+#[inline]
+#[target_feature(enable = "avx2")]
+pub(super) fn largest_magnitude(values: &[f32]) -> u32 {
+    let mut largest = _mm256_setzero_si256();
+    let compare = |largest: __m256i, lanes: &[f32; 8]| {
+        let magnitudes = _mm256_and_si256(transmute!(*lanes), _mm256_set1_epi32(MAGNITUDE));
+        _mm256_max_epu32(largest, magnitudes)
+    };
+    let (chunks, rest) = values.as_chunks();
+    for lanes in chunks {
+        largest = compare(largest, lanes);
+    }
+    // Comparing some of them once more changes nothing.
+    match values.last_chunk() {
+        Some(lanes) => largest = compare(largest, lanes),
+        None => largest = compare(largest, &filled(rest)),
+    }
+    let halves: [__m128i; 2] = transmute!(largest);
+    let [low, high] = halves;
+    let four: [u32; 4] = transmute!(_mm_max_epu32(low, high));
+    let [a, b, c, d] = four;
+    a.max(b).max(c.max(d))
+}
+
+/// [`crate::kernels::int8::Lanes::integers`].
+#[inline]
+#[target_feature(enable = "avx2")]
+pub(super) fn integers(scale: Scale, values: &[f32; STRIP]) -> [i16; STRIP] {
+    let halves: [__m256; 2] = transmute!(*values);
+    let (factor, round) = (_mm256_set1_ps(scale.factor), _mm256_set1_ps(ROUND));
+    let integers = |half: __m256| {
+        let bits = _mm256_castps_si256(_mm256_add_ps(_mm256_mul_ps(half, factor), round));
+        _mm256_srai_epi32::<16>(_mm256_slli_epi32::<16>(bits))
+    };
+    let [low, high] = halves;
+    // Packing works in halves of the vector, whose quarters then stand in the order 0, 2, 1, 3.
+    let packed = _mm256_packs_epi32(integers(low), integers(high));
+    transmute!(_mm256_permute4x64_epi64::<0b11_01_10_00>(packed))
+}
+
+/// [`crate::kernels::int8::Lanes::numbers`].
+#[inline]
+#[target_feature(enable = "avx2")]
+pub(super) fn numbers(sums: &[i32; STRIP], count: Count<'_>) -> [f32; STRIP] {
+    let (sums, steps, bias): ([__m256i; 2], [__m256; 2], [__m256; 2]) =
+        (transmute!(*sums), transmute!(*count.steps), transmute!(*count.bias));
+    let number = |sum: __m256i, step: __m256, bias: __m256| {
+        let step = _mm256_mul_ps(_mm256_set1_ps(count.step), step);
+        let number = _mm256_add_ps(_mm256_mul_ps(_mm256_cvtepi32_ps(sum), step), bias);
+        // The second operand is the result where it is no number.
+        _mm256_max_ps(_mm256_set1_ps(count.least()), number)
+    };
+    let ([s0, s1], [t0, t1], [b0, b1]) = (sums, steps, bias);
+    transmute!([number(s0, t0, b0), number(s1, t1, b1)])
+}

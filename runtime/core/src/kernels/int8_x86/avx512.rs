@@ -1,0 +1,153 @@
+//! The int8 kernels for AVX-512 with its instruction for integer networks (VNNI): sixteen sums in a vector.
+
+use core::arch::x86_64::{
+    __m256i, __m512i, _mm512_add_epi32, _mm512_add_ps, _mm512_and_si512, _mm512_castps_si512,
+    _mm512_cvtepi8_epi16, _mm512_cvtepi32_epi16, _mm512_cvtepi32_ps, _mm512_dpwssd_epi32,
+    _mm512_max_epu32, _mm512_max_ps, _mm512_mul_ps, _mm512_reduce_max_epu32, _mm512_set1_epi32,
+    _mm512_set1_ps, _mm512_setzero_si512, _mm512_test_epi64_mask,
+};
+
+use zerocopy::transmute;
+
+use super::MAGNITUDE;
+use crate::kernels::int8::{
+    Count, Inputs, Lanes, Marked, PAIRS, Pair, ROUND, Row, STRIP, Scale, Strips, filled,
+};
+
+/// Adds a row of weights, times its pair of inputs.
+#[inline]
+#[target_feature(enable = "avx512f,avx512bw,avx512vnni")]
+fn add_row(sums: __m512i, row: &Row, inputs: Pair) -> __m512i {
+    let row: __m256i = transmute!(*row);
+    let inputs = _mm512_set1_epi32(transmute!(inputs));
+    _mm512_dpwssd_epi32(sums, _mm512_cvtepi8_epi16(row), inputs)
+}
+
+/// [`crate::kernels::int8::Lanes::add_strip`] with `SETS` sums for every column, so that additions need not wait for each other.
+#[inline]
+#[target_feature(enable = "avx2,avx512f,avx512bw,avx512vnni")]
+pub(super) fn add_strip<const COUNT: usize, const SETS: usize>(
+    rows: &[[Row; PAIRS]],
+    inputs: [&[Inputs]; COUNT],
+) -> [[i32; STRIP]; COUNT] {
+    let mut sums = [[_mm512_setzero_si512(); SETS]; COUNT];
+    for (index, rows) in rows.iter().enumerate() {
+        for (sums, inputs) in sums.iter_mut().zip(inputs) {
+            // Inputs do not end before the rows; zeros that stand for them need no way out of the loop.
+            let inputs = inputs.get(index).unwrap_or(&[[0; 2]; PAIRS]);
+            let sets = rows.as_chunks::<SETS>().0.iter().zip(inputs.as_chunks::<SETS>().0);
+            for (rows, inputs) in sets {
+                for ((sum, row), pair) in sums.iter_mut().zip(rows).zip(inputs) {
+                    *sum = add_row(*sum, row, *pair);
+                }
+            }
+        }
+    }
+    // Closures would stay calls: what maps arrays is not built for these instructions.
+    let mut joined = [[0; STRIP]; COUNT];
+    for (joined, sums) in joined.iter_mut().zip(sums) {
+        let mut total = _mm512_setzero_si512();
+        for set in sums {
+            total = _mm512_add_epi32(total, set);
+        }
+        *joined = transmute!(total);
+    }
+    joined
+}
+
+/// [`crate::kernels::int8::Lanes::add_two_strips`].
+#[inline]
+#[target_feature(enable = "avx2,avx512f,avx512bw,avx512vnni")]
+pub(super) fn add_two_strips(rows: [&[[Row; PAIRS]]; 2], inputs: &[Inputs]) -> [[i32; STRIP]; 2] {
+    let [first, second] = rows;
+    let mut sums = [[_mm512_setzero_si512(); 2]; PAIRS];
+    for ((first, second), inputs) in first.iter().zip(second).zip(inputs) {
+        let rows = first.iter().zip(second).zip(inputs);
+        for (index, ((first, second), pair)) in rows.enumerate() {
+            let Some([low, high]) = sums.get_mut(index % PAIRS) else { continue };
+            *low = add_row(*low, first, *pair);
+            *high = add_row(*high, second, *pair);
+        }
+    }
+    let add = |strip: [__m512i; PAIRS]| -> [i32; STRIP] {
+        let [a, b, c, d] = strip;
+        transmute!(_mm512_add_epi32(_mm512_add_epi32(a, b), _mm512_add_epi32(c, d)))
+    };
+    let [[a, e], [b, f], [c, g], [d, h]] = sums;
+    [add([a, b, c, d]), add([e, f, g, h])]
+}
+
+/// A bit for each pair of values that is not zero.
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn not_zero(values: &[f32; STRIP]) -> u8 {
+    let values: __m512i = transmute!(*values);
+    _mm512_test_epi64_mask(values, _mm512_set1_epi32(MAGNITUDE))
+}
+
+/// [`crate::kernels::int8::Lanes::add_marked`].
+#[inline]
+#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512vnni")]
+pub(super) fn add_marked<const COUNT: usize>(
+    lanes: impl Lanes,
+    strips: Strips<'_>,
+    inputs: Marked<'_>,
+    outputs: &mut [f32],
+) {
+    let mut sums = [_mm512_setzero_si512(); COUNT];
+    strips.for_each::<COUNT>(
+        inputs,
+        |values| not_zero(values),
+        |rows, pair| {
+            for (sum, row) in sums.iter_mut().zip(rows) {
+                *sum = add_row(*sum, row, pair);
+            }
+        },
+    );
+    let mut joined = [[0; STRIP]; COUNT];
+    for (joined, sum) in joined.iter_mut().zip(sums) {
+        *joined = transmute!(sum);
+    }
+    strips.matrix.finish(lanes, strips.first, &joined, inputs.step, outputs);
+}
+
+/// [`crate::kernels::int8::Lanes::largest_magnitude`].
+#[inline]
+#[target_feature(enable = "avx512f")]
+pub(super) fn largest_magnitude(values: &[f32]) -> u32 {
+    let mut largest = _mm512_setzero_si512();
+    let compare = |largest: __m512i, lanes: &[f32; STRIP]| {
+        let magnitudes = _mm512_and_si512(transmute!(*lanes), _mm512_set1_epi32(MAGNITUDE));
+        _mm512_max_epu32(largest, magnitudes)
+    };
+    let (chunks, rest) = values.as_chunks();
+    for lanes in chunks {
+        largest = compare(largest, lanes);
+    }
+    // Comparing some of them once more changes nothing.
+    match values.last_chunk() {
+        Some(lanes) => largest = compare(largest, lanes),
+        None => largest = compare(largest, &filled(rest)),
+    }
+    _mm512_reduce_max_epu32(largest)
+}
+
+/// [`crate::kernels::int8::Lanes::integers`].
+#[inline]
+#[target_feature(enable = "avx512f")]
+pub(super) fn integers(scale: Scale, values: &[f32; STRIP]) -> [i16; STRIP] {
+    let scaled = _mm512_mul_ps(transmute!(*values), _mm512_set1_ps(scale.factor));
+    let rounded = _mm512_add_ps(scaled, _mm512_set1_ps(ROUND));
+    transmute!(_mm512_cvtepi32_epi16(_mm512_castps_si512(rounded)))
+}
+
+/// [`crate::kernels::int8::Lanes::numbers`].
+#[inline]
+#[target_feature(enable = "avx512f")]
+pub(super) fn numbers(sums: &[i32; STRIP], count: Count<'_>) -> [f32; STRIP] {
+    let step = _mm512_mul_ps(_mm512_set1_ps(count.step), transmute!(*count.steps));
+    let sums = _mm512_mul_ps(_mm512_cvtepi32_ps(transmute!(*sums)), step);
+    let numbers = _mm512_add_ps(sums, transmute!(*count.bias));
+    // The second operand is the result where it is no number.
+    transmute!(_mm512_max_ps(_mm512_set1_ps(count.least()), numbers))
+}
