@@ -99,7 +99,7 @@ fn what_is_zero_is_left_out_and_the_one_is_not() {
     let matrix = Matrix { rows: &rows, groups: 19, steps: &steps, bias: None, relu: false };
     for len in [0, 1, 2, 9, 15, 16, 17, 31, 58, 128, 129, 133, 140] {
         for (every, one) in [(1, None), (7, None), (7, Some(len)), (64, Some(len + 5))] {
-            let value = |i: usize| if i % every == 0 { 1.0 } else { 0.0 };
+            let value = |i: usize| if i.is_multiple_of(every) { 1.0 } else { 0.0 };
             let values: Vec<f32> = (0..len).map(value).collect();
             let (mut integers, mut outputs) = ([7; 160], [f32::NAN; 40]);
             let vector = SparseVector {
