@@ -97,14 +97,6 @@ pub struct Vector<'a> {
     pub outputs: &'a mut [f32],
 }
 
-impl Count<'_> {
-    /// No number is less.
-    #[inline(always)]
-    pub(super) fn least(&self) -> f32 {
-        if self.relu { 0.0 } else { f32::NEG_INFINITY }
-    }
-}
-
 /// The int8 kernels of one build.
 pub trait Int8Kernels: Copy {
     /// Makes integers of numbers ([`quantise`]).
@@ -311,13 +303,4 @@ impl Matrix<'_> {
 #[inline(always)]
 fn chunks_from<const COUNT: usize>(floats: &[f32], first: usize) -> Option<&[[f32; STRIP]; COUNT]> {
     floats.as_chunks().0.get(first..)?.first_chunk()
-}
-
-/// Values with zeros behind them.
-pub(super) fn filled<const LANES: usize>(values: &[f32]) -> [f32; LANES] {
-    let mut lanes = [0.0; LANES];
-    for (lane, value) in lanes.iter_mut().zip(values) {
-        *lane = *value;
-    }
-    lanes
 }

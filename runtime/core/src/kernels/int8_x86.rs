@@ -173,3 +173,20 @@ build! {
     Avx512, with_avx512,
     "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl,avx512vnni"
 }
+
+impl Count<'_> {
+    /// No number is less.
+    #[inline(always)]
+    fn least(&self) -> f32 {
+        if self.relu { 0.0 } else { f32::NEG_INFINITY }
+    }
+}
+
+/// Values with zeros behind them.
+fn filled<const LANES: usize>(values: &[f32]) -> [f32; LANES] {
+    let mut lanes = [0.0; LANES];
+    for (lane, value) in lanes.iter_mut().zip(values) {
+        *lane = *value;
+    }
+    lanes
+}

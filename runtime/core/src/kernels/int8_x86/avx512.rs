@@ -9,9 +9,9 @@ use core::arch::x86_64::{
 
 use zerocopy::transmute;
 
-use super::MAGNITUDE;
+use super::{MAGNITUDE, filled};
 use crate::kernels::int8::{
-    Count, Inputs, Lanes, Marked, PAIRS, Pair, ROUND, Row, STRIP, Scale, Strips, filled,
+    Count, Inputs, Lanes, Marked, PAIRS, Pair, ROUND, Row, STRIP, Scale, Strips,
 };
 
 /// Adds a row of weights, times its pair of inputs.
