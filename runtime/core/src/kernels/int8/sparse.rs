@@ -21,7 +21,7 @@ pub struct SparseVector<'a> {
     pub outputs: &'a mut [f32],
 }
 
-/// As [`products`] for one vector of which few pairs of inputs are not zero, and which is quantised first; the matrix
+/// As [`super::products`] for one vector of which few pairs of inputs are not zero, and which is quantised first; the matrix
 /// stores all strips of a pair side by side. None where an input is not a finite number.
 #[inline(always)]
 pub fn sparse_product(
