@@ -83,8 +83,8 @@ fn at_most(instructions_per_decision: u64) -> LibraryBenchmarkConfig {
 #[bench::exact_everything(args = ("exact", Sight::Everything), config = at_most(42_189), setup = scene)]
 #[bench::exact_four(args = ("exact", Sight::Four), config = at_most(30_411), setup = scene)]
 #[bench::fused_everything(args = ("fused", Sight::Everything), config = at_most(31_941), setup = scene)]
-#[bench::int8_everything(args = ("int8", Sight::Everything), config = at_most(51_172), setup = scene)]
-#[bench::int8_four(args = ("int8", Sight::Four), config = at_most(36_429), setup = scene)]
+#[bench::int8_everything(args = ("int8", Sight::Everything), config = at_most(49_220), setup = scene)]
+#[bench::int8_four(args = ("int8", Sight::Four), config = at_most(35_346), setup = scene)]
 #[bench::fused_four(args = ("fused", Sight::Four), config = at_most(22_212), setup = scene)]
 fn alone(scene: Scene) {
     let Scene { mut policy, observations } = scene;
@@ -96,7 +96,7 @@ fn alone(scene: Scene) {
 #[library_benchmark]
 #[bench::exact(args = ("exact", Sight::Team), config = at_most(46_345), setup = scene)]
 #[bench::fused(args = ("fused", Sight::Team), config = at_most(35_183), setup = scene)]
-#[bench::int8(args = ("int8", Sight::Team), config = at_most(38_544), setup = scene)]
+#[bench::int8(args = ("int8", Sight::Team), config = at_most(37_996), setup = scene)]
 fn together(scene: Scene) {
     let Scene { mut policy, observations } = scene;
     let mut decisions: [Result<Decision, DecideError>; TEAM] = [Err(DecideError::BadLength); TEAM];
