@@ -165,7 +165,7 @@ struct Scene<'a> {
 
 impl Scene<'_> {
     fn is_member(&self, team: u64, row: usize) -> bool {
-        row < self.query.state.agents && team.checked_shr(row as u32).unwrap_or(0) & 1 == 1
+        TeamQuery { team, ..*self.query }.is_member(row)
     }
 
     /// What a team sees of the joined rows.
