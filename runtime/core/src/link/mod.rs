@@ -4,8 +4,10 @@
 //! topic each time they look, and judge every message themselves (ABI, schema, order).
 
 mod direct;
+mod spsc;
 
 pub use direct::{Direct, DirectAgent, DirectAllocator, DirectCursor, DirectWorld, FrameBlock};
+pub use spsc::{Processor, Spsc, SpscAgent, SpscAllocator, SpscEnds, SpscWorld, frame_words};
 
 use crate::wire::{ActionMsg, AllocMsg, FrameError, FrameHeader, Role, StatMsg};
 
