@@ -7,7 +7,7 @@ use super::memory::{
     AllocatorCursors, AllocatorTopics, FrameReaderMemory, HEADER, Rings, RunnerCursors,
     RunnerTopics,
 };
-use super::topic::{Cursor, Topic};
+use super::topic::{Cursor, Topic, Writer};
 use super::{Processor, raise};
 use crate::link::{
     ActionRx, ActionTx, AllocRx, AllocTx, Bell, Clock, Frame, FrameRx, FrameTx, LinkError, StatRx,
@@ -61,6 +61,7 @@ impl Shared<'_> {
 /// The world's end of a [`Spsc`](super::Spsc).
 pub struct SpscWorld<'a> {
     pub(super) shared: Shared<'a>,
+    pub(super) frames: Writer<'a>,
     pub(super) frame: &'a mut [u32],
     pub(super) runners: &'a mut [RunnerCursors],
     pub(super) allocators: &'a mut [AllocatorCursors],
@@ -71,16 +72,48 @@ pub struct SpscAgent<'a> {
     pub(super) shared: Shared<'a>,
     pub(super) frames: FrameReader<'a>,
     pub(super) allocators: &'a mut [AllocatorCursors],
-    /// What only this runner writes.
-    pub(super) mine: Option<&'a RunnerTopics>,
+    pub(super) mine: Option<RunnerWriter<'a>>,
 }
 
 /// An allocator's end of a [`Spsc`](super::Spsc).
 pub struct SpscAllocator<'a> {
     pub(super) shared: Shared<'a>,
     pub(super) frames: FrameReader<'a>,
-    /// What only this allocator writes.
-    pub(super) mine: Option<&'a AllocatorTopics>,
+    pub(super) mine: Option<AllocatorWriter<'a>>,
+}
+
+/// Writes what only one runner writes.
+pub(super) struct RunnerWriter<'a> {
+    actions: Writer<'a>,
+    statuses: Writer<'a>,
+    rings: &'a Rings,
+}
+
+impl<'a> RunnerWriter<'a> {
+    pub(super) fn new(topics: &'a RunnerTopics) -> Self {
+        Self {
+            actions: Writer::new(topics.actions.topic()),
+            statuses: Writer::new(topics.statuses.topic()),
+            rings: &topics.rings,
+        }
+    }
+}
+
+/// Writes what only one allocator writes.
+pub(super) struct AllocatorWriter<'a> {
+    allocations: Writer<'a>,
+    statuses: Writer<'a>,
+    rings: &'a Rings,
+}
+
+impl<'a> AllocatorWriter<'a> {
+    pub(super) fn new(topics: &'a AllocatorTopics) -> Self {
+        Self {
+            allocations: Writer::new(topics.allocations.topic()),
+            statuses: Writer::new(topics.statuses.topic()),
+            rings: &topics.rings,
+        }
+    }
 }
 
 impl SpscWorld<'_> {
@@ -141,9 +174,9 @@ where
     }
 }
 
-fn put<M: IntoBytes + Immutable>(topic: Topic<'_>, message: &M) {
+fn put<M: IntoBytes + Immutable>(writer: &mut Writer<'_>, message: &M) {
     if let Ok(words) = <[u32]>::ref_from_bytes(message.as_bytes()) {
-        topic.put(words);
+        writer.put(words);
     }
 }
 
@@ -156,7 +189,7 @@ impl FrameTx for SpscWorld<'_> {
         let (header, payload) = halves.ok_or(LinkError::Frames)?;
         let filled = fill(payload.as_mut_bytes())?;
         filled.write_to(header.as_mut_bytes()).map_err(|_| LinkError::Frames)?;
-        self.shared.frames.put(self.frame);
+        self.frames.put(self.frame);
         Ok(())
     }
 }
@@ -184,14 +217,14 @@ impl StatRx for SpscWorld<'_> {
 
 impl ActionTx for SpscAgent<'_> {
     fn send_action(&mut self, action: &ActionMsg) -> Result<(), LinkError> {
-        put(self.mine.ok_or(LinkError::Actions)?.actions.topic(), action);
+        put(&mut self.mine.as_mut().ok_or(LinkError::Actions)?.actions, action);
         Ok(())
     }
 }
 
 impl AllocTx for SpscAllocator<'_> {
     fn send_allocation(&mut self, allocation: &AllocMsg) -> Result<(), LinkError> {
-        put(self.mine.ok_or(LinkError::Allocations)?.allocations.topic(), allocation);
+        put(&mut self.mine.as_mut().ok_or(LinkError::Allocations)?.allocations, allocation);
         Ok(())
     }
 }
@@ -213,7 +246,7 @@ macro_rules! reads_frames_and_tells_status {
 
         impl StatTx for $end<'_> {
             fn send_status(&mut self, status: &StatMsg) -> Result<(), LinkError> {
-                put(self.mine.ok_or(LinkError::Statuses)?.statuses.topic(), status);
+                put(&mut self.mine.as_mut().ok_or(LinkError::Statuses)?.statuses, status);
                 Ok(())
             }
         }
@@ -244,13 +277,13 @@ impl<'a> SpscWorld<'a> {
 
 impl<'a> SpscAgent<'a> {
     fn rings(&self) -> Option<&'a Rings> {
-        self.mine.map(|mine| &mine.rings)
+        self.mine.as_ref().map(|mine| mine.rings)
     }
 }
 
 impl<'a> SpscAllocator<'a> {
     fn rings(&self) -> Option<&'a Rings> {
-        self.mine.map(|mine| &mine.rings)
+        self.mine.as_ref().map(|mine| mine.rings)
     }
 }
 

@@ -15,12 +15,13 @@ mod atomic {
 }
 
 use self::atomic::AtomicU32;
+use self::ends::{AllocatorWriter, FrameReader, RunnerWriter, Shared};
 pub use self::ends::{SpscAgent, SpscAllocator, SpscWorld};
-use self::ends::{FrameReader, Shared};
 use self::memory::{
     AllocatorCursors, AllocatorTopics, FrameReaderMemory, HEADER, Rings, RunnerCursors,
     RunnerTopics, TopicMemory, no_rings,
 };
+use self::topic::Writer;
 use super::{Clock, LinkError};
 use crate::plan::Aligned;
 use crate::wire::{FrameError, FrameLayout, payload_bytes};
@@ -116,19 +117,25 @@ impl<const FRAME: usize, const RUNNERS: usize, const ALLOCATORS: usize>
             processor,
         };
         let WorldMemory { frame, runners, allocators } = &mut self.world;
-        let world = SpscWorld { shared, frame: &mut frame.0, runners, allocators };
+        let world = SpscWorld {
+            shared,
+            frames: Writer::new(shared.frames),
+            frame: &mut frame.0,
+            runners,
+            allocators,
+        };
         let mut topics = self.runners.iter();
         let agents = self.agents.each_mut().map(|(memory, allocators)| SpscAgent {
             shared,
             frames: FrameReader::new(memory),
             allocators,
-            mine: topics.next(),
+            mine: topics.next().map(RunnerWriter::new),
         });
         let mut topics = self.allocators.iter();
         let allocators = self.allocating.each_mut().map(|memory| SpscAllocator {
             shared,
             frames: FrameReader::new(memory),
-            mine: topics.next(),
+            mine: topics.next().map(AllocatorWriter::new),
         });
         Ok(SpscEnds { world, agents, allocators })
     }

@@ -28,21 +28,35 @@ pub(super) struct Cursor {
     pub(super) missed: u32,
 }
 
-impl Topic<'_> {
-    /// Writes a message of as many words as a slot has. For the topic's only writer.
-    pub(super) fn put(&self, message: &[u32]) {
-        let number = after(self.newest.load(Ordering::Relaxed));
-        let Some((mark, words)) = self.slot(number) else { return };
+/// The only one that writes to a topic.
+pub(super) struct Writer<'a> {
+    topic: Topic<'a>,
+    /// Number of the last message.
+    number: u32,
+}
+
+impl<'a> Writer<'a> {
+    /// Goes on where an earlier writer ended.
+    pub(super) fn new(topic: Topic<'a>) -> Self {
+        Self { topic, number: topic.newest.load(Ordering::Acquire) }
+    }
+
+    /// Writes a message of as many words as a slot has.
+    pub(super) fn put(&mut self, message: &[u32]) {
+        self.number = after(self.number);
+        let Some((mark, words)) = self.topic.slot(self.number) else { return };
         mark.store(0, Ordering::Relaxed);
         // Whoever reads one of the words below sees the mark above as well.
         fence(Ordering::Release);
         for (word, value) in words.iter().zip(message) {
             word.store(*value, Ordering::Relaxed);
         }
-        mark.store(number, Ordering::Release);
-        self.newest.store(number, Ordering::Release);
+        mark.store(self.number, Ordering::Release);
+        self.topic.newest.store(self.number, Ordering::Release);
     }
+}
 
+impl<'a> Topic<'a> {
     /// Reads the oldest message that `cursor` has not seen and that will not be written over next:
     /// of two slots, the newest message. Returns whether there is one; if not, `message` is spoilt.
     pub(super) fn next(&self, cursor: &mut Cursor, message: &mut [u32]) -> bool {
@@ -76,7 +90,7 @@ impl Topic<'_> {
         mark.load(Ordering::Relaxed) == number
     }
 
-    fn slot(&self, number: u32) -> Option<(&AtomicU32, &[AtomicU32])> {
+    fn slot(&self, number: u32) -> Option<(&'a AtomicU32, &'a [AtomicU32])> {
         let size = self.words.len().checked_div(self.numbers.len())?;
         let index = number as usize & self.numbers.len().checked_sub(1)?;
         let first = index.saturating_mul(size);
