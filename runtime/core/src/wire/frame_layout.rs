@@ -146,12 +146,12 @@ impl FrameLayout {
         &self.sections
     }
 
-    pub(super) fn every_entity(&self) -> EntityMask {
+    pub(crate) fn every_entity(&self) -> EntityMask {
         self.every_entity
     }
 
     /// Bit t for every subtask.
-    pub(super) fn every_task(&self) -> u32 {
+    pub(crate) fn every_task(&self) -> u32 {
         low_bits(self.shape.tasks) as u32
     }
 
