@@ -12,7 +12,7 @@ pub(super) const CHECKSUM: usize = 4;
 /// Bytes that are read at once.
 const CHUNK: usize = 64;
 /// Most reads before the caller gets to do something else, so that noise does not hold it up.
-const READS: usize = 256;
+const READS: usize = 4_096;
 /// Most bytes in a row that COBS sends as they are.
 const LONGEST_RUN: usize = 254;
 
