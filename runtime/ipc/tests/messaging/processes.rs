@@ -16,6 +16,7 @@ use sortie_ipc::{
     WorldSettings, allocator_process, run_in_process, runner_process, world_process,
 };
 
+use crate::own_world;
 use crate::toy::{self, DecisionLog, ToyAllocator, ToyPolicy, ToyWorld, Watchdog};
 
 const ROLE: &str = "SORTIE_TEST_ROLE";
@@ -30,7 +31,7 @@ fn settings(episodes: u32) -> WorldSettings {
 
 /// A process of the domain: `world` with its team or without, `allocator`, or the agents of a
 /// runner as `0,2`.
-fn child(domain: &Domain, role: &str) -> Command {
+pub(crate) fn child(domain: &Domain, role: &str) -> Command {
     let mut command = Command::new(std::env::current_exe().unwrap());
     command
         .args(["processes::child_process", "--exact", "--nocapture"])
@@ -49,6 +50,10 @@ fn child_process() {
     let parent = std::env::var(PARENT).unwrap().parse().unwrap();
     let settings = ProcessSettings { parent: Some(parent), ..ProcessSettings::default() };
     let stop = Stop::on_signals().unwrap();
+    if [own_world::WORLD, own_world::RUNNER].contains(&role.as_str()) {
+        own_world::play(&role, &domain).unwrap();
+        return;
+    }
     let contract = toy::contract();
     let ended = match role.as_str() {
         "world" => endless_world(&domain, &["allocator", "0,2", "1"], &stop),

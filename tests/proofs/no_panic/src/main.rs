@@ -7,6 +7,7 @@
 #![no_main]
 
 mod bare;
+mod links;
 
 use core::hint::black_box;
 
@@ -32,6 +33,8 @@ fn everything() -> bool {
         return false;
     }
     decide() == Some(true) && allocate() == Some(true) && read_messages() == Some(true)
+        && links::on_a_chip() == Some(true)
+        && links::over_a_line() == Some(true)
 }
 
 /// The first recorded decision of the golden plan.
