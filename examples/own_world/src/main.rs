@@ -2,7 +2,7 @@
 
 use sortie_core::wire::FrameMut;
 use sortie_core::{EntityMask, Shape, StepOutcome, UnavailableAction, World};
-use sortie_ipc::{Domain, DomainContract, Error, Stop, WorldSettings, world_process};
+use sortie_ipc::{Domain, DomainContract, Stop, WorldSettings, world_process};
 
 /// Two robots on a track of ten fields. Action 0 waits, action 1 goes on.
 #[derive(Default)]
@@ -33,11 +33,11 @@ impl World for Track {
 }
 
 /// What policies must have been trained for.
-fn contract() -> DomainContract {
+pub(crate) fn contract() -> DomainContract {
     DomainContract { hash: 1, decision_interval: 1, safe_action: Some(0), ..Default::default() }
 }
 
-fn main() -> Result<(), Error> {
+pub(crate) fn main() -> Result<(), Box<dyn std::error::Error>> {
     let domain = Domain::new(&std::env::var("SORTIE_DOMAIN").unwrap_or("default".into()))?;
     let settings = WorldSettings { episodes: Some(1), ..WorldSettings::default() };
     let (mut world, stop) = (Track::default(), Stop::on_signals()?);

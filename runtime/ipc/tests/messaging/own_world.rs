@@ -4,7 +4,7 @@ use std::process::Command;
 use std::time::Duration;
 
 use sortie_core::{DecideError, Decision, Observation, Policy};
-use sortie_ipc::{Children, Domain, Error, ProcessSettings, Stop, runner_process};
+use sortie_ipc::{Children, Domain, ProcessSettings, Stop, runner_process};
 
 use crate::processes::child;
 use crate::toy::{self, Watchdog};
@@ -17,13 +17,14 @@ pub(crate) const WORLD: &str = "own world";
 pub(crate) const RUNNER: &str = "runner of the own world";
 
 /// What the process of a role does.
-pub(crate) fn play(role: &str, domain: &Domain) -> Result<(), Error> {
+pub(crate) fn play(role: &str, domain: &Domain) -> Result<(), Box<dyn std::error::Error>> {
     if role == WORLD {
         return program::main();
     }
     let settings = ProcessSettings::default();
     let stop = Stop::on_signals()?;
-    runner_process(domain, &program::contract(), &[0, 1], &mut GoOn, &settings, &stop).map(|_| ())
+    runner_process(domain, &program::contract(), &[0, 1], &mut GoOn, &settings, &stop)?;
+    Ok(())
 }
 
 /// Goes on wherever it can.
@@ -34,11 +35,7 @@ impl Policy for GoOn {
         2
     }
 
-    fn utilities(
-        &mut self,
-        _: &Observation<'_>,
-        utilities: &mut [f32],
-    ) -> Result<(), DecideError> {
+    fn utilities(&mut self, _: &Observation<'_>, utilities: &mut [f32]) -> Result<(), DecideError> {
         utilities.copy_from_slice(&[0.0, 1.0]);
         Ok(())
     }
