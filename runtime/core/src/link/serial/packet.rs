@@ -17,6 +17,7 @@ const MICROSECOND: u64 = 1_000;
 
 /// What stands at the beginning of a packet.
 #[derive(Debug, Serialize, Deserialize)]
+#[allow(clippy::large_enum_variant, reason = "there is no heap, and one packet at a time")]
 pub(super) enum Packet<'a> {
     /// A frame; its rows follow.
     Frame(FramePacket),

@@ -94,7 +94,7 @@ fn frame(tick: u64) -> (FrameHeader, Vec<FrameBlock>) {
     let mut random = Random(tick);
     let mut payload = vec![FrameBlock::zeroed(); layout.payload_bytes() / 64];
     let mut frame = FrameMut::new(payload.as_mut_bytes(), layout).unwrap();
-    let mut set = |random: &mut Random| {
+    let set = |random: &mut Random| {
         EntityMask::from_words(&[random.next() << 32 | random.next(), random.next()])
     };
     let mut present = set(&mut random);
