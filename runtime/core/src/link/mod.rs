@@ -4,8 +4,14 @@
 //! topic each time they look, and judge every message themselves (ABI, schema, order).
 
 mod direct;
+#[cfg(feature = "serial")]
+mod serial;
+mod spsc;
 
 pub use direct::{Direct, DirectAgent, DirectAllocator, DirectCursor, DirectWorld, FrameBlock};
+#[cfg(feature = "serial")]
+pub use serial::{LineCounters, Relay, Serial, packet_bytes};
+pub use spsc::{Processor, Spsc, SpscAgent, SpscAllocator, SpscEnds, SpscWorld, frame_words};
 
 use crate::wire::{ActionMsg, AllocMsg, FrameError, FrameHeader, Role, StatMsg};
 

@@ -109,21 +109,14 @@ impl FrameLayout {
         check(shape)?;
         let words = shape.entities.div_ceil(64);
         let stride = shape.features.next_multiple_of(STRIDE_STEP);
-        let bytes = [
-            words * 8,
-            shape.agents * words * 8,
-            shape.entities * 4,
-            shape.agents * shape.actions * 2,
-            shape.agents * 2,
-            shape.entities * stride * 4,
-        ];
         let mut end = size_of::<FrameHead>();
-        let sections = bytes.map(|bytes| {
+        let sections = section_bytes(shape).map(|bytes| {
             let section = Section { offset: end.next_multiple_of(ALIGNMENT), bytes };
             end = section.offset + bytes;
             section
         });
-        let len = end.next_multiple_of(ALIGNMENT);
+        let len = payload_bytes(shape);
+        debug_assert_eq!(len, end.next_multiple_of(ALIGNMENT));
         debug_assert!(len <= limits::FRAME_BYTES);
         let every_entity = EntityMask::first(shape.entities);
         Ok(Self { shape, stride, words, sections, len, every_entity })
@@ -153,12 +146,12 @@ impl FrameLayout {
         &self.sections
     }
 
-    pub(super) fn every_entity(&self) -> EntityMask {
+    pub(crate) fn every_entity(&self) -> EntityMask {
         self.every_entity
     }
 
     /// Bit t for every subtask.
-    pub(super) fn every_task(&self) -> u32 {
+    pub(crate) fn every_task(&self) -> u32 {
         low_bits(self.shape.tasks) as u32
     }
 
@@ -186,6 +179,26 @@ impl FrameLayout {
             joined: 0,
         }
     }
+}
+
+/// Bytes of the sections of a frame of `shape`, in their order.
+const fn section_bytes(shape: Shape) -> [usize; 6] {
+    let Shape { agents, entities, actions, features, .. } = shape;
+    let set = entities.div_ceil(64) * 8;
+    let row = features.next_multiple_of(STRIDE_STEP) * 4;
+    [set, agents * set, entities * 4, agents * actions * 2, agents * 2, entities * row]
+}
+
+/// Bytes of the payload of a frame of `shape`, which has to be one that a frame can have.
+pub(crate) const fn payload_bytes(shape: Shape) -> usize {
+    let [a, b, c, d, e, f] = section_bytes(shape);
+    let whole = [size_of::<FrameHead>(), a, b, c, d, e, f];
+    let (mut bytes, mut rest) = (0, whole.as_slice());
+    while let [section, others @ ..] = rest {
+        bytes += section.next_multiple_of(ALIGNMENT);
+        rest = others;
+    }
+    bytes
 }
 
 /// What one running domain's frames look like: their layout and the schema they must name.

@@ -17,6 +17,7 @@ pub use action::ActionMsg;
 pub use allocation::{AllocMsg, AllocationFault};
 pub use frame_fill::FrameMut;
 pub use frame_header::{FrameHeader, FrameKind};
+pub(crate) use frame_layout::payload_bytes;
 pub use frame_layout::{FrameFormat, FrameHead, FrameLayout, LayoutError};
 pub use frame_view::{FrameError, FrameView};
 pub use status::{Role, StatMsg};

@@ -16,6 +16,8 @@ use sortie_ipc::{
 
 use crate::toy;
 
+pub(crate) mod one_chip;
+mod over_serial;
 mod runner_laws;
 mod stage;
 mod world_laws;
@@ -227,6 +229,20 @@ macro_rules! every_link_obeys {
             $($(#[test]
             fn $law() {
                 super::$subject::$law::<super::InThreads>();
+            })+)+
+        }
+
+        mod one_chip_links {
+            $($(#[test]
+            fn $law() {
+                super::$subject::$law::<super::one_chip::OneChip>();
+            })+)+
+        }
+
+        mod over_serial_lines {
+            $($(#[test]
+            fn $law() {
+                super::$subject::$law::<super::over_serial::OverSerial>();
             })+)+
         }
 

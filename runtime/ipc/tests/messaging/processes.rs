@@ -16,6 +16,7 @@ use sortie_ipc::{
     WorldSettings, allocator_process, run_in_process, runner_process, world_process,
 };
 
+use crate::own_world;
 use crate::toy::{self, DecisionLog, ToyAllocator, ToyPolicy, ToyWorld, Watchdog};
 
 const ROLE: &str = "SORTIE_TEST_ROLE";
@@ -49,6 +50,10 @@ fn child_process() {
     let parent = std::env::var(PARENT).unwrap().parse().unwrap();
     let settings = ProcessSettings { parent: Some(parent), ..ProcessSettings::default() };
     let stop = Stop::on_signals().unwrap();
+    if [own_world::WORLD, own_world::RUNNER].contains(&role.as_str()) {
+        own_world::play(&role, &domain).unwrap();
+        return;
+    }
     let contract = toy::contract();
     let ended = match role.as_str() {
         "world" => endless_world(&domain, &["allocator", "0,2", "1"], &stop),
@@ -112,9 +117,12 @@ pub(crate) fn run_in_one_thread(episodes: u32) -> DecisionLog {
 #[test]
 fn processes_decide_exactly_as_one_thread_does() {
     let _watchdog = Watchdog::new();
-    let episodes = 40;
+    // 1,000 ticks, or as many as somebody asks for.
+    let asked = std::env::var("SORTIE_REPLAY_EPISODES");
+    let episodes = asked.map_or(40, |episodes| episodes.parse().unwrap());
     let alone = run_in_one_thread(episodes);
-    assert_eq!((alone.episodes, alone.tick_ns.len()), (episodes, 1_000));
+    let ticks = (episodes * toy::EPISODE) as usize;
+    assert_eq!((alone.episodes, alone.tick_ns.len()), (episodes, ticks));
     let teams = [
         (&["allocator", "0,1,2"][..], BellKind::Doorbell),
         (&["0", "1", "2", "allocator"], BellKind::Doorbell),

@@ -7,6 +7,7 @@
 #![no_main]
 
 mod bare;
+mod links;
 
 use core::hint::black_box;
 
@@ -38,6 +39,8 @@ fn everything() -> bool {
         && decide::<{ arena_bytes(INT8) }>(INT8, int8) == Some(true)
         && allocate() == Some(true)
         && read_messages() == Some(true)
+        && links::on_a_chip() == Some(true)
+        && links::over_a_line() == Some(true)
 }
 
 /// The first recorded decision of a golden plan.
