@@ -14,6 +14,7 @@ use crate::allocator::DeployedAllocator;
 use crate::arguments::{AllocatorChoice, Common};
 use crate::deployment::open_bundle;
 use crate::failure::{Exit, Failure, Outcome};
+use crate::output;
 use crate::policy::{Backend, DeployedPolicy};
 use crate::signals::stop_on_signals;
 
@@ -94,7 +95,7 @@ pub(crate) fn run(arguments: &UpArguments) -> Outcome {
         RestartPolicy { never: arguments.restart == Restart::Never, ..RestartPolicy::default() };
     let mut tell = |event: &SupervisorEvent<'_>| {
         if is_told {
-            eprintln!("{event}");
+            output::tell(&event.to_string());
         }
     };
     match supervise(&domain, charges, &policy, &mut tell, &stop) {

@@ -6,7 +6,7 @@ use std::process::ExitStatus;
 
 use sortie_core::link::LinkError;
 use sortie_core::roles::{AllocatorError, WorldError};
-use sortie_core::wire::LayoutError;
+use sortie_core::wire::{ABI, LayoutError};
 
 /// What ended a process of a domain.
 #[derive(Debug, thiserror::Error)]
@@ -71,8 +71,8 @@ pub enum Error {
         /// The first field that differs.
         detail: String,
     },
-    /// The services of the domain carry another schema.
-    #[error("domain `{domain}` runs another schema than {schema:016x}")]
+    /// The services of the domain carry another schema or ABI.
+    #[error("domain `{domain}` runs another schema than {schema:016x}, or another ABI than {ABI}")]
     SchemaInUse {
         /// The domain.
         domain: String,

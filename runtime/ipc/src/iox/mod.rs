@@ -21,6 +21,7 @@ pub use iceoryx2::service::ipc::Service as InterProcess;
 pub use iceoryx2::service::local_threadsafe::Service as IntraProcess;
 
 pub use links::{Housekeeping, IoxAgent, IoxAllocator, IoxWorld, LinkSetup};
+pub(crate) use open::Cleaner;
 pub(crate) use services::worst_case_bytes;
 pub(crate) use watcher::dead_nodes;
 pub use watcher::{FrameNews, IoxWatcher};

@@ -2,6 +2,7 @@
 
 mod allocator;
 mod candidacy;
+mod caretaker;
 mod children;
 mod grouping;
 mod parent;

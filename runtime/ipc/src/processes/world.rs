@@ -6,6 +6,7 @@ use sortie_core::World;
 use sortie_core::roles::{Counters, WorldError, WorldObserver, WorldOptions, WorldRole};
 use sortie_core::wire::FrameFormat;
 
+use super::caretaker::Caretaker;
 use super::{Children, Waits, drive};
 use crate::domain::{BellKind, Domain, DomainContract, DomainFacts, nanoseconds};
 use crate::error::Error;
@@ -118,6 +119,7 @@ pub fn world_process(
         let (bell, spin) = (facts.bell(), settings.spin);
         IoxWorld::open(&LinkSetup { domain, format, name: "world", bell, spin })?
     };
+    let _caretaker = Caretaker::start(domain)?;
     let mut role = WorldRole::new(settings.options(contract, format, lock.term()));
     let mut waits = Waits::default();
     let ended = drive(

@@ -3,6 +3,7 @@
 mod conformance;
 mod own_world;
 mod processes;
+mod starts;
 mod storm;
 mod stress;
 mod supervisor;
