@@ -134,6 +134,34 @@ fn a_stopped_supervisor_stops_nobody() {
 }
 
 #[test]
+fn spinning_needs_a_core_for_each_process() {
+    let domain = TestDomain::new("upspin");
+    let arguments =
+        ["up", BUNDLE, "--domain", &domain.id, "--isolate", "--rt", "1", "--spin-us", "9"];
+    let cores = std::thread::available_parallelism().expect("the number of cores").get();
+    // A world and two runners at least, of the smallest team.
+    let refused = output(&[&arguments[..], &["--episodes", "1", "--rate", "0"]].concat());
+    match cores {
+        1..=5 => assert_fails(&refused, 2, &["leave out --spin-us"]),
+        _ => assert!(matches!(refused.status.code(), Some(0 | 77)), "{}", stderr(&refused)),
+    }
+    assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
+}
+
+#[test]
+fn a_team_of_real_time_and_pinned_processes_plays() {
+    let domain = TestDomain::new("uprt");
+    let more = ["--rt", "1", "--pin", "--episodes", "1", "--rate", "0", "--json"];
+    let played = output(&[&["up", BUNDLE, "--domain", &domain.id][..], &more].concat());
+    // Where the system refuses, it says what to raise.
+    match played.status.code() {
+        Some(0) => {}
+        _ => assert_fails(&played, 77, &["exit code 77"]),
+    }
+    assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
+}
+
+#[test]
 fn a_team_that_is_up_plays_its_episodes_and_reports() {
     let domain = TestDomain::new("upend");
     let report =

@@ -46,6 +46,7 @@ pub fn allocator_process(
     role.join(&mut link)?;
     let mut waits = Waits::default();
     let mut leadership = Leadership::seek(&membership, &link)?;
+    settings.real_time.claim()?;
     let poll = |link: &mut IoxAllocator| -> Result<Poll, Error> {
         leadership.follow(&mut role, &membership, link)?;
         role.poll(link, allocator).map_err(into_error)

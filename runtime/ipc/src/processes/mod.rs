@@ -25,6 +25,7 @@ pub use world::{WorldSettings, world_process};
 
 use crate::error::Error;
 use crate::iox::Housekeeping;
+use crate::real_time::RealTime;
 use crate::stop::Stop;
 use crate::waker::Wakeable;
 
@@ -49,6 +50,8 @@ pub struct ProcessSettings {
     /// How long waits spin before they sleep; with doorbells only. More spinning processes than
     /// cores are slower than none.
     pub spin: Duration,
+    /// What the role's thread asks the system for.
+    pub real_time: RealTime,
 }
 
 impl ProcessSettings {

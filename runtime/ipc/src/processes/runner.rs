@@ -49,6 +49,7 @@ pub fn runner_process(
     });
     role.join(&mut link)?;
     let mut waits = Waits::default();
+    settings.real_time.claim()?;
     let poll = |link: &mut IoxAgent| Ok(role.poll(link, policy)?);
     let ended = drive(&mut link, stop, &mut waits, poll, || Parent::check(&parent));
     let left = role.leave(&mut link).map_err(Error::from);

@@ -11,6 +11,7 @@ use super::{Children, Waits, drive};
 use crate::domain::{BellKind, Domain, DomainContract, DomainFacts, nanoseconds};
 use crate::error::Error;
 use crate::iox::{IoxWorld, LinkSetup, worst_case_bytes};
+use crate::real_time::RealTime;
 use crate::stop::Stop;
 
 /// How long the processes of the team may take to leave.
@@ -42,6 +43,8 @@ pub struct WorldSettings {
     pub bell: BellKind,
     /// How long waits spin before they sleep; with doorbells only.
     pub spin: Duration,
+    /// What the world's thread asks the system for.
+    pub real_time: RealTime,
 }
 
 impl Default for WorldSettings {
@@ -58,6 +61,7 @@ impl Default for WorldSettings {
             tick_interval: Duration::ZERO,
             bell: BellKind::default(),
             spin: Duration::ZERO,
+            real_time: RealTime::default(),
         }
     }
 }
@@ -122,6 +126,7 @@ pub fn world_process(
     let _caretaker = Caretaker::start(domain)?;
     let mut role = WorldRole::new(settings.options(contract, format, lock.term()));
     let mut waits = Waits::default();
+    settings.real_time.claim()?;
     let ended = drive(
         &mut link,
         stop,

@@ -287,7 +287,7 @@ fn pid(child: &Child) -> Pid {
 }
 
 /// Waits until nothing is left of the domain.
-fn await_nothing_left(domain: &Domain) {
+pub(crate) fn await_nothing_left(domain: &Domain) {
     let until = Instant::now() + Duration::from_secs(20);
     while toy::leftovers(domain) != [""; 0] && Instant::now() < until {
         std::thread::yield_now();

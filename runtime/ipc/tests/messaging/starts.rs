@@ -11,7 +11,7 @@ use rustix::process::{Pid, Signal, getuid, kill_process};
 use sortie_core::roles::{TickReport, WorldObserver};
 use sortie_ipc::{Domain, Error, Stop, WorldSettings, world_process};
 
-use crate::processes::{child, running};
+use crate::processes::{await_nothing_left, child, running};
 use crate::toy::{self, ToyWorld, Watchdog};
 
 /// A generator of pauses and orders, by seed.
@@ -159,7 +159,21 @@ fn shared_memory_that_is_too_small_is_refused_and_not_run_into() {
     assert!(told.contains(" KiB free, the domain needs "), "{told}");
     // What passes the check runs to its end.
     let enough = with_shared_memory("8m", &child(&domain, "one episode"));
-    assert!({ enough }.status().unwrap().success());
+    assert!({ enough }.stdout(Stdio::null()).status().unwrap().success());
+}
+
+#[test]
+fn a_bus_error_is_explained() {
+    let _watchdog = Watchdog::new();
+    let domain = toy::domain();
+    let mut world = child(&domain, "world");
+    let world = running(world.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap());
+    kill_process(Pid::from_child(&world), Signal::BUS).unwrap();
+    let ended = world.wait_with_output().unwrap();
+    let told = String::from_utf8_lossy(&ended.stderr);
+    assert_eq!(ended.status.code(), Some(74), "{told}");
+    assert!(told.contains("/dev/shm is full"), "{told}");
+    await_nothing_left(&domain);
 }
 
 #[test]
