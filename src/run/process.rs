@@ -68,7 +68,6 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
         parent: arguments.parent,
         spin: arguments.scheduling.spin(),
         real_time: arguments.scheduling.real_time(arguments.core),
-        ..ProcessSettings::default()
     };
     let ended = match arguments.role {
         Role::World => {
