@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use sortie_core::link::StatRx;
 use sortie_core::wire::{Role, StatMsg};
 
+use crate::control::role_name;
 use crate::domain::{Domain, Membership, SHARED_MEMORY, preflight};
 use crate::error::Error;
 use crate::iox::{IoxWatcher, LinkSetup, dead_nodes, worst_case_bytes};
@@ -207,7 +208,7 @@ fn listen(watcher: &mut IoxWatcher) -> Result<(BTreeMap<u32, StatMsg>, bool), Er
 const MISSED_WAKE_UPS: usize = 10;
 
 fn examine_process(status: &StatMsg) -> Finding {
-    let role = if status.role == Role::Allocator as u8 { "allocator" } else { "runner" };
+    let role = Role::from_number(status.role).map_or("process", role_name);
     let leads = if status.has(StatMsg::LEADER) { ", leads" } else { "" };
     let model = status.model.iter().take(4).map(|byte| format!("{byte:02x}")).collect::<String>();
     let missed = status.counters.get(MISSED_WAKE_UPS).copied().unwrap_or(0);

@@ -1,10 +1,13 @@
 //! A runner process.
 
 use sortie_core::Policy;
-use sortie_core::roles::{Counters, Identity, RunnerOptions, RunnerRole};
+use sortie_core::roles::{Counters, Identity, Poll, RunnerOptions, RunnerRole};
+use sortie_core::wire::{Command, ControlStatus, Role};
 
+use super::control::Controlled;
 use super::parent::Parent;
-use super::{ProcessSettings, WORLD_PATIENCE, Waits, drive};
+use super::{Process, ProcessSettings, WORLD_PATIENCE, drive};
+use crate::control::ProcessInfo;
 use crate::domain::{Domain, DomainContract};
 use crate::error::Error;
 use crate::iox::{IoxAgent, LinkSetup};
@@ -38,9 +41,10 @@ pub fn runner_process(
         let (bell, spin) = (facts.bell(), settings.spin);
         IoxAgent::open(&LinkSetup { domain, format, name: &name, bell, spin })?
     };
+    let identity = settings.identity(&name);
     let mut role = RunnerRole::new(RunnerOptions {
         format,
-        identity: Identity { model: settings.model, ..Identity::new(std::process::id(), &name) },
+        identity,
         agents: seats,
         subtasks: contract.subtasks,
         decision_interval: contract.decision_interval,
@@ -48,11 +52,59 @@ pub fn runner_process(
         safe_action: contract.safe_action,
     });
     role.join(&mut link)?;
-    let mut waits = Waits::default();
-    let poll = |link: &mut IoxAgent| Ok(role.poll(link, policy)?);
-    let ended = drive(&mut link, stop, &mut waits, poll, || Parent::check(&parent));
-    let left = role.leave(&mut link).map_err(Error::from);
-    ended.and(left).map(|()| waits.add_to(*role.counters()))
+    let schema = format.schema;
+    let mut runner = Runner { role, policy, parent, identity, seats, schema };
+    let ended = drive(&mut runner, &mut link, stop);
+    let left = runner.role.leave(&mut link).map_err(Error::from);
+    ended.and(left).map(|()| *runner.role.counters())
+}
+
+/// A runner at work.
+struct Runner<'a> {
+    role: RunnerRole,
+    policy: &'a mut dyn Policy,
+    parent: Option<Parent>,
+    identity: Identity,
+    seats: u64,
+    schema: u64,
+}
+
+impl Process for Runner<'_> {
+    type Link = IoxAgent;
+
+    fn poll(&mut self, link: &mut IoxAgent) -> Result<Poll, Error> {
+        Ok(self.role.poll(link, self.policy)?)
+    }
+
+    fn look_around(&mut self) -> Result<(), Error> {
+        Parent::check(&self.parent)
+    }
+}
+
+impl Controlled for Runner<'_> {
+    fn schema(&self) -> u64 {
+        self.schema
+    }
+
+    fn tick(&self) -> u64 {
+        self.role.tick()
+    }
+
+    fn info(&self) -> ProcessInfo {
+        ProcessInfo { agents: self.seats, ..ProcessInfo::new(Role::Runner, &self.identity) }
+    }
+
+    fn counters_mut(&mut self) -> &mut Counters {
+        self.role.counters_mut()
+    }
+
+    fn obey(&mut self, command: Command) -> ControlStatus {
+        match command {
+            // It has no registry to load from: whoever starts it gives it the policy.
+            Command::ReloadModel => ControlStatus::NotSupported,
+            _ => ControlStatus::NotMine,
+        }
+    }
 }
 
 /// The agents as a set.

@@ -1,6 +1,7 @@
 //! The messaging of a team, over each of its links and as real processes.
 
 mod conformance;
+mod control;
 mod own_world;
 mod processes;
 mod storm;
