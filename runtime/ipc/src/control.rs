@@ -122,23 +122,11 @@ fn ask(link: &mut IoxControl, schema: u64, order: &Order) -> Result<Vec<Answer>,
     Ok(answers)
 }
 
-/// The name of a role, in answers and on the command line.
-pub(crate) fn role_name(role: Role) -> &'static str {
-    match role {
-        Role::World => "world",
-        Role::Runner => "runner",
-        Role::Allocator => "allocator",
-        Role::Supervisor => "supervisor",
-        Role::Bridge => "bridge",
-        Role::Watcher => "watcher",
-    }
-}
-
 impl fmt::Display for ProcessInfo {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { role, pid, agents, model, .. } = *self;
         let model = u128::from_be_bytes(model);
-        write!(f, "role={} pid={pid} agents={agents:x} model={model:032x}", role_name(role))?;
+        write!(f, "role={} pid={pid} agents={agents:x} model={model:032x}", role.name())?;
         if let Some(term) = self.term {
             write!(f, " term={term}")?;
         }
@@ -170,7 +158,7 @@ impl FromStr for ProcessInfo {
         let role = value("role").ok_or(NotAProcess)?;
         let hex = |key| value(key).and_then(|value| u128::from_str_radix(value, 16).ok());
         Ok(Self {
-            role: roles.find(|known| role_name(*known) == role).ok_or(NotAProcess)?,
+            role: roles.find(|known| known.name() == role).ok_or(NotAProcess)?,
             pid: value("pid").and_then(|pid| pid.parse().ok()).ok_or(NotAProcess)?,
             agents: hex("agents").and_then(|agents| agents.try_into().ok()).unwrap_or(0),
             model: hex("model").unwrap_or(0).to_be_bytes(),

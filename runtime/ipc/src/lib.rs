@@ -33,7 +33,7 @@ pub use iox::{
 };
 pub use processes::{
     Children, ProcessSettings, WorldSettings, allocator_process, group_agents, runner_process,
-    world_process,
+    runner_process_with_heuristic, world_process,
 };
 pub use stop::Stop;
 pub use supervisor::{Charge, RestartPolicy, Supervision, SupervisorEvent, supervise};

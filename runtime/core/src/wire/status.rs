@@ -35,6 +35,18 @@ impl Role {
         ];
         all.into_iter().find(|role| *role as u8 == number)
     }
+
+    /// Its name, in lower case.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::World => "world",
+            Self::Runner => "runner",
+            Self::Allocator => "allocator",
+            Self::Supervisor => "supervisor",
+            Self::Bridge => "bridge",
+            Self::Watcher => "watcher",
+        }
+    }
 }
 
 /// State of one process.

@@ -21,7 +21,7 @@ use sortie_core::roles::{Identity, Poll};
 pub use allocator::allocator_process;
 pub use children::Children;
 pub use grouping::group_agents;
-pub use runner::runner_process;
+pub use runner::{runner_process, runner_process_with_heuristic};
 pub use world::{WorldSettings, world_process};
 
 use self::context_switches::ContextSwitches;

@@ -1,8 +1,8 @@
 //! A runner process.
 
-use sortie_core::Policy;
 use sortie_core::roles::{Counters, Identity, Poll, RunnerOptions, RunnerRole};
 use sortie_core::wire::{Command, ControlStatus, Role};
+use sortie_core::{Allocator, Policy};
 
 use super::control::Controlled;
 use super::parent::Parent;
@@ -13,7 +13,8 @@ use crate::error::Error;
 use crate::iox::{IoxAgent, LinkSetup};
 use crate::stop::Stop;
 
-/// Acts for `agents` of `domain` with `policy`, in this thread, until the world ends.
+/// Acts for `agents` of `domain` with `policy`, in this thread, until the world ends. Without a usable
+/// allocation they take the safe action.
 ///
 /// # Errors
 /// No world comes, it runs another contract, another process acts for one of the agents, or a
@@ -23,6 +24,35 @@ pub fn runner_process(
     contract: &DomainContract,
     agents: &[u16],
     policy: &mut dyn Policy,
+    settings: &ProcessSettings,
+    stop: &Stop,
+) -> Result<Counters, Error> {
+    act(domain, contract, agents, (policy, None), settings, stop)
+}
+
+/// As [`runner_process`]; without a usable allocation the agents act on that of `heuristic`, a
+/// [`CostAllocator`](sortie_core::allocate::CostAllocator) for example. It has to give the same one to every
+/// runner, so it may depend on nothing but the state.
+///
+/// # Errors
+/// As [`runner_process`].
+pub fn runner_process_with_heuristic(
+    domain: &Domain,
+    contract: &DomainContract,
+    agents: &[u16],
+    policy: &mut dyn Policy,
+    heuristic: &mut dyn Allocator,
+    settings: &ProcessSettings,
+    stop: &Stop,
+) -> Result<Counters, Error> {
+    act(domain, contract, agents, (policy, Some(heuristic)), settings, stop)
+}
+
+fn act<'a>(
+    domain: &Domain,
+    contract: &DomainContract,
+    agents: &[u16],
+    (policy, heuristic): (&'a mut dyn Policy, Option<&'a mut dyn Allocator>),
     settings: &ProcessSettings,
     stop: &Stop,
 ) -> Result<Counters, Error> {
@@ -53,7 +83,7 @@ pub fn runner_process(
     });
     role.join(&mut link)?;
     let schema = format.schema;
-    let mut runner = Runner { role, policy, parent, identity, seats, schema };
+    let mut runner = Runner { role, policy, heuristic, parent, identity, seats, schema };
     let ended = drive(&mut runner, &mut link, stop);
     let left = runner.role.leave(&mut link).map_err(Error::from);
     ended.and(left).map(|()| *runner.role.counters())
@@ -63,6 +93,7 @@ pub fn runner_process(
 struct Runner<'a> {
     role: RunnerRole,
     policy: &'a mut dyn Policy,
+    heuristic: Option<&'a mut dyn Allocator>,
     parent: Option<Parent>,
     identity: Identity,
     seats: u64,
@@ -73,7 +104,10 @@ impl Process for Runner<'_> {
     type Link = IoxAgent;
 
     fn poll(&mut self, link: &mut IoxAgent) -> Result<Poll, Error> {
-        Ok(self.role.poll(link, self.policy)?)
+        Ok(match &mut self.heuristic {
+            Some(heuristic) => self.role.poll_with_heuristic(link, self.policy, heuristic)?,
+            None => self.role.poll(link, self.policy)?,
+        })
     }
 
     fn look_around(&mut self) -> Result<(), Error> {

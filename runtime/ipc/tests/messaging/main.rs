@@ -9,3 +9,4 @@ mod stress;
 mod supervisor;
 mod threads;
 mod toy;
+mod unallocated;

@@ -18,6 +18,7 @@ use sortie_ipc::{
 
 use crate::own_world;
 use crate::toy::{self, DecisionLog, ToyAllocator, ToyPolicy, ToyWorld, Watchdog};
+use crate::unallocated;
 
 const ROLE: &str = "SORTIE_TEST_ROLE";
 const DOMAIN: &str = "SORTIE_TEST_DOMAIN";
@@ -60,7 +61,13 @@ fn child_process() {
         "world without team" => endless_world(&domain, &[], &stop),
         "allocator" => allocator_process(&domain, &contract, &mut ToyAllocator, &settings, &stop),
         agents => {
-            let agents: Vec<u16> = agents.split(',').map(|agent| agent.parse().unwrap()).collect();
+            let by_cost = agents.strip_prefix(unallocated::HEURISTIC);
+            let list = by_cost.unwrap_or(agents).split(',');
+            let agents: Vec<u16> = list.map(|agent| agent.parse().unwrap()).collect();
+            if by_cost.is_some() {
+                unallocated::act_by_cost(&domain, &agents, &settings, &stop).unwrap();
+                return;
+            }
             runner_process(&domain, &contract, &agents, &mut ToyPolicy, &settings, &stop)
         }
     };
