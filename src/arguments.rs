@@ -5,8 +5,8 @@ use sortie_envs::save_the_city::AllocationRule;
 
 use crate::failure::Outcome;
 use crate::{
-    bench, compare, compile, compiler, doctor, eval, export, inspect, replay, run, train, verify,
-    view,
+    bench, compare, compile, compiler, control, doctor, eval, export, inspect, replay, run, train,
+    verify, view,
 };
 
 const EXIT_CODES: &str = "\
@@ -26,6 +26,7 @@ pub(crate) struct Arguments {
 enum Verb {
     Run(run::RunArguments),
     Up(run::up::UpArguments),
+    Control(control::ControlArguments),
     Doctor(doctor::DoctorArguments),
     Eval(eval::EvalArguments),
     Replay(replay::ReplayArguments),
@@ -129,6 +130,7 @@ pub(crate) fn dispatch(arguments: Arguments) -> Outcome {
     match arguments.verb {
         Verb::Run(arguments) => run::run(&arguments),
         Verb::Up(arguments) => run::up::run(&arguments),
+        Verb::Control(arguments) => control::run(&arguments),
         Verb::Doctor(arguments) => doctor::run(&arguments),
         Verb::Eval(arguments) => eval::run(&arguments),
         Verb::Replay(arguments) => replay::run(&arguments),

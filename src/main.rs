@@ -6,6 +6,7 @@ mod bench;
 mod compare;
 mod compile;
 mod compiler;
+mod control;
 mod deployment;
 mod doctor;
 mod environment;

@@ -7,7 +7,8 @@ use input::Input;
 use libfuzzer_sys::fuzz_target;
 use sortie_core::plan::AlignedBytes;
 use sortie_core::wire::{
-    ABI, ActionMsg, AllocMsg, FrameFormat, FrameHeader, FrameLayout, FrameMut, FrameView, StatMsg,
+    ABI, ActionMsg, AllocMsg, ControlRep, ControlReq, FrameFormat, FrameHeader, FrameLayout, FrameMut,
+    FrameView, StatMsg,
 };
 use sortie_core::{EntityMask, Shape, visible};
 use zerocopy::{FromBytes, IntoBytes};
@@ -45,6 +46,12 @@ fn messages(input: &mut Input<'_>, shape: Shape) {
     }
     if let Ok(message) = StatMsg::read_from_bytes(input.bytes(size_of::<StatMsg>())) {
         let _ = (message.fits(SCHEMA), message.has(StatMsg::BYE));
+    }
+    if let Ok(message) = ControlReq::read_from_bytes(input.bytes(size_of::<ControlReq>())) {
+        assert!(message.text().len() <= message.text.len());
+    }
+    if let Ok(message) = ControlRep::read_from_bytes(input.bytes(size_of::<ControlRep>())) {
+        assert!(message.text().len() <= message.text.len());
     }
 }
 

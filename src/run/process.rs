@@ -3,7 +3,11 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use sortie_ipc::{Domain, ProcessSettings, allocator_process, runner_process};
+use sortie_bundle::FallbackAllocation;
+use sortie_envs::save_the_city::AllocationRule;
+use sortie_ipc::{
+    Domain, ProcessSettings, allocator_process, runner_process, runner_process_with_heuristic,
+};
 
 use super::scheduling::Scheduling;
 use super::world::{Playing, WorldOfTeam, play};
@@ -13,6 +17,7 @@ use crate::deployment::{domain_contract, model_id, open_bundle};
 use crate::failure::{Exit, Failure, Outcome};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::signals::stop_on_signals;
+use crate::worlds::save_the_city::CityAllocator;
 
 /// Run one process of a team: what `run` and `up` start, and what a person may start in its place
 #[derive(Debug, Args)]
@@ -88,8 +93,19 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
         Role::Runner => {
             let mut policy = DeployedPolicy::open(&bundle, arguments.backend)?;
             let mut policy = policy.policy()?;
-            let agents = &arguments.agents;
-            runner_process(&domain, &contract, agents, policy.as_mut(), &settings, &stop)
+            let (agents, policy) = (&arguments.agents, policy.as_mut());
+            match bundle.contract().fallback_allocation {
+                FallbackAllocation::Unallocated => {
+                    runner_process(&domain, &contract, agents, policy, &settings, &stop)
+                }
+                FallbackAllocation::Heuristic => {
+                    // A rule that draws nothing: every runner finds the same.
+                    let mut rule = CityAllocator::new(AllocationRule::Heuristic, 0);
+                    runner_process_with_heuristic(
+                        &domain, &contract, agents, policy, &mut rule, &settings, &stop,
+                    )
+                }
+            }
         }
         Role::Allocator => {
             let ProcessArguments { allocation, backend, seed, .. } = *arguments;

@@ -222,6 +222,7 @@ impl Stage {
     fn world_options(&self) -> WorldOptions {
         WorldOptions {
             format: self.format,
+            identity: Identity::new(7, "world"),
             term: 7,
             required: 0b11,
             allocator: true,

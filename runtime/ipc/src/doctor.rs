@@ -207,14 +207,23 @@ fn listen(watcher: &mut IoxWatcher) -> Result<(BTreeMap<u32, StatMsg>, bool), Er
 const MISSED_WAKE_UPS: usize = 10;
 
 fn examine_process(status: &StatMsg) -> Finding {
-    let role = if status.role == Role::Allocator as u8 { "allocator" } else { "runner" };
-    let leads = if status.has(StatMsg::LEADER) { ", leads" } else { "" };
-    let model = status.model.iter().take(4).map(|byte| format!("{byte:02x}")).collect::<String>();
+    let role = Role::from_number(status.role).map_or("process", Role::name);
+    let is_allocator = status.role == Role::Allocator as u8;
+    let leads = if is_allocator && status.has(StatMsg::LEADER) { ", leads" } else { "" };
+    let model = match status.model {
+        // A world has none.
+        [0, 0, 0, 0, ..] => String::new(),
+        [a, b, c, d, ..] => format!(", model {a:02x}{b:02x}{c:02x}{d:02x}"),
+    };
     let missed = status.counters.get(MISSED_WAKE_UPS).copied().unwrap_or(0);
     let found = format!(
-        "{role} {}{leads}, model {model}, {} ticks, {} late, {} lost wake-ups",
+        "{role} {}{leads}{model}, {} ticks, {} late, {} lost wake-ups",
         status.pid, status.counters[0], status.counters[2], missed
     );
+    if status.has(StatMsg::DEGRADED) {
+        let advice = "look at the allocators: agents act without an allocation";
+        return Finding::new(Severity::Warning, "process", found, advice);
+    }
     if missed == 0 {
         return Finding::fine("process", found);
     }

@@ -6,6 +6,7 @@
 #![deny(unsafe_code)]
 
 mod clock;
+mod control;
 mod doctor;
 mod domain;
 mod doorbell;
@@ -21,18 +22,19 @@ mod threads;
 mod waker;
 
 pub use clock::MonotonicClock;
+pub use control::{Answer, NotAProcess, Order, ProcessInfo, control};
 pub use doctor::{Finding, Severity, examine};
 pub use domain::{BellKind, Domain, DomainContract, DomainFacts, Lock, Membership, Starting};
 pub use doorbell::Doorbell;
 pub use error::Error;
 pub use in_process::{InProcess, run_in_process};
 pub use iox::{
-    FrameNews, Housekeeping, InterProcess, IntraProcess, IoxAgent, IoxAllocator, IoxWatcher,
-    IoxWorld, LinkService, LinkSetup,
+    ControlRx, FrameNews, Housekeeping, InterProcess, IntraProcess, IoxAgent, IoxAllocator,
+    IoxControl, IoxWatcher, IoxWorld, LinkService, LinkSetup,
 };
 pub use processes::{
     Children, ProcessSettings, WorldSettings, allocator_process, group_agents, runner_process,
-    world_process,
+    runner_process_with_heuristic, world_process,
 };
 pub use real_time::RealTime;
 pub use stop::Stop;

@@ -178,8 +178,8 @@ pub trait AgentLink: FrameRx + AllocRx + ActionTx + StatTx + Bell + Clock {}
 impl<L: FrameRx + AllocRx + ActionTx + StatTx + Bell + Clock> AgentLink for L {}
 
 /// All that the world needs.
-pub trait WorldLink: FrameTx + ActionRx + AllocRx + StatRx + Bell + Clock {}
-impl<L: FrameTx + ActionRx + AllocRx + StatRx + Bell + Clock> WorldLink for L {}
+pub trait WorldLink: FrameTx + ActionRx + AllocRx + StatRx + StatTx + Bell + Clock {}
+impl<L: FrameTx + ActionRx + AllocRx + StatRx + StatTx + Bell + Clock> WorldLink for L {}
 
 /// All that the allocator needs.
 pub trait AllocLink: FrameRx + AllocTx + StatTx + Bell + Clock {}

@@ -5,6 +5,7 @@
 
 use super::feasible::allocate;
 use super::presence::Presence;
+use super::runner::is_next_world;
 use super::{Counters, IDLE, Identity, Poll};
 use crate::allocator::{AllocateError, Allocator, UNASSIGNED};
 use crate::limits;
@@ -98,6 +99,16 @@ impl AllocatorRole {
     /// What it has counted.
     pub fn counters(&self) -> &Counters {
         &self.counters
+    }
+
+    /// For what only the loop around the role can count.
+    pub fn counters_mut(&mut self) -> &mut Counters {
+        &mut self.counters
+    }
+
+    /// The newest tick seen.
+    pub fn tick(&self) -> u64 {
+        self.seen_tick
     }
 
     /// The term that it leads, if it does.
@@ -201,6 +212,10 @@ impl AllocatorRole {
         let flags =
             rules(&view, &mut task).map_err(|reason| AllocatorError::Refused { tick, reason })?;
         let done = link.now_ns();
+        if accepted {
+            self.presence.wakes.note(started.saturating_sub(view.header().t_ns));
+        }
+        self.presence.works.note(done.saturating_sub(started));
         self.done_decision = view.decision_tick();
         if let Some(message) = self.message(&view, task, flags, (started, done)) {
             self.counters.ticks += 1;
@@ -278,6 +293,8 @@ impl AllocatorRole {
             Ok(_) if frame.header.kind != FrameKind::World as u16 => {}
             Ok(_) if frame.header.tick <= self.seen_tick => self.counters.old_term_rejects += 1,
             Ok(_) => {
+                let is_restart = is_next_world(self.seen_tick, frame.header);
+                self.counters.restarts_seen += u64::from(is_restart);
                 self.seen_tick = frame.header.tick;
                 return true;
             }

@@ -5,6 +5,7 @@
 
 mod allocator;
 mod deadlines;
+mod durations;
 mod fallback;
 mod feasible;
 mod newest_allocation;
@@ -59,6 +60,12 @@ pub struct Counters {
     pub bell_timeouts: u64,
     /// Messages found after such a wait: a ringer died before it rang, or a ring was lost.
     pub missed_wake_ups: u64,
+    /// Times that the scheduler took the processor away; known to the loop around the role.
+    pub context_switches: u64,
+    /// Processes that took the place of an earlier one: runners for a world, worlds for the others.
+    pub restarts_seen: u64,
+    /// Clean-ups after dead processes; known to a supervisor.
+    pub clean_ups: u64,
 }
 
 impl Counters {
@@ -77,6 +84,9 @@ impl Counters {
             self.old_term_rejects,
             self.bell_timeouts,
             self.missed_wake_ups,
+            self.context_switches,
+            self.restarts_seen,
+            self.clean_ups,
         ];
         for (to, from) in counters.iter_mut().zip(known) {
             *to = from;

@@ -3,6 +3,7 @@
 use zerocopy::FromZeros;
 
 use super::Counters;
+use super::durations::Durations;
 use crate::wire::{ABI, Role, StatMsg};
 
 /// A process that is there says so this often.
@@ -17,6 +18,8 @@ pub struct Identity {
     pub model: [u8; 16],
     /// Build of the program.
     pub build: u32,
+    /// Whether it waits by spinning.
+    pub is_spinning: bool,
     /// Port name, zero padded.
     pub name: [u8; 48],
 }
@@ -28,7 +31,7 @@ impl Identity {
         for (to, from) in padded.iter_mut().zip(name.bytes()) {
             *to = from;
         }
-        Self { pid, model: [0; 16], build: 0, name: padded }
+        Self { pid, model: [0; 16], build: 0, is_spinning: false, name: padded }
     }
 
     /// First 4 bytes of the model's id.
@@ -45,6 +48,10 @@ pub(super) struct Presence {
     start_ns: u64,
     told_ns: u64,
     is_there: bool,
+    /// From a message that woke the process to its running.
+    pub(super) wakes: Durations,
+    /// From its running to its own message.
+    pub(super) works: Durations,
 }
 
 impl Presence {
@@ -68,6 +75,7 @@ impl Presence {
         self.sent += 1;
         self.told_ns = now_ns;
         self.is_there = flags & StatMsg::BYE == 0;
+        let spinning = if identity.is_spinning { StatMsg::SPINNING } else { 0 };
         StatMsg {
             schema,
             seq: self.sent,
@@ -78,8 +86,10 @@ impl Presence {
             abi: ABI as u8,
             model: identity.model,
             build: identity.build,
-            flags,
+            flags: flags | spinning,
             counters: counters.to_wire(),
+            hist_wake: self.wakes.to_wire(),
+            hist_work: self.works.to_wire(),
             name: identity.name,
             ..StatMsg::new_zeroed()
         }

@@ -63,6 +63,8 @@ pub struct RunnerRole {
     options: RunnerOptions,
     /// The frame kept by the link has not been answered.
     pending: bool,
+    /// How late this process was for it has been noted.
+    is_noted: bool,
     seen_tick: u64,
     /// The episode and tick of the last frame worked on.
     worked: Option<(u32, u32, u64)>,
@@ -82,6 +84,7 @@ impl RunnerRole {
         Self {
             options,
             pending: false,
+            is_noted: false,
             seen_tick: 0,
             worked: None,
             gaps_told: 0,
@@ -97,6 +100,16 @@ impl RunnerRole {
     /// What it has counted.
     pub fn counters(&self) -> &Counters {
         &self.counters
+    }
+
+    /// For what only the loop around the role can count.
+    pub fn counters_mut(&mut self) -> &mut Counters {
+        &mut self.counters
+    }
+
+    /// The newest tick seen.
+    pub fn tick(&self) -> u64 {
+        self.seen_tick
     }
 
     /// Takes the seats: announces the runner to the world.
@@ -175,7 +188,11 @@ impl RunnerRole {
             return Ok(Poll::Again);
         }
         if header.asks_for_actions() {
-            if let Some(until_ns) = self.awaits_allocation(&view, link.now_ns()) {
+            let running_ns = link.now_ns();
+            if !core::mem::replace(&mut self.is_noted, true) {
+                self.presence.wakes.note(running_ns.saturating_sub(header.t_ns));
+            }
+            if let Some(until_ns) = self.awaits_allocation(&view, running_ns) {
                 return Ok(Poll::Wait { until_ns });
             }
             let is_reset = self.count_gaps(&view) && policy.begin_episode();
@@ -184,11 +201,14 @@ impl RunnerRole {
             self.decide(&view, policy, &in_force, link, &mut answers);
             // One time for all: they are sent together.
             let now = link.now_ns();
+            self.presence.works.note(now.saturating_sub(running_ns));
             for answer in &mut answers {
                 answer.flags |= if is_reset { ActionMsg::STATE_RESET } else { 0 };
                 self.send(link, answer, now)?;
             }
             link.ring(Role::World)?;
+        } else {
+            self.pass_over(&view);
         }
         self.pending = false;
         Ok(Poll::Again)
@@ -205,6 +225,7 @@ impl RunnerRole {
     fn receive(&mut self, link: &mut impl AgentLink) -> Result<(), LinkError> {
         if link.receive_frames(&mut |frame| self.accepts(frame))? {
             self.pending = true;
+            self.is_noted = false;
         }
         let Self { options, allocation, counters, .. } = self;
         link.receive_allocations(&mut |offered| {
@@ -224,6 +245,7 @@ impl RunnerRole {
             Ok(_) if header.kind != FrameKind::World as u16 => self.counters.bad_messages += 1,
             Ok(_) if header.tick <= self.seen_tick => self.counters.old_term_rejects += 1,
             Ok(_) => {
+                self.counters.restarts_seen += u64::from(is_next_world(self.seen_tick, header));
                 self.seen_tick = header.tick;
                 return true;
             }
@@ -307,6 +329,16 @@ impl RunnerRole {
         self.worked = Some((world_term, episode, tick));
         self.counters.ticks += 1;
         last.is_none()
+    }
+
+    /// A frame that asks for nothing, such as a pause, is no gap.
+    fn pass_over(&mut self, view: &FrameView<'_>) {
+        let FrameHeader { world_term, episode, tick, .. } = *view.header();
+        if let Some((term, last, last_tick)) = &mut self.worked
+            && (*term, *last) == (world_term, episode)
+        {
+            *last_tick = tick;
+        }
     }
 
     /// Decides once for every own agent and forgets the decisions.
@@ -462,6 +494,11 @@ impl RunnerRole {
         let n_agents = agents.count_ones() as u16;
         link.send_status(&StatMsg { agents, n_agents, last_tick: self.seen_tick, ..told })
     }
+}
+
+/// Whether a frame is of a later world than the newest tick seen, if there is one.
+pub(super) fn is_next_world(seen_tick: u64, header: &FrameHeader) -> bool {
+    seen_tick != 0 && u64::from(header.world_term) > seen_tick >> 32
 }
 
 /// The frame's subtasks `[N]`, agents' rows overwritten by those in force.

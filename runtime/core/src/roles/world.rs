@@ -2,6 +2,7 @@
 
 mod acting;
 mod action_mask;
+mod command;
 mod frames;
 mod report;
 mod seats;
@@ -11,13 +12,15 @@ pub use report::{TickReport, WorldError, WorldObserver};
 use zerocopy::FromZeros;
 
 use self::action_mask::ActionMask;
+use self::command::{Chances, Orders};
 use self::seats::Seats;
 use super::newest_allocation::NewestAllocation;
-use super::{Counters, Poll};
+use super::presence::Presence;
+use super::{Counters, Identity, Poll};
 use crate::limits;
 use crate::link::{LinkError, WorldLink};
 use crate::policy::NO_ACTION;
-use crate::wire::{ActionMsg, FrameFormat, FrameHeader, FrameKind, Role};
+use crate::wire::{ActionMsg, FrameFormat, FrameHeader, FrameKind, Role, StatMsg};
 use crate::world::World;
 
 /// Warm-up frames before the first tick.
@@ -28,6 +31,8 @@ const WARM_UP_FRAMES: usize = 8;
 pub struct WorldOptions {
     /// The domain's frames.
     pub format: FrameFormat,
+    /// Who this is.
+    pub identity: Identity,
     /// Leadership term, larger than that of every earlier world of the domain; not 0.
     pub term: u32,
     /// Bit a: the first episode waits until a process acts for agent a.
@@ -74,6 +79,8 @@ enum Phase {
     },
     /// Waits for actions.
     Acting,
+    /// Stands still.
+    Paused,
     Ended,
 }
 
@@ -111,6 +118,9 @@ pub struct WorldRole {
     available: [ActionMask; limits::AGENTS],
     last_actions: [u16; limits::AGENTS],
     tasks: [u32; limits::AGENTS],
+    orders: Orders,
+    chances: Chances,
+    presence: Presence,
     counters: Counters,
 }
 
@@ -143,6 +153,9 @@ impl WorldRole {
             available: [ActionMask::default(); limits::AGENTS],
             last_actions: [NO_ACTION; limits::AGENTS],
             tasks: [0; limits::AGENTS],
+            orders: Orders::default(),
+            chances: Chances::default(),
+            presence: Presence::default(),
             counters: Counters::default(),
         }
     }
@@ -150,6 +163,16 @@ impl WorldRole {
     /// What it has counted.
     pub fn counters(&self) -> &Counters {
         &self.counters
+    }
+
+    /// For what only the loop around the role can count.
+    pub fn counters_mut(&mut self) -> &mut Counters {
+        &mut self.counters
+    }
+
+    /// The tick of the newest frame.
+    pub fn tick(&self) -> u64 {
+        u64::from(self.options.term) << 32 | u64::from(self.count)
     }
 
     /// Bit a: a process acts for agent a.
@@ -173,10 +196,29 @@ impl WorldRole {
         world: &mut W,
         observer: &mut dyn WorldObserver,
     ) -> Result<Poll, WorldError> {
+        if self.is_told_to_end() {
+            self.shut_down(link, world)?;
+            return Ok(Poll::Ended);
+        }
         self.receive(link, observer)?;
+        let polled = self.go_on(link, world, observer)?;
+        // Others are waited for: nobody waits for this.
+        if polled != Poll::Again && self.presence.is_due(link.now_ns()) {
+            self.send_status(link, 0)?;
+        }
+        Ok(polled)
+    }
+
+    fn go_on<W: World + ?Sized>(
+        &mut self,
+        link: &mut impl WorldLink,
+        world: &mut W,
+        observer: &mut dyn WorldObserver,
+    ) -> Result<Poll, WorldError> {
         let now = link.now_ns();
         match self.phase {
             Phase::New => {
+                self.send_status(link, StatMsg::HELLO)?;
                 let until_ns = now.saturating_add(self.options.join_patience_ns);
                 self.phase = Phase::Joining { until_ns };
                 Ok(Poll::Again)
@@ -184,6 +226,9 @@ impl WorldRole {
             Phase::Joining { until_ns } => self.gather(link, world, observer, now, until_ns),
             Phase::Pacing { until_ns } => {
                 self.require_all_seats()?;
+                if let Some(obeyed) = self.obey(link, world, observer)? {
+                    return Ok(obeyed);
+                }
                 if now < until_ns {
                     return Ok(Poll::Wait { until_ns });
                 }
@@ -193,6 +238,12 @@ impl WorldRole {
                 Ok(Poll::Again)
             }
             Phase::Acting => self.await_actions(link, world, observer, now),
+            Phase::Paused if self.is_paused() => Ok(super::IDLE),
+            Phase::Paused => {
+                self.allocate_next = true;
+                self.phase = Phase::Pacing { until_ns: now };
+                Ok(Poll::Again)
+            }
             Phase::Ended => Ok(Poll::Ended),
         }
     }
@@ -211,12 +262,21 @@ impl WorldRole {
             self.count += 1;
             self.publish(link, world, FrameKind::World, FrameHeader::SHUTDOWN)?;
             ring_all(link)?;
+            self.send_status(link, StatMsg::BYE)?;
         }
         Ok(())
     }
 
-    fn tick(&self) -> u64 {
-        u64::from(self.options.term) << 32 | u64::from(self.count)
+    /// A world leads: its lock made it the only one.
+    fn send_status(&mut self, link: &mut impl WorldLink, flags: u32) -> Result<(), LinkError> {
+        let degraded = if self.is_degraded() { StatMsg::DEGRADED } else { 0 };
+        let flags = flags | StatMsg::LEADER | degraded;
+        let (last_tick, now) = (self.tick(), link.now_ns());
+        let Self { options, counters, presence, .. } = self;
+        counters.restarts_seen = self.seats.restarts();
+        let domain = (options.format.schema, Role::World);
+        let told = presence.tell(&options.identity, domain, counters, flags, now);
+        link.send_status(&StatMsg { last_tick, ..told })
     }
 
     fn receive(
@@ -238,13 +298,17 @@ impl WorldRole {
         }
         link.receive_actions(&mut |action| self.take(action))?;
         // After the actions: an allocation that they were chosen by has then arrived as well.
-        let Self { options, allocation, allocations_missed, counters, .. } = self;
+        let mut is_answered = false;
+        let Self { options, allocation, counters, .. } = self;
         link.receive_allocations(&mut |offered| {
             if allocation.offer(offered, &options.format, counters) {
-                *allocations_missed = 0;
+                is_answered = true;
                 observer.allocated(offered);
             }
         })?;
+        if is_answered {
+            self.leader_answered();
+        }
         self.allocate_next |= self.seats.take_changed();
         Ok(())
     }
@@ -295,17 +359,23 @@ impl WorldRole {
         observer: &mut dyn WorldObserver,
     ) -> Result<(), WorldError> {
         self.count += 1;
-        let paced = self.phase;
-        self.publish(link, world, FrameKind::World, FrameHeader::EPISODE_END)?;
-        self.phase = paced;
+        self.publish_between_ticks(link, world, FrameHeader::EPISODE_END)?;
         observer.episode_ended(self.episode, self.step);
         self.episodes_done += 1;
         if self.options.episodes.is_some_and(|episodes| self.episodes_done >= episodes) {
             return self.shut_down(link, world);
         }
+        self.begin_next_episode(world, observer);
+        Ok(())
+    }
+
+    fn begin_next_episode<W: World + ?Sized>(
+        &mut self,
+        world: &mut W,
+        observer: &mut dyn WorldObserver,
+    ) {
         self.episode = self.episode.wrapping_add(1);
         self.start_episode(world, observer);
-        Ok(())
     }
 }
 

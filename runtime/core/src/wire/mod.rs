@@ -5,6 +5,7 @@
 
 mod action;
 mod allocation;
+mod control;
 mod frame_fill;
 mod frame_header;
 mod frame_layout;
@@ -15,6 +16,7 @@ mod tests;
 
 pub use action::ActionMsg;
 pub use allocation::{AllocMsg, AllocationFault};
+pub use control::{Command, ControlRep, ControlReq, ControlStatus};
 pub use frame_fill::FrameMut;
 pub use frame_header::{FrameHeader, FrameKind};
 pub(crate) use frame_layout::payload_bytes;

@@ -22,6 +22,33 @@ pub enum Role {
     Watcher = 5,
 }
 
+impl Role {
+    /// The role of this number, if there is one.
+    pub fn from_number(number: u8) -> Option<Self> {
+        let all = [
+            Self::World,
+            Self::Runner,
+            Self::Allocator,
+            Self::Supervisor,
+            Self::Bridge,
+            Self::Watcher,
+        ];
+        all.into_iter().find(|role| *role as u8 == number)
+    }
+
+    /// Its name, in lower case.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::World => "world",
+            Self::Runner => "runner",
+            Self::Allocator => "allocator",
+            Self::Supervisor => "supervisor",
+            Self::Bridge => "bridge",
+            Self::Watcher => "watcher",
+        }
+    }
+}
+
 /// State of one process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, FromBytes, IntoBytes, Immutable, KnownLayout)]
 #[repr(C, align(64))]
@@ -52,11 +79,15 @@ pub struct StatMsg {
     pub build: u32,
     /// A set of the flags named below.
     pub flags: u32,
-    /// Counters.
+    /// Counters since the start, in this order: ticks, frame gaps, late, stale allocations, no allocations,
+    /// fallbacks, schema rejects, bad messages, old-term rejects, bell time-outs, missed wake-ups,
+    /// involuntary context switches, restarts seen, clean-ups after the dead, failed sends, reserved.
     pub counters: [u64; 16],
-    /// Histogram of the time from a frame's publishing to this process running.
+    /// Times from a frame's publishing to this process running; world: from the last answer to it running.
+    /// Bucket k counts those of [2^k, 2^(k+1)) times 16 ns since the start.
     pub hist_wake: [u32; 32],
-    /// Histogram of the time from running to publishing.
+    /// Times from running to publishing: a runner's actions, an allocation; world: from its running to the
+    /// end of its step.
     pub hist_work: [u32; 32],
     /// Port name, zero padded.
     pub name: [u8; 48],

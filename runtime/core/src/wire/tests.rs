@@ -55,6 +55,18 @@ const STATUS: &str = "\
     4401000045010000460100004701000048010000490100004a0100004b01000072756e6e65722f300000000000000000\
     0000000000000000000000000000000000000000000000000000000000000000\
 ";
+const CONTROL_REQUEST: &str = "\
+    080706050403020106000100e11000006600000000000000770000000000000072656769737472792d6b657900000000\
+    00000000000000000000000000000000\
+";
+const CONTROL_ANSWER: &str = "\
+    0807060504030201060001000200000003000000020000007700000000000000726f6c653d72756e6e6572207069643d\
+    343332310000000000000000000000000000000000000000000000000000000000000000000000000000000000000000\
+    000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000\
+    000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000\
+    000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000\
+    00000000000000000000000000000000\
+";
 
 fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
@@ -164,6 +176,45 @@ fn status_has_its_golden_bytes() {
         name,
     };
     assert_golden(status, STATUS);
+}
+
+#[test]
+fn control_has_its_golden_bytes() {
+    let mut text = [0; 32];
+    text[..12].copy_from_slice(b"registry-key");
+    let request = ControlReq {
+        arg: 4321,
+        arg64: 0x66,
+        token: 0x77,
+        text,
+        ..ControlReq::new(SCHEMA, Command::ReloadModel)
+    };
+    assert_golden(request, CONTROL_REQUEST);
+    let answer = request.answer(SCHEMA, ControlStatus::NotSupported, TICK);
+    assert_golden(answer.with_text("role=runner pid=4321"), CONTROL_ANSWER);
+}
+
+#[test]
+fn commands_and_their_outcomes_are_numbers() {
+    let known: Vec<u16> = (0..=u16::MAX)
+        .filter(|&number| Command::from_number(number).is_some_and(|c| c as u16 == number))
+        .collect();
+    assert_eq!(known, [1, 2, 3, 4, 5, 6, 7, 8]);
+    let known: Vec<i32> = (-9..99)
+        .filter(|&number| ControlStatus::from_number(number).is_some_and(|s| s as i32 == number))
+        .collect();
+    assert_eq!(known, [0, 1, 2, 3, 4]);
+}
+
+#[test]
+fn control_texts_end_where_they_are_no_text() {
+    let answer = ControlReq::new(SCHEMA, Command::Info).answer(SCHEMA, ControlStatus::Done, 0);
+    assert_eq!((answer.text(), answer.with_text("role=world").text()), ("", "role=world"));
+    let long = "x".repeat(300);
+    assert_eq!(answer.with_text(&long).text(), &long[..224]);
+    // A letter that is cut in two is left out.
+    let cut = std::format!("{}\u{e4}", "x".repeat(223));
+    assert_eq!(answer.with_text(&cut).text(), &cut[..223]);
 }
 
 fn format() -> FrameFormat {

@@ -166,6 +166,7 @@ pub(crate) fn world(setup: &Setup, term: u32) -> Body {
 pub(crate) fn world_options(setup: &Setup, term: u32) -> WorldOptions {
     WorldOptions {
         format: setup.format,
+        identity: Identity::new(1, "world"),
         term,
         required: (1 << setup.agents) - 1,
         allocator: true,

@@ -9,11 +9,18 @@ use sortie_core::link::{
     ActionRx, ActionTx, AllocRx, AllocTx, Bell, Clock, Frame, FrameRx, FrameTx, LinkError, StatRx,
     StatTx, Wake,
 };
-use sortie_core::wire::{ActionMsg, AllocMsg, FrameFormat, FrameHeader, Role, StatMsg};
+use sortie_core::wire::{
+    ActionMsg, AllocMsg, Command, ControlRep, ControlReq, FrameFormat, FrameHeader, Role, StatMsg,
+};
 
 use super::bell::LinkBell;
-use super::message::{ActionPayload, AllocPayload, FrameHeaderPayload, Message, StatPayload};
-use super::open::{FrameReceiver, FrameSender, Opener, Receiver, Sender};
+use super::control::{ControlRx, serve};
+use super::message::{
+    ActionPayload, AllocPayload, FrameHeaderPayload, Message, RequestPayload, StatPayload,
+};
+use super::open::{
+    FrameReceiver, FrameSender, Opener, Receiver, RequestClient, RequestServer, Sender,
+};
 use super::services;
 use super::{InterProcess, LinkService};
 use crate::clock::MonotonicClock;
@@ -43,6 +50,10 @@ pub struct IoxWorld<S: LinkService = InterProcess> {
     actions: Receiver<S, ActionPayload>,
     allocations: Receiver<S, AllocPayload>,
     statuses: Receiver<S, StatPayload>,
+    own_status: Sender<S, StatPayload>,
+    requests: RequestServer<S>,
+    control: RequestClient<S>,
+    schema: u64,
     bell: LinkBell<S>,
     /// Rings that end the next wait.
     rings: u32,
@@ -56,6 +67,7 @@ pub struct IoxAgent<S: LinkService = InterProcess> {
     allocations: Receiver<S, AllocPayload>,
     actions: Sender<S, ActionPayload>,
     statuses: Sender<S, StatPayload>,
+    requests: RequestServer<S>,
     bell: LinkBell<S>,
     /// Rings that end the next wait.
     rings: u32,
@@ -68,6 +80,7 @@ pub struct IoxAllocator<S: LinkService = InterProcess> {
     frames: FrameReader<S>,
     allocations: Sender<S, AllocPayload>,
     statuses: Sender<S, StatPayload>,
+    requests: RequestServer<S>,
     bell: LinkBell<S>,
     /// Rings that end the next wait.
     rings: u32,
@@ -86,12 +99,27 @@ impl<S: LinkService> IoxWorld<S> {
             actions: opener.receiver(services::actions)?,
             allocations: opener.receiver(services::allocations)?,
             statuses: opener.receiver(services::statuses)?,
+            own_status: opener.sender(services::statuses)?,
+            requests: opener.control_server()?,
+            control: opener.control_client()?,
+            schema: setup.format.schema,
             frames: opener.frame_sender()?,
             payload_bytes: setup.format.layout.payload_bytes(),
             bell: LinkBell::open(&opener, Role::World, &[Role::Runner, Role::Allocator])?,
             rings: 1,
             _node: opener.into_node(),
         })
+    }
+
+    /// Asks the leading allocator to step down, and does not wait for its answer.
+    ///
+    /// # Errors
+    /// It could not be woken.
+    pub fn ask_to_step_down(&mut self, pid: u32) -> Result<(), LinkError> {
+        let request = ControlReq { arg: pid, ..ControlReq::new(self.schema, Command::StepDown) };
+        // A request that is not sent is sent after the next three allocations missed.
+        let _ = self.control.send_copy(RequestPayload::wrap(&request));
+        self.bell.ring(Role::Allocator)
     }
 }
 
@@ -107,6 +135,7 @@ impl<S: LinkService> IoxAgent<S> {
             allocations: opener.receiver(services::allocations)?,
             actions: opener.sender(services::actions)?,
             statuses: opener.sender(services::statuses)?,
+            requests: opener.control_server()?,
             bell: LinkBell::open(&opener, Role::Runner, &[Role::World])?,
             rings: 1,
             _node: opener.into_node(),
@@ -125,6 +154,7 @@ impl<S: LinkService> IoxAllocator<S> {
             frames: FrameReader::new(opener.frame_receiver()?),
             allocations: opener.sender(services::allocations)?,
             statuses: opener.sender(services::statuses)?,
+            requests: opener.control_server()?,
             bell: LinkBell::open(&opener, Role::Allocator, &[Role::World, Role::Runner])?,
             rings: 1,
             _node: opener.into_node(),
@@ -143,6 +173,7 @@ impl<S: LinkService> Housekeeping for IoxWorld<S> {
     fn housekeep(&mut self) {
         // A connection that fails is tried again at the next heartbeat.
         let _ = self.frames.update_connections();
+        let _ = self.own_status.update_connections();
     }
 }
 
@@ -239,6 +270,12 @@ impl<S: LinkService> StatRx for IoxWorld<S> {
     }
 }
 
+impl<S: LinkService> StatTx for IoxWorld<S> {
+    fn send_status(&mut self, status: &StatMsg) -> Result<(), LinkError> {
+        send(&self.own_status, LinkError::Statuses, status)
+    }
+}
+
 impl<S: LinkService> AllocRx for IoxAgent<S> {
     fn receive_allocations(&mut self, take: &mut dyn FnMut(&AllocMsg)) -> Result<(), LinkError> {
         drain(&self.allocations, LinkError::Allocations, take)
@@ -299,6 +336,15 @@ macro_rules! has_bell_and_clock {
 
             fn ring(&mut self, role: Role) -> Result<(), LinkError> {
                 self.bell.ring(role)
+            }
+        }
+
+        impl<S: LinkService> ControlRx for $link<S> {
+            fn answer_requests(
+                &mut self,
+                answer: &mut dyn FnMut(&ControlReq) -> ControlRep,
+            ) -> bool {
+                serve(&self.requests, answer)
             }
         }
 

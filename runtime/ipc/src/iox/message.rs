@@ -2,7 +2,7 @@
 //! cannot be implemented for types of another crate.
 
 use iceoryx2::prelude::ZeroCopySend;
-use sortie_core::wire::{ActionMsg, AllocMsg, FrameHeader, StatMsg};
+use sortie_core::wire::{ActionMsg, AllocMsg, ControlRep, ControlReq, FrameHeader, StatMsg};
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, transmute, transmute_ref};
 
 /// A wire message inside an iceoryx2 payload.
@@ -41,6 +41,8 @@ macro_rules! message {
 message!(ActionPayload, ActionMsg, "sortie.ActionMsg.v1", 8);
 message!(AllocPayload, AllocMsg, "sortie.AllocMsg.v1", 16);
 message!(StatPayload, StatMsg, "sortie.StatMsg.v1", 64);
+message!(RequestPayload, ControlReq, "sortie.ControlReq.v1", 8);
+message!(AnswerPayload, ControlRep, "sortie.ControlRep.v1", 32);
 message!(FrameHeaderPayload, FrameHeader, "sortie.FrameHeader.v1", 8);
 
 impl Default for FrameHeaderPayload {

@@ -7,6 +7,7 @@
 //! * ports stay on the thread that made them; processes are spawned, never forked.
 
 mod bell;
+mod control;
 mod event;
 mod links;
 mod message;
@@ -20,8 +21,9 @@ use iceoryx2::service::Service;
 pub use iceoryx2::service::ipc::Service as InterProcess;
 pub use iceoryx2::service::local_threadsafe::Service as IntraProcess;
 
+pub use control::{ControlRx, IoxControl};
 pub use links::{Housekeeping, IoxAgent, IoxAllocator, IoxWorld, LinkSetup};
-pub(crate) use open::Cleaner;
+pub(crate) use open::{Cleaner, set_log_level};
 pub(crate) use services::worst_case_bytes;
 pub(crate) use watcher::dead_nodes;
 pub use watcher::{FrameNews, IoxWatcher};

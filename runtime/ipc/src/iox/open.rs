@@ -4,17 +4,19 @@ use std::fmt::Debug;
 use std::time::Duration;
 
 use iceoryx2::config::Config;
+use iceoryx2::port::client::Client;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
+use iceoryx2::port::server::Server;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::*;
 use iceoryx2::service::attribute::{AttributeKey, AttributeValue};
-use iceoryx2::service::port_factory::publish_subscribe;
+use iceoryx2::service::port_factory::{publish_subscribe, request_response};
 use sortie_core::wire::{ABI, FrameHead, Role};
 
 use super::links::LinkSetup;
-use super::message::{FrameHeaderPayload, Message};
+use super::message::{AnswerPayload, FrameHeaderPayload, Message, RequestPayload};
 use super::services::{self, Topic};
 use super::{InterProcess, LinkService};
 use crate::domain::Domain;
@@ -40,6 +42,9 @@ pub(super) type FrameSender<S> = Publisher<S, [u8], FrameHeaderPayload>;
 pub(super) type FrameReceiver<S> = Subscriber<S, [u8], FrameHeaderPayload>;
 pub(super) type Sender<S, M> = Publisher<S, M, ()>;
 pub(super) type Receiver<S, M> = Subscriber<S, M, ()>;
+type ControlService<S> = request_response::PortFactory<S, RequestPayload, (), AnswerPayload, ()>;
+pub(super) type RequestServer<S> = Server<S, RequestPayload, (), AnswerPayload, ()>;
+pub(super) type RequestClient<S> = Client<S, RequestPayload, (), AnswerPayload, ()>;
 
 /// A node, and what is needed to open services with it.
 pub(super) struct Opener<'a, S: LinkService> {
@@ -169,6 +174,38 @@ impl<'a, S: LinkService> Opener<'a, S> {
         })
     }
 
+    fn control(&self) -> Result<ControlService<S>, Error> {
+        let control = services::control(self.agents());
+        let name = service_name(control.name)?;
+        self.retry(control.name, || {
+            self.node
+                .service_builder(&name)
+                .request_response::<RequestPayload, AnswerPayload>()
+                .max_clients(control.clients)
+                .max_servers(control.servers)
+                .max_active_requests_per_client(control.active)
+                .max_response_buffer_size(control.buffer)
+                .max_loaned_requests(1)
+                .enable_safe_overflow_for_requests(true)
+                .enable_safe_overflow_for_responses(true)
+                .enable_fire_and_forget_requests(true)
+                .max_nodes(services::processes(self.agents()))
+                .open_or_create_with_attributes(&self.attributes)
+        })
+    }
+
+    pub(super) fn control_server(&self) -> Result<RequestServer<S>, Error> {
+        let (service, name) = (self.control()?, self.port_name()?);
+        let control = services::control(self.agents());
+        self.retry(control.name, || service.server_builder().name(&name).create())
+    }
+
+    pub(super) fn control_client(&self) -> Result<RequestClient<S>, Error> {
+        let (service, name) = (self.control()?, self.port_name()?);
+        let control = services::control(self.agents());
+        self.retry(control.name, || service.client_builder().name(&name).create())
+    }
+
     fn bell(
         &self,
         name: &'static str,
@@ -232,6 +269,24 @@ impl<'a, S: LinkService> Opener<'a, S> {
         }
         Error::SharedMemory { what: what.to_string(), problem }
     }
+}
+
+/// Sets the level of the library's log, which goes to standard error: 0 trace to 5 fatal. Returns whether
+/// there is such a level.
+pub(crate) fn set_log_level(number: u64) -> bool {
+    let levels = [
+        LogLevel::Trace,
+        LogLevel::Debug,
+        LogLevel::Info,
+        LogLevel::Warn,
+        LogLevel::Error,
+        LogLevel::Fatal,
+    ];
+    let level = usize::try_from(number).ok().and_then(|number| levels.get(number));
+    if let Some(level) = level {
+        iceoryx2::prelude::set_log_level(*level);
+    }
+    level.is_some()
 }
 
 /// Frees what dead processes hold.

@@ -68,6 +68,23 @@ pub(super) fn statuses(agents: usize) -> Topic {
     }
 }
 
+/// The request-response service.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Control {
+    pub(super) name: &'static str,
+    pub(super) clients: usize,
+    pub(super) servers: usize,
+    /// Requests of a client that wait for an answer.
+    pub(super) active: usize,
+    /// Answers of each server that wait for the client.
+    pub(super) buffer: usize,
+}
+
+pub(super) fn control(agents: usize) -> Control {
+    // Every process serves it: as many as may act, world and allocators, and those that are not cleaned up.
+    Control { name: "sortie/1/ctl", clients: 8, servers: agents + 8, active: 2, buffer: 1 }
+}
+
 /// Largest event id of the bells.
 pub(super) const BELL_IDS: usize = 127;
 
@@ -107,5 +124,7 @@ pub(crate) fn worst_case_bytes(layout: &FrameLayout) -> u64 {
     let actions = agents * slots(actions(agents)) * 128;
     let allocations = slots(allocations(agents)) * 192;
     let statuses = (agents + 2) * slots(statuses(agents)) * 576;
-    (frames + actions + allocations + statuses) as u64
+    let Control { clients, active, buffer, .. } = control(agents);
+    let answers = (agents + 2) * clients * (active * (buffer + 1) + 1) * 320;
+    (frames + actions + allocations + statuses + answers) as u64
 }

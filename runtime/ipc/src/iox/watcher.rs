@@ -32,7 +32,7 @@ pub struct IoxWatcher<S: LinkService = InterProcess> {
 }
 
 /// The bells of the others: a watcher has none of its own.
-enum Bells<S: LinkService> {
+pub(super) enum Bells<S: LinkService> {
     Doorbell(Doorbell),
     Events(Vec<(Role, Notifier<S>)>),
 }
@@ -57,12 +57,7 @@ impl<S: LinkService> IoxWatcher<S> {
     /// Shared memory cannot be used, or the domain runs another schema.
     pub fn open(setup: &LinkSetup<'_>) -> Result<Self, Error> {
         let opener = Opener::new(setup)?;
-        let bells = match setup.bell {
-            BellKind::Doorbell => {
-                Bells::Doorbell(Doorbell::open(setup.domain, Role::Watcher, Duration::ZERO)?)
-            }
-            BellKind::Event => Bells::Events(notifiers(&opener)?),
-        };
+        let bells = Bells::open(&opener)?;
         Ok(Self {
             format: setup.format,
             frames: opener.frame_receiver()?,
@@ -112,18 +107,30 @@ impl<S: LinkService> IoxWatcher<S> {
             let sent = self.actions.send_copy(ActionPayload::wrap(&goodbye));
             sent.map_err(|_| LinkError::Actions)?;
         }
-        self.ring(Role::World)
+        self.bells.ring(Role::World)
     }
 
     /// Frees what dead processes hold in shared memory, where nobody else is at it.
     pub fn clean_up(&mut self) {
         self.node.try_cleanup_dead_nodes();
     }
+}
 
-    fn ring(&self, role: Role) -> Result<(), LinkError> {
-        match &self.bells {
-            Bells::Doorbell(bell) => bell.ring(role),
-            Bells::Events(peers) => peers
+impl<S: LinkService> Bells<S> {
+    pub(super) fn open(opener: &Opener<'_, S>) -> Result<Self, Error> {
+        let setup = opener.setup();
+        Ok(match setup.bell {
+            BellKind::Doorbell => {
+                Self::Doorbell(Doorbell::open(setup.domain, Role::Watcher, Duration::ZERO)?)
+            }
+            BellKind::Event => Self::Events(notifiers(opener)?),
+        })
+    }
+
+    pub(super) fn ring(&self, role: Role) -> Result<(), LinkError> {
+        match self {
+            Self::Doorbell(bell) => bell.ring(role),
+            Self::Events(peers) => peers
                 .iter()
                 .filter(|(peer, _)| *peer == role)
                 .try_for_each(|(_, peer)| peer.notify().map(drop))

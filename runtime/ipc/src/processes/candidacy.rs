@@ -3,6 +3,7 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use crate::domain::Lock;
 use crate::error::Error;
@@ -20,9 +21,10 @@ struct Shared {
 }
 
 impl Candidacy {
-    /// Calls `wait_for_lock` on a thread; `waker` tells when there is something to [`Self::take`].
+    /// Calls `wait_for_lock` on a thread, after a rest; `waker` tells when there is something to [`Self::take`].
     pub(super) fn start(
         wait_for_lock: impl FnOnce(&dyn Fn() -> bool) -> Result<Option<Lock>, Error> + Send + 'static,
+        rest: Duration,
         waker: Waker,
     ) -> Result<Self, Error> {
         let shared =
@@ -30,6 +32,10 @@ impl Candidacy {
         let waiting = Arc::clone(&shared);
         let wait = move || {
             let is_wanted = || !waiting.is_withdrawn.load(Ordering::SeqCst);
+            std::thread::sleep(rest);
+            if !is_wanted() {
+                return;
+            }
             if let Some(outcome) = wait_for_lock(&is_wanted).transpose() {
                 let mut told = waiting.outcome();
                 // Under the guard: a withdrawal comes before, or empties it after.

@@ -4,6 +4,8 @@ mod allocator;
 mod candidacy;
 mod caretaker;
 mod children;
+mod context_switches;
+mod control;
 mod grouping;
 mod parent;
 mod runner;
@@ -15,16 +17,18 @@ pub(crate) use world::into_error as into_world_error;
 use std::time::Duration;
 
 use sortie_core::link::{Bell, Clock, Wake};
-use sortie_core::roles::{Counters, Poll};
+use sortie_core::roles::{Identity, Poll};
 
 pub use allocator::allocator_process;
 pub use children::Children;
 pub use grouping::group_agents;
-pub use runner::runner_process;
+pub use runner::{runner_process, runner_process_with_heuristic};
 pub use world::{WorldSettings, world_process};
 
+use self::context_switches::ContextSwitches;
+use self::control::Controlled;
 use crate::error::Error;
-use crate::iox::Housekeeping;
+use crate::iox::{ControlRx, Housekeeping};
 use crate::real_time::RealTime;
 use crate::stop::Stop;
 use crate::waker::Wakeable;
@@ -55,6 +59,12 @@ pub struct ProcessSettings {
 }
 
 impl ProcessSettings {
+    /// Who the process of port `name` is.
+    fn identity(&self, name: &str) -> Identity {
+        let is_spinning = !self.spin.is_zero();
+        Identity { model: self.model, is_spinning, ..Identity::new(std::process::id(), name) }
+    }
+
     fn check_limits(&self, shape: sortie_core::Shape) -> Result<(), Error> {
         let limits = [
             ("entities", shape.entities, self.entities_max),
@@ -69,31 +79,20 @@ impl ProcessSettings {
     }
 }
 
-/// How the waits of a loop ended.
-#[derive(Clone, Copy, Debug, Default)]
-struct Waits {
-    /// Heartbeats without a ring.
-    timeouts: u64,
-    /// Of these, such after which there was something to do: somebody did not ring, or was not heard.
-    missed: u64,
-}
+/// A role with all that it works with, as the loop around it sees it.
+trait Process: Controlled {
+    type Link: Bell + Clock + ControlRx + Housekeeping + Wakeable;
 
-impl Waits {
-    fn add_to(self, counters: Counters) -> Counters {
-        Counters { bell_timeouts: self.timeouts, missed_wake_ups: self.missed, ..counters }
-    }
+    fn poll(&mut self, link: &mut Self::Link) -> Result<Poll, Error>;
+
+    /// Looks at the processes that it depends on, once per heartbeat.
+    fn look_around(&mut self) -> Result<(), Error>;
 }
 
 /// Polls a role and waits for its bell, until it ends or is stopped.
-fn drive<L: Bell + Clock + Housekeeping + Wakeable>(
-    link: &mut L,
-    stop: &Stop,
-    waits: &mut Waits,
-    poll: impl FnMut(&mut L) -> Result<Poll, Error>,
-    each_heartbeat: impl FnMut() -> Result<(), Error>,
-) -> Result<(), Error> {
+fn drive<P: Process>(process: &mut P, link: &mut P::Link, stop: &Stop) -> Result<(), Error> {
     stop.wakes(link.waker());
-    let ended = run(link, stop, waits, poll, each_heartbeat);
+    let ended = run(process, link, stop);
     if ended.is_err() && !stop.is_set() {
         // A signal to the whole group may reach others first, and this process last.
         std::thread::sleep(SIGNAL_PATIENCE);
@@ -102,13 +101,8 @@ fn drive<L: Bell + Clock + Housekeeping + Wakeable>(
     if ended.is_err() && stop.is_set() { Err(Error::Interrupted) } else { ended }
 }
 
-fn run<L: Bell + Clock + Housekeeping>(
-    link: &mut L,
-    stop: &Stop,
-    waits: &mut Waits,
-    mut poll: impl FnMut(&mut L) -> Result<Poll, Error>,
-    mut each_heartbeat: impl FnMut() -> Result<(), Error>,
-) -> Result<(), Error> {
+fn run<P: Process>(process: &mut P, link: &mut P::Link, stop: &Stop) -> Result<(), Error> {
+    let switches = ContextSwitches::of_this_thread();
     let mut kept_house_ns = link.now_ns();
     // The bell's state after a heartbeat that nobody ended.
     let mut unrung = None;
@@ -117,25 +111,31 @@ fn run<L: Bell + Clock + Housekeeping>(
             return Err(Error::Interrupted);
         }
         let token = link.token();
-        let polled = poll(link)?;
+        let polled = process.poll(link)?;
+        // Somebody did not ring, or was not heard.
         let is_missed = unrung.take() == Some(token) && polled != Poll::Wait { until_ns: u64::MAX };
-        waits.missed += u64::from(is_missed);
+        process.counters_mut().missed_wake_ups += u64::from(is_missed);
         let until_ns = match polled {
             Poll::Again => continue,
             Poll::Ended => return Ok(()),
             Poll::Wait { until_ns } => until_ns,
         };
+        // Others are waited for: nobody waits for this.
+        if link.answer_requests(&mut |request| control::answer(process, request)) {
+            continue;
+        }
         let now = link.now_ns();
         if now.saturating_sub(kept_house_ns) >= HEARTBEAT_NS {
             link.housekeep();
-            each_heartbeat()?;
+            process.look_around()?;
+            process.counters_mut().context_switches = switches.count().unwrap_or(0);
             kept_house_ns = now;
         }
         let heartbeat_ns = now.saturating_add(HEARTBEAT_NS);
         let woken = link.wait_until(token, until_ns.min(heartbeat_ns));
         // A role that waits for a time has something to do then without any ring.
         if woken == Wake::Timeout && until_ns == u64::MAX {
-            waits.timeouts += 1;
+            process.counters_mut().bell_timeouts += 1;
             unrung = Some(token);
         }
     }

@@ -1,16 +1,20 @@
 //! A runner process.
 
-use sortie_core::Policy;
-use sortie_core::roles::{Counters, Identity, RunnerOptions, RunnerRole};
+use sortie_core::roles::{Counters, Identity, Poll, RunnerOptions, RunnerRole};
+use sortie_core::wire::{Command, ControlStatus, Role};
+use sortie_core::{Allocator, Policy};
 
+use super::control::Controlled;
 use super::parent::Parent;
-use super::{ProcessSettings, WORLD_PATIENCE, Waits, drive};
+use super::{Process, ProcessSettings, WORLD_PATIENCE, drive};
+use crate::control::ProcessInfo;
 use crate::domain::{Domain, DomainContract};
 use crate::error::Error;
 use crate::iox::{IoxAgent, LinkSetup};
 use crate::stop::Stop;
 
-/// Acts for `agents` of `domain` with `policy`, in this thread, until the world ends.
+/// Acts for `agents` of `domain` with `policy`, in this thread, until the world ends. Without a usable
+/// allocation they take the safe action.
 ///
 /// # Errors
 /// No world comes, it runs another contract, another process acts for one of the agents, or a
@@ -20,6 +24,35 @@ pub fn runner_process(
     contract: &DomainContract,
     agents: &[u16],
     policy: &mut dyn Policy,
+    settings: &ProcessSettings,
+    stop: &Stop,
+) -> Result<Counters, Error> {
+    act(domain, contract, agents, (policy, None), settings, stop)
+}
+
+/// As [`runner_process`]; without a usable allocation the agents act on that of `heuristic`, a
+/// [`CostAllocator`](sortie_core::allocate::CostAllocator) for example. It has to give the same one to every
+/// runner, so it may depend on nothing but the state.
+///
+/// # Errors
+/// As [`runner_process`].
+pub fn runner_process_with_heuristic(
+    domain: &Domain,
+    contract: &DomainContract,
+    agents: &[u16],
+    policy: &mut dyn Policy,
+    heuristic: &mut dyn Allocator,
+    settings: &ProcessSettings,
+    stop: &Stop,
+) -> Result<Counters, Error> {
+    act(domain, contract, agents, (policy, Some(heuristic)), settings, stop)
+}
+
+fn act<'a>(
+    domain: &Domain,
+    contract: &DomainContract,
+    agents: &[u16],
+    (policy, heuristic): (&'a mut dyn Policy, Option<&'a mut dyn Allocator>),
     settings: &ProcessSettings,
     stop: &Stop,
 ) -> Result<Counters, Error> {
@@ -38,9 +71,10 @@ pub fn runner_process(
         let (bell, spin) = (facts.bell(), settings.spin);
         IoxAgent::open(&LinkSetup { domain, format, name: &name, bell, spin })?
     };
+    let identity = settings.identity(&name);
     let mut role = RunnerRole::new(RunnerOptions {
         format,
-        identity: Identity { model: settings.model, ..Identity::new(std::process::id(), &name) },
+        identity,
         agents: seats,
         subtasks: contract.subtasks,
         decision_interval: contract.decision_interval,
@@ -48,12 +82,64 @@ pub fn runner_process(
         safe_action: contract.safe_action,
     });
     role.join(&mut link)?;
-    let mut waits = Waits::default();
+    let schema = format.schema;
+    let mut runner = Runner { role, policy, heuristic, parent, identity, seats, schema };
     settings.real_time.claim()?;
-    let poll = |link: &mut IoxAgent| Ok(role.poll(link, policy)?);
-    let ended = drive(&mut link, stop, &mut waits, poll, || Parent::check(&parent));
-    let left = role.leave(&mut link).map_err(Error::from);
-    ended.and(left).map(|()| waits.add_to(*role.counters()))
+    let ended = drive(&mut runner, &mut link, stop);
+    let left = runner.role.leave(&mut link).map_err(Error::from);
+    ended.and(left).map(|()| *runner.role.counters())
+}
+
+/// A runner at work.
+struct Runner<'a> {
+    role: RunnerRole,
+    policy: &'a mut dyn Policy,
+    heuristic: Option<&'a mut dyn Allocator>,
+    parent: Option<Parent>,
+    identity: Identity,
+    seats: u64,
+    schema: u64,
+}
+
+impl Process for Runner<'_> {
+    type Link = IoxAgent;
+
+    fn poll(&mut self, link: &mut IoxAgent) -> Result<Poll, Error> {
+        Ok(match &mut self.heuristic {
+            Some(heuristic) => self.role.poll_with_heuristic(link, self.policy, heuristic)?,
+            None => self.role.poll(link, self.policy)?,
+        })
+    }
+
+    fn look_around(&mut self) -> Result<(), Error> {
+        Parent::check(&self.parent)
+    }
+}
+
+impl Controlled for Runner<'_> {
+    fn schema(&self) -> u64 {
+        self.schema
+    }
+
+    fn tick(&self) -> u64 {
+        self.role.tick()
+    }
+
+    fn info(&self) -> ProcessInfo {
+        ProcessInfo { agents: self.seats, ..ProcessInfo::new(Role::Runner, &self.identity) }
+    }
+
+    fn counters_mut(&mut self) -> &mut Counters {
+        self.role.counters_mut()
+    }
+
+    fn obey(&mut self, command: Command) -> ControlStatus {
+        match command {
+            // It has no registry to load from: whoever starts it gives it the policy.
+            Command::ReloadModel => ControlStatus::NotSupported,
+            _ => ControlStatus::NotMine,
+        }
+    }
 }
 
 /// The agents as a set.

@@ -3,11 +3,15 @@
 use std::time::Duration;
 
 use sortie_core::World;
-use sortie_core::roles::{Counters, WorldError, WorldObserver, WorldOptions, WorldRole};
-use sortie_core::wire::FrameFormat;
+use sortie_core::roles::{
+    Counters, Identity, Poll, WorldError, WorldObserver, WorldOptions, WorldRole,
+};
+use sortie_core::wire::{Command, ControlStatus, FrameFormat, Role};
 
 use super::caretaker::Caretaker;
-use super::{Children, Waits, drive};
+use super::control::Controlled;
+use super::{Children, Process, drive};
+use crate::control::ProcessInfo;
 use crate::domain::{BellKind, Domain, DomainContract, DomainFacts, nanoseconds};
 use crate::error::Error;
 use crate::iox::{IoxWorld, LinkSetup, worst_case_bytes};
@@ -73,8 +77,10 @@ impl WorldSettings {
         format: FrameFormat,
         term: u32,
     ) -> WorldOptions {
+        let is_spinning = !self.spin.is_zero();
         WorldOptions {
             format,
+            identity: Identity { is_spinning, ..Identity::new(std::process::id(), "world") },
             term,
             required: self.required & format.layout.every_agent(),
             allocator: self.allocator,
@@ -124,16 +130,12 @@ pub fn world_process(
         IoxWorld::open(&LinkSetup { domain, format, name: "world", bell, spin })?
     };
     let _caretaker = Caretaker::start(domain)?;
-    let mut role = WorldRole::new(settings.options(contract, format, lock.term()));
-    let mut waits = Waits::default();
+    let options = settings.options(contract, format, lock.term());
+    let role = WorldRole::new(options);
+    let mut playing = Playing { role, options, world, observer, children };
     settings.real_time.claim()?;
-    let ended = drive(
-        &mut link,
-        stop,
-        &mut waits,
-        |link| role.poll(link, world, observer).map_err(into_error),
-        || children.check(),
-    );
+    let ended = drive(&mut playing, &mut link, stop);
+    let Playing { mut role, world, mut children, .. } = playing;
     // A process that failed says more than that its agents no longer act.
     let ended = match ended {
         Err(Error::World(error)) => children.check().and(Err(Error::World(error))),
@@ -141,7 +143,67 @@ pub fn world_process(
     };
     let told = role.shut_down(&mut link, world).map_err(into_error);
     children.finish(GOODBYE_PATIENCE);
-    ended.and(told).map(|()| waits.add_to(*role.counters()))
+    ended.and(told).map(|()| *role.counters())
+}
+
+/// A world at work.
+struct Playing<'a> {
+    role: WorldRole,
+    options: WorldOptions,
+    world: &'a mut dyn World,
+    observer: &'a mut dyn WorldObserver,
+    children: Children,
+}
+
+impl Process for Playing<'_> {
+    type Link = IoxWorld;
+
+    fn poll(&mut self, link: &mut IoxWorld) -> Result<Poll, Error> {
+        let polled = self.role.poll(link, self.world, self.observer).map_err(into_error)?;
+        if let Some(leader) = self.role.take_silent_leader() {
+            link.ask_to_step_down(leader)?;
+        }
+        Ok(polled)
+    }
+
+    fn look_around(&mut self) -> Result<(), Error> {
+        self.children.check()
+    }
+}
+
+impl Controlled for Playing<'_> {
+    fn schema(&self) -> u64 {
+        self.options.format.schema
+    }
+
+    fn tick(&self) -> u64 {
+        self.role.tick()
+    }
+
+    fn info(&self) -> ProcessInfo {
+        ProcessInfo {
+            agents: self.role.joined(),
+            term: Some(self.options.term),
+            is_paused: self.role.is_paused(),
+            is_degraded: self.role.is_degraded(),
+            ..ProcessInfo::new(Role::World, &self.options.identity)
+        }
+    }
+
+    fn counters_mut(&mut self) -> &mut Counters {
+        self.role.counters_mut()
+    }
+
+    fn obey(&mut self, command: Command) -> ControlStatus {
+        match command {
+            Command::Pause => self.role.pause(),
+            Command::Resume => self.role.resume(),
+            Command::ResetEpisode => self.role.reset_episode(),
+            Command::ShutDown => self.role.end(),
+            _ => return ControlStatus::NotMine,
+        }
+        ControlStatus::Done
+    }
 }
 
 pub(crate) fn into_error(error: WorldError) -> Error {

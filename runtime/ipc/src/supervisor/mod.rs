@@ -62,7 +62,7 @@ pub enum SupervisorEvent<'a> {
         /// Its id.
         pid: u32,
     },
-    /// A process said hello, or a world sent its first frame.
+    /// A process said hello.
     Joined {
         /// What it is.
         name: &'a str,
@@ -150,7 +150,6 @@ pub fn supervise(
         kept: charges.into_iter().map(Kept::new).collect(),
         joined: BTreeSet::new(),
         leader: None,
-        world_term: 0,
         vigil: Vigil::default(),
         is_someone_dead: false,
         done: Supervision::default(),
@@ -174,7 +173,6 @@ struct Supervisor {
     /// Processes that were heard of, by id.
     joined: BTreeSet<u32>,
     leader: Option<u32>,
-    world_term: u32,
     vigil: Vigil,
     is_someone_dead: bool,
     done: Supervision,
@@ -268,7 +266,9 @@ impl Supervisor {
             if is_news {
                 tell(&SupervisorEvent::Joined { name, pid: status.pid });
             }
-            if status.has(StatMsg::LEADER) && *leader != Some(status.pid) {
+            let leads_allocators =
+                status.role == Role::Allocator as u8 && status.has(StatMsg::LEADER);
+            if leads_allocators && *leader != Some(status.pid) {
                 *leader = Some(status.pid);
                 tell(&SupervisorEvent::Leads { name, pid: status.pid });
             }
@@ -276,13 +276,6 @@ impl Supervisor {
         let vigil = &mut self.vigil;
         watcher.receive_allocations(&mut |allocation| vigil.answered(allocation.tick))?;
         if let Some(frame) = watcher.newest_frame()? {
-            let world = kept.iter().find(|kept| kept.charge.role == Role::World);
-            if frame.world_term > self.world_term
-                && let Some((world, pid)) = world.and_then(|world| Some((world, world.pid()?)))
-            {
-                tell(&SupervisorEvent::Joined { name: &world.charge.name, pid });
-            }
-            self.world_term = frame.world_term;
             vigil.asked(frame.decision_tick);
         }
         if vigil.is_silent()

@@ -168,6 +168,13 @@ impl StatRx for ThreadWorld {
     }
 }
 
+impl StatTx for ThreadWorld {
+    /// Nobody of the team reads what its world tells of itself.
+    fn send_status(&mut self, _status: &StatMsg) -> Result<(), LinkError> {
+        Ok(())
+    }
+}
+
 impl ActionTx for ThreadAgent {
     fn send_action(&mut self, action: &ActionMsg) -> Result<(), LinkError> {
         self.topics.actions.push(*action);

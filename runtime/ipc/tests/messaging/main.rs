@@ -1,6 +1,7 @@
 //! The messaging of a team, over each of its links and as real processes.
 
 mod conformance;
+mod control;
 mod own_world;
 mod processes;
 mod starts;
@@ -9,3 +10,4 @@ mod stress;
 mod supervisor;
 mod threads;
 mod toy;
+mod unallocated;

@@ -71,6 +71,7 @@ fn decide(link: impl WorldLink) -> DecisionLog {
     let contract = toy::contract();
     let mut role = WorldRole::new(WorldOptions {
         format: format(),
+        identity: Identity::new(1, "world"),
         term: 1,
         required: 0b111,
         allocator: true,

@@ -215,6 +215,13 @@ impl StatRx for SpscWorld<'_> {
     }
 }
 
+impl StatTx for SpscWorld<'_> {
+    /// Nobody of the team reads what its world tells of itself.
+    fn send_status(&mut self, _status: &StatMsg) -> Result<(), LinkError> {
+        Ok(())
+    }
+}
+
 impl ActionTx for SpscAgent<'_> {
     fn send_action(&mut self, action: &ActionMsg) -> Result<(), LinkError> {
         put(&mut self.mine.as_mut().ok_or(LinkError::Actions)?.actions, action);

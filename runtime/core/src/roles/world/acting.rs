@@ -57,7 +57,7 @@ impl WorldRole {
         self.require_all_seats()?;
         let missing = self.present & self.seats.joined() & !self.answered;
         if missing == 0 {
-            self.step(link, world, observer)?;
+            self.step(link, world, observer, now)?;
             return Ok(Poll::Again);
         }
         let act_by = if self.deadline_ns == 0 { u64::MAX } else { self.deadline_ns };
@@ -77,7 +77,7 @@ impl WorldRole {
             if self.options.strict && seats != 0 {
                 return Err(WorldError::SeatsMissed { step: self.step, seats });
             }
-            self.step(link, world, observer)?;
+            self.step(link, world, observer, now)?;
             return Ok(Poll::Again);
         }
         let until_ns = if is_awaited && now < allocate_by { allocate_by } else { act_by };
@@ -87,7 +87,7 @@ impl WorldRole {
     }
 
     /// Whether agents act on an allocation of this tick that has not come yet.
-    fn awaits_allocation(&self) -> bool {
+    pub(super) fn awaits_allocation(&self) -> bool {
         let newest = self.allocation.get().map_or(0, |allocation| allocation.tick);
         self.reallocated && !self.options.pipelined && newest < self.decision_tick
     }
@@ -110,6 +110,7 @@ impl WorldRole {
         link: &mut impl WorldLink,
         world: &mut W,
         observer: &mut dyn WorldObserver,
+        running_ns: u64,
     ) -> Result<(), WorldError> {
         let agents = self.options.format.layout.shape().agents;
         let applied = self.applied_actions();
@@ -117,7 +118,10 @@ impl WorldRole {
         let outcome = world.step(actions).map_err(WorldError::Unavailable)?;
         self.counters.ticks += 1;
         self.note_unallocated();
-        observer.tick(&self.report(actions, outcome, link.now_ns()));
+        self.watch_leader();
+        let now = link.now_ns();
+        self.note_times(running_ns, now);
+        observer.tick(&self.report(actions, outcome, now));
         let asked = self.present & self.seats.joined();
         self.seats.note_answers(asked, self.answered, self.options.absent_after);
         self.last_actions = applied;
@@ -129,6 +133,18 @@ impl WorldRole {
             self.end_episode(link, world, observer)?;
         }
         Ok(())
+    }
+
+    /// Notes how long the world took to run after the last answer, if there was one, and to step.
+    fn note_times(&mut self, running_ns: u64, now_ns: u64) {
+        let answers = self.answers.iter().enumerate();
+        let mut answers = answers.filter(|(agent, _)| self.answered >> agent & 1 == 1);
+        let first = answers.next().map(|(_, answer)| answer.t_ns);
+        if let Some(first) = first {
+            let last = answers.fold(first, |last, (_, answer)| last.max(answer.t_ns));
+            self.presence.wakes.note(running_ns.saturating_sub(last));
+        }
+        self.presence.works.note(now_ns.saturating_sub(running_ns));
     }
 
     /// The answers, and the fallback for present agents for which nobody acts.

@@ -17,10 +17,7 @@ impl WorldRole {
         link: &mut impl WorldLink,
         world: &W,
     ) -> Result<(), WorldError> {
-        if self.count >= LAST_COUNT {
-            return Err(WorldError::TicksExhausted);
-        }
-        self.count += 1;
+        self.count_tick()?;
         let since = self.tick().saturating_sub(self.decision_tick);
         let is_due = since >= u64::from(self.options.decision_interval);
         self.reallocated = self.options.allocator && (self.allocate_next || is_due);
@@ -49,6 +46,15 @@ impl WorldRole {
         if self.runners_rung {
             link.ring(Role::Runner)?;
         }
+        Ok(())
+    }
+
+    /// The next tick, if the term has one left.
+    pub(super) fn count_tick(&mut self) -> Result<(), WorldError> {
+        if self.count >= LAST_COUNT {
+            return Err(WorldError::TicksExhausted);
+        }
+        self.count += 1;
         Ok(())
     }
 

@@ -13,15 +13,17 @@ pub(super) struct Seats {
     owners: [u32; limits::AGENTS],
     /// Ticks in a row that each agent left unanswered.
     silent: [u32; limits::AGENTS],
-    /// The allocator that leads.
+    /// The allocator that leads, or did last.
     leader: Option<u32>,
     changed: bool,
+    /// Processes that took a seat from another one.
+    restarts: u64,
 }
 
 impl Default for Seats {
     fn default() -> Self {
         let none = [0; limits::AGENTS];
-        Self { joined: 0, owners: none, silent: none, leader: None, changed: false }
+        Self { joined: 0, owners: none, silent: none, leader: None, changed: false, restarts: 0 }
     }
 }
 
@@ -45,8 +47,18 @@ impl Seats {
         holders.len() as u32
     }
 
+    /// The process of the allocator that leads.
+    pub(super) fn leader(&self) -> Option<u32> {
+        self.leader
+    }
+
     pub(super) fn has_leader(&self) -> bool {
         self.leader.is_some()
+    }
+
+    /// How many processes took the place of an earlier one.
+    pub(super) fn restarts(&self) -> u64 {
+        self.restarts
     }
 
     /// Whether seats were taken or left since the last call.
@@ -59,8 +71,9 @@ impl Seats {
     pub(super) fn note(&mut self, status: &StatMsg) {
         let leaves = status.has(StatMsg::BYE);
         if status.role == Role::Allocator as u8 {
-            self.note_allocator(status.pid, status.has(StatMsg::LEADER) && !leaves);
+            self.note_allocator(status, leaves);
         } else if status.role == Role::Runner as u8 {
+            self.restarts += u64::from(!leaves && self.is_successor(status));
             for agent in (0..limits::AGENTS).filter(|agent| status.agents >> agent & 1 == 1) {
                 if leaves {
                     self.leave(agent, status.pid);
@@ -71,11 +84,19 @@ impl Seats {
         }
     }
 
-    fn note_allocator(&mut self, process: u32, leads: bool) {
-        if leads {
-            self.leader = Some(process);
-        } else if self.leader == Some(process) {
+    /// Whether a seat of this process had another holder before.
+    fn is_successor(&self, status: &StatMsg) -> bool {
+        let owners = self.owners.iter().enumerate();
+        let mut owners = owners.filter(|(agent, _)| status.agents >> agent & 1 == 1);
+        owners.any(|(_, owner)| *owner != 0 && *owner != status.pid)
+    }
+
+    /// Whoever steps down is followed by another: only a leader that leaves leaves none.
+    fn note_allocator(&mut self, status: &StatMsg, leaves: bool) {
+        if leaves && self.leader == Some(status.pid) {
             self.leader = None;
+        } else if !leaves && status.has(StatMsg::LEADER) {
+            self.leader = Some(status.pid);
         }
     }
 
@@ -173,6 +194,7 @@ mod tests {
         assert!(seats.take_changed());
         seats.note(&status(Role::Runner, 5, StatMsg::BYE));
         assert_eq!((seats.joined(), seats.take_changed()), (0b11, false));
+        assert_eq!(seats.restarts(), 1);
     }
 
     #[test]
@@ -186,6 +208,8 @@ mod tests {
         seats.note(&status(Role::Allocator, 8, StatMsg::LEADER));
         seats.note(&status(Role::Allocator, 7, StatMsg::BYE));
         assert!(seats.has_leader());
+        seats.note(&status(Role::Allocator, 8, 0));
+        assert_eq!(seats.leader(), Some(8));
         seats.note(&status(Role::Allocator, 8, StatMsg::BYE | StatMsg::LEADER));
         assert!(!seats.has_leader());
     }

@@ -57,6 +57,7 @@ fn idle() -> Poll {
 
 fn options(required: u64, patience_ns: u64) -> impl Fn(FrameFormat) -> WorldOptions {
     move |format| WorldOptions {
+        identity: Identity::new(1, "world"),
         format,
         term: 7,
         required,

@@ -1,0 +1,236 @@
+//! `sortie control`: tells the processes of a running team what to do.
+
+use clap::{Args, Subcommand, ValueEnum};
+use serde::Serialize;
+use sortie_core::wire::{Command, ControlStatus};
+use sortie_ipc::{Answer, Domain, Order, control};
+
+use crate::failure::{Exit, Failure, Outcome};
+use crate::output::print_json;
+
+/// Tell the processes of a running team what to do: say who they are, pause, continue, end, change the leader
+///
+/// Prints a line for each process that the order concerns. Exit code 69 where none runs, or none can do it.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  sortie control info
+  sortie control pause --domain north
+  sortie control step-down --json
+  sortie control log-level warn --process 4711")]
+pub(crate) struct ControlArguments {
+    #[command(subcommand)]
+    order: OrderArgument,
+    /// Domain of the team
+    #[arg(long, env = "SORTIE_DOMAIN", default_value = "default", global = true)]
+    domain: String,
+    /// Process that is meant; default: every one that the order concerns
+    #[arg(long, value_name = "PID", global = true)]
+    process: Option<u32>,
+    /// Print JSON for scripts instead of text
+    #[arg(long, global = true)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, Debug, Subcommand)]
+enum OrderArgument {
+    /// Who is there: role, process, tick, agents, model, who leads
+    Info,
+    /// The world stands still after its current tick
+    Pause,
+    /// A paused world goes on
+    Resume,
+    /// The world gives up its episode and begins the next
+    ResetEpisode,
+    /// The world ends, and its team with it
+    ShutDown,
+    /// The leading allocator lets a standby lead
+    StepDown,
+    /// What the messaging library may say on standard error
+    LogLevel {
+        #[arg(value_enum)]
+        level: Level,
+    },
+}
+
+/// The levels of the log, with their numbers on the wire.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Level {
+    Trace = 0,
+    Debug = 1,
+    Info = 2,
+    Warn = 3,
+    Error = 4,
+    Fatal = 5,
+}
+
+impl OrderArgument {
+    fn order(self, process: Option<u32>) -> Order {
+        let (command, number) = match self {
+            Self::Info => (Command::Info, 0),
+            Self::Pause => (Command::Pause, 0),
+            Self::Resume => (Command::Resume, 0),
+            Self::ResetEpisode => (Command::ResetEpisode, 0),
+            Self::ShutDown => (Command::ShutDown, 0),
+            Self::StepDown => (Command::StepDown, 0),
+            Self::LogLevel { level } => (Command::SetLogLevel, level as u64),
+        };
+        Order { command, process, number }
+    }
+}
+
+pub(crate) fn run(arguments: &ControlArguments) -> Outcome {
+    let domain = Domain::new(&arguments.domain)?;
+    let answers = control(&domain, &arguments.order.order(arguments.process))?;
+    if arguments.json {
+        let processes = answers.iter().map(ToldProcess::new).collect();
+        print_json(&Told { domain: domain.id(), processes });
+    } else {
+        answers.iter().for_each(|answer| println!("{}", line(answer)));
+    }
+    judge(&answers)
+}
+
+/// Whether the order was carried out by somebody.
+fn judge(answers: &[Answer]) -> Outcome {
+    let has = |status| answers.iter().any(|answer| answer.status == Some(status));
+    if has(ControlStatus::Done) {
+        return Ok(());
+    }
+    Err(if has(ControlStatus::Foreign) {
+        Failure::new(Exit::Mismatch, "the processes are of another version")
+    } else {
+        Failure::new(Exit::NotRunning, "no process that could do it has answered")
+    })
+}
+
+fn line(answer: &Answer) -> String {
+    let process = &answer.process;
+    let mut line = format!("{} {}", process.role.name(), process.pid);
+    line += &match answer.tick {
+        0 => ", no tick yet".to_string(),
+        tick => format!(", tick {}", tick as u32),
+    };
+    if process.agents != 0 {
+        let agents: Vec<String> = agents(answer).iter().map(u16::to_string).collect();
+        line += &format!(", agents {}", agents.join(" "));
+    }
+    if process.model != [0; 16] {
+        line += &format!(", model {:.8}", model(answer));
+    }
+    if let Some(term) = process.term {
+        line += &format!(", leads in term {term}");
+    }
+    for (word, is_so) in [("paused", process.is_paused), ("degraded", process.is_degraded)] {
+        if is_so {
+            line += &format!(", {word}");
+        }
+    }
+    match answer.status {
+        Some(ControlStatus::Done) => line,
+        other => line + ": " + outcome(other),
+    }
+}
+
+fn outcome(status: Option<ControlStatus>) -> &'static str {
+    match status {
+        Some(ControlStatus::Done) => "done",
+        Some(ControlStatus::NotMine) => "does not concern it",
+        Some(ControlStatus::NotSupported) => "not supported",
+        Some(ControlStatus::Foreign) => "of another version",
+        Some(ControlStatus::BadArgument) => "no such value",
+        None => "answers what only a later version knows",
+    }
+}
+
+fn agents(answer: &Answer) -> Vec<u16> {
+    let is_one = |agent: &u16| answer.process.agents >> agent & 1 == 1;
+    (0..u64::BITS as u16).filter(is_one).collect()
+}
+
+fn model(answer: &Answer) -> String {
+    format!("{:032x}", u128::from_be_bytes(answer.process.model))
+}
+
+/// What was answered, for scripts.
+#[derive(Serialize)]
+struct Told<'a> {
+    domain: &'a str,
+    processes: Vec<ToldProcess>,
+}
+
+#[derive(Serialize)]
+struct ToldProcess {
+    role: &'static str,
+    pid: u32,
+    outcome: &'static str,
+    /// The world's term in the upper half.
+    tick: u64,
+    agents: Vec<u16>,
+    model: String,
+    term: Option<u32>,
+    leads: bool,
+    paused: bool,
+    degraded: bool,
+}
+
+impl ToldProcess {
+    fn new(answer: &Answer) -> Self {
+        let process = &answer.process;
+        Self {
+            role: process.role.name(),
+            pid: process.pid,
+            outcome: outcome(answer.status),
+            tick: answer.tick,
+            agents: agents(answer),
+            model: model(answer),
+            term: process.term,
+            leads: process.term.is_some(),
+            paused: process.is_paused,
+            degraded: process.is_degraded,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sortie_core::wire::Role;
+    use sortie_ipc::ProcessInfo;
+
+    fn answer(status: ControlStatus) -> Answer {
+        let process = ProcessInfo {
+            role: Role::World,
+            pid: 7,
+            agents: 0b101,
+            model: [0; 16],
+            term: Some(2),
+            is_paused: true,
+            is_degraded: false,
+        };
+        Answer { process, status: Some(status), tick: (2 << 32) + 30 }
+    }
+
+    #[test]
+    fn a_line_says_who_answers_and_what_became_of_it() {
+        let done = answer(ControlStatus::Done);
+        assert_eq!(line(&done), "world 7, tick 30, agents 0 2, leads in term 2, paused");
+        let other = Answer { tick: 0, ..answer(ControlStatus::NotSupported) };
+        let other = Answer {
+            process: ProcessInfo { model: [0xAB; 16], term: None, ..other.process },
+            ..other
+        };
+        let told = "world 7, no tick yet, agents 0 2, model abababab, paused: not supported";
+        assert_eq!(line(&other), told);
+    }
+
+    #[test]
+    fn somebody_has_to_do_it() {
+        let [done, unable, foreign] =
+            [ControlStatus::Done, ControlStatus::NotSupported, ControlStatus::Foreign].map(answer);
+        assert!(judge(&[unable, done]).is_ok());
+        let exit = |answers: &[Answer]| judge(answers).map_err(|failure| failure.exit);
+        assert_eq!(exit(&[]), Err(Exit::NotRunning));
+        assert_eq!(exit(&[unable]), Err(Exit::NotRunning));
+        assert_eq!(exit(&[unable, foreign]), Err(Exit::Mismatch));
+    }
+}

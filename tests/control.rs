@@ -1,0 +1,54 @@
+//! A running team is told what to do through the command line.
+
+mod support;
+
+use std::path::PathBuf;
+use std::process::Stdio;
+
+use support::{BUNDLE, TestDomain, assert_fails, json, output, sortie, wait_until};
+
+/// Asks until the answer is as expected.
+fn await_info(domain: &str, is_expected: impl Fn(&[serde_json::Value]) -> bool) {
+    wait_until("the processes are as expected", || {
+        let told = output(&["control", "info", "--domain", domain, "--json"]);
+        let answer: serde_json::Value = serde_json::from_slice(&told.stdout).unwrap_or_default();
+        answer["processes"].as_array().is_some_and(|processes| is_expected(processes))
+    });
+}
+
+#[test]
+fn a_team_that_is_up_does_what_it_is_told() {
+    let domain = TestDomain::new("control");
+    let tell = |order: &str| json(&["control", order, "--domain", &domain.id, "--json"]);
+    let mut up = sortie(&["up", BUNDLE, "--domain", &domain.id, "--quiet", "--isolate"])
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("the command line starts");
+    // A world, five runners, a leading allocator and its standby.
+    await_info(&domain.id, |processes| {
+        let leads = |process: &&serde_json::Value| process["leads"] == true;
+        processes.len() == 8 && processes.iter().filter(leads).count() == 2
+    });
+    assert_eq!(tell("pause")["processes"][0]["role"], "world");
+    let told = output(&["control", "info", "--domain", &domain.id]);
+    let lines = String::from_utf8_lossy(&told.stdout).into_owned();
+    assert!(lines.starts_with("world ") && lines.contains("paused"), "{lines}");
+    assert!(lines.contains("agents 4, model ") && lines.contains("leads in term 1"), "{lines}");
+    assert_eq!(tell("resume")["processes"][0]["paused"], false);
+    let leader = tell("step-down");
+    assert_eq!(leader["processes"][0]["role"], "allocator", "{leader}");
+    await_info(&domain.id, |processes| {
+        let leads = |process: &&serde_json::Value| {
+            process["role"] == "allocator" && process["leads"] == true
+        };
+        processes.iter().find(leads).is_some_and(|process| process["term"] == 2)
+    });
+    let nobody = output(&["control", "pause", "--domain", &domain.id, "--process", "1"]);
+    assert_fails(&nobody, 69, &["no process that could do it has answered"]);
+    assert_eq!(tell("shut-down")["processes"][0]["outcome"], "done");
+    assert_eq!(up.wait().expect("its status").code(), Some(0));
+    let over = output(&["control", "info", "--domain", &domain.id]);
+    assert_fails(&over, 69, &["no world has started in domain"]);
+    assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
+}
