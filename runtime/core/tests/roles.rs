@@ -329,10 +329,10 @@ fn an_allocation_that_does_not_come_is_waited_for_once() {
     // 35 % of the period.
     assert_eq!(stage.poll_runner(&mut role), Poll::Wait { until_ns: 1_350 });
     stage.clock.0.set(1_350);
-    assert_eq!(stage.poll_runner(&mut role), Poll::Again);
+    assert_eq!(stage.poll_runner(&mut role), Poll::Answered);
     assert_eq!(orders(&stage.answers()), [(1, ActionMsg::STALE_ALLOC); 2]);
     stage.send(6, 5, 0, 800);
-    assert_eq!(stage.poll_runner(&mut role), Poll::Again);
+    assert_eq!(stage.poll_runner(&mut role), Poll::Answered);
     assert_eq!(orders(&stage.answers()), [(1, ActionMsg::STALE_ALLOC); 2]);
     stage.send(7, 7, FrameHeader::REALLOC, 800);
     assert_eq!(stage.poll_runner(&mut role), Poll::Wait { until_ns: 1_700 });
@@ -345,7 +345,7 @@ fn pipelined_agents_wait_for_nothing_and_act_while_the_allocation_is_valid() {
     stage.allocate(1, 1, 2);
     for (count, flags) in [(3, 0), (4, ActionMsg::STALE_ALLOC)] {
         stage.send(count, count, FrameHeader::PIPELINED_ALLOC, 1_000);
-        assert_eq!(stage.poll_runner(&mut role), Poll::Again);
+        assert_eq!(stage.poll_runner(&mut role), Poll::Answered);
         assert_eq!(orders(&stage.answers()), [(1, flags); 2], "tick {count}");
     }
     // Its subtask is finished, and kept.
@@ -428,7 +428,7 @@ fn act(
     loop {
         let mut next = match stage.poll_world(world, &mut watch).unwrap() {
             Poll::Wait { until_ns } => until_ns,
-            Poll::Again => continue,
+            Poll::Again | Poll::Answered => continue,
             Poll::Ended => return watch,
         };
         if let Some(role) = runner.as_deref_mut() {

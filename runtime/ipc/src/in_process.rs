@@ -79,17 +79,17 @@ pub fn run_in_process(
         }
         let mut link = team.world(&mut world_cursor);
         let polled = world_role.poll(&mut link, world, observer).map_err(into_world_error)?;
-        let mut is_moving = polled == Poll::Again;
+        let mut is_moving = polled.is_progress();
         if polled == Poll::Ended {
             return Ok(*world_role.counters());
         }
         if let Some(allocator) = allocator.as_deref_mut() {
             let mut link = team.allocator(&mut allocator_cursor);
             let polled = allocator_role.poll(&mut link, allocator).map_err(into_allocator_error)?;
-            is_moving |= polled == Poll::Again;
+            is_moving |= polled.is_progress();
         }
         let mut link = team.agent(&mut runner_cursor);
-        is_moving |= runner_role.poll(&mut link, policy)? == Poll::Again;
+        is_moving |= runner_role.poll(&mut link, policy)?.is_progress();
         if !is_moving {
             pause(polled)?;
         }

@@ -223,7 +223,8 @@ impl AllocatorRole {
             link.ring(Role::Runner)?;
             link.ring(Role::World)?;
         }
-        Ok(Poll::Again)
+        // Who leads is told when the allocation is on its way.
+        Ok(if self.is_leadership_news { Poll::Again } else { Poll::Answered })
     }
 
     /// Nothing to allocate: tells who leads if that changed, and now and then that it is there.

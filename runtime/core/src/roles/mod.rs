@@ -23,6 +23,8 @@ pub use world::{TickReport, WorldError, WorldObserver, WorldOptions, WorldRole};
 pub enum Poll {
     /// Something was done; poll again.
     Again,
+    /// A message was answered, and others were rung for it: nothing more to do before the next ring.
+    Answered,
     /// Nothing to do before a ring, or before this time.
     Wait {
         /// Time of the domain's clock; [`u64::MAX`] = only a ring helps.
@@ -30,6 +32,13 @@ pub enum Poll {
     },
     /// The role has ended.
     Ended,
+}
+
+impl Poll {
+    /// Whether something was done, so that others may have something to do.
+    pub fn is_progress(self) -> bool {
+        matches!(self, Self::Again | Self::Answered)
+    }
 }
 
 /// Only a ring helps.

@@ -198,7 +198,7 @@ impl RunnerRole {
             let is_reset = self.count_gaps(&view) && policy.begin_episode();
             let in_force = self.in_force(&view, heuristic);
             let mut answers = Vec::new();
-            self.decide(&view, policy, &in_force, link, &mut answers);
+            self.decide(&view, policy, &in_force, (running_ns, link), &mut answers);
             // One time for all: they are sent together.
             let now = link.now_ns();
             self.presence.works.note(now.saturating_sub(running_ns));
@@ -206,10 +206,11 @@ impl RunnerRole {
                 answer.flags |= if is_reset { ActionMsg::STATE_RESET } else { 0 };
                 self.send(link, answer, now)?;
             }
+            self.pending = false;
             link.ring(Role::World)?;
-        } else {
-            self.pass_over(&view);
+            return Ok(Poll::Answered);
         }
+        self.pass_over(&view);
         self.pending = false;
         Ok(Poll::Again)
     }
@@ -359,10 +360,10 @@ impl RunnerRole {
         view: &FrameView<'_>,
         policy: &mut P,
         in_force: &InForce,
-        clock: &impl Clock,
+        (running_ns, clock): (u64, &impl Clock),
         answers: &mut Vec<ActionMsg, { limits::AGENTS }>,
     ) {
-        let flags = self.flags(view, in_force.freshness, clock.now_ns());
+        let flags = self.flags(view, in_force.freshness, running_ns);
         let subtasks = self.options.subtasks.then(|| subtasks(view, in_force));
         let present = view.present();
         let mut seen: Vec<Observation<'_>, { limits::AGENTS }> = Vec::new();

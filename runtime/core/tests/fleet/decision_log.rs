@@ -84,13 +84,13 @@ fn record(seed: u64, groups: &[u64], step_ns: u64) -> DecisionLog {
     let mut log = DecisionLog::default();
     while log.ticks < TICKS {
         let polled = world.poll(&mut team.world(&mut world_cursor), &mut environment, &mut log);
-        let mut moves = polled.expect("a strict world of a whole team") == Poll::Again;
+        let mut moves = polled.expect("a strict world of a whole team").is_progress();
         let mut rules = ToyAllocator { refuses: false };
         let polled = allocator.poll(&mut team.allocator(&mut allocator_cursor), &mut rules);
-        moves |= polled.expect("the toy refuses nothing") == Poll::Again;
+        moves |= polled.expect("the toy refuses nothing").is_progress();
         for (role, cursor) in &mut runners {
             let polled = role.poll(&mut team.agent(cursor), &mut ToyPolicy);
-            moves |= polled.expect("a direct link") == Poll::Again;
+            moves |= polled.expect("a direct link").is_progress();
         }
         assert!(moves, "the team stands still at tick {}", log.ticks);
     }

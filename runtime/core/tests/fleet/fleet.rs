@@ -353,7 +353,7 @@ impl Fleet {
             }
         }
         match process.poll(&self.setup, &self.network) {
-            Polled::Next(Poll::Again) => {
+            Polled::Next(Poll::Again | Poll::Answered) => {
                 let takes = self.random.between(2, 20) * MICROSECOND;
                 self.plan_wake(pid, takes, Wake::Busy);
             }

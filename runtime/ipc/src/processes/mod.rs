@@ -115,17 +115,22 @@ fn run<P: Process>(process: &mut P, link: &mut P::Link, stop: &Stop) -> Result<(
         // Somebody did not ring, or was not heard.
         let is_missed = unrung.take() == Some(token) && polled != Poll::Wait { until_ns: u64::MAX };
         process.counters_mut().missed_wake_ups += u64::from(is_missed);
-        let until_ns = match polled {
-            Poll::Again => continue,
-            Poll::Ended => return Ok(()),
-            Poll::Wait { until_ns } => until_ns,
-        };
-        // Others are waited for: nobody waits for this.
-        if link.answer_requests(&mut |request| control::answer(process, request)) {
-            continue;
-        }
         let now = link.now_ns();
-        if now.saturating_sub(kept_house_ns) >= HEARTBEAT_NS {
+        let is_due = now.saturating_sub(kept_house_ns) >= HEARTBEAT_NS;
+        let until_ns = match polled {
+            Poll::Ended => return Ok(()),
+            Poll::Again => continue,
+            // Looks once more where nothing is to be answered, for what waits until then.
+            Poll::Answered if is_due => continue,
+            Poll::Answered => u64::MAX,
+            Poll::Wait { until_ns } => {
+                if link.answer_requests(&mut |request| control::answer(process, request)) {
+                    continue;
+                }
+                until_ns
+            }
+        };
+        if is_due {
             link.housekeep();
             process.look_around()?;
             process.counters_mut().context_switches = switches.count().unwrap_or(0);

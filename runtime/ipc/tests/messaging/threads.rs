@@ -30,7 +30,7 @@ fn drive<L: Bell + Clock>(mut link: L, mut poll: impl FnMut(&mut L) -> Poll) {
         let token = link.token();
         match poll(&mut link) {
             Poll::Ended => return,
-            Poll::Again => {}
+            Poll::Again | Poll::Answered => {}
             Poll::Wait { until_ns } => {
                 let until_ns = until_ns.min(link.now_ns() + HEARTBEAT_NS);
                 link.wait_until(token, until_ns);

@@ -144,7 +144,7 @@ pub(super) fn agents_wait_for_the_allocation_until_its_deadline<T: Transport>() 
     assert_eq!(received(&mut team), []);
     let sent = allocation(&team, 1, 1, 1);
     allocate(&mut team, 0, sent);
-    assert_eq!(poll(&mut team, 0, &mut role, &mut probe), Poll::Again);
+    assert_eq!(poll(&mut team, 0, &mut role, &mut probe), Poll::Answered);
     assert_eq!(tasks(&received(&mut team)), [1]);
 }
 
