@@ -31,6 +31,12 @@ use product::{Around, Sparse};
 use rows::Rows;
 use several::{AddRows, PART, Pair, Strip};
 
+/// Heads that are attended to together where a build can.
+pub const HEADS: usize = 4;
+
+/// A vector of one head: two tiles, or one and what is not used.
+pub type Head = [f32; 2 * product::TILE];
+
 /// The kernels of one build and one profile.
 pub trait Kernels: Copy + Int8Kernels {
     /// Marks the values that are not zero, and returns whether all are finite ([`mark::mark`]).
@@ -59,6 +65,22 @@ pub trait Kernels: Copy + Int8Kernels {
 
     /// The weighted sum of rows ([`product::mix`]).
     fn mix(self, weights: &[f32], rows: Rows<'_>, sums: &mut [f32]);
+
+    /// Most rows that [`Self::attend`] takes; none where heads are attended to one by one.
+    const ATTENDED: usize = 0;
+
+    /// What `dots`, `softmax` and `mix` do, for several heads: each head's vector is multiplied with rows that are
+    /// one or two tiles wide, and becomes their weighted sum. Returns false where a score is not finite. Weights
+    /// that are needed `soon` may come near meanwhile.
+    fn attend(
+        self,
+        _heads: &mut [Head; HEADS],
+        _rows: &[f32],
+        _width: usize,
+        _soon: &[f32],
+    ) -> bool {
+        false
+    }
 }
 
 /// The kernels as every processor of the target runs them.
