@@ -26,7 +26,7 @@ use core::marker::PhantomData;
 
 use arithmetic::Arithmetic;
 use int8::Int8Kernels;
-use mark::{Marks, lanes_not_zero};
+use mark::Marks;
 use product::{Around, Sparse};
 use rows::Rows;
 use several::{AddRows, PART, Pair, Strip};
@@ -110,7 +110,7 @@ impl<A> Copy for Portable<A> {}
 
 impl<A: Arithmetic> Kernels for Portable<A> {
     fn mark(self, values: &[f32], marks: &mut [Marks]) -> bool {
-        mark::mark(values, marks, lanes_not_zero)
+        mark::mark(values, marks)
     }
 
     fn product(self, weights: &[f32], inputs: &[f32], around: Around<'_>, outputs: &mut [f32]) {
