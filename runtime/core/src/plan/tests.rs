@@ -299,7 +299,10 @@ fn builds_agree(sizes: Sizes, random: &mut Random) {
     for &profile in profiles() {
         let bytes = plan(sizes, profile, random);
         let plan = Plan::load(bytes.as_slice()).unwrap();
-        let frame = Frame::random(sizes, 5, random);
+        let mut frame = Frame::random(sizes, 5, random);
+        if random.below(4) == 0 {
+            frame.spoil(random);
+        }
         let observations = frame.observations();
         let want = alone(&plan.clone().on(Build::PORTABLE), &observations);
         for build in Build::all() {
