@@ -80,12 +80,12 @@ fn at_most(instructions_per_decision: u64) -> LibraryBenchmarkConfig {
 }
 
 #[library_benchmark]
-#[bench::exact_everything(args = ("exact", Sight::Everything), config = at_most(42_189), setup = scene)]
-#[bench::exact_four(args = ("exact", Sight::Four), config = at_most(30_411), setup = scene)]
-#[bench::fused_everything(args = ("fused", Sight::Everything), config = at_most(31_941), setup = scene)]
+#[bench::exact_everything(args = ("exact", Sight::Everything), config = at_most(39_944), setup = scene)]
+#[bench::exact_four(args = ("exact", Sight::Four), config = at_most(28_953), setup = scene)]
+#[bench::fused_everything(args = ("fused", Sight::Everything), config = at_most(29_816), setup = scene)]
 #[bench::int8_everything(args = ("int8", Sight::Everything), config = at_most(49_220), setup = scene)]
 #[bench::int8_four(args = ("int8", Sight::Four), config = at_most(35_346), setup = scene)]
-#[bench::fused_four(args = ("fused", Sight::Four), config = at_most(22_212), setup = scene)]
+#[bench::fused_four(args = ("fused", Sight::Four), config = at_most(20_797), setup = scene)]
 fn alone(scene: Scene) {
     let Scene { mut policy, observations } = scene;
     for observation in &observations {
@@ -94,8 +94,8 @@ fn alone(scene: Scene) {
 }
 
 #[library_benchmark]
-#[bench::exact(args = ("exact", Sight::Team), config = at_most(46_345), setup = scene)]
-#[bench::fused(args = ("fused", Sight::Team), config = at_most(35_183), setup = scene)]
+#[bench::exact(args = ("exact", Sight::Team), config = at_most(45_998), setup = scene)]
+#[bench::fused(args = ("fused", Sight::Team), config = at_most(34_872), setup = scene)]
 #[bench::int8(args = ("int8", Sight::Team), config = at_most(37_996), setup = scene)]
 fn together(scene: Scene) {
     let Scene { mut policy, observations } = scene;

@@ -1,5 +1,7 @@
 //! Choosing an action from utilities.
 
+use core::hint::select_unpredictable;
+
 use crate::math::exp;
 use crate::policy::{DecideError, Decision};
 
@@ -11,23 +13,29 @@ pub fn masked_argmax(utilities: &[f32], available: &[u16]) -> Result<Decision, D
     if utilities.len() != available.len() {
         return Err(DecideError::BadLength);
     }
-    let mut best: Option<Decision> = None;
-    let mut any = false;
-    for ((action, &utility), &code) in (0..).zip(utilities).zip(available) {
-        if code == 0 {
-            continue;
-        }
-        any = true;
-        let better = match best {
-            Some(best) => utility > best.utility,
-            None => !utility.is_nan(),
-        };
-        if better {
-            best = Some(Decision { action, utility });
-        }
+    let (mut best, mut best_action, mut any) = (NO_NUMBER, 0, false);
+    for (action, (utility, code)) in utilities.iter().zip(available).enumerate() {
+        let order = order(*utility);
+        let better = (*code != 0) & (order > best);
+        best = select_unpredictable(better, order, best);
+        best_action = select_unpredictable(better, action, best_action);
+        any |= *code != 0;
     }
-    let none = if any { DecideError::NonFinite } else { DecideError::NoAvailableAction };
-    best.ok_or(none)
+    match utilities.get(best_action) {
+        Some(&utility) if best > NO_NUMBER => Ok(Decision { action: best_action as u16, utility }),
+        _ if any => Err(DecideError::NonFinite),
+        _ => Err(DecideError::NoAvailableAction),
+    }
+}
+
+/// The order of NaN: before all numbers.
+const NO_NUMBER: i32 = i32::MIN;
+
+/// An integer that is larger for larger numbers, and the same for both zeros.
+#[inline]
+fn order(number: f32) -> i32 {
+    let bits = (number + 0.0).to_bits() as i32;
+    if number.is_nan() { NO_NUMBER } else { bits ^ (bits >> 31 & i32::MAX) }
 }
 
 /// An action drawn from the softmax of the available actions' logits; `random` is 32 random bits.
@@ -69,6 +77,8 @@ mod tests {
     fn takes_the_lowest_index_on_ties() {
         let choice = masked_argmax(&[1.0, 3.0, 3.0, 2.0], &[1; 4]);
         assert_eq!(choice, Ok(Decision { action: 1, utility: 3.0 }));
+        let choice = masked_argmax(&[-1.0, -0.0, 0.0, f32::NEG_INFINITY], &[1; 4]);
+        assert_eq!(choice, Ok(Decision { action: 1, utility: 0.0 }));
     }
 
     #[test]

@@ -12,11 +12,7 @@ pub const LANES: usize = 8;
 /// Marks the values that are not zero, and returns whether all are finite numbers. Marks are written for whole
 /// groups of 64, as many as there are.
 #[inline(always)]
-pub fn mark(
-    values: &[f32],
-    marks: &mut [Marks],
-    lanes_not_zero: impl Fn(&[f32; LANES]) -> u8,
-) -> bool {
+pub fn mark(values: &[f32], marks: &mut [Marks]) -> bool {
     let mut magnitudes = [0; LANES];
     for (values, marks) in values.chunks(MARKED).zip(marks) {
         let mut bits = 0;
@@ -50,7 +46,7 @@ pub fn mark(
 
 /// A bit for each value that is not zero.
 #[inline(always)]
-pub fn lanes_not_zero(values: &[f32; LANES]) -> u8 {
+fn lanes_not_zero(values: &[f32; LANES]) -> u8 {
     let mut bits = 0;
     for (lane, value) in values.iter().enumerate() {
         bits |= u8::from(*value != 0.0) << lane;
@@ -69,7 +65,7 @@ mod tests {
             let values: std::vec::Vec<f32> =
                 (0..len).map(|i| if i % 3 == 0 { -0.0 } else { i as f32 }).collect();
             let mut marks = vec![[9; 2]; len.div_ceil(64)];
-            assert!(mark(&values, &mut marks, lanes_not_zero));
+            assert!(mark(&values, &mut marks));
             for (index, value) in values.iter().enumerate() {
                 let bit = marks[index / 64][index / 32 % 2] >> (index % 32) & 1;
                 assert_eq!(bit == 1, *value != 0.0, "{index} of {len}");
@@ -81,8 +77,8 @@ mod tests {
 
     #[test]
     fn marks_that_are_missing_are_not_written() {
-        mark(&[1.0; 200], &mut [[0; 2]; 2], lanes_not_zero);
-        mark(&[1.0; 200], &mut [], lanes_not_zero);
+        mark(&[1.0; 200], &mut [[0; 2]; 2]);
+        mark(&[1.0; 200], &mut []);
     }
 
     #[test]
@@ -90,12 +86,12 @@ mod tests {
         for len in [1, 7, 8, 12, 70, 130] {
             let mut marks = [[0; 2]; 3];
             let mut values = vec![f32::MAX; len];
-            assert!(mark(&values, &mut marks, lanes_not_zero));
+            assert!(mark(&values, &mut marks));
             for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
                 for place in 0..len {
                     values.fill(0.5);
                     values[place] = bad;
-                    assert!(!mark(&values, &mut marks, lanes_not_zero), "{bad} at {place}");
+                    assert!(!mark(&values, &mut marks), "{bad} at {place}");
                 }
             }
         }

@@ -26,10 +26,16 @@ use core::marker::PhantomData;
 
 use arithmetic::Arithmetic;
 use int8::Int8Kernels;
-use mark::{Marks, lanes_not_zero};
+use mark::Marks;
 use product::{Around, Sparse};
 use rows::Rows;
 use several::{AddRows, PART, Pair, Strip};
+
+/// Heads that are attended to together where a build can.
+pub const HEADS: usize = 4;
+
+/// A vector of one head: two tiles, or one and what is not used.
+pub type Head = [f32; 2 * product::TILE];
 
 /// The kernels of one build and one profile.
 pub trait Kernels: Copy + Int8Kernels {
@@ -59,6 +65,22 @@ pub trait Kernels: Copy + Int8Kernels {
 
     /// The weighted sum of rows ([`product::mix`]).
     fn mix(self, weights: &[f32], rows: Rows<'_>, sums: &mut [f32]);
+
+    /// Most rows that [`Self::attend`] takes; none where heads are attended to one by one.
+    const ATTENDED: usize = 0;
+
+    /// What `dots`, `softmax` and `mix` do, for several heads: each head's vector is multiplied with rows that are
+    /// one or two tiles wide, and becomes their weighted sum. Returns false where a score is not finite. Weights
+    /// that are needed `soon` may come near meanwhile.
+    fn attend(
+        self,
+        _heads: &mut [Head; HEADS],
+        _rows: &[f32],
+        _width: usize,
+        _soon: &[f32],
+    ) -> bool {
+        false
+    }
 }
 
 /// The kernels as every processor of the target runs them.
@@ -88,7 +110,7 @@ impl<A> Copy for Portable<A> {}
 
 impl<A: Arithmetic> Kernels for Portable<A> {
     fn mark(self, values: &[f32], marks: &mut [Marks]) -> bool {
-        mark::mark(values, marks, lanes_not_zero)
+        mark::mark(values, marks)
     }
 
     fn product(self, weights: &[f32], inputs: &[f32], around: Around<'_>, outputs: &mut [f32]) {

@@ -192,9 +192,9 @@ impl<const WIDTH: usize> Tile<'_, '_, WIDTH> {
     fn add_all<A: Arithmetic>(self, inputs: &[f32]) {
         let mut sums = self.start;
         // Several a turn, so that counting does not cost a fifth of it.
-        let (four_inputs, last_inputs) = inputs.as_chunks::<4>();
-        let (four_rows, last_rows) = self.rows.as_chunks::<4>();
-        for (inputs, rows) in four_inputs.iter().zip(four_rows) {
+        let (eight_inputs, last_inputs) = inputs.as_chunks::<8>();
+        let (eight_rows, last_rows) = self.rows.as_chunks::<8>();
+        for (inputs, rows) in eight_inputs.iter().zip(eight_rows) {
             for (input, row) in inputs.iter().zip(rows) {
                 add_row::<A, WIDTH>(&mut sums, *input, row);
             }
@@ -254,7 +254,7 @@ pub(super) fn finished<const WIDTH: usize>(
 mod tests {
     use super::*;
     use crate::kernels::arithmetic::Exact;
-    use crate::kernels::mark::{lanes_not_zero, mark};
+    use crate::kernels::mark::mark;
     use std::vec;
     use std::vec::Vec;
 
@@ -315,7 +315,7 @@ mod tests {
             let bias = vec![0.25; outputs];
             let around = Around { bias: Some(&bias), relu: true };
             let mut marks = vec![[0; 2]; inputs.div_ceil(64)];
-            mark(&values, &mut marks, lanes_not_zero);
+            mark(&values, &mut marks);
             let sparse_inputs = Sparse { values: &values, marks: &marks, one: None, count: inputs };
             product::<Exact>(&weights, &values, around, &mut dense);
             sparse_product::<Exact>(&weights, sparse_inputs, around, &mut sparse);

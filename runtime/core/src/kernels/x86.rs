@@ -3,13 +3,13 @@
 //! Both are the portable code, compiled once more. Only what the compiler does not find by itself is written with
 //! intrinsics, in [`wide`] and [`wider`].
 
+mod heads;
 mod sparse;
 mod wide;
 mod wider;
 
 use core::marker::PhantomData;
 
-use super::Kernels;
 use super::arithmetic::Arithmetic;
 use super::build::Work;
 use super::dot;
@@ -18,6 +18,7 @@ use super::product::{self, Around, Sparse};
 use super::rows::Rows;
 use super::several::{self, AddRows, PART, Pair, Strip};
 use super::softmax;
+use super::{HEADS, Head, Kernels};
 
 /// The rows of a strip, each with its inputs.
 struct StripRows<'w, const PARTS: usize, const COUNT: usize> {
@@ -66,7 +67,7 @@ impl<'w, const PARTS: usize, const COUNT: usize> Iterator for StripRows<'w, PART
 
 /// Builds all kernels for an instruction set.
 macro_rules! build {
-    ($(#[$doc:meta])* $name:ident, $module:ident, $vectors:ident, $features:literal) => {
+    ($(#[$doc:meta])* $name:ident, $module:ident, $vectors:ident, $features:literal $(, $heads:ident)?) => {
         $(#[$doc])*
         #[derive(Debug)]
         pub(super) struct $name<A>(PhantomData<A>);
@@ -149,6 +150,21 @@ macro_rules! build {
             fn mix(self, weights: &[f32], rows: Rows<'_>, sums: &mut [f32]) {
                 unsafe { $module::mix::<A>(weights, rows, sums) }
             }
+
+            $(
+            const ATTENDED: usize = $heads::ATTENDED;
+
+            #[inline]
+            fn attend(
+                self,
+                heads: &mut [Head; HEADS],
+                rows: &[f32],
+                width: usize,
+                soon: &[f32],
+            ) -> bool {
+                unsafe { $heads::attend::<A>(heads, rows, width, soon) }
+            }
+            )?
         }
 
         // SAFETY: as above.
@@ -236,5 +252,6 @@ build! {
 build! {
     /// The kernels for processors that also have AVX-512 and its instruction for integer networks.
     Avx512, avx512, wider,
-    "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl,avx512vnni"
+    "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl,avx512vnni",
+    heads
 }

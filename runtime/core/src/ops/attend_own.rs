@@ -6,10 +6,10 @@ use serde::{Deserialize, Serialize};
 
 use super::team::{Member, Team};
 use super::{Linear, Place, Scratch, Sizes, places, slice};
-use crate::kernels::Kernels;
-use crate::kernels::product::{Around, Sparse, padded};
+use crate::kernels::product::{Around, Sparse, TILE, padded};
 use crate::kernels::rows::Rows;
 use crate::kernels::softmax::slots;
+use crate::kernels::{HEADS, Head, Kernels};
 use crate::policy::DecideError;
 
 /// Attention over the embedded rows, rewritten for a single query (dissertation section 2.3).
@@ -104,9 +104,9 @@ impl AttendOwn {
     }
 
     #[inline(always)]
-    pub(super) fn run(
+    pub(super) fn run<K: Kernels>(
         &self,
-        kernels: impl Kernels,
+        kernels: K,
         weights: &[f32],
         scratch: &mut Scratch<'_>,
     ) -> Result<(), DecideError> {
@@ -116,14 +116,37 @@ impl AttendOwn {
         }
         let [rows, query, absorbed, scores, mixed, attended, to] =
             places(scratch.floats, self.places().each_ref())?;
-        let rows = Rows::first(rows, self.padded_width(), visible);
-        let heads = usize::from(self.heads);
+        if visible == 0 {
+            attended.fill(0.0);
+        } else if visible > 1 && visible <= K::ATTENDED && self.has_heads_together() {
+            let rows = rows.get(..visible * self.padded_width()).ok_or(DecideError::BadLength)?;
+            self.heads_together(kernels, weights, rows, query, attended)?;
+        } else {
+            let rows = Rows::first(rows, self.padded_width(), visible);
+            self.heads_one_by_one(
+                kernels,
+                weights,
+                rows,
+                [query, absorbed, scores, mixed, attended],
+            )?;
+        }
+        let around = self.output.around(weights, self.relu)?;
+        kernels.product(self.output.matrix(weights)?, attended, around, to);
+        Ok(())
+    }
+
+    /// Computes o of all heads.
+    #[inline(always)]
+    fn heads_one_by_one(
+        &self,
+        kernels: impl Kernels,
+        weights: &[f32],
+        rows: Rows<'_>,
+        [query, absorbed, scores, mixed, attended]: [&mut [f32]; 5],
+    ) -> Result<(), DecideError> {
+        let (visible, heads) = (rows.slots.len(), usize::from(self.heads));
         let outputs = attended.chunks_exact_mut(padded(self.head_width()));
         for (head, output) in (0..heads).zip(outputs) {
-            if visible == 0 {
-                output.fill(0.0);
-                continue;
-            }
             if head == 0 && visible > 1 {
                 self.absorb(kernels, weights, head, query, absorbed)?;
             }
@@ -133,11 +156,59 @@ impl AttendOwn {
                 self.absorb(kernels, weights, head + 1, query, absorbed)?;
             }
             kernels.mix(scores, rows, mixed);
-            let mixed = mixed.get(..usize::from(self.width)).ok_or(DecideError::BadLength)?;
-            kernels.product(self.values(weights, head)?, mixed, Around::NOTHING, output);
+            self.look_up(kernels, weights, head, mixed, output)?;
         }
-        let around = self.output.around(weights, self.relu)?;
-        kernels.product(self.output.matrix(weights)?, attended, around, to);
+        Ok(())
+    }
+
+    /// Whether heads and widths are such that [`Kernels::attend`] takes them.
+    fn has_heads_together(&self) -> bool {
+        usize::from(self.heads).is_multiple_of(HEADS)
+            && [TILE, 2 * TILE].contains(&self.padded_width())
+    }
+
+    /// As [`Self::heads_one_by_one`] for several at once, with their vectors on the stack: a plan has room for one.
+    #[inline(always)]
+    fn heads_together(
+        &self,
+        kernels: impl Kernels,
+        weights: &[f32],
+        rows: &[f32],
+        query: &[f32],
+        attended: &mut [f32],
+    ) -> Result<(), DecideError> {
+        let width = self.padded_width();
+        let mut outputs = attended.chunks_exact_mut(padded(self.head_width()));
+        for first in (0..usize::from(self.heads)).step_by(HEADS) {
+            let mut vectors: [Head; HEADS] = [[0.0; _]; HEADS];
+            for (head, absorbed) in (first..).zip(&mut vectors) {
+                let absorbed = absorbed.get_mut(..width).ok_or(DecideError::BadLength)?;
+                self.absorb(kernels, weights, head, query, absorbed)?;
+            }
+            let soon = self.values as usize + first * self.values_len();
+            let soon = weights.get(soon..).ok_or(DecideError::BadLength)?;
+            if !kernels.attend(&mut vectors, rows, width, soon) {
+                return Err(DecideError::NonFinite);
+            }
+            for ((head, mixed), output) in (first..).zip(&vectors).zip(&mut outputs) {
+                self.look_up(kernels, weights, head, mixed, output)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Computes o of one head.
+    #[inline(always)]
+    fn look_up(
+        &self,
+        kernels: impl Kernels,
+        weights: &[f32],
+        head: usize,
+        mixed: &[f32],
+        output: &mut [f32],
+    ) -> Result<(), DecideError> {
+        let mixed = mixed.get(..usize::from(self.width)).ok_or(DecideError::BadLength)?;
+        kernels.product(self.values(weights, head)?, mixed, Around::NOTHING, output);
         Ok(())
     }
 

@@ -288,18 +288,28 @@ fn every_build_gives_the_same_bits() {
     let mut random = Random(1);
     for _ in 0..40 {
         let sizes = Sizes::random(&mut random);
-        for &profile in profiles() {
-            let bytes = plan(sizes, profile, &mut random);
-            let plan = Plan::load(bytes.as_slice()).unwrap();
-            let frame = Frame::random(sizes, 5, &mut random);
-            let observations = frame.observations();
-            let want = alone(&plan.clone().on(Build::PORTABLE), &observations);
-            for build in Build::all() {
-                let plan = plan.clone().on(build);
-                assert_eq!(alone(&plan, &observations), want, "{build:?} {profile:?} {sizes:?}");
-                let got = together(&plan, &observations, 5);
-                assert_eq!(got, want, "team, {build:?} {profile:?} {sizes:?}");
-            }
+        builds_agree(sizes, &mut random);
+        // Of these a build may attend with several heads at once.
+        let (width, heads) = (64 * (1 + random.below(2)), 4 * (1 + random.below(2)));
+        builds_agree(Sizes { width, heads, ..sizes }, &mut random);
+    }
+}
+
+fn builds_agree(sizes: Sizes, random: &mut Random) {
+    for &profile in profiles() {
+        let bytes = plan(sizes, profile, random);
+        let plan = Plan::load(bytes.as_slice()).unwrap();
+        let mut frame = Frame::random(sizes, 5, random);
+        if random.below(4) == 0 {
+            frame.spoil(random);
+        }
+        let observations = frame.observations();
+        let want = alone(&plan.clone().on(Build::PORTABLE), &observations);
+        for build in Build::all() {
+            let plan = plan.clone().on(build);
+            assert_eq!(alone(&plan, &observations), want, "{build:?} {profile:?} {sizes:?}");
+            let got = together(&plan, &observations, 5);
+            assert_eq!(got, want, "team, {build:?} {profile:?} {sizes:?}");
         }
     }
 }

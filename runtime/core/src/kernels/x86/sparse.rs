@@ -32,6 +32,8 @@ impl<'w, 'o> Rest<'w, 'o> {
 /// of them hold.
 macro_rules! sparse_product {
     ($(#[$doc:meta])* $vector:ty, $spread:ident, $load:ident, $tiles:literal, $features:literal) => {
+        use core::arch::x86_64::_bzhi_u64;
+
         use $crate::kernels::mark::MARKED;
         use $crate::kernels::product::{self, Around, Sparse, TILE, finished};
 
@@ -81,16 +83,17 @@ macro_rules! sparse_product {
                 return sums;
             }
             // Checked here and not for each row: the loop is short beside its branches.
-            let groups = (0..).step_by(MARKED).zip(values.chunks(MARKED));
-            for ((first, group), [low, high]) in groups.zip(inputs.marks) {
-                let existing = u64::MAX >> (MARKED - group.len());
-                let mut marks = (u64::from(*low) | u64::from(*high) << 32) & existing;
+            let mut first = 0;
+            for [low, high] in inputs.marks {
+                let Some(left) = values.len().checked_sub(first) else { break };
+                let mut marks = _bzhi_u64(u64::from(*low) | u64::from(*high) << 32, left.min(MARKED) as u32);
                 while marks != 0 {
                     let index: usize = first + marks.trailing_zeros() as usize;
                     marks &= marks - 1;
                     // SAFETY: the mark is of a value that exists, and there are at least as many rows.
                     unsafe { add_row::<A, SUMS>(&mut sums, values.get_unchecked(index), tiles, index, count) };
                 }
+                first += MARKED;
             }
             if let Some(index) = inputs.one.filter(|index| *index < count) {
                 // SAFETY: there are `count` rows.

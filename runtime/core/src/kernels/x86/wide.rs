@@ -1,7 +1,7 @@
 //! What is written by hand for AVX2: vectors of eight floats.
 
 use core::arch::x86_64::{
-    __m128, __m256, _CMP_NEQ_UQ, _mm_add_ps, _mm_cvtss_f32, _mm_max_ps, _mm_max_ss,
+    __m128, __m256, _CMP_NEQ_UQ, _CMP_UNORD_Q, _mm_add_ps, _mm_cvtss_f32, _mm_max_ps, _mm_max_ss,
     _mm_movehdup_ps, _mm_movehl_ps, _mm256_add_ps, _mm256_castps256_ps128, _mm256_cmp_ps,
     _mm256_extractf128_ps, _mm256_fmadd_ps, _mm256_hadd_ps, _mm256_loadu_ps, _mm256_max_ps,
     _mm256_movemask_ps, _mm256_mul_ps, _mm256_set1_ps, _mm256_setzero_ps,
@@ -12,25 +12,50 @@ use zerocopy::transmute;
 use super::{StripRows, sparse};
 use crate::kernels::arithmetic::Arithmetic;
 use crate::kernels::dot::ROWS;
-use crate::kernels::mark::{self, LANES, Marks};
+use crate::kernels::mark::{LANES, Marks};
 use crate::kernels::several::{PART, Strip};
 
 /// Vectors of a part.
 const VECTORS: usize = PART / LANES;
 
-/// See [`mark::mark`].
+/// See [`crate::kernels::mark::mark`].
 #[inline]
 #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
 pub(super) fn mark(values: &[f32], marks: &mut [Marks]) -> bool {
-    mark::mark(values, marks, |lanes| lanes_not_zero(lanes))
-}
-
-/// A bit for each value that is not zero.
-#[inline]
-#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
-fn lanes_not_zero(values: &[f32; LANES]) -> u8 {
-    let values: __m256 = transmute!(*values);
-    _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_NEQ_UQ>(values, _mm256_setzero_ps())) as u8
+    let zero = _mm256_setzero_ps();
+    let not_zero = |lanes| {
+        let bits = _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_NEQ_UQ>(lanes, zero));
+        u64::from(bits as u32)
+    };
+    // Stay zeros while all values are finite numbers: zero times any other is none.
+    let mut zeros = zero;
+    for (values, marks) in values.chunks(MARKED).zip(marks) {
+        let mut bits = 0;
+        let (chunks, rest) = values.as_chunks();
+        for (lanes, first) in chunks.iter().zip((0..).step_by(LANES)) {
+            let lanes = load(lanes);
+            bits |= not_zero(lanes) << first;
+            zeros = _mm256_fmadd_ps(lanes, zero, zeros);
+        }
+        if !rest.is_empty() {
+            let mut few = [0.0; LANES];
+            let (lanes, first) = match values.last_chunk() {
+                // Comparing some of them once more changes nothing.
+                Some(lanes) => (lanes, values.len() - LANES),
+                None => {
+                    for (lane, value) in few.iter_mut().zip(rest) {
+                        *lane = *value;
+                    }
+                    (&few, 0)
+                }
+            };
+            let lanes = load(lanes);
+            bits |= not_zero(lanes) << first;
+            zeros = _mm256_fmadd_ps(lanes, zero, zeros);
+        }
+        *marks = [bits as u32, (bits >> 32) as u32];
+    }
+    _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_UNORD_Q>(zeros, zeros)) == 0
 }
 
 #[inline]

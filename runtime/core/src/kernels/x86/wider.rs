@@ -14,12 +14,13 @@ use crate::kernels::dot::{LANES, ROWS};
 use crate::kernels::mark::Marks;
 use crate::kernels::several::{PART, Strip};
 
+/// Classes of numbers: either NaN, either infinity.
+pub(super) const NOT_FINITE: i32 = 0x01 | 0x08 | 0x10 | 0x80;
+
 /// See [`crate::kernels::mark::mark`].
 #[inline]
 #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
 pub(super) fn mark(values: &[f32], marks: &mut [Marks]) -> bool {
-    /// Either NaN, either infinity.
-    const NOT_FINITE: i32 = 0x01 | 0x08 | 0x10 | 0x80;
     let mut not_finite = 0;
     for (values, marks) in values.chunks(MARKED).zip(marks) {
         let mut bits = 0;
@@ -39,18 +40,18 @@ pub(super) fn mark(values: &[f32], marks: &mut [Marks]) -> bool {
 
 #[inline]
 #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
-fn load(lanes: &[f32; LANES]) -> __m512 {
+pub(super) fn load(lanes: &[f32; LANES]) -> __m512 {
     transmute!(*lanes)
 }
 
 #[inline]
 #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
-fn multiply_add<A: Arithmetic>(sum: __m512, a: __m512, b: __m512) -> __m512 {
+pub(super) fn multiply_add<A: Arithmetic>(sum: __m512, a: __m512, b: __m512) -> __m512 {
     if A::FUSED { _mm512_fmadd_ps(a, b, sum) } else { _mm512_add_ps(sum, _mm512_mul_ps(a, b)) }
 }
 
 #[inline(always)]
-fn lanes_of(values: &[f32]) -> &[[f32; LANES]] {
+pub(super) fn lanes_of(values: &[f32]) -> &[[f32; LANES]] {
     values.as_chunks().0
 }
 
@@ -72,6 +73,13 @@ pub(super) fn four_dots<A: Arithmetic>(vector: &[f32], rows: [&[f32]; ROWS]) -> 
             *sum = multiply_add::<A>(*sum, vector, load(row));
         }
     }
+    join(sums)
+}
+
+/// [`crate::kernels::dot::join`] of four sums at once.
+#[inline]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
+pub(super) fn join(sums: [__m512; ROWS]) -> [f32; ROWS] {
     let [a, b, c, d] = sums;
     let low = [
         _mm512_castps512_ps256(a),

@@ -1,0 +1,160 @@
+//! Attention of several heads at once for AVX-512: rows are loaded once for all of them, no head waits for another,
+//! and weights that are needed next come near meanwhile.
+
+use core::arch::x86_64::{
+    __m512, _MM_HINT_T0, _mm_prefetch, _mm512_fpclass_ps_mask, _mm512_mask_blend_ps,
+    _mm512_mask_broadcast_f32x4, _mm512_maskz_mov_ps, _mm512_mul_ps, _mm512_reduce_max_ps,
+    _mm512_set1_ps, _mm512_setzero_ps, _mm512_sub_ps,
+};
+
+use zerocopy::transmute;
+
+use super::wider::{NOT_FINITE, join, lanes_of, load, multiply_add};
+use crate::kernels::arithmetic::Arithmetic;
+use crate::kernels::dot::{LANES, ROWS};
+use crate::kernels::product::TILE;
+use crate::kernels::{HEADS, Head};
+use crate::math::exp;
+
+/// Vectors of a tile.
+const VECTORS: usize = TILE / LANES;
+
+/// Rows that are attended to: their scores fit into one vector.
+pub(super) const ATTENDED: usize = LANES;
+
+/// See [`crate::kernels::Kernels::attend`].
+#[inline(never)]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
+pub(super) fn attend<A: Arithmetic>(
+    heads: &mut [Head; HEADS],
+    rows: &[f32],
+    width: usize,
+    soon: &[f32],
+) -> bool {
+    let mut soon = Soon(soon);
+    let width = width.max(TILE);
+    let mut scores = [_mm512_setzero_ps(); HEADS];
+    for (rows, places) in rows.chunks(ROWS * width).zip([0xf, 0xf0, 0xf00, 0xf000]) {
+        let mut rows = rows.chunks_exact(width);
+        // Where rows end, the first one stands for those that are missing.
+        let Some(row) = rows.next() else { break };
+        let rows = [
+            row,
+            rows.next().unwrap_or(row),
+            rows.next().unwrap_or(row),
+            rows.next().unwrap_or(row),
+        ];
+        let sums = dots::<A>(heads, rows, &mut soon);
+        for (scores, sums) in scores.iter_mut().zip(sums) {
+            *scores = _mm512_mask_broadcast_f32x4(*scores, places, transmute!(join(sums)));
+        }
+    }
+    let count = (rows.len() / width).min(ATTENDED);
+    let finite =
+        softmax(&mut scores, (u32::from(u16::MAX) >> (ATTENDED - count)) as u16, &mut soon);
+    let [a, b, c, d] = scores;
+    let weights = [transmute!(a), transmute!(b), transmute!(c), transmute!(d)];
+    for tile in 0..width / TILE {
+        mix::<A>(heads, &weights, rows.chunks_exact(width), tile, &mut soon);
+    }
+    finite
+}
+
+/// Sums of which each is [`join`]ed to the dot product of a head and a row.
+#[inline]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
+fn dots<A: Arithmetic>(
+    heads: &[Head; HEADS],
+    rows: [&[f32]; ROWS],
+    soon: &mut Soon<'_>,
+) -> [[__m512; ROWS]; HEADS] {
+    let [h0, h1, h2, h3] = heads;
+    let [h0, h1, h2, h3] = [lanes_of(h0), lanes_of(h1), lanes_of(h2), lanes_of(h3)];
+    let [r0, r1, r2, r3] = rows;
+    let [r0, r1, r2, r3] = [lanes_of(r0), lanes_of(r1), lanes_of(r2), lanes_of(r3)];
+    let heads = h0.iter().zip(h1).zip(h2).zip(h3);
+    let rows = r0.iter().zip(r1).zip(r2).zip(r3);
+    let mut sums = [[_mm512_setzero_ps(); ROWS]; HEADS];
+    for ((((h0, h1), h2), h3), (((r0, r1), r2), r3)) in heads.zip(rows) {
+        soon.fetch::<6>();
+        let rows = [load(r0), load(r1), load(r2), load(r3)];
+        for (sums, head) in sums.iter_mut().zip([h0, h1, h2, h3]) {
+            let head = load(head);
+            for (sum, row) in sums.iter_mut().zip(rows) {
+                *sum = multiply_add::<A>(*sum, head, row);
+            }
+        }
+    }
+    sums
+}
+
+/// See [`crate::kernels::softmax::softmax`]; `exist` has a bit for every score.
+#[inline]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
+fn softmax(scores: &mut [__m512; HEADS], exist: u16, soon: &mut Soon<'_>) -> bool {
+    let mut not_finite = 0;
+    for scores in scores.iter_mut() {
+        soon.fetch::<16>();
+        *scores = _mm512_mask_blend_ps(exist, _mm512_set1_ps(f32::MIN), *scores);
+        not_finite |= _mm512_fpclass_ps_mask::<{ NOT_FINITE }>(*scores);
+        let largest = _mm512_set1_ps(_mm512_reduce_max_ps(*scores));
+        let mut lanes: [f32; LANES] = transmute!(_mm512_sub_ps(*scores, largest));
+        for lane in &mut lanes {
+            *lane = exp(*lane);
+        }
+        *scores = _mm512_maskz_mov_ps(exist, load(&lanes));
+    }
+    let sums = join(*scores);
+    for (scores, sum) in scores.iter_mut().zip(sums) {
+        *scores = _mm512_mul_ps(*scores, _mm512_set1_ps(1.0 / sum));
+    }
+    not_finite == 0
+}
+
+/// Writes the weighted sums of a tile's columns over those of the heads.
+#[inline]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
+fn mix<'r, A: Arithmetic>(
+    heads: &mut [Head; HEADS],
+    weights: &[[f32; LANES]; HEADS],
+    rows: impl Iterator<Item = &'r [f32]>,
+    tile: usize,
+    soon: &mut Soon<'_>,
+) {
+    let mut sums = [[_mm512_setzero_ps(); VECTORS]; HEADS];
+    let [w0, w1, w2, w3] = weights;
+    for (row, (((w0, w1), w2), w3)) in rows.zip(w0.iter().zip(w1).zip(w2).zip(w3)) {
+        let Some(columns) = row.as_chunks::<TILE>().0.get(tile) else { return };
+        soon.fetch::<6>();
+        let columns: [__m512; VECTORS] = transmute!(*columns);
+        for (sums, weight) in sums.iter_mut().zip([w0, w1, w2, w3]) {
+            let weight = _mm512_set1_ps(*weight);
+            for (sum, columns) in sums.iter_mut().zip(columns) {
+                *sum = multiply_add::<A>(*sum, weight, columns);
+            }
+        }
+    }
+    for (head, sums) in heads.iter_mut().zip(sums) {
+        let sums: [f32; TILE] = transmute!(sums);
+        if let Some(columns) = head.as_chunks_mut().0.get_mut(tile) {
+            *columns = sums;
+        }
+    }
+}
+
+/// Weights that are needed soon: the second cache, where they are, has nothing to do while heads are attended to.
+struct Soon<'w>(&'w [f32]);
+
+impl Soon<'_> {
+    /// Brings the next cache lines near, about as many as arrive until the next call.
+    #[inline(always)]
+    #[allow(unsafe_code)]
+    fn fetch<const LINES: usize>(&mut self) {
+        const LINE: usize = 64 / size_of::<f32>();
+        let Some(lines) = self.0.split_off(..LINES * LINE) else { return };
+        for line in lines.as_chunks::<LINE>().0 {
+            // SAFETY: every processor with AVX-512 has the instruction, which changes nothing but caches.
+            unsafe { _mm_prefetch::<_MM_HINT_T0>(line.as_ptr().cast()) };
+        }
+    }
+}
