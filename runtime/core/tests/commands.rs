@@ -176,7 +176,7 @@ impl Stage {
                 Poll::Wait { until_ns: u64::MAX } | Poll::Ended => return polled,
                 _ if self.watch.ticks.len() >= enough => return polled,
                 Poll::Wait { until_ns } => self.clock.0.set(until_ns),
-                Poll::Again => {}
+                Poll::Again | Poll::Answered => {}
             }
         }
     }

@@ -3,7 +3,7 @@
 use std::cell::Cell;
 
 use sortie_core::link::{Clock, Direct, DirectCursor, FrameBlock};
-use sortie_core::roles::{Poll, TickReport, WorldObserver, WorldOptions, WorldRole};
+use sortie_core::roles::{TickReport, WorldObserver, WorldOptions, WorldRole};
 use sortie_core::wire::FrameLayout;
 
 use crate::process;
