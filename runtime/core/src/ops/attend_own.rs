@@ -265,7 +265,7 @@ pub(super) fn attend(
 
 /// The weights of rows in one head.
 #[inline(always)]
-pub(super) fn weigh<'s>(
+fn weigh<'s>(
     kernels: impl Kernels,
     rows: Rows<'_>,
     absorbed: &[f32],

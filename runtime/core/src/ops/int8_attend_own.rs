@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::attend_own::{attend, weigh};
+use super::attend_own::attend;
 use super::int8_layer::{
     Between, From, Int8Layer, Int8Shape, product, quantised_floats, team_products,
 };
@@ -143,24 +143,16 @@ impl Int8AttendOwn {
         }
         let rows = Rows::first(rows, self.padded_width(), visible);
         let head_width = self.head_width().max(1);
-        let mut queries = (0..).zip(query.chunks_exact(head_width));
-        // Writes u of the next head, if a score is asked for.
-        let mut absorb = |absorbed: &mut [f32], quantised: &mut [f32]| match queries.next() {
-            Some((head, query)) if visible > 1 => {
-                product(kernels, &self.keys(weights, head)?, query, quantised, absorbed)
-            }
-            _ => Ok(()),
-        };
-        absorb(absorbed, quantised)?;
-        for (head, output) in (0..self.heads).zip(attended.chunks_exact_mut(head_width)) {
+        let heads = query.chunks_exact(head_width).zip(attended.chunks_exact_mut(head_width));
+        for (head, (query, output)) in (0..self.heads).zip(heads) {
             if visible == 0 {
                 output.fill(0.0);
                 continue;
             }
-            let scores = weigh(kernels, rows, absorbed, scores)?;
-            // Before the weights are used: while they are waited for, matrices of the next head are read.
-            absorb(absorbed, quantised)?;
-            kernels.mix(scores, rows, mixed);
+            if visible > 1 {
+                product(kernels, &self.keys(weights, head)?, query, quantised, absorbed)?;
+            }
+            attend(kernels, rows, absorbed, scores, mixed)?;
             let mixed = mixed.get(..width).ok_or(DecideError::BadLength)?;
             product(kernels, &self.values(weights, head)?, mixed, quantised, output)?;
         }
