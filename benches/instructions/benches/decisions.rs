@@ -1,6 +1,7 @@
 //! Instructions of decisions under Callgrind: the same for the same program, whatever else the machine does.
 //!
-//! Counted are 60 decisions on observations of the bundle's golden answers. Callgrind knows AVX2 but not AVX-512.
+//! Counted are 60 decisions on observations of the bundle's golden answers. Callgrind knows AVX2 but not AVX-512. Plans
+//! decide, not policies, which look at the clock: under Callgrind every decision comes after a long pause.
 
 use std::hint::black_box;
 use std::path::Path;
@@ -8,9 +9,8 @@ use std::path::Path;
 use gungraun::prelude::*;
 use gungraun::{Callgrind, EventKind};
 use sortie_bundle::{Bundle, OwnedObservation};
-use sortie_core::decide::PlanPolicy;
 use sortie_core::plan::{AlignedBytes, Plan};
-use sortie_core::{DecideError, Decision, EntityMask, Observation, Policy};
+use sortie_core::{DecideError, Decision, EntityMask, Observation};
 
 /// Variables that name the bundle's folder, and that of its plans `exact.plan` and so on.
 const BUNDLE: &str = "SORTIE_BUNDLE";
@@ -23,7 +23,8 @@ const TEAM: usize = 5;
 
 /// A plan that is loaded, and what it decides on: nothing of this is counted.
 struct Scene {
-    policy: PlanPolicy<'static>,
+    plan: Plan<'static>,
+    arena: AlignedBytes,
     observations: Vec<Observation<'static>>,
 }
 
@@ -45,11 +46,11 @@ fn scene(profile: &str, sight: Sight) -> Scene {
     let plan = Box::leak(Box::new(AlignedBytes::copy_of(&std::fs::read(plan).expect("a plan"))));
     let plan = Plan::load(plan.as_slice()).expect("a plan of this version");
     let arena = AlignedBytes::zeroed(plan.batch_arena_bytes(TEAM));
-    let policy = PlanPolicy::new(plan, Box::leak(Box::new(arena)).as_mut_slice());
     let seen = Vec::leak(seen(&bundle, sight));
     assert!(!seen.is_empty(), "golden answers with frames of {ENTITIES} entities");
     Scene {
-        policy: policy.expect("enough arena"),
+        plan,
+        arena,
         observations: seen.iter().cycle().take(DECISIONS).map(OwnedObservation::view).collect(),
     }
 }
@@ -87,9 +88,9 @@ fn at_most(instructions_per_decision: u64) -> LibraryBenchmarkConfig {
 #[bench::int8_four(args = ("int8", Sight::Four), config = at_most(35_346), setup = scene)]
 #[bench::fused_four(args = ("fused", Sight::Four), config = at_most(20_797), setup = scene)]
 fn alone(scene: Scene) {
-    let Scene { mut policy, observations } = scene;
+    let Scene { plan, mut arena, observations } = scene;
     for observation in &observations {
-        let _ = black_box(policy.decide(observation));
+        let _ = black_box(plan.decide(arena.as_mut_slice(), observation, None));
     }
 }
 
@@ -98,10 +99,10 @@ fn alone(scene: Scene) {
 #[bench::fused(args = ("fused", Sight::Team), config = at_most(34_872), setup = scene)]
 #[bench::int8(args = ("int8", Sight::Team), config = at_most(37_996), setup = scene)]
 fn together(scene: Scene) {
-    let Scene { mut policy, observations } = scene;
+    let Scene { plan, mut arena, observations } = scene;
     let mut decisions: [Result<Decision, DecideError>; TEAM] = [Err(DecideError::BadLength); TEAM];
     for frame in observations.iter().take(DECISIONS / TEAM) {
-        policy.decide_batch(&team(*frame), &mut decisions);
+        plan.decide_batch(arena.as_mut_slice(), &team(*frame), &mut decisions);
         let _ = black_box(&decisions);
     }
 }

@@ -1,7 +1,8 @@
 //! Policies that execute a plan.
 
+use crate::kernels::pause::Pause;
 use crate::ops::{AllOperators, OperatorSet};
-use crate::plan::{Network, Plan, PlanError};
+use crate::plan::{Network, Plan, PlanError, Profile};
 use crate::policy::{DecideError, Decision, Observation, Policy};
 
 /// A policy over a plan and an arena that the caller gives.
@@ -9,6 +10,7 @@ use crate::policy::{DecideError, Decision, Observation, Policy};
 pub struct PlanPolicy<'a, S: OperatorSet = AllOperators> {
     plan: Plan<'a, S>,
     arena: &'a mut [u8],
+    pause: Pause,
 }
 
 impl<'a, S: OperatorSet> PlanPolicy<'a, S> {
@@ -17,7 +19,17 @@ impl<'a, S: OperatorSet> PlanPolicy<'a, S> {
     pub fn new(plan: Plan<'a, S>, arena: &'a mut [u8]) -> Result<Self, PlanError> {
         plan.check_network(Network::Agent)?;
         plan.check_arena(arena)?;
-        Ok(Self { plan, arena })
+        Ok(Self { plan, arena, pause: Pause::default() })
+    }
+
+    /// A decision begins: the plan, and its arena.
+    fn begin(&mut self) -> (&Plan<'a, S>, &mut [u8]) {
+        // Weights of one byte lie in many short pieces, which loops would wait for one after the other. Those of f32 are
+        // asked for ahead by the processor itself.
+        if self.plan.header().profile == Profile::Int8 && self.pause.end() {
+            self.plan.warm();
+        }
+        (&self.plan, self.arena)
     }
 
     /// The plan.
@@ -36,11 +48,13 @@ impl<S: OperatorSet> Policy for PlanPolicy<'_, S> {
         observation: &Observation<'_>,
         utilities: &mut [f32],
     ) -> Result<(), DecideError> {
-        self.plan.utilities(self.arena, observation, None, utilities)
+        let (plan, arena) = self.begin();
+        plan.utilities(arena, observation, None, utilities)
     }
 
     fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
-        self.plan.decide(self.arena, observation, None)
+        let (plan, arena) = self.begin();
+        plan.decide(arena, observation, None)
     }
 
     fn hidden(&self) -> usize {
@@ -53,7 +67,8 @@ impl<S: OperatorSet> Policy for PlanPolicy<'_, S> {
         hidden: &mut [f32],
         utilities: &mut [f32],
     ) -> Result<(), DecideError> {
-        self.plan.utilities(self.arena, observation, Some(hidden), utilities)
+        let (plan, arena) = self.begin();
+        plan.utilities(arena, observation, Some(hidden), utilities)
     }
 
     fn decide_with(
@@ -61,7 +76,8 @@ impl<S: OperatorSet> Policy for PlanPolicy<'_, S> {
         observation: &Observation<'_>,
         hidden: &mut [f32],
     ) -> Result<Decision, DecideError> {
-        self.plan.decide(self.arena, observation, Some(hidden))
+        let (plan, arena) = self.begin();
+        plan.decide(arena, observation, Some(hidden))
     }
 
     fn decide_batch(
@@ -69,7 +85,8 @@ impl<S: OperatorSet> Policy for PlanPolicy<'_, S> {
         observations: &[Observation<'_>],
         decisions: &mut [Result<Decision, DecideError>],
     ) {
-        self.plan.decide_batch(self.arena, observations, decisions);
+        let (plan, arena) = self.begin();
+        plan.decide_batch(arena, observations, decisions);
     }
 
     fn warm(&self) {

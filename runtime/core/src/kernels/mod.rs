@@ -15,6 +15,7 @@ pub mod int8;
 #[cfg(all(feature = "std", target_arch = "x86_64"))]
 mod int8_x86;
 pub mod mark;
+pub(crate) mod pause;
 pub mod product;
 pub mod rows;
 pub mod several;

@@ -20,6 +20,16 @@ use super::several::{self, AddRows, PART, Pair, Strip};
 use super::softmax;
 use super::{HEADS, Head, Kernels};
 
+/// The time, in ticks of the processor's clock: read in a few nanoseconds.
+#[inline]
+pub(super) fn ticks() -> u64 {
+    // SAFETY: every processor of this kind has the instruction.
+    #[allow(unsafe_code)]
+    unsafe {
+        core::arch::x86_64::_rdtsc()
+    }
+}
+
 /// The rows of a strip, each with its inputs.
 struct StripRows<'w, const PARTS: usize, const COUNT: usize> {
     strip: Strip<'w>,
