@@ -1,7 +1,7 @@
 //! The kernels for AVX2 and AVX-512.
 //!
 //! Both are the portable code, compiled once more. Only what the compiler does not find by itself is written with
-//! intrinsics, in [`wide`] and [`wider`].
+//! intrinsics, in [`wide`], [`wider`] and [`heads`].
 
 mod heads;
 mod sparse;

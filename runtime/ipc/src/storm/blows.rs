@@ -22,7 +22,7 @@ const CALM: u32 = 5;
 /// Such ticks before the first blow: ports that send rarely connect at their next heartbeat.
 const FIRST_CALM: u32 = 250;
 /// Ticks at the end in which what the dead left has to be cleaned up.
-const LAST_CALM: u32 = 500;
+const LAST_CALM: u32 = 5_000;
 
 /// A process to kill after a pause.
 struct Blow {

@@ -23,6 +23,7 @@ const VECTORS: usize = TILE / LANES;
 pub(super) const ATTENDED: usize = LANES;
 
 /// See [`crate::kernels::Kernels::attend`].
+// Inlined into a whole decision, its sums do not stay in registers.
 #[inline(never)]
 #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
 pub(super) fn attend<A: Arithmetic>(
