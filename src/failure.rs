@@ -27,6 +27,8 @@ pub(crate) enum Exit {
     InputOutput = 74,
     /// Another instance holds what is needed.
     Busy = 75,
+    /// The user may not.
+    NotPermitted = 77,
     /// Contract or version do not fit.
     Mismatch = 78,
     /// Ended by Ctrl-C.
@@ -55,6 +57,7 @@ impl Exit {
             Self::NotRunning,
             Self::InputOutput,
             Self::Busy,
+            Self::NotPermitted,
             Self::Mismatch,
             Self::Interrupted,
         ];

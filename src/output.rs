@@ -1,10 +1,17 @@
 //! How verbs print: JSON for scripts, plain tables for people.
 
+use std::io::Write;
+
 use serde::Serialize;
 
 /// Prints one JSON object on a line of its own.
 pub(crate) fn print_json(value: &impl Serialize) {
     println!("{}", serde_json::to_string(value).expect("reports have string keys only"));
+}
+
+/// Tells a person something on standard error. Whoever read it may be gone: no reason for a team to end.
+pub(crate) fn tell(line: &str) {
+    let _ = writeln!(std::io::stderr(), "{line}");
 }
 
 /// Warns of checkpoints that were passed over.

@@ -6,7 +6,10 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::PathBuf;
 use std::process::{Child, ChildStderr, Stdio};
 
-use support::{BUNDLE, TestDomain, assert_fails, interrupt, json, kill, output, sortie, stderr};
+use support::{
+    BUNDLE, TestDomain, assert_fails, interrupt, json, kill, output, resume, sortie, stderr, stop,
+    terminate, wait_until,
+};
 
 /// A team that is up, and what it tells.
 struct Up {
@@ -43,6 +46,12 @@ impl Up {
         }
     }
 
+    /// Lines so far that have all of these words.
+    fn lines_with(&self, words: &[&str]) -> usize {
+        let has_all = |line: &&String| words.iter().all(|word| line.contains(word));
+        self.unclaimed.iter().filter(has_all).count()
+    }
+
     /// Interrupts the supervisor, and waits for its end.
     fn end(mut self) -> Option<i32> {
         interrupt(&self.child);
@@ -70,6 +79,85 @@ fn killed_runners_and_allocators_take_their_places_again() {
     let next = up.await_line(&["leads the allocators"]);
     assert_ne!(pid(&next), pid(&leader));
     assert_eq!(up.end(), Some(130));
+    assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
+}
+
+#[test]
+fn a_killed_world_is_followed_by_another_for_the_same_team() {
+    let domain = TestDomain::new("upworld");
+    let mut up = Up::start(&domain, &[]);
+    up.await_line(&["the runner of agents", "joined"]);
+    let world = pid(&up.await_line(&["the world joined"]));
+    kill(world);
+    up.await_line(&["the world was killed by signal 9", "starts again"]);
+    assert_ne!(pid(&up.await_line(&["the world joined"])), world);
+    // The team of the dead world is that of the next.
+    assert_eq!(up.lines_with(&["the runner of agents", "started"]), 1);
+    assert_eq!(up.end(), Some(130));
+    assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
+}
+
+#[test]
+fn a_killed_supervisor_leaves_a_team_that_the_next_one_looks_after() {
+    let domain = TestDomain::new("upnext");
+    let mut first = Up::start(&domain, &["--standbys", "0"]);
+    let started = ["the world", "the runner of agents", "allocator 0"]
+        .map(|name| pid(&first.await_line(&[name, "started"])));
+    first.await_line(&["the world joined"]);
+    first.await_line(&["the runner of agents", "joined"]);
+    kill(first.child.id());
+    first.child.wait().expect("its status");
+    let mut second = Up::start(&domain, &["--standbys", "0"]);
+    // Its own runner finds the seats taken, until they are free.
+    second.await_line(&["the runner of agents", "ended with exit code 75", "starts again"]);
+    kill(started[1]);
+    let runner = pid(&second.await_line(&["the runner of agents", "joined"]));
+    assert_ne!(runner, started[1]);
+    assert_eq!(second.end(), Some(130));
+    for pid in [started[0], started[2]] {
+        terminate(pid);
+    }
+    wait_until("all have left", || domain.leftovers().is_empty());
+}
+
+#[test]
+fn a_stopped_supervisor_stops_nobody() {
+    let domain = TestDomain::new("upstop");
+    let mut up = Up::start(&domain, &[]);
+    up.await_line(&["the world joined"]);
+    stop(up.child.id());
+    // The world plays on: its episodes are told on the same standard error.
+    up.await_line(&["episode   3 of 60"]);
+    resume(up.child.id());
+    assert_eq!(up.end(), Some(130));
+    assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
+}
+
+#[test]
+fn spinning_needs_a_core_for_each_process() {
+    let domain = TestDomain::new("upspin");
+    let arguments =
+        ["up", BUNDLE, "--domain", &domain.id, "--isolate", "--rt", "1", "--spin-us", "9"];
+    let cores = std::thread::available_parallelism().expect("the number of cores").get();
+    // A world and two runners at least, of the smallest team.
+    let refused = output(&[&arguments[..], &["--episodes", "1", "--rate", "0"]].concat());
+    match cores {
+        1..=5 => assert_fails(&refused, 2, &["leave out --spin-us"]),
+        _ => assert!(matches!(refused.status.code(), Some(0 | 77)), "{}", stderr(&refused)),
+    }
+    assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
+}
+
+#[test]
+fn a_team_of_real_time_and_pinned_processes_plays() {
+    let domain = TestDomain::new("uprt");
+    let more = ["--rt", "1", "--pin", "--episodes", "1", "--rate", "0", "--json"];
+    let played = output(&[&["up", BUNDLE, "--domain", &domain.id][..], &more].concat());
+    // Where the system refuses, it says what to raise.
+    match played.status.code() {
+        Some(0) => {}
+        _ => assert_fails(&played, 77, &["exit code 77"]),
+    }
     assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
 }
 

@@ -3,6 +3,7 @@
 mod onlooker;
 pub(crate) mod process;
 mod report;
+mod scheduling;
 mod team;
 pub(crate) mod up;
 mod view;

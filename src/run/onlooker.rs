@@ -12,6 +12,7 @@ use sortie_envs::save_the_city::SaveTheCity;
 
 use super::view::{self, Picture};
 use crate::latency::Latency;
+use crate::output::tell;
 use crate::worlds::save_the_city::{EpisodeLog, FinishedEpisode};
 
 /// How a run is shown while it goes on.
@@ -133,7 +134,7 @@ impl WorldObserver for Onlooker {
         if self.display == Display::Lines
             && let Some(finished) = self.finished.borrow().last()
         {
-            eprintln!("{}", episode_line(episode as usize + 1, self.episodes, finished));
+            tell(&episode_line(episode as usize + 1, self.episodes, finished));
         }
     }
 }

@@ -9,6 +9,7 @@ use sortie_ipc::{
     Domain, ProcessSettings, allocator_process, runner_process, runner_process_with_heuristic,
 };
 
+use super::scheduling::Scheduling;
 use super::world::{Playing, WorldOfTeam, play};
 use crate::allocator::DeployedAllocator;
 use crate::arguments::AllocatorChoice;
@@ -35,6 +36,11 @@ pub(crate) struct ProcessArguments {
     backend: Backend,
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    #[command(flatten)]
+    scheduling: Scheduling,
+    /// Core that it stays on
+    #[arg(long)]
+    core: Option<usize>,
     /// What a world plays
     #[command(flatten)]
     playing: Playing,
@@ -65,12 +71,23 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
         entities_max: Some(limits.n_max.into()),
         tasks_max: Some(limits.t_max.into()),
         parent: arguments.parent,
-        ..ProcessSettings::default()
+        spin: arguments.scheduling.spin(),
+        real_time: arguments.scheduling.real_time(arguments.core),
     };
     let ended = match arguments.role {
         Role::World => {
             let ProcessArguments { allocation, backend, seed, json, quiet, .. } = *arguments;
-            let world = WorldOfTeam { bundle: &bundle, allocation, backend, seed, json, quiet };
+            let (spin, real_time) = (settings.spin, settings.real_time);
+            let world = WorldOfTeam {
+                bundle: &bundle,
+                allocation,
+                backend,
+                seed,
+                json,
+                quiet,
+                spin,
+                real_time,
+            };
             return play(&world, &arguments.playing, &domain, &stop);
         }
         Role::Runner => {

@@ -8,12 +8,14 @@ use sortie_core::World;
 use sortie_core::wire::Role;
 use sortie_ipc::{Charge, Domain, RestartPolicy, SupervisorEvent, group_agents, supervise};
 
+use super::scheduling::Scheduling;
 use super::team::Team;
 use super::world::{Playing, open_world};
 use crate::allocator::DeployedAllocator;
 use crate::arguments::{AllocatorChoice, Common};
 use crate::deployment::open_bundle;
 use crate::failure::{Exit, Failure, Outcome};
+use crate::output;
 use crate::policy::{Backend, DeployedPolicy};
 use crate::signals::stop_on_signals;
 
@@ -41,6 +43,11 @@ pub(crate) struct UpArguments {
     /// One process per agent
     #[arg(long)]
     isolate: bool,
+    #[command(flatten)]
+    scheduling: Scheduling,
+    /// World and runners each on a core of their own
+    #[arg(long)]
+    pin: bool,
     /// Allocators that stand by, ready to take over
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(0..=2))]
     standbys: u32,
@@ -81,7 +88,7 @@ pub(crate) fn run(arguments: &UpArguments) -> Outcome {
         seed,
         parent: None,
     };
-    let charges = charges(arguments, &team, world.shape().agents);
+    let charges = charges(arguments, &team, world.shape().agents)?;
     let is_told = !arguments.common.quiet && !arguments.common.json;
     if is_told {
         eprintln!(
@@ -94,7 +101,7 @@ pub(crate) fn run(arguments: &UpArguments) -> Outcome {
         RestartPolicy { never: arguments.restart == Restart::Never, ..RestartPolicy::default() };
     let mut tell = |event: &SupervisorEvent<'_>| {
         if is_told {
-            eprintln!("{event}");
+            output::tell(&event.to_string());
         }
     };
     match supervise(&domain, charges, &policy, &mut tell, &stop) {
@@ -104,13 +111,28 @@ pub(crate) fn run(arguments: &UpArguments) -> Outcome {
     }
 }
 
-fn charges(arguments: &UpArguments, team: &Team<'_>, agents: usize) -> Vec<Charge> {
+fn charges(
+    arguments: &UpArguments,
+    team: &Team<'_>,
+    agents: usize,
+) -> Result<Vec<Charge>, Failure> {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let groups = group_agents(agents, cores, arguments.isolate);
-    let allocators =
-        (0..=arguments.standbys).map(|index| team.allocator(format!("allocator {index}")));
-    let runners = groups.iter().map(|group| team.runner(group));
-    [world(arguments, team)].into_iter().chain(allocators).chain(runners).collect()
+    let scheduling = arguments.scheduling.for_team(1 + groups.len(), cores, arguments.pin)?;
+    let with_flags = |mut charge: Charge, scheduling: Scheduling, core: Option<usize>| {
+        charge.command.args(scheduling.flags(core));
+        charge
+    };
+    let own_core = |index: usize| arguments.pin.then_some(index);
+    // Allocators have time: they sleep, wherever there is room.
+    let sleeping = Scheduling { spin_us: 0, ..scheduling };
+    let allocators = (0..=arguments.standbys)
+        .map(|index| with_flags(team.allocator(format!("allocator {index}")), sleeping, None));
+    let runners = (1..)
+        .zip(&groups)
+        .map(|(index, group)| with_flags(team.runner(group), scheduling, own_core(index)));
+    let world = with_flags(world(arguments, team), scheduling, own_core(0));
+    Ok([world].into_iter().chain(allocators).chain(runners).collect())
 }
 
 /// The world, which prints the report.

@@ -5,7 +5,7 @@ use std::time::Duration;
 use clap::Args;
 use sortie_bundle::Bundle;
 use sortie_envs::save_the_city::{Constants, SaveTheCity, ScenarioSet};
-use sortie_ipc::{Domain, Stop, WorldSettings, world_process};
+use sortie_ipc::{Domain, RealTime, Stop, WorldSettings, world_process};
 
 use super::onlooker::{Display, Onlooker};
 use super::report::{Report, Setup};
@@ -57,6 +57,8 @@ pub(super) struct WorldOfTeam<'a> {
     pub(super) seed: u64,
     pub(super) json: bool,
     pub(super) quiet: bool,
+    pub(super) spin: Duration,
+    pub(super) real_time: RealTime,
 }
 
 /// Plays with whoever is there, and reports.
@@ -78,6 +80,8 @@ pub(super) fn play(
         period: rate_hz.map_or(Duration::ZERO, |hz| Duration::from_secs_f64(1.0 / hz)),
         patience: Duration::from_secs_f64(playing.patience),
         episodes: playing.episodes,
+        spin: team.spin,
+        real_time: team.real_time,
         ..WorldSettings::default()
     };
     let contract = domain_contract(team.bundle);

@@ -140,6 +140,16 @@ pub(crate) fn kill(pid: u32) {
     signal(pid, Signal::KILL);
 }
 
+/// Asks a process to end.
+pub(crate) fn terminate(pid: u32) {
+    signal(pid, Signal::TERM);
+}
+
+/// Lets a stopped process go on.
+pub(crate) fn resume(pid: u32) {
+    signal(pid, Signal::CONT);
+}
+
 /// Stops a process as a debugger would.
 pub(crate) fn stop(pid: u32) {
     signal(pid, Signal::STOP);

@@ -6,7 +6,7 @@ use std::process::ExitStatus;
 
 use sortie_core::link::LinkError;
 use sortie_core::roles::{AllocatorError, WorldError};
-use sortie_core::wire::LayoutError;
+use sortie_core::wire::{ABI, LayoutError};
 
 /// What ended a process of a domain.
 #[derive(Debug, thiserror::Error)]
@@ -71,8 +71,8 @@ pub enum Error {
         /// The first field that differs.
         detail: String,
     },
-    /// The services of the domain carry another schema.
-    #[error("domain `{domain}` runs another schema than {schema:016x}")]
+    /// The services of the domain carry another schema or ABI.
+    #[error("domain `{domain}` runs another schema than {schema:016x}, or another ABI than {ABI}")]
     SchemaInUse {
         /// The domain.
         domain: String,
@@ -143,6 +143,16 @@ pub enum Error {
         /// How it ended at last.
         status: ExitStatus,
     },
+    /// The system does not give what a role asks for.
+    #[error("{what} is refused; {advice}, or run as the superuser")]
+    RealTime {
+        /// The core, the priority, or the memory.
+        what: String,
+        /// What the user may do.
+        advice: &'static str,
+        /// The system's reason.
+        source: io::Error,
+    },
     /// The team in one thread waits for itself.
     #[error("the team stands still: no role has anything to do")]
     Stalled,
@@ -163,13 +173,14 @@ impl Error {
             Self::NoWorld { .. } | Self::World(_) => 69,
             // What ended the process of the team says more than that it ended.
             Self::Child { status, .. } | Self::KeepsDying { status, .. } => match status.code() {
-                Some(code @ (65 | 66 | 70 | 74 | 75 | 78)) => code as u8,
+                Some(code @ (65 | 66 | 70 | 74 | 75 | 77 | 78)) => code as u8,
                 _ => 69,
             },
             Self::Stalled => 70,
             Self::Directory { .. } | Self::Io { .. } | Self::Spawn { .. } => 74,
             Self::SharedMemory { .. } | Self::Link(_) | Self::Allocator(_) => 74,
             Self::Busy { .. } => 75,
+            Self::RealTime { .. } => 77,
             Self::Contract { .. } | Self::SchemaInUse { .. } | Self::Limits { .. } => 78,
             Self::Interrupted => 130,
         }

@@ -14,6 +14,7 @@ mod error;
 mod in_process;
 mod iox;
 mod processes;
+mod real_time;
 mod stop;
 pub mod storm;
 mod supervisor;
@@ -35,6 +36,7 @@ pub use processes::{
     Children, ProcessSettings, WorldSettings, allocator_process, group_agents, runner_process,
     runner_process_with_heuristic, world_process,
 };
+pub use real_time::RealTime;
 pub use stop::Stop;
 pub use supervisor::{Charge, RestartPolicy, Supervision, SupervisorEvent, supervise};
 pub use threads::{ThreadAgent, ThreadAllocator, ThreadWorld, Threads};

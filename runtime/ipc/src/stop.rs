@@ -4,13 +4,18 @@ use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use rustix::stdio::stderr;
+use signal_hook::consts::{SIGBUS, SIGHUP, SIGINT, SIGTERM};
 use signal_hook::{flag, low_level};
 
 use crate::waker::Waker;
 
 /// Exit code of a process that a signal interrupted.
 const INTERRUPTED: i32 = 130;
+/// Exit code of a process that could not write to its memory.
+const INPUT_OUTPUT: i32 = 74;
+/// Shared memory is filled page by page, by whoever touches a page first.
+const BUS_ERROR: &[u8] = b"error: bus error: /dev/shm is full, or an object in it was cut short; free some of it and start again\n";
 
 /// A flag that ends the loops that look at it: at once the first one that it wakes, others after
 /// one heartbeat.
@@ -26,7 +31,8 @@ impl Stop {
         Self::default()
     }
 
-    /// A flag that SIGINT, SIGTERM and SIGHUP set; the second signal ends the process at once.
+    /// A flag that SIGINT, SIGTERM and SIGHUP set; the second signal ends the process at once. A bus error,
+    /// which a full `/dev/shm` brings, ends it with its cause and exit code 74.
     ///
     /// # Errors
     /// A handler could not be registered.
@@ -38,6 +44,7 @@ impl Stop {
             flag::register(signal, Arc::clone(&stop.flag))?;
             stop.wake_on(signal)?;
         }
+        explain_bus_errors()?;
         Ok(stop)
     }
 
@@ -75,4 +82,14 @@ impl Stop {
             waker.wake();
         }
     }
+}
+
+#[allow(unsafe_code)]
+fn explain_bus_errors() -> io::Result<()> {
+    let explain = || {
+        let _ = rustix::io::write(stderr(), BUS_ERROR);
+        low_level::exit(INPUT_OUTPUT);
+    };
+    // SAFETY: the action is async-signal-safe: two system calls.
+    unsafe { low_level::register(SIGBUS, explain) }.map(drop)
 }

@@ -120,16 +120,20 @@ impl DomainFacts {
     /// Checks that a process of `contract` fits this domain.
     ///
     /// # Errors
-    /// [`Error::Contract`], which names the first field that differs.
+    /// [`Error::Contract`], which names both ABIs or the first field that differs.
     pub(crate) fn check(&self, domain: &Domain, contract: &DomainContract) -> Result<(), Error> {
-        if self.contract_hash() == contract.hash && self.abi == ABI {
+        let detail = if self.abi != ABI {
+            format!("messages are of ABI {ABI} here, {} there", self.abi)
+        } else if self.contract_hash() != contract.hash {
+            first_difference(&contract.fields, &self.contract)
+        } else {
             return Ok(());
-        }
+        };
         Err(Error::Contract {
             domain: domain.id().to_string(),
             ours: contract.hash,
             theirs: self.contract_hash(),
-            detail: first_difference(&contract.fields, &self.contract),
+            detail,
         })
     }
 

@@ -76,8 +76,8 @@ pub(crate) fn check_space(bytes: u64) -> Result<(), Error> {
     if free >= needed {
         return Ok(());
     }
-    let mib = |bytes: u64| bytes.div_ceil(1 << 20);
-    Err(directory(path, format!("has {} MiB free, the domain needs {}", mib(free), mib(needed))))
+    let kib = |bytes: u64| bytes.div_ceil(1 << 10);
+    Err(directory(path, format!("has {} KiB free, the domain needs {}", kib(free), kib(needed))))
 }
 
 fn directory(path: &Path, problem: impl ToString) -> Error {
@@ -106,7 +106,7 @@ mod tests {
     #[test]
     fn refuses_a_domain_that_does_not_fit() {
         let error = check_space(u64::MAX).unwrap_err();
-        assert!(error.to_string().contains("MiB free"), "{error}");
+        assert!(error.to_string().contains("KiB free"), "{error}");
         assert_eq!(error.exit_code(), 74);
     }
 }

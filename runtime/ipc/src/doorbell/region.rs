@@ -39,8 +39,9 @@ pub(super) struct Bell {
 #[repr(C, align(64))]
 struct Page {
     magic: AtomicU64,
-    abi: AtomicU32,
-    _unused: [AtomicU32; 13],
+    /// The number of the ABI; its upper half is 0.
+    abi: AtomicU64,
+    _unused: [AtomicU64; 6],
     bells: [Bell; BELLS],
 }
 const _: () = assert!(size_of::<Page>() == BYTES && size_of::<Bell>() == 64);
@@ -62,16 +63,15 @@ impl Region {
         let mapping = MmapRaw::map_raw(&file).map_err(Error::io("map", &path))?;
         let region = Self { mapping };
         let page = region.page();
-        let found = (settle(&page.magic, MAGIC), page.abi.load(Ordering::SeqCst));
-        page.abi.store(wire::ABI.into(), Ordering::SeqCst);
-        match found {
-            (MAGIC, 0) => Ok(region),
-            (MAGIC, abi) if abi == u32::from(wire::ABI) => Ok(region),
-            (magic, abi) => Err(Error::BadFile {
-                path,
-                problem: format!("is no doorbell of ABI {}: {magic:016x}, {abi}", wire::ABI),
-            }),
+        let [magic, abi] = [(&page.magic, MAGIC), (&page.abi, wire::ABI.into())]
+            .map(|(word, ours)| settle(word, ours));
+        if (magic, abi) == (MAGIC, wire::ABI.into()) {
+            return Ok(region);
         }
+        Err(Error::BadFile {
+            path,
+            problem: format!("is no doorbell of ABI {}: {magic:016x}, {abi}", wire::ABI),
+        })
     }
 
     /// The bell of this index.
@@ -148,5 +148,23 @@ impl Memory for Bell {
 
     fn now_ns(&self) -> u64 {
         MonotonicClock.now_ns()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_page_of_another_abi_is_refused_and_stays_what_it_is() {
+        let domain = Domain::new(&format!("page-{}", std::process::id())).unwrap();
+        let _member = domain.enter().unwrap();
+        let region = Region::open(&domain).unwrap();
+        Region::open(&domain).unwrap();
+        region.page().abi.store(2, Ordering::SeqCst);
+        for _ in 0..2 {
+            let refused = Region::open(&domain).unwrap_err().to_string();
+            assert!(refused.ends_with("is no doorbell of ABI 1: 4c4c454249545253, 2"), "{refused}");
+        }
     }
 }

@@ -23,7 +23,7 @@ pub use iceoryx2::service::local_threadsafe::Service as IntraProcess;
 
 pub use control::{ControlRx, IoxControl};
 pub use links::{Housekeeping, IoxAgent, IoxAllocator, IoxWorld, LinkSetup};
-pub(crate) use open::set_log_level;
+pub(crate) use open::{Cleaner, set_log_level};
 pub(crate) use services::worst_case_bytes;
 pub(crate) use watcher::dead_nodes;
 pub use watcher::{FrameNews, IoxWatcher};

@@ -15,10 +15,10 @@ use iceoryx2::service::attribute::{AttributeKey, AttributeValue};
 use iceoryx2::service::port_factory::{publish_subscribe, request_response};
 use sortie_core::wire::{ABI, FrameHead, Role};
 
-use super::LinkService;
 use super::links::LinkSetup;
 use super::message::{AnswerPayload, FrameHeaderPayload, Message, RequestPayload};
 use super::services::{self, Topic};
+use super::{InterProcess, LinkService};
 use crate::domain::Domain;
 use crate::error::Error;
 
@@ -57,15 +57,8 @@ impl<'a, S: LinkService> Opener<'a, S> {
     pub(super) fn new(setup: &'a LinkSetup<'a>) -> Result<Self, Error> {
         // Errors come back as values; `IOX2_LOG_LEVEL` brings the library's own words.
         set_log_level_from_env_or(LogLevel::Fatal);
-        let config = config(setup.domain)?;
-        let name = NodeName::new(setup.name).map_err(failed("node name"))?;
-        let node = NodeBuilder::new()
-            .name(&name)
-            .config(&config)
-            .signal_handling_mode(SignalHandlingMode::Disabled)
-            .create::<S>()
-            .map_err(failed("node"))?;
-        Ok(Self { node, setup, attributes: attributes(setup.format.schema)? })
+        let node = node(setup.domain, setup.name)?;
+        Ok(Self { node, setup, attributes: attributes(setup.format.schema, ABI)? })
     }
 
     pub(super) fn setup(&self) -> &'a LinkSetup<'a> {
@@ -110,7 +103,7 @@ impl<'a, S: LinkService> Opener<'a, S> {
     pub(super) fn frame_sender(&self) -> Result<FrameSender<S>, Error> {
         let topic = services::frames(self.agents());
         let (service, name) = (self.frames()?, self.port_name()?);
-        self.port(topic.name, || {
+        self.retry(topic.name, || {
             service
                 .publisher_builder()
                 .name(&name)
@@ -124,7 +117,7 @@ impl<'a, S: LinkService> Opener<'a, S> {
     pub(super) fn frame_receiver(&self) -> Result<FrameReceiver<S>, Error> {
         let topic = services::frames(self.agents());
         let (service, name) = (self.frames()?, self.port_name()?);
-        self.port(topic.name, || {
+        self.retry(topic.name, || {
             service
                 .subscriber_builder()
                 .name(&name)
@@ -160,7 +153,7 @@ impl<'a, S: LinkService> Opener<'a, S> {
     ) -> Result<Sender<S, M>, Error> {
         let topic = topic(self.agents());
         let (service, name) = (self.topic::<M>(topic)?, self.port_name()?);
-        self.port(topic.name, || {
+        self.retry(topic.name, || {
             service.publisher_builder().name(&name).max_loaned_samples(topic.loan).create()
         })
     }
@@ -171,7 +164,7 @@ impl<'a, S: LinkService> Opener<'a, S> {
     ) -> Result<Receiver<S, M>, Error> {
         let topic = topic(self.agents());
         let (service, name) = (self.topic::<M>(topic)?, self.port_name()?);
-        self.port(topic.name, || {
+        self.retry(topic.name, || {
             service
                 .subscriber_builder()
                 .name(&name)
@@ -204,13 +197,13 @@ impl<'a, S: LinkService> Opener<'a, S> {
     pub(super) fn control_server(&self) -> Result<RequestServer<S>, Error> {
         let (service, name) = (self.control()?, self.port_name()?);
         let control = services::control(self.agents());
-        self.port(control.name, || service.server_builder().name(&name).create())
+        self.retry(control.name, || service.server_builder().name(&name).create())
     }
 
     pub(super) fn control_client(&self) -> Result<RequestClient<S>, Error> {
         let (service, name) = (self.control()?, self.port_name()?);
         let control = services::control(self.agents());
-        self.port(control.name, || service.client_builder().name(&name).create())
+        self.retry(control.name, || service.client_builder().name(&name).create())
     }
 
     fn bell(
@@ -233,59 +226,48 @@ impl<'a, S: LinkService> Opener<'a, S> {
 
     pub(super) fn listener(&self, name: &'static str) -> Result<Listener<S>, Error> {
         let (service, port) = (self.bell(name)?, self.port_name()?);
-        self.port(name, || service.listener_builder().name(&port).create())
+        self.retry(name, || service.listener_builder().name(&port).create())
     }
 
     pub(super) fn notifier(&self, name: &'static str, own: Role) -> Result<Notifier<S>, Error> {
         let (service, port) = (self.bell(name)?, self.port_name()?);
         let id = EventId::new(services::bell_id(own));
-        self.port(name, || service.notifier_builder().name(&port).default_event_id(id).create())
+        self.retry(name, || service.notifier_builder().name(&port).default_event_id(id).create())
     }
 
-    /// Opens a service, again and again while others are at it.
+    /// Opens a service or creates a port, again and again while others are at it, or while dead processes
+    /// hold all places.
     fn retry<T, E: Debug>(
         &self,
-        service: &str,
+        what: &str,
         mut attempt: impl FnMut() -> Result<T, E>,
     ) -> Result<T, Error> {
         let mut pause = FIRST_PAUSE;
         for _ in 1..ATTEMPTS {
-            match attempt() {
+            let refused = match attempt() {
                 Ok(opened) => return Ok(opened),
-                Err(error) if is_passing(&error) => {}
-                Err(error) => return Err(self.refused(service, &error)),
+                Err(error) => format!("{error:?}"),
+            };
+            if refused.contains("ExceedsMax") {
+                self.node.try_cleanup_dead_nodes();
+            } else if !PASSING.iter().any(|passing| refused.contains(passing)) {
+                return Err(self.refused(what, refused));
             }
             std::thread::sleep(pause);
             pause = (pause * 2).min(LONGEST_PAUSE);
         }
-        attempt().map_err(|error| self.refused(service, &error))
+        attempt().map_err(|error| self.refused(what, format!("{error:?}")))
     }
 
-    /// Creates a port; where dead processes hold all slots, cleans up and tries once more.
-    fn port<T, E: Debug>(
-        &self,
-        service: &str,
-        mut attempt: impl FnMut() -> Result<T, E>,
-    ) -> Result<T, Error> {
-        let first = attempt();
-        match first {
-            Err(error) if format!("{error:?}").contains("ExceedsMaxSupported") => {
-                self.node.try_cleanup_dead_nodes();
-                attempt().map_err(|error| self.refused(service, &error))
-            }
-            other => other.map_err(|error| self.refused(service, &error)),
-        }
-    }
-
-    fn refused(&self, service: &str, error: &impl Debug) -> Error {
-        let problem = format!("{error:?}");
+    /// The library's error types differ by pattern and call; their names do not.
+    fn refused(&self, what: &str, problem: String) -> Error {
         if problem.contains("IncompatibleAttributes") {
             return Error::SchemaInUse {
                 domain: self.setup.domain.id().to_string(),
                 schema: self.setup.format.schema,
             };
         }
-        Error::SharedMemory { what: service.to_string(), problem }
+        Error::SharedMemory { what: what.to_string(), problem }
     }
 }
 
@@ -307,10 +289,27 @@ pub(crate) fn set_log_level(number: u64) -> bool {
     level.is_some()
 }
 
-/// The library's error types differ by pattern and call; their names do not.
-fn is_passing(error: &impl Debug) -> bool {
-    let name = format!("{error:?}");
-    PASSING.iter().any(|passing| name.contains(passing))
+/// Frees what dead processes hold.
+pub(crate) struct Cleaner(Node<InterProcess>);
+
+impl Cleaner {
+    pub(crate) fn open(domain: &Domain) -> Result<Self, Error> {
+        node(domain, "caretaker").map(Self)
+    }
+
+    /// Where nobody else is at it.
+    pub(crate) fn clean_up(&mut self) {
+        self.0.try_cleanup_dead_nodes();
+    }
+}
+
+fn node<S: LinkService>(domain: &Domain, name: &str) -> Result<Node<S>, Error> {
+    NodeBuilder::new()
+        .name(&NodeName::new(name).map_err(failed("node name"))?)
+        .config(&config(domain)?)
+        .signal_handling_mode(SignalHandlingMode::Disabled)
+        .create::<S>()
+        .map_err(failed("node"))
 }
 
 pub(super) fn config(domain: &Domain) -> Result<Config, Error> {
@@ -318,14 +317,19 @@ pub(super) fn config(domain: &Domain) -> Result<Config, Error> {
     let root = Path::new(root.to_string_lossy().as_bytes()).map_err(failed("root path"))?;
     let mut config = Config::default();
     config.global.set_root_path(&root);
+    // Freeing what the dead left may block for ever on an object that one of them was creating: it is the work of
+    // the caretaker's thread, and of nobody who has a role.
+    config.global.node.cleanup_dead_nodes_on_creation = false;
+    config.global.node.cleanup_dead_nodes_on_destruction = false;
+    config.global.service.cleanup_dead_nodes_on_open = false;
     config.global.prefix = FileName::new(domain.prefix().as_bytes()).map_err(failed("prefix"))?;
     Ok(config)
 }
 
-fn attributes(schema: u64) -> Result<AttributeVerifier, Error> {
+fn attributes(schema: u64, abi: u16) -> Result<AttributeVerifier, Error> {
     let mut verifier = AttributeVerifier::new();
     for (key, value) in
-        [("sortie.schema", format!("{schema:016x}")), ("sortie.abi", ABI.to_string())]
+        [("sortie.schema", format!("{schema:016x}")), ("sortie.abi", abi.to_string())]
     {
         let key = AttributeKey::new(key.as_bytes()).map_err(failed("attribute"))?;
         let value = AttributeValue::new(value.as_bytes()).map_err(failed("attribute"))?;
@@ -340,4 +344,32 @@ fn service_name(name: &str) -> Result<ServiceName, Error> {
 
 fn failed<E: Debug>(what: &str) -> impl FnOnce(E) -> Error + use<'_, E> {
     move |error| Error::SharedMemory { what: what.to_string(), problem: format!("{error:?}") }
+}
+
+#[cfg(test)]
+mod tests {
+    use sortie_core::Shape;
+    use sortie_core::wire::{FrameFormat, FrameLayout};
+
+    use super::*;
+    use crate::domain::BellKind;
+
+    #[test]
+    fn services_of_another_schema_or_abi_are_refused() {
+        let domain = Domain::new(&format!("abi-{}", std::process::id())).unwrap();
+        let _member = domain.enter().unwrap();
+        let shape = Shape { agents: 2, entities: 3, tasks: 1, actions: 4, features: 5 };
+        let format = FrameFormat { layout: FrameLayout::new(shape).unwrap(), schema: 7 };
+        let (name, bell) = ("test", BellKind::Doorbell);
+        let setup = LinkSetup { domain: &domain, format, name, bell, spin: Duration::ZERO };
+        let first = Opener::<InterProcess>::new(&setup).unwrap();
+        let _frames = first.frames().unwrap();
+        for (schema, abi) in [(8, ABI), (7, ABI + 1)] {
+            let attributes = attributes(schema, abi).unwrap();
+            let other = Opener { attributes, ..Opener::<InterProcess>::new(&setup).unwrap() };
+            let refused = other.frames().unwrap_err();
+            assert!(matches!(refused, Error::SchemaInUse { .. }), "{refused}");
+            assert_eq!(refused.exit_code(), 78);
+        }
+    }
 }

@@ -57,6 +57,7 @@ pub fn allocator_process(
     let membership = &membership;
     let mut allocating =
         Allocating { role, allocator, leadership, membership, parent, identity, schema };
+    settings.real_time.claim()?;
     let ended = drive(&mut allocating, &mut link, stop);
     // Whoever takes over finds this one gone.
     let left = allocating.role.leave(&mut link).map_err(Error::from);

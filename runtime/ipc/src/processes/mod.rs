@@ -2,6 +2,7 @@
 
 mod allocator;
 mod candidacy;
+mod caretaker;
 mod children;
 mod context_switches;
 mod control;
@@ -28,6 +29,7 @@ use self::context_switches::ContextSwitches;
 use self::control::Controlled;
 use crate::error::Error;
 use crate::iox::{ControlRx, Housekeeping};
+use crate::real_time::RealTime;
 use crate::stop::Stop;
 use crate::waker::Wakeable;
 
@@ -52,6 +54,8 @@ pub struct ProcessSettings {
     /// How long waits spin before they sleep; with doorbells only. More spinning processes than
     /// cores are slower than none.
     pub spin: Duration,
+    /// What the role's thread asks the system for.
+    pub real_time: RealTime,
 }
 
 impl ProcessSettings {

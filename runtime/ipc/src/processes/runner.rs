@@ -84,6 +84,7 @@ fn act<'a>(
     role.join(&mut link)?;
     let schema = format.schema;
     let mut runner = Runner { role, policy, heuristic, parent, identity, seats, schema };
+    settings.real_time.claim()?;
     let ended = drive(&mut runner, &mut link, stop);
     let left = runner.role.leave(&mut link).map_err(Error::from);
     ended.and(left).map(|()| *runner.role.counters())

@@ -8,12 +8,14 @@ use sortie_core::roles::{
 };
 use sortie_core::wire::{Command, ControlStatus, FrameFormat, Role};
 
+use super::caretaker::Caretaker;
 use super::control::Controlled;
 use super::{Children, Process, drive};
 use crate::control::ProcessInfo;
 use crate::domain::{BellKind, Domain, DomainContract, DomainFacts, nanoseconds};
 use crate::error::Error;
 use crate::iox::{IoxWorld, LinkSetup, worst_case_bytes};
+use crate::real_time::RealTime;
 use crate::stop::Stop;
 
 /// How long the processes of the team may take to leave.
@@ -45,6 +47,8 @@ pub struct WorldSettings {
     pub bell: BellKind,
     /// How long waits spin before they sleep; with doorbells only.
     pub spin: Duration,
+    /// What the world's thread asks the system for.
+    pub real_time: RealTime,
 }
 
 impl Default for WorldSettings {
@@ -61,6 +65,7 @@ impl Default for WorldSettings {
             tick_interval: Duration::ZERO,
             bell: BellKind::default(),
             spin: Duration::ZERO,
+            real_time: RealTime::default(),
         }
     }
 }
@@ -124,9 +129,11 @@ pub fn world_process(
         let (bell, spin) = (facts.bell(), settings.spin);
         IoxWorld::open(&LinkSetup { domain, format, name: "world", bell, spin })?
     };
+    let _caretaker = Caretaker::start(domain)?;
     let options = settings.options(contract, format, lock.term());
     let role = WorldRole::new(options);
     let mut playing = Playing { role, options, world, observer, children };
+    settings.real_time.claim()?;
     let ended = drive(&mut playing, &mut link, stop);
     let Playing { mut role, world, mut children, .. } = playing;
     // A process that failed says more than that its agents no longer act.

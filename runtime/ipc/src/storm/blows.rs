@@ -19,6 +19,8 @@ use crate::stop::Stop;
 
 /// Ticks in a row that all have to answer before the next blow.
 const CALM: u32 = 5;
+/// Such ticks before the first blow: ports that send rarely connect at their next heartbeat.
+const FIRST_CALM: u32 = 250;
 /// Ticks at the end in which what the dead left has to be cleaned up.
 const LAST_CALM: u32 = 500;
 
@@ -227,10 +229,11 @@ impl WorldObserver for Blows {
             Awaited::Calm
                 if self.calm >= CALM && self.leader.is_some() && self.standby.is_some() =>
             {
-                if self.objects.is_none() {
+                if self.objects.is_some() {
+                    self.strike(report);
+                } else if self.calm >= FIRST_CALM {
                     self.objects = Some(self.objects());
                 }
-                self.strike(report);
             }
             Awaited::CleanUp { ticks } => self.clean_up(ticks),
             Awaited::Calm | Awaited::Leader { .. } | Awaited::Done => {}

@@ -19,7 +19,7 @@ const BUSY_PAUSE: Duration = Duration::from_secs(1);
 /// Exit code of a process whose role another one has.
 const BUSY: i32 = 75;
 /// Exit codes that come back whenever the same program is started in the same way.
-const LASTING: [i32; 6] = [2, 65, 66, 70, 74, 78];
+const LASTING: [i32; 7] = [2, 65, 66, 70, 74, 77, 78];
 
 /// A process to keep alive.
 #[derive(Debug)]

@@ -4,6 +4,7 @@ mod conformance;
 mod control;
 mod own_world;
 mod processes;
+mod starts;
 mod storm;
 mod stress;
 mod supervisor;

@@ -1,6 +1,7 @@
 //! Whole teams: in one thread, and as processes. A child is this test binary again, running the
 //! test `child_process` with its role in the environment.
 
+use std::error::Error as _;
 use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::os::unix::process::CommandExt;
@@ -30,10 +31,11 @@ fn settings(episodes: u32) -> WorldSettings {
     WorldSettings { allocator: true, episodes: Some(episodes), ..WorldSettings::default() }
 }
 
-/// A process of the domain: `world` with its team or without, `allocator`, or the agents of a
-/// runner as `0,2`.
+/// A process of the domain: a world with its team or without, an `allocator`, or the agents of a runner as
+/// `0,2`.
 pub(crate) fn child(domain: &Domain, role: &str) -> Command {
-    let mut command = Command::new(std::env::current_exe().unwrap());
+    // This program, even where its folder is closed to the process.
+    let mut command = Command::new("/proc/self/exe");
     command
         .args(["processes::child_process", "--exact", "--nocapture"])
         .env(ROLE, role)
@@ -57,8 +59,10 @@ fn child_process() {
     }
     let contract = toy::contract();
     let ended = match role.as_str() {
-        "world" => endless_world(&domain, &["allocator", "0,2", "1"], &stop),
-        "world without team" => endless_world(&domain, &[], &stop),
+        "world" => play(&domain, ToyWorld::new(), &["allocator", "0,2", "1"], None, &stop),
+        "world without team" => play(&domain, ToyWorld::new(), &[], None, &stop),
+        "world of eight" => play(&domain, ToyWorld::of(8), &[], None, &stop),
+        "one episode" => play(&domain, ToyWorld::new(), &["allocator", "0,1,2"], Some(1), &stop),
         "allocator" => allocator_process(&domain, &contract, &mut ToyAllocator, &settings, &stop),
         agents => {
             let by_cost = agents.strip_prefix(unallocated::HEURISTIC);
@@ -71,12 +75,23 @@ fn child_process() {
             runner_process(&domain, &contract, &agents, &mut ToyPolicy, &settings, &stop)
         }
     };
+    if let Err(error) = &ended
+        && !matches!(error, Error::Interrupted)
+    {
+        eprintln!("{error}: {:?}", error.source());
+    }
     // At once: nobody may read any more what the test harness would print.
     std::process::exit(ended.map_or_else(|error| error.exit_code().into(), |_| 0));
 }
 
-/// A world that starts its team and runs until it is stopped.
-fn endless_world(domain: &Domain, team: &[&str], stop: &Stop) -> Result<Counters, Error> {
+/// A world that starts its team and plays so many episodes, or until it is stopped.
+fn play(
+    domain: &Domain,
+    mut world: ToyWorld,
+    team: &[&str],
+    episodes: Option<u32>,
+    stop: &Stop,
+) -> Result<Counters, Error> {
     struct Announce;
     impl WorldObserver for Announce {
         fn tick(&mut self, report: &TickReport<'_>) {
@@ -85,11 +100,10 @@ fn endless_world(domain: &Domain, team: &[&str], stop: &Stop) -> Result<Counters
             }
         }
     }
-    let endless = WorldSettings { episodes: None, ..settings(0) };
+    let settings = WorldSettings { episodes, ..settings(0) };
     let start_team = |children: &mut Children| start(children, domain, team);
     let contract = toy::contract();
-    let mut world = ToyWorld::new();
-    world_process(domain, &contract, &mut world, &endless, start_team, &mut Announce, stop)
+    world_process(domain, &contract, &mut world, &settings, start_team, &mut Announce, stop)
 }
 
 fn start(children: &mut Children, domain: &Domain, roles: &[&str]) -> Result<(), Error> {
@@ -265,11 +279,12 @@ fn a_runner_that_leaves_is_named() {
 
 /// Starts a world process with its team, in a process group of their own, and waits until it acts.
 pub(crate) fn running_world(domain: &Domain) -> Child {
-    running(child(domain, "world").process_group(0))
+    let mut world = child(domain, "world");
+    running(world.process_group(0).stdout(Stdio::piped()).spawn().unwrap())
 }
 
-fn running(world: &mut Command) -> Child {
-    let mut world = world.stdout(Stdio::piped()).spawn().unwrap();
+/// Waits until the team of a world acts, which it says on its standard output.
+pub(crate) fn running(mut world: Child) -> Child {
     let lines = BufReader::new(world.stdout.take().unwrap()).lines();
     assert!(lines.map_while(Result::ok).any(|line| line.ends_with(RUNNING)));
     world
@@ -280,7 +295,7 @@ fn pid(child: &Child) -> Pid {
 }
 
 /// Waits until nothing is left of the domain.
-fn await_nothing_left(domain: &Domain) {
+pub(crate) fn await_nothing_left(domain: &Domain) {
     let until = Instant::now() + Duration::from_secs(20);
     while toy::leftovers(domain) != [""; 0] && Instant::now() < until {
         std::thread::yield_now();
@@ -344,7 +359,8 @@ fn a_team_goes_on_with_the_next_world_where_one_was_killed() {
     let domain = toy::domain();
     let mut team = Children::default();
     start(&mut team, &domain, &["1", "allocator", "0,2"]).unwrap();
-    let mut world = running(&mut child(&domain, "world without team"));
+    let mut world = child(&domain, "world without team");
+    let mut world = running(world.stdout(Stdio::piped()).spawn().unwrap());
     world.kill().unwrap();
     world.wait().unwrap();
     let mut log = DecisionLog::default();
@@ -463,6 +479,25 @@ fn what_does_not_fit_the_domain_cannot_join() {
     kill_process(pid(&world), Signal::TERM).unwrap();
     world.wait().unwrap();
     assert_eq!(toy::leftovers(&domain), [""; 0]);
+}
+
+#[test]
+fn builds_of_another_abi_are_refused() {
+    let _watchdog = Watchdog::new();
+    let domain = toy::domain();
+    let mut world = running_world(&domain);
+    let (contract, settings, stop) = (toy::contract(), ProcessSettings::default(), Stop::new());
+    let facts = domain.base().join("domain.toml");
+    let ours = std::fs::read_to_string(&facts).unwrap();
+    std::fs::write(&facts, ours.replace("abi = 1", "abi = 2")).unwrap();
+    let refused =
+        runner_process(&domain, &contract, &[1], &mut ToyPolicy, &settings, &stop).unwrap_err();
+    assert!(refused.to_string().ends_with("messages are of ABI 1 here, 2 there"), "{refused}");
+    assert_eq!(refused.exit_code(), 78);
+    std::fs::write(&facts, ours).unwrap();
+    kill_process(pid(&world), Signal::TERM).unwrap();
+    world.wait().unwrap();
+    await_nothing_left(&domain);
 }
 
 #[test]

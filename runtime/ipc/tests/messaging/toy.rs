@@ -52,12 +52,13 @@ pub(crate) fn leftovers(domain: &Domain) -> Vec<String> {
 }
 
 /// A step of a linear congruential generator.
-fn mix(state: u64, with: u64) -> u64 {
+pub(crate) fn mix(state: u64, with: u64) -> u64 {
     (state ^ with).wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407)
 }
 
 /// Agent `step % 7` is absent while the step is odd; subtask 0 closes half-way.
 pub(crate) struct ToyWorld {
+    agents: usize,
     state: u64,
     step: u32,
     episode: u64,
@@ -65,7 +66,12 @@ pub(crate) struct ToyWorld {
 
 impl ToyWorld {
     pub(crate) fn new() -> Self {
-        Self { state: 0, step: 0, episode: 0 }
+        Self::of(SHAPE.agents)
+    }
+
+    /// With another number of agents, up to eight.
+    pub(crate) fn of(agents: usize) -> Self {
+        Self { agents, state: 0, step: 0, episode: 0 }
     }
 
     fn is_present(&self, agent: usize) -> bool {
@@ -79,7 +85,8 @@ impl ToyWorld {
 
 impl World for ToyWorld {
     fn shape(&self) -> Shape {
-        SHAPE
+        let others = SHAPE.entities - SHAPE.agents;
+        Shape { agents: self.agents, entities: self.agents + others, ..SHAPE }
     }
 
     fn reset(&mut self) {
@@ -89,21 +96,22 @@ impl World for ToyWorld {
     }
 
     fn observe(&self, frame: &mut FrameMut<'_>) {
-        let mut present = EntityMask::first(SHAPE.entities);
-        for agent in (0..SHAPE.agents).filter(|&agent| !self.is_present(agent)) {
+        let Shape { agents, entities, .. } = self.shape();
+        let mut present = EntityMask::first(entities);
+        for agent in (0..agents).filter(|&agent| !self.is_present(agent)) {
             present.remove(agent);
         }
         frame.set_present(&present);
-        for entity in 0..SHAPE.entities {
+        for entity in 0..entities {
             for (column, feature) in frame.row_mut(entity).iter_mut().enumerate() {
                 let bits = mix(self.state, (16 * entity + column) as u64);
                 *feature = (bits >> 40) as f32 / 16_777_216.0;
             }
-            if entity >= SHAPE.agents {
+            if entity >= agents {
                 frame.set_entity_task(entity, 1 << (entity % SHAPE.tasks));
             }
         }
-        for agent in 0..SHAPE.agents {
+        for agent in 0..agents {
             let sees = EntityMask::from_words(&[self.state >> agent | 1 << agent]);
             frame.set_observable(agent, &sees);
             for (action, code) in frame.available_mut(agent).iter_mut().enumerate() {
