@@ -34,6 +34,8 @@ fn a_team_that_is_up_does_what_it_is_told() {
     let told = output(&["control", "info", "--domain", &domain.id]);
     let lines = String::from_utf8_lossy(&told.stdout).into_owned();
     assert!(lines.starts_with("world ") && lines.contains("paused"), "{lines}");
+    let told = output(&["doctor", "--domain", &domain.id]);
+    assert!(String::from_utf8_lossy(&told.stdout).contains("stands still, as it was told"));
     assert!(lines.contains("agents 4, model ") && lines.contains("leads in term 1"), "{lines}");
     assert_eq!(tell("resume")["processes"][0]["paused"], false);
     let leader = tell("step-down");

@@ -153,16 +153,21 @@ fn examine_running(membership: &Membership, findings: &mut Vec<Finding>) -> Resu
         let _starting = membership.lock_start()?;
         IoxWatcher::open(&setup)?
     };
-    let (statuses, is_ticking) = listen(&mut watcher)?;
-    findings.push(if is_ticking {
-        Finding::fine("world", "sends frames")
-    } else {
-        Finding::new(
+    let (statuses, world) = listen(&mut watcher)?;
+    findings.push(match world {
+        Frames::Come => Finding::fine("world", "sends frames"),
+        Frames::Paused => Finding::new(
+            Severity::Warning,
+            "world",
+            "stands still, as it was told",
+            "let it go on: `sortie control resume --domain ID`",
+        ),
+        Frames::Missing => Finding::new(
             Severity::Problem,
             "world",
             "sends no frames",
             "look whether it is stopped, or start one: `sortie up BUNDLE`",
-        )
+        ),
     });
     findings.extend(statuses.values().map(examine_process));
     findings.push(examine_seats(&statuses, format.layout.every_agent()));
@@ -180,11 +185,19 @@ fn examine_running(membership: &Membership, findings: &mut Vec<Finding>) -> Resu
     Ok(())
 }
 
+/// Whether a world is at work.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Frames {
+    Come,
+    Paused,
+    Missing,
+}
+
 /// The newest status of every process that lives, and whether frames come.
-fn listen(watcher: &mut IoxWatcher) -> Result<(BTreeMap<u32, StatMsg>, bool), Error> {
+fn listen(watcher: &mut IoxWatcher) -> Result<(BTreeMap<u32, StatMsg>, Frames), Error> {
     let until = Instant::now() + LISTENING;
     let mut statuses = BTreeMap::new();
-    let (mut first, mut is_ticking) = (None, false);
+    let (mut first, mut frames) = (None, Frames::Missing);
     while Instant::now() < until {
         watcher.receive_statuses(&mut |status| {
             if status.has(StatMsg::BYE) {
@@ -194,13 +207,18 @@ fn listen(watcher: &mut IoxWatcher) -> Result<(BTreeMap<u32, StatMsg>, bool), Er
             }
         })?;
         if let Some(frame) = watcher.newest_frame()? {
-            is_ticking |= frame.tick > *first.get_or_insert(frame.tick);
+            let is_later = frame.tick > *first.get_or_insert(frame.tick);
+            if frame.is_pause {
+                frames = Frames::Paused;
+            } else if is_later {
+                frames = Frames::Come;
+            }
         }
         std::thread::sleep(LOOK_EVERY);
     }
     // The dead told of themselves as well: their last status stays.
     statuses.retain(|pid, _| Path::new("/proc").join(pid.to_string()).exists());
-    Ok((statuses, is_ticking))
+    Ok((statuses, frames))
 }
 
 /// Index of missed wake-ups in the counters of a status.

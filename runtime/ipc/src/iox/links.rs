@@ -174,6 +174,8 @@ impl<S: LinkService> Housekeeping for IoxWorld<S> {
         // A connection that fails is tried again at the next heartbeat.
         let _ = self.frames.update_connections();
         let _ = self.own_status.update_connections();
+        // Lets go of those that died.
+        let _ = self.control.update_connections();
     }
 }
 

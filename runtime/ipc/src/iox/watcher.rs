@@ -46,6 +46,8 @@ pub struct FrameNews {
     pub world_term: u32,
     /// The newest tick that asked for an allocation.
     pub decision_tick: u64,
+    /// Whether the world stands still with it.
+    pub is_pause: bool,
     /// Whether the world ends with it.
     pub is_last: bool,
 }
@@ -82,6 +84,7 @@ impl<S: LinkService> IoxWatcher<S> {
                     tick: header.tick,
                     world_term: header.world_term,
                     decision_tick: view.decision_tick(),
+                    is_pause: header.has(FrameHeader::PAUSED),
                     is_last: header.has(FrameHeader::SHUTDOWN),
                 });
             }

@@ -1,6 +1,6 @@
 //! Processes that are told what to do, and what they tell of themselves.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::process::Child;
 use std::time::Duration;
 
@@ -197,6 +197,7 @@ fn a_leader_that_steps_down_leaves_the_lead_to_the_standby() {
 
 /// Stops the leading allocator until it has missed more than its chances, and lets it go on.
 struct Nap {
+    allocators: BTreeSet<u32>,
     leader: Option<Pid>,
     stopped: Option<Pid>,
     continued: bool,
@@ -207,7 +208,11 @@ struct Nap {
 
 impl WorldObserver for Nap {
     fn status(&mut self, status: &StatMsg) {
-        if status.role == Role::Allocator as u8 && status.has(StatMsg::LEADER) {
+        if status.role != Role::Allocator as u8 {
+            return;
+        }
+        self.allocators.insert(status.pid);
+        if status.has(StatMsg::LEADER) {
             self.leader = Pid::from_raw(status.pid as i32);
             self.leaders.extend(self.leader);
             self.leaders.dedup();
@@ -221,7 +226,7 @@ impl WorldObserver for Nap {
 
     fn tick(&mut self, report: &TickReport<'_>) {
         match (self.leader, self.stopped) {
-            (Some(leader), None) if !self.terms.is_empty() => {
+            (Some(leader), None) if self.allocators.len() == 2 && !self.terms.is_empty() => {
                 kill_process(leader, Signal::STOP).unwrap();
                 self.stopped = Some(leader);
             }
@@ -245,6 +250,7 @@ fn a_leader_that_does_not_allocate_is_asked_to_step_down() {
     }
     let enough = Stop::new();
     let mut nap = Nap {
+        allocators: BTreeSet::new(),
         leader: None,
         stopped: None,
         continued: false,

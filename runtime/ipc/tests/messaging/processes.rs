@@ -75,17 +75,13 @@ fn child_process() {
             runner_process(&domain, &contract, &agents, &mut ToyPolicy, &settings, &stop)
         }
     };
-    let code = match ended {
-        Ok(_) => 0,
-        Err(error) => {
-            if !matches!(error, Error::Interrupted) {
-                eprintln!("{error}: {:?}", error.source());
-            }
-            error.exit_code().into()
-        }
-    };
+    if let Err(error) = &ended
+        && !matches!(error, Error::Interrupted)
+    {
+        eprintln!("{error}: {:?}", error.source());
+    }
     // At once: nobody may read any more what the test harness would print.
-    std::process::exit(code);
+    std::process::exit(ended.map_or_else(|error| error.exit_code().into(), |_| 0));
 }
 
 /// A world that starts its team and plays so many episodes, or until it is stopped.
