@@ -81,8 +81,10 @@ impl WorldRole {
             return Ok(Poll::Again);
         }
         let until_ns = if is_awaited && now < allocate_by { allocate_by } else { act_by };
-        // Runners ring once after all their answers, the allocator once after an allocation.
-        link.await_rings(self.seats.holders(missing) + u32::from(is_awaited));
+        // Runners ring once after all their answers, the allocator once after an allocation. The last but one wakes
+        // the world: while it wakes, the last is still at work.
+        let rings = self.seats.holders(missing) + u32::from(is_awaited);
+        link.await_rings(rings.saturating_sub(1));
         Ok(Poll::Wait { until_ns })
     }
 
