@@ -113,6 +113,10 @@ pub(crate) fn over_a_line() -> Option<bool> {
     link.receive_allocations(&mut |_| allocations += 1).ok()?;
     let token = link.token();
     let is_quiet = link.wait_until(token, black_box(0)) == Wake::Timeout;
+    let action = Aligned([7; size_of::<ActionMsg>()]);
+    link.send_action(black_box(ActionMsg::ref_from_bytes(&action.0).ok()?)).ok()?;
+    let status = Aligned([7; size_of::<StatMsg>()]);
+    link.send_status(black_box(StatMsg::ref_from_bytes(&status.0).ok()?)).ok()?;
     let heard = *link.counters();
     Some(!shown && allocations == 0 && is_quiet && heard.packets == 0 && heard.damaged > 0)
 }

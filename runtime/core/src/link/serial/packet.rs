@@ -259,7 +259,7 @@ fn without_zeros<T: Default + PartialEq>(items: &[T]) -> &[T] {
 }
 
 fn list<T: Copy + Default + PartialEq, const N: usize>(items: &[T; N]) -> Vec<T, N> {
-    without_zeros(items).iter().copied().collect()
+    Vec::from_slice(without_zeros(items)).unwrap_or_default()
 }
 
 /// Writes a packet.

@@ -3,7 +3,9 @@
 use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::convert::Infallible;
+use std::format;
 use std::rc::Rc;
+use std::string::String;
 use std::vec;
 use std::vec::Vec;
 
@@ -11,12 +13,13 @@ use embedded_io::{ErrorType, Read, ReadReady, Write};
 use zerocopy::{FromZeros, IntoBytes};
 
 use super::line::Line;
-use super::packet::{AllocationPacket, Packer, Packet, StatusPacket, Unpacker};
+use super::packet::{ActionPacket, AllocationPacket, Packer, Packet, StatusPacket, Unpacker};
 use super::{Serial, packet_bytes, view};
 use crate::entity_mask::EntityMask;
 use crate::link::{AllocRx, Bell, Clock, Frame, FrameBlock, FrameRx, Processor, Wake};
 use crate::wire::{
-    ABI, AllocMsg, FrameFormat, FrameHeader, FrameKind, FrameLayout, FrameMut, FrameView, StatMsg,
+    ABI, ActionMsg, AllocMsg, FrameFormat, FrameHeader, FrameKind, FrameLayout, FrameMut,
+    FrameView, StatMsg,
 };
 use crate::world::Shape;
 
@@ -318,6 +321,63 @@ fn packets_of_another_domain_are_refused_whole() {
     wire.0.borrow_mut().extend(encoded(&frame_packet(1 << 32 | 6)));
     assert!(link.receive_frames(&mut |_| true).unwrap());
     assert_eq!(link.counters().damaged, 1);
+}
+
+/// Bytes as hexadecimal digits.
+fn digits(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[test]
+fn packets_are_what_they_always_were() {
+    let action = ActionMsg {
+        schema: SCHEMA,
+        seq: 300,
+        tick: 1 << 32 | 7,
+        t_ns: 5_000_000,
+        model: 0xDEAD_BEEF,
+        alloc_epoch: 2,
+        agent: 2,
+        action: 3,
+        flags: ActionMsg::LATE,
+        task: 1,
+        abi: 1,
+        q: 1.5,
+        decide_ns: 4_000,
+        alloc_term: 1,
+        runner: 4_711,
+    };
+    let mut status = StatMsg {
+        schema: SCHEMA,
+        seq: 2,
+        start_ns: 4_000_000,
+        pid: 4_711,
+        role: 1,
+        abi: 1,
+        n_agents: 1,
+        agents: 0b100,
+        last_tick: 1 << 32 | 7,
+        model: [9; 16],
+        flags: StatMsg::HELLO,
+        ..StatMsg::new_zeroed()
+    };
+    status.name[..7].copy_from_slice(b"agent/2");
+    let packets = [
+        sealed(|packer| packer.put(&Packet::Action(ActionPacket::new(&action)))),
+        allocation_packet(1 << 32 | 7),
+        sealed(|packer| packer.put(&Packet::Status(StatusPacket::new(&status)))),
+    ];
+    let golden = [
+        "001c02080706050403020101ac028780808010effdb6f50d0202030801010cc03fa01f01e7240fea8b6800",
+        "001a01080706050403020101878080801087808080108b8080801001010103030209030101ff4e3fb18d00",
+        "000d0308070605040302010101021ae7240104878080801009090909090909090909090909090909020101010d\
+         076167656e742f32e20e834a00",
+    ];
+    assert_eq!(packets.map(|packet| digits(&encoded(&packet))), golden);
+    // A frame of 70 entities is long: its checksum stands for it.
+    let frame = frame_packet(1 << 32 | 7);
+    let (_, checksum) = frame.split_last_chunk::<4>().unwrap();
+    assert_eq!((frame.len(), digits(checksum).as_str()), (2_650, "fcc5cbe1"));
 }
 
 #[test]
