@@ -85,7 +85,7 @@ fn at_most(instructions_per_decision: u64) -> LibraryBenchmarkConfig {
 #[bench::exact_four(args = ("exact", Sight::Four), config = at_most(28_953), setup = scene)]
 #[bench::fused_everything(args = ("fused", Sight::Everything), config = at_most(29_816), setup = scene)]
 #[bench::int8_everything(args = ("int8", Sight::Everything), config = at_most(49_220), setup = scene)]
-#[bench::int8_four(args = ("int8", Sight::Four), config = at_most(35_346), setup = scene)]
+#[bench::int8_four(args = ("int8", Sight::Four), config = at_most(36_530), setup = scene)]
 #[bench::fused_four(args = ("fused", Sight::Four), config = at_most(20_797), setup = scene)]
 fn alone(scene: Scene) {
     let Scene { plan, mut arena, observations } = scene;
