@@ -1,18 +1,19 @@
 //! The runner: acts for one or more agents.
 
+mod deciding;
+mod in_force;
+
 use heapless::Vec;
 use zerocopy::FromZeros;
 
-use super::deadlines::allocate_by;
-use super::fallback::{fallback_action, safe_action};
-use super::feasible::{allocate, is_open};
+use self::deciding::observation;
 use super::newest_allocation::NewestAllocation;
 use super::presence::Presence;
 use super::{Counters, IDLE, Identity, Poll};
 use crate::allocator::{Allocator, UNASSIGNED};
 use crate::limits;
-use crate::link::{AgentLink, Clock, Frame, LinkError};
-use crate::policy::{DecideError, Decision, NO_ACTION, Observation, Policy, visible};
+use crate::link::{AgentLink, Frame, LinkError};
+use crate::policy::{DecideError, NO_ACTION, Observation, Policy};
 use crate::wire::{
     ABI, ActionMsg, FrameError, FrameFormat, FrameHeader, FrameKind, FrameView, Role, StatMsg,
 };
@@ -34,28 +35,6 @@ pub struct RunnerOptions {
     pub period_ns: u64,
     /// The contract's safe action.
     pub safe_action: Option<u16>,
-}
-
-/// How usable the newest allocation is for a frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Freshness {
-    Fresh,
-    Stale,
-    None,
-}
-
-/// The subtasks that agents act for in a frame.
-struct InForce {
-    freshness: Freshness,
-    task: [u8; limits::AGENTS],
-    /// Term and epoch of the allocation; zeros where there is none.
-    order: (u32, u32),
-}
-
-impl InForce {
-    fn task_of(&self, agent: usize) -> Option<u8> {
-        self.task.get(agent).copied().filter(|&task| task != UNASSIGNED)
-    }
 }
 
 /// A runner as a state machine.
@@ -263,61 +242,6 @@ impl RunnerRole {
         (0..limits::AGENTS).filter(move |agent| mine >> agent & 1 == 1)
     }
 
-    fn freshness(&self, view: &FrameView<'_>) -> Freshness {
-        let Some(allocation) =
-            self.allocation.get().filter(|newest| newest.tick >= view.episode_start())
-        else {
-            return Freshness::None;
-        };
-        let tick = view.header().tick;
-        let is_fresh = if view.header().has(FrameHeader::PIPELINED_ALLOC) {
-            allocation.valid_until >= tick
-        } else {
-            allocation.tick >= view.decision_tick()
-        };
-        let grace = 2 * u64::from(self.options.decision_interval);
-        if is_fresh {
-            Freshness::Fresh
-        } else if tick <= allocation.valid_until.saturating_add(grace) {
-            Freshness::Stale
-        } else {
-            Freshness::None
-        }
-    }
-
-    /// Until when the agents wait for the frame's allocation, if they do. Once it has not come in time,
-    /// later frames of the same decision do not wait for it again.
-    fn awaits_allocation(&mut self, view: &FrameView<'_>, now_ns: u64) -> Option<u64> {
-        let header = view.header();
-        let waits = self.options.subtasks
-            && !header.has(FrameHeader::PIPELINED_ALLOC)
-            && self.given_up.is_none_or(|given_up| view.decision_tick() > given_up)
-            && self.freshness(view) != Freshness::Fresh;
-        let until_ns = allocate_by(header.t_ns, header.deadline_ns, self.options.period_ns);
-        if waits && now_ns >= until_ns {
-            self.given_up = Some(view.decision_tick());
-        }
-        (waits && now_ns < until_ns).then_some(until_ns)
-    }
-
-    /// What the agents act for: the newest allocation while it may be used, then the heuristic's, if there
-    /// is one that allocates this frame, else nothing.
-    fn in_force(&self, view: &FrameView<'_>, heuristic: Option<&mut dyn Allocator>) -> InForce {
-        let freshness = self.freshness(view);
-        let nothing = [UNASSIGNED; limits::AGENTS];
-        let mut in_force = InForce { freshness, task: nothing, order: (0, 0) };
-        let usable = self.allocation.get().filter(|_| freshness != Freshness::None);
-        if let Some(newest) = usable {
-            in_force.task = newest.task;
-            in_force.order = newest.order();
-        } else if let Some(heuristic) = heuristic.filter(|_| self.options.subtasks)
-            && allocate(heuristic, view, &mut in_force.task).is_err()
-        {
-            in_force.task = nothing;
-        }
-        in_force
-    }
-
     /// Counts the frames between the last one worked on and this one of the same episode. Returns whether
     /// it is of another episode.
     fn count_gaps(&mut self, view: &FrameView<'_>) -> bool {
@@ -353,111 +277,6 @@ impl RunnerRole {
         policy.decide_batch(&seen, &mut [Err(DecideError::BadLength); limits::AGENTS]);
         self.warmed_term = view.header().world_term;
         self.pending = false;
-    }
-
-    fn decide<P: Policy + ?Sized>(
-        &mut self,
-        view: &FrameView<'_>,
-        policy: &mut P,
-        in_force: &InForce,
-        (running_ns, clock): (u64, &impl Clock),
-        answers: &mut Vec<ActionMsg, { limits::AGENTS }>,
-    ) {
-        let flags = self.flags(view, in_force.freshness, running_ns);
-        let subtasks = self.options.subtasks.then(|| subtasks(view, in_force));
-        let present = view.present();
-        let mut seen: Vec<Observation<'_>, { limits::AGENTS }> = Vec::new();
-        let mut deciding = 0_u64;
-        for agent in self.agents().filter(|&agent| present.contains(agent)) {
-            let mut answer = self.message(agent, view.header().tick);
-            let task = in_force.task_of(agent);
-            answer.flags = flags | self.finished(view, in_force.freshness, task);
-            let sees = match &subtasks {
-                Some(subtasks) => visible(view.observable(agent), present, subtasks, task),
-                None => view.observable(agent).and(&present),
-            };
-            // There is room for every agent: one answer and one observation at most.
-            if self.options.subtasks && task.is_none() {
-                answer.action = safe_action(self.options.safe_action, view.available(agent));
-            } else if seen.push(observation(view, agent, sees)).is_ok() {
-                deciding |= 1 << agent;
-            }
-            answer.task = task.unwrap_or(UNASSIGNED);
-            (answer.alloc_term, answer.alloc_epoch) = in_force.order;
-            let _ = answers.push(answer);
-        }
-        let undecided = seen.iter().map(|_| Err(DecideError::BadLength));
-        let mut decisions: Vec<Result<Decision, DecideError>, { limits::AGENTS }> =
-            undecided.collect();
-        let started = clock.now_ns();
-        policy.decide_batch(&seen, &mut decisions);
-        // Agents decide together; each is told its share of the time.
-        let share = clock.now_ns().saturating_sub(started).checked_div(seen.len() as u64);
-        let share = u32::try_from(share.unwrap_or(0)).unwrap_or(u32::MAX);
-        let acting =
-            answers.iter_mut().filter(|answer: &&mut ActionMsg| deciding >> answer.agent & 1 == 1);
-        for ((answer, observation), decision) in acting.zip(&seen).zip(decisions) {
-            self.act(answer, decision, observation);
-            answer.decide_ns = share;
-        }
-    }
-
-    fn act(
-        &mut self,
-        answer: &mut ActionMsg,
-        decision: Result<Decision, DecideError>,
-        observation: &Observation<'_>,
-    ) {
-        match decision {
-            Ok(decision) => {
-                answer.action = decision.action;
-                answer.q = decision.utility;
-            }
-            Err(DecideError::NoAvailableAction) => answer.action = NO_ACTION,
-            Err(_) => {
-                let last = observation.last_actions.get(observation.self_index);
-                let last = last.copied().unwrap_or(NO_ACTION);
-                answer.action =
-                    fallback_action(last, self.options.safe_action, observation.available);
-                answer.flags |= ActionMsg::FALLBACK;
-                self.counters.fallbacks += 1;
-            }
-        }
-    }
-
-    /// The flag of an agent whose subtask has been finished since it was allocated: it is kept for now.
-    fn finished(&mut self, view: &FrameView<'_>, freshness: Freshness, task: Option<u8>) -> u16 {
-        let is_finished = task.is_some_and(|task| !is_open(view, task));
-        if self.options.subtasks && freshness == Freshness::Fresh && is_finished {
-            self.counters.stale_allocations += 1;
-            return ActionMsg::STALE_ALLOC;
-        }
-        0
-    }
-
-    fn flags(&mut self, view: &FrameView<'_>, freshness: Freshness, now: u64) -> u16 {
-        let mut flags = 0;
-        match freshness {
-            _ if !self.options.subtasks => {}
-            Freshness::Fresh => {}
-            Freshness::Stale => {
-                flags |= ActionMsg::STALE_ALLOC;
-                self.counters.stale_allocations += 1;
-            }
-            Freshness::None => {
-                flags |= ActionMsg::NO_ALLOC;
-                self.counters.no_allocations += 1;
-            }
-        }
-        if self.counters.frame_gaps > self.gaps_told {
-            flags |= ActionMsg::TICK_GAP;
-            self.gaps_told = self.counters.frame_gaps;
-        }
-        let deadline = view.header().deadline_ns;
-        if deadline != 0 && now > deadline {
-            flags |= ActionMsg::LATE;
-        }
-        flags
     }
 
     fn message(&self, agent: usize, tick: u64) -> ActionMsg {
@@ -500,32 +319,4 @@ impl RunnerRole {
 /// Whether a frame is of a later world than the newest tick seen, if there is one.
 pub(super) fn is_next_world(seen_tick: u64, header: &FrameHeader) -> bool {
     seen_tick != 0 && u64::from(header.world_term) > seen_tick >> 32
-}
-
-/// The frame's subtasks `[N]`, agents' rows overwritten by those in force.
-fn subtasks(view: &FrameView<'_>, in_force: &InForce) -> [u32; limits::ENTITIES] {
-    let mut subtasks = [0; limits::ENTITIES];
-    for (to, from) in subtasks.iter_mut().zip(view.entity_task()) {
-        *to = *from;
-    }
-    for (agent, to) in subtasks.iter_mut().enumerate().take(view.agents()) {
-        let task = in_force.task_of(agent);
-        *to = task.and_then(|task| 1u32.checked_shl(u32::from(task))).unwrap_or(0);
-    }
-    subtasks
-}
-
-fn observation<'a>(
-    view: &FrameView<'a>,
-    agent: usize,
-    visible: crate::EntityMask,
-) -> Observation<'a> {
-    Observation {
-        rows: view.rows(),
-        stride: view.stride(),
-        last_actions: view.last_actions(),
-        visible,
-        self_index: agent,
-        available: view.available(agent),
-    }
 }
