@@ -28,7 +28,7 @@ pub struct IoxWatcher<S: LinkService = InterProcess> {
     actions: Sender<S, ActionPayload>,
     bells: Bells<S>,
     /// Dropped last.
-    node: Node<S>,
+    _node: Node<S>,
 }
 
 /// The bells of the others: a watcher has none of its own.
@@ -67,7 +67,7 @@ impl<S: LinkService> IoxWatcher<S> {
             statuses: opener.receiver(services::statuses)?,
             actions: opener.sender(services::actions)?,
             bells,
-            node: opener.into_node(),
+            _node: opener.into_node(),
         })
     }
 
@@ -111,11 +111,6 @@ impl<S: LinkService> IoxWatcher<S> {
             sent.map_err(|_| LinkError::Actions)?;
         }
         self.bells.ring(Role::World)
-    }
-
-    /// Frees what dead processes hold in shared memory, where nobody else is at it.
-    pub fn clean_up(&mut self) {
-        self.node.try_cleanup_dead_nodes();
     }
 }
 

@@ -151,7 +151,6 @@ pub fn supervise(
         joined: BTreeSet::new(),
         leader: None,
         vigil: Vigil::default(),
-        is_someone_dead: false,
         done: Supervision::default(),
     };
     supervisor.run(policy, tell, stop, &wake).map(|()| supervisor.done)
@@ -174,7 +173,6 @@ struct Supervisor {
     joined: BTreeSet<u32>,
     leader: Option<u32>,
     vigil: Vigil,
-    is_someone_dead: bool,
     done: Supervision,
 }
 
@@ -216,7 +214,6 @@ impl Supervisor {
         for kept in &mut self.kept {
             let Some((pid, status, after)) = kept.reap(policy, now) else { continue };
             self.done.deaths += u64::from(!status.success());
-            self.is_someone_dead = true;
             self.joined.remove(&pid);
             let Charge { name, role, agents, .. } = &kept.charge;
             let again = if let After::Again(pause) = after { Some(pause) } else { None };
@@ -285,9 +282,6 @@ impl Supervisor {
             tell(&SupervisorEvent::LeaderSilent { name: &allocator.charge.name, pid });
             allocator.signal(Signal::KILL);
             *vigil = Vigil::default();
-        }
-        if std::mem::take(&mut self.is_someone_dead) {
-            watcher.clean_up();
         }
         Ok(())
     }
