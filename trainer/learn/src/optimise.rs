@@ -1,4 +1,4 @@
-//! What turns gradients into better weights: clipping, Adam, and two kinds of moving averages.
+//! What turns gradients into better weights: clipping, Adam, RMSprop, and two kinds of moving averages.
 //!
 //! All of them run over flat parameter vectors.
 
@@ -61,6 +61,33 @@ impl Adam {
                 *square += (1.0 - Self::DECAY_SQUARE) * (gradient * gradient - *square);
                 *parameter -= rate * *mean / ((*square * square_scale).sqrt() + self.epsilon);
             }
+        }
+    }
+}
+
+/// RMSprop without momentum or centring, as PyTorch has it: the optimiser of the public code.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RmsProp {
+    /// Running mean of the squared gradient.
+    pub square: Vec<f32>,
+}
+
+impl RmsProp {
+    const DECAY: f32 = 0.99;
+    const EPSILON: f32 = 1e-5;
+
+    /// An optimiser that has taken no step yet.
+    pub fn new(parameters: usize) -> Self {
+        Self { square: vec![0.0; parameters] }
+    }
+
+    /// Takes one step down the gradient, which has a number for every parameter.
+    pub fn step(&mut self, parameters: &mut [f32], gradient: &[f32], learning_rate: f32) {
+        for ((parameter, gradient), square) in
+            parameters.iter_mut().zip(gradient).zip(&mut self.square)
+        {
+            *square = Self::DECAY * *square + (1.0 - Self::DECAY) * gradient * gradient;
+            *parameter -= learning_rate * gradient / (square.sqrt() + Self::EPSILON);
         }
     }
 }

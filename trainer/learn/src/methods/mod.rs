@@ -1,3 +1,4 @@
 //! Algorithms, one folder each: networks, loss, rollout rule, configuration.
 
 pub mod alma;
+pub mod paper;

@@ -1,10 +1,5 @@
 //! The layers against the reference's modules, on recorded inputs (`tests/golden/networks`).
 
-use std::collections::HashMap;
-use std::path::PathBuf;
-
-use safetensors::SafeTensors;
-use serde_json::Value;
 use sortie_learn::layers::attention::{self, AttentionShape};
 use sortie_learn::layers::linear::{self, LinearShape};
 use sortie_learn::layers::{SparseRows, VisibleLists};
@@ -13,88 +8,7 @@ use sortie_learn::methods::alma::{
     UtilityShape, UtilityWeights,
 };
 
-/// A recorded tensor: its sizes and its numbers.
-#[derive(Clone, Debug)]
-struct Tensor {
-    shape: Vec<usize>,
-    data: Vec<f64>,
-}
-
-impl Tensor {
-    fn f32s(&self) -> Vec<f32> {
-        self.data.iter().map(|v| *v as f32).collect()
-    }
-}
-
-type Tensors = HashMap<String, Tensor>;
-
-/// One recorded case: `config/NAME` as scalars, then `w/`, `in/` and `out/`.
-struct Case {
-    name: String,
-    tensors: Tensors,
-}
-
-impl Case {
-    fn get(&self, name: &str) -> &Tensor {
-        self.tensors.get(name).unwrap_or_else(|| panic!("{}: no tensor `{name}`", self.name))
-    }
-}
-
-fn folder() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden/networks")
-}
-
-fn json_cases(group: &str) -> Vec<Case> {
-    let text =
-        std::fs::read_to_string(folder().join(format!("{group}.json"))).expect("golden file");
-    let file: Value = serde_json::from_str(&text).expect("golden JSON");
-    let cases = file["cases"].as_array().expect("a list of cases");
-    cases.iter().map(json_case).collect()
-}
-
-fn json_case(case: &Value) -> Case {
-    let mut tensors = Tensors::new();
-    for (part, prefix) in [("weights", "w"), ("inputs", "in"), ("outputs", "out")] {
-        for (name, tensor) in case[part].as_object().expect("tensors by name") {
-            let shape = tensor["shape"].as_array().expect("sizes");
-            let data = tensor["data"].as_array().expect("numbers");
-            let tensor = Tensor {
-                shape: shape.iter().map(|v| v.as_u64().expect("a size") as usize).collect(),
-                data: data.iter().map(|v| v.as_f64().expect("a number")).collect(),
-            };
-            tensors.insert(format!("{prefix}/{name}"), tensor);
-        }
-    }
-    Case { name: case["id"].to_string(), tensors }
-}
-
-fn safetensors_case(group: &str) -> Case {
-    let bytes = std::fs::read(folder().join(format!("{group}.safetensors"))).expect("golden file");
-    let file = SafeTensors::deserialize(&bytes).expect("golden tensors");
-    let mut tensors = Tensors::new();
-    for (name, view) in file.tensors() {
-        let data = match view.dtype() {
-            safetensors::Dtype::F32 => {
-                view.data().as_chunks().0.iter().map(|b| f32::from_le_bytes(*b).into()).collect()
-            }
-            safetensors::Dtype::F64 => {
-                view.data().as_chunks().0.iter().map(|b| f64::from_le_bytes(*b)).collect()
-            }
-            safetensors::Dtype::U8 => view.data().iter().map(|b| f64::from(*b)).collect(),
-            other => panic!("unexpected type {other:?}"),
-        };
-        tensors.insert(name, Tensor { shape: view.shape().to_vec(), data });
-    }
-    Case { name: group.to_owned(), tensors }
-}
-
-fn assert_close(what: &str, got: &[f32], want: &[f64]) {
-    assert_eq!(got.len(), want.len(), "{what}");
-    for (index, (got, want)) in got.iter().zip(want).enumerate() {
-        let error = (f64::from(*got) - want).abs();
-        assert!(error <= 1e-5 + 1e-5 * want.abs(), "{what}[{index}]: {got} against {want}");
-    }
-}
+use crate::files::{Case, assert_close, json_cases, safetensors_case};
 
 /// Entities of several samples: rows of agents first, then the others, as the learner orders them.
 struct Order {
@@ -271,7 +185,7 @@ fn utility_network_with_subtask_mask_agrees() {
 
 #[test]
 fn utility_network_at_save_the_city_sizes_agrees() {
-    check_utility_network(&safetensors_case("agent_ff_default"), true);
+    check_utility_network(&safetensors_case("networks", "agent_ff_default"), true);
 }
 
 /// The reference's four hypernetworks as one: each has its own columns of the embedding and its own

@@ -1,0 +1,6 @@
+//! Networks and learners against the reference's modules, on recorded inputs (`tests/golden`).
+
+mod files;
+mod networks;
+mod popart;
+mod windows;
