@@ -1,6 +1,8 @@
 //! Networks and learners against the reference's modules, on recorded inputs (`tests/golden`).
 
 mod files;
+mod low_level;
 mod networks;
 mod popart;
+mod reference;
 mod windows;
