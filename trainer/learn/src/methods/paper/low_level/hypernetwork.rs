@@ -302,9 +302,29 @@ pub struct HypernetworkPass {
     d_queries: Vec<f32>,
     d_keys: Vec<f32>,
     d_embedding: Vec<f32>,
+    operations: u64,
 }
 
 impl HypernetworkPass {
+    /// Floating-point operations of all passes up to now: those of matrix products, sparse ones and
+    /// attention, a multiplication and an addition being two.
+    pub fn operations(&self) -> u64 {
+        self.operations
+    }
+
+    /// Multiplications of a forward pass: in the first layer, and in all others.
+    fn multiplications(shape: HypernetworkShape, mode: Mode, input: &MixerInput) -> (u64, u64) {
+        let (rows, teams) = (&input.rows, &input.teams);
+        let count = mode.sums().count(teams);
+        let summed = if mode == Mode::Matrix { teams.pairs() } else { teams.members() };
+        let queries = teams.queries() + rows.len();
+        let rest = queries * shape.width * shape.width
+            + teams.pairs() * shape.width
+            + summed * shape.wide()
+            + count * shape.wide() * shape.outputs(mode);
+        ((rows.entries() * shape.width) as u64, rest as u64)
+    }
+
     /// Computes the numbers `[agents or teams, K]`, where means are over `slots` agents: absent ones count
     /// as zeros.
     pub fn forward(
@@ -314,6 +334,8 @@ impl HypernetworkPass {
         merged: &Merged,
         input: &MixerInput,
     ) -> &[f32] {
+        let (first, rest) = Self::multiplications(shape, mode, input);
+        self.operations += 2 * (first + rest);
         let width = shape.width;
         let teams = &input.teams;
         let (rows, queries) = (input.rows.len(), teams.queries());
@@ -349,6 +371,8 @@ impl HypernetworkPass {
         d_numbers: &mut [f32],
         gradient: &mut HypernetworkGradient,
     ) {
+        let (first, rest) = Self::multiplications(shape, mode, input);
+        self.operations += 2 * (first + 2 * rest);
         let width = shape.width;
         let teams = &input.teams;
         let (rows, queries) = (input.rows.len(), teams.queries());

@@ -173,6 +173,11 @@ pub struct MixerPass {
 }
 
 impl MixerPass {
+    /// Floating-point operations of all passes up to now, see [`HypernetworkPass::operations`].
+    pub fn operations(&self) -> u64 {
+        self.hypernetworks.iter().map(HypernetworkPass::operations).sum()
+    }
+
     /// Computes the value of every team before the head, from the utilities of all agents' actions.
     pub fn forward(
         &mut self,

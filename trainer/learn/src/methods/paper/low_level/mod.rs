@@ -236,6 +236,11 @@ impl LowLevel {
         of_mixer.step(self.online.mixer.parameters_mut(), mixer, rate);
     }
 
+    /// Floating-point operations of all steps up to now: those of matrix products and attention.
+    pub fn operations(&self) -> u64 {
+        self.lanes.iter().map(Lane::operations).sum()
+    }
+
     /// The last gradient: of the agents' parameters, then of the mixer's.
     pub fn gradient(&self) -> &[f32] {
         &self.gradient
@@ -258,3 +263,6 @@ fn side<'a>(
 fn norm(vector: &[f32]) -> f32 {
     vector.iter().map(|value| f64::from(*value).powi(2)).sum::<f64>().sqrt() as f32
 }
+
+#[cfg(test)]
+mod tests;

@@ -112,6 +112,11 @@ impl Lane {
         }
     }
 
+    /// Floating-point operations up to now.
+    pub(super) fn operations(&self) -> u64 {
+        self.agent_pass.operations() + self.mixer_pass.operations()
+    }
+
     /// Forgets the step before.
     pub(super) fn begin(&mut self) {
         self.terms.clear();
