@@ -12,8 +12,8 @@ pub mod matrix;
 pub mod relu;
 pub mod softmax;
 pub mod sparse_linear;
-mod vectors;
-mod wide;
+pub(crate) mod vectors;
+pub(crate) mod wide;
 
 #[cfg(test)]
 pub(crate) mod gradient_check;
