@@ -5,6 +5,7 @@
 //! and a policy that proposes them (amortised Q-learning). Nothing here is shortened: what is faster
 //! than the public code is an exact rewrite of it.
 
+pub mod allocation;
 pub mod low_level;
 mod popart;
 mod windows;
