@@ -25,7 +25,7 @@ pub(super) struct Loss {
 impl Loss {
     /// The weights of rows, or `None` where no row counts.
     pub(super) fn new(rows: &Rows, learning: &AllocationLearning) -> Option<Self> {
-        let mask = rows.mask.iter().map(|mask| f64::from(u8::from(*mask)));
+        let mut mask = rows.mask.iter().map(|mask| f64::from(u8::from(*mask)));
         let mut policy: Vec<f64> = mask
             .clone()
             .zip(&rows.weight)
