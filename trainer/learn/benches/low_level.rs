@@ -21,8 +21,8 @@ const WINDOWS: usize = 32;
 const STEPS: usize = 64;
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let arguments = std::env::args().skip(1).filter(|argument| argument != "--bench");
-    let rounds: usize = arguments.last().map_or(Ok(5), |rounds| rounds.parse())?;
+    let mut arguments = std::env::args().skip(1).filter(|argument| argument != "--bench");
+    let rounds: usize = arguments.next_back().map_or(Ok(5), |rounds| rounds.parse())?;
     let windows = record()?;
     let mut learner = LowLevel::new(
         LowLevelConfig::default(),
