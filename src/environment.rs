@@ -62,7 +62,7 @@ pub(crate) fn scenario_set(
             ScenarioSetName::parse(&bundle.manifest().contract.environment.name)
         }
         (None, Subject::Run(run)) => {
-            let config = &run.description.config.environment;
+            let config = run.description.config.environment();
             ScenarioSetName::parse(&format!("{}/{}", config.name, config.set))
         }
         (None, Subject::Scripted) => ScenarioSetName::parse(NAMES[0]),

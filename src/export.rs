@@ -6,13 +6,12 @@ use clap::Args;
 use serde::Serialize;
 use sortie_bundle::hex;
 use sortie_learn::evaluate::{Allocate, EvaluationPlan, evaluate};
-use sortie_learn::export::{LearnedAllocator, Measured, check_exportable, draft_bundle};
-use sortie_learn::methods::alma::team_value::TeamValueAllocator;
-use sortie_learn::run::Run;
+use sortie_learn::export::{Measured, check_exportable, draft_bundle};
+use sortie_learn::run::{Run, Settings};
 
 use crate::arguments::{Allocation, Common};
 use crate::environment::ScenarioSetName;
-use crate::failure::{Failure, Outcome};
+use crate::failure::{Exit, Failure, Outcome};
 use crate::output::{print_json, warn_of_refused};
 
 /// Export a training run as a bundle: networks as ONNX, contract, golden observations, card and curve
@@ -53,7 +52,12 @@ pub(crate) fn run(arguments: &ExportArguments) -> Outcome {
     warn_of_refused(&run.refused);
     check_exportable(&run)?;
     if let Some(team_max) = arguments.team_max {
-        run.description.config.allocation.team_max = team_max.into();
+        let Settings::Records(config) = &mut run.description.config else {
+            let reason =
+                "`--team-max` limits a team-value allocator, which this run has not learned";
+            return Err(Failure::new(Exit::Usage, reason));
+        };
+        config.allocation.team_max = team_max.into();
     }
     let seed = arguments.common.seed;
     let mut measured = Vec::new();
@@ -78,7 +82,7 @@ pub(crate) fn run(arguments: &ExportArguments) -> Outcome {
 /// The scenario sets to measure on.
 fn sets(arguments: &ExportArguments, run: &Run) -> Result<Vec<String>, Failure> {
     if arguments.env.is_empty() {
-        return Ok(vec![run.description.config.environment.set.clone()]);
+        return Ok(vec![run.description.config.environment().set.clone()]);
     }
     let set = |name: &String| Ok(ScenarioSetName::parse(name)?.set().to_owned());
     arguments.env.iter().map(set).collect()
@@ -92,8 +96,8 @@ fn measure(run: &Run, plan: &EvaluationPlan, measured: &mut Vec<Measured>) -> Ou
         measured.push(Measured { set, allocation, evaluation });
         Ok(())
     };
-    if let Some(LearnedAllocator { network, team_max }) = LearnedAllocator::of(run) {
-        add("learned", &mut TeamValueAllocator::new(network, team_max))?;
+    if let Some(mut allocator) = run.learned_allocator() {
+        add("learned", &mut *allocator)?;
     }
     for allocation in [Allocation::Coordinated, Allocation::Heuristic] {
         add(allocation.name(), &mut allocation.rule())?;

@@ -2,8 +2,7 @@
 
 use sortie_envs::save_the_city::AllocationRule;
 use sortie_learn::evaluate::{Allocate, DeployedAllocator};
-use sortie_learn::export::LearnedAllocator;
-use sortie_learn::methods::alma::team_value::TeamValueAllocator;
+use sortie_learn::run::Run;
 
 use crate::allocator::{LearnedAllocator as DeployedLearned, none_learned};
 use crate::arguments::AllocatorChoice;
@@ -15,7 +14,7 @@ use crate::subject::Subject;
 pub(crate) enum SubjectAllocator<'a> {
     Rule(AllocationRule),
     /// A run's, with the trainer's own forward pass.
-    Run(LearnedAllocator<'a>),
+    Run(&'a Run),
     /// A bundle's, as deployed.
     Bundle(Box<DeployedLearned>),
 }
@@ -36,9 +35,7 @@ impl<'a> SubjectAllocator<'a> {
             Some(Subject::Bundle(bundle)) => {
                 Ok(Self::Bundle(Box::new(DeployedLearned::open(bundle, backend)?)))
             }
-            Some(Subject::Run(run)) => {
-                LearnedAllocator::of(run).map(Self::Run).ok_or_else(|| none_learned(name))
-            }
+            Some(Subject::Run(run)) => Ok(Self::Run(run)),
             Some(Subject::Scripted) | None => Err(none_learned(name)),
         }
     }
@@ -47,9 +44,7 @@ impl<'a> SubjectAllocator<'a> {
     pub(crate) fn allocator(&mut self) -> Result<Box<dyn Allocate + '_>, Failure> {
         Ok(match self {
             Self::Rule(rule) => Box::new(*rule),
-            Self::Run(LearnedAllocator { network, team_max }) => {
-                Box::new(TeamValueAllocator::new(network, *team_max))
-            }
+            Self::Run(run) => run.learned_allocator().ok_or_else(|| none_learned("the run"))?,
             Self::Bundle(learned) => Box::new(DeployedAllocator(Box::new(learned.allocator()?))),
         })
     }

@@ -8,7 +8,9 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use sortie_learn::LearnError;
-use sortie_learn::methods::alma::{Conditioning, Config, MixerKind, Outcome as Ending, Trainer};
+use sortie_learn::methods::Trainer;
+use sortie_learn::methods::alma::{Conditioning, MixerKind};
+use sortie_learn::run::{Outcome as Ending, Settings};
 
 use crate::arguments::{Allocation, Common};
 use crate::environment::ScenarioSetName;
@@ -29,6 +31,7 @@ use seeds::SeedRange;
   sortie train alma --set network.width=128 --set run.steps=800000 --seed 7 --out runs/wide
   sortie train alma --mixer qmix --no-mask --allocation coordinated --out runs/compared
   sortie train flat --out runs/flat
+  sortie train alma --preset paper --out runs/paper
   sortie train alma --resume runs/first")]
 pub(crate) struct TrainArguments {
     /// The algorithm
@@ -37,7 +40,7 @@ pub(crate) struct TrainArguments {
     /// Environment and scenario set [default: save-the-city/2-5a_2-5b]
     #[arg(long, value_name = "ENV[/SET]")]
     env: Option<String>,
-    /// Named configuration to start from
+    /// Named configuration to start from: `fast`, or `paper`, the dissertation's algorithm to the letter
     #[arg(long, default_value = "fast")]
     preset: String,
     /// Configuration file to start from, as `train.toml` has it
@@ -143,49 +146,79 @@ fn threads(text: &str) -> Result<usize, String> {
     }
 }
 
-fn configuration(arguments: &TrainArguments) -> Result<Config, Failure> {
-    let mut config = match &arguments.config {
+fn configuration(arguments: &TrainArguments) -> Result<Settings, Failure> {
+    let mut settings = match &arguments.config {
         Some(path) => configuration_file(path)?,
-        None => Config::preset(&arguments.preset).map_err(usage)?,
+        None => Settings::preset(&arguments.preset).map_err(usage)?,
     };
     if let Some(name) = &arguments.env {
-        config.environment.set = ScenarioSetName::parse(name)?.set().to_string();
+        settings.environment_mut().set = ScenarioSetName::parse(name)?.set().to_string();
     }
     if let Some(allocation) = arguments.allocation {
-        let weight = |rule| f64::from(u8::from(rule == allocation));
-        config.allocation.learned = 0.0;
-        config.allocation.coordinated = weight(Allocation::Coordinated);
-        config.allocation.heuristic = weight(Allocation::Heuristic);
-        config.allocation.random = weight(Allocation::Random);
+        allocate_by(&mut settings, allocation);
     }
     if let Some(mixer) = arguments.mixer {
-        config.mixer.kind = match mixer {
-            Mixer::Sum => MixerKind::Sum,
-            Mixer::Linear => MixerKind::Linear,
-            Mixer::Qmix => MixerKind::Qmix,
-        };
+        mix_by(&mut settings, mixer)?;
     }
     match arguments.method {
-        Method::Alma if arguments.no_mask => config.network.subtask = Conditioning::Input,
+        Method::Alma if arguments.no_mask => *settings.subtask_mut() = Conditioning::Input,
         Method::Alma => {}
         Method::Flat if arguments.no_mask || arguments.allocation.is_some() => {
             let reason = "`flat` has no subtasks: drop `--no-mask` and `--allocation`";
             return Err(Failure::new(Exit::Usage, reason.to_string()));
         }
-        Method::Flat => config.network.subtask = Conditioning::None,
+        Method::Flat => *settings.subtask_mut() = Conditioning::None,
     }
     if let Some(steps) = arguments.steps {
-        config.run.steps = steps;
+        settings.run_mut().steps = steps;
     }
     for assignment in &arguments.assignments {
-        config.set(assignment).map_err(usage)?;
+        settings.set(assignment).map_err(usage)?;
     }
-    Ok(config)
+    Ok(settings)
 }
 
-fn configuration_file(path: &Path) -> Result<Config, Failure> {
+/// Has a rule allocate in the place of a learned allocator.
+fn allocate_by(settings: &mut Settings, allocation: Allocation) {
+    match settings {
+        Settings::Records(config) => {
+            let weight = |rule| f64::from(u8::from(rule == allocation));
+            config.allocation.learned = 0.0;
+            config.allocation.coordinated = weight(Allocation::Coordinated);
+            config.allocation.heuristic = weight(Allocation::Heuristic);
+            config.allocation.random = weight(Allocation::Random);
+        }
+        Settings::Windows(config) => {
+            let rule = match allocation {
+                Allocation::Coordinated => "coordinated",
+                Allocation::Heuristic => "heuristic",
+                Allocation::Random => "random",
+            };
+            config.allocation.by = rule.to_owned();
+        }
+    }
+}
+
+fn mix_by(settings: &mut Settings, mixer: Mixer) -> Result<(), Failure> {
+    let kind = match mixer {
+        Mixer::Sum => MixerKind::Sum,
+        Mixer::Linear => MixerKind::Linear,
+        Mixer::Qmix => MixerKind::Qmix,
+    };
+    match settings {
+        Settings::Records(config) => config.mixer.kind = kind,
+        Settings::Windows(_) if kind == MixerKind::Qmix => {}
+        Settings::Windows(_) => {
+            let reason = "the preset `paper` mixes by `qmix` only";
+            return Err(Failure::new(Exit::Usage, reason.to_string()));
+        }
+    }
+    Ok(())
+}
+
+fn configuration_file(path: &Path) -> Result<Settings, Failure> {
     let text = fs::read_to_string(path).map_err(|error| Failure::file(path, &error))?;
-    Config::from_toml(&text)
+    Settings::from_toml(&text)
         .map_err(|error| Failure::new(Exit::BadData, format!("{}: {error}", path.display())))
 }
 

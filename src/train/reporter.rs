@@ -2,8 +2,8 @@
 
 use console::Term;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use sortie_learn::methods::alma::{Observer, Progress, Trainer};
-use sortie_learn::run::{CurvePoint, RunResult};
+use sortie_learn::methods::Trainer;
+use sortie_learn::run::{CurvePoint, Observer, Progress, RunResult};
 
 use crate::arguments::Common;
 use crate::output::print_json;
@@ -25,8 +25,7 @@ impl Reporter {
         let hidden = common.json || common.quiet;
         let target =
             if hidden { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
-        let bar =
-            ProgressBar::with_draw_target(Some(trainer.description().config.run.steps), target);
+        let bar = ProgressBar::with_draw_target(Some(trainer.steps()), target);
         let style = ProgressStyle::with_template(
             "{bar:30} {percent:>3} % of {human_len} steps, {eta} left, {msg}",
         );

@@ -15,7 +15,7 @@ use rustix::process::{Pid, PidfdFlags, Signal, pidfd_open, pidfd_send_signal};
 use serde::Serialize;
 use serde_json::Value;
 use sortie_ipc::Stop;
-use sortie_learn::methods::alma::Config;
+use sortie_learn::run::{Configuration, Settings};
 
 use super::cores;
 use crate::arguments::Common;
@@ -63,7 +63,7 @@ struct Summary {
 /// Runs all seeds; those that are finished already are only read.
 pub(super) fn run(
     seeds: SeedRange,
-    config: &Config,
+    config: &Settings,
     threads: usize,
     out: &Path,
     common: Common,
@@ -115,7 +115,7 @@ struct Sweep {
 
 impl Sweep {
     /// Writes the configuration beside the runs, for all of them to read.
-    fn new(config: &Config, threads: usize, out: &Path, common: Common) -> Result<Self, Failure> {
+    fn new(config: &Settings, threads: usize, out: &Path, common: Common) -> Result<Self, Failure> {
         let path = suffixed(out, ".toml");
         if let Some(parent) = out.parent() {
             fs::create_dir_all(parent).map_err(|error| Failure::file(parent, &error))?;
@@ -128,7 +128,7 @@ impl Sweep {
             out: out.to_owned(),
             config: path,
             threads,
-            steps: config.run.steps,
+            steps: config.run().steps,
             common,
             bars: MultiProgress::with_draw_target(target),
         })

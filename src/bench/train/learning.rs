@@ -3,10 +3,11 @@
 use sortie_envs::save_the_city::MAX_AGENTS;
 use sortie_learn::methods::alma::team_value::{TeamSearch, TeamValueLoss};
 use sortie_learn::methods::alma::{
-    Behaviour, Chunk, Config, EpisodeCounts, Knowledge, Learner, Loss, Memory, Networks, Rollout,
-    agents_learner, allocator_learner,
+    Behaviour, Chunk, Config, Knowledge, Learner, Loss, Memory, Networks, Rollout, agents_learner,
+    allocator_learner,
 };
 use sortie_learn::random::{Generator, Purpose, generator};
+use sortie_learn::run::EpisodeCounts;
 
 use super::{Case, Turn};
 use crate::bench::thread_cpu_s;
@@ -44,7 +45,7 @@ pub(super) struct Learning {
 impl Learning {
     /// Acts for a while by initial networks, exploring as a run does, under rules that allocate.
     pub(super) fn new(seed: u64) -> Result<Self, Failure> {
-        let mut config = Config::preset("fast")?;
+        let mut config = Config::default();
         // As much as is filled: the capacity of a whole run would only take memory.
         config.replay.capacity = 500_000;
         let mut learning = Self {

@@ -21,6 +21,8 @@ pub enum Purpose {
     Evaluation = 4,
     /// What a planner tries, and the chances that it assumes.
     Planning = 5,
+    /// Choices of proposed allocations.
+    Proposals = 6,
 }
 
 /// The generator of one purpose; `index` tells several of them apart.

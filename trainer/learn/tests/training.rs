@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use sortie_envs::save_the_city::AllocationRule;
 use sortie_learn::evaluate::{EvaluationPlan, evaluate};
-use sortie_learn::methods::alma::{Config, Observer, Outcome, Progress, Trainer};
-use sortie_learn::run::Run;
+use sortie_learn::methods::alma::{Config, Trainer};
+use sortie_learn::run::{Observer, Outcome, Progress, Run, RunAllocator, Settings};
 
 /// A run of a few seconds whose replay overflows.
 fn config() -> Config {
@@ -212,7 +212,10 @@ fn a_run_describes_and_draws_itself() {
     let mut trainer = Trainer::new(config(), 3, 1, folder.path()).unwrap();
     run(&mut trainer, u64::MAX);
     let opened = Run::open(folder.path()).unwrap();
-    assert_eq!((opened.description.seed, &opened.description.config), (3, &config()));
+    assert_eq!(
+        (opened.description.seed, &opened.description.config),
+        (3, &Settings::Records(config()))
+    );
     assert_eq!(&opened.network, trainer.network());
     assert!(opened.curve.iter().all(|point| point.loss > 0.0 && point.cpu_s > 0.0));
     let svg = std::fs::read_to_string(folder.path().join("curve.svg")).unwrap();
@@ -250,7 +253,10 @@ fn a_run_can_begin_with_what_another_learned() {
     let second = tempfile::tempdir().unwrap();
     let trainer = Trainer::new(config.clone(), 4, 1, second.path()).unwrap();
     assert_eq!(trainer.network(), &learned.network);
-    assert_eq!(trainer.allocator(), learned.allocator.as_ref());
+    let Some(RunAllocator::TeamValue(allocator)) = &learned.allocator else {
+        panic!("the run learned none")
+    };
+    assert_eq!(trainer.allocator(), Some(allocator));
 
     config.set("network.width=32").unwrap();
     let third = tempfile::tempdir().unwrap();

@@ -22,7 +22,7 @@ use super::team_value::{TeamValueExport, team_value_onnx};
 use crate::error::LearnError;
 use crate::evaluate::{Evaluation, EvaluationPlan, PolicyTeam, evaluate};
 use crate::methods::alma::{Conditioning, NetworkPolicy, UtilityNetwork, UtilityWeights};
-use crate::run::Run;
+use crate::run::{Run, RunAllocator, Settings};
 
 /// Golden observations of a bundle.
 const GOLDEN_CASES: usize = 256;
@@ -56,8 +56,12 @@ pub struct LearnedAllocator<'a> {
 impl<'a> LearnedAllocator<'a> {
     /// The allocator of a run, if the run learns one.
     pub fn of(run: &'a Run) -> Option<Self> {
-        let team_max = run.description.config.allocation.team_max;
-        run.allocator.as_ref().map(|network| Self { network, team_max })
+        let Settings::Records(config) = &run.description.config else { return None };
+        let team_max = config.allocation.team_max;
+        match &run.allocator {
+            Some(RunAllocator::TeamValue(network)) => Some(Self { network, team_max }),
+            _ => None,
+        }
     }
 }
 
@@ -66,7 +70,7 @@ impl<'a> LearnedAllocator<'a> {
 /// # Errors
 /// The agents are not conditioned on subtasks by masks.
 pub fn check_exportable(run: &Run) -> Result<(), LearnError> {
-    let conditioning = run.description.config.network.subtask;
+    let conditioning = run.description.config.subtask();
     if conditioning == Conditioning::Mask {
         return Ok(());
     }
@@ -88,7 +92,7 @@ pub fn draft_bundle(
 ) -> Result<Draft, LearnError> {
     check_exportable(run)?;
     let allocator = LearnedAllocator::of(run);
-    let contract = contract(run.description.config.allocation.interval);
+    let contract = contract(run.description.config.interval());
     let diverged = |error: ExportError| LearnError::format(folder, error);
     let agent = agent(&run.network.weights(), contract.hash()).map_err(diverged)?;
     let read = |name: &str| {
@@ -138,7 +142,7 @@ fn contract(decision_interval: u32) -> ContractV1 {
 }
 
 fn environment(run: &Run) -> Environment {
-    let config = &run.description.config.environment;
+    let config = run.description.config.environment();
     let unit = |name: &&str| match *name {
         "x-scaled" | "y-scaled" => "sides of the map",
         "health" | "fire" => "share of full",
@@ -161,7 +165,7 @@ fn limits(
     measured: &[Measured],
 ) -> Result<Limits, LearnError> {
     let (mut agents, mut buildings) = (0, 0);
-    let learned_on = &run.description.config.environment.set;
+    let learned_on = &run.description.config.environment().set;
     for name in measured.iter().map(|measured| &measured.set).chain([learned_on]) {
         let set = ScenarioSet::named(name)?;
         (agents, buildings) = (set.max_agents.max(agents), set.max_buildings.max(buildings));
@@ -215,9 +219,9 @@ fn golden(
 ) -> Result<Golden, LearnError> {
     let config = &run.description.config;
     let plan = EvaluationPlan {
-        constants: config.environment.constants,
-        interval: config.allocation.interval,
-        ..EvaluationPlan::new(&config.environment.set, GOLDEN_EPISODES, seed)?
+        constants: config.environment().constants,
+        interval: config.interval(),
+        ..EvaluationPlan::new(&config.environment().set, GOLDEN_EPISODES, seed)?
     };
     let allocations = match allocator {
         Some(allocator) => golden_allocations(&plan, &run.network, allocator)?,

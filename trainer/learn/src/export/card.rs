@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use super::bundle::{LearnedAllocator, Measured};
-use crate::run::Run;
+use crate::run::{Run, Settings};
 
 /// The model card.
 pub(super) fn card(
@@ -18,8 +18,8 @@ pub(super) fn card(
          Every agent runs the same masked-attention utility network (dissertation section 7.3): it sees the\n\
          entities of its own subtask, its team mates and one building, and nothing else. Trained by\n\
          `sortie train {}`, seed {}, Sortie {}; `train.toml` repeats the run.\n\n",
-        config.environment.name,
-        config.environment.set,
+        config.environment().name,
+        config.environment().set,
         description.method,
         description.seed,
         description.version,
@@ -47,8 +47,8 @@ pub(super) fn card(
             evaluation.return_mean,
         );
     }
-    if !config.run.from.is_empty() {
-        let _ = writeln!(card, "\nIt began with the networks of the run `{}`.", config.run.from);
+    if !config.run().from.is_empty() {
+        let _ = writeln!(card, "\nIt began with the networks of the run `{}`.", config.run().from);
     }
     if let Some(last) = run.curve.last() {
         let _ = writeln!(
@@ -65,8 +65,14 @@ pub(super) fn card(
 
 /// What is not in the dissertation.
 fn departures(run: &Run) -> String {
-    let config = &run.description.config;
     let mut text = "\n## Where the training departs from the dissertation\n\n".to_owned();
+    let config = match &run.description.config {
+        Settings::Records(config) => config,
+        Settings::Windows(_) => {
+            text += "- Nowhere but in the sampled windows: none learns a step from one episode to the next.\n";
+            return text;
+        }
+    };
     text += &format!(
         "- Utilities of a subtask's team are summed (VDN); there is no mixing network.\n\
          - It learns from records of one step and one subtask, with {}-step returns and discount {}.\n\

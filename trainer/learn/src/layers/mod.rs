@@ -14,8 +14,8 @@ pub mod relu;
 pub mod softmax;
 pub mod sparse_linear;
 pub mod team_attention;
-mod vectors;
-mod wide;
+pub(crate) mod vectors;
+pub(crate) mod wide;
 
 #[cfg(test)]
 pub(crate) mod gradient_check;

@@ -5,7 +5,7 @@
 
 /// Adds `factor` times `values` to `out`.
 #[inline(always)]
-pub(super) fn add_scaled(out: &mut [f32], factor: f32, values: &[f32]) {
+pub(crate) fn add_scaled(out: &mut [f32], factor: f32, values: &[f32]) {
     let (out, out_rest) = out.as_chunks_mut::<8>();
     let (values, values_rest) = values.as_chunks::<8>();
     for (out, values) in out.iter_mut().zip(values) {
@@ -25,7 +25,7 @@ pub(super) fn add_scaled(out: &mut [f32], factor: f32, values: &[f32]) {
 ///
 /// The terms are gone through once for every `LANES` columns, whose sums stay in registers meanwhile.
 #[inline(always)]
-pub(super) fn weighted_sum<'a, const LANES: usize>(
+pub(crate) fn weighted_sum<'a, const LANES: usize>(
     start: Option<&[f32]>,
     terms: impl Iterator<Item = (f32, &'a [f32])> + Clone,
     out: &mut [f32],
@@ -82,14 +82,14 @@ const GROUP: usize = 4;
 
 /// Writes the dot products of the vectors that stand behind each other in `a` and in `b`, as many as `out`.
 #[inline(always)]
-pub(super) fn dots(a: &[f32], b: &[f32], out: &mut [f32]) {
+pub(crate) fn dots(a: &[f32], b: &[f32], out: &mut [f32]) {
     let width = a.len() / out.len().max(1);
     write_dots(out, |index| (&a[index * width..][..width], &b[index * width..][..width]));
 }
 
 /// Writes the dot products of `b` and each of the vectors that stand behind each other in `a`.
 #[inline(always)]
-pub(super) fn dots_with(a: &[f32], b: &[f32], out: &mut [f32]) {
+pub(crate) fn dots_with(a: &[f32], b: &[f32], out: &mut [f32]) {
     let width = b.len();
     write_dots(out, |index| (&a[index * width..][..width], b));
 }

@@ -2,3 +2,6 @@
 
 pub mod alma;
 pub mod paper;
+mod trainer;
+
+pub use trainer::Trainer;

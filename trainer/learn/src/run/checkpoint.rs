@@ -7,10 +7,11 @@
 //! | file | content |
 //! | --- | --- |
 //! | `manifest.toml` | format version, version of Sortie, steps, network shapes, sizes and CRC-64 of the others |
-//! | `tensors.safetensors` | `agents/` and `allocator/`, each with `online/`, `target/`, `average/`, `adam-mean/`, `adam-square/` and the tensors of [`UtilityShape::tensors`] |
+//! | `tensors.safetensors` | networks, each with its vectors (`online/`, `target/`, those of the optimiser) and, for utility networks, the tensors of [`UtilityShape::tensors`] |
 //! | `state.postcard` | counters, generators, running episodes, the curve, the replays |
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use crc::{CRC_64_XZ, Crc, Table};
@@ -23,7 +24,7 @@ use crate::error::LearnError;
 use crate::methods::alma::{UtilityNetwork, UtilityShape};
 
 /// Version of the files of a checkpoint; another version is refused.
-const FORMAT: u32 = 2;
+const FORMAT: u32 = 3;
 /// Checkpoints that are kept.
 const KEPT: usize = 2;
 const MANIFEST: &str = "manifest.toml";
@@ -60,10 +61,24 @@ impl FileSum {
 pub struct SavedNetwork<'a> {
     /// The network's name.
     pub name: &'static str,
-    /// Its sizes.
-    pub shape: UtilityShape,
+    /// The sizes of a utility network, whose vectors are cut into their tensors. Others stay whole.
+    pub shape: Option<UtilityShape>,
     /// Vectors of one value per parameter.
     pub vectors: Vec<(&'static str, &'a [f32])>,
+}
+
+impl SavedNetwork<'_> {
+    /// Sizes and place of every tensor, by its name within a vector.
+    fn tensors(&self) -> Vec<(String, [usize; 2], Range<usize>)> {
+        if let Some(shape) = self.shape {
+            let tensors = shape.tensors().into_iter();
+            return tensors
+                .map(|t| (format!("/{}", t.name), [t.rows, t.columns], t.range))
+                .collect();
+        }
+        let count = self.vectors.first().map_or(0, |(_, vector)| vector.len());
+        vec![(String::new(), [1, count], 0..count)]
+    }
 }
 
 /// The checkpoints of a run.
@@ -120,7 +135,8 @@ impl Checkpoints {
             files.insert(name.to_owned(), FileSum::of(content));
         }
         let version = env!("CARGO_PKG_VERSION").to_owned();
-        let shapes = networks.iter().map(|n| (n.name.to_owned(), n.shape)).collect();
+        let shaped = networks.iter().filter_map(|n| Some((n.name.to_owned(), n.shape?)));
+        let shapes = shaped.collect();
         let manifest = Manifest { format: FORMAT, version, env_steps, shapes, files };
         let manifest = toml::to_string(&manifest).map_err(|error| bad(&error))?;
         write_whole(&unfinished.join(MANIFEST), manifest.as_bytes())?;
@@ -235,15 +251,33 @@ impl Checkpoint {
         let mut parameters = Vec::with_capacity(shape.parameters());
         for tensor in shape.tensors() {
             let name = format!("{network}/{vector}/{}", tensor.name);
-            let view = file.tensor(&name).map_err(|error| self.bad(format!("{name}: {error}")))?;
-            let (numbers, rest) = view.data().as_chunks::<4>();
-            if view.dtype() != Dtype::F32 || numbers.len() != tensor.range.len() || !rest.is_empty()
-            {
-                return Err(self.bad(format!("{name} has another size or type")));
-            }
-            parameters.extend(numbers.iter().map(|bytes| f32::from_le_bytes(*bytes)));
+            self.read_tensor(&file, &name, tensor.range.len(), &mut parameters)?;
         }
         Ok(parameters)
+    }
+
+    /// A vector of so many numbers that was saved whole, by network and vector as in `mixer/online`.
+    pub fn whole_vector(&self, name: &str, count: usize) -> Result<Vec<f32>, LearnError> {
+        let file = SafeTensors::deserialize(&self.tensors).map_err(|error| self.bad(error))?;
+        let mut numbers = Vec::with_capacity(count);
+        self.read_tensor(&file, name, count, &mut numbers)?;
+        Ok(numbers)
+    }
+
+    fn read_tensor(
+        &self,
+        file: &SafeTensors<'_>,
+        name: &str,
+        count: usize,
+        to: &mut Vec<f32>,
+    ) -> Result<(), LearnError> {
+        let view = file.tensor(name).map_err(|error| self.bad(format!("{name}: {error}")))?;
+        let (numbers, rest) = view.data().as_chunks::<4>();
+        if view.dtype() != Dtype::F32 || numbers.len() != count || !rest.is_empty() {
+            return Err(self.bad(format!("{name} has another size or type")));
+        }
+        to.extend(numbers.iter().map(|bytes| f32::from_le_bytes(*bytes)));
+        Ok(())
     }
 
     /// Everything that is not a parameter vector.
@@ -279,13 +313,12 @@ impl Checkpoint {
 /// All vectors of all networks, cut into their tensors.
 fn tensors_file(networks: &[SavedNetwork<'_>]) -> Result<Vec<u8>, safetensors::SafeTensorError> {
     let mut bytes: Vec<(String, [usize; 2], Vec<u8>)> = Vec::new();
-    for SavedNetwork { name: network, shape, vectors } in networks {
-        for (vector, parameters) in vectors {
-            for tensor in shape.tensors() {
-                let numbers = &parameters[tensor.range];
-                let numbers = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
-                let name = format!("{network}/{vector}/{}", tensor.name);
-                bytes.push((name, [tensor.rows, tensor.columns], numbers));
+    for network in networks {
+        for (vector, parameters) in &network.vectors {
+            for (tensor, sizes, range) in network.tensors() {
+                let numbers = parameters[range].iter().flat_map(|number| number.to_le_bytes());
+                let name = format!("{}/{vector}{tensor}", network.name);
+                bytes.push((name, sizes, numbers.collect()));
             }
         }
     }
@@ -313,9 +346,14 @@ mod tests {
 
     fn write(checkpoints: &Checkpoints, env_steps: u64) -> PathBuf {
         let vector = vec![env_steps as f32; SHAPE.parameters()];
-        let network =
-            SavedNetwork { name: "agents", shape: SHAPE, vectors: vec![("average", &vector)] };
-        checkpoints.write(env_steps, &[network], &env_steps).unwrap()
+        let agents = SavedNetwork {
+            name: "agents",
+            shape: Some(SHAPE),
+            vectors: vec![("average", &vector)],
+        };
+        let mixer =
+            SavedNetwork { name: "mixer", shape: None, vectors: vec![("online", &[1.5, 2.5])] };
+        checkpoints.write(env_steps, &[agents, mixer], &env_steps).unwrap()
     }
 
     fn steps_of(found: &Found) -> u64 {
@@ -342,6 +380,9 @@ mod tests {
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2);
         let missing =
             |network, vector| found.checkpoint.vector(network, vector).unwrap_err().to_string();
+        let whole = |count| found.checkpoint.whole_vector("mixer/online", count);
+        assert_eq!(whole(2).unwrap(), [1.5, 2.5]);
+        assert!(whole(3).unwrap_err().to_string().contains("another size"));
         assert!(missing("agents", "target").contains("agents/target/fc1"));
         assert!(missing("allocator", "average").contains("no `allocator` network"));
     }
@@ -383,9 +424,9 @@ mod tests {
         let checkpoints = Checkpoints::new(folder.path());
         let manifest = write(&checkpoints, 1).join(MANIFEST);
         let text = std::fs::read_to_string(&manifest).unwrap();
-        std::fs::write(&manifest, text.replace("format = 2", "format = 9")).unwrap();
+        std::fs::write(&manifest, text.replace("format = 3", "format = 9")).unwrap();
         let error = checkpoints.newest(OpenFor::Use).unwrap_err().to_string();
-        assert!(error.contains("format 9") && error.contains("reads 2"), "{error}");
+        assert!(error.contains("format 9") && error.contains("reads 3"), "{error}");
     }
 
     #[test]

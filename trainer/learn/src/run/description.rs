@@ -2,12 +2,22 @@
 
 use toml::Table;
 
+use super::settings::Settings;
 use crate::error::LearnError;
-use crate::methods::alma::Config;
+
+/// A configuration that a run can learn by.
+pub trait Configuration: Sized {
+    /// The algorithm by its name on the command line.
+    fn method(&self) -> &'static str;
+    /// The configuration as a file that a person can read.
+    fn to_toml(&self) -> Result<String, LearnError>;
+    /// Reads a configuration and refuses one that cannot work.
+    fn from_table(table: Table) -> Result<Self, LearnError>;
+}
 
 /// How a run learns. The same description gives the same weights, whatever the number of threads.
 #[derive(Clone, Debug, PartialEq)]
-pub struct RunDescription {
+pub struct RunDescription<C = Settings> {
     /// The algorithm: `alma`, or `flat` where there are no subtasks.
     pub method: String,
     /// Version of Sortie that began the run.
@@ -17,18 +27,17 @@ pub struct RunDescription {
     /// Threads that compute gradients.
     pub threads: usize,
     /// The complete configuration.
-    pub config: Config,
+    pub config: C,
 }
 
-impl RunDescription {
-    /// The keys of the file that are about the run, not its configuration.
-    pub const KEYS: [&str; 4] = ["method", "version", "seed", "threads"];
+/// The keys of the file that are about the run, not its configuration.
+pub(crate) const KEYS: [&str; 4] = ["method", "version", "seed", "threads"];
 
+impl<C: Configuration> RunDescription<C> {
     /// A run of this version of Sortie.
-    pub fn new(config: Config, seed: u64, threads: usize) -> Self {
-        let method = if config.network.subtask.has_subtasks() { "alma" } else { "flat" };
+    pub fn new(config: C, seed: u64, threads: usize) -> Self {
         Self {
-            method: method.to_owned(),
+            method: config.method().to_owned(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
             seed,
             threads,
@@ -54,14 +63,12 @@ impl RunDescription {
         let (seed, threads) = (take("seed")?, take("threads")?);
         let text = |value: toml::Value| value.as_str().map(str::to_owned);
         let number = |value: toml::Value| value.as_integer().and_then(|n| u64::try_from(n).ok());
-        let config: Config = table.try_into().map_err(|e: toml::de::Error| bad(e.message()))?;
-        config.check()?;
         Ok(Self {
             method: text(method).ok_or_else(|| bad("`method` is not text"))?,
             version: text(version).ok_or_else(|| bad("`version` is not text"))?,
             seed: number(seed).ok_or_else(|| bad("`seed` is not a number"))?,
             threads: number(threads).ok_or_else(|| bad("`threads` is not a number"))? as usize,
-            config,
+            config: C::from_table(table)?,
         })
     }
 }
@@ -69,20 +76,33 @@ impl RunDescription {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::methods::{alma, paper};
 
     #[test]
     fn the_written_file_reads_back() {
-        let mut config = Config::default();
+        let mut config = alma::Config::default();
         config.set("optimiser.learning_rate=0.0007").unwrap();
         let description = RunDescription::new(config, 7, 2);
         let text = description.to_toml().unwrap();
         assert_eq!(RunDescription::from_toml(&text).unwrap(), description, "{text}");
-        assert_eq!(Config::from_toml(&text).unwrap(), description.config);
+        assert_eq!(alma::Config::from_toml(&text).unwrap(), description.config);
     }
 
     #[test]
     fn a_file_without_its_seed_is_refused() {
-        let error = RunDescription::from_toml("method = \"alma\"\nversion = \"0\"").unwrap_err();
+        let error = RunDescription::<alma::Config>::from_toml("method = \"alma\"\nversion = \"0\"")
+            .unwrap_err();
         assert!(error.to_string().contains("`seed`"), "{error}");
+    }
+
+    #[test]
+    fn a_file_says_what_its_run_learns_from() {
+        let records = RunDescription::new(alma::Config::default(), 1, 1).to_toml().unwrap();
+        let windows = RunDescription::new(paper::Config::default(), 1, 1).to_toml().unwrap();
+        let read = |text: &str| RunDescription::<Settings>::from_toml(text).unwrap();
+        assert!(matches!(read(&records).config, Settings::Records(_)));
+        assert!(matches!(read(&windows).config, Settings::Windows(_)), "{windows}");
+        assert_eq!(read(&windows).to_toml().unwrap(), windows);
+        assert!(RunDescription::<alma::Config>::from_toml(&windows).is_err());
     }
 }

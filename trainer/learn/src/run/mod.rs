@@ -12,21 +12,52 @@
 
 pub mod chart;
 pub mod checkpoint;
+mod counters;
 mod curve;
 mod description;
+mod learning;
+mod progress;
 mod result;
+mod settings;
 
 use std::path::{Path, PathBuf};
 
 pub use checkpoint::{Checkpoint, Checkpoints};
+pub(crate) use counters::{Counters, Level};
+pub use counters::{EpisodeCounts, UpdateReport};
 pub use curve::CurvePoint;
-pub use description::RunDescription;
+pub(crate) use description::KEYS;
+pub use description::{Configuration, RunDescription};
+pub(crate) use learning::{Learning, learn};
+pub(crate) use progress::Clock;
+pub use progress::{Observer, Outcome, Progress};
 pub use result::RunResult;
+pub use settings::Settings;
 
 use crate::error::LearnError;
-use crate::evaluate::NetworkTeam;
+use crate::evaluate::{Allocate, NetworkTeam};
 use crate::methods::alma::UtilityNetwork;
+use crate::methods::alma::team_value::TeamValueAllocator;
+use crate::methods::paper::allocation::{AllocationCritic, AllocationNetworks, AllocationPolicy};
+use crate::methods::paper::{self, ProposalAllocator};
 use crate::report::{RunEvents, csv};
+
+/// The episodes that every run reports on in the end: the same for all runs, seen by none.
+pub(crate) const REPORT_SEED: u64 = 2_000_000;
+
+/// A learned allocator.
+#[derive(Clone, Debug, PartialEq)]
+pub enum RunAllocator {
+    /// The averaged weights of a team-value network.
+    TeamValue(UtilityNetwork),
+    /// A policy that proposes allocations, and the critic that chooses among them.
+    Proposals {
+        /// Proposes.
+        policy: AllocationPolicy,
+        /// Chooses.
+        critic: AllocationCritic,
+    },
+}
 
 /// A finished or running run, opened to use what it learned.
 #[derive(Clone, Debug)]
@@ -35,10 +66,10 @@ pub struct Run {
     pub description: RunDescription,
     /// Evaluations up to now.
     pub curve: Vec<CurvePoint>,
-    /// The agents' averaged weights of the newest sound checkpoint.
+    /// The agents' weights of the newest sound checkpoint; averaged ones where the run averages.
     pub network: UtilityNetwork,
-    /// The allocator's averaged weights, if the run learns one.
-    pub allocator: Option<UtilityNetwork>,
+    /// What the run has learned to allocate with, if it learns that.
+    pub allocator: Option<RunAllocator>,
     /// Environment steps at that checkpoint.
     pub env_steps: u64,
     /// Why newer checkpoints were passed over.
@@ -48,7 +79,21 @@ pub struct Run {
 impl Run {
     /// The agents as a team that can be measured.
     pub fn team(&self) -> NetworkTeam<'_> {
-        NetworkTeam::conditioned(&self.network, self.description.config.network.subtask)
+        NetworkTeam::conditioned(&self.network, self.description.config.subtask())
+    }
+
+    /// What the run has learned to allocate with, if it learns that, as something to be measured.
+    pub fn learned_allocator(&self) -> Option<Box<dyn Allocate + '_>> {
+        Some(match (self.allocator.as_ref()?, &self.description.config) {
+            (RunAllocator::TeamValue(network), Settings::Records(config)) => {
+                Box::new(TeamValueAllocator::new(network, config.allocation.team_max))
+            }
+            (RunAllocator::Proposals { policy, critic }, Settings::Windows(config)) => {
+                let networks = AllocationNetworks { policy, critic };
+                Box::new(ProposalAllocator::new(networks, config.allocation.proposals))
+            }
+            _ => return None,
+        })
     }
 
     /// Reads the folder of a run.
@@ -57,17 +102,32 @@ impl Run {
         let description = folder.read_description()?;
         let curve = folder.read_curve()?;
         let found = folder.checkpoints().newest(checkpoint::OpenFor::Use)?;
-        let average = |network| found.checkpoint.network(network, "average");
-        let allocator = found.checkpoint.has("allocator").then(|| average("allocator"));
+        let (network, allocator) = match &description.config {
+            Settings::Records(_) => {
+                let average = |network| found.checkpoint.network(network, "average");
+                let allocator = found.checkpoint.has("allocator").then(|| average("allocator"));
+                let allocator = allocator.transpose()?.map(RunAllocator::TeamValue);
+                (average("agents")?, allocator)
+            }
+            Settings::Windows(config) => (
+                found.checkpoint.network("agents", "online")?,
+                paper::saved_allocator(&found.checkpoint, config)?,
+            ),
+        };
         Ok(Self {
             description,
             curve,
-            network: average("agents")?,
-            allocator: allocator.transpose()?,
+            network,
+            allocator,
             env_steps: found.checkpoint.env_steps(),
             refused: found.refused,
         })
     }
+}
+
+/// How the run in a folder learns.
+pub(crate) fn read_description(folder: &Path) -> Result<RunDescription, LearnError> {
+    RunFolder::new(folder).read_description()
 }
 
 /// The files of a run.
@@ -83,7 +143,10 @@ impl RunFolder {
     }
 
     /// Makes the folder; refuses one that holds a run.
-    pub(crate) fn create(folder: &Path, description: &RunDescription) -> Result<Self, LearnError> {
+    pub(crate) fn create<C: Configuration>(
+        folder: &Path,
+        description: &RunDescription<C>,
+    ) -> Result<Self, LearnError> {
         let run = Self::new(folder);
         if run.description_path().exists() {
             let reason = "holds a run already; resume it, or choose another folder";
@@ -94,7 +157,9 @@ impl RunFolder {
         Ok(run)
     }
 
-    pub(crate) fn read_description(&self) -> Result<RunDescription, LearnError> {
+    pub(crate) fn read_description<C: Configuration>(
+        &self,
+    ) -> Result<RunDescription<C>, LearnError> {
         let path = self.description_path();
         let text = std::fs::read_to_string(&path).map_err(LearnError::file(&path))?;
         RunDescription::from_toml(&text).map_err(|error| LearnError::format(path, error))

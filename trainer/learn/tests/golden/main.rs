@@ -1,5 +1,6 @@
 //! Networks and learners against the reference's modules, on recorded inputs (`tests/golden`).
 
+mod allocation;
 mod files;
 mod low_level;
 mod networks;

@@ -71,7 +71,7 @@ pub(crate) fn windows(case: &Case) -> Windows {
 }
 
 /// The only subtask of a row of memberships.
-fn task_of(member: &[bool]) -> u8 {
+pub(crate) fn task_of(member: &[bool]) -> u8 {
     let mut tasks = (0..).zip(member).filter(|(_, member)| **member).map(|(task, _)| task);
     let task = tasks.next().unwrap_or(NO_TASK);
     assert!(tasks.next().is_none(), "an entity of two subtasks");

@@ -13,6 +13,7 @@ use rand_core::Rng;
 
 use crate::optimise::{Adam, clip_norm, move_towards};
 use crate::random::{Generator, below};
+use crate::run::UpdateReport;
 
 /// A sample to learn from and how its map is turned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -123,15 +124,6 @@ impl<L: Loss> Shared<L> {
             self.chunk(index).learn(Networks { online, target }, replay, picks);
         }
     }
-}
-
-/// What one update found.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct UpdateReport {
-    /// Mean squared error of the batch.
-    pub loss: f64,
-    /// Norm of the gradient before clipping.
-    pub gradient_norm: f32,
 }
 
 /// The networks of one level, their optimiser and the pieces of a running update.

@@ -16,6 +16,7 @@ use super::utility::{UtilityNetwork, UtilityShape};
 use super::utility_pass::UtilityPass;
 use crate::error::LearnError;
 use crate::random::{Generator, Purpose, below, chance, generator};
+use crate::run::EpisodeCounts;
 
 /// What an instance remembers between steps.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -35,21 +36,6 @@ pub struct InstanceSnapshot {
     agents: Vec<AgentState>,
     buildings: Vec<BuildingState>,
     steps: u32,
-}
-
-/// Episodes that ended during some steps.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct EpisodeCounts {
-    /// Episodes that ended.
-    pub episodes: u64,
-    /// Those with all buildings complete.
-    pub solved: u64,
-    /// Those that timed out.
-    pub timed_out: u64,
-    /// Sum of the team's rewards.
-    pub return_sum: f64,
-    /// Decisions of the allocator.
-    pub decisions: u64,
 }
 
 /// Who acts and allocates in a step.

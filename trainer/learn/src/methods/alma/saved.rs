@@ -1,4 +1,4 @@
-//! What a run counts, and how it is written to a checkpoint and read back.
+//! How a run is written to a checkpoint and read back.
 
 use std::path::Path;
 
@@ -6,107 +6,41 @@ use serde::{Deserialize, Serialize};
 use sortie_envs::save_the_city::ScenarioSet;
 
 use super::config::Config;
-use super::learner::{Learner, Loss, UpdateReport};
+use super::learner::{Learner, Loss};
 use super::mixed_network::MixedNetwork;
 use super::mixer::{Mixer, MixerShape};
 use super::replay::{RecordLayout, Replay};
-use super::rollout::{EpisodeCounts, InstanceSnapshot};
+use super::rollout::InstanceSnapshot;
 use super::team_value::Segments;
-use super::trainer::{Observer, Trainer};
+use super::trainer::Trainer;
 use super::utility::{UtilityNetwork, UtilityShape};
 use crate::error::LearnError;
 use crate::optimise::Adam;
 use crate::random::Generator;
 use crate::run::checkpoint::{Checkpoint, OpenFor, SavedNetwork};
-use crate::run::{CurvePoint, RunFolder};
+use crate::run::{Counters, Level, Observer, RunFolder};
 
-/// One value for the agents and one for the allocator.
+/// When each level makes its next update, in environment steps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) struct Level<T> {
-    pub(super) agents: T,
-    pub(super) allocator: T,
-}
+pub(super) struct Due(Level<u64>);
 
-/// Sums over the updates since the last evaluation.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(super) struct Updates {
-    pub(super) updates: u64,
-    loss: f64,
-    gradient_norm: f64,
-}
-
-impl Updates {
-    pub(super) fn add(&mut self, report: UpdateReport) {
-        self.updates += 1;
-        self.loss += report.loss;
-        self.gradient_norm += f64::from(report.gradient_norm);
-    }
-
-    pub(super) fn mean_loss(&self) -> f64 {
-        self.loss / self.updates.max(1) as f64
-    }
-
-    pub(super) fn mean_gradient_norm(&self) -> f64 {
-        self.gradient_norm / self.updates.max(1) as f64
-    }
-}
-
-/// What happened since the last evaluation.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(super) struct Window {
-    pub(super) agents: Updates,
-    pub(super) allocator: Updates,
-    pub(super) episodes: EpisodeCounts,
-}
-
-/// Where a run is.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(super) struct Counters {
-    pub(super) env_steps: u64,
-    /// Optimiser steps and decisions before the window.
-    pub(super) updates: Level<u64>,
-    pub(super) decisions: u64,
-    next_update: Level<u64>,
-    pub(super) next_evaluation: u64,
-    pub(super) wall_s: f64,
-    pub(super) cpu_s: f64,
-    pub(super) window: Window,
-    pub(super) curve: Vec<CurvePoint>,
-}
-
-impl Counters {
-    pub(super) fn new(config: &Config) -> Self {
-        Self { next_evaluation: config.run.evaluate_every, ..Self::default() }
-    }
-
+impl Due {
     /// Whether a level has an update to make.
-    pub(super) fn updates_due(&self) -> bool {
-        self.next_update.agents.min(self.next_update.allocator) <= self.env_steps
+    pub(super) fn any(&self, env_steps: u64) -> bool {
+        self.0.agents.min(self.0.allocator) <= env_steps
     }
 
     /// Which levels have an update to make; they are taken to have made it.
-    pub(super) fn take_due(&mut self, config: &Config) -> Level<bool> {
+    pub(super) fn take(&mut self, env_steps: u64, config: &Config) -> Level<bool> {
         let take = |next: &mut u64, pause: u64| {
-            let due = *next <= self.env_steps;
+            let due = *next <= env_steps;
             *next += if due { pause } else { 0 };
             due
         };
         Level {
-            agents: take(&mut self.next_update.agents, config.replay.steps_per_update),
-            allocator: take(
-                &mut self.next_update.allocator,
-                config.allocator.replay.steps_per_update,
-            ),
+            agents: take(&mut self.0.agents, config.replay.steps_per_update),
+            allocator: take(&mut self.0.allocator, config.allocator.replay.steps_per_update),
         }
-    }
-
-    /// Closes the window: an evaluation was made.
-    pub(super) fn add_point(&mut self, point: CurvePoint) {
-        let Window { agents, allocator, episodes } = std::mem::take(&mut self.window);
-        self.updates.agents += agents.updates;
-        self.updates.allocator += allocator.updates;
-        self.decisions += episodes.decisions;
-        self.curve.push(point);
     }
 }
 
@@ -114,6 +48,7 @@ impl Counters {
 #[derive(Serialize)]
 struct StateRef<'a> {
     counters: &'a Counters,
+    due: Due,
     adam_steps: Level<u64>,
     picks: &'a Level<Generator>,
     instances: Vec<InstanceSnapshot>,
@@ -126,6 +61,7 @@ struct StateRef<'a> {
 #[derive(Deserialize)]
 struct State {
     counters: Counters,
+    due: Due,
     adam_steps: Level<u64>,
     picks: Level<Generator>,
     instances: Vec<InstanceSnapshot>,
@@ -168,7 +104,7 @@ const ALLOCATOR: &str = "allocator";
 
 impl Trainer {
     /// Writes a checkpoint.
-    pub(super) fn save(&self, observer: &mut dyn Observer) -> Result<(), LearnError> {
+    pub(super) fn write_checkpoint(&self, observer: &mut dyn Observer) -> Result<(), LearnError> {
         let agents = self.agents.knowledge();
         let allocator = self.allocator.as_ref().map(|learner| (learner, learner.knowledge()));
         let mixed = [&agents.online, &agents.target, &self.agents.average];
@@ -181,6 +117,7 @@ impl Trainer {
         let (utilities, adam) = (agents.online.utility.shape().parameters(), &self.agents.adam);
         let state = StateRef {
             counters: &self.counters,
+            due: self.due,
             adam_steps: Level {
                 agents: self.agents.adam.steps,
                 allocator: allocator.as_ref().map_or(0, |(learner, _)| learner.adam.steps),
@@ -204,7 +141,7 @@ impl Trainer {
     /// `threads` may differ from before; it changes no result. `None` takes as many as before.
     pub fn resume(folder: &Path, threads: Option<usize>) -> Result<Self, LearnError> {
         let files = RunFolder::new(folder);
-        let mut description = files.read_description()?;
+        let mut description = files.read_description::<Config>()?;
         description.threads = threads.unwrap_or(description.threads).max(1);
         let found = files.checkpoints().newest(OpenFor::Resume)?;
         let state: State = found.checkpoint.state()?;
@@ -229,7 +166,7 @@ impl Trainer {
         let mut trainer = Self::start(description, folder)?;
         trainer.rollout.restore(state.instances)?;
         trainer.picks = state.picks;
-        trainer.counters = state.counters;
+        (trainer.counters, trainer.due) = (state.counters, state.due);
         let config = trainer.description.config.clone();
         let shape = config.agent_shape()?;
         let adam = Adam { steps: state.adam_steps.agents, ..trainer.agents.adam.clone() };
@@ -257,7 +194,7 @@ fn saved<'a>(
     let count = online.shape().parameters();
     SavedNetwork {
         name,
-        shape: online.shape(),
+        shape: Some(online.shape()),
         vectors: vec![
             ("online", online.parameters()),
             ("target", target.parameters()),

@@ -256,10 +256,11 @@ mod tests {
     use super::*;
     use crate::layers::gradient_check::assert_gradient;
     use crate::methods::alma::{
-        Behaviour, Config, EpisodeCounts, Memory, Mixer, MixerKind, Parameters, Record,
-        RecordLayout, Rollout, UtilityNetwork,
+        Behaviour, Config, Memory, Mixer, MixerKind, Parameters, Record, RecordLayout, Rollout,
+        UtilityNetwork,
     };
     use crate::random::{Purpose, generator};
+    use crate::run::EpisodeCounts;
     use sortie_envs::save_the_city::ScenarioSet;
 
     /// Few records, so that finite differences cross few kinks.

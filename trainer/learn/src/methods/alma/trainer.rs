@@ -2,81 +2,35 @@
 
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::sync::atomic::AtomicBool;
 
-use rustix::time::{ClockId, clock_gettime};
 use sortie_envs::save_the_city::ScenarioSet;
 
-use super::config::{Allocation, Config};
+use super::config::{Allocation, Config, RunConfig};
 use super::learner::{Knowledge, Learner};
 use super::mixed_network::MixedNetwork;
 use super::mixer::Mixer;
 use super::replay::{RecordLayout, Replay};
 use super::rollout::{Behaviour, Memory, Rollout};
-use super::saved::{Counters, Level};
+use super::saved::Due;
 use super::team_value::{Segments, TeamValueAllocator, TeamValueLoss};
 use super::temporal_difference::Chunk;
 use super::utility::UtilityNetwork;
 use crate::error::LearnError;
 use crate::evaluate::{Evaluation, EvaluationPlan, NetworkTeam, NoSubtasks, evaluate};
 use crate::random::{Generator, Purpose, generator};
-use crate::run::{CurvePoint, Run, RunDescription, RunFolder, RunResult};
+use crate::run::{
+    Counters, CurvePoint, Learning, Level, Observer, Outcome, Progress, REPORT_SEED, Run,
+    RunAllocator, RunDescription, RunFolder, RunResult, learn,
+};
 use crate::workers::Workers;
 
 /// Tells the allocator's streams of random numbers from the agents'.
 const ALLOCATOR_STREAM: u64 = 1;
-/// The episodes that every run reports on in the end: the same for all runs, seen by none.
-const REPORT_SEED: u64 = 2_000_000;
-
-/// Is told how a run goes.
-pub trait Observer {
-    /// Some steps were taken; called several hundred times a second.
-    fn progress(&mut self, progress: &Progress) {
-        let _ = progress;
-    }
-
-    /// An evaluation was made.
-    fn evaluated(&mut self, point: &CurvePoint) {
-        let _ = point;
-    }
-
-    /// A checkpoint was written.
-    fn saved(&mut self, checkpoint: &Path) {
-        let _ = checkpoint;
-    }
-
-    /// The run has ended and was measured on fresh episodes.
-    fn finished(&mut self, result: &RunResult) {
-        let _ = result;
-    }
-}
-
-/// Listens to nothing.
-impl Observer for () {}
-
-/// How far a run is.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Progress {
-    /// Environment steps taken.
-    pub env_steps: u64,
-    /// Environment steps of the whole run.
-    pub env_steps_total: u64,
-}
-
-/// How a call of [`Trainer::run`] ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Outcome {
-    /// All steps were taken.
-    Finished,
-    /// The stop flag was set; a checkpoint was written.
-    Stopped,
-}
-
 /// A run that learns.
 #[derive(Debug)]
 pub struct Trainer {
-    pub(super) description: RunDescription,
+    pub(super) description: RunDescription<Config>,
     pub(super) folder: RunFolder,
     pub(super) agents: Learner<Chunk>,
     /// There is one if the run learns an allocator.
@@ -86,6 +40,7 @@ pub struct Trainer {
     /// What each level draws its samples with.
     pub(super) picks: Level<Generator>,
     pub(super) counters: Counters,
+    pub(super) due: Due,
     /// Why newer checkpoints were passed over when the run was resumed.
     pub(super) refused: Vec<String>,
 }
@@ -118,7 +73,9 @@ impl Trainer {
         (knowledge.target, knowledge.online) = (online.clone(), online.clone());
         drop(knowledge);
         self.agents.average = online;
-        let (Some(learner), Some(network)) = (&mut self.allocator, &run.allocator) else {
+        let (Some(learner), Some(RunAllocator::TeamValue(network))) =
+            (&mut self.allocator, &run.allocator)
+        else {
             return Ok(());
         };
         let mut knowledge = learner.knowledge_mut();
@@ -131,7 +88,10 @@ impl Trainer {
         Ok(())
     }
 
-    pub(super) fn start(description: RunDescription, folder: &Path) -> Result<Self, LearnError> {
+    pub(super) fn start(
+        description: RunDescription<Config>,
+        folder: &Path,
+    ) -> Result<Self, LearnError> {
         let RunDescription { config, seed, threads, .. } = &description;
         let agents = agents_learner(config, *seed)?;
         let allocator = config.learns_allocator().then(|| allocator_learner(config, *seed));
@@ -149,7 +109,8 @@ impl Trainer {
                 agents: generator(*seed, Purpose::Replay, 0),
                 allocator: generator(*seed, Purpose::Replay, ALLOCATOR_STREAM),
             },
-            counters: Counters::new(config),
+            counters: Counters::new(config.run.evaluate_every),
+            due: Due::default(),
             folder: RunFolder::new(folder),
             description,
             refused: Vec::new(),
@@ -157,7 +118,7 @@ impl Trainer {
     }
 
     /// How the run learns.
-    pub fn description(&self) -> &RunDescription {
+    pub fn description(&self) -> &RunDescription<Config> {
         &self.description
     }
 
@@ -192,47 +153,7 @@ impl Trainer {
         observer: &mut dyn Observer,
         stop: &AtomicBool,
     ) -> Result<Outcome, LearnError> {
-        let mut clock = Clock::start();
-        let minutes = self.description.config.run.checkpoint_minutes.max(0.0);
-        let pause = Duration::try_from_secs_f64(60.0 * minutes).unwrap_or(Duration::MAX);
-        let mut saved = Instant::now();
-        while self.counters.env_steps < self.description.config.run.steps {
-            if stop.load(Ordering::Relaxed) {
-                clock.add_to(&mut self.counters);
-                self.save(observer)?;
-                return Ok(Outcome::Stopped);
-            }
-            self.step(observer)?;
-            if self.counters.env_steps >= self.counters.next_evaluation {
-                clock.add_to(&mut self.counters);
-                self.counters.next_evaluation += self.description.config.run.evaluate_every;
-                self.evaluate(observer)?;
-            }
-            if saved.elapsed() >= pause {
-                clock.add_to(&mut self.counters);
-                self.save(observer)?;
-                saved = Instant::now();
-            }
-        }
-        clock.add_to(&mut self.counters);
-        if self.counters.curve.last().is_none_or(|p| p.env_steps < self.counters.env_steps) {
-            self.evaluate(observer)?;
-        }
-        self.save(observer)?;
-        self.report(observer)?;
-        Ok(Outcome::Finished)
-    }
-
-    /// One step in every instance, and the updates that are due.
-    fn step(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError> {
-        self.act()?;
-        self.counters.env_steps += self.rollout.instances() as u64;
-        while self.counters.updates_due() {
-            self.update();
-        }
-        let env_steps_total = self.description.config.run.steps;
-        observer.progress(&Progress { env_steps: self.counters.env_steps, env_steps_total });
-        Ok(())
+        learn(self, observer, stop)
     }
 
     fn act(&mut self) -> Result<(), LearnError> {
@@ -257,7 +178,7 @@ impl Trainer {
     fn update(&mut self) {
         let config = &self.description.config;
         let (now, end) = (self.counters.env_steps, config.run.steps);
-        let due = self.counters.take_due(config);
+        let due = self.due.take(now, config);
         let learn_agents = due.agents && self.agents.is_warm();
         if learn_agents {
             self.agents.pick(&mut self.picks.agents);
@@ -310,35 +231,6 @@ impl Trainer {
         }
     }
 
-    /// Adds a point to the curve.
-    fn evaluate(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError> {
-        let episodes = self.description.config.run.evaluate_episodes;
-        // Counted from the top, so that ordinary seeds remain fresh for later evaluations.
-        let result = self.measure(episodes, u64::MAX - self.description.seed)?;
-        let point = self.point(&result);
-        observer.evaluated(&point);
-        self.counters.add_point(point);
-        self.folder.write_curve(&self.title(), &self.counters.curve)
-    }
-
-    /// Measures the finished run on episodes that no run uses before its end.
-    fn report(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError> {
-        let config = &self.description.config;
-        let Config { environment, run, .. } = config;
-        if run.final_episodes == 0 {
-            return Ok(());
-        }
-        let result = RunResult {
-            env: format!("{}/{}", environment.name, environment.set),
-            allocation: config.measured_allocation().to_owned(),
-            seed: REPORT_SEED,
-            evaluation: self.measure(run.final_episodes, REPORT_SEED)?,
-        };
-        self.folder.write_result(&result)?;
-        observer.finished(&result);
-        Ok(())
-    }
-
     fn point(&self, result: &Evaluation) -> CurvePoint {
         let config = &self.description.config;
         let Counters { env_steps, updates, decisions, wall_s, cpu_s, window, .. } = &self.counters;
@@ -373,6 +265,58 @@ impl Trainer {
     }
 }
 
+impl Learning for Trainer {
+    fn schedule(&self) -> RunConfig {
+        self.description.config.run.clone()
+    }
+
+    fn counters(&mut self) -> &mut Counters {
+        &mut self.counters
+    }
+
+    fn step(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError> {
+        self.act()?;
+        self.counters.env_steps += self.rollout.instances() as u64;
+        while self.due.any(self.counters.env_steps) {
+            self.update();
+        }
+        let env_steps_total = self.description.config.run.steps;
+        observer.progress(&Progress { env_steps: self.counters.env_steps, env_steps_total });
+        Ok(())
+    }
+
+    fn evaluate(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError> {
+        let episodes = self.description.config.run.evaluate_episodes;
+        // Counted from the top, so that ordinary seeds remain fresh for later evaluations.
+        let result = self.measure(episodes, u64::MAX - self.description.seed)?;
+        let point = self.point(&result);
+        observer.evaluated(&point);
+        self.counters.add_point(point);
+        self.folder.write_curve(&self.title(), &self.counters.curve)
+    }
+
+    fn save(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError> {
+        self.write_checkpoint(observer)
+    }
+
+    fn report(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError> {
+        let config = &self.description.config;
+        let Config { environment, run, .. } = config;
+        if run.final_episodes == 0 {
+            return Ok(());
+        }
+        let result = RunResult {
+            env: format!("{}/{}", environment.name, environment.set),
+            allocation: config.measured_allocation().to_owned(),
+            seed: REPORT_SEED,
+            evaluation: self.measure(run.final_episodes, REPORT_SEED)?,
+        };
+        self.folder.write_result(&result)?;
+        observer.finished(&result);
+        Ok(())
+    }
+}
+
 /// The learner of the agents, before its first update.
 pub fn agents_learner(config: &Config, seed: u64) -> Result<Learner<Chunk>, LearnError> {
     let (shape, inputs) = (config.agent_shape()?, config.network.active_inputs);
@@ -397,29 +341,4 @@ pub fn allocator_learner(config: &Config, seed: u64) -> Learner<TeamValueLoss> {
     let replay = Segments::new(config.replay.capacity);
     let loss = TeamValueLoss::new(config.shape());
     Learner::new((&config.replay, &config.optimiser), online, replay, &loss)
-}
-
-/// Wall and processor time since the last reading.
-struct Clock {
-    wall: Instant,
-    cpu_s: f64,
-}
-
-impl Clock {
-    fn start() -> Self {
-        Self { wall: Instant::now(), cpu_s: process_cpu_s() }
-    }
-
-    fn add_to(&mut self, counters: &mut Counters) {
-        let now = Self::start();
-        counters.wall_s += (now.wall - self.wall).as_secs_f64();
-        counters.cpu_s += now.cpu_s - self.cpu_s;
-        *self = now;
-    }
-}
-
-/// Processor time of all threads of this process.
-fn process_cpu_s() -> f64 {
-    let time = clock_gettime(ClockId::ProcessCPUTime);
-    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }

@@ -5,9 +5,24 @@
 //! and a policy that proposes them (amortised Q-learning). Nothing here is shortened: what is faster
 //! than the public code is an exact rewrite of it.
 
+pub mod allocation;
+pub mod config;
+mod deciding;
 pub mod low_level;
 mod popart;
+mod replay;
+mod rollout;
+mod sampling;
+mod saved;
+mod trainer;
 mod windows;
 
-pub use popart::PopArt;
+pub use config::Config;
+pub use deciding::ProposalAllocator;
+pub use popart::{PopArt, Rescale};
+pub use replay::{Episode, Moment, Replay};
+pub use rollout::{Decide, Exploration, Rollout, RolloutGenerators};
+pub use sampling::{SampleShape, cut_windows, draw_episodes};
+pub(crate) use saved::saved_allocator;
+pub use trainer::Trainer;
 pub use windows::{NO_ACTION, NO_TASK, WindowShape, Windows};

@@ -35,7 +35,7 @@ impl Default for NetworkConfig {
 
 impl NetworkConfig {
     /// Refuses values that cannot work; `of` names the section.
-    pub(super) fn check(&self, of: &str) -> Result<(), LearnError> {
+    pub(crate) fn check(&self, of: &str) -> Result<(), LearnError> {
         require(
             self.heads > 0 && self.width > 0 && self.width.is_multiple_of(self.heads),
             &format!("`{of}.width` must be a multiple of `{of}.heads`"),
@@ -127,7 +127,7 @@ impl MixerConfig {
         if self.kind == MixerKind::Qmix { self.reward_scale } else { 1.0 }
     }
 
-    pub(super) fn check(&self) -> Result<(), LearnError> {
+    pub(crate) fn check(&self) -> Result<(), LearnError> {
         require(
             self.heads > 0 && self.width > 0 && self.width.is_multiple_of(self.heads),
             "`mixer.width` must be a multiple of `mixer.heads`",
@@ -159,7 +159,7 @@ impl Default for ReturnsConfig {
 }
 
 impl ReturnsConfig {
-    pub(super) fn check(&self) -> Result<(), LearnError> {
+    pub(crate) fn check(&self) -> Result<(), LearnError> {
         require(self.steps > 0, "`returns.steps` must be at least 1")?;
         require((0.0..=1.0).contains(&self.discount), "`returns.discount` must be in 0..1")
     }
@@ -198,7 +198,7 @@ impl ExplorationConfig {
         linear(self.start, self.end, self.steps, step)
     }
 
-    pub(super) fn check(&self) -> Result<(), LearnError> {
+    pub(crate) fn check(&self) -> Result<(), LearnError> {
         require(!self.spread.is_empty(), "`exploration.spread` must not be empty")
     }
 }

@@ -50,6 +50,14 @@ pub enum Allocation {
 }
 
 impl Allocation {
+    /// The allocator of a name.
+    pub fn named(name: &str) -> Option<Self> {
+        let rules =
+            [AllocationRule::Coordinated, AllocationRule::Heuristic, AllocationRule::Random];
+        let all = [Self::Learned].into_iter().chain(rules.map(Self::Rule));
+        all.into_iter().find(|allocation| allocation.name() == name)
+    }
+
     /// Its name on the command line and in reports.
     pub fn name(self) -> &'static str {
         match self {
@@ -86,7 +94,7 @@ impl AllocationConfig {
         self.weights().into_iter().reduce(heavier).map_or(Allocation::Learned, |(who, _)| who)
     }
 
-    pub(super) fn check(&self) -> Result<(), LearnError> {
+    pub(crate) fn check(&self) -> Result<(), LearnError> {
         let weights = self.weights();
         require(
             weights.iter().all(|(_, w)| *w >= 0.0) && weights.iter().any(|(_, w)| *w > 0.0),
@@ -152,7 +160,7 @@ impl AllocatorConfig {
         UtilityShape { input: COLUMNS, ..self.network.shape(1) }
     }
 
-    pub(super) fn check(&self) -> Result<(), LearnError> {
+    pub(crate) fn check(&self) -> Result<(), LearnError> {
         let shares = [self.moved, self.moved_decisions];
         require(
             shares.iter().all(|share| (0.0..=1.0).contains(share)),

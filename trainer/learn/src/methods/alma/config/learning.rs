@@ -36,7 +36,7 @@ impl Default for ReplayConfig {
 
 impl ReplayConfig {
     /// Refuses values that cannot work; `of` names the section.
-    pub(super) fn check(&self, of: &str) -> Result<(), LearnError> {
+    pub(crate) fn check(&self, of: &str) -> Result<(), LearnError> {
         require(
             self.batch > 0 && self.steps_per_update > 0 && self.warm_up > 0,
             &format!("`{of}.batch`, `.steps_per_update` and `.warm_up` must be at least 1"),
@@ -94,7 +94,7 @@ impl OptimiserConfig {
     }
 
     /// Refuses values that cannot work; `of` names the section.
-    pub(super) fn check(&self, of: &str) -> Result<(), LearnError> {
+    pub(crate) fn check(&self, of: &str) -> Result<(), LearnError> {
         require(
             (0.0..=1.0).contains(&self.decay_from),
             &format!("`{of}.decay_from` must be in 0..1"),

@@ -17,8 +17,9 @@ pub use run::{EnvironmentConfig, RunConfig};
 use sortie_envs::save_the_city::{ACTIONS, ScenarioSet};
 
 use super::utility::UtilityShape;
+use crate::configuration::{self, require};
 use crate::error::LearnError;
-use crate::run::RunDescription;
+use crate::run::Configuration;
 
 /// The configuration of a run. Its defaults are the preset `fast`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -47,50 +48,18 @@ pub struct Config {
 }
 
 impl Config {
-    /// A preset by name: `fast`.
-    pub fn preset(name: &str) -> Result<Self, LearnError> {
-        match name {
-            "fast" => Ok(Self::default()),
-            _ => Err(LearnError::Config(format!("no preset `{name}`; there is `fast`"))),
-        }
-    }
-
     /// Reads a configuration; what is missing keeps its default.
     ///
     /// A run's `train.toml` will do: its lines about the run itself are passed over.
     pub fn from_toml(text: &str) -> Result<Self, LearnError> {
-        let bad = |error: toml::de::Error| LearnError::Config(error.message().to_owned());
-        let mut table: toml::Table = text.parse().map_err(bad)?;
-        for key in RunDescription::KEYS {
-            table.remove(key);
-        }
-        let config: Self = table.try_into().map_err(bad)?;
+        let config: Self = configuration::from_toml(text)?;
         config.check()?;
         Ok(config)
     }
 
-    /// The configuration as a file that a person can read.
-    pub fn to_toml(&self) -> Result<String, LearnError> {
-        toml::to_string(self).map_err(|error| LearnError::Config(error.to_string()))
-    }
-
     /// Replaces one value, named as in `replay.batch=256`.
     pub fn set(&mut self, assignment: &str) -> Result<(), LearnError> {
-        let bad = |why: &str| LearnError::Config(format!("`{assignment}`: {why}"));
-        let (key, value) = assignment.split_once('=').ok_or_else(|| bad("not `key=value`"))?;
-        let mut table = toml::Table::try_from(&*self).map_err(|e| bad(&e.to_string()))?;
-        let (parents, name) = key.trim().rsplit_once('.').ok_or_else(|| bad("no such key"))?;
-        let mut place = &mut table;
-        for parent in parents.split('.') {
-            place = place
-                .get_mut(parent)
-                .and_then(toml::Value::as_table_mut)
-                .ok_or_else(|| bad("no such key"))?;
-        }
-        let old = place.get(name).ok_or_else(|| bad("no such key"))?;
-        let new = parse_like(old, value.trim()).ok_or_else(|| bad("not a value of that kind"))?;
-        place.insert(name.to_owned(), new);
-        let changed: Self = table.try_into().map_err(|e: toml::de::Error| bad(e.message()))?;
+        let changed: Self = configuration::replaced(self, assignment)?;
         changed.check()?;
         *self = changed;
         Ok(())
@@ -127,21 +96,20 @@ impl Config {
     }
 }
 
-/// Refuses a configuration that does not hold, with what it must be.
-fn require(holds: bool, what: &str) -> Result<(), LearnError> {
-    if holds { Ok(()) } else { Err(LearnError::Config(what.to_owned())) }
-}
+impl Configuration for Config {
+    fn method(&self) -> &'static str {
+        if self.network.subtask.has_subtasks() { "alma" } else { "flat" }
+    }
 
-/// Reads `text` as a value of the same kind as `old`.
-fn parse_like(old: &toml::Value, text: &str) -> Option<toml::Value> {
-    use toml::Value;
-    Some(match old {
-        Value::String(_) => Value::String(text.to_owned()),
-        Value::Integer(_) => Value::Integer(text.replace('_', "").parse().ok()?),
-        Value::Float(_) => Value::Float(text.parse().ok()?),
-        Value::Boolean(_) => Value::Boolean(text.parse().ok()?),
-        _ => toml::from_str::<toml::Table>(&format!("value = {text}")).ok()?.remove("value")?,
-    })
+    fn to_toml(&self) -> Result<String, LearnError> {
+        configuration::to_toml(self)
+    }
+
+    fn from_table(table: toml::Table) -> Result<Self, LearnError> {
+        let config: Self = configuration::from_table(table)?;
+        config.check()?;
+        Ok(config)
+    }
 }
 
 #[cfg(test)]
@@ -205,6 +173,5 @@ mod tests {
         }
         assert_eq!(config, Config::default());
         assert!(Config::from_toml("[replay]\nbatsch = 3").is_err());
-        assert!(Config::preset("slow").is_err());
     }
 }

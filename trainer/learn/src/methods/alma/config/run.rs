@@ -33,7 +33,7 @@ impl Default for EnvironmentConfig {
 
 impl EnvironmentConfig {
     /// Refuses values that cannot work.
-    pub(super) fn check(&self) -> Result<(), LearnError> {
+    pub(crate) fn check(&self) -> Result<(), LearnError> {
         require(self.name == "save-the-city", "`environment.name` must be `save-the-city`")?;
         require(self.instances > 0, "`environment.instances` must be at least 1")
     }
@@ -71,7 +71,7 @@ impl Default for RunConfig {
 }
 
 impl RunConfig {
-    pub(super) fn check(&self) -> Result<(), LearnError> {
+    pub(crate) fn check(&self) -> Result<(), LearnError> {
         require(self.evaluate_every > 0, "`run.evaluate_every` must be at least 1")?;
         require(self.evaluate_episodes > 0, "`run.evaluate_episodes` must be at least 1")
     }

@@ -1,0 +1,349 @@
+//! Everything that decides how a run of the preset `paper` learns, in one readable file.
+
+use serde::{Deserialize, Serialize};
+use sortie_envs::save_the_city::{ACTIONS, FEATURES, ScenarioSet};
+
+use super::allocation::{AllocationLearning, AllocationShape, RowRules};
+use super::low_level::LowLevelConfig;
+use super::rollout::Exploration;
+use super::windows::WindowShape;
+use crate::configuration;
+use crate::error::LearnError;
+use crate::methods::alma::config::{Allocation, EnvironmentConfig, RunConfig};
+use crate::run::Configuration;
+use crate::schedule::linear;
+
+/// The configuration of a run. Its defaults are those of the dissertation and its public code.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// What is learned from, which tells this file from others.
+    pub learner: Learner,
+    /// The world to learn in.
+    pub environment: EnvironmentConfig,
+    /// The agents' utilities, their mixer, and how both learn.
+    pub low_level: LowLevelConfig,
+    /// Who allocates, and how that is learned.
+    pub allocation: AllocationConfig,
+    /// How much is tried out.
+    pub exploration: ExplorationConfig,
+    /// What is kept, and how the weights follow the gradient.
+    pub learning: LearningConfig,
+    /// How long to learn, and when to measure and save.
+    pub run: RunConfig,
+}
+
+/// What this preset learns from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Learner {
+    /// Windows of whole episodes.
+    #[default]
+    Windows,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            learner: Learner::Windows,
+            environment: EnvironmentConfig { instances: 8, ..EnvironmentConfig::default() },
+            low_level: LowLevelConfig::default(),
+            allocation: AllocationConfig::default(),
+            exploration: ExplorationConfig::default(),
+            learning: LearningConfig::default(),
+            run: RunConfig { steps: 10_000_000, evaluate_episodes: 160, ..RunConfig::default() },
+        }
+    }
+}
+
+/// Who allocates, and how that is learned.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AllocationConfig {
+    /// `learned`, or the rule `heuristic`, `coordinated` or `random`.
+    pub by: String,
+    /// Steps between decisions, unless the open tasks change.
+    pub interval: u32,
+    /// Allocations that are proposed for a decision.
+    pub proposals: usize,
+    /// Width of embedding and attention of proposal policy and critic.
+    pub width: usize,
+    /// Their attention heads.
+    pub heads: usize,
+    /// Spare subtasks, so that the networks serve worlds with more of them than they learned in.
+    pub extra_tasks: usize,
+    /// Weight of the proposal policy's entropy.
+    pub entropy: f32,
+    /// Age in environment steps from which an episode teaches the allocator nothing.
+    pub oldest: u64,
+    /// Decisions in an update, at most.
+    pub rows: usize,
+}
+
+impl Default for AllocationConfig {
+    fn default() -> Self {
+        Self {
+            by: "learned".to_owned(),
+            interval: 5,
+            proposals: 32,
+            width: 128,
+            heads: 4,
+            extra_tasks: 0,
+            entropy: 0.01,
+            oldest: 150_000,
+            rows: 400,
+        }
+    }
+}
+
+/// A number that falls in a straight line over so many environment steps.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Schedule {
+    /// Before the first step.
+    pub start: f32,
+    /// From step `steps` on.
+    pub end: f32,
+    /// Environment steps of the way.
+    pub steps: u64,
+}
+
+impl Schedule {
+    fn at(self, step: u64) -> f32 {
+        linear(self.start, self.end, self.steps, step)
+    }
+}
+
+/// How much is tried out; all three are 0 where a run is measured.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ExplorationConfig {
+    /// How often an agent takes a random available action.
+    pub actions: Schedule,
+    /// How often a decision takes the first proposal instead of the critic's best.
+    pub proposal: Schedule,
+    /// How often an agent is given a random open subtask at a decision.
+    pub allocation: Schedule,
+}
+
+impl Default for ExplorationConfig {
+    fn default() -> Self {
+        Self {
+            actions: Schedule { start: 1.0, end: 0.05, steps: 2_000_000 },
+            proposal: Schedule { start: 1.0, end: 0.05, steps: 3_000_000 },
+            allocation: Schedule { start: 1.0, end: 0.0, steps: 750_000 },
+        }
+    }
+}
+
+impl ExplorationConfig {
+    /// What is tried out `step` environment steps into a run.
+    pub fn at(&self, step: u64) -> Exploration {
+        Exploration {
+            actions: self.actions.at(step),
+            proposal: self.proposal.at(step),
+            allocation: self.allocation.at(step),
+        }
+    }
+}
+
+/// What is kept, and how the weights follow the gradient.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LearningConfig {
+    /// Episodes kept.
+    pub episodes: usize,
+    /// Episodes drawn and windows cut for an update.
+    pub windows: usize,
+    /// States of a window.
+    pub steps: usize,
+    /// Episodes after which the target of the agents and their mixer is renewed.
+    pub copy_agents_every: u64,
+    /// Episodes after which the target of the critic is renewed.
+    pub copy_critic_every: u64,
+}
+
+impl Default for LearningConfig {
+    fn default() -> Self {
+        Self {
+            episodes: 5_000,
+            windows: 32,
+            steps: 64,
+            copy_agents_every: 200,
+            copy_critic_every: 50,
+        }
+    }
+}
+
+impl Config {
+    /// Reads a configuration; what is missing keeps its default.
+    pub fn from_toml(text: &str) -> Result<Self, LearnError> {
+        let config: Self = configuration::from_toml(text)?;
+        config.check()?;
+        Ok(config)
+    }
+
+    /// Replaces one value, named as in `learning.windows=16`.
+    pub fn set(&mut self, assignment: &str) -> Result<(), LearnError> {
+        let changed: Self = configuration::replaced(self, assignment)?;
+        changed.check()?;
+        *self = changed;
+        Ok(())
+    }
+
+    /// Who allocates.
+    pub fn allocation(&self) -> Result<Allocation, LearnError> {
+        Allocation::named(&self.allocation.by).ok_or_else(|| {
+            let by = &self.allocation.by;
+            LearnError::Config(format!(
+                "`allocation.by` is `{by}`, not `learned`, `heuristic`, `coordinated` or `random`"
+            ))
+        })
+    }
+
+    /// Whether the run learns an allocator; without subtasks there is nothing to allocate.
+    pub fn learns_allocator(&self) -> bool {
+        self.low_level.conditioning.has_subtasks()
+            && self.allocation.by == Allocation::Learned.name()
+    }
+
+    /// Who allocates, by name.
+    pub fn measured_allocation(&self) -> &str {
+        if self.low_level.conditioning.has_subtasks() { &self.allocation.by } else { "none" }
+    }
+
+    /// Sizes of the environment, as a batch of no windows.
+    pub fn sizes(&self, set: &ScenarioSet) -> WindowShape {
+        WindowShape {
+            windows: 0,
+            steps: 0,
+            agents: set.max_agents,
+            entities: set.max_agents + set.max_buildings,
+            tasks: set.max_buildings,
+            actions: ACTIONS,
+            features: FEATURES,
+        }
+    }
+
+    /// How the allocator learns in an environment of these sizes.
+    pub fn allocation_learning(&self, sizes: WindowShape) -> AllocationLearning {
+        let allocation = &self.allocation;
+        AllocationLearning {
+            shape: AllocationShape {
+                features: sizes.features,
+                columns: sizes.tasks + allocation.extra_tasks,
+                width: allocation.width,
+                heads: allocation.heads,
+            },
+            proposals: allocation.proposals,
+            rows: RowRules {
+                interval: allocation.interval as f32,
+                most: allocation.rows,
+                age_limit: allocation.oldest as f32,
+            },
+            discount: self.low_level.discount.into(),
+            entropy: allocation.entropy.into(),
+            learning_rate: self.low_level.learning_rate,
+            gradient_norm: self.low_level.clip,
+            as_public_code: false,
+        }
+    }
+
+    /// Refuses values that cannot work.
+    pub fn check(&self) -> Result<(), LearnError> {
+        let require = configuration::require;
+        let divides =
+            |heads: usize, width: usize| heads > 0 && width > 0 && width.is_multiple_of(heads);
+        let Self { low_level, allocation, learning, .. } = self;
+        self.environment.check()?;
+        require(
+            divides(low_level.heads, low_level.width) && low_level.base > 0,
+            "`low_level.width` must be a multiple of `.heads`, `low_level.base` at least 1",
+        )?;
+        require(
+            divides(low_level.hypernetwork_heads, low_level.hypernetwork_width)
+                && low_level.mixing > 0,
+            "`low_level.hypernetwork_width` must be a multiple of `.hypernetwork_heads`, `.mixing` at least 1",
+        )?;
+        require(
+            (0.0..=1.0).contains(&low_level.discount) && low_level.clip > 0.0,
+            "`low_level.discount` must be in 0..1, `low_level.clip` positive",
+        )?;
+        self.allocation()?;
+        require(
+            divides(allocation.heads, allocation.width),
+            "`allocation.width` must be a multiple of `allocation.heads`",
+        )?;
+        require(
+            allocation.interval > 0 && allocation.proposals > 0 && allocation.rows > 1,
+            "`allocation.interval`, `.proposals` must be at least 1, `.rows` at least 2",
+        )?;
+        require(allocation.oldest > 0, "`allocation.oldest` must be at least 1")?;
+        require(
+            learning.windows > 0 && learning.steps > 1 && learning.episodes >= learning.windows,
+            "`learning.windows` must be at least 1, `.steps` 2, `.episodes` `.windows`",
+        )?;
+        self.run.check()
+    }
+}
+
+impl Configuration for Config {
+    fn method(&self) -> &'static str {
+        if self.low_level.conditioning.has_subtasks() { "alma" } else { "flat" }
+    }
+
+    fn to_toml(&self) -> Result<String, LearnError> {
+        configuration::to_toml(self)
+    }
+
+    fn from_table(table: toml::Table) -> Result<Self, LearnError> {
+        let config: Self = configuration::from_table(table)?;
+        config.check()?;
+        Ok(config)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_written_file_reads_back_and_values_are_replaced() {
+        let mut config = Config::default();
+        for assignment in [
+            "learning.windows=16",
+            "exploration.actions.steps=5_000",
+            "allocation.by=heuristic",
+            "low_level.conditioning=input",
+        ] {
+            config.set(assignment).unwrap_or_else(|error| panic!("{error}"));
+        }
+        assert_eq!(config.exploration.actions.steps, 5_000);
+        assert!(!config.learns_allocator());
+        let text = config.to_toml().unwrap();
+        assert_eq!(Config::from_toml(&text).unwrap(), config, "{text}");
+    }
+
+    #[test]
+    fn wrong_values_are_refused() {
+        let mut config = Config::default();
+        for (assignment, part) in [
+            ("allocation.by=nobody", "`nobody`"),
+            ("low_level.heads=5", "multiple"),
+            ("learning.windows=9000", "`.episodes`"),
+            ("allocation.rows=1", "at least 2"),
+        ] {
+            let error = config.set(assignment).unwrap_err().to_string();
+            assert!(error.contains(part), "{assignment}: {error}");
+        }
+        assert_eq!(config, Config::default());
+    }
+
+    #[test]
+    fn exploration_falls_to_its_ends() {
+        let exploration = ExplorationConfig::default();
+        assert_eq!(exploration.at(0), Exploration { actions: 1.0, proposal: 1.0, allocation: 1.0 });
+        let late = Exploration { actions: 0.05, proposal: 0.05, allocation: 0.0 };
+        assert_eq!(exploration.at(3_000_000), late);
+    }
+}

@@ -1,0 +1,218 @@
+//! How a run of the preset `paper` is written to a checkpoint and read back.
+//!
+//! A checkpoint is written between two rounds, when no episode runs.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use sortie_envs::save_the_city::ScenarioSet;
+
+use super::allocation::{
+    AllocationCritic, AllocationLearning, AllocationLevel, AllocationPolicy, AllocationState,
+};
+use super::config::Config;
+use super::low_level::LowLevel;
+use super::popart::PopArt;
+use super::replay::Replay;
+use super::rollout::RolloutGenerators;
+use super::trainer::{Episodes, Trainer};
+use crate::error::LearnError;
+use crate::random::Generator;
+use crate::run::checkpoint::{Checkpoint, OpenFor, SavedNetwork};
+use crate::run::{Counters, Observer, RunAllocator, RunFolder};
+
+/// A checkpoint's state as it is written: what is large is borrowed.
+#[derive(Serialize)]
+struct StateRef<'a> {
+    counters: &'a Counters,
+    episodes: Episodes,
+    generator: &'a Generator,
+    rollout: &'a RolloutGenerators,
+    statistics: Statistics,
+    replay: &'a Replay,
+}
+
+/// A checkpoint's state as it is read.
+#[derive(Deserialize)]
+struct State {
+    counters: Counters,
+    episodes: Episodes,
+    generator: Generator,
+    rollout: RolloutGenerators,
+    statistics: Statistics,
+    replay: Replay,
+}
+
+/// PopArt's statistics: online and target, of the mixer and of the critic, if there is one.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+struct Statistics {
+    mixer: [PopArt; 2],
+    critic: Option<[PopArt; 2]>,
+}
+
+/// Names of the networks in a checkpoint.
+const AGENTS: &str = "agents";
+const MIXER: &str = "mixer";
+const CRITIC: &str = "critic";
+const POLICY: &str = "policy";
+
+impl Trainer {
+    /// Writes a checkpoint.
+    pub(super) fn write_checkpoint(&self, observer: &mut dyn Observer) -> Result<(), LearnError> {
+        let LowLevel { online, target, optimisers: [agents, mixer], .. } = &self.low_level;
+        let allocation = self.allocation.as_ref().map(AllocationLevel::state);
+        let mut networks = vec![
+            SavedNetwork {
+                name: AGENTS,
+                shape: Some(online.agents.shape()),
+                vectors: vec![
+                    ("online", online.agents.parameters()),
+                    ("target", target.agents.parameters()),
+                    ("square", &agents.square),
+                ],
+            },
+            SavedNetwork {
+                name: MIXER,
+                shape: None,
+                vectors: vec![
+                    ("online", online.mixer.parameters()),
+                    ("target", target.mixer.parameters()),
+                    ("square", &mixer.square),
+                ],
+            },
+        ];
+        if let Some(state) = &allocation {
+            networks.push(SavedNetwork {
+                name: CRITIC,
+                shape: None,
+                vectors: vec![
+                    ("online", &state.critic),
+                    ("target", &state.target),
+                    ("square", &state.critic_square),
+                ],
+            });
+            networks.push(SavedNetwork {
+                name: POLICY,
+                shape: None,
+                vectors: vec![("online", &state.policy), ("square", &state.policy_square)],
+            });
+        }
+        let state = StateRef {
+            counters: &self.counters,
+            episodes: self.episodes,
+            generator: &self.generator,
+            rollout: self.rollout.generators(),
+            statistics: Statistics {
+                mixer: [online.popart, target.popart],
+                critic: allocation.as_ref().map(|state| [state.popart, state.target_popart]),
+            },
+            replay: &self.replay,
+        };
+        let checkpoints = self.folder.checkpoints();
+        observer.saved(&checkpoints.write(self.counters.env_steps, &networks, &state)?);
+        Ok(())
+    }
+
+    /// Continues a run from its newest sound checkpoint, exactly as if it had not been stopped.
+    ///
+    /// `threads` may differ from before; it changes no result. `None` takes as many as before.
+    pub fn resume(folder: &Path, threads: Option<usize>) -> Result<Self, LearnError> {
+        let files = RunFolder::new(folder);
+        let mut description = files.read_description::<Config>()?;
+        description.threads = threads.unwrap_or(description.threads).max(1);
+        let found = files.checkpoints().newest(OpenFor::Resume)?;
+        let state: State = found.checkpoint.state()?;
+        let mut trainer = Self::start(description, folder)?;
+        trainer.rollout.restore(state.rollout)?;
+        restore_low_level(&mut trainer.low_level, &found.checkpoint, state.statistics.mixer)?;
+        let learning = trainer.allocation.as_ref().map(AllocationLevel::learning);
+        trainer.allocation = match (learning, state.statistics.critic) {
+            (Some(learning), Some(statistics)) => {
+                Some(restored_allocation(learning, &found.checkpoint, statistics)?)
+            }
+            (None, None) => None,
+            _ => {
+                let reason = "the checkpoint's allocator does not fit train.toml";
+                return Err(LearnError::format(folder, reason));
+            }
+        };
+        trainer.replay = state.replay;
+        trainer.generator = state.generator;
+        trainer.counters = state.counters;
+        trainer.episodes = state.episodes;
+        trainer.refused = found.refused;
+        Ok(trainer)
+    }
+}
+
+/// The allocator of a run, to be used, if it learns one.
+pub(crate) fn saved_allocator(
+    checkpoint: &Checkpoint,
+    config: &Config,
+) -> Result<Option<RunAllocator>, LearnError> {
+    if !config.learns_allocator() {
+        return Ok(None);
+    }
+    let set = ScenarioSet::named(&config.environment.set)?;
+    let shape = config.allocation_learning(config.sizes(&set)).shape;
+    let misfit = || LearnError::format(checkpoint.place(), "its allocator does not fit train.toml");
+    let critic = whole(checkpoint, CRITIC, "online", AllocationCritic::count(shape))?;
+    let policy = whole(checkpoint, POLICY, "online", AllocationPolicy::count(shape))?;
+    // Which of two allocations is better does not depend on the units of their values.
+    let critic = AllocationCritic::from_parameters(shape, critic, PopArt::default());
+    let policy = AllocationPolicy::from_parameters(shape, policy);
+    let (critic, policy) = (critic.ok_or_else(misfit)?, policy.ok_or_else(misfit)?);
+    Ok(Some(RunAllocator::Proposals { policy, critic }))
+}
+
+fn restore_low_level(
+    level: &mut LowLevel,
+    checkpoint: &Checkpoint,
+    [online, target]: [PopArt; 2],
+) -> Result<(), LearnError> {
+    if checkpoint.shape(AGENTS)? != level.online.agents.shape() {
+        let reason = "its agents do not fit train.toml";
+        return Err(LearnError::format(checkpoint.place(), reason));
+    }
+    let sides = [(&mut level.online, "online", online), (&mut level.target, "target", target)];
+    for (networks, name, popart) in sides {
+        networks.agents = checkpoint.network(AGENTS, name)?;
+        let mixer = networks.mixer.parameters_mut();
+        mixer.copy_from_slice(&whole(checkpoint, MIXER, name, mixer.len())?);
+        networks.popart = popart;
+    }
+    let [agents, mixer] = &mut level.optimisers;
+    agents.square = checkpoint.vector(AGENTS, "square")?;
+    mixer.square = whole(checkpoint, MIXER, "square", mixer.square.len())?;
+    Ok(())
+}
+
+fn restored_allocation(
+    learning: &AllocationLearning,
+    checkpoint: &Checkpoint,
+    [popart, target_popart]: [PopArt; 2],
+) -> Result<AllocationLevel, LearnError> {
+    let shape = learning.shape;
+    let (critics, policies) = (AllocationCritic::count(shape), AllocationPolicy::count(shape));
+    let state = AllocationState {
+        critic: whole(checkpoint, CRITIC, "online", critics)?,
+        popart,
+        target: whole(checkpoint, CRITIC, "target", critics)?,
+        target_popart,
+        policy: whole(checkpoint, POLICY, "online", policies)?,
+        critic_square: whole(checkpoint, CRITIC, "square", critics)?,
+        policy_square: whole(checkpoint, POLICY, "square", policies)?,
+    };
+    AllocationLevel::restore(*learning, state).ok_or_else(|| {
+        LearnError::format(checkpoint.place(), "its allocator does not fit train.toml")
+    })
+}
+
+fn whole(
+    checkpoint: &Checkpoint,
+    network: &str,
+    vector: &str,
+    count: usize,
+) -> Result<Vec<f32>, LearnError> {
+    checkpoint.whole_vector(&format!("{network}/{vector}"), count)
+}

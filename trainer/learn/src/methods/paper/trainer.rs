@@ -1,0 +1,318 @@
+//! A training run of the preset `paper`: rounds of episodes, and as many updates of both levels.
+
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+
+use sortie_envs::save_the_city::ScenarioSet;
+
+use super::allocation::AllocationLevel;
+use super::config::Config;
+use super::deciding::ProposalAllocator;
+use super::low_level::LowLevel;
+use super::replay::Replay;
+use super::rollout::{Decide, Rollout};
+use super::sampling::{SampleShape, cut_windows, draw_episodes};
+use crate::error::LearnError;
+use crate::evaluate::{Evaluation, EvaluationPlan, NetworkTeam, NoSubtasks, evaluate};
+use crate::methods::alma::config::{Allocation, RunConfig};
+use crate::random::{Generator, Purpose, generator};
+use crate::run::{
+    Counters, CurvePoint, Learning, Observer, Outcome, Progress, REPORT_SEED, RunDescription,
+    RunFolder, RunResult, UpdateReport, learn,
+};
+
+/// Episodes since the run began, and when target networks were renewed last.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub(super) struct Episodes {
+    pub(super) played: u64,
+    agents_copied: u64,
+    critic_copied: u64,
+}
+
+/// A run that learns.
+#[derive(Debug)]
+pub struct Trainer {
+    pub(super) description: RunDescription<Config>,
+    pub(super) folder: RunFolder,
+    pub(super) low_level: LowLevel,
+    /// There is one if the run learns to allocate.
+    pub(super) allocation: Option<AllocationLevel>,
+    pub(super) rollout: Rollout,
+    pub(super) replay: Replay,
+    /// Draws episodes, windows and everything that an update needs.
+    pub(super) generator: Generator,
+    pub(super) counters: Counters,
+    pub(super) episodes: Episodes,
+    /// Why newer checkpoints were passed over when the run was resumed.
+    pub(super) refused: Vec<String>,
+}
+
+impl Trainer {
+    /// Begins a run in a new folder.
+    pub fn new(
+        config: Config,
+        seed: u64,
+        threads: usize,
+        folder: &Path,
+    ) -> Result<Self, LearnError> {
+        config.check()?;
+        if !config.run.from.is_empty() {
+            let reason = "the preset `paper` begins from scratch: leave `run.from` empty";
+            return Err(LearnError::Config(reason.to_owned()));
+        }
+        let description = RunDescription::new(config, seed, threads.max(1));
+        let trainer = Self::start(description, folder)?;
+        RunFolder::create(folder, &trainer.description)?;
+        Ok(trainer)
+    }
+
+    pub(super) fn start(
+        description: RunDescription<Config>,
+        folder: &Path,
+    ) -> Result<Self, LearnError> {
+        let RunDescription { config, seed, .. } = &description;
+        let set = ScenarioSet::named(&config.environment.set)?;
+        let sizes = config.sizes(&set);
+        let mut weights = generator(*seed, Purpose::Weights, 0);
+        let low_level = LowLevel::new(config.low_level.clone(), sizes, &mut weights);
+        let learning = config.learns_allocator().then(|| config.allocation_learning(sizes));
+        Ok(Self {
+            rollout: Rollout::new(config, low_level.online.agents.shape(), *seed)?,
+            allocation: learning.map(|learning| AllocationLevel::new(learning, *seed)),
+            replay: Replay::new(config.learning.episodes),
+            generator: generator(*seed, Purpose::Replay, 0),
+            counters: Counters::new(config.run.evaluate_every),
+            episodes: Episodes::default(),
+            folder: RunFolder::new(folder),
+            refused: Vec::new(),
+            low_level,
+            description,
+        })
+    }
+
+    /// How the run learns.
+    pub fn description(&self) -> &RunDescription<Config> {
+        &self.description
+    }
+
+    /// The evaluations up to now.
+    pub fn curve(&self) -> &[CurvePoint] {
+        &self.counters.curve
+    }
+
+    /// Why newer checkpoints were passed over when the run was resumed.
+    pub fn refused(&self) -> &[String] {
+        &self.refused
+    }
+
+    /// Environment steps taken.
+    pub fn env_steps(&self) -> u64 {
+        self.counters.env_steps
+    }
+
+    /// Learns until all steps are taken or `stop` is set, and writes a checkpoint at the end.
+    pub fn run(
+        &mut self,
+        observer: &mut dyn Observer,
+        stop: &AtomicBool,
+    ) -> Result<Outcome, LearnError> {
+        learn(self, observer, stop)
+    }
+
+    /// Plays one episode in every environment and keeps them.
+    fn play(&mut self) -> Result<(), LearnError> {
+        let config = &self.description.config;
+        let env_steps = self.counters.env_steps;
+        let exploration = config.exploration.at(env_steps);
+        let mut learned = self
+            .allocation
+            .as_ref()
+            .map(|level| ProposalAllocator::new(level.networks(), config.allocation.proposals));
+        let mut rule = match config.allocation()? {
+            Allocation::Rule(rule) => Some(rule),
+            Allocation::Learned => None,
+        };
+        let allocator: Option<&mut dyn Decide> = if config.low_level.conditioning.has_subtasks() {
+            match (&mut learned, &mut rule) {
+                (Some(learned), _) => Some(learned),
+                (None, rule) => rule.as_mut().map(|rule| rule as &mut dyn Decide),
+            }
+        } else {
+            None
+        };
+        let counts = &mut self.counters.window.episodes;
+        let agents = &self.low_level.online.agents;
+        let episodes = self.rollout.round(agents, allocator, exploration, env_steps, counts)?;
+        for episode in episodes {
+            self.counters.env_steps += episode.steps() as u64;
+            self.replay.push(episode);
+        }
+        Ok(())
+    }
+
+    /// One update of each level that has enough to learn from.
+    fn update(&mut self) -> Result<(), LearnError> {
+        let RunDescription { config, threads, .. } = &self.description;
+        let threads = *threads;
+        let set = ScenarioSet::named(&config.environment.set)?;
+        let sample = SampleShape {
+            windows: config.learning.windows,
+            steps: config.learning.steps,
+            agents: set.max_agents,
+            tasks: set.max_buildings,
+        };
+        let generator = &mut self.generator;
+        let window = &mut self.counters.window;
+        if let Some(drawn) = draw_episodes(&self.replay, sample.windows, generator, |_| true) {
+            let windows = cut_windows(&self.replay, &drawn, sample, generator);
+            let report = self.low_level.learn(&windows, threads, generator);
+            window
+                .agents
+                .add(UpdateReport { loss: report.loss, gradient_norm: report.gradient_norm });
+        }
+        let Some(allocation) = &mut self.allocation else { return Ok(()) };
+        let now = self.counters.env_steps;
+        let recent = |added: u64| now - added <= config.allocation.oldest;
+        let drawn = draw_episodes(&self.replay, sample.windows, generator, |e| recent(e.added));
+        if let Some(drawn) = drawn {
+            let windows = cut_windows(&self.replay, &drawn, sample, generator);
+            if let Some(report) = allocation.learn(&windows, now, generator, threads) {
+                window.allocator.add(UpdateReport {
+                    loss: report.critic_loss,
+                    gradient_norm: report.critic_norm,
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// Renews target networks whose time has come.
+    fn copy_targets(&mut self) {
+        let learning = &self.description.config.learning;
+        let Episodes { played, agents_copied, critic_copied } = &mut self.episodes;
+        if *played >= *agents_copied + learning.copy_agents_every {
+            *agents_copied = *played;
+            self.low_level.copy_target();
+        }
+        if *played >= *critic_copied + learning.copy_critic_every {
+            *critic_copied = *played;
+            self.allocation.iter_mut().for_each(AllocationLevel::copy_target);
+        }
+    }
+
+    /// Measures what has been learned up to now.
+    pub fn measure(&self, episodes: usize, seed: u64) -> Result<Evaluation, LearnError> {
+        let config = &self.description.config;
+        let plan = EvaluationPlan {
+            set: ScenarioSet::named(&config.environment.set)?,
+            constants: config.environment.constants,
+            interval: config.allocation.interval,
+            episodes,
+            seed,
+        };
+        let conditioning = config.low_level.conditioning;
+        let mut team = NetworkTeam::conditioned(&self.low_level.online.agents, conditioning);
+        if !conditioning.has_subtasks() {
+            return evaluate(&plan, &mut team, &mut NoSubtasks);
+        }
+        match (config.allocation()?, &self.allocation) {
+            (Allocation::Learned, Some(level)) => {
+                let proposals = config.allocation.proposals;
+                let mut allocator = ProposalAllocator::new(level.networks(), proposals);
+                evaluate(&plan, &mut team, &mut allocator)
+            }
+            (Allocation::Rule(mut rule), _) => evaluate(&plan, &mut team, &mut rule),
+            (Allocation::Learned, None) => {
+                Err(LearnError::Config("the run learns no allocator".to_owned()))
+            }
+        }
+    }
+
+    fn point(&self, result: &Evaluation) -> CurvePoint {
+        let config = &self.description.config;
+        let Counters { env_steps, updates, decisions, wall_s, cpu_s, window, .. } = &self.counters;
+        let episodes = &window.episodes;
+        CurvePoint {
+            env_steps: *env_steps,
+            updates: updates.agents + window.agents.updates,
+            decisions: decisions + episodes.decisions,
+            wall_s: *wall_s,
+            cpu_s: *cpu_s,
+            allocation: config.measured_allocation().to_owned(),
+            success: result.success,
+            success_ci95: result.success_ci95,
+            timeouts: result.timeouts,
+            none_burned: result.none_burned,
+            return_mean: result.return_mean,
+            length_mean: result.length_mean,
+            episodes: result.episodes,
+            loss: window.agents.mean_loss(),
+            gradient_norm: window.agents.mean_gradient_norm(),
+            allocator_updates: updates.allocator + window.allocator.updates,
+            allocator_loss: window.allocator.mean_loss(),
+            epsilon: config.exploration.at(*env_steps).actions,
+            learning_rate: config.low_level.learning_rate,
+            training_success: episodes.solved as f64 / episodes.episodes.max(1) as f64,
+        }
+    }
+
+    fn title(&self) -> String {
+        let RunDescription { method, seed, config, .. } = &self.description;
+        let environment = &config.environment;
+        format!("{method} as published on {} {}, seed {seed}", environment.name, environment.set)
+    }
+}
+
+impl Learning for Trainer {
+    fn schedule(&self) -> RunConfig {
+        self.description.config.run.clone()
+    }
+
+    fn counters(&mut self) -> &mut Counters {
+        &mut self.counters
+    }
+
+    /// One round of episodes, then an update of each level for every one of them.
+    fn step(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError> {
+        self.play()?;
+        let instances = self.description.config.environment.instances;
+        for _ in 0..instances {
+            self.update()?;
+            self.copy_targets();
+        }
+        self.episodes.played += instances as u64;
+        let env_steps_total = self.description.config.run.steps;
+        observer.progress(&Progress { env_steps: self.counters.env_steps, env_steps_total });
+        Ok(())
+    }
+
+    fn evaluate(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError> {
+        let episodes = self.description.config.run.evaluate_episodes;
+        // Counted from the top, so that ordinary seeds remain fresh for later evaluations.
+        let result = self.measure(episodes, u64::MAX - self.description.seed)?;
+        let point = self.point(&result);
+        observer.evaluated(&point);
+        self.counters.add_point(point);
+        self.folder.write_curve(&self.title(), &self.counters.curve)
+    }
+
+    fn save(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError> {
+        self.write_checkpoint(observer)
+    }
+
+    fn report(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError> {
+        let config = &self.description.config;
+        if config.run.final_episodes == 0 {
+            return Ok(());
+        }
+        let result = RunResult {
+            env: format!("{}/{}", config.environment.name, config.environment.set),
+            allocation: config.measured_allocation().to_owned(),
+            seed: REPORT_SEED,
+            evaluation: self.measure(config.run.final_episodes, REPORT_SEED)?,
+        };
+        self.folder.write_result(&result)?;
+        observer.finished(&result);
+        Ok(())
+    }
+}

@@ -1,0 +1,105 @@
+//! What a run counts.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Clock, CurvePoint};
+
+/// One value for the agents and one for the allocator.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Level<T> {
+    pub(crate) agents: T,
+    pub(crate) allocator: T,
+}
+
+/// What one update found.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct UpdateReport {
+    /// Mean squared error of the batch.
+    pub loss: f64,
+    /// Norm of the gradient before clipping.
+    pub gradient_norm: f32,
+}
+
+/// Episodes that ended during some steps.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct EpisodeCounts {
+    /// Episodes that ended.
+    pub episodes: u64,
+    /// Those with all buildings complete.
+    pub solved: u64,
+    /// Those that timed out.
+    pub timed_out: u64,
+    /// Sum of the team's rewards.
+    pub return_sum: f64,
+    /// Decisions of the allocator.
+    pub decisions: u64,
+}
+
+/// Sums over the updates since the last evaluation.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Updates {
+    pub(crate) updates: u64,
+    loss: f64,
+    gradient_norm: f64,
+}
+
+impl Updates {
+    pub(crate) fn add(&mut self, report: UpdateReport) {
+        self.updates += 1;
+        self.loss += report.loss;
+        self.gradient_norm += f64::from(report.gradient_norm);
+    }
+
+    pub(crate) fn mean_loss(&self) -> f64 {
+        self.loss / self.updates.max(1) as f64
+    }
+
+    pub(crate) fn mean_gradient_norm(&self) -> f64 {
+        self.gradient_norm / self.updates.max(1) as f64
+    }
+}
+
+/// What happened since the last evaluation.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Window {
+    pub(crate) agents: Updates,
+    pub(crate) allocator: Updates,
+    pub(crate) episodes: EpisodeCounts,
+}
+
+/// Where a run is.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Counters {
+    pub(crate) env_steps: u64,
+    /// Optimiser steps and decisions before the window.
+    pub(crate) updates: Level<u64>,
+    pub(crate) decisions: u64,
+    pub(crate) next_evaluation: u64,
+    pub(crate) wall_s: f64,
+    pub(crate) cpu_s: f64,
+    pub(crate) window: Window,
+    pub(crate) curve: Vec<CurvePoint>,
+}
+
+impl Counters {
+    /// A run that has not begun, with its first evaluation after so many steps.
+    pub(crate) fn new(evaluate_every: u64) -> Self {
+        Self { next_evaluation: evaluate_every, ..Self::default() }
+    }
+
+    /// Counts the time since the clock was read last.
+    pub(crate) fn add_time(&mut self, clock: &mut Clock) {
+        let (wall_s, cpu_s) = clock.lap();
+        self.wall_s += wall_s;
+        self.cpu_s += cpu_s;
+    }
+
+    /// Closes the window: an evaluation was made.
+    pub(crate) fn add_point(&mut self, point: CurvePoint) {
+        let Window { agents, allocator, episodes } = std::mem::take(&mut self.window);
+        self.updates.agents += agents.updates;
+        self.updates.allocator += allocator.updates;
+        self.decisions += episodes.decisions;
+        self.curve.push(point);
+    }
+}

@@ -1,0 +1,79 @@
+//! How a run goes, for whoever watches it.
+
+use std::path::Path;
+use std::time::Instant;
+
+use rustix::time::{ClockId, clock_gettime};
+
+use super::{CurvePoint, RunResult};
+
+/// Is told how a run goes.
+pub trait Observer {
+    /// Some steps were taken; called several hundred times a second.
+    fn progress(&mut self, progress: &Progress) {
+        let _ = progress;
+    }
+
+    /// An evaluation was made.
+    fn evaluated(&mut self, point: &CurvePoint) {
+        let _ = point;
+    }
+
+    /// A checkpoint was written.
+    fn saved(&mut self, checkpoint: &Path) {
+        let _ = checkpoint;
+    }
+
+    /// The run has ended and was measured on fresh episodes.
+    fn finished(&mut self, result: &RunResult) {
+        let _ = result;
+    }
+}
+
+/// Listens to nothing.
+impl Observer for () {}
+
+/// How far a run is.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Progress {
+    /// Environment steps taken.
+    pub env_steps: u64,
+    /// Environment steps of the whole run.
+    pub env_steps_total: u64,
+}
+
+/// How a trainer ended its work for now.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// All steps were taken.
+    Finished,
+    /// The stop flag was set; a checkpoint was written.
+    Stopped,
+}
+
+/// Wall and processor time since the last reading.
+#[derive(Debug)]
+pub(crate) struct Clock {
+    wall: Instant,
+    cpu_s: f64,
+}
+
+impl Clock {
+    pub(crate) fn start() -> Self {
+        Self { wall: Instant::now(), cpu_s: process_cpu_s() }
+    }
+
+    /// Seconds of the wall and of all processors since the last call, or the start.
+    pub(crate) fn lap(&mut self) -> (f64, f64) {
+        let now = Self::start();
+        let lap = ((now.wall - self.wall).as_secs_f64(), now.cpu_s - self.cpu_s);
+        *self = now;
+        lap
+    }
+}
+
+/// Processor time of all threads of this process.
+fn process_cpu_s() -> f64 {
+    let time = clock_gettime(ClockId::ProcessCPUTime);
+    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
+}

@@ -1,0 +1,123 @@
+//! Short runs of the preset `paper`: repeatable, independent of threads, resumable byte for byte.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use sortie_learn::methods::paper::{Config, Trainer};
+use sortie_learn::run::{CurvePoint, Observer, Outcome, Progress, Run, RunAllocator};
+
+/// A run of a few seconds.
+fn config() -> Config {
+    let mut config = Config::default();
+    for assignment in [
+        "environment.instances=2",
+        "environment.constants.episode_limit=40",
+        "low_level.width=16",
+        "low_level.base=8",
+        "low_level.hypernetwork_width=16",
+        "low_level.mixing=8",
+        "allocation.width=16",
+        "allocation.proposals=4",
+        "allocation.rows=40",
+        "learning.episodes=40",
+        "learning.windows=4",
+        "learning.steps=16",
+        "learning.copy_agents_every=6",
+        "learning.copy_critic_every=4",
+        "run.steps=900",
+        "run.evaluate_every=400",
+        "run.evaluate_episodes=8",
+        "run.final_episodes=8",
+        "run.checkpoint_minutes=60",
+    ] {
+        config.set(assignment).unwrap_or_else(|error| panic!("{error}"));
+    }
+    config
+}
+
+/// Sets the stop flag at some steps, and notes what it is told.
+struct Recorder<'a> {
+    stop_at: u64,
+    stop: &'a AtomicBool,
+    checkpoints: Vec<PathBuf>,
+    curve: Vec<CurvePoint>,
+}
+
+impl Observer for Recorder<'_> {
+    fn progress(&mut self, progress: &Progress) {
+        self.stop.store(progress.env_steps >= self.stop_at, Ordering::Relaxed);
+    }
+
+    fn evaluated(&mut self, point: &CurvePoint) {
+        self.curve.push(point.clone());
+    }
+
+    fn saved(&mut self, checkpoint: &Path) {
+        self.checkpoints.push(checkpoint.to_owned());
+    }
+}
+
+/// Runs until a step and returns the outcome with the newest checkpoint's tensors and the curve.
+fn run(trainer: &mut Trainer, stop_at: u64) -> (Outcome, Vec<u8>, Vec<CurvePoint>) {
+    let stop = AtomicBool::new(false);
+    let mut recorder =
+        Recorder { stop_at, stop: &stop, checkpoints: Vec::new(), curve: Vec::new() };
+    let outcome = trainer.run(&mut recorder, &stop).unwrap();
+    let newest = recorder.checkpoints.last().expect("a checkpoint at the end");
+    (outcome, std::fs::read(newest.join("tensors.safetensors")).unwrap(), recorder.curve)
+}
+
+fn whole_run(config: Config, seed: u64, threads: usize) -> (Vec<u8>, Vec<CurvePoint>) {
+    let folder = tempfile::tempdir().unwrap();
+    let mut trainer = Trainer::new(config, seed, threads, folder.path()).unwrap();
+    let (outcome, tensors, curve) = run(&mut trainer, u64::MAX);
+    assert_eq!(outcome, Outcome::Finished);
+    assert!(folder.path().join("result.json").exists());
+    (tensors, curve)
+}
+
+#[test]
+fn a_seed_gives_the_same_weights_with_any_number_of_threads() {
+    let (one, curve) = whole_run(config(), 5, 1);
+    assert!(one == whole_run(config(), 5, 2).0, "two threads give other weights than one");
+    assert!(one == whole_run(config(), 5, 3).0, "three threads give other weights than one");
+    assert!(one != whole_run(config(), 6, 1).0, "another seed gives the same weights");
+    let last = curve.last().expect("an evaluation");
+    assert!(last.updates > 10 && last.allocator_updates > 10, "{last:?}");
+    assert!(last.loss > 0.0 && last.allocator_loss > 0.0 && last.gradient_norm.is_finite());
+}
+
+#[test]
+fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut trainer = Trainer::new(config(), 5, 1, folder.path()).unwrap();
+    assert_eq!(run(&mut trainer, 300).0, Outcome::Stopped);
+    drop(trainer);
+    let mut trainer = Trainer::resume(folder.path(), Some(2)).unwrap();
+    let (outcome, tensors, _) = run(&mut trainer, u64::MAX);
+    assert_eq!(outcome, Outcome::Finished);
+    assert!(tensors == whole_run(config(), 5, 1).0, "the resumed run has other weights");
+
+    let opened = Run::open(folder.path()).unwrap();
+    assert!(matches!(opened.allocator, Some(RunAllocator::Proposals { .. })));
+    assert_eq!(opened.env_steps, trainer.env_steps());
+}
+
+#[test]
+fn every_way_to_allocate_and_to_be_conditioned_learns() {
+    for assignments in [
+        &["low_level.conditioning=none"][..],
+        &["low_level.conditioning=input", "low_level.extra_tasks=2", "allocation.extra_tasks=2"],
+        &["allocation.by=heuristic"],
+        &["allocation.by=random"],
+    ] {
+        let mut config = config();
+        config.run.steps = 500;
+        assignments.iter().for_each(|assignment| config.set(assignment).unwrap());
+        let learned = config.learns_allocator();
+        let (_, curve) = whole_run(config, 3, 2);
+        let last = curve.last().expect("an evaluation");
+        assert!(last.updates > 0 && last.loss.is_finite(), "{assignments:?}");
+        assert_eq!(last.allocator_updates > 0, learned, "{assignments:?}");
+    }
+}
