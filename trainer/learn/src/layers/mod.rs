@@ -7,6 +7,7 @@
 
 pub mod absorbed_attention;
 pub mod attention;
+pub mod gru;
 pub mod linear;
 pub mod matrix;
 pub mod relu;

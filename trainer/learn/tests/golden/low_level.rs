@@ -1,6 +1,8 @@
 //! The published low level against the reference's modules and one step of its learner.
 
 use serde_json::Value;
+use sortie_learn::layers::gru::{GruPass, GruShape};
+use sortie_learn::layers::linear::{self, LinearShape};
 use sortie_learn::layers::softmax;
 use sortie_learn::methods::alma::Conditioning;
 use sortie_learn::methods::paper::PopArt;
@@ -134,6 +136,41 @@ fn agents_that_see_everything_agree() {
         let order = TaskOrder::of_columns(&order.collect::<Vec<_>>());
         let mut pass = AgentPass::new(Conditioning::Input, network.shape());
         assert_close(&case.name, pass.forward(&network, &states, &order), &want.data);
+    }
+}
+
+#[test]
+fn a_memory_that_is_emptied_agrees() {
+    for case in json_cases("gru_head_reset") {
+        let hidden = case.get("out/hidden_per_step_before_reset");
+        let [batches, steps, slots, width] = hidden.shape[..] else { panic!("sizes") };
+        let names = ["rnn.weight_ih", "rnn.weight_hh", "rnn.bias_ih", "rnn.bias_hh"];
+        let tensor = |name: &str| case.get(&format!("w/{name}")).f32s();
+        let parameters: Vec<f32> = names.into_iter().flat_map(tensor).collect();
+        let (input, mut memory) = (case.get("in/x").f32s(), case.get("in/hidden0").f32s());
+        let reset = &case.get("in/reset").data;
+        let (wide, actions) = (slots * width, case.get("out/q").shape[3]);
+        for batch in 0..batches {
+            let place = batch * steps * wide..(batch + 1) * steps * wide;
+            let flags = &reset[batch * steps..(batch + 1) * steps];
+            let carry = flags.iter().flat_map(|reset| vec![*reset == 0.0; slots]);
+            let carry: Vec<bool> = carry.collect();
+            let mut output = vec![0.0; steps * wide];
+            GruPass::default().forward(
+                GruShape { width, slots },
+                &parameters,
+                (&input[place.clone()], &carry),
+                &mut memory[batch * wide..][..wide],
+                &mut output,
+            );
+            assert_close(&case.name, &output, &hidden.data[place]);
+            let mut utilities = vec![0.0; steps * slots * actions];
+            let head = LinearShape { input: width, output: actions };
+            let (weight, bias) = (tensor("fc_out.weight"), tensor("fc_out.bias"));
+            linear::forward(head, &output, &weight, &bias, &mut utilities);
+            let place = batch * utilities.len()..(batch + 1) * utilities.len();
+            assert_close(&case.name, &utilities, &case.get("out/q").data[place]);
+        }
     }
 }
 

@@ -65,6 +65,19 @@ impl UtilityPass {
 
     /// Computes the utilities `[queries, U]`. Panics if the network has another shape.
     pub fn forward(&mut self, network: &UtilityNetwork, input: &UtilityInput) -> &[f32] {
+        self.forward_base(network, input);
+        let base = std::mem::take(&mut self.base);
+        self.forward_head(network, &base[..input.visible.queries() * self.shape.base]);
+        self.base = base;
+        &self.utilities[..input.visible.queries() * self.shape.actions]
+    }
+
+    /// Computes what stands before the head, `[queries, R]`. Panics if the network has another shape.
+    pub(crate) fn forward_base(
+        &mut self,
+        network: &UtilityNetwork,
+        input: &UtilityInput,
+    ) -> &mut [f32] {
         let shape = self.shape;
         assert_eq!(network.shape(), shape, "network of another shape");
         self.operations += operations::forward(shape, input);
@@ -76,7 +89,13 @@ impl UtilityPass {
         linear::forward_rectified(shape.queries(), attended, view.out, view.out_bias, looked);
         let base = sized(&mut self.base, queries * shape.base);
         linear::forward_rectified(shape.fc2(), looked, view.fc2, view.fc2_bias, base);
-        let utilities = sized(&mut self.utilities, queries * shape.actions);
+        base
+    }
+
+    /// Computes utilities `[rows, U]` from what stands before the head, `[rows, R]`.
+    pub(crate) fn forward_head(&mut self, network: &UtilityNetwork, base: &[f32]) -> &[f32] {
+        let (shape, view) = (self.shape, network.view());
+        let utilities = sized(&mut self.utilities, base.len() / shape.base * shape.actions);
         linear::forward(shape.head(), base, view.head, view.head_bias, utilities);
         utilities
     }
@@ -96,6 +115,41 @@ impl UtilityPass {
         d_utilities: &[f32],
         gradient: &mut [f32],
     ) {
+        let numbers = input.visible.queries() * self.shape.base;
+        let base = std::mem::take(&mut self.base);
+        let mut d_base = std::mem::take(&mut self.d_base);
+        let d_own = sized(&mut d_base, numbers);
+        self.backward_head(network, &base[..numbers], d_utilities, d_own, gradient);
+        self.base = base;
+        self.backward_base(network, input, d_own, gradient);
+        self.d_base = d_base;
+    }
+
+    /// Adds to `gradient` that of the head, and writes the slope by what stands before it.
+    pub(crate) fn backward_head(
+        &self,
+        network: &UtilityNetwork,
+        base: &[f32],
+        d_utilities: &[f32],
+        d_base: &mut [f32],
+        gradient: &mut [f32],
+    ) {
+        let (shape, view) = (self.shape, network.view());
+        let grad = UtilityViewMut::new(shape, gradient);
+        linear::backward_weight(shape.head(), base, d_utilities, grad.head);
+        linear::backward_bias(d_utilities, grad.head_bias);
+        linear::backward_input(shape.head(), d_utilities, view.head, Store::Replace, d_base);
+    }
+
+    /// Adds to `gradient` that of everything before the head, from the slope by what the last forward
+    /// pass computed there, which is rectified in place.
+    pub(crate) fn backward_base(
+        &mut self,
+        network: &UtilityNetwork,
+        input: &UtilityInput,
+        d_base: &mut [f32],
+        gradient: &mut [f32],
+    ) {
         let shape = self.shape;
         let queries = input.visible.queries();
         let view = network.view();
@@ -104,13 +158,7 @@ impl UtilityPass {
 
         let attended = self.attention.attended(queries * shape.width);
         let looked = &self.looked[..queries * shape.width];
-        let base = &self.base[..queries * shape.base];
-
-        let d_base = sized(&mut self.d_base, queries * shape.base);
-        linear::backward_weight(shape.head(), base, d_utilities, grad.head);
-        linear::backward_bias(d_utilities, grad.head_bias);
-        linear::backward_input(shape.head(), d_utilities, view.head, Store::Replace, d_base);
-        relu::backward(base, d_base);
+        relu::backward(&self.base[..queries * shape.base], d_base);
 
         let d_looked = sized(&mut self.d_looked, queries * shape.width);
         linear::backward_weight(shape.fc2(), looked, d_base, grad.fc2);

@@ -59,7 +59,7 @@ const POLICY: &str = "policy";
 impl Trainer {
     /// Writes a checkpoint.
     pub(super) fn write_checkpoint(&self, observer: &mut dyn Observer) -> Result<(), LearnError> {
-        let LowLevel { online, target, optimisers: [agents, mixer], .. } = &self.low_level;
+        let LowLevel { online, target, optimisers: [agents, _, mixer], .. } = &self.low_level;
         let allocation = self.allocation.as_ref().map(AllocationLevel::state);
         let mut networks = vec![
             SavedNetwork {
@@ -181,7 +181,7 @@ fn restore_low_level(
         mixer.copy_from_slice(&whole(checkpoint, MIXER, name, mixer.len())?);
         networks.popart = popart;
     }
-    let [agents, mixer] = &mut level.optimisers;
+    let [agents, _, mixer] = &mut level.optimisers;
     agents.square = checkpoint.vector(AGENTS, "square")?;
     mixer.square = whole(checkpoint, MIXER, "square", mixer.square.len())?;
     Ok(())

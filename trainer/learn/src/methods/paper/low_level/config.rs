@@ -32,6 +32,10 @@ pub struct LowLevelConfig {
     pub heads: usize,
     /// Width of the layer before the agents' head.
     pub base: usize,
+    /// Whether the agents have a memory: a recurrent unit before the head. The learner's option alone, not
+    /// one of runs: their episodes are played, measured and exported without memories.
+    #[serde(skip)]
+    pub recurrent: bool,
     /// Width of the hypernetworks' embedding and attention.
     pub hypernetwork_width: usize,
     /// Heads of the hypernetworks' attention, a divisor of the width.
@@ -64,6 +68,7 @@ impl Default for LowLevelConfig {
             width: 128,
             heads: 4,
             base: 64,
+            recurrent: false,
             hypernetwork_width: 128,
             hypernetwork_heads: 4,
             mixing: 32,

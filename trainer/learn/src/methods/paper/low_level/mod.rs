@@ -15,6 +15,7 @@ mod hypernetwork;
 mod lanes;
 mod mixer;
 mod mixing;
+mod recurrent;
 mod scene;
 mod step;
 mod teams;
@@ -38,6 +39,7 @@ use crate::methods::alma::{Conditioning, UtilityNetwork};
 use crate::optimise::{RmsProp, clip_norm};
 use crate::random::Generator;
 use lanes::in_lanes;
+use recurrent::Recurrent;
 use step::{Bootstrap, Descent, Lane, Side, Step};
 
 /// Parts of a step with gradients of their own.
@@ -50,6 +52,9 @@ const CHUNK: usize = 32;
 pub struct LowLevelNetworks {
     /// The agents' utility network.
     pub agents: UtilityNetwork,
+    /// The recurrent unit before the agents' head, as [`crate::layers::gru`] has it; empty where agents
+    /// have no memory.
+    pub gru: Vec<f32>,
     /// The mixer.
     pub mixer: Mixer,
     /// The statistics of the mixer's targets.
@@ -76,7 +81,8 @@ pub struct LowLevelReport {
 /// The learner: networks, target networks and optimiser.
 ///
 /// All state is open, in plain vectors, to be saved and restored: two [`LowLevelNetworks`], and the
-/// squares of [`optimisers`](Self::optimisers).
+/// squares of [`optimisers`](Self::optimisers). COPA's vectors belong between the agents' base and head,
+/// which passes compute apart from each other.
 #[derive(Clone, Debug)]
 pub struct LowLevel {
     config: LowLevelConfig,
@@ -85,8 +91,8 @@ pub struct LowLevel {
     pub online: LowLevelNetworks,
     /// The networks that value what comes next.
     pub target: LowLevelNetworks,
-    /// The optimisers of agents and mixer, with as many squares as these have parameters.
-    pub optimisers: [RmsProp; 2],
+    /// The optimisers of agents, recurrent unit and mixer, with as many squares as these have parameters.
+    pub optimisers: [RmsProp; 3],
     lanes: Vec<Lane>,
     gradient: Vec<f32>,
 }
@@ -94,13 +100,18 @@ pub struct LowLevel {
 impl LowLevel {
     /// A learner with new networks. Of the sizes those of the environment count, not those of a batch.
     pub fn new(config: LowLevelConfig, sizes: WindowShape, generator: &mut Generator) -> Self {
+        let agents = agents::initialise(&config, sizes, generator);
+        let gru =
+            if config.recurrent { recurrent::initialise(config.base, generator) } else { vec![] };
         let online = LowLevelNetworks {
-            agents: agents::initialise(&config, sizes, generator),
+            agents,
+            gru,
             mixer: Mixer::initialise(config.mixer(sizes), generator),
             popart: PopArt::default(),
         };
-        let counts = [online.agents.parameters().len(), online.mixer.parameters().len()];
-        let lane = Lane::new(&online.agents, &online.mixer);
+        let agents = online.agents.parameters().len();
+        let counts = [agents, online.gru.len(), online.mixer.parameters().len()];
+        let lane = Lane::new(&online.agents, &online.gru, &online.mixer);
         Self {
             config,
             sizes,
@@ -177,7 +188,13 @@ impl LowLevel {
             target: side(target, target_merged, target_order),
             popart: &target.popart,
         };
-        let own = |lane: usize| states.chunks(CHUNK).skip(lane).step_by(LANES);
+        // Memories reach over a window.
+        let chunks: Vec<&[usize]> = if self.config.recurrent {
+            states.chunk_by(|a, b| a / steps == b / steps).collect()
+        } else {
+            states.chunks(CHUNK).collect()
+        };
+        let own = |lane: usize| chunks.iter().skip(lane).step_by(LANES);
         in_lanes(threads, lanes, |index, lane| {
             own(index).for_each(|states| step.value(&bootstrap, states, lane));
         });
@@ -229,11 +246,15 @@ impl LowLevel {
     /// The second half of a step: clipping and the optimiser.
     pub fn follow(&mut self) {
         clip_norm(&mut self.gradient, self.config.clip);
-        let (agents, mixer) = self.gradient.split_at(self.online.agents.parameters().len());
-        let [of_agents, of_mixer] = &mut self.optimisers;
-        let rate = self.config.learning_rate;
-        of_agents.step(self.online.agents.parameters_mut(), agents, rate);
-        of_mixer.step(self.online.mixer.parameters_mut(), mixer, rate);
+        let LowLevelNetworks { agents, gru, mixer, .. } = &mut self.online;
+        let mut rest = &*self.gradient;
+        for (parameters, optimiser) in [agents.parameters_mut(), gru, mixer.parameters_mut()]
+            .into_iter()
+            .zip(&mut self.optimisers)
+        {
+            let gradient = rest.split_off(..parameters.len()).expect("one slope per parameter");
+            optimiser.step(parameters, gradient, self.config.learning_rate);
+        }
     }
 
     /// Floating-point operations of all steps up to now: those of matrix products and attention.
@@ -241,7 +262,7 @@ impl LowLevel {
         self.lanes.iter().map(Lane::operations).sum()
     }
 
-    /// The last gradient: of the agents' parameters, then of the mixer's.
+    /// The last gradient: of the parameters of agents, recurrent unit and mixer.
     pub fn gradient(&self) -> &[f32] {
         &self.gradient
     }
@@ -257,7 +278,8 @@ fn side<'a>(
     merged: &'a MergedMixer,
     order: &'a TaskOrder,
 ) -> Side<'a> {
-    Side { agents: &networks.agents, mixer: &networks.mixer, merged, order }
+    let agents = Recurrent { network: &networks.agents, gru: &networks.gru };
+    Side { agents, mixer: &networks.mixer, merged, order }
 }
 
 fn norm(vector: &[f32]) -> f32 {

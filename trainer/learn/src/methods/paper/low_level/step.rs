@@ -15,6 +15,7 @@ use super::availability::is_available;
 use super::config::LowLevelConfig;
 use super::hypernetwork::MixerInput;
 use super::mixer::{MergedMixer, Mixer, MixerGradient, MixerPass};
+use super::recurrent::{Recurrent, RecurrentPass};
 use super::scene::Marks;
 use super::teams::{Teams, View, tasks_with_agents};
 use crate::methods::alma::{Conditioning, UtilityInput, UtilityNetwork, UtilityPass};
@@ -32,7 +33,7 @@ pub struct Term {
 
 /// What values are computed with.
 pub(super) struct Side<'a> {
-    pub(super) agents: &'a UtilityNetwork,
+    pub(super) agents: Recurrent<'a>,
     pub(super) mixer: &'a Mixer,
     pub(super) merged: &'a MergedMixer,
     pub(super) order: &'a TaskOrder,
@@ -75,8 +76,7 @@ pub(super) struct Sums {
 #[derive(Clone, Debug)]
 pub(super) struct Lane {
     teams: Teams,
-    agent_input: UtilityInput,
-    agent_pass: UtilityPass,
+    agent_pass: LookingPass,
     mixer_input: MixerInput,
     mixer_pass: MixerPass,
     actions: Vec<u8>,
@@ -93,11 +93,14 @@ pub(super) struct Lane {
 }
 
 impl Lane {
-    pub(super) fn new(agents: &UtilityNetwork, mixer: &Mixer) -> Self {
+    pub(super) fn new(agents: &UtilityNetwork, gru: &[f32], mixer: &Mixer) -> Self {
         Self {
             teams: Teams::default(),
-            agent_input: UtilityInput::default(),
-            agent_pass: UtilityPass::new(agents.shape()),
+            agent_pass: LookingPass {
+                input: UtilityInput::default(),
+                utility: UtilityPass::new(agents.shape()),
+                recurrent: RecurrentPass::default(),
+            },
             mixer_input: MixerInput::default(),
             mixer_pass: MixerPass::default(),
             actions: Vec::new(),
@@ -107,14 +110,14 @@ impl Lane {
             terms: Vec::new(),
             done: 0,
             sums: Sums::default(),
-            agents: vec![0.0; agents.parameters().len()],
+            agents: vec![0.0; agents.parameters().len() + gru.len()],
             mixer: MixerGradient::new(mixer.shape()),
         }
     }
 
     /// Floating-point operations up to now.
     pub(super) fn operations(&self) -> u64 {
-        self.agent_pass.operations() + self.mixer_pass.operations()
+        self.agent_pass.utility.operations() + self.mixer_pass.operations()
     }
 
     /// Forgets the step before.
@@ -124,6 +127,40 @@ impl Lane {
         self.sums = Sums::default();
         self.agents.fill(0.0);
         self.mixer.clear();
+    }
+}
+
+/// Passes of the agents of some teams, with or without a memory.
+#[derive(Clone, Debug)]
+struct LookingPass {
+    input: UtilityInput,
+    utility: UtilityPass,
+    recurrent: RecurrentPass,
+}
+
+impl LookingPass {
+    /// Computes the utilities of the agents of some teams in a view of their states.
+    fn forward(
+        &mut self,
+        agents: Recurrent<'_>,
+        look: (&Windows, View),
+        conditioning: (Conditioning, Marks<'_>),
+        teams: &mut Teams,
+    ) -> &[f32] {
+        if agents.gru.is_empty() {
+            teams.write_agents(look, conditioning, &mut self.input);
+            return self.utility.forward(agents.network, &self.input);
+        }
+        self.recurrent.forward(agents, &mut self.utility, look, conditioning, teams)
+    }
+
+    /// Adds the gradients of network and memory, after [`forward`](Self::forward).
+    fn backward(&mut self, agents: Recurrent<'_>, d_utilities: &[f32], gradient: &mut [f32]) {
+        if agents.gru.is_empty() {
+            self.utility.backward(agents.network, &self.input, d_utilities, gradient);
+        } else {
+            self.recurrent.backward(agents, &mut self.utility, d_utilities, gradient);
+        }
     }
 }
 
@@ -186,9 +223,9 @@ impl Step<'_> {
         }
 
         let Bootstrap { online, target, popart } = networks;
-        let Lane { teams, agent_input, agent_pass, mixer_input, .. } = lane;
-        teams.write_agents((windows, View::NEXT), self.agent_marks(online.order), agent_input);
-        let utilities = agent_pass.forward(online.agents, agent_input);
+        let Lane { teams, agent_pass, mixer_input, .. } = lane;
+        let (look, marks) = ((windows, View::NEXT), self.agent_marks(online.order));
+        let utilities = agent_pass.forward(online.agents, look, marks, teams);
         let rows = utilities.chunks_exact(windows.shape.actions);
         lane.actions.clear();
         lane.actions.extend(rows.zip(teams.agents()).map(|(row, (state, agent))| {
@@ -198,8 +235,8 @@ impl Step<'_> {
         }));
 
         let view = (windows, View::NEXT_AS_BEFORE);
-        teams.write_agents(view, self.agent_marks(target.order), agent_input);
-        let utilities = agent_pass.forward(target.agents, agent_input);
+        let marks = self.agent_marks(target.order);
+        let utilities = agent_pass.forward(target.agents, view, marks, teams);
         pick(utilities, windows.shape.actions, lane.actions.iter(), &mut lane.utilities);
         teams.write_mixer(view, self.agent_marks(self.mixer_order), mixer_input);
         let (mixer, merged) = (target.mixer, target.merged);
@@ -231,7 +268,7 @@ impl Step<'_> {
         let windows = self.windows;
         let actions = windows.shape.actions;
         let Descent { online, popart, .. } = networks;
-        let Lane { teams, agent_input, agent_pass, mixer_input, mixer_pass, slopes, .. } = lane;
+        let Lane { teams, agent_pass, mixer_input, mixer_pass, slopes, .. } = lane;
         teams.clear();
         for state in states {
             for task in self.tasks(*state) {
@@ -242,8 +279,8 @@ impl Step<'_> {
         lane.done += terms.len();
 
         let view = (windows, View::NOW);
-        teams.write_agents(view, self.agent_marks(online.order), agent_input);
-        let utilities = agent_pass.forward(online.agents, agent_input);
+        let marks = self.agent_marks(online.order);
+        let utilities = agent_pass.forward(online.agents, view, marks, teams);
         let taken = |(state, agent)| &windows.actions[state * windows.shape.agents + agent];
         pick(utilities, actions, teams.agents().map(taken), &mut lane.utilities);
         teams.write_mixer(view, self.agent_marks(self.mixer_order), mixer_input);
@@ -274,7 +311,7 @@ impl Step<'_> {
         {
             row[usize::from(*taken(agent))] = *slope;
         }
-        agent_pass.backward(online.agents, agent_input, slopes, &mut lane.agents);
+        agent_pass.backward(online.agents, slopes, &mut lane.agents);
     }
 }
 

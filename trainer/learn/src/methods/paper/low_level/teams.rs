@@ -24,6 +24,17 @@ impl View {
     /// The state behind it, with the allocation as it was: whose team it is does not change on the way.
     pub(super) const NEXT_AS_BEFORE: Self = Self { ahead: 1, tasks_ahead: 0 };
 
+    /// How agents with a memory look at all states of a window, one after the other, so that they look
+    /// like this at one: with the allocation of each state, memories begin at a window's first.
+    pub(super) fn sequence(self) -> Self {
+        if self.ahead == self.tasks_ahead { Self::NOW } else { self }
+    }
+
+    /// Steps ahead of a state whose entities there are.
+    pub(super) fn ahead(self) -> usize {
+        self.ahead
+    }
+
     /// What there is to see of a state.
     pub(super) fn of(self, windows: &Windows, state: usize) -> Scene<'_> {
         Scene { windows, state: state + self.ahead, tasks_of: state + self.tasks_ahead }

@@ -24,6 +24,9 @@ fn learner(config: LowLevelConfig, sizes: WindowShape) -> LowLevel {
     // Target networks of their own, so that nothing passes for the other.
     let other = &mut generator(2, Purpose::Weights, 0);
     learner.target.agents = agents::initialise(&learner.config, sizes, other);
+    if learner.config.recurrent {
+        learner.target.gru = recurrent::initialise(learner.config.base, other);
+    }
     learner.target.mixer = Mixer::initialise(learner.config.mixer(sizes), other);
     learner
 }
@@ -56,6 +59,7 @@ fn random_windows(sizes: WindowShape, seed: u64) -> Windows {
         windows.reward[state] = signed_unit(draw);
         windows.has_transition[state] = chance(draw, 0.9);
         windows.terminated[state] = chance(draw, 0.1);
+        windows.reset[state] = chance(draw, 0.1);
         for task in 0..sizes.tasks {
             let at = state * sizes.tasks + task;
             windows.task_reward[at] = signed_unit(draw);
@@ -77,16 +81,31 @@ fn gradients_agree_with_finite_differences() {
     // One action is left to each agent: targets jump where the best action changes.
     let codes = windows.available.chunks_exact_mut(SIZES.actions);
     codes.for_each(|codes| codes[1..].fill(0));
-    for conditioning in [Conditioning::Mask, Conditioning::Input, Conditioning::None] {
+    for (conditioning, recurrent) in [
+        (Conditioning::Mask, false),
+        (Conditioning::Input, false),
+        (Conditioning::None, false),
+        (Conditioning::Mask, true),
+        (Conditioning::Input, true),
+    ] {
         let extra_tasks = usize::from(conditioning == Conditioning::Input);
-        let mut fresh = learner(LowLevelConfig { extra_tasks, ..config(conditioning) }, SIZES);
+        let config = LowLevelConfig { extra_tasks, recurrent, ..config(conditioning) };
+        let mut fresh = learner(config, SIZES);
         // Utilities of some size, so that the slope by their weights is more than rounding.
         let head = fresh.online.agents.shape().tensors()[7].range.clone();
-        fresh.online.agents.parameters_mut()[head].iter_mut().for_each(|weight| *weight *= 10.0);
+        fresh.online.agents.parameters_mut()[head].iter_mut().for_each(|weight| *weight *= 60.0);
         let mut learner = fresh.clone();
         learner.descend(&windows, 1, &mut draws());
         let count = fresh.online.agents.parameters().len();
-        let (agents, mixer) = learner.gradient().split_at(count);
+        let (agents, rest) = learner.gradient().split_at(count);
+        let (gru, mixer) = rest.split_at(fresh.online.gru.len());
+        if recurrent {
+            assert_gradient("gru", &fresh.online.gru, gru, |parameters| {
+                let mut moved = fresh.clone();
+                moved.online.gru.copy_from_slice(parameters);
+                moved.descend(&windows, 1, &mut draws()).loss
+            });
+        }
         for tensor in fresh.online.agents.shape().tensors() {
             let parameters = &fresh.online.agents.parameters()[tensor.range.clone()];
             let gradient = &agents[tensor.range.clone()];
@@ -116,9 +135,12 @@ fn gradients_agree_with_finite_differences() {
 fn any_number_of_threads_gives_the_same_bits() {
     let sizes = WindowShape { windows: 12, steps: 25, ..SIZES };
     let windows = random_windows(sizes, 2);
-    for conditioning in [Conditioning::Mask, Conditioning::Input, Conditioning::None] {
+    for (conditioning, recurrent) in
+        [(Conditioning::Mask, false), (Conditioning::Input, true), (Conditioning::None, false)]
+    {
         let learned = [1, 2, 3].map(|threads| {
-            let mut learner = learner(config(conditioning), sizes);
+            let config = LowLevelConfig { recurrent, ..config(conditioning) };
+            let mut learner = learner(config, sizes);
             let reports = [0, 1].map(|_| learner.learn(&windows, threads, &mut draws()));
             assert!(reports[0].terms > 4 * CHUNK);
             (reports, learner.online, learner.optimisers)
@@ -260,4 +282,69 @@ fn orders_of_marks_are_permutations_and_differ() {
     }
     assert!(orders.iter().any(|order| *order != orders[0]));
     assert_eq!(TaskOrder::of_columns(&[2, 0, 1]), TaskOrder(vec![1, 2, 0]));
+}
+
+/// One state of a window as an environment's step.
+fn alone(windows: &Windows, state: usize) -> Windows {
+    let shape = WindowShape { windows: 1, steps: 1, ..windows.shape };
+    let mut one = Windows::new(shape);
+    let (agents, entities) = (shape.agents, shape.entities);
+    one.features.clear();
+    for row in state * entities..(state + 1) * entities {
+        windows.features.row(row).for_each(|(column, value)| one.features.push(column, value));
+        one.features.end_row();
+    }
+    let rows = state * entities..(state + 1) * entities;
+    one.present.copy_from_slice(&windows.present[rows.clone()]);
+    one.entity_task.copy_from_slice(&windows.entity_task[rows]);
+    let pairs = agents * entities;
+    one.observable.copy_from_slice(&windows.observable[state * pairs..][..pairs]);
+    one.last_actions.copy_from_slice(&windows.last_actions[state * agents..][..agents]);
+    one
+}
+
+#[test]
+fn agents_with_a_memory_act_as_they_learn() {
+    let windows = random_windows(WindowShape { windows: 1, ..SIZES }, 9);
+    let config = LowLevelConfig { recurrent: true, ..config(Conditioning::Mask) };
+    let learner = learner(config, windows.shape);
+    let network = &learner.online.agents;
+    let (agents, actions) = (windows.shape.agents, windows.shape.actions);
+
+    let mut teams = teams::Teams::default();
+    for state in 0..windows.shape.states() {
+        teams.push(teams::View::NOW.of(&windows, state), state, None);
+    }
+    let mut utility = crate::methods::alma::UtilityPass::new(network.shape());
+    let learned = recurrent::RecurrentPass::default()
+        .forward(
+            Recurrent { network, gru: &learner.online.gru },
+            &mut utility,
+            (&windows, teams::View::NOW),
+            (Conditioning::Mask, None),
+            &teams,
+        )
+        .to_vec();
+
+    let order = learner.draw_order(&mut draws());
+    let mut pass = learner.agent_pass();
+    let mut memory = vec![0.0; agents * learner.config.base];
+    let mut rows = learned.chunks_exact(actions).zip(teams.agents());
+    for state in 0..windows.shape.states() {
+        let step = alone(&windows, state);
+        let parameters = (network, &*learner.online.gru);
+        let acted = pass.forward_recurrent(parameters, &step, &order, &mut memory);
+        let own = (0..agents).filter(|agent| windows.present[state * SIZES.entities + agent]);
+        for agent in own {
+            let (row, place) = rows.next().expect("a row for every agent");
+            assert_eq!(place, (state, agent));
+            for (learned, acted) in row.iter().zip(&acted[agent * actions..]) {
+                assert!((learned - acted).abs() < 1e-5, "{learned} against {acted}");
+            }
+        }
+        if state > 0 && windows.reset[state - 1] {
+            memory.fill(0.0);
+        }
+    }
+    assert!(rows.next().is_none());
 }
