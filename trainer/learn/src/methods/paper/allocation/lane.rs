@@ -33,7 +33,7 @@ impl Loss {
             .collect();
         let critic = policy[..policy.len().checked_sub(1)?].to_vec();
         if learning.as_public_code {
-            *policy.last_mut()? = mask.last()?;
+            *policy.last_mut()? = f64::from(u8::from(*rows.mask.last()?));
         }
         let (critic_total, policy_total) = (critic.iter().sum::<f64>(), policy.iter().sum::<f64>());
         policy.iter_mut().for_each(|weight| *weight /= policy_total);
