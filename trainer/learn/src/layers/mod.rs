@@ -12,6 +12,7 @@ pub mod matrix;
 pub mod relu;
 pub mod softmax;
 pub mod sparse_linear;
+pub mod team_attention;
 pub(crate) mod vectors;
 pub(crate) mod wide;
 
@@ -20,3 +21,4 @@ pub(crate) mod gradient_check;
 
 pub use attention::VisibleLists;
 pub use sparse_linear::SparseRows;
+pub use team_attention::TeamLists;

@@ -53,6 +53,30 @@ pub(crate) fn weighted_sum<'a, const LANES: usize>(
     }
 }
 
+/// Adds to `out` the sum of every vector in `terms` times its factor, `LANES` columns at a time.
+#[inline(always)]
+pub(super) fn add_weighted_sum<'a, const LANES: usize>(
+    out: &mut [f32],
+    terms: impl Iterator<Item = (f32, &'a [f32])> + Clone,
+) {
+    let (blocks, rest) = out.as_chunks_mut::<LANES>();
+    let mut column = 0;
+    for block in blocks {
+        let mut sums = *block;
+        for (factor, values) in terms.clone() {
+            let values = values[column..].first_chunk::<LANES>().expect("as long as the sum");
+            for i in 0..LANES {
+                sums[i] += factor * values[i];
+            }
+        }
+        *block = sums;
+        column += LANES;
+    }
+    for (factor, values) in terms {
+        add_scaled(rest, factor, &values[column..]);
+    }
+}
+
 /// Vectors whose dot products are taken at once.
 const GROUP: usize = 4;
 
@@ -128,7 +152,10 @@ mod tests {
             let mut out = vec![f32::NAN; width];
             weighted_sum::<16>(None, terms.clone(), &mut out);
             assert_close(&out, (0..width).map(sum));
-            weighted_sum::<16>(Some(&start), terms, &mut out);
+            weighted_sum::<16>(Some(&start), terms.clone(), &mut out);
+            assert_close(&out, (0..width).map(|j| start[j] + sum(j)));
+            out.copy_from_slice(&start);
+            add_weighted_sum::<16>(&mut out, terms);
             assert_close(&out, (0..width).map(|j| start[j] + sum(j)));
         }
     }

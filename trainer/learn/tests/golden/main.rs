@@ -2,6 +2,8 @@
 
 mod allocation;
 mod files;
+mod low_level;
 mod networks;
 mod popart;
+mod reference;
 mod windows;

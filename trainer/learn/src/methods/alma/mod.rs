@@ -39,4 +39,5 @@ pub use team_batch::{INPUT_COLUMNS, NO_ACTION, TeamBatch, best_action};
 pub use temporal_difference::Chunk;
 pub use trainer::{Observer, Outcome, Progress, Trainer, agents_learner, allocator_learner};
 pub use utility::{Tensor, UtilityNetwork, UtilityShape, UtilityWeights};
+pub(crate) use utility_pass::sized;
 pub use utility_pass::{UtilityInput, UtilityPass};

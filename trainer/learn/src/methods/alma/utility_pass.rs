@@ -134,7 +134,7 @@ impl UtilityPass {
 
 /// The first `length` numbers of a buffer that grows but never shrinks; their content is whatever
 /// stood there.
-pub(super) fn sized(buffer: &mut Vec<f32>, length: usize) -> &mut [f32] {
+pub(crate) fn sized(buffer: &mut Vec<f32>, length: usize) -> &mut [f32] {
     if buffer.len() < length {
         buffer.resize(length, 0.0);
     }

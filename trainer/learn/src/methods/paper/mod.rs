@@ -6,6 +6,7 @@
 //! than the public code is an exact rewrite of it.
 
 pub mod allocation;
+pub mod low_level;
 mod popart;
 mod windows;
 

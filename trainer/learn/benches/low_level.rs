@@ -1,0 +1,86 @@
+//! Seconds and arithmetic of one step of the published low level at SaveTheCity's sizes.
+//!
+//! `cargo bench -p sortie-learn --bench low_level -- [STEPS]`. The batch is of real episodes: random
+//! allocations every five steps, every other episode played by script.
+
+mod windows;
+
+use std::error::Error;
+use std::time::Instant;
+
+use gemm::Parallelism;
+use sortie_learn::methods::paper::low_level::{LowLevel, LowLevelConfig};
+use sortie_learn::random::{Purpose, generator};
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let arguments = std::env::args().skip(1).filter(|argument| argument != "--bench");
+    let rounds: usize = arguments.last().map_or(Ok(5), |rounds| rounds.parse())?;
+    let windows = windows::record()?;
+    let mut learner = LowLevel::new(
+        LowLevelConfig::default(),
+        windows.shape,
+        &mut generator(1, Purpose::Weights, 0),
+    );
+    let peak = peak();
+    println!("matrix products reach {peak:.1} GFLOP/s on one thread");
+    let mut draws = generator(1, Purpose::Replay, 0);
+    let report = learner.learn(&windows, 1, &mut draws);
+    println!("{} terms, loss {:.4}", report.terms, report.loss);
+    for threads in [1, 2] {
+        let mut seconds = Vec::new();
+        for _ in 0..rounds {
+            let before = learner.operations();
+            let start = Instant::now();
+            learner.learn(&windows, threads, &mut draws);
+            let elapsed = start.elapsed().as_secs_f64();
+            let operations = (learner.operations() - before) as f64 / 1e9;
+            seconds.push((elapsed, operations));
+        }
+        seconds.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let (median, operations) = seconds[rounds / 2];
+        let rate = operations / median;
+        println!(
+            "{threads} threads: median {median:.3} s, best {:.3} s a step, {operations:.1} GFLOP, \
+             {rate:.1} GFLOP/s, {:.0} % of the peak",
+            seconds[0].0,
+            100.0 * rate / peak / threads as f64,
+        );
+    }
+    Ok(())
+}
+
+/// Billions of operations a second of one product of the size of many here.
+fn peak() -> f64 {
+    let (m, n, k) = (384, 384, 384);
+    let (a, b, mut c) = (vec![0.5_f32; m * k], vec![0.25_f32; k * n], vec![0.0_f32; m * n]);
+    let mut best = f64::INFINITY;
+    for _ in 0..60 {
+        let start = Instant::now();
+        // SAFETY: the vectors have exactly the rows and columns that are stated, row-major.
+        unsafe {
+            gemm::gemm(
+                m,
+                n,
+                k,
+                c.as_mut_ptr(),
+                1,
+                n as isize,
+                false,
+                a.as_ptr(),
+                1,
+                k as isize,
+                b.as_ptr(),
+                1,
+                n as isize,
+                0.0,
+                1.0,
+                false,
+                false,
+                false,
+                Parallelism::None,
+            );
+        }
+        best = best.min(start.elapsed().as_secs_f64());
+    }
+    2.0 * (m * n * k) as f64 / best / 1e9
+}

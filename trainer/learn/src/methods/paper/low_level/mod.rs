@@ -1,0 +1,268 @@
+//! The low level of ALMA as published: agents that learn their subtasks through an attention mixer.
+//!
+//! Dissertation section 7.3, its public code, and section 5.3.2 for the mixer. Agents share one utility
+//! network; the utilities of a team's actions are mixed to the value of the team, one value for each
+//! subtask; values follow double-Q targets in PopArt's units, by RMSprop. Without subtasks there is one
+//! team and the reward of the whole.
+//!
+//! A step is computed in chunks of states that fit the cache, in a fixed number of lanes with gradients
+//! of their own, which are added in order: results depend neither on the number of threads nor on time.
+
+mod agents;
+mod availability;
+mod config;
+mod hypernetwork;
+mod lanes;
+mod mixer;
+mod mixing;
+mod scene;
+mod step;
+mod teams;
+mod values;
+
+pub use agents::{AgentPass, TaskOrder};
+pub use availability::is_available;
+pub use config::{LowLevelConfig, PopArtOrder};
+pub use hypernetwork::{
+    HypernetworkGradient, HypernetworkPass, HypernetworkShape, Merged, MixerInput, Mode,
+};
+pub use mixer::{
+    HYPERNETWORKS, MergedMixer, Mixer, MixerGradient, MixerPass, MixerShape, Nonnegative,
+};
+pub use step::Term;
+pub use values::{team_input, team_values};
+
+use super::popart::PopArt;
+use super::windows::{WindowShape, Windows};
+use crate::methods::alma::{Conditioning, UtilityNetwork};
+use crate::optimise::{RmsProp, clip_norm};
+use crate::random::Generator;
+use lanes::in_lanes;
+use step::{Bootstrap, Descent, Lane, Side, Step};
+
+/// Parts of a step with gradients of their own.
+const LANES: usize = 8;
+/// States that a lane computes at a time: few enough for their activations to stay in cache.
+const CHUNK: usize = 32;
+
+/// Agents and the mixer of their utilities.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LowLevelNetworks {
+    /// The agents' utility network.
+    pub agents: UtilityNetwork,
+    /// The mixer.
+    pub mixer: Mixer,
+    /// The statistics of the mixer's targets.
+    pub popart: PopArt,
+}
+
+/// What a step found.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LowLevelReport {
+    /// Terms of the loss; a step without any changes nothing.
+    pub terms: usize,
+    /// Mean squared error in normalised units.
+    pub loss: f64,
+    /// Mean absolute error in normalised units.
+    pub error: f64,
+    /// Mean value in normalised units.
+    pub value: f64,
+    /// Mean target in real units.
+    pub target: f64,
+    /// Norm of the gradient before clipping.
+    pub gradient_norm: f32,
+}
+
+/// The learner: networks, target networks and optimiser.
+///
+/// All state is open, in plain vectors, to be saved and restored: two [`LowLevelNetworks`], and the
+/// squares of [`optimisers`](Self::optimisers).
+#[derive(Clone, Debug)]
+pub struct LowLevel {
+    config: LowLevelConfig,
+    sizes: WindowShape,
+    /// The networks that learn; the agents among them act.
+    pub online: LowLevelNetworks,
+    /// The networks that value what comes next.
+    pub target: LowLevelNetworks,
+    /// The optimisers of agents and mixer, with as many squares as these have parameters.
+    pub optimisers: [RmsProp; 2],
+    lanes: Vec<Lane>,
+    gradient: Vec<f32>,
+}
+
+impl LowLevel {
+    /// A learner with new networks. Of the sizes those of the environment count, not those of a batch.
+    pub fn new(config: LowLevelConfig, sizes: WindowShape, generator: &mut Generator) -> Self {
+        let online = LowLevelNetworks {
+            agents: agents::initialise(&config, sizes, generator),
+            mixer: Mixer::initialise(config.mixer(sizes), generator),
+            popart: PopArt::default(),
+        };
+        let counts = [online.agents.parameters().len(), online.mixer.parameters().len()];
+        let lane = Lane::new(&online.agents, &online.mixer);
+        Self {
+            config,
+            sizes,
+            target: online.clone(),
+            optimisers: counts.map(RmsProp::new),
+            lanes: vec![lane; LANES],
+            gradient: vec![0.0; counts.iter().sum()],
+            online,
+        }
+    }
+
+    /// The switches and rates.
+    pub fn config(&self) -> &LowLevelConfig {
+        &self.config
+    }
+
+    /// Buffers for acting with [`online`](Self::online)'s agents.
+    pub fn agent_pass(&self) -> AgentPass {
+        AgentPass::new(self.config.conditioning, self.online.agents.shape())
+    }
+
+    /// Draws which marks stand for which subtasks, for one pass.
+    pub fn draw_order(&self, generator: &mut Generator) -> TaskOrder {
+        if self.config.conditioning == Conditioning::Input {
+            TaskOrder::shuffled(self.sizes.tasks + self.config.extra_tasks, generator)
+        } else {
+            TaskOrder::identity(0)
+        }
+    }
+
+    /// Copies the networks that learn to those that value what comes next.
+    pub fn copy_target(&mut self) {
+        self.target.clone_from(&self.online);
+    }
+
+    /// Takes one step on a batch, with so many threads. The generator shuffles subtask marks.
+    ///
+    /// Panics if the batch is of another environment's sizes.
+    pub fn learn(
+        &mut self,
+        windows: &Windows,
+        threads: usize,
+        generator: &mut Generator,
+    ) -> LowLevelReport {
+        let report = self.descend(windows, threads, generator);
+        if report.terms > 0 {
+            self.follow();
+        }
+        report
+    }
+
+    /// The first half of a step: targets, PopArt's statistics and the gradient.
+    pub fn descend(
+        &mut self,
+        windows: &Windows,
+        threads: usize,
+        generator: &mut Generator,
+    ) -> LowLevelReport {
+        let WindowShape { windows: count, steps, .. } = windows.shape;
+        let sizes = WindowShape { windows: count, steps, ..self.sizes };
+        assert_eq!(windows.shape, sizes, "windows of another environment");
+        let orders = [self.draw_order(generator), self.draw_order(generator)];
+        let mixer_order = TaskOrder::identity(sizes.tasks);
+        let step = Step { config: &self.config, windows, mixer_order: &mixer_order };
+        let states = step.states();
+        let merged = [self.online.mixer.merge(), self.target.mixer.merge()];
+        let [online_merged, target_merged] = &merged;
+        let [online_order, target_order] = &orders;
+        let Self { online, target, lanes, .. } = self;
+        lanes.iter_mut().for_each(Lane::begin);
+
+        let bootstrap = Bootstrap {
+            online: side(online, online_merged, online_order),
+            target: side(target, target_merged, target_order),
+            popart: &target.popart,
+        };
+        let own = |lane: usize| states.chunks(CHUNK).skip(lane).step_by(LANES);
+        in_lanes(threads, lanes, |index, lane| {
+            own(index).for_each(|states| step.value(&bootstrap, states, lane));
+        });
+        let all = lanes.iter().flat_map(|lane| &lane.terms);
+        let terms = all.clone().count();
+        if terms == 0 {
+            return LowLevelReport::default();
+        }
+        let target_mean = all.clone().map(|term| term.target).sum::<f64>() / terms as f64;
+        let before = online.mixer.head();
+        let before = (before.0.to_vec(), before.1.to_vec());
+        let rescale = online.popart.update(all.map(|term| (term.target, 1.0)));
+        let (weights, biases) = online.mixer.head_mut();
+        rescale.apply(weights, biases);
+
+        let head = match self.config.popart_order {
+            PopArtOrder::RescaleFirst => online.mixer.head(),
+            PopArtOrder::Reference => (&*before.0, &*before.1),
+        };
+        let side = side(online, online_merged, online_order);
+        let descent = Descent { online: side, popart: &online.popart, head, terms };
+        in_lanes(threads, lanes, |index, lane| {
+            own(index).for_each(|states| step.descend(&descent, states, lane));
+        });
+        self.add_lanes(online_merged);
+        let sum = |of: fn(&Lane) -> f64| self.lanes.iter().map(of).sum::<f64>() / terms as f64;
+        LowLevelReport {
+            terms,
+            loss: sum(|lane| lane.sums.squared_error),
+            error: sum(|lane| lane.sums.error),
+            value: sum(|lane| lane.sums.value),
+            target: target_mean,
+            gradient_norm: norm(&self.gradient),
+        }
+    }
+
+    /// Adds the gradients of all lanes, in order.
+    fn add_lanes(&mut self, merged: &MergedMixer) {
+        let (first, rest) = self.lanes.split_first_mut().expect("at least one lane");
+        for lane in rest {
+            first.agents.iter_mut().zip(&lane.agents).for_each(|(sum, value)| *sum += value);
+            first.mixer.add(&lane.mixer);
+        }
+        let (agents, mixer) = self.gradient.split_at_mut(first.agents.len());
+        agents.copy_from_slice(&first.agents);
+        first.mixer.write(&self.online.mixer, merged, mixer);
+    }
+
+    /// The second half of a step: clipping and the optimiser.
+    pub fn follow(&mut self) {
+        clip_norm(&mut self.gradient, self.config.clip);
+        let (agents, mixer) = self.gradient.split_at(self.online.agents.parameters().len());
+        let [of_agents, of_mixer] = &mut self.optimisers;
+        let rate = self.config.learning_rate;
+        of_agents.step(self.online.agents.parameters_mut(), agents, rate);
+        of_mixer.step(self.online.mixer.parameters_mut(), mixer, rate);
+    }
+
+    /// Floating-point operations of all steps up to now: those of matrix products and attention.
+    pub fn operations(&self) -> u64 {
+        self.lanes.iter().map(Lane::operations).sum()
+    }
+
+    /// The last gradient: of the agents' parameters, then of the mixer's.
+    pub fn gradient(&self) -> &[f32] {
+        &self.gradient
+    }
+
+    /// The terms of the last step, in no particular order.
+    pub fn terms(&self) -> impl Iterator<Item = &Term> + Clone {
+        self.lanes.iter().flat_map(|lane| &lane.terms)
+    }
+}
+
+fn side<'a>(
+    networks: &'a LowLevelNetworks,
+    merged: &'a MergedMixer,
+    order: &'a TaskOrder,
+) -> Side<'a> {
+    Side { agents: &networks.agents, mixer: &networks.mixer, merged, order }
+}
+
+fn norm(vector: &[f32]) -> f32 {
+    vector.iter().map(|value| f64::from(*value).powi(2)).sum::<f64>().sqrt() as f32
+}
+
+#[cfg(test)]
+mod tests;

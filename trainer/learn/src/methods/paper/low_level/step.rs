@@ -1,0 +1,297 @@
+//! One step of the low level over chunks of transitions: targets first, then gradients.
+//!
+//! Dissertation section 7.3 and the public code. A term of the loss is a team in a state that a step of
+//! the same episode follows. Its target bootstraps from the next state with the team as it was: the
+//! target agents and the target mixer see the next entities with the allocation of the step before, while
+//! the maximising actions are those of the online agents with the allocation of the next step.
+//!
+//! Only teams that enter the loss are computed, and of the rows only those that somebody looks at; all
+//! others have a weight of zero, so that this is exact.
+
+use super::super::popart::PopArt;
+use super::super::windows::Windows;
+use super::agents::TaskOrder;
+use super::availability::is_available;
+use super::config::LowLevelConfig;
+use super::hypernetwork::MixerInput;
+use super::mixer::{MergedMixer, Mixer, MixerGradient, MixerPass};
+use super::scene::Marks;
+use super::teams::{Teams, View, tasks_with_agents};
+use crate::methods::alma::{Conditioning, UtilityInput, UtilityNetwork, UtilityPass};
+
+/// A term of the loss: the value of a team in a state.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Term {
+    /// The state, as [`Windows`] counts them.
+    pub state: usize,
+    /// The subtask; 0 without subtasks.
+    pub task: usize,
+    /// What the value should be, in real units.
+    pub target: f64,
+}
+
+/// What values are computed with.
+pub(super) struct Side<'a> {
+    pub(super) agents: &'a UtilityNetwork,
+    pub(super) mixer: &'a Mixer,
+    pub(super) merged: &'a MergedMixer,
+    pub(super) order: &'a TaskOrder,
+}
+
+/// What all lanes of a step read.
+pub(super) struct Step<'a> {
+    pub(super) config: &'a LowLevelConfig,
+    pub(super) windows: &'a Windows,
+    /// Marks of the mixer's input.
+    pub(super) mixer_order: &'a TaskOrder,
+}
+
+/// What targets are computed with.
+pub(super) struct Bootstrap<'a> {
+    pub(super) online: Side<'a>,
+    pub(super) target: Side<'a>,
+    pub(super) popart: &'a PopArt,
+}
+
+/// What gradients are computed with.
+pub(super) struct Descent<'a> {
+    pub(super) online: Side<'a>,
+    pub(super) popart: &'a PopArt,
+    /// The head's weights and biases of the forward pass.
+    pub(super) head: (&'a [f32], &'a [f32]),
+    /// Terms of the whole loss.
+    pub(super) terms: usize,
+}
+
+/// Sums over the terms of a lane.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Sums {
+    pub(super) squared_error: f64,
+    pub(super) error: f64,
+    pub(super) value: f64,
+}
+
+/// The part of a step that one lane does: its buffers and what it finds.
+#[derive(Clone, Debug)]
+pub(super) struct Lane {
+    teams: Teams,
+    agent_input: UtilityInput,
+    agent_pass: UtilityPass,
+    mixer_input: MixerInput,
+    mixer_pass: MixerPass,
+    actions: Vec<u8>,
+    utilities: Vec<f32>,
+    slopes: Vec<f32>,
+    /// Terms that bootstrap.
+    bootstrapped: Vec<usize>,
+    pub(super) terms: Vec<Term>,
+    /// Terms whose gradients have been computed.
+    done: usize,
+    pub(super) sums: Sums,
+    pub(super) agents: Vec<f32>,
+    pub(super) mixer: MixerGradient,
+}
+
+impl Lane {
+    pub(super) fn new(agents: &UtilityNetwork, mixer: &Mixer) -> Self {
+        Self {
+            teams: Teams::default(),
+            agent_input: UtilityInput::default(),
+            agent_pass: UtilityPass::new(agents.shape()),
+            mixer_input: MixerInput::default(),
+            mixer_pass: MixerPass::default(),
+            actions: Vec::new(),
+            utilities: Vec::new(),
+            slopes: Vec::new(),
+            bootstrapped: Vec::new(),
+            terms: Vec::new(),
+            done: 0,
+            sums: Sums::default(),
+            agents: vec![0.0; agents.parameters().len()],
+            mixer: MixerGradient::new(mixer.shape()),
+        }
+    }
+
+    /// Floating-point operations up to now.
+    pub(super) fn operations(&self) -> u64 {
+        self.agent_pass.operations() + self.mixer_pass.operations()
+    }
+
+    /// Forgets the step before.
+    pub(super) fn begin(&mut self) {
+        self.terms.clear();
+        self.done = 0;
+        self.sums = Sums::default();
+        self.agents.fill(0.0);
+        self.mixer.clear();
+    }
+}
+
+impl Step<'_> {
+    /// The states that can be learned from.
+    pub(super) fn states(&self) -> Vec<usize> {
+        let steps = self.windows.shape.steps;
+        let live = |state: &usize| {
+            self.windows.has_transition[*state]
+                && state % steps + 1 < steps
+                && self.tasks(*state).next().is_some()
+        };
+        (0..self.windows.shape.states()).filter(live).collect()
+    }
+
+    /// The subtasks of a state that can be learned from: unfinished, with agents; without subtasks,
+    /// everybody.
+    fn tasks(&self, state: usize) -> impl Iterator<Item = Option<usize>> {
+        let windows = self.windows;
+        let subtasks = self.config.conditioning.has_subtasks();
+        let tasks = if subtasks { windows.shape.tasks } else { 0 };
+        let with_agents = tasks_with_agents(View::NOW.of(windows, state));
+        let unfinished = &windows.task_unfinished[state * windows.shape.tasks..];
+        let live = (0..tasks).filter(move |task| with_agents >> task & 1 == 1 && unfinished[*task]);
+        let everybody = (!subtasks).then_some(None);
+        everybody.into_iter().chain(live.map(Some))
+    }
+
+    /// Reward of a term, and whether what comes next is worth nothing.
+    fn outcome(&self, state: usize, task: Option<usize>) -> (f32, bool) {
+        let windows = self.windows;
+        match task.map(|task| state * windows.shape.tasks + task) {
+            Some(at) => (windows.task_reward[at], windows.task_terminated[at]),
+            None => (windows.reward[state], windows.terminated[state]),
+        }
+    }
+
+    /// What agents see of the subtasks.
+    fn agent_marks<'o>(&self, order: &'o TaskOrder) -> (Conditioning, Marks<'o>) {
+        let conditioning = self.config.conditioning;
+        (conditioning, (conditioning == Conditioning::Input).then_some(&*order.0))
+    }
+
+    /// Adds the terms of some states to a lane, with their targets.
+    pub(super) fn value(&self, networks: &Bootstrap<'_>, states: &[usize], lane: &mut Lane) {
+        let windows = self.windows;
+        lane.teams.clear();
+        lane.bootstrapped.clear();
+        for state in states {
+            for task in self.tasks(*state) {
+                let (reward, ends) = self.outcome(*state, task);
+                if !ends {
+                    let scene = View::NEXT_AS_BEFORE.of(windows, *state);
+                    lane.teams.push(scene, *state, task);
+                    lane.bootstrapped.push(lane.terms.len());
+                }
+                let (task, target) = (task.unwrap_or(0), f64::from(reward));
+                lane.terms.push(Term { state: *state, task, target });
+            }
+        }
+
+        let Bootstrap { online, target, popart } = networks;
+        let Lane { teams, agent_input, agent_pass, mixer_input, .. } = lane;
+        teams.write_agents((windows, View::NEXT), self.agent_marks(online.order), agent_input);
+        let utilities = agent_pass.forward(online.agents, agent_input);
+        let rows = utilities.chunks_exact(windows.shape.actions);
+        lane.actions.clear();
+        lane.actions.extend(rows.zip(teams.agents()).map(|(row, (state, agent))| {
+            let codes = ((state + 1) * windows.shape.agents + agent) * windows.shape.actions;
+            let codes = &windows.available[codes..][..windows.shape.actions];
+            self.best_action(row, codes, agent, windows.allocation(state))
+        }));
+
+        let view = (windows, View::NEXT_AS_BEFORE);
+        teams.write_agents(view, self.agent_marks(target.order), agent_input);
+        let utilities = agent_pass.forward(target.agents, agent_input);
+        pick(utilities, windows.shape.actions, lane.actions.iter(), &mut lane.utilities);
+        teams.write_mixer(view, self.agent_marks(self.mixer_order), mixer_input);
+        let (mixer, merged) = (target.mixer, target.merged);
+        let values = lane.mixer_pass.forward(mixer, merged, mixer_input, &lane.utilities);
+        for (raw, term) in values.iter().zip(&lane.bootstrapped) {
+            let term = &mut lane.terms[*term];
+            let value = popart.denormalise(f64::from(head(mixer.head(), term.task, *raw)));
+            term.target += f64::from(self.config.discount) * value;
+        }
+    }
+
+    /// The best available action, the first of equals.
+    fn best_action(&self, row: &[f32], codes: &[u16], agent: usize, allocation: &[u8]) -> u8 {
+        let by_task = self.config.task_availability;
+        let open = |code: u16| {
+            if by_task { is_available(code, agent, allocation) } else { code > 0 }
+        };
+        let mut best = (f32::NEG_INFINITY, 0);
+        for ((action, utility), code) in (0..).zip(row).zip(codes) {
+            if open(*code) && *utility > best.0 {
+                best = (*utility, action);
+            }
+        }
+        best.1
+    }
+
+    /// Adds to a lane the gradients of its next terms, which are those of some states.
+    pub(super) fn descend(&self, networks: &Descent<'_>, states: &[usize], lane: &mut Lane) {
+        let windows = self.windows;
+        let actions = windows.shape.actions;
+        let Descent { online, popart, .. } = networks;
+        let Lane { teams, agent_input, agent_pass, mixer_input, mixer_pass, slopes, .. } = lane;
+        teams.clear();
+        for state in states {
+            for task in self.tasks(*state) {
+                teams.push(View::NOW.of(windows, *state), *state, task);
+            }
+        }
+        let terms = &lane.terms[lane.done..][..teams.each().count()];
+        lane.done += terms.len();
+
+        let view = (windows, View::NOW);
+        teams.write_agents(view, self.agent_marks(online.order), agent_input);
+        let utilities = agent_pass.forward(online.agents, agent_input);
+        let taken = |(state, agent)| &windows.actions[state * windows.shape.agents + agent];
+        pick(utilities, actions, teams.agents().map(taken), &mut lane.utilities);
+        teams.write_mixer(view, self.agent_marks(self.mixer_order), mixer_input);
+        let mixer = online.mixer;
+        let values = mixer_pass.forward(mixer, online.merged, mixer_input, &lane.utilities);
+
+        slopes.clear();
+        let outputs = mixer.shape().outputs;
+        for (raw, term) in values.iter().zip(terms) {
+            let value = head(networks.head, term.task, *raw);
+            let error = f64::from(value) - popart.normalise(term.target);
+            lane.sums.squared_error += error * error;
+            lane.sums.error += error.abs();
+            lane.sums.value += f64::from(value);
+            let slope = (2.0 * error / networks.terms as f64) as f32;
+            let output = term.task % outputs;
+            lane.mixer.head[output] += slope * raw;
+            lane.mixer.head[outputs + output] += slope;
+            slopes.push(slope * mixer.head().0[output]);
+        }
+        let tensors = (&*lane.utilities, &**slopes);
+        let d_chosen =
+            mixer_pass.backward(mixer, online.merged, mixer_input, tensors, &mut lane.mixer);
+        slopes.clear();
+        slopes.resize(d_chosen.len() * actions, 0.0);
+        for ((row, slope), agent) in
+            slopes.chunks_exact_mut(actions).zip(d_chosen).zip(teams.agents())
+        {
+            row[usize::from(*taken(agent))] = *slope;
+        }
+        agent_pass.backward(online.agents, agent_input, slopes, &mut lane.agents);
+    }
+}
+
+/// A value in normalised units: the head's output of a subtask.
+fn head((weights, biases): (&[f32], &[f32]), task: usize, raw: f32) -> f32 {
+    let output = task % weights.len();
+    weights[output] * raw + biases[output]
+}
+
+/// Writes the utilities of chosen actions.
+fn pick<'a>(
+    utilities: &[f32],
+    actions: usize,
+    chosen: impl Iterator<Item = &'a u8>,
+    picked: &mut Vec<f32>,
+) {
+    picked.clear();
+    let rows = utilities.chunks_exact(actions).zip(chosen);
+    picked.extend(rows.map(|(row, action)| row[usize::from(*action)]));
+}
