@@ -3,27 +3,25 @@
 //! `cargo bench -p sortie-learn --bench low_level -- [STEPS]`. The batch is of real episodes: random
 //! allocations every five steps, every other episode played by script.
 
+mod windows;
+
 use std::error::Error;
 use std::time::Instant;
 
 use gemm::Parallelism;
-use sortie_envs::random::{below, generator as draws};
-use sortie_envs::save_the_city::{
-    Constants, DecisionPoints, SaveTheCity, ScenarioSet, random_actions, random_allocation,
-    scripted_actions,
-};
-use sortie_envs::{Environment, ObservationBuffers, Subtasks};
 use sortie_learn::methods::paper::low_level::{LowLevel, LowLevelConfig};
-use sortie_learn::methods::paper::{NO_ACTION, NO_TASK, WindowShape, Windows};
 use sortie_learn::random::{Purpose, generator};
 
-const WINDOWS: usize = 32;
-const STEPS: usize = 64;
-
 fn main() -> Result<(), Box<dyn Error>> {
+<<<<<<< HEAD
     let mut arguments = std::env::args().skip(1).filter(|argument| argument != "--bench");
     let rounds: usize = arguments.next_back().map_or(Ok(5), |rounds| rounds.parse())?;
     let windows = record()?;
+=======
+    let arguments = std::env::args().skip(1).filter(|argument| argument != "--bench");
+    let rounds: usize = arguments.last().map_or(Ok(5), |rounds| rounds.parse())?;
+    let windows = windows::record()?;
+>>>>>>> allocation
     let mut learner = LowLevel::new(
         LowLevelConfig::default(),
         windows.shape,
@@ -98,6 +96,7 @@ fn peak() -> f64 {
     }
     2.0 * (m * n * k) as f64 / best / 1e9
 }
+<<<<<<< HEAD
 
 /// A batch of windows of real episodes.
 fn record() -> Result<Windows, Box<dyn Error>> {
@@ -204,3 +203,5 @@ fn note(windows: &mut Windows, state: usize, seen: &ObservationBuffers, allocati
     let codes = shape.agents * shape.actions;
     windows.available[state * codes..][..codes].copy_from_slice(&seen.available[..codes]);
 }
+=======
+>>>>>>> allocation

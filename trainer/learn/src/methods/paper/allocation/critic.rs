@@ -5,7 +5,7 @@
 //! share these rows. Absent entities are left out.
 
 use super::super::windows::NO_TASK;
-use super::gathers::{gather, scatter_add, sized};
+use super::gathers::{gather, scatter_add};
 use super::networks::{AllocationCritic, COUNT_SCALE};
 use super::states::{States, team_size};
 use super::trunk::NONE;
@@ -14,6 +14,7 @@ use crate::layers::matrix::Store;
 use crate::layers::vectors::{add_scaled, dots};
 use crate::layers::wide::{Work, run_widest};
 use crate::layers::{SparseRows, VisibleLists, attention, linear, relu, sparse_linear};
+use crate::methods::alma::sized;
 
 /// Allocations to be valued, with what their rows share.
 #[derive(Clone, Debug, Default)]

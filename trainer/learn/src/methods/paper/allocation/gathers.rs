@@ -3,15 +3,6 @@
 use crate::layers::vectors::{add_scaled, dots};
 use crate::layers::wide::{Work, run_widest};
 
-/// The first `length` numbers of a buffer that grows but never shrinks; their content is whatever
-/// stood there.
-pub(super) fn sized(buffer: &mut Vec<f32>, length: usize) -> &mut [f32] {
-    if buffer.len() < length {
-        buffer.resize(length, 0.0);
-    }
-    &mut buffer[..length]
-}
-
 /// Copies the rows of `from` that the list names.
 pub(super) fn gather(width: usize, from: &[f32], rows: &[u32], out: &mut [f32]) {
     for (row, out) in rows.iter().zip(out.chunks_exact_mut(width)) {

@@ -25,7 +25,7 @@ pub(super) struct Loss {
 impl Loss {
     /// The weights of rows, or `None` where no row counts.
     pub(super) fn new(rows: &Rows, learning: &AllocationLearning) -> Option<Self> {
-        let mut mask = rows.mask.iter().map(|mask| f64::from(u8::from(*mask)));
+        let mask = rows.mask.iter().map(|mask| f64::from(u8::from(*mask)));
         let mut policy: Vec<f64> = mask
             .clone()
             .zip(&rows.weight)
@@ -33,7 +33,7 @@ impl Loss {
             .collect();
         let critic = policy[..policy.len().checked_sub(1)?].to_vec();
         if learning.as_public_code {
-            *policy.last_mut()? = mask.next_back()?;
+            *policy.last_mut()? = f64::from(u8::from(*rows.mask.last()?));
         }
         let (critic_total, policy_total) = (critic.iter().sum::<f64>(), policy.iter().sum::<f64>());
         policy.iter_mut().for_each(|weight| *weight /= policy_total);

@@ -13,6 +13,8 @@ mod proposals;
 mod rows;
 mod states;
 mod teams;
+#[cfg(test)]
+mod tests;
 mod tree;
 mod trunk;
 mod weights;

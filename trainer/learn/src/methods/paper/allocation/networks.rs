@@ -136,7 +136,7 @@ pub struct AllocationCritic {
 impl AllocationCritic {
     /// Number of parameters of a shape.
     pub fn count(shape: AllocationShape) -> usize {
-        CriticParts::take(shape, ranges()).popart_bias.end
+        Self::places(shape).popart_bias.end
     }
 
     /// Draws weights and biases uniformly in `±1/sqrt(inputs of the layer)`, as PyTorch does; the head of
@@ -262,6 +262,11 @@ impl AllocationCritic {
         (parts.popart_weight, parts.popart_bias)
     }
 
+    /// Where every tensor stands in the flat vector.
+    pub(super) fn places(shape: AllocationShape) -> CriticParts<Range<usize>> {
+        CriticParts::take(shape, ranges())
+    }
+
     pub(super) fn parts(&self) -> CriticParts<&[f32]> {
         CriticParts::take(self.shape, pieces(&self.parameters))
     }
@@ -282,7 +287,7 @@ pub struct AllocationPolicy {
 impl AllocationPolicy {
     /// Number of parameters of a shape.
     pub fn count(shape: AllocationShape) -> usize {
-        PolicyParts::take(shape, ranges()).update_bias.end
+        Self::places(shape).update_bias.end
     }
 
     /// Draws weights and biases uniformly in `±1/sqrt(inputs of the layer)`, as PyTorch does.
@@ -375,6 +380,11 @@ impl AllocationPolicy {
     /// All parameters, to be changed.
     pub fn parameters_mut(&mut self) -> &mut [f32] {
         &mut self.parameters
+    }
+
+    /// Where every tensor stands in the flat vector.
+    pub(super) fn places(shape: AllocationShape) -> PolicyParts<Range<usize>> {
+        PolicyParts::take(shape, ranges())
     }
 
     pub(super) fn parts(&self) -> PolicyParts<&[f32]> {

@@ -106,3 +106,87 @@ fn age_weight(now: u64, added: u64, rules: &RowRules) -> f32 {
     let age = now.saturating_sub(added) as f32;
     ((rules.age_limit - age) / rules.age_limit).max(0.0)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::super::windows::WindowShape;
+    use super::*;
+
+    const RULES: RowRules = RowRules { interval: 2.0, most: 400, age_limit: 100.0 };
+
+    /// One window of eight steps that each earn 1, with decisions at these steps.
+    fn window(decisions: &[usize]) -> Windows {
+        let mut windows = Windows::new(WindowShape {
+            windows: 1,
+            steps: 8,
+            agents: 1,
+            entities: 1,
+            tasks: 1,
+            actions: 1,
+            features: 1,
+        });
+        windows.has_transition[..7].fill(true);
+        windows.reward.fill(1.0);
+        windows.last_allocation.fill(0);
+        decisions.iter().for_each(|step| windows.decision[*step] = true);
+        windows
+    }
+
+    /// Ends an episode in a step; the final observation follows.
+    fn end(windows: &mut Windows, step: usize, terminated: bool) {
+        (windows.reset[step], windows.terminated[step]) = (true, terminated);
+        windows.has_transition[step + 1] = false;
+        windows.reward[step + 1] = 0.0;
+    }
+
+    fn rows(windows: &Windows) -> Rows {
+        let mut rows = Rows::default();
+        rows.collect(windows, 1_000, &RULES);
+        rows
+    }
+
+    #[test]
+    fn rewards_are_summed_between_decisions() {
+        let rows = rows(&window(&[1, 3, 6]));
+        assert_eq!(rows.reward, [1.0, 1.5, 1.0]);
+        assert_eq!(rows.mask, [true, true, false]);
+    }
+
+    #[test]
+    fn a_true_end_is_learned_from_and_a_time_out_is_not() {
+        for terminated in [true, false] {
+            let mut windows = window(&[0, 2, 5]);
+            end(&mut windows, 3, terminated);
+            let rows = rows(&windows);
+            assert_eq!(rows.terminated, [false, terminated, false]);
+            assert_eq!(rows.mask, [true, terminated, false]);
+            assert_eq!(rows.reward[1], 1.0);
+        }
+    }
+
+    #[test]
+    fn the_last_decision_counts_if_the_episode_truly_ended() {
+        let mut windows = window(&[0, 3]);
+        end(&mut windows, 5, true);
+        assert_eq!(rows(&windows).mask, [true, true]);
+    }
+
+    #[test]
+    fn nobody_has_an_allocation_before_an_episode_s_first_decision() {
+        let mut windows = window(&[0, 2, 5, 6]);
+        end(&mut windows, 3, true);
+        let rows = rows(&windows);
+        let last: Vec<u8> = (0..4).map(|row| rows.states.last_allocation(row)[0]).collect();
+        assert_eq!(last, [0, 0, NO_TASK, 0]);
+    }
+
+    #[test]
+    fn rows_count_less_with_age_and_no_more_than_some_are_kept() {
+        let mut windows = window(&[0, 2, 4]);
+        windows.added = vec![1_000, 1_000, 950, 950, 100, 100, 100, 100];
+        assert_eq!(rows(&windows).weight, [1.0, 0.5, 0.0]);
+        let mut rows = Rows::default();
+        rows.collect(&windows, 1_000, &RowRules { most: 2, ..RULES });
+        assert_eq!((rows.len(), rows.mask.as_slice()), (2, [true, true].as_slice()));
+    }
+}

@@ -7,13 +7,14 @@
 use std::ops::Range;
 
 use super::super::windows::NO_TASK;
-use super::gathers::{add_rectified, gather, scatter_add, sized};
+use super::gathers::{add_rectified, gather, scatter_add};
 use super::networks::{COUNT_SCALE, PolicyParts};
 use super::states::States;
 use super::weights::AllocationShape;
 use crate::layers::matrix::{Matrix, MatrixMut, Store, multiply};
 use crate::layers::vectors::add_scaled;
 use crate::layers::{SparseRows, VisibleLists, attention, linear, relu, sparse_linear};
+use crate::methods::alma::sized;
 
 /// Nothing stands here.
 pub(super) const NONE: u32 = u32::MAX;
