@@ -13,15 +13,9 @@ use sortie_learn::methods::paper::low_level::{LowLevel, LowLevelConfig};
 use sortie_learn::random::{Purpose, generator};
 
 fn main() -> Result<(), Box<dyn Error>> {
-<<<<<<< HEAD
     let mut arguments = std::env::args().skip(1).filter(|argument| argument != "--bench");
     let rounds: usize = arguments.next_back().map_or(Ok(5), |rounds| rounds.parse())?;
-    let windows = record()?;
-=======
-    let arguments = std::env::args().skip(1).filter(|argument| argument != "--bench");
-    let rounds: usize = arguments.last().map_or(Ok(5), |rounds| rounds.parse())?;
     let windows = windows::record()?;
->>>>>>> allocation
     let mut learner = LowLevel::new(
         LowLevelConfig::default(),
         windows.shape,
@@ -96,112 +90,3 @@ fn peak() -> f64 {
     }
     2.0 * (m * n * k) as f64 / best / 1e9
 }
-<<<<<<< HEAD
-
-/// A batch of windows of real episodes.
-fn record() -> Result<Windows, Box<dyn Error>> {
-    let mut world =
-        SaveTheCity::new(ScenarioSet::named("2-5a_2-5b")?, Constants::default(), WINDOWS, 1)?;
-    let shape = world.shape();
-    let sizes = WindowShape {
-        windows: WINDOWS,
-        steps: STEPS,
-        agents: shape.agents,
-        entities: shape.entities,
-        tasks: shape.tasks,
-        actions: shape.actions,
-        features: shape.features,
-    };
-    let mut windows = Windows::new(sizes);
-    windows.features.clear();
-    let mut draws = draws(2);
-    let mut seen = ObservationBuffers::new(&shape);
-    for window in 0..WINDOWS {
-        let (mut decisions, mut changed) = (DecisionPoints::default(), false);
-        let mut allocation = vec![NO_TASK; sizes.agents];
-        let mut last = vec![NO_ACTION; sizes.agents];
-        let mut finished = vec![false; sizes.tasks];
-        let mut over = false;
-        // The windows of a batch begin anywhere in their episodes.
-        let warm_up = below(&mut draws, 80);
-        for moment in 0..warm_up + STEPS {
-            if decisions.is_due(changed) {
-                random_allocation(world.city(window), &mut draws, &mut allocation);
-            }
-            let mut actions = vec![0; sizes.agents];
-            if window % 2 == 0 {
-                scripted_actions(world.city(window), &allocation, &mut draws, &mut actions);
-            } else {
-                random_actions(world.city(window), &mut draws, &mut actions);
-            }
-            world.observe(window, &mut seen.lend());
-            let kept = moment.checked_sub(warm_up).map(|step| window * STEPS + step);
-            if let Some(state) = kept {
-                note(&mut windows, state, &seen, &allocation);
-                let agents = state * sizes.agents..(state + 1) * sizes.agents;
-                windows.last_actions[agents.clone()].copy_from_slice(&last);
-                for (own, action) in windows.actions[agents].iter_mut().zip(&actions) {
-                    *own = *action as u8;
-                }
-                let tasks = state * sizes.tasks..(state + 1) * sizes.tasks;
-                for (own, finished) in windows.task_unfinished[tasks].iter_mut().zip(&finished) {
-                    *own = !finished;
-                }
-            }
-            if over {
-                world.reset(window);
-                decisions.restart();
-                (changed, over) = (false, false);
-                last.fill(NO_ACTION);
-                finished.fill(false);
-                continue;
-            }
-            let outcome = world.step(window, &actions)?;
-            (changed, over) = (outcome.tasks_changed, outcome.done());
-            let open = world.open_tasks(window);
-            for (task, finished) in finished.iter_mut().enumerate() {
-                *finished = open >> task & 1 == 0;
-            }
-            for (last, action) in last.iter_mut().zip(&actions) {
-                *last = *action as u8;
-            }
-            if let Some(state) = kept {
-                let tasks = state * sizes.tasks..(state + 1) * sizes.tasks;
-                windows.task_terminated[tasks.clone()].copy_from_slice(&finished);
-                let rewards = world.task_rewards(window);
-                for (own, reward) in windows.task_reward[tasks].iter_mut().zip(rewards) {
-                    *own = *reward as f32;
-                }
-                windows.reward[state] = outcome.reward as f32;
-                windows.terminated[state] = outcome.terminated;
-                windows.reset[state] = over;
-                windows.has_transition[state] = moment + 1 < warm_up + STEPS;
-            }
-        }
-    }
-    Ok(windows)
-}
-
-/// Writes what there is to see of a state.
-fn note(windows: &mut Windows, state: usize, seen: &ObservationBuffers, allocation: &[u8]) {
-    let shape = windows.shape;
-    for entity in 0..shape.entities {
-        let at = state * shape.entities + entity;
-        windows.features.push_dense(&seen.rows[entity * seen.stride..][..shape.features]);
-        windows.present[at] = seen.present >> entity & 1 == 1;
-        let task = seen.entity_task[entity];
-        windows.entity_task[at] = match allocation.get(entity) {
-            Some(task) if windows.present[at] => *task,
-            None if task != 0 => task.trailing_zeros() as u8,
-            _ => NO_TASK,
-        };
-        for agent in 0..shape.agents {
-            let sees = seen.observable[agent] >> entity & 1 == 1;
-            windows.observable[(state * shape.agents + agent) * shape.entities + entity] = sees;
-        }
-    }
-    let codes = shape.agents * shape.actions;
-    windows.available[state * codes..][..codes].copy_from_slice(&seen.available[..codes]);
-}
-=======
->>>>>>> allocation
