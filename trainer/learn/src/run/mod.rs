@@ -28,7 +28,7 @@ pub use counters::{EpisodeCounts, UpdateReport};
 pub use curve::CurvePoint;
 pub(crate) use description::KEYS;
 pub use description::{Configuration, RunDescription};
-pub(crate) use learning::{Learning, learn};
+pub(crate) use learning::{Labels, Learning, Rates, learn};
 pub(crate) use progress::Clock;
 pub use progress::{Observer, Outcome, Progress};
 pub use result::RunResult;
@@ -41,9 +41,6 @@ use crate::methods::alma::team_value::TeamValueAllocator;
 use crate::methods::paper::allocation::{AllocationCritic, AllocationNetworks, AllocationPolicy};
 use crate::methods::paper::{self, ProposalAllocator};
 use crate::report::{RunEvents, csv};
-
-/// The episodes that every run reports on in the end: the same for all runs, seen by none.
-pub(crate) const REPORT_SEED: u64 = 2_000_000;
 
 /// A learned allocator.
 #[derive(Clone, Debug, PartialEq)]
