@@ -8,7 +8,7 @@ use sortie_core::plan::{AlignedBytes, Network, Plan, Profile, Program};
 
 use crate::assemble::{Origin, assemble};
 use crate::error::CompileError;
-use crate::graph::{EntityRoles, Graph, Inputs, TeamRoles};
+use crate::graph::{EntityRoles, Graph, Inputs, ProposalPart, TeamRoles};
 use crate::lower::{AgentSizes, Choice, lower_agent};
 use crate::lower_entities::{EntitySizes, lower_entities};
 use crate::lower_int8::lower_agent_int8;
@@ -115,9 +115,20 @@ pub fn compile(onnx: &[u8], options: &CompileOptions) -> Result<Compiled, Compil
     origin.max_error = comparison.max_rel_error;
     origin.action_mismatch = comparison.action_mismatches as f32 / comparison.inputs.max(1) as f32;
     let bytes = assemble(&program, &weights, sizes, &origin);
-    let operators = operators(&program, sizes.n_max);
-    let report = Report {
-        flash_bytes: bytes.len(),
+    let report = report(&program, sizes.n_max, bytes.len(), &comparison);
+    Ok(Compiled { bytes, report })
+}
+
+/// What is known about a plan of this program.
+pub(crate) fn report(
+    program: &Program,
+    n_max: usize,
+    flash_bytes: usize,
+    comparison: &Comparison,
+) -> Report {
+    let operators = operators(program, n_max);
+    Report {
+        flash_bytes,
         arena_bytes: program.arena_bytes() as usize,
         arena_bytes_per_agent: 4 * program.own_floats().unwrap_or(0) as usize,
         macs: operators.iter().map(|operator| operator.macs).sum(),
@@ -125,8 +136,7 @@ pub fn compile(onnx: &[u8], options: &CompileOptions) -> Result<Compiled, Compil
         action_mismatches: comparison.action_mismatches,
         inputs: comparison.inputs,
         operators,
-    };
-    Ok(Compiled { bytes, report })
+    }
 }
 
 /// A network as a program.
@@ -150,6 +160,7 @@ fn lower(graph: &Graph, options: &CompileOptions) -> Result<Lowered, CompileErro
             (match_agent(graph)?, Network::Agent)
         }
         Inputs::TeamValue(_) => (match_team_value(graph)?, Network::TeamValue),
+        Inputs::Proposals(roles) => return Err(part_alone(roles.part)),
         Inputs::Entities(EntityRoles { group_count: groups, .. }) => {
             // No action is chosen, but a plan has one at least.
             sizes.actions = 1;
@@ -169,6 +180,11 @@ fn lower(graph: &Graph, options: &CompileOptions) -> Result<Lowered, CompileErro
     };
     let (program, weights) = lower_layers(&layers, sizes, network, options.profile)?;
     Ok(Lowered { program, weights, sizes, network })
+}
+
+/// A part of an allocator that proposes is no plan by itself.
+fn part_alone(part: ProposalPart) -> CompileError {
+    CompileError::PartAlone { part: part.name().into() }
 }
 
 /// Lowers a network to operators of the profile, and their weights as the plan holds them.
@@ -206,6 +222,7 @@ fn prove(
             let queries = random_team_queries(inputs, n_max, features, relations, seed);
             team_values_against_graph(plan, graph, &queries)?
         }
+        Inputs::Proposals(roles) => return Err(part_alone(roles.part)),
         Inputs::Entities(EntityRoles { group_count, .. }) => {
             let steps = random_entities(inputs, n_max, sizes.features, group_count, seed);
             entities_against_graph(plan, graph, &steps)?
@@ -357,6 +374,14 @@ fn detail(op: &Op) -> String {
         }
         Op::Int8Dense(op) => {
             format!("[{}] -> [{}]{}", op.layer.inputs, op.layer.outputs, relu(op.relu))
+        }
+        Op::EmbedTasks(op) => {
+            let (features, tasks) = (op.embed.inputs, op.tasks.count);
+            format!("[N, {features}] -> [N, {0}], [{tasks}, {0}]", op.embed.outputs)
+        }
+        Op::PointerLogits(op) => format!("[{}] -> logits of subtasks", op.from_task.inputs),
+        Op::ScoreAllocations(op) => {
+            format!("[N, {}] -> [N, {}] -> value", op.embed.inputs, op.embed.outputs)
         }
         Op::MaskedArgmax(op) => format!("[{}] -> action", op.from.len),
         Op::MaskedSample(op) => format!("[{}] -> drawn action", op.from.len),

@@ -26,6 +26,7 @@ use crate::graph_inputs::Rows;
 use crate::inspect::{OnnxFacts, inspect_onnx};
 use crate::matching::match_agent;
 use crate::observations::{random_entities, random_observations_of, random_team_queries_of};
+use crate::proposals::{ProposalFiles, compile_proposals};
 use crate::tract_entities::TractEntities;
 use crate::tract_policy::TractPolicy;
 use crate::tract_team_value::TractTeamValue;
@@ -83,6 +84,7 @@ impl fmt::Display for Ending {
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 enum Request {
     Compile(CompileOptions),
+    CompileProposals(CompileOptions),
     Rehearse { n_max: usize, features: Option<usize> },
     Inspect,
 }
@@ -126,6 +128,15 @@ impl CompilerProcess {
     /// As [`compile`].
     pub fn compile(&self, onnx: &[u8], options: &CompileOptions) -> Result<Compiled, CompileError> {
         self.ask(Request::Compile(*options), onnx)
+    }
+
+    /// As [`compile_proposals`].
+    pub fn compile_proposals(
+        &self,
+        files: &ProposalFiles<'_>,
+        options: &CompileOptions,
+    ) -> Result<Compiled, CompileError> {
+        self.ask(Request::CompileProposals(*options), &files.joined())
     }
 
     /// As [`crate::compile_bundle_as`]. A plan that was compiled before is checked and taken without a process.
@@ -251,6 +262,9 @@ pub fn answer_compiler() -> io::Result<()> {
     let (request, onnx) = postcard::take_from_bytes(&given).map_err(io::Error::other)?;
     let answer = match request {
         Request::Compile(options) => postcard::to_stdvec(&compile(onnx, &options)),
+        Request::CompileProposals(options) => postcard::to_stdvec(
+            &ProposalFiles::split(onnx).and_then(|files| compile_proposals(&files, &options)),
+        ),
         Request::Rehearse { n_max, features } => {
             postcard::to_stdvec(&rehearse(onnx, n_max, features))
         }
@@ -282,6 +296,10 @@ fn rehearse(onnx: &[u8], n_max: usize, features: Option<usize>) -> Result<(), Co
                 let state = query.state.view();
                 let _ = engine.run(&query.view(&state), Rows::All);
             }
+        }
+        // No part runs by itself.
+        Inputs::Proposals(_) => {
+            graph.runnable()?;
         }
         Inputs::Entities(EntityRoles { group_count, .. }) => {
             let mut engine = TractEntities::from_graph(&graph)?;
