@@ -9,7 +9,7 @@ use sortie_core::plan::{AlignedBytes, Network, Plan, Profile, Program};
 use crate::assemble::{Origin, assemble};
 use crate::error::CompileError;
 use crate::graph::{EntityRoles, Graph, Inputs, ProposalPart, TeamRoles};
-use crate::lower::{AgentSizes, Choice, lower_agent};
+use crate::lower::{AgentSizes, Choice, lower_agent, same_sizes};
 use crate::lower_entities::{EntitySizes, lower_entities};
 use crate::lower_int8::lower_agent_int8;
 use crate::matching::{AgentLayers, match_agent, match_entities, match_team_value};
@@ -17,6 +17,7 @@ use crate::observations::{random_entities, random_observations, random_team_quer
 use crate::parity::{
     Comparison, TOLERANCE, entities_against_graph, plan_against_graph, team_values_against_graph,
 };
+use crate::proposals::{ProposalFiles, compile_proposals};
 
 /// The compiler's version; a plan of another version is compiled again.
 pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), "-2");
@@ -255,6 +256,16 @@ pub fn compile_allocator(bundle: &Bundle) -> Result<Option<AlignedBytes>, Compil
     allocator_plan(bundle, &compile)
 }
 
+/// The plan of a bundle's proposing allocator, if it has one, cached in the same way.
+pub fn compile_proposals_of(
+    bundle: &Bundle,
+    profile: Profile,
+) -> Result<Option<AlignedBytes>, CompileError> {
+    proposal_plan(bundle, profile, &|joined, options| {
+        compile_proposals(&ProposalFiles::split(joined)?, options)
+    })
+}
+
 /// What compiles: this process or another.
 pub(crate) type Compile<'a> = &'a dyn Fn(&[u8], &CompileOptions) -> Result<Compiled, CompileError>;
 
@@ -294,6 +305,29 @@ pub(crate) fn allocator_plan(
     let n_max = (2 * usize::from(bundle.manifest().limits.n_max)).min(limits::ENTITIES);
     let plan = cached(bundle, onnx, Profile::Exact, n_max, compile)?;
     Plan::load(plan.as_slice())?.check_network(Network::TeamValue)?;
+    Ok(Some(plan))
+}
+
+/// The plan of a bundle's proposing allocator, if it has one, from the cache where it is still valid; `compile`
+/// gets the joined files.
+pub(crate) fn proposal_plan(
+    bundle: &Bundle,
+    profile: Profile,
+    compile: Compile<'_>,
+) -> Result<Option<AlignedBytes>, CompileError> {
+    let Some([trunk, step, critic]) = bundle.proposal_graphs() else { return Ok(None) };
+    let joined = ProposalFiles { trunk, step, critic }.joined();
+    let limits = bundle.manifest().limits;
+    let plan = cached(bundle, &joined, profile, limits.n_max.into(), compile)?;
+    let loaded = Plan::load(plan.as_slice())?;
+    loaded.check_network(Network::Proposals)?;
+    let header = loaded.header();
+    let features = usize::from(bundle.contract().features);
+    same_sizes("the allocator's number of features", header.features as usize, features)?;
+    let (what, got) = ("the allocator's number of subtasks", usize::from(header.t_max));
+    if got < usize::from(limits.t_max) {
+        return Err(CompileError::Size { what: what.into(), got, want: limits.t_max.into() });
+    }
     Ok(Some(plan))
 }
 

@@ -55,7 +55,7 @@ pub use agreement::{
 pub use attention::AttentionProbe;
 pub use compile::{
     CompileOptions, Compiled, OperatorReport, Report, VERSION, compile, compile_allocator,
-    compile_bundle, compile_bundle_as,
+    compile_bundle, compile_bundle_as, compile_proposals_of,
 };
 pub use error::CompileError;
 pub use families::{

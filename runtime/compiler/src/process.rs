@@ -18,7 +18,9 @@ use serde::{Deserialize, Serialize};
 use sortie_bundle::Bundle;
 use sortie_core::plan::{AlignedBytes, Profile};
 
-use crate::compile::{CompileOptions, Compiled, agent_plan, allocator_plan, compile};
+use crate::compile::{
+    CompileOptions, Compiled, agent_plan, allocator_plan, compile, proposal_plan,
+};
 use crate::engine::TeamValueEngine;
 use crate::error::CompileError;
 use crate::graph::{EntityRoles, Graph, Inputs, TeamRoles};
@@ -151,6 +153,17 @@ impl CompilerProcess {
     /// As [`crate::compile_allocator`].
     pub fn compile_allocator(&self, bundle: &Bundle) -> Result<Option<AlignedBytes>, CompileError> {
         allocator_plan(bundle, &|onnx, options| self.compile(onnx, options))
+    }
+
+    /// As [`crate::compile_proposals_of`].
+    pub fn compile_proposals_of(
+        &self,
+        bundle: &Bundle,
+        profile: Profile,
+    ) -> Result<Option<AlignedBytes>, CompileError> {
+        proposal_plan(bundle, profile, &|joined, options| {
+            self.ask(Request::CompileProposals(*options), joined)
+        })
     }
 
     /// Reads a file and runs its graph a few times on `n_max` random entities of `features`, none for all columns.
