@@ -4,7 +4,7 @@
 //! allocations have in common are computed once, and so is an allocation that was proposed more than once.
 
 use super::memory::{CriticMemory, NONE, Near, StepMemory};
-use super::scene::{Product, Scene, add, add_times, copy, refused, tasks_in};
+use super::scene::{Product, Scene, add, add_times, copy, refused, tasks_in, vector};
 use crate::allocator::AllocateError;
 use crate::kernels::Kernels;
 use crate::limits;
@@ -76,14 +76,14 @@ fn embed_rows(
                 continue;
             }
             let row = memory.rows.row_mut(rows);
-            let width = row.len().max(1);
+            let width = row.len();
             copy(memory.bases.row(entity), row);
             for task in tasks_in(set) {
-                add(row, tasks.chunks_exact(width).nth(task).unwrap_or(&[]));
+                add(row, vector(tasks, width, task));
                 let others = others.get(task).copied().unwrap_or(0.0);
                 let factors = [f32::from(agents(task)), others, 1.0];
-                for (factor, vector) in factors.into_iter().zip(counts.chunks_exact(width)) {
-                    add_times(row, factor, vector);
+                for (number, factor) in factors.into_iter().enumerate() {
+                    add_times(row, factor, vector(counts, width, number));
                 }
             }
             row.iter_mut().for_each(|value| *value = relu(*value));

@@ -14,6 +14,8 @@ pub(super) const NONE: u16 = u16::MAX;
 
 /// Floats that every part starts at a multiple of: one cache line.
 const LINE: usize = 16;
+/// The same for numbers of tables.
+const TABLE_LINE: usize = 2 * LINE;
 
 /// How much there is of everything.
 #[derive(Clone, Copy, Debug)]
@@ -226,12 +228,11 @@ fn table_parts(network: &ProposalNetwork, extent: &Extent) -> [Size; 10] {
 /// Floats of the arena for so many entities and proposals.
 pub(super) fn floats(network: &ProposalNetwork, n_max: usize, proposals: usize) -> u64 {
     let extent = Extent::largest(n_max, proposals);
-    let lines = |(rows, width): &Size, line: usize| {
-        (*rows as u64).saturating_mul(*width as u64).div_ceil(line as u64)
-    };
-    let of_floats = float_parts(network, &extent).iter().map(|part| lines(part, LINE)).sum::<u64>();
+    let count = |(rows, width): &Size| (*rows as u64).saturating_mul(*width as u64);
+    let of_floats = float_parts(network, &extent);
+    let of_floats: u64 = of_floats.iter().map(|part| count(part).div_ceil(LINE as u64)).sum();
     let of_tables = table_parts(network, &extent);
-    let of_tables = of_tables.iter().map(|part| lines(part, 2 * LINE)).sum::<u64>();
+    let of_tables: u64 = of_tables.iter().map(|part| count(part).div_ceil(TABLE_LINE as u64)).sum();
     of_floats.saturating_add(of_tables).saturating_mul(LINE as u64)
 }
 
@@ -275,7 +276,7 @@ impl<'a> Memory<'a> {
             near_keys,
             near_values,
             scores,
-        ] = cut(floats, parts, LINE)?;
+        ] = cut::<_, _, LINE>(floats, parts)?;
         let [
             node_of,
             counts,
@@ -287,7 +288,7 @@ impl<'a> Memory<'a> {
             rows_of,
             distinct,
             same_as,
-        ] = cut(tables, table_parts(network, extent), 2 * LINE)?;
+        ] = cut::<_, _, TABLE_LINE>(tables, table_parts(network, extent))?;
         let [mean, value] = halves(mean)?;
         let [scores, of_proposal] = halves(scores)?;
         Some(Self {
@@ -340,15 +341,14 @@ fn halves(grid: Grid<'_, f32>) -> Option<[Grid<'_, f32>; 2]> {
 }
 
 /// Cuts parts off, each starting at a cache line.
-fn cut<'a, V, const PARTS: usize>(
+fn cut<'a, V, const PARTS: usize, const LINE: usize>(
     mut memory: &'a mut [V],
     sizes: [Size; PARTS],
-    line: usize,
 ) -> Option<[Grid<'a, V>; PARTS]> {
     let mut whole = true;
     let parts = sizes.map(|(rows, width)| {
         let count = rows * width;
-        let part = memory.split_off_mut(..count.next_multiple_of(line));
+        let part = memory.split_off_mut(..count.next_multiple_of(LINE));
         let cells = part.and_then(|part| part.get_mut(..count));
         whole &= cells.is_some();
         Grid { cells: cells.unwrap_or_default(), width: width.max(1) }

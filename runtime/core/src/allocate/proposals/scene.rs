@@ -83,6 +83,13 @@ pub(super) fn tasks_in(mut set: u32) -> impl Iterator<Item = usize> {
     })
 }
 
+/// The vector of this number among vectors of `width`; empty where there is none.
+#[inline(always)]
+pub(super) fn vector(vectors: &[f32], width: usize, number: usize) -> &[f32] {
+    let start = number.saturating_mul(width);
+    vectors.get(start..start.saturating_add(width)).unwrap_or(&[])
+}
+
 /// Adds a vector.
 #[inline(always)]
 pub(super) fn add(sums: &mut [f32], vector: &[f32]) {
@@ -176,7 +183,7 @@ impl Near<'_> {
         let head = attention.head_width();
         let of_head = head.saturating_mul(count).max(1);
         for (all, row) in [(&mut self.keys, keys), (&mut self.values, values)] {
-            let places = all.cells.chunks_exact_mut(of_head).zip(row.chunks_exact(head));
+            let places = all.cells.chunks_exact_mut(of_head).zip(row.chunks_exact(head.max(1)));
             for (places, part) in places {
                 let start = slot.saturating_mul(head);
                 if let Some(to) = places.get_mut(start..start.saturating_add(head)) {
@@ -201,7 +208,7 @@ impl Near<'_> {
         let scores = self.scores.cells.get_mut(..slots(count)).ok_or(AllocateError::BadLength)?;
         let near =
             self.keys.cells.chunks_exact(of_head).zip(self.values.cells.chunks_exact(of_head));
-        let heads = query.chunks_exact(head).zip(mixed.chunks_exact_mut(head));
+        let heads = query.chunks_exact(head.max(1)).zip(mixed.chunks_exact_mut(head.max(1)));
         for ((query, mixed), (keys, values)) in heads.zip(near) {
             kernels.dots(query, Rows::first(keys, head, count), scores);
             if !kernels.softmax(scores, count) {

@@ -6,7 +6,7 @@
 
 use super::Draw;
 use super::memory::{NONE, StepMemory, TrunkMemory};
-use super::scene::{Product, Scene, add, refused};
+use super::scene::{Product, Scene, add, refused, vector};
 use crate::allocator::AllocateError;
 use crate::kernels::Kernels;
 use crate::kernels::rows::Rows;
@@ -88,7 +88,7 @@ impl<'a> Pointer<'a> {
     ) -> Result<(), AllocateError> {
         let width = memory.nodes.width;
         let products = memory.products.cells.chunks_mut(limits::ENTITIES);
-        let rows = memory.nodes.cells.chunks(limits::ENTITIES * width);
+        let rows = memory.nodes.cells.chunks((limits::ENTITIES * width).max(1));
         let mut rest = nodes;
         for (rows, products) in rows.zip(products) {
             let count = rest.min(limits::ENTITIES);
@@ -173,8 +173,10 @@ fn update(
     let (known, fresh) = split.ok_or(AllocateError::TooLarge)?;
     let product = Product::new(&scene.network.step.from_task, scene.weights, false)?;
     product.from(from_agent).rows(kernels, parents, fresh, width, 0..new);
-    for (fresh, parent) in fresh.chunks_exact_mut(width).zip(parent_of.cells.iter()).take(new) {
-        add(fresh, known.chunks_exact(width).nth(usize::from(*parent)).unwrap_or(&[]));
+    for (fresh, parent) in
+        fresh.chunks_exact_mut(width.max(1)).zip(parent_of.cells.iter()).take(new)
+    {
+        add(fresh, vector(known, width, usize::from(*parent)));
     }
     Ok(())
 }

@@ -1,7 +1,7 @@
 //! What is computed once for all proposals: embeddings of agents and subtasks (dissertation section 7.4).
 
 use super::memory::{CriticMemory, Near, StepMemory, TrunkMemory};
-use super::scene::{Product, RowMarks, Scene, add, copy, refused, tasks_in};
+use super::scene::{Product, RowMarks, Scene, add, copy, refused, tasks_in, vector};
 use crate::allocator::AllocateError;
 use crate::entity_mask::EntityMask;
 use crate::kernels::Kernels;
@@ -56,7 +56,7 @@ fn embed_entities(
         kernels.sparse_product(of_policy.0, inputs, of_policy.1, embedded);
         kernels.sparse_product(of_critic.0, inputs, of_critic.1, critic.bases.row_mut(entity));
         for task in tasks_in(scene.tasks_of(entity)) {
-            add(embedded, tasks.chunks_exact(embedded.len().max(1)).nth(task).unwrap_or(&[]));
+            add(embedded, vector(tasks, embedded.len(), task));
         }
         for (to, value) in trunk.active.row_mut(entity).iter_mut().zip(embedded) {
             *to = relu(*value);
