@@ -80,14 +80,16 @@ impl Run {
     }
 
     /// What the run has learned to allocate with, if it learns that, as something to be measured.
-    pub fn learned_allocator(&self) -> Option<Box<dyn Allocate + '_>> {
+    ///
+    /// One that proposes chooses among so many proposals, of which the first is the most probable.
+    pub fn learned_allocator(&self, proposals: usize) -> Option<Box<dyn Allocate + '_>> {
         Some(match (self.allocator.as_ref()?, &self.description.config) {
             (RunAllocator::TeamValue(network), Settings::Records(config)) => {
                 Box::new(TeamValueAllocator::new(network, config.allocation.team_max))
             }
-            (RunAllocator::Proposals { policy, critic }, Settings::Windows(config)) => {
+            (RunAllocator::Proposals { policy, critic }, Settings::Windows(_)) => {
                 let networks = AllocationNetworks { policy, critic };
-                Box::new(ProposalAllocator::new(networks, config.allocation.proposals))
+                Box::new(ProposalAllocator::new(networks, proposals).greedy_first())
             }
             _ => return None,
         })
