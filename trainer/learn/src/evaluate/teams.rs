@@ -6,32 +6,28 @@ use sortie_envs::save_the_city::{
     ACTIONS, FEATURES, UNASSIGNED, scripted_actions, write_agent_row, write_building_row,
 };
 
+use super::players::{Agents, Players};
 use super::{Scene, Team};
 use crate::error::LearnError;
-use crate::methods::alma::{
-    Conditioning, NO_ACTION, TeamBatch, UtilityNetwork, UtilityPass, best_action,
-};
+use crate::methods::alma::{Conditioning, NO_ACTION, UtilityNetwork, best_action};
 use crate::random::{Generator, Purpose, generator};
 
-/// The utility network, greedy, on all scenes at once.
+/// Agents that learn or have learned, greedy, on all scenes at once.
 #[derive(Debug)]
 pub struct NetworkTeam<'a> {
-    network: &'a UtilityNetwork,
-    pass: UtilityPass,
-    batch: TeamBatch,
-    actors: Vec<(usize, usize)>,
+    agents: Agents<'a>,
+    players: Players,
 }
 
 impl<'a> NetworkTeam<'a> {
     /// Acts by a network that sees its subtask only.
     pub fn new(network: &'a UtilityNetwork) -> Self {
-        Self::conditioned(network, Conditioning::Mask)
+        Self::conditioned(Agents { network, memory_unit: &[] }, Conditioning::Mask)
     }
 
-    /// Acts by a network that sees subtasks as it was trained to.
-    pub fn conditioned(network: &'a UtilityNetwork, conditioning: Conditioning) -> Self {
-        let pass = UtilityPass::new(network.shape());
-        Self { network, pass, batch: TeamBatch::new(conditioning), actors: Vec::new() }
+    /// Acts by agents that see subtasks as they were trained to.
+    pub fn conditioned(agents: Agents<'a>, conditioning: Conditioning) -> Self {
+        Self { agents, players: Players::new(conditioning, agents.network.shape()) }
     }
 }
 
@@ -42,29 +38,10 @@ impl Team for NetworkTeam<'_> {
         actions: &mut [u16],
         agents: usize,
     ) -> Result<(), LearnError> {
-        self.batch.clear();
-        self.actors.clear();
-        let tasks = scenes.iter().map(|scene| scene.city.buildings.len()).max().unwrap_or(0);
-        if self.batch.columns(tasks) > self.network.shape().input {
-            let reason = format!("the network marks fewer subtasks than the {tasks} of this city");
-            return Err(LearnError::Config(reason));
-        }
-        for (place, scene) in scenes.iter().enumerate() {
-            self.batch.push_teams(scene.city, scene.allocation, scene.last_actions, |agent| {
-                self.actors.push((place, agent));
-            });
-        }
-        for (place, scene) in scenes.iter().enumerate() {
-            self.batch.push_unassigned(scene.city, scene.allocation, scene.last_actions, |agent| {
-                self.actors.push((place, agent))
-            });
-        }
-        let utilities = self.pass.forward(self.network, self.batch.finish());
-        for ((place, agent), utilities) in self.actors.iter().zip(utilities.chunks_exact(ACTIONS)) {
-            let available = scenes[*place].city.agents[*agent].available;
-            actions[place * agents + agent] = best_action(utilities, available).into();
-        }
-        Ok(())
+        self.players.act(self.agents, scenes, agents, |scene, agent, utilities| {
+            let available = scenes[scene].city.agents[agent].available;
+            actions[scene * agents + agent] = best_action(utilities, available).into();
+        })
     }
 }
 

@@ -81,7 +81,7 @@ impl Worlds {
     /// What the team sees of a world.
     pub(super) fn scene(&self, index: usize) -> Scene<'_> {
         let World { allocation, last_actions, .. } = &self.worlds[index];
-        Scene { city: self.city.city(index), allocation, last_actions }
+        Scene { world: index, city: self.city.city(index), allocation, last_actions }
     }
 
     /// Decides where a decision is due, and lets the team choose the actions of all active worlds.

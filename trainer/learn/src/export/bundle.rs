@@ -69,9 +69,14 @@ impl<'a> LearnedAllocator<'a> {
 /// Refuses runs whose agents need more than what a deployed agent is shown.
 ///
 /// # Errors
-/// The agents are not conditioned on subtasks by masks.
+/// The agents are not conditioned on subtasks by masks, or have a memory.
 pub fn check_exportable(run: &Run) -> Result<(), LearnError> {
     let conditioning = run.description.config.subtask();
+    if !run.memory_unit.is_empty() {
+        let reason =
+            "agents with a memory are evaluated only: teams of processes keep no memories yet";
+        return Err(LearnError::Config(reason.to_owned()));
+    }
     if conditioning == Conditioning::Mask {
         return Ok(());
     }

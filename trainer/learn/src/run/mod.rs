@@ -35,7 +35,7 @@ pub use result::RunResult;
 pub use settings::Settings;
 
 use crate::error::LearnError;
-use crate::evaluate::{Allocate, NetworkTeam};
+use crate::evaluate::{Agents, Allocate, NetworkTeam};
 use crate::methods::alma::UtilityNetwork;
 use crate::methods::alma::team_value::TeamValueAllocator;
 use crate::methods::paper::allocation::{AllocationCritic, AllocationNetworks, AllocationPolicy};
@@ -65,6 +65,8 @@ pub struct Run {
     pub curve: Vec<CurvePoint>,
     /// The agents' weights of the newest sound checkpoint; averaged ones where the run averages.
     pub network: UtilityNetwork,
+    /// The recurrent unit of the agents' memory; empty where they have none.
+    pub memory_unit: Vec<f32>,
     /// What the run has learned to allocate with, if it learns that.
     pub allocator: Option<RunAllocator>,
     /// Environment steps at that checkpoint.
@@ -76,7 +78,8 @@ pub struct Run {
 impl Run {
     /// The agents as a team that can be measured.
     pub fn team(&self) -> NetworkTeam<'_> {
-        NetworkTeam::conditioned(&self.network, self.description.config.subtask())
+        let agents = Agents { network: &self.network, memory_unit: &self.memory_unit };
+        NetworkTeam::conditioned(agents, self.description.config.subtask())
     }
 
     /// What the run has learned to allocate with, if it learns that, as something to be measured.
@@ -101,15 +104,16 @@ impl Run {
         let description = folder.read_description()?;
         let curve = folder.read_curve()?;
         let found = folder.checkpoints().newest(checkpoint::OpenFor::Use)?;
-        let (network, allocator) = match &description.config {
+        let (network, memory_unit, allocator) = match &description.config {
             Settings::Records(_) => {
                 let average = |network| found.checkpoint.network(network, "average");
                 let allocator = found.checkpoint.has("allocator").then(|| average("allocator"));
                 let allocator = allocator.transpose()?.map(RunAllocator::TeamValue);
-                (average("agents")?, allocator)
+                (average("agents")?, Vec::new(), allocator)
             }
             Settings::Windows(config) => (
                 found.checkpoint.network("agents", "online")?,
+                paper::saved_memory_unit(&found.checkpoint, config)?,
                 paper::saved_allocator(&found.checkpoint, config)?,
             ),
         };
@@ -117,6 +121,7 @@ impl Run {
             description,
             curve,
             network,
+            memory_unit,
             allocator,
             env_steps: found.checkpoint.env_steps(),
             refused: found.refused,

@@ -141,7 +141,7 @@ impl Trainer {
             None
         };
         let counts = &mut self.counters.window.episodes;
-        let agents = &self.low_level.online.agents;
+        let agents = self.low_level.online.players();
         let episodes = self.rollout.round(agents, allocator, exploration, env_steps, counts)?;
         for episode in episodes {
             self.counters.env_steps += episode.steps() as u64;
@@ -211,7 +211,7 @@ impl Trainer {
             seed,
         };
         let conditioning = config.low_level.conditioning;
-        let mut team = NetworkTeam::conditioned(&self.low_level.online.agents, conditioning);
+        let mut team = NetworkTeam::conditioned(self.low_level.online.players(), conditioning);
         if !conditioning.has_subtasks() {
             return evaluate(&plan, &mut team, &mut NoSubtasks);
         }

@@ -35,6 +35,7 @@ pub use values::{team_input, team_values};
 
 use super::popart::PopArt;
 use super::windows::{WindowShape, Windows};
+use crate::evaluate::Agents;
 use crate::methods::alma::{Conditioning, UtilityNetwork};
 use crate::optimise::{RmsProp, clip_norm};
 use crate::random::Generator;
@@ -59,6 +60,13 @@ pub struct LowLevelNetworks {
     pub mixer: Mixer,
     /// The statistics of the mixer's targets.
     pub popart: PopArt,
+}
+
+impl LowLevelNetworks {
+    /// What agents act by.
+    pub fn players(&self) -> Agents<'_> {
+        Agents { network: &self.agents, memory_unit: &self.gru }
+    }
 }
 
 /// What a step found.
