@@ -172,6 +172,18 @@ fn a_team_that_is_up_plays_its_episodes_and_reports() {
 }
 
 #[test]
+fn agents_that_get_only_what_they_see_decide_the_same() {
+    let play = |mode: &str| {
+        let domain = TestDomain::new("upprivate");
+        let more = ["--episodes", "2", "--rate", "0", "--json", mode];
+        let report = json(&[&["up", BUNDLE, "--domain", &domain.id][..], &more].concat());
+        assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
+        ["episodes", "success", "return_mean", "decisions"].map(|key| report[key].clone())
+    };
+    assert_eq!(play("--private"), play("--isolate"));
+}
+
+#[test]
 fn a_doctor_names_what_is_missing() {
     let domain = TestDomain::new("doctor");
     let idle = json(&["doctor", "--domain", &domain.id, "--json"]);

@@ -192,6 +192,7 @@ fn play_as_processes(
         allocation,
         backend: arguments.backend,
         seed: arguments.common.seed,
+        private: false,
         parent: Some(std::process::id()),
     };
     let start_team = |children: &mut Children| {

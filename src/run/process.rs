@@ -36,6 +36,9 @@ pub(crate) struct ProcessArguments {
     backend: Backend,
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// World: every agent gets its own frame; runner: it gets that of its agent
+    #[arg(long)]
+    private: bool,
     #[command(flatten)]
     scheduling: Scheduling,
     /// Core that it stays on
@@ -70,6 +73,7 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
         model: model_id(&bundle),
         entities_max: Some(limits.n_max.into()),
         tasks_max: Some(limits.t_max.into()),
+        private: arguments.private,
         parent: arguments.parent,
         spin: arguments.scheduling.spin(),
         real_time: arguments.scheduling.real_time(arguments.core),
@@ -77,7 +81,7 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
     let ended = match arguments.role {
         Role::World => {
             let ProcessArguments { allocation, backend, seed, json, quiet, .. } = *arguments;
-            let (spin, real_time) = (settings.spin, settings.real_time);
+            let ProcessSettings { private, spin, real_time, .. } = settings;
             let world = WorldOfTeam {
                 bundle: &bundle,
                 allocation,
@@ -85,6 +89,7 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
                 seed,
                 json,
                 quiet,
+                private,
                 spin,
                 real_time,
             };

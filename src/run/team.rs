@@ -17,6 +17,8 @@ pub(crate) struct Team<'a> {
     pub(crate) allocation: AllocatorChoice,
     pub(crate) backend: Backend,
     pub(crate) seed: u64,
+    /// Whether every agent gets its own frame.
+    pub(crate) private: bool,
     /// Process with which they end.
     pub(crate) parent: Option<u32>,
 }
@@ -52,6 +54,9 @@ impl Team<'_> {
         command.arg("--allocation").arg(self.allocation.name());
         command.arg("--backend").arg(self.backend.name());
         command.arg("--seed").arg(self.seed.to_string());
+        if self.private {
+            command.arg("--private");
+        }
         command.stdin(Stdio::null()).stdout(Stdio::null());
         command
     }

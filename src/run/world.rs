@@ -57,6 +57,7 @@ pub(super) struct WorldOfTeam<'a> {
     pub(super) seed: u64,
     pub(super) json: bool,
     pub(super) quiet: bool,
+    pub(super) private: bool,
     pub(super) spin: Duration,
     pub(super) real_time: RealTime,
 }
@@ -80,6 +81,7 @@ pub(super) fn play(
         period: rate_hz.map_or(Duration::ZERO, |hz| Duration::from_secs_f64(1.0 / hz)),
         patience: Duration::from_secs_f64(playing.patience),
         episodes: playing.episodes,
+        private: team.private,
         spin: team.spin,
         real_time: team.real_time,
         ..WorldSettings::default()

@@ -49,6 +49,8 @@ pub struct ProcessSettings {
     pub entities_max: Option<usize>,
     /// Most subtasks that the model takes; `None` = any.
     pub tasks_max: Option<usize>,
+    /// Whether a runner gets its agent's private frames, see [`WorldSettings::private`].
+    pub private: bool,
     /// Process id of the parent with which this process is to end.
     pub parent: Option<u32>,
     /// How long waits spin before they sleep; with doorbells only. More spinning processes than

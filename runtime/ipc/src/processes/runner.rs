@@ -32,7 +32,8 @@ pub fn runner_process(
 
 /// As [`runner_process`]; without a usable allocation the agents act on that of `heuristic`, a
 /// [`CostAllocator`](sortie_core::allocate::CostAllocator) for example. It has to give the same one to every
-/// runner, so it may depend on nothing but the state.
+/// runner, so it may depend on nothing but the state. A runner with private frames does not see that state: its
+/// agent takes the safe action.
 ///
 /// # Errors
 /// As [`runner_process`].
@@ -62,6 +63,8 @@ fn act<'a>(
     let shape = facts.shape();
     settings.check_limits(shape)?;
     let seats = seats(agents, shape.agents)?;
+    facts.check_frames(domain, settings.private)?;
+    let owner = owner(agents, settings.private)?;
     let _locks =
         agents.iter().map(|&agent| membership.take_seat(agent)).collect::<Result<Vec<_>, _>>()?;
     let format = facts.format()?;
@@ -69,8 +72,13 @@ fn act<'a>(
     let mut link: IoxAgent = {
         let _starting = membership.lock_start()?;
         let (bell, spin) = (facts.bell(), settings.spin);
-        IoxAgent::open(&LinkSetup { domain, format, name: &name, bell, spin })?
+        let setup = LinkSetup { domain, format, name: &name, bell, spin };
+        match owner {
+            Some(agent) => IoxAgent::open_private(&setup, agent)?,
+            None => IoxAgent::open(&setup)?,
+        }
     };
+    let format = owner.map_or(Ok(format), |agent| facts.private_format(agent))?;
     let identity = settings.identity(&name);
     let mut role = RunnerRole::new(RunnerOptions {
         format,
@@ -149,6 +157,15 @@ fn seats(agents: &[u16], count: usize) -> Result<u64, Error> {
         return Err(Error::NoSuchAgent { agents: agents.to_vec(), count });
     }
     Ok(agents.iter().fold(0, |seats, agent| seats | 1 << agent))
+}
+
+/// The agent whose private frames the runner gets, if it gets such.
+fn owner(agents: &[u16], private: bool) -> Result<Option<usize>, Error> {
+    match agents {
+        _ if !private => Ok(None),
+        [agent] => Ok(Some((*agent).into())),
+        _ => Err(Error::NotOneAgent { agents: agents.to_vec() }),
+    }
 }
 
 fn port_name(agents: &[u16]) -> String {

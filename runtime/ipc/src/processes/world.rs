@@ -14,7 +14,7 @@ use super::{Children, Process, drive};
 use crate::control::ProcessInfo;
 use crate::domain::{BellKind, Domain, DomainContract, DomainFacts, nanoseconds};
 use crate::error::Error;
-use crate::iox::{IoxWorld, LinkSetup, worst_case_bytes};
+use crate::iox::{IoxWorld, LinkSetup};
 use crate::real_time::RealTime;
 use crate::stop::Stop;
 
@@ -43,6 +43,11 @@ pub struct WorldSettings {
     pub period: Duration,
     /// Shortest time between two frames, for onlookers; zero = as fast as the team acts.
     pub tick_interval: Duration,
+    /// Whether every agent gets its own frame, with the rows of what it sees, instead of one frame for all: a
+    /// runner, which acts for one agent then, never holds what its agent may not see. Only the allocator, if there
+    /// is one, gets whole frames. This keeps policies honest; it guards against nobody, since whoever has the same
+    /// user id may open any service.
+    pub private: bool,
     /// How the processes of the domain wake each other.
     pub bell: BellKind,
     /// How long waits spin before they sleep; with doorbells only.
@@ -63,6 +68,7 @@ impl Default for WorldSettings {
             strict: true,
             period: Duration::ZERO,
             tick_interval: Duration::ZERO,
+            private: false,
             bell: BellKind::default(),
             spin: Duration::ZERO,
             real_time: RealTime::default(),
@@ -117,17 +123,23 @@ pub fn world_process(
 ) -> Result<Counters, Error> {
     let facts = DomainFacts::new(contract, world.shape())
         .with_bell(settings.bell)
+        .with_private_frames(settings.private)
         .with_period(settings.period);
     let format = facts.format()?;
     let membership = domain.enter()?;
-    let lock = membership.lead_world(contract, &facts, worst_case_bytes(&format.layout))?;
+    let bytes = facts.worst_case_bytes()?;
+    let lock = membership.lead_world(contract, &facts, bytes)?;
     // Before the first port, whose descriptors children would inherit.
     let mut children = Children::default();
     start_team(&mut children)?;
     let mut link: IoxWorld = {
         let _starting = membership.lock_start()?;
         let (bell, spin) = (facts.bell(), settings.spin);
-        IoxWorld::open(&LinkSetup { domain, format, name: "world", bell, spin })?
+        let setup = LinkSetup { domain, format, name: "world", bell, spin };
+        match settings.private {
+            true => IoxWorld::open_private(&setup, settings.allocator)?,
+            false => IoxWorld::open(&setup)?,
+        }
     };
     let _caretaker = Caretaker::start(domain)?;
     let options = settings.options(contract, format, lock.term());

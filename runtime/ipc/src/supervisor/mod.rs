@@ -249,7 +249,10 @@ impl Supervisor {
         let name = format!("supervisor/{}", std::process::id());
         let _starting = self.membership.lock_start()?;
         let setup = LinkSetup { domain, format, name: &name, bell, spin: Duration::ZERO };
-        self.watcher = Some(IoxWatcher::open(&setup)?);
+        self.watcher = Some(match facts.has_private_frames() {
+            true => IoxWatcher::open_private(&setup)?,
+            false => IoxWatcher::open(&setup)?,
+        });
         Ok(())
     }
 

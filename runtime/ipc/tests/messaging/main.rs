@@ -3,6 +3,7 @@
 mod conformance;
 mod control;
 mod own_world;
+mod private;
 mod processes;
 mod starts;
 mod storm;
