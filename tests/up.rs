@@ -184,6 +184,24 @@ fn agents_that_get_only_what_they_see_decide_the_same() {
 }
 
 #[test]
+fn a_world_that_fills_all_seats_plays_as_the_team_does() {
+    let play = |domain: &TestDomain, verb: &[&str]| {
+        let more = ["--domain", &domain.id, "--episodes", "2", "--rate", "0", "--json"];
+        let report = json(&[verb, &more].concat());
+        ["success", "return_mean", "decisions", "fallbacks"].map(|key| report[key].clone())
+    };
+    let domain = TestDomain::new("upfill");
+    let mut allocator = sortie(&["process", "allocator", BUNDLE, "--domain", &domain.id])
+        .args(["--allocation", "learned"])
+        .spawn()
+        .expect("the command line starts");
+    let filled = play(&domain, &["process", "world", BUNDLE, "--fill", "--allocation", "learned"]);
+    assert!(allocator.wait().expect("its status").success());
+    assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
+    assert_eq!(filled, play(&domain, &["up", BUNDLE]));
+}
+
+#[test]
 fn a_doctor_names_what_is_missing() {
     let domain = TestDomain::new("doctor");
     let idle = json(&["doctor", "--domain", &domain.id, "--json"]);

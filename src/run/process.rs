@@ -39,6 +39,9 @@ pub(crate) struct ProcessArguments {
     /// World: every agent gets its own frame; runner: it gets that of its agent
     #[arg(long)]
     private: bool,
+    /// World: it acts for agents without a runner
+    #[arg(long)]
+    fill: bool,
     #[command(flatten)]
     scheduling: Scheduling,
     /// Core that it stays on
@@ -80,7 +83,7 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
     };
     let ended = match arguments.role {
         Role::World => {
-            let ProcessArguments { allocation, backend, seed, json, quiet, .. } = *arguments;
+            let ProcessArguments { allocation, backend, seed, json, quiet, fill, .. } = *arguments;
             let ProcessSettings { private, spin, real_time, .. } = settings;
             let world = WorldOfTeam {
                 bundle: &bundle,
@@ -90,6 +93,7 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
                 json,
                 quiet,
                 private,
+                fill,
                 spin,
                 real_time,
             };

@@ -47,6 +47,9 @@ pub(crate) struct UpArguments {
     /// One process per agent, each of which gets only what its agent sees
     #[arg(long)]
     private: bool,
+    /// The world acts, by the bundle's policy, for agents whose process is missing
+    #[arg(long)]
+    fill: bool,
     #[command(flatten)]
     scheduling: Scheduling,
     /// World and runners each on a core of their own
@@ -156,6 +159,9 @@ fn world(arguments: &UpArguments, team: &Team<'_>) -> Charge {
         if is_set {
             command.arg(flag);
         }
+    }
+    if arguments.fill {
+        command.arg("--fill");
     }
     command.stdout(Stdio::inherit());
     Charge { name: "the world".to_string(), role: Role::World, agents: 0, command }

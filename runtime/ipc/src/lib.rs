@@ -33,8 +33,8 @@ pub use iox::{
     IoxControl, IoxWatcher, IoxWorld, LinkService, LinkSetup,
 };
 pub use processes::{
-    Children, ProcessSettings, WorldSettings, allocator_process, group_agents, runner_process,
-    runner_process_with_heuristic, world_process,
+    Children, Fill, ProcessSettings, WorldSettings, allocator_process, group_agents,
+    runner_process, runner_process_with_heuristic, world_process, world_process_with_fill,
 };
 pub use real_time::RealTime;
 pub use stop::Stop;

@@ -90,6 +90,16 @@ impl RunnerRole {
         self.seen_tick
     }
 
+    /// From the next frame on it acts for these agents: bit a for agent a. Nobody is told.
+    pub fn act_for(&mut self, agents: u64) {
+        self.options.agents = agents;
+    }
+
+    /// Its model is another one from now on.
+    pub fn change_model(&mut self, model: [u8; 16]) {
+        self.options.identity.model = model;
+    }
+
     /// Takes the seats: announces the runner to the world.
     ///
     /// # Errors

@@ -65,7 +65,8 @@ pub struct IoxAgent<S: LinkService = InterProcess> {
     allocations: Receiver<S, AllocPayload>,
     actions: Sender<S, ActionPayload>,
     statuses: Sender<S, StatPayload>,
-    requests: RequestServer<S>,
+    /// None for a runner inside another process, which answers for both.
+    requests: Option<RequestServer<S>>,
     bell: LinkBell<S>,
     /// Rings that end the next wait.
     rings: u32,
@@ -142,7 +143,12 @@ impl<S: LinkService> IoxAgent<S> {
     /// # Errors
     /// Shared memory cannot be used, or the domain runs another schema.
     pub fn open(setup: &LinkSetup<'_>) -> Result<Self, Error> {
-        Self::with_frames_of(None, setup)
+        Self::with_frames_of(None, setup, true)
+    }
+
+    /// The same for a runner inside a process that answers requests itself.
+    pub(crate) fn open_within(setup: &LinkSetup<'_>) -> Result<Self, Error> {
+        Self::with_frames_of(None, setup, false)
     }
 
     /// The link of a runner of `agent` alone, in a domain whose frames are private: it does not open the others'
@@ -152,17 +158,21 @@ impl<S: LinkService> IoxAgent<S> {
     /// # Errors
     /// As [`Self::open`].
     pub fn open_private(setup: &LinkSetup<'_>, agent: usize) -> Result<Self, Error> {
-        Self::with_frames_of(Some(agent), setup)
+        Self::with_frames_of(Some(agent), setup, true)
     }
 
-    fn with_frames_of(agent: Option<usize>, setup: &LinkSetup<'_>) -> Result<Self, Error> {
+    fn with_frames_of(
+        agent: Option<usize>,
+        setup: &LinkSetup<'_>,
+        answers: bool,
+    ) -> Result<Self, Error> {
         let opener = Opener::new(setup)?;
         Ok(Self {
             frames: FrameReader::new(opener.frame_receiver(agent)?),
             allocations: opener.receiver(services::allocations)?,
             actions: opener.sender(services::actions)?,
             statuses: opener.sender(services::statuses)?,
-            requests: opener.control_server()?,
+            requests: answers.then(|| opener.control_server()).transpose()?,
             bell: LinkBell::open(&opener, Role::Runner, &[Role::World])?,
             rings: 1,
             _node: opener.into_node(),
@@ -364,15 +374,6 @@ macro_rules! has_bell_and_clock {
             }
         }
 
-        impl<S: LinkService> ControlRx for $link<S> {
-            fn answer_requests(
-                &mut self,
-                answer: &mut dyn FnMut(&ControlReq) -> ControlRep,
-            ) -> bool {
-                serve(&self.requests, answer)
-            }
-        }
-
         impl<S: LinkService> Wakeable for $link<S> {
             fn waker(&self) -> Waker {
                 self.bell.waker()
@@ -387,3 +388,23 @@ macro_rules! has_bell_and_clock {
     )+};
 }
 has_bell_and_clock!(IoxWorld, IoxAgent, IoxAllocator);
+
+impl<S: LinkService> ControlRx for IoxAgent<S> {
+    fn answer_requests(&mut self, answer: &mut dyn FnMut(&ControlReq) -> ControlRep) -> bool {
+        self.requests.as_ref().is_some_and(|requests| serve(requests, answer))
+    }
+}
+
+macro_rules! answers_requests {
+    ($($link:ident),+) => {$(
+        impl<S: LinkService> ControlRx for $link<S> {
+            fn answer_requests(
+                &mut self,
+                answer: &mut dyn FnMut(&ControlReq) -> ControlRep,
+            ) -> bool {
+                serve(&self.requests, answer)
+            }
+        }
+    )+};
+}
+answers_requests!(IoxWorld, IoxAllocator);

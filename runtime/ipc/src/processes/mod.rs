@@ -6,6 +6,7 @@ mod caretaker;
 mod children;
 mod context_switches;
 mod control;
+mod fill;
 mod grouping;
 mod parent;
 mod runner;
@@ -21,9 +22,10 @@ use sortie_core::roles::{Identity, Poll};
 
 pub use allocator::allocator_process;
 pub use children::Children;
+pub use fill::Fill;
 pub use grouping::group_agents;
 pub use runner::{runner_process, runner_process_with_heuristic};
-pub use world::{WorldSettings, world_process};
+pub use world::{WorldSettings, world_process, world_process_with_fill};
 
 use self::context_switches::ContextSwitches;
 use self::control::Controlled;

@@ -10,6 +10,7 @@ use sortie_core::wire::{Command, ControlStatus, FrameFormat, Role};
 
 use super::caretaker::Caretaker;
 use super::control::Controlled;
+use super::fill::{Fill, Filling, both};
 use super::{Children, Process, drive};
 use crate::control::ProcessInfo;
 use crate::domain::{BellKind, Domain, DomainContract, DomainFacts, nanoseconds};
@@ -121,6 +122,36 @@ pub fn world_process(
     observer: &mut dyn WorldObserver,
     stop: &Stop,
 ) -> Result<Counters, Error> {
+    play(domain, contract, (world, None), settings, start_team, observer, stop)
+}
+
+/// As [`world_process`]; the agents for which no process acts are acted for in this one, with `fill`, until one joins
+/// for them, and again from the tick on that finds it gone. No agent is required then, and the first episode waits for
+/// an allocator only.
+///
+/// # Errors
+/// As [`world_process`], but no seat is missed.
+pub fn world_process_with_fill(
+    domain: &Domain,
+    contract: &DomainContract,
+    (world, fill): (&mut dyn World, Fill<'_>),
+    settings: &WorldSettings,
+    start_team: impl FnOnce(&mut Children) -> Result<(), Error>,
+    observer: &mut dyn WorldObserver,
+    stop: &Stop,
+) -> Result<Counters, Error> {
+    play(domain, contract, (world, Some(fill)), settings, start_team, observer, stop)
+}
+
+fn play(
+    domain: &Domain,
+    contract: &DomainContract,
+    (world, fill): (&mut dyn World, Option<Fill<'_>>),
+    settings: &WorldSettings,
+    start_team: impl FnOnce(&mut Children) -> Result<(), Error>,
+    observer: &mut dyn WorldObserver,
+    stop: &Stop,
+) -> Result<Counters, Error> {
     let facts = DomainFacts::new(contract, world.shape())
         .with_bell(settings.bell)
         .with_private_frames(settings.private)
@@ -132,19 +163,25 @@ pub fn world_process(
     // Before the first port, whose descriptors children would inherit.
     let mut children = Children::default();
     start_team(&mut children)?;
-    let mut link: IoxWorld = {
+    let options = settings.options(contract, format, lock.term());
+    let mut role = WorldRole::new(options);
+    let (mut link, filling) = {
         let _starting = membership.lock_start()?;
         let (bell, spin) = (facts.bell(), settings.spin);
         let setup = LinkSetup { domain, format, name: "world", bell, spin };
-        match settings.private {
-            true => IoxWorld::open_private(&setup, settings.allocator)?,
+        let link: IoxWorld = match settings.private {
+            // What fills seats reads whole frames as well, in this very process.
+            true => IoxWorld::open_private(&setup, settings.allocator || fill.is_some())?,
             false => IoxWorld::open(&setup)?,
-        }
+        };
+        let open = |fill| Filling::open(fill, &setup, contract, &facts, options.identity);
+        (link, fill.map(open).transpose()?)
     };
+    if filling.is_some() {
+        role.fill_free_seats();
+    }
     let _caretaker = Caretaker::start(domain)?;
-    let options = settings.options(contract, format, lock.term());
-    let role = WorldRole::new(options);
-    let mut playing = Playing { role, options, world, observer, children };
+    let mut playing = Playing { role, options, world, filling, observer, children };
     settings.real_time.claim()?;
     let ended = drive(&mut playing, &mut link, stop);
     let Playing { mut role, world, mut children, .. } = playing;
@@ -159,15 +196,16 @@ pub fn world_process(
 }
 
 /// A world at work.
-struct Playing<'a> {
+struct Playing<'a, 'f> {
     role: WorldRole,
     options: WorldOptions,
     world: &'a mut dyn World,
+    filling: Option<Filling<'f>>,
     observer: &'a mut dyn WorldObserver,
     children: Children,
 }
 
-impl Process for Playing<'_> {
+impl Process for Playing<'_, '_> {
     type Link = IoxWorld;
 
     fn poll(&mut self, link: &mut IoxWorld) -> Result<Poll, Error> {
@@ -175,7 +213,10 @@ impl Process for Playing<'_> {
         if let Some(leader) = self.role.take_silent_leader() {
             link.ask_to_step_down(leader)?;
         }
-        Ok(polled)
+        match &mut self.filling {
+            Some(filling) => Ok(both(polled, filling.poll(&self.role)?)),
+            None => Ok(polled),
+        }
     }
 
     fn look_around(&mut self) -> Result<(), Error> {
@@ -183,7 +224,7 @@ impl Process for Playing<'_> {
     }
 }
 
-impl Controlled for Playing<'_> {
+impl Controlled for Playing<'_, '_> {
     fn schema(&self) -> u64 {
         self.options.format.schema
     }

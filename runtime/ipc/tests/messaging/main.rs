@@ -2,6 +2,7 @@
 
 mod conformance;
 mod control;
+mod fill;
 mod own_world;
 mod private;
 mod processes;
