@@ -2,6 +2,7 @@
 
 mod onlooker;
 pub(crate) mod process;
+pub(crate) mod registry;
 mod report;
 mod scheduling;
 mod team;

@@ -20,11 +20,11 @@ use std::time::Duration;
 use sortie_core::link::{Bell, Clock, Wake};
 use sortie_core::roles::{Identity, Poll};
 
-pub use allocator::allocator_process;
+pub use allocator::{AllocatorProcess, allocator_process};
 pub use children::Children;
 pub use fill::Fill;
 pub use grouping::group_agents;
-pub use runner::{runner_process, runner_process_with_heuristic};
+pub use runner::{RunnerProcess, runner_process, runner_process_with_heuristic};
 pub use world::{WorldSettings, world_process, world_process_with_fill};
 
 use self::context_switches::ContextSwitches;
@@ -89,6 +89,11 @@ trait Process: Controlled {
 
     fn poll(&mut self, link: &mut Self::Link) -> Result<Poll, Error>;
 
+    /// Whether it leaves the loop to be bound to another model.
+    fn changes_model(&self) -> bool {
+        false
+    }
+
     /// Looks at the processes that it depends on, once per heartbeat.
     fn look_around(&mut self) -> Result<(), Error>;
 }
@@ -129,6 +134,9 @@ fn run<P: Process>(process: &mut P, link: &mut P::Link, stop: &Stop) -> Result<(
             Poll::Answered => u64::MAX,
             Poll::Wait { until_ns } => {
                 if link.answer_requests(&mut |request| control::answer(process, request)) {
+                    if process.changes_model() {
+                        return Ok(());
+                    }
                     continue;
                 }
                 until_ns

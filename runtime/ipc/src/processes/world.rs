@@ -247,7 +247,7 @@ impl Controlled for Playing<'_, '_> {
         self.role.counters_mut()
     }
 
-    fn obey(&mut self, command: Command) -> ControlStatus {
+    fn obey(&mut self, command: Command, _text: &str) -> ControlStatus {
         match command {
             Command::Pause => self.role.pause(),
             Command::Resume => self.role.resume(),

@@ -6,6 +6,7 @@ mod fill;
 mod own_world;
 mod private;
 mod processes;
+mod reload;
 mod starts;
 mod storm;
 mod stress;

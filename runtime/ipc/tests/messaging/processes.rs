@@ -19,6 +19,7 @@ use sortie_ipc::{
 
 use crate::own_world;
 use crate::private;
+use crate::reload;
 use crate::toy::{self, DecisionLog, ToyAllocator, ToyPolicy, ToyWorld, Watchdog};
 use crate::unallocated;
 
@@ -65,6 +66,7 @@ fn child_process() {
         "world of eight" => play(&domain, ToyWorld::of(8), &[], None, &stop),
         "one episode" => play(&domain, ToyWorld::new(), &["allocator", "0,1,2"], Some(1), &stop),
         "allocator" => allocator_process(&domain, &contract, &mut ToyAllocator, &settings, &stop),
+        role if role.starts_with(reload::RELOADS) => reload::act(role, &domain, &settings, &stop),
         agents if agents.starts_with(private::PRIVATE) => {
             private::act(agents, &domain, &settings, &stop)
         }
