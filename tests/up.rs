@@ -215,6 +215,7 @@ fn a_doctor_names_what_is_missing() {
     let told = String::from_utf8_lossy(&examined.stdout).into_owned();
     assert!(told.contains("nobody acts for agents 1\n"), "{told}");
     assert!(told.contains("one leads, none stands by"), "{told}");
+    assert!(told.contains("supervisor ") && told.contains(", version 0."), "{told}");
     assert_fails(&examined, 1, &["problem"]);
     assert_eq!(up.end(), Some(130));
     assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use sortie_core::link::StatRx;
 use sortie_core::wire::{Role, StatMsg};
 
+use crate::build::version;
 use crate::domain::{Domain, Membership, SHARED_MEMORY, preflight};
 use crate::error::Error;
 use crate::iox::{IoxWatcher, LinkSetup, dead_nodes};
@@ -243,8 +244,12 @@ fn examine_process(status: &StatMsg) -> Finding {
     };
     let missed = status.counters.get(MISSED_WAKE_UPS).copied().unwrap_or(0);
     let found = format!(
-        "{role} {}{leads}{model}, {} ticks, {} late, {} lost wake-ups",
-        status.pid, status.counters[0], status.counters[2], missed
+        "{role} {}{leads}{model}, {} ticks, {} late, {} lost wake-ups, version {}",
+        status.pid,
+        status.counters[0],
+        status.counters[2],
+        missed,
+        version(status.build)
     );
     if status.has(StatMsg::DEGRADED) {
         let advice = "look at the allocators: agents act without an allocation";

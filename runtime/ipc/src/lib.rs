@@ -5,6 +5,7 @@
 //! Everything of a domain is removed by the last process that leaves it, or by the next that comes.
 #![deny(unsafe_code)]
 
+mod build;
 mod clock;
 mod control;
 mod doctor;

@@ -5,7 +5,7 @@ use std::time::Duration;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::prelude::*;
 use sortie_core::NO_ACTION;
-use sortie_core::link::{AllocRx, LinkError, StatRx};
+use sortie_core::link::{AllocRx, LinkError, StatRx, StatTx};
 use sortie_core::wire::{
     ABI, ActionMsg, AllocMsg, FrameFormat, FrameHeader, FrameView, Role, StatMsg,
 };
@@ -27,6 +27,7 @@ pub struct IoxWatcher<S: LinkService = InterProcess> {
     _private: Vec<FrameTopic<S>>,
     allocations: Receiver<S, AllocPayload>,
     statuses: Receiver<S, StatPayload>,
+    own_status: Sender<S, StatPayload>,
     actions: Sender<S, ActionPayload>,
     bells: Bells<S>,
     /// Dropped last.
@@ -82,6 +83,7 @@ impl<S: LinkService> IoxWatcher<S> {
             _private: private.collect::<Result<_, _>>()?,
             allocations: opener.receiver(services::allocations)?,
             statuses: opener.receiver(services::statuses)?,
+            own_status: opener.sender(services::statuses)?,
             actions: opener.sender(services::actions)?,
             bells,
             _node: opener.into_node(),
@@ -188,5 +190,12 @@ impl<S: LinkService> StatRx for IoxWatcher<S> {
             take(sample.payload().message());
         }
         Ok(())
+    }
+}
+
+impl<S: LinkService> StatTx for IoxWatcher<S> {
+    fn send_status(&mut self, status: &StatMsg) -> Result<(), LinkError> {
+        let sent = self.own_status.send_copy(StatPayload::wrap(status));
+        sent.map(drop).map_err(|_| LinkError::Statuses)
     }
 }

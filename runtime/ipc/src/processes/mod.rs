@@ -29,6 +29,7 @@ pub use world::{WorldSettings, world_process, world_process_with_fill};
 
 use self::context_switches::ContextSwitches;
 use self::control::Controlled;
+use crate::build::BUILD;
 use crate::error::Error;
 use crate::iox::{ControlRx, Housekeeping};
 use crate::real_time::RealTime;
@@ -66,7 +67,9 @@ impl ProcessSettings {
     /// Who the process of port `name` is.
     fn identity(&self, name: &str) -> Identity {
         let is_spinning = !self.spin.is_zero();
-        Identity { model: self.model, is_spinning, ..Identity::new(std::process::id(), name) }
+        let build = BUILD;
+        let new = Identity::new(std::process::id(), name);
+        Identity { model: self.model, build, is_spinning, ..new }
     }
 
     fn check_limits(&self, shape: sortie_core::Shape) -> Result<(), Error> {

@@ -12,6 +12,7 @@ use super::caretaker::Caretaker;
 use super::control::Controlled;
 use super::fill::{Fill, Filling, both};
 use super::{Children, Process, drive};
+use crate::build::BUILD;
 use crate::control::ProcessInfo;
 use crate::domain::{BellKind, Domain, DomainContract, DomainFacts, nanoseconds};
 use crate::error::Error;
@@ -87,7 +88,11 @@ impl WorldSettings {
         let is_spinning = !self.spin.is_zero();
         WorldOptions {
             format,
-            identity: Identity { is_spinning, ..Identity::new(std::process::id(), "world") },
+            identity: Identity {
+                build: BUILD,
+                is_spinning,
+                ..Identity::new(std::process::id(), "world")
+            },
             term,
             required: self.required & format.layout.every_agent(),
             allocator: self.allocator,
