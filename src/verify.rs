@@ -8,12 +8,13 @@ use serde::Serialize;
 use sortie_bundle::{Bundle, Recording};
 use sortie_compiler::onnxruntime::{OnnxRuntime, OnnxRuntimePolicy, OnnxRuntimeTeamValue};
 use sortie_compiler::{
-    Comparison, CompileError, CompileOptions, Judge, LEAST_AGREEMENT, ObservationSizes, RECORDED,
-    TOLERANCE, TeamQuerySizes, TractTeamValue, agreement, compare_entities_with_graph,
-    compare_with_golden, compare_with_golden_allocations, inspect_plan, judge_agent,
-    judge_team_values, observation_families, random_entities, team_query_families,
+    Comparison, CompileError, CompileOptions, Judge, LEAST_AGREEMENT, ObservationSizes,
+    ProposalFiles, RECORDED, TOLERANCE, TeamQuerySizes, TractTeamValue, agreement,
+    compare_entities_with_graph, compare_proposals_with_graphs, compare_with_golden,
+    compare_with_golden_allocations, inspect_plan, judge_agent, judge_team_values,
+    observation_families, random_allocation_states, random_entities, team_query_families,
 };
-use sortie_core::plan::{Network, Profile};
+use sortie_core::plan::{Network, PlanError, Profile};
 
 use crate::allocator::LearnedAllocator;
 use crate::arguments::Common;
@@ -126,6 +127,9 @@ fn compare(arguments: &VerifyArguments) -> Result<Report, Failure> {
             let network = Judged { onnx, n_max, features: None, profile };
             engines.extend(judged(arguments, network, &judges)?);
         }
+        if wanted(Peer::Tract) {
+            engines.extend(judged_proposals(arguments, &bundle)?);
+        }
         if wanted(Peer::Golden) {
             engines.extend(against_golden(&bundle, runtime, profile)?);
         }
@@ -202,6 +206,29 @@ fn judged(
         Ok(compared)
     };
     compare().map_err(|error| Failure::from(error).within(arguments.subject.display()))
+}
+
+/// The plan of a proposing allocator before its graphs.
+fn judged_proposals(
+    arguments: &VerifyArguments,
+    bundle: &Bundle,
+) -> Result<Option<Compared>, Failure> {
+    let Some([trunk, step, critic]) = bundle.proposal_graphs() else { return Ok(None) };
+    let compare = || -> Result<Comparison, CompileError> {
+        // The graphs that this process reads have then been read and run elsewhere.
+        let plan = compiler().compile_proposals_of(bundle, Profile::Exact)?;
+        let plan = plan.ok_or(PlanError::WrongNetwork)?;
+        let (inputs, seed) = (arguments.inputs as usize, arguments.common.seed);
+        let facts = inspect_plan(plan.as_slice())?;
+        let (features, tasks) = (facts.features, facts.t_max.into());
+        let states = random_allocation_states(inputs, facts.n_max, features, tasks, seed);
+        let files = ProposalFiles { trunk, step, critic };
+        compare_proposals_with_graphs(plan.as_slice(), &files, &states, seed)
+    };
+    let found =
+        compare().map_err(|error| Failure::from(error).within(bundle.folder().display()))?;
+    let found = Comparison { name: "random".to_owned(), ..found };
+    Ok(Some(Compared::new("allocator plan against tract".to_owned(), vec![found])))
 }
 
 /// Every engine on what the bundle recorded.

@@ -150,7 +150,7 @@ impl Numbers {
 
 /// Features of which a sixth is not zero, as in Save the City.
 fn features(random: &mut Numbers) -> Vec<f32> {
-    let feature = |index: usize| if index % 6 == 0 { random.next() } else { 0.0 };
+    let feature = |index: usize| if index.is_multiple_of(6) { random.next() } else { 0.0 };
     (0..ENTITIES * SHAPE.features).map(feature).collect()
 }
 

@@ -101,7 +101,7 @@ fn proposals() -> String {
     for seed in 0..16 {
         let mut numbers = Numbers(seed);
         let rows: Vec<f32> = (0..5 * 7).map(|_| numbers.feature()).collect();
-        let present = EntityMask::from_words(&[numbers.next() % 32 | 1]);
+        let present = EntityMask::from_words(&[(numbers.next() % 32) | 1]);
         let state = AllocationState {
             agents: 3,
             tasks: 3,
