@@ -3,7 +3,7 @@
 use sortie_core::entity_mask::EntityMask;
 use sortie_core::policy::{DecideError, NO_ACTION as NO_ACTION_YET, Observation, Policy, visible};
 use sortie_envs::save_the_city::{
-    ACTIONS, FEATURES, UNASSIGNED, scripted_actions, write_agent_row, write_building_row,
+    ACTIONS, City, FEATURES, UNASSIGNED, scripted_actions, write_agent_row, write_building_row,
 };
 
 use super::{Scene, Team};
@@ -11,6 +11,7 @@ use crate::error::LearnError;
 use crate::methods::alma::{
     Conditioning, NO_ACTION, TeamBatch, UtilityNetwork, UtilityPass, best_action,
 };
+use crate::methods::paper::low_level::coach::{Advice, Coach, PlayerPass, strategy_of};
 use crate::random::{Generator, Purpose, generator};
 
 /// The utility network, greedy, on all scenes at once.
@@ -20,6 +21,8 @@ pub struct NetworkTeam<'a> {
     pass: UtilityPass,
     batch: TeamBatch,
     actors: Vec<(usize, usize)>,
+    advice: Option<Advice<'a>>,
+    players: PlayerPass,
 }
 
 impl<'a> NetworkTeam<'a> {
@@ -31,7 +34,13 @@ impl<'a> NetworkTeam<'a> {
     /// Acts by a network that sees subtasks as it was trained to.
     pub fn conditioned(network: &'a UtilityNetwork, conditioning: Conditioning) -> Self {
         let pass = UtilityPass::new(network.shape());
-        Self { network, pass, batch: TeamBatch::new(conditioning), actors: Vec::new() }
+        let (batch, actors) = (TeamBatch::new(conditioning), Vec::new());
+        Self { network, pass, batch, actors, advice: None, players: PlayerPass::default() }
+    }
+
+    /// With the coach, if there is one, that tells the agents their strategies.
+    pub fn coached(self, coach: Option<&'a Coach>) -> Self {
+        Self { advice: coach.map(Advice::new), ..self }
     }
 }
 
@@ -59,12 +68,26 @@ impl Team for NetworkTeam<'_> {
                 self.actors.push((place, agent))
             });
         }
-        let utilities = self.pass.forward(self.network, self.batch.finish());
+        let input = self.batch.finish();
+        let utilities = if self.advice.is_some() {
+            let width = self.network.shape().base;
+            let told = |(place, agent): &(usize, usize)| {
+                strategy_of(scenes[*place].strategies, *agent, width)
+            };
+            let told = self.actors.iter().map(told);
+            self.players.forward(self.network, &mut self.pass, input, told)
+        } else {
+            self.pass.forward(self.network, input)
+        };
         for ((place, agent), utilities) in self.actors.iter().zip(utilities.chunks_exact(ACTIONS)) {
             let available = scenes[*place].city.agents[*agent].available;
             actions[place * agents + agent] = best_action(utilities, available).into();
         }
         Ok(())
+    }
+
+    fn advise(&mut self, city: City<'_>, strategies: &mut Vec<f32>) -> Result<(), LearnError> {
+        self.advice.as_mut().map_or(Ok(()), |advice| advice.mean(city, strategies))
     }
 }
 

@@ -39,6 +39,7 @@ use crate::evaluate::{Allocate, NetworkTeam};
 use crate::methods::alma::UtilityNetwork;
 use crate::methods::alma::team_value::TeamValueAllocator;
 use crate::methods::paper::allocation::{AllocationCritic, AllocationNetworks, AllocationPolicy};
+use crate::methods::paper::low_level::coach::Coach;
 use crate::methods::paper::{self, ProposalAllocator};
 use crate::report::{RunEvents, csv};
 
@@ -65,6 +66,8 @@ pub struct Run {
     pub curve: Vec<CurvePoint>,
     /// The agents' weights of the newest sound checkpoint; averaged ones where the run averages.
     pub network: UtilityNetwork,
+    /// What tells the agents their strategies, if the run learns that.
+    pub coach: Option<Coach>,
     /// What the run has learned to allocate with, if it learns that.
     pub allocator: Option<RunAllocator>,
     /// Environment steps at that checkpoint.
@@ -76,7 +79,8 @@ pub struct Run {
 impl Run {
     /// The agents as a team that can be measured.
     pub fn team(&self) -> NetworkTeam<'_> {
-        NetworkTeam::conditioned(&self.network, self.description.config.subtask())
+        let conditioning = self.description.config.subtask();
+        NetworkTeam::conditioned(&self.network, conditioning).coached(self.coach.as_ref())
     }
 
     /// What the run has learned to allocate with, if it learns that, as something to be measured.
@@ -99,15 +103,16 @@ impl Run {
         let description = folder.read_description()?;
         let curve = folder.read_curve()?;
         let found = folder.checkpoints().newest(checkpoint::OpenFor::Use)?;
-        let (network, allocator) = match &description.config {
+        let (network, coach, allocator) = match &description.config {
             Settings::Records(_) => {
                 let average = |network| found.checkpoint.network(network, "average");
                 let allocator = found.checkpoint.has("allocator").then(|| average("allocator"));
                 let allocator = allocator.transpose()?.map(RunAllocator::TeamValue);
-                (average("agents")?, allocator)
+                (average("agents")?, None, allocator)
             }
             Settings::Windows(config) => (
                 found.checkpoint.network("agents", "online")?,
+                paper::saved_coach(&found.checkpoint, config)?,
                 paper::saved_allocator(&found.checkpoint, config)?,
             ),
         };
@@ -115,6 +120,7 @@ impl Run {
             description,
             curve,
             network,
+            coach,
             allocator,
             env_steps: found.checkpoint.env_steps(),
             refused: found.refused,

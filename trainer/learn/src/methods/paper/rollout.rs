@@ -8,6 +8,7 @@ use sortie_envs::save_the_city::{
 use sortie_envs::{Environment, Subtasks};
 
 use super::config::Config;
+use super::low_level::coach::{Advice, Coach, PlayerPass, strategy_of};
 use super::replay::{Episode, Moment};
 use crate::error::LearnError;
 use crate::methods::alma::{
@@ -53,6 +54,15 @@ impl Decide for AllocationRule {
     }
 }
 
+/// What acts: the agents' network, and their coach if they have one.
+#[derive(Clone, Copy, Debug)]
+pub struct Players<'a> {
+    /// The agents' utility network.
+    pub network: &'a UtilityNetwork,
+    /// Tells agents without subtasks their strategies, at decision points.
+    pub coach: Option<&'a Coach>,
+}
+
 /// What one environment remembers between steps.
 #[derive(Debug)]
 struct Instance {
@@ -61,6 +71,8 @@ struct Instance {
     decision: bool,
     allocation: Vec<u8>,
     last_actions: Vec<u8>,
+    /// What a coach has told the agents, `[A, R]`; empty without one.
+    strategies: Vec<f32>,
     episode: Episode,
     episode_return: f64,
 }
@@ -78,6 +90,7 @@ pub struct Rollout {
     generators: RolloutGenerators,
     batch: TeamBatch,
     pass: UtilityPass,
+    players: PlayerPass,
     /// (instance, agent) of every row of the batch.
     actors: Vec<(usize, usize)>,
     /// `[instances, A]`
@@ -96,6 +109,7 @@ impl Rollout {
             decision: false,
             allocation: vec![UNASSIGNED; agents],
             last_actions: vec![NO_ACTION; agents],
+            strategies: Vec::new(),
             episode: Episode::default(),
             episode_return: 0.0,
         };
@@ -106,6 +120,7 @@ impl Rollout {
             generators: RolloutGenerators(generators.collect()),
             batch: TeamBatch::new(config.low_level.conditioning),
             pass: UtilityPass::new(shape),
+            players: PlayerPass::default(),
             actors: Vec::new(),
             actions: vec![0; count * agents],
         })
@@ -130,20 +145,24 @@ impl Rollout {
     /// Environments whose episode is over wait for the others, as in the public code.
     pub fn round(
         &mut self,
-        agents: &UtilityNetwork,
+        players: Players<'_>,
         allocator: Option<&mut dyn Decide>,
         exploration: Exploration,
         added: u64,
         counts: &mut EpisodeCounts,
     ) -> Result<Vec<Episode>, LearnError> {
         let mut allocator = allocator;
+        let mut advice = players.coach.map(Advice::new);
         (0..self.instances.len()).for_each(|index| self.begin(index, added));
         let mut running: Vec<usize> = (0..self.instances.len()).collect();
         while !running.is_empty() {
             if let Some(allocator) = &mut allocator {
                 self.decide(&running, &mut **allocator, exploration, counts)?;
             }
-            self.choose(&running, agents, exploration.actions);
+            if let Some(advice) = &mut advice {
+                self.advise(&running, advice, counts);
+            }
+            self.choose(&running, players, exploration.actions);
             for index in &running {
                 self.advance(*index, counts)?;
             }
@@ -161,6 +180,7 @@ impl Rollout {
         instance.decision = false;
         instance.allocation.fill(UNASSIGNED);
         instance.last_actions.fill(NO_ACTION);
+        instance.strategies.clear();
         instance.episode_return = 0.0;
         instance.episode.begin(self.city.city(index), added);
     }
@@ -184,8 +204,21 @@ impl Rollout {
         Ok(())
     }
 
+    /// Lets a coach tell the agents where a decision is due.
+    fn advise(&mut self, running: &[usize], advice: &mut Advice<'_>, counts: &mut EpisodeCounts) {
+        for index in running {
+            let instance = &mut self.instances[*index];
+            instance.decision = instance.points.is_due(instance.tasks_changed);
+            if instance.decision {
+                let (city, generator) = (self.city.city(*index), &mut self.generators.0[*index]);
+                advice.draw(city, generator, &mut instance.strategies);
+                counts.decisions += 1;
+            }
+        }
+    }
+
     /// Writes the actions of all agents: the best by the network, or a random one.
-    fn choose(&mut self, running: &[usize], network: &UtilityNetwork, epsilon: f32) {
+    fn choose(&mut self, running: &[usize], players: Players<'_>, epsilon: f32) {
         self.batch.clear();
         self.actors.clear();
         self.actions.fill(0);
@@ -202,7 +235,15 @@ impl Rollout {
                 self.actors.push((*index, agent));
             });
         }
-        let utilities = self.pass.forward(network, self.batch.finish());
+        let (network, input) = (players.network, self.batch.finish());
+        let utilities = if players.coach.is_some() {
+            let told = self.actors.iter().map(|(index, agent)| {
+                strategy_of(&self.instances[*index].strategies, *agent, network.shape().base)
+            });
+            self.players.forward(network, &mut self.pass, input, told)
+        } else {
+            self.pass.forward(network, input)
+        };
         let agents = self.city.shape().agents;
         for ((index, agent), utilities) in self.actors.iter().zip(utilities.chunks_exact(ACTIONS)) {
             let available = self.city.city(*index).agents[*agent].available;
@@ -274,7 +315,8 @@ mod tests {
         let exploration = Exploration { actions: 0.5, ..Exploration::default() };
         let mut play = |rollout: &mut Rollout| {
             let rule: &mut dyn Decide = &mut AllocationRule::Heuristic;
-            rollout.round(&agents, Some(rule), exploration, 7, &mut counts).unwrap()
+            let players = Players { network: &agents, coach: None };
+            rollout.round(players, Some(rule), exploration, 7, &mut counts).unwrap()
         };
         let before = rollout.generators().clone();
         let episodes = play(&mut rollout);

@@ -10,7 +10,7 @@ use super::config::Config;
 use super::deciding::ProposalAllocator;
 use super::low_level::LowLevel;
 use super::replay::Replay;
-use super::rollout::{Decide, Rollout};
+use super::rollout::{Decide, Players, Rollout};
 use super::sampling::{SampleShape, cut_windows, draw_episodes};
 use crate::error::LearnError;
 use crate::evaluate::{Evaluation, EvaluationPlan, NetworkTeam, NoSubtasks, evaluate};
@@ -74,7 +74,10 @@ impl Trainer {
         let set = ScenarioSet::named(&config.environment.set)?;
         let sizes = config.sizes(&set);
         let mut weights = generator(*seed, Purpose::Weights, 0);
-        let low_level = LowLevel::new(config.low_level.clone(), sizes, &mut weights);
+        let mut low_level = LowLevel::new(config.low_level.clone(), sizes, &mut weights);
+        if config.coach.enabled {
+            low_level.add_coach(config.coach, &mut weights);
+        }
         let learning = config.learns_allocator().then(|| config.allocation_learning(sizes));
         Ok(Self {
             rollout: Rollout::new(config, low_level.online.agents.shape(), *seed)?,
@@ -141,8 +144,11 @@ impl Trainer {
             None
         };
         let counts = &mut self.counters.window.episodes;
-        let agents = &self.low_level.online.agents;
-        let episodes = self.rollout.round(agents, allocator, exploration, env_steps, counts)?;
+        let players = Players {
+            network: &self.low_level.online.agents,
+            coach: self.low_level.coaching.as_ref().map(|coaching| &coaching.online),
+        };
+        let episodes = self.rollout.round(players, allocator, exploration, env_steps, counts)?;
         for episode in episodes {
             self.counters.env_steps += episode.steps() as u64;
             self.replay.push(episode);
@@ -211,7 +217,9 @@ impl Trainer {
             seed,
         };
         let conditioning = config.low_level.conditioning;
-        let mut team = NetworkTeam::conditioned(&self.low_level.online.agents, conditioning);
+        let coach = self.low_level.coaching.as_ref().map(|coaching| &coaching.online);
+        let mut team =
+            NetworkTeam::conditioned(&self.low_level.online.agents, conditioning).coached(coach);
         if !conditioning.has_subtasks() {
             return evaluate(&plan, &mut team, &mut NoSubtasks);
         }
