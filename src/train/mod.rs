@@ -32,6 +32,7 @@ use seeds::SeedRange;
   sortie train alma --mixer qmix --no-mask --allocation coordinated --out runs/compared
   sortie train flat --out runs/flat
   sortie train alma --preset paper --out runs/paper
+  sortie train copa --preset paper --out runs/copa
   sortie train alma --resume runs/first")]
 pub(crate) struct TrainArguments {
     /// The algorithm
@@ -84,6 +85,9 @@ enum Method {
     Alma,
     /// The same without subtasks: everybody sees everything and earns the whole team's reward
     Flat,
+    /// Flat agents and a coach that sees everything and tells each of them a strategy now and then; of the
+    /// preset `paper` only
+    Copa,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -163,11 +167,12 @@ fn configuration(arguments: &TrainArguments) -> Result<Settings, Failure> {
     match arguments.method {
         Method::Alma if arguments.no_mask => *settings.subtask_mut() = Conditioning::Input,
         Method::Alma => {}
-        Method::Flat if arguments.no_mask || arguments.allocation.is_some() => {
-            let reason = "`flat` has no subtasks: drop `--no-mask` and `--allocation`";
+        Method::Flat | Method::Copa if arguments.no_mask || arguments.allocation.is_some() => {
+            let reason = "`flat` and `copa` have no subtasks: drop `--no-mask` and `--allocation`";
             return Err(Failure::new(Exit::Usage, reason.to_string()));
         }
         Method::Flat => *settings.subtask_mut() = Conditioning::None,
+        Method::Copa => enable_coach(&mut settings)?,
     }
     if let Some(steps) = arguments.steps {
         settings.run_mut().steps = steps;
@@ -197,6 +202,15 @@ fn allocate_by(settings: &mut Settings, allocation: Allocation) {
             config.allocation.by = rule.to_owned();
         }
     }
+}
+
+fn enable_coach(settings: &mut Settings) -> Outcome {
+    let Settings::Windows(config) = settings else {
+        let reason = "`copa` is learned by the preset `paper` only: add `--preset paper`";
+        return Err(Failure::new(Exit::Usage, reason.to_string()));
+    };
+    config.enable_coach();
+    Ok(())
 }
 
 fn mix_by(settings: &mut Settings, mixer: Mixer) -> Result<(), Failure> {

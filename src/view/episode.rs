@@ -69,8 +69,13 @@ impl Episode for Replayed<'_> {
             if let Some(allocator) = self.allocator.as_mut().filter(|_| due) {
                 allocator.allocate(city, &mut unused, &mut allocation)?;
             }
-            let scene =
-                Scene { world: 0, city, allocation: &allocation, last_actions: &last_actions };
+            let scene = Scene {
+                world: 0,
+                city,
+                allocation: &allocation,
+                last_actions: &last_actions,
+                strategies: &[],
+            };
             team.act(&[scene], &mut [0; MAX_AGENTS], MAX_AGENTS)?;
             let Some(outcome) = self.playback.step().map_err(Failure::bug)? else { break };
             onlooker.stepped(watched(self.playback), &actions, &outcome)?;

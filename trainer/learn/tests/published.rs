@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use sortie_envs::save_the_city::AllocationRule;
-use sortie_learn::evaluate::{EvaluationPlan, evaluate};
+use sortie_learn::evaluate::{EvaluationPlan, NoSubtasks, evaluate};
 use sortie_learn::export::check_exportable;
 use sortie_learn::methods::paper::{Config, Trainer};
 use sortie_learn::run::{CurvePoint, Observer, Outcome, Progress, Run, RunAllocator};
@@ -104,6 +104,43 @@ fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
     let opened = Run::open(folder.path()).unwrap();
     assert!(matches!(opened.allocator, Some(RunAllocator::Proposals { .. })));
     assert_eq!(opened.env_steps, trainer.env_steps());
+}
+
+/// The same with a coach.
+fn coached() -> Config {
+    let mut config = config();
+    config.enable_coach();
+    config.run.steps = 700;
+    config
+}
+
+#[test]
+fn a_coach_learns_the_same_with_any_number_of_threads_and_when_resumed() {
+    let (one, curve) = whole_run(coached(), 5, 1);
+    let last = curve.last().expect("an evaluation");
+    assert!(last.updates > 10 && last.decisions > 100 && last.loss.is_finite(), "{last:?}");
+    assert_eq!((last.allocation.as_str(), last.allocator_updates), ("none", 0));
+
+    let folder = tempfile::tempdir().unwrap();
+    let mut trainer = Trainer::new(coached(), 5, 3, folder.path()).unwrap();
+    assert_eq!(run(&mut trainer, 500).0, Outcome::Stopped);
+    assert!(trainer.curve().last().is_some_and(|point| point.updates > 0));
+    drop(trainer);
+    let mut trainer = Trainer::resume(folder.path(), Some(2)).unwrap();
+    let (outcome, tensors, _) = run(&mut trainer, u64::MAX);
+    assert_eq!(outcome, Outcome::Finished);
+    assert!(tensors == one, "the resumed run has other weights");
+
+    let opened = Run::open(folder.path()).unwrap();
+    assert_eq!(opened.description.method, "copa");
+    let mut plan = EvaluationPlan::new("2-5a_2-5b", 30, 9).unwrap();
+    plan.constants.episode_limit = 40;
+    let measured = trainer.measure(30, 9).unwrap();
+    assert_eq!(evaluate(&plan, &mut opened.team(), &mut NoSubtasks).unwrap(), measured);
+    let alone = Run { coach: None, ..opened.clone() };
+    assert_ne!(evaluate(&plan, &mut alone.team(), &mut NoSubtasks).unwrap(), measured);
+    let refused = check_exportable(&opened).unwrap_err().to_string();
+    assert!(refused.contains("coach") && refused.contains("8 numbers"), "{refused}");
 }
 
 #[test]

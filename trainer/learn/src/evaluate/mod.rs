@@ -42,6 +42,8 @@ pub struct Scene<'a> {
     pub allocation: &'a [u8],
     /// The last action of every agent, or [`crate::methods::alma::NO_ACTION`].
     pub last_actions: &'a [u8],
+    /// What the team was [advised](Team::advise) at the last decision.
+    pub strategies: &'a [f32],
 }
 
 /// What chooses the actions of all agents.
@@ -53,6 +55,14 @@ pub trait Team {
         actions: &mut [u16],
         agents: usize,
     ) -> Result<(), LearnError>;
+
+    /// Writes what a coach tells the agents of a city at a decision, for the scenes until the next one.
+    ///
+    /// Only teams with a coach write anything.
+    fn advise(&mut self, city: City<'_>, strategies: &mut Vec<f32>) -> Result<(), LearnError> {
+        let _ = (city, strategies);
+        Ok(())
+    }
 }
 
 /// The moment of a decision, all that is needed to play on from it in a copy of the world.

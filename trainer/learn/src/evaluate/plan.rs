@@ -90,7 +90,7 @@ impl<'a> Planner<'a> {
             self.worlds.city.restore(index, city.agents, city.buildings, steps)?;
             let own = Generator::seed_from_u64(self.generator.next_u64());
             self.worlds.begin(index, own);
-            self.worlds.decided(index, last_actions, allocation);
+            self.worlds.decided(index, last_actions, allocation, team)?;
         }
         while !self.worlds.active().is_empty() {
             self.worlds.choose(team, self.base)?;

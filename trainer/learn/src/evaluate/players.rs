@@ -1,4 +1,4 @@
-//! Agents that act in many worlds at once, with or without a memory.
+//! Agents that act in many worlds at once: alone, with a memory, or told strategies by a coach.
 
 use sortie_envs::save_the_city::ACTIONS;
 
@@ -8,6 +8,7 @@ use crate::layers::gru::{GruPass, GruShape};
 use crate::methods::alma::{
     Conditioning, NO_ACTION, TeamBatch, UtilityNetwork, UtilityPass, UtilityShape,
 };
+use crate::methods::paper::low_level::coach::{Coach, PlayerPass, strategy_of};
 
 /// What agents act by.
 #[derive(Clone, Copy, Debug)]
@@ -16,6 +17,15 @@ pub struct Agents<'a> {
     pub network: &'a UtilityNetwork,
     /// The recurrent unit of their memory; empty where they have none.
     pub memory_unit: &'a [f32],
+    /// What tells them their strategies at decision points, if anything does (COPA).
+    pub coach: Option<&'a Coach>,
+}
+
+impl<'a> Agents<'a> {
+    /// Agents without memory and coach.
+    pub fn new(network: &'a UtilityNetwork) -> Self {
+        Self { network, memory_unit: &[], coach: None }
+    }
 }
 
 /// The buffers to act with, and what agents remember of the running episodes.
@@ -25,6 +35,7 @@ pub struct Players {
     pass: UtilityPass,
     /// (scene, agent) of every row of the batch.
     actors: Vec<(usize, usize)>,
+    advised: PlayerPass,
     gru: GruPass,
     /// `[worlds, A, R]`: what every agent remembers.
     memory: Vec<f32>,
@@ -40,6 +51,7 @@ impl Players {
             batch: TeamBatch::new(conditioning),
             pass: UtilityPass::new(shape),
             actors: Vec::new(),
+            advised: PlayerPass::default(),
             gru: GruPass::default(),
             memory: Vec::new(),
             remembered: Vec::new(),
@@ -61,14 +73,20 @@ impl Players {
         mut each: impl FnMut(usize, usize, &[f32]),
     ) -> Result<(), LearnError> {
         self.look(agents.network.shape(), scenes)?;
-        let Self { batch, pass, .. } = self;
-        let input = batch.finish();
-        let utilities = if agents.memory_unit.is_empty() {
-            pass.forward(agents.network, input)
+        let Self { batch, pass, advised, actors, .. } = self;
+        let (network, input) = (agents.network, batch.finish());
+        let utilities = if agents.coach.is_some() {
+            let width = network.shape().base;
+            let told = actors
+                .iter()
+                .map(|(scene, agent)| strategy_of(scenes[*scene].strategies, *agent, width));
+            advised.forward(network, pass, input, told)
+        } else if agents.memory_unit.is_empty() {
+            pass.forward(network, input)
         } else {
-            let base = pass.forward_base(agents.network, input).to_vec();
+            let base = pass.forward_base(network, input).to_vec();
             self.remember(agents, &base, scenes, slots);
-            self.pass.forward_head(agents.network, &self.output)
+            self.pass.forward_head(network, &self.output)
         };
         for ((scene, agent), utilities) in self.actors.iter().zip(utilities.chunks_exact(ACTIONS)) {
             each(*scene, *agent, utilities);

@@ -3,13 +3,14 @@
 use sortie_core::entity_mask::EntityMask;
 use sortie_core::policy::{DecideError, NO_ACTION as NO_ACTION_YET, Observation, Policy, visible};
 use sortie_envs::save_the_city::{
-    ACTIONS, FEATURES, UNASSIGNED, scripted_actions, write_agent_row, write_building_row,
+    ACTIONS, City, FEATURES, UNASSIGNED, scripted_actions, write_agent_row, write_building_row,
 };
 
 use super::players::{Agents, Players};
 use super::{Scene, Team};
 use crate::error::LearnError;
 use crate::methods::alma::{Conditioning, NO_ACTION, UtilityNetwork, best_action};
+use crate::methods::paper::low_level::coach::Advice;
 use crate::random::{Generator, Purpose, generator};
 
 /// Agents that learn or have learned, greedy, on all scenes at once.
@@ -17,17 +18,19 @@ use crate::random::{Generator, Purpose, generator};
 pub struct NetworkTeam<'a> {
     agents: Agents<'a>,
     players: Players,
+    advice: Option<Advice<'a>>,
 }
 
 impl<'a> NetworkTeam<'a> {
     /// Acts by a network that sees its subtask only.
     pub fn new(network: &'a UtilityNetwork) -> Self {
-        Self::conditioned(Agents { network, memory_unit: &[] }, Conditioning::Mask)
+        Self::conditioned(Agents::new(network), Conditioning::Mask)
     }
 
-    /// Acts by agents that see subtasks as they were trained to.
+    /// Acts by agents that see subtasks as they were trained to, and are told their strategies if they have a coach.
     pub fn conditioned(agents: Agents<'a>, conditioning: Conditioning) -> Self {
-        Self { agents, players: Players::new(conditioning, agents.network.shape()) }
+        let players = Players::new(conditioning, agents.network.shape());
+        Self { agents, players, advice: agents.coach.map(Advice::new) }
     }
 }
 
@@ -42,6 +45,10 @@ impl Team for NetworkTeam<'_> {
             let available = scenes[scene].city.agents[agent].available;
             actions[scene * agents + agent] = best_action(utilities, available).into();
         })
+    }
+
+    fn advise(&mut self, city: City<'_>, strategies: &mut Vec<f32>) -> Result<(), LearnError> {
+        self.advice.as_mut().map_or(Ok(()), |advice| advice.mean(city, strategies))
     }
 }
 

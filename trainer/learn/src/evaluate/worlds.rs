@@ -15,6 +15,7 @@ struct World {
     tasks_changed: bool,
     allocation: Vec<u8>,
     last_actions: Vec<u8>,
+    strategies: Vec<f32>,
 }
 
 /// The worlds; some of them play.
@@ -55,6 +56,7 @@ impl Worlds {
             tasks_changed: false,
             allocation: vec![UNASSIGNED; agents],
             last_actions: vec![NO_ACTION; agents],
+            strategies: Vec::new(),
         };
         match self.worlds.get_mut(index) {
             Some(place) => *place = world,
@@ -66,11 +68,18 @@ impl Worlds {
     }
 
     /// Puts a world in the middle of an episode whose allocation has just been decided.
-    pub(super) fn decided(&mut self, index: usize, last_actions: &[u8], allocation: &[u8]) {
+    pub(super) fn decided(
+        &mut self,
+        index: usize,
+        last_actions: &[u8],
+        allocation: &[u8],
+        team: &mut dyn Team,
+    ) -> Result<(), LearnError> {
         let world = &mut self.worlds[index];
         world.decisions.is_due(false);
         world.last_actions.copy_from_slice(last_actions);
         world.allocation.copy_from_slice(allocation);
+        team.advise(self.city.city(index), &mut world.strategies)
     }
 
     /// The worlds that play.
@@ -80,8 +89,9 @@ impl Worlds {
 
     /// What the team sees of a world.
     pub(super) fn scene(&self, index: usize) -> Scene<'_> {
-        let World { allocation, last_actions, .. } = &self.worlds[index];
-        Scene { world: index, city: self.city.city(index), allocation, last_actions }
+        let World { allocation, last_actions, strategies, .. } = &self.worlds[index];
+        let city = self.city.city(index);
+        Scene { world: index, city, allocation, last_actions, strategies }
     }
 
     /// Decides where a decision is due, and lets the team choose the actions of all active worlds.
@@ -98,8 +108,9 @@ impl Worlds {
                     last_actions: &world.last_actions,
                     steps: self.city.metrics(*index).steps,
                 };
-                let World { generator, allocation, .. } = world;
+                let World { generator, allocation, strategies, .. } = world;
                 allocator.decide(situation, team, generator, allocation)?;
+                team.advise(self.city.city(*index), strategies)?;
             }
         }
         let agents = self.agents();

@@ -71,6 +71,13 @@ impl<'a> LearnedAllocator<'a> {
 /// # Errors
 /// The agents are not conditioned on subtasks by masks, or have a memory.
 pub fn check_exportable(run: &Run) -> Result<(), LearnError> {
+    if let Some(coach) = &run.coach {
+        let numbers = coach.shape().strategy;
+        return Err(LearnError::Config(format!(
+            "agents with a coach are evaluated only: deployed they would need the coach, which sees \
+             everything, and a message of {numbers} numbers from it to each of them"
+        )));
+    }
     let conditioning = run.description.config.subtask();
     if !run.memory_unit.is_empty() {
         let reason =

@@ -18,7 +18,7 @@ pub trait Configuration: Sized {
 /// How a run learns. The same description gives the same weights, whatever the number of threads.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RunDescription<C = Settings> {
-    /// The algorithm: `alma`, or `flat` where there are no subtasks.
+    /// The algorithm: `alma`, or where there are no subtasks `flat`, with a coach `copa`.
     pub method: String,
     /// Version of Sortie that began the run.
     pub version: String,

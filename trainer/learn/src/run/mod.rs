@@ -39,6 +39,7 @@ use crate::evaluate::{Agents, Allocate, NetworkTeam};
 use crate::methods::alma::UtilityNetwork;
 use crate::methods::alma::team_value::TeamValueAllocator;
 use crate::methods::paper::allocation::{AllocationCritic, AllocationNetworks, AllocationPolicy};
+use crate::methods::paper::low_level::coach::Coach;
 use crate::methods::paper::{self, ProposalAllocator};
 use crate::report::{RunEvents, csv};
 
@@ -67,6 +68,8 @@ pub struct Run {
     pub network: UtilityNetwork,
     /// The recurrent unit of the agents' memory; empty where they have none.
     pub memory_unit: Vec<f32>,
+    /// What tells the agents their strategies, if the run learns that.
+    pub coach: Option<Coach>,
     /// What the run has learned to allocate with, if it learns that.
     pub allocator: Option<RunAllocator>,
     /// Environment steps at that checkpoint.
@@ -78,7 +81,11 @@ pub struct Run {
 impl Run {
     /// The agents as a team that can be measured.
     pub fn team(&self) -> NetworkTeam<'_> {
-        let agents = Agents { network: &self.network, memory_unit: &self.memory_unit };
+        let agents = Agents {
+            network: &self.network,
+            memory_unit: &self.memory_unit,
+            coach: self.coach.as_ref(),
+        };
         NetworkTeam::conditioned(agents, self.description.config.subtask())
     }
 
@@ -104,16 +111,17 @@ impl Run {
         let description = folder.read_description()?;
         let curve = folder.read_curve()?;
         let found = folder.checkpoints().newest(checkpoint::OpenFor::Use)?;
-        let (network, memory_unit, allocator) = match &description.config {
+        let (network, memory_unit, coach, allocator) = match &description.config {
             Settings::Records(_) => {
                 let average = |network| found.checkpoint.network(network, "average");
                 let allocator = found.checkpoint.has("allocator").then(|| average("allocator"));
                 let allocator = allocator.transpose()?.map(RunAllocator::TeamValue);
-                (average("agents")?, Vec::new(), allocator)
+                (average("agents")?, Vec::new(), None, allocator)
             }
             Settings::Windows(config) => (
                 found.checkpoint.network("agents", "online")?,
                 paper::saved_memory_unit(&found.checkpoint, config)?,
+                paper::saved_coach(&found.checkpoint, config)?,
                 paper::saved_allocator(&found.checkpoint, config)?,
             ),
         };
@@ -122,6 +130,7 @@ impl Run {
             curve,
             network,
             memory_unit,
+            coach,
             allocator,
             env_steps: found.checkpoint.env_steps(),
             refused: found.refused,

@@ -1,6 +1,7 @@
 //! Networks and learners against the reference's modules, on recorded inputs (`tests/golden`).
 
 mod allocation;
+mod coach;
 mod files;
 mod low_level;
 mod networks;

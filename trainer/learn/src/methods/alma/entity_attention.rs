@@ -12,29 +12,29 @@ use crate::layers::{relu, sparse_linear};
 
 /// The weights, borrowed from a flat parameter vector.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct AttentionWeights<'a> {
+pub(crate) struct AttentionWeights<'a> {
     /// `[D, E]`
-    pub(super) fc1: &'a [f32],
+    pub(crate) fc1: &'a [f32],
     /// `[E]`
-    pub(super) fc1_bias: &'a [f32],
+    pub(crate) fc1_bias: &'a [f32],
     /// `[E, E]`
-    pub(super) queries: &'a [f32],
+    pub(crate) queries: &'a [f32],
     /// `[2 E, E]`
-    pub(super) keys_values: &'a [f32],
+    pub(crate) keys_values: &'a [f32],
 }
 
 /// Their gradients, to be added to.
 #[derive(Debug)]
-pub(super) struct AttentionGradients<'a> {
-    pub(super) fc1: &'a mut [f32],
-    pub(super) fc1_bias: &'a mut [f32],
-    pub(super) queries: &'a mut [f32],
-    pub(super) keys_values: &'a mut [f32],
+pub(crate) struct AttentionGradients<'a> {
+    pub(crate) fc1: &'a mut [f32],
+    pub(crate) fc1_bias: &'a mut [f32],
+    pub(crate) queries: &'a mut [f32],
+    pub(crate) keys_values: &'a mut [f32],
 }
 
 /// Buffers of one worker: the activations of the last forward pass and space for a backward pass.
 #[derive(Clone, Debug, Default)]
-pub(super) struct EntityAttention {
+pub(crate) struct EntityAttention {
     embedding: Vec<f32>,
     queries: Vec<f32>,
     keys_values: Vec<f32>,
@@ -49,7 +49,7 @@ pub(super) struct EntityAttention {
 
 impl EntityAttention {
     /// Computes what each acting agent attends to, `[queries, E]`.
-    pub(super) fn forward(
+    pub(crate) fn forward(
         &mut self,
         shape: AttentionShape,
         view: AttentionWeights<'_>,
@@ -85,12 +85,12 @@ impl EntityAttention {
     }
 
     /// What the last forward pass computed for so many numbers.
-    pub(super) fn attended(&self, numbers: usize) -> &[f32] {
+    pub(crate) fn attended(&self, numbers: usize) -> &[f32] {
         &self.attended[..numbers]
     }
 
     /// Adds the gradients of a loss whose slope by the attended is `d_attended [queries, E]`.
-    pub(super) fn backward(
+    pub(crate) fn backward(
         &mut self,
         shape: AttentionShape,
         view: AttentionWeights<'_>,

@@ -28,6 +28,7 @@ mod utility_pass;
 
 pub use conditioning::Conditioning;
 pub use config::{Allocation, Config};
+pub(crate) use entity_attention::{AttentionGradients, AttentionWeights, EntityAttention};
 pub use history::{History, Moment, Returns, StepRewards};
 pub use learner::{Knowledge, Learner, Loss, Networks, Parameters, Pick, Samples};
 pub use mixed_network::MixedNetwork;

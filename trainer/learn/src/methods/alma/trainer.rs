@@ -216,7 +216,7 @@ impl Trainer {
     pub fn measure(&self, episodes: usize, seed: u64) -> Result<Evaluation, LearnError> {
         let plan = self.plan(episodes, seed)?;
         let Config { network, allocation: config, .. } = &self.description.config;
-        let agents = Agents { network: self.network(), memory_unit: &[] };
+        let agents = Agents::new(self.network());
         let mut team = NetworkTeam::conditioned(agents, network.subtask);
         if !network.subtask.has_subtasks() {
             return evaluate(&plan, &mut team, &mut NoSubtasks);

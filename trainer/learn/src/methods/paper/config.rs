@@ -5,10 +5,12 @@ use sortie_envs::save_the_city::{ACTIONS, FEATURES, ScenarioSet};
 
 use super::allocation::{AllocationLearning, AllocationShape, RowRules};
 use super::low_level::LowLevelConfig;
+use super::low_level::coach::CoachConfig;
 use super::rollout::Exploration;
 use super::windows::WindowShape;
 use crate::configuration;
 use crate::error::LearnError;
+use crate::methods::alma::Conditioning;
 use crate::methods::alma::config::{Allocation, EnvironmentConfig, RunConfig};
 use crate::run::Configuration;
 use crate::schedule::linear;
@@ -23,6 +25,8 @@ pub struct Config {
     pub environment: EnvironmentConfig,
     /// The agents' utilities, their mixer, and how both learn.
     pub low_level: LowLevelConfig,
+    /// Who tells agents without subtasks what to do: COPA.
+    pub coach: CoachConfig,
     /// Who allocates, and how that is learned.
     pub allocation: AllocationConfig,
     /// How much is tried out.
@@ -48,6 +52,7 @@ impl Default for Config {
             learner: Learner::Windows,
             environment: EnvironmentConfig { instances: 8, ..EnvironmentConfig::default() },
             low_level: LowLevelConfig::default(),
+            coach: CoachConfig::default(),
             allocation: AllocationConfig::default(),
             exploration: ExplorationConfig::default(),
             learning: LearningConfig::default(),
@@ -62,7 +67,7 @@ impl Default for Config {
 pub struct AllocationConfig {
     /// `learned`, or the rule `heuristic`, `coordinated` or `random`.
     pub by: String,
-    /// Steps between decisions, unless the open tasks change.
+    /// Steps between decisions, unless the open tasks change; those of a coach too.
     pub interval: u32,
     /// Allocations that are proposed for a decision.
     pub proposals: usize,
@@ -249,6 +254,12 @@ impl Config {
         }
     }
 
+    /// Has a coach tell agents without subtasks what to do: COPA.
+    pub fn enable_coach(&mut self) {
+        self.low_level.conditioning = Conditioning::None;
+        self.coach.enabled = true;
+    }
+
     /// Refuses values that cannot work.
     pub fn check(&self) -> Result<(), LearnError> {
         let require = configuration::require;
@@ -269,6 +280,11 @@ impl Config {
             (0.0..=1.0).contains(&low_level.discount) && low_level.clip > 0.0,
             "`low_level.discount` must be in 0..1, `low_level.clip` positive",
         )?;
+        require(
+            !self.coach.enabled || low_level.conditioning == Conditioning::None,
+            "agents with a coach have no subtasks: `low_level.conditioning` must be `none`",
+        )?;
+        require(self.coach.beta >= 0.0, "`coach.beta` must not be negative")?;
         self.allocation()?;
         require(
             divides(allocation.heads, allocation.width),
@@ -289,7 +305,11 @@ impl Config {
 
 impl Configuration for Config {
     fn method(&self) -> &'static str {
-        if self.low_level.conditioning.has_subtasks() { "alma" } else { "flat" }
+        match self.low_level.conditioning {
+            _ if self.coach.enabled => "copa",
+            Conditioning::None => "flat",
+            Conditioning::Mask | Conditioning::Input => "alma",
+        }
     }
 
     fn to_toml(&self) -> Result<String, LearnError> {
@@ -332,11 +352,24 @@ mod tests {
             ("low_level.heads=5", "multiple"),
             ("learning.windows=9000", "`.episodes`"),
             ("allocation.rows=1", "at least 2"),
+            ("coach.enabled=true", "`none`"),
         ] {
             let error = config.set(assignment).unwrap_err().to_string();
             assert!(error.contains(part), "{assignment}: {error}");
         }
         assert_eq!(config, Config::default());
+    }
+
+    #[test]
+    fn methods_have_their_names() {
+        let mut config = Config::default();
+        assert_eq!(config.method(), "alma");
+        config.set("low_level.conditioning=none").unwrap();
+        assert_eq!(config.method(), "flat");
+        let mut told = Config::default();
+        told.enable_coach();
+        config.set("coach.enabled=true").unwrap();
+        assert_eq!((config.method(), &config), ("copa", &told));
     }
 
     #[test]

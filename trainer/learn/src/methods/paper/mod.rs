@@ -23,6 +23,6 @@ pub use popart::{PopArt, Rescale};
 pub use replay::{Episode, Moment, Replay};
 pub use rollout::{Decide, Exploration, Rollout, RolloutGenerators};
 pub use sampling::{SampleShape, cut_windows, draw_episodes};
-pub(crate) use saved::{saved_allocator, saved_memory_unit};
+pub(crate) use saved::{saved_allocator, saved_coach, saved_memory_unit};
 pub use trainer::Trainer;
 pub use windows::{NO_ACTION, NO_TASK, WindowShape, Windows};

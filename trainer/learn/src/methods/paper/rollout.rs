@@ -8,6 +8,7 @@ use sortie_envs::save_the_city::{
 use sortie_envs::{Environment, Subtasks};
 
 use super::config::Config;
+use super::low_level::coach::Advice;
 use super::replay::{Episode, Moment};
 use crate::error::LearnError;
 use crate::evaluate::{Agents, Players, Scene};
@@ -60,6 +61,8 @@ struct Instance {
     decision: bool,
     allocation: Vec<u8>,
     last_actions: Vec<u8>,
+    /// What a coach has told the agents, `[A, R]`; empty without one.
+    strategies: Vec<f32>,
     episode: Episode,
     episode_return: f64,
 }
@@ -92,6 +95,7 @@ impl Rollout {
             decision: false,
             allocation: vec![UNASSIGNED; agents],
             last_actions: vec![NO_ACTION; agents],
+            strategies: Vec::new(),
             episode: Episode::default(),
             episode_return: 0.0,
         };
@@ -131,11 +135,15 @@ impl Rollout {
         counts: &mut EpisodeCounts,
     ) -> Result<Vec<Episode>, LearnError> {
         let mut allocator = allocator;
+        let mut advice = agents.coach.map(Advice::new);
         (0..self.instances.len()).for_each(|index| self.begin(index, added));
         let mut running: Vec<usize> = (0..self.instances.len()).collect();
         while !running.is_empty() {
             if let Some(allocator) = &mut allocator {
                 self.decide(&running, &mut **allocator, exploration, counts)?;
+            }
+            if let Some(advice) = &mut advice {
+                self.advise(&running, advice, counts);
             }
             self.choose(&running, agents, exploration.actions)?;
             for index in &running {
@@ -155,6 +163,7 @@ impl Rollout {
         instance.decision = false;
         instance.allocation.fill(UNASSIGNED);
         instance.last_actions.fill(NO_ACTION);
+        instance.strategies.clear();
         instance.episode_return = 0.0;
         instance.episode.begin(self.city.city(index), added);
     }
@@ -178,6 +187,19 @@ impl Rollout {
         Ok(())
     }
 
+    /// Lets a coach tell the agents where a decision is due.
+    fn advise(&mut self, running: &[usize], advice: &mut Advice<'_>, counts: &mut EpisodeCounts) {
+        for index in running {
+            let instance = &mut self.instances[*index];
+            instance.decision = instance.points.is_due(instance.tasks_changed);
+            if instance.decision {
+                let (city, generator) = (self.city.city(*index), &mut self.generators.0[*index]);
+                advice.draw(city, generator, &mut instance.strategies);
+                counts.decisions += 1;
+            }
+        }
+    }
+
     /// Writes the actions of all agents: the best by their utilities, or a random one.
     fn choose(
         &mut self,
@@ -187,8 +209,9 @@ impl Rollout {
     ) -> Result<(), LearnError> {
         let Self { city, instances, generators, players, actions, .. } = self;
         let scene = |index: &usize| {
-            let Instance { allocation, last_actions, .. } = &instances[*index];
-            Scene { world: *index, city: city.city(*index), allocation, last_actions }
+            let Instance { allocation, last_actions, strategies, .. } = &instances[*index];
+            let city = city.city(*index);
+            Scene { world: *index, city, allocation, last_actions, strategies }
         };
         let scenes: Vec<Scene<'_>> = running.iter().map(scene).collect();
         let slots = city.shape().agents;
@@ -259,7 +282,7 @@ mod tests {
             UtilityShape { input: INPUT_COLUMNS, width: 8, heads: 4, base: 8, actions: ACTIONS };
         let mut weights = generator(1, Purpose::Weights, 0);
         let agents = UtilityNetwork::initialise(shape, 8.0, &mut weights);
-        let players = Agents { network: &agents, memory_unit: &[] };
+        let players = Agents::new(&agents);
         let mut rollout = Rollout::new(&config, shape, 5).unwrap();
         let mut counts = EpisodeCounts::default();
         let exploration = Exploration { actions: 0.5, ..Exploration::default() };

@@ -12,6 +12,7 @@ use super::allocation::{
 };
 use super::config::Config;
 use super::low_level::LowLevel;
+use super::low_level::coach::{Coach, CoachShape, Coaching};
 use super::popart::PopArt;
 use super::replay::Replay;
 use super::rollout::RolloutGenerators;
@@ -57,11 +58,14 @@ const MEMORY: &str = "memory";
 const MIXER: &str = "mixer";
 const CRITIC: &str = "critic";
 const POLICY: &str = "policy";
+const COACH: &str = "coach";
+const RECOGNITION: &str = "recognition";
 
 impl Trainer {
     /// Writes a checkpoint.
     pub(super) fn write_checkpoint(&self, observer: &mut dyn Observer) -> Result<(), LearnError> {
-        let LowLevel { online, target, optimisers: [agents, memory, mixer], .. } = &self.low_level;
+        let LowLevel { online, target, optimisers, coaching, .. } = &self.low_level;
+        let [agents, memory, mixer] = optimisers;
         let allocation = self.allocation.as_ref().map(AllocationLevel::state);
         let mut networks = vec![
             SavedNetwork {
@@ -94,6 +98,7 @@ impl Trainer {
                 ],
             });
         }
+        networks.extend(coaching.iter().flat_map(saved_coaching));
         if let Some(state) = &allocation {
             networks.push(SavedNetwork {
                 name: CRITIC,
@@ -158,6 +163,42 @@ impl Trainer {
     }
 }
 
+/// A coach and its recognition network, as a checkpoint holds them.
+fn saved_coaching(coaching: &Coaching) -> [SavedNetwork<'_>; 2] {
+    let Coaching { online, target, recognition, optimisers: [of_coach, of_recognition], .. } =
+        coaching;
+    [
+        SavedNetwork {
+            name: COACH,
+            shape: None,
+            vectors: vec![
+                ("online", online.parameters()),
+                ("target", target.parameters()),
+                ("square", &of_coach.square),
+            ],
+        },
+        SavedNetwork {
+            name: RECOGNITION,
+            shape: None,
+            vectors: vec![("online", recognition.parameters()), ("square", &of_recognition.square)],
+        },
+    ]
+}
+
+/// The coach of a run, to be used, if it has one.
+pub(crate) fn saved_coach(
+    checkpoint: &Checkpoint,
+    config: &Config,
+) -> Result<Option<Coach>, LearnError> {
+    if !config.coach.enabled {
+        return Ok(None);
+    }
+    let set = ScenarioSet::named(&config.environment.set)?;
+    let shape = CoachShape::of(&config.low_level, config.sizes(&set));
+    let parameters = whole(checkpoint, COACH, "online", shape.parameters())?;
+    Ok(Coach::from_parameters(shape, parameters))
+}
+
 /// The allocator of a run, to be used, if it learns one.
 pub(crate) fn saved_allocator(
     checkpoint: &Checkpoint,
@@ -218,6 +259,21 @@ fn restore_low_level(
     agents.square = checkpoint.vector(AGENTS, "square")?;
     memory.square = memory_unit(checkpoint, "square", memory.square.len())?;
     mixer.square = whole(checkpoint, MIXER, "square", mixer.square.len())?;
+    level.coaching.iter_mut().try_for_each(|coaching| restore_coaching(coaching, checkpoint))
+}
+
+fn restore_coaching(coaching: &mut Coaching, checkpoint: &Checkpoint) -> Result<(), LearnError> {
+    let Coaching { online, target, recognition, optimisers: [of_coach, of_recognition], .. } =
+        coaching;
+    for (network, name, vector) in [
+        (COACH, "online", online.parameters_mut()),
+        (COACH, "target", target.parameters_mut()),
+        (COACH, "square", &mut of_coach.square),
+        (RECOGNITION, "online", recognition.parameters_mut()),
+        (RECOGNITION, "square", &mut of_recognition.square),
+    ] {
+        vector.copy_from_slice(&whole(checkpoint, network, name, vector.len())?);
+    }
     Ok(())
 }
 

@@ -74,7 +74,10 @@ impl Trainer {
         let set = ScenarioSet::named(&config.environment.set)?;
         let sizes = config.sizes(&set);
         let mut weights = generator(*seed, Purpose::Weights, 0);
-        let low_level = LowLevel::new(config.low_level.clone(), sizes, &mut weights);
+        let mut low_level = LowLevel::new(config.low_level.clone(), sizes, &mut weights);
+        if config.coach.enabled {
+            low_level.add_coach(config.coach, &mut weights);
+        }
         let learning = config.learns_allocator().then(|| config.allocation_learning(sizes));
         Ok(Self {
             rollout: Rollout::new(config, low_level.online.agents.shape(), *seed)?,
@@ -141,7 +144,7 @@ impl Trainer {
             None
         };
         let counts = &mut self.counters.window.episodes;
-        let agents = self.low_level.online.players();
+        let agents = self.low_level.players();
         let episodes = self.rollout.round(agents, allocator, exploration, env_steps, counts)?;
         for episode in episodes {
             self.counters.env_steps += episode.steps() as u64;
@@ -211,7 +214,7 @@ impl Trainer {
             seed,
         };
         let conditioning = config.low_level.conditioning;
-        let mut team = NetworkTeam::conditioned(self.low_level.online.players(), conditioning);
+        let mut team = NetworkTeam::conditioned(self.low_level.players(), conditioning);
         if !conditioning.has_subtasks() {
             return evaluate(&plan, &mut team, &mut NoSubtasks);
         }

@@ -10,6 +10,7 @@
 
 mod agents;
 mod availability;
+pub mod coach;
 mod config;
 mod hypernetwork;
 mod lanes;
@@ -39,6 +40,7 @@ use crate::evaluate::Agents;
 use crate::methods::alma::{Conditioning, UtilityNetwork};
 use crate::optimise::{RmsProp, clip_norm};
 use crate::random::Generator;
+use coach::{CoachConfig, CoachShape, Coaching, Held, Told};
 use lanes::in_lanes;
 use recurrent::Recurrent;
 use step::{Bootstrap, Descent, Lane, Side, Step};
@@ -62,13 +64,6 @@ pub struct LowLevelNetworks {
     pub popart: PopArt,
 }
 
-impl LowLevelNetworks {
-    /// What agents act by.
-    pub fn players(&self) -> Agents<'_> {
-        Agents { network: &self.agents, memory_unit: &self.gru }
-    }
-}
-
 /// What a step found.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LowLevelReport {
@@ -76,6 +71,8 @@ pub struct LowLevelReport {
     pub terms: usize,
     /// Mean squared error in normalised units.
     pub loss: f64,
+    /// What a coach adds to the loss.
+    pub coach_loss: f64,
     /// Mean absolute error in normalised units.
     pub error: f64,
     /// Mean value in normalised units.
@@ -89,8 +86,8 @@ pub struct LowLevelReport {
 /// The learner: networks, target networks and optimiser.
 ///
 /// All state is open, in plain vectors, to be saved and restored: two [`LowLevelNetworks`], and the
-/// squares of [`optimisers`](Self::optimisers). COPA's vectors belong between the agents' base and head,
-/// which passes compute apart from each other.
+/// squares of [`optimisers`](Self::optimisers); and, where agents have a coach, that of
+/// [`coaching`](Self::coaching).
 #[derive(Clone, Debug)]
 pub struct LowLevel {
     config: LowLevelConfig,
@@ -101,6 +98,8 @@ pub struct LowLevel {
     pub target: LowLevelNetworks,
     /// The optimisers of agents, recurrent unit and mixer, with as many squares as these have parameters.
     pub optimisers: [RmsProp; 3],
+    /// The agents' coach, if they have one.
+    pub coaching: Option<Coaching>,
     lanes: Vec<Lane>,
     gradient: Vec<f32>,
 }
@@ -125,15 +124,38 @@ impl LowLevel {
             sizes,
             target: online.clone(),
             optimisers: counts.map(RmsProp::new),
+            coaching: None,
             lanes: vec![lane; LANES],
             gradient: vec![0.0; counts.iter().sum()],
             online,
         }
     }
 
+    /// Gives agents a new coach, in place of any that they have.
+    ///
+    /// Panics if they have subtasks or memories: coached agents have neither.
+    pub fn add_coach(&mut self, config: CoachConfig, generator: &mut Generator) {
+        let LowLevelConfig { conditioning, recurrent, .. } = self.config;
+        assert!(!conditioning.has_subtasks() && !recurrent, "agents that take no coach");
+        let shape = CoachShape::of(&self.config, self.sizes);
+        let coaching = Coaching::new(config, shape, self.sizes.actions, generator);
+        let own = self.optimisers.iter().map(|optimiser| optimiser.square.len()).sum::<usize>();
+        self.gradient.resize(own + coaching.parameters(), 0.0);
+        self.coaching = Some(coaching);
+    }
+
     /// The switches and rates.
     pub fn config(&self) -> &LowLevelConfig {
         &self.config
+    }
+
+    /// What agents act by.
+    pub fn players(&self) -> Agents<'_> {
+        Agents {
+            network: &self.online.agents,
+            memory_unit: &self.online.gru,
+            coach: self.coaching.as_ref().map(|coaching| &coaching.online),
+        }
     }
 
     /// Buffers for acting with [`online`](Self::online)'s agents.
@@ -153,6 +175,7 @@ impl LowLevel {
     /// Copies the networks that learn to those that value what comes next.
     pub fn copy_target(&mut self) {
         self.target.clone_from(&self.online);
+        self.coaching.iter_mut().for_each(Coaching::copy_target);
     }
 
     /// Takes one step on a batch, with so many threads. The generator shuffles subtask marks.
@@ -188,12 +211,14 @@ impl LowLevel {
         let merged = [self.online.mixer.merge(), self.target.mixer.merge()];
         let [online_merged, target_merged] = &merged;
         let [online_order, target_order] = &orders;
-        let Self { online, target, lanes, .. } = self;
+        let Self { online, target, lanes, coaching, .. } = self;
         lanes.iter_mut().for_each(Lane::begin);
+        let coaching = coaching.as_ref();
+        let told = coaching.map(|coaching| coaching.tell(windows, threads, lanes, generator));
 
         let bootstrap = Bootstrap {
-            online: side(online, online_merged, online_order),
-            target: side(target, target_merged, target_order),
+            online: side(online, told.as_ref().map(Told::online), online_merged, online_order),
+            target: side(target, told.as_ref().map(Told::target), target_merged, target_order),
             popart: &target.popart,
         };
         // Memories reach over a window.
@@ -222,16 +247,21 @@ impl LowLevel {
             PopArtOrder::RescaleFirst => online.mixer.head(),
             PopArtOrder::Reference => (&*before.0, &*before.1),
         };
-        let side = side(online, online_merged, online_order);
-        let descent = Descent { online: side, popart: &online.popart, head, terms };
+        let side = side(online, told.as_ref().map(Told::online), online_merged, online_order);
+        let guess = coaching.zip(told.as_ref()).map(|(coaching, told)| coaching.guess(told));
+        let descent = Descent { online: side, popart: &online.popart, head, terms, guess };
         in_lanes(threads, lanes, |index, lane| {
             own(index).for_each(|states| step.descend(&descent, states, lane));
         });
+        if let Some((coaching, told)) = coaching.zip(told.as_ref()) {
+            coaching.descend(told, windows, threads, lanes);
+        }
         self.add_lanes(online_merged);
         let sum = |of: fn(&Lane) -> f64| self.lanes.iter().map(of).sum::<f64>() / terms as f64;
         LowLevelReport {
             terms,
             loss: sum(|lane| lane.sums.squared_error),
+            coach_loss: self.lanes.iter().map(|lane| lane.coach.loss).sum(),
             error: sum(|lane| lane.sums.error),
             value: sum(|lane| lane.sums.value),
             target: target_mean,
@@ -246,9 +276,13 @@ impl LowLevel {
             first.agents.iter_mut().zip(&lane.agents).for_each(|(sum, value)| *sum += value);
             first.mixer.add(&lane.mixer);
         }
-        let (agents, mixer) = self.gradient.split_at_mut(first.agents.len());
+        let (agents, rest) = self.gradient.split_at_mut(first.agents.len());
+        let (mixer, coach) = rest.split_at_mut(self.online.mixer.parameters().len());
         agents.copy_from_slice(&first.agents);
         first.mixer.write(&self.online.mixer, merged, mixer);
+        if let Some(coaching) = &self.coaching {
+            coaching.write_gradient(&self.lanes, coach);
+        }
     }
 
     /// The second half of a step: clipping and the optimiser.
@@ -263,6 +297,9 @@ impl LowLevel {
             let gradient = rest.split_off(..parameters.len()).expect("one slope per parameter");
             optimiser.step(parameters, gradient, self.config.learning_rate);
         }
+        if let Some(coaching) = &mut self.coaching {
+            coaching.follow(rest, self.config.learning_rate);
+        }
     }
 
     /// Floating-point operations of all steps up to now: those of matrix products and attention.
@@ -270,7 +307,8 @@ impl LowLevel {
         self.lanes.iter().map(Lane::operations).sum()
     }
 
-    /// The last gradient: of the parameters of agents, recurrent unit and mixer.
+    /// The last gradient: of the parameters of agents, recurrent unit, mixer, coach and
+    /// recognition.
     pub fn gradient(&self) -> &[f32] {
         &self.gradient
     }
@@ -283,11 +321,12 @@ impl LowLevel {
 
 fn side<'a>(
     networks: &'a LowLevelNetworks,
+    told: Option<Held<'a>>,
     merged: &'a MergedMixer,
     order: &'a TaskOrder,
 ) -> Side<'a> {
     let agents = Recurrent { network: &networks.agents, gru: &networks.gru };
-    Side { agents, mixer: &networks.mixer, merged, order }
+    Side { agents, told, mixer: &networks.mixer, merged, order }
 }
 
 fn norm(vector: &[f32]) -> f32 {

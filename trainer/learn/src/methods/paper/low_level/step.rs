@@ -12,6 +12,7 @@ use super::super::popart::PopArt;
 use super::super::windows::Windows;
 use super::agents::TaskOrder;
 use super::availability::is_available;
+use super::coach::{CoachLane, Guess, Held, PlayerPass};
 use super::config::LowLevelConfig;
 use super::hypernetwork::MixerInput;
 use super::mixer::{MergedMixer, Mixer, MixerGradient, MixerPass};
@@ -34,6 +35,8 @@ pub struct Term {
 /// What values are computed with.
 pub(super) struct Side<'a> {
     pub(super) agents: Recurrent<'a>,
+    /// What the agents have been told, if they have a coach.
+    pub(super) told: Option<Held<'a>>,
     pub(super) mixer: &'a Mixer,
     pub(super) merged: &'a MergedMixer,
     pub(super) order: &'a TaskOrder,
@@ -62,6 +65,8 @@ pub(super) struct Descent<'a> {
     pub(super) head: (&'a [f32], &'a [f32]),
     /// Terms of the whole loss.
     pub(super) terms: usize,
+    /// What shapes strategies, if agents have a coach.
+    pub(super) guess: Option<Guess<'a>>,
 }
 
 /// Sums over the terms of a lane.
@@ -90,6 +95,7 @@ pub(super) struct Lane {
     pub(super) sums: Sums,
     pub(super) agents: Vec<f32>,
     pub(super) mixer: MixerGradient,
+    pub(super) coach: CoachLane,
 }
 
 impl Lane {
@@ -100,6 +106,7 @@ impl Lane {
                 input: UtilityInput::default(),
                 utility: UtilityPass::new(agents.shape()),
                 recurrent: RecurrentPass::default(),
+                players: PlayerPass::default(),
             },
             mixer_input: MixerInput::default(),
             mixer_pass: MixerPass::default(),
@@ -112,6 +119,7 @@ impl Lane {
             sums: Sums::default(),
             agents: vec![0.0; agents.parameters().len() + gru.len()],
             mixer: MixerGradient::new(mixer.shape()),
+            coach: CoachLane::default(),
         }
     }
 
@@ -130,26 +138,33 @@ impl Lane {
     }
 }
 
-/// Passes of the agents of some teams, with or without a memory.
+/// Passes of the agents of some teams: as they are, with a memory, or with a coach.
 #[derive(Clone, Debug)]
 struct LookingPass {
     input: UtilityInput,
     utility: UtilityPass,
     recurrent: RecurrentPass,
+    players: PlayerPass,
 }
 
 impl LookingPass {
     /// Computes the utilities of the agents of some teams in a view of their states.
     fn forward(
         &mut self,
-        agents: Recurrent<'_>,
+        (agents, told): (Recurrent<'_>, Option<Held<'_>>),
         look: (&Windows, View),
         conditioning: (Conditioning, Marks<'_>),
         teams: &mut Teams,
     ) -> &[f32] {
         if agents.gru.is_empty() {
             teams.write_agents(look, conditioning, &mut self.input);
-            return self.utility.forward(agents.network, &self.input);
+            let Some(told) = told else {
+                return self.utility.forward(agents.network, &self.input);
+            };
+            let ahead = look.1.ahead();
+            let strategies = teams.agents().map(|(state, agent)| told.of(state + ahead, agent));
+            let Self { input, utility, players, .. } = self;
+            return players.forward(agents.network, utility, input, strategies);
         }
         self.recurrent.forward(agents, &mut self.utility, look, conditioning, teams)
     }
@@ -161,6 +176,17 @@ impl LookingPass {
         } else {
             self.recurrent.backward(agents, &mut self.utility, d_utilities, gradient);
         }
+    }
+
+    /// The same for agents with a coach; returns the slopes by what they were told.
+    fn backward_told(
+        &mut self,
+        agents: Recurrent<'_>,
+        d_utilities: &[f32],
+        gradient: &mut [f32],
+    ) -> &[f32] {
+        let Self { input, utility, players, .. } = self;
+        players.backward(agents.network, utility, input, d_utilities, gradient)
     }
 }
 
@@ -225,7 +251,8 @@ impl Step<'_> {
         let Bootstrap { online, target, popart } = networks;
         let Lane { teams, agent_pass, mixer_input, .. } = lane;
         let (look, marks) = ((windows, View::NEXT), self.agent_marks(online.order));
-        let utilities = agent_pass.forward(online.agents, look, marks, teams);
+        let players = (online.agents, online.told);
+        let utilities = agent_pass.forward(players, look, marks, teams);
         let rows = utilities.chunks_exact(windows.shape.actions);
         lane.actions.clear();
         lane.actions.extend(rows.zip(teams.agents()).map(|(row, (state, agent))| {
@@ -236,7 +263,8 @@ impl Step<'_> {
 
         let view = (windows, View::NEXT_AS_BEFORE);
         let marks = self.agent_marks(target.order);
-        let utilities = agent_pass.forward(target.agents, view, marks, teams);
+        let players = (target.agents, target.told);
+        let utilities = agent_pass.forward(players, view, marks, teams);
         pick(utilities, windows.shape.actions, lane.actions.iter(), &mut lane.utilities);
         teams.write_mixer(view, self.agent_marks(self.mixer_order), mixer_input);
         let (mixer, merged) = (target.mixer, target.merged);
@@ -280,7 +308,8 @@ impl Step<'_> {
 
         let view = (windows, View::NOW);
         let marks = self.agent_marks(online.order);
-        let utilities = agent_pass.forward(online.agents, view, marks, teams);
+        let players = (online.agents, online.told);
+        let utilities = agent_pass.forward(players, view, marks, teams);
         let taken = |(state, agent)| &windows.actions[state * windows.shape.agents + agent];
         pick(utilities, actions, teams.agents().map(taken), &mut lane.utilities);
         teams.write_mixer(view, self.agent_marks(self.mixer_order), mixer_input);
@@ -311,7 +340,11 @@ impl Step<'_> {
         {
             row[usize::from(*taken(agent))] = *slope;
         }
-        agent_pass.backward(online.agents, slopes, &mut lane.agents);
+        let Some(guess) = networks.guess else {
+            return agent_pass.backward(online.agents, slopes, &mut lane.agents);
+        };
+        let d_told = agent_pass.backward_told(online.agents, slopes, &mut lane.agents);
+        guess.descend(windows, (states, networks.terms), d_told, &mut lane.coach);
     }
 }
 

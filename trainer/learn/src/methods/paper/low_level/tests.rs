@@ -3,10 +3,10 @@ use crate::layers::gradient_check::assert_gradient;
 use crate::methods::paper::{NO_ACTION, NO_TASK};
 use crate::random::{Purpose, below, chance, generator, signed_unit};
 
-const SIZES: WindowShape =
+pub(super) const SIZES: WindowShape =
     WindowShape { windows: 6, steps: 9, agents: 3, entities: 6, tasks: 3, actions: 4, features: 5 };
 
-fn config(conditioning: Conditioning) -> LowLevelConfig {
+pub(super) fn config(conditioning: Conditioning) -> LowLevelConfig {
     LowLevelConfig {
         conditioning,
         width: 8,
@@ -32,7 +32,7 @@ fn learner(config: LowLevelConfig, sizes: WindowShape) -> LowLevel {
 }
 
 /// Entities come and go, agents are allocated anew now and then, nobody sees everything.
-fn random_windows(sizes: WindowShape, seed: u64) -> Windows {
+pub(super) fn random_windows(sizes: WindowShape, seed: u64) -> Windows {
     let draw = &mut generator(seed, Purpose::Rollout, 0);
     let mut windows = Windows::new(sizes);
     windows.features.clear();
@@ -71,7 +71,7 @@ fn random_windows(sizes: WindowShape, seed: u64) -> Windows {
     windows
 }
 
-fn draws() -> Generator {
+pub(super) fn draws() -> Generator {
     generator(3, Purpose::Replay, 0)
 }
 
