@@ -33,7 +33,10 @@ pub use mixer::{
 pub use step::Term;
 pub use values::{team_input, team_values};
 
+use std::time::Duration;
+
 use super::popart::PopArt;
+use super::times::{LowLevelTimes, Stopwatch};
 use super::windows::{WindowShape, Windows};
 use crate::methods::alma::{Conditioning, UtilityNetwork};
 use crate::optimise::{RmsProp, clip_norm};
@@ -95,6 +98,7 @@ pub struct LowLevel {
     pub optimisers: [RmsProp; 3],
     lanes: Vec<Lane>,
     gradient: Vec<f32>,
+    optimiser_time: Duration,
 }
 
 impl LowLevel {
@@ -119,6 +123,7 @@ impl LowLevel {
             optimisers: counts.map(RmsProp::new),
             lanes: vec![lane; LANES],
             gradient: vec![0.0; counts.iter().sum()],
+            optimiser_time: Duration::ZERO,
             online,
         }
     }
@@ -196,8 +201,11 @@ impl LowLevel {
         };
         let own = |lane: usize| chunks.iter().skip(lane).step_by(LANES);
         in_lanes(threads, lanes, |index, lane| {
+            let mut watch = Stopwatch::start();
             own(index).for_each(|states| step.value(&bootstrap, states, lane));
+            lane.targets_time += watch.lap();
         });
+        let mut watch = Stopwatch::start();
         let all = lanes.iter().flat_map(|lane| &lane.terms);
         let terms = all.clone().count();
         if terms == 0 {
@@ -216,10 +224,15 @@ impl LowLevel {
         };
         let side = side(online, online_merged, online_order);
         let descent = Descent { online: side, popart: &online.popart, head, terms };
+        self.optimiser_time += watch.lap();
         in_lanes(threads, lanes, |index, lane| {
+            let mut watch = Stopwatch::start();
             own(index).for_each(|states| step.descend(&descent, states, lane));
+            lane.descent_time += watch.lap();
         });
+        let mut watch = Stopwatch::start();
         self.add_lanes(online_merged);
+        self.optimiser_time += watch.lap();
         let sum = |of: fn(&Lane) -> f64| self.lanes.iter().map(of).sum::<f64>() / terms as f64;
         LowLevelReport {
             terms,
@@ -245,6 +258,7 @@ impl LowLevel {
 
     /// The second half of a step: clipping and the optimiser.
     pub fn follow(&mut self) {
+        let mut watch = Stopwatch::start();
         clip_norm(&mut self.gradient, self.config.clip);
         let LowLevelNetworks { agents, gru, mixer, .. } = &mut self.online;
         let mut rest = &*self.gradient;
@@ -254,6 +268,16 @@ impl LowLevel {
         {
             let gradient = rest.split_off(..parameters.len()).expect("one slope per parameter");
             optimiser.step(parameters, gradient, self.config.learning_rate);
+        }
+        self.optimiser_time += watch.lap();
+    }
+
+    /// How long the parts of all steps have taken up to now.
+    pub fn times(&self) -> LowLevelTimes {
+        LowLevelTimes {
+            targets: self.lanes.iter().map(|lane| lane.targets_time).sum(),
+            descent: self.lanes.iter().map(|lane| lane.descent_time).sum(),
+            optimiser: self.optimiser_time,
         }
     }
 

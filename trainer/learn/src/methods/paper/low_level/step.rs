@@ -8,6 +8,8 @@
 //! Only teams that enter the loss are computed, and of the rows only those that somebody looks at; all
 //! others have a weight of zero, so that this is exact.
 
+use std::time::Duration;
+
 use super::super::popart::PopArt;
 use super::super::windows::Windows;
 use super::agents::TaskOrder;
@@ -90,6 +92,8 @@ pub(super) struct Lane {
     pub(super) sums: Sums,
     pub(super) agents: Vec<f32>,
     pub(super) mixer: MixerGradient,
+    pub(super) targets_time: Duration,
+    pub(super) descent_time: Duration,
 }
 
 impl Lane {
@@ -112,6 +116,8 @@ impl Lane {
             sums: Sums::default(),
             agents: vec![0.0; agents.parameters().len() + gru.len()],
             mixer: MixerGradient::new(mixer.shape()),
+            targets_time: Duration::ZERO,
+            descent_time: Duration::ZERO,
         }
     }
 
