@@ -15,24 +15,30 @@ use crate::arguments::AllocatorChoice;
 use crate::compiler::compiler;
 use crate::failure::{Exit, Failure};
 use crate::policy::Backend;
+use crate::proposals::{ProposalArguments, ProposalMemory};
 use crate::worlds::save_the_city::{CityAllocator, CityRelation};
 
 /// The memory of a team's allocator.
 pub(crate) enum DeployedAllocator {
     Rule(CityAllocator),
     Learned(Box<LearnedAllocator>),
+    Proposing(Box<ProposalMemory>),
 }
 
 impl DeployedAllocator {
-    /// `seed` matters to the random rule only, `backend` to the learned allocator.
+    /// `seed` matters to what draws, `backend` to the learned allocator, `proposals` to one that proposes.
     pub(crate) fn open(
         bundle: &Bundle,
         choice: AllocatorChoice,
         backend: Backend,
         seed: u64,
+        proposals: ProposalArguments,
     ) -> Result<Self, Failure> {
-        match choice.rule() {
-            Some(rule) => Ok(Self::Rule(CityAllocator::new(rule, seed))),
+        if let Some(rule) = choice.rule() {
+            return Ok(Self::Rule(CityAllocator::new(rule, seed)));
+        }
+        match ProposalMemory::open(bundle, backend, proposals.count(), seed)? {
+            Some(memory) => Ok(Self::Proposing(Box::new(memory))),
             None => Ok(Self::Learned(Box::new(LearnedAllocator::open(bundle, backend)?))),
         }
     }
@@ -42,6 +48,7 @@ impl DeployedAllocator {
         match self {
             Self::Rule(rule) => Ok(Box::new(rule)),
             Self::Learned(learned) => Ok(Box::new(learned.allocator()?)),
+            Self::Proposing(memory) => Ok(Box::new(memory.allocator()?)),
         }
     }
 }

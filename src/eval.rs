@@ -17,6 +17,7 @@ use crate::failure::{Exit, Failure, Outcome};
 use crate::observations::RecordingPolicy;
 use crate::output::{Table, print_json};
 use crate::policy::{Backend, DeployedPolicy};
+use crate::proposals::ProposalArguments;
 use crate::subject::Subject;
 use crate::subject_allocator::SubjectAllocator;
 
@@ -45,6 +46,8 @@ pub(crate) struct EvalArguments {
     /// Who assigns agents to subtasks [default: learned where the subject has it, else coordinated]
     #[arg(long, value_enum)]
     allocation: Option<AllocatorChoice>,
+    #[command(flatten)]
+    proposals: ProposalArguments,
     /// Bundle or training run whose learned allocator takes the place of the subject's
     #[arg(long, value_name = "BUNDLE|RUN", conflicts_with = "allocation")]
     allocator: Option<String>,
@@ -104,7 +107,9 @@ pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
         environment::check_fits(bundle, &plan.set)?;
     }
     let name = arguments.allocator.as_ref().unwrap_or(&arguments.subject);
-    let mut allocator = SubjectAllocator::open(choice, Some(owner), name, arguments.backend)?;
+    let draws = (arguments.proposals, arguments.common.seed);
+    let mut allocator =
+        SubjectAllocator::open(choice, Some(owner), name, arguments.backend, draws)?;
     let mut allocator = allocator.allocator()?;
     let mut play =
         |team: &mut dyn Team| play(&plan, team, allocator.as_mut(), arguments, choice.name());

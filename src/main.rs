@@ -20,6 +20,7 @@ mod observations;
 mod onnxruntime;
 mod output;
 mod policy;
+mod proposals;
 mod replay;
 mod run;
 mod signals;

@@ -45,7 +45,7 @@ impl Subject {
     /// Whether it has learned an allocator.
     pub(crate) fn has_allocator(&self) -> bool {
         match self {
-            Self::Bundle(bundle) => bundle.allocator_onnx().is_some(),
+            Self::Bundle(bundle) => bundle.has_allocator(),
             Self::Run(run) => run.allocator.is_some(),
             Self::Scripted => false,
         }

@@ -8,24 +8,29 @@ use crate::allocator::{LearnedAllocator as DeployedLearned, none_learned};
 use crate::arguments::AllocatorChoice;
 use crate::failure::Failure;
 use crate::policy::Backend;
+use crate::proposals::{ProposalArguments, ProposalMemory};
 use crate::subject::Subject;
 
 /// The memory of an allocator.
 pub(crate) enum SubjectAllocator<'a> {
     Rule(AllocationRule),
     /// A run's, with the trainer's own forward pass.
-    Run(&'a Run),
+    Run(&'a Run, ProposalArguments),
     /// A bundle's, as deployed.
     Bundle(Box<DeployedLearned>),
+    /// A bundle's that proposes, as deployed.
+    Proposing(Box<ProposalMemory>),
 }
 
 impl<'a> SubjectAllocator<'a> {
-    /// What was chosen; a learned allocator is that of `owner`, which is called `name`.
+    /// What was chosen; a learned allocator is that of `owner`, which is called `name`. Proposals and seed matter to
+    /// one that proposes.
     pub(crate) fn open(
         choice: AllocatorChoice,
         owner: Option<&'a Subject>,
         name: &str,
         backend: Backend,
+        (proposals, seed): (ProposalArguments, u64),
     ) -> Result<Self, Failure> {
         if let Some(rule) = choice.rule() {
             return Ok(Self::Rule(rule));
@@ -33,9 +38,12 @@ impl<'a> SubjectAllocator<'a> {
         let owner = owner.filter(|owner| owner.has_allocator());
         match owner {
             Some(Subject::Bundle(bundle)) => {
-                Ok(Self::Bundle(Box::new(DeployedLearned::open(bundle, backend)?)))
+                match ProposalMemory::open(bundle, backend, proposals.count(), seed)? {
+                    Some(memory) => Ok(Self::Proposing(Box::new(memory))),
+                    None => Ok(Self::Bundle(Box::new(DeployedLearned::open(bundle, backend)?))),
+                }
             }
-            Some(Subject::Run(run)) => Ok(Self::Run(run)),
+            Some(Subject::Run(run)) => Ok(Self::Run(run, proposals)),
             Some(Subject::Scripted) | None => Err(none_learned(name)),
         }
     }
@@ -44,8 +52,11 @@ impl<'a> SubjectAllocator<'a> {
     pub(crate) fn allocator(&mut self) -> Result<Box<dyn Allocate + '_>, Failure> {
         Ok(match self {
             Self::Rule(rule) => Box::new(*rule),
-            Self::Run(run) => run.learned_allocator().ok_or_else(|| none_learned("the run"))?,
+            Self::Run(run, proposals) => {
+                run.learned_allocator(proposals.count()).ok_or_else(|| none_learned("the run"))?
+            }
             Self::Bundle(learned) => Box::new(DeployedAllocator(Box::new(learned.allocator()?))),
+            Self::Proposing(memory) => Box::new(DeployedAllocator(Box::new(memory.allocator()?))),
         })
     }
 }

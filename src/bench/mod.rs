@@ -7,6 +7,7 @@ mod decision;
 mod environment;
 pub(crate) mod faults;
 mod floor;
+mod proposals;
 mod quantised;
 mod rounds;
 mod scenes;
@@ -36,6 +37,7 @@ const FLOOR: &str = "floor";
   sortie bench decision --pin 1
   sortie bench decision models/save-the-city --python venv/bin/python3 --pace hot
   sortie bench allocation --seconds 5
+  sortie bench proposals --python venv/bin/python3
   sortie bench env --seconds 10
   sortie bench faults --runner-kills 1000 --allocator-kills 200
   sortie bench train --python venv/bin/python3 --seconds 30")]
@@ -48,6 +50,7 @@ pub(crate) struct BenchArguments {
 enum What {
     Decision(decision::DecisionArguments),
     Allocation(allocation::AllocationArguments),
+    Proposals(proposals::ProposalsArguments),
     Env(environment::EnvironmentArguments),
     Train(train::TrainArguments),
     Faults(faults::FaultsArguments),
@@ -109,6 +112,7 @@ pub(crate) fn run(arguments: &BenchArguments) -> Outcome {
         What::Allocation(arguments) => {
             (allocation::measure(arguments)?, arguments.measuring.common)
         }
+        What::Proposals(arguments) => (proposals::measure(arguments)?, arguments.measuring.common),
         What::Env(arguments) => (environment::measure(arguments)?, arguments.measuring.common),
         What::Faults(arguments) => return faults::run(arguments),
         What::Train(arguments) => (train::measure(arguments)?, arguments.measuring.common),

@@ -30,6 +30,7 @@ use crate::deployment::{domain_contract, open_bundle};
 use crate::failure::Outcome;
 use crate::output::print_json;
 use crate::policy::{Backend, DeployedPolicy};
+use crate::proposals::ProposalArguments;
 use crate::signals::stop_on_signals;
 use crate::worlds::save_the_city::CityWorld;
 
@@ -57,6 +58,8 @@ pub(crate) struct RunArguments {
     /// Who assigns agents to subtasks [default: learned where the bundle has it, else coordinated]
     #[arg(long, value_enum)]
     allocation: Option<AllocatorChoice>,
+    #[command(flatten)]
+    proposals: ProposalArguments,
     /// What executes the networks
     #[arg(long, value_enum, default_value_t = Backend::Plan)]
     backend: Backend,
@@ -98,10 +101,11 @@ pub(crate) fn run(arguments: &RunArguments) -> Outcome {
     let bundle = open_bundle(&arguments.bundle)?;
     let seed = arguments.common.seed;
     let mut world = open_world(&bundle, arguments.env.as_deref(), seed)?;
-    let learned = bundle.allocator_onnx().is_some();
+    let learned = bundle.has_allocator();
     let allocation = AllocatorChoice::or_default(arguments.allocation, learned);
     // Opened here even where another process allocates: errors show at once, and plans are compiled.
-    let mut allocator = DeployedAllocator::open(&bundle, allocation, arguments.backend, seed)?;
+    let mut allocator =
+        DeployedAllocator::open(&bundle, allocation, arguments.backend, seed, arguments.proposals)?;
     let mut onlooker = Onlooker::new(
         display(arguments),
         Some(arguments.episodes as usize),
@@ -191,6 +195,7 @@ fn play_as_processes(
         domain: &arguments.domain,
         allocation,
         backend: arguments.backend,
+        proposals: arguments.proposals,
         seed: arguments.common.seed,
         parent: Some(std::process::id()),
     };

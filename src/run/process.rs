@@ -16,6 +16,7 @@ use crate::arguments::AllocatorChoice;
 use crate::deployment::{domain_contract, model_id, open_bundle};
 use crate::failure::{Exit, Failure, Outcome};
 use crate::policy::{Backend, DeployedPolicy};
+use crate::proposals::ProposalArguments;
 use crate::signals::stop_on_signals;
 use crate::worlds::save_the_city::CityAllocator;
 
@@ -34,6 +35,8 @@ pub(crate) struct ProcessArguments {
     allocation: AllocatorChoice,
     #[arg(long, value_enum, default_value_t = Backend::Plan)]
     backend: Backend,
+    #[command(flatten)]
+    proposals: ProposalArguments,
     #[arg(long, default_value_t = 1)]
     seed: u64,
     #[command(flatten)]
@@ -108,8 +111,9 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
             }
         }
         Role::Allocator => {
-            let ProcessArguments { allocation, backend, seed, .. } = *arguments;
-            let mut memory = DeployedAllocator::open(&bundle, allocation, backend, seed)?;
+            let ProcessArguments { allocation, backend, seed, proposals, .. } = *arguments;
+            let mut memory =
+                DeployedAllocator::open(&bundle, allocation, backend, seed, proposals)?;
             let mut allocator = memory.allocator()?;
             allocator_process(&domain, &contract, allocator.as_mut(), &settings, &stop)
         }

@@ -8,6 +8,7 @@ use sortie_ipc::Charge;
 
 use crate::arguments::AllocatorChoice;
 use crate::policy::Backend;
+use crate::proposals::ProposalArguments;
 
 /// What all processes of a team are started with.
 #[derive(Clone, Copy, Debug)]
@@ -16,6 +17,7 @@ pub(crate) struct Team<'a> {
     pub(crate) domain: &'a str,
     pub(crate) allocation: AllocatorChoice,
     pub(crate) backend: Backend,
+    pub(crate) proposals: ProposalArguments,
     pub(crate) seed: u64,
     /// Process with which they end.
     pub(crate) parent: Option<u32>,
@@ -51,6 +53,7 @@ impl Team<'_> {
         }
         command.arg("--allocation").arg(self.allocation.name());
         command.arg("--backend").arg(self.backend.name());
+        command.arg(self.proposals.flag());
         command.arg("--seed").arg(self.seed.to_string());
         command.stdin(Stdio::null()).stdout(Stdio::null());
         command

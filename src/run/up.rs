@@ -17,6 +17,7 @@ use crate::deployment::open_bundle;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::output;
 use crate::policy::{Backend, DeployedPolicy};
+use crate::proposals::ProposalArguments;
 use crate::signals::stop_on_signals;
 
 /// Keep a bundle's team running: world, runners, a leading allocator and its standbys, supervised
@@ -37,6 +38,8 @@ pub(crate) struct UpArguments {
     /// Who assigns agents to subtasks [default: learned where the bundle has it, else coordinated]
     #[arg(long, value_enum)]
     allocation: Option<AllocatorChoice>,
+    #[command(flatten)]
+    proposals: ProposalArguments,
     /// What executes the networks
     #[arg(long, value_enum, default_value_t = Backend::Plan)]
     backend: Backend,
@@ -75,16 +78,17 @@ pub(crate) fn run(arguments: &UpArguments) -> Outcome {
     let seed = arguments.common.seed;
     // Opened here although others will: errors show once, and plans are compiled.
     let world = open_world(&bundle, arguments.playing.env.as_deref(), seed)?;
-    let learned = bundle.allocator_onnx().is_some();
+    let learned = bundle.has_allocator();
     let allocation = AllocatorChoice::or_default(arguments.allocation, learned);
     DeployedPolicy::open(&bundle, arguments.backend)?;
-    DeployedAllocator::open(&bundle, allocation, arguments.backend, seed)?;
+    DeployedAllocator::open(&bundle, allocation, arguments.backend, seed, arguments.proposals)?;
     let domain = Domain::new(&arguments.domain)?;
     let team = Team {
         bundle: &arguments.bundle,
         domain: &arguments.domain,
         allocation,
         backend: arguments.backend,
+        proposals: arguments.proposals,
         seed,
         parent: None,
     };

@@ -25,6 +25,7 @@ use crate::environment;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::output::{plural, print_json};
 use crate::policy::{Backend, DeployedPolicy};
+use crate::proposals::ProposalArguments;
 use crate::subject::Subject;
 use crate::subject_allocator::SubjectAllocator;
 use capture::{Captured, Thinker, capture};
@@ -100,8 +101,9 @@ fn played_page(arguments: &ViewArguments) -> Result<Page, Failure> {
         environment::check_fits(bundle, &plan.set)?;
     }
     let choice = AllocatorChoice::or_default(arguments.allocation, subject.has_allocator());
+    let draws = (ProposalArguments::default(), arguments.common.seed);
     let mut allocator =
-        SubjectAllocator::open(choice, Some(&subject), &arguments.subject, Backend::Plan)?;
+        SubjectAllocator::open(choice, Some(&subject), &arguments.subject, Backend::Plan, draws)?;
     let mut allocator = allocator.allocator()?;
     let mut played = Played { plan: &plan, allocator: allocator.as_mut() };
     let probe = TeamValueProbe::of(&subject)?;
@@ -151,7 +153,8 @@ fn recorded_page(arguments: &ViewArguments, file: &Path) -> Result<Page, Failure
     let notes = notes_on_recording(&playback, choice, policy);
     let open = |choice| {
         let owner = policy.unwrap_or(&arguments.subject);
-        SubjectAllocator::open(choice, subject.as_ref(), owner, Backend::Plan)
+        let draws = (ProposalArguments::default(), arguments.common.seed);
+        SubjectAllocator::open(choice, subject.as_ref(), owner, Backend::Plan, draws)
     };
     let mut allocator = choice.map(open).transpose()?;
     let mut allocator = allocator.as_mut().map(SubjectAllocator::allocator).transpose()?;

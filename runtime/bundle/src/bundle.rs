@@ -9,7 +9,9 @@ use crate::contract::ContractV1;
 use crate::digest::{hex, sha256};
 use crate::error::BundleError;
 use crate::golden::{Golden, MIN_ALLOCATIONS, MIN_CASES};
-use crate::manifest::{Contract, Environment, FORMAT, Limits, Manifest, Network, TEAM_VALUE};
+use crate::manifest::{
+    Contract, Environment, FORMAT, Limits, Manifest, Network, PROPOSALS, TEAM_VALUE,
+};
 
 /// The file that vouches for all others.
 pub const MANIFEST: &str = "bundle.toml";
@@ -17,6 +19,9 @@ pub const MANIFEST: &str = "bundle.toml";
 pub const AGENT: &str = "agent.onnx";
 /// The team-value network of a learned allocator.
 pub const ALLOCATOR: &str = "allocator_team_value.onnx";
+/// Trunk, step and critic of an allocator that proposes.
+pub const PROPOSAL_PARTS: [&str; 3] =
+    ["allocator_trunk.onnx", "allocator_step.onnx", "allocator_critic.onnx"];
 /// Observations with expected answers.
 pub const GOLDEN: &str = "golden.json";
 /// The model card.
@@ -71,8 +76,8 @@ impl Bundle {
             parts.insert(name.clone(), read_part(folder, name, want)?);
         }
         let golden = golden_part(folder, &manifest, &parts)?;
-        for (name, needed) in [(AGENT, true), (ALLOCATOR, manifest.network.allocator.is_some())] {
-            if needed && !parts.contains_key(name) {
+        for name in [AGENT].iter().chain(allocator_parts(&manifest.network)) {
+            if !parts.contains_key(*name) {
                 return Err(BundleError::Missing { path: folder.join(name) });
             }
         }
@@ -114,9 +119,22 @@ impl Bundle {
         self.part(AGENT).unwrap_or_default()
     }
 
-    /// The allocator's network, where the allocator was learned.
+    /// Whether an allocator was learned, of any kind.
+    pub fn has_allocator(&self) -> bool {
+        self.manifest.network.allocator.is_some()
+    }
+
+    /// The team-value network, where the allocator is of this kind.
     pub fn allocator_onnx(&self) -> Option<&[u8]> {
-        self.manifest.network.allocator.as_ref().and_then(|_| self.part(ALLOCATOR))
+        let kind = self.manifest.network.allocator.as_deref();
+        kind.filter(|kind| *kind == TEAM_VALUE).and_then(|_| self.part(ALLOCATOR))
+    }
+
+    /// Trunk, step and critic, where the allocator proposes.
+    pub fn proposal_graphs(&self) -> Option<[&[u8]; 3]> {
+        let kind = self.manifest.network.allocator.as_deref();
+        let [trunk, step, critic] = PROPOSAL_PARTS.map(|name| self.part(name));
+        kind.filter(|kind| *kind == PROPOSALS).and(Some([trunk?, step?, critic?]))
     }
 }
 
@@ -161,8 +179,11 @@ impl Draft {
         if let Some(name) = self.parts.keys().find(|name| !is_plain(name)) {
             return invalid(name, "not a plain file name, or one that the bundle uses".to_owned());
         }
-        if self.network.allocator.is_some() != self.parts.contains_key(ALLOCATOR) {
-            return invalid(ALLOCATOR, "an allocator needs its kind and its network".to_owned());
+        let needed = allocator_parts(&self.network);
+        for name in [ALLOCATOR].iter().chain(&PROPOSAL_PARTS) {
+            if needed.contains(name) != self.parts.contains_key(*name) {
+                return invalid(name, "an allocator needs its kind and its network".to_owned());
+            }
         }
         if let Some(flaw) = golden_flaw(&self.golden, &self.network) {
             return invalid(GOLDEN, flaw);
@@ -216,13 +237,23 @@ impl Manifest {
         if *want != got {
             return Err(BundleError::Contract { path: path.to_owned(), want: want.clone(), got });
         }
-        if let Some(kind) = manifest.network.allocator.as_ref().filter(|kind| *kind != TEAM_VALUE) {
+        let known = |kind: &String| [TEAM_VALUE, PROPOSALS].contains(&kind.as_str());
+        if let Some(kind) = manifest.network.allocator.as_ref().filter(|kind| !known(kind)) {
             return Err(invalid(format!("allocator `{kind}` is not known: update sortie")));
         }
         if let Some(name) = manifest.parts.keys().find(|name| *name != GOLDEN && !is_plain(name)) {
             return Err(invalid(format!("`{name}` in [parts] is not a plain file name")));
         }
         Ok(manifest)
+    }
+}
+
+/// The networks that an allocator of this kind consists of.
+fn allocator_parts(network: &Network) -> &'static [&'static str] {
+    match network.allocator.as_deref() {
+        Some(TEAM_VALUE) => &[ALLOCATOR],
+        Some(PROPOSALS) => &PROPOSAL_PARTS,
+        _ => &[],
     }
 }
 
@@ -263,7 +294,7 @@ fn golden_flaw(golden: &Golden, network: &Network) -> Option<String> {
     if cases < MIN_CASES {
         return Some(format!("{cases} cases, at least {MIN_CASES} are needed"));
     }
-    let few = network.allocator.is_some() && allocations < MIN_ALLOCATIONS;
+    let few = network.allocator.as_deref() == Some(TEAM_VALUE) && allocations < MIN_ALLOCATIONS;
     few.then(|| format!("{allocations} allocations, at least {MIN_ALLOCATIONS} are needed"))
 }
 

@@ -19,13 +19,14 @@ mod recording;
 
 pub use allocation::{GoldenAllocation, GoldenValue, OwnedAllocationState};
 pub use bundle::{
-    AGENT, ALLOCATOR, Bundle, CARD, CURVE, CURVE_DATA, Draft, GOLDEN, MANIFEST, TRAINING,
+    AGENT, ALLOCATOR, Bundle, CARD, CURVE, CURVE_DATA, Draft, GOLDEN, MANIFEST, PROPOSAL_PARTS,
+    TRAINING,
 };
 pub use contract::{ContractV1, FallbackAllocation, SubtaskConditioning, WIRE_ABI};
 pub use digest::{hex, sha256};
 pub use error::BundleError;
 pub use golden::{Golden, GoldenCase, MIN_ALLOCATIONS, MIN_CASES};
-pub use manifest::{Contract, Environment, Limits, Manifest, Network, TEAM_VALUE};
+pub use manifest::{Contract, Environment, Limits, Manifest, Network, PROPOSALS, TEAM_VALUE};
 pub use observation::OwnedObservation;
 pub use plan_cache::{PlanKey, cached_plan, plan_places};
 pub use recording::{RecordedAgent, RecordedFrame, Recording, RecordingError};

@@ -9,8 +9,10 @@ use crate::contract::ContractV1;
 /// The bundle format that this program writes, and the newest that it reads.
 pub(crate) const FORMAT: u32 = 1;
 
-/// The kind of allocator that this program knows: the value of a team at a subtask, and search.
+/// The kind of allocator that values a team at a subtask, and searches.
 pub const TEAM_VALUE: &str = "team-value";
+/// The kind of allocator that proposes allocations and values them: trunk, step and critic.
+pub const PROPOSALS: &str = "proposals";
 
 /// The content of `bundle.toml`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -76,7 +78,7 @@ pub struct Limits {
 pub struct Network {
     /// Kind of the agent network, for example `masked-attention`.
     pub agent: String,
-    /// Kind of the allocator's network, [`TEAM_VALUE`], where the bundle has one.
+    /// Kind of the allocator's network, [`TEAM_VALUE`] or [`PROPOSALS`], where the bundle has one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub allocator: Option<String>,
     /// Floats of the agent's hidden state, 0 if it has none.

@@ -8,7 +8,7 @@ use sortie_bundle::{
     AGENT, ALLOCATOR, Bundle, BundleError, CARD, ContractV1, Draft, Environment,
     FallbackAllocation, GOLDEN, Golden, GoldenAllocation, GoldenCase, GoldenValue, Limits,
     MANIFEST, MIN_ALLOCATIONS, MIN_CASES, Network, OwnedAllocationState, OwnedObservation,
-    SubtaskConditioning, TEAM_VALUE, WIRE_ABI, hex, sha256,
+    PROPOSAL_PARTS, PROPOSALS, SubtaskConditioning, TEAM_VALUE, WIRE_ABI, hex, sha256,
 };
 use sortie_core::EntityMask;
 
@@ -121,6 +121,27 @@ fn a_learned_allocator_comes_back_and_is_never_half_there() {
     let mut nameless = draft_with_allocator();
     nameless.network.allocator = None;
     for bad in [few, nameless] {
+        let refused = bad.write(&home.path().join("other"));
+        assert!(matches!(refused, Err(BundleError::Invalid { .. })));
+    }
+}
+
+#[test]
+fn a_proposing_allocator_comes_back_and_is_never_half_there() {
+    let home = tempfile::tempdir().unwrap();
+    let mut proposing = draft();
+    proposing.network.allocator = Some(PROPOSALS.into());
+    let mut half = proposing.clone();
+    for name in PROPOSAL_PARTS {
+        proposing.parts.insert(name.into(), name.as_bytes().to_vec());
+    }
+    let bundle = proposing.write(&home.path().join("city")).unwrap();
+    assert_eq!(bundle.proposal_graphs(), Some(PROPOSAL_PARTS.map(str::as_bytes)));
+    assert_eq!((bundle.has_allocator(), bundle.allocator_onnx()), (true, None));
+    half.parts.insert(PROPOSAL_PARTS[0].into(), vec![1]);
+    let mut other = proposing.clone();
+    other.network.allocator = None;
+    for bad in [half, other] {
         let refused = bad.write(&home.path().join("other"));
         assert!(matches!(refused, Err(BundleError::Invalid { .. })));
     }

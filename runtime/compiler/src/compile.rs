@@ -8,8 +8,8 @@ use sortie_core::plan::{AlignedBytes, Network, Plan, Profile, Program};
 
 use crate::assemble::{Origin, assemble};
 use crate::error::CompileError;
-use crate::graph::{EntityRoles, Graph, Inputs, TeamRoles};
-use crate::lower::{AgentSizes, Choice, lower_agent};
+use crate::graph::{EntityRoles, Graph, Inputs, ProposalPart, TeamRoles};
+use crate::lower::{AgentSizes, Choice, lower_agent, same_sizes};
 use crate::lower_entities::{EntitySizes, lower_entities};
 use crate::lower_int8::lower_agent_int8;
 use crate::matching::{AgentLayers, match_agent, match_entities, match_team_value};
@@ -17,6 +17,7 @@ use crate::observations::{random_entities, random_observations, random_team_quer
 use crate::parity::{
     Comparison, TOLERANCE, entities_against_graph, plan_against_graph, team_values_against_graph,
 };
+use crate::proposals::{ProposalFiles, compile_proposals};
 
 /// The compiler's version; a plan of another version is compiled again.
 pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), "-2");
@@ -115,9 +116,20 @@ pub fn compile(onnx: &[u8], options: &CompileOptions) -> Result<Compiled, Compil
     origin.max_error = comparison.max_rel_error;
     origin.action_mismatch = comparison.action_mismatches as f32 / comparison.inputs.max(1) as f32;
     let bytes = assemble(&program, &weights, sizes, &origin);
-    let operators = operators(&program, sizes.n_max);
-    let report = Report {
-        flash_bytes: bytes.len(),
+    let report = report(&program, sizes.n_max, bytes.len(), &comparison);
+    Ok(Compiled { bytes, report })
+}
+
+/// What is known about a plan of this program.
+pub(crate) fn report(
+    program: &Program,
+    n_max: usize,
+    flash_bytes: usize,
+    comparison: &Comparison,
+) -> Report {
+    let operators = operators(program, n_max);
+    Report {
+        flash_bytes,
         arena_bytes: program.arena_bytes() as usize,
         arena_bytes_per_agent: 4 * program.own_floats().unwrap_or(0) as usize,
         macs: operators.iter().map(|operator| operator.macs).sum(),
@@ -125,8 +137,7 @@ pub fn compile(onnx: &[u8], options: &CompileOptions) -> Result<Compiled, Compil
         action_mismatches: comparison.action_mismatches,
         inputs: comparison.inputs,
         operators,
-    };
-    Ok(Compiled { bytes, report })
+    }
 }
 
 /// A network as a program.
@@ -150,6 +161,7 @@ fn lower(graph: &Graph, options: &CompileOptions) -> Result<Lowered, CompileErro
             (match_agent(graph)?, Network::Agent)
         }
         Inputs::TeamValue(_) => (match_team_value(graph)?, Network::TeamValue),
+        Inputs::Proposals(roles) => return Err(part_alone(roles.part)),
         Inputs::Entities(EntityRoles { group_count: groups, .. }) => {
             // No action is chosen, but a plan has one at least.
             sizes.actions = 1;
@@ -169,6 +181,11 @@ fn lower(graph: &Graph, options: &CompileOptions) -> Result<Lowered, CompileErro
     };
     let (program, weights) = lower_layers(&layers, sizes, network, options.profile)?;
     Ok(Lowered { program, weights, sizes, network })
+}
+
+/// A part of an allocator that proposes is no plan by itself.
+fn part_alone(part: ProposalPart) -> CompileError {
+    CompileError::PartAlone { part: part.name().into() }
 }
 
 /// Lowers a network to operators of the profile, and their weights as the plan holds them.
@@ -206,6 +223,7 @@ fn prove(
             let queries = random_team_queries(inputs, n_max, features, relations, seed);
             team_values_against_graph(plan, graph, &queries)?
         }
+        Inputs::Proposals(roles) => return Err(part_alone(roles.part)),
         Inputs::Entities(EntityRoles { group_count, .. }) => {
             let steps = random_entities(inputs, n_max, sizes.features, group_count, seed);
             entities_against_graph(plan, graph, &steps)?
@@ -236,6 +254,16 @@ pub fn compile_bundle_as(bundle: &Bundle, profile: Profile) -> Result<AlignedByt
 /// The plan of a bundle's learned allocator, if it has one, cached in the same way.
 pub fn compile_allocator(bundle: &Bundle) -> Result<Option<AlignedBytes>, CompileError> {
     allocator_plan(bundle, &compile)
+}
+
+/// The plan of a bundle's proposing allocator, if it has one, cached in the same way.
+pub fn compile_proposals_of(
+    bundle: &Bundle,
+    profile: Profile,
+) -> Result<Option<AlignedBytes>, CompileError> {
+    proposal_plan(bundle, profile, &|joined, options| {
+        compile_proposals(&ProposalFiles::split(joined)?, options)
+    })
 }
 
 /// What compiles: this process or another.
@@ -277,6 +305,29 @@ pub(crate) fn allocator_plan(
     let n_max = (2 * usize::from(bundle.manifest().limits.n_max)).min(limits::ENTITIES);
     let plan = cached(bundle, onnx, Profile::Exact, n_max, compile)?;
     Plan::load(plan.as_slice())?.check_network(Network::TeamValue)?;
+    Ok(Some(plan))
+}
+
+/// The plan of a bundle's proposing allocator, if it has one, from the cache where it is still valid; `compile`
+/// gets the joined files.
+pub(crate) fn proposal_plan(
+    bundle: &Bundle,
+    profile: Profile,
+    compile: Compile<'_>,
+) -> Result<Option<AlignedBytes>, CompileError> {
+    let Some([trunk, step, critic]) = bundle.proposal_graphs() else { return Ok(None) };
+    let joined = ProposalFiles { trunk, step, critic }.joined();
+    let limits = bundle.manifest().limits;
+    let plan = cached(bundle, &joined, profile, limits.n_max.into(), compile)?;
+    let loaded = Plan::load(plan.as_slice())?;
+    loaded.check_network(Network::Proposals)?;
+    let header = loaded.header();
+    let features = usize::from(bundle.contract().features);
+    same_sizes("the allocator's number of features", header.features as usize, features)?;
+    let (what, got) = ("the allocator's number of subtasks", usize::from(header.t_max));
+    if got < usize::from(limits.t_max) {
+        return Err(CompileError::Size { what: what.into(), got, want: limits.t_max.into() });
+    }
     Ok(Some(plan))
 }
 
@@ -357,6 +408,14 @@ fn detail(op: &Op) -> String {
         }
         Op::Int8Dense(op) => {
             format!("[{}] -> [{}]{}", op.layer.inputs, op.layer.outputs, relu(op.relu))
+        }
+        Op::EmbedTasks(op) => {
+            let (features, tasks) = (op.embed.inputs, op.tasks.count);
+            format!("[N, {features}] -> [N, {0}], [{tasks}, {0}]", op.embed.outputs)
+        }
+        Op::PointerLogits(op) => format!("[{}] -> logits of subtasks", op.from_task.inputs),
+        Op::ScoreAllocations(op) => {
+            format!("[N, {}] -> [N, {}] -> value", op.embed.inputs, op.embed.outputs)
         }
         Op::MaskedArgmax(op) => format!("[{}] -> action", op.from.len),
         Op::MaskedSample(op) => format!("[{}] -> drawn action", op.from.len),

@@ -34,6 +34,14 @@ pub enum CompileError {
         /// Whose network is needed.
         want: Cow<'static, str>,
     },
+    /// One of three files that are compiled together.
+    #[error(
+        "{part} is no plan by itself: trunk, step and critic are compiled together, from a bundle"
+    )]
+    PartAlone {
+        /// The part.
+        part: Cow<'static, str>,
+    },
     /// The sizes of the file and of the contract do not fit.
     #[error("{what} is {got} in the file, the contract says {want}")]
     Size {

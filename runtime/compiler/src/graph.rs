@@ -32,6 +32,7 @@ pub(crate) enum Inputs {
     Agent(Roles),
     TeamValue(TeamRoles),
     Entities(EntityRoles),
+    Proposals(ProposalRoles),
 }
 
 /// Which input of an agent's graph is what.
@@ -81,6 +82,43 @@ pub(crate) struct EntityRoles {
     pub(crate) group_count: usize,
 }
 
+/// A part of an allocator that proposes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum ProposalPart {
+    Trunk,
+    Step,
+    Critic,
+}
+
+impl ProposalPart {
+    /// Whose network it is, in messages.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Trunk => "a proposing allocator's trunk",
+            Self::Step => "a proposing allocator's step",
+            Self::Critic => "a proposing allocator's critic",
+        }
+    }
+}
+
+/// Which input of a part of an allocator that proposes is what.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ProposalRoles {
+    pub(crate) part: ProposalPart,
+    /// Entities `[N, d]`, or the subtasks' embeddings `[T, E]`.
+    pub(crate) entities: usize,
+    /// The subtasks of every entity `[N, T]`, or their entities `[T]`.
+    pub(crate) groups: usize,
+    /// Who exists `[N]`, or which subtasks are open `[T]`.
+    pub(crate) present: usize,
+    /// Who is an agent `[N]`, or the embedding `[E]` of the one that chooses.
+    pub(crate) agent: usize,
+    /// Agents of every subtask `[T]`, of the step.
+    pub(crate) counts: usize,
+    /// Subtasks T.
+    pub(crate) tasks: usize,
+}
+
 impl Graph {
     /// Reads an ONNX file and finds its inputs: an agent's by type and shape, those of others by name.
     pub(crate) fn read(onnx: &[u8]) -> Result<Self, CompileError> {
@@ -96,6 +134,10 @@ impl Graph {
         let inputs: Vec<TypedFact> = facts(&model, &model.inputs);
         let found = team_roles(&model, &inputs)
             .map(|roles| (Inputs::TeamValue(roles), roles.features + 2 + roles.relations))
+            .or_else(|| {
+                let roles = proposal_roles(&model, &inputs)?;
+                Some((Inputs::Proposals(roles), fixed(inputs.get(roles.entities)?, 1)?))
+            })
             .or_else(|| {
                 let roles = entity_roles(&model, &inputs)?;
                 Some((Inputs::Entities(roles), fixed(inputs.get(roles.entities)?, 1)?))
@@ -134,6 +176,14 @@ impl Graph {
         match self.inputs {
             Inputs::Entities(roles) => Ok(roles),
             _ => Err(CompileError::OtherNetwork { want: "an all-entities".into() }),
+        }
+    }
+
+    /// The inputs of a part of an allocator that proposes.
+    pub(crate) fn proposal_roles(&self) -> Result<ProposalRoles, CompileError> {
+        match self.inputs {
+            Inputs::Proposals(roles) => Ok(roles),
+            _ => Err(CompileError::OtherNetwork { want: "a proposing allocator's".into() }),
         }
     }
 
@@ -345,6 +395,34 @@ fn entity_roles(model: &TypedModel, inputs: &[TypedFact]) -> Option<EntityRoles>
     };
     let known = 2 + usize::from(is_agent.is_some()) + usize::from(groups.is_some());
     (inputs.len() == known).then_some(roles)
+}
+
+fn proposal_roles(model: &TypedModel, inputs: &[TypedFact]) -> Option<ProposalRoles> {
+    let mask = |name| named(model, inputs, name, (bool::datum_type(), 1));
+    let floats = |name, rank| named(model, inputs, name, (f32::datum_type(), rank));
+    let size = |place: usize, axis| fixed(inputs.get(place)?, axis);
+    if let Some(agent) = floats("agent_embedding", 1) {
+        let entities = floats("task_embedding", 2)?;
+        return Some(ProposalRoles {
+            part: ProposalPart::Step,
+            entities,
+            groups: floats("task_count", 1)?,
+            present: mask("task_open")?,
+            agent,
+            counts: floats("agent_count", 1)?,
+            tasks: size(entities, 0)?,
+        });
+    }
+    let groups = floats("entity_task", 2)?;
+    Some(ProposalRoles {
+        part: if model.outputs.len() == 1 { ProposalPart::Critic } else { ProposalPart::Trunk },
+        entities: floats("entities", 2)?,
+        groups,
+        present: mask("present")?,
+        agent: mask("is_agent")?,
+        counts: groups,
+        tasks: size(groups, 1)?,
+    })
 }
 
 fn team_roles(model: &TypedModel, inputs: &[TypedFact]) -> Option<TeamRoles> {

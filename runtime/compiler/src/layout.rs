@@ -1,7 +1,7 @@
 //! Weights as a plan stores them: layout 1, tiles of up to 64 columns.
 
 use sortie_core::kernels::product::{padded, tile_width};
-use sortie_core::ops::Linear;
+use sortie_core::ops::{Linear, Vectors};
 
 use crate::matching::{Layer, Matrix};
 
@@ -46,6 +46,17 @@ impl Weights {
             }
         }
         start as u32
+    }
+
+    /// Adds the rows of a matrix as vectors, each padded with zeros.
+    pub(crate) fn add_vectors(&mut self, rows: &Matrix) -> Vectors {
+        let Matrix { inputs: count, outputs: width, values } = rows;
+        let start = self.align();
+        for row in values.chunks_exact(*width) {
+            self.floats.extend(row);
+            self.floats.resize(self.floats.len() + padded(*width) - width, 0.0);
+        }
+        Vectors { weights: start as u32, count: *count as u16, width: *width as u16 }
     }
 
     fn align(&mut self) -> usize {

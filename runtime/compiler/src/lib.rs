@@ -30,18 +30,23 @@ mod layout;
 mod lower;
 mod lower_entities;
 mod lower_int8;
+mod lower_proposals;
 mod matching;
 mod observations;
 #[cfg(feature = "onnxruntime")]
 pub mod onnxruntime;
 mod parity;
 mod process;
+mod proposals;
+#[cfg(test)]
+mod proposals_tests;
 #[cfg(test)]
 mod recurrent_tests;
 #[cfg(test)]
 mod testing;
 mod tract_entities;
 mod tract_policy;
+mod tract_proposals;
 mod tract_team_value;
 
 pub use agreement::{
@@ -50,7 +55,7 @@ pub use agreement::{
 pub use attention::AttentionProbe;
 pub use compile::{
     CompileOptions, Compiled, OperatorReport, Report, VERSION, compile, compile_allocator,
-    compile_bundle, compile_bundle_as,
+    compile_bundle, compile_bundle_as, compile_proposals_of,
 };
 pub use error::CompileError;
 pub use families::{
@@ -61,12 +66,14 @@ pub use graph_inputs::Rows;
 pub use inspect::{OnnxFacts, PlanFacts, inspect_onnx, inspect_plan};
 pub use judge::{Judge, judge_agent, judge_team_values};
 pub use observations::{
-    OwnedEntities, OwnedTeamQuery, random_entities, random_observations, random_team_queries,
+    OwnedEntities, OwnedTeamQuery, random_allocation_states, random_entities, random_observations,
+    random_team_queries,
 };
 pub use parity::{
     Comparison, TOLERANCE, compare_entities_with_graph, compare_team_values_with_graph,
     compare_with_golden, compare_with_graph,
 };
 pub use process::{CompilerProcess, Ending, ProcessLimits, answer_compiler};
+pub use proposals::{ProposalFiles, compare_proposals_with_graphs, compile_proposals};
 pub use tract_policy::TractPolicy;
 pub use tract_team_value::TractTeamValue;

@@ -166,6 +166,17 @@ pub(crate) fn side_by_side(layers: &[Layer]) -> Layer {
     Layer { matrix: Matrix { inputs, outputs: bias.len(), values }, bias, relu: false }
 }
 
+/// A layer whose outputs are padded head by head.
+pub(crate) fn by_heads(layer: &Layer, heads: usize) -> Layer {
+    let width = layer.matrix.outputs / heads;
+    let head = |head: usize| Layer {
+        matrix: layer.matrix.columns(head * width, width),
+        bias: layer.bias.iter().skip(head * width).take(width).copied().collect(),
+        relu: false,
+    };
+    side_by_side(&(0..heads).map(head).collect::<Vec<_>>())
+}
+
 /// The matrix with zero rows behind every head, because heads write padded outputs.
 pub(crate) fn padded_heads(matrix: &Matrix, heads: usize) -> Matrix {
     let head = matrix.inputs / heads * matrix.outputs;

@@ -4,13 +4,13 @@ use sortie_core::kernels::mark::MARKED;
 use sortie_core::kernels::product::padded;
 use sortie_core::limits;
 use sortie_core::ops::{
-    AttendAll, Dense, EmbedEntities, GroupSum, Linear, MeanRows, Op, Output, OutputRows, Place,
+    AttendAll, Dense, EmbedEntities, GroupSum, MeanRows, Op, Output, OutputRows, Place,
 };
 use sortie_core::plan::{OPS, Program};
 
 use crate::error::CompileError;
 use crate::layout::Weights;
-use crate::lower::{Arena, at_most, check_weights, padded_heads, same_sizes, side_by_side};
+use crate::lower::{Arena, at_most, by_heads, check_weights, padded_heads, same_sizes};
 use crate::matching::{AllAttention, EntityLayers, EntityStep, Layer};
 
 /// Sizes that the layers do not tell.
@@ -147,7 +147,8 @@ impl Lowering {
             Layer { matrix: padded_heads(&output.matrix, *heads), ..output.clone() };
         let inner = padded_output.matrix.inputs;
         at_most("the width of a layer", inner, usize::from(u16::MAX) / 8)?;
-        let [query, key, value] = [query, key, value].map(|layer| self.by_heads(layer, *heads));
+        let [query, key, value] =
+            [query, key, value].map(|layer| self.weights.add_layer(&by_heads(layer, *heads)));
         let output = self.weights.add_layer(&padded_output);
         let n_max = self.sizes.n_max;
         let (outputs, relu) = (padded_output.matrix.outputs, padded_output.relu);
@@ -172,17 +173,6 @@ impl Lowering {
         };
         let rows = OutputRows::Entities;
         Ok((Op::AttendAll(attend), Value { place: to, width: outputs, rows, relu }))
-    }
-
-    /// A layer whose outputs are padded head by head.
-    fn by_heads(&mut self, layer: &Layer, heads: usize) -> Linear {
-        let width = layer.matrix.outputs / heads;
-        let head = |head: usize| Layer {
-            matrix: layer.matrix.columns(head * width, width),
-            bias: layer.bias.iter().skip(head * width).take(width).copied().collect(),
-            relu: false,
-        };
-        self.weights.add_layer(&side_by_side(&(0..heads).map(head).collect::<Vec<_>>()))
     }
 
     fn check(

@@ -66,6 +66,19 @@ pub fn random_entities(
     (0..count).map(&mut entities).collect()
 }
 
+/// `count` random states of up to `n_max` entities and `tasks` subtasks: agents with and without a last subtask, others
+/// that belong to one, to none or to several, any of them absent, any subtask closed.
+pub fn random_allocation_states(
+    count: usize,
+    n_max: usize,
+    features: usize,
+    tasks: usize,
+    seed: u64,
+) -> Vec<OwnedAllocationState> {
+    let mut random = Random(Xoshiro256PlusPlus::seed_from_u64(seed));
+    (0..count).map(|index| random.allocation_state(index, n_max, features, tasks)).collect()
+}
+
 /// `count` random observations of up to `n_max` entities: rows sparse and dense in turn, masks that show
 /// everything, nothing, only the agent itself, everything but itself, or any entities.
 pub fn random_observations(
@@ -194,6 +207,36 @@ impl Random {
             open_tasks,
         };
         OwnedTeamQuery { state, task, team: bits(members), relation }
+    }
+
+    fn allocation_state(
+        &mut self,
+        index: usize,
+        n_max: usize,
+        features: usize,
+        tasks: usize,
+    ) -> OwnedAllocationState {
+        let entities = 1 + self.below(n_max);
+        let agents = self.below(entities + 1).min(limits::AGENTS);
+        let tasks = 1 + self.below(tasks);
+        let sparse = index.is_multiple_of(2);
+        let most = u32::MAX >> (32 - tasks.min(32));
+        let mut tasks_of = |_| match self.below(8) {
+            0 => 0,
+            1 => self.0.next_u32() & most,
+            _ => 1 << self.below(tasks),
+        };
+        let entity_task = (0..entities).map(&mut tasks_of).collect();
+        let open = self.visible(index / 5 % 5, tasks, 0).words().first().copied().unwrap_or(0);
+        OwnedAllocationState {
+            agents,
+            tasks,
+            rows: (0..entities * features).map(|_| self.feature(sparse)).collect(),
+            features,
+            present: self.visible([0, 4, 4, 4, 3][index % 5], entities, 0),
+            entity_task,
+            open_tasks: open as u32,
+        }
     }
 
     fn entities(

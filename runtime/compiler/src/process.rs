@@ -18,7 +18,9 @@ use serde::{Deserialize, Serialize};
 use sortie_bundle::Bundle;
 use sortie_core::plan::{AlignedBytes, Profile};
 
-use crate::compile::{CompileOptions, Compiled, agent_plan, allocator_plan, compile};
+use crate::compile::{
+    CompileOptions, Compiled, agent_plan, allocator_plan, compile, proposal_plan,
+};
 use crate::engine::TeamValueEngine;
 use crate::error::CompileError;
 use crate::graph::{EntityRoles, Graph, Inputs, TeamRoles};
@@ -26,6 +28,7 @@ use crate::graph_inputs::Rows;
 use crate::inspect::{OnnxFacts, inspect_onnx};
 use crate::matching::match_agent;
 use crate::observations::{random_entities, random_observations_of, random_team_queries_of};
+use crate::proposals::{ProposalFiles, compile_proposals};
 use crate::tract_entities::TractEntities;
 use crate::tract_policy::TractPolicy;
 use crate::tract_team_value::TractTeamValue;
@@ -83,6 +86,7 @@ impl fmt::Display for Ending {
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 enum Request {
     Compile(CompileOptions),
+    CompileProposals(CompileOptions),
     Rehearse { n_max: usize, features: Option<usize> },
     Inspect,
 }
@@ -128,6 +132,15 @@ impl CompilerProcess {
         self.ask(Request::Compile(*options), onnx)
     }
 
+    /// As [`compile_proposals`].
+    pub fn compile_proposals(
+        &self,
+        files: &ProposalFiles<'_>,
+        options: &CompileOptions,
+    ) -> Result<Compiled, CompileError> {
+        self.ask(Request::CompileProposals(*options), &files.joined())
+    }
+
     /// As [`crate::compile_bundle_as`]. A plan that was compiled before is checked and taken without a process.
     pub fn compile_bundle(
         &self,
@@ -140,6 +153,17 @@ impl CompilerProcess {
     /// As [`crate::compile_allocator`].
     pub fn compile_allocator(&self, bundle: &Bundle) -> Result<Option<AlignedBytes>, CompileError> {
         allocator_plan(bundle, &|onnx, options| self.compile(onnx, options))
+    }
+
+    /// As [`crate::compile_proposals_of`].
+    pub fn compile_proposals_of(
+        &self,
+        bundle: &Bundle,
+        profile: Profile,
+    ) -> Result<Option<AlignedBytes>, CompileError> {
+        proposal_plan(bundle, profile, &|joined, options| {
+            self.ask(Request::CompileProposals(*options), joined)
+        })
     }
 
     /// Reads a file and runs its graph a few times on `n_max` random entities of `features`, none for all columns.
@@ -251,6 +275,9 @@ pub fn answer_compiler() -> io::Result<()> {
     let (request, onnx) = postcard::take_from_bytes(&given).map_err(io::Error::other)?;
     let answer = match request {
         Request::Compile(options) => postcard::to_stdvec(&compile(onnx, &options)),
+        Request::CompileProposals(options) => postcard::to_stdvec(
+            &ProposalFiles::split(onnx).and_then(|files| compile_proposals(&files, &options)),
+        ),
         Request::Rehearse { n_max, features } => {
             postcard::to_stdvec(&rehearse(onnx, n_max, features))
         }
@@ -282,6 +309,10 @@ fn rehearse(onnx: &[u8], n_max: usize, features: Option<usize>) -> Result<(), Co
                 let state = query.state.view();
                 let _ = engine.run(&query.view(&state), Rows::All);
             }
+        }
+        // No part runs by itself.
+        Inputs::Proposals(_) => {
+            graph.runnable()?;
         }
         Inputs::Entities(EntityRoles { group_count, .. }) => {
             let mut engine = TractEntities::from_graph(&graph)?;

@@ -12,3 +12,5 @@ pub const ACTIONS: usize = 256;
 pub const FEATURES: usize = 1024;
 /// Most bytes of one frame's payload.
 pub const FRAME_BYTES: usize = 1 << 20;
+/// Most allocations that an allocator proposes in one decision.
+pub const PROPOSALS: usize = 256;

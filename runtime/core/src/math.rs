@@ -40,6 +40,32 @@ pub fn exp(x: f32) -> f32 {
     mantissa * f32::from_bits(exponent)
 }
 
+/// The natural logarithm of a normal positive number, within two units in the last place or 1e-7, whichever is more.
+#[inline(always)]
+pub fn ln(x: f32) -> f32 {
+    // The mantissa goes to [√½, √2), so that what is left of 1 is small on both sides.
+    const SQRT_HALF: u32 = 0x3f35_04f3;
+    let moved = x.to_bits().wrapping_sub(SQRT_HALF);
+    let power = (moved as i32 >> 23) as f32;
+    let rest = f32::from_bits((moved & 0x007f_ffff).wrapping_add(SQRT_HALF)) - 1.0;
+    let mut polynomial = 7.037_683_629_2e-2;
+    for coefficient in [
+        -1.151_461_031_0e-1,
+        1.167_699_874_0e-1,
+        -1.242_014_084_6e-1,
+        1.424_932_278_7e-1,
+        -1.666_805_766_5e-1,
+        2.000_071_476_5e-1,
+        -2.499_999_399_3e-1,
+        3.333_333_117_4e-1,
+    ] {
+        polynomial = polynomial * rest + coefficient;
+    }
+    let square = rest * rest;
+    let bent = polynomial * rest * square + power * LN2_LOW - 0.5 * square;
+    rest + bent + power * LN2_HIGH
+}
+
 /// 1 / (1 + e⁻ˣ), within three units in the last place. `x` is a number: NaN gives some value in [0, 1].
 #[inline(always)]
 pub fn sigmoid(x: f32) -> f32 {
@@ -106,6 +132,23 @@ mod tests {
     fn exp_clamps_instead_of_overflowing() {
         assert_eq!(exp(-1e30), exp(-87.0));
         assert!(exp(1e30).is_finite());
+    }
+
+    #[test]
+    fn ln_is_close_everywhere_and_exact_at_one() {
+        assert_eq!(ln(1.0), 0.0);
+        let mut x = f32::MIN_POSITIVE;
+        while x < f32::MAX / 1.01 {
+            let want = f64::from(x).ln();
+            let error = (f64::from(ln(x)) - want).abs() / want.abs().max(0.5);
+            assert!(error < 2.5e-7, "ln({x}): error {error}");
+            x *= 1.000_37;
+        }
+        for below_one in 1..1000 {
+            let x = 1.0 - below_one as f32 / 16_777_216.0;
+            let error = f64::from(ln(x)) / f64::from(x).ln() - 1.0;
+            assert!(error.abs() < 2.5e-7, "ln({x}): relative error {error}");
+        }
     }
 
     #[test]

@@ -1,8 +1,8 @@
 //! Every allocator is total: any state gives a feasible allocation or a refusal with its reason.
 
 use sortie_core::allocate::{
-    CostAllocator, CostMethod, CostModel, LastAllocation, PlanTeamValue, SearchMemory,
-    TaskRelation, TeamValueAllocator, exact,
+    CostAllocator, CostMethod, CostModel, LastAllocation, PlanTeamValue, ProposalAllocator,
+    SearchMemory, TaskRelation, TeamValueAllocator, exact,
 };
 use sortie_core::plan::{Aligned, Plan, arena_bytes};
 use sortie_core::{
@@ -11,8 +11,11 @@ use sortie_core::{
 
 const TEAM_VALUE: &[u8] = include_plan!("../../../tests/golden/plans/team-value-1.0.plan");
 
-/// Features of the golden team-value network, and columns of its relation.
-const FEATURES: usize = 6;
+const PROPOSALS: &[u8] = include_plan!("../../../tests/golden/plans/proposals-1.2.plan");
+
+/// Columns of a row, as many as the proposing network takes and one more than the team-value network; columns of its
+/// relation.
+const FEATURES: usize = 7;
 const RELATIONS: usize = 3;
 
 /// Pseudo-random numbers of a linear congruential generator.
@@ -169,6 +172,24 @@ fn the_team_value_allocator_is_total_with_a_network() {
             },
         };
         check(&mut count, &case, &mut allocator, false);
+    }
+    let Count { somebody, nobody, refused } = count;
+    assert!(somebody > 100 && nobody > 100 && refused > 100, "{count:?}");
+}
+
+#[test]
+fn the_proposing_allocator_is_total_with_its_networks() {
+    let plan = Plan::load(PROPOSALS).expect("a golden plan");
+    let mut arena = Aligned([0; arena_bytes(PROPOSALS)]);
+    let mut count = Count::default();
+    for seed in 0..3_000 {
+        let mut numbers = Numbers(seed);
+        let mut case = Case::random(&mut numbers, if seed % 4 == 0 { 7 } else { 5 });
+        // Its teams may be of any size.
+        case.team_max = usize::MAX;
+        let proposals = 1 + numbers.below(32);
+        let allocator = ProposalAllocator::new(plan.clone(), &mut arena.0, proposals, seed);
+        check(&mut count, &case, &mut allocator.expect("an arena that fits"), false);
     }
     let Count { somebody, nobody, refused } = count;
     assert!(somebody > 100 && nobody > 100 && refused > 100, "{count:?}");

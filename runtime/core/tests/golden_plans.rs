@@ -1,13 +1,17 @@
 //! Plans of every format version stay readable, with the bits that they had.
 
+use sortie_core::allocate::ProposalAllocator;
+use sortie_core::allocate::proposals::GumbelDraw;
 use sortie_core::kernels::build::Build;
 use sortie_core::plan::{Aligned, Plan, PlanError, arena_bytes};
-use sortie_core::{DecideError, EntityMask, NO_ACTION, Observation, include_plan};
+use sortie_core::{AllocationState, DecideError, EntityMask, NO_ACTION, Observation, include_plan};
 
 const AGENT: &[u8] = include_plan!("../../../tests/golden/plans/agent-1.0.plan");
 const INT8: &[u8] = include_plan!("../../../tests/golden/plans/agent-int8-1.1.plan");
 const ODD_SIZES: &[u8] = include_plan!("../../../tests/golden/plans/agent-odd-sizes-1.0.plan");
 const TEAM_VALUE: &[u8] = include_plan!("../../../tests/golden/plans/team-value-1.0.plan");
+
+const PROPOSALS: &[u8] = include_plan!("../../../tests/golden/plans/proposals-1.2.plan");
 
 /// The numbers of the recorded observations, see the folder's README.
 struct Numbers(u64);
@@ -86,6 +90,50 @@ fn odd_sizes_of_format_1_0_decide_as_recorded() {
 fn a_team_value_of_format_1_0_is_as_recorded() {
     let want = include_str!("../../../tests/golden/plans/team-value-1.0.txt");
     assert_eq!(decisions::<{ arena_bytes(TEAM_VALUE) }>(TEAM_VALUE), want);
+}
+
+/// One line a seed: every proposal with the bits of its value.
+fn proposals() -> String {
+    const COUNT: usize = 4;
+    let plan = Plan::load(PROPOSALS).expect("a plan of the golden files");
+    let mut arena = Aligned([0xFF; arena_bytes(PROPOSALS)]);
+    let mut lines = String::new();
+    for seed in 0..16 {
+        let mut numbers = Numbers(seed);
+        let rows: Vec<f32> = (0..5 * 7).map(|_| numbers.feature()).collect();
+        let present = EntityMask::from_words(&[numbers.next() % 32 | 1]);
+        let state = AllocationState {
+            agents: 3,
+            tasks: 3,
+            rows: &rows,
+            stride: 7,
+            present,
+            entity_task: &[0, 1, 4, 1, 2],
+            open_tasks: numbers.next() as u32 % 7 + 1,
+        };
+        let mut answers = [String::new(), String::new()];
+        for (build, answer) in [Build::widest(), Build::PORTABLE].into_iter().zip(&mut answers) {
+            let plan = plan.clone().on(build);
+            let allocator = ProposalAllocator::new(plan, &mut arena.0, COUNT, 0);
+            let mut allocator = allocator.expect("an arena that fits");
+            let proposed = allocator.propose(&state, &mut GumbelDraw { seed });
+            let proposed = proposed.expect("finite values");
+            for (proposal, value) in proposed.values().iter().enumerate() {
+                let places: Vec<u8> = proposed.allocation(proposal).collect();
+                *answer += &format!(" {places:?} {:08x}", value.to_bits());
+            }
+        }
+        let [widest, portable] = answers;
+        assert_eq!(widest, portable, "seed {seed}");
+        lines += &format!("{seed}:{widest}\n");
+    }
+    lines
+}
+
+#[test]
+fn proposals_of_format_1_2_are_as_recorded() {
+    let want = include_str!("../../../tests/golden/plans/proposals-1.2.txt");
+    assert_eq!(proposals(), want, "got:\n{}", proposals());
 }
 
 #[test]

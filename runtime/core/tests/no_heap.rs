@@ -6,8 +6,8 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 use sortie_core::allocate::{
-    CostAllocator, CostMethod, CostModel, LastAllocation, PlanTeamValue, SearchMemory,
-    TaskRelation, TeamValueAllocator, exact,
+    CostAllocator, CostMethod, CostModel, LastAllocation, PlanTeamValue, ProposalAllocator,
+    SearchMemory, TaskRelation, TeamValueAllocator, exact,
 };
 use sortie_core::plan::{Aligned, Plan, arena_bytes};
 use sortie_core::{
@@ -18,6 +18,8 @@ use sortie_core::{
 const AGENT: &[u8] = include_plan!("../../../tests/golden/plans/agent-1.0.plan");
 const INT8: &[u8] = include_plan!("../../../tests/golden/plans/agent-int8-1.1.plan");
 const TEAM_VALUE: &[u8] = include_plan!("../../../tests/golden/plans/team-value-1.0.plan");
+
+const PROPOSALS: &[u8] = include_plan!("../../../tests/golden/plans/proposals-1.2.plan");
 
 /// The system's allocator, counting the calls of each thread.
 struct Counting;
@@ -171,4 +173,32 @@ fn allocations_never_touch_the_heap() {
         }
     });
     assert_eq!((calls, made), (0, 2 * count));
+}
+
+#[test]
+fn proposals_never_touch_the_heap() {
+    let rows: Vec<f32> = (0..35).map(|number| (number % 5) as f32 / 4.0 - 0.5).collect();
+    let mut arena = Aligned([0; arena_bytes(PROPOSALS)]);
+    let mut state = AllocationState {
+        agents: 3,
+        tasks: 3,
+        rows: &rows,
+        stride: 7,
+        present: EntityMask::first(5),
+        entity_task: &[1, 0, 4, 1, 2],
+        open_tasks: 0b111,
+    };
+    let count = decisions() / 100;
+    let mut made = 0;
+    let calls = heap_calls(|| {
+        let mut allocation = [0; 3];
+        for number in 0..count {
+            state.open_tasks = 1 + number as u32 % 7;
+            let plan = Plan::load(PROPOSALS).expect("a golden plan");
+            let allocator = ProposalAllocator::new(plan, &mut arena.0, 1 + number % 32, 1);
+            let mut allocator = allocator.expect("an arena that fits");
+            made += usize::from(allocator.allocate(&state, &mut allocation).is_ok());
+        }
+    });
+    assert_eq!((calls, made), (0, count));
 }

@@ -206,7 +206,7 @@ impl Matcher<'_> {
 }
 
 /// `scale · (q · k)`: the queries with the scale folded in, the keys, and the rows of both.
-fn match_all_scores(
+pub(super) fn match_all_scores(
     graph: &Graph,
     weights: OutletId,
     logits: OutletId,

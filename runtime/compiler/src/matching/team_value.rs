@@ -92,7 +92,7 @@ fn match_embedding(
 }
 
 /// The terms of a sum of values.
-fn terms(graph: &Graph, sum: OutletId) -> Vec<OutletId> {
+pub(super) fn terms(graph: &Graph, sum: OutletId) -> Vec<OutletId> {
     let node = graph.node(sum);
     let adds = node.op_as::<TypedBinOp>().is_some_and(|binary| binary.0.name() == "Add");
     if !adds {

@@ -9,6 +9,7 @@ mod batched_agents;
 mod batched_graph;
 mod batched_team_values;
 mod library;
+mod proposals;
 mod team_value;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -26,6 +27,7 @@ pub use batched_agents::BatchedAgents;
 pub use batched_graph::{batched_agents_onnx, batched_team_values_onnx};
 pub use batched_team_values::BatchedTeamValues;
 pub use library::find_library;
+pub use proposals::OnnxRuntimeProposals;
 pub use team_value::OnnxRuntimeTeamValue;
 
 /// Why onnxruntime cannot be used.

@@ -1,4 +1,5 @@
-//! Who works on which subtask: the search of the team-value allocator, and allocation by [`cost`].
+//! Who works on which subtask: the search of the team-value allocator, [`proposals`] of a policy that a critic chooses
+//! among, and allocation by [`cost`].
 //!
 //! For the search an allocation is valued as the sum over the open subtasks of `f(subtask, its team)`, teams without
 //! agents included: what happens if nobody comes is worth knowing. [`exact`] finds the best of all
@@ -7,17 +8,19 @@
 //! [`UNASSIGNED`](crate::UNASSIGNED) where no open subtask has room for it. Neither allocates, draws or
 //! reads a clock.
 //!
-//! Compared with the dissertation (section 7.4), the proposal network is replaced by search and the
-//! critic by a sum of one value per subtask.
+//! Compared with the dissertation (section 7.4), search replaces the proposal network and a sum of one value per
+//! subtask the critic; [`proposals`] is the dissertation's own allocator.
 
 pub mod ascent;
 pub mod cost;
 pub mod exact;
 mod plan_value;
+pub mod proposals;
 pub mod team_value;
 
 pub use cost::{CostAllocator, CostMethod, CostModel};
 pub use plan_value::PlanTeamValue;
+pub use proposals::ProposalAllocator;
 pub use team_value::{
     EXACT_AGENTS, LastAllocation, SearchMemory, TaskRelation, TeamQuery, TeamValueAllocator,
     TeamValueNetwork,

@@ -19,6 +19,7 @@ mod masked_argmax;
 mod masked_sample;
 mod mean_rows;
 mod output;
+mod proposals;
 mod set;
 pub(crate) mod team;
 
@@ -38,6 +39,10 @@ pub use masked_argmax::MaskedArgmax;
 pub use masked_sample::MaskedSample;
 pub use mean_rows::{MeanRows, Members};
 pub use output::{Output, OutputRows};
+pub(crate) use proposals::COUNTS;
+pub use proposals::{
+    EmbedTasks, PointerLogits, ProposalNetwork, RowAttention, ScoreAllocations, Vectors,
+};
 pub(crate) use set::has;
 pub use set::{AllOperators, FeedForward, Int8FeedForward, OpKind, OperatorSet};
 
@@ -79,6 +84,12 @@ pub enum Op {
     Int8AttendOwn(Int8AttendOwn),
     /// A layer on one vector, of int8 weights.
     Int8Dense(Int8Dense),
+    /// The trunk of an allocator that proposes.
+    EmbedTasks(EmbedTasks),
+    /// Its step.
+    PointerLogits(PointerLogits),
+    /// Its critic.
+    ScoreAllocations(ScoreAllocations),
 }
 
 impl Op {
@@ -98,6 +109,9 @@ impl Op {
             Self::Int8EmbedEntities(_) => OpKind::Int8EmbedEntities,
             Self::Int8AttendOwn(_) => OpKind::Int8AttendOwn,
             Self::Int8Dense(_) => OpKind::Int8Dense,
+            Self::EmbedTasks(_) => OpKind::EmbedTasks,
+            Self::PointerLogits(_) => OpKind::PointerLogits,
+            Self::ScoreAllocations(_) => OpKind::ScoreAllocations,
         }
     }
 
@@ -122,6 +136,9 @@ impl Op {
             Self::Int8EmbedEntities(op) => op.check(sizes),
             Self::Int8AttendOwn(op) => op.check(sizes),
             Self::Int8Dense(op) => op.check(sizes),
+            Self::EmbedTasks(op) => op.check(sizes),
+            Self::PointerLogits(op) => op.check(sizes),
+            Self::ScoreAllocations(op) => op.check(sizes),
         }
     }
 
@@ -137,6 +154,9 @@ impl Op {
             Self::Int8EmbedEntities(op) => op.multiply_adds(visible),
             Self::Int8AttendOwn(op) => op.multiply_adds(visible),
             Self::Int8Dense(op) => op.multiply_adds(),
+            Self::EmbedTasks(op) => op.multiply_adds(visible),
+            Self::PointerLogits(op) => op.multiply_adds(),
+            Self::ScoreAllocations(op) => op.multiply_adds(visible),
             Self::MaskedArgmax(_) | Self::MaskedSample(_) => 0,
             Self::MeanRows(_) | Self::Output(_) => 0,
         }
@@ -201,7 +221,10 @@ impl Op {
             | Self::AttendAll(_)
             | Self::MeanRows(_)
             | Self::GroupSum(_)
-            | Self::Output(_) => false,
+            | Self::Output(_)
+            | Self::EmbedTasks(_)
+            | Self::PointerLogits(_)
+            | Self::ScoreAllocations(_) => false,
         }
     }
 
@@ -344,13 +367,17 @@ impl Linear {
     }
 
     #[inline(always)]
-    fn matrix<'w>(&self, weights: &'w [f32]) -> Result<&'w [f32], DecideError> {
+    pub(crate) fn matrix<'w>(&self, weights: &'w [f32]) -> Result<&'w [f32], DecideError> {
         slice(weights, self.weights, self.weights_len())
     }
 
     /// Bias and ReLU of the layer.
     #[inline(always)]
-    fn around<'w>(&self, weights: &'w [f32], relu: bool) -> Result<Around<'w>, DecideError> {
+    pub(crate) fn around<'w>(
+        &self,
+        weights: &'w [f32],
+        relu: bool,
+    ) -> Result<Around<'w>, DecideError> {
         let bias = slice(weights, self.bias, self.padded_outputs())?;
         Ok(Around { bias: Some(bias), relu })
     }

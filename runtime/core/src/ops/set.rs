@@ -32,6 +32,12 @@ pub enum OpKind {
     Int8AttendOwn,
     /// [`super::Int8Dense`].
     Int8Dense,
+    /// [`super::EmbedTasks`].
+    EmbedTasks,
+    /// [`super::PointerLogits`].
+    PointerLogits,
+    /// [`super::ScoreAllocations`].
+    ScoreAllocations,
 }
 
 impl OpKind {
@@ -50,6 +56,9 @@ impl OpKind {
         Self::Int8EmbedEntities,
         Self::Int8AttendOwn,
         Self::Int8Dense,
+        Self::EmbedTasks,
+        Self::PointerLogits,
+        Self::ScoreAllocations,
     ];
 
     /// Whether plans of this weight layout have the operator.
@@ -79,6 +88,9 @@ impl OpKind {
             Self::Int8EmbedEntities => "Int8EmbedEntities",
             Self::Int8AttendOwn => "Int8AttendOwn",
             Self::Int8Dense => "Int8Dense",
+            Self::EmbedTasks => "EmbedTasks",
+            Self::PointerLogits => "PointerLogits",
+            Self::ScoreAllocations => "ScoreAllocations",
         }
     }
 }

@@ -8,7 +8,7 @@ use super::error::PlanError;
 pub const HEADER_BYTES: usize = 128;
 /// The plan format of this build: major, minor. It reads the same major up to the same minor, and writes the
 /// lowest minor that has what the plan uses.
-pub const VERSION: (u16, u16) = (1, 1);
+pub const VERSION: (u16, u16) = (1, 2);
 /// Layout 1: f32 in tiles of 64 columns.
 pub const LAYOUT_TILES: u32 = 1;
 /// Layout 2: int8 in strips of 16 columns, pairs of inputs side by side; steps and biases f32.
@@ -44,6 +44,8 @@ pub enum Network {
     Agent,
     /// The value of a team at a subtask.
     TeamValue,
+    /// Proposals of allocations, and what each is worth.
+    Proposals,
     /// Any outputs over all entities: a critic, the trunk of an allocator.
     Entities,
 }
@@ -160,7 +162,7 @@ impl Header {
         };
         put(&MAGIC);
         put(&VERSION.0.to_le_bytes());
-        put(&self.profile.minor().to_le_bytes());
+        put(&self.profile.minor().max(self.network.minor()).to_le_bytes());
         let sizes = [
             ENDIAN_PROBE,
             self.layout,
@@ -259,6 +261,7 @@ impl Network {
         match self {
             Self::Agent => "agent",
             Self::TeamValue => "team-value",
+            Self::Proposals => "proposals",
             Self::Entities => "entities",
         }
     }
@@ -268,7 +271,16 @@ impl Network {
         match self {
             Self::Agent => 0,
             Self::TeamValue => 1,
+            Self::Proposals => 2,
             Self::Entities => 5,
+        }
+    }
+
+    /// The minor version that has the network.
+    const fn minor(self) -> u16 {
+        match self {
+            Self::Agent | Self::TeamValue | Self::Entities => 0,
+            Self::Proposals => 2,
         }
     }
 
@@ -276,6 +288,7 @@ impl Network {
         match id {
             0 => Ok(Self::Agent),
             1 => Ok(Self::TeamValue),
+            2 => Ok(Self::Proposals),
             5 => Ok(Self::Entities),
             _ => Err(PlanError::UnknownOp),
         }
@@ -363,7 +376,7 @@ mod tests {
         };
         assert_eq!(with(0, b'X'), Err(PlanError::BadMagic));
         assert_eq!(with(8, 2), Err(PlanError::Version { major: 2, minor: 0 }));
-        assert_eq!(with(10, 2), Err(PlanError::Version { major: 1, minor: 2 }));
+        assert_eq!(with(10, 3), Err(PlanError::Version { major: 1, minor: 3 }));
         assert_eq!(with(12, 1), Err(PlanError::Endian));
         assert_eq!(with(116, 9), Err(PlanError::WrongProfile { got: 9 }));
         assert_eq!(Header::read(&bytes[..127]), Err(PlanError::Truncated { need: 128, got: 127 }));

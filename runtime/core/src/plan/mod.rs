@@ -128,6 +128,11 @@ impl<'a, S: OperatorSet> Plan<'a, S> {
         check_alignment(arena)
     }
 
+    /// Checks that an arena is aligned enough.
+    pub(crate) fn check_arena_alignment(&self, arena: &[u8]) -> Result<(), PlanError> {
+        check_alignment(arena)
+    }
+
     /// Floats R of the recurrent state that the caller keeps for every agent, 0 if there is none.
     pub fn hidden(&self) -> usize {
         self.header.hidden as usize
@@ -270,8 +275,13 @@ impl<'a, S: OperatorSet> Plan<'a, S> {
         Ok(Scratch { floats, nonzeros, visible: 0, own: 0, present, agents, groups: &[] })
     }
 
+    /// The weights.
+    pub(crate) fn weights(&self) -> &'a [f32] {
+        self.weights
+    }
+
     /// Runs work on the plan's build and in its profile.
-    fn execute<W: Work>(&self, work: W) -> W::Output {
+    pub(crate) fn execute<W: Work>(&self, work: W) -> W::Output {
         match self.header.profile {
             #[cfg(any(test, feature = "std"))]
             Profile::Fused => self.build.run::<Fused, W>(work),

@@ -5,7 +5,8 @@ use serde::{Deserialize, Serialize};
 
 use super::error::PlanError;
 use super::header::{Header, Network};
-use crate::ops::{Gru, Op, OperatorSet, Output, OutputRows, Place, Sizes};
+use crate::allocate::proposals::arena_floats;
+use crate::ops::{Gru, Op, OperatorSet, Output, OutputRows, Place, ProposalNetwork, Sizes};
 
 /// Most operators of one program.
 pub const OPS: usize = 16;
@@ -66,6 +67,32 @@ impl Program {
         })
     }
 
+    /// The network of an allocator that proposes.
+    pub fn proposal_network(&self) -> Option<ProposalNetwork> {
+        match self.ops.as_slice() {
+            [Op::EmbedTasks(trunk), Op::PointerLogits(step), Op::ScoreAllocations(critic)] => {
+                Some(ProposalNetwork { trunk: *trunk, step: *step, critic: *critic })
+            }
+            _ => None,
+        }
+    }
+
+    /// Checks the operators of an allocator that proposes, and that the arena is as large as they need it.
+    fn check_proposals(&self, sizes: &Sizes, header: &Header) -> Result<(), PlanError> {
+        for (index, op) in self.ops.iter().enumerate() {
+            if !(op.check(sizes) && op.kind().fits(header.layout)) {
+                return Err(PlanError::ShapeMismatch { op: index });
+            }
+        }
+        let network = self.proposal_network().filter(|network| {
+            network.fits()
+                && usize::from(header.t_max) == network.trunk.task_count()
+                && u64::from(self.floats) == arena_floats(network, sizes.n_max as usize)
+                && (self.nonzeros, sizes.hidden) == (0, 0)
+        });
+        network.map(drop).ok_or(PlanError::ShapeMismatch { op: self.ops.len() })
+    }
+
     /// Checks every operator, that rows are embedded before anything reads them, and that the program ends as
     /// its network does: with one choice, or with outputs.
     pub(super) fn check<S: OperatorSet>(
@@ -76,8 +103,12 @@ impl Program {
         if !self.ops.iter().all(|op| S::OPERATORS.contains(&op.kind())) {
             return Err(PlanError::UnknownOp);
         }
+        if header.network == Network::Proposals {
+            return self.check_proposals(sizes, header);
+        }
         let is_end = |op: &Op| match header.network {
             Network::Entities => matches!(op, Op::Output(_)),
+            Network::Proposals => false,
             Network::Agent | Network::TeamValue => {
                 matches!(op, Op::MaskedArgmax(_) | Op::MaskedSample(_))
             }
@@ -89,6 +120,7 @@ impl Program {
             let is_choice = matches!(op, Op::MaskedArgmax(_) | Op::MaskedSample(_));
             let in_place = match op {
                 Op::MaskedArgmax(_) | Op::MaskedSample(_) | Op::Output(_) => is_end(op),
+                Op::EmbedTasks(_) | Op::PointerLogits(_) | Op::ScoreAllocations(_) => false,
                 _ => ends == 0,
             };
             units += u32::from(matches!(op, Op::Gru(_)));

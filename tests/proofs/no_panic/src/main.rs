@@ -12,8 +12,8 @@ mod links;
 use core::hint::black_box;
 
 use sortie_core::allocate::{
-    CostAllocator, CostMethod, CostModel, LastAllocation, PlanTeamValue, SearchMemory,
-    TaskRelation, TeamValueAllocator, exact,
+    CostAllocator, CostMethod, CostModel, LastAllocation, PlanTeamValue, ProposalAllocator,
+    SearchMemory, TaskRelation, TeamValueAllocator, exact,
 };
 use sortie_core::plan::{Aligned, Plan, arena_bytes};
 use sortie_core::wire::{AllocMsg, FrameFormat, FrameHeader, FrameLayout, FrameMut, FrameView};
@@ -27,6 +27,8 @@ const AGENT: &[u8] = include_plan!("../../../golden/plans/agent-1.0.plan");
 const INT8: &[u8] = include_plan!("../../../golden/plans/agent-int8-1.1.plan");
 const TEAM_VALUE: &[u8] = include_plan!("../../../golden/plans/team-value-1.0.plan");
 
+const PROPOSALS: &[u8] = include_plan!("../../../golden/plans/proposals-1.2.plan");
+
 /// Whether all gave what it should.
 fn everything() -> bool {
     #[cfg(feature = "control")]
@@ -38,6 +40,7 @@ fn everything() -> bool {
     decide::<{ arena_bytes(AGENT) }>(AGENT, agent) == Some(true)
         && decide::<{ arena_bytes(INT8) }>(INT8, int8) == Some(true)
         && allocate() == Some(true)
+        && propose() == Some(true)
         && read_messages() == Some(true)
         && links::on_a_chip() == Some(true)
         && links::over_a_line() == Some(true)
@@ -138,6 +141,24 @@ fn allocate() -> Option<bool> {
         all &= places_both(&mut CostAllocator { model, method, team_max, costs }, &state);
     }
     Some(all)
+}
+
+/// The best of some proposals places both agents.
+fn propose() -> Option<bool> {
+    let plan = Plan::load(black_box(PROPOSALS)).ok()?;
+    let mut arena = Aligned([0; arena_bytes(PROPOSALS)]);
+    let arena = black_box(&mut arena.0);
+    let mut allocator = ProposalAllocator::new(plan, arena, black_box(8), black_box(1)).ok()?;
+    let state = black_box(AllocationState {
+        agents: 3,
+        tasks: 2,
+        rows: &[0.5; 35],
+        stride: 7,
+        present: EntityMask::from_words(&[0b11_101]),
+        entity_task: &[0, 0, 0, 1, 2],
+        open_tasks: 0b11,
+    });
+    Some(places_both(&mut allocator, &state))
 }
 
 fn places_both(allocator: &mut impl Allocator, state: &AllocationState<'_>) -> bool {

@@ -270,7 +270,8 @@ fn columns(values: &[f32], stride: usize, start: usize, count: usize) -> Vec<f32
     values.chunks(stride).flat_map(|row| row.iter().skip(start).take(count)).copied().collect()
 }
 
-fn check(tensor: &'static str, values: &[f32], want: usize) -> Result<(), ExportError> {
+/// Checks the size of a tensor, and that all its numbers are finite.
+pub(super) fn check(tensor: &'static str, values: &[f32], want: usize) -> Result<(), ExportError> {
     let got = values.len();
     if got != want {
         return Err(ExportError::WrongLength { tensor, want, got });

@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Clock, CurvePoint};
+use super::{Clock, CurvePoint, Rates};
+use crate::evaluate::Evaluation;
 
 /// One value for the agents and one for the allocator.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -92,6 +93,39 @@ impl Counters {
         let (wall_s, cpu_s) = clock.lap();
         self.wall_s += wall_s;
         self.cpu_s += cpu_s;
+    }
+
+    /// A point of the curve: an evaluation, and what happened since the one before.
+    pub(crate) fn point(
+        &self,
+        result: &Evaluation,
+        allocation: String,
+        rates: Rates,
+    ) -> CurvePoint {
+        let Self { env_steps, updates, decisions, wall_s, cpu_s, window, .. } = self;
+        let episodes = &window.episodes;
+        CurvePoint {
+            env_steps: *env_steps,
+            updates: updates.agents + window.agents.updates,
+            decisions: decisions + episodes.decisions,
+            wall_s: *wall_s,
+            cpu_s: *cpu_s,
+            allocation,
+            success: result.success,
+            success_ci95: result.success_ci95,
+            timeouts: result.timeouts,
+            none_burned: result.none_burned,
+            return_mean: result.return_mean,
+            length_mean: result.length_mean,
+            episodes: result.episodes,
+            loss: window.agents.mean_loss(),
+            gradient_norm: window.agents.mean_gradient_norm(),
+            allocator_updates: updates.allocator + window.allocator.updates,
+            allocator_loss: window.allocator.mean_loss(),
+            epsilon: rates.epsilon,
+            learning_rate: rates.learning_rate,
+            training_success: episodes.solved as f64 / episodes.episodes.max(1) as f64,
+        }
     }
 
     /// Closes the window: an evaluation was made.

@@ -3,25 +3,53 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use super::{Clock, Counters, Observer, Outcome};
+use super::{Clock, Counters, Observer, Outcome, RunFolder, RunResult};
 use crate::error::LearnError;
+use crate::evaluate::Evaluation;
 use crate::methods::alma::config::RunConfig;
 
 /// A run that learns.
 pub(crate) trait Learning {
     /// How long it learns, and when it measures and saves.
     fn schedule(&self) -> RunConfig;
+    /// What it is to be called, and by what it is measured.
+    fn labels(&self) -> Labels;
+    /// Exploration and learning rate of the agents now.
+    fn rates(&self) -> Rates;
+    /// Its folder.
+    fn folder(&mut self) -> &mut RunFolder;
     /// Where it is.
     fn counters(&mut self) -> &mut Counters;
     /// Takes some environment steps and makes the updates that are due.
     fn step(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError>;
-    /// Measures what it has learned and adds a point to the curve.
-    fn evaluate(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError>;
+    /// Measures what it has learned on so many greedy episodes.
+    fn measure(&self, episodes: usize, seed: u64) -> Result<Evaluation, LearnError>;
     /// Writes a checkpoint.
     fn save(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError>;
-    /// Measures the finished run on episodes that no run uses before its end.
-    fn report(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError>;
 }
+
+/// What a run is called and measured by.
+#[derive(Clone, Debug)]
+pub(crate) struct Labels {
+    /// Heading of its curve.
+    pub(crate) title: String,
+    /// Environment and scenario set.
+    pub(crate) environment: String,
+    /// Who allocates.
+    pub(crate) allocation: String,
+    /// Its seed.
+    pub(crate) seed: u64,
+}
+
+/// How the agents try out and learn.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Rates {
+    pub(crate) epsilon: f32,
+    pub(crate) learning_rate: f32,
+}
+
+/// The episodes that every run reports on in the end: the same for all runs, seen by none.
+const REPORT_SEED: u64 = 2_000_000;
 
 /// Learns until all steps are taken or `stop` is set, and writes a checkpoint at the end.
 pub(crate) fn learn(
@@ -44,7 +72,7 @@ pub(crate) fn learn(
         if run.counters().env_steps >= run.counters().next_evaluation {
             run.counters().add_time(&mut clock);
             run.counters().next_evaluation += schedule.evaluate_every;
-            run.evaluate(observer)?;
+            evaluate(run, observer)?;
         }
         if saved.elapsed() >= pause {
             run.counters().add_time(&mut clock);
@@ -55,9 +83,40 @@ pub(crate) fn learn(
     run.counters().add_time(&mut clock);
     let env_steps = run.counters().env_steps;
     if run.counters().curve.last().is_none_or(|point| point.env_steps < env_steps) {
-        run.evaluate(observer)?;
+        evaluate(run, observer)?;
     }
     run.save(observer)?;
-    run.report(observer)?;
+    report(run, observer)?;
     Ok(Outcome::Finished)
+}
+
+/// Measures what has been learned and adds a point to the curve.
+fn evaluate(run: &mut impl Learning, observer: &mut dyn Observer) -> Result<(), LearnError> {
+    let Labels { title, allocation, seed, .. } = run.labels();
+    // Counted from the top, so that ordinary seeds remain fresh for later evaluations.
+    let result = run.measure(run.schedule().evaluate_episodes, u64::MAX - seed)?;
+    let rates = run.rates();
+    let point = run.counters().point(&result, allocation, rates);
+    observer.evaluated(&point);
+    run.counters().add_point(point);
+    let curve = run.counters().curve.clone();
+    run.folder().write_curve(&title, &curve)
+}
+
+/// Measures the finished run on episodes that no run uses before its end.
+fn report(run: &mut impl Learning, observer: &mut dyn Observer) -> Result<(), LearnError> {
+    let episodes = run.schedule().final_episodes;
+    if episodes == 0 {
+        return Ok(());
+    }
+    let Labels { environment, allocation, .. } = run.labels();
+    let result = RunResult {
+        env: environment,
+        allocation,
+        seed: REPORT_SEED,
+        evaluation: run.measure(episodes, REPORT_SEED)?,
+    };
+    run.folder().write_result(&result)?;
+    observer.finished(&result);
+    Ok(())
 }

@@ -28,7 +28,7 @@ pub use counters::{EpisodeCounts, UpdateReport};
 pub use curve::CurvePoint;
 pub(crate) use description::KEYS;
 pub use description::{Configuration, RunDescription};
-pub(crate) use learning::{Learning, learn};
+pub(crate) use learning::{Labels, Learning, Rates, learn};
 pub(crate) use progress::Clock;
 pub use progress::{Observer, Outcome, Progress};
 pub use result::RunResult;
@@ -41,9 +41,6 @@ use crate::methods::alma::team_value::TeamValueAllocator;
 use crate::methods::paper::allocation::{AllocationCritic, AllocationNetworks, AllocationPolicy};
 use crate::methods::paper::{self, ProposalAllocator};
 use crate::report::{RunEvents, csv};
-
-/// The episodes that every run reports on in the end: the same for all runs, seen by none.
-pub(crate) const REPORT_SEED: u64 = 2_000_000;
 
 /// A learned allocator.
 #[derive(Clone, Debug, PartialEq)]
@@ -83,14 +80,16 @@ impl Run {
     }
 
     /// What the run has learned to allocate with, if it learns that, as something to be measured.
-    pub fn learned_allocator(&self) -> Option<Box<dyn Allocate + '_>> {
+    ///
+    /// One that proposes chooses among so many proposals, of which the first is the most probable.
+    pub fn learned_allocator(&self, proposals: usize) -> Option<Box<dyn Allocate + '_>> {
         Some(match (self.allocator.as_ref()?, &self.description.config) {
             (RunAllocator::TeamValue(network), Settings::Records(config)) => {
                 Box::new(TeamValueAllocator::new(network, config.allocation.team_max))
             }
-            (RunAllocator::Proposals { policy, critic }, Settings::Windows(config)) => {
+            (RunAllocator::Proposals { policy, critic }, Settings::Windows(_)) => {
                 let networks = AllocationNetworks { policy, critic };
-                Box::new(ProposalAllocator::new(networks, config.allocation.proposals))
+                Box::new(ProposalAllocator::new(networks, proposals).greedy_first())
             }
             _ => return None,
         })

@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 
 use sortie_envs::save_the_city::ScenarioSet;
 
-use super::config::{Allocation, Config, RunConfig};
+use super::config::{Allocation, Config, EnvironmentConfig, RunConfig};
 use super::learner::{Knowledge, Learner};
 use super::mixed_network::MixedNetwork;
 use super::mixer::Mixer;
@@ -20,8 +20,8 @@ use crate::error::LearnError;
 use crate::evaluate::{Evaluation, EvaluationPlan, NetworkTeam, NoSubtasks, evaluate};
 use crate::random::{Generator, Purpose, generator};
 use crate::run::{
-    Counters, CurvePoint, Learning, Level, Observer, Outcome, Progress, REPORT_SEED, Run,
-    RunAllocator, RunDescription, RunFolder, RunResult, learn,
+    Counters, CurvePoint, Labels, Learning, Level, Observer, Outcome, Progress, Rates, Run,
+    RunAllocator, RunDescription, RunFolder, learn,
 };
 use crate::workers::Workers;
 
@@ -230,39 +230,6 @@ impl Trainer {
             }
         }
     }
-
-    fn point(&self, result: &Evaluation) -> CurvePoint {
-        let config = &self.description.config;
-        let Counters { env_steps, updates, decisions, wall_s, cpu_s, window, .. } = &self.counters;
-        let episodes = &window.episodes;
-        CurvePoint {
-            env_steps: *env_steps,
-            updates: updates.agents + window.agents.updates,
-            decisions: decisions + episodes.decisions,
-            wall_s: *wall_s,
-            cpu_s: *cpu_s,
-            allocation: config.measured_allocation().to_owned(),
-            success: result.success,
-            success_ci95: result.success_ci95,
-            timeouts: result.timeouts,
-            none_burned: result.none_burned,
-            return_mean: result.return_mean,
-            length_mean: result.length_mean,
-            episodes: result.episodes,
-            loss: window.agents.mean_loss(),
-            gradient_norm: window.agents.mean_gradient_norm(),
-            allocator_updates: updates.allocator + window.allocator.updates,
-            allocator_loss: window.allocator.mean_loss(),
-            epsilon: config.exploration.epsilon_at(*env_steps),
-            learning_rate: config.optimiser.learning_rate_at(*env_steps, config.run.steps),
-            training_success: episodes.solved as f64 / episodes.episodes.max(1) as f64,
-        }
-    }
-
-    fn title(&self) -> String {
-        let RunDescription { method, seed, config, .. } = &self.description;
-        format!("{method} on {} {}, seed {seed}", config.environment.name, config.environment.set)
-    }
 }
 
 impl Learning for Trainer {
@@ -270,8 +237,35 @@ impl Learning for Trainer {
         self.description.config.run.clone()
     }
 
+    fn labels(&self) -> Labels {
+        let RunDescription { method, seed, config, .. } = &self.description;
+        let EnvironmentConfig { name, set, .. } = &config.environment;
+        Labels {
+            title: format!("{method} on {name} {set}, seed {seed}"),
+            environment: format!("{name}/{set}"),
+            allocation: config.measured_allocation().to_owned(),
+            seed: *seed,
+        }
+    }
+
+    fn rates(&self) -> Rates {
+        let (config, now) = (&self.description.config, self.counters.env_steps);
+        Rates {
+            epsilon: config.exploration.epsilon_at(now),
+            learning_rate: config.optimiser.learning_rate_at(now, config.run.steps),
+        }
+    }
+
+    fn folder(&mut self) -> &mut RunFolder {
+        &mut self.folder
+    }
+
     fn counters(&mut self) -> &mut Counters {
         &mut self.counters
+    }
+
+    fn measure(&self, episodes: usize, seed: u64) -> Result<Evaluation, LearnError> {
+        Self::measure(self, episodes, seed)
     }
 
     fn step(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError> {
@@ -285,35 +279,8 @@ impl Learning for Trainer {
         Ok(())
     }
 
-    fn evaluate(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError> {
-        let episodes = self.description.config.run.evaluate_episodes;
-        // Counted from the top, so that ordinary seeds remain fresh for later evaluations.
-        let result = self.measure(episodes, u64::MAX - self.description.seed)?;
-        let point = self.point(&result);
-        observer.evaluated(&point);
-        self.counters.add_point(point);
-        self.folder.write_curve(&self.title(), &self.counters.curve)
-    }
-
     fn save(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError> {
         self.write_checkpoint(observer)
-    }
-
-    fn report(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError> {
-        let config = &self.description.config;
-        let Config { environment, run, .. } = config;
-        if run.final_episodes == 0 {
-            return Ok(());
-        }
-        let result = RunResult {
-            env: format!("{}/{}", environment.name, environment.set),
-            allocation: config.measured_allocation().to_owned(),
-            seed: REPORT_SEED,
-            evaluation: self.measure(run.final_episodes, REPORT_SEED)?,
-        };
-        self.folder.write_result(&result)?;
-        observer.finished(&result);
-        Ok(())
     }
 }
 

@@ -14,11 +14,11 @@ use super::rollout::{Decide, Rollout};
 use super::sampling::{SampleShape, cut_windows, draw_episodes};
 use crate::error::LearnError;
 use crate::evaluate::{Evaluation, EvaluationPlan, NetworkTeam, NoSubtasks, evaluate};
-use crate::methods::alma::config::{Allocation, RunConfig};
+use crate::methods::alma::config::{Allocation, EnvironmentConfig, RunConfig};
 use crate::random::{Generator, Purpose, generator};
 use crate::run::{
-    Counters, CurvePoint, Learning, Observer, Outcome, Progress, REPORT_SEED, RunDescription,
-    RunFolder, RunResult, UpdateReport, learn,
+    Counters, CurvePoint, Labels, Learning, Observer, Outcome, Progress, Rates, RunDescription,
+    RunFolder, UpdateReport, learn,
 };
 
 /// Episodes since the run began, and when target networks were renewed last.
@@ -227,40 +227,6 @@ impl Trainer {
             }
         }
     }
-
-    fn point(&self, result: &Evaluation) -> CurvePoint {
-        let config = &self.description.config;
-        let Counters { env_steps, updates, decisions, wall_s, cpu_s, window, .. } = &self.counters;
-        let episodes = &window.episodes;
-        CurvePoint {
-            env_steps: *env_steps,
-            updates: updates.agents + window.agents.updates,
-            decisions: decisions + episodes.decisions,
-            wall_s: *wall_s,
-            cpu_s: *cpu_s,
-            allocation: config.measured_allocation().to_owned(),
-            success: result.success,
-            success_ci95: result.success_ci95,
-            timeouts: result.timeouts,
-            none_burned: result.none_burned,
-            return_mean: result.return_mean,
-            length_mean: result.length_mean,
-            episodes: result.episodes,
-            loss: window.agents.mean_loss(),
-            gradient_norm: window.agents.mean_gradient_norm(),
-            allocator_updates: updates.allocator + window.allocator.updates,
-            allocator_loss: window.allocator.mean_loss(),
-            epsilon: config.exploration.at(*env_steps).actions,
-            learning_rate: config.low_level.learning_rate,
-            training_success: episodes.solved as f64 / episodes.episodes.max(1) as f64,
-        }
-    }
-
-    fn title(&self) -> String {
-        let RunDescription { method, seed, config, .. } = &self.description;
-        let environment = &config.environment;
-        format!("{method} as published on {} {}, seed {seed}", environment.name, environment.set)
-    }
 }
 
 impl Learning for Trainer {
@@ -268,8 +234,35 @@ impl Learning for Trainer {
         self.description.config.run.clone()
     }
 
+    fn labels(&self) -> Labels {
+        let RunDescription { method, seed, config, .. } = &self.description;
+        let EnvironmentConfig { name, set, .. } = &config.environment;
+        Labels {
+            title: format!("{method} as published on {name} {set}, seed {seed}"),
+            environment: format!("{name}/{set}"),
+            allocation: config.measured_allocation().to_owned(),
+            seed: *seed,
+        }
+    }
+
+    fn rates(&self) -> Rates {
+        let (config, now) = (&self.description.config, self.counters.env_steps);
+        Rates {
+            epsilon: config.exploration.at(now).actions,
+            learning_rate: config.low_level.learning_rate,
+        }
+    }
+
+    fn folder(&mut self) -> &mut RunFolder {
+        &mut self.folder
+    }
+
     fn counters(&mut self) -> &mut Counters {
         &mut self.counters
+    }
+
+    fn measure(&self, episodes: usize, seed: u64) -> Result<Evaluation, LearnError> {
+        Self::measure(self, episodes, seed)
     }
 
     /// One round of episodes, then an update of each level for every one of them.
@@ -286,33 +279,7 @@ impl Learning for Trainer {
         Ok(())
     }
 
-    fn evaluate(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError> {
-        let episodes = self.description.config.run.evaluate_episodes;
-        // Counted from the top, so that ordinary seeds remain fresh for later evaluations.
-        let result = self.measure(episodes, u64::MAX - self.description.seed)?;
-        let point = self.point(&result);
-        observer.evaluated(&point);
-        self.counters.add_point(point);
-        self.folder.write_curve(&self.title(), &self.counters.curve)
-    }
-
     fn save(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError> {
         self.write_checkpoint(observer)
-    }
-
-    fn report(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError> {
-        let config = &self.description.config;
-        if config.run.final_episodes == 0 {
-            return Ok(());
-        }
-        let result = RunResult {
-            env: format!("{}/{}", config.environment.name, config.environment.set),
-            allocation: config.measured_allocation().to_owned(),
-            seed: REPORT_SEED,
-            evaluation: self.measure(config.run.final_episodes, REPORT_SEED)?,
-        };
-        self.folder.write_result(&result)?;
-        observer.finished(&result);
-        Ok(())
     }
 }

@@ -1,0 +1,357 @@
+//! The arena of an allocator that proposes, part by part.
+
+use zerocopy::FromBytes;
+
+use crate::kernels::softmax::slots;
+use crate::limits;
+use crate::ops::ProposalNetwork;
+
+/// Proposals that a plan's arena holds by default.
+pub const PROPOSALS: usize = 32;
+
+/// Stands for what is not there yet.
+pub(super) const NONE: u16 = u16::MAX;
+
+/// Floats that every part starts at a multiple of: one cache line.
+const LINE: usize = 16;
+/// The same for numbers of tables.
+const TABLE_LINE: usize = 2 * LINE;
+
+/// How much there is of everything.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Extent {
+    /// Entities N.
+    pub(super) entities: usize,
+    /// Agents A.
+    pub(super) agents: usize,
+    /// Proposals P.
+    pub(super) proposals: usize,
+}
+
+impl Extent {
+    /// The most that a plan for `n_max` entities is asked about.
+    pub(super) fn largest(n_max: usize, proposals: usize) -> Self {
+        Self { entities: n_max, agents: n_max.min(limits::AGENTS), proposals }
+    }
+
+    /// Embeddings of subtasks: without agents, and after every choice of every proposal.
+    fn nodes(&self, tasks: usize) -> usize {
+        tasks + self.proposals * self.agents
+    }
+
+    /// Keys by which the critic's rows are known, see [`Self::agent_key`] and [`Self::other_key`].
+    fn keys(&self, tasks: usize) -> usize {
+        (self.agents * tasks + self.entities) * (self.agents + 1)
+    }
+
+    /// The key of an agent at a subtask with so many agents.
+    pub(super) fn agent_key(&self, tasks: usize, agent: usize, task: usize, count: usize) -> usize {
+        (agent * tasks + task) * (self.agents + 1) + count
+    }
+
+    /// The key of another entity whose one subtask has so many agents.
+    pub(super) fn other_key(&self, tasks: usize, entity: usize, count: usize) -> usize {
+        (self.agents * tasks + entity) * (self.agents + 1) + count
+    }
+}
+
+/// Rows of numbers. A row that does not exist is empty.
+#[derive(Debug)]
+pub(super) struct Grid<'a, V> {
+    pub(super) cells: &'a mut [V],
+    /// Numbers of a row, at least one.
+    pub(super) width: usize,
+}
+
+impl<V: Copy> Grid<'_, V> {
+    #[inline(always)]
+    pub(super) fn row(&self, row: usize) -> &[V] {
+        let start = row.saturating_mul(self.width);
+        self.cells.get(start..start.saturating_add(self.width)).unwrap_or(&[])
+    }
+
+    #[inline(always)]
+    pub(super) fn row_mut(&mut self, row: usize) -> &mut [V] {
+        let start = row.saturating_mul(self.width);
+        self.cells.get_mut(start..start.saturating_add(self.width)).unwrap_or(&mut [])
+    }
+}
+
+impl Grid<'_, u16> {
+    /// A number; [`NONE`] where there is none.
+    #[inline(always)]
+    pub(super) fn get(&self, row: usize, column: usize) -> u16 {
+        self.row(row).get(column).copied().unwrap_or(NONE)
+    }
+
+    #[inline(always)]
+    pub(super) fn set(&mut self, row: usize, column: usize, value: u16) {
+        if let Some(cell) = self.row_mut(row).get_mut(column) {
+            *cell = value;
+        }
+    }
+}
+
+/// All parts of the arena.
+pub(super) struct Memory<'a> {
+    pub(super) trunk: TrunkMemory<'a>,
+    pub(super) step: StepMemory<'a>,
+    pub(super) critic: CriticMemory<'a>,
+    pub(super) near: Near<'a>,
+}
+
+/// What the trunk computes. Rows belong to entities.
+pub(super) struct TrunkMemory<'a> {
+    /// Embeddings, before any ReLU.
+    pub(super) embedded: Grid<'a, f32>,
+    /// The same behind a ReLU.
+    pub(super) active: Grid<'a, f32>,
+    pub(super) queries: Grid<'a, f32>,
+    pub(super) keys: Grid<'a, f32>,
+    pub(super) values: Grid<'a, f32>,
+    /// What the heads attended to.
+    pub(super) mixed: Grid<'a, f32>,
+    pub(super) attended: Grid<'a, f32>,
+    /// What each agent adds to the update of the subtask that it chooses.
+    pub(super) from_agents: Grid<'a, f32>,
+}
+
+/// What proposals share, and what they consist of.
+pub(super) struct StepMemory<'a> {
+    /// Embeddings of subtasks: first those without agents, then what choices made of them.
+    pub(super) nodes: Grid<'a, f32>,
+    /// The product of each node and the agent in question.
+    pub(super) products: Grid<'a, f32>,
+    /// What the new nodes are made of, behind a ReLU.
+    pub(super) parents: Grid<'a, f32>,
+    /// `[P, T]`: the node that each subtask has come to.
+    pub(super) node_of: Grid<'a, u16>,
+    /// `[P, T]`: agents of each subtask.
+    pub(super) counts: Grid<'a, u16>,
+    /// `[P, A]`: the subtask of each agent.
+    pub(super) places: Grid<'a, u16>,
+    /// The node that a node becomes by the agent in question.
+    pub(super) children: Grid<'a, u16>,
+    /// The nodes that become new ones.
+    pub(super) parent_of: Grid<'a, u16>,
+}
+
+/// What the critic computes.
+pub(super) struct CriticMemory<'a> {
+    /// Embedded features by entity.
+    pub(super) bases: Grid<'a, f32>,
+    /// Distinct rows; at the end, what agents attended to.
+    pub(super) rows: Grid<'a, f32>,
+    pub(super) queries: Grid<'a, f32>,
+    pub(super) keys: Grid<'a, f32>,
+    pub(super) values: Grid<'a, f32>,
+    /// What the heads of each agent of each distinct allocation attended to.
+    pub(super) mixed: Grid<'a, f32>,
+    pub(super) mean: Grid<'a, f32>,
+    pub(super) value: Grid<'a, f32>,
+    /// The value of every proposal.
+    pub(super) of_proposal: Grid<'a, f32>,
+    /// The row that stands for a key, see [`Extent::agent_key`].
+    pub(super) row_of_key: Grid<'a, u16>,
+    /// The entity of each distinct row.
+    pub(super) entity_of: Grid<'a, u16>,
+    /// `[P, N]`: the rows of each distinct allocation, one for each present entity.
+    pub(super) rows_of: Grid<'a, u16>,
+    /// The first proposal of each distinct allocation.
+    pub(super) distinct: Grid<'a, u16>,
+    /// The distinct allocation that each proposal is.
+    pub(super) same_as: Grid<'a, u16>,
+}
+
+/// Keys and values of the rows that a query attends to, head by head.
+pub(super) struct Near<'a> {
+    pub(super) keys: Grid<'a, f32>,
+    pub(super) values: Grid<'a, f32>,
+    pub(super) scores: Grid<'a, f32>,
+}
+
+type Size = (usize, usize);
+
+/// Rows and columns of all parts that hold floats, in the order in which [`Memory::new`] takes them.
+fn float_parts(network: &ProposalNetwork, extent: &Extent) -> [Size; 21] {
+    let ProposalNetwork { trunk, critic, .. } = network;
+    let (width, inner) = (trunk.embed.padded_outputs(), trunk.attention.inner());
+    let (critic_width, critic_inner) = (critic.embed.padded_outputs(), critic.attention.inner());
+    let Extent { entities, agents, proposals, .. } = *extent;
+    let nodes = extent.nodes(trunk.task_count());
+    let rows = proposals * entities;
+    let near = entities * inner.max(critic_inner);
+    [
+        (entities, width),
+        (entities, width),
+        (entities, inner),
+        (entities, inner),
+        (entities, inner),
+        (entities, inner),
+        (entities, width),
+        (agents, width),
+        (nodes, width),
+        // Products are written four at a time.
+        (1, nodes.next_multiple_of(4)),
+        (proposals, width),
+        (entities, critic_width),
+        (rows, critic_width),
+        (rows, critic_inner),
+        (rows, critic_inner),
+        (rows, critic_inner),
+        (proposals * agents, critic_inner),
+        (2, critic_width.max(critic.head.padded_outputs())),
+        (1, near),
+        (1, near),
+        (2, slots(entities).max(proposals)),
+    ]
+}
+
+/// The same for tables of numbers.
+fn table_parts(network: &ProposalNetwork, extent: &Extent) -> [Size; 10] {
+    let Extent { entities, agents, proposals, .. } = *extent;
+    let tasks = network.trunk.task_count();
+    [
+        (proposals, tasks),
+        (proposals, tasks),
+        (proposals, agents),
+        (1, extent.nodes(tasks)),
+        (1, proposals),
+        (1, extent.keys(tasks)),
+        (1, proposals * entities),
+        (proposals, entities),
+        (1, proposals),
+        (1, proposals),
+    ]
+}
+
+/// Floats of the arena for so many entities and proposals.
+pub(super) fn floats(network: &ProposalNetwork, n_max: usize, proposals: usize) -> u64 {
+    let extent = Extent::largest(n_max, proposals);
+    let count = |(rows, width): &Size| (*rows as u64).saturating_mul(*width as u64);
+    let of_floats = float_parts(network, &extent);
+    let of_floats: u64 = of_floats.iter().map(|part| count(part).div_ceil(LINE as u64)).sum();
+    let of_tables = table_parts(network, &extent);
+    let of_tables: u64 = of_tables.iter().map(|part| count(part).div_ceil(TABLE_LINE as u64)).sum();
+    of_floats.saturating_add(of_tables).saturating_mul(LINE as u64)
+}
+
+/// Floats of a plan's arena, which holds [`PROPOSALS`] proposals for `n_max` entities.
+pub fn arena_floats(network: &ProposalNetwork, n_max: usize) -> u64 {
+    floats(network, n_max, PROPOSALS)
+}
+
+impl<'a> Memory<'a> {
+    /// Cuts the arena up; none where it is too small.
+    pub(super) fn new(
+        network: &ProposalNetwork,
+        extent: &Extent,
+        arena: &'a mut [u8],
+    ) -> Option<Self> {
+        let parts = float_parts(network, extent);
+        let lines: usize = parts.iter().map(|(rows, width)| (rows * width).div_ceil(LINE)).sum();
+        let (floats, rest) = arena.split_at_mut_checked(4 * LINE * lines)?;
+        let floats = <[f32]>::mut_from_bytes(floats).ok()?;
+        let rest = rest.get_mut(..rest.len() & !1)?;
+        let tables = <[u16]>::mut_from_bytes(rest).ok()?;
+        let [
+            embedded,
+            active,
+            queries,
+            keys,
+            values,
+            mixed,
+            attended,
+            from_agents,
+            nodes,
+            products,
+            parents,
+            bases,
+            rows,
+            row_queries,
+            row_keys,
+            row_values,
+            row_mixed,
+            mean,
+            near_keys,
+            near_values,
+            scores,
+        ] = cut::<_, _, LINE>(floats, parts)?;
+        let [
+            node_of,
+            counts,
+            places,
+            children,
+            parent_of,
+            row_of_key,
+            entity_of,
+            rows_of,
+            distinct,
+            same_as,
+        ] = cut::<_, _, TABLE_LINE>(tables, table_parts(network, extent))?;
+        let [mean, value] = halves(mean)?;
+        let [scores, of_proposal] = halves(scores)?;
+        Some(Self {
+            trunk: TrunkMemory {
+                embedded,
+                active,
+                queries,
+                keys,
+                values,
+                mixed,
+                attended,
+                from_agents,
+            },
+            step: StepMemory {
+                nodes,
+                products,
+                parents,
+                node_of,
+                counts,
+                places,
+                children,
+                parent_of,
+            },
+            critic: CriticMemory {
+                bases,
+                rows,
+                queries: row_queries,
+                keys: row_keys,
+                values: row_values,
+                mixed: row_mixed,
+                mean,
+                value,
+                of_proposal,
+                row_of_key,
+                entity_of,
+                rows_of,
+                distinct,
+                same_as,
+            },
+            near: Near { keys: near_keys, values: near_values, scores },
+        })
+    }
+}
+
+/// The two rows of a grid.
+fn halves(grid: Grid<'_, f32>) -> Option<[Grid<'_, f32>; 2]> {
+    let width = grid.width;
+    let (first, second) = grid.cells.split_at_mut_checked(width)?;
+    Some([Grid { cells: first, width }, Grid { cells: second, width }])
+}
+
+/// Cuts parts off, each starting at a cache line.
+fn cut<'a, V, const PARTS: usize, const LINE: usize>(
+    mut memory: &'a mut [V],
+    sizes: [Size; PARTS],
+) -> Option<[Grid<'a, V>; PARTS]> {
+    let mut whole = true;
+    let parts = sizes.map(|(rows, width)| {
+        let count = rows * width;
+        let part = memory.split_off_mut(..count.next_multiple_of(LINE));
+        let cells = part.and_then(|part| part.get_mut(..count));
+        whole &= cells.is_some();
+        Grid { cells: cells.unwrap_or_default(), width: width.max(1) }
+    });
+    whole.then_some(parts)
+}

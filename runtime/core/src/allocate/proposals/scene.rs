@@ -1,0 +1,229 @@
+//! What the three networks look at.
+
+use super::memory::{Extent, Grid, Near};
+use crate::allocator::{AllocateError, AllocationState};
+use crate::entity_mask::EntityMask;
+use crate::kernels::Kernels;
+use crate::kernels::mark::{MARKED, Marks};
+use crate::kernels::product::{Around, Sparse};
+use crate::kernels::rows::Rows;
+use crate::kernels::several::Pair;
+use crate::kernels::softmax::slots;
+use crate::limits;
+use crate::ops::{Linear, ProposalNetwork, RowAttention};
+use crate::policy::DecideError;
+
+/// Marks of a row of features.
+pub(super) type RowMarks = [Marks; limits::FEATURES / MARKED];
+
+/// Rows that are multiplied with a matrix in one go.
+const TOGETHER: usize = 64;
+
+/// The state, and the networks with their weights.
+#[derive(Clone, Copy)]
+pub(super) struct Scene<'a> {
+    pub(super) state: &'a AllocationState<'a>,
+    pub(super) network: &'a ProposalNetwork,
+    pub(super) weights: &'a [f32],
+    pub(super) extent: Extent,
+    /// The entities that exist.
+    pub(super) present: EntityMask,
+}
+
+impl Scene<'_> {
+    /// Subtasks that the networks know; those behind the state's are closed.
+    pub(super) fn tasks(&self) -> usize {
+        self.network.trunk.task_count()
+    }
+
+    /// The subtasks that an entity belongs to; of an agent its last one.
+    pub(super) fn tasks_of(&self, entity: usize) -> u32 {
+        let known = 1_u64.checked_shl(self.state.tasks as u32).map_or(u64::MAX, |bit| bit - 1);
+        self.state.entity_task.get(entity).map_or(0, |tasks| tasks & known as u32)
+    }
+
+    /// The agents that exist, in the order in which they choose.
+    pub(super) fn present_agents(&self) -> impl DoubleEndedIterator<Item = usize> + '_ {
+        (0..self.state.agents).filter(|agent| self.present.contains(*agent))
+    }
+
+    /// Entities of a subtask that are no agents, present or not.
+    pub(super) fn others_of(&self, task: usize) -> usize {
+        let others = self.state.agents..self.extent.entities;
+        others.filter(|entity| self.tasks_of(*entity) >> task & 1 == 1).count()
+    }
+
+    /// The features of an entity, checked and marked.
+    pub(super) fn features<'m>(
+        &self,
+        kernels: impl Kernels,
+        entity: usize,
+        marks: &'m mut RowMarks,
+    ) -> Result<Sparse<'m>, AllocateError>
+    where
+        Self: 'm,
+    {
+        let count = usize::from(self.network.trunk.embed.inputs);
+        let start = entity.saturating_mul(self.state.stride);
+        let row = self.state.rows.get(start..start.saturating_add(count));
+        let values = row.ok_or(AllocateError::BadLength)?;
+        if !kernels.mark(values, marks) {
+            return Err(AllocateError::NonFinite);
+        }
+        Ok(Sparse { values, marks, one: None, count })
+    }
+}
+
+/// The numbers of the subtasks in a set.
+pub(super) fn tasks_in(mut set: u32) -> impl Iterator<Item = usize> {
+    core::iter::from_fn(move || {
+        let task = (set != 0).then(|| set.trailing_zeros() as usize)?;
+        set &= set - 1;
+        Some(task)
+    })
+}
+
+/// The vector of this number among vectors of `width`; empty where there is none.
+#[inline(always)]
+pub(super) fn vector(vectors: &[f32], width: usize, number: usize) -> &[f32] {
+    let start = number.saturating_mul(width);
+    vectors.get(start..start.saturating_add(width)).unwrap_or(&[])
+}
+
+/// Adds a vector.
+#[inline(always)]
+pub(super) fn add(sums: &mut [f32], vector: &[f32]) {
+    for (sum, value) in sums.iter_mut().zip(vector) {
+        *sum += value;
+    }
+}
+
+/// Adds a vector times a factor.
+#[inline(always)]
+pub(super) fn add_times(sums: &mut [f32], factor: f32, vector: &[f32]) {
+    for (sum, value) in sums.iter_mut().zip(vector) {
+        *sum += factor * value;
+    }
+}
+
+/// What is wrong, in an allocator's words.
+pub(super) fn refused(error: DecideError) -> AllocateError {
+    match error {
+        DecideError::TooManyEntities { .. } => AllocateError::TooLarge,
+        DecideError::NonFinite => AllocateError::NonFinite,
+        _ => AllocateError::BadLength,
+    }
+}
+
+/// A layer, ready to be multiplied with rows.
+#[derive(Clone, Copy)]
+pub(super) struct Product<'w> {
+    matrix: &'w [f32],
+    around: Around<'w>,
+    inputs: usize,
+    outputs: usize,
+}
+
+impl<'w> Product<'w> {
+    pub(super) fn new(
+        layer: &Linear,
+        weights: &'w [f32],
+        relu: bool,
+    ) -> Result<Self, AllocateError> {
+        let (inputs, outputs) = (usize::from(layer.inputs), layer.padded_outputs());
+        let matrix = layer.matrix(weights).map_err(refused)?;
+        Ok(Self { matrix, around: layer.around(weights, relu).map_err(refused)?, inputs, outputs })
+    }
+
+    /// The same product, starting from another vector than the layer's bias.
+    pub(super) fn from(self, start: &'w [f32]) -> Self {
+        Self { around: Around { bias: Some(start), ..self.around }, ..self }
+    }
+
+    /// Multiplies the first `count` rows that are wanted, and writes each to the row of the same number.
+    #[inline(always)]
+    pub(super) fn rows(
+        &self,
+        kernels: impl Kernels,
+        from: &Grid<'_, f32>,
+        to: &mut [f32],
+        to_width: usize,
+        wanted: impl Iterator<Item = usize>,
+    ) {
+        let mut rows = to.chunks_exact_mut(to_width.max(1)).enumerate();
+        let mut wanted = wanted;
+        loop {
+            let mut pairs = heapless::Vec::<Pair<'_>, TOGETHER>::new();
+            for row in wanted.by_ref().take(TOGETHER) {
+                let to = rows.find(|(number, _)| *number == row).map(|(_, to)| to);
+                let outputs = to.and_then(|to| to.get_mut(..self.outputs));
+                let inputs = from.row(row).get(..self.inputs);
+                if let Some((inputs, outputs)) = inputs.zip(outputs) {
+                    // There is room for as many.
+                    let _ = pairs.push(Pair { inputs, outputs });
+                }
+            }
+            if pairs.is_empty() {
+                return;
+            }
+            kernels.products(self.matrix, &mut pairs, self.around);
+        }
+    }
+}
+
+impl Near<'_> {
+    /// Puts keys and values of a row into place `slot` of `count`, head by head.
+    #[inline(always)]
+    pub(super) fn gather(
+        &mut self,
+        attention: &RowAttention,
+        [slot, count]: [usize; 2],
+        [keys, values]: [&[f32]; 2],
+    ) {
+        let head = attention.head_width();
+        let of_head = head.saturating_mul(count).max(1);
+        for (all, row) in [(&mut self.keys, keys), (&mut self.values, values)] {
+            let places = all.cells.chunks_exact_mut(of_head).zip(row.chunks_exact(head.max(1)));
+            for (places, part) in places {
+                let start = slot.saturating_mul(head);
+                if let Some(to) = places.get_mut(start..start.saturating_add(head)) {
+                    copy(part, to);
+                }
+            }
+        }
+    }
+
+    /// Attends with one row's query to the first `count` rows that were gathered.
+    #[inline(always)]
+    pub(super) fn attend(
+        &mut self,
+        kernels: impl Kernels,
+        attention: &RowAttention,
+        count: usize,
+        query: &[f32],
+        mixed: &mut [f32],
+    ) -> Result<(), AllocateError> {
+        let head = attention.head_width();
+        let of_head = head.saturating_mul(count).max(1);
+        let scores = self.scores.cells.get_mut(..slots(count)).ok_or(AllocateError::BadLength)?;
+        let near =
+            self.keys.cells.chunks_exact(of_head).zip(self.values.cells.chunks_exact(of_head));
+        let heads = query.chunks_exact(head.max(1)).zip(mixed.chunks_exact_mut(head.max(1)));
+        for ((query, mixed), (keys, values)) in heads.zip(near) {
+            kernels.dots(query, Rows::first(keys, head, count), scores);
+            if !kernels.softmax(scores, count) {
+                return Err(AllocateError::NonFinite);
+            }
+            kernels.mix(scores, Rows::first(values, head, count), mixed);
+        }
+        Ok(())
+    }
+}
+
+/// Copies as much as there is of both.
+#[inline(always)]
+pub(super) fn copy(from: &[f32], to: &mut [f32]) {
+    for (to, from) in to.iter_mut().zip(from) {
+        *to = *from;
+    }
+}

@@ -1,0 +1,182 @@
+//! Proposals, agent by agent for all of them at once (dissertation section 7.4).
+//!
+//! A subtask's embedding depends only on the agents that chose it, in their order: it is a node of a tree, and proposals
+//! that agree so far share it. Only the chosen subtask's embedding changes, and nobody asks for what the last agent
+//! changes. Counts enter the logits linearly: three products for each agent say all about them.
+
+use super::Draw;
+use super::memory::{NONE, StepMemory, TrunkMemory};
+use super::scene::{Product, Scene, add, refused, vector};
+use crate::allocator::AllocateError;
+use crate::kernels::Kernels;
+use crate::kernels::rows::Rows;
+use crate::limits;
+use crate::math::{all_finite, relu};
+use crate::ops::COUNTS;
+
+/// Writes every proposal's places and counts. The first nodes stand, and what agents add to updates.
+#[inline(always)]
+pub(super) fn propose(
+    kernels: impl Kernels,
+    scene: &Scene<'_>,
+    trunk: &TrunkMemory<'_>,
+    memory: &mut StepMemory<'_>,
+    draw: &mut impl Draw,
+) -> Result<(), AllocateError> {
+    let tasks = scene.tasks();
+    memory.counts.cells.fill(0);
+    memory.places.cells.fill(NONE);
+    memory.children.cells.fill(NONE);
+    for nodes in memory.node_of.cells.chunks_exact_mut(tasks.max(1)) {
+        for (node, task) in nodes.iter_mut().zip(0..) {
+            *node = task;
+        }
+    }
+    let mut others = [0.0; limits::TASKS];
+    for (task, others) in others.iter_mut().enumerate().take(tasks) {
+        *others = scene.others_of(task) as f32;
+    }
+    let last = scene.present_agents().next_back();
+    let mut nodes = tasks;
+    for agent in scene.present_agents() {
+        let pointer = Pointer::new(kernels, scene, trunk.embedded.row(agent), &others)?;
+        pointer.meet(kernels, nodes, memory)?;
+        let new = choose_all(scene, agent, &pointer, memory, draw, nodes)?;
+        if Some(agent) != last {
+            update(kernels, scene, trunk.from_agents.row(agent), memory, [nodes, new])?;
+            nodes += new;
+        }
+    }
+    Ok(())
+}
+
+/// An agent's embedding, and what counts add to its logits.
+struct Pointer<'a> {
+    embedding: &'a [f32],
+    /// What a subtask's agents, one by one, add.
+    per_agent: f32,
+    /// What the subtask's other entities add, and what is always added.
+    always: [f32; limits::TASKS],
+    scale: f32,
+}
+
+impl<'a> Pointer<'a> {
+    #[inline(always)]
+    fn new(
+        kernels: impl Kernels,
+        scene: &Scene<'_>,
+        embedding: &'a [f32],
+        others: &[f32; limits::TASKS],
+    ) -> Result<Self, AllocateError> {
+        let step = &scene.network.step;
+        let counts = step.counts.of(scene.weights).map_err(refused)?;
+        let scale = step.scale.of(scene.weights).map_err(refused)?.first().copied();
+        let mut products = [0.0; 4];
+        kernels.dots(embedding, Rows::first(counts, embedding.len(), COUNTS), &mut products);
+        let [per_other, per_agent, constant, _] = products;
+        let always = others.map(|others| others * per_other + constant);
+        Ok(Self { embedding, per_agent, always, scale: scale.unwrap_or(1.0) })
+    }
+
+    /// Writes the products of the agent and the first `nodes` nodes.
+    #[inline(always)]
+    fn meet(
+        &self,
+        kernels: impl Kernels,
+        nodes: usize,
+        memory: &mut StepMemory<'_>,
+    ) -> Result<(), AllocateError> {
+        let width = memory.nodes.width;
+        let products = memory.products.cells.chunks_mut(limits::ENTITIES);
+        let rows = memory.nodes.cells.chunks((limits::ENTITIES * width).max(1));
+        let mut rest = nodes;
+        for (rows, products) in rows.zip(products) {
+            let count = rest.min(limits::ENTITIES);
+            kernels.dots(self.embedding, Rows::first(rows, width, count), products);
+            let computed = products.get(..count).ok_or(AllocateError::TooLarge)?;
+            if !all_finite(computed) {
+                return Err(AllocateError::NonFinite);
+            }
+            rest -= count;
+            if rest == 0 {
+                return Ok(());
+            }
+        }
+        Err(AllocateError::TooLarge)
+    }
+}
+
+/// Lets one agent choose in every proposal; returns how many nodes that makes.
+#[inline(always)]
+fn choose_all(
+    scene: &Scene<'_>,
+    agent: usize,
+    pointer: &Pointer<'_>,
+    memory: &mut StepMemory<'_>,
+    draw: &mut impl Draw,
+    nodes: usize,
+) -> Result<usize, AllocateError> {
+    let (tasks, open) = (scene.tasks(), scene.state.open_tasks);
+    let StepMemory { products, node_of, counts, places, children, parent_of, .. } = memory;
+    let mut new = 0;
+    for proposal in 0..scene.extent.proposals {
+        let mut logits = [0.0; limits::TASKS];
+        let sizes = node_of.row(proposal).iter().zip(counts.row(proposal)).zip(&pointer.always);
+        for (logit, ((node, count), always)) in logits.iter_mut().zip(sizes) {
+            let product = products.cells.get(usize::from(*node)).copied().unwrap_or(0.0);
+            *logit = (product + (f32::from(*count) * pointer.per_agent + always)) * pointer.scale;
+        }
+        let logits = logits.get(..tasks).ok_or(AllocateError::TooLarge)?;
+        if !all_finite(logits) {
+            return Err(AllocateError::NonFinite);
+        }
+        let task = draw.draw(proposal, agent, logits, open);
+        if task >= tasks || open >> task & 1 == 0 {
+            return Err(AllocateError::Infeasible);
+        }
+        places.set(proposal, agent, task as u16);
+        counts.set(proposal, task, counts.get(proposal, task).saturating_add(1));
+        let parent = node_of.get(proposal, task);
+        let mut child = children.get(0, usize::from(parent));
+        if child == NONE {
+            child = (nodes + new) as u16;
+            children.set(0, usize::from(parent), child);
+            parent_of.set(0, new, parent);
+            new += 1;
+        }
+        node_of.set(proposal, task, child);
+    }
+    Ok(new)
+}
+
+/// Computes the nodes that an agent's choices made: `g + W_u [relu(g); relu(h)] + b_u`.
+#[inline(always)]
+fn update(
+    kernels: impl Kernels,
+    scene: &Scene<'_>,
+    from_agent: &[f32],
+    memory: &mut StepMemory<'_>,
+    [nodes, new]: [usize; 2],
+) -> Result<(), AllocateError> {
+    let StepMemory { nodes: all, parents, children, parent_of, .. } = memory;
+    let width = all.width;
+    for (index, parent) in parent_of.cells.iter().enumerate().take(new) {
+        let from = all.row(usize::from(*parent));
+        for (to, value) in parents.row_mut(index).iter_mut().zip(from) {
+            *to = relu(*value);
+        }
+        // The next agent makes other nodes of them.
+        children.set(0, usize::from(*parent), NONE);
+    }
+    let before = nodes.saturating_mul(width);
+    let split = all.cells.split_at_mut_checked(before);
+    let (known, fresh) = split.ok_or(AllocateError::TooLarge)?;
+    let product = Product::new(&scene.network.step.from_task, scene.weights, false)?;
+    product.from(from_agent).rows(kernels, parents, fresh, width, 0..new);
+    for (fresh, parent) in
+        fresh.chunks_exact_mut(width.max(1)).zip(parent_of.cells.iter()).take(new)
+    {
+        add(fresh, vector(known, width, usize::from(*parent)));
+    }
+    Ok(())
+}
