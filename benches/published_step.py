@@ -163,35 +163,32 @@ class Packed:
         task = scene.task
         counts = (task >= 0) & used.gather(1, task.clamp(min=0))
         n, entities = task.shape
-        self.rows = counts.flatten().nonzero()[:, 0]
-        number = torch.zeros(n * entities, dtype=torch.int64)
-        number[self.rows] = torch.arange(len(self.rows))
-        self.x = scene.x.flatten(0, 1)[self.rows]
+        rows = counts.flatten().nonzero()[:, 0]
+        self.x = scene.x.flatten(0, 1)[rows]
+        # Where every row of the padded layout comes from; those that do not count from one behind the last.
+        self.grid = torch.full((n * entities,), len(rows))
+        self.grid[rows] = torch.arange(len(rows))
         own = counts[:, :agents]
         self.own = own.flatten().nonzero()[:, 0]
-        self.own_rows = number.view(n, entities)[:, :agents][own]
-        self.shape = n, agents, entities
-        self.seen, self.mixed = scene.seen, scene.mixed
+        self.own_rows = self.grid.view(n, entities)[:, :agents][own]
+        self.own_grid = torch.full((n * agents,), len(self.own))
+        self.own_grid[self.own] = torch.arange(len(self.own))
+        self.states, self.seen, self.mixed = n, scene.seen, scene.mixed
         # Teams in the order of states and subtasks.
-        self.number_of_team = (used.flatten().cumsum(0) - 1).view(used.shape)
+        number_of_team = (used.flatten().cumsum(0) - 1).view(used.shape)
         self.teams = int(used.sum())
         states = torch.arange(n)[:, None].expand(n, agents)[own]
-        self.team = self.number_of_team[states, task[:, :agents][own]]
+        self.team = number_of_team[states, task[:, :agents][own]]
 
-    def attend(self, x, queries, keys_values, allowed, heads):
-        """Attention of all listed agents; `x [.., rows, E]` and weights with the same leading axes."""
-        n, agents, entities = self.shape
-        lead = x.shape[:-2]
-        q = x[..., self.own_rows, :] @ queries.transpose(-1, -2)
-        kv = x @ keys_values.transpose(-1, -2)
-        grid = lambda count, at, given: given.new_zeros(*lead, n * count, given.shape[-1]).index_copy(
-            len(lead), at, given
-        )
-        q = grid(agents, self.own, q).view(*lead, n, agents, heads, -1).transpose(-2, -3)
-        kv = grid(entities, self.rows, kv).view(*lead, n, entities, 2, heads, -1)
-        k, v = kv.movedim(-3, 0).transpose(-2, -3)
-        attended = attend(q, k, v, allowed[:, None])
-        return attended.flatten(-3, -2)[..., self.own, :]
+    def attend(self, w, of, x, allowed, heads):
+        """Attention of all listed agents over `x [rows, E]`, before the output projection."""
+        width = x.shape[-1]
+        queries, keys_values = w[of + "attention.in.weight"].split([width, 2 * width])
+        q = F.pad(F.linear(x[self.own_rows], queries), (0, 0, 0, 1))[self.own_grid]
+        kv = F.pad(F.linear(x, keys_values), (0, 0, 0, 1))[self.grid]
+        q = q.view(self.states, -1, heads, width // heads).transpose(1, 2)
+        k, v = kv.view(self.states, -1, 2, heads, width // heads).permute(2, 0, 3, 1, 4)
+        return attend(q, k, v, allowed[:, None]).flatten(0, 1)[self.own]
 
 
 class LeanLow:
@@ -227,22 +224,18 @@ class LeanLow:
 
     def utilities(self, w, packed):
         x = F.relu(F.linear(packed.x, w["agents.fc1.weight"], w["agents.fc1.bias"]))
-        width = x.shape[-1]
-        q, kv = w["agents.attention.in.weight"].split([width, 2 * width])
-        attended = packed.attend(x, q, kv, packed.seen, self.heads)
+        attended = packed.attend(w, "agents.", x, packed.seen, self.heads)
         attended = F.linear(attended, w["agents.attention.out.weight"], w["agents.attention.out.bias"])
         return utilities(w, attended)
 
     def mix(self, w, packed, chosen):
         """Values of all teams before the head. Means are taken before the projections that follow them."""
-        each = lambda part: torch.stack([w[name + part] for name in HYPERNETWORKS])
-        fc1 = each(".fc1.weight").flatten(0, 1)
-        x = F.relu(F.linear(packed.x, fc1, each(".fc1.bias").flatten()))
-        x = x.view(len(packed.x), 4, -1).transpose(0, 1)
-        width = x.shape[-1]
-        q, kv = each(".attention.in.weight").split([width, 2 * width], 1)
-        attended = packed.attend(x, q, kv, packed.mixed, self.heads)
-        sums = attended.new_zeros(3, packed.teams, width).index_add(1, packed.team, attended[1:])
+        each = lambda part: torch.cat([w[name + part] for name in HYPERNETWORKS])
+        x = F.relu(F.linear(packed.x, each(".fc1.weight"), each(".fc1.bias")))
+        attended = [
+            packed.attend(w, name + ".", own, packed.mixed, self.heads)
+            for name, own in zip(HYPERNETWORKS, x.chunk(4, -1))
+        ]
         share = torch.bincount(packed.team, minlength=packed.teams)[:, None] / self.agents
 
         def project(name, given, share):
@@ -251,8 +244,11 @@ class LeanLow:
             return F.linear(out, w[name + ".fc2.weight"]) + share * w[name + ".fc2.bias"]
 
         w1 = project("w1", attended[0], 1.0).softmax(-1)
+        mean = lambda given: torch.zeros(packed.teams, given.shape[-1]).index_add(
+            0, packed.team, given / self.agents
+        )
         b1, w2, v = (
-            project(name, given / self.agents, share) for name, given in zip(HYPERNETWORKS[1:], sums)
+            project(name, mean(given), share) for name, given in zip(HYPERNETWORKS[1:], attended[1:])
         )
         mixed = torch.zeros_like(b1).index_add(0, packed.team, w1 * chosen[:, None])
         return (w2.softmax(-1) * F.elu(mixed + b1)).sum(-1) + v.mean(-1)

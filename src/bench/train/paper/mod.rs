@@ -210,3 +210,37 @@ fn times(case: &str, engine: &'static str, version: &str, cpu_s: &[f64]) -> Row 
         unit: "CPU-seconds",
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn case(calls: &[(f64, f64)], peer: &[f64]) -> Case {
+        let call = |(cpu_s, operations): &(f64, f64)| Call {
+            cpu_s: *cpu_s,
+            operations: *operations,
+            parts: vec![("first", cpu_s / 4.0), ("rest", cpu_s * 3.0 / 4.0)],
+        };
+        let calls = calls.iter().map(call).collect();
+        Case { name: "step".to_string(), calls, peers: [peer.to_vec(), Vec::new()] }
+    }
+
+    #[test]
+    fn both_steps_are_added_round_by_round() {
+        let low_level = case(&[(1.0, 2e9), (3.0, 2e9)], &[10.0, 30.0]);
+        let pair = low_level.and(&case(&[(0.5, 1e9), (0.5, 1e9)], &[1.0, 2.0]), "both");
+        assert_eq!(pair.cpu_s(), [1.5, 3.5]);
+        assert_eq!(pair.peers, [vec![11.0, 32.0], vec![]]);
+        assert_eq!(pair.arithmetic(2.0).mflop, 3000.0);
+        assert!(pair.parts().is_empty());
+    }
+
+    #[test]
+    fn figures_are_medians() {
+        let case = case(&[(1.0, 2e9), (8.0, 2e9), (2.0, 2e9)], &[]);
+        let Arithmetic { gflop_per_cpu_s, share_of_peak, .. } = case.arithmetic(4.0);
+        assert_eq!((gflop_per_cpu_s, share_of_peak), (1.0, 0.25));
+        let parts = case.parts().into_iter().map(|part| (part.part, part.cpu_s, part.share));
+        assert_eq!(parts.collect::<Vec<_>>(), [("first", 0.5, 0.25), ("rest", 1.5, 0.75)]);
+    }
+}
