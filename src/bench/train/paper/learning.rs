@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use sortie_envs::save_the_city::{AllocationRule, ScenarioSet};
-use sortie_learn::methods::paper::allocation::AllocationLevel;
+use sortie_learn::methods::paper::allocation::{AllocationLevel, AllocationState};
 use sortie_learn::methods::paper::low_level::{LowLevel, LowLevelConfig};
 use sortie_learn::methods::paper::{
     Config, Decide, Exploration, ProposalAllocator, Replay, Rollout, SampleShape, Windows,
@@ -58,19 +58,21 @@ impl Levels {
         let drawn = draw_episodes(&replay, sample.windows, &mut generator, |_| true)
             .ok_or_else(|| Failure::new(Exit::Bug, "too few episodes for a batch"))?;
         let windows = cut_windows(&replay, &drawn, sample, &mut generator);
+        let drawn_policy = allocation.state().policy;
         for _ in 0..FIRST_STEPS {
             low_level.learn(&windows, 1, &mut generator);
             allocation.learn(&windows, 0, &mut generator, 1);
         }
-        // From here on steps have no length: networks that learn from one batch again and again
-        // propose the same, which saves work.
+        // From here on steps have no length, and the policy is as it was drawn: policies that learn
+        // from one batch again and again propose the same, which saves work.
         let still = LowLevelConfig { learning_rate: 0.0, ..config.low_level.clone() };
         let mut low = LowLevel::new(still, sizes, &mut weights);
         (low.online, low.target) = (low_level.online, low_level.target);
         low.optimisers = low_level.optimisers;
         let mut still = *allocation.learning();
         still.learning_rate = 0.0;
-        let allocation = AllocationLevel::restore(still, allocation.state())
+        let state = AllocationState { policy: drawn_policy, ..allocation.state() };
+        let allocation = AllocationLevel::restore(still, state)
             .ok_or_else(|| Failure::new(Exit::Bug, "the allocator does not fit itself"))?;
         Ok(Self { config, low_level: low, allocation, windows, generator, rollout })
     }
