@@ -3,7 +3,6 @@
 use std::collections::HashMap;
 use std::path::Path;
 
-use safetensors::tensor::{Dtype, TensorView};
 use sortie_envs::save_the_city::{
     ACTIONS, AgentState, BuildingState, FEATURES, Symmetry, write_agent_row, write_building_row,
 };
@@ -12,31 +11,14 @@ use sortie_learn::methods::alma::{
 };
 
 use super::learning::{Learning, gradient};
+use super::program::Expected;
+use super::tensors::Tensors;
 use crate::failure::Failure;
 
 /// Batches that the peer learns from in turn.
 const BATCHES: usize = 8;
 
-/// Tensors by name, each with its kind, shape and bytes.
-#[derive(Default)]
-struct Tensors(Vec<(String, Dtype, Vec<usize>, Vec<u8>)>);
-
 impl Tensors {
-    fn floats(&mut self, name: String, shape: &[usize], values: &[f32]) {
-        let bytes = values.iter().flat_map(|value| value.to_le_bytes()).collect();
-        self.0.push((name, Dtype::F32, shape.to_vec(), bytes));
-    }
-
-    fn integers(&mut self, name: String, shape: &[usize], values: &[i64]) {
-        let bytes = values.iter().flat_map(|value| value.to_le_bytes()).collect();
-        self.0.push((name, Dtype::I64, shape.to_vec(), bytes));
-    }
-
-    fn flags(&mut self, name: String, shape: &[usize], values: &[bool]) {
-        let bytes = values.iter().map(|value| u8::from(*value)).collect();
-        self.0.push((name, Dtype::BOOL, shape.to_vec(), bytes));
-    }
-
     /// All weights in PyTorch's layout.
     fn network(&mut self, of: &str, network: &UtilityNetwork) {
         let UtilityShape { input, width, base, actions, .. } = network.shape();
@@ -54,18 +36,6 @@ impl Tensors {
         ] {
             self.floats(format!("{of}.{name}"), shape, values);
         }
-    }
-
-    fn write(
-        &self,
-        settings: HashMap<String, String>,
-        path: &Path,
-    ) -> Result<(), safetensors::SafeTensorError> {
-        let mut views = Vec::new();
-        for (name, dtype, shape, bytes) in &self.0 {
-            views.push((name, TensorView::new(*dtype, shape.clone(), bytes)?));
-        }
-        safetensors::serialize_to_file(views, Some(settings), path)
     }
 
     /// A batch, its teams padded to its largest.
@@ -141,12 +111,6 @@ fn push_building(rows: &mut Vec<f32>, building: &BuildingState) {
     let mut row = [0.0; INPUT_COLUMNS];
     write_building_row(building, &mut row[..FEATURES]);
     rows.extend(row);
-}
-
-/// What our update finds for the first batch.
-pub(super) struct Expected {
-    pub(super) loss: f64,
-    pub(super) gradient_norm: f64,
 }
 
 /// Writes networks, batches and, for the first batch, our gradient.

@@ -2,11 +2,14 @@
 
 mod batch;
 mod learning;
+mod paper;
+mod program;
+mod tensors;
 mod torch;
 
 use std::path::PathBuf;
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use serde::Serialize;
 use sortie_learn::layers::matrix::{Matrix, MatrixMut, Store, multiply};
 
@@ -14,25 +17,39 @@ use super::rounds::paired_ratio;
 use super::{Figures, Measuring, Ratio, Row, pin};
 use crate::failure::Failure;
 use learning::{Learning, Work};
-use torch::{Formulation, Torch};
+pub(super) use paper::Part;
+use torch::{Formulation, Torch, find};
 
 /// Rounds in which everything has its turn.
 const ROUNDS: usize = 11;
 /// Rows and columns of the matrices whose product is taken for the machine's peak.
 const PEAK_SIDE: usize = 512;
 
-/// Updates, roll-out and allocator's search of preset `fast` per CPU-second of one thread
+/// Updates and roll-out of a preset in processor time of one thread
 ///
 /// Beside each figure stands the arithmetic that was done, and its share of what a large matrix product
-/// reaches in the same run. Where Python has torch, the agents' update alternates with a PyTorch program
-/// of ours on records of the same replay, in two formulations; loss and gradient are compared before.
+/// reaches in the same run. Where Python has torch, the update alternates with a PyTorch program of ours
+/// on the same records, in two formulations; loss and gradient are compared before. Preset `fast` counts
+/// updates per CPU-second; `paper` CPU-seconds per step of each level, and how they are spent.
 #[derive(Debug, Args)]
 pub(super) struct TrainArguments {
+    /// How it is learned
+    #[arg(long, value_enum, default_value_t = Preset::Fast)]
+    preset: Preset,
     /// Python with torch; default: that of $VIRTUAL_ENV, else `python3`
     #[arg(long, value_name = "PATH")]
     python: Option<PathBuf>,
     #[command(flatten)]
     pub(super) measuring: Measuring,
+}
+
+/// Ways to learn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Preset {
+    /// From records of single steps
+    Fast,
+    /// As the dissertation does, from windows of whole episodes
+    Paper,
 }
 
 /// The arithmetic of one case, medians over the rounds.
@@ -60,8 +77,15 @@ struct Case {
 }
 
 pub(super) fn measure(arguments: &TrainArguments) -> Result<Figures, Failure> {
+    match arguments.preset {
+        Preset::Fast => measure_fast(arguments),
+        Preset::Paper => paper::measure(arguments),
+    }
+}
+
+fn measure_fast(arguments: &TrainArguments) -> Result<Figures, Failure> {
     let Measuring { common, seconds, .. } = arguments.measuring;
-    let python = torch::find(arguments.python.as_deref(), common.quiet)?;
+    let python = find(arguments.python.as_deref(), common.quiet)?;
     pin(arguments.measuring.pin)?;
     let mut learning = Learning::new(common.seed)?;
     let start = |python: PathBuf| Torch::start(&python, &mut learning, common.quiet);
@@ -127,9 +151,13 @@ fn figures(cases: &[Case], peaks: &[f64]) -> Figures {
             share_of_peak: gflop_per_cpu_s / peak,
         });
     }
-    let name = format!("product of {PEAK_SIDE} x {PEAK_SIDE} matrices");
-    figures.rows.push(row(&name, "gemm", version, peaks, "GFLOP per CPU-second"));
+    figures.rows.push(peak_row(peaks));
     figures
+}
+
+fn peak_row(peaks: &[f64]) -> Row {
+    let name = format!("product of {PEAK_SIDE} x {PEAK_SIDE} matrices");
+    row(&name, "gemm", env!("CARGO_PKG_VERSION"), peaks, "GFLOP per CPU-second")
 }
 
 impl Figures {

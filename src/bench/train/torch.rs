@@ -1,27 +1,21 @@
-//! The same update in PyTorch, in a process of its own.
+//! The same update in PyTorch.
 
 use std::env;
-use std::fs;
-use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use std::process::{Command, Stdio};
 
 use serde::Deserialize;
-use serde::de::DeserializeOwned;
 
-use super::batch::{self, Expected};
+use super::batch;
 use super::learning::Learning;
+use super::program::{Comparison, Expected, Program};
 use crate::failure::{Exit, Failure};
 
 const PROGRAM: &str = include_str!("../../../benches/train_step.py");
-/// Largest relative difference at which two updates count as the same.
-const TOLERANCE: f64 = 1e-3;
 
 /// A running program that waits for its turn.
 pub(super) struct Torch {
-    process: Child,
-    input: ChildStdin,
-    output: BufReader<ChildStdout>,
+    program: Program,
     version: String,
 }
 
@@ -54,20 +48,12 @@ impl Formulation {
     }
 }
 
-/// What the program says once it is ready.
+/// What the program says once it is ready: the first batch in PyTorch.
 #[derive(Deserialize)]
 struct Ready {
     torch: String,
     padded: Comparison,
     packed: Comparison,
-}
-
-/// The first batch in PyTorch.
-#[derive(Deserialize)]
-struct Comparison {
-    loss: f64,
-    gradient_norm: f64,
-    gradient_error: f64,
 }
 
 #[derive(Deserialize)]
@@ -83,39 +69,13 @@ impl Torch {
         learning: &mut Learning,
         quiet: bool,
     ) -> Result<Self, Failure> {
-        let folder =
-            tempfile::tempdir().map_err(|error| Failure::file(&env::temp_dir(), &error))?;
-        let data = folder.path().join("updates.safetensors");
-        let program = folder.path().join("train_step.py");
-        fs::write(&program, PROGRAM).map_err(|error| Failure::file(&program, &error))?;
-        let expected = batch::write(learning, &data)?;
-        let mut process = Command::new(python)
-            .args([&program, &data])
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .map_err(|error| Failure::file(python, &error))?;
-        let (Some(input), Some(output)) = (process.stdin.take(), process.stdout.take()) else {
-            return Err(Failure::new(Exit::Bug, "the PyTorch program has no pipes"));
-        };
-        let mut torch =
-            Self { process, input, output: BufReader::new(output), version: String::new() };
-        let ready: Ready = torch.read()?;
+        let mut expected = Expected { loss: f64::NAN, gradient_norm: f64::NAN };
+        let write = |path: &Path| batch::write(learning, path).map(|found| expected = found);
+        let (program, ready) = Program::start::<Ready>(python, PROGRAM, write)?;
         for (formulation, found) in Formulation::ALL.iter().zip([&ready.padded, &ready.packed]) {
-            check(found, &expected)?;
-            if !quiet {
-                let Comparison { loss, gradient_norm, gradient_error } = found;
-                eprintln!(
-                    "note: {} computes the same update: loss {loss:.6} (ours {:.6}), gradient norm \
-                     {gradient_norm:.6} (ours {:.6}), relative distance of the gradients {gradient_error:.1e}",
-                    formulation.engine(),
-                    expected.loss,
-                    expected.gradient_norm,
-                );
-            }
+            found.check((formulation.engine(), "the agents"), expected, quiet)?;
         }
-        torch.version = ready.torch;
-        Ok(torch)
+        Ok(Self { program, version: ready.torch })
     }
 
     /// Version of torch.
@@ -125,28 +85,8 @@ impl Torch {
 
     /// Updates for so many CPU-seconds; returns updates per CPU-second.
     pub(super) fn turn(&mut self, how: Formulation, seconds: f64) -> Result<f64, Failure> {
-        writeln!(self.input, "{} {seconds}", how.name()).map_err(ended)?;
-        let turn: Turn = self.read()?;
+        let turn: Turn = self.program.ask(&format!("{} {seconds}", how.name()))?;
         Ok(turn.updates / turn.cpu_s)
-    }
-
-    fn read<T: DeserializeOwned>(&mut self) -> Result<T, Failure> {
-        let mut line = String::new();
-        self.output.read_line(&mut line).map_err(ended)?;
-        serde_json::from_str(&line).map_err(ended)
-    }
-}
-
-/// The program is gone; what went wrong stands on its standard error.
-fn ended(error: impl Into<std::io::Error>) -> Failure {
-    Failure::new(Exit::NotRunning, format!("the PyTorch program stopped: {}", error.into()))
-}
-
-impl Drop for Torch {
-    fn drop(&mut self) {
-        // It may have ended already; either way it is gone then.
-        let _ = self.process.kill();
-        let _ = self.process.wait();
     }
 }
 
@@ -177,24 +117,4 @@ fn has_torch(python: &Path) -> bool {
     let mut command = Command::new(python);
     command.args(["-c", "import torch"]).stdout(Stdio::null()).stderr(Stdio::null());
     command.status().is_ok_and(|status| status.success())
-}
-
-/// Refuses to compare different things.
-fn check(found: &Comparison, expected: &Expected) -> Result<(), Failure> {
-    let differs = |got: f64, want: f64| (got - want).abs() > TOLERANCE * want.abs();
-    if found.gradient_error > TOLERANCE
-        || differs(found.loss, expected.loss)
-        || differs(found.gradient_norm, expected.gradient_norm)
-    {
-        return Err(Failure::difference(format!(
-            "PyTorch computes another update: loss {} against ours {}, gradient norm {} against {}, \
-             relative distance {}",
-            found.loss,
-            expected.loss,
-            found.gradient_norm,
-            expected.gradient_norm,
-            found.gradient_error
-        )));
-    }
-    Ok(())
 }

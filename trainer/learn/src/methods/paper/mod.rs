@@ -14,6 +14,7 @@ mod replay;
 mod rollout;
 mod sampling;
 mod saved;
+mod times;
 mod trainer;
 mod windows;
 
@@ -24,5 +25,6 @@ pub use replay::{Episode, Moment, Replay};
 pub use rollout::{Decide, Exploration, Rollout, RolloutGenerators};
 pub use sampling::{SampleShape, cut_windows, draw_episodes};
 pub(crate) use saved::{saved_allocator, saved_coach, saved_memory_unit};
+pub use times::{AllocationTimes, LowLevelTimes};
 pub use trainer::Trainer;
 pub use windows::{NO_ACTION, NO_TASK, WindowShape, Windows};

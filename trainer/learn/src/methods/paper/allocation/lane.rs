@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use super::super::times::{AllocationTimes, Stopwatch};
 use super::critic::{CriticInput, CriticPass};
 use super::decide::{AllocationNetworks, best_of, blocks, push_distinct};
 use super::level::{AllocationLearning, StepDraws};
@@ -70,6 +71,8 @@ pub(super) struct Lane {
     /// Sum of the entropies of all proposals.
     pub(super) entropy: f64,
     operations: u64,
+    /// Of all steps.
+    pub(super) times: AllocationTimes,
 }
 
 impl Lane {
@@ -89,11 +92,13 @@ impl Lane {
         zero(&mut self.policy_gradient, networks.policy.parameters().len());
         (self.surprise, self.entropy) = (0.0, 0.0);
         let entropy_weight = (learning.entropy / loss.proposals) as f32;
+        let mut watch = Stopwatch::start();
         for block in blocks(range) {
             let pass = &mut self.proposals;
             let sampling = (learning.proposals, draws.noise);
             let columns = &draws.proposals;
             pass.forward(networks.policy, states, block.clone(), &columns.policy, sampling);
+            self.times.proposals += watch.lap();
             let valued = (&*pass, columns.critic.as_slice());
             push_distinct(&mut self.input, networks.critic, states, block.clone(), valued);
             let values = self.critic.forward(networks.critic, &self.input);
@@ -107,7 +112,9 @@ impl Lane {
                 best.push((whole, loss.policy[row] as f32));
             }
             self.entropy += pass.entropy();
+            self.times.critic += watch.lap();
             pass.backward(networks.policy, &best, entropy_weight, &mut self.policy_gradient);
+            self.times.policy += watch.lap();
 
             self.input.clear();
             let first = self.best.len() - block.len() * states.agents;
@@ -118,6 +125,7 @@ impl Lane {
             }
             let values = self.critic.forward(target, &self.input);
             self.values.extend(values.iter().map(|raw| target.real(*raw)));
+            self.times.critic += watch.lap();
         }
     }
 
@@ -131,6 +139,7 @@ impl Lane {
         (targets, columns): (&[f64], &[u8]),
         heads: Heads,
     ) {
+        let mut watch = Stopwatch::start();
         let states = &rows.states;
         zero(&mut self.critic_gradient, critic.parameters().len());
         self.squared_error = 0.0;
@@ -162,6 +171,7 @@ impl Lane {
         let gradient = AllocationCritic::parts_of(critic.shape(), &mut self.critic_gradient);
         gradient.popart_weight[0] = d_weight as f32;
         gradient.popart_bias[0] = d_bias as f32;
+        self.times.critic += watch.lap();
     }
 
     /// Floating-point operations since the last call.

@@ -7,10 +7,12 @@
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
 use std::thread;
+use std::time::Duration;
 
 use rand_core::Rng;
 
 use super::super::popart::PopArt;
+use super::super::times::{AllocationTimes, Stopwatch};
 use super::super::windows::Windows;
 use super::decide::{AllocationNetworks, TaskColumns, shuffled};
 use super::lane::{Heads, Lane, Loss};
@@ -154,6 +156,7 @@ pub struct AllocationLevel {
     policy_optimiser: RmsProp,
     lanes: Vec<Lane>,
     last: LastStep,
+    optimiser_time: Duration,
 }
 
 impl AllocationLevel {
@@ -182,6 +185,7 @@ impl AllocationLevel {
             target,
             lanes: vec![Lane::default(); LANES],
             last: LastStep::default(),
+            optimiser_time: Duration::ZERO,
         }
     }
 
@@ -198,6 +202,19 @@ impl AllocationLevel {
     /// What the last step was computed from.
     pub fn last_step(&self) -> &LastStep {
         &self.last
+    }
+
+    /// How long the parts of all steps have taken up to now.
+    pub fn times(&self) -> AllocationTimes {
+        let sum = |of: fn(&AllocationTimes) -> Duration| {
+            self.lanes.iter().map(|lane| of(&lane.times)).sum::<Duration>()
+        };
+        AllocationTimes {
+            proposals: sum(|times| times.proposals),
+            critic: sum(|times| times.critic),
+            policy: sum(|times| times.policy),
+            optimiser: self.optimiser_time,
+        }
     }
 
     /// Lets the target critic be what the critic is.
@@ -279,6 +296,7 @@ impl AllocationLevel {
             lane.propose(networks, &self.target, (rows, range), loss, draws, learning);
         });
 
+        let mut watch = Stopwatch::start();
         self.last.best.clear();
         self.last.best.extend(self.lanes.iter().flat_map(|lane| lane.best.iter().copied()));
         let next: Vec<f64> =
@@ -298,6 +316,7 @@ impl AllocationLevel {
         let compared = if self.learning.as_public_code { before } else { after };
         let heads = Heads { compared, gradient: after };
         let (critic, targets) = (&self.critic, &self.last.normalised);
+        self.optimiser_time += watch.lap();
         on_threads(&mut self.lanes, threads, |index, lane| {
             let range = lane_range(count, index);
             lane.value(critic, (rows, range), loss, (targets, &draws.stored), heads);
@@ -307,6 +326,7 @@ impl AllocationLevel {
 
     /// Adds up the lanes and moves both networks.
     fn descend(&mut self, rows: &Rows, loss: &Loss) -> AllocationReport {
+        let mut watch = Stopwatch::start();
         let LastStep { critic_gradient, policy_gradient, .. } = &mut self.last;
         sum_into(critic_gradient, self.lanes.iter().map(|lane| &lane.critic_gradient));
         sum_into(policy_gradient, self.lanes.iter().map(|lane| &lane.policy_gradient));
@@ -316,6 +336,7 @@ impl AllocationLevel {
         let rate = self.learning.learning_rate;
         self.critic_optimiser.step(self.critic.parameters_mut(), critic_gradient, rate);
         self.policy_optimiser.step(self.policy.parameters_mut(), policy_gradient, rate);
+        self.optimiser_time += watch.lap();
         let sum = |of: fn(&Lane) -> f64| self.lanes.iter().map(of).sum::<f64>();
         AllocationReport {
             rows: rows.len(),

@@ -34,7 +34,10 @@ pub use mixer::{
 pub use step::Term;
 pub use values::{team_input, team_values};
 
+use std::time::Duration;
+
 use super::popart::PopArt;
+use super::times::{LowLevelTimes, Stopwatch};
 use super::windows::{WindowShape, Windows};
 use crate::evaluate::Agents;
 use crate::methods::alma::{Conditioning, UtilityNetwork};
@@ -102,6 +105,7 @@ pub struct LowLevel {
     pub coaching: Option<Coaching>,
     lanes: Vec<Lane>,
     gradient: Vec<f32>,
+    optimiser_time: Duration,
 }
 
 impl LowLevel {
@@ -127,6 +131,7 @@ impl LowLevel {
             coaching: None,
             lanes: vec![lane; LANES],
             gradient: vec![0.0; counts.iter().sum()],
+            optimiser_time: Duration::ZERO,
             online,
         }
     }
@@ -229,8 +234,11 @@ impl LowLevel {
         };
         let own = |lane: usize| chunks.iter().skip(lane).step_by(LANES);
         in_lanes(threads, lanes, |index, lane| {
+            let mut watch = Stopwatch::start();
             own(index).for_each(|states| step.value(&bootstrap, states, lane));
+            lane.targets_time += watch.lap();
         });
+        let mut watch = Stopwatch::start();
         let all = lanes.iter().flat_map(|lane| &lane.terms);
         let terms = all.clone().count();
         if terms == 0 {
@@ -250,13 +258,18 @@ impl LowLevel {
         let side = side(online, told.as_ref().map(Told::online), online_merged, online_order);
         let guess = coaching.zip(told.as_ref()).map(|(coaching, told)| coaching.guess(told));
         let descent = Descent { online: side, popart: &online.popart, head, terms, guess };
+        self.optimiser_time += watch.lap();
         in_lanes(threads, lanes, |index, lane| {
+            let mut watch = Stopwatch::start();
             own(index).for_each(|states| step.descend(&descent, states, lane));
+            lane.descent_time += watch.lap();
         });
         if let Some((coaching, told)) = coaching.zip(told.as_ref()) {
             coaching.descend(told, windows, threads, lanes);
         }
+        let mut watch = Stopwatch::start();
         self.add_lanes(online_merged);
+        self.optimiser_time += watch.lap();
         let sum = |of: fn(&Lane) -> f64| self.lanes.iter().map(of).sum::<f64>() / terms as f64;
         LowLevelReport {
             terms,
@@ -287,6 +300,7 @@ impl LowLevel {
 
     /// The second half of a step: clipping and the optimiser.
     pub fn follow(&mut self) {
+        let mut watch = Stopwatch::start();
         clip_norm(&mut self.gradient, self.config.clip);
         let LowLevelNetworks { agents, gru, mixer, .. } = &mut self.online;
         let mut rest = &*self.gradient;
@@ -299,6 +313,16 @@ impl LowLevel {
         }
         if let Some(coaching) = &mut self.coaching {
             coaching.follow(rest, self.config.learning_rate);
+        }
+        self.optimiser_time += watch.lap();
+    }
+
+    /// How long the parts of all steps have taken up to now.
+    pub fn times(&self) -> LowLevelTimes {
+        LowLevelTimes {
+            targets: self.lanes.iter().map(|lane| lane.targets_time).sum(),
+            descent: self.lanes.iter().map(|lane| lane.descent_time).sum(),
+            optimiser: self.optimiser_time,
         }
     }
 

@@ -8,6 +8,8 @@
 //! Only teams that enter the loss are computed, and of the rows only those that somebody looks at; all
 //! others have a weight of zero, so that this is exact.
 
+use std::time::Duration;
+
 use super::super::popart::PopArt;
 use super::super::windows::Windows;
 use super::agents::TaskOrder;
@@ -96,6 +98,8 @@ pub(super) struct Lane {
     pub(super) agents: Vec<f32>,
     pub(super) mixer: MixerGradient,
     pub(super) coach: CoachLane,
+    pub(super) targets_time: Duration,
+    pub(super) descent_time: Duration,
 }
 
 impl Lane {
@@ -120,6 +124,8 @@ impl Lane {
             agents: vec![0.0; agents.parameters().len() + gru.len()],
             mixer: MixerGradient::new(mixer.shape()),
             coach: CoachLane::default(),
+            targets_time: Duration::ZERO,
+            descent_time: Duration::ZERO,
         }
     }
 

@@ -1,0 +1,157 @@
+//! What is timed: both levels' steps and the roll-out of preset `paper`, on experience of its own.
+
+use std::time::Duration;
+
+use sortie_envs::save_the_city::{AllocationRule, ScenarioSet};
+use sortie_learn::methods::paper::allocation::{AllocationLevel, AllocationState};
+use sortie_learn::methods::paper::low_level::{LowLevel, LowLevelConfig};
+use sortie_learn::methods::paper::{
+    Config, Decide, Exploration, ProposalAllocator, Replay, Rollout, SampleShape, Windows,
+    cut_windows, draw_episodes,
+};
+use sortie_learn::random::{Generator, Purpose, generator};
+use sortie_learn::run::EpisodeCounts;
+
+use crate::bench::thread_cpu_s;
+use crate::failure::{Exit, Failure};
+
+/// Environment steps into a run, for how much is tried out.
+const TRIED_OUT_AT: u64 = 1_000_000;
+/// Steps that teach the networks before anything is timed, so that targets differ from what learns.
+const FIRST_STEPS: usize = 3;
+
+/// One call: CPU-seconds, floating-point operations, and the CPU-seconds of its parts.
+pub(super) struct Call {
+    pub(super) cpu_s: f64,
+    pub(super) operations: f64,
+    pub(super) parts: Vec<(&'static str, f64)>,
+}
+
+/// Both levels of a run, its roll-out, and a batch of it.
+pub(super) struct Levels {
+    pub(super) config: Config,
+    pub(super) low_level: LowLevel,
+    pub(super) allocation: AllocationLevel,
+    pub(super) windows: Windows,
+    pub(super) generator: Generator,
+    rollout: Rollout,
+}
+
+impl Levels {
+    /// Plays by initial networks under rules that allocate, cuts a batch, and learns from it a little.
+    pub(super) fn new(seed: u64) -> Result<Self, Failure> {
+        let config = Config::default();
+        let set = ScenarioSet::named(&config.environment.set).map_err(Failure::bug)?;
+        let sizes = config.sizes(&set);
+        let mut weights = generator(seed, Purpose::Weights, 0);
+        let mut low_level = LowLevel::new(config.low_level.clone(), sizes, &mut weights);
+        let mut allocation = AllocationLevel::new(config.allocation_learning(sizes), seed);
+        let mut rollout = Rollout::new(&config, low_level.online.agents.shape(), seed)?;
+        let mut generator = generator(seed, Purpose::Replay, 0);
+        let sample = SampleShape {
+            windows: config.learning.windows,
+            steps: config.learning.steps,
+            agents: set.max_agents,
+            tasks: set.max_buildings,
+        };
+        let replay = fill(&mut rollout, &low_level, sample.windows, exploration(&config))?;
+        let drawn = draw_episodes(&replay, sample.windows, &mut generator, |_| true)
+            .ok_or_else(|| Failure::new(Exit::Bug, "too few episodes for a batch"))?;
+        let windows = cut_windows(&replay, &drawn, sample, &mut generator);
+        let drawn_policy = allocation.state().policy;
+        for _ in 0..FIRST_STEPS {
+            low_level.learn(&windows, 1, &mut generator);
+            allocation.learn(&windows, 0, &mut generator, 1);
+        }
+        // From here on steps have no length, and the policy is as it was drawn: policies that learn
+        // from one batch again and again propose the same, which saves work.
+        let still = LowLevelConfig { learning_rate: 0.0, ..config.low_level.clone() };
+        let mut low = LowLevel::new(still, sizes, &mut weights);
+        (low.online, low.target) = (low_level.online, low_level.target);
+        low.optimisers = low_level.optimisers;
+        let mut still = *allocation.learning();
+        still.learning_rate = 0.0;
+        let state = AllocationState { policy: drawn_policy, ..allocation.state() };
+        let allocation = AllocationLevel::restore(still, state)
+            .ok_or_else(|| Failure::new(Exit::Bug, "the allocator does not fit itself"))?;
+        Ok(Self { config, low_level: low, allocation, windows, generator, rollout })
+    }
+
+    /// Episodes of a round, which is also the number of steps that follow it.
+    pub(super) fn episodes(&self) -> usize {
+        self.config.environment.instances
+    }
+
+    /// One step of the low level.
+    pub(super) fn low_level_step(&mut self) -> Call {
+        let Self { low_level, windows, generator, .. } = self;
+        let (operations, before) = (low_level.operations(), low_level.times());
+        let start = thread_cpu_s();
+        std::hint::black_box(low_level.learn(windows, 1, generator));
+        let cpu_s = thread_cpu_s() - start;
+        let after = low_level.times();
+        let part = |from: Duration, to: Duration| (to - from).as_secs_f64();
+        let parts = vec![
+            ("targets", part(before.targets, after.targets)),
+            ("values and descent", part(before.descent, after.descent)),
+            ("optimiser", part(before.optimiser, after.optimiser)),
+        ];
+        Call { cpu_s, operations: (low_level.operations() - operations) as f64, parts }
+    }
+
+    /// One step of proposal policy and critic.
+    pub(super) fn allocation_step(&mut self) -> Call {
+        let Self { allocation, windows, generator, .. } = self;
+        let before = allocation.times();
+        let start = thread_cpu_s();
+        let report = allocation.learn(windows, 0, generator, 1);
+        let cpu_s = thread_cpu_s() - start;
+        let after = allocation.times();
+        let part = |from: Duration, to: Duration| (to - from).as_secs_f64();
+        let parts = vec![
+            ("proposals", part(before.proposals, after.proposals)),
+            ("critic", part(before.critic, after.critic)),
+            ("policy's gradient", part(before.policy, after.policy)),
+            ("optimisers", part(before.optimiser, after.optimiser)),
+        ];
+        let operations = report.map_or(0, |report| report.operations) as f64;
+        Call { cpu_s, operations, parts }
+    }
+
+    /// One episode in every environment under the learned allocator: environment steps and CPU-seconds.
+    pub(super) fn play(&mut self) -> Result<(f64, f64), Failure> {
+        let exploration = exploration(&self.config);
+        let networks = self.allocation.networks();
+        let mut allocator = ProposalAllocator::new(networks, self.config.allocation.proposals);
+        let agents = &self.low_level.online.agents;
+        let start = thread_cpu_s();
+        let counts = &mut EpisodeCounts::default();
+        let episodes = self.rollout.round(agents, Some(&mut allocator), exploration, 0, counts)?;
+        let cpu_s = thread_cpu_s() - start;
+        Ok((episodes.iter().map(|episode| episode.steps() as f64).sum(), cpu_s))
+    }
+}
+
+fn exploration(config: &Config) -> Exploration {
+    config.exploration.at(TRIED_OUT_AT)
+}
+
+/// Plays so many episodes, in turns under the heuristic and under random allocations.
+fn fill(
+    rollout: &mut Rollout,
+    low_level: &LowLevel,
+    episodes: usize,
+    exploration: Exploration,
+) -> Result<Replay, Failure> {
+    let mut replay = Replay::new(2 * episodes);
+    let mut rules = [AllocationRule::Heuristic, AllocationRule::Random].into_iter().cycle();
+    while replay.len() < episodes {
+        let mut rule = rules.next();
+        let rule = rule.as_mut().map(|rule| rule as &mut dyn Decide);
+        let counts = &mut EpisodeCounts::default();
+        let agents = &low_level.online.agents;
+        let played = rollout.round(agents, rule, exploration, 0, counts)?;
+        played.into_iter().for_each(|episode| replay.push(episode));
+    }
+    Ok(replay)
+}
