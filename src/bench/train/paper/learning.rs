@@ -123,7 +123,7 @@ impl Levels {
         let exploration = exploration(&self.config);
         let networks = self.allocation.networks();
         let mut allocator = ProposalAllocator::new(networks, self.config.allocation.proposals);
-        let agents = &self.low_level.online.agents;
+        let agents = self.low_level.players();
         let start = thread_cpu_s();
         let counts = &mut EpisodeCounts::default();
         let episodes = self.rollout.round(agents, Some(&mut allocator), exploration, 0, counts)?;
@@ -149,7 +149,7 @@ fn fill(
         let mut rule = rules.next();
         let rule = rule.as_mut().map(|rule| rule as &mut dyn Decide);
         let counts = &mut EpisodeCounts::default();
-        let agents = &low_level.online.agents;
+        let agents = low_level.players();
         let played = rollout.round(agents, rule, exploration, 0, counts)?;
         played.into_iter().for_each(|episode| replay.push(episode));
     }
