@@ -1,12 +1,21 @@
 //! `sortie control`: tells the processes of a running team what to do.
 
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
+
 use clap::{Args, Subcommand, ValueEnum};
 use serde::Serialize;
 use sortie_core::wire::{Command, ControlStatus};
 use sortie_ipc::{Answer, Domain, Order, control};
 
+use crate::allocator::DeployedAllocator;
+use crate::arguments::AllocatorChoice;
+use crate::deployment::open_bundle;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::output::print_json;
+use crate::policy::{Backend, DeployedPolicy};
+use crate::proposals::ProposalArguments;
+use crate::run::registry;
 
 /// Tell the processes of a running team what to do: say who they are, pause, continue, end, change the leader
 ///
@@ -16,6 +25,7 @@ use crate::output::print_json;
   sortie control info
   sortie control pause --domain north
   sortie control step-down --json
+  sortie control reload models/save-the-city-large
   sortie control log-level warn --process 4711")]
 pub(crate) struct ControlArguments {
     #[command(subcommand)]
@@ -31,7 +41,7 @@ pub(crate) struct ControlArguments {
     json: bool,
 }
 
-#[derive(Clone, Copy, Debug, Subcommand)]
+#[derive(Clone, Debug, Subcommand)]
 enum OrderArgument {
     /// Who is there: role, process, tick, agents, model, who leads
     Info,
@@ -45,6 +55,11 @@ enum OrderArgument {
     ShutDown,
     /// The leading allocator lets a standby lead
     StepDown,
+    /// Runners and allocators go on with another bundle of the same contract, between two ticks
+    Reload {
+        /// Folder of the bundle, beside that of the bundle in use: processes are told its name only
+        bundle: PathBuf,
+    },
     /// What the messaging library may say on standard error
     LogLevel {
         #[arg(value_enum)]
@@ -64,7 +79,7 @@ enum Level {
 }
 
 impl OrderArgument {
-    fn order(self, process: Option<u32>) -> Order {
+    fn order(&self, process: Option<u32>) -> Order {
         let (command, number) = match self {
             Self::Info => (Command::Info, 0),
             Self::Pause => (Command::Pause, 0),
@@ -72,15 +87,37 @@ impl OrderArgument {
             Self::ResetEpisode => (Command::ResetEpisode, 0),
             Self::ShutDown => (Command::ShutDown, 0),
             Self::StepDown => (Command::StepDown, 0),
-            Self::LogLevel { level } => (Command::SetLogLevel, level as u64),
+            Self::Reload { .. } => (Command::ReloadModel, 0),
+            Self::LogLevel { level } => (Command::SetLogLevel, *level as u64),
         };
-        Order { command, process, number }
+        Order { process, number, ..Order::new(command) }
     }
+}
+
+/// The name of a bundle for those who are to load it, once it can be loaded fast: compiled here, not by processes
+/// that others wait for.
+fn prepare(folder: &Path) -> Result<String, Failure> {
+    let bundle = open_bundle(folder)?;
+    DeployedPolicy::open(&bundle, Backend::Plan)?;
+    if bundle.has_allocator() {
+        let (choice, proposals) = (AllocatorChoice::Learned, ProposalArguments::default());
+        DeployedAllocator::open(&bundle, choice, Backend::Plan, 0, proposals)?;
+    }
+    let name = folder.canonicalize().ok();
+    let name = name.as_deref().and_then(Path::file_name).and_then(OsStr::to_str);
+    name.filter(|name| registry::is_key(name)).map(str::to_string).ok_or_else(|| {
+        let message = "the bundle's folder needs a name of up to 32 letters, digits, `.`, `_`, `-`";
+        Failure::new(Exit::Usage, message)
+    })
 }
 
 pub(crate) fn run(arguments: &ControlArguments) -> Outcome {
     let domain = Domain::new(&arguments.domain)?;
-    let answers = control(&domain, &arguments.order.order(arguments.process))?;
+    let mut order = arguments.order.order(arguments.process);
+    if let OrderArgument::Reload { bundle } = &arguments.order {
+        order = order.with_text(&prepare(bundle)?);
+    }
+    let answers = control(&domain, &order)?;
     if arguments.json {
         let processes = answers.iter().map(ToldProcess::new).collect();
         print_json(&Told { domain: domain.id(), processes });
@@ -97,7 +134,9 @@ fn judge(answers: &[Answer]) -> Outcome {
         return Ok(());
     }
     Err(if has(ControlStatus::Foreign) {
-        Failure::new(Exit::Mismatch, "the processes are of another version")
+        Failure::new(Exit::Mismatch, "version, contract or sizes do not fit")
+    } else if has(ControlStatus::BadArgument) {
+        Failure::new(Exit::Missing, "there is nothing of this name, or it cannot be read")
     } else {
         Failure::new(Exit::NotRunning, "no process that could do it has answered")
     })
@@ -136,7 +175,7 @@ fn outcome(status: Option<ControlStatus>) -> &'static str {
         Some(ControlStatus::Done) => "done",
         Some(ControlStatus::NotMine) => "does not concern it",
         Some(ControlStatus::NotSupported) => "not supported",
-        Some(ControlStatus::Foreign) => "of another version",
+        Some(ControlStatus::Foreign) => "of another version or contract, or too small",
         Some(ControlStatus::BadArgument) => "no such value",
         None => "answers what only a later version knows",
     }

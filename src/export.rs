@@ -13,6 +13,7 @@ use crate::arguments::{Allocation, Common};
 use crate::environment::ScenarioSetName;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::output::{print_json, warn_of_refused};
+use crate::proposals::ProposalArguments;
 
 /// Export a training run as a bundle: networks as ONNX, contract, golden observations, card and curve
 ///
@@ -96,7 +97,7 @@ fn measure(run: &Run, plan: &EvaluationPlan, measured: &mut Vec<Measured>) -> Ou
         measured.push(Measured { set, allocation, evaluation });
         Ok(())
     };
-    if let Some(mut allocator) = run.learned_allocator() {
+    if let Some(mut allocator) = run.learned_allocator(ProposalArguments::default().count()) {
         add("learned", &mut *allocator)?;
     }
     for allocation in [Allocation::Coordinated, Allocation::Heuristic] {

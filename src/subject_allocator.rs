@@ -15,7 +15,7 @@ use crate::subject::Subject;
 pub(crate) enum SubjectAllocator<'a> {
     Rule(AllocationRule),
     /// A run's, with the trainer's own forward pass.
-    Run(&'a Run),
+    Run(&'a Run, ProposalArguments),
     /// A bundle's, as deployed.
     Bundle(Box<DeployedLearned>),
     /// A bundle's that proposes, as deployed.
@@ -43,7 +43,7 @@ impl<'a> SubjectAllocator<'a> {
                     None => Ok(Self::Bundle(Box::new(DeployedLearned::open(bundle, backend)?))),
                 }
             }
-            Some(Subject::Run(run)) => Ok(Self::Run(run)),
+            Some(Subject::Run(run)) => Ok(Self::Run(run, proposals)),
             Some(Subject::Scripted) | None => Err(none_learned(name)),
         }
     }
@@ -52,7 +52,9 @@ impl<'a> SubjectAllocator<'a> {
     pub(crate) fn allocator(&mut self) -> Result<Box<dyn Allocate + '_>, Failure> {
         Ok(match self {
             Self::Rule(rule) => Box::new(*rule),
-            Self::Run(run) => run.learned_allocator().ok_or_else(|| none_learned("the run"))?,
+            Self::Run(run, proposals) => {
+                run.learned_allocator(proposals.count()).ok_or_else(|| none_learned("the run"))?
+            }
             Self::Bundle(learned) => Box::new(DeployedAllocator(Box::new(learned.allocator()?))),
             Self::Proposing(memory) => Box::new(DeployedAllocator(Box::new(memory.allocator()?))),
         })

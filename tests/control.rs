@@ -5,7 +5,7 @@ mod support;
 use std::path::PathBuf;
 use std::process::Stdio;
 
-use support::{BUNDLE, TestDomain, assert_fails, json, output, sortie, wait_until};
+use support::{BUNDLE, TestDomain, assert_fails, json, output, sortie, stderr, wait_until};
 
 /// Asks until the answer is as expected.
 fn await_info(domain: &str, is_expected: impl Fn(&[serde_json::Value]) -> bool) {
@@ -45,6 +45,23 @@ fn a_team_that_is_up_does_what_it_is_told() {
             process["role"] == "allocator" && process["leads"] == true
         };
         processes.iter().find(leads).is_some_and(|process| process["term"] == 2)
+    });
+    let reload =
+        |bundle: &str| output(&["control", "reload", bundle, "--domain", &domain.id, "--json"]);
+    let model = |told: &serde_json::Value| told["processes"][0]["model"].clone();
+    let before = model(&tell("info"));
+    let reloaded = reload(&format!("{BUNDLE}-large"));
+    assert_eq!(reloaded.status.code(), Some(0), "{}", stderr(&reloaded));
+    let reloaded: serde_json::Value = serde_json::from_slice(&reloaded.stdout).expect("JSON");
+    let processes = reloaded["processes"].as_array().expect("processes").clone();
+    // Five runners and two allocators.
+    assert_eq!(processes.len(), 7, "{reloaded}");
+    assert!(processes.iter().all(|process| process["outcome"] == "done"), "{reloaded}");
+    let large = model(&reloaded);
+    assert!(large != before && processes.iter().all(|process| process["model"] == large));
+    assert_fails(&reload("models/save-the-village"), 66, &["save-the-village"]);
+    await_info(&domain.id, |processes| {
+        processes.iter().all(|process| process["role"] == "world" || process["model"] == large)
     });
     let nobody = output(&["control", "pause", "--domain", &domain.id, "--process", "1"]);
     assert_fails(&nobody, 69, &["no process that could do it has answered"]);

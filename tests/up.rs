@@ -172,6 +172,36 @@ fn a_team_that_is_up_plays_its_episodes_and_reports() {
 }
 
 #[test]
+fn agents_that_get_only_what_they_see_decide_the_same() {
+    let play = |mode: &str| {
+        let domain = TestDomain::new("upprivate");
+        let more = ["--episodes", "2", "--rate", "0", "--json", mode];
+        let report = json(&[&["up", BUNDLE, "--domain", &domain.id][..], &more].concat());
+        assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
+        ["episodes", "success", "return_mean", "decisions"].map(|key| report[key].clone())
+    };
+    assert_eq!(play("--private"), play("--isolate"));
+}
+
+#[test]
+fn a_world_that_fills_all_seats_plays_as_the_team_does() {
+    let play = |domain: &TestDomain, verb: &[&str]| {
+        let more = ["--domain", &domain.id, "--episodes", "2", "--rate", "0", "--json"];
+        let report = json(&[verb, &more].concat());
+        ["success", "return_mean", "decisions", "fallbacks"].map(|key| report[key].clone())
+    };
+    let domain = TestDomain::new("upfill");
+    let mut allocator = sortie(&["process", "allocator", BUNDLE, "--domain", &domain.id])
+        .args(["--allocation", "learned"])
+        .spawn()
+        .expect("the command line starts");
+    let filled = play(&domain, &["process", "world", BUNDLE, "--fill", "--allocation", "learned"]);
+    assert!(allocator.wait().expect("its status").success());
+    assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
+    assert_eq!(filled, play(&domain, &["up", BUNDLE]));
+}
+
+#[test]
 fn a_doctor_names_what_is_missing() {
     let domain = TestDomain::new("doctor");
     let idle = json(&["doctor", "--domain", &domain.id, "--json"]);
@@ -185,6 +215,7 @@ fn a_doctor_names_what_is_missing() {
     let told = String::from_utf8_lossy(&examined.stdout).into_owned();
     assert!(told.contains("nobody acts for agents 1\n"), "{told}");
     assert!(told.contains("one leads, none stands by"), "{told}");
+    assert!(told.contains("supervisor ") && told.contains(", version 0."), "{told}");
     assert_fails(&examined, 1, &["problem"]);
     assert_eq!(up.end(), Some(130));
     assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());

@@ -2,6 +2,7 @@
 
 mod onlooker;
 pub(crate) mod process;
+pub(crate) mod registry;
 mod report;
 mod scheduling;
 mod team;
@@ -197,6 +198,7 @@ fn play_as_processes(
         backend: arguments.backend,
         proposals: arguments.proposals,
         seed: arguments.common.seed,
+        private: false,
         parent: Some(std::process::id()),
     };
     let start_team = |children: &mut Children| {

@@ -3,12 +3,15 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use sortie_bundle::FallbackAllocation;
+use sortie_bundle::{Bundle, FallbackAllocation};
+use sortie_core::Allocator;
+use sortie_core::roles::Counters;
 use sortie_envs::save_the_city::AllocationRule;
 use sortie_ipc::{
-    Domain, ProcessSettings, allocator_process, runner_process, runner_process_with_heuristic,
+    AllocatorProcess, Domain, DomainContract, Ended, ProcessSettings, RunnerProcess, Stop,
 };
 
+use super::registry::Bundles;
 use super::scheduling::Scheduling;
 use super::world::{Playing, WorldOfTeam, play};
 use crate::allocator::DeployedAllocator;
@@ -39,6 +42,12 @@ pub(crate) struct ProcessArguments {
     proposals: ProposalArguments,
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// World: every agent gets its own frame; runner: it gets that of its agent
+    #[arg(long)]
+    private: bool,
+    /// World: it acts for agents without a runner
+    #[arg(long)]
+    fill: bool,
     #[command(flatten)]
     scheduling: Scheduling,
     /// Core that it stays on
@@ -73,14 +82,15 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
         model: model_id(&bundle),
         entities_max: Some(limits.n_max.into()),
         tasks_max: Some(limits.t_max.into()),
+        private: arguments.private,
         parent: arguments.parent,
         spin: arguments.scheduling.spin(),
         real_time: arguments.scheduling.real_time(arguments.core),
     };
-    let ended = match arguments.role {
+    match arguments.role {
         Role::World => {
-            let ProcessArguments { allocation, backend, seed, json, quiet, .. } = *arguments;
-            let (spin, real_time) = (settings.spin, settings.real_time);
+            let ProcessArguments { allocation, backend, seed, json, quiet, fill, .. } = *arguments;
+            let ProcessSettings { private, spin, real_time, .. } = settings;
             let world = WorldOfTeam {
                 bundle: &bundle,
                 allocation,
@@ -88,36 +98,76 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
                 seed,
                 json,
                 quiet,
+                private,
+                fill,
                 spin,
                 real_time,
             };
-            return play(&world, &arguments.playing, &domain, &stop);
+            play(&world, &arguments.playing, &domain, &stop)
         }
-        Role::Runner => {
-            let mut policy = DeployedPolicy::open(&bundle, arguments.backend)?;
-            let mut policy = policy.policy()?;
-            let (agents, policy) = (&arguments.agents, policy.as_mut());
-            match bundle.contract().fallback_allocation {
-                FallbackAllocation::Unallocated => {
-                    runner_process(&domain, &contract, agents, policy, &settings, &stop)
-                }
-                FallbackAllocation::Heuristic => {
-                    // A rule that draws nothing: every runner finds the same.
-                    let mut rule = CityAllocator::new(AllocationRule::Heuristic, 0);
-                    runner_process_with_heuristic(
-                        &domain, &contract, agents, policy, &mut rule, &settings, &stop,
-                    )
-                }
-            }
-        }
-        Role::Allocator => {
-            let ProcessArguments { allocation, backend, seed, proposals, .. } = *arguments;
-            let mut memory =
-                DeployedAllocator::open(&bundle, allocation, backend, seed, proposals)?;
-            let mut allocator = memory.allocator()?;
-            allocator_process(&domain, &contract, allocator.as_mut(), &settings, &stop)
+        Role::Runner => act(arguments, (&bundle, &contract), &domain, &settings, &stop),
+        Role::Allocator => allocate(arguments, (&bundle, &contract), &domain, &settings, &stop),
+    }
+}
+
+/// A runner: with the bundle that it was started with, then with those that it is told to load.
+fn act(
+    arguments: &ProcessArguments,
+    (bundle, contract): (&Bundle, &DomainContract),
+    domain: &Domain,
+    settings: &ProcessSettings,
+    stop: &Stop,
+) -> Outcome {
+    let backend = arguments.backend;
+    let mut memory = DeployedPolicy::open(bundle, backend)?;
+    let mut bundles =
+        Bundles::beside(&arguments.bundle, |bundle: &Bundle| DeployedPolicy::open(bundle, backend));
+    // A rule that draws nothing: every runner finds the same.
+    let mut rule = CityAllocator::new(AllocationRule::Heuristic, 0);
+    let has_rule = bundle.contract().fallback_allocation == FallbackAllocation::Heuristic;
+    let mut process = RunnerProcess::join(domain, contract, &arguments.agents, settings, stop)?;
+    let ended = loop {
+        let mut policy = memory.policy()?;
+        let rule = has_rule.then_some(&mut rule as &mut dyn Allocator);
+        let ended = process.act(policy.as_mut(), rule, Some(&mut bundles), stop);
+        drop(policy);
+        match (ended, bundles.take()) {
+            (Ok(Ended::ForNextModel), Some(loaded)) => memory = loaded,
+            (ended, _) => break ended,
         }
     };
+    let left = process.leave();
+    outcome(ended.and(left))
+}
+
+/// An allocator: with the bundle that it was started with, then with those that it is told to load.
+fn allocate(
+    arguments: &ProcessArguments,
+    (bundle, contract): (&Bundle, &DomainContract),
+    domain: &Domain,
+    settings: &ProcessSettings,
+    stop: &Stop,
+) -> Outcome {
+    let ProcessArguments { allocation, backend, seed, proposals, .. } = *arguments;
+    let open =
+        |bundle: &Bundle| DeployedAllocator::open(bundle, allocation, backend, seed, proposals);
+    let mut memory = open(bundle)?;
+    let mut bundles = Bundles::beside(&arguments.bundle, open);
+    let mut process = AllocatorProcess::join(domain, contract, settings, stop)?;
+    let ended = loop {
+        let mut allocator = memory.allocator()?;
+        let ended = process.allocate(allocator.as_mut(), Some(&mut bundles), stop);
+        drop(allocator);
+        match (ended, bundles.take()) {
+            (Ok(Ended::ForNextModel), Some(loaded)) => memory = loaded,
+            (ended, _) => break ended,
+        }
+    };
+    let left = process.leave();
+    outcome(ended.and(left))
+}
+
+fn outcome(ended: Result<Counters, sortie_ipc::Error>) -> Outcome {
     match ended {
         Ok(_) => Ok(()),
         // The world tells the person; one line is enough.

@@ -19,6 +19,8 @@ pub(crate) struct Team<'a> {
     pub(crate) backend: Backend,
     pub(crate) proposals: ProposalArguments,
     pub(crate) seed: u64,
+    /// Whether every agent gets its own frame.
+    pub(crate) private: bool,
     /// Process with which they end.
     pub(crate) parent: Option<u32>,
 }
@@ -55,6 +57,9 @@ impl Team<'_> {
         command.arg("--backend").arg(self.backend.name());
         command.arg(self.proposals.flag());
         command.arg("--seed").arg(self.seed.to_string());
+        if self.private {
+            command.arg("--private");
+        }
         command.stdin(Stdio::null()).stdout(Stdio::null());
         command
     }

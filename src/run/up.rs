@@ -29,6 +29,7 @@ use crate::signals::stop_on_signals;
 #[command(after_help = "Examples:
   sortie up models/save-the-city
   sortie up models/save-the-city --isolate --episodes 100 --rate 200
+  sortie up models/save-the-city --private
   sortie up models/save-the-city --domain north --standbys 2 --restart never")]
 pub(crate) struct UpArguments {
     /// Folder of the bundle
@@ -46,6 +47,12 @@ pub(crate) struct UpArguments {
     /// One process per agent
     #[arg(long)]
     isolate: bool,
+    /// One process per agent, each of which gets only what its agent sees
+    #[arg(long)]
+    private: bool,
+    /// The world acts, by the bundle's policy, for agents whose process is missing
+    #[arg(long)]
+    fill: bool,
     #[command(flatten)]
     scheduling: Scheduling,
     /// World and runners each on a core of their own
@@ -90,6 +97,7 @@ pub(crate) fn run(arguments: &UpArguments) -> Outcome {
         backend: arguments.backend,
         proposals: arguments.proposals,
         seed,
+        private: arguments.private,
         parent: None,
     };
     let charges = charges(arguments, &team, world.shape().agents)?;
@@ -121,7 +129,7 @@ fn charges(
     agents: usize,
 ) -> Result<Vec<Charge>, Failure> {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let groups = group_agents(agents, cores, arguments.isolate);
+    let groups = group_agents(agents, cores, arguments.isolate || arguments.private);
     let scheduling = arguments.scheduling.for_team(1 + groups.len(), cores, arguments.pin)?;
     let with_flags = |mut charge: Charge, scheduling: Scheduling, core: Option<usize>| {
         charge.command.args(scheduling.flags(core));
@@ -155,6 +163,9 @@ fn world(arguments: &UpArguments, team: &Team<'_>) -> Charge {
         if is_set {
             command.arg(flag);
         }
+    }
+    if arguments.fill {
+        command.arg("--fill");
     }
     command.stdout(Stdio::inherit());
     Charge { name: "the world".to_string(), role: Role::World, agents: 0, command }

@@ -4,18 +4,21 @@ use std::time::Duration;
 
 use clap::Args;
 use sortie_bundle::Bundle;
+use sortie_core::World;
 use sortie_envs::save_the_city::{Constants, SaveTheCity, ScenarioSet};
-use sortie_ipc::{Domain, RealTime, Stop, WorldSettings, world_process};
+use sortie_ipc::{
+    Domain, Fill, RealTime, Stop, WorldSettings, world_process, world_process_with_fill,
+};
 
 use super::onlooker::{Display, Onlooker};
 use super::report::{Report, Setup};
 use super::{positive_seconds, rate};
 use crate::arguments::AllocatorChoice;
-use crate::deployment::domain_contract;
+use crate::deployment::{domain_contract, model_id};
 use crate::environment::{ScenarioSetName, check_fits};
 use crate::failure::{Exit, Failure, Outcome};
 use crate::output::print_json;
-use crate::policy::Backend;
+use crate::policy::{Backend, DeployedPolicy};
 use crate::worlds::save_the_city::CityWorld;
 
 /// What a supervised world plays.
@@ -57,6 +60,8 @@ pub(super) struct WorldOfTeam<'a> {
     pub(super) seed: u64,
     pub(super) json: bool,
     pub(super) quiet: bool,
+    pub(super) private: bool,
+    pub(super) fill: bool,
     pub(super) spin: Duration,
     pub(super) real_time: RealTime,
 }
@@ -80,13 +85,22 @@ pub(super) fn play(
         period: rate_hz.map_or(Duration::ZERO, |hz| Duration::from_secs_f64(1.0 / hz)),
         patience: Duration::from_secs_f64(playing.patience),
         episodes: playing.episodes,
+        private: team.private,
         spin: team.spin,
         real_time: team.real_time,
         ..WorldSettings::default()
     };
     let contract = domain_contract(team.bundle);
     let start = |_: &mut _| Ok(());
-    let ended = world_process(domain, &contract, &mut world, &settings, start, &mut onlooker, stop);
+    let ended = if team.fill {
+        let mut policy = DeployedPolicy::open(team.bundle, team.backend)?;
+        let mut policy = policy.policy()?;
+        let fill = Fill { policy: policy.as_mut(), model: model_id(team.bundle) };
+        let filled: (&mut dyn World, _) = (&mut world, fill);
+        world_process_with_fill(domain, &contract, filled, &settings, start, &mut onlooker, stop)
+    } else {
+        world_process(domain, &contract, &mut world, &settings, start, &mut onlooker, stop)
+    };
     let setup = Setup {
         allocation: team.allocation.name().to_string(),
         backend: team.backend.name().to_string(),

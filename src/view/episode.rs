@@ -70,6 +70,7 @@ impl Episode for Replayed<'_> {
                 allocator.allocate(city, &mut unused, &mut allocation)?;
             }
             let scene = Scene {
+                world: 0,
                 city,
                 allocation: &allocation,
                 last_actions: &last_actions,

@@ -129,7 +129,8 @@ mod tests {
         allocation[0] = UNASSIGNED;
 
         let mut probe = TeamValueProbe::of_run(LearnedAllocator { network: &network, team_max: 2 });
-        let scene = Scene { city, allocation: &allocation, last_actions: &[], strategies: &[] };
+        let scene =
+            Scene { world: 0, city, allocation: &allocation, last_actions: &[], strategies: &[] };
         let values = probe.values(&scene).unwrap();
         assert_eq!(values.len(), buildings.len());
         assert!(values[1].is_none(), "closed buildings have no value");

@@ -13,6 +13,8 @@ use crate::iox::{IoxControl, LinkSetup};
 
 /// How long answers are waited for. A process looks for requests whenever it is woken, or after 100 ms.
 const PATIENCE: Duration = Duration::from_secs(1);
+/// The same for what takes a process longer: networks may have to be compiled.
+const LOADING_PATIENCE: Duration = Duration::from_secs(30);
 
 /// What the processes of a domain are told.
 #[derive(Clone, Copy, Debug)]
@@ -24,12 +26,22 @@ pub struct Order {
     pub process: Option<u32>,
     /// A number for the command: the level of [`Command::SetLogLevel`].
     pub number: u64,
+    /// A text for the command, zero padded: the key of [`Command::ReloadModel`].
+    pub text: [u8; 32],
 }
 
 impl Order {
-    /// An order without a number, to all whom it concerns.
+    /// An order without number and text, to all whom it concerns.
     pub fn new(command: Command) -> Self {
-        Self { command, process: None, number: 0 }
+        Self { command, process: None, number: 0, text: [0; 32] }
+    }
+
+    /// The same with a text, of which 32 bytes are kept.
+    pub fn with_text(mut self, text: &str) -> Self {
+        for (to, from) in self.text.iter_mut().zip(text.bytes()) {
+            *to = from;
+        }
+        self
     }
 }
 
@@ -106,10 +118,13 @@ fn ask(link: &mut IoxControl, schema: u64, order: &Order) -> Result<Vec<Answer>,
     let request = ControlReq {
         arg: order.process.unwrap_or(0),
         arg64: order.number,
+        text: order.text,
         token: u64::from(std::process::id()),
         ..ControlReq::new(schema, order.command)
     };
-    let answers = link.ask(&request, PATIENCE)?.into_iter();
+    let loads = order.command == Command::ReloadModel;
+    let patience = if loads { LOADING_PATIENCE } else { PATIENCE };
+    let answers = link.ask(&request, patience)?.into_iter();
     let of_this = answers.filter(|rep| rep.fits(schema) && rep.token == request.token);
     let mut answers: Vec<Answer> = of_this
         .filter_map(|rep| {

@@ -7,9 +7,10 @@ use std::time::{Duration, Instant};
 use sortie_core::link::StatRx;
 use sortie_core::wire::{Role, StatMsg};
 
+use crate::build::version;
 use crate::domain::{Domain, Membership, SHARED_MEMORY, preflight};
 use crate::error::Error;
-use crate::iox::{IoxWatcher, LinkSetup, dead_nodes, worst_case_bytes};
+use crate::iox::{IoxWatcher, LinkSetup, dead_nodes};
 
 /// What a domain of eight agents takes at most, where none runs.
 const USUAL_BYTES: u64 = 512 << 10;
@@ -143,7 +144,7 @@ fn examine_running(membership: &Membership, findings: &mut Vec<Finding>) -> Resu
     let format = facts.format()?;
     findings.push(Finding::of(
         "room for the domain",
-        preflight::check_space(worst_case_bytes(&format.layout)),
+        preflight::check_space(facts.worst_case_bytes()?),
         "remove what fills /dev/shm, or enlarge it: `mount -o remount,size=64m /dev/shm`",
     ));
     let domain = membership.domain();
@@ -162,6 +163,10 @@ fn examine_running(membership: &Membership, findings: &mut Vec<Finding>) -> Resu
             "stands still, as it was told",
             "let it go on: `sortie control resume --domain ID`",
         ),
+        // Without an allocator nobody gets whole frames, and nobody else opens those of an agent.
+        Frames::Missing if facts.has_private_frames() && is_told_by_world(&statuses) => {
+            Finding::fine("world", "tells of itself; its frames are the agents' own")
+        }
         Frames::Missing => Finding::new(
             Severity::Problem,
             "world",
@@ -221,6 +226,10 @@ fn listen(watcher: &mut IoxWatcher) -> Result<(BTreeMap<u32, StatMsg>, Frames), 
     Ok((statuses, frames))
 }
 
+fn is_told_by_world(statuses: &BTreeMap<u32, StatMsg>) -> bool {
+    statuses.values().any(|status| status.role == Role::World as u8)
+}
+
 /// Index of missed wake-ups in the counters of a status.
 const MISSED_WAKE_UPS: usize = 10;
 
@@ -235,8 +244,12 @@ fn examine_process(status: &StatMsg) -> Finding {
     };
     let missed = status.counters.get(MISSED_WAKE_UPS).copied().unwrap_or(0);
     let found = format!(
-        "{role} {}{leads}{model}, {} ticks, {} late, {} lost wake-ups",
-        status.pid, status.counters[0], status.counters[2], missed
+        "{role} {}{leads}{model}, {} ticks, {} late, {} lost wake-ups, version {}",
+        status.pid,
+        status.counters[0],
+        status.counters[2],
+        missed,
+        version(status.build)
     );
     if status.has(StatMsg::DEGRADED) {
         let advice = "look at the allocators: agents act without an allocation";

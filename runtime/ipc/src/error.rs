@@ -71,6 +71,20 @@ pub enum Error {
         /// The first field that differs.
         detail: String,
     },
+    /// A runner that reads world frames in a domain whose frames are private, or the other way round.
+    #[error("domain `{domain}` {}", frames(*.are_private))]
+    Frames {
+        /// The domain.
+        domain: String,
+        /// What the domain has.
+        are_private: bool,
+    },
+    /// A runner that is to get private frames of several agents, or of none.
+    #[error("a runner with private frames acts for one agent, not for {agents:?}")]
+    NotOneAgent {
+        /// The agents asked for.
+        agents: Vec<u16>,
+    },
     /// The services of the domain carry another schema or ABI.
     #[error("domain `{domain}` runs another schema than {schema:016x}, or another ABI than {ABI}")]
     SchemaInUse {
@@ -165,7 +179,7 @@ impl Error {
     /// The exit code that scripts rely on.
     pub fn exit_code(&self) -> u8 {
         match self {
-            Self::DomainId(_) | Self::NoSuchAgent { .. } => 2,
+            Self::DomainId(_) | Self::NoSuchAgent { .. } | Self::NotOneAgent { .. } => 2,
             Self::BadFile { .. } | Self::Layout(_) => 65,
             Self::World(WorldError::Unavailable(_)) => 65,
             Self::Allocator(AllocatorError::Refused { .. }) => 65,
@@ -182,6 +196,7 @@ impl Error {
             Self::Busy { .. } => 75,
             Self::RealTime { .. } => 77,
             Self::Contract { .. } | Self::SchemaInUse { .. } | Self::Limits { .. } => 78,
+            Self::Frames { .. } => 78,
             Self::Interrupted => 130,
         }
     }
@@ -193,6 +208,14 @@ impl Error {
     ) -> impl FnOnce(io::Error) -> Self {
         let path = path.into();
         move |source| Self::Io { action, path, source }
+    }
+}
+
+fn frames(are_private: bool) -> &'static str {
+    if are_private {
+        "gives every agent its own frame, this runner would read the world's: start it with private frames"
+    } else {
+        "has one frame for all, this runner would wait for its own: start it without private frames"
     }
 }
 

@@ -29,7 +29,7 @@ pub struct InProcess<'a> {
 }
 
 /// Runs the team until its episodes are done. Deterministic: nobody waits for time, so the
-/// patience and period of `settings` do not count, nor does its `allocator` flag.
+/// patience and period of `settings` do not count, nor do its flags `allocator` and `private`.
 ///
 /// # Errors
 /// A role fails, or a signal came.

@@ -5,6 +5,7 @@
 //! Everything of a domain is removed by the last process that leaves it, or by the next that comes.
 #![deny(unsafe_code)]
 
+mod build;
 mod clock;
 mod control;
 mod doctor;
@@ -15,6 +16,7 @@ mod in_process;
 mod iox;
 mod processes;
 mod real_time;
+mod registry;
 mod stop;
 pub mod storm;
 mod supervisor;
@@ -33,10 +35,12 @@ pub use iox::{
     IoxControl, IoxWatcher, IoxWorld, LinkService, LinkSetup,
 };
 pub use processes::{
-    Children, ProcessSettings, WorldSettings, allocator_process, group_agents, runner_process,
-    runner_process_with_heuristic, world_process,
+    AllocatorProcess, Children, Fill, ProcessSettings, RunnerProcess, WorldSettings,
+    allocator_process, group_agents, runner_process, runner_process_with_heuristic, world_process,
+    world_process_with_fill,
 };
 pub use real_time::RealTime;
+pub use registry::{Ended, LoadedModel, Registry};
 pub use stop::Stop;
 pub use supervisor::{Charge, RestartPolicy, Supervision, SupervisorEvent, supervise};
 pub use threads::{ThreadAgent, ThreadAllocator, ThreadWorld, Threads};

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use sortie_envs::save_the_city::AllocationRule;
 use sortie_learn::evaluate::{EvaluationPlan, NoSubtasks, evaluate};
 use sortie_learn::export::check_exportable;
 use sortie_learn::methods::paper::{Config, Trainer};
@@ -148,6 +149,7 @@ fn every_way_to_allocate_and_to_be_conditioned_learns() {
         &["low_level.conditioning=none"][..],
         &["low_level.conditioning=input", "low_level.extra_tasks=2", "allocation.extra_tasks=2"],
         &["allocation.by=heuristic"],
+        &["allocation.by=heuristic", "low_level.recurrent=true"],
         &["allocation.by=random"],
     ] {
         let mut config = config();
@@ -159,4 +161,33 @@ fn every_way_to_allocate_and_to_be_conditioned_learns() {
         assert!(last.updates > 0 && last.loss.is_finite(), "{assignments:?}");
         assert_eq!(last.allocator_updates > 0, learned, "{assignments:?}");
     }
+}
+
+#[test]
+fn agents_with_a_memory_are_saved_resumed_and_measured() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = config();
+    for assignment in ["low_level.recurrent=true", "allocation.by=heuristic", "run.steps=500"] {
+        config.set(assignment).unwrap();
+    }
+    let mut trainer = Trainer::new(config.clone(), 5, 1, folder.path()).unwrap();
+    assert_eq!(run(&mut trainer, 200).0, Outcome::Stopped);
+    let mut trainer = Trainer::resume(folder.path(), Some(2)).unwrap();
+    let (_, tensors, curve) = run(&mut trainer, u64::MAX);
+    assert!(tensors == whole_run(config, 5, 1).0, "the resumed run has other weights");
+
+    let opened = Run::open(folder.path()).unwrap();
+    assert_eq!(opened.memory_unit.len(), 3 * 8 * 8 * 2 + 3 * 8 * 2);
+    let measure = |opened: &Run| {
+        let mut plan = EvaluationPlan::new("2-5a_2-5b", 8, u64::MAX - 5).unwrap();
+        plan.constants = opened.description.config.environment().constants;
+        let mut rule = AllocationRule::Heuristic;
+        evaluate(&plan, &mut opened.team(), &mut rule).unwrap()
+    };
+    // The run's own last evaluation, to the last digit, and another one without the memory.
+    let last = curve.last().expect("an evaluation");
+    assert_eq!(measure(&opened).return_mean, last.return_mean);
+    let forgetful = Run { memory_unit: vec![0.0; opened.memory_unit.len()], ..opened.clone() };
+    assert_ne!(measure(&forgetful).return_mean, last.return_mean);
+    assert!(check_exportable(&opened).unwrap_err().to_string().contains("memory"));
 }

@@ -106,6 +106,11 @@ impl AllocatorRole {
         &mut self.counters
     }
 
+    /// Its model is another one from now on.
+    pub fn change_model(&mut self, model: [u8; 16]) {
+        self.options.identity.model = model;
+    }
+
     /// The newest tick seen.
     pub fn tick(&self) -> u64 {
         self.seen_tick

@@ -6,7 +6,6 @@ mod in_force;
 use heapless::Vec;
 use zerocopy::FromZeros;
 
-use self::deciding::observation;
 use super::newest_allocation::NewestAllocation;
 use super::presence::Presence;
 use super::{Counters, IDLE, Identity, Poll};
@@ -21,7 +20,7 @@ use crate::wire::{
 /// What a runner is started with.
 #[derive(Clone, Copy, Debug)]
 pub struct RunnerOptions {
-    /// The domain's frames.
+    /// The domain's frames; a runner of one agent that gets private ones has the layout of those.
     pub format: FrameFormat,
     /// Who this is.
     pub identity: Identity,
@@ -89,6 +88,16 @@ impl RunnerRole {
     /// The newest tick seen.
     pub fn tick(&self) -> u64 {
         self.seen_tick
+    }
+
+    /// From the next frame on it acts for these agents: bit a for agent a. Nobody is told.
+    pub fn act_for(&mut self, agents: u64) {
+        self.options.agents = agents;
+    }
+
+    /// Its model is another one from now on.
+    pub fn change_model(&mut self, model: [u8; 16]) {
+        self.options.identity.model = model;
     }
 
     /// Takes the seats: announces the runner to the world.
@@ -222,7 +231,9 @@ impl RunnerRole {
             Ok(_) if header.kind == FrameKind::WarmUp as u16 => {
                 return header.world_term > self.warmed_term && header.tick > self.seen_tick;
             }
-            Ok(_) if header.kind != FrameKind::World as u16 => self.counters.bad_messages += 1,
+            Ok(_) if header.kind != self.options.format.layout.kind() as u16 => {
+                self.counters.bad_messages += 1;
+            }
             Ok(_) if header.tick <= self.seen_tick => self.counters.old_term_rejects += 1,
             Ok(_) => {
                 self.counters.restarts_seen += u64::from(is_next_world(self.seen_tick, header));
@@ -271,7 +282,7 @@ impl RunnerRole {
         let present = view.present();
         let agents = self.agents().filter(|&agent| present.contains(agent));
         let seen: Vec<Observation<'_>, { limits::AGENTS }> = agents
-            .map(|agent| observation(view, agent, view.observable(agent).and(&present)))
+            .map(|agent| view.observation(agent, &view.observable(agent).and(&present)))
             .collect();
         policy.warm();
         policy.decide_batch(&seen, &mut [Err(DecideError::BadLength); limits::AGENTS]);

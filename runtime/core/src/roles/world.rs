@@ -111,6 +111,10 @@ pub struct WorldRole {
     runners_rung: bool,
     /// Bit a: agent a exists in the current frame.
     present: u64,
+    /// Whether the world's own process acts for agents without another.
+    fills: bool,
+    /// Bit a: it does so for agent a in the current frame.
+    filled: u64,
     /// Bit a: agent a has answered the current frame.
     answered: u64,
     answers: [ActionMsg; limits::AGENTS],
@@ -147,6 +151,8 @@ impl WorldRole {
             reallocated: false,
             runners_rung: false,
             present: 0,
+            fills: false,
+            filled: 0,
             answered: 0,
             answers: [ActionMsg::new_zeroed(); limits::AGENTS],
             fallback: [NO_ACTION; limits::AGENTS],
@@ -178,6 +184,23 @@ impl WorldRole {
     /// Bit a: a process acts for agent a.
     pub fn joined(&self) -> u64 {
         self.seats.joined()
+    }
+
+    /// Takes answers of the world's own process for the agents for which no other acts: [`Self::filled`] says for
+    /// which. Nobody needs to join then.
+    pub fn fill_free_seats(&mut self) {
+        self.fills = true;
+        self.options.required = 0;
+    }
+
+    /// Bit a: the world's own process is to act for agent a in the current frame, if there is such an agent.
+    pub fn filled(&self) -> u64 {
+        self.filled
+    }
+
+    /// Bit a: somebody is to answer the current frame for agent a.
+    fn awaited(&self) -> u64 {
+        self.present & (self.seats.joined() | self.filled)
     }
 
     /// Whether agents have acted without a usable allocation for longer than its grace.

@@ -65,10 +65,12 @@ impl FrameHeader {
         self.flags & flags == flags
     }
 
-    /// Whether the frame asks for actions: a world frame that neither ends nor pauses.
+    /// Whether the frame asks for actions: an observation that neither ends nor pauses.
     pub fn asks_for_actions(&self) -> bool {
         const SILENT: u32 = FrameHeader::EPISODE_END | FrameHeader::PAUSED | FrameHeader::SHUTDOWN;
-        self.kind == FrameKind::World as u16 && self.flags & SILENT == 0
+        let is_observation =
+            self.kind == FrameKind::World as u16 || self.kind == FrameKind::Private as u16;
+        is_observation && self.flags & SILENT == 0
     }
 
     /// Whether magic, ABI and schema are those of this domain.

@@ -2,7 +2,7 @@
 
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
-use super::assert_layout;
+use super::{FrameKind, assert_layout};
 use crate::entity_mask::EntityMask;
 use crate::limits;
 use crate::world::Shape;
@@ -64,6 +64,8 @@ pub enum LayoutError {
     Actions(usize),
     /// No feature, or more than the limit.
     Features(usize),
+    /// A private frame of an agent that does not exist.
+    NoSuchAgent(usize),
 }
 
 impl core::fmt::Display for LayoutError {
@@ -76,6 +78,9 @@ impl core::fmt::Display for LayoutError {
             Self::Tasks(n) => write!(f, "{n} subtasks; a frame takes up to {}", limits::TASKS),
             Self::Actions(n) => write!(f, "{n} actions; a frame takes 1 to {}", limits::ACTIONS),
             Self::Features(n) => write!(f, "{n} features; a frame takes 1 to {}", limits::FEATURES),
+            Self::NoSuchAgent(agent) => {
+                write!(f, "there is no agent {agent} to get a private frame")
+            }
         }
     }
 }
@@ -90,9 +95,14 @@ pub(super) struct Section {
 }
 
 /// Offsets and sizes of a frame's payload, computed alike by writer and readers.
+///
+/// A world frame has a row for every entity, which all agents read through their masks. A private frame is for
+/// one agent: row 0 is its own, and the entities that it sees follow in rising order, itself among them where it
+/// sees itself. So a decision adds up the same rows in the same order as with a world frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameLayout {
     shape: Shape,
+    owner: Option<u16>,
     stride: usize,
     words: usize,
     sections: [Section; 6],
@@ -101,28 +111,57 @@ pub struct FrameLayout {
 }
 
 impl FrameLayout {
-    /// Lays a frame of this shape out.
+    /// Lays a world frame of this shape out.
     ///
     /// # Errors
     /// A count of the shape is zero where it must not be, or over its limit.
     pub fn new(shape: Shape) -> Result<Self, LayoutError> {
         check(shape)?;
+        Ok(Self::of(shape, None, Counts::of_world(shape)))
+    }
+
+    /// Lays out the private frame of `agent` in a domain of this shape.
+    ///
+    /// # Errors
+    /// As [`Self::new`]; there is no such agent; or a row for each entity and the own one are over the limit.
+    pub fn private(shape: Shape, agent: usize) -> Result<Self, LayoutError> {
+        check(shape)?;
+        let counts = Counts::of_agent(shape);
+        check(Shape { entities: counts.rows, ..shape })?;
+        if agent >= shape.agents {
+            return Err(LayoutError::NoSuchAgent(agent));
+        }
+        // The limit of agents fits the field.
+        Ok(Self::of(shape, Some(agent as u16), counts))
+    }
+
+    fn of(shape: Shape, owner: Option<u16>, counts: Counts) -> Self {
         let words = shape.entities.div_ceil(64);
         let stride = shape.features.next_multiple_of(STRIDE_STEP);
         let mut end = size_of::<FrameHead>();
-        let sections = section_bytes(shape).map(|bytes| {
+        let sections = section_bytes(shape, counts).map(|bytes| {
             let section = Section { offset: end.next_multiple_of(ALIGNMENT), bytes };
             end = section.offset + bytes;
             section
         });
-        let len = payload_bytes(shape);
+        let len = whole_bytes(section_bytes(shape, counts));
         debug_assert_eq!(len, end.next_multiple_of(ALIGNMENT));
         debug_assert!(len <= limits::FRAME_BYTES);
         let every_entity = EntityMask::first(shape.entities);
-        Ok(Self { shape, stride, words, sections, len, every_entity })
+        Self { shape, owner, stride, words, sections, len, every_entity }
     }
 
-    /// The shape laid out.
+    /// The agent whose private frame this is.
+    pub fn owner(&self) -> Option<usize> {
+        self.owner.map(usize::from)
+    }
+
+    /// What frames of this layout are for, but for warm-ups.
+    pub fn kind(&self) -> FrameKind {
+        if self.owner.is_some() { FrameKind::Private } else { FrameKind::World }
+    }
+
+    /// The shape of the domain, that of the agents who get private frames included.
     pub fn shape(&self) -> Shape {
         self.shape
     }
@@ -164,13 +203,13 @@ impl FrameLayout {
     pub(super) fn head(&self) -> FrameHead {
         // The limits of `check` fit the fields.
         FrameHead {
-            agents: self.shape.agents as u16,
+            agents: if self.owner.is_some() { 1 } else { self.shape.agents as u16 },
             entities: self.shape.entities as u16,
             tasks: self.shape.tasks as u16,
             actions: self.shape.actions as u16,
             features: self.shape.features as u16,
             stride: self.stride as u16,
-            agent: u16::MAX,
+            agent: self.owner.unwrap_or(u16::MAX),
             reserved: 0,
             open_tasks: 0,
             step: 0,
@@ -181,17 +220,46 @@ impl FrameLayout {
     }
 }
 
-/// Bytes of the sections of a frame of `shape`, in their order.
-const fn section_bytes(shape: Shape) -> [usize; 6] {
-    let Shape { agents, entities, actions, features, .. } = shape;
-    let set = entities.div_ceil(64) * 8;
-    let row = features.next_multiple_of(STRIDE_STEP) * 4;
-    [set, agents * set, entities * 4, agents * actions * 2, agents * 2, entities * row]
+/// How many items the sections of a frame have.
+#[derive(Clone, Copy)]
+struct Counts {
+    /// Agents that are told what they see and may do.
+    agents: usize,
+    /// Entities with features and subtasks.
+    rows: usize,
+    /// Rows with a last action.
+    last_actions: usize,
 }
 
-/// Bytes of the payload of a frame of `shape`, which has to be one that a frame can have.
+impl Counts {
+    const fn of_world(shape: Shape) -> Self {
+        Self { agents: shape.agents, rows: shape.entities, last_actions: shape.agents }
+    }
+
+    /// Any row of a private frame may be another agent's.
+    const fn of_agent(shape: Shape) -> Self {
+        let rows = shape.entities.saturating_add(1);
+        Self { agents: 1, rows, last_actions: rows }
+    }
+}
+
+/// Bytes of the sections of a frame of `shape`, in their order.
+const fn section_bytes(shape: Shape, counts: Counts) -> [usize; 6] {
+    let Shape { entities, actions, features, .. } = shape;
+    let Counts { agents, rows, last_actions } = counts;
+    let set = entities.div_ceil(64) * 8;
+    let row = features.next_multiple_of(STRIDE_STEP) * 4;
+    [set, agents * set, rows * 4, agents * actions * 2, last_actions * 2, rows * row]
+}
+
+/// Bytes of the payload of a world frame of `shape`, which has to be one that a frame can have.
 pub(crate) const fn payload_bytes(shape: Shape) -> usize {
-    let [a, b, c, d, e, f] = section_bytes(shape);
+    whole_bytes(section_bytes(shape, Counts::of_world(shape)))
+}
+
+/// Bytes of a payload with these sections.
+const fn whole_bytes(sections: [usize; 6]) -> usize {
+    let [a, b, c, d, e, f] = sections;
     let whole = [size_of::<FrameHead>(), a, b, c, d, e, f];
     let (mut bytes, mut rest) = (0, whole.as_slice());
     while let [section, others @ ..] = rest {
@@ -253,6 +321,23 @@ mod tests {
     fn has_the_documented_sizes() {
         assert_eq!(bytes(5, 11, 12, 58), 3_264);
         assert_eq!(bytes(8, 16, 14, 42), 3_648);
+    }
+
+    #[test]
+    fn a_private_frame_has_room_for_its_own_row_and_all_that_may_be_seen() {
+        let shape = Shape { agents: 5, entities: 11, tasks: 4, actions: 12, features: 58 };
+        let layout = FrameLayout::private(shape, 3).unwrap();
+        assert_eq!(
+            (layout.payload_bytes(), layout.owner(), layout.shape()),
+            (3_456, Some(3), shape)
+        );
+        assert_eq!(
+            (layout.kind(), layout.head().agents, layout.head().agent),
+            (FrameKind::Private, 1, 3)
+        );
+        assert_eq!(FrameLayout::private(shape, 5), Err(LayoutError::NoSuchAgent(5)));
+        let full = Shape { entities: 128, ..shape };
+        assert_eq!(FrameLayout::private(full, 0), Err(LayoutError::Entities(129)));
     }
 
     #[test]

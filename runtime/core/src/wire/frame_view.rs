@@ -6,7 +6,9 @@ use super::frame_layout::Section;
 use super::{FrameFormat, FrameHead, FrameHeader};
 use crate::allocator::AllocationState;
 use crate::entity_mask::EntityMask;
-use crate::policy::NO_ACTION;
+use crate::limits;
+use crate::policy::{NO_ACTION, Observation};
+use crate::world::Shape;
 
 /// Why a frame is not read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,6 +44,7 @@ impl core::error::Error for FrameError {}
 pub struct FrameView<'a> {
     header: &'a FrameHeader,
     head: &'a FrameHead,
+    owner: Option<usize>,
     stride: usize,
     words: usize,
     present: EntityMask,
@@ -98,6 +101,7 @@ impl<'a> FrameView<'a> {
         Ok(Self {
             header,
             head,
+            owner: layout.owner(),
             stride: layout.stride(),
             words: layout.words(),
             present: EntityMask::from_words(section(payload, present)?),
@@ -122,9 +126,10 @@ impl<'a> FrameView<'a> {
         let every_entity = layout.every_entity();
         let entities_exist = |set: EntityMask| set.and(&every_entity) == set;
         let tasks = self.entity_task.iter().fold(self.head.open_tasks, |all, one| all | one);
-        let actions = layout.shape().actions;
+        let Shape { agents, actions, .. } = layout.shape();
         entities_exist(self.present)
-            && (0..self.agents()).all(|agent| entities_exist(self.observable(agent)))
+            && (0..agents).all(|agent| entities_exist(self.observable(agent)))
+            && self.shows_the_owner_only_what_it_sees()
             && tasks & !layout.every_task() == 0
             && self.head.joined & !layout.every_agent() == 0
             && self
@@ -133,14 +138,27 @@ impl<'a> FrameView<'a> {
                 .all(|&action| action == NO_ACTION || usize::from(action) < actions)
     }
 
+    /// A private frame names its owner, if it is present, and what it sees of the present entities.
+    fn shows_the_owner_only_what_it_sees(&self) -> bool {
+        let Some(owner) = self.owner else { return true };
+        let mut shown = self.observable(owner);
+        shown.insert(owner);
+        self.present == shown || self.present.is_empty() && self.observable(owner).is_empty()
+    }
+
     /// The header.
     pub fn header(&self) -> &'a FrameHeader {
         self.header
     }
 
-    /// A.
+    /// Agents that are told what they see: A, or 1 in a private frame.
     pub fn agents(&self) -> usize {
         usize::from(self.head.agents)
+    }
+
+    /// The agent whose private frame this is.
+    pub fn owner(&self) -> Option<usize> {
+        self.owner
     }
 
     /// Step in the episode.
@@ -168,32 +186,33 @@ impl<'a> FrameView<'a> {
         self.head.open_tasks
     }
 
-    /// The entities that exist.
+    /// The entities that exist; of a private frame, those that are shown.
     pub fn present(&self) -> EntityMask {
         self.present
     }
 
-    /// The entities that `agent` sees; none for an agent that does not exist.
+    /// The entities that `agent` sees; none for an agent that does not exist, or gets another private frame.
     pub fn observable(&self, agent: usize) -> EntityMask {
-        EntityMask::from_words(row(self.observable, agent, self.words))
+        EntityMask::from_words(row(self.observable, self.place(agent), self.words))
     }
 
-    /// `[N]`: bit t where the entity belongs to subtask t; agents: their last allocation.
+    /// The subtasks of every row: bit t where its entity belongs to subtask t; agents: their last allocation.
     pub fn entity_task(&self) -> &'a [u32] {
         self.entity_task
     }
 
-    /// Availability codes `[U]` of `agent`, 0 = not available; empty for one that does not exist.
+    /// Availability codes `[U]` of `agent`, 0 = not available; empty for one that does not exist, or gets another
+    /// private frame.
     pub fn available(&self, agent: usize) -> &'a [u16] {
-        row(self.available, agent, usize::from(self.head.actions))
+        row(self.available, self.place(agent), usize::from(self.head.actions))
     }
 
-    /// Last action `[A]`, [`NO_ACTION`] where there was none.
+    /// Last actions `[A]`, in a private frame of every row; [`NO_ACTION`] where there was none.
     pub fn last_actions(&self) -> &'a [u16] {
         self.last_actions
     }
 
-    /// Features `[N, stride]`.
+    /// Features, `[N, stride]` or those of a private frame's rows.
     pub fn rows(&self) -> &'a [f32] {
         self.rows
     }
@@ -203,7 +222,48 @@ impl<'a> FrameView<'a> {
         self.stride
     }
 
-    /// All that an allocator sees.
+    /// Which entity each row of `owner`'s private frame shows.
+    pub(crate) fn shown(&self, owner: usize) -> impl Iterator<Item = usize> + use<> {
+        let seen = self.observable(owner);
+        // Row 0 is the owner's, whether it sees itself or not.
+        let own = self.present.contains(owner).then_some(owner);
+        own.into_iter().chain((0..limits::ENTITIES).filter(move |&entity| seen.contains(entity)))
+    }
+
+    /// What `agent` decides on, where it may attend to `visible`.
+    pub fn observation(&self, agent: usize, visible: &EntityMask) -> Observation<'a> {
+        Observation {
+            rows: self.rows,
+            stride: self.stride,
+            last_actions: self.last_actions,
+            visible: self.rows_of(visible),
+            self_index: if self.owner.is_some() { 0 } else { agent },
+            available: self.available(agent),
+        }
+    }
+
+    /// The rows that show these entities; the owner's first one is nobody's to attend to.
+    fn rows_of(&self, entities: &EntityMask) -> EntityMask {
+        let Some(owner) = self.owner else { return *entities };
+        let mut rows = EntityMask::EMPTY;
+        for (row, entity) in self.shown(owner).enumerate().skip(1) {
+            if entities.contains(entity) {
+                rows.insert(row);
+            }
+        }
+        rows
+    }
+
+    /// Where `agent` stands among those who are told what they see.
+    fn place(&self, agent: usize) -> usize {
+        match self.owner {
+            None => agent,
+            Some(owner) if owner == agent => 0,
+            Some(_) => usize::MAX,
+        }
+    }
+
+    /// All that an allocator sees; of a private frame nothing that one could work on.
     pub fn allocation_state(&self) -> AllocationState<'a> {
         AllocationState {
             agents: self.agents(),

@@ -10,6 +10,7 @@ mod frame_fill;
 mod frame_header;
 mod frame_layout;
 mod frame_view;
+mod private_frame;
 mod status;
 #[cfg(test)]
 mod tests;

@@ -33,6 +33,19 @@ const FRAME_PAYLOAD: &str = "\
     000060410000000000000000000000000000a0410000a8410000b0410000b8410000c041000000000000000000000000\
     0000000000000000000000000000000000000000000000000000000000000000\
 ";
+const PRIVATE_PAYLOAD: &str = "\
+    0100030002000300050008000000000002000000030000004000000080000000c0000000000100004001000080010000\
+    030000000200000001000000000000000100000000000000000000000000000000000000000000000000000000000000\
+    000000000000000000000000000000000000000000000000000000000000000001000000000000000000000000000000\
+    000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000\
+    010000000100000000000000000000000000000000000000000000000000000000000000000000000000000000000000\
+    000000000000000000000000000000000000010000000000000000000000000000000000000000000000000000000000\
+    000000000000000000000000000000000000000000000000000000000000000002000200ffffffff0000000000000000\
+    000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000\
+    000000000000803f000000400000404000008040000000000000000000000000000000000000803f0000004000004040\
+    000080400000000000000000000000000000000000000000000000000000000000000000000000000000000000000000\
+    0000000000000000000000000000000000000000000000000000000000000000\
+";
 const ACTION: &str = "\
     0807060504030201120000000000000003000000020000003300000000000000a4a3a2a10700000005000b0021000301\
     0000c0bfd204000002000000e1100000\
@@ -352,4 +365,120 @@ fn an_allocation_of_another_shape_is_dropped() {
     let foreign = AllocMsg { abi: 2, ..allocation };
     assert_eq!(foreign.check(SCHEMA, SHAPE), Err(AllocationFault::Foreign));
     assert_eq!(allocation.check(SCHEMA + 1, SHAPE), Err(AllocationFault::Foreign));
+}
+
+fn private_format(agent: usize) -> FrameFormat {
+    FrameFormat { schema: SCHEMA, layout: FrameLayout::private(SHAPE, agent).unwrap() }
+}
+
+/// The frame of the golden bytes as one of its agents gets it.
+fn private_memory(agent: usize) -> ([FrameBlock; 8], FrameHeader) {
+    let (whole, header) = (memory(), header());
+    let view = FrameView::new(&header, whole.as_bytes(), &format()).unwrap();
+    let mut memory = [FrameBlock::zeroed(); 8];
+    memory.as_mut_bytes().fill(0xEE);
+    let layout = private_format(agent).layout;
+    let header = view.write_private(&layout, memory.as_mut_bytes()).unwrap();
+    (memory, header)
+}
+
+#[test]
+fn a_private_frame_has_its_golden_bytes() {
+    let (memory, header) = private_memory(0);
+    assert_eq!((header.kind, header.len), (2, 512));
+    assert_eq!(hex(memory.as_bytes()), PRIVATE_PAYLOAD);
+}
+
+#[test]
+fn a_private_frame_shows_its_owner_what_a_world_frame_shows_it() {
+    let (memory, header) = private_memory(0);
+    let view = FrameView::new(&header, memory.as_bytes(), &private_format(0)).unwrap();
+    assert_eq!((view.owner(), view.agents(), view.step(), view.joined()), (Some(0), 1, 3, 0b01));
+    assert!(view.present().iter().eq([0]) && view.observable(0).iter().eq([0]));
+    assert!(view.observable(1).is_empty() && view.available(1).is_empty());
+    assert_eq!(view.available(0), [0, 1, 0]);
+    let observation = view.observation(0, &view.observable(0));
+    assert_eq!((observation.self_index, observation.visible.len()), (0, 1));
+    // Its own row twice: the first for itself, the second as what it sees.
+    assert!(observation.visible.contains(1));
+    assert_eq!(observation.last_actions, [2, 2, 0xFFFF, 0xFFFF]);
+    for row in [0, 1] {
+        assert_eq!(observation.rows[row * observation.stride..][..5], [0.0, 1.0, 2.0, 3.0, 4.0]);
+    }
+}
+
+#[test]
+fn an_absent_agent_gets_an_empty_private_frame() {
+    let (memory, header) = private_memory(1);
+    let view = FrameView::new(&header, memory.as_bytes(), &private_format(1)).unwrap();
+    assert!(view.present().is_empty() && view.observable(1).is_empty());
+    assert!(view.rows().iter().all(|feature| feature.to_bits() == 0));
+    assert!(view.shown(1).next().is_none());
+}
+
+#[test]
+fn a_private_frame_is_nobody_elses() {
+    let (memory, header) = private_memory(0);
+    let refusal = |format: &FrameFormat| {
+        FrameView::new(&header, memory.as_bytes(), format).map(|_| ()).unwrap_err()
+    };
+    assert_eq!(refusal(&private_format(1)), FrameError::Layout);
+    assert_eq!(refusal(&format()), FrameError::Layout);
+    // What is private already is not cut again, nor is a frame of another domain.
+    let view = FrameView::new(&header, memory.as_bytes(), &private_format(0)).unwrap();
+    let mut place = [FrameBlock::zeroed(); 8];
+    let layout = private_format(0).layout;
+    let cut = view.write_private(&layout, place.as_mut_bytes());
+    assert_eq!(cut, Err(FrameError::Layout));
+}
+
+/// Every single changed bit is either refused or gives a view within what the agent may be shown.
+#[test]
+fn no_bit_makes_a_private_view_name_what_does_not_exist() {
+    for bit in 0..512 * 8 {
+        let (mut memory, header) = private_memory(0);
+        memory.as_mut_bytes()[bit / 8] ^= 1 << (bit % 8);
+        let Ok(view) = FrameView::new(&header, memory.as_bytes(), &private_format(0)) else {
+            continue;
+        };
+        assert!(view.shown(0).all(|entity| entity < 3), "bit {bit}");
+        let everything = view.observation(0, &EntityMask::first(128));
+        assert!(everything.visible.iter().all(|row| row > 0 && row < 4), "bit {bit}");
+        assert!(view.last_actions().iter().all(|&last| last < 3 || last == 0xFFFF), "bit {bit}");
+        assert!(view.entity_task().iter().all(|tasks| tasks >> 2 == 0), "bit {bit}");
+    }
+}
+
+/// Of the rows of what an agent does not see, its frame has no byte, whatever it sees.
+#[test]
+fn no_byte_of_an_unseen_row_is_in_a_private_frame() {
+    const WIDE: Shape = Shape { agents: 3, entities: 9, tasks: 2, actions: 4, features: 6 };
+    let whole = FrameFormat { schema: SCHEMA, layout: FrameLayout::new(WIDE).unwrap() };
+    let mark = |entity: usize| 0xA0 + entity as u8;
+    let header = FrameHeader { len: whole.layout.payload_bytes() as u32, ..header() };
+    let mut memory = [FrameBlock::zeroed(); 16];
+    let payload = &mut memory.as_mut_bytes()[..whole.layout.payload_bytes()];
+    for bits in 0..1_u64 << 9 {
+        let (seen, present) = (EntityMask::from_words(&[bits]), bits.rotate_left(5) & 0x1FF | 2);
+        let mut frame = FrameMut::new(payload, whole.layout).unwrap();
+        frame.set_present(&EntityMask::from_words(&[present]));
+        frame.set_progress(3, TICK, 0);
+        frame.set_observable(1, &seen);
+        for entity in 0..9 {
+            // Four times its mark; a feature that no other field of a frame could show.
+            frame.row_mut(entity).fill(f32::from_bits(u32::from_ne_bytes([mark(entity); 4])));
+        }
+        let view = FrameView::new(&header, payload, &whole).unwrap();
+        let layout = FrameLayout::private(WIDE, 1).unwrap();
+        let mut own = [FrameBlock::zeroed(); 16];
+        own.as_mut_bytes().fill(mark(8));
+        let own = &mut own.as_mut_bytes()[..layout.payload_bytes()];
+        view.write_private(&layout, own).unwrap();
+        for entity in 0..9 {
+            let is_seen = seen.contains(entity) && present >> entity & 1 == 1;
+            let rows = usize::from(is_seen) + usize::from(entity == 1);
+            let shown = own.chunks(4).filter(|feature| **feature == [mark(entity); 4]).count();
+            assert_eq!(shown, rows * WIDE.features, "entity {entity}, seen {bits:b}");
+        }
+    }
 }

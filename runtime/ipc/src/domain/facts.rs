@@ -12,6 +12,7 @@ use sortie_core::wire::{ABI, FrameFormat, FrameLayout};
 
 use super::{BellKind, Domain};
 use crate::error::Error;
+use crate::iox::worst_case_bytes;
 use crate::stop::Stop;
 
 /// The file's name.
@@ -48,6 +49,8 @@ pub struct DomainFacts {
     bell: BellKind,
     /// Nanoseconds from frame to frame; 0 = as long as the team takes.
     period_ns: u64,
+    /// Every agent gets its own frame, with what it sees.
+    private: bool,
     contract: toml::Table,
 }
 
@@ -65,6 +68,7 @@ impl DomainFacts {
             features,
             bell: BellKind::default(),
             period_ns: 0,
+            private: false,
             contract: contract.fields.clone(),
         }
     }
@@ -78,6 +82,16 @@ impl DomainFacts {
     pub fn with_period(self, period: Duration) -> Self {
         // TOML has no unsigned 64-bit numbers; its largest is 292 years.
         Self { period_ns: nanoseconds(period).min(i64::MAX as u64), ..self }
+    }
+
+    /// The same with a frame for all, or a private one for each agent.
+    pub fn with_private_frames(self, private: bool) -> Self {
+        Self { private, ..self }
+    }
+
+    /// Whether every agent gets its own frame, with what it sees.
+    pub fn has_private_frames(&self) -> bool {
+        self.private
     }
 
     /// Nanoseconds from frame to frame; 0 = as long as the team takes.
@@ -105,7 +119,7 @@ impl DomainFacts {
         u64::from_str_radix(&self.contract_hash, 16).unwrap_or(0)
     }
 
-    /// The frames of the domain.
+    /// The frames of the domain as a whole.
     ///
     /// # Errors
     /// The shape is over the limits of frames.
@@ -115,6 +129,32 @@ impl DomainFacts {
         let [agents, entities, tasks] = [self.agents, self.entities, self.tasks].map(|n| n as u16);
         let schema = schema_hash(self.contract_hash(), agents, entities, tasks);
         Ok(FrameFormat { schema, layout })
+    }
+
+    /// The private frames of `agent`, where the domain's are private.
+    ///
+    /// # Errors
+    /// As [`Self::format`]; there is no such agent, or no row for it.
+    pub fn private_format(&self, agent: usize) -> Result<FrameFormat, Error> {
+        Ok(FrameFormat { layout: FrameLayout::private(self.shape(), agent)?, ..self.format()? })
+    }
+
+    /// Shared memory that its publishers take at most, in bytes.
+    pub(crate) fn worst_case_bytes(&self) -> Result<u64, Error> {
+        let private = self.private.then(|| self.private_format(0)).transpose()?;
+        let private = private.as_ref().map(|format| &format.layout);
+        Ok(worst_case_bytes(&self.format()?.layout, private))
+    }
+
+    /// Checks that a runner reads the frames that this domain has.
+    ///
+    /// # Errors
+    /// [`Error::Frames`].
+    pub(crate) fn check_frames(&self, domain: &Domain, private: bool) -> Result<(), Error> {
+        if self.private == private {
+            return Ok(());
+        }
+        Err(Error::Frames { domain: domain.id().to_string(), are_private: self.private })
     }
 
     /// Checks that a process of `contract` fits this domain.
@@ -140,7 +180,7 @@ impl DomainFacts {
     /// Checks that a world of `ours` fits this domain.
     ///
     /// # Errors
-    /// [`Error::Contract`], which names both shapes, kinds of bells, or periods.
+    /// [`Error::Contract`], which names both shapes, kinds of bells, periods, or kinds of frames.
     pub(crate) fn check_world(
         &self,
         domain: &Domain,
@@ -153,6 +193,9 @@ impl DomainFacts {
             format!("bells are {:?} here, {:?} there", ours.bell, self.bell)
         } else if self.period_ns != ours.period_ns {
             format!("the period is {} ns here, {} there", ours.period_ns, self.period_ns)
+        } else if self.private != ours.private {
+            let name = |private| if private { "private" } else { "shared" };
+            format!("frames are {} here, {} there", name(ours.private), name(self.private))
         } else {
             return Ok(());
         };

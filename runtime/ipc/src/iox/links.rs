@@ -18,10 +18,9 @@ use super::control::{ControlRx, serve};
 use super::message::{
     ActionPayload, AllocPayload, FrameHeaderPayload, Message, RequestPayload, StatPayload,
 };
-use super::open::{
-    FrameReceiver, FrameSender, Opener, Receiver, RequestClient, RequestServer, Sender,
-};
+use super::open::{FrameReceiver, Opener, Receiver, RequestClient, RequestServer, Sender};
 use super::services;
+use super::world_frames::WorldFrames;
 use super::{InterProcess, LinkService};
 use crate::clock::MonotonicClock;
 use crate::domain::{BellKind, Domain};
@@ -45,8 +44,7 @@ pub struct LinkSetup<'a> {
 
 /// The world's link over shared memory.
 pub struct IoxWorld<S: LinkService = InterProcess> {
-    frames: FrameSender<S>,
-    payload_bytes: usize,
+    frames: WorldFrames<S>,
     actions: Receiver<S, ActionPayload>,
     allocations: Receiver<S, AllocPayload>,
     statuses: Receiver<S, StatPayload>,
@@ -67,7 +65,8 @@ pub struct IoxAgent<S: LinkService = InterProcess> {
     allocations: Receiver<S, AllocPayload>,
     actions: Sender<S, ActionPayload>,
     statuses: Sender<S, StatPayload>,
-    requests: RequestServer<S>,
+    /// None for a runner inside another process, which answers for both.
+    requests: Option<RequestServer<S>>,
     bell: LinkBell<S>,
     /// Rings that end the next wait.
     rings: u32,
@@ -94,6 +93,22 @@ impl<S: LinkService> IoxWorld<S> {
     /// # Errors
     /// Shared memory cannot be used, or the domain runs another schema.
     pub fn open(setup: &LinkSetup<'_>) -> Result<Self, Error> {
+        Self::with_frames(setup, WorldFrames::shared)
+    }
+
+    /// The same for a domain whose frames are private: every agent gets its own, an allocator, if there is one,
+    /// the world's.
+    ///
+    /// # Errors
+    /// As [`Self::open`]; the domain has more entities than private frames have rows for.
+    pub fn open_private(setup: &LinkSetup<'_>, has_allocator: bool) -> Result<Self, Error> {
+        Self::with_frames(setup, |opener| WorldFrames::private(opener, has_allocator))
+    }
+
+    fn with_frames(
+        setup: &LinkSetup<'_>,
+        frames: impl FnOnce(&Opener<'_, S>) -> Result<WorldFrames<S>, Error>,
+    ) -> Result<Self, Error> {
         let opener = Opener::new(setup)?;
         Ok(Self {
             actions: opener.receiver(services::actions)?,
@@ -103,8 +118,7 @@ impl<S: LinkService> IoxWorld<S> {
             requests: opener.control_server()?,
             control: opener.control_client()?,
             schema: setup.format.schema,
-            frames: opener.frame_sender()?,
-            payload_bytes: setup.format.layout.payload_bytes(),
+            frames: frames(&opener)?,
             bell: LinkBell::open(&opener, Role::World, &[Role::Runner, Role::Allocator])?,
             rings: 1,
             _node: opener.into_node(),
@@ -129,13 +143,36 @@ impl<S: LinkService> IoxAgent<S> {
     /// # Errors
     /// Shared memory cannot be used, or the domain runs another schema.
     pub fn open(setup: &LinkSetup<'_>) -> Result<Self, Error> {
+        Self::with_frames_of(None, setup, true)
+    }
+
+    /// The same for a runner inside a process that answers requests itself.
+    pub(crate) fn open_within(setup: &LinkSetup<'_>) -> Result<Self, Error> {
+        Self::with_frames_of(None, setup, false)
+    }
+
+    /// The link of a runner of `agent` alone, in a domain whose frames are private: it does not open the others'
+    /// nor the world's. `setup` has the domain's format, the runner's role that of
+    /// [`FrameLayout::private`](sortie_core::wire::FrameLayout::private).
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn open_private(setup: &LinkSetup<'_>, agent: usize) -> Result<Self, Error> {
+        Self::with_frames_of(Some(agent), setup, true)
+    }
+
+    fn with_frames_of(
+        agent: Option<usize>,
+        setup: &LinkSetup<'_>,
+        answers: bool,
+    ) -> Result<Self, Error> {
         let opener = Opener::new(setup)?;
         Ok(Self {
-            frames: FrameReader::new(opener.frame_receiver()?),
+            frames: FrameReader::new(opener.frame_receiver(agent)?),
             allocations: opener.receiver(services::allocations)?,
             actions: opener.sender(services::actions)?,
             statuses: opener.sender(services::statuses)?,
-            requests: opener.control_server()?,
+            requests: answers.then(|| opener.control_server()).transpose()?,
             bell: LinkBell::open(&opener, Role::Runner, &[Role::World])?,
             rings: 1,
             _node: opener.into_node(),
@@ -151,7 +188,7 @@ impl<S: LinkService> IoxAllocator<S> {
     pub fn open(setup: &LinkSetup<'_>) -> Result<Self, Error> {
         let opener = Opener::new(setup)?;
         Ok(Self {
-            frames: FrameReader::new(opener.frame_receiver()?),
+            frames: FrameReader::new(opener.frame_receiver(None)?),
             allocations: opener.sender(services::allocations)?,
             statuses: opener.sender(services::statuses)?,
             requests: opener.control_server()?,
@@ -171,8 +208,8 @@ pub trait Housekeeping {
 
 impl<S: LinkService> Housekeeping for IoxWorld<S> {
     fn housekeep(&mut self) {
+        self.frames.update_connections();
         // A connection that fails is tried again at the next heartbeat.
-        let _ = self.frames.update_connections();
         let _ = self.own_status.update_connections();
         // Lets go of those that died.
         let _ = self.control.update_connections();
@@ -246,11 +283,7 @@ impl<S: LinkService> FrameTx for IoxWorld<S> {
         &mut self,
         fill: &mut dyn FnMut(&mut [u8]) -> Result<FrameHeader, LinkError>,
     ) -> Result<(), LinkError> {
-        let mut sample =
-            self.frames.loan_slice(self.payload_bytes).map_err(|_| LinkError::Frames)?;
-        let header = fill(sample.payload_mut())?;
-        *sample.user_header_mut() = FrameHeaderPayload::wrap(&header);
-        sample.send().map(|_| ()).map_err(|_| LinkError::Frames)
+        self.frames.send(fill)
     }
 }
 
@@ -341,15 +374,6 @@ macro_rules! has_bell_and_clock {
             }
         }
 
-        impl<S: LinkService> ControlRx for $link<S> {
-            fn answer_requests(
-                &mut self,
-                answer: &mut dyn FnMut(&ControlReq) -> ControlRep,
-            ) -> bool {
-                serve(&self.requests, answer)
-            }
-        }
-
         impl<S: LinkService> Wakeable for $link<S> {
             fn waker(&self) -> Waker {
                 self.bell.waker()
@@ -364,3 +388,23 @@ macro_rules! has_bell_and_clock {
     )+};
 }
 has_bell_and_clock!(IoxWorld, IoxAgent, IoxAllocator);
+
+impl<S: LinkService> ControlRx for IoxAgent<S> {
+    fn answer_requests(&mut self, answer: &mut dyn FnMut(&ControlReq) -> ControlRep) -> bool {
+        self.requests.as_ref().is_some_and(|requests| serve(requests, answer))
+    }
+}
+
+macro_rules! answers_requests {
+    ($($link:ident),+) => {$(
+        impl<S: LinkService> ControlRx for $link<S> {
+            fn answer_requests(
+                &mut self,
+                answer: &mut dyn FnMut(&ControlReq) -> ControlRep,
+            ) -> bool {
+                serve(&self.requests, answer)
+            }
+        }
+    )+};
+}
+answers_requests!(IoxWorld, IoxAllocator);

@@ -14,6 +14,7 @@ mod message;
 mod open;
 mod services;
 mod watcher;
+mod world_frames;
 
 use iceoryx2::port::listener::Listener;
 use iceoryx2::prelude::{FileDescriptor, FileDescriptorBased};

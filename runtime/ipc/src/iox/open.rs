@@ -13,7 +13,7 @@ use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::*;
 use iceoryx2::service::attribute::{AttributeKey, AttributeValue};
 use iceoryx2::service::port_factory::{publish_subscribe, request_response};
-use sortie_core::wire::{ABI, FrameHead, Role};
+use sortie_core::wire::{ABI, FrameHead, FrameLayout, Role};
 
 use super::links::LinkSetup;
 use super::message::{AnswerPayload, FrameHeaderPayload, Message, RequestPayload};
@@ -77,9 +77,11 @@ impl<'a, S: LinkService> Opener<'a, S> {
         PortName::new(self.setup.name).map_err(failed("port name"))
     }
 
-    fn frames(&self) -> Result<FrameTopic<S>, Error> {
-        let topic = services::frames(self.agents());
-        let name = service_name(topic.name)?;
+    /// The service of world frames, or that of one agent's private ones.
+    pub(super) fn frames(&self, agent: Option<usize>) -> Result<FrameTopic<S>, Error> {
+        let topic = self.frame_topic(agent);
+        let private = agent.map(services::private_frames_name);
+        let name = service_name(private.as_deref().unwrap_or(topic.name))?;
         let alignment = Alignment::new(align_of::<FrameHead>())
             .ok_or("not a power of two")
             .map_err(failed("alignment"))?;
@@ -100,23 +102,29 @@ impl<'a, S: LinkService> Opener<'a, S> {
         })
     }
 
-    pub(super) fn frame_sender(&self) -> Result<FrameSender<S>, Error> {
-        let topic = services::frames(self.agents());
-        let (service, name) = (self.frames()?, self.port_name()?);
+    fn frame_topic(&self, agent: Option<usize>) -> Topic {
+        agent.map_or_else(|| services::frames(self.agents()), |_| services::private_frames())
+    }
+
+    /// Sends frames of `layout`: the world's, or those of its owner.
+    pub(super) fn frame_sender(&self, layout: &FrameLayout) -> Result<FrameSender<S>, Error> {
+        let topic = self.frame_topic(layout.owner());
+        let (service, name) = (self.frames(layout.owner())?, self.port_name()?);
         self.retry(topic.name, || {
             service
                 .publisher_builder()
                 .name(&name)
-                .initial_max_slice_len(self.setup.format.layout.payload_bytes())
+                .initial_max_slice_len(layout.payload_bytes())
                 .allocation_strategy(AllocationStrategy::Static)
                 .max_loaned_samples(topic.loan)
                 .create()
         })
     }
 
-    pub(super) fn frame_receiver(&self) -> Result<FrameReceiver<S>, Error> {
-        let topic = services::frames(self.agents());
-        let (service, name) = (self.frames()?, self.port_name()?);
+    /// Receives world frames, or the private ones of `agent`.
+    pub(super) fn frame_receiver(&self, agent: Option<usize>) -> Result<FrameReceiver<S>, Error> {
+        let topic = self.frame_topic(agent);
+        let (service, name) = (self.frames(agent)?, self.port_name()?);
         self.retry(topic.name, || {
             service
                 .subscriber_builder()
@@ -349,7 +357,7 @@ fn failed<E: Debug>(what: &str) -> impl FnOnce(E) -> Error + use<'_, E> {
 #[cfg(test)]
 mod tests {
     use sortie_core::Shape;
-    use sortie_core::wire::{FrameFormat, FrameLayout};
+    use sortie_core::wire::FrameFormat;
 
     use super::*;
     use crate::domain::BellKind;
@@ -363,11 +371,11 @@ mod tests {
         let (name, bell) = ("test", BellKind::Doorbell);
         let setup = LinkSetup { domain: &domain, format, name, bell, spin: Duration::ZERO };
         let first = Opener::<InterProcess>::new(&setup).unwrap();
-        let _frames = first.frames().unwrap();
+        let _frames = first.frames(None).unwrap();
         for (schema, abi) in [(8, ABI), (7, ABI + 1)] {
             let attributes = attributes(schema, abi).unwrap();
             let other = Opener { attributes, ..Opener::<InterProcess>::new(&setup).unwrap() };
-            let refused = other.frames().unwrap_err();
+            let refused = other.frames(None).unwrap_err();
             assert!(matches!(refused, Error::SchemaInUse { .. }), "{refused}");
             assert_eq!(refused.exit_code(), 78);
         }

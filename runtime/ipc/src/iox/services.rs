@@ -31,6 +31,16 @@ pub(super) fn frames(agents: usize) -> Topic {
     }
 }
 
+/// The frames of one agent alone, in a domain whose frames are private; each agent has its own service.
+pub(super) fn private_frames() -> Topic {
+    Topic { subscribers: 4, ..frames(0) }
+}
+
+/// Name of the service of `agent`'s private frames.
+pub(super) fn private_frames_name(agent: usize) -> String {
+    format!("{}/{agent}", frames(0).name)
+}
+
 pub(super) fn actions(agents: usize) -> Topic {
     Topic {
         name: "sortie/1/act",
@@ -113,18 +123,21 @@ pub(super) fn processes(agents: usize) -> usize {
     agents + 32
 }
 
-/// Shared memory that the domain's publishers take at most, in bytes.
-pub(crate) fn worst_case_bytes(layout: &FrameLayout) -> u64 {
+/// Shared memory that the domain's publishers take at most, in bytes; `private`: the layout of its private frames, if
+/// it has such.
+pub(crate) fn worst_case_bytes(layout: &FrameLayout, private: Option<&FrameLayout>) -> u64 {
     let agents = layout.shape().agents;
     let slots = |topic: Topic| {
         topic.subscribers * (topic.buffer + topic.borrow) + topic.history + topic.loan + 1
     };
     // A world, a runner per agent, an allocator; each of them says hello.
     let frames = slots(frames(agents)) * (layout.payload_bytes() + 128);
+    let private = private
+        .map_or(0, |layout| agents * slots(private_frames()) * (layout.payload_bytes() + 128));
     let actions = agents * slots(actions(agents)) * 128;
     let allocations = slots(allocations(agents)) * 192;
     let statuses = (agents + 2) * slots(statuses(agents)) * 576;
     let Control { clients, active, buffer, .. } = control(agents);
     let answers = (agents + 2) * clients * (active * (buffer + 1) + 1) * 320;
-    (frames + actions + allocations + statuses + answers) as u64
+    (frames + private + actions + allocations + statuses + answers) as u64
 }

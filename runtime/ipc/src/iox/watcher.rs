@@ -5,7 +5,7 @@ use std::time::Duration;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::prelude::*;
 use sortie_core::NO_ACTION;
-use sortie_core::link::{AllocRx, LinkError, StatRx};
+use sortie_core::link::{AllocRx, LinkError, StatRx, StatTx};
 use sortie_core::wire::{
     ABI, ActionMsg, AllocMsg, FrameFormat, FrameHeader, FrameView, Role, StatMsg,
 };
@@ -13,7 +13,7 @@ use zerocopy::FromZeros;
 
 use super::links::LinkSetup;
 use super::message::{ActionPayload, AllocPayload, Message, StatPayload};
-use super::open::{FrameReceiver, Opener, Receiver, Sender, config};
+use super::open::{FrameReceiver, FrameTopic, Opener, Receiver, Sender, config};
 use super::{InterProcess, LinkService, services};
 use crate::domain::{BellKind, Domain};
 use crate::doorbell::Doorbell;
@@ -23,8 +23,11 @@ use crate::error::Error;
 pub struct IoxWatcher<S: LinkService = InterProcess> {
     format: FrameFormat,
     frames: FrameReceiver<S>,
+    /// Kept open, so that they outlive a world and its runners; never read.
+    _private: Vec<FrameTopic<S>>,
     allocations: Receiver<S, AllocPayload>,
     statuses: Receiver<S, StatPayload>,
+    own_status: Sender<S, StatPayload>,
     actions: Sender<S, ActionPayload>,
     bells: Bells<S>,
     /// Dropped last.
@@ -58,13 +61,29 @@ impl<S: LinkService> IoxWatcher<S> {
     /// # Errors
     /// Shared memory cannot be used, or the domain runs another schema.
     pub fn open(setup: &LinkSetup<'_>) -> Result<Self, Error> {
+        Self::open_with(setup, 0)
+    }
+
+    /// The same in a domain whose frames are private, whose services it keeps open as well. It sees the world's
+    /// frames where an allocator gets them.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn open_private(setup: &LinkSetup<'_>) -> Result<Self, Error> {
+        Self::open_with(setup, setup.format.layout.shape().agents)
+    }
+
+    fn open_with(setup: &LinkSetup<'_>, private: usize) -> Result<Self, Error> {
         let opener = Opener::new(setup)?;
         let bells = Bells::open(&opener)?;
+        let private = (0..private).map(|agent| opener.frames(Some(agent)));
         Ok(Self {
             format: setup.format,
-            frames: opener.frame_receiver()?,
+            frames: opener.frame_receiver(None)?,
+            _private: private.collect::<Result<_, _>>()?,
             allocations: opener.receiver(services::allocations)?,
             statuses: opener.receiver(services::statuses)?,
+            own_status: opener.sender(services::statuses)?,
             actions: opener.sender(services::actions)?,
             bells,
             _node: opener.into_node(),
@@ -171,5 +190,12 @@ impl<S: LinkService> StatRx for IoxWatcher<S> {
             take(sample.payload().message());
         }
         Ok(())
+    }
+}
+
+impl<S: LinkService> StatTx for IoxWatcher<S> {
+    fn send_status(&mut self, status: &StatMsg) -> Result<(), LinkError> {
+        let sent = self.own_status.send_copy(StatPayload::wrap(status));
+        sent.map(drop).map_err(|_| LinkError::Statuses)
     }
 }

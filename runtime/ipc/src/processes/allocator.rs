@@ -2,11 +2,11 @@
 
 use std::time::Duration;
 
-use sortie_core::Allocator;
 use sortie_core::roles::{
     AllocatorError, AllocatorOptions, AllocatorRole, Counters, Identity, Poll,
 };
 use sortie_core::wire::{Command, ControlStatus, Role};
+use sortie_core::{Allocator, Shape};
 
 use super::candidacy::Candidacy;
 use super::control::Controlled;
@@ -16,6 +16,7 @@ use crate::control::ProcessInfo;
 use crate::domain::{Domain, DomainContract, Lock, Membership};
 use crate::error::Error;
 use crate::iox::{IoxAllocator, LinkSetup};
+use crate::registry::{Ended, Registry, Reloading};
 use crate::stop::Stop;
 use crate::waker::Wakeable;
 
@@ -34,61 +35,130 @@ pub fn allocator_process(
     settings: &ProcessSettings,
     stop: &Stop,
 ) -> Result<Counters, Error> {
-    let parent = Parent::follow(settings.parent)?;
-    let membership = domain.enter()?;
-    let facts = membership.await_facts(contract, WORLD_PATIENCE, stop)?;
-    settings.check_limits(facts.shape())?;
-    let format = facts.format()?;
-    let name = format!("allocator/{}", std::process::id());
-    let mut link: IoxAllocator = {
-        let _starting = membership.lock_start()?;
-        let (bell, spin) = (facts.bell(), settings.spin);
-        IoxAllocator::open(&LinkSetup { domain, format, name: &name, bell, spin })?
-    };
-    let identity = settings.identity(&name);
-    let mut role = AllocatorRole::new(AllocatorOptions {
-        format,
-        identity,
-        decision_interval: contract.decision_interval,
-    });
-    role.join(&mut link)?;
-    let leadership = Leadership::seek(&membership, &link, Duration::ZERO)?;
-    let schema = format.schema;
-    let membership = &membership;
-    let mut allocating =
-        Allocating { role, allocator, leadership, membership, parent, identity, schema };
-    settings.real_time.claim()?;
-    let ended = drive(&mut allocating, &mut link, stop);
-    // Whoever takes over finds this one gone.
-    let left = allocating.role.leave(&mut link).map_err(Error::from);
-    ended.and(left).map(|()| *allocating.role.counters())
+    let mut process = AllocatorProcess::join(domain, contract, settings, stop)?;
+    let ended = process.allocate(allocator, None, stop);
+    let left = process.leave();
+    ended.and(left)
 }
 
-/// An allocator at work.
-struct Allocating<'a> {
+/// An allocator that has joined its domain, and can allocate with one set of rules after the other.
+pub struct AllocatorProcess {
+    link: IoxAllocator,
     role: AllocatorRole,
-    allocator: &'a mut dyn Allocator,
     leadership: Leadership,
-    membership: &'a Membership,
     parent: Option<Parent>,
     identity: Identity,
     schema: u64,
+    contract: u64,
+    shape: Shape,
+    /// Dropped last.
+    membership: Membership,
 }
 
-impl Process for Allocating<'_> {
+impl AllocatorProcess {
+    /// Joins `domain`, and stands by until the lead is free.
+    ///
+    /// # Errors
+    /// No world comes, it runs another contract, or a signal came.
+    pub fn join(
+        domain: &Domain,
+        contract: &DomainContract,
+        settings: &ProcessSettings,
+        stop: &Stop,
+    ) -> Result<Self, Error> {
+        let parent = Parent::follow(settings.parent)?;
+        let membership = domain.enter()?;
+        let facts = membership.await_facts(contract, WORLD_PATIENCE, stop)?;
+        let shape = facts.shape();
+        settings.check_limits(shape)?;
+        let format = facts.format()?;
+        let name = format!("allocator/{}", std::process::id());
+        let mut link: IoxAllocator = {
+            let _starting = membership.lock_start()?;
+            let (bell, spin) = (facts.bell(), settings.spin);
+            IoxAllocator::open(&LinkSetup { domain, format, name: &name, bell, spin })?
+        };
+        let identity = settings.identity(&name);
+        let mut role = AllocatorRole::new(AllocatorOptions {
+            format,
+            identity,
+            decision_interval: contract.decision_interval,
+        });
+        role.join(&mut link)?;
+        let leadership = Leadership::seek(&membership, &link, Duration::ZERO)?;
+        settings.real_time.claim()?;
+        let (schema, contract) = (format.schema, contract.hash);
+        Ok(Self { link, role, leadership, parent, identity, schema, contract, shape, membership })
+    }
+
+    /// Allocates with `allocator`, in this thread, until the world ends, or until somebody has it load another model
+    /// from `registry`: then this is to be called again, with that.
+    ///
+    /// # Errors
+    /// `allocator` refuses a state, the link failed, or a signal came.
+    pub fn allocate(
+        &mut self,
+        allocator: &mut dyn Allocator,
+        registry: Option<&mut dyn Registry>,
+        stop: &Stop,
+    ) -> Result<Ended, Error> {
+        let Self { link, role, leadership, parent, identity, membership, .. } = self;
+        let (schema, contract, shape) = (self.schema, self.contract, self.shape);
+        let reloading = Reloading { registry, contract, shape, is_due: false };
+        let mut allocating = Allocating {
+            role,
+            allocator,
+            leadership,
+            membership,
+            parent,
+            identity,
+            schema,
+            reloading,
+        };
+        drive(&mut allocating, link, stop)?;
+        Ok(allocating.reloading.ended())
+    }
+
+    /// Says goodbye. Whoever takes over finds this one gone.
+    ///
+    /// # Errors
+    /// The link failed.
+    pub fn leave(mut self) -> Result<Counters, Error> {
+        self.role.leave(&mut self.link)?;
+        Ok(*self.role.counters())
+    }
+}
+
+/// An allocator at work.
+struct Allocating<'a, 'r> {
+    role: &'a mut AllocatorRole,
+    allocator: &'a mut dyn Allocator,
+    leadership: &'a mut Leadership,
+    membership: &'a Membership,
+    parent: &'a Option<Parent>,
+    identity: &'a mut Identity,
+    schema: u64,
+    reloading: Reloading<'r>,
+}
+
+impl Process for Allocating<'_, '_> {
     type Link = IoxAllocator;
 
     fn poll(&mut self, link: &mut IoxAllocator) -> Result<Poll, Error> {
-        self.leadership.follow(&mut self.role, self.membership, link)?;
+        self.leadership.follow(self.role, self.membership, link)?;
         self.role.poll(link, self.allocator).map_err(into_error)
     }
 
+    fn changes_model(&self) -> bool {
+        self.reloading.is_due
+    }
+
     fn look_around(&mut self) -> Result<(), Error> {
-        Parent::check(&self.parent)
+        Parent::check(self.parent)
     }
 }
 
-impl Controlled for Allocating<'_> {
+impl Controlled for Allocating<'_, '_> {
     fn schema(&self) -> u64 {
         self.schema
     }
@@ -98,7 +168,7 @@ impl Controlled for Allocating<'_> {
     }
 
     fn info(&self) -> ProcessInfo {
-        let info = ProcessInfo::new(Role::Allocator, &self.identity);
+        let info = ProcessInfo::new(Role::Allocator, self.identity);
         ProcessInfo { term: self.role.term(), ..info }
     }
 
@@ -106,14 +176,20 @@ impl Controlled for Allocating<'_> {
         self.role.counters_mut()
     }
 
-    fn obey(&mut self, command: Command) -> ControlStatus {
+    fn obey(&mut self, command: Command, text: &str) -> ControlStatus {
         match command {
             Command::StepDown if self.role.term().is_some() => {
                 self.role.stand_by();
                 ControlStatus::Done
             }
-            // It has no registry to load from: whoever starts it gives it the rules.
-            Command::ReloadModel => ControlStatus::NotSupported,
+            Command::ReloadModel => match self.reloading.load(text) {
+                Ok(model) => {
+                    self.identity.model = model;
+                    self.role.change_model(model);
+                    ControlStatus::Done
+                }
+                Err(status) => status,
+            },
             _ => ControlStatus::NotMine,
         }
     }

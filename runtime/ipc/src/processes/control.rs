@@ -18,8 +18,8 @@ pub(super) trait Controlled {
 
     fn counters_mut(&mut self) -> &mut Counters;
 
-    /// Obeys a command of its role.
-    fn obey(&mut self, command: Command) -> ControlStatus;
+    /// Obeys a command of its role, to which `text` belongs.
+    fn obey(&mut self, command: Command, text: &str) -> ControlStatus;
 }
 
 /// Obeys a request, if it is this process that is meant.
@@ -42,6 +42,6 @@ fn status(process: &mut impl Controlled, request: &ControlReq) -> ControlStatus 
         Some(Command::Info) => ControlStatus::Done,
         Some(Command::SetLogLevel) if set_log_level(request.arg64) => ControlStatus::Done,
         Some(Command::SetLogLevel) => ControlStatus::BadArgument,
-        Some(command) => process.obey(command),
+        Some(command) => process.obey(command, request.text()),
     }
 }

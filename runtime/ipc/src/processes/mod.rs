@@ -6,6 +6,7 @@ mod caretaker;
 mod children;
 mod context_switches;
 mod control;
+mod fill;
 mod grouping;
 mod parent;
 mod runner;
@@ -19,14 +20,16 @@ use std::time::Duration;
 use sortie_core::link::{Bell, Clock, Wake};
 use sortie_core::roles::{Identity, Poll};
 
-pub use allocator::allocator_process;
+pub use allocator::{AllocatorProcess, allocator_process};
 pub use children::Children;
+pub use fill::Fill;
 pub use grouping::group_agents;
-pub use runner::{runner_process, runner_process_with_heuristic};
-pub use world::{WorldSettings, world_process};
+pub use runner::{RunnerProcess, runner_process, runner_process_with_heuristic};
+pub use world::{WorldSettings, world_process, world_process_with_fill};
 
 use self::context_switches::ContextSwitches;
 use self::control::Controlled;
+use crate::build::BUILD;
 use crate::error::Error;
 use crate::iox::{ControlRx, Housekeeping};
 use crate::real_time::RealTime;
@@ -49,6 +52,8 @@ pub struct ProcessSettings {
     pub entities_max: Option<usize>,
     /// Most subtasks that the model takes; `None` = any.
     pub tasks_max: Option<usize>,
+    /// Whether a runner gets its agent's private frames, see [`WorldSettings::private`].
+    pub private: bool,
     /// Process id of the parent with which this process is to end.
     pub parent: Option<u32>,
     /// How long waits spin before they sleep; with doorbells only. More spinning processes than
@@ -62,7 +67,9 @@ impl ProcessSettings {
     /// Who the process of port `name` is.
     fn identity(&self, name: &str) -> Identity {
         let is_spinning = !self.spin.is_zero();
-        Identity { model: self.model, is_spinning, ..Identity::new(std::process::id(), name) }
+        let build = BUILD;
+        let new = Identity::new(std::process::id(), name);
+        Identity { model: self.model, build, is_spinning, ..new }
     }
 
     fn check_limits(&self, shape: sortie_core::Shape) -> Result<(), Error> {
@@ -84,6 +91,11 @@ trait Process: Controlled {
     type Link: Bell + Clock + ControlRx + Housekeeping + Wakeable;
 
     fn poll(&mut self, link: &mut Self::Link) -> Result<Poll, Error>;
+
+    /// Whether it leaves the loop to be bound to another model.
+    fn changes_model(&self) -> bool {
+        false
+    }
 
     /// Looks at the processes that it depends on, once per heartbeat.
     fn look_around(&mut self) -> Result<(), Error>;
@@ -125,6 +137,9 @@ fn run<P: Process>(process: &mut P, link: &mut P::Link, stop: &Stop) -> Result<(
             Poll::Answered => u64::MAX,
             Poll::Wait { until_ns } => {
                 if link.answer_requests(&mut |request| control::answer(process, request)) {
+                    if process.changes_model() {
+                        return Ok(());
+                    }
                     continue;
                 }
                 until_ns

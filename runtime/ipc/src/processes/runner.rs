@@ -2,15 +2,16 @@
 
 use sortie_core::roles::{Counters, Identity, Poll, RunnerOptions, RunnerRole};
 use sortie_core::wire::{Command, ControlStatus, Role};
-use sortie_core::{Allocator, Policy};
+use sortie_core::{Allocator, Policy, Shape};
 
 use super::control::Controlled;
 use super::parent::Parent;
 use super::{Process, ProcessSettings, WORLD_PATIENCE, drive};
 use crate::control::ProcessInfo;
-use crate::domain::{Domain, DomainContract};
+use crate::domain::{Domain, DomainContract, Lock, Membership};
 use crate::error::Error;
 use crate::iox::{IoxAgent, LinkSetup};
+use crate::registry::{Ended, Registry, Reloading};
 use crate::stop::Stop;
 
 /// Acts for `agents` of `domain` with `policy`, in this thread, until the world ends. Without a usable
@@ -32,7 +33,8 @@ pub fn runner_process(
 
 /// As [`runner_process`]; without a usable allocation the agents act on that of `heuristic`, a
 /// [`CostAllocator`](sortie_core::allocate::CostAllocator) for example. It has to give the same one to every
-/// runner, so it may depend on nothing but the state.
+/// runner, so it may depend on nothing but the state. A runner with private frames does not see that state: its
+/// agent takes the safe action.
 ///
 /// # Errors
 /// As [`runner_process`].
@@ -48,75 +50,159 @@ pub fn runner_process_with_heuristic(
     act(domain, contract, agents, (policy, Some(heuristic)), settings, stop)
 }
 
-fn act<'a>(
+fn act(
     domain: &Domain,
     contract: &DomainContract,
     agents: &[u16],
-    (policy, heuristic): (&'a mut dyn Policy, Option<&'a mut dyn Allocator>),
+    (policy, heuristic): (&mut dyn Policy, Option<&mut dyn Allocator>),
     settings: &ProcessSettings,
     stop: &Stop,
 ) -> Result<Counters, Error> {
-    let parent = Parent::follow(settings.parent)?;
-    let membership = domain.enter()?;
-    let facts = membership.await_facts(contract, WORLD_PATIENCE, stop)?;
-    let shape = facts.shape();
-    settings.check_limits(shape)?;
-    let seats = seats(agents, shape.agents)?;
-    let _locks =
-        agents.iter().map(|&agent| membership.take_seat(agent)).collect::<Result<Vec<_>, _>>()?;
-    let format = facts.format()?;
-    let name = port_name(agents);
-    let mut link: IoxAgent = {
-        let _starting = membership.lock_start()?;
-        let (bell, spin) = (facts.bell(), settings.spin);
-        IoxAgent::open(&LinkSetup { domain, format, name: &name, bell, spin })?
-    };
-    let identity = settings.identity(&name);
-    let mut role = RunnerRole::new(RunnerOptions {
-        format,
-        identity,
-        agents: seats,
-        subtasks: contract.subtasks,
-        decision_interval: contract.decision_interval,
-        period_ns: facts.period_ns(),
-        safe_action: contract.safe_action,
-    });
-    role.join(&mut link)?;
-    let schema = format.schema;
-    let mut runner = Runner { role, policy, heuristic, parent, identity, seats, schema };
-    settings.real_time.claim()?;
-    let ended = drive(&mut runner, &mut link, stop);
-    let left = runner.role.leave(&mut link).map_err(Error::from);
-    ended.and(left).map(|()| *runner.role.counters())
+    let mut process = RunnerProcess::join(domain, contract, agents, settings, stop)?;
+    let ended = process.act(policy, heuristic, None, stop);
+    let left = process.leave();
+    ended.and(left)
 }
 
-/// A runner at work.
-struct Runner<'a> {
+/// A runner that has joined its domain, and can act with one policy after the other.
+pub struct RunnerProcess {
+    link: IoxAgent,
     role: RunnerRole,
-    policy: &'a mut dyn Policy,
-    heuristic: Option<&'a mut dyn Allocator>,
     parent: Option<Parent>,
     identity: Identity,
     seats: u64,
     schema: u64,
+    contract: u64,
+    shape: Shape,
+    _locks: Vec<Lock>,
+    /// Dropped last.
+    _membership: Membership,
 }
 
-impl Process for Runner<'_> {
+impl RunnerProcess {
+    /// Takes the seats of `agents`.
+    ///
+    /// # Errors
+    /// No world comes, it runs another contract, another process acts for one of the agents, or a signal came.
+    pub fn join(
+        domain: &Domain,
+        contract: &DomainContract,
+        agents: &[u16],
+        settings: &ProcessSettings,
+        stop: &Stop,
+    ) -> Result<Self, Error> {
+        let parent = Parent::follow(settings.parent)?;
+        let membership = domain.enter()?;
+        let facts = membership.await_facts(contract, WORLD_PATIENCE, stop)?;
+        let shape = facts.shape();
+        settings.check_limits(shape)?;
+        let seats = seats(agents, shape.agents)?;
+        facts.check_frames(domain, settings.private)?;
+        let owner = owner(agents, settings.private)?;
+        let locks = agents.iter().map(|&agent| membership.take_seat(agent));
+        let locks = locks.collect::<Result<Vec<_>, _>>()?;
+        let format = facts.format()?;
+        let name = port_name(agents);
+        let mut link: IoxAgent = {
+            let _starting = membership.lock_start()?;
+            let (bell, spin) = (facts.bell(), settings.spin);
+            let setup = LinkSetup { domain, format, name: &name, bell, spin };
+            match owner {
+                Some(agent) => IoxAgent::open_private(&setup, agent)?,
+                None => IoxAgent::open(&setup)?,
+            }
+        };
+        let identity = settings.identity(&name);
+        let mut role = RunnerRole::new(RunnerOptions {
+            format: owner.map_or(Ok(format), |agent| facts.private_format(agent))?,
+            identity,
+            agents: seats,
+            subtasks: contract.subtasks,
+            decision_interval: contract.decision_interval,
+            period_ns: facts.period_ns(),
+            safe_action: contract.safe_action,
+        });
+        role.join(&mut link)?;
+        settings.real_time.claim()?;
+        let (schema, contract) = (format.schema, contract.hash);
+        Ok(Self {
+            link,
+            role,
+            parent,
+            identity,
+            seats,
+            schema,
+            contract,
+            shape,
+            _locks: locks,
+            _membership: membership,
+        })
+    }
+
+    /// Acts with `policy`, in this thread, until the world ends, or until somebody has it load another model from
+    /// `registry`: then this is to be called again, with that.
+    ///
+    /// # Errors
+    /// The link failed, or a signal came.
+    pub fn act(
+        &mut self,
+        policy: &mut dyn Policy,
+        heuristic: Option<&mut dyn Allocator>,
+        registry: Option<&mut dyn Registry>,
+        stop: &Stop,
+    ) -> Result<Ended, Error> {
+        let Self { link, role, parent, identity, seats, schema, contract, shape, .. } = self;
+        let (contract, shape) = (*contract, *shape);
+        let reloading = Reloading { registry, contract, shape, is_due: false };
+        let (seats, schema) = (*seats, *schema);
+        let mut runner =
+            Runner { role, policy, heuristic, parent, identity, seats, schema, reloading };
+        drive(&mut runner, link, stop)?;
+        Ok(runner.reloading.ended())
+    }
+
+    /// Says goodbye.
+    ///
+    /// # Errors
+    /// The link failed.
+    pub fn leave(mut self) -> Result<Counters, Error> {
+        self.role.leave(&mut self.link)?;
+        Ok(*self.role.counters())
+    }
+}
+
+/// A runner at work.
+struct Runner<'a, 'p, 'h, 'r> {
+    role: &'a mut RunnerRole,
+    policy: &'p mut dyn Policy,
+    heuristic: Option<&'h mut dyn Allocator>,
+    parent: &'a Option<Parent>,
+    identity: &'a mut Identity,
+    seats: u64,
+    schema: u64,
+    reloading: Reloading<'r>,
+}
+
+impl Process for Runner<'_, '_, '_, '_> {
     type Link = IoxAgent;
 
     fn poll(&mut self, link: &mut IoxAgent) -> Result<Poll, Error> {
         Ok(match &mut self.heuristic {
-            Some(heuristic) => self.role.poll_with_heuristic(link, self.policy, heuristic)?,
+            Some(heuristic) => self.role.poll_with_heuristic(link, self.policy, *heuristic)?,
             None => self.role.poll(link, self.policy)?,
         })
     }
 
+    fn changes_model(&self) -> bool {
+        self.reloading.is_due
+    }
+
     fn look_around(&mut self) -> Result<(), Error> {
-        Parent::check(&self.parent)
+        Parent::check(self.parent)
     }
 }
 
-impl Controlled for Runner<'_> {
+impl Controlled for Runner<'_, '_, '_, '_> {
     fn schema(&self) -> u64 {
         self.schema
     }
@@ -126,18 +212,24 @@ impl Controlled for Runner<'_> {
     }
 
     fn info(&self) -> ProcessInfo {
-        ProcessInfo { agents: self.seats, ..ProcessInfo::new(Role::Runner, &self.identity) }
+        ProcessInfo { agents: self.seats, ..ProcessInfo::new(Role::Runner, self.identity) }
     }
 
     fn counters_mut(&mut self) -> &mut Counters {
         self.role.counters_mut()
     }
 
-    fn obey(&mut self, command: Command) -> ControlStatus {
-        match command {
-            // It has no registry to load from: whoever starts it gives it the policy.
-            Command::ReloadModel => ControlStatus::NotSupported,
-            _ => ControlStatus::NotMine,
+    fn obey(&mut self, command: Command, text: &str) -> ControlStatus {
+        if command != Command::ReloadModel {
+            return ControlStatus::NotMine;
+        }
+        match self.reloading.load(text) {
+            Ok(model) => {
+                self.identity.model = model;
+                self.role.change_model(model);
+                ControlStatus::Done
+            }
+            Err(status) => status,
         }
     }
 }
@@ -149,6 +241,15 @@ fn seats(agents: &[u16], count: usize) -> Result<u64, Error> {
         return Err(Error::NoSuchAgent { agents: agents.to_vec(), count });
     }
     Ok(agents.iter().fold(0, |seats, agent| seats | 1 << agent))
+}
+
+/// The agent whose private frames the runner gets, if it gets such.
+fn owner(agents: &[u16], private: bool) -> Result<Option<usize>, Error> {
+    match agents {
+        _ if !private => Ok(None),
+        [agent] => Ok(Some((*agent).into())),
+        _ => Err(Error::NotOneAgent { agents: agents.to_vec() }),
+    }
 }
 
 fn port_name(agents: &[u16]) -> String {

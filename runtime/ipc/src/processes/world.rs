@@ -10,11 +10,13 @@ use sortie_core::wire::{Command, ControlStatus, FrameFormat, Role};
 
 use super::caretaker::Caretaker;
 use super::control::Controlled;
+use super::fill::{Fill, Filling, both};
 use super::{Children, Process, drive};
+use crate::build::BUILD;
 use crate::control::ProcessInfo;
 use crate::domain::{BellKind, Domain, DomainContract, DomainFacts, nanoseconds};
 use crate::error::Error;
-use crate::iox::{IoxWorld, LinkSetup, worst_case_bytes};
+use crate::iox::{IoxWorld, LinkSetup};
 use crate::real_time::RealTime;
 use crate::stop::Stop;
 
@@ -43,6 +45,11 @@ pub struct WorldSettings {
     pub period: Duration,
     /// Shortest time between two frames, for onlookers; zero = as fast as the team acts.
     pub tick_interval: Duration,
+    /// Whether every agent gets its own frame, with the rows of what it sees, instead of one frame for all: a
+    /// runner, which acts for one agent then, never holds what its agent may not see. Only the allocator, if there
+    /// is one, gets whole frames. This keeps policies honest; it guards against nobody, since whoever has the same
+    /// user id may open any service.
+    pub private: bool,
     /// How the processes of the domain wake each other.
     pub bell: BellKind,
     /// How long waits spin before they sleep; with doorbells only.
@@ -63,6 +70,7 @@ impl Default for WorldSettings {
             strict: true,
             period: Duration::ZERO,
             tick_interval: Duration::ZERO,
+            private: false,
             bell: BellKind::default(),
             spin: Duration::ZERO,
             real_time: RealTime::default(),
@@ -80,7 +88,11 @@ impl WorldSettings {
         let is_spinning = !self.spin.is_zero();
         WorldOptions {
             format,
-            identity: Identity { is_spinning, ..Identity::new(std::process::id(), "world") },
+            identity: Identity {
+                build: BUILD,
+                is_spinning,
+                ..Identity::new(std::process::id(), "world")
+            },
             term,
             required: self.required & format.layout.every_agent(),
             allocator: self.allocator,
@@ -115,24 +127,66 @@ pub fn world_process(
     observer: &mut dyn WorldObserver,
     stop: &Stop,
 ) -> Result<Counters, Error> {
+    play(domain, contract, (world, None), settings, start_team, observer, stop)
+}
+
+/// As [`world_process`]; the agents for which no process acts are acted for in this one, with `fill`, until one joins
+/// for them, and again from the tick on that finds it gone. No agent is required then, and the first episode waits for
+/// an allocator only.
+///
+/// # Errors
+/// As [`world_process`], but no seat is missed.
+pub fn world_process_with_fill(
+    domain: &Domain,
+    contract: &DomainContract,
+    (world, fill): (&mut dyn World, Fill<'_>),
+    settings: &WorldSettings,
+    start_team: impl FnOnce(&mut Children) -> Result<(), Error>,
+    observer: &mut dyn WorldObserver,
+    stop: &Stop,
+) -> Result<Counters, Error> {
+    play(domain, contract, (world, Some(fill)), settings, start_team, observer, stop)
+}
+
+fn play(
+    domain: &Domain,
+    contract: &DomainContract,
+    (world, fill): (&mut dyn World, Option<Fill<'_>>),
+    settings: &WorldSettings,
+    start_team: impl FnOnce(&mut Children) -> Result<(), Error>,
+    observer: &mut dyn WorldObserver,
+    stop: &Stop,
+) -> Result<Counters, Error> {
     let facts = DomainFacts::new(contract, world.shape())
         .with_bell(settings.bell)
+        .with_private_frames(settings.private)
         .with_period(settings.period);
     let format = facts.format()?;
     let membership = domain.enter()?;
-    let lock = membership.lead_world(contract, &facts, worst_case_bytes(&format.layout))?;
+    let bytes = facts.worst_case_bytes()?;
+    let lock = membership.lead_world(contract, &facts, bytes)?;
     // Before the first port, whose descriptors children would inherit.
     let mut children = Children::default();
     start_team(&mut children)?;
-    let mut link: IoxWorld = {
+    let options = settings.options(contract, format, lock.term());
+    let mut role = WorldRole::new(options);
+    let (mut link, filling) = {
         let _starting = membership.lock_start()?;
         let (bell, spin) = (facts.bell(), settings.spin);
-        IoxWorld::open(&LinkSetup { domain, format, name: "world", bell, spin })?
+        let setup = LinkSetup { domain, format, name: "world", bell, spin };
+        let link: IoxWorld = match settings.private {
+            // What fills seats reads whole frames as well, in this very process.
+            true => IoxWorld::open_private(&setup, settings.allocator || fill.is_some())?,
+            false => IoxWorld::open(&setup)?,
+        };
+        let open = |fill| Filling::open(fill, &setup, contract, &facts, options.identity);
+        (link, fill.map(open).transpose()?)
     };
+    if filling.is_some() {
+        role.fill_free_seats();
+    }
     let _caretaker = Caretaker::start(domain)?;
-    let options = settings.options(contract, format, lock.term());
-    let role = WorldRole::new(options);
-    let mut playing = Playing { role, options, world, observer, children };
+    let mut playing = Playing { role, options, world, filling, observer, children };
     settings.real_time.claim()?;
     let ended = drive(&mut playing, &mut link, stop);
     let Playing { mut role, world, mut children, .. } = playing;
@@ -147,15 +201,16 @@ pub fn world_process(
 }
 
 /// A world at work.
-struct Playing<'a> {
+struct Playing<'a, 'f> {
     role: WorldRole,
     options: WorldOptions,
     world: &'a mut dyn World,
+    filling: Option<Filling<'f>>,
     observer: &'a mut dyn WorldObserver,
     children: Children,
 }
 
-impl Process for Playing<'_> {
+impl Process for Playing<'_, '_> {
     type Link = IoxWorld;
 
     fn poll(&mut self, link: &mut IoxWorld) -> Result<Poll, Error> {
@@ -163,7 +218,10 @@ impl Process for Playing<'_> {
         if let Some(leader) = self.role.take_silent_leader() {
             link.ask_to_step_down(leader)?;
         }
-        Ok(polled)
+        match &mut self.filling {
+            Some(filling) => Ok(both(polled, filling.poll(&self.role)?)),
+            None => Ok(polled),
+        }
     }
 
     fn look_around(&mut self) -> Result<(), Error> {
@@ -171,7 +229,7 @@ impl Process for Playing<'_> {
     }
 }
 
-impl Controlled for Playing<'_> {
+impl Controlled for Playing<'_, '_> {
     fn schema(&self) -> u64 {
         self.options.format.schema
     }
@@ -194,7 +252,7 @@ impl Controlled for Playing<'_> {
         self.role.counters_mut()
     }
 
-    fn obey(&mut self, command: Command) -> ControlStatus {
+    fn obey(&mut self, command: Command, _text: &str) -> ControlStatus {
         match command {
             Command::Pause => self.role.pause(),
             Command::Resume => self.role.resume(),

@@ -5,6 +5,7 @@
 //! others, and one that is started again takes over as they die.
 
 mod charge;
+mod own_status;
 mod vigil;
 
 use std::collections::BTreeSet;
@@ -21,6 +22,7 @@ use sortie_core::wire::{Role, StatMsg};
 
 pub use charge::Charge;
 use charge::{After, Kept};
+use own_status::OwnStatus;
 use vigil::Vigil;
 
 use crate::domain::{Domain, Membership};
@@ -151,6 +153,8 @@ pub fn supervise(
         joined: BTreeSet::new(),
         leader: None,
         vigil: Vigil::default(),
+        own: OwnStatus::default(),
+        schema: 0,
         done: Supervision::default(),
     };
     supervisor.run(policy, tell, stop, &wake).map(|()| supervisor.done)
@@ -173,6 +177,9 @@ struct Supervisor {
     joined: BTreeSet<u32>,
     leader: Option<u32>,
     vigil: Vigil,
+    own: OwnStatus,
+    /// The domain's, once it is known.
+    schema: u64,
     done: Supervision,
 }
 
@@ -249,13 +256,19 @@ impl Supervisor {
         let name = format!("supervisor/{}", std::process::id());
         let _starting = self.membership.lock_start()?;
         let setup = LinkSetup { domain, format, name: &name, bell, spin: Duration::ZERO };
-        self.watcher = Some(IoxWatcher::open(&setup)?);
+        self.schema = format.schema;
+        self.watcher = Some(match facts.has_private_frames() {
+            true => IoxWatcher::open_private(&setup)?,
+            false => IoxWatcher::open(&setup)?,
+        });
         Ok(())
     }
 
     /// Takes in what has passed since the last look.
     fn watch(&mut self, tell: Tell<'_>) -> Result<(), Error> {
         let Some(watcher) = &mut self.watcher else { return Ok(()) };
+        let restarts = self.done.starts.saturating_sub(self.kept.len() as u64);
+        self.own.tell(watcher, self.schema, restarts)?;
         let (kept, joined, leader) = (&self.kept, &mut self.joined, &mut self.leader);
         watcher.receive_statuses(&mut |status| {
             let Some(name) = name_of(kept, status.pid) else { return };
@@ -328,6 +341,10 @@ impl Supervisor {
 impl Drop for Supervisor {
     fn drop(&mut self) {
         self.end_all();
+        if let Some(watcher) = &mut self.watcher {
+            // Nobody may be left to hear it.
+            let _ = self.own.leave(watcher, self.schema);
+        }
     }
 }
 

@@ -79,7 +79,7 @@ fn one_process_is_meant_or_all_whom_it_concerns() {
     let world = running_world(&domain);
     let all = await_info(&domain, |answers| answers.len() == 4);
     let runner = of_role(&all, Role::Runner)[1].process.pid;
-    let order = |command, number| Order { process: Some(runner), number, command };
+    let order = |command, number| Order { process: Some(runner), number, ..Order::new(command) };
     let outcome = |order: &Order| {
         let told = control(&domain, order).unwrap();
         told.iter().map(|answer| (answer.process.pid, answer.status)).collect::<Vec<_>>()

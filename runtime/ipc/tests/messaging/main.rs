@@ -2,8 +2,11 @@
 
 mod conformance;
 mod control;
+mod fill;
 mod own_world;
+mod private;
 mod processes;
+mod reload;
 mod starts;
 mod storm;
 mod stress;

@@ -18,6 +18,8 @@ use sortie_ipc::{
 };
 
 use crate::own_world;
+use crate::private;
+use crate::reload;
 use crate::toy::{self, DecisionLog, ToyAllocator, ToyPolicy, ToyWorld, Watchdog};
 use crate::unallocated;
 
@@ -27,7 +29,7 @@ const PARENT: &str = "SORTIE_TEST_PARENT";
 /// What a world process prints when its first tick is done.
 const RUNNING: &str = "the team acts";
 
-fn settings(episodes: u32) -> WorldSettings {
+pub(crate) fn settings(episodes: u32) -> WorldSettings {
     WorldSettings { allocator: true, episodes: Some(episodes), ..WorldSettings::default() }
 }
 
@@ -64,6 +66,10 @@ fn child_process() {
         "world of eight" => play(&domain, ToyWorld::of(8), &[], None, &stop),
         "one episode" => play(&domain, ToyWorld::new(), &["allocator", "0,1,2"], Some(1), &stop),
         "allocator" => allocator_process(&domain, &contract, &mut ToyAllocator, &settings, &stop),
+        role if role.starts_with(reload::RELOADS) => reload::act(role, &domain, &settings, &stop),
+        agents if agents.starts_with(private::PRIVATE) => {
+            private::act(agents, &domain, &settings, &stop)
+        }
         agents => {
             let by_cost = agents.strip_prefix(unallocated::HEURISTIC);
             let list = by_cost.unwrap_or(agents).split(',');
@@ -110,7 +116,7 @@ fn start(children: &mut Children, domain: &Domain, roles: &[&str]) -> Result<(),
     roles.iter().try_for_each(|role| children.spawn(*role, &mut child(domain, role)))
 }
 
-fn run_processes(
+pub(crate) fn run_processes(
     domain: &Domain,
     roles: &[&str],
     settings: &WorldSettings,

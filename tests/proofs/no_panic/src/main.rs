@@ -190,5 +190,18 @@ fn read_messages() -> Option<bool> {
     let message = Aligned([0; size_of::<AllocMsg>()]);
     let message = AllocMsg::ref_from_bytes(black_box(&message.0)).ok()?;
     let refused = message.check(1, shape).is_err() && message.task_of(agent).is_some();
-    Some(seen.is_empty() && view.observable(agent).len() == 2 && refused)
+    let is_private = is_cut_for_its_agent(&view, shape, agent)?;
+    Some(seen.is_empty() && view.observable(agent).len() == 2 && refused && is_private)
+}
+
+/// An agent's private frame is cut out of a frame, read, and observed.
+fn is_cut_for_its_agent(view: &FrameView<'_>, shape: Shape, agent: usize) -> Option<bool> {
+    let layout = FrameLayout::private(shape, agent).ok()?;
+    let mut payload = Aligned([0; 2048]);
+    let payload = black_box(payload.0.get_mut(..layout.payload_bytes())?);
+    let header = view.write_private(&layout, payload).ok()?;
+    let format = FrameFormat { layout, schema: 0 };
+    let own = FrameView::new(black_box(&header), black_box(payload), &format).ok()?;
+    let observation = own.observation(agent, &own.observable(agent));
+    Some(observation.visible.len() == 2 && observation.self_index == 0)
 }

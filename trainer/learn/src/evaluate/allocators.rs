@@ -18,7 +18,11 @@ impl Allocate for DeployedAllocator<'_> {
         _: &mut Generator,
         allocation: &mut [u8],
     ) -> Result<(), LearnError> {
-        let state = allocation_state(city);
+        let mut state = allocation_state(city);
+        // What a policy proposes depends on what was in force.
+        for (tasks, last) in state.entity_task.iter_mut().zip(&allocation[..state.agents]) {
+            *tasks = 1_u32.checked_shl((*last).into()).unwrap_or(0);
+        }
         allocation.fill(UNASSIGNED);
         let team = &mut allocation[..state.agents];
         self.0.allocate(&state.view(), team).map_err(|error| LearnError::Team(error.to_string()))

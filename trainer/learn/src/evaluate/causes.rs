@@ -262,7 +262,8 @@ mod tests {
         finder.begin(City { agents, buildings: &states[..1] });
         for state in states.windows(2) {
             let city = City { agents, buildings: &state[1..] };
-            let after = Scene { city, allocation, last_actions: &last_actions, strategies: &[] };
+            let last_actions = &last_actions;
+            let after = Scene { world: 0, city, allocation, last_actions, strategies: &[] };
             finder.stepped(&Constants::default(), after, bounces);
         }
         finder.cause(false)

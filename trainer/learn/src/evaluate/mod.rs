@@ -8,6 +8,7 @@ mod allocators;
 mod causes;
 mod plan;
 mod play;
+mod players;
 mod teams;
 mod worlds;
 
@@ -23,6 +24,7 @@ use sortie_envs::save_the_city::{
 pub use allocators::{DeployedAllocator, allocation_state};
 pub use causes::Cause;
 pub use plan::{Planner, PlannerReport};
+pub use players::{Agents, Players};
 pub use teams::{NetworkTeam, PolicyTeam, ScriptedActors};
 
 use crate::error::LearnError;
@@ -32,6 +34,8 @@ use play::{Finished, Play};
 /// One state in which a team is to act.
 #[derive(Clone, Copy, Debug)]
 pub struct Scene<'a> {
+    /// Number of the world, the same as long as its episode runs: what agents remember belongs to it.
+    pub world: usize,
     /// Agents and buildings.
     pub city: City<'a>,
     /// The building of every agent, or [`sortie_envs::save_the_city::UNASSIGNED`].

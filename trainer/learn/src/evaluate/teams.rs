@@ -6,41 +6,31 @@ use sortie_envs::save_the_city::{
     ACTIONS, City, FEATURES, UNASSIGNED, scripted_actions, write_agent_row, write_building_row,
 };
 
+use super::players::{Agents, Players};
 use super::{Scene, Team};
 use crate::error::LearnError;
-use crate::methods::alma::{
-    Conditioning, NO_ACTION, TeamBatch, UtilityNetwork, UtilityPass, best_action,
-};
-use crate::methods::paper::low_level::coach::{Advice, Coach, PlayerPass, strategy_of};
+use crate::methods::alma::{Conditioning, NO_ACTION, UtilityNetwork, best_action};
+use crate::methods::paper::low_level::coach::Advice;
 use crate::random::{Generator, Purpose, generator};
 
-/// The utility network, greedy, on all scenes at once.
+/// Agents that learn or have learned, greedy, on all scenes at once.
 #[derive(Debug)]
 pub struct NetworkTeam<'a> {
-    network: &'a UtilityNetwork,
-    pass: UtilityPass,
-    batch: TeamBatch,
-    actors: Vec<(usize, usize)>,
+    agents: Agents<'a>,
+    players: Players,
     advice: Option<Advice<'a>>,
-    players: PlayerPass,
 }
 
 impl<'a> NetworkTeam<'a> {
     /// Acts by a network that sees its subtask only.
     pub fn new(network: &'a UtilityNetwork) -> Self {
-        Self::conditioned(network, Conditioning::Mask)
+        Self::conditioned(Agents::plain(network), Conditioning::Mask)
     }
 
-    /// Acts by a network that sees subtasks as it was trained to.
-    pub fn conditioned(network: &'a UtilityNetwork, conditioning: Conditioning) -> Self {
-        let pass = UtilityPass::new(network.shape());
-        let (batch, actors) = (TeamBatch::new(conditioning), Vec::new());
-        Self { network, pass, batch, actors, advice: None, players: PlayerPass::default() }
-    }
-
-    /// With the coach, if there is one, that tells the agents their strategies.
-    pub fn coached(self, coach: Option<&'a Coach>) -> Self {
-        Self { advice: coach.map(Advice::new), ..self }
+    /// Acts by agents that see subtasks as they were trained to.
+    pub fn conditioned(agents: Agents<'a>, conditioning: Conditioning) -> Self {
+        let players = Players::new(conditioning, agents.network.shape());
+        Self { agents, players, advice: agents.coach.map(Advice::new) }
     }
 }
 
@@ -51,39 +41,10 @@ impl Team for NetworkTeam<'_> {
         actions: &mut [u16],
         agents: usize,
     ) -> Result<(), LearnError> {
-        self.batch.clear();
-        self.actors.clear();
-        let tasks = scenes.iter().map(|scene| scene.city.buildings.len()).max().unwrap_or(0);
-        if self.batch.columns(tasks) > self.network.shape().input {
-            let reason = format!("the network marks fewer subtasks than the {tasks} of this city");
-            return Err(LearnError::Config(reason));
-        }
-        for (place, scene) in scenes.iter().enumerate() {
-            self.batch.push_teams(scene.city, scene.allocation, scene.last_actions, |agent| {
-                self.actors.push((place, agent));
-            });
-        }
-        for (place, scene) in scenes.iter().enumerate() {
-            self.batch.push_unassigned(scene.city, scene.allocation, scene.last_actions, |agent| {
-                self.actors.push((place, agent))
-            });
-        }
-        let input = self.batch.finish();
-        let utilities = if self.advice.is_some() {
-            let width = self.network.shape().base;
-            let told = |(place, agent): &(usize, usize)| {
-                strategy_of(scenes[*place].strategies, *agent, width)
-            };
-            let told = self.actors.iter().map(told);
-            self.players.forward(self.network, &mut self.pass, input, told)
-        } else {
-            self.pass.forward(self.network, input)
-        };
-        for ((place, agent), utilities) in self.actors.iter().zip(utilities.chunks_exact(ACTIONS)) {
-            let available = scenes[*place].city.agents[*agent].available;
-            actions[place * agents + agent] = best_action(utilities, available).into();
-        }
-        Ok(())
+        self.players.act(self.agents, scenes, agents, |scene, agent, utilities| {
+            let available = scenes[scene].city.agents[agent].available;
+            actions[scene * agents + agent] = best_action(utilities, available).into();
+        })
     }
 
     fn advise(&mut self, city: City<'_>, strategies: &mut Vec<f32>) -> Result<(), LearnError> {

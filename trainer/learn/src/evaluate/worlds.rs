@@ -90,7 +90,8 @@ impl Worlds {
     /// What the team sees of a world.
     pub(super) fn scene(&self, index: usize) -> Scene<'_> {
         let World { allocation, last_actions, strategies, .. } = &self.worlds[index];
-        Scene { city: self.city.city(index), allocation, last_actions, strategies }
+        let city = self.city.city(index);
+        Scene { world: index, city, allocation, last_actions, strategies }
     }
 
     /// Decides where a decision is due, and lets the team choose the actions of all active worlds.

@@ -5,8 +5,8 @@ use std::path::Path;
 
 use sortie_bundle::{
     AGENT, ALLOCATOR, CARD, CURVE, CURVE_DATA, ContractV1, Draft, Environment, FallbackAllocation,
-    Golden, GoldenCase, Limits, Network, OwnedObservation, SubtaskConditioning, TEAM_VALUE,
-    TRAINING, WIRE_ABI,
+    Golden, GoldenCase, Limits, Network, OwnedObservation, PROPOSAL_PARTS, PROPOSALS,
+    SubtaskConditioning, TEAM_VALUE, TRAINING, WIRE_ABI,
 };
 use sortie_core::choose::masked_argmax;
 use sortie_core::{DecideError, Decision, Observation, Policy};
@@ -18,6 +18,7 @@ use super::agent::{AgentNetwork, agent_onnx};
 use super::attention::{AttentionNetwork, ExportError, Layer, Layout, Matrix};
 use super::card::card;
 use super::golden_allocations::golden_allocations;
+use super::proposals::{ProposalGraphs, export_proposals};
 use super::team_value::{TeamValueExport, team_value_onnx};
 use crate::error::LearnError;
 use crate::evaluate::{Evaluation, EvaluationPlan, PolicyTeam, evaluate};
@@ -68,7 +69,7 @@ impl<'a> LearnedAllocator<'a> {
 /// Refuses runs whose agents need more than what a deployed agent is shown.
 ///
 /// # Errors
-/// The agents are not conditioned on subtasks by masks.
+/// The agents are not conditioned on subtasks by masks, or have a memory.
 pub fn check_exportable(run: &Run) -> Result<(), LearnError> {
     if let Some(coach) = &run.coach {
         let numbers = coach.shape().strategy;
@@ -78,6 +79,11 @@ pub fn check_exportable(run: &Run) -> Result<(), LearnError> {
         )));
     }
     let conditioning = run.description.config.subtask();
+    if !run.memory_unit.is_empty() {
+        let reason =
+            "agents with a memory are evaluated only: teams of processes keep no memories yet";
+        return Err(LearnError::Config(reason.to_owned()));
+    }
     if conditioning == Conditioning::Mask {
         return Ok(());
     }
@@ -113,16 +119,27 @@ pub fn draft_bundle(
         (CURVE_DATA.to_owned(), read(CURVE_DATA)?),
         (TRAINING.to_owned(), read(TRAINING)?),
     ]);
-    if let Some(allocator) = allocator {
-        let onnx = team_value(&allocator.network.weights(), contract.hash()).map_err(diverged)?;
-        parts.insert(ALLOCATOR.to_owned(), onnx);
-    }
+    let kind = match &run.allocator {
+        Some(RunAllocator::TeamValue(network)) => {
+            let onnx = team_value(&network.weights(), contract.hash()).map_err(diverged)?;
+            parts.insert(ALLOCATOR.to_owned(), onnx);
+            Some(TEAM_VALUE)
+        }
+        Some(RunAllocator::Proposals { policy, critic }) => {
+            let graphs = export_proposals(&policy.weights(), &critic.weights(), contract.hash());
+            let ProposalGraphs { trunk, step, critic } = graphs.map_err(diverged)?;
+            let names = PROPOSAL_PARTS.map(str::to_owned);
+            parts.extend(names.into_iter().zip([trunk, step, critic]));
+            Some(PROPOSALS)
+        }
+        None => None,
+    };
     Ok(Draft {
         environment: environment(run),
         limits: limits(run, allocator, measured)?,
         network: Network {
             agent: "masked-attention".to_owned(),
-            allocator: allocator.map(|_| TEAM_VALUE.to_owned()),
+            allocator: kind.map(str::to_owned),
             hidden: 0,
         },
         golden: golden(run, allocator, seed)?,

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use super::bundle::{LearnedAllocator, Measured};
-use crate::run::{Run, Settings};
+use crate::run::{Run, RunAllocator, Settings};
 
 /// The model card.
 pub(super) fn card(
@@ -30,6 +30,10 @@ pub(super) fn card(
             "The allocator values every team at every open building by a network of the same kind and takes the\n\
              best allocation; a team has at most {team_max} agents.\n"
         );
+    }
+    if let Some(RunAllocator::Proposals { .. }) = &run.allocator {
+        card += "The allocator is a policy that proposes allocations, and a critic that values them and takes the best\n\
+                 (dissertation section 7.2).\n\n";
     }
     card += "## How well it does\n\nGreedy episodes that training never saw.\n\n";
     card += "| scenarios | allocation | episodes | success (95 % interval) | no building burned | time-outs | return |\n";

@@ -35,7 +35,7 @@ pub use result::RunResult;
 pub use settings::Settings;
 
 use crate::error::LearnError;
-use crate::evaluate::{Allocate, NetworkTeam};
+use crate::evaluate::{Agents, Allocate, NetworkTeam};
 use crate::methods::alma::UtilityNetwork;
 use crate::methods::alma::team_value::TeamValueAllocator;
 use crate::methods::paper::allocation::{AllocationCritic, AllocationNetworks, AllocationPolicy};
@@ -66,6 +66,8 @@ pub struct Run {
     pub curve: Vec<CurvePoint>,
     /// The agents' weights of the newest sound checkpoint; averaged ones where the run averages.
     pub network: UtilityNetwork,
+    /// The recurrent unit of the agents' memory; empty where they have none.
+    pub memory_unit: Vec<f32>,
     /// What tells the agents their strategies, if the run learns that.
     pub coach: Option<Coach>,
     /// What the run has learned to allocate with, if it learns that.
@@ -79,19 +81,22 @@ pub struct Run {
 impl Run {
     /// The agents as a team that can be measured.
     pub fn team(&self) -> NetworkTeam<'_> {
-        let conditioning = self.description.config.subtask();
-        NetworkTeam::conditioned(&self.network, conditioning).coached(self.coach.as_ref())
+        let (memory_unit, coach) = (&*self.memory_unit, self.coach.as_ref());
+        let agents = Agents { network: &self.network, memory_unit, coach };
+        NetworkTeam::conditioned(agents, self.description.config.subtask())
     }
 
     /// What the run has learned to allocate with, if it learns that, as something to be measured.
-    pub fn learned_allocator(&self) -> Option<Box<dyn Allocate + '_>> {
+    ///
+    /// One that proposes chooses among so many proposals, of which the first is the most probable.
+    pub fn learned_allocator(&self, proposals: usize) -> Option<Box<dyn Allocate + '_>> {
         Some(match (self.allocator.as_ref()?, &self.description.config) {
             (RunAllocator::TeamValue(network), Settings::Records(config)) => {
                 Box::new(TeamValueAllocator::new(network, config.allocation.team_max))
             }
-            (RunAllocator::Proposals { policy, critic }, Settings::Windows(config)) => {
+            (RunAllocator::Proposals { policy, critic }, Settings::Windows(_)) => {
                 let networks = AllocationNetworks { policy, critic };
-                Box::new(ProposalAllocator::new(networks, config.allocation.proposals))
+                Box::new(ProposalAllocator::new(networks, proposals).greedy_first())
             }
             _ => return None,
         })
@@ -103,15 +108,16 @@ impl Run {
         let description = folder.read_description()?;
         let curve = folder.read_curve()?;
         let found = folder.checkpoints().newest(checkpoint::OpenFor::Use)?;
-        let (network, coach, allocator) = match &description.config {
+        let (network, memory_unit, coach, allocator) = match &description.config {
             Settings::Records(_) => {
                 let average = |network| found.checkpoint.network(network, "average");
                 let allocator = found.checkpoint.has("allocator").then(|| average("allocator"));
                 let allocator = allocator.transpose()?.map(RunAllocator::TeamValue);
-                (average("agents")?, None, allocator)
+                (average("agents")?, Vec::new(), None, allocator)
             }
             Settings::Windows(config) => (
                 found.checkpoint.network("agents", "online")?,
+                paper::saved_memory_unit(&found.checkpoint, config)?,
                 paper::saved_coach(&found.checkpoint, config)?,
                 paper::saved_allocator(&found.checkpoint, config)?,
             ),
@@ -120,6 +126,7 @@ impl Run {
             description,
             curve,
             network,
+            memory_unit,
             coach,
             allocator,
             env_steps: found.checkpoint.env_steps(),

@@ -22,7 +22,8 @@ impl RunnerRole {
         answers: &mut Vec<ActionMsg, { limits::AGENTS }>,
     ) {
         let flags = self.flags(view, in_force.freshness, running_ns);
-        let subtasks = self.options.subtasks.then(|| subtasks(view, in_force));
+        let agents = self.options.format.layout.shape().agents;
+        let subtasks = self.options.subtasks.then(|| subtasks(view, agents, in_force));
         let present = view.present();
         let mut seen: Vec<Observation<'_>, { limits::AGENTS }> = Vec::new();
         let mut deciding = 0_u64;
@@ -37,7 +38,7 @@ impl RunnerRole {
             // There is room for every agent: one answer and one observation at most.
             if self.options.subtasks && task.is_none() {
                 answer.action = safe_action(self.options.safe_action, view.available(agent));
-            } else if seen.push(observation(view, agent, sees)).is_ok() {
+            } else if seen.push(view.observation(agent, &sees)).is_ok() {
                 deciding |= 1 << agent;
             }
             answer.task = task.unwrap_or(UNASSIGNED);
@@ -116,20 +117,5 @@ impl RunnerRole {
             flags |= ActionMsg::LATE;
         }
         flags
-    }
-}
-
-pub(super) fn observation<'a>(
-    view: &FrameView<'a>,
-    agent: usize,
-    visible: crate::EntityMask,
-) -> Observation<'a> {
-    Observation {
-        rows: view.rows(),
-        stride: view.stride(),
-        last_actions: view.last_actions(),
-        visible,
-        self_index: agent,
-        available: view.available(agent),
     }
 }

@@ -29,13 +29,24 @@ impl InForce {
     }
 }
 
-/// The frame's subtasks `[N]`, agents' rows overwritten by those in force.
-pub(super) fn subtasks(view: &FrameView<'_>, in_force: &InForce) -> [u32; limits::ENTITIES] {
+/// The subtasks `[N]` of the entities that the frame shows, agents' overwritten by those in force.
+pub(super) fn subtasks(
+    view: &FrameView<'_>,
+    agents: usize,
+    in_force: &InForce,
+) -> [u32; limits::ENTITIES] {
     let mut subtasks = [0; limits::ENTITIES];
-    for (to, from) in subtasks.iter_mut().zip(view.entity_task()) {
-        *to = *from;
+    let mut set = |entity: usize, tasks: u32| {
+        if let Some(to) = subtasks.get_mut(entity) {
+            *to = tasks;
+        }
+    };
+    let rows = view.entity_task().iter().copied();
+    match view.owner() {
+        None => rows.enumerate().for_each(|(entity, tasks)| set(entity, tasks)),
+        Some(owner) => view.shown(owner).zip(rows).for_each(|(entity, tasks)| set(entity, tasks)),
     }
-    for (agent, to) in subtasks.iter_mut().enumerate().take(view.agents()) {
+    for (agent, to) in subtasks.iter_mut().enumerate().take(agents) {
         let task = in_force.task_of(agent);
         *to = task.and_then(|task| 1u32.checked_shl(u32::from(task))).unwrap_or(0);
     }
@@ -81,7 +92,7 @@ impl RunnerRole {
     }
 
     /// What the agents act for: the newest allocation while it may be used, then the heuristic's, if there
-    /// is one that allocates this frame, else nothing.
+    /// is one that allocates this frame, else nothing. A private frame shows too little of the team for it.
     pub(super) fn in_force(
         &self,
         view: &FrameView<'_>,
@@ -95,6 +106,7 @@ impl RunnerRole {
             in_force.task = newest.task;
             in_force.order = newest.order();
         } else if let Some(heuristic) = heuristic.filter(|_| self.options.subtasks)
+            && view.owner().is_none()
             && allocate(heuristic, view, &mut in_force.task).is_err()
         {
             in_force.task = nothing;

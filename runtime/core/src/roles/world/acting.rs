@@ -24,13 +24,21 @@ impl WorldRole {
             self.counters.late += 1;
         } else if action.tick > self.tick() || !self.is_possible(agent, action) {
             self.counters.bad_messages += 1;
-        } else if self.phase == Phase::Acting && self.seats.joined() >> agent & 1 == 1 {
+        } else if self.phase == Phase::Acting && self.may_answer(agent, action.runner) {
             let is_first = self.answered >> agent & 1 == 0;
             if let Some(answer) = self.answers.get_mut(agent).filter(|_| is_first) {
                 *answer = *action;
                 self.answered |= 1 << agent;
             }
         }
+    }
+
+    /// Whether a process acts for this agent in the current tick: one that has just joined does from the next on.
+    fn may_answer(&self, agent: usize, process: u32) -> bool {
+        if self.filled >> agent & 1 == 1 {
+            return process == self.options.identity.pid;
+        }
+        self.seats.joined() >> agent & 1 == 1
     }
 
     /// Whether agent, action and subtask exist, and the action is available. A strict world leaves the last to
@@ -55,7 +63,7 @@ impl WorldRole {
         now: u64,
     ) -> Result<Poll, WorldError> {
         self.require_all_seats()?;
-        let missing = self.present & self.seats.joined() & !self.answered;
+        let missing = self.awaited() & !self.answered;
         if missing == 0 {
             self.step(link, world, observer, now)?;
             return Ok(Poll::Again);
@@ -84,7 +92,8 @@ impl WorldRole {
         // Runners ring once after all their answers, the allocator once after an allocation. The last but one wakes
         // the world: while it wakes, the last is still at work.
         let rings = self.seats.holders(missing) + u32::from(is_awaited);
-        link.await_rings(rings.saturating_sub(1));
+        // What fills seats runs in this process, and acts on any ring.
+        link.await_rings(if missing & self.filled == 0 { rings.saturating_sub(1) } else { 1 });
         Ok(Poll::Wait { until_ns })
     }
 
@@ -124,7 +133,7 @@ impl WorldRole {
         let now = link.now_ns();
         self.note_times(running_ns, now);
         observer.tick(&self.report(actions, outcome, now));
-        let asked = self.present & self.seats.joined();
+        let asked = self.awaited() & !self.filled;
         self.seats.note_answers(asked, self.answered, self.options.absent_after);
         self.last_actions = applied;
         self.step += 1;

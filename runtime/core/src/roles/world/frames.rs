@@ -35,6 +35,8 @@ impl WorldRole {
         }
         self.allocate_next = false;
         self.answered = 0;
+        let free = self.options.format.layout.every_agent() & !self.seats.joined();
+        self.filled = if self.fills { free } else { 0 };
         self.publish(link, world, FrameKind::World, flags)?;
         self.due_ns = self.published_ns;
         self.phase = Phase::Acting;

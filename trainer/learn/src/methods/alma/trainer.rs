@@ -17,7 +17,7 @@ use super::team_value::{Segments, TeamValueAllocator, TeamValueLoss};
 use super::temporal_difference::Chunk;
 use super::utility::UtilityNetwork;
 use crate::error::LearnError;
-use crate::evaluate::{Evaluation, EvaluationPlan, NetworkTeam, NoSubtasks, evaluate};
+use crate::evaluate::{Agents, Evaluation, EvaluationPlan, NetworkTeam, NoSubtasks, evaluate};
 use crate::random::{Generator, Purpose, generator};
 use crate::run::{
     Counters, CurvePoint, Labels, Learning, Level, Observer, Outcome, Progress, Rates, Run,
@@ -216,7 +216,8 @@ impl Trainer {
     pub fn measure(&self, episodes: usize, seed: u64) -> Result<Evaluation, LearnError> {
         let plan = self.plan(episodes, seed)?;
         let Config { network, allocation: config, .. } = &self.description.config;
-        let mut team = NetworkTeam::conditioned(self.network(), network.subtask);
+        let agents = Agents::plain(self.network());
+        let mut team = NetworkTeam::conditioned(agents, network.subtask);
         if !network.subtask.has_subtasks() {
             return evaluate(&plan, &mut team, &mut NoSubtasks);
         }

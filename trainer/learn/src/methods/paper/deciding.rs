@@ -18,6 +18,7 @@ use crate::random::{Generator, below, chance};
 pub struct ProposalAllocator<'a> {
     networks: AllocationNetworks<'a>,
     proposals: usize,
+    greedy_first: bool,
     decider: Decider,
     features: SparseRows,
 }
@@ -25,7 +26,18 @@ pub struct ProposalAllocator<'a> {
 impl<'a> ProposalAllocator<'a> {
     /// An allocator that chooses among so many proposals.
     pub fn new(networks: AllocationNetworks<'a>, proposals: usize) -> Self {
-        Self { networks, proposals, decider: Decider::default(), features: SparseRows::default() }
+        Self {
+            networks,
+            proposals,
+            greedy_first: false,
+            decider: Decider::default(),
+            features: SparseRows::default(),
+        }
+    }
+
+    /// The same whose first proposal is what the policy holds most probable, as deployed allocators have it.
+    pub fn greedy_first(self) -> Self {
+        Self { greedy_first: true, ..self }
     }
 
     /// Decides in a city where `last` `[A]` was in force before. `None` shuffles the task columns.
@@ -68,7 +80,7 @@ impl<'a> ProposalAllocator<'a> {
             last_allocation: last,
         });
         let columns = columns.unwrap_or_else(|| TaskColumns::shuffled(tasks, known, generator));
-        let noise = Noise::Seeded { seed: generator.next_u64(), greedy_first: false };
+        let noise = Noise::Seeded { seed: generator.next_u64(), greedy_first: self.greedy_first };
         Ok(self.decider.decide(self.networks, &states, &columns, (self.proposals, noise)))
     }
 }

@@ -3,17 +3,16 @@
 use rand_core::Rng;
 use serde::{Deserialize, Serialize};
 use sortie_envs::save_the_city::{
-    ACTIONS, AllocationRule, City, DecisionPoints, SaveTheCity, ScenarioSet, UNASSIGNED,
+    AllocationRule, City, DecisionPoints, SaveTheCity, ScenarioSet, UNASSIGNED,
 };
 use sortie_envs::{Environment, Subtasks};
 
 use super::config::Config;
-use super::low_level::coach::{Advice, Coach, PlayerPass, strategy_of};
+use super::low_level::coach::Advice;
 use super::replay::{Episode, Moment};
 use crate::error::LearnError;
-use crate::methods::alma::{
-    NO_ACTION, TeamBatch, UtilityNetwork, UtilityPass, UtilityShape, best_action,
-};
+use crate::evaluate::{Agents, Players, Scene};
+use crate::methods::alma::{NO_ACTION, UtilityShape, best_action};
 use crate::random::{Generator, Purpose, below, chance, generator};
 use crate::run::EpisodeCounts;
 
@@ -54,15 +53,6 @@ impl Decide for AllocationRule {
     }
 }
 
-/// What acts: the agents' network, and their coach if they have one.
-#[derive(Clone, Copy, Debug)]
-pub struct Players<'a> {
-    /// The agents' utility network.
-    pub network: &'a UtilityNetwork,
-    /// Tells agents without subtasks their strategies, at decision points.
-    pub coach: Option<&'a Coach>,
-}
-
 /// What one environment remembers between steps.
 #[derive(Debug)]
 struct Instance {
@@ -88,11 +78,7 @@ pub struct Rollout {
     instances: Vec<Instance>,
     /// They draw episodes, collisions, allocations and exploration.
     generators: RolloutGenerators,
-    batch: TeamBatch,
-    pass: UtilityPass,
-    players: PlayerPass,
-    /// (instance, agent) of every row of the batch.
-    actors: Vec<(usize, usize)>,
+    players: Players,
     /// `[instances, A]`
     actions: Vec<u16>,
 }
@@ -118,10 +104,7 @@ impl Rollout {
             city,
             instances: (0..count).map(instance).collect(),
             generators: RolloutGenerators(generators.collect()),
-            batch: TeamBatch::new(config.low_level.conditioning),
-            pass: UtilityPass::new(shape),
-            players: PlayerPass::default(),
-            actors: Vec::new(),
+            players: Players::new(config.low_level.conditioning, shape),
             actions: vec![0; count * agents],
         })
     }
@@ -145,14 +128,14 @@ impl Rollout {
     /// Environments whose episode is over wait for the others, as in the public code.
     pub fn round(
         &mut self,
-        players: Players<'_>,
+        agents: Agents<'_>,
         allocator: Option<&mut dyn Decide>,
         exploration: Exploration,
         added: u64,
         counts: &mut EpisodeCounts,
     ) -> Result<Vec<Episode>, LearnError> {
         let mut allocator = allocator;
-        let mut advice = players.coach.map(Advice::new);
+        let mut advice = agents.coach.map(Advice::new);
         (0..self.instances.len()).for_each(|index| self.begin(index, added));
         let mut running: Vec<usize> = (0..self.instances.len()).collect();
         while !running.is_empty() {
@@ -162,7 +145,7 @@ impl Rollout {
             if let Some(advice) = &mut advice {
                 self.advise(&running, advice, counts);
             }
-            self.choose(&running, players, exploration.actions);
+            self.choose(&running, agents, exploration.actions)?;
             for index in &running {
                 self.advance(*index, counts)?;
             }
@@ -217,44 +200,32 @@ impl Rollout {
         }
     }
 
-    /// Writes the actions of all agents: the best by the network, or a random one.
-    fn choose(&mut self, running: &[usize], players: Players<'_>, epsilon: f32) {
-        self.batch.clear();
-        self.actors.clear();
-        self.actions.fill(0);
-        for index in running {
-            let Instance { allocation, last_actions, .. } = &self.instances[*index];
-            self.batch.push_teams(self.city.city(*index), allocation, last_actions, |agent| {
-                self.actors.push((*index, agent));
-            });
-        }
-        for index in running {
-            let Instance { allocation, last_actions, .. } = &self.instances[*index];
-            let city = self.city.city(*index);
-            self.batch.push_unassigned(city, allocation, last_actions, |agent| {
-                self.actors.push((*index, agent));
-            });
-        }
-        let (network, input) = (players.network, self.batch.finish());
-        let utilities = if players.coach.is_some() {
-            let told = self.actors.iter().map(|(index, agent)| {
-                strategy_of(&self.instances[*index].strategies, *agent, network.shape().base)
-            });
-            self.players.forward(network, &mut self.pass, input, told)
-        } else {
-            self.pass.forward(network, input)
+    /// Writes the actions of all agents: the best by their utilities, or a random one.
+    fn choose(
+        &mut self,
+        running: &[usize],
+        agents: Agents<'_>,
+        epsilon: f32,
+    ) -> Result<(), LearnError> {
+        let Self { city, instances, generators, players, actions, .. } = self;
+        let scene = |index: &usize| {
+            let Instance { allocation, last_actions, strategies, .. } = &instances[*index];
+            let city = city.city(*index);
+            Scene { world: *index, city, allocation, last_actions, strategies }
         };
-        let agents = self.city.shape().agents;
-        for ((index, agent), utilities) in self.actors.iter().zip(utilities.chunks_exact(ACTIONS)) {
-            let available = self.city.city(*index).agents[*agent].available;
-            let generator = &mut self.generators.0[*index];
+        let scenes: Vec<Scene<'_>> = running.iter().map(scene).collect();
+        let slots = city.shape().agents;
+        actions.fill(0);
+        players.act(agents, &scenes, slots, |place, agent, utilities| {
+            let available = scenes[place].city.agents[agent].available;
+            let generator = &mut generators.0[running[place]];
             let action = if chance(generator, epsilon.into()) {
                 random_action(available, generator)
             } else {
                 best_action(utilities, available)
             };
-            self.actions[index * agents + agent] = action.into();
-        }
+            actions[running[place] * slots + agent] = action.into();
+        })
     }
 
     fn advance(&mut self, index: usize, counts: &mut EpisodeCounts) -> Result<(), LearnError> {
@@ -299,7 +270,8 @@ fn random_action(available: u16, generator: &mut Generator) -> u8 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::methods::alma::INPUT_COLUMNS;
+    use crate::methods::alma::{INPUT_COLUMNS, UtilityNetwork};
+    use sortie_envs::save_the_city::ACTIONS;
 
     #[test]
     fn a_round_plays_whole_episodes_and_decides_by_the_rules() {
@@ -310,12 +282,12 @@ mod tests {
             UtilityShape { input: INPUT_COLUMNS, width: 8, heads: 4, base: 8, actions: ACTIONS };
         let mut weights = generator(1, Purpose::Weights, 0);
         let agents = UtilityNetwork::initialise(shape, 8.0, &mut weights);
+        let players = Agents::plain(&agents);
         let mut rollout = Rollout::new(&config, shape, 5).unwrap();
         let mut counts = EpisodeCounts::default();
         let exploration = Exploration { actions: 0.5, ..Exploration::default() };
         let mut play = |rollout: &mut Rollout| {
             let rule: &mut dyn Decide = &mut AllocationRule::Heuristic;
-            let players = Players { network: &agents, coach: None };
             rollout.round(players, Some(rule), exploration, 7, &mut counts).unwrap()
         };
         let before = rollout.generators().clone();

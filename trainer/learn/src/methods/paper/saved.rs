@@ -18,6 +18,7 @@ use super::replay::Replay;
 use super::rollout::RolloutGenerators;
 use super::trainer::{Episodes, Trainer};
 use crate::error::LearnError;
+use crate::layers::gru::lengths;
 use crate::random::Generator;
 use crate::run::checkpoint::{Checkpoint, OpenFor, SavedNetwork};
 use crate::run::{Counters, Observer, RunAllocator, RunFolder};
@@ -53,6 +54,7 @@ struct Statistics {
 
 /// Names of the networks in a checkpoint.
 const AGENTS: &str = "agents";
+const MEMORY: &str = "memory";
 const MIXER: &str = "mixer";
 const CRITIC: &str = "critic";
 const POLICY: &str = "policy";
@@ -63,7 +65,7 @@ impl Trainer {
     /// Writes a checkpoint.
     pub(super) fn write_checkpoint(&self, observer: &mut dyn Observer) -> Result<(), LearnError> {
         let LowLevel { online, target, optimisers, coaching, .. } = &self.low_level;
-        let [agents, _, mixer] = optimisers;
+        let [agents, memory, mixer] = optimisers;
         let allocation = self.allocation.as_ref().map(AllocationLevel::state);
         let mut networks = vec![
             SavedNetwork {
@@ -85,6 +87,17 @@ impl Trainer {
                 ],
             },
         ];
+        if !online.gru.is_empty() {
+            networks.push(SavedNetwork {
+                name: MEMORY,
+                shape: None,
+                vectors: vec![
+                    ("online", &online.gru),
+                    ("target", &target.gru),
+                    ("square", &memory.square),
+                ],
+            });
+        }
         networks.extend(coaching.iter().flat_map(saved_coaching));
         if let Some(state) = &allocation {
             networks.push(SavedNetwork {
@@ -206,6 +219,25 @@ pub(crate) fn saved_allocator(
     Ok(Some(RunAllocator::Proposals { policy, critic }))
 }
 
+/// The recurrent unit of a run's agents, to be used; empty where they have no memory.
+pub(crate) fn saved_memory_unit(
+    checkpoint: &Checkpoint,
+    config: &Config,
+) -> Result<Vec<f32>, LearnError> {
+    let count =
+        if config.low_level.recurrent { lengths(config.low_level.base).iter().sum() } else { 0 };
+    memory_unit(checkpoint, "online", count)
+}
+
+/// A vector of the recurrent unit, of which there is none where agents have no memory.
+fn memory_unit(
+    checkpoint: &Checkpoint,
+    vector: &str,
+    count: usize,
+) -> Result<Vec<f32>, LearnError> {
+    if count == 0 { Ok(Vec::new()) } else { whole(checkpoint, MEMORY, vector, count) }
+}
+
 fn restore_low_level(
     level: &mut LowLevel,
     checkpoint: &Checkpoint,
@@ -221,9 +253,11 @@ fn restore_low_level(
         let mixer = networks.mixer.parameters_mut();
         mixer.copy_from_slice(&whole(checkpoint, MIXER, name, mixer.len())?);
         networks.popart = popart;
+        networks.gru = memory_unit(checkpoint, name, networks.gru.len())?;
     }
-    let [agents, _, mixer] = &mut level.optimisers;
+    let [agents, memory, mixer] = &mut level.optimisers;
     agents.square = checkpoint.vector(AGENTS, "square")?;
+    memory.square = memory_unit(checkpoint, "square", memory.square.len())?;
     mixer.square = whole(checkpoint, MIXER, "square", mixer.square.len())?;
     level.coaching.iter_mut().try_for_each(|coaching| restore_coaching(coaching, checkpoint))
 }

@@ -10,7 +10,7 @@ use super::config::Config;
 use super::deciding::ProposalAllocator;
 use super::low_level::LowLevel;
 use super::replay::Replay;
-use super::rollout::{Decide, Players, Rollout};
+use super::rollout::{Decide, Rollout};
 use super::sampling::{SampleShape, cut_windows, draw_episodes};
 use crate::error::LearnError;
 use crate::evaluate::{Evaluation, EvaluationPlan, NetworkTeam, NoSubtasks, evaluate};
@@ -144,11 +144,8 @@ impl Trainer {
             None
         };
         let counts = &mut self.counters.window.episodes;
-        let players = Players {
-            network: &self.low_level.online.agents,
-            coach: self.low_level.coaching.as_ref().map(|coaching| &coaching.online),
-        };
-        let episodes = self.rollout.round(players, allocator, exploration, env_steps, counts)?;
+        let agents = self.low_level.players();
+        let episodes = self.rollout.round(agents, allocator, exploration, env_steps, counts)?;
         for episode in episodes {
             self.counters.env_steps += episode.steps() as u64;
             self.replay.push(episode);
@@ -217,9 +214,7 @@ impl Trainer {
             seed,
         };
         let conditioning = config.low_level.conditioning;
-        let coach = self.low_level.coaching.as_ref().map(|coaching| &coaching.online);
-        let mut team =
-            NetworkTeam::conditioned(&self.low_level.online.agents, conditioning).coached(coach);
+        let mut team = NetworkTeam::conditioned(self.low_level.players(), conditioning);
         if !conditioning.has_subtasks() {
             return evaluate(&plan, &mut team, &mut NoSubtasks);
         }

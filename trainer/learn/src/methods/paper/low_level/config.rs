@@ -32,9 +32,8 @@ pub struct LowLevelConfig {
     pub heads: usize,
     /// Width of the layer before the agents' head.
     pub base: usize,
-    /// Whether the agents have a memory: a recurrent unit before the head. The learner's option alone, not
-    /// one of runs: their episodes are played, measured and exported without memories.
-    #[serde(skip)]
+    /// Whether the agents have a memory: a gated recurrent unit before the head, emptied when an episode
+    /// ends. It begins empty in every window.
     pub recurrent: bool,
     /// Width of the hypernetworks' embedding and attention.
     pub hypernetwork_width: usize,

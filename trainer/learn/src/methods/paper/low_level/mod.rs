@@ -36,6 +36,7 @@ pub use values::{team_input, team_values};
 
 use super::popart::PopArt;
 use super::windows::{WindowShape, Windows};
+use crate::evaluate::Agents;
 use crate::methods::alma::{Conditioning, UtilityNetwork};
 use crate::optimise::{RmsProp, clip_norm};
 use crate::random::Generator;
@@ -141,6 +142,13 @@ impl LowLevel {
         let own = self.optimisers.iter().map(|optimiser| optimiser.square.len()).sum::<usize>();
         self.gradient.resize(own + coaching.parameters(), 0.0);
         self.coaching = Some(coaching);
+    }
+
+    /// What agents act by.
+    pub fn players(&self) -> Agents<'_> {
+        let LowLevelNetworks { agents: network, gru, .. } = &self.online;
+        let coach = self.coaching.as_ref().map(|coaching| &coaching.online);
+        Agents { network, memory_unit: gru, coach }
     }
 
     /// The switches and rates.
