@@ -1,7 +1,7 @@
 //! Seconds and arithmetic of one step of the published low level at SaveTheCity's sizes.
 //!
-//! `cargo bench -p sortie-learn --bench low_level -- [STEPS]`. The batch is of real episodes: random
-//! allocations every five steps, every other episode played by script.
+//! `cargo bench -p sortie-learn --bench low_level -- [alma|flat|copa] [STEPS]`. The batch is of real
+//! episodes: random allocations every five steps, every other episode played by script.
 
 mod windows;
 
@@ -9,18 +9,32 @@ use std::error::Error;
 use std::time::Instant;
 
 use gemm::Parallelism;
+use sortie_learn::methods::alma::Conditioning;
+use sortie_learn::methods::paper::NO_TASK;
+use sortie_learn::methods::paper::low_level::coach::CoachConfig;
 use sortie_learn::methods::paper::low_level::{LowLevel, LowLevelConfig};
 use sortie_learn::random::{Purpose, generator};
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let mut arguments = std::env::args().skip(1).filter(|argument| argument != "--bench");
-    let rounds: usize = arguments.next_back().map_or(Ok(5), |rounds| rounds.parse())?;
-    let windows = windows::record()?;
-    let mut learner = LowLevel::new(
-        LowLevelConfig::default(),
-        windows.shape,
-        &mut generator(1, Purpose::Weights, 0),
-    );
+    let (mut method, mut rounds) = ("alma".to_owned(), 5_usize);
+    for argument in std::env::args().skip(1).filter(|argument| argument != "--bench") {
+        match &*argument {
+            "alma" | "flat" | "copa" => method = argument,
+            steps => rounds = steps.parse()?,
+        }
+    }
+    let mut windows = windows::record()?;
+    let mut config = LowLevelConfig::default();
+    if method != "alma" {
+        config.conditioning = Conditioning::None;
+        let states = windows.entity_task.chunks_exact_mut(windows.shape.entities);
+        states.for_each(|tasks| tasks[..windows.shape.agents].fill(NO_TASK));
+    }
+    let weights = &mut generator(1, Purpose::Weights, 0);
+    let mut learner = LowLevel::new(config, windows.shape, weights);
+    if method == "copa" {
+        learner.add_coach(CoachConfig::default(), weights);
+    }
     let peak = peak();
     println!("matrix products reach {peak:.1} GFLOP/s on one thread");
     let mut draws = generator(1, Purpose::Replay, 0);

@@ -281,8 +281,10 @@ impl Config {
             "`low_level.discount` must be in 0..1, `low_level.clip` positive",
         )?;
         require(
-            !self.coach.enabled || low_level.conditioning == Conditioning::None,
-            "agents with a coach have no subtasks: `low_level.conditioning` must be `none`",
+            !self.coach.enabled
+                || (low_level.conditioning == Conditioning::None && !low_level.recurrent),
+            "agents with a coach have no subtasks and no memory: `low_level.conditioning` must be `none`, \
+             `.recurrent` false",
         )?;
         require(self.coach.beta >= 0.0, "`coach.beta` must not be negative")?;
         self.allocation()?;
