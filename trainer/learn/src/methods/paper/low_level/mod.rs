@@ -149,13 +149,6 @@ impl LowLevel {
         self.coaching = Some(coaching);
     }
 
-    /// What agents act by.
-    pub fn players(&self) -> Agents<'_> {
-        let LowLevelNetworks { agents: network, gru, .. } = &self.online;
-        let coach = self.coaching.as_ref().map(|coaching| &coaching.online);
-        Agents { network, memory_unit: gru, coach }
-    }
-
     /// The switches and rates.
     pub fn config(&self) -> &LowLevelConfig {
         &self.config
