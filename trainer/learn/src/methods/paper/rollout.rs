@@ -270,7 +270,9 @@ fn random_action(available: u16, generator: &mut Generator) -> u8 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::methods::alma::{INPUT_COLUMNS, UtilityNetwork};
+    use crate::methods::alma::{Conditioning, INPUT_COLUMNS, UtilityNetwork};
+    use crate::methods::paper::low_level::{LowLevel, TaskOrder};
+    use crate::methods::paper::{Replay, SampleShape, cut_windows};
     use sortie_envs::save_the_city::ACTIONS;
 
     #[test]
@@ -309,5 +311,58 @@ mod tests {
         rollout.restore(before).unwrap();
         assert_eq!(play(&mut rollout), episodes, "the generators are all that outlives a round");
         assert_eq!(counts.episodes, 6);
+    }
+
+    #[test]
+    fn agents_see_in_windows_what_they_saw_when_they_acted() {
+        for conditioning in [Conditioning::Mask, Conditioning::Input, Conditioning::None] {
+            let mut config = Config::default();
+            config.environment.instances = 2;
+            config.environment.constants.episode_limit = 20;
+            config.low_level.conditioning = conditioning;
+            (config.low_level.width, config.low_level.base) = (8, 8);
+            let set = ScenarioSet::named(&config.environment.set).unwrap();
+            let sizes = config.sizes(&set);
+            let mut weights = generator(1, Purpose::Weights, 0);
+            let level = LowLevel::new(config.low_level.clone(), sizes, &mut weights);
+            let shape = level.online.agents.shape();
+            let mut rollout = Rollout::new(&config, shape, 5).unwrap();
+            let exploration = Exploration { actions: 0.5, ..Exploration::default() };
+            let rule: &mut dyn Decide = &mut AllocationRule::Random;
+            let counts = &mut EpisodeCounts::default();
+            let played = rollout.round(level.players(), Some(rule), exploration, 0, counts);
+            let mut replay = Replay::new(2);
+            played.unwrap().into_iter().for_each(|episode| replay.push(episode));
+
+            let sample = SampleShape { windows: 2, steps: 64, agents: 5, tasks: 6 };
+            let windows = cut_windows(&replay, &[0, 1], sample, &mut weights);
+            let (mut pass, order) = (level.agent_pass(), TaskOrder::identity(6));
+            let in_windows = pass.forward(&level.online.agents, &windows, &order);
+            let mut players = Players::new(conditioning, shape);
+            let mut compared = 0;
+            for (world, episode) in replay.episodes().iter().enumerate() {
+                let mut last_actions = vec![NO_ACTION; episode.agents];
+                for state in 0..episode.steps() {
+                    let (city, allocation) = (episode.city(state), episode.allocation(state));
+                    let scene = Scene {
+                        world,
+                        city,
+                        allocation,
+                        last_actions: &last_actions,
+                        strategies: &[],
+                    };
+                    let act = |_: usize, agent: usize, utilities: &[f32]| {
+                        let at = ((world * windows.shape.steps + state) * 5 + agent) * ACTIONS;
+                        for (acted, learned) in utilities.iter().zip(&in_windows[at..]) {
+                            assert!((acted - learned).abs() < 1e-5, "{acted} {learned}");
+                        }
+                        compared += 1;
+                    };
+                    players.act(level.players(), &[scene], 5, act).unwrap();
+                    last_actions.copy_from_slice(episode.actions(state));
+                }
+            }
+            assert!(compared > 50, "{compared}");
+        }
     }
 }
