@@ -171,7 +171,12 @@ fn configuration(arguments: &TrainArguments) -> Result<Settings, Failure> {
             let reason = "`flat` and `copa` have no subtasks: drop `--no-mask` and `--allocation`";
             return Err(Failure::new(Exit::Usage, reason.to_string()));
         }
-        Method::Flat => *settings.subtask_mut() = Conditioning::None,
+        Method::Flat => {
+            *settings.subtask_mut() = Conditioning::None;
+            if let Settings::Windows(config) = &mut settings {
+                config.coach.enabled = false;
+            }
+        }
         Method::Copa => enable_coach(&mut settings)?,
     }
     if let Some(steps) = arguments.steps {
@@ -204,6 +209,7 @@ fn allocate_by(settings: &mut Settings, allocation: Allocation) {
     }
 }
 
+/// Has a coach tell flat agents strategies.
 fn enable_coach(settings: &mut Settings) -> Outcome {
     let Settings::Windows(config) = settings else {
         let reason = "`copa` is learned by the preset `paper` only: add `--preset paper`";

@@ -326,7 +326,8 @@ impl LowLevel {
         }
     }
 
-    /// Floating-point operations of all steps up to now: those of matrix products and attention.
+    /// Floating-point operations of all steps up to now: those of matrix products and attention, without
+    /// those of a coach.
     pub fn operations(&self) -> u64 {
         self.lanes.iter().map(Lane::operations).sum()
     }
