@@ -87,3 +87,17 @@ fn flat_runs_and_rules_learn_by_the_published_algorithm_too() {
     let preset = ["train", "alma", "--preset", "slow", "--out", &path("slow")];
     assert_fails(&output(&preset), 2, &["fast", "paper"]);
 }
+
+#[test]
+fn a_coach_is_trained_and_measured_but_not_deployed() {
+    let place = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| place.path().join(name).display().to_string();
+    let run = path("run");
+    train("copa", &run, &[]);
+    let played = json(&["eval", &run, "--episodes", "5", "--json"]);
+    assert_eq!(played["episodes"], 5);
+    let refused = output(&["export", &run, "--out", &path("bundle")]);
+    assert_fails(&refused, 2, &["coach"]);
+    let fast = ["train", "copa", "--preset", "fast", "--out", &path("fast")];
+    assert_fails(&output(&fast), 2, &["copa", "paper"]);
+}
