@@ -58,7 +58,7 @@ fn ringer() {
         IoxAgent::open(&setup(&domain, bell, "ringer")).unwrap()
     };
     let answer = ActionMsg { agent: ringer.parse().unwrap(), ..message() };
-    let (mut last, mut timed_out) = (u64::MAX, false);
+    let (mut last, mut timed_out, mut waited) = (u64::MAX, false, link.token());
     loop {
         let token = link.token();
         let mut round = last;
@@ -72,18 +72,20 @@ fn ringer() {
         }
         if round != last {
             // The first frame comes by history, without a ring.
-            if timed_out && last != u64::MAX && is_lost(&mut link, token) {
+            if timed_out && last != u64::MAX && is_lost(&mut link, waited) {
                 std::process::exit(LOST);
             }
             last = round;
             link.send_action(&ActionMsg { tick: round, ..answer }).unwrap();
             link.ring(Role::World).unwrap();
         }
+        waited = token;
         timed_out = link.wait_until(token, link.now_ns() + TIMEOUT_NS) == Wake::Timeout;
     }
 }
 
-/// Whether the ring for a message that was found after a time-out never comes: it may be late.
+/// Whether the ring for a message that was found after a time-out never comes: it may be late, or have come
+/// between the time-out and the look, which the token of the wait that timed out tells.
 fn is_lost(link: &mut (impl Bell + Clock), token: u32) -> bool {
     let until_ns = link.now_ns() + TIMEOUT_NS;
     link.wait_until(token, until_ns) == Wake::Timeout
@@ -120,6 +122,7 @@ fn send(link: &mut IoxWorld, round: u64) {
 /// Collects the answers to a round; counts those that only a time-out brought to light.
 fn collect(link: &mut IoxWorld, ringers: &mut [Child], round: u64) -> u64 {
     let (mut answered, mut timed_out, mut lost) = (0_u64, false, 0);
+    let mut waited = link.token();
     loop {
         let token = link.token();
         let before = answered;
@@ -129,10 +132,11 @@ fn collect(link: &mut IoxWorld, ringers: &mut [Child], round: u64) -> u64 {
             }
         })
         .unwrap();
-        lost += u64::from(timed_out && answered != before && is_lost(link, token));
+        lost += u64::from(timed_out && answered != before && is_lost(link, waited));
         if answered.count_ones() as usize == RINGERS {
             return lost;
         }
+        waited = token;
         timed_out = link.wait_until(token, link.now_ns() + TIMEOUT_NS) == Wake::Timeout;
         if timed_out {
             let ended = ringers.iter_mut().find_map(|ringer| ringer.try_wait().unwrap());
