@@ -36,6 +36,7 @@ pub use mixer::{Mixer, MixerKind, MixerPass, MixerShape, MixerTensor, Teams};
 pub use network_policy::NetworkPolicy;
 pub use replay::{AgentStep, BuildingStep, Record, RecordLayout, Replay, Sample};
 pub use rollout::{Behaviour, InstanceSnapshot, Memory, Rollout};
+pub(crate) use team_batch::random_action;
 pub use team_batch::{INPUT_COLUMNS, NO_ACTION, TeamBatch, best_action};
 pub use temporal_difference::Chunk;
 pub use trainer::{Trainer, agents_learner, allocator_learner};

@@ -10,7 +10,7 @@ use super::config::Config;
 use super::deciding::{Deciding, Decisions};
 use super::history::{History, Moment, StepRewards};
 use super::replay::Replay;
-use super::team_batch::{NO_ACTION, TeamBatch, best_action};
+use super::team_batch::{NO_ACTION, TeamBatch, best_action, random_action};
 use super::team_value::Segments;
 use super::utility::{UtilityNetwork, UtilityShape};
 use super::utility_pass::UtilityPass;
@@ -248,12 +248,6 @@ impl Rollout {
         }
         Ok(())
     }
-}
-
-/// A uniform choice among the available actions.
-fn random_action(available: u16, generator: &mut Generator) -> u8 {
-    let chosen = below(generator, available.count_ones() as usize);
-    (0..16).filter(|action| available >> action & 1 == 1).nth(chosen).unwrap_or(0)
 }
 
 #[cfg(test)]

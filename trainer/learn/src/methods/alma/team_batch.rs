@@ -11,6 +11,7 @@ use sortie_envs::save_the_city::{
 use super::conditioning::Conditioning;
 use super::utility_pass::UtilityInput;
 use crate::layers::SparseRows;
+use crate::random::{Generator, below};
 
 /// Columns of an entity's features and its last action's one-hot.
 ///
@@ -202,6 +203,12 @@ pub fn best_action(utilities: &[f32], available: u16) -> u8 {
         }
     }
     best.1
+}
+
+/// A uniform choice among the available actions, with bits as in [`best_action`].
+pub(crate) fn random_action(available: u16, generator: &mut Generator) -> u8 {
+    let chosen = below(generator, available.count_ones() as usize);
+    (0..16).filter(|action| available >> action & 1 == 1).nth(chosen).unwrap_or(0)
 }
 
 #[cfg(test)]

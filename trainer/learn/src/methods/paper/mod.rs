@@ -8,6 +8,7 @@
 pub mod allocation;
 pub mod config;
 mod deciding;
+mod lanes;
 pub mod low_level;
 mod popart;
 mod replay;

@@ -12,7 +12,7 @@ use super::low_level::coach::Advice;
 use super::replay::{Episode, Moment};
 use crate::error::LearnError;
 use crate::evaluate::{Agents, Players, Scene};
-use crate::methods::alma::{NO_ACTION, UtilityShape, best_action};
+use crate::methods::alma::{NO_ACTION, UtilityShape, best_action, random_action};
 use crate::random::{Generator, Purpose, below, chance, generator};
 use crate::run::EpisodeCounts;
 
@@ -259,12 +259,6 @@ impl Rollout {
         }
         Ok(())
     }
-}
-
-/// A uniform choice among the available actions.
-fn random_action(available: u16, generator: &mut Generator) -> u8 {
-    let chosen = below(generator, available.count_ones() as usize);
-    (0..16).filter(|action| available >> action & 1 == 1).nth(chosen).unwrap_or(0)
 }
 
 #[cfg(test)]

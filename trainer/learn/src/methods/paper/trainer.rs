@@ -39,6 +39,8 @@ pub struct Trainer {
     pub(super) allocation: Option<AllocationLevel>,
     pub(super) rollout: Rollout,
     pub(super) replay: Replay,
+    /// What every update draws.
+    sample: SampleShape,
     /// Draws episodes, windows and everything that an update needs.
     pub(super) generator: Generator,
     pub(super) counters: Counters,
@@ -83,6 +85,12 @@ impl Trainer {
             rollout: Rollout::new(config, low_level.online.agents.shape(), *seed)?,
             allocation: learning.map(|learning| AllocationLevel::new(learning, *seed)),
             replay: Replay::new(config.learning.episodes),
+            sample: SampleShape {
+                windows: config.learning.windows,
+                steps: config.learning.steps,
+                agents: sizes.agents,
+                tasks: sizes.tasks,
+            },
             generator: generator(*seed, Purpose::Replay, 0),
             counters: Counters::new(config.run.evaluate_every),
             episodes: Episodes::default(),
@@ -154,16 +162,10 @@ impl Trainer {
     }
 
     /// One update of each level that has enough to learn from.
-    fn update(&mut self) -> Result<(), LearnError> {
+    fn update(&mut self) {
         let RunDescription { config, threads, .. } = &self.description;
         let threads = *threads;
-        let set = ScenarioSet::named(&config.environment.set)?;
-        let sample = SampleShape {
-            windows: config.learning.windows,
-            steps: config.learning.steps,
-            agents: set.max_agents,
-            tasks: set.max_buildings,
-        };
+        let sample = self.sample;
         let generator = &mut self.generator;
         let window = &mut self.counters.window;
         if let Some(drawn) = draw_episodes(&self.replay, sample.windows, generator, |_| true) {
@@ -173,7 +175,7 @@ impl Trainer {
                 .agents
                 .add(UpdateReport { loss: report.loss, gradient_norm: report.gradient_norm });
         }
-        let Some(allocation) = &mut self.allocation else { return Ok(()) };
+        let Some(allocation) = &mut self.allocation else { return };
         let now = self.counters.env_steps;
         let recent = |added: u64| now - added <= config.allocation.oldest;
         let drawn = draw_episodes(&self.replay, sample.windows, generator, |e| recent(e.added));
@@ -186,7 +188,6 @@ impl Trainer {
                 });
             }
         }
-        Ok(())
     }
 
     /// Renews target networks whose time has come.
@@ -273,7 +274,7 @@ impl Learning for Trainer {
         self.play()?;
         let instances = self.description.config.environment.instances;
         for _ in 0..instances {
-            self.update()?;
+            self.update();
             self.copy_targets();
         }
         self.episodes.played += instances as u64;

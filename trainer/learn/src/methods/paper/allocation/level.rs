@@ -5,12 +5,11 @@
 //! on the number of threads nor on their timing.
 
 use std::ops::Range;
-use std::sync::{Mutex, PoisonError};
-use std::thread;
 use std::time::Duration;
 
 use rand_core::Rng;
 
+use super::super::lanes::in_lanes;
 use super::super::popart::PopArt;
 use super::super::times::{AllocationTimes, Stopwatch};
 use super::super::windows::Windows;
@@ -291,7 +290,7 @@ impl AllocationLevel {
         let count = rows.len();
         let (learning, critic, policy) = (&self.learning, &self.critic, &self.policy);
         let networks = AllocationNetworks { policy, critic };
-        on_threads(&mut self.lanes, threads, |index, lane| {
+        in_lanes(threads, &mut self.lanes, |index, lane| {
             let range = lane_range(count, index);
             lane.propose(networks, &self.target, (rows, range), loss, draws, learning);
         });
@@ -317,7 +316,7 @@ impl AllocationLevel {
         let heads = Heads { compared, gradient: after };
         let (critic, targets) = (&self.critic, &self.last.normalised);
         self.optimiser_time += watch.lap();
-        on_threads(&mut self.lanes, threads, |index, lane| {
+        in_lanes(threads, &mut self.lanes, |index, lane| {
             let range = lane_range(count, index);
             lane.value(critic, (rows, range), loss, (targets, &draws.stored), heads);
         });
@@ -363,21 +362,6 @@ impl AllocationLevel {
 /// The rows of a lane.
 fn lane_range(rows: usize, lane: usize) -> Range<usize> {
     rows * lane / LANES..rows * (lane + 1) / LANES
-}
-
-/// Hands lane after lane to whichever thread is free.
-fn on_threads(lanes: &mut [Lane], threads: usize, work: impl Fn(usize, &mut Lane) + Sync) {
-    let queue = Mutex::new(lanes.iter_mut().enumerate());
-    let next = || queue.lock().unwrap_or_else(PoisonError::into_inner).next();
-    let drain = || {
-        while let Some((index, lane)) = next() {
-            work(index, lane);
-        }
-    };
-    thread::scope(|scope| {
-        (1..threads).for_each(|_| drop(scope.spawn(drain)));
-        drain();
-    });
 }
 
 fn sum_into<'a>(sum: &mut Vec<f32>, parts: impl Iterator<Item = &'a Vec<f32>>) {

@@ -13,7 +13,6 @@ mod availability;
 pub mod coach;
 mod config;
 mod hypernetwork;
-mod lanes;
 mod mixer;
 mod mixing;
 mod recurrent;
@@ -36,6 +35,7 @@ pub use values::{team_input, team_values};
 
 use std::time::Duration;
 
+use super::lanes::in_lanes;
 use super::popart::PopArt;
 use super::times::{LowLevelTimes, Stopwatch};
 use super::windows::{WindowShape, Windows};
@@ -44,7 +44,6 @@ use crate::methods::alma::{Conditioning, UtilityNetwork};
 use crate::optimise::{RmsProp, clip_norm};
 use crate::random::Generator;
 use coach::{CoachConfig, CoachShape, Coaching, Held, Told};
-use lanes::in_lanes;
 use recurrent::Recurrent;
 use step::{Bootstrap, Descent, Lane, Side, Step};
 
