@@ -98,6 +98,22 @@ fn a_coach_is_trained_and_measured_but_not_deployed() {
     assert_eq!(played["episodes"], 5);
     let refused = output(&["export", &run, "--out", &path("bundle")]);
     assert_fails(&refused, 2, &["coach"]);
-    let fast = ["train", "copa", "--preset", "fast", "--out", &path("fast")];
-    assert_fails(&output(&fast), 2, &["copa", "paper"]);
+}
+
+#[test]
+fn a_coach_learns_under_the_conditions_of_the_preset_fast() {
+    let place = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| place.path().join(name).display().to_string();
+    let run = path("run");
+    let begin = ["train", "copa", "--steps", "300", "--out", &run, "--quiet"];
+    let begun = output(&[&begin[..], &SMALL, &["--set", "learning.updates=1"]].concat());
+    assert!(begun.status.success(), "{}", support::stderr(&begun));
+    let text = std::fs::read_to_string(format!("{run}/train.toml")).expect("a configuration");
+    for line in ["learner = \"windows\"", "enabled = true", "shaping = 0.5", "updates = 1"] {
+        assert!(text.contains(line), "no `{line}` in {text}");
+    }
+    let records = path("records.toml");
+    std::fs::write(&records, "[returns]\nsteps = 3\n").expect("a file");
+    let wrong = ["train", "copa", "--config", &records, "--out", &path("wrong")];
+    assert_fails(&output(&wrong), 2, &["windows"]);
 }

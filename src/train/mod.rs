@@ -10,6 +10,7 @@ use clap::{Args, ValueEnum};
 use sortie_learn::LearnError;
 use sortie_learn::methods::Trainer;
 use sortie_learn::methods::alma::{Conditioning, MixerKind};
+use sortie_learn::methods::paper;
 use sortie_learn::run::{Outcome as Ending, Settings};
 
 use crate::arguments::{Allocation, Common};
@@ -85,8 +86,8 @@ enum Method {
     Alma,
     /// The same without subtasks: everybody sees everything and earns the whole team's reward
     Flat,
-    /// Flat agents and a coach that sees everything and tells each of them a strategy now and then; of the
-    /// preset `paper` only
+    /// Flat agents and a coach that sees everything and tells each of them a strategy now and then; learned
+    /// from windows by either preset
     Copa,
 }
 
@@ -153,6 +154,9 @@ fn threads(text: &str) -> Result<usize, String> {
 fn configuration(arguments: &TrainArguments) -> Result<Settings, Failure> {
     let mut settings = match &arguments.config {
         Some(path) => configuration_file(path)?,
+        None if arguments.method == Method::Copa && arguments.preset == "fast" => {
+            Settings::Windows(paper::Config::like_fast())
+        }
         None => Settings::preset(&arguments.preset).map_err(usage)?,
     };
     if let Some(name) = &arguments.env {
@@ -212,7 +216,8 @@ fn allocate_by(settings: &mut Settings, allocation: Allocation) {
 /// Has a coach tell flat agents strategies.
 fn enable_coach(settings: &mut Settings) -> Outcome {
     let Settings::Windows(config) = settings else {
-        let reason = "`copa` is learned by the preset `paper` only: add `--preset paper`";
+        let reason =
+            "`copa` learns from windows: give a configuration with `learner = \"windows\"`";
         return Err(Failure::new(Exit::Usage, reason.to_string()));
     };
     config.enable_coach();

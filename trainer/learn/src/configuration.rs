@@ -6,23 +6,41 @@ use serde::de::DeserializeOwned;
 use crate::error::LearnError;
 use crate::run::KEYS;
 
+/// What can be kept in a file.
+pub(crate) trait Kept: Default + Serialize + DeserializeOwned {}
+impl<C: Default + Serialize + DeserializeOwned> Kept for C {}
+
 /// Reads a configuration; what is missing keeps its default.
 ///
 /// A run's `train.toml` will do: its lines about the run itself are passed over.
-pub(crate) fn from_toml<C: DeserializeOwned>(text: &str) -> Result<C, LearnError> {
+pub(crate) fn from_toml<C: Kept>(text: &str) -> Result<C, LearnError> {
     let bad = |error: toml::de::Error| LearnError::Config(error.message().to_owned());
     let mut table: toml::Table = text.parse().map_err(bad)?;
     for key in KEYS {
         table.remove(key);
     }
-    table.try_into().map_err(bad)
+    from_table(table)
 }
 
-/// Reads a configuration that was part of a file.
-pub(crate) fn from_table<C: DeserializeOwned>(table: toml::Table) -> Result<C, LearnError> {
-    table
+/// Reads a configuration that was part of a file; what is missing keeps its default.
+pub(crate) fn from_table<C: Kept>(table: toml::Table) -> Result<C, LearnError> {
+    let default = toml::Table::try_from(C::default());
+    let mut whole = default.map_err(|error| LearnError::Config(error.to_string()))?;
+    overlay(&mut whole, table);
+    whole
         .try_into()
         .map_err(|error: toml::de::Error| LearnError::Config(error.message().to_owned()))
+}
+
+/// Replaces the values of a table by those of another, of inner tables value by value: a section that
+/// names one key keeps the others as this configuration has them, not as the section's own type has.
+fn overlay(table: &mut toml::Table, by: toml::Table) {
+    for (key, new) in by {
+        match (table.get_mut(&key), new) {
+            (Some(toml::Value::Table(old)), toml::Value::Table(new)) => overlay(old, new),
+            (_, new) => drop(table.insert(key, new)),
+        }
+    }
 }
 
 /// The configuration as a file that a person can read.

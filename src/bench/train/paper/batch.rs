@@ -125,7 +125,7 @@ fn settings(levels: &Levels, [critic, target_critic]: [PopArt; 2]) -> HashMap<St
         ("steps", windows.shape.steps as f64),
         ("heads", config.low_level.heads as f64),
         ("proposals", config.allocation.proposals as f64),
-        ("discount", config.low_level.discount.into()),
+        ("discount", config.low_level.returns.discount.into()),
         ("clip", config.low_level.clip.into()),
         ("entropy", allocation.learning().entropy),
         ("learning_rate", allocation.learning().learning_rate.into()),

@@ -6,7 +6,7 @@ use sortie_envs::save_the_city::{AllocationRule, ScenarioSet};
 use sortie_learn::methods::paper::allocation::{AllocationLevel, AllocationState};
 use sortie_learn::methods::paper::low_level::{LowLevel, LowLevelConfig};
 use sortie_learn::methods::paper::{
-    Config, Decide, Exploration, ProposalAllocator, Replay, Rollout, SampleShape, Windows,
+    Config, Decide, Exploration, ProposalAllocator, Replay, Rollout, SampleShape, Shaping, Windows,
     cut_windows, draw_episodes,
 };
 use sortie_learn::random::{Generator, Purpose, generator};
@@ -53,6 +53,7 @@ impl Levels {
             steps: config.learning.steps,
             agents: set.max_agents,
             tasks: set.max_buildings,
+            shaping: Shaping::default(),
         };
         let replay = fill(&mut rollout, &low_level, sample.windows, exploration(&config))?;
         let drawn = draw_episodes(&replay, sample.windows, &mut generator, |_| true)

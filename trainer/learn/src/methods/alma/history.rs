@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 use sortie_envs::save_the_city::{AgentState, BuildingState, City};
 
 use super::conditioning::Conditioning;
+use super::potential::potential;
 use super::replay::{AgentStep, BuildingStep, Record, Replay};
 
 /// How rewards of several steps become one target.
@@ -230,26 +231,10 @@ impl Rules {
         replay.push(record, team.chain(others).map(agent_step), buildings.map(building_step));
     }
 
-    /// Potential of a state for the team that a frame has at a task: the farther an agent is from its
-    /// building, the lower. Without subtasks an agent counts by its nearest open building.
-    ///
-    /// Shaping with `discount^m * phi(s') - phi(s)` leaves the best policy as it is (Ng, Harada and
-    /// Russell 1999). It is no part of the dissertation.
+    /// Potential of a state for the team that a frame has at a task.
     fn potential(self, frame: &Frame, task: usize, city: City<'_>) -> f32 {
-        let cell = -self.returns.shaping;
-        let at = |agent: &AgentState, building: &BuildingState| {
-            cell * f32::from(agent.distance_to(building).saturating_sub(1))
-        };
-        let nearest = |agent: &AgentState| {
-            let open = city.buildings.iter().filter(|building| building.is_open());
-            open.map(|building| at(agent, building)).reduce(f32::max).unwrap_or(0.0)
-        };
-        let team = frame.team(task).map(|agent| &city.agents[agent]);
-        if self.conditioning.has_subtasks() {
-            team.map(|agent| at(agent, &city.buildings[task])).sum()
-        } else {
-            team.map(nearest).sum()
-        }
+        let task_of_team = self.conditioning.has_subtasks().then_some(task);
+        potential(self.returns.shaping, city, frame.team(task), task_of_team)
     }
 }
 

@@ -10,8 +10,8 @@ use super::rollout::Exploration;
 use super::windows::WindowShape;
 use crate::configuration;
 use crate::error::LearnError;
-use crate::methods::alma::Conditioning;
 use crate::methods::alma::config::{Allocation, EnvironmentConfig, RunConfig};
+use crate::methods::alma::{self, Conditioning};
 use crate::run::Configuration;
 use crate::schedule::linear;
 
@@ -77,6 +77,8 @@ pub struct AllocationConfig {
     pub heads: usize,
     /// Spare subtasks, so that the networks serve worlds with more of them than they learned in.
     pub extra_tasks: usize,
+    /// Discount of a step, of the critic's values.
+    pub discount: f32,
     /// Weight of the proposal policy's entropy.
     pub entropy: f32,
     /// Age in environment steps from which an episode teaches the allocator nothing.
@@ -94,6 +96,7 @@ impl Default for AllocationConfig {
             width: 128,
             heads: 4,
             extra_tasks: 0,
+            discount: 0.99,
             entropy: 0.01,
             oldest: 150_000,
             rows: 400,
@@ -162,6 +165,8 @@ pub struct LearningConfig {
     pub windows: usize,
     /// States of a window.
     pub steps: usize,
+    /// Updates for every episode.
+    pub updates: usize,
     /// Episodes after which the target of the agents and their mixer is renewed.
     pub copy_agents_every: u64,
     /// Episodes after which the target of the critic is renewed.
@@ -174,6 +179,7 @@ impl Default for LearningConfig {
             episodes: 5_000,
             windows: 32,
             steps: 64,
+            updates: 1,
             copy_agents_every: 200,
             copy_critic_every: 50,
         }
@@ -181,6 +187,37 @@ impl Default for LearningConfig {
 }
 
 impl Config {
+    /// Windows learned from under the conditions of the preset `fast`: its returns, its width, its
+    /// exploration, its steps, and as many updates of as many states. COPA's under that preset.
+    pub fn like_fast() -> Self {
+        let fast = alma::Config::default();
+        let agents = fast.exploration;
+        let schedule = Schedule { start: agents.start, end: agents.end, steps: agents.steps };
+        let width = fast.network.width;
+        Self {
+            low_level: LowLevelConfig {
+                width,
+                hypernetwork_width: width,
+                returns: fast.returns,
+                ..LowLevelConfig::default()
+            },
+            exploration: ExplorationConfig {
+                actions: schedule,
+                proposal: schedule,
+                allocation: schedule,
+            },
+            learning: LearningConfig {
+                windows: 8,
+                updates: 5,
+                copy_agents_every: 40,
+                copy_critic_every: 10,
+                ..LearningConfig::default()
+            },
+            run: fast.run,
+            ..Self::default()
+        }
+    }
+
     /// Reads a configuration; what is missing keeps its default.
     pub fn from_toml(text: &str) -> Result<Self, LearnError> {
         let config: Self = configuration::from_toml(text)?;
@@ -246,7 +283,7 @@ impl Config {
                 most: allocation.rows,
                 age_limit: allocation.oldest as f32,
             },
-            discount: self.low_level.discount.into(),
+            discount: allocation.discount.into(),
             entropy: allocation.entropy.into(),
             learning_rate: self.low_level.learning_rate,
             gradient_norm: self.low_level.clip,
@@ -276,10 +313,8 @@ impl Config {
                 && low_level.mixing > 0,
             "`low_level.hypernetwork_width` must be a multiple of `.hypernetwork_heads`, `.mixing` at least 1",
         )?;
-        require(
-            (0.0..=1.0).contains(&low_level.discount) && low_level.clip > 0.0,
-            "`low_level.discount` must be in 0..1, `low_level.clip` positive",
-        )?;
+        low_level.returns.check()?;
+        require(low_level.clip > 0.0, "`low_level.clip` must be positive")?;
         require(
             !self.coach.enabled
                 || (low_level.conditioning == Conditioning::None && !low_level.recurrent),
@@ -295,6 +330,10 @@ impl Config {
         require(
             allocation.interval > 0 && allocation.proposals > 0 && allocation.rows > 1,
             "`allocation.interval`, `.proposals` must be at least 1, `.rows` at least 2",
+        )?;
+        require(
+            (0.0..=1.0).contains(&allocation.discount),
+            "`allocation.discount` must be in 0..1",
         )?;
         require(allocation.oldest > 0, "`allocation.oldest` must be at least 1")?;
         require(

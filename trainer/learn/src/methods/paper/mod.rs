@@ -24,7 +24,7 @@ pub use deciding::ProposalAllocator;
 pub use popart::{PopArt, Rescale};
 pub use replay::{Episode, Moment, Replay};
 pub use rollout::{Decide, Exploration, Rollout, RolloutGenerators};
-pub use sampling::{SampleShape, cut_windows, draw_episodes};
+pub use sampling::{SampleShape, Shaping, cut_windows, draw_episodes};
 pub(crate) use saved::{saved_allocator, saved_coach, saved_memory_unit};
 pub use times::{AllocationTimes, LowLevelTimes};
 pub use trainer::Trainer;

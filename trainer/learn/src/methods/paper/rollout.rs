@@ -266,7 +266,7 @@ mod tests {
     use super::*;
     use crate::methods::alma::{Conditioning, INPUT_COLUMNS, UtilityNetwork};
     use crate::methods::paper::low_level::{LowLevel, TaskOrder};
-    use crate::methods::paper::{Replay, SampleShape, cut_windows};
+    use crate::methods::paper::{Replay, SampleShape, Shaping, cut_windows};
     use sortie_envs::save_the_city::ACTIONS;
 
     #[test]
@@ -328,7 +328,8 @@ mod tests {
             let mut replay = Replay::new(2);
             played.unwrap().into_iter().for_each(|episode| replay.push(episode));
 
-            let sample = SampleShape { windows: 2, steps: 64, agents: 5, tasks: 6 };
+            let shaping = Shaping::default();
+            let sample = SampleShape { windows: 2, steps: 64, agents: 5, tasks: 6, shaping };
             let windows = cut_windows(&replay, &[0, 1], sample, &mut weights);
             let (mut pass, order) = (level.agent_pass(), TaskOrder::identity(6));
             let in_windows = pass.forward(&level.online.agents, &windows, &order);

@@ -11,10 +11,11 @@ use sortie_envs::save_the_city::{
 
 use super::replay::{Episode, Replay};
 use super::windows::{NO_ACTION, NO_TASK, WindowShape, Windows};
+use crate::methods::alma::potential;
 use crate::random::{Generator, below};
 
-/// Sizes of a batch.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Sizes of a batch, and what is added to its rewards.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SampleShape {
     /// Episodes to draw, and windows to cut.
     pub windows: usize,
@@ -24,6 +25,17 @@ pub struct SampleShape {
     pub agents: usize,
     /// Buildings and subtasks T, at most as many as an episode has.
     pub tasks: usize,
+    /// What is added to its rewards.
+    pub shaping: Shaping,
+}
+
+/// Rewards for coming nearer, by the potential of `returns.shaping`; none by default.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Shaping {
+    /// Potential of one cell between an agent and its building.
+    pub cell: f32,
+    /// Discount of a step.
+    pub discount: f32,
 }
 
 /// Draws distinct episodes among those that `may_be_drawn`, as indices, or `None` if there are too few.
@@ -76,7 +88,12 @@ pub fn cut_windows(
     windows.features.clear();
     for (state, place) in places.into_iter().enumerate() {
         match place {
-            Some((episode, at)) => write_state(&mut windows, state, episode, at),
+            Some((episode, at)) => {
+                write_state(&mut windows, state, episode, at);
+                if sample.shaping.cell != 0.0 && at < episode.steps() {
+                    sample.shaping.add(&mut windows, state, (episode, at));
+                }
+            }
             None => (0..agents + tasks).for_each(|_| windows.features.end_row()),
         }
     }
@@ -181,6 +198,28 @@ fn write_state(windows: &mut Windows, state: usize, episode: &Episode, at: usize
     windows.has_transition[state] = state % steps + 1 < steps;
 }
 
+impl Shaping {
+    /// Adds to the rewards of a step what its end is nearer than its beginning.
+    fn add(self, windows: &mut Windows, state: usize, (episode, at): (&Episode, usize)) {
+        let Self { cell, discount } = self;
+        let allocation = episode.allocation(at);
+        let gain = |task: Option<usize>, ends: bool| {
+            let works =
+                |agent: &usize| task.is_none_or(|task| usize::from(allocation[*agent]) == task);
+            let team = (0..episode.agents).filter(works);
+            let before = potential(cell, episode.city(at), team.clone(), task);
+            let later = potential(cell, episode.city(at + 1), team, task);
+            if ends { -before } else { discount * later - before }
+        };
+        let first = state * windows.shape.tasks;
+        for task in 0..episode.buildings {
+            let ends = windows.task_terminated[first + task];
+            windows.task_reward[first + task] += gain(Some(task), ends);
+        }
+        windows.reward[state] += gain(None, windows.terminated[state]);
+    }
+}
+
 /// The environment's word for no building, as windows have it.
 fn named(task: u8) -> u8 {
     if task == UNASSIGNED { NO_TASK } else { task }
@@ -192,9 +231,15 @@ mod tests {
     use crate::methods::paper::replay::Moment;
     use rand_core::SeedableRng;
     use sortie_envs::Environment;
-    use sortie_envs::save_the_city::{SaveTheCity, ScenarioSet};
+    use sortie_envs::save_the_city::{AgentState, SaveTheCity, ScenarioSet};
 
-    const SAMPLE: SampleShape = SampleShape { windows: 4, steps: 8, agents: 5, tasks: 6 };
+    const SAMPLE: SampleShape = SampleShape {
+        windows: 4,
+        steps: 8,
+        agents: 5,
+        tasks: 6,
+        shaping: Shaping { cell: 0.0, discount: 0.0 },
+    };
 
     /// An episode of so many steps in which agents stay; its number is its reward.
     fn episode(number: u64, steps: usize) -> Episode {
@@ -271,6 +316,34 @@ mod tests {
             let expected = 50.0 * 32.0 * episode.states() as f64 / total as f64;
             assert!((0.6..1.4).contains(&(f64::from(*reached) / expected)), "{reached} {expected}");
         }
+    }
+
+    #[test]
+    fn shaping_pays_for_cells_and_takes_them_back_at_the_end() {
+        let replay = replay(&[12]);
+        let stored = &replay.episodes()[0];
+        let shaping = Shaping { cell: 0.5, discount: 1.0 };
+        let shaped = SampleShape { steps: 20, shaping, ..SAMPLE };
+        let windows = cut_windows(&replay, &[0], shaped, &mut Generator::seed_from_u64(4));
+        // Without discount all that was added for the whole team is what its last state has and its
+        // first had not; agents stay, so that this is nothing: the episode ran out of time.
+        let plain: f32 = (0..12).map(|step| stored.reward(step)).sum();
+        assert!(!windows.terminated[11]);
+        assert!((windows.reward[..12].iter().sum::<f32>() - plain).abs() < 1e-3);
+
+        // With discount, agents that stay lose a tenth of their distance's potential in every step.
+        let shaping = Shaping { discount: 0.9, ..shaping };
+        let shaped = SampleShape { shaping, ..shaped };
+        let windows = cut_windows(&replay, &[0], shaped, &mut Generator::seed_from_u64(4));
+        let city = stored.city(0);
+        let task = usize::from(stored.allocation(0)[0]);
+        let cells = |agent: &AgentState| agent.distance_to(&city.buildings[task]).saturating_sub(1);
+        let cells: u16 = city.agents.iter().map(|agent| u16::from(cells(agent))).sum();
+        let added = windows.task_reward[task] - 0.5;
+        assert!(
+            cells > 0 && (added - 0.1 * 0.5 * f32::from(cells)).abs() < 1e-3,
+            "{added} {cells}"
+        );
     }
 
     #[test]

@@ -11,10 +11,10 @@ use super::deciding::ProposalAllocator;
 use super::low_level::LowLevel;
 use super::replay::Replay;
 use super::rollout::{Decide, Rollout};
-use super::sampling::{SampleShape, cut_windows, draw_episodes};
+use super::sampling::{SampleShape, Shaping, cut_windows, draw_episodes};
 use crate::error::LearnError;
 use crate::evaluate::{Evaluation, EvaluationPlan, NetworkTeam, NoSubtasks, evaluate};
-use crate::methods::alma::config::{Allocation, EnvironmentConfig, RunConfig};
+use crate::methods::alma::config::{Allocation, EnvironmentConfig, ReturnsConfig, RunConfig};
 use crate::random::{Generator, Purpose, generator};
 use crate::run::{
     Counters, CurvePoint, Labels, Learning, Observer, Outcome, Progress, Rates, RunDescription,
@@ -90,6 +90,7 @@ impl Trainer {
                 steps: config.learning.steps,
                 agents: sizes.agents,
                 tasks: sizes.tasks,
+                shaping: Shaping::default(),
             },
             generator: generator(*seed, Purpose::Replay, 0),
             counters: Counters::new(config.run.evaluate_every),
@@ -169,7 +170,9 @@ impl Trainer {
         let generator = &mut self.generator;
         let window = &mut self.counters.window;
         if let Some(drawn) = draw_episodes(&self.replay, sample.windows, generator, |_| true) {
-            let windows = cut_windows(&self.replay, &drawn, sample, generator);
+            let ReturnsConfig { shaping: cell, discount, .. } = config.low_level.returns;
+            let shaped = SampleShape { shaping: Shaping { cell, discount }, ..sample };
+            let windows = cut_windows(&self.replay, &drawn, shaped, generator);
             let report = self.low_level.learn(&windows, threads, generator);
             window
                 .agents
@@ -269,12 +272,13 @@ impl Learning for Trainer {
         Self::measure(self, episodes, seed)
     }
 
-    /// One round of episodes, then an update of each level for every one of them.
+    /// One round of episodes, then the updates of each level for every one of them.
     fn step(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError> {
         self.play()?;
         let instances = self.description.config.environment.instances;
+        let updates = self.description.config.learning.updates;
         for _ in 0..instances {
-            self.update();
+            (0..updates).for_each(|_| self.update());
             self.copy_targets();
         }
         self.episodes.played += instances as u64;

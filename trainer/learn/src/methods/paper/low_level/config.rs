@@ -6,6 +6,7 @@ use super::super::windows::WindowShape;
 use super::hypernetwork::HypernetworkShape;
 use super::mixer::{MixerShape, Nonnegative};
 use crate::methods::alma::Conditioning;
+use crate::methods::alma::config::ReturnsConfig;
 
 /// When the PopArt head is rescaled to new statistics.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -51,8 +52,8 @@ pub struct LowLevelConfig {
     pub popart_order: PopArtOrder,
     /// Whether actions that apply to a subtask are available to the agents allocated to it only.
     pub task_availability: bool,
-    /// Discount of a step.
-    pub discount: f32,
+    /// How rewards become targets.
+    pub returns: ReturnsConfig,
     /// Learning rate of RMSprop.
     pub learning_rate: f32,
     /// Largest norm of the gradient.
@@ -76,7 +77,7 @@ impl Default for LowLevelConfig {
             popart_per_task: false,
             popart_order: PopArtOrder::RescaleFirst,
             task_availability: false,
-            discount: 0.99,
+            returns: ReturnsConfig { steps: 1, discount: 0.99, shaping: 0.0 },
             learning_rate: 5e-4,
             clip: 10.0,
         }

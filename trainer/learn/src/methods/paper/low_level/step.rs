@@ -21,6 +21,7 @@ use super::mixer::{MergedMixer, Mixer, MixerGradient, MixerPass};
 use super::recurrent::{Recurrent, RecurrentPass};
 use super::scene::Marks;
 use super::teams::{Teams, View, tasks_with_agents};
+use crate::methods::alma::config::ReturnsConfig;
 use crate::methods::alma::{Conditioning, UtilityInput, UtilityNetwork, UtilityPass};
 
 /// A term of the loss: the value of a team in a state.
@@ -59,6 +60,18 @@ pub(super) struct Bootstrap<'a> {
     pub(super) popart: &'a PopArt,
 }
 
+/// What comes behind the rewards of a term.
+#[derive(Clone, Copy, Debug)]
+struct Bootstrapped {
+    /// The last state whose reward counts: the value is that of the one behind it.
+    state: usize,
+    task: Option<usize>,
+    /// The term's place in its lane.
+    term: usize,
+    /// The value's weight.
+    discount: f64,
+}
+
 /// What gradients are computed with.
 pub(super) struct Descent<'a> {
     pub(super) online: Side<'a>,
@@ -90,7 +103,7 @@ pub(super) struct Lane {
     utilities: Vec<f32>,
     slopes: Vec<f32>,
     /// Terms that bootstrap.
-    bootstrapped: Vec<usize>,
+    bootstrapped: Vec<Bootstrapped>,
     pub(super) terms: Vec<Term>,
     /// Terms whose gradients have been computed.
     done: usize,
@@ -199,13 +212,14 @@ impl LookingPass {
 impl Step<'_> {
     /// The states that can be learned from.
     pub(super) fn states(&self) -> Vec<usize> {
-        let steps = self.windows.shape.steps;
-        let live = |state: &usize| {
-            self.windows.has_transition[*state]
-                && state % steps + 1 < steps
-                && self.tasks(*state).next().is_some()
-        };
+        let live = |state: &usize| self.leads_on(*state) && self.tasks(*state).next().is_some();
         (0..self.windows.shape.states()).filter(live).collect()
+    }
+
+    /// Whether behind a state there is another of the same episode in the same window.
+    fn leads_on(&self, state: usize) -> bool {
+        let steps = self.windows.shape.steps;
+        self.windows.has_transition[state] && state % steps + 1 < steps
     }
 
     /// The subtasks of a state that can be learned from: unfinished, with agents; without subtasks,
@@ -230,6 +244,33 @@ impl Step<'_> {
         }
     }
 
+    /// The discounted rewards of a team from a state on; and, unless what comes next is worth nothing,
+    /// the last state that they come from and the discount of what follows it.
+    fn returns(&self, state: usize, task: Option<usize>) -> (f64, Option<(usize, f64)>) {
+        let ReturnsConfig { steps, discount, .. } = self.config.returns;
+        let (mut rewards, mut weight) = (0.0, 1.0);
+        for last in state.. {
+            let (reward, ends) = self.outcome(last, task);
+            rewards += weight * f64::from(reward);
+            weight *= f64::from(discount);
+            if ends {
+                break;
+            }
+            if last + 1 == state + steps as usize || !self.goes_on(last, task) {
+                return (rewards, Some((last, weight)));
+            }
+        }
+        (rewards, None)
+    }
+
+    /// Whether behind a step there is another of the same team that can be learned from.
+    fn goes_on(&self, state: usize, task: Option<usize>) -> bool {
+        let windows = self.windows;
+        let works = |allocated: &u8| task.is_none_or(|task| usize::from(*allocated) == task);
+        let now = windows.allocation(state).iter().map(works);
+        self.leads_on(state + 1) && now.eq(windows.allocation(state + 1).iter().map(works))
+    }
+
     /// What agents see of the subtasks.
     fn agent_marks<'o>(&self, order: &'o TaskOrder) -> (Conditioning, Marks<'o>) {
         let conditioning = self.config.conditioning;
@@ -243,15 +284,21 @@ impl Step<'_> {
         lane.bootstrapped.clear();
         for state in states {
             for task in self.tasks(*state) {
-                let (reward, ends) = self.outcome(*state, task);
-                if !ends {
-                    let scene = View::NEXT_AS_BEFORE.of(windows, *state);
-                    lane.teams.push(scene, *state, task);
-                    lane.bootstrapped.push(lane.terms.len());
-                }
-                let (task, target) = (task.unwrap_or(0), f64::from(reward));
-                lane.terms.push(Term { state: *state, task, target });
+                let (target, last) = self.returns(*state, task);
+                let term = lane.terms.len();
+                lane.bootstrapped.extend(last.map(|(state, discount)| Bootstrapped {
+                    state,
+                    task,
+                    term,
+                    discount,
+                }));
+                lane.terms.push(Term { state: *state, task: task.unwrap_or(0), target });
             }
+        }
+        // Teams of a state stand together.
+        lane.bootstrapped.sort_by_key(|bootstrapped| bootstrapped.state);
+        for Bootstrapped { state, task, .. } in &lane.bootstrapped {
+            lane.teams.push(View::NEXT_AS_BEFORE.of(windows, *state), *state, *task);
         }
 
         let Bootstrap { online, target, popart } = networks;
@@ -275,10 +322,10 @@ impl Step<'_> {
         teams.write_mixer(view, self.agent_marks(self.mixer_order), mixer_input);
         let (mixer, merged) = (target.mixer, target.merged);
         let values = lane.mixer_pass.forward(mixer, merged, mixer_input, &lane.utilities);
-        for (raw, term) in values.iter().zip(&lane.bootstrapped) {
-            let term = &mut lane.terms[*term];
+        for (raw, bootstrapped) in values.iter().zip(&lane.bootstrapped) {
+            let term = &mut lane.terms[bootstrapped.term];
             let value = popart.denormalise(f64::from(head(mixer.head(), term.task, *raw)));
-            term.target += f64::from(self.config.discount) * value;
+            term.target += bootstrapped.discount * value;
         }
     }
 

@@ -1,5 +1,9 @@
+use std::collections::BTreeMap;
+
 use super::*;
+use crate::layers::SparseRows;
 use crate::layers::gradient_check::assert_gradient;
+use crate::methods::alma::config::ReturnsConfig;
 use crate::methods::paper::{NO_ACTION, NO_TASK};
 use crate::random::{Purpose, below, chance, generator, signed_unit};
 
@@ -73,6 +77,61 @@ pub(super) fn random_windows(sizes: WindowShape, seed: u64) -> Windows {
 
 pub(super) fn draws() -> Generator {
     generator(3, Purpose::Replay, 0)
+}
+
+#[test]
+fn rewards_of_more_steps_count_until_the_team_changes() {
+    let mut windows = random_windows(SIZES, 7);
+    // Everybody is there and holds on to an unfinished subtask for four steps.
+    windows.present.fill(true);
+    windows.task_unfinished.fill(true);
+    for state in 0..SIZES.states() {
+        let own = &mut windows.entity_task[state * SIZES.entities..][..SIZES.agents];
+        own.fill((state / 4 % SIZES.tasks) as u8);
+    }
+    windows.features = SparseRows::default();
+    (0..SIZES.states() * SIZES.entities).for_each(|_| windows.features.end_row());
+    for conditioning in [Conditioning::Mask, Conditioning::None] {
+        let run = |steps: u32| {
+            let returns = ReturnsConfig { steps, discount: 0.5, shaping: 0.0 };
+            let mut learner = learner(LowLevelConfig { returns, ..config(conditioning) }, SIZES);
+            learner.descend(&windows, 1, &mut draws());
+            learner.terms().map(|term| ((term.state, term.task), term.target)).collect()
+        };
+        let outcome = |(state, task): (usize, usize)| match conditioning {
+            Conditioning::None => (windows.reward[state], windows.terminated[state]),
+            _ => {
+                let at = state * SIZES.tasks + task;
+                (windows.task_reward[at], windows.task_terminated[at])
+            }
+        };
+        let (one, three): (BTreeMap<_, f64>, BTreeMap<_, f64>) = (run(1), run(3));
+        assert_eq!(one.len(), three.len());
+        let mut longer = 0;
+        for ((state, task), found) in three {
+            // The last step that counts has its own target of one step.
+            let (mut expected, mut weight) = (0.0, 1.0);
+            for step in 0..3 {
+                let at = (state + step, task);
+                let changes = conditioning == Conditioning::Mask
+                    && windows.allocation(at.0) != windows.allocation(at.0 + 1);
+                let next_counts =
+                    (at.0 + 1) % SIZES.steps + 1 < SIZES.steps && windows.has_transition[at.0 + 1];
+                if step == 2 || outcome(at).1 || changes || !next_counts {
+                    expected += weight * one[&at];
+                    break;
+                }
+                expected += weight * f64::from(outcome(at).0);
+                weight *= 0.5;
+                longer += 1;
+            }
+            assert!(
+                (found - expected).abs() < 1e-6,
+                "{conditioning:?} {state}: {found} {expected}"
+            );
+        }
+        assert!(longer > 20, "{longer}");
+    }
 }
 
 #[test]

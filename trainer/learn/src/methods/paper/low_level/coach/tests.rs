@@ -10,7 +10,7 @@ use super::*;
 use crate::layers::gradient_check::{assert_gradient, random};
 use crate::methods::alma::{Conditioning, UtilityInput};
 use crate::methods::paper::{
-    Episode, Moment, Replay, SampleShape, WindowShape, Windows, cut_windows,
+    Episode, Moment, Replay, SampleShape, Shaping, WindowShape, Windows, cut_windows,
 };
 use crate::random::{Generator, Purpose, chance, generator};
 
@@ -181,7 +181,8 @@ fn a_coach_sees_the_same_where_agents_play_and_where_they_learn() {
     episode.push_rewards(0.0, &[0.0; 32]);
     let mut replay = Replay::new(1);
     replay.push(episode);
-    let sample = SampleShape { windows: 1, steps: 2, agents, tasks };
+    let shaping = Shaping::default();
+    let sample = SampleShape { windows: 1, steps: 2, agents, tasks, shaping };
     let windows = cut_windows(&replay, &[0], sample, &mut draws());
 
     let shape = CoachShape { features: FEATURES, marks: tasks, ..SHAPE };
