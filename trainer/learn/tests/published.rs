@@ -191,3 +191,25 @@ fn agents_with_a_memory_are_saved_resumed_and_measured() {
     assert_ne!(measure(&forgetful).return_mean, last.return_mean);
     assert!(check_exportable(&opened).unwrap_err().to_string().contains("memory"));
 }
+
+#[test]
+fn an_allocator_learns_for_agents_of_another_run_that_stay_as_they_are() {
+    let (first, second) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    run(&mut Trainer::new(config(), 1, 1, first.path()).unwrap(), 300);
+    let mut config = config();
+    config.run.from = first.path().display().to_string();
+    config.low_level.frozen = true;
+    run(&mut Trainer::new(config.clone(), 2, 1, second.path()).unwrap(), u64::MAX);
+    let (first, second) = (Run::open(first.path()).unwrap(), Run::open(second.path()).unwrap());
+    assert_eq!(first.network, second.network);
+    let policy = |run: &Run| match &run.allocator {
+        Some(RunAllocator::Proposals { policy, .. }) => policy.clone(),
+        other => panic!("not a policy: {other:?}"),
+    };
+    assert_ne!(policy(&first), policy(&second));
+
+    config.low_level.width = 32;
+    let other = tempfile::tempdir().unwrap();
+    let error = Trainer::new(config, 2, 1, other.path()).unwrap_err().to_string();
+    assert!(error.contains("shape"), "{error}");
+}

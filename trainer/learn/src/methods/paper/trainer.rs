@@ -14,11 +14,12 @@ use super::rollout::{Decide, Rollout};
 use super::sampling::{SampleShape, Shaping, cut_windows, draw_episodes};
 use crate::error::LearnError;
 use crate::evaluate::{Evaluation, EvaluationPlan, NetworkTeam, NoSubtasks, evaluate};
+use crate::methods::alma::UtilityNetwork;
 use crate::methods::alma::config::{Allocation, EnvironmentConfig, ReturnsConfig, RunConfig};
 use crate::random::{Generator, Purpose, generator};
 use crate::run::{
-    Counters, CurvePoint, Labels, Learning, Observer, Outcome, Progress, Rates, RunDescription,
-    RunFolder, UpdateReport, learn,
+    Counters, CurvePoint, Labels, Learning, Observer, Outcome, Progress, Rates, Run,
+    RunDescription, RunFolder, UpdateReport, learn,
 };
 
 /// Episodes since the run began, and when target networks were renewed last.
@@ -58,14 +59,25 @@ impl Trainer {
         folder: &Path,
     ) -> Result<Self, LearnError> {
         config.check()?;
-        if !config.run.from.is_empty() {
-            let reason = "the preset `paper` begins from scratch: leave `run.from` empty";
-            return Err(LearnError::Config(reason.to_owned()));
-        }
         let description = RunDescription::new(config, seed, threads.max(1));
-        let trainer = Self::start(description, folder)?;
+        let mut trainer = Self::start(description, folder)?;
+        if !trainer.description.config.run.from.is_empty() {
+            trainer.take_over(Run::open(Path::new(&trainer.description.config.run.from))?)?;
+        }
         RunFolder::create(folder, &trainer.description)?;
         Ok(trainer)
+    }
+
+    /// Begins with the agents of another run, of any preset.
+    fn take_over(&mut self, run: Run) -> Result<(), LearnError> {
+        let LowLevel { online, target, .. } = &mut self.low_level;
+        let shape = |agents: &UtilityNetwork, unit: &[f32]| (agents.shape(), unit.len());
+        if shape(&run.network, &run.memory_unit) != shape(&online.agents, &online.gru) {
+            return Err(LearnError::Config("`run.from` has agents of another shape".to_owned()));
+        }
+        (target.agents, target.gru) = (run.network.clone(), run.memory_unit.clone());
+        (online.agents, online.gru) = (run.network, run.memory_unit);
+        Ok(())
     }
 
     pub(super) fn start(
@@ -169,7 +181,9 @@ impl Trainer {
         let sample = self.sample;
         let generator = &mut self.generator;
         let window = &mut self.counters.window;
-        if let Some(drawn) = draw_episodes(&self.replay, sample.windows, generator, |_| true) {
+        let learns = !config.low_level.frozen;
+        let drawn = draw_episodes(&self.replay, sample.windows, generator, |_| learns);
+        if let Some(drawn) = drawn {
             let ReturnsConfig { shaping: cell, discount, .. } = config.low_level.returns;
             let shaped = SampleShape { shaping: Shaping { cell, discount }, ..sample };
             let windows = cut_windows(&self.replay, &drawn, shaped, generator);

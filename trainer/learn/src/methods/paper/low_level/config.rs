@@ -50,6 +50,8 @@ pub struct LowLevelConfig {
     pub popart_per_task: bool,
     /// When the PopArt head is rescaled.
     pub popart_order: PopArtOrder,
+    /// Whether the agents stay as they are: only the allocator learns.
+    pub frozen: bool,
     /// Whether actions that apply to a subtask are available to the agents allocated to it only.
     pub task_availability: bool,
     /// How rewards become targets.
@@ -76,6 +78,7 @@ impl Default for LowLevelConfig {
             bias_nonnegative: false,
             popart_per_task: false,
             popart_order: PopArtOrder::RescaleFirst,
+            frozen: false,
             task_availability: false,
             returns: ReturnsConfig { steps: 1, discount: 0.99, shaping: 0.0 },
             learning_rate: 5e-4,
