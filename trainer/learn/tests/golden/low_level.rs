@@ -1,14 +1,15 @@
 //! The published low level against the reference's modules and one step of its learner.
 
 use serde_json::Value;
+use sortie_learn::evaluate::Agents;
 use sortie_learn::layers::gru::{GruPass, GruShape};
 use sortie_learn::layers::linear::{self, LinearShape};
 use sortie_learn::layers::softmax;
 use sortie_learn::methods::alma::Conditioning;
 use sortie_learn::methods::paper::PopArt;
 use sortie_learn::methods::paper::low_level::{
-    AgentPass, HypernetworkPass, HypernetworkShape, LowLevel, LowLevelConfig, Merged, Mixer,
-    MixerShape, Mode, Nonnegative, PopArtOrder, TaskOrder, is_available, team_input, team_values,
+    HypernetworkPass, HypernetworkShape, LowLevel, LowLevelConfig, Merged, Mixer, MixerShape, Mode,
+    Nonnegative, PopArtOrder, TaskOrder, agent_utilities, is_available, team_input, team_values,
 };
 use sortie_learn::optimise::RmsProp;
 use sortie_learn::random::{Purpose, generator};
@@ -134,8 +135,9 @@ fn agents_that_see_everything_agree() {
         let states = reference::states(&case, agents, actions);
         let order = case.get("in/task_perm").data.iter().map(|task| *task as usize);
         let order = TaskOrder::of_columns(&order.collect::<Vec<_>>());
-        let mut pass = AgentPass::new(Conditioning::Input, network.shape());
-        assert_close(&case.name, pass.forward(&network, &states, &order), &want.data);
+        let agents = Agents::new(&network);
+        let utilities = agent_utilities(agents, &states, Conditioning::Input, &order);
+        assert_close(&case.name, &utilities, &want.data);
     }
 }
 

@@ -265,7 +265,7 @@ impl Rollout {
 mod tests {
     use super::*;
     use crate::methods::alma::{Conditioning, INPUT_COLUMNS, UtilityNetwork};
-    use crate::methods::paper::low_level::{LowLevel, TaskOrder};
+    use crate::methods::paper::low_level::{LowLevel, TaskOrder, agent_utilities};
     use crate::methods::paper::{Replay, SampleShape, Shaping, cut_windows};
     use sortie_envs::save_the_city::ACTIONS;
 
@@ -309,8 +309,14 @@ mod tests {
 
     #[test]
     fn agents_see_in_windows_what_they_saw_when_they_acted() {
-        for conditioning in [Conditioning::Mask, Conditioning::Input, Conditioning::None] {
+        for (conditioning, recurrent) in [
+            (Conditioning::Mask, false),
+            (Conditioning::Input, false),
+            (Conditioning::None, false),
+            (Conditioning::Mask, true),
+        ] {
             let mut config = Config::default();
+            config.low_level.recurrent = recurrent;
             config.environment.instances = 2;
             config.environment.constants.episode_limit = 20;
             config.low_level.conditioning = conditioning;
@@ -331,8 +337,8 @@ mod tests {
             let shaping = Shaping::default();
             let sample = SampleShape { windows: 2, steps: 64, agents: 5, tasks: 6, shaping };
             let windows = cut_windows(&replay, &[0, 1], sample, &mut weights);
-            let (mut pass, order) = (level.agent_pass(), TaskOrder::identity(6));
-            let in_windows = pass.forward(&level.online.agents, &windows, &order);
+            let order = TaskOrder::identity(6);
+            let in_windows = agent_utilities(level.players(), &windows, conditioning, &order);
             let mut players = Players::new(conditioning, shape);
             let mut compared = 0;
             for (world, episode) in replay.episodes().iter().enumerate() {

@@ -13,6 +13,7 @@ mod availability;
 pub mod coach;
 mod config;
 mod hypernetwork;
+mod looking;
 mod mixer;
 mod mixing;
 mod recurrent;
@@ -21,7 +22,7 @@ mod step;
 mod teams;
 mod values;
 
-pub use agents::{AgentPass, TaskOrder};
+pub use agents::TaskOrder;
 pub use availability::is_available;
 pub use config::{LowLevelConfig, PopArtOrder};
 pub use hypernetwork::{
@@ -31,7 +32,7 @@ pub use mixer::{
     HYPERNETWORKS, MergedMixer, Mixer, MixerGradient, MixerPass, MixerShape, Nonnegative,
 };
 pub use step::Term;
-pub use values::{team_input, team_values};
+pub use values::{agent_utilities, team_input, team_values};
 
 use std::time::Duration;
 
@@ -160,11 +161,6 @@ impl LowLevel {
             memory_unit: &self.online.gru,
             coach: self.coaching.as_ref().map(|coaching| &coaching.online),
         }
-    }
-
-    /// Buffers for acting with [`online`](Self::online)'s agents.
-    pub fn agent_pass(&self) -> AgentPass {
-        AgentPass::new(self.config.conditioning, self.online.agents.shape())
     }
 
     /// Draws which marks stand for which subtasks, for one pass.

@@ -14,15 +14,16 @@ use super::super::popart::PopArt;
 use super::super::windows::Windows;
 use super::agents::TaskOrder;
 use super::availability::is_available;
-use super::coach::{CoachLane, Guess, Held, PlayerPass};
+use super::coach::{CoachLane, Guess, Held};
 use super::config::LowLevelConfig;
 use super::hypernetwork::MixerInput;
+use super::looking::LookingPass;
 use super::mixer::{MergedMixer, Mixer, MixerGradient, MixerPass};
-use super::recurrent::{Recurrent, RecurrentPass};
+use super::recurrent::Recurrent;
 use super::scene::Marks;
 use super::teams::{Teams, View, tasks_with_agents};
 use crate::methods::alma::config::ReturnsConfig;
-use crate::methods::alma::{Conditioning, UtilityInput, UtilityNetwork, UtilityPass};
+use crate::methods::alma::{Conditioning, UtilityNetwork};
 
 /// A term of the loss: the value of a team in a state.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -119,12 +120,7 @@ impl Lane {
     pub(super) fn new(agents: &UtilityNetwork, gru: &[f32], mixer: &Mixer) -> Self {
         Self {
             teams: Teams::default(),
-            agent_pass: LookingPass {
-                input: UtilityInput::default(),
-                utility: UtilityPass::new(agents.shape()),
-                recurrent: RecurrentPass::default(),
-                players: PlayerPass::default(),
-            },
+            agent_pass: LookingPass::new(agents.shape()),
             mixer_input: MixerInput::default(),
             mixer_pass: MixerPass::default(),
             actions: Vec::new(),
@@ -144,7 +140,7 @@ impl Lane {
 
     /// Floating-point operations up to now.
     pub(super) fn operations(&self) -> u64 {
-        self.agent_pass.utility.operations() + self.mixer_pass.operations()
+        self.agent_pass.operations() + self.mixer_pass.operations()
     }
 
     /// Forgets the step before.
@@ -154,58 +150,6 @@ impl Lane {
         self.sums = Sums::default();
         self.agents.fill(0.0);
         self.mixer.clear();
-    }
-}
-
-/// Passes of the agents of some teams: as they are, with a memory, or with a coach.
-#[derive(Clone, Debug)]
-struct LookingPass {
-    input: UtilityInput,
-    utility: UtilityPass,
-    recurrent: RecurrentPass,
-    players: PlayerPass,
-}
-
-impl LookingPass {
-    /// Computes the utilities of the agents of some teams in a view of their states.
-    fn forward(
-        &mut self,
-        (agents, told): (Recurrent<'_>, Option<Held<'_>>),
-        look: (&Windows, View),
-        conditioning: (Conditioning, Marks<'_>),
-        teams: &mut Teams,
-    ) -> &[f32] {
-        if agents.gru.is_empty() {
-            teams.write_agents(look, conditioning, &mut self.input);
-            let Some(told) = told else {
-                return self.utility.forward(agents.network, &self.input);
-            };
-            let ahead = look.1.ahead();
-            let strategies = teams.agents().map(|(state, agent)| told.of(state + ahead, agent));
-            let Self { input, utility, players, .. } = self;
-            return players.forward(agents.network, utility, input, strategies);
-        }
-        self.recurrent.forward(agents, &mut self.utility, look, conditioning, teams)
-    }
-
-    /// Adds the gradients of network and memory, after [`forward`](Self::forward).
-    fn backward(&mut self, agents: Recurrent<'_>, d_utilities: &[f32], gradient: &mut [f32]) {
-        if agents.gru.is_empty() {
-            self.utility.backward(agents.network, &self.input, d_utilities, gradient);
-        } else {
-            self.recurrent.backward(agents, &mut self.utility, d_utilities, gradient);
-        }
-    }
-
-    /// The same for agents with a coach; returns the slopes by what they were told.
-    fn backward_told(
-        &mut self,
-        agents: Recurrent<'_>,
-        d_utilities: &[f32],
-        gradient: &mut [f32],
-    ) -> &[f32] {
-        let Self { input, utility, players, .. } = self;
-        players.backward(agents.network, utility, input, d_utilities, gradient)
     }
 }
 

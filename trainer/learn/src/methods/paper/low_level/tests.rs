@@ -249,15 +249,16 @@ fn steady(ends_truly: bool) -> Windows {
 /// online networks find best.
 fn discounted_values(learner: &LowLevel, windows: &Windows) -> Vec<f64> {
     let order = learner.draw_order(&mut draws());
-    let mut pass = learner.agent_pass();
-    let online = pass.forward(&learner.online.agents, windows, &order).to_vec();
-    let target = pass.forward(&learner.target.agents, windows, &order);
     let actions = windows.shape.actions;
+    let conditioning = learner.config.conditioning;
+    let utilities = |networks: &LowLevelNetworks| {
+        agent_utilities(Agents::new(&networks.agents), windows, conditioning, &order)
+    };
+    let (online, target) = (utilities(&learner.online), utilities(&learner.target));
     let best = |row: &[f32]| (0..actions).max_by(|a, b| row[*a].total_cmp(&row[*b]));
     let utilities = online.chunks_exact(actions).zip(target.chunks_exact(actions));
     let utilities = utilities.map(|(online, target)| target[best(online).expect("an action")]);
     let utilities: Vec<f32> = utilities.collect();
-    let conditioning = learner.config.conditioning;
     let values = team_values(&learner.target.mixer, windows, conditioning, &utilities);
     let real = |value: f32| learner.target.popart.denormalise(f64::from(value));
     values.into_iter().map(|value| 0.99 * real(value)).collect()
@@ -341,69 +342,4 @@ fn orders_of_marks_are_permutations_and_differ() {
     }
     assert!(orders.iter().any(|order| *order != orders[0]));
     assert_eq!(TaskOrder::of_columns(&[2, 0, 1]), TaskOrder(vec![1, 2, 0]));
-}
-
-/// One state of a window as an environment's step.
-fn alone(windows: &Windows, state: usize) -> Windows {
-    let shape = WindowShape { windows: 1, steps: 1, ..windows.shape };
-    let mut one = Windows::new(shape);
-    let (agents, entities) = (shape.agents, shape.entities);
-    one.features.clear();
-    for row in state * entities..(state + 1) * entities {
-        windows.features.row(row).for_each(|(column, value)| one.features.push(column, value));
-        one.features.end_row();
-    }
-    let rows = state * entities..(state + 1) * entities;
-    one.present.copy_from_slice(&windows.present[rows.clone()]);
-    one.entity_task.copy_from_slice(&windows.entity_task[rows]);
-    let pairs = agents * entities;
-    one.observable.copy_from_slice(&windows.observable[state * pairs..][..pairs]);
-    one.last_actions.copy_from_slice(&windows.last_actions[state * agents..][..agents]);
-    one
-}
-
-#[test]
-fn agents_with_a_memory_act_as_they_learn() {
-    let windows = random_windows(WindowShape { windows: 1, ..SIZES }, 9);
-    let config = LowLevelConfig { recurrent: true, ..config(Conditioning::Mask) };
-    let learner = learner(config, windows.shape);
-    let network = &learner.online.agents;
-    let (agents, actions) = (windows.shape.agents, windows.shape.actions);
-
-    let mut teams = teams::Teams::default();
-    for state in 0..windows.shape.states() {
-        teams.push(teams::View::NOW.of(&windows, state), state, None);
-    }
-    let mut utility = crate::methods::alma::UtilityPass::new(network.shape());
-    let learned = recurrent::RecurrentPass::default()
-        .forward(
-            Recurrent { network, gru: &learner.online.gru },
-            &mut utility,
-            (&windows, teams::View::NOW),
-            (Conditioning::Mask, None),
-            &teams,
-        )
-        .to_vec();
-
-    let order = learner.draw_order(&mut draws());
-    let mut pass = learner.agent_pass();
-    let mut memory = vec![0.0; agents * learner.config.base];
-    let mut rows = learned.chunks_exact(actions).zip(teams.agents());
-    for state in 0..windows.shape.states() {
-        let step = alone(&windows, state);
-        let parameters = (network, &*learner.online.gru);
-        let acted = pass.forward_recurrent(parameters, &step, &order, &mut memory);
-        let own = (0..agents).filter(|agent| windows.present[state * SIZES.entities + agent]);
-        for agent in own {
-            let (row, place) = rows.next().expect("a row for every agent");
-            assert_eq!(place, (state, agent));
-            for (learned, acted) in row.iter().zip(&acted[agent * actions..]) {
-                assert!((learned - acted).abs() < 1e-5, "{learned} against {acted}");
-            }
-        }
-        if state > 0 && windows.reset[state - 1] {
-            memory.fill(0.0);
-        }
-    }
-    assert!(rows.next().is_none());
 }
