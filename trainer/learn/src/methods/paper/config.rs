@@ -77,7 +77,7 @@ pub struct AllocationConfig {
     pub heads: usize,
     /// Spare subtasks, so that the networks serve worlds with more of them than they learned in.
     pub extra_tasks: usize,
-    /// Discount of a step, of the critic's values.
+    /// Discount of the critic, once per decision.
     pub discount: f32,
     /// Weight of the proposal policy's entropy.
     pub entropy: f32,
