@@ -14,9 +14,10 @@ use super::{Figures, Measuring, OURS, TRACT_VERSION, pin, scenes};
 use crate::allocator::{LearnedAllocator, none_learned};
 use crate::deployment::open_bundle;
 use crate::environment::ScenarioSetName;
-use crate::failure::{Failure, Outcome};
+use crate::failure::{Exit, Failure, Outcome};
 use crate::onnxruntime::OnnxRuntimeArguments;
 use crate::policy::{Backend, DeployedPolicy};
+use crate::proposals::{ProposalArguments, ProposalMemory};
 use crate::worlds::save_the_city::CityRelation;
 
 /// Agents and open subtasks of the states that are measured.
@@ -34,10 +35,26 @@ pub(super) struct AllocationArguments {
     /// Folder of the bundle
     #[arg(default_value = "models/save-the-city")]
     bundle: PathBuf,
+    /// Bundle with an allocator that proposes, which takes turns on the same states
+    #[arg(long, value_name = "BUNDLE")]
+    beside: Option<PathBuf>,
+    #[command(flatten)]
+    proposals: ProposalArguments,
     #[command(flatten)]
     onnxruntime: OnnxRuntimeArguments,
     #[command(flatten)]
     pub(super) measuring: Measuring,
+}
+
+impl AllocationArguments {
+    /// The allocator that proposes, if one was named.
+    fn proposing(&self) -> Result<Option<ProposalMemory>, Failure> {
+        let Some(folder) = &self.beside else { return Ok(None) };
+        let (bundle, seed) = (open_bundle(folder)?, self.measuring.common.seed);
+        let memory = ProposalMemory::open(&bundle, Backend::Plan, self.proposals.count(), seed)?;
+        let message = format!("`{}` has no allocator that proposes", folder.display());
+        memory.map(Some).ok_or_else(|| Failure::new(Exit::Usage, message))
+    }
 }
 
 pub(super) fn measure(arguments: &AllocationArguments) -> Result<Figures, Failure> {
@@ -51,6 +68,8 @@ pub(super) fn measure(arguments: &AllocationArguments) -> Result<Figures, Failur
         runtime.map(|runtime| LearnedAllocator::of_onnxruntime(&bundle, runtime)).transpose()?;
     let mut batched = runtime.map(|runtime| Batched::new(&bundle, runtime, onnx)).transpose()?;
     let states = states(&bundle, &mut ours, arguments.measuring.common.seed)?;
+    let mut proposing = arguments.proposing()?;
+    let mut proposing = proposing.as_mut().map(ProposalMemory::allocator).transpose()?;
     let mut ours = ours.allocator()?;
     let mut tract = tract.allocator()?;
     let mut single = single.as_mut().map(LearnedAllocator::allocator).transpose()?;
@@ -69,6 +88,11 @@ pub(super) fn measure(arguments: &AllocationArguments) -> Result<Figures, Failur
     if let Some(batched) = &mut batched {
         let work = |call| decide(&state(call), batched);
         engines.push(engine("onnxruntime, one call", &version, work));
+    }
+    if let Some(proposing) = &mut proposing {
+        let count = arguments.proposals.count().to_string();
+        let work = |call| decide(&state(call), proposing);
+        engines.push(engine("critic's best of proposals", &count, work));
     }
     let seconds = arguments.measuring.seconds;
     let measured = alternate_long(&mut engines, CALLS_PER_TURN, seconds);

@@ -198,6 +198,7 @@ impl Config {
             low_level: LowLevelConfig {
                 width,
                 hypernetwork_width: width,
+                active_inputs: fast.network.active_inputs,
                 returns: fast.returns,
                 ..LowLevelConfig::default()
             },
@@ -207,7 +208,8 @@ impl Config {
                 allocation: schedule,
             },
             learning: LearningConfig {
-                windows: 8,
+                windows: 16,
+                steps: 32,
                 updates: 5,
                 copy_agents_every: 40,
                 copy_critic_every: 10,
@@ -314,7 +316,10 @@ impl Config {
             "`low_level.hypernetwork_width` must be a multiple of `.hypernetwork_heads`, `.mixing` at least 1",
         )?;
         low_level.returns.check()?;
-        require(low_level.clip > 0.0, "`low_level.clip` must be positive")?;
+        require(
+            low_level.clip > 0.0 && low_level.active_inputs >= 0.0,
+            "`low_level.clip` must be positive, `low_level.active_inputs` not negative",
+        )?;
         require(
             !self.coach.enabled
                 || (low_level.conditioning == Conditioning::None && !low_level.recurrent),

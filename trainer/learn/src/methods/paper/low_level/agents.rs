@@ -22,8 +22,8 @@ pub(super) fn utility_shape(config: &LowLevelConfig, sizes: WindowShape) -> Util
     }
 }
 
-/// Draws a network uniformly in `±1/sqrt(inputs of the layer)`, as PyTorch does; marks are a layer of
-/// their own.
+/// Draws a network uniformly in `±1/sqrt(inputs of the layer)`, as PyTorch does, of the embedding's first
+/// layer as configured; marks are a layer of their own.
 pub(super) fn initialise(
     config: &LowLevelConfig,
     sizes: WindowShape,
@@ -31,9 +31,10 @@ pub(super) fn initialise(
 ) -> UtilityNetwork {
     let shape = utility_shape(config, sizes);
     let features = sizes.features + sizes.actions;
-    let mut network = UtilityNetwork::initialise(shape, features as f32, generator);
+    let active = if config.active_inputs > 0.0 { config.active_inputs } else { features as f32 };
+    let mut network = UtilityNetwork::initialise(shape, active, generator);
     let marks = shape.input - features;
-    let factor = (features as f32 / marks.max(1) as f32).sqrt();
+    let factor = (active / marks.max(1) as f32).sqrt();
     let rows = &mut network.parameters_mut()[features * shape.width..shape.input * shape.width];
     rows.iter_mut().for_each(|weight| *weight *= factor);
     network

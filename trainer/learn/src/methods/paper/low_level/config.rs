@@ -33,6 +33,9 @@ pub struct LowLevelConfig {
     pub heads: usize,
     /// Width of the layer before the agents' head.
     pub base: usize,
+    /// Inputs of an entity that are not zero, by which the embedding's first weights are drawn; 0 counts
+    /// them all, as PyTorch does.
+    pub active_inputs: f32,
     /// Whether the agents have a memory: a gated recurrent unit before the head, emptied when an episode
     /// ends. It begins empty in every window.
     pub recurrent: bool,
@@ -70,6 +73,7 @@ impl Default for LowLevelConfig {
             width: 128,
             heads: 4,
             base: 64,
+            active_inputs: 0.0,
             recurrent: false,
             hypernetwork_width: 128,
             hypernetwork_heads: 4,
