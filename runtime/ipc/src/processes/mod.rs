@@ -43,8 +43,12 @@ const SIGNAL_PATIENCE: Duration = Duration::from_millis(100);
 /// Longest wait of runners and the allocator for a world.
 const WORLD_PATIENCE: Duration = Duration::from_secs(10);
 
+/// How long the waits of world and runners linger before they sleep, where nobody says otherwise: some times
+/// as long as a sleeper takes to run.
+pub const LINGER: Duration = Duration::from_micros(100);
+
 /// What a runner or allocator process is started with, beside its contract.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub struct ProcessSettings {
     /// First 16 bytes of the model's id.
     pub model: [u8; 16],
@@ -56,20 +60,33 @@ pub struct ProcessSettings {
     pub private: bool,
     /// Process id of the parent with which this process is to end.
     pub parent: Option<u32>,
-    /// How long waits spin before they sleep; with doorbells only. More spinning processes than
-    /// cores are slower than none.
-    pub spin: Duration,
+    /// How long a runner's waits linger before they sleep; with doorbells and without a period only.
+    pub linger: Duration,
     /// What the role's thread asks the system for.
     pub real_time: RealTime,
+}
+
+impl Default for ProcessSettings {
+    /// Of no model and no limits, alone; waits linger for [`LINGER`].
+    fn default() -> Self {
+        Self {
+            model: [0; 16],
+            entities_max: None,
+            tasks_max: None,
+            private: false,
+            parent: None,
+            linger: LINGER,
+            real_time: RealTime::default(),
+        }
+    }
 }
 
 impl ProcessSettings {
     /// Who the process of port `name` is.
     fn identity(&self, name: &str) -> Identity {
-        let is_spinning = !self.spin.is_zero();
         let build = BUILD;
         let new = Identity::new(std::process::id(), name);
-        Identity { model: self.model, build, is_spinning, ..new }
+        Identity { model: self.model, build, ..new }
     }
 
     fn check_limits(&self, shape: sortie_core::Shape) -> Result<(), Error> {

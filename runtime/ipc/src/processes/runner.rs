@@ -1,5 +1,7 @@
 //! A runner process.
 
+use std::time::Duration;
+
 use sortie_core::roles::{Counters, Identity, Poll, RunnerOptions, RunnerRole};
 use sortie_core::wire::{Command, ControlStatus, Role};
 use sortie_core::{Allocator, Policy, Shape};
@@ -105,8 +107,10 @@ impl RunnerProcess {
         let name = port_name(agents);
         let mut link: IoxAgent = {
             let _starting = membership.lock_start()?;
-            let (bell, spin) = (facts.bell(), settings.spin);
-            let setup = LinkSetup { domain, format, name: &name, bell, spin };
+            // The next frame of a world with a period is a period away.
+            let linger = if facts.period_ns() == 0 { settings.linger } else { Duration::ZERO };
+            let bell = facts.bell();
+            let setup = LinkSetup { domain, format, name: &name, bell, linger };
             match owner {
                 Some(agent) => IoxAgent::open_private(&setup, agent)?,
                 None => IoxAgent::open(&setup)?,

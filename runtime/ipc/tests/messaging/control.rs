@@ -129,7 +129,7 @@ fn every_role_tells_of_itself_and_counts_requests_of_others() {
         format,
         name: "watcher",
         bell: facts.bell(),
-        spin: Duration::ZERO,
+        linger: Duration::ZERO,
     };
     let mut watcher: IoxWatcher = IoxWatcher::open(&setup).unwrap();
     let mut link: IoxControl = IoxControl::open(&setup).unwrap();
