@@ -3,11 +3,9 @@
 use std::time::Duration;
 
 use clap::Args;
-use sortie_ipc::{LINGER, RealTime};
+use sortie_ipc::RealTime;
 
 use crate::failure::{Exit, Failure};
-
-const LINGER_US: u64 = LINGER.as_micros() as u64;
 
 /// What processes ask the system for.
 #[derive(Clone, Copy, Debug, Args)]
@@ -15,14 +13,14 @@ pub(super) struct Scheduling {
     /// Real-time priority of world, runners and allocators: before all ordinary work, in memory that stays
     #[arg(long, value_name = "PRIORITY", value_parser = clap::value_parser!(u8).range(1..=99))]
     pub(super) rt: Option<u8>,
-    /// Microseconds that waits of world and runners linger before they sleep, as long as that pays; 0 = never
-    #[arg(long, default_value_t = LINGER_US, value_name = "US", value_parser = clap::value_parser!(u64).range(..=1_000_000))]
-    pub(super) linger_us: u64,
+    /// Microseconds that waits of world and runners linger before they sleep [default: 100 with --rate 0, else 0]
+    #[arg(long, value_name = "US", value_parser = clap::value_parser!(u64).range(..=1_000_000))]
+    pub(super) linger_us: Option<u64>,
 }
 
 impl Scheduling {
-    pub(super) fn linger(&self) -> Duration {
-        Duration::from_micros(self.linger_us)
+    pub(super) fn linger(&self) -> Option<Duration> {
+        self.linger_us.map(Duration::from_micros)
     }
 
     pub(super) fn real_time(&self, core: Option<usize>) -> RealTime {
@@ -38,7 +36,7 @@ impl Scheduling {
             }
         };
         flag("rt", self.rt.map(|priority| priority.to_string()));
-        flag("linger-us", (self.linger_us != LINGER_US).then(|| self.linger_us.to_string()));
+        flag("linger-us", self.linger_us.map(|linger| linger.to_string()));
         flag("core", core.map(|core| core.to_string()));
         flags
     }
@@ -61,9 +59,9 @@ mod tests {
 
     #[test]
     fn processes_are_told_what_differs_from_the_default() {
-        let scheduling = Scheduling { rt: Some(10), linger_us: 0 };
+        let scheduling = Scheduling { rt: Some(10), linger_us: Some(0) };
         assert_eq!(scheduling.flags(Some(1)), ["--rt", "10", "--linger-us", "0", "--core", "1"]);
-        let usual = Scheduling { rt: None, linger_us: LINGER_US };
+        let usual = Scheduling { rt: None, linger_us: None };
         assert_eq!(usual.flags(None), [""; 0]);
     }
 }

@@ -62,7 +62,7 @@ pub(super) struct WorldOfTeam<'a> {
     pub(super) quiet: bool,
     pub(super) private: bool,
     pub(super) fill: bool,
-    pub(super) linger: Duration,
+    pub(super) linger: Option<Duration>,
     pub(super) real_time: RealTime,
 }
 

@@ -35,7 +35,7 @@ pub use iox::{
     IoxControl, IoxWatcher, IoxWorld, LinkService, LinkSetup,
 };
 pub use processes::{
-    AllocatorProcess, Children, Fill, LINGER, ProcessSettings, RunnerProcess, WorldSettings,
+    AllocatorProcess, Children, Fill, ProcessSettings, RunnerProcess, WorldSettings,
     allocator_process, group_agents, runner_process, runner_process_with_heuristic, world_process,
     world_process_with_fill,
 };

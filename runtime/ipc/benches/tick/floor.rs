@@ -11,9 +11,8 @@ use std::time::Instant;
 
 use memmap2::MmapRaw;
 use rustix::thread::futex;
-use sortie_ipc::LINGER;
 
-use super::{AGENTS, FRAME_WORDS, decide};
+use super::{AGENTS, FRAME_WORDS, LINGER, decide};
 
 /// How a floor waits.
 #[derive(Clone, Copy, PartialEq, Eq)]

@@ -23,7 +23,7 @@ use sortie_core::{
     World,
 };
 use sortie_ipc::{
-    BellKind, Children, Domain, DomainContract, LINGER, ProcessSettings, Stop, WorldSettings,
+    BellKind, Children, Domain, DomainContract, ProcessSettings, Stop, WorldSettings,
     runner_process, world_process,
 };
 
@@ -38,6 +38,8 @@ const SHAPE: Shape = Shape { agents: AGENTS, entities: 16, tasks: 4, actions: 14
 const FRAME_WORDS: usize = 564;
 /// Time of one decision.
 const DECISION: Duration = Duration::from_micros(2);
+/// How long waits linger that do.
+const LINGER: Duration = Duration::from_micros(100);
 /// Ticks of a round before the first that counts.
 const WARM_UP: usize = 100;
 const ROLE: &str = "SORTIE_BENCH_ROLE";
@@ -226,6 +228,7 @@ fn team(
     linger: Duration,
     ticks: usize,
 ) -> Vec<Tick> {
+    let linger = Some(linger);
     let settings = WorldSettings { episodes: Some(1), bell, linger, ..WorldSettings::default() };
     let mut times = Times(Vec::with_capacity(ticks));
     run_team(name, runners, &settings, ticks, &mut times);
@@ -242,7 +245,9 @@ fn run_team(
 ) -> Counters {
     let domain = Domain::new(name).unwrap();
     let start = |children: &mut Children, agents: &String| {
-        let role = format!("runner {} {agents}", settings.linger.as_nanos());
+        let linger =
+            settings.linger.map_or("unstated".into(), |linger| linger.as_nanos().to_string());
+        let role = format!("runner {linger} {agents}");
         children.spawn("runner", &mut process(&role, name))
     };
     let start_team =
@@ -263,13 +268,13 @@ fn act(role: &str, place: &str) {
         ["plain", agent] => plain::agent(place, agent.parse().unwrap()),
         ["sockets", agent] => sockets::agent(&path, agent.parse().unwrap()),
         ["runner", linger_ns, agents] => {
-            run_agents(agents, place, Duration::from_nanos(linger_ns.parse().unwrap()));
+            run_agents(agents, place, linger_ns.parse().ok().map(Duration::from_nanos));
         }
         _ => panic!("no role of this bench: {role}"),
     }
 }
 
-fn run_agents(agents: &str, domain: &str, linger: Duration) {
+fn run_agents(agents: &str, domain: &str, linger: Option<Duration>) {
     let agents: Vec<u16> = agents.split(',').map(|agent| agent.parse().unwrap()).collect();
     let domain = Domain::new(domain).unwrap();
     let settings = ProcessSettings { linger, ..ProcessSettings::default() };

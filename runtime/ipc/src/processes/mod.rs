@@ -43,12 +43,17 @@ const SIGNAL_PATIENCE: Duration = Duration::from_millis(100);
 /// Longest wait of runners and the allocator for a world.
 const WORLD_PATIENCE: Duration = Duration::from_secs(10);
 
-/// How long the waits of world and runners linger before they sleep, where nobody says otherwise: some times
-/// as long as a sleeper takes to run.
-pub const LINGER: Duration = Duration::from_micros(100);
+/// How long waits linger: some times as long as a sleeper takes to run.
+const LINGER: Duration = Duration::from_micros(100);
+
+/// How long the waits of a world or runner linger, if nobody says. A team that is paced has time, and what it needs
+/// most is never to be late.
+fn linger(stated: Option<Duration>, is_paced: bool) -> Duration {
+    stated.unwrap_or(if is_paced { Duration::ZERO } else { LINGER })
+}
 
 /// What a runner or allocator process is started with, beside its contract.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct ProcessSettings {
     /// First 16 bytes of the model's id.
     pub model: [u8; 16],
@@ -60,25 +65,11 @@ pub struct ProcessSettings {
     pub private: bool,
     /// Process id of the parent with which this process is to end.
     pub parent: Option<u32>,
-    /// How long a runner's waits linger before they sleep; with doorbells and without a period only.
-    pub linger: Duration,
+    /// How long a runner's waits linger before they sleep; with doorbells only. `None` = 100 us, or not at all where
+    /// the world has a period.
+    pub linger: Option<Duration>,
     /// What the role's thread asks the system for.
     pub real_time: RealTime,
-}
-
-impl Default for ProcessSettings {
-    /// Of no model and no limits, alone; waits linger for [`LINGER`].
-    fn default() -> Self {
-        Self {
-            model: [0; 16],
-            entities_max: None,
-            tasks_max: None,
-            private: false,
-            parent: None,
-            linger: LINGER,
-            real_time: RealTime::default(),
-        }
-    }
 }
 
 impl ProcessSettings {

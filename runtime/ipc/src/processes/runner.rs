@@ -1,14 +1,12 @@
 //! A runner process.
 
-use std::time::Duration;
-
 use sortie_core::roles::{Counters, Identity, Poll, RunnerOptions, RunnerRole};
 use sortie_core::wire::{Command, ControlStatus, Role};
 use sortie_core::{Allocator, Policy, Shape};
 
 use super::control::Controlled;
 use super::parent::Parent;
-use super::{Process, ProcessSettings, WORLD_PATIENCE, drive};
+use super::{Process, ProcessSettings, WORLD_PATIENCE, drive, linger};
 use crate::control::ProcessInfo;
 use crate::domain::{Domain, DomainContract, Lock, Membership};
 use crate::error::Error;
@@ -107,8 +105,7 @@ impl RunnerProcess {
         let name = port_name(agents);
         let mut link: IoxAgent = {
             let _starting = membership.lock_start()?;
-            // The next frame of a world with a period is a period away.
-            let linger = if facts.period_ns() == 0 { settings.linger } else { Duration::ZERO };
+            let linger = linger(settings.linger, facts.period_ns() != 0);
             let bell = facts.bell();
             let setup = LinkSetup { domain, format, name: &name, bell, linger };
             match owner {

@@ -11,7 +11,7 @@ use sortie_core::wire::{Command, ControlStatus, FrameFormat, Role};
 use super::caretaker::Caretaker;
 use super::control::Controlled;
 use super::fill::{Fill, Filling, both};
-use super::{Children, LINGER, Process, drive};
+use super::{Children, Process, drive, linger};
 use crate::build::BUILD;
 use crate::control::ProcessInfo;
 use crate::domain::{BellKind, Domain, DomainContract, DomainFacts, nanoseconds};
@@ -52,15 +52,15 @@ pub struct WorldSettings {
     pub private: bool,
     /// How the processes of the domain wake each other.
     pub bell: BellKind,
-    /// How long waits for answers linger before they sleep; with doorbells only.
-    pub linger: Duration,
+    /// How long waits for answers linger before they sleep; with doorbells only. `None` = 100 us, or not at all
+    /// with a period or a time between frames.
+    pub linger: Option<Duration>,
     /// What the world's thread asks the system for.
     pub real_time: RealTime,
 }
 
 impl Default for WorldSettings {
-    /// All agents required, strictly; no allocator, 10 s to join, 2 s to act, no end, no period, no pause; waits
-    /// linger for [`LINGER`].
+    /// All agents required, strictly; no allocator, 10 s to join, 2 s to act, no end, no period, no pause.
     fn default() -> Self {
         Self {
             required: u64::MAX,
@@ -73,13 +73,17 @@ impl Default for WorldSettings {
             tick_interval: Duration::ZERO,
             private: false,
             bell: BellKind::default(),
-            linger: LINGER,
+            linger: None,
             real_time: RealTime::default(),
         }
     }
 }
 
 impl WorldSettings {
+    fn is_paced(&self) -> bool {
+        !self.period.is_zero() || !self.tick_interval.is_zero()
+    }
+
     pub(crate) fn options(
         &self,
         contract: &DomainContract,
@@ -168,7 +172,7 @@ fn play(
     let mut role = WorldRole::new(options);
     let (mut link, filling) = {
         let _starting = membership.lock_start()?;
-        let (bell, linger) = (facts.bell(), settings.linger);
+        let (bell, linger) = (facts.bell(), linger(settings.linger, settings.is_paced()));
         let setup = LinkSetup { domain, format, name: "world", bell, linger };
         let link: IoxWorld = match settings.private {
             // What fills seats reads whole frames as well, in this very process.
