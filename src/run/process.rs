@@ -84,13 +84,13 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
         tasks_max: Some(limits.t_max.into()),
         private: arguments.private,
         parent: arguments.parent,
-        spin: arguments.scheduling.spin(),
+        linger: arguments.scheduling.linger(),
         real_time: arguments.scheduling.real_time(arguments.core),
     };
     match arguments.role {
         Role::World => {
             let ProcessArguments { allocation, backend, seed, json, quiet, fill, .. } = *arguments;
-            let ProcessSettings { private, spin, real_time, .. } = settings;
+            let ProcessSettings { private, linger, real_time, .. } = settings;
             let world = WorldOfTeam {
                 bundle: &bundle,
                 allocation,
@@ -100,7 +100,7 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
                 quiet,
                 private,
                 fill,
-                spin,
+                linger,
                 real_time,
             };
             play(&world, &arguments.playing, &domain, &stop)

@@ -8,7 +8,7 @@ use sortie_core::World;
 use sortie_core::wire::Role;
 use sortie_ipc::{Charge, Domain, RestartPolicy, SupervisorEvent, group_agents, supervise};
 
-use super::scheduling::Scheduling;
+use super::scheduling::{Scheduling, check_cores};
 use super::team::Team;
 use super::world::{Playing, open_world};
 use crate::allocator::DeployedAllocator;
@@ -130,20 +130,21 @@ fn charges(
 ) -> Result<Vec<Charge>, Failure> {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let groups = group_agents(agents, cores, arguments.isolate || arguments.private);
-    let scheduling = arguments.scheduling.for_team(1 + groups.len(), cores, arguments.pin)?;
-    let with_flags = |mut charge: Charge, scheduling: Scheduling, core: Option<usize>| {
+    if arguments.pin {
+        check_cores(1 + groups.len(), cores)?;
+    }
+    let scheduling = arguments.scheduling;
+    let with_flags = |mut charge: Charge, core: Option<usize>| {
         charge.command.args(scheduling.flags(core));
         charge
     };
     let own_core = |index: usize| arguments.pin.then_some(index);
-    // Allocators have time: they sleep, wherever there is room.
-    let sleeping = Scheduling { spin_us: 0, ..scheduling };
+    // Allocators have time: they run wherever there is room.
     let allocators = (0..=arguments.standbys)
-        .map(|index| with_flags(team.allocator(format!("allocator {index}")), sleeping, None));
-    let runners = (1..)
-        .zip(&groups)
-        .map(|(index, group)| with_flags(team.runner(group), scheduling, own_core(index)));
-    let world = with_flags(world(arguments, team), scheduling, own_core(0));
+        .map(|index| with_flags(team.allocator(format!("allocator {index}")), None));
+    let runners =
+        (1..).zip(&groups).map(|(index, group)| with_flags(team.runner(group), own_core(index)));
+    let world = with_flags(world(arguments, team), own_core(0));
     Ok([world].into_iter().chain(allocators).chain(runners).collect())
 }
 

@@ -62,7 +62,7 @@ pub(super) struct WorldOfTeam<'a> {
     pub(super) quiet: bool,
     pub(super) private: bool,
     pub(super) fill: bool,
-    pub(super) spin: Duration,
+    pub(super) linger: Option<Duration>,
     pub(super) real_time: RealTime,
 }
 
@@ -86,7 +86,7 @@ pub(super) fn play(
         patience: Duration::from_secs_f64(playing.patience),
         episodes: playing.episodes,
         private: team.private,
-        spin: team.spin,
+        linger: team.linger,
         real_time: team.real_time,
         ..WorldSettings::default()
     };

@@ -97,7 +97,8 @@ pub fn control(domain: &Domain, order: &Order) -> Result<Vec<Answer>, Error> {
     let facts = membership.facts()?.ok_or_else(nobody)?;
     let format = facts.format()?;
     let name = format!("control/{}", std::process::id());
-    let setup = LinkSetup { domain, format, name: &name, bell: facts.bell(), spin: Duration::ZERO };
+    let setup =
+        LinkSetup { domain, format, name: &name, bell: facts.bell(), linger: Duration::ZERO };
     let mut link: IoxControl = {
         let _starting = membership.lock_start()?;
         IoxControl::open(&setup)?

@@ -149,7 +149,8 @@ fn examine_running(membership: &Membership, findings: &mut Vec<Finding>) -> Resu
     ));
     let domain = membership.domain();
     let name = format!("watcher/{}", std::process::id());
-    let setup = LinkSetup { domain, format, name: &name, bell: facts.bell(), spin: Duration::ZERO };
+    let setup =
+        LinkSetup { domain, format, name: &name, bell: facts.bell(), linger: Duration::ZERO };
     let mut watcher: IoxWatcher = {
         let _starting = membership.lock_start()?;
         IoxWatcher::open(&setup)?

@@ -202,7 +202,7 @@ impl Team {
             format,
             name: "quiet",
             bell: BellKind::Doorbell,
-            spin: Duration::ZERO,
+            linger: Duration::ZERO,
         };
         let world = WorldRole::new(WorldOptions {
             format,

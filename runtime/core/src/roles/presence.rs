@@ -18,8 +18,6 @@ pub struct Identity {
     pub model: [u8; 16],
     /// Build of the program.
     pub build: u32,
-    /// Whether it waits by spinning.
-    pub is_spinning: bool,
     /// Port name, zero padded.
     pub name: [u8; 48],
 }
@@ -31,7 +29,7 @@ impl Identity {
         for (to, from) in padded.iter_mut().zip(name.bytes()) {
             *to = from;
         }
-        Self { pid, model: [0; 16], build: 0, is_spinning: false, name: padded }
+        Self { pid, model: [0; 16], build: 0, name: padded }
     }
 
     /// First 4 bytes of the model's id.
@@ -75,7 +73,6 @@ impl Presence {
         self.sent += 1;
         self.told_ns = now_ns;
         self.is_there = flags & StatMsg::BYE == 0;
-        let spinning = if identity.is_spinning { StatMsg::SPINNING } else { 0 };
         StatMsg {
             schema,
             seq: self.sent,
@@ -86,7 +83,7 @@ impl Presence {
             abi: ABI as u8,
             model: identity.model,
             build: identity.build,
-            flags: flags | spinning,
+            flags,
             counters: counters.to_wire(),
             hist_wake: self.wakes.to_wire(),
             hist_work: self.works.to_wire(),

@@ -108,8 +108,6 @@ impl StatMsg {
     pub const DEGRADED: u32 = 4;
     /// It leads its role.
     pub const LEADER: u32 = 8;
-    /// It waits by spinning.
-    pub const SPINNING: u32 = 16;
 
     /// Whether all flags of `flags` are set.
     pub fn has(&self, flags: u32) -> bool {

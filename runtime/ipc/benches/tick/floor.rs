@@ -1,4 +1,7 @@
 //! The floor: one page of shared memory and two futexes, no checks, no types, no discovery.
+//!
+//! Its world sleeps until the next answer, or until the last; or everybody looks again and again for
+//! a while before they sleep.
 
 use std::fs::OpenOptions;
 use std::num::NonZeroU32;
@@ -9,7 +12,24 @@ use std::time::Instant;
 use memmap2::MmapRaw;
 use rustix::thread::futex;
 
-use super::{AGENTS, FRAME_WORDS, decide};
+use super::{AGENTS, FRAME_WORDS, LINGER, decide};
+
+/// How a floor waits.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Waiting {
+    /// The world is woken by every answer.
+    Sleep,
+    /// The world is woken by the last answer only.
+    Patience,
+    /// All look for a while before they sleep, and let others run in between.
+    Linger,
+}
+
+impl Waiting {
+    pub(crate) fn lingers(self) -> bool {
+        self == Self::Linger
+    }
+}
 
 /// The tick that ends the agents.
 const END: u64 = u64::MAX;
@@ -61,7 +81,14 @@ impl Word {
         }
     }
 
-    fn wait(&self, token: u32) {
+    fn wait(&self, token: u32, lingers: bool) {
+        let began = Instant::now();
+        while lingers && began.elapsed() < LINGER {
+            std::thread::yield_now();
+            if self.sequence.load(Ordering::SeqCst) != token {
+                return;
+            }
+        }
         while self.sequence.load(Ordering::SeqCst) == token {
             self.waiters.fetch_add(1, Ordering::SeqCst);
             let all = NonZeroU32::MAX;
@@ -72,7 +99,7 @@ impl Word {
 }
 
 /// A process with so many agents: answers every tick until the last.
-pub(crate) fn process(path: &Path, agents: usize, index: usize) {
+pub(crate) fn process(path: &Path, agents: usize, index: usize, lingers: bool) {
     let mapping = Mapping::open(path);
     let memory = mapping.memory();
     let mut seen = 0;
@@ -83,7 +110,7 @@ pub(crate) fn process(path: &Path, agents: usize, index: usize) {
             return;
         }
         if tick == seen {
-            memory.agents.wait(token);
+            memory.agents.wait(token, lingers);
             continue;
         }
         seen = tick;
@@ -95,9 +122,8 @@ pub(crate) fn process(path: &Path, agents: usize, index: usize) {
     }
 }
 
-/// The world: times so many ticks of so many processes, in nanoseconds. A patient one is woken by the
-/// last answer only.
-pub(crate) fn world(path: &Path, ticks: usize, processes: usize, is_patient: bool) -> Vec<u64> {
+/// The world: times so many ticks of so many processes, in nanoseconds.
+pub(crate) fn world(path: &Path, ticks: usize, processes: usize, waiting: Waiting) -> Vec<u64> {
     let mapping = Mapping::open(path);
     let memory = mapping.memory();
     let mut times = Vec::with_capacity(ticks);
@@ -107,7 +133,7 @@ pub(crate) fn world(path: &Path, ticks: usize, processes: usize, is_patient: boo
             word.store(tick, Ordering::Relaxed);
         }
         memory.tick.0.store(tick, Ordering::Release);
-        if is_patient {
+        if waiting == Waiting::Patience {
             // All answers of the ticks before are in: every agent rings once more.
             memory.world.patience.store((processes * tick as usize) as u32, Ordering::SeqCst);
         }
@@ -118,7 +144,7 @@ pub(crate) fn world(path: &Path, ticks: usize, processes: usize, is_patient: boo
             if answers.iter().all(|slot| slot.0.load(Ordering::Acquire) == tick) {
                 break;
             }
-            memory.world.wait(token);
+            memory.world.wait(token, waiting.lingers());
         }
         times.push(started.elapsed().as_nanos() as u64);
     }

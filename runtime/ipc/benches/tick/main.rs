@@ -5,6 +5,7 @@
 //! `cargo bench -p sortie-ipc --bench tick [-- ROUNDS TICKS [CASE...]]`
 //! `cargo bench -p sortie-ipc --bench tick -- soak SECONDS`
 
+mod cpu_time;
 mod floor;
 mod plain;
 mod soak;
@@ -26,6 +27,8 @@ use sortie_ipc::{
     runner_process, world_process,
 };
 
+use cpu_time::cpu_time_ns;
+use floor::Waiting;
 use plain::PlainWorld;
 use spread::{median, ratios, spread};
 
@@ -35,6 +38,8 @@ const SHAPE: Shape = Shape { agents: AGENTS, entities: 16, tasks: 4, actions: 14
 const FRAME_WORDS: usize = 564;
 /// Time of one decision.
 const DECISION: Duration = Duration::from_micros(2);
+/// How long waits linger that do.
+const LINGER: Duration = Duration::from_micros(100);
 /// Ticks of a round before the first that counts.
 const WARM_UP: usize = 100;
 const ROLE: &str = "SORTIE_BENCH_ROLE";
@@ -42,13 +47,28 @@ const PLACE: &str = "SORTIE_BENCH_PLACE";
 
 const FLOOR: &str = "raw floor";
 const PATIENT: &str = "raw, one wake-up";
+const LINGERING: &str = "raw, lingering";
 const DOORBELL: &str = "doorbell";
+const ASLEEP: &str = "doorbell, asleep";
 const EVENTS: &str = "events";
 const PLAIN: &str = "plain iceoryx2";
 const SOCKETS: &str = "unix sockets";
 const RUNNER: &str = "one runner";
+const RUNNER_ASLEEP: &str = "one runner, asleep";
 const RAW_RUNNER: &str = "raw, one runner";
-const CASES: [&str; 8] = [FLOOR, PATIENT, DOORBELL, EVENTS, PLAIN, SOCKETS, RUNNER, RAW_RUNNER];
+const CASES: [&str; 11] = [
+    FLOOR,
+    PATIENT,
+    LINGERING,
+    DOORBELL,
+    ASLEEP,
+    EVENTS,
+    PLAIN,
+    SOCKETS,
+    RUNNER,
+    RUNNER_ASLEEP,
+    RAW_RUNNER,
+];
 
 /// What rounds of one case measured, in nanoseconds.
 struct Case {
@@ -57,6 +77,14 @@ struct Case {
     ticks: Vec<f64>,
     /// Median of what ticks took beyond their decisions.
     beyond: Vec<f64>,
+    /// Processor time of all processes for each tick, their start included.
+    cpu_times: Vec<f64>,
+}
+
+impl Case {
+    fn new(name: &'static str) -> Self {
+        Self { name, ticks: Vec::new(), beyond: Vec::new(), cpu_times: Vec::new() }
+    }
 }
 
 /// One tick, in nanoseconds.
@@ -81,7 +109,7 @@ fn main() {
     let mut cases: Vec<Case> = CASES
         .into_iter()
         .filter(|name| is_named(name) || !CASES.into_iter().any(is_named))
-        .map(|name| Case { name, ticks: Vec::new(), beyond: Vec::new() })
+        .map(Case::new)
         .collect();
     for round in 0..rounds {
         for case in &mut cases {
@@ -90,12 +118,19 @@ fn main() {
     }
     println!("tick of {AGENTS} agents that decide in {DECISION:?}, {rounds} rounds of {ticks}:");
     for case in &cases {
-        println!("  {:16} p50 {}", case.name, spread(&case.ticks, 1e-3, " us"));
+        let [tick, cpu] = [&case.ticks, &case.cpu_times].map(|times| spread(times, 1e-3, " us"));
+        println!("  {:18} p50 {tick:30} processors {cpu}", case.name);
     }
     let find = |name| cases.iter().find(|case| case.name == name);
-    for (above, below) in
-        [(DOORBELL, FLOOR), (DOORBELL, PATIENT), (EVENTS, DOORBELL), (SOCKETS, DOORBELL)]
-    {
+    for (above, below) in [
+        (DOORBELL, FLOOR),
+        (DOORBELL, LINGERING),
+        (ASLEEP, FLOOR),
+        (ASLEEP, PATIENT),
+        (EVENTS, DOORBELL),
+        (EVENTS, ASLEEP),
+        (SOCKETS, DOORBELL),
+    ] {
         if let (Some(above), Some(below)) = (find(above), find(below)) {
             let ratios = spread(&ratios(&above.ticks, &below.ticks), 1.0, "");
             println!("  {:30} {ratios}", format!("{} / {}", above.name, below.name));
@@ -106,8 +141,9 @@ fn main() {
         let beyond: Vec<f64> = raw.ticks.iter().map(|tick| tick - decisions).collect();
         println!("  {:30} {}", "raw, one runner - decisions", spread(&beyond, 1e-3, " us"));
     }
-    if let Some(runner) = find(RUNNER) {
-        println!("  {:30} {}", "one runner - its decisions", spread(&runner.beyond, 1e-3, " us"));
+    for runner in [RUNNER, RUNNER_ASLEEP].into_iter().filter_map(find) {
+        let beyond = spread(&runner.beyond, 1e-3, " us");
+        println!("  {:30} {beyond}", format!("{} - decisions", runner.name));
     }
 }
 
@@ -116,16 +152,22 @@ impl Case {
         let index = CASES.iter().position(|name| *name == self.name).unwrap();
         let name = format!("bench{}-{index}{round}", std::process::id());
         let alone: Vec<String> = (0..AGENTS).map(|agent| agent.to_string()).collect();
+        let together = [alone.join(",")];
+        let began_ns = cpu_time_ns();
         let times = match self.name {
-            FLOOR => raw(&name, ticks, 1, false),
-            PATIENT => raw(&name, ticks, 1, true),
-            RAW_RUNNER => raw(&name, ticks, AGENTS, false),
+            FLOOR => raw(&name, ticks, 1, Waiting::Sleep),
+            PATIENT => raw(&name, ticks, 1, Waiting::Patience),
+            LINGERING => raw(&name, ticks, 1, Waiting::Linger),
+            RAW_RUNNER => raw(&name, ticks, AGENTS, Waiting::Sleep),
             PLAIN => plain(&name, ticks),
             SOCKETS => sockets(&name, ticks),
-            DOORBELL => team(&name, &alone, BellKind::Doorbell, ticks),
-            EVENTS => team(&name, &alone, BellKind::Event, ticks),
-            _ => team(&name, &[alone.join(",")], BellKind::Doorbell, ticks),
+            DOORBELL => team(&name, &alone, BellKind::Doorbell, LINGER, ticks),
+            ASLEEP => team(&name, &alone, BellKind::Doorbell, Duration::ZERO, ticks),
+            EVENTS => team(&name, &alone, BellKind::Event, LINGER, ticks),
+            RUNNER => team(&name, &together, BellKind::Doorbell, LINGER, ticks),
+            _ => team(&name, &together, BellKind::Doorbell, Duration::ZERO, ticks),
         };
+        self.cpu_times.push((cpu_time_ns() - began_ns) / ticks as f64);
         let times = times.get(WARM_UP..).unwrap_or_default();
         let of = |value: fn(&Tick) -> u64| {
             median(&times.iter().map(|tick| value(tick) as f64).collect::<Vec<_>>())
@@ -153,12 +195,11 @@ fn among(kind: &str, processes: usize, place: &str, world: impl FnOnce() -> Vec<
 }
 
 /// Each process decides for so many agents.
-fn raw(name: &str, ticks: usize, agents: usize, is_patient: bool) -> Vec<Tick> {
+fn raw(name: &str, ticks: usize, agents: usize, waiting: Waiting) -> Vec<Tick> {
     let path = PathBuf::from("/dev/shm").join(name);
-    let (place, kind) = (path.to_str().unwrap(), format!("raw {agents}"));
+    let (place, kind) = (path.to_str().unwrap(), format!("raw {agents} {}", waiting.lingers()));
     let processes = AGENTS / agents;
-    let times =
-        among(&kind, processes, place, || floor::world(&path, ticks, processes, is_patient));
+    let times = among(&kind, processes, place, || floor::world(&path, ticks, processes, waiting));
     std::fs::remove_file(&path).unwrap();
     times
 }
@@ -180,8 +221,15 @@ fn sockets(name: &str, ticks: usize) -> Vec<Tick> {
     times
 }
 
-fn team(name: &str, runners: &[String], bell: BellKind, ticks: usize) -> Vec<Tick> {
-    let settings = WorldSettings { episodes: Some(1), bell, ..WorldSettings::default() };
+fn team(
+    name: &str,
+    runners: &[String],
+    bell: BellKind,
+    linger: Duration,
+    ticks: usize,
+) -> Vec<Tick> {
+    let linger = Some(linger);
+    let settings = WorldSettings { episodes: Some(1), bell, linger, ..WorldSettings::default() };
     let mut times = Times(Vec::with_capacity(ticks));
     run_team(name, runners, &settings, ticks, &mut times);
     times.0
@@ -196,9 +244,14 @@ fn run_team(
     observer: &mut dyn WorldObserver,
 ) -> Counters {
     let domain = Domain::new(name).unwrap();
-    let start_team = |children: &mut Children| {
-        runners.iter().try_for_each(|runner| children.spawn("runner", &mut process(runner, name)))
+    let start = |children: &mut Children, agents: &String| {
+        let linger =
+            settings.linger.map_or("unstated".into(), |linger| linger.as_nanos().to_string());
+        let role = format!("runner {linger} {agents}");
+        children.spawn("runner", &mut process(&role, name))
     };
+    let start_team =
+        |children: &mut Children| runners.iter().try_for_each(|agents| start(children, agents));
     let mut world = Idle { left: ticks };
     let (contract, stop) = (contract(), Stop::new());
     world_process(&domain, &contract, &mut world, settings, start_team, observer, &stop).unwrap()
@@ -208,19 +261,24 @@ fn run_team(
 fn act(role: &str, place: &str) {
     let path = PathBuf::from(place);
     match *role.split(' ').collect::<Vec<_>>() {
-        ["raw", agents, index] => {
-            floor::process(&path, agents.parse().unwrap(), index.parse().unwrap());
+        ["raw", agents, lingers, index] => {
+            let [agents, index] = [agents, index].map(|number| number.parse().unwrap());
+            floor::process(&path, agents, index, lingers.parse().unwrap());
         }
         ["plain", agent] => plain::agent(place, agent.parse().unwrap()),
         ["sockets", agent] => sockets::agent(&path, agent.parse().unwrap()),
-        _ => run_agents(role, place),
+        ["runner", linger_ns, agents] => {
+            run_agents(agents, place, linger_ns.parse().ok().map(Duration::from_nanos));
+        }
+        _ => panic!("no role of this bench: {role}"),
     }
 }
 
-fn run_agents(agents: &str, domain: &str) {
+fn run_agents(agents: &str, domain: &str, linger: Option<Duration>) {
     let agents: Vec<u16> = agents.split(',').map(|agent| agent.parse().unwrap()).collect();
     let domain = Domain::new(domain).unwrap();
-    let (settings, stop) = (ProcessSettings::default(), Stop::new());
+    let settings = ProcessSettings { linger, ..ProcessSettings::default() };
+    let stop = Stop::new();
     runner_process(&domain, &contract(), &agents, &mut Slow, &settings, &stop).unwrap();
 }
 

@@ -34,6 +34,9 @@ pub(crate) trait Memory {
     /// Wakes all that sleep.
     fn wake_all(&self);
 
+    /// Lets another of this core run, if one wants to.
+    fn let_others_run(&self);
+
     /// Now, on the clock of `until_ns`.
     fn now_ns(&self) -> u64;
 }
@@ -73,36 +76,62 @@ pub(crate) struct Wait {
     pub(crate) rings: u32,
     /// When it ends without them.
     pub(crate) until_ns: u64,
-    /// How long it spins before it sleeps.
-    pub(crate) spin_ns: u64,
 }
 
-/// Waits for rings, or until it is too late. Returns whether anybody rang.
+impl Wait {
+    /// Whether this sequence number ends it.
+    pub(crate) fn is_over(&self, sequence: u32) -> bool {
+        sequence.wrapping_sub(self.token) >= self.rings
+    }
+}
+
+/// What lingering came to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Lingered {
+    /// The rings came.
+    Gained,
+    /// They did not, or others held the core for longer than a team mate would.
+    Lost { ns: u64 },
+}
+
+/// Longer than a team mate that lets others run in turn, shorter than the scheduler's time slice.
+const HELD_UP_NS: u64 = 1_000_000;
+
+/// Looks for the rings again and again for so long, and lets others run in between. Nobody has to
+/// wake who lingers, and the core stays awake.
+pub(crate) fn linger(bell: &impl Memory, wait: Wait, linger_ns: u64) -> Lingered {
+    let began_ns = bell.now_ns();
+    let until_ns = began_ns.saturating_add(linger_ns).min(wait.until_ns);
+    let mut looked_ns = began_ns;
+    while looked_ns < until_ns {
+        bell.let_others_run();
+        let is_over = wait.is_over(bell.sequence());
+        let now_ns = bell.now_ns();
+        if is_over {
+            let ns = now_ns.saturating_sub(looked_ns);
+            return if ns < HELD_UP_NS { Lingered::Gained } else { Lingered::Lost { ns } };
+        }
+        looked_ns = now_ns;
+    }
+    Lingered::Lost { ns: looked_ns.saturating_sub(began_ns) }
+}
+
+/// Sleeps until the rings came, or until it is too late. Returns whether anybody rang.
 pub(crate) fn wait(bell: &impl Memory, wait: Wait) -> bool {
-    let Wait { token, rings, until_ns, spin_ns } = wait;
-    let spin_until_ns = match spin_ns {
-        0 => 0,
-        spin => bell.now_ns().saturating_add(spin),
-    };
     loop {
         let sequence = bell.sequence();
-        if sequence.wrapping_sub(token) >= rings {
+        if wait.is_over(sequence) {
             return true;
         }
-        let now = bell.now_ns();
-        if now >= until_ns {
-            return sequence != token;
+        if bell.now_ns() >= wait.until_ns {
+            return sequence != wait.token;
         }
-        if now < spin_until_ns {
-            core::hint::spin_loop();
-            continue;
-        }
-        if rings > 1 {
+        if wait.rings > 1 {
             sleep_patiently(bell, sequence, wait);
         } else {
             bell.add_waiter();
             if bell.sequence() == sequence {
-                bell.sleep(sequence, until_ns);
+                bell.sleep(sequence, wait.until_ns);
             }
             bell.remove_waiter();
         }

@@ -5,6 +5,7 @@
 //! ring; after every wake all topics are looked at; every wait has a deadline of at most 100 ms.
 
 mod algorithm;
+mod linger;
 mod region;
 
 use std::sync::Arc;
@@ -13,11 +14,12 @@ use std::time::Duration;
 use sortie_core::link::{LinkError, Wake};
 use sortie_core::wire::Role;
 
-use algorithm::summon;
 pub(crate) use algorithm::{Memory, Wait, ring, wait};
+use algorithm::{linger, summon};
 
+use self::linger::Account;
 use self::region::Region;
-use crate::domain::Domain;
+use crate::domain::{Domain, nanoseconds};
 use crate::error::Error;
 use crate::waker::Waker;
 
@@ -26,22 +28,27 @@ use crate::waker::Waker;
 pub struct Doorbell {
     region: Arc<Region>,
     own: usize,
-    spin_ns: u64,
+    linger_ns: u64,
+    account: Account,
 }
 
 impl Doorbell {
     /// Opens the doorbell of a domain that this process has entered, to be woken with its role.
-    /// Waits spin for `spin` before they sleep.
+    /// Waits linger for `linger` before they sleep, as long as that pays.
     ///
     /// # Errors
     /// Shared memory cannot be used, or the role has no bell.
-    pub fn open(domain: &Domain, own: Role, spin: Duration) -> Result<Self, Error> {
+    pub fn open(domain: &Domain, own: Role, linger: Duration) -> Result<Self, Error> {
         let own = index(own).ok_or_else(|| Error::SharedMemory {
             what: format!("bell of {own:?}"),
             problem: "this role has none".to_string(),
         })?;
-        let spin_ns = u64::try_from(spin.as_nanos()).unwrap_or(u64::MAX);
-        Ok(Self { region: Arc::new(Region::open(domain)?), own, spin_ns })
+        Ok(Self {
+            region: Arc::new(Region::open(domain)?),
+            own,
+            linger_ns: nanoseconds(linger),
+            account: Account::new(),
+        })
     }
 
     /// The state of the own bell.
@@ -51,15 +58,27 @@ impl Doorbell {
 
     /// Waits until somebody rang the own bell since `token` was taken, or until `until_ns`.
     pub fn wait_until(&self, token: u32, until_ns: u64) -> Wake {
-        self.wait_for_rings(token, 1, until_ns)
+        // A world that awaits no answers waits for a time.
+        let linger_ns = if index(Role::World) == Some(self.own) { 0 } else { self.linger_ns };
+        self.await_rings(Wait { token, rings: 1, until_ns }, linger_ns)
     }
 
     /// Waits until the own bell was rung so often since `token` was taken, or until `until_ns`. Of
     /// the processes of one role, one may wait for more than one ring.
     pub fn wait_for_rings(&self, token: u32, rings: u32, until_ns: u64) -> Wake {
-        let awaited = Wait { token, rings, until_ns, spin_ns: self.spin_ns };
-        let is_rung = |bell| wait(bell, awaited);
-        if self.region.bell(self.own).is_some_and(is_rung) { Wake::Rung } else { Wake::Timeout }
+        self.await_rings(Wait { token, rings, until_ns }, self.linger_ns)
+    }
+
+    fn await_rings(&self, awaited: Wait, linger_ns: u64) -> Wake {
+        let Some(bell) = self.region.bell(self.own) else { return Wake::Timeout };
+        if awaited.is_over(bell.sequence()) {
+            return Wake::Rung;
+        }
+        if linger_ns != 0 && self.account.is_open(bell.now_ns()) {
+            let lingered = linger(bell, awaited, linger_ns);
+            self.account.enter(lingered, bell.now_ns());
+        }
+        if wait(bell, awaited) { Wake::Rung } else { Wake::Timeout }
     }
 
     /// Wakes every process of `role`.

@@ -146,6 +146,10 @@ impl Memory for Bell {
         let _ = futex::wake(&self.sequence, futex::Flags::empty(), i32::MAX as u32);
     }
 
+    fn let_others_run(&self) {
+        std::thread::yield_now();
+    }
+
     fn now_ns(&self) -> u64 {
         MonotonicClock.now_ns()
     }

@@ -21,7 +21,7 @@ impl<S: LinkService> LinkBell<S> {
     pub(super) fn open(opener: &Opener<'_, S>, own: Role, peers: &[Role]) -> Result<Self, Error> {
         let setup = opener.setup();
         Ok(match setup.bell {
-            BellKind::Doorbell => Self::Doorbell(Doorbell::open(setup.domain, own, setup.spin)?),
+            BellKind::Doorbell => Self::Doorbell(Doorbell::open(setup.domain, own, setup.linger)?),
             BellKind::Event => Self::Event(EventBell::new(opener, own, peers)?),
         })
     }
@@ -34,10 +34,12 @@ impl<S: LinkService> LinkBell<S> {
         }
     }
 
-    pub(super) fn wait_for_rings(&self, token: u32, rings: u32, until_ns: u64) -> Wake {
-        match self {
-            Self::Doorbell(bell) => bell.wait_for_rings(token, rings, until_ns),
-            Self::Event(bell) => bell.wait_until(until_ns),
+    /// Waits for so many rings, or for any.
+    pub(super) fn wait(&self, token: u32, rings: Option<u32>, until_ns: u64) -> Wake {
+        match (self, rings) {
+            (Self::Doorbell(bell), Some(rings)) => bell.wait_for_rings(token, rings, until_ns),
+            (Self::Doorbell(bell), None) => bell.wait_until(token, until_ns),
+            (Self::Event(bell), _) => bell.wait_until(until_ns),
         }
     }
 

@@ -38,8 +38,8 @@ pub struct LinkSetup<'a> {
     pub name: &'a str,
     /// How its processes wake each other.
     pub bell: BellKind,
-    /// How long waits spin before they sleep; with doorbells only.
-    pub spin: Duration,
+    /// How long waits linger before they sleep; with doorbells only.
+    pub linger: Duration,
 }
 
 /// The world's link over shared memory.
@@ -53,8 +53,8 @@ pub struct IoxWorld<S: LinkService = InterProcess> {
     control: RequestClient<S>,
     schema: u64,
     bell: LinkBell<S>,
-    /// Rings that end the next wait.
-    rings: u32,
+    /// Rings that end the next wait, if it knows.
+    rings: Option<u32>,
     /// Dropped last.
     _node: Node<S>,
 }
@@ -68,8 +68,8 @@ pub struct IoxAgent<S: LinkService = InterProcess> {
     /// None for a runner inside another process, which answers for both.
     requests: Option<RequestServer<S>>,
     bell: LinkBell<S>,
-    /// Rings that end the next wait.
-    rings: u32,
+    /// Rings that end the next wait, if it knows.
+    rings: Option<u32>,
     /// Dropped last.
     _node: Node<S>,
 }
@@ -81,8 +81,8 @@ pub struct IoxAllocator<S: LinkService = InterProcess> {
     statuses: Sender<S, StatPayload>,
     requests: RequestServer<S>,
     bell: LinkBell<S>,
-    /// Rings that end the next wait.
-    rings: u32,
+    /// Rings that end the next wait, if it knows.
+    rings: Option<u32>,
     /// Dropped last.
     _node: Node<S>,
 }
@@ -120,7 +120,7 @@ impl<S: LinkService> IoxWorld<S> {
             schema: setup.format.schema,
             frames: frames(&opener)?,
             bell: LinkBell::open(&opener, Role::World, &[Role::Runner, Role::Allocator])?,
-            rings: 1,
+            rings: None,
             _node: opener.into_node(),
         })
     }
@@ -174,7 +174,7 @@ impl<S: LinkService> IoxAgent<S> {
             statuses: opener.sender(services::statuses)?,
             requests: answers.then(|| opener.control_server()).transpose()?,
             bell: LinkBell::open(&opener, Role::Runner, &[Role::World])?,
-            rings: 1,
+            rings: None,
             _node: opener.into_node(),
         })
     }
@@ -193,7 +193,7 @@ impl<S: LinkService> IoxAllocator<S> {
             statuses: opener.sender(services::statuses)?,
             requests: opener.control_server()?,
             bell: LinkBell::open(&opener, Role::Allocator, &[Role::World, Role::Runner])?,
-            rings: 1,
+            rings: None,
             _node: opener.into_node(),
         })
     }
@@ -361,12 +361,11 @@ macro_rules! has_bell_and_clock {
             }
 
             fn wait_until(&mut self, token: u32, until_ns: u64) -> Wake {
-                let rings = std::mem::replace(&mut self.rings, 1);
-                self.bell.wait_for_rings(token, rings, until_ns)
+                self.bell.wait(token, self.rings.take(), until_ns)
             }
 
             fn await_rings(&mut self, rings: u32) {
-                self.rings = rings.max(1);
+                self.rings = Some(rings.max(1));
             }
 
             fn ring(&mut self, role: Role) -> Result<(), LinkError> {

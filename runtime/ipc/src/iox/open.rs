@@ -369,7 +369,7 @@ mod tests {
         let shape = Shape { agents: 2, entities: 3, tasks: 1, actions: 4, features: 5 };
         let format = FrameFormat { layout: FrameLayout::new(shape).unwrap(), schema: 7 };
         let (name, bell) = ("test", BellKind::Doorbell);
-        let setup = LinkSetup { domain: &domain, format, name, bell, spin: Duration::ZERO };
+        let setup = LinkSetup { domain: &domain, format, name, bell, linger: Duration::ZERO };
         let first = Opener::<InterProcess>::new(&setup).unwrap();
         let _frames = first.frames(None).unwrap();
         for (schema, abi) in [(8, ABI), (7, ABI + 1)] {

@@ -75,8 +75,9 @@ impl AllocatorProcess {
         let name = format!("allocator/{}", std::process::id());
         let mut link: IoxAllocator = {
             let _starting = membership.lock_start()?;
-            let (bell, spin) = (facts.bell(), settings.spin);
-            IoxAllocator::open(&LinkSetup { domain, format, name: &name, bell, spin })?
+            // Many ticks pass from one allocation to the next.
+            let (bell, linger) = (facts.bell(), Duration::ZERO);
+            IoxAllocator::open(&LinkSetup { domain, format, name: &name, bell, linger })?
         };
         let identity = settings.identity(&name);
         let mut role = AllocatorRole::new(AllocatorOptions {

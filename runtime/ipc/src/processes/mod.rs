@@ -43,6 +43,15 @@ const SIGNAL_PATIENCE: Duration = Duration::from_millis(100);
 /// Longest wait of runners and the allocator for a world.
 const WORLD_PATIENCE: Duration = Duration::from_secs(10);
 
+/// How long waits linger: some times as long as a sleeper takes to run.
+const LINGER: Duration = Duration::from_micros(100);
+
+/// How long the waits of a world or runner linger, if nobody says. A team that is paced has time, and what it needs
+/// most is never to be late.
+fn linger(stated: Option<Duration>, is_paced: bool) -> Duration {
+    stated.unwrap_or(if is_paced { Duration::ZERO } else { LINGER })
+}
+
 /// What a runner or allocator process is started with, beside its contract.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ProcessSettings {
@@ -56,9 +65,9 @@ pub struct ProcessSettings {
     pub private: bool,
     /// Process id of the parent with which this process is to end.
     pub parent: Option<u32>,
-    /// How long waits spin before they sleep; with doorbells only. More spinning processes than
-    /// cores are slower than none.
-    pub spin: Duration,
+    /// How long a runner's waits linger before they sleep; with doorbells only. `None` = 100 us, or not at all where
+    /// the world has a period.
+    pub linger: Option<Duration>,
     /// What the role's thread asks the system for.
     pub real_time: RealTime,
 }
@@ -66,10 +75,9 @@ pub struct ProcessSettings {
 impl ProcessSettings {
     /// Who the process of port `name` is.
     fn identity(&self, name: &str) -> Identity {
-        let is_spinning = !self.spin.is_zero();
         let build = BUILD;
         let new = Identity::new(std::process::id(), name);
-        Identity { model: self.model, build, is_spinning, ..new }
+        Identity { model: self.model, build, ..new }
     }
 
     fn check_limits(&self, shape: sortie_core::Shape) -> Result<(), Error> {

@@ -6,7 +6,7 @@ use sortie_core::{Allocator, Policy, Shape};
 
 use super::control::Controlled;
 use super::parent::Parent;
-use super::{Process, ProcessSettings, WORLD_PATIENCE, drive};
+use super::{Process, ProcessSettings, WORLD_PATIENCE, drive, linger};
 use crate::control::ProcessInfo;
 use crate::domain::{Domain, DomainContract, Lock, Membership};
 use crate::error::Error;
@@ -105,8 +105,9 @@ impl RunnerProcess {
         let name = port_name(agents);
         let mut link: IoxAgent = {
             let _starting = membership.lock_start()?;
-            let (bell, spin) = (facts.bell(), settings.spin);
-            let setup = LinkSetup { domain, format, name: &name, bell, spin };
+            let linger = linger(settings.linger, facts.period_ns() != 0);
+            let bell = facts.bell();
+            let setup = LinkSetup { domain, format, name: &name, bell, linger };
             match owner {
                 Some(agent) => IoxAgent::open_private(&setup, agent)?,
                 None => IoxAgent::open(&setup)?,

@@ -11,7 +11,7 @@ use sortie_core::wire::{Command, ControlStatus, FrameFormat, Role};
 use super::caretaker::Caretaker;
 use super::control::Controlled;
 use super::fill::{Fill, Filling, both};
-use super::{Children, Process, drive};
+use super::{Children, Process, drive, linger};
 use crate::build::BUILD;
 use crate::control::ProcessInfo;
 use crate::domain::{BellKind, Domain, DomainContract, DomainFacts, nanoseconds};
@@ -52,8 +52,9 @@ pub struct WorldSettings {
     pub private: bool,
     /// How the processes of the domain wake each other.
     pub bell: BellKind,
-    /// How long waits spin before they sleep; with doorbells only.
-    pub spin: Duration,
+    /// How long waits for answers linger before they sleep; with doorbells only. `None` = 100 us, or not at all
+    /// with a period or a time between frames.
+    pub linger: Option<Duration>,
     /// What the world's thread asks the system for.
     pub real_time: RealTime,
 }
@@ -72,27 +73,26 @@ impl Default for WorldSettings {
             tick_interval: Duration::ZERO,
             private: false,
             bell: BellKind::default(),
-            spin: Duration::ZERO,
+            linger: None,
             real_time: RealTime::default(),
         }
     }
 }
 
 impl WorldSettings {
+    fn is_paced(&self) -> bool {
+        !self.period.is_zero() || !self.tick_interval.is_zero()
+    }
+
     pub(crate) fn options(
         &self,
         contract: &DomainContract,
         format: FrameFormat,
         term: u32,
     ) -> WorldOptions {
-        let is_spinning = !self.spin.is_zero();
         WorldOptions {
             format,
-            identity: Identity {
-                build: BUILD,
-                is_spinning,
-                ..Identity::new(std::process::id(), "world")
-            },
+            identity: Identity { build: BUILD, ..Identity::new(std::process::id(), "world") },
             term,
             required: self.required & format.layout.every_agent(),
             allocator: self.allocator,
@@ -172,8 +172,8 @@ fn play(
     let mut role = WorldRole::new(options);
     let (mut link, filling) = {
         let _starting = membership.lock_start()?;
-        let (bell, spin) = (facts.bell(), settings.spin);
-        let setup = LinkSetup { domain, format, name: "world", bell, spin };
+        let (bell, linger) = (facts.bell(), linger(settings.linger, settings.is_paced()));
+        let setup = LinkSetup { domain, format, name: "world", bell, linger };
         let link: IoxWorld = match settings.private {
             // What fills seats reads whole frames as well, in this very process.
             true => IoxWorld::open_private(&setup, settings.allocator || fill.is_some())?,

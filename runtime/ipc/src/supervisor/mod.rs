@@ -255,7 +255,7 @@ impl Supervisor {
         let (domain, format, bell) = (self.membership.domain(), facts.format()?, facts.bell());
         let name = format!("supervisor/{}", std::process::id());
         let _starting = self.membership.lock_start()?;
-        let setup = LinkSetup { domain, format, name: &name, bell, spin: Duration::ZERO };
+        let setup = LinkSetup { domain, format, name: &name, bell, linger: Duration::ZERO };
         self.schema = format.schema;
         self.watcher = Some(match facts.has_private_frames() {
             true => IoxWatcher::open_private(&setup)?,

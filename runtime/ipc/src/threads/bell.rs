@@ -70,6 +70,10 @@ impl Memory for ParkingBell {
         self.sleepers().drain(..).for_each(|sleeper| sleeper.unpark());
     }
 
+    fn let_others_run(&self) {
+        std::thread::yield_now();
+    }
+
     fn now_ns(&self) -> u64 {
         MonotonicClock.now_ns()
     }

@@ -238,7 +238,7 @@ macro_rules! waits_for_its_bell {
 
             fn wait_until(&mut self, token: u32, until_ns: u64) -> Wake {
                 let rings = std::mem::replace(&mut self.rings, 1);
-                let awaited = Wait { token, rings, until_ns, spin_ns: 0 };
+                let awaited = Wait { token, rings, until_ns };
                 let is_rung = |bell| wait(bell, awaited);
                 let is_rung = self.topics.bell(Role::$role).is_some_and(is_rung);
                 if is_rung { Wake::Rung } else { Wake::Timeout }

@@ -127,7 +127,7 @@ struct Iox<S: Service> {
 }
 
 fn setup<'a>(domain: &'a Domain, format: FrameFormat, name: &'a str) -> LinkSetup<'a> {
-    LinkSetup { domain, format, name, bell: BellKind::Doorbell, spin: Duration::ZERO }
+    LinkSetup { domain, format, name, bell: BellKind::Doorbell, linger: Duration::ZERO }
 }
 
 impl<S: Service> Iox<S> {

@@ -265,9 +265,9 @@ fn private_frames_of_threads_lead_to_the_decisions_of_shared_ones() {
 fn private_frames_of_services_lead_to_the_decisions_of_shared_ones() {
     let _watchdog = Watchdog::new();
     let membership = toy::domain().enter().unwrap();
-    let (bell, spin) = (BellKind::Event, Duration::ZERO);
+    let (bell, linger) = (BellKind::Event, Duration::ZERO);
     let setup =
-        |name| LinkSetup { domain: membership.domain(), format: format(), name, bell, spin };
+        |name| LinkSetup { domain: membership.domain(), format: format(), name, bell, linger };
     let mut world = IoxWorld::<IntraProcess>::open_private(&setup("world"), true).unwrap();
     let mut allocator = IoxAllocator::<IntraProcess>::open(&setup("allocator")).unwrap();
     let open = |agent| IoxAgent::<IntraProcess>::open_private(&setup("agent"), agent).unwrap();
@@ -302,9 +302,9 @@ fn processes_with_private_frames_decide_as_those_that_share_them() {
 fn whole_frames_are_for_an_allocator_only() {
     let _watchdog = Watchdog::new();
     let membership = toy::domain().enter().unwrap();
-    let (bell, spin) = (BellKind::Event, Duration::ZERO);
+    let (bell, linger) = (BellKind::Event, Duration::ZERO);
     let setup =
-        |name| LinkSetup { domain: membership.domain(), format: format(), name, bell, spin };
+        |name| LinkSetup { domain: membership.domain(), format: format(), name, bell, linger };
     let mut world = IoxWorld::<IntraProcess>::open_private(&setup("world"), false).unwrap();
     let mut whole = IoxAllocator::<IntraProcess>::open(&setup("allocator")).unwrap();
     let mut own = IoxAgent::<IntraProcess>::open_private(&setup("agent"), 1).unwrap();

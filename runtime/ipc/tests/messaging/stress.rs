@@ -19,13 +19,15 @@ const TIMEOUT_NS: u64 = 500_000_000;
 const RINGER: &str = "SORTIE_TEST_RINGER";
 const DOMAIN: &str = "SORTIE_TEST_DOMAIN";
 const BELL: &str = "SORTIE_TEST_BELL";
+/// So short that many waits sleep after it.
+const LINGER: Duration = Duration::from_micros(20);
 /// Seconds of the stress; a longer one is for a quiet hour.
 const SECONDS: &str = "SORTIE_STRESS_SECONDS";
 /// Exit code of a ringer that lost a ring.
 const LOST: i32 = 3;
 
 fn setup<'a>(domain: &'a Domain, bell: BellKind, name: &'a str) -> LinkSetup<'a> {
-    LinkSetup { domain, format: format(), name, bell, spin: Duration::ZERO }
+    LinkSetup { domain, format: format(), name, bell, linger: LINGER }
 }
 
 fn format() -> FrameFormat {

@@ -128,7 +128,7 @@ fn links_within_a_process_decide_exactly_as_one_thread_does() {
         format: format(),
         name,
         bell: BellKind::Event,
-        spin: Duration::ZERO,
+        linger: Duration::ZERO,
     };
     // Opened by the thread that uses them, once the world is there.
     let world = IoxWorld::<IntraProcess>::open(&setup("world")).unwrap();

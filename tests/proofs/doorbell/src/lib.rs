@@ -5,13 +5,14 @@
 #[path = "../../../../runtime/ipc/src/doorbell/algorithm.rs"]
 mod algorithm;
 
+use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use loom::sync::atomic::AtomicU32;
 use loom::sync::atomic::Ordering::{Relaxed, SeqCst};
 use loom::thread::{self, Thread};
 
-use algorithm::{Memory, Wait, ring, summon, wait};
+use algorithm::{Lingered, Memory, Wait, linger, ring, summon, wait};
 
 /// A bell, and the kernel's queue of those who sleep on it.
 struct Model {
@@ -20,6 +21,10 @@ struct Model {
     patience: AtomicU32,
     /// Waiters are not counted: they set a flag, which ringers clear.
     has_flag: bool,
+    /// How often waiters look before they sleep.
+    looks: u64,
+    /// Unknown to the explorer, as time is: passes with every look of one who lingers.
+    now_ns: AtomicU64,
     /// Unknown to the explorer: what is done to it is one step with the access before.
     sleepers: Mutex<Vec<Thread>>,
 }
@@ -81,8 +86,13 @@ impl Memory for Model {
         sleepers.drain(..).for_each(|sleeper| sleeper.unpark());
     }
 
+    /// The explorer switches at the next access, or does not.
+    fn let_others_run(&self) {
+        self.now_ns.fetch_add(1, Relaxed);
+    }
+
     fn now_ns(&self) -> u64 {
-        0
+        self.now_ns.load(Relaxed)
     }
 }
 
@@ -93,8 +103,23 @@ impl Model {
             waiters: AtomicU32::new(0),
             patience: AtomicU32::new(0),
             has_flag: false,
+            looks: 0,
+            now_ns: AtomicU64::new(0),
             sleepers: Mutex::new(Vec::new()),
         }
+    }
+
+    /// Whose waiters look once more before they sleep.
+    fn lingering() -> Self {
+        Self { looks: 1, ..Self::new() }
+    }
+
+    /// Waits as the doorbell does.
+    fn wait(&self, awaited: Wait) {
+        if linger(self, awaited, self.looks) == Lingered::Gained {
+            assert!(awaited.is_over(newest(&self.sequence)));
+        }
+        assert!(wait(self, awaited));
     }
 
     /// Waits for so many rings as the loops of the product do: the token before looking, a look
@@ -102,20 +127,20 @@ impl Model {
     fn await_rings(&self, rings: u32) {
         let mut token = 0;
         while token < rings {
-            assert!(wait(self, rings_since(token, 1)));
+            self.wait(rings_since(token, 1));
             token = self.sequence();
         }
     }
 
     /// Sleeps through all rings but the last of so many.
     fn await_last_ring(&self, rings: u32) {
-        assert!(wait(self, rings_since(0, rings)));
+        self.wait(rings_since(0, rings));
         assert!(newest(&self.sequence) >= rings);
     }
 }
 
 fn rings_since(token: u32, rings: u32) -> Wait {
-    Wait { token, rings, until_ns: u64::MAX, spin_ns: 0 }
+    Wait { token, rings, until_ns: u64::MAX }
 }
 
 /// Runs `ringers` threads with `ring`, and `waiters`, of which this thread is one. Explores all
@@ -167,11 +192,25 @@ fn three_ringers_wake_one_waiter() {
     explore((3, 1), Some(3), Model::new, ring);
 }
 
-/// Nothing but the bell orders the data.
 #[test]
-fn who_is_woken_finds_the_data() {
-    loom::model(|| {
-        let (model, data) = (Arc::new(Model::new()), Arc::new(AtomicU32::new(0)));
+fn one_ringer_wakes_one_waiter_that_lingers() {
+    explore((1, 1), None, || Model { looks: 2, ..Model::new() }, ring);
+}
+
+#[test]
+fn two_ringers_wake_one_waiter_that_lingers() {
+    explore((2, 1), None, Model::lingering, ring);
+}
+
+#[test]
+fn two_ringers_wake_two_waiters_that_linger() {
+    explore((2, 2), Some(2), Model::lingering, ring);
+}
+
+/// Nothing but the bell orders the data.
+fn find_the_data(new: fn() -> Model) {
+    loom::model(move || {
+        let (model, data) = (Arc::new(new()), Arc::new(AtomicU32::new(0)));
         let (rings, sends) = (Arc::clone(&model), Arc::clone(&data));
         let ringer = thread::spawn(move || {
             sends.store(1, Relaxed);
@@ -182,6 +221,16 @@ fn who_is_woken_finds_the_data() {
         ringer.join().unwrap();
         assert_eq!(model.waiters(), 0);
     });
+}
+
+#[test]
+fn who_is_woken_finds_the_data() {
+    find_the_data(Model::new);
+}
+
+#[test]
+fn who_lingers_finds_the_data() {
+    find_the_data(Model::lingering);
 }
 
 #[test]
@@ -241,6 +290,11 @@ fn the_last_of_two_rings_wakes_the_patient() {
 #[test]
 fn the_last_of_three_rings_wakes_the_patient() {
     explore_patience(3, Some(3), Model::new, ring);
+}
+
+#[test]
+fn the_last_of_two_rings_wakes_the_patient_that_linger() {
+    explore_patience(2, None, Model::lingering, ring);
 }
 
 #[test]

@@ -198,6 +198,15 @@ fn assert_true(got: Frame<'_>) {
         assert_eq!(view.available(agent), want.available(agent));
         assert_eq!(view.last_actions()[agent], want.last_actions()[agent]);
     }
+    // Networks read the last actions of all agents that are seen, agent 1 among them.
+    let shown = seen.and(&want.present());
+    let last_actions = |view: &FrameView<'_>| {
+        (0..SHAPE.agents)
+            .filter(|&agent| shown.contains(agent))
+            .map(|agent| view.last_actions()[agent])
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(last_actions(&view), last_actions(&want));
     assert_eq!(view.present(), seen.and(&want.present()));
     assert!(view.observable(1).is_empty());
     for entity in 0..SHAPE.entities {
@@ -377,7 +386,7 @@ fn packets_are_what_they_always_were() {
     // A frame of 70 entities is long: its checksum stands for it.
     let frame = frame_packet(1 << 32 | 7);
     let (_, checksum) = frame.split_last_chunk::<4>().unwrap();
-    assert_eq!((frame.len(), digits(checksum).as_str()), (2_650, "fcc5cbe1"));
+    assert_eq!((frame.len(), digits(checksum).as_str()), (2_651, "c42a8e8d"));
 }
 
 #[test]

@@ -41,13 +41,15 @@ pub(super) fn write(
     put_set(packet, &seen, words)?;
     for agent in each(agents) {
         put_set(packet, &view.observable(agent).and(&seen), words)?;
-        let last_action = view.last_actions().get(agent).copied().unwrap_or(NO_ACTION);
-        packet.put(&last_action.wrapping_add(1))?;
+        put_last_action(packet, &view, agent)?;
         for code in view.available(agent) {
             packet.put(code)?;
         }
     }
     for entity in seen.iter() {
+        if is_mate(entity, agents, &format.layout) {
+            put_last_action(packet, &view, entity)?;
+        }
         packet.put(view.entity_task().get(entity)?)?;
         let first = entity.saturating_mul(view.stride());
         let row = view.rows().get(first..)?.get(..format.layout.shape().features)?;
@@ -98,6 +100,16 @@ fn each(agents: u64) -> impl Iterator<Item = usize> {
     (0..limits::AGENTS).filter(move |agent| agents >> agent & 1 == 1)
 }
 
+/// Whether an entity is an agent, but none of `agents`.
+fn is_mate(entity: usize, agents: u64, layout: &FrameLayout) -> bool {
+    entity < limits::AGENTS && (layout.every_agent() & !agents) >> entity & 1 == 1
+}
+
+fn put_last_action(packet: &mut Packer<'_>, view: &FrameView<'_>, agent: usize) -> Option<()> {
+    let last_action = view.last_actions().get(agent).copied().unwrap_or(NO_ACTION);
+    packet.put(&last_action.wrapping_add(1))
+}
+
 fn put_set(packet: &mut Packer<'_>, set: &EntityMask, words: usize) -> Option<()> {
     set.words().iter().take(words).try_for_each(|word| packet.put(word))
 }
@@ -135,17 +147,15 @@ pub(super) fn read(
     for agent in each(head.agents) {
         let observable = take_set(&mut packet, layout)?;
         frame.set_observable(agent, &observable);
-        let last_action = packet.take::<u16>()?.wrapping_sub(1);
-        let is_action = usize::from(last_action) < layout.shape().actions;
-        frame.set_last_action(
-            agent,
-            Some(last_action).filter(|_| is_action || last_action == NO_ACTION)?,
-        );
+        frame.set_last_action(agent, take_last_action(&mut packet, layout)?);
         for code in frame.available_mut(agent) {
             *code = packet.take()?;
         }
     }
     for entity in seen.iter() {
+        if is_mate(entity, head.agents, layout) {
+            frame.set_last_action(entity, take_last_action(&mut packet, layout)?);
+        }
         let tasks = packet.take::<u32>().filter(|tasks| tasks & !layout.every_task() == 0)?;
         frame.set_entity_task(entity, tasks);
         for columns in frame.row_mut(entity).chunks_mut(WORD) {
@@ -182,6 +192,12 @@ fn take_set(packet: &mut Unpacker<'_>, layout: &FrameLayout) -> Option<EntityMas
     }
     let set = EntityMask::from_words(&words);
     Some(set).filter(|set| set.and(&layout.every_entity()) == *set)
+}
+
+fn take_last_action(packet: &mut Unpacker<'_>, layout: &FrameLayout) -> Option<u16> {
+    let last_action = packet.take::<u16>()?.wrapping_sub(1);
+    let is_action = usize::from(last_action) < layout.shape().actions;
+    Some(last_action).filter(|_| is_action || last_action == NO_ACTION)
 }
 
 fn take_columns(packet: &mut Unpacker<'_>, columns: &mut [f32]) -> Option<()> {
