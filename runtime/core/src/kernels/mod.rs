@@ -58,6 +58,9 @@ pub trait Kernels: Copy + Int8Kernels {
     /// Matrix times several vectors ([`several::products`]).
     fn products(self, weights: &[f32], pairs: &mut [Pair<'_>], around: Around<'_>);
 
+    /// Matrix times several vectors of which much is zero ([`several::sparse_products`]).
+    fn sparse_products(self, weights: &[f32], pairs: &mut [Pair<'_>], around: Around<'_>);
+
     /// Dot products of one vector with rows ([`dot::dots`]).
     fn dots(self, vector: &[f32], rows: Rows<'_>, products: &mut [f32]);
 
@@ -130,6 +133,10 @@ impl<A: Arithmetic> Kernels for Portable<A> {
 
     fn products(self, weights: &[f32], pairs: &mut [Pair<'_>], around: Around<'_>) {
         several::products::<A, Self>(self, weights, pairs, around);
+    }
+
+    fn sparse_products(self, weights: &[f32], pairs: &mut [Pair<'_>], around: Around<'_>) {
+        several::sparse_products::<A>(weights, pairs, around, 0);
     }
 
     fn dots(self, vector: &[f32], rows: Rows<'_>, products: &mut [f32]) {

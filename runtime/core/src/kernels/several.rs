@@ -1,6 +1,7 @@
 //! One matrix times several vectors: weights are read once for all of them.
 
 use super::arithmetic::Arithmetic;
+use super::mark::{MARKED, mark};
 use super::product::{Around, add_row, finished, tile_width};
 
 /// A vector of inputs, and the place of its outputs, whose length is a multiple of eight.
@@ -81,6 +82,58 @@ pub fn products<A: Arithmetic, R: AddRows>(
         }
         column += width;
     }
+}
+
+/// As [`products`] for inputs of which about half or more are zero, which are left out: one vector after the other,
+/// since each has its zeros elsewhere. Columns in front of `column` are done, and their weights taken off.
+#[inline(always)]
+pub fn sparse_products<A: Arithmetic>(
+    weights: &[f32],
+    pairs: &mut [Pair<'_>],
+    around: Around<'_>,
+    column: usize,
+) {
+    let Some(Pair { inputs, outputs }) = pairs.first() else { return };
+    let (rows, columns) = (inputs.len(), outputs.len());
+    let (mut weights, mut column) = (weights, column);
+    while column < columns {
+        let width = tile_width(columns - column);
+        let Some(tile) = weights.split_off(..rows.saturating_mul(width)) else { return };
+        for pair in pairs.iter_mut() {
+            match width {
+                64 => add_marked::<A, 64>(tile, column, pair, around),
+                32 => add_marked::<A, 32>(tile, column, pair, around),
+                16 => add_marked::<A, 16>(tile, column, pair, around),
+                _ => add_marked::<A, 8>(tile, column, pair, around),
+            }
+        }
+        column += width;
+    }
+}
+
+/// Works on one tile for one vector: the rows of inputs that are not zero.
+#[inline(always)]
+fn add_marked<A: Arithmetic, const WIDTH: usize>(
+    tile: &[f32],
+    column: usize,
+    pair: &mut Pair<'_>,
+    around: Around<'_>,
+) {
+    let mut sums: [f32; WIDTH] = start(around, column);
+    let (rows, _) = tile.as_chunks::<WIDTH>();
+    for (inputs, rows) in pair.inputs.chunks(MARKED).zip(rows.chunks(MARKED)) {
+        let mut marks = [[0; 2]];
+        mark(inputs, &mut marks);
+        let [[low, high]] = marks;
+        let mut marks = u64::from(low) | u64::from(high) << 32;
+        while marks != 0 {
+            let index = marks.trailing_zeros() as usize;
+            marks &= marks - 1;
+            let (Some(input), Some(row)) = (inputs.get(index), rows.get(index)) else { break };
+            add_row::<A, WIDTH>(&mut sums, *input, row);
+        }
+    }
+    write(pair, column, finished(sums, around.relu));
 }
 
 /// Where the sums of some columns start.

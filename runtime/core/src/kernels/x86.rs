@@ -147,6 +147,11 @@ macro_rules! build {
             }
 
             #[inline]
+            fn sparse_products(self, weights: &[f32], pairs: &mut [Pair<'_>], around: Around<'_>) {
+                unsafe { $module::sparse_products::<A>(weights, pairs, around) }
+            }
+
+            #[inline]
             fn dots(self, vector: &[f32], rows: Rows<'_>, products: &mut [f32]) {
                 unsafe { $module::dots::<A>(vector, rows, products) }
             }
@@ -234,6 +239,15 @@ macro_rules! build {
                 around: Around<'_>,
             ) {
                 several::products::<A, $name<A>>(kernels, weights, pairs, around);
+            }
+
+            #[target_feature(enable = $features)]
+            pub(super) fn sparse_products<A: Arithmetic>(
+                weights: &[f32],
+                pairs: &mut [Pair<'_>],
+                around: Around<'_>,
+            ) {
+                $vectors::sparse_products::<A>(weights, pairs, around);
             }
 
             #[target_feature(enable = $features)]

@@ -123,7 +123,7 @@ fn project(
 ) -> Result<(), AllocateError> {
     let attention = &scene.network.critic.attention;
     let CriticMemory { rows, queries, keys, values, entity_of, .. } = memory;
-    let layer = |layer| Product::new(layer, scene.weights, false);
+    let layer = |layer| Ok(Product::new(layer, scene.weights, false)?.behind_relu());
     let is_agent = |row: &usize| usize::from(entity_of.get(0, *row)) < scene.state.agents;
     let agents = (0..count).filter(is_agent);
     layer(&attention.query)?.rows(kernels, rows, queries.cells, queries.width, agents);

@@ -17,7 +17,7 @@ use crate::policy::DecideError;
 pub(super) type RowMarks = [Marks; limits::FEATURES / MARKED];
 
 /// Rows that are multiplied with a matrix in one go.
-const TOGETHER: usize = 64;
+const TOGETHER: usize = 256;
 
 /// The state, and the networks with their weights.
 #[derive(Clone, Copy)]
@@ -122,6 +122,7 @@ pub(super) struct Product<'w> {
     around: Around<'w>,
     inputs: usize,
     outputs: usize,
+    sparse: bool,
 }
 
 impl<'w> Product<'w> {
@@ -132,12 +133,17 @@ impl<'w> Product<'w> {
     ) -> Result<Self, AllocateError> {
         let (inputs, outputs) = (usize::from(layer.inputs), layer.padded_outputs());
         let matrix = layer.matrix(weights).map_err(refused)?;
-        Ok(Self { matrix, around: layer.around(weights, relu).map_err(refused)?, inputs, outputs })
+        Ok(Self { matrix, around: layer.around(weights, relu).map_err(refused)?, inputs, outputs, sparse: false })
     }
 
     /// The same product, starting from another vector than the layer's bias.
     pub(super) fn from(self, start: &'w [f32]) -> Self {
         Self { around: Around { bias: Some(start), ..self.around }, ..self }
+    }
+
+    /// The same product of rows that come out of a ReLU: their zeros are left out.
+    pub(super) fn behind_relu(self) -> Self {
+        Self { sparse: true, ..self }
     }
 
     /// Multiplies the first `count` rows that are wanted, and writes each to the row of the same number.
@@ -166,7 +172,11 @@ impl<'w> Product<'w> {
             if pairs.is_empty() {
                 return;
             }
-            kernels.products(self.matrix, &mut pairs, self.around);
+            if self.sparse {
+                kernels.sparse_products(self.matrix, &mut pairs, self.around);
+            } else {
+                kernels.products(self.matrix, &mut pairs, self.around);
+            }
         }
     }
 }

@@ -172,7 +172,7 @@ fn update(
     let split = all.cells.split_at_mut_checked(before);
     let (known, fresh) = split.ok_or(AllocateError::TooLarge)?;
     let product = Product::new(&scene.network.step.from_task, scene.weights, false)?;
-    product.from(from_agent).rows(kernels, parents, fresh, width, 0..new);
+    product.behind_relu().from(from_agent).rows(kernels, parents, fresh, width, 0..new);
     for (fresh, parent) in
         fresh.chunks_exact_mut(width.max(1)).zip(parent_of.cells.iter()).take(new)
     {

@@ -30,7 +30,7 @@ pub(super) fn embed(
     }
     let update = Product::new(&scene.network.step.from_agent, scene.weights, false)?;
     let (to, width) = (&mut trunk.from_agents.cells, trunk.from_agents.width);
-    update.rows(kernels, &trunk.active, to, width, scene.present_agents());
+    update.behind_relu().rows(kernels, &trunk.active, to, width, scene.present_agents());
     Ok(())
 }
 
@@ -87,7 +87,7 @@ fn attend_within_tasks(
     let attention = &scene.network.trunk.attention;
     let placed = placed(scene);
     let project = |layer, to: &mut super::memory::Grid<'_, f32>| {
-        let product = Product::new(layer, scene.weights, false)?;
+        let product = Product::new(layer, scene.weights, false)?.behind_relu();
         product.rows(kernels, &trunk.active, to.cells, to.width, placed.iter());
         Ok(())
     };
