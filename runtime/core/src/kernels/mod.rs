@@ -35,7 +35,10 @@ use several::{AddRows, PART, Pair, Strip};
 /// Heads that are attended to together where a build can.
 pub const HEADS: usize = 4;
 
-/// A vector of one head: two tiles, or one and what is not used.
+/// What the width of rows is a multiple of that are attended to together.
+pub const ATTENDED_WIDTH: usize = 32;
+
+/// A vector of one head: two tiles, or what is not used behind fewer columns.
 pub type Head = [f32; 2 * product::TILE];
 
 /// The kernels of one build and one profile.
@@ -73,16 +76,10 @@ pub trait Kernels: Copy + Int8Kernels {
     /// Most rows that [`Self::attend`] takes; none where heads are attended to one by one.
     const ATTENDED: usize = 0;
 
-    /// What `dots`, `softmax` and `mix` do, for several heads: each head's vector is multiplied with rows that are
-    /// one or two tiles wide, and becomes their weighted sum. Returns false where a score is not finite. Weights
-    /// that are needed `soon` may come near meanwhile.
-    fn attend(
-        self,
-        _heads: &mut [Head; HEADS],
-        _rows: &[f32],
-        _width: usize,
-        _soon: &[f32],
-    ) -> bool {
+    /// What `dots`, `softmax` and `mix` do, for several heads: each head's vector is multiplied with keys, and becomes
+    /// the weighted sum of as many values. Both are as wide, a multiple of [`ATTENDED_WIDTH`] up to two tiles. Returns
+    /// false where a score is not finite. Weights that are needed `soon` may come near meanwhile.
+    fn attend(self, _heads: &mut [Head; HEADS], _near: [Rows<'_>; 2], _soon: &[f32]) -> bool {
         false
     }
 }

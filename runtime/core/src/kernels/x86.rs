@@ -170,14 +170,8 @@ macro_rules! build {
             const ATTENDED: usize = $heads::ATTENDED;
 
             #[inline]
-            fn attend(
-                self,
-                heads: &mut [Head; HEADS],
-                rows: &[f32],
-                width: usize,
-                soon: &[f32],
-            ) -> bool {
-                unsafe { $heads::attend::<A>(heads, rows, width, soon) }
+            fn attend(self, heads: &mut [Head; HEADS], near: [Rows<'_>; 2], soon: &[f32]) -> bool {
+                unsafe { $heads::attend::<A>(heads, near, soon) }
             }
             )?
         }

@@ -3,8 +3,8 @@
 //! An entity's row depends only on the entity, its subtask, and how many agents work there: rows that several
 //! allocations have in common are computed once, and so is an allocation that was proposed more than once.
 
-use super::memory::{CriticMemory, NONE, Near, StepMemory};
-use super::scene::{Product, Scene, add, add_times, copy, refused, tasks_in, vector};
+use super::memory::{CriticMemory, Grid, NONE, StepMemory};
+use super::scene::{Near, Product, Scene, add, add_times, copy, refused, tasks_in, vector};
 use crate::allocator::AllocateError;
 use crate::kernels::Kernels;
 use crate::limits;
@@ -17,12 +17,12 @@ pub(super) fn score(
     scene: &Scene<'_>,
     step: &StepMemory<'_>,
     memory: &mut CriticMemory<'_>,
-    near: &mut Near<'_>,
+    scores: &mut Grid<'_, f32>,
 ) -> Result<(), AllocateError> {
     let allocations = find_distinct(scene, step, memory);
     let rows = embed_rows(scene, step, memory, allocations)?;
     project(kernels, scene, memory, rows)?;
-    attend(kernels, scene, memory, near, allocations)?;
+    attend(kernels, scene, memory, scores, allocations)?;
     value(kernels, scene, memory, allocations)
 }
 
@@ -138,22 +138,18 @@ fn attend(
     kernels: impl Kernels,
     scene: &Scene<'_>,
     memory: &mut CriticMemory<'_>,
-    near: &mut Near<'_>,
+    scores: &mut Grid<'_, f32>,
     allocations: usize,
 ) -> Result<(), AllocateError> {
     let attention = &scene.network.critic.attention;
     let CriticMemory { queries, keys, values, mixed, rows_of, .. } = memory;
     let (count, agents) = (scene.present.len(), scene.present_agents().count());
-    for allocation in 0..allocations {
-        for (slot, row) in rows_of.row(allocation).iter().enumerate().take(count) {
-            let row = usize::from(*row);
-            near.gather(attention, [slot, count], [keys.row(row), values.row(row)]);
-        }
-        for (agent, row) in rows_of.row(allocation).iter().enumerate().take(agents) {
-            let query = queries.row(usize::from(*row));
-            let to = mixed.row_mut(allocation * agents + agent);
-            near.attend(kernels, attention, count, query, to)?;
-        }
+    let mixed = mixed.cells.chunks_exact_mut((agents * mixed.width).max(1));
+    for (allocation, mixed) in (0..allocations).zip(mixed) {
+        let slots = rows_of.row(allocation).get(..count).ok_or(AllocateError::TooLarge)?;
+        let askers = slots.get(..agents).ok_or(AllocateError::TooLarge)?;
+        let near = Near { attention, keys, values, slots };
+        near.attend(kernels, queries, askers, mixed, scores)?;
     }
     Ok(())
 }

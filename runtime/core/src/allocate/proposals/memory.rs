@@ -97,7 +97,8 @@ pub(super) struct Memory<'a> {
     pub(super) trunk: TrunkMemory<'a>,
     pub(super) step: StepMemory<'a>,
     pub(super) critic: CriticMemory<'a>,
-    pub(super) near: Near<'a>,
+    /// Scores of one query.
+    pub(super) scores: Grid<'a, f32>,
 }
 
 /// What the trunk computes. Rows belong to entities.
@@ -163,24 +164,16 @@ pub(super) struct CriticMemory<'a> {
     pub(super) same_as: Grid<'a, u16>,
 }
 
-/// Keys and values of the rows that a query attends to, head by head.
-pub(super) struct Near<'a> {
-    pub(super) keys: Grid<'a, f32>,
-    pub(super) values: Grid<'a, f32>,
-    pub(super) scores: Grid<'a, f32>,
-}
-
 type Size = (usize, usize);
 
 /// Rows and columns of all parts that hold floats, in the order in which [`Memory::new`] takes them.
-fn float_parts(network: &ProposalNetwork, extent: &Extent) -> [Size; 21] {
+fn float_parts(network: &ProposalNetwork, extent: &Extent) -> [Size; 19] {
     let ProposalNetwork { trunk, critic, .. } = network;
     let (width, inner) = (trunk.embed.padded_outputs(), trunk.attention.inner());
     let (critic_width, critic_inner) = (critic.embed.padded_outputs(), critic.attention.inner());
     let Extent { entities, agents, proposals, .. } = *extent;
     let nodes = extent.nodes(trunk.task_count());
     let rows = proposals * entities;
-    let near = entities * inner.max(critic_inner);
     [
         (entities, width),
         (entities, width),
@@ -201,8 +194,6 @@ fn float_parts(network: &ProposalNetwork, extent: &Extent) -> [Size; 21] {
         (rows, critic_inner),
         (proposals * agents, critic_inner),
         (2, critic_width.max(critic.head.padded_outputs())),
-        (1, near),
-        (1, near),
         (2, slots(entities).max(proposals)),
     ]
 }
@@ -273,8 +264,6 @@ impl<'a> Memory<'a> {
             row_values,
             row_mixed,
             mean,
-            near_keys,
-            near_values,
             scores,
         ] = cut::<_, _, LINE>(floats, parts)?;
         let [
@@ -328,7 +317,7 @@ impl<'a> Memory<'a> {
                 distinct,
                 same_as,
             },
-            near: Near { keys: near_keys, values: near_values, scores },
+            scores,
         })
     }
 }

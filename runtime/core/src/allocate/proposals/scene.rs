@@ -1,14 +1,14 @@
 //! What the three networks look at.
 
-use super::memory::{Extent, Grid, Near};
+use super::memory::{Extent, Grid};
 use crate::allocator::{AllocateError, AllocationState};
 use crate::entity_mask::EntityMask;
-use crate::kernels::Kernels;
 use crate::kernels::mark::{MARKED, Marks};
-use crate::kernels::product::{Around, Sparse};
+use crate::kernels::product::{Around, Sparse, TILE};
 use crate::kernels::rows::Rows;
 use crate::kernels::several::Pair;
 use crate::kernels::softmax::slots;
+use crate::kernels::{ATTENDED_WIDTH, HEADS, Head, Kernels};
 use crate::limits;
 use crate::ops::{Linear, ProposalNetwork, RowAttention};
 use crate::policy::DecideError;
@@ -133,7 +133,13 @@ impl<'w> Product<'w> {
     ) -> Result<Self, AllocateError> {
         let (inputs, outputs) = (usize::from(layer.inputs), layer.padded_outputs());
         let matrix = layer.matrix(weights).map_err(refused)?;
-        Ok(Self { matrix, around: layer.around(weights, relu).map_err(refused)?, inputs, outputs, sparse: false })
+        Ok(Self {
+            matrix,
+            around: layer.around(weights, relu).map_err(refused)?,
+            inputs,
+            outputs,
+            sparse: false,
+        })
     }
 
     /// The same product, starting from another vector than the layer's bias.
@@ -181,52 +187,99 @@ impl<'w> Product<'w> {
     }
 }
 
+/// The rows that are attended to.
+#[derive(Clone, Copy)]
+pub(super) struct Near<'n> {
+    pub(super) attention: &'n RowAttention,
+    /// Keys and values of all rows.
+    pub(super) keys: &'n Grid<'n, f32>,
+    pub(super) values: &'n Grid<'n, f32>,
+    /// Which of them are near.
+    pub(super) slots: &'n [u16],
+}
+
 impl Near<'_> {
-    /// Puts keys and values of a row into place `slot` of `count`, head by head.
+    /// Attends with the queries of some rows, and writes what each attended to behind the one before.
     #[inline(always)]
-    pub(super) fn gather(
-        &mut self,
-        attention: &RowAttention,
-        [slot, count]: [usize; 2],
-        [keys, values]: [&[f32]; 2],
-    ) {
-        let head = attention.head_width();
-        let of_head = head.saturating_mul(count).max(1);
-        for (all, row) in [(&mut self.keys, keys), (&mut self.values, values)] {
-            let places = all.cells.chunks_exact_mut(of_head).zip(row.chunks_exact(head.max(1)));
-            for (places, part) in places {
-                let start = slot.saturating_mul(head);
-                if let Some(to) = places.get_mut(start..start.saturating_add(head)) {
-                    copy(part, to);
-                }
+    pub(super) fn attend<K: Kernels>(
+        &self,
+        kernels: K,
+        queries: &Grid<'_, f32>,
+        askers: &[u16],
+        mixed: &mut [f32],
+        scores: &mut Grid<'_, f32>,
+    ) -> Result<(), AllocateError> {
+        let (head, width) = (self.attention.head_width(), queries.width);
+        let fits = head.is_multiple_of(ATTENDED_WIDTH) && head <= 2 * TILE;
+        if fits && self.slots.len() <= K::ATTENDED {
+            let mut vectors: [Head; HEADS] = [[0.0; _]; HEADS];
+            for (askers, mixed) in askers.chunks(HEADS).zip(mixed.chunks_mut(HEADS * width)) {
+                self.attend_together(kernels, queries, askers, mixed, &mut vectors)?;
             }
+            return Ok(());
         }
+        for (asker, mixed) in askers.iter().zip(mixed.chunks_exact_mut(width)) {
+            self.attend_alone(kernels, queries.row(usize::from(*asker)), mixed, scores)?;
+        }
+        Ok(())
     }
 
-    /// Attends with one row's query to the first `count` rows that were gathered.
+    /// Attends with as many rows at once as the kernels take, head by head.
     #[inline(always)]
-    pub(super) fn attend(
-        &mut self,
+    fn attend_together(
+        &self,
         kernels: impl Kernels,
-        attention: &RowAttention,
-        count: usize,
+        queries: &Grid<'_, f32>,
+        askers: &[u16],
+        mixed: &mut [f32],
+        vectors: &mut [Head; HEADS],
+    ) -> Result<(), AllocateError> {
+        let width = self.attention.head_width();
+        for first in (0..queries.width).step_by(width) {
+            let columns = first..first + width;
+            for (vector, asker) in vectors.iter_mut().zip(askers) {
+                copy(queries.row(usize::from(*asker)).get(columns.clone()).unwrap_or(&[]), vector);
+            }
+            if !kernels.attend(vectors, self.rows(first, width), &[]) {
+                return Err(AllocateError::NonFinite);
+            }
+            for (vector, mixed) in vectors.iter().zip(mixed.chunks_exact_mut(queries.width)) {
+                copy(vector, mixed.get_mut(columns.clone()).unwrap_or(&mut []));
+            }
+        }
+        Ok(())
+    }
+
+    /// Attends with one row's query.
+    #[inline(always)]
+    fn attend_alone(
+        &self,
+        kernels: impl Kernels,
         query: &[f32],
         mixed: &mut [f32],
+        scores: &mut Grid<'_, f32>,
     ) -> Result<(), AllocateError> {
-        let head = attention.head_width();
-        let of_head = head.saturating_mul(count).max(1);
-        let scores = self.scores.cells.get_mut(..slots(count)).ok_or(AllocateError::BadLength)?;
-        let near =
-            self.keys.cells.chunks_exact(of_head).zip(self.values.cells.chunks_exact(of_head));
-        let heads = query.chunks_exact(head.max(1)).zip(mixed.chunks_exact_mut(head.max(1)));
-        for ((query, mixed), (keys, values)) in heads.zip(near) {
-            kernels.dots(query, Rows::first(keys, head, count), scores);
+        let (width, count) = (self.attention.head_width(), self.slots.len());
+        let scores = scores.cells.get_mut(..slots(count)).ok_or(AllocateError::BadLength)?;
+        let heads = query.chunks_exact(width).zip(mixed.chunks_exact_mut(width));
+        for ((query, mixed), first) in heads.zip((0..).step_by(width)) {
+            let [keys, values] = self.rows(first, width);
+            kernels.dots(query, keys, scores);
             if !kernels.softmax(scores, count) {
                 return Err(AllocateError::NonFinite);
             }
-            kernels.mix(scores, Rows::first(values, head, count), mixed);
+            kernels.mix(scores, values, mixed);
         }
         Ok(())
+    }
+
+    /// The columns of one head.
+    #[inline(always)]
+    fn rows(&self, first: usize, width: usize) -> [Rows<'_>; 2] {
+        [self.keys, self.values].map(|grid| {
+            let floats = grid.cells.get(first..).unwrap_or(&[]);
+            Rows { floats, width, stride: grid.width, slots: self.slots }
+        })
     }
 }
 

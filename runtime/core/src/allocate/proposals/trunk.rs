@@ -1,7 +1,7 @@
 //! What is computed once for all proposals: embeddings of agents and subtasks (dissertation section 7.4).
 
-use super::memory::{CriticMemory, Near, StepMemory, TrunkMemory};
-use super::scene::{Product, RowMarks, Scene, add, copy, refused, tasks_in, vector};
+use super::memory::{CriticMemory, Grid, StepMemory, TrunkMemory};
+use super::scene::{Near, Product, RowMarks, Scene, add, copy, refused, tasks_in, vector};
 use crate::allocator::AllocateError;
 use crate::entity_mask::EntityMask;
 use crate::kernels::Kernels;
@@ -17,10 +17,10 @@ pub(super) fn embed(
     trunk: &mut TrunkMemory<'_>,
     step: &mut StepMemory<'_>,
     critic: &mut CriticMemory<'_>,
-    near: &mut Near<'_>,
+    scores: &mut Grid<'_, f32>,
 ) -> Result<(), AllocateError> {
     embed_entities(kernels, scene, trunk, critic)?;
-    attend_within_tasks(kernels, scene, trunk, near)?;
+    attend_within_tasks(kernels, scene, trunk, scores)?;
     let nodes = scene.tasks().saturating_mul(step.nodes.width);
     step.nodes.cells.get_mut(..nodes).ok_or(AllocateError::TooLarge)?.fill(0.0);
     for entity in placed(scene).iter() {
@@ -82,11 +82,11 @@ fn attend_within_tasks(
     kernels: impl Kernels,
     scene: &Scene<'_>,
     trunk: &mut TrunkMemory<'_>,
-    near: &mut Near<'_>,
+    scores: &mut Grid<'_, f32>,
 ) -> Result<(), AllocateError> {
     let attention = &scene.network.trunk.attention;
     let placed = placed(scene);
-    let project = |layer, to: &mut super::memory::Grid<'_, f32>| {
+    let project = |layer, to: &mut Grid<'_, f32>| {
         let product = Product::new(layer, scene.weights, false)?.behind_relu();
         product.rows(kernels, &trunk.active, to.cells, to.width, placed.iter());
         Ok(())
@@ -108,12 +108,10 @@ fn attend_within_tasks(
             copy(trunk.values.row(entity), mixed);
             continue;
         }
-        let count = peers_of(entity).count();
-        for (slot, peer) in peers_of(entity).enumerate() {
-            let rows = [trunk.keys.row(peer), trunk.values.row(peer)];
-            near.gather(attention, [slot, count], rows);
-        }
-        near.attend(kernels, attention, count, trunk.queries.row(entity), mixed)?;
+        let peers = peers_of(entity).map(|peer| peer as u16);
+        let slots: &heapless::Vec<u16, { limits::ENTITIES }> = &peers.collect();
+        let near = Near { attention, keys: &trunk.keys, values: &trunk.values, slots };
+        near.attend(kernels, &trunk.queries, &[entity as u16], mixed, scores)?;
     }
     let output = Product::new(&attention.output, scene.weights, false)?;
     let (to, width) = (&mut trunk.attended.cells, trunk.attended.width);

@@ -13,11 +13,14 @@ use super::wider::{NOT_FINITE, join, lanes_of, load, multiply_add};
 use crate::kernels::arithmetic::Arithmetic;
 use crate::kernels::dot::{LANES, ROWS};
 use crate::kernels::product::TILE;
-use crate::kernels::{HEADS, Head};
+use crate::kernels::rows::Rows;
+use crate::kernels::{ATTENDED_WIDTH, HEADS, Head};
 use crate::math::exp;
 
 /// Vectors of a tile.
 const VECTORS: usize = TILE / LANES;
+/// Vectors of the columns that may stand behind the last whole tile, if rows are narrower than two.
+const NARROW: usize = ATTENDED_WIDTH / LANES;
 
 /// Rows that are attended to: their scores fit into one vector.
 pub(super) const ATTENDED: usize = LANES;
@@ -28,35 +31,31 @@ pub(super) const ATTENDED: usize = LANES;
 #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
 pub(super) fn attend<A: Arithmetic>(
     heads: &mut [Head; HEADS],
-    rows: &[f32],
-    width: usize,
+    [keys, values]: [Rows<'_>; 2],
     soon: &[f32],
 ) -> bool {
     let mut soon = Soon(soon);
-    let width = width.max(TILE);
     let mut scores = [_mm512_setzero_ps(); HEADS];
-    for (rows, places) in rows.chunks(ROWS * width).zip([0xf, 0xf0, 0xf00, 0xf000]) {
-        let mut rows = rows.chunks_exact(width);
+    for (slots, places) in keys.slots.chunks(ROWS).zip([0xf, 0xf0, 0xf00, 0xf000]) {
         // Where rows end, the first one stands for those that are missing.
-        let Some(row) = rows.next() else { break };
-        let rows = [
-            row,
-            rows.next().unwrap_or(row),
-            rows.next().unwrap_or(row),
-            rows.next().unwrap_or(row),
-        ];
-        let sums = dots::<A>(heads, rows, &mut soon);
+        let row =
+            |index: usize| slots.get(index).or(slots.first()).map_or(&[][..], |s| keys.row(*s));
+        let sums = dots::<A>(heads, [row(0), row(1), row(2), row(3)], &mut soon);
         for (scores, sums) in scores.iter_mut().zip(sums) {
             *scores = _mm512_mask_broadcast_f32x4(*scores, places, transmute!(join(sums)));
         }
     }
-    let count = (rows.len() / width).min(ATTENDED);
+    let count = keys.slots.len().min(ATTENDED);
     let finite =
         softmax(&mut scores, (u32::from(u16::MAX) >> (ATTENDED - count)) as u16, &mut soon);
     let [a, b, c, d] = scores;
     let weights = [transmute!(a), transmute!(b), transmute!(c), transmute!(d)];
-    for tile in 0..width / TILE {
-        mix::<A>(heads, &weights, rows.chunks_exact(width), tile, &mut soon);
+    let tiled = values.width - values.width % TILE;
+    for first in (0..tiled).step_by(TILE) {
+        mix::<A, TILE, VECTORS>(heads, &weights, values, first, &mut soon);
+    }
+    if values.width > tiled {
+        mix::<A, ATTENDED_WIDTH, NARROW>(heads, &weights, values, tiled, &mut soon);
     }
     finite
 }
@@ -112,33 +111,38 @@ fn softmax(scores: &mut [__m512; HEADS], exist: u16, soon: &mut Soon<'_>) -> boo
     not_finite == 0
 }
 
-/// Writes the weighted sums of a tile's columns over those of the heads.
+/// Writes the weighted sums of some columns, the first of which is `first`, over those of the heads.
 #[inline]
 #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
-fn mix<'r, A: Arithmetic>(
+fn mix<A: Arithmetic, const COLUMNS: usize, const VECTORS: usize>(
     heads: &mut [Head; HEADS],
     weights: &[[f32; LANES]; HEADS],
-    rows: impl Iterator<Item = &'r [f32]>,
-    tile: usize,
+    rows: Rows<'_>,
+    first: usize,
     soon: &mut Soon<'_>,
 ) {
     let mut sums = [[_mm512_setzero_ps(); VECTORS]; HEADS];
     let [w0, w1, w2, w3] = weights;
-    for (row, (((w0, w1), w2), w3)) in rows.zip(w0.iter().zip(w1).zip(w2).zip(w3)) {
-        let Some(columns) = row.as_chunks::<TILE>().0.get(tile) else { return };
+    for (slot, (((w0, w1), w2), w3)) in rows.slots.iter().zip(w0.iter().zip(w1).zip(w2).zip(w3)) {
+        let columns = rows.row(*slot).get(first..).and_then(|row| row.first_chunk::<COLUMNS>());
+        let Some(columns) = columns else { return };
         soon.fetch::<6>();
-        let columns: [__m512; VECTORS] = transmute!(*columns);
+        let mut vectors = [_mm512_setzero_ps(); VECTORS];
+        for (vector, lanes) in vectors.iter_mut().zip(lanes_of(columns)) {
+            *vector = load(lanes);
+        }
         for (sums, weight) in sums.iter_mut().zip([w0, w1, w2, w3]) {
             let weight = _mm512_set1_ps(*weight);
-            for (sum, columns) in sums.iter_mut().zip(columns) {
+            for (sum, columns) in sums.iter_mut().zip(vectors) {
                 *sum = multiply_add::<A>(*sum, weight, columns);
             }
         }
     }
     for (head, sums) in heads.iter_mut().zip(sums) {
-        let sums: [f32; TILE] = transmute!(sums);
-        if let Some(columns) = head.as_chunks_mut().0.get_mut(tile) {
-            *columns = sums;
+        let columns =
+            head.get_mut(first..).map_or(&mut [][..], |head| head.as_chunks_mut::<LANES>().0);
+        for (columns, sum) in columns.iter_mut().zip(sums) {
+            *columns = transmute!(sum);
         }
     }
 }
