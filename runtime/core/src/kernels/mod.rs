@@ -77,9 +77,9 @@ pub trait Kernels: Copy + Int8Kernels {
     const ATTENDED: usize = 0;
 
     /// What `dots`, `softmax` and `mix` do, for several heads: each head's vector is multiplied with keys, and becomes
-    /// the weighted sum of as many values. Both are as wide, a multiple of [`ATTENDED_WIDTH`] up to two tiles. Returns
-    /// false where a score is not finite. Weights that are needed `soon` may come near meanwhile.
-    fn attend(self, _heads: &mut [Head; HEADS], _near: [Rows<'_>; 2], _soon: &[f32]) -> bool {
+    /// the weighted sum of as many values. All are as wide, a multiple of [`ATTENDED_WIDTH`]. Returns false where a
+    /// score is not finite. Weights that are needed `soon` may come near meanwhile.
+    fn attend(self, _heads: &mut [&mut [f32]; HEADS], _near: [Rows<'_>; 2], _soon: &[f32]) -> bool {
         false
     }
 }

@@ -65,7 +65,10 @@ pub fn products<A: Arithmetic, R: AddRows>(
         let width = tile_width(columns - column);
         let Some(tile) = weights.split_off(..rows.saturating_mul(width)) else { return };
         if width < PART {
-            add_narrow::<A>(tile, column, pairs, around);
+            let (fours, rest) = pairs.as_chunks_mut();
+            fours.iter_mut().for_each(|four| add_narrow::<A, 4>(tile, column, four, around));
+            let (ones, _) = rest.as_chunks_mut();
+            ones.iter_mut().for_each(|one| add_narrow::<A, 1>(tile, column, one, around));
         }
         for pairs in pairs.chunks_mut(group) {
             let parts = adder.parts::<A>(pairs.len()).min(width / PART).max(1);
@@ -143,19 +146,22 @@ fn start<const COLUMNS: usize>(around: Around<'_>, column: usize) -> [f32; COLUM
     bias.copied().unwrap_or([0.0; COLUMNS])
 }
 
-/// Works on a tile of eight columns: the last of a matrix, and small.
+/// Works on a tile of eight columns, the last of a matrix, for some vectors at once: one alone waits for its additions.
 #[inline(always)]
-fn add_narrow<A: Arithmetic>(
+fn add_narrow<A: Arithmetic, const COUNT: usize>(
     tile: &[f32],
     column: usize,
-    pairs: &mut [Pair<'_>],
+    pairs: &mut [Pair<'_>; COUNT],
     around: Around<'_>,
 ) {
-    for pair in pairs {
-        let mut sums: [f32; 8] = start(around, column);
-        for (input, row) in pair.inputs.iter().zip(tile.as_chunks().0) {
-            add_row::<A, 8>(&mut sums, *input, row);
+    let mut sums: [[f32; 8]; COUNT] = [start(around, column); COUNT];
+    let inputs = pairs.each_ref().map(|pair| pair.inputs);
+    for (index, row) in tile.as_chunks().0.iter().enumerate() {
+        for (sums, inputs) in sums.iter_mut().zip(inputs) {
+            add_row::<A, 8>(sums, inputs.get(index).copied().unwrap_or(0.0), row);
         }
+    }
+    for (pair, sums) in pairs.iter_mut().zip(sums) {
         write(pair, column, finished(sums, around.relu));
     }
 }

@@ -186,7 +186,8 @@ impl AttendOwn {
             }
             let soon = self.values as usize + first * self.values_len();
             let soon = weights.get(soon..).ok_or(DecideError::BadLength)?;
-            if !kernels.attend(&mut vectors, [rows, rows], soon) {
+            let mut heads = vectors.each_mut().map(|v| v.get_mut(..rows.width).unwrap_or(&mut []));
+            if !kernels.attend(&mut heads, [rows, rows], soon) {
                 return Err(DecideError::NonFinite);
             }
             for ((head, mixed), output) in (first..).zip(&vectors).zip(&mut outputs) {

@@ -4,11 +4,11 @@
 //! allocations have in common are computed once, and so is an allocation that was proposed more than once.
 
 use super::memory::{CriticMemory, Grid, NONE, StepMemory};
-use super::scene::{Near, Product, Scene, add, add_times, copy, refused, tasks_in, vector};
+use super::scene::{Near, Product, Scene, add, copy, refused, tasks_in, vector};
 use crate::allocator::AllocateError;
 use crate::kernels::Kernels;
 use crate::limits;
-use crate::math::relu;
+use crate::math::relu_all;
 
 /// Writes the value of every proposal.
 #[inline(always)]
@@ -79,14 +79,16 @@ fn embed_rows(
             let width = row.len();
             copy(memory.bases.row(entity), row);
             for task in tasks_in(set) {
-                add(row, vector(tasks, width, task));
                 let others = others.get(task).copied().unwrap_or(0.0);
-                let factors = [f32::from(agents(task)), others, 1.0];
-                for (number, factor) in factors.into_iter().enumerate() {
-                    add_times(row, factor, vector(counts, width, number));
+                let [per_agent, per_other, constant] = [0, 1, 2].map(|n| vector(counts, width, n));
+                let counts = per_agent.iter().zip(per_other).zip(constant);
+                let embedded = row.iter_mut().zip(vector(tasks, width, task)).zip(counts);
+                let agents = f32::from(agents(task));
+                for ((sum, task), ((per_agent, per_other), constant)) in embedded {
+                    *sum = *sum + task + agents * per_agent + others * per_other + constant;
                 }
             }
-            row.iter_mut().for_each(|value| *value = relu(*value));
+            relu_all(row);
             memory.entity_of.set(0, rows, entity as u16);
             memory.rows_of.set(allocation, slot, rows as u16);
             if let Some(key) = key {
@@ -164,28 +166,30 @@ fn value(
 ) -> Result<(), AllocateError> {
     let critic = &scene.network.critic;
     let agents = scene.present_agents().count();
-    let CriticMemory { rows, mixed, mean, value, of_proposal, same_as, .. } = memory;
+    let CriticMemory { rows, mixed, mean, of_proposal, same_as, .. } = memory;
     let output = Product::new(&critic.attention.output, scene.weights, true)?;
     output.rows(kernels, mixed, rows.cells, rows.width, 0..allocations * agents);
-    let head = Product::new(&critic.head, scene.weights, false)?;
+    let slots = scene.state.agents.max(1) as f32;
     for allocation in 0..allocations {
         let sums = mean.row_mut(0);
         sums.fill(0.0);
         for agent in 0..agents {
             add(sums, rows.row(allocation * agents + agent));
         }
-        let slots = scene.state.agents.max(1) as f32;
         sums.iter_mut().for_each(|sum| *sum /= slots);
-        head.rows(kernels, mean, value.cells, value.width, 0..1);
-        let value = value.cells.first().copied().unwrap_or(f32::NAN);
+        // Rows up to this one are in other means already.
+        copy(sums, rows.row_mut(allocation));
+    }
+    let (head, width) = (&critic.head, critic.head.padded_outputs());
+    let head = Product::new(head, scene.weights, false)?;
+    head.rows(kernels, rows, mixed.cells, width, 0..allocations);
+    for (of_proposal, same) in of_proposal.cells.iter_mut().zip(same_as.cells.iter()) {
+        let value = vector(mixed.cells, width, usize::from(*same)).first();
+        let value = value.copied().unwrap_or(f32::NAN);
         if !value.is_finite() {
             return Err(AllocateError::NonFinite);
         }
-        for (of_proposal, same) in of_proposal.cells.iter_mut().zip(same_as.cells.iter()) {
-            if usize::from(*same) == allocation {
-                *of_proposal = value;
-            }
-        }
+        *of_proposal = value;
     }
     Ok(())
 }

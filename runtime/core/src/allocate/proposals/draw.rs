@@ -3,6 +3,12 @@
 use crate::limits;
 use crate::math::ln;
 
+/// Numbers of noise that are computed at once.
+const TOGETHER: usize = 8;
+
+/// The place of each within a group.
+const LANES: [u32; TOGETHER] = [0, 1, 2, 3, 4, 5, 6, 7];
+
 /// Chooses one agent's subtask in one proposal.
 ///
 /// Agents choose in rising order; proposals may be asked in any. The logits `[T]` are finite, and not normalised: their
@@ -24,24 +30,55 @@ impl Draw for GumbelDraw {
     #[inline(always)]
     fn draw(&mut self, proposal: usize, agent: usize, logits: &[f32], open_tasks: u32) -> usize {
         let mut sums = [0.0; limits::TASKS];
-        let first = ((proposal as u32) << 16) | ((agent as u32) << 8);
-        for ((sum, logit), place) in sums.iter_mut().zip(logits).zip(first..) {
-            let noise = if proposal == 0 { 0.0 } else { gumbel(self.seed, place) };
-            *sum = logit + noise;
+        if proposal > 0 {
+            let first = ((proposal as u32) << 16) | ((agent as u32) << 8);
+            // Whole groups, of a size that the compiler knows: all numbers of a group are computed at once.
+            let (groups, _) = sums.as_chunks_mut::<TOGETHER>();
+            let groups = groups.iter_mut().zip((first..).step_by(TOGETHER));
+            for (noise, first) in groups.take(logits.len().div_ceil(TOGETHER)) {
+                for (noise, place) in noise.iter_mut().zip(LANES) {
+                    *noise = gumbel(self.seed, first | place);
+                }
+            }
+        }
+        for (sum, logit) in sums.iter_mut().zip(logits) {
+            *sum += logit;
         }
         largest_open(sums.get(..logits.len()).unwrap_or(&[]), open_tasks)
     }
 }
 
 /// The open subtask of the largest number, the first of several. A number that is none never wins.
+#[inline(always)]
 pub fn largest_open(numbers: &[f32], open_tasks: u32) -> usize {
-    let mut best = (f32::NEG_INFINITY, usize::MAX);
-    for (task, number) in numbers.iter().enumerate().take(limits::TASKS) {
-        if open_tasks >> task & 1 == 1 && *number > best.0 {
-            best = (*number, task);
-        }
+    // No branches: nobody could predict them.
+    let mut open = [f32::NEG_INFINITY; limits::TASKS];
+    for ((place, number), task) in open.iter_mut().zip(numbers).zip(0..) {
+        let counts = (open_tasks >> task & 1 == 1) & (*number > f32::NEG_INFINITY);
+        *place = if counts { *number } else { f32::NEG_INFINITY };
     }
-    best.1
+    let largest = largest(open);
+    let mut winners = 0_u32;
+    for (task, number) in (0..).zip(open) {
+        winners |= u32::from((number == largest) & (number > f32::NEG_INFINITY)) << task;
+    }
+    if winners == 0 { usize::MAX } else { winners.trailing_zeros() as usize }
+}
+
+/// The largest of numbers none of which is NaN.
+#[inline(always)]
+fn largest(mut numbers: [f32; limits::TASKS]) -> f32 {
+    let mut half = limits::TASKS / 2;
+    while half > 0 {
+        if let Some((low, high)) = numbers.split_at_mut_checked(half) {
+            for (low, high) in low.iter_mut().zip(high) {
+                *low = if *high > *low { *high } else { *low };
+            }
+        }
+        half /= 2;
+    }
+    let [largest, ..] = numbers;
+    largest
 }
 
 /// -ln(-ln u) of a uniform number u between 0 and 1 that belongs to a seed and a place.

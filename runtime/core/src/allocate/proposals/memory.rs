@@ -149,7 +149,6 @@ pub(super) struct CriticMemory<'a> {
     /// What the heads of each agent of each distinct allocation attended to.
     pub(super) mixed: Grid<'a, f32>,
     pub(super) mean: Grid<'a, f32>,
-    pub(super) value: Grid<'a, f32>,
     /// The value of every proposal.
     pub(super) of_proposal: Grid<'a, f32>,
     /// The row that stands for a key, see [`Extent::agent_key`].
@@ -193,7 +192,7 @@ fn float_parts(network: &ProposalNetwork, extent: &Extent) -> [Size; 19] {
         (rows, critic_inner),
         (rows, critic_inner),
         (proposals * agents, critic_inner),
-        (2, critic_width.max(critic.head.padded_outputs())),
+        (1, critic_width),
         (2, slots(entities).max(proposals)),
     ]
 }
@@ -278,7 +277,6 @@ impl<'a> Memory<'a> {
             distinct,
             same_as,
         ] = cut::<_, _, TABLE_LINE>(tables, table_parts(network, extent))?;
-        let [mean, value] = halves(mean)?;
         let [scores, of_proposal] = halves(scores)?;
         Some(Self {
             trunk: TrunkMemory {
@@ -309,7 +307,6 @@ impl<'a> Memory<'a> {
                 values: row_values,
                 mixed: row_mixed,
                 mean,
-                value,
                 of_proposal,
                 row_of_key,
                 entity_of,

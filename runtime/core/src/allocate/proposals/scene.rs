@@ -98,14 +98,6 @@ pub(super) fn add(sums: &mut [f32], vector: &[f32]) {
     }
 }
 
-/// Adds a vector times a factor.
-#[inline(always)]
-pub(super) fn add_times(sums: &mut [f32], factor: f32, vector: &[f32]) {
-    for (sum, value) in sums.iter_mut().zip(vector) {
-        *sum += factor * value;
-    }
-}
-
 /// What is wrong, in an allocator's words.
 pub(super) fn refused(error: DecideError) -> AllocateError {
     match error {
@@ -209,62 +201,61 @@ impl Near<'_> {
         mixed: &mut [f32],
         scores: &mut Grid<'_, f32>,
     ) -> Result<(), AllocateError> {
-        let (head, width) = (self.attention.head_width(), queries.width);
+        for (asker, mixed) in askers.iter().zip(mixed.chunks_exact_mut(queries.width)) {
+            copy(queries.row(usize::from(*asker)), mixed);
+        }
+        let head = self.attention.head_width();
         let fits = head.is_multiple_of(ATTENDED_WIDTH) && head <= 2 * TILE;
         if fits && self.slots.len() <= K::ATTENDED {
-            let mut vectors: [Head; HEADS] = [[0.0; _]; HEADS];
-            for (askers, mixed) in askers.chunks(HEADS).zip(mixed.chunks_mut(HEADS * width)) {
-                self.attend_together(kernels, queries, askers, mixed, &mut vectors)?;
-            }
-            return Ok(());
+            return self.attend_together(kernels, queries.width, mixed);
         }
-        for (asker, mixed) in askers.iter().zip(mixed.chunks_exact_mut(width)) {
-            self.attend_alone(kernels, queries.row(usize::from(*asker)), mixed, scores)?;
+        for mixed in mixed.chunks_exact_mut(queries.width).take(askers.len()) {
+            self.attend_alone(kernels, mixed, scores)?;
         }
         Ok(())
     }
 
-    /// Attends with as many rows at once as the kernels take, head by head.
+    /// Makes of queries what they attend to, of as many rows at once as the kernels take.
     #[inline(always)]
     fn attend_together(
         &self,
         kernels: impl Kernels,
-        queries: &Grid<'_, f32>,
-        askers: &[u16],
+        row: usize,
         mixed: &mut [f32],
-        vectors: &mut [Head; HEADS],
     ) -> Result<(), AllocateError> {
         let width = self.attention.head_width();
-        for first in (0..queries.width).step_by(width) {
-            let columns = first..first + width;
-            for (vector, asker) in vectors.iter_mut().zip(askers) {
-                copy(queries.row(usize::from(*asker)).get(columns.clone()).unwrap_or(&[]), vector);
-            }
-            if !kernels.attend(vectors, self.rows(first, width), &[]) {
-                return Err(AllocateError::NonFinite);
-            }
-            for (vector, mixed) in vectors.iter().zip(mixed.chunks_exact_mut(queries.width)) {
-                copy(vector, mixed.get_mut(columns.clone()).unwrap_or(&mut []));
+        // Stands for the rows that are missing behind the last.
+        let mut spare: [Head; HEADS] = [[0.0; _]; HEADS];
+        for mixed in mixed.chunks_mut(HEADS * row) {
+            for first in (0..row).step_by(width) {
+                let mut rows = mixed.chunks_exact_mut(row);
+                let mut heads = spare.each_mut().map(|spare| {
+                    let row = rows.next().map_or(spare.as_mut_slice(), |row| {
+                        row.get_mut(first..).unwrap_or_default()
+                    });
+                    row.get_mut(..width).unwrap_or_default()
+                });
+                if !kernels.attend(&mut heads, self.rows(first, width), &[]) {
+                    return Err(AllocateError::NonFinite);
+                }
             }
         }
         Ok(())
     }
 
-    /// Attends with one row's query.
+    /// Makes of one row's query what it attends to.
     #[inline(always)]
     fn attend_alone(
         &self,
         kernels: impl Kernels,
-        query: &[f32],
         mixed: &mut [f32],
         scores: &mut Grid<'_, f32>,
     ) -> Result<(), AllocateError> {
         let (width, count) = (self.attention.head_width(), self.slots.len());
         let scores = scores.cells.get_mut(..slots(count)).ok_or(AllocateError::BadLength)?;
-        let heads = query.chunks_exact(width).zip(mixed.chunks_exact_mut(width));
-        for ((query, mixed), first) in heads.zip((0..).step_by(width)) {
+        for (mixed, first) in mixed.chunks_exact_mut(width).zip((0..).step_by(width)) {
             let [keys, values] = self.rows(first, width);
-            kernels.dots(query, keys, scores);
+            kernels.dots(mixed, keys, scores);
             if !kernels.softmax(scores, count) {
                 return Err(AllocateError::NonFinite);
             }

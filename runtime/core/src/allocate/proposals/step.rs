@@ -41,7 +41,8 @@ pub(super) fn propose(
     for agent in scene.present_agents() {
         let pointer = Pointer::new(kernels, scene, trunk.embedded.row(agent), &others)?;
         pointer.meet(kernels, nodes, memory)?;
-        let new = choose_all(scene, agent, &pointer, memory, draw, nodes)?;
+        choose_all(scene, agent, &pointer, memory, draw)?;
+        let new = follow(agent, scene.extent.proposals, memory, nodes);
         if Some(agent) != last {
             update(kernels, scene, trunk.from_agents.row(agent), memory, [nodes, new])?;
             nodes += new;
@@ -106,7 +107,7 @@ impl<'a> Pointer<'a> {
     }
 }
 
-/// Lets one agent choose in every proposal; returns how many nodes that makes.
+/// Lets one agent choose in every proposal.
 #[inline(always)]
 fn choose_all(
     scene: &Scene<'_>,
@@ -114,11 +115,9 @@ fn choose_all(
     pointer: &Pointer<'_>,
     memory: &mut StepMemory<'_>,
     draw: &mut impl Draw,
-    nodes: usize,
-) -> Result<usize, AllocateError> {
+) -> Result<(), AllocateError> {
     let (tasks, open) = (scene.tasks(), scene.state.open_tasks);
-    let StepMemory { products, node_of, counts, places, children, parent_of, .. } = memory;
-    let mut new = 0;
+    let StepMemory { products, node_of, counts, places, .. } = memory;
     for proposal in 0..scene.extent.proposals {
         let mut logits = [0.0; limits::TASKS];
         let sizes = node_of.row(proposal).iter().zip(counts.row(proposal)).zip(&pointer.always);
@@ -135,6 +134,17 @@ fn choose_all(
             return Err(AllocateError::Infeasible);
         }
         places.set(proposal, agent, task as u16);
+    }
+    Ok(())
+}
+
+/// Counts one agent's choices, and moves on to the nodes that they lead to; returns how many of those are new.
+#[inline(always)]
+fn follow(agent: usize, proposals: usize, memory: &mut StepMemory<'_>, nodes: usize) -> usize {
+    let StepMemory { node_of, counts, places, children, parent_of, .. } = memory;
+    let mut new = 0;
+    for proposal in 0..proposals {
+        let task = usize::from(places.get(proposal, agent));
         counts.set(proposal, task, counts.get(proposal, task).saturating_add(1));
         let parent = node_of.get(proposal, task);
         let mut child = children.get(0, usize::from(parent));
@@ -146,7 +156,7 @@ fn choose_all(
         }
         node_of.set(proposal, task, child);
     }
-    Ok(new)
+    new
 }
 
 /// Computes the nodes that an agent's choices made: `g + W_u [relu(g); relu(h)] + b_u`.

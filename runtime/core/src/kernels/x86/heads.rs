@@ -14,7 +14,7 @@ use crate::kernels::arithmetic::Arithmetic;
 use crate::kernels::dot::{LANES, ROWS};
 use crate::kernels::product::TILE;
 use crate::kernels::rows::Rows;
-use crate::kernels::{ATTENDED_WIDTH, HEADS, Head};
+use crate::kernels::{ATTENDED_WIDTH, HEADS};
 use crate::math::exp;
 
 /// Vectors of a tile.
@@ -30,17 +30,14 @@ pub(super) const ATTENDED: usize = LANES;
 #[inline(never)]
 #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
 pub(super) fn attend<A: Arithmetic>(
-    heads: &mut [Head; HEADS],
+    heads: &mut [&mut [f32]; HEADS],
     [keys, values]: [Rows<'_>; 2],
     soon: &[f32],
 ) -> bool {
     let mut soon = Soon(soon);
     let mut scores = [_mm512_setzero_ps(); HEADS];
     for (slots, places) in keys.slots.chunks(ROWS).zip([0xf, 0xf0, 0xf00, 0xf000]) {
-        // Where rows end, the first one stands for those that are missing.
-        let row =
-            |index: usize| slots.get(index).or(slots.first()).map_or(&[][..], |s| keys.row(*s));
-        let sums = dots::<A>(heads, [row(0), row(1), row(2), row(3)], &mut soon);
+        let sums = dots::<A>(heads, four_rows(keys, slots), &mut soon);
         for (scores, sums) in scores.iter_mut().zip(sums) {
             *scores = _mm512_mask_broadcast_f32x4(*scores, places, transmute!(join(sums)));
         }
@@ -60,11 +57,23 @@ pub(super) fn attend<A: Arithmetic>(
     finite
 }
 
+/// The rows in at most four slots. Where slots end, the first one stands for those that are missing.
+#[inline(always)]
+fn four_rows<'r>(rows: Rows<'r>, slots: &[u16]) -> [&'r [f32]; ROWS] {
+    let mut four = [&[][..]; ROWS];
+    for (index, row) in four.iter_mut().enumerate() {
+        if let Some(slot) = slots.get(index).or(slots.first()) {
+            *row = rows.row(*slot);
+        }
+    }
+    four
+}
+
 /// Sums of which each is [`join`]ed to the dot product of a head and a row.
 #[inline]
 #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
 fn dots<A: Arithmetic>(
-    heads: &[Head; HEADS],
+    heads: &[&mut [f32]; HEADS],
     rows: [&[f32]; ROWS],
     soon: &mut Soon<'_>,
 ) -> [[__m512; ROWS]; HEADS] {
@@ -115,7 +124,7 @@ fn softmax(scores: &mut [__m512; HEADS], exist: u16, soon: &mut Soon<'_>) -> boo
 #[inline]
 #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
 fn mix<A: Arithmetic, const COLUMNS: usize, const VECTORS: usize>(
-    heads: &mut [Head; HEADS],
+    heads: &mut [&mut [f32]; HEADS],
     weights: &[[f32; LANES]; HEADS],
     rows: Rows<'_>,
     first: usize,

@@ -114,12 +114,17 @@ macro_rules! sparse_product {
             if tiles.len() < rows * COLUMNS || first + inputs.len() > rows {
                 return;
             }
-            let start = if first > 0 { *outputs } else { bias.copied().unwrap_or([0.0; COLUMNS]) };
-            let mut sums: [$vector; $tiles * TILE_VECTORS] = transmute!(start);
-            let mut marks = [[0; 2]];
-            mark(inputs, &mut marks);
-            let [[low, high]] = marks;
-            let mut marks = u64::from(low) | u64::from(high) << 32;
+            let start = if first > 0 { &*outputs } else { bias.unwrap_or(&[0.0; COLUMNS]) };
+            let mut sums: [$vector; $tiles * TILE_VECTORS] = transmute!(*start);
+            let mut marks = match inputs.first_chunk() {
+                Some(inputs) => not_zero(inputs),
+                None => {
+                    let mut marks = [[0; 2]];
+                    mark(inputs, &mut marks);
+                    let [[low, high]] = marks;
+                    u64::from(low) | u64::from(high) << 32
+                }
+            };
             while marks != 0 {
                 let index = marks.trailing_zeros() as usize;
                 marks &= marks - 1;
