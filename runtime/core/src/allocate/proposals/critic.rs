@@ -64,7 +64,7 @@ fn embed_rows(
     for allocation in 0..allocations {
         let proposal = usize::from(memory.distinct.get(0, allocation));
         for (slot, entity) in scene.present.iter().enumerate() {
-            let agents = |task: usize| step.counts.get(proposal, task);
+            let agents = |task: usize| step.counts.get(task, proposal);
             let set = match step.places.get(proposal, entity) {
                 task if entity < scene.state.agents => 1_u32.checked_shl(task.into()).unwrap_or(0),
                 _ => scene.tasks_of(entity),

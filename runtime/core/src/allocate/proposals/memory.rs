@@ -2,6 +2,7 @@
 
 use zerocopy::FromBytes;
 
+use super::draw::TOGETHER;
 use crate::kernels::softmax::slots;
 use crate::limits;
 use crate::ops::ProposalNetwork;
@@ -125,9 +126,9 @@ pub(super) struct StepMemory<'a> {
     pub(super) products: Grid<'a, f32>,
     /// What the new nodes are made of, behind a ReLU.
     pub(super) parents: Grid<'a, f32>,
-    /// `[P, T]`: the node that each subtask has come to.
+    /// `[T, P]`, rows of whole [`TOGETHER`]: the node that each subtask has come to.
     pub(super) node_of: Grid<'a, u16>,
-    /// `[P, T]`: agents of each subtask.
+    /// The same: agents of each subtask.
     pub(super) counts: Grid<'a, u16>,
     /// `[P, A]`: the subtask of each agent.
     pub(super) places: Grid<'a, u16>,
@@ -201,9 +202,10 @@ fn float_parts(network: &ProposalNetwork, extent: &Extent) -> [Size; 19] {
 fn table_parts(network: &ProposalNetwork, extent: &Extent) -> [Size; 10] {
     let Extent { entities, agents, proposals, .. } = *extent;
     let tasks = network.trunk.task_count();
+    let lanes = proposals.next_multiple_of(TOGETHER);
     [
-        (proposals, tasks),
-        (proposals, tasks),
+        (tasks, lanes),
+        (tasks, lanes),
         (proposals, agents),
         (1, extent.nodes(tasks)),
         (1, proposals),

@@ -13,7 +13,7 @@ mod scene;
 mod step;
 mod trunk;
 
-pub use draw::{Draw, GumbelDraw, largest_open};
+pub use draw::{Draw, GumbelDraw, TOGETHER, largest_open};
 pub use memory::{PROPOSALS, arena_floats};
 
 use draw::scramble;

@@ -4,7 +4,7 @@
 //! that agree so far share it. Only the chosen subtask's embedding changes, and nobody asks for what the last agent
 //! changes. Counts enter the logits linearly: three products for each agent say all about them.
 
-use super::Draw;
+use super::draw::{Draw, TOGETHER};
 use super::memory::{NONE, StepMemory, TrunkMemory};
 use super::scene::{Product, Scene, add, refused, vector};
 use crate::allocator::AllocateError;
@@ -27,10 +27,8 @@ pub(super) fn propose(
     memory.counts.cells.fill(0);
     memory.places.cells.fill(NONE);
     memory.children.cells.fill(NONE);
-    for nodes in memory.node_of.cells.chunks_exact_mut(tasks.max(1)) {
-        for (node, task) in nodes.iter_mut().zip(0..) {
-            *node = task;
-        }
+    for task in 0..tasks {
+        memory.node_of.row_mut(task).fill(task as u16);
     }
     let mut others = [0.0; limits::TASKS];
     for (task, others) in others.iter_mut().enumerate().take(tasks) {
@@ -79,6 +77,28 @@ impl<'a> Pointer<'a> {
         Ok(Self { embedding, per_agent, always, scale: scale.unwrap_or(1.0) })
     }
 
+    /// The logits of a subtask in some proposals, of which `first` is the first.
+    #[inline(always)]
+    fn logits(
+        &self,
+        task: usize,
+        first: usize,
+        memory: &StepMemory<'_>,
+    ) -> Option<[f32; TOGETHER]> {
+        let StepMemory { products, node_of, counts, .. } = memory;
+        let nodes: &[u16; TOGETHER] = node_of.row(task).get(first..)?.first_chunk()?;
+        let counts: &[u16; TOGETHER] = counts.row(task).get(first..)?.first_chunk()?;
+        let always = self.always.get(task)?;
+        let mut logits = [0.0; TOGETHER];
+        for (logit, node) in logits.iter_mut().zip(nodes) {
+            *logit = *products.cells.get(usize::from(*node))?;
+        }
+        for (logit, count) in logits.iter_mut().zip(counts) {
+            *logit = (*logit + (f32::from(*count) * self.per_agent + always)) * self.scale;
+        }
+        Some(logits)
+    }
+
     /// Writes the products of the agent and the first `nodes` nodes.
     #[inline(always)]
     fn meet(
@@ -117,23 +137,23 @@ fn choose_all(
     draw: &mut impl Draw,
 ) -> Result<(), AllocateError> {
     let (tasks, open) = (scene.tasks(), scene.state.open_tasks);
-    let StepMemory { products, node_of, counts, places, .. } = memory;
-    for proposal in 0..scene.extent.proposals {
-        let mut logits = [0.0; limits::TASKS];
-        let sizes = node_of.row(proposal).iter().zip(counts.row(proposal)).zip(&pointer.always);
-        for (logit, ((node, count), always)) in logits.iter_mut().zip(sizes) {
-            let product = products.cells.get(usize::from(*node)).copied().unwrap_or(0.0);
-            *logit = (product + (f32::from(*count) * pointer.per_agent + always)) * pointer.scale;
+    for first in (0..scene.extent.proposals).step_by(TOGETHER) {
+        let mut logits = [[0.0; TOGETHER]; limits::TASKS];
+        let logits = logits.get_mut(..tasks).ok_or(AllocateError::TooLarge)?;
+        for (task, logits) in logits.iter_mut().enumerate() {
+            *logits = pointer.logits(task, first, memory).ok_or(AllocateError::TooLarge)?;
+            if !all_finite(logits) {
+                return Err(AllocateError::NonFinite);
+            }
         }
-        let logits = logits.get(..tasks).ok_or(AllocateError::TooLarge)?;
-        if !all_finite(logits) {
-            return Err(AllocateError::NonFinite);
+        let proposals = first..scene.extent.proposals.min(first + TOGETHER);
+        let choices = draw.draw_together(proposals.clone(), agent, logits, open);
+        for (proposal, task) in proposals.zip(choices) {
+            if task >= tasks || open >> task & 1 == 0 {
+                return Err(AllocateError::Infeasible);
+            }
+            memory.places.set(proposal, agent, task as u16);
         }
-        let task = draw.draw(proposal, agent, logits, open);
-        if task >= tasks || open >> task & 1 == 0 {
-            return Err(AllocateError::Infeasible);
-        }
-        places.set(proposal, agent, task as u16);
     }
     Ok(())
 }
@@ -145,8 +165,8 @@ fn follow(agent: usize, proposals: usize, memory: &mut StepMemory<'_>, nodes: us
     let mut new = 0;
     for proposal in 0..proposals {
         let task = usize::from(places.get(proposal, agent));
-        counts.set(proposal, task, counts.get(proposal, task).saturating_add(1));
-        let parent = node_of.get(proposal, task);
+        counts.set(task, proposal, counts.get(task, proposal).saturating_add(1));
+        let parent = node_of.get(task, proposal);
         let mut child = children.get(0, usize::from(parent));
         if child == NONE {
             child = (nodes + new) as u16;
@@ -154,7 +174,7 @@ fn follow(agent: usize, proposals: usize, memory: &mut StepMemory<'_>, nodes: us
             parent_of.set(0, new, parent);
             new += 1;
         }
-        node_of.set(proposal, task, child);
+        node_of.set(task, proposal, child);
     }
     new
 }
