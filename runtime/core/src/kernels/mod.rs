@@ -41,6 +41,17 @@ pub const ATTENDED_WIDTH: usize = 32;
 /// A vector of one head: two tiles, or what is not used behind fewer columns.
 pub type Head = [f32; 2 * product::TILE];
 
+/// Heads that attend to the same rows. All are as wide, a multiple of [`ATTENDED_WIDTH`].
+#[derive(Debug)]
+pub struct Heads<'a> {
+    /// The heads' vectors.
+    pub heads: [&'a mut [f32]; HEADS],
+    /// What the vectors are multiplied with.
+    pub keys: Rows<'a>,
+    /// What is mixed by the weights that come of it, as many.
+    pub values: Rows<'a>,
+}
+
 /// The kernels of one build and one profile.
 pub trait Kernels: Copy + Int8Kernels {
     /// Marks the values that are not zero, and returns whether all are finite ([`mark::mark`]).
@@ -76,10 +87,9 @@ pub trait Kernels: Copy + Int8Kernels {
     /// Most rows that [`Self::attend`] takes; none where heads are attended to one by one.
     const ATTENDED: usize = 0;
 
-    /// What `dots`, `softmax` and `mix` do, for several heads: each head's vector is multiplied with keys, and becomes
-    /// the weighted sum of as many values. All are as wide, a multiple of [`ATTENDED_WIDTH`]. Returns false where a
+    /// What `dots`, `softmax` and `mix` do, for several heads: each becomes what it attends to. Returns false where a
     /// score is not finite. Weights that are needed `soon` may come near meanwhile.
-    fn attend(self, _heads: &mut [&mut [f32]; HEADS], _near: [Rows<'_>; 2], _soon: &[f32]) -> bool {
+    fn attend(self, _groups: &mut [Heads<'_>], _soon: &[f32]) -> bool {
         false
     }
 }

@@ -18,7 +18,7 @@ use super::product::{self, Around, Sparse};
 use super::rows::Rows;
 use super::several::{self, AddRows, PART, Pair, Strip};
 use super::softmax;
-use super::{HEADS, Kernels};
+use super::{Heads, Kernels};
 
 /// The time, in ticks of the processor's clock: read in a few nanoseconds.
 #[inline]
@@ -170,8 +170,8 @@ macro_rules! build {
             const ATTENDED: usize = $heads::ATTENDED;
 
             #[inline]
-            fn attend(self, heads: &mut [&mut [f32]; HEADS], near: [Rows<'_>; 2], soon: &[f32]) -> bool {
-                unsafe { $heads::attend::<A>(heads, near, soon) }
+            fn attend(self, groups: &mut [Heads<'_>], soon: &[f32]) -> bool {
+                unsafe { $heads::attend::<A>(groups, soon) }
             }
             )?
         }

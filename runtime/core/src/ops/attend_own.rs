@@ -9,7 +9,7 @@ use super::{Linear, Place, Scratch, Sizes, places, slice};
 use crate::kernels::product::{Around, Sparse, TILE, padded};
 use crate::kernels::rows::Rows;
 use crate::kernels::softmax::slots;
-use crate::kernels::{HEADS, Head, Kernels};
+use crate::kernels::{HEADS, Head, Heads, Kernels};
 use crate::policy::DecideError;
 
 /// Attention over the embedded rows, rewritten for a single query (dissertation section 2.3).
@@ -186,8 +186,8 @@ impl AttendOwn {
             }
             let soon = self.values as usize + first * self.values_len();
             let soon = weights.get(soon..).ok_or(DecideError::BadLength)?;
-            let mut heads = vectors.each_mut().map(|v| v.get_mut(..rows.width).unwrap_or(&mut []));
-            if !kernels.attend(&mut heads, [rows, rows], soon) {
+            let heads = vectors.each_mut().map(|v| v.get_mut(..rows.width).unwrap_or(&mut []));
+            if !kernels.attend(&mut [Heads { heads, keys: rows, values: rows }], soon) {
                 return Err(DecideError::NonFinite);
             }
             for ((head, mixed), output) in (first..).zip(&vectors).zip(&mut outputs) {

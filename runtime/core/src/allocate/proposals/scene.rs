@@ -4,11 +4,11 @@ use super::memory::{Extent, Grid};
 use crate::allocator::{AllocateError, AllocationState};
 use crate::entity_mask::EntityMask;
 use crate::kernels::mark::{MARKED, Marks};
-use crate::kernels::product::{Around, Sparse, TILE};
+use crate::kernels::product::{Around, Sparse};
 use crate::kernels::rows::Rows;
 use crate::kernels::several::Pair;
 use crate::kernels::softmax::slots;
-use crate::kernels::{ATTENDED_WIDTH, HEADS, Head, Kernels};
+use crate::kernels::{ATTENDED_WIDTH, HEADS, Heads, Kernels};
 use crate::limits;
 use crate::ops::{Linear, ProposalNetwork, RowAttention};
 use crate::policy::DecideError;
@@ -204,18 +204,21 @@ impl Near<'_> {
         for (asker, mixed) in askers.iter().zip(mixed.chunks_exact_mut(queries.width)) {
             copy(queries.row(usize::from(*asker)), mixed);
         }
-        let head = self.attention.head_width();
-        let fits = head.is_multiple_of(ATTENDED_WIDTH) && head <= 2 * TILE;
-        if fits && self.slots.len() <= K::ATTENDED {
-            return self.attend_together(kernels, queries.width, mixed);
-        }
-        for mixed in mixed.chunks_exact_mut(queries.width).take(askers.len()) {
-            self.attend_alone(kernels, mixed, scores)?;
+        let width = self.attention.head_width();
+        let fits = width.is_multiple_of(ATTENDED_WIDTH) && self.slots.len() <= K::ATTENDED;
+        for several in mixed.chunks_mut(HEADS * queries.width) {
+            if fits && several.len() == HEADS * queries.width {
+                self.attend_together(kernels, queries.width, several)?;
+                continue;
+            }
+            for mixed in several.chunks_exact_mut(queries.width) {
+                self.attend_alone(kernels, mixed, scores)?;
+            }
         }
         Ok(())
     }
 
-    /// Makes of queries what they attend to, of as many rows at once as the kernels take.
+    /// Makes of the queries of [`HEADS`] rows what they attend to.
     #[inline(always)]
     fn attend_together(
         &self,
@@ -224,20 +227,20 @@ impl Near<'_> {
         mixed: &mut [f32],
     ) -> Result<(), AllocateError> {
         let width = self.attention.head_width();
-        // Stands for the rows that are missing behind the last.
-        let mut spare: [Head; HEADS] = [[0.0; _]; HEADS];
-        for mixed in mixed.chunks_mut(HEADS * row) {
-            for first in (0..row).step_by(width) {
-                let mut rows = mixed.chunks_exact_mut(row);
-                let mut heads = spare.each_mut().map(|spare| {
-                    let row = rows.next().map_or(spare.as_mut_slice(), |row| {
-                        row.get_mut(first..).unwrap_or_default()
-                    });
-                    row.get_mut(..width).unwrap_or_default()
-                });
-                if !kernels.attend(&mut heads, self.rows(first, width), &[]) {
-                    return Err(AllocateError::NonFinite);
-                }
+        let mut rows = mixed.chunks_exact_mut(row);
+        let mut rows =
+            [(); HEADS].map(|()| rows.next().unwrap_or_default().chunks_exact_mut(width));
+        let firsts = &mut (0..row).step_by(width);
+        while firsts.len() > 0 {
+            let mut groups = heapless::Vec::<Heads<'_>, HEADS>::new();
+            for first in firsts.take(HEADS) {
+                let heads = rows.each_mut().map(|row| row.next().unwrap_or_default());
+                let [keys, values] = self.rows(first, width);
+                // There is room for as many.
+                let _ = groups.push(Heads { heads, keys, values });
+            }
+            if !kernels.attend(&mut groups, &[]) {
+                return Err(AllocateError::NonFinite);
             }
         }
         Ok(())

@@ -108,9 +108,12 @@ fn attend_within_tasks(
             copy(trunk.values.row(entity), mixed);
             continue;
         }
-        let peers = peers_of(entity).map(|peer| peer as u16);
-        let slots: &heapless::Vec<u16, { limits::ENTITIES }> = &peers.collect();
-        let near = Near { attention, keys: &trunk.keys, values: &trunk.values, slots };
+        let mut slots = heapless::Vec::<u16, { limits::ENTITIES }>::new();
+        for peer in peers_of(entity) {
+            // There is room for every entity.
+            let _ = slots.push(peer as u16);
+        }
+        let near = Near { attention, keys: &trunk.keys, values: &trunk.values, slots: &slots };
         near.attend(kernels, &trunk.queries, &[entity as u16], mixed, scores)?;
     }
     let output = Product::new(&attention.output, scene.weights, false)?;

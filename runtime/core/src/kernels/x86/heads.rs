@@ -2,9 +2,9 @@
 //! and weights that are needed next come near meanwhile.
 
 use core::arch::x86_64::{
-    __m512, _MM_HINT_T0, _mm_prefetch, _mm512_fpclass_ps_mask, _mm512_mask_blend_ps,
-    _mm512_mask_broadcast_f32x4, _mm512_maskz_mov_ps, _mm512_mul_ps, _mm512_reduce_max_ps,
-    _mm512_set1_ps, _mm512_setzero_ps, _mm512_sub_ps,
+    __m512, _MM_HINT_T0, _mm_prefetch, _mm512_add_ps, _mm512_fpclass_ps_mask, _mm512_mask_blend_ps,
+    _mm512_maskz_mov_ps, _mm512_mul_ps, _mm512_reduce_max_ps, _mm512_set1_ps, _mm512_setzero_ps,
+    _mm512_shuffle_f32x4, _mm512_shuffle_ps, _mm512_sub_ps,
 };
 
 use zerocopy::transmute;
@@ -14,7 +14,7 @@ use crate::kernels::arithmetic::Arithmetic;
 use crate::kernels::dot::{LANES, ROWS};
 use crate::kernels::product::TILE;
 use crate::kernels::rows::Rows;
-use crate::kernels::{ATTENDED_WIDTH, HEADS};
+use crate::kernels::{ATTENDED_WIDTH, HEADS, Heads};
 use crate::math::exp;
 
 /// Vectors of a tile.
@@ -25,36 +25,97 @@ const NARROW: usize = ATTENDED_WIDTH / LANES;
 /// Rows that are attended to: their scores fit into one vector.
 pub(super) const ATTENDED: usize = LANES;
 
+/// Groups that are worked on step by step together, so that none waits for its own last step.
+const GROUPS: usize = 4;
+
 /// See [`crate::kernels::Kernels::attend`].
 // Inlined into a whole decision, its sums do not stay in registers.
 #[inline(never)]
 #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
-pub(super) fn attend<A: Arithmetic>(
-    heads: &mut [&mut [f32]; HEADS],
-    [keys, values]: [Rows<'_>; 2],
-    soon: &[f32],
-) -> bool {
+pub(super) fn attend<A: Arithmetic>(groups: &mut [Heads<'_>], soon: &[f32]) -> bool {
     let mut soon = Soon(soon);
-    let mut scores = [_mm512_setzero_ps(); HEADS];
-    for (slots, places) in keys.slots.chunks(ROWS).zip([0xf, 0xf0, 0xf00, 0xf000]) {
-        let sums = dots::<A>(heads, four_rows(keys, slots), &mut soon);
-        for (scores, sums) in scores.iter_mut().zip(sums) {
-            *scores = _mm512_mask_broadcast_f32x4(*scores, places, transmute!(join(sums)));
+    let mut finite = true;
+    for groups in groups.chunks_mut(GROUPS) {
+        let mut scores = [[_mm512_setzero_ps(); HEADS]; GROUPS];
+        for (group, scores) in groups.iter().zip(&mut scores) {
+            *scores = weigh::<A>(group, &mut soon);
+        }
+        for (group, scores) in groups.iter().zip(&mut scores) {
+            let count = group.keys.slots.len().min(ATTENDED);
+            let exist = (u32::from(u16::MAX) >> (ATTENDED - count)) as u16;
+            finite &= softmax(scores, exist, &mut soon);
+        }
+        for (group, scores) in groups.iter_mut().zip(scores) {
+            mix_all::<A>(group, scores, &mut soon);
         }
     }
-    let count = keys.slots.len().min(ATTENDED);
-    let finite =
-        softmax(&mut scores, (u32::from(u16::MAX) >> (ATTENDED - count)) as u16, &mut soon);
+    finite
+}
+
+/// The scores of a group's heads, a vector each.
+#[inline]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
+fn weigh<A: Arithmetic>(group: &Heads<'_>, soon: &mut Soon<'_>) -> [__m512; HEADS] {
+    let mut scores = [_mm512_setzero_ps(); ATTENDED / ROWS];
+    for (scores, slots) in scores.iter_mut().zip(group.keys.slots.chunks(ROWS)) {
+        *scores = join_all(dots::<A>(&group.heads, four_rows(group.keys, slots), soon));
+    }
+    // Four rows of every head become all rows of each.
+    let [a, b, c, d] = scores;
+    let low = [_mm512_shuffle_f32x4::<0x44>(a, b), _mm512_shuffle_f32x4::<0x44>(c, d)];
+    let high = [_mm512_shuffle_f32x4::<0xee>(a, b), _mm512_shuffle_f32x4::<0xee>(c, d)];
+    let [[a, b], [c, d]] = [low, high];
+    [
+        _mm512_shuffle_f32x4::<0x88>(a, b),
+        _mm512_shuffle_f32x4::<0xdd>(a, b),
+        _mm512_shuffle_f32x4::<0x88>(c, d),
+        _mm512_shuffle_f32x4::<0xdd>(c, d),
+    ]
+}
+
+/// [`crate::kernels::dot::join`] of all sums: four rows' of the first head, then of the next.
+#[inline]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
+fn join_all(sums: [[__m512; ROWS]; HEADS]) -> __m512 {
+    let [first, second, third, fourth] = sums;
+    let [a, b] = [join_two(first, second), join_two(third, fourth)];
+    _mm512_add_ps(_mm512_shuffle_f32x4::<0x88>(a, b), _mm512_shuffle_f32x4::<0xdd>(a, b))
+}
+
+/// Two halves that are still to be added for every row of two heads, next to each other.
+#[inline]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
+fn join_two(first: [__m512; ROWS], second: [__m512; ROWS]) -> __m512 {
+    let mut eights = first;
+    for (eight, second) in eights.iter_mut().zip(second) {
+        let low = _mm512_shuffle_f32x4::<0x44>(*eight, second);
+        *eight = _mm512_add_ps(low, _mm512_shuffle_f32x4::<0xee>(*eight, second));
+    }
+    let [a, b, c, d] = eights;
+    add_neighbours(add_neighbours(a, b), add_neighbours(c, d))
+}
+
+/// Sums of neighbours, in every fourth of the vectors the first's before the second's.
+#[inline]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
+fn add_neighbours(a: __m512, b: __m512) -> __m512 {
+    _mm512_add_ps(_mm512_shuffle_ps::<0x88>(a, b), _mm512_shuffle_ps::<0xdd>(a, b))
+}
+
+/// Makes a group's heads the weighted sums of its values.
+#[inline]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
+fn mix_all<A: Arithmetic>(group: &mut Heads<'_>, scores: [__m512; HEADS], soon: &mut Soon<'_>) {
     let [a, b, c, d] = scores;
     let weights = [transmute!(a), transmute!(b), transmute!(c), transmute!(d)];
+    let (heads, values) = (&mut group.heads, group.values);
     let tiled = values.width - values.width % TILE;
     for first in (0..tiled).step_by(TILE) {
-        mix::<A, TILE, VECTORS>(heads, &weights, values, first, &mut soon);
+        mix::<A, TILE, VECTORS>(heads, &weights, values, first, soon);
     }
     if values.width > tiled {
-        mix::<A, ATTENDED_WIDTH, NARROW>(heads, &weights, values, tiled, &mut soon);
+        mix::<A, ATTENDED_WIDTH, NARROW>(heads, &weights, values, tiled, soon);
     }
-    finite
 }
 
 /// The rows in at most four slots. Where slots end, the first one stands for those that are missing.
