@@ -40,6 +40,9 @@ macro_rules! sparse_product {
 
         use super::sparse::Rest;
 
+        /// Vectors whose inputs are marked before any of them is worked on.
+        const MARKED_AHEAD: usize = 64;
+
         /// Vectors that a tile is wide.
         const TILE_VECTORS: usize = TILE * size_of::<f32>() / size_of::<$vector>();
 
@@ -85,13 +88,34 @@ macro_rules! sparse_product {
             while rows > 0 && columns - column >= COLUMNS {
                 let Some(tiles) = weights.split_off(..rows.saturating_mul(COLUMNS)) else { return };
                 for first in (0..rows).step_by(MARKED) {
-                    for pair in pairs.iter_mut() {
-                        add_some::<A>(tiles, rows, first, column, pair, around);
+                    for pairs in pairs.chunks_mut(MARKED_AHEAD) {
+                        // Ahead, so that no vector waits for its own marks.
+                        let mut marks = [0; MARKED_AHEAD];
+                        for (marks, pair) in marks.iter_mut().zip(pairs.iter()) {
+                            *marks = mark_some(pair.inputs, first);
+                        }
+                        for (pair, marks) in pairs.iter_mut().zip(marks) {
+                            add_some::<A>(tiles, [rows, first, column], pair, marks, around);
+                        }
                     }
                 }
                 column += COLUMNS;
             }
             several::sparse_products::<A>(weights, pairs, around, column);
+        }
+
+        /// Marks at most 64 inputs of one vector, from the first on, which are not zero.
+        #[inline]
+        #[target_feature(enable = $features)]
+        fn mark_some(inputs: &[f32], first: usize) -> u64 {
+            let inputs = inputs.get(first..).unwrap_or(&[]);
+            if let Some(inputs) = inputs.first_chunk() {
+                return not_zero(inputs);
+            }
+            let mut marks = [[0; 2]];
+            mark(inputs, &mut marks);
+            let [[low, high]] = marks;
+            u64::from(low) | u64::from(high) << 32
         }
 
         /// Adds the rows of at most 64 inputs of one vector, from the first on, which are not zero.
@@ -100,10 +124,9 @@ macro_rules! sparse_product {
         #[allow(unsafe_code)]
         fn add_some<A: Arithmetic>(
             tiles: &[f32],
-            rows: usize,
-            first: usize,
-            column: usize,
+            [rows, first, column]: [usize; 3],
             pair: &mut Pair<'_>,
+            marks: u64,
             around: Around<'_>,
         ) {
             const COLUMNS: usize = $tiles * TILE;
@@ -116,15 +139,7 @@ macro_rules! sparse_product {
             }
             let start = if first > 0 { &*outputs } else { bias.unwrap_or(&[0.0; COLUMNS]) };
             let mut sums: [$vector; $tiles * TILE_VECTORS] = transmute!(*start);
-            let mut marks = match inputs.first_chunk() {
-                Some(inputs) => not_zero(inputs),
-                None => {
-                    let mut marks = [[0; 2]];
-                    mark(inputs, &mut marks);
-                    let [[low, high]] = marks;
-                    u64::from(low) | u64::from(high) << 32
-                }
-            };
+            let mut marks = _bzhi_u64(marks, inputs.len() as u32);
             while marks != 0 {
                 let index = marks.trailing_zeros() as usize;
                 marks &= marks - 1;
