@@ -205,7 +205,9 @@ impl Near<'_> {
             copy(queries.row(usize::from(*asker)), mixed);
         }
         let width = self.attention.head_width();
-        let fits = width.is_multiple_of(ATTENDED_WIDTH) && self.slots.len() <= K::ATTENDED;
+        let fits = width.is_multiple_of(ATTENDED_WIDTH)
+            && queries.width.is_multiple_of(HEADS * width)
+            && self.slots.len() <= K::ATTENDED;
         for several in mixed.chunks_mut(HEADS * queries.width) {
             if fits && several.len() == HEADS * queries.width {
                 self.attend_together(kernels, queries.width, several)?;
@@ -230,16 +232,16 @@ impl Near<'_> {
         let mut rows = mixed.chunks_exact_mut(row);
         let mut rows =
             [(); HEADS].map(|()| rows.next().unwrap_or_default().chunks_exact_mut(width));
-        let firsts = &mut (0..row).step_by(width);
-        while firsts.len() > 0 {
-            let mut groups = heapless::Vec::<Heads<'_>, HEADS>::new();
-            for first in firsts.take(HEADS) {
-                let heads = rows.each_mut().map(|row| row.next().unwrap_or_default());
-                let [keys, values] = self.rows(first, width);
-                // There is room for as many.
-                let _ = groups.push(Heads { heads, keys, values });
-            }
-            if !kernels.attend(&mut groups, &[]) {
+        let mut next = |first: usize| {
+            let [a, b, c, d] = &mut rows;
+            let heads = [a, b, c, d].map(|row| row.next().unwrap_or_default());
+            let [keys, values] = self.rows(first, width);
+            Heads { heads, keys, values }
+        };
+        for first in (0..row).step_by(HEADS * width) {
+            let [second, third, fourth] = [1, 2, 3].map(|head| first + head * width);
+            let groups = &mut [next(first), next(second), next(third), next(fourth)];
+            if !kernels.attend(groups, &[]) {
                 return Err(AllocateError::NonFinite);
             }
         }
