@@ -20,6 +20,8 @@ pub mod product;
 pub mod rows;
 pub mod several;
 pub mod softmax;
+#[cfg(test)]
+mod tests;
 #[cfg(all(feature = "std", target_arch = "x86_64"))]
 mod x86;
 
