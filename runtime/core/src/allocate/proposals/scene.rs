@@ -201,19 +201,21 @@ impl Near<'_> {
         mixed: &mut [f32],
         scores: &mut Grid<'_, f32>,
     ) -> Result<(), AllocateError> {
-        for (asker, mixed) in askers.iter().zip(mixed.chunks_exact_mut(queries.width)) {
+        let row = queries.width.max(1);
+        for (asker, mixed) in askers.iter().zip(mixed.chunks_exact_mut(row)) {
             copy(queries.row(usize::from(*asker)), mixed);
         }
         let width = self.attention.head_width();
         let fits = width.is_multiple_of(ATTENDED_WIDTH)
-            && queries.width.is_multiple_of(HEADS * width)
+            && row.is_multiple_of(HEADS.saturating_mul(width))
             && self.slots.len() <= K::ATTENDED;
-        for several in mixed.chunks_mut(HEADS * queries.width) {
-            if fits && several.len() == HEADS * queries.width {
-                self.attend_together(kernels, queries.width, several)?;
+        let together = HEADS.saturating_mul(row);
+        for several in mixed.chunks_mut(together) {
+            if fits && several.len() == together {
+                self.attend_together(kernels, row, several)?;
                 continue;
             }
-            for mixed in several.chunks_exact_mut(queries.width) {
+            for mixed in several.chunks_exact_mut(row) {
                 self.attend_alone(kernels, mixed, scores)?;
             }
         }
@@ -229,7 +231,7 @@ impl Near<'_> {
         mixed: &mut [f32],
     ) -> Result<(), AllocateError> {
         let width = self.attention.head_width();
-        let mut rows = mixed.chunks_exact_mut(row);
+        let mut rows = mixed.chunks_exact_mut(row.max(1));
         let mut rows =
             [(); HEADS].map(|()| rows.next().unwrap_or_default().chunks_exact_mut(width));
         let mut next = |first: usize| {
@@ -238,7 +240,7 @@ impl Near<'_> {
             let [keys, values] = self.rows(first, width);
             Heads { heads, keys, values }
         };
-        for first in (0..row).step_by(HEADS * width) {
+        for first in (0..row).step_by(HEADS.saturating_mul(width)) {
             let [second, third, fourth] = [1, 2, 3].map(|head| first + head * width);
             let groups = &mut [next(first), next(second), next(third), next(fourth)];
             if !kernels.attend(groups, &[]) {

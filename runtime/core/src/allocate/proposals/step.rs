@@ -138,16 +138,17 @@ fn choose_all(
 ) -> Result<(), AllocateError> {
     let (tasks, open) = (scene.tasks(), scene.state.open_tasks);
     for first in (0..scene.extent.proposals).step_by(TOGETHER) {
-        let mut logits = [[0.0; TOGETHER]; limits::TASKS];
-        let logits = logits.get_mut(..tasks).ok_or(AllocateError::TooLarge)?;
-        for (task, logits) in logits.iter_mut().enumerate() {
-            *logits = pointer.logits(task, first, memory).ok_or(AllocateError::TooLarge)?;
-            if !all_finite(logits) {
+        let mut logits = heapless::Vec::<_, { limits::TASKS }>::new();
+        for task in 0..tasks {
+            let of_task = pointer.logits(task, first, memory).ok_or(AllocateError::TooLarge)?;
+            if !all_finite(&of_task) {
                 return Err(AllocateError::NonFinite);
             }
+            // There is room for every subtask.
+            let _ = logits.push(of_task);
         }
         let proposals = first..scene.extent.proposals.min(first + TOGETHER);
-        let choices = draw.draw_together(proposals.clone(), agent, logits, open);
+        let choices = draw.draw_together(proposals.clone(), agent, &logits, open);
         for (proposal, task) in proposals.zip(choices) {
             if task >= tasks || open >> task & 1 == 0 {
                 return Err(AllocateError::Infeasible);
