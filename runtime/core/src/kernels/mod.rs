@@ -20,6 +20,8 @@ pub mod product;
 pub mod rows;
 pub mod several;
 pub mod softmax;
+#[cfg(test)]
+mod tests;
 #[cfg(all(feature = "std", target_arch = "x86_64"))]
 mod x86;
 
@@ -35,8 +37,22 @@ use several::{AddRows, PART, Pair, Strip};
 /// Heads that are attended to together where a build can.
 pub const HEADS: usize = 4;
 
-/// A vector of one head: two tiles, or one and what is not used.
+/// What the width of rows is a multiple of that are attended to together.
+pub const ATTENDED_WIDTH: usize = 32;
+
+/// A vector of one head: two tiles, or what is not used behind fewer columns.
 pub type Head = [f32; 2 * product::TILE];
+
+/// Heads that attend to the same rows. All are as wide, a multiple of [`ATTENDED_WIDTH`].
+#[derive(Debug)]
+pub struct Heads<'a> {
+    /// The heads' vectors.
+    pub heads: [&'a mut [f32]; HEADS],
+    /// What the vectors are multiplied with.
+    pub keys: Rows<'a>,
+    /// What is mixed by the weights that come of it, as many.
+    pub values: Rows<'a>,
+}
 
 /// The kernels of one build and one profile.
 pub trait Kernels: Copy + Int8Kernels {
@@ -58,6 +74,9 @@ pub trait Kernels: Copy + Int8Kernels {
     /// Matrix times several vectors ([`several::products`]).
     fn products(self, weights: &[f32], pairs: &mut [Pair<'_>], around: Around<'_>);
 
+    /// Matrix times several vectors of which much is zero ([`several::sparse_products`]).
+    fn sparse_products(self, weights: &[f32], pairs: &mut [Pair<'_>], around: Around<'_>);
+
     /// Dot products of one vector with rows ([`dot::dots`]).
     fn dots(self, vector: &[f32], rows: Rows<'_>, products: &mut [f32]);
 
@@ -70,16 +89,9 @@ pub trait Kernels: Copy + Int8Kernels {
     /// Most rows that [`Self::attend`] takes; none where heads are attended to one by one.
     const ATTENDED: usize = 0;
 
-    /// What `dots`, `softmax` and `mix` do, for several heads: each head's vector is multiplied with rows that are
-    /// one or two tiles wide, and becomes their weighted sum. Returns false where a score is not finite. Weights
-    /// that are needed `soon` may come near meanwhile.
-    fn attend(
-        self,
-        _heads: &mut [Head; HEADS],
-        _rows: &[f32],
-        _width: usize,
-        _soon: &[f32],
-    ) -> bool {
+    /// What `dots`, `softmax` and `mix` do, for several heads: each becomes what it attends to. Returns false where a
+    /// score is not finite. Weights that are needed `soon` may come near meanwhile.
+    fn attend(self, _groups: &mut [Heads<'_>], _soon: &[f32]) -> bool {
         false
     }
 }
@@ -130,6 +142,10 @@ impl<A: Arithmetic> Kernels for Portable<A> {
 
     fn products(self, weights: &[f32], pairs: &mut [Pair<'_>], around: Around<'_>) {
         several::products::<A, Self>(self, weights, pairs, around);
+    }
+
+    fn sparse_products(self, weights: &[f32], pairs: &mut [Pair<'_>], around: Around<'_>) {
+        several::sparse_products::<A>(weights, pairs, around, 0);
     }
 
     fn dots(self, vector: &[f32], rows: Rows<'_>, products: &mut [f32]) {

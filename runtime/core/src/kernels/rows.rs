@@ -7,14 +7,16 @@ use crate::limits::ENTITIES;
 pub struct Rows<'a> {
     /// The matrix.
     pub floats: &'a [f32],
-    /// Its columns.
+    /// Columns of a row.
     pub width: usize,
-    /// Which of its rows are meant, one after the other.
-    pub slots: &'a [u8],
+    /// Floats from the start of a row to the start of the next.
+    pub stride: usize,
+    /// Which of the rows are meant, one after the other.
+    pub slots: &'a [u16],
 }
 
 /// All slots in order.
-static IN_ORDER: [u8; ENTITIES] = {
+static IN_ORDER: [u16; ENTITIES] = {
     let mut slots = [0; ENTITIES];
     let (mut rest, mut slot) = (slots.as_mut_slice(), 0);
     while let Some((first, others)) = rest.split_first_mut() {
@@ -29,13 +31,13 @@ impl<'a> Rows<'a> {
     /// The first rows of a matrix, at most as many as there can be entities.
     #[inline]
     pub fn first(floats: &'a [f32], width: usize, count: usize) -> Self {
-        Self { floats, width, slots: IN_ORDER.get(..count).unwrap_or(&IN_ORDER) }
+        Self { floats, width, stride: width, slots: IN_ORDER.get(..count).unwrap_or(&IN_ORDER) }
     }
 
     /// The row in a slot, empty where there is none.
     #[inline(always)]
-    pub fn row(&self, slot: u8) -> &'a [f32] {
-        let start = usize::from(slot) * self.width;
+    pub fn row(&self, slot: u16) -> &'a [f32] {
+        let start = usize::from(slot) * self.stride;
         self.floats.get(start..start + self.width).unwrap_or(&[])
     }
 }

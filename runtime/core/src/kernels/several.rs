@@ -1,6 +1,7 @@
 //! One matrix times several vectors: weights are read once for all of them.
 
 use super::arithmetic::Arithmetic;
+use super::mark::{MARKED, mark};
 use super::product::{Around, add_row, finished, tile_width};
 
 /// A vector of inputs, and the place of its outputs, whose length is a multiple of eight.
@@ -64,7 +65,10 @@ pub fn products<A: Arithmetic, R: AddRows>(
         let width = tile_width(columns - column);
         let Some(tile) = weights.split_off(..rows.saturating_mul(width)) else { return };
         if width < PART {
-            add_narrow::<A>(tile, column, pairs, around);
+            let (fours, rest) = pairs.as_chunks_mut();
+            fours.iter_mut().for_each(|four| add_narrow::<A, 4>(tile, column, four, around));
+            let (ones, _) = rest.as_chunks_mut();
+            ones.iter_mut().for_each(|one| add_narrow::<A, 1>(tile, column, one, around));
         }
         for pairs in pairs.chunks_mut(group) {
             let parts = adder.parts::<A>(pairs.len()).min(width / PART).max(1);
@@ -83,6 +87,58 @@ pub fn products<A: Arithmetic, R: AddRows>(
     }
 }
 
+/// As [`products`] for inputs of which about half or more are zero, which are left out: one vector after the other,
+/// since each has its zeros elsewhere. Columns in front of `column` are done, and their weights taken off.
+#[inline(always)]
+pub fn sparse_products<A: Arithmetic>(
+    weights: &[f32],
+    pairs: &mut [Pair<'_>],
+    around: Around<'_>,
+    column: usize,
+) {
+    let Some(Pair { inputs, outputs }) = pairs.first() else { return };
+    let (rows, columns) = (inputs.len(), outputs.len());
+    let (mut weights, mut column) = (weights, column);
+    while column < columns {
+        let width = tile_width(columns - column);
+        let Some(tile) = weights.split_off(..rows.saturating_mul(width)) else { return };
+        for pair in pairs.iter_mut() {
+            match width {
+                64 => add_marked::<A, 64>(tile, column, pair, around),
+                32 => add_marked::<A, 32>(tile, column, pair, around),
+                16 => add_marked::<A, 16>(tile, column, pair, around),
+                _ => add_marked::<A, 8>(tile, column, pair, around),
+            }
+        }
+        column += width;
+    }
+}
+
+/// Works on one tile for one vector: the rows of inputs that are not zero.
+#[inline(always)]
+fn add_marked<A: Arithmetic, const WIDTH: usize>(
+    tile: &[f32],
+    column: usize,
+    pair: &mut Pair<'_>,
+    around: Around<'_>,
+) {
+    let mut sums: [f32; WIDTH] = start(around, column);
+    let (rows, _) = tile.as_chunks::<WIDTH>();
+    for (inputs, rows) in pair.inputs.chunks(MARKED).zip(rows.chunks(MARKED)) {
+        let mut marks = [[0; 2]];
+        mark(inputs, &mut marks);
+        let [[low, high]] = marks;
+        let mut marks = u64::from(low) | u64::from(high) << 32;
+        while marks != 0 {
+            let index = marks.trailing_zeros() as usize;
+            marks &= marks - 1;
+            let (Some(input), Some(row)) = (inputs.get(index), rows.get(index)) else { break };
+            add_row::<A, WIDTH>(&mut sums, *input, row);
+        }
+    }
+    write(pair, column, finished(sums, around.relu));
+}
+
 /// Where the sums of some columns start.
 #[inline(always)]
 fn start<const COLUMNS: usize>(around: Around<'_>, column: usize) -> [f32; COLUMNS] {
@@ -90,19 +146,22 @@ fn start<const COLUMNS: usize>(around: Around<'_>, column: usize) -> [f32; COLUM
     bias.copied().unwrap_or([0.0; COLUMNS])
 }
 
-/// Works on a tile of eight columns: the last of a matrix, and small.
+/// Works on a tile of eight columns, the last of a matrix, for some vectors at once: one alone waits for its additions.
 #[inline(always)]
-fn add_narrow<A: Arithmetic>(
+fn add_narrow<A: Arithmetic, const COUNT: usize>(
     tile: &[f32],
     column: usize,
-    pairs: &mut [Pair<'_>],
+    pairs: &mut [Pair<'_>; COUNT],
     around: Around<'_>,
 ) {
-    for pair in pairs {
-        let mut sums: [f32; 8] = start(around, column);
-        for (input, row) in pair.inputs.iter().zip(tile.as_chunks().0) {
-            add_row::<A, 8>(&mut sums, *input, row);
+    let mut sums: [[f32; 8]; COUNT] = [start(around, column); COUNT];
+    let inputs = pairs.each_ref().map(|pair| pair.inputs);
+    for (index, row) in tile.as_chunks().0.iter().enumerate() {
+        for (sums, inputs) in sums.iter_mut().zip(inputs) {
+            add_row::<A, 8>(sums, inputs.get(index).copied().unwrap_or(0.0), row);
         }
+    }
+    for (pair, sums) in pairs.iter_mut().zip(sums) {
         write(pair, column, finished(sums, around.relu));
     }
 }

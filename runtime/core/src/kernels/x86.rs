@@ -18,7 +18,7 @@ use super::product::{self, Around, Sparse};
 use super::rows::Rows;
 use super::several::{self, AddRows, PART, Pair, Strip};
 use super::softmax;
-use super::{HEADS, Head, Kernels};
+use super::{Heads, Kernels};
 
 /// The time, in ticks of the processor's clock: read in a few nanoseconds.
 #[inline]
@@ -147,6 +147,11 @@ macro_rules! build {
             }
 
             #[inline]
+            fn sparse_products(self, weights: &[f32], pairs: &mut [Pair<'_>], around: Around<'_>) {
+                unsafe { $module::sparse_products::<A>(weights, pairs, around) }
+            }
+
+            #[inline]
             fn dots(self, vector: &[f32], rows: Rows<'_>, products: &mut [f32]) {
                 unsafe { $module::dots::<A>(vector, rows, products) }
             }
@@ -165,14 +170,8 @@ macro_rules! build {
             const ATTENDED: usize = $heads::ATTENDED;
 
             #[inline]
-            fn attend(
-                self,
-                heads: &mut [Head; HEADS],
-                rows: &[f32],
-                width: usize,
-                soon: &[f32],
-            ) -> bool {
-                unsafe { $heads::attend::<A>(heads, rows, width, soon) }
+            fn attend(self, groups: &mut [Heads<'_>], soon: &[f32]) -> bool {
+                unsafe { $heads::attend::<A>(groups, soon) }
             }
             )?
         }
@@ -234,6 +233,15 @@ macro_rules! build {
                 around: Around<'_>,
             ) {
                 several::products::<A, $name<A>>(kernels, weights, pairs, around);
+            }
+
+            #[target_feature(enable = $features)]
+            pub(super) fn sparse_products<A: Arithmetic>(
+                weights: &[f32],
+                pairs: &mut [Pair<'_>],
+                around: Around<'_>,
+            ) {
+                $vectors::sparse_products::<A>(weights, pairs, around);
             }
 
             #[target_feature(enable = $features)]

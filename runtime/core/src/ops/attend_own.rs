@@ -9,7 +9,7 @@ use super::{Linear, Place, Scratch, Sizes, places, slice};
 use crate::kernels::product::{Around, Sparse, TILE, padded};
 use crate::kernels::rows::Rows;
 use crate::kernels::softmax::slots;
-use crate::kernels::{HEADS, Head, Kernels};
+use crate::kernels::{HEADS, Head, Heads, Kernels};
 use crate::policy::DecideError;
 
 /// Attention over the embedded rows, rewritten for a single query (dissertation section 2.3).
@@ -119,7 +119,7 @@ impl AttendOwn {
         if visible == 0 {
             attended.fill(0.0);
         } else if visible > 1 && visible <= K::ATTENDED && self.has_heads_together() {
-            let rows = rows.get(..visible * self.padded_width()).ok_or(DecideError::BadLength)?;
+            let rows = Rows::first(rows, self.padded_width(), visible);
             self.heads_together(kernels, weights, rows, query, attended)?;
         } else {
             let rows = Rows::first(rows, self.padded_width(), visible);
@@ -173,21 +173,21 @@ impl AttendOwn {
         &self,
         kernels: impl Kernels,
         weights: &[f32],
-        rows: &[f32],
+        rows: Rows<'_>,
         query: &[f32],
         attended: &mut [f32],
     ) -> Result<(), DecideError> {
-        let width = self.padded_width();
         let mut outputs = attended.chunks_exact_mut(padded(self.head_width()));
         for first in (0..usize::from(self.heads)).step_by(HEADS) {
             let mut vectors: [Head; HEADS] = [[0.0; _]; HEADS];
             for (head, absorbed) in (first..).zip(&mut vectors) {
-                let absorbed = absorbed.get_mut(..width).ok_or(DecideError::BadLength)?;
+                let absorbed = absorbed.get_mut(..rows.width).ok_or(DecideError::BadLength)?;
                 self.absorb(kernels, weights, head, query, absorbed)?;
             }
             let soon = self.values as usize + first * self.values_len();
             let soon = weights.get(soon..).ok_or(DecideError::BadLength)?;
-            if !kernels.attend(&mut vectors, rows, width, soon) {
+            let heads = vectors.each_mut().map(|v| v.get_mut(..rows.width).unwrap_or(&mut []));
+            if !kernels.attend(&mut [Heads { heads, keys: rows, values: rows }], soon) {
                 return Err(DecideError::NonFinite);
             }
             for ((head, mixed), output) in (first..).zip(&vectors).zip(&mut outputs) {
@@ -270,7 +270,7 @@ impl AttendOwn {
                 attended.fill(0.0);
                 continue;
             }
-            let rows = Rows { floats: rows, width: self.padded_width(), slots: &member.slots };
+            let rows = Rows { slots: &member.slots, ..Rows::first(rows, self.padded_width(), 0) };
             member.alone |= attend(kernels, rows, absorbed, scores, mixed).is_err();
         }
         Ok(())

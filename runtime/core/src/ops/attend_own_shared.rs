@@ -143,11 +143,8 @@ impl AttendOwn {
                 *weight = *all_scores.get(usize::from(*slot)).ok_or(DecideError::BadLength)?;
             }
             member.alone |= !kernels.softmax(weights, count);
-            kernels.mix(
-                weights,
-                Rows { floats: values, width: step, slots: &member.slots },
-                output,
-            );
+            let rows = Rows { slots: &member.slots, ..Rows::first(values, step, 0) };
+            kernels.mix(weights, rows, output);
         }
         Ok(())
     }

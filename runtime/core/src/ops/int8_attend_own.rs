@@ -199,7 +199,7 @@ impl Int8AttendOwn {
                 attended.fill(0.0);
                 continue;
             }
-            let rows = Rows { floats: rows, width: self.padded_width(), slots: &member.slots };
+            let rows = Rows { slots: &member.slots, ..Rows::first(rows, self.padded_width(), 0) };
             member.alone |= attend(kernels, rows, absorbed, scores, mixed).is_err();
         }
         Ok(())

@@ -32,6 +32,7 @@ impl RowAttention {
     }
 
     /// Floats of one head, padded; never zero.
+    #[inline(always)]
     pub(crate) fn head_width(&self) -> usize {
         self.inner().checked_div(usize::from(self.heads)).unwrap_or(0).max(1)
     }

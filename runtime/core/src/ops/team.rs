@@ -17,7 +17,7 @@ pub(crate) struct Member {
     /// Which of the observations asked about is this agent's.
     pub(crate) index: usize,
     /// The rows of the entities that it sees, in rising order.
-    pub(crate) slots: Vec<u8, { limits::ENTITIES }>,
+    pub(crate) slots: Vec<u16, { limits::ENTITIES }>,
     /// Its own row.
     pub(crate) own: u8,
     /// Whether something is wrong with what it sees, so that it is to decide alone and get its own error.
@@ -38,7 +38,7 @@ impl Member {
         }
         if is_seen {
             // There is room for every entity.
-            let _ = self.slots.push(slot);
+            let _ = self.slots.push(slot.into());
         }
     }
 }

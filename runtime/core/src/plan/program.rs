@@ -77,7 +77,7 @@ impl Program {
         }
     }
 
-    /// Checks the operators of an allocator that proposes, and that the arena is as large as they need it.
+    /// Checks the operators of an allocator that proposes, and that the arena is at least as large as they need it.
     fn check_proposals(&self, sizes: &Sizes, header: &Header) -> Result<(), PlanError> {
         for (index, op) in self.ops.iter().enumerate() {
             if !(op.check(sizes) && op.kind().fits(header.layout)) {
@@ -87,7 +87,7 @@ impl Program {
         let network = self.proposal_network().filter(|network| {
             network.fits()
                 && usize::from(header.t_max) == network.trunk.task_count()
-                && u64::from(self.floats) == arena_floats(network, sizes.n_max as usize)
+                && u64::from(self.floats) >= arena_floats(network, sizes.n_max as usize)
                 && (self.nonzeros, sizes.hidden) == (0, 0)
         });
         network.map(drop).ok_or(PlanError::ShapeMismatch { op: self.ops.len() })

@@ -3,12 +3,12 @@
 //! An entity's row depends only on the entity, its subtask, and how many agents work there: rows that several
 //! allocations have in common are computed once, and so is an allocation that was proposed more than once.
 
-use super::memory::{CriticMemory, NONE, Near, StepMemory};
-use super::scene::{Product, Scene, add, add_times, copy, refused, tasks_in, vector};
+use super::memory::{CriticMemory, Grid, NONE, StepMemory};
+use super::scene::{Near, Product, Scene, add, copy, refused, tasks_in, vector};
 use crate::allocator::AllocateError;
 use crate::kernels::Kernels;
 use crate::limits;
-use crate::math::relu;
+use crate::math::relu_all;
 
 /// Writes the value of every proposal.
 #[inline(always)]
@@ -17,12 +17,12 @@ pub(super) fn score(
     scene: &Scene<'_>,
     step: &StepMemory<'_>,
     memory: &mut CriticMemory<'_>,
-    near: &mut Near<'_>,
+    scores: &mut Grid<'_, f32>,
 ) -> Result<(), AllocateError> {
     let allocations = find_distinct(scene, step, memory);
     let rows = embed_rows(scene, step, memory, allocations)?;
     project(kernels, scene, memory, rows)?;
-    attend(kernels, scene, memory, near, allocations)?;
+    attend(kernels, scene, memory, scores, allocations)?;
     value(kernels, scene, memory, allocations)
 }
 
@@ -64,7 +64,7 @@ fn embed_rows(
     for allocation in 0..allocations {
         let proposal = usize::from(memory.distinct.get(0, allocation));
         for (slot, entity) in scene.present.iter().enumerate() {
-            let agents = |task: usize| step.counts.get(proposal, task);
+            let agents = |task: usize| step.counts.get(task, proposal);
             let set = match step.places.get(proposal, entity) {
                 task if entity < scene.state.agents => 1_u32.checked_shl(task.into()).unwrap_or(0),
                 _ => scene.tasks_of(entity),
@@ -79,14 +79,16 @@ fn embed_rows(
             let width = row.len();
             copy(memory.bases.row(entity), row);
             for task in tasks_in(set) {
-                add(row, vector(tasks, width, task));
                 let others = others.get(task).copied().unwrap_or(0.0);
-                let factors = [f32::from(agents(task)), others, 1.0];
-                for (number, factor) in factors.into_iter().enumerate() {
-                    add_times(row, factor, vector(counts, width, number));
+                let [per_agent, per_other, constant] = [0, 1, 2].map(|n| vector(counts, width, n));
+                let counts = per_agent.iter().zip(per_other).zip(constant);
+                let embedded = row.iter_mut().zip(vector(tasks, width, task)).zip(counts);
+                let agents = f32::from(agents(task));
+                for ((sum, task), ((per_agent, per_other), constant)) in embedded {
+                    *sum = *sum + task + agents * per_agent + others * per_other + constant;
                 }
             }
-            row.iter_mut().for_each(|value| *value = relu(*value));
+            relu_all(row);
             memory.entity_of.set(0, rows, entity as u16);
             memory.rows_of.set(allocation, slot, rows as u16);
             if let Some(key) = key {
@@ -123,7 +125,7 @@ fn project(
 ) -> Result<(), AllocateError> {
     let attention = &scene.network.critic.attention;
     let CriticMemory { rows, queries, keys, values, entity_of, .. } = memory;
-    let layer = |layer| Product::new(layer, scene.weights, false);
+    let layer = |layer| Ok(Product::new(layer, scene.weights, false)?.behind_relu());
     let is_agent = |row: &usize| usize::from(entity_of.get(0, *row)) < scene.state.agents;
     let agents = (0..count).filter(is_agent);
     layer(&attention.query)?.rows(kernels, rows, queries.cells, queries.width, agents);
@@ -138,22 +140,18 @@ fn attend(
     kernels: impl Kernels,
     scene: &Scene<'_>,
     memory: &mut CriticMemory<'_>,
-    near: &mut Near<'_>,
+    scores: &mut Grid<'_, f32>,
     allocations: usize,
 ) -> Result<(), AllocateError> {
     let attention = &scene.network.critic.attention;
     let CriticMemory { queries, keys, values, mixed, rows_of, .. } = memory;
     let (count, agents) = (scene.present.len(), scene.present_agents().count());
-    for allocation in 0..allocations {
-        for (slot, row) in rows_of.row(allocation).iter().enumerate().take(count) {
-            let row = usize::from(*row);
-            near.gather(attention, [slot, count], [keys.row(row), values.row(row)]);
-        }
-        for (agent, row) in rows_of.row(allocation).iter().enumerate().take(agents) {
-            let query = queries.row(usize::from(*row));
-            let to = mixed.row_mut(allocation * agents + agent);
-            near.attend(kernels, attention, count, query, to)?;
-        }
+    let mixed = mixed.cells.chunks_exact_mut((agents * mixed.width).max(1));
+    for (allocation, mixed) in (0..allocations).zip(mixed) {
+        let slots = rows_of.row(allocation).get(..count).ok_or(AllocateError::TooLarge)?;
+        let askers = slots.get(..agents).ok_or(AllocateError::TooLarge)?;
+        let near = Near { attention, keys, values, slots };
+        near.attend(kernels, queries, askers, mixed, scores)?;
     }
     Ok(())
 }
@@ -168,28 +166,30 @@ fn value(
 ) -> Result<(), AllocateError> {
     let critic = &scene.network.critic;
     let agents = scene.present_agents().count();
-    let CriticMemory { rows, mixed, mean, value, of_proposal, same_as, .. } = memory;
+    let CriticMemory { rows, mixed, mean, of_proposal, same_as, .. } = memory;
     let output = Product::new(&critic.attention.output, scene.weights, true)?;
     output.rows(kernels, mixed, rows.cells, rows.width, 0..allocations * agents);
-    let head = Product::new(&critic.head, scene.weights, false)?;
+    let slots = scene.state.agents.max(1) as f32;
     for allocation in 0..allocations {
         let sums = mean.row_mut(0);
         sums.fill(0.0);
         for agent in 0..agents {
             add(sums, rows.row(allocation * agents + agent));
         }
-        let slots = scene.state.agents.max(1) as f32;
         sums.iter_mut().for_each(|sum| *sum /= slots);
-        head.rows(kernels, mean, value.cells, value.width, 0..1);
-        let value = value.cells.first().copied().unwrap_or(f32::NAN);
+        // Rows up to this one are in other means already.
+        copy(sums, rows.row_mut(allocation));
+    }
+    let (head, width) = (&critic.head, critic.head.padded_outputs());
+    let head = Product::new(head, scene.weights, false)?;
+    head.rows(kernels, rows, mixed.cells, width, 0..allocations);
+    for (of_proposal, same) in of_proposal.cells.iter_mut().zip(same_as.cells.iter()) {
+        let value = vector(mixed.cells, width, usize::from(*same)).first();
+        let value = value.copied().unwrap_or(f32::NAN);
         if !value.is_finite() {
             return Err(AllocateError::NonFinite);
         }
-        for (of_proposal, same) in of_proposal.cells.iter_mut().zip(same_as.cells.iter()) {
-            if usize::from(*same) == allocation {
-                *of_proposal = value;
-            }
-        }
+        *of_proposal = value;
     }
     Ok(())
 }

@@ -1,7 +1,15 @@
 //! How an agent's subtask is drawn from its logits.
 
+use core::ops::Range;
+
 use crate::limits;
 use crate::math::ln;
+
+/// Most proposals that are drawn in together.
+pub const TOGETHER: usize = 16;
+
+/// The place of each of them.
+const LANES: [u32; TOGETHER] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15];
 
 /// Chooses one agent's subtask in one proposal.
 ///
@@ -10,6 +18,26 @@ use crate::math::ln;
 pub trait Draw {
     /// The subtask; at least one is open.
     fn draw(&mut self, proposal: usize, agent: usize, logits: &[f32], open_tasks: u32) -> usize;
+
+    /// The same for at most [`TOGETHER`] proposals, which have a column each in the logits `[T]`.
+    fn draw_together(
+        &mut self,
+        proposals: Range<usize>,
+        agent: usize,
+        logits: &[[f32; TOGETHER]],
+        open_tasks: u32,
+    ) -> [usize; TOGETHER] {
+        let mut choices = [usize::MAX; TOGETHER];
+        for (column, (choice, proposal)) in choices.iter_mut().zip(proposals).enumerate() {
+            let mut own = [0.0; limits::TASKS];
+            for (own, logits) in own.iter_mut().zip(logits) {
+                *own = logits.get(column).copied().unwrap_or(f32::NAN);
+            }
+            let own = own.get(..logits.len()).unwrap_or(&own);
+            *choice = self.draw(proposal, agent, own, open_tasks);
+        }
+        choices
+    }
 }
 
 /// Draws from the policy by Gumbel noise that is computed from a seed and a place: the largest sum of logit and noise.
@@ -30,6 +58,33 @@ impl Draw for GumbelDraw {
             *sum = logit + noise;
         }
         largest_open(sums.get(..logits.len()).unwrap_or(&[]), open_tasks)
+    }
+
+    /// Without branches that nobody could predict, and in vectors: noise is worth some additions.
+    #[inline(always)]
+    fn draw_together(
+        &mut self,
+        proposals: Range<usize>,
+        agent: usize,
+        logits: &[[f32; TOGETHER]],
+        open_tasks: u32,
+    ) -> [usize; TOGETHER] {
+        let mut largest = [f32::NEG_INFINITY; TOGETHER];
+        let mut choices = [u32::MAX; TOGETHER];
+        for (task, logits) in (0..limits::TASKS as u32).zip(logits) {
+            if open_tasks >> task & 1 == 0 {
+                continue;
+            }
+            let lanes = largest.iter_mut().zip(&mut choices).zip(logits).zip(LANES);
+            for (((largest, choice), logit), lane) in lanes {
+                let proposal = proposals.start as u32 + lane;
+                let noise = gumbel(self.seed, proposal << 16 | (agent as u32) << 8 | task);
+                let sum = logit + if proposal == 0 { 0.0 } else { noise };
+                *choice = if sum > *largest { task } else { *choice };
+                *largest = if sum > *largest { sum } else { *largest };
+            }
+        }
+        choices.map(|choice| choice as usize)
     }
 }
 
@@ -98,6 +153,24 @@ mod tests {
         for task in [0, 1, 3, 4] {
             let (got, want) = (drawn[task] as f32 / 38_000.0, logits[task].exp() / total);
             assert!((got - want).abs() < 0.01, "subtask {task}: {got}, want {want}");
+        }
+    }
+
+    #[test]
+    fn draws_the_same_alone_and_together() {
+        let mut draw = GumbelDraw { seed: 0x1234_5678_9abc };
+        let logits = [0.1, -0.7, 0.4, 0.35, f32::NAN, 0.9, 0.0];
+        for (first, open) in [(0, 0b111_1111), (16, 0b010_1010), (32, 0b001_0000)] {
+            let all = logits.map(|logit| [logit; TOGETHER]);
+            let together = draw.draw_together(first..first + TOGETHER, 5, &all, open);
+            for (proposal, choice) in (first..).zip(together) {
+                let alone = draw.draw(proposal, 5, &logits, open);
+                assert_eq!(
+                    choice.min(logits.len()),
+                    alone.min(logits.len()),
+                    "proposal {proposal}"
+                );
+            }
         }
     }
 

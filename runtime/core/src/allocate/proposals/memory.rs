@@ -2,6 +2,7 @@
 
 use zerocopy::FromBytes;
 
+use super::draw::TOGETHER;
 use crate::kernels::softmax::slots;
 use crate::limits;
 use crate::ops::ProposalNetwork;
@@ -97,7 +98,8 @@ pub(super) struct Memory<'a> {
     pub(super) trunk: TrunkMemory<'a>,
     pub(super) step: StepMemory<'a>,
     pub(super) critic: CriticMemory<'a>,
-    pub(super) near: Near<'a>,
+    /// Scores of one query.
+    pub(super) scores: Grid<'a, f32>,
 }
 
 /// What the trunk computes. Rows belong to entities.
@@ -124,9 +126,9 @@ pub(super) struct StepMemory<'a> {
     pub(super) products: Grid<'a, f32>,
     /// What the new nodes are made of, behind a ReLU.
     pub(super) parents: Grid<'a, f32>,
-    /// `[P, T]`: the node that each subtask has come to.
+    /// `[T, P]`, rows of whole [`TOGETHER`]: the node that each subtask has come to.
     pub(super) node_of: Grid<'a, u16>,
-    /// `[P, T]`: agents of each subtask.
+    /// The same: agents of each subtask.
     pub(super) counts: Grid<'a, u16>,
     /// `[P, A]`: the subtask of each agent.
     pub(super) places: Grid<'a, u16>,
@@ -148,7 +150,6 @@ pub(super) struct CriticMemory<'a> {
     /// What the heads of each agent of each distinct allocation attended to.
     pub(super) mixed: Grid<'a, f32>,
     pub(super) mean: Grid<'a, f32>,
-    pub(super) value: Grid<'a, f32>,
     /// The value of every proposal.
     pub(super) of_proposal: Grid<'a, f32>,
     /// The row that stands for a key, see [`Extent::agent_key`].
@@ -163,24 +164,16 @@ pub(super) struct CriticMemory<'a> {
     pub(super) same_as: Grid<'a, u16>,
 }
 
-/// Keys and values of the rows that a query attends to, head by head.
-pub(super) struct Near<'a> {
-    pub(super) keys: Grid<'a, f32>,
-    pub(super) values: Grid<'a, f32>,
-    pub(super) scores: Grid<'a, f32>,
-}
-
 type Size = (usize, usize);
 
 /// Rows and columns of all parts that hold floats, in the order in which [`Memory::new`] takes them.
-fn float_parts(network: &ProposalNetwork, extent: &Extent) -> [Size; 21] {
+fn float_parts(network: &ProposalNetwork, extent: &Extent) -> [Size; 19] {
     let ProposalNetwork { trunk, critic, .. } = network;
     let (width, inner) = (trunk.embed.padded_outputs(), trunk.attention.inner());
     let (critic_width, critic_inner) = (critic.embed.padded_outputs(), critic.attention.inner());
     let Extent { entities, agents, proposals, .. } = *extent;
     let nodes = extent.nodes(trunk.task_count());
     let rows = proposals * entities;
-    let near = entities * inner.max(critic_inner);
     [
         (entities, width),
         (entities, width),
@@ -200,9 +193,7 @@ fn float_parts(network: &ProposalNetwork, extent: &Extent) -> [Size; 21] {
         (rows, critic_inner),
         (rows, critic_inner),
         (proposals * agents, critic_inner),
-        (2, critic_width.max(critic.head.padded_outputs())),
-        (1, near),
-        (1, near),
+        (1, critic_width),
         (2, slots(entities).max(proposals)),
     ]
 }
@@ -211,9 +202,10 @@ fn float_parts(network: &ProposalNetwork, extent: &Extent) -> [Size; 21] {
 fn table_parts(network: &ProposalNetwork, extent: &Extent) -> [Size; 10] {
     let Extent { entities, agents, proposals, .. } = *extent;
     let tasks = network.trunk.task_count();
+    let lanes = proposals.next_multiple_of(TOGETHER);
     [
-        (proposals, tasks),
-        (proposals, tasks),
+        (tasks, lanes),
+        (tasks, lanes),
         (proposals, agents),
         (1, extent.nodes(tasks)),
         (1, proposals),
@@ -273,8 +265,6 @@ impl<'a> Memory<'a> {
             row_values,
             row_mixed,
             mean,
-            near_keys,
-            near_values,
             scores,
         ] = cut::<_, _, LINE>(floats, parts)?;
         let [
@@ -289,7 +279,6 @@ impl<'a> Memory<'a> {
             distinct,
             same_as,
         ] = cut::<_, _, TABLE_LINE>(tables, table_parts(network, extent))?;
-        let [mean, value] = halves(mean)?;
         let [scores, of_proposal] = halves(scores)?;
         Some(Self {
             trunk: TrunkMemory {
@@ -320,7 +309,6 @@ impl<'a> Memory<'a> {
                 values: row_values,
                 mixed: row_mixed,
                 mean,
-                value,
                 of_proposal,
                 row_of_key,
                 entity_of,
@@ -328,7 +316,7 @@ impl<'a> Memory<'a> {
                 distinct,
                 same_as,
             },
-            near: Near { keys: near_keys, values: near_values, scores },
+            scores,
         })
     }
 }

@@ -13,7 +13,7 @@ mod scene;
 mod step;
 mod trunk;
 
-pub use draw::{Draw, GumbelDraw, largest_open};
+pub use draw::{Draw, GumbelDraw, TOGETHER, largest_open};
 pub use memory::{PROPOSALS, arena_floats};
 
 use draw::scramble;
@@ -179,10 +179,10 @@ impl<D: Draw> Work for Proposing<'_, '_, D> {
 
     #[inline(always)]
     fn run(self, kernels: impl Kernels) -> Self::Output {
-        let Memory { trunk, step, critic, near } = self.memory;
-        trunk::embed(kernels, &self.scene, trunk, step, critic, near)?;
+        let Memory { trunk, step, critic, scores } = self.memory;
+        trunk::embed(kernels, &self.scene, trunk, step, critic, scores)?;
         step::propose(kernels, &self.scene, trunk, step, self.draw)?;
-        critic::score(kernels, &self.scene, step, critic, near)
+        critic::score(kernels, &self.scene, step, critic, scores)
     }
 }
 

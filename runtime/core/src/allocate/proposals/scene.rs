@@ -1,14 +1,14 @@
 //! What the three networks look at.
 
-use super::memory::{Extent, Grid, Near};
+use super::memory::{Extent, Grid};
 use crate::allocator::{AllocateError, AllocationState};
 use crate::entity_mask::EntityMask;
-use crate::kernels::Kernels;
 use crate::kernels::mark::{MARKED, Marks};
 use crate::kernels::product::{Around, Sparse};
 use crate::kernels::rows::Rows;
 use crate::kernels::several::Pair;
 use crate::kernels::softmax::slots;
+use crate::kernels::{ATTENDED_WIDTH, HEADS, Heads, Kernels};
 use crate::limits;
 use crate::ops::{Linear, ProposalNetwork, RowAttention};
 use crate::policy::DecideError;
@@ -17,7 +17,7 @@ use crate::policy::DecideError;
 pub(super) type RowMarks = [Marks; limits::FEATURES / MARKED];
 
 /// Rows that are multiplied with a matrix in one go.
-const TOGETHER: usize = 64;
+const TOGETHER: usize = 256;
 
 /// The state, and the networks with their weights.
 #[derive(Clone, Copy)]
@@ -98,14 +98,6 @@ pub(super) fn add(sums: &mut [f32], vector: &[f32]) {
     }
 }
 
-/// Adds a vector times a factor.
-#[inline(always)]
-pub(super) fn add_times(sums: &mut [f32], factor: f32, vector: &[f32]) {
-    for (sum, value) in sums.iter_mut().zip(vector) {
-        *sum += factor * value;
-    }
-}
-
 /// What is wrong, in an allocator's words.
 pub(super) fn refused(error: DecideError) -> AllocateError {
     match error {
@@ -122,6 +114,7 @@ pub(super) struct Product<'w> {
     around: Around<'w>,
     inputs: usize,
     outputs: usize,
+    sparse: bool,
 }
 
 impl<'w> Product<'w> {
@@ -132,12 +125,23 @@ impl<'w> Product<'w> {
     ) -> Result<Self, AllocateError> {
         let (inputs, outputs) = (usize::from(layer.inputs), layer.padded_outputs());
         let matrix = layer.matrix(weights).map_err(refused)?;
-        Ok(Self { matrix, around: layer.around(weights, relu).map_err(refused)?, inputs, outputs })
+        Ok(Self {
+            matrix,
+            around: layer.around(weights, relu).map_err(refused)?,
+            inputs,
+            outputs,
+            sparse: false,
+        })
     }
 
     /// The same product, starting from another vector than the layer's bias.
     pub(super) fn from(self, start: &'w [f32]) -> Self {
         Self { around: Around { bias: Some(start), ..self.around }, ..self }
+    }
+
+    /// The same product of rows that come out of a ReLU: their zeros are left out.
+    pub(super) fn behind_relu(self) -> Self {
+        Self { sparse: true, ..self }
     }
 
     /// Multiplies the first `count` rows that are wanted, and writes each to the row of the same number.
@@ -166,57 +170,114 @@ impl<'w> Product<'w> {
             if pairs.is_empty() {
                 return;
             }
-            kernels.products(self.matrix, &mut pairs, self.around);
+            if self.sparse {
+                kernels.sparse_products(self.matrix, &mut pairs, self.around);
+            } else {
+                kernels.products(self.matrix, &mut pairs, self.around);
+            }
         }
     }
 }
 
+/// The rows that are attended to.
+#[derive(Clone, Copy)]
+pub(super) struct Near<'n> {
+    pub(super) attention: &'n RowAttention,
+    /// Keys and values of all rows.
+    pub(super) keys: &'n Grid<'n, f32>,
+    pub(super) values: &'n Grid<'n, f32>,
+    /// Which of them are near.
+    pub(super) slots: &'n [u16],
+}
+
 impl Near<'_> {
-    /// Puts keys and values of a row into place `slot` of `count`, head by head.
+    /// Attends with the queries of some rows, and writes what each attended to behind the one before.
     #[inline(always)]
-    pub(super) fn gather(
-        &mut self,
-        attention: &RowAttention,
-        [slot, count]: [usize; 2],
-        [keys, values]: [&[f32]; 2],
-    ) {
-        let head = attention.head_width();
-        let of_head = head.saturating_mul(count).max(1);
-        for (all, row) in [(&mut self.keys, keys), (&mut self.values, values)] {
-            let places = all.cells.chunks_exact_mut(of_head).zip(row.chunks_exact(head.max(1)));
-            for (places, part) in places {
-                let start = slot.saturating_mul(head);
-                if let Some(to) = places.get_mut(start..start.saturating_add(head)) {
-                    copy(part, to);
-                }
+    pub(super) fn attend<K: Kernels>(
+        &self,
+        kernels: K,
+        queries: &Grid<'_, f32>,
+        askers: &[u16],
+        mixed: &mut [f32],
+        scores: &mut Grid<'_, f32>,
+    ) -> Result<(), AllocateError> {
+        let row = queries.width.max(1);
+        for (asker, mixed) in askers.iter().zip(mixed.chunks_exact_mut(row)) {
+            copy(queries.row(usize::from(*asker)), mixed);
+        }
+        let width = self.attention.head_width();
+        let fits = width.is_multiple_of(ATTENDED_WIDTH)
+            && row.is_multiple_of(HEADS.saturating_mul(width))
+            && self.slots.len() <= K::ATTENDED;
+        let together = HEADS.saturating_mul(row);
+        for several in mixed.chunks_mut(together) {
+            if fits && several.len() == together {
+                self.attend_together(kernels, row, several)?;
+                continue;
+            }
+            for mixed in several.chunks_exact_mut(row) {
+                self.attend_alone(kernels, mixed, scores)?;
             }
         }
+        Ok(())
     }
 
-    /// Attends with one row's query to the first `count` rows that were gathered.
+    /// Makes of the queries of [`HEADS`] rows what they attend to.
     #[inline(always)]
-    pub(super) fn attend(
-        &mut self,
+    fn attend_together(
+        &self,
         kernels: impl Kernels,
-        attention: &RowAttention,
-        count: usize,
-        query: &[f32],
+        row: usize,
         mixed: &mut [f32],
     ) -> Result<(), AllocateError> {
-        let head = attention.head_width();
-        let of_head = head.saturating_mul(count).max(1);
-        let scores = self.scores.cells.get_mut(..slots(count)).ok_or(AllocateError::BadLength)?;
-        let near =
-            self.keys.cells.chunks_exact(of_head).zip(self.values.cells.chunks_exact(of_head));
-        let heads = query.chunks_exact(head.max(1)).zip(mixed.chunks_exact_mut(head.max(1)));
-        for ((query, mixed), (keys, values)) in heads.zip(near) {
-            kernels.dots(query, Rows::first(keys, head, count), scores);
+        let width = self.attention.head_width();
+        let mut rows = mixed.chunks_exact_mut(row.max(1));
+        let mut rows =
+            [(); HEADS].map(|()| rows.next().unwrap_or_default().chunks_exact_mut(width));
+        let mut next = |first: usize| {
+            let [a, b, c, d] = &mut rows;
+            let heads = [a, b, c, d].map(|row| row.next().unwrap_or_default());
+            let [keys, values] = self.rows(first, width);
+            Heads { heads, keys, values }
+        };
+        for first in (0..row).step_by(HEADS.saturating_mul(width)) {
+            let [second, third, fourth] = [1, 2, 3].map(|head| first + head * width);
+            let groups = &mut [next(first), next(second), next(third), next(fourth)];
+            if !kernels.attend(groups, &[]) {
+                return Err(AllocateError::NonFinite);
+            }
+        }
+        Ok(())
+    }
+
+    /// Makes of one row's query what it attends to.
+    #[inline(always)]
+    fn attend_alone(
+        &self,
+        kernels: impl Kernels,
+        mixed: &mut [f32],
+        scores: &mut Grid<'_, f32>,
+    ) -> Result<(), AllocateError> {
+        let (width, count) = (self.attention.head_width(), self.slots.len());
+        let scores = scores.cells.get_mut(..slots(count)).ok_or(AllocateError::BadLength)?;
+        for (mixed, first) in mixed.chunks_exact_mut(width).zip((0..).step_by(width)) {
+            let [keys, values] = self.rows(first, width);
+            kernels.dots(mixed, keys, scores);
             if !kernels.softmax(scores, count) {
                 return Err(AllocateError::NonFinite);
             }
-            kernels.mix(scores, Rows::first(values, head, count), mixed);
+            kernels.mix(scores, values, mixed);
         }
         Ok(())
+    }
+
+    /// The columns of one head.
+    #[inline(always)]
+    fn rows(&self, first: usize, width: usize) -> [Rows<'_>; 2] {
+        [self.keys, self.values].map(|grid| {
+            let floats = grid.cells.get(first..).unwrap_or(&[]);
+            Rows { floats, width, stride: grid.width, slots: self.slots }
+        })
     }
 }
 

@@ -4,7 +4,7 @@
 //! that agree so far share it. Only the chosen subtask's embedding changes, and nobody asks for what the last agent
 //! changes. Counts enter the logits linearly: three products for each agent say all about them.
 
-use super::Draw;
+use super::draw::{Draw, TOGETHER};
 use super::memory::{NONE, StepMemory, TrunkMemory};
 use super::scene::{Product, Scene, add, refused, vector};
 use crate::allocator::AllocateError;
@@ -27,10 +27,8 @@ pub(super) fn propose(
     memory.counts.cells.fill(0);
     memory.places.cells.fill(NONE);
     memory.children.cells.fill(NONE);
-    for nodes in memory.node_of.cells.chunks_exact_mut(tasks.max(1)) {
-        for (node, task) in nodes.iter_mut().zip(0..) {
-            *node = task;
-        }
+    for task in 0..tasks {
+        memory.node_of.row_mut(task).fill(task as u16);
     }
     let mut others = [0.0; limits::TASKS];
     for (task, others) in others.iter_mut().enumerate().take(tasks) {
@@ -41,7 +39,8 @@ pub(super) fn propose(
     for agent in scene.present_agents() {
         let pointer = Pointer::new(kernels, scene, trunk.embedded.row(agent), &others)?;
         pointer.meet(kernels, nodes, memory)?;
-        let new = choose_all(scene, agent, &pointer, memory, draw, nodes)?;
+        choose_all(scene, agent, &pointer, memory, draw)?;
+        let new = follow(agent, scene.extent.proposals, memory, nodes);
         if Some(agent) != last {
             update(kernels, scene, trunk.from_agents.row(agent), memory, [nodes, new])?;
             nodes += new;
@@ -78,6 +77,28 @@ impl<'a> Pointer<'a> {
         Ok(Self { embedding, per_agent, always, scale: scale.unwrap_or(1.0) })
     }
 
+    /// The logits of a subtask in some proposals, of which `first` is the first.
+    #[inline(always)]
+    fn logits(
+        &self,
+        task: usize,
+        first: usize,
+        memory: &StepMemory<'_>,
+    ) -> Option<[f32; TOGETHER]> {
+        let StepMemory { products, node_of, counts, .. } = memory;
+        let nodes: &[u16; TOGETHER] = node_of.row(task).get(first..)?.first_chunk()?;
+        let counts: &[u16; TOGETHER] = counts.row(task).get(first..)?.first_chunk()?;
+        let always = self.always.get(task)?;
+        let mut logits = [0.0; TOGETHER];
+        for (logit, node) in logits.iter_mut().zip(nodes) {
+            *logit = *products.cells.get(usize::from(*node))?;
+        }
+        for (logit, count) in logits.iter_mut().zip(counts) {
+            *logit = (*logit + (f32::from(*count) * self.per_agent + always)) * self.scale;
+        }
+        Some(logits)
+    }
+
     /// Writes the products of the agent and the first `nodes` nodes.
     #[inline(always)]
     fn meet(
@@ -106,7 +127,7 @@ impl<'a> Pointer<'a> {
     }
 }
 
-/// Lets one agent choose in every proposal; returns how many nodes that makes.
+/// Lets one agent choose in every proposal.
 #[inline(always)]
 fn choose_all(
     scene: &Scene<'_>,
@@ -114,29 +135,39 @@ fn choose_all(
     pointer: &Pointer<'_>,
     memory: &mut StepMemory<'_>,
     draw: &mut impl Draw,
-    nodes: usize,
-) -> Result<usize, AllocateError> {
+) -> Result<(), AllocateError> {
     let (tasks, open) = (scene.tasks(), scene.state.open_tasks);
-    let StepMemory { products, node_of, counts, places, children, parent_of, .. } = memory;
+    for first in (0..scene.extent.proposals).step_by(TOGETHER) {
+        let mut logits = heapless::Vec::<_, { limits::TASKS }>::new();
+        for task in 0..tasks {
+            let of_task = pointer.logits(task, first, memory).ok_or(AllocateError::TooLarge)?;
+            if !all_finite(&of_task) {
+                return Err(AllocateError::NonFinite);
+            }
+            // There is room for every subtask.
+            let _ = logits.push(of_task);
+        }
+        let proposals = first..scene.extent.proposals.min(first + TOGETHER);
+        let choices = draw.draw_together(proposals.clone(), agent, &logits, open);
+        for (proposal, task) in proposals.zip(choices) {
+            if task >= tasks || open >> task & 1 == 0 {
+                return Err(AllocateError::Infeasible);
+            }
+            memory.places.set(proposal, agent, task as u16);
+        }
+    }
+    Ok(())
+}
+
+/// Counts one agent's choices, and moves on to the nodes that they lead to; returns how many of those are new.
+#[inline(always)]
+fn follow(agent: usize, proposals: usize, memory: &mut StepMemory<'_>, nodes: usize) -> usize {
+    let StepMemory { node_of, counts, places, children, parent_of, .. } = memory;
     let mut new = 0;
-    for proposal in 0..scene.extent.proposals {
-        let mut logits = [0.0; limits::TASKS];
-        let sizes = node_of.row(proposal).iter().zip(counts.row(proposal)).zip(&pointer.always);
-        for (logit, ((node, count), always)) in logits.iter_mut().zip(sizes) {
-            let product = products.cells.get(usize::from(*node)).copied().unwrap_or(0.0);
-            *logit = (product + (f32::from(*count) * pointer.per_agent + always)) * pointer.scale;
-        }
-        let logits = logits.get(..tasks).ok_or(AllocateError::TooLarge)?;
-        if !all_finite(logits) {
-            return Err(AllocateError::NonFinite);
-        }
-        let task = draw.draw(proposal, agent, logits, open);
-        if task >= tasks || open >> task & 1 == 0 {
-            return Err(AllocateError::Infeasible);
-        }
-        places.set(proposal, agent, task as u16);
-        counts.set(proposal, task, counts.get(proposal, task).saturating_add(1));
-        let parent = node_of.get(proposal, task);
+    for proposal in 0..proposals {
+        let task = usize::from(places.get(proposal, agent));
+        counts.set(task, proposal, counts.get(task, proposal).saturating_add(1));
+        let parent = node_of.get(task, proposal);
         let mut child = children.get(0, usize::from(parent));
         if child == NONE {
             child = (nodes + new) as u16;
@@ -144,9 +175,9 @@ fn choose_all(
             parent_of.set(0, new, parent);
             new += 1;
         }
-        node_of.set(proposal, task, child);
+        node_of.set(task, proposal, child);
     }
-    Ok(new)
+    new
 }
 
 /// Computes the nodes that an agent's choices made: `g + W_u [relu(g); relu(h)] + b_u`.
@@ -172,7 +203,7 @@ fn update(
     let split = all.cells.split_at_mut_checked(before);
     let (known, fresh) = split.ok_or(AllocateError::TooLarge)?;
     let product = Product::new(&scene.network.step.from_task, scene.weights, false)?;
-    product.from(from_agent).rows(kernels, parents, fresh, width, 0..new);
+    product.behind_relu().from(from_agent).rows(kernels, parents, fresh, width, 0..new);
     for (fresh, parent) in
         fresh.chunks_exact_mut(width.max(1)).zip(parent_of.cells.iter()).take(new)
     {

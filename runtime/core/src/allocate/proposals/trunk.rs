@@ -1,7 +1,7 @@
 //! What is computed once for all proposals: embeddings of agents and subtasks (dissertation section 7.4).
 
-use super::memory::{CriticMemory, Near, StepMemory, TrunkMemory};
-use super::scene::{Product, RowMarks, Scene, add, copy, refused, tasks_in, vector};
+use super::memory::{CriticMemory, Grid, StepMemory, TrunkMemory};
+use super::scene::{Near, Product, RowMarks, Scene, add, copy, refused, tasks_in, vector};
 use crate::allocator::AllocateError;
 use crate::entity_mask::EntityMask;
 use crate::kernels::Kernels;
@@ -17,10 +17,10 @@ pub(super) fn embed(
     trunk: &mut TrunkMemory<'_>,
     step: &mut StepMemory<'_>,
     critic: &mut CriticMemory<'_>,
-    near: &mut Near<'_>,
+    scores: &mut Grid<'_, f32>,
 ) -> Result<(), AllocateError> {
     embed_entities(kernels, scene, trunk, critic)?;
-    attend_within_tasks(kernels, scene, trunk, near)?;
+    attend_within_tasks(kernels, scene, trunk, scores)?;
     let nodes = scene.tasks().saturating_mul(step.nodes.width);
     step.nodes.cells.get_mut(..nodes).ok_or(AllocateError::TooLarge)?.fill(0.0);
     for entity in placed(scene).iter() {
@@ -30,7 +30,7 @@ pub(super) fn embed(
     }
     let update = Product::new(&scene.network.step.from_agent, scene.weights, false)?;
     let (to, width) = (&mut trunk.from_agents.cells, trunk.from_agents.width);
-    update.rows(kernels, &trunk.active, to, width, scene.present_agents());
+    update.behind_relu().rows(kernels, &trunk.active, to, width, scene.present_agents());
     Ok(())
 }
 
@@ -82,12 +82,12 @@ fn attend_within_tasks(
     kernels: impl Kernels,
     scene: &Scene<'_>,
     trunk: &mut TrunkMemory<'_>,
-    near: &mut Near<'_>,
+    scores: &mut Grid<'_, f32>,
 ) -> Result<(), AllocateError> {
     let attention = &scene.network.trunk.attention;
     let placed = placed(scene);
-    let project = |layer, to: &mut super::memory::Grid<'_, f32>| {
-        let product = Product::new(layer, scene.weights, false)?;
+    let project = |layer, to: &mut Grid<'_, f32>| {
+        let product = Product::new(layer, scene.weights, false)?.behind_relu();
         product.rows(kernels, &trunk.active, to.cells, to.width, placed.iter());
         Ok(())
     };
@@ -108,12 +108,13 @@ fn attend_within_tasks(
             copy(trunk.values.row(entity), mixed);
             continue;
         }
-        let count = peers_of(entity).count();
-        for (slot, peer) in peers_of(entity).enumerate() {
-            let rows = [trunk.keys.row(peer), trunk.values.row(peer)];
-            near.gather(attention, [slot, count], rows);
+        let mut slots = heapless::Vec::<u16, { limits::ENTITIES }>::new();
+        for peer in peers_of(entity) {
+            // There is room for every entity.
+            let _ = slots.push(peer as u16);
         }
-        near.attend(kernels, attention, count, trunk.queries.row(entity), mixed)?;
+        let near = Near { attention, keys: &trunk.keys, values: &trunk.values, slots: &slots };
+        near.attend(kernels, &trunk.queries, &[entity as u16], mixed, scores)?;
     }
     let output = Product::new(&attention.output, scene.weights, false)?;
     let (to, width) = (&mut trunk.attended.cells, trunk.attended.width);

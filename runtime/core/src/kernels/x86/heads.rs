@@ -2,9 +2,9 @@
 //! and weights that are needed next come near meanwhile.
 
 use core::arch::x86_64::{
-    __m512, _MM_HINT_T0, _mm_prefetch, _mm512_fpclass_ps_mask, _mm512_mask_blend_ps,
-    _mm512_mask_broadcast_f32x4, _mm512_maskz_mov_ps, _mm512_mul_ps, _mm512_reduce_max_ps,
-    _mm512_set1_ps, _mm512_setzero_ps, _mm512_sub_ps,
+    __m512, _MM_HINT_T0, _mm_prefetch, _mm512_add_ps, _mm512_fpclass_ps_mask, _mm512_mask_blend_ps,
+    _mm512_maskz_mov_ps, _mm512_mul_ps, _mm512_reduce_max_ps, _mm512_set1_ps, _mm512_setzero_ps,
+    _mm512_shuffle_f32x4, _mm512_shuffle_ps, _mm512_sub_ps,
 };
 
 use zerocopy::transmute;
@@ -13,59 +13,128 @@ use super::wider::{NOT_FINITE, join, lanes_of, load, multiply_add};
 use crate::kernels::arithmetic::Arithmetic;
 use crate::kernels::dot::{LANES, ROWS};
 use crate::kernels::product::TILE;
-use crate::kernels::{HEADS, Head};
+use crate::kernels::rows::Rows;
+use crate::kernels::{ATTENDED_WIDTH, HEADS, Heads};
 use crate::math::exp;
 
 /// Vectors of a tile.
 const VECTORS: usize = TILE / LANES;
+/// Vectors of the columns that may stand behind the last whole tile, if rows are narrower than two.
+const NARROW: usize = ATTENDED_WIDTH / LANES;
 
 /// Rows that are attended to: their scores fit into one vector.
 pub(super) const ATTENDED: usize = LANES;
+
+/// Groups that are worked on step by step together, so that none waits for its own last step.
+const GROUPS: usize = 4;
 
 /// See [`crate::kernels::Kernels::attend`].
 // Inlined into a whole decision, its sums do not stay in registers.
 #[inline(never)]
 #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
-pub(super) fn attend<A: Arithmetic>(
-    heads: &mut [Head; HEADS],
-    rows: &[f32],
-    width: usize,
-    soon: &[f32],
-) -> bool {
+pub(super) fn attend<A: Arithmetic>(groups: &mut [Heads<'_>], soon: &[f32]) -> bool {
     let mut soon = Soon(soon);
-    let width = width.max(TILE);
-    let mut scores = [_mm512_setzero_ps(); HEADS];
-    for (rows, places) in rows.chunks(ROWS * width).zip([0xf, 0xf0, 0xf00, 0xf000]) {
-        let mut rows = rows.chunks_exact(width);
-        // Where rows end, the first one stands for those that are missing.
-        let Some(row) = rows.next() else { break };
-        let rows = [
-            row,
-            rows.next().unwrap_or(row),
-            rows.next().unwrap_or(row),
-            rows.next().unwrap_or(row),
-        ];
-        let sums = dots::<A>(heads, rows, &mut soon);
-        for (scores, sums) in scores.iter_mut().zip(sums) {
-            *scores = _mm512_mask_broadcast_f32x4(*scores, places, transmute!(join(sums)));
+    let mut finite = true;
+    for groups in groups.chunks_mut(GROUPS) {
+        let mut scores = [[_mm512_setzero_ps(); HEADS]; GROUPS];
+        for (group, scores) in groups.iter().zip(&mut scores) {
+            *scores = weigh::<A>(group, &mut soon);
+        }
+        for (group, scores) in groups.iter().zip(&mut scores) {
+            let count = group.keys.slots.len().min(ATTENDED);
+            let exist = (u32::from(u16::MAX) >> (ATTENDED - count)) as u16;
+            finite &= softmax(scores, exist, &mut soon);
+        }
+        for (group, scores) in groups.iter_mut().zip(scores) {
+            mix_all::<A>(group, scores, &mut soon);
         }
     }
-    let count = (rows.len() / width).min(ATTENDED);
-    let finite =
-        softmax(&mut scores, (u32::from(u16::MAX) >> (ATTENDED - count)) as u16, &mut soon);
+    finite
+}
+
+/// The scores of a group's heads, a vector each.
+#[inline]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
+fn weigh<A: Arithmetic>(group: &Heads<'_>, soon: &mut Soon<'_>) -> [__m512; HEADS] {
+    let mut scores = [_mm512_setzero_ps(); ATTENDED / ROWS];
+    for (scores, slots) in scores.iter_mut().zip(group.keys.slots.chunks(ROWS)) {
+        *scores = join_all(dots::<A>(&group.heads, four_rows(group.keys, slots), soon));
+    }
+    // Four rows of every head become all rows of each.
+    let [a, b, c, d] = scores;
+    let low = [_mm512_shuffle_f32x4::<0x44>(a, b), _mm512_shuffle_f32x4::<0x44>(c, d)];
+    let high = [_mm512_shuffle_f32x4::<0xee>(a, b), _mm512_shuffle_f32x4::<0xee>(c, d)];
+    let [[a, b], [c, d]] = [low, high];
+    [
+        _mm512_shuffle_f32x4::<0x88>(a, b),
+        _mm512_shuffle_f32x4::<0xdd>(a, b),
+        _mm512_shuffle_f32x4::<0x88>(c, d),
+        _mm512_shuffle_f32x4::<0xdd>(c, d),
+    ]
+}
+
+/// [`crate::kernels::dot::join`] of all sums: four rows' of the first head, then of the next.
+#[inline]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
+fn join_all(sums: [[__m512; ROWS]; HEADS]) -> __m512 {
+    let [first, second, third, fourth] = sums;
+    let [a, b] = [join_two(first, second), join_two(third, fourth)];
+    _mm512_add_ps(_mm512_shuffle_f32x4::<0x88>(a, b), _mm512_shuffle_f32x4::<0xdd>(a, b))
+}
+
+/// Two halves that are still to be added for every row of two heads, next to each other.
+#[inline]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
+fn join_two(first: [__m512; ROWS], second: [__m512; ROWS]) -> __m512 {
+    let mut eights = first;
+    for (eight, second) in eights.iter_mut().zip(second) {
+        let low = _mm512_shuffle_f32x4::<0x44>(*eight, second);
+        *eight = _mm512_add_ps(low, _mm512_shuffle_f32x4::<0xee>(*eight, second));
+    }
+    let [a, b, c, d] = eights;
+    add_neighbours(add_neighbours(a, b), add_neighbours(c, d))
+}
+
+/// Sums of neighbours, in every fourth of the vectors the first's before the second's.
+#[inline]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
+fn add_neighbours(a: __m512, b: __m512) -> __m512 {
+    _mm512_add_ps(_mm512_shuffle_ps::<0x88>(a, b), _mm512_shuffle_ps::<0xdd>(a, b))
+}
+
+/// Makes a group's heads the weighted sums of its values.
+#[inline]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
+fn mix_all<A: Arithmetic>(group: &mut Heads<'_>, scores: [__m512; HEADS], soon: &mut Soon<'_>) {
     let [a, b, c, d] = scores;
     let weights = [transmute!(a), transmute!(b), transmute!(c), transmute!(d)];
-    for tile in 0..width / TILE {
-        mix::<A>(heads, &weights, rows.chunks_exact(width), tile, &mut soon);
+    let (heads, values) = (&mut group.heads, group.values);
+    let tiled = values.width - values.width % TILE;
+    for first in (0..tiled).step_by(TILE) {
+        mix::<A, TILE, VECTORS>(heads, &weights, values, first, soon);
     }
-    finite
+    if values.width > tiled {
+        mix::<A, ATTENDED_WIDTH, NARROW>(heads, &weights, values, tiled, soon);
+    }
+}
+
+/// The rows in at most four slots. Where slots end, the first one stands for those that are missing.
+#[inline(always)]
+fn four_rows<'r>(rows: Rows<'r>, slots: &[u16]) -> [&'r [f32]; ROWS] {
+    let mut four = [&[][..]; ROWS];
+    for (index, row) in four.iter_mut().enumerate() {
+        if let Some(slot) = slots.get(index).or(slots.first()) {
+            *row = rows.row(*slot);
+        }
+    }
+    four
 }
 
 /// Sums of which each is [`join`]ed to the dot product of a head and a row.
 #[inline]
 #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
 fn dots<A: Arithmetic>(
-    heads: &[Head; HEADS],
+    heads: &[&mut [f32]; HEADS],
     rows: [&[f32]; ROWS],
     soon: &mut Soon<'_>,
 ) -> [[__m512; ROWS]; HEADS] {
@@ -112,33 +181,38 @@ fn softmax(scores: &mut [__m512; HEADS], exist: u16, soon: &mut Soon<'_>) -> boo
     not_finite == 0
 }
 
-/// Writes the weighted sums of a tile's columns over those of the heads.
+/// Writes the weighted sums of some columns, the first of which is `first`, over those of the heads.
 #[inline]
 #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
-fn mix<'r, A: Arithmetic>(
-    heads: &mut [Head; HEADS],
+fn mix<A: Arithmetic, const COLUMNS: usize, const VECTORS: usize>(
+    heads: &mut [&mut [f32]; HEADS],
     weights: &[[f32; LANES]; HEADS],
-    rows: impl Iterator<Item = &'r [f32]>,
-    tile: usize,
+    rows: Rows<'_>,
+    first: usize,
     soon: &mut Soon<'_>,
 ) {
     let mut sums = [[_mm512_setzero_ps(); VECTORS]; HEADS];
     let [w0, w1, w2, w3] = weights;
-    for (row, (((w0, w1), w2), w3)) in rows.zip(w0.iter().zip(w1).zip(w2).zip(w3)) {
-        let Some(columns) = row.as_chunks::<TILE>().0.get(tile) else { return };
+    for (slot, (((w0, w1), w2), w3)) in rows.slots.iter().zip(w0.iter().zip(w1).zip(w2).zip(w3)) {
+        let columns = rows.row(*slot).get(first..).and_then(|row| row.first_chunk::<COLUMNS>());
+        let Some(columns) = columns else { return };
         soon.fetch::<6>();
-        let columns: [__m512; VECTORS] = transmute!(*columns);
+        let mut vectors = [_mm512_setzero_ps(); VECTORS];
+        for (vector, lanes) in vectors.iter_mut().zip(lanes_of(columns)) {
+            *vector = load(lanes);
+        }
         for (sums, weight) in sums.iter_mut().zip([w0, w1, w2, w3]) {
             let weight = _mm512_set1_ps(*weight);
-            for (sum, columns) in sums.iter_mut().zip(columns) {
+            for (sum, columns) in sums.iter_mut().zip(vectors) {
                 *sum = multiply_add::<A>(*sum, weight, columns);
             }
         }
     }
     for (head, sums) in heads.iter_mut().zip(sums) {
-        let sums: [f32; TILE] = transmute!(sums);
-        if let Some(columns) = head.as_chunks_mut().0.get_mut(tile) {
-            *columns = sums;
+        let columns =
+            head.get_mut(first..).map_or(&mut [][..], |head| head.as_chunks_mut::<LANES>().0);
+        for (columns, sum) in columns.iter_mut().zip(sums) {
+            *columns = transmute!(sum);
         }
     }
 }

@@ -36,8 +36,12 @@ macro_rules! sparse_product {
 
         use $crate::kernels::mark::MARKED;
         use $crate::kernels::product::{self, Around, Sparse, TILE, finished};
+        use $crate::kernels::several::{self, Pair};
 
         use super::sparse::Rest;
+
+        /// Vectors whose inputs are marked before any of them is worked on.
+        const MARKED_AHEAD: usize = 64;
 
         /// Vectors that a tile is wide.
         const TILE_VECTORS: usize = TILE * size_of::<f32>() / size_of::<$vector>();
@@ -66,6 +70,84 @@ macro_rules! sparse_product {
             }
             let around = Around { bias: rest.bias, relu: around.relu };
             product::sparse_product::<A>(rest.weights, inputs, around, rest.outputs);
+        }
+
+        /// See [`crate::kernels::several::sparse_products`]. Inputs are worked on 64 at a time, for all vectors before
+        /// the next: their rows of two tiles fill the first cache, and their marks a word.
+        #[inline]
+        #[target_feature(enable = $features)]
+        pub(super) fn sparse_products<A: Arithmetic>(
+            weights: &[f32],
+            pairs: &mut [Pair<'_>],
+            around: Around<'_>,
+        ) {
+            const COLUMNS: usize = $tiles * TILE;
+            let Some(Pair { inputs, outputs }) = pairs.first() else { return };
+            let (rows, columns) = (inputs.len(), outputs.len());
+            let (mut weights, mut column) = (weights, 0);
+            while rows > 0 && columns - column >= COLUMNS {
+                let Some(tiles) = weights.split_off(..rows.saturating_mul(COLUMNS)) else { return };
+                for first in (0..rows).step_by(MARKED) {
+                    for pairs in pairs.chunks_mut(MARKED_AHEAD) {
+                        // Ahead, so that no vector waits for its own marks.
+                        let mut marks = [0; MARKED_AHEAD];
+                        for (marks, pair) in marks.iter_mut().zip(pairs.iter()) {
+                            *marks = mark_some(pair.inputs, first);
+                        }
+                        for (pair, marks) in pairs.iter_mut().zip(marks) {
+                            add_some::<A>(tiles, [rows, first, column], pair, marks, around);
+                        }
+                    }
+                }
+                column += COLUMNS;
+            }
+            several::sparse_products::<A>(weights, pairs, around, column);
+        }
+
+        /// Marks at most 64 inputs of one vector, from the first on, which are not zero.
+        #[inline]
+        #[target_feature(enable = $features)]
+        fn mark_some(inputs: &[f32], first: usize) -> u64 {
+            let inputs = inputs.get(first..).unwrap_or(&[]);
+            if let Some(inputs) = inputs.first_chunk() {
+                return not_zero(inputs);
+            }
+            let mut marks = [[0; 2]];
+            mark(inputs, &mut marks);
+            let [[low, high]] = marks;
+            u64::from(low) | u64::from(high) << 32
+        }
+
+        /// Adds the rows of at most 64 inputs of one vector, from the first on, which are not zero.
+        #[inline]
+        #[target_feature(enable = $features)]
+        #[allow(unsafe_code)]
+        fn add_some<A: Arithmetic>(
+            tiles: &[f32],
+            [rows, first, column]: [usize; 3],
+            pair: &mut Pair<'_>,
+            marks: u64,
+            around: Around<'_>,
+        ) {
+            const COLUMNS: usize = $tiles * TILE;
+            let bias = around.bias.and_then(|bias| bias.get(column..)?.first_chunk::<COLUMNS>());
+            let outputs = pair.outputs.get_mut(column..).and_then(|outputs| outputs.first_chunk_mut::<COLUMNS>());
+            let inputs = pair.inputs.get(first..).and_then(|inputs| inputs.chunks(MARKED).next());
+            let (Some(outputs), Some(inputs)) = (outputs, inputs) else { return };
+            if tiles.len() < rows * COLUMNS || first + inputs.len() > rows {
+                return;
+            }
+            let start = if first > 0 { &*outputs } else { bias.unwrap_or(&[0.0; COLUMNS]) };
+            let mut sums: [$vector; $tiles * TILE_VECTORS] = transmute!(*start);
+            let mut marks = _bzhi_u64(marks, inputs.len() as u32);
+            while marks != 0 {
+                let index = marks.trailing_zeros() as usize;
+                marks &= marks - 1;
+                // SAFETY: only inputs that exist are marked, and each has its row: checked above.
+                unsafe { add_row::<A, { $tiles * TILE_VECTORS }>(&mut sums, inputs.get_unchecked(index), tiles, first + index, rows) };
+            }
+            let sums: [f32; COLUMNS] = transmute!(sums);
+            *outputs = finished(sums, around.relu && first + inputs.len() == rows);
         }
 
         /// Adds the rows of marked inputs to the sums of tiles, which stand one behind the other.

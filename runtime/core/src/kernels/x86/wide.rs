@@ -58,6 +58,18 @@ pub(super) fn mark(values: &[f32], marks: &mut [Marks]) -> bool {
     _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_UNORD_Q>(zeros, zeros)) == 0
 }
 
+/// A bit for each of 64 values, set where it is not zero.
+#[inline]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
+fn not_zero(values: &[f32; MARKED]) -> u64 {
+    let mut bits = 0;
+    for (lanes, first) in values.as_chunks().0.iter().zip((0..).step_by(LANES)) {
+        let not_zero = _mm256_cmp_ps::<_CMP_NEQ_UQ>(load(lanes), _mm256_setzero_ps());
+        bits |= u64::from(_mm256_movemask_ps(not_zero) as u32) << first;
+    }
+    bits
+}
+
 #[inline]
 #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
 fn load(lanes: &[f32; LANES]) -> __m256 {

@@ -38,6 +38,18 @@ pub(super) fn mark(values: &[f32], marks: &mut [Marks]) -> bool {
     not_finite == 0
 }
 
+/// A bit for each of 64 values, set where it is not zero.
+#[inline]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
+fn not_zero(values: &[f32; MARKED]) -> u64 {
+    let mut bits = 0;
+    for (lanes, first) in lanes_of(values).iter().zip((0..).step_by(LANES)) {
+        let not_zero = _mm512_cmp_ps_mask::<_CMP_NEQ_UQ>(load(lanes), _mm512_setzero_ps());
+        bits |= u64::from(not_zero) << first;
+    }
+    bits
+}
+
 #[inline]
 #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
 pub(super) fn load(lanes: &[f32; LANES]) -> __m512 {

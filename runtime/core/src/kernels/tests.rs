@@ -1,0 +1,134 @@
+//! Every build gives the same bits, and what works on much at once gives those of one after the other.
+
+use std::vec;
+use std::vec::Vec;
+
+use super::arithmetic::{Arithmetic, Exact, Fused};
+use super::build::{Build, Work};
+use super::product::Around;
+use super::rows::Rows;
+use super::several::Pair;
+use super::softmax::slots;
+use super::{ATTENDED_WIDTH, HEADS, Heads, Kernels};
+
+/// Any numbers of both signs.
+fn numbers(count: usize, seed: usize) -> Vec<f32> {
+    let number = |index: usize| ((index + seed) * 2_654_435_761) >> 7 & 0xffff;
+    (0..count).map(|index| number(index) as f32 / 32_768.0 - 1.0).collect()
+}
+
+fn bits(values: &[f32]) -> Vec<u32> {
+    values.iter().map(|value| value.to_bits()).collect()
+}
+
+/// Products of vectors of which half is zero.
+struct SparseProducts {
+    inputs: usize,
+    outputs: usize,
+    count: usize,
+}
+
+impl Work for SparseProducts {
+    type Output = [Vec<u32>; 2];
+
+    fn run(self, kernels: impl Kernels) -> Self::Output {
+        let Self { inputs, outputs, count } = self;
+        let weights = numbers(inputs * outputs, 1);
+        let bias = numbers(outputs, 2);
+        let vectors: Vec<f32> = numbers(inputs * count, 3).iter().map(|v| v.max(0.0)).collect();
+        let around = Around { bias: Some(&bias), relu: count.is_multiple_of(2) };
+        let mut alone = vec![f32::NAN; outputs * count];
+        for (vector, products) in vectors.chunks(inputs).zip(alone.chunks_mut(outputs)) {
+            kernels.product(&weights, vector, around, products);
+        }
+        let mut together = vec![f32::NAN; outputs * count];
+        let pairs = vectors.chunks(inputs).zip(together.chunks_mut(outputs));
+        let mut pairs: Vec<_> = pairs.map(|(inputs, outputs)| Pair { inputs, outputs }).collect();
+        kernels.sparse_products(&weights, &mut pairs, around);
+        [bits(&alone), bits(&together)]
+    }
+}
+
+#[test]
+fn zeros_are_left_out_of_several_vectors() {
+    for (inputs, outputs, count) in
+        [(1, 8, 1), (63, 64, 2), (64, 128, 70), (65, 120, 3), (128, 128, 5), (200, 256, 4)]
+    {
+        let work = || SparseProducts { inputs, outputs, count };
+        let [want, _] = Build::PORTABLE.run::<Exact, _>(work());
+        for build in Build::all() {
+            let [alone, together] = build.run::<Exact, _>(work());
+            assert_eq!((&alone, &together), (&want, &want), "{build:?}, {inputs} x {outputs}");
+        }
+        for build in Build::all().filter(|build| build.fuses()) {
+            let [alone, together] = build.run::<Fused, _>(work());
+            assert_eq!(alone, together, "{build:?}, fused, {inputs} x {outputs}");
+        }
+    }
+}
+
+/// Attention of heads to some of the rows of two matrices; none where a build has nothing for several heads.
+struct Attending {
+    width: usize,
+    rows: Vec<u16>,
+    groups: usize,
+}
+
+impl Work for Attending {
+    type Output = Option<[Vec<u32>; 2]>;
+
+    fn run(self, kernels: impl Kernels) -> Self::Output {
+        fn attended<K: Kernels>(_: K) -> usize {
+            K::ATTENDED
+        }
+        let Self { width, rows: slots_of, groups } = self;
+        if slots_of.len() > attended(kernels) {
+            return None;
+        }
+        // Rows of two heads, of which the second is attended to.
+        let (stride, first) = (2 * width, width);
+        let [keys, values] = [4, 5].map(|seed| numbers(20 * stride, seed));
+        let [keys, values] = [&keys, &values].map(|all| Rows {
+            floats: &all[first..],
+            width,
+            stride,
+            slots: &slots_of,
+        });
+        let mut alone = numbers(groups * HEADS * width, 6);
+        let mut together = alone.clone();
+        for head in alone.chunks_mut(width) {
+            let mut scores = vec![0.0; slots(slots_of.len())];
+            kernels.dots(head, keys, &mut scores);
+            assert!(kernels.softmax(&mut scores, slots_of.len()));
+            kernels.mix(&scores, values, head);
+        }
+        let mut heads = together.chunks_mut(width);
+        let mut next = || heads.next().expect("as many heads");
+        let group = |_| Heads { heads: [next(), next(), next(), next()], keys, values };
+        let mut groups: Vec<Heads<'_>> = (0..groups).map(group).collect();
+        assert!(kernels.attend(&mut groups, &[]));
+        Some([bits(&alone), bits(&together)])
+    }
+}
+
+fn check_attention<A: Arithmetic>(build: Build) {
+    for width in [ATTENDED_WIDTH, 64, 96, 128] {
+        for count in 1..=16 {
+            let rows = || (0..count).map(|row| row * 7 % 20).collect();
+            let work = Attending { width, rows: rows(), groups: 1 + usize::from(count) % 6 };
+            if let Some([alone, together]) = build.run::<A, _>(work) {
+                assert_eq!(alone, together, "{build:?}, {count} rows of {width}");
+            }
+        }
+    }
+}
+
+#[test]
+fn several_heads_attend_as_each_does() {
+    for build in Build::all() {
+        check_attention::<Exact>(build);
+        if build.fuses() {
+            check_attention::<Fused>(build);
+        }
+    }
+}
