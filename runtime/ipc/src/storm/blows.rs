@@ -23,6 +23,8 @@ const CALM: u32 = 5;
 const FIRST_CALM: u32 = 250;
 /// Ticks at the end in which what the dead left has to be cleaned up.
 const LAST_CALM: u32 = 5_000;
+/// Of these, those after which a standby that may have led is replaced by a fresh one.
+const FRESH_STANDBY: u32 = 1_500;
 
 /// A process to kill after a pause.
 struct Blow {
@@ -172,6 +174,10 @@ impl Blows {
     fn clean_up(&mut self, ticks: u32) {
         let leaked = self.objects().saturating_sub(self.objects.unwrap_or(0));
         self.awaited = Awaited::CleanUp { ticks: ticks + 1 };
+        if leaked > 0 && ticks == FRESH_STANDBY {
+            // Who led before keeps its connections, which no standby had when objects were counted.
+            self.standby.take().into_iter().for_each(kill);
+        }
         if leaked == 0 || ticks >= LAST_CALM {
             self.checks.found.leaked = leaked;
             self.awaited = Awaited::Done;

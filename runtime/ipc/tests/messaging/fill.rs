@@ -68,10 +68,11 @@ impl WorldObserver for Relay {
         let answers = || report.answers();
         let present = report.actions.iter().filter(|&&action| action != u16::MAX).count();
         if answers().count() < present {
-            // Nobody acts for a seat of the dead until the world takes it for vacant.
-            assert_eq!(self.stage, Stage::Died);
-            self.unanswered += 1;
-        } else if present < 3 {
+            // Nobody acts for a seat of the dead until the world takes it for vacant; who lives may be late.
+            assert_ne!(self.stage, Stage::Fills);
+            self.unanswered += u32::from(self.stage == Stage::Died);
+        }
+        if answers().count() < 3 {
             return;
         }
         let of_world = answers().filter(|answer| answer.runner == own).count();
