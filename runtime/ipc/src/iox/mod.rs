@@ -9,9 +9,11 @@
 mod bell;
 mod control;
 mod event;
+mod inter_process;
 mod links;
 mod message;
 mod open;
+mod pool;
 mod services;
 mod watcher;
 mod world_frames;
@@ -19,10 +21,10 @@ mod world_frames;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::prelude::{FileDescriptor, FileDescriptorBased};
 use iceoryx2::service::Service;
-pub use iceoryx2::service::ipc::Service as InterProcess;
 pub use iceoryx2::service::local_threadsafe::Service as IntraProcess;
 
 pub use control::{ControlRx, IoxControl};
+pub use inter_process::InterProcess;
 pub use links::{Housekeeping, IoxAgent, IoxAllocator, IoxWorld, LinkSetup};
 pub(crate) use open::{Cleaner, set_log_level};
 pub(crate) use services::worst_case_bytes;
