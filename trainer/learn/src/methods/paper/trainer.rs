@@ -181,8 +181,11 @@ impl Trainer {
         let sample = self.sample;
         let generator = &mut self.generator;
         let window = &mut self.counters.window;
-        let learns = !config.low_level.frozen;
-        let drawn = draw_episodes(&self.replay, sample.windows, generator, |_| learns);
+        let drawn = if config.low_level.frozen {
+            None
+        } else {
+            draw_episodes(&self.replay, sample.windows, generator, |_| true)
+        };
         if let Some(drawn) = drawn {
             let ReturnsConfig { shaping: cell, discount, .. } = config.low_level.returns;
             let shaped = SampleShape { shaping: Shaping { cell, discount }, ..sample };
