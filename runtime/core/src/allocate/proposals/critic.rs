@@ -44,75 +44,129 @@ fn find_distinct(scene: &Scene<'_>, step: &StepMemory<'_>, memory: &mut CriticMe
     count
 }
 
-/// Computes every distinct row once, notes which rows each allocation has, and returns how many rows there are.
+/// How many distinct rows there are: those of agents stand before the others.
+#[derive(Clone, Copy, Default)]
+struct RowCount {
+    agents: usize,
+    all: usize,
+}
+
+/// Computes every distinct row once, and notes which rows each allocation has.
+///
+/// Rows of an entity at the same subtask stand side by side: they have many zeros in common.
 #[inline(always)]
 fn embed_rows(
     scene: &Scene<'_>,
     step: &StepMemory<'_>,
     memory: &mut CriticMemory<'_>,
     allocations: usize,
-) -> Result<usize, AllocateError> {
-    let critic = &scene.network.critic;
-    let tasks = critic.tasks.of(scene.weights).map_err(refused)?;
-    let counts = critic.counts.of(scene.weights).map_err(refused)?;
-    let mut others = [0.0; limits::TASKS];
-    for (task, others) in others.iter_mut().enumerate().take(scene.tasks()) {
-        *others = scene.others_of(task) as f32;
-    }
-    memory.row_of_key.cells.fill(NONE);
-    let mut rows = 0;
-    for allocation in 0..allocations {
-        let proposal = usize::from(memory.distinct.get(0, allocation));
-        for (slot, entity) in scene.present.iter().enumerate() {
-            let agents = |task: usize| step.counts.get(task, proposal);
-            let set = match step.places.get(proposal, entity) {
-                task if entity < scene.state.agents => 1_u32.checked_shl(task.into()).unwrap_or(0),
-                _ => scene.tasks_of(entity),
-            };
-            let key = key(scene, entity, set, agents);
-            let known = key.map_or(NONE, |key| memory.row_of_key.get(0, key));
-            if known != NONE {
-                memory.rows_of.set(allocation, slot, known);
-                continue;
-            }
-            let row = memory.rows.row_mut(rows);
-            let width = row.len();
-            copy(memory.bases.row(entity), row);
-            for task in tasks_in(set) {
-                let others = others.get(task).copied().unwrap_or(0.0);
-                let [per_agent, per_other, constant] = [0, 1, 2].map(|n| vector(counts, width, n));
-                let counts = per_agent.iter().zip(per_other).zip(constant);
-                let embedded = row.iter_mut().zip(vector(tasks, width, task)).zip(counts);
-                let agents = f32::from(agents(task));
-                for ((sum, task), ((per_agent, per_other), constant)) in embedded {
-                    *sum = *sum + task + agents * per_agent + others * per_other + constant;
-                }
-            }
-            relu_all(row);
-            memory.entity_of.set(0, rows, entity as u16);
-            memory.rows_of.set(allocation, slot, rows as u16);
-            if let Some(key) = key {
-                memory.row_of_key.set(0, key, rows as u16);
-            }
-            rows += 1;
+) -> Result<RowCount, AllocateError> {
+    let embedding = Embedding::new(scene, step)?;
+    let mut rows = RowCount::default();
+    for (slot, entity) in scene.present.iter().enumerate() {
+        if entity >= scene.state.agents {
+            let set = scene.tasks_of(entity);
+            let all = 0..allocations;
+            rows.all = embedding.write_all(memory, [slot, entity], set, all, rows.all);
+            continue;
         }
+        let mut places = [NONE; limits::PROPOSALS];
+        for (place, proposal) in
+            places.iter_mut().zip(memory.distinct.cells.iter()).take(allocations)
+        {
+            *place = step.places.get(usize::from(*proposal), entity);
+        }
+        for task in 0..scene.tasks() {
+            let here = places.iter().enumerate().take(allocations);
+            let here = here.filter(|(_, place)| usize::from(**place) == task);
+            let here = here.map(|(allocation, _)| allocation);
+            rows.all = embedding.write_all(memory, [slot, entity], 1 << task, here, rows.all);
+        }
+        rows.agents = rows.all;
     }
     Ok(rows)
 }
 
-/// What a row depends on, as a number; none for those few that belong to several subtasks.
-#[inline(always)]
-fn key(scene: &Scene<'_>, entity: usize, set: u32, agents: impl Fn(usize) -> u16) -> Option<usize> {
-    let (extent, tasks) = (scene.extent, scene.tasks());
-    let task = tasks_in(set).next();
-    if set & set.wrapping_sub(1) != 0 {
-        return None;
+/// The critic's first layer.
+struct Embedding<'a> {
+    step: &'a StepMemory<'a>,
+    /// `[T, E]`: what each subtask adds to an entity's features.
+    tasks: &'a [f32],
+    /// What each of its agents adds, each of its others, and what is always added.
+    counts: &'a [f32],
+    /// The others of each subtask.
+    others: [f32; limits::TASKS],
+}
+
+impl<'a> Embedding<'a> {
+    fn new(scene: &Scene<'a>, step: &'a StepMemory<'a>) -> Result<Self, AllocateError> {
+        let critic = &scene.network.critic;
+        let tasks = critic.tasks.of(scene.weights).map_err(refused)?;
+        let counts = critic.counts.of(scene.weights).map_err(refused)?;
+        let mut others = [0.0; limits::TASKS];
+        for (task, others) in others.iter_mut().enumerate().take(scene.tasks()) {
+            *others = scene.others_of(task) as f32;
+        }
+        Ok(Self { step, tasks, counts, others })
     }
-    let count = task.map_or(0, |task| usize::from(agents(task)));
-    Some(match task {
-        Some(task) if entity < scene.state.agents => extent.agent_key(tasks, entity, task, count),
-        _ => extent.other_key(tasks, entity, count),
-    })
+
+    /// Writes the rows of an entity that belongs to the same subtasks in some allocations behind `rows` others, and
+    /// returns how many there are then. One row stands for all allocations in which its subtask has as many agents.
+    #[inline(always)]
+    fn write_all(
+        &self,
+        memory: &mut CriticMemory<'_>,
+        [slot, entity]: [usize; 2],
+        set: u32,
+        allocations: impl Iterator<Item = usize>,
+        rows: usize,
+    ) -> usize {
+        let mut rows = rows;
+        let several = set & set.wrapping_sub(1) != 0;
+        let task = tasks_in(set).next();
+        let mut row_of_count = [NONE; limits::AGENTS + 1];
+        for allocation in allocations {
+            let proposal = usize::from(memory.distinct.get(0, allocation));
+            let agents = |task: usize| self.step.counts.get(task, proposal);
+            let count = task.map_or(0, agents);
+            let mut unknown = NONE;
+            let row = row_of_count.get_mut(usize::from(count)).unwrap_or(&mut unknown);
+            if several || *row == NONE {
+                *row = rows as u16;
+                self.write(memory, rows, entity, set, agents);
+                rows += 1;
+            }
+            memory.rows_of.set(allocation, slot, *row);
+        }
+        rows
+    }
+
+    /// Writes the row of an entity that belongs to some subtasks with so many agents.
+    #[inline(always)]
+    fn write(
+        &self,
+        memory: &mut CriticMemory<'_>,
+        row: usize,
+        entity: usize,
+        set: u32,
+        agents: impl Fn(usize) -> u16,
+    ) {
+        let row = memory.rows.row_mut(row);
+        let width = row.len();
+        copy(memory.bases.row(entity), row);
+        for task in tasks_in(set) {
+            let others = self.others.get(task).copied().unwrap_or(0.0);
+            let [per_agent, per_other, constant] =
+                [0, 1, 2].map(|number| vector(self.counts, width, number));
+            let counts = per_agent.iter().zip(per_other).zip(constant);
+            let embedded = row.iter_mut().zip(vector(self.tasks, width, task)).zip(counts);
+            let agents = f32::from(agents(task));
+            for ((sum, task), ((per_agent, per_other), constant)) in embedded {
+                *sum = *sum + task + agents * per_agent + others * per_other + constant;
+            }
+        }
+        relu_all(row);
+    }
 }
 
 /// Queries of agents, keys and values of all rows.
@@ -121,16 +175,14 @@ fn project(
     kernels: impl Kernels,
     scene: &Scene<'_>,
     memory: &mut CriticMemory<'_>,
-    count: usize,
+    count: RowCount,
 ) -> Result<(), AllocateError> {
     let attention = &scene.network.critic.attention;
-    let CriticMemory { rows, queries, keys, values, entity_of, .. } = memory;
+    let CriticMemory { rows, queries, keys, values, .. } = memory;
     let layer = |layer| Ok(Product::new(layer, scene.weights, false)?.behind_relu());
-    let is_agent = |row: &usize| usize::from(entity_of.get(0, *row)) < scene.state.agents;
-    let agents = (0..count).filter(is_agent);
-    layer(&attention.query)?.rows(kernels, rows, queries.cells, queries.width, agents);
-    layer(&attention.key)?.rows(kernels, rows, keys.cells, keys.width, 0..count);
-    layer(&attention.value)?.rows(kernels, rows, values.cells, values.width, 0..count);
+    layer(&attention.query)?.rows(kernels, rows, queries.cells, queries.width, 0..count.agents);
+    layer(&attention.key)?.rows(kernels, rows, keys.cells, keys.width, 0..count.all);
+    layer(&attention.value)?.rows(kernels, rows, values.cells, values.width, 0..count.all);
     Ok(())
 }
 

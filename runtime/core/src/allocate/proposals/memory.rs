@@ -39,21 +39,6 @@ impl Extent {
     fn nodes(&self, tasks: usize) -> usize {
         tasks + self.proposals * self.agents
     }
-
-    /// Keys by which the critic's rows are known, see [`Self::agent_key`] and [`Self::other_key`].
-    fn keys(&self, tasks: usize) -> usize {
-        (self.agents * tasks + self.entities) * (self.agents + 1)
-    }
-
-    /// The key of an agent at a subtask with so many agents.
-    pub(super) fn agent_key(&self, tasks: usize, agent: usize, task: usize, count: usize) -> usize {
-        (agent * tasks + task) * (self.agents + 1) + count
-    }
-
-    /// The key of another entity whose one subtask has so many agents.
-    pub(super) fn other_key(&self, tasks: usize, entity: usize, count: usize) -> usize {
-        (self.agents * tasks + entity) * (self.agents + 1) + count
-    }
 }
 
 /// Rows of numbers. A row that does not exist is empty.
@@ -124,7 +109,7 @@ pub(super) struct StepMemory<'a> {
     pub(super) nodes: Grid<'a, f32>,
     /// The product of each node and the agent in question.
     pub(super) products: Grid<'a, f32>,
-    /// What the new nodes are made of, behind a ReLU.
+    /// Nodes whose updates are computed, behind a ReLU.
     pub(super) parents: Grid<'a, f32>,
     /// `[T, P]`, rows of whole [`TOGETHER`]: the node that each subtask has come to.
     pub(super) node_of: Grid<'a, u16>,
@@ -136,6 +121,8 @@ pub(super) struct StepMemory<'a> {
     pub(super) children: Grid<'a, u16>,
     /// The nodes that become new ones.
     pub(super) parent_of: Grid<'a, u16>,
+    /// The update that nodes add to those that become of them.
+    pub(super) update_of: Grid<'a, u16>,
 }
 
 /// What the critic computes.
@@ -145,6 +132,7 @@ pub(super) struct CriticMemory<'a> {
     /// Distinct rows; at the end, what agents attended to.
     pub(super) rows: Grid<'a, f32>,
     pub(super) queries: Grid<'a, f32>,
+    /// Until it is the critic's turn, updates of nodes stand here.
     pub(super) keys: Grid<'a, f32>,
     pub(super) values: Grid<'a, f32>,
     /// What the heads of each agent of each distinct allocation attended to.
@@ -152,10 +140,6 @@ pub(super) struct CriticMemory<'a> {
     pub(super) mean: Grid<'a, f32>,
     /// The value of every proposal.
     pub(super) of_proposal: Grid<'a, f32>,
-    /// The row that stands for a key, see [`Extent::agent_key`].
-    pub(super) row_of_key: Grid<'a, u16>,
-    /// The entity of each distinct row.
-    pub(super) entity_of: Grid<'a, u16>,
     /// `[P, N]`: the rows of each distinct allocation, one for each present entity.
     pub(super) rows_of: Grid<'a, u16>,
     /// The first proposal of each distinct allocation.
@@ -174,6 +158,8 @@ fn float_parts(network: &ProposalNetwork, extent: &Extent) -> [Size; 19] {
     let Extent { entities, agents, proposals, .. } = *extent;
     let nodes = extent.nodes(trunk.task_count());
     let rows = proposals * entities;
+    // Every agent but the last has at most one update for each proposal.
+    let updates = (proposals * agents * width).div_ceil(critic_inner.max(1));
     [
         (entities, width),
         (entities, width),
@@ -190,7 +176,7 @@ fn float_parts(network: &ProposalNetwork, extent: &Extent) -> [Size; 19] {
         (entities, critic_width),
         (rows, critic_width),
         (rows, critic_inner),
-        (rows, critic_inner),
+        (rows.max(updates), critic_inner),
         (rows, critic_inner),
         (proposals * agents, critic_inner),
         (1, critic_width),
@@ -199,7 +185,7 @@ fn float_parts(network: &ProposalNetwork, extent: &Extent) -> [Size; 19] {
 }
 
 /// The same for tables of numbers.
-fn table_parts(network: &ProposalNetwork, extent: &Extent) -> [Size; 10] {
+fn table_parts(network: &ProposalNetwork, extent: &Extent) -> [Size; 9] {
     let Extent { entities, agents, proposals, .. } = *extent;
     let tasks = network.trunk.task_count();
     let lanes = proposals.next_multiple_of(TOGETHER);
@@ -209,8 +195,7 @@ fn table_parts(network: &ProposalNetwork, extent: &Extent) -> [Size; 10] {
         (proposals, agents),
         (1, extent.nodes(tasks)),
         (1, proposals),
-        (1, extent.keys(tasks)),
-        (1, proposals * entities),
+        (1, extent.nodes(tasks)),
         (proposals, entities),
         (1, proposals),
         (1, proposals),
@@ -267,18 +252,8 @@ impl<'a> Memory<'a> {
             mean,
             scores,
         ] = cut::<_, _, LINE>(floats, parts)?;
-        let [
-            node_of,
-            counts,
-            places,
-            children,
-            parent_of,
-            row_of_key,
-            entity_of,
-            rows_of,
-            distinct,
-            same_as,
-        ] = cut::<_, _, TABLE_LINE>(tables, table_parts(network, extent))?;
+        let [node_of, counts, places, children, parent_of, update_of, rows_of, distinct, same_as] =
+            cut::<_, _, TABLE_LINE>(tables, table_parts(network, extent))?;
         let [scores, of_proposal] = halves(scores)?;
         Some(Self {
             trunk: TrunkMemory {
@@ -300,6 +275,7 @@ impl<'a> Memory<'a> {
                 places,
                 children,
                 parent_of,
+                update_of,
             },
             critic: CriticMemory {
                 bases,
@@ -310,8 +286,6 @@ impl<'a> Memory<'a> {
                 mixed: row_mixed,
                 mean,
                 of_proposal,
-                row_of_key,
-                entity_of,
                 rows_of,
                 distinct,
                 same_as,

@@ -181,7 +181,7 @@ impl<D: Draw> Work for Proposing<'_, '_, D> {
     fn run(self, kernels: impl Kernels) -> Self::Output {
         let Memory { trunk, step, critic, scores } = self.memory;
         trunk::embed(kernels, &self.scene, trunk, step, critic, scores)?;
-        step::propose(kernels, &self.scene, trunk, step, self.draw)?;
+        step::propose(kernels, &self.scene, trunk, step, critic.keys.cells, self.draw)?;
         critic::score(kernels, &self.scene, step, critic, scores)
     }
 }

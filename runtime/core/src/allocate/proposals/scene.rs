@@ -134,11 +134,6 @@ impl<'w> Product<'w> {
         })
     }
 
-    /// The same product, starting from another vector than the layer's bias.
-    pub(super) fn from(self, start: &'w [f32]) -> Self {
-        Self { around: Around { bias: Some(start), ..self.around }, ..self }
-    }
-
     /// The same product of rows that come out of a ReLU: their zeros are left out.
     pub(super) fn behind_relu(self) -> Self {
         Self { sparse: true, ..self }

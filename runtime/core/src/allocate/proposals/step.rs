@@ -2,11 +2,12 @@
 //!
 //! A subtask's embedding depends only on the agents that chose it, in their order: it is a node of a tree, and proposals
 //! that agree so far share it. Only the chosen subtask's embedding changes, and nobody asks for what the last agent
-//! changes. Counts enter the logits linearly: three products for each agent say all about them.
+//! changes. What a node adds to those that become of it is the same whoever the agent: it is computed once, and not for
+//! nodes that stay as they are. Counts enter the logits linearly: three products for each agent say all about them.
 
 use super::draw::{Draw, TOGETHER};
-use super::memory::{NONE, StepMemory, TrunkMemory};
-use super::scene::{Product, Scene, add, refused, vector};
+use super::memory::{Grid, NONE, StepMemory, TrunkMemory};
+use super::scene::{Product, Scene, refused, vector};
 use crate::allocator::AllocateError;
 use crate::kernels::Kernels;
 use crate::kernels::rows::Rows;
@@ -14,19 +15,24 @@ use crate::limits;
 use crate::math::{all_finite, relu};
 use crate::ops::COUNTS;
 
-/// Writes every proposal's places and counts. The first nodes stand, and what agents add to updates.
+/// Writes every proposal's places and counts. The first nodes stand, and what agents add to updates; `updates` is
+/// memory for a row of every proposal and agent.
 #[inline(always)]
 pub(super) fn propose(
     kernels: impl Kernels,
     scene: &Scene<'_>,
     trunk: &TrunkMemory<'_>,
     memory: &mut StepMemory<'_>,
+    updates: &mut [f32],
     draw: &mut impl Draw,
 ) -> Result<(), AllocateError> {
     let tasks = scene.tasks();
+    let mut updates =
+        Updates { rows: Grid { cells: updates, width: memory.nodes.width }, count: 0 };
     memory.counts.cells.fill(0);
     memory.places.cells.fill(NONE);
     memory.children.cells.fill(NONE);
+    memory.update_of.cells.fill(NONE);
     for task in 0..tasks {
         memory.node_of.row_mut(task).fill(task as u16);
     }
@@ -42,7 +48,8 @@ pub(super) fn propose(
         choose_all(scene, agent, &pointer, memory, draw)?;
         let new = follow(agent, scene.extent.proposals, memory, nodes);
         if Some(agent) != last {
-            update(kernels, scene, trunk.from_agents.row(agent), memory, [nodes, new])?;
+            updates.compute(kernels, scene, memory, new)?;
+            become_new(trunk.from_agents.row(agent), memory, &updates, [nodes, new])?;
             nodes += new;
         }
     }
@@ -180,34 +187,65 @@ fn follow(agent: usize, proposals: usize, memory: &mut StepMemory<'_>, nodes: us
     new
 }
 
+/// What nodes add to those that become of them, `W_u relu(g)`, in the order in which they are asked for.
+struct Updates<'a> {
+    rows: Grid<'a, f32>,
+    count: usize,
+}
+
+impl Updates<'_> {
+    /// Computes the updates of the parents of new nodes, unless they are there already.
+    #[inline(always)]
+    fn compute(
+        &mut self,
+        kernels: impl Kernels,
+        scene: &Scene<'_>,
+        memory: &mut StepMemory<'_>,
+        new: usize,
+    ) -> Result<(), AllocateError> {
+        let StepMemory { nodes, parents, update_of, parent_of, .. } = memory;
+        let mut count = 0;
+        for parent in parent_of.cells.iter().take(new).map(|parent| usize::from(*parent)) {
+            if update_of.get(0, parent) != NONE {
+                continue;
+            }
+            update_of.set(0, parent, (self.count + count) as u16);
+            for (to, value) in parents.row_mut(count).iter_mut().zip(nodes.row(parent)) {
+                *to = relu(*value);
+            }
+            count += 1;
+        }
+        let width = self.rows.width;
+        let fresh = self.rows.cells.get_mut(self.count.saturating_mul(width)..);
+        let fresh = fresh.ok_or(AllocateError::TooLarge)?;
+        let product = Product::new(&scene.network.step.from_task, scene.weights, false)?;
+        product.behind_relu().rows(kernels, parents, fresh, width, 0..count);
+        self.count += count;
+        Ok(())
+    }
+}
+
 /// Computes the nodes that an agent's choices made: `g + W_u [relu(g); relu(h)] + b_u`.
 #[inline(always)]
-fn update(
-    kernels: impl Kernels,
-    scene: &Scene<'_>,
+fn become_new(
     from_agent: &[f32],
     memory: &mut StepMemory<'_>,
+    updates: &Updates<'_>,
     [nodes, new]: [usize; 2],
 ) -> Result<(), AllocateError> {
-    let StepMemory { nodes: all, parents, children, parent_of, .. } = memory;
+    let StepMemory { nodes: all, update_of, children, parent_of, .. } = memory;
     let width = all.width;
-    for (index, parent) in parent_of.cells.iter().enumerate().take(new) {
-        let from = all.row(usize::from(*parent));
-        for (to, value) in parents.row_mut(index).iter_mut().zip(from) {
-            *to = relu(*value);
+    let split = all.cells.split_at_mut_checked(nodes.saturating_mul(width));
+    let (known, fresh) = split.ok_or(AllocateError::TooLarge)?;
+    for (to, parent) in fresh.chunks_exact_mut(width.max(1)).zip(parent_of.cells.iter()).take(new) {
+        let parent = usize::from(*parent);
+        let update = updates.rows.row(usize::from(update_of.get(0, parent)));
+        let parts = vector(known, width, parent).iter().zip(update).zip(from_agent);
+        for (to, ((parent, update), from_agent)) in to.iter_mut().zip(parts) {
+            *to = parent + (update + from_agent);
         }
         // The next agent makes other nodes of them.
-        children.set(0, usize::from(*parent), NONE);
-    }
-    let before = nodes.saturating_mul(width);
-    let split = all.cells.split_at_mut_checked(before);
-    let (known, fresh) = split.ok_or(AllocateError::TooLarge)?;
-    let product = Product::new(&scene.network.step.from_task, scene.weights, false)?;
-    product.behind_relu().from(from_agent).rows(kernels, parents, fresh, width, 0..new);
-    for (fresh, parent) in
-        fresh.chunks_exact_mut(width.max(1)).zip(parent_of.cells.iter()).take(new)
-    {
-        add(fresh, vector(known, width, usize::from(*parent)));
+        children.set(0, parent, NONE);
     }
     Ok(())
 }

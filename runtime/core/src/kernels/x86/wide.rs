@@ -182,5 +182,5 @@ pub(super) fn add_rows<A: Arithmetic, const PARTS: usize, const COUNT: usize>(
 
 sparse::sparse_product! {
     /// See [`crate::kernels::product::sparse_product`]; the sums of one tile fit into registers.
-    __m256, _mm256_set1_ps, _mm256_loadu_ps, 1, "avx2,fma,bmi1,bmi2,lzcnt,popcnt"
+    __m256, _mm256_set1_ps, _mm256_loadu_ps, 1, false, "avx2,fma,bmi1,bmi2,lzcnt,popcnt"
 }

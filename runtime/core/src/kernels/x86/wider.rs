@@ -167,5 +167,5 @@ pub(super) fn add_rows<A: Arithmetic, const PARTS: usize, const COUNT: usize>(
 
 sparse::sparse_product! {
     /// See [`crate::kernels::product::sparse_product`]; the sums of two tiles fit into registers.
-    __m512, _mm512_set1_ps, _mm512_loadu_ps, 2, "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl"
+    __m512, _mm512_set1_ps, _mm512_loadu_ps, 2, true, "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl"
 }
