@@ -205,11 +205,7 @@ fn add_for<A: Arithmetic, R: AddRows, const PARTS: usize, const COUNT: usize>(
     for (start_at, first) in starts.iter_mut().zip((column..).step_by(PART)) {
         *start_at = start(around, first);
     }
-    // `map` of arrays would be called here, not inlined.
-    let mut inputs = [&[][..]; COUNT];
-    for (inputs, pair) in inputs.iter_mut().zip(&*pairs) {
-        *inputs = pair.inputs;
-    }
+    let inputs = pairs.each_ref().map(|pair| pair.inputs);
     let sums = adder.add_rows::<A, PARTS, COUNT>(strip, starts, inputs);
     for (sums, pair) in sums.iter().zip(pairs) {
         for (sums, first) in sums.iter().zip((column..).step_by(PART)) {
