@@ -19,7 +19,7 @@ use crate::output::{Table, print_json};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::proposals::ProposalArguments;
 use crate::subject::Subject;
-use crate::subject_allocator::SubjectAllocator;
+use crate::subject_allocator;
 
 /// Evaluate a team over fresh greedy episodes
 ///
@@ -102,17 +102,16 @@ pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
     let other = arguments.allocator.as_deref().map(Subject::find).transpose()?;
     let asked = other.as_ref().map(|_| AllocatorChoice::Learned).or(arguments.allocation);
     let owner = other.as_ref().unwrap_or(&subject);
-    let choice = AllocatorChoice::or_default(asked, owner.has_allocator());
-    if let (Subject::Bundle(bundle), AllocatorChoice::Learned) = (owner, choice) {
-        environment::check_fits(bundle, &plan.set)?;
-    }
     let name = arguments.allocator.as_ref().unwrap_or(&arguments.subject);
     let draws = (arguments.proposals, arguments.common.seed);
-    let mut allocator =
-        SubjectAllocator::open(choice, Some(owner), name, arguments.backend, draws)?;
+    let (allocation, mut allocator) =
+        subject_allocator::open_for(&subject, asked, owner, name, arguments.backend, draws)?;
+    if let (Subject::Bundle(bundle), "learned") = (owner, allocation) {
+        environment::check_fits(bundle, &plan.set)?;
+    }
     let mut allocator = allocator.allocator()?;
     let mut play =
-        |team: &mut dyn Team| play(&plan, team, allocator.as_mut(), arguments, choice.name());
+        |team: &mut dyn Team| play(&plan, team, allocator.as_mut(), arguments, allocation);
     let (evaluation, planner) = match &subject {
         Subject::Scripted => play(&mut ScriptedActors::new(arguments.common.seed))?,
         Subject::Run(run) => play(&mut run.team())?,
@@ -136,14 +135,14 @@ pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
         print_json(&Report {
             env: &set.to_string(),
             subject: &arguments.subject,
-            allocation: choice.name(),
+            allocation,
             allocator: arguments.allocator.as_deref(),
             seed: arguments.common.seed,
             evaluation: &evaluation,
             planner,
         });
     } else {
-        print(&set, arguments, choice, &evaluation, planner);
+        print(&set, arguments, allocation, &evaluation, planner);
     }
     Ok(())
 }
@@ -183,15 +182,19 @@ fn record(
 fn print(
     set: &ScenarioSetName,
     arguments: &EvalArguments,
-    choice: AllocatorChoice,
+    allocation: &str,
     evaluation: &Evaluation,
     planner: Option<PlannerReport>,
 ) {
     let [low, high] = evaluation.success_ci95;
     println!(
-        "{set}: {} under {} allocation{}, {} episodes",
+        "{set}: {}{}{}, {} episodes",
         arguments.subject,
-        choice.name(),
+        if allocation == "none" {
+            " without allocation".to_owned()
+        } else {
+            format!(" under {allocation} allocation")
+        },
         arguments.allocator.as_ref().map_or(String::new(), |name| format!(" of {name}")),
         evaluation.episodes
     );

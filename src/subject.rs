@@ -42,6 +42,14 @@ impl Subject {
         Err(Failure::new(Exit::Missing, format!("`{text}` {reason}")))
     }
 
+    /// Whether its agents look at subtasks; those of `flat` and `copa` do not.
+    pub(crate) fn has_subtasks(&self) -> bool {
+        match self {
+            Self::Run(run) => run.description.config.subtask().has_subtasks(),
+            Self::Bundle(_) | Self::Scripted => true,
+        }
+    }
+
     /// Whether it has learned an allocator.
     pub(crate) fn has_allocator(&self) -> bool {
         match self {

@@ -1,18 +1,20 @@
 //! What allocates in episodes that one process plays: a rule, or what a subject has learned.
 
 use sortie_envs::save_the_city::AllocationRule;
-use sortie_learn::evaluate::{Allocate, DeployedAllocator};
+use sortie_learn::evaluate::{Allocate, DeployedAllocator, NoSubtasks};
 use sortie_learn::run::Run;
 
 use crate::allocator::{LearnedAllocator as DeployedLearned, none_learned};
 use crate::arguments::AllocatorChoice;
-use crate::failure::Failure;
+use crate::failure::{Exit, Failure};
 use crate::policy::Backend;
 use crate::proposals::{ProposalArguments, ProposalMemory};
 use crate::subject::Subject;
 
 /// The memory of an allocator.
 pub(crate) enum SubjectAllocator<'a> {
+    /// Of a team that knows of no subtasks.
+    Nobody,
     Rule(AllocationRule),
     /// A run's, with the trainer's own forward pass.
     Run(&'a Run, ProposalArguments),
@@ -20,6 +22,35 @@ pub(crate) enum SubjectAllocator<'a> {
     Bundle(Box<DeployedLearned>),
     /// A bundle's that proposes, as deployed.
     Proposing(Box<ProposalMemory>),
+}
+
+/// Who allocates for `team`, by name, and the memory of it.
+///
+/// What was asked for, else the learned allocator where `owner` has one, else the coordinated rule; for a team that knows
+/// of no subtasks nobody, and asking for an allocator is a mistake.
+pub(crate) fn open_for<'a>(
+    team: &Subject,
+    asked: Option<AllocatorChoice>,
+    owner: &'a Subject,
+    name: &str,
+    backend: Backend,
+    draws: (ProposalArguments, u64),
+) -> Result<(&'static str, SubjectAllocator<'a>), Failure> {
+    if team.has_subtasks() {
+        let choice = AllocatorChoice::or_default(asked, owner.has_allocator());
+        let allocator = SubjectAllocator::open(choice, Some(owner), name, backend, draws)?;
+        return Ok((choice.name(), allocator));
+    }
+    match asked {
+        None => Ok(("none", SubjectAllocator::Nobody)),
+        Some(choice) => {
+            let choice = choice.name();
+            let message = format!(
+                "the team knows of no subtasks: nobody allocates, and `{choice}` would change nothing"
+            );
+            Err(Failure::new(Exit::Usage, message))
+        }
+    }
 }
 
 impl<'a> SubjectAllocator<'a> {
@@ -51,6 +82,7 @@ impl<'a> SubjectAllocator<'a> {
     /// The allocator over this memory.
     pub(crate) fn allocator(&mut self) -> Result<Box<dyn Allocate + '_>, Failure> {
         Ok(match self {
+            Self::Nobody => Box::new(NoSubtasks),
             Self::Rule(rule) => Box::new(*rule),
             Self::Run(run, proposals) => {
                 run.learned_allocator(proposals.count()).ok_or_else(|| none_learned("the run"))?

@@ -131,7 +131,9 @@ fn a_flat_run_is_evaluated_but_not_exported() {
     arguments.extend(SMALL);
     let trained = output(&arguments);
     assert!(trained.status.success(), "{}", support::stderr(&trained));
-    assert_eq!(json(&["eval", &run, "--episodes", "5", "--json"])["episodes"], 5);
+    assert_eq!(json(&["eval", &run, "--episodes", "5", "--json"])["allocation"], "none");
+    let allocated = output(&["eval", &run, "--episodes", "5", "--allocation", "heuristic"]);
+    assert_fails(&allocated, 2, &["no subtasks"]);
     assert_fails(&output(&["export", &run, "--out", &bundle]), 2, &["network.subtask"]);
 
     let contradiction = output(&["train", "flat", "--no-mask", "--out", &path("other")]);

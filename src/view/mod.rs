@@ -27,7 +27,7 @@ use crate::output::{plural, print_json};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::proposals::ProposalArguments;
 use crate::subject::Subject;
-use crate::subject_allocator::SubjectAllocator;
+use crate::subject_allocator::{self, SubjectAllocator};
 use capture::{Captured, Thinker, capture};
 use data::Page;
 use episode::{Played, Replayed, open_recording};
@@ -100,10 +100,15 @@ fn played_page(arguments: &ViewArguments) -> Result<Page, Failure> {
     if let Subject::Bundle(bundle) = &subject {
         environment::check_fits(bundle, &plan.set)?;
     }
-    let choice = AllocatorChoice::or_default(arguments.allocation, subject.has_allocator());
     let draws = (ProposalArguments::default(), arguments.common.seed);
-    let mut allocator =
-        SubjectAllocator::open(choice, Some(&subject), &arguments.subject, Backend::Plan, draws)?;
+    let (allocation, mut allocator) = subject_allocator::open_for(
+        &subject,
+        arguments.allocation,
+        &subject,
+        &arguments.subject,
+        Backend::Plan,
+        draws,
+    )?;
     let mut allocator = allocator.allocator()?;
     let mut played = Played { plan: &plan, allocator: allocator.as_mut() };
     let probe = TeamValueProbe::of(&subject)?;
@@ -115,7 +120,7 @@ fn played_page(arguments: &ViewArguments) -> Result<Page, Failure> {
         notes.push("The scripted low level has no network: no utilities, no attention.".into());
     }
     Ok(Page {
-        allocation: Some(choice.name().into()),
+        allocation: Some(allocation.into()),
         env: set.to_string(),
         episode: Some((arguments.common.seed, number)),
         notes,
