@@ -161,10 +161,10 @@ macro_rules! sparse_product {
             while marks != 0 {
                 let index = marks.trailing_zeros() as usize;
                 marks &= marks - 1;
-                // SAFETY: only inputs that exist are marked, and each has its row: checked above.
-                unsafe {
-                    let inputs = inputs.map(|inputs| inputs.get_unchecked(index));
-                    add_row::<A, { $tiles * TILE_VECTORS }, COUNT>(&mut sums, inputs, tiles, first + index, rows);
+                // The compiler loads the row once for all vectors.
+                for (sums, inputs) in sums.iter_mut().zip(inputs) {
+                    // SAFETY: only inputs that exist are marked, and each has its row: checked above.
+                    unsafe { add_row::<A, { $tiles * TILE_VECTORS }>(sums, inputs.get_unchecked(index), tiles, first + index, rows) };
                 }
             }
             for (pair, sums) in pairs.into_iter().zip(sums) {
@@ -185,10 +185,10 @@ macro_rules! sparse_product {
             inputs: &Sparse<'_>,
             start: [$vector; SUMS],
         ) -> [$vector; SUMS] {
-            let mut sums = [start];
+            let mut sums = start;
             let (values, count) = (inputs.values, inputs.count);
             if values.len() > count || tiles.len() < count * TILE * SUMS / TILE_VECTORS {
-                return start;
+                return sums;
             }
             // Checked here and not for each row: the loop is short beside its branches.
             let mut first = 0;
@@ -199,46 +199,38 @@ macro_rules! sparse_product {
                     let index: usize = first + marks.trailing_zeros() as usize;
                     marks &= marks - 1;
                     // SAFETY: the mark is of a value that exists, and there are at least as many rows.
-                    unsafe { add_row::<A, SUMS, 1>(&mut sums, [values.get_unchecked(index)], tiles, index, count) };
+                    unsafe { add_row::<A, SUMS>(&mut sums, values.get_unchecked(index), tiles, index, count) };
                 }
                 first += MARKED;
             }
             if let Some(index) = inputs.one.filter(|index| *index < count) {
                 // SAFETY: there are `count` rows.
-                unsafe { add_row::<A, SUMS, 1>(&mut sums, [&1.0], tiles, index, count) };
+                unsafe { add_row::<A, SUMS>(&mut sums, &1.0, tiles, index, count) };
             }
-            let [sums] = sums;
             sums
         }
 
-        /// Adds one row of every tile, times each vector's input.
+        /// Adds one row of every tile, times an input.
         ///
         /// # Safety
         /// Each tile has `count` rows, and `index` is less.
         #[inline]
         #[target_feature(enable = $features)]
         #[allow(unsafe_code)]
-        unsafe fn add_row<A: Arithmetic, const SUMS: usize, const COUNT: usize>(
-            sums: &mut [[$vector; SUMS]; COUNT],
-            inputs: [&f32; COUNT],
+        unsafe fn add_row<A: Arithmetic, const SUMS: usize>(
+            sums: &mut [$vector; SUMS],
+            input: &f32,
             tiles: &[f32],
             index: usize,
             count: usize,
         ) {
-            let mut spread = [$spread(0.0); COUNT];
-            for (spread, input) in spread.iter_mut().zip(inputs) {
-                *spread = $spread(*input);
-            }
-            for place in 0..SUMS {
+            let input = $spread(*input);
+            for (place, sum) in sums.iter_mut().enumerate() {
                 let column = place % TILE_VECTORS * (TILE / TILE_VECTORS);
                 let start = place / TILE_VECTORS * count * TILE + index * TILE + column;
                 // SAFETY: inside row `index` of the vector's tile.
                 let weights = unsafe { $load(tiles.as_ptr().add(start)) };
-                for (sums, input) in sums.iter_mut().zip(spread) {
-                    if let Some(sum) = sums.get_mut(place) {
-                        *sum = multiply_add::<A>(*sum, input, weights);
-                    }
-                }
+                *sum = multiply_add::<A>(*sum, input, weights);
             }
         }
     };
