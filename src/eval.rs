@@ -106,7 +106,7 @@ pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
     let draws = (arguments.proposals, arguments.common.seed);
     let (allocation, mut allocator) =
         subject_allocator::open_for(&subject, asked, owner, name, arguments.backend, draws)?;
-    if let (Subject::Bundle(bundle), "learned") = (owner, allocation) {
+    if let (Subject::Bundle(bundle), true) = (owner, allocator.is_deployed()) {
         environment::check_fits(bundle, &plan.set)?;
     }
     let mut allocator = allocator.allocator()?;

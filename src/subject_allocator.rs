@@ -79,6 +79,11 @@ impl<'a> SubjectAllocator<'a> {
         }
     }
 
+    /// Whether it is a bundle's.
+    pub(crate) fn is_deployed(&self) -> bool {
+        matches!(self, Self::Bundle(_) | Self::Proposing(_))
+    }
+
     /// The allocator over this memory.
     pub(crate) fn allocator(&mut self) -> Result<Box<dyn Allocate + '_>, Failure> {
         Ok(match self {
