@@ -9,7 +9,7 @@ use sortie_learn::report::{self, Comparison, Group, GroupSummary, Reached, RunRe
 
 use crate::arguments::Common;
 use crate::failure::{Exit, Failure, Outcome};
-use crate::output::{Table, print_json};
+use crate::output::{Table, print_json, tell};
 
 /// Compare training runs, several seeds to a label, as tables and pictures
 ///
@@ -140,9 +140,9 @@ fn print(comparison: &Comparison, arguments: &CompareArguments) {
     table.print();
     if !arguments.common.quiet {
         for note in &comparison.notes {
-            eprintln!("note: {note}");
+            tell!("note: {note}");
         }
-        eprintln!("tables and pictures are in {}", arguments.out.display());
+        tell!("tables and pictures are in {}", arguments.out.display());
     }
 }
 

@@ -15,7 +15,7 @@ use crate::arguments::Common;
 use crate::compiler::compiler;
 use crate::failure::{Failure, Outcome};
 use crate::observations::read_any_recording;
-use crate::output::{Table, print_json};
+use crate::output::{Table, print_json, say, tell};
 
 /// Compile an ONNX network to a plan for the runtime core
 ///
@@ -153,13 +153,13 @@ fn judge(agreement: &Agreement, force: bool) -> Outcome {
     if !force {
         return Err(Failure::difference(format!("{flaw}; `--force` writes the plan all the same")));
     }
-    eprintln!("warning: {flaw}");
+    tell!("warning: {flaw}");
     Ok(())
 }
 
 fn print_agreement(quantised: &Quantised) {
     let Quantised { compiled: Compiled { report, .. }, exact, agreement } = quantised;
-    println!(
+    say!(
         "same action on {:.3} % of {} recorded observations, largest error of a utility {:.1e}",
         100.0 * agreement.share(),
         agreement.observations,
@@ -197,16 +197,18 @@ fn print(arguments: &CompileArguments, report: &Report, int8: Option<(&Agreement
     if arguments.common.json || arguments.common.quiet {
         return;
     }
-    println!(
+    say!(
         "{}: {} bytes of flash, {} bytes of arena, {} more for every further agent of a team",
         plan.display(),
         report.flash_bytes,
         report.arena_bytes,
         report.arena_bytes_per_agent
     );
-    println!(
+    say!(
         "largest error against the graph {:.1e} on {} inputs, {} other actions",
-        report.max_rel_error, report.inputs, report.action_mismatches
+        report.max_rel_error,
+        report.inputs,
+        report.action_mismatches
     );
     let mut table = Table::new(&["operator", "sizes", "multiply-adds"]);
     for operator in &report.operators {

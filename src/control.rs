@@ -12,7 +12,7 @@ use crate::allocator::DeployedAllocator;
 use crate::arguments::AllocatorChoice;
 use crate::deployment::open_bundle;
 use crate::failure::{Exit, Failure, Outcome};
-use crate::output::print_json;
+use crate::output::{print_json, say};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::proposals::ProposalArguments;
 use crate::run::registry;
@@ -122,7 +122,7 @@ pub(crate) fn run(arguments: &ControlArguments) -> Outcome {
         let processes = answers.iter().map(ToldProcess::new).collect();
         print_json(&Told { domain: domain.id(), processes });
     } else {
-        answers.iter().for_each(|answer| println!("{}", line(answer)));
+        answers.iter().for_each(|answer| say!("{}", line(answer)));
     }
     judge(&answers)
 }

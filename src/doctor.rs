@@ -6,7 +6,7 @@ use sortie_ipc::{Domain, Finding, Severity, examine};
 
 use crate::arguments::Common;
 use crate::failure::{Failure, Outcome};
-use crate::output::print_json;
+use crate::output::{print_json, say};
 
 /// Say what is wrong with this machine, or with a running domain, and what to do about it
 ///
@@ -52,7 +52,7 @@ pub(crate) fn run(arguments: &DoctorArguments) -> Outcome {
             findings: findings.iter().map(FoundOne::new).collect(),
         });
     } else {
-        println!("sortie {}, domain `{}`", env!("CARGO_PKG_VERSION"), domain.id());
+        say!("sortie {}, domain `{}`", env!("CARGO_PKG_VERSION"), domain.id());
         findings.iter().for_each(print);
     }
     match problems {
@@ -78,8 +78,8 @@ fn name(severity: Severity) -> &'static str {
 }
 
 fn print(finding: &Finding) {
-    println!("{:8} {:20} {}", name(finding.severity), finding.check, finding.found);
+    say!("{:8} {:20} {}", name(finding.severity), finding.check, finding.found);
     if !finding.advice.is_empty() {
-        println!("{:8} {:20} to do: {}", "", "", finding.advice);
+        say!("{:8} {:20} to do: {}", "", "", finding.advice);
     }
 }

@@ -15,7 +15,7 @@ use crate::environment::{self, ScenarioSetName};
 use crate::episodes::EpisodeWriter;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::observations::RecordingPolicy;
-use crate::output::{Table, print_json};
+use crate::output::{Table, print_json, say};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::proposals::ProposalArguments;
 use crate::subject::Subject;
@@ -187,7 +187,7 @@ fn print(
     planner: Option<PlannerReport>,
 ) {
     let [low, high] = evaluation.success_ci95;
-    println!(
+    say!(
         "{set}: {}{}{}, {} episodes",
         arguments.subject,
         if allocation == "none" {
@@ -199,7 +199,7 @@ fn print(
         evaluation.episodes
     );
     if let Some(PlannerReport { candidates, decisions, changed, .. }) = planner {
-        println!(
+        say!(
             "planned with the exact simulator, {candidates} candidates: no learned policy, but a yardstick \
              ({changed} of {decisions} decisions changed)"
         );
@@ -212,14 +212,14 @@ fn print(
     row("return", format!("{:.2} (sd {:.2})", evaluation.return_mean, evaluation.return_sd));
     row("steps", format!("{:.1}", evaluation.length_mean));
     table.print();
-    println!();
+    say!();
     let mut causes = Table::new(&["cause of failure", "episodes", "share"]);
     for (cause, count) in &evaluation.failures {
         let share = *count as f64 / evaluation.episodes.max(1) as f64;
         causes.row([cause.clone(), count.to_string(), format!("{share:.3}")]);
     }
     causes.print();
-    println!();
+    say!();
     let mut teams = Table::new(&["team", "episodes", "success"]);
     for (team, success) in &evaluation.by_team {
         let share = success.solved as f64 / success.episodes.max(1) as f64;

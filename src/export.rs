@@ -12,7 +12,7 @@ use sortie_learn::run::{Run, Settings};
 use crate::arguments::{Allocation, Common};
 use crate::environment::ScenarioSetName;
 use crate::failure::{Exit, Failure, Outcome};
-use crate::output::{print_json, warn_of_refused};
+use crate::output::{print_json, say, warn_of_refused};
 use crate::proposals::ProposalArguments;
 
 /// Export a training run as a bundle: networks as ONNX, contract, golden observations, card and curve
@@ -75,7 +75,7 @@ pub(crate) fn run(arguments: &ExportArguments) -> Outcome {
     if arguments.common.json {
         print_json(&report);
     } else if !arguments.common.quiet {
-        println!("{}: {}", report.bundle.display(), report.sha256);
+        say!("{}: {}", report.bundle.display(), report.sha256);
     }
     Ok(())
 }

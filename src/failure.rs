@@ -33,6 +33,8 @@ pub(crate) enum Exit {
     Mismatch = 78,
     /// Ended by Ctrl-C.
     Interrupted = 130,
+    /// The reader of standard output has gone: what a shell reports of a program that SIGPIPE ended.
+    NobodyReads = 141,
 }
 
 /// Why a verb ended without success.
@@ -60,6 +62,7 @@ impl Exit {
             Self::NotPermitted,
             Self::Mismatch,
             Self::Interrupted,
+            Self::NobodyReads,
         ];
         known.into_iter().find(|exit| *exit as u8 == code).unwrap_or(Self::Bug)
     }
@@ -127,22 +130,6 @@ impl From<sortie_ipc::Error> for Failure {
     fn from(error: sortie_ipc::Error) -> Self {
         Self { exit: Exit::from_code(error.exit_code()), message: with_sources(&error) }
     }
-}
-
-/// Ends the program without a word where the reader of its output has gone, as in `sortie … | head`.
-///
-/// `println!` panics then; there is no other place where all of them can be met.
-pub(crate) fn end_quietly_when_nobody_reads() {
-    /// What a shell reports of a program that SIGPIPE ended.
-    const BROKEN_PIPE: i32 = 128 + 13;
-    let usual = std::panic::take_hook();
-    std::panic::set_hook(Box::new(move |panic| {
-        let message = panic.payload_as_str().unwrap_or_default();
-        if message.starts_with("failed printing to stdout") && message.contains("Broken pipe") {
-            std::process::exit(BROKEN_PIPE);
-        }
-        usual(panic);
-    }));
 }
 
 /// An error and what caused it, on one line.

@@ -36,16 +36,25 @@ use std::process::ExitCode;
 
 use clap::Parser;
 
+use crate::failure::Outcome;
+use crate::output::tell;
+
 fn main() -> ExitCode {
-    failure::end_quietly_when_nobody_reads();
-    let arguments = arguments::Arguments::parse();
-    match arguments::dispatch(arguments) {
+    match work() {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
             if !failure.message.is_empty() {
-                eprintln!("error: {}", failure.message);
+                tell!("error: {}", failure.message);
             }
             ExitCode::from(failure.exit as u8)
         }
     }
+}
+
+fn work() -> Outcome {
+    match arguments::Arguments::try_parse() {
+        Ok(arguments) => arguments::dispatch(arguments)?,
+        Err(message) => output::explain(&message)?,
+    }
+    output::check()
 }

@@ -6,6 +6,7 @@ use clap::Args;
 use sortie_compiler::onnxruntime::{OnnxRuntime, OnnxRuntimeError, find_library};
 
 use crate::failure::{Exit, Failure};
+use crate::output::tell;
 
 /// Where onnxruntime is looked for.
 #[derive(Clone, Debug, Args)]
@@ -28,7 +29,7 @@ impl OnnxRuntimeArguments {
 
     /// Opens the library, or says that it is left out and what would help.
     pub(crate) fn open_or_note(&self, left_out: &str) -> Option<&'static OnnxRuntime> {
-        self.open().inspect_err(|error| eprintln!("note: {left_out}: {error}")).ok()
+        self.open().inspect_err(|error| tell!("note: {left_out}: {error}")).ok()
     }
 }
 

@@ -1,23 +1,89 @@
-//! How verbs print: JSON for scripts, plain tables for people.
+//! How verbs print: JSON for scripts, plain tables for people. Nothing here panics where nobody can read it.
 
-use std::io::Write;
+use std::fmt;
+use std::io::{self, ErrorKind, Write};
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde::Serialize;
 
-/// Prints one JSON object on a line of its own.
-pub(crate) fn print_json(value: &impl Serialize) {
-    println!("{}", serde_json::to_string(value).expect("reports have string keys only"));
+use crate::failure::{Exit, Failure, Outcome};
+
+/// The first failure to write standard output. What would follow is dropped.
+static LOST: OnceLock<io::Error> = OnceLock::new();
+/// Whether lost output is no failure.
+static MAY_BE_LOST: AtomicBool = AtomicBool::new(false);
+
+/// Prints a line on standard output, as `println!` does, but never panics: where it cannot be written,
+/// [`check`](crate::output::check) ends the program in the end.
+macro_rules! say {
+    () => { $crate::output::say_line(format_args!("")) };
+    ($($line:tt)*) => { $crate::output::say_line(format_args!($($line)*)) };
 }
 
-/// Tells a person something on standard error. Whoever read it may be gone: no reason for a team to end.
-pub(crate) fn tell(line: &str) {
-    let _ = writeln!(std::io::stderr(), "{line}");
+/// Tells a person a line on standard error, as `eprintln!` does, but never panics: whoever read it may be
+/// gone, which is no reason to end.
+macro_rules! tell {
+    ($($line:tt)*) => { $crate::output::tell_line(format_args!($($line)*)) };
+}
+
+pub(crate) use {say, tell};
+
+pub(crate) fn say_line(line: fmt::Arguments<'_>) {
+    if LOST.get().is_none() {
+        remember(writeln!(io::stdout(), "{line}"));
+    }
+}
+
+pub(crate) fn tell_line(line: fmt::Arguments<'_>) {
+    let _ = writeln!(io::stderr(), "{line}");
+}
+
+fn remember(written: io::Result<()>) {
+    if let Err(error) = written {
+        // Only the first counts.
+        let _ = LOST.set(error);
+    }
+}
+
+/// Says that this program's work is in files, and its words are extras: lost output is no failure then. A verb that
+/// must not waste hours, as `train`, calls it before its first word, and plays on to its end.
+pub(crate) fn may_be_lost() {
+    MAY_BE_LOST.store(true, Ordering::Relaxed);
+}
+
+/// What a verb comes to whose product is its output: a failure if some of it was lost. Without a word where the
+/// reader has gone, as in `sortie … | head`.
+pub(crate) fn check() -> Outcome {
+    match LOST.get() {
+        Some(_) if MAY_BE_LOST.load(Ordering::Relaxed) => Ok(()),
+        Some(error) if error.kind() == ErrorKind::BrokenPipe => {
+            Err(Failure::new(Exit::NobodyReads, ""))
+        }
+        Some(error) => Err(Failure::new(Exit::InputOutput, format!("standard output: {error}"))),
+        None => Ok(()),
+    }
+}
+
+/// Prints help, the version, or what is wrong with a command line.
+pub(crate) fn explain(parsed: &clap::Error) -> Outcome {
+    let printed = parsed.print();
+    if parsed.use_stderr() {
+        return Err(Failure::new(Exit::Usage, ""));
+    }
+    remember(printed);
+    Ok(())
+}
+
+/// Prints one JSON object on a line of its own.
+pub(crate) fn print_json(value: &impl Serialize) {
+    say!("{}", serde_json::to_string(value).expect("reports have string keys only"));
 }
 
 /// Warns of checkpoints that were passed over.
 pub(crate) fn warn_of_refused(reasons: &[String]) {
     for reason in reasons {
-        eprintln!("warning: {reason}; an earlier checkpoint is used");
+        tell!("warning: {reason}; an earlier checkpoint is used");
     }
 }
 
@@ -48,7 +114,7 @@ impl Table {
         };
         let widths: Vec<usize> = (0..).map_while(width).collect();
         for line in lines() {
-            println!("{}", self.line(line, &widths).trim_end());
+            say!("{}", self.line(line, &widths).trim_end());
         }
     }
 

@@ -8,7 +8,7 @@ use sortie_envs::save_the_city::golden::{self, GoldenError, Mismatch};
 
 use crate::arguments::Common;
 use crate::failure::{Exit, Failure, Outcome};
-use crate::output::{plural, print_json};
+use crate::output::{plural, print_json, say};
 
 /// Replay recorded episodes and compare every value bit for bit
 ///
@@ -43,7 +43,7 @@ pub(crate) fn run(arguments: &ReplayArguments) -> Outcome {
     if arguments.common.json {
         print_json(&report);
     } else if !arguments.common.quiet {
-        println!(
+        say!(
             "{}, {}: {}",
             plural(report.files, "file"),
             plural(report.steps, "step"),

@@ -24,7 +24,7 @@ use crate::deployment::open_bundle;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::observations::read_recording;
 use crate::onnxruntime::OnnxRuntimeArguments;
-use crate::output::{Table, print_json};
+use crate::output::{Table, print_json, say};
 use crate::policy::{Backend, DeployedPolicy};
 
 /// Compare plans with tract, with onnxruntime and with a bundle's golden observations and allocations
@@ -329,7 +329,7 @@ fn print(report: &Report) {
         }
     }
     table.print();
-    println!(
+    say!(
         "refused: the plan returns an error, and the other engine's numbers are not finite or no action is available; \
          swallowed: refused, where the other engine made a number of NaN or infinity"
     );

@@ -3,6 +3,8 @@
 use sortie_bundle::Recording;
 use sortie_core::{EntityMask, Observation, Policy};
 
+use crate::output::tell;
+
 /// Different observations of a case, which are taken in turn.
 const OBSERVATIONS: usize = 256;
 /// Entities of a frame whose mask is forced open.
@@ -49,7 +51,7 @@ pub(super) fn some<T>(all: Vec<T>) -> Vec<T> {
 impl Case<'_> {
     pub(super) fn holds_any(&self, bundle: &str) -> bool {
         if self.observations.is_empty() {
-            eprintln!("note: no observation of {bundle} for `{}`", self.name);
+            tell!("note: no observation of {bundle} for `{}`", self.name);
         }
         !self.observations.is_empty()
     }

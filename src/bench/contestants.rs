@@ -15,6 +15,7 @@ use super::quantised::quantise_or_note;
 use crate::compiler::compiler;
 use crate::failure::Failure;
 use crate::onnxruntime::OnnxRuntimeArguments;
+use crate::output::tell;
 use crate::policy::{Backend, DeployedPolicy};
 
 /// The profiles of our plans, and what their engines are called.
@@ -63,7 +64,7 @@ impl<'b> Contestants<'b> {
             match DeployedPolicy::of_plan(plan) {
                 Ok(policy) => ours.push((name, policy)),
                 Err(CompileError::Plan(PlanError::WrongProfile { .. })) => {
-                    eprintln!("note: this machine cannot run `{name}`");
+                    tell!("note: this machine cannot run `{name}`");
                 }
                 Err(error) => return Err(within(error)),
             }

@@ -11,7 +11,7 @@ use sortie_ipc::storm::{StormReport, StormSettings, raise_storm, storm_process};
 use crate::arguments::Common;
 use crate::failure::{Failure, Outcome};
 use crate::latency::{Latency, Percentiles};
-use crate::output::{Table, print_json};
+use crate::output::{Table, print_json, say};
 use crate::signals::stop_on_signals;
 
 /// Kill runners and leading allocators of a team under load, at random times
@@ -124,9 +124,9 @@ impl Found {
             table.row([name.to_string(), ms(us.p50), ms(us.p99), ms(us.max), kills.to_string()]);
         }
         table.print();
-        println!("\n{} ticks, {} with a fallback action", self.ticks, self.ticks_with_fallback);
+        say!("\n{} ticks, {} with a fallback action", self.ticks, self.ticks_with_fallback);
         let faults = self.faults().map(|(name, count)| format!("{count} {name}"));
-        println!("{}", faults.join(", "));
+        say!("{}", faults.join(", "));
     }
 
     fn judge(&self) -> Outcome {

@@ -21,7 +21,7 @@ use serde::Serialize;
 
 use crate::arguments::Common;
 use crate::failure::{Exit, Failure, Outcome};
-use crate::output::{Table, print_json};
+use crate::output::{Table, print_json, say};
 use rounds::{Engine, Measured, paired_ratio};
 
 /// Our engine in tables: a compiled plan of the exact profile.
@@ -214,7 +214,7 @@ impl Figures {
         if self.ratios.is_empty() {
             return;
         }
-        println!();
+        say!();
         let mut table = Table::new(&["case", "engine", "", "peer", "rounds"]);
         for Ratio { case, engine, peer, ratio, low, high, .. } in &self.ratios {
             let (said, low, high) = if *peer == FLOOR {
@@ -232,7 +232,7 @@ impl Figures {
         if self.parts.is_empty() {
             return;
         }
-        println!();
+        say!();
         let mut table = Table::new(&["case", "part", "CPU-seconds", "share"]);
         for train::Part { case, part, cpu_s, share } in &self.parts {
             let (cpu_s, share) = (format!("{cpu_s:.3}"), format!("{:.0} %", 100.0 * share));
@@ -245,7 +245,7 @@ impl Figures {
         if self.arithmetic.is_empty() {
             return;
         }
-        println!();
+        say!();
         let mut table =
             Table::new(&["case", "MFLOP each", "GFLOP per CPU-second", "share of peak"]);
         for train::Arithmetic { case, mflop, gflop_per_cpu_s, share_of_peak } in &self.arithmetic {
@@ -257,6 +257,6 @@ impl Figures {
             ]);
         }
         table.print();
-        println!();
+        say!();
     }
 }

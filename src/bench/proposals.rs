@@ -15,6 +15,7 @@ use super::{Figures, Measuring, pin};
 use crate::compiler::compiler;
 use crate::failure::Failure;
 use crate::onnxruntime::OnnxRuntimeArguments;
+use crate::output::tell;
 
 /// Sizes of the networks and of the states.
 const SHAPE: AllocationShape = AllocationShape { features: 58, columns: 8, width: 128, heads: 4 };
@@ -50,7 +51,7 @@ pub(super) fn measure(arguments: &ProposalsArguments) -> Result<Figures, Failure
         match Plan::load(plan.as_slice()).map(|plan| plan.arena_bytes()) {
             Ok(bytes) => plans.push((name, plan, AlignedBytes::zeroed(bytes))),
             Err(PlanError::WrongProfile { .. }) => {
-                eprintln!("note: this machine cannot run `{name}`");
+                tell!("note: this machine cannot run `{name}`");
             }
             Err(error) => return Err(CompileError::from(error).into()),
         }

@@ -5,18 +5,19 @@ use std::path::Path;
 use std::process::Command;
 
 use crate::failure::Failure;
+use crate::output::tell;
 
 const PROGRAM: &str = include_str!("../../benches/quantise.py");
 
 /// Quantises a network, or notes why it cannot be.
 pub(super) fn quantise_or_note(python: Option<&Path>, onnx: &[u8]) -> Option<Vec<u8>> {
     let Some(python) = python else {
-        eprintln!("note: onnxruntime int8 is not measured: `--python` names no interpreter");
+        tell!("note: onnxruntime int8 is not measured: `--python` names no interpreter");
         return None;
     };
     quantise(python, onnx)
         .inspect_err(|Failure { message, .. }| {
-            eprintln!("note: onnxruntime int8 is not measured: {message}");
+            tell!("note: onnxruntime int8 is not measured: {message}");
         })
         .ok()
 }

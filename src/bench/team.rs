@@ -12,6 +12,7 @@ use super::decision::Schedule;
 use super::rounds::{alternate, engine, our_engine};
 use super::{FLOOR, Figures};
 use crate::failure::{Failure, Outcome};
+use crate::output::tell;
 
 /// Agents, and entities of their frames.
 pub(super) const SIZES: [(usize, usize); 2] = [(5, 11), (8, 17)];
@@ -29,7 +30,7 @@ pub(super) fn measure(
         let frames = frames(recordings, agents, entities);
         let case = format!("{}: {agents} agents, N = {entities}", contestants.name);
         if frames.is_empty() {
-            eprintln!("note: no frame of `{case}` was recorded");
+            tell!("note: no frame of `{case}` was recorded");
             continue;
         }
         check(&frames, contestants)?;

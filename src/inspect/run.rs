@@ -8,7 +8,7 @@ use sortie_learn::report::numbers::{count, duration};
 use sortie_learn::report::{FinalResult, Row, RunRecord};
 
 use crate::failure::Outcome;
-use crate::output::{Table, print_json};
+use crate::output::{Table, print_json, say};
 use crate::terminal_curve::terminal_curve;
 
 /// Evaluations that the table shows.
@@ -40,13 +40,13 @@ pub(super) fn inspect(folder: &Path, json: bool) -> Outcome {
         return Ok(());
     }
     print_configuration(&run);
-    println!();
+    say!();
     print_evaluations(&run);
-    println!();
+    say!();
     let points: Vec<(f64, f64)> =
         run.curve().iter().map(|point| (point.env_steps, point.success)).collect();
     for line in terminal_curve(&points, usize::from(Term::stdout().size().1), CURVE_HEIGHT) {
-        println!("{line}");
+        say!("{line}");
     }
     print_result(&run);
     Ok(())
@@ -59,7 +59,7 @@ fn print_configuration(run: &RunRecord) {
         let values = table.iter().filter(|(_, value)| !is_section(value));
         let values: Vec<String> =
             values.map(|(key, value)| format!("{key}={}", plain(value))).collect();
-        println!("{name:<12} {}", values.join(" "));
+        say!("{name:<12} {}", values.join(" "));
     };
     line(&run.name(), &run.description);
     for (name, section) in
@@ -94,15 +94,16 @@ fn print_evaluations(run: &RunRecord) {
     }
     table.print();
     if hidden > 0 {
-        println!("and {hidden} evaluations before");
+        say!("and {hidden} evaluations before");
     }
 }
 
 fn print_result(run: &RunRecord) {
     let Some(result) = &run.result else { return };
     let allocation = result.allocation.as_deref().unwrap_or("unknown");
-    println!(
+    say!(
         "\nfinal evaluation: success {:.3} of {} fresh episodes, {allocation} allocation",
-        result.success, result.episodes
+        result.success,
+        result.episodes
     );
 }

@@ -134,7 +134,7 @@ impl WorldObserver for Onlooker {
         if self.display == Display::Lines
             && let Some(finished) = self.finished.borrow().last()
         {
-            tell(&episode_line(episode as usize + 1, self.episodes, finished));
+            tell!("{}", episode_line(episode as usize + 1, self.episodes, finished));
         }
     }
 }

@@ -42,7 +42,7 @@ impl<M, L: FnMut(&Bundle) -> Result<M, Failure>> Bundles<M, L> {
 impl<M, L: FnMut(&Bundle) -> Result<M, Failure>> Registry for Bundles<M, L> {
     fn load(&mut self, key: &str) -> Result<LoadedModel, ControlStatus> {
         let refused = |failure: Failure| {
-            tell(&format!("warning: `{key}` is not loaded: {}", failure.message));
+            tell!("warning: `{key}` is not loaded: {}", failure.message);
             ControlStatus::BadArgument
         };
         if !is_key(key) {

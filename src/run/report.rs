@@ -7,7 +7,7 @@ use sortie_learn::evaluate::wilson_interval;
 
 use super::onlooker::Figures;
 use crate::latency::{Latency, Percentiles};
-use crate::output::Table;
+use crate::output::{Table, say};
 use crate::worlds::save_the_city::FinishedEpisode;
 
 /// The summary of a run; scripts rely on its names.
@@ -82,7 +82,7 @@ impl Report {
 
     /// The tables for people.
     pub(super) fn print(&self, figures: &Figures) {
-        println!(
+        say!(
             "\nsuccess {:.2} (95 % interval {:.2} to {:.2}) over {} episodes, {} allocation",
             self.success,
             self.success_ci95[0],
@@ -90,16 +90,18 @@ impl Report {
             self.episodes,
             self.allocation
         );
-        println!(
+        say!(
             "buildings saved {} of {}, mean return {:.1}\n",
-            self.buildings_saved, self.buildings, self.return_mean
+            self.buildings_saved,
+            self.buildings,
+            self.return_mean
         );
         let mut teams = Table::new(&["team", "episodes", "solved"]);
         for (team, report) in &self.by_team {
             teams.row([team.clone(), report.episodes.to_string(), report.solved.to_string()]);
         }
         teams.print();
-        println!(
+        say!(
             "\n{} processes, {} decisions, {} fallback actions, pace {}\n",
             self.processes,
             self.decisions,

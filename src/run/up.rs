@@ -15,7 +15,7 @@ use crate::allocator::DeployedAllocator;
 use crate::arguments::{AllocatorChoice, Common};
 use crate::deployment::open_bundle;
 use crate::failure::{Exit, Failure, Outcome};
-use crate::output;
+use crate::output::tell;
 use crate::policy::{Backend, DeployedPolicy};
 use crate::proposals::ProposalArguments;
 use crate::signals::stop_on_signals;
@@ -103,17 +103,17 @@ pub(crate) fn run(arguments: &UpArguments) -> Outcome {
     let charges = charges(arguments, &team, world.shape().agents)?;
     let is_told = !arguments.common.quiet && !arguments.common.json;
     if is_told {
-        eprintln!(
+        tell!(
             "domain `{}`; by hand, each of these takes the place of a process that is missing:",
             domain.id()
         );
-        charges.iter().for_each(|charge| eprintln!("  {}", by_hand(&charge.command)));
+        charges.iter().for_each(|charge| tell!("  {}", by_hand(&charge.command)));
     }
     let policy =
         RestartPolicy { never: arguments.restart == Restart::Never, ..RestartPolicy::default() };
     let mut tell = |event: &SupervisorEvent<'_>| {
         if is_told {
-            output::tell(&event.to_string());
+            tell!("{event}");
         }
     };
     match supervise(&domain, charges, &policy, &mut tell, &stop) {

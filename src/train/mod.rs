@@ -16,7 +16,7 @@ use sortie_learn::run::{Outcome as Ending, Settings};
 use crate::arguments::{Allocation, Common};
 use crate::environment::ScenarioSetName;
 use crate::failure::{Exit, Failure, Outcome};
-use crate::output::warn_of_refused;
+use crate::output::{self, say, warn_of_refused};
 use crate::signals::stop_on_signals;
 use reporter::Reporter;
 use seeds::SeedRange;
@@ -102,6 +102,7 @@ enum Mixer {
 }
 
 pub(crate) fn run(arguments: &TrainArguments) -> Outcome {
+    output::may_be_lost();
     let stop = stop_on_signals()?;
     if let (Some(seeds), Some(out)) = (arguments.seeds, &arguments.out) {
         let config = configuration(arguments)?;
@@ -121,7 +122,7 @@ pub(crate) fn run(arguments: &TrainArguments) -> Outcome {
         Ending::Finished => {
             if !arguments.common.json && !arguments.common.quiet {
                 let folder = folder.display();
-                println!(
+                say!(
                     "done; evaluate with `sortie eval {folder}`, deploy with `sortie export {folder} --out BUNDLE`"
                 );
             }

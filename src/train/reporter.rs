@@ -6,7 +6,7 @@ use sortie_learn::methods::Trainer;
 use sortie_learn::run::{CurvePoint, Observer, Progress, RunResult};
 
 use crate::arguments::Common;
-use crate::output::print_json;
+use crate::output::{print_json, say};
 use crate::terminal_curve::terminal_curve;
 
 /// Lines of the curve below the progress bar.
@@ -81,7 +81,7 @@ impl Observer for Reporter {
                 point.loss,
                 point.allocator_loss
             );
-            self.bar.suspend(|| println!("{line}"));
+            self.bar.suspend(|| say!("{line}"));
         }
     }
 
@@ -95,7 +95,7 @@ impl Observer for Reporter {
                 "{} fresh episodes under {allocation} allocation: success {:.3} ({low:.3} to {high:.3})",
                 evaluation.episodes, evaluation.success
             );
-            self.bar.suspend(|| println!("{line}"));
+            self.bar.suspend(|| say!("{line}"));
         }
     }
 }

@@ -23,7 +23,7 @@ use sortie_learn::methods::alma::{Conditioning, NetworkPolicy};
 use crate::arguments::{AllocatorChoice, Common};
 use crate::environment;
 use crate::failure::{Exit, Failure, Outcome};
-use crate::output::{plural, print_json};
+use crate::output::{plural, print_json, say};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::proposals::ProposalArguments;
 use crate::subject::Subject;
@@ -84,7 +84,7 @@ pub(crate) fn run(arguments: &ViewArguments) -> Outcome {
     if arguments.common.json {
         print_json(&report);
     } else if !arguments.common.quiet {
-        println!("{}: {}", file.display(), plural(report.steps, "step"));
+        say!("{}: {}", file.display(), plural(report.steps, "step"));
     }
     Ok(())
 }

@@ -1,4 +1,5 @@
 //! Plans before their judges, on all families of inputs.
+#![allow(clippy::print_stderr, reason = "helpers of tests print as well")]
 
 use sortie_compiler::{
     Comparison, CompileOptions, Compiled, Family, Judge, ObservationSizes, TOLERANCE,

@@ -2,6 +2,7 @@
 //!
 //! `cargo run --release -p sortie-core --features std --example decide -- agent.plan 11 1000 avx2 5`: a plan, visible
 //! entities, calls, a build of the kernels, and agents that decide in one call.
+#![allow(clippy::print_stdout, reason = "a program of its own")]
 
 use std::time::Instant;
 

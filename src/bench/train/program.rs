@@ -10,6 +10,7 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
 use crate::failure::{Exit, Failure};
+use crate::output::tell;
 
 /// Largest relative difference at which two updates count as the same.
 const TOLERANCE: f64 = 1e-3;
@@ -112,7 +113,7 @@ impl Comparison {
             return Err(Failure::difference(message));
         }
         if !quiet {
-            eprintln!("note: {engine} computes the same update of {what}: {found}");
+            tell!("note: {engine} computes the same update of {what}: {found}");
         }
         Ok(())
     }

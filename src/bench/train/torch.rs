@@ -10,6 +10,7 @@ use super::batch;
 use super::learning::Learning;
 use super::program::{Comparison, Expected, Program};
 use crate::failure::{Exit, Failure};
+use crate::output::tell;
 
 const PROGRAM: &str = include_str!("../../../benches/train_step.py");
 
@@ -101,7 +102,7 @@ pub(super) fn find(asked: Option<&Path>, quiet: bool) -> Result<Option<PathBuf>,
         return Err(Failure::new(Exit::NotRunning, message));
     }
     if !quiet {
-        eprintln!("note: {message}; only our figures follow (name another with --python)");
+        tell!("note: {message}; only our figures follow (name another with --python)");
     }
     Ok(None)
 }

@@ -3,6 +3,7 @@
 //! `cargo bench -p sortie-learn --bench allocation -- [STEPS]`. The published sizes. Prints the median of CPU-
 //! and wall-seconds and of the arithmetic, and its share of the product kernel's own speed in the same
 //! run. The networks learn nothing meanwhile: learning makes proposals alike, which saves work.
+#![allow(clippy::print_stdout, reason = "a program of its own")]
 
 mod windows;
 

@@ -2,6 +2,7 @@
 //!
 //! `cargo bench -p sortie-learn --bench low_level -- [alma|flat|copa] [STEPS]`. The batch is of real
 //! episodes: random allocations every five steps, every other episode played by script.
+#![allow(clippy::print_stdout, reason = "a program of its own")]
 
 mod windows;
 

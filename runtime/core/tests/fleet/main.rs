@@ -9,6 +9,7 @@
 //! SORTIE_FLEET_SEEDS=10000 cargo test --release -p sortie-core --test fleet         # more
 //! SORTIE_FLEET_SEED=17 cargo test -p sortie-core --test fleet replay -- --nocapture # one, with its trace
 //! ```
+#![allow(clippy::print_stdout, reason = "helpers of tests print as well")]
 
 mod decision_log;
 mod fleet;

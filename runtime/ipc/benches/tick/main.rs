@@ -4,6 +4,7 @@
 //!
 //! `cargo bench -p sortie-ipc --bench tick [-- ROUNDS TICKS [CASE...]]`
 //! `cargo bench -p sortie-ipc --bench tick -- soak SECONDS`
+#![allow(clippy::print_stdout, reason = "a program of its own")]
 
 mod cpu_time;
 mod floor;

@@ -1,4 +1,5 @@
 //! The messaging of a team, over each of its links and as real processes.
+#![allow(clippy::print_stdout, clippy::print_stderr, reason = "helpers of tests print as well")]
 
 mod conformance;
 mod control;
