@@ -152,3 +152,22 @@ impl Worlds {
         self.active.clear();
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_team_is_measured_on_the_test_list_of_scenarios() {
+        let plan = EvaluationPlan::new("2-8a_2-8b_sim_Q1", 1, 1).unwrap();
+        let mut worlds = Worlds::new(&plan, 40).unwrap();
+        for index in 0..40 {
+            worlds.city.seed(index, index as u64);
+            worlds.city.reset(index);
+            let agents = worlds.city.city(index).agents;
+            let team: Vec<_> = agents.iter().map(|agent| agent.kind).collect();
+            assert!(plan.set.test.iter().any(|scenario| scenario.team == team));
+            assert!(plan.set.train.iter().all(|scenario| scenario.team != team));
+        }
+    }
+}

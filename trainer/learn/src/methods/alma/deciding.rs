@@ -186,6 +186,7 @@ fn draw(config: &AllocationConfig, generator: &mut Generator) -> Allocation {
 mod tests {
     use super::*;
     use crate::random::{Purpose, generator};
+    use sortie_envs::save_the_city::{AgentKind, AgentState, BuildingKind, BuildingState, Status};
 
     #[test]
     fn allocators_are_drawn_by_their_weights() {
@@ -200,5 +201,40 @@ mod tests {
         let share = |who| drawn.iter().filter(|drawn| **drawn == who).count() as f64 / 4000.0;
         assert!((share(Allocation::Learned) - 0.25).abs() < 0.03);
         assert!((share(Allocation::Rule(AllocationRule::Heuristic)) - 0.75).abs() < 0.03);
+    }
+
+    #[test]
+    fn rewards_of_a_segment_are_discounted_step_by_step() {
+        let agents = [AgentState::at(AgentKind::Builder, 1, 2)];
+        let buildings = [4, 13].map(|x| BuildingState {
+            health: 0.5,
+            fire: 0.0,
+            period: 70,
+            to_next_fire: 60,
+            since_last_fire: 10,
+            kind: BuildingKind::Fast,
+            status: Status::Open,
+            x,
+            y: 4,
+        });
+        let city = City { agents: &agents, buildings: &buildings };
+        let mut segments = Segments::new(10);
+        let mut episode = Decisions::new(5, 1);
+        episode.allocation = vec![1];
+        episode.begin_segment(city, &mut segments);
+        for (first, second) in [(1.0, 0.0), (2.0, 8.0), (4.0, 16.0)] {
+            episode.reward(0.5, &[first, second], false);
+        }
+        episode.allocation = vec![0];
+        episode.begin_segment(city, &mut segments);
+        let segment = segments.get(0);
+        assert_eq!(segment.rewards, [1.0 + 0.5 * 2.0 + 0.25 * 4.0, 0.5 * 8.0 + 0.25 * 16.0]);
+        assert_eq!(segment.discount, 0.125);
+        assert_eq!([&segment.now, &segment.next].map(|decision| decision.allocation[0]), [1, 0]);
+
+        episode.reward(0.5, &[3.0, 5.0], true);
+        episode.end(false, Some(&mut segments));
+        let last = segments.get(1);
+        assert_eq!((&last.rewards[..], last.discount), (&[3.0, 5.0][..], 0.0));
     }
 }

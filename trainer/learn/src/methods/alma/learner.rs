@@ -316,4 +316,19 @@ mod tests {
         assert_eq!(learner.knowledge().target, start, "a rate of zero moves no target");
         assert_ne!(learner.average, learner.knowledge().online);
     }
+
+    #[test]
+    fn an_update_follows_the_mean_of_the_batch() {
+        let replay = ReplayConfig { batch: 8, ..ReplayConfig::default() };
+        let optimiser = OptimiserConfig { clip: 100.0, ..OptimiserConfig::default() };
+        let (start, samples) = (Line(vec![1.0]), vec![(2.0, 3.0)]);
+        let mut learner = Learner::new((&replay, &optimiser), start, samples, &LineLoss::default());
+        learner.pick(&mut generator(1, Purpose::Replay, 0));
+        learner.job()();
+        // Each of the eight terms: error 1 * 2 - 3, squared 1, slope 2 * -1 * 2.
+        let update = learner.follow(0.01);
+        assert_eq!((update.loss, update.gradient_norm), (1.0, 4.0));
+        // The first step of Adam is as long as the learning rate, whatever the slope.
+        assert!((learner.knowledge().online.0[0] - 1.01).abs() < 1e-6);
+    }
 }

@@ -14,6 +14,8 @@ mod history;
 mod learner;
 mod mixed_network;
 mod mixer;
+#[cfg(test)]
+mod naive;
 mod network_policy;
 mod operations;
 mod potential;

@@ -320,4 +320,51 @@ mod tests {
         assert_eq!(play(&mut rollout, 1, 9, &mut segments), 3);
         assert_eq!(segments.len() as u64, before + decisions, "a new episode joins nothing");
     }
+
+    /// Agents that like an action the more the higher its number is.
+    fn fond_of_high_numbers(shape: UtilityShape) -> UtilityNetwork {
+        let mut parameters = vec![0.0; shape.parameters()];
+        let biases = parameters.len() - shape.actions;
+        (0..shape.actions).for_each(|action| parameters[biases + action] = action as f32);
+        UtilityNetwork::from_parameters(shape, parameters).unwrap()
+    }
+
+    #[test]
+    fn agents_explore_as_often_as_their_instance_and_evenly() {
+        let mut config = config(200);
+        config.exploration.spread = vec![0.0, 0.5, 1.0];
+        let mut rollout = rollout(&config);
+        let agents = fond_of_high_numbers(config.agent_shape().unwrap());
+        let mut records = Replay::new(100, RecordLayout { agents: 5, buildings: 1 });
+        // Of agents in the open, with five available actions: how often each of these was taken.
+        let mut taken = [[0.0; 5]; 3];
+        for _ in 0..1500 {
+            let choices: Vec<Vec<u16>> = (0..3)
+                .map(|index| rollout.city.city(index).agents.iter().map(|a| a.available).collect())
+                .collect();
+            let behaviour = Behaviour { agents: &agents, epsilon: 1.0, allocator: None };
+            let memory = Memory { records: &mut records, segments: None };
+            rollout.step(behaviour, memory, &mut EpisodeCounts::default()).unwrap();
+            for ((choices, instance), taken) in
+                choices.iter().zip(&rollout.instances).zip(&mut taken)
+            {
+                let acted = choices.iter().zip(&instance.last_actions);
+                for (available, action) in acted.filter(|(_, action)| **action != NO_ACTION) {
+                    assert_eq!(available >> action & 1, 1, "only available actions are taken");
+                    if available.count_ones() == 5 {
+                        taken[(available & ((1 << action) - 1)).count_ones() as usize] += 1.0;
+                    }
+                }
+            }
+        }
+        for (taken, epsilon) in taken.iter().zip([0.0, 0.5, 1.0]) {
+            let total: f64 = taken.iter().sum();
+            assert!(total > 1000.0, "{taken:?}");
+            for (place, count) in taken.iter().enumerate() {
+                let greedy = f64::from(u8::from(place == 4));
+                let share = epsilon / 5.0 + (1.0 - epsilon) * greedy;
+                assert!((count / total - share).abs() < 0.04, "{epsilon}: {taken:?}");
+            }
+        }
+    }
 }

@@ -107,7 +107,7 @@ impl Decider {
                 (&self.proposals, &columns.critic),
             );
             let values = self.critic.forward(networks.critic, &self.input);
-            let best = best_of(&self.proposals, block.len(), values);
+            let best = best_of(&self.proposals, networks.critic, block.len(), values);
             for (local, best) in best.into_iter().enumerate() {
                 let place = (start + local) * states.agents..(start + local + 1) * states.agents;
                 self.proposals.write(best, &mut decided.best[place.clone()]);
@@ -193,16 +193,23 @@ pub(super) fn push_distinct(
     }
 }
 
-/// The first of the best allocations of every state of a block, whose distinct ones have these values.
-pub(super) fn best_of(proposals: &ProposalPass, states: usize, values: &[f32]) -> Vec<u32> {
-    let mut values = values.iter();
+/// The first of the best allocations of every state of a block, to whose distinct ones the critic gave
+/// these values, before PopArt's head.
+pub(super) fn best_of(
+    proposals: &ProposalPass,
+    critic: &AllocationCritic,
+    states: usize,
+    values: &[f32],
+) -> Vec<u32> {
+    let rises = critic.rises();
+    let mut merits = values.iter().map(|raw| rises * raw);
     let best = |local| {
         let mut best = (0, f32::NEG_INFINITY);
         let mut first = None;
-        for (whole, value) in proposals.distinct(local).zip(&mut values) {
+        for (whole, merit) in proposals.distinct(local).zip(&mut merits) {
             first = first.or(Some(whole));
-            if *value > best.1 {
-                best = (whole, *value);
+            if merit > best.1 {
+                best = (whole, merit);
             }
         }
         if best.1 > f32::NEG_INFINITY { best.0 } else { first.unwrap_or(0) }

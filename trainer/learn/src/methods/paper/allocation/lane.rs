@@ -104,7 +104,8 @@ impl Lane {
             let values = self.critic.forward(networks.critic, &self.input);
 
             let mut best = Vec::with_capacity(block.len());
-            for (whole, row) in best_of(pass, block.len(), values).into_iter().zip(block.clone()) {
+            let found = best_of(pass, networks.critic, block.len(), values);
+            for (whole, row) in found.into_iter().zip(block.clone()) {
                 let start = self.best.len();
                 self.best.resize(start + states.agents, 0);
                 pass.write(whole, &mut self.best[start..]);

@@ -250,6 +250,14 @@ impl AllocationCritic {
         self.popart.denormalise(f64::from(weight * raw + bias))
     }
 
+    /// 1 where [`Self::real`] rises with the output, -1 where it falls.
+    ///
+    /// Nothing keeps the learned weight of the head positive, and deployment ranks what comes behind it.
+    pub(super) fn rises(&self) -> f32 {
+        let (weight, _) = self.head();
+        f32::from(i8::from(weight > 0.0) - i8::from(weight < 0.0))
+    }
+
     /// Weight and bias of the PopArt head.
     pub(super) fn head(&self) -> (f32, f32) {
         let parts = self.parts();

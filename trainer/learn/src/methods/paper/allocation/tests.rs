@@ -8,8 +8,8 @@ use super::critic::{CriticInput, CriticPass};
 use super::networks::{AllocationCritic, AllocationPolicy};
 use super::proposals::{Noise, ProposalPass};
 use super::{
-    AllocationLearning, AllocationLevel, AllocationShape, Decider, RowRules, StateView, States,
-    StepDraws, TaskColumns,
+    AllocationLearning, AllocationLevel, AllocationNetworks, AllocationShape, Decider, RowRules,
+    StateView, States, StepDraws, TaskColumns,
 };
 use crate::layers::SparseRows;
 use crate::layers::gradient_check::{assert_gradient, random};
@@ -101,6 +101,38 @@ fn probabilities_of_all_allocations_sum_to_one() {
         let sum: f64 = proposed.log_probabilities.iter().map(|log| f64::from(*log).exp()).sum();
         assert!((sum - 1.0).abs() < 1e-5, "state {state}: {sum}");
     }
+}
+
+#[test]
+fn the_best_proposal_has_the_highest_value_behind_the_head() {
+    let states = some_states();
+    let policy = AllocationPolicy::initialise(SHAPE, &mut generator(1, Purpose::Weights, 0));
+    let start = AllocationCritic::initialise(SHAPE, &mut generator(2, Purpose::Weights, 0));
+    let critic = |head: f32| {
+        let mut weights = start.weights();
+        (weights.popart_weight, weights.popart_bias, weights.deviation) = (head, 0.3, 2.0);
+        AllocationCritic::from_weights(&weights).unwrap()
+    };
+    let mut chosen = Vec::new();
+    for head in [1.5, -1.5, 0.0] {
+        let critic = critic(head);
+        let networks = AllocationNetworks { policy: &policy, critic: &critic };
+        let sampling = (16, Noise::Seeded { seed: 3, greedy_first: true });
+        let mut decider = Decider::default();
+        let proposed = decider.propose(&policy, &states, &columns(), sampling).allocations;
+        let raw = decider.value(&critic, &states, &columns(), &proposed);
+        let best = decider.decide(networks, &states, &columns(), sampling).best;
+        for ((best, proposed), raw) in
+            best.chunks(AGENTS).zip(proposed.chunks(16 * AGENTS)).zip(raw.chunks(16))
+        {
+            let values: Vec<f64> = raw.iter().map(|raw| critic.real(*raw)).collect();
+            let highest = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+            let first = values.iter().position(|value| highest - value < 1e-6).unwrap();
+            assert_eq!(best, &proposed[first * AGENTS..][..AGENTS], "head {head}: {values:?}");
+        }
+        chosen.push(best);
+    }
+    assert_ne!(chosen[0], chosen[1]);
 }
 
 #[test]
