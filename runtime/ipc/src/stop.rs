@@ -1,14 +1,20 @@
 //! A flag that ends a process loop, set by signals or by another thread.
 
 use std::io;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
 
 use rustix::stdio::stderr;
 use signal_hook::consts::{SIGBUS, SIGHUP, SIGINT, SIGTERM};
-use signal_hook::{flag, low_level};
+use signal_hook::low_level;
+use sortie_core::link::Clock;
 
+use crate::clock::MonotonicClock;
 use crate::waker::Waker;
+
+/// A signal that follows the first one sooner is the same wish: `timeout`, `npm` and container runners send one to
+/// the process, and another to its group.
+const SAME_WISH_NS: u64 = 500_000_000;
 
 /// Exit code of a process that a signal interrupted.
 const INTERRUPTED: i32 = 130;
@@ -31,29 +37,39 @@ impl Stop {
         Self::default()
     }
 
-    /// A flag that SIGINT, SIGTERM and SIGHUP set; the second signal ends the process at once. A bus error,
-    /// which a full `/dev/shm` brings, ends it with its cause and exit code 74.
+    /// A flag that SIGINT, SIGTERM and SIGHUP set; a second signal, half a second after the first or later, ends the
+    /// process at once. A bus error, which a full `/dev/shm` brings, ends it with its cause and exit code 74.
     ///
     /// # Errors
     /// A handler could not be registered.
     pub fn on_signals() -> io::Result<Self> {
         let stop = Self::default();
+        let first_ns = Arc::new(AtomicU64::new(0));
+        // The first reading looks for the clock, which a handler had better not.
+        MonotonicClock.now_ns();
         for signal in [SIGINT, SIGTERM, SIGHUP] {
-            // In this order: the first signal finds the flag unset, sets it, and wakes the loop.
-            flag::register_conditional_shutdown(signal, INTERRUPTED, Arc::clone(&stop.flag))?;
-            flag::register(signal, Arc::clone(&stop.flag))?;
-            stop.wake_on(signal)?;
+            stop.obey(signal, Arc::clone(&first_ns))?;
         }
         explain_bus_errors()?;
         Ok(stop)
     }
 
     #[allow(unsafe_code)]
-    fn wake_on(&self, signal: i32) -> io::Result<()> {
+    fn obey(&self, signal: i32, first_ns: Arc<AtomicU64>) -> io::Result<()> {
         let stop = self.clone();
-        // SAFETY: the action is async-signal-safe: an atomic load, and a waker, which promises
-        // atomic accesses and system calls. It neither allocates, locks, panics nor sets `errno`.
-        unsafe { low_level::register(signal, move || stop.wake()) }.map(drop)
+        let action = move || stop.signalled(&first_ns, MonotonicClock.now_ns());
+        // SAFETY: the action is async-signal-safe: it reads the clock, accesses atomics, and calls a waker, which
+        // promises no more than atomic accesses and system calls, or `_exit`. It neither allocates, locks, panics
+        // nor sets `errno`.
+        unsafe { low_level::register(signal, action) }.map(drop)
+    }
+
+    fn signalled(&self, first_ns: &AtomicU64, now_ns: u64) {
+        match first_ns.compare_exchange(0, now_ns, Ordering::SeqCst, Ordering::SeqCst) {
+            Ok(_) => self.stop(),
+            Err(first_ns) if now_ns.saturating_sub(first_ns) < SAME_WISH_NS => {}
+            Err(_) => low_level::exit(INTERRUPTED),
+        }
     }
 
     /// The flag itself, for loops that know nothing of this type.

@@ -17,49 +17,65 @@ const PAUSE: Duration = Duration::from_millis(250);
 
 /// Looks after a domain until it is dropped.
 pub(super) struct Caretaker {
-    is_over: Arc<AtomicBool>,
-    threads: Vec<JoinHandle<()>>,
+    // In this order: the library waits without end for an object without size, and the sweeper frees it then.
+    _cleaner: Repeated,
+    _sweeper: Repeated,
 }
 
 impl Caretaker {
     /// Starts to look after `domain`.
     pub(super) fn start(domain: &Domain) -> Result<Self, Error> {
-        let mut caretaker = Self { is_over: Arc::default(), threads: Vec::new() };
         let (swept, cleaned) = (domain.clone(), domain.clone());
         let mut unfinished = BTreeSet::new();
-        caretaker.repeat("sweeper", move || unfinished = sweep(&swept, &unfinished))?;
-        // The library waits without end for an object without size; the sweeper frees it then.
         let mut cleaner = None;
-        caretaker.repeat("cleaner", move || {
-            if cleaner.is_none() {
-                cleaner = Cleaner::open(&cleaned).ok();
-            }
-            if let Some(cleaner) = &mut cleaner {
-                cleaner.clean_up();
-            }
-        })?;
-        Ok(caretaker)
+        Self::of(
+            move || {
+                if cleaner.is_none() {
+                    cleaner = Cleaner::open(&cleaned).ok();
+                }
+                if let Some(cleaner) = &mut cleaner {
+                    cleaner.clean_up();
+                }
+            },
+            move || unfinished = sweep(&swept, &unfinished),
+        )
     }
 
-    fn repeat(&mut self, name: &str, mut work: impl FnMut() + Send + 'static) -> Result<(), Error> {
-        let is_over = Arc::clone(&self.is_over);
+    fn of(
+        clean: impl FnMut() + Send + 'static,
+        sweep: impl FnMut() + Send + 'static,
+    ) -> Result<Self, Error> {
+        let sweeper = Repeated::start("sweeper", sweep)?;
+        Ok(Self { _cleaner: Repeated::start("cleaner", clean)?, _sweeper: sweeper })
+    }
+}
+
+/// Work that a thread does again and again until this value is dropped, which waits for its end.
+struct Repeated {
+    is_over: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Repeated {
+    fn start(name: &str, mut work: impl FnMut() + Send + 'static) -> Result<Self, Error> {
+        let is_over = Arc::new(AtomicBool::new(false));
+        let seen = Arc::clone(&is_over);
         let body = move || {
-            while !is_over.load(Ordering::SeqCst) {
+            while !seen.load(Ordering::SeqCst) {
                 work();
                 thread::park_timeout(PAUSE);
             }
         };
         let builder = thread::Builder::new().name(name.to_string());
-        self.threads.push(builder.spawn(body).map_err(Error::io("start", name))?);
-        Ok(())
+        let thread = builder.spawn(body).map_err(Error::io("start", name))?;
+        Ok(Self { is_over, thread: Some(thread) })
     }
 }
 
-impl Drop for Caretaker {
+impl Drop for Repeated {
     fn drop(&mut self) {
         self.is_over.store(true, Ordering::SeqCst);
-        // The cleaner first: the sweeper may have to free it.
-        while let Some(thread) = self.threads.pop() {
+        if let Some(thread) = self.thread.take() {
             thread.thread().unpark();
             let _ = thread.join();
         }
@@ -81,7 +97,34 @@ fn sweep(domain: &Domain, before: &BTreeSet<PathBuf>) -> BTreeSet<PathBuf> {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::AtomicU32;
+    use std::sync::mpsc;
+
     use super::*;
+
+    /// The library's wait for an object without size ends only once the sweeper has removed it, at its second look.
+    #[test]
+    fn a_cleaner_that_needs_the_sweeper_does_not_keep_the_world_from_ending() {
+        let looks = Arc::new(AtomicU32::new(0));
+        let (swept, (begun, begins)) = (Arc::clone(&looks), mpsc::channel());
+        let clean = move || {
+            let seen = looks.load(Ordering::SeqCst);
+            let _ = begun.send(());
+            while looks.load(Ordering::SeqCst) < seen + 2 {
+                thread::yield_now();
+            }
+        };
+        let sweep = move || drop(swept.fetch_add(1, Ordering::SeqCst));
+        let caretaker = Caretaker::of(clean, sweep).unwrap();
+        begins.recv().unwrap();
+        let (ended, ends) = mpsc::channel();
+        // A thread that hangs cannot be ended: it is left behind.
+        thread::spawn(move || {
+            drop(caretaker);
+            let _ = ended.send(());
+        });
+        assert_eq!(ends.recv_timeout(Duration::from_secs(30)), Ok(()), "the caretaker hangs");
+    }
 
     #[test]
     fn what_stays_without_size_is_removed_at_the_second_look() {

@@ -8,6 +8,7 @@ mod own_world;
 mod private;
 mod processes;
 mod reload;
+mod signals;
 mod starts;
 mod storm;
 mod stress;
