@@ -5,6 +5,7 @@ use std::path::Path;
 use sortie_bundle::{Bundle, SubtaskConditioning};
 use sortie_ipc::DomainContract;
 
+use crate::arguments::AllocatorChoice;
 use crate::failure::Failure;
 
 /// Opens and checks a bundle.
@@ -13,13 +14,21 @@ pub(crate) fn open_bundle(folder: &Path) -> Result<Bundle, Failure> {
 }
 
 /// The contract of a domain that this bundle's policy acts in.
-pub(crate) fn domain_contract(bundle: &Bundle) -> DomainContract {
+///
+/// A process that allocates, or reports who does, names the `allocation`.
+pub(crate) fn domain_contract(
+    bundle: &Bundle,
+    allocation: Option<AllocatorChoice>,
+) -> DomainContract {
     let contract = bundle.contract();
     DomainContract {
         hash: contract.hash(),
         decision_interval: contract.decision_interval,
         subtasks: contract.subtask_conditioning == SubtaskConditioning::Mask,
         safe_action: contract.safe_action,
+        model: model_id(bundle),
+        allocation: allocation.map(|choice| choice.name().to_string()),
+        mixes_teams: false,
         fields: toml::Table::try_from(contract).expect("a contract is a table of plain values"),
     }
 }

@@ -128,7 +128,18 @@ impl From<LearnError> for Failure {
 
 impl From<sortie_ipc::Error> for Failure {
     fn from(error: sortie_ipc::Error) -> Self {
-        Self { exit: Exit::from_code(error.exit_code()), message: with_sources(&error) }
+        use sortie_ipc::Error;
+        let advice = match &error {
+            Error::Busy { what, .. } if what == "the world" => {
+                "; choose another domain with `--domain NAME`"
+            }
+            Error::OtherTeam { .. } => {
+                "; choose another domain with `--domain NAME`, or join its team with `--mix-teams`"
+            }
+            _ => "",
+        };
+        let message = with_sources(&error) + advice;
+        Self { exit: Exit::from_code(error.exit_code()), message }
     }
 }
 

@@ -26,6 +26,7 @@ impl Endless {
         let arguments = ["run", BUNDLE, "--domain", &domain.id, "--episodes", "100000"];
         let mut child = sortie(&arguments)
             .args(["--isolate", "--rate", "500", "--patience", "1"])
+            .stdout(Stdio::null())
             .stderr(Stdio::piped())
             .spawn()
             .expect("the command line starts");

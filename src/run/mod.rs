@@ -1,5 +1,6 @@
 //! `sortie run`: deploys a bundle's team in a built-in world.
 
+mod ledger;
 mod onlooker;
 pub(crate) mod process;
 pub(crate) mod registry;
@@ -22,14 +23,13 @@ use sortie_ipc::{
 };
 
 use self::onlooker::{Display, Onlooker};
-use self::report::{Report, Setup};
+use self::report::{Manner, Setup, report};
 use self::team::Team;
 use self::world::open_world;
 use crate::allocator::DeployedAllocator;
 use crate::arguments::{AllocatorChoice, Common};
 use crate::deployment::{domain_contract, open_bundle};
 use crate::failure::Outcome;
-use crate::output::print_json;
 use crate::policy::{Backend, DeployedPolicy};
 use crate::proposals::ProposalArguments;
 use crate::signals::stop_on_signals;
@@ -107,30 +107,22 @@ pub(crate) fn run(arguments: &RunArguments) -> Outcome {
     // Opened here even where another process allocates: errors show at once, and plans are compiled.
     let mut allocator =
         DeployedAllocator::open(&bundle, allocation, arguments.backend, seed, arguments.proposals)?;
-    let mut onlooker = Onlooker::new(
-        display(arguments),
-        Some(arguments.episodes as usize),
-        world.city.clone(),
-        world.finished.clone(),
-    );
-    if arguments.in_process {
+    let mut onlooker =
+        Onlooker::new(display(arguments), Some(arguments.episodes as usize), &world, None);
+    let ended = if arguments.in_process {
         let mut allocator = allocator.allocator()?;
-        play_in_process(arguments, &bundle, &mut world, allocator.as_mut(), &mut onlooker, &stop)?;
+        play_in_process(arguments, &bundle, &mut world, allocator.as_mut(), &mut onlooker, &stop)
     } else {
-        play_as_processes(arguments, &bundle, &mut world, allocation, &mut onlooker, &stop)?;
-    }
+        play_as_processes(arguments, &bundle, &mut world, allocation, &mut onlooker, &stop)
+    };
     let setup = Setup {
         allocation: allocation.name().to_string(),
         backend: arguments.backend.name().to_string(),
         rate_hz: pace(arguments),
     };
-    let report = Report::new(&world.finished.borrow(), &onlooker.figures, setup);
-    if arguments.common.json {
-        print_json(&report);
-    } else {
-        report.print(&onlooker.figures);
-    }
-    Ok(())
+    let manner = if arguments.common.json { Manner::Json } else { Manner::Tables };
+    report(&world.tally.borrow(), &onlooker, setup, manner, ended.is_ok());
+    ended
 }
 
 fn display(arguments: &RunArguments) -> Display {
@@ -172,7 +164,7 @@ fn play_in_process(
     let mut policy = DeployedPolicy::open(bundle, arguments.backend)?;
     let mut policy = policy.policy()?;
     let team = InProcess { world, policy: policy.as_mut(), allocator: Some(allocator) };
-    let contract = domain_contract(bundle);
+    let contract = domain_contract(bundle, None);
     run_in_process(team, &contract, &settings(arguments), onlooker, stop)?;
     Ok(())
 }
@@ -199,6 +191,7 @@ fn play_as_processes(
         proposals: arguments.proposals,
         seed: arguments.common.seed,
         private: false,
+        mixes_teams: false,
         parent: Some(std::process::id()),
     };
     let start_team = |children: &mut Children| {
@@ -208,7 +201,7 @@ fn play_as_processes(
         }
         Ok(())
     };
-    let contract = domain_contract(bundle);
+    let contract = domain_contract(bundle, Some(allocation));
     world_process(&domain, &contract, world, &settings(arguments), start_team, onlooker, stop)?;
     Ok(())
 }

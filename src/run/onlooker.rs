@@ -10,10 +10,12 @@ use sortie_core::wire::{AllocMsg, StatMsg};
 use sortie_core::{NO_ACTION, UNASSIGNED, limits};
 use sortie_envs::save_the_city::SaveTheCity;
 
+use super::ledger::Ledger;
 use super::view::{self, Picture};
 use crate::latency::Latency;
 use crate::output::tell;
-use crate::worlds::save_the_city::{EpisodeLog, FinishedEpisode};
+use crate::worlds::save_the_city::{CityWorld, SharedTally};
+use crate::worlds::tally::FinishedEpisode;
 
 /// How a run is shown while it goes on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,7 +34,10 @@ pub(super) struct Onlooker {
     /// `None` = without end.
     episodes: Option<usize>,
     city: Rc<RefCell<SaveTheCity>>,
-    finished: EpisodeLog,
+    tally: SharedTally,
+    /// Episodes of worlds before this one.
+    earlier: usize,
+    ledger: Option<Ledger>,
     allocation: [u8; limits::AGENTS],
     actions: [u16; limits::AGENTS],
     screen: Screen,
@@ -59,8 +64,8 @@ impl Onlooker {
     pub(super) fn new(
         display: Display,
         episodes: Option<usize>,
-        city: Rc<RefCell<SaveTheCity>>,
-        finished: EpisodeLog,
+        world: &CityWorld,
+        ledger: Option<Ledger>,
     ) -> Self {
         let figures = Figures {
             decisions: 0,
@@ -73,8 +78,10 @@ impl Onlooker {
         Self {
             display,
             episodes,
-            city,
-            finished,
+            city: world.city.clone(),
+            tally: world.tally.clone(),
+            earlier: world.tally.borrow().episodes,
+            ledger,
             allocation: [UNASSIGNED; limits::AGENTS],
             actions: [NO_ACTION; limits::AGENTS],
             screen: Screen::default(),
@@ -83,20 +90,35 @@ impl Onlooker {
     }
 
     fn draw(&mut self, step: u32) {
-        let finished = self.finished.borrow();
+        let tally = self.tally.borrow();
         let city = self.city.borrow();
         let lines = view::lines(&Picture {
             city: city.city(0),
             allocation: &self.allocation,
             actions: &self.actions,
-            episode: (finished.len() + 1).min(self.episodes.unwrap_or(usize::MAX)),
+            episode: (tally.episodes + 1).min(self.episodes.unwrap_or(usize::MAX)),
             episodes: self.episodes,
-            finished: finished.len(),
-            solved: finished.iter().filter(|episode| episode.metrics.solved).count(),
+            finished: tally.episodes,
+            solved: tally.solved,
             step,
             tick: self.figures.tick.percentiles(),
         });
         self.screen.show(&lines);
+    }
+}
+
+/// What is kept of the finished episodes.
+impl Onlooker {
+    /// Episodes that worlds before this one have played.
+    pub(super) fn earlier(&self) -> usize {
+        self.earlier
+    }
+
+    /// Forgets what is kept for a next world.
+    pub(super) fn close(self) {
+        if let Some(ledger) = self.ledger {
+            ledger.close();
+        }
     }
 }
 
@@ -131,10 +153,15 @@ impl WorldObserver for Onlooker {
     }
 
     fn episode_ended(&mut self, episode: u32, _steps: u32) {
+        let tally = self.tally.borrow();
+        if let Some(ledger) = &self.ledger {
+            ledger.write(&tally);
+        }
         if self.display == Display::Lines
-            && let Some(finished) = self.finished.borrow().last()
+            && let Some(finished) = &tally.last
         {
-            tell!("{}", episode_line(episode as usize + 1, self.episodes, finished));
+            let number = self.earlier + episode as usize + 1;
+            tell!("{}", episode_line(number, self.episodes, finished));
         }
     }
 }

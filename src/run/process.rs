@@ -48,6 +48,9 @@ pub(crate) struct ProcessArguments {
     /// World: it acts for agents without a runner
     #[arg(long)]
     fill: bool,
+    /// Join a team of another bundle or allocation rule
+    #[arg(long)]
+    mix_teams: bool,
     #[command(flatten)]
     scheduling: Scheduling,
     /// Core that it stays on
@@ -76,7 +79,10 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
     let stop = stop_on_signals()?;
     let bundle = open_bundle(&arguments.bundle)?;
     let domain = Domain::new(&arguments.domain)?;
-    let contract = domain_contract(&bundle);
+    // A runner acts on whatever allocation comes.
+    let allocation = (arguments.role != Role::Runner).then_some(arguments.allocation);
+    let mixes_teams = arguments.mix_teams;
+    let contract = DomainContract { mixes_teams, ..domain_contract(&bundle, allocation) };
     let limits = &bundle.manifest().limits;
     let settings = ProcessSettings {
         model: model_id(&bundle),
@@ -93,6 +99,7 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
             let ProcessSettings { private, linger, real_time, .. } = settings;
             let world = WorldOfTeam {
                 bundle: &bundle,
+                contract: &contract,
                 allocation,
                 backend,
                 seed,

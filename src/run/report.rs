@@ -5,21 +5,23 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 use sortie_learn::evaluate::wilson_interval;
 
-use super::onlooker::Figures;
+use super::onlooker::{Figures, Onlooker};
 use crate::latency::{Latency, Percentiles};
-use crate::output::{Table, say};
-use crate::worlds::save_the_city::FinishedEpisode;
+use crate::output::{Table, plural, print_json, say};
+use crate::worlds::tally::{Tally, TeamTally};
 
 /// The summary of a run; scripts rely on its names.
 #[derive(Debug, Serialize)]
 pub(super) struct Report {
     episodes: usize,
+    /// Those of worlds that died: of these the rest of the report knows no more than how they ended.
+    episodes_of_dead_worlds: usize,
     success: f64,
     success_ci95: [f64; 2],
     return_mean: f64,
-    buildings_saved: u32,
-    buildings: u32,
-    by_team: BTreeMap<String, TeamReport>,
+    buildings_saved: u64,
+    buildings: u64,
+    by_team: BTreeMap<String, TeamTally>,
     decisions: u64,
     /// Actions of agents for which nobody answered in time.
     fallbacks: u64,
@@ -34,10 +36,31 @@ pub(super) struct Report {
     processes: usize,
 }
 
-#[derive(Debug, Default, Serialize)]
-struct TeamReport {
-    episodes: usize,
-    solved: usize,
+/// How a report is given.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Manner {
+    Json,
+    Tables,
+    Nothing,
+}
+
+/// Reports what was played, however it ended; nothing where it ended badly before the first episode was over.
+pub(super) fn report(
+    tally: &Tally,
+    onlooker: &Onlooker,
+    setup: Setup,
+    manner: Manner,
+    has_ended_well: bool,
+) {
+    if !has_ended_well && tally.episodes == 0 {
+        return;
+    }
+    let report = Report::new(tally, onlooker.earlier(), &onlooker.figures, setup);
+    match manner {
+        Manner::Json => print_json(&report),
+        Manner::Tables => report.print(&onlooker.figures),
+        Manner::Nothing => {}
+    }
 }
 
 /// What the report says of the run's set-up.
@@ -48,25 +71,17 @@ pub(super) struct Setup {
 }
 
 impl Report {
-    pub(super) fn new(finished: &[FinishedEpisode], figures: &Figures, setup: Setup) -> Self {
-        let episodes = finished.len();
-        let solved = finished.iter().filter(|episode| episode.metrics.solved).count();
-        let mut by_team: BTreeMap<String, TeamReport> = BTreeMap::new();
-        for episode in finished {
-            let team = by_team.entry(episode.team.clone()).or_default();
-            team.episodes += 1;
-            team.solved += usize::from(episode.metrics.solved);
-        }
-        let returns: f64 = finished.iter().map(|episode| episode.metrics.episode_return).sum();
-        let sum = |count: fn(&FinishedEpisode) -> u32| finished.iter().map(count).sum();
+    pub(super) fn new(tally: &Tally, earlier: usize, figures: &Figures, setup: Setup) -> Self {
+        let Tally { episodes, solved, returns, buildings_saved, buildings, .. } = *tally;
         Self {
             episodes,
+            episodes_of_dead_worlds: earlier,
             success: solved as f64 / episodes.max(1) as f64,
             success_ci95: wilson_interval(solved, episodes),
             return_mean: returns / episodes.max(1) as f64,
-            buildings_saved: sum(|episode| episode.metrics.buildings_completed),
-            buildings: sum(|episode| episode.metrics.buildings),
-            by_team,
+            buildings_saved,
+            buildings,
+            by_team: tally.by_team.clone(),
             decisions: figures.decisions,
             fallbacks: figures.fallbacks,
             decide_us: figures.decide.percentiles(),
@@ -81,7 +96,7 @@ impl Report {
     }
 
     /// The tables for people.
-    pub(super) fn print(&self, figures: &Figures) {
+    fn print(&self, figures: &Figures) {
         say!(
             "\nsuccess {:.2} (95 % interval {:.2} to {:.2}) over {} episodes, {} allocation",
             self.success,
@@ -108,6 +123,12 @@ impl Report {
             self.fallbacks,
             self.pace()
         );
+        if self.episodes_of_dead_worlds > 0 {
+            say!(
+                "a world died: of the first {} figures below know nothing\n",
+                plural(self.episodes_of_dead_worlds, "episode")
+            );
+        }
         let mut latency = Table::new(&["latency, us", "p50", "p99", "p99.9", "max", "samples"]);
         latency.row(latency_row("one decision", self.decide_us, &figures.decide));
         latency.row(latency_row("observation to action", self.act_us, &figures.act));

@@ -21,6 +21,8 @@ pub(crate) struct Team<'a> {
     pub(crate) seed: u64,
     /// Whether every agent gets its own frame.
     pub(crate) private: bool,
+    /// Whether they join a team of another bundle or allocation rule.
+    pub(crate) mixes_teams: bool,
     /// Process with which they end.
     pub(crate) parent: Option<u32>,
 }
@@ -59,6 +61,9 @@ impl Team<'_> {
         command.arg("--seed").arg(self.seed.to_string());
         if self.private {
             command.arg("--private");
+        }
+        if self.mixes_teams {
+            command.arg("--mix-teams");
         }
         command.stdin(Stdio::null()).stdout(Stdio::null());
         command

@@ -6,14 +6,16 @@ use std::process::{Command, Stdio};
 use clap::{Args, ValueEnum};
 use sortie_core::World;
 use sortie_core::wire::Role;
-use sortie_ipc::{Charge, Domain, RestartPolicy, SupervisorEvent, group_agents, supervise};
+use sortie_ipc::{
+    Charge, Domain, DomainContract, Error, RestartPolicy, SupervisorEvent, group_agents, supervise,
+};
 
 use super::scheduling::{Scheduling, check_cores};
 use super::team::Team;
 use super::world::{Playing, open_world};
 use crate::allocator::DeployedAllocator;
 use crate::arguments::{AllocatorChoice, Common};
-use crate::deployment::open_bundle;
+use crate::deployment::{domain_contract, open_bundle};
 use crate::failure::{Exit, Failure, Outcome};
 use crate::output::tell;
 use crate::policy::{Backend, DeployedPolicy};
@@ -64,6 +66,9 @@ pub(crate) struct UpArguments {
     /// Whether a process that died is started again
     #[arg(long, value_enum, default_value_t = Restart::OnFailure)]
     restart: Restart,
+    /// Join the domain although its team has another bundle or allocation rule: otherwise that is refused
+    #[arg(long)]
+    mix_teams: bool,
     /// Name that keeps this deployment apart from others on the host
     #[arg(long, env = "SORTIE_DOMAIN", default_value = "default")]
     domain: String,
@@ -98,8 +103,14 @@ pub(crate) fn run(arguments: &UpArguments) -> Outcome {
         proposals: arguments.proposals,
         seed,
         private: arguments.private,
+        mixes_teams: arguments.mix_teams,
         parent: None,
     };
+    let membership = domain.enter()?;
+    membership.check(&DomainContract {
+        mixes_teams: arguments.mix_teams,
+        ..domain_contract(&bundle, Some(allocation))
+    })?;
     let charges = charges(arguments, &team, world.shape().agents)?;
     let is_told = !arguments.common.quiet && !arguments.common.json;
     if is_told {
@@ -118,7 +129,11 @@ pub(crate) fn run(arguments: &UpArguments) -> Outcome {
     };
     match supervise(&domain, charges, &policy, &mut tell, &stop) {
         Ok(_) => Ok(()),
-        Err(sortie_ipc::Error::Interrupted) => Err(Failure::new(Exit::Interrupted, "interrupted")),
+        Err(Error::Interrupted) => Err(Failure::new(Exit::Interrupted, "interrupted")),
+        // A process that ended by itself has said why.
+        Err(error @ Error::Child { status, .. }) if status.code().is_some() => {
+            Err(Failure { message: String::new(), ..error.into() })
+        }
         Err(error) => Err(error.into()),
     }
 }

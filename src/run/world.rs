@@ -7,17 +7,18 @@ use sortie_bundle::Bundle;
 use sortie_core::World;
 use sortie_envs::save_the_city::{Constants, SaveTheCity, ScenarioSet};
 use sortie_ipc::{
-    Domain, Fill, RealTime, Stop, WorldSettings, world_process, world_process_with_fill,
+    Domain, DomainContract, Fill, RealTime, Stop, WorldSettings, world_process,
+    world_process_with_fill,
 };
 
+use super::ledger::Ledger;
 use super::onlooker::{Display, Onlooker};
-use super::report::{Report, Setup};
+use super::report::{Manner, Setup, report};
 use super::{positive_seconds, rate};
 use crate::arguments::AllocatorChoice;
-use crate::deployment::{domain_contract, model_id};
+use crate::deployment::model_id;
 use crate::environment::{ScenarioSetName, check_fits};
 use crate::failure::{Exit, Failure, Outcome};
-use crate::output::print_json;
 use crate::policy::{Backend, DeployedPolicy};
 use crate::worlds::save_the_city::CityWorld;
 
@@ -38,6 +39,18 @@ pub(crate) struct Playing {
     pub(super) patience: f64,
 }
 
+impl Playing {
+    fn rate_hz(&self) -> Option<f64> {
+        (self.rate > 0.0).then_some(self.rate)
+    }
+
+    /// Names what is played; the same for a world and the one that takes its place.
+    fn key(&self, seed: u64) -> String {
+        let Self { env, episodes, .. } = self;
+        format!("{env:?}, {episodes:?} episodes, seed {seed}")
+    }
+}
+
 /// The city that a bundle is to play in.
 pub(super) fn open_world(
     bundle: &Bundle,
@@ -55,6 +68,7 @@ pub(super) fn open_world(
 /// The world's part of a team.
 pub(super) struct WorldOfTeam<'a> {
     pub(super) bundle: &'a Bundle,
+    pub(super) contract: &'a DomainContract,
     pub(super) allocation: AllocatorChoice,
     pub(super) backend: Backend,
     pub(super) seed: u64,
@@ -66,55 +80,83 @@ pub(super) struct WorldOfTeam<'a> {
     pub(super) real_time: RealTime,
 }
 
-/// Plays with whoever is there, and reports.
+/// Plays with whoever is there, and reports. Episodes of a world before it that died count.
 pub(super) fn play(
     team: &WorldOfTeam<'_>,
     playing: &Playing,
     domain: &Domain,
     stop: &Stop,
 ) -> Outcome {
-    let mut world = open_world(team.bundle, playing.env.as_deref(), team.seed)?;
+    let ledger = Ledger::new(domain, playing.key(team.seed));
+    let earlier = ledger.read(domain)?;
+    let (set, seed) = (playing.env.as_deref(), next_seed(team.seed, earlier.episodes));
+    let mut world = open_world(team.bundle, set, seed)?;
+    *world.tally.borrow_mut() = earlier;
     let display = if team.json || team.quiet { Display::Silent } else { Display::Lines };
     let episodes = playing.episodes.map(|episodes| episodes as usize);
-    let (city, finished) = (world.city.clone(), world.finished.clone());
-    let mut onlooker = Onlooker::new(display, episodes, city, finished);
-    let rate_hz = (playing.rate > 0.0).then_some(playing.rate);
+    let mut onlooker = Onlooker::new(display, episodes, &world, Some(ledger));
+    let left = episodes.map(|episodes| episodes.saturating_sub(onlooker.earlier()));
+    let ended = match left {
+        // The world before died after its last episode.
+        Some(0) => Ok(()),
+        _ => play_on(team, playing, domain, &mut world, left, &mut onlooker, stop),
+    };
+    let setup = Setup {
+        allocation: team.allocation.name().to_string(),
+        backend: team.backend.name().to_string(),
+        rate_hz: playing.rate_hz(),
+    };
+    let manner = match (team.json, team.quiet) {
+        (true, _) => Manner::Json,
+        (false, true) => Manner::Nothing,
+        (false, false) => Manner::Tables,
+    };
+    report(&world.tally.borrow(), &onlooker, setup, manner, ended.is_ok());
+    if ended.is_ok() {
+        onlooker.close();
+    }
+    ended
+}
+
+/// Plays the episodes that are left.
+fn play_on(
+    team: &WorldOfTeam<'_>,
+    playing: &Playing,
+    domain: &Domain,
+    world: &mut CityWorld,
+    left: Option<usize>,
+    onlooker: &mut Onlooker,
+    stop: &Stop,
+) -> Outcome {
     let settings = WorldSettings {
         allocator: true,
         strict: false,
-        period: rate_hz.map_or(Duration::ZERO, |hz| Duration::from_secs_f64(1.0 / hz)),
+        period: playing.rate_hz().map_or(Duration::ZERO, |hz| Duration::from_secs_f64(1.0 / hz)),
         patience: Duration::from_secs_f64(playing.patience),
-        episodes: playing.episodes,
+        episodes: left.map(|left| left.try_into().unwrap_or(u32::MAX)),
         private: team.private,
         linger: team.linger,
         real_time: team.real_time,
         ..WorldSettings::default()
     };
-    let contract = domain_contract(team.bundle);
     let start = |_: &mut _| Ok(());
     let ended = if team.fill {
         let mut policy = DeployedPolicy::open(team.bundle, team.backend)?;
         let mut policy = policy.policy()?;
         let fill = Fill { policy: policy.as_mut(), model: model_id(team.bundle) };
-        let filled: (&mut dyn World, _) = (&mut world, fill);
-        world_process_with_fill(domain, &contract, filled, &settings, start, &mut onlooker, stop)
+        let filled: (&mut dyn World, _) = (world, fill);
+        world_process_with_fill(domain, team.contract, filled, &settings, start, onlooker, stop)
     } else {
-        world_process(domain, &contract, &mut world, &settings, start, &mut onlooker, stop)
+        world_process(domain, team.contract, world, &settings, start, onlooker, stop)
     };
-    let setup = Setup {
-        allocation: team.allocation.name().to_string(),
-        backend: team.backend.name().to_string(),
-        rate_hz,
-    };
-    let report = Report::new(&world.finished.borrow(), &onlooker.figures, setup);
-    if team.json {
-        print_json(&report);
-    } else if !team.quiet {
-        report.print(&onlooker.figures);
-    }
     match ended {
         Ok(_) => Ok(()),
         Err(sortie_ipc::Error::Interrupted) => Err(Failure::new(Exit::Interrupted, "")),
         Err(error) => Err(error.into()),
     }
+}
+
+/// The seed of a world that goes on after so many episodes of another: it plays others.
+fn next_seed(seed: u64, episodes: usize) -> u64 {
+    seed.wrapping_add((episodes as u64).rotate_left(32))
 }

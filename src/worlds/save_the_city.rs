@@ -10,33 +10,27 @@ use sortie_core::world::{Shape, StepOutcome, UnavailableAction, World};
 use sortie_core::{AllocateError, AllocationState, Allocator, EntityMask};
 use sortie_envs::random::generator;
 use sortie_envs::save_the_city::{
-    ACTIONS, AllocationRule, CityDecoder, CityRows, DecodeError, EpisodeMetrics, MAX_AGENTS,
-    MAX_BUILDINGS, RELATIONS, SaveTheCity,
+    ACTIONS, AllocationRule, CityDecoder, CityRows, DecodeError, MAX_AGENTS, MAX_BUILDINGS,
+    RELATIONS, SaveTheCity,
 };
 use sortie_envs::{Environment, ObservationMut, StepError};
 
-/// How one episode of the world ended.
-#[derive(Clone, Debug)]
-pub(crate) struct FinishedEpisode {
-    /// The team's letters, such as `BFFG`.
-    pub(crate) team: String,
-    pub(crate) metrics: EpisodeMetrics,
-}
+use super::tally::{FinishedEpisode, Tally};
 
 /// The finished episodes, shared with whoever reports them.
-pub(crate) type EpisodeLog = Rc<RefCell<Vec<FinishedEpisode>>>;
+pub(crate) type SharedTally = Rc<RefCell<Tally>>;
 
 /// One city that a team of processes acts in, shared with the onlooker that draws it.
 #[derive(Clone)]
 pub(crate) struct CityWorld {
     pub(crate) city: Rc<RefCell<SaveTheCity>>,
-    pub(crate) finished: EpisodeLog,
+    pub(crate) tally: SharedTally,
 }
 
 impl CityWorld {
     /// A world over the first instance of `city`.
     pub(crate) fn new(city: SaveTheCity) -> Self {
-        Self { city: Rc::new(RefCell::new(city)), finished: EpisodeLog::default() }
+        Self { city: Rc::new(RefCell::new(city)), tally: SharedTally::default() }
     }
 }
 
@@ -99,7 +93,7 @@ impl World for CityWorld {
         if outcome.done() {
             let team = city.city(0).agents.iter().map(|agent| agent.kind.letter()).collect();
             let metrics = *city.metrics(0);
-            self.finished.borrow_mut().push(FinishedEpisode { team, metrics });
+            self.tally.borrow_mut().add(FinishedEpisode { team, metrics });
         }
         Ok(StepOutcome { episode_ended: outcome.done(), tasks_changed: outcome.tasks_changed })
     }

@@ -8,7 +8,7 @@ use sortie_core::link::StatRx;
 use sortie_core::wire::{Role, StatMsg};
 
 use crate::build::version;
-use crate::domain::{Domain, Membership, SHARED_MEMORY, preflight};
+use crate::domain::{Domain, DomainFacts, Membership, SHARED_MEMORY, preflight};
 use crate::error::Error;
 use crate::iox::{IoxWatcher, LinkSetup, dead_nodes};
 
@@ -16,6 +16,8 @@ use crate::iox::{IoxWatcher, LinkSetup, dead_nodes};
 const USUAL_BYTES: u64 = 512 << 10;
 /// Every process tells of itself in this time.
 const LISTENING: Duration = Duration::from_millis(350);
+/// Checks of the machine that keep every process out of a domain.
+const KEEP_OUT: [&str; 4] = ["base directory", "ownership", "socket paths", "open files"];
 /// Pause between two looks.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
@@ -72,6 +74,13 @@ impl Finding {
 /// The domain could not be looked at.
 pub fn examine(domain: &Domain) -> Result<Vec<Finding>, Error> {
     let mut findings = examine_machine(domain);
+    let is_sound = findings
+        .iter()
+        .all(|found| !KEEP_OUT.contains(&found.check) || found.severity == Severity::Fine);
+    if !is_sound {
+        // Nobody can enter such a domain, nor trust it.
+        return Ok(findings);
+    }
     if domain.is_alive()? {
         let membership = domain.enter()?;
         examine_running(&membership, &mut findings)?;
@@ -89,6 +98,11 @@ fn examine_machine(domain: &Domain) -> Vec<Finding> {
             "base directory",
             preflight::check_tmpfs(existing),
             "set `SORTIE_BASE` to a directory on tmpfs",
+        ),
+        Finding::of(
+            "ownership",
+            preflight::check_ownership(domain),
+            "whoever else may write there can replace what the team uses",
         ),
         Finding::of(
             "socket paths",
@@ -141,12 +155,25 @@ fn examine_running(membership: &Membership, findings: &mut Vec<Finding>) -> Resu
         ));
         return Ok(());
     };
-    let format = facts.format()?;
     findings.push(Finding::of(
         "room for the domain",
         preflight::check_space(facts.worst_case_bytes()?),
         "remove what fills /dev/shm, or enlarge it: `mount -o remount,size=64m /dev/shm`",
     ));
+    if let Err(error) = examine_team(membership, &facts, findings) {
+        let advice = "mend what is named above, and ask again";
+        findings.push(Finding::new(Severity::Problem, "processes", error.to_string(), advice));
+    }
+    Ok(())
+}
+
+/// Listens to what the processes tell of themselves.
+fn examine_team(
+    membership: &Membership,
+    facts: &DomainFacts,
+    findings: &mut Vec<Finding>,
+) -> Result<(), Error> {
+    let format = facts.format()?;
     let domain = membership.domain();
     let name = format!("watcher/{}", std::process::id());
     let setup =

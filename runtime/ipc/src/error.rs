@@ -51,6 +51,18 @@ pub enum Error {
         /// The process that has it; 0 = unknown.
         pid: u64,
     },
+    /// The domain's team has another bundle, or allocates by another rule.
+    #[error("domain `{domain}` has a team of another {what}: {ours} here, {theirs} there")]
+    OtherTeam {
+        /// The domain.
+        domain: String,
+        /// What differs: the bundle, or the allocation rule.
+        what: &'static str,
+        /// This process's.
+        ours: String,
+        /// The team's.
+        theirs: String,
+    },
     /// No world came.
     #[error("no world has started in domain `{domain}`")]
     NoWorld {
@@ -187,13 +199,13 @@ impl Error {
             Self::NoWorld { .. } | Self::World(_) => 69,
             // What ended the process of the team says more than that it ended.
             Self::Child { status, .. } | Self::KeepsDying { status, .. } => match status.code() {
-                Some(code @ (65 | 66 | 70 | 74 | 75 | 77 | 78)) => code as u8,
+                Some(code @ (65 | 66 | 70 | 74 | 75 | 77 | 78 | 141)) => code as u8,
                 _ => 69,
             },
             Self::Stalled => 70,
             Self::Directory { .. } | Self::Io { .. } | Self::Spawn { .. } => 74,
             Self::SharedMemory { .. } | Self::Link(_) | Self::Allocator(_) => 74,
-            Self::Busy { .. } => 75,
+            Self::Busy { .. } | Self::OtherTeam { .. } => 75,
             Self::RealTime { .. } => 77,
             Self::Contract { .. } | Self::SchemaInUse { .. } | Self::Limits { .. } => 78,
             Self::Frames { .. } => 78,

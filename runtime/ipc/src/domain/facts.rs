@@ -31,8 +31,20 @@ pub struct DomainContract {
     pub subtasks: bool,
     /// Action of an agent without a subtask, and the fallback after the last action.
     pub safe_action: Option<u16>,
+    /// First 16 bytes of the id of the team's bundle.
+    pub model: [u8; 16],
+    /// Who allocates; `None` where it does not matter to this process.
+    pub allocation: Option<String>,
+    /// Whether a team of another bundle, or one that allocates otherwise, is joined as well.
+    pub mixes_teams: bool,
     /// All fields by name, so that a mismatch can name the first that differs.
     pub fields: toml::Table,
+}
+
+impl DomainContract {
+    fn model_name(&self) -> String {
+        format!("{:032x}", u128::from_be_bytes(self.model))
+    }
 }
 
 /// What a running domain is.
@@ -51,6 +63,9 @@ pub struct DomainFacts {
     period_ns: u64,
     /// Every agent gets its own frame, with what it sees.
     private: bool,
+    /// The id of the team's bundle, hexadecimal.
+    model: String,
+    allocation: Option<String>,
     contract: toml::Table,
 }
 
@@ -69,6 +84,8 @@ impl DomainFacts {
             bell: BellKind::default(),
             period_ns: 0,
             private: false,
+            model: contract.model_name(),
+            allocation: contract.allocation.clone(),
             contract: contract.fields.clone(),
         }
     }
@@ -160,14 +177,14 @@ impl DomainFacts {
     /// Checks that a process of `contract` fits this domain.
     ///
     /// # Errors
-    /// [`Error::Contract`], which names both ABIs or the first field that differs.
+    /// [`Error::Contract`], which names both ABIs or the first field that differs; or [`Error::OtherTeam`].
     pub(crate) fn check(&self, domain: &Domain, contract: &DomainContract) -> Result<(), Error> {
         let detail = if self.abi != ABI {
             format!("messages are of ABI {ABI} here, {} there", self.abi)
         } else if self.contract_hash() != contract.hash {
             first_difference(&contract.fields, &self.contract)
         } else {
-            return Ok(());
+            return self.check_team(domain, contract);
         };
         Err(Error::Contract {
             domain: domain.id().to_string(),
@@ -175,6 +192,30 @@ impl DomainFacts {
             theirs: self.contract_hash(),
             detail,
         })
+    }
+
+    /// Checks that a process of `contract` is of this domain's team, or joins any.
+    fn check_team(&self, domain: &Domain, contract: &DomainContract) -> Result<(), Error> {
+        let other = |what, ours: &str, theirs: &str| Error::OtherTeam {
+            domain: domain.id().to_string(),
+            what,
+            ours: ours.to_string(),
+            theirs: theirs.to_string(),
+        };
+        let ours = contract.model_name();
+        if contract.mixes_teams {
+            return Ok(());
+        }
+        if ours != self.model {
+            let short = |model: &str| model.chars().take(8).collect::<String>();
+            return Err(other("bundle", &short(&ours), &short(&self.model)));
+        }
+        match (&contract.allocation, &self.allocation) {
+            (Some(ours), Some(theirs)) if ours != theirs => {
+                Err(other("allocation rule", ours, theirs))
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Checks that a world of `ours` fits this domain.

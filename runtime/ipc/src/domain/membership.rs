@@ -35,6 +35,7 @@ impl Domain {
     /// # Errors
     /// The domain's directory cannot be used.
     pub fn enter(&self) -> Result<Membership, Error> {
+        preflight::check_descriptors()?;
         preflight::check_path_length(self)?;
         if let Some(existing) = self.base().ancestors().find(|path| path.exists()) {
             preflight::check_tmpfs(existing)?;
@@ -55,7 +56,7 @@ impl Domain {
     /// created again.
     fn lock_start(&self) -> Result<Starting, Error> {
         loop {
-            preflight::create_directory(self.base())?;
+            preflight::create_directory(self)?;
             if let Some(file) = lock::wait_for(&self.path(STARTING))? {
                 return Ok(Starting { _lock: file });
             }
@@ -83,7 +84,7 @@ impl Domain {
             let path = entry.map_err(Error::io("list", self.base()))?.path();
             let is_lock = path.file_name().is_some_and(|name| name == STARTING || name == ALIVE);
             if !is_lock {
-                ignore_missing(fs::remove_file(&path)).map_err(Error::io("remove", &path))?;
+                remove(&path)?;
             }
         }
         self.remove_shared_memory()
@@ -91,7 +92,7 @@ impl Domain {
 
     fn remove_shared_memory(&self) -> Result<(), Error> {
         for path in self.shared_memory()? {
-            ignore_missing(fs::remove_file(&path)).map_err(Error::io("remove", &path))?;
+            remove(&path)?;
         }
         Ok(())
     }
@@ -189,6 +190,14 @@ impl Membership {
         Ok(facts)
     }
 
+    /// Checks that `contract` fits what the domain is, if a world has stated that already.
+    ///
+    /// # Errors
+    /// Another contract, or another team.
+    pub fn check(&self, contract: &DomainContract) -> Result<(), Error> {
+        self.facts()?.map_or(Ok(()), |facts| facts.check(&self.domain, contract))
+    }
+
     /// What the domain is, once a world has stated it.
     ///
     /// # Errors
@@ -207,16 +216,11 @@ impl Membership {
         self.domain.remove_shared_memory()?;
         let base = self.domain.base();
         fs::remove_dir_all(base).map_err(Error::io("remove", base))?;
-        if let Some(parent) = base.parent().filter(|parent| parent.ends_with(self.own_parent())) {
+        if let Some(parent) = self.domain.own_parent() {
             // Fails where other domains live there too, as it should.
             let _ = fs::remove_dir(parent);
         }
         Ok(())
-    }
-
-    /// The directory that this crate creates for a user's domains.
-    fn own_parent(&self) -> String {
-        format!("sortie-{}", self.domain.uid)
     }
 }
 
@@ -225,6 +229,15 @@ impl Drop for Membership {
     fn drop(&mut self) {
         let _ = self.leave();
     }
+}
+
+/// Removes whatever carries the domain's name, a folder as well.
+fn remove(path: &Path) -> Result<(), Error> {
+    let removed = match fs::remove_file(path) {
+        Err(error) if error.kind() == io::ErrorKind::IsADirectory => fs::remove_dir_all(path),
+        other => other,
+    };
+    ignore_missing(removed).map_err(Error::io("remove", path))
 }
 
 fn ignore_missing(result: io::Result<()>) -> io::Result<()> {

@@ -37,11 +37,11 @@ impl Domain {
     ///
     /// # Errors
     /// The id has other characters than `a-z`, `0-9` and `-`, or no or more than 24 of them; or
-    /// there is no tmpfs to live on.
+    /// there is no tmpfs to live on, or `SORTIE_BASE` names no directory.
     pub fn new(id: &str) -> Result<Self, Error> {
         let uid = rustix::process::getuid().as_raw();
         let parent = match env::var_os(BASE_VARIABLE) {
-            Some(directory) => PathBuf::from(directory),
+            Some(directory) => existing(PathBuf::from(directory))?,
             None => default_parent(uid)?,
         };
         Self::under(&parent, id)
@@ -92,15 +92,47 @@ impl Domain {
         object.strip_prefix(&self.prefix()).is_some_and(|rest| !rest.contains('-'))
     }
 
+    /// The directory above, if it is the one that this crate creates for a user's domains.
+    pub(crate) fn own_parent(&self) -> Option<&Path> {
+        self.base.parent().filter(|parent| parent.ends_with(own_parent(self.uid)))
+    }
+
+    pub(crate) fn uid(&self) -> u32 {
+        self.uid
+    }
+
+    /// Why the library has failed, as far as that can be known: it does not tell a lack of room from others.
+    pub(crate) fn explain(&self, what: &str, problem: String) -> Error {
+        for directory in [Path::new(SHARED_MEMORY), self.base()] {
+            if let Err(full) = preflight::check_not_full(directory) {
+                return full;
+            }
+        }
+        Error::SharedMemory { what: what.to_string(), problem }
+    }
+
     pub(crate) fn path(&self, name: &str) -> PathBuf {
         self.base.join(name)
     }
 }
 
+fn own_parent(uid: u32) -> String {
+    format!("sortie-{uid}")
+}
+
+/// The directory that the user has chosen.
+fn existing(directory: PathBuf) -> Result<PathBuf, Error> {
+    if directory.is_dir() {
+        return Ok(directory);
+    }
+    let problem = format!("is no directory, but `{BASE_VARIABLE}` names it: choose one on tmpfs");
+    Err(Error::Directory { path: directory, problem })
+}
+
 fn default_parent(uid: u32) -> Result<PathBuf, Error> {
     let shared_memory = Path::new(SHARED_MEMORY);
     let problem = match preflight::check_tmpfs(shared_memory) {
-        Ok(()) => return Ok(shared_memory.join(format!("sortie-{uid}"))),
+        Ok(()) => return Ok(shared_memory.join(own_parent(uid))),
         Err(problem) => problem,
     };
     match env::var_os("XDG_RUNTIME_DIR") {

@@ -275,7 +275,7 @@ impl<'a, S: LinkService> Opener<'a, S> {
                 schema: self.setup.format.schema,
             };
         }
-        Error::SharedMemory { what: what.to_string(), problem }
+        self.setup.domain.explain(what, problem)
     }
 }
 
@@ -317,7 +317,7 @@ fn node<S: LinkService>(domain: &Domain, name: &str) -> Result<Node<S>, Error> {
         .config(&config(domain)?)
         .signal_handling_mode(SignalHandlingMode::Disabled)
         .create::<S>()
-        .map_err(failed("node"))
+        .map_err(|error| domain.explain("node", format!("{error:?}")))
 }
 
 pub(super) fn config(domain: &Domain) -> Result<Config, Error> {

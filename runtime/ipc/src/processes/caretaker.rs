@@ -114,7 +114,9 @@ mod tests {
                 thread::yield_now();
             }
         };
-        let sweep = move || drop(swept.fetch_add(1, Ordering::SeqCst));
+        let sweep = move || {
+            swept.fetch_add(1, Ordering::SeqCst);
+        };
         let caretaker = Caretaker::of(clean, sweep).unwrap();
         begins.recv().unwrap();
         let (ended, ends) = mpsc::channel();

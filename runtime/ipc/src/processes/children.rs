@@ -4,7 +4,7 @@ use std::process::{Child, Command};
 use std::time::{Duration, Instant};
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
-use rustix::process::{Pid, PidfdFlags, pidfd_open};
+use rustix::process::{Pid, PidfdFlags, Signal, kill_process, pidfd_open};
 
 use crate::error::Error;
 
@@ -55,6 +55,16 @@ impl Children {
         Ok(())
     }
 
+    /// Asks all to end. One that has not joined yet would wait for a world in vain.
+    pub fn terminate(&mut self) {
+        for (_, child) in &mut self.children {
+            // One that is not reaped keeps its id, even if it ends just now.
+            if matches!(child.try_wait(), Ok(None)) {
+                let _ = kill_process(Pid::from_child(child), Signal::TERM);
+            }
+        }
+    }
+
     /// Waits for all to end, and kills those that take longer than `patience`.
     pub fn finish(&mut self, patience: Duration) {
         let until = Instant::now() + patience;
@@ -86,4 +96,25 @@ fn ended_until(child: &mut Child, until: Instant) -> bool {
     let Ok(timeout) = Timespec::try_from(left) else { return false };
     let _ = poll(&mut [PollFd::new(&descriptor, PollFlags::IN)], Some(&timeout));
     matches!(child.try_wait(), Ok(Some(_)))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::process::ExitStatusExt;
+
+    use super::*;
+
+    #[test]
+    fn who_has_not_joined_ends_when_told() {
+        let mut children = Children::default();
+        children.spawn("a sleeper", Command::new("sleep").arg("100")).unwrap();
+        children.terminate();
+        let status = loop {
+            if let Err(Error::Child { status, .. }) = children.check() {
+                break status;
+            }
+            std::thread::yield_now();
+        };
+        assert_eq!(status.signal(), Some(Signal::TERM.as_raw()));
+    }
 }

@@ -196,6 +196,9 @@ fn play(
         other => other,
     };
     let told = role.shut_down(&mut link, world).map_err(into_error);
+    if ended.is_err() {
+        children.terminate();
+    }
     children.finish(GOODBYE_PATIENCE);
     ended.and(told).map(|()| *role.counters())
 }

@@ -29,7 +29,7 @@ pub(super) fn contract() -> DomainContract {
         decision_interval: 4,
         subtasks: true,
         safe_action: Some(0),
-        fields: toml::Table::new(),
+        ..DomainContract::default()
     }
 }
 

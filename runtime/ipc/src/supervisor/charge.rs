@@ -18,8 +18,8 @@ const LONGEST_PAUSE: Duration = Duration::from_millis(64);
 const BUSY_PAUSE: Duration = Duration::from_secs(1);
 /// Exit code of a process whose role another one has.
 const BUSY: i32 = 75;
-/// Exit codes that come back whenever the same program is started in the same way.
-const LASTING: [i32; 7] = [2, 65, 66, 70, 74, 77, 78];
+/// Exit codes that come back whenever the same program is started in the same way. 141: nobody reads its output.
+const LASTING: [i32; 8] = [2, 65, 66, 70, 74, 77, 78, 141];
 
 /// A process to keep alive.
 #[derive(Debug)]

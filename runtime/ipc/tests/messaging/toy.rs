@@ -27,6 +27,7 @@ pub(crate) fn contract() -> DomainContract {
         subtasks: true,
         safe_action: Some(1),
         fields,
+        ..DomainContract::default()
     }
 }
 
