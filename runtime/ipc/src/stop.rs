@@ -1,8 +1,9 @@
 //! A flag that ends a process loop, set by signals or by another thread.
 
-use std::io;
+use std::mem::MaybeUninit;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
+use std::{io, ptr};
 
 use rustix::stdio::stderr;
 use signal_hook::consts::{SIGBUS, SIGHUP, SIGINT, SIGTERM};
@@ -38,7 +39,7 @@ impl Stop {
     }
 
     /// A flag that SIGINT, SIGTERM and SIGHUP set; a second signal, half a second after the first or later, ends the
-    /// process at once. A bus error, which a full `/dev/shm` brings, ends it with its cause and exit code 74.
+    /// process at once. Where SIGHUP is ignored, as under `nohup`, it stays so. A bus error, which a full `/dev/shm` brings, ends it with its cause and exit code 74.
     ///
     /// # Errors
     /// A handler could not be registered.
@@ -48,7 +49,9 @@ impl Stop {
         // The first reading looks for the clock, which a handler had better not.
         MonotonicClock.now_ns();
         for signal in [SIGINT, SIGTERM, SIGHUP] {
-            stop.obey(signal, Arc::clone(&first_ns))?;
+            if signal != SIGHUP || !is_ignored(signal) {
+                stop.obey(signal, Arc::clone(&first_ns))?;
+            }
         }
         explain_bus_errors()?;
         Ok(stop)
@@ -98,6 +101,16 @@ impl Stop {
             waker.wake();
         }
     }
+}
+
+/// Whether whoever started this process wants it to ignore a signal.
+#[allow(unsafe_code)]
+fn is_ignored(signal: i32) -> bool {
+    let mut action = MaybeUninit::<libc::sigaction>::uninit();
+    // SAFETY: without a new action the call only writes the present one, to memory of that type.
+    let found = unsafe { libc::sigaction(signal, ptr::null(), action.as_mut_ptr()) };
+    // SAFETY: it is written where the call succeeds, and of plain numbers.
+    found == 0 && unsafe { action.assume_init() }.sa_sigaction == libc::SIG_IGN
 }
 
 #[allow(unsafe_code)]

@@ -35,7 +35,11 @@ struct Signalled {
 
 impl Signalled {
     fn start() -> Self {
-        let mut child = Command::new("/proc/self/exe")
+        Self::start_by(&mut Command::new("/proc/self/exe"))
+    }
+
+    fn start_by(command: &mut Command) -> Self {
+        let mut child = command
             .args(["signals::child", "--exact", "--nocapture"])
             .env(CHILD, "")
             .stdin(Stdio::piped())
@@ -102,4 +106,20 @@ fn signals_in_a_row_are_one_wish_and_a_later_one_ends_at_once() {
         child.send(second);
         assert_eq!(child.end().code(), Some(130));
     }
+}
+
+#[test]
+fn a_hang_up_that_is_ignored_stays_ignored() {
+    let _watchdog = Watchdog::new();
+    let mut shell = Command::new("sh");
+    shell.args(["-c", "trap '' HUP; exec \"$0\" \"$@\""]).arg(std::env::current_exe().unwrap());
+    let mut child = Signalled::start_by(&mut shell);
+    let sent = Instant::now();
+    while sent.elapsed() < LATER {
+        child.send(Signal::HUP);
+        assert_eq!(child.is_told(), Some(false));
+        std::thread::park_timeout(Duration::from_millis(10));
+    }
+    child.send(Signal::TERM);
+    child.await_told();
 }
