@@ -1,8 +1,6 @@
 //! What allocates in a deployed team: a rule of the environment, or the network of a bundle.
 
 use sortie_bundle::Bundle;
-use sortie_compiler::onnxruntime::{OnnxRuntime, OnnxRuntimeTeamValue};
-use sortie_compiler::{CompileError, TractTeamValue};
 use sortie_core::allocate::{
     EXACT_AGENTS, PlanTeamValue, SearchMemory, TaskRelation, TeamQuery, TeamValueAllocator,
     TeamValueNetwork, exact,
@@ -10,9 +8,11 @@ use sortie_core::allocate::{
 use sortie_core::plan::{AlignedBytes, Plan, PlanError};
 use sortie_core::{AllocateError, Allocator};
 use sortie_envs::save_the_city::AllocationRule;
+use sortie_plans::{BundlePlans, CompileError, CompilerProcess, GraphEngine};
 
 use crate::arguments::AllocatorChoice;
-use crate::compiler::compiler;
+use crate::compiler::{compiler, plans};
+use crate::engines::engines;
 use crate::failure::{Exit, Failure};
 use crate::policy::Backend;
 use crate::proposals::{ProposalArguments, ProposalMemory};
@@ -63,17 +63,27 @@ pub(crate) struct LearnedAllocator {
 }
 
 impl LearnedAllocator {
-    /// Compiles the bundle's team-value network, or takes the plan that was compiled before.
+    /// The plan of the bundle's team-value network, which has given its golden answers, or its graph.
     pub(crate) fn open(bundle: &Bundle, backend: Backend) -> Result<Self, Failure> {
-        let entities = usize::from(bundle.manifest().limits.n_max);
-        Self::with(bundle, |onnx| NetworkMemory::open(bundle, onnx, backend, entities))
+        match backend {
+            Backend::Plan => Self::of_plan(bundle, &plans()),
+            Backend::Tract => Self::of_graph(bundle, engines()?.tract()),
+        }
     }
 
-    /// The same with the network run by onnxruntime, as a peer.
-    pub(crate) fn of_onnxruntime(bundle: &Bundle, runtime: &OnnxRuntime) -> Result<Self, Failure> {
+    /// The plan that `plans` gives.
+    pub(crate) fn of_plan(
+        bundle: &Bundle,
+        plans: &BundlePlans<CompilerProcess>,
+    ) -> Result<Self, Failure> {
+        Self::with(bundle, |_| NetworkMemory::of_plan(bundle, plans))
+    }
+
+    /// The graph in an engine, once another process has read and run it.
+    pub(crate) fn of_graph(bundle: &Bundle, engine: &dyn GraphEngine) -> Result<Self, Failure> {
         Self::with(bundle, |onnx| {
-            let network = OnnxRuntimeTeamValue::new(runtime, onnx)?;
-            Ok(NetworkMemory::OnnxRuntime(Box::new(network)))
+            compiler().rehearse(onnx, bundle.manifest().limits.n_max.into(), None)?;
+            Ok(NetworkMemory::Graph(engine.team_value(onnx)?))
         })
     }
 
@@ -128,30 +138,23 @@ pub(crate) fn none_learned(name: &str) -> Failure {
 
 enum NetworkMemory {
     Plan { plan: AlignedBytes, arena: AlignedBytes, rows: Vec<f32> },
-    Tract(Box<TractTeamValue>),
-    OnnxRuntime(Box<OnnxRuntimeTeamValue>),
+    Graph(Box<dyn TeamValueNetwork>),
 }
 
 enum BoundNetwork<'a> {
     Plan(Box<PlanTeamValue<'a>>),
-    Tract(&'a mut TractTeamValue),
-    OnnxRuntime(&'a mut OnnxRuntimeTeamValue),
+    Graph(&'a mut dyn TeamValueNetwork),
 }
 
 impl NetworkMemory {
-    fn open(
+    fn of_plan(
         bundle: &Bundle,
-        onnx: &[u8],
-        backend: Backend,
-        entities: usize,
+        plans: &BundlePlans<CompilerProcess>,
     ) -> Result<Self, CompileError> {
-        if backend == Backend::Tract {
-            compiler().rehearse(onnx, entities, None)?;
-            return Ok(Self::Tract(Box::new(TractTeamValue::new(onnx)?)));
-        }
-        let plan = compiler().compile_allocator(bundle)?.ok_or(PlanError::WrongNetwork)?;
+        let plan = plans.allocator(bundle)?.ok_or(PlanError::WrongNetwork)?;
         let loaded = Plan::load(plan.as_slice())?;
         let arena = AlignedBytes::zeroed(loaded.batch_arena_bytes(sortie_core::limits::AGENTS));
+        let entities = usize::from(bundle.manifest().limits.n_max);
         let rows = vec![0.0; PlanTeamValue::memory_floats(&loaded, entities)];
         Ok(Self::Plan { plan, arena, rows })
     }
@@ -164,8 +167,7 @@ impl NetworkMemory {
                     .map_err(CompileError::from)?;
                 Ok(BoundNetwork::Plan(Box::new(network)))
             }
-            Self::Tract(network) => Ok(BoundNetwork::Tract(network)),
-            Self::OnnxRuntime(network) => Ok(BoundNetwork::OnnxRuntime(network)),
+            Self::Graph(network) => Ok(BoundNetwork::Graph(network.as_mut())),
         }
     }
 }
@@ -174,8 +176,7 @@ impl TeamValueNetwork for BoundNetwork<'_> {
     fn value(&mut self, query: &TeamQuery<'_>) -> Result<f32, AllocateError> {
         match self {
             Self::Plan(network) => network.value(query),
-            Self::Tract(network) => network.value(query),
-            Self::OnnxRuntime(network) => network.value(query),
+            Self::Graph(network) => network.value(query),
         }
     }
 
@@ -187,8 +188,7 @@ impl TeamValueNetwork for BoundNetwork<'_> {
     ) -> Result<(), AllocateError> {
         match self {
             Self::Plan(network) => network.values(query, teams, values),
-            Self::Tract(network) => network.values(query, teams, values),
-            Self::OnnxRuntime(network) => network.values(query, teams, values),
+            Self::Graph(network) => network.values(query, teams, values),
         }
     }
 }

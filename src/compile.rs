@@ -5,15 +5,18 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use serde::Serialize;
-use sortie_compiler::{
-    Agreement, CompileError, CompileOptions, Compiled, LEAST_AGREEMENT, LEAST_OBSERVATIONS,
-    Quantised, Report, quantise,
-};
+use sortie_bundle::hex;
 use sortie_core::plan::Profile;
+use sortie_plans::{
+    Agreement, CompileError, CompileOptions, Compiled, Compiler, LEAST_AGREEMENT,
+    LEAST_OBSERVATIONS, Quantised, Report, quantise,
+};
 
 use crate::arguments::Common;
-use crate::compiler::compiler;
-use crate::failure::{Failure, Outcome};
+use crate::compiler::{compiler, with_plans};
+use crate::deployment::open_bundle;
+use crate::engines::check_program;
+use crate::failure::{Exit, Failure, Outcome};
 use crate::observations::read_any_recording;
 use crate::output::{Table, print_json, say, tell};
 
@@ -23,15 +26,19 @@ use crate::output::{Table, print_json, say, tell};
 /// they differ by more than 1e-5 relative. An int8 plan is compared with the f32 plan on recorded observations
 /// instead, and refused where it takes another action in more than 0.5 % of them. Prints what the plan will
 /// cost: flash, arena, work.
+///
+/// Given a bundle, writes the same bundle with plans of its own networks, which run without being compiled again.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   sortie compile models/save-the-city/agent.onnx -o agent.plan --n-max 11
-  sortie compile models/save-the-city/agent.onnx -o agent.plan --n-max 11 --profile int8 --observations seen.bin")]
+  sortie compile models/save-the-city/agent.onnx -o agent.plan --n-max 11 --profile int8 --observations seen.bin
+  sortie compile models/first -o models/first-with-plans")]
 pub(crate) struct CompileArguments {
-    /// The network
+    /// The network, or the folder of a bundle
+    #[arg(value_name = "ONNX|BUNDLE")]
     onnx: PathBuf,
-    /// Where to write the plan
-    #[arg(short, long, value_name = "PLAN")]
+    /// Where to write the plan, or the new bundle
+    #[arg(short, long, value_name = "PLAN|BUNDLE")]
     output: PathBuf,
     /// Most visible entities, which sizes the arena
     #[arg(long, default_value_t = 32, value_parser = clap::value_parser!(u16).range(1..=128))]
@@ -84,6 +91,12 @@ struct Written<'a> {
 }
 
 #[derive(Serialize)]
+struct WrittenBundle<'a> {
+    bundle: &'a Path,
+    sha256: String,
+}
+
+#[derive(Serialize)]
 struct Refused<'a> {
     error: Refusal<'a>,
 }
@@ -99,6 +112,10 @@ struct Refusal<'a> {
 
 pub(crate) fn run(arguments: &CompileArguments) -> Outcome {
     let path = &arguments.onnx;
+    check_program()?;
+    if path.is_dir() {
+        return compile_bundle(arguments);
+    }
     let onnx = fs::read(path).map_err(|error| Failure::file(path, &error))?;
     let options = CompileOptions {
         n_max: arguments.n_max.into(),
@@ -130,6 +147,25 @@ pub(crate) fn run(arguments: &CompileArguments) -> Outcome {
     let compiled = compiler().compile(&onnx, &options).map_err(failed)?;
     write(&compiled.bytes)?;
     print(arguments, &compiled.report, None);
+    Ok(())
+}
+
+/// Writes a bundle again, with plans.
+fn compile_bundle(arguments: &CompileArguments) -> Outcome {
+    let CompileArguments { onnx: folder, output, profile, common, .. } = arguments;
+    if *profile != PlanProfile::Exact {
+        let message =
+            "bundles ship plans of profile `exact`; compile the bundle's `agent.onnx` for others";
+        return Err(Failure::new(Exit::Usage, message));
+    }
+    let draft = open_bundle(folder)?.draft();
+    let bundle = with_plans(draft, output)?.write(output)?;
+    let (bundle, sha256) = (output, hex(bundle.id()));
+    if common.json {
+        print_json(&WrittenBundle { bundle, sha256 });
+    } else {
+        say!("{}: {sha256}", bundle.display());
+    }
     Ok(())
 }
 

@@ -1,12 +1,17 @@
-//! The process that reads networks for this one: this program again, with limits.
+//! The process that reads networks for this one, with limits, and the plans that come of it.
 //!
 //! A bundle's hashes say that its files belong together, not who made them: every network that a user names is
 //! read there first.
 
-use clap::Args;
-use sortie_compiler::{CompilerProcess, answer_compiler};
+use std::path::Path;
 
+use clap::Args;
+use sortie_bundle::Draft;
+use sortie_plans::{BundlePlans, CompilerProcess, user_cache};
+
+use crate::engines::{engines, program};
 use crate::failure::{Exit, Failure, Outcome};
+use crate::output::tell;
 
 /// Read one network for another process; started by all that compile
 #[derive(Debug, Args)]
@@ -14,9 +19,26 @@ pub(crate) struct CompilerArguments {}
 
 /// What reads networks.
 pub(crate) fn compiler() -> CompilerProcess {
-    CompilerProcess::new("/proc/self/exe", ["compiler"])
+    CompilerProcess::new(program(), ["compiler"])
+}
+
+/// The plans of bundles.
+pub(crate) fn plans() -> BundlePlans<CompilerProcess> {
+    BundlePlans::new(compiler(), user_cache(), |note| tell!("note: {note}"))
+}
+
+/// The bundle with the plans of its networks, which are compiled anew.
+pub(crate) fn with_plans(mut draft: Draft, folder: &Path) -> Result<Draft, Failure> {
+    let bundle = draft.unwritten(folder)?;
+    let compiled = plans().shipped(&bundle);
+    let compiled = compiled.map_err(|error| Failure::from(error).within(folder.display()))?;
+    for (name, plan) in compiled {
+        draft.parts.insert(name.to_owned(), plan);
+    }
+    Ok(draft)
 }
 
 pub(crate) fn run(_: &CompilerArguments) -> Outcome {
-    answer_compiler().map_err(|error| Failure::new(Exit::InputOutput, error.to_string()))
+    let answered = engines()?.answer_compiler();
+    answered.map_err(|error| Failure::new(Exit::InputOutput, error.to_string()))
 }

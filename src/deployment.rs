@@ -2,15 +2,19 @@
 
 use std::path::Path;
 
-use sortie_bundle::{Bundle, SubtaskConditioning};
+use sortie_bundle::{Bundle, Environment, SubtaskConditioning};
 use sortie_ipc::DomainContract;
 
 use crate::arguments::AllocatorChoice;
-use crate::failure::Failure;
+use crate::environment::check_known;
+use crate::failure::{Exit, Failure};
 
-/// Opens and checks a bundle.
+/// Opens a bundle and checks that its environment is one that this program knows.
 pub(crate) fn open_bundle(folder: &Path) -> Result<Bundle, Failure> {
-    Ok(Bundle::open(folder)?)
+    let bundle = Bundle::open(folder)?;
+    check_known(&bundle.manifest().contract.environment)
+        .map_err(|reason| Failure::new(Exit::BadData, format!("{}: {reason}", folder.display())))?;
+    Ok(bundle)
 }
 
 /// The contract of a domain that this bundle's policy acts in.
@@ -21,6 +25,13 @@ pub(crate) fn domain_contract(
     allocation: Option<AllocatorChoice>,
 ) -> DomainContract {
     let contract = bundle.contract();
+    let mut fields =
+        toml::Table::try_from(contract).expect("a contract is a table of plain values");
+    // Outside the hash, which says what a network takes: names of features may be those of another environment.
+    let Environment { name, version, .. } = &bundle.manifest().contract.environment;
+    let name = name.split('/').next().unwrap_or_default();
+    fields.insert("environment".to_owned(), name.into());
+    fields.insert("environment_version".to_owned(), version.as_str().into());
     DomainContract {
         hash: contract.hash(),
         decision_interval: contract.decision_interval,
@@ -29,7 +40,7 @@ pub(crate) fn domain_contract(
         model: model_id(bundle),
         allocation: allocation.map(|choice| choice.name().to_string()),
         mixes_teams: false,
-        fields: toml::Table::try_from(contract).expect("a contract is a table of plain values"),
+        fields,
     }
 }
 

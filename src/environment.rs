@@ -2,8 +2,8 @@
 
 use std::fmt;
 
-use sortie_bundle::Bundle;
-use sortie_envs::save_the_city::{ACTION_NAMES, FEATURE_NAMES, SET_NAMES, ScenarioSet};
+use sortie_bundle::{Bundle, Environment};
+use sortie_envs::save_the_city::{ACTION_NAMES, FEATURE_NAMES, SET_NAMES, ScenarioSet, VERSION};
 
 use crate::failure::{Exit, Failure};
 use crate::subject::Subject;
@@ -44,6 +44,18 @@ impl fmt::Display for ScenarioSetName {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}/{}", self.environment, self.set)
     }
+}
+
+/// Whether a bundle's environment is built in, in this version; the reason if not.
+pub(crate) fn check_known(environment: &Environment) -> Result<(), String> {
+    let Environment { name, version, .. } = environment;
+    ScenarioSetName::parse(name).map_err(|failure| failure.message)?;
+    if version == VERSION {
+        return Ok(());
+    }
+    Err(format!(
+        "it was learned in version {version} of `{name}`, this program has version {VERSION}"
+    ))
 }
 
 fn unknown(what: &str, name: &str, known: &[&str]) -> Failure {

@@ -10,6 +10,8 @@ use sortie_learn::export::{Measured, check_exportable, draft_bundle};
 use sortie_learn::run::{Run, Settings};
 
 use crate::arguments::{Allocation, Common};
+use crate::compiler::with_plans;
+use crate::engines::check_program;
 use crate::environment::ScenarioSetName;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::output::{print_json, say, warn_of_refused};
@@ -49,6 +51,7 @@ struct Report {
 }
 
 pub(crate) fn run(arguments: &ExportArguments) -> Outcome {
+    check_program()?;
     let mut run = Run::open(&arguments.run)?;
     warn_of_refused(&run.refused);
     check_exportable(&run)?;
@@ -70,6 +73,7 @@ pub(crate) fn run(arguments: &ExportArguments) -> Outcome {
         )?;
     }
     let draft = draft_bundle(&run, &arguments.run, &measured, seed)?;
+    let draft = with_plans(draft, &arguments.out)?;
     let bundle = draft.write(&arguments.out)?;
     let report = Report { bundle: arguments.out.clone(), sha256: hex(bundle.id()) };
     if arguments.common.json {

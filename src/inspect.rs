@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 use sortie_bundle::{AGENT, ALLOCATOR, Bundle, MANIFEST, Manifest, TRAINING, hex};
-use sortie_compiler::{OnnxFacts, PlanFacts, inspect_plan};
+use sortie_plans::{OnnxFacts, PlanFacts, inspect_plan};
 
 use crate::arguments::Common;
 use crate::compiler::compiler;

@@ -3,8 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use sortie_compiler::onnxruntime::{OnnxRuntime, OnnxRuntimeError, find_library};
+use sortie_plans::{OnnxRuntimeEngine, OnnxRuntimeError};
 
+use crate::engines::engines;
 use crate::failure::{Exit, Failure};
 use crate::output::tell;
 
@@ -18,8 +19,8 @@ pub(crate) struct OnnxRuntimeArguments {
 
 impl OnnxRuntimeArguments {
     /// Opens the library.
-    pub(crate) fn open(&self) -> Result<&'static OnnxRuntime, OnnxRuntimeError> {
-        open(self.python.as_deref())
+    pub(crate) fn open(&self) -> Result<&'static dyn OnnxRuntimeEngine, Failure> {
+        Ok(engines()?.onnxruntime(self.python.as_deref())?)
     }
 
     /// The interpreter that was named.
@@ -28,13 +29,10 @@ impl OnnxRuntimeArguments {
     }
 
     /// Opens the library, or says that it is left out and what would help.
-    pub(crate) fn open_or_note(&self, left_out: &str) -> Option<&'static OnnxRuntime> {
-        self.open().inspect_err(|error| tell!("note: {left_out}: {error}")).ok()
+    pub(crate) fn open_or_note(&self, left_out: &str) -> Option<&'static dyn OnnxRuntimeEngine> {
+        let opened = self.open();
+        opened.inspect_err(|Failure { message, .. }| tell!("note: {left_out}: {message}")).ok()
     }
-}
-
-fn open(python: Option<&Path>) -> Result<&'static OnnxRuntime, OnnxRuntimeError> {
-    OnnxRuntime::load(&find_library(python)?)
 }
 
 impl From<OnnxRuntimeError> for Failure {

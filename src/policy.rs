@@ -2,12 +2,13 @@
 
 use clap::ValueEnum;
 use sortie_bundle::Bundle;
-use sortie_compiler::{CompileError, Ending, TractPolicy};
 use sortie_core::decide::PlanPolicy;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
 use sortie_core::{Policy, limits};
+use sortie_plans::{CompileError, Ending, GraphEngine};
 
-use crate::compiler::compiler;
+use crate::compiler::{compiler, plans};
+use crate::engines::engines;
 use crate::failure::{Exit, Failure, with_sources};
 
 /// What executes networks.
@@ -31,11 +32,11 @@ impl Backend {
 /// The memory of a bundle's policy.
 pub(crate) enum DeployedPolicy {
     Plan { plan: AlignedBytes, arena: AlignedBytes },
-    Tract(Box<TractPolicy>),
+    Graph(Box<dyn Policy>),
 }
 
 impl DeployedPolicy {
-    /// Compiles the bundle's network, or takes the plan that was compiled before.
+    /// The bundle's plan, which has given its golden answers, or its graph.
     pub(crate) fn open(bundle: &Bundle, backend: Backend) -> Result<Self, Failure> {
         Self::open_as(bundle, backend, Profile::Exact)
     }
@@ -46,17 +47,21 @@ impl DeployedPolicy {
         backend: Backend,
         profile: Profile,
     ) -> Result<Self, Failure> {
-        let opened = match backend {
-            Backend::Plan => compiler().compile_bundle(bundle, profile).and_then(Self::of_plan),
-            Backend::Tract => Self::of_graph(bundle),
-        };
-        opened.map_err(|error| Failure::from(error).within(bundle.folder().display()))
+        let within = |error| Failure::from(error).within(bundle.folder().display());
+        match backend {
+            Backend::Plan => plans().agent(bundle, profile).and_then(Self::of_plan).map_err(within),
+            Backend::Tract => Self::of_graph(bundle, engines()?.tract()).map_err(within),
+        }
     }
 
-    fn of_graph(bundle: &Bundle) -> Result<Self, CompileError> {
+    /// The graph in an engine, once another process has read and run it.
+    pub(crate) fn of_graph(
+        bundle: &Bundle,
+        engine: &dyn GraphEngine,
+    ) -> Result<Self, CompileError> {
         let (onnx, features) = (bundle.agent_onnx(), bundle.contract().features.into());
         compiler().rehearse(onnx, bundle.manifest().limits.n_max.into(), Some(features))?;
-        Ok(Self::Tract(Box::new(TractPolicy::new(onnx, features)?)))
+        Ok(Self::Graph(engine.policy(onnx, features)?))
     }
 
     /// The policy of a plan.
@@ -75,7 +80,7 @@ impl DeployedPolicy {
                     .map_err(CompileError::from)?;
                 Ok(Box::new(policy))
             }
-            Self::Tract(policy) => Ok(Box::new(policy.as_mut())),
+            Self::Graph(policy) => Ok(Box::new(policy.as_mut())),
         }
     }
 }
@@ -86,6 +91,7 @@ impl From<CompileError> for Failure {
             CompileError::Plan(PlanError::Version { .. }) => Exit::Mismatch,
             CompileError::Size { .. } => Exit::Mismatch,
             CompileError::Differs { .. } => Exit::Bug,
+            CompileError::NoCompiler { .. } => Exit::NotRunning,
             CompileError::NoProcess { .. } => Exit::InputOutput,
             // Ctrl-C reaches every process of the terminal.
             CompileError::GivenUp { ending: Ending::Signal(2), .. } => Exit::Interrupted,

@@ -2,12 +2,12 @@
 
 use clap::Args;
 use sortie_bundle::Bundle;
-use sortie_compiler::CompileError;
 use sortie_core::Allocator;
 use sortie_core::allocate::ProposalAllocator;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
+use sortie_plans::CompileError;
 
-use crate::compiler::compiler;
+use crate::compiler::plans;
 use crate::failure::{Exit, Failure};
 use crate::policy::Backend;
 
@@ -74,7 +74,7 @@ impl ProposalMemory {
             return Err(Failure::new(Exit::Usage, message));
         }
         let open = || -> Result<Self, CompileError> {
-            let plan = compiler().compile_proposals_of(bundle, profile)?;
+            let plan = plans().proposals(bundle, profile)?;
             let plan = plan.ok_or(PlanError::WrongNetwork)?;
             let loaded = Plan::load(plan.as_slice())?;
             let arena = AlignedBytes::zeroed(ProposalAllocator::arena_bytes(&loaded, proposals));

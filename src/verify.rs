@@ -1,31 +1,30 @@
 //! `sortie verify`: do the plan, tract, onnxruntime and the recorded answers agree?
 
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 use sortie_bundle::{Bundle, Recording};
-use sortie_compiler::onnxruntime::{OnnxRuntime, OnnxRuntimePolicy, OnnxRuntimeTeamValue};
-use sortie_compiler::{
-    Comparison, CompileError, CompileOptions, Judge, LEAST_AGREEMENT, ObservationSizes,
-    ProposalFiles, RECORDED, TOLERANCE, TeamQuerySizes, TractTeamValue, agreement,
-    compare_entities_with_graph, compare_proposals_with_graphs, compare_with_golden,
-    compare_with_golden_allocations, inspect_plan, judge_agent, judge_team_values,
+use sortie_core::plan::{AlignedBytes, Network, PlanError, Profile};
+use sortie_plans::{
+    BundlePlans, Comparison, CompileError, CompileOptions, Compiler, CompilerProcess, GraphEngine,
+    LEAST_AGREEMENT, ObservationSizes, OnnxRuntimeEngine, ProposalFiles, RECORDED, TOLERANCE,
+    TeamQuerySizes, agreement, compare_with_golden, compare_with_golden_allocations, inspect_plan,
     observation_families, random_allocation_states, random_entities, team_query_families,
 };
-use sortie_core::plan::{Network, PlanError, Profile};
 
 use crate::allocator::LearnedAllocator;
 use crate::arguments::Common;
 use crate::compile::PlanProfile;
-use crate::compiler::compiler;
+use crate::compiler::{compiler, plans};
 use crate::deployment::open_bundle;
+use crate::engines::engines;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::observations::read_recording;
 use crate::onnxruntime::OnnxRuntimeArguments;
 use crate::output::{Table, print_json, say};
-use crate::policy::{Backend, DeployedPolicy};
+use crate::policy::DeployedPolicy;
 
 /// Compare plans with tract, with onnxruntime and with a bundle's golden observations and allocations
 ///
@@ -91,6 +90,7 @@ struct Compared {
 }
 
 pub(crate) fn run(arguments: &VerifyArguments) -> Outcome {
+    engines()?;
     let report = compare(arguments)?;
     if arguments.common.json {
         print_json(&report);
@@ -112,20 +112,20 @@ fn compare(arguments: &VerifyArguments) -> Result<Report, Failure> {
         true if asked(Peer::Onnxruntime) => Some(arguments.onnxruntime.open()?),
         true => arguments.onnxruntime.open_or_note("onnxruntime is not compared"),
     };
-    let tract = wanted(Peer::Tract).then_some(Judge::Tract);
-    let judges: Vec<Judge> = tract.into_iter().chain(runtime.map(Judge::OnnxRuntime)).collect();
+    let mut judges: Vec<&dyn GraphEngine> = Vec::new();
+    if wanted(Peer::Tract) {
+        judges.push(engines()?.tract());
+    }
+    if let Some(runtime) = runtime {
+        judges.push(runtime);
+    }
     let mut engines = Vec::new();
     if subject.is_dir() || !subject.exists() {
         let bundle = open_bundle(subject)?;
-        let n_max = bundle.manifest().limits.n_max.into();
-        let features = Some(usize::from(bundle.contract().features));
         let profile = arguments.profile.profile();
-        let network = Judged { onnx: bundle.agent_onnx(), n_max, features, profile };
-        engines.extend(judged(arguments, network, &judges)?);
-        if let Some(onnx) = bundle.allocator_onnx() {
-            let profile = Profile::Exact;
-            let network = Judged { onnx, n_max, features: None, profile };
-            engines.extend(judged(arguments, network, &judges)?);
+        engines.extend(judged(arguments, &Judged::agent(&bundle, profile)?, &judges)?);
+        if let Some(allocator) = Judged::allocator(&bundle)? {
+            engines.extend(judged(arguments, &allocator, &judges)?);
         }
         if wanted(Peer::Tract) {
             engines.extend(judged_proposals(arguments, &bundle)?);
@@ -145,52 +145,84 @@ fn compare(arguments: &VerifyArguments) -> Result<Report, Failure> {
         return Err(Failure::new(Exit::Usage, message));
     } else {
         let onnx = fs::read(subject).map_err(|error| Failure::file(subject, &error))?;
-        let n_max = CompileOptions::default().n_max;
-        let profile = arguments.profile.profile();
-        let network = Judged { onnx: &onnx, n_max, features: None, profile };
-        engines.extend(judged(arguments, network, &judges)?);
+        let network = Judged::file(arguments, &onnx)?;
+        engines.extend(judged(arguments, &network, &judges)?);
     }
     let missing = wanted(Peer::Onnxruntime) && runtime.is_none();
     Ok(Report { engines, not_compared: missing.then_some("onnxruntime").into_iter().collect() })
 }
 
-/// A network whose plan is judged.
-#[derive(Clone, Copy)]
+/// A plan that is judged, and the network that it was made from.
 struct Judged<'a> {
     onnx: &'a [u8],
+    plan: AlignedBytes,
     n_max: usize,
-    features: Option<usize>,
-    profile: Profile,
+}
+
+impl<'a> Judged<'a> {
+    /// The plan that acts for a bundle's agents.
+    fn agent(bundle: &'a Bundle, profile: Profile) -> Result<Self, Failure> {
+        let plan = unproved().agent(bundle, profile).map_err(within(bundle.folder()))?;
+        let n_max = bundle.manifest().limits.n_max.into();
+        Ok(Self { onnx: bundle.agent_onnx(), plan, n_max })
+    }
+
+    /// The plan by which a bundle's allocator values teams, if it does.
+    fn allocator(bundle: &'a Bundle) -> Result<Option<Self>, Failure> {
+        let Some(onnx) = bundle.allocator_onnx() else { return Ok(None) };
+        let plan = unproved().allocator(bundle).map_err(within(bundle.folder()))?;
+        let n_max = bundle.manifest().limits.n_max.into();
+        Ok(plan.map(|plan| Self { onnx, plan, n_max }))
+    }
+
+    /// The plan of a file.
+    fn file(arguments: &VerifyArguments, onnx: &'a [u8]) -> Result<Self, Failure> {
+        let (profile, seed) = (arguments.profile.profile(), arguments.common.seed);
+        let options = CompileOptions { profile, seed, ..CompileOptions::default() };
+        let compiled = compiler().compile(onnx, &options).map_err(within(&arguments.subject))?;
+        Ok(Self { onnx, plan: AlignedBytes::copy_of(&compiled.bytes), n_max: options.n_max })
+    }
+}
+
+/// Plans whatever they answer: how far they are from what was recorded is what this verb tells.
+fn unproved() -> BundlePlans<CompilerProcess> {
+    plans().without_proof()
+}
+
+fn within(subject: &Path) -> impl Fn(CompileError) -> Failure {
+    move |error| Failure::from(error).within(subject.display())
 }
 
 /// The plan of a network before its judges.
 fn judged(
     arguments: &VerifyArguments,
-    network: Judged<'_>,
-    judges: &[Judge],
+    network: &Judged<'_>,
+    judges: &[&dyn GraphEngine],
 ) -> Result<Vec<Compared>, Failure> {
-    let Judged { onnx, n_max, features, profile } = network;
-    let (inputs, seed) = (arguments.inputs as usize, arguments.common.seed);
+    let Judged { onnx, plan, n_max } = network;
+    let (inputs, seed, n_max) = (arguments.inputs as usize, arguments.common.seed, *n_max);
+    let engines = engines()?;
     let compare = || -> Result<Vec<Compared>, CompileError> {
-        let options =
-            CompileOptions { n_max, features, profile, seed, ..CompileOptions::default() };
+        let (plan, facts) = (plan.as_slice(), inspect_plan(plan.as_slice())?);
         // The graph that this process reads for its judges has then been read and run elsewhere.
-        let plan = compiler().compile(onnx, &options)?.bytes;
-        let facts = inspect_plan(&plan)?;
+        let features = (facts.network == Network::Agent).then_some(facts.features);
+        compiler().rehearse(onnx, n_max, features)?;
         let mut compared = Vec::new();
         for judge in judges {
             if facts.network == Network::Entities {
-                let Judge::Tract = judge else { continue };
+                if judge.name() != engines.tract().name() {
+                    continue;
+                }
                 let groups = facts.t_max.into();
                 let steps = random_entities(inputs, n_max, facts.features, groups, seed);
-                let found = compare_entities_with_graph(&plan, onnx, &steps)?;
+                let found = engines.compare_entities(plan, onnx, &steps)?;
                 let found = Comparison { name: "random".to_owned(), ..found };
                 compared.push(Compared::new(format!("plan against {}", judge.name()), vec![found]));
             } else if facts.network == Network::TeamValue {
-                let (features, relations) = TractTeamValue::new(onnx)?.columns();
+                let (features, relations) = engines.team_value_columns(onnx)?;
                 let sizes = TeamQuerySizes { n_max, features, relations };
                 let families = team_query_families(inputs, sizes, seed);
-                let families = judge_team_values(&plan, onnx, *judge, &families)?;
+                let families = judge.judge_team_values(plan, onnx, &families)?;
                 compared.push(Compared::new(
                     format!("allocator plan against {}", judge.name()),
                     families,
@@ -199,13 +231,13 @@ fn judged(
                 let sizes =
                     ObservationSizes { n_max, features: facts.features, actions: facts.actions };
                 let families = observation_families(inputs, sizes, seed);
-                let families = judge_agent(&plan, onnx, *judge, &families)?;
+                let families = judge.judge_agent(plan, onnx, &families)?;
                 compared.push(Compared::new(format!("plan against {}", judge.name()), families));
             }
         }
         Ok(compared)
     };
-    compare().map_err(|error| Failure::from(error).within(arguments.subject.display()))
+    compare().map_err(within(&arguments.subject))
 }
 
 /// The plan of a proposing allocator before its graphs.
@@ -214,19 +246,22 @@ fn judged_proposals(
     bundle: &Bundle,
 ) -> Result<Option<Compared>, Failure> {
     let Some([trunk, step, critic]) = bundle.proposal_graphs() else { return Ok(None) };
+    let engines = engines()?;
     let compare = || -> Result<Comparison, CompileError> {
-        // The graphs that this process reads have then been read and run elsewhere.
-        let plan = compiler().compile_proposals_of(bundle, Profile::Exact)?;
+        let plan = unproved().proposals(bundle, Profile::Exact)?;
         let plan = plan.ok_or(PlanError::WrongNetwork)?;
+        // The graphs that this process reads have then been read and run elsewhere.
+        for onnx in [trunk, step, critic] {
+            compiler().rehearse(onnx, bundle.manifest().limits.n_max.into(), None)?;
+        }
         let (inputs, seed) = (arguments.inputs as usize, arguments.common.seed);
         let facts = inspect_plan(plan.as_slice())?;
         let (features, tasks) = (facts.features, facts.t_max.into());
         let states = random_allocation_states(inputs, facts.n_max, features, tasks, seed);
         let files = ProposalFiles { trunk, step, critic };
-        compare_proposals_with_graphs(plan.as_slice(), &files, &states, seed)
+        engines.compare_proposals(plan.as_slice(), &files, &states, seed)
     };
-    let found =
-        compare().map_err(|error| Failure::from(error).within(bundle.folder().display()))?;
+    let found = compare().map_err(within(bundle.folder()))?;
     let found = Comparison { name: "random".to_owned(), ..found };
     Ok(Some(Compared::new("allocator plan against tract".to_owned(), vec![found])))
 }
@@ -234,43 +269,42 @@ fn judged_proposals(
 /// Every engine on what the bundle recorded.
 fn against_golden(
     bundle: &Bundle,
-    runtime: Option<&'static OnnxRuntime>,
+    runtime: Option<&'static dyn OnnxRuntimeEngine>,
     profile: Profile,
 ) -> Result<Vec<Compared>, Failure> {
-    let named = |engine: &str| format!("{engine} against golden");
-    let failed = |error: CompileError| Failure::from(error).within(bundle.folder().display());
+    let failed = within(bundle.folder());
+    let tract = engines()?.tract();
+    let graphs: Vec<&dyn GraphEngine> =
+        std::iter::once(tract).chain(runtime.map(|runtime| runtime as _)).collect();
+    let plan = unproved().agent(bundle, profile).and_then(DeployedPolicy::of_plan);
+    let mut policies = vec![("plan", plan.map_err(&failed)?)];
+    let mut allocators = Vec::new();
+    if bundle.allocator_onnx().is_some() {
+        allocators.push(("plan", LearnedAllocator::of_plan(bundle, &unproved())?));
+    }
+    for engine in graphs {
+        let policy = DeployedPolicy::of_graph(bundle, engine).map_err(&failed)?;
+        policies.push((engine.name(), policy));
+        if bundle.allocator_onnx().is_some() {
+            allocators.push((engine.name(), LearnedAllocator::of_graph(bundle, engine)?));
+        }
+    }
+    let (golden, team_max) = (bundle.golden(), bundle.manifest().limits.team_max.into());
     let mut found = Vec::new();
-    for backend in [Backend::Plan, Backend::Tract] {
-        let mut policy = DeployedPolicy::open_as(bundle, backend, profile)?;
-        let name = named(backend.name());
-        found.push(compare_with_golden(&name, policy.policy()?.as_mut(), bundle.golden()));
+    for (engine, policy) in &mut policies {
+        let name = format!("{engine} against golden");
+        found.push(compare_with_golden(&name, policy.policy()?.as_mut(), golden));
     }
-    if let Some(runtime) = runtime {
-        let features = bundle.contract().features.into();
-        let policy = OnnxRuntimePolicy::new(runtime, bundle.agent_onnx(), features);
-        let mut policy = policy.map_err(failed)?;
-        found.push(compare_with_golden(&named("onnxruntime"), &mut policy, bundle.golden()));
-    }
-    let team_max = bundle.manifest().limits.team_max.into();
-    if let Some(onnx) = bundle.allocator_onnx() {
-        for backend in [Backend::Plan, Backend::Tract] {
-            let mut allocator = LearnedAllocator::open(bundle, backend)?;
-            let name = format!("allocator {}", named(backend.name()));
-            let network = &mut allocator.network()?;
-            found.push(compare_with_golden_allocations(&name, network, bundle.golden(), team_max));
-        }
-        if let Some(runtime) = runtime {
-            let mut network = OnnxRuntimeTeamValue::new(runtime, onnx).map_err(failed)?;
-            let name = format!("allocator {}", named("onnxruntime"));
-            let network = &mut network;
-            found.push(compare_with_golden_allocations(&name, network, bundle.golden(), team_max));
-        }
+    for (engine, allocator) in &mut allocators {
+        let (name, network) =
+            (format!("allocator {engine} against golden"), &mut allocator.network()?);
+        found.push(compare_with_golden_allocations(&name, network, golden, team_max));
     }
     let compared = |found: Comparison| {
         let name = found.name.clone();
         Compared::new(name, vec![Comparison { name: "golden".to_owned(), ..found }])
     };
-    found.into_iter().map(|found| found.map(compared).map_err(failed)).collect()
+    found.into_iter().map(|found| found.map(compared).map_err(&failed)).collect()
 }
 
 /// A bundle's plan beside its exact plan, on recorded observations.
@@ -279,8 +313,8 @@ fn against_exact(
     profile: Profile,
     recording: &Recording,
 ) -> Result<Compared, Failure> {
-    let failed = |error: CompileError| Failure::from(error).within(bundle.folder().display());
-    let plan = |profile| compiler().compile_bundle(bundle, profile).map_err(failed);
+    let failed = within(bundle.folder());
+    let plan = |profile| unproved().agent(bundle, profile).map_err(&failed);
     let (plan, exact) = (plan(profile)?, plan(Profile::Exact)?);
     let found = agreement(plan.as_slice(), exact.as_slice(), recording).map_err(failed)?;
     Ok(Compared::new(format!("{} plan against exact plan", profile.name()), vec![found.into()]))

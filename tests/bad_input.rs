@@ -114,6 +114,52 @@ fn a_plan_of_another_version_is_refused_by_name() {
     assert_fails(&output(&["inspect", &path_of(&plan)]), 78, &["agent.plan", "99", "compile"]);
 }
 
+/// A shipped bundle whose manifest says something else.
+fn edited_bundle(from: &str, to: &str) -> tempfile::TempDir {
+    let folder = copied_bundle();
+    let manifest = folder.path().join("bundle.toml");
+    let text = fs::read_to_string(&manifest).expect("the manifest");
+    assert!(text.contains(from), "{from}");
+    fs::write(&manifest, text.replace(from, to)).expect("another manifest");
+    folder
+}
+
+#[test]
+fn a_bundle_of_an_unknown_environment_is_refused_wherever_it_is_opened() {
+    for (from, to, word) in [
+        ("environment = \"save-the-city/2-5a_2-5b\"", "environment = \"pacman\"", "pacman"),
+        ("environment_version = \"1\"", "environment_version = \"7\"", "version 7"),
+        ("team_max = ", "team_max = 9", "team_max"),
+        ("n_max = ", "n_max = 9", "n_max"),
+    ] {
+        let folder = edited_bundle(from, to);
+        let bundle = path_of(folder.path());
+        for verb in ["inspect", "run", "verify"] {
+            assert_fails(&output(&[verb, &bundle]), 65, &[&bundle, word]);
+        }
+    }
+}
+
+#[test]
+fn what_is_no_regular_file_is_not_waited_for() {
+    let folder = copied_bundle();
+    let golden = folder.path().join("golden.json");
+    fs::remove_file(&golden).expect("the golden observations");
+    rustix::fs::mkfifoat(rustix::fs::CWD, &golden, rustix::fs::Mode::from_raw_mode(0o600))
+        .expect("a pipe");
+    let words = ["golden.json", "not a regular file"];
+    assert_fails(&output(&["run", &path_of(folder.path())]), 65, &words);
+}
+
+#[test]
+fn a_file_that_is_larger_than_any_network_is_not_read() {
+    let folder = copied_bundle();
+    let onnx = fs::OpenOptions::new().write(true).open(folder.path().join("agent.onnx"));
+    onnx.and_then(|file| file.set_len(3 << 30)).expect("a sparse file");
+    let words = ["agent.onnx", "bytes"];
+    assert_fails(&output(&["run", &path_of(folder.path())]), 65, &words);
+}
+
 #[test]
 fn an_unknown_environment_lists_the_known_ones() {
     let words = ["mars", "save-the-city"];

@@ -4,9 +4,9 @@ use std::path::PathBuf;
 
 use clap::Args;
 use sortie_bundle::{Bundle, OwnedAllocationState};
-use sortie_compiler::onnxruntime::{BatchedTeamValues, OnnxRuntime};
 use sortie_core::allocate::{TaskRelation, TeamQuery, Teams, exact};
 use sortie_core::{AllocateError, AllocationState, Allocator};
+use sortie_plans::{BatchedValues, OnnxRuntimeEngine};
 
 use super::cases::some;
 use super::rounds::{alternate_long, engine, our_engine};
@@ -65,7 +65,7 @@ pub(super) fn measure(arguments: &AllocationArguments) -> Result<Figures, Failur
     let mut ours = LearnedAllocator::open(&bundle, Backend::Plan)?;
     let mut tract = LearnedAllocator::open(&bundle, Backend::Tract)?;
     let mut single =
-        runtime.map(|runtime| LearnedAllocator::of_onnxruntime(&bundle, runtime)).transpose()?;
+        runtime.map(|runtime| LearnedAllocator::of_graph(&bundle, runtime)).transpose()?;
     let mut batched = runtime.map(|runtime| Batched::new(&bundle, runtime, onnx)).transpose()?;
     let states = states(&bundle, &mut ours, arguments.measuring.common.seed)?;
     let mut proposing = arguments.proposing()?;
@@ -163,7 +163,7 @@ fn check(
 
 /// All teams of all open subtasks in one call of onnxruntime, then our search.
 struct Batched {
-    network: BatchedTeamValues,
+    network: Box<dyn BatchedValues>,
     relation: CityRelation,
     team_max: usize,
     /// The relations of all open subtasks.
@@ -173,8 +173,9 @@ struct Batched {
 }
 
 impl Batched {
-    fn new(bundle: &Bundle, runtime: &OnnxRuntime, onnx: &[u8]) -> Result<Self, Failure> {
-        let network = BatchedTeamValues::new(runtime, onnx)
+    fn new(bundle: &Bundle, runtime: &dyn OnnxRuntimeEngine, onnx: &[u8]) -> Result<Self, Failure> {
+        let network = runtime
+            .batched_team_values(onnx)
             .map_err(|error| Failure::from(error).within(bundle.folder().display()))?;
         let cells = exact::cells(SIZE.0, SIZE.1);
         Ok(Self {

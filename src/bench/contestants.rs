@@ -3,11 +3,10 @@
 use std::path::Path;
 
 use sortie_bundle::Bundle;
-use sortie_compiler::onnxruntime::{BatchedAgents, OnnxRuntime, OnnxRuntimePolicy};
-use sortie_compiler::{CompileError, CompileOptions};
 use sortie_core::Policy;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
 use sortie_envs::save_the_city::ScenarioSet;
+use sortie_plans::{BatchedUtilities, CompileError, CompileOptions, Compiler, OnnxRuntimeEngine};
 
 use super::decision::LARGE_SET;
 use super::floor::Floor;
@@ -39,11 +38,11 @@ pub(super) struct Contestants<'b> {
 
 /// The peer's sessions.
 pub(super) struct OnnxRuntimePeer {
-    pub(super) runtime: &'static OnnxRuntime,
-    pub(super) alone: OnnxRuntimePolicy,
+    pub(super) runtime: &'static dyn OnnxRuntimeEngine,
+    pub(super) alone: Box<dyn Policy>,
     /// The same network quantised by onnxruntime.
-    pub(super) quantised: Option<OnnxRuntimePolicy>,
-    pub(super) team: BatchedAgents,
+    pub(super) quantised: Option<Box<dyn Policy>>,
+    pub(super) team: Box<dyn BatchedUtilities>,
 }
 
 impl<'b> Contestants<'b> {
@@ -92,16 +91,16 @@ impl<'b> Contestants<'b> {
 
 impl OnnxRuntimePeer {
     fn open(
-        runtime: &'static OnnxRuntime,
+        runtime: &'static dyn OnnxRuntimeEngine,
         python: Option<&Path>,
         bundle: &Bundle,
     ) -> Result<Self, CompileError> {
         let features = bundle.contract().features.into();
         let onnx = bundle.agent_onnx();
-        let alone = OnnxRuntimePolicy::new(runtime, onnx, features)?;
+        let alone = runtime.policy(onnx, features)?;
         let quantised = quantise_or_note(python, onnx)
-            .map(|variant| OnnxRuntimePolicy::of_variant(runtime, onnx, &variant, features));
-        let team = BatchedAgents::new(runtime, onnx, features)?;
+            .map(|variant| runtime.policy_of_variant(onnx, &variant, features));
+        let team = runtime.batched_agents(onnx, features)?;
         Ok(Self { runtime, alone, quantised: quantised.transpose()?, team })
     }
 }

@@ -80,9 +80,13 @@ fn alone(
         engines.push(engine("tract", TRACT_VERSION, |call| case.decide(tract.as_mut(), call)));
         if let Some(peer) = onnxruntime {
             let version = peer.runtime.version();
-            engines.push(engine("onnxruntime", version, |call| case.decide(&mut peer.alone, call)));
+            engines.push(engine("onnxruntime", version, |call| {
+                case.decide(peer.alone.as_mut(), call)
+            }));
             if let Some(peer) = &mut peer.quantised {
-                engines.push(engine("onnxruntime int8", version, |call| case.decide(peer, call)));
+                engines.push(engine("onnxruntime int8", version, |call| {
+                    case.decide(peer.as_mut(), call)
+                }));
             }
         }
         engines.push(engine(FLOOR, "", |_| floor.read()));

@@ -1,14 +1,13 @@
 //! `bench proposals`: an allocator that draws proposals and values them, ours and onnxruntime's.
 
 use clap::Args;
-use sortie_compiler::onnxruntime::OnnxRuntimeProposals;
-use sortie_compiler::{CompileError, CompileOptions, ProposalFiles};
 use sortie_core::allocate::ProposalAllocator;
 use sortie_core::allocate::proposals::GumbelDraw;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
 use sortie_core::{AllocationState, EntityMask};
 use sortie_learn::export::export_proposals;
 use sortie_learn::methods::paper::allocation::{AllocationShape, CriticWeights, PolicyWeights};
+use sortie_plans::{CompileError, CompileOptions, Compiler, DrawnProposals, ProposalFiles};
 
 use super::rounds::{alternate_long, engine, our_engine};
 use super::{Figures, Measuring, pin};
@@ -57,7 +56,7 @@ pub(super) fn measure(arguments: &ProposalsArguments) -> Result<Figures, Failure
         }
     }
     let runtime = arguments.onnxruntime.open_or_note("onnxruntime is not measured");
-    let peer = runtime.map(|runtime| OnnxRuntimeProposals::new(runtime, &files, ENTITIES));
+    let peer = runtime.map(|runtime| runtime.proposals(&files, ENTITIES));
     let mut peer = peer.transpose()?;
     let rows: Vec<Vec<f32>> = (0..STATES).map(|_| features(&mut random)).collect();
     let seed = arguments.measuring.common.seed;
@@ -70,7 +69,7 @@ pub(super) fn measure(arguments: &ProposalsArguments) -> Result<Figures, Failure
         ours.push((*name, allocator.map_err(CompileError::from)?));
     }
     if let (Some(peer), Some((_, ours))) = (&mut peer, ours.first_mut()) {
-        check(ours, peer, &state, &draw)?;
+        check(ours, peer.as_mut(), &state, &draw)?;
     }
     pin(arguments.measuring.pin)?;
     let mut engines = Vec::new();
@@ -98,7 +97,7 @@ pub(super) fn measure(arguments: &ProposalsArguments) -> Result<Figures, Failure
 /// Both must value the same proposals the same.
 fn check<'a>(
     ours: &mut ProposalAllocator<'_>,
-    peer: &mut OnnxRuntimeProposals,
+    peer: &mut dyn DrawnProposals,
     state: &dyn Fn(usize) -> AllocationState<'a>,
     draw: &dyn Fn(usize) -> GumbelDraw,
 ) -> Result<(), Failure> {

@@ -1,10 +1,9 @@
 //! The decisions of a whole team in one process, against one batched call of onnxruntime.
 
 use sortie_bundle::{RecordedFrame, Recording};
-use sortie_compiler::TOLERANCE;
-use sortie_compiler::onnxruntime::BatchedAgents;
 use sortie_core::choose::masked_argmax;
 use sortie_core::{DecideError, Observation, Policy};
+use sortie_plans::{BatchedUtilities, TOLERANCE};
 
 use super::cases::some;
 use super::contestants::Contestants;
@@ -63,7 +62,7 @@ fn measure_team(
         }
         if let Some(peer) = onnxruntime {
             let utilities = &mut utilities;
-            let at_once = |call| at_once(frame(call), &mut peer.team, utilities);
+            let at_once = |call| at_once(frame(call), peer.team.as_mut(), utilities);
             engines.push(engine("onnxruntime", peer.runtime.version(), at_once));
         }
         engines.push(engine(FLOOR, "", |_| floor.read()));
@@ -95,7 +94,7 @@ fn decide_together(frame: &[Observation<'_>], policy: &mut dyn Policy) {
 }
 
 /// One call for all agents, and the choice of each.
-fn at_once(frame: &[Observation<'_>], peer: &mut BatchedAgents, utilities: &mut [f32]) {
+fn at_once(frame: &[Observation<'_>], peer: &mut dyn BatchedUtilities, utilities: &mut [f32]) {
     peer.utilities(frame, utilities).expect("the batched graph takes every recorded frame");
     let actions = utilities.len() / frame.len().max(1);
     for (observation, utilities) in frame.iter().zip(utilities.chunks_exact(actions)) {

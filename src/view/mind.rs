@@ -1,10 +1,10 @@
 //! What agents think: utilities and attention of a run's network or of a bundle's.
 
 use sortie_bundle::Bundle;
-use sortie_compiler::AttentionProbe;
 use sortie_core::choose::masked_argmax;
 use sortie_core::{DecideError, Decision, Observation, Policy};
 use sortie_learn::methods::alma::NetworkPolicy;
+use sortie_plans::AttentionProbe;
 
 use super::data::{Attention, Thought, rounded};
 use crate::compiler::compiler;
@@ -39,9 +39,7 @@ pub(super) struct DeployedMind<'a> {
 impl<'a> DeployedMind<'a> {
     pub(super) fn new(bundle: &Bundle, policy: Box<dyn Policy + 'a>) -> Result<Self, Failure> {
         let features = usize::from(bundle.contract().features);
-        let onnx = bundle.agent_onnx();
-        compiler().rehearse(onnx, bundle.manifest().limits.n_max.into(), Some(features))?;
-        let probe = AttentionProbe::new(onnx, features)?;
+        let probe = AttentionProbe::new(compiler().attention(bundle.agent_onnx())?, features);
         Ok(Self { policy, probe })
     }
 }

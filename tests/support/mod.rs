@@ -15,8 +15,13 @@ use serde_json::Value;
 pub(crate) const BUNDLE: &str = "models/save-the-city";
 
 /// The command line, started in the project's folder.
+///
+/// `cargo test --workspace` builds what it starts in its place for tract; `cargo test -p sortie` does not.
 pub(crate) fn sortie(arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_sortie"));
+    let program = Path::new(env!("CARGO_BIN_EXE_sortie"));
+    let linked = program.with_file_name("sortie-tract");
+    assert!(linked.exists(), "{} is missing: `cargo build -p sortie-tract`", linked.display());
+    let mut command = Command::new(program);
     command.current_dir(env!("CARGO_MANIFEST_DIR")).args(arguments);
     command
 }

@@ -22,6 +22,10 @@ pub const ALLOCATOR: &str = "allocator_team_value.onnx";
 /// Trunk, step and critic of an allocator that proposes.
 pub const PROPOSAL_PARTS: [&str; 3] =
     ["allocator_trunk.onnx", "allocator_step.onnx", "allocator_critic.onnx"];
+/// The plan of the agent's network: profile `exact`, for as many entities as the limits say.
+pub const AGENT_PLAN: &str = "agent.plan";
+/// The plan of the allocator's network, or of its three networks.
+pub const ALLOCATOR_PLAN: &str = "allocator.plan";
 /// Observations with expected answers.
 pub const GOLDEN: &str = "golden.json";
 /// The model card.
@@ -32,6 +36,9 @@ pub const CURVE: &str = "curve.svg";
 pub const CURVE_DATA: &str = "curve.json";
 /// The resolved training configuration, with seed and version.
 pub const TRAINING: &str = "train.toml";
+
+/// Most bytes of one file. Networks of agents have thousands.
+const MOST_BYTES: u64 = 256 << 20;
 
 /// A bundle that was read and checked: every part has the hash that the manifest states.
 #[derive(Clone, Debug)]
@@ -64,11 +71,9 @@ impl Bundle {
     /// Reads a bundle folder and checks versions, hashes, contract and golden observations.
     pub fn open(folder: &Path) -> Result<Self, BundleError> {
         let path = folder.join(MANIFEST);
-        let bytes = fs::read(&path).map_err(|source| match source.kind() {
-            io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => {
-                BundleError::NotABundle { path: folder.to_owned() }
-            }
-            _ => BundleError::Io { path: path.clone(), source },
+        let bytes = read_file(&path).map_err(|error| match error {
+            BundleError::Missing { .. } => BundleError::NotABundle { path: folder.to_owned() },
+            error => error,
         })?;
         let manifest = Manifest::parse(&path, &bytes)?;
         let mut parts = BTreeMap::new();
@@ -82,6 +87,21 @@ impl Bundle {
             }
         }
         Ok(Self { folder: folder.to_owned(), id: sha256(&bytes), manifest, parts, golden })
+    }
+
+    /// What this bundle is made of, to make another of it.
+    pub fn draft(&self) -> Draft {
+        let mut parts = self.parts.clone();
+        // Written anew from the cases.
+        parts.remove(GOLDEN);
+        Draft {
+            contract: self.manifest.contract.v1.clone(),
+            environment: self.manifest.contract.environment.clone(),
+            limits: self.manifest.limits,
+            network: self.manifest.network.clone(),
+            golden: self.golden.clone(),
+            parts,
+        }
     }
 
     /// The folder that the bundle was read from.
@@ -147,11 +167,7 @@ impl Draft {
             return Err(BundleError::Exists { path: folder.to_owned() });
         }
         let parts = self.all_parts(folder)?;
-        let manifest = self.manifest(&parts);
-        let text = toml::to_string_pretty(&manifest).map_err(|error| BundleError::Invalid {
-            path: folder.join(MANIFEST),
-            reason: error.to_string(),
-        })?;
+        let text = self.manifest_text(folder, &parts)?;
         let name = folder.file_name().unwrap_or_default().to_string_lossy();
         let draft = folder.with_file_name(format!(".{name}.{}", std::process::id()));
         let written = write_files(&draft, &parts, &text).and_then(|()| {
@@ -166,11 +182,38 @@ impl Draft {
         Bundle::open(folder)
     }
 
+    /// The bundle as it will be in `folder`, without writing it: what compiles its plans looks at it.
+    ///
+    /// # Errors
+    /// A part is missing, or does not fit.
+    pub fn unwritten(&self, folder: &Path) -> Result<Bundle, BundleError> {
+        let parts = self.all_parts(folder)?;
+        let text = self.manifest_text(folder, &parts)?;
+        Ok(Bundle {
+            folder: folder.to_owned(),
+            id: sha256(text.as_bytes()),
+            manifest: self.manifest(&parts),
+            parts,
+            golden: self.golden.clone(),
+        })
+    }
+
+    fn manifest_text(
+        &self,
+        folder: &Path,
+        parts: &BTreeMap<String, Vec<u8>>,
+    ) -> Result<String, BundleError> {
+        toml::to_string_pretty(&self.manifest(parts)).map_err(|error| BundleError::Invalid {
+            path: folder.join(MANIFEST),
+            reason: error.to_string(),
+        })
+    }
+
     fn all_parts(&self, folder: &Path) -> Result<BTreeMap<String, Vec<u8>>, BundleError> {
         let invalid = |name: &str, reason: String| {
             Err(BundleError::Invalid { path: folder.join(name), reason })
         };
-        if let Some(flaw) = self.contract.flaw() {
+        if let Some(flaw) = self.contract.flaw().or_else(|| self.limits.flaw()) {
             return invalid(MANIFEST, flaw);
         }
         if !self.parts.contains_key(AGENT) {
@@ -229,7 +272,8 @@ impl Manifest {
             return Err(BundleError::Version { path: path.to_owned(), got, max: FORMAT });
         }
         let manifest: Manifest = toml::from_str(text).map_err(unreadable)?;
-        if let Some(flaw) = manifest.contract.v1.flaw() {
+        let flaw = manifest.contract.v1.flaw().or_else(|| manifest.limits.flaw());
+        if let Some(flaw) = flaw {
             return Err(invalid(flaw));
         }
         let (want, got) =
@@ -257,15 +301,28 @@ fn allocator_parts(network: &Network) -> &'static [&'static str] {
     }
 }
 
+/// Reads a file of a bundle: nothing that waits, as a pipe would, and nothing that no bundle holds.
+fn read_file(path: &Path) -> Result<Vec<u8>, BundleError> {
+    let failed = |source: io::Error| match source.kind() {
+        io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => {
+            BundleError::Missing { path: path.to_owned() }
+        }
+        _ => BundleError::Io { path: path.to_owned(), source },
+    };
+    let found = fs::metadata(path).map_err(failed)?;
+    if !found.is_file() {
+        return Err(BundleError::NotAFile { path: path.to_owned() });
+    }
+    if found.len() > MOST_BYTES {
+        let (path, bytes) = (path.to_owned(), found.len());
+        return Err(BundleError::TooLarge { path, bytes, max: MOST_BYTES });
+    }
+    fs::read(path).map_err(failed)
+}
+
 fn read_part(folder: &Path, name: &str, want: &str) -> Result<Vec<u8>, BundleError> {
     let path = folder.join(name);
-    let bytes = match fs::read(&path) {
-        Ok(bytes) => bytes,
-        Err(error) if error.kind() == io::ErrorKind::NotFound => {
-            return Err(BundleError::Missing { path });
-        }
-        Err(source) => return Err(BundleError::Io { path, source }),
-    };
+    let bytes = read_file(&path)?;
     let got = hex(&sha256(&bytes));
     if got != want {
         return Err(BundleError::Hash { path, want: want.to_owned(), got });

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 use sortie_core::identity::fnv1a;
+use sortie_core::limits;
 
 /// The wire format's version.
 pub const WIRE_ABI: u16 = 1;
@@ -113,6 +114,15 @@ impl ContractV1 {
         }
         if self.safe_action.is_some_and(|action| action >= self.actions) {
             return Some("safe_action is not an action".to_owned());
+        }
+        let sizes = [
+            ("features", self.features, limits::FEATURES),
+            ("actions", self.actions, limits::ACTIONS),
+        ];
+        if let Some((what, size, most)) =
+            sizes.into_iter().find(|(_, size, most)| usize::from(*size) > *most)
+        {
+            return Some(format!("{size} {what}, at most {most} are possible"));
         }
         names("feature", &self.feature_names, self.features)
             .or_else(|| names("action", &self.action_names, self.actions))

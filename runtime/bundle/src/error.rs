@@ -33,6 +33,22 @@ pub enum BundleError {
         /// What the system said.
         source: io::Error,
     },
+    /// A folder, a pipe or a device stands where a file belongs.
+    #[error("`{}` is not a regular file: copy or export the bundle again", .path.display())]
+    NotAFile {
+        /// What stands there.
+        path: PathBuf,
+    },
+    /// A file is larger than any file of a bundle.
+    #[error("`{}` has {bytes} bytes, no file of a bundle has more than {max}", .path.display())]
+    TooLarge {
+        /// The file.
+        path: PathBuf,
+        /// Its size.
+        bytes: u64,
+        /// The limit.
+        max: u64,
+    },
     /// `bundle.toml` cannot be understood.
     #[error("`{}` cannot be read", .path.display())]
     Manifest {

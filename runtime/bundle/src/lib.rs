@@ -1,9 +1,9 @@
 //! The bundle on disk: what the trainer writes and everything else reads.
 //!
 //! A folder with `bundle.toml` (contract, limits, network, and the SHA-256 of every other file), the networks as
-//! ONNX (the agent's, and the allocator's where it was learned), golden observations with their expected answers, a model card and a learning curve. The SHA-256 of
-//! `bundle.toml` is the bundle's id: one hash vouches for everything. Plans are derived from a bundle and cached
-//! beside it, never part of it.
+//! ONNX and as plans (the agent's, and the allocator's where it was learned), golden observations with their expected
+//! answers, a model card and a learning curve. The SHA-256 of `bundle.toml` is the bundle's id: one hash vouches for
+//! everything, the policy that runs included.
 #![forbid(unsafe_code)]
 
 mod allocation;
@@ -14,13 +14,12 @@ mod error;
 mod golden;
 mod manifest;
 mod observation;
-mod plan_cache;
 mod recording;
 
 pub use allocation::{GoldenAllocation, GoldenValue, OwnedAllocationState};
 pub use bundle::{
-    AGENT, ALLOCATOR, Bundle, CARD, CURVE, CURVE_DATA, Draft, GOLDEN, MANIFEST, PROPOSAL_PARTS,
-    TRAINING,
+    AGENT, AGENT_PLAN, ALLOCATOR, ALLOCATOR_PLAN, Bundle, CARD, CURVE, CURVE_DATA, Draft, GOLDEN,
+    MANIFEST, PROPOSAL_PARTS, TRAINING,
 };
 pub use contract::{ContractV1, FallbackAllocation, SubtaskConditioning, WIRE_ABI};
 pub use digest::{hex, sha256};
@@ -28,5 +27,4 @@ pub use error::BundleError;
 pub use golden::{Golden, GoldenCase, MIN_ALLOCATIONS, MIN_CASES};
 pub use manifest::{Contract, Environment, Limits, Manifest, Network, PROPOSALS, TEAM_VALUE};
 pub use observation::OwnedObservation;
-pub use plan_cache::{PlanKey, cached_plan, plan_places};
 pub use recording::{RecordedAgent, RecordedFrame, Recording, RecordingError};

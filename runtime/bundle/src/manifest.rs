@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
+use sortie_core::limits;
 
 use crate::contract::ContractV1;
 
@@ -70,6 +71,24 @@ pub struct Limits {
     pub t_max: u16,
     /// Largest team per subtask.
     pub team_max: u16,
+}
+
+impl Limits {
+    /// What the runtime cannot express.
+    pub(crate) fn flaw(&self) -> Option<String> {
+        let sizes = [
+            ("n_max", self.n_max, limits::ENTITIES),
+            ("t_max", self.t_max, limits::TASKS),
+            ("team_max", self.team_max, limits::AGENTS),
+        ];
+        let beyond = |(name, size, most): (&str, u16, usize)| {
+            let is_beyond = usize::from(size) > most;
+            is_beyond.then(|| format!("{name} = {size} in [limits], at most {most} is possible"))
+        };
+        let empty =
+            || (self.n_max == 0).then(|| "n_max = 0 in [limits]: nothing is seen".to_owned());
+        sizes.into_iter().find_map(beyond).or_else(empty)
+    }
 }
 
 /// What the networks of a bundle are.

@@ -8,8 +8,8 @@ use sortie_core::plan::{AlignedBytes, Plan, PlanError};
 use sortie_core::{DecideError, EntityMask, NO_ACTION, PlanPolicy, Policy};
 
 use crate::matching::Step;
-use crate::observations::random_observations;
 use crate::testing::{Random, Shape, ask_anything, plan, reference, run_forged, with_program};
+use sortie_plans::random_observations;
 
 pub(crate) const SMALL: Shape =
     Shape { n_max: 6, features: 5, actions: 4, last_action: true, width: 16, heads: 2, base: 8 };

@@ -9,7 +9,7 @@ use tract_onnx::tract_core::ops::binary::TypedBinOp;
 use tract_onnx::tract_core::ops::change_axes::AxisOp;
 use tract_onnx::tract_hir::internal::DimLike;
 
-use crate::error::CompileError;
+use sortie_plans::CompileError;
 
 /// A network with the inputs and outputs of an agent, of an allocator, or over all entities.
 #[derive(Debug)]
@@ -210,7 +210,6 @@ impl Graph {
     }
 
     /// The name of the input at `index`.
-    #[cfg(feature = "onnxruntime")]
     pub(crate) fn input_name(&self, index: usize) -> String {
         self.input(index)
             .map(|outlet| self.model.node(outlet.node).name.clone())

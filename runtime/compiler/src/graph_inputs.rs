@@ -3,17 +3,8 @@
 use sortie_core::allocate::TeamQuery;
 use sortie_core::{AllocateError, DecideError, EntityMask, NO_ACTION, Observation};
 
-use crate::error::CompileError;
 use crate::graph::TeamRoles;
-
-/// Which rows a graph gets.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Rows {
-    /// All of them: the graph does the masking.
-    All,
-    /// The visible ones and the own one, as in deployment.
-    Visible,
-}
+use sortie_plans::{CompileError, Rows};
 
 /// Columns of an agent's graph.
 #[derive(Clone, Copy, Debug)]

@@ -5,12 +5,12 @@ use sortie_core::ops::Op;
 use sortie_core::plan::{AlignedBytes, Plan};
 use sortie_core::{EntityMask, PlanPolicy, Policy};
 
-use crate::error::CompileError;
 use crate::executor_tests::{SMALL, bits, small_observations};
 use crate::lower::{AgentSizes, Choice};
 use crate::lower_int8::lower_agent_int8;
-use crate::observations::random_observations;
 use crate::testing::{Random, ask_anything, int8_plan, reference, run_forged, with_program};
+use sortie_plans::CompileError;
+use sortie_plans::random_observations;
 
 fn ask(plan: &[u8], observations: &[OwnedObservation]) -> Vec<Vec<f32>> {
     let bytes = AlignedBytes::copy_of(plan);

@@ -7,32 +7,29 @@ use sortie_core::plan::{AlignedBytes, Plan};
 use sortie_core::{PlanPolicy, Policy};
 
 use crate::engine::{AgentEngine, TeamValueEngine};
-use crate::error::CompileError;
-use crate::families::{Family, Standard};
 use crate::graph_inputs::all_finite;
-use crate::observations::OwnedTeamQuery;
-#[cfg(feature = "onnxruntime")]
 use crate::onnxruntime::{OnnxRuntime, OnnxRuntimePolicy, OnnxRuntimeTeamValue};
-use crate::parity::{Comparison, magnitude};
 use crate::tract_policy::TractPolicy;
 use crate::tract_team_value::TractTeamValue;
+use sortie_plans::CompileError;
+use sortie_plans::OwnedTeamQuery;
+use sortie_plans::{Comparison, magnitude};
+use sortie_plans::{Family, Standard};
 
 /// An engine that runs the source graph itself.
 #[derive(Clone, Copy, Debug)]
-pub enum Judge {
+pub enum Judge<'a> {
     /// tract, on the simplified graph.
     Tract,
     /// onnxruntime, on the file as it is.
-    #[cfg(feature = "onnxruntime")]
-    OnnxRuntime(&'static OnnxRuntime),
+    OnnxRuntime(&'a OnnxRuntime),
 }
 
-impl Judge {
+impl Judge<'_> {
     /// Its name.
     pub fn name(self) -> &'static str {
         match self {
             Self::Tract => "tract",
-            #[cfg(feature = "onnxruntime")]
             Self::OnnxRuntime(_) => "onnxruntime",
         }
     }
@@ -40,7 +37,6 @@ impl Judge {
     fn agent(self, onnx: &[u8], features: usize) -> Result<Box<dyn AgentEngine>, CompileError> {
         Ok(match self {
             Self::Tract => Box::new(TractPolicy::new(onnx, features)?),
-            #[cfg(feature = "onnxruntime")]
             Self::OnnxRuntime(runtime) => {
                 Box::new(OnnxRuntimePolicy::new(runtime, onnx, features)?)
             }
@@ -50,7 +46,6 @@ impl Judge {
     fn team_value(self, onnx: &[u8]) -> Result<Box<dyn TeamValueEngine>, CompileError> {
         Ok(match self {
             Self::Tract => Box::new(TractTeamValue::new(onnx)?),
-            #[cfg(feature = "onnxruntime")]
             Self::OnnxRuntime(runtime) => Box::new(OnnxRuntimeTeamValue::new(runtime, onnx)?),
         })
     }
@@ -64,7 +59,7 @@ impl Judge {
 pub fn judge_agent(
     plan: &[u8],
     onnx: &[u8],
-    judge: Judge,
+    judge: Judge<'_>,
     families: &[Family<OwnedObservation>],
 ) -> Result<Vec<Comparison>, CompileError> {
     let plan = AlignedBytes::copy_of(plan);
@@ -85,7 +80,7 @@ fn compare_agents(
     engine: &mut dyn AgentEngine,
     family: &Family<OwnedObservation>,
 ) -> Comparison {
-    let mut comparison = Comparison::of_family(family);
+    let mut comparison = comparison_of(family);
     let (mut got, mut want) = (vec![0.0; policy.actions()], vec![0.0; policy.actions()]);
     for observation in &family.inputs {
         let view = observation.view();
@@ -117,7 +112,7 @@ fn compare_agents(
 pub fn judge_team_values(
     plan: &[u8],
     onnx: &[u8],
-    judge: Judge,
+    judge: Judge<'_>,
     families: &[Family<OwnedTeamQuery>],
 ) -> Result<Vec<Comparison>, CompileError> {
     let plan = AlignedBytes::copy_of(plan);
@@ -137,7 +132,7 @@ fn compare_values(
     engine: &mut dyn TeamValueEngine,
     family: &Family<OwnedTeamQuery>,
 ) -> Comparison {
-    let mut comparison = Comparison::of_family(family);
+    let mut comparison = comparison_of(family);
     let (mut got, mut want) = (Vec::new(), Vec::new());
     for query in &family.inputs {
         let state = query.state.view();
@@ -162,8 +157,7 @@ fn compare_values(
     comparison
 }
 
-impl Comparison {
-    fn of_family<T>(family: &Family<T>) -> Self {
-        Self { judged: family.standard != Standard::Nothing, ..Self::new(family.name) }
-    }
+/// Nothing compared yet of a family.
+fn comparison_of<T>(family: &Family<T>) -> Comparison {
+    Comparison { judged: family.standard != Standard::Nothing, ..Comparison::new(family.name) }
 }

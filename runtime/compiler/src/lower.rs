@@ -8,9 +8,9 @@ use sortie_core::ops::{
 };
 use sortie_core::plan::{OPS, Program};
 
-use crate::error::CompileError;
 use crate::layout::Weights;
 use crate::matching::{AgentLayers, GruLayers, Layer, Matrix, Step};
+use sortie_plans::CompileError;
 
 /// How an agent chooses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

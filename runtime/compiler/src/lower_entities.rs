@@ -8,10 +8,10 @@ use sortie_core::ops::{
 };
 use sortie_core::plan::{OPS, Program};
 
-use crate::error::CompileError;
 use crate::layout::Weights;
 use crate::lower::{Arena, at_most, by_heads, check_weights, padded_heads, same_sizes};
 use crate::matching::{AllAttention, EntityLayers, EntityStep, Layer};
+use sortie_plans::CompileError;
 
 /// Sizes that the layers do not tell.
 #[derive(Clone, Copy, Debug, Default)]

@@ -7,12 +7,12 @@ use sortie_core::ops::{
 };
 use sortie_core::plan::Program;
 
-use crate::error::CompileError;
 use crate::layout::Weights;
 use crate::lower::{at_most, by_heads, check_weights, padded_heads, same_sizes};
 use crate::matching::{
     AllAttention, CriticLayers, Layer, Matrix, ProposalLayers, StepLayers, TrunkLayers,
 };
+use sortie_plans::CompileError;
 
 /// Lowers trunk, step and critic to one program and its weights.
 pub(crate) fn lower_proposals(

@@ -1,6 +1,5 @@
 //! The three graphs of an allocator that proposes become one plan.
 
-use serde::{Deserialize, Serialize};
 use sortie_bundle::{OwnedAllocationState, sha256};
 use sortie_core::allocate::ProposalAllocator;
 use sortie_core::allocate::proposals::{Draw, GumbelDraw};
@@ -8,48 +7,18 @@ use sortie_core::limits;
 use sortie_core::plan::{AlignedBytes, Network, Plan, Profile};
 
 use crate::assemble::{Origin, assemble};
-use crate::compile::{CompileOptions, Compiled, report};
-use crate::error::CompileError;
 use crate::graph::Graph;
 use crate::lower::{AgentSizes, Choice};
 use crate::lower_proposals::lower_proposals;
 use crate::matching::match_proposals;
-use crate::observations::random_allocation_states;
-use crate::parity::{Comparison, TOLERANCE, cannot_run, magnitude};
 use crate::tract_proposals::TractProposals;
+use sortie_plans::{
+    Comparison, CompileError, CompileOptions, Compiled, ProposalFiles, TOLERANCE, cannot_run,
+    magnitude, random_allocation_states, report,
+};
 
 /// Proposals by which a plan is compared with its graphs.
 const COMPARED: usize = 4;
-
-/// The ONNX files of an allocator that proposes.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-pub struct ProposalFiles<'a> {
-    /// `allocator_trunk.onnx`
-    pub trunk: &'a [u8],
-    /// `allocator_step.onnx`
-    pub step: &'a [u8],
-    /// `allocator_critic.onnx`
-    pub critic: &'a [u8],
-}
-
-impl<'a> ProposalFiles<'a> {
-    /// The files as one, by which a plan is known.
-    pub fn joined(&self) -> Vec<u8> {
-        // Writing plain bytes to memory has no way to fail.
-        postcard::to_stdvec(self).unwrap_or_default()
-    }
-
-    /// The files of what [`Self::joined`] gave.
-    pub(crate) fn split(joined: &'a [u8]) -> Result<Self, CompileError> {
-        let unreadable =
-            |error: postcard::Error| CompileError::Unreadable { reason: error.to_string() };
-        postcard::from_bytes(joined).map_err(unreadable)
-    }
-
-    fn read(&self) -> Result<[Graph; 3], CompileError> {
-        Ok([Graph::read(self.trunk)?, Graph::read(self.step)?, Graph::read(self.critic)?])
-    }
-}
 
 /// Compiles trunk, step and critic to one plan, and proves it against the graphs.
 ///
@@ -59,7 +28,7 @@ pub fn compile_proposals(
     files: &ProposalFiles<'_>,
     options: &CompileOptions,
 ) -> Result<Compiled, CompileError> {
-    let graphs = files.read()?;
+    let graphs = read(files)?;
     if options.profile == Profile::Int8 {
         return Err(CompileError::NoInt8 { what: "an allocator's network".into() });
     }
@@ -94,6 +63,10 @@ pub fn compile_proposals(
     Ok(Compiled { report: report(&program, n_max, bytes.len(), &comparison), bytes })
 }
 
+fn read(files: &ProposalFiles<'_>) -> Result<[Graph; 3], CompileError> {
+    Ok([Graph::read(files.trunk)?, Graph::read(files.step)?, Graph::read(files.critic)?])
+}
+
 /// Compares an allocator's plan with the graphs that it was made from: the logarithms of the probabilities that every
 /// agent of some proposals had, and the values of these.
 ///
@@ -105,7 +78,7 @@ pub fn compare_proposals_with_graphs(
     states: &[OwnedAllocationState],
     seed: u64,
 ) -> Result<Comparison, CompileError> {
-    proposals_against_graphs(plan, files.read()?.each_ref(), states, seed)
+    proposals_against_graphs(plan, read(files)?.each_ref(), states, seed)
 }
 
 fn proposals_against_graphs(

@@ -9,8 +9,8 @@ use sortie_core::{DecideError, Decision, PlanPolicy, Policy};
 
 use crate::executor_tests::{SMALL, bits, small_observations};
 use crate::lower::Choice;
-use crate::observations::random_observations;
 use crate::testing::{Random, Shape, ask_anything, forge, plan, plan_that, reference, run_forged};
+use sortie_plans::random_observations;
 
 /// Floats of the small network's state.
 const STATE: usize = 5;

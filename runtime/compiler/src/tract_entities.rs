@@ -3,8 +3,8 @@
 use sortie_core::Entities;
 use tract_onnx::prelude::*;
 
-use crate::error::CompileError;
 use crate::graph::{EntityRoles, Graph, guarded};
+use sortie_plans::CompileError;
 
 /// A network over all entities that runs the ONNX graph with tract. It allocates.
 #[derive(Debug)]

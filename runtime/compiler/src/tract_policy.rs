@@ -5,9 +5,10 @@ use sortie_core::{DecideError, Decision, Observation, Policy};
 use tract_onnx::prelude::*;
 
 use crate::engine::{AgentEngine, checked_utilities};
-use crate::error::CompileError;
 use crate::graph::{Graph, Roles, guarded};
-use crate::graph_inputs::{AgentColumns, Rows, all_finite};
+use crate::graph_inputs::{AgentColumns, all_finite};
+use sortie_plans::CompileError;
+use sortie_plans::Rows;
 
 /// A policy that runs the ONNX graph with tract. It allocates, and takes about ten times as long as a plan.
 #[derive(Debug)]

@@ -3,8 +3,8 @@
 use sortie_core::{AllocationState, UNASSIGNED};
 use tract_onnx::prelude::*;
 
-use crate::error::CompileError;
 use crate::graph::{Graph, ProposalRoles, guarded};
+use sortie_plans::CompileError;
 
 /// Trunk, step and critic, run by tract a proposal at a time. It allocates.
 #[derive(Debug)]

@@ -5,9 +5,9 @@ use sortie_core::allocate::{TeamQuery, TeamValueNetwork};
 use tract_onnx::prelude::*;
 
 use crate::engine::{TeamValueEngine, checked_value};
-use crate::error::CompileError;
 use crate::graph::{Graph, TeamRoles, guarded};
-use crate::graph_inputs::Rows;
+use sortie_plans::CompileError;
+use sortie_plans::Rows;
 
 /// A team-value network that runs the ONNX graph with tract, a team at a time. It allocates.
 #[derive(Debug)]

@@ -1,4 +1,5 @@
-//! A bundle's agent is compiled once, kept beside it, and gives the golden answers.
+//! Which plan of a bundle acts: the one that it ships, one that was compiled before, a new one; and only if it gives
+//! the golden answers.
 
 use std::cell::Cell;
 use std::fs;
@@ -6,14 +7,15 @@ use std::path::PathBuf;
 
 use sortie_bundle::{
     AGENT, Bundle, ContractV1, Draft, Environment, FallbackAllocation, Golden, GoldenCase, Limits,
-    MIN_CASES, Network, PlanKey, SubtaskConditioning, WIRE_ABI, cached_plan,
+    MIN_CASES, Network, SubtaskConditioning, WIRE_ABI,
 };
-use sortie_compiler::{
-    CompileError, CompileOptions, TractPolicy, compare_with_golden, compile, compile_bundle,
-    random_observations,
-};
-use sortie_core::plan::{AlignedBytes, Plan};
+use sortie_compiler::{InProcess, TractPolicy, compile};
+use sortie_core::plan::{AlignedBytes, Header, Plan, Profile, checksums};
 use sortie_core::{PlanPolicy, Policy};
+use sortie_plans::{
+    BundlePlans, CompileError, CompileOptions, Compiled, Compiler, ProposalFiles,
+    compare_with_golden, random_observations,
+};
 
 fn onnx() -> Vec<u8> {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/golden/onnx/agent_small.onnx");
@@ -35,6 +37,29 @@ fn contract() -> ContractV1 {
         safe_action: Some(0),
         fallback_allocation: FallbackAllocation::Unallocated,
     }
+}
+
+/// What compiles, and how often it did.
+#[derive(Default)]
+struct Counting(Cell<usize>);
+
+impl Compiler for &Counting {
+    fn compile(&self, onnx: &[u8], options: &CompileOptions) -> Result<Compiled, CompileError> {
+        self.0.set(self.0.get() + 1);
+        InProcess.compile(onnx, options)
+    }
+
+    fn compile_proposals(
+        &self,
+        files: &ProposalFiles<'_>,
+        options: &CompileOptions,
+    ) -> Result<Compiled, CompileError> {
+        InProcess.compile_proposals(files, options)
+    }
+}
+
+fn plans(cache: Option<PathBuf>) -> BundlePlans<InProcess> {
+    BundlePlans::new(InProcess, cache, |note| panic!("{note}"))
 }
 
 /// A bundle whose golden answers are the graph's own.
@@ -65,7 +90,7 @@ fn bundle(home: &tempfile::TempDir, contract: ContractV1) -> Bundle {
 fn plan_and_graph_give_the_golden_answers() {
     let home = tempfile::tempdir().unwrap();
     let bundle = bundle(&home, contract());
-    let bytes = compile_bundle(&bundle).unwrap();
+    let bytes = plans(None).agent(&bundle, Profile::Exact).unwrap();
     let plan = Plan::load(bytes.as_slice()).unwrap();
     assert_eq!((plan.header().n_max, plan.header().t_max), (8, 3));
     assert_eq!(plan.header().contract, bundle.contract().hash());
@@ -77,16 +102,6 @@ fn plan_and_graph_give_the_golden_answers() {
         assert!(comparison.max_rel_error < 1e-6, "{comparison:?}");
         assert_eq!((comparison.inputs, comparison.action_mismatches), (MIN_CASES, 0));
     }
-}
-
-#[test]
-fn a_bundle_stays_valid_with_plans_beside_it() {
-    let home = tempfile::tempdir().unwrap();
-    let bundle = bundle(&home, contract());
-    let first = compile_bundle(&bundle).unwrap();
-    assert_eq!(fs::read_dir(bundle.folder().join("plans")).unwrap().count(), 1);
-    assert_eq!(Bundle::open(bundle.folder()).unwrap().id(), bundle.id());
-    assert_eq!(first.as_slice(), compile_bundle(&bundle).unwrap().as_slice());
 }
 
 #[test]
@@ -103,46 +118,118 @@ fn a_network_of_other_sizes_is_refused() {
     assert_eq!(error.to_string(), "the input width is 10 in the file, the contract says 9");
 }
 
-/// Asks for the small network's plan and says whether it had to be compiled.
-fn compiled_anew(places: &[PathBuf], onnx: &[u8], version: &str) -> bool {
-    let key = PlanKey { onnx, profile: "exact", compiler: version, contract: 1, n_max: 8 };
-    let compiled = Cell::new(false);
-    let plan = cached_plan(places, &key, || {
-        compiled.set(true);
-        compile(onnx, &CompileOptions::default()).map(|compiled| compiled.bytes)
-    });
-    assert!(Plan::load(plan.unwrap().as_slice()).is_ok());
-    compiled.get()
-}
-
-#[test]
-fn a_plan_is_compiled_once_and_again_when_damaged_or_old() {
-    let home = tempfile::tempdir().unwrap();
-    let places = [home.path().join("plans")];
-    let onnx = onnx();
-    assert!(compiled_anew(&places, &onnx, "1"));
-    assert!(!compiled_anew(&places, &onnx, "1"));
-    assert!(compiled_anew(&places, &onnx, "2"), "another compiler");
-    for file in fs::read_dir(&places[0]).unwrap() {
-        let path = file.unwrap().path();
-        let mut bytes = fs::read(&path).unwrap();
-        let last = bytes.len() - 1;
-        bytes[last] ^= 1;
-        fs::write(&path, bytes).unwrap();
+/// The bundle with plans of its own, in another folder.
+fn shipping(home: &tempfile::TempDir, change: fn(&mut Vec<u8>)) -> Bundle {
+    let bundle = bundle(home, contract());
+    let mut draft = bundle.draft();
+    for (name, mut plan) in plans(None).shipped(&bundle).unwrap() {
+        change(&mut plan);
+        draft.parts.insert(name.to_owned(), plan);
     }
-    assert!(compiled_anew(&places, &onnx, "1"), "damaged");
-    assert!(!compiled_anew(&places, &onnx, "1"), "replaced");
+    draft.write(&home.path().join("shipping")).unwrap()
+}
+
+/// Asks for the agent's plan and says how often something was compiled, and what was noted.
+fn asked(bundle: &Bundle, cache: Option<PathBuf>) -> (Result<(), CompileError>, usize, bool) {
+    thread_local!(static NOTED: Cell<bool> = const { Cell::new(false) });
+    NOTED.set(false);
+    let compiler = Counting::default();
+    let plans = BundlePlans::new(&compiler, cache, |_| NOTED.set(true));
+    let found = plans.agent(bundle, Profile::Exact).map(|_| ());
+    (found, compiler.0.get(), NOTED.get())
+}
+
+/// Both checksums of a plan are made to fit again.
+fn forge(plan: &mut Vec<u8>, change: impl FnOnce(&mut [u8])) {
+    let (header, _) = Header::read(plan).unwrap();
+    let part =
+        |plan: &[u8], offset: u32, len: u32| plan[offset as usize..][..len as usize].to_vec();
+    change(&mut plan[header.weights_offset as usize..][..header.weights_len as usize]);
+    let program = part(plan, header.program_offset, header.program_len);
+    let weights = part(plan, header.weights_offset, header.weights_len);
+    let bytes = header.to_bytes(checksums(&header, &program, &weights));
+    plan[..bytes.len()].copy_from_slice(&bytes);
+}
+
+fn negate(weights: &mut [u8]) {
+    weights.chunks_exact_mut(4).for_each(|weight| weight[3] ^= 0x80);
 }
 
 #[test]
-fn the_second_place_serves_where_the_first_cannot_be_written() {
+fn a_shipped_plan_acts_without_being_compiled() {
     let home = tempfile::tempdir().unwrap();
+    let bundle = shipping(&home, |_| {});
+    let (found, compiled, noted) = asked(&bundle, None);
+    assert!(found.is_ok() && compiled == 0 && !noted, "{found:?}");
+}
+
+#[test]
+fn a_shipped_plan_of_another_version_is_passed_over_with_a_note() {
+    let home = tempfile::tempdir().unwrap();
+    let bundle = shipping(&home, |plan| plan[8] = 99);
+    let (found, compiled, noted) = asked(&bundle, None);
+    assert!(found.is_ok() && compiled == 1 && noted, "{found:?}");
+}
+
+#[test]
+fn a_shipped_plan_that_gives_other_answers_never_acts() {
+    let home = tempfile::tempdir().unwrap();
+    let bundle = shipping(&home, |plan| forge(plan, negate));
+    let (found, ..) = asked(&bundle, None);
+    assert!(matches!(found, Err(CompileError::Unproved { cases: MIN_CASES, .. })), "{found:?}");
+}
+
+#[test]
+fn a_shipped_plan_of_another_network_is_refused() {
+    let home = tempfile::tempdir().unwrap();
+    let bundle = shipping(&home, |plan| {
+        let (mut header, _) = Header::read(plan).unwrap();
+        header.source[0] ^= 1;
+        let [program, weights] = [
+            (header.program_offset, header.program_len),
+            (header.weights_offset, header.weights_len),
+        ]
+        .map(|(offset, len)| plan[offset as usize..][..len as usize].to_vec());
+        let bytes = header.to_bytes(checksums(&header, &program, &weights));
+        plan[..bytes.len()].copy_from_slice(&bytes);
+    });
+    let (found, ..) = asked(&bundle, None);
+    assert!(matches!(found, Err(CompileError::ForeignPlan { .. })), "{found:?}");
+}
+
+#[test]
+fn a_plan_is_compiled_once_and_again_when_damaged_or_forged() {
+    let home = tempfile::tempdir().unwrap();
+    let bundle = bundle(&home, contract());
+    let cache = home.path().join("cache");
+    let compiled = || {
+        let (found, compiled, noted) = asked(&bundle, Some(cache.clone()));
+        assert!(found.is_ok(), "{found:?}");
+        (compiled, noted)
+    };
+    let kept = || fs::read_dir(&cache).unwrap().next().unwrap().unwrap().path();
+    assert_eq!(compiled(), (1, false));
+    assert_eq!(compiled(), (0, false));
+    let mut damaged = fs::read(kept()).unwrap();
+    *damaged.last_mut().unwrap() ^= 1;
+    fs::write(kept(), damaged).unwrap();
+    assert_eq!(compiled(), (1, false));
+    assert_eq!(compiled(), (0, false));
+    let mut forged = fs::read(kept()).unwrap();
+    forge(&mut forged, negate);
+    fs::write(kept(), forged).unwrap();
+    assert_eq!(compiled(), (1, true));
+    assert_eq!(compiled(), (0, false));
+}
+
+#[test]
+fn a_cache_that_cannot_be_written_costs_time_only() {
+    let home = tempfile::tempdir().unwrap();
+    let bundle = bundle(&home, contract());
     let blocked = home.path().join("file");
     fs::write(&blocked, "not a folder").unwrap();
-    let places = [blocked.join("plans"), home.path().join("cache")];
-    assert!(compiled_anew(&places, &onnx(), "1"));
-    assert!(!compiled_anew(&places, &onnx(), "1"));
-    let nowhere = [blocked.join("plans")];
-    assert!(compiled_anew(&nowhere, &onnx(), "1"));
-    assert!(compiled_anew(&nowhere, &onnx(), "1"));
+    for _ in 0..2 {
+        let (found, compiled, _) = asked(&bundle, Some(blocked.join("plans")));
+        assert!(found.is_ok() && compiled == 1, "{found:?}");
+    }
 }

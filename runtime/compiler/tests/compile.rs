@@ -2,13 +2,11 @@
 
 use safetensors::SafeTensors;
 use sortie_bundle::OwnedObservation;
-use sortie_compiler::{
-    CompileError, CompileOptions, Compiled, TractPolicy, compare_with_graph, compile, inspect_onnx,
-    inspect_plan, random_observations,
-};
+use sortie_compiler::{TractPolicy, compare_with_graph, compile, inspect_onnx};
 use sortie_core::kernels::build::Build;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
 use sortie_core::{EntityMask, NO_ACTION, PlanPolicy, Policy};
+use sortie_plans::{CompileError, CompileOptions, Compiled, inspect_plan, random_observations};
 
 fn golden(path: &str) -> Vec<u8> {
     let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/golden/");

@@ -1,12 +1,12 @@
 //! Networks over all entities become plans that answer as their graphs do.
 
-use sortie_compiler::{
-    CompileError, CompileOptions, Compiled, OwnedEntities, TOLERANCE, compare_entities_with_graph,
-    compile, random_entities,
-};
+use sortie_compiler::{compare_entities_with_graph, compile};
 use sortie_core::EntityMask;
 use sortie_core::ops::{Op, OpKind};
 use sortie_core::plan::{AlignedBytes, Network, Plan};
+use sortie_plans::{
+    CompileError, CompileOptions, Compiled, OwnedEntities, TOLERANCE, random_entities,
+};
 
 const FILES: [(&str, &[u8], [usize; 4]); 2] = [
     // Width, outputs, groups, operators.

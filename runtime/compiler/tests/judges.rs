@@ -1,10 +1,10 @@
 //! Plans before their judges, on all families of inputs.
 #![allow(clippy::print_stderr, reason = "helpers of tests print as well")]
 
-use sortie_compiler::{
-    Comparison, CompileOptions, Compiled, Family, Judge, ObservationSizes, TOLERANCE,
-    TeamQuerySizes, compile, judge_agent, judge_team_values, observation_families,
-    team_query_families,
+use sortie_compiler::{Judge, compile, judge_agent, judge_team_values};
+use sortie_plans::{
+    Comparison, CompileOptions, Compiled, Family, ObservationSizes, TOLERANCE, TeamQuerySizes,
+    observation_families, team_query_families,
 };
 
 const N_MAX: usize = 9;
@@ -22,7 +22,7 @@ fn compiled(onnx: &[u8]) -> Compiled {
 fn agent(name: &str) -> (Vec<u8>, Compiled, ObservationSizes) {
     let onnx = golden(name);
     let plan = compiled(&onnx);
-    let facts = sortie_compiler::inspect_plan(&plan.bytes).unwrap();
+    let facts = sortie_plans::inspect_plan(&plan.bytes).unwrap();
     let sizes = ObservationSizes { n_max: N_MAX, features: facts.features, actions: facts.actions };
     (onnx, plan, sizes)
 }
@@ -83,16 +83,15 @@ fn a_plan_of_another_network_is_found_out() {
     assert!(random.max_rel_error > TOLERANCE, "{random:?}");
 }
 
-#[cfg(feature = "onnxruntime")]
 mod onnxruntime {
     use sortie_bundle::OwnedObservation;
-    use sortie_compiler::OwnedTeamQuery;
     use sortie_compiler::onnxruntime::{
         BatchedAgents, BatchedTeamValues, OnnxRuntime, OnnxRuntimePolicy, OnnxRuntimeTeamValue,
         find_library,
     };
     use sortie_core::Policy;
     use sortie_core::allocate::{TeamQuery, TeamValueNetwork};
+    use sortie_plans::OwnedTeamQuery;
 
     use super::*;
 

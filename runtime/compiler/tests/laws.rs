@@ -3,12 +3,17 @@
 use std::path::PathBuf;
 
 use sortie_bundle::{Bundle, OwnedObservation};
-use sortie_compiler::compile_bundle_as;
+use sortie_compiler::InProcess;
 use sortie_core::choose::masked_argmax;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
 use sortie_core::{DecideError, EntityMask, NO_ACTION};
+use sortie_plans::BundlePlans;
 
 const PROFILES: [Profile; 3] = [Profile::Exact, Profile::Fused, Profile::Int8];
+
+fn plans() -> BundlePlans<InProcess> {
+    BundlePlans::new(InProcess, None, |note| panic!("{note}"))
+}
 
 /// A shipped network in one profile.
 struct Network {
@@ -20,7 +25,7 @@ struct Network {
 impl Network {
     /// `None` where this machine does not have the profile.
     fn open(bundle: &Bundle, profile: Profile) -> Option<Self> {
-        let plan = compile_bundle_as(bundle, profile).unwrap();
+        let plan = plans().agent(bundle, profile).unwrap();
         let arena = match Plan::load(plan.as_slice()) {
             Ok(plan) => AlignedBytes::zeroed(plan.batch_arena_bytes(16)),
             Err(PlanError::WrongProfile { .. }) => return None,

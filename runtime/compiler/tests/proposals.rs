@@ -3,15 +3,15 @@
 use std::sync::OnceLock;
 
 use sortie_bundle::OwnedAllocationState;
-use sortie_compiler::{
-    CompileError, CompileOptions, ProposalFiles, compare_proposals_with_graphs, compile,
-    compile_proposals, inspect_plan, random_allocation_states,
-};
+use sortie_compiler::{compare_proposals_with_graphs, compile, compile_proposals};
 use sortie_core::allocate::ProposalAllocator;
 use sortie_core::allocate::proposals::{Draw, GumbelDraw};
 use sortie_core::kernels::build::Build;
 use sortie_core::plan::{AlignedBytes, Network, Plan, PlanError, Profile};
 use sortie_core::{AllocateError, Allocator, EntityMask, UNASSIGNED};
+use sortie_plans::{
+    CompileError, CompileOptions, ProposalFiles, inspect_plan, random_allocation_states,
+};
 
 const N_MAX: usize = 9;
 const FEATURES: usize = 7;

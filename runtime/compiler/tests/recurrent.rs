@@ -2,12 +2,10 @@
 
 use serde_json::Value;
 use sortie_bundle::OwnedObservation;
-use sortie_compiler::{
-    CompileError, CompileOptions, TractPolicy, compare_with_graph, compile, inspect_onnx,
-    inspect_plan, random_observations,
-};
+use sortie_compiler::{TractPolicy, compare_with_graph, compile, inspect_onnx};
 use sortie_core::plan::{AlignedBytes, Plan};
 use sortie_core::{DecideError, EntityMask, PlanPolicy, Policy};
+use sortie_plans::{CompileError, CompileOptions, inspect_plan, random_observations};
 
 fn golden(path: &str) -> Vec<u8> {
     let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/golden/");

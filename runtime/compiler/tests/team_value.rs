@@ -1,12 +1,12 @@
 //! An allocator's network becomes a plan that values teams as the graph does.
 
-use sortie_compiler::{
-    CompileError, CompileOptions, OwnedTeamQuery, TractPolicy, TractTeamValue,
-    compare_team_values_with_graph, compile, inspect_plan, random_team_queries,
-};
+use sortie_compiler::{TractPolicy, TractTeamValue, compare_team_values_with_graph, compile};
 use sortie_core::allocate::{PlanTeamValue, TeamValueNetwork};
 use sortie_core::plan::{AlignedBytes, Network, Plan, PlanError};
 use sortie_core::{AllocateError, PlanPolicy};
+use sortie_plans::{
+    CompileError, CompileOptions, OwnedTeamQuery, inspect_plan, random_team_queries,
+};
 
 fn golden(name: &str) -> Vec<u8> {
     let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/golden/onnx/");

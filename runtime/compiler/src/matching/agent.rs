@@ -7,9 +7,10 @@ use tract_onnx::tract_core::ops::nn::Softmax;
 use tract_onnx::tract_hir::internal::DimLike;
 
 use super::gru::{GruLayers, match_gru};
-use super::linear::{Found, Layer, Matrix, match_layer, match_product_of_two, match_scale};
-use crate::error::CompileError;
+use super::linear::{Found, match_layer, match_product_of_two, match_scale};
 use crate::graph::Graph;
+use sortie_plans::CompileError;
+use sortie_plans::{Layer, Matrix};
 
 /// Logits of masked entities must be at least this small: e to that power is zero.
 const BLOCKED: f32 = -1.0e9;

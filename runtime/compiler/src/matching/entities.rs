@@ -9,10 +9,11 @@ use tract_onnx::tract_core::ops::nn::{Reduce, Reducer, Softmax};
 
 use super::agent::{match_mixed, match_weights, no_output};
 use super::gru::{is, with};
-use super::linear::{Layer, match_layer, match_product_of_two, match_scale};
+use super::linear::{match_layer, match_product_of_two, match_scale};
 use super::team_value::uncast;
-use crate::error::CompileError;
 use crate::graph::{EntityRoles, Graph};
+use sortie_plans::CompileError;
+use sortie_plans::Layer;
 
 /// A network over all entities. Value 0 is the embedding, value i + 1 what step i computes.
 #[derive(Clone, Debug, PartialEq)]

@@ -5,9 +5,10 @@ use tract_onnx::tract_core::ops::array::Slice;
 use tract_onnx::tract_core::ops::element_wise::ElementWiseOp;
 use tract_onnx::tract_hir::internal::DimLike;
 
-use super::linear::{Layer, Matrix, bias_values, match_product};
-use crate::error::CompileError;
+use super::linear::{bias_values, match_product};
 use crate::graph::{Graph, Inputs, Roles};
+use sortie_plans::CompileError;
+use sortie_plans::{Layer, Matrix};
 
 const HINT: &str = "a recurrent unit is n + z (h - n) with r, z = Sigmoid(W y + b + U h + c) and \
                     n = Tanh(W y + b + r (U h + c)), h an input and the result an output of the graph";

@@ -1,51 +1,10 @@
 //! Matrix products, with bias and ReLU where they follow.
 
+use sortie_plans::{CompileError, Layer, Matrix};
 use tract_onnx::prelude::*;
 use tract_onnx::tract_core::ops::einsum::EinSum;
 
-use crate::error::CompileError;
 use crate::graph::Graph;
-
-/// A matrix `[inputs, outputs]`, row-major.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Matrix {
-    pub(crate) inputs: usize,
-    pub(crate) outputs: usize,
-    pub(crate) values: Vec<f32>,
-}
-
-impl Matrix {
-    /// The product of one input row and this matrix.
-    pub(crate) fn apply(&self, input: &[f32]) -> Vec<f32> {
-        let mut output = vec![0.0; self.outputs];
-        for (factor, row) in input.iter().zip(self.values.chunks_exact(self.outputs)) {
-            output.iter_mut().zip(row).for_each(|(sum, weight)| *sum += factor * weight);
-        }
-        output
-    }
-
-    /// Some columns: the outputs from `start` on.
-    pub(crate) fn columns(&self, start: usize, count: usize) -> Self {
-        let rows = self.values.chunks_exact(self.outputs);
-        let values = rows.flat_map(|row| row.iter().skip(start).take(count)).copied().collect();
-        Self { inputs: self.inputs, outputs: count, values }
-    }
-
-    /// The matrix with inputs and outputs exchanged.
-    pub(crate) fn transposed(&self) -> Self {
-        let column = |column: usize| self.values.iter().skip(column).step_by(self.outputs);
-        let values = (0..self.outputs).flat_map(column).copied().collect();
-        Self { inputs: self.outputs, outputs: self.inputs, values }
-    }
-}
-
-/// A matrix with its bias, and whether a ReLU follows.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Layer {
-    pub(crate) matrix: Matrix,
-    pub(crate) bias: Vec<f32>,
-    pub(crate) relu: bool,
-}
 
 /// A layer found in the graph, and what it is applied to.
 pub(crate) struct Found {

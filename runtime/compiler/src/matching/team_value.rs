@@ -6,9 +6,10 @@ use tract_onnx::tract_core::ops::cast::Cast;
 use tract_onnx::tract_core::ops::nn::{Reduce, Reducer};
 
 use super::agent::{AgentLayers, Question, match_network};
-use super::linear::{Layer, Matrix, bias_values, match_product};
-use crate::error::CompileError;
+use super::linear::{bias_values, match_product};
 use crate::graph::{Graph, TeamRoles};
+use sortie_plans::CompileError;
+use sortie_plans::{Layer, Matrix};
 
 /// Matches an allocator's network. Its rows are features, own flag, team flag and relation.
 pub(crate) fn match_team_value(graph: &Graph) -> Result<AgentLayers, CompileError> {

@@ -8,9 +8,10 @@ use sortie_core::{DecideError, Decision, Observation, Policy, limits};
 
 use super::{OnnxRuntime, run_bound};
 use crate::engine::{AgentEngine, checked_utilities};
-use crate::error::CompileError;
 use crate::graph::Graph;
-use crate::graph_inputs::{AgentColumns, Rows};
+use crate::graph_inputs::AgentColumns;
+use sortie_plans::CompileError;
+use sortie_plans::Rows;
 
 /// A policy that runs the ONNX graph with onnxruntime.
 #[derive(Debug)]

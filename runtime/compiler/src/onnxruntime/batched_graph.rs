@@ -10,9 +10,9 @@ use tract_onnx::pb::tensor_proto::DataType;
 use tract_onnx::pb::tensor_shape_proto::{Dimension, dimension};
 use tract_onnx::pb::type_proto;
 
-use crate::error::CompileError;
 use crate::graph::{Graph, Inputs};
 use crate::matching::{AgentLayers, Layer, Matrix, Step, match_agent, match_team_value};
+use sortie_plans::CompileError;
 
 const IR_VERSION: i64 = 8;
 const OPSET: i64 = 17;

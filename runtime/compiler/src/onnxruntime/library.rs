@@ -4,7 +4,7 @@ use std::env;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use super::OnnxRuntimeError;
+use sortie_plans::OnnxRuntimeError;
 
 /// Prints the folder of the installed package, and imports nothing.
 const PROGRAM: &str = "import importlib.util as u; s = u.find_spec('onnxruntime'); \

@@ -8,6 +8,7 @@ mod agent;
 mod batched_agents;
 mod batched_graph;
 mod batched_team_values;
+mod engine;
 mod library;
 mod proposals;
 mod team_value;
@@ -20,7 +21,7 @@ use ort::io_binding::IoBinding;
 use ort::session::Session;
 use ort::session::builder::GraphOptimizationLevel;
 
-use crate::error::CompileError;
+use sortie_plans::{CompileError, OnnxRuntimeError};
 
 pub use agent::OnnxRuntimePolicy;
 pub use batched_agents::BatchedAgents;
@@ -29,27 +30,6 @@ pub use batched_team_values::BatchedTeamValues;
 pub use library::find_library;
 pub use proposals::OnnxRuntimeProposals;
 pub use team_value::OnnxRuntimeTeamValue;
-
-/// Why onnxruntime cannot be used.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum OnnxRuntimeError {
-    /// No library was found.
-    #[error(
-        "onnxruntime was not found {place}; `python3 -m venv venv && venv/bin/pip install onnxruntime` installs \
-         it, `--python venv/bin/python3` or ORT_DYLIB_PATH names it"
-    )]
-    NotFound {
-        /// Where it was looked for.
-        place: String,
-    },
-    /// The library cannot be opened, or is too old.
-    #[error("the library of onnxruntime cannot be used: {reason}")]
-    Unusable {
-        /// What is wrong with it.
-        reason: String,
-    },
-}
 
 /// The library, opened.
 #[derive(Clone, Debug)]

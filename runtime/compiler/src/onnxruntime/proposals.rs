@@ -8,9 +8,9 @@ use sortie_core::allocate::proposals::Draw;
 use sortie_core::{AllocateError, AllocationState};
 
 use super::{OnnxRuntime, refused};
-use crate::error::CompileError;
 use crate::graph::Graph;
-use crate::proposals::ProposalFiles;
+use sortie_plans::CompileError;
+use sortie_plans::ProposalFiles;
 
 /// Trunk, step and critic, run by onnxruntime for states of one size.
 #[derive(Debug)]
@@ -75,7 +75,7 @@ impl OnnxRuntimeProposals {
     pub fn propose(
         &mut self,
         state: &AllocationState<'_>,
-        draw: &mut impl Draw,
+        draw: &mut dyn Draw,
         values: &mut [f32],
     ) -> Result<Vec<u8>, AllocateError> {
         self.run(state, draw, values).map_err(|_| AllocateError::BadLength)
@@ -84,7 +84,7 @@ impl OnnxRuntimeProposals {
     fn run(
         &mut self,
         state: &AllocationState<'_>,
-        draw: &mut impl Draw,
+        draw: &mut dyn Draw,
         values: &mut [f32],
     ) -> ort::Result<Vec<u8>> {
         let Self { trunk, step, critic, tasks, width } = self;

@@ -8,9 +8,9 @@ use sortie_core::{AllocateError, limits};
 
 use super::{OnnxRuntime, run_bound};
 use crate::engine::{TeamValueEngine, checked_value};
-use crate::error::CompileError;
 use crate::graph::{Graph, TeamRoles};
-use crate::graph_inputs::Rows;
+use sortie_plans::CompileError;
+use sortie_plans::Rows;
 
 /// A team-value network that runs the ONNX graph with onnxruntime.
 #[derive(Debug)]

@@ -181,7 +181,7 @@ impl DomainFacts {
     pub(crate) fn check(&self, domain: &Domain, contract: &DomainContract) -> Result<(), Error> {
         let detail = if self.abi != ABI {
             format!("messages are of ABI {ABI} here, {} there", self.abi)
-        } else if self.contract_hash() != contract.hash {
+        } else if self.contract_hash() != contract.hash || self.contract != contract.fields {
             first_difference(&contract.fields, &self.contract)
         } else {
             return self.check_team(domain, contract);
@@ -347,6 +347,11 @@ mod tests {
             "domain `facts` runs another contract: here 0000000000000008, there \
              0000000000000007; `actions` is 5 here, 4 there"
         );
+        // What a network takes may be the same where the world is another.
+        let mut elsewhere = contract(7, 4);
+        elsewhere.fields.insert("environment".into(), "harbour".into());
+        let error = facts.check(&domain, &elsewhere).unwrap_err().to_string();
+        assert!(error.ends_with("`environment` is \"harbour\" here, \"city\" there"), "{error}");
         assert_eq!(error.exit_code(), 78);
     }
 

@@ -49,3 +49,6 @@ pub use state::{
 };
 pub use symmetry::Symmetry;
 pub use throughput::observe_and_step;
+
+/// The version of the rules: another one where a trained policy would notice the difference.
+pub const VERSION: &str = "1";

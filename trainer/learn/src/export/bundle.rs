@@ -11,7 +11,7 @@ use sortie_bundle::{
 use sortie_core::choose::masked_argmax;
 use sortie_core::{DecideError, Decision, Observation, Policy};
 use sortie_envs::save_the_city::{
-    ACTION_NAMES, ACTIONS, AllocationRule, FEATURE_NAMES, FEATURES, RELATIONS, ScenarioSet,
+    ACTION_NAMES, ACTIONS, AllocationRule, FEATURE_NAMES, FEATURES, RELATIONS, ScenarioSet, VERSION,
 };
 
 use super::agent::{AgentNetwork, agent_onnx};
@@ -176,7 +176,7 @@ fn environment(run: &Run) -> Environment {
     };
     Environment {
         name: format!("{}/{}", config.name, config.set),
-        version: "1".to_owned(),
+        version: VERSION.to_owned(),
         feature_units: FEATURE_NAMES.iter().map(|name| unit(name).to_owned()).collect(),
         feature_ranges: vec![[0.0, 1.0]; FEATURES],
     }

@@ -5,7 +5,6 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use sortie_bundle::OwnedObservation;
 use sortie_core::EntityMask;
 
-use crate::graph_inputs::Rows;
 use crate::observations::{
     OwnedTeamQuery, random_observations, random_observations_of, random_team_queries,
     random_team_queries_of,
@@ -30,6 +29,15 @@ pub enum Standard {
     Refusal,
     /// Nothing: products leave the range of f32 in any engine, and where depends on the order of sums.
     Nothing,
+}
+
+/// Which rows a graph gets.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rows {
+    /// All of them: the graph does the masking.
+    All,
+    /// The visible ones and the own one, as in deployment.
+    Visible,
 }
 
 /// Inputs of one kind.

@@ -7,8 +7,8 @@ use sortie_core::allocate::{
 };
 use sortie_core::{AllocateError, AllocationState, Allocator};
 
+use crate::comparison::{Comparison, TOLERANCE, cannot_run};
 use crate::error::CompileError;
-use crate::parity::{Comparison, TOLERANCE, cannot_run};
 
 /// Compares values with recorded ones, a state being one input.
 ///

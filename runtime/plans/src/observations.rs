@@ -97,7 +97,7 @@ pub fn random_observations(
 }
 
 /// The same with exactly `entities` entities each.
-pub(crate) fn random_observations_of(
+pub fn random_observations_of(
     count: usize,
     entities: usize,
     features: usize,
@@ -127,7 +127,7 @@ pub fn random_team_queries(
 }
 
 /// The same with exactly `entities` entities each, as far as there can be so many agents and subtasks.
-pub(crate) fn random_team_queries_of(
+pub fn random_team_queries_of(
     count: usize,
     entities: usize,
     features: usize,
@@ -147,7 +147,7 @@ fn most_agents(entities: usize, tasks: usize) -> usize {
 }
 
 /// Random recurrent states of `size` numbers in [-1, 1], the first one zeros as at an episode's start.
-pub(crate) fn random_states(size: usize, seed: u64) -> impl FnMut() -> Vec<f32> {
+pub fn random_states(size: usize, seed: u64) -> impl FnMut() -> Vec<f32> {
     let mut random = Random(Xoshiro256PlusPlus::seed_from_u64(seed));
     let mut bound = 0.0;
     move || {

@@ -1,6 +1,8 @@
 //! Why a network does not become a plan.
 
 use std::borrow::Cow;
+use std::io;
+use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 use sortie_core::plan::PlanError;
@@ -120,6 +122,39 @@ pub enum CompileError {
         /// What it said, empty if nothing.
         said: String,
     },
+    /// There is no program that reads ONNX files.
+    #[error(
+        "`{}` is missing, which reads ONNX files: `cargo build {}-p sortie-tract` makes it",
+        program.display(),
+        if cfg!(debug_assertions) { "" } else { "--release " }
+    )]
+    NoCompiler {
+        /// Where it should be.
+        program: PathBuf,
+    },
+    /// The plan that a bundle ships is of another network, or of other sizes.
+    #[error("`{part}` is no plan of this bundle's network: {reason}")]
+    ForeignPlan {
+        /// The file.
+        part: Cow<'static, str>,
+        /// What does not fit.
+        reason: String,
+    },
+    /// A plan does not give the answers that its bundle recorded.
+    #[error(
+        "the plan does not give the bundle's golden answers: error {error:.1e} (limit {limit:.0e}), {others} of \
+         {cases} choices differ"
+    )]
+    Unproved {
+        /// The largest error, |a - b| / (1 + max |b|).
+        error: f32,
+        /// The limit.
+        limit: f32,
+        /// Other actions or allocations.
+        others: usize,
+        /// Golden observations or allocations.
+        cases: usize,
+    },
     /// The process that reads the file cannot be started.
     #[error("no process can be started that reads the ONNX file: {reason}")]
     NoProcess {
@@ -129,4 +164,14 @@ pub enum CompileError {
     /// The plan is not one that can be loaded.
     #[error("the plan cannot be loaded")]
     Plan(#[from] PlanError),
+}
+
+impl CompileError {
+    /// The error of a program that reads ONNX files and could not be started.
+    pub fn not_started(program: PathBuf, error: &io::Error) -> Self {
+        match error.kind() {
+            io::ErrorKind::NotFound => Self::NoCompiler { program },
+            _ => Self::NoProcess { reason: format!("`{}`: {error}", program.display()) },
+        }
+    }
 }

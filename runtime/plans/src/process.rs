@@ -2,36 +2,31 @@
 //!
 //! What parses ONNX files takes sizes from them: a damaged file can make it allocate without bound, loop, or
 //! overflow its stack, which no process survives. [`CompilerProcess`] starts a program for each file, which calls
-//! [`answer_compiler`]: it limits itself, reads what to do and the file from standard input, and writes its
-//! answer to standard output. What it says beside that is kept out of sight.
+//! [`read_request`]: it limits itself, and reads what to do and the file from standard input. It writes its
+//! answer to standard output; what it says beside that is kept out of sight.
 
 use std::ffi::OsString;
 use std::fmt;
 use std::io::{self, Read, Write};
 use std::os::unix::process::ExitStatusExt;
 use std::path::PathBuf;
-use std::process::{Command, ExitStatus, Output, Stdio};
+use std::process::{Child, Command, ExitStatus, Output, Stdio};
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::thread;
+use std::time::Duration;
 
-use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+use rustix::process::{
+    Pid, PidfdFlags, Resource, Rlimit, Signal, getrlimit, pidfd_open, pidfd_send_signal, setrlimit,
+};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
-use sortie_bundle::Bundle;
-use sortie_core::plan::{AlignedBytes, Profile};
 
-use crate::compile::{
-    CompileOptions, Compiled, agent_plan, allocator_plan, compile, proposal_plan,
-};
-use crate::engine::TeamValueEngine;
+use crate::attention::AttentionLayers;
+use crate::bundle_plans::Compiler;
 use crate::error::CompileError;
-use crate::graph::{EntityRoles, Graph, Inputs, TeamRoles};
-use crate::graph_inputs::Rows;
-use crate::inspect::{OnnxFacts, inspect_onnx};
-use crate::matching::match_agent;
-use crate::observations::{random_entities, random_observations_of, random_team_queries_of};
-use crate::proposals::{ProposalFiles, compile_proposals};
-use crate::tract_entities::TractEntities;
-use crate::tract_policy::TractPolicy;
-use crate::tract_team_value::TractTeamValue;
+use crate::facts::OnnxFacts;
+use crate::proposal_files::ProposalFiles;
+use crate::report::{CompileOptions, Compiled};
 
 /// What the process may use. Agents' networks need about a tenth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,11 +35,13 @@ pub struct ProcessLimits {
     pub memory_mib: u32,
     /// Seconds of processor time.
     pub processor_s: u32,
+    /// Seconds until it is ended, whatever it does.
+    pub wall_s: u32,
 }
 
 impl Default for ProcessLimits {
     fn default() -> Self {
-        Self { memory_mib: 2048, processor_s: 60 }
+        Self { memory_mib: 2048, processor_s: 60, wall_s: 600 }
     }
 }
 
@@ -62,6 +59,11 @@ pub enum Ending {
         /// The limit in seconds.
         limit_s: u32,
     },
+    /// It gave no answer in time.
+    Silent {
+        /// The limit in seconds.
+        limit_s: u32,
+    },
     /// Its stack overflowed.
     Stack,
     /// A signal ended it.
@@ -75,6 +77,7 @@ impl fmt::Display for Ending {
         match self {
             Self::Memory { limit_mib } => write!(f, "it takes more than {limit_mib} MiB of memory"),
             Self::Time { limit_s } => write!(f, "it takes more than {limit_s} s of processor time"),
+            Self::Silent { limit_s } => write!(f, "there was no answer for {limit_s} s"),
             Self::Stack => write!(f, "its parts are nested too deeply"),
             Self::Signal(signal) => write!(f, "signal {signal} ended the process that read it"),
             Self::Code(code) => write!(f, "the process that read it ended with code {code}"),
@@ -84,23 +87,31 @@ impl fmt::Display for Ending {
 
 /// What the process is asked for; the ONNX file follows.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-enum Request {
+pub enum Request {
+    /// A plan of one network.
     Compile(CompileOptions),
+    /// A plan of three, [`ProposalFiles::joined`].
     CompileProposals(CompileOptions),
-    Rehearse { n_max: usize, features: Option<usize> },
+    /// A few runs of the graph.
+    Rehearse {
+        /// Entities of each run.
+        n_max: usize,
+        /// Features of an entity; none for all columns.
+        features: Option<usize>,
+    },
+    /// The file's facts.
     Inspect,
+    /// The layers that give an agent's attention.
+    Attention,
 }
 
 /// Starts a process for every ONNX file that is to be read.
 ///
 /// ```no_run
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
-/// use sortie_compiler::{CompileOptions, CompilerProcess, answer_compiler};
+/// use sortie_plans::{CompileOptions, Compiler, CompilerProcess};
 ///
-/// if std::env::args().nth(1).as_deref() == Some("compiler") {
-///     return Ok(answer_compiler()?);
-/// }
-/// let compiler = CompilerProcess::new(std::env::current_exe()?, ["compiler"]);
+/// let compiler = CompilerProcess::new("target/release/sortie-tract", ["compiler"]);
 /// let compiled = compiler.compile(&std::fs::read("agent.onnx")?, &CompileOptions::default())?;
 /// # Ok(())
 /// # }
@@ -112,8 +123,22 @@ pub struct CompilerProcess {
     limits: ProcessLimits,
 }
 
+impl Compiler for CompilerProcess {
+    fn compile(&self, onnx: &[u8], options: &CompileOptions) -> Result<Compiled, CompileError> {
+        self.ask(Request::Compile(*options), onnx)
+    }
+
+    fn compile_proposals(
+        &self,
+        files: &ProposalFiles<'_>,
+        options: &CompileOptions,
+    ) -> Result<Compiled, CompileError> {
+        self.ask(Request::CompileProposals(*options), &files.joined())
+    }
+}
+
 impl CompilerProcess {
-    /// A program that calls [`answer_compiler`] when it is started with these arguments.
+    /// A program that answers a [`Request`] when it is started with these arguments.
     pub fn new<A: Into<OsString>>(
         program: impl Into<PathBuf>,
         arguments: impl IntoIterator<Item = A>,
@@ -127,46 +152,7 @@ impl CompilerProcess {
         Self { limits, ..self }
     }
 
-    /// As [`compile`].
-    pub fn compile(&self, onnx: &[u8], options: &CompileOptions) -> Result<Compiled, CompileError> {
-        self.ask(Request::Compile(*options), onnx)
-    }
-
-    /// As [`compile_proposals`].
-    pub fn compile_proposals(
-        &self,
-        files: &ProposalFiles<'_>,
-        options: &CompileOptions,
-    ) -> Result<Compiled, CompileError> {
-        self.ask(Request::CompileProposals(*options), &files.joined())
-    }
-
-    /// As [`crate::compile_bundle_as`]. A plan that was compiled before is checked and taken without a process.
-    pub fn compile_bundle(
-        &self,
-        bundle: &Bundle,
-        profile: Profile,
-    ) -> Result<AlignedBytes, CompileError> {
-        agent_plan(bundle, profile, &|onnx, options| self.compile(onnx, options))
-    }
-
-    /// As [`crate::compile_allocator`].
-    pub fn compile_allocator(&self, bundle: &Bundle) -> Result<Option<AlignedBytes>, CompileError> {
-        allocator_plan(bundle, &|onnx, options| self.compile(onnx, options))
-    }
-
-    /// As [`crate::compile_proposals_of`].
-    pub fn compile_proposals_of(
-        &self,
-        bundle: &Bundle,
-        profile: Profile,
-    ) -> Result<Option<AlignedBytes>, CompileError> {
-        proposal_plan(bundle, profile, &|joined, options| {
-            self.ask(Request::CompileProposals(*options), joined)
-        })
-    }
-
-    /// Reads a file and runs its graph a few times on `n_max` random entities of `features`, none for all columns.
+    /// Has a file read and its graph run a few times on `n_max` random entities of `features`, none for all columns.
     ///
     /// What went well there goes well here: this process may then run the graph itself.
     pub fn rehearse(
@@ -178,32 +164,43 @@ impl CompilerProcess {
         self.ask(Request::Rehearse { n_max, features }, onnx)
     }
 
-    /// As [`inspect_onnx`].
+    /// The facts of an ONNX file, whether or not it can be compiled.
     pub fn inspect_onnx(&self, onnx: &[u8]) -> Result<OnnxFacts, CompileError> {
         self.ask(Request::Inspect, onnx)
     }
 
+    /// The layers that give the attention of an agent's network.
+    pub fn attention(&self, onnx: &[u8]) -> Result<AttentionLayers, CompileError> {
+        self.ask(Request::Attention, onnx)
+    }
+
     fn ask<T: DeserializeOwned>(&self, request: Request, onnx: &[u8]) -> Result<T, CompileError> {
-        let output = self.exchange(request, onnx).map_err(|error| CompileError::NoProcess {
-            reason: format!("`{}`: {error}", self.program.display()),
-        })?;
+        let answered = self.exchange(request, onnx);
+        let not_started = |error| CompileError::not_started(self.program.clone(), &error);
+        let Answered { output, in_time } = answered.map_err(not_started)?;
+        if !in_time {
+            let ending = Ending::Silent { limit_s: self.limits.wall_s };
+            return Err(CompileError::GivenUp { ending, said: String::new() });
+        }
         let answered = output.status.success();
         let answer = answered.then(|| postcard::from_bytes(&output.stdout).ok()).flatten();
         answer.unwrap_or_else(|| Err(self.given_up(&output)))
     }
 
-    fn exchange(&self, request: Request, onnx: &[u8]) -> io::Result<Output> {
+    fn exchange(&self, request: Request, onnx: &[u8]) -> io::Result<Answered> {
         let mut command = Command::new(&self.program);
         command.args(&self.arguments).stdin(Stdio::piped());
         let mut process = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn()?;
         let request = postcard::to_stdvec(&request).map_err(io::Error::other)?;
+        let watch = Watch::over(&process, Duration::from_secs(self.limits.wall_s.into()))?;
         if let Some(mut input) = process.stdin.take() {
             let limits = self.limits.to_bytes();
             let parts = [limits.as_slice(), &request, onnx];
             // Where the process ended early, its status says more than a broken pipe.
             let _ = parts.into_iter().try_for_each(|part| input.write_all(part));
         }
-        process.wait_with_output()
+        let output = process.wait_with_output()?;
+        Ok(Answered { output, in_time: watch.ended_in_time() })
     }
 
     fn given_up(&self, output: &Output) -> CompileError {
@@ -217,7 +214,7 @@ impl CompilerProcess {
     fn ending(&self, status: ExitStatus, said: &str) -> Ending {
         const ABORT: i32 = 6;
         const PROCESSOR_TIME: i32 = 24;
-        let ProcessLimits { memory_mib, processor_s } = self.limits;
+        let ProcessLimits { memory_mib, processor_s, .. } = self.limits;
         match status.signal() {
             // The standard library's words, which come with an abort.
             Some(ABORT) if said.contains("memory allocation of") => {
@@ -231,6 +228,41 @@ impl CompilerProcess {
     }
 }
 
+/// What a process said, and whether it ended before its time was over.
+struct Answered {
+    output: Output,
+    in_time: bool,
+}
+
+/// Ends a process that takes too long.
+struct Watch {
+    ended: mpsc::Sender<()>,
+    thread: thread::JoinHandle<bool>,
+}
+
+impl Watch {
+    fn over(process: &Child, limit: Duration) -> io::Result<Self> {
+        let pid = i32::try_from(process.id()).ok().and_then(Pid::from_raw);
+        let pid = pid.ok_or_else(|| io::Error::other("the process has no number"))?;
+        // A descriptor stays this process, even where the number is given to another.
+        let process = pidfd_open(pid, PidfdFlags::empty())?;
+        let (ended, ending) = mpsc::channel();
+        let watch = move || {
+            let in_time = ending.recv_timeout(limit) != Err(RecvTimeoutError::Timeout);
+            if !in_time {
+                let _ = pidfd_send_signal(&process, Signal::KILL);
+            }
+            in_time
+        };
+        Ok(Self { ended, thread: thread::Builder::new().spawn(watch)? })
+    }
+
+    fn ended_in_time(self) -> bool {
+        drop(self.ended);
+        self.thread.join().unwrap_or(true)
+    }
+}
+
 impl ProcessLimits {
     const BYTES: usize = 8;
 
@@ -241,12 +273,12 @@ impl ProcessLimits {
 
     fn from_bytes(bytes: [u8; Self::BYTES]) -> Self {
         let words = u64::from_le_bytes(bytes);
-        Self { memory_mib: (words >> 32) as u32, processor_s: words as u32 }
+        Self { memory_mib: (words >> 32) as u32, processor_s: words as u32, ..Self::default() }
     }
 
     /// Limits this process, and leaves no core file behind when it ends.
     fn apply(self) -> io::Result<()> {
-        let Self { memory_mib, processor_s } = self;
+        let Self { memory_mib, processor_s, .. } = self;
         limit(Resource::As, u64::from(memory_mib) << 20)?;
         limit(Resource::Cpu, u64::from(processor_s))?;
         limit(Resource::Core, 0)
@@ -261,11 +293,12 @@ fn limit(resource: Resource, most: u64) -> io::Result<()> {
     Ok(())
 }
 
-/// What a program does that was started by a [`CompilerProcess`]: reads one request from standard input and
-/// writes the answer to standard output.
+/// What a program does first that was started by a [`CompilerProcess`]: it limits itself, and reads the request and the
+/// file from standard input.
 ///
-/// Fails where the request cannot be read, or the limits not be set.
-pub fn answer_compiler() -> io::Result<()> {
+/// # Errors
+/// The request cannot be read, or the limits not be set.
+pub fn read_request() -> io::Result<(Request, Vec<u8>)> {
     let mut input = io::stdin().lock();
     let mut limits = [0; ProcessLimits::BYTES];
     input.read_exact(&mut limits)?;
@@ -273,55 +306,7 @@ pub fn answer_compiler() -> io::Result<()> {
     let mut given = Vec::new();
     input.read_to_end(&mut given)?;
     let (request, onnx) = postcard::take_from_bytes(&given).map_err(io::Error::other)?;
-    let answer = match request {
-        Request::Compile(options) => postcard::to_stdvec(&compile(onnx, &options)),
-        Request::CompileProposals(options) => postcard::to_stdvec(
-            &ProposalFiles::split(onnx).and_then(|files| compile_proposals(&files, &options)),
-        ),
-        Request::Rehearse { n_max, features } => {
-            postcard::to_stdvec(&rehearse(onnx, n_max, features))
-        }
-        Request::Inspect => postcard::to_stdvec(&inspect_onnx(onnx)),
-    };
-    io::stdout().lock().write_all(&answer.map_err(io::Error::other)?)
-}
-
-/// Runs a graph on inputs of the largest size. What it computes, or refuses to, does not matter here.
-fn rehearse(onnx: &[u8], n_max: usize, features: Option<usize>) -> Result<(), CompileError> {
-    const RUNS: usize = 4;
-    const SEED: u64 = 1;
-    let graph = Graph::read(onnx)?;
-    match graph.inputs {
-        Inputs::Agent(roles) => {
-            let features = features.unwrap_or(graph.columns);
-            // Whoever looks at attention matches the layers as well.
-            let _ = match_agent(&graph);
-            let mut engine = TractPolicy::from_graph(&graph, features)?;
-            let mut state = vec![0.0; roles.memory.map_or(0, |memory| memory.size)];
-            let mut utilities = vec![0.0; graph.actions];
-            for seen in random_observations_of(RUNS, n_max, features, graph.actions, SEED) {
-                let _ = engine.step(&seen.view(), Rows::All, &mut state, &mut utilities);
-            }
-        }
-        Inputs::TeamValue(TeamRoles { features, relations, .. }) => {
-            let mut engine = TractTeamValue::from_graph(&graph)?;
-            for query in random_team_queries_of(RUNS, n_max, features, relations, SEED) {
-                let state = query.state.view();
-                let _ = engine.run(&query.view(&state), Rows::All);
-            }
-        }
-        // No part runs by itself.
-        Inputs::Proposals(_) => {
-            graph.runnable()?;
-        }
-        Inputs::Entities(EntityRoles { group_count, .. }) => {
-            let mut engine = TractEntities::from_graph(&graph)?;
-            for step in random_entities(RUNS, n_max, graph.columns, group_count, SEED) {
-                let _ = engine.run(&step.view());
-            }
-        }
-    }
-    Ok(())
+    Ok((request, onnx.to_vec()))
 }
 
 #[cfg(test)]
@@ -359,14 +344,15 @@ mod tests {
     fn a_program_that_does_not_exist_is_named() {
         let process = CompilerProcess::new("/nowhere/compiler", ["compiler"]);
         let error = process.inspect_onnx(&[]).unwrap_err().to_string();
-        assert!(error.contains("`/nowhere/compiler`"), "{error}");
+        assert!(error.contains("/nowhere/compiler"), "{error}");
     }
 
     #[test]
-    fn errors_cross_the_process_boundary_as_they_are() {
-        let error = inspect_onnx(b"no network").map(|_| ()).unwrap_err();
-        let bytes = postcard::to_stdvec(&error).unwrap();
-        let crossed: CompileError = postcard::from_bytes(&bytes).unwrap();
-        assert_eq!(format!("{error:?}"), format!("{crossed:?}"));
+    fn a_process_that_only_sleeps_is_ended() {
+        let process = CompilerProcess::new("/bin/sh", ["-c", "exec sleep 600"]);
+        let limits = ProcessLimits { wall_s: 1, ..ProcessLimits::default() };
+        let error = process.with_limits(limits).inspect_onnx(&[0; 1 << 20]).unwrap_err();
+        let ending = Ending::Silent { limit_s: 1 };
+        assert!(matches!(error, CompileError::GivenUp { ending: got, .. } if got == ending));
     }
 }

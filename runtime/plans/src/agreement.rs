@@ -5,9 +5,9 @@ use sortie_bundle::Recording;
 use sortie_core::plan::{AlignedBytes, HEADER_BYTES, Header, Plan, Profile, checksums};
 use sortie_core::{PlanPolicy, Policy};
 
-use crate::compile::{Compiled, Report};
+use crate::comparison::{Comparison, cannot_run, magnitude};
 use crate::error::CompileError;
-use crate::parity::{Comparison, cannot_run, magnitude};
+use crate::report::{Compiled, Report};
 
 /// Least share of observations on which an int8 plan takes the same action.
 pub const LEAST_AGREEMENT: f64 = 0.995;

@@ -1,24 +1,36 @@
 //! What an agent's network attends to, for people who look at its decisions.
 
+use serde::{Deserialize, Serialize};
 use sortie_core::{DecideError, NO_ACTION, Observation};
 
-use crate::error::CompileError;
-use crate::graph::Graph;
-use crate::matching::{AgentLayers, Layer, match_agent};
+use crate::layers::{Layer, Matrix};
 
-/// Reads attention weights from an ONNX graph, which itself gives utilities only.
+/// The layers of an agent's network that give its attention.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct AttentionLayers {
+    /// Entities to embeddings.
+    pub embed: Layer,
+    /// Attention heads.
+    pub heads: usize,
+    /// Own embedding to queries, the scale of the scores included.
+    pub query: Layer,
+    /// Embeddings to keys.
+    pub key: Matrix,
+}
+
+/// Computes attention weights, which the graph of an agent does not give.
 ///
-/// It computes the scores of the matched layers once more, slowly and allocating.
+/// It computes the scores of the network's layers once more, slowly and allocating.
 #[derive(Clone, Debug)]
 pub struct AttentionProbe {
-    layers: AgentLayers,
+    layers: AttentionLayers,
     features: usize,
 }
 
 impl AttentionProbe {
-    /// Reads an ONNX file; `features` is the number d of columns before the last action's one-hot.
-    pub fn new(onnx: &[u8], features: usize) -> Result<Self, CompileError> {
-        Ok(Self { layers: match_agent(&Graph::read(onnx)?)?, features })
+    /// `features` is the number d of columns before the last action's one-hot.
+    pub fn new(layers: AttentionLayers, features: usize) -> Self {
+        Self { layers, features }
     }
 
     /// Attention heads.
@@ -30,7 +42,7 @@ impl AttentionProbe {
     pub fn weights(&self, observation: &Observation<'_>) -> Result<Vec<f32>, DecideError> {
         let heads = self.heads();
         let own = self.embed(observation, observation.self_index)?;
-        let query = affine(&self.layers.query, &own);
+        let query = self.layers.query.apply(&own);
         let mut weights = Vec::new();
         for entity in observation.visible.iter() {
             let key = self.layers.key.apply(&self.embed(observation, entity)?);
@@ -56,20 +68,8 @@ impl AttentionProbe {
         {
             *one_hot = 1.0;
         }
-        Ok(affine(&self.layers.embed, &input))
+        Ok(self.layers.embed.apply(&input))
     }
-}
-
-/// The layer's output for one input row.
-fn affine(layer: &Layer, input: &[f32]) -> Vec<f32> {
-    let mut output = layer.matrix.apply(input);
-    for (value, bias) in output.iter_mut().zip(&layer.bias) {
-        *value += bias;
-        if layer.relu {
-            *value = value.max(0.0);
-        }
-    }
-    output
 }
 
 fn softmax(scores: Vec<&mut f32>) {
@@ -81,23 +81,14 @@ fn softmax(scores: Vec<&mut f32>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::matching::Matrix;
     use sortie_core::EntityMask;
 
     #[test]
     fn weights_are_the_softmax_of_query_and_key_over_what_is_visible() {
         let identity = || Matrix { inputs: 2, outputs: 2, values: vec![1.0, 0.0, 0.0, 1.0] };
         let layer = || Layer { matrix: identity(), bias: vec![0.0; 2], relu: false };
-        let layers = AgentLayers {
-            embed: layer(),
-            heads: 2,
-            query: layer(),
-            key: identity(),
-            value: identity(),
-            output: layer(),
-            steps: Vec::new(),
-        };
-        let probe = AttentionProbe { layers, features: 2 };
+        let layers = AttentionLayers { embed: layer(), heads: 2, query: layer(), key: identity() };
+        let probe = AttentionProbe::new(layers, 2);
         let mut visible = EntityMask::first(3);
         visible.remove(1);
         let observation = Observation {

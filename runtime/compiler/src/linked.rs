@@ -1,0 +1,125 @@
+//! The engines and the compiler of a program that links this crate.
+
+use std::io;
+use std::path::Path;
+
+use sortie_bundle::{OwnedAllocationState, OwnedObservation};
+use sortie_core::Policy;
+use sortie_core::allocate::TeamValueNetwork;
+use sortie_plans::{
+    Comparison, CompileError, CompileOptions, Compiled, Compiler, Engines, Family, GraphEngine,
+    OnnxRuntimeEngine, OnnxRuntimeError, OwnedEntities, OwnedTeamQuery, ProposalFiles,
+};
+
+use crate::answer::answer_compiler;
+use crate::compile::compile;
+use crate::judge::{Judge, judge_agent, judge_team_values};
+use crate::onnxruntime::{OnnxRuntime, find_library};
+use crate::parity::compare_entities_with_graph;
+use crate::proposals::{compare_proposals_with_graphs, compile_proposals};
+use crate::tract_policy::TractPolicy;
+use crate::tract_team_value::TractTeamValue;
+
+/// tract's version, as the lock file pins it.
+const TRACT_VERSION: &str = "0.23.9";
+
+/// Compiles in this process: for files that it made itself.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct InProcess;
+
+impl Compiler for InProcess {
+    fn compile(&self, onnx: &[u8], options: &CompileOptions) -> Result<Compiled, CompileError> {
+        compile(onnx, options)
+    }
+
+    fn compile_proposals(
+        &self,
+        files: &ProposalFiles<'_>,
+        options: &CompileOptions,
+    ) -> Result<Compiled, CompileError> {
+        compile_proposals(files, options)
+    }
+}
+
+/// All engines of this crate.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct LinkedEngines;
+
+impl Engines for LinkedEngines {
+    fn answer_compiler(&self) -> io::Result<()> {
+        answer_compiler()
+    }
+
+    fn tract(&self) -> &'static dyn GraphEngine {
+        &Tract
+    }
+
+    fn onnxruntime(
+        &self,
+        python: Option<&Path>,
+    ) -> Result<&'static dyn OnnxRuntimeEngine, OnnxRuntimeError> {
+        let library = OnnxRuntime::load(&find_library(python)?)?;
+        Ok(library)
+    }
+
+    fn team_value_columns(&self, onnx: &[u8]) -> Result<(usize, usize), CompileError> {
+        TractTeamValue::new(onnx).map(|network| network.columns())
+    }
+
+    fn compare_entities(
+        &self,
+        plan: &[u8],
+        onnx: &[u8],
+        steps: &[OwnedEntities],
+    ) -> Result<Comparison, CompileError> {
+        compare_entities_with_graph(plan, onnx, steps)
+    }
+
+    fn compare_proposals(
+        &self,
+        plan: &[u8],
+        files: &ProposalFiles<'_>,
+        states: &[OwnedAllocationState],
+        seed: u64,
+    ) -> Result<Comparison, CompileError> {
+        compare_proposals_with_graphs(plan, files, states, seed)
+    }
+}
+
+struct Tract;
+
+impl GraphEngine for Tract {
+    fn name(&self) -> &'static str {
+        Judge::Tract.name()
+    }
+
+    fn version(&self) -> &str {
+        TRACT_VERSION
+    }
+
+    fn policy(&self, onnx: &[u8], features: usize) -> Result<Box<dyn Policy>, CompileError> {
+        Ok(Box::new(TractPolicy::new(onnx, features)?))
+    }
+
+    fn team_value(&self, onnx: &[u8]) -> Result<Box<dyn TeamValueNetwork>, CompileError> {
+        Ok(Box::new(TractTeamValue::new(onnx)?))
+    }
+
+    fn judge_agent(
+        &self,
+        plan: &[u8],
+        onnx: &[u8],
+        families: &[Family<OwnedObservation>],
+    ) -> Result<Vec<Comparison>, CompileError> {
+        judge_agent(plan, onnx, Judge::Tract, families)
+    }
+
+    fn judge_team_values(
+        &self,
+        plan: &[u8],
+        onnx: &[u8],
+        families: &[Family<OwnedTeamQuery>],
+    ) -> Result<Vec<Comparison>, CompileError> {
+        judge_team_values(plan, onnx, Judge::Tract, families)
+    }
+}

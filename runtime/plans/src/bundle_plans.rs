@@ -1,0 +1,268 @@
+//! The plans of a bundle: those that it ships, those that were compiled here before, and new ones.
+
+use std::path::PathBuf;
+
+use sortie_bundle::{AGENT_PLAN, ALLOCATOR_PLAN, Bundle, sha256};
+use sortie_core::limits;
+use sortie_core::plan::{AlignedBytes, Network, Plan, PlanError, Profile};
+
+use crate::cache::{PlanKey, keep, kept};
+use crate::error::CompileError;
+use crate::proof::{prove_agent, prove_allocator};
+use crate::proposal_files::ProposalFiles;
+use crate::report::{CompileOptions, Compiled, VERSION};
+
+/// Makes plans of networks, here or in another process.
+pub trait Compiler {
+    /// Compiles one network and proves the plan against its graph.
+    ///
+    /// # Errors
+    /// The file is no network that plans can express, or the plan differs from its graph.
+    fn compile(&self, onnx: &[u8], options: &CompileOptions) -> Result<Compiled, CompileError>;
+
+    /// The same for the three networks of an allocator that proposes.
+    ///
+    /// # Errors
+    /// As [`Self::compile`].
+    fn compile_proposals(
+        &self,
+        files: &ProposalFiles<'_>,
+        options: &CompileOptions,
+    ) -> Result<Compiled, CompileError>;
+}
+
+/// Finds the plans of bundles, and asks each about the bundle's golden answers before anybody acts by it.
+#[derive(Clone, Debug)]
+pub struct BundlePlans<C> {
+    compiler: C,
+    cache: Option<PathBuf>,
+    note: fn(&str),
+    proves: bool,
+}
+
+/// A plan that is looked for.
+struct Wanted<'a> {
+    bundle: &'a Bundle,
+    /// The file that a bundle ships it in.
+    part: &'static str,
+    network: Network,
+    /// What the plan is known by: the network, or three of them joined.
+    onnx: &'a [u8],
+    profile: Profile,
+    n_max: usize,
+}
+
+impl<C: Compiler> BundlePlans<C> {
+    /// Plans that are not shipped come from `compiler`, and are kept in the folder `cache`, see [`crate::user_cache`].
+    /// `note` gets a line where a plan is passed over.
+    pub fn new(compiler: C, cache: Option<PathBuf>, note: fn(&str)) -> Self {
+        Self { compiler, cache, note, proves: true }
+    }
+
+    /// The same without asking for golden answers: for whoever compares all of them, and tells.
+    pub fn without_proof(self) -> Self {
+        Self { proves: false, ..self }
+    }
+
+    /// The plan of a bundle's agent.
+    ///
+    /// # Errors
+    /// The shipped plan is not of this bundle's network, a new one cannot be compiled, or the golden observations
+    /// get other answers than the recorded ones.
+    pub fn agent(&self, bundle: &Bundle, profile: Profile) -> Result<AlignedBytes, CompileError> {
+        self.find(&Wanted::agent(bundle, profile))
+    }
+
+    /// The plan of a bundle's team-value network, if it has one.
+    ///
+    /// # Errors
+    /// As [`Self::agent`], with golden allocations.
+    pub fn allocator(&self, bundle: &Bundle) -> Result<Option<AlignedBytes>, CompileError> {
+        Wanted::allocator(bundle).map(|wanted| self.find(&wanted)).transpose()
+    }
+
+    /// The plan of a bundle's proposing allocator, if it has one. Bundles record no allocations of such an allocator.
+    ///
+    /// # Errors
+    /// As [`Self::agent`].
+    pub fn proposals(
+        &self,
+        bundle: &Bundle,
+        profile: Profile,
+    ) -> Result<Option<AlignedBytes>, CompileError> {
+        let Some(files) = proposal_files(bundle) else { return Ok(None) };
+        self.find(&Wanted::proposals(bundle, &files.joined(), profile)).map(Some)
+    }
+
+    /// Compiles the plans that a bundle ships, by the names of their parts.
+    ///
+    /// # Errors
+    /// As [`Self::agent`].
+    pub fn shipped(&self, bundle: &Bundle) -> Result<Vec<(&'static str, Vec<u8>)>, CompileError> {
+        let joined = proposal_files(bundle).map(|files| files.joined());
+        let proposals =
+            joined.as_ref().map(|joined| Wanted::proposals(bundle, joined, Profile::Exact));
+        let wanted =
+            [Some(Wanted::agent(bundle, Profile::Exact)), Wanted::allocator(bundle), proposals];
+        let ship = |wanted: Wanted<'_>| {
+            let plan = self.compiled(&wanted)?;
+            self.checked(&wanted, &plan)?;
+            Ok((wanted.part, plan.as_slice().to_vec()))
+        };
+        wanted.into_iter().flatten().map(ship).collect()
+    }
+
+    fn find(&self, wanted: &Wanted<'_>) -> Result<AlignedBytes, CompileError> {
+        if let Some(plan) = self.of_bundle(wanted)? {
+            return Ok(plan);
+        }
+        if let Some(plan) = self.of_cache(wanted) {
+            return Ok(plan);
+        }
+        let plan = self.compiled(wanted)?;
+        self.checked(wanted, &plan)?;
+        // Nowhere is fine too: the next start compiles again.
+        let _ = self.cache.as_ref().map(|cache| keep(cache, &wanted.key(), plan.as_slice()));
+        Ok(plan)
+    }
+
+    /// The plan that the bundle ships, unless it is of another version. What else is wrong with it is an error: its
+    /// hash stands in the bundle, so that it was meant to be this.
+    fn of_bundle(&self, wanted: &Wanted<'_>) -> Result<Option<AlignedBytes>, CompileError> {
+        let shipped = wanted.bundle.part(wanted.part).filter(|_| wanted.profile == Profile::Exact);
+        let Some(plan) = shipped.map(AlignedBytes::copy_of) else { return Ok(None) };
+        match Plan::load(plan.as_slice()) {
+            Err(PlanError::Version { .. }) => {
+                let (name, part) = (wanted.bundle.folder().display(), wanted.part);
+                (self.note)(&format!("{name}: `{part}` is of another version, a plan is compiled"));
+                return Ok(None);
+            }
+            loaded => wanted.check_header(&loaded?)?,
+        }
+        self.checked(wanted, &plan)?;
+        Ok(Some(plan))
+    }
+
+    fn of_cache(&self, wanted: &Wanted<'_>) -> Option<AlignedBytes> {
+        let plan = kept(self.cache.as_ref()?, &wanted.key())?;
+        match self.checked(wanted, &plan) {
+            Ok(()) => Some(plan),
+            Err(error) => {
+                let name = wanted.bundle.folder().display();
+                (self.note)(&format!("{name}: a kept plan is passed over: {error}"));
+                None
+            }
+        }
+    }
+
+    fn compiled(&self, wanted: &Wanted<'_>) -> Result<AlignedBytes, CompileError> {
+        let options = wanted.options();
+        let compiled = match (wanted.network, proposal_files(wanted.bundle)) {
+            (Network::Proposals, Some(files)) => {
+                self.compiler.compile_proposals(&files, &options)?
+            }
+            _ => self.compiler.compile(wanted.onnx, &options)?,
+        };
+        Ok(AlignedBytes::copy_of(&compiled.bytes))
+    }
+
+    /// Whether the plan is of the bundle's sizes, and gives its golden answers.
+    fn checked(&self, wanted: &Wanted<'_>, plan: &AlignedBytes) -> Result<(), CompileError> {
+        let loaded = Plan::load(plan.as_slice())?;
+        wanted.check_sizes(&loaded)?;
+        match wanted.network {
+            Network::Agent if self.proves => prove_agent(loaded, wanted.bundle),
+            Network::TeamValue if self.proves => prove_allocator(loaded, wanted.bundle),
+            _ => Ok(()),
+        }
+    }
+}
+
+impl<'a> Wanted<'a> {
+    fn agent(bundle: &'a Bundle, profile: Profile) -> Self {
+        let (part, network, onnx) = (AGENT_PLAN, Network::Agent, bundle.agent_onnx());
+        Self { bundle, part, network, onnx, profile, n_max: bundle.manifest().limits.n_max.into() }
+    }
+
+    fn allocator(bundle: &'a Bundle) -> Option<Self> {
+        let (part, network, profile) = (ALLOCATOR_PLAN, Network::TeamValue, Profile::Exact);
+        // Several teams are valued together, and every agent is a member of some and a stranger to others: two rows.
+        let n_max = (2 * usize::from(bundle.manifest().limits.n_max)).min(limits::ENTITIES);
+        let onnx = bundle.allocator_onnx()?;
+        Some(Self { bundle, part, network, onnx, profile, n_max })
+    }
+
+    fn proposals(bundle: &'a Bundle, onnx: &'a [u8], profile: Profile) -> Self {
+        let (part, network) = (ALLOCATOR_PLAN, Network::Proposals);
+        Self { bundle, part, network, onnx, profile, n_max: bundle.manifest().limits.n_max.into() }
+    }
+
+    fn key(&self) -> PlanKey<'_> {
+        PlanKey {
+            onnx: self.onnx,
+            profile: self.profile.name(),
+            compiler: VERSION,
+            contract: self.bundle.contract().hash(),
+            n_max: self.n_max,
+            t_max: self.bundle.manifest().limits.t_max,
+        }
+    }
+
+    fn options(&self) -> CompileOptions {
+        let contract = self.bundle.contract();
+        CompileOptions {
+            n_max: self.n_max,
+            profile: self.profile,
+            t_max: self.bundle.manifest().limits.t_max,
+            features: Some(contract.features.into()),
+            contract: Some(contract.hash()),
+            ..CompileOptions::default()
+        }
+    }
+
+    /// Whether a shipped plan was made from this network, under this contract, for so many entities.
+    fn check_header(&self, plan: &Plan<'_>) -> Result<(), CompileError> {
+        let header = plan.header();
+        let reason = if header.source != sha256(self.onnx) {
+            "it was made from another network".to_owned()
+        } else if header.contract != self.bundle.contract().hash() {
+            "it was made for another contract".to_owned()
+        } else if header.profile != Profile::Exact {
+            format!("its profile is {}", header.profile.name())
+        } else if (header.n_max as usize) < self.n_max {
+            format!("it takes {} entities, {} are needed", header.n_max, self.n_max)
+        } else {
+            return Ok(());
+        };
+        Err(CompileError::ForeignPlan { part: self.part.into(), reason })
+    }
+
+    fn check_sizes(&self, plan: &Plan<'_>) -> Result<(), CompileError> {
+        plan.check_network(self.network)?;
+        let (contract, header) = (self.bundle.contract(), plan.header());
+        match self.network {
+            Network::Agent => {
+                // Nobody who runs bundles keeps a state for an agent.
+                same_size("the recurrent state", plan.hidden(), 0)?;
+                same_size("the number of utilities", plan.actions(), contract.actions.into())
+            }
+            Network::Proposals => {
+                let (features, wanted) = (header.features as usize, contract.features.into());
+                same_size("the allocator's number of features", features, wanted)?;
+                let (got, want) = (header.t_max, self.bundle.manifest().limits.t_max);
+                let tasks = "the allocator's number of subtasks";
+                if got < want { same_size(tasks, got.into(), want.into()) } else { Ok(()) }
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+fn same_size(what: &'static str, got: usize, want: usize) -> Result<(), CompileError> {
+    if got == want { Ok(()) } else { Err(CompileError::Size { what: what.into(), got, want }) }
+}
+
+fn proposal_files(bundle: &Bundle) -> Option<ProposalFiles<'_>> {
+    let [trunk, step, critic] = bundle.proposal_graphs()?;
+    Some(ProposalFiles { trunk, step, critic })
+}

@@ -1,0 +1,124 @@
+//! Whether two engines give the same answers.
+
+use serde::Serialize;
+use sortie_bundle::Golden;
+use sortie_core::Policy;
+
+use crate::error::CompileError;
+
+/// Largest error of an f32 plan, see [`Comparison::max_rel_error`].
+pub const TOLERANCE: f32 = 1.0e-5;
+
+/// How far an engine is from the expected answers.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Comparison {
+    /// What was compared, for example `plan against tract`.
+    pub name: String,
+    /// Observations.
+    pub inputs: usize,
+    /// Largest |a - b| / (1 + m) of any utility, with m the largest |b| of its observation.
+    ///
+    /// Rounding grows with the largest numbers of a sum, not with its result: a small utility beside
+    /// large ones carries their error, in the source graph as well.
+    pub max_rel_error: f32,
+    /// Observations for which another action, or another allocation, was chosen.
+    pub action_mismatches: usize,
+    /// Inputs without an answer, as it should be: an engine refuses, its numbers are not finite, or no
+    /// action is available.
+    pub refused: usize,
+    /// Inputs for which only one of both gave an answer, and inputs that should have been refused.
+    pub refusals_differ: usize,
+    /// Inputs that are no numbers, rightly refused, to which the other engine gave finite numbers.
+    pub swallowed: usize,
+    /// Whether differences count: not where products leave the range of f32 in any engine.
+    pub judged: bool,
+    /// The observation with the largest error.
+    #[serde(skip)]
+    pub worst_input: usize,
+}
+
+impl Comparison {
+    /// Nothing compared yet.
+    pub fn new(name: &str) -> Self {
+        Self {
+            name: name.to_owned(),
+            inputs: 0,
+            max_rel_error: 0.0,
+            action_mismatches: 0,
+            refused: 0,
+            refusals_differ: 0,
+            swallowed: 0,
+            judged: true,
+            worst_input: 0,
+        }
+    }
+
+    /// Adds an input that one engine did not answer, or both.
+    pub fn add_refusal(&mut self, agreed: bool) {
+        self.inputs += 1;
+        self.refused += usize::from(agreed);
+        self.refusals_differ += usize::from(!agreed);
+    }
+
+    /// Adds an input that must be refused, whatever the other engine makes of it.
+    pub fn add_no_number(&mut self, refused: bool, other_answers: bool) {
+        self.add_refusal(refused);
+        self.swallowed += usize::from(refused && other_answers);
+    }
+
+    /// Whether nothing counts as a difference, but for other choices: within the tolerance they are near ties.
+    pub fn agrees(&self) -> bool {
+        !self.judged || self.max_rel_error <= TOLERANCE && self.refusals_differ == 0
+    }
+
+    /// Adds answers of both engines.
+    pub fn add(&mut self, got: &[f32], want: &[f32], same_action: bool) {
+        self.add_on_scale(magnitude(want), got, want, same_action);
+    }
+
+    /// Adds utilities from which no action was chosen, by both engines or by one.
+    pub fn add_unchosen(&mut self, got: &[f32], want: &[f32], by_both: bool) {
+        self.add(got, want, true);
+        self.refused += usize::from(by_both);
+        self.refusals_differ += usize::from(!by_both);
+    }
+
+    /// Adds answers whose largest magnitude is known from more than themselves.
+    pub fn add_on_scale(&mut self, largest: f32, got: &[f32], want: &[f32], same_action: bool) {
+        let distance =
+            got.iter().zip(want).map(|(got, want)| (got - want).abs()).fold(0.0, f32::max);
+        let error = distance / (1.0 + largest);
+        if error > self.max_rel_error {
+            (self.max_rel_error, self.worst_input) = (error, self.inputs);
+        }
+        self.inputs += 1;
+        self.action_mismatches += usize::from(!same_action);
+    }
+}
+
+/// The largest magnitude of some values.
+pub fn magnitude(values: &[f32]) -> f32 {
+    values.iter().fold(0.0, |largest: f32, value| largest.max(value.abs()))
+}
+
+/// Compares a policy with recorded answers.
+pub fn compare_with_golden(
+    name: &str,
+    policy: &mut dyn Policy,
+    golden: &Golden,
+) -> Result<Comparison, CompileError> {
+    let mut comparison = Comparison::new(name);
+    let mut got = vec![0.0; policy.actions()];
+    for case in &golden.cases {
+        let view = case.observation.view();
+        policy.utilities(&view, &mut got).map_err(cannot_run)?;
+        let action = policy.decide(&view).map_err(cannot_run)?.action;
+        comparison.add(&got, &case.utilities, action == case.action);
+    }
+    Ok(comparison)
+}
+
+/// Why an engine gave no answer.
+pub fn cannot_run(error: impl std::fmt::Display) -> CompileError {
+    CompileError::Run { reason: error.to_string() }
+}

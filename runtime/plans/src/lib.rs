@@ -1,0 +1,50 @@
+//! The plans of a bundle: found in it or compiled by another process, and proved before they act.
+//!
+//! Nothing here reads ONNX files. [`CompilerProcess`] starts a program that does, with limits; [`BundlePlans`] takes the
+//! plan that a bundle ships, else one that was compiled before, else has it compiled, and asks each about the bundle's
+//! golden observations and allocations. [`Engines`] is what a program has that links engines for ONNX graphs.
+#![forbid(unsafe_code)]
+
+mod agreement;
+mod attention;
+mod bundle_plans;
+mod cache;
+mod comparison;
+mod engines;
+mod error;
+mod facts;
+mod families;
+mod golden_allocations;
+mod layers;
+mod observations;
+mod process;
+mod proof;
+mod proposal_files;
+mod report;
+
+pub use agreement::{
+    Agreement, LEAST_AGREEMENT, LEAST_OBSERVATIONS, Quantised, RECORDED, agreement, quantise,
+};
+pub use attention::{AttentionLayers, AttentionProbe};
+pub use bundle_plans::{BundlePlans, Compiler};
+pub use cache::user_cache;
+pub use comparison::{Comparison, TOLERANCE, cannot_run, compare_with_golden, magnitude};
+pub use engines::{
+    BatchedUtilities, BatchedValues, DrawnProposals, Engines, GraphEngine, OnnxRuntimeEngine,
+    OnnxRuntimeError,
+};
+pub use error::CompileError;
+pub use facts::{OnnxFacts, PlanFacts, inspect_plan};
+pub use families::{
+    Family, ObservationSizes, Rows, Standard, TeamQuerySizes, observation_families,
+    team_query_families,
+};
+pub use golden_allocations::compare_with_golden_allocations;
+pub use layers::{Layer, Matrix};
+pub use observations::{
+    OwnedEntities, OwnedTeamQuery, random_allocation_states, random_entities, random_observations,
+    random_observations_of, random_states, random_team_queries, random_team_queries_of,
+};
+pub use process::{CompilerProcess, Ending, ProcessLimits, Request, read_request};
+pub use proposal_files::ProposalFiles;
+pub use report::{CompileOptions, Compiled, OperatorReport, Report, VERSION, report};

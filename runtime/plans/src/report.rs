@@ -1,0 +1,164 @@
+//! What a compiler is told, and what it tells of the plan that it made.
+
+use serde::{Deserialize, Serialize};
+use sortie_core::limits;
+use sortie_core::ops::{Members, Op, OutputRows};
+use sortie_core::plan::{Profile, Program};
+
+use crate::comparison::Comparison;
+
+/// The compiler's version; a plan of another version is compiled again.
+pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), "-2");
+
+/// What the file alone does not say.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub struct CompileOptions {
+    /// Most visible entities.
+    pub n_max: usize,
+    /// How the plan computes.
+    pub profile: Profile,
+    /// Most subtasks, 0 if none. A network over all entities says itself how many groups it has.
+    pub t_max: u16,
+    /// Features d before the last action's one-hot; none: as the file's metadata says, else all columns.
+    pub features: Option<usize>,
+    /// Hash of the contract; none: as the file's metadata says, else 0.
+    pub contract: Option<u64>,
+    /// Random observations that plan and graph must agree on.
+    pub inputs: usize,
+    /// Seed of the observations.
+    pub seed: u64,
+}
+
+impl Default for CompileOptions {
+    fn default() -> Self {
+        let n_max = 32.min(limits::ENTITIES);
+        let profile = Profile::Exact;
+        Self { n_max, profile, t_max: 0, features: None, contract: None, inputs: 256, seed: 0 }
+    }
+}
+
+/// A plan and what is known about it.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Compiled {
+    /// The plan.
+    pub bytes: Vec<u8>,
+    /// Sizes, work and measured error.
+    pub report: Report,
+}
+
+/// What is known about a plan.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// Bytes of the plan.
+    pub flash_bytes: usize,
+    /// Bytes of arena for one decision.
+    pub arena_bytes: usize,
+    /// Bytes of arena for every further agent of a team that decides together, 0 where agents decide one by one.
+    pub arena_bytes_per_agent: usize,
+    /// Multiply-adds of one decision with all entities visible, zeros not left out.
+    pub macs: usize,
+    /// Largest measured error against the graph, |a - b| / (1 + max |b|).
+    pub max_rel_error: f32,
+    /// Observations for which plan and graph choose differently.
+    pub action_mismatches: usize,
+    /// Observations compared.
+    pub inputs: usize,
+    /// The operators in order.
+    pub operators: Vec<OperatorReport>,
+}
+
+/// One operator of a plan.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct OperatorReport {
+    /// Its kind.
+    pub name: String,
+    /// Its sizes, for people.
+    pub detail: String,
+    /// Its multiply-adds with all entities visible.
+    pub macs: usize,
+}
+
+/// What is known about a plan of this program.
+pub fn report(
+    program: &Program,
+    n_max: usize,
+    flash_bytes: usize,
+    comparison: &Comparison,
+) -> Report {
+    let operators = operators(program, n_max);
+    Report {
+        flash_bytes,
+        arena_bytes: program.arena_bytes() as usize,
+        arena_bytes_per_agent: 4 * program.own_floats().unwrap_or(0) as usize,
+        macs: operators.iter().map(|operator| operator.macs).sum(),
+        max_rel_error: comparison.max_rel_error,
+        action_mismatches: comparison.action_mismatches,
+        inputs: comparison.inputs,
+        operators,
+    }
+}
+
+/// The operators of a program, for reports.
+pub(crate) fn operators(program: &Program, n_max: usize) -> Vec<OperatorReport> {
+    let describe = |op: &Op| OperatorReport {
+        name: op.name().to_owned(),
+        detail: detail(op),
+        macs: op.multiply_adds(n_max),
+    };
+    program.ops.iter().map(describe).collect()
+}
+
+fn detail(op: &Op) -> String {
+    let relu = |relu: bool| if relu { ", relu" } else { "" };
+    match op {
+        Op::EmbedEntities(op) => {
+            format!("[N, {}] -> [N, {}]{}", op.layer.inputs, op.layer.outputs, relu(op.relu))
+        }
+        Op::AttendOwn(op) => {
+            let heads = if op.heads == 1 { "head" } else { "heads" };
+            let (width, outputs) = (op.width, op.output.outputs);
+            format!("[N, {width}] -> [{outputs}], {} {heads}{}", op.heads, relu(op.relu))
+        }
+        Op::Dense(op) => {
+            format!("[{}] -> [{}]{}", op.layer.inputs, op.layer.outputs, relu(op.relu))
+        }
+        Op::Gru(op) => format!("[{}], state [{}]", op.input.inputs, op.size),
+        Op::AttendAll(op) => {
+            let heads = if op.heads == 1 { "head" } else { "heads" };
+            let (width, outputs) = (op.width, op.output.outputs);
+            format!("[N, {width}] -> [N, {outputs}], {} {heads}{}", op.heads, relu(op.relu))
+        }
+        Op::MeanRows(op) => {
+            let whose = if op.members == Members::Agents { "of agents" } else { "of all" };
+            format!("[N, {}] -> [{}], {whose}", op.width, op.width)
+        }
+        Op::GroupSum(op) => format!("[N, {}] -> [{}, {}]", op.width, op.groups, op.width),
+        Op::Output(op) => match op.rows {
+            OutputRows::Entities => format!("[N, {}]", op.width),
+            OutputRows::Groups(groups) => format!("[{groups}, {}]", op.width),
+            _ => format!("[{}]", op.width),
+        },
+        Op::Int8EmbedEntities(op) => {
+            format!("[N, {}] -> [N, {}]{}", op.layer.inputs, op.layer.outputs, relu(op.relu))
+        }
+        Op::Int8AttendOwn(op) => {
+            let heads = if op.heads == 1 { "head" } else { "heads" };
+            let (width, outputs) = (op.width, op.output.outputs);
+            format!("[N, {width}] -> [{outputs}], {} {heads}{}", op.heads, relu(op.relu))
+        }
+        Op::Int8Dense(op) => {
+            format!("[{}] -> [{}]{}", op.layer.inputs, op.layer.outputs, relu(op.relu))
+        }
+        Op::EmbedTasks(op) => {
+            let (features, tasks) = (op.embed.inputs, op.tasks.count);
+            format!("[N, {features}] -> [N, {0}], [{tasks}, {0}]", op.embed.outputs)
+        }
+        Op::PointerLogits(op) => format!("[{}] -> logits of subtasks", op.from_task.inputs),
+        Op::ScoreAllocations(op) => {
+            format!("[N, {}] -> [N, {}] -> value", op.embed.inputs, op.embed.outputs)
+        }
+        Op::MaskedArgmax(op) => format!("[{}] -> action", op.from.len),
+        Op::MaskedSample(op) => format!("[{}] -> drawn action", op.from.len),
+        _ => String::new(),
+    }
+}

@@ -1,0 +1,103 @@
+//! Which plan acts: the one that the bundle ships, without anything that reads ONNX files.
+
+mod support;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use support::{BUNDLE, assert_fails, copied_bundle, json, output, stderr};
+
+/// The program in a folder of its own: `sortie-tract` does not lie beside it.
+struct Alone {
+    folder: tempfile::TempDir,
+}
+
+impl Alone {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let program = folder.path().join("sortie");
+        // A link would be followed to where the other program lies.
+        fs::copy(env!("CARGO_BIN_EXE_sortie"), program).expect("a copy of the program");
+        Self { folder }
+    }
+
+    fn output(&self, arguments: &[&str]) -> Output {
+        let mut command = Command::new(self.folder.path().join("sortie"));
+        command.current_dir(env!("CARGO_MANIFEST_DIR")).args(arguments);
+        // No plan that was compiled before.
+        command.env("XDG_CACHE_HOME", self.folder.path().join("cache"));
+        command.output().expect("the program starts")
+    }
+}
+
+fn without_plans() -> (tempfile::TempDir, PathBuf) {
+    let folder = copied_bundle();
+    let manifest = folder.path().join("bundle.toml");
+    let text = fs::read_to_string(&manifest).expect("the manifest");
+    let is_plan = |line: &&str| line.contains(".plan\" = ");
+    assert_eq!(text.lines().filter(is_plan).count(), 2, "{text}");
+    let kept: Vec<&str> = text.lines().filter(|line| !is_plan(line)).collect();
+    fs::write(&manifest, kept.join("\n")).expect("a manifest without plans");
+    let path = folder.path().to_owned();
+    (folder, path)
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().expect("a readable path")
+}
+
+#[test]
+fn a_shipped_team_acts_where_nothing_reads_onnx_files() {
+    let alone = Alone::new();
+    let played = ["--episodes", "1", "--json"];
+    for verb in [&["run", BUNDLE, "--in-process"][..], &["eval", BUNDLE]] {
+        let output = alone.output(&[verb, &played].concat());
+        assert!(output.status.success(), "{}", stderr(&output));
+        assert_eq!(stderr(&output), "");
+    }
+}
+
+#[test]
+fn what_reads_onnx_files_is_missed_by_name_and_the_command_that_makes_it() {
+    let alone = Alone::new();
+    let (_folder, bundle) = without_plans();
+    let onnx = format!("{BUNDLE}/agent.onnx");
+    for arguments in [
+        &["verify", BUNDLE][..],
+        &["run", BUNDLE, "--backend", "tract"],
+        &["compile", &onnx, "-o", "/nowhere/agent.plan"],
+        &["run", text(&bundle)],
+    ] {
+        let words = ["sortie-tract", "missing", "cargo build", "-p sortie-tract"];
+        assert_fails(&alone.output(arguments), 69, &words);
+    }
+}
+
+#[test]
+fn a_bundle_without_plans_plays_as_one_with_plans() {
+    let (_folder, bundle) = without_plans();
+    let played = |bundle: &str| json(&["eval", bundle, "--episodes", "5", "--json"]);
+    let (with, without) = (played(BUNDLE), played(text(&bundle)));
+    assert_eq!(with["return_mean"], without["return_mean"]);
+}
+
+#[test]
+fn compiling_a_bundle_gives_it_the_plans_that_were_shipped() {
+    let (folder, bundle) = without_plans();
+    let written = folder.path().join("written");
+    let report = json(&["compile", text(&bundle), "-o", text(&written), "--json"]);
+    let shipped = json(&["inspect", BUNDLE, "--json"]);
+    assert_eq!(report["sha256"], shipped["sha256"]);
+}
+
+#[test]
+fn a_changed_plan_never_acts() {
+    let folder = copied_bundle();
+    let plan = folder.path().join("agent.plan");
+    let mut bytes = fs::read(&plan).expect("the plan");
+    *bytes.last_mut().expect("weights") ^= 1;
+    fs::write(&plan, bytes).expect("another plan");
+    let words = ["agent.plan", "SHA-256"];
+    assert_fails(&output(&["run", text(folder.path())]), 65, &words);
+}
