@@ -347,12 +347,12 @@ mod tests {
             "domain `facts` runs another contract: here 0000000000000008, there \
              0000000000000007; `actions` is 5 here, 4 there"
         );
+        assert_eq!(error.exit_code(), 78);
         // What a network takes may be the same where the world is another.
         let mut elsewhere = contract(7, 4);
         elsewhere.fields.insert("environment".into(), "harbour".into());
         let error = facts.check(&domain, &elsewhere).unwrap_err().to_string();
         assert!(error.ends_with("`environment` is \"harbour\" here, \"city\" there"), "{error}");
-        assert_eq!(error.exit_code(), 78);
     }
 
     #[test]
