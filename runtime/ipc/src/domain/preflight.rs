@@ -200,6 +200,26 @@ mod tests {
     }
 
     #[test]
+    fn refuses_a_folder_of_all_domains_that_others_prepared() {
+        let place = tempfile::tempdir_in(SHARED_MEMORY).unwrap();
+        let uid = rustix::process::getuid().as_raw();
+        let parent = place.path().join(format!("sortie-{uid}"));
+        let domain = Domain::under(&parent, "team").unwrap();
+        create_directory(&domain).unwrap();
+        assert_eq!(parent.metadata().unwrap().mode() & OTHERS, 0);
+        fs::set_permissions(&parent, fs::Permissions::from_mode(0o1777)).unwrap();
+        let refused = check_ownership(&domain).unwrap_err().to_string();
+        let name = format!("sortie-{uid}: is open to other users");
+        assert!(refused.contains(&name), "{refused}");
+        fs::remove_dir_all(&parent).unwrap();
+        let elsewhere = place.path().join("elsewhere");
+        fs::create_dir(&elsewhere).unwrap();
+        std::os::unix::fs::symlink(&elsewhere, &parent).unwrap();
+        let refused = create_directory(&domain).unwrap_err().to_string();
+        assert!(refused.contains("have it removed"), "{refused}");
+    }
+
+    #[test]
     fn names_what_is_full() {
         assert!(check_not_full(Path::new(SHARED_MEMORY)).is_ok());
         let error = check_not_full(Path::new("/proc")).unwrap_err();
