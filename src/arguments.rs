@@ -10,9 +10,9 @@ use crate::{
 };
 
 const EXIT_CODES: &str = "\
-Exit codes: 0 done, 1 a check found a difference, 2 wrong use, 65 bad data, 66 file missing,
-69 something needed is not running, 70 a fault of this program, 74 input or output failed,
-75 busy (another instance), 77 not permitted, 78 contract or version do not fit, 130 interrupted,
+Exit codes: 0 done, 1 a check found a difference, 2 wrong use, 3 training diverged, 65 bad data,
+66 file missing, 69 something needed is not running, 70 a fault of this program,
+74 input or output failed, 75 busy (another instance), 77 not permitted, 78 contract or version do not fit, 130 interrupted,
 141 the reader of standard output has gone.";
 
 /// Teams of learned agents, from training to deployment.

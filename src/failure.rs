@@ -15,6 +15,8 @@ pub(crate) enum Exit {
     Difference = 1,
     /// The command line itself is wrong.
     Usage = 2,
+    /// Training has left the numbers: a loss is not finite.
+    Diverged = 3,
     /// A file's content is broken.
     BadData = 65,
     /// A file is missing.
@@ -50,10 +52,11 @@ pub(crate) type Outcome = Result<(), Failure>;
 
 impl Exit {
     /// The exit code of another crate's error, which uses the same numbers.
-    fn from_code(code: u8) -> Self {
+    pub(crate) fn from_code(code: u8) -> Self {
         let known = [
             Self::Difference,
             Self::Usage,
+            Self::Diverged,
             Self::BadData,
             Self::Missing,
             Self::NotRunning,
@@ -114,12 +117,15 @@ impl From<BundleError> for Failure {
 impl From<LearnError> for Failure {
     fn from(error: LearnError) -> Self {
         let exit = match &error {
-            LearnError::Config(_) => Exit::Usage,
+            LearnError::Config(_) | LearnError::Taken { .. } => Exit::Usage,
+            LearnError::Busy { .. } => Exit::Busy,
+            LearnError::Diverged { .. } => Exit::Diverged,
             LearnError::File { source, .. } if source.kind() == ErrorKind::NotFound => {
                 Exit::Missing
             }
             LearnError::File { .. } => Exit::InputOutput,
             LearnError::Format { .. } => Exit::BadData,
+            LearnError::Environment(_) => Exit::Usage,
             _ => Exit::Bug,
         };
         Self::new(exit, error.to_string())

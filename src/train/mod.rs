@@ -1,30 +1,35 @@
 //! `sortie train`: learns a team and writes a run that can be watched, resumed and exported.
 
+mod configuration;
 mod reporter;
 mod seeds;
 
-use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
+use std::thread;
+use std::time::{Duration, Instant};
 
 use clap::{Args, ValueEnum};
+use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
+use sortie_ipc::Stop;
 use sortie_learn::LearnError;
 use sortie_learn::methods::Trainer;
-use sortie_learn::methods::alma::{Conditioning, MixerKind};
-use sortie_learn::methods::paper;
-use sortie_learn::run::{Outcome as Ending, Settings};
+use sortie_learn::run::{Outcome as Ending, prolong, read_description};
 
 use crate::arguments::{Allocation, Common};
-use crate::environment::ScenarioSetName;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::output::{self, say, warn_of_refused};
 use crate::signals::stop_on_signals;
+use configuration::configuration;
 use reporter::Reporter;
 use seeds::SeedRange;
 
 /// Learn a team's policy and write the run to a folder
 ///
 /// Agents and allocator are learned together. The folder gets `train.toml` (the resolved configuration), `curve.json`,
-/// `curve.csv`, `curve.svg`, an event file for TensorBoard, checkpoints and, at the end, `result.json`. Ctrl-C writes a checkpoint and stops; `--resume` goes on as if nothing had happened. The same seed gives the same weights.
+/// `curve.csv`, `curve.svg`, an event file for TensorBoard, checkpoints and, at the end, `result.json`. Ctrl-C writes a
+/// checkpoint and stops; `--resume` goes on as if nothing had happened, also after `kill -9`. The same seed gives the
+/// same weights. Output that cannot be written ends no training.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   sortie train alma --out runs/first
@@ -34,7 +39,8 @@ use seeds::SeedRange;
   sortie train flat --out runs/flat
   sortie train alma --preset paper --out runs/paper
   sortie train copa --preset paper --out runs/copa
-  sortie train alma --resume runs/first")]
+  sortie train alma --resume runs/first
+  sortie train alma --resume runs/first --steps 1200000")]
 pub(crate) struct TrainArguments {
     /// The algorithm
     #[arg(value_enum)]
@@ -60,7 +66,7 @@ pub(crate) struct TrainArguments {
     /// How the utilities of a team become its value [default: as the configuration says]
     #[arg(long, value_enum)]
     mixer: Option<Mixer>,
-    /// Environment steps to learn for [default: as the configuration says]
+    /// Environment steps to learn for, with --resume more than before [default: as the configuration says]
     #[arg(long)]
     steps: Option<u64>,
     /// One run per seed, A and B included: folders DIR-sA to DIR-sB, as many at a time as there are
@@ -74,8 +80,11 @@ pub(crate) struct TrainArguments {
     #[arg(long, value_name = "DIR", required_unless_present = "resume")]
     out: Option<PathBuf>,
     /// Folder of a run to go on with, as it was configured
-    #[arg(long, value_name = "DIR", conflicts_with_all = ["out", "config", "assignments", "allocation", "no_mask", "mixer", "steps", "env"])]
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["out", "preset", "config", "assignments", "allocation", "no_mask", "mixer", "env", "seed"])]
     resume: Option<PathBuf>,
+    /// The process of the sweep that this run is part of, without which it stops
+    #[arg(long, value_name = "PID", hide = true)]
+    sweep: Option<u32>,
     #[command(flatten)]
     common: Common,
 }
@@ -101,9 +110,26 @@ enum Mixer {
     Qmix,
 }
 
+impl Method {
+    /// As `train.toml` has it.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Alma => "alma",
+            Self::Flat => "flat",
+            Self::Copa => "copa",
+        }
+    }
+}
+
+/// How long a seed of a sweep waits for a run that is being stopped: that of a sweep that was killed.
+const PATIENCE: Duration = Duration::from_secs(10);
+
 pub(crate) fn run(arguments: &TrainArguments) -> Outcome {
     output::may_be_lost();
     let stop = stop_on_signals()?;
+    if let Some(sweep) = arguments.sweep {
+        stop_without(sweep, &stop)?;
+    }
     if let (Some(seeds), Some(out)) = (arguments.seeds, &arguments.out) {
         let config = configuration(arguments)?;
         let threads = arguments.threads.unwrap_or(1);
@@ -112,19 +138,20 @@ pub(crate) fn run(arguments: &TrainArguments) -> Outcome {
     let (mut trainer, folder) = trainer(arguments)?;
     warn_of_refused(trainer.refused());
     let mut reporter = Reporter::new(&trainer, arguments.common);
-    let ending = trainer.run(&mut reporter, stop.flag())?;
-    reporter.finish();
-    match ending {
+    let ending = trainer.run(&mut reporter, stop.flag());
+    drop(reporter);
+    let method = arguments.method.name();
+    match ending? {
+        Ending::Stopped if arguments.sweep.is_some() => Err(Failure::new(Exit::Interrupted, "")),
         Ending::Stopped => Err(Failure::new(
             Exit::Interrupted,
-            format!("stopped; go on with `sortie train alma --resume {}`", folder.display()),
+            format!("stopped; go on with `sortie train {method} --resume {}`", folder.display()),
         )),
         Ending::Finished => {
             if !arguments.common.json && !arguments.common.quiet {
                 let folder = folder.display();
-                say!(
-                    "done; evaluate with `sortie eval {folder}`, deploy with `sortie export {folder} --out BUNDLE`"
-                );
+                say!("done; evaluate it: sortie eval {folder}");
+                say!("      deploy it:   sortie export {folder} --out BUNDLE");
             }
             Ok(())
         }
@@ -132,13 +159,50 @@ pub(crate) fn run(arguments: &TrainArguments) -> Outcome {
 }
 
 fn trainer(arguments: &TrainArguments) -> Result<(Trainer, PathBuf), Failure> {
-    if let Some(folder) = &arguments.resume {
-        return Ok((Trainer::resume(folder, arguments.threads)?, folder.clone()));
+    let Some(folder) = &arguments.resume else {
+        let folder = arguments.out.clone().unwrap_or_default();
+        let threads = arguments.threads.unwrap_or(cores());
+        let config = configuration(arguments)?;
+        return Ok((Trainer::new(config, arguments.common.seed, threads, &folder)?, folder));
+    };
+    check_method(arguments.method, folder)?;
+    if let Some(steps) = arguments.steps {
+        prolong(folder, steps)?;
     }
-    let folder = arguments.out.clone().unwrap_or_default();
-    let threads = arguments.threads.unwrap_or(cores());
-    let config = configuration(arguments)?;
-    Ok((Trainer::new(config, arguments.common.seed, threads, &folder)?, folder))
+    let patience = if arguments.sweep.is_some() { PATIENCE } else { Duration::ZERO };
+    let since = Instant::now();
+    loop {
+        match Trainer::resume(folder, arguments.threads) {
+            Err(LearnError::Busy { .. }) if since.elapsed() < patience => {
+                thread::sleep(Duration::from_millis(50));
+            }
+            trainer => return Ok((trainer?, folder.clone())),
+        }
+    }
+}
+
+/// Refuses to go on with a run of another method.
+fn check_method(method: Method, folder: &Path) -> Outcome {
+    let learned = read_description(folder)?.method;
+    if learned == method.name() {
+        return Ok(());
+    }
+    let (folder, asked) = (folder.display(), method.name());
+    let reason = format!(
+        "{folder} learns by `{learned}`, not by `{asked}`: `sortie train {learned} --resume {folder}`"
+    );
+    Err(Failure::new(Exit::Usage, reason))
+}
+
+/// Stops this run when the process of its sweep dies.
+fn stop_without(sweep: u32, stop: &Stop) -> Outcome {
+    set_parent_process_death_signal(Some(Signal::INT))
+        .map_err(|error| Failure::new(Exit::InputOutput, format!("prctl: {error}")))?;
+    // It may have died before.
+    if getppid().map(Pid::as_raw_nonzero).is_none_or(|parent| parent.get() as u32 != sweep) {
+        stop.flag().store(true, Ordering::Relaxed);
+    }
+    Ok(())
 }
 
 fn cores() -> usize {
@@ -150,104 +214,4 @@ fn threads(text: &str) -> Result<usize, String> {
         Ok(threads) if (1..=1024).contains(&threads) => Ok(threads),
         _ => Err("expected a number of threads from 1 to 1024".to_string()),
     }
-}
-
-fn configuration(arguments: &TrainArguments) -> Result<Settings, Failure> {
-    let mut settings = match &arguments.config {
-        Some(path) => configuration_file(path)?,
-        None if arguments.method == Method::Copa && arguments.preset == "fast" => {
-            Settings::Windows(paper::Config::like_fast())
-        }
-        None => Settings::preset(&arguments.preset).map_err(usage)?,
-    };
-    if let Some(name) = &arguments.env {
-        settings.environment_mut().set = ScenarioSetName::parse(name)?.set().to_string();
-    }
-    if let Some(allocation) = arguments.allocation {
-        allocate_by(&mut settings, allocation);
-    }
-    if let Some(mixer) = arguments.mixer {
-        mix_by(&mut settings, mixer)?;
-    }
-    match arguments.method {
-        Method::Alma if arguments.no_mask => *settings.subtask_mut() = Conditioning::Input,
-        Method::Alma => {}
-        Method::Flat | Method::Copa if arguments.no_mask || arguments.allocation.is_some() => {
-            let reason = "`flat` and `copa` have no subtasks: drop `--no-mask` and `--allocation`";
-            return Err(Failure::new(Exit::Usage, reason.to_string()));
-        }
-        Method::Flat => {
-            *settings.subtask_mut() = Conditioning::None;
-            if let Settings::Windows(config) = &mut settings {
-                config.coach.enabled = false;
-            }
-        }
-        Method::Copa => enable_coach(&mut settings)?,
-    }
-    if let Some(steps) = arguments.steps {
-        settings.run_mut().steps = steps;
-    }
-    for assignment in &arguments.assignments {
-        settings.set(assignment).map_err(usage)?;
-    }
-    Ok(settings)
-}
-
-/// Has a rule allocate in the place of a learned allocator.
-fn allocate_by(settings: &mut Settings, allocation: Allocation) {
-    match settings {
-        Settings::Records(config) => {
-            let weight = |rule| f64::from(u8::from(rule == allocation));
-            config.allocation.learned = 0.0;
-            config.allocation.coordinated = weight(Allocation::Coordinated);
-            config.allocation.heuristic = weight(Allocation::Heuristic);
-            config.allocation.random = weight(Allocation::Random);
-        }
-        Settings::Windows(config) => {
-            let rule = match allocation {
-                Allocation::Coordinated => "coordinated",
-                Allocation::Heuristic => "heuristic",
-                Allocation::Random => "random",
-            };
-            config.allocation.by = rule.to_owned();
-        }
-    }
-}
-
-/// Has a coach tell flat agents strategies.
-fn enable_coach(settings: &mut Settings) -> Outcome {
-    let Settings::Windows(config) = settings else {
-        let reason =
-            "`copa` learns from windows: give a configuration with `learner = \"windows\"`";
-        return Err(Failure::new(Exit::Usage, reason.to_string()));
-    };
-    config.enable_coach();
-    Ok(())
-}
-
-fn mix_by(settings: &mut Settings, mixer: Mixer) -> Result<(), Failure> {
-    let kind = match mixer {
-        Mixer::Sum => MixerKind::Sum,
-        Mixer::Linear => MixerKind::Linear,
-        Mixer::Qmix => MixerKind::Qmix,
-    };
-    match settings {
-        Settings::Records(config) => config.mixer.kind = kind,
-        Settings::Windows(_) if kind == MixerKind::Qmix => {}
-        Settings::Windows(_) => {
-            let reason = "the preset `paper` mixes by `qmix` only";
-            return Err(Failure::new(Exit::Usage, reason.to_string()));
-        }
-    }
-    Ok(())
-}
-
-fn configuration_file(path: &Path) -> Result<Settings, Failure> {
-    let text = fs::read_to_string(path).map_err(|error| Failure::file(path, &error))?;
-    Settings::from_toml(&text)
-        .map_err(|error| Failure::new(Exit::BadData, format!("{}: {error}", path.display())))
-}
-
-fn usage(error: LearnError) -> Failure {
-    Failure::new(Exit::Usage, error.to_string())
 }

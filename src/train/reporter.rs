@@ -1,12 +1,12 @@
 //! What a person or a script sees of a run while it learns.
 
 use console::Term;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::{HumanCount, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use sortie_learn::methods::Trainer;
-use sortie_learn::run::{CurvePoint, Observer, Progress, RunResult};
+use sortie_learn::run::{CurvePoint, Observer, Progress, RunResult, TrainingPoint};
 
 use crate::arguments::Common;
-use crate::output::{print_json, say};
+use crate::output::{print_json, say, tell};
 use crate::terminal_curve::terminal_curve;
 
 /// Lines of the curve below the progress bar.
@@ -15,8 +15,12 @@ const CURVE_HEIGHT: usize = 11;
 /// Shows a run while it learns.
 pub(super) struct Reporter {
     bar: ProgressBar,
+    /// How training itself went lately.
+    training: Option<TrainingPoint>,
     /// Environment steps and success of the evaluations up to now.
     curve: Vec<(f64, f64)>,
+    /// Updates of the allocator up to the last evaluation.
+    allocator_updates: u64,
     common: Common,
 }
 
@@ -27,32 +31,73 @@ impl Reporter {
             if hidden { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
         let bar = ProgressBar::with_draw_target(Some(trainer.steps()), target);
         let style = ProgressStyle::with_template(
-            "{bar:30} {percent:>3} % of {human_len} steps, {eta} left, {msg}",
+            "{bar:20} {percent:>3} % of {human_len} steps, {eta} left\n{msg}",
         );
         bar.set_style(style.expect("the template is a constant"));
         bar.set_position(trainer.env_steps());
         bar.reset_eta();
         let curve = trainer.curve().iter().map(place).collect();
-        let reporter = Self { bar, curve, common };
-        reporter.show_curve();
+        let allocator_updates = trainer.curve().last().map_or(0, |point| point.allocator_updates);
+        let reporter = Self { bar, training: None, curve, allocator_updates, common };
+        if !hidden {
+            tell_of_allocator(trainer);
+        }
+        reporter.show();
         reporter
     }
 
-    /// Puts the newest success beside the progress bar and the curve below it.
-    fn show_curve(&self) {
-        let Some((_, success)) = self.curve.last() else {
-            self.bar.set_message("success not measured yet");
-            return;
+    /// Shows the newest figures and the curve below them.
+    fn show(&self) {
+        let figure = |name: &str, value: Option<f64>, digits: usize| {
+            value.map(|value| format!("{name} {value:.digits$}"))
         };
-        let width = usize::from(Term::stderr().size().1);
-        let mut lines = vec![format!("success {success:.3}")];
-        lines.extend(terminal_curve(&self.curve, width, CURVE_HEIGHT));
+        let training = self.training.as_ref();
+        let success = self.curve.last();
+        let figures = [
+            training.map(|point| format!("{:.0} steps/s", point.steps_per_second)),
+            training.and_then(|point| figure("return", point.return_mean, 2)),
+            training.and_then(|point| figure("loss", point.loss, 4)),
+            training.and_then(|point| figure("allocator's loss", point.allocator_loss, 4)),
+            success.map(|(_, success)| format!("success {success:.3}")),
+        ];
+        let mut lines = vec![figures.into_iter().flatten().collect::<Vec<_>>().join("  ")];
+        if success.is_some() {
+            let width = usize::from(Term::stderr().size().1);
+            lines.extend(terminal_curve(&self.curve, width, CURVE_HEIGHT));
+        }
         self.bar.set_message(lines.join("\n"));
     }
 
-    /// Clears the progress bar.
-    pub(super) fn finish(&self) {
+    /// An evaluation on one line of at most 80 columns.
+    fn line(&self, point: &CurvePoint) -> String {
+        let CurvePoint { env_steps, wall_s, success, timeouts, loss, allocator_loss, .. } = point;
+        let losses = if point.updates == 0 {
+            "nothing learned yet".to_owned()
+        } else if point.allocator_updates == self.allocator_updates {
+            format!("loss {loss:.4}")
+        } else {
+            format!("losses {loss:.3}, {allocator_loss:.3}")
+        };
+        format!(
+            "{env_steps:>8} steps  {wall_s:>5.0} s  success {success:.3}  time-outs {timeouts:.3}  {losses}"
+        )
+    }
+}
+
+impl Drop for Reporter {
+    fn drop(&mut self) {
         self.bar.finish_and_clear();
+    }
+}
+
+/// Says when a learned allocator begins its work, of which a short run sees little.
+fn tell_of_allocator(trainer: &Trainer) {
+    let Some([learns, decides]) = trainer.allocator_steps() else { return };
+    let (learns, decides) = (HumanCount(learns), HumanCount(decides));
+    tell!("the allocator learns from step {learns} on and decides from step {decides} on");
+    if decides.0 >= trainer.steps() {
+        let steps = HumanCount(trainer.steps());
+        tell!("warning: this run ends at step {steps}: its allocator will never have decided");
     }
 }
 
@@ -65,24 +110,23 @@ impl Observer for Reporter {
         self.bar.set_position(progress.env_steps);
     }
 
+    fn trained(&mut self, point: &TrainingPoint) {
+        self.training = Some(*point);
+        if !self.bar.is_hidden() {
+            self.show();
+        }
+    }
+
     fn evaluated(&mut self, point: &CurvePoint) {
         self.curve.push(place(point));
-        self.show_curve();
+        self.show();
         if self.common.json {
             print_json(point);
         } else if !self.common.quiet {
-            let line = format!(
-                "{:>9} steps  {:>6.0} s  {:>6.0} CPU s  success {:.3}  time-outs {:.3}  loss {:.4}  allocator {:.4}",
-                point.env_steps,
-                point.wall_s,
-                point.cpu_s,
-                point.success,
-                point.timeouts,
-                point.loss,
-                point.allocator_loss
-            );
+            let line = self.line(point);
             self.bar.suspend(|| say!("{line}"));
         }
+        self.allocator_updates = point.allocator_updates;
     }
 
     fn finished(&mut self, result: &RunResult) {

@@ -4,7 +4,7 @@ use std::fs;
 use std::io::{BufRead, BufReader};
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStdout, Command, Stdio};
+use std::process::{Child, ChildStderr, ChildStdout, Command, Stdio};
 use std::str::FromStr;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread;
@@ -14,13 +14,14 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{Pid, PidfdFlags, Signal, pidfd_open, pidfd_send_signal};
 use serde::Serialize;
 use serde_json::Value;
+use sortie_bundle::files::{Durability, replace_file};
 use sortie_ipc::Stop;
-use sortie_learn::run::{Configuration, Settings};
+use sortie_learn::run::{Configuration, Difference, Settings, read_description};
 
 use super::cores;
 use crate::arguments::Common;
 use crate::failure::{Exit, Failure, Outcome};
-use crate::output::{Table, print_json};
+use crate::output::{Table, plural, print_json, tell};
 
 /// Seeds from the first to the last, both included.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,7 +61,7 @@ struct Summary {
     runs: Vec<Finished>,
 }
 
-/// Runs all seeds; those that are finished already are only read.
+/// Runs all seeds; those that are finished already are only read. A seed that fails stops no other.
 pub(super) fn run(
     seeds: SeedRange,
     config: &Settings,
@@ -69,34 +70,50 @@ pub(super) fn run(
     common: Common,
     stop: &Stop,
 ) -> Outcome {
-    let sweep = Sweep::new(config, threads, out, common)?;
+    let sweep = Sweep::new(config, threads, out, common);
+    for seed in seeds.first..=seeds.last {
+        sweep.check(seed)?;
+    }
+    sweep.write_configuration()?;
     let next = AtomicU64::new(seeds.first);
     let worker = || {
-        let mut finished = Vec::new();
+        let mut ended = Vec::new();
         loop {
             let seed = next.fetch_add(1, Ordering::Relaxed);
             if seed > seeds.last || stop.flag().load(Ordering::Relaxed) {
-                return Ok(finished);
+                return ended;
             }
-            finished.push(sweep.run(seed, stop)?);
+            ended.push((seed, sweep.run(seed, stop)));
         }
     };
-    let results: Vec<Result<Vec<Finished>, Failure>> = thread::scope(|scope| {
+    let ended = thread::scope(|scope| {
         let workers = (0..(cores() / threads).max(1)).map(|_| scope.spawn(worker));
         let workers: Vec<_> = workers.collect();
-        workers.into_iter().map(|worker| worker.join().unwrap_or_else(|_| Err(died()))).collect()
-    });
-    let mut runs = Vec::new();
-    for result in results {
-        runs.extend(result?);
-    }
-    runs.sort_by_key(|run| run.seed);
+        let join = |worker: thread::ScopedJoinHandle<'_, _>| worker.join().map_err(|_| died());
+        workers.into_iter().map(join).collect::<Result<Vec<Vec<_>>, Failure>>()
+    })?;
+    let mut ended: Vec<_> = ended.into_iter().flatten().collect();
+    ended.sort_by_key(|(seed, _)| *seed);
     if stop.flag().load(Ordering::Relaxed) {
         let again = "stopped; the same command again goes on with what is unfinished";
         return Err(Failure::new(Exit::Interrupted, again));
     }
-    print(&Summary::new(runs), common);
+    print(&Summary::new(successes(ended)?), common);
     Ok(())
+}
+
+/// All runs, or the first failure of a seed and how many others failed.
+fn successes(ended: Vec<(u64, Result<Finished, Failure>)>) -> Result<Vec<Finished>, Failure> {
+    let failures = ended.iter().filter(|(_, run)| run.is_err()).count();
+    let runs = ended.into_iter().map(|(_, run)| run).collect::<Result<Vec<_>, _>>();
+    runs.map_err(|failure| match failures {
+        1 => failure,
+        _ => {
+            let message =
+                format!("{}; {} more failed", failure.message, plural(failures - 1, "seed"));
+            Failure { message, ..failure }
+        }
+    })
 }
 
 fn died() -> Failure {
@@ -104,39 +121,83 @@ fn died() -> Failure {
 }
 
 /// What the runs of all seeds have in common.
-struct Sweep {
-    out: PathBuf,
-    config: PathBuf,
+struct Sweep<'a> {
+    out: &'a Path,
+    config: &'a Settings,
     threads: usize,
-    steps: u64,
     common: Common,
     bars: MultiProgress,
 }
 
-impl Sweep {
-    /// Writes the configuration beside the runs, for all of them to read.
-    fn new(config: &Settings, threads: usize, out: &Path, common: Common) -> Result<Self, Failure> {
-        let path = suffixed(out, ".toml");
-        if let Some(parent) = out.parent() {
-            fs::create_dir_all(parent).map_err(|error| Failure::file(parent, &error))?;
-        }
-        fs::write(&path, config.to_toml()?).map_err(|error| Failure::file(&path, &error))?;
+impl<'a> Sweep<'a> {
+    fn new(config: &'a Settings, threads: usize, out: &'a Path, common: Common) -> Self {
         let hidden = common.json || common.quiet;
         let target =
             if hidden { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
-        Ok(Self {
-            out: out.to_owned(),
-            config: path,
-            threads,
-            steps: config.run().steps,
-            common,
-            bars: MultiProgress::with_draw_target(target),
-        })
+        Self { out, config, threads, common, bars: MultiProgress::with_draw_target(target) }
+    }
+
+    /// Refuses a seed whose folder holds a run of another configuration, finished or not.
+    fn check(&self, seed: u64) -> Outcome {
+        let folder = self.folder(seed);
+        if !folder.join("train.toml").exists() {
+            return Ok(());
+        }
+        let found = read_description(&folder)?;
+        let (method, place) = (self.config.method(), folder.display());
+        let other = |key: &str, there: &str, here: &str| {
+            let reason = format!(
+                "{place} has `{key}` = {there}, this sweep {here}: repeat what began it, or choose another --out"
+            );
+            Err(Failure::new(Exit::Usage, reason))
+        };
+        if found.method != method {
+            return other("method", &found.method, method);
+        }
+        if found.seed != seed {
+            return other("seed", &found.seed.to_string(), &seed.to_string());
+        }
+        match self.config.difference(&found.config)? {
+            Some(Difference { key, ours, theirs }) => other(&key, &theirs, &ours),
+            None => Ok(()),
+        }
+    }
+
+    /// Writes the configuration beside the runs, for all of them to read.
+    fn write_configuration(&self) -> Outcome {
+        let path = self.configuration_path();
+        if let Some(parent) = self.out.parent() {
+            fs::create_dir_all(parent).map_err(|error| Failure::file(parent, &error))?;
+        }
+        if !path.exists() {
+            let text = self.config.to_toml()?;
+            return replace_file(&path, text.as_bytes(), Durability::Forced)
+                .map_err(|error| Failure::file(&path, &error));
+        }
+        let text = fs::read_to_string(&path).map_err(|error| Failure::file(&path, &error))?;
+        let found = Settings::from_toml(&text)
+            .map_err(|error| Failure::from(error).within(path.display()))?;
+        let Some(Difference { key, ours, theirs }) = self.config.difference(&found)? else {
+            return Ok(());
+        };
+        let reason = format!(
+            "{} has `{key}` = {theirs}, this sweep {ours}: remove it, or choose another --out",
+            path.display()
+        );
+        Err(Failure::new(Exit::Usage, reason))
+    }
+
+    fn configuration_path(&self) -> PathBuf {
+        suffixed(self.out, ".toml")
+    }
+
+    fn folder(&self, seed: u64) -> PathBuf {
+        suffixed(self.out, &format!("-s{seed}"))
     }
 
     /// Runs one seed, or goes on with it, or reads how it ended.
     fn run(&self, seed: u64, stop: &Stop) -> Result<Finished, Failure> {
-        let folder = suffixed(&self.out, &format!("-s{seed}"));
+        let folder = self.folder(seed);
         if !folder.join("result.json").exists() {
             self.learn(seed, &folder, stop)?;
         }
@@ -145,39 +206,60 @@ impl Sweep {
     }
 
     fn learn(&self, seed: u64, folder: &Path, stop: &Stop) -> Outcome {
-        let bug = |error: std::io::Error| Failure::new(Exit::InputOutput, error.to_string());
-        let mut child = self.command(seed, folder).spawn().map_err(bug)?;
-        let output = child.stdout.take();
-        let bar = self.bars.add(bar(self.steps, seed));
-        thread::scope(|scope| {
+        let failed = |error: std::io::Error| Failure::new(Exit::InputOutput, error.to_string());
+        let mut child = self.command(seed, folder).spawn().map_err(failed)?;
+        let (output, words) = (child.stdout.take(), child.stderr.take());
+        let bar = self.bars.add(bar(self.config.run().steps, seed));
+        let error = thread::scope(|scope| {
             scope.spawn(|| forward_stop(&child, stop));
+            let error = scope.spawn(|| words.map_or(String::new(), |words| self.listen(words)));
             if let Some(output) = output {
                 self.follow(seed, output, &bar);
             }
+            error.join().unwrap_or_default()
         });
         bar.finish_and_clear();
-        let status = child.wait().map_err(bug)?;
+        let status = child.wait().map_err(failed)?;
         match status.code() {
             Some(0) => Ok(()),
-            Some(code) if code == Exit::Interrupted as i32 => {
-                Err(Failure::new(Exit::Interrupted, "stopped; the same command again goes on"))
+            Some(code) => {
+                Err(Failure::new(Exit::from_code(code as u8), format!("seed {seed}: {error}")))
             }
-            _ => Err(Failure::new(Exit::NotRunning, format!("the run of seed {seed}: {status}"))),
+            None => {
+                let reason =
+                    format!("seed {seed}: {status}; the same command again goes on with it");
+                Err(Failure::new(Exit::NotRunning, reason))
+            }
         }
+    }
+
+    /// Passes on what a run tells a person, and returns why it failed.
+    fn listen(&self, words: ChildStderr) -> String {
+        let mut error = String::new();
+        for line in BufReader::new(words).lines().map_while(Result::ok) {
+            match line.strip_prefix("error: ") {
+                Some(reason) => error = reason.to_owned(),
+                None => self.bars.suspend(|| tell!("{line}")),
+            }
+        }
+        error
     }
 
     fn command(&self, seed: u64, folder: &Path) -> Command {
         // A program that was replaced while it runs is still itself under this name.
         let mut command = Command::new("/proc/self/exe");
-        command.args(["train", "alma", "--json", "--threads", &self.threads.to_string()]);
+        command.args(["train", self.config.method(), "--json"]);
+        command.args(["--threads", &self.threads.to_string()]);
+        command.args(["--sweep", &std::process::id().to_string()]);
         if folder.join("train.toml").exists() {
             command.arg("--resume").arg(folder);
         } else {
-            command.arg("--config").arg(&self.config).arg("--out").arg(folder);
+            command.arg("--config").arg(self.configuration_path()).arg("--out").arg(folder);
             command.args(["--seed", &seed.to_string()]);
         }
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         // Its own group, so that Ctrl-C reaches it once: by this process.
-        command.stdin(Stdio::null()).stdout(Stdio::piped()).process_group(0);
+        command.process_group(0);
         command
     }
 

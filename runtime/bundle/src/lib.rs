@@ -11,6 +11,7 @@ mod bundle;
 mod contract;
 mod digest;
 mod error;
+pub mod files;
 mod golden;
 mod manifest;
 mod observation;

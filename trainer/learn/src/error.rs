@@ -28,6 +28,35 @@ pub enum LearnError {
         /// What is wrong with it.
         reason: String,
     },
+    /// A folder holds something that would be overwritten.
+    #[error("{}: {reason}", path.display())]
+    Taken {
+        /// The folder.
+        path: PathBuf,
+        /// What is in the way, and what to do.
+        reason: String,
+    },
+    /// Another process learns in this folder.
+    #[error("{}: process {process} is learning here", path.display())]
+    Busy {
+        /// The folder.
+        path: PathBuf,
+        /// Its number.
+        process: String,
+    },
+    /// Learning has left the numbers: the loss of an update is not finite.
+    #[error(
+        "diverged at step {env_steps}: the loss of the {level} is {loss}; \
+         begin anew with a lower learning rate or a lower bound for the gradient's norm"
+    )]
+    Diverged {
+        /// Who learned: `agents` or `allocator`.
+        level: &'static str,
+        /// Environment steps taken.
+        env_steps: u64,
+        /// The first loss that is not finite.
+        loss: f64,
+    },
     /// The environment could not be set up.
     #[error("environment: {0}")]
     Environment(#[from] CityError),
@@ -44,6 +73,11 @@ impl LearnError {
     pub(crate) fn file(path: impl Into<PathBuf>) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.into();
         |source| Self::File { path, source }
+    }
+
+    /// Says what is in the way in a folder.
+    pub(crate) fn taken(path: impl Into<PathBuf>, reason: impl ToString) -> Self {
+        Self::Taken { path: path.into(), reason: reason.to_string() }
     }
 
     /// Says what is wrong with a file.

@@ -191,6 +191,7 @@ fn resuming_uses_the_checkpoint_before_a_damaged_one() {
     let newest = folder.path().join("checkpoints/000000002000/state.postcard");
     let content = std::fs::read(&newest).unwrap();
     std::fs::write(&newest, &content[..content.len() / 2]).unwrap();
+    drop(trainer);
 
     let trainer = Trainer::resume(folder.path(), None).unwrap();
     assert_eq!(trainer.env_steps(), 1200);
@@ -237,6 +238,7 @@ fn a_run_under_a_rule_learns_no_allocator() {
     assert!(opened.allocator.is_none());
     assert_eq!(opened.curve[0].allocation, "heuristic");
     assert_eq!(opened.curve[0].allocator_updates, 0);
+    drop(trainer);
     assert_eq!(Trainer::resume(folder.path(), None).unwrap().env_steps(), 3200);
 }
 

@@ -68,6 +68,14 @@ impl Trainer {
         }
     }
 
+    /// The steps from which a learned allocator of the preset `fast` learns, and from which it decides.
+    pub fn allocator_steps(&self) -> Option<[u64; 2]> {
+        let Self::Records(trainer) = self else { return None };
+        let config = &trainer.description().config;
+        let steps = [config.allocator.learns_from, config.allocator.decides_from];
+        config.learns_allocator().then_some(steps)
+    }
+
     /// Environment steps taken.
     pub fn env_steps(&self) -> u64 {
         match self {

@@ -20,41 +20,50 @@ const STEP: &str = "env_steps";
 #[derive(Debug)]
 pub struct RunEvents {
     folder: PathBuf,
-    /// Begun at the first evaluation.
+    /// Begun at the first point.
     file: Option<EventFile>,
+    /// The first step that the file speaks of.
+    first: u64,
 }
 
 impl RunEvents {
-    /// Nothing is written before the first evaluation.
+    /// Nothing is written before the first point.
     pub fn new(folder: &Path) -> Self {
-        Self { folder: folder.to_owned(), file: None }
+        Self { folder: folder.to_owned(), file: None, first: 0 }
+    }
+
+    /// Makes void what earlier files say of steps after this one: an interrupted run may have gone further
+    /// than the checkpoint that it goes on from.
+    pub fn goes_on_from(&mut self, env_steps: u64) {
+        self.first = if env_steps > 0 { env_steps + 1 } else { 0 };
     }
 
     /// Adds every number of the newest point of a curve, under `evaluation/` or `learning/`, at its
     /// `env_steps`.
-    ///
-    /// The first call begins a file, which makes void what earlier files say of the time after the point
-    /// before: an interrupted run may have gone further than the checkpoint that it was resumed from.
     pub fn add(&mut self, curve: &[impl Serialize]) -> Result<(), LearnError> {
+        curve.last().map_or(Ok(()), |point| self.write(point, &tag))
+    }
+
+    /// Adds every number of a point between evaluations, under `training/`, at its `env_steps`.
+    pub fn add_training(&mut self, point: &impl Serialize) -> Result<(), LearnError> {
+        self.write(point, &|name| format!("training/{name}"))
+    }
+
+    fn write(
+        &mut self,
+        point: &impl Serialize,
+        tag: &dyn Fn(&str) -> String,
+    ) -> Result<(), LearnError> {
         let bad = |reason: &dyn ToString| LearnError::format(&self.folder, reason.to_string());
-        let newest = curve.iter().rev().take(2).map(Row::of).collect::<Result<Vec<_>, _>>();
-        let newest = newest.map_err(|error| bad(&error))?;
-        let steps = newest.iter().map(|row| row.number(STEP).map(|steps| steps as u64));
-        let steps: Option<Vec<u64>> = steps.collect();
-        let steps = steps.ok_or_else(|| bad(&"an evaluation has no `env_steps`"))?;
-        let (Some(row), Some(step)) = (newest.first(), steps.first()) else {
-            return Ok(());
-        };
-        let file = match &mut self.file {
-            Some(file) => file,
-            none => {
-                let first = steps.get(1).map_or(0, |before| before + 1);
-                none.insert(EventFile::begin(&self.folder, now_s(), first)?)
-            }
-        };
+        let row = Row::of(point).map_err(|error| bad(&error))?;
+        let step = row.number(STEP).ok_or_else(|| bad(&"a point has no `env_steps`"))? as u64;
         let values = row.numbers().filter(|(name, _)| *name != STEP);
         let values: Vec<(String, f64)> = values.map(|(name, value)| (tag(name), value)).collect();
-        file.scalars(now_s(), *step, values.iter().map(|(tag, value)| (tag.as_str(), *value)))
+        let file = match &mut self.file {
+            Some(file) => file,
+            none => none.insert(EventFile::begin(&self.folder, now_s(), self.first)?),
+        };
+        file.scalars(now_s(), step, values.iter().map(|(tag, value)| (tag.as_str(), *value)))
     }
 }
 
@@ -110,14 +119,24 @@ mod tests {
         for points in 1..=3 {
             events.add(&POINTS[..points]).unwrap();
         }
-        // The checkpoint was written after the first point.
-        RunEvents::new(folder.path()).add(&POINTS[..2]).unwrap();
+        // The checkpoint was written at the first point.
+        let mut events = RunEvents::new(folder.path());
+        events.goes_on_from(10);
+        events.add(&POINTS[..2]).unwrap();
         let files = written(folder.path());
         assert_eq!(files.len(), 2);
         // Step 11 of a session that starts: fields 2 and 7 of the second event.
         let start = [0x10, 11, 0x3a, 2, 8, 1];
         assert!(files[1].windows(6).any(|bytes| bytes == start), "{:?}", files[1]);
         assert!(!files[0].windows(6).any(|bytes| bytes == start));
+    }
+
+    #[test]
+    fn training_has_a_section_of_its_own() {
+        let folder = tempfile::tempdir().unwrap();
+        RunEvents::new(folder.path()).add_training(&POINTS[0]).unwrap();
+        let text = String::from_utf8_lossy(&written(folder.path())[0]).into_owned();
+        assert!(text.contains("training/loss") && !text.contains("learning/"), "{text}");
     }
 
     #[test]

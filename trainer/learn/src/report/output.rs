@@ -3,9 +3,10 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use sortie_bundle::files::{Durability, replace_file};
+
 use super::{Axis, Comparison, Group, chart};
 use crate::error::LearnError;
-use crate::run::write_whole;
 
 /// Writes the tables and pictures of a comparison into a folder and returns its files.
 ///
@@ -36,7 +37,8 @@ pub fn write(
     fs::create_dir_all(folder).map_err(LearnError::file(folder))?;
     let write = |(name, content): &(&str, String)| {
         let path = folder.join(name);
-        write_whole(&path, content.as_bytes()).map(|()| path)
+        let written = replace_file(&path, content.as_bytes(), Durability::Cached);
+        written.map_err(LearnError::file(&path)).map(|()| path)
     };
     files.iter().map(write).collect()
 }

@@ -25,6 +25,8 @@ const FILE_VERSION: &str = "brain.Event:2";
 pub struct EventFile {
     path: PathBuf,
     file: File,
+    /// Bytes of whole records.
+    length: u64,
 }
 
 impl EventFile {
@@ -43,10 +45,16 @@ impl EventFile {
                 Err(error) => return Err(LearnError::file(path)(error)),
             }
         };
-        let mut begun = Self { path, file };
-        begun.write(&version(now_s))?;
-        begun.write(&session_start(now_s, first_step))?;
-        Ok(begun)
+        let mut begun = Self { path, file, length: 0 };
+        let written = begun.write(&version(now_s));
+        match written.and_then(|()| begun.write(&session_start(now_s, first_step))) {
+            Ok(()) => Ok(begun),
+            Err(error) => {
+                // The first error matters.
+                let _ = fs::remove_file(&begun.path);
+                Err(error)
+            }
+        }
     }
 
     /// Adds the values of named quantities at a step.
@@ -66,7 +74,15 @@ impl EventFile {
 
     fn write(&mut self, event: &[u8]) -> Result<(), LearnError> {
         // One call, so that a reader beside rarely sees half a record.
-        self.file.write_all(&record(event)).map_err(LearnError::file(&self.path))
+        let record = record(event);
+        let written = self.file.write_all(&record);
+        if written.is_ok() {
+            self.length += record.len() as u64;
+        } else {
+            // A full disk may have taken half of it.
+            let _ = self.file.set_len(self.length);
+        }
+        written.map_err(LearnError::file(&self.path))
     }
 }
 

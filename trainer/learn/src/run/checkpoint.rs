@@ -18,8 +18,8 @@ use crc::{CRC_64_XZ, Crc, Table};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
+use sortie_bundle::files::{Durability, sync_folder, write_file};
 
-use super::{sync_folder, write_whole};
 use crate::error::LearnError;
 use crate::methods::alma::{UtilityNetwork, UtilityShape};
 
@@ -27,6 +27,8 @@ use crate::methods::alma::{UtilityNetwork, UtilityShape};
 const FORMAT: u32 = 3;
 /// Checkpoints that are kept.
 const KEPT: usize = 2;
+/// What the name of a checkpoint ends with while it is written.
+const UNFINISHED: &str = "unfinished";
 const MANIFEST: &str = "manifest.toml";
 const TENSORS: &str = "tensors.safetensors";
 const STATE: &str = "state.postcard";
@@ -122,32 +124,36 @@ impl Checkpoints {
     ) -> Result<PathBuf, LearnError> {
         std::fs::create_dir_all(&self.folder).map_err(LearnError::file(&self.folder))?;
         let place = self.folder.join(format!("{env_steps:012}"));
-        let unfinished = place.with_extension("unfinished");
+        let unfinished = place.with_extension(UNFINISHED);
         remove(&unfinished)?;
-        std::fs::create_dir(&unfinished).map_err(LearnError::file(&unfinished))?;
-
-        let bad = |error: &dyn std::fmt::Display| LearnError::format(&unfinished, error);
-        let tensors = tensors_file(networks).map_err(|error| bad(&error))?;
-        let state = postcard::to_stdvec(state).map_err(|error| bad(&error))?;
-        let mut files = BTreeMap::new();
-        for (name, content) in [(TENSORS, &tensors), (STATE, &state)] {
-            write_whole(&unfinished.join(name), content)?;
-            files.insert(name.to_owned(), FileSum::of(content));
+        let written = write_files(&unfinished, env_steps, networks, state).and_then(|()| {
+            remove(&place)?;
+            std::fs::rename(&unfinished, &place).map_err(LearnError::file(&place))
+        });
+        if written.is_err() {
+            // The first error matters. On a full disk this makes room for what was there before.
+            let _ = remove(&unfinished);
         }
-        let version = env!("CARGO_PKG_VERSION").to_owned();
-        let shaped = networks.iter().filter_map(|n| Some((n.name.to_owned(), n.shape?)));
-        let shapes = shaped.collect();
-        let manifest = Manifest { format: FORMAT, version, env_steps, shapes, files };
-        let manifest = toml::to_string(&manifest).map_err(|error| bad(&error))?;
-        write_whole(&unfinished.join(MANIFEST), manifest.as_bytes())?;
-
-        remove(&place)?;
-        std::fs::rename(&unfinished, &place).map_err(LearnError::file(&place))?;
-        sync_folder(&self.folder)?;
+        written?;
+        sync_folder(&self.folder).map_err(LearnError::file(&self.folder))?;
         for old in self.complete()?.iter().rev().skip(KEPT) {
             remove(old)?;
         }
         Ok(place)
+    }
+
+    /// Removes what processes were writing when they died.
+    pub fn remove_unfinished(&self) {
+        for entry in std::fs::read_dir(&self.folder).into_iter().flatten().flatten() {
+            if entry.path().extension().is_some_and(|end| end == UNFINISHED) {
+                let _ = remove(&entry.path());
+            }
+        }
+    }
+
+    /// Whether there is any, sound or not.
+    pub fn exist(&self) -> Result<bool, LearnError> {
+        Ok(!self.complete()?.is_empty())
     }
 
     /// The newest checkpoint that is whole and of this version.
@@ -184,6 +190,35 @@ impl Checkpoints {
         places.sort();
         Ok(places)
     }
+}
+
+/// Writes the files of a checkpoint into a new folder and forces them to the disk.
+fn write_files(
+    folder: &Path,
+    env_steps: u64,
+    networks: &[SavedNetwork<'_>],
+    state: &impl Serialize,
+) -> Result<(), LearnError> {
+    let bad = |error: &dyn std::fmt::Display| LearnError::format(folder, error);
+    let write = |name: &str, content: &[u8]| {
+        let path = folder.join(name);
+        write_file(&path, content, Durability::Forced).map_err(LearnError::file(path))
+    };
+    std::fs::create_dir(folder).map_err(LearnError::file(folder))?;
+    let tensors = tensors_file(networks).map_err(|error| bad(&error))?;
+    let state = postcard::to_stdvec(state).map_err(|error| bad(&error))?;
+    let mut files = BTreeMap::new();
+    for (name, content) in [(TENSORS, &tensors), (STATE, &state)] {
+        write(name, content)?;
+        files.insert(name.to_owned(), FileSum::of(content));
+    }
+    let version = env!("CARGO_PKG_VERSION").to_owned();
+    let shaped = networks.iter().filter_map(|n| Some((n.name.to_owned(), n.shape?)));
+    let shapes = shaped.collect();
+    let manifest = Manifest { format: FORMAT, version, env_steps, shapes, files };
+    let manifest = toml::to_string(&manifest).map_err(|error| bad(&error))?;
+    write(MANIFEST, manifest.as_bytes())?;
+    sync_folder(folder).map_err(LearnError::file(folder))
 }
 
 /// One checkpoint whose manifest fits its files.

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{Clock, CurvePoint, Rates};
+use crate::error::LearnError;
 use crate::evaluate::Evaluation;
 
 /// One value for the agents and one for the allocator.
@@ -19,6 +20,18 @@ pub struct UpdateReport {
     pub loss: f64,
     /// Norm of the gradient before clipping.
     pub gradient_norm: f32,
+}
+
+impl UpdateReport {
+    /// The report, unless its loss is no number any more: then nothing can be learned from here on.
+    pub(crate) fn finite(self, level: &'static str, env_steps: u64) -> Result<Self, LearnError> {
+        let loss = self.loss;
+        if loss.is_finite() {
+            Ok(self)
+        } else {
+            Err(LearnError::Diverged { level, env_steps, loss })
+        }
+    }
 }
 
 /// Episodes that ended during some steps.
@@ -49,6 +62,12 @@ impl Updates {
         self.updates += 1;
         self.loss += report.loss;
         self.gradient_norm += f64::from(report.gradient_norm);
+    }
+
+    /// Mean loss of the updates after `before`, if there were any.
+    pub(crate) fn mean_loss_since(&self, before: &Self) -> Option<f64> {
+        let updates = self.updates - before.updates;
+        (updates > 0).then(|| (self.loss - before.loss) / updates as f64)
     }
 
     pub(crate) fn mean_loss(&self) -> f64 {

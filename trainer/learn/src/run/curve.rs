@@ -1,6 +1,6 @@
 //! The learning curve: one point per evaluation.
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 /// What one evaluation during training found, and what training did since the one before.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -32,12 +32,15 @@ pub struct CurvePoint {
     /// Episodes of the evaluation.
     pub episodes: usize,
     /// Mean loss of the agents' updates since the last point.
+    #[serde(deserialize_with = "number_or_null")]
     pub loss: f64,
     /// Mean norm of the agents' gradients since the last point, before clipping.
+    #[serde(deserialize_with = "number_or_null")]
     pub gradient_norm: f64,
     /// Optimiser steps of the allocator.
     pub allocator_updates: u64,
     /// Mean loss of the allocator's updates since the last point; 0 where none is learned.
+    #[serde(deserialize_with = "number_or_null")]
     pub allocator_loss: f64,
     /// Exploration at this point, before the instances' factors.
     pub epsilon: f32,
@@ -45,6 +48,15 @@ pub struct CurvePoint {
     pub learning_rate: f32,
     /// Success of the exploring episodes since the last point.
     pub training_success: f64,
+}
+
+/// Reads a number that was not finite when it was written: JSON has only null for it.
+fn number_or_null<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    if deserializer.is_human_readable() {
+        Ok(Option::deserialize(deserializer)?.unwrap_or(f64::NAN))
+    } else {
+        f64::deserialize(deserializer)
+    }
 }
 
 /// One JSON object a line.
@@ -60,4 +72,23 @@ pub(super) fn to_lines(curve: &[CurvePoint]) -> serde_json::Result<String> {
 /// Reads what [`to_lines`] wrote.
 pub(super) fn from_lines(text: &str) -> serde_json::Result<Vec<CurvePoint>> {
     text.lines().map(serde_json::from_str).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_curve_with_a_loss_that_was_no_number_can_be_read() {
+        let text = r#"{"env_steps":8,"updates":1,"decisions":1,"wall_s":1.0,"cpu_s":1.0,"allocation":"learned",
+            "success":0.0,"success_ci95":[0.0,0.1],"timeouts":1.0,"none_burned":0.0,"return_mean":-1.0,
+            "length_mean":9.0,"episodes":4,"loss":null,"gradient_norm":null,"allocator_updates":0,
+            "allocator_loss":0.0,"epsilon":1.0,"learning_rate":0.1,"training_success":0.0}"#
+            .replace('\n', "");
+        let curve = from_lines(&text).unwrap();
+        assert!(curve[0].loss.is_nan() && curve[0].gradient_norm.is_nan());
+        let kept = postcard::to_stdvec(&curve).unwrap();
+        let back: Vec<CurvePoint> = postcard::from_bytes(&kept).unwrap();
+        assert!(back[0].loss.is_nan() && back[0].allocator_loss == 0.0);
+    }
 }

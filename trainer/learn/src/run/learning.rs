@@ -3,6 +3,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use super::meter::Meter;
 use super::{Clock, Counters, Observer, Outcome, RunFolder, RunResult};
 use crate::error::LearnError;
 use crate::evaluate::Evaluation;
@@ -51,47 +52,99 @@ pub(crate) struct Rates {
 /// The episodes that every run reports on in the end: the same for all runs, seen by none.
 const REPORT_SEED: u64 = 2_000_000;
 
-/// Learns until all steps are taken or `stop` is set, and writes a checkpoint at the end.
+/// Learns until all steps are taken or `stop` is set.
+///
+/// A checkpoint is written before the first step, at every evaluation, every some minutes, and at the end.
 pub(crate) fn learn(
     run: &mut impl Learning,
     observer: &mut dyn Observer,
     stop: &AtomicBool,
 ) -> Result<Outcome, LearnError> {
     let schedule = run.schedule();
-    let mut clock = Clock::start();
-    let minutes = schedule.checkpoint_minutes.max(0.0);
-    let pause = Duration::try_from_secs_f64(60.0 * minutes).unwrap_or(Duration::MAX);
-    let mut saved = Instant::now();
+    let mut saves = Saves::new(&schedule, run.counters().env_steps);
+    let mut meter = Meter::new(schedule.evaluate_every, run.counters());
+    let env_steps = run.counters().env_steps;
+    run.folder().goes_on_from(env_steps);
+    if env_steps == 0 {
+        saves.save(run, observer)?;
+    }
     while run.counters().env_steps < schedule.steps {
         if stop.load(Ordering::Relaxed) {
-            run.counters().add_time(&mut clock);
-            run.save(observer)?;
+            saves.save(run, observer)?;
             return Ok(Outcome::Stopped);
         }
         run.step(observer)?;
-        if run.counters().env_steps >= run.counters().next_evaluation {
-            run.counters().add_time(&mut clock);
-            run.counters().next_evaluation += schedule.evaluate_every;
-            evaluate(run, observer)?;
+        let rates = run.rates();
+        if let Some(point) = meter.measure(run.counters(), rates) {
+            observer.trained(&point);
+            run.folder().write_training(&point)?;
         }
-        if saved.elapsed() >= pause {
-            run.counters().add_time(&mut clock);
-            run.save(observer)?;
-            saved = Instant::now();
+        if run.counters().env_steps >= run.counters().next_evaluation {
+            run.counters().next_evaluation += schedule.evaluate_every;
+            evaluate(run, observer, &mut saves)?;
+            meter.restart(run.counters());
+        } else if saves.are_due() {
+            saves.save(run, observer)?;
         }
     }
-    run.counters().add_time(&mut clock);
     let env_steps = run.counters().env_steps;
     if run.counters().curve.last().is_none_or(|point| point.env_steps < env_steps) {
-        evaluate(run, observer)?;
+        evaluate(run, observer, &mut saves)?;
     }
-    run.save(observer)?;
+    saves.save(run, observer)?;
     report(run, observer)?;
     Ok(Outcome::Finished)
 }
 
-/// Measures what has been learned and adds a point to the curve.
-fn evaluate(run: &mut impl Learning, observer: &mut dyn Observer) -> Result<(), LearnError> {
+/// When checkpoints are written.
+struct Saves {
+    pause: Duration,
+    last: Instant,
+    /// Environment steps of the newest checkpoint.
+    env_steps: Option<u64>,
+    clock: Clock,
+}
+
+impl Saves {
+    /// A run that has taken steps has them from its checkpoint.
+    fn new(schedule: &RunConfig, env_steps: u64) -> Self {
+        let minutes = schedule.checkpoint_minutes.max(0.0);
+        Self {
+            pause: Duration::try_from_secs_f64(60.0 * minutes).unwrap_or(Duration::MAX),
+            last: Instant::now(),
+            env_steps: (env_steps > 0).then_some(env_steps),
+            clock: Clock::start(),
+        }
+    }
+
+    fn are_due(&self) -> bool {
+        self.last.elapsed() >= self.pause
+    }
+
+    /// Writes a checkpoint, unless the newest is of this very step.
+    fn save(
+        &mut self,
+        run: &mut impl Learning,
+        observer: &mut dyn Observer,
+    ) -> Result<(), LearnError> {
+        let now = Some(run.counters().env_steps);
+        if self.env_steps == now {
+            return Ok(());
+        }
+        run.counters().add_time(&mut self.clock);
+        run.save(observer)?;
+        (self.env_steps, self.last) = (now, Instant::now());
+        Ok(())
+    }
+}
+
+/// Measures what has been learned, adds a point to the curve, and writes a checkpoint.
+fn evaluate(
+    run: &mut impl Learning,
+    observer: &mut dyn Observer,
+    saves: &mut Saves,
+) -> Result<(), LearnError> {
+    run.counters().add_time(&mut saves.clock);
     let Labels { title, allocation, seed, .. } = run.labels();
     // Counted from the top, so that ordinary seeds remain fresh for later evaluations.
     let result = run.measure(run.schedule().evaluate_episodes, u64::MAX - seed)?;
@@ -100,7 +153,10 @@ fn evaluate(run: &mut impl Learning, observer: &mut dyn Observer) -> Result<(), 
     observer.evaluated(&point);
     run.counters().add_point(point);
     let curve = run.counters().curve.clone();
-    run.folder().write_curve(&title, &curve)
+    let told = run.folder().write_curve(&title, &curve);
+    // Where the disk takes no picture it may still take what was learned.
+    saves.save(run, observer)?;
+    told
 }
 
 /// Measures the finished run on episodes that no run uses before its end.

@@ -5,8 +5,9 @@
 //! | `train.toml` | method, version, seed, threads, and the complete configuration |
 //! | `curve.json` | one JSON object per evaluation, see [`CurvePoint`] |
 //! | `curve.csv` | the same as comma-separated values |
-//! | `events.out.tfevents.*` | the same for TensorBoard, a file per session, see [`RunEvents`] |
+//! | `events.out.tfevents.*` | the same for TensorBoard, and how training goes in between, a file per session, see [`RunEvents`](crate::report::RunEvents) |
 //! | `curve.svg` | success against environment steps |
+//! | `lock` | the number of the process that learns here; held by the kernel as long as it lives |
 //! | `result.json` | of a finished run: greedy success on fresh episodes, see [`RunResult`] |
 //! | `checkpoints/` | the newest checkpoints, see [`checkpoint`] |
 
@@ -15,12 +16,14 @@ pub mod checkpoint;
 mod counters;
 mod curve;
 mod description;
+mod folder;
 mod learning;
+mod meter;
 mod progress;
 mod result;
 mod settings;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 pub use checkpoint::{Checkpoint, Checkpoints};
 pub(crate) use counters::{Counters, Level};
@@ -28,11 +31,13 @@ pub use counters::{EpisodeCounts, UpdateReport};
 pub use curve::CurvePoint;
 pub(crate) use description::KEYS;
 pub use description::{Configuration, RunDescription};
+pub(crate) use folder::RunFolder;
 pub(crate) use learning::{Labels, Learning, Rates, learn};
+pub use meter::TrainingPoint;
 pub(crate) use progress::Clock;
 pub use progress::{Observer, Outcome, Progress};
 pub use result::RunResult;
-pub use settings::Settings;
+pub use settings::{Difference, Settings};
 
 use crate::error::LearnError;
 use crate::evaluate::{Agents, Allocate, NetworkTeam};
@@ -41,7 +46,6 @@ use crate::methods::alma::team_value::TeamValueAllocator;
 use crate::methods::paper::allocation::{AllocationCritic, AllocationNetworks, AllocationPolicy};
 use crate::methods::paper::low_level::coach::Coach;
 use crate::methods::paper::{self, ProposalAllocator};
-use crate::report::{RunEvents, csv};
 
 /// A learned allocator.
 #[derive(Clone, Debug, PartialEq)]
@@ -139,107 +143,21 @@ impl Run {
 }
 
 /// How the run in a folder learns.
-pub(crate) fn read_description(folder: &Path) -> Result<RunDescription, LearnError> {
+pub fn read_description(folder: &Path) -> Result<RunDescription, LearnError> {
     RunFolder::new(folder).read_description()
 }
 
-/// The files of a run.
-#[derive(Debug)]
-pub(crate) struct RunFolder {
-    folder: PathBuf,
-    events: RunEvents,
-}
-
-impl RunFolder {
-    pub(crate) fn new(folder: &Path) -> Self {
-        Self { folder: folder.to_owned(), events: RunEvents::new(folder) }
+/// Has the run in a folder learn for so many environment steps: more than it was configured for.
+///
+/// Nothing else of its configuration changes; its result is void, and it is to be resumed.
+pub fn prolong(folder: &Path, steps: u64) -> Result<(), LearnError> {
+    let files = RunFolder::claim(folder)?;
+    let mut description: RunDescription = files.read_description()?;
+    let before = std::mem::replace(&mut description.config.run_mut().steps, steps);
+    if steps < before {
+        let reason = format!("`run.steps` is {before} already: a run can only be made longer");
+        return Err(LearnError::taken(folder, reason));
     }
-
-    /// Makes the folder; refuses one that holds a run.
-    pub(crate) fn create<C: Configuration>(
-        folder: &Path,
-        description: &RunDescription<C>,
-    ) -> Result<Self, LearnError> {
-        let run = Self::new(folder);
-        if run.description_path().exists() {
-            let reason = "holds a run already; resume it, or choose another folder";
-            return Err(LearnError::format(folder, reason));
-        }
-        std::fs::create_dir_all(folder).map_err(LearnError::file(folder))?;
-        write_whole(&run.description_path(), description.to_toml()?.as_bytes())?;
-        Ok(run)
-    }
-
-    pub(crate) fn read_description<C: Configuration>(
-        &self,
-    ) -> Result<RunDescription<C>, LearnError> {
-        let path = self.description_path();
-        let text = std::fs::read_to_string(&path).map_err(LearnError::file(&path))?;
-        RunDescription::from_toml(&text).map_err(|error| LearnError::format(path, error))
-    }
-
-    pub(crate) fn checkpoints(&self) -> Checkpoints {
-        Checkpoints::new(&self.folder.join("checkpoints"))
-    }
-
-    /// Replaces `curve.json`, `curve.csv` and `curve.svg`, and tells TensorBoard of the newest point.
-    pub(crate) fn write_curve(
-        &mut self,
-        title: &str,
-        curve: &[CurvePoint],
-    ) -> Result<(), LearnError> {
-        let path = self.curve_path();
-        let text = curve::to_lines(curve).map_err(|error| LearnError::format(&path, error))?;
-        write_whole(&path, text.as_bytes())?;
-        let path = self.folder.join("curve.csv");
-        let text = csv::to_csv(curve).map_err(|error| LearnError::format(&path, error))?;
-        write_whole(&path, text.as_bytes())?;
-        self.events.add(curve)?;
-        let path = self.folder.join("curve.svg");
-        let svg =
-            chart::success_curve(title, curve).map_err(|error| LearnError::format(&path, error))?;
-        write_whole(&path, svg.as_bytes())
-    }
-
-    /// Writes `result.json`.
-    pub(crate) fn write_result(&self, result: &RunResult) -> Result<(), LearnError> {
-        let path = self.folder.join("result.json");
-        let text = serde_json::to_string_pretty(result);
-        let text = text.map_err(|error| LearnError::format(&path, error))?;
-        write_whole(&path, text.as_bytes())
-    }
-
-    fn read_curve(&self) -> Result<Vec<CurvePoint>, LearnError> {
-        let path = self.curve_path();
-        if !path.exists() {
-            return Ok(Vec::new());
-        }
-        let text = std::fs::read_to_string(&path).map_err(LearnError::file(&path))?;
-        curve::from_lines(&text).map_err(|error| LearnError::format(path, error))
-    }
-
-    fn description_path(&self) -> PathBuf {
-        self.folder.join("train.toml")
-    }
-
-    fn curve_path(&self) -> PathBuf {
-        self.folder.join("curve.json")
-    }
-}
-
-/// Replaces a file as a whole: whoever reads it sees the old or the new content, even after a crash.
-pub(crate) fn write_whole(path: &Path, content: &[u8]) -> Result<(), LearnError> {
-    use std::io::Write;
-    let temporary = path.with_extension("tmp");
-    let mut file = std::fs::File::create(&temporary).map_err(LearnError::file(&temporary))?;
-    file.write_all(content).map_err(LearnError::file(&temporary))?;
-    file.sync_all().map_err(LearnError::file(&temporary))?;
-    std::fs::rename(&temporary, path).map_err(LearnError::file(path))?;
-    sync_folder(path.parent().unwrap_or(Path::new(".")))
-}
-
-/// Makes renames in a folder durable.
-pub(crate) fn sync_folder(folder: &Path) -> Result<(), LearnError> {
-    let handle = std::fs::File::open(folder).map_err(LearnError::file(folder))?;
-    handle.sync_all().map_err(LearnError::file(folder))
+    description.config.check()?;
+    if steps > before { files.rewrite_description(&description) } else { Ok(()) }
 }

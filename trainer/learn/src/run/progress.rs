@@ -5,13 +5,18 @@ use std::time::Instant;
 
 use rustix::time::{ClockId, clock_gettime};
 
-use super::{CurvePoint, RunResult};
+use super::{CurvePoint, RunResult, TrainingPoint};
 
 /// Is told how a run goes.
 pub trait Observer {
     /// Some steps were taken; called several hundred times a second.
     fn progress(&mut self, progress: &Progress) {
         let _ = progress;
+    }
+
+    /// Training went on for a while.
+    fn trained(&mut self, point: &TrainingPoint) {
+        let _ = point;
     }
 
     /// An evaluation was made.

@@ -1,6 +1,8 @@
 //! The configuration of any run.
 
-use toml::Table;
+use std::collections::{BTreeMap, BTreeSet};
+
+use toml::{Table, Value};
 
 use super::description::Configuration;
 use crate::error::LearnError;
@@ -46,6 +48,49 @@ impl Settings {
             Self::Records(config) => config.set(assignment),
             Self::Windows(config) => config.set(assignment),
         }
+    }
+
+    /// The keys that a file has a value for.
+    pub fn keys_in(text: &str) -> Result<Vec<String>, LearnError> {
+        let config = |error: toml::de::Error| LearnError::Config(error.message().to_owned());
+        let mut values = BTreeMap::new();
+        flatten("", text.parse().map_err(config)?, &mut values);
+        Ok(values.into_keys().collect())
+    }
+
+    /// Has a run of the preset `fast` that is shorter than the preset's explore and hand over to its
+    /// allocator sooner, in proportion. What `is_given` says stays as it is.
+    pub fn fit_to_length(&mut self, is_given: impl Fn(&str) -> bool) {
+        if let Self::Records(config) = self {
+            config.fit_to_length(is_given);
+        }
+    }
+
+    /// Refuses values that cannot work.
+    pub fn check(&self) -> Result<(), LearnError> {
+        match self {
+            Self::Records(config) => config.check(),
+            Self::Windows(config) => config.check(),
+        }
+    }
+
+    /// The first key whose value is another in `other`: `run.steps`, on which others may depend, then in the
+    /// order of the alphabet.
+    pub fn difference(&self, other: &Self) -> Result<Option<Difference>, LearnError> {
+        let (ours, theirs) = (flat(self)?, flat(other)?);
+        let keys: BTreeSet<&String> = ours.keys().chain(theirs.keys()).collect();
+        let value = |values: &BTreeMap<String, Value>, key| match values.get(key) {
+            Some(value) => value.to_string(),
+            None => "not there".to_owned(),
+        };
+        let steps = "run.steps".to_owned();
+        Ok([&steps].into_iter().chain(keys).find(|key| ours.get(*key) != theirs.get(*key)).map(
+            |key| Difference {
+                key: key.clone(),
+                ours: value(&ours, key),
+                theirs: value(&theirs, key),
+            },
+        ))
     }
 
     /// The world that is learned in.
@@ -125,6 +170,38 @@ impl Configuration for Settings {
             Ok(Self::Windows(paper::Config::from_table(table)?))
         } else {
             Ok(Self::Records(alma::Config::from_table(table)?))
+        }
+    }
+}
+
+/// A key that two configurations have other values for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Difference {
+    /// The key, as in `run.steps`.
+    pub key: String,
+    /// Its value in the one.
+    pub ours: String,
+    /// Its value in the other.
+    pub theirs: String,
+}
+
+/// All values of a configuration by their keys.
+fn flat(settings: &Settings) -> Result<BTreeMap<String, Value>, LearnError> {
+    let table: Table = settings
+        .to_toml()?
+        .parse()
+        .map_err(|error: toml::de::Error| LearnError::Config(error.message().to_owned()))?;
+    let mut values = BTreeMap::new();
+    flatten("", table, &mut values);
+    Ok(values)
+}
+
+fn flatten(name: &str, table: Table, to: &mut BTreeMap<String, Value>) {
+    for (key, value) in table {
+        let key = if name.is_empty() { key } else { format!("{name}.{key}") };
+        match value {
+            Value::Table(inner) => flatten(&key, inner, to),
+            value => drop(to.insert(key, value)),
         }
     }
 }

@@ -136,13 +136,17 @@ impl Trainer {
         Ok(())
     }
 
-    /// Continues a run from its newest sound checkpoint, exactly as if it had not been stopped.
+    /// Continues a run from its newest sound checkpoint, exactly as if it had not been stopped; begins it anew
+    /// where none was written yet.
     ///
     /// `threads` may differ from before; it changes no result. `None` takes as many as before.
     pub fn resume(folder: &Path, threads: Option<usize>) -> Result<Self, LearnError> {
-        let files = RunFolder::new(folder);
+        let files = RunFolder::claim(folder)?;
         let mut description = files.read_description::<Config>()?;
         description.threads = threads.unwrap_or(description.threads).max(1);
+        if !files.checkpoints().exist()? {
+            return Self::begin(description, files);
+        }
         let found = files.checkpoints().newest(OpenFor::Resume)?;
         let state: State = found.checkpoint.state()?;
         let misfit = |what: &str| {
@@ -163,7 +167,7 @@ impl Trainer {
             return Err(misfit("allocator"));
         }
 
-        let mut trainer = Self::start(description, folder)?;
+        let mut trainer = Self::start(description, files)?;
         trainer.rollout.restore(state.instances)?;
         trainer.picks = state.picks;
         (trainer.counters, trainer.due) = (state.counters, state.due);

@@ -55,11 +55,20 @@ impl Trainer {
     ) -> Result<Self, LearnError> {
         config.check()?;
         let description = RunDescription::new(config, seed, threads.max(1));
+        let mut trainer = Self::begin(description, RunFolder::new(folder))?;
+        trainer.folder.create(&trainer.description)?;
+        Ok(trainer)
+    }
+
+    /// A run before its first step.
+    pub(super) fn begin(
+        description: RunDescription<Config>,
+        folder: RunFolder,
+    ) -> Result<Self, LearnError> {
         let mut trainer = Self::start(description, folder)?;
         if !trainer.description.config.run.from.is_empty() {
             trainer.take_over(&Run::open(Path::new(&trainer.description.config.run.from))?)?;
         }
-        RunFolder::create(folder, &trainer.description)?;
         Ok(trainer)
     }
 
@@ -90,7 +99,7 @@ impl Trainer {
 
     pub(super) fn start(
         description: RunDescription<Config>,
-        folder: &Path,
+        folder: RunFolder,
     ) -> Result<Self, LearnError> {
         let RunDescription { config, seed, threads, .. } = &description;
         let agents = agents_learner(config, *seed)?;
@@ -111,7 +120,7 @@ impl Trainer {
             },
             counters: Counters::new(config.run.evaluate_every),
             due: Due::default(),
-            folder: RunFolder::new(folder),
+            folder,
             description,
             refused: Vec::new(),
         })
@@ -175,7 +184,7 @@ impl Trainer {
     }
 
     /// One update of each level that is due and has enough to learn from, both at the same time.
-    fn update(&mut self) {
+    fn update(&mut self) -> Result<(), LearnError> {
         let config = &self.description.config;
         let (now, end) = (self.counters.env_steps, config.run.steps);
         let due = self.due.take(now, config);
@@ -192,12 +201,13 @@ impl Trainer {
         let window = &mut self.counters.window;
         if learn_agents {
             let rate = config.optimiser.learning_rate_at(now, end);
-            window.agents.add(self.agents.follow(rate));
+            window.agents.add(self.agents.follow(rate).finite("agents", now)?);
         }
         if let Some(learner) = allocator {
             let rate = config.allocator.optimiser.learning_rate_at(now, end);
-            window.allocator.add(learner.follow(rate));
+            window.allocator.add(learner.follow(rate).finite("allocator", now)?);
         }
+        Ok(())
     }
 
     /// So many episodes in the world of this run.
@@ -273,7 +283,7 @@ impl Learning for Trainer {
         self.act()?;
         self.counters.env_steps += self.rollout.instances() as u64;
         while self.due.any(self.counters.env_steps) {
-            self.update();
+            self.update()?;
         }
         let env_steps_total = self.description.config.run.steps;
         observer.progress(&Progress { env_steps: self.counters.env_steps, env_steps_total });

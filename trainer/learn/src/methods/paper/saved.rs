@@ -131,16 +131,20 @@ impl Trainer {
         Ok(())
     }
 
-    /// Continues a run from its newest sound checkpoint, exactly as if it had not been stopped.
+    /// Continues a run from its newest sound checkpoint, exactly as if it had not been stopped; begins it anew
+    /// where none was written yet.
     ///
     /// `threads` may differ from before; it changes no result. `None` takes as many as before.
     pub fn resume(folder: &Path, threads: Option<usize>) -> Result<Self, LearnError> {
-        let files = RunFolder::new(folder);
+        let files = RunFolder::claim(folder)?;
         let mut description = files.read_description::<Config>()?;
         description.threads = threads.unwrap_or(description.threads).max(1);
+        if !files.checkpoints().exist()? {
+            return Self::begin(description, files);
+        }
         let found = files.checkpoints().newest(OpenFor::Resume)?;
         let state: State = found.checkpoint.state()?;
-        let mut trainer = Self::start(description, folder)?;
+        let mut trainer = Self::start(description, files)?;
         trainer.rollout.restore(state.rollout)?;
         restore_low_level(&mut trainer.low_level, &found.checkpoint, state.statistics.mixer)?;
         let learning = trainer.allocation.as_ref().map(AllocationLevel::learning);

@@ -60,11 +60,20 @@ impl Trainer {
     ) -> Result<Self, LearnError> {
         config.check()?;
         let description = RunDescription::new(config, seed, threads.max(1));
+        let mut trainer = Self::begin(description, RunFolder::new(folder))?;
+        trainer.folder.create(&trainer.description)?;
+        Ok(trainer)
+    }
+
+    /// A run before its first step.
+    pub(super) fn begin(
+        description: RunDescription<Config>,
+        folder: RunFolder,
+    ) -> Result<Self, LearnError> {
         let mut trainer = Self::start(description, folder)?;
         if !trainer.description.config.run.from.is_empty() {
             trainer.take_over(Run::open(Path::new(&trainer.description.config.run.from))?)?;
         }
-        RunFolder::create(folder, &trainer.description)?;
         Ok(trainer)
     }
 
@@ -82,7 +91,7 @@ impl Trainer {
 
     pub(super) fn start(
         description: RunDescription<Config>,
-        folder: &Path,
+        folder: RunFolder,
     ) -> Result<Self, LearnError> {
         let RunDescription { config, seed, .. } = &description;
         let set = ScenarioSet::named(&config.environment.set)?;
@@ -107,7 +116,7 @@ impl Trainer {
             generator: generator(*seed, Purpose::Replay, 0),
             counters: Counters::new(config.run.evaluate_every),
             episodes: Episodes::default(),
-            folder: RunFolder::new(folder),
+            folder,
             refused: Vec::new(),
             low_level,
             description,
@@ -175,10 +184,10 @@ impl Trainer {
     }
 
     /// One update of each level that has enough to learn from.
-    fn update(&mut self) {
+    fn update(&mut self) -> Result<(), LearnError> {
         let RunDescription { config, threads, .. } = &self.description;
         let threads = *threads;
-        let sample = self.sample;
+        let (now, sample) = (self.counters.env_steps, self.sample);
         let generator = &mut self.generator;
         let window = &mut self.counters.window;
         let drawn = if config.low_level.frozen {
@@ -191,23 +200,21 @@ impl Trainer {
             let shaped = SampleShape { shaping: Shaping { cell, discount }, ..sample };
             let windows = cut_windows(&self.replay, &drawn, shaped, generator);
             let report = self.low_level.learn(&windows, threads, generator);
-            window
-                .agents
-                .add(UpdateReport { loss: report.loss, gradient_norm: report.gradient_norm });
+            let report = UpdateReport { loss: report.loss, gradient_norm: report.gradient_norm };
+            window.agents.add(report.finite("agents", now)?);
         }
-        let Some(allocation) = &mut self.allocation else { return };
-        let now = self.counters.env_steps;
+        let Some(allocation) = &mut self.allocation else { return Ok(()) };
         let recent = |added: u64| now - added <= config.allocation.oldest;
         let drawn = draw_episodes(&self.replay, sample.windows, generator, |e| recent(e.added));
         if let Some(drawn) = drawn {
             let windows = cut_windows(&self.replay, &drawn, sample, generator);
             if let Some(report) = allocation.learn(&windows, now, generator, threads) {
-                window.allocator.add(UpdateReport {
-                    loss: report.critic_loss,
-                    gradient_norm: report.critic_norm,
-                });
+                let (loss, gradient_norm) = (report.critic_loss, report.critic_norm);
+                let report = UpdateReport { loss, gradient_norm };
+                window.allocator.add(report.finite("allocator", now)?);
             }
         }
+        Ok(())
     }
 
     /// Renews target networks whose time has come.
@@ -295,7 +302,7 @@ impl Learning for Trainer {
         let instances = self.description.config.environment.instances;
         let updates = self.description.config.learning.updates;
         for _ in 0..instances {
-            (0..updates).for_each(|_| self.update());
+            (0..updates).try_for_each(|_| self.update())?;
             self.copy_targets();
         }
         self.episodes.played += instances as u64;

@@ -65,6 +65,23 @@ impl Config {
         Ok(())
     }
 
+    /// Has a run that is shorter than the default explore and hand over to its allocator sooner, in
+    /// proportion. What `is_given` says stays as it is.
+    pub fn fit_to_length(&mut self, is_given: impl Fn(&str) -> bool) {
+        let (steps, whole) = (self.run.steps, RunConfig::default().steps);
+        if steps >= whole {
+            return;
+        }
+        let parts = [
+            ("exploration.steps", &mut self.exploration.steps),
+            ("allocator.learns_from", &mut self.allocator.learns_from),
+            ("allocator.decides_from", &mut self.allocator.decides_from),
+        ];
+        for (_, part) in parts.into_iter().filter(|(key, _)| !is_given(key)) {
+            *part = (u128::from(*part) * u128::from(steps) / u128::from(whole)) as u64;
+        }
+    }
+
     /// Whether the run learns an allocator; without subtasks there is nothing to allocate.
     pub fn learns_allocator(&self) -> bool {
         self.allocation.is_learned() && self.network.subtask.has_subtasks()
@@ -149,6 +166,22 @@ mod tests {
         assert_eq!(config.environment.constants.episode_limit, 99);
         assert_eq!(config.network.subtask, Conditioning::Input);
         assert_eq!(config.mixer.kind, MixerKind::Qmix);
+    }
+
+    #[test]
+    fn a_short_run_explores_and_hands_over_in_proportion() {
+        let schedule = |steps: u64, given: &str| {
+            let mut config = Config::default();
+            config.run.steps = steps;
+            config.fit_to_length(|key| key == given);
+            let allocator = config.allocator;
+            [config.exploration.steps, allocator.learns_from, allocator.decides_from]
+        };
+        assert_eq!(schedule(60_000, ""), [6_000, 12_000, 15_000]);
+        assert_eq!(schedule(60_000, "allocator.learns_from"), [6_000, 120_000, 15_000]);
+        for steps in [600_000, 1_500_000] {
+            assert_eq!(schedule(steps, ""), [60_000, 120_000, 150_000], "as it always was");
+        }
     }
 
     #[test]

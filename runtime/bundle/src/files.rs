@@ -1,0 +1,179 @@
+//! Files that are written whole or not at all.
+//!
+//! A file is written beside its place and moved there by one rename: whoever reads it sees the old or the new
+//! content, even after a crash. What cannot be finished is removed again.
+
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Whether what was written must outlive a failure of the machine.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Durability {
+    /// The system writes it to the disk when it likes.
+    Cached,
+    /// It is on the disk when the call returns.
+    Forced,
+}
+
+const PREFIX: &str = ".sortie-";
+const SUFFIX: &str = ".draft";
+
+/// Replaces a file as a whole, or leaves it as it is.
+///
+/// What is no file, such as `/dev/stdout`, is written to where it is.
+pub fn replace_file(path: &Path, content: &[u8], durability: Durability) -> io::Result<()> {
+    if is_stream(path) {
+        return OpenOptions::new().write(true).open(path)?.write_all(content);
+    }
+    // A link stays a link.
+    let place = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    let draft = draft_beside(&place);
+    let written = write_file(&draft, content, durability).and_then(|()| {
+        if let Ok(old) = fs::metadata(&place) {
+            fs::set_permissions(&draft, old.permissions())?;
+        }
+        fs::rename(&draft, &place)
+    });
+    if written.is_err() {
+        // The first error matters.
+        let _ = fs::remove_file(&draft);
+        return written;
+    }
+    match durability {
+        Durability::Cached => Ok(()),
+        Durability::Forced => sync_folder(folder_of(&place)),
+    }
+}
+
+/// Writes a file in its place: for folders that are moved as a whole.
+pub fn write_file(path: &Path, content: &[u8], durability: Durability) -> io::Result<()> {
+    let mut file = File::create(path)?;
+    file.write_all(content)?;
+    match durability {
+        Durability::Cached => Ok(()),
+        Durability::Forced => file.sync_all(),
+    }
+}
+
+/// Whether a file can be written in that place; nothing is changed there.
+pub fn check_writable(path: &Path) -> io::Result<()> {
+    if path.exists() {
+        OpenOptions::new().write(true).open(path)?;
+    }
+    if is_stream(path) {
+        return Ok(());
+    }
+    let place = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    check_folder(folder_of(&place))
+}
+
+/// Whether files can be made in a folder.
+pub fn check_folder(folder: &Path) -> io::Result<()> {
+    let draft = draft_beside(&folder.join("file"));
+    File::create(&draft)?;
+    fs::remove_file(&draft)
+}
+
+/// Removes drafts that processes left in a folder when they died.
+pub fn remove_drafts(folder: &Path) {
+    for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
+        if is_draft(&entry.file_name().to_string_lossy()) {
+            let _ = fs::remove_file(entry.path());
+        }
+    }
+}
+
+/// Whether a file of that name is a draft.
+pub fn is_draft(name: &str) -> bool {
+    name.starts_with(PREFIX) && name.ends_with(SUFFIX)
+}
+
+/// Makes renames in a folder durable.
+pub fn sync_folder(folder: &Path) -> io::Result<()> {
+    File::open(folder)?.sync_all()
+}
+
+/// Whether a path names a device or a pipe, which cannot be replaced.
+fn is_stream(path: &Path) -> bool {
+    fs::metadata(path).is_ok_and(|found| !found.is_file() && !found.is_dir())
+}
+
+/// The folder of a file; that of a bare name is the current one.
+fn folder_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    }
+}
+
+/// A name that nobody else takes, in the same folder.
+fn draft_beside(path: &Path) -> PathBuf {
+    static DRAFTS: AtomicU64 = AtomicU64::new(0);
+    let number = DRAFTS.fetch_add(1, Ordering::Relaxed);
+    folder_of(path).join(format!("{PREFIX}{}-{number}{SUFFIX}", std::process::id()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::os::unix::fs::symlink;
+
+    fn names(folder: &Path) -> Vec<String> {
+        let entries = fs::read_dir(folder).unwrap().flatten();
+        let mut names: Vec<String> =
+            entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn a_file_is_replaced_as_a_whole_and_nothing_else_is_left() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("file");
+        for durability in [Durability::Cached, Durability::Forced] {
+            for content in ["a long content", "short"] {
+                replace_file(&path, content.as_bytes(), durability).unwrap();
+                assert_eq!(fs::read_to_string(&path).unwrap(), content);
+            }
+        }
+        assert_eq!(names(folder.path()), ["file"]);
+    }
+
+    #[test]
+    fn a_draft_that_cannot_be_moved_is_removed() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("taken");
+        fs::create_dir(&path).unwrap();
+        fs::write(path.join("inside"), "").unwrap();
+        assert!(replace_file(&path, b"content", Durability::Cached).is_err());
+        assert_eq!(names(folder.path()), ["taken"]);
+        assert!(check_writable(&path).is_err());
+        assert!(check_writable(&folder.path().join("nowhere/file")).is_err());
+        assert!(check_writable(&folder.path().join("file")).is_ok());
+        assert_eq!(names(folder.path()), ["taken"], "trying leaves nothing");
+    }
+
+    #[test]
+    fn links_stay_links_and_streams_are_written_to() {
+        let folder = tempfile::tempdir().unwrap();
+        let (file, link) = (folder.path().join("file"), folder.path().join("link"));
+        fs::write(&file, "old").unwrap();
+        symlink(&file, &link).unwrap();
+        replace_file(&link, b"new", Durability::Cached).unwrap();
+        assert_eq!(fs::read_to_string(&file).unwrap(), "new");
+        assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
+        replace_file(Path::new("/dev/null"), b"gone", Durability::Cached).unwrap();
+        assert!(check_writable(Path::new("/dev/null")).is_ok());
+    }
+
+    #[test]
+    fn drafts_of_the_dead_are_removed() {
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(draft_beside(&folder.path().join("file")), "half").unwrap();
+        fs::write(folder.path().join("file"), "whole").unwrap();
+        remove_drafts(folder.path());
+        assert_eq!(names(folder.path()), ["file"]);
+    }
+}

@@ -1,0 +1,122 @@
+//! From flags to a configuration.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::Path;
+
+use sortie_learn::LearnError;
+use sortie_learn::methods::alma::{Conditioning, MixerKind};
+use sortie_learn::methods::paper;
+use sortie_learn::run::Settings;
+
+use super::{Method, Mixer, TrainArguments};
+use crate::arguments::Allocation;
+use crate::environment::ScenarioSetName;
+use crate::failure::{Exit, Failure, Outcome};
+
+/// The configuration that the command line asks for.
+pub(super) fn configuration(arguments: &TrainArguments) -> Result<Settings, Failure> {
+    let mut given = BTreeSet::new();
+    let mut settings = match &arguments.config {
+        Some(path) => configuration_file(path, &mut given)?,
+        None if arguments.method == Method::Copa && arguments.preset == "fast" => {
+            Settings::Windows(paper::Config::like_fast())
+        }
+        None => Settings::preset(&arguments.preset).map_err(usage)?,
+    };
+    if let Some(name) = &arguments.env {
+        settings.environment_mut().set = ScenarioSetName::parse(name)?.set().to_string();
+    }
+    if let Some(allocation) = arguments.allocation {
+        allocate_by(&mut settings, allocation);
+    }
+    if let Some(mixer) = arguments.mixer {
+        mix_by(&mut settings, mixer)?;
+    }
+    match arguments.method {
+        Method::Alma if arguments.no_mask => *settings.subtask_mut() = Conditioning::Input,
+        Method::Alma => {}
+        Method::Flat | Method::Copa if arguments.no_mask || arguments.allocation.is_some() => {
+            let reason = "`flat` and `copa` have no subtasks: drop `--no-mask` and `--allocation`";
+            return Err(Failure::new(Exit::Usage, reason.to_string()));
+        }
+        Method::Flat => {
+            *settings.subtask_mut() = Conditioning::None;
+            if let Settings::Windows(config) = &mut settings {
+                config.coach.enabled = false;
+            }
+        }
+        Method::Copa => enable_coach(&mut settings)?,
+    }
+    if let Some(steps) = arguments.steps {
+        settings.run_mut().steps = steps;
+    }
+    for assignment in &arguments.assignments {
+        settings.set(assignment).map_err(usage)?;
+        given.extend(assignment.split_once('=').map(|(key, _)| key.trim().to_owned()));
+    }
+    settings.fit_to_length(|key| given.contains(key));
+    Ok(settings)
+}
+
+/// Has a rule allocate in the place of a learned allocator.
+fn allocate_by(settings: &mut Settings, allocation: Allocation) {
+    match settings {
+        Settings::Records(config) => {
+            let weight = |rule| f64::from(u8::from(rule == allocation));
+            config.allocation.learned = 0.0;
+            config.allocation.coordinated = weight(Allocation::Coordinated);
+            config.allocation.heuristic = weight(Allocation::Heuristic);
+            config.allocation.random = weight(Allocation::Random);
+        }
+        Settings::Windows(config) => {
+            let rule = match allocation {
+                Allocation::Coordinated => "coordinated",
+                Allocation::Heuristic => "heuristic",
+                Allocation::Random => "random",
+            };
+            config.allocation.by = rule.to_owned();
+        }
+    }
+}
+
+/// Has a coach tell flat agents strategies.
+fn enable_coach(settings: &mut Settings) -> Outcome {
+    let Settings::Windows(config) = settings else {
+        let reason =
+            "`copa` learns from windows: give a configuration with `learner = \"windows\"`";
+        return Err(Failure::new(Exit::Usage, reason.to_string()));
+    };
+    config.enable_coach();
+    Ok(())
+}
+
+fn mix_by(settings: &mut Settings, mixer: Mixer) -> Result<(), Failure> {
+    let kind = match mixer {
+        Mixer::Sum => MixerKind::Sum,
+        Mixer::Linear => MixerKind::Linear,
+        Mixer::Qmix => MixerKind::Qmix,
+    };
+    match settings {
+        Settings::Records(config) => config.mixer.kind = kind,
+        Settings::Windows(_) if kind == MixerKind::Qmix => {}
+        Settings::Windows(_) => {
+            let reason = "the preset `paper` mixes by `qmix` only";
+            return Err(Failure::new(Exit::Usage, reason.to_string()));
+        }
+    }
+    Ok(())
+}
+
+/// Reads a file, and adds the keys that it has a value for.
+fn configuration_file(path: &Path, given: &mut BTreeSet<String>) -> Result<Settings, Failure> {
+    let text = fs::read_to_string(path).map_err(|error| Failure::file(path, &error))?;
+    let bad = |error: LearnError| Failure::from(error).within(path.display());
+    let settings = Settings::from_toml(&text).map_err(bad)?;
+    given.extend(Settings::keys_in(&text).map_err(bad)?);
+    Ok(settings)
+}
+
+fn usage(error: LearnError) -> Failure {
+    Failure::new(Exit::Usage, error.to_string())
+}

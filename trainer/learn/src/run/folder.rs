@@ -1,0 +1,175 @@
+//! The files of a run, and the lock of whoever learns in its folder.
+
+use std::fs::{self, File, OpenOptions, TryLockError};
+use std::io::{ErrorKind, Read, Write};
+use std::path::{Path, PathBuf};
+
+use sortie_bundle::files::{self, Durability, replace_file};
+
+use super::description::{Configuration, RunDescription};
+use super::{Checkpoints, CurvePoint, RunResult, TrainingPoint, chart, curve};
+use crate::error::LearnError;
+use crate::report::{RunEvents, csv};
+
+const LOCK: &str = "lock";
+const RESULT: &str = "result.json";
+
+/// The files of a run.
+#[derive(Debug)]
+pub(crate) struct RunFolder {
+    folder: PathBuf,
+    events: RunEvents,
+    /// Held by the trainer of the run. The kernel frees it when its holder ends, however that is.
+    lock: Option<File>,
+}
+
+impl RunFolder {
+    /// A folder to read, or to [`create`](Self::create) later.
+    pub(crate) fn new(folder: &Path) -> Self {
+        Self { folder: folder.to_owned(), events: RunEvents::new(folder), lock: None }
+    }
+
+    /// The folder of a run to go on with, which nobody else may do meanwhile.
+    pub(crate) fn claim(folder: &Path) -> Result<Self, LearnError> {
+        let mut run = Self::new(folder);
+        let description = run.description_path();
+        fs::metadata(&description).map_err(LearnError::file(&description))?;
+        run.lock()?;
+        files::check_folder(folder).map_err(LearnError::file(folder))?;
+        files::remove_drafts(folder);
+        run.checkpoints().remove_unfinished();
+        Ok(run)
+    }
+
+    /// Makes the folder and claims it; refuses one that holds anything.
+    pub(crate) fn create<C: Configuration>(
+        &mut self,
+        description: &RunDescription<C>,
+    ) -> Result<(), LearnError> {
+        let folder = &self.folder;
+        if self.description_path().exists() {
+            let reason =
+                "holds a run already: go on with it by `--resume`, or choose another folder";
+            return Err(LearnError::taken(folder, reason));
+        }
+        fs::create_dir_all(folder).map_err(LearnError::file(folder))?;
+        if let Some(name) = foreign_entry(folder)? {
+            let reason = format!("is not empty, there is `{name}` in it: choose another folder");
+            return Err(LearnError::taken(folder, reason));
+        }
+        self.lock()?;
+        replace(&self.description_path(), description.to_toml()?.as_bytes())
+    }
+
+    fn lock(&mut self) -> Result<(), LearnError> {
+        let path = self.folder.join(LOCK);
+        let mut options = OpenOptions::new();
+        let file = options.read(true).write(true).create(true).truncate(false).open(&path);
+        let mut file = file.map_err(LearnError::file(&path))?;
+        match file.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => {
+                let mut holder = String::new();
+                // The number only makes the message better.
+                let _ = file.read_to_string(&mut holder);
+                return Err(LearnError::Busy { path: self.folder.clone(), process: holder });
+            }
+            Err(TryLockError::Error(error)) => return Err(LearnError::file(path)(error)),
+        }
+        let _ = file.set_len(0).and_then(|()| write!(file, "{}", std::process::id()));
+        self.lock = Some(file);
+        Ok(())
+    }
+
+    /// Replaces `train.toml` of a run whose figures are void from now on.
+    pub(crate) fn rewrite_description<C: Configuration>(
+        &self,
+        description: &RunDescription<C>,
+    ) -> Result<(), LearnError> {
+        let result = self.folder.join(RESULT);
+        match fs::remove_file(&result) {
+            Err(error) if error.kind() != ErrorKind::NotFound => {
+                return Err(LearnError::file(result)(error));
+            }
+            _ => {}
+        }
+        replace(&self.description_path(), description.to_toml()?.as_bytes())
+    }
+
+    pub(crate) fn read_description<C: Configuration>(
+        &self,
+    ) -> Result<RunDescription<C>, LearnError> {
+        let path = self.description_path();
+        let text = fs::read_to_string(&path).map_err(LearnError::file(&path))?;
+        RunDescription::from_toml(&text).map_err(|error| LearnError::format(path, error))
+    }
+
+    pub(crate) fn checkpoints(&self) -> Checkpoints {
+        Checkpoints::new(&self.folder.join("checkpoints"))
+    }
+
+    /// What TensorBoard was told of later steps by earlier sessions is void.
+    pub(crate) fn goes_on_from(&mut self, env_steps: u64) {
+        self.events.goes_on_from(env_steps);
+    }
+
+    /// Tells TensorBoard how training itself goes.
+    pub(crate) fn write_training(&mut self, point: &TrainingPoint) -> Result<(), LearnError> {
+        self.events.add_training(point)
+    }
+
+    /// Replaces `curve.json`, `curve.csv` and `curve.svg`, and tells TensorBoard of the newest point.
+    pub(crate) fn write_curve(
+        &mut self,
+        title: &str,
+        curve: &[CurvePoint],
+    ) -> Result<(), LearnError> {
+        let path = self.curve_path();
+        let text = curve::to_lines(curve).map_err(|error| LearnError::format(&path, error))?;
+        replace(&path, text.as_bytes())?;
+        let path = self.folder.join("curve.csv");
+        let text = csv::to_csv(curve).map_err(|error| LearnError::format(&path, error))?;
+        replace(&path, text.as_bytes())?;
+        self.events.add(curve)?;
+        let path = self.folder.join("curve.svg");
+        let svg =
+            chart::success_curve(title, curve).map_err(|error| LearnError::format(&path, error))?;
+        replace(&path, svg.as_bytes())
+    }
+
+    /// Writes `result.json`.
+    pub(crate) fn write_result(&self, result: &RunResult) -> Result<(), LearnError> {
+        let path = self.folder.join(RESULT);
+        let text = serde_json::to_string_pretty(result);
+        let text = text.map_err(|error| LearnError::format(&path, error))?;
+        replace(&path, text.as_bytes())
+    }
+
+    pub(crate) fn read_curve(&self) -> Result<Vec<CurvePoint>, LearnError> {
+        let path = self.curve_path();
+        if !path.exists() {
+            return Ok(Vec::new());
+        }
+        let text = fs::read_to_string(&path).map_err(LearnError::file(&path))?;
+        curve::from_lines(&text).map_err(|error| LearnError::format(path, error))
+    }
+
+    fn description_path(&self) -> PathBuf {
+        self.folder.join("train.toml")
+    }
+
+    fn curve_path(&self) -> PathBuf {
+        self.folder.join("curve.json")
+    }
+}
+
+fn replace(path: &Path, content: &[u8]) -> Result<(), LearnError> {
+    replace_file(path, content, Durability::Forced).map_err(LearnError::file(path))
+}
+
+/// Something in a folder that no run left there before it began.
+fn foreign_entry(folder: &Path) -> Result<Option<String>, LearnError> {
+    let entries = fs::read_dir(folder).map_err(LearnError::file(folder))?;
+    let names = entries.flatten().map(|entry| entry.file_name().to_string_lossy().into_owned());
+    Ok(names.filter(|name| name != LOCK && !files::is_draft(name)).min())
+}
