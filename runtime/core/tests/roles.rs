@@ -501,6 +501,46 @@ fn an_answer_that_cannot_be_given_is_not_applied() {
 }
 
 #[test]
+fn an_answer_without_a_seat_is_not_applied() {
+    for fills in [false, true] {
+        let mut stage = Stage::new();
+        let options = stage.world_options();
+        let mut world = WorldRole::new(options);
+        if fills {
+            world.fill_free_seats();
+        }
+        let mut watch = Watch::default();
+        // Nobody joins; the first frame is published once the patience to join is over.
+        while world.tick() < TERM + 1 {
+            if let Poll::Wait { until_ns } = stage.poll_world(&mut world, &mut watch).unwrap() {
+                stage.clock.0.set(until_ns);
+            }
+        }
+        let mut send = |agent, runner| {
+            let tick = world.tick();
+            let answer =
+                ActionMsg { schema: 5, abi: 1, tick, agent, runner, ..ActionMsg::new_zeroed() };
+            stage
+                .team
+                .agent(&mut stage.runner)
+                .send_action(&ActionMsg { action: 2, ..answer })
+                .unwrap();
+        };
+        let (own, stranger) = (options.identity.pid, options.identity.pid + 1);
+        send(0, stranger);
+        // The world's own process acts for free seats where it fills them, and for no others.
+        send(1, own);
+        let bad = world.counters().bad_messages;
+        stage.poll_world(&mut world, &mut watch).unwrap();
+        stage.clock.0.set(stage.clock.0.get() + 100_000);
+        stage.poll_world(&mut world, &mut watch).unwrap();
+        let (actions, answered) = if fills { (vec![1, 2], 0b10) } else { (vec![1, 1], 0) };
+        assert_eq!(watch.ticks.first(), Some(&(actions, answered)), "fills: {fills}");
+        assert_eq!(world.counters().bad_messages, bad);
+    }
+}
+
+#[test]
 fn a_strict_world_ends_without_its_team() {
     let mut stage = Stage::new();
     let options = WorldOptions { strict: true, ..stage.world_options() };

@@ -63,7 +63,7 @@ pub struct PlanFacts {
     /// Measured share of differing actions.
     pub action_mismatch: f32,
     /// Multiply-adds of one decision with all entities visible.
-    pub macs: usize,
+    pub macs: u64,
     /// The operators in order.
     pub operators: Vec<OperatorReport>,
 }

@@ -56,7 +56,7 @@ pub struct Report {
     /// Bytes of arena for every further agent of a team that decides together, 0 where agents decide one by one.
     pub arena_bytes_per_agent: usize,
     /// Multiply-adds of one decision with all entities visible, zeros not left out.
-    pub macs: usize,
+    pub macs: u64,
     /// Largest measured error against the graph, |a - b| / (1 + max |b|).
     pub max_rel_error: f32,
     /// Observations for which plan and graph choose differently.
@@ -75,7 +75,7 @@ pub struct OperatorReport {
     /// Its sizes, for people.
     pub detail: String,
     /// Its multiply-adds with all entities visible.
-    pub macs: usize,
+    pub macs: u64,
 }
 
 /// What is known about a plan of this program.

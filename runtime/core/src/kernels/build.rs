@@ -58,7 +58,7 @@ impl Build {
         sets.into_iter().map(Self).filter(move |build| *build <= widest)
     }
 
-    /// Whether fused multiply-add is an instruction and not a function.
+    /// Whether fused multiply-add is an instruction and not a function. Plans use it with the feature `std` alone.
     pub const fn fuses(self) -> bool {
         match self.0 {
             InstructionSet::Portable => cfg!(target_arch = "aarch64"),

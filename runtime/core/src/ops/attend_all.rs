@@ -2,12 +2,14 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::operator::Operator;
 use super::{Linear, Place, Scratch, Sizes, places};
 use crate::kernels::Kernels;
 use crate::kernels::product::{Sparse, padded};
 use crate::kernels::rows::Rows;
 use crate::kernels::softmax::slots;
-use crate::policy::DecideError;
+use crate::plan::LAYOUT_TILES;
+use crate::policy::{DecideError, Observation};
 
 /// Attention in which every embedded row asks and every one answers (dissertation section 2.3).
 ///
@@ -46,21 +48,10 @@ pub struct AttendAll {
     pub to: Place,
 }
 
-impl AttendAll {
-    /// Floats of all heads' queries, keys or values of one row.
-    fn inner(&self) -> usize {
-        usize::from(self.output.inputs)
-    }
+impl Operator for AttendAll {
+    const LAYOUT: Option<u32> = Some(LAYOUT_TILES);
 
-    fn head_width(&self) -> usize {
-        self.inner().checked_div(usize::from(self.heads)).unwrap_or(0)
-    }
-
-    fn padded_width(&self) -> usize {
-        padded(usize::from(self.width))
-    }
-
-    pub(super) fn check(&self, sizes: &Sizes) -> bool {
+    fn check(&self, sizes: &Sizes) -> bool {
         let inner = self.inner();
         let projections = [&self.query, &self.key, &self.value];
         let fits = |layer: &&Linear| {
@@ -86,24 +77,18 @@ impl AttendAll {
         layers && lengths && sizes.hold_apart(&self.places().each_ref())
     }
 
-    fn places(&self) -> [Place; 7] {
-        // Scores are worked on in whole vectors, for which a plan leaves room behind the last one.
-        let scores = Place { len: slots(self.scores.len as usize) as u32, ..self.scores };
-        let Self { rows, queries, keys, values, attended, to, .. } = *self;
-        [rows, queries, keys, values, scores, attended, to]
-    }
-
-    pub(super) fn multiply_adds(&self, visible: usize) -> usize {
+    fn multiply_adds(&self, visible: u64) -> u64 {
         let layers = [&self.query, &self.key, &self.value, &self.output];
-        let per_row: usize = layers.iter().map(|layer| layer.weights_len()).sum();
-        visible * per_row + 2 * visible * visible * self.inner()
+        let per_row: u64 = layers.iter().map(|layer| layer.multiply_adds()).sum();
+        visible * per_row + 2 * visible * visible * self.inner() as u64
     }
 
     #[inline(always)]
-    pub(super) fn run(
+    fn run<K: Kernels>(
         &self,
-        kernels: impl Kernels,
+        kernels: K,
         weights: &[f32],
+        _: &Observation<'_>,
         scratch: &mut Scratch<'_>,
     ) -> Result<(), DecideError> {
         let visible = scratch.visible;
@@ -129,6 +114,28 @@ impl AttendAll {
             kernels.product(matrix, attended, around, to);
         }
         Ok(())
+    }
+}
+
+impl AttendAll {
+    /// Floats of all heads' queries, keys or values of one row.
+    fn inner(&self) -> usize {
+        usize::from(self.output.inputs)
+    }
+
+    fn head_width(&self) -> usize {
+        self.inner().checked_div(usize::from(self.heads)).unwrap_or(0)
+    }
+
+    fn padded_width(&self) -> usize {
+        padded(usize::from(self.width))
+    }
+
+    fn places(&self) -> [Place; 7] {
+        // Scores are worked on in whole vectors, for which a plan leaves room behind the last one.
+        let scores = Place { len: slots(self.scores.len as usize) as u32, ..self.scores };
+        let Self { rows, queries, keys, values, attended, to, .. } = *self;
+        [rows, queries, keys, values, scores, attended, to]
     }
 
     /// Computes q, k and v of every row.

@@ -4,13 +4,15 @@ use core::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
+use super::operator::Operator;
 use super::team::{Member, Team};
 use super::{Linear, Place, Scratch, Sizes, places, slice};
 use crate::kernels::product::{Around, Sparse, TILE, padded};
 use crate::kernels::rows::Rows;
 use crate::kernels::softmax::slots;
 use crate::kernels::{HEADS, Head, Heads, Kernels};
-use crate::policy::DecideError;
+use crate::plan::LAYOUT_TILES;
+use crate::policy::{DecideError, Observation};
 
 /// Attention over the embedded rows, rewritten for a single query (dissertation section 2.3).
 ///
@@ -49,24 +51,10 @@ pub struct AttendOwn {
     pub to: Place,
 }
 
-impl AttendOwn {
-    pub(super) fn head_width(&self) -> usize {
-        usize::from(self.query.outputs).checked_div(usize::from(self.heads)).unwrap_or(0)
-    }
+impl Operator for AttendOwn {
+    const LAYOUT: Option<u32> = Some(LAYOUT_TILES);
 
-    pub(super) fn padded_width(&self) -> usize {
-        padded(usize::from(self.width))
-    }
-
-    fn keys_len(&self) -> usize {
-        self.head_width() * self.padded_width()
-    }
-
-    fn values_len(&self) -> usize {
-        usize::from(self.width) * padded(self.head_width())
-    }
-
-    pub(super) fn check(&self, sizes: &Sizes) -> bool {
+    fn check(&self, sizes: &Sizes) -> bool {
         let (heads, head_width) = (usize::from(self.heads), self.head_width());
         let rows = (u64::from(sizes.n_max) + 1).saturating_mul(self.padded_width() as u64);
         let all = |len: usize| heads as u64 * len as u64;
@@ -89,25 +77,20 @@ impl AttendOwn {
         layers && widths && lengths && sizes.hold_apart(&self.places().each_ref())
     }
 
-    pub(super) fn places(&self) -> [Place; 7] {
-        // Scores are worked on in whole vectors, for which a plan leaves room behind the last one.
-        let scores = Place { len: slots(self.scores.len as usize) as u32, ..self.scores };
-        let Self { rows, query_place, absorbed, mixed, attended, to, .. } = *self;
-        [rows, query_place, absorbed, scores, mixed, attended, to]
-    }
-
-    pub(super) fn multiply_adds(&self, visible: usize) -> usize {
-        let heads = usize::from(self.heads);
-        let per_entity = 2 * heads * self.padded_width();
-        let matrices = heads * (self.keys_len() + self.values_len());
-        self.query.weights_len() + matrices + visible * per_entity + self.output.weights_len()
+    fn multiply_adds(&self, visible: u64) -> u64 {
+        let heads = u64::from(self.heads);
+        let per_entity = 2 * heads * self.padded_width() as u64;
+        let matrices = heads * (self.keys_len() as u64 + self.values_len() as u64);
+        let layers = self.query.multiply_adds() + self.output.multiply_adds();
+        layers + matrices + visible * per_entity
     }
 
     #[inline(always)]
-    pub(super) fn run<K: Kernels>(
+    fn run<K: Kernels>(
         &self,
         kernels: K,
         weights: &[f32],
+        _: &Observation<'_>,
         scratch: &mut Scratch<'_>,
     ) -> Result<(), DecideError> {
         let visible = scratch.visible;
@@ -133,6 +116,69 @@ impl AttendOwn {
         let around = self.output.around(weights, self.relu)?;
         kernels.product(self.output.matrix(weights)?, attended, around, to);
         Ok(())
+    }
+
+    fn works_for_teams(&self, shared: u32) -> bool {
+        // Its places do not overlap, and the first are the shared rows.
+        self.rows == Place { offset: 0, len: shared }
+    }
+
+    /// As [`Self::run`] for all members of a team.
+    fn run_team(
+        &self,
+        kernels: impl Kernels,
+        weights: &[f32],
+        _: &[Observation<'_>],
+        team: &mut Team<'_>,
+    ) -> Result<(), DecideError> {
+        if team.shared.len() >= self.shared_floats() && team.is_one_entity() {
+            return self.run_shared(kernels, weights, team);
+        }
+        let asks = |member: &Member| member.slots.len() > 1;
+        let sees = |member: &Member| !member.slots.is_empty();
+        let (width, absorbed) = (usize::from(self.width), &self.absorbed);
+        let step = padded(self.head_width());
+        let (matrix, around) = (self.query.matrix(weights)?, self.query.around(weights, false)?);
+        kernels.products(matrix, &mut team.own_rows(width, &self.query_place, asks), around);
+        for head in 0..usize::from(self.heads) {
+            let query = self.query_place.part(self.head(head));
+            let matrix = self.keys(weights, head)?;
+            kernels.products(matrix, &mut team.pairs(&query, absorbed, asks), Around::NOTHING);
+            self.attend_team(kernels, team)?;
+            let mixed = self.mixed.part(0..width);
+            let output = self.attended.part(head * step..(head + 1) * step);
+            let matrix = self.values(weights, head)?;
+            kernels.products(matrix, &mut team.pairs(&mixed, &output, sees), Around::NOTHING);
+        }
+        let (matrix, around) =
+            (self.output.matrix(weights)?, self.output.around(weights, self.relu)?);
+        kernels.products(matrix, &mut team.pairs(&self.attended, &self.to, |_| true), around);
+        Ok(())
+    }
+}
+
+impl AttendOwn {
+    pub(super) fn head_width(&self) -> usize {
+        usize::from(self.query.outputs).checked_div(usize::from(self.heads)).unwrap_or(0)
+    }
+
+    pub(super) fn padded_width(&self) -> usize {
+        padded(usize::from(self.width))
+    }
+
+    fn keys_len(&self) -> usize {
+        self.head_width() * self.padded_width()
+    }
+
+    fn values_len(&self) -> usize {
+        usize::from(self.width) * padded(self.head_width())
+    }
+
+    pub(super) fn places(&self) -> [Place; 7] {
+        // Scores are worked on in whole vectors, for which a plan leaves room behind the last one.
+        let scores = Place { len: slots(self.scores.len as usize) as u32, ..self.scores };
+        let Self { rows, query_place, absorbed, mixed, attended, to, .. } = *self;
+        [rows, query_place, absorbed, scores, mixed, attended, to]
     }
 
     /// Computes o of all heads.
@@ -224,38 +270,6 @@ impl AttendOwn {
     ) -> Result<(), DecideError> {
         let query = query.get(self.head(head)).ok_or(DecideError::BadLength)?;
         kernels.product(self.keys(weights, head)?, query, Around::NOTHING, absorbed);
-        Ok(())
-    }
-
-    /// As [`Self::run`] for all members of a team.
-    pub(super) fn run_team(
-        &self,
-        kernels: impl Kernels,
-        weights: &[f32],
-        team: &mut Team<'_>,
-    ) -> Result<(), DecideError> {
-        if team.shared.len() >= self.shared_floats() && team.is_one_entity() {
-            return self.run_shared(kernels, weights, team);
-        }
-        let asks = |member: &Member| member.slots.len() > 1;
-        let sees = |member: &Member| !member.slots.is_empty();
-        let (width, absorbed) = (usize::from(self.width), &self.absorbed);
-        let step = padded(self.head_width());
-        let (matrix, around) = (self.query.matrix(weights)?, self.query.around(weights, false)?);
-        kernels.products(matrix, &mut team.own_rows(width, &self.query_place, asks), around);
-        for head in 0..usize::from(self.heads) {
-            let query = self.query_place.part(self.head(head));
-            let matrix = self.keys(weights, head)?;
-            kernels.products(matrix, &mut team.pairs(&query, absorbed, asks), Around::NOTHING);
-            self.attend_team(kernels, team)?;
-            let mixed = self.mixed.part(0..width);
-            let output = self.attended.part(head * step..(head + 1) * step);
-            let matrix = self.values(weights, head)?;
-            kernels.products(matrix, &mut team.pairs(&mixed, &output, sees), Around::NOTHING);
-        }
-        let (matrix, around) =
-            (self.output.matrix(weights)?, self.output.around(weights, self.relu)?);
-        kernels.products(matrix, &mut team.pairs(&self.attended, &self.to, |_| true), around);
         Ok(())
     }
 

@@ -2,11 +2,13 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::operator::Operator;
 use super::team::Team;
 use super::{Linear, Place, Scratch, Sizes, places};
 use crate::kernels::Kernels;
 use crate::kernels::product::Sparse;
-use crate::policy::DecideError;
+use crate::plan::LAYOUT_TILES;
+use crate::policy::{DecideError, Observation};
 
 /// `W x + b`, with a ReLU where one follows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -23,8 +25,10 @@ pub struct Dense {
     pub to: Place,
 }
 
-impl Dense {
-    pub(super) fn check(&self, sizes: &Sizes) -> bool {
+impl Operator for Dense {
+    const LAYOUT: Option<u32> = Some(LAYOUT_TILES);
+
+    fn check(&self, sizes: &Sizes) -> bool {
         self.layer.check(sizes)
             && sizes.holds(&self.from)
             && sizes.holds(&self.to)
@@ -34,15 +38,16 @@ impl Dense {
             && (!self.sparse_input || sizes.lists(u64::from(self.layer.inputs)))
     }
 
-    pub(super) fn multiply_adds(&self) -> usize {
-        self.layer.weights_len()
+    fn multiply_adds(&self, _: u64) -> u64 {
+        self.layer.multiply_adds()
     }
 
     #[inline(always)]
-    pub(super) fn run(
+    fn run<K: Kernels>(
         &self,
-        kernels: impl Kernels,
+        kernels: K,
         weights: &[f32],
+        _: &Observation<'_>,
         scratch: &mut Scratch<'_>,
     ) -> Result<(), DecideError> {
         let matrix = self.layer.matrix(weights)?;
@@ -59,11 +64,16 @@ impl Dense {
         Ok(())
     }
 
+    fn works_for_teams(&self, shared: u32) -> bool {
+        self.from.offset.min(self.to.offset) >= shared
+    }
+
     /// As [`Self::run`] for all members of a team, zeros not left out: which they are differs between members.
-    pub(super) fn run_team(
+    fn run_team(
         &self,
         kernels: impl Kernels,
         weights: &[f32],
+        _: &[Observation<'_>],
         team: &mut Team<'_>,
     ) -> Result<(), DecideError> {
         let around = self.layer.around(weights, self.relu)?;

@@ -2,12 +2,14 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::operator::Operator;
 use super::team::{Member, Team};
 use super::{Linear, Place, Scratch, Sizes, places};
 use crate::entity_mask::EntityMask;
 use crate::kernels::Kernels;
 use crate::kernels::mark::Marks;
 use crate::kernels::product::Sparse;
+use crate::plan::LAYOUT_TILES;
 use crate::policy::{DecideError, NO_ACTION, Observation};
 
 /// `relu(W x + b)` of every visible entity and of the agent itself; invisible rows are never read.
@@ -27,8 +29,10 @@ pub struct EmbedEntities {
     pub rows: Place,
 }
 
-impl EmbedEntities {
-    pub(super) fn check(&self, sizes: &Sizes) -> bool {
+impl Operator for EmbedEntities {
+    const LAYOUT: Option<u32> = Some(LAYOUT_TILES);
+
+    fn check(&self, sizes: &Sizes) -> bool {
         let inputs = u32::from(self.layer.inputs);
         let actions = u32::from(self.last_actions);
         let rows = (u64::from(sizes.n_max) + 1).saturating_mul(self.layer.padded_outputs() as u64);
@@ -40,14 +44,14 @@ impl EmbedEntities {
             && u64::from(self.rows.len) == rows
     }
 
-    pub(super) fn multiply_adds(&self, visible: usize) -> usize {
-        visible * self.layer.weights_len()
+    fn multiply_adds(&self, visible: u64) -> u64 {
+        visible * self.layer.multiply_adds()
     }
 
     #[inline(always)]
-    pub(super) fn run(
+    fn run<K: Kernels>(
         &self,
-        kernels: impl Kernels,
+        kernels: K,
         weights: &[f32],
         observation: &Observation<'_>,
         scratch: &mut Scratch<'_>,
@@ -71,8 +75,12 @@ impl EmbedEntities {
         Ok(())
     }
 
+    fn works_for_teams(&self, shared: u32) -> bool {
+        self.rows == Place { offset: 0, len: shared }
+    }
+
     /// As [`Self::run`] for all members of a team: a row that several see is embedded once.
-    pub(super) fn run_team(
+    fn run_team(
         &self,
         kernels: impl Kernels,
         weights: &[f32],
@@ -104,7 +112,9 @@ impl EmbedEntities {
         }
         Ok(())
     }
+}
 
+impl EmbedEntities {
     /// An entity's inputs that are not zero, its last action behind the features.
     #[inline(always)]
     fn inputs<'a>(

@@ -2,10 +2,13 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::operator::Operator;
 use super::{Place, Scratch, Sizes, places};
+use crate::kernels::Kernels;
 use crate::kernels::product::padded;
 use crate::limits;
-use crate::policy::DecideError;
+use crate::plan::LAYOUT_TILES;
+use crate::policy::{DecideError, Observation};
 
 /// For every group, a subtask for instance, the sum of the rows of the present entities that belong to it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -20,12 +23,10 @@ pub struct GroupSum {
     pub to: Place,
 }
 
-impl GroupSum {
-    fn padded_width(&self) -> usize {
-        padded(usize::from(self.width))
-    }
+impl Operator for GroupSum {
+    const LAYOUT: Option<u32> = Some(LAYOUT_TILES);
 
-    pub(super) fn check(&self, sizes: &Sizes) -> bool {
+    fn check(&self, sizes: &Sizes) -> bool {
         let groups = usize::from(self.groups);
         self.width > 0
             && (1..=limits::TASKS).contains(&groups)
@@ -34,12 +35,18 @@ impl GroupSum {
             && sizes.hold_apart(&[&self.rows, &self.to])
     }
 
-    pub(super) fn multiply_adds(&self, visible: usize) -> usize {
-        visible * usize::from(self.groups) * self.padded_width()
+    fn multiply_adds(&self, visible: u64) -> u64 {
+        visible * u64::from(self.groups) * self.padded_width() as u64
     }
 
     #[inline(always)]
-    pub(super) fn run(&self, scratch: &mut Scratch<'_>) -> Result<(), DecideError> {
+    fn run<K: Kernels>(
+        &self,
+        _: K,
+        _: &[f32],
+        _: &Observation<'_>,
+        scratch: &mut Scratch<'_>,
+    ) -> Result<(), DecideError> {
         let (present, groups) = (scratch.present, scratch.groups);
         let [rows, to] = places(scratch.floats, [&self.rows, &self.to])?;
         to.fill(0.0);
@@ -54,5 +61,11 @@ impl GroupSum {
             }
         }
         Ok(())
+    }
+}
+
+impl GroupSum {
+    fn padded_width(&self) -> usize {
+        padded(usize::from(self.width))
     }
 }

@@ -2,11 +2,13 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::operator::Operator;
 use super::{Linear, Place, Scratch, Sizes, places};
 use crate::kernels::Kernels;
 use crate::kernels::product::{Sparse, padded};
 use crate::math::{all_finite, sigmoid, tanh};
-use crate::policy::DecideError;
+use crate::plan::LAYOUT_TILES;
+use crate::policy::{DecideError, Observation};
 
 /// Gates of the unit, in the order of its matrices: reset r, update z, candidate n.
 const GATES: usize = 3;
@@ -41,12 +43,10 @@ pub struct Gru {
     pub to: Place,
 }
 
-impl Gru {
-    fn padded_size(&self) -> usize {
-        padded(usize::from(self.size))
-    }
+impl Operator for Gru {
+    const LAYOUT: Option<u32> = Some(LAYOUT_TILES);
 
-    pub(super) fn check(&self, sizes: &Sizes) -> bool {
+    fn check(&self, sizes: &Sizes) -> bool {
         let (padded, gates) = (self.padded_size(), GATES * self.padded_size());
         let layers = self.input.check(sizes)
             && self.recurrent.check(sizes)
@@ -62,19 +62,17 @@ impl Gru {
         layers && lengths && sizes.hold_apart(&self.places())
     }
 
-    fn places(&self) -> [&Place; 5] {
-        [&self.from, &self.state, &self.input_gates, &self.recurrent_gates, &self.to]
-    }
-
-    pub(super) fn multiply_adds(&self) -> usize {
-        self.input.weights_len() + self.recurrent.weights_len() + GATES * self.padded_size()
+    fn multiply_adds(&self, _: u64) -> u64 {
+        let gates = (GATES * self.padded_size()) as u64;
+        self.input.multiply_adds() + self.recurrent.multiply_adds() + gates
     }
 
     #[inline(always)]
-    pub(super) fn run(
+    fn run<K: Kernels>(
         &self,
-        kernels: impl Kernels,
+        kernels: K,
         weights: &[f32],
+        _: &Observation<'_>,
         scratch: &mut Scratch<'_>,
     ) -> Result<(), DecideError> {
         let [from, state, inputs, recurrents, to] = places(scratch.floats, self.places())?;
@@ -95,6 +93,16 @@ impl Gru {
             return Err(DecideError::NonFinite);
         }
         self.combine(inputs, recurrents, state, to).ok_or(DecideError::BadLength)
+    }
+}
+
+impl Gru {
+    fn padded_size(&self) -> usize {
+        padded(usize::from(self.size))
+    }
+
+    fn places(&self) -> [&Place; 5] {
+        [&self.from, &self.state, &self.input_gates, &self.recurrent_gates, &self.to]
     }
 
     /// Writes the new state, zeros behind it.

@@ -6,6 +6,7 @@ use super::attend_own::attend;
 use super::int8_layer::{
     Between, From, Int8Layer, Int8Shape, product, quantised_floats, team_products,
 };
+use super::operator::Operator;
 use super::team::{Member, Team};
 use super::{Place, Scratch, Sizes, places};
 use crate::kernels::Kernels;
@@ -13,7 +14,8 @@ use crate::kernels::int8::Matrix;
 use crate::kernels::product::padded;
 use crate::kernels::rows::Rows;
 use crate::kernels::softmax::slots;
-use crate::policy::DecideError;
+use crate::plan::LAYOUT_INT8;
+use crate::policy::{DecideError, Observation};
 
 /// As [`super::AttendOwn`]: queries, absorbed keys, values and output are int8 products, each of whose inputs are
 /// quantised anew; scores, their softmax and the mixed rows stay f32.
@@ -58,25 +60,10 @@ pub struct Int8AttendOwn {
     pub quantised: Place,
 }
 
-impl Int8AttendOwn {
-    /// Outputs of a head, those of padding included.
-    fn head_width(&self) -> usize {
-        usize::from(self.query.outputs).checked_div(usize::from(self.heads)).unwrap_or(0)
-    }
+impl Operator for Int8AttendOwn {
+    const LAYOUT: Option<u32> = Some(LAYOUT_INT8);
 
-    fn padded_width(&self) -> usize {
-        padded(usize::from(self.width))
-    }
-
-    fn key_shape(&self) -> Int8Shape {
-        Int8Shape { inputs: self.head_width(), outputs: usize::from(self.width) }
-    }
-
-    fn value_shape(&self) -> Int8Shape {
-        Int8Shape { inputs: usize::from(self.width), outputs: self.head_width() }
-    }
-
-    pub(super) fn check(&self, sizes: &Sizes) -> bool {
+    fn check(&self, sizes: &Sizes) -> bool {
         let (heads, head_width) = (usize::from(self.heads), self.head_width());
         let rows = (u64::from(sizes.n_max) + 1).saturating_mul(self.padded_width() as u64);
         let all = |len: usize| (heads as u64).saturating_mul(len as u64);
@@ -106,29 +93,20 @@ impl Int8AttendOwn {
         layers && widths && lengths && sizes.hold_apart(&self.places().each_ref())
     }
 
-    fn places(&self) -> [Place; 8] {
-        // Scores are worked on in whole vectors, for which a plan leaves room behind the last one.
-        let scores = Place { len: slots(self.scores.len as usize) as u32, ..self.scores };
-        let Self { rows, query_place, absorbed, mixed, attended, to, quantised, .. } = *self;
-        [rows, query_place, absorbed, scores, mixed, attended, to, quantised]
-    }
-
-    pub(super) fn multiply_adds(&self, visible: usize) -> usize {
-        let per_entity = self.padded_width().saturating_mul(2);
-        let per_head = self
-            .key_shape()
-            .multiply_adds()
-            .saturating_add(self.value_shape().multiply_adds())
-            .saturating_add(visible.saturating_mul(per_entity));
+    fn multiply_adds(&self, visible: u64) -> u64 {
+        let heads = [self.key_shape(), self.value_shape()].map(Int8Shape::multiply_adds);
         let layers = [self.query, self.output].map(|layer| layer.shape().multiply_adds());
-        layers.into_iter().fold(per_head.saturating_mul(self.heads.into()), usize::saturating_add)
+        let rows = 2 * visible * self.padded_width() as u64;
+        let per_head = heads.iter().sum::<u64>() + rows;
+        layers.iter().sum::<u64>() + u64::from(self.heads) * per_head
     }
 
     #[inline(always)]
-    pub(super) fn run(
+    fn run<K: Kernels>(
         &self,
-        kernels: impl Kernels,
+        kernels: K,
         weights: &[f32],
+        _: &Observation<'_>,
         scratch: &mut Scratch<'_>,
     ) -> Result<(), DecideError> {
         let visible = scratch.visible;
@@ -159,11 +137,17 @@ impl Int8AttendOwn {
         product(kernels, &self.output.matrix(weights, self.relu)?, attended, quantised, to)
     }
 
+    fn works_for_teams(&self, shared: u32) -> bool {
+        // Its places do not overlap, and the first are the shared rows.
+        self.rows == Place { offset: 0, len: shared }
+    }
+
     /// As [`Self::run`] for all members of a team.
-    pub(super) fn run_team(
+    fn run_team(
         &self,
         kernels: impl Kernels,
         weights: &[f32],
+        _: &[Observation<'_>],
         team: &mut Team<'_>,
     ) -> Result<(), DecideError> {
         let asks = |member: &Member| member.slots.len() > 1;
@@ -186,6 +170,32 @@ impl Int8AttendOwn {
         let matrix = self.output.matrix(weights, self.relu)?;
         let between = Between { from: From::Own(&self.attended), quantised, to: &self.to };
         team_products(kernels, &matrix, team, between, |_| true)
+    }
+}
+
+impl Int8AttendOwn {
+    /// Outputs of a head, those of padding included.
+    fn head_width(&self) -> usize {
+        usize::from(self.query.outputs).checked_div(usize::from(self.heads)).unwrap_or(0)
+    }
+
+    fn padded_width(&self) -> usize {
+        padded(usize::from(self.width))
+    }
+
+    fn key_shape(&self) -> Int8Shape {
+        Int8Shape { inputs: self.head_width(), outputs: usize::from(self.width) }
+    }
+
+    fn value_shape(&self) -> Int8Shape {
+        Int8Shape { inputs: usize::from(self.width), outputs: self.head_width() }
+    }
+
+    fn places(&self) -> [Place; 8] {
+        // Scores are worked on in whole vectors, for which a plan leaves room behind the last one.
+        let scores = Place { len: slots(self.scores.len as usize) as u32, ..self.scores };
+        let Self { rows, query_place, absorbed, mixed, attended, to, quantised, .. } = *self;
+        [rows, query_place, absorbed, scores, mixed, attended, to, quantised]
     }
 
     /// Mixes rows by one head's scores for every member; who sees nothing gets zeros.

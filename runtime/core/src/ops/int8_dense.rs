@@ -3,10 +3,12 @@
 use serde::{Deserialize, Serialize};
 
 use super::int8_layer::{Between, From, Int8Layer, product, quantised_floats, team_products};
+use super::operator::Operator;
 use super::team::Team;
 use super::{Place, Scratch, Sizes, places};
 use crate::kernels::Kernels;
-use crate::policy::DecideError;
+use crate::plan::LAYOUT_INT8;
+use crate::policy::{DecideError, Observation};
 
 /// `W x + b`, with a ReLU where one follows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -23,8 +25,10 @@ pub struct Int8Dense {
     pub quantised: Place,
 }
 
-impl Int8Dense {
-    pub(super) fn check(&self, sizes: &Sizes) -> bool {
+impl Operator for Int8Dense {
+    const LAYOUT: Option<u32> = Some(LAYOUT_INT8);
+
+    fn check(&self, sizes: &Sizes) -> bool {
         self.layer.check(sizes)
             && sizes.hold_apart(&[&self.from, &self.to, &self.quantised])
             && self.from.len == u32::from(self.layer.inputs)
@@ -32,15 +36,16 @@ impl Int8Dense {
             && self.quantised.len as usize == quantised_floats(self.layer.inputs.into())
     }
 
-    pub(super) fn multiply_adds(&self) -> usize {
+    fn multiply_adds(&self, _: u64) -> u64 {
         self.layer.shape().multiply_adds()
     }
 
     #[inline(always)]
-    pub(super) fn run(
+    fn run<K: Kernels>(
         &self,
-        kernels: impl Kernels,
+        kernels: K,
         weights: &[f32],
+        _: &Observation<'_>,
         scratch: &mut Scratch<'_>,
     ) -> Result<(), DecideError> {
         let wanted = [&self.from, &self.quantised, &self.to];
@@ -48,11 +53,16 @@ impl Int8Dense {
         product(kernels, &self.layer.matrix(weights, self.relu)?, from, quantised, to)
     }
 
+    fn works_for_teams(&self, shared: u32) -> bool {
+        [self.from, self.to, self.quantised].iter().all(|place| place.offset >= shared)
+    }
+
     /// As [`Self::run`] for all members of a team.
-    pub(super) fn run_team(
+    fn run_team(
         &self,
         kernels: impl Kernels,
         weights: &[f32],
+        _: &[Observation<'_>],
         team: &mut Team<'_>,
     ) -> Result<(), DecideError> {
         let Self { from, quantised, to, .. } = self;

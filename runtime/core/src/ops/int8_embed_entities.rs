@@ -4,11 +4,13 @@ use serde::{Deserialize, Serialize};
 
 use super::embed_entities::last_action;
 use super::int8_layer::{Int8Layer, integers, quantised_floats};
+use super::operator::Operator;
 use super::team::{Member, Team};
 use super::{Place, Scratch, Sizes, places};
 use crate::entity_mask::EntityMask;
 use crate::kernels::Kernels;
 use crate::kernels::int8::{Matrix, SparseVector};
+use crate::plan::LAYOUT_INT8;
 use crate::policy::{DecideError, Observation};
 
 /// As [`super::EmbedEntities`]; every row is quantised by itself, and pairs of inputs that are both zero are left
@@ -28,8 +30,10 @@ pub struct Int8EmbedEntities {
     pub quantised: Place,
 }
 
-impl Int8EmbedEntities {
-    pub(super) fn check(&self, sizes: &Sizes) -> bool {
+impl Operator for Int8EmbedEntities {
+    const LAYOUT: Option<u32> = Some(LAYOUT_INT8);
+
+    fn check(&self, sizes: &Sizes) -> bool {
         let inputs = u32::from(self.layer.inputs);
         let actions = u32::from(self.last_actions);
         let rows = (u64::from(sizes.n_max) + 1).saturating_mul(self.layer.padded_outputs() as u64);
@@ -41,14 +45,14 @@ impl Int8EmbedEntities {
             && self.quantised.len as usize == quantised_floats(self.layer.inputs.into())
     }
 
-    pub(super) fn multiply_adds(&self, visible: usize) -> usize {
-        visible.saturating_mul(self.layer.shape().multiply_adds())
+    fn multiply_adds(&self, visible: u64) -> u64 {
+        visible * self.layer.shape().multiply_adds()
     }
 
     #[inline(always)]
-    pub(super) fn run(
+    fn run<K: Kernels>(
         &self,
-        kernels: impl Kernels,
+        kernels: K,
         weights: &[f32],
         observation: &Observation<'_>,
         scratch: &mut Scratch<'_>,
@@ -70,8 +74,13 @@ impl Int8EmbedEntities {
         Ok(())
     }
 
+    fn works_for_teams(&self, shared: u32) -> bool {
+        // Its places do not overlap, and the first are the shared rows.
+        self.rows == Place { offset: 0, len: shared }
+    }
+
     /// As [`Self::run`] for all members of a team: a row that several see is embedded once.
-    pub(super) fn run_team(
+    fn run_team(
         &self,
         kernels: impl Kernels,
         weights: &[f32],
@@ -101,7 +110,9 @@ impl Int8EmbedEntities {
         }
         Ok(())
     }
+}
 
+impl Int8EmbedEntities {
     /// Embeds an entity's row, its last action behind the features.
     #[inline(always)]
     fn embed(

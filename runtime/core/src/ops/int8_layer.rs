@@ -53,8 +53,8 @@ impl Int8Shape {
         rows.saturating_mul(ROW_FLOATS)
     }
 
-    pub(super) fn multiply_adds(self) -> usize {
-        self.inputs.saturating_mul(padded(self.outputs))
+    pub(super) fn multiply_adds(self) -> u64 {
+        self.inputs as u64 * padded(self.outputs) as u64
     }
 
     /// The matrix without bias whose weights and steps start at the given floats.

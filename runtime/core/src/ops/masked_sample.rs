@@ -2,7 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Place, Sizes};
+use super::operator::Operator;
+use super::team::Team;
+use super::{Place, Scratch, Sizes};
+use crate::kernels::Kernels;
+use crate::policy::{DecideError, Observation};
 
 /// A draw ([`crate::choose::masked_sample`]); its input is the program's logits `[U]`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -11,8 +15,42 @@ pub struct MaskedSample {
     pub from: Place,
 }
 
-impl MaskedSample {
-    pub(super) fn check(&self, sizes: &Sizes) -> bool {
+impl Operator for MaskedSample {
+    const LAYOUT: Option<u32> = None;
+
+    fn check(&self, sizes: &Sizes) -> bool {
         sizes.holds(&self.from) && self.from.len == sizes.actions
+    }
+
+    fn multiply_adds(&self, _: u64) -> u64 {
+        0
+    }
+
+    #[inline(always)]
+    fn run<K: Kernels>(
+        &self,
+        _: K,
+        _: &[f32],
+        _: &Observation<'_>,
+        _: &mut Scratch<'_>,
+    ) -> Result<(), DecideError> {
+        // Only marks where the caller reads.
+        Ok(())
+    }
+
+    fn works_for_teams(&self, shared: u32) -> bool {
+        self.from.offset >= shared
+    }
+
+    #[inline(always)]
+    fn run_team(
+        &self,
+        _: impl Kernels,
+        _: &[f32],
+        _: &[Observation<'_>],
+        _: &mut Team<'_>,
+    ) -> Result<(), DecideError> {
+        // Only marks where the caller reads.
+        Ok(())
     }
 }

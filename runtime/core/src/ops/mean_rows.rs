@@ -2,9 +2,12 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::operator::Operator;
 use super::{Place, Scratch, Sizes, places};
+use crate::kernels::Kernels;
 use crate::kernels::product::padded;
-use crate::policy::DecideError;
+use crate::plan::LAYOUT_TILES;
+use crate::policy::{DecideError, Observation};
 
 /// Which rows a mean is taken over.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -29,20 +32,28 @@ pub struct MeanRows {
     pub to: Place,
 }
 
-impl MeanRows {
-    fn padded_width(&self) -> usize {
-        padded(usize::from(self.width))
-    }
+impl Operator for MeanRows {
+    const LAYOUT: Option<u32> = Some(LAYOUT_TILES);
 
-    pub(super) fn check(&self, sizes: &Sizes) -> bool {
+    fn check(&self, sizes: &Sizes) -> bool {
         self.width > 0
             && sizes.holds_rows(&self.rows, self.padded_width())
             && self.to.len as usize == self.padded_width()
             && sizes.hold_apart(&[&self.rows, &self.to])
     }
 
+    fn multiply_adds(&self, _: u64) -> u64 {
+        0
+    }
+
     #[inline(always)]
-    pub(super) fn run(&self, scratch: &mut Scratch<'_>) -> Result<(), DecideError> {
+    fn run<K: Kernels>(
+        &self,
+        _: K,
+        _: &[f32],
+        _: &Observation<'_>,
+        scratch: &mut Scratch<'_>,
+    ) -> Result<(), DecideError> {
         let (visible, agents) = (scratch.present, scratch.agents);
         let count = match self.members {
             Members::Present => visible.len(),
@@ -62,5 +73,11 @@ impl MeanRows {
             *sum /= count;
         }
         Ok(())
+    }
+}
+
+impl MeanRows {
+    fn padded_width(&self) -> usize {
+        padded(usize::from(self.width))
     }
 }

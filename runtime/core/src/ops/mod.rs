@@ -18,9 +18,11 @@ mod int8_layer;
 mod masked_argmax;
 mod masked_sample;
 mod mean_rows;
+mod operator;
 mod output;
 mod proposals;
 mod set;
+mod table;
 pub(crate) mod team;
 
 use serde::{Deserialize, Serialize};
@@ -43,224 +45,13 @@ pub(crate) use proposals::COUNTS;
 pub use proposals::{
     EmbedTasks, PointerLogits, ProposalNetwork, RowAttention, ScoreAllocations, Vectors,
 };
-pub(crate) use set::has;
-pub use set::{AllOperators, FeedForward, Int8FeedForward, OpKind, OperatorSet};
-
-use team::Team;
+pub use set::{AllOperators, FeedForward, Int8FeedForward, OperatorSet};
+pub use table::{Op, OpKind};
 
 use crate::entity_mask::EntityMask;
-use crate::kernels::Kernels;
 use crate::kernels::mark::{MARKED, Marks};
 use crate::kernels::product::{Around, padded};
-use crate::policy::{DecideError, Observation};
-
-/// One step of a program.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[non_exhaustive]
-pub enum Op {
-    /// The first layer, on visible rows.
-    EmbedEntities(EmbedEntities),
-    /// Attention of the agent's own query.
-    AttendOwn(AttendOwn),
-    /// A layer on one vector.
-    Dense(Dense),
-    /// The choice of the action; its input is the program's utilities.
-    MaskedArgmax(MaskedArgmax),
-    /// What the agent remembers.
-    Gru(Gru),
-    /// The draw of the action; its input is the program's logits.
-    MaskedSample(MaskedSample),
-    /// Attention of every entity's query.
-    AttendAll(AttendAll),
-    /// The mean of some rows.
-    MeanRows(MeanRows),
-    /// Sums of rows, one for every group.
-    GroupSum(GroupSum),
-    /// What the caller reads.
-    Output(Output),
-    /// The first layer, on visible rows, of int8 weights.
-    Int8EmbedEntities(Int8EmbedEntities),
-    /// Attention of the agent's own query, of int8 weights.
-    Int8AttendOwn(Int8AttendOwn),
-    /// A layer on one vector, of int8 weights.
-    Int8Dense(Int8Dense),
-    /// The trunk of an allocator that proposes.
-    EmbedTasks(EmbedTasks),
-    /// Its step.
-    PointerLogits(PointerLogits),
-    /// Its critic.
-    ScoreAllocations(ScoreAllocations),
-}
-
-impl Op {
-    /// The operator's kind.
-    pub const fn kind(&self) -> OpKind {
-        match self {
-            Self::EmbedEntities(_) => OpKind::EmbedEntities,
-            Self::AttendOwn(_) => OpKind::AttendOwn,
-            Self::Dense(_) => OpKind::Dense,
-            Self::MaskedArgmax(_) => OpKind::MaskedArgmax,
-            Self::Gru(_) => OpKind::Gru,
-            Self::MaskedSample(_) => OpKind::MaskedSample,
-            Self::AttendAll(_) => OpKind::AttendAll,
-            Self::MeanRows(_) => OpKind::MeanRows,
-            Self::GroupSum(_) => OpKind::GroupSum,
-            Self::Output(_) => OpKind::Output,
-            Self::Int8EmbedEntities(_) => OpKind::Int8EmbedEntities,
-            Self::Int8AttendOwn(_) => OpKind::Int8AttendOwn,
-            Self::Int8Dense(_) => OpKind::Int8Dense,
-            Self::EmbedTasks(_) => OpKind::EmbedTasks,
-            Self::PointerLogits(_) => OpKind::PointerLogits,
-            Self::ScoreAllocations(_) => OpKind::ScoreAllocations,
-        }
-    }
-
-    /// The operator's name, as reports show it.
-    pub const fn name(&self) -> &'static str {
-        self.kind().name()
-    }
-
-    /// Whether every place lies inside and sizes agree.
-    pub fn check(&self, sizes: &Sizes) -> bool {
-        match self {
-            Self::EmbedEntities(op) => op.check(sizes),
-            Self::AttendOwn(op) => op.check(sizes),
-            Self::Dense(op) => op.check(sizes),
-            Self::MaskedArgmax(op) => op.check(sizes),
-            Self::Gru(op) => op.check(sizes),
-            Self::MaskedSample(op) => op.check(sizes),
-            Self::AttendAll(op) => op.check(sizes),
-            Self::MeanRows(op) => op.check(sizes),
-            Self::GroupSum(op) => op.check(sizes),
-            Self::Output(op) => op.check(sizes),
-            Self::Int8EmbedEntities(op) => op.check(sizes),
-            Self::Int8AttendOwn(op) => op.check(sizes),
-            Self::Int8Dense(op) => op.check(sizes),
-            Self::EmbedTasks(op) => op.check(sizes),
-            Self::PointerLogits(op) => op.check(sizes),
-            Self::ScoreAllocations(op) => op.check(sizes),
-        }
-    }
-
-    /// Multiply-adds of one decision with `visible` entities, zeros not left out.
-    pub fn multiply_adds(&self, visible: usize) -> usize {
-        match self {
-            Self::EmbedEntities(op) => op.multiply_adds(visible),
-            Self::AttendOwn(op) => op.multiply_adds(visible),
-            Self::Dense(op) => op.multiply_adds(),
-            Self::Gru(op) => op.multiply_adds(),
-            Self::AttendAll(op) => op.multiply_adds(visible),
-            Self::GroupSum(op) => op.multiply_adds(visible),
-            Self::Int8EmbedEntities(op) => op.multiply_adds(visible),
-            Self::Int8AttendOwn(op) => op.multiply_adds(visible),
-            Self::Int8Dense(op) => op.multiply_adds(),
-            Self::EmbedTasks(op) => op.multiply_adds(visible),
-            Self::PointerLogits(op) => op.multiply_adds(),
-            Self::ScoreAllocations(op) => op.multiply_adds(visible),
-            Self::MaskedArgmax(_) | Self::MaskedSample(_) => 0,
-            Self::MeanRows(_) | Self::Output(_) => 0,
-        }
-    }
-
-    /// Runs the operator if it is of the set `S`; the code of others is not linked.
-    #[inline(always)]
-    pub(crate) fn run<S: OperatorSet>(
-        &self,
-        kernels: impl Kernels,
-        weights: &[f32],
-        observation: &Observation<'_>,
-        scratch: &mut Scratch<'_>,
-    ) -> Result<(), DecideError> {
-        match self {
-            Self::EmbedEntities(op) if const { has::<S>(OpKind::EmbedEntities) } => {
-                op.run(kernels, weights, observation, scratch)
-            }
-            Self::AttendOwn(op) if const { has::<S>(OpKind::AttendOwn) } => {
-                op.run(kernels, weights, scratch)
-            }
-            Self::Dense(op) if const { has::<S>(OpKind::Dense) } => {
-                op.run(kernels, weights, scratch)
-            }
-            Self::Gru(op) if const { has::<S>(OpKind::Gru) } => op.run(kernels, weights, scratch),
-            Self::AttendAll(op) if const { has::<S>(OpKind::AttendAll) } => {
-                op.run(kernels, weights, scratch)
-            }
-            Self::MeanRows(op) if const { has::<S>(OpKind::MeanRows) } => op.run(scratch),
-            Self::GroupSum(op) if const { has::<S>(OpKind::GroupSum) } => op.run(scratch),
-            Self::Int8EmbedEntities(op) if const { has::<S>(OpKind::Int8EmbedEntities) } => {
-                op.run(kernels, weights, observation, scratch)
-            }
-            Self::Int8AttendOwn(op) if const { has::<S>(OpKind::Int8AttendOwn) } => {
-                op.run(kernels, weights, scratch)
-            }
-            Self::Int8Dense(op) if const { has::<S>(OpKind::Int8Dense) } => {
-                op.run(kernels, weights, scratch)
-            }
-            // What the caller reads at the end, and what loading refused.
-            _ => Ok(()),
-        }
-    }
-
-    /// Whether the operator can work for a team, whose members' own places lie behind the first `shared` floats.
-    pub(crate) fn works_for_teams(&self, shared: u32) -> bool {
-        match self {
-            Self::EmbedEntities(op) => op.rows == Place { offset: 0, len: shared },
-            // Its places do not overlap, and the first are the shared rows.
-            Self::AttendOwn(op) => op.rows == Place { offset: 0, len: shared },
-            Self::Dense(op) => op.from.offset.min(op.to.offset) >= shared,
-            Self::MaskedArgmax(op) => op.from.offset >= shared,
-            Self::MaskedSample(op) => op.from.offset >= shared,
-            // As above: places of an operator do not overlap.
-            Self::Int8EmbedEntities(op) => op.rows == Place { offset: 0, len: shared },
-            Self::Int8AttendOwn(op) => op.rows == Place { offset: 0, len: shared },
-            Self::Int8Dense(op) => {
-                [op.from, op.to, op.quantised].iter().all(|place| place.offset >= shared)
-            }
-            // Agents with memory bring their states one after the other; the others know no single agent.
-            Self::Gru(_)
-            | Self::AttendAll(_)
-            | Self::MeanRows(_)
-            | Self::GroupSum(_)
-            | Self::Output(_)
-            | Self::EmbedTasks(_)
-            | Self::PointerLogits(_)
-            | Self::ScoreAllocations(_) => false,
-        }
-    }
-
-    /// As [`Self::run`] for all members of a team, whose observations are of one frame.
-    #[inline(always)]
-    pub(crate) fn run_team<S: OperatorSet>(
-        &self,
-        kernels: impl Kernels,
-        weights: &[f32],
-        observations: &[Observation<'_>],
-        team: &mut Team<'_>,
-    ) -> Result<(), DecideError> {
-        match self {
-            Self::EmbedEntities(op) if const { has::<S>(OpKind::EmbedEntities) } => {
-                op.run_team(kernels, weights, observations, team)
-            }
-            Self::AttendOwn(op) if const { has::<S>(OpKind::AttendOwn) } => {
-                op.run_team(kernels, weights, team)
-            }
-            Self::Dense(op) if const { has::<S>(OpKind::Dense) } => {
-                op.run_team(kernels, weights, team)
-            }
-            Self::Int8EmbedEntities(op) if const { has::<S>(OpKind::Int8EmbedEntities) } => {
-                op.run_team(kernels, weights, observations, team)
-            }
-            Self::Int8AttendOwn(op) if const { has::<S>(OpKind::Int8AttendOwn) } => {
-                op.run_team(kernels, weights, team)
-            }
-            Self::Int8Dense(op) if const { has::<S>(OpKind::Int8Dense) } => {
-                op.run_team(kernels, weights, team)
-            }
-            // What the caller reads at the end, and what does not work for teams.
-            _ => Ok(()),
-        }
-    }
-}
+use crate::policy::DecideError;
 
 /// The sizes of a plan that its operators are checked against.
 #[derive(Clone, Copy, Debug)]
@@ -357,6 +148,11 @@ impl Linear {
     /// Floats of the matrix.
     pub const fn weights_len(&self) -> usize {
         (self.inputs as usize).saturating_mul(self.padded_outputs())
+    }
+
+    /// Multiply-adds of one product.
+    fn multiply_adds(&self) -> u64 {
+        u64::from(self.inputs) * self.padded_outputs() as u64
     }
 
     fn check(&self, sizes: &Sizes) -> bool {

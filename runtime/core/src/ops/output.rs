@@ -2,11 +2,14 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::operator::Operator;
 use super::{Place, Scratch, Sizes, place};
+use crate::kernels::Kernels;
 use crate::kernels::product::padded;
 use crate::limits;
 use crate::math::all_finite;
-use crate::policy::DecideError;
+use crate::plan::LAYOUT_TILES;
+use crate::policy::{DecideError, Observation};
 
 /// What the rows of an output stand for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -31,8 +34,10 @@ pub struct Output {
     pub rows: OutputRows,
 }
 
-impl Output {
-    pub(super) fn check(&self, sizes: &Sizes) -> bool {
+impl Operator for Output {
+    const LAYOUT: Option<u32> = Some(LAYOUT_TILES);
+
+    fn check(&self, sizes: &Sizes) -> bool {
         let padded = padded(usize::from(self.width));
         let fits = match self.rows {
             OutputRows::One => self.from.len as usize == padded,
@@ -45,6 +50,24 @@ impl Output {
         self.width > 0 && fits && sizes.holds(&self.from)
     }
 
+    fn multiply_adds(&self, _: u64) -> u64 {
+        0
+    }
+
+    #[inline(always)]
+    fn run<K: Kernels>(
+        &self,
+        _: K,
+        _: &[f32],
+        _: &Observation<'_>,
+        _: &mut Scratch<'_>,
+    ) -> Result<(), DecideError> {
+        // Only marks where the caller reads.
+        Ok(())
+    }
+}
+
+impl Output {
     /// Copies the values out, padding left behind.
     pub(crate) fn read(&self, scratch: &Scratch<'_>, to: &mut [f32]) -> Result<(), DecideError> {
         let width = usize::from(self.width);

@@ -1,13 +1,16 @@
 //! The operators of an allocator that proposes: trunk, step and critic (dissertation section 7.4).
 //!
 //! They hold weights and sizes only. What runs them is [`crate::allocate::ProposalAllocator`], which shares work among
-//! proposals; so they have no places in the arena, and stand in programs of [`crate::plan::Network::Proposals`] alone.
+//! proposals; so they have no places in the arena, stand in programs of [`crate::plan::Network::Proposals`] alone, and
+//! answer with an error where they are run as one step of a program.
 
 use serde::{Deserialize, Serialize};
 
+use super::operator::Operator;
 use super::{Linear, Sizes, slice};
 use crate::kernels::product::padded;
 use crate::limits;
+use crate::plan::LAYOUT_TILES;
 use crate::policy::DecideError;
 
 /// The layers of attention among rows. Heads are padded among the outputs of query, key and value.
@@ -55,10 +58,10 @@ impl RowAttention {
     }
 
     /// Multiply-adds of `rows` that attend to each other.
-    fn multiply_adds(&self, rows: usize) -> usize {
+    fn multiply_adds(&self, rows: u64) -> u64 {
         let layers = [&self.query, &self.key, &self.value, &self.output];
-        let per_row: usize = layers.iter().map(|layer| layer.weights_len()).sum();
-        rows * per_row + 2 * rows * rows * self.inner()
+        let per_row: u64 = layers.iter().map(|layer| layer.multiply_adds()).sum();
+        rows * per_row + 2 * rows * rows * self.inner() as u64
     }
 }
 
@@ -133,13 +136,10 @@ pub struct ScoreAllocations {
 /// Counts that a subtask's embedding depends on, and the constant.
 pub(crate) const COUNTS: usize = 3;
 
-impl EmbedTasks {
-    /// Subtasks T.
-    pub fn task_count(&self) -> usize {
-        usize::from(self.tasks.count)
-    }
+impl Operator for EmbedTasks {
+    const LAYOUT: Option<u32> = Some(LAYOUT_TILES);
 
-    pub(super) fn check(&self, sizes: &Sizes) -> bool {
+    fn check(&self, sizes: &Sizes) -> bool {
         let width = self.embed.outputs;
         self.embed.check(sizes)
             && u32::from(self.embed.inputs) == sizes.features
@@ -148,13 +148,22 @@ impl EmbedTasks {
             && self.attention.check(sizes, width)
     }
 
-    pub(super) fn multiply_adds(&self, visible: usize) -> usize {
-        visible * self.embed.weights_len() + self.attention.multiply_adds(visible)
+    fn multiply_adds(&self, visible: u64) -> u64 {
+        visible * self.embed.multiply_adds() + self.attention.multiply_adds(visible)
     }
 }
 
-impl PointerLogits {
-    pub(super) fn check(&self, sizes: &Sizes) -> bool {
+impl EmbedTasks {
+    /// Subtasks T.
+    pub fn task_count(&self) -> usize {
+        usize::from(self.tasks.count)
+    }
+}
+
+impl Operator for PointerLogits {
+    const LAYOUT: Option<u32> = Some(LAYOUT_TILES);
+
+    fn check(&self, sizes: &Sizes) -> bool {
         let width = self.from_task.outputs;
         let square =
             |layer: &Linear| layer.check(sizes) && (layer.inputs, layer.outputs) == (width, width);
@@ -165,13 +174,15 @@ impl PointerLogits {
     }
 
     /// Of one agent and one proposal, only the chosen subtask being updated.
-    pub(super) fn multiply_adds(&self) -> usize {
-        self.from_task.weights_len()
+    fn multiply_adds(&self, _: u64) -> u64 {
+        self.from_task.multiply_adds()
     }
 }
 
-impl ScoreAllocations {
-    pub(super) fn check(&self, sizes: &Sizes) -> bool {
+impl Operator for ScoreAllocations {
+    const LAYOUT: Option<u32> = Some(LAYOUT_TILES);
+
+    fn check(&self, sizes: &Sizes) -> bool {
         let width = self.embed.outputs;
         self.embed.check(sizes)
             && u32::from(self.embed.inputs) == sizes.features
@@ -183,9 +194,9 @@ impl ScoreAllocations {
     }
 
     /// Of one allocation.
-    pub(super) fn multiply_adds(&self, visible: usize) -> usize {
-        let embed = visible * self.embed.weights_len();
-        embed + self.attention.multiply_adds(visible) + self.head.weights_len()
+    fn multiply_adds(&self, visible: u64) -> u64 {
+        let embed = visible * self.embed.multiply_adds();
+        embed + self.attention.multiply_adds(visible) + self.head.multiply_adds()
     }
 }
 

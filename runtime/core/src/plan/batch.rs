@@ -32,7 +32,7 @@ impl<S: OperatorSet> Plan<'_, S> {
     /// arena that is enough for one.
     pub fn batch_arena_bytes(&self, agents: usize) -> usize {
         let further = agents.min(TEAM).saturating_sub(1);
-        self.arena_bytes() + further * self.arena_bytes_per_agent()
+        self.arena_bytes().saturating_add(further.saturating_mul(self.arena_bytes_per_agent()))
     }
 
     /// Decides for every observation as [`Plan::decide`] does. Answers beyond the shorter of the two slices are

@@ -49,8 +49,8 @@ pub enum PlanError {
         /// The plan's layout id.
         got: u32,
     },
-    /// The arithmetic profile is none that this build runs on this machine: fused multiply-add where the
-    /// processor has none.
+    /// The arithmetic profile is none that this build runs on this machine: fused multiply-add without the
+    /// feature `std`, or where the processor has none.
     WrongProfile {
         /// The plan's profile.
         got: u8,
@@ -100,10 +100,10 @@ impl core::fmt::Display for PlanError {
             }
             Self::WrongProfile { got } => {
                 let name = match got {
-                    1 => " (fused multiply-add)",
+                    1 => " (fused multiply-add): compile the plan with profile `exact`",
                     _ => "",
                 };
-                write!(f, "this machine does not run arithmetic profile {got}{name}")
+                write!(f, "this build on this machine does not run arithmetic profile {got}{name}")
             }
             Self::UnknownOp => {
                 f.write_str("the program has an operator that this build does not have")

@@ -50,7 +50,30 @@ pub struct Plan<'a, S: OperatorSet = AllOperators> {
     program: Program,
     weights: &'a [f32],
     build: Build,
+    sums: Sums,
     operators: PhantomData<S>,
+}
+
+/// How products are added up. Only a build that has fused sums can say so.
+#[derive(Clone, Copy, Debug)]
+enum Sums {
+    Exact,
+    #[cfg(any(test, feature = "std"))]
+    Fused,
+}
+
+impl Sums {
+    /// What a profile asks for; `None` where this build does not have it.
+    fn of(profile: Profile, build: Build) -> Option<Self> {
+        match profile {
+            Profile::Exact | Profile::Int8 => Some(Self::Exact),
+            Profile::Fused if !build.fuses() => None,
+            #[cfg(any(test, feature = "std"))]
+            Profile::Fused => Some(Self::Fused),
+            #[cfg(not(any(test, feature = "std")))]
+            Profile::Fused => None,
+        }
+    }
 }
 
 impl<'a> Plan<'a> {
@@ -86,10 +109,9 @@ impl<'a, S: OperatorSet> Plan<'a, S> {
             return Err(PlanError::ShapeMismatch { op: program.ops.len() });
         }
         let build = Build::widest();
-        if header.profile == Profile::Fused && !build.fuses() {
-            return Err(PlanError::WrongProfile { got: header.profile.id() });
-        }
-        Ok(Self { header, program, weights, build, operators: PhantomData })
+        let sums = Sums::of(header.profile, build)
+            .ok_or(PlanError::WrongProfile { got: header.profile.id() })?;
+        Ok(Self { header, program, weights, build, sums, operators: PhantomData })
     }
 
     /// The same plan on another build of the kernels than the widest.
@@ -282,10 +304,10 @@ impl<'a, S: OperatorSet> Plan<'a, S> {
 
     /// Runs work on the plan's build and in its profile.
     pub(crate) fn execute<W: Work>(&self, work: W) -> W::Output {
-        match self.header.profile {
+        match self.sums {
+            Sums::Exact => self.build.run::<Exact, W>(work),
             #[cfg(any(test, feature = "std"))]
-            Profile::Fused => self.build.run::<Fused, W>(work),
-            _ => self.build.run::<Exact, W>(work),
+            Sums::Fused => self.build.run::<Fused, W>(work),
         }
     }
 }

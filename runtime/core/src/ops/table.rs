@@ -1,0 +1,206 @@
+//! The table of operators, from which all that is said of each comes.
+
+use serde::{Deserialize, Serialize};
+
+use super::operator::Operator;
+use super::set::{OperatorSet, has};
+use super::team::Team;
+use super::{
+    AttendAll, AttendOwn, Dense, EmbedEntities, EmbedTasks, GroupSum, Gru, Int8AttendOwn,
+    Int8Dense, Int8EmbedEntities, MaskedArgmax, MaskedSample, MeanRows, Output, PointerLogits,
+    ScoreAllocations, Scratch, Sizes,
+};
+use crate::kernels::Kernels;
+use crate::limits;
+use crate::policy::{DecideError, Observation};
+
+/// Makes [`Op`] and [`OpKind`] of operators, whose order is that of their numbers in a plan.
+macro_rules! operators {
+    ($($(#[$doc:meta])* $kind:ident,)*) => {
+        /// One step of a program.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+        #[non_exhaustive]
+        pub enum Op {
+            $($(#[$doc])* $kind($kind),)*
+        }
+
+        /// The kinds of operators.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[non_exhaustive]
+        pub enum OpKind {
+            $(#[doc = concat!("[`super::", stringify!($kind), "`].")] $kind,)*
+        }
+
+        impl OpKind {
+            /// Every kind.
+            pub const ALL: &[Self] = &[$(Self::$kind,)*];
+
+            /// The operator's name, as reports show it.
+            pub const fn name(self) -> &'static str {
+                match self { $(Self::$kind => stringify!($kind),)* }
+            }
+
+            /// The layout of the weights in plans that have the operator; `None` = any.
+            const fn layout(self) -> Option<u32> {
+                match self { $(Self::$kind => <$kind as Operator>::LAYOUT,)* }
+            }
+        }
+
+        impl Op {
+            /// The operator's kind.
+            pub const fn kind(&self) -> OpKind {
+                match self { $(Self::$kind(_) => OpKind::$kind,)* }
+            }
+
+            /// Whether every place lies inside and sizes agree.
+            pub fn check(&self, sizes: &Sizes) -> bool {
+                match self { $(Self::$kind(op) => op.check(sizes),)* }
+            }
+
+            /// Multiply-adds of one decision with `visible` entities, zeros not left out.
+            pub fn multiply_adds(&self, visible: usize) -> u64 {
+                // No plan takes more; so nothing overflows.
+                let visible = visible.min(limits::ENTITIES) as u64;
+                match self { $(Self::$kind(op) => op.multiply_adds(visible),)* }
+            }
+
+            /// Runs the operator if it is of the set `S`; the code of others is not linked.
+            #[inline(always)]
+            pub(crate) fn run<S: OperatorSet>(
+                &self,
+                kernels: impl Kernels,
+                weights: &[f32],
+                observation: &Observation<'_>,
+                scratch: &mut Scratch<'_>,
+            ) -> Result<(), DecideError> {
+                match self {
+                    $(Self::$kind(op) if const { has::<S>(OpKind::$kind) } => {
+                        op.run(kernels, weights, observation, scratch)
+                    })*
+                    // Loading refused it.
+                    _ => Err(DecideError::BadLength),
+                }
+            }
+
+            /// Whether the operator can work for a team, whose members' own places lie behind the first
+            /// `shared` floats.
+            pub(crate) fn works_for_teams(&self, shared: u32) -> bool {
+                match self { $(Self::$kind(op) => op.works_for_teams(shared),)* }
+            }
+
+            /// As [`Self::run`] for all members of a team, whose observations are of one frame.
+            #[inline(always)]
+            pub(crate) fn run_team<S: OperatorSet>(
+                &self,
+                kernels: impl Kernels,
+                weights: &[f32],
+                observations: &[Observation<'_>],
+                team: &mut Team<'_>,
+            ) -> Result<(), DecideError> {
+                match self {
+                    $(Self::$kind(op) if const { has::<S>(OpKind::$kind) } => {
+                        op.run_team(kernels, weights, observations, team)
+                    })*
+                    // Loading refused it.
+                    _ => Err(DecideError::BadLength),
+                }
+            }
+        }
+    };
+}
+
+operators! {
+    /// The first layer, on visible rows.
+    EmbedEntities,
+    /// Attention of the agent's own query.
+    AttendOwn,
+    /// A layer on one vector.
+    Dense,
+    /// The choice of the action; its input is the program's utilities.
+    MaskedArgmax,
+    /// What the agent remembers.
+    Gru,
+    /// The draw of the action; its input is the program's logits.
+    MaskedSample,
+    /// Attention of every entity's query.
+    AttendAll,
+    /// The mean of some rows.
+    MeanRows,
+    /// Sums of rows, one for every group.
+    GroupSum,
+    /// What the caller reads.
+    Output,
+    /// The first layer, on visible rows, of int8 weights.
+    Int8EmbedEntities,
+    /// Attention of the agent's own query, of int8 weights.
+    Int8AttendOwn,
+    /// A layer on one vector, of int8 weights.
+    Int8Dense,
+    /// The trunk of an allocator that proposes.
+    EmbedTasks,
+    /// Its step.
+    PointerLogits,
+    /// Its critic.
+    ScoreAllocations,
+}
+
+impl OpKind {
+    /// Whether plans of this weight layout have the operator.
+    pub(crate) const fn fits(self, layout: u32) -> bool {
+        match self.layout() {
+            Some(own) => own == layout,
+            None => true,
+        }
+    }
+}
+
+impl Op {
+    /// The operator's name, as reports show it.
+    pub const fn name(&self) -> &'static str {
+        self.kind().name()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Linear, Place, RowAttention};
+    use super::*;
+
+    #[test]
+    fn the_largest_operators_can_be_counted_on_any_host() {
+        let place = Place { offset: 0, len: u32::MAX };
+        let most = u16::MAX;
+        let layer = Linear { inputs: most, outputs: most, weights: 0, bias: 0 };
+        let attention =
+            RowAttention { heads: most, query: layer, key: layer, value: layer, output: layer };
+        let vectors = super::super::Vectors { weights: 0, count: most, width: most };
+        let all = Op::AttendAll(AttendAll {
+            rows: place,
+            width: most,
+            heads: most,
+            query: layer,
+            key: layer,
+            value: layer,
+            output: layer,
+            relu: true,
+            queries: place,
+            keys: place,
+            values: place,
+            scores: place,
+            attended: place,
+            to: place,
+        });
+        let critic = Op::ScoreAllocations(ScoreAllocations {
+            embed: layer,
+            tasks: vectors,
+            counts: vectors,
+            attention,
+            head: layer,
+        });
+        let matrix = 65_535 * 65_536_u64;
+        let of_rows = |rows: u64| 4 * rows * matrix + 2 * rows * rows * 65_535;
+        assert_eq!(all.multiply_adds(2), of_rows(2));
+        assert_eq!(all.multiply_adds(usize::MAX), of_rows(limits::ENTITIES as u64));
+        assert_eq!(critic.multiply_adds(3), 3 * matrix + of_rows(3) + matrix);
+    }
+}
