@@ -71,11 +71,29 @@ fn create(path: &Path) -> io::Result<File> {
 /// Locks `path` exclusively, waiting for it. `None` if the file was removed meanwhile: a domain
 /// was purged, and its lock means nothing any more.
 pub(super) fn wait_for(path: &Path) -> Result<Option<File>, Error> {
-    let file = match create(path) {
-        Ok(file) => file,
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
-        Err(error) => return Err(Error::io("open", path)(error)),
-    };
+    wait_to_lock(path, found(path, create(path))?)
+}
+
+/// The same without creating the file: `None` if there is none.
+pub(super) fn wait_for_existing(path: &Path) -> Result<Option<File>, Error> {
+    wait_to_lock(path, existing(path)?)
+}
+
+/// Opens a lock file, if there is one.
+pub(super) fn existing(path: &Path) -> Result<Option<File>, Error> {
+    found(path, OpenOptions::new().read(true).write(true).open(path))
+}
+
+fn found(path: &Path, opened: io::Result<File>) -> Result<Option<File>, Error> {
+    match opened {
+        Ok(file) => Ok(Some(file)),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(Error::io("open", path)(error)),
+    }
+}
+
+fn wait_to_lock(path: &Path, file: Option<File>) -> Result<Option<File>, Error> {
+    let Some(file) = file else { return Ok(None) };
     file.lock().map_err(Error::io("lock", path))?;
     let locked = file.metadata().map_err(Error::io("look at", path))?;
     let is_same = path.metadata().is_ok_and(|now| now.ino() == locked.ino());

@@ -68,12 +68,12 @@ impl Domain {
     /// # Errors
     /// A lock of the domain cannot be used.
     pub fn is_alive(&self) -> Result<bool, Error> {
-        if !self.base().exists() {
-            return Ok(false);
-        }
         // Whoever starts looks at the same lock under this one.
-        let Some(_starting) = lock::wait_for(&self.path(STARTING))? else { return Ok(false) };
-        Ok(lock::open(&self.path(ALIVE))?.try_lock().is_err())
+        let Some(_starting) = lock::wait_for_existing(&self.path(STARTING))? else {
+            return Ok(false);
+        };
+        let alive = lock::existing(&self.path(ALIVE))?;
+        Ok(alive.is_some_and(|alive| alive.try_lock().is_err()))
     }
 
     /// Removes what only processes that live could use.

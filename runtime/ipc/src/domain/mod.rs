@@ -162,4 +162,17 @@ mod tests {
         assert!(longer.owns(&object));
         assert!(!domain.owns(&object));
     }
+
+    #[test]
+    fn asking_whether_a_domain_is_alive_creates_nothing() {
+        let domain = Domain::new(&format!("asked-{}", std::process::id())).unwrap();
+        assert!(!domain.is_alive().unwrap() && !domain.base().exists());
+        preflight::create_directory(&domain).unwrap();
+        assert!(!domain.is_alive().unwrap());
+        assert_eq!(std::fs::read_dir(domain.base()).unwrap().count(), 0);
+        std::fs::remove_dir(domain.base()).unwrap();
+        let member = domain.enter().unwrap();
+        assert!(domain.is_alive().unwrap());
+        drop(member);
+    }
 }

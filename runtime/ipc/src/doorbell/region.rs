@@ -157,6 +157,7 @@ impl Memory for Bell {
 
 #[cfg(test)]
 mod tests {
+    use super::super::algorithm::{Wait, ring, wait};
     use super::*;
 
     #[test]
@@ -170,5 +171,30 @@ mod tests {
             let refused = Region::open(&domain).unwrap_err().to_string();
             assert!(refused.ends_with("is no doorbell of ABI 1: 4c4c454249545253, 2"), "{refused}");
         }
+    }
+
+    #[test]
+    fn a_waiter_that_died_asleep_loses_no_ring_and_keeps_nobody_waiting() {
+        let domain = Domain::new(&format!("waiter-{}", std::process::id())).unwrap();
+        let _member = domain.enter().unwrap();
+        let region = Region::open(&domain).unwrap();
+        let bell = region.bell(1).unwrap();
+        // The dead are counted as long as the domain lives, which costs its ringers a call each time.
+        bell.add_waiter();
+        let token = bell.sequence();
+        let (past, later) = (bell.now_ns(), bell.now_ns() + 60_000_000_000);
+        assert!(!wait(bell, Wait { token, rings: 1, until_ns: past }), "nobody rang");
+        std::thread::scope(|scope| {
+            let waiter = scope.spawn(|| wait(bell, Wait { token, rings: 1, until_ns: later }));
+            while bell.waiters() < 2 {
+                std::thread::yield_now();
+            }
+            ring(bell);
+            assert!(waiter.join().unwrap());
+        });
+        assert_eq!(bell.waiters(), 1);
+        let token = bell.sequence();
+        ring(bell);
+        assert!(wait(bell, Wait { token, rings: 1, until_ns: later }), "a ring before the wait");
     }
 }

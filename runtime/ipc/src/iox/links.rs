@@ -18,7 +18,9 @@ use super::control::{ControlRx, serve};
 use super::message::{
     ActionPayload, AllocPayload, FrameHeaderPayload, Message, RequestPayload, StatPayload,
 };
-use super::open::{FrameReceiver, Opener, Receiver, RequestClient, RequestServer, Sender};
+use super::open::{
+    FrameReceiver, Opener, PendingAnswers, Receiver, RequestClient, RequestServer, Sender,
+};
 use super::services;
 use super::world_frames::WorldFrames;
 use super::{InterProcess, LinkService};
@@ -51,6 +53,8 @@ pub struct IoxWorld<S: LinkService = InterProcess> {
     own_status: Sender<S, StatPayload>,
     requests: RequestServer<S>,
     control: RequestClient<S>,
+    /// Answers to the last request to step down. Unread, they would keep the connections of the dead.
+    answers: Option<PendingAnswers<S>>,
     schema: u64,
     bell: LinkBell<S>,
     /// Rings that end the next wait, if it knows.
@@ -117,6 +121,7 @@ impl<S: LinkService> IoxWorld<S> {
             own_status: opener.sender(services::statuses)?,
             requests: opener.control_server()?,
             control: opener.control_client()?,
+            answers: None,
             schema: setup.format.schema,
             frames: frames(&opener)?,
             bell: LinkBell::open(&opener, Role::World, &[Role::Runner, Role::Allocator])?,
@@ -131,8 +136,9 @@ impl<S: LinkService> IoxWorld<S> {
     /// It could not be woken.
     pub fn ask_to_step_down(&mut self, pid: u32) -> Result<(), LinkError> {
         let request = ControlReq { arg: pid, ..ControlReq::new(self.schema, Command::StepDown) };
+        self.answers = None;
         // A request that is not sent is sent after the next three allocations missed.
-        let _ = self.control.send_copy(RequestPayload::wrap(&request));
+        self.answers = self.control.send_copy(RequestPayload::wrap(&request)).ok();
         self.bell.ring(Role::Allocator)
     }
 }
@@ -211,8 +217,11 @@ impl<S: LinkService> Housekeeping for IoxWorld<S> {
         self.frames.update_connections();
         // A connection that fails is tried again at the next heartbeat.
         let _ = self.own_status.update_connections();
-        // Lets go of those that died.
+        // Lets go of those that died, once they have nothing to say any more.
         let _ = self.control.update_connections();
+        while let Some(answers) = &self.answers
+            && let Ok(Some(_)) = answers.receive()
+        {}
     }
 }
 

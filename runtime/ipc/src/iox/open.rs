@@ -4,6 +4,7 @@ use std::fmt::Debug;
 use std::time::Duration;
 
 use iceoryx2::config::Config;
+use iceoryx2::pending_response::PendingResponse;
 use iceoryx2::port::client::Client;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
@@ -45,6 +46,7 @@ pub(super) type Receiver<S, M> = Subscriber<S, M, ()>;
 type ControlService<S> = request_response::PortFactory<S, RequestPayload, (), AnswerPayload, ()>;
 pub(super) type RequestServer<S> = Server<S, RequestPayload, (), AnswerPayload, ()>;
 pub(super) type RequestClient<S> = Client<S, RequestPayload, (), AnswerPayload, ()>;
+pub(super) type PendingAnswers<S> = PendingResponse<S, RequestPayload, (), AnswerPayload, ()>;
 
 /// A node, and what is needed to open services with it.
 pub(super) struct Opener<'a, S: LinkService> {

@@ -7,11 +7,11 @@ use sortie_core::link::{
     AgentLink, AllocLink, Direct, DirectAgent, DirectAllocator, DirectCursor, DirectWorld,
     FrameBlock, WorldLink,
 };
-use sortie_core::wire::FrameFormat;
+use sortie_core::wire::{ControlStatus, FrameFormat};
 use sortie_ipc::{
-    BellKind, Domain, DomainContract, DomainFacts, Housekeeping, InterProcess, IntraProcess,
-    IoxAgent, IoxAllocator, IoxWorld, LinkService, LinkSetup, Membership, MonotonicClock,
-    ThreadAgent, ThreadAllocator, ThreadWorld, Threads,
+    BellKind, ControlRx, Domain, DomainContract, DomainFacts, Housekeeping, InterProcess,
+    IntraProcess, IoxAgent, IoxAllocator, IoxWorld, LinkService, LinkSetup, Membership,
+    MonotonicClock, ThreadAgent, ThreadAllocator, ThreadWorld, Threads,
 };
 
 use crate::toy;
@@ -286,6 +286,31 @@ every_link_obeys! {
         nobody_acts_for_a_free_seat_but_the_fallback,
         late_and_impossible_actions_are_counted_not_applied,
         shutting_down_ends_everyone;
+}
+
+#[test]
+fn the_dead_leave_nothing_though_they_were_told_to_step_down() {
+    let membership = toy::domain().enter().unwrap();
+    let (domain, format) = (membership.domain(), format_of(&toy::contract()));
+    let mut world: IoxWorld = IoxWorld::open(&setup(domain, format, "world")).unwrap();
+    let objects = |world: &mut IoxWorld| {
+        (0..3).for_each(|_| world.housekeep());
+        domain.shared_memory().unwrap().len()
+    };
+    let alone = objects(&mut world);
+    for pid in 1..4 {
+        let setup = setup(domain, format, "allocator");
+        let mut allocator: IoxAllocator = IoxAllocator::open(&setup).unwrap();
+        world.housekeep();
+        world.ask_to_step_down(pid).unwrap();
+        let asked = allocator.answer_requests(&mut |request| {
+            assert_eq!(request.arg, pid);
+            request.answer(format.schema, ControlStatus::Done, 0)
+        });
+        assert!(asked && objects(&mut world) > alone);
+        drop(allocator);
+        assert_eq!(objects(&mut world), alone, "after {pid}");
+    }
 }
 
 #[test]

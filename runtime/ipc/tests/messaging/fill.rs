@@ -68,7 +68,7 @@ impl WorldObserver for Relay {
         let answers = || report.answers();
         let present = report.actions.iter().filter(|&&action| action != u16::MAX).count();
         if answers().count() < present {
-            // Nobody acts for a seat of the dead until the world takes it for vacant; who lives may be late.
+            // Nobody acts for a seat of the dead until the world takes it for vacant.
             assert_ne!(self.stage, Stage::Fills);
             self.unanswered += u32::from(self.stage == Stage::Died);
         }
@@ -104,7 +104,8 @@ fn a_runner_takes_its_seats_over_and_the_world_takes_them_back() {
     let settings = WorldSettings {
         strict: false,
         episodes: None,
-        period: Duration::from_millis(4),
+        // In step: who is only slow is waited for, and ticks without an answer are those of the dead.
+        patience: Duration::from_millis(500),
         ..settings(0)
     };
     let mut relay = Relay {

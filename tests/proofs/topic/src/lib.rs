@@ -43,28 +43,47 @@ type Put = fn(&mut Writer<'_>, &Topic<'_>, u32);
 /// One thread puts `messages`, others and this one read meanwhile. Returns when all interleavings are explored, or
 /// those in which at most `switches` come where a thread could go on.
 fn explore(slots: usize, messages: u32, readers: usize, switches: Option<usize>, put: Put) {
+    explore_from(0, slots, messages, readers, switches, put);
+}
+
+/// The same after `sent` messages, whose numbers go on from there.
+fn explore_from(
+    sent: u32,
+    slots: usize,
+    messages: u32,
+    readers: usize,
+    switches: Option<usize>,
+    put: Put,
+) {
     let mut explorer = loom::model::Builder::new();
     explorer.preemption_bound = explorer.preemption_bound.or(switches);
     explorer.check(move || {
-        let memory = Arc::new(Memory::new(slots, 0));
+        let memory = Arc::new(Memory::new(slots, sent));
+        let numbers: Vec<u32> =
+            (0..=messages).scan(sent, |n, _| Some(std::mem::replace(n, after(*n)))).collect();
         let readers: Vec<_> = (0..readers)
             .map(|_| {
                 let memory = Arc::clone(&memory);
                 thread::spawn(move || {
-                    let mut cursor = Cursor::default();
-                    let seen = read(&memory, &mut cursor, 0);
+                    let mut cursor = Cursor { number: sent, missed: 0 };
+                    let seen = read(&memory, &mut cursor, sent);
                     (cursor, seen)
                 })
             })
             .collect();
         let mut writer = Writer::new(memory.topic());
-        (1..=messages).for_each(|number| put(&mut writer, &memory.topic(), number));
+        numbers[1..].iter().for_each(|number| put(&mut writer, &memory.topic(), *number));
         for reader in readers {
             let (mut cursor, seen) = reader.join().unwrap();
             // The writer rests: what it left is there, and whole.
-            assert_eq!(read(&memory, &mut cursor, seen), messages);
+            assert_eq!(read(&memory, &mut cursor, seen), numbers[messages as usize]);
         }
     });
+}
+
+/// The number after `number`: 0 is none.
+fn after(number: u32) -> u32 {
+    number.checked_add(1).unwrap_or(1)
 }
 
 /// Reads what waits, after `seen`. Returns the newest message read.
@@ -77,7 +96,8 @@ fn read(memory: &Memory, cursor: &mut Cursor, seen: u32) -> u32 {
             return newest;
         }
         assert_eq!(words, [cursor.number; WORDS], "not this message alone");
-        assert!(cursor.number > newest, "{} after {newest}", cursor.number);
+        let is_newer = cursor.number.wrapping_sub(newest) < 1 << 31 && cursor.number != newest;
+        assert!(is_newer, "{} after {newest}", cursor.number);
         newest = cursor.number;
     }
     newest
@@ -130,6 +150,13 @@ fn numbers_begin_anew_after_the_last() {
             assert_eq!((words, cursor.number), ([number; WORDS], number));
         }
     });
+}
+
+/// Of two slots, the last number and the first share one: for one message in 2^32 a reader may have to wait.
+#[test]
+fn where_numbers_begin_anew_messages_are_read_whole_and_the_newest_at_last() {
+    explore_from(u32::MAX - 2, 2, 4, 1, Some(3), right);
+    explore_from(u32::MAX - 2, 4, 4, 1, Some(3), right);
 }
 
 #[test]

@@ -9,7 +9,9 @@ use super::atomic::{AtomicU32, Ordering, fence};
 const ATTEMPTS: usize = 4;
 
 /// The newest messages of one writer. Each slot holds one, under its number; the slot that is
-/// written next is not read, so a writer that is interrupted stops no reader.
+/// written next is not read, so a writer that is interrupted stops no reader. Where numbers begin
+/// anew, two slots share the last number's and the first's: for one message in 2^32 a reader may
+/// find nothing until it is written.
 #[derive(Clone, Copy)]
 pub(super) struct Topic<'a> {
     /// Number of the newest message; 0 = none.
