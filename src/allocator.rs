@@ -35,11 +35,15 @@ impl DeployedAllocator {
         proposals: ProposalArguments,
     ) -> Result<Self, Failure> {
         if let Some(rule) = choice.rule() {
+            proposals.check_unused()?;
             return Ok(Self::Rule(CityAllocator::new(rule, seed)));
         }
         match ProposalMemory::open(bundle, backend, proposals.count(), seed)? {
             Some(memory) => Ok(Self::Proposing(Box::new(memory))),
-            None => Ok(Self::Learned(Box::new(LearnedAllocator::open(bundle, backend)?))),
+            None => {
+                proposals.check_unused()?;
+                Ok(Self::Learned(Box::new(LearnedAllocator::open(bundle, backend)?)))
+            }
         }
     }
 

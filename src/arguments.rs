@@ -1,12 +1,16 @@
 //! The grammar of the command line: `sortie VERB [SUBJECT] [--flags]`.
 
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use std::ffi::OsString;
+
+use clap::{Args, ColorChoice, Command, CommandFactory, FromArgMatches, Parser, Subcommand};
+use clap::{ValueEnum, error};
 use sortie_envs::save_the_city::AllocationRule;
 
 use crate::failure::Outcome;
+use crate::terminal::Color;
 use crate::{
-    bench, compare, compile, compiler, control, doctor, eval, export, inspect, replay, run, train,
-    verify, view,
+    bench, compare, compile, compiler, control, doctor, eval, export, inspect, manual, replay, run,
+    train, verify, version, view,
 };
 
 const EXIT_CODES: &str = "\
@@ -17,10 +21,63 @@ Exit codes: 0 done, 1 a check found a difference, 2 wrong use, 3 training diverg
 
 /// Teams of learned agents, from training to deployment.
 #[derive(Debug, Parser)]
-#[command(name = "sortie", version, about, after_help = EXIT_CODES, max_term_width = 100)]
+#[command(
+    name = "sortie",
+    version = version::SHORT,
+    long_version = version::LONG,
+    about,
+    after_help = EXIT_CODES,
+    max_term_width = 100
+)]
 pub(crate) struct Arguments {
     #[command(subcommand)]
     verb: Verb,
+    /// When to use colours
+    #[arg(long, global = true, value_enum, value_name = "WHEN", default_value_t)]
+    color: Color,
+}
+
+impl Arguments {
+    /// Reads a command line, its program's name first.
+    ///
+    /// # Errors
+    /// It is wrong, or asks for help or the version.
+    pub(crate) fn read(words: &[OsString]) -> Result<Self, error::Error> {
+        let matches = command().color(color(words)).try_get_matches_from(words)?;
+        Self::from_arg_matches(&matches)
+    }
+}
+
+/// The grammar, as it is parsed, completed and printed.
+pub(crate) fn command() -> Command {
+    with_negative_numbers(Arguments::command())
+}
+
+/// A negative number is the value of the flag before it, so that the error speaks of that flag.
+fn with_negative_numbers(command: Command) -> Command {
+    let option = |argument: clap::Arg| match argument.get_long() {
+        Some(_) if argument.get_action().takes_values() => argument.allow_negative_numbers(true),
+        _ => argument,
+    };
+    command.mut_args(option).mut_subcommands(with_negative_numbers)
+}
+
+/// What `--color` says, for errors of the command line itself, which come before it is read.
+fn color(words: &[OsString]) -> ColorChoice {
+    let mut words = words.iter().map(|word| word.to_string_lossy());
+    while let Some(word) = words.next() {
+        let choice = match word.strip_prefix("--color") {
+            Some("") => words.next(),
+            Some(choice) => choice.strip_prefix('=').map(|choice| choice.to_owned().into()),
+            None => None,
+        };
+        match choice.as_deref() {
+            Some("always") => return ColorChoice::Always,
+            Some("never") => return ColorChoice::Never,
+            _ => {}
+        }
+    }
+    ColorChoice::Auto
 }
 
 #[derive(Debug, Subcommand)]
@@ -39,6 +96,8 @@ enum Verb {
     Verify(verify::VerifyArguments),
     Bench(bench::BenchArguments),
     View(view::ViewArguments),
+    Completions(manual::CompletionsArguments),
+    Man(manual::ManArguments),
     #[command(hide = true)]
     Compiler(compiler::CompilerArguments),
     #[command(hide = true)]
@@ -52,11 +111,15 @@ pub(crate) struct Common {
     #[arg(long)]
     pub(crate) json: bool,
     /// Seed of every random choice
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_parser = whole_number)]
     pub(crate) seed: u64,
-    /// No progress, no notes
+    /// No progress, no notes: the result alone
     #[arg(short, long)]
     pub(crate) quiet: bool,
+}
+
+fn whole_number(text: &str) -> Result<u64, String> {
+    text.parse().map_err(|_| format!("expected a whole number from 0 to {}", u64::MAX))
 }
 
 /// A hand-written rule that assigns agents to subtasks.
@@ -128,6 +191,7 @@ impl AllocatorChoice {
 }
 
 pub(crate) fn dispatch(arguments: Arguments) -> Outcome {
+    arguments.color.apply();
     match arguments.verb {
         Verb::Run(arguments) => run::run(&arguments),
         Verb::Up(arguments) => run::up::run(&arguments),
@@ -143,6 +207,8 @@ pub(crate) fn dispatch(arguments: Arguments) -> Outcome {
         Verb::Verify(arguments) => verify::run(&arguments),
         Verb::Bench(arguments) => bench::run(&arguments),
         Verb::View(arguments) => view::run(&arguments),
+        Verb::Completions(arguments) => manual::complete(&arguments),
+        Verb::Man(arguments) => manual::run(&arguments),
         Verb::Compiler(arguments) => compiler::run(&arguments),
         Verb::Process(arguments) => run::process::run(&arguments),
     }

@@ -1,8 +1,11 @@
 //! `sortie compare`: how methods did, over several seeds each.
 
+use std::ffi::{OsStr, OsString};
+use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use clap::builder::{OsStringValueParser, TypedValueParser};
 use serde::Serialize;
 use sortie_learn::report::numbers::{count, duration};
 use sortie_learn::report::{self, Comparison, Group, GroupSummary, Reached, RunRecord};
@@ -23,10 +26,10 @@ use crate::output::{Table, print_json, tell};
 pub(crate) struct CompareArguments {
     /// Folders of runs, or folders that hold runs
     #[arg(value_name = "RUN", required_unless_present = "labels")]
-    runs: Vec<String>,
+    runs: Vec<PathBuf>,
     /// Runs by folder or pattern, under a name of their own; may be given several times
-    #[arg(long = "label", value_name = "NAME=GLOB|FOLDER", value_parser = label)]
-    labels: Vec<(String, String)>,
+    #[arg(long = "label", value_name = "NAME=GLOB|FOLDER", value_parser = OsStringValueParser::new().try_map(label))]
+    labels: Vec<(String, PathBuf)>,
     /// Folder of the tables and pictures
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -37,12 +40,15 @@ pub(crate) struct CompareArguments {
     common: Common,
 }
 
-fn label(text: &str) -> Result<(String, String), String> {
-    match text.split_once('=') {
-        Some((name, pattern)) if !name.is_empty() && !pattern.is_empty() => {
-            Ok((name.to_owned(), pattern.to_owned()))
+/// The name is text, what follows may be any path.
+fn label(argument: OsString) -> Result<(String, PathBuf), &'static str> {
+    let mut parts = argument.as_bytes().splitn(2, |byte| *byte == b'=');
+    let name = parts.next().and_then(|name| std::str::from_utf8(name).ok());
+    match (name, parts.next()) {
+        (Some(name), Some(pattern)) if !name.is_empty() && !pattern.is_empty() => {
+            Ok((name.to_owned(), OsStr::from_bytes(pattern).into()))
         }
-        _ => Err("expected NAME=FOLDER or NAME=GLOB".to_owned()),
+        _ => Err("expected NAME=FOLDER or NAME=GLOB"),
     }
 }
 
@@ -94,7 +100,7 @@ fn add(groups: &mut Vec<Group>, label: String, run: RunRecord) {
 }
 
 /// The runs that a folder or a pattern means.
-fn runs(pattern: &str) -> Result<Vec<RunRecord>, Failure> {
+fn runs(pattern: &Path) -> Result<Vec<RunRecord>, Failure> {
     let mut folders = Vec::new();
     for place in places(pattern)? {
         if RunRecord::is_in(&place) {
@@ -105,15 +111,17 @@ fn runs(pattern: &str) -> Result<Vec<RunRecord>, Failure> {
     }
     if folders.is_empty() {
         let reason = "names no run that has been evaluated: there is no `curve.json`";
-        return Err(Failure::new(Exit::Missing, format!("`{pattern}` {reason}")));
+        return Err(Failure::new(Exit::Missing, format!("`{}` {reason}", pattern.display())));
     }
     Ok(folders.iter().map(|folder| RunRecord::open(folder)).collect::<Result<_, _>>()?)
 }
 
-fn places(pattern: &str) -> Result<Vec<PathBuf>, Failure> {
-    if Path::new(pattern).exists() {
-        return Ok(vec![pattern.into()]);
+fn places(path: &Path) -> Result<Vec<PathBuf>, Failure> {
+    if path.exists() {
+        return Ok(vec![path.into()]);
     }
+    // Patterns are text; another name is that of a folder that is not there.
+    let Some(pattern) = path.to_str() else { return Ok(Vec::new()) };
     let found = glob::glob(pattern)
         .map_err(|error| Failure::new(Exit::Usage, format!("`{pattern}`: {error}")))?;
     Ok(found.flatten().collect())
@@ -153,7 +161,7 @@ fn cells(group: &GroupSummary, levels: &[&String]) -> Vec<String> {
         group.runs.to_string(),
         format!("{:.3}", success.mean),
         success.sd.map_or(String::new(), |sd| format!("{sd:.3}")),
-        format!("{:.3}–{:.3}", success.min, success.max),
+        format!("{:.3} to {:.3}", success.min, success.max),
         count(group.env_steps.mean),
         duration(group.cpu_s.mean),
     ];

@@ -230,7 +230,7 @@ fn print(arguments: &CompileArguments, report: &Report, int8: Option<(&Agreement
         let (agreement, exact) = int8.unzip();
         print_json(&Written { plan, report, agreement, exact });
     }
-    if arguments.common.json || arguments.common.quiet {
+    if arguments.common.json {
         return;
     }
     say!(

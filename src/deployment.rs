@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use sortie_bundle::{Bundle, Environment, SubtaskConditioning};
+use sortie_bundle::{Bundle, BundleError, Environment, MANIFEST, SubtaskConditioning};
 use sortie_ipc::DomainContract;
 
 use crate::arguments::AllocatorChoice;
@@ -11,10 +11,30 @@ use crate::failure::{Exit, Failure};
 
 /// Opens a bundle and checks that its environment is one that this program knows.
 pub(crate) fn open_bundle(folder: &Path) -> Result<Bundle, Failure> {
-    let bundle = Bundle::open(folder)?;
+    let bundle = Bundle::open(folder).map_err(|error| match error {
+        BundleError::NotABundle { .. } => no_bundle(folder).unwrap_or_else(|| error.into()),
+        error => error.into(),
+    })?;
     check_known(&bundle.manifest().contract.environment)
         .map_err(|reason| Failure::new(Exit::BadData, format!("{}: {reason}", folder.display())))?;
     Ok(bundle)
+}
+
+/// Why a folder is no bundle, where more can be said than that.
+fn no_bundle(folder: &Path) -> Option<Failure> {
+    let name = folder.display();
+    if !folder.exists() {
+        return Some(Failure::new(Exit::Missing, format!("`{name}` does not exist")));
+    }
+    let entries = folder.read_dir().into_iter().flatten().flatten();
+    let bundles = entries.map(|entry| entry.path()).filter(|path| path.join(MANIFEST).exists());
+    let mut bundles: Vec<String> = bundles.map(|path| path.display().to_string()).collect();
+    bundles.sort();
+    (!bundles.is_empty()).then(|| {
+        let bundles = bundles.join(", ");
+        let message = format!("`{name}` is not a bundle, but holds some; name one of: {bundles}");
+        Failure::new(Exit::Missing, message)
+    })
 }
 
 /// The contract of a domain that this bundle's policy acts in.

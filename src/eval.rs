@@ -1,12 +1,14 @@
 //! `sortie eval`: how good is a team, over fresh greedy episodes?
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use clap::Args;
+use indicatif::ProgressBar;
 use serde::Serialize;
 use sortie_learn::evaluate::{
-    Allocate, Evaluation, EvaluationPlan, Planner, PlannerReport, PolicyTeam, ScriptedActors, Team,
-    evaluate, evaluate_watched,
+    Allocate, Evaluation, EvaluationPlan, Onlooker, Planner, PlannerReport, PolicyTeam,
+    ScriptedActors, Team, evaluate_watched,
 };
 
 use crate::arguments::{AllocatorChoice, Common};
@@ -15,9 +17,11 @@ use crate::environment::{self, ScenarioSetName};
 use crate::episodes::EpisodeWriter;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::observations::RecordingPolicy;
-use crate::output::{Table, print_json, say};
+use crate::output::{Table, plural, print_json, say};
 use crate::policy::{Backend, DeployedPolicy};
+use crate::progress::{self, CountedEpisodes};
 use crate::proposals::ProposalArguments;
+use crate::seeds::SeedRange;
 use crate::subject::Subject;
 use crate::subject_allocator;
 
@@ -29,6 +33,7 @@ use crate::subject_allocator;
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   sortie eval models/save-the-city --episodes 2000
+  sortie eval models/save-the-city --episodes 2000 --seeds 1001..1016
   sortie eval models/save-the-city --allocator runs/other
   sortie eval models/save-the-city --plan 24
   sortie eval models/save-the-city --profile int8
@@ -36,13 +41,16 @@ use crate::subject_allocator;
   sortie eval scripted --env save-the-city/2-8a_2-8b --allocation heuristic")]
 pub(crate) struct EvalArguments {
     /// A bundle, a training run, or `scripted`
-    subject: String,
+    subject: PathBuf,
     /// Environment and scenario set; default: those of the subject
     #[arg(long, value_name = "ENV[/SET]")]
     env: Option<String>,
-    /// Episodes to play
+    /// Episodes to play, with --seeds of each seed
     #[arg(long, default_value_t = 500, value_parser = clap::value_parser!(u32).range(1..))]
     episodes: u32,
+    /// The episodes of several seeds, A and B included, taken together
+    #[arg(long, value_name = "A..B", conflicts_with_all = ["seed", "plan", "episodes_out", "dump"])]
+    seeds: Option<SeedRange>,
     /// Who assigns agents to subtasks [default: learned where the subject has it, else coordinated]
     #[arg(long, value_enum)]
     allocation: Option<AllocatorChoice>,
@@ -50,7 +58,7 @@ pub(crate) struct EvalArguments {
     proposals: ProposalArguments,
     /// Bundle or training run whose learned allocator takes the place of the subject's
     #[arg(long, value_name = "BUNDLE|RUN", conflicts_with = "allocation")]
-    allocator: Option<String>,
+    allocator: Option<PathBuf>,
     /// Yardstick: look ahead with the exact simulator and try up to K changed allocations a decision
     ///
     /// The allocator's choice is played to the end in a copy of the world; where that does not solve
@@ -81,122 +89,197 @@ struct Report<'a> {
     allocation: &'a str,
     #[serde(skip_serializing_if = "Option::is_none")]
     allocator: Option<&'a str>,
-    seed: u64,
+    /// Absent where there are several.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    seed: Option<u64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    seeds: Option<&'a BySeed>,
     #[serde(flatten)]
     evaluation: &'a Evaluation,
     #[serde(skip_serializing_if = "Option::is_none")]
     planner: Option<PlannerReport>,
 }
 
-/// What was measured, and what the planner did if there was one.
-type Played = (Evaluation, Option<PlannerReport>);
+/// How far seeds lie apart.
+#[derive(Serialize)]
+struct BySeed {
+    success: BTreeMap<u64, f64>,
+    success_sd: f64,
+}
+
+/// What was measured, who allocated, and what the planner did if there was one.
+struct Played {
+    evaluation: Evaluation,
+    allocation: &'static str,
+    planner: Option<PlannerReport>,
+}
+
+/// What plays, whatever the seed.
+struct Match<'a> {
+    arguments: &'a EvalArguments,
+    subject: Subject,
+    /// Whose allocator takes the place of the subject's.
+    other: Option<Subject>,
+    set: ScenarioSetName,
+    bar: ProgressBar,
+}
 
 pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
     let subject = Subject::find(&arguments.subject)?;
-    if arguments.dump.is_some() && !matches!(subject, Subject::Bundle(_)) {
-        let message = "--dump records what the agents of a bundle see; name a bundle's folder";
-        return Err(Failure::new(Exit::Usage, message));
-    }
+    check(arguments, &subject)?;
     let set = environment::scenario_set(arguments.env.as_deref(), &subject)?;
-    let plan = EvaluationPlan::new(set.set(), arguments.episodes as usize, arguments.common.seed)?;
     let other = arguments.allocator.as_deref().map(Subject::find).transpose()?;
-    let asked = other.as_ref().map(|_| AllocatorChoice::Learned).or(arguments.allocation);
-    let owner = other.as_ref().unwrap_or(&subject);
-    let name = arguments.allocator.as_ref().unwrap_or(&arguments.subject);
-    let draws = (arguments.proposals, arguments.common.seed);
-    let (allocation, mut allocator) =
-        subject_allocator::open_for(&subject, asked, owner, name, arguments.backend, draws)?;
-    if let (Subject::Bundle(bundle), true) = (owner, allocator.is_deployed()) {
-        environment::check_fits(bundle, &plan.set)?;
+    let seeds = arguments.seeds.unwrap_or(SeedRange::only(arguments.common.seed));
+    let episodes = u64::from(arguments.episodes).saturating_mul(seeds.iter().count() as u64);
+    let bar = progress::bar(arguments.common, episodes, "episodes");
+    let playing = Match { arguments, subject, other, set, bar };
+    let played = seeds.iter().map(|seed| Ok((seed, playing.play(seed)?)));
+    let mut played: Vec<(u64, Played)> = played.collect::<Result<_, Failure>>()?;
+    playing.bar.finish_and_clear();
+    let by_seed = arguments.seeds.map(|_| BySeed::of(&played));
+    let parts: Vec<Evaluation> = played.iter().map(|(_, one)| one.evaluation.clone()).collect();
+    let Some((_, mut last)) = played.pop() else { return Ok(()) };
+    if by_seed.is_some() {
+        last.evaluation = Evaluation::pooled(&parts);
     }
-    let mut allocator = allocator.allocator()?;
-    let mut play =
-        |team: &mut dyn Team| play(&plan, team, allocator.as_mut(), arguments, allocation);
-    let (evaluation, planner) = match &subject {
-        Subject::Scripted => play(&mut ScriptedActors::new(arguments.common.seed))?,
-        Subject::Run(run) => play(&mut run.team())?,
-        Subject::Bundle(bundle) => {
-            environment::check_fits(bundle, &plan.set)?;
-            let profile = arguments.profile.profile();
-            let mut policy = DeployedPolicy::open_as(bundle, arguments.backend, profile)?;
-            let mut policy = policy.policy()?;
-            match &arguments.dump {
-                None => play(&mut PolicyTeam::new(policy.as_mut()))?,
-                Some(file) => {
-                    let mut recorder = RecordingPolicy::new(policy.as_mut(), bundle);
-                    let played = play(&mut PolicyTeam::new(&mut recorder))?;
-                    recorder.write(file)?;
-                    played
-                }
-            }
-        }
-    };
     if arguments.common.json {
         print_json(&Report {
-            env: &set.to_string(),
-            subject: &arguments.subject,
-            allocation,
-            allocator: arguments.allocator.as_deref(),
-            seed: arguments.common.seed,
-            evaluation: &evaluation,
-            planner,
+            env: &playing.set.to_string(),
+            subject: &arguments.subject.to_string_lossy(),
+            allocation: last.allocation,
+            allocator: arguments.allocator.as_ref().map(|path| path.to_string_lossy()).as_deref(),
+            seed: by_seed.is_none().then_some(arguments.common.seed),
+            seeds: by_seed.as_ref(),
+            evaluation: &last.evaluation,
+            planner: last.planner,
         });
     } else {
-        print(&set, arguments, allocation, &evaluation, planner);
+        print(&playing, &last, by_seed.as_ref());
     }
     Ok(())
 }
 
-fn play(
-    plan: &EvaluationPlan,
-    team: &mut dyn Team,
-    allocator: &mut dyn Allocate,
-    arguments: &EvalArguments,
-    allocation: &str,
-) -> Result<Played, Failure> {
-    let Some(candidates) = arguments.plan else {
-        return Ok((record(plan, team, allocator, arguments, allocation)?, None));
-    };
-    let mut planner = Planner::new(plan, allocator, candidates.into())?;
-    let allocation = format!("planned from {allocation}");
-    let evaluation = record(plan, team, &mut planner, arguments, &allocation)?;
-    Ok((evaluation, Some(planner.report())))
+/// Refuses flags that would do nothing.
+fn check(arguments: &EvalArguments, subject: &Subject) -> Outcome {
+    if matches!(subject, Subject::Bundle(_)) {
+        return Ok(());
+    }
+    let is_tract = arguments.backend == Backend::Tract && arguments.allocator.is_none();
+    let refused = [
+        ("--dump", arguments.dump.is_some(), "records what the agents of a bundle see"),
+        ("--backend tract", is_tract, "executes the networks of a bundle"),
+        (
+            "--profile",
+            arguments.profile != PlanProfile::Exact,
+            "says how the plan of a bundle computes",
+        ),
+    ];
+    match refused.into_iter().find(|(_, is_given, _)| *is_given) {
+        None => Ok(()),
+        Some((flag, _, what)) => {
+            Err(Failure::new(Exit::Usage, format!("`{flag}` {what}; name a bundle's folder")))
+        }
+    }
 }
 
-/// Plays, and writes the episodes to files where that is wanted.
-fn record(
-    plan: &EvaluationPlan,
-    team: &mut dyn Team,
-    allocator: &mut dyn Allocate,
-    arguments: &EvalArguments,
-    allocation: &str,
-) -> Result<Evaluation, Failure> {
-    let Some(folder) = &arguments.episodes_out else {
-        return Ok(evaluate(plan, team, allocator)?);
-    };
-    let labels = (arguments.subject.as_str(), allocation);
-    let mut writer = EpisodeWriter::new(folder, labels, arguments.common.seed)?;
-    Ok(evaluate_watched(plan, team, allocator, &mut writer)?)
+impl BySeed {
+    fn of(played: &[(u64, Played)]) -> Self {
+        let success: BTreeMap<u64, f64> =
+            played.iter().map(|(seed, played)| (*seed, played.evaluation.success)).collect();
+        let mean = success.values().sum::<f64>() / success.len().max(1) as f64;
+        let squares: f64 = success.values().map(|success| (success - mean).powi(2)).sum();
+        let success_sd = (squares / success.len().saturating_sub(1).max(1) as f64).sqrt();
+        Self { success, success_sd }
+    }
 }
 
-fn print(
-    set: &ScenarioSetName,
-    arguments: &EvalArguments,
-    allocation: &str,
-    evaluation: &Evaluation,
-    planner: Option<PlannerReport>,
-) {
+impl Match<'_> {
+    /// Plays the episodes of one seed.
+    fn play(&self, seed: u64) -> Result<Played, Failure> {
+        let Self { arguments, subject, other, set, .. } = self;
+        let plan = EvaluationPlan::new(set.set(), arguments.episodes as usize, seed)?;
+        let asked = other.as_ref().map(|_| AllocatorChoice::Learned).or(arguments.allocation);
+        let owner = other.as_ref().unwrap_or(subject);
+        let name = arguments.allocator.as_ref().unwrap_or(&arguments.subject).to_string_lossy();
+        let draws = (arguments.proposals, seed);
+        let (allocation, mut allocator) =
+            subject_allocator::open_for(subject, asked, owner, &name, arguments.backend, draws)?;
+        if let (Subject::Bundle(bundle), true) = (owner, allocator.is_deployed()) {
+            environment::check_fits(bundle, &plan.set)?;
+        }
+        let mut allocator = allocator.allocator()?;
+        let mut play = |team: &mut dyn Team| self.watch(&plan, team, &mut *allocator, allocation);
+        match subject {
+            Subject::Scripted => play(&mut ScriptedActors::new(seed)),
+            Subject::Run(run) => play(&mut run.team()),
+            Subject::Bundle(bundle) => {
+                environment::check_fits(bundle, &plan.set)?;
+                let profile = arguments.profile.profile();
+                let mut policy = DeployedPolicy::open_as(bundle, arguments.backend, profile)?;
+                let mut policy = policy.policy()?;
+                let Some(file) = &arguments.dump else {
+                    return play(&mut PolicyTeam::new(policy.as_mut()));
+                };
+                let mut recorder = RecordingPolicy::new(policy.as_mut(), bundle);
+                let played = play(&mut PolicyTeam::new(&mut recorder))?;
+                recorder.write(file)?;
+                Ok(played)
+            }
+        }
+    }
+
+    /// Has a planner look ahead where that is wanted.
+    fn watch(
+        &self,
+        plan: &EvaluationPlan,
+        team: &mut dyn Team,
+        allocator: &mut dyn Allocate,
+        allocation: &'static str,
+    ) -> Result<Played, Failure> {
+        let Some(candidates) = self.arguments.plan else {
+            let evaluation = self.record(plan, team, allocator, allocation)?;
+            return Ok(Played { evaluation, allocation, planner: None });
+        };
+        let mut planner = Planner::new(plan, allocator, candidates.into())?;
+        let label = format!("planned from {allocation}");
+        let evaluation = self.record(plan, team, &mut planner, &label)?;
+        Ok(Played { evaluation, allocation, planner: Some(planner.report()) })
+    }
+
+    /// Plays, and writes the episodes to files where that is wanted.
+    fn record(
+        &self,
+        plan: &EvaluationPlan,
+        team: &mut dyn Team,
+        allocator: &mut dyn Allocate,
+        allocation: &str,
+    ) -> Result<Evaluation, Failure> {
+        let mut counted = |next: &mut dyn Onlooker| {
+            evaluate_watched(plan, team, allocator, &mut CountedEpisodes { bar: &self.bar, next })
+        };
+        let Some(folder) = &self.arguments.episodes_out else {
+            return Ok(counted(&mut ())?);
+        };
+        let subject = self.arguments.subject.to_string_lossy();
+        let mut writer = EpisodeWriter::new(folder, (&subject, allocation), plan.seed)?;
+        Ok(counted(&mut writer)?)
+    }
+}
+
+fn print(playing: &Match<'_>, played: &Played, by_seed: Option<&BySeed>) {
+    let Match { arguments, set, .. } = playing;
+    let Played { evaluation, allocation, planner } = played;
     let [low, high] = evaluation.success_ci95;
+    let under = match *allocation {
+        "none" => " without allocation".to_owned(),
+        name => format!(" under {name} allocation"),
+    };
+    let of = arguments.allocator.as_ref().map(|path| format!(" of {}", path.display()));
     say!(
-        "{set}: {}{}{}, {} episodes",
-        arguments.subject,
-        if allocation == "none" {
-            " without allocation".to_owned()
-        } else {
-            format!(" under {allocation} allocation")
-        },
-        arguments.allocator.as_ref().map_or(String::new(), |name| format!(" of {name}")),
-        evaluation.episodes
+        "{set}: {}{under}{}, {}",
+        arguments.subject.display(),
+        of.unwrap_or_default(),
+        plural(evaluation.episodes, "episode")
     );
     if let Some(PlannerReport { candidates, decisions, changed, .. }) = planner {
         say!(
@@ -207,6 +290,12 @@ fn print(
     let mut table = Table::new(&["figure", "value"]);
     let mut row = |name: &str, value: String| table.row([name.to_string(), value]);
     row("success", format!("{:.3} ({low:.3} to {high:.3})", evaluation.success));
+    if let Some(BySeed { success, success_sd }) = by_seed {
+        let least = success.values().copied().fold(f64::INFINITY, f64::min);
+        let most = success.values().copied().fold(0.0, f64::max);
+        let name = format!("of {}", plural(success.len(), "seed"));
+        row(&name, format!("sd {success_sd:.3} ({least:.3} to {most:.3})"));
+    }
     row("no building burned", format!("{:.3}", evaluation.none_burned));
     row("time-outs", format!("{:.3}", evaluation.timeouts));
     row("return", format!("{:.2} (sd {:.2})", evaluation.return_mean, evaluation.return_sd));

@@ -3,9 +3,10 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use indicatif::ProgressBar;
 use serde::Serialize;
 use sortie_bundle::hex;
-use sortie_learn::evaluate::{Allocate, EvaluationPlan, evaluate};
+use sortie_learn::evaluate::{Allocate, EvaluationPlan, evaluate_watched};
 use sortie_learn::export::{Measured, check_exportable, draft_bundle};
 use sortie_learn::run::{Run, Settings};
 
@@ -15,7 +16,11 @@ use crate::engines::check_program;
 use crate::environment::ScenarioSetName;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::output::{print_json, say, warn_of_refused};
+use crate::progress::{self, CountedEpisodes};
 use crate::proposals::ProposalArguments;
+
+/// Rules that the agents are measured under beside their own allocator.
+const RULES: [Allocation; 2] = [Allocation::Coordinated, Allocation::Heuristic];
 
 /// Export a training run as a bundle: networks as ONNX, contract, golden observations, card and curve
 ///
@@ -64,21 +69,23 @@ pub(crate) fn run(arguments: &ExportArguments) -> Outcome {
         config.allocation.team_max = team_max.into();
     }
     let seed = arguments.common.seed;
+    let sets = sets(arguments, &run)?;
+    let allocators = RULES.len() + usize::from(run.allocator.is_some());
+    let episodes = u64::from(arguments.episodes) * (sets.len() * allocators) as u64;
+    let bar = progress::bar(arguments.common, episodes, "episodes");
     let mut measured = Vec::new();
-    for set in sets(arguments, &run)? {
-        measure(
-            &run,
-            &EvaluationPlan::new(&set, arguments.episodes as usize, seed)?,
-            &mut measured,
-        )?;
+    for set in sets {
+        let plan = EvaluationPlan::new(&set, arguments.episodes as usize, seed)?;
+        measure(&run, &plan, &bar, &mut measured)?;
     }
+    bar.finish_and_clear();
     let draft = draft_bundle(&run, &arguments.run, &measured, seed)?;
     let draft = with_plans(draft, &arguments.out)?;
     let bundle = draft.write(&arguments.out)?;
     let report = Report { bundle: arguments.out.clone(), sha256: hex(bundle.id()) };
     if arguments.common.json {
         print_json(&report);
-    } else if !arguments.common.quiet {
+    } else {
         say!("{}: {}", report.bundle.display(), report.sha256);
     }
     Ok(())
@@ -94,9 +101,15 @@ fn sets(arguments: &ExportArguments, run: &Run) -> Result<Vec<String>, Failure> 
 }
 
 /// Measures the run's agents under its own allocator and under the rules.
-fn measure(run: &Run, plan: &EvaluationPlan, measured: &mut Vec<Measured>) -> Outcome {
+fn measure(
+    run: &Run,
+    plan: &EvaluationPlan,
+    bar: &ProgressBar,
+    measured: &mut Vec<Measured>,
+) -> Outcome {
     let mut add = |name: &str, allocator: &mut dyn Allocate| -> Outcome {
-        let evaluation = evaluate(plan, &mut run.team(), allocator)?;
+        let mut counted = CountedEpisodes { bar, next: &mut () };
+        let evaluation = evaluate_watched(plan, &mut run.team(), allocator, &mut counted)?;
         let (set, allocation) = (plan.set.name.clone(), name.to_owned());
         measured.push(Measured { set, allocation, evaluation });
         Ok(())
@@ -104,7 +117,7 @@ fn measure(run: &Run, plan: &EvaluationPlan, measured: &mut Vec<Measured>) -> Ou
     if let Some(mut allocator) = run.learned_allocator(ProposalArguments::default().count()) {
         add("learned", &mut *allocator)?;
     }
-    for allocation in [Allocation::Coordinated, Allocation::Heuristic] {
+    for allocation in RULES {
         add(allocation.name(), &mut allocation.rule())?;
     }
     Ok(())

@@ -14,7 +14,7 @@ use crate::arguments::Common;
 use crate::compiler::compiler;
 use crate::deployment::open_bundle;
 use crate::failure::{Failure, Outcome};
-use crate::output::{Table, print_json};
+use crate::output::{Table, plural, print_json, say};
 
 /// First bytes of every plan.
 const PLAN_MAGIC: &[u8] = b"SORTIEPL";
@@ -92,65 +92,89 @@ fn inspect_bundle(path: &Path, json: bool) -> Outcome {
     Ok(())
 }
 
+/// Facts by name, one a line: a name is a word, so that `awk '$1 == "id" { print $2 }'` finds it.
+fn facts() -> Table {
+    Table::of_text(&["fact", "value"])
+}
+
 fn print_bundle(facts: &BundleFacts<'_>, bundle: &Bundle) {
     let (contract, limits) = (bundle.contract(), &facts.manifest.limits);
-    let mut table = Table::new(&["fact", ""]);
+    let mut table = self::facts();
     let mut row = |name: &str, value: String| table.row([name.to_string(), value]);
     row("bundle", facts.bundle.clone());
     row("id", facts.sha256.clone());
     row("environment", facts.manifest.contract.environment.name.clone());
     row("contract", facts.manifest.contract.hash.clone());
-    row("features, actions", format!("{}, {}", contract.features, contract.actions));
-    row("most entities, subtasks", format!("{}, {}", limits.n_max, limits.t_max));
+    row("features", contract.features.to_string());
+    row("actions", contract.actions.to_string());
+    row("entities", format!("at most {}", limits.n_max));
+    row("subtasks", format!("at most {}", limits.t_max));
+    row("team", format!("at most {}", limits.team_max));
     row("network", facts.manifest.network.agent.clone());
     let allocator = facts.manifest.network.allocator.as_deref();
     row("allocator", allocator.unwrap_or("none learned").to_string());
-    row("largest team", limits.team_max.to_string());
-    row("golden observations", facts.golden_cases.to_string());
-    row("golden allocations", facts.golden_allocations.to_string());
-    for (name, hash) in &facts.manifest.parts {
-        row(name, hash.clone());
-    }
+    row("golden", golden(facts));
     table.print();
+    say!();
+    let mut parts = Table::of_text(&["part", "SHA-256, first half"]);
+    for (name, hash) in &facts.manifest.parts {
+        parts.row([name.clone(), hash.chars().take(32).collect()]);
+    }
+    parts.print();
+}
+
+fn golden(facts: &BundleFacts<'_>) -> String {
+    let observations = plural(facts.golden_cases, "observation");
+    format!("{observations}, {}", plural(facts.golden_allocations, "allocation"))
 }
 
 fn print_plan(facts: &PlanFacts) {
-    let mut table = Table::new(&["fact", ""]);
+    let mut table = self::facts();
     let mut row = |name: &str, value: String| table.row([name.to_string(), value]);
     row("network", facts.network.name().to_string());
     row("profile", facts.profile.to_string());
-    row("flash bytes", facts.flash_bytes.to_string());
-    row("arena bytes", facts.arena_bytes.to_string());
-    row("arena bytes per further agent", facts.arena_bytes_per_agent.to_string());
-    row("most visible entities", facts.n_max.to_string());
-    row("features, actions", format!("{}, {}", facts.features, facts.actions));
+    row("flash", format!("{} bytes", facts.flash_bytes));
+    row("arena", format!("{} bytes", facts.arena_bytes));
+    row("arena_per_agent", format!("{} bytes more", facts.arena_bytes_per_agent));
+    row("entities", format!("at most {}", facts.n_max));
+    row("features", facts.features.to_string());
+    row("actions", facts.actions.to_string());
     row("multiply-adds", facts.macs.to_string());
-    row("largest error", format!("{:.1e}", facts.max_rel_error));
+    row("largest_error", format!("{:.1e}", facts.max_rel_error));
     row("contract", facts.contract.clone());
-    row("made from", facts.source.clone());
-    for operator in &facts.operators {
-        row(&operator.name, operator.detail.clone());
-    }
+    row("source", facts.source.clone());
     table.print();
+    say!();
+    let mut operators = Table::of_text(&["operator", "sizes"]);
+    for operator in &facts.operators {
+        operators.row([operator.name.clone(), operator.detail.clone()]);
+    }
+    operators.print();
 }
 
 fn print_onnx(facts: &OnnxFacts) {
-    let mut table = Table::new(&["fact", ""]);
+    let mut table = self::facts();
     let mut row = |name: &str, value: String| table.row([name.to_string(), value]);
     row("producer", facts.producer.clone());
-    row("opset, IR", format!("{}, {}", facts.opset, facts.ir_version));
+    row("opset", facts.opset.to_string());
+    row("ir_version", facts.ir_version.to_string());
     row("parameters", facts.parameters.to_string());
-    for (name, shape) in &facts.inputs {
-        row(&format!("input {name}"), shape.clone());
-    }
-    for (name, shape) in &facts.outputs {
-        row(&format!("output {name}"), shape.clone());
-    }
     for (name, value) in &facts.metadata {
         row(name, value.clone());
     }
-    for (operator, count) in &facts.operators {
-        row(operator, count.to_string());
-    }
     table.print();
+    say!();
+    let mut tensors = Table::of_text(&["tensor", "name", "shape"]);
+    for (kind, named) in [("input", &facts.inputs), ("output", &facts.outputs)] {
+        for (name, shape) in named {
+            tensors.row([kind.to_owned(), name.clone(), shape.clone()]);
+        }
+    }
+    tensors.print();
+    say!();
+    let mut operators = Table::new(&["operator", "count"]);
+    for (operator, count) in &facts.operators {
+        operators.row([operator.clone(), count.to_string()]);
+    }
+    operators.print();
 }

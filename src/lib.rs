@@ -17,25 +17,29 @@ mod export;
 mod failure;
 mod inspect;
 mod latency;
+mod manual;
 mod observations;
 mod onnxruntime;
 mod output;
 mod policy;
+mod progress;
 mod proposals;
 mod replay;
 mod run;
+mod seeds;
 mod signals;
 mod subject;
 mod subject_allocator;
+mod terminal;
 mod terminal_curve;
 mod train;
 mod verify;
+mod version;
 mod view;
 mod worlds;
 
 use std::process::ExitCode;
 
-use clap::Parser;
 use sortie_plans::Engines;
 
 use crate::failure::Outcome;
@@ -59,7 +63,8 @@ pub fn main(engines: Option<&'static dyn Engines>) -> ExitCode {
 }
 
 fn work() -> Outcome {
-    match arguments::Arguments::try_parse() {
+    let words: Vec<_> = std::env::args_os().collect();
+    match arguments::Arguments::read(&words) {
         Ok(arguments) => arguments::dispatch(arguments)?,
         Err(message) => output::explain(&message)?,
     }

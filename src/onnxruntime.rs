@@ -28,10 +28,23 @@ impl OnnxRuntimeArguments {
         self.python.as_deref()
     }
 
-    /// Opens the library, or says that it is left out and what would help.
-    pub(crate) fn open_or_note(&self, left_out: &str) -> Option<&'static dyn OnnxRuntimeEngine> {
-        let opened = self.open();
-        opened.inspect_err(|Failure { message, .. }| tell!("note: {left_out}: {message}")).ok()
+    /// Opens the library; where nobody named one and none is found, says that it is left out and what would help.
+    ///
+    /// # Errors
+    /// The interpreter or the library that was named has none.
+    pub(crate) fn open_or_note(
+        &self,
+        left_out: &str,
+    ) -> Result<Option<&'static dyn OnnxRuntimeEngine>, Failure> {
+        let is_named = self.python.is_some() || std::env::var_os("ORT_DYLIB_PATH").is_some();
+        match self.open() {
+            Ok(runtime) => Ok(Some(runtime)),
+            Err(error) if is_named => Err(error),
+            Err(error) => {
+                tell!("note: {left_out}: {}", error.message);
+                Ok(None)
+            }
+        }
     }
 }
 

@@ -87,20 +87,34 @@ pub(crate) fn warn_of_refused(reasons: &[String]) {
     }
 }
 
-/// `1 file`, `2 files`.
+/// `1 file`, `2 files`, `3 processes`.
 pub(crate) fn plural(count: usize, noun: &str) -> String {
-    format!("{count} {noun}{}", if count == 1 { "" } else { "s" })
+    let ending = match count {
+        1 => "",
+        _ if noun.ends_with('s') => "es",
+        _ => "s",
+    };
+    format!("{count} {noun}{ending}")
 }
 
 /// A table with its header, columns aligned: text to the left, figures to the right.
 pub(crate) struct Table {
     header: Vec<String>,
     rows: Vec<Vec<String>>,
+    /// Columns from the left that are text.
+    texts: usize,
 }
 
 impl Table {
+    /// The first column is text, the others are figures.
     pub(crate) fn new(header: &[&str]) -> Self {
-        Self { header: header.iter().map(ToString::to_string).collect(), rows: Vec::new() }
+        let header = header.iter().map(ToString::to_string).collect();
+        Self { header, rows: Vec::new(), texts: 1 }
+    }
+
+    /// All columns are text.
+    pub(crate) fn of_text(header: &[&str]) -> Self {
+        Self { texts: header.len(), ..Self::new(header) }
     }
 
     pub(crate) fn row(&mut self, cells: impl IntoIterator<Item = String>) {
@@ -118,16 +132,44 @@ impl Table {
         }
     }
 
-    /// The first column is text, the others are figures.
     fn line(&self, cells: &[String], widths: &[usize]) -> String {
         let mut line = String::new();
         for (column, (cell, width)) in cells.iter().zip(widths).enumerate() {
-            if column == 0 {
-                line.push_str(&format!("{cell:<width$}"));
-            } else {
-                line.push_str(&format!("  {cell:>width$}"));
-            }
+            let gap = if column == 0 { "" } else { "  " };
+            line.push_str(gap);
+            line.push_str(&match column < self.texts {
+                true => format!("{cell:<width$}"),
+                false => format!("{cell:>width$}"),
+            });
         }
         line
+    }
+}
+
+/// Joins words to lines of at most so many characters; a longer word has a line of its own.
+pub(crate) fn wrapped(words: impl IntoIterator<Item = String>, width: usize) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for word in words {
+        match lines.last_mut() {
+            Some(line) if line.chars().count() + 1 + word.chars().count() <= width => {
+                line.push(' ');
+                line.push_str(&word);
+            }
+            _ => lines.push(word),
+        }
+    }
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_are_as_full_as_they_may_be() {
+        let words = |text: &str| text.split(' ').map(str::to_owned).collect::<Vec<_>>();
+        assert_eq!(wrapped(words("ab cd ef"), 5), ["ab cd", "ef"]);
+        assert_eq!(wrapped(words("abcdefg h"), 3), ["abcdefg", "h"]);
+        assert!(wrapped(Vec::new(), 3).is_empty());
     }
 }

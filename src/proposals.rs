@@ -8,32 +8,38 @@ use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
 use sortie_plans::CompileError;
 
 use crate::compiler::plans;
-use crate::failure::{Exit, Failure};
+use crate::failure::{Exit, Failure, Outcome};
 use crate::policy::Backend;
 
 /// How many allocations are proposed.
-#[derive(Clone, Copy, Debug, Args)]
+#[derive(Clone, Copy, Debug, Default, Args)]
 pub(crate) struct ProposalArguments {
     /// Allocations that a proposing allocator draws, of which the critic takes the best; 1: the most probable one
-    #[arg(long, default_value_t = 32, value_name = "P", value_parser = clap::value_parser!(u16).range(1..=256))]
-    proposals: u16,
+    /// [default: 32]
+    #[arg(long, value_name = "P", value_parser = clap::value_parser!(u16).range(1..=256))]
+    proposals: Option<u16>,
 }
 
 impl ProposalArguments {
-    /// As many as were asked for.
+    /// As many as were asked for, else as many as the dissertation's.
     pub(crate) fn count(self) -> usize {
-        self.proposals.into()
+        self.proposals.unwrap_or(32).into()
     }
 
     /// As a flag for another process.
-    pub(crate) fn flag(self) -> String {
-        format!("--proposals={}", self.proposals)
+    pub(crate) fn flag(self) -> Option<String> {
+        self.proposals.map(|proposals| format!("--proposals={proposals}"))
     }
-}
 
-impl Default for ProposalArguments {
-    fn default() -> Self {
-        Self { proposals: 32 }
+    /// Refuses a number that was asked for where nobody proposes.
+    pub(crate) fn check_unused(self) -> Outcome {
+        match self.proposals {
+            None => Ok(()),
+            Some(_) => {
+                let message = "`--proposals` is for an allocator that proposes; this one does not";
+                Err(Failure::new(Exit::Usage, message))
+            }
+        }
     }
 }
 

@@ -15,10 +15,11 @@ use crate::output::{plural, print_json, say};
 /// Files follow the schema `sortie-golden/save-the-city/1`. This is how a port of an environment is
 /// checked: record episodes there, replay them here. Exit code 1 if anything differs.
 #[derive(Debug, Args)]
-#[command(after_help = "Example:\n  sortie replay tests/golden/save-the-city/*-scripted.json")]
+#[command(after_help = "Examples:\n  sortie replay tests/golden/save-the-city/*-scripted.json
+  sortie eval runs/first --episodes-out episodes && sortie replay episodes")]
 pub(crate) struct ReplayArguments {
-    /// Recorded episodes
-    #[arg(required = true)]
+    /// Recorded episodes, or folders of them
+    #[arg(required = true, value_name = "FILE|DIR")]
     files: Vec<PathBuf>,
     #[command(flatten)]
     common: Common,
@@ -33,7 +34,7 @@ struct Report {
 
 pub(crate) fn run(arguments: &ReplayArguments) -> Outcome {
     let mut report = Report { files: 0, steps: 0, mismatches: Vec::new() };
-    for path in &arguments.files {
+    for path in &episodes(&arguments.files)? {
         let replay =
             golden::replay_file(path).map_err(|error| unreadable(error).within(path.display()))?;
         report.files += 1;
@@ -42,7 +43,7 @@ pub(crate) fn run(arguments: &ReplayArguments) -> Outcome {
     }
     if arguments.common.json {
         print_json(&report);
-    } else if !arguments.common.quiet {
+    } else {
         say!(
             "{}, {}: {}",
             plural(report.files, "file"),
@@ -54,6 +55,28 @@ pub(crate) fn run(arguments: &ReplayArguments) -> Outcome {
         .mismatches
         .first()
         .map_or(Ok(()), |first| Err(difference(first, report.mismatches.len())))
+}
+
+/// The files named, and in the place of a folder all recordings in it, as `sortie eval --episodes-out` writes them.
+fn episodes(named: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
+    let mut files = Vec::new();
+    for path in named {
+        if !path.is_dir() {
+            files.push(path.clone());
+            continue;
+        }
+        let entries = path.read_dir().map_err(|error| Failure::file(path, &error))?;
+        let entries = entries.flatten().map(|entry| entry.path());
+        let mut found: Vec<PathBuf> =
+            entries.filter(|path| path.extension().is_some_and(|end| end == "json")).collect();
+        if found.is_empty() {
+            let message = format!("{}: no recorded episode (`*.json`) in it", path.display());
+            return Err(Failure::new(Exit::Missing, message));
+        }
+        found.sort();
+        files.append(&mut found);
+    }
+    Ok(files)
 }
 
 /// The first of so many differences, as a failure.

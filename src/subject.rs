@@ -20,12 +20,11 @@ pub(crate) enum Subject {
 }
 
 impl Subject {
-    /// Finds out what `text` names.
-    pub(crate) fn find(text: &str) -> Result<Self, Failure> {
-        if text == "scripted" {
+    /// Finds out what is named so.
+    pub(crate) fn find(path: &Path) -> Result<Self, Failure> {
+        if path == Path::new("scripted") {
             return Ok(Self::Scripted);
         }
-        let path = Path::new(text);
         if path.join(MANIFEST).exists() {
             return Ok(Self::Bundle(Box::new(open_bundle(path)?)));
         }
@@ -39,7 +38,7 @@ impl Subject {
         } else {
             "does not exist; name a bundle, a training run, or `scripted`"
         };
-        Err(Failure::new(Exit::Missing, format!("`{text}` {reason}")))
+        Err(Failure::new(Exit::Missing, format!("`{}` {reason}", path.display())))
     }
 
     /// Whether its agents look at subtasks; those of `flat` and `copa` do not.

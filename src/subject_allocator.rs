@@ -2,7 +2,7 @@
 
 use sortie_envs::save_the_city::AllocationRule;
 use sortie_learn::evaluate::{Allocate, DeployedAllocator, NoSubtasks};
-use sortie_learn::run::Run;
+use sortie_learn::run::{Run, RunAllocator};
 
 use crate::allocator::{LearnedAllocator as DeployedLearned, none_learned};
 use crate::arguments::AllocatorChoice;
@@ -41,6 +41,7 @@ pub(crate) fn open_for<'a>(
         let allocator = SubjectAllocator::open(choice, Some(owner), name, backend, draws)?;
         return Ok((choice.name(), allocator));
     }
+    draws.0.check_unused()?;
     match asked {
         None => Ok(("none", SubjectAllocator::Nobody)),
         Some(choice) => {
@@ -64,6 +65,7 @@ impl<'a> SubjectAllocator<'a> {
         (proposals, seed): (ProposalArguments, u64),
     ) -> Result<Self, Failure> {
         if let Some(rule) = choice.rule() {
+            proposals.check_unused()?;
             return Ok(Self::Rule(rule));
         }
         let owner = owner.filter(|owner| owner.has_allocator());
@@ -71,10 +73,18 @@ impl<'a> SubjectAllocator<'a> {
             Some(Subject::Bundle(bundle)) => {
                 match ProposalMemory::open(bundle, backend, proposals.count(), seed)? {
                     Some(memory) => Ok(Self::Proposing(Box::new(memory))),
-                    None => Ok(Self::Bundle(Box::new(DeployedLearned::open(bundle, backend)?))),
+                    None => {
+                        proposals.check_unused()?;
+                        Ok(Self::Bundle(Box::new(DeployedLearned::open(bundle, backend)?)))
+                    }
                 }
             }
-            Some(Subject::Run(run)) => Ok(Self::Run(run, proposals)),
+            Some(Subject::Run(run)) => {
+                if !matches!(run.allocator, Some(RunAllocator::Proposals { .. })) {
+                    proposals.check_unused()?;
+                }
+                Ok(Self::Run(run, proposals))
+            }
             Some(Subject::Scripted) | None => Err(none_learned(name)),
         }
     }

@@ -25,6 +25,7 @@ use crate::observations::read_recording;
 use crate::onnxruntime::OnnxRuntimeArguments;
 use crate::output::{Table, print_json, say};
 use crate::policy::DeployedPolicy;
+use crate::progress;
 
 /// Compare plans with tract, with onnxruntime and with a bundle's golden observations and allocations
 ///
@@ -94,7 +95,7 @@ pub(crate) fn run(arguments: &VerifyArguments) -> Outcome {
     let report = compare(arguments)?;
     if arguments.common.json {
         print_json(&report);
-    } else if !arguments.common.quiet {
+    } else {
         print(&report);
     }
     match arguments.profile {
@@ -110,7 +111,7 @@ fn compare(arguments: &VerifyArguments) -> Result<Report, Failure> {
     let runtime = match wanted(Peer::Onnxruntime) {
         false => None,
         true if asked(Peer::Onnxruntime) => Some(arguments.onnxruntime.open()?),
-        true => arguments.onnxruntime.open_or_note("onnxruntime is not compared"),
+        true => arguments.onnxruntime.open_or_note("onnxruntime is not compared")?,
     };
     let mut judges: Vec<&dyn GraphEngine> = Vec::new();
     if wanted(Peer::Tract) {
@@ -120,6 +121,8 @@ fn compare(arguments: &VerifyArguments) -> Result<Report, Failure> {
         judges.push(runtime);
     }
     let mut engines = Vec::new();
+    let spinner = progress::spinner(arguments.common);
+    spinner.set_message("comparing the plans with their graphs");
     if subject.is_dir() || !subject.exists() {
         let bundle = open_bundle(subject)?;
         let profile = arguments.profile.profile();
@@ -131,9 +134,11 @@ fn compare(arguments: &VerifyArguments) -> Result<Report, Failure> {
             engines.extend(judged_proposals(arguments, &bundle)?);
         }
         if wanted(Peer::Golden) {
+            spinner.set_message("comparing with golden answers");
             engines.extend(against_golden(&bundle, runtime, profile)?);
         }
         if let Some(file) = &arguments.observations {
+            spinner.set_message("comparing on recorded observations");
             let recording = read_recording(file, &bundle)?;
             engines.push(against_exact(&bundle, profile, &recording)?);
         }
@@ -148,6 +153,7 @@ fn compare(arguments: &VerifyArguments) -> Result<Report, Failure> {
         let network = Judged::file(arguments, &onnx)?;
         engines.extend(judged(arguments, &network, &judges)?);
     }
+    spinner.finish_and_clear();
     let missing = wanted(Peer::Onnxruntime) && runtime.is_none();
     Ok(Report { engines, not_compared: missing.then_some("onnxruntime").into_iter().collect() })
 }
@@ -338,21 +344,13 @@ impl Compared {
 }
 
 fn print(report: &Report) {
-    let header = [
-        "compared",
-        "inputs",
-        "largest error",
-        "other choices",
-        "refused",
-        "one refuses",
-        "swallowed",
-    ];
-    let mut table = Table::new(&header);
     for engine in &report.engines {
+        say!("{}", engine.name);
+        let mut table = Table::new(&HEADER);
         for family in &engine.families {
-            let note = if family.judged { "" } else { " (not judged)" };
+            let note = if family.judged { "" } else { "*" };
             table.row([
-                format!("{}, {}{note}", engine.name, family.name),
+                format!("  {}{note}", family.name),
                 family.inputs.to_string(),
                 format!("{:.1e}", family.max_rel_error),
                 family.action_mismatches.to_string(),
@@ -361,13 +359,21 @@ fn print(report: &Report) {
                 family.swallowed.to_string(),
             ]);
         }
+        table.print();
+        say!();
     }
-    table.print();
-    say!(
-        "refused: the plan returns an error, and the other engine's numbers are not finite or no action is available; \
-         swallowed: refused, where the other engine made a number of NaN or infinity"
-    );
+    say!("{NOTE}");
 }
+
+const HEADER: [&str; 7] =
+    ["  family", "inputs", "error", "other", "refused", "one-sided", "swallowed"];
+
+const NOTE: &str = "\
+error: the largest relative one; other: another action or allocation
+*: shown, not judged
+refused: the plan returns an error, and the other engine's numbers are not
+finite or no action is available; one-sided: only one of them answered
+swallowed: refused, where the other engine made a number of NaN or infinity";
 
 /// Other actions in real situations count: golden and recorded ones. Elsewhere only one engine's refusal does, and
 /// whatever the allocator's plan, which is exact, gives.

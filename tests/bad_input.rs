@@ -14,7 +14,7 @@ fn path_of(path: &Path) -> String {
 
 #[test]
 fn a_folder_without_a_bundle_is_named() {
-    assert_fails(&output(&["run", "no/such/bundle"]), 66, &["no/such/bundle", "bundle.toml"]);
+    assert_fails(&output(&["run", "no/such/bundle"]), 66, &["no/such/bundle", "does not exist"]);
 }
 
 #[test]

@@ -143,7 +143,7 @@ fn a_killed_runner_ends_the_run_and_is_named() {
     let domain = TestDomain::new("kill");
     let run = Endless::start(&domain);
     support::kill(run.processes("runner")[2]);
-    assert_fails(&run.output(), 69, &["runner of agents 2"]);
+    assert_fails(&run.output(), 69, &["runner of agent 2"]);
     assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
 }
 

@@ -70,11 +70,11 @@ fn pid(line: &str) -> u32 {
 fn killed_runners_and_allocators_take_their_places_again() {
     let domain = TestDomain::new("up");
     let mut up = Up::start(&domain, &["--isolate"]);
-    let runner = pid(&up.await_line(&["the runner of agents 2 joined"]));
+    let runner = pid(&up.await_line(&["the runner of agent 2 joined"]));
     let leader = up.await_line(&["leads the allocators"]);
     kill(runner);
-    up.await_line(&["the runner of agents 2 was killed by signal 9", "starts again"]);
-    assert_ne!(pid(&up.await_line(&["the runner of agents 2 joined"])), runner);
+    up.await_line(&["the runner of agent 2 was killed by signal 9", "starts again"]);
+    assert_ne!(pid(&up.await_line(&["the runner of agent 2 joined"])), runner);
     kill(pid(&leader));
     let next = up.await_line(&["leads the allocators"]);
     assert_ne!(pid(&next), pid(&leader));
@@ -86,13 +86,13 @@ fn killed_runners_and_allocators_take_their_places_again() {
 fn a_killed_world_is_followed_by_another_for_the_same_team() {
     let domain = TestDomain::new("upworld");
     let mut up = Up::start(&domain, &[]);
-    up.await_line(&["the runner of agents", "joined"]);
+    up.await_line(&["the runner of agent", "joined"]);
     let world = pid(&up.await_line(&["the world joined"]));
     kill(world);
     up.await_line(&["the world was killed by signal 9", "starts again"]);
     assert_ne!(pid(&up.await_line(&["the world joined"])), world);
     // The team of the dead world is that of the next.
-    assert_eq!(up.lines_with(&["the runner of agents", "started"]), 1);
+    assert_eq!(up.lines_with(&["the runner of agent", "started"]), 1);
     assert_eq!(up.end(), Some(130));
     assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
 }
@@ -101,17 +101,17 @@ fn a_killed_world_is_followed_by_another_for_the_same_team() {
 fn a_killed_supervisor_leaves_a_team_that_the_next_one_looks_after() {
     let domain = TestDomain::new("upnext");
     let mut first = Up::start(&domain, &["--standbys", "0"]);
-    let started = ["the world", "the runner of agents", "allocator 0"]
+    let started = ["the world", "the runner of agent", "allocator 0"]
         .map(|name| pid(&first.await_line(&[name, "started"])));
     first.await_line(&["the world joined"]);
-    first.await_line(&["the runner of agents", "joined"]);
+    first.await_line(&["the runner of agent", "joined"]);
     kill(first.child.id());
     first.child.wait().expect("its status");
     let mut second = Up::start(&domain, &["--standbys", "0"]);
     // Its own runner finds the seats taken, until they are free.
-    second.await_line(&["the runner of agents", "ended with exit code 75", "starts again"]);
+    second.await_line(&["the runner of agent", "ended with exit code 75", "starts again"]);
     kill(started[1]);
-    let runner = pid(&second.await_line(&["the runner of agents", "joined"]));
+    let runner = pid(&second.await_line(&["the runner of agent", "joined"]));
     assert_ne!(runner, started[1]);
     assert_eq!(second.end(), Some(130));
     for pid in [started[0], started[2]] {
@@ -206,10 +206,10 @@ fn a_doctor_names_what_is_missing() {
     let idle = json(&["doctor", "--domain", &domain.id, "--json"]);
     assert_eq!(idle["problems"], 0, "{idle}");
     let mut up = Up::start(&domain, &["--restart", "never", "--isolate", "--standbys", "0"]);
-    let runner = pid(&up.await_line(&["the runner of agents 1 joined"]));
+    let runner = pid(&up.await_line(&["the runner of agent 1 joined"]));
     up.await_line(&["leads the allocators"]);
     kill(runner);
-    up.await_line(&["the runner of agents 1 was killed by signal 9"]);
+    up.await_line(&["the runner of agent 1 was killed by signal 9"]);
     let examined = output(&["doctor", "--domain", &domain.id]);
     let told = String::from_utf8_lossy(&examined.stdout).into_owned();
     assert!(told.contains("nobody acts for agents 1\n"), "{told}");
@@ -224,7 +224,7 @@ fn a_doctor_names_what_is_missing() {
 fn a_seat_that_is_taken_is_refused_by_name() {
     let domain = TestDomain::new("seat");
     let mut up = Up::start(&domain, &["--isolate"]);
-    let runner = pid(&up.await_line(&["the runner of agents 0 joined"]));
+    let runner = pid(&up.await_line(&["the runner of agent 0 joined"]));
     let arguments = ["process", "runner", BUNDLE, "--domain", &domain.id, "--agents", "0"];
     let second = output(&arguments);
     assert_fails(&second, 75, &["agent 0", &runner.to_string()]);

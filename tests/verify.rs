@@ -3,7 +3,7 @@
 mod support;
 
 use serde_json::Value;
-use support::{BUNDLE, assert_fails, json, output, stderr};
+use support::{BUNDLE, assert_fails, json, output, sortie, stderr};
 
 const AGENT: &str = "tests/golden/onnx/agent_small.onnx";
 const NO_PYTHON: &str = "/nowhere/bin/python3";
@@ -46,8 +46,10 @@ fn every_family_is_reported_and_refusals_agree() {
 
 #[test]
 fn a_missing_onnxruntime_is_said_and_the_others_go_on() {
-    let arguments = ["verify", AGENT, "--inputs", "16", "--python", NO_PYTHON, "--json"];
-    let output = output(&arguments);
+    // Whoever names none takes what there is: here a path without any interpreter.
+    let mut command = sortie(&["verify", AGENT, "--inputs", "16", "--json"]);
+    command.env_remove("ORT_DYLIB_PATH").env_remove("VIRTUAL_ENV").env("PATH", "/nowhere");
+    let output = command.output().expect("the command line starts");
     assert!(output.status.success(), "{}", stderr(&output));
     assert!(stderr(&output).contains("pip install onnxruntime"), "{}", stderr(&output));
     let report: Value = serde_json::from_slice(&output.stdout).expect("a report");

@@ -328,6 +328,23 @@ fn a_reader_steps_through_an_episode() {
     assert_eq!(browser.console(), Vec::<Value>::new());
 }
 
+#[test]
+fn the_address_follows_the_step_and_leads_back_to_it() {
+    let page = Page::of(&[BUNDLE]);
+    let browser = Browser::start();
+    browser.open(&page.file());
+    let address = || browser.evaluate("return location.hash").as_str().map(str::to_owned);
+    browser.press(RIGHT);
+    browser.press(RIGHT);
+    browser.press("1");
+    wait_until("the address has followed", || address().as_deref() == Some("#2,1"));
+    browser.press(HOME);
+    wait_until("the address has followed", || address().as_deref() == Some("#0,1"));
+    browser.evaluate("location.hash = '#2,1'");
+    wait_until("the page has followed", || browser.text("#step").starts_with("2 /"));
+    assert_eq!(browser.console(), Vec::<Value>::new());
+}
+
 fn assert_title(browser: &Browser, data: &Value, agent: usize) {
     let name = data["agents"][agent]["name"].as_str().expect("a name");
     assert!(browser.text("#agent-title").starts_with(name), "{name}");

@@ -61,7 +61,7 @@ pub(super) fn measure(arguments: &AllocationArguments) -> Result<Figures, Failur
     let bundle = open_bundle(&arguments.bundle)?;
     let name = arguments.bundle.display().to_string();
     let onnx = bundle.allocator_onnx().ok_or_else(|| none_learned(&name))?;
-    let runtime = arguments.onnxruntime.open_or_note("onnxruntime is not measured");
+    let runtime = arguments.onnxruntime.open_or_note("onnxruntime is not measured")?;
     let mut ours = LearnedAllocator::open(&bundle, Backend::Plan)?;
     let mut tract = LearnedAllocator::open(&bundle, Backend::Tract)?;
     let mut single =

@@ -68,7 +68,7 @@ impl<'b> Contestants<'b> {
                 Err(error) => return Err(within(error)),
             }
         }
-        let runtime = onnxruntime.open_or_note("onnxruntime is not measured");
+        let runtime = onnxruntime.open_or_note("onnxruntime is not measured")?;
         let peer = runtime.map(|runtime| {
             OnnxRuntimePeer::open(runtime, onnxruntime.python(), bundle).map_err(within)
         });

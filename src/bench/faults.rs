@@ -9,7 +9,7 @@ use sortie_ipc::Domain;
 use sortie_ipc::storm::{StormReport, StormSettings, raise_storm, storm_process};
 
 use crate::arguments::Common;
-use crate::failure::{Failure, Outcome};
+use crate::failure::{Exit, Failure, Outcome};
 use crate::latency::{Latency, Percentiles};
 use crate::output::{Table, print_json, say};
 use crate::signals::stop_on_signals;
@@ -60,6 +60,10 @@ pub(super) fn run(arguments: &FaultsArguments) -> Outcome {
     let domain = Domain::new(arguments.domain.as_deref().unwrap_or(&id))?;
     if let Some(role) = &arguments.role {
         return Ok(storm_process(&domain, role, &stop)?);
+    }
+    if arguments.runner_kills == 0 && arguments.allocator_kills == 0 {
+        let message = "nothing to kill: `--runner-kills` and `--allocator-kills` are both 0";
+        return Err(Failure::new(Exit::Usage, message));
     }
     let settings = StormSettings {
         runner_kills: arguments.runner_kills,
@@ -120,7 +124,10 @@ impl Found {
             ("the next runner's first action", self.rejoin_us, self.rejoins),
         ];
         for (name, us, kills) in rows {
-            let ms = |us: f64| format!("{:.2}", us / 1e3);
+            let ms = |us: f64| match kills {
+                0 => "-".to_owned(),
+                _ => format!("{:.2}", us / 1e3),
+            };
             table.row([name.to_string(), ms(us.p50), ms(us.p99), ms(us.max), kills.to_string()]);
         }
         table.print();

@@ -147,6 +147,33 @@ fn no_core(core: usize) -> Failure {
     Failure::new(Exit::Usage, message)
 }
 
+impl Row {
+    /// Whether more is better: then the tails are the small figures.
+    fn is_rate(&self) -> bool {
+        self.unit.contains(" per ")
+    }
+}
+
+/// Rows under their unit and the names of their median and their tails; nothing where there are none.
+fn print_rows([median, one_percent, one_permille, last]: [&str; 4], rows: &[&Row]) {
+    for unit in rows.chunk_by(|one, next| one.unit == next.unit) {
+        say!("{}", unit[0].unit);
+        let mut table = Table::new(&["case", "engine", median, one_percent, one_permille, last]);
+        for row in unit {
+            let figure = |value: f64| format!("{value:.2}");
+            table.row([
+                row.case.clone(),
+                format!("{} {}", row.engine, row.version).trim_end().to_string(),
+                figure(row.p50),
+                figure(row.p99),
+                row.p999.map_or("-".to_string(), figure),
+                figure(row.max),
+            ]);
+        }
+        table.print();
+    }
+}
+
 impl Figures {
     /// Adds what engines took for a case, and the ratio of every peer to every engine of ours.
     fn add(
@@ -191,20 +218,10 @@ impl Figures {
     }
 
     fn print(&self) {
-        let mut table = Table::new(&["case", "engine", "p50", "p99", "p99.9", "max", "unit"]);
-        for row in &self.rows {
-            let figure = |value: f64| format!("{value:.2}");
-            table.row([
-                row.case.clone(),
-                format!("{} {}", row.engine, row.version).trim_end().to_string(),
-                figure(row.p50),
-                figure(row.p99),
-                row.p999.map_or("-".to_string(), figure),
-                figure(row.max),
-                row.unit.to_string(),
-            ]);
-        }
-        table.print();
+        let (rates, times): (Vec<&Row>, Vec<&Row>) =
+            self.rows.iter().partition(|row| row.is_rate());
+        print_rows(["p50", "p99", "p99.9", "max"], &times);
+        print_rows(["median", "slow 1 %", "slow 0.1 %", "slowest"], &rates);
         self.print_parts();
         self.print_arithmetic();
         self.print_ratios();

@@ -8,7 +8,8 @@ use sortie_learn::report::numbers::{count, duration};
 use sortie_learn::report::{FinalResult, Row, RunRecord};
 
 use crate::failure::Outcome;
-use crate::output::{Table, print_json, say};
+use crate::output::{Table, print_json, say, wrapped};
+use crate::terminal::line_width;
 use crate::terminal_curve::terminal_curve;
 
 /// Evaluations that the table shows.
@@ -52,20 +53,21 @@ pub(super) fn inspect(folder: &Path, json: bool) -> Outcome {
     Ok(())
 }
 
-/// One line per section of the configuration.
+/// The configuration as `--set` takes it, a section after the other.
 fn print_configuration(run: &RunRecord) {
-    let is_section = |value: &toml::Value| value.is_table();
-    let line = |name: &str, table: &toml::Table| {
-        let values = table.iter().filter(|(_, value)| !is_section(value));
-        let values: Vec<String> =
-            values.map(|(key, value)| format!("{key}={}", plain(value))).collect();
-        say!("{name:<12} {}", values.join(" "));
-    };
-    line(&run.name(), &run.description);
-    for (name, section) in
-        run.description.iter().filter_map(|(name, v)| Some((name, v.as_table()?)))
+    say!("run {}", run.name());
+    print_section("", &run.description);
+}
+
+fn print_section(prefix: &str, section: &toml::Table) {
+    let values = section.iter().filter(|(_, value)| !value.is_table());
+    let values = values.map(|(key, value)| format!("{prefix}{key}={}", plain(value)));
+    for line in wrapped(values, line_width()) {
+        say!("{line}");
+    }
+    for (name, inner) in section.iter().filter_map(|(name, value)| Some((name, value.as_table()?)))
     {
-        line(name, section);
+        print_section(&format!("{prefix}{name}."), inner);
     }
 }
 
@@ -87,7 +89,7 @@ fn print_evaluations(run: &RunRecord) {
             duration(point.wall_s),
             duration(point.cpu_s),
             format!("{:.3}", point.success),
-            format!("{}–{}", number("success_ci95_low", 3), number("success_ci95_high", 3)),
+            format!("{} to {}", number("success_ci95_low", 3), number("success_ci95_high", 3)),
             number("timeouts", 3),
             number("loss", 4),
         ]);

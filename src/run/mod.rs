@@ -1,11 +1,13 @@
 //! `sortie run`: deploys a bundle's team in a built-in world.
 
+mod keyboard;
 mod ledger;
 mod onlooker;
 pub(crate) mod process;
 pub(crate) mod registry;
 mod report;
 mod scheduling;
+mod screen;
 mod team;
 pub(crate) mod up;
 mod view;
@@ -33,6 +35,7 @@ use crate::failure::Outcome;
 use crate::policy::{Backend, DeployedPolicy};
 use crate::proposals::ProposalArguments;
 use crate::signals::stop_on_signals;
+use crate::terminal;
 use crate::worlds::save_the_city::CityWorld;
 
 /// Ticks a second at which a person can follow.
@@ -109,12 +112,14 @@ pub(crate) fn run(arguments: &RunArguments) -> Outcome {
         DeployedAllocator::open(&bundle, allocation, arguments.backend, seed, arguments.proposals)?;
     let mut onlooker =
         Onlooker::new(display(arguments), Some(arguments.episodes as usize), &world, None);
+    onlooker.listen(&stop);
     let ended = if arguments.in_process {
         let mut allocator = allocator.allocator()?;
         play_in_process(arguments, &bundle, &mut world, allocator.as_mut(), &mut onlooker, &stop)
     } else {
         play_as_processes(arguments, &bundle, &mut world, allocation, &mut onlooker, &stop)
     };
+    onlooker.restore_terminal();
     let setup = Setup {
         allocation: allocation.name().to_string(),
         backend: arguments.backend.name().to_string(),
@@ -128,7 +133,7 @@ pub(crate) fn run(arguments: &RunArguments) -> Outcome {
 fn display(arguments: &RunArguments) -> Display {
     if arguments.common.json || arguments.common.quiet {
         Display::Silent
-    } else if Term::stdout().is_term() {
+    } else if terminal::redraws(&Term::stdout()) {
         Display::Live
     } else {
         Display::Lines

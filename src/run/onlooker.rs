@@ -4,13 +4,15 @@ use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::rc::Rc;
 
-use console::Term;
 use sortie_core::roles::{TickReport, WorldObserver};
 use sortie_core::wire::{AllocMsg, StatMsg};
 use sortie_core::{NO_ACTION, UNASSIGNED, limits};
 use sortie_envs::save_the_city::SaveTheCity;
+use sortie_ipc::Stop;
 
+use super::keyboard::Keyboard;
 use super::ledger::Ledger;
+use super::screen::Screen;
 use super::view::{self, Picture};
 use crate::latency::Latency;
 use crate::output::tell;
@@ -41,6 +43,7 @@ pub(super) struct Onlooker {
     allocation: [u8; limits::AGENTS],
     actions: [u16; limits::AGENTS],
     screen: Screen,
+    keyboard: Option<Keyboard>,
     pub(super) figures: Figures,
 }
 
@@ -84,15 +87,38 @@ impl Onlooker {
             ledger,
             allocation: [UNASSIGNED; limits::AGENTS],
             actions: [NO_ACTION; limits::AGENTS],
-            screen: Screen::default(),
+            screen: Screen::new(),
+            keyboard: None,
             figures,
         }
     }
 
+    /// Has keys pause the run and end it, where it is shown live.
+    pub(super) fn listen(&mut self, stop: &Stop) {
+        if self.display == Display::Live {
+            self.keyboard = Keyboard::open(stop);
+        }
+    }
+
+    /// Leaves the terminal as it was.
+    pub(super) fn restore_terminal(&mut self) {
+        self.keyboard = None;
+    }
+
+    /// What a person may do.
+    fn hint(&self) -> &'static str {
+        match &self.keyboard {
+            None => "Ctrl-C ends the run",
+            Some(keyboard) if keyboard.is_paused() => "PAUSED: space goes on, q quits",
+            Some(_) => "space pauses, q quits",
+        }
+    }
+
     fn draw(&mut self, step: u32) {
+        let hint = self.hint();
         let tally = self.tally.borrow();
         let city = self.city.borrow();
-        let lines = view::lines(&Picture {
+        let picture = Picture {
             city: city.city(0),
             allocation: &self.allocation,
             actions: &self.actions,
@@ -102,8 +128,9 @@ impl Onlooker {
             solved: tally.solved,
             step,
             tick: self.figures.tick.percentiles(),
-        });
-        self.screen.show(&lines);
+            hint,
+        };
+        self.screen.show(|canvas| view::lines(&picture, canvas));
     }
 }
 
@@ -149,6 +176,11 @@ impl WorldObserver for Onlooker {
                 *to = *from;
             }
             self.draw(report.step + 1);
+            if self.keyboard.as_ref().is_some_and(Keyboard::is_paused) {
+                // Once more, for it says so.
+                self.draw(report.step + 1);
+                self.keyboard.iter().for_each(Keyboard::wait_while_paused);
+            }
         }
     }
 
@@ -184,30 +216,4 @@ fn episode_line(episode: usize, episodes: Option<usize>, finished: &FinishedEpis
         "episode {episode:3}{of}: {:8}  {end:9}  {} of {} buildings saved in {} steps",
         finished.team, metrics.buildings_completed, metrics.buildings, metrics.steps
     )
-}
-
-/// Redraws a block of lines in place.
-#[derive(Default)]
-struct Screen {
-    drawn: usize,
-}
-
-impl Screen {
-    /// A terminal that is gone or too small is no reason to stop the team.
-    fn show(&mut self, lines: &[String]) {
-        let terminal = Term::stdout();
-        let (height, width) = terminal.size();
-        let (height, width) = (usize::from(height).max(2), usize::from(width).max(2));
-        // One row stays free for the cursor: a block that scrolls cannot be redrawn.
-        let lines = &lines[..lines.len().min(height - 1)];
-        let mut text = String::new();
-        for line in lines {
-            text.push_str(&console::truncate_str(line, width - 1, ""));
-            text.push_str("\x1b[K\n");
-        }
-        let _ = terminal.move_cursor_up(self.drawn);
-        let _ = terminal.write_str(&text);
-        let _ = terminal.flush();
-        self.drawn = lines.len();
-    }
 }

@@ -41,7 +41,6 @@ pub(super) struct Report {
 pub(super) enum Manner {
     Json,
     Tables,
-    Nothing,
 }
 
 /// Reports what was played, however it ended; nothing where it ended badly before the first episode was over.
@@ -59,7 +58,6 @@ pub(super) fn report(
     match manner {
         Manner::Json => print_json(&report),
         Manner::Tables => report.print(&onlooker.figures),
-        Manner::Nothing => {}
     }
 }
 
@@ -98,11 +96,11 @@ impl Report {
     /// The tables for people.
     fn print(&self, figures: &Figures) {
         say!(
-            "\nsuccess {:.2} (95 % interval {:.2} to {:.2}) over {} episodes, {} allocation",
+            "\nsuccess {:.2} (95 % interval {:.2} to {:.2}) over {}, {} allocation",
             self.success,
             self.success_ci95[0],
             self.success_ci95[1],
-            self.episodes,
+            plural(self.episodes, "episode"),
             self.allocation
         );
         say!(
@@ -117,10 +115,10 @@ impl Report {
         }
         teams.print();
         say!(
-            "\n{} processes, {} decisions, {} fallback actions, pace {}\n",
-            self.processes,
-            self.decisions,
-            self.fallbacks,
+            "\n{}, {}, {}, pace {}\n",
+            plural(self.processes, "process"),
+            plural(self.decisions as usize, "decision"),
+            plural(self.fallbacks as usize, "fallback action"),
             self.pace()
         );
         if self.episodes_of_dead_worlds > 0 {

@@ -27,6 +27,12 @@ pub(crate) struct Team<'a> {
     pub(crate) parent: Option<u32>,
 }
 
+/// `agent 0`, `agents 1, 2`.
+fn named_agents(agents: &[u16]) -> String {
+    let list = agents.iter().map(u16::to_string).collect::<Vec<_>>().join(", ");
+    format!("agent{} {list}", if agents.len() == 1 { "" } else { "s" })
+}
+
 impl Team<'_> {
     /// The runner of these agents.
     pub(crate) fn runner(&self, agents: &[u16]) -> Charge {
@@ -34,7 +40,7 @@ impl Team<'_> {
         let mut command = self.command("runner");
         command.arg("--agents").arg(&list);
         Charge {
-            name: format!("the runner of agents {}", list.replace(',', ", ")),
+            name: format!("the runner of {}", named_agents(agents)),
             role: Role::Runner,
             agents: agents.iter().fold(0, |seats, agent| seats | 1 << agent),
             command,
@@ -57,7 +63,7 @@ impl Team<'_> {
         }
         command.arg("--allocation").arg(self.allocation.name());
         command.arg("--backend").arg(self.backend.name());
-        command.arg(self.proposals.flag());
+        command.args(self.proposals.flag());
         command.arg("--seed").arg(self.seed.to_string());
         if self.private {
             command.arg("--private");

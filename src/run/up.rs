@@ -1,6 +1,6 @@
 //! `sortie up`: a team as supervised processes that go on whatever dies.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
 use clap::{Args, ValueEnum};
@@ -17,10 +17,11 @@ use crate::allocator::DeployedAllocator;
 use crate::arguments::{AllocatorChoice, Common};
 use crate::deployment::{domain_contract, open_bundle};
 use crate::failure::{Exit, Failure, Outcome};
-use crate::output::tell;
+use crate::output::{tell, wrapped};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::proposals::ProposalArguments;
 use crate::signals::stop_on_signals;
+use crate::terminal::line_width;
 
 /// Keep a bundle's team running: world, runners, a leading allocator and its standbys, supervised
 ///
@@ -118,7 +119,7 @@ pub(crate) fn run(arguments: &UpArguments) -> Outcome {
             "domain `{}`; by hand, each of these takes the place of a process that is missing:",
             domain.id()
         );
-        charges.iter().for_each(|charge| tell!("  {}", by_hand(&charge.command)));
+        charges.iter().for_each(|charge| tell!("{}", by_hand(&charge.command)));
     }
     let policy =
         RestartPolicy { never: arguments.restart == Restart::Never, ..RestartPolicy::default() };
@@ -187,10 +188,23 @@ fn world(arguments: &UpArguments, team: &Team<'_>) -> Charge {
     Charge { name: "the world".to_string(), role: Role::World, agents: 0, command }
 }
 
-/// A command as a person types it.
+/// A command as a person types it, over as many lines as it needs.
 fn by_hand(command: &Command) -> String {
-    let own = std::env::args().next().unwrap_or_default();
-    let program = Path::new(&own).display().to_string();
-    let words = command.get_args().map(|word| word.to_string_lossy().into_owned());
-    [program].into_iter().chain(words).collect::<Vec<_>>().join(" ")
+    const INDENT: &str = "      ";
+    const CONTINUED: &str = " \\";
+    let program = std::env::args_os().next().unwrap_or_default();
+    let words = [program.as_os_str()].into_iter().chain(command.get_args());
+    let mut parts: Vec<String> = Vec::new();
+    for word in words.map(|word| word.to_string_lossy()) {
+        match parts.last_mut() {
+            // A flag and its value stay together.
+            Some(flag) if flag.starts_with("--") && !word.starts_with("--") => {
+                flag.push(' ');
+                flag.push_str(&word);
+            }
+            _ => parts.push(word.into_owned()),
+        }
+    }
+    let lines = wrapped(parts, line_width() - INDENT.len() - CONTINUED.len());
+    format!("  {}", lines.join(&format!("{CONTINUED}\n{INDENT}")))
 }

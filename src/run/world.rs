@@ -106,11 +106,7 @@ pub(super) fn play(
         backend: team.backend.name().to_string(),
         rate_hz: playing.rate_hz(),
     };
-    let manner = match (team.json, team.quiet) {
-        (true, _) => Manner::Json,
-        (false, true) => Manner::Nothing,
-        (false, false) => Manner::Tables,
-    };
+    let manner = if team.json { Manner::Json } else { Manner::Tables };
     report(&world.tally.borrow(), &onlooker, setup, manner, ended.is_ok());
     if ended.is_ok() {
         onlooker.close();

@@ -19,10 +19,10 @@ use sortie_learn::run::{Outcome as Ending, prolong, read_description};
 use crate::arguments::{Allocation, Common};
 use crate::failure::{Exit, Failure, Outcome};
 use crate::output::{self, say, warn_of_refused};
+use crate::seeds::SeedRange;
 use crate::signals::stop_on_signals;
 use configuration::configuration;
 use reporter::Reporter;
-use seeds::SeedRange;
 
 /// Learn a team's policy and write the run to a folder
 ///

@@ -134,7 +134,7 @@ impl Observer for Reporter {
         let [low, high] = evaluation.success_ci95;
         if self.common.json {
             print_json(result);
-        } else if !self.common.quiet {
+        } else {
             let line = format!(
                 "{} fresh episodes under {allocation} allocation: success {:.3} ({low:.3} to {high:.3})",
                 evaluation.episodes, evaluation.success

@@ -5,7 +5,6 @@ use std::io::{BufRead, BufReader};
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStderr, ChildStdout, Command, Stdio};
-use std::str::FromStr;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread;
 
@@ -22,25 +21,7 @@ use super::cores;
 use crate::arguments::Common;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::output::{Table, plural, print_json, tell};
-
-/// Seeds from the first to the last, both included.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct SeedRange {
-    first: u64,
-    last: u64,
-}
-
-impl FromStr for SeedRange {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let expected = || format!("`{text}` is no range of seeds such as 1..5");
-        let (first, last) = text.split_once("..").ok_or_else(expected)?;
-        let number = |text: &str| text.parse().map_err(|_| expected());
-        let (first, last) = (number(first)?, number(last)?);
-        if first <= last { Ok(Self { first, last }) } else { Err(expected()) }
-    }
-}
+use crate::seeds::SeedRange;
 
 /// How one seed's run ended.
 #[derive(Clone, Debug, Serialize)]
@@ -338,9 +319,6 @@ fn print(summary: &Summary, common: Common) {
         print_json(summary);
         return;
     }
-    if common.quiet {
-        return;
-    }
     let mut table = Table::new(&["run", "success"]);
     for run in &summary.runs {
         table.row([run.run.display().to_string(), format!("{:.3}", run.success)]);
@@ -355,15 +333,6 @@ fn print(summary: &Summary, common: Common) {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_range_includes_both_ends() {
-        assert_eq!("1..5".parse(), Ok(SeedRange { first: 1, last: 5 }));
-        assert_eq!("3..3".parse(), Ok(SeedRange { first: 3, last: 3 }));
-        for wrong in ["5..1", "1", "a..b", "1..", "-1..2"] {
-            assert!(SeedRange::from_str(wrong).is_err(), "{wrong}");
-        }
-    }
 
     #[test]
     fn a_summary_tells_mean_and_spread() {

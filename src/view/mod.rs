@@ -44,7 +44,7 @@ use values::TeamValueProbe;
   sortie view episodes/00007.json --policy runs/first -o episode.html")]
 pub(crate) struct ViewArguments {
     /// A training run, a bundle, `scripted`, or the file of a recorded episode
-    subject: String,
+    subject: PathBuf,
     /// The page to write
     #[arg(short, long, value_name = "FILE.html")]
     output: PathBuf,
@@ -60,7 +60,7 @@ pub(crate) struct ViewArguments {
     allocation: Option<AllocatorChoice>,
     /// Show what this run or bundle computes in a recorded episode
     #[arg(long, value_name = "RUN|BUNDLE", visible_aliases = ["run", "bundle"])]
-    policy: Option<String>,
+    policy: Option<PathBuf>,
     #[command(flatten)]
     common: Common,
 }
@@ -72,7 +72,7 @@ struct Report<'a> {
 }
 
 pub(crate) fn run(arguments: &ViewArguments) -> Outcome {
-    let subject = Path::new(&arguments.subject);
+    let subject = arguments.subject.as_path();
     let page = if subject.is_file() {
         recorded_page(arguments, subject)?
     } else {
@@ -83,7 +83,7 @@ pub(crate) fn run(arguments: &ViewArguments) -> Outcome {
     let report = Report { file, steps: page.steps.len() };
     if arguments.common.json {
         print_json(&report);
-    } else if !arguments.common.quiet {
+    } else {
         say!("{}: {}", file.display(), plural(report.steps, "step"));
     }
     Ok(())
@@ -105,7 +105,7 @@ fn played_page(arguments: &ViewArguments) -> Result<Page, Failure> {
         &subject,
         arguments.allocation,
         &subject,
-        &arguments.subject,
+        &arguments.subject.to_string_lossy(),
         Backend::Plan,
         draws,
     )?;
@@ -124,7 +124,7 @@ fn played_page(arguments: &ViewArguments) -> Result<Page, Failure> {
         env: set.to_string(),
         episode: Some((arguments.common.seed, number)),
         notes,
-        ..page_of(arguments.subject.clone(), captured)
+        ..page_of(arguments.subject.display().to_string(), captured)
     })
 }
 
@@ -157,9 +157,9 @@ fn recorded_page(arguments: &ViewArguments, file: &Path) -> Result<Page, Failure
     let name = playback.labels().name.clone();
     let notes = notes_on_recording(&playback, choice, policy);
     let open = |choice| {
-        let owner = policy.unwrap_or(&arguments.subject);
+        let owner = policy.unwrap_or(&arguments.subject).to_string_lossy();
         let draws = (ProposalArguments::default(), arguments.common.seed);
-        SubjectAllocator::open(choice, subject.as_ref(), owner, Backend::Plan, draws)
+        SubjectAllocator::open(choice, subject.as_ref(), &owner, Backend::Plan, draws)
     };
     let mut allocator = choice.map(open).transpose()?;
     let mut allocator = allocator.as_mut().map(SubjectAllocator::allocator).transpose()?;
@@ -180,7 +180,7 @@ fn recorded_page(arguments: &ViewArguments, file: &Path) -> Result<Page, Failure
 fn notes_on_recording(
     playback: &Playback,
     choice: Option<AllocatorChoice>,
-    policy: Option<&str>,
+    policy: Option<&Path>,
 ) -> Vec<String> {
     let acting = &playback.labels().policy;
     let mut notes = vec![format!("A recording of: {acting}.")];
@@ -196,6 +196,7 @@ fn notes_on_recording(
     });
     notes.push(match policy {
         Some(policy) => {
+            let policy = policy.display();
             format!("Utilities and attention are what {policy} computes in the recorded states.")
         }
         None => "No network was given: --policy RUN or BUNDLE adds what it computes.".into(),

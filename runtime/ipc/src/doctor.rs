@@ -62,7 +62,7 @@ impl Finding {
     /// What a check came to.
     fn of(check: &'static str, result: Result<(), Error>, advice: &'static str) -> Self {
         match result {
-            Ok(()) => Self::fine(check, "enough, and of the right kind"),
+            Ok(()) => Self::fine(check, "enough for a team"),
             Err(error) => Self::new(Severity::Problem, check, error.to_string(), advice),
         }
     }
@@ -261,6 +261,15 @@ fn is_told_by_world(statuses: &BTreeMap<u32, StatMsg>) -> bool {
 /// Index of missed wake-ups in the counters of a status.
 const MISSED_WAKE_UPS: usize = 10;
 
+/// What a process has done; a supervisor takes no part in ticks.
+fn ticks(role: &str, status: &StatMsg, missed: u64) -> String {
+    let [ticks, late] = [status.counters[0], status.counters[2]];
+    match role == Role::Supervisor.name() {
+        true => String::new(),
+        false => format!(", {ticks} ticks, {late} late, {missed} lost wake-ups"),
+    }
+}
+
 fn examine_process(status: &StatMsg) -> Finding {
     let role = Role::from_number(status.role).map_or("process", Role::name);
     let is_allocator = status.role == Role::Allocator as u8;
@@ -272,11 +281,9 @@ fn examine_process(status: &StatMsg) -> Finding {
     };
     let missed = status.counters.get(MISSED_WAKE_UPS).copied().unwrap_or(0);
     let found = format!(
-        "{role} {}{leads}{model}, {} ticks, {} late, {} lost wake-ups, version {}",
+        "{role} {}{leads}{model}{}, version {}",
         status.pid,
-        status.counters[0],
-        status.counters[2],
-        missed,
+        ticks(role, status, missed),
         version(status.build)
     );
     if status.has(StatMsg::DEGRADED) {

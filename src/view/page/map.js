@@ -44,7 +44,7 @@ function createMap(select) {
     });
     assignments.replaceChildren(...assignmentLines(view, state));
     trails.replaceChildren(...trailLines(view, state));
-    marks.replaceChildren(...attentionMarks(view, state), ...rewardMarks(view));
+    marks.replaceChildren(...attentionMarks(view, state), ...rewardMarks(view, state));
     byId("map-text").textContent = describe(state);
   };
 }
@@ -142,8 +142,25 @@ function entityPlace(state, entity) {
   return building ? [building.x, building.y] : state.places[entity];
 }
 
+/** Cells beside a building where its reward may stand: the first that is free. */
+const CORNERS = [
+  [-1, 1],
+  [1, 1],
+  [-1, -1],
+  [1, -1],
+];
+
+function freeCorner(state, { x, y }) {
+  const houses = episode.buildings.map((building) => [building.x, building.y]);
+  const taken = new Set([...state.places, ...houses].map(String));
+  const isInside = (value) => value >= 0 && value < episode.side;
+  const isFree = ([dx, dy]) =>
+    isInside(x + dx) && isInside(y + dy) && !taken.has(String([x + dx, y + dy]));
+  return CORNERS.find(isFree) ?? CORNERS[0];
+}
+
 /** What the last step earned, beside the building that earned it. */
-function rewardMarks(view) {
+function rewardMarks(view, state) {
   const rewards = episode.steps[view.at - 1]?.task_rewards ?? [];
   return rewards.flatMap((reward, building) => {
     const text = signed(reward);
@@ -152,7 +169,10 @@ function rewardMarks(view) {
     }
     const { x, y } = episode.buildings[building];
     const [cx, cy] = place([x, y]);
-    return [svg("text", { x: cx - 13, y: cy - 25, class: `earned ${reward > 0 ? "gain" : "loss"}` }, text)];
+    const [right, up] = freeCorner(state, { x, y });
+    const side = right > 0 ? "right" : "left";
+    const kind = reward > 0 ? "gain" : "loss";
+    return [svg("text", { x: cx + 13 * right, y: cy - 25 * up, class: `earned ${side} ${kind}` }, text)];
   });
 }
 

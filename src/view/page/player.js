@@ -4,6 +4,7 @@ const view = { at: 0, agent: 0, building: 0 };
 /** A building that was chosen itself; otherwise the selected agent's is shown. */
 let chosenBuilding = null;
 let timer = null;
+let telling = null;
 
 const show = [
   createMap(select),
@@ -17,6 +18,13 @@ function refresh() {
   const own = episode.states[view.at].allocation[view.agent];
   view.building = chosenBuilding ?? own ?? view.building;
   show.forEach((part) => part(view));
+  tellAddress();
+}
+
+/** Puts what is looked at into the address, for whoever copies it. Browsers refuse many changes in a row: the last one counts. */
+function tellAddress() {
+  clearTimeout(telling);
+  telling = setTimeout(() => history.replaceState(null, "", `#${view.at},${view.agent}`), 250);
 }
 
 /** Shows another state; out of range means the nearest. */

@@ -9,6 +9,7 @@ mod causes;
 mod plan;
 mod play;
 mod players;
+mod pooled;
 mod teams;
 mod worlds;
 

@@ -87,8 +87,9 @@ pub fn check_exportable(run: &Run) -> Result<(), LearnError> {
     if conditioning == Conditioning::Mask {
         return Ok(());
     }
+    let conditioning = conditioning.name();
     Err(LearnError::Config(format!(
-        "agents with `network.subtask` {conditioning:?} are evaluated only: bundles hold agents that see their \
+        "agents with `network.subtask = \"{conditioning}\"` are evaluated only: bundles hold agents that see their \
          own subtask (`network.subtask=mask`)"
     )))
 }

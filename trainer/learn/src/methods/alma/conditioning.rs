@@ -17,6 +17,15 @@ pub enum Conditioning {
 }
 
 impl Conditioning {
+    /// As the configuration has it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Mask => "mask",
+            Self::Input => "input",
+            Self::None => "none",
+        }
+    }
+
     /// Whether teams work on subtasks of their own.
     pub fn has_subtasks(self) -> bool {
         self != Self::None

@@ -1,0 +1,94 @@
+//! Several evaluations as one.
+
+use super::{Evaluation, wilson_interval};
+
+impl Evaluation {
+    /// What these evaluations come to as one, every episode counted alike.
+    pub fn pooled(parts: &[Self]) -> Self {
+        let episodes = parts.iter().map(|part| part.episodes).sum::<usize>();
+        let mean = |value: fn(&Self) -> f64| {
+            let sum: f64 = parts.iter().map(|part| value(part) * part.episodes as f64).sum();
+            sum / episodes.max(1) as f64
+        };
+        let return_mean = mean(|part| part.return_mean);
+        let mut pooled = Self {
+            episodes,
+            success: 0.0,
+            success_ci95: [0.0; 2],
+            return_mean,
+            return_sd: return_sd(parts, return_mean, episodes),
+            length_mean: mean(|part| part.length_mean),
+            timeouts: mean(|part| part.timeouts),
+            none_burned: mean(|part| part.none_burned),
+            failures: [].into(),
+            by_team: [].into(),
+        };
+        for part in parts {
+            for (cause, count) in &part.failures {
+                *pooled.failures.entry(cause.clone()).or_default() += count;
+            }
+            for (team, success) in &part.by_team {
+                let sum = pooled.by_team.entry(team.clone()).or_default();
+                sum.episodes += success.episodes;
+                sum.solved += success.solved;
+            }
+        }
+        let solved = pooled.by_team.values().map(|team| team.solved).sum();
+        pooled.success = solved as f64 / episodes.max(1) as f64;
+        pooled.success_ci95 = wilson_interval(solved, episodes);
+        pooled
+    }
+}
+
+/// The spread of all returns about their common mean, from the spread and the mean of each part.
+fn return_sd(parts: &[Evaluation], mean: f64, episodes: usize) -> f64 {
+    let squares = parts.iter().map(|part| {
+        let within = part.return_sd.powi(2) * part.episodes.saturating_sub(1) as f64;
+        within + (part.return_mean - mean).powi(2) * part.episodes as f64
+    });
+    (squares.sum::<f64>() / episodes.saturating_sub(1).max(1) as f64).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{EvaluationPlan, ScriptedActors, evaluate, play, summary};
+    use super::*;
+    use sortie_envs::save_the_city::AllocationRule;
+
+    /// The episodes of a seed.
+    fn finished(seed: u64, episodes: usize) -> Vec<play::Finished> {
+        let plan = EvaluationPlan::new("2-5a_2-5b", episodes, seed).unwrap();
+        let mut onlooker = ();
+        let mut play = play::Play::new(&plan, 0, episodes, &mut onlooker).unwrap();
+        let mut done = vec![None; episodes];
+        let mut team = ScriptedActors::new(seed);
+        while play.step(&mut team, &mut AllocationRule::Heuristic, &mut done).unwrap() {}
+        done.into_iter().flatten().collect()
+    }
+
+    #[test]
+    fn parts_of_unequal_length_are_as_one_evaluation_of_all_episodes() {
+        let (some, more) = (finished(1, 20), finished(2, 44));
+        let all = summary([some.clone(), more.clone()].concat());
+        let pooled = Evaluation::pooled(&[summary(some), summary(more)]);
+        let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-9, "{pooled:?} {all:?}");
+        near(pooled.success, all.success);
+        near(pooled.return_mean, all.return_mean);
+        near(pooled.return_sd, all.return_sd);
+        near(pooled.length_mean, all.length_mean);
+        near(pooled.timeouts, all.timeouts);
+        near(pooled.none_burned, all.none_burned);
+        assert_eq!((pooled.episodes, pooled.success_ci95), (64, all.success_ci95));
+        assert_eq!((&pooled.failures, &pooled.by_team), (&all.failures, &all.by_team));
+    }
+
+    #[test]
+    fn one_part_is_itself() {
+        let plan = EvaluationPlan::new("2-5a_2-5b", 30, 5).unwrap();
+        let mut team = ScriptedActors::new(5);
+        let alone = evaluate(&plan, &mut team, &mut AllocationRule::Coordinated).unwrap();
+        let pooled = Evaluation::pooled(std::slice::from_ref(&alone));
+        assert_eq!(pooled.success, alone.success);
+        assert_eq!(pooled.by_team, alone.by_team);
+    }
+}
