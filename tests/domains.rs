@@ -38,7 +38,9 @@ impl Playing {
 fn a_team_of_another_bundle_or_rule_is_refused_at_once() {
     let domain = TestDomain::new("mixed");
     let team = Playing::start(&domain, &["--allocation", "coordinated"]);
-    let up = |more: &[&str]| output(&[&["up", "--domain", &domain.id, "-q"], more].concat());
+    // One that is not refused ends as well, once it has played.
+    let verb = ["up", "--domain", &domain.id, "-q", "--episodes", "1", "--rate", "0"];
+    let up = |more: &[&str]| output(&[&verb, more].concat());
     let other_rule = up(&[BUNDLE, "--allocation", "random"]);
     let words = ["another allocation rule", "random here, coordinated there", "--domain NAME"];
     assert_fails(&other_rule, 75, &words);
