@@ -17,6 +17,7 @@ use crate::compiler::{compiler, with_plans};
 use crate::deployment::open_bundle;
 use crate::engines::check_program;
 use crate::failure::{Exit, Failure, Outcome};
+use crate::files::{Kind, try_output, write_output};
 use crate::observations::read_any_recording;
 use crate::output::{Table, print_json, say, tell};
 
@@ -130,7 +131,7 @@ pub(crate) fn run(arguments: &CompileArguments) -> Outcome {
         Failure::from(error).within(path.display())
     };
     let plan = &arguments.output;
-    let write = |bytes: &[u8]| fs::write(plan, bytes).map_err(|error| Failure::file(plan, &error));
+    try_output(plan, Kind::Plan)?;
     let recording = arguments.observations.as_deref().map(read_any_recording).transpose()?;
     if let (Profile::Int8, Some(recording)) = (options.profile, &recording) {
         let compile = |profile| compiler().compile(&onnx, &CompileOptions { profile, ..options });
@@ -139,13 +140,13 @@ pub(crate) fn run(arguments: &CompileArguments) -> Outcome {
             print_agreement(&quantised);
         }
         judge(&quantised.agreement, arguments.force)?;
-        write(&quantised.compiled.bytes)?;
+        write_output(plan, &quantised.compiled.bytes)?;
         let Quantised { compiled, exact, agreement } = &quantised;
         print(arguments, &compiled.report, Some((agreement, exact)));
         return Ok(());
     }
     let compiled = compiler().compile(&onnx, &options).map_err(failed)?;
-    write(&compiled.bytes)?;
+    write_output(plan, &compiled.bytes)?;
     print(arguments, &compiled.report, None);
     Ok(())
 }

@@ -4,12 +4,14 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use sortie_bundle::files::{Durability, replace_file};
 use sortie_envs::StepOutcome;
 use sortie_envs::save_the_city::golden::{Labels, Recorder};
 use sortie_learn::LearnError;
 use sortie_learn::evaluate::{Onlooker, Watched};
 
 use crate::failure::Failure;
+use crate::files::{Kind, try_output};
 
 /// Writes recorded episodes into a folder.
 pub(crate) struct EpisodeWriter {
@@ -24,6 +26,7 @@ impl EpisodeWriter {
     /// `labels` name who acts and who allocates.
     pub(crate) fn new(folder: &Path, labels: (&str, &str), seed: u64) -> Result<Self, Failure> {
         fs::create_dir_all(folder).map_err(|error| Failure::file(folder, &error))?;
+        try_output(&folder.join("00000.json"), Kind::Episode)?;
         let policy = format!("{}, {} allocation", labels.0, labels.1);
         Ok(Self { folder: folder.to_owned(), policy, seed, recorders: BTreeMap::new() })
     }
@@ -54,7 +57,8 @@ impl Onlooker for EpisodeWriter {
             && let Some(recorder) = self.recorders.remove(&episode)
         {
             let path = self.folder.join(format!("{episode:05}.json"));
-            fs::write(&path, recorder.finish(worlds))
+            let episode = recorder.finish(worlds);
+            replace_file(&path, episode.as_bytes(), Durability::Cached)
                 .map_err(|source| LearnError::File { path, source })?;
         }
         Ok(())

@@ -16,6 +16,7 @@ use crate::compile::PlanProfile;
 use crate::environment::{self, ScenarioSetName};
 use crate::episodes::EpisodeWriter;
 use crate::failure::{Exit, Failure, Outcome};
+use crate::files::{Kind, try_output};
 use crate::observations::RecordingPolicy;
 use crate::output::{Table, plural, print_json, say};
 use crate::policy::{Backend, DeployedPolicy};
@@ -127,6 +128,9 @@ struct Match<'a> {
 pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
     let subject = Subject::find(&arguments.subject)?;
     check(arguments, &subject)?;
+    if let Some(file) = &arguments.dump {
+        try_output(file, Kind::Observations)?;
+    }
     let set = environment::scenario_set(arguments.env.as_deref(), &subject)?;
     let other = arguments.allocator.as_deref().map(Subject::find).transpose()?;
     let seeds = arguments.seeds.unwrap_or(SeedRange::only(arguments.common.seed));

@@ -1,11 +1,12 @@
 //! `sortie export`: a training run becomes a bundle.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use indicatif::ProgressBar;
 use serde::Serialize;
-use sortie_bundle::hex;
+use sortie_bundle::files::check_folder;
+use sortie_bundle::{BundleError, hex};
 use sortie_learn::evaluate::{Allocate, EvaluationPlan, evaluate_watched};
 use sortie_learn::export::{Measured, check_exportable, draft_bundle};
 use sortie_learn::run::{Run, Settings};
@@ -56,6 +57,7 @@ struct Report {
 }
 
 pub(crate) fn run(arguments: &ExportArguments) -> Outcome {
+    check_place(&arguments.out)?;
     check_program()?;
     let mut run = Run::open(&arguments.run)?;
     warn_of_refused(&run.refused);
@@ -89,6 +91,17 @@ pub(crate) fn run(arguments: &ExportArguments) -> Outcome {
         say!("{}: {}", report.bundle.display(), report.sha256);
     }
     Ok(())
+}
+
+/// Refuses a place that a bundle cannot be written to, before anything is measured.
+fn check_place(out: &Path) -> Outcome {
+    if out.exists() {
+        return Err(BundleError::Exists { path: out.to_owned() }.into());
+    }
+    let folder = out.parent().filter(|parent| parent.is_dir());
+    folder.map_or(Ok(()), |folder| {
+        check_folder(folder).map_err(|error| Failure::file(folder, &error))
+    })
 }
 
 /// The scenario sets to measure on.

@@ -117,14 +117,16 @@ impl From<BundleError> for Failure {
 impl From<LearnError> for Failure {
     fn from(error: LearnError) -> Self {
         let exit = match &error {
-            LearnError::Config(_) | LearnError::Taken { .. } => Exit::Usage,
+            LearnError::Config(_) | LearnError::Value { .. } | LearnError::Taken { .. } => {
+                Exit::Usage
+            }
             LearnError::Busy { .. } => Exit::Busy,
             LearnError::Diverged { .. } => Exit::Diverged,
             LearnError::File { source, .. } if source.kind() == ErrorKind::NotFound => {
                 Exit::Missing
             }
             LearnError::File { .. } => Exit::InputOutput,
-            LearnError::Format { .. } => Exit::BadData,
+            LearnError::Format { .. } | LearnError::Syntax { .. } => Exit::BadData,
             LearnError::Environment(_) => Exit::Usage,
             _ => Exit::Bug,
         };

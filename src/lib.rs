@@ -15,6 +15,7 @@ mod episodes;
 mod eval;
 mod export;
 mod failure;
+mod files;
 mod inspect;
 mod latency;
 mod manual;

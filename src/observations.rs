@@ -7,6 +7,7 @@ use sortie_bundle::{Bundle, Recording};
 use sortie_core::{DecideError, Decision, Observation, Policy};
 
 use crate::failure::{Exit, Failure, Outcome};
+use crate::files::write_output;
 
 /// A policy that records every observation that it decides on.
 pub(crate) struct RecordingPolicy<'a> {
@@ -28,7 +29,7 @@ impl<'a> RecordingPolicy<'a> {
 
     /// Writes all that was recorded.
     pub(crate) fn write(&self, path: &Path) -> Outcome {
-        fs::write(path, self.recording.to_bytes()).map_err(|error| Failure::file(path, &error))
+        write_output(path, &self.recording.to_bytes())
     }
 }
 

@@ -206,3 +206,73 @@ fn output_that_nobody_reads_ends_the_program_without_a_word() {
     let output = command.output().expect("sortie runs");
     assert_eq!((output.status.code(), support::stderr(&output).as_str()), (Some(141), ""));
 }
+
+#[test]
+fn files_of_another_kind_are_not_overwritten() {
+    let place = tempfile::tempdir().expect("a temporary folder");
+    let letter = place.path().join("letter.txt").display().to_string();
+    fs::write(&letter, "dear").expect("a file");
+    for arguments in [
+        &["view", "scripted", "-o", &letter][..],
+        &["eval", BUNDLE, "--episodes", "1", "--dump", &letter],
+        &["compile", "models/save-the-city/agent.onnx", "-o", &letter],
+    ] {
+        assert_fails(&output(arguments), 2, &[&letter, "is there already", "another name"]);
+    }
+    assert_eq!(fs::read_to_string(&letter).expect("the file"), "dear");
+    let onnx = place.path().join("agent.onnx").display().to_string();
+    fs::copy("models/save-the-city/agent.onnx", &onnx).expect("a copy");
+    assert_fails(&output(&["compile", &onnx, "-o", &onnx]), 2, &[&onnx, "not a plan"]);
+}
+
+#[test]
+fn places_out_of_reach_are_refused_before_anything_is_played() {
+    // Playing so many episodes would take the time limit of any test.
+    let many = ["--episodes", "4000000", "--json"];
+    let nowhere = [&["eval", BUNDLE, "--dump", "/nowhere/x"][..], &many].concat();
+    assert_fails(&output(&nowhere), 66, &["/nowhere/x"]);
+}
+
+#[test]
+fn values_of_a_configuration_are_refused_with_their_key() {
+    let train = |more: &[&str]| {
+        let place = tempfile::tempdir().expect("a temporary folder");
+        let out = place.path().join("run").display().to_string();
+        output(&[&["train", "alma", "--out", &out, "--steps", "100"][..], more].concat())
+    };
+    for assignment in [
+        "network.width=1000000000",
+        "network.base=1000000000",
+        "replay.capacity=4294967295",
+        "replay.batch=1000000000",
+        "environment.instances=1000000000",
+        "optimiser.learning_rate=NaN",
+        "environment.set=foo",
+    ] {
+        let key = assignment.split('=').next().expect("a key");
+        assert_fails(&train(&["--set", assignment]), 2, &[key, "must be"]);
+    }
+    let place = tempfile::tempdir().expect("a temporary folder");
+    let file = place.path().join("mine.toml").display().to_string();
+    fs::write(&file, "[replay]\nbatsch = 3\n").expect("a file");
+    assert_fails(&train(&["--config", &file]), 2, &[&file, "line 2", "`replay.batch`?"]);
+    fs::write(&file, "[environment]\nset = foo\n").expect("a file");
+    assert_fails(&train(&["--config", &file]), 65, &[&file, "line 2", "set = foo"]);
+}
+
+#[test]
+fn a_printed_configuration_is_a_file_to_learn_by() {
+    let place = tempfile::tempdir().expect("a temporary folder");
+    let file = place.path().join("mine.toml").display().to_string();
+    for more in [&["--steps", "60000"][..], &["--preset", "paper", "--set", "learning.windows=8"]] {
+        let print = |more: &[&str]| {
+            let printed = output(&[&["train", "alma", "--print-config"][..], more].concat());
+            assert!(printed.status.success(), "{}", support::stderr(&printed));
+            String::from_utf8(printed.stdout).expect("text")
+        };
+        let text = print(more);
+        assert!(text.contains("# How long to learn.\n#   a whole number from 1"), "{text}");
+        fs::write(&file, &text).expect("a file");
+        assert_eq!(print(&["--config", &file]), text);
+    }
+}

@@ -34,6 +34,7 @@ use reporter::Reporter;
 #[command(after_help = "Examples:
   sortie train alma --out runs/first
   sortie train alma --seeds 1..5 --out runs/five
+  sortie train alma --print-config > mine.toml
   sortie train alma --set network.width=128 --set run.steps=800000 --seed 7 --out runs/wide
   sortie train alma --mixer qmix --no-mask --allocation coordinated --out runs/compared
   sortie train flat --out runs/flat
@@ -77,11 +78,14 @@ pub(crate) struct TrainArguments {
     #[arg(long, value_parser = threads)]
     threads: Option<usize>,
     /// Folder of the new run
-    #[arg(long, value_name = "DIR", required_unless_present = "resume")]
+    #[arg(long, value_name = "DIR", required_unless_present_any = ["resume", "print_config"])]
     out: Option<PathBuf>,
     /// Folder of a run to go on with, as it was configured
     #[arg(long, value_name = "DIR", conflicts_with_all = ["out", "preset", "config", "assignments", "allocation", "no_mask", "mixer", "env", "seed"])]
     resume: Option<PathBuf>,
+    /// Print the configuration with an explanation of every key, as a file for --config, and learn nothing
+    #[arg(long, conflicts_with_all = ["out", "resume", "seeds"])]
+    print_config: bool,
     /// The process of the sweep that this run is part of, without which it stops
     #[arg(long, value_name = "PID", hide = true)]
     sweep: Option<u32>,
@@ -125,6 +129,10 @@ impl Method {
 const PATIENCE: Duration = Duration::from_secs(10);
 
 pub(crate) fn run(arguments: &TrainArguments) -> Outcome {
+    if arguments.print_config {
+        say!("{}", configuration(arguments)?.explained()?.trim_end());
+        return Ok(());
+    }
     output::may_be_lost();
     let stop = stop_on_signals()?;
     if let Some(sweep) = arguments.sweep {

@@ -51,6 +51,10 @@ pub(super) fn run(
     common: Common,
     stop: &Stop,
 ) -> Outcome {
+    if config.run().final_episodes == 0 {
+        let reason = "`run.final_episodes` is 0: a sweep compares what its seeds report in the end";
+        return Err(Failure::new(Exit::Usage, reason));
+    }
     let sweep = Sweep::new(config, threads, out, common);
     for seed in seeds.first..=seeds.last {
         sweep.check(seed)?;

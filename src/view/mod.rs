@@ -23,6 +23,7 @@ use sortie_learn::methods::alma::{Conditioning, NetworkPolicy};
 use crate::arguments::{AllocatorChoice, Common};
 use crate::environment;
 use crate::failure::{Exit, Failure, Outcome};
+use crate::files::{Kind, try_output, write_output};
 use crate::output::{plural, print_json, say};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::proposals::ProposalArguments;
@@ -72,14 +73,15 @@ struct Report<'a> {
 }
 
 pub(crate) fn run(arguments: &ViewArguments) -> Outcome {
+    let file = &arguments.output;
+    try_output(file, Kind::Page)?;
     let subject = arguments.subject.as_path();
     let page = if subject.is_file() {
         recorded_page(arguments, subject)?
     } else {
         played_page(arguments)?
     };
-    let file = &arguments.output;
-    std::fs::write(file, page::html(&page)).map_err(|error| Failure::file(file, &error))?;
+    write_output(file, page::html(&page).as_bytes())?;
     let report = Report { file, steps: page.steps.len() };
     if arguments.common.json {
         print_json(&report);

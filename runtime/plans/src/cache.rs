@@ -8,9 +8,9 @@ use std::fs::{self, DirBuilder, Metadata};
 use std::io;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use rustix::process::geteuid;
+use sortie_bundle::files::{Durability, replace_file};
 use sortie_bundle::{hex, sha256};
 use sortie_core::plan::{AlignedBytes, Plan};
 
@@ -59,18 +59,9 @@ pub(crate) fn kept(folder: &Path, key: &PlanKey<'_>) -> Option<AlignedBytes> {
 
 /// Keeps a plan, written beside its place and renamed, so that no one ever reads half of it.
 pub(crate) fn keep(folder: &Path, key: &PlanKey<'_>, plan: &[u8]) -> io::Result<()> {
-    static DRAFTS: AtomicU64 = AtomicU64::new(0);
     DirBuilder::new().recursive(true).mode(0o700).create(folder)?;
     check(folder)?;
-    // Threads of one process may keep the same plan at the same time.
-    let number = DRAFTS.fetch_add(1, Ordering::Relaxed);
-    let path = folder.join(key.file_name());
-    let draft = path.with_extension(format!("{}-{number}", std::process::id()));
-    let written = fs::write(&draft, plan).and_then(|()| fs::rename(&draft, &path));
-    if written.is_err() {
-        let _ = fs::remove_file(&draft);
-    }
-    written
+    replace_file(&folder.join(key.file_name()), plan, Durability::Cached)
 }
 
 /// Whether only the user can change what lies in the folder.

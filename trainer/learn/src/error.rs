@@ -12,6 +12,24 @@ pub enum LearnError {
     /// A configuration has an impossible value.
     #[error("configuration: {0}")]
     Config(String),
+    /// A key of a configuration has an impossible value, or does not exist.
+    #[error("{}`{key}` {reason}", at_line(*line))]
+    Value {
+        /// Its line in the file that was read, if one was.
+        line: Option<usize>,
+        /// The key, as in `replay.batch`.
+        key: String,
+        /// What is wrong, and what is possible.
+        reason: String,
+    },
+    /// A file is no TOML.
+    #[error("{}{reason}", at_line(Some(*line)))]
+    Syntax {
+        /// The line.
+        line: usize,
+        /// What stands there, and what is wrong with it.
+        reason: String,
+    },
     /// A file could not be read or written.
     #[error("{}: {source}", path.display())]
     File {
@@ -66,6 +84,10 @@ pub enum LearnError {
     /// The team that is measured could not decide.
     #[error("the team could not decide: {0}")]
     Team(String),
+}
+
+fn at_line(line: Option<usize>) -> String {
+    line.map_or(String::new(), |line| format!("line {line}: "))
 }
 
 impl LearnError {

@@ -1,7 +1,7 @@
 //! Learns cooperative policies: layers with explicit gradients, algorithms, evaluation, ONNX export.
 #![deny(unsafe_code)]
 
-mod configuration;
+pub mod configuration;
 pub mod error;
 pub mod evaluate;
 pub mod export;

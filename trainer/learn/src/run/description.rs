@@ -3,6 +3,7 @@
 use toml::Table;
 
 use super::settings::Settings;
+use crate::configuration;
 use crate::error::LearnError;
 
 /// A configuration that a run can learn by.
@@ -57,7 +58,7 @@ impl<C: Configuration> RunDescription<C> {
     /// Reads the file's text.
     pub fn from_toml(text: &str) -> Result<Self, LearnError> {
         let bad = |what: &str| LearnError::Config(what.to_owned());
-        let mut table: Table = text.parse().map_err(|e: toml::de::Error| bad(e.message()))?;
+        let mut table = configuration::parsed(text)?;
         let mut take = |name: &str| table.remove(name).ok_or_else(|| bad(&format!("no `{name}`")));
         let (method, version) = (take("method")?, take("version")?);
         let (seed, threads) = (take("seed")?, take("threads")?);

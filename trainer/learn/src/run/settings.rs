@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use toml::{Table, Value};
 
 use super::description::Configuration;
+use crate::configuration;
 use crate::error::LearnError;
 use crate::methods::alma::Conditioning;
 use crate::methods::alma::config::{EnvironmentConfig, RunConfig};
@@ -33,9 +34,7 @@ impl Settings {
     ///
     /// A run's `train.toml` will do: its lines about the run itself are passed over.
     pub fn from_toml(text: &str) -> Result<Self, LearnError> {
-        let config = |error: toml::de::Error| LearnError::Config(error.message().to_owned());
-        let table: Table = text.parse().map_err(config)?;
-        if is_windows(&table) {
+        if is_windows(&configuration::parsed(text)?) {
             Ok(Self::Windows(paper::Config::from_toml(text)?))
         } else {
             Ok(Self::Records(alma::Config::from_toml(text)?))
@@ -52,9 +51,8 @@ impl Settings {
 
     /// The keys that a file has a value for.
     pub fn keys_in(text: &str) -> Result<Vec<String>, LearnError> {
-        let config = |error: toml::de::Error| LearnError::Config(error.message().to_owned());
         let mut values = BTreeMap::new();
-        flatten("", text.parse().map_err(config)?, &mut values);
+        flatten("", configuration::parsed(text)?, &mut values);
         Ok(values.into_keys().collect())
     }
 
@@ -63,6 +61,14 @@ impl Settings {
     pub fn fit_to_length(&mut self, is_given: impl Fn(&str) -> bool) {
         if let Self::Records(config) = self {
             config.fit_to_length(is_given);
+        }
+    }
+
+    /// The configuration as a file that explains every key.
+    pub fn explained(&self) -> Result<String, LearnError> {
+        match self {
+            Self::Records(config) => config.explained(),
+            Self::Windows(config) => config.explained(),
         }
     }
 

@@ -8,7 +8,7 @@ use super::low_level::LowLevelConfig;
 use super::low_level::coach::CoachConfig;
 use super::rollout::Exploration;
 use super::windows::WindowShape;
-use crate::configuration;
+use crate::configuration::{self, Kept, PAPER, Section};
 use crate::error::LearnError;
 use crate::methods::alma::config::{Allocation, EnvironmentConfig, RunConfig};
 use crate::methods::alma::{self, Conditioning};
@@ -299,26 +299,18 @@ impl Config {
         self.coach.enabled = true;
     }
 
-    /// Refuses values that cannot work.
+    /// Refuses values outside their limits, and values that do not go together.
     pub fn check(&self) -> Result<(), LearnError> {
         let require = configuration::require;
-        let divides =
-            |heads: usize, width: usize| heads > 0 && width > 0 && width.is_multiple_of(heads);
         let Self { low_level, allocation, learning, .. } = self;
-        self.environment.check()?;
+        configuration::check_values(self)?;
         require(
-            divides(low_level.heads, low_level.width) && low_level.base > 0,
-            "`low_level.width` must be a multiple of `.heads`, `low_level.base` at least 1",
+            low_level.width.is_multiple_of(low_level.heads),
+            "`low_level.width` must be a multiple of `low_level.heads`",
         )?;
         require(
-            divides(low_level.hypernetwork_heads, low_level.hypernetwork_width)
-                && low_level.mixing > 0,
-            "`low_level.hypernetwork_width` must be a multiple of `.hypernetwork_heads`, `.mixing` at least 1",
-        )?;
-        low_level.returns.check()?;
-        require(
-            low_level.clip > 0.0 && low_level.active_inputs >= 0.0,
-            "`low_level.clip` must be positive, `low_level.active_inputs` not negative",
+            low_level.hypernetwork_width.is_multiple_of(low_level.hypernetwork_heads),
+            "`low_level.hypernetwork_width` must be a multiple of `low_level.hypernetwork_heads`",
         )?;
         require(
             !self.coach.enabled
@@ -326,27 +318,24 @@ impl Config {
             "agents with a coach have no subtasks and no memory: `low_level.conditioning` must be `none`, \
              `.recurrent` false",
         )?;
-        require(self.coach.beta >= 0.0, "`coach.beta` must not be negative")?;
-        self.allocation()?;
         require(
-            divides(allocation.heads, allocation.width),
+            allocation.width.is_multiple_of(allocation.heads),
             "`allocation.width` must be a multiple of `allocation.heads`",
         )?;
         require(
-            allocation.interval > 0 && allocation.proposals > 0 && allocation.rows > 1,
-            "`allocation.interval`, `.proposals` must be at least 1, `.rows` at least 2",
-        )?;
-        require(
-            (0.0..=1.0).contains(&allocation.discount),
-            "`allocation.discount` must be in 0..1",
-        )?;
-        require(allocation.oldest > 0, "`allocation.oldest` must be at least 1")?;
-        require(
-            learning.windows > 0 && learning.steps > 1 && learning.episodes >= learning.windows,
-            "`learning.windows` must be at least 1, `.steps` 2, `.episodes` `.windows`",
-        )?;
-        self.run.check()
+            learning.episodes >= learning.windows,
+            "`learning.episodes` must be at least `learning.windows`",
+        )
     }
+
+    /// The configuration as a file that explains every key.
+    pub fn explained(&self) -> Result<String, LearnError> {
+        configuration::explained(self)
+    }
+}
+
+impl Kept for Config {
+    const SECTIONS: &'static [Section] = PAPER;
 }
 
 impl Configuration for Config {
@@ -394,10 +383,10 @@ mod tests {
     fn wrong_values_are_refused() {
         let mut config = Config::default();
         for (assignment, part) in [
-            ("allocation.by=nobody", "`nobody`"),
+            ("allocation.by=nobody", "nobody"),
             ("low_level.heads=5", "multiple"),
-            ("learning.windows=9000", "`.episodes`"),
-            ("allocation.rows=1", "at least 2"),
+            ("learning.episodes=9", "`learning.windows`"),
+            ("allocation.rows=1", "from 2"),
             ("coach.enabled=true", "`none`"),
         ] {
             let error = config.set(assignment).unwrap_err().to_string();

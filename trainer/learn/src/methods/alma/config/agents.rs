@@ -34,14 +34,12 @@ impl Default for NetworkConfig {
 }
 
 impl NetworkConfig {
-    /// Refuses values that cannot work; `of` names the section.
+    /// Refuses values that do not go together; `of` names the section.
     pub(crate) fn check(&self, of: &str) -> Result<(), LearnError> {
         require(
-            self.heads > 0 && self.width > 0 && self.width.is_multiple_of(self.heads),
+            self.width.is_multiple_of(self.heads),
             &format!("`{of}.width` must be a multiple of `{of}.heads`"),
-        )?;
-        require(self.base > 0, &format!("`{of}.base` must be at least 1"))?;
-        require(self.active_inputs > 0.0, &format!("`{of}.active_inputs` must be positive"))
+        )
     }
 
     /// The network's shape in an environment with so many actions.
@@ -129,11 +127,9 @@ impl MixerConfig {
 
     pub(crate) fn check(&self) -> Result<(), LearnError> {
         require(
-            self.heads > 0 && self.width > 0 && self.width.is_multiple_of(self.heads),
+            self.width.is_multiple_of(self.heads),
             "`mixer.width` must be a multiple of `mixer.heads`",
-        )?;
-        require(self.mixing > 0, "`mixer.mixing` must be at least 1")?;
-        require(self.reward_scale > 0.0, "`mixer.reward_scale` must be positive")
+        )
     }
 }
 
@@ -155,13 +151,6 @@ pub struct ReturnsConfig {
 impl Default for ReturnsConfig {
     fn default() -> Self {
         Self { steps: 3, discount: 0.97, shaping: 0.5 }
-    }
-}
-
-impl ReturnsConfig {
-    pub(crate) fn check(&self) -> Result<(), LearnError> {
-        require(self.steps > 0, "`returns.steps` must be at least 1")?;
-        require((0.0..=1.0).contains(&self.discount), "`returns.discount` must be in 0..1")
     }
 }
 
@@ -196,9 +185,5 @@ impl ExplorationConfig {
     /// Epsilon before the instances' factors, `step` environment steps into a run.
     pub fn epsilon_at(&self, step: u64) -> f32 {
         linear(self.start, self.end, self.steps, step)
-    }
-
-    pub(crate) fn check(&self) -> Result<(), LearnError> {
-        require(!self.spread.is_empty(), "`exploration.spread` must not be empty")
     }
 }

@@ -35,15 +35,11 @@ impl Default for ReplayConfig {
 }
 
 impl ReplayConfig {
-    /// Refuses values that cannot work; `of` names the section.
+    /// Refuses values that do not go together; `of` names the section.
     pub(crate) fn check(&self, of: &str) -> Result<(), LearnError> {
         require(
-            self.batch > 0 && self.steps_per_update > 0 && self.warm_up > 0,
-            &format!("`{of}.batch`, `.steps_per_update` and `.warm_up` must be at least 1"),
-        )?;
-        require(
-            self.capacity >= self.warm_up && self.capacity <= u32::MAX as usize,
-            &format!("`{of}.capacity` must be at least `{of}.warm_up` and fit 32 bits"),
+            self.capacity >= self.warm_up,
+            &format!("`{of}.capacity` must be at least `{of}.warm_up`"),
         )
     }
 }
@@ -91,14 +87,6 @@ impl OptimiserConfig {
             return start;
         }
         linear(start, end, steps.saturating_sub(from), step.saturating_sub(from))
-    }
-
-    /// Refuses values that cannot work; `of` names the section.
-    pub(crate) fn check(&self, of: &str) -> Result<(), LearnError> {
-        require(
-            (0.0..=1.0).contains(&self.decay_from),
-            &format!("`{of}.decay_from` must be in 0..1"),
-        )
     }
 }
 

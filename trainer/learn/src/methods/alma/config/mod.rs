@@ -17,7 +17,7 @@ pub use run::{EnvironmentConfig, RunConfig};
 use sortie_envs::save_the_city::{ACTIONS, ScenarioSet};
 
 use super::utility::UtilityShape;
-use crate::configuration::{self, require};
+use crate::configuration::{self, FAST, Kept, Section, require};
 use crate::error::LearnError;
 use crate::run::Configuration;
 
@@ -98,19 +98,25 @@ impl Config {
         Ok(self.network.shape(ACTIONS, set.max_buildings))
     }
 
-    /// Refuses values that cannot work.
+    /// Refuses values outside their limits, and values that do not go together.
     pub fn check(&self) -> Result<(), LearnError> {
-        self.environment.check()?;
+        configuration::check_values(self)?;
         self.allocation.check()?;
         self.network.sizes().check("network")?;
         self.mixer.check()?;
-        self.returns.check()?;
         self.replay.check("replay")?;
-        self.exploration.check()?;
-        self.optimiser.check("optimiser")?;
-        self.allocator.check()?;
-        self.run.check()
+        self.allocator.network.check("allocator.network")?;
+        self.allocator.replay.check("allocator.replay")
     }
+
+    /// The configuration as a file that explains every key.
+    pub fn explained(&self) -> Result<String, LearnError> {
+        configuration::explained(self)
+    }
+}
+
+impl Kept for Config {
+    const SECTIONS: &'static [Section] = FAST;
 }
 
 impl Configuration for Config {
@@ -188,18 +194,12 @@ mod tests {
     fn wrong_keys_and_values_are_refused_and_change_nothing() {
         let mut config = Config::default();
         for (assignment, part) in [
-            ("replay.batsch=3", "no such key"),
-            ("replay=3", "no such key"),
             ("replay.batch", "key=value"),
-            ("replay.batch=many", "not a value"),
-            ("replay.batch=0", "at least 1"),
             ("network.heads=5", "multiple"),
-            ("network.subtask=masked", "unknown variant"),
-            ("mixer.kind=vdn", "unknown variant"),
             ("mixer.heads=5", "`mixer.width`"),
             ("allocation.learned=0", "positive"),
+            ("replay.warm_up=2000000", "`replay.capacity`"),
             ("allocator.moved=2", "`allocator.moved`"),
-            ("allocator.replay.batch=0", "`allocator.replay.batch`"),
         ] {
             let error = config.set(assignment).unwrap_err().to_string();
             assert!(error.contains(part), "{assignment}: {error}");

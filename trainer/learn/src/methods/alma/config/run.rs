@@ -3,9 +3,6 @@
 use serde::{Deserialize, Serialize};
 use sortie_envs::save_the_city::Constants;
 
-use super::require;
-use crate::error::LearnError;
-
 /// The world to learn in.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -28,14 +25,6 @@ impl Default for EnvironmentConfig {
             instances: 16,
             constants: Constants::default(),
         }
-    }
-}
-
-impl EnvironmentConfig {
-    /// Refuses values that cannot work.
-    pub(crate) fn check(&self) -> Result<(), LearnError> {
-        require(self.name == "save-the-city", "`environment.name` must be `save-the-city`")?;
-        require(self.instances > 0, "`environment.instances` must be at least 1")
     }
 }
 
@@ -67,12 +56,5 @@ impl Default for RunConfig {
             final_episodes: 2_000,
             checkpoint_minutes: 5.0,
         }
-    }
-}
-
-impl RunConfig {
-    pub(crate) fn check(&self) -> Result<(), LearnError> {
-        require(self.evaluate_every > 0, "`run.evaluate_every` must be at least 1")?;
-        require(self.evaluate_episodes > 0, "`run.evaluate_episodes` must be at least 1")
     }
 }

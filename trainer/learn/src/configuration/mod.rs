@@ -1,0 +1,254 @@
+//! Configurations as files: read, checked key by key, changed, and explained.
+
+mod explained;
+mod key;
+mod keys;
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use toml::de::{DeTable, DeValue};
+use toml::{Table, Value};
+
+pub(crate) use explained::explained;
+pub use explained::reference;
+pub use key::{Key, Range, Section};
+use key::{find, nearest_path};
+pub use keys::{FAST, PAPER};
+
+use crate::error::LearnError;
+use crate::run::KEYS;
+
+/// What can be kept in a file.
+pub(crate) trait Kept: Default + Serialize + DeserializeOwned {
+    /// All its keys.
+    const SECTIONS: &'static [Section];
+}
+
+/// Reads a configuration; what is missing keeps its default.
+///
+/// A run's `train.toml` will do: its lines about the run itself are passed over.
+pub(crate) fn from_toml<C: Kept>(text: &str) -> Result<C, LearnError> {
+    let mut table = parsed(text)?;
+    for key in KEYS {
+        table.remove(key);
+    }
+    from_table(table).map_err(|error| match error {
+        LearnError::Value { key, reason, .. } => {
+            LearnError::Value { line: line_of(text, &key), key, reason }
+        }
+        error => error,
+    })
+}
+
+/// The table of a file's text.
+pub(crate) fn parsed(text: &str) -> Result<Table, LearnError> {
+    text.parse().map_err(|error: toml::de::Error| {
+        let line = error.span().map_or(0, |span| line_at(text, span.start));
+        let written = text.lines().nth(line.saturating_sub(1)).unwrap_or_default().trim();
+        let reason = error.message().replace('\n', ", ");
+        LearnError::Syntax { line, reason: format!("`{written}`: {reason}") }
+    })
+}
+
+/// Reads a configuration that was part of a file; what is missing keeps its default.
+pub(crate) fn from_table<C: Kept>(table: Table) -> Result<C, LearnError> {
+    check_table("", &table, C::SECTIONS)?;
+    let mut whole = table_of(&C::default())?;
+    overlay(&mut whole, table);
+    whole
+        .try_into()
+        .map_err(|error: toml::de::Error| LearnError::Config(error.message().to_owned()))
+}
+
+/// Refuses a configuration with a value outside the limits of its key.
+pub(crate) fn check_values<C: Kept>(config: &C) -> Result<(), LearnError> {
+    check_table("", &table_of(config)?, C::SECTIONS)
+}
+
+/// A configuration with its values as they are written.
+pub(crate) fn table_of(config: &impl Serialize) -> Result<Table, LearnError> {
+    parsed(&to_toml(config)?)
+}
+
+fn check_table(within: &str, table: &Table, sections: &[Section]) -> Result<(), LearnError> {
+    for (name, value) in table {
+        let path = if within.is_empty() { name.clone() } else { format!("{within}.{name}") };
+        match (value, find(sections, &path)) {
+            (Value::Table(inner), None) => check_table(&path, inner, sections)?,
+            (_, None) => return Err(unknown(&path, sections)),
+            (value, Some(key)) => check_value(path, key, value)?,
+        }
+    }
+    Ok(())
+}
+
+fn check_value(path: String, key: &Key, value: &Value) -> Result<(), LearnError> {
+    if key.range.holds(value) {
+        return Ok(());
+    }
+    Err(outside(path, key, value.to_string()))
+}
+
+fn outside(path: String, key: &Key, value: String) -> LearnError {
+    let unit = if key.unit.is_empty() { String::new() } else { format!(" ({})", key.unit) };
+    let reason = format!("is {value}, must be {}{unit}", key.range);
+    LearnError::Value { line: None, key: path, reason }
+}
+
+fn unknown(path: &str, sections: &[Section]) -> LearnError {
+    let meant = nearest_path(sections, path);
+    let hint = meant.map_or(String::new(), |key| format!("; did you mean `{key}`?"));
+    LearnError::Value { line: None, key: path.to_owned(), reason: format!("is no such key{hint}") }
+}
+
+/// The line of a file that gives a key its value.
+fn line_of(text: &str, path: &str) -> Option<usize> {
+    let document = DeTable::parse(text).ok()?;
+    let mut table = document.get_ref();
+    let mut names = path.split('.').peekable();
+    loop {
+        let name = names.next()?;
+        let (key, value) = table.iter().find(|(key, _)| key.get_ref() == name)?;
+        if names.peek().is_none() {
+            return Some(line_at(text, key.span().start));
+        }
+        let DeValue::Table(inner) = value.get_ref() else {
+            return Some(line_at(text, key.span().start));
+        };
+        table = inner;
+    }
+}
+
+fn line_at(text: &str, place: usize) -> usize {
+    1 + text.bytes().take(place).filter(|byte| *byte == b'\n').count()
+}
+
+/// Replaces the values of a table by those of another, of inner tables value by value: a section that
+/// names one key keeps the others as this configuration has them, not as the section's own type has.
+fn overlay(table: &mut Table, by: Table) {
+    for (key, new) in by {
+        match (table.get_mut(&key), new) {
+            (Some(Value::Table(old)), Value::Table(new)) => overlay(old, new),
+            (_, new) => drop(table.insert(key, new)),
+        }
+    }
+}
+
+/// The configuration as a file that a person can read.
+pub(crate) fn to_toml(config: &impl Serialize) -> Result<String, LearnError> {
+    toml::to_string(config).map_err(|error| LearnError::Config(error.to_string()))
+}
+
+/// A configuration with one value replaced, named as in `replay.batch=256`.
+pub(crate) fn replaced<C: Kept>(config: &C, assignment: &str) -> Result<C, LearnError> {
+    let bad = |why: &str| LearnError::Config(format!("`{assignment}`: {why}"));
+    let (path, text) = assignment.split_once('=').ok_or_else(|| bad("not `key=value`"))?;
+    let (path, text) = (path.trim(), text.trim());
+    let key = find(C::SECTIONS, path).ok_or_else(|| unknown(path, C::SECTIONS))?;
+    let value = parsed_as(key.range, text)
+        .ok_or_else(|| outside(path.to_owned(), key, format!("`{text}`")))?;
+    check_value(path.to_owned(), key, &value)?;
+    let mut table = table_of(config)?;
+    let (parents, name) = path.rsplit_once('.').unwrap_or(("", path));
+    let mut place = &mut table;
+    for parent in parents.split('.').filter(|parent| !parent.is_empty()) {
+        let inner = place.get_mut(parent).and_then(Value::as_table_mut);
+        place = inner.ok_or_else(|| unknown(path, C::SECTIONS))?;
+    }
+    place.insert(name.to_owned(), value);
+    table.try_into().map_err(|error: toml::de::Error| bad(error.message()))
+}
+
+/// Refuses a configuration that does not hold, with what it must be.
+pub(crate) fn require(holds: bool, what: &str) -> Result<(), LearnError> {
+    if holds { Ok(()) } else { Err(LearnError::Config(what.to_owned())) }
+}
+
+/// Reads `text` as a value of a key.
+fn parsed_as(range: Range, text: &str) -> Option<Value> {
+    Some(match range {
+        Range::Whole(..) => Value::Integer(text.replace('_', "").parse().ok()?),
+        Range::Number(..) | Range::Positive(_) => Value::Float(text.replace('_', "").parse().ok()?),
+        Range::Truth => Value::Boolean(text.parse().ok()?),
+        Range::Numbers(..) => format!("value = {text}").parse::<Table>().ok()?.remove("value")?,
+        Range::OneOf(_) | Range::Sets | Range::Text => Value::String(text.to_owned()),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::methods::{alma, paper};
+
+    /// Every key of a configuration stands in its table, and its default is within its limits.
+    fn is_complete<C: Kept>() {
+        fn collect(within: &str, table: &Table, to: &mut Vec<String>) {
+            for (name, value) in table {
+                let path =
+                    if within.is_empty() { name.clone() } else { format!("{within}.{name}") };
+                match value {
+                    Value::Table(inner) => collect(&path, inner, to),
+                    _ => to.push(path),
+                }
+            }
+        }
+        let table = table_of(&C::default()).unwrap();
+        check_values(&C::default()).unwrap();
+        let (mut there, mut known) = (Vec::new(), key::paths(C::SECTIONS).collect::<Vec<_>>());
+        collect("", &table, &mut there);
+        there.sort();
+        known.sort();
+        assert_eq!(there, known);
+        for section in C::SECTIONS {
+            assert!(section.about.ends_with('.'), "{}", section.name);
+            for key in section.keys {
+                assert!(key.about.ends_with('.') && !key.about.contains('|'), "{}", key.name);
+            }
+        }
+    }
+
+    #[test]
+    fn every_key_is_described() {
+        is_complete::<alma::Config>();
+        is_complete::<paper::Config>();
+    }
+
+    #[test]
+    fn values_without_sense_are_refused_by_key_value_and_range() {
+        for (assignment, parts) in [
+            ("optimiser.learning_rate=NaN", ["`optimiser.learning_rate`", "nan", "0 to 1000"]),
+            ("optimiser.learning_rate=1e30", ["`optimiser.learning_rate`", "1", "0 to 1000"]),
+            ("optimiser.clip=-1", ["`optimiser.clip`", "-1", "above 0"]),
+            ("optimiser.target_rate=5", ["`optimiser.target_rate`", "5", "0 to 1"]),
+            ("exploration.start=7", ["`exploration.start`", "7", "0 to 1"]),
+            ("environment.set=foo", ["`environment.set`", "foo", "2-5a_2-5b"]),
+            ("environment.constants.reward_scale=0", ["reward_scale`", "0", "above 0"]),
+            ("run.checkpoint_minutes=NaN", ["`run.checkpoint_minutes`", "nan", "minutes"]),
+            ("network.active_inputs=inf", ["`network.active_inputs`", "inf", "columns"]),
+            ("network.width=1000000000", ["`network.width`", "1000000000", "1 to 1024"]),
+            ("replay.batsch=3", ["`replay.batsch`", "no such key", "did you mean `replay.batch`?"]),
+            ("learning_rate=3", ["`learning_rate`", "no such key", "`optimiser.learning_rate`?"]),
+            ("replay.batch=many", ["`replay.batch`", "`many`", "a whole number"]),
+        ] {
+            let error = replaced(&alma::Config::default(), assignment).unwrap_err().to_string();
+            for part in parts {
+                assert!(error.contains(part), "{assignment}: no `{part}` in {error}");
+            }
+        }
+    }
+
+    #[test]
+    fn files_are_refused_by_line_and_key() {
+        for (text, parts) in [
+            ("[replay]\n\nbatch = \"a\"\n", ["line 3", "`replay.batch`", "a whole number"]),
+            ("[run]\nsteps = 5\n[replay]\nbatsch = 3\n", ["line 4", "`replay.batsch`", "mean"]),
+            ("replay.batch = 0\n", ["line 1", "`replay.batch`", "from 1"]),
+            ("[network]\nsubtask = mask\n", ["line 2", "subtask = mask", "quoted"]),
+        ] {
+            let error = from_toml::<alma::Config>(text).unwrap_err().to_string();
+            for part in parts {
+                assert!(error.contains(part), "{text}: no `{part}` in {error}");
+            }
+        }
+    }
+}
