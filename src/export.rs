@@ -7,7 +7,7 @@ use indicatif::ProgressBar;
 use serde::Serialize;
 use sortie_bundle::files::check_folder;
 use sortie_bundle::{BundleError, hex};
-use sortie_learn::evaluate::{Allocate, EvaluationPlan, evaluate_watched};
+use sortie_learn::evaluate::{Allocate, Evaluation, EvaluationPlan, evaluate_watched};
 use sortie_learn::export::{Measured, check_exportable, draft_bundle};
 use sortie_learn::run::{Run, Settings};
 
@@ -19,6 +19,7 @@ use crate::failure::{Exit, Failure, Outcome};
 use crate::output::{print_json, say, warn_of_refused};
 use crate::progress::{self, CountedEpisodes};
 use crate::proposals::ProposalArguments;
+use crate::seeds::SeedRange;
 
 /// Rules that the agents are measured under beside their own allocator.
 const RULES: [Allocation; 2] = [Allocation::Coordinated, Allocation::Heuristic];
@@ -43,6 +44,9 @@ pub(crate) struct ExportArguments {
     /// Episodes to evaluate for the card, on each set and under each allocation
     #[arg(long, default_value_t = 2000, value_parser = clap::value_parser!(u32).range(1..))]
     episodes: u32,
+    /// Take the episodes of several seeds together, A and B included, --episodes of each; one seed may be an easy one
+    #[arg(long, value_name = "A..B")]
+    seeds: Option<SeedRange>,
     /// Largest team of one subtask that the deployed allocator forms [default: as in training]
     #[arg(long, value_name = "AGENTS", value_parser = clap::value_parser!(u16).range(1..))]
     team_max: Option<u16>,
@@ -73,12 +77,15 @@ pub(crate) fn run(arguments: &ExportArguments) -> Outcome {
     let seed = arguments.common.seed;
     let sets = sets(arguments, &run)?;
     let allocators = RULES.len() + usize::from(run.allocator.is_some());
-    let episodes = u64::from(arguments.episodes) * (sets.len() * allocators) as u64;
+    let seeds = arguments.seeds.unwrap_or(SeedRange::only(seed));
+    let evaluations = (sets.len() * allocators).saturating_mul(seeds.iter().count());
+    let episodes = u64::from(arguments.episodes).saturating_mul(evaluations as u64);
     let bar = progress::bar(arguments.common, episodes, "episodes");
     let mut measured = Vec::new();
     for set in sets {
-        let plan = EvaluationPlan::new(&set, arguments.episodes as usize, seed)?;
-        measure(&run, &plan, &bar, &mut measured)?;
+        let plan = |seed| EvaluationPlan::new(&set, arguments.episodes as usize, seed);
+        let plans: Vec<EvaluationPlan> = seeds.iter().map(plan).collect::<Result<_, _>>()?;
+        measure(&run, &plans, &bar, &mut measured)?;
     }
     bar.finish_and_clear();
     let draft = draft_bundle(&run, &arguments.run, &measured, seed)?;
@@ -116,14 +123,19 @@ fn sets(arguments: &ExportArguments, run: &Run) -> Result<Vec<String>, Failure> 
 /// Measures the run's agents under its own allocator and under the rules.
 fn measure(
     run: &Run,
-    plan: &EvaluationPlan,
+    plans: &[EvaluationPlan],
     bar: &ProgressBar,
     measured: &mut Vec<Measured>,
 ) -> Outcome {
     let mut add = |name: &str, allocator: &mut dyn Allocate| -> Outcome {
-        let mut counted = CountedEpisodes { bar, next: &mut () };
-        let evaluation = evaluate_watched(plan, &mut run.team(), allocator, &mut counted)?;
-        let (set, allocation) = (plan.set.name.clone(), name.to_owned());
+        let mut parts = Vec::new();
+        for plan in plans {
+            let mut counted = CountedEpisodes { bar, next: &mut () };
+            parts.push(evaluate_watched(plan, &mut run.team(), allocator, &mut counted)?);
+        }
+        let evaluation = Evaluation::pooled(&parts);
+        let set = plans.first().map_or(String::new(), |plan| plan.set.name.clone());
+        let allocation = name.to_owned();
         measured.push(Measured { set, allocation, evaluation });
         Ok(())
     };

@@ -35,7 +35,8 @@ pub(super) fn card(
         card += "The allocator is a policy that proposes allocations, and a critic that values them and takes the best\n\
                  (dissertation section 7.2).\n\n";
     }
-    card += "## How well it does\n\nGreedy episodes that training never saw.\n\n";
+    card += "## How well it does\n\nGreedy episodes that training never saw. *Success*: all buildings are complete at the end. *No building burned* is what\n\
+             the dissertation calls success. The interval is that of the episodes, not of training again.\n\n";
     card += "| scenarios | allocation | episodes | success (95 % interval) | no building burned | time-outs | return |\n";
     card += "| --- | --- | --- | --- | --- | --- | --- |\n";
     for Measured { set, allocation, evaluation } in measured {
