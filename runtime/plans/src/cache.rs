@@ -57,7 +57,7 @@ pub(crate) fn kept(folder: &Path, key: &PlanKey<'_>) -> Option<AlignedBytes> {
     valid.then_some(plan)
 }
 
-/// Keeps a plan, written beside its place and renamed, so that no one ever reads half of it.
+/// Keeps a plan.
 pub(crate) fn keep(folder: &Path, key: &PlanKey<'_>, plan: &[u8]) -> io::Result<()> {
     DirBuilder::new().recursive(true).mode(0o700).create(folder)?;
     check(folder)?;
