@@ -76,9 +76,9 @@ impl DeployedPolicy {
         match self {
             Self::Plan { plan, arena } => {
                 let policy = Plan::load(plan.as_slice())
-                    .and_then(|plan| PlanPolicy::new(plan, arena.as_mut_slice()))
+                    .and_then(|plan| PlanPolicy::boxed(plan, arena.as_mut_slice()))
                     .map_err(CompileError::from)?;
-                Ok(Box::new(policy))
+                Ok(policy)
             }
             Self::Graph(policy) => Ok(Box::new(policy.as_mut())),
         }

@@ -1,5 +1,8 @@
 //! Policies that execute a plan.
 
+#[cfg(feature = "std")]
+use std::boxed::Box;
+
 use crate::kernels::pause::Pause;
 use crate::ops::{AllOperators, OperatorSet};
 use crate::plan::{Network, Plan, PlanError, Profile};
@@ -35,6 +38,15 @@ impl<'a, S: OperatorSet> PlanPolicy<'a, S> {
     /// The plan.
     pub fn plan(&self) -> &Plan<'a, S> {
         &self.plan
+    }
+}
+
+#[cfg(feature = "std")]
+impl<'a> PlanPolicy<'a> {
+    /// As [`Self::new`], behind a trait object that is compiled with this crate: the executor of all operators is
+    /// large, and a crate that names its type compiles it once more.
+    pub fn boxed(plan: Plan<'a>, arena: &'a mut [u8]) -> Result<Box<dyn Policy + 'a>, PlanError> {
+        Ok(Box::new(Self::new(plan, arena)?))
     }
 }
 

@@ -2,8 +2,8 @@
 
 use serde::Serialize;
 use sortie_bundle::Recording;
+use sortie_core::PlanPolicy;
 use sortie_core::plan::{AlignedBytes, HEADER_BYTES, Header, Plan, Profile, checksums};
-use sortie_core::{PlanPolicy, Policy};
 
 use crate::comparison::{Comparison, cannot_run, magnitude};
 use crate::error::CompileError;
@@ -90,8 +90,8 @@ pub fn agreement(
     }
     let mut arenas = [&plan, &reference].map(|plan| AlignedBytes::zeroed(plan.arena_bytes()));
     let [arena, reference_arena] = &mut arenas;
-    let mut plan = PlanPolicy::new(plan, arena.as_mut_slice())?;
-    let mut reference = PlanPolicy::new(reference, reference_arena.as_mut_slice())?;
+    let mut plan = PlanPolicy::boxed(plan, arena.as_mut_slice())?;
+    let mut reference = PlanPolicy::boxed(reference, reference_arena.as_mut_slice())?;
     let mut agreement =
         Agreement { observations: 0, equal_actions: 0, max_utility_error: 0.0, max_rel_error: 0.0 };
     let (mut got, mut want) = (vec![0.0; actions], vec![0.0; actions]);

@@ -15,8 +15,8 @@ use crate::golden_allocations::compare_with_golden_allocations;
 pub(crate) fn prove_agent(plan: Plan<'_>, bundle: &Bundle) -> Result<(), CompileError> {
     let is_int8 = plan.header().profile == Profile::Int8;
     let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
-    let mut policy = PlanPolicy::new(plan, arena.as_mut_slice())?;
-    let found = compare_with_golden("plan", &mut policy, bundle.golden())?;
+    let mut policy = PlanPolicy::boxed(plan, arena.as_mut_slice())?;
+    let found = compare_with_golden("plan", policy.as_mut(), bundle.golden())?;
     if is_int8 { Ok(()) } else { judge(&found) }
 }
 
