@@ -139,19 +139,22 @@ fn asked(bundle: &Bundle, cache: Option<PathBuf>) -> (Result<(), CompileError>, 
     (found, compiler.0.get(), NOTED.get())
 }
 
-/// Both checksums of a plan are made to fit again.
-fn forge(plan: &mut Vec<u8>, change: impl FnOnce(&mut [u8])) {
-    let (header, _) = Header::read(plan).unwrap();
-    let part =
-        |plan: &[u8], offset: u32, len: u32| plan[offset as usize..][..len as usize].to_vec();
-    change(&mut plan[header.weights_offset as usize..][..header.weights_len as usize]);
-    let program = part(plan, header.program_offset, header.program_len);
-    let weights = part(plan, header.weights_offset, header.weights_len);
-    let bytes = header.to_bytes(checksums(&header, &program, &weights));
+/// Changes header and weights of a plan, and makes both checksums fit again.
+fn forge(plan: &mut [u8], change: impl FnOnce(&mut Header, &mut [u8])) {
+    let (mut header, _) = Header::read(plan).unwrap();
+    let place = |offset: u32, len: u32| offset as usize..(offset + len) as usize;
+    let program = place(header.program_offset, header.program_len);
+    let weights = place(header.weights_offset, header.weights_len);
+    change(&mut header, &mut plan[weights.clone()]);
+    let bytes = header.to_bytes(checksums(&header, &plan[program], &plan[weights]));
     plan[..bytes.len()].copy_from_slice(&bytes);
 }
 
-fn negate(weights: &mut [u8]) {
+fn other_source(header: &mut Header, _: &mut [u8]) {
+    header.source[0] ^= 1;
+}
+
+fn negate(_: &mut Header, weights: &mut [u8]) {
     weights.chunks_exact_mut(4).for_each(|weight| weight[3] ^= 0x80);
 }
 
@@ -182,17 +185,8 @@ fn a_shipped_plan_that_gives_other_answers_never_acts() {
 #[test]
 fn a_shipped_plan_of_another_network_is_refused() {
     let home = tempfile::tempdir().unwrap();
-    let bundle = shipping(&home, |plan| {
-        let (mut header, _) = Header::read(plan).unwrap();
-        header.source[0] ^= 1;
-        let [program, weights] = [
-            (header.program_offset, header.program_len),
-            (header.weights_offset, header.weights_len),
-        ]
-        .map(|(offset, len)| plan[offset as usize..][..len as usize].to_vec());
-        let bytes = header.to_bytes(checksums(&header, &program, &weights));
-        plan[..bytes.len()].copy_from_slice(&bytes);
-    });
+
+    let bundle = shipping(&home, |plan| forge(plan, other_source));
     let (found, ..) = asked(&bundle, None);
     assert!(matches!(found, Err(CompileError::ForeignPlan { .. })), "{found:?}");
 }
