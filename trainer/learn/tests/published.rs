@@ -172,6 +172,7 @@ fn agents_with_a_memory_are_saved_resumed_and_measured() {
     }
     let mut trainer = Trainer::new(config.clone(), 5, 1, folder.path()).unwrap();
     assert_eq!(run(&mut trainer, 200).0, Outcome::Stopped);
+    drop(trainer);
     let mut trainer = Trainer::resume(folder.path(), Some(2)).unwrap();
     let (_, tensors, curve) = run(&mut trainer, u64::MAX);
     assert!(tensors == whole_run(config, 5, 1).0, "the resumed run has other weights");
