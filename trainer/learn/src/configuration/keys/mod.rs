@@ -111,7 +111,7 @@ const REPLAY: &[Key] = &[
     key(
         "capacity",
         "samples",
-        Whole(1, 100_000_000),
+        Whole(1, 20_000_000),
         "Samples kept: records of one step and one building's team, or decisions of the allocator.",
     ),
     key("batch", "samples", Whole(1, 65_536), "Samples in an update."),
@@ -124,7 +124,7 @@ const REPLAY: &[Key] = &[
     key(
         "warm_up",
         "samples",
-        Whole(1, 100_000_000),
+        Whole(1, 20_000_000),
         "Samples that must be there before the first update.",
     ),
     key(
