@@ -6,6 +6,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use sortie_bundle::{hex, sha256};
+use sortie_core::plan::{HEADER_BYTES, Header, checksums};
 use support::{BUNDLE, assert_fails, copied_bundle, json, output, stderr};
 
 /// The program in a folder of its own: `sortie-tract` does not lie beside it.
@@ -100,4 +102,36 @@ fn a_changed_plan_never_acts() {
     fs::write(&plan, bytes).expect("another plan");
     let words = ["agent.plan", "SHA-256"];
     assert_fails(&output(&["run", text(folder.path())]), 65, &words);
+}
+
+/// Another policy in a shipped plan: the sign of every weight is turned, and all checksums and hashes fit.
+fn forged(part: &str) -> tempfile::TempDir {
+    let folder = copied_bundle();
+    let path = folder.path().join(part);
+    let honest = fs::read(&path).expect("the plan");
+    let (header, _) = Header::read(&honest).expect("its header");
+    let place = |offset: u32, length: u32| offset as usize..(offset + length) as usize;
+    let program = place(header.program_offset, header.program_len);
+    let weights = place(header.weights_offset, header.weights_len);
+    let mut plan = honest.clone();
+    plan[weights.clone()].chunks_exact_mut(4).for_each(|weight| weight[3] ^= 0x80);
+    let sums = checksums(&header, &plan[program], &plan[weights]);
+    plan[..HEADER_BYTES].copy_from_slice(&header.to_bytes(sums));
+    fs::write(&path, &plan).expect("another plan");
+    let manifest = folder.path().join("bundle.toml");
+    let text = fs::read_to_string(&manifest).expect("the manifest");
+    let text = text.replace(&hex(&sha256(&honest)), &hex(&sha256(&plan)));
+    fs::write(&manifest, text).expect("a manifest with its hash");
+    folder
+}
+
+#[test]
+fn a_forged_plan_that_its_bundle_vouches_for_never_acts() {
+    for part in ["agent.plan", "allocator.plan"] {
+        let folder = forged(part);
+        let bundle = text(folder.path());
+        assert_fails(&output(&["run", bundle, "--in-process"]), 65, &[bundle, "golden answers"]);
+        // Who asks how far it is off gets the table.
+        assert_eq!(output(&["verify", bundle, "--inputs", "8"]).status.code(), Some(1));
+    }
 }
