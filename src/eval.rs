@@ -126,6 +126,7 @@ struct Match<'a> {
 }
 
 pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
+    arguments.backend.prepare()?;
     let subject = Subject::find(&arguments.subject)?;
     check(arguments, &subject)?;
     if let Some(file) = &arguments.dump {

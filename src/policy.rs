@@ -9,7 +9,7 @@ use sortie_plans::{CompileError, Ending, GraphEngine};
 
 use crate::compiler::{compiler, plans};
 use crate::engines::engines;
-use crate::failure::{Exit, Failure, with_sources};
+use crate::failure::{Exit, Failure, Outcome, with_sources};
 
 /// What executes networks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -21,6 +21,15 @@ pub(crate) enum Backend {
 }
 
 impl Backend {
+    /// Goes on as the program that links the engine, where this one does not: before anything is opened or drawn that
+    /// the other would open or draw once more.
+    pub(crate) fn prepare(self) -> Outcome {
+        match self {
+            Self::Plan => Ok(()),
+            Self::Tract => engines().map(drop),
+        }
+    }
+
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Plan => "plan",

@@ -20,6 +20,7 @@ use rustix::time::{ClockId, clock_gettime};
 use serde::Serialize;
 
 use crate::arguments::Common;
+use crate::engines::engines;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::output::{Table, print_json, say};
 use rounds::{Engine, Measured, paired_ratio};
@@ -107,6 +108,10 @@ struct Figures {
 }
 
 pub(crate) fn run(arguments: &BenchArguments) -> Outcome {
+    if let What::Decision(_) | What::Allocation(_) | What::Proposals(_) = &arguments.what {
+        // Before plans are compiled, which the other program would do once more.
+        engines()?;
+    }
     let (figures, common) = match &arguments.what {
         What::Decision(arguments) => (decision::measure(arguments)?, arguments.measuring.common),
         What::Allocation(arguments) => {

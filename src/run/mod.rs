@@ -101,6 +101,7 @@ fn rate(text: &str) -> Result<f64, String> {
 }
 
 pub(crate) fn run(arguments: &RunArguments) -> Outcome {
+    arguments.backend.prepare()?;
     let stop = stop_on_signals()?;
     let bundle = open_bundle(&arguments.bundle)?;
     let seed = arguments.common.seed;

@@ -86,6 +86,7 @@ enum Restart {
 }
 
 pub(crate) fn run(arguments: &UpArguments) -> Outcome {
+    arguments.backend.prepare()?;
     let stop = stop_on_signals()?;
     let bundle = open_bundle(&arguments.bundle)?;
     let seed = arguments.common.seed;
