@@ -23,14 +23,16 @@ impl Terminal {
     /// Runs a verb, then tells its exit code and the modes of the terminal.
     fn running(arguments: &[&str], variables: &[(&str, &str)]) -> Self {
         let program = env!("CARGO_BIN_EXE_sortie");
+        // Ctrl-C reaches the shell as well, which some shells survive only with a trap.
         let line = format!(
-            "stty cols 80 rows 24; {program} {}; ended=$?; echo; echo ended with $ended; stty -a; \
+            "trap : INT; stty cols 80 rows 24; {program} {}; ended=$?; echo; echo ended with $ended; stty -a; \
              echo that is all",
             arguments.join(" ")
         );
         let mut command = Command::new("script");
         command.args(["-q", "-c", &line, "/dev/null"]).current_dir(env!("CARGO_MANIFEST_DIR"));
         command
+            .env("SHELL", "/bin/sh")
             .env("TERM", "xterm")
             .env_remove("LC_ALL")
             .env_remove("NO_COLOR")
