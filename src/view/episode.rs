@@ -8,7 +8,8 @@ use sortie_learn::evaluate::{
     Allocate, EvaluationPlan, Onlooker, Scene, Team, Watched, watch_last_episode,
 };
 use sortie_learn::methods::alma::NO_ACTION;
-use sortie_learn::random::{Generator, Purpose, generator};
+use sortie_learn::random::{Purpose, generator};
+use sortie_nn::random::Generator;
 
 use crate::failure::Failure;
 use crate::replay;

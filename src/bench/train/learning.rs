@@ -6,8 +6,9 @@ use sortie_learn::methods::alma::{
     Behaviour, Chunk, Config, Knowledge, Learner, Loss, Memory, Networks, Rollout, agents_learner,
     allocator_learner,
 };
-use sortie_learn::random::{Generator, Purpose, generator};
+use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::EpisodeCounts;
+use sortie_nn::random::Generator;
 
 use super::{Case, Turn};
 use crate::bench::thread_cpu_s;

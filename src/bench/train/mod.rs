@@ -11,13 +11,13 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use serde::Serialize;
-use sortie_learn::layers::matrix::{Matrix, MatrixMut, Store, multiply};
 
 use super::rounds::paired_ratio;
 use super::{Figures, Measuring, Ratio, Row, pin};
 use crate::failure::Failure;
 use learning::{Learning, Work};
 pub(super) use paper::Part;
+use sortie_nn::layers::matrix::{Matrix, MatrixMut, Store, multiply};
 use torch::{Formulation, Torch, find};
 
 /// Rounds in which everything has its turn.

@@ -11,11 +11,11 @@ use std::error::Error;
 use std::time::{Duration, Instant};
 
 use rustix::time::{ClockId, clock_gettime};
-use sortie_learn::layers::matrix::{Matrix, MatrixMut, Store, multiply};
 use sortie_learn::methods::paper::allocation::{
     AllocationLearning, AllocationLevel, AllocationShape,
 };
 use sortie_learn::random::{Purpose, generator};
+use sortie_nn::layers::matrix::{Matrix, MatrixMut, Store, multiply};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let rounds: usize = std::env::args().find_map(|word| word.parse().ok()).unwrap_or(20);

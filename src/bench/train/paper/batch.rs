@@ -3,13 +3,13 @@
 use std::collections::HashMap;
 use std::path::Path;
 
+use sortie_envs::random::unit;
 use sortie_learn::methods::alma::{UtilityNetwork, UtilityShape};
 use sortie_learn::methods::paper::allocation::{
     AllocationCritic, AllocationPolicy, AllocationShape, Noise, Rows, StepDraws,
 };
 use sortie_learn::methods::paper::low_level::{HYPERNETWORKS, LowLevelNetworks, Mixer};
 use sortie_learn::methods::paper::{PopArt, WindowShape, Windows};
-use sortie_learn::random::unit;
 
 use super::super::program::Expected;
 use super::super::tensors::Tensors;

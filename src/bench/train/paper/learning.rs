@@ -9,8 +9,9 @@ use sortie_learn::methods::paper::{
     Config, Decide, Exploration, ProposalAllocator, Replay, Rollout, SampleShape, Shaping, Windows,
     cut_windows, draw_episodes,
 };
-use sortie_learn::random::{Generator, Purpose, generator};
+use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::EpisodeCounts;
+use sortie_nn::random::Generator;
 
 use crate::bench::thread_cpu_s;
 use crate::failure::{Exit, Failure};

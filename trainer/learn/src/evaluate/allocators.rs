@@ -3,10 +3,10 @@
 use sortie_bundle::OwnedAllocationState;
 use sortie_core::{Allocator, EntityMask};
 use sortie_envs::save_the_city::{City, FEATURES, UNASSIGNED, write_agent_row, write_building_row};
+use sortie_nn::random::Generator;
 
 use super::Allocate;
 use crate::error::LearnError;
-use crate::random::Generator;
 
 /// A deployed allocator, on what it would see of a city.
 pub struct DeployedAllocator<'a>(pub Box<dyn Allocator + 'a>);

@@ -29,8 +29,8 @@ pub use players::{Agents, Players};
 pub use teams::{NetworkTeam, PolicyTeam, ScriptedActors};
 
 use crate::error::LearnError;
-use crate::random::Generator;
 use play::{Finished, Play};
+use sortie_nn::random::Generator;
 
 /// One state in which a team is to act.
 #[derive(Clone, Copy, Debug)]

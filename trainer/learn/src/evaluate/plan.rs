@@ -9,12 +9,14 @@
 use rand_core::{Rng, SeedableRng};
 use serde::Serialize;
 use sortie_envs::Environment;
+use sortie_envs::random::{below, chance};
 use sortie_envs::save_the_city::City;
+use sortie_nn::random::Generator;
 
 use super::worlds::Worlds;
 use super::{Allocate, EvaluationPlan, Situation, Team};
 use crate::error::LearnError;
-use crate::random::{Generator, Purpose, below, chance, generator};
+use crate::random::{Purpose, generator};
 
 /// Share of the agents that a candidate sends elsewhere.
 const MOVED: f64 = 0.3;

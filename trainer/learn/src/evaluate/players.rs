@@ -1,10 +1,10 @@
 //! Agents that act in many worlds at once: alone, with a memory, or told strategies by a coach.
 
 use sortie_envs::save_the_city::ACTIONS;
+use sortie_nn::layers::gru::{GruPass, GruShape};
 
 use super::Scene;
 use crate::error::LearnError;
-use crate::layers::gru::{GruPass, GruShape};
 use crate::methods::alma::{
     Conditioning, NO_ACTION, TeamBatch, UtilityNetwork, UtilityPass, UtilityShape,
 };

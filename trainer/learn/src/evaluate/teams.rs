@@ -5,13 +5,14 @@ use sortie_core::policy::{DecideError, NO_ACTION as NO_ACTION_YET, Observation, 
 use sortie_envs::save_the_city::{
     ACTIONS, City, FEATURES, UNASSIGNED, scripted_actions, write_agent_row, write_building_row,
 };
+use sortie_nn::random::Generator;
 
 use super::players::{Agents, Players};
 use super::{Scene, Team};
 use crate::error::LearnError;
 use crate::methods::alma::{Conditioning, NO_ACTION, UtilityNetwork, best_action};
 use crate::methods::paper::low_level::coach::Advice;
-use crate::random::{Generator, Purpose, generator};
+use crate::random::{Purpose, generator};
 
 /// Agents that learn or have learned, greedy, on all scenes at once.
 #[derive(Debug)]

@@ -2,11 +2,11 @@
 
 use sortie_envs::save_the_city::{DecisionPoints, SaveTheCity, Split, UNASSIGNED};
 use sortie_envs::{Environment, StepOutcome};
+use sortie_nn::random::Generator;
 
 use super::{Allocate, EvaluationPlan, Scene, Situation, Team};
 use crate::error::LearnError;
 use crate::methods::alma::NO_ACTION;
-use crate::random::Generator;
 
 /// What a world remembers between steps.
 struct World {

@@ -2,13 +2,13 @@
 
 use sortie_bundle::{GoldenAllocation, GoldenValue};
 use sortie_envs::save_the_city::{City, RELATIONS, Symmetry, write_relation};
+use sortie_nn::random::Generator;
 
 use super::bundle::LearnedAllocator;
 use crate::error::LearnError;
 use crate::evaluate::{Allocate, EvaluationPlan, NetworkTeam, allocation_state, evaluate};
 use crate::methods::alma::team_value::{TeamQuery, TeamValueAllocator, TeamValueInput};
 use crate::methods::alma::{UtilityNetwork, UtilityPass};
-use crate::random::Generator;
 
 /// Allocation states of a bundle.
 const CASES: usize = 48;

@@ -1,12 +1,12 @@
 //! The allocation networks and one step of their learner against the reference's.
 
-use sortie_learn::layers::SparseRows;
 use sortie_learn::methods::paper::allocation::{
     AllocationCritic, AllocationLearning, AllocationLevel, AllocationNetworks, AllocationPolicy,
     AllocationShape, CriticWeights, Decider, Noise, PolicyWeights, RowRules, StateView, States,
     StepDraws, TaskColumns,
 };
 use sortie_learn::methods::paper::{NO_TASK, PopArt};
+use sortie_nn::layers::SparseRows;
 
 use crate::files::{Case, Tensor, assert_close, json_cases, safetensors_case};
 use crate::windows::{task_of, windows};

@@ -2,17 +2,17 @@
 
 use serde_json::Value;
 use sortie_learn::evaluate::Agents;
-use sortie_learn::layers::gru::{GruPass, GruShape};
-use sortie_learn::layers::linear::{self, LinearShape};
-use sortie_learn::layers::softmax;
 use sortie_learn::methods::alma::Conditioning;
 use sortie_learn::methods::paper::PopArt;
 use sortie_learn::methods::paper::low_level::{
     HypernetworkPass, HypernetworkShape, LowLevel, LowLevelConfig, Merged, Mixer, MixerShape, Mode,
     Nonnegative, PopArtOrder, TaskOrder, agent_utilities, is_available, team_input, team_values,
 };
-use sortie_learn::optimise::RmsProp;
 use sortie_learn::random::{Purpose, generator};
+use sortie_nn::layers::gru::{GruPass, GruShape};
+use sortie_nn::layers::linear::{self, LinearShape};
+use sortie_nn::layers::softmax;
+use sortie_nn::optimise::RmsProp;
 
 use crate::files::{Case, assert_close, json_cases, json_file, json_tensor, safetensors_case};
 use crate::{reference, windows};

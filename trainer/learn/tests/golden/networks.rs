@@ -1,12 +1,12 @@
 //! The layers against the reference's modules, on recorded inputs (`tests/golden/networks`).
 
-use sortie_learn::layers::attention::{self, AttentionShape};
-use sortie_learn::layers::linear::{self, LinearShape};
-use sortie_learn::layers::{SparseRows, VisibleLists};
 use sortie_learn::methods::alma::{
     Mixer, MixerKind, MixerPass, MixerShape, Teams, UtilityInput, UtilityNetwork, UtilityPass,
     UtilityShape, UtilityWeights,
 };
+use sortie_nn::layers::attention::{self, AttentionShape};
+use sortie_nn::layers::linear::{self, LinearShape};
+use sortie_nn::layers::{SparseRows, VisibleLists};
 
 use crate::files::{Case, assert_close, json_cases, safetensors_case};
 

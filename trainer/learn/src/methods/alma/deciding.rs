@@ -1,13 +1,14 @@
 //! Who works where while learning: allocations of an episode, explored, cut into segments.
 
 use serde::{Deserialize, Serialize};
+use sortie_envs::random::{below, chance, unit};
 use sortie_envs::save_the_city::{AllocationRule, City, DecisionPoints, UNASSIGNED};
+use sortie_nn::random::Generator;
 
 use super::config::{Allocation, AllocationConfig, AllocatorConfig, Config};
 use super::team_value::{Decision, Segment, Segments, TeamSearch};
 use super::utility::UtilityNetwork;
 use crate::error::LearnError;
-use crate::random::{Generator, below, chance, unit};
 
 /// Who stands in for an allocator that has not begun to decide.
 const STAND_INS: [AllocationRule; 2] = [AllocationRule::Coordinated, AllocationRule::Heuristic];

@@ -3,12 +3,13 @@
 //! `fc1` and ReLU embed every entity, then each acting agent attends to what it sees (dissertation
 //! section 2.3). The projection behind the attention belongs to the networks that use this.
 
+use sortie_nn::layers::absorbed_attention::{AbsorbedAttention, AbsorbedBackward};
+use sortie_nn::layers::attention::{self, AttentionShape, Backward};
+use sortie_nn::layers::linear::{self, LinearShape};
+use sortie_nn::layers::matrix::Store;
+use sortie_nn::layers::{relu, sparse_linear};
+
 use super::utility_pass::{UtilityInput, sized};
-use crate::layers::absorbed_attention::{AbsorbedAttention, AbsorbedBackward};
-use crate::layers::attention::{self, AttentionShape, Backward};
-use crate::layers::linear::{self, LinearShape};
-use crate::layers::matrix::Store;
-use crate::layers::{relu, sparse_linear};
 
 /// The weights, borrowed from a flat parameter vector.
 #[derive(Clone, Copy, Debug)]

@@ -10,9 +10,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, Rw
 
 use super::config::{OptimiserConfig, ReplayConfig};
 use rand_core::Rng;
+use sortie_envs::random::below;
+use sortie_nn::optimise::{Adam, clip_norm, move_towards};
+use sortie_nn::random::Generator;
 
-use crate::optimise::{Adam, clip_norm, move_towards};
-use crate::random::{Generator, below};
 use crate::run::UpdateReport;
 
 /// A sample to learn from and how its map is turned.

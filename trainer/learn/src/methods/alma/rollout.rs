@@ -5,6 +5,8 @@ use sortie_envs::save_the_city::{ACTIONS, AgentState, BuildingState, SaveTheCity
 use sortie_envs::{Environment, StepOutcome, Subtasks};
 
 use rand_core::Rng;
+use sortie_envs::random::{below, chance};
+use sortie_nn::random::Generator;
 
 use super::config::Config;
 use super::deciding::{Deciding, Decisions};
@@ -15,7 +17,7 @@ use super::team_value::Segments;
 use super::utility::{UtilityNetwork, UtilityShape};
 use super::utility_pass::UtilityPass;
 use crate::error::LearnError;
-use crate::random::{Generator, Purpose, below, chance, generator};
+use crate::random::{Purpose, generator};
 use crate::run::EpisodeCounts;
 
 /// What an instance remembers between steps.

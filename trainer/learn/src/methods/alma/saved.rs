@@ -4,6 +4,8 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use sortie_envs::save_the_city::ScenarioSet;
+use sortie_nn::optimise::Adam;
+use sortie_nn::random::Generator;
 
 use super::config::Config;
 use super::learner::{Learner, Loss};
@@ -15,8 +17,6 @@ use super::team_value::Segments;
 use super::trainer::Trainer;
 use super::utility::{UtilityNetwork, UtilityShape};
 use crate::error::LearnError;
-use crate::optimise::Adam;
-use crate::random::Generator;
 use crate::run::checkpoint::{Checkpoint, OpenFor, SavedNetwork};
 use crate::run::{Counters, Level, Observer, RunFolder};
 

@@ -3,15 +3,16 @@
 //! The subtask mask of ALMA lets an agent see its own team and its own building only (dissertation
 //! section 7.3). Without the mask an agent sees the whole city.
 
+use sortie_envs::random::below;
 use sortie_envs::save_the_city::{
     ACTIONS, AgentState, BuildingState, City, FEATURES, UNASSIGNED, agent_features,
     building_features,
 };
+use sortie_nn::layers::SparseRows;
+use sortie_nn::random::Generator;
 
 use super::conditioning::Conditioning;
 use super::utility_pass::UtilityInput;
-use crate::layers::SparseRows;
-use crate::random::{Generator, below};
 
 /// Columns of an entity's features and its last action's one-hot.
 ///

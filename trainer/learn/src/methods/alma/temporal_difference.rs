@@ -9,7 +9,9 @@
 //! subtask is special by its number.
 
 use rand_core::SeedableRng;
+use sortie_envs::random::below;
 use sortie_envs::save_the_city::Symmetry;
+use sortie_nn::random::Generator;
 
 use super::conditioning::Conditioning;
 use super::learner::{Loss, Networks, Pick};
@@ -19,7 +21,6 @@ use super::replay::Replay;
 use super::team_batch::{INPUT_COLUMNS, TeamBatch, best_action};
 use super::utility::{UtilityNetwork, UtilityShape};
 use super::utility_pass::UtilityPass;
-use crate::random::{Generator, below};
 
 /// One of the two states of the records: the rows, and what is known of the teams.
 #[derive(Clone, Debug)]
@@ -254,7 +255,6 @@ impl Loss for Chunk {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::layers::gradient_check::assert_gradient;
     use crate::methods::alma::{
         Behaviour, Config, Memory, Mixer, MixerKind, Parameters, Record, RecordLayout, Rollout,
         UtilityNetwork,
@@ -262,6 +262,7 @@ mod tests {
     use crate::random::{Purpose, generator};
     use crate::run::EpisodeCounts;
     use sortie_envs::save_the_city::ScenarioSet;
+    use sortie_nn::gradient_check::assert_gradient;
 
     /// Few records, so that finite differences cross few kinks.
     const BATCH: usize = 16;

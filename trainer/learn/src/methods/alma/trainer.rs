@@ -5,6 +5,8 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use sortie_envs::save_the_city::ScenarioSet;
+use sortie_nn::random::Generator;
+use sortie_nn::workers::Workers;
 
 use super::config::{Allocation, Config, EnvironmentConfig, RunConfig};
 use super::learner::{Knowledge, Learner};
@@ -18,12 +20,11 @@ use super::temporal_difference::Chunk;
 use super::utility::UtilityNetwork;
 use crate::error::LearnError;
 use crate::evaluate::{Agents, Evaluation, EvaluationPlan, NetworkTeam, NoSubtasks, evaluate};
-use crate::random::{Generator, Purpose, generator};
+use crate::random::{Purpose, generator};
 use crate::run::{
     Counters, CurvePoint, Labels, Learning, Level, Observer, Outcome, Progress, Rates, Run,
     RunAllocator, RunDescription, RunFolder, learn,
 };
-use crate::workers::Workers;
 
 /// Tells the allocator's streams of random numbers from the agents'.
 const ALLOCATOR_STREAM: u64 = 1;

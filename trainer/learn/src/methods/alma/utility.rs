@@ -6,12 +6,12 @@
 use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
+use sortie_nn::layers::attention::AttentionShape;
+use sortie_nn::layers::linear::LinearShape;
+use sortie_nn::random::{Generator, signed_unit};
 
 use super::entity_attention::{AttentionGradients, AttentionWeights};
 use super::learner::Parameters;
-use crate::layers::attention::AttentionShape;
-use crate::layers::linear::LinearShape;
-use crate::random::{Generator, signed_unit};
 
 /// Sizes of a utility network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

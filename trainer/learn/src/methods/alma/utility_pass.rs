@@ -1,10 +1,11 @@
 //! Forward and backward passes of the utility network over many samples at once.
 
+use sortie_nn::layers::matrix::Store;
+use sortie_nn::layers::{SparseRows, VisibleLists, linear, relu};
+
 use super::entity_attention::EntityAttention;
 use super::operations;
 use super::utility::{UtilityNetwork, UtilityShape, UtilityViewMut};
-use crate::layers::matrix::Store;
-use crate::layers::{SparseRows, VisibleLists, linear, relu};
 
 /// What the network looks at: the entities of any number of independent samples.
 ///

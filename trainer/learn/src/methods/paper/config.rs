@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 use sortie_envs::save_the_city::{ACTIONS, FEATURES, ScenarioSet};
+use sortie_nn::schedule::linear;
 
 use super::allocation::{AllocationLearning, AllocationShape, RowRules};
 use super::low_level::LowLevelConfig;
@@ -13,7 +14,6 @@ use crate::error::LearnError;
 use crate::methods::alma::config::{Allocation, EnvironmentConfig, RunConfig};
 use crate::methods::alma::{self, Conditioning};
 use crate::run::Configuration;
-use crate::schedule::linear;
 
 /// The configuration of a run. Its defaults are those of the dissertation and its public code.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -1,7 +1,10 @@
 //! Deciding in the environment by proposal policy and critic.
 
 use rand_core::Rng;
+use sortie_envs::random::{below, chance};
 use sortie_envs::save_the_city::{City, UNASSIGNED, agent_features, building_features};
+use sortie_nn::layers::SparseRows;
+use sortie_nn::random::Generator;
 
 use super::allocation::{
     AllocationNetworks, Decided, Decider, Noise, StateView, States, TaskColumns,
@@ -10,8 +13,6 @@ use super::rollout::{Decide, Exploration};
 use super::windows::NO_TASK;
 use crate::error::LearnError;
 use crate::evaluate::Allocate;
-use crate::layers::SparseRows;
-use crate::random::{Generator, below, chance};
 
 /// Proposes allocations and takes the one that the critic values most.
 #[derive(Debug)]

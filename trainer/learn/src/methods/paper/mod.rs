@@ -8,7 +8,6 @@
 pub mod allocation;
 pub mod config;
 mod deciding;
-mod lanes;
 pub mod low_level;
 mod popart;
 mod replay;

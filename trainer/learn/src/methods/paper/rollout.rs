@@ -2,10 +2,12 @@
 
 use rand_core::Rng;
 use serde::{Deserialize, Serialize};
+use sortie_envs::random::{below, chance};
 use sortie_envs::save_the_city::{
     AllocationRule, City, DecisionPoints, SaveTheCity, ScenarioSet, UNASSIGNED,
 };
 use sortie_envs::{Environment, Subtasks};
+use sortie_nn::random::Generator;
 
 use super::config::Config;
 use super::low_level::coach::Advice;
@@ -13,7 +15,7 @@ use super::replay::{Episode, Moment};
 use crate::error::LearnError;
 use crate::evaluate::{Agents, Players, Scene};
 use crate::methods::alma::{NO_ACTION, UtilityShape, best_action, random_action};
-use crate::random::{Generator, Purpose, below, chance, generator};
+use crate::random::{Purpose, generator};
 use crate::run::EpisodeCounts;
 
 /// How much is tried out in a round.

@@ -5,14 +5,15 @@
 //! public code gets wrong there is not repeated: no transition leads from one episode to the next, and
 //! actions and allocations before a window's first state are the true ones.
 
+use sortie_envs::random::below;
 use sortie_envs::save_the_city::{
     ACTIONS, FEATURES, UNASSIGNED, agent_features, building_features,
 };
+use sortie_nn::random::Generator;
 
 use super::replay::{Episode, Replay};
 use super::windows::{NO_ACTION, NO_TASK, WindowShape, Windows};
 use crate::methods::alma::potential;
-use crate::random::{Generator, below};
 
 /// Sizes of a batch, and what is added to its rewards.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -6,6 +6,8 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use sortie_envs::save_the_city::ScenarioSet;
+use sortie_nn::layers::gru::lengths;
+use sortie_nn::random::Generator;
 
 use super::allocation::{
     AllocationCritic, AllocationLearning, AllocationLevel, AllocationPolicy, AllocationState,
@@ -18,8 +20,6 @@ use super::replay::Replay;
 use super::rollout::RolloutGenerators;
 use super::trainer::{Episodes, Trainer};
 use crate::error::LearnError;
-use crate::layers::gru::lengths;
-use crate::random::Generator;
 use crate::run::checkpoint::{Checkpoint, OpenFor, SavedNetwork};
 use crate::run::{Counters, Observer, RunAllocator, RunFolder};
 

@@ -4,6 +4,7 @@ use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
 use sortie_envs::save_the_city::ScenarioSet;
+use sortie_nn::random::Generator;
 
 use super::allocation::AllocationLevel;
 use super::config::Config;
@@ -16,7 +17,7 @@ use crate::error::LearnError;
 use crate::evaluate::{Evaluation, EvaluationPlan, NetworkTeam, NoSubtasks, evaluate};
 use crate::methods::alma::UtilityNetwork;
 use crate::methods::alma::config::{Allocation, EnvironmentConfig, ReturnsConfig, RunConfig};
-use crate::random::{Generator, Purpose, generator};
+use crate::random::{Purpose, generator};
 use crate::run::{
     Counters, CurvePoint, Labels, Learning, Observer, Outcome, Progress, Rates, Run,
     RunDescription, RunFolder, UpdateReport, learn,

@@ -1,6 +1,6 @@
 //! What both levels learn from: windows of consecutive steps.
 
-use crate::layers::SparseRows;
+use sortie_nn::layers::SparseRows;
 
 /// The subtask of an entity that belongs to none.
 pub const NO_TASK: u8 = u8::MAX;

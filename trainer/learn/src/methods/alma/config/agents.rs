@@ -1,6 +1,7 @@
 //! How the agents learn to act.
 
 use serde::{Deserialize, Serialize};
+use sortie_nn::schedule::linear;
 
 use super::require;
 use crate::error::LearnError;
@@ -9,7 +10,6 @@ use crate::methods::alma::history::Returns;
 use crate::methods::alma::mixer::{MixerKind, MixerShape};
 use crate::methods::alma::team_batch::INPUT_COLUMNS;
 use crate::methods::alma::utility::UtilityShape;
-use crate::schedule::linear;
 
 /// Sizes of the utility network.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

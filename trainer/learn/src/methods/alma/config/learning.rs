@@ -1,10 +1,10 @@
 //! What the agents and the allocator have in common: what they learn from, and how.
 
 use serde::{Deserialize, Serialize};
+use sortie_nn::schedule::linear;
 
 use super::require;
 use crate::error::LearnError;
-use crate::schedule::linear;
 
 /// What is kept and how much of it an update sees.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

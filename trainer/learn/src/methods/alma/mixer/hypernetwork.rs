@@ -6,12 +6,13 @@
 
 use std::ops::Range;
 
+use sortie_nn::layers::attention::AttentionShape;
+use sortie_nn::layers::linear::{self, LinearShape};
+use sortie_nn::layers::matrix::Store;
+
 use super::super::entity_attention::{AttentionGradients, AttentionWeights, EntityAttention};
 use super::super::utility_pass::{UtilityInput, sized};
 use super::MixerTensor;
-use crate::layers::attention::AttentionShape;
-use crate::layers::linear::{self, LinearShape};
-use crate::layers::matrix::Store;
 
 /// Sizes of a hypernetwork.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

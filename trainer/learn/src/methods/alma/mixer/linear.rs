@@ -3,8 +3,9 @@
 //! `Q = sum of w_a q_a + V`, with `w` a softmax over the team's agents of the hypernetwork's first number
 //! and `V` the mean of its second over the team.
 
+use sortie_nn::layers::softmax;
+
 use super::Teams;
-use crate::layers::softmax;
 
 /// Numbers of the hypernetwork for each agent.
 pub(super) const OUTPUTS: usize = 2;

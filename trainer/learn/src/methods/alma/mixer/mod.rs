@@ -13,8 +13,8 @@ use std::ops::Range;
 use serde::{Deserialize, Serialize};
 
 use super::utility_pass::{UtilityInput, sized};
-use crate::random::{Generator, signed_unit};
 use hypernetwork::{HypernetworkPass, HypernetworkShape};
+use sortie_nn::random::{Generator, signed_unit};
 
 /// How the utilities of a team become its value.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

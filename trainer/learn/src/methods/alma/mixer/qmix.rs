@@ -5,8 +5,9 @@
 //! Rows of `W1`, and `w2`, go through a softmax, so that no weight is negative and a better utility
 //! never makes the team worse. `b1` and `V` are unrestricted.
 
+use sortie_nn::layers::softmax;
+
 use super::Teams;
-use crate::layers::softmax;
 
 /// Numbers of the hypernetwork for each agent, at a mixing width M.
 pub(super) fn outputs(mixing: usize) -> usize {

@@ -1,5 +1,6 @@
+use sortie_nn::gradient_check::{assert_gradient, random};
+
 use super::*;
-use crate::layers::gradient_check::{assert_gradient, random};
 use crate::random::{Purpose, generator};
 
 const SIZES: [usize; 3] = [2, 1, 3];
@@ -94,7 +95,7 @@ fn the_order_of_a_team_does_not_matter() {
     // The last team's rows are turned by one.
     let turned = {
         let whole = input();
-        let mut rows = crate::layers::SparseRows::default();
+        let mut rows = sortie_nn::layers::SparseRows::default();
         for row in [0, 1, 2, 4, 5, 3, 6, 7, 8] {
             whole.rows.row(row).for_each(|(column, value)| rows.push(column, value));
             rows.end_row();

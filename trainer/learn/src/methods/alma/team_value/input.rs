@@ -4,8 +4,8 @@ use sortie_envs::save_the_city::{
     AgentState, BuildingState, City, FEATURES, RELATIONS, Symmetry, agent_features, agent_relation,
     building_features, building_relation,
 };
+use sortie_nn::layers::SparseRows;
 
-use crate::layers::SparseRows;
 use crate::methods::alma::UtilityInput;
 
 /// Marks the building that the value is about.
@@ -139,10 +139,10 @@ fn end_row(rows: &mut SparseRows, relation: usize) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::layers::gradient_check::assert_gradient;
     use crate::methods::alma::{UtilityNetwork, UtilityPass, config::AllocatorConfig};
     use crate::random::{Purpose, generator};
     use sortie_envs::save_the_city::{Constants, SaveTheCity, ScenarioSet, Status};
+    use sortie_nn::gradient_check::assert_gradient;
 
     fn city() -> SaveTheCity {
         let set = ScenarioSet::named("2-5a_2-5b").unwrap();

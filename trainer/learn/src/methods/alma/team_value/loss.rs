@@ -130,11 +130,11 @@ impl Loss for TeamValueLoss {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::layers::gradient_check::assert_gradient;
     use crate::methods::alma::config::{AllocatorConfig, NetworkConfig};
     use crate::random::{Purpose, generator};
     use sortie_envs::Environment;
     use sortie_envs::save_the_city::{Constants, SaveTheCity, ScenarioSet, Status};
+    use sortie_nn::gradient_check::assert_gradient;
 
     fn network(seed: u64) -> UtilityNetwork {
         let network = NetworkConfig { width: 16, base: 12, ..NetworkConfig::default() };

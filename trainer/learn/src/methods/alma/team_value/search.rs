@@ -2,12 +2,12 @@
 
 use sortie_core::allocate::{EXACT_AGENTS, TeamValue, Teams, ascent, exact};
 use sortie_envs::save_the_city::{City, Symmetry, UNASSIGNED, coordinated_allocation};
+use sortie_nn::random::Generator;
 
 use super::input::{TeamQuery, TeamValueInput};
 use crate::error::LearnError;
 use crate::evaluate::Allocate;
 use crate::methods::alma::{UtilityNetwork, UtilityPass, UtilityShape};
-use crate::random::Generator;
 
 /// Sweeps of the coordinate ascent; few are needed until no agent moves.
 const SWEEPS: usize = 8;

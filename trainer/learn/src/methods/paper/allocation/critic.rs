@@ -4,16 +4,17 @@
 //! on its subtask and on how many work there, not on the rest of the allocation: allocations of one state
 //! share these rows. Absent entities are left out.
 
+use sortie_nn::layers::matrix::Store;
+use sortie_nn::layers::vectors::{add_scaled, dots};
+use sortie_nn::layers::wide::{Work, run_widest};
+use sortie_nn::layers::{SparseRows, VisibleLists, attention, linear, relu, sparse_linear};
+
 use super::super::windows::NO_TASK;
 use super::gathers::{gather, scatter_add};
 use super::networks::{AllocationCritic, COUNT_SCALE};
 use super::states::{States, team_size};
 use super::trunk::NONE;
 use super::weights::AllocationShape;
-use crate::layers::matrix::Store;
-use crate::layers::vectors::{add_scaled, dots};
-use crate::layers::wide::{Work, run_widest};
-use crate::layers::{SparseRows, VisibleLists, attention, linear, relu, sparse_linear};
 use crate::methods::alma::sized;
 
 /// Allocations to be valued, with what their rows share.

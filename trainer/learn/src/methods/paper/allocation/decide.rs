@@ -2,11 +2,13 @@
 
 use std::ops::Range;
 
+use sortie_envs::random::below;
+use sortie_nn::random::Generator;
+
 use super::critic::{CriticInput, CriticPass};
 use super::networks::{AllocationCritic, AllocationPolicy};
 use super::proposals::{Noise, ProposalPass};
 use super::states::States;
-use crate::random::{Generator, below};
 
 /// States that are worked on together: enough rows for the matrix products, few enough for the cache.
 pub(super) const BLOCK: usize = 10;

@@ -1,7 +1,7 @@
 //! Vectors picked from matrices by lists of rows, and what is done with them.
 
-use crate::layers::vectors::{add_scaled, dots};
-use crate::layers::wide::{Work, run_widest};
+use sortie_nn::layers::vectors::{add_scaled, dots};
+use sortie_nn::layers::wide::{Work, run_widest};
 
 /// Copies the rows of `from` that the list names.
 pub(super) fn gather(width: usize, from: &[f32], rows: &[u32], out: &mut [f32]) {

@@ -8,8 +8,10 @@ use std::ops::Range;
 use std::time::Duration;
 
 use rand_core::Rng;
+use sortie_nn::lanes::in_lanes;
+use sortie_nn::optimise::{RmsProp, clip_norm};
+use sortie_nn::random::Generator;
 
-use super::super::lanes::in_lanes;
 use super::super::popart::PopArt;
 use super::super::times::{AllocationTimes, Stopwatch};
 use super::super::windows::Windows;
@@ -19,8 +21,7 @@ use super::networks::{AllocationCritic, AllocationPolicy};
 use super::proposals::Noise;
 use super::rows::{RowRules, Rows};
 use super::weights::AllocationShape;
-use crate::optimise::{RmsProp, clip_norm};
-use crate::random::{Generator, Purpose, generator};
+use crate::random::{Purpose, generator};
 
 /// Into how many parts the rows of a step are cut.
 const LANES: usize = 8;

@@ -5,11 +5,12 @@
 
 use std::ops::Range;
 
+use sortie_nn::layers::attention::AttentionShape;
+use sortie_nn::layers::linear::LinearShape;
+use sortie_nn::random::{Generator, signed_unit};
+
 use super::super::popart::PopArt;
 use super::weights::{AllocationShape, CriticWeights, PolicyWeights};
-use crate::layers::attention::AttentionShape;
-use crate::layers::linear::LinearShape;
-use crate::random::{Generator, signed_unit};
 
 /// What counts of agents and of other entities are multiplied by.
 pub(super) const COUNT_SCALE: f32 = 0.2;

@@ -11,8 +11,10 @@ use super::states::States;
 use super::teams::Teams;
 use super::tree::{Prefix, Tree};
 use super::trunk::{Block, NONE, Trunk};
-use crate::random::{Generator, Purpose, generator, unit};
+use crate::random::{Purpose, generator};
 use sortie_core::math::exp;
+use sortie_envs::random::unit;
+use sortie_nn::random::Generator;
 
 /// What decides between the possible choices.
 #[derive(Clone, Copy, Debug)]

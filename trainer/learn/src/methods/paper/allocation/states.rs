@@ -1,7 +1,8 @@
 //! The states in which agents are to be allocated.
 
+use sortie_nn::layers::SparseRows;
+
 use super::super::windows::NO_TASK;
-use crate::layers::SparseRows;
 
 /// One state as plain slices. N entities, of which the first A are the agents; T subtasks.
 #[derive(Clone, Copy, Debug)]

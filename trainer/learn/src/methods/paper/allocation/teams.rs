@@ -6,15 +6,16 @@
 
 use std::ops::Range;
 
+use sortie_nn::layers::matrix::Store;
+use sortie_nn::layers::vectors::add_scaled;
+use sortie_nn::layers::{linear, relu};
+
 use super::gathers::{
     Slope, Sum, add_rectified, add_three, dot_pairs, dot_pairs_backward, gather, scatter_add,
 };
 use super::networks::{COUNT_SCALE, PolicyParts};
 use super::trunk::{Block, NONE, Trunk, times_counts};
 use super::weights::AllocationShape;
-use crate::layers::matrix::Store;
-use crate::layers::vectors::add_scaled;
-use crate::layers::{linear, relu};
 use crate::methods::alma::sized;
 
 /// One team at one subtask of one state.

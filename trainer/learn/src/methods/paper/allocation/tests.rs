@@ -3,6 +3,10 @@
 use std::ops::Range;
 
 use rand_core::Rng;
+use sortie_envs::random::{below, chance};
+use sortie_nn::gradient_check::{assert_gradient, random};
+use sortie_nn::layers::SparseRows;
+use sortie_nn::random::Generator;
 
 use super::critic::{CriticInput, CriticPass};
 use super::networks::{AllocationCritic, AllocationPolicy};
@@ -11,10 +15,8 @@ use super::{
     AllocationLearning, AllocationLevel, AllocationNetworks, AllocationShape, Decider, RowRules,
     StateView, States, StepDraws, TaskColumns,
 };
-use crate::layers::SparseRows;
-use crate::layers::gradient_check::{assert_gradient, random};
 use crate::methods::paper::{NO_TASK, WindowShape, Windows};
-use crate::random::{Generator, Purpose, below, chance, generator};
+use crate::random::{Purpose, generator};
 
 const AGENTS: usize = 3;
 const ENTITIES: usize = 8;

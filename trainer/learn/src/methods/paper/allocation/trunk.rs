@@ -6,14 +6,15 @@
 
 use std::ops::Range;
 
+use sortie_nn::layers::matrix::{Matrix, MatrixMut, Store, multiply};
+use sortie_nn::layers::vectors::add_scaled;
+use sortie_nn::layers::{SparseRows, VisibleLists, attention, linear, relu, sparse_linear};
+
 use super::super::windows::NO_TASK;
 use super::gathers::{add_rectified, gather, scatter_add};
 use super::networks::{COUNT_SCALE, PolicyParts};
 use super::states::States;
 use super::weights::AllocationShape;
-use crate::layers::matrix::{Matrix, MatrixMut, Store, multiply};
-use crate::layers::vectors::add_scaled;
-use crate::layers::{SparseRows, VisibleLists, attention, linear, relu, sparse_linear};
 use crate::methods::alma::sized;
 
 /// Nothing stands here.

@@ -5,10 +5,12 @@
 //! behind the features. Which mark stands for which subtask is shuffled before each pass, so that no
 //! subtask is special; spare marks let one network serve more subtasks than it was trained with.
 
+use sortie_envs::random::below;
+use sortie_nn::random::Generator;
+
 use super::super::windows::WindowShape;
 use super::config::LowLevelConfig;
 use crate::methods::alma::{UtilityNetwork, UtilityShape};
-use crate::random::{Generator, below};
 
 /// The sizes of the utility network in an environment of these sizes.
 pub(super) fn utility_shape(config: &LowLevelConfig, sizes: WindowShape) -> UtilityShape {

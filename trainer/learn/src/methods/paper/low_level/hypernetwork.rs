@@ -8,11 +8,12 @@
 
 use std::ops::Range;
 
-use crate::layers::attention::AttentionShape;
-use crate::layers::linear::{self, LinearShape};
-use crate::layers::matrix::{Matrix, MatrixMut, Store, multiply};
-use crate::layers::team_attention::{self, Backward, Forward, Sums, TeamLists};
-use crate::layers::{SparseRows, relu, sparse_linear};
+use sortie_nn::layers::attention::AttentionShape;
+use sortie_nn::layers::linear::{self, LinearShape};
+use sortie_nn::layers::matrix::{Matrix, MatrixMut, Store, multiply};
+use sortie_nn::layers::team_attention::{self, Backward, Forward, Sums, TeamLists};
+use sortie_nn::layers::{SparseRows, relu, sparse_linear};
+
 use crate::methods::alma::sized;
 
 /// What a hypernetwork gives.

@@ -5,12 +5,12 @@
 //! ALMA makes `b1` and `V` so as well, which is a switch here.
 
 use serde::{Deserialize, Serialize};
+use sortie_nn::random::{Generator, signed_unit};
 
 use super::hypernetwork::{
     HypernetworkGradient, HypernetworkPass, HypernetworkShape, Merged, MixerInput, Mode,
 };
 use super::mixing::{Mixing, MixingGradient, Numbers};
-use crate::random::{Generator, signed_unit};
 
 /// How mixing weights are kept from being negative.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

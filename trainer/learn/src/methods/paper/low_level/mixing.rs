@@ -1,7 +1,8 @@
 //! The arithmetic of the mixer between its hypernetworks' numbers and the teams' values.
 
+use sortie_nn::layers::{TeamLists, softmax};
+
 use super::mixer::{MixerShape, Nonnegative};
-use crate::layers::{TeamLists, softmax};
 
 /// What the hypernetworks gave: `W1 [agents, M]`, `b1 [teams, M]`, `w2 [teams, M]`, `V [teams]`.
 pub(super) struct Numbers<'a>(pub(super) [&'a [f32]; 4]);

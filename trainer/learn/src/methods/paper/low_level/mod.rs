@@ -36,16 +36,16 @@ pub use values::{agent_utilities, team_input, team_values};
 
 use std::time::Duration;
 
-use super::lanes::in_lanes;
 use super::popart::PopArt;
 use super::times::{LowLevelTimes, Stopwatch};
 use super::windows::{WindowShape, Windows};
 use crate::evaluate::Agents;
 use crate::methods::alma::{Conditioning, UtilityNetwork};
-use crate::optimise::{RmsProp, clip_norm};
-use crate::random::Generator;
 use coach::{CoachConfig, CoachShape, Coaching, Held, Told};
 use recurrent::Recurrent;
+use sortie_nn::lanes::in_lanes;
+use sortie_nn::optimise::{RmsProp, clip_norm};
+use sortie_nn::random::Generator;
 use step::{Bootstrap, Descent, Lane, Side, Step};
 
 /// Parts of a step with gradients of their own.
@@ -58,7 +58,7 @@ const CHUNK: usize = 32;
 pub struct LowLevelNetworks {
     /// The agents' utility network.
     pub agents: UtilityNetwork,
-    /// The recurrent unit before the agents' head, as [`crate::layers::gru`] has it; empty where agents
+    /// The recurrent unit before the agents' head, as [`sortie_nn::layers::gru`] has it; empty where agents
     /// have no memory.
     pub gru: Vec<f32>,
     /// The mixer.

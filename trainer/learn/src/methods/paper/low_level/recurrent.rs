@@ -4,12 +4,13 @@
 //! memory is empty at the first step of a window and behind the last state of an episode; who is absent
 //! has none.
 
+use sortie_nn::layers::gru::{GruPass, GruShape, lengths};
+use sortie_nn::random::{Generator, signed_unit};
+
 use super::super::windows::Windows;
 use super::scene::Marks;
 use super::teams::{Teams, View};
-use crate::layers::gru::{GruPass, GruShape, lengths};
 use crate::methods::alma::{Conditioning, UtilityInput, UtilityNetwork, UtilityPass};
-use crate::random::{Generator, signed_unit};
 
 /// Draws a unit uniformly in `±1/sqrt(width)`, as PyTorch does.
 pub(super) fn initialise(width: usize, generator: &mut Generator) -> Vec<f32> {

@@ -1,7 +1,8 @@
 //! Entities of a state as rows of a network's input.
 
+use sortie_nn::layers::SparseRows;
+
 use super::super::windows::{NO_ACTION, NO_TASK, Windows};
-use crate::layers::SparseRows;
 
 /// One state, seen with the subtasks that hold at a state: usually the same, or the one before.
 #[derive(Clone, Copy, Debug)]

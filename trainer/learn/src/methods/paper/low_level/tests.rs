@@ -1,11 +1,14 @@
 use std::collections::BTreeMap;
 
+use sortie_envs::random::{below, chance};
+use sortie_nn::gradient_check::assert_gradient;
+use sortie_nn::layers::SparseRows;
+use sortie_nn::random::signed_unit;
+
 use super::*;
-use crate::layers::SparseRows;
-use crate::layers::gradient_check::assert_gradient;
 use crate::methods::alma::config::ReturnsConfig;
 use crate::methods::paper::{NO_ACTION, NO_TASK};
-use crate::random::{Purpose, below, chance, generator, signed_unit};
+use crate::random::{Purpose, generator};
 
 pub(super) const SIZES: WindowShape =
     WindowShape { windows: 6, steps: 9, agents: 3, entities: 6, tasks: 3, actions: 4, features: 5 };

@@ -1,6 +1,7 @@
 //! A coach where its players play.
 
 use sortie_envs::save_the_city::City;
+use sortie_nn::random::{Generator, normals};
 
 use super::super::agents::TaskOrder;
 use super::gaussian;
@@ -9,7 +10,6 @@ use super::networks::Coach;
 use super::passes::CoachPass;
 use crate::error::LearnError;
 use crate::methods::alma::UtilityInput;
-use crate::random::{Generator, normals};
 
 /// Tells the agents of a city their strategies.
 #[derive(Debug)]

@@ -1,17 +1,18 @@
 //! A coach that learns with its players: what it does before a step of theirs, and after it.
 
+use sortie_nn::lanes::in_lanes;
+use sortie_nn::optimise::RmsProp;
+use sortie_nn::random::{Generator, normals};
+
 use super::CoachConfig;
 use super::input::state_input;
 use super::loss::{CoachLane, ENTROPY, Guess};
 use super::networks::{Coach, CoachShape, Recognition, RecognitionShape};
 use super::strategies::{Held, Holdings, Strategies};
-use crate::methods::paper::lanes::in_lanes;
 use crate::methods::paper::low_level::agents::TaskOrder;
 use crate::methods::paper::low_level::step::Lane;
 use crate::methods::paper::low_level::{CHUNK, LANES};
 use crate::methods::paper::windows::Windows;
-use crate::optimise::RmsProp;
-use crate::random::{Generator, normals};
 
 /// Coach, recognition network and their optimisers. All state is open, to be saved and restored.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,10 +1,11 @@
 //! The networks around strategies: the coach that draws them, and the recognition that guesses them.
 
+use sortie_nn::layers::linear::LinearShape;
+use sortie_nn::random::{Generator, signed_unit};
+
 use super::super::config::LowLevelConfig;
 use super::trunk::TrunkShape;
-use crate::layers::linear::LinearShape;
 use crate::methods::paper::windows::WindowShape;
-use crate::random::{Generator, signed_unit};
 
 /// Sizes of a coach.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -3,12 +3,13 @@
 //! Both give rows `[agents, 2 R]`: the mean of every number of a strategy, then the logarithm of its
 //! variance.
 
+use sortie_nn::layers::linear;
+use sortie_nn::layers::matrix::{Matrix, MatrixMut, Store, multiply};
+use sortie_nn::layers::relu;
+
 use super::gaussian;
 use super::networks::{Coach, Recognition};
 use super::trunk::TrunkPass;
-use crate::layers::linear;
-use crate::layers::matrix::{Matrix, MatrixMut, Store, multiply};
-use crate::layers::relu;
 use crate::methods::alma::{UtilityInput, sized};
 
 /// Buffers of one worker for passes of a coach.

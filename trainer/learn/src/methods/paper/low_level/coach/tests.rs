@@ -1,18 +1,20 @@
 use sortie_envs::Environment;
+use sortie_envs::random::chance;
 use sortie_envs::save_the_city::{
     Constants, FEATURES, MAX_AGENTS, SaveTheCity, ScenarioSet, UNASSIGNED,
 };
+use sortie_nn::gradient_check::{assert_gradient, random};
+use sortie_nn::random::Generator;
 
 use super::super::tests::{SIZES, config, draws, random_windows};
 use super::super::{CHUNK, LowLevel, TaskOrder};
 use super::strategies::Holdings;
 use super::*;
-use crate::layers::gradient_check::{assert_gradient, random};
 use crate::methods::alma::{Conditioning, UtilityInput};
 use crate::methods::paper::{
     Episode, Moment, Replay, SampleShape, Shaping, WindowShape, Windows, cut_windows,
 };
-use crate::random::{Generator, Purpose, chance, generator};
+use crate::random::{Purpose, generator};
 
 const SHAPE: CoachShape = CoachShape { features: 5, marks: 3, width: 8, heads: 2, strategy: 6 };
 

@@ -1,9 +1,10 @@
 //! What coach and recognition network begin with: entities embedded, agents that look at all of them.
 
-use crate::layers::attention::AttentionShape;
-use crate::layers::linear::{self, LinearShape};
-use crate::layers::matrix::Store;
-use crate::layers::relu;
+use sortie_nn::layers::attention::AttentionShape;
+use sortie_nn::layers::linear::{self, LinearShape};
+use sortie_nn::layers::matrix::Store;
+use sortie_nn::layers::relu;
+
 use crate::methods::alma::{
     AttentionGradients, AttentionWeights, EntityAttention, UtilityInput, sized,
 };

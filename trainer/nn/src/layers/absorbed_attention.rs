@@ -284,8 +284,8 @@ impl AttendBackward<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::gradient_check::{assert_gradient, random};
     use crate::layers::attention;
-    use crate::layers::gradient_check::{assert_gradient, random};
 
     /// The usual sizes, and fewer heads than are computed at once.
     const SHAPES: [AttentionShape; 2] =

@@ -24,17 +24,20 @@ impl Default for SparseRows {
 
 impl SparseRows {
     /// Forgets all rows, keeps the memory.
+    #[inline]
     pub fn clear(&mut self) {
         self.ends.truncate(1);
         self.entries.clear();
     }
 
     /// Adds one feature to the row that the next [`end_row`](Self::end_row) closes.
+    #[inline]
     pub fn push(&mut self, column: usize, value: f32) {
         self.entries.push((column as u16, value));
     }
 
     /// Closes a row.
+    #[inline]
     pub fn end_row(&mut self) {
         self.ends.push(self.entries.len() as u32);
     }
@@ -57,16 +60,19 @@ impl SparseRows {
     }
 
     /// Number of closed rows.
+    #[inline]
     pub fn len(&self) -> usize {
         self.ends.len() - 1
     }
 
     /// Number of non-zero features in all rows.
+    #[inline]
     pub fn entries(&self) -> usize {
         self.entries.len()
     }
 
     /// Whether no row has been closed.
+    #[inline]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -150,7 +156,7 @@ impl Backward<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::layers::gradient_check::{assert_gradient, random};
+    use crate::gradient_check::{assert_gradient, random};
 
     const INPUT: usize = 9;
     const WIDTH: usize = 4;

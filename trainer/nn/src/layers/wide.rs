@@ -1,7 +1,7 @@
 //! Runs loops in the widest build that the processor offers: the same code, the same bits.
 
 /// A computation that can be built for several instruction sets; `run` is to be `#[inline(always)]`.
-pub(crate) trait Work {
+pub trait Work {
     /// What it computes.
     type Output;
 
@@ -11,7 +11,7 @@ pub(crate) trait Work {
 
 /// Runs `work` with AVX2 where the processor has it; else as it is.
 #[inline]
-pub(crate) fn run_widest<W: Work>(work: W) -> W::Output {
+pub fn run_widest<W: Work>(work: W) -> W::Output {
     #[cfg(target_arch = "x86_64")]
     if std::is_x86_feature_detected!("avx2") {
         // SAFETY: the only obligation of calling a function with target features is that the processor has

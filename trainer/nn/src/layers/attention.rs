@@ -26,37 +26,44 @@ impl Default for VisibleLists {
 
 impl VisibleLists {
     /// Forgets all lists, keeps the memory.
+    #[inline]
     pub fn clear(&mut self) {
         self.ends.truncate(1);
         self.rows.clear();
     }
 
     /// Adds a row to the list that the next [`end_list`](Self::end_list) closes.
+    #[inline]
     pub fn push(&mut self, row: usize) {
         self.rows.push(row as u32);
     }
 
     /// Closes the list of one query.
+    #[inline]
     pub fn end_list(&mut self) {
         self.ends.push(self.rows.len() as u32);
     }
 
     /// Number of queries.
+    #[inline]
     pub fn queries(&self) -> usize {
         self.ends.len() - 1
     }
 
     /// Total length of all lists.
+    #[inline]
     pub fn pairs(&self) -> usize {
         self.rows.len()
     }
 
     /// The rows that a query sees.
+    #[inline]
     pub fn list(&self, query: usize) -> impl Iterator<Item = usize> + '_ {
         self.span(query).1.iter().map(|row| *row as usize)
     }
 
     /// Where a query's pairs begin, and its rows.
+    #[inline]
     pub(super) fn span(&self, query: usize) -> (usize, &[u32]) {
         let (start, end) = (self.ends[query] as usize, self.ends[query + 1] as usize);
         (start, &self.rows[start..end])
@@ -314,7 +321,7 @@ fn softmax_group_backward<const HEADS: usize>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::layers::gradient_check::{assert_gradient, random};
+    use crate::gradient_check::{assert_gradient, random};
 
     /// The usual sizes, a group of heads with one more, and fewer heads than a group.
     const SHAPES: [AttentionShape; 3] = [

@@ -14,11 +14,8 @@ pub mod relu;
 pub mod softmax;
 pub mod sparse_linear;
 pub mod team_attention;
-pub(crate) mod vectors;
-pub(crate) mod wide;
-
-#[cfg(test)]
-pub(crate) mod gradient_check;
+pub mod vectors;
+pub mod wide;
 
 pub use attention::VisibleLists;
 pub use sparse_linear::SparseRows;

@@ -7,11 +7,7 @@ use std::thread;
 ///
 /// What a lane computes depends on its number only, so that results are the same for any number of
 /// threads. Panics if `work` does.
-pub(super) fn in_lanes<L: Send>(
-    threads: usize,
-    lanes: &mut [L],
-    work: impl Fn(usize, &mut L) + Sync,
-) {
+pub fn in_lanes<L: Send>(threads: usize, lanes: &mut [L], work: impl Fn(usize, &mut L) + Sync) {
     let rest = Mutex::new(lanes.iter_mut().enumerate());
     let next = || rest.lock().unwrap_or_else(PoisonError::into_inner).next();
     let run = || {

@@ -1,6 +1,7 @@
 //! Softmax of one row of numbers, in place.
 
 /// Replaces scores by positive weights that sum to 1. An empty row stays empty.
+#[inline]
 pub fn forward(row: &mut [f32]) {
     let max = row.iter().fold(f32::NEG_INFINITY, |max, score| max.max(*score));
     let mut sum = 0.0;
@@ -12,6 +13,7 @@ pub fn forward(row: &mut [f32]) {
 }
 
 /// Turns the gradient of the weights into that of the scores: `p * (d - sum(p * d))`.
+#[inline]
 pub fn backward(weights: &[f32], gradient: &mut [f32]) {
     let sum: f32 = weights.iter().zip(gradient.iter()).map(|(p, d)| p * d).sum();
     for (p, d) in weights.iter().zip(gradient) {
@@ -22,7 +24,7 @@ pub fn backward(weights: &[f32], gradient: &mut [f32]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::layers::gradient_check::{assert_gradient, random};
+    use crate::gradient_check::{assert_gradient, random};
 
     fn weights(scores: &[f32]) -> Vec<f32> {
         let mut row = scores.to_vec();

@@ -1,10 +1,10 @@
 //! Finite differences for tests: one random direction per tensor, in f64 outside the layer.
 
-use crate::random::{Purpose, generator, signed_unit};
+use crate::random::{signed_unit, stream};
 
 /// Numbers in -1..1 from a seed.
-pub(crate) fn random(seed: u64, count: usize) -> Vec<f32> {
-    let mut generator = generator(seed, Purpose::Weights, 0);
+pub fn random(seed: u64, count: usize) -> Vec<f32> {
+    let mut generator = stream(seed, 1, 0);
     (0..count).map(|_| signed_unit(&mut generator)).collect()
 }
 
@@ -12,12 +12,7 @@ pub(crate) fn random(seed: u64, count: usize) -> Vec<f32> {
 ///
 /// Errors are measured against the slope that such a direction has on average. The median of three
 /// directions counts, because one step may cross a kink of the loss.
-pub(crate) fn assert_gradient(
-    name: &str,
-    at: &[f32],
-    gradient: &[f32],
-    loss: impl Fn(&[f32]) -> f64,
-) {
+pub fn assert_gradient(name: &str, at: &[f32], gradient: &[f32], loss: impl Fn(&[f32]) -> f64) {
     assert_eq!(at.len(), gradient.len());
     let step = 3e-4_f32;
     let norm = gradient.iter().map(|g| f64::from(*g).powi(2)).sum::<f64>().sqrt();

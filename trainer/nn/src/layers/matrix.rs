@@ -16,11 +16,13 @@ pub struct Matrix<'a> {
 
 impl<'a> Matrix<'a> {
     /// Views `data` as a row-major matrix. Panics if it is shorter than `rows * columns`.
+    #[inline]
     pub fn new(data: &'a [f32], rows: usize, columns: usize) -> Self {
         Self { data: &data[..rows * columns], rows, columns, row_stride: columns, column_stride: 1 }
     }
 
     /// Some columns of a matrix that was not transposed. Panics if the range reaches beyond it.
+    #[inline]
     pub fn columns(self, range: Range<usize>) -> Self {
         assert!(range.start <= range.end && range.end <= self.columns, "columns out of range");
         let start = range.start.min(self.data.len());
@@ -28,6 +30,7 @@ impl<'a> Matrix<'a> {
     }
 
     /// The same elements with rows and columns exchanged; nothing is moved.
+    #[inline]
     pub fn transposed(self) -> Self {
         Self {
             rows: self.columns,
@@ -50,11 +53,13 @@ pub struct MatrixMut<'a> {
 
 impl<'a> MatrixMut<'a> {
     /// Views `data` as a row-major matrix. Panics if it is shorter than `rows * columns`.
+    #[inline]
     pub fn new(data: &'a mut [f32], rows: usize, columns: usize) -> Self {
         Self { data: &mut data[..rows * columns], rows, columns, row_stride: columns }
     }
 
     /// Some columns of this matrix. Panics if the range reaches beyond it.
+    #[inline]
     pub fn columns(self, range: Range<usize>) -> Self {
         assert!(range.start <= range.end && range.end <= self.columns, "columns out of range");
         let start = range.start.min(self.data.len());

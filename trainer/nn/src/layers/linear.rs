@@ -115,7 +115,7 @@ impl Work for BackwardBias<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::layers::gradient_check::{assert_gradient, random};
+    use crate::gradient_check::{assert_gradient, random};
 
     const SHAPE: LinearShape = LinearShape { input: 5, output: 3 };
     const ROWS: usize = 7;

@@ -1,6 +1,7 @@
 //! Numbers that change with the environment steps taken.
 
 /// Goes in a straight line from `start` to `end` over `length` steps, then stays.
+#[inline]
 pub fn linear(start: f32, end: f32, length: u64, step: u64) -> f32 {
     if step >= length {
         return end;

@@ -28,6 +28,7 @@ impl Default for TeamLists {
 
 impl TeamLists {
     /// Forgets all teams, keeps the memory.
+    #[inline]
     pub fn clear(&mut self) {
         self.ends.truncate(1);
         self.members.clear();
@@ -35,11 +36,13 @@ impl TeamLists {
     }
 
     /// Adds a row to those that the next team attends to.
+    #[inline]
     pub fn push(&mut self, row: usize) {
         self.members.push(row);
     }
 
     /// Closes a team of so many queries.
+    #[inline]
     pub fn end_team(&mut self, queries: usize) {
         self.members.end_list();
         self.ends.push((self.queries() + queries) as u32);
@@ -47,26 +50,31 @@ impl TeamLists {
     }
 
     /// Number of teams.
+    #[inline]
     pub fn teams(&self) -> usize {
         self.ends.len() - 1
     }
 
     /// Number of queries in all teams.
+    #[inline]
     pub fn queries(&self) -> usize {
         self.ends[self.teams()] as usize
     }
 
     /// Number of queries of every team.
+    #[inline]
     pub fn sizes(&self) -> impl Iterator<Item = usize> + Clone + '_ {
         self.ends.windows(2).map(|ends| (ends[1] - ends[0]) as usize)
     }
 
     /// Pairs of a query and a row that it attends to.
+    #[inline]
     pub fn pairs(&self) -> usize {
         self.pairs
     }
 
     /// Rows that teams attend to, counted once for each team.
+    #[inline]
     pub fn members(&self) -> usize {
         self.members.pairs()
     }
@@ -90,6 +98,7 @@ pub enum Sums {
 
 impl Sums {
     /// How many sums there are.
+    #[inline]
     pub fn count(self, teams: &TeamLists) -> usize {
         match self {
             Self::PerQuery => teams.queries(),
@@ -339,7 +348,7 @@ fn descend_scores(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::layers::gradient_check::{assert_gradient, random};
+    use crate::gradient_check::{assert_gradient, random};
 
     const SHAPES: [AttentionShape; 2] = [USUAL, AttentionShape { width: 6, heads: 3 }];
     const ROWS: usize = 5;

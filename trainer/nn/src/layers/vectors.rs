@@ -5,7 +5,7 @@
 
 /// Adds `factor` times `values` to `out`.
 #[inline(always)]
-pub(crate) fn add_scaled(out: &mut [f32], factor: f32, values: &[f32]) {
+pub fn add_scaled(out: &mut [f32], factor: f32, values: &[f32]) {
     let (out, out_rest) = out.as_chunks_mut::<8>();
     let (values, values_rest) = values.as_chunks::<8>();
     for (out, values) in out.iter_mut().zip(values) {
@@ -25,7 +25,7 @@ pub(crate) fn add_scaled(out: &mut [f32], factor: f32, values: &[f32]) {
 ///
 /// The terms are gone through once for every `LANES` columns, whose sums stay in registers meanwhile.
 #[inline(always)]
-pub(crate) fn weighted_sum<'a, const LANES: usize>(
+pub fn weighted_sum<'a, const LANES: usize>(
     start: Option<&[f32]>,
     terms: impl Iterator<Item = (f32, &'a [f32])> + Clone,
     out: &mut [f32],
@@ -55,7 +55,7 @@ pub(crate) fn weighted_sum<'a, const LANES: usize>(
 
 /// Adds to `out` the sum of every vector in `terms` times its factor, `LANES` columns at a time.
 #[inline(always)]
-pub(super) fn add_weighted_sum<'a, const LANES: usize>(
+pub fn add_weighted_sum<'a, const LANES: usize>(
     out: &mut [f32],
     terms: impl Iterator<Item = (f32, &'a [f32])> + Clone,
 ) {
@@ -82,14 +82,14 @@ const GROUP: usize = 4;
 
 /// Writes the dot products of the vectors that stand behind each other in `a` and in `b`, as many as `out`.
 #[inline(always)]
-pub(crate) fn dots(a: &[f32], b: &[f32], out: &mut [f32]) {
+pub fn dots(a: &[f32], b: &[f32], out: &mut [f32]) {
     let width = a.len() / out.len().max(1);
     write_dots(out, |index| (&a[index * width..][..width], &b[index * width..][..width]));
 }
 
 /// Writes the dot products of `b` and each of the vectors that stand behind each other in `a`.
 #[inline(always)]
-pub(crate) fn dots_with(a: &[f32], b: &[f32], out: &mut [f32]) {
+pub fn dots_with(a: &[f32], b: &[f32], out: &mut [f32]) {
     let width = b.len();
     write_dots(out, |index| (&a[index * width..][..width], b));
 }
@@ -132,7 +132,7 @@ fn group_of_dots<'a, const COUNT: usize>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::layers::gradient_check::random;
+    use crate::gradient_check::random;
 
     fn assert_close(got: &[f32], want: impl Iterator<Item = f32>) {
         for (got, want) in got.iter().zip(want) {

@@ -151,7 +151,7 @@ impl GruPass {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::layers::gradient_check::{assert_gradient, random};
+    use crate::gradient_check::{assert_gradient, random};
 
     const SHAPE: GruShape = GruShape { width: 3, slots: 2 };
     const STEPS: usize = 4;

@@ -9,7 +9,7 @@ type Job = Arc<dyn Fn() + Send + Sync>;
 /// A fixed number of threads; the calling thread is one of them.
 ///
 /// The job itself divides the work, for instance by drawing piece numbers from an atomic counter.
-pub(crate) struct Workers {
+pub struct Workers {
     job: Job,
     helpers: Vec<Helper>,
 }
@@ -22,7 +22,7 @@ struct Helper {
 
 impl Workers {
     /// Starts `threads - 1` helpers that wait for work.
-    pub(crate) fn new(threads: usize, job: Job) -> Self {
+    pub fn new(threads: usize, job: Job) -> Self {
         let helper = |_| {
             let (start, started) = sync_channel::<()>(1);
             let (finish, done) = sync_channel::<()>(1);
@@ -44,7 +44,7 @@ impl Workers {
     /// Runs the job once on every thread and returns when all have finished.
     ///
     /// Panics if the job panicked on a helper.
-    pub(crate) fn run(&self) {
+    pub fn run(&self) {
         for helper in &self.helpers {
             let started = helper.start.as_ref().map(|start| start.send(()));
             assert!(started == Some(Ok(())), "a worker thread panicked");

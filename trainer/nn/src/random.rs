@@ -1,0 +1,57 @@
+//! Seeded random numbers: the same bits on every target.
+
+use rand_core::{Rng, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
+
+/// The generator of every random choice of a trainer.
+pub type Generator = Xoshiro256PlusPlus;
+
+/// One of the generators of a seed: each stream has its own numbers, and each index of a stream.
+pub fn stream(seed: u64, stream: u64, index: u64) -> Generator {
+    let mut mixer = Generator::seed_from_u64(seed);
+    let mut mix = |word: u64| mixer.next_u64() ^ word.wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    let base = mix(stream);
+    Generator::seed_from_u64(base ^ mix(index))
+}
+
+/// Standard normal numbers (Box and Muller 1958).
+pub fn normals(generator: &mut Generator, count: usize) -> Vec<f32> {
+    let mut numbers = Vec::with_capacity(count + 1);
+    while numbers.len() < count {
+        let radius = (-2.0 * (1.0 - unit(generator)).ln()).sqrt();
+        let (sine, cosine) = (std::f64::consts::TAU * unit(generator)).sin_cos();
+        numbers.extend([radius * cosine, radius * sine].map(|number| number as f32));
+    }
+    numbers.truncate(count);
+    numbers
+}
+
+/// Uniform in -1..1.
+#[inline]
+pub fn signed_unit(generator: &mut Generator) -> f32 {
+    (2.0 * unit(generator) - 1.0) as f32
+}
+
+/// Uniform in 0..1 with 53 random bits.
+#[inline]
+fn unit(generator: &mut Generator) -> f64 {
+    const STEP: f64 = 1.0 / (1u64 << 53) as f64;
+    (generator.next_u64() >> 11) as f64 * STEP
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn normal_numbers_have_their_moments() {
+        let numbers = normals(&mut stream(1, 1, 0), 100_001);
+        assert_eq!(numbers.len(), 100_001);
+        let mean = |power: i32| {
+            numbers.iter().map(|x| f64::from(*x).powi(power)).sum::<f64>() / numbers.len() as f64
+        };
+        for (power, want) in [(1, 0.0), (2, 1.0), (3, 0.0), (4, 3.0)] {
+            assert!((mean(power) - want).abs() < 0.1, "moment {power}: {}", mean(power));
+        }
+    }
+}
