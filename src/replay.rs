@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use serde::Serialize;
-use sortie_envs::save_the_city::golden::{self, GoldenError, Mismatch};
+use sortie_envs::golden::{self, GoldenError, Mismatch};
 
 use crate::arguments::Common;
 use crate::failure::{Exit, Failure, Outcome};
@@ -12,8 +12,9 @@ use crate::output::{plural, print_json, say};
 
 /// Replay recorded episodes and compare every value bit for bit
 ///
-/// Files follow the schema `sortie-golden/save-the-city/1`. This is how a port of an environment is
-/// checked: record episodes there, replay them here. Exit code 1 if anything differs.
+/// Files follow the schema `sortie-golden/save-the-city/1` or `sortie-golden/group-matching/1`. This is
+/// how a port of an environment is checked: record episodes there, replay them here. Exit code 1 if
+/// anything differs.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  sortie replay tests/golden/save-the-city/*-scripted.json
   sortie eval runs/first --episodes-out episodes && sortie replay episodes")]

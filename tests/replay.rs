@@ -19,6 +19,13 @@ fn edited(from: &str, to: &str) -> tempfile::NamedTempFile {
 }
 
 #[test]
+fn every_environment_has_recorded_episodes() {
+    let report = json(&["replay", "tests/golden/group-matching", "--json"]);
+    assert_eq!(report["files"], 24);
+    assert_eq!(report["mismatches"], serde_json::json!([]));
+}
+
+#[test]
 fn recorded_episodes_replay_bit_for_bit() {
     let report = json(&["replay", EPISODE, "--json"]);
     assert_eq!(report["files"], 1);

@@ -21,7 +21,12 @@
 extern crate alloc;
 
 pub mod environment;
+#[cfg(feature = "std")]
+pub mod golden;
+pub mod group_matching;
 pub mod random;
+#[cfg(feature = "std")]
+mod recorded;
 pub mod save_the_city;
 
 pub use environment::{

@@ -4,8 +4,9 @@ use std::fs;
 
 use serde_json::{Value, json};
 use sortie_envs::Environment;
+use sortie_envs::golden::{GoldenError, replay, replay_file};
 use sortie_envs::random::generator;
-use sortie_envs::save_the_city::golden::{GoldenError, Labels, Recorder, replay, replay_file};
+use sortie_envs::save_the_city::golden::{Labels, Recorder};
 use sortie_envs::save_the_city::{
     AgentKind, AgentState, AllocationRule, BuildingKind, BuildingPlan, BuildingState, City,
     DecisionPoints, SET_NAMES, Scenario, ScenarioSet, ScriptedTeam, Status, UNASSIGNED,

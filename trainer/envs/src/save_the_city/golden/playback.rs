@@ -1,11 +1,11 @@
 //! Plays a recorded episode step by step, for whoever wants to look at it.
 
 use super::super::simulator::SaveTheCity;
-use super::error::GoldenError;
-use super::fields::Field;
 use super::record::Labels;
 use super::replay::{Moves, read_moves, restore};
 use crate::environment::{StepError, StepOutcome};
+use crate::recorded::Field;
+use crate::recorded::GoldenError;
 
 /// A recorded episode in a world of its own.
 ///

@@ -1,8 +1,5 @@
 //! Replays recorded episodes and compares every field.
 
-use std::path::Path;
-
-use serde::Serialize;
 use serde_json::Value;
 
 use super::super::error::CityError;
@@ -13,42 +10,12 @@ use super::super::state::{
     AgentKind, AgentState, BuildingKind, BuildingState, MAX_AGENTS, MAX_BUILDINGS, Status,
 };
 use super::SCHEMA;
-use super::error::GoldenError;
 use super::events::Events;
-use super::fields::Field;
 use super::frames;
 use crate::environment::{StepError, StepOutcome};
-
-/// One value that came out differently.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Mismatch {
-    /// The file, as it was named.
-    pub file: String,
-    /// The step, or the state before that step; masks of the whole episode count as step 0, its
-    /// events as the last state.
-    pub step: usize,
-    /// Path of the field in the file.
-    pub field: String,
-    /// What the file says.
-    pub want: Value,
-    /// What the replay gives; null where it gives nothing.
-    pub got: Value,
-}
-
-/// What a replay found.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Replay {
-    /// The steps that were replayed.
-    pub steps: usize,
-    /// All differences, in the order of the episode.
-    pub mismatches: Vec<Mismatch>,
-}
-
-/// Replays the episode in a file.
-pub fn replay_file(path: &Path) -> Result<Replay, GoldenError> {
-    let text = std::fs::read_to_string(path).map_err(GoldenError::Read)?;
-    replay(&path.display().to_string(), &text)
-}
+use crate::recorded::Field;
+use crate::recorded::GoldenError;
+use crate::recorded::{Comparison, Replay};
 
 /// Replays an episode given as text; `file` names it in the mismatches.
 ///
@@ -72,24 +39,24 @@ pub fn replay(file: &str, text: &str) -> Result<Replay, GoldenError> {
         .map(|step| read_moves(step, environment.city(0).agents.len()))
         .collect::<Result<Vec<_>, _>>()?;
 
-    let mut comparison = Comparison { file, step: 0, mismatches: Vec::new() };
+    let mut comparison = Comparison::new(file);
     comparison.compare(&root.get("static_masks")?, &frames::static_masks(&environment, 0))?;
-    comparison.compare_frame(&states[0], &environment, length)?;
+    compare_frame(&mut comparison, &states[0], &environment, length)?;
     let mut events = Events::default();
     let mut replayed = 0;
     for (step, moves) in steps.iter().zip(&moves) {
         comparison.step = replayed;
         events.before_step(environment.city(0));
-        if !comparison.play(step, moves, &mut environment)? {
-            return Ok(Replay { steps: replayed, mismatches: comparison.mismatches });
+        if !play(&mut comparison, step, moves, &mut environment)? {
+            return Ok(comparison.finish(replayed));
         }
         events.after_step(&environment, 0, &moves.actions);
         replayed += 1;
         comparison.step = replayed;
-        comparison.compare_frame(&states[replayed], &environment, length)?;
+        compare_frame(&mut comparison, &states[replayed], &environment, length)?;
     }
     comparison.compare_whole(&root.get("events")?, &events.finish(&environment, 0));
-    Ok(Replay { steps: replayed, mismatches: comparison.mismatches })
+    Ok(comparison.finish(replayed))
 }
 
 /// What a step is given: actions and collision losers.
@@ -213,115 +180,42 @@ fn read_building(building: &Field<'_>) -> Result<BuildingState, GoldenError> {
     })
 }
 
-/// Collects the differences of one file.
-struct Comparison<'a> {
-    file: &'a str,
-    step: usize,
-    mismatches: Vec<Mismatch>,
+/// Plays one step and compares what it says; false where it cannot be played.
+fn play(
+    comparison: &mut Comparison<'_>,
+    step: &Field<'_>,
+    moves: &Moves,
+    environment: &mut SaveTheCity,
+) -> Result<bool, GoldenError> {
+    let outcome = match moves.play(environment) {
+        Ok(outcome) => outcome,
+        Err(error) => {
+            let actions = step.get("actions")?;
+            match error {
+                StepError::Unavailable { agent, .. } => {
+                    let action = &actions.items()?[agent];
+                    comparison.note(action.path(), action.value(), &error.to_string().into());
+                }
+                _ => comparison.note(actions.path(), actions.value(), &error.to_string().into()),
+            }
+            return Ok(false);
+        }
+    };
+    comparison.compare(step, &frames::step(environment, 0, &moves.actions, &outcome))?;
+    if let (Some(info), false) = (step.find("info")?, outcome.done()) {
+        comparison.note(info.path(), info.value(), &Value::Null);
+    }
+    Ok(true)
 }
 
-impl Comparison<'_> {
-    /// Plays one step and compares what it says; false where it cannot be played.
-    fn play(
-        &mut self,
-        step: &Field<'_>,
-        moves: &Moves,
-        environment: &mut SaveTheCity,
-    ) -> Result<bool, GoldenError> {
-        let outcome = match moves.play(environment) {
-            Ok(outcome) => outcome,
-            Err(error) => {
-                let actions = step.get("actions")?;
-                match error {
-                    StepError::Unavailable { agent, .. } => {
-                        let action = &actions.items()?[agent];
-                        self.note(action.path(), action.value(), &error.to_string().into());
-                    }
-                    _ => self.note(actions.path(), actions.value(), &error.to_string().into()),
-                }
-                return Ok(false);
-            }
-        };
-        self.compare(step, &frames::step(environment, 0, &moves.actions, &outcome))?;
-        if let (Some(info), false) = (step.find("info")?, outcome.done()) {
-            self.note(info.path(), info.value(), &Value::Null);
-        }
-        Ok(true)
-    }
-
-    /// Compares the state before the current step.
-    fn compare_frame(
-        &mut self,
-        state: &Field<'_>,
-        environment: &SaveTheCity,
-        length: usize,
-    ) -> Result<(), GoldenError> {
-        let due = super::record::has_features(self.step, self.step == length);
-        let features = due || state.find("feat")?.is_some();
-        self.compare(state, &frames::frame(environment, 0, features))
-    }
-
-    /// Compares a value with what the replay gives, down to single numbers.
-    ///
-    /// Collisions, features and final values differ in what they list, so they are compared as one.
-    fn compare(&mut self, want: &Field<'_>, got: &Value) -> Result<(), GoldenError> {
-        match got {
-            Value::Object(members) => {
-                for (name, got) in members {
-                    if matches!(name.as_str(), "bounces" | "feat" | "info") {
-                        self.compare_whole(&want.get(name)?, got);
-                    } else {
-                        self.compare(&want.get(name)?, got)?;
-                    }
-                }
-            }
-            Value::Array(items) => {
-                for (want, got) in want.exactly(items.len())?.iter().zip(items) {
-                    self.compare(want, got)?;
-                }
-            }
-            Value::Bool(_) => {
-                want.flag()?;
-                self.compare_whole(want, got);
-            }
-            _ => {
-                want.number()?;
-                self.compare_whole(want, got);
-            }
-        }
-        Ok(())
-    }
-
-    fn compare_whole(&mut self, want: &Field<'_>, got: &Value) {
-        if !same(want.value(), got) {
-            self.note(want.path(), want.value(), got);
-        }
-    }
-
-    fn note(&mut self, field: &str, want: &Value, got: &Value) {
-        self.mismatches.push(Mismatch {
-            file: self.file.into(),
-            step: self.step,
-            field: field.into(),
-            want: want.clone(),
-            got: got.clone(),
-        });
-    }
-}
-
-/// Equality in which an integer equals the float of the same value, and floats are equal bit for bit.
-fn same(one: &Value, other: &Value) -> bool {
-    match (one, other) {
-        (Value::Number(one), Value::Number(other)) => {
-            one.as_f64().map(f64::to_bits) == other.as_f64().map(f64::to_bits)
-        }
-        (Value::Array(one), Value::Array(other)) => {
-            one.len() == other.len() && one.iter().zip(other).all(|(one, other)| same(one, other))
-        }
-        (Value::Object(one), Value::Object(other)) => {
-            one.len() == other.len()
-                && one.iter().all(|(name, one)| other.get(name).is_some_and(|it| same(one, it)))
-        }
-        _ => one == other,
-    }
+/// Compares the state before the current step.
+fn compare_frame(
+    comparison: &mut Comparison<'_>,
+    state: &Field<'_>,
+    environment: &SaveTheCity,
+    length: usize,
+) -> Result<(), GoldenError> {
+    let due = super::record::has_features(comparison.step, comparison.step == length);
+    let features = due || state.find("feat")?.is_some();
+    comparison.compare(state, &frames::frame(environment, 0, features))
 }

@@ -20,7 +20,7 @@ pub enum GoldenError {
 }
 
 impl GoldenError {
-    pub(super) fn field(field: impl Into<String>, reason: impl Into<String>) -> Self {
+    pub(crate) fn field(field: impl Into<String>, reason: impl Into<String>) -> Self {
         Self::Field { field: field.into(), reason: reason.into() }
     }
 }

@@ -1,0 +1,83 @@
+//! The sizes and chances of a ring.
+
+use serde::{Deserialize, Serialize};
+
+use super::error::ParametersError;
+
+/// Most agents: sets of them are 128 bits.
+pub const MAX_AGENTS: usize = 128;
+/// Most cells: a cell is one byte of a state.
+pub const MAX_CELLS: usize = 256;
+/// Most groups.
+pub const MAX_GROUPS: usize = 128;
+
+/// The names of sets that reports and lists show; every `AGENTSxCELLSxGROUPS` is one.
+pub const SET_NAMES: [&str; 2] = ["8x6x2", "8x6x2-fixed"];
+
+/// What the rules leave open, with the dissertation's values as default.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Parameters {
+    /// Agents.
+    pub agents: usize,
+    /// Cells of the ring.
+    pub cells: usize,
+    /// Groups.
+    pub groups: usize,
+    /// Chance per agent and step that its action is replaced by a random one.
+    pub noise: f64,
+    /// Most steps of an episode.
+    pub episode_limit: u32,
+    /// Whether all episodes have the same groups, of agents that stand beside each other in number.
+    pub fixed_groups: bool,
+}
+
+impl Default for Parameters {
+    fn default() -> Self {
+        Self { agents: 8, cells: 6, groups: 2, noise: 0.1, episode_limit: 50, fixed_groups: false }
+    }
+}
+
+impl Parameters {
+    /// The parameters of a set such as `8x6x2`: agents, cells, groups; `-fixed` for the same groups always.
+    pub fn named(name: &str) -> Result<Self, ParametersError> {
+        let unknown = || ParametersError::UnknownSet(name.into());
+        let sizes = name.strip_suffix("-fixed").unwrap_or(name);
+        let mut sizes = sizes.split('x').map(|size| size.parse().map_err(|_| unknown()));
+        let mut size = || sizes.next().ok_or_else(unknown)?;
+        let parameters = Self {
+            agents: size()?,
+            cells: size()?,
+            groups: size()?,
+            fixed_groups: name.ends_with("-fixed"),
+            ..Self::default()
+        };
+        if sizes.next().is_some() {
+            return Err(unknown());
+        }
+        parameters.check()?;
+        Ok(parameters)
+    }
+
+    /// Refuses what the rules do not allow.
+    pub fn check(&self) -> Result<(), ParametersError> {
+        for (what, count, most) in [
+            ("agents", self.agents, MAX_AGENTS),
+            ("cells", self.cells, MAX_CELLS),
+            ("groups", self.groups, MAX_GROUPS),
+        ] {
+            if !(1..=most).contains(&count) {
+                return Err(ParametersError::Size { what, count, most });
+            }
+        }
+        if !(0.0..=1.0).contains(&self.noise) {
+            return Err(ParametersError::Noise);
+        }
+        if self.episode_limit == 0 { Err(ParametersError::NoSteps) } else { Ok(()) }
+    }
+
+    /// Columns of a feature row.
+    pub fn features(&self) -> usize {
+        self.cells + self.groups + self.agents
+    }
+}

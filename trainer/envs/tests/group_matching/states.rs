@@ -1,0 +1,62 @@
+//! States as bytes: saved, loaded, viewed, and refused where they are none.
+
+use sortie_envs::group_matching::{GroupMatching, Parameters, StateError, state_bytes};
+use sortie_envs::random::generator;
+
+use super::{for_random_states, ring};
+
+#[test]
+fn a_loaded_state_goes_on_as_the_saved_one_does() {
+    for_random_states(5, |world, label| {
+        let parameters = *world.parameters();
+        let mut bytes = Vec::new();
+        world.save(0, &mut bytes);
+        assert_eq!(bytes.len(), state_bytes(&parameters), "{label}");
+        let mut other = GroupMatching::new(parameters, 1).unwrap();
+        other.load(0, &bytes).unwrap();
+        assert_eq!((other.ring(0), other.metrics(0)), (world.ring(0), world.metrics(0)), "{label}");
+        let view = world.view(&bytes);
+        assert_eq!(view, Ok((world.ring(0), world.metrics(0).steps)), "{label}");
+
+        let (mut one, mut random) = (world.clone(), [generator(1), generator(1)]);
+        let actions = vec![2; parameters.agents];
+        for _ in 0..3 {
+            let outcome = one.step(0, &actions, &mut random[0]);
+            assert_eq!(outcome, other.step(0, &actions, &mut random[1]), "{label}");
+            assert_eq!((one.ring(0), one.metrics(0)), (other.ring(0), other.metrics(0)));
+        }
+    });
+}
+
+#[test]
+fn bytes_that_hold_no_state_are_refused_and_change_nothing() {
+    let mut world = ring("5x6x2");
+    world.reset(0, &mut generator(1));
+    let mut good = Vec::new();
+    world.save(0, &mut good);
+    let with = |at: usize, bytes: &[u8]| {
+        let mut state = good.clone();
+        state[at..at + bytes.len()].copy_from_slice(bytes);
+        state
+    };
+    let length = |found| StateError::Length { found, expected: good.len() };
+    for (state, want) in [
+        (Vec::new(), length(0)),
+        (good[..9].to_vec(), length(9)),
+        ([&*good, &[0]].concat(), length(good.len() + 1)),
+        (with(0, &[2]), StateError::Layout { found: 2 }),
+        (with(1, &51_u32.to_le_bytes()), StateError::Steps(51)),
+        (with(5, &f64::NAN.to_le_bytes()), StateError::Return),
+        (with(14, &[6]), StateError::Cell { agent: 1, cell: 6 }),
+        (with(18, &[0b100000, 0b11111]), StateError::Member { group: 0 }),
+        (with(18, &[0b00011, 0b10110]), StateError::NoGroup { agent: 3 }),
+    ] {
+        assert_eq!(world.load(0, &state), Err(want));
+        assert!(want.to_string().starts_with("the state of a ring "), "{want}");
+        let mut after = Vec::new();
+        world.save(0, &mut after);
+        assert_eq!(after, good);
+    }
+    let other = GroupMatching::new(Parameters::default(), 1).unwrap();
+    assert_eq!(other.view(&good), Err(StateError::Length { found: 20, expected: 23 }));
+}
