@@ -5,9 +5,10 @@
 //! Per query that takes `2 E^2` multiplications, and `2 H E` per visible entity, where keys and values
 //! take `2 E^2` per entity: a gain where entities are seen by few queries each.
 
-use super::wide::{Work, run_widest};
-
-use super::attention::{AttentionShape, VisibleLists, softmax_columns, softmax_columns_backward};
+use super::attention::{
+    AttentionShape, AttentionWork, VisibleLists, run_sized, softmax_columns,
+    softmax_columns_backward,
+};
 use super::matrix::{Matrix, MatrixMut, Store, multiply};
 use super::vectors::{add_scaled, dots_with, weighted_sum};
 
@@ -90,7 +91,7 @@ impl AbsorbedAttention {
             );
         }
         let Self { absorbed, weights, sums, .. } = self;
-        run_widest(Attend { shape, visible, entities, absorbed, weights, sums });
+        run_sized::<32, 64, 64>(Attend { shape, visible, entities, absorbed, weights, sums });
         for h in 0..heads {
             multiply(
                 MatrixMut::new(output, count, width).columns(h * head..(h + 1) * head),
@@ -149,7 +150,7 @@ impl AbsorbedAttention {
             d_absorbed: &mut self.d_absorbed,
             d_entities: pass.d_entities,
         };
-        run_widest(attended);
+        run_sized::<32, 64, 64>(attended);
         let queries = Matrix::new(pass.queries, count, width);
         for h in 0..heads {
             let (narrow, broad) = (h * head..(h + 1) * head, h * width..(h + 1) * width);
@@ -180,21 +181,13 @@ struct Attend<'a> {
     sums: &'a mut [f32],
 }
 
-impl Work for Attend<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        match self.shape {
-            AttentionShape::USUAL => self.attend(AttentionShape::USUAL),
-            shape => self.attend(shape),
-        }
+impl AttentionWork for Attend<'_> {
+    fn shape(&self) -> AttentionShape {
+        self.shape
     }
-}
 
-impl Attend<'_> {
     #[inline(always)]
-    fn attend(self, shape: AttentionShape) {
+    fn pass<const LANES: usize>(self, shape: AttentionShape) {
         let AttentionShape { width, heads } = shape;
         let (wide, scale) = (heads * width, shape.scale());
         let entity = |row: &u32| &self.entities[*row as usize * width..][..width];
@@ -210,7 +203,11 @@ impl Attend<'_> {
             softmax_columns(weights, heads);
             for (h, sum) in sums.chunks_exact_mut(width).enumerate() {
                 let rows = list.iter().zip(weights.chunks_exact(heads));
-                weighted_sum::<64>(None, rows.map(|(row, weights)| (weights[h], entity(row))), sum);
+                weighted_sum::<LANES>(
+                    None,
+                    rows.map(|(row, weights)| (weights[h], entity(row))),
+                    sum,
+                );
             }
         }
     }
@@ -229,21 +226,13 @@ struct AttendBackward<'a> {
     d_entities: &'a mut [f32],
 }
 
-impl Work for AttendBackward<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        match self.shape {
-            AttentionShape::USUAL => self.descend(AttentionShape::USUAL),
-            shape => self.descend(shape),
-        }
+impl AttentionWork for AttendBackward<'_> {
+    fn shape(&self) -> AttentionShape {
+        self.shape
     }
-}
 
-impl AttendBackward<'_> {
     #[inline(always)]
-    fn descend(self, shape: AttentionShape) {
+    fn pass<const LANES: usize>(self, shape: AttentionShape) {
         let AttentionShape { width, heads } = shape;
         let (wide, scale) = (heads * width, shape.scale());
         let entity = |row: &u32| &self.entities[*row as usize * width..][..width];
@@ -266,7 +255,7 @@ impl AttendBackward<'_> {
             for (h, d_absorbed) in d_absorbed.chunks_exact_mut(width).enumerate() {
                 let rows = list.iter().zip(d_scores.chunks_exact(heads));
                 let terms = rows.map(|(row, d_scores)| (d_scores[h], entity(row)));
-                weighted_sum::<64>(None, terms, d_absorbed);
+                weighted_sum::<LANES>(None, terms, d_absorbed);
             }
             let pairs = weights.chunks_exact(heads).zip(d_scores.chunks_exact(heads));
             for (row, (weights, d_scores)) in list.iter().zip(pairs) {
@@ -288,8 +277,12 @@ mod tests {
     use crate::layers::attention;
 
     /// The usual sizes, and fewer heads than are computed at once.
-    const SHAPES: [AttentionShape; 2] =
-        [AttentionShape::USUAL, AttentionShape { width: 8, heads: 2 }];
+    const SHAPES: [AttentionShape; 4] = [
+        AttentionShape::WIDTH_32,
+        AttentionShape::WIDTH_64,
+        AttentionShape::WIDTH_128,
+        AttentionShape { width: 8, heads: 2 },
+    ];
     const QUERIES: usize = 3;
     const ROWS: usize = 5;
 

@@ -80,12 +80,52 @@ pub struct AttentionShape {
 }
 
 impl AttentionShape {
-    /// The sizes of the presets, for which the passes are built with constant sizes.
-    pub(super) const USUAL: Self = Self { width: 64, heads: 4 };
+    /// The usual sizes, for which the passes are built with constants: that unrolls their inner loops and
+    /// leaves no checks in them.
+    pub(super) const WIDTH_32: Self = Self { width: 32, heads: 4 };
+    pub(super) const WIDTH_64: Self = Self { width: 64, heads: 4 };
+    pub(super) const WIDTH_128: Self = Self { width: 128, heads: 4 };
 
     #[inline(always)]
     pub(super) fn scale(self) -> f32 {
         1.0 / ((self.width / self.heads) as f32).sqrt()
+    }
+}
+
+/// A pass whose sizes may be constants.
+pub(super) trait AttentionWork {
+    /// The sizes.
+    fn shape(&self) -> AttentionShape;
+
+    /// Runs the pass, summing `LANES` columns at a time; to be `#[inline(always)]`.
+    fn pass<const LANES: usize>(self, shape: AttentionShape);
+}
+
+/// Runs a pass, built for its sizes if they are usual, with so many columns summed at a time for each width.
+pub(super) fn run_sized<const NARROW: usize, const MEDIUM: usize, const BROAD: usize>(
+    work: impl AttentionWork,
+) {
+    match work.shape() {
+        AttentionShape::WIDTH_32 => run_widest(Sized::<_, 32, NARROW>(work)),
+        AttentionShape::WIDTH_64 => run_widest(Sized::<_, 64, MEDIUM>(work)),
+        AttentionShape::WIDTH_128 => run_widest(Sized::<_, 128, BROAD>(work)),
+        _ => run_widest(Sized::<_, 0, MEDIUM>(work)),
+    }
+}
+
+/// A pass of a usual width, or of any if `WIDTH` is 0.
+struct Sized<W, const WIDTH: usize, const LANES: usize>(W);
+
+impl<W: AttentionWork, const WIDTH: usize, const LANES: usize> Work for Sized<W, WIDTH, LANES> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let shape = match WIDTH {
+            0 => self.0.shape(),
+            width => AttentionShape { width, heads: 4 },
+        };
+        self.0.pass::<LANES>(shape);
     }
 }
 
@@ -100,7 +140,7 @@ pub fn forward(
     weights: &mut [f32],
     output: &mut [f32],
 ) {
-    run_widest(Forward { shape, visible, queries, keys_values, weights, output });
+    run_sized::<8, 16, 32>(Forward { shape, visible, queries, keys_values, weights, output });
 }
 
 struct Forward<'a> {
@@ -112,22 +152,13 @@ struct Forward<'a> {
     output: &'a mut [f32],
 }
 
-impl Work for Forward<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        // With sizes that the compiler knows, the inner loops are unrolled and unchecked.
-        match self.shape {
-            AttentionShape::USUAL => self.attend(AttentionShape::USUAL),
-            shape => self.attend(shape),
-        }
+impl AttentionWork for Forward<'_> {
+    fn shape(&self) -> AttentionShape {
+        self.shape
     }
-}
 
-impl Forward<'_> {
     #[inline(always)]
-    fn attend(self, shape: AttentionShape) {
+    fn pass<const LANES: usize>(self, shape: AttentionShape) {
         let AttentionShape { width, heads } = shape;
         let (head, scale) = (width / heads, shape.scale());
         for (index, output) in self.output.chunks_exact_mut(width).enumerate() {
@@ -145,7 +176,7 @@ impl Forward<'_> {
                     let value = (*row as usize * 2 + 1) * width + h * head;
                     (weights[h], &self.keys_values[value..][..head])
                 });
-                weighted_sum::<16>(None, values, output);
+                weighted_sum::<LANES>(None, values, output);
             }
         }
     }
@@ -172,7 +203,7 @@ pub struct Backward<'a> {
 
 /// Writes the gradients of queries, keys and values.
 pub fn backward(shape: AttentionShape, visible: &VisibleLists, pass: Backward<'_>) {
-    run_widest(BackwardWork { shape, visible, pass });
+    run_sized::<8, 16, 32>(BackwardWork { shape, visible, pass });
 }
 
 struct BackwardWork<'a> {
@@ -181,21 +212,13 @@ struct BackwardWork<'a> {
     pass: Backward<'a>,
 }
 
-impl Work for BackwardWork<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        match self.shape {
-            AttentionShape::USUAL => self.descend(AttentionShape::USUAL),
-            shape => self.descend(shape),
-        }
+impl AttentionWork for BackwardWork<'_> {
+    fn shape(&self) -> AttentionShape {
+        self.shape
     }
-}
 
-impl BackwardWork<'_> {
     #[inline(always)]
-    fn descend(self, shape: AttentionShape) {
+    fn pass<const LANES: usize>(self, shape: AttentionShape) {
         let Self { visible, pass, .. } = self;
         let AttentionShape { width, heads } = shape;
         let (head, scale) = (width / heads, shape.scale());
@@ -231,7 +254,7 @@ impl BackwardWork<'_> {
                 let keys = list.iter().zip(d_scores.chunks_exact(heads)).map(|(row, d_scores)| {
                     (d_scores[h], &pass.keys_values[*row as usize * 2 * width + h * head..][..head])
                 });
-                weighted_sum::<16>(None, keys, d_query);
+                weighted_sum::<LANES>(None, keys, d_query);
             }
             for (row, d_scores) in list.iter().zip(d_scores.chunks_exact(heads)) {
                 let d_key = &mut pass.d_keys_values[*row as usize * 2 * width..][..width];
@@ -324,8 +347,10 @@ mod tests {
     use crate::gradient_check::{assert_gradient, random};
 
     /// The usual sizes, a group of heads with one more, and fewer heads than a group.
-    const SHAPES: [AttentionShape; 3] = [
-        AttentionShape::USUAL,
+    const SHAPES: [AttentionShape; 5] = [
+        AttentionShape::WIDTH_32,
+        AttentionShape::WIDTH_64,
+        AttentionShape::WIDTH_128,
         AttentionShape { width: 30, heads: 5 },
         AttentionShape { width: 8, heads: 2 },
     ];

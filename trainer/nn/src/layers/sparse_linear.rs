@@ -102,13 +102,25 @@ impl Work for Forward<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let width = self.bias.len();
+        match self.bias.len() {
+            32 => self.sum::<32>(32),
+            64 => self.sum::<64>(64),
+            128 => self.sum::<64>(128),
+            width => self.sum::<64>(width),
+        }
+    }
+}
+
+impl Forward<'_> {
+    /// Sums `LANES` columns at a time. The usual widths are constants, which unrolls the loops.
+    #[inline(always)]
+    fn sum<const LANES: usize>(self, width: usize) {
         for (row, y) in self.y.chunks_exact_mut(width).enumerate() {
             let terms = self
                 .x
                 .row(row)
                 .map(|(column, value)| (value, &self.weight[column * width..][..width]));
-            weighted_sum::<USUAL_WIDTH>(Some(self.bias), terms, y);
+            weighted_sum::<LANES>(Some(self.bias), terms, y);
         }
     }
 }
@@ -131,14 +143,13 @@ impl Work for Backward<'_> {
     #[inline(always)]
     fn run(self) {
         match self.d_bias.len() {
-            USUAL_WIDTH => self.descend(USUAL_WIDTH),
+            32 => self.descend(32),
+            64 => self.descend(64),
+            128 => self.descend(128),
             width => self.descend(width),
         }
     }
 }
-
-/// The width of the presets, for which the loops are built with a constant length.
-const USUAL_WIDTH: usize = 64;
 
 impl Backward<'_> {
     #[inline(always)]

@@ -5,9 +5,11 @@
 //! Where furthermore only the sum over a team's queries is asked for, weights are added up before rows
 //! are. Both are exact.
 
-use super::attention::{AttentionShape, VisibleLists, softmax_columns, softmax_columns_backward};
+use super::attention::{
+    AttentionShape, AttentionWork, VisibleLists, run_sized, softmax_columns,
+    softmax_columns_backward,
+};
 use super::vectors::{add_scaled, add_weighted_sum, dots, dots_with, weighted_sum};
-use super::wide::{Work, run_widest};
 
 /// Teams of queries and the rows that each team attends to.
 ///
@@ -107,11 +109,6 @@ impl Sums {
     }
 }
 
-/// Sizes for which the passes are built with constants: those of the dissertation's experiments.
-const USUAL: AttentionShape = AttentionShape { width: 128, heads: 4 };
-/// Columns that are summed in registers.
-const LANES: usize = 64;
-
 /// The tensors of a forward pass.
 #[derive(Debug)]
 pub struct Forward<'a> {
@@ -129,7 +126,7 @@ pub struct Forward<'a> {
 
 /// Writes attention weights and weighted sums of rows.
 pub fn forward(shape: AttentionShape, teams: &TeamLists, sums: Sums, pass: Forward<'_>) {
-    run_widest(ForwardWork { shape, teams, sums, pass });
+    run_sized::<32, 64, 64>(ForwardWork { shape, teams, sums, pass });
 }
 
 struct ForwardWork<'a> {
@@ -139,21 +136,13 @@ struct ForwardWork<'a> {
     pass: Forward<'a>,
 }
 
-impl Work for ForwardWork<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        match self.shape {
-            USUAL => self.attend(USUAL),
-            shape => self.attend(shape),
-        }
+impl AttentionWork for ForwardWork<'_> {
+    fn shape(&self) -> AttentionShape {
+        self.shape
     }
-}
 
-impl ForwardWork<'_> {
     #[inline(always)]
-    fn attend(self, shape: AttentionShape) {
+    fn pass<const LANES: usize>(self, shape: AttentionShape) {
         let Self { teams, sums, pass, .. } = self;
         let (mut weights, mut out) = (pass.weights, pass.sums);
         let mut totals = Vec::new();
@@ -169,13 +158,19 @@ impl ForwardWork<'_> {
                 Sums::PerQuery => {
                     let out = out.split_off_mut(..queries.len() * wide).expect("one per query");
                     for (index, out) in out.chunks_exact_mut(wide).enumerate() {
-                        sum_rows(shape, &own[index * count..][..count], pass.rows, rows, out);
+                        sum_rows::<LANES>(
+                            shape,
+                            &own[index * count..][..count],
+                            pass.rows,
+                            rows,
+                            out,
+                        );
                     }
                 }
                 Sums::PerTeam => {
                     add_up(own, count, &mut totals);
                     let out = out.split_off_mut(..wide).expect("one per team");
-                    sum_rows(shape, &totals, pass.rows, rows, out);
+                    sum_rows::<LANES>(shape, &totals, pass.rows, rows, out);
                 }
             }
         }
@@ -196,7 +191,13 @@ fn weigh(shape: AttentionShape, query: &[f32], keys: &[f32], list: &[u32], weigh
 
 /// Writes for each head the sum of the listed rows, weighted by `weights [list, heads]`.
 #[inline(always)]
-fn sum_rows(shape: AttentionShape, weights: &[f32], rows: &[f32], list: &[u32], out: &mut [f32]) {
+fn sum_rows<const LANES: usize>(
+    shape: AttentionShape,
+    weights: &[f32],
+    rows: &[f32],
+    list: &[u32],
+    out: &mut [f32],
+) {
     let AttentionShape { width, heads } = shape;
     for (head, out) in out.chunks_exact_mut(width).enumerate() {
         let terms = list
@@ -240,7 +241,7 @@ pub struct Backward<'a> {
 
 /// Writes the gradients of queries, keys and rows.
 pub fn backward(shape: AttentionShape, teams: &TeamLists, sums: Sums, pass: Backward<'_>) {
-    run_widest(BackwardWork { shape, teams, sums, pass });
+    run_sized::<32, 64, 64>(BackwardWork { shape, teams, sums, pass });
 }
 
 struct BackwardWork<'a> {
@@ -250,21 +251,13 @@ struct BackwardWork<'a> {
     pass: Backward<'a>,
 }
 
-impl Work for BackwardWork<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        match self.shape {
-            USUAL => self.descend(USUAL),
-            shape => self.descend(shape),
-        }
+impl AttentionWork for BackwardWork<'_> {
+    fn shape(&self) -> AttentionShape {
+        self.shape
     }
-}
 
-impl BackwardWork<'_> {
     #[inline(always)]
-    fn descend(self, shape: AttentionShape) {
+    fn pass<const LANES: usize>(self, shape: AttentionShape) {
         let Self { teams, sums, mut pass, .. } = self;
         pass.d_keys.fill(0.0);
         pass.d_rows.fill(0.0);
@@ -278,7 +271,7 @@ impl BackwardWork<'_> {
                 let d_sums = d_sums.split_off(..wide).expect("one per team");
                 add_up(own, count, &mut totals);
                 d_totals.resize(count, 0.0);
-                descend_sum(shape, &totals, list, d_sums, &mut pass, &mut d_totals);
+                descend_sum::<LANES>(shape, &totals, list, d_sums, &mut pass, &mut d_totals);
             }
             for (query, weights) in queries.zip(own.chunks_exact(count.max(1))) {
                 if sums == Sums::PerTeam {
@@ -286,7 +279,7 @@ impl BackwardWork<'_> {
                 } else {
                     let d_sums = d_sums.split_off(..wide).expect("one per query");
                     d_scores.resize(count, 0.0);
-                    descend_sum(shape, weights, list, d_sums, &mut pass, &mut d_scores);
+                    descend_sum::<LANES>(shape, weights, list, d_sums, &mut pass, &mut d_scores);
                 }
                 softmax_columns_backward(weights, &mut d_scores, shape.heads);
                 descend_scores(shape, query, list, &mut d_scores, &mut pass);
@@ -297,7 +290,7 @@ impl BackwardWork<'_> {
 
 /// Goes back through [`sum_rows`]: adds to the rows' gradients, writes that of the weights.
 #[inline(always)]
-fn descend_sum(
+fn descend_sum<const LANES: usize>(
     shape: AttentionShape,
     weights: &[f32],
     list: &[u32],
@@ -350,7 +343,12 @@ mod tests {
     use super::*;
     use crate::gradient_check::{assert_gradient, random};
 
-    const SHAPES: [AttentionShape; 2] = [USUAL, AttentionShape { width: 6, heads: 3 }];
+    const SHAPES: [AttentionShape; 4] = [
+        AttentionShape::WIDTH_32,
+        AttentionShape::WIDTH_64,
+        AttentionShape::WIDTH_128,
+        AttentionShape { width: 6, heads: 3 },
+    ];
     const ROWS: usize = 5;
 
     /// A team of two, one of nobody, one of one; the last two attend to rows of the first.
