@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use sortie_bundle::files::{Durability, replace_file};
-use sortie_envs::StepOutcome;
+use sortie_envs::Step;
 use sortie_envs::save_the_city::golden::{Labels, Recorder};
 use sortie_learn::LearnError;
 use sortie_learn::evaluate::{Onlooker, Watched};
@@ -47,7 +47,7 @@ impl Onlooker for EpisodeWriter {
         &mut self,
         watched: Watched<'_>,
         actions: &[u16],
-        outcome: &StepOutcome,
+        outcome: &Step,
     ) -> Result<(), LearnError> {
         let Watched { episode, worlds, instance } = watched;
         if let Some(recorder) = self.recorders.get_mut(&episode) {

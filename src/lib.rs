@@ -1,6 +1,5 @@
 //! The command line of Sortie: teams of learned agents, from training to deployment.
 
-mod allocation;
 mod allocator;
 mod arguments;
 mod bench;
@@ -22,7 +21,6 @@ mod latency;
 mod manual;
 mod observations;
 mod onnxruntime;
-mod options;
 mod output;
 mod policy;
 mod progress;

@@ -4,11 +4,11 @@ use std::time::Duration;
 
 use console::Term;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use sortie_envs::StepOutcome;
+use sortie_envs::Step;
 use sortie_learn::LearnError;
 use sortie_learn::evaluate::{Onlooker, Watched};
 
-use crate::options::Common;
+use crate::arguments::Common;
 use crate::terminal;
 
 /// A bar over so many things; it shows nothing where nobody looks, or where quiet or JSON was wanted.
@@ -54,7 +54,7 @@ impl Onlooker for CountedEpisodes<'_> {
         &mut self,
         watched: Watched<'_>,
         actions: &[u16],
-        outcome: &StepOutcome,
+        outcome: &Step,
     ) -> Result<(), LearnError> {
         if outcome.done() {
             self.bar.inc(1);

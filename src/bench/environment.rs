@@ -1,17 +1,17 @@
 //! Environment steps per core-second.
 
+use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use clap::Args;
 use sortie_envs::random::generator;
-use sortie_envs::save_the_city::{Constants, SaveTheCity, ScenarioSet, observe_and_step};
-use sortie_envs::{Environment, ObservationBuffers};
+use sortie_envs::{Split, observe_and_step, open};
 
 use super::{Figures, Measuring, Row, pin, thread_cpu_s};
 use crate::environment::ScenarioSetName;
 use crate::failure::Failure;
 
-/// Cities that are stepped in turn.
+/// Instances that are stepped in turn.
 const INSTANCES: usize = 16;
 /// Rounds between two looks at the clock.
 const ROUNDS: usize = 2_000;
@@ -28,18 +28,17 @@ pub(super) struct EnvironmentArguments {
 
 pub(super) fn measure(arguments: &EnvironmentArguments) -> Result<Figures, Failure> {
     let name = ScenarioSetName::parse(&arguments.env)?;
-    let set = ScenarioSet::named(name.set()).map_err(Failure::bug)?;
     let seed = arguments.measuring.common.seed;
-    let mut city =
-        SaveTheCity::new(set, Constants::default(), INSTANCES, seed).map_err(Failure::bug)?;
-    let mut buffers = ObservationBuffers::new(&city.shape());
-    let mut rng = generator(seed);
+    let mut environment =
+        open(&name.to_string(), Split::Train, INSTANCES, &BTreeMap::new()).map_err(Failure::bug)?;
+    let mut random = generator(seed);
+    (0..INSTANCES).for_each(|instance| environment.reset(instance, &mut random));
     pin(arguments.measuring.pin)?;
     let mut rates = Vec::new();
     let until = Instant::now() + Duration::from_secs_f64(arguments.measuring.seconds);
     while rates.is_empty() || Instant::now() < until {
         let start_s = thread_cpu_s();
-        std::hint::black_box(observe_and_step(&mut city, &mut buffers, &mut rng, ROUNDS));
+        std::hint::black_box(observe_and_step(&mut *environment, &mut random, ROUNDS));
         rates.push((ROUNDS * INSTANCES) as f64 / (thread_cpu_s() - start_s) / 1e6);
     }
     rates.sort_by(f64::total_cmp);

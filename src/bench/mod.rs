@@ -11,7 +11,6 @@ mod proposals;
 mod quantised;
 mod rounds;
 mod scenes;
-mod schedule;
 mod team;
 mod train;
 
@@ -20,9 +19,9 @@ use rustix::thread::{CpuSet, sched_setaffinity};
 use rustix::time::{ClockId, clock_gettime};
 use serde::Serialize;
 
+use crate::arguments::Common;
 use crate::engines::engines;
 use crate::failure::{Exit, Failure, Outcome};
-use crate::options::Common;
 use crate::output::{Table, print_json, say};
 use rounds::{Engine, Measured, paired_ratio};
 

@@ -5,6 +5,7 @@ use std::time::Duration;
 use clap::Args;
 use sortie_bundle::Bundle;
 use sortie_core::World;
+use sortie_envs::random::generator;
 use sortie_envs::save_the_city::{Constants, SaveTheCity, ScenarioSet};
 use sortie_ipc::{
     Domain, DomainContract, Fill, RealTime, Stop, WorldSettings, world_process,
@@ -15,7 +16,7 @@ use super::ledger::Ledger;
 use super::onlooker::{Display, Onlooker};
 use super::report::{Manner, Setup, report};
 use super::{positive_seconds, rate};
-use crate::allocation::AllocatorChoice;
+use crate::arguments::AllocatorChoice;
 use crate::deployment::model_id;
 use crate::environment::{ScenarioSetName, check_fits};
 use crate::failure::{Exit, Failure, Outcome};
@@ -62,7 +63,7 @@ pub(super) fn open_world(
     let set = ScenarioSet::named(set.set()).map_err(Failure::bug)?;
     check_fits(bundle, &set)?;
     let city = SaveTheCity::new(set, Constants::default(), 1, seed).map_err(Failure::bug)?;
-    Ok(CityWorld::new(city))
+    Ok(CityWorld::new(city, generator(seed)))
 }
 
 /// The world's part of a team.

@@ -1,9 +1,9 @@
 //! Watches an episode and writes it down.
 
+use sortie_envs::Environment;
 use sortie_envs::save_the_city::{
     AgentKind, BuildingKind, City, DecisionPoints, EpisodeMetrics, MAX_AGENTS, UNASSIGNED,
 };
-use sortie_envs::{StepOutcome, Subtasks};
 use sortie_learn::LearnError;
 use sortie_learn::evaluate::{Onlooker, PolicyTeam, Scene, Team, Watched};
 
@@ -158,7 +158,7 @@ impl Onlooker for StepLog {
         &mut self,
         watched: Watched<'_>,
         actions: &[u16],
-        outcome: &StepOutcome,
+        outcome: &sortie_envs::Step,
     ) -> Result<(), LearnError> {
         let Watched { worlds, instance, .. } = watched;
         let city = worlds.city(instance);

@@ -10,10 +10,9 @@ use sortie_core::world::{Shape, StepOutcome, UnavailableAction, World};
 use sortie_core::{AllocateError, AllocationState, Allocator, EntityMask};
 use sortie_envs::random::generator;
 use sortie_envs::save_the_city::{
-    ACTIONS, AllocationRule, CityDecoder, CityRows, DecodeError, MAX_AGENTS, MAX_BUILDINGS,
-    RELATIONS, SaveTheCity,
+    AllocationRule, CityDecoder, CityRows, DecodeError, RELATIONS, SaveTheCity,
 };
-use sortie_envs::{Environment, ObservationMut, StepError};
+use sortie_envs::{EntitySet, Environment, Observation, Random, StepError};
 
 use super::tally::{FinishedEpisode, Tally};
 
@@ -21,16 +20,30 @@ use super::tally::{FinishedEpisode, Tally};
 pub(crate) type SharedTally = Rc<RefCell<Tally>>;
 
 /// One city that a team of processes acts in, shared with the onlooker that draws it.
-#[derive(Clone)]
 pub(crate) struct CityWorld {
     pub(crate) city: Rc<RefCell<SaveTheCity>>,
     pub(crate) tally: SharedTally,
+    random: Random,
+    seen: RefCell<Seen>,
+}
+
+/// Space for what there is to see.
+#[derive(Default)]
+struct Seen {
+    state: Vec<u8>,
+    observation: Observation,
 }
 
 impl CityWorld {
-    /// A world over the first instance of `city`.
-    pub(crate) fn new(city: SaveTheCity) -> Self {
-        Self { city: Rc::new(RefCell::new(city)), tally: SharedTally::default() }
+    /// A world over the first instance of `city`, which begins an episode.
+    pub(crate) fn new(mut city: SaveTheCity, mut random: Random) -> Self {
+        city.reset(0, &mut random);
+        Self {
+            city: Rc::new(RefCell::new(city)),
+            tally: SharedTally::default(),
+            random,
+            seen: RefCell::default(),
+        }
     }
 }
 
@@ -47,46 +60,21 @@ impl World for CityWorld {
     }
 
     fn reset(&mut self) {
-        self.city.borrow_mut().reset(0);
+        self.city.borrow_mut().reset(0, &mut self.random);
     }
 
     fn observe(&self, frame: &mut FrameMut<'_>) {
-        let city = self.city.borrow();
-        let mut present = 0;
-        let mut observable = [0; MAX_AGENTS];
-        let mut entity_task = [0; MAX_AGENTS + MAX_BUILDINGS];
-        let mut available = [0; MAX_AGENTS * ACTIONS];
-        let mut open_tasks = 0;
-        let stride = frame.layout().stride();
-        city.observe(
-            0,
-            &mut ObservationMut {
-                rows: frame.rows_mut(),
-                stride,
-                present: &mut present,
-                observable: &mut observable,
-                entity_task: &mut entity_task,
-                available: &mut available,
-                open_tasks: &mut open_tasks,
-            },
-        );
-        frame.set_present(&entity_mask(present));
-        frame.set_open_tasks(open_tasks);
-        let shape = city.shape();
-        for (agent, (entities, codes)) in
-            observable.iter().zip(available.chunks_exact(ACTIONS)).enumerate().take(shape.agents)
-        {
-            frame.set_observable(agent, &entity_mask(*entities));
-            frame.available_mut(agent).copy_from_slice(codes);
-        }
-        for (entity, tasks) in entity_task.iter().enumerate().skip(shape.agents) {
-            frame.set_entity_task(entity, *tasks);
-        }
+        let (city, mut seen) = (self.city.borrow(), self.seen.borrow_mut());
+        let Seen { state, observation } = &mut *seen;
+        state.clear();
+        city.save(0, state);
+        city.observe(state, 0, EntitySet::MAX, observation);
+        write_frame(observation, &city.shape(), frame);
     }
 
     fn step(&mut self, actions: &[u16]) -> Result<StepOutcome, UnavailableAction> {
         let mut city = self.city.borrow_mut();
-        let outcome = city.step(0, actions).map_err(|error| match error {
+        let outcome = city.step(0, actions, &mut self.random).map_err(|error| match error {
             StepError::Unavailable { agent, action } => UnavailableAction { agent, action },
             _ => UnavailableAction { agent: 0, action: sortie_core::NO_ACTION },
         })?;
@@ -96,6 +84,31 @@ impl World for CityWorld {
             self.tally.borrow_mut().add(FinishedEpisode { team, metrics });
         }
         Ok(StepOutcome { episode_ended: outcome.done(), tasks_changed: outcome.tasks_changed })
+    }
+}
+
+/// Writes what there is to see into the frame that the team's processes read.
+fn write_frame(seen: &Observation, shape: &sortie_envs::Shape, frame: &mut FrameMut<'_>) {
+    let stride = frame.layout().stride();
+    for (entity, row) in frame.rows_mut().chunks_exact_mut(stride).enumerate().take(shape.entities)
+    {
+        let row = &mut row[..shape.features];
+        if seen.entities >> entity & 1 == 1 {
+            seen.rows.write_dense(seen.row_of(entity), row);
+        } else {
+            row.fill(0.0);
+        }
+    }
+    frame.set_present(&entity_mask(seen.present));
+    frame.set_open_tasks(seen.open_tasks);
+    for (agent, (entities, available)) in seen.observable.iter().zip(&seen.available).enumerate() {
+        frame.set_observable(agent, &entity_mask(*entities));
+        for (action, code) in frame.available_mut(agent).iter_mut().enumerate() {
+            *code = (available >> action & 1) as u16;
+        }
+    }
+    for (entity, tasks) in seen.entity_task.iter().enumerate().skip(shape.agents) {
+        frame.set_entity_task(entity, *tasks);
     }
 }
 

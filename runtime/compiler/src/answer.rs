@@ -7,12 +7,15 @@ use sortie_plans::{
     random_observations_of, random_team_queries_of, read_request,
 };
 
-use crate::compile::{compile, compile_proposals};
+use crate::compile::compile;
 use crate::engine::TeamValueEngine;
 use crate::graph::{EntityRoles, Graph, Inputs, TeamRoles};
 use crate::inspect::inspect_onnx;
 use crate::matching::match_agent;
-use crate::tract::{TractEntities, TractPolicy, TractTeamValue};
+use crate::proposals::compile_proposals;
+use crate::tract_entities::TractEntities;
+use crate::tract_policy::TractPolicy;
+use crate::tract_team_value::TractTeamValue;
 
 /// Answers one request of a [`sortie_plans::CompilerProcess`], from standard input to standard output.
 ///

@@ -1,101 +1,18 @@
 //! What every environment offers: the seam between simulators and learners.
 
-use alloc::vec;
+use alloc::boxed::Box;
+use alloc::string::String;
 use alloc::vec::Vec;
 use core::fmt;
 
-/// Padded sizes of an environment, constant for its life.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Shape {
-    /// Agents A.
-    pub agents: usize,
-    /// Entities N, agents included; at most 128.
-    pub entities: usize,
-    /// Subtasks T; at most 32.
-    pub tasks: usize,
-    /// Actions U of one agent.
-    pub actions: usize,
-    /// Features d of one entity, without its last action.
-    pub features: usize,
-}
-
-/// Buffers that one instance writes its observation into.
-///
-/// Entity sets are bit masks: bit e stands for entity e. Task sets likewise.
-#[derive(Debug)]
-pub struct ObservationMut<'a> {
-    /// Features `[N, stride]`; the first d columns of every row are written, absent rows as zeros.
-    pub rows: &'a mut [f32],
-    /// Columns of a row, d or more.
-    pub stride: usize,
-    /// The entities that exist.
-    pub present: &'a mut u128,
-    /// `[A]`: the entities that each agent can observe; empty for absent agents.
-    pub observable: &'a mut [u128],
-    /// `[N]`: the tasks that each entity belongs to. Agents' entries are the caller's and stay as they are.
-    pub entity_task: &'a mut [u32],
-    /// `[A, U]`: 0 = not available, 1 = available, 2 + t = available and applies to task t.
-    pub available: &'a mut [u16],
-    /// The tasks that exist and are not finished.
-    pub open_tasks: &'a mut u32,
-}
-
-/// An owned set of observation buffers for one instance.
-#[derive(Clone, Debug)]
-pub struct ObservationBuffers {
-    /// Features `[N, stride]`.
-    pub rows: Vec<f32>,
-    /// Columns of a row.
-    pub stride: usize,
-    /// The entities that exist.
-    pub present: u128,
-    /// `[A]`: what each agent can observe.
-    pub observable: Vec<u128>,
-    /// `[N]`: the tasks that each entity belongs to.
-    pub entity_task: Vec<u32>,
-    /// `[A, U]`: availability codes.
-    pub available: Vec<u16>,
-    /// The unfinished tasks.
-    pub open_tasks: u32,
-}
-
-impl ObservationBuffers {
-    /// Buffers without room for last actions: the stride is d.
-    pub fn new(shape: &Shape) -> Self {
-        Self::with_stride(shape, shape.features)
-    }
-
-    /// Buffers whose rows have `stride` columns, at least d.
-    pub fn with_stride(shape: &Shape, stride: usize) -> Self {
-        let stride = stride.max(shape.features);
-        Self {
-            rows: vec![0.0; shape.entities * stride],
-            stride,
-            present: 0,
-            observable: vec![0; shape.agents],
-            entity_task: vec![0; shape.entities],
-            available: vec![0; shape.agents * shape.actions],
-            open_tasks: 0,
-        }
-    }
-
-    /// Lends all buffers to [`Environment::observe`].
-    pub fn lend(&mut self) -> ObservationMut<'_> {
-        ObservationMut {
-            rows: &mut self.rows,
-            stride: self.stride,
-            present: &mut self.present,
-            observable: &mut self.observable,
-            entity_task: &mut self.entity_task,
-            available: &mut self.available,
-            open_tasks: &mut self.open_tasks,
-        }
-    }
-}
+use crate::observation::{AgentSet, EntitySet, Observation};
+use crate::random::Random;
+use crate::rows::SparseRows;
+use crate::spec::Spec;
 
 /// What a step did.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct StepOutcome {
+pub struct Step {
     /// The reward that the whole team shares.
     pub reward: f64,
     /// The episode came to its own end: the next state is worth nothing.
@@ -106,11 +23,40 @@ pub struct StepOutcome {
     pub tasks_changed: bool,
 }
 
-impl StepOutcome {
+impl Step {
     /// Whether the episode is over.
     pub fn done(&self) -> bool {
         self.terminated || self.timed_out
     }
+}
+
+/// What an episode has come to; final once it is over.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Episode {
+    /// Steps so far.
+    pub steps: u32,
+    /// Whether it is over.
+    pub done: bool,
+    /// Whether the task is fulfilled.
+    pub solved: bool,
+    /// Whether the time ran out.
+    pub timed_out: bool,
+    /// Sum of the team's rewards.
+    pub episode_return: f64,
+    /// What kind of episode it is, for tables by kind; such as the team's letters.
+    pub group: String,
+    /// Values of the [metrics](Spec::metrics) in their order; none where the episode has no such value.
+    pub metrics: Vec<Option<f64>>,
+}
+
+/// Which starts are drawn.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Split {
+    /// Those to learn from.
+    #[default]
+    Train,
+    /// Those to measure on. Environments without a list of their own draw from the same starts.
+    Test,
 }
 
 /// A step was refused; the instance is as it was.
@@ -151,60 +97,159 @@ impl fmt::Display for StepError {
 
 impl core::error::Error for StepError {}
 
+/// Bytes are no state of this environment; the instance is as it was.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum StateError {
+    /// The bytes are of another version of the state's layout.
+    Version {
+        /// The version that the bytes carry.
+        found: u8,
+        /// The version that is read.
+        wanted: u8,
+    },
+    /// There are too few or too many bytes.
+    Length {
+        /// The bytes given.
+        found: usize,
+        /// The bytes that such a state has.
+        wanted: usize,
+    },
+    /// No episode can be in this state.
+    Impossible(String),
+}
+
+impl fmt::Display for StateError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Version { found, wanted } => {
+                write!(f, "a state of layout {found}; this build reads layout {wanted}")
+            }
+            Self::Length { found, wanted } => {
+                write!(f, "a state of {found} bytes; it should have {wanted}")
+            }
+            Self::Impossible(reason) => write!(f, "no episode can be in this state: {reason}"),
+        }
+    }
+}
+
+impl core::error::Error for StateError {}
+
 /// Many instances of one environment.
 ///
-/// An instance index beyond [`Environment::instances`] is the caller's mistake and panics, as does a
-/// buffer shorter than the [`Shape`] says.
-pub trait Environment {
-    /// The padded sizes.
-    fn shape(&self) -> Shape;
+/// A *state* is all that an episode needs to go on, as bytes: [`save`](Self::save) writes it,
+/// [`load`](Self::load) continues from it, and [`observe`](Self::observe) and all that follow see nothing else.
+/// So a learner keeps states and rebuilds what was seen. Every random choice comes from the generator that is
+/// passed in: the same state, actions and generator give the same step.
+///
+/// [`conformance::check`](crate::conformance::check) tests what is promised here. An instance beyond
+/// [`instances`](Self::instances) and bytes that [`load`](Self::load) refuses are the caller's mistake and panic.
+pub trait Environment: Send {
+    /// What this environment says of itself.
+    fn spec(&self) -> &Spec;
 
     /// How many instances this object holds.
     fn instances(&self) -> usize;
 
-    /// Restarts the generator of one instance. The running episode goes on.
-    fn seed(&mut self, instance: usize, seed: u64);
+    /// The same environment with instances of its own, that draw from other starts. Their episodes are over.
+    fn open(&self, instances: usize, split: Split) -> Box<dyn Environment>;
 
-    /// Starts a new episode, drawn from the instance's generator.
-    fn reset(&mut self, instance: usize);
+    /// Starts a new episode.
+    fn reset(&mut self, instance: usize, random: &mut Random);
 
-    /// Applies one action per present agent; further entries are ignored.
-    fn step(&mut self, instance: usize, actions: &[u16]) -> Result<StepOutcome, StepError>;
-
-    /// Writes what there is to see.
-    fn observe(&self, instance: usize, observation: &mut ObservationMut<'_>);
-
-    /// The agents that exist in the running episode; they are the first entities.
-    fn agent_count(&self, instance: usize) -> usize;
-
-    /// Whether the episode is over and the instance waits for a reset.
-    fn is_done(&self, instance: usize) -> bool;
-
-    /// Steps every instance with `actions` `[I, A]`, writing `outcomes` `[I]`.
+    /// Applies one action per existing agent; further entries are ignored.
     ///
-    /// Stops at the first refusal and says which instance refused; those before it have stepped.
-    fn step_all(
+    /// # Errors
+    /// An action is missing or not available, or the episode is over; nothing has changed then.
+    fn step(
         &mut self,
+        instance: usize,
         actions: &[u16],
-        outcomes: &mut [StepOutcome],
-    ) -> Result<(), (usize, StepError)> {
-        let agents = self.shape().agents;
-        for (instance, outcome) in outcomes.iter_mut().enumerate().take(self.instances()) {
-            let own = &actions[instance * agents..][..agents];
-            *outcome = self.step(instance, own).map_err(|error| (instance, error))?;
-        }
-        Ok(())
+        random: &mut Random,
+    ) -> Result<Step, StepError>;
+
+    /// `[T]`: what each subtask earned in the last step; empty where [`Spec::rewards`] has none.
+    fn task_rewards(&self, instance: usize) -> &[f64] {
+        let _ = instance;
+        &[]
     }
-}
 
-/// An environment whose task decomposes into subtasks (dissertation section 7.2).
-pub trait Subtasks: Environment {
-    /// The tasks that exist and are not finished, as bits.
-    fn open_tasks(&self, instance: usize) -> u32;
+    /// `[A]`: what each agent earned in the last step; empty where [`Spec::rewards`] has none.
+    fn agent_rewards(&self, instance: usize) -> &[f64] {
+        let _ = instance;
+        &[]
+    }
 
-    /// The rewards `[T]` of the last step, one per task; zeros after a reset.
-    fn task_rewards(&self, instance: usize) -> &[f64];
+    /// Appends the state, at most [`Spec::state_bytes`].
+    fn save(&self, instance: usize, state: &mut Vec<u8>);
 
-    /// The tasks, as bits, that an entity belongs to by itself; none for agents and absent entities.
-    fn entity_task(&self, instance: usize, entity: usize) -> u32;
+    /// Continues from a state.
+    ///
+    /// # Errors
+    /// The bytes are no state of this environment.
+    fn load(&mut self, instance: usize, state: &[u8]) -> Result<(), StateError>;
+
+    /// Writes what there is to see in a state under a symmetry: masks and subtasks of all, rows of the `wanted`
+    /// entities that exist. Turn 0 changes nothing.
+    fn observe(&self, state: &[u8], turn: usize, wanted: EntitySet, seen: &mut Observation);
+
+    /// What the running or last episode has come to.
+    fn episode(&self, instance: usize) -> Episode;
+
+    /// The number that an action has under a symmetry.
+    fn turned_action(&self, turn: usize, action: u16) -> u16 {
+        let _ = turn;
+        action
+    }
+
+    /// The subtask that an action of an agent applies to, if it applies to one alone.
+    fn subtask_of(&self, state: &[u8], agent: usize, action: u16) -> Option<usize> {
+        let _ = (state, agent, action);
+        None
+    }
+
+    /// Assigns every agent a subtask by one of the [rules](Spec::rules); `None` (255) for nobody and nothing.
+    fn allocate(&self, rule: usize, state: &[u8], random: &mut Random, allocation: &mut [u8]) {
+        let _ = (rule, state, random);
+        allocation.fill(u8::MAX);
+    }
+
+    /// Writes scripted actions under an allocation; false where there is no script.
+    fn scripted(
+        &self,
+        state: &[u8],
+        allocation: &[u8],
+        random: &mut Random,
+        actions: &mut [u16],
+    ) -> bool {
+        let _ = (state, allocation, random, actions);
+        false
+    }
+
+    /// How near a team is to its subtask, or without one to any, as shaping takes it (Ng, Harada and Russell 1999):
+    /// `-scale` for each step that is missing.
+    fn potential(&self, state: &[u8], scale: f32, team: AgentSet, task: Option<usize>) -> f32 {
+        let _ = (state, scale, team, task);
+        0.0
+    }
+
+    /// Writes for each of the `wanted` entities that exist how it stands to a subtask, a row of
+    /// [`Spec::relations`] columns each.
+    fn relate(
+        &self,
+        state: &[u8],
+        turn: usize,
+        task: usize,
+        wanted: EntitySet,
+        rows: &mut SparseRows,
+    ) {
+        let _ = (state, turn, task, wanted, rows);
+    }
+
+    /// Writes `[A]` the entities that truly belong with each agent, which agents do not see and oracle masks of
+    /// REFIL show; false where there is no such truth.
+    fn companions(&self, state: &[u8], companions: &mut [EntitySet]) -> bool {
+        let _ = (state, companions);
+        false
+    }
 }

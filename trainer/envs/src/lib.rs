@@ -1,18 +1,20 @@
 //! Cooperative environments, batch-first, with their scripted policies and allocation rules.
 //!
-//! One object holds many *instances* of an environment, each with its own generator. Nothing is
-//! allocated after construction: observations are written into the caller's buffers.
+//! One object holds many *instances* of an environment. Every random choice comes from a generator that is passed
+//! in, and what is seen is rebuilt from states, see [`Environment`].
 //!
 //! ```
-//! use sortie_envs::save_the_city::{Constants, SaveTheCity, ScenarioSet};
-//! use sortie_envs::{Environment, ObservationBuffers};
+//! use sortie_envs::{EntitySet, Observation, Split, open, random::generator};
 //!
-//! let set = ScenarioSet::named("2-5a_2-5b")?;
-//! let mut city = SaveTheCity::new(set, Constants::default(), 8, 1)?;
-//! let mut buffers = ObservationBuffers::new(&city.shape());
-//! city.observe(0, &mut buffers.lend());
-//! let outcome = city.step(0, &[0; 5])?;
-//! assert!(!outcome.done());
+//! let mut random = generator(1);
+//! let mut city = open("save-the-city/2-5a_2-5b", Split::Train, 8, &Default::default())?;
+//! city.reset(0, &mut random);
+//! let mut state = Vec::new();
+//! city.save(0, &mut state);
+//! let mut seen = Observation::new(&city.spec().shape);
+//! city.observe(&state, 0, EntitySet::MAX, &mut seen);
+//! let step = city.step(0, &[0; 5], &mut random)?;
+//! assert!(seen.agents() >= 2 && !step.done());
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 #![cfg_attr(not(feature = "std"), no_std)]
@@ -20,15 +22,25 @@
 
 extern crate alloc;
 
+pub mod conformance;
 pub mod environment;
 #[cfg(feature = "std")]
 pub mod golden;
 pub mod group_matching;
+pub mod observation;
 pub mod random;
 #[cfg(feature = "std")]
 mod recorded;
+pub mod registry;
+pub mod rows;
 pub mod save_the_city;
+pub mod spec;
+mod throughput;
 
-pub use environment::{
-    Environment, ObservationBuffers, ObservationMut, Shape, StepError, StepOutcome, Subtasks,
-};
+pub use environment::{Environment, Episode, Split, StateError, Step, StepError};
+pub use observation::{ActionSet, AgentSet, EntitySet, Observation, members};
+pub use random::Random;
+pub use registry::{Choice, ENVIRONMENTS, Entry, EnvironmentError, open};
+pub use rows::SparseRows;
+pub use spec::{Metric, Rewards, Shape, Spec, SpecError, View};
+pub use throughput::observe_and_step;

@@ -3,6 +3,9 @@
 use rand_core::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
+/// The generator that all random choices come from.
+pub type Random = Xoshiro256PlusPlus;
+
 /// The generator of one instance: the same seed gives the same draws everywhere.
 pub fn generator(seed: u64) -> Xoshiro256PlusPlus {
     Xoshiro256PlusPlus::seed_from_u64(seed)

@@ -15,7 +15,6 @@ mod message;
 mod open;
 mod pool;
 mod services;
-mod setup;
 mod watcher;
 mod world_frames;
 
@@ -26,10 +25,9 @@ pub use iceoryx2::service::local_threadsafe::Service as IntraProcess;
 
 pub use control::{ControlRx, IoxControl};
 pub use inter_process::InterProcess;
-pub use links::{Housekeeping, IoxAgent, IoxAllocator, IoxWorld};
+pub use links::{Housekeeping, IoxAgent, IoxAllocator, IoxWorld, LinkSetup};
 pub(crate) use open::{Cleaner, set_log_level};
 pub(crate) use services::worst_case_bytes;
-pub use setup::LinkSetup;
 pub(crate) use watcher::dead_nodes;
 pub use watcher::{FrameNews, IoxWatcher};
 

@@ -125,7 +125,12 @@ impl CityDecoder {
             }
         }
         for agent in &mut self.agents {
-            let beside = self.buildings.iter().position(|b| agent.distance_to(b) == 1);
+            let present = |task: usize| frame.present >> (frame.agents + task) & 1 == 1;
+            let beside = self
+                .buildings
+                .iter()
+                .enumerate()
+                .position(|(task, building)| present(task) && agent.distance_to(building) == 1);
             agent.beside = beside.map_or(NO_BUILDING, |index| index as u8);
         }
         Ok(City { agents: &self.agents, buildings: &self.buildings })

@@ -4,7 +4,7 @@ use super::grid::Ground;
 use super::metrics::EpisodeMetrics;
 use super::rules::{ACTIONS, Change, Constants};
 use super::state::{AgentState, BuildingState, City, Status};
-use crate::environment::{StepError, StepOutcome};
+use crate::environment::{Step, StepError};
 
 /// What an instance has once.
 #[derive(Clone, Debug)]
@@ -46,7 +46,7 @@ impl Episode {
         constants: &Constants,
         buildings: &[BuildingState],
         changes: &[Change],
-    ) -> StepOutcome {
+    ) -> Step {
         let metrics = &mut self.metrics;
         metrics.steps += 1;
         for change in changes {
@@ -58,19 +58,33 @@ impl Episode {
         let open_before = self.open_tasks;
         self.open_tasks = City { agents: &[], buildings }.open_tasks();
 
+        let (terminated, timed_out) = self.judge(constants, buildings);
+        Step { reward: 0.0, terminated, timed_out, tasks_changed: self.open_tasks != open_before }
+    }
+}
+
+impl Episode {
+    /// Decides whether the episode is over, and how.
+    fn judge(&mut self, constants: &Constants, buildings: &[BuildingState]) -> (bool, bool) {
         let all_complete = buildings.iter().all(|building| building.status == Status::Complete);
         let any_burned = buildings.iter().any(|building| building.status == Status::BurnedDown);
         let terminated = self.open_tasks == 0 || (constants.end_on_any_burn && any_burned);
-        let timed_out = !terminated && metrics.steps >= constants.episode_limit;
+        let timed_out = !terminated && self.metrics.steps >= constants.episode_limit;
         self.done = terminated || timed_out;
-        metrics.solved = all_complete;
-        metrics.timed_out = timed_out;
-        StepOutcome {
-            reward: 0.0,
-            terminated,
-            timed_out,
-            tasks_changed: self.open_tasks != open_before,
-        }
+        self.metrics.solved = all_complete;
+        self.metrics.timed_out = timed_out;
+        (terminated, timed_out)
+    }
+
+    /// Goes on with what had been counted.
+    pub(super) fn resume(
+        &mut self,
+        constants: &Constants,
+        buildings: &[BuildingState],
+        counted: EpisodeMetrics,
+    ) {
+        self.metrics = EpisodeMetrics { buildings: buildings.len() as u32, ..counted };
+        self.judge(constants, buildings);
     }
 }
 

@@ -8,12 +8,7 @@ use core::fmt;
 #[non_exhaustive]
 pub enum CityError {
     /// There is no scenario set of that name.
-    UnknownSet {
-        /// The name.
-        name: String,
-        /// Those that there are.
-        known: &'static [&'static str],
-    },
+    UnknownSet(String),
     /// A scenario set breaks a limit; the text says which.
     Set(String),
     /// A state breaks a rule; the text says which.
@@ -23,9 +18,9 @@ pub enum CityError {
 impl fmt::Display for CityError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::UnknownSet { name, known } => {
+            Self::UnknownSet(name) => {
                 write!(f, "no scenario set `{name}`; there are ")?;
-                for (index, known) in known.iter().enumerate() {
+                for (index, known) in super::SET_NAMES.iter().enumerate() {
                     write!(f, "{}`{known}`", if index == 0 { "" } else { ", " })?;
                 }
                 Ok(())

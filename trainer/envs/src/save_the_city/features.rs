@@ -4,10 +4,13 @@
 //! equal the observed ones bit for bit.
 
 use super::rules::ACTIONS;
-use super::state::{AgentState, BuildingState, City, Status};
+use super::state::{AgentState, BuildingState, Status};
 
 /// Columns of a feature row.
 pub const FEATURES: usize = 58;
+
+/// Most columns of a row that differ from zero: five of place and every action.
+pub(super) const ROW_ENTRIES: usize = 5 + ACTIONS;
 
 const X: usize = 5;
 const Y: usize = 21;
@@ -114,76 +117,4 @@ pub fn write_building_row(building: &BuildingState, row: &mut [f32]) {
 #[inline]
 fn known_length(row: &mut [f32]) -> &mut [f32; FEATURES] {
     row.first_chunk_mut().expect("a row has all columns of the shape")
-}
-
-/// Writes all rows `[N, stride]`; agents start at row 0, buildings at row `max_agents`.
-pub(super) fn write_rows(city: City<'_>, max_agents: usize, rows: &mut [f32], stride: usize) {
-    if stride == FEATURES {
-        rows.fill(0.0);
-    } else {
-        rows.chunks_exact_mut(stride).for_each(|row| row[..FEATURES].fill(0.0));
-    }
-    let (agent_rows, building_rows) = rows.split_at_mut(max_agents * stride);
-    for (agent, row) in city.agents.iter().zip(agent_rows.chunks_exact_mut(stride)) {
-        let row = known_length(row);
-        agent_features(agent, |column, value| row[column] = value);
-    }
-    for (building, row) in city.buildings.iter().zip(building_rows.chunks_exact_mut(stride)) {
-        let row = known_length(row);
-        building_features(building, |column, value| row[column] = value);
-    }
-}
-
-/// The non-zero columns of one row, in rising order.
-#[derive(Clone, Copy, Debug)]
-pub struct SparseRow {
-    columns: [u8; Self::CAPACITY],
-    values: [f32; Self::CAPACITY],
-    len: u8,
-}
-
-impl SparseRow {
-    /// More than any row needs: five columns of place and every action.
-    pub const CAPACITY: usize = 17;
-
-    /// The row of an agent.
-    pub fn of_agent(agent: &AgentState) -> Self {
-        let mut row = Self::empty();
-        agent_features(agent, |column, value| row.push(column, value));
-        row
-    }
-
-    /// The row of a building.
-    pub fn of_building(building: &BuildingState) -> Self {
-        let mut row = Self::empty();
-        building_features(building, |column, value| row.push(column, value));
-        row
-    }
-
-    /// The columns that are not zero.
-    pub fn columns(&self) -> &[u8] {
-        &self.columns[..usize::from(self.len)]
-    }
-
-    /// The values in those columns.
-    pub fn values(&self) -> &[f32] {
-        &self.values[..usize::from(self.len)]
-    }
-
-    /// Columns with their values.
-    pub fn entries(&self) -> impl Iterator<Item = (usize, f32)> + '_ {
-        self.columns().iter().map(|&column| usize::from(column)).zip(self.values().iter().copied())
-    }
-
-    fn empty() -> Self {
-        Self { columns: [0; Self::CAPACITY], values: [0.0; Self::CAPACITY], len: 0 }
-    }
-
-    fn push(&mut self, column: usize, value: f32) {
-        if value != 0.0 {
-            self.columns[usize::from(self.len)] = column as u8;
-            self.values[usize::from(self.len)] = value;
-            self.len += 1;
-        }
-    }
 }

@@ -28,8 +28,8 @@ pub struct EpisodeMetrics {
 /// Over (step, building) pairs with at least one agent at work, the kinds that worked.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct KindCount {
-    pairs: u32,
-    kinds: u32,
+    pub(super) pairs: u32,
+    pub(super) kinds: u32,
 }
 
 impl KindCount {

@@ -4,6 +4,7 @@
 //! losers. Buildings and subtasks are the same thing and share indices.
 
 mod allocation;
+mod bytes;
 mod checks;
 mod coordinated;
 mod decode;
@@ -20,18 +21,17 @@ mod reset;
 mod rules;
 mod scenarios;
 mod scripted;
+mod seam;
 mod simulator;
 mod state;
 mod symmetry;
-mod throughput;
 
 pub use allocation::{AllocationRule, DecisionPoints, random_allocation};
 pub use coordinated::coordinated_allocation;
 pub use decode::{CityDecoder, CityRows, DecodeError};
 pub use error::CityError;
 pub use features::{
-    FEATURE_NAMES, FEATURES, SparseRow, agent_features, building_features, write_agent_row,
-    write_building_row,
+    FEATURE_NAMES, FEATURES, agent_features, building_features, write_agent_row, write_building_row,
 };
 pub use heuristic::heuristic_allocation;
 pub use metrics::EpisodeMetrics;
@@ -40,15 +40,15 @@ pub use rules::{
     ACTION_NAMES, ACTIONS, Bounce, Constants, FREEZE, availability_code, availability_codes,
     can_approach,
 };
-pub use scenarios::{BuildingPlan, SET_NAMES, Scenario, ScenarioSet, Split};
+pub use scenarios::{BuildingPlan, SET_NAMES, Scenario, ScenarioSet};
 pub use scripted::{ScriptedTeam, random_actions, scripted_actions};
+pub use seam::ENTRY;
 pub use simulator::SaveTheCity;
 pub use state::{
     AgentKind, AgentState, BuildingKind, BuildingState, City, MAX_AGENTS, MAX_BUILDINGS,
     NO_BUILDING, SIDE, Status, UNASSIGNED, manhattan,
 };
 pub use symmetry::Symmetry;
-pub use throughput::observe_and_step;
 
 /// The version of the rules: another one where a trained policy would notice the difference.
 pub const VERSION: &str = "1";

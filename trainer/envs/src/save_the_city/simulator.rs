@@ -4,20 +4,19 @@ use alloc::format;
 use alloc::vec;
 use alloc::vec::Vec;
 
-use rand_xoshiro::Xoshiro256PlusPlus;
-
 use super::checks::check_state;
 use super::episode::{Episode, rewards};
 use super::error::CityError;
-use super::features::{FEATURES, write_rows};
 use super::grid::Ground;
 use super::metrics::EpisodeMetrics;
 use super::reset::{ABSENT_AGENT, ABSENT_BUILDING, Lots, draw_city};
-use super::rules::{self, ACTIONS, Bounce, Change, Constants, Effort, availability_codes};
-use super::scenarios::{ScenarioSet, Split};
+use super::rules::{self, Bounce, Change, Constants, Effort};
+use super::scenarios::ScenarioSet;
+use super::seam;
 use super::state::{AgentState, BuildingState, City, MAX_BUILDINGS, Status};
-use crate::environment::{Environment, ObservationMut, Shape, StepError, StepOutcome, Subtasks};
-use crate::random::{below, generator};
+use crate::environment::{Split, Step, StepError};
+use crate::random::{Random, below, generator};
+use crate::spec::{Shape, Spec};
 
 /// SaveTheCity, many instances in one object.
 ///
@@ -25,6 +24,7 @@ use crate::random::{below, generator};
 /// every instance exist.
 #[derive(Clone, Debug)]
 pub struct SaveTheCity {
+    spec: Spec,
     set: ScenarioSet,
     split: Split,
     constants: Constants,
@@ -33,14 +33,11 @@ pub struct SaveTheCity {
     task_rewards: Vec<f64>,
     bounces: Vec<Bounce>,
     episodes: Vec<Episode>,
-    generators: Vec<Xoshiro256PlusPlus>,
     lots: Lots,
 }
 
 impl SaveTheCity {
     /// Sets up `instances` cities and starts an episode of the training scenarios in each.
-    ///
-    /// The instances' generators are stretches of one sequence, 2^128 draws apart.
     pub fn new(
         set: ScenarioSet,
         constants: Constants,
@@ -48,14 +45,16 @@ impl SaveTheCity {
         seed: u64,
     ) -> Result<Self, CityError> {
         set.check()?;
-        let mut next = generator(seed);
-        let generators = (0..instances)
-            .map(|_| {
-                let own = next.clone();
-                next.jump();
-                own
-            })
-            .collect();
+        let mut random = generator(seed);
+        let mut city = Self::empty(set, constants, instances);
+        for instance in 0..instances {
+            city.reset_from(instance, &mut random);
+        }
+        Ok(city)
+    }
+
+    /// Cities without agents and buildings, whose episodes are over.
+    fn empty(set: ScenarioSet, constants: Constants, instances: usize) -> Self {
         let empty = Episode {
             agents: 0,
             buildings: 0,
@@ -66,22 +65,64 @@ impl SaveTheCity {
             bounces: 0,
             metrics: EpisodeMetrics::default(),
         };
-        let mut city = Self {
+        Self {
+            spec: seam::spec(&set, &constants),
             agents: vec![ABSENT_AGENT; instances * set.max_agents],
             buildings: vec![ABSENT_BUILDING; instances * set.max_buildings],
             task_rewards: vec![0.0; instances * set.max_buildings],
             bounces: vec![Bounce::default(); instances * set.max_agents],
             episodes: vec![empty; instances],
-            generators,
             lots: Lots::new(),
             split: Split::Train,
             set,
             constants,
-        };
-        for instance in 0..instances {
-            city.reset(instance);
         }
-        Ok(city)
+    }
+
+    /// The same scenarios and rules with instances of their own, whose episodes are over.
+    pub(super) fn with_instances(&self, instances: usize, split: Split) -> Self {
+        Self { split, ..Self::empty(self.set.clone(), self.constants, instances) }
+    }
+
+    pub(super) fn own_spec(&self) -> &Spec {
+        &self.spec
+    }
+
+    /// The padded sizes.
+    pub fn shape(&self) -> Shape {
+        self.spec.shape
+    }
+
+    /// How many cities this object holds.
+    pub(super) fn count(&self) -> usize {
+        self.episodes.len()
+    }
+
+    /// The agents that exist in the running episode.
+    pub fn agent_count(&self, instance: usize) -> usize {
+        self.episodes[instance].agents
+    }
+
+    /// Whether the episode is over and the instance waits for a reset.
+    pub fn is_done(&self, instance: usize) -> bool {
+        self.episodes[instance].done
+    }
+
+    /// The buildings that are open, as bits.
+    pub fn open_tasks(&self, instance: usize) -> u32 {
+        self.episodes[instance].open_tasks
+    }
+
+    /// What each building earned in the last step.
+    pub(super) fn rewards_of_tasks(&self, instance: usize) -> &[f64] {
+        &self.task_rewards[instance * self.set.max_buildings..][..self.set.max_buildings]
+    }
+
+    /// Starts an episode of a random scenario of the current list.
+    pub(super) fn reset_from(&mut self, instance: usize, random: &mut Random) {
+        let count = self.set.scenarios(self.split).len();
+        let scenario = below(random, count);
+        self.start(instance, scenario, random);
     }
 
     /// Chooses the list that later resets draw from.
@@ -124,7 +165,12 @@ impl SaveTheCity {
     }
 
     /// Starts an episode of one scenario of the current list.
-    pub fn reset_to(&mut self, instance: usize, scenario: usize) -> Result<(), CityError> {
+    pub fn reset_to(
+        &mut self,
+        instance: usize,
+        scenario: usize,
+        random: &mut Random,
+    ) -> Result<(), CityError> {
         let count = self.set.scenarios(self.split).len();
         if scenario >= count {
             return Err(CityError::Set(format!(
@@ -132,12 +178,17 @@ impl SaveTheCity {
                 self.set.name
             )));
         }
-        self.start(instance, scenario);
+        self.start(instance, scenario, random);
         Ok(())
     }
 
     /// Starts an episode of a random scenario with so many buildings.
-    pub fn reset_with_tasks(&mut self, instance: usize, tasks: usize) -> Result<(), CityError> {
+    pub fn reset_with_tasks(
+        &mut self,
+        instance: usize,
+        tasks: usize,
+        random: &mut Random,
+    ) -> Result<(), CityError> {
         let scenarios = self.set.scenarios(self.split);
         let fits = |index: &usize| scenarios[*index].buildings.count() == tasks;
         let candidates = (0..scenarios.len()).filter(fits).count();
@@ -147,9 +198,9 @@ impl SaveTheCity {
                 self.set.name
             )));
         }
-        let chosen = below(&mut self.generators[instance], candidates);
+        let chosen = below(random, candidates);
         let scenario = (0..scenarios.len()).filter(fits).nth(chosen).unwrap_or(0);
-        self.start(instance, scenario);
+        self.start(instance, scenario, random);
         Ok(())
     }
 
@@ -162,6 +213,19 @@ impl SaveTheCity {
         agents: &[AgentState],
         buildings: &[BuildingState],
         steps: u32,
+    ) -> Result<(), CityError> {
+        let metrics = EpisodeMetrics { steps, ..EpisodeMetrics::default() };
+        self.restore_with(instance, agents, buildings, 0, metrics)
+    }
+
+    /// The same with all that the episode has counted.
+    pub(super) fn restore_with(
+        &mut self,
+        instance: usize,
+        agents: &[AgentState],
+        buildings: &[BuildingState],
+        scenario: usize,
+        counted: EpisodeMetrics,
     ) -> Result<(), CityError> {
         check_state(&self.set, agents, buildings)?;
         let ground = Ground::new(buildings).map_err(|(one, other)| {
@@ -177,14 +241,14 @@ impl SaveTheCity {
                 rules::close(building);
             }
         }
-        self.episodes[instance].scenario = 0;
+        self.episodes[instance].scenario = scenario;
         self.begin(instance, agents.len(), buildings.len(), ground);
-        self.episodes[instance].metrics.steps = steps;
+        self.episodes[instance].resume(&self.constants, buildings, counted);
         Ok(())
     }
 
     /// Draws agents and buildings of a scenario.
-    fn start(&mut self, instance: usize, scenario: usize) {
+    fn start(&mut self, instance: usize, scenario: usize, random: &mut Random) {
         let drawn = &self.set.scenarios(self.split)[scenario];
         let (agents, buildings) = (drawn.team.len(), drawn.buildings.count());
         draw_city(
@@ -192,7 +256,7 @@ impl SaveTheCity {
             self.set.spacing,
             drawn,
             &mut self.lots,
-            &mut self.generators[instance],
+            random,
             &mut self.agents[instance * self.set.max_agents..][..agents],
             &mut self.buildings[instance * self.set.max_buildings..][..buildings],
         );
@@ -231,7 +295,7 @@ impl SaveTheCity {
         instance: usize,
         actions: &[u16],
         mut draw_loser: impl FnMut(usize, usize) -> usize,
-    ) -> Result<StepOutcome, StepError> {
+    ) -> Result<Step, StepError> {
         let max_reward = self.constants.max_reward(self.set.max_buildings);
         let episode = &mut self.episodes[instance];
         let agents = &mut self.agents[instance * self.set.max_agents..][..episode.agents];
@@ -266,89 +330,5 @@ impl SaveTheCity {
         outcome.reward = total;
         episode.metrics.episode_return += total;
         Ok(outcome)
-    }
-}
-
-impl Environment for SaveTheCity {
-    fn shape(&self) -> Shape {
-        Shape {
-            agents: self.set.max_agents,
-            entities: self.set.max_agents + self.set.max_buildings,
-            tasks: self.set.max_buildings,
-            actions: ACTIONS,
-            features: FEATURES,
-        }
-    }
-
-    fn instances(&self) -> usize {
-        self.episodes.len()
-    }
-
-    fn seed(&mut self, instance: usize, seed: u64) {
-        self.generators[instance] = generator(seed);
-    }
-
-    fn reset(&mut self, instance: usize) {
-        let count = self.set.scenarios(self.split).len();
-        let scenario = below(&mut self.generators[instance], count);
-        self.start(instance, scenario);
-    }
-
-    fn step(&mut self, instance: usize, actions: &[u16]) -> Result<StepOutcome, StepError> {
-        let mut rng = self.generators[instance].clone();
-        let outcome = self.step_with_losers(instance, actions, |first, second| {
-            if below(&mut rng, 2) == 0 { first } else { second }
-        });
-        self.generators[instance] = rng;
-        outcome
-    }
-
-    fn observe(&self, instance: usize, observation: &mut ObservationMut<'_>) {
-        let city = self.city(instance);
-        let (max_agents, agents) = (self.set.max_agents, city.agents.len());
-        let entities = max_agents + self.set.max_buildings;
-        let stride = observation.stride;
-        let rows = &mut observation.rows[..entities * stride];
-        write_rows(city, max_agents, rows, stride);
-
-        let building_bits = ((1u128 << city.buildings.len()) - 1) << max_agents;
-        let present = building_bits | ((1u128 << agents) - 1);
-        *observation.present = present;
-        observation.observable[..agents].fill(present);
-        observation.observable[agents..max_agents].fill(0);
-        for (task, tasks) in observation.entity_task[max_agents..entities].iter_mut().enumerate() {
-            *tasks = if task < city.buildings.len() { 1 << task } else { 0 };
-        }
-        let (codes, _) = observation.available.as_chunks_mut::<ACTIONS>();
-        for (agent, codes) in codes[..max_agents].iter_mut().enumerate() {
-            *codes = availability_codes(city.agents.get(agent).unwrap_or(&ABSENT_AGENT));
-        }
-        *observation.open_tasks = self.episodes[instance].open_tasks;
-    }
-
-    fn agent_count(&self, instance: usize) -> usize {
-        self.episodes[instance].agents
-    }
-
-    fn is_done(&self, instance: usize) -> bool {
-        self.episodes[instance].done
-    }
-}
-
-impl Subtasks for SaveTheCity {
-    fn open_tasks(&self, instance: usize) -> u32 {
-        self.episodes[instance].open_tasks
-    }
-
-    fn task_rewards(&self, instance: usize) -> &[f64] {
-        &self.task_rewards[instance * self.set.max_buildings..][..self.set.max_buildings]
-    }
-
-    fn entity_task(&self, instance: usize, entity: usize) -> u32 {
-        let task = entity.checked_sub(self.set.max_agents);
-        match task {
-            Some(task) if task < self.episodes[instance].buildings => 1 << task,
-            _ => 0,
-        }
     }
 }

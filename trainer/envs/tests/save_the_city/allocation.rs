@@ -1,22 +1,34 @@
 //! Allocation from a state and from its feature rows, and when it is due.
 
+use super::{environment, for_random_states, observed};
 use sortie_envs::random::{below, generator};
 use sortie_envs::save_the_city::{
     AgentKind, AgentState, AllocationRule, BuildingKind, BuildingState, City, CityDecoder,
     CityRows, DecisionPoints, DecodeError, RELATIONS, SaveTheCity, Status, UNASSIGNED,
     coordinated_allocation, write_relation,
 };
-use sortie_envs::{Environment, ObservationBuffers};
 
-use super::{environment, for_random_states};
-
-fn observe(city: &SaveTheCity) -> ObservationBuffers {
-    let mut buffers = ObservationBuffers::with_stride(&city.shape(), 60);
-    city.observe(0, &mut buffers.lend());
-    buffers
+/// What an allocator is shown: rows of 60 columns, absent ones as zeros.
+#[derive(Clone)]
+struct Buffers {
+    rows: Vec<f32>,
+    stride: usize,
+    present: u128,
+    open_tasks: u32,
 }
 
-fn frame<'a>(city: &SaveTheCity, buffers: &'a ObservationBuffers) -> CityRows<'a> {
+const STRIDE: usize = 60;
+
+fn observe(city: &SaveTheCity) -> Buffers {
+    let seen = observed(city);
+    let mut rows = vec![0.0; city.shape().entities * STRIDE];
+    for (place, entity) in sortie_envs::members(seen.entities).enumerate() {
+        seen.rows.write_dense(place, &mut rows[entity * STRIDE..][..STRIDE]);
+    }
+    Buffers { rows, stride: STRIDE, present: seen.present, open_tasks: seen.open_tasks }
+}
+
+fn frame<'a>(city: &SaveTheCity, buffers: &'a Buffers) -> CityRows<'a> {
     CityRows {
         rows: &buffers.rows,
         stride: buffers.stride,
@@ -79,7 +91,7 @@ fn relations_are_the_same_from_a_state_and_from_its_rows() {
 #[test]
 fn absent_agents_leave_a_gap() {
     let mut city = environment("2-5a_2-5b", 4);
-    city.reset_with_tasks(0, 6).unwrap();
+    city.reset_with_tasks(0, 6, &mut generator(2)).unwrap();
     let mut buffers = observe(&city);
     buffers.present &= !0b00100;
     let mut decoder = CityDecoder::new();
@@ -98,7 +110,7 @@ fn rows_that_describe_no_city_are_refused() {
     let city = environment("2-5a_2-5b", 4);
     let buffers = observe(&city);
     let mut decoder = CityDecoder::new();
-    let mut refusal = |change: &dyn Fn(&mut ObservationBuffers)| {
+    let mut refusal = |change: &dyn Fn(&mut Buffers)| {
         let mut changed = buffers.clone();
         change(&mut changed);
         decoder.decode(&frame(&city, &changed)).err()

@@ -273,13 +273,13 @@ fn recorded_files_replay_without_a_difference() {
         let mut city = environment(set, seed as u64);
         let labels = Labels { name: set.into(), policy: "scripted".into(), seed: seed as u64 };
         let mut recorder = Recorder::new(&city, 0, labels);
-        let rng = generator(seed as u64);
+        let (rng, mut random) = (generator(seed as u64), generator(7));
         let mut team = ScriptedTeam::new(AllocationRule::Random, DecisionPoints::default(), rng);
         let mut actions = [0; 64];
         let mut tasks_changed = false;
         while !city.is_done(0) {
             team.act(city.city(0), tasks_changed, &mut actions);
-            let outcome = city.step(0, &actions).unwrap();
+            let outcome = city.step(0, &actions, &mut random).unwrap();
             recorder.record(&city, &actions, &outcome);
             tasks_changed = outcome.tasks_changed;
         }

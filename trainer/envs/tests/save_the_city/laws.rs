@@ -2,11 +2,11 @@
 
 use std::collections::HashSet;
 
+use sortie_envs::Environment;
 use sortie_envs::random::generator;
 use sortie_envs::save_the_city::{
     AgentKind, BuildingState, SaveTheCity, Status, UNASSIGNED, random_allocation,
 };
-use sortie_envs::{Environment, StepOutcome, Subtasks};
 
 use super::{environment, for_random_states, play_randomly};
 
@@ -125,8 +125,8 @@ fn the_same_seed_gives_the_same_episodes() {
             assert_eq!(states.next(), Some(format!("{:?}", city.city(0))));
         });
         assert_eq!(states.next(), None);
-        one.reset(0);
-        other.reset(0);
+        one.reset(0, &mut generator(episode));
+        other.reset(0, &mut generator(episode));
     }
 }
 
@@ -136,17 +136,18 @@ fn instances_do_not_disturb_each_other() {
     let constants = Default::default();
     let mut many = SaveTheCity::new(set.clone(), constants, 5, 3).unwrap();
     let mut single = SaveTheCity::new(set, constants, 1, 3).unwrap();
-    many.seed(2, 9);
-    single.seed(0, 9);
-    many.reset(2);
-    single.reset(0);
-    let mut outcomes = [StepOutcome::default(); 5];
+    many.reset(2, &mut generator(9));
+    single.reset(0, &mut generator(9));
+    let (mut random, mut same) = (generator(4), generator(4));
     for step in 0..20 {
         assert_eq!(format!("{:?}", many.city(2)), format!("{:?}", single.city(0)), "step {step}");
-        many.step_all(&[0; 40], &mut outcomes).unwrap();
-        assert_eq!(single.step(0, &[0; 8]), Ok(outcomes[2]));
+        for instance in [0, 1, 3, 4] {
+            many.step(instance, &[0; 8], &mut generator(step)).unwrap();
+        }
+        let outcome = many.step(2, &[0; 8], &mut random);
+        assert_eq!(single.step(0, &[0; 8], &mut same), outcome);
         assert_eq!(many.task_rewards(2), single.task_rewards(0));
     }
-    many.reset(0);
+    many.reset(0, &mut random);
     assert_eq!(format!("{:?}", many.city(2)), format!("{:?}", single.city(0)));
 }

@@ -1,6 +1,7 @@
 //! SaveTheCity against its rule book, the recorded episodes of the dissertation's code, and its laws.
 
 mod allocation;
+mod conformance;
 mod features;
 mod golden;
 mod laws;
@@ -11,11 +12,11 @@ mod symmetry;
 
 use std::path::PathBuf;
 
-use sortie_envs::Environment;
 use sortie_envs::random::generator;
 use sortie_envs::save_the_city::{
     City, Constants, SET_NAMES, SaveTheCity, ScenarioSet, random_actions,
 };
+use sortie_envs::{EntitySet, Environment, Observation};
 
 /// The folder of recorded episodes.
 fn golden_folder() -> PathBuf {
@@ -28,14 +29,21 @@ fn environment(set: &str, seed: u64) -> SaveTheCity {
     SaveTheCity::new(set, Constants::default(), 1, seed).unwrap()
 }
 
+/// All that there is to see.
+fn observed(city: &SaveTheCity) -> Observation {
+    let (mut state, mut seen) = (Vec::new(), Observation::default());
+    city.save(0, &mut state);
+    city.observe(&state, 0, EntitySet::MAX, &mut seen);
+    seen
+}
+
 /// Calls `visit` in every state of episodes of random actions, over all sets.
 fn for_random_states(episodes: u64, mut visit: impl FnMut(&SaveTheCity, &str)) {
     for set in SET_NAMES {
         let mut city = environment(set, 1);
         for seed in 0..episodes {
             let label = format!("set {set}, seed {seed}");
-            city.seed(0, seed);
-            city.reset(0);
+            city.reset(0, &mut generator(seed));
             visit(&city, &label);
             play_randomly(&mut city, seed, |city, _| visit(city, &label));
         }
@@ -52,7 +60,7 @@ fn play_randomly(
     let mut actions = [0; 64];
     while !city.is_done(0) {
         random_actions(city.city(0), &mut rng, &mut actions);
-        city.step(0, &actions).unwrap();
+        city.step(0, &actions, &mut rng).unwrap();
         after_step(city, &actions);
     }
 }

@@ -19,8 +19,9 @@ fn means(episodes: u32, mut play: impl FnMut(&mut SaveTheCity) -> EpisodeMetrics
     let mut city = environment("2-5a_2-5b", 1);
     let mut means = Means { success: 0.0, episode_return: 0.0, length: 0.0 };
     let share = 1.0 / f64::from(episodes);
+    let mut random = generator(3);
     for _ in 0..episodes {
-        city.reset(0);
+        city.reset(0, &mut random);
         let metrics = play(&mut city);
         means.success += share * f64::from(u8::from(metrics.solved));
         means.episode_return += share * metrics.episode_return;
@@ -30,6 +31,7 @@ fn means(episodes: u32, mut play: impl FnMut(&mut SaveTheCity) -> EpisodeMetrics
 }
 
 fn scripted(rule: AllocationRule, episodes: u32) -> Means {
+    let mut random = generator(4);
     let mut team = ScriptedTeam::new(rule, DecisionPoints::default(), generator(2));
     means(episodes, |city| {
         team.restart();
@@ -37,7 +39,7 @@ fn scripted(rule: AllocationRule, episodes: u32) -> Means {
         let mut tasks_changed = false;
         while !city.is_done(0) {
             team.act(city.city(0), tasks_changed, &mut actions);
-            tasks_changed = city.step(0, &actions).unwrap().tasks_changed;
+            tasks_changed = city.step(0, &actions, &mut random).unwrap().tasks_changed;
         }
         *city.metrics(0)
     })
@@ -62,7 +64,7 @@ fn teams_without_a_plan_lose_as_much_as_the_reference() {
         let mut actions = [0; 5];
         while !city.is_done(0) {
             random_actions(city.city(0), &mut rng, &mut actions);
-            city.step(0, &actions).unwrap();
+            city.step(0, &actions, &mut rng).unwrap();
         }
         *city.metrics(0)
     });
@@ -71,7 +73,7 @@ fn teams_without_a_plan_lose_as_much_as_the_reference() {
     assert!((random.length - 82.3).abs() < 4.0, "{}", random.length);
     let idle = means(1000, |city| {
         while !city.is_done(0) {
-            city.step(0, &[0; 5]).unwrap();
+            city.step(0, &[0; 5], &mut rng).unwrap();
         }
         *city.metrics(0)
     });

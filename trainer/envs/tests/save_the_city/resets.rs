@@ -2,8 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use sortie_envs::Environment;
-use sortie_envs::save_the_city::{BuildingKind, SaveTheCity, ScenarioSet, Split};
+use sortie_envs::random::generator;
+use sortie_envs::save_the_city::{BuildingKind, SaveTheCity, ScenarioSet};
+use sortie_envs::{Environment, Split};
 
 use super::{environment, letters};
 
@@ -11,8 +12,9 @@ const EPISODES: usize = 13_000;
 
 fn for_resets(set: &str, episodes: usize, mut visit: impl FnMut(&SaveTheCity)) {
     let mut city = environment(set, 17);
+    let mut random = generator(18);
     for _ in 0..episodes {
-        city.reset(0);
+        city.reset(0, &mut random);
         visit(&city);
     }
 }
@@ -105,21 +107,22 @@ fn given_building_kinds_are_kept() {
 #[test]
 fn scenarios_are_chosen_by_index_by_size_and_by_list() {
     let mut city = environment("2-8a_2-8b_sim_Q1", 1);
+    let mut random = generator(2);
     let set = ScenarioSet::named("2-8a_2-8b_sim_Q1").unwrap();
     let team = |scenario: &sortie_envs::save_the_city::Scenario| {
         scenario.team.iter().map(|kind| kind.letter()).collect::<String>()
     };
-    city.reset_to(0, 3).unwrap();
+    city.reset_to(0, 3, &mut random).unwrap();
     assert_eq!((letters(city.city(0)), city.scenario(0)), (team(&set.train[3]), 3));
-    assert!(city.reset_to(0, 12).is_err());
+    assert!(city.reset_to(0, 12, &mut random).is_err());
     city.use_split(Split::Test);
-    city.reset_to(0, 3).unwrap();
+    city.reset_to(0, 3, &mut random).unwrap();
     assert_eq!(letters(city.city(0)), team(&set.test[3]));
     for _ in 0..20 {
-        city.reset_with_tasks(0, 6).unwrap();
+        city.reset_with_tasks(0, 6, &mut random).unwrap();
         assert_eq!(city.city(0).buildings.len(), 6);
     }
-    assert!(city.reset_with_tasks(0, 2).is_err());
+    assert!(city.reset_with_tasks(0, 2, &mut random).is_err());
 }
 
 #[test]

@@ -1,11 +1,12 @@
 //! One test for each consequence that the rule book names.
 
+use sortie_envs::random::generator;
 use sortie_envs::save_the_city::AgentKind::{Builder, Firefighter, Generalist};
 use sortie_envs::save_the_city::{
     AgentKind, AgentState, BuildingKind, BuildingPlan, BuildingState, Constants, SaveTheCity,
     Scenario, ScenarioSet, Status, availability_codes,
 };
-use sortie_envs::{Environment, StepError, StepOutcome, Subtasks};
+use sortie_envs::{Environment, Step, StepError};
 
 const STAY: u16 = 0;
 const NORTH: u16 = 1;
@@ -60,8 +61,8 @@ fn first(city: &SaveTheCity) -> BuildingState {
     city.city(0).buildings[0]
 }
 
-fn step(city: &mut SaveTheCity, actions: &[u16]) -> StepOutcome {
-    city.step(0, actions).unwrap()
+fn step(city: &mut SaveTheCity, actions: &[u16]) -> Step {
+    city.step(0, actions, &mut generator(1)).unwrap()
 }
 
 /// Steps until the fire is out, everybody fighting.
@@ -236,7 +237,7 @@ fn solving_everything_gives_the_team_its_bonus() {
     let outcome = step(&mut city, &[BUILD]);
     assert_eq!(outcome.reward, (10.0 * 0.0625 + 1.0 + 20.0) * 20.0 / 56.0);
     assert!(outcome.terminated && city.metrics(0).solved);
-    assert_eq!(city.step(0, &[STAY]), Err(StepError::EpisodeOver));
+    assert_eq!(city.step(0, &[STAY], &mut generator(1)), Err(StepError::EpisodeOver));
 }
 
 #[test]
@@ -300,10 +301,10 @@ fn an_unavailable_action_is_refused_and_changes_nothing() {
     let before = city.city(0).agents.to_vec();
     for action in [BUILD, FREEZE, 5, 12, u16::MAX] {
         let refusal = StepError::Unavailable { agent: 0, action };
-        assert_eq!(city.step(0, &[action, NORTH]), Err(refusal));
+        assert_eq!(city.step(0, &[action, NORTH], &mut generator(1)), Err(refusal));
     }
     let refusal = StepError::TooFewActions { agents: 2, actions: 1 };
-    assert_eq!(city.step(0, &[FIGHT]), Err(refusal));
+    assert_eq!(city.step(0, &[FIGHT], &mut generator(1)), Err(refusal));
     assert_eq!(city.city(0).agents, before);
     assert_eq!(city.metrics(0).steps, 0);
 }
@@ -324,10 +325,10 @@ fn the_loser_of_a_collision_goes_back() {
 fn either_agent_of_a_collision_loses_half_of_the_time() {
     let agents = [AgentState::at(Firefighter, 2, 2), AgentState::at(Builder, 4, 2)];
     let mut city = city_of(Constants::default(), &agents, &[fast(0.5, 0.0)]);
-    let mut first_loses = 0;
+    let (mut first_loses, mut random) = (0, generator(1));
     for _ in 0..4000 {
         city.restore(0, &agents, &[fast(0.5, 0.0)], 0).unwrap();
-        step(&mut city, &[EAST, WEST]);
+        city.step(0, &[EAST, WEST], &mut random).unwrap();
         first_loses += u32::from(city.bounces(0)[0].loser == 0);
     }
     assert!((1850..2150).contains(&first_loses), "{first_loses} of 4000");

@@ -36,7 +36,7 @@ fn turned_cities_step_to_turned_cities() {
         let mut city = environment("2-8a_2-8b", seed);
         let mut mirror = city.clone();
         for symmetry in Symmetry::ALL {
-            city.reset(0);
+            city.reset(0, &mut generator(seed));
             let (agents, buildings) = turned(city.city(0), symmetry);
             mirror.restore(0, &agents, &buildings, 0).unwrap();
             let mut step = 0;

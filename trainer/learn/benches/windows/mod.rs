@@ -7,7 +7,7 @@ use sortie_envs::save_the_city::{
     Constants, DecisionPoints, SaveTheCity, ScenarioSet, random_actions, random_allocation,
     scripted_actions,
 };
-use sortie_envs::{Environment, ObservationBuffers, Subtasks};
+use sortie_envs::{EntitySet, Environment, Observation};
 use sortie_learn::methods::paper::{NO_ACTION, NO_TASK, WindowShape, Windows};
 
 const WINDOWS: usize = 32;
@@ -31,7 +31,7 @@ pub(crate) fn record() -> Result<Windows, Box<dyn Error>> {
     let mut windows = Windows::new(sizes);
     windows.features.clear();
     let mut draws = draws(2);
-    let mut seen = ObservationBuffers::new(&shape);
+    let (mut state, mut seen) = (Vec::new(), Observation::new(&shape));
     for window in 0..WINDOWS {
         let (mut decisions, mut changed) = (DecisionPoints::default(), false);
         let mut allocation = vec![NO_TASK; sizes.agents];
@@ -52,7 +52,9 @@ pub(crate) fn record() -> Result<Windows, Box<dyn Error>> {
             } else {
                 random_actions(world.city(window), &mut draws, &mut actions);
             }
-            world.observe(window, &mut seen.lend());
+            state.clear();
+            world.save(window, &mut state);
+            world.observe(&state, 0, EntitySet::MAX, &mut seen);
             let kept = moment.checked_sub(warm_up).map(|step| window * STEPS + step);
             if let Some(state) = kept {
                 note(&mut windows, state, &seen, &allocation);
@@ -69,7 +71,7 @@ pub(crate) fn record() -> Result<Windows, Box<dyn Error>> {
                 }
             }
             if over {
-                world.reset(window);
+                world.reset(window, &mut draws);
                 decisions.restart();
                 (changed, over) = (false, false);
                 last.fill(NO_ACTION);
@@ -77,7 +79,7 @@ pub(crate) fn record() -> Result<Windows, Box<dyn Error>> {
                 finished.fill(false);
                 continue;
             }
-            let outcome = world.step(window, &actions)?;
+            let outcome = world.step(window, &actions, &mut draws)?;
             (changed, over) = (outcome.tasks_changed, outcome.done());
             let open = world.open_tasks(window);
             for (task, finished) in finished.iter_mut().enumerate() {
@@ -104,12 +106,15 @@ pub(crate) fn record() -> Result<Windows, Box<dyn Error>> {
 }
 
 /// Writes what there is to see of a state.
-fn note(windows: &mut Windows, state: usize, seen: &ObservationBuffers, allocation: &[u8]) {
+fn note(windows: &mut Windows, state: usize, seen: &Observation, allocation: &[u8]) {
     let shape = windows.shape;
     for entity in 0..shape.entities {
         let at = state * shape.entities + entity;
-        windows.features.push_dense(&seen.rows[entity * seen.stride..][..shape.features]);
         windows.present[at] = seen.present >> entity & 1 == 1;
+        if windows.present[at] {
+            windows.features.push_row(&seen.rows, seen.row_of(entity));
+        }
+        windows.features.end_row();
         let task = seen.entity_task[entity];
         windows.entity_task[at] = match allocation.get(entity) {
             Some(task) if windows.present[at] => *task,
@@ -125,5 +130,10 @@ fn note(windows: &mut Windows, state: usize, seen: &ObservationBuffers, allocati
         windows.open[state * shape.tasks + task] = seen.open_tasks >> task & 1 == 1;
     }
     let codes = shape.agents * shape.actions;
-    windows.available[state * codes..][..codes].copy_from_slice(&seen.available[..codes]);
+    let mine = windows.available[state * codes..][..codes].chunks_exact_mut(shape.actions);
+    for (codes, available) in mine.zip(&seen.available) {
+        for (action, code) in codes.iter_mut().enumerate() {
+            *code = (available >> action & 1) as u16;
+        }
+    }
 }

@@ -16,7 +16,7 @@ mod worlds;
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
-use sortie_envs::StepOutcome;
+use sortie_envs::Step;
 use sortie_envs::save_the_city::{
     AllocationRule, City, Constants, DecisionPoints, EpisodeMetrics, SaveTheCity, ScenarioSet,
     UNASSIGNED,
@@ -214,7 +214,7 @@ pub trait Onlooker {
         &mut self,
         watched: Watched<'_>,
         actions: &[u16],
-        outcome: &StepOutcome,
+        outcome: &Step,
     ) -> Result<(), LearnError>;
 }
 
@@ -224,7 +224,7 @@ impl Onlooker for () {
         Ok(())
     }
 
-    fn stepped(&mut self, _: Watched<'_>, _: &[u16], _: &StepOutcome) -> Result<(), LearnError> {
+    fn stepped(&mut self, _: Watched<'_>, _: &[u16], _: &Step) -> Result<(), LearnError> {
         Ok(())
     }
 }

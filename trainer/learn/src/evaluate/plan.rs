@@ -8,7 +8,6 @@
 
 use rand_core::{Rng, SeedableRng};
 use serde::Serialize;
-use sortie_envs::Environment;
 use sortie_envs::random::{below, chance};
 use sortie_envs::save_the_city::City;
 use sortie_nn::random::Generator;
@@ -88,10 +87,10 @@ impl<'a> Planner<'a> {
         let Situation { city, last_actions, steps } = situation;
         self.worlds.clear();
         for (index, allocation) in allocations.iter().enumerate() {
-            self.worlds.city.seed(index, self.generator.next_u64());
+            let random = sortie_envs::random::generator(self.generator.next_u64());
             self.worlds.city.restore(index, city.agents, city.buildings, steps)?;
             let own = Generator::seed_from_u64(self.generator.next_u64());
-            self.worlds.begin(index, own);
+            self.worlds.begin(index, random, own);
             self.worlds.decided(index, last_actions, allocation, team)?;
         }
         while !self.worlds.active().is_empty() {

@@ -66,9 +66,9 @@ impl<'a> Play<'a> {
         let episode = self.next_episode;
         self.next_episode += 1;
         let mut own = generator(self.plan.seed, Purpose::Evaluation, episode as u64);
-        self.worlds.city.seed(index, own.next_u64());
-        self.worlds.city.reset(index);
-        self.worlds.begin(index, own);
+        let mut random = sortie_envs::random::generator(own.next_u64());
+        self.worlds.city.reset(index, &mut random);
+        self.worlds.begin(index, random, own);
         let Running { episode: running, causes } = &mut self.running[index];
         *running = episode;
         causes.begin(self.worlds.city.city(index));

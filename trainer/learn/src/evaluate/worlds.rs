@@ -1,7 +1,7 @@
 //! Cities side by side: who is due decides, all act at once, each is stepped.
 
-use sortie_envs::save_the_city::{DecisionPoints, SaveTheCity, Split, UNASSIGNED};
-use sortie_envs::{Environment, StepOutcome};
+use sortie_envs::save_the_city::{DecisionPoints, SaveTheCity, UNASSIGNED};
+use sortie_envs::{Environment, Random, Split, Step};
 use sortie_nn::random::Generator;
 
 use super::{Allocate, EvaluationPlan, Scene, Situation, Team};
@@ -10,6 +10,9 @@ use crate::methods::alma::NO_ACTION;
 
 /// What a world remembers between steps.
 struct World {
+    /// Draws what the rules of the world leave to chance.
+    random: Random,
+    /// Draws what the allocator leaves to chance.
     generator: Generator,
     decisions: DecisionPoints,
     tasks_changed: bool,
@@ -48,9 +51,10 @@ impl Worlds {
     }
 
     /// Begins an episode in a world, the next one to play or one that plays; its state has been set.
-    pub(super) fn begin(&mut self, index: usize, generator: Generator) {
+    pub(super) fn begin(&mut self, index: usize, random: Random, generator: Generator) {
         let agents = self.agents();
         let world = World {
+            random,
             generator,
             decisions: DecisionPoints::every(self.interval),
             tasks_changed: false,
@@ -130,11 +134,11 @@ impl Worlds {
     }
 
     /// Steps the active world at a place.
-    pub(super) fn advance(&mut self, place: usize) -> Result<StepOutcome, LearnError> {
+    pub(super) fn advance(&mut self, place: usize) -> Result<Step, LearnError> {
         let (index, agents) = (self.active[place], self.agents());
         let actions = &self.actions[place * agents..][..agents];
-        let outcome = self.city.step(index, actions)?;
         let world = &mut self.worlds[index];
+        let outcome = self.city.step(index, actions, &mut world.random)?;
         for (last, action) in world.last_actions.iter_mut().zip(actions) {
             *last = *action as u8;
         }
@@ -162,8 +166,7 @@ mod tests {
         let plan = EvaluationPlan::new("2-8a_2-8b_sim_Q1", 1, 1).unwrap();
         let mut worlds = Worlds::new(&plan, 40).unwrap();
         for index in 0..40 {
-            worlds.city.seed(index, index as u64);
-            worlds.city.reset(index);
+            worlds.city.reset(index, &mut sortie_envs::random::generator(index as u64));
             let agents = worlds.city.city(index).agents;
             let team: Vec<_> = agents.iter().map(|agent| agent.kind).collect();
             assert!(plan.set.test.iter().any(|scenario| scenario.team == team));

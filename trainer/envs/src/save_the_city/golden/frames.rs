@@ -3,34 +3,34 @@
 use crc::{CRC_32_ISO_HDLC, Crc};
 use serde_json::{Map, Value, json};
 
-use super::super::features::{FEATURES, SparseRow};
+use super::super::features::FEATURES;
 use super::super::heuristic::heuristic_allocation;
 use super::super::metrics::EpisodeMetrics;
 use super::super::rules::{Bounce, availability_codes};
 use super::super::simulator::SaveTheCity;
 use super::super::state::{City, MAX_AGENTS, UNASSIGNED};
-use crate::environment::{Environment, ObservationBuffers, StepOutcome, Subtasks};
+use crate::environment::{Environment, Step};
+use crate::observation::{EntitySet, Observation, members};
 
 const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
 /// The three masks that stay the same for an episode.
 pub(super) fn static_masks(environment: &SaveTheCity, instance: usize) -> Value {
     let shape = environment.shape();
-    let mut buffers = ObservationBuffers::new(&shape);
-    environment.observe(instance, &mut buffers.lend());
-    let present = |entity: usize| buffers.present >> entity & 1 == 1;
+    let seen = observed(environment, instance);
+    let present = |entity: usize| seen.present >> entity & 1 == 1;
     let is_agent = |entity: usize| entity < shape.agents;
     // Buildings look at buildings; agents look where they can.
     let sees = |from: usize, to: usize| {
         if is_agent(from) {
-            buffers.observable[from] >> to & 1 == 1
+            seen.observable[from] >> to & 1 == 1
         } else {
             present(from) && present(to) && !is_agent(to)
         }
     };
     let masked = |holds: bool| u8::from(!holds);
     let entities = || 0..shape.entities;
-    let tasks_of = |entity: usize| environment.entity_task(instance, entity);
+    let tasks_of = |entity: usize| seen.entity_task[entity];
     json!({
         "obs_mask": entities()
             .map(|from| entities().map(|to| masked(sees(from, to))).collect())
@@ -47,6 +47,7 @@ pub(super) fn static_masks(environment: &SaveTheCity, instance: usize) -> Value 
 /// One state; with `features` also its rows, column by column.
 pub(super) fn frame(environment: &SaveTheCity, instance: usize, features: bool) -> Value {
     let city = environment.city(instance);
+    let seen = observed(environment, instance);
     let mut places = Vec::new();
     for agent in city.agents {
         places.extend([agent.x, agent.y]);
@@ -62,10 +63,10 @@ pub(super) fn frame(environment: &SaveTheCity, instance: usize, features: bool) 
         "avail": city.agents.iter().map(availability_codes).collect::<Vec<_>>(),
         "task_mask": task_mask(environment, instance),
         "heur": heuristic(city),
-        "feat_crc": feature_checksum(environment, instance),
+        "feat_crc": feature_checksum(&seen),
     });
     if features {
-        frame["feat"] = sparse_features(city, environment.shape().agents);
+        frame["feat"] = sparse_features(&seen);
     }
     frame
 }
@@ -75,7 +76,7 @@ pub(super) fn step(
     environment: &SaveTheCity,
     instance: usize,
     actions: &[u16],
-    outcome: &StepOutcome,
+    outcome: &Step,
 ) -> Value {
     let bounces = environment.bounces(instance);
     let mut step = json!({
@@ -127,24 +128,35 @@ fn heuristic(city: City<'_>) -> Vec<i32> {
     allocation[..city.agents.len()].iter().map(task).collect()
 }
 
-fn feature_checksum(environment: &SaveTheCity, instance: usize) -> u32 {
-    let mut buffers = ObservationBuffers::with_stride(&environment.shape(), FEATURES);
-    environment.observe(instance, &mut buffers.lend());
+/// All that there is to see.
+fn observed(environment: &SaveTheCity, instance: usize) -> Observation {
+    let (mut state, mut seen) = (Vec::new(), Observation::default());
+    environment.save(instance, &mut state);
+    environment.observe(&state, 0, EntitySet::MAX, &mut seen);
+    seen
+}
+
+/// Of all rows, those of absent entities as zeros.
+fn feature_checksum(seen: &Observation) -> u32 {
     let mut digest = CRC.digest();
-    for value in &buffers.rows {
-        digest.update(&value.to_le_bytes());
+    let mut row = [0.0_f32; FEATURES];
+    for entity in 0..seen.entity_task.len() {
+        row.fill(0.0);
+        if seen.entities >> entity & 1 == 1 {
+            seen.rows.write_dense(seen.row_of(entity), &mut row);
+        }
+        row.iter().for_each(|value| digest.update(&value.to_le_bytes()));
     }
     digest.finalize()
 }
 
-fn sparse_features(city: City<'_>, max_agents: usize) -> Value {
-    let agents = city.agents.iter().map(SparseRow::of_agent).enumerate();
-    let buildings = city.buildings.iter().map(SparseRow::of_building).enumerate();
-    let rows = agents.chain(buildings.map(|(index, row)| (max_agents + index, row)));
-    rows.map(|(index, row)| {
-        json!([index, row.columns(), row.values().iter().map(decimal).collect::<Vec<_>>()])
-    })
-    .collect()
+fn sparse_features(seen: &Observation) -> Value {
+    let row = |(row, entity)| {
+        let entries = seen.rows.row(row).filter(|(_, value)| *value != 0.0);
+        let (columns, values): (Vec<_>, Vec<_>) = entries.unzip();
+        json!([entity, columns, values.iter().map(decimal).collect::<Vec<_>>()])
+    };
+    members(seen.entities).enumerate().map(row).collect()
 }
 
 /// The f64 with the shortest decimals of an f32, which is how the files give features.

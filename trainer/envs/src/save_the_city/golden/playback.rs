@@ -3,7 +3,7 @@
 use super::super::simulator::SaveTheCity;
 use super::record::Labels;
 use super::replay::{Moves, read_moves, restore};
-use crate::environment::{StepError, StepOutcome};
+use crate::environment::{Step, StepError};
 use crate::recorded::Field;
 use crate::recorded::GoldenError;
 
@@ -51,7 +51,7 @@ impl Playback {
     }
 
     /// Takes the next step; `None` at the end.
-    pub fn step(&mut self) -> Result<Option<StepOutcome>, StepError> {
+    pub fn step(&mut self) -> Result<Option<Step>, StepError> {
         let Some(moves) = self.moves.get(self.played) else { return Ok(None) };
         let outcome = moves.play(&mut self.world)?;
         self.played += 1;

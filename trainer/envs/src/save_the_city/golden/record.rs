@@ -8,7 +8,7 @@ use super::super::simulator::SaveTheCity;
 use super::SCHEMA;
 use super::events::Events;
 use super::frames;
-use crate::environment::StepOutcome;
+use crate::environment::Step;
 
 /// What a recorded episode is called; for people, nothing depends on it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -57,7 +57,7 @@ impl Recorder {
     }
 
     /// Adds the step that was just taken.
-    pub fn record(&mut self, environment: &SaveTheCity, actions: &[u16], outcome: &StepOutcome) {
+    pub fn record(&mut self, environment: &SaveTheCity, actions: &[u16], outcome: &Step) {
         let instance = self.instance;
         self.steps.push(frames::step(environment, instance, actions, outcome));
         let features = has_features(self.steps.len(), outcome.done());

@@ -12,7 +12,7 @@ use super::super::state::{
 use super::SCHEMA;
 use super::events::Events;
 use super::frames;
-use crate::environment::{StepError, StepOutcome};
+use crate::environment::{Step, StepError};
 use crate::recorded::Field;
 use crate::recorded::GoldenError;
 use crate::recorded::{Comparison, Replay};
@@ -67,7 +67,7 @@ pub(super) struct Moves {
 
 impl Moves {
     /// Takes the step that was recorded.
-    pub(super) fn play(&self, environment: &mut SaveTheCity) -> Result<StepOutcome, StepError> {
+    pub(super) fn play(&self, environment: &mut SaveTheCity) -> Result<Step, StepError> {
         let mut losers = self.bounces.iter().peekable();
         environment.step_with_losers(0, &self.actions, |first, second| {
             let known = |bounce: &&Bounce| {

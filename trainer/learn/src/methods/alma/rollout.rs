@@ -2,10 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 use sortie_envs::save_the_city::{ACTIONS, AgentState, BuildingState, SaveTheCity, ScenarioSet};
-use sortie_envs::{Environment, StepOutcome, Subtasks};
+use sortie_envs::{Environment, Step};
 
 use rand_core::Rng;
-use sortie_envs::random::{below, chance};
+use sortie_envs::random::chance;
 use sortie_nn::random::Generator;
 
 use super::config::Config;
@@ -181,9 +181,7 @@ impl Rollout {
         let allocation = &decisions.allocation;
         history.act(Moment { city: self.city.city(index), allocation, last_actions }, actions);
 
-        let outcome = self.city.step_with_losers(index, actions, |first, second| {
-            if below(generator, 2) == 0 { first } else { second }
-        })?;
+        let outcome = self.city.step(index, actions, generator)?;
         for (last, action) in last_actions.iter_mut().zip(actions) {
             *last = *action as u8;
         }
@@ -204,7 +202,7 @@ impl Rollout {
         Ok(())
     }
 
-    fn count(&self, index: usize, outcome: StepOutcome, counts: &mut EpisodeCounts) {
+    fn count(&self, index: usize, outcome: Step, counts: &mut EpisodeCounts) {
         counts.episodes += 1;
         counts.solved += u64::from(self.city.metrics(index).solved);
         counts.timed_out += u64::from(outcome.timed_out);
@@ -216,8 +214,8 @@ impl Rollout {
         instance.decisions.restart(self.deciding.allocation(), &mut instance.generator);
         instance.last_actions.fill(NO_ACTION);
         instance.episode_return = 0.0;
-        self.city.seed(index, instance.generator.next_u64());
-        self.city.reset(index);
+        let mut random = sortie_envs::random::generator(instance.generator.next_u64());
+        self.city.reset(index, &mut random);
     }
 
     /// Everything that the instances need to go on exactly as they would have.

@@ -2,11 +2,11 @@
 
 use rand_core::Rng;
 use serde::{Deserialize, Serialize};
-use sortie_envs::random::{below, chance};
+use sortie_envs::Environment;
+use sortie_envs::random::chance;
 use sortie_envs::save_the_city::{
     AllocationRule, City, DecisionPoints, SaveTheCity, ScenarioSet, UNASSIGNED,
 };
-use sortie_envs::{Environment, Subtasks};
 use sortie_nn::random::Generator;
 
 use super::config::Config;
@@ -157,8 +157,8 @@ impl Rollout {
     }
 
     fn begin(&mut self, index: usize, added: u64) {
-        self.city.seed(index, self.generators.0[index].next_u64());
-        self.city.reset(index);
+        let mut random = sortie_envs::random::generator(self.generators.0[index].next_u64());
+        self.city.reset(index, &mut random);
         let instance = &mut self.instances[index];
         instance.points.restart();
         instance.tasks_changed = false;
@@ -239,9 +239,7 @@ impl Rollout {
         episode.push_state(Moment { city, allocation, decision, actions });
 
         let generator = &mut self.generators.0[index];
-        let outcome = self.city.step_with_losers(index, actions, |first, second| {
-            if below(generator, 2) == 0 { first } else { second }
-        })?;
+        let outcome = self.city.step(index, actions, generator)?;
         episode.push_rewards(outcome.reward, self.city.task_rewards(index));
         instance.episode_return += outcome.reward;
         instance.tasks_changed = outcome.tasks_changed;

@@ -246,6 +246,7 @@ mod tests {
     fn episode(number: u64, steps: usize) -> Episode {
         let set = ScenarioSet::named("2-5a_2-5b").unwrap();
         let mut city = SaveTheCity::new(set, Default::default(), 1, number).unwrap();
+        let mut draws = sortie_envs::random::generator(number);
         let mut episode = Episode::default();
         episode.begin(city.city(0), 1_000 * number);
         for step in 0..=steps {
@@ -258,7 +259,7 @@ mod tests {
             };
             episode.push_state(moment);
             if step < steps {
-                city.step(0, &[0; 5]).unwrap();
+                city.step(0, &[0; 5], &mut draws).unwrap();
                 episode.push_rewards(number as f64, &[0.5; 6]);
             }
         }

@@ -146,9 +146,7 @@ mod tests {
 
     fn city() -> SaveTheCity {
         let set = ScenarioSet::named("2-5a_2-5b").unwrap();
-        let mut city = SaveTheCity::new(set, Constants::default(), 8, 5).unwrap();
-        (0..8).for_each(|instance| sortie_envs::Environment::reset(&mut city, instance));
-        city
+        SaveTheCity::new(set, Constants::default(), 8, 5).unwrap()
     }
 
     fn network() -> UtilityNetwork {

@@ -147,8 +147,10 @@ mod tests {
         let set = ScenarioSet::named("2-5a_2-5b").unwrap();
         let mut city = SaveTheCity::new(set, Constants::default(), 1, 5).unwrap();
         let mut segments = Segments::new(20);
+        let mut draws = sortie_envs::random::generator(5);
+        city.reset(0, &mut draws);
         for number in 0..20_u8 {
-            city.reset(0);
+            city.reset(0, &mut draws);
             let now = Decision::new(city.city(0), &[number % 3, 1, 2, 0, 1]);
             let mut next = Decision { allocation: vec![1; now.allocation.len()], ..now.clone() };
             if number % 2 == 0 {

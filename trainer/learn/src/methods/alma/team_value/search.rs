@@ -119,7 +119,6 @@ mod tests {
     use crate::evaluate::{EvaluationPlan, ScriptedActors, evaluate};
     use crate::methods::alma::config::AllocatorConfig;
     use crate::random::{Purpose, generator};
-    use sortie_envs::Environment;
     use sortie_envs::save_the_city::{Constants, SaveTheCity, ScenarioSet};
 
     fn network() -> UtilityNetwork {
@@ -132,10 +131,9 @@ mod tests {
     fn every_agent_gets_an_open_building_and_no_team_is_too_large() {
         for set in ["2-5a_2-5b", "12a_12b"] {
             let set = ScenarioSet::named(set).unwrap();
-            let mut world = SaveTheCity::new(set, Constants::default(), 6, 5).unwrap();
+            let world = SaveTheCity::new(set, Constants::default(), 6, 5).unwrap();
             let network = network();
             for instance in 0..6 {
-                world.reset(instance);
                 let city = world.city(instance);
                 let mut allocation = [7; 64];
                 let mut search = TeamSearch::new(network.shape(), 2);

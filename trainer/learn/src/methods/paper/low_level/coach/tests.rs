@@ -1,4 +1,3 @@
-use sortie_envs::Environment;
 use sortie_envs::random::chance;
 use sortie_envs::save_the_city::{
     Constants, FEATURES, MAX_AGENTS, SaveTheCity, ScenarioSet, UNASSIGNED,
@@ -170,8 +169,7 @@ fn strategies_are_held_until_the_next_decision() {
 fn a_coach_sees_the_same_where_agents_play_and_where_they_learn() {
     let set = ScenarioSet::named("2-5a_2-5b").unwrap();
     let (agents, tasks) = (set.max_agents, set.max_buildings);
-    let mut world = SaveTheCity::new(set, Constants::default(), 1, 3).unwrap();
-    world.reset(0);
+    let world = SaveTheCity::new(set, Constants::default(), 1, 3).unwrap();
     let city = world.city(0);
     let mut episode = Episode::default();
     episode.begin(city, 0);

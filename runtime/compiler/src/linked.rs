@@ -1,7 +1,5 @@
 //! The engines and the compiler of a program that links this crate.
 
-mod onnxruntime;
-
 use std::io;
 use std::path::Path;
 
@@ -14,12 +12,13 @@ use sortie_plans::{
 };
 
 use crate::answer::answer_compiler;
-use crate::compile::{
-    compare_entities_with_graph, compare_proposals_with_graphs, compile, compile_proposals,
-};
+use crate::compile::compile;
 use crate::judge::{Judge, judge_agent, judge_team_values};
 use crate::onnxruntime::{OnnxRuntime, find_library};
-use crate::tract::{TractPolicy, TractTeamValue};
+use crate::parity::compare_entities_with_graph;
+use crate::proposals::{compare_proposals_with_graphs, compile_proposals};
+use crate::tract_policy::TractPolicy;
+use crate::tract_team_value::TractTeamValue;
 
 /// tract's version, as the lock file pins it.
 const TRACT_VERSION: &str = "0.23.9";

@@ -1,0 +1,201 @@
+//! What every [`Environment`] must hold to, as a test that any environment can run.
+
+use alloc::format;
+use alloc::string::{String, ToString};
+use alloc::vec;
+use alloc::vec::Vec;
+
+use crate::environment::{Environment, Split, Step};
+use crate::observation::{EntitySet, Observation};
+use crate::random::{Random, below, generator};
+use crate::spec::Spec;
+
+/// Plays episodes of random actions and checks the laws of [`Environment`] in every state.
+///
+/// # Errors
+/// The first law that does not hold, with what was found.
+pub fn check(environment: &dyn Environment, seed: u64, episodes: usize) -> Result<(), String> {
+    environment.spec().check().map_err(|error| error.to_string())?;
+    let mut random = generator(seed);
+    let mut law = Laws {
+        played: environment.open(2, Split::Train),
+        other: environment.open(1, Split::Test),
+        spec: environment.spec().clone(),
+        seen: Observation::new(&environment.spec().shape),
+    };
+    require(law.played.instances() == 2, || "`open` gives as many instances as asked for".into())?;
+    (0..episodes).try_for_each(|episode| {
+        law.play(episode % 2, &mut random).map_err(|error| format!("episode {episode}: {error}"))
+    })
+}
+
+struct Laws {
+    played: alloc::boxed::Box<dyn Environment>,
+    /// Instance 0 continues from saved states.
+    other: alloc::boxed::Box<dyn Environment>,
+    spec: Spec,
+    seen: Observation,
+}
+
+fn require(holds: bool, law: impl FnOnce() -> String) -> Result<(), String> {
+    if holds { Ok(()) } else { Err(law()) }
+}
+
+impl Laws {
+    fn play(&mut self, instance: usize, random: &mut Random) -> Result<(), String> {
+        self.played.reset(instance, random);
+        let start = self.played.episode(instance);
+        require(start.steps == 0 && start.episode_return == 0.0, || "a reset starts anew".into())?;
+        let mut returned = 0.0;
+        while !self.played.episode(instance).done {
+            let state = self.saved(instance)?;
+            self.check_observation(&state)?;
+            let actions = self.random_actions(random);
+            let step = self.step_twice(instance, &state, &actions, random)?;
+            returned += step.reward;
+            let episode = self.played.episode(instance);
+            require(episode.done == step.done(), || "an episode is done as its step says".into())?;
+            require(episode.metrics.len() == self.spec.metrics.len(), || {
+                format!("{} values for {} metrics", episode.metrics.len(), self.spec.metrics.len())
+            })?;
+            require(episode.steps <= self.spec.episode_limit, || {
+                format!("step {} of at most {}", episode.steps, self.spec.episode_limit)
+            })?;
+        }
+        let episode = self.played.episode(instance);
+        let error = (episode.episode_return - returned).abs();
+        require(error < 1e-9 * (1.0 + returned.abs()), || {
+            format!(
+                "rewards add up to {returned}, the episode's return is {}",
+                episode.episode_return
+            )
+        })?;
+        let actions = vec![0; self.spec.shape.agents];
+        let refused = self.played.step(instance, &actions, random);
+        require(refused.is_err(), || "an episode that is over takes no step".into())
+    }
+
+    fn saved(&self, instance: usize) -> Result<Vec<u8>, String> {
+        let mut state = Vec::new();
+        self.played.save(instance, &mut state);
+        require(state.len() <= self.spec.state_bytes, || {
+            format!(
+                "a state of {} bytes, at most {} are promised",
+                state.len(),
+                self.spec.state_bytes
+            )
+        })?;
+        Ok(state)
+    }
+
+    /// Takes the same step in a copy of the state, and in the instance itself.
+    fn step_twice(
+        &mut self,
+        instance: usize,
+        state: &[u8],
+        actions: &[u16],
+        random: &mut Random,
+    ) -> Result<Step, String> {
+        self.other.load(0, state).map_err(|error| format!("a saved state is refused: {error}"))?;
+        let mut again = Vec::new();
+        self.other.save(0, &mut again);
+        require(again == state, || "a loaded state is saved as it was".into())?;
+
+        let mut same_random = random.clone();
+        let copied = self.other.step(0, actions, &mut same_random);
+        let step = self.played.step(instance, actions, random);
+        require(copied == step, || format!("a copy steps otherwise: {copied:?} and {step:?}"))?;
+        require(same_random == *random, || "a copy draws otherwise".into())?;
+        let rewards = (self.played.task_rewards(instance), self.other.task_rewards(0));
+        let tasks = if self.spec.rewards.tasks { self.spec.shape.tasks } else { 0 };
+        require(rewards.0 == rewards.1 && rewards.0.len() == tasks, || {
+            format!("rewards of {tasks} subtasks: {rewards:?}")
+        })?;
+        let rewards = (self.played.agent_rewards(instance), self.other.agent_rewards(0));
+        let agents = if self.spec.rewards.agents { self.spec.shape.agents } else { 0 };
+        require(rewards.0 == rewards.1 && rewards.0.len() == agents, || {
+            format!("rewards of {agents} agents: {rewards:?}")
+        })?;
+        let (episode, copy) = (self.played.episode(instance), self.other.episode(0));
+        require(episode == copy, || format!("a copy counts otherwise: {episode:?} and {copy:?}"))?;
+        step.map_err(|error| format!("an available action is refused: {error}"))
+    }
+
+    fn check_observation(&mut self, state: &[u8]) -> Result<(), String> {
+        let shape = self.spec.shape;
+        self.played.observe(state, 0, EntitySet::MAX, &mut self.seen);
+        let seen = &self.seen;
+        require(seen.entities == seen.present, || "all that exists was asked for".into())?;
+        let rows = seen.rows.len();
+        require(rows == seen.present.count_ones() as usize, || format!("{rows} rows"))?;
+        let lengths = [seen.observable.len(), seen.available.len(), seen.entity_task.len()];
+        require(lengths == [shape.agents, shape.agents, shape.entities], || {
+            format!("masks of {lengths:?}")
+        })?;
+        for row in 0..rows {
+            let entries: Vec<_> = seen.rows.row(row).collect();
+            require(entries.len() <= self.spec.row_entries, || {
+                format!(
+                    "{} features in a row, at most {} are promised",
+                    entries.len(),
+                    self.spec.row_entries
+                )
+            })?;
+            require(entries.is_sorted_by(|one, next| one.0 < next.0), || {
+                format!("features out of order: {entries:?}")
+            })?;
+            let sound =
+                |(column, value): &(usize, f32)| *column < shape.features && value.is_finite();
+            require(entries.iter().all(sound), || format!("impossible features: {entries:?}"))?;
+        }
+        let within = |tasks: u32| u64::from(tasks) >> shape.tasks == 0;
+        require(
+            within(seen.open_tasks) && seen.entity_task.iter().all(|tasks| within(*tasks)),
+            || "subtasks beyond the shape".into(),
+        )?;
+        let agents = seen.agents();
+        for (agent, available) in seen.available.iter().enumerate() {
+            let possible = *available != 0 && u128::from(*available) >> shape.actions == 0;
+            require(possible && (agent < agents || *available == 1), || {
+                format!("agent {agent} may do {available:b}")
+            })?;
+        }
+        self.check_parts(state)
+    }
+
+    /// Rows alone, and under every symmetry, are those of the whole.
+    fn check_parts(&mut self, state: &[u8]) -> Result<(), String> {
+        let mut part = Observation::new(&self.spec.shape);
+        for entity in crate::observation::members(self.seen.present) {
+            self.played.observe(state, 0, 1 << entity, &mut part);
+            let (whole, row) = (&self.seen, self.seen.row_of(entity));
+            require(
+                part.entities == 1 << entity && part.rows.row(0).eq(whole.rows.row(row)),
+                || format!("the row of entity {entity} alone is another one"),
+            )?;
+        }
+        for turn in 0..self.spec.turns {
+            self.played.observe(state, turn, EntitySet::MAX, &mut part);
+            for (agent, (plain, turned)) in
+                self.seen.available.iter().zip(&part.available).enumerate()
+            {
+                let mapped = (0..self.spec.shape.actions as u16)
+                    .filter(|action| plain >> action & 1 == 1)
+                    .map(|action| 1 << self.played.turned_action(turn, action))
+                    .fold(0_u64, |set, action| set | action);
+                require(mapped == *turned, || {
+                    format!("turn {turn}: agent {agent} may do {turned:b}")
+                })?;
+            }
+        }
+        Ok(())
+    }
+
+    fn random_actions(&self, random: &mut Random) -> Vec<u16> {
+        let choose = |available: &u64| {
+            let chosen = below(random, available.count_ones() as usize);
+            crate::observation::members((*available).into()).nth(chosen).unwrap_or(0) as u16
+        };
+        self.seen.available.iter().map(choose).collect()
+    }
+}

@@ -1,0 +1,295 @@
+//! SaveTheCity as an [`Environment`]: its state as bytes, what is seen in it, and what it says of itself.
+
+use alloc::boxed::Box;
+use alloc::string::{String, ToString};
+use alloc::vec::Vec;
+
+use super::allocation::AllocationRule;
+use super::bytes::{CityBytes, state_bytes, write_state};
+use super::features::{FEATURE_NAMES, FEATURES, ROW_ENTRIES, agent_features, building_features};
+use super::metrics::EpisodeMetrics;
+use super::relation::{RELATIONS, agent_relation, building_relation};
+use super::rules::{ACTION_NAMES, ACTIONS, FIGHT};
+use super::scenarios::{SET_NAMES, ScenarioSet};
+use super::scripted::scripted_actions;
+use super::simulator::SaveTheCity;
+use super::state::{AgentState, BuildingState, City, MAX_AGENTS, MAX_BUILDINGS, NO_BUILDING};
+use super::symmetry::Symmetry;
+use super::{Constants, VERSION};
+use crate::environment::{Environment, Episode, Split, StateError, Step, StepError};
+use crate::observation::{AgentSet, EntitySet, Observation, members};
+use crate::random::{Random, below};
+use crate::registry::{Choice, Entry, EnvironmentError};
+use crate::rows::SparseRows;
+use crate::spec::{Metric, Rewards, Shape, Spec, View};
+
+/// How `--env` finds it.
+pub const ENTRY: Entry = Entry {
+    name: "save-the-city",
+    about: "A team extinguishes and repairs burning buildings (dissertation chapter 7)",
+    version: VERSION,
+    sets: || SET_NAMES.map(String::from).to_vec(),
+    open: |choice| Ok(Box::new(open(choice)?)),
+};
+
+/// The set that is played where none is named.
+const DEFAULT_SET: &str = SET_NAMES[0];
+
+const METRICS: &[Metric] = &[
+    Metric { name: "none_burned", unit: "share", about: "no building was lost" },
+    Metric {
+        name: "prop_buildings_completed",
+        unit: "share",
+        about: "of the buildings that are complete",
+    },
+    Metric { name: "fires_extinguished", unit: "fires", about: "put out" },
+    Metric { name: "buildings_completed", unit: "buildings", about: "completed" },
+    Metric { name: "buildings_burned", unit: "buildings", about: "lost" },
+    Metric { name: "buildings_health_delta", unit: "health", about: "sum of all changes" },
+    Metric { name: "types_per_firefight", unit: "kinds", about: "at a fire that anyone fought" },
+    Metric { name: "types_per_build", unit: "kinds", about: "at a building that anyone built" },
+];
+
+/// The rules of allocation, by their place in [`Spec::rules`].
+const RULES: [AllocationRule; 3] =
+    [AllocationRule::Random, AllocationRule::Heuristic, AllocationRule::Coordinated];
+
+fn open(choice: &Choice<'_>) -> Result<SaveTheCity, EnvironmentError> {
+    let unfit = |error: &dyn ToString| EnvironmentError::Set(error.to_string());
+    let set = ScenarioSet::named(choice.set.unwrap_or(DEFAULT_SET)).map_err(|e| unfit(&e))?;
+    let constants: Constants = choice.settings()?;
+    let mut city =
+        SaveTheCity::new(set, constants, choice.instances, 0).map_err(|error| unfit(&error))?;
+    city.use_split(choice.split);
+    Ok(city)
+}
+
+/// What a set of scenarios says of itself.
+pub(super) fn spec(set: &ScenarioSet, constants: &Constants) -> Spec {
+    let shape = Shape {
+        agents: set.max_agents,
+        entities: set.max_agents + set.max_buildings,
+        tasks: set.max_buildings,
+        actions: ACTIONS,
+        features: FEATURES,
+    };
+    Spec {
+        name: ENTRY.name,
+        version: VERSION,
+        shape,
+        view: View::Entities,
+        features: FEATURE_NAMES.map(String::from).to_vec(),
+        actions: ACTION_NAMES.map(String::from).to_vec(),
+        metrics: METRICS,
+        rewards: Rewards { tasks: true, agents: false },
+        turns: Symmetry::ALL.len(),
+        rules: &["random", "heuristic", "coordinated"],
+        relations: RELATIONS,
+        row_entries: ROW_ENTRIES,
+        state_bytes: state_bytes(set.max_agents, set.max_buildings),
+        episode_limit: constants.episode_limit,
+    }
+}
+
+/// A state that has been checked before.
+fn known(state: &[u8]) -> CityBytes<'_> {
+    match CityBytes::new(state) {
+        Ok(state) => state,
+        Err(error) => panic!("a state that `load` refuses: {error}"),
+    }
+}
+
+/// Calls `with` on a whole city.
+fn with_city<T>(state: &[u8], with: impl FnOnce(City<'_>) -> T) -> T {
+    let state = known(state);
+    let mut agents = [super::reset::ABSENT_AGENT; MAX_AGENTS];
+    let mut buildings = [super::reset::ABSENT_BUILDING; MAX_BUILDINGS];
+    let (agents, buildings) = decode(&state, &mut agents, &mut buildings);
+    with(City { agents, buildings })
+}
+
+fn decode<'a>(
+    state: &CityBytes<'_>,
+    agents: &'a mut [AgentState],
+    buildings: &'a mut [BuildingState],
+) -> (&'a [AgentState], &'a [BuildingState]) {
+    let (agents, buildings) = (&mut agents[..state.agents()], &mut buildings[..state.buildings()]);
+    agents.iter_mut().enumerate().for_each(|(index, agent)| *agent = state.agent(index));
+    buildings.iter_mut().enumerate().for_each(|(index, it)| *it = state.building(index));
+    (agents, buildings)
+}
+
+fn metrics(metrics: &EpisodeMetrics) -> Vec<Option<f64>> {
+    let entries: Vec<_> = metrics.entries().collect();
+    let value = |name| entries.iter().find(|(known, _)| *known == name).map(|(_, value)| *value);
+    METRICS.iter().map(|metric| value(metric.name)).collect()
+}
+
+impl Environment for SaveTheCity {
+    fn spec(&self) -> &Spec {
+        self.own_spec()
+    }
+
+    fn instances(&self) -> usize {
+        self.count()
+    }
+
+    fn open(&self, instances: usize, split: Split) -> Box<dyn Environment> {
+        Box::new(self.with_instances(instances, split))
+    }
+
+    fn reset(&mut self, instance: usize, random: &mut Random) {
+        self.reset_from(instance, random);
+    }
+
+    fn step(
+        &mut self,
+        instance: usize,
+        actions: &[u16],
+        random: &mut Random,
+    ) -> Result<Step, StepError> {
+        self.step_with_losers(
+            instance,
+            actions,
+            |first, second| {
+                if below(random, 2) == 0 { first } else { second }
+            },
+        )
+    }
+
+    fn task_rewards(&self, instance: usize) -> &[f64] {
+        self.rewards_of_tasks(instance)
+    }
+
+    fn save(&self, instance: usize, state: &mut Vec<u8>) {
+        write_state(self.city(instance), self.scenario(instance), self.metrics(instance), state);
+    }
+
+    fn load(&mut self, instance: usize, state: &[u8]) -> Result<(), StateError> {
+        let state = CityBytes::new(state)?;
+        let mut agents = [super::reset::ABSENT_AGENT; MAX_AGENTS];
+        let mut buildings = [super::reset::ABSENT_BUILDING; MAX_BUILDINGS];
+        let (agents, buildings) = decode(&state, &mut agents, &mut buildings);
+        self.restore_with(instance, agents, buildings, state.scenario(), state.metrics())
+            .map_err(|error| StateError::Impossible(error.to_string()))
+    }
+
+    fn observe(&self, state: &[u8], turn: usize, wanted: EntitySet, seen: &mut Observation) {
+        let state = known(state);
+        let Shape { agents: max_agents, entities, .. } = self.own_spec().shape;
+        let (agents, buildings) = (state.agents(), state.buildings());
+        let turn = Symmetry::ALL[turn];
+
+        seen.present = ((1 << buildings) - 1) << max_agents | ((1 << agents) - 1);
+        seen.entities = wanted & seen.present;
+        seen.observable.resize(max_agents, 0);
+        seen.observable[..agents].fill(seen.present);
+        seen.observable[agents..].fill(0);
+        seen.entity_task.resize(entities, 0);
+        for (task, tasks) in seen.entity_task[max_agents..].iter_mut().enumerate() {
+            *tasks = u32::from(task < buildings) << task;
+        }
+        seen.available.resize(max_agents, 1);
+        for (index, available) in seen.available[..agents].iter_mut().enumerate() {
+            *available = turn.available(state.agent(index).available).into();
+        }
+        seen.available[agents..].fill(1);
+        seen.open_tasks = state.open_tasks();
+
+        seen.rows.clear();
+        for entity in members(seen.entities) {
+            match entity.checked_sub(max_agents) {
+                None => agent_features(&turn.agent(&state.agent(entity)), |column, value| {
+                    seen.rows.push(column, value);
+                }),
+                Some(task) => {
+                    let building = turn.building(&state.building(task));
+                    building_features(&building, |column, value| seen.rows.push(column, value));
+                }
+            }
+            seen.rows.end_row();
+        }
+    }
+
+    fn episode(&self, instance: usize) -> Episode {
+        let counted = self.metrics(instance);
+        Episode {
+            steps: counted.steps,
+            done: self.is_done(instance),
+            solved: counted.solved,
+            timed_out: counted.timed_out,
+            episode_return: counted.episode_return,
+            group: self.city(instance).agents.iter().map(|agent| agent.kind.letter()).collect(),
+            metrics: metrics(counted),
+        }
+    }
+
+    fn turned_action(&self, turn: usize, action: u16) -> u16 {
+        Symmetry::ALL[turn].action(action)
+    }
+
+    fn subtask_of(&self, state: &[u8], agent: usize, action: u16) -> Option<usize> {
+        let agent = known(state).agent(agent);
+        let applies = action >= FIGHT && agent.beside != NO_BUILDING;
+        applies.then_some(agent.beside.into())
+    }
+
+    fn allocate(&self, rule: usize, state: &[u8], random: &mut Random, allocation: &mut [u8]) {
+        with_city(state, |city| RULES[rule].allocate(city, random, allocation));
+    }
+
+    fn scripted(
+        &self,
+        state: &[u8],
+        allocation: &[u8],
+        random: &mut Random,
+        actions: &mut [u16],
+    ) -> bool {
+        with_city(state, |city| scripted_actions(city, allocation, random, actions));
+        true
+    }
+
+    fn potential(&self, state: &[u8], scale: f32, team: AgentSet, task: Option<usize>) -> f32 {
+        let state = known(state);
+        let at = |agent: &AgentState, task: usize| {
+            let cells = agent.distance_to(&state.building(task)).saturating_sub(1);
+            -scale * f32::from(cells)
+        };
+        let nearest = |agent: &AgentState| {
+            let open = (0..state.buildings()).filter(|task| state.is_open(*task));
+            open.map(|task| at(agent, task)).reduce(f32::max).unwrap_or(0.0)
+        };
+        members(team.into())
+            .map(|agent| state.agent(agent))
+            .map(|agent| task.map_or_else(|| nearest(&agent), |task| at(&agent, task)))
+            .sum()
+    }
+
+    fn relate(
+        &self,
+        state: &[u8],
+        turn: usize,
+        task: usize,
+        wanted: EntitySet,
+        rows: &mut SparseRows,
+    ) {
+        // Distances look the same from every side.
+        let _ = turn;
+        let state = known(state);
+        let max_agents = self.own_spec().shape.agents;
+        let present = ((1 << state.buildings()) - 1) << max_agents | ((1 << state.agents()) - 1);
+        let is_open = task < state.buildings() && state.is_open(task);
+        for entity in members(wanted & present) {
+            let bin = match entity.checked_sub(max_agents) {
+                _ if !is_open => None,
+                None => Some(agent_relation(&state.agent(entity), &state.building(task))),
+                Some(other) if other != task && state.is_open(other) => {
+                    Some(building_relation(&state.building(other), &state.building(task)))
+                }
+                Some(_) => None,
+            };
+            bin.into_iter().for_each(|bin| rows.push(bin, 1.0));
+            rows.end_row();
+        }
+    }
+}

@@ -1,0 +1,169 @@
+//! What an environment says of itself.
+
+use alloc::string::String;
+use alloc::vec::Vec;
+use core::fmt;
+
+/// Padded sizes of an environment, constant for its life.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shape {
+    /// Agents A; at most [`Shape::AGENTS`].
+    pub agents: usize,
+    /// Entities N, agents included; at most [`Shape::ENTITIES`].
+    pub entities: usize,
+    /// Subtasks T; at most [`Shape::TASKS`].
+    pub tasks: usize,
+    /// Actions U of one agent; at most [`Shape::ACTIONS`].
+    pub actions: usize,
+    /// Features d of one entity, without its last action; at most [`Shape::FEATURES`].
+    pub features: usize,
+}
+
+impl Shape {
+    /// Most agents.
+    pub const AGENTS: usize = 64;
+    /// Most entities.
+    pub const ENTITIES: usize = 128;
+    /// Most subtasks.
+    pub const TASKS: usize = 32;
+    /// Most actions.
+    pub const ACTIONS: usize = 64;
+    /// Most features.
+    pub const FEATURES: usize = 1 << 15;
+}
+
+/// What one row of an observation stands for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum View {
+    /// One entity: an agent or a thing. Agents look at those that they can observe.
+    Entities,
+    /// All that one agent sees; a row behind those of the agents is what a critic sees of the state.
+    Vectors,
+    /// A picture of so many channels, rows and columns, the only row.
+    Pictures([usize; 3]),
+}
+
+/// A number that every episode of an environment comes to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Metric {
+    /// Its name in files and tables.
+    pub name: &'static str,
+    /// Its unit.
+    pub unit: &'static str,
+    /// What it says, in a few words.
+    pub about: &'static str,
+}
+
+/// Who earns rewards besides the team.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Rewards {
+    /// Every subtask has a reward of its own.
+    pub tasks: bool,
+    /// Every agent has a reward of its own.
+    pub agents: bool,
+}
+
+/// What an environment says of itself, constant for its life.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Spec {
+    /// Its name, as `--env` takes it.
+    pub name: &'static str,
+    /// The version of its rules: another one where a trained policy would notice the difference.
+    pub version: &'static str,
+    /// The padded sizes.
+    pub shape: Shape,
+    /// What a row of an observation stands for.
+    pub view: View,
+    /// `[d]`: names of the features.
+    pub features: Vec<String>,
+    /// `[U]`: names of the actions.
+    pub actions: Vec<String>,
+    /// What an episode comes to, besides its return, its length and whether it was solved.
+    pub metrics: &'static [Metric],
+    /// Who earns rewards besides the team.
+    pub rewards: Rewards,
+    /// Symmetries of the rules, the one that changes nothing included.
+    pub turns: usize,
+    /// Names of the rules that assign agents to subtasks.
+    pub rules: &'static [&'static str],
+    /// Columns of the relation between an entity and a subtask.
+    pub relations: usize,
+    /// Most features of one row that differ from zero.
+    pub row_entries: usize,
+    /// Most bytes of a state.
+    pub state_bytes: usize,
+    /// Steps after which an episode is over, however it stands.
+    pub episode_limit: u32,
+}
+
+impl Spec {
+    /// Refuses sizes beyond what learners and executors hold, and lists of names that do not fit the sizes.
+    ///
+    /// # Errors
+    /// The first size or list that is wrong.
+    pub fn check(&self) -> Result<(), SpecError> {
+        let Shape { agents, entities, tasks, actions, features } = self.shape;
+        let limits = [
+            ("agents", agents, 1, Shape::AGENTS),
+            ("entities", entities, 1, Shape::ENTITIES),
+            ("subtasks", tasks, 0, Shape::TASKS),
+            ("actions", actions, 1, Shape::ACTIONS),
+            ("features", features, 1, Shape::FEATURES),
+            ("symmetries", self.turns, 1, 255),
+        ];
+        for (what, found, least, most) in limits {
+            if !(least..=most).contains(&found) {
+                return Err(SpecError::Size { what, found, least, most });
+            }
+        }
+        let names =
+            [("features", self.features.len(), features), ("actions", self.actions.len(), actions)];
+        for (what, found, wanted) in names {
+            if found != wanted {
+                return Err(SpecError::Names { what, found, wanted });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What an environment says of itself does not hold together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum SpecError {
+    /// A size is out of range.
+    Size {
+        /// Of what.
+        what: &'static str,
+        /// The size.
+        found: usize,
+        /// The smallest possible.
+        least: usize,
+        /// The largest possible.
+        most: usize,
+    },
+    /// There are more or fewer names than things.
+    Names {
+        /// Of what.
+        what: &'static str,
+        /// The names.
+        found: usize,
+        /// The things.
+        wanted: usize,
+    },
+}
+
+impl fmt::Display for SpecError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Size { what, found, least, most } => {
+                write!(f, "{found} {what}; from {least} to {most} are possible")
+            }
+            Self::Names { what, found, wanted } => {
+                write!(f, "{found} names were given for {wanted} {what}")
+            }
+        }
+    }
+}
+
+impl core::error::Error for SpecError {}
