@@ -11,10 +11,10 @@ use serde::de::{DeserializeOwned, IntoDeserializer, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, forward_to_deserialize_any};
 
 use crate::environment::{Environment, Split};
-use crate::save_the_city;
+use crate::{group_matching, save_the_city};
 
 /// Every environment of this crate. Learners know none of them: they are handed an [`Environment`].
-pub const ENVIRONMENTS: &[Entry] = &[save_the_city::ENTRY];
+pub const ENVIRONMENTS: &[Entry] = &[save_the_city::ENTRY, group_matching::ENTRY];
 
 /// One environment by its name.
 #[derive(Clone, Copy, Debug)]

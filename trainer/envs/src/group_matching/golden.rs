@@ -9,11 +9,12 @@ use serde_json::{Value, json};
 
 use super::bytes::State;
 use super::features::write_row;
-use super::groups::{KnownGroups, same_group};
+use super::groups::same_group;
 use super::parameters::{MAX_AGENTS, MAX_CELLS, MAX_GROUPS, Parameters};
 use super::ring::{Ring, member_bytes};
-use super::rules::{ACTIONS, StepOutcome};
+use super::rules::ACTIONS;
 use super::simulator::GroupMatching;
+use crate::environment::Step;
 use crate::recorded::Field;
 use crate::recorded::GoldenError;
 use crate::recorded::{Comparison, Replay};
@@ -54,7 +55,7 @@ pub fn replay(file: &str, text: &str) -> Result<Replay, GoldenError> {
                 return Ok(comparison.finish(index));
             }
         };
-        comparison.compare(want, &step(&outcome))?;
+        comparison.compare(want, &step(&world, &outcome))?;
         comparison.step = index + 1;
         comparison.compare(frame_after, &frame(&world))?;
     }
@@ -74,6 +75,7 @@ fn restore(root: &Field<'_>) -> Result<GroupMatching, GoldenError> {
         noise: config.get("rand_trans")?.number()?,
         episode_limit: config.get("episode_limit")?.integer(1..=u32::MAX.into())? as u32,
         fixed_groups: config.get("fixed_scen")?.flag()?,
+        groups_known_at_first: false,
     };
     let agents = parameters.agents;
     let initial = root.get("initial")?;
@@ -95,7 +97,7 @@ fn restore(root: &Field<'_>) -> Result<GroupMatching, GoldenError> {
     let ring = Ring { cells: &cells, members: &members };
     let mut state = Vec::new();
     State { steps: 0, episode_return: 0.0, ring }.write(&mut state);
-    world.load(0, &state).map_err(|error| refuse(&error))?;
+    world.read_state(0, &state).map_err(|error| refuse(&error))?;
     Ok(world)
 }
 
@@ -107,7 +109,7 @@ fn read_actions(actions: &Field<'_>, world: &GroupMatching) -> Result<Vec<u16>, 
 /// The masks that stay the same for an episode.
 fn masks(world: &GroupMatching) -> Value {
     let (ring, agents) = (world.ring(0), 0..world.parameters().agents);
-    let in_group = |agent: usize| same_group(ring, 0, KnownGroups::Always, agent);
+    let in_group = |agent: usize| same_group(world.parameters(), ring, 0, agent);
     let masked = |agent: usize| agents.clone().map(move |other| 1 - (in_group(agent) >> other & 1));
     json!({
         "obs_mask": vec![vec![0; agents.len()]; agents.len()],
@@ -143,10 +145,10 @@ fn frame(world: &GroupMatching) -> Value {
 }
 
 /// What the file says of a step but its actions.
-fn step(outcome: &StepOutcome) -> Value {
-    let mut info = json!({ "solved": outcome.solved });
-    if outcome.timed_out {
+fn step(world: &GroupMatching, step: &Step) -> Value {
+    let mut info = json!({ "solved": world.metrics(0).solved });
+    if step.timed_out {
         info["episode_limit"] = true.into();
     }
-    json!({ "reward": outcome.reward, "done": outcome.done(), "info": info })
+    json!({ "reward": step.reward, "done": step.done(), "info": info })
 }

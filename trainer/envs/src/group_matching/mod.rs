@@ -14,20 +14,20 @@ mod parameters;
 mod reset;
 mod ring;
 mod rules;
+mod seam;
 mod simulator;
-mod throughput;
+mod spec;
 mod walk;
 
-pub use bytes::{StateError, state_bytes};
+pub use bytes::state_bytes;
 pub use error::ParametersError;
 pub use features::{columns, feature_names, write_row};
-pub use groups::{KnownGroups, same_group};
-pub use metrics::{EpisodeMetrics, METRIC_NAMES};
+pub use metrics::EpisodeMetrics;
 pub use parameters::{MAX_AGENTS, MAX_CELLS, MAX_GROUPS, Parameters, SET_NAMES};
 pub use ring::Ring;
-pub use rules::{ACTION_NAMES, ACTIONS, LEFT, RIGHT, STAY, StepOutcome};
+pub use rules::{ACTION_NAMES, ACTIONS, LEFT, RIGHT, STAY};
+pub use seam::ENTRY;
 pub use simulator::GroupMatching;
-pub use throughput::observe_and_step;
 pub use walk::walk;
 
 /// The version of the rules: another one where a trained policy would notice the difference.

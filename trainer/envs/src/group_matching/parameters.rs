@@ -1,11 +1,10 @@
 //! The sizes and chances of a ring.
 
-use serde::{Deserialize, Serialize};
-
 use super::error::ParametersError;
+use crate::spec::Shape;
 
-/// Most agents: sets of them are 128 bits.
-pub const MAX_AGENTS: usize = 128;
+/// Most agents.
+pub const MAX_AGENTS: usize = Shape::AGENTS;
 /// Most cells: a cell is one byte of a state.
 pub const MAX_CELLS: usize = 256;
 /// Most groups.
@@ -15,8 +14,7 @@ pub const MAX_GROUPS: usize = 128;
 pub const SET_NAMES: [&str; 2] = ["8x6x2", "8x6x2-fixed"];
 
 /// What the rules leave open, with the dissertation's values as default.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Parameters {
     /// Agents.
     pub agents: usize,
@@ -30,11 +28,22 @@ pub struct Parameters {
     pub episode_limit: u32,
     /// Whether all episodes have the same groups, of agents that stand beside each other in number.
     pub fixed_groups: bool,
+    /// Whether oracles are told the groups in an episode's first state only, and later that everybody is
+    /// one, as in the public code.
+    pub groups_known_at_first: bool,
 }
 
 impl Default for Parameters {
     fn default() -> Self {
-        Self { agents: 8, cells: 6, groups: 2, noise: 0.1, episode_limit: 50, fixed_groups: false }
+        Self {
+            agents: 8,
+            cells: 6,
+            groups: 2,
+            noise: 0.1,
+            episode_limit: 50,
+            fixed_groups: false,
+            groups_known_at_first: false,
+        }
     }
 }
 

@@ -1,17 +1,11 @@
 //! How an episode starts.
 
-use rand_xoshiro::Xoshiro256PlusPlus;
-
 use super::parameters::{MAX_AGENTS, MAX_GROUPS, Parameters};
 use super::ring::member_bytes;
-use crate::random::below;
+use crate::random::{Random, below};
 
 /// Draws where everybody stands.
-pub(super) fn draw_cells(
-    parameters: &Parameters,
-    random: &mut Xoshiro256PlusPlus,
-    cells: &mut [u8],
-) {
+pub(super) fn draw_cells(parameters: &Parameters, random: &mut Random, cells: &mut [u8]) {
     cells.iter_mut().for_each(|cell| *cell = below(random, parameters.cells) as u8);
 }
 
@@ -19,11 +13,7 @@ pub(super) fn draw_cells(
 ///
 /// The cuts are not sorted, as in the public code: with three or more groups one may be empty where the
 /// next overlaps its neighbour. Every agent is in at least one.
-pub(super) fn draw_groups(
-    parameters: &Parameters,
-    random: &mut Xoshiro256PlusPlus,
-    members: &mut [u8],
-) {
+pub(super) fn draw_groups(parameters: &Parameters, random: &mut Random, members: &mut [u8]) {
     let Parameters { agents, groups, .. } = *parameters;
     let mut order = [0; MAX_AGENTS];
     let order = &mut order[..agents];
@@ -53,7 +43,7 @@ fn even_share(agents: usize, groups: usize, group: usize) -> usize {
 }
 
 /// Puts the agents into a random order (Fisher and Yates 1938).
-fn shuffle(order: &mut [usize], random: &mut Xoshiro256PlusPlus) {
+fn shuffle(order: &mut [usize], random: &mut Random) {
     for last in (1..order.len()).rev() {
         order.swap(last, below(random, last + 1));
     }

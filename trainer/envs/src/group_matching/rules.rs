@@ -1,9 +1,7 @@
 //! What one step does.
 
-use rand_xoshiro::Xoshiro256PlusPlus;
-
 use super::parameters::Parameters;
-use crate::random::{below, chance};
+use crate::random::{Random, below, chance};
 
 /// Actions of an agent.
 pub const ACTIONS: usize = 3;
@@ -17,29 +15,6 @@ pub const RIGHT: u16 = 2;
 /// What the actions are called.
 pub const ACTION_NAMES: [&str; ACTIONS] = ["left", "stay", "right"];
 
-/// What a step did.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct StepOutcome {
-    /// The reward that the whole team shares.
-    pub reward: f64,
-    /// All groups have gathered.
-    pub solved: bool,
-    /// The time has run out, whether or not the episode was solved in this very step.
-    pub timed_out: bool,
-}
-
-impl StepOutcome {
-    /// Whether the episode is over.
-    pub fn done(&self) -> bool {
-        self.solved || self.timed_out
-    }
-
-    /// Whether the next state is worth nothing: what ends at the limit is continued in thought.
-    pub fn terminated(&self) -> bool {
-        self.solved && !self.timed_out
-    }
-}
-
 /// Where an action leads on a ring of so many cells.
 pub(super) fn moved(cell: u8, action: u16, cells: usize) -> u8 {
     let step = match action {
@@ -51,11 +26,7 @@ pub(super) fn moved(cell: u8, action: u16, cells: usize) -> u8 {
 }
 
 /// The action that happens when this one is asked for.
-pub(super) fn slipped(
-    parameters: &Parameters,
-    action: u16,
-    random: &mut Xoshiro256PlusPlus,
-) -> u16 {
+pub(super) fn slipped(parameters: &Parameters, action: u16, random: &mut Random) -> u16 {
     if chance(random, parameters.noise) { below(random, ACTIONS) as u16 } else { action }
 }
 

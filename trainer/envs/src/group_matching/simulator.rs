@@ -3,21 +3,23 @@
 use alloc::vec;
 use alloc::vec::Vec;
 
-use rand_xoshiro::Xoshiro256PlusPlus;
-
-use super::bytes::{State, StateError};
+use super::bytes::State;
 use super::error::ParametersError;
 use super::metrics::EpisodeMetrics;
 use super::parameters::Parameters;
 use super::reset::{draw_cells, draw_groups};
 use super::ring::{Ring, all_agents, member_bytes};
-use super::rules::{ACTIONS, StepOutcome, moved, reward, slipped};
-use crate::environment::StepError;
+use super::rules::{ACTIONS, moved, reward, slipped};
+use super::spec::spec;
+use crate::environment::{StateError, Step, StepError};
+use crate::random::Random;
+use crate::spec::Spec;
 
 /// Group Matching, many instances in one object. Nothing is allocated after construction.
 #[derive(Clone, Debug)]
 pub struct GroupMatching {
     parameters: Parameters,
+    spec: Spec,
     episodes: Vec<Episode>,
 }
 
@@ -32,7 +34,7 @@ struct Episode {
 }
 
 impl Episode {
-    /// Everybody in the first cell, and in the last group.
+    /// Everybody in the first cell, and in the last group; the time is over.
     fn new(parameters: &Parameters) -> Self {
         let bytes = member_bytes(parameters.agents);
         let mut members = vec![0; parameters.groups * bytes];
@@ -43,7 +45,7 @@ impl Episode {
             cells: vec![0; parameters.agents],
             members,
             matches: parameters.groups,
-            steps: 0,
+            steps: parameters.episode_limit,
             episode_return: 0.0,
         }
     }
@@ -61,10 +63,11 @@ impl Episode {
 }
 
 impl GroupMatching {
-    /// Sets up `instances` rings, each of which is to be reset before its first step.
+    /// Sets up `instances` rings whose episodes are over.
     pub fn new(parameters: Parameters, instances: usize) -> Result<Self, ParametersError> {
         parameters.check()?;
-        Ok(Self { episodes: vec![Episode::new(&parameters); instances], parameters })
+        let episodes = vec![Episode::new(&parameters); instances];
+        Ok(Self { episodes, spec: spec(&parameters), parameters })
     }
 
     /// What the rules leave open.
@@ -72,8 +75,17 @@ impl GroupMatching {
         &self.parameters
     }
 
-    /// How many instances this object holds.
-    pub fn instances(&self) -> usize {
+    /// The same rules with so many instances, whose episodes are over.
+    pub(super) fn with_instances(&self, instances: usize) -> Self {
+        let episodes = vec![Episode::new(&self.parameters); instances];
+        Self { episodes, spec: self.spec.clone(), parameters: self.parameters }
+    }
+
+    pub(super) fn own_spec(&self) -> &Spec {
+        &self.spec
+    }
+
+    pub(super) fn count(&self) -> usize {
         self.episodes.len()
     }
 
@@ -106,7 +118,7 @@ impl GroupMatching {
     }
 
     /// Starts a new episode.
-    pub fn reset(&mut self, instance: usize, random: &mut Xoshiro256PlusPlus) {
+    pub(super) fn start(&mut self, instance: usize, random: &mut Random) {
         let (parameters, episode) = (&self.parameters, &mut self.episodes[instance]);
         draw_groups(parameters, random, &mut episode.members);
         draw_cells(parameters, random, &mut episode.cells);
@@ -114,22 +126,18 @@ impl GroupMatching {
     }
 
     /// Asks every agent for its action, which chance may replace.
-    pub fn step(
+    pub(super) fn step_with_noise(
         &mut self,
         instance: usize,
         actions: &[u16],
-        random: &mut Xoshiro256PlusPlus,
-    ) -> Result<StepOutcome, StepError> {
+        random: &mut Random,
+    ) -> Result<Step, StepError> {
         let parameters = self.parameters;
         self.step_with(instance, actions, |action| slipped(&parameters, action, random))
     }
 
     /// Steps with the actions that happened, for replays.
-    pub fn step_executed(
-        &mut self,
-        instance: usize,
-        executed: &[u16],
-    ) -> Result<StepOutcome, StepError> {
+    pub fn step_executed(&mut self, instance: usize, executed: &[u16]) -> Result<Step, StepError> {
         self.step_with(instance, executed, |action| action)
     }
 
@@ -138,7 +146,7 @@ impl GroupMatching {
         instance: usize,
         actions: &[u16],
         mut execute: impl FnMut(u16) -> u16,
-    ) -> Result<StepOutcome, StepError> {
+    ) -> Result<Step, StepError> {
         let Parameters { agents, cells, groups, episode_limit, .. } = self.parameters;
         if self.is_done(instance) {
             return Err(StepError::EpisodeOver);
@@ -159,28 +167,22 @@ impl GroupMatching {
         episode.steps += 1;
         let reward = reward(before, episode.matches);
         episode.episode_return += reward;
+        // What ends at the limit counts as cut off there, solved or not.
         let (solved, timed_out) = (episode.matches == groups, episode.steps >= episode_limit);
-        Ok(StepOutcome { reward, solved, timed_out })
+        Ok(Step { reward, terminated: solved && !timed_out, timed_out, tasks_changed: false })
     }
 
-    /// Adds the state of an instance: [`state_bytes`](super::state_bytes) of them.
-    pub fn save(&self, instance: usize, bytes: &mut Vec<u8>) {
+    pub(super) fn write_state(&self, instance: usize, bytes: &mut Vec<u8>) {
         let Episode { steps, episode_return, .. } = self.episodes[instance];
         State { steps, episode_return, ring: self.ring(instance) }.write(bytes);
     }
 
-    /// Goes on from a saved state; what is refused leaves the instance as it was.
-    pub fn load(&mut self, instance: usize, bytes: &[u8]) -> Result<(), StateError> {
+    pub(super) fn read_state(&mut self, instance: usize, bytes: &[u8]) -> Result<(), StateError> {
         let state = State::read(&self.parameters, bytes)?.check(&self.parameters)?;
         let episode = &mut self.episodes[instance];
         episode.cells.copy_from_slice(state.ring.cells);
         episode.members.copy_from_slice(state.ring.members);
         episode.begin(state.steps, state.episode_return);
         Ok(())
-    }
-
-    /// Who stands where in a saved state, and how many steps it is into its episode.
-    pub fn view<'a>(&self, bytes: &'a [u8]) -> Result<(Ring<'a>, u32), StateError> {
-        State::read(&self.parameters, bytes).map(|state| (state.ring, state.steps))
     }
 }

@@ -4,6 +4,7 @@ use std::fs;
 use std::path::PathBuf;
 
 use serde_json::{Value, json};
+use sortie_envs::Environment;
 use sortie_envs::golden::{GoldenError, replay, replay_file};
 use sortie_envs::group_matching::{GroupMatching, Parameters, walk};
 

@@ -1,10 +1,9 @@
 //! Rows, their names, and what an oracle is told.
 
-use sortie_envs::group_matching::{
-    KnownGroups, Parameters, columns, feature_names, same_group, write_row,
-};
+use sortie_envs::group_matching::{GroupMatching, Parameters, columns, feature_names, write_row};
+use sortie_envs::{EntitySet, Environment, Observation};
 
-use super::{for_random_states, ring};
+use super::for_random_states;
 
 #[test]
 fn rows_say_cell_groups_and_agent() {
@@ -35,24 +34,41 @@ fn rows_say_cell_groups_and_agent() {
 fn an_oracle_knows_the_first_group_of_every_agent() {
     for_random_states(5, |world, label| {
         let (ring, steps) = (world.ring(0), world.metrics(0).steps);
+        let parameters = Parameters { groups_known_at_first: true, ..*world.parameters() };
+        let forgetful = GroupMatching::new(parameters, 1).unwrap();
+        let mut state = Vec::new();
+        world.save(0, &mut state);
+        let [known, at_first] = [world, &forgetful].map(|world| {
+            let mut companions = vec![0; ring.cells.len()];
+            assert!(world.companions(&state, &mut companions), "{label}");
+            companions
+        });
         for agent in 0..ring.cells.len() {
-            let known = same_group(ring, steps, KnownGroups::Always, agent);
-            assert_eq!(known >> agent & 1, 1, "{label}");
-            assert_eq!(ring.groups().find(|members| members >> agent & 1 == 1), Some(known));
-            let at_first = same_group(ring, steps, KnownGroups::AtFirst, agent);
+            let group = ring.groups().find(|members| members >> agent & 1 == 1);
+            assert_eq!(group, Some(known[agent]), "{label}");
             let everybody = u128::MAX >> (128 - ring.cells.len());
-            assert_eq!(at_first, if steps == 0 { known } else { everybody }, "{label}");
+            assert_eq!(at_first[agent], if steps == 0 { known[agent] } else { everybody });
         }
     });
 }
 
 #[test]
-fn the_reward_loop_runs_whole_episodes() {
-    let mut world = ring("8x6x2");
-    let mut random = sortie_envs::random::generator(1);
-    world.reset(0, &mut random);
-    let mut rows = vec![0.0; 8 * 16];
-    let returns =
-        sortie_envs::group_matching::observe_and_step(&mut world, &mut rows, &mut random, 500);
-    assert!((-80.0..-20.0).contains(&returns), "{returns}");
+fn everybody_observes_everybody() {
+    for_random_states(3, |world, label| {
+        let (parameters, ring) = (world.parameters(), world.ring(0));
+        let mut state = Vec::new();
+        world.save(0, &mut state);
+        let mut seen = Observation::new(&world.spec().shape);
+        world.observe(&state, 0, EntitySet::MAX, &mut seen);
+        assert_eq!(seen.agents(), parameters.agents);
+        assert!(seen.observable.iter().all(|observed| *observed == seen.present), "{label}");
+        assert!(seen.available.iter().all(|available| *available == 0b111), "{label}");
+        let (mut dense, mut row) =
+            (vec![0.0; parameters.features()], vec![0.0; parameters.features()]);
+        for agent in 0..parameters.agents {
+            seen.rows.write_dense(agent, &mut dense);
+            write_row(parameters, ring, agent, &mut row);
+            assert_eq!(dense, row, "{label}");
+        }
+    });
 }

@@ -19,7 +19,7 @@ fn other_names_and_sizes_are_refused_by_name() {
         ("8x6x2x1", "no set `8x6x2x1`"),
         ("8x6x-2", "no set `8x6x-2`"),
         ("8x6x2-loose", "no set `8x6x2-loose`"),
-        ("0x6x2", "0 agents are not possible: from 1 to 128 are"),
+        ("0x6x2", "0 agents are not possible: from 1 to 64 are"),
         ("8x257x2", "257 cells are not possible: from 1 to 256 are"),
         ("8x6x129", "129 groups are not possible: from 1 to 128 are"),
     ] {

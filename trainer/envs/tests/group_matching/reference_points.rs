@@ -1,5 +1,6 @@
 //! Success rates, returns and lengths that the dissertation's environment was measured to give.
 
+use sortie_envs::Environment;
 use sortie_envs::group_matching::{GroupMatching, Parameters, RIGHT, Ring, STAY, walk};
 use sortie_envs::random::{below, generator};
 

@@ -1,0 +1,39 @@
+//! What a ring says of itself.
+
+use alloc::string::String;
+
+use super::VERSION;
+use super::bytes::state_bytes;
+use super::features::feature_names;
+use super::parameters::Parameters;
+use super::rules::{ACTION_NAMES, ACTIONS};
+use crate::spec::{Metric, Rewards, Shape, Spec, View};
+
+/// Its name, as `--env` takes it.
+pub(super) const NAME: &str = "group-matching";
+
+const METRICS: &[Metric] =
+    &[Metric { name: "matches", unit: "groups", about: "that have gathered" }];
+
+/// What a ring with these parameters says of itself.
+pub(super) fn spec(parameters: &Parameters) -> Spec {
+    let Parameters { agents, groups, episode_limit, .. } = *parameters;
+    let features = parameters.features();
+    Spec {
+        name: NAME,
+        version: VERSION,
+        shape: Shape { agents, entities: agents, tasks: 0, actions: ACTIONS, features },
+        view: View::Entities,
+        features: feature_names(parameters),
+        actions: ACTION_NAMES.map(String::from).to_vec(),
+        metrics: METRICS,
+        rewards: Rewards::default(),
+        turns: 1,
+        rules: &[],
+        relations: 0,
+        // Its cell, its groups, itself.
+        row_entries: 2 + groups,
+        state_bytes: state_bytes(parameters),
+        episode_limit,
+    }
+}
