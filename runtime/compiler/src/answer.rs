@@ -7,15 +7,12 @@ use sortie_plans::{
     random_observations_of, random_team_queries_of, read_request,
 };
 
-use crate::compile::compile;
+use crate::compile::{compile, compile_proposals};
 use crate::engine::TeamValueEngine;
 use crate::graph::{EntityRoles, Graph, Inputs, TeamRoles};
 use crate::inspect::inspect_onnx;
 use crate::matching::match_agent;
-use crate::proposals::compile_proposals;
-use crate::tract_entities::TractEntities;
-use crate::tract_policy::TractPolicy;
-use crate::tract_team_value::TractTeamValue;
+use crate::tract::{TractEntities, TractPolicy, TractTeamValue};
 
 /// Answers one request of a [`sortie_plans::CompilerProcess`], from standard input to standard output.
 ///

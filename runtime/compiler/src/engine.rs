@@ -4,7 +4,7 @@ use sortie_core::allocate::TeamQuery;
 use sortie_core::{AllocateError, DecideError, Observation};
 
 use crate::graph::TeamRoles;
-use crate::graph_inputs::{AgentColumns, all_finite};
+use crate::graph::inputs::{AgentColumns, all_finite};
 use sortie_plans::Rows;
 
 /// An engine with an agent's graph.

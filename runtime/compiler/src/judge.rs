@@ -7,10 +7,9 @@ use sortie_core::plan::{AlignedBytes, Plan};
 use sortie_core::{PlanPolicy, Policy};
 
 use crate::engine::{AgentEngine, TeamValueEngine};
-use crate::graph_inputs::all_finite;
+use crate::graph::inputs::all_finite;
 use crate::onnxruntime::{OnnxRuntime, OnnxRuntimePolicy, OnnxRuntimeTeamValue};
-use crate::tract_policy::TractPolicy;
-use crate::tract_team_value::TractTeamValue;
+use crate::tract::{TractPolicy, TractTeamValue};
 use sortie_plans::CompileError;
 use sortie_plans::OwnedTeamQuery;
 use sortie_plans::{Comparison, magnitude};

@@ -9,47 +9,23 @@
 #![forbid(unsafe_code)]
 
 mod answer;
-mod assemble;
 mod compile;
 mod engine;
-#[cfg(test)]
-mod entities_tests;
-#[cfg(test)]
-mod executor_tests;
 mod graph;
-mod graph_inputs;
 mod inspect;
-mod int8_layout;
-#[cfg(test)]
-mod int8_tests;
 mod judge;
-mod layout;
 mod linked;
 mod lower;
-mod lower_entities;
-mod lower_int8;
-mod lower_proposals;
 mod matching;
 pub mod onnxruntime;
-mod parity;
-mod proposals;
-#[cfg(test)]
-mod proposals_tests;
-#[cfg(test)]
-mod recurrent_tests;
-#[cfg(test)]
-mod testing;
-mod tract_entities;
-mod tract_policy;
-mod tract_proposals;
-mod tract_team_value;
+mod tract;
 
 pub use answer::answer_compiler;
-pub use compile::compile;
+pub use compile::{
+    compare_entities_with_graph, compare_proposals_with_graphs, compare_team_values_with_graph,
+    compare_with_graph, compile, compile_proposals,
+};
 pub use inspect::inspect_onnx;
 pub use judge::{Judge, judge_agent, judge_team_values};
 pub use linked::{InProcess, LinkedEngines};
-pub use parity::{compare_entities_with_graph, compare_team_values_with_graph, compare_with_graph};
-pub use proposals::{compare_proposals_with_graphs, compile_proposals};
-pub use tract_policy::TractPolicy;
-pub use tract_team_value::TractTeamValue;
+pub use tract::{TractPolicy, TractTeamValue};

@@ -9,7 +9,7 @@ use sortie_core::{DecideError, Decision, Observation, Policy, limits};
 use super::{OnnxRuntime, run_bound};
 use crate::engine::{AgentEngine, checked_utilities};
 use crate::graph::Graph;
-use crate::graph_inputs::AgentColumns;
+use crate::graph::inputs::AgentColumns;
 use sortie_plans::CompileError;
 use sortie_plans::Rows;
 

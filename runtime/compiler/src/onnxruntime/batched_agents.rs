@@ -7,7 +7,7 @@ use sortie_core::{DecideError, EntityMask, Observation};
 
 use super::{OnnxRuntime, batched_agents_onnx, refused, run_bound};
 use crate::graph::Graph;
-use crate::graph_inputs::AgentColumns;
+use crate::graph::inputs::AgentColumns;
 use sortie_plans::CompileError;
 
 /// An agent's network that answers for all agents of a frame at once, see [`batched_agents_onnx`].

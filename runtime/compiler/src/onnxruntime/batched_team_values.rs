@@ -7,8 +7,8 @@ use sortie_core::AllocateError;
 use sortie_core::allocate::TeamQuery;
 
 use super::{OnnxRuntime, batched_team_values_onnx, refused, run_bound};
+use crate::graph::inputs::copy_row;
 use crate::graph::{Graph, TeamRoles};
-use crate::graph_inputs::copy_row;
 use sortie_plans::CompileError;
 
 /// A team-value network that answers many questions about one state at once, see [`batched_team_values_onnx`].

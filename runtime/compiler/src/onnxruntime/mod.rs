@@ -8,7 +8,6 @@ mod agent;
 mod batched_agents;
 mod batched_graph;
 mod batched_team_values;
-mod engine;
 mod library;
 mod proposals;
 mod team_value;

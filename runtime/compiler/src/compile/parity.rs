@@ -13,9 +13,7 @@ use sortie_plans::{
 
 use crate::engine::TeamValueEngine;
 use crate::graph::Graph;
-use crate::tract_entities::TractEntities;
-use crate::tract_policy::TractPolicy;
-use crate::tract_team_value::TractTeamValue;
+use crate::tract::{TractEntities, TractPolicy, TractTeamValue};
 
 /// Compares a plan with the ONNX graph that it was made from.
 pub fn compare_with_graph(

@@ -8,9 +8,7 @@ use sortie_core::plan::{
     AlignedBytes, Checksums, HEADER_BYTES, Header, Network, Plan, Profile, Program, checksums,
 };
 
-use crate::assemble::{Origin, assemble};
-use crate::lower::{AgentSizes, Choice, lower_agent};
-use crate::lower_int8::lower_agent_int8;
+use crate::lower::{AgentSizes, Choice, Origin, assemble, lower_agent, lower_agent_int8};
 use crate::matching::{AgentLayers, GruLayers, Layer, Matrix, Step};
 
 /// The shape of a random network.

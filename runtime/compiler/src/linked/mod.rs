@@ -1,5 +1,7 @@
 //! The engines and the compiler of a program that links this crate.
 
+mod onnxruntime;
+
 use std::io;
 use std::path::Path;
 
@@ -12,13 +14,12 @@ use sortie_plans::{
 };
 
 use crate::answer::answer_compiler;
-use crate::compile::compile;
+use crate::compile::{
+    compare_entities_with_graph, compare_proposals_with_graphs, compile, compile_proposals,
+};
 use crate::judge::{Judge, judge_agent, judge_team_values};
 use crate::onnxruntime::{OnnxRuntime, find_library};
-use crate::parity::compare_entities_with_graph;
-use crate::proposals::{compare_proposals_with_graphs, compile_proposals};
-use crate::tract_policy::TractPolicy;
-use crate::tract_team_value::TractTeamValue;
+use crate::tract::{TractPolicy, TractTeamValue};
 
 /// tract's version, as the lock file pins it.
 const TRACT_VERSION: &str = "0.23.9";

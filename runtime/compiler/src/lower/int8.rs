@@ -7,12 +7,12 @@ use sortie_core::ops::{
 };
 use sortie_core::plan::{OPS, Program};
 
-use crate::int8_layout::{Int8Weights, Order};
-use crate::lower::{AgentSizes, Arena, Choice, check, padded_heads, side_by_side};
+use super::agent::{AgentSizes, Arena, Choice, check, padded_heads, side_by_side};
+use super::int8_layout::{Int8Weights, Order};
 use crate::matching::{AgentLayers, Layer, Matrix, Step};
 use sortie_plans::CompileError;
 
-/// As [`crate::lower::lower_agent`], to operators of int8 weights.
+/// As [`super::agent::lower_agent`], to operators of int8 weights.
 pub(crate) fn lower_agent_int8(
     layers: &AgentLayers,
     sizes: AgentSizes,

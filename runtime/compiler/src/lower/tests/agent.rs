@@ -7,8 +7,8 @@ use sortie_core::ops::Op;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError};
 use sortie_core::{DecideError, EntityMask, NO_ACTION, PlanPolicy, Policy};
 
+use super::networks::{Random, Shape, ask_anything, plan, reference, run_forged, with_program};
 use crate::matching::Step;
-use crate::testing::{Random, Shape, ask_anything, plan, reference, run_forged, with_program};
 use sortie_plans::random_observations;
 
 pub(crate) const SMALL: Shape =

@@ -6,12 +6,10 @@ use sortie_core::allocate::proposals::{Draw, GumbelDraw};
 use sortie_core::limits;
 use sortie_core::plan::{AlignedBytes, Network, Plan, Profile};
 
-use crate::assemble::{Origin, assemble};
 use crate::graph::Graph;
-use crate::lower::{AgentSizes, Choice};
-use crate::lower_proposals::lower_proposals;
+use crate::lower::{AgentSizes, Choice, Origin, assemble, lower_proposals};
 use crate::matching::match_proposals;
-use crate::tract_proposals::TractProposals;
+use crate::tract::TractProposals;
 use sortie_plans::{
     Comparison, CompileError, CompileOptions, Compiled, ProposalFiles, TOLERANCE, cannot_run,
     magnitude, random_allocation_states, report,

@@ -8,8 +8,8 @@ use sortie_core::ops::{
 };
 use sortie_core::plan::{OPS, Program};
 
-use crate::layout::Weights;
-use crate::lower::{Arena, at_most, by_heads, check_weights, padded_heads, same_sizes};
+use super::agent::{Arena, at_most, by_heads, check_weights, padded_heads, same_sizes};
+use super::layout::Weights;
 use crate::matching::{AllAttention, EntityLayers, EntityStep, Layer};
 use sortie_plans::CompileError;
 

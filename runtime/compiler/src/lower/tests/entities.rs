@@ -5,12 +5,10 @@ use sortie_core::ops::{Members, OutputRows};
 use sortie_core::plan::{AlignedBytes, Network, Plan, PlanError, Profile};
 use sortie_core::{DecideError, Entities, EntityMask, PlanPolicy};
 
-use crate::assemble::{Origin, assemble};
-use crate::executor_tests::bits;
-use crate::lower::{AgentSizes, Choice};
-use crate::lower_entities::{EntitySizes, lower_entities};
+use super::agent::bits;
+use super::networks::{Random, apply, attend, run_forged};
+use crate::lower::{AgentSizes, Choice, EntitySizes, Origin, assemble, lower_entities};
 use crate::matching::{AllAttention, EntityLayers, EntityStep, Layer};
-use crate::testing::{Random, apply, attend, run_forged};
 
 /// A critic that also gives the embedding after attention, and the sums of embeddings by group.
 struct Critic {
@@ -277,7 +275,7 @@ fn outputs_stand_at_the_end_and_rows_are_written_before_they_are_read() {
     let refused = |order: &[usize]| {
         let mut program = program.clone();
         program.ops = order.iter().map(|&index| program.ops[index]).collect();
-        let forged = crate::testing::with_program(bytes.as_slice(), &program);
+        let forged = super::networks::with_program(bytes.as_slice(), &program);
         Plan::load(forged.as_slice()).map(|_| ())
     };
     assert_eq!(refused(&[0, 1, 2, 3, 4, 5, 6, 7]), Ok(()));

@@ -1,5 +1,7 @@
 //! The graph of an ONNX file as tract simplifies it, and what the matcher asks of it.
 
+pub(crate) mod inputs;
+
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;

@@ -7,9 +7,7 @@ use sortie_core::allocate::proposals::{Draw, largest_open};
 use sortie_core::plan::{AlignedBytes, Network, Plan, Profile};
 use sortie_core::{EntityMask, UNASSIGNED};
 
-use crate::assemble::{Origin, assemble};
-use crate::lower::{AgentSizes, Choice};
-use crate::lower_proposals::lower_proposals;
+use crate::lower::{AgentSizes, Choice, Origin, assemble, lower_proposals};
 use crate::matching::{
     AllAttention, CriticLayers, Layer, Matrix, ProposalLayers, StepLayers, TrunkLayers,
 };

@@ -5,8 +5,8 @@ use sortie_core::{DecideError, Decision, Observation, Policy};
 use tract_onnx::prelude::*;
 
 use crate::engine::{AgentEngine, checked_utilities};
+use crate::graph::inputs::{AgentColumns, all_finite};
 use crate::graph::{Graph, Roles, guarded};
-use crate::graph_inputs::{AgentColumns, all_finite};
 use sortie_plans::CompileError;
 use sortie_plans::Rows;
 

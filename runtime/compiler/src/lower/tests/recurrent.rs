@@ -7,9 +7,9 @@ use sortie_core::ops::FeedForward;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError};
 use sortie_core::{DecideError, Decision, PlanPolicy, Policy};
 
-use crate::executor_tests::{SMALL, bits, small_observations};
+use super::agent::{SMALL, bits, small_observations};
+use super::networks::{Random, Shape, ask_anything, forge, plan, plan_that, reference, run_forged};
 use crate::lower::Choice;
-use crate::testing::{Random, Shape, ask_anything, forge, plan, plan_that, reference, run_forged};
 use sortie_plans::random_observations;
 
 /// Floats of the small network's state.

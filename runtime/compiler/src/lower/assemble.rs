@@ -2,7 +2,7 @@
 
 use sortie_core::plan::{ALIGNMENT, HEADER_BYTES, Header, Network, Profile, Program, checksums};
 
-use crate::lower::AgentSizes;
+use super::agent::AgentSizes;
 
 /// What the header says beside sizes and places.
 #[derive(Clone, Copy, Debug)]

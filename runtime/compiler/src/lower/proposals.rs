@@ -7,8 +7,8 @@ use sortie_core::ops::{
 };
 use sortie_core::plan::Program;
 
-use crate::layout::Weights;
-use crate::lower::{at_most, by_heads, check_weights, padded_heads, same_sizes};
+use super::agent::{at_most, by_heads, check_weights, padded_heads, same_sizes};
+use super::layout::Weights;
 use crate::matching::{
     AllAttention, CriticLayers, Layer, Matrix, ProposalLayers, StepLayers, TrunkLayers,
 };

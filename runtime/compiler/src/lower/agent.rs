@@ -8,7 +8,7 @@ use sortie_core::ops::{
 };
 use sortie_core::plan::{OPS, Program};
 
-use crate::layout::Weights;
+use super::layout::Weights;
 use crate::matching::{AgentLayers, GruLayers, Layer, Matrix, Step};
 use sortie_plans::CompileError;
 

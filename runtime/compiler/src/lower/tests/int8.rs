@@ -5,10 +5,9 @@ use sortie_core::ops::Op;
 use sortie_core::plan::{AlignedBytes, Plan};
 use sortie_core::{EntityMask, PlanPolicy, Policy};
 
-use crate::executor_tests::{SMALL, bits, small_observations};
-use crate::lower::{AgentSizes, Choice};
-use crate::lower_int8::lower_agent_int8;
-use crate::testing::{Random, ask_anything, int8_plan, reference, run_forged, with_program};
+use super::agent::{SMALL, bits, small_observations};
+use super::networks::{Random, ask_anything, int8_plan, reference, run_forged, with_program};
+use crate::lower::{AgentSizes, Choice, lower_agent_int8};
 use sortie_plans::CompileError;
 use sortie_plans::random_observations;
 

@@ -1,5 +1,8 @@
 //! From the bytes of an ONNX file to a plan that was checked against it.
 
+mod parity;
+mod proposals;
+
 use sortie_bundle::sha256;
 use sortie_core::plan::{Network, Profile, Program};
 use sortie_plans::{
@@ -7,13 +10,16 @@ use sortie_plans::{
     random_observations, random_team_queries, report,
 };
 
-use crate::assemble::{Origin, assemble};
+pub use parity::{compare_entities_with_graph, compare_team_values_with_graph, compare_with_graph};
+pub use proposals::{compare_proposals_with_graphs, compile_proposals};
+
 use crate::graph::{EntityRoles, Graph, Inputs, ProposalPart, TeamRoles};
-use crate::lower::{AgentSizes, Choice, lower_agent};
-use crate::lower_entities::{EntitySizes, lower_entities};
-use crate::lower_int8::lower_agent_int8;
+use crate::lower::{
+    AgentSizes, Choice, EntitySizes, Origin, assemble, lower_agent, lower_agent_int8,
+    lower_entities,
+};
 use crate::matching::{AgentLayers, match_agent, match_entities, match_team_value};
-use crate::parity::{entities_against_graph, plan_against_graph, team_values_against_graph};
+use parity::{entities_against_graph, plan_against_graph, team_values_against_graph};
 
 /// Compiles an ONNX file, a network of an agent, of an allocator or over all entities, and proves the plan against it.
 ///

@@ -9,11 +9,11 @@ use sortie_plans::{
     OnnxRuntimeEngine, OwnedTeamQuery, ProposalFiles,
 };
 
-use super::{
+use crate::judge::{Judge, judge_agent, judge_team_values};
+use crate::onnxruntime::{
     BatchedAgents, BatchedTeamValues, OnnxRuntime, OnnxRuntimePolicy, OnnxRuntimeProposals,
     OnnxRuntimeTeamValue,
 };
-use crate::judge::{Judge, judge_agent, judge_team_values};
 
 impl GraphEngine for OnnxRuntime {
     fn name(&self) -> &'static str {

@@ -1,0 +1,8 @@
+//! Plans of random networks against plain loops.
+
+mod agent;
+mod entities;
+mod int8;
+mod networks;
+mod proposals;
+mod recurrent;
