@@ -10,7 +10,7 @@ use sortie_core::{AllocateError, Allocator};
 use sortie_envs::save_the_city::AllocationRule;
 use sortie_plans::{BundlePlans, CompileError, CompilerProcess, GraphEngine};
 
-use crate::arguments::AllocatorChoice;
+use crate::allocation::AllocatorChoice;
 use crate::compiler::{compiler, plans};
 use crate::engines::engines;
 use crate::failure::{Exit, Failure};

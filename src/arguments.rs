@@ -2,9 +2,8 @@
 
 use std::ffi::OsString;
 
-use clap::{Args, ColorChoice, Command, CommandFactory, FromArgMatches, Parser, Subcommand};
-use clap::{ValueEnum, error};
-use sortie_envs::save_the_city::AllocationRule;
+use clap::error;
+use clap::{ColorChoice, Command, CommandFactory, FromArgMatches, Parser, Subcommand};
 
 use crate::failure::Outcome;
 use crate::terminal::Color;
@@ -104,92 +103,6 @@ enum Verb {
     Process(run::process::ProcessArguments),
 }
 
-/// What every verb takes.
-#[derive(Clone, Copy, Debug, Args)]
-pub(crate) struct Common {
-    /// Print JSON for scripts instead of text
-    #[arg(long)]
-    pub(crate) json: bool,
-    /// Seed of every random choice
-    #[arg(long, default_value_t = 1, value_parser = whole_number)]
-    pub(crate) seed: u64,
-    /// No progress, no notes: the result alone
-    #[arg(short, long)]
-    pub(crate) quiet: bool,
-}
-
-fn whole_number(text: &str) -> Result<u64, String> {
-    text.parse().map_err(|_| format!("expected a whole number from 0 to {}", u64::MAX))
-}
-
-/// A hand-written rule that assigns agents to subtasks.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Allocation {
-    /// One agent after the other, by travel time, urgency and who is there already
-    Coordinated,
-    /// Every agent for itself, the nearest subtask of the kind it prefers
-    Heuristic,
-    /// Every agent an open subtask at random
-    Random,
-}
-
-impl Allocation {
-    pub(crate) fn rule(self) -> AllocationRule {
-        match self {
-            Self::Coordinated => AllocationRule::Coordinated,
-            Self::Heuristic => AllocationRule::Heuristic,
-            Self::Random => AllocationRule::Random,
-        }
-    }
-
-    pub(crate) fn name(self) -> &'static str {
-        match self {
-            Self::Coordinated => "coordinated",
-            Self::Heuristic => "heuristic",
-            Self::Random => "random",
-        }
-    }
-}
-
-/// Who assigns agents to subtasks.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(crate) enum AllocatorChoice {
-    /// What the team has learned: the best allocation by a network that values teams
-    Learned,
-    /// One agent after the other, by travel time, urgency and who is there already
-    Coordinated,
-    /// Every agent for itself, the nearest subtask of the kind it prefers
-    Heuristic,
-    /// Every agent an open subtask at random
-    Random,
-}
-
-impl AllocatorChoice {
-    /// What was asked for, else the learned allocator where there is one.
-    pub(crate) fn or_default(asked: Option<Self>, is_learned: bool) -> Self {
-        asked.unwrap_or(if is_learned { Self::Learned } else { Self::Coordinated })
-    }
-
-    /// The rule, if it is one.
-    pub(crate) fn rule(self) -> Option<AllocationRule> {
-        match self {
-            Self::Learned => None,
-            Self::Coordinated => Some(AllocationRule::Coordinated),
-            Self::Heuristic => Some(AllocationRule::Heuristic),
-            Self::Random => Some(AllocationRule::Random),
-        }
-    }
-
-    pub(crate) fn name(self) -> &'static str {
-        match self {
-            Self::Learned => "learned",
-            Self::Coordinated => "coordinated",
-            Self::Heuristic => "heuristic",
-            Self::Random => "random",
-        }
-    }
-}
-
 pub(crate) fn dispatch(arguments: Arguments) -> Outcome {
     arguments.color.apply();
     match arguments.verb {
@@ -207,8 +120,8 @@ pub(crate) fn dispatch(arguments: Arguments) -> Outcome {
         Verb::Verify(arguments) => verify::run(&arguments),
         Verb::Bench(arguments) => bench::run(&arguments),
         Verb::View(arguments) => view::run(&arguments),
-        Verb::Completions(arguments) => manual::complete(&arguments),
-        Verb::Man(arguments) => manual::run(&arguments),
+        Verb::Completions(arguments) => manual::complete(&arguments, &mut command()),
+        Verb::Man(arguments) => manual::run(&arguments, command()),
         Verb::Compiler(arguments) => compiler::run(&arguments),
         Verb::Process(arguments) => run::process::run(&arguments),
     }

@@ -10,8 +10,8 @@ use serde::Serialize;
 use sortie_learn::report::numbers::{count, duration};
 use sortie_learn::report::{self, Comparison, Group, GroupSummary, Reached, RunRecord};
 
-use crate::arguments::Common;
 use crate::failure::{Exit, Failure, Outcome};
+use crate::options::Common;
 use crate::output::{Table, print_json, tell};
 
 /// Compare training runs, several seeds to a label, as tables and pictures

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use serde::Serialize;
 use sortie_bundle::hex;
 use sortie_core::plan::Profile;
@@ -12,14 +12,15 @@ use sortie_plans::{
     LEAST_OBSERVATIONS, Quantised, Report, quantise,
 };
 
-use crate::arguments::Common;
 use crate::compiler::{compiler, with_plans};
 use crate::deployment::open_bundle;
 use crate::engines::check_program;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::files::{Kind, try_output, write_output};
 use crate::observations::read_any_recording;
+use crate::options::Common;
 use crate::output::{Table, print_json, say, tell};
+use crate::policy::PlanProfile;
 
 /// Compile an ONNX network to a plan for the runtime core
 ///
@@ -55,28 +56,6 @@ pub(crate) struct CompileArguments {
     force: bool,
     #[command(flatten)]
     common: Common,
-}
-
-/// An arithmetic profile.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(crate) enum PlanProfile {
-    /// The same bits on every target
-    Exact,
-    /// Fused multiply-add: faster for teams, the same bits on every target that has the instruction
-    Fused,
-    /// int8 weights: a quarter of the bytes, faster, nearly the same utilities; the same bits on every target
-    Int8,
-}
-
-impl PlanProfile {
-    /// As the plan's header has it.
-    pub(crate) fn profile(self) -> Profile {
-        match self {
-            Self::Exact => Profile::Exact,
-            Self::Fused => Profile::Fused,
-            Self::Int8 => Profile::Int8,
-        }
-    }
 }
 
 #[derive(Serialize)]

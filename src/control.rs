@@ -8,8 +8,8 @@ use serde::Serialize;
 use sortie_core::wire::{Command, ControlStatus};
 use sortie_ipc::{Answer, Domain, Order, control};
 
+use crate::allocation::AllocatorChoice;
 use crate::allocator::DeployedAllocator;
-use crate::arguments::AllocatorChoice;
 use crate::deployment::open_bundle;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::output::{print_json, say};

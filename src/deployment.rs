@@ -5,7 +5,7 @@ use std::path::Path;
 use sortie_bundle::{Bundle, BundleError, Environment, MANIFEST, SubtaskConditioning};
 use sortie_ipc::DomainContract;
 
-use crate::arguments::AllocatorChoice;
+use crate::allocation::AllocatorChoice;
 use crate::environment::check_known;
 use crate::failure::{Exit, Failure};
 

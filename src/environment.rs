@@ -6,10 +6,9 @@ use sortie_bundle::{Bundle, Environment};
 use sortie_envs::save_the_city::{ACTION_NAMES, FEATURE_NAMES, SET_NAMES, ScenarioSet, VERSION};
 
 use crate::failure::{Exit, Failure};
-use crate::subject::Subject;
 
 /// The environments that are built in.
-const NAMES: [&str; 1] = ["save-the-city"];
+pub(crate) const NAMES: [&str; 1] = ["save-the-city"];
 /// The dissertation's scenario set.
 const DEFAULT_SET: &str = "2-5a_2-5b";
 
@@ -61,24 +60,6 @@ pub(crate) fn check_known(environment: &Environment) -> Result<(), String> {
 fn unknown(what: &str, name: &str, known: &[&str]) -> Failure {
     let known = known.join(", ");
     Failure::new(Exit::Usage, format!("unknown {what} `{name}`; known: {known}"))
-}
-
-/// The scenario set asked for, else the subject's own.
-pub(crate) fn scenario_set(
-    asked: Option<&str>,
-    subject: &Subject,
-) -> Result<ScenarioSetName, Failure> {
-    match (asked, subject) {
-        (Some(name), _) => ScenarioSetName::parse(name),
-        (None, Subject::Bundle(bundle)) => {
-            ScenarioSetName::parse(&bundle.manifest().contract.environment.name)
-        }
-        (None, Subject::Run(run)) => {
-            let config = run.description.config.environment();
-            ScenarioSetName::parse(&format!("{}/{}", config.name, config.set))
-        }
-        (None, Subject::Scripted) => ScenarioSetName::parse(NAMES[0]),
-    }
 }
 
 /// Refuses a bundle that was trained for other features or actions, or for smaller teams.

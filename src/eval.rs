@@ -11,14 +11,15 @@ use sortie_learn::evaluate::{
     ScriptedActors, Team, evaluate_watched,
 };
 
-use crate::arguments::{AllocatorChoice, Common};
-use crate::compile::PlanProfile;
+use crate::allocation::AllocatorChoice;
 use crate::environment::{self, ScenarioSetName};
 use crate::episodes::EpisodeWriter;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::files::{Kind, try_output};
 use crate::observations::RecordingPolicy;
+use crate::options::Common;
 use crate::output::{Table, plural, print_json, say};
+use crate::policy::PlanProfile;
 use crate::policy::{Backend, DeployedPolicy};
 use crate::progress::{self, CountedEpisodes};
 use crate::proposals::ProposalArguments;
@@ -132,7 +133,7 @@ pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
     if let Some(file) = &arguments.dump {
         try_output(file, Kind::Observations)?;
     }
-    let set = environment::scenario_set(arguments.env.as_deref(), &subject)?;
+    let set = subject.scenario_set(arguments.env.as_deref())?;
     let other = arguments.allocator.as_deref().map(Subject::find).transpose()?;
     let seeds = arguments.seeds.unwrap_or(SeedRange::only(arguments.common.seed));
     let episodes = u64::from(arguments.episodes).saturating_mul(seeds.iter().count() as u64);

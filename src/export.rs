@@ -11,11 +11,12 @@ use sortie_learn::evaluate::{Allocate, Evaluation, EvaluationPlan, evaluate_watc
 use sortie_learn::export::{Measured, check_exportable, draft_bundle};
 use sortie_learn::run::{Run, Settings};
 
-use crate::arguments::{Allocation, Common};
+use crate::allocation::Allocation;
 use crate::compiler::with_plans;
 use crate::engines::check_program;
 use crate::environment::ScenarioSetName;
 use crate::failure::{Exit, Failure, Outcome};
+use crate::options::Common;
 use crate::output::{print_json, say, warn_of_refused};
 use crate::progress::{self, CountedEpisodes};
 use crate::proposals::ProposalArguments;

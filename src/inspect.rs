@@ -10,10 +10,10 @@ use serde::Serialize;
 use sortie_bundle::{AGENT, ALLOCATOR, Bundle, MANIFEST, Manifest, TRAINING, hex};
 use sortie_plans::{OnnxFacts, PlanFacts, inspect_plan};
 
-use crate::arguments::Common;
 use crate::compiler::compiler;
 use crate::deployment::open_bundle;
 use crate::failure::{Failure, Outcome};
+use crate::options::Common;
 use crate::output::{Table, plural, print_json, say};
 
 /// First bytes of every plan.

@@ -1,5 +1,6 @@
 //! The command line of Sortie: teams of learned agents, from training to deployment.
 
+mod allocation;
 mod allocator;
 mod arguments;
 mod bench;
@@ -21,6 +22,7 @@ mod latency;
 mod manual;
 mod observations;
 mod onnxruntime;
+mod options;
 mod output;
 mod policy;
 mod progress;

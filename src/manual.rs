@@ -3,10 +3,9 @@
 use std::fs;
 use std::path::PathBuf;
 
-use clap::Args;
+use clap::{Args, Command};
 use clap_complete::{Shell, generate};
 
-use crate::arguments;
 use crate::failure::{Failure, Outcome};
 use crate::output::say;
 
@@ -31,16 +30,15 @@ pub(crate) struct ManArguments {
     folder: PathBuf,
 }
 
-pub(crate) fn complete(arguments: &CompletionsArguments) -> Outcome {
+pub(crate) fn complete(arguments: &CompletionsArguments, grammar: &mut Command) -> Outcome {
     let mut script = Vec::new();
-    generate(arguments.shell, &mut arguments::command(), "sortie", &mut script);
+    generate(arguments.shell, grammar, "sortie", &mut script);
     say!("{}", String::from_utf8_lossy(&script).trim_end());
     Ok(())
 }
 
-pub(crate) fn run(arguments: &ManArguments) -> Outcome {
+pub(crate) fn run(arguments: &ManArguments, grammar: Command) -> Outcome {
     let folder = &arguments.folder;
     fs::create_dir_all(folder).map_err(|error| Failure::file(folder, &error))?;
-    clap_mangen::generate_to(arguments::command(), folder)
-        .map_err(|error| Failure::file(folder, &error))
+    clap_mangen::generate_to(grammar, folder).map_err(|error| Failure::file(folder, &error))
 }

@@ -8,7 +8,7 @@ use sortie_envs::Step;
 use sortie_learn::LearnError;
 use sortie_learn::evaluate::{Onlooker, Watched};
 
-use crate::arguments::Common;
+use crate::options::Common;
 use crate::terminal;
 
 /// A bar over so many things; it shows nothing where nobody looks, or where quiet or JSON was wanted.

@@ -6,8 +6,8 @@ use clap::Args;
 use serde::Serialize;
 use sortie_envs::golden::{self, GoldenError, Mismatch};
 
-use crate::arguments::Common;
 use crate::failure::{Exit, Failure, Outcome};
+use crate::options::Common;
 use crate::output::{plural, print_json, say};
 
 /// Replay recorded episodes and compare every value bit for bit

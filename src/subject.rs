@@ -6,6 +6,7 @@ use sortie_bundle::{Bundle, MANIFEST, TRAINING};
 use sortie_learn::run::Run;
 
 use crate::deployment::open_bundle;
+use crate::environment::{NAMES, ScenarioSetName};
 use crate::failure::{Exit, Failure};
 use crate::output::warn_of_refused;
 
@@ -55,6 +56,20 @@ impl Subject {
             Self::Bundle(bundle) => bundle.has_allocator(),
             Self::Run(run) => run.allocator.is_some(),
             Self::Scripted => false,
+        }
+    }
+    /// The scenario set asked for, else its own.
+    pub(crate) fn scenario_set(&self, asked: Option<&str>) -> Result<ScenarioSetName, Failure> {
+        match (asked, self) {
+            (Some(name), _) => ScenarioSetName::parse(name),
+            (None, Self::Bundle(bundle)) => {
+                ScenarioSetName::parse(&bundle.manifest().contract.environment.name)
+            }
+            (None, Self::Run(run)) => {
+                let config = run.description.config.environment();
+                ScenarioSetName::parse(&format!("{}/{}", config.name, config.set))
+            }
+            (None, Self::Scripted) => ScenarioSetName::parse(NAMES[0]),
         }
     }
 }

@@ -4,8 +4,8 @@ use sortie_envs::save_the_city::AllocationRule;
 use sortie_learn::evaluate::{Allocate, DeployedAllocator, NoSubtasks};
 use sortie_learn::run::{Run, RunAllocator};
 
+use crate::allocation::AllocatorChoice;
 use crate::allocator::{LearnedAllocator as DeployedLearned, none_learned};
-use crate::arguments::AllocatorChoice;
 use crate::failure::{Exit, Failure};
 use crate::policy::Backend;
 use crate::proposals::{ProposalArguments, ProposalMemory};

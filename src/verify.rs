@@ -17,16 +17,16 @@ use sortie_plans::{
 };
 
 use crate::allocator::LearnedAllocator;
-use crate::arguments::Common;
-use crate::compile::PlanProfile;
 use crate::compiler::{compiler, plans};
 use crate::deployment::open_bundle;
 use crate::engines::engines;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::observations::read_recording;
 use crate::onnxruntime::OnnxRuntimeArguments;
+use crate::options::Common;
 use crate::output::print_json;
 use crate::policy::DeployedPolicy;
+use crate::policy::PlanProfile;
 use crate::progress;
 
 /// Compare plans with tract, with onnxruntime and with a bundle's golden observations and allocations

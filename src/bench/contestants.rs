@@ -8,9 +8,9 @@ use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
 use sortie_envs::save_the_city::ScenarioSet;
 use sortie_plans::{BatchedUtilities, CompileError, CompileOptions, Compiler, OnnxRuntimeEngine};
 
-use super::decision::LARGE_SET;
 use super::floor::Floor;
 use super::quantised::quantise_or_note;
+use super::scenes::LARGE_SET;
 use crate::compiler::compiler;
 use crate::failure::Failure;
 use crate::onnxruntime::OnnxRuntimeArguments;

@@ -9,15 +9,13 @@ use sortie_core::Policy;
 use super::cases::{Case, all_visible, few_visible, recorded};
 use super::contestants::Contestants;
 use super::rounds::{Pace, alternate, engine, our_engine};
+use super::schedule::Schedule;
 use super::{FLOOR, Figures, Measuring, TRACT_VERSION, pin, scenes, team};
 use crate::deployment::open_bundle;
 use crate::environment::ScenarioSetName;
 use crate::failure::{Failure, Outcome};
 use crate::observations::read_recording;
 use crate::onnxruntime::OnnxRuntimeArguments;
-
-/// The set with the largest teams that are measured.
-pub(super) const LARGE_SET: &str = "2-8a_2-8b";
 
 /// Decisions of bundles' agents: our plans, tract, onnxruntime and the floor in alternation
 ///
@@ -48,7 +46,7 @@ pub(super) fn measure(arguments: &DecisionArguments) -> Result<Figures, Failure>
         let mut contestants = Contestants::open(&bundle, &arguments.onnxruntime)?;
         let recordings = recordings(arguments, &bundle, contestants.first()?.as_mut())?;
         pin(arguments.measuring.pin)?;
-        let schedule = Schedule::new(arguments);
+        let schedule = schedule(arguments);
         let cases = [all_visible(&recordings), few_visible(&recordings), recorded(&recordings)];
         let name = contestants.name.clone();
         for case in cases.iter().filter(|case| case.holds_any(&name)) {
@@ -97,29 +95,11 @@ fn alone(
     Ok(())
 }
 
-/// How the time is spent.
-pub(super) struct Schedule<'a> {
-    pub(super) paces: &'a [Pace],
-    seconds_per_case: f64,
-}
-
-impl<'a> Schedule<'a> {
-    fn new(arguments: &'a DecisionArguments) -> Self {
-        const CASES_ALONE: usize = 3;
-        let cases = arguments.bundles.len() * (CASES_ALONE + team::SIZES.len());
-        let seconds_per_case = arguments.measuring.seconds / cases as f64;
-        Self { paces: &arguments.pace, seconds_per_case }
-    }
-
-    /// Hot calls are short and many; the others wait most of their time, and make three rounds at least.
-    pub(super) fn seconds(&self, pace: Pace) -> f64 {
-        let share = match pace {
-            Pace::Hot => 0.6,
-            Pace::Cold => 0.3,
-            Pace::Spaced => 0.1,
-        };
-        self.seconds_per_case * share
-    }
+fn schedule(arguments: &DecisionArguments) -> Schedule<'_> {
+    const CASES_ALONE: usize = 3;
+    let cases = arguments.bundles.len() * (CASES_ALONE + team::SIZES.len());
+    let seconds_per_case = arguments.measuring.seconds / cases as f64;
+    Schedule { paces: &arguments.pace, seconds_per_case }
 }
 
 /// The file that was named, else episodes of the bundle's own scenario set and of large teams.
@@ -134,5 +114,5 @@ fn recordings(
     let own = ScenarioSetName::parse(&bundle.manifest().contract.environment.name)?;
     let seed = arguments.measuring.common.seed;
     let mut record = |set: &str| scenes::record(bundle, policy, set, seed);
-    Ok(vec![record(own.set())?, record(LARGE_SET)?])
+    Ok(vec![record(own.set())?, record(scenes::LARGE_SET)?])
 }

@@ -8,9 +8,9 @@ use serde::Serialize;
 use sortie_ipc::Domain;
 use sortie_ipc::storm::{StormReport, StormSettings, raise_storm, storm_process};
 
-use crate::arguments::Common;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::latency::{Latency, Percentiles};
+use crate::options::Common;
 use crate::output::{Table, print_json, say};
 use crate::signals::stop_on_signals;
 

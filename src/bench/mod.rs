@@ -11,6 +11,7 @@ mod proposals;
 mod quantised;
 mod rounds;
 mod scenes;
+mod schedule;
 mod team;
 mod train;
 
@@ -19,9 +20,9 @@ use rustix::thread::{CpuSet, sched_setaffinity};
 use rustix::time::{ClockId, clock_gettime};
 use serde::Serialize;
 
-use crate::arguments::Common;
 use crate::engines::engines;
 use crate::failure::{Exit, Failure, Outcome};
+use crate::options::Common;
 use crate::output::{Table, print_json, say};
 use rounds::{Engine, Measured, paired_ratio};
 

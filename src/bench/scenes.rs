@@ -8,6 +8,8 @@ use sortie_learn::evaluate::{DeployedAllocator, EvaluationPlan, PolicyTeam, eval
 use crate::failure::Failure;
 use crate::observations::RecordingPolicy;
 
+/// The set with the largest teams that are measured.
+pub(super) const LARGE_SET: &str = "2-8a_2-8b";
 /// Episodes that are recorded: some thousand observations.
 const EPISODES: usize = 64;
 

@@ -7,8 +7,8 @@ use sortie_plans::{BatchedUtilities, TOLERANCE};
 
 use super::cases::some;
 use super::contestants::Contestants;
-use super::decision::Schedule;
 use super::rounds::{alternate, engine, our_engine};
+use super::schedule::Schedule;
 use super::{FLOOR, Figures};
 use crate::failure::{Failure, Outcome};
 use crate::output::tell;

@@ -14,8 +14,8 @@ use sortie_ipc::{
 use super::registry::Bundles;
 use super::scheduling::Scheduling;
 use super::world::{Playing, WorldOfTeam, play};
+use crate::allocation::AllocatorChoice;
 use crate::allocator::DeployedAllocator;
-use crate::arguments::AllocatorChoice;
 use crate::deployment::{domain_contract, model_id, open_bundle};
 use crate::failure::{Exit, Failure, Outcome};
 use crate::policy::{Backend, DeployedPolicy};

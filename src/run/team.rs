@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use sortie_core::wire::Role;
 use sortie_ipc::Charge;
 
-use crate::arguments::AllocatorChoice;
+use crate::allocation::AllocatorChoice;
 use crate::policy::Backend;
 use crate::proposals::ProposalArguments;
 

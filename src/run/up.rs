@@ -13,10 +13,11 @@ use sortie_ipc::{
 use super::scheduling::{Scheduling, check_cores};
 use super::team::Team;
 use super::world::{Playing, open_world};
+use crate::allocation::AllocatorChoice;
 use crate::allocator::DeployedAllocator;
-use crate::arguments::{AllocatorChoice, Common};
 use crate::deployment::{domain_contract, open_bundle};
 use crate::failure::{Exit, Failure, Outcome};
+use crate::options::Common;
 use crate::output::{tell, wrapped};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::proposals::ProposalArguments;

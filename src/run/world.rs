@@ -16,7 +16,7 @@ use super::ledger::Ledger;
 use super::onlooker::{Display, Onlooker};
 use super::report::{Manner, Setup, report};
 use super::{positive_seconds, rate};
-use crate::arguments::AllocatorChoice;
+use crate::allocation::AllocatorChoice;
 use crate::deployment::model_id;
 use crate::environment::{ScenarioSetName, check_fits};
 use crate::failure::{Exit, Failure, Outcome};

@@ -10,7 +10,7 @@ use sortie_learn::methods::paper;
 use sortie_learn::run::Settings;
 
 use super::{Method, Mixer, TrainArguments};
-use crate::arguments::Allocation;
+use crate::allocation::Allocation;
 use crate::environment::ScenarioSetName;
 use crate::failure::{Exit, Failure, Outcome};
 

@@ -16,8 +16,9 @@ use sortie_learn::LearnError;
 use sortie_learn::methods::Trainer;
 use sortie_learn::run::{Outcome as Ending, prolong, read_description};
 
-use crate::arguments::{Allocation, Common};
+use crate::allocation::Allocation;
 use crate::failure::{Exit, Failure, Outcome};
+use crate::options::Common;
 use crate::output::{self, say, warn_of_refused};
 use crate::seeds::SeedRange;
 use crate::signals::stop_on_signals;

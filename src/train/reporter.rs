@@ -5,7 +5,7 @@ use indicatif::{HumanCount, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use sortie_learn::methods::Trainer;
 use sortie_learn::run::{CurvePoint, Observer, Progress, RunResult, TrainingPoint};
 
-use crate::arguments::Common;
+use crate::options::Common;
 use crate::output::{print_json, say, tell};
 use crate::terminal_curve::terminal_curve;
 

@@ -18,8 +18,8 @@ use sortie_ipc::Stop;
 use sortie_learn::run::{Configuration, Difference, Settings, read_description};
 
 use super::cores;
-use crate::arguments::Common;
 use crate::failure::{Exit, Failure, Outcome};
+use crate::options::Common;
 use crate::output::{Table, plural, print_json, tell};
 use crate::seeds::SeedRange;
 

@@ -1,6 +1,6 @@
 //! Who assigned agents in the episode that is viewed.
 
-use crate::arguments::AllocatorChoice;
+use crate::allocation::AllocatorChoice;
 
 /// Who allocated in a recording of `sortie eval --episodes-out`, by its label, where that can be
 /// computed again: random choices are lost.

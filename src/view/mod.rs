@@ -20,10 +20,11 @@ use sortie_learn::LearnError;
 use sortie_learn::evaluate::{Allocate, EvaluationPlan, Scene, ScriptedActors, Team};
 use sortie_learn::methods::alma::{Conditioning, NetworkPolicy};
 
-use crate::arguments::{AllocatorChoice, Common};
+use crate::allocation::AllocatorChoice;
 use crate::environment;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::files::{Kind, try_output, write_output};
+use crate::options::Common;
 use crate::output::{plural, print_json, say};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::proposals::ProposalArguments;
@@ -96,7 +97,7 @@ fn played_page(arguments: &ViewArguments) -> Result<Page, Failure> {
         return Err(usage("--policy is for recorded episodes; name the run or bundle itself"));
     }
     let subject = Subject::find(&arguments.subject)?;
-    let set = environment::scenario_set(arguments.env.as_deref(), &subject)?;
+    let set = subject.scenario_set(arguments.env.as_deref())?;
     let number = arguments.episode.unwrap_or(0) as usize;
     let plan = EvaluationPlan::new(set.set(), number + 1, arguments.common.seed)?;
     if let Subject::Bundle(bundle) = &subject {

@@ -13,14 +13,9 @@ use circles::circles;
 use modules::Crate;
 
 /// Crates that have circles, and why they may.
-const EXCEPTED: [(&str, &str); 7] = [
+const EXCEPTED: [(&str, &str); 2] = [
     ("runtime/core", "operators, plans and what allocates by them are one knot, untied on its own"),
-    ("runtime/compiler", "open"),
-    ("runtime/plans", "open"),
-    ("runtime/ipc", "open"),
-    ("trainer/envs", "open"),
     ("trainer/learn", "its engine and its methods are being taken apart"),
-    ("src", "open"),
 ];
 
 #[test]

@@ -10,7 +10,7 @@ use sortie_core::wire::{Role, StatMsg};
 use crate::build::version;
 use crate::domain::{Domain, DomainFacts, Membership, SHARED_MEMORY, preflight};
 use crate::error::Error;
-use crate::iox::{IoxWatcher, LinkSetup, dead_nodes};
+use crate::iox::{IoxWatcher, LinkSetup, dead_nodes, worst_case_bytes};
 
 /// What a domain of eight agents takes at most, where none runs.
 const USUAL_BYTES: u64 = 512 << 10;
@@ -157,7 +157,7 @@ fn examine_running(membership: &Membership, findings: &mut Vec<Finding>) -> Resu
     };
     findings.push(Finding::of(
         "room for the domain",
-        preflight::check_space(facts.worst_case_bytes()?),
+        preflight::check_space(worst_case_bytes(&facts)?),
         "remove what fills /dev/shm, or enlarge it: `mount -o remount,size=64m /dev/shm`",
     ));
     if let Err(error) = examine_team(membership, &facts, findings) {

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use serde::{Deserialize, Serialize};
 use sortie_core::plan::PlanError;
 
-use crate::process::Ending;
+use crate::ending::Ending;
 
 /// Why a network could not be read, compiled or run.
 #[derive(Debug, thiserror::Error, Serialize, Deserialize)]

@@ -10,6 +10,7 @@ mod attention;
 mod bundle_plans;
 mod cache;
 mod comparison;
+mod ending;
 mod engines;
 mod error;
 mod facts;
@@ -29,6 +30,7 @@ pub use attention::{AttentionLayers, AttentionProbe};
 pub use bundle_plans::{BundlePlans, Compiler};
 pub use cache::user_cache;
 pub use comparison::{Comparison, TOLERANCE, cannot_run, compare_with_golden, magnitude};
+pub use ending::Ending;
 pub use engines::{
     BatchedUtilities, BatchedValues, DrawnProposals, Engines, GraphEngine, OnnxRuntimeEngine,
     OnnxRuntimeError,
@@ -45,6 +47,6 @@ pub use observations::{
     OwnedEntities, OwnedTeamQuery, random_allocation_states, random_entities, random_observations,
     random_observations_of, random_states, random_team_queries, random_team_queries_of,
 };
-pub use process::{CompilerProcess, Ending, ProcessLimits, Request, read_request};
+pub use process::{CompilerProcess, ProcessLimits, Request, read_request};
 pub use proposal_files::ProposalFiles;
 pub use report::{CompileOptions, Compiled, OperatorReport, Report, VERSION, report};

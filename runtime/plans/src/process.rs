@@ -6,7 +6,6 @@
 //! answer to standard output; what it says beside that is kept out of sight.
 
 use std::ffi::OsString;
-use std::fmt;
 use std::io::{self, Read, Write};
 use std::os::unix::process::ExitStatusExt;
 use std::path::PathBuf;
@@ -23,6 +22,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::attention::AttentionLayers;
 use crate::bundle_plans::Compiler;
+use crate::ending::Ending;
 use crate::error::CompileError;
 use crate::facts::OnnxFacts;
 use crate::proposal_files::ProposalFiles;
@@ -42,46 +42,6 @@ pub struct ProcessLimits {
 impl Default for ProcessLimits {
     fn default() -> Self {
         Self { memory_mib: 2048, processor_s: 60, wall_s: 600 }
-    }
-}
-
-/// How a process ended that gave no answer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[non_exhaustive]
-pub enum Ending {
-    /// It asked for more memory than it may have.
-    Memory {
-        /// The limit in MiB.
-        limit_mib: u32,
-    },
-    /// It used its processor time up.
-    Time {
-        /// The limit in seconds.
-        limit_s: u32,
-    },
-    /// It gave no answer in time.
-    Silent {
-        /// The limit in seconds.
-        limit_s: u32,
-    },
-    /// Its stack overflowed.
-    Stack,
-    /// A signal ended it.
-    Signal(i32),
-    /// It ended by itself with this code; 101 is a panic.
-    Code(i32),
-}
-
-impl fmt::Display for Ending {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Memory { limit_mib } => write!(f, "it takes more than {limit_mib} MiB of memory"),
-            Self::Time { limit_s } => write!(f, "it takes more than {limit_s} s of processor time"),
-            Self::Silent { limit_s } => write!(f, "there was no answer for {limit_s} s"),
-            Self::Stack => write!(f, "its parts are nested too deeply"),
-            Self::Signal(signal) => write!(f, "signal {signal} ended the process that read it"),
-            Self::Code(code) => write!(f, "the process that read it ended with code {code}"),
-        }
     }
 }
 

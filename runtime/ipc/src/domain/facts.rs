@@ -12,7 +12,6 @@ use sortie_core::wire::{ABI, FrameFormat, FrameLayout};
 
 use super::{BellKind, Domain};
 use crate::error::Error;
-use crate::iox::worst_case_bytes;
 use crate::stop::Stop;
 
 /// The file's name.
@@ -154,13 +153,6 @@ impl DomainFacts {
     /// As [`Self::format`]; there is no such agent, or no row for it.
     pub fn private_format(&self, agent: usize) -> Result<FrameFormat, Error> {
         Ok(FrameFormat { layout: FrameLayout::private(self.shape(), agent)?, ..self.format()? })
-    }
-
-    /// Shared memory that its publishers take at most, in bytes.
-    pub(crate) fn worst_case_bytes(&self) -> Result<u64, Error> {
-        let private = self.private.then(|| self.private_format(0)).transpose()?;
-        let private = private.as_ref().map(|format| &format.layout);
-        Ok(worst_case_bytes(&self.format()?.layout, private))
     }
 
     /// Checks that a runner reads the frames that this domain has.

@@ -5,9 +5,9 @@ use std::time::{Duration, Instant};
 use iceoryx2::prelude::*;
 use sortie_core::wire::{ControlRep, ControlReq, Role};
 
-use super::links::LinkSetup;
 use super::message::{AnswerPayload, Message, RequestPayload};
 use super::open::{Opener, RequestClient, RequestServer};
+use super::setup::LinkSetup;
 use super::watcher::Bells;
 use super::{InterProcess, LinkService};
 use crate::error::Error;

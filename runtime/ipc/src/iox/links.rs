@@ -1,7 +1,5 @@
 //! The links of world, runner and allocator.
 
-use std::time::Duration;
-
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::*;
 use iceoryx2::sample::Sample;
@@ -10,7 +8,7 @@ use sortie_core::link::{
     StatTx, Wake,
 };
 use sortie_core::wire::{
-    ActionMsg, AllocMsg, Command, ControlRep, ControlReq, FrameFormat, FrameHeader, Role, StatMsg,
+    ActionMsg, AllocMsg, Command, ControlRep, ControlReq, FrameHeader, Role, StatMsg,
 };
 
 use super::bell::LinkBell;
@@ -22,27 +20,12 @@ use super::open::{
     FrameReceiver, Opener, PendingAnswers, Receiver, RequestClient, RequestServer, Sender,
 };
 use super::services;
+use super::setup::LinkSetup;
 use super::world_frames::WorldFrames;
 use super::{InterProcess, LinkService};
 use crate::clock::MonotonicClock;
-use crate::domain::{BellKind, Domain};
 use crate::error::Error;
 use crate::waker::{Wakeable, Waker};
-
-/// What a link is opened with.
-#[derive(Clone, Copy, Debug)]
-pub struct LinkSetup<'a> {
-    /// The domain, which this process has entered.
-    pub domain: &'a Domain,
-    /// Its frames.
-    pub format: FrameFormat,
-    /// Name of the process's node and ports.
-    pub name: &'a str,
-    /// How its processes wake each other.
-    pub bell: BellKind,
-    /// How long waits linger before they sleep; with doorbells only.
-    pub linger: Duration,
-}
 
 /// The world's link over shared memory.
 pub struct IoxWorld<S: LinkService = InterProcess> {

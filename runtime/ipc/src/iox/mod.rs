@@ -15,6 +15,7 @@ mod message;
 mod open;
 mod pool;
 mod services;
+mod setup;
 mod watcher;
 mod world_frames;
 
@@ -25,9 +26,10 @@ pub use iceoryx2::service::local_threadsafe::Service as IntraProcess;
 
 pub use control::{ControlRx, IoxControl};
 pub use inter_process::InterProcess;
-pub use links::{Housekeeping, IoxAgent, IoxAllocator, IoxWorld, LinkSetup};
+pub use links::{Housekeeping, IoxAgent, IoxAllocator, IoxWorld};
 pub(crate) use open::{Cleaner, set_log_level};
 pub(crate) use services::worst_case_bytes;
+pub use setup::LinkSetup;
 pub(crate) use watcher::dead_nodes;
 pub use watcher::{FrameNews, IoxWatcher};
 

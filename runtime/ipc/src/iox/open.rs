@@ -16,9 +16,9 @@ use iceoryx2::service::attribute::{AttributeKey, AttributeValue};
 use iceoryx2::service::port_factory::{publish_subscribe, request_response};
 use sortie_core::wire::{ABI, FrameHead, FrameLayout, Role};
 
-use super::links::LinkSetup;
 use super::message::{AnswerPayload, FrameHeaderPayload, Message, RequestPayload};
 use super::services::{self, Topic};
+use super::setup::LinkSetup;
 use super::{InterProcess, LinkService};
 use crate::domain::Domain;
 use crate::error::Error;

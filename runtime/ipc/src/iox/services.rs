@@ -3,6 +3,9 @@
 
 use sortie_core::wire::{FrameLayout, Role};
 
+use crate::domain::DomainFacts;
+use crate::error::Error;
+
 /// One publish-subscribe service.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Topic {
@@ -123,9 +126,15 @@ pub(super) fn processes(agents: usize) -> usize {
     agents + 32
 }
 
-/// Shared memory that the domain's publishers take at most, in bytes; `private`: the layout of its private frames, if
-/// it has such.
-pub(crate) fn worst_case_bytes(layout: &FrameLayout, private: Option<&FrameLayout>) -> u64 {
+/// Shared memory that the domain's publishers take at most, in bytes.
+pub(crate) fn worst_case_bytes(facts: &DomainFacts) -> Result<u64, Error> {
+    let private = facts.has_private_frames().then(|| facts.private_format(0)).transpose()?;
+    let private = private.as_ref().map(|format| &format.layout);
+    Ok(worst_case_bytes_of(&facts.format()?.layout, private))
+}
+
+/// The same by layouts; `private`: that of the private frames, if the domain has such.
+fn worst_case_bytes_of(layout: &FrameLayout, private: Option<&FrameLayout>) -> u64 {
     let agents = layout.shape().agents;
     let slots = |topic: Topic| {
         topic.subscribers * (topic.buffer + topic.borrow) + topic.history + topic.loan + 1

@@ -11,9 +11,9 @@ use sortie_core::wire::{
 };
 use zerocopy::FromZeros;
 
-use super::links::LinkSetup;
 use super::message::{ActionPayload, AllocPayload, Message, StatPayload};
 use super::open::{FrameReceiver, FrameTopic, Opener, Receiver, Sender, config};
+use super::setup::LinkSetup;
 use super::{InterProcess, LinkService, services};
 use crate::domain::{BellKind, Domain};
 use crate::doorbell::Doorbell;

@@ -16,7 +16,7 @@ use crate::build::BUILD;
 use crate::control::ProcessInfo;
 use crate::domain::{BellKind, Domain, DomainContract, DomainFacts, nanoseconds};
 use crate::error::Error;
-use crate::iox::{IoxWorld, LinkSetup};
+use crate::iox::{IoxWorld, LinkSetup, worst_case_bytes};
 use crate::real_time::RealTime;
 use crate::stop::Stop;
 
@@ -163,7 +163,7 @@ fn play(
         .with_period(settings.period);
     let format = facts.format()?;
     let membership = domain.enter()?;
-    let bytes = facts.worst_case_bytes()?;
+    let bytes = worst_case_bytes(&facts)?;
     let lock = membership.lead_world(contract, &facts, bytes)?;
     // Before the first port, whose descriptors children would inherit.
     let mut children = Children::default();

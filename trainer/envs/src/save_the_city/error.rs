@@ -8,7 +8,12 @@ use core::fmt;
 #[non_exhaustive]
 pub enum CityError {
     /// There is no scenario set of that name.
-    UnknownSet(String),
+    UnknownSet {
+        /// The name.
+        name: String,
+        /// Those that there are.
+        known: &'static [&'static str],
+    },
     /// A scenario set breaks a limit; the text says which.
     Set(String),
     /// A state breaks a rule; the text says which.
@@ -18,9 +23,9 @@ pub enum CityError {
 impl fmt::Display for CityError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::UnknownSet(name) => {
+            Self::UnknownSet { name, known } => {
                 write!(f, "no scenario set `{name}`; there are ")?;
-                for (index, known) in super::SET_NAMES.iter().enumerate() {
+                for (index, known) in known.iter().enumerate() {
                     write!(f, "{}`{known}`", if index == 0 { "" } else { ", " })?;
                 }
                 Ok(())

@@ -5,6 +5,9 @@ use super::state::{BuildingState, NO_BUILDING, SIDE};
 const WALL: usize = 2;
 const COLUMNS: usize = SIDE as usize + 2 * WALL;
 
+/// Displacements of north, east, south and west: action 1 + i moves by one, action 5 + i by two.
+pub(super) const DIRECTIONS: [(i8, i8); 4] = [(0, 1), (1, 0), (0, -1), (-1, 0)];
+
 /// The free cells, one bit each, inside a wall that is two cells thick.
 ///
 /// The wall is as thick as the longest move, so that no destination needs a bounds check.
@@ -75,6 +78,32 @@ impl Ground {
     }
 }
 
+/// The cells where buildings may stand, x-major.
+pub(super) fn sites(spacing: u8) -> impl Iterator<Item = (u8, u8)> {
+    let step = usize::from(spacing.max(1));
+    (1..SIDE).step_by(step).flat_map(move |x| (1..SIDE).step_by(step).map(move |y| (x, y)))
+}
+
+/// The cells where a team may start: of the smallest centred square with enough cells off the sites.
+///
+/// The whole map's cells are given where no square has enough.
+pub(super) fn agent_candidates(spacing: u8, agents: usize) -> impl Iterator<Item = (u8, u8)> {
+    let margin = (0..SIDE / 2)
+        .rev()
+        .find(|&margin| off_sites(spacing, margin).count() >= agents)
+        .unwrap_or(0);
+    off_sites(spacing, margin)
+}
+
+fn off_sites(spacing: u8, margin: u8) -> impl Iterator<Item = (u8, u8)> {
+    let on_line = move |coordinate: u8| coordinate % spacing.max(1) == 1;
+    let range = margin..SIDE - margin;
+    range
+        .clone()
+        .flat_map(move |x| range.clone().map(move |y| (x, y)))
+        .filter(move |&(x, y)| !(on_line(x) && on_line(y)))
+}
+
 /// Number of a cell, x-major.
 pub(super) fn cell(x: u8, y: u8) -> usize {
     usize::from(x) * usize::from(SIDE) + usize::from(y)
@@ -82,7 +111,7 @@ pub(super) fn cell(x: u8, y: u8) -> usize {
 
 /// The orthogonal neighbours on the map.
 pub(super) fn neighbours(x: u8, y: u8) -> impl Iterator<Item = (u8, u8)> {
-    super::rules::DIRECTIONS.into_iter().filter_map(move |(dx, dy)| {
+    DIRECTIONS.into_iter().filter_map(move |(dx, dy)| {
         let (x, y) = (x.checked_add_signed(dx)?, y.checked_add_signed(dy)?);
         (x < SIDE && y < SIDE).then_some((x, y))
     })

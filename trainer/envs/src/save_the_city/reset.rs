@@ -4,38 +4,13 @@ use alloc::vec::Vec;
 
 use rand_xoshiro::Xoshiro256PlusPlus;
 
+use super::grid::{agent_candidates, sites};
 use super::rules::{self, Constants};
 use super::scenarios::{BuildingPlan, Scenario};
 use super::state::{
     AgentKind, AgentState, BuildingKind, BuildingState, MAX_BUILDINGS, SIDE, Status,
 };
 use crate::random::{below, chance, unit};
-
-/// The cells where buildings may stand, x-major.
-pub(super) fn sites(spacing: u8) -> impl Iterator<Item = (u8, u8)> {
-    let step = usize::from(spacing.max(1));
-    (1..SIDE).step_by(step).flat_map(move |x| (1..SIDE).step_by(step).map(move |y| (x, y)))
-}
-
-/// The cells where a team may start: of the smallest centred square with enough cells off the sites.
-///
-/// The whole map's cells are given where no square has enough.
-pub(super) fn agent_candidates(spacing: u8, agents: usize) -> impl Iterator<Item = (u8, u8)> {
-    let margin = (0..SIDE / 2)
-        .rev()
-        .find(|&margin| off_sites(spacing, margin).count() >= agents)
-        .unwrap_or(0);
-    off_sites(spacing, margin)
-}
-
-fn off_sites(spacing: u8, margin: u8) -> impl Iterator<Item = (u8, u8)> {
-    let on_line = move |coordinate: u8| coordinate % spacing.max(1) == 1;
-    let range = margin..SIDE - margin;
-    range
-        .clone()
-        .flat_map(move |x| range.clone().map(move |y| (x, y)))
-        .filter(move |&(x, y)| !(on_line(x) && on_line(y)))
-}
 
 /// Cells to draw from without replacement, kept so that a reset allocates nothing.
 #[derive(Clone, Debug)]

@@ -4,7 +4,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::grid::{FreeCells, Ground};
+use super::grid::{DIRECTIONS, FreeCells, Ground};
 use super::state::{
     AgentKind, AgentState, BuildingState, MAX_AGENTS, MAX_BUILDINGS, NO_BUILDING, Status, manhattan,
 };
@@ -17,9 +17,6 @@ pub const ACTION_NAMES: [&str; ACTIONS] = [
     "stay", "north", "east", "south", "west", "north-2", "east-2", "south-2", "west-2", "fight",
     "build", "freeze",
 ];
-
-/// Displacements of north, east, south and west: action 1 + i moves by one, action 5 + i by two.
-pub(super) const DIRECTIONS: [(i8, i8); 4] = [(0, 1), (1, 0), (0, -1), (-1, 0)];
 
 pub(super) const STAY: u16 = 0;
 pub(super) const FIGHT: u16 = 9;

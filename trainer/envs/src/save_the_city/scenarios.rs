@@ -5,7 +5,7 @@ use alloc::string::{String, ToString};
 use alloc::vec::Vec;
 
 use super::error::CityError;
-use super::reset::{agent_candidates, sites};
+use super::grid::{agent_candidates, sites};
 use super::state::{AgentKind, BuildingKind, MAX_AGENTS, MAX_BUILDINGS};
 use crate::environment::Split;
 
@@ -76,7 +76,7 @@ impl ScenarioSet {
     /// Sets of the dissertation's code by their names there, several of them joined by `+`.
     pub fn named(name: &str) -> Result<Self, CityError> {
         let mut sets = name.split('+').map(Self::single);
-        let first = sets.next().unwrap_or_else(|| Err(CityError::UnknownSet(name.to_string())))?;
+        let first = sets.next().unwrap_or_else(|| Err(unknown_set(name)))?;
         sets.try_fold(first, |union, set| union.joined(set?))
     }
 
@@ -95,7 +95,7 @@ impl ScenarioSet {
     }
 
     fn single(name: &str) -> Result<Self, CityError> {
-        let unknown = || CityError::UnknownSet(name.to_string());
+        let unknown = || unknown_set(name);
         let mut lines = SETS.lines().skip_while(|line| !is_header_of(line, name));
         let header = lines.next().ok_or_else(unknown)?;
         let mut sizes = header.split(' ').skip(2).filter_map(|word| word.parse::<u8>().ok());
@@ -157,6 +157,10 @@ impl ScenarioSet {
         }
         Ok(())
     }
+}
+
+fn unknown_set(name: &str) -> CityError {
+    CityError::UnknownSet { name: name.to_string(), known: &SET_NAMES }
 }
 
 fn is_header_of(line: &str, name: &str) -> bool {

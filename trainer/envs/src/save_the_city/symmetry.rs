@@ -1,6 +1,6 @@
 //! The eight symmetries of the square, exact on states and actions.
 
-use super::rules::DIRECTIONS;
+use super::grid::DIRECTIONS;
 use super::state::{AgentState, BuildingState, SIDE};
 
 /// A turn or reflection of the map. The rules look the same from every side.
