@@ -8,6 +8,8 @@ use sortie_plans::{
 };
 
 const N_MAX: usize = 9;
+/// With a skip and without.
+const TEAM_VALUES: [&str; 2] = ["team_value_small", "team_value_skip_small"];
 
 fn golden(name: &str) -> Vec<u8> {
     let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/golden/onnx/");
@@ -27,8 +29,8 @@ fn agent(name: &str) -> (Vec<u8>, Compiled, ObservationSizes) {
     (onnx, plan, sizes)
 }
 
-fn team_value() -> (Vec<u8>, Compiled, TeamQuerySizes) {
-    let onnx = golden("team_value_small");
+fn team_value(name: &str) -> (Vec<u8>, Compiled, TeamQuerySizes) {
+    let onnx = golden(name);
     let plan = compiled(&onnx);
     let (features, relations) = sortie_compiler::TractTeamValue::new(&onnx).unwrap().columns();
     (onnx, plan, TeamQuerySizes { n_max: N_MAX, features, relations })
@@ -49,7 +51,14 @@ fn assert_agreed(judge: Judge, compared: &[Comparison]) {
 }
 
 fn assert_agents_agree(judge: Judge) {
-    for name in ["agent_small", "agent_one_head", "agent_eight_heads", "agent_odd_sizes"] {
+    for name in [
+        "agent_small",
+        "agent_one_head",
+        "agent_eight_heads",
+        "agent_odd_sizes",
+        "agent_skip_small",
+        "agent_skip_one_layer",
+    ] {
         let (onnx, plan, sizes) = agent(name);
         let families = observation_families(64, sizes, 3);
         assert_agreed(judge, &judge_agent(&plan.bytes, &onnx, judge, &families).unwrap());
@@ -57,9 +66,11 @@ fn assert_agents_agree(judge: Judge) {
 }
 
 fn assert_team_values_agree(judge: Judge) {
-    let (onnx, plan, sizes) = team_value();
-    let families = team_query_families(64, sizes, 3);
-    assert_agreed(judge, &judge_team_values(&plan.bytes, &onnx, judge, &families).unwrap());
+    for name in TEAM_VALUES {
+        let (onnx, plan, sizes) = team_value(name);
+        let families = team_query_families(64, sizes, 3);
+        assert_agreed(judge, &judge_team_values(&plan.bytes, &onnx, judge, &families).unwrap());
+    }
 }
 
 #[test]
@@ -127,7 +138,13 @@ mod onnxruntime {
     #[test]
     fn a_batched_call_gives_what_single_calls_give() {
         let Some(runtime) = runtime() else { return };
-        let (onnx, _, sizes) = agent("agent_small");
+        for name in ["agent_small", "agent_skip_small", "agent_skip_one_layer"] {
+            assert_batched_agents_agree(runtime, name);
+        }
+    }
+
+    fn assert_batched_agents_agree(runtime: &OnnxRuntime, name: &str) {
+        let (onnx, _, sizes) = agent(name);
         let mut single = OnnxRuntimePolicy::new(runtime, &onnx, sizes.features).unwrap();
         let mut batched = BatchedAgents::new(runtime, &onnx, sizes.features).unwrap();
         let masks = inputs(observation_families(32, sizes, 5), "n_max entities");
@@ -153,7 +170,11 @@ mod onnxruntime {
     #[test]
     fn a_batched_call_values_all_teams_of_a_state() {
         let Some(runtime) = runtime() else { return };
-        let (onnx, _, sizes) = team_value();
+        TEAM_VALUES.iter().for_each(|name| assert_batched_team_values_agree(runtime, name));
+    }
+
+    fn assert_batched_team_values_agree(runtime: &OnnxRuntime, name: &str) {
+        let (onnx, _, sizes) = team_value(name);
         let mut single = OnnxRuntimeTeamValue::new(runtime, &onnx).unwrap();
         let mut batched = BatchedTeamValues::new(runtime, &onnx).unwrap();
         for query in inputs(team_query_families(16, sizes, 5), "n_max entities") {

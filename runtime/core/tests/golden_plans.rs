@@ -9,8 +9,11 @@ use sortie_core::{AllocationState, DecideError, EntityMask, NO_ACTION, Observati
 const AGENT: &[u8] = include_plan!("../../../tests/golden/plans/agent-1.0.plan");
 const INT8: &[u8] = include_plan!("../../../tests/golden/plans/agent-int8-1.1.plan");
 const ODD_SIZES: &[u8] = include_plan!("../../../tests/golden/plans/agent-odd-sizes-1.0.plan");
+const SKIP: &[u8] = include_plan!("../../../tests/golden/plans/agent-skip-1.3.plan");
+const INT8_SKIP: &[u8] = include_plan!("../../../tests/golden/plans/agent-skip-int8-1.3.plan");
 const TEAM_VALUE: &[u8] = include_plan!("../../../tests/golden/plans/team-value-1.0.plan");
-
+const TEAM_VALUE_SKIP: &[u8] =
+    include_plan!("../../../tests/golden/plans/team-value-skip-1.3.plan");
 const PROPOSALS: &[u8] = include_plan!("../../../tests/golden/plans/proposals-1.2.plan");
 
 /// The numbers of the recorded observations, see the folder's README.
@@ -84,6 +87,20 @@ fn an_int8_agent_of_format_1_1_decides_as_recorded() {
 fn odd_sizes_of_format_1_0_decide_as_recorded() {
     let want = include_str!("../../../tests/golden/plans/agent-odd-sizes-1.0.txt");
     assert_eq!(decisions::<{ arena_bytes(ODD_SIZES) }>(ODD_SIZES), want);
+}
+
+#[test]
+fn agents_with_a_skip_of_format_1_3_decide_as_recorded() {
+    let want = include_str!("../../../tests/golden/plans/agent-skip-1.3.txt");
+    assert_eq!(decisions::<{ arena_bytes(SKIP) }>(SKIP), want);
+    let want = include_str!("../../../tests/golden/plans/agent-skip-int8-1.3.txt");
+    assert_eq!(decisions::<{ arena_bytes(INT8_SKIP) }>(INT8_SKIP), want);
+}
+
+#[test]
+fn a_team_value_with_a_skip_of_format_1_3_is_as_recorded() {
+    let want = include_str!("../../../tests/golden/plans/team-value-skip-1.3.txt");
+    assert_eq!(decisions::<{ arena_bytes(TEAM_VALUE_SKIP) }>(TEAM_VALUE_SKIP), want);
 }
 
 #[test]

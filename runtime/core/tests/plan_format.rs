@@ -42,13 +42,14 @@ fn header() -> ([u8; HEADER_BYTES], Vec<(&'static str, Vec<u8>)>) {
         network: Network::TeamValue,
         t_max: 118,
         arena_bytes_per_agent: 120,
+        skip: true,
     };
     let word = |value: u32| value.to_le_bytes().to_vec();
     let fields = vec![
         ("magic", b"SORTIEPL".to_vec()),
         ("major", VERSION.0.to_le_bytes().to_vec()),
-        // The lowest that has the profile.
-        ("minor", 0_u16.to_le_bytes().to_vec()),
+        // The lowest that has the skip.
+        ("minor", 3_u16.to_le_bytes().to_vec()),
         ("endian", vec![4, 3, 2, 1]),
         ("layout", word(header.layout)),
         ("arena_bytes", word(header.arena_bytes)),
@@ -71,7 +72,8 @@ fn header() -> ([u8; HEADER_BYTES], Vec<(&'static str, Vec<u8>)>) {
         ("network", vec![header.network.id()]),
         ("t_max", header.t_max.to_le_bytes().to_vec()),
         ("arena_bytes_per_agent", word(header.arena_bytes_per_agent)),
-        ("reserved", vec![0; 4]),
+        ("skip", vec![u8::from(header.skip)]),
+        ("reserved", vec![0; 3]),
     ];
     (header.to_bytes(checksums), fields)
 }

@@ -110,6 +110,7 @@ pub(crate) fn operators(program: &Program, n_max: usize) -> Vec<OperatorReport> 
 
 fn detail(op: &Op) -> String {
     let relu = |relu: bool| if relu { ", relu" } else { "" };
+    let skip = |skips: bool| if skips { ", skip" } else { "" };
     match op {
         Op::EmbedEntities(op) => {
             format!("[N, {}] -> [N, {}]{}", op.layer.inputs, op.layer.outputs, relu(op.relu))
@@ -117,7 +118,8 @@ fn detail(op: &Op) -> String {
         Op::AttendOwn(op) => {
             let heads = if op.heads == 1 { "head" } else { "heads" };
             let (width, outputs) = (op.width, op.output.outputs);
-            format!("[N, {width}] -> [{outputs}], {} {heads}{}", op.heads, relu(op.relu))
+            let (skip, relu) = (skip(op.skips()), relu(op.relu));
+            format!("[N, {width}] -> [{outputs}], {} {heads}{skip}{relu}", op.heads)
         }
         Op::Dense(op) => {
             format!("[{}] -> [{}]{}", op.layer.inputs, op.layer.outputs, relu(op.relu))
@@ -144,7 +146,8 @@ fn detail(op: &Op) -> String {
         Op::Int8AttendOwn(op) => {
             let heads = if op.heads == 1 { "head" } else { "heads" };
             let (width, outputs) = (op.width, op.output.outputs);
-            format!("[N, {width}] -> [{outputs}], {} {heads}{}", op.heads, relu(op.relu))
+            let (skip, relu) = (skip(op.skips()), relu(op.relu));
+            format!("[N, {width}] -> [{outputs}], {} {heads}{skip}{relu}", op.heads)
         }
         Op::Int8Dense(op) => {
             format!("[{}] -> [{}]{}", op.layer.inputs, op.layer.outputs, relu(op.relu))

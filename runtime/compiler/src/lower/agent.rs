@@ -104,8 +104,7 @@ fn lower_attention(
     };
     let keys: Vec<Matrix> = parts(&layers.key).iter().map(Matrix::transposed).collect();
     let values = parts(&layers.value);
-    let output =
-        Layer { matrix: padded_heads(&layers.output.matrix, heads), ..layers.output.clone() };
+    let output = behind_heads(layers);
     AttendOwn {
         rows,
         width: width as u16,
@@ -177,6 +176,16 @@ pub(crate) fn by_heads(layer: &Layer, heads: usize) -> Layer {
     side_by_side(&(0..heads).map(head).collect::<Vec<_>>())
 }
 
+/// The attention's last layer, of the heads' padded outputs; the own row's weights of a skip stand below.
+pub(crate) fn behind_heads(layers: &AgentLayers) -> Layer {
+    let mut matrix = padded_heads(&layers.output.matrix, layers.heads);
+    if let Some(skip) = &layers.skip {
+        matrix.inputs += skip.inputs;
+        matrix.values.extend(&skip.values);
+    }
+    Layer { matrix, ..layers.output.clone() }
+}
+
 /// The matrix with zero rows behind every head, because heads write padded outputs.
 pub(crate) fn padded_heads(matrix: &Matrix, heads: usize) -> Matrix {
     let head = matrix.inputs / heads * matrix.outputs;
@@ -227,9 +236,10 @@ pub(crate) fn check(layers: &AgentLayers, sizes: AgentSizes) -> Result<(), Compi
         let Layer { matrix, bias, .. }: &Layer = layer;
         (name, matrix, bias)
     };
+    let skip = layers.skip.iter().map(|matrix| ("skip", matrix, [].as_slice()));
     let dense = step_layers(layers).map(|(name, layer)| plain(name, layer));
     let ends = [plain("first", &layers.embed), plain("attention output", &layers.output)];
-    for (layer, matrix, bias) in attention.into_iter().chain(ends).chain(dense) {
+    for (layer, matrix, bias) in attention.into_iter().chain(skip).chain(ends).chain(dense) {
         check_weights(layer, matrix, bias)?;
     }
     check_chain(layers, sizes)
@@ -249,6 +259,10 @@ fn check_chain(layers: &AgentLayers, sizes: AgentSizes) -> Result<(), CompileErr
         ("the heads' joint width", inner / layers.heads.max(1) * layers.heads, inner),
     ];
     let mut before = layers.output.matrix.outputs;
+    if let Some(skip) = &layers.skip {
+        pairs.push(("the skip's input", skip.inputs, width));
+        pairs.push(("the skip's width", skip.outputs, before));
+    }
     for step in &layers.steps {
         match step {
             Step::Dense(layer) => {

@@ -53,6 +53,7 @@ pub(crate) fn assemble(
         network: origin.network,
         t_max: origin.t_max,
         arena_bytes_per_agent: 4 * program.own_floats().unwrap_or(0),
+        skip: program.skips(),
     };
     let checksums = checksums(&header, &program_bytes, weights);
     let mut plan = header.to_bytes(checksums).to_vec();

@@ -7,7 +7,7 @@ use sortie_core::ops::{
 };
 use sortie_core::plan::{OPS, Program};
 
-use super::agent::{AgentSizes, Arena, Choice, check, padded_heads, side_by_side};
+use super::agent::{AgentSizes, Arena, Choice, behind_heads, check, padded_heads, side_by_side};
 use super::int8_layout::{Int8Weights, Order};
 use crate::matching::{AgentLayers, Layer, Matrix, Step};
 use sortie_plans::CompileError;
@@ -87,8 +87,8 @@ fn lower_attention(
     let keys: Vec<Matrix> =
         parts(&layers.key).iter().map(|keys| padded_heads(&keys.transposed(), 1)).collect();
     let values = parts(&layers.value);
-    let output =
-        Layer { matrix: padded_heads(&layers.output.matrix, heads), ..layers.output.clone() };
+    let output = behind_heads(layers);
+    let kept = output.matrix.inputs;
     let all = |matrices: &[Matrix], weights: &mut Int8Weights| {
         weights.add_matrices(&matrices.iter().collect::<Vec<_>>(), Order::Strips)
     };
@@ -110,8 +110,8 @@ fn lower_attention(
         absorbed: arena.place(padded(width)),
         scores: arena.place(sizes.n_max),
         mixed: arena.place(padded(width)),
-        attended: arena.place(attended),
+        attended: arena.place(kept),
         to: arena.place(padded(layers.output.matrix.outputs)),
-        quantised: arena.place(quantised_floats(width.max(attended))),
+        quantised: arena.place(quantised_floats(width.max(kept))),
     }
 }

@@ -7,7 +7,7 @@ use tract_onnx::tract_core::ops::nn::Softmax;
 use tract_onnx::tract_hir::internal::DimLike;
 
 use super::gru::{GruLayers, match_gru};
-use super::linear::{Found, match_layer, match_product_of_two, match_scale};
+use super::linear::{Found, match_layer, match_product_of_two, match_scale, match_sum};
 use crate::graph::Graph;
 use sortie_plans::CompileError;
 use sortie_plans::{Layer, Matrix};
@@ -30,6 +30,8 @@ pub(crate) struct AgentLayers {
     pub(crate) value: Matrix,
     /// Heads to the attention's output.
     pub(crate) output: Layer,
+    /// Own embedding to what is added to the output, before its ReLU.
+    pub(crate) skip: Option<Matrix>,
     /// What follows the attention, in order.
     pub(crate) steps: Vec<Step>,
 }
@@ -73,15 +75,18 @@ pub(super) fn match_network(
 ) -> Result<(impl FnOnce(Layer) -> AgentLayers + use<>, OutletId), CompileError> {
     let mut steps = Vec::new();
     let mut outlet = graph.answer;
-    let (output, mixed) = loop {
+    let (output, mixed, skip) = loop {
         if let Some(found) = match_gru(graph, outlet)? {
             steps.push(Step::Gru(Box::new(found.layers)));
             outlet = found.input;
             continue;
         }
+        if let Some((found, skip)) = match_skip(graph, outlet, question.own) {
+            break (found.layer, found.input, Some(skip));
+        }
         let found = match_layer(graph, outlet)?;
         if match_product_of_two(graph, found.input).is_some() {
-            break (found.layer, found.input);
+            break (found.layer, found.input, None);
         }
         steps.push(Step::Dense(found.layer));
         outlet = found.input;
@@ -91,8 +96,32 @@ pub(super) fn match_network(
     let (scores, heads) = match_weights(graph, weights, question.visible)?;
     let (query, key, embedding) = match_scores(graph, scores, question.own)?;
     let value = match_projection(graph, value, embedding)?;
-    let with = move |embed| AgentLayers { embed, heads, query, key, value, output, steps };
+    if let Some(skip) = skip.as_ref().filter(|skip| skip.embedding != graph.source(embedding)) {
+        return Err(graph.unsupported(skip.embedding, "a skip takes the row that forms the query"));
+    }
+    let skip = skip.map(|skip| skip.matrix);
+    let with = move |embed| AgentLayers { embed, heads, query, key, value, output, skip, steps };
     Ok((with, embedding))
+}
+
+/// A product of the own row that is added to the attention's output.
+struct Skip {
+    matrix: Matrix,
+    /// What the row is taken from.
+    embedding: OutletId,
+}
+
+/// Matches `relu(mixed W_o + own W_s + b)`: the layer of what attention mixed, and what passes it by.
+fn match_skip(graph: &Graph, outlet: OutletId, own: OutletId) -> Option<(Found, Skip)> {
+    let [a, b] = match_sum(graph, outlet)?;
+    let skip = |found: &Found| own_row(graph, found.input, own);
+    let (found, matrix, embedding) = match (skip(&a), skip(&b)) {
+        (None, Some(embedding)) => (a, b.layer.matrix, embedding),
+        (Some(embedding), None) => (b, a.layer.matrix, embedding),
+        _ => return None,
+    };
+    match_product_of_two(graph, found.input)?;
+    Some((found, Skip { matrix, embedding }))
 }
 
 pub(super) fn no_output() -> CompileError {

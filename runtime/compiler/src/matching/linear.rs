@@ -2,6 +2,7 @@
 
 use sortie_plans::{CompileError, Layer, Matrix};
 use tract_onnx::prelude::*;
+use tract_onnx::tract_core::ops::binary::TypedBinOp;
 use tract_onnx::tract_core::ops::einsum::EinSum;
 
 use crate::graph::Graph;
@@ -29,6 +30,38 @@ pub(crate) fn match_layer(graph: &Graph, outlet: OutletId) -> Result<Found, Comp
     };
     let layer = Layer { matrix, bias, relu: relu.is_some() };
     Ok(Found { layer, input, has_bias: biased.is_some() })
+}
+
+/// Matches `relu(x W + y V + b)`; ReLU and bias may be missing. Both layers have the bias of the sum, and its ReLU.
+pub(crate) fn match_sum(graph: &Graph, outlet: OutletId) -> Option<[Found; 2]> {
+    let relu =
+        graph.with_constant(outlet, "Max").filter(|[_, low]| graph.uniform(*low) == Some(0.0));
+    let sum = relu.map_or(outlet, |[sum, _]| sum);
+    let (constants, products): (Vec<_>, Vec<_>) =
+        terms(graph, sum).into_iter().partition(|term| graph.constant(*term).is_some());
+    let (&[a, b], biases @ ([] | [_])) = (products.as_slice(), constants.as_slice()) else {
+        return None;
+    };
+    let found = |product| {
+        let (matrix, input) = match_product(graph, product).ok()?;
+        let bias = match biases.first() {
+            Some(bias) => bias_values(graph, *bias, matrix.outputs)?,
+            None => vec![0.0; matrix.outputs],
+        };
+        let layer = Layer { matrix, bias, relu: relu.is_some() };
+        Some(Found { layer, input, has_bias: !biases.is_empty() })
+    };
+    Some([found(a)?, found(b)?])
+}
+
+/// The terms of a sum of values.
+pub(super) fn terms(graph: &Graph, sum: OutletId) -> Vec<OutletId> {
+    let node = graph.node(sum);
+    let adds = node.op_as::<TypedBinOp>().is_some_and(|binary| binary.0.name() == "Add");
+    if !adds {
+        return vec![sum];
+    }
+    node.inputs.iter().flat_map(|input| terms(graph, *input)).collect()
 }
 
 /// Matches the product of a value and a constant matrix.

@@ -8,8 +8,10 @@ use tract_onnx::tract_core::ops::nn::{Reduce, Reducer};
 use super::agent::{match_mixed, match_weights, no_output};
 use super::entities::{AllAttention, match_all_scores};
 use super::gru::is;
-use super::linear::{bias_values, match_layer, match_product, match_product_of_two, match_scale};
-use super::team_value::{terms, uncast};
+use super::linear::{
+    bias_values, match_layer, match_product, match_product_of_two, match_scale, terms,
+};
+use super::team_value::uncast;
 use crate::graph::{Graph, ProposalPart, ProposalRoles};
 use sortie_plans::{CompileError, Layer, Matrix};
 

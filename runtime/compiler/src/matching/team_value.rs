@@ -6,7 +6,7 @@ use tract_onnx::tract_core::ops::cast::Cast;
 use tract_onnx::tract_core::ops::nn::{Reduce, Reducer};
 
 use super::agent::{AgentLayers, Question, match_network};
-use super::linear::{bias_values, match_product};
+use super::linear::{bias_values, match_product, terms};
 use crate::graph::{Graph, TeamRoles};
 use sortie_plans::CompileError;
 use sortie_plans::{Layer, Matrix};
@@ -90,16 +90,6 @@ fn match_embedding(
         None => vec![0.0; outputs],
     };
     Ok(Layer { matrix: Matrix { inputs, outputs, values }, bias, relu: relu.is_some() })
-}
-
-/// The terms of a sum of values.
-pub(super) fn terms(graph: &Graph, sum: OutletId) -> Vec<OutletId> {
-    let node = graph.node(sum);
-    let adds = node.op_as::<TypedBinOp>().is_some_and(|binary| binary.0.name() == "Add");
-    if !adds {
-        return vec![sum];
-    }
-    node.inputs.iter().flat_map(|input| terms(graph, *input)).collect()
 }
 
 /// What a cast was applied to.

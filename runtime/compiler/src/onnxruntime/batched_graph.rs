@@ -43,7 +43,7 @@ pub fn batched_agents_onnx(onnx: &[u8]) -> Result<Vec<u8>, CompileError> {
     let value = model.heads(&value, &layers, 0, &[1, 0, 2]);
     let attended = model.attend(&query, &key, &value, "visible");
     let joined = model.join(&attended, &layers, &[1, 0, 2]);
-    model.rest(&joined, &layers, "utilities")?;
+    model.rest([&joined, &own], &layers, "utilities")?;
     Ok(model.into_bytes("batched_agents"))
 }
 
@@ -77,7 +77,7 @@ pub fn batched_team_values_onnx(onnx: &[u8]) -> Result<Vec<u8>, CompileError> {
     let value = model.heads(&value, &layers, 1, &[0, 2, 1, 3]);
     let attended = model.attend(&query, &key, &value, "visible");
     let joined = model.join(&attended, &layers, &[0, 2, 1, 3]);
-    model.rest(&joined, &layers, "value")?;
+    model.rest([&joined, &own], &layers, "value")?;
     Ok(model.into_bytes("batched_team_values"))
 }
 
@@ -218,14 +218,23 @@ impl Model {
         self.node("joined", "Reshape", &[&ordered, &shape], &[])
     }
 
-    /// What follows the attention, down to `output`.
+    /// What follows the attention, down to `output`, of what the heads mixed and of the own row.
     fn rest(
         &mut self,
-        joined: &str,
+        [joined, own]: [&str; 2],
         layers: &AgentLayers,
         output: &str,
     ) -> Result<(), CompileError> {
-        let mut last = self.layer("output", joined, &layers.output);
+        let mut last = match &layers.skip {
+            None => self.layer("output", joined, &layers.output),
+            Some(skip) => {
+                let both = self.node("looked", "Concat", &[joined, own], &[("axis", &[1])]);
+                let mut output = layers.output.clone();
+                output.matrix.inputs += skip.inputs;
+                output.matrix.values.extend(&skip.values);
+                self.layer("output", &both, &output)
+            }
+        };
         for (index, step) in layers.steps.iter().enumerate() {
             let Step::Dense(layer) = step else {
                 let (what, got) = ("the number of recurrent units".into(), 1);

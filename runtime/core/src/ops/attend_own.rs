@@ -19,6 +19,9 @@ use crate::policy::{DecideError, Observation};
 /// With q = W_q x_own / √h, the keys are absorbed: u_j = W_k,jᵀ q_j once per head j, then a score is u_j · x_e.
 /// The values are postponed: z_j = Σ a_e x_e, then o_j = W_v,j z_j. Both are exact rewrites that need one
 /// matrix product where the plain form needs one per entity. A row that sees nothing has o = 0.
+///
+/// Where the output layer has E inputs more, they are the own row itself, however little the agent sees: a *skip*
+/// past the attention, W_o o + W_s x_own as one product.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AttendOwn {
     /// The embeddings that [`super::EmbedEntities`] wrote.
@@ -33,7 +36,7 @@ pub struct AttendOwn {
     pub keys: u32,
     /// W_v: for every head a matrix of E inputs and h outputs.
     pub values: u32,
-    /// W_o; its inputs are the heads' outputs, each padded like outputs are.
+    /// W_o; its inputs are the heads' outputs, each padded like outputs are. With a skip W_s stands below it.
     pub output: Linear,
     /// Whether a ReLU follows.
     pub relu: bool,
@@ -65,7 +68,7 @@ impl Operator for AttendOwn {
         let widths = head_width > 0
             && head_width * heads == usize::from(self.query.outputs)
             && self.query.inputs == self.width
-            && usize::from(self.output.inputs) == heads * padded(head_width)
+            && self.has_inputs(usize::from(self.output.inputs))
             && sizes.lists(u64::from(self.width));
         let lengths = u64::from(self.rows.len) == rows
             && self.query_place.len as usize == self.query.padded_outputs()
@@ -113,6 +116,14 @@ impl Operator for AttendOwn {
                 [query, absorbed, scores, mixed, attended],
             )?;
         }
+        if self.skips() {
+            let start = scratch.own.saturating_mul(self.padded_width());
+            let own = rows.get(start..).ok_or(DecideError::BadLength)?;
+            let kept = attended.get_mut(self.joined()..).ok_or(DecideError::BadLength)?;
+            for (to, from) in kept.iter_mut().zip(own) {
+                *to = *from;
+            }
+        }
         let around = self.output.around(weights, self.relu)?;
         kernels.product(self.output.matrix(weights)?, attended, around, to);
         Ok(())
@@ -150,10 +161,7 @@ impl Operator for AttendOwn {
             let matrix = self.values(weights, head)?;
             kernels.products(matrix, &mut team.pairs(&mixed, &output, sees), Around::NOTHING);
         }
-        let (matrix, around) =
-            (self.output.matrix(weights)?, self.output.around(weights, self.relu)?);
-        kernels.products(matrix, &mut team.pairs(&self.attended, &self.to, |_| true), around);
-        Ok(())
+        self.answer_team(kernels, weights, team)
     }
 }
 
@@ -164,6 +172,21 @@ impl AttendOwn {
 
     pub(super) fn padded_width(&self) -> usize {
         padded(usize::from(self.width))
+    }
+
+    /// Floats of all heads' outputs.
+    fn joined(&self) -> usize {
+        usize::from(self.heads).saturating_mul(padded(self.head_width()))
+    }
+
+    /// Whether the output layer may have so many inputs: those of the heads, and with a skip the own row's.
+    fn has_inputs(&self, inputs: usize) -> bool {
+        inputs.checked_sub(self.joined()).is_some_and(|rest| [0, self.width.into()].contains(&rest))
+    }
+
+    /// Whether the output layer takes the own row as well.
+    pub fn skips(&self) -> bool {
+        usize::from(self.output.inputs) > self.joined()
     }
 
     fn keys_len(&self) -> usize {
@@ -270,6 +293,23 @@ impl AttendOwn {
     ) -> Result<(), DecideError> {
         let query = query.get(self.head(head)).ok_or(DecideError::BadLength)?;
         kernels.product(self.keys(weights, head)?, query, Around::NOTHING, absorbed);
+        Ok(())
+    }
+
+    /// The output layer for every member.
+    pub(super) fn answer_team(
+        &self,
+        kernels: impl Kernels,
+        weights: &[f32],
+        team: &mut Team<'_>,
+    ) -> Result<(), DecideError> {
+        if self.skips() {
+            let kept = self.attended.part(self.joined()..self.attended.len as usize);
+            team.keep_own_rows(usize::from(self.width), &kept);
+        }
+        let (matrix, around) =
+            (self.output.matrix(weights)?, self.output.around(weights, self.relu)?);
+        kernels.products(matrix, &mut team.pairs(&self.attended, &self.to, |_| true), around);
         Ok(())
     }
 

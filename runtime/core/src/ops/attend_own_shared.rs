@@ -59,10 +59,7 @@ impl AttendOwn {
             self.value(kernels, weights, team, head, count)?;
             self.mix_values(kernels, team, head)?;
         }
-        let (matrix, around) =
-            (self.output.matrix(weights)?, self.output.around(weights, self.relu)?);
-        kernels.products(matrix, &mut team.pairs(&self.attended, &self.to, |_| true), around);
-        Ok(())
+        self.answer_team(kernels, weights, team)
     }
 
     /// One head's part of what is shared.

@@ -21,7 +21,7 @@ use crate::policy::{DecideError, Observation};
 /// quantised anew; scores, their softmax and the mixed rows stay f32.
 ///
 /// Every head has the query's outputs divided by the heads, a multiple of eight: what a narrower head has beyond
-/// its width has weights of zero.
+/// its width has weights of zero. The output layer takes the own row as well where there is a skip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Int8AttendOwn {
     /// The embeddings that [`super::Int8EmbedEntities`] wrote.
@@ -80,7 +80,7 @@ impl Operator for Int8AttendOwn {
             && head_width == padded(head_width)
             && all(head_width) == u64::from(self.query.outputs)
             && self.query.inputs == self.width
-            && self.output.inputs == self.query.outputs;
+            && self.has_inputs(self.output.inputs);
         let longest = usize::from(self.width.max(self.output.inputs));
         let lengths = u64::from(self.rows.len) == rows
             && self.query_place.len == u32::from(self.query.outputs)
@@ -113,11 +113,16 @@ impl Operator for Int8AttendOwn {
         let [rows, query, absorbed, scores, mixed, attended, to, quantised] =
             places(scratch.floats, self.places().each_ref())?;
         let width = usize::from(self.width);
+        let start = scratch.own.saturating_mul(self.padded_width());
+        let own = rows.get(start..start.saturating_add(width)).ok_or(DecideError::BadLength)?;
+        if self.skips() {
+            let kept = attended.get_mut(usize::from(self.query.outputs)..);
+            for (to, from) in kept.ok_or(DecideError::BadLength)?.iter_mut().zip(own) {
+                *to = *from;
+            }
+        }
         if visible > 1 {
-            let start = scratch.own.saturating_mul(self.padded_width());
-            let own = rows.get(start..start.saturating_add(width));
-            let matrix = self.query.matrix(weights, false)?;
-            product(kernels, &matrix, own.ok_or(DecideError::BadLength)?, quantised, query)?;
+            product(kernels, &self.query.matrix(weights, false)?, own, quantised, query)?;
         }
         let rows = Rows::first(rows, self.padded_width(), visible);
         let head_width = self.head_width().max(1);
@@ -167,6 +172,10 @@ impl Operator for Int8AttendOwn {
             let between = Between { from: From::Own(&mixed), quantised, to: &output };
             team_products(kernels, &self.values(weights, head)?, team, between, sees)?;
         }
+        if self.skips() {
+            let kept = self.attended.part(self.query.outputs.into()..self.attended.len as usize);
+            team.keep_own_rows(width, &kept);
+        }
         let matrix = self.output.matrix(weights, self.relu)?;
         let between = Between { from: From::Own(&self.attended), quantised, to: &self.to };
         team_products(kernels, &matrix, team, between, |_| true)
@@ -181,6 +190,17 @@ impl Int8AttendOwn {
 
     fn padded_width(&self) -> usize {
         padded(usize::from(self.width))
+    }
+
+    /// Whether the output layer may have so many inputs: those of the heads, and with a skip the own row's.
+    fn has_inputs(&self, inputs: u16) -> bool {
+        let rest = inputs.checked_sub(self.query.outputs);
+        rest.is_some_and(|rest| [0, self.width].contains(&rest))
+    }
+
+    /// Whether the output layer takes the own row as well.
+    pub fn skips(&self) -> bool {
+        self.output.inputs > self.query.outputs
     }
 
     fn key_shape(&self) -> Int8Shape {

@@ -96,6 +96,15 @@ impl<'a> Team<'a> {
         pairs
     }
 
+    /// Copies the first `width` floats of every member's own row to its floats `to`.
+    pub(super) fn keep_own_rows(&mut self, width: usize, to: &Place) {
+        for pair in &mut self.own_rows(width, to, |_| true) {
+            for (to, from) in pair.outputs.iter_mut().zip(pair.inputs) {
+                *to = *from;
+            }
+        }
+    }
+
     /// The first `width` floats of the members' own rows, and their floats `to`.
     pub(crate) fn own_rows(
         &mut self,

@@ -8,7 +8,7 @@ use super::error::PlanError;
 pub const HEADER_BYTES: usize = 128;
 /// The plan format of this build: major, minor. It reads the same major up to the same minor, and writes the
 /// lowest minor that has what the plan uses.
-pub const VERSION: (u16, u16) = (1, 2);
+pub const VERSION: (u16, u16) = (1, 3);
 /// Layout 1: f32 in tiles of 64 columns.
 pub const LAYOUT_TILES: u32 = 1;
 /// Layout 2: int8 in strips of 16 columns, pairs of inputs side by side; steps and biases f32.
@@ -92,6 +92,8 @@ pub struct Header {
     pub t_max: u16,
     /// Bytes of arena that every further agent of a team needs, 0 where agents are worked on one by one.
     pub arena_bytes_per_agent: u32,
+    /// Whether the layer behind the attention takes the own row as well.
+    pub skip: bool,
 }
 
 impl Header {
@@ -125,6 +127,7 @@ impl Header {
         let [profile, network] = fields.next()?;
         let t_max = fields.u16()?;
         let arena_bytes_per_agent = fields.u32()?;
+        let [skip] = fields.next()?;
         let header = Self {
             layout,
             arena_bytes,
@@ -145,6 +148,11 @@ impl Header {
             network: Network::from_id(network)?,
             t_max,
             arena_bytes_per_agent,
+            skip: match skip {
+                0 => false,
+                1 => true,
+                _ => return Err(PlanError::UnknownOp),
+            },
         };
         Ok((header, checksums))
     }
@@ -162,7 +170,7 @@ impl Header {
         };
         put(&MAGIC);
         put(&VERSION.0.to_le_bytes());
-        put(&self.profile.minor().max(self.network.minor()).to_le_bytes());
+        put(&self.minor().to_le_bytes());
         let sizes = [
             ENDIAN_PROBE,
             self.layout,
@@ -187,7 +195,15 @@ impl Header {
         put(&[self.profile.id(), self.network.id()]);
         put(&self.t_max.to_le_bytes());
         put(&self.arena_bytes_per_agent.to_le_bytes());
+        put(&[u8::from(self.skip)]);
         bytes
+    }
+
+    /// The lowest minor version that has what the plan uses.
+    fn minor(&self) -> u16 {
+        const SKIP: u16 = 3;
+        let skip = if self.skip { SKIP } else { 0 };
+        self.profile.minor().max(self.network.minor()).max(skip)
     }
 }
 
@@ -339,6 +355,7 @@ mod tests {
             network: Network::Agent,
             t_max: 6,
             arena_bytes_per_agent: 0x0403_0201,
+            skip: false,
         }
     }
 
@@ -367,6 +384,14 @@ mod tests {
     }
 
     #[test]
+    fn a_plan_with_a_skip_says_so_and_is_of_a_version_of_its_own() {
+        let with = Header { skip: true, ..header() };
+        let bytes = with.to_bytes(Checksums::default());
+        assert_eq!((&bytes[8..12], &bytes[124..]), (&[1, 0, 3, 0][..], &[1, 0, 0, 0][..]));
+        assert_eq!(Header::read(&bytes), Ok((with, Checksums::default())));
+    }
+
+    #[test]
     fn refuses_what_it_cannot_read() {
         let bytes = header().to_bytes(Checksums::default());
         let with = |at: usize, value: u8| {
@@ -376,7 +401,8 @@ mod tests {
         };
         assert_eq!(with(0, b'X'), Err(PlanError::BadMagic));
         assert_eq!(with(8, 2), Err(PlanError::Version { major: 2, minor: 0 }));
-        assert_eq!(with(10, 3), Err(PlanError::Version { major: 1, minor: 3 }));
+        assert_eq!(with(10, 4), Err(PlanError::Version { major: 1, minor: 4 }));
+        assert_eq!(with(124, 2), Err(PlanError::UnknownOp));
         assert_eq!(with(12, 1), Err(PlanError::Endian));
         assert_eq!(with(116, 9), Err(PlanError::WrongProfile { got: 9 }));
         assert_eq!(Header::read(&bytes[..127]), Err(PlanError::Truncated { need: 128, got: 127 }));

@@ -59,6 +59,11 @@ impl Program {
         })
     }
 
+    /// Whether the layer behind the attention takes the own row as well.
+    pub fn skips(&self) -> bool {
+        self.ops.iter().any(skips)
+    }
+
     /// What the caller of a network over all entities reads, in order.
     pub fn outputs(&self) -> impl Iterator<Item = &Output> {
         self.ops.iter().filter_map(|op| match op {
@@ -132,7 +137,10 @@ impl Program {
             }
         }
         let remembered = self.memory().map_or(0, |gru| u32::from(gru.size));
-        if ends == 0 || remembered != sizes.hidden {
+        // A network over all entities has no own row.
+        let fits_skip =
+            self.skips() == header.skip && !(header.skip && header.network == Network::Entities);
+        if ends == 0 || remembered != sizes.hidden || !fits_skip {
             return Err(PlanError::ShapeMismatch { op: self.ops.len() });
         }
         Ok(())
@@ -158,6 +166,14 @@ impl Program {
             Op::AttendAll(before) => !own && (before.to, before.output.outputs) == (place, width),
             _ => false,
         })
+    }
+}
+
+fn skips(op: &Op) -> bool {
+    match op {
+        Op::AttendOwn(op) => op.skips(),
+        Op::Int8AttendOwn(op) => op.skips(),
+        _ => false,
     }
 }
 

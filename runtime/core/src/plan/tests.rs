@@ -49,19 +49,23 @@ struct Sizes {
     heads: usize,
     head: usize,
     base: usize,
+    /// Inputs of a skip past the attention: the width, or none.
+    skip: usize,
 }
 
 impl Sizes {
     fn random(random: &mut Random) -> Self {
+        let width = 8 * (1 + random.below(32));
         Self {
             n_max: 1 + random.below(32),
             features: 1 + random.below(80),
             actions: 1 + random.below(20),
             last_action: random.below(2) == 0,
-            width: 8 * (1 + random.below(32)),
+            width,
             heads: 1 + random.below(8),
             head: 1 + random.below(32),
             base: 8 * (1 + random.below(12)),
+            skip: width * random.below(2),
         }
     }
 }
@@ -100,12 +104,12 @@ fn plan(sizes: Sizes, profile: Profile, random: &mut Random) -> AlignedBytes {
     if profile == Profile::Int8 {
         return int8::plan(sizes, random);
     }
-    let Sizes { n_max, features, actions, width, heads, head, base, .. } = sizes;
+    let Sizes { n_max, features, actions, width, heads, head, base, skip, .. } = sizes;
     let mut build = Builder { random, weights: Vec::new(), floats: 0 };
     let rows = build.place((n_max + 1) * width);
     let last_actions = if sizes.last_action { actions } else { 0 };
     let relu = build.random.below(2) == 0;
-    let attended = heads * padded(head);
+    let attended = heads * padded(head) + skip;
     let embed = EmbedEntities {
         layer: build.layer(features + last_actions, width),
         last_actions: last_actions as u16,
@@ -186,6 +190,7 @@ fn assemble(sizes: Sizes, profile: Profile, program: &Program, weights: &[f32]) 
         network: Network::Agent,
         t_max: 0,
         arena_bytes_per_agent: 4 * program.own_floats().unwrap_or(0),
+        skip: program.skips(),
     };
     let mut bytes = header.to_bytes(checksums(&header, program_bytes, &weights)).to_vec();
     bytes.extend_from_slice(program_bytes);
@@ -291,7 +296,8 @@ fn every_build_gives_the_same_bits() {
         builds_agree(sizes, &mut random);
         // Of these a build may attend with several heads at once.
         let (width, heads) = (64 * (1 + random.below(2)), 4 * (1 + random.below(2)));
-        builds_agree(Sizes { width, heads, ..sizes }, &mut random);
+        let skip = width * random.below(2);
+        builds_agree(Sizes { width, heads, skip, ..sizes }, &mut random);
     }
 }
 
@@ -437,4 +443,46 @@ fn the_arena_of_a_team_is_what_the_header_says() {
     wrong[..HEADER_BYTES].copy_from_slice(&header.to_bytes(checksums(&header, program, weights)));
     let refused = Plan::load(AlignedBytes::copy_of(&wrong).as_slice()).map(|_| ());
     assert_eq!(refused, Err(PlanError::ShapeMismatch { op: 5 }));
+}
+
+#[test]
+fn the_own_row_reaches_the_answer_of_an_agent_that_sees_nothing() {
+    let mut random = Random(7);
+    for &profile in profiles() {
+        let sizes = Sizes { n_max: 3, features: 6, width: 16, ..Sizes::random(&mut random) };
+        for skip in [0, 16] {
+            let bytes = plan(Sizes { skip, ..sizes }, profile, &mut Random(1));
+            let plan = Plan::load(bytes.as_slice()).unwrap();
+            let frame = Frame::random(sizes, 3, &mut Random(2));
+            let mut observations = frame.observations();
+            observations.iter_mut().for_each(|one| one.visible = EntityMask::EMPTY);
+            let last = observations.len() - 1;
+            for (own, observation) in observations.iter_mut().enumerate() {
+                observation.self_index = own;
+            }
+            let answers = alone(&plan, &observations);
+            assert!(answers.iter().all(Result::is_ok), "{profile:?} {skip}");
+            assert_eq!(answers[0] != answers[last], skip > 0, "{profile:?} {skip}");
+            assert_eq!(together(&plan, &observations, 3), answers, "{profile:?} {skip}");
+        }
+    }
+}
+
+#[test]
+fn a_skip_that_the_header_does_not_name_is_refused_and_one_that_the_program_lacks_as_well() {
+    for skip in [0, 24] {
+        let sizes = Sizes { width: 24, skip, ..Sizes::random(&mut Random(8)) };
+        for &profile in profiles() {
+            let mut wrong = plan(sizes, profile, &mut Random(1)).as_slice().to_vec();
+            let (mut header, _) = Header::read(&wrong).unwrap();
+            assert_eq!(header.skip, skip > 0);
+            header.skip = !header.skip;
+            let program = &wrong[HEADER_BYTES..][..header.program_len as usize];
+            let weights = &wrong[header.weights_offset as usize..];
+            let header = header.to_bytes(checksums(&header, program, weights));
+            wrong[..HEADER_BYTES].copy_from_slice(&header);
+            let refused = Plan::load(AlignedBytes::copy_of(&wrong).as_slice()).map(|_| ());
+            assert_eq!(refused, Err(PlanError::ShapeMismatch { op: 5 }));
+        }
+    }
 }

@@ -117,7 +117,8 @@ mod tests {
                 fc1,
                 attention_in: outputs_first(&attention_in),
                 attention_out,
-                fc2,
+                skip: None,
+                fc2: Some(fc2),
                 head,
             },
         };

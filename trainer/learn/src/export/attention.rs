@@ -34,7 +34,8 @@ pub struct Layer<'a> {
     pub bias: &'a [f32],
 }
 
-/// A feed-forward attention network (dissertation section 7.3): embed, attend, two layers.
+/// A feed-forward attention network (dissertation section 7.3): embed, attend, two layers; of which the first may be
+/// missing, and past whose attention the own row's embedding may skip.
 #[derive(Clone, Copy, Debug)]
 pub struct AttentionNetwork<'a> {
     /// Input columns D of an entity.
@@ -43,7 +44,7 @@ pub struct AttentionNetwork<'a> {
     pub width: usize,
     /// Attention heads, a divisor of the width.
     pub heads: usize,
-    /// Width R of the layer before the head.
+    /// Width R of the layer before the head; E where there is none.
     pub base: usize,
     /// Outputs U.
     pub outputs: usize,
@@ -53,8 +54,10 @@ pub struct AttentionNetwork<'a> {
     pub attention_in: Matrix<'a>,
     /// E to E.
     pub attention_out: Layer<'a>,
+    /// E to E, without bias: what the own row's embedding adds to the attention's output.
+    pub skip: Option<Matrix<'a>>,
     /// E to R.
-    pub fc2: Layer<'a>,
+    pub fc2: Option<Layer<'a>>,
     /// R to U.
     pub head: Layer<'a>,
 }
@@ -150,14 +153,15 @@ pub(super) fn add_attention(
     Ok((embedding, attended))
 }
 
-/// Adds the layer in front of the head, on `input` `[1, E]`; its value is `[1, R]`.
+/// Adds the layer in front of the head if there is one, on `input` `[1, E]`; its value is `[1, R]`.
 pub(super) fn add_second(
     graph: &mut Graph,
     network: &AttentionNetwork<'_>,
     input: &str,
 ) -> Result<String, ExportError> {
     let AttentionNetwork { width, base, .. } = *network;
-    let fc2 = layer(graph, "fc2", input, &network.fc2, [width, base])?;
+    let Some(fc2) = &network.fc2 else { return Ok(input.to_owned()) };
+    let fc2 = layer(graph, "fc2", input, fc2, [width, base])?;
     Ok(graph.node("fc2.relu", "Relu", &[&fc2], &[]))
 }
 
@@ -227,7 +231,16 @@ fn attention(
     let rows = i64::from(inputs.own.is_some());
     let join = graph.integers("attention.join", &[rows, width as i64]);
     let joined = graph.node("attention.joined", "Reshape", &[&mixed, join], &[]);
-    layer(graph, "attention.out", &joined, &network.attention_out, [width, width])
+    let skip = match &network.skip {
+        Some(skip) => {
+            let weights = inputs_first("skip.weight", skip, [width, width])?;
+            graph.floats("skip.weight", &[width, width], &weights);
+            Some(graph.node("skip", "MatMul", &[&asking, "skip.weight"], &[]))
+        }
+        None => None,
+    };
+    let sizes = [width, width];
+    layer_with(graph, "attention.out", &joined, &network.attention_out, sizes, skip.as_deref())
 }
 
 /// `input W + b`.
@@ -236,15 +249,30 @@ pub(super) fn layer(
     name: &'static str,
     input: &str,
     layer: &Layer<'_>,
+    sizes: [usize; 2],
+) -> Result<String, ExportError> {
+    layer_with(graph, name, input, layer, sizes, None)
+}
+
+/// `input W + added + b`.
+fn layer_with(
+    graph: &mut Graph,
+    name: &'static str,
+    input: &str,
+    layer: &Layer<'_>,
     [inputs, outputs]: [usize; 2],
+    added: Option<&str>,
 ) -> Result<String, ExportError> {
     check(name, layer.bias, outputs)?;
     let (weight, bias) = (format!("{name}.weight"), format!("{name}.bias"));
     let values = inputs_first(name, &layer.weight, [inputs, outputs])?;
     graph.floats(&weight, &[inputs, outputs], &values);
     graph.floats(&bias, &[outputs], layer.bias);
-    let product = graph.node(&format!("{name}.product"), "MatMul", &[input, &weight], &[]);
-    Ok(graph.node(name, "Add", &[&product, &bias], &[]))
+    let mut sum = graph.node(&format!("{name}.product"), "MatMul", &[input, &weight], &[]);
+    if let Some(added) = added {
+        sum = graph.node(&format!("{name}.sum"), "Add", &[&sum, added], &[]);
+    }
+    Ok(graph.node(name, "Add", &[&sum, &bias], &[]))
 }
 
 pub(super) fn axis(axis: i64) -> Attribute<'static> {

@@ -157,7 +157,8 @@ mod tests {
             fc1,
             attention_in,
             attention_out,
-            fc2,
+            skip: None,
+            fc2: Some(fc2),
             head,
         };
         let contract = 0x0123_4567_89ab_cdef;

@@ -14,6 +14,8 @@ mod onnx;
 mod proposals;
 pub(crate) mod protobuf;
 mod recurrent;
+#[cfg(test)]
+mod skip_tests;
 mod team_value;
 
 pub use agent::{AgentNetwork, agent_onnx};

@@ -128,7 +128,8 @@ mod tests {
             fc1,
             attention_in: matrix(&attention_in),
             attention_out,
-            fc2,
+            skip: None,
+            fc2: Some(fc2),
             head,
         };
         let agent = AgentNetwork { features: 5, append_last_action: true, contract: 0, layers };
@@ -167,7 +168,8 @@ mod tests {
             fc1,
             attention_in: matrix(&attention_in),
             attention_out,
-            fc2,
+            skip: None,
+            fc2: Some(fc2),
             head,
         };
         let agent = AgentNetwork { features: 7, append_last_action: false, contract: 0, layers };

@@ -76,11 +76,18 @@ impl Random {
             key: self.matrix(width, width),
             value: self.matrix(width, width),
             output: self.layer(width, width, relu),
+            skip: None,
             steps: vec![
                 Step::Dense(self.layer(width, base, true)),
                 Step::Dense(self.layer(base, shape.actions, false)),
             ],
         }
+    }
+
+    /// The same with a skip past the attention.
+    pub(crate) fn with_skip(&mut self, layers: AgentLayers) -> AgentLayers {
+        let width = layers.embed.matrix.outputs;
+        AgentLayers { skip: Some(self.matrix(width, width)), ..layers }
     }
 
     /// As [`Self::layers`], with a recurrent unit of `size` floats in front of the head.
@@ -153,12 +160,22 @@ pub(crate) fn reference(
         }
         apply(&layers.embed, &input)
     };
-    let own = apply(&layers.query, &embedding(observation.self_index));
+    let own_row = embedding(observation.self_index);
+    let own = apply(&layers.query, &own_row);
     let visible: Vec<Vec<f64>> = observation.visible.iter().map(embedding).collect();
     let keys: Vec<Vec<f64>> = visible.iter().map(|x| product(&layers.key, x)).collect();
     let values: Vec<Vec<f64>> = visible.iter().map(|x| product(&layers.value, x)).collect();
     let attended = attend(&own, &keys, &values, layers.heads);
-    let output = apply(&layers.output, &attended);
+    let output = match &layers.skip {
+        None => apply(&layers.output, &attended),
+        Some(skip) => {
+            let bias = layers.output.bias.iter().zip(product(skip, &own_row));
+            let bias = bias.map(|(bias, skip)| f64::from(*bias) + skip);
+            let sums = product(&layers.output.matrix, &attended).into_iter().zip(bias);
+            let sums = sums.map(|(sum, bias)| sum + bias);
+            sums.map(|sum| if layers.output.relu { sum.max(0.0) } else { sum }).collect()
+        }
+    };
     layers.steps.iter().fold(output, |input, step| match step {
         Step::Dense(layer) => apply(layer, &input),
         Step::Gru(unit) => {

@@ -32,7 +32,10 @@ fn random_agents_agree_with_plain_loops_over_episodes() {
     for index in 0..30 {
         let shape = random.shape();
         let size = 1 + random.below(80);
-        let layers = random.recurrent_layers(shape, size);
+        let mut layers = random.recurrent_layers(shape, size);
+        if index % 2 == 0 {
+            layers = random.with_skip(layers);
+        }
         let bytes = AlignedBytes::copy_of(&plan(&layers, shape));
         let plan = Plan::load(bytes.as_slice()).unwrap();
         assert_eq!(plan.hidden(), size);

@@ -42,7 +42,7 @@ pub(super) fn plan(sizes: Sizes, random: &mut Random) -> AlignedBytes {
 }
 
 fn program(sizes: Sizes, random: &mut Random) -> (Program, Vec<f32>) {
-    let Sizes { n_max, features, actions, width, heads, base, .. } = sizes;
+    let Sizes { n_max, features, actions, width, heads, base, skip, .. } = sizes;
     let head = padded(sizes.head);
     let mut build = Builder { random, weights: Vec::new(), floats: 0 };
     let rows = build.place((n_max + 1) * width);
@@ -65,15 +65,15 @@ fn program(sizes: Sizes, random: &mut Random) -> (Program, Vec<f32>) {
         key_steps,
         values,
         value_steps,
-        output: build.int8_layer(heads * head, width),
+        output: build.int8_layer(heads * head + skip, width),
         relu: build.random.below(2) == 0,
         query_place: build.place(heads * head),
         absorbed: build.place(width),
         scores: build.place(n_max),
         mixed: build.place(width),
-        attended: build.place(heads * head),
+        attended: build.place(heads * head + skip),
         to: build.place(width),
-        quantised: build.place(quantised_floats(width.max(heads * head))),
+        quantised: build.place(quantised_floats(width.max(heads * head + skip))),
     };
     let mut dense = |inputs: usize, outputs: usize, relu: bool, from: Place| Int8Dense {
         layer: build.int8_layer(inputs, outputs),
@@ -105,6 +105,7 @@ const SIZES: Sizes = Sizes {
     heads: 2,
     head: 8,
     base: 8,
+    skip: 0,
 };
 
 /// Why a plan with a changed program is refused.
