@@ -23,6 +23,7 @@
 extern crate alloc;
 
 pub mod conformance;
+mod entry;
 pub mod environment;
 #[cfg(feature = "std")]
 pub mod golden;

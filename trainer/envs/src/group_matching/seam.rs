@@ -17,10 +17,10 @@ use super::rules::ACTIONS;
 use super::simulator::GroupMatching;
 use super::spec::NAME;
 use super::walk::walk;
+use crate::entry::{Choice, Entry, EnvironmentError};
 use crate::environment::{Environment, Episode, Split, StateError, Step, StepError};
 use crate::observation::{EntitySet, Observation, members};
 use crate::random::Random;
-use crate::registry::{Choice, Entry, EnvironmentError};
 use crate::spec::Spec;
 
 /// How `--env` finds it.

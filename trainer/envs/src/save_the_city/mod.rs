@@ -23,6 +23,7 @@ mod scenarios;
 mod scripted;
 mod seam;
 mod simulator;
+mod spec;
 mod state;
 mod symmetry;
 

@@ -1,31 +1,32 @@
-//! SaveTheCity as an [`Environment`]: its state as bytes, what is seen in it, and what it says of itself.
+//! SaveTheCity as an [`Environment`]: its state as bytes and what is seen in it.
 
 use alloc::boxed::Box;
 use alloc::string::{String, ToString};
 use alloc::vec::Vec;
 
 use super::allocation::AllocationRule;
-use super::bytes::{CityBytes, state_bytes, write_state};
-use super::features::{FEATURE_NAMES, FEATURES, ROW_ENTRIES, agent_features, building_features};
+use super::bytes::{CityBytes, write_state};
+use super::features::{agent_features, building_features};
 use super::metrics::EpisodeMetrics;
-use super::relation::{RELATIONS, agent_relation, building_relation};
-use super::rules::{ACTION_NAMES, ACTIONS, FIGHT};
+use super::relation::{agent_relation, building_relation};
+use super::rules::FIGHT;
 use super::scenarios::{SET_NAMES, ScenarioSet};
 use super::scripted::scripted_actions;
 use super::simulator::SaveTheCity;
+use super::spec::{METRICS, NAME};
 use super::state::{AgentState, BuildingState, City, MAX_AGENTS, MAX_BUILDINGS, NO_BUILDING};
 use super::symmetry::Symmetry;
 use super::{Constants, VERSION};
+use crate::entry::{Choice, Entry, EnvironmentError};
 use crate::environment::{Environment, Episode, Split, StateError, Step, StepError};
 use crate::observation::{AgentSet, EntitySet, Observation, members};
 use crate::random::{Random, below};
-use crate::registry::{Choice, Entry, EnvironmentError};
 use crate::rows::SparseRows;
-use crate::spec::{Metric, Rewards, Shape, Spec, View};
+use crate::spec::{Shape, Spec};
 
 /// How `--env` finds it.
 pub const ENTRY: Entry = Entry {
-    name: "save-the-city",
+    name: NAME,
     about: "A team extinguishes and repairs burning buildings (dissertation chapter 7)",
     version: VERSION,
     sets: || SET_NAMES.map(String::from).to_vec(),
@@ -34,21 +35,6 @@ pub const ENTRY: Entry = Entry {
 
 /// The set that is played where none is named.
 const DEFAULT_SET: &str = SET_NAMES[0];
-
-const METRICS: &[Metric] = &[
-    Metric { name: "none_burned", unit: "share", about: "no building was lost" },
-    Metric {
-        name: "prop_buildings_completed",
-        unit: "share",
-        about: "of the buildings that are complete",
-    },
-    Metric { name: "fires_extinguished", unit: "fires", about: "put out" },
-    Metric { name: "buildings_completed", unit: "buildings", about: "completed" },
-    Metric { name: "buildings_burned", unit: "buildings", about: "lost" },
-    Metric { name: "buildings_health_delta", unit: "health", about: "sum of all changes" },
-    Metric { name: "types_per_firefight", unit: "kinds", about: "at a fire that anyone fought" },
-    Metric { name: "types_per_build", unit: "kinds", about: "at a building that anyone built" },
-];
 
 /// The rules of allocation, by their place in [`Spec::rules`].
 const RULES: [AllocationRule; 3] =
@@ -62,33 +48,6 @@ fn open(choice: &Choice<'_>) -> Result<SaveTheCity, EnvironmentError> {
         SaveTheCity::new(set, constants, choice.instances, 0).map_err(|error| unfit(&error))?;
     city.use_split(choice.split);
     Ok(city)
-}
-
-/// What a set of scenarios says of itself.
-pub(super) fn spec(set: &ScenarioSet, constants: &Constants) -> Spec {
-    let shape = Shape {
-        agents: set.max_agents,
-        entities: set.max_agents + set.max_buildings,
-        tasks: set.max_buildings,
-        actions: ACTIONS,
-        features: FEATURES,
-    };
-    Spec {
-        name: ENTRY.name,
-        version: VERSION,
-        shape,
-        view: View::Entities,
-        features: FEATURE_NAMES.map(String::from).to_vec(),
-        actions: ACTION_NAMES.map(String::from).to_vec(),
-        metrics: METRICS,
-        rewards: Rewards { tasks: true, agents: false },
-        turns: Symmetry::ALL.len(),
-        rules: &["random", "heuristic", "coordinated"],
-        relations: RELATIONS,
-        row_entries: ROW_ENTRIES,
-        state_bytes: state_bytes(set.max_agents, set.max_buildings),
-        episode_limit: constants.episode_limit,
-    }
 }
 
 /// A state that has been checked before.

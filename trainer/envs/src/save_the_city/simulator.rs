@@ -12,7 +12,7 @@ use super::metrics::EpisodeMetrics;
 use super::reset::{ABSENT_AGENT, ABSENT_BUILDING, Lots, draw_city};
 use super::rules::{self, Bounce, Change, Constants, Effort};
 use super::scenarios::ScenarioSet;
-use super::seam;
+use super::spec::spec;
 use super::state::{AgentState, BuildingState, City, MAX_BUILDINGS, Status};
 use crate::environment::{Split, Step, StepError};
 use crate::random::{Random, below, generator};
@@ -66,7 +66,7 @@ impl SaveTheCity {
             metrics: EpisodeMetrics::default(),
         };
         Self {
-            spec: seam::spec(&set, &constants),
+            spec: spec(&set, &constants),
             agents: vec![ABSENT_AGENT; instances * set.max_agents],
             buildings: vec![ABSENT_BUILDING; instances * set.max_buildings],
             task_rewards: vec![0.0; instances * set.max_buildings],

@@ -1,0 +1,57 @@
+//! What SaveTheCity says of itself.
+
+use alloc::string::String;
+
+use super::bytes::state_bytes;
+use super::features::{FEATURE_NAMES, FEATURES, ROW_ENTRIES};
+use super::relation::RELATIONS;
+use super::rules::{ACTION_NAMES, ACTIONS};
+use super::scenarios::ScenarioSet;
+use super::symmetry::Symmetry;
+use super::{Constants, VERSION};
+use crate::spec::{Metric, Rewards, Shape, Spec, View};
+
+/// Its name, as `--env` takes it.
+pub(super) const NAME: &str = "save-the-city";
+
+pub(super) const METRICS: &[Metric] = &[
+    Metric { name: "none_burned", unit: "share", about: "no building was lost" },
+    Metric {
+        name: "prop_buildings_completed",
+        unit: "share",
+        about: "of the buildings that are complete",
+    },
+    Metric { name: "fires_extinguished", unit: "fires", about: "put out" },
+    Metric { name: "buildings_completed", unit: "buildings", about: "completed" },
+    Metric { name: "buildings_burned", unit: "buildings", about: "lost" },
+    Metric { name: "buildings_health_delta", unit: "health", about: "sum of all changes" },
+    Metric { name: "types_per_firefight", unit: "kinds", about: "at a fire that anyone fought" },
+    Metric { name: "types_per_build", unit: "kinds", about: "at a building that anyone built" },
+];
+
+/// What a set of scenarios says of itself.
+pub(super) fn spec(set: &ScenarioSet, constants: &Constants) -> Spec {
+    let shape = Shape {
+        agents: set.max_agents,
+        entities: set.max_agents + set.max_buildings,
+        tasks: set.max_buildings,
+        actions: ACTIONS,
+        features: FEATURES,
+    };
+    Spec {
+        name: NAME,
+        version: VERSION,
+        shape,
+        view: View::Entities,
+        features: FEATURE_NAMES.map(String::from).to_vec(),
+        actions: ACTION_NAMES.map(String::from).to_vec(),
+        metrics: METRICS,
+        rewards: Rewards { tasks: true, agents: false },
+        turns: Symmetry::ALL.len(),
+        rules: &["random", "heuristic", "coordinated"],
+        relations: RELATIONS,
+        row_entries: ROW_ENTRIES,
+        state_bytes: state_bytes(set.max_agents, set.max_buildings),
+        episode_limit: constants.episode_limit,
+    }
+}
