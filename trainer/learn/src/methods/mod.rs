@@ -3,5 +3,6 @@
 pub mod alma;
 pub mod paper;
 mod trainer;
+pub mod value_factorisation;
 
 pub use trainer::Trainer;

@@ -7,4 +7,5 @@ mod low_level;
 mod networks;
 mod popart;
 mod reference;
+mod value_factorisation;
 mod windows;

@@ -1,0 +1,35 @@
+//! Value factorisation: A-QMIX, VDN and REFIL with its oracles (dissertation chapter 5).
+//!
+//! Agents share one network; a mixer makes the value of the team from the utilities of their chosen
+//! actions, so that both learn from the team's reward. REFIL learns besides from imagined utilities, for
+//! which each agent sees only its part of a random partition, or only the rest.
+
+mod acting;
+mod agent;
+mod buffers;
+mod config;
+mod learner;
+mod looking;
+mod mixer;
+mod partition;
+mod replay;
+mod scenes;
+mod split_attention;
+mod temporal_difference;
+mod tensors;
+mod training;
+
+pub use acting::Acting;
+pub use agent::{AgentPass, AgentShape};
+pub use config::Config;
+pub use learner::Learner;
+pub use mixer::{MixerKind, MixerPass, MixerShape, Slopes, Teams};
+pub use partition::Partitions;
+pub use replay::{End, Future, Place, Replay};
+pub use scenes::Scenes;
+pub use temporal_difference::{Batch, Losses, Network, NetworkShape, TemporalDifference};
+pub use tensors::Tensor;
+pub use training::{Progress, Result, evaluate, train};
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,205 @@
+//! Experience: the states of every instance in the order in which they were, each stored once.
+//!
+//! A record is a place in an instance's stretch; what it needs of the future is read there, so that the
+//! number of steps, the discount and the partition are chosen when it is used.
+
+use sortie_envs::Random;
+use sortie_envs::random::below;
+
+/// How a step left its episode.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum End {
+    /// It goes on.
+    Open,
+    /// It is over, and what follows is worth nothing.
+    Over,
+    /// The time ran out: what follows is still worth something.
+    TimedOut,
+}
+
+/// Steps of all instances, the latest of each.
+#[derive(Clone, Debug)]
+pub struct Replay {
+    agents: usize,
+    state_bytes: usize,
+    capacity: usize,
+    stretches: Vec<Stretch>,
+}
+
+/// The states of one instance. State i stands at place `i % capacity`.
+#[derive(Clone, Debug, Default)]
+struct Stretch {
+    written: usize,
+    states: Vec<u8>,
+    actions: Vec<u16>,
+    rewards: Vec<f32>,
+    ends: Vec<Option<End>>,
+}
+
+/// A place in the experience.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Place {
+    instance: usize,
+    state: usize,
+}
+
+/// What followed a state.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Future {
+    /// The state that is looked at next.
+    pub place: Place,
+    /// The discounted rewards until there.
+    pub reward: f32,
+    /// What its value counts.
+    pub discount: f32,
+}
+
+impl Replay {
+    /// Room for so many states of each instance.
+    pub fn new(instances: usize, capacity: usize, agents: usize, state_bytes: usize) -> Self {
+        let stretch = Stretch {
+            written: 0,
+            states: vec![0; capacity * state_bytes],
+            actions: vec![0; capacity * agents],
+            rewards: vec![0.0; capacity],
+            ends: vec![None; capacity],
+        };
+        Self { agents, state_bytes, capacity, stretches: vec![stretch; instances] }
+    }
+
+    /// Adds a state in which actions were taken, and what came of them.
+    pub fn push(&mut self, instance: usize, state: &[u8], actions: &[u16], reward: f32, end: End) {
+        let slot = self.write(instance, state, Some(end));
+        let stretch = &mut self.stretches[instance];
+        stretch.actions[slot * self.agents..][..self.agents].copy_from_slice(actions);
+        stretch.rewards[slot] = reward;
+    }
+
+    /// Adds the last state of an episode, in which nothing was done.
+    pub fn push_last(&mut self, instance: usize, state: &[u8]) {
+        self.write(instance, state, None);
+    }
+
+    fn write(&mut self, instance: usize, state: &[u8], end: Option<End>) -> usize {
+        let stretch = &mut self.stretches[instance];
+        let slot = stretch.written % self.capacity;
+        stretch.written += 1;
+        stretch.states[slot * self.state_bytes..][..self.state_bytes].copy_from_slice(state);
+        stretch.ends[slot] = end;
+        slot
+    }
+
+    /// Draws a state that so many more follow, in which actions were taken.
+    ///
+    /// Every instance needs to have more than twice as many states.
+    pub fn draw(&self, steps: usize, random: &mut Random) -> Place {
+        loop {
+            let instance = below(random, self.stretches.len());
+            let written = self.stretches[instance].written;
+            let kept = written.min(self.capacity);
+            let state = written - kept + below(random, kept.saturating_sub(steps));
+            let place = Place { instance, state };
+            if self.stretches[instance].ends[state % self.capacity].is_some() {
+                return place;
+            }
+        }
+    }
+
+    /// The bytes of a state.
+    pub fn state(&self, place: Place) -> &[u8] {
+        let slot = place.state % self.capacity;
+        &self.stretches[place.instance].states[slot * self.state_bytes..][..self.state_bytes]
+    }
+
+    /// The actions that were taken in a state.
+    pub fn actions(&self, place: Place) -> &[u16] {
+        let slot = place.state % self.capacity;
+        &self.stretches[place.instance].actions[slot * self.agents..][..self.agents]
+    }
+
+    /// What followed a state within so many steps or until its episode ended.
+    pub fn future(&self, place: Place, steps: usize, discount: f32) -> Future {
+        let stretch = &self.stretches[place.instance];
+        let (mut reward, mut factor) = (0.0, 1.0);
+        let mut state = place.state;
+        for _ in 0..steps {
+            let slot = state % self.capacity;
+            reward += factor * stretch.rewards[slot];
+            factor *= discount;
+            state += 1;
+            match stretch.ends[slot] {
+                Some(End::Open) => {}
+                Some(End::TimedOut) => break,
+                Some(End::Over) | None => {
+                    factor = 0.0;
+                    break;
+                }
+            }
+        }
+        Future { place: Place { state, ..place }, reward, discount: factor }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sortie_nn::random::stream;
+
+    /// Two episodes of three steps each: the first is over, the second ran out of time; then an open one.
+    fn replay() -> Replay {
+        let mut replay = Replay::new(1, 64, 2, 1);
+        for episode in 0..3 {
+            let ends = [End::Open, End::Open, [End::Over, End::TimedOut, End::Open][episode]];
+            for (step, end) in ends.into_iter().enumerate() {
+                let state = (10 * episode + step) as u8;
+                replay.push(0, &[state], &[state.into(), 7], f32::from(state), end);
+            }
+            if episode < 2 {
+                replay.push_last(0, &[(10 * episode + 3) as u8]);
+            }
+        }
+        replay
+    }
+
+    #[test]
+    fn a_future_ends_with_its_episode() {
+        let replay = replay();
+        let future = |state, steps| {
+            let future = replay.future(Place { instance: 0, state }, steps, 0.5);
+            (replay.state(future.place)[0], future.reward, future.discount)
+        };
+        assert_eq!(future(0, 1), (1, 0.0, 0.5));
+        assert_eq!(future(0, 2), (2, 0.5, 0.25));
+        assert_eq!(future(0, 5), (3, 0.5 + 0.5, 0.0));
+        assert_eq!(future(5, 5), (13, 11.0 + 6.0, 0.25));
+        assert_eq!(future(8, 2), (22, 20.0 + 10.5, 0.25));
+    }
+
+    #[test]
+    fn only_states_with_actions_and_a_future_are_drawn() {
+        let replay = replay();
+        let mut drawn = [0; 30];
+        let mut random = stream(1, 1, 0);
+        for _ in 0..2000 {
+            let place = replay.draw(2, &mut random);
+            assert_eq!(replay.actions(place), [replay.state(place)[0].into(), 7]);
+            drawn[usize::from(replay.state(place)[0])] += 1;
+        }
+        let states: Vec<usize> = (0..30).filter(|state| drawn[*state] > 0).collect();
+        assert_eq!(states, [0, 1, 2, 10, 11, 12, 20]);
+        assert!(states.iter().all(|state| drawn[*state] > 200), "{drawn:?}");
+    }
+
+    #[test]
+    fn the_oldest_states_give_way() {
+        let mut replay = Replay::new(1, 5, 1, 1);
+        for state in 0..12 {
+            replay.push(0, &[state], &[0], 0.0, End::Open);
+        }
+        let mut random = stream(1, 1, 0);
+        for _ in 0..100 {
+            let state = replay.state(replay.draw(2, &mut random))[0];
+            assert!((7..10).contains(&state), "{state}");
+        }
+    }
+}
