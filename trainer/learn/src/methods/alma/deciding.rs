@@ -204,20 +204,82 @@ mod tests {
         assert!((share(Allocation::Rule(AllocationRule::Heuristic)) - 0.75).abs() < 0.03);
     }
 
-    #[test]
-    fn rewards_of_a_segment_are_discounted_step_by_step() {
-        let agents = [AgentState::at(AgentKind::Builder, 1, 2)];
-        let buildings = [4, 13].map(|x| BuildingState {
+    fn buildings(statuses: &[Status]) -> Vec<BuildingState> {
+        let building = |(index, status): (usize, &Status)| BuildingState {
             health: 0.5,
             fire: 0.0,
             period: 70,
             to_next_fire: 60,
             since_last_fire: 10,
             kind: BuildingKind::Fast,
-            status: Status::Open,
-            x,
+            status: *status,
+            x: 4 + 4 * index as u8,
             y: 4,
-        });
+        };
+        statuses.iter().enumerate().map(building).collect()
+    }
+
+    #[test]
+    fn who_learns_decides_or_is_stood_in_for_and_nothing_else_is_tried_out() {
+        let agents = vec![AgentState::at(AgentKind::Builder, 5, 5); 6];
+        let buildings = buildings(&[Status::Open; 3]);
+        let city = City { agents: &agents, buildings: &buildings };
+        let by = |rule: AllocationRule| {
+            let mut allocation = vec![UNASSIGNED; 6];
+            rule.allocate(city, &mut generator(1, Purpose::Rollout, 0), &mut allocation);
+            allocation
+        };
+        let [coordinated, heuristic] = STAND_INS.map(by);
+        assert_ne!(coordinated, heuristic);
+        let decided = |allocation_by, learns: bool, moved_decisions| {
+            let mut config = Config::default();
+            (config.allocator.moved, config.allocator.moved_decisions) = (1.0, moved_decisions);
+            let stand_in = AllocationRule::Heuristic;
+            let mut episode = Decisions { allocation_by, stand_in, ..Decisions::new(5, 6) };
+            let (mut random, mut segments) = (generator(1, Purpose::Rollout, 0), Segments::new(10));
+            let segments = learns.then_some(&mut segments);
+            let due =
+                Deciding::new(&config).decide(&mut episode, city, &mut random, None, segments);
+            assert!(due.unwrap());
+            episode.allocation
+        };
+        let rule = Allocation::Rule(AllocationRule::Heuristic);
+        assert_eq!(decided(Allocation::Learned, true, 0.0), heuristic, "the episode's stand-in");
+        assert_ne!(decided(Allocation::Learned, true, 1.0), heuristic, "and agents are moved");
+        assert_eq!(decided(Allocation::Learned, false, 1.0), coordinated, "nobody learns");
+        assert_eq!(decided(rule, true, 1.0), heuristic, "a rule is not explored");
+    }
+
+    #[test]
+    fn an_episode_is_decided_by_whom_the_run_asks_for() {
+        let mut config = Config::default();
+        (config.allocation.learned, config.allocation.heuristic) = (0.0, 1.0);
+        let (deciding, mut episode) = (Deciding::new(&config), Decisions::new(5, 1));
+        episode.restart(deciding.allocation(), &mut generator(1, Purpose::Rollout, 0));
+        assert_eq!(episode.allocation_by, Allocation::Rule(AllocationRule::Heuristic));
+    }
+
+    #[test]
+    fn a_share_of_the_agents_moves_to_open_buildings_with_room() {
+        let agents = vec![AgentState::at(AgentKind::Builder, 5, 5); 1000];
+        let buildings = buildings(&[Status::Open, Status::Complete, Status::Open]);
+        let mut random = generator(1, Purpose::Rollout, 0);
+        let mut moved = |share, team_max, buildings| {
+            let (city, mut allocation) = (City { agents: &agents, buildings }, vec![1; 1000]);
+            move_some(city, share, team_max, &mut random, &mut allocation);
+            [0, 1, 2].map(|task| allocation.iter().filter(|own| **own == task).count())
+        };
+        assert_eq!(moved(0.0, 1000, &buildings), [0, 1000, 0]);
+        assert_eq!(moved(1.0, 1000, &buildings[1..2]), [0, 1000, 0], "nothing is open");
+        assert_eq!(moved(1.0, 3, &buildings), [3, 994, 3], "a team of three is full");
+        let [first, _, second] = moved(0.25, 1000, &buildings);
+        assert!(first.abs_diff(125) < 40 && second.abs_diff(125) < 40, "{first}, {second}");
+    }
+
+    #[test]
+    fn rewards_of_a_segment_are_discounted_step_by_step() {
+        let agents = [AgentState::at(AgentKind::Builder, 1, 2)];
+        let buildings = buildings(&[Status::Open; 2]);
         let city = City { agents: &agents, buildings: &buildings };
         let mut segments = Segments::new(10);
         let mut episode = Decisions::new(5, 1);

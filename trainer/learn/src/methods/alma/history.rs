@@ -384,6 +384,7 @@ mod tests {
             world.step([1, 2], [1.0, 0.0], |world| world.agents[1].x = 5);
             world.end(timed_out);
             assert_eq!(world.records(), [(1.0, discount, 2)]);
+            assert!(world.history.frames.is_empty(), "nothing of the episode is kept");
             assert_eq!(world.replay.get(0).agents[1].next.x, 5);
         }
     }
