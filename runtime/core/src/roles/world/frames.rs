@@ -38,7 +38,6 @@ impl WorldRole {
         let free = self.options.format.layout.every_agent() & !self.seats.joined();
         self.filled = if self.fills { free } else { 0 };
         self.publish(link, world, FrameKind::World, flags)?;
-        self.due_ns = self.published_ns;
         self.phase = Phase::Acting;
         if self.reallocated {
             link.ring(Role::Allocator)?;
