@@ -22,6 +22,8 @@ pub enum ParametersError {
     Noise,
     /// Episodes without a step.
     NoSteps,
+    /// A size of groups that is held out where none or all have it.
+    HeldOut,
 }
 
 impl fmt::Display for ParametersError {
@@ -36,6 +38,9 @@ impl fmt::Display for ParametersError {
                 write!(f, "{count} {what} are not possible: from 1 to {most} are")
             }
             Self::Noise => f.write_str("the noise is not a probability from 0 to 1"),
+            Self::HeldOut => f.write_str(
+                "a held-out size of groups needs two drawn groups, and fewer members than agents",
+            ),
             Self::NoSteps => f.write_str("an episode limit of 0 steps leaves no episode"),
         }
     }

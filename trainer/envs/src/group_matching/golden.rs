@@ -75,7 +75,7 @@ fn restore(root: &Field<'_>) -> Result<GroupMatching, GoldenError> {
         noise: config.get("rand_trans")?.number()?,
         episode_limit: config.get("episode_limit")?.integer(1..=u32::MAX.into())? as u32,
         fixed_groups: config.get("fixed_scen")?.flag()?,
-        groups_known_at_first: false,
+        ..Parameters::default()
     };
     let agents = parameters.agents;
     let initial = root.get("initial")?;

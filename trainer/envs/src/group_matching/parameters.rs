@@ -31,6 +31,9 @@ pub struct Parameters {
     /// Whether oracles are told the groups in an episode's first state only, and later that everybody is
     /// one, as in the public code.
     pub groups_known_at_first: bool,
+    /// A size of groups that is kept for measuring: starts to learn from have no group of it, those to
+    /// measure on have one. 0 for none.
+    pub held_out: usize,
 }
 
 impl Default for Parameters {
@@ -43,6 +46,7 @@ impl Default for Parameters {
             episode_limit: 50,
             fixed_groups: false,
             groups_known_at_first: false,
+            held_out: 0,
         }
     }
 }
@@ -82,7 +86,11 @@ impl Parameters {
         if !(0.0..=1.0).contains(&self.noise) {
             return Err(ParametersError::Noise);
         }
-        if self.episode_limit == 0 { Err(ParametersError::NoSteps) } else { Ok(()) }
+        if self.episode_limit == 0 {
+            return Err(ParametersError::NoSteps);
+        }
+        let drawn = self.groups > 1 && !self.fixed_groups && self.held_out < self.agents;
+        if drawn || self.held_out == 0 { Ok(()) } else { Err(ParametersError::HeldOut) }
     }
 
     /// Columns of a feature row.

@@ -2,6 +2,7 @@
 
 use super::parameters::{MAX_AGENTS, MAX_GROUPS, Parameters};
 use super::ring::member_bytes;
+use crate::environment::Split;
 use crate::random::{Random, below};
 
 /// Draws where everybody stands.
@@ -9,11 +10,30 @@ pub(super) fn draw_cells(parameters: &Parameters, random: &mut Random, cells: &m
     cells.iter_mut().for_each(|cell| *cell = below(random, parameters.cells) as u8);
 }
 
+/// Draws who belongs together, for a start of the split.
+pub(super) fn draw_groups(
+    parameters: &Parameters,
+    split: Split,
+    random: &mut Random,
+    members: &mut [u8],
+) {
+    loop {
+        draw_any_groups(parameters, random, members);
+        let mut groups = members.chunks_exact(member_bytes(parameters.agents));
+        let size =
+            |group: &[u8]| group.iter().map(|byte| byte.count_ones() as usize).sum::<usize>();
+        let has_size = groups.any(|group| size(group) == parameters.held_out);
+        if parameters.held_out == 0 || has_size == (split == Split::Test) {
+            return;
+        }
+    }
+}
+
 /// Draws who belongs together.
 ///
 /// The cuts are not sorted, as in the public code: with three or more groups one may be empty where the
 /// next overlaps its neighbour. Every agent is in at least one.
-pub(super) fn draw_groups(parameters: &Parameters, random: &mut Random, members: &mut [u8]) {
+fn draw_any_groups(parameters: &Parameters, random: &mut Random, members: &mut [u8]) {
     let Parameters { agents, groups, .. } = *parameters;
     let mut order = [0; MAX_AGENTS];
     let order = &mut order[..agents];

@@ -39,21 +39,24 @@ struct Settings {
     noise: f64,
     episode_limit: u32,
     groups_known_at_first: bool,
+    held_out: usize,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        let Parameters { noise, episode_limit, groups_known_at_first, .. } = Parameters::default();
-        Self { noise, episode_limit, groups_known_at_first }
+        let Parameters { noise, episode_limit, groups_known_at_first, held_out, .. } =
+            Parameters::default();
+        Self { noise, episode_limit, groups_known_at_first, held_out }
     }
 }
 
 fn open(choice: &Choice<'_>) -> Result<GroupMatching, EnvironmentError> {
-    let Settings { noise, episode_limit, groups_known_at_first } = choice.settings()?;
+    let Settings { noise, episode_limit, groups_known_at_first, held_out } = choice.settings()?;
     let sizes = Parameters::named(choice.set.unwrap_or(SET_NAMES[0]))
         .map_err(|error| EnvironmentError::Set(error.to_string()))?;
-    let parameters = Parameters { noise, episode_limit, groups_known_at_first, ..sizes };
+    let parameters = Parameters { noise, episode_limit, groups_known_at_first, held_out, ..sizes };
     GroupMatching::new(parameters, choice.instances)
+        .map(|ring| ring.with_instances(choice.instances, choice.split))
         .map_err(|error| EnvironmentError::Setting(error.to_string()))
 }
 
@@ -76,8 +79,8 @@ impl Environment for GroupMatching {
         self.count()
     }
 
-    fn open(&self, instances: usize, _: Split) -> Box<dyn Environment> {
-        Box::new(self.with_instances(instances))
+    fn open(&self, instances: usize, split: Split) -> Box<dyn Environment> {
+        Box::new(self.with_instances(instances, split))
     }
 
     fn reset(&mut self, instance: usize, random: &mut Random) {

@@ -11,7 +11,7 @@ use super::reset::{draw_cells, draw_groups};
 use super::ring::{Ring, all_agents, member_bytes};
 use super::rules::{ACTIONS, moved, reward, slipped};
 use super::spec::spec;
-use crate::environment::{StateError, Step, StepError};
+use crate::environment::{Split, StateError, Step, StepError};
 use crate::random::Random;
 use crate::spec::Spec;
 
@@ -20,6 +20,7 @@ use crate::spec::Spec;
 pub struct GroupMatching {
     parameters: Parameters,
     spec: Spec,
+    split: Split,
     episodes: Vec<Episode>,
 }
 
@@ -67,7 +68,7 @@ impl GroupMatching {
     pub fn new(parameters: Parameters, instances: usize) -> Result<Self, ParametersError> {
         parameters.check()?;
         let episodes = vec![Episode::new(&parameters); instances];
-        Ok(Self { episodes, spec: spec(&parameters), parameters })
+        Ok(Self { episodes, spec: spec(&parameters), split: Split::Train, parameters })
     }
 
     /// What the rules leave open.
@@ -75,10 +76,10 @@ impl GroupMatching {
         &self.parameters
     }
 
-    /// The same rules with so many instances, whose episodes are over.
-    pub(super) fn with_instances(&self, instances: usize) -> Self {
+    /// The same rules with so many instances, whose episodes are over, and other starts.
+    pub(super) fn with_instances(&self, instances: usize, split: Split) -> Self {
         let episodes = vec![Episode::new(&self.parameters); instances];
-        Self { episodes, spec: self.spec.clone(), parameters: self.parameters }
+        Self { episodes, spec: self.spec.clone(), split, parameters: self.parameters }
     }
 
     pub(super) fn own_spec(&self) -> &Spec {
@@ -120,7 +121,7 @@ impl GroupMatching {
     /// Starts a new episode.
     pub(super) fn start(&mut self, instance: usize, random: &mut Random) {
         let (parameters, episode) = (&self.parameters, &mut self.episodes[instance]);
-        draw_groups(parameters, random, &mut episode.members);
+        draw_groups(parameters, self.split, random, &mut episode.members);
         draw_cells(parameters, random, &mut episode.cells);
         episode.begin(0, 0.0);
     }
