@@ -3,12 +3,13 @@
 use std::fmt;
 
 use sortie_bundle::{Bundle, Environment};
-use sortie_envs::save_the_city::{ACTION_NAMES, FEATURE_NAMES, SET_NAMES, ScenarioSet, VERSION};
+use sortie_envs::ENVIRONMENTS;
+use sortie_envs::save_the_city::{
+    ACTION_NAMES, ENTRY, FEATURE_NAMES, SET_NAMES, ScenarioSet, VERSION,
+};
 
 use crate::failure::{Exit, Failure};
 
-/// The environments that are built in.
-pub(crate) const NAMES: [&str; 1] = ["save-the-city"];
 /// The dissertation's scenario set.
 const DEFAULT_SET: &str = "2-5a_2-5b";
 
@@ -23,8 +24,17 @@ impl ScenarioSetName {
     /// Reads `ENV` or `ENV/SET`, several sets joined by `+`, and checks that they exist.
     pub(crate) fn parse(text: &str) -> Result<Self, Failure> {
         let (environment, set) = text.split_once('/').unwrap_or((text, DEFAULT_SET));
-        if !NAMES.contains(&environment) {
-            return Err(unknown("environment", environment, &NAMES));
+        let known: Vec<&str> = ENVIRONMENTS.iter().map(|entry| entry.name).collect();
+        if !known.contains(&environment) {
+            return Err(unknown("environment", environment, &known));
+        }
+        if environment != ENTRY.name {
+            let reason = format!(
+                "`{environment}` is no environment that teams are learned and deployed in, only `{}` is; \
+                 `sortie bench env --env {environment}` steps it",
+                ENTRY.name
+            );
+            return Err(Failure::new(Exit::Usage, reason));
         }
         if let Some(unknown_set) = set.split('+').find(|name| !SET_NAMES.contains(name)) {
             return Err(unknown("scenario set", unknown_set, &SET_NAMES));

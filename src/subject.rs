@@ -3,10 +3,11 @@
 use std::path::Path;
 
 use sortie_bundle::{Bundle, MANIFEST, TRAINING};
+use sortie_envs::save_the_city::ENTRY;
 use sortie_learn::run::Run;
 
 use crate::deployment::open_bundle;
-use crate::environment::{NAMES, ScenarioSetName};
+use crate::environment::ScenarioSetName;
 use crate::failure::{Exit, Failure};
 use crate::output::warn_of_refused;
 
@@ -69,7 +70,7 @@ impl Subject {
                 let config = run.description.config.environment();
                 ScenarioSetName::parse(&format!("{}/{}", config.name, config.set))
             }
-            (None, Self::Scripted) => ScenarioSetName::parse(NAMES[0]),
+            (None, Self::Scripted) => ScenarioSetName::parse(ENTRY.name),
         }
     }
 }

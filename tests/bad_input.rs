@@ -166,6 +166,17 @@ fn an_unknown_environment_lists_the_known_ones() {
     assert_fails(&output(&["eval", "scripted", "--env", "mars"]), 2, &words);
     let words = ["9z_9z", "2-5a_2-5b"];
     assert_fails(&output(&["eval", "scripted", "--env", "save-the-city/9z_9z"]), 2, &words);
+    assert_fails(&output(&["bench", "env", "--env", "save-the-city/9z_9z"]), 2, &words);
+}
+
+#[test]
+fn an_environment_without_a_learner_is_named() {
+    let words = ["group-matching", "save-the-city", "bench env"];
+    let refused = ["train", "alma", "--env", "group-matching", "--out", "no-such-folder"];
+    assert_fails(&output(&refused), 2, &words);
+    assert_fails(&output(&["eval", "scripted", "--env", "group-matching"]), 2, &words);
+    let stepped = output(&["bench", "env", "--env", "group-matching", "--seconds", "0.01"]);
+    assert!(stepped.status.success(), "{}", support::stderr(&stepped));
 }
 
 #[test]

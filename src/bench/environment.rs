@@ -8,8 +8,7 @@ use sortie_envs::random::generator;
 use sortie_envs::{Split, observe_and_step, open};
 
 use super::{Figures, Measuring, Row, pin, thread_cpu_s};
-use crate::environment::ScenarioSetName;
-use crate::failure::Failure;
+use crate::failure::{Exit, Failure};
 
 /// Instances that are stepped in turn.
 const INSTANCES: usize = 16;
@@ -19,7 +18,7 @@ const ROUNDS: usize = 2_000;
 /// Steps of an environment per core-second: random actions, features written at every step
 #[derive(Debug, Args)]
 pub(super) struct EnvironmentArguments {
-    /// Environment and scenario set
+    /// Environment and set of starts; every environment is possible
     #[arg(long, default_value = "save-the-city", value_name = "ENV[/SET]")]
     env: String,
     #[command(flatten)]
@@ -27,10 +26,9 @@ pub(super) struct EnvironmentArguments {
 }
 
 pub(super) fn measure(arguments: &EnvironmentArguments) -> Result<Figures, Failure> {
-    let name = ScenarioSetName::parse(&arguments.env)?;
     let seed = arguments.measuring.common.seed;
-    let mut environment =
-        open(&name.to_string(), Split::Train, INSTANCES, &BTreeMap::new()).map_err(Failure::bug)?;
+    let mut environment = open(&arguments.env, Split::Train, INSTANCES, &BTreeMap::new())
+        .map_err(|error| Failure::new(Exit::Usage, error.to_string()))?;
     let mut random = generator(seed);
     (0..INSTANCES).for_each(|instance| environment.reset(instance, &mut random));
     pin(arguments.measuring.pin)?;
@@ -46,7 +44,7 @@ pub(super) fn measure(arguments: &EnvironmentArguments) -> Result<Figures, Failu
     let at = |share: f64| rates[((rates.len() - 1) as f64 * (1.0 - share)).round() as usize];
     let row = Row {
         what: "env",
-        case: name.to_string(),
+        case: arguments.env.clone(),
         engine: "sortie",
         version: env!("CARGO_PKG_VERSION").to_string(),
         p50: at(0.5),
