@@ -121,6 +121,7 @@ impl From<LearnError> for Failure {
                 Exit::Usage
             }
             LearnError::Busy { .. } => Exit::Busy,
+            LearnError::Products { .. } => Exit::NotRunning,
             LearnError::Diverged { .. } => Exit::Diverged,
             LearnError::File { source, .. } if source.kind() == ErrorKind::NotFound => {
                 Exit::Missing

@@ -125,6 +125,40 @@ fn a_run_goes_on_as_it_was_configured_only_longer() {
 }
 
 #[test]
+fn a_run_computes_its_products_as_it_began_or_is_asked_to() {
+    let place = Place::new();
+    let run = place.path("run");
+    succeed(&train(&["--out", &run, "--steps", "600", "-q"]));
+    let file = format!("{run}/train.toml");
+    let before = fs::read_to_string(&file).expect("its configuration");
+    let line = before.lines().find(|line| line.starts_with("products = "));
+    let line = line.expect("what it computed with").to_owned();
+    assert_ne!(line, "products = \"widest\"");
+    let checkpoints = fs::read_dir(format!("{run}/checkpoints")).expect("its checkpoints");
+    for checkpoint in checkpoints {
+        let manifest = checkpoint.expect("a checkpoint").path().join("manifest.toml");
+        assert!(fs::read_to_string(&manifest).expect("a manifest").contains(&line));
+    }
+
+    // As if it came from another kind of processor.
+    let foreign = if cfg!(target_arch = "aarch64") { "avx2" } else { "neon" };
+    let moved = before.replace(&line, &format!("products = \"{foreign}\""));
+    fs::write(&file, &moved).expect("it is moved");
+    let go_on = ["train", "alma", "--resume", &run, "--steps", "1200", "-q"];
+    assert_fails(&output(&go_on), 69, &[foreign, "--other-products"]);
+    let other = output(&[&go_on[..], &["--other-products"]].concat());
+    assert!(other.status.success(), "{}", stderr(&other));
+    assert!(stderr(&other).contains("other bits"), "{}", stderr(&other));
+    let after = fs::read_to_string(&file).expect("its configuration");
+    assert_eq!(after, before.replace("steps = 600\n", "steps = 1200\n"));
+
+    let asked = format!("run.products={foreign}");
+    let new = place.path("new");
+    let refused = output(&train(&["--out", &new, "--set", &asked, "--steps", "600", "-q"]));
+    assert_fails(&refused, 69, &[foreign, "--set run.products="]);
+}
+
+#[test]
 fn a_run_that_diverges_stops_there_and_says_so() {
     let place = Place::new();
     let run = place.path("run");

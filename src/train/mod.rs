@@ -14,12 +14,12 @@ use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
 use sortie_ipc::Stop;
 use sortie_learn::LearnError;
 use sortie_learn::methods::Trainer;
-use sortie_learn::run::{Outcome as Ending, prolong, read_description};
+use sortie_learn::run::{Outcome as Ending, prolong, read_description, replace_products};
 
 use crate::allocation::Allocation;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::options::Common;
-use crate::output::{self, say, warn_of_refused};
+use crate::output::{self, say, tell, warn_of_refused};
 use crate::seeds::SeedRange;
 use crate::signals::stop_on_signals;
 use configuration::configuration;
@@ -84,6 +84,9 @@ pub(crate) struct TrainArguments {
     /// Folder of a run to go on with, as it was configured
     #[arg(long, value_name = "DIR", conflicts_with_all = ["out", "preset", "config", "assignments", "allocation", "no_mask", "mixer", "env", "seed"])]
     resume: Option<PathBuf>,
+    /// Go on with the products of this processor where it has not those that the run learns with: other bits
+    #[arg(long, requires = "resume")]
+    other_products: bool,
     /// Print the configuration with an explanation of every key, as a file for --config, and learn nothing
     #[arg(long, conflicts_with_all = ["out", "resume", "seeds"])]
     print_config: bool,
@@ -140,7 +143,8 @@ pub(crate) fn run(arguments: &TrainArguments) -> Outcome {
         stop_without(sweep, &stop)?;
     }
     if let (Some(seeds), Some(out)) = (arguments.seeds, &arguments.out) {
-        let config = configuration(arguments)?;
+        let mut config = configuration(arguments)?;
+        config.run_mut().settle_products()?;
         let threads = arguments.threads.unwrap_or(1);
         return seeds::run(seeds, &config, threads, out, arguments.common, &stop);
     }
@@ -177,6 +181,14 @@ fn trainer(arguments: &TrainArguments) -> Result<(Trainer, PathBuf), Failure> {
     check_method(arguments.method, folder)?;
     if let Some(steps) = arguments.steps {
         prolong(folder, steps)?;
+    }
+    if arguments.other_products
+        && let Some(products) = replace_products(folder)?
+    {
+        tell!(
+            "warning: {} goes on with `{products}` products, and so with other bits",
+            folder.display()
+        );
     }
     let patience = if arguments.sweep.is_some() { PATIENCE } else { Duration::ZERO };
     let since = Instant::now();

@@ -9,12 +9,12 @@ mod windows;
 use std::error::Error;
 use std::time::Instant;
 
-use gemm::Parallelism;
 use sortie_learn::methods::alma::Conditioning;
 use sortie_learn::methods::paper::NO_TASK;
 use sortie_learn::methods::paper::low_level::coach::CoachConfig;
 use sortie_learn::methods::paper::low_level::{LowLevel, LowLevelConfig};
 use sortie_learn::random::{Purpose, generator};
+use sortie_nn::layers::matrix::{Matrix, MatrixMut, Store, multiply};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let (mut method, mut rounds) = ("alma".to_owned(), 5_usize);
@@ -77,30 +77,8 @@ fn peak() -> f64 {
     let mut best = f64::INFINITY;
     for _ in 0..60 {
         let start = Instant::now();
-        // SAFETY: the vectors have exactly the rows and columns that are stated, row-major.
-        unsafe {
-            gemm::gemm(
-                m,
-                n,
-                k,
-                c.as_mut_ptr(),
-                1,
-                n as isize,
-                false,
-                a.as_ptr(),
-                1,
-                k as isize,
-                b.as_ptr(),
-                1,
-                n as isize,
-                0.0,
-                1.0,
-                false,
-                false,
-                false,
-                Parallelism::None,
-            );
-        }
+        let (left, right) = (Matrix::new(&a, m, k), Matrix::new(&b, k, n));
+        multiply(MatrixMut::new(&mut c, m, n), Store::Replace, left, right);
         best = best.min(start.elapsed().as_secs_f64());
     }
     2.0 * (m * n * k) as f64 / best / 1e9

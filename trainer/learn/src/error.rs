@@ -75,6 +75,17 @@ pub enum LearnError {
         /// The first loss that is not finite.
         loss: f64,
     },
+    /// A run computes its products with instructions that this processor does not have.
+    #[error(
+        "`run.products` is {asked}, which this processor does not have: a new run takes `--set run.products={widest}`, \
+         one that goes on `--other-products`, with other bits from there on"
+    )]
+    Products {
+        /// What the run needs.
+        asked: String,
+        /// The widest that there is.
+        widest: String,
+    },
     /// The environment could not be set up.
     #[error("environment: {0}")]
     Environment(#[from] CityError),

@@ -213,9 +213,12 @@ fn a_run_describes_and_draws_itself() {
     let mut trainer = Trainer::new(config(), 3, 1, folder.path()).unwrap();
     run(&mut trainer, u64::MAX);
     let opened = Run::open(folder.path()).unwrap();
+    let mut config = config();
+    config.run.settle_products().unwrap();
+    assert_ne!(config.run.products, "widest");
     assert_eq!(
         (opened.description.seed, &opened.description.config),
-        (3, &Settings::Records(config()))
+        (3, &Settings::Records(config))
     );
     assert_eq!(&opened.network, trainer.network());
     assert!(opened.curve.iter().all(|point| point.loss > 0.0 && point.cpu_s > 0.0));

@@ -2,6 +2,8 @@
 //!
 //! All of them run over flat parameter vectors.
 
+use crate::layers::wide::{Work, run_widest};
+
 /// Scales the gradient so that its Euclidean norm is at most `limit`; returns the norm before.
 ///
 /// The scale is `min(1, limit / (norm + 1e-6))`, as in the public code. The norm is summed in f64.
@@ -16,8 +18,23 @@ pub fn clip_norm(gradient: &mut [f32], limit: f32) -> f32 {
 
 /// Moves `average` a share `rate` of the way towards `values`.
 pub fn move_towards(average: &mut [f32], values: &[f32], rate: f32) {
-    for (average, value) in average.iter_mut().zip(values) {
-        *average += rate * (value - *average);
+    run_widest(MoveTowards { average, values, rate });
+}
+
+struct MoveTowards<'a> {
+    average: &'a mut [f32],
+    values: &'a [f32],
+    rate: f32,
+}
+
+impl Work for MoveTowards<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        for (average, value) in self.average.iter_mut().zip(self.values) {
+            *average += self.rate * (value - *average);
+        }
     }
 }
 
@@ -53,14 +70,42 @@ impl Adam {
         for part in parts {
             let range = start..start + part.len();
             start = range.end;
-            let moments = self.mean[range.clone()].iter_mut().zip(&mut self.square[range.clone()]);
-            for ((parameter, gradient), (mean, square)) in
-                part.iter_mut().zip(&gradient[range]).zip(moments)
-            {
-                *mean += (1.0 - Self::DECAY_MEAN) * (gradient - *mean);
-                *square += (1.0 - Self::DECAY_SQUARE) * (gradient * gradient - *square);
-                *parameter -= rate * *mean / ((*square * square_scale).sqrt() + self.epsilon);
-            }
+            run_widest(AdamStep {
+                parameters: part,
+                gradient: &gradient[range.clone()],
+                mean: &mut self.mean[range.clone()],
+                square: &mut self.square[range],
+                rate,
+                square_scale,
+                epsilon: self.epsilon,
+            });
+        }
+    }
+}
+
+struct AdamStep<'a> {
+    parameters: &'a mut [f32],
+    gradient: &'a [f32],
+    mean: &'a mut [f32],
+    square: &'a mut [f32],
+    rate: f32,
+    square_scale: f32,
+    epsilon: f32,
+}
+
+impl Work for AdamStep<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { rate, square_scale, epsilon, .. } = self;
+        let moments = self.mean.iter_mut().zip(self.square);
+        for ((parameter, gradient), (mean, square)) in
+            self.parameters.iter_mut().zip(self.gradient).zip(moments)
+        {
+            *mean += (1.0 - Adam::DECAY_MEAN) * (gradient - *mean);
+            *square += (1.0 - Adam::DECAY_SQUARE) * (gradient * gradient - *square);
+            *parameter -= rate * *mean / ((*square * square_scale).sqrt() + epsilon);
         }
     }
 }
@@ -83,11 +128,27 @@ impl RmsProp {
 
     /// Takes one step down the gradient, which has a number for every parameter.
     pub fn step(&mut self, parameters: &mut [f32], gradient: &[f32], learning_rate: f32) {
+        run_widest(RmsPropStep { parameters, gradient, square: &mut self.square, learning_rate });
+    }
+}
+
+struct RmsPropStep<'a> {
+    parameters: &'a mut [f32],
+    gradient: &'a [f32],
+    square: &'a mut [f32],
+    learning_rate: f32,
+}
+
+impl Work for RmsPropStep<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
         for ((parameter, gradient), square) in
-            parameters.iter_mut().zip(gradient).zip(&mut self.square)
+            self.parameters.iter_mut().zip(self.gradient).zip(self.square)
         {
-            *square = Self::DECAY * *square + (1.0 - Self::DECAY) * gradient * gradient;
-            *parameter -= learning_rate * gradient / (square.sqrt() + Self::EPSILON);
+            *square = RmsProp::DECAY * *square + (1.0 - RmsProp::DECAY) * gradient * gradient;
+            *parameter -= self.learning_rate * gradient / (square.sqrt() + RmsProp::EPSILON);
         }
     }
 }

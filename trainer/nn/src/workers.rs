@@ -4,6 +4,8 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::{self, JoinHandle};
 
+use crate::layers::products::Products;
+
 type Job = Arc<dyn Fn() + Send + Sync>;
 
 /// A fixed number of threads; the calling thread is one of them.
@@ -15,7 +17,7 @@ pub struct Workers {
 }
 
 struct Helper {
-    start: Option<SyncSender<()>>,
+    start: Option<SyncSender<Products>>,
     done: Receiver<()>,
     thread: Option<JoinHandle<()>>,
 }
@@ -24,11 +26,12 @@ impl Workers {
     /// Starts `threads - 1` helpers that wait for work.
     pub fn new(threads: usize, job: Job) -> Self {
         let helper = |_| {
-            let (start, started) = sync_channel::<()>(1);
+            let (start, started) = sync_channel::<Products>(1);
             let (finish, done) = sync_channel::<()>(1);
             let job = Arc::clone(&job);
             let thread = thread::spawn(move || {
-                while started.recv().is_ok() {
+                while let Ok(products) = started.recv() {
+                    products.use_here();
                     job();
                     if finish.send(()).is_err() {
                         break;
@@ -43,10 +46,10 @@ impl Workers {
 
     /// Runs the job once on every thread and returns when all have finished.
     ///
-    /// Panics if the job panicked on a helper.
+    /// Products are those of the calling thread. Panics if the job panicked on a helper.
     pub fn run(&self) {
         for helper in &self.helpers {
-            let started = helper.start.as_ref().map(|start| start.send(()));
+            let started = helper.start.as_ref().map(|start| start.send(Products::here()));
             assert!(started == Some(Ok(())), "a worker thread panicked");
         }
         (self.job)();
@@ -79,11 +82,13 @@ mod tests {
 
     #[test]
     fn every_thread_runs_the_job_each_time() {
+        Products::Plain.use_here();
         let count = Arc::new(AtomicUsize::new(0));
         let shared = Arc::clone(&count);
         let workers = Workers::new(
             3,
             Arc::new(move || {
+                assert_eq!(Products::here(), Products::Plain);
                 shared.fetch_add(1, Ordering::Relaxed);
             }),
         );

@@ -62,6 +62,11 @@ pub(super) fn card(
             last.env_steps, last.cpu_s, last.wall_s
         );
     }
+    let _ = writeln!(
+        card,
+        "\nMatrix products were computed with `{}`: `--set run.products={0}` repeats the run byte for byte.",
+        config.run().products
+    );
     card += &departures(run);
     card += "\n## Limits\n\nIt serves teams and cities up to the largest of these scenarios; `bundle.toml` has the numbers.\n\
              Agents that do not share a subtask do not see each other and can block each other's way.\n";

@@ -6,7 +6,7 @@
 //!
 //! | file | content |
 //! | --- | --- |
-//! | `manifest.toml` | format version, version of Sortie, steps, network shapes, sizes and CRC-64 of the others |
+//! | `manifest.toml` | format version, version of Sortie, steps, instructions of products, network shapes, sizes and CRC-64 of the others |
 //! | `tensors.safetensors` | networks, each with its vectors (`online/`, `target/`, those of the optimiser) and, for utility networks, the tensors of [`UtilityShape::tensors`] |
 //! | `state.postcard` | counters, generators, running episodes, the curve, the replays |
 
@@ -19,6 +19,7 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use sortie_bundle::files::{Durability, sync_folder, write_file};
+use sortie_nn::layers::products::Products;
 
 use crate::error::LearnError;
 use crate::methods::alma::{UtilityNetwork, UtilityShape};
@@ -39,6 +40,9 @@ struct Manifest {
     format: u32,
     version: String,
     env_steps: u64,
+    /// Instructions of matrix products.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    products: Option<String>,
     shapes: BTreeMap<String, UtilityShape>,
     files: BTreeMap<String, FileSum>,
 }
@@ -215,7 +219,8 @@ fn write_files(
     let version = env!("CARGO_PKG_VERSION").to_owned();
     let shaped = networks.iter().filter_map(|n| Some((n.name.to_owned(), n.shape?)));
     let shapes = shaped.collect();
-    let manifest = Manifest { format: FORMAT, version, env_steps, shapes, files };
+    let products = Some(Products::here().to_string());
+    let manifest = Manifest { format: FORMAT, version, env_steps, products, shapes, files };
     let manifest = toml::to_string(&manifest).map_err(|error| bad(&error))?;
     write(MANIFEST, manifest.as_bytes())?;
     sync_folder(folder).map_err(LearnError::file(folder))

@@ -1,5 +1,6 @@
 //! `train.toml`: everything that a run depends on.
 
+use sortie_nn::layers::products::Products;
 use toml::Table;
 
 use super::settings::Settings;
@@ -62,6 +63,7 @@ impl<C: Configuration> RunDescription<C> {
         let mut take = |name: &str| table.remove(name).ok_or_else(|| bad(&format!("no `{name}`")));
         let (method, version) = (take("method")?, take("version")?);
         let (seed, threads) = (take("seed")?, take("threads")?);
+        settle_older(&mut table);
         let text = |value: toml::Value| value.as_str().map(str::to_owned);
         let number = |value: toml::Value| value.as_integer().and_then(|n| u64::try_from(n).ok());
         Ok(Self {
@@ -71,6 +73,14 @@ impl<C: Configuration> RunDescription<C> {
             threads: number(threads).ok_or_else(|| bad("`threads` is not a number"))? as usize,
             config: C::from_table(table)?,
         })
+    }
+}
+
+/// Runs that do not say how they compute products began when there was one way only.
+fn settle_older(table: &mut Table) {
+    let run = table.entry("run").or_insert_with(|| Table::new().into());
+    if let Some(run) = run.as_table_mut() {
+        run.entry("products").or_insert_with(|| Products::usual().to_string().into());
     }
 }
 
@@ -94,6 +104,15 @@ mod tests {
         let error = RunDescription::<alma::Config>::from_toml("method = \"alma\"\nversion = \"0\"")
             .unwrap_err();
         assert!(error.to_string().contains("`seed`"), "{error}");
+    }
+
+    #[test]
+    fn a_run_of_before_computes_its_products_as_it_did() {
+        let text = RunDescription::new(alma::Config::default(), 1, 1).to_toml().unwrap();
+        let older = text.replace("products = \"widest\"\n", "");
+        assert_ne!(older, text);
+        let read = RunDescription::<alma::Config>::from_toml(&older).unwrap();
+        assert_eq!(read.config.run.products, Products::usual().to_string());
     }
 
     #[test]

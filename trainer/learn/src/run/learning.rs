@@ -61,6 +61,7 @@ pub(crate) fn learn(
     stop: &AtomicBool,
 ) -> Result<Outcome, LearnError> {
     let schedule = run.schedule();
+    schedule.settled_products()?.use_here();
     let mut saves = Saves::new(&schedule, run.counters().env_steps);
     let mut meter = Meter::new(schedule.evaluate_every, run.counters());
     let env_steps = run.counters().env_steps;

@@ -1,8 +1,8 @@
-//! Matrix products on borrowed slices, checked at the door, computed by the `gemm` crate.
+//! Matrix products on borrowed slices, checked at the door, computed by the kernels of the `gemm` crates.
 
 use std::ops::Range;
 
-use gemm::Parallelism;
+use super::products::{self, Place};
 
 /// A read-only view of a matrix in a slice; element (i, j) stands at `i * row_stride + j * column_stride`.
 #[derive(Clone, Copy, Debug)]
@@ -78,7 +78,8 @@ pub enum Store {
 
 /// Computes the product of `left` and `right` on the calling thread.
 ///
-/// Panics if the shapes do not fit. The result depends on the processor's kernel, not on other threads.
+/// Panics if the shapes do not fit. The last bits depend on the thread's
+/// [`Products`](super::products::Products) only.
 pub fn multiply(out: MatrixMut<'_>, store: Store, left: Matrix<'_>, right: Matrix<'_>) {
     assert_eq!(out.rows, left.rows, "rows of the product");
     assert_eq!(out.columns, right.columns, "columns of the product");
@@ -98,40 +99,26 @@ pub fn multiply(out: MatrixMut<'_>, store: Store, left: Matrix<'_>, right: Matri
                     < view.data.len()
         );
     }
-    let beta = 1.0;
-    let alpha = if store == Store::Add { 1.0 } else { 0.0 };
-    #[expect(unsafe_code, reason = "the product kernel takes raw pointers")]
+    let place = |view: Matrix<'_>| Place {
+        first: view.data.as_ptr(),
+        rows: view.row_stride as isize,
+        columns: view.column_stride as isize,
+    };
+    let written = Place { first: out.data.as_mut_ptr(), rows: out.row_stride as isize, columns: 1 };
+    let sizes = [out.rows, out.columns, left.columns];
+    #[expect(unsafe_code, reason = "the kernels of products take raw pointers")]
     // SAFETY: every element the kernel touches lies at i * row_stride + j * column_stride with i and j
     // inside the shapes asserted equal above, and the largest such offset is asserted to lie inside
     // each slice. `out` is borrowed mutably, so it overlaps neither input. Strides fit isize because
-    // they are below slice lengths. Type f32 is one that the function accepts.
+    // they are below slice lengths.
     unsafe {
-        gemm::gemm(
-            out.rows,
-            out.columns,
-            left.columns,
-            out.data.as_mut_ptr(),
-            1,
-            out.row_stride as isize,
-            store == Store::Add,
-            left.data.as_ptr(),
-            left.column_stride as isize,
-            left.row_stride as isize,
-            right.data.as_ptr(),
-            right.column_stride as isize,
-            right.row_stride as isize,
-            alpha,
-            beta,
-            false,
-            false,
-            false,
-            Parallelism::None,
-        );
+        products::multiply(sizes, written, store == Store::Add, place(left), place(right));
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::products::Products;
     use super::*;
 
     fn naive(left: Matrix<'_>, right: Matrix<'_>) -> Vec<f32> {
@@ -160,14 +147,17 @@ mod tests {
     #[test]
     fn agrees_with_the_naive_product_for_all_transpositions() {
         let (a, b) = (ramp(5 * 9, 0.1), ramp(9 * 4, 0.2));
-        for (left, right) in [
-            (Matrix::new(&a, 5, 9), Matrix::new(&b, 9, 4)),
-            (Matrix::new(&a, 5, 9), Matrix::new(&b, 4, 9).transposed()),
-            (Matrix::new(&a, 9, 5).transposed(), Matrix::new(&b, 9, 4)),
-        ] {
-            let mut out = vec![f32::NAN; 20];
-            multiply(MatrixMut::new(&mut out, 5, 4), Store::Replace, left, right);
-            assert_close(&out, &naive(left, right));
+        for products in Products::ALL.into_iter().filter(|products| products.are_available()) {
+            products.use_here();
+            for (left, right) in [
+                (Matrix::new(&a, 5, 9), Matrix::new(&b, 9, 4)),
+                (Matrix::new(&a, 5, 9), Matrix::new(&b, 4, 9).transposed()),
+                (Matrix::new(&a, 9, 5).transposed(), Matrix::new(&b, 9, 4)),
+            ] {
+                let mut out = vec![f32::NAN; 20];
+                multiply(MatrixMut::new(&mut out, 5, 4), Store::Replace, left, right);
+                assert_close(&out, &naive(left, right));
+            }
         }
     }
 
@@ -181,6 +171,21 @@ mod tests {
             assert_eq!([row[0], row[1], row[4]], [1.0; 3]);
             assert_close(&row[2..4], &[want[0] + 1.0, want[1] + 1.0]);
         }
+    }
+
+    #[test]
+    fn every_width_gives_its_own_bits_whatever_was_computed_before() {
+        let (a, b) = (ramp(70 * 90, 0.013), ramp(90 * 40, 0.017));
+        let product = |products: Products| {
+            products.use_here();
+            let mut out = vec![f32::NAN; 70 * 40];
+            let (left, right) = (Matrix::new(&a, 70, 90), Matrix::new(&b, 90, 40));
+            multiply(MatrixMut::new(&mut out, 70, 40), Store::Replace, left, right);
+            out.into_iter().map(f32::to_bits).collect::<Vec<_>>()
+        };
+        let available = || Products::ALL.into_iter().filter(|products| products.are_available());
+        let first: Vec<_> = available().map(product).collect();
+        assert_eq!(available().map(product).collect::<Vec<_>>(), first);
     }
 
     #[test]

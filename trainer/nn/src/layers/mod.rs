@@ -10,6 +10,7 @@ pub mod attention;
 pub mod gru;
 pub mod linear;
 pub mod matrix;
+pub mod products;
 pub mod relu;
 pub mod softmax;
 pub mod sparse_linear;

@@ -186,6 +186,13 @@ const RUN: Section = Section {
             Text,
             "Folder of a run whose weights this one begins with; empty for a run from scratch.",
         ),
+        key(
+            "products",
+            "",
+            OneOf(&["widest", "avx512", "avx2", "neon", "plain"]),
+            "Instructions of matrix products, which decide the last bits of every result; `widest`, what the processor \
+             has, becomes the name of what that is as soon as a run begins.",
+        ),
         key("steps", "environment steps", Whole(1, STEPS), "How long to learn."),
         key(
             "evaluate_every",

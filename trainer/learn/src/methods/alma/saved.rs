@@ -144,6 +144,7 @@ impl Trainer {
         let files = RunFolder::claim(folder)?;
         let mut description = files.read_description::<Config>()?;
         description.threads = threads.unwrap_or(description.threads).max(1);
+        description.config.run.settle_products()?;
         if !files.checkpoints().exist()? {
             return Self::begin(description, files);
         }

@@ -49,12 +49,13 @@ pub struct Trainer {
 impl Trainer {
     /// Begins a run in a new folder.
     pub fn new(
-        config: Config,
+        mut config: Config,
         seed: u64,
         threads: usize,
         folder: &Path,
     ) -> Result<Self, LearnError> {
         config.check()?;
+        config.run.settle_products()?;
         let description = RunDescription::new(config, seed, threads.max(1));
         let mut trainer = Self::begin(description, RunFolder::new(folder))?;
         trainer.folder.create(&trainer.description)?;

@@ -34,6 +34,9 @@ impl Default for EnvironmentConfig {
 pub struct RunConfig {
     /// Folder of a run whose averaged weights this one begins with; empty for a run from scratch.
     pub from: String,
+    /// Instructions of matrix products: `widest`, or the name of one of
+    /// [`Products`](sortie_nn::layers::products::Products).
+    pub products: String,
     /// Environment steps to learn for.
     pub steps: u64,
     /// Environment steps from one evaluation to the next.
@@ -50,6 +53,7 @@ impl Default for RunConfig {
     fn default() -> Self {
         Self {
             from: String::new(),
+            products: "widest".to_owned(),
             steps: 600_000,
             evaluate_every: 50_000,
             evaluate_episodes: 500,
