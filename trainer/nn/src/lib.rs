@@ -7,4 +7,5 @@ pub mod layers;
 pub mod optimise;
 pub mod random;
 pub mod schedule;
+pub mod tape;
 pub mod workers;

@@ -2,6 +2,7 @@
 
 use rand_core::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
+use sortie_envs::random::unit;
 
 /// The generator of every random choice of a trainer.
 pub type Generator = Xoshiro256PlusPlus;
@@ -30,13 +31,6 @@ pub fn normals(generator: &mut Generator, count: usize) -> Vec<f32> {
 #[inline]
 pub fn signed_unit(generator: &mut Generator) -> f32 {
     (2.0 * unit(generator) - 1.0) as f32
-}
-
-/// Uniform in 0..1 with 53 random bits.
-#[inline]
-fn unit(generator: &mut Generator) -> f64 {
-    const STEP: f64 = 1.0 / (1u64 << 53) as f64;
-    (generator.next_u64() >> 11) as f64 * STEP
 }
 
 #[cfg(test)]

@@ -32,6 +32,12 @@ impl VisibleLists {
         self.rows.clear();
     }
 
+    /// Becomes a copy of others, keeps the memory.
+    pub fn copy_from(&mut self, other: &Self) {
+        self.ends.clone_from(&other.ends);
+        self.rows.clone_from(&other.rows);
+    }
+
     /// Adds a row to the list that the next [`end_list`](Self::end_list) closes.
     #[inline]
     pub fn push(&mut self, row: usize) {
@@ -64,7 +70,7 @@ impl VisibleLists {
 
     /// Where a query's pairs begin, and its rows.
     #[inline]
-    pub(super) fn span(&self, query: usize) -> (usize, &[u32]) {
+    pub(crate) fn span(&self, query: usize) -> (usize, &[u32]) {
         let (start, end) = (self.ends[query] as usize, self.ends[query + 1] as usize);
         (start, &self.rows[start..end])
     }

@@ -47,6 +47,7 @@ pub struct GruPass {
     of_memory: Vec<f32>,
     d_input_gates: Vec<f32>,
     d_memory_gates: Vec<f32>,
+    d_memory: Vec<f32>,
 }
 
 impl GruPass {
@@ -109,7 +110,9 @@ impl GruPass {
         let row = slots * width;
         self.d_input_gates.resize(3 * input.len(), 0.0);
         self.d_memory_gates.resize(3 * input.len(), 0.0);
-        let mut d_memory = vec![0.0; row];
+        let mut d_memory = std::mem::take(&mut self.d_memory);
+        d_memory.clear();
+        d_memory.resize(row, 0.0);
         for step in (0..d_output.len() / row.max(1)).rev() {
             for slot in 0..slots {
                 let index = step * slots + slot;
@@ -136,6 +139,7 @@ impl GruPass {
             let d_gates = &self.d_memory_gates[3 * step * row..3 * (step + 1) * row];
             linear::backward_input(shape.gates(), d_gates, weight_hh, Store::Add, &mut d_memory);
         }
+        self.d_memory = d_memory;
         let mut rest = gradient;
         let [d_weight_ih, d_weight_hh, d_bias_ih, d_bias_hh] =
             lengths(width).map(|length| rest.split_off_mut(..length).expect("all tensors"));

@@ -7,14 +7,18 @@
 
 pub mod absorbed_attention;
 pub mod attention;
+pub mod elementwise;
 pub mod gru;
 pub mod linear;
+pub mod losses;
 pub mod matrix;
+pub mod normalise;
 pub mod products;
 pub mod relu;
 pub mod softmax;
 pub mod sparse_linear;
 pub mod team_attention;
+pub mod unfold;
 pub mod vectors;
 pub mod wide;
 

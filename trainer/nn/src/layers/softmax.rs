@@ -1,4 +1,4 @@
-//! Softmax of one row of numbers, in place.
+//! Softmax of one row of numbers, and its logarithm, in place.
 
 /// Replaces scores by positive weights that sum to 1. An empty row stays empty.
 #[inline]
@@ -18,6 +18,22 @@ pub fn backward(weights: &[f32], gradient: &mut [f32]) {
     let sum: f32 = weights.iter().zip(gradient.iter()).map(|(p, d)| p * d).sum();
     for (p, d) in weights.iter().zip(gradient) {
         *d = p * (*d - sum);
+    }
+}
+
+/// Replaces scores by the logarithms of their softmax.
+pub fn log_forward(row: &mut [f32]) {
+    let max = row.iter().fold(f32::NEG_INFINITY, |max, score| max.max(*score));
+    let sum: f32 = row.iter().map(|score| (score - max).exp()).sum();
+    let level = max + sum.ln();
+    row.iter_mut().for_each(|score| *score -= level);
+}
+
+/// Turns the gradient of the logarithms into that of the scores: `d - p sum(d)`.
+pub fn log_backward(logarithms: &[f32], gradient: &mut [f32]) {
+    let sum: f32 = gradient.iter().sum();
+    for (logarithm, d) in logarithms.iter().zip(gradient) {
+        *d -= logarithm.exp() * sum;
     }
 }
 

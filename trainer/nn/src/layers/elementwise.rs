@@ -1,0 +1,154 @@
+//! What happens to every number by itself: activations, sums and products.
+//!
+//! Backward passes take the output of the forward pass; [`Store`] says whether they replace or add.
+
+use sortie_core::math;
+
+use super::matrix::Store;
+use super::vectors;
+use super::wide::{Work, run_widest};
+
+/// A function of one number whose slope follows from its value.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Activation {
+    /// `max(0, x)`
+    Relu,
+    /// `x` where it is positive, else so many times `x`.
+    LeakyRelu(f32),
+    /// The hyperbolic tangent.
+    Tanh,
+    /// `1 / (1 + exp(-x))`
+    Sigmoid,
+}
+
+/// Writes the activation of every number.
+pub fn activate(activation: Activation, x: &[f32], y: &mut [f32]) {
+    match activation {
+        Activation::Relu => map(x, y, |x| x.max(0.0)),
+        Activation::LeakyRelu(slope) => map(x, y, move |x| if x > 0.0 { x } else { slope * x }),
+        Activation::Tanh => map(x, y, math::tanh),
+        Activation::Sigmoid => map(x, y, math::sigmoid),
+    }
+}
+
+/// Takes the slopes by the outputs `y` to slopes by the inputs.
+pub fn activate_backward(
+    activation: Activation,
+    y: &[f32],
+    d_y: &[f32],
+    store: Store,
+    d_x: &mut [f32],
+) {
+    match activation {
+        Activation::Relu => join(y, d_y, store, d_x, |y, d| if y > 0.0 { d } else { 0.0 }),
+        Activation::LeakyRelu(slope) => {
+            join(y, d_y, store, d_x, move |y, d| if y > 0.0 { d } else { slope * d });
+        }
+        Activation::Tanh => join(y, d_y, store, d_x, |y, d| d * (1.0 - y * y)),
+        Activation::Sigmoid => join(y, d_y, store, d_x, |y, d| d * (y * (1.0 - y))),
+    }
+}
+
+/// Writes or adds `factor` times `x`.
+pub fn scale(factor: f32, x: &[f32], store: Store, y: &mut [f32]) {
+    match store {
+        Store::Replace => map(x, y, move |x| factor * x),
+        Store::Add => run_widest(AddScaled { factor, x, y }),
+    }
+}
+
+/// Writes or adds the products of pairs.
+pub fn multiply(a: &[f32], b: &[f32], store: Store, y: &mut [f32]) {
+    join(a, b, store, y, |a, b| a * b);
+}
+
+/// Writes the sums of pairs.
+pub fn add(a: &[f32], b: &[f32], y: &mut [f32]) {
+    join(a, b, Store::Replace, y, |a, b| a + b);
+}
+
+/// The dot product of two vectors.
+pub fn dot(a: &[f32], b: &[f32]) -> f32 {
+    run_widest(Dot { a, b })
+}
+
+fn map(x: &[f32], y: &mut [f32], function: impl Fn(f32) -> f32) {
+    run_widest(Map { x, y, function });
+}
+
+fn join(a: &[f32], b: &[f32], store: Store, y: &mut [f32], function: impl Fn(f32, f32) -> f32) {
+    run_widest(Join { a, b, store, y, function });
+}
+
+struct Map<'a, F> {
+    x: &'a [f32],
+    y: &'a mut [f32],
+    function: F,
+}
+
+impl<F: Fn(f32) -> f32> Work for Map<'_, F> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        for (y, x) in self.y.iter_mut().zip(self.x) {
+            *y = (self.function)(*x);
+        }
+    }
+}
+
+struct Join<'a, F> {
+    a: &'a [f32],
+    b: &'a [f32],
+    store: Store,
+    y: &'a mut [f32],
+    function: F,
+}
+
+impl<F: Fn(f32, f32) -> f32> Work for Join<'_, F> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let terms = self.a.iter().zip(self.b);
+        match self.store {
+            Store::Replace => {
+                self.y.iter_mut().zip(terms).for_each(|(y, (a, b))| *y = (self.function)(*a, *b));
+            }
+            Store::Add => {
+                self.y.iter_mut().zip(terms).for_each(|(y, (a, b))| *y += (self.function)(*a, *b));
+            }
+        }
+    }
+}
+
+struct AddScaled<'a> {
+    factor: f32,
+    x: &'a [f32],
+    y: &'a mut [f32],
+}
+
+impl Work for AddScaled<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        vectors::add_scaled(self.y, self.factor, self.x);
+    }
+}
+
+struct Dot<'a> {
+    a: &'a [f32],
+    b: &'a [f32],
+}
+
+impl Work for Dot<'_> {
+    type Output = f32;
+
+    #[inline(always)]
+    fn run(self) -> f32 {
+        let mut sum = [0.0];
+        vectors::dots(self.a, self.b, &mut sum);
+        sum[0]
+    }
+}

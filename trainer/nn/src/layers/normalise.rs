@@ -1,0 +1,130 @@
+//! Normalisation: of every row by itself within a network, and of the columns of a whole batch before it.
+
+use super::wide::{Work, run_widest};
+
+/// Added to a variance.
+const EPSILON: f32 = 1e-5;
+
+/// Writes every row `[columns]` of `x` with mean 0 and variance 1.
+pub fn rows(columns: usize, x: &[f32], y: &mut [f32]) {
+    run_widest(Rows { columns, x, y });
+}
+
+struct Rows<'a> {
+    columns: usize,
+    x: &'a [f32],
+    y: &'a mut [f32],
+}
+
+impl Work for Rows<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        for (x, y) in self.x.chunks_exact(self.columns).zip(self.y.chunks_exact_mut(self.columns)) {
+            let (mean, inverse) = moments(x);
+            y.iter_mut().zip(x).for_each(|(y, x)| *y = (x - mean) * inverse);
+        }
+    }
+}
+
+/// Mean and inverse deviation of the numbers of a row.
+#[inline(always)]
+fn moments(row: &[f32]) -> (f32, f32) {
+    let share = 1.0 / row.len() as f32;
+    let mean = share * row.iter().sum::<f32>();
+    let variance = share * row.iter().map(|x| (x - mean) * (x - mean)).sum::<f32>();
+    (mean, 1.0 / (variance + EPSILON).sqrt())
+}
+
+/// Turns slopes by normalised rows `y` into slopes by the rows `x` that they were computed from.
+pub fn rows_backward(columns: usize, x: &[f32], y: &[f32], slopes: &mut [f32]) {
+    run_widest(RowsBackward { columns, x, y, slopes });
+}
+
+struct RowsBackward<'a> {
+    columns: usize,
+    x: &'a [f32],
+    y: &'a [f32],
+    slopes: &'a mut [f32],
+}
+
+impl Work for RowsBackward<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let rows = self.x.chunks_exact(self.columns).zip(self.y.chunks_exact(self.columns));
+        for ((x, y), slopes) in rows.zip(self.slopes.chunks_exact_mut(self.columns)) {
+            let (_, inverse) = moments(x);
+            let share = 1.0 / x.len() as f32;
+            let mean = share * slopes.iter().sum::<f32>();
+            let along = share * slopes.iter().zip(y).map(|(d, y)| d * y).sum::<f32>();
+            slopes.iter_mut().zip(y).for_each(|(d, y)| *d = inverse * (*d - mean - y * along));
+        }
+    }
+}
+
+/// Writes every row times `factors` plus `offsets`.
+pub fn affine(factors: &[f32], offsets: &[f32], x: &[f32], y: &mut [f32]) {
+    let columns = factors.len();
+    for (x, y) in x.chunks_exact(columns).zip(y.chunks_exact_mut(columns)) {
+        for (((y, x), factor), offset) in y.iter_mut().zip(x).zip(factors).zip(offsets) {
+            *y = x * factor + offset;
+        }
+    }
+}
+
+/// Turns slopes by what [`affine`] wrote into those by its rows, and adds those of factors and offsets.
+pub fn affine_backward(
+    factors: &[f32],
+    x: &[f32],
+    slopes: &mut [f32],
+    d_factors: &mut [f32],
+    d_offsets: &mut [f32],
+) {
+    let columns = factors.len();
+    for (x, slopes) in x.chunks_exact(columns).zip(slopes.chunks_exact_mut(columns)) {
+        let own = d_factors.iter_mut().zip(&mut *d_offsets);
+        for (((d, x), factor), (d_factor, d_offset)) in
+            slopes.iter_mut().zip(x).zip(factors).zip(own)
+        {
+            *d_factor += *d * x;
+            *d_offset += *d;
+            *d *= factor;
+        }
+    }
+}
+
+/// Gives every column of a batch `[rows, columns]` mean 0 and variance 1, in place: batch normalisation of
+/// inputs. Its numbers depend on the data only, so it comes before the network and before any chunks.
+pub fn batch(columns: usize, rows: &mut [f32]) {
+    let share = 1.0 / (rows.len() / columns).max(1) as f64;
+    for column in 0..columns {
+        let numbers = || rows.iter().skip(column).step_by(columns).map(|x| f64::from(*x));
+        let mean = share * numbers().sum::<f64>();
+        let variance = share * numbers().map(|x| (x - mean) * (x - mean)).sum::<f64>();
+        let inverse = 1.0 / (variance + f64::from(EPSILON)).sqrt();
+        for x in rows.iter_mut().skip(column).step_by(columns) {
+            *x = ((f64::from(*x) - mean) * inverse) as f32;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::gradient_check::random;
+
+    #[test]
+    fn columns_of_a_batch_get_their_moments() {
+        let mut batch = random(1, 40 * 3);
+        batch.iter_mut().step_by(3).for_each(|x| *x = 5.0 + 2.0 * *x);
+        super::batch(3, &mut batch);
+        for column in 0..3 {
+            let numbers = || batch.iter().skip(column).step_by(3);
+            let mean = numbers().sum::<f32>() / 40.0;
+            let variance = numbers().map(|x| x * x).sum::<f32>() / 40.0;
+            assert!(mean.abs() < 1e-5 && (variance - 1.0).abs() < 1e-3, "{mean}, {variance}");
+        }
+    }
+}

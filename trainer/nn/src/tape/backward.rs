@@ -1,0 +1,401 @@
+//! The way back: from the slope of the loss to those of all parameters, step by step.
+
+use std::mem;
+use std::ops::Range;
+
+use super::operation::{Indices, Operation};
+use super::{Gru, Linear, Norm, Pass, Tape, Var};
+use crate::layers::attention::{self, AttentionShape, Backward};
+use crate::layers::gru::GruShape;
+use crate::layers::matrix::Store;
+use crate::layers::{elementwise, linear, losses, normalise, relu, softmax, sparse_linear, unfold};
+
+impl Pass<'_> {
+    /// Adds to `gradient`, which has a number for every parameter, that of a loss, a matrix of one number.
+    ///
+    /// To be called once a pass.
+    pub fn backward(&mut self, loss: Var, gradient: &mut [f32]) {
+        assert_eq!(self.size(loss), [1, 1], "a loss is one number");
+        let Some((range, _)) = self.tape.slopes_of(loss) else { return };
+        self.tape.slopes[range].fill(1.0);
+        for index in (0..=loss.0).rev() {
+            let node = self.tape.nodes[index as usize];
+            if node.has_slopes && node.needs_slopes {
+                self.tape.descend(node.operation, node.range(), self.parameters, gradient);
+            }
+        }
+    }
+}
+
+impl Tape {
+    /// Goes back through one step whose results and slopes stand at `own`.
+    fn descend(
+        &mut self,
+        operation: Operation,
+        own: Range<usize>,
+        parameters: &[f32],
+        gradient: &mut [f32],
+    ) {
+        match operation {
+            Operation::Given => {}
+            Operation::Linear { x, layer, rectified } => {
+                if rectified {
+                    relu::backward(&self.values[own.clone()], &mut self.slopes[own.clone()]);
+                }
+                self.descend_linear(x, layer, own, parameters, gradient);
+            }
+            Operation::SparseLinear { rows, layer } => {
+                let [weight, bias] = weight_and_bias(layer, gradient);
+                let rows = &self.sparse.things[rows as usize];
+                sparse_linear::backward(rows, &self.slopes[own], weight, bias);
+            }
+            Operation::Activate { x, activation } => self.from(x, own, |store, _, y, d_y, d_x| {
+                elementwise::activate_backward(activation, y, d_y, store, d_x);
+            }),
+            Operation::Softmax { x } => {
+                let columns = self.columns(x);
+                self.through(x, own, |_, y, d_x| {
+                    let rows = y.chunks_exact(columns).zip(d_x.chunks_exact_mut(columns));
+                    rows.for_each(|(y, d_x)| softmax::backward(y, d_x));
+                });
+            }
+            Operation::LogSoftmax { x } => {
+                let columns = self.columns(x);
+                self.through(x, own, |_, y, d_x| {
+                    let rows = y.chunks_exact(columns).zip(d_x.chunks_exact_mut(columns));
+                    rows.for_each(|(y, d_x)| softmax::log_backward(y, d_x));
+                });
+            }
+            Operation::Normalise { x } => {
+                let columns = self.columns(x);
+                self.through(x, own, |x, y, d_x| normalise::rows_backward(columns, x, y, d_x));
+            }
+            Operation::Affine { x, layer } => {
+                self.descend_affine(x, layer, own, parameters, gradient)
+            }
+            Operation::Attend { queries, keys_values, lists, weights, shape } => {
+                self.descend_attention([queries, keys_values], lists, weights as usize, shape, own);
+            }
+            Operation::Recur { x, pass, carry, slots, layer } => {
+                let places = [pass, carry, slots].map(|place| place as usize);
+                self.descend_gru(x, places, layer, own, parameters, gradient);
+            }
+            Operation::Unfold { x, shape } => {
+                self.added(x, (0, 0), own, |_, d_y, d_x| unfold::backward(shape, d_y, d_x));
+            }
+            Operation::Gather { x, indices } => {
+                let columns = self.columns(x);
+                self.added(x, indices, own, |rows, d_y, d_x| {
+                    for (row, d_y) in rows.iter().zip(d_y.chunks_exact(columns)) {
+                        let d_x = &mut d_x[*row as usize * columns..][..columns];
+                        elementwise::scale(1.0, d_y, Store::Add, d_x);
+                    }
+                });
+            }
+            Operation::Scatter { x, indices } => {
+                let columns = self.columns(x);
+                self.added(x, indices, own, |rows, d_y, d_x| {
+                    for (row, d_x) in rows.iter().zip(d_x.chunks_exact_mut(columns)) {
+                        let d_y = &d_y[*row as usize * columns..][..columns];
+                        elementwise::scale(1.0, d_y, Store::Add, d_x);
+                    }
+                });
+            }
+            Operation::Pick { x, indices } => {
+                let width = self.columns(x);
+                self.added(x, indices, own, |columns, d_y, d_x| {
+                    let rows = d_x.chunks_exact_mut(width).zip(d_y);
+                    for ((d_x, d_y), column) in rows.zip(columns) {
+                        d_x[*column as usize] += d_y;
+                    }
+                });
+            }
+            Operation::Columns { x, first } => {
+                let (rows, width) = (self.rows(x), self.columns(x));
+                self.added(x, (0, 0), own, |_, d_y, d_x| {
+                    let columns = d_y.len() / rows.max(1);
+                    let slopes = d_x.chunks_exact_mut(width).zip(d_y.chunks_exact(columns));
+                    for (d_x, d_y) in slopes {
+                        let d_x = &mut d_x[first as usize..][..columns];
+                        elementwise::scale(1.0, d_y, Store::Add, d_x);
+                    }
+                });
+            }
+            Operation::Concat { parts } => self.descend_concat(parts, own),
+            Operation::SumColumns { x } => {
+                let width = self.columns(x);
+                self.from(x, own, |store, _, _, d_y, d_x| {
+                    for (d_x, d_y) in d_x.chunks_exact_mut(width).zip(d_y) {
+                        match store {
+                            Store::Replace => d_x.fill(*d_y),
+                            Store::Add => d_x.iter_mut().for_each(|d_x| *d_x += d_y),
+                        }
+                    }
+                });
+            }
+            Operation::Scale { x, factor } => self.from(x, own, |store, _, _, d_y, d_x| {
+                elementwise::scale(factor, d_y, store, d_x);
+            }),
+            Operation::Add { a, b } => {
+                for x in [a, b] {
+                    self.from(x, own.clone(), |store, _, _, d_y, d_x| {
+                        elementwise::scale(1.0, d_y, store, d_x);
+                    });
+                }
+            }
+            Operation::Multiply { a, b } => {
+                for (x, other) in [(a, b), (b, a)] {
+                    let other = self.of(other).range();
+                    self.from(x, own.clone(), |store, values, _, d_y, d_x| {
+                        elementwise::multiply(&values[other], d_y, store, d_x);
+                    });
+                }
+            }
+            Operation::ScaleRows { x, by } => self.descend_scale_rows(x, by, own),
+            Operation::Dueling { value, advantages } => {
+                let columns = self.columns(advantages);
+                self.from(value, own.clone(), |store, _, _, d_y, d_x| {
+                    for (d_x, d_y) in d_x.iter_mut().zip(d_y.chunks_exact(columns)) {
+                        let sum = d_y.iter().sum::<f32>();
+                        *d_x = if store == Store::Add { *d_x + sum } else { sum };
+                    }
+                });
+                self.through(advantages, own, |_, _, d_x| {
+                    for d_x in d_x.chunks_exact_mut(columns) {
+                        let mean = d_x.iter().sum::<f32>() / columns as f32;
+                        d_x.iter_mut().for_each(|d_x| *d_x -= mean);
+                    }
+                });
+            }
+            Operation::SquaredError { x, target, factor } => {
+                self.descend_loss(x, target, own, |x, target, d_y| {
+                    losses::squared_error_slope(x - target, factor * d_y)
+                });
+            }
+            Operation::Huber { x, target, factor, bound } => {
+                self.descend_loss(x, target, own, |x, target, d_y| {
+                    losses::huber_slope(x - target, factor * d_y, bound)
+                });
+            }
+            Operation::Custom { x, number } => {
+                let range = self.of(x).range();
+                let mut scratch = mem::take(&mut self.scratch);
+                let d_x = sized(&mut scratch, range.len());
+                let (custom, d_y) = (&mut self.customs[number as usize], &self.slopes[own]);
+                custom.backward(parameters, &self.values[range], d_y, d_x, gradient);
+                self.keep(x, d_x);
+                self.scratch = scratch;
+            }
+        }
+    }
+
+    /// Has `write` store the slopes by `x`, from all values before the step, its results and its slopes.
+    fn from(
+        &mut self,
+        x: Var,
+        own: Range<usize>,
+        write: impl FnOnce(Store, &[f32], &[f32], &[f32], &mut [f32]),
+    ) {
+        let Some((range, store)) = self.slopes_of(x) else { return };
+        let (before, rest) = self.slopes.split_at_mut(own.start);
+        let (values, results) = self.values.split_at(own.start);
+        write(store, values, &results[..own.len()], &rest[..own.len()], &mut before[range]);
+    }
+
+    /// Has `turn` make slopes by `x` of those by the results, from input and results.
+    fn through(
+        &mut self,
+        x: Var,
+        own: Range<usize>,
+        turn: impl FnOnce(&[f32], &[f32], &mut [f32]),
+    ) {
+        let range = self.of(x).range();
+        let mut scratch = mem::take(&mut self.scratch);
+        let d_x = sized(&mut scratch, own.len());
+        d_x.copy_from_slice(&self.slopes[own.clone()]);
+        turn(&self.values[range], &self.values[own], d_x);
+        self.keep(x, d_x);
+        self.scratch = scratch;
+    }
+
+    /// Has `add` add to the slopes by `x`, from indices and the slopes by the results.
+    fn added(
+        &mut self,
+        x: Var,
+        indices: Indices,
+        own: Range<usize>,
+        add: impl FnOnce(&[u32], &[f32], &mut [f32]),
+    ) {
+        let Some((range, store)) = self.slopes_of(x) else { return };
+        let (before, rest) = self.slopes.split_at_mut(own.start);
+        let d_x = &mut before[range];
+        if store == Store::Replace {
+            d_x.fill(0.0);
+        }
+        add(&self.indices[indices.0 as usize..indices.1 as usize], &rest[..own.len()], d_x);
+    }
+
+    /// Stores slopes by `x` that were computed elsewhere.
+    fn keep(&mut self, x: Var, slopes: &[f32]) {
+        if let Some((range, store)) = self.slopes_of(x) {
+            elementwise::scale(1.0, slopes, store, &mut self.slopes[range]);
+        }
+    }
+
+    fn descend_linear(
+        &mut self,
+        x: Var,
+        layer: Linear,
+        own: Range<usize>,
+        parameters: &[f32],
+        gradient: &mut [f32],
+    ) {
+        let range = self.of(x).range();
+        let d_y = &self.slopes[own.clone()];
+        let d_weight = &mut gradient[layer.weight_range()];
+        linear::backward_weight(layer.shape, &self.values[range], d_y, d_weight);
+        if let Some(bias) = layer.bias_range() {
+            linear::backward_bias(d_y, &mut gradient[bias]);
+        }
+        self.from(x, own, |store, _, _, d_y, d_x| {
+            let weight = &parameters[layer.weight_range()];
+            linear::backward_input(layer.shape, d_y, weight, store, d_x);
+        });
+    }
+
+    fn descend_affine(
+        &mut self,
+        x: Var,
+        layer: Norm,
+        own: Range<usize>,
+        parameters: &[f32],
+        gradient: &mut [f32],
+    ) {
+        let places = layer.start..layer.start + 2 * layer.width;
+        let (d_factors, d_offsets) = gradient[places.clone()].split_at_mut(layer.width);
+        let factors = &parameters[places][..layer.width];
+        self.through(x, own, |x, _, slopes| {
+            normalise::affine_backward(factors, x, slopes, d_factors, d_offsets);
+        });
+    }
+
+    fn descend_attention(
+        &mut self,
+        [queries, keys_values]: [Var; 2],
+        lists: u32,
+        weights: usize,
+        shape: AttentionShape,
+        own: Range<usize>,
+    ) {
+        let visible = &self.lists.things[lists as usize];
+        let ranges = [queries, keys_values].map(|var| self.of(var).range());
+        let [q, kv] = ranges.clone().map(|range| &self.values[range]);
+        let longest = (0..visible.queries()).map(|query| visible.span(query).1.len()).max();
+        let numbers = [q.len(), kv.len(), longest.unwrap_or(0) * shape.heads];
+        let mut scratch = mem::take(&mut self.scratch);
+        let space = sized(&mut scratch, numbers.iter().sum());
+        let (d_queries, space) = space.split_at_mut(numbers[0]);
+        let (d_keys_values, d_scores) = space.split_at_mut(numbers[1]);
+        let pass = Backward {
+            queries: q,
+            keys_values: kv,
+            weights: &self.values[weights..][..visible.pairs() * shape.heads],
+            d_output: &self.slopes[own],
+            d_scores,
+            d_queries: &mut *d_queries,
+            d_keys_values: &mut *d_keys_values,
+        };
+        attention::backward(shape, visible, pass);
+        self.keep(keys_values, d_keys_values);
+        self.keep(queries, d_queries);
+        self.scratch = scratch;
+    }
+
+    fn descend_gru(
+        &mut self,
+        x: Var,
+        [pass, carry, slots]: [usize; 3],
+        layer: Gru,
+        own: Range<usize>,
+        parameters: &[f32],
+        gradient: &mut [f32],
+    ) {
+        let range = self.of(x).range();
+        let mut scratch = mem::take(&mut self.scratch);
+        let d_x = sized(&mut scratch, range.len());
+        let shape = GruShape { width: layer.width, slots };
+        self.grus.things[pass].backward(
+            shape,
+            &parameters[layer.range()],
+            (&self.values[range.clone()], &self.carry[carry..][..range.len() / layer.width]),
+            (&self.slopes[own], &mut *d_x),
+            &mut gradient[layer.range()],
+        );
+        self.keep(x, d_x);
+        self.scratch = scratch;
+    }
+
+    fn descend_concat(&mut self, parts: Indices, own: Range<usize>) {
+        let mut first = 0;
+        for part in parts.0..parts.1 {
+            let part = Var(self.indices[part as usize]);
+            let (rows, columns) = (self.rows(part), self.columns(part));
+            self.from(part, own.clone(), |store, _, _, d_y, d_x| {
+                let width = d_y.len() / rows.max(1);
+                for (d_x, d_y) in d_x.chunks_exact_mut(columns).zip(d_y.chunks_exact(width)) {
+                    elementwise::scale(1.0, &d_y[first..first + columns], store, d_x);
+                }
+            });
+            first += columns;
+        }
+    }
+
+    fn descend_scale_rows(&mut self, x: Var, by: Var, own: Range<usize>) {
+        let columns = self.columns(x);
+        let (rows, factors) = (self.of(x).range(), self.of(by).range());
+        self.from(x, own.clone(), |store, values, _, d_y, d_x| {
+            let slopes = d_x.chunks_exact_mut(columns).zip(d_y.chunks_exact(columns));
+            for ((d_x, d_y), by) in slopes.zip(&values[factors]) {
+                elementwise::scale(*by, d_y, store, d_x);
+            }
+        });
+        self.from(by, own, |store, values, _, d_y, d_by| {
+            let rows = values[rows].chunks_exact(columns).zip(d_y.chunks_exact(columns));
+            for (d_by, (x, d_y)) in d_by.iter_mut().zip(rows) {
+                let slope = elementwise::dot(x, d_y);
+                *d_by = if store == Store::Add { *d_by + slope } else { slope };
+            }
+        });
+    }
+
+    fn descend_loss(
+        &mut self,
+        x: Var,
+        target: Var,
+        own: Range<usize>,
+        slope: impl Fn(f32, f32, f32) -> f32,
+    ) {
+        let (inputs, targets) = (self.of(x).range(), self.of(target).range());
+        self.from(x, own, |store, values, _, d_y, d_x| {
+            let pairs = values[inputs].iter().zip(&values[targets]);
+            for (d_x, (x, target)) in d_x.iter_mut().zip(pairs) {
+                let slope = slope(*x, *target, d_y[0]);
+                *d_x = if store == Store::Add { *d_x + slope } else { slope };
+            }
+        });
+    }
+}
+
+/// The gradients of weight and bias of a layer that has both.
+fn weight_and_bias(layer: Linear, gradient: &mut [f32]) -> [&mut [f32]; 2] {
+    let bias = layer.bias_range().expect("sparse layers have offsets");
+    gradient.get_disjoint_mut([layer.weight_range(), bias]).expect("tensors beside each other")
+}
+
+/// The first so many numbers of a buffer that only grows.
+fn sized(buffer: &mut Vec<f32>, numbers: usize) -> &mut [f32] {
+    if buffer.len() < numbers {
+        buffer.resize(numbers, 0.0);
+    }
+    &mut buffer[..numbers]
+}

@@ -1,0 +1,269 @@
+//! Networks written down by running them: a tape records what is computed and goes back through it.
+//!
+//! Everything is computed by the functions of [`layers`](crate::layers), a matrix at a time. Values and slopes of
+//! all steps lie in an arena that keeps its memory, so that a steady stream of passes allocates nothing but what
+//! the products' kernels pack and give back at once.
+//!
+//! A network, its loss and an update, in chunks of [`ROWS`](chunks::ROWS) rows whose gradients are added in their
+//! order, so that any number of threads gives the same bits:
+//!
+//! ```
+//! # use sortie_nn::{optimise::Adam, random::stream, tape::{Chunks, Parameters}};
+//! # let (rows, threads) = (300, 2);
+//! # let (seen, actions, targets) = (vec![0.5; rows * 6], vec![1; rows], vec![0.25; rows]);
+//! let mut parameters = Parameters::default();
+//! let mut random = stream(1, 1, 0);
+//! let (hidden, head) = (parameters.linear("hidden", 6, 32, &mut random), parameters.linear("head", 32, 4, &mut random));
+//! let mut adam = Adam::new(parameters.values.len(), 1e-5);
+//! let mut gradient = vec![0.0; parameters.values.len()];
+//! let loss = Chunks::default().gradient(threads, &parameters.values, rows, &mut gradient, |tape, range| {
+//!     let x = tape.input(6, &seen[range.start * 6..range.end * 6]);
+//!     let x = tape.linear_rectified(x, hidden);
+//!     let utilities = tape.linear(x, head);
+//!     let chosen = tape.pick(utilities, &actions[range.clone()]);
+//!     tape.squared_error(chosen, &targets[range], 1.0 / rows as f32)
+//! });
+//! adam.step(&mut [&mut parameters.values], &gradient, 1e-3);
+//! # assert!(loss > 0.0 && gradient.iter().any(|slope| *slope != 0.0));
+//! ```
+
+mod backward;
+pub mod chunks;
+mod operation;
+mod parameters;
+mod steps;
+
+use std::fmt;
+use std::ops::Range;
+
+pub use chunks::Chunks;
+pub use parameters::{Gru, Linear, Norm, Parameters, Tensor};
+
+use crate::layers::gru::GruPass;
+use crate::layers::matrix::Store;
+use crate::layers::{SparseRows, VisibleLists};
+use operation::Operation;
+
+/// A matrix that a pass has computed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Var(u32);
+
+/// A pass that is written by hand and is one step of a tape.
+///
+/// It may keep what its backward pass needs. A tape that has it calls it once a pass.
+pub trait Custom: Send {
+    /// Writes the output `y` from the input `x`.
+    fn forward(&mut self, parameters: &[f32], x: &[f32], y: &mut [f32]);
+
+    /// Adds to `gradient` that of all parameters, and writes the slopes `d_x` by the input, from the slopes `d_y`
+    /// by the output of the last forward pass.
+    fn backward(
+        &mut self,
+        parameters: &[f32],
+        x: &[f32],
+        d_y: &[f32],
+        d_x: &mut [f32],
+        gradient: &mut [f32],
+    );
+}
+
+/// What was computed, in its order, and the memory for it. One for every lane of a trainer.
+#[derive(Default)]
+pub struct Tape {
+    nodes: Vec<Node>,
+    values: Vec<f32>,
+    slopes: Vec<f32>,
+    used: usize,
+    indices: Vec<u32>,
+    lists: Pool<VisibleLists>,
+    sparse: Pool<SparseRows>,
+    grus: Pool<GruPass>,
+    carry: Vec<bool>,
+    scratch: Vec<f32>,
+    customs: Vec<Box<dyn Custom>>,
+}
+
+impl fmt::Debug for Tape {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Tape({} steps, {} numbers)", self.nodes.len(), self.used)
+    }
+}
+
+/// Things that are used one after the other and keep their memory.
+#[derive(Default)]
+struct Pool<T> {
+    things: Vec<T>,
+    used: usize,
+}
+
+impl<T: Default> Pool<T> {
+    fn next(&mut self) -> (u32, &mut T) {
+        if self.used == self.things.len() {
+            self.things.push(T::default());
+        }
+        self.used += 1;
+        (self.used as u32 - 1, &mut self.things[self.used - 1])
+    }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Node {
+    operation: Operation,
+    rows: u32,
+    columns: u32,
+    /// Where its numbers begin.
+    at: u32,
+    /// The node whose memory it shares; itself if it has its own.
+    base: u32,
+    /// Whether a loss can depend on parameters, or on leaves, through it.
+    needs_slopes: bool,
+    /// Whether its slopes have been written.
+    has_slopes: bool,
+}
+
+impl Node {
+    fn range(&self) -> Range<usize> {
+        let at = self.at as usize;
+        at..at + (self.rows * self.columns) as usize
+    }
+}
+
+impl Tape {
+    /// Adds a pass that is written by hand, for [`Pass::custom`] under the number that this returns.
+    pub fn add_custom(&mut self, custom: Box<dyn Custom>) -> usize {
+        self.customs.push(custom);
+        self.customs.len() - 1
+    }
+
+    /// Begins a pass of a network with these parameters; the pass before is forgotten.
+    pub fn begin<'a>(&'a mut self, parameters: &'a [f32]) -> Pass<'a> {
+        self.nodes.clear();
+        self.indices.clear();
+        self.carry.clear();
+        self.used = 0;
+        (self.lists.used, self.sparse.used, self.grus.used) = (0, 0, 0);
+        Pass { tape: self, parameters }
+    }
+
+    /// Makes room for a result behind all others.
+    fn push(
+        &mut self,
+        operation: Operation,
+        rows: usize,
+        columns: usize,
+        needs_slopes: bool,
+    ) -> Var {
+        let at = self.reserve(rows * columns);
+        self.node(operation, [rows, columns], at, None, needs_slopes)
+    }
+
+    /// Numbers of the arena that nothing else uses in this pass.
+    fn reserve(&mut self, numbers: usize) -> usize {
+        let at = self.used;
+        self.used += numbers;
+        if self.values.len() < self.used {
+            self.values.resize(self.used, 0.0);
+            self.slopes.resize(self.used, 0.0);
+        }
+        at
+    }
+
+    fn node(
+        &mut self,
+        operation: Operation,
+        [rows, columns]: [usize; 2],
+        at: usize,
+        base: Option<u32>,
+        needs_slopes: bool,
+    ) -> Var {
+        let index = self.nodes.len() as u32;
+        self.nodes.push(Node {
+            operation,
+            rows: rows as u32,
+            columns: columns as u32,
+            at: at as u32,
+            base: base.unwrap_or(index),
+            needs_slopes,
+            has_slopes: false,
+        });
+        Var(index)
+    }
+
+    fn of(&self, var: Var) -> Node {
+        self.nodes[var.0 as usize]
+    }
+
+    fn rows(&self, var: Var) -> usize {
+        self.of(var).rows as usize
+    }
+
+    fn columns(&self, var: Var) -> usize {
+        self.of(var).columns as usize
+    }
+
+    fn needs(&self, var: Var) -> bool {
+        self.of(var).needs_slopes
+    }
+
+    /// All values before those of a node, and its own.
+    fn split(&mut self, var: Var) -> (&[f32], &mut [f32]) {
+        let range = self.of(var).range();
+        let (before, rest) = self.values.split_at_mut(range.start);
+        (before, &mut rest[..range.len()])
+    }
+
+    /// Where the slopes by an input are to go and how, if anybody needs them.
+    fn slopes_of(&mut self, var: Var) -> Option<(Range<usize>, Store)> {
+        let node = self.of(var);
+        let base = &mut self.nodes[node.base as usize];
+        if !base.needs_slopes {
+            return None;
+        }
+        let (range, whole) = (node.range(), base.range());
+        let store = if base.has_slopes {
+            Store::Add
+        } else if range == whole {
+            Store::Replace
+        } else {
+            self.slopes[whole].fill(0.0);
+            Store::Add
+        };
+        base.has_slopes = true;
+        Some((range, store))
+    }
+
+    fn store_indices(&mut self, indices: impl IntoIterator<Item = u32>) -> (u32, u32) {
+        let start = self.indices.len() as u32;
+        self.indices.extend(indices);
+        (start, self.indices.len() as u32)
+    }
+}
+
+/// One pass through a network.
+#[derive(Debug)]
+pub struct Pass<'a> {
+    tape: &'a mut Tape,
+    parameters: &'a [f32],
+}
+
+impl Pass<'_> {
+    /// The numbers of a matrix, row by row.
+    pub fn values(&self, var: Var) -> &[f32] {
+        &self.tape.values[self.tape.of(var).range()]
+    }
+
+    /// The slopes of the loss by a [`leaf`](Self::leaf), after [`backward`](Self::backward); zeros are not written
+    /// where the loss does not depend on it: `None`.
+    pub fn slopes(&self, var: Var) -> Option<&[f32]> {
+        let node = self.tape.of(var);
+        node.has_slopes.then(|| &self.tape.slopes[node.range()])
+    }
+
+    /// Rows and columns of a matrix.
+    pub fn size(&self, var: Var) -> [usize; 2] {
+        [self.tape.rows(var), self.tape.columns(var)]
+    }
+}
+
+#[cfg(test)]
+mod tests;

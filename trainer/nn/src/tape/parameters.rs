@@ -1,0 +1,169 @@
+//! Parameters of networks: named tensors in one vector.
+
+use std::ops::Range;
+
+use crate::layers::gru;
+use crate::layers::linear::LinearShape;
+use crate::layers::unfold::UnfoldShape;
+use crate::random::{Generator, signed_unit};
+
+/// One tensor of a vector of parameters.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Tensor {
+    /// Its name in files.
+    pub name: String,
+    /// Its sizes.
+    pub shape: Vec<usize>,
+    /// Its place.
+    pub range: Range<usize>,
+}
+
+/// The parameters of a network. Optimisers and averages work on the vector, passes on layers.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Parameters {
+    /// All numbers, tensor behind tensor.
+    pub values: Vec<f32>,
+    tensors: Vec<Tensor>,
+}
+
+/// Where the parameters of a linear layer begin.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Linear {
+    /// Its sizes.
+    pub shape: LinearShape,
+    /// `[output, input]`; of a sparse layer `[input, output]`.
+    pub weight: usize,
+    /// `[output]`, if it has any.
+    pub bias: Option<usize>,
+}
+
+/// Where the parameters of a recurrent unit begin, which are those of [`gru::lengths`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Gru {
+    /// Width of input and memory.
+    pub width: usize,
+    /// The first of them.
+    pub start: usize,
+}
+
+/// Where factors and offsets of columns begin, one behind the other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Norm {
+    /// Columns.
+    pub width: usize,
+    /// The first factor.
+    pub start: usize,
+}
+
+impl Parameters {
+    /// All tensors in their order.
+    pub fn tensors(&self) -> &[Tensor] {
+        &self.tensors
+    }
+
+    /// Adds a tensor of numbers uniform in `-bound..bound`.
+    pub fn tensor(
+        &mut self,
+        name: &str,
+        shape: &[usize],
+        bound: f32,
+        random: &mut Generator,
+    ) -> usize {
+        self.add(name, shape, || bound * signed_unit(random))
+    }
+
+    fn add(&mut self, name: &str, shape: &[usize], number: impl FnMut() -> f32) -> usize {
+        let start = self.values.len();
+        let range = start..start + shape.iter().product::<usize>();
+        self.values.extend(std::iter::repeat_with(number).take(range.len()));
+        self.tensors.push(Tensor { name: name.to_owned(), shape: shape.to_vec(), range });
+        start
+    }
+
+    /// Adds a linear layer, drawn as PyTorch does: uniform in `±1/sqrt(inputs)`.
+    pub fn linear(
+        &mut self,
+        name: &str,
+        input: usize,
+        output: usize,
+        random: &mut Generator,
+    ) -> Linear {
+        let bound = 1.0 / (input as f32).sqrt();
+        let weight = self.tensor(&format!("{name}.weight"), &[output, input], bound, random);
+        let bias = Some(self.tensor(&format!("{name}.bias"), &[output], bound, random));
+        Linear { shape: LinearShape { input, output }, weight, bias }
+    }
+
+    /// Adds a first layer for features that are mostly zeros: so many count as not.
+    pub fn sparse_linear(
+        &mut self,
+        name: &str,
+        [input, output]: [usize; 2],
+        active: f32,
+        random: &mut Generator,
+    ) -> Linear {
+        let bound = 1.0 / active.sqrt();
+        let weight = self.tensor(&format!("{name}.weight"), &[input, output], bound, random);
+        let bias = Some(self.tensor(&format!("{name}.bias"), &[output], bound, random));
+        Linear { shape: LinearShape { input, output }, weight, bias }
+    }
+
+    /// Adds a linear layer without offsets.
+    pub fn projection(
+        &mut self,
+        name: &str,
+        input: usize,
+        output: usize,
+        random: &mut Generator,
+    ) -> Linear {
+        let bound = 1.0 / (input as f32).sqrt();
+        let weight = self.tensor(&format!("{name}.weight"), &[output, input], bound, random);
+        Linear { shape: LinearShape { input, output }, weight, bias: None }
+    }
+
+    /// Adds a convolution over pictures; its kernels lie as the patches do.
+    pub fn convolution(
+        &mut self,
+        name: &str,
+        shape: UnfoldShape,
+        output: usize,
+        random: &mut Generator,
+    ) -> Linear {
+        self.linear(name, shape.patch(), output, random)
+    }
+
+    /// Adds a recurrent unit, drawn as PyTorch does.
+    pub fn gru(&mut self, name: &str, width: usize, random: &mut Generator) -> Gru {
+        let (start, bound) = (self.values.len(), 1.0 / (width as f32).sqrt());
+        let names = ["weight_ih", "weight_hh", "bias_ih", "bias_hh"];
+        for (tensor, length) in names.into_iter().zip(gru::lengths(width)) {
+            let shape = [3 * width, length / (3 * width)];
+            let shape = if shape[1] == 1 { &shape[..1] } else { &shape[..] };
+            self.tensor(&format!("{name}.{tensor}"), shape, bound, random);
+        }
+        Gru { width, start }
+    }
+
+    /// Adds factors of 1 and offsets of 0 for layer normalisation.
+    pub fn norm(&mut self, name: &str, width: usize) -> Norm {
+        let start = self.add(&format!("{name}.weight"), &[width], || 1.0);
+        self.add(&format!("{name}.bias"), &[width], || 0.0);
+        Norm { width, start }
+    }
+}
+
+impl Linear {
+    pub(super) fn weight_range(self) -> Range<usize> {
+        self.weight..self.weight + self.shape.input * self.shape.output
+    }
+
+    pub(super) fn bias_range(self) -> Option<Range<usize>> {
+        self.bias.map(|bias| bias..bias + self.shape.output)
+    }
+}
+
+impl Gru {
+    pub(super) fn range(self) -> Range<usize> {
+        self.start..self.start + gru::lengths(self.width).iter().sum::<usize>()
+    }
+}

@@ -1,0 +1,221 @@
+use super::*;
+use crate::gradient_check::{assert_gradient, random};
+use crate::layers::unfold::UnfoldShape;
+use crate::random::stream;
+
+/// A loss of every number that `network` computes from a leaf, and its slopes by leaf and parameters.
+fn descend(
+    parameters: &[f32],
+    (columns, x): (usize, &[f32]),
+    network: &impl Fn(&mut Pass<'_>, Var) -> Var,
+) -> (f64, Vec<f32>, Vec<f32>) {
+    let mut tape = Tape::default();
+    tape.customs.push(Box::new(Doubled));
+    let mut pass = tape.begin(parameters);
+    let leaf = pass.leaf(columns, x);
+    let y = network(&mut pass, leaf);
+    let numbers = pass.values(y).len();
+    let weights = pass.input(numbers, &random(77, numbers));
+    let y = pass.reshape(y, numbers);
+    let y = pass.multiply(y, weights);
+    let values = pass.values(y).iter().map(|y| f64::from(*y)).sum();
+    let loss = pass.sum_columns(y);
+    let mut gradient = vec![0.0; parameters.len()];
+    pass.backward(loss, &mut gradient);
+    (values, pass.slopes(leaf).map_or(Vec::new(), <[f32]>::to_vec), gradient)
+}
+
+fn check(
+    name: &str,
+    parameters: &Parameters,
+    (rows, columns): (usize, usize),
+    network: impl Fn(&mut Pass<'_>, Var) -> Var,
+) {
+    let x = random(5, rows * columns);
+    let values = &parameters.values;
+    let (_, slopes, gradient) = descend(values, (columns, &x), &network);
+    if !slopes.is_empty() {
+        assert_gradient(name, &x, &slopes, |x| descend(values, (columns, x), &network).0);
+    }
+    if !values.is_empty() {
+        let loss = |values: &[f32]| descend(values, (columns, &x), &network).0;
+        assert_gradient(&format!("parameters of {name}"), values, &gradient, loss);
+    }
+}
+
+/// Twice the input.
+struct Doubled;
+
+impl Custom for Doubled {
+    fn forward(&mut self, _: &[f32], x: &[f32], y: &mut [f32]) {
+        y.iter_mut().zip(x).for_each(|(y, x)| *y = 2.0 * x);
+    }
+
+    fn backward(&mut self, _: &[f32], _: &[f32], d_y: &[f32], d_x: &mut [f32], _: &mut [f32]) {
+        d_x.iter_mut().zip(d_y).for_each(|(d_x, d_y)| *d_x = 2.0 * d_y);
+    }
+}
+
+#[test]
+fn gradients_of_steps_without_parameters_agree_with_finite_differences() {
+    let none = Parameters::default();
+    let check = |name: &str, network: fn(&mut Pass<'_>, Var) -> Var| {
+        check(name, &none, (6, 4), network);
+    };
+    check("relu", |t, x| t.relu(x));
+    check("leaky relu", |t, x| t.leaky_relu(x, 0.1));
+    check("tanh", |t, x| t.tanh(x));
+    check("sigmoid", |t, x| t.sigmoid(x));
+    check("softmax", |t, x| t.softmax(x));
+    check("log-softmax", |t, x| t.log_softmax(x));
+    check("gather", |t, x| t.gather(x, &[3, 0, 3, 5]));
+    check("scatter", |t, x| t.scatter(x, &[2, 0, 2, 2, 1, 0], 3));
+    check("pick", |t, x| t.pick(x, &[0, 3, 1, 1, 2, 0]));
+    check("columns", |t, x| t.columns(x, 1..3));
+    check("rows", |t, x| t.rows(x, 2..5));
+    check("reshape", |t, x| t.reshape(x, 8));
+    check("sums of groups", |t, x| t.sum_groups(x, 3));
+    check("means of groups", |t, x| t.mean_groups(x, 2));
+    check("sum of rows", |t, x| t.sum_rows(x));
+    check("mean of rows", |t, x| t.mean_rows(x));
+    check("sums of columns", |t, x| t.sum_columns(x));
+    check("means of columns", |t, x| t.mean_columns(x));
+    check("scale", |t, x| t.scale(x, -1.5));
+    check("custom", |t, x| t.custom(0, x, [6, 4]));
+    check("concat", |t, x| {
+        let (first, squares) = (t.columns(x, 0..1), t.multiply(x, x));
+        t.concat(&[first, x, squares])
+    });
+    check("add", |t, x| {
+        let other = t.tanh(x);
+        t.add(x, other)
+    });
+    check("rows times numbers", |t, x| {
+        let by = t.sum_columns(x);
+        t.scale_rows(x, by)
+    });
+    check("dueling", |t, x| {
+        let (value, advantages) = (t.columns(x, 0..1), t.columns(x, 1..4));
+        t.dueling(value, advantages)
+    });
+    check("squared error", |t, x| t.squared_error(x, &random(6, 24), 0.5));
+    check("huber", |t, x| t.huber(x, &random(6, 24), 2.0, 0.3));
+    check("unfold", |t, x| {
+        let shape = UnfoldShape { height: 3, width: 2, channels: 2, kernel: 2, stride: 1 };
+        let pictures = t.reshape(x, 12);
+        t.unfold(pictures, shape)
+    });
+}
+
+#[test]
+fn gradients_of_layers_agree_with_finite_differences() {
+    let drawn = &mut stream(3, 1, 0);
+    let mut p = Parameters::default();
+    let layer = p.linear("layer", 4, 5, drawn);
+    check("linear", &p, (6, 4), |t, x| t.linear(x, layer));
+    check("rectified", &p, (6, 4), |t, x| t.linear_rectified(x, layer));
+
+    let mut p = Parameters::default();
+    let layer = p.projection("projection", 4, 5, drawn);
+    check("projection", &p, (6, 4), |t, x| t.linear(x, layer));
+
+    let mut p = Parameters::default();
+    let layer = p.norm("norm", 4);
+    p.values.iter_mut().zip(random(9, 8)).for_each(|(value, random)| *value += 0.3 * random);
+    check("layer normalisation", &p, (6, 4), |t, x| t.layer_norm(x, layer));
+
+    let mut p = Parameters::default();
+    let layer = p.sparse_linear("sparse", [4, 5], 2.0, drawn);
+    let mut rows = SparseRows::default();
+    [[1.0, 0.0, 0.0, 2.0], [0.0, 0.5, 0.0, 0.0]].iter().for_each(|row| rows.push_dense(row));
+    check("sparse", &p, (1, 1), |t, _| t.sparse_linear(&rows, layer));
+
+    let mut p = Parameters::default();
+    let layer = p.gru("gru", 4, drawn);
+    let carry = [true, true, false, true, true, true];
+    check("gru", &p, (6, 4), |t, x| t.gru(x, layer, &carry, &mut random(8, 8)));
+
+    let mut p = Parameters::default();
+    let shape = UnfoldShape { height: 4, width: 3, channels: 2, kernel: 2, stride: 1 };
+    let layer = p.convolution("convolution", shape, 3, drawn);
+    check("convolution", &p, (2, 24), |t, x| t.convolution(x, shape, layer));
+}
+
+/// Two lists for the same keys and values, as imagined passes have them.
+#[test]
+fn attention_goes_over_shared_keys_and_values() {
+    let lists = |seen: [&[usize]; 3]| {
+        let mut lists = VisibleLists::default();
+        for seen in seen {
+            seen.iter().for_each(|row| lists.push(*row));
+            lists.end_list();
+        }
+        lists
+    };
+    let (own, others) = (lists([&[0, 1], &[1, 2, 3], &[]]), lists([&[2, 3], &[0], &[0, 1, 2, 3]]));
+    let drawn = &mut stream(3, 1, 0);
+    let mut p = Parameters::default();
+    let (queries, keys_values) =
+        (p.projection("queries", 8, 8, drawn), p.projection("keys_values", 8, 16, drawn));
+    check("attention", &p, (4, 8), |t, x| {
+        let acting = t.rows(x, 0..3);
+        let (queries, keys_values) = (t.linear(acting, queries), t.linear(x, keys_values));
+        let own = t.attention(queries, keys_values, &own, 2);
+        let others = t.attention(queries, keys_values, &others, 2);
+        t.concat(&[own, others])
+    });
+}
+
+#[test]
+fn what_is_detached_gets_no_slopes() {
+    let x = random(5, 8);
+    let (_, slopes, _) = descend(&[], (4, &x), &|t: &mut Pass<'_>, x| {
+        let fixed = t.detach(x);
+        t.multiply(x, fixed)
+    });
+    let want: Vec<f32> = random(77, 8).iter().zip(&x).map(|(weight, x)| weight * x).collect();
+    assert_eq!(slopes, want);
+    assert!(descend(&[], (4, &x), &|t: &mut Pass<'_>, x| t.detach(x)).1.is_empty());
+}
+
+#[test]
+fn any_number_of_threads_gives_the_same_gradient() {
+    let drawn = &mut stream(3, 1, 0);
+    let mut p = Parameters::default();
+    let (hidden, head) = (p.linear("hidden", 6, 16, drawn), p.linear("head", 16, 3, drawn));
+    let rows = 3 * chunks::ROWS + 7;
+    let (x, targets) = (random(1, 6 * rows), random(2, 3 * rows));
+    let gradient = |threads: usize| {
+        let mut gradient = vec![0.0; p.values.len()];
+        let mut chunks = Chunks::default();
+        let loss = chunks.gradient(threads, &p.values, rows, &mut gradient, |t, range| {
+            let x = t.input(6, &x[range.start * 6..range.end * 6]);
+            let x = t.linear_rectified(x, hidden);
+            let y = t.linear(x, head);
+            t.squared_error(y, &targets[range.start * 3..range.end * 3], 1.0 / rows as f32)
+        });
+        (loss, gradient)
+    };
+    let one = gradient(1);
+    assert!(one.0 > 0.0);
+    assert_eq!(one, gradient(2));
+    assert_eq!(one, gradient(4));
+}
+
+#[test]
+fn tensors_have_names_shapes_and_places() {
+    let mut p = Parameters::default();
+    p.linear("fc", 3, 2, &mut stream(3, 1, 0));
+    p.gru("memory", 2, &mut stream(3, 1, 0));
+    let tensors: Vec<_> =
+        p.tensors().iter().map(|t| (&*t.name, &*t.shape, t.range.clone())).collect();
+    assert_eq!(
+        tensors[..3],
+        [
+            ("fc.weight", &[2, 3][..], 0..6),
+            ("fc.bias", &[2], 6..8),
+            ("memory.weight_ih", &[6, 2], 8..20),
+        ]
+    );
+    assert_eq!(p.values.len(), 8 + 24 + 12);
+}
