@@ -127,6 +127,7 @@ impl World for Rounds {
 /// What the world reports.
 #[derive(Default)]
 struct Watch {
+    actions: Vec<Vec<u16>>,
     answered: Vec<u64>,
     degraded: Vec<bool>,
     ended: Vec<(u32, u32)>,
@@ -134,6 +135,7 @@ struct Watch {
 
 impl WorldObserver for Watch {
     fn tick(&mut self, report: &TickReport<'_>) {
+        self.actions.push(report.actions.to_vec());
         self.answered.push(report.answered);
         self.degraded.push(report.degraded);
     }
@@ -371,6 +373,16 @@ fn messages_that_nobody_should_send_are_counted() {
     stage.table.now_ns += PERIOD;
     while stage.poll() == Ok(Poll::Again) {}
     assert_eq!(stage.counts()[0], 6);
+}
+
+#[test]
+fn the_first_answer_of_an_agent_counts() {
+    let mut stage = Stage::acting(|_| ());
+    let second = |answer| ActionMsg { action: 1, ..answer };
+    let (first, other) = (stage.answer(1), stage.answer(0));
+    stage.table.actions.extend([first, second(first), second(other), other]);
+    stage.poll().unwrap();
+    assert_eq!(stage.watch.actions, [[1, 0]]);
 }
 
 #[test]

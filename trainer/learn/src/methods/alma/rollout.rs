@@ -265,7 +265,12 @@ mod tests {
     }
 
     /// Steps with greedy, untrained agents; an allocator decides from step `decides` on.
-    fn play(rollout: &mut Rollout, steps: usize, decides: usize, segments: &mut Segments) -> u64 {
+    fn play(
+        rollout: &mut Rollout,
+        steps: usize,
+        decides: usize,
+        segments: &mut Segments,
+    ) -> EpisodeCounts {
         let network =
             |shape| UtilityNetwork::initialise(shape, 8.0, &mut generator(1, Purpose::Weights, 0));
         let config = config(1);
@@ -281,7 +286,7 @@ mod tests {
             };
             rollout.step(behaviour, memory, &mut counts).unwrap();
         }
-        counts.decisions
+        counts
     }
 
     fn rollout(config: &Config) -> Rollout {
@@ -291,7 +296,7 @@ mod tests {
     #[test]
     fn segments_join_decisions_of_one_episode() {
         let mut segments = Segments::new(10_000);
-        let decisions = play(&mut rollout(&config(200)), 600, 300, &mut segments);
+        let decisions = play(&mut rollout(&config(200)), 600, 300, &mut segments).decisions;
         assert!(segments.len() > 300 && segments.len() as u64 <= decisions);
         assert!(segments.fits(10_000));
         let (mut ends, mut full) = (0, 0);
@@ -315,10 +320,49 @@ mod tests {
         let mut segments = Segments::new(100);
         play(&mut rollout, 4, 9, &mut segments);
         let before = segments.len() as u64;
-        let decisions = play(&mut rollout, 1, 9, &mut segments);
+        let decisions = play(&mut rollout, 1, 9, &mut segments).decisions;
         assert_eq!(segments.len() as u64, before + decisions, "only decisions end segments");
-        assert_eq!(play(&mut rollout, 1, 9, &mut segments), 3);
+        assert_eq!(play(&mut rollout, 1, 9, &mut segments).decisions, 3);
         assert_eq!(segments.len() as u64, before + decisions, "a new episode joins nothing");
+    }
+
+    #[test]
+    fn episodes_are_counted_with_what_they_earned() {
+        // The same episodes, which end in one of them.
+        let (mut short, mut long) = (rollout(&config(30)), rollout(&config(200)));
+        let counts = play(&mut short, 30, 99, &mut Segments::new(100));
+        assert_eq!(play(&mut long, 30, 99, &mut Segments::new(100)).episodes, 0);
+        let earned: f64 =
+            (0..long.instances()).map(|index| long.city.metrics(index).episode_return).sum();
+        assert_eq!((counts.episodes, counts.timed_out, counts.solved), (3, 3, 0));
+        assert!(earned != 0.0 && (counts.return_sum - earned).abs() < 1e-9, "{counts:?}");
+    }
+
+    #[test]
+    fn a_snapshot_goes_on_as_its_rollout() {
+        let config = config(200);
+        let (mut first, mut second) = (rollout(&config), rollout(&config));
+        play(&mut first, 7, 0, &mut Segments::new(100));
+        let snapshot = first.snapshot();
+        assert_eq!(snapshot.len(), 3);
+        second.restore(snapshot.clone()).unwrap();
+        let after = [&mut first, &mut second].map(|rollout| {
+            play(rollout, 7, 0, &mut Segments::new(100));
+            rollout.snapshot()
+        });
+        assert_eq!(after[0], after[1]);
+        assert_ne!(after[0], snapshot);
+
+        let wrongs: [fn(&mut Vec<InstanceSnapshot>); 3] = [
+            |snapshot| snapshot.truncate(2),
+            |snapshot| snapshot[1].instance.decisions.allocation.push(0),
+            |snapshot| snapshot[1].instance.last_actions.push(0),
+        ];
+        for wrong in wrongs {
+            let mut snapshot = snapshot.clone();
+            wrong(&mut snapshot);
+            assert!(second.restore(snapshot).is_err());
+        }
     }
 
     /// Agents that like an action the more the higher its number is.
