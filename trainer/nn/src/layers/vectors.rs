@@ -1,7 +1,7 @@
 //! The inner loops of the layers: sums of products, in a fixed order.
 //!
 //! All are inlined into their callers, which are built a second time for AVX2 (see
-//! [`sortie_core::kernels::wide`]). Without fused multiply-add both builds give the same bits.
+//! `wide.rs`). Without fused multiply-add both builds give the same bits.
 
 /// Adds `factor` times `values` to `out`.
 #[inline(always)]
