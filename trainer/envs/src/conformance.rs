@@ -7,7 +7,7 @@ use alloc::vec::Vec;
 
 use crate::environment::{Environment, Split, Step};
 use crate::observation::{EntitySet, Observation};
-use crate::random::{Random, below, generator};
+use crate::random::{Random, generator, member};
 use crate::spec::Spec;
 
 /// Plays episodes of random actions and checks the laws of [`Environment`] in every state.
@@ -192,10 +192,7 @@ impl Laws {
     }
 
     fn random_actions(&self, random: &mut Random) -> Vec<u16> {
-        let choose = |available: &u64| {
-            let chosen = below(random, available.count_ones() as usize);
-            crate::observation::members((*available).into()).nth(chosen).unwrap_or(0) as u16
-        };
+        let choose = |set: &u64| member(random, (*set).into()).unwrap_or(0) as u16;
         self.seen.available.iter().map(choose).collect()
     }
 }

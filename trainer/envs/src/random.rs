@@ -3,6 +3,8 @@
 use rand_core::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
+use crate::observation::{EntitySet, members};
+
 /// The generator that all random choices come from.
 pub type Random = Xoshiro256PlusPlus;
 
@@ -22,6 +24,12 @@ pub fn below(rng: &mut Xoshiro256PlusPlus, bound: usize) -> usize {
 pub fn unit(rng: &mut Xoshiro256PlusPlus) -> f64 {
     const STEP: f64 = 1.0 / (1u64 << 53) as f64;
     (rng.next_u64() >> 11) as f64 * STEP
+}
+
+/// A uniform choice among the members of a set of bits; `None` where it is empty.
+pub fn member(rng: &mut Random, set: EntitySet) -> Option<usize> {
+    let chosen = below(rng, set.count_ones() as usize);
+    members(set).nth(chosen)
 }
 
 /// True with the given probability.

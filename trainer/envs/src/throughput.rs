@@ -3,8 +3,8 @@
 use alloc::vec::Vec;
 
 use crate::environment::Environment;
-use crate::observation::{EntitySet, Observation, members};
-use crate::random::{Random, below};
+use crate::observation::{EntitySet, Observation};
+use crate::random::{Random, member};
 
 /// Observes and steps every instance `rounds` times with random actions; returns the team return of
 /// all episodes that ended.
@@ -25,10 +25,8 @@ pub fn observe_and_step(
             environment.save(instance, &mut state);
             environment.observe(&state, 0, EntitySet::MAX, &mut seen);
             actions.clear();
-            actions.extend(seen.available.iter().map(|available| {
-                let chosen = below(random, available.count_ones() as usize);
-                members((*available).into()).nth(chosen).unwrap_or(0) as u16
-            }));
+            let available = seen.available.iter();
+            actions.extend(available.map(|set| member(random, (*set).into()).unwrap_or(0) as u16));
             let step = environment
                 .step(instance, &actions, random)
                 .expect("the actions were drawn from the available ones");

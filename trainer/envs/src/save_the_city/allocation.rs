@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::coordinated::coordinated_allocation;
 use super::heuristic::heuristic_allocation;
 use super::state::{City, UNASSIGNED};
-use crate::random::below;
+use crate::random::member;
 
 /// A rule that assigns agents to buildings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -38,14 +38,8 @@ pub fn random_allocation(city: City<'_>, rng: &mut Xoshiro256PlusPlus, allocatio
     let open = city.open_tasks();
     allocation.fill(UNASSIGNED);
     for (task, _) in allocation.iter_mut().zip(city.agents) {
-        let chosen = below(rng, open.count_ones() as usize);
-        *task = set_bits(open).nth(chosen).unwrap_or(UNASSIGNED);
+        *task = member(rng, open.into()).map_or(UNASSIGNED, |task| task as u8);
     }
-}
-
-/// The positions of the set bits, lowest first.
-fn set_bits(bits: u32) -> impl Iterator<Item = u8> {
-    (0..32).filter(move |&bit| bits >> bit & 1 == 1)
 }
 
 /// When agents are allocated anew: in the first state of an episode, then after a number of steps or

@@ -16,6 +16,7 @@ pub mod golden;
 mod grid;
 mod heuristic;
 mod metrics;
+mod potential;
 mod relation;
 mod reset;
 mod rules;
@@ -36,6 +37,7 @@ pub use features::{
 };
 pub use heuristic::heuristic_allocation;
 pub use metrics::EpisodeMetrics;
+pub use potential::potential;
 pub use relation::{RELATIONS, agent_relation, building_relation, write_relation};
 pub use rules::{
     ACTION_NAMES, ACTIONS, Bounce, Constants, FREEZE, availability_code, availability_codes,

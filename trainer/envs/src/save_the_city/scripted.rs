@@ -6,7 +6,7 @@ use super::allocation::{AllocationRule, DecisionPoints};
 use super::grid::{FreeCells, cell, neighbours};
 use super::rules::{BUILD, FIGHT, FREEZE, STAY, displacement};
 use super::state::{AgentKind, AgentState, BuildingState, City, MAX_AGENTS, SIDE, UNASSIGNED};
-use crate::random::below;
+use crate::random::{below, member};
 
 /// Steps from a cell to the goal; [`FAR`] where there is no way.
 type Distances = [u8; CELLS];
@@ -168,11 +168,7 @@ fn destination(agent: &AgentState, action: u16) -> Option<(u8, u8)> {
 /// Writes an available action of every agent, drawn uniformly.
 pub fn random_actions(city: City<'_>, rng: &mut Xoshiro256PlusPlus, actions: &mut [u16]) {
     for (agent, action) in city.agents.iter().zip(actions) {
-        let mut rest = agent.available;
-        for _ in 0..below(rng, rest.count_ones() as usize) {
-            rest &= rest - 1;
-        }
-        *action = rest.trailing_zeros() as u16;
+        *action = member(rng, agent.available.into()).map_or(STAY, |action| action as u16);
     }
 }
 

@@ -8,6 +8,7 @@ use super::allocation::AllocationRule;
 use super::bytes::{CityBytes, write_state};
 use super::features::{agent_features, building_features};
 use super::metrics::EpisodeMetrics;
+use super::potential::potential;
 use super::relation::{agent_relation, building_relation};
 use super::rules::FIGHT;
 use super::scenarios::{SET_NAMES, ScenarioSet};
@@ -209,19 +210,7 @@ impl Environment for SaveTheCity {
     }
 
     fn potential(&self, state: &[u8], scale: f32, team: AgentSet, task: Option<usize>) -> f32 {
-        let state = known(state);
-        let at = |agent: &AgentState, task: usize| {
-            let cells = agent.distance_to(&state.building(task)).saturating_sub(1);
-            -scale * f32::from(cells)
-        };
-        let nearest = |agent: &AgentState| {
-            let open = (0..state.buildings()).filter(|task| state.is_open(*task));
-            open.map(|task| at(agent, task)).reduce(f32::max).unwrap_or(0.0)
-        };
-        members(team.into())
-            .map(|agent| state.agent(agent))
-            .map(|agent| task.map_or_else(|| nearest(&agent), |task| at(&agent, task)))
-            .sum()
+        with_city(state, |city| potential(scale, city, members(team.into()), task))
     }
 
     fn relate(

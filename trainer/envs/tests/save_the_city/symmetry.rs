@@ -1,11 +1,11 @@
 //! The rules look the same from every side of the square.
 
-use sortie_envs::Environment;
 use sortie_envs::random::generator;
 use sortie_envs::save_the_city::{
     AgentState, BuildingState, City, SaveTheCity, Symmetry, coordinated_allocation,
     heuristic_allocation, random_actions,
 };
+use sortie_envs::{EntitySet, Environment, Observation};
 
 use super::environment;
 
@@ -39,6 +39,9 @@ fn turned_cities_step_to_turned_cities() {
             city.reset(0, &mut generator(seed));
             let (agents, buildings) = turned(city.city(0), symmetry);
             mirror.restore(0, &agents, &buildings, 0).unwrap();
+            let (mut state, mut direct, mut rebuilt) =
+                (Vec::new(), Observation::default(), Observation::default());
+            let turn = Symmetry::ALL.iter().position(|known| *known == symmetry).unwrap();
             let mut step = 0;
             while !city.is_done(0) {
                 let (agents, buildings) = turned(city.city(0), symmetry);
@@ -46,6 +49,13 @@ fn turned_cities_step_to_turned_cities() {
                 assert_eq!(seen.agents, agents, "seed {seed}, {symmetry:?}, step {step}");
                 assert_eq!(seen.buildings, buildings, "seed {seed}, {symmetry:?}, step {step}");
                 assert_eq!(allocations(seen), allocations(city.city(0)), "seed {seed}");
+                state.clear();
+                mirror.save(0, &mut state);
+                mirror.observe(&state, 0, EntitySet::MAX, &mut direct);
+                state.clear();
+                city.save(0, &mut state);
+                city.observe(&state, turn, EntitySet::MAX, &mut rebuilt);
+                assert_eq!(rebuilt, direct, "seed {seed}, {symmetry:?}, step {step}");
                 step_both(&mut city, &mut mirror, symmetry, seed * 1000 + step);
                 step += 1;
             }

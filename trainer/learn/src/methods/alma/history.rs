@@ -10,10 +10,9 @@
 use std::collections::VecDeque;
 
 use serde::{Deserialize, Serialize};
-use sortie_envs::save_the_city::{AgentState, BuildingState, City};
+use sortie_envs::save_the_city::{AgentState, BuildingState, City, potential};
 
 use super::conditioning::Conditioning;
-use super::potential::potential;
 use super::replay::{AgentStep, BuildingStep, Record, Replay};
 
 /// How rewards of several steps become one target.

@@ -18,7 +18,6 @@ mod mixer;
 mod naive;
 mod network_policy;
 mod operations;
-mod potential;
 mod replay;
 mod rollout;
 mod saved;
@@ -37,7 +36,6 @@ pub use learner::{Knowledge, Learner, Loss, Networks, Parameters, Pick, Samples}
 pub use mixed_network::MixedNetwork;
 pub use mixer::{Mixer, MixerKind, MixerPass, MixerShape, MixerTensor, Teams};
 pub use network_policy::NetworkPolicy;
-pub(crate) use potential::potential;
 pub use replay::{AgentStep, BuildingStep, Record, RecordLayout, Replay, Sample};
 pub use rollout::{Behaviour, InstanceSnapshot, Memory, Rollout};
 pub(crate) use team_batch::random_action;

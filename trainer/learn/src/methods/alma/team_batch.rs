@@ -3,7 +3,7 @@
 //! The subtask mask of ALMA lets an agent see its own team and its own building only (dissertation
 //! section 7.3). Without the mask an agent sees the whole city.
 
-use sortie_envs::random::below;
+use sortie_envs::random::member;
 use sortie_envs::save_the_city::{
     ACTIONS, AgentState, BuildingState, City, FEATURES, UNASSIGNED, agent_features,
     building_features,
@@ -208,8 +208,7 @@ pub fn best_action(utilities: &[f32], available: u16) -> u8 {
 
 /// A uniform choice among the available actions, with bits as in [`best_action`].
 pub(crate) fn random_action(available: u16, generator: &mut Generator) -> u8 {
-    let chosen = below(generator, available.count_ones() as usize);
-    (0..16).filter(|action| available >> action & 1 == 1).nth(chosen).unwrap_or(0)
+    member(generator, available.into()).map_or(0, |action| action as u8)
 }
 
 #[cfg(test)]

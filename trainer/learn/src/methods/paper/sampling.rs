@@ -7,13 +7,12 @@
 
 use sortie_envs::random::below;
 use sortie_envs::save_the_city::{
-    ACTIONS, FEATURES, UNASSIGNED, agent_features, building_features,
+    ACTIONS, FEATURES, UNASSIGNED, agent_features, building_features, potential,
 };
 use sortie_nn::random::Generator;
 
 use super::replay::{Episode, Replay};
 use super::windows::{NO_ACTION, NO_TASK, WindowShape, Windows};
-use crate::methods::alma::potential;
 
 /// Sizes of a batch, and what is added to its rewards.
 #[derive(Clone, Copy, Debug, PartialEq)]

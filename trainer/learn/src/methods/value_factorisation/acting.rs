@@ -1,7 +1,7 @@
 //! Agents that act: greedy, or with chance.
 
-use sortie_envs::random::{below, chance};
-use sortie_envs::{EntitySet, Observation, Random, members};
+use sortie_envs::random::{chance, member};
+use sortie_envs::{EntitySet, Observation, Random};
 
 use super::agent::AgentPass;
 use super::scenes::Scenes;
@@ -45,8 +45,7 @@ impl Acting {
             let end = actions.len() + self.slots;
             for (utilities, available) in agents.by_ref().take(*size) {
                 let action = if chance(random, probability.into()) {
-                    let chosen = below(random, available.count_ones() as usize);
-                    members((*available).into()).nth(chosen).unwrap_or(0)
+                    member(random, (*available).into()).unwrap_or(0)
                 } else {
                     best(utilities, *available)
                 };

@@ -3,12 +3,12 @@
 //! Shaping with `discount^m * phi(s') - phi(s)` leaves the best policy as it is (Ng, Harada and Russell
 //! 1999). It is no part of the dissertation.
 
-use sortie_envs::save_the_city::{AgentState, BuildingState, City};
+use super::state::{AgentState, BuildingState, City};
 
 /// Potential of a state for a team at a task; without one an agent counts by its nearest open building.
 ///
 /// `cell` is the potential of one cell between an agent and its building.
-pub(crate) fn potential(
+pub fn potential(
     cell: f32,
     city: City<'_>,
     team: impl Iterator<Item = usize>,
