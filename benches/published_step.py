@@ -60,8 +60,10 @@ def attend_all(w, of, x, allowed, queries, heads):
     return F.linear(attended, w[of + "attention.out.weight"], w[of + "attention.out.bias"])
 
 
-def utilities(w, attended):
-    """The agents' utilities from what their attention gives."""
+def utilities(w, attended, own):
+    """The agents' utilities from what their attention gives, and their own embeddings where those skip it."""
+    if "agents.skip.weight" in w:
+        attended = attended + F.linear(own, w["agents.skip.weight"])
     base = F.relu(F.linear(F.relu(attended), w["agents.fc2.weight"], w["agents.fc2.bias"]))
     return F.linear(base, w["agents.head.weight"], w["agents.head.bias"])
 
@@ -125,7 +127,8 @@ class PaddedLow:
 
     def utilities(self, w, scene):
         x = F.relu(F.linear(scene.x, w["agents.fc1.weight"], w["agents.fc1.bias"]))
-        return utilities(w, attend_all(w, "agents.", x, scene.seen, self.agents, self.heads))
+        attended = attend_all(w, "agents.", x, scene.seen, self.agents, self.heads)
+        return utilities(w, attended, x[:, : self.agents])
 
     def hypernetwork(self, w, name, scene):
         x = F.relu(F.linear(scene.x, w[name + ".fc1.weight"], w[name + ".fc1.bias"]))
@@ -226,7 +229,7 @@ class LeanLow:
         x = F.relu(F.linear(packed.x, w["agents.fc1.weight"], w["agents.fc1.bias"]))
         attended = packed.attend(w, "agents.", x, packed.seen, self.heads)
         attended = F.linear(attended, w["agents.attention.out.weight"], w["agents.attention.out.bias"])
-        return utilities(w, attended)
+        return utilities(w, attended, x[packed.own_rows])
 
     def mix(self, w, packed, chosen):
         """Values of all teams before the head. Means are taken before the projections that follow them."""

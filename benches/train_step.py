@@ -58,7 +58,7 @@ class Padded:
         scores = (q @ kv[0].transpose(-1, -2)) * q.shape[-1] ** -0.5
         weights = scores.masked_fill(~self.visible, -torch.inf).softmax(-1)
         attended = (weights @ kv[1]).transpose(1, 2).reshape(n, entities - 1, -1)
-        return head(w, attended)
+        return head(w, attended, embedding[:, :-1])
 
     def sum(self, values):
         return (values * self.present).sum(1)
@@ -91,7 +91,7 @@ class Packed:
         k, v = kv.view(self.agents, self.lists.shape[1], 2, heads, -1).permute(2, 0, 3, 1, 4)
         scores = (q @ k.transpose(-1, -2))[:, :, 0] * q.shape[-1] ** -0.5
         weights = scores.masked_fill(~self.visible, -torch.inf).softmax(-1)
-        return head(w, (weights[:, :, None] @ v).reshape(self.agents, -1))
+        return head(w, (weights[:, :, None] @ v).reshape(self.agents, -1), embedding[: self.agents])
 
     def sum(self, values):
         return torch.zeros(self.records).index_add(0, self.record, values)
@@ -100,8 +100,11 @@ class Packed:
 FORMULATIONS = {"padded": Padded, "packed": Packed}
 
 
-def head(w, attended):
-    looked = F.relu(F.linear(attended, w["attention.out.weight"], w["attention.out.bias"]))
+def head(w, attended, own):
+    looked = F.linear(attended, w["attention.out.weight"], w["attention.out.bias"])
+    if "skip.weight" in w:
+        looked = looked + F.linear(own, w["skip.weight"])
+    looked = F.relu(looked)
     base = F.relu(F.linear(looked, w["fc2.weight"], w["fc2.bias"]))
     return F.linear(base, w["head.weight"], w["head.bias"])
 

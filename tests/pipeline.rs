@@ -80,6 +80,38 @@ fn a_run_becomes_a_bundle_that_a_team_plays_with() {
     assert_eq!(played["episodes"], 2);
 }
 
+#[test]
+fn a_run_with_a_skip_becomes_a_bundle_that_answers_as_it_does() {
+    let place = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| place.path().join(name).display().to_string();
+    let (run, bundle) = (path("run"), path("bundle"));
+    let mut arguments = vec!["train", "alma", "--out", &run, "--steps", "2000", "-q"];
+    arguments.extend(SMALL);
+    arguments.extend(["--set", "network.skip=true", "--set", "allocator.network.skip=true"]);
+    assert!(output(&arguments).status.success());
+    let exported = ["export", &run, "--out", &bundle, "--episodes", "20", "-q"];
+    assert!(output(&exported).status.success());
+
+    // Golden observations and allocations hold what the trainer's own passes answered.
+    let verified = json(&["verify", &bundle, "--against", "tract,golden", "--json"]);
+    let engines = verified["engines"].as_array().expect("engines");
+    assert!(engines.iter().all(|engine| engine["action_mismatches"] == 0), "{verified}");
+    let trained = json(&["eval", &run, "--episodes", "50", "--json"]);
+    let deployed = json(&["eval", &bundle, "--episodes", "50", "--json"]);
+    assert_eq!(trained["return_mean"], deployed["return_mean"]);
+
+    let card = fs::read_to_string(format!("{bundle}/card.md")).expect("the card");
+    assert!(
+        card.contains("skips the attention in the networks of the agents and of the allocator")
+    );
+    let configuration = json(&["inspect", &run, "--json"])["configuration"].clone();
+    assert_eq!(configuration["network"]["skip"], true);
+    for plan in ["agent.plan", "allocator.plan"] {
+        let facts = json(&["inspect", &format!("{bundle}/{plan}"), "--json"]);
+        assert!(facts.to_string().contains(", skip, relu"), "{facts}");
+    }
+}
+
 /// The allocator of a run and of its bundle are the same to any agents, and differ from rules.
 fn allocators_are_swapped(run: &str, bundle: &str) {
     let play = |subject: &str, more: &[&str]| {

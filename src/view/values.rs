@@ -122,7 +122,8 @@ mod tests {
         let mut buildings = city.buildings.to_vec();
         buildings[1].status = Status::Complete;
         let city = City { agents: city.agents, buildings: &buildings };
-        let shape = UtilityShape { input: COLUMNS, width: 16, heads: 2, base: 8, actions: 1 };
+        let shape =
+            UtilityShape { input: COLUMNS, width: 16, heads: 2, base: 8, actions: 1, skip: false };
         let mut weights = generator(1, Purpose::Weights, 0);
         let network = UtilityNetwork::initialise(shape, 8.0, &mut weights);
         let mut allocation = vec![0; city.agents.len()];

@@ -21,7 +21,7 @@ const BATCHES: usize = 8;
 impl Tensors {
     /// All weights in PyTorch's layout.
     fn network(&mut self, of: &str, network: &UtilityNetwork) {
-        let UtilityShape { input, width, base, actions, .. } = network.shape();
+        let UtilityShape { input, width, base, actions, skip, .. } = network.shape();
         let w = network.weights();
         for (name, shape, values) in [
             ("fc1.weight", &[width, input][..], &w.fc1_weight),
@@ -35,6 +35,9 @@ impl Tensors {
             ("head.bias", &[actions], &w.head_bias),
         ] {
             self.floats(format!("{of}.{name}"), shape, values);
+        }
+        if skip {
+            self.floats(format!("{of}.skip.weight"), &[width, width], &w.skip_weight);
         }
     }
 

@@ -45,8 +45,9 @@ pub(super) struct Learning {
 
 impl Learning {
     /// Acts for a while by initial networks, exploring as a run does, under rules that allocate.
-    pub(super) fn new(seed: u64) -> Result<Self, Failure> {
+    pub(super) fn new(assignments: &[String], seed: u64) -> Result<Self, Failure> {
         let mut config = Config::default();
+        assignments.iter().try_for_each(|assignment| config.set(assignment))?;
         // As much as is filled: the capacity of a whole run would only take memory.
         config.replay.capacity = 500_000;
         let mut learning = Self {

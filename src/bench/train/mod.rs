@@ -39,6 +39,9 @@ pub(super) struct TrainArguments {
     /// Python with torch; default: that of $VIRTUAL_ENV, else `python3`
     #[arg(long, value_name = "PATH")]
     python: Option<PathBuf>,
+    /// Replace one value of the preset's configuration; may be given several times
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    assignments: Vec<String>,
     #[command(flatten)]
     pub(super) measuring: Measuring,
 }
@@ -87,7 +90,7 @@ fn measure_fast(arguments: &TrainArguments) -> Result<Figures, Failure> {
     let Measuring { common, seconds, .. } = arguments.measuring;
     let python = find(arguments.python.as_deref(), common.quiet)?;
     pin(arguments.measuring.pin)?;
-    let mut learning = Learning::new(common.seed)?;
+    let mut learning = Learning::new(&arguments.assignments, common.seed)?;
     let start = |python: PathBuf| Torch::start(&python, &mut learning, common.quiet);
     let mut torch = python.map(start).transpose()?;
     let mut cases: Vec<Case> = Work::ALL.into_iter().map(|work| learning.case(work)).collect();

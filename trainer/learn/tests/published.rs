@@ -167,7 +167,12 @@ fn every_way_to_allocate_and_to_be_conditioned_learns() {
 fn agents_with_a_memory_are_saved_resumed_and_measured() {
     let folder = tempfile::tempdir().unwrap();
     let mut config = config();
-    for assignment in ["low_level.recurrent=true", "allocation.by=heuristic", "run.steps=500"] {
+    for assignment in [
+        "low_level.recurrent=true",
+        "low_level.skip=true",
+        "allocation.by=heuristic",
+        "run.steps=500",
+    ] {
         config.set(assignment).unwrap();
     }
     let mut trainer = Trainer::new(config.clone(), 5, 1, folder.path()).unwrap();

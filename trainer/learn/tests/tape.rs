@@ -94,7 +94,7 @@ fn on_tape(
 #[test]
 fn the_utility_network_has_equal_bits() {
     for (width, heads) in [(64, 4), (32, 4), (12, 3)] {
-        let shape = UtilityShape { input: 30, width, heads, base: 48, actions: 7 };
+        let shape = UtilityShape { input: 30, width, heads, base: 48, actions: 7, skip: false };
         let network =
             UtilityNetwork::initialise(shape, 3.0, &mut generator(1, Purpose::Weights, 0));
         let (input, slopes) = (input(shape.input), random(2, AGENTS * shape.actions));

@@ -130,6 +130,7 @@ fn every_way_to_learn_resumes_exactly() {
         &["mixer.kind=qmix", "network.subtask=input", "mixer.width=16"][..],
         &["mixer.kind=linear", "mixer.width=16"],
         &["network.subtask=none", "replay.warm_up=200"],
+        &["network.skip=true", "allocator.network.skip=true"],
     ] {
         let config = with(&[assignments, &["run.steps=1600"]].concat());
         let state = |folder: &Path| {
@@ -267,4 +268,13 @@ fn a_run_can_begin_with_what_another_learned() {
     let third = tempfile::tempdir().unwrap();
     let error = Trainer::new(config, 4, 1, third.path()).unwrap_err();
     assert!(error.to_string().contains("another shape"), "{error}");
+
+    for (key, of) in [("network.skip", "shape"), ("allocator.network.skip", "allocator")] {
+        let mut config = self::config();
+        config.run.from = first.path().display().to_string();
+        config.set(&format!("{key}=true")).unwrap();
+        let fourth = tempfile::tempdir().unwrap();
+        let error = Trainer::new(config, 4, 1, fourth.path()).unwrap_err().to_string();
+        assert!(error.ends_with(&format!("{of}: `--set {key}=false`")), "{error}");
+    }
 }

@@ -191,7 +191,7 @@ impl Tensors {
     }
 
     fn low_level(&mut self, of: &str, networks: &LowLevelNetworks) {
-        let UtilityShape { input, width, base, actions, .. } = networks.agents.shape();
+        let UtilityShape { input, width, base, actions, skip, .. } = networks.agents.shape();
         let w = networks.agents.weights();
         self.layers(
             &format!("{of}.agents"),
@@ -207,6 +207,10 @@ impl Tensors {
                 ("head.bias", &[actions], &w.head_bias),
             ],
         );
+        if skip {
+            let name = format!("{of}.agents.skip.weight");
+            self.floats(name, &[width, width], &w.skip_weight);
+        }
         self.mixer(of, &networks.mixer);
     }
 

@@ -40,8 +40,9 @@ pub(super) struct Levels {
 
 impl Levels {
     /// Plays by initial networks under rules that allocate, cuts a batch, and learns from it a little.
-    pub(super) fn new(seed: u64) -> Result<Self, Failure> {
-        let config = Config::default();
+    pub(super) fn new(assignments: &[String], seed: u64) -> Result<Self, Failure> {
+        let mut config = Config::default();
+        assignments.iter().try_for_each(|assignment| config.set(assignment))?;
         let set = ScenarioSet::named(&config.environment.set).map_err(Failure::bug)?;
         let sizes = config.sizes(&set);
         let mut weights = generator(seed, Purpose::Weights, 0);

@@ -52,7 +52,7 @@ pub(super) fn measure(arguments: &TrainArguments) -> Result<Figures, Failure> {
     let Measuring { common, seconds, .. } = arguments.measuring;
     let python = find(arguments.python.as_deref(), common.quiet)?;
     pin(arguments.measuring.pin)?;
-    let mut levels = Levels::new(common.seed)?;
+    let mut levels = Levels::new(&arguments.assignments, common.seed)?;
     let start = |python: PathBuf| Torch::start(&python, &mut levels, common.quiet);
     let (mut torch, found) = match python.map(start).transpose()? {
         Some((torch, found)) => (Some(torch), found),

@@ -22,6 +22,9 @@ use crate::run::KEYS;
 pub(crate) trait Kept: Default + Serialize + DeserializeOwned {
     /// All its keys.
     const SECTIONS: &'static [Section];
+
+    /// Gives the file of a run what it learned by before that was a key.
+    fn settle_older(_run: &mut Table) {}
 }
 
 /// Reads a configuration; what is missing keeps its default.
@@ -29,8 +32,8 @@ pub(crate) trait Kept: Default + Serialize + DeserializeOwned {
 /// A run's `train.toml` will do: its lines about the run itself are passed over.
 pub(crate) fn from_toml<C: Kept>(text: &str) -> Result<C, LearnError> {
     let mut table = parsed(text)?;
-    for key in KEYS {
-        table.remove(key);
+    if KEYS.iter().filter_map(|key| table.remove(*key)).count() == KEYS.len() {
+        C::settle_older(&mut table);
     }
     from_table(table).map_err(|error| match error {
         LearnError::Value { key, reason, .. } => {

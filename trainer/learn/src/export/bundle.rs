@@ -231,7 +231,7 @@ pub(super) fn layers(weights: &UtilityWeights) -> AttentionNetwork<'_> {
             weight: matrix(&weights.attention_out_weight),
             bias: &weights.attention_out_bias,
         },
-        skip: None,
+        skip: shape.skip.then(|| matrix(&weights.skip_weight)),
         fc2: Some(Layer { weight: matrix(&weights.fc2_weight), bias: &weights.fc2_bias }),
         head: Layer { weight: matrix(&weights.head_weight), bias: &weights.head_bias },
     }

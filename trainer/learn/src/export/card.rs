@@ -73,13 +73,34 @@ pub(super) fn card(
     card
 }
 
+/// Whose own embedding reaches the layers behind the attention directly.
+fn skips(run: &Run) -> String {
+    let allocator = match &run.allocator {
+        Some(RunAllocator::TeamValue(network)) => network.shape().skip,
+        Some(RunAllocator::Proposals { .. }) | None => false,
+    };
+    let who = match (run.network.shape().skip, allocator) {
+        (true, true) => "agents and of the allocator",
+        (true, false) => "agents",
+        (false, true) => "allocator",
+        (false, false) => return String::new(),
+    };
+    format!(
+        "- The own embedding skips the attention in the networks of the {who}: what the attention gives is\n  \
+         `relu(W o + b + V x)` with the own embedding x, published without `V x`.\n"
+    )
+}
+
 /// What is not in the dissertation.
 fn departures(run: &Run) -> String {
     let mut text = "\n## Where the training departs from the dissertation\n\n".to_owned();
+    let skips = skips(run);
+    text += &skips;
     let config = match &run.description.config {
         Settings::Records(config) => config,
         Settings::Windows(_) => {
-            text += "- Nowhere but in the sampled windows: none learns a step from one episode to the next.\n";
+            text += if skips.is_empty() { "- Nowhere but in" } else { "- In" };
+            text += " the sampled windows: none learns a step from one episode to the next.\n";
             return text;
         }
     };

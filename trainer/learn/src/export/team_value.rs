@@ -90,7 +90,7 @@ mod tests {
 
     fn export(relations: usize) -> Result<Vec<u8>, ExportError> {
         let input = FEATURES + 2 + RELATIONS;
-        let shape = UtilityShape { input, width: 16, heads: 2, base: 8, actions: 1 };
+        let shape = UtilityShape { input, width: 16, heads: 2, base: 8, actions: 1, skip: false };
         let weights = generator(7, Purpose::Weights, 0);
         let network = UtilityNetwork::initialise(shape, 8.0, &mut { weights }).weights();
         let (features, contract) = (FEATURES, 0x0123_4567_89ab_cdef);

@@ -382,13 +382,19 @@ fn remove(folder: &Path) -> Result<(), LearnError> {
 mod tests {
     use super::*;
 
-    const SHAPE: UtilityShape = UtilityShape { input: 3, width: 4, heads: 2, base: 2, actions: 2 };
+    const SHAPE: UtilityShape =
+        UtilityShape { input: 3, width: 4, heads: 2, base: 2, actions: 2, skip: false };
 
     fn write(checkpoints: &Checkpoints, env_steps: u64) -> PathBuf {
-        let vector = vec![env_steps as f32; SHAPE.parameters()];
+        write_shape(SHAPE, checkpoints, env_steps)
+    }
+
+    fn write_shape(shape: UtilityShape, checkpoints: &Checkpoints, env_steps: u64) -> PathBuf {
+        let vector: Vec<f32> =
+            (0..shape.parameters()).map(|number| (env_steps + number as u64) as f32).collect();
         let agents = SavedNetwork {
             name: "agents",
-            shape: Some(SHAPE),
+            shape: Some(shape),
             vectors: vec![("average", &vector)],
         };
         let mixer =
@@ -425,6 +431,27 @@ mod tests {
         assert!(whole(3).unwrap_err().to_string().contains("another size"));
         assert!(missing("agents", "target").contains("agents/target/fc1"));
         assert!(missing("allocator", "average").contains("no `allocator` network"));
+    }
+
+    #[test]
+    fn a_skip_is_read_back_and_one_that_nobody_names_is_not_there() {
+        let folder = tempfile::tempdir().unwrap();
+        let checkpoints = Checkpoints::new(folder.path());
+        write_shape(UtilityShape { skip: true, ..SHAPE }, &checkpoints, 1);
+        let read =
+            || checkpoints.newest(OpenFor::Use).unwrap().checkpoint.network("agents", "average");
+        let network = read().unwrap();
+        assert!(network.shape().skip);
+        assert_eq!(network.weights().skip_weight.len(), 16);
+        let last = SHAPE.parameters() as f32 + 16.0;
+        assert_eq!(network.weights().skip_weight.last(), Some(&last));
+
+        let manifest = write(&checkpoints, 2).join(MANIFEST);
+        let text = std::fs::read_to_string(&manifest).unwrap();
+        let older = text.replace("skip = false\n", "");
+        assert_ne!(older, text);
+        std::fs::write(&manifest, older).unwrap();
+        assert_eq!(read().unwrap().shape(), SHAPE);
     }
 
     #[test]

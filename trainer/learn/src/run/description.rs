@@ -116,6 +116,22 @@ mod tests {
     }
 
     #[test]
+    fn a_run_of_before_has_no_skip_and_is_repeated_without() {
+        let mut config = alma::Config::default();
+        (config.network.skip, config.allocator.network.skip) = (true, true);
+        let text = RunDescription::new(config.clone(), 1, 1).to_toml().unwrap();
+        let older = text.replace("skip = true\n", "");
+        let read = RunDescription::<Settings>::from_toml(&older).unwrap().config;
+        for found in [read, Settings::from_toml(&older).unwrap()] {
+            let Settings::Records(found) = found else { panic!("another learner") };
+            assert!(!found.network.skip && !found.allocator.network.skip);
+        }
+        // A file that somebody wrote leaves out what it does not change.
+        let written = alma::Config::from_toml("[network]\nwidth = 32\n").unwrap();
+        assert_eq!(written.network.skip, alma::Config::default().network.skip);
+    }
+
+    #[test]
     fn a_file_says_what_its_run_learns_from() {
         let records = RunDescription::new(alma::Config::default(), 1, 1).to_toml().unwrap();
         let windows = RunDescription::new(paper::Config::default(), 1, 1).to_toml().unwrap();

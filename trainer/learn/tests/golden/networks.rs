@@ -110,6 +110,7 @@ fn network(case: &Case, heads: usize) -> UtilityNetwork {
             heads,
             base: head[1],
             actions: head[0],
+            skip: false,
         },
         fc1_weight: tensor("w/_base.fc1.weight"),
         fc1_bias: tensor("w/_base.fc1.bias"),
@@ -120,6 +121,7 @@ fn network(case: &Case, heads: usize) -> UtilityNetwork {
         fc2_bias: tensor("w/_base.fc2.bias"),
         head_weight: tensor("w/_head.fc_out.weight"),
         head_bias: tensor("w/_head.fc_out.bias"),
+        skip_weight: Vec::new(),
     })
     .expect("tensors of the golden network fit")
 }

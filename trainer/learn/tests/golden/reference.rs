@@ -60,6 +60,7 @@ pub(crate) fn agents(case: &Case, prefix: &str, heads: usize) -> UtilityNetwork 
             heads,
             base: head[1],
             actions: head[0],
+            skip: false,
         },
         fc1_weight: (0..fc1[0]).flat_map(row).copied().collect(),
         fc1_bias: tensor("_base.fc1.bias"),
@@ -70,6 +71,7 @@ pub(crate) fn agents(case: &Case, prefix: &str, heads: usize) -> UtilityNetwork 
         fc2_bias: tensor("_base.fc2.bias"),
         head_weight: tensor("_head.fc_out.weight"),
         head_bias: tensor("_head.fc_out.bias"),
+        skip_weight: Vec::new(),
     })
     .expect("tensors of the recorded network fit")
 }

@@ -32,6 +32,18 @@ pub fn forward_rectified(
     run_widest(AddBias { least: 0.0, bias, y });
 }
 
+/// As [`forward_rectified`] of two inputs with a matrix each, whose products are added up.
+pub fn forward_rectified_sum(
+    shape: LinearShape,
+    [(x, weight), (added_x, added_weight)]: [(&[f32], &[f32]); 2],
+    bias: &[f32],
+    y: &mut [f32],
+) {
+    forward_without_bias(shape, x, weight, y);
+    product(shape, Store::Add, added_x, added_weight, y);
+    run_widest(AddBias { least: 0.0, bias, y });
+}
+
 struct AddBias<'a> {
     bias: &'a [f32],
     /// What smaller sums are replaced by.
@@ -54,10 +66,14 @@ impl Work for AddBias<'_> {
 
 /// Writes `y [rows, output]` from `x [rows, input]` and `weight [output, input]`.
 pub fn forward_without_bias(shape: LinearShape, x: &[f32], weight: &[f32], y: &mut [f32]) {
+    product(shape, Store::Replace, x, weight, y);
+}
+
+fn product(shape: LinearShape, store: Store, x: &[f32], weight: &[f32], y: &mut [f32]) {
     let rows = y.len() / shape.output;
     multiply(
         MatrixMut::new(y, rows, shape.output),
-        Store::Replace,
+        store,
         Matrix::new(x, rows, shape.input),
         Matrix::new(weight, shape.output, shape.input).transposed(),
     );
@@ -138,5 +154,19 @@ mod tests {
         assert_gradient("x", &x, &d_x, |x| loss(x, &weight, &bias));
         assert_gradient("weight", &weight, &d_weight, |weight| loss(&x, weight, &bias));
         assert_gradient("bias", &bias, &d_bias, |bias| loss(&x, &weight, bias));
+    }
+
+    #[test]
+    fn two_inputs_add_up_before_the_rectifier() {
+        let (x, other_x) = (random(1, ROWS * 5), random(2, ROWS * 5));
+        let (weight, other, bias) = (random(3, 15), random(4, 15), random(5, 3));
+        let mut y = vec![f32::NAN; ROWS * 3];
+        forward_rectified_sum(SHAPE, [(&x, &weight), (&other_x, &other)], &bias, &mut y);
+        let (mut one, mut two) = (vec![0.0; ROWS * 3], vec![0.0; ROWS * 3]);
+        forward(SHAPE, &x, &weight, &bias, &mut one);
+        forward_without_bias(SHAPE, &other_x, &other, &mut two);
+        let want: Vec<f32> = one.iter().zip(&two).map(|(a, b)| (a + b).max(0.0)).collect();
+        assert!(y.iter().zip(&want).all(|(y, want)| (y - want).abs() < 1e-5), "{y:?} {want:?}");
+        assert!(want.contains(&0.0) && want.iter().any(|want| *want > 0.0), "{want:?}");
     }
 }

@@ -52,6 +52,7 @@ pub const FAST: &[Section] = &[
             NETWORK_HEADS,
             NETWORK_BASE,
             NETWORK_INPUTS,
+            NETWORK_SKIP,
         ],
     },
     Section {
@@ -145,7 +146,7 @@ pub const FAST: &[Section] = &[
     Section {
         name: "allocator.network",
         about: "The team-value network.",
-        keys: &[NETWORK_WIDTH, NETWORK_HEADS, NETWORK_BASE, NETWORK_INPUTS],
+        keys: &[NETWORK_WIDTH, NETWORK_HEADS, NETWORK_BASE, NETWORK_INPUTS, NETWORK_SKIP],
     },
     Section {
         name: "allocator.replay",

@@ -107,6 +107,13 @@ const NETWORK_INPUTS: Key = key(
     "Non-zero inputs that the initial weights of the first layer are sized for; rows are mostly zeros.",
 );
 
+const NETWORK_SKIP: Key = key(
+    "skip",
+    "",
+    Truth,
+    "Whether the own row's embedding is added to what the attention gives, past it; not in the dissertation.",
+);
+
 const REPLAY: &[Key] = &[
     key(
         "capacity",

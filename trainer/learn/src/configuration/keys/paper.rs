@@ -47,6 +47,7 @@ pub const PAPER: &[Section] = &[
                 Number(0.0, 1e6),
                 "Inputs of an entity that are not zero, by which first weights are drawn; 0 counts them all, as PyTorch does.",
             ),
+            NETWORK_SKIP,
             key(
                 "recurrent",
                 "",

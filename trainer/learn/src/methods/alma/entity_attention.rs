@@ -33,6 +33,15 @@ pub(crate) struct AttentionGradients<'a> {
     pub(crate) keys_values: &'a mut [f32],
 }
 
+/// What the own embeddings went through beside the attention: a matrix `[E, E]`, the slope `[queries, E]`
+/// by what it gave, and its gradient, to be added to.
+#[derive(Debug)]
+pub(crate) struct SkipBackward<'a> {
+    pub(crate) weights: &'a [f32],
+    pub(crate) d_output: &'a [f32],
+    pub(crate) gradient: &'a mut [f32],
+}
+
 /// Buffers of one worker: the activations of the last forward pass and space for a backward pass.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct EntityAttention {
@@ -90,13 +99,20 @@ impl EntityAttention {
         &self.attended[..numbers]
     }
 
-    /// Adds the gradients of a loss whose slope by the attended is `d_attended [queries, E]`.
+    /// The acting agents' own embeddings of the last forward pass, so many numbers.
+    pub(crate) fn own(&self, numbers: usize) -> &[f32] {
+        &self.embedding[..numbers]
+    }
+
+    /// Adds the gradients of a loss whose slope by the attended is `d_attended [queries, E]`; that of a skip
+    /// comes to the own embeddings as well.
     pub(crate) fn backward(
         &mut self,
         shape: AttentionShape,
         view: AttentionWeights<'_>,
         input: &UtilityInput,
         d_attended: &[f32],
+        skip: Option<SkipBackward<'_>>,
         gradients: AttentionGradients<'_>,
     ) {
         let width = shape.width;
@@ -121,9 +137,13 @@ impl EntityAttention {
         let embedding = &self.embedding[..rows * width];
         let (d_queries, d_embedding) =
             (&self.d_queries[..own], &mut self.d_embedding[..rows * width]);
-        linear::backward_weight(to_queries(width), &embedding[..own], d_queries, gradients.queries);
-        let d_own = &mut d_embedding[..own];
+        let (own, d_own) = (&embedding[..own], &mut d_embedding[..own]);
+        linear::backward_weight(to_queries(width), own, d_queries, gradients.queries);
         linear::backward_input(to_queries(width), d_queries, view.queries, Store::Add, d_own);
+        if let Some(SkipBackward { weights, d_output, gradient }) = skip {
+            linear::backward_weight(to_queries(width), own, d_output, gradient);
+            linear::backward_input(to_queries(width), d_output, weights, Store::Add, d_own);
+        }
         relu::backward(embedding, d_embedding);
         sparse_linear::backward(&input.rows, d_embedding, gradients.fc1, gradients.fc1_bias);
     }

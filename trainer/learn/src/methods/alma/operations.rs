@@ -37,17 +37,19 @@ fn attention(shape: UtilityShape, input: &UtilityInput) -> usize {
         }
 }
 
-/// Multiplications of the three layers behind the attention.
+/// Multiplications of the three layers behind the attention, and of the skip beside it.
 fn head(shape: UtilityShape, input: &UtilityInput) -> usize {
-    let UtilityShape { width, base, actions, .. } = shape;
-    input.visible.queries() * (width * width + width * base + base * actions)
+    let UtilityShape { width, base, actions, skip, .. } = shape;
+    let looked = if skip { 2 * width * width } else { width * width };
+    input.visible.queries() * (looked + width * base + base * actions)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    const SHAPE: UtilityShape = UtilityShape { input: 9, width: 4, heads: 2, base: 3, actions: 5 };
+    const SHAPE: UtilityShape =
+        UtilityShape { input: 9, width: 4, heads: 2, base: 3, actions: 5, skip: false };
 
     /// One query that sees itself and so many others, each with two features.
     fn input(others: usize) -> UtilityInput {
@@ -67,6 +69,9 @@ mod tests {
         let head = 16 + 12 + 15;
         assert_eq!(forward(SHAPE, &input(1)), 2 * (first + attention + head));
         assert_eq!(backward(SHAPE, &input(1)), 2 * (first + 2 * attention + 2 * head));
+        let skipping = UtilityShape { skip: true, ..SHAPE };
+        assert_eq!(forward(skipping, &input(1)), forward(SHAPE, &input(1)) + 2 * 16);
+        assert_eq!(backward(skipping, &input(1)), backward(SHAPE, &input(1)) + 2 * 2 * 16);
     }
 
     #[test]

@@ -327,13 +327,16 @@ mod tests {
 
     #[test]
     fn the_gradient_of_the_whole_loss_agrees_with_finite_differences() {
-        for (subtask, kind) in [
+        let cases = [
             (Conditioning::Mask, MixerKind::Sum),
             (Conditioning::Mask, MixerKind::Linear),
             (Conditioning::Input, MixerKind::Qmix),
             (Conditioning::None, MixerKind::Qmix),
-        ] {
-            let config = config(subtask, kind);
+        ];
+        for ((subtask, kind), skip) in cases.iter().flat_map(|case| [(*case, false), (*case, true)])
+        {
+            let mut config = config(subtask, kind);
+            config.network.skip = skip;
             let (replay, online, target) =
                 (replay(&config), network(&config, 1), network(&config, 2));
             let mut picks = picks(&replay, |i| (i % 8) as u8);

@@ -78,8 +78,11 @@ impl Trainer {
     fn take_over(&mut self, run: &Run) -> Result<(), LearnError> {
         let mut knowledge = self.agents.knowledge_mut();
         let online = MixedNetwork { utility: run.network.clone(), ..knowledge.online.clone() };
-        if online.utility.shape() != knowledge.online.utility.shape() {
-            return Err(LearnError::Config("`run.from` has agents of another shape".to_owned()));
+        let (ours, theirs) = (knowledge.online.utility.shape(), online.utility.shape());
+        if ours != theirs {
+            let hint = ours.hint_to_become(theirs, "network.skip");
+            let reason = format!("`run.from` has agents of another shape{hint}");
+            return Err(LearnError::Config(reason));
         }
         (knowledge.target, knowledge.online) = (online.clone(), online.clone());
         drop(knowledge);
@@ -90,8 +93,10 @@ impl Trainer {
             return Ok(());
         };
         let mut knowledge = learner.knowledge_mut();
-        if network.shape() != knowledge.online.shape() {
-            return Err(LearnError::Config("`run.from` has another allocator".to_owned()));
+        let (ours, theirs) = (knowledge.online.shape(), network.shape());
+        if ours != theirs {
+            let hint = ours.hint_to_become(theirs, "allocator.network.skip");
+            return Err(LearnError::Config(format!("`run.from` has another allocator{hint}")));
         }
         (knowledge.target, knowledge.online) = (network.clone(), network.clone());
         drop(knowledge);

@@ -2,6 +2,9 @@
 //!
 //! `fc1` embeds every entity, attention lets the agent look at what it sees, `fc2` and `head` give one
 //! utility per action. Feed-forward; the subtask mask decides what is seen, not this network.
+//!
+//! With a skip, `looked = relu(W_o o + b_o + W_s x)`, with `o` what the agent attends to and `x` its own
+//! embedding. The published network has no `W_s`: it sees its own row through attention only.
 
 use std::ops::Range;
 
@@ -26,9 +29,18 @@ pub struct UtilityShape {
     pub base: usize,
     /// Actions U.
     pub actions: usize,
+    /// Whether the agent's own embedding skips the attention.
+    #[serde(default)]
+    pub skip: bool,
 }
 
 impl UtilityShape {
+    /// What to set so that a network may begin as one that lacks nothing but its skip, or has one too many.
+    pub(crate) fn hint_to_become(self, other: Self, key: &str) -> String {
+        let differs = Self { skip: other.skip, ..self } == other && self != other;
+        if differs { format!(": `--set {key}={}`", other.skip) } else { String::new() }
+    }
+
     pub(super) fn attention(self) -> AttentionShape {
         AttentionShape { width: self.width, heads: self.heads }
     }
@@ -46,8 +58,13 @@ impl UtilityShape {
     }
 
     /// Where each tensor stands in the flat parameter vector.
-    pub fn tensors(self) -> [Tensor; 9] {
-        let Self { input, width, base, actions, .. } = self;
+    pub fn tensors(self) -> Vec<Tensor> {
+        self.places().into_iter().filter(|tensor| !tensor.range.is_empty()).collect()
+    }
+
+    /// The same with an empty tensor in the place of a skip that is not there.
+    fn places(self) -> [Tensor; 10] {
+        let Self { input, width, base, actions, skip, .. } = self;
         let mut start = 0;
         let mut next = |name, rows, columns| {
             let range = start..start + rows * columns;
@@ -64,12 +81,13 @@ impl UtilityShape {
             next("fc2.bias", 1, base),
             next("head.weight", actions, base),
             next("head.bias", 1, actions),
+            next("skip.weight", if skip { width } else { 0 }, width),
         ]
     }
 
     /// Number of parameters.
     pub fn parameters(self) -> usize {
-        self.tensors()[8].range.end
+        self.places()[9].range.end
     }
 }
 
@@ -106,7 +124,8 @@ impl UtilityNetwork {
         let inputs = [active_inputs; 2]
             .into_iter()
             .chain([shape.width as f32; 5])
-            .chain([shape.base as f32; 2]);
+            .chain([shape.base as f32; 2])
+            .chain([shape.width as f32]);
         for (tensor, inputs) in shape.tensors().into_iter().zip(inputs) {
             let bound = 1.0 / inputs.sqrt();
             for value in &mut parameters[tensor.range] {
@@ -139,8 +158,8 @@ impl UtilityNetwork {
     /// The tensors in PyTorch's layout, for export.
     pub fn weights(&self) -> UtilityWeights {
         let UtilityShape { input, width, .. } = self.shape;
-        let [fc1, fc1_bias, attention_in, out, out_bias, fc2, fc2_bias, head, head_bias] =
-            self.shape.tensors().map(|tensor| self.parameters[tensor.range].to_vec());
+        let [fc1, fc1_bias, attention_in, out, out_bias, fc2, fc2_bias, head, head_bias, skip] =
+            self.shape.places().map(|tensor| self.parameters[tensor.range].to_vec());
         UtilityWeights {
             shape: self.shape,
             fc1_weight: transpose(&fc1, input, width),
@@ -152,6 +171,7 @@ impl UtilityNetwork {
             fc2_bias,
             head_weight: head,
             head_bias,
+            skip_weight: skip,
         }
     }
 
@@ -172,9 +192,10 @@ impl UtilityNetwork {
             &weights.fc2_bias,
             &weights.head_weight,
             &weights.head_bias,
+            &weights.skip_weight,
         ];
         let fits = |(tensor, place): (&&Vec<f32>, Tensor)| tensor.len() == place.range.len();
-        if !tensors.iter().zip(shape.tensors()).all(fits) {
+        if !tensors.iter().zip(shape.places()).all(fits) {
             return None;
         }
         Self::from_parameters(shape, tensors.into_iter().flatten().copied().collect())
@@ -182,8 +203,8 @@ impl UtilityNetwork {
 
     pub(super) fn view(&self) -> UtilityView<'_> {
         let width = self.shape.width;
-        let [fc1, fc1_bias, attention_in, out, out_bias, fc2, fc2_bias, head, head_bias] =
-            self.shape.tensors().map(|tensor| &self.parameters[tensor.range]);
+        let [fc1, fc1_bias, attention_in, out, out_bias, fc2, fc2_bias, head, head_bias, skip] =
+            self.shape.places().map(|tensor| &self.parameters[tensor.range]);
         let (queries, keys_values) = attention_in.split_at(width * width);
         UtilityView {
             attention: AttentionWeights { fc1, fc1_bias, queries, keys_values },
@@ -193,6 +214,7 @@ impl UtilityNetwork {
             fc2_bias,
             head,
             head_bias,
+            skip: self.shape.skip.then_some(skip),
         }
     }
 }
@@ -217,6 +239,7 @@ pub(super) struct UtilityView<'a> {
     pub(super) fc2_bias: &'a [f32],
     pub(super) head: &'a [f32],
     pub(super) head_bias: &'a [f32],
+    pub(super) skip: Option<&'a [f32]>,
 }
 
 /// The tensors of a gradient vector, in the places of the parameters.
@@ -229,6 +252,8 @@ pub(super) struct UtilityViewMut<'a> {
     pub(super) fc2_bias: &'a mut [f32],
     pub(super) head: &'a mut [f32],
     pub(super) head_bias: &'a mut [f32],
+    /// Empty where there is none.
+    pub(super) skip: &'a mut [f32],
 }
 
 impl<'a> UtilityViewMut<'a> {
@@ -236,11 +261,11 @@ impl<'a> UtilityViewMut<'a> {
         let width = shape.width;
         let mut rest = vector;
         let mut take = |count: usize| rest.split_off_mut(..count).expect("one place per parameter");
-        let [fc1, fc1_bias, attention_in, out, out_bias, fc2, fc2_bias, head, head_bias] =
-            shape.tensors().map(|tensor| take(tensor.range.len()));
+        let [fc1, fc1_bias, attention_in, out, out_bias, fc2, fc2_bias, head, head_bias, skip] =
+            shape.places().map(|tensor| take(tensor.range.len()));
         let (queries, keys_values) = attention_in.split_at_mut(width * width);
         let attention = AttentionGradients { fc1, fc1_bias, queries, keys_values };
-        Self { attention, out, out_bias, fc2, fc2_bias, head, head_bias }
+        Self { attention, out, out_bias, fc2, fc2_bias, head, head_bias, skip }
     }
 }
 
@@ -267,9 +292,59 @@ pub struct UtilityWeights {
     pub head_weight: Vec<f32>,
     /// `[U]`
     pub head_bias: Vec<f32>,
+    /// `[E, E]`; empty without a skip.
+    pub skip_weight: Vec<f32>,
 }
 
 /// The transpose of a row-major matrix.
 fn transpose(matrix: &[f32], rows: usize, columns: usize) -> Vec<f32> {
     (0..columns).flat_map(|j| (0..rows).map(move |i| matrix[i * columns + j])).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::{Purpose, generator};
+
+    const SHAPE: UtilityShape =
+        UtilityShape { input: 5, width: 4, heads: 2, base: 3, actions: 2, skip: false };
+    const SKIPPING: UtilityShape = UtilityShape { skip: true, ..SHAPE };
+
+    fn drawn(shape: UtilityShape) -> UtilityNetwork {
+        UtilityNetwork::initialise(shape, 3.0, &mut generator(1, Purpose::Weights, 0))
+    }
+
+    #[test]
+    fn a_skip_stands_last_and_moves_nothing() {
+        let names =
+            |shape: UtilityShape| shape.tensors().iter().map(|t| t.name).collect::<Vec<_>>();
+        assert_eq!(names(SHAPE).len(), 9);
+        assert_eq!(names(SKIPPING)[..9], names(SHAPE));
+        assert_eq!(names(SKIPPING)[9..], ["skip.weight"]);
+        let (plain, skipping) = (drawn(SHAPE), drawn(SKIPPING));
+        let (before, skip) = skipping.parameters().split_at(SHAPE.parameters());
+        assert_eq!(before, plain.parameters());
+        assert_eq!(skip.len(), 16);
+        assert!(skip.iter().all(|weight| weight.abs() <= 0.5));
+        assert!(skip.iter().any(|weight| weight.abs() > 0.3), "{skip:?}");
+    }
+
+    #[test]
+    fn weights_become_the_network_that_they_come_from() {
+        for shape in [SHAPE, SKIPPING] {
+            let network = drawn(shape);
+            let mut weights = network.weights();
+            assert_eq!(UtilityNetwork::from_weights(&weights), Some(network));
+            weights.shape.skip = !shape.skip;
+            assert_eq!(UtilityNetwork::from_weights(&weights), None);
+        }
+    }
+
+    #[test]
+    fn a_hint_names_the_skip_alone() {
+        assert_eq!(SHAPE.hint_to_become(SKIPPING, "network.skip"), ": `--set network.skip=true`");
+        assert_eq!(SKIPPING.hint_to_become(SHAPE, "network.skip"), ": `--set network.skip=false`");
+        assert_eq!(SHAPE.hint_to_become(UtilityShape { width: 8, ..SKIPPING }, "network.skip"), "");
+        assert_eq!(SHAPE.hint_to_become(SHAPE, "network.skip"), "");
+    }
 }

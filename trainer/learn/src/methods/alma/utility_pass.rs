@@ -3,7 +3,7 @@
 use sortie_nn::layers::matrix::Store;
 use sortie_nn::layers::{SparseRows, VisibleLists, linear, relu};
 
-use super::entity_attention::EntityAttention;
+use super::entity_attention::{EntityAttention, SkipBackward};
 use super::operations;
 use super::utility::{UtilityNetwork, UtilityShape, UtilityViewMut};
 
@@ -85,9 +85,16 @@ impl UtilityPass {
         let queries = input.visible.queries();
         let view = network.view();
 
-        let attended = self.attention.forward(shape.attention(), view.attention, input);
+        self.attention.forward(shape.attention(), view.attention, input);
         let looked = sized(&mut self.looked, queries * shape.width);
-        linear::forward_rectified(shape.queries(), attended, view.out, view.out_bias, looked);
+        let attended = self.attention.attended(looked.len());
+        let (layer, out, bias) = (shape.queries(), view.out, view.out_bias);
+        if let Some(skip) = view.skip {
+            let own = self.attention.own(looked.len());
+            linear::forward_rectified_sum(layer, [(attended, out), (own, skip)], bias, looked);
+        } else {
+            linear::forward_rectified(layer, attended, out, bias, looked);
+        }
         let base = sized(&mut self.base, queries * shape.base);
         linear::forward_rectified(shape.fc2(), looked, view.fc2, view.fc2_bias, base);
         base
@@ -171,11 +178,17 @@ impl UtilityPass {
         linear::backward_weight(shape.queries(), attended, d_looked, grad.out);
         linear::backward_bias(d_looked, grad.out_bias);
         linear::backward_input(shape.queries(), d_looked, view.out, Store::Replace, d_attended);
+        let skip = view.skip.map(|weights| SkipBackward {
+            weights,
+            d_output: d_looked,
+            gradient: grad.skip,
+        });
         self.attention.backward(
             shape.attention(),
             view.attention,
             input,
             d_attended,
+            skip,
             grad.attention,
         );
     }

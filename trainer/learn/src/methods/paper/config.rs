@@ -199,6 +199,7 @@ impl Config {
                 width,
                 hypernetwork_width: width,
                 active_inputs: fast.network.active_inputs,
+                skip: fast.network.skip,
                 returns: fast.returns,
                 ..LowLevelConfig::default()
             },

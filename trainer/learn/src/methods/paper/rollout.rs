@@ -274,8 +274,14 @@ mod tests {
         let mut config = Config::default();
         config.environment.instances = 3;
         config.environment.constants.episode_limit = 30;
-        let shape =
-            UtilityShape { input: INPUT_COLUMNS, width: 8, heads: 4, base: 8, actions: ACTIONS };
+        let shape = UtilityShape {
+            input: INPUT_COLUMNS,
+            width: 8,
+            heads: 4,
+            base: 8,
+            actions: ACTIONS,
+            skip: false,
+        };
         let mut weights = generator(1, Purpose::Weights, 0);
         let agents = UtilityNetwork::initialise(shape, 8.0, &mut weights);
         let players = Agents::new(&agents);

@@ -84,7 +84,9 @@ impl Trainer {
         let LowLevel { online, target, .. } = &mut self.low_level;
         let shape = |agents: &UtilityNetwork, unit: &[f32]| (agents.shape(), unit.len());
         if shape(&run.network, &run.memory_unit) != shape(&online.agents, &online.gru) {
-            return Err(LearnError::Config("`run.from` has agents of another shape".to_owned()));
+            let hint = online.agents.shape().hint_to_become(run.network.shape(), "low_level.skip");
+            let reason = format!("`run.from` has agents of another shape{hint}");
+            return Err(LearnError::Config(reason));
         }
         (target.agents, target.gru) = (run.network.clone(), run.memory_unit.clone());
         (online.agents, online.gru) = (run.network, run.memory_unit);

@@ -25,11 +25,13 @@ pub struct NetworkConfig {
     ///
     /// PyTorch would take all columns, although rows are mostly zeros.
     pub active_inputs: f32,
+    /// Whether the own row's embedding skips the attention. Not in the dissertation.
+    pub skip: bool,
 }
 
 impl Default for NetworkConfig {
     fn default() -> Self {
-        Self { width: 64, heads: 4, base: 64, active_inputs: 8.0 }
+        Self { width: 64, heads: 4, base: 64, active_inputs: 8.0, skip: false }
     }
 }
 
@@ -50,6 +52,7 @@ impl NetworkConfig {
             heads: self.heads,
             base: self.base,
             actions,
+            skip: self.skip,
         }
     }
 }
@@ -68,20 +71,22 @@ pub struct AgentNetworkConfig {
     pub base: usize,
     /// Non-zero inputs that the initial weights of the first layer are sized for.
     pub active_inputs: f32,
+    /// Whether an agent's own embedding skips the attention. Not in the dissertation.
+    pub skip: bool,
 }
 
 impl Default for AgentNetworkConfig {
     fn default() -> Self {
-        let NetworkConfig { width, heads, base, active_inputs } = NetworkConfig::default();
-        Self { subtask: Conditioning::Mask, width, heads, base, active_inputs }
+        let NetworkConfig { width, heads, base, active_inputs, skip } = NetworkConfig::default();
+        Self { subtask: Conditioning::Mask, width, heads, base, active_inputs, skip }
     }
 }
 
 impl AgentNetworkConfig {
     /// The sizes alone.
     pub(super) fn sizes(&self) -> NetworkConfig {
-        let Self { width, heads, base, active_inputs, .. } = *self;
-        NetworkConfig { width, heads, base, active_inputs }
+        let Self { width, heads, base, active_inputs, skip, .. } = *self;
+        NetworkConfig { width, heads, base, active_inputs, skip }
     }
 
     /// The network's shape in an environment with so many actions and subtasks.

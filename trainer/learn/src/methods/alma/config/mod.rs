@@ -15,6 +15,7 @@ pub use learning::{OptimiserConfig, ReplayConfig};
 pub use run::{EnvironmentConfig, RunConfig};
 
 use sortie_envs::save_the_city::{ACTIONS, ScenarioSet};
+use toml::Table;
 
 use super::utility::UtilityShape;
 use crate::configuration::{self, FAST, Kept, Section, require};
@@ -117,6 +118,18 @@ impl Config {
 
 impl Kept for Config {
     const SECTIONS: &'static [Section] = FAST;
+
+    /// Runs that do not say whether embeddings skip the attention began when none did.
+    fn settle_older(run: &mut Table) {
+        for path in [&["network"][..], &["allocator", "network"]] {
+            let section = path.iter().try_fold(&mut *run, |table, name| {
+                table.entry(*name).or_insert_with(|| Table::new().into()).as_table_mut()
+            });
+            if let Some(section) = section {
+                section.entry("skip").or_insert(false.into());
+            }
+        }
+    }
 }
 
 impl Configuration for Config {
@@ -128,7 +141,8 @@ impl Configuration for Config {
         configuration::to_toml(self)
     }
 
-    fn from_table(table: toml::Table) -> Result<Self, LearnError> {
+    fn from_table(mut table: Table) -> Result<Self, LearnError> {
+        Self::settle_older(&mut table);
         let config: Self = configuration::from_table(table)?;
         config.check()?;
         Ok(config)

@@ -108,7 +108,7 @@ impl HypernetworkPass {
         linear::backward_bias(d_outputs, d_bias);
         linear::backward_input(shape.project(), d_outputs, weight, Store::Replace, d_attended);
         let gradients = AttentionGradients { fc1, fc1_bias, queries, keys_values };
-        self.attention.backward(shape.attention(), attention, input, d_attended, gradients);
+        self.attention.backward(shape.attention(), attention, input, d_attended, None, gradients);
     }
 }
 

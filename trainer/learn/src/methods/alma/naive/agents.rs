@@ -96,8 +96,15 @@ fn squared_error(
 
 #[test]
 fn the_loss_of_every_record_is_that_of_the_rules() {
-    for subtask in [Conditioning::Mask, Conditioning::Input, Conditioning::None] {
-        let config = config(subtask);
+    for (subtask, skip) in [
+        (Conditioning::Mask, false),
+        (Conditioning::Input, false),
+        (Conditioning::None, false),
+        (Conditioning::Mask, true),
+        (Conditioning::None, true),
+    ] {
+        let mut config = config(subtask);
+        config.network.skip = skip;
         let (replay, online, target) = (replay(&config), network(&config, 1), network(&config, 2));
         let mut chunk = Chunk::new(&online, subtask, config.mixer.reward_factor());
         for sample in (0..replay.len()).step_by(7) {
@@ -107,7 +114,7 @@ fn the_loss_of_every_record_is_that_of_the_rules() {
             chunk.learn(networks, &replay, &[pick]);
             let want =
                 squared_error(&online.utility, &target.utility, &replay.get(sample), Map(symmetry));
-            let what = format!("{subtask:?}, record {sample}, map {symmetry}");
+            let what = format!("{subtask:?}, skip {skip}, record {sample}, map {symmetry}");
             assert_near(&what, chunk.squared_error(), want);
         }
     }

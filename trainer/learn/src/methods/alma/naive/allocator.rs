@@ -6,6 +6,7 @@ use super::{Map, agent_row, assert_near, building_row, outputs};
 use crate::methods::alma::team_value::{Decision, Segments, TeamValueLoss};
 use crate::methods::alma::{
     Behaviour, Config, Loss, Memory, Networks, Pick, RecordLayout, Replay, Rollout, UtilityNetwork,
+    UtilityShape,
 };
 use crate::random::{Purpose, generator};
 use crate::run::EpisodeCounts;
@@ -20,9 +21,10 @@ fn config() -> Config {
     config
 }
 
-fn network(seed: u64) -> UtilityNetwork {
+fn network(seed: u64, skip: bool) -> UtilityNetwork {
     let mut weights = generator(seed, Purpose::Weights, 0);
-    UtilityNetwork::initialise(config().allocator.shape(), 8.0, &mut weights)
+    let shape = UtilityShape { skip, ..config().allocator.shape() };
+    UtilityNetwork::initialise(shape, 8.0, &mut weights)
 }
 
 /// Segments of agents that act at random.
@@ -68,7 +70,11 @@ fn value(network: &UtilityNetwork, decision: &Decision, task: usize, map: Map) -
 
 #[test]
 fn the_loss_of_every_segment_is_that_of_the_rules() {
-    let (segments, online, target) = (segments(), network(1), network(2));
+    [false, true].into_iter().for_each(check_losses);
+}
+
+fn check_losses(skip: bool) {
+    let (segments, online, target) = (segments(), network(1, skip), network(2, skip));
     let mut loss = TeamValueLoss::new(online.shape());
     let (mut moved, mut ended, mut closed) = (0, 0, 0);
     for sample in 0..segments.len() {

@@ -41,7 +41,11 @@ fn outputs(network: &UtilityNetwork, own: &Row, seen: &[Row]) -> Vec<f64> {
             }
         }
     }
-    let looked = affine(&weights.attention_out_weight, &weights.attention_out_bias, &attended);
+    let mut looked = affine(&weights.attention_out_weight, &weights.attention_out_bias, &attended);
+    if shape.skip {
+        let past = affine(&weights.skip_weight, &no_bias, &embed(own));
+        looked.iter_mut().zip(past).for_each(|(looked, past)| *looked += past);
+    }
     let base = affine(&weights.fc2_weight, &weights.fc2_bias, &rectified(looked));
     affine(&weights.head_weight, &weights.head_bias, &rectified(base))
 }

@@ -137,7 +137,11 @@ mod tests {
     use sortie_nn::gradient_check::assert_gradient;
 
     fn network(seed: u64) -> UtilityNetwork {
-        let network = NetworkConfig { width: 16, base: 12, ..NetworkConfig::default() };
+        skipping(seed, false)
+    }
+
+    fn skipping(seed: u64, skip: bool) -> UtilityNetwork {
+        let network = NetworkConfig { width: 16, base: 12, skip, ..NetworkConfig::default() };
         let shape = AllocatorConfig { network, ..AllocatorConfig::default() }.shape();
         UtilityNetwork::initialise(shape, 8.0, &mut generator(seed, Purpose::Weights, 0))
     }
@@ -169,13 +173,19 @@ mod tests {
 
     #[test]
     fn the_gradient_of_the_loss_agrees_with_finite_differences() {
-        let (segments, online, target) = (segments(), network(1), network(2));
+        for skip in [false, true] {
+            check_gradient(&skipping(1, skip), &skipping(2, skip));
+        }
+    }
+
+    fn check_gradient(online: &UtilityNetwork, target: &UtilityNetwork) {
+        let segments = segments();
         let learn = |online: &UtilityNetwork| {
             let mut loss = TeamValueLoss::new(online.shape());
-            loss.learn(Networks { online, target: &target }, &segments, &picks());
+            loss.learn(Networks { online, target }, &segments, &picks());
             loss
         };
-        let base = learn(&online);
+        let base = learn(online);
         for tensor in online.shape().tensors() {
             let at = &online.parameters()[tensor.range.clone()];
             assert_gradient(tensor.name, at, &base.gradient()[tensor.range.clone()], |moved| {

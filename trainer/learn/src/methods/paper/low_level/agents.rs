@@ -21,6 +21,7 @@ pub(super) fn utility_shape(config: &LowLevelConfig, sizes: WindowShape) -> Util
         heads: config.heads,
         base: config.base,
         actions: sizes.actions,
+        skip: config.skip,
     }
 }
 

@@ -36,6 +36,8 @@ pub struct LowLevelConfig {
     /// Inputs of an entity that are not zero, by which the embedding's first weights are drawn; 0 counts
     /// them all, as PyTorch does.
     pub active_inputs: f32,
+    /// Whether an agent's own embedding skips the attention. Not in the dissertation.
+    pub skip: bool,
     /// Whether the agents have a memory: a gated recurrent unit before the head, emptied when an episode
     /// ends. It begins empty in every window.
     pub recurrent: bool,
@@ -74,6 +76,7 @@ impl Default for LowLevelConfig {
             heads: 4,
             base: 64,
             active_inputs: 0.0,
+            skip: false,
             recurrent: false,
             hypernetwork_width: 128,
             hypernetwork_heads: 4,

@@ -143,15 +143,18 @@ fn gradients_agree_with_finite_differences() {
     // One action is left to each agent: targets jump where the best action changes.
     let codes = windows.available.chunks_exact_mut(SIZES.actions);
     codes.for_each(|codes| codes[1..].fill(0));
-    for (conditioning, recurrent) in [
-        (Conditioning::Mask, false),
-        (Conditioning::Input, false),
-        (Conditioning::None, false),
-        (Conditioning::Mask, true),
-        (Conditioning::Input, true),
+    for (conditioning, recurrent, skip) in [
+        (Conditioning::Mask, false, false),
+        (Conditioning::Input, false, false),
+        (Conditioning::None, false, false),
+        (Conditioning::Mask, true, false),
+        (Conditioning::Input, true, false),
+        (Conditioning::Mask, false, true),
+        (Conditioning::None, false, true),
+        (Conditioning::Input, true, true),
     ] {
         let extra_tasks = usize::from(conditioning == Conditioning::Input);
-        let config = LowLevelConfig { extra_tasks, recurrent, ..config(conditioning) };
+        let config = LowLevelConfig { extra_tasks, recurrent, skip, ..config(conditioning) };
         let mut fresh = learner(config, SIZES);
         // Utilities of some size, so that the slope by their weights is more than rounding.
         let head = fresh.online.agents.shape().tensors()[7].range.clone();

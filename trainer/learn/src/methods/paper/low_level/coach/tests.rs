@@ -6,7 +6,7 @@ use sortie_nn::gradient_check::{assert_gradient, random};
 use sortie_nn::random::Generator;
 
 use super::super::tests::{SIZES, config, draws, random_windows};
-use super::super::{CHUNK, LowLevel, TaskOrder};
+use super::super::{CHUNK, LowLevel, LowLevelConfig, TaskOrder};
 use super::strategies::Holdings;
 use super::*;
 use crate::methods::alma::{Conditioning, UtilityInput};
@@ -31,9 +31,11 @@ fn decided(sizes: WindowShape) -> Windows {
     windows
 }
 
-/// A learner with a coach whose terms weigh enough to be seen, and a target of its own.
+/// A learner with a coach whose terms weigh enough to be seen, and a target of its own; its agents' own
+/// embeddings skip the attention.
 fn coached(sizes: WindowShape) -> LowLevel {
-    let mut learner = LowLevel::new(config(Conditioning::None), sizes, &mut weights());
+    let config = LowLevelConfig { skip: true, ..config(Conditioning::None) };
+    let mut learner = LowLevel::new(config, sizes, &mut weights());
     // Utilities of some size, so that slopes are more than rounding.
     let head = learner.online.agents.shape().tensors()[7].range.clone();
     learner.online.agents.parameters_mut()[head].iter_mut().for_each(|weight| *weight *= 60.0);

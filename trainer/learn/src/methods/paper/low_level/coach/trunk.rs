@@ -102,6 +102,6 @@ impl TrunkPass {
         linear::backward_bias(d_looked, d_out_bias);
         let d_attended = sized(&mut self.d_attended, d_looked.len());
         linear::backward_input(shape.square(), d_looked, out, Store::Replace, d_attended);
-        self.attention.backward(shape.attention(), weights, input, d_attended, gradients);
+        self.attention.backward(shape.attention(), weights, input, d_attended, None, gradients);
     }
 }
