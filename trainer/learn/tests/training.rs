@@ -130,7 +130,7 @@ fn every_way_to_learn_resumes_exactly() {
         &["mixer.kind=qmix", "network.subtask=input", "mixer.width=16"][..],
         &["mixer.kind=linear", "mixer.width=16"],
         &["network.subtask=none", "replay.warm_up=200"],
-        &["network.skip=true", "allocator.network.skip=true"],
+        &["network.skip=false", "allocator.network.skip=false"],
     ] {
         let config = with(&[assignments, &["run.steps=1600"]].concat());
         let state = |folder: &Path| {
@@ -272,9 +272,9 @@ fn a_run_can_begin_with_what_another_learned() {
     for (key, of) in [("network.skip", "shape"), ("allocator.network.skip", "allocator")] {
         let mut config = self::config();
         config.run.from = first.path().display().to_string();
-        config.set(&format!("{key}=true")).unwrap();
+        config.set(&format!("{key}=false")).unwrap();
         let fourth = tempfile::tempdir().unwrap();
         let error = Trainer::new(config, 4, 1, fourth.path()).unwrap_err().to_string();
-        assert!(error.ends_with(&format!("{of}: `--set {key}=false`")), "{error}");
+        assert!(error.ends_with(&format!("{of}: `--set {key}=true`")), "{error}");
     }
 }

@@ -117,9 +117,7 @@ mod tests {
 
     #[test]
     fn a_run_of_before_has_no_skip_and_is_repeated_without() {
-        let mut config = alma::Config::default();
-        (config.network.skip, config.allocator.network.skip) = (true, true);
-        let text = RunDescription::new(config.clone(), 1, 1).to_toml().unwrap();
+        let text = RunDescription::new(alma::Config::default(), 1, 1).to_toml().unwrap();
         let older = text.replace("skip = true\n", "");
         let read = RunDescription::<Settings>::from_toml(&older).unwrap().config;
         for found in [read, Settings::from_toml(&older).unwrap()] {
@@ -127,8 +125,7 @@ mod tests {
             assert!(!found.network.skip && !found.allocator.network.skip);
         }
         // A file that somebody wrote leaves out what it does not change.
-        let written = alma::Config::from_toml("[network]\nwidth = 32\n").unwrap();
-        assert_eq!(written.network.skip, alma::Config::default().network.skip);
+        assert!(alma::Config::from_toml("[network]\nwidth = 32\n").unwrap().network.skip);
     }
 
     #[test]

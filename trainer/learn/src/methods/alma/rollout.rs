@@ -368,8 +368,9 @@ mod tests {
     /// Agents that like an action the more the higher its number is.
     fn fond_of_high_numbers(shape: UtilityShape) -> UtilityNetwork {
         let mut parameters = vec![0.0; shape.parameters()];
-        let biases = parameters.len() - shape.actions;
-        (0..shape.actions).for_each(|action| parameters[biases + action] = action as f32);
+        let biases = shape.tensors().into_iter().find(|tensor| tensor.name == "head.bias");
+        let biases = &mut parameters[biases.unwrap().range];
+        biases.iter_mut().enumerate().for_each(|(action, bias)| *bias = action as f32);
         UtilityNetwork::from_parameters(shape, parameters).unwrap()
     }
 

@@ -31,7 +31,7 @@ pub struct NetworkConfig {
 
 impl Default for NetworkConfig {
     fn default() -> Self {
-        Self { width: 64, heads: 4, base: 64, active_inputs: 8.0, skip: false }
+        Self { width: 64, heads: 4, base: 64, active_inputs: 8.0, skip: true }
     }
 }
 
