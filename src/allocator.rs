@@ -7,25 +7,39 @@ use sortie_core::allocate::{
 };
 use sortie_core::plan::{AlignedBytes, Plan, PlanError};
 use sortie_core::{AllocateError, Allocator};
-use sortie_envs::save_the_city::AllocationRule;
+use sortie_envs::Entry;
 use sortie_plans::{BundlePlans, CompileError, CompilerProcess, GraphEngine};
 
-use crate::allocation::AllocatorChoice;
+use crate::allocation::{Allocation, AllocatorChoice, usual_rule};
 use crate::compiler::{compiler, plans};
 use crate::engines::engines;
+use crate::environment::entry_of;
 use crate::failure::{Exit, Failure};
 use crate::policy::Backend;
 use crate::proposals::{ProposalArguments, ProposalMemory};
-use crate::worlds::save_the_city::{CityAllocator, CityRelation};
+use crate::worlds::rules::{FrameRelation, RuleAllocator};
 
 /// The memory of a team's allocator.
 pub(crate) enum DeployedAllocator {
-    Rule(CityAllocator),
+    Rule(RuleAllocator),
     Learned(Box<LearnedAllocator>),
     Proposing(Box<ProposalMemory>),
 }
 
 impl DeployedAllocator {
+    /// As [`open`](Self::open), where anybody allocates.
+    pub(crate) fn open_for(
+        bundle: &Bundle,
+        choice: Option<AllocatorChoice>,
+        backend: Backend,
+        (seed, proposals): (u64, ProposalArguments),
+    ) -> Result<Option<Self>, Failure> {
+        match choice {
+            Some(choice) => Self::open(bundle, choice, backend, seed, proposals).map(Some),
+            None => proposals.check_unused().map(|()| None),
+        }
+    }
+
     /// `seed` matters to what draws, `backend` to the learned allocator, `proposals` to one that proposes.
     pub(crate) fn open(
         bundle: &Bundle,
@@ -36,7 +50,7 @@ impl DeployedAllocator {
     ) -> Result<Self, Failure> {
         if let Some(rule) = choice.rule() {
             proposals.check_unused()?;
-            return Ok(Self::Rule(CityAllocator::new(rule, seed)));
+            return Ok(Self::Rule(RuleAllocator::new(entry_of(bundle)?, rule, seed)?));
         }
         match ProposalMemory::open(bundle, backend, proposals.count(), seed)? {
             Some(memory) => Ok(Self::Proposing(Box::new(memory))),
@@ -64,6 +78,9 @@ pub(crate) struct LearnedAllocator {
     values: Vec<f32>,
     relation: Vec<f32>,
     team_max: usize,
+    entry: &'static Entry,
+    /// Where the search starts.
+    start: Allocation,
 }
 
 impl LearnedAllocator {
@@ -101,12 +118,17 @@ impl LearnedAllocator {
         let limits = bundle.manifest().limits;
         let entities = usize::from(limits.n_max);
         let cells = exact::cells(EXACT_AGENTS, limits.t_max.into());
+        let entry = entry_of(bundle)?;
+        let start = usual_rule(entry).and_then(AllocatorChoice::rule);
+        let start = start.ok_or_else(|| none_learned(&name.to_string()))?;
         Ok(Self {
             network,
             cells: vec![exact::Cell::default(); cells],
             values: vec![0.0; cells],
-            relation: vec![0.0; entities * CityRelation::new().columns()],
+            relation: vec![0.0; entities * FrameRelation::new(entry)?.columns()],
             team_max: limits.team_max.into(),
+            entry,
+            start,
         })
     }
 
@@ -119,8 +141,8 @@ impl LearnedAllocator {
     pub(crate) fn allocator(&mut self) -> Result<impl Allocator + '_, Failure> {
         Ok(TeamValueAllocator {
             network: self.network.bind()?,
-            relation: CityRelation::new(),
-            start: CityAllocator::new(AllocationRule::Coordinated, 0),
+            relation: FrameRelation::new(self.entry)?,
+            start: RuleAllocator::new(self.entry, self.start, 0)?,
             team_max: self.team_max,
             exact_agents: EXACT_AGENTS,
             memory: SearchMemory {

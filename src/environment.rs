@@ -1,93 +1,148 @@
 //! Environments by name, and whether a bundle fits one.
 
+use std::collections::BTreeMap;
 use std::fmt;
 
 use sortie_bundle::{Bundle, Environment};
-use sortie_envs::ENVIRONMENTS;
-use sortie_envs::save_the_city::{
-    ACTION_NAMES, ENTRY, FEATURE_NAMES, SET_NAMES, ScenarioSet, VERSION,
-};
+use sortie_envs::{Choice, ENVIRONMENTS, Entry, EnvironmentError, Shape, Spec, Split};
+use sortie_learn::evaluate::LEARNED;
 
-use crate::failure::{Exit, Failure};
+use crate::failure::{Exit, Failure, Outcome};
 
-/// The dissertation's scenario set.
-const DEFAULT_SET: &str = "2-5a_2-5b";
-
-/// An environment and one of its scenario sets, written `ENV/SET`.
-#[derive(Clone, Debug, PartialEq, Eq)]
+/// An environment and one of its sets of starts, written `ENV/SET`.
+#[derive(Clone, Debug)]
 pub(crate) struct ScenarioSetName {
-    environment: String,
+    entry: &'static Entry,
     set: String,
 }
 
 impl ScenarioSetName {
-    /// Reads `ENV` or `ENV/SET`, several sets joined by `+`, and checks that they exist.
+    /// Reads `ENV` or `ENV/SET`, and checks that they exist.
     pub(crate) fn parse(text: &str) -> Result<Self, Failure> {
-        let (environment, set) = text.split_once('/').unwrap_or((text, DEFAULT_SET));
-        let known: Vec<&str> = ENVIRONMENTS.iter().map(|entry| entry.name).collect();
-        if !known.contains(&environment) {
-            return Err(unknown("environment", environment, &known));
-        }
-        if environment != ENTRY.name {
-            let reason = format!(
-                "`{environment}` is no environment that teams are learned and deployed in, only `{}` is; \
-                 `sortie bench env --env {environment}` steps it",
-                ENTRY.name
-            );
-            return Err(Failure::new(Exit::Usage, reason));
-        }
-        if let Some(unknown_set) = set.split('+').find(|name| !SET_NAMES.contains(name)) {
-            return Err(unknown("scenario set", unknown_set, &SET_NAMES));
-        }
-        ScenarioSet::named(set).map_err(|error| Failure::new(Exit::Usage, error.to_string()))?;
-        Ok(Self { environment: environment.to_string(), set: set.to_string() })
+        let (name, set) = match text.split_once('/') {
+            Some((name, set)) => (name, Some(set)),
+            None => (text, None),
+        };
+        let name = Self { entry: entry(name)?, set: set.unwrap_or_default().to_owned() };
+        let name = if set.is_none() { Self::usual(name.entry) } else { name };
+        name.choose(Split::Train, 0)
+            .map_err(|error| Failure::new(Exit::Usage, error.to_string()))?;
+        Ok(name)
     }
 
-    /// The scenario set's own name.
+    /// The set that an environment is played in where none is named.
+    fn usual(entry: &'static Entry) -> Self {
+        Self { entry, set: (entry.sets)().swap_remove(0) }
+    }
+
+    /// As [`parse`](Self::parse), for what is done with learners of tasks that one environment alone has.
+    pub(crate) fn parse_learned(text: &str) -> Result<Self, Failure> {
+        let name = Self::parse(text)?;
+        name.check_learned()?;
+        Ok(name)
+    }
+
+    /// Refuses environments that teams are not learned, evaluated and exported in.
+    pub(crate) fn check_learned(&self) -> Outcome {
+        if self.entry.name == LEARNED.name {
+            return Ok(());
+        }
+        let (name, learned) = (self.entry.name, LEARNED.name);
+        let reason = format!(
+            "`{name}` is no environment that this is done in, only `{learned}` is; `sortie view scripted --env \
+             {name}` plays in it, `sortie bench env --env {name}` steps it"
+        );
+        Err(Failure::new(Exit::Usage, reason))
+    }
+
+    /// The environment.
+    pub(crate) fn entry(&self) -> &'static Entry {
+        self.entry
+    }
+
+    /// The set's own name.
     pub(crate) fn set(&self) -> &str {
         &self.set
+    }
+
+    /// The environment with one instance, whose episode is over.
+    pub(crate) fn open(&self, split: Split) -> Result<Box<dyn sortie_envs::Environment>, Failure> {
+        self.choose(split, 1).map_err(Failure::bug)
+    }
+
+    fn choose(
+        &self,
+        split: Split,
+        instances: usize,
+    ) -> Result<Box<dyn sortie_envs::Environment>, EnvironmentError> {
+        let settings = BTreeMap::new();
+        (self.entry.open)(&Choice { set: Some(&self.set), split, instances, settings: &settings })
+    }
+}
+
+/// What is played where nothing is named.
+impl Default for ScenarioSetName {
+    fn default() -> Self {
+        Self::usual(LEARNED)
     }
 }
 
 impl fmt::Display for ScenarioSetName {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}/{}", self.environment, self.set)
+        write!(f, "{}/{}", self.entry.name, self.set)
     }
+}
+
+/// The environment of this name.
+fn entry(name: &str) -> Result<&'static Entry, Failure> {
+    ENVIRONMENTS.iter().find(|entry| entry.name == name).ok_or_else(|| {
+        let known: Vec<&str> = ENVIRONMENTS.iter().map(|entry| entry.name).collect();
+        let known = known.join(", ");
+        Failure::new(Exit::Usage, format!("unknown environment `{name}`; known: {known}"))
+    })
+}
+
+/// The environment that a bundle was learned in.
+pub(crate) fn entry_of(bundle: &Bundle) -> Result<&'static Entry, Failure> {
+    let name = &bundle.manifest().contract.environment.name;
+    entry(name.split('/').next().unwrap_or_default())
 }
 
 /// Whether a bundle's environment is built in, in this version; the reason if not.
 pub(crate) fn check_known(environment: &Environment) -> Result<(), String> {
     let Environment { name, version, .. } = environment;
-    ScenarioSetName::parse(name).map_err(|failure| failure.message)?;
-    if version == VERSION {
+    let known = ScenarioSetName::parse(name).map_err(|failure| failure.message)?;
+    if version == known.entry.version {
         return Ok(());
     }
     Err(format!(
-        "it was learned in version {version} of `{name}`, this program has version {VERSION}"
+        "it was learned in version {version} of `{name}`, this program has version {}",
+        known.entry.version
     ))
 }
 
-fn unknown(what: &str, name: &str, known: &[&str]) -> Failure {
-    let known = known.join(", ");
-    Failure::new(Exit::Usage, format!("unknown {what} `{name}`; known: {known}"))
+/// Refuses a bundle that was trained for other features or actions, or for smaller teams.
+pub(crate) fn check_fits(bundle: &Bundle, name: &ScenarioSetName) -> Outcome {
+    let environment = name.choose(Split::Train, 0).map_err(Failure::bug)?;
+    check_spec(bundle, environment.spec(), &name.set)
 }
 
-/// Refuses a bundle that was trained for other features or actions, or for smaller teams.
-pub(crate) fn check_fits(bundle: &Bundle, set: &ScenarioSet) -> Result<(), Failure> {
+/// As [`check_fits`], for a set that need not be known.
+pub(crate) fn check_spec(bundle: &Bundle, spec: &Spec, set: &str) -> Outcome {
     let mismatch = |reason: String| {
         Err(Failure::new(Exit::Mismatch, format!("{}: {reason}", bundle.folder().display())))
     };
     let contract = bundle.contract();
-    if contract.feature_names != FEATURE_NAMES || contract.action_names != ACTION_NAMES {
+    if contract.feature_names != spec.features || contract.action_names != spec.actions {
         return mismatch("the bundle was trained for other features or actions".to_string());
     }
     let limits = &bundle.manifest().limits;
-    let (entities, tasks) = (set.max_agents + set.max_buildings, set.max_buildings);
+    let Shape { entities, tasks, .. } = spec.shape;
     if entities > usize::from(limits.n_max) || tasks > usize::from(limits.t_max) {
         return mismatch(format!(
-            "`{}` has {entities} entities and {tasks} subtasks, the bundle takes at most {} and {}; \
+            "`{set}` has {entities} entities and {tasks} subtasks, the bundle takes at most {} and {}; \
              choose a smaller set with --env or train on this one",
-            set.name, limits.n_max, limits.t_max
+            limits.n_max, limits.t_max
         ));
     }
     Ok(())

@@ -5,10 +5,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use sortie_bundle::files::{Durability, replace_file};
-use sortie_envs::Step;
-use sortie_envs::save_the_city::golden::{Labels, Recorder};
+use sortie_envs::{Environment, Step};
 use sortie_learn::LearnError;
-use sortie_learn::evaluate::{Onlooker, Watched};
+use sortie_learn::evaluate::{Labels, Onlooker, Recorder, Watched};
 
 use crate::failure::Failure;
 use crate::files::{Kind, try_output};
@@ -35,9 +34,7 @@ impl EpisodeWriter {
 impl Onlooker for EpisodeWriter {
     fn started(&mut self, watched: Watched<'_>) -> Result<(), LearnError> {
         let Watched { episode, worlds, instance } = watched;
-        let team: String =
-            worlds.city(instance).agents.iter().map(|agent| agent.kind.letter()).collect();
-        let name = format!("{episode:05}-{team}");
+        let name = format!("{episode:05}-{}", worlds.episode(instance).group);
         let labels = Labels { name, policy: self.policy.clone(), seed: self.seed };
         self.recorders.insert(episode, Recorder::new(worlds, instance, labels));
         Ok(())
@@ -51,7 +48,7 @@ impl Onlooker for EpisodeWriter {
     ) -> Result<(), LearnError> {
         let Watched { episode, worlds, instance } = watched;
         if let Some(recorder) = self.recorders.get_mut(&episode) {
-            recorder.record(worlds, &actions[..worlds.city(instance).agents.len()], outcome);
+            recorder.record(worlds, &actions[..worlds.agent_count(instance)], outcome);
         }
         if outcome.done()
             && let Some(recorder) = self.recorders.remove(&episode)

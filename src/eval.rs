@@ -134,6 +134,7 @@ pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
         try_output(file, Kind::Observations)?;
     }
     let set = subject.scenario_set(arguments.env.as_deref())?;
+    set.check_learned()?;
     let other = arguments.allocator.as_deref().map(Subject::find).transpose()?;
     let seeds = arguments.seeds.unwrap_or(SeedRange::only(arguments.common.seed));
     let episodes = u64::from(arguments.episodes).saturating_mul(seeds.iter().count() as u64);
@@ -211,7 +212,7 @@ impl Match<'_> {
         let (allocation, mut allocator) =
             subject_allocator::open_for(subject, asked, owner, &name, arguments.backend, draws)?;
         if let (Subject::Bundle(bundle), true) = (owner, allocator.is_deployed()) {
-            environment::check_fits(bundle, &plan.set)?;
+            environment::check_fits(bundle, set)?;
         }
         let mut allocator = allocator.allocator()?;
         let mut play = |team: &mut dyn Team| self.watch(&plan, team, &mut *allocator, allocation);
@@ -219,7 +220,7 @@ impl Match<'_> {
             Subject::Scripted => play(&mut ScriptedActors::new(seed)),
             Subject::Run(run) => play(&mut run.team()),
             Subject::Bundle(bundle) => {
-                environment::check_fits(bundle, &plan.set)?;
+                environment::check_fits(bundle, set)?;
                 let profile = arguments.profile.profile();
                 let mut policy = DeployedPolicy::open_as(bundle, arguments.backend, profile)?;
                 let mut policy = policy.policy()?;

@@ -23,7 +23,7 @@ use crate::proposals::ProposalArguments;
 use crate::seeds::SeedRange;
 
 /// Rules that the agents are measured under beside their own allocator.
-const RULES: [Allocation; 2] = [Allocation::Coordinated, Allocation::Heuristic];
+const RULES: [&str; 2] = ["coordinated", "heuristic"];
 
 /// Export a training run as a bundle: networks as ONNX, contract, golden observations, card and curve
 ///
@@ -117,7 +117,7 @@ fn sets(arguments: &ExportArguments, run: &Run) -> Result<Vec<String>, Failure> 
     if arguments.env.is_empty() {
         return Ok(vec![run.description.config.environment().set.clone()]);
     }
-    let set = |name: &String| Ok(ScenarioSetName::parse(name)?.set().to_owned());
+    let set = |name: &String| Ok(ScenarioSetName::parse_learned(name)?.set().to_owned());
     arguments.env.iter().map(set).collect()
 }
 
@@ -143,8 +143,8 @@ fn measure(
     if let Some(mut allocator) = run.learned_allocator(ProposalArguments::default().count()) {
         add("learned", &mut *allocator)?;
     }
-    for allocation in RULES {
-        add(allocation.name(), &mut allocation.rule())?;
+    for name in RULES {
+        add(name, &mut *Allocation::named(name)?.measured()?)?;
     }
     Ok(())
 }

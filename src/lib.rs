@@ -39,6 +39,7 @@ mod train;
 mod verify;
 mod version;
 mod view;
+mod views;
 mod worlds;
 
 use std::process::ExitCode;

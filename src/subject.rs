@@ -2,8 +2,7 @@
 
 use std::path::Path;
 
-use sortie_bundle::{Bundle, MANIFEST, TRAINING};
-use sortie_envs::save_the_city::ENTRY;
+use sortie_bundle::{Bundle, MANIFEST, SubtaskConditioning, TRAINING};
 use sortie_learn::run::Run;
 
 use crate::deployment::open_bundle;
@@ -47,7 +46,10 @@ impl Subject {
     pub(crate) fn has_subtasks(&self) -> bool {
         match self {
             Self::Run(run) => run.description.config.subtask().has_subtasks(),
-            Self::Bundle(_) | Self::Scripted => true,
+            Self::Bundle(bundle) => {
+                bundle.contract().subtask_conditioning != SubtaskConditioning::None
+            }
+            Self::Scripted => true,
         }
     }
 
@@ -70,7 +72,7 @@ impl Subject {
                 let config = run.description.config.environment();
                 ScenarioSetName::parse(&format!("{}/{}", config.name, config.set))
             }
-            (None, Self::Scripted) => ScenarioSetName::parse(ENTRY.name),
+            (None, Self::Scripted) => Ok(ScenarioSetName::default()),
         }
     }
 }

@@ -1,12 +1,11 @@
 //! What allocates in episodes that one process plays: a rule, or what a subject has learned.
 
-use sortie_envs::save_the_city::AllocationRule;
-use sortie_learn::evaluate::{Allocate, DeployedAllocator, NoSubtasks};
+use sortie_learn::evaluate::{Allocate, DeployedAllocator, LEARNED, NoSubtasks};
 use sortie_learn::run::{Run, RunAllocator};
 
-use crate::allocation::AllocatorChoice;
+use crate::allocation::{Allocation, AllocatorChoice};
 use crate::allocator::{LearnedAllocator as DeployedLearned, none_learned};
-use crate::failure::{Exit, Failure};
+use crate::failure::Failure;
 use crate::policy::Backend;
 use crate::proposals::{ProposalArguments, ProposalMemory};
 use crate::subject::Subject;
@@ -15,7 +14,7 @@ use crate::subject::Subject;
 pub(crate) enum SubjectAllocator<'a> {
     /// Of a team that knows of no subtasks.
     Nobody,
-    Rule(AllocationRule),
+    Rule(Allocation),
     /// A run's, with the trainer's own forward pass.
     Run(&'a Run, ProposalArguments),
     /// A bundle's, as deployed.
@@ -37,20 +36,14 @@ pub(crate) fn open_for<'a>(
     draws: (ProposalArguments, u64),
 ) -> Result<(&'static str, SubjectAllocator<'a>), Failure> {
     if team.has_subtasks() {
-        let choice = AllocatorChoice::or_default(asked, owner.has_allocator());
+        let choice = AllocatorChoice::or_default(asked, owner.has_allocator(), LEARNED)?;
         let allocator = SubjectAllocator::open(choice, Some(owner), name, backend, draws)?;
         return Ok((choice.name(), allocator));
     }
     draws.0.check_unused()?;
     match asked {
         None => Ok(("none", SubjectAllocator::Nobody)),
-        Some(choice) => {
-            let choice = choice.name();
-            let message = format!(
-                "the team knows of no subtasks: nobody allocates, and `{choice}` would change nothing"
-            );
-            Err(Failure::new(Exit::Usage, message))
-        }
+        Some(choice) => Err(choice.of_no_use()),
     }
 }
 
@@ -98,7 +91,7 @@ impl<'a> SubjectAllocator<'a> {
     pub(crate) fn allocator(&mut self) -> Result<Box<dyn Allocate + '_>, Failure> {
         Ok(match self {
             Self::Nobody => Box::new(NoSubtasks),
-            Self::Rule(rule) => Box::new(*rule),
+            Self::Rule(rule) => rule.measured()?,
             Self::Run(run, proposals) => {
                 run.learned_allocator(proposals.count()).ok_or_else(|| none_learned("the run"))?
             }

@@ -13,12 +13,12 @@ use super::rounds::{alternate_long, engine, our_engine};
 use super::{Figures, Measuring, OURS, TRACT_VERSION, pin, scenes};
 use crate::allocator::{LearnedAllocator, none_learned};
 use crate::deployment::open_bundle;
-use crate::environment::ScenarioSetName;
+use crate::environment::{ScenarioSetName, entry_of};
 use crate::failure::{Exit, Failure, Outcome};
 use crate::onnxruntime::OnnxRuntimeArguments;
 use crate::policy::{Backend, DeployedPolicy};
 use crate::proposals::{ProposalArguments, ProposalMemory};
-use crate::worlds::save_the_city::CityRelation;
+use crate::worlds::rules::FrameRelation;
 
 /// Agents and open subtasks of the states that are measured.
 const SIZE: (usize, usize) = (5, 6);
@@ -117,7 +117,7 @@ fn states(
     seed: u64,
 ) -> Result<Vec<OwnedAllocationState>, Failure> {
     let mut policy = DeployedPolicy::open(bundle, Backend::Plan)?;
-    let set = ScenarioSetName::parse(&bundle.manifest().contract.environment.name)?;
+    let set = ScenarioSetName::parse_learned(&bundle.manifest().contract.environment.name)?;
     let mut policy = policy.policy()?;
     let states =
         scenes::allocation_states(policy.as_mut(), allocator.allocator()?, set.set(), seed)?;
@@ -164,7 +164,7 @@ fn check(
 /// All teams of all open subtasks in one call of onnxruntime, then our search.
 struct Batched {
     network: Box<dyn BatchedValues>,
-    relation: CityRelation,
+    relation: FrameRelation,
     team_max: usize,
     /// The relations of all open subtasks.
     relations: Vec<Vec<f32>>,
@@ -180,7 +180,7 @@ impl Batched {
         let cells = exact::cells(SIZE.0, SIZE.1);
         Ok(Self {
             network,
-            relation: CityRelation::new(),
+            relation: FrameRelation::new(entry_of(bundle)?)?,
             team_max: bundle.manifest().limits.team_max.into(),
             relations: vec![Vec::new(); SIZE.1],
             values: vec![0.0; cells],

@@ -5,7 +5,7 @@ use std::path::Path;
 use sortie_bundle::Bundle;
 use sortie_core::Policy;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
-use sortie_envs::save_the_city::ScenarioSet;
+use sortie_learn::evaluate::EvaluationPlan;
 use sortie_plans::{BatchedUtilities, CompileError, CompileOptions, Compiler, OnnxRuntimeEngine};
 
 use super::floor::Floor;
@@ -107,7 +107,7 @@ impl OnnxRuntimePeer {
 
 /// The bundle's network for more entities than it may have been exported for.
 fn plan_for_large_teams(bundle: &Bundle, profile: Profile) -> Result<AlignedBytes, Failure> {
-    let large = ScenarioSet::named(LARGE_SET).map_err(Failure::bug)?;
+    let large = EvaluationPlan::new(LARGE_SET, 0, 0)?.set;
     let large = large.max_agents + large.max_buildings;
     let options = CompileOptions {
         n_max: large.max(bundle.manifest().limits.n_max.into()),

@@ -111,7 +111,7 @@ fn recordings(
     if let Some(file) = &arguments.observations {
         return Ok(vec![read_recording(file, bundle)?]);
     }
-    let own = ScenarioSetName::parse(&bundle.manifest().contract.environment.name)?;
+    let own = ScenarioSetName::parse_learned(&bundle.manifest().contract.environment.name)?;
     let seed = arguments.measuring.common.seed;
     let mut record = |set: &str| scenes::record(bundle, policy, set, seed);
     Ok(vec![record(own.set())?, record(scenes::LARGE_SET)?])

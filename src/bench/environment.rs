@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use sortie_envs::random::generator;
-use sortie_envs::{Split, observe_and_step, open};
+use sortie_envs::{ENVIRONMENTS, Split, observe_and_step, open};
 
 use super::{Figures, Measuring, Row, pin, thread_cpu_s};
 use crate::failure::{Exit, Failure};
@@ -19,7 +19,7 @@ const ROUNDS: usize = 2_000;
 #[derive(Debug, Args)]
 pub(super) struct EnvironmentArguments {
     /// Environment and set of starts; every environment is possible
-    #[arg(long, default_value = "save-the-city", value_name = "ENV[/SET]")]
+    #[arg(long, default_value = ENVIRONMENTS[0].name, value_name = "ENV[/SET]")]
     env: String,
     #[command(flatten)]
     pub(super) measuring: Measuring,

@@ -2,9 +2,9 @@
 
 use sortie_bundle::{Bundle, OwnedAllocationState, Recording};
 use sortie_core::{AllocateError, AllocationState, Allocator, Policy};
-use sortie_envs::save_the_city::AllocationRule;
 use sortie_learn::evaluate::{DeployedAllocator, EvaluationPlan, PolicyTeam, evaluate};
 
+use crate::allocation::Allocation;
 use crate::failure::Failure;
 use crate::observations::RecordingPolicy;
 
@@ -22,7 +22,8 @@ pub(super) fn record(
 ) -> Result<Recording, Failure> {
     let plan = EvaluationPlan::new(set, EPISODES, seed)?;
     let mut recorder = RecordingPolicy::new(policy, bundle);
-    evaluate(&plan, &mut PolicyTeam::new(&mut recorder), &mut AllocationRule::Coordinated)?;
+    let mut rule = Allocation::named("coordinated")?.measured()?;
+    evaluate(&plan, &mut PolicyTeam::new(&mut recorder), &mut *rule)?;
     Ok(recorder.into_recording())
 }
 

@@ -3,6 +3,7 @@
 mod keyboard;
 mod ledger;
 mod onlooker;
+mod picture;
 pub(crate) mod process;
 pub(crate) mod registry;
 mod report;
@@ -10,7 +11,6 @@ mod scheduling;
 mod screen;
 mod team;
 pub(crate) mod up;
-mod view;
 mod world;
 
 use std::path::PathBuf;
@@ -28,7 +28,7 @@ use self::onlooker::{Display, Onlooker};
 use self::report::{Manner, Setup, report};
 use self::team::Team;
 use self::world::open_world;
-use crate::allocation::AllocatorChoice;
+use crate::allocation::{AllocatorChoice, name_of};
 use crate::allocator::DeployedAllocator;
 use crate::deployment::{domain_contract, open_bundle};
 use crate::failure::Outcome;
@@ -37,7 +37,7 @@ use crate::policy::{Backend, DeployedPolicy};
 use crate::proposals::ProposalArguments;
 use crate::signals::stop_on_signals;
 use crate::terminal;
-use crate::worlds::save_the_city::CityWorld;
+use crate::worlds::world::EnvironmentWorld;
 
 /// Ticks a second at which a person can follow.
 const WATCHABLE_HZ: f64 = 10.0;
@@ -107,28 +107,28 @@ pub(crate) fn run(arguments: &RunArguments) -> Outcome {
     let bundle = open_bundle(&arguments.bundle)?;
     let seed = arguments.common.seed;
     let mut world = open_world(&bundle, arguments.env.as_deref(), seed)?;
-    let learned = bundle.has_allocator();
-    let allocation = AllocatorChoice::or_default(arguments.allocation, learned);
+    let allocation = AllocatorChoice::of_bundle(&bundle, arguments.allocation)?;
     // Opened here even where another process allocates: errors show at once, and plans are compiled.
-    let mut allocator =
-        DeployedAllocator::open(&bundle, allocation, arguments.backend, seed, arguments.proposals)?;
+    let draws = (seed, arguments.proposals);
+    let mut allocator = DeployedAllocator::open_for(&bundle, allocation, arguments.backend, draws)?;
     let mut onlooker =
         Onlooker::new(display(arguments), Some(arguments.episodes as usize), &world, None);
     onlooker.listen(&stop);
     let ended = if arguments.in_process {
-        let mut allocator = allocator.allocator()?;
-        play_in_process(arguments, &bundle, &mut world, allocator.as_mut(), &mut onlooker, &stop)
+        let allocator = allocator.as_mut();
+        play_in_process(arguments, &bundle, &mut world, allocator, &mut onlooker, &stop)
     } else {
         play_as_processes(arguments, &bundle, &mut world, allocation, &mut onlooker, &stop)
     };
     onlooker.restore_terminal();
     let setup = Setup {
-        allocation: allocation.name().to_string(),
+        allocation: name_of(allocation).to_string(),
         backend: arguments.backend.name().to_string(),
         rate_hz: pace(arguments),
     };
     let manner = if arguments.common.json { Manner::Json } else { Manner::Tables };
-    report(&world.tally.borrow(), &onlooker, setup, manner, ended.is_ok());
+    let spec = world.environment.borrow().spec().clone();
+    report(&world.tally.borrow(), &spec, &onlooker, setup, manner, ended.is_ok());
     ended
 }
 
@@ -149,9 +149,9 @@ fn pace(arguments: &RunArguments) -> Option<f64> {
     (rate > 0.0).then_some(rate)
 }
 
-fn settings(arguments: &RunArguments) -> WorldSettings {
+fn settings(arguments: &RunArguments, allocation: Option<AllocatorChoice>) -> WorldSettings {
     WorldSettings {
-        allocator: true,
+        allocator: allocation.is_some(),
         patience: Duration::from_secs_f64(arguments.patience),
         episodes: Some(arguments.episodes),
         tick_interval: pace(arguments)
@@ -163,24 +163,26 @@ fn settings(arguments: &RunArguments) -> WorldSettings {
 fn play_in_process(
     arguments: &RunArguments,
     bundle: &Bundle,
-    world: &mut CityWorld,
-    allocator: &mut dyn Allocator,
+    world: &mut EnvironmentWorld,
+    allocator: Option<&mut DeployedAllocator>,
     onlooker: &mut Onlooker,
     stop: &Stop,
 ) -> Outcome {
     let mut policy = DeployedPolicy::open(bundle, arguments.backend)?;
     let mut policy = policy.policy()?;
-    let team = InProcess { world, policy: policy.as_mut(), allocator: Some(allocator) };
+    let mut allocator = allocator.map(DeployedAllocator::allocator).transpose()?;
+    let allocator = allocator.as_mut().map(|allocator| allocator.as_mut() as &mut dyn Allocator);
+    let team = InProcess { world, policy: policy.as_mut(), allocator };
     let contract = domain_contract(bundle, None);
-    run_in_process(team, &contract, &settings(arguments), onlooker, stop)?;
+    run_in_process(team, &contract, &settings(arguments, None), onlooker, stop)?;
     Ok(())
 }
 
 fn play_as_processes(
     arguments: &RunArguments,
     bundle: &Bundle,
-    world: &mut CityWorld,
-    allocation: AllocatorChoice,
+    world: &mut EnvironmentWorld,
+    allocation: Option<AllocatorChoice>,
     onlooker: &mut Onlooker,
     stop: &Stop,
 ) -> Outcome {
@@ -203,12 +205,20 @@ fn play_as_processes(
     };
     let start_team = |children: &mut Children| {
         let runners = groups.iter().map(|group| team.runner(group));
-        for mut charge in runners.chain([team.allocator("the allocator".to_string())]) {
+        for mut charge in runners.chain(team.allocator("the allocator".to_string())) {
             children.spawn(charge.name, &mut charge.command)?;
         }
         Ok(())
     };
-    let contract = domain_contract(bundle, Some(allocation));
-    world_process(&domain, &contract, world, &settings(arguments), start_team, onlooker, stop)?;
+    let contract = domain_contract(bundle, allocation);
+    world_process(
+        &domain,
+        &contract,
+        world,
+        &settings(arguments, allocation),
+        start_team,
+        onlooker,
+        stop,
+    )?;
     Ok(())
 }

@@ -1,23 +1,21 @@
-//! Watches the world of a run: collects latencies, shows the city.
+//! Watches the world of a run: collects latencies, shows what is played.
 
-use std::cell::RefCell;
 use std::collections::BTreeSet;
-use std::rc::Rc;
 
 use sortie_core::roles::{TickReport, WorldObserver};
 use sortie_core::wire::{AllocMsg, StatMsg};
 use sortie_core::{NO_ACTION, UNASSIGNED, limits};
-use sortie_envs::save_the_city::SaveTheCity;
+use sortie_envs::Episode;
 use sortie_ipc::Stop;
 
 use super::keyboard::Keyboard;
 use super::ledger::Ledger;
+use super::picture::{self, Picture};
 use super::screen::Screen;
-use super::view::{self, Picture};
 use crate::latency::Latency;
 use crate::output::tell;
-use crate::worlds::save_the_city::{CityWorld, SharedTally};
-use crate::worlds::tally::FinishedEpisode;
+use crate::views::{Scene, View, view_of};
+use crate::worlds::world::{EnvironmentWorld, SharedEnvironment, SharedTally};
 
 /// How a run is shown while it goes on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,7 +33,10 @@ pub(super) struct Onlooker {
     display: Display,
     /// `None` = without end.
     episodes: Option<usize>,
-    city: Rc<RefCell<SaveTheCity>>,
+    environment: SharedEnvironment,
+    view: &'static dyn View,
+    /// The state that is drawn.
+    state: Vec<u8>,
     tally: SharedTally,
     /// Episodes of worlds before this one.
     earlier: usize,
@@ -67,7 +68,7 @@ impl Onlooker {
     pub(super) fn new(
         display: Display,
         episodes: Option<usize>,
-        world: &CityWorld,
+        world: &EnvironmentWorld,
         ledger: Option<Ledger>,
     ) -> Self {
         let figures = Figures {
@@ -81,7 +82,9 @@ impl Onlooker {
         Self {
             display,
             episodes,
-            city: world.city.clone(),
+            environment: world.environment.clone(),
+            view: view_of(world.environment.borrow().spec().name),
+            state: Vec::new(),
             tally: world.tally.clone(),
             earlier: world.tally.borrow().episodes,
             ledger,
@@ -117,11 +120,18 @@ impl Onlooker {
     fn draw(&mut self, step: u32) {
         let hint = self.hint();
         let tally = self.tally.borrow();
-        let city = self.city.borrow();
+        let environment = self.environment.borrow();
+        self.state.clear();
+        environment.save(0, &mut self.state);
+        let spec = environment.spec();
+        let agents = spec.shape.agents;
         let picture = Picture {
-            city: city.city(0),
-            allocation: &self.allocation,
-            actions: &self.actions,
+            scene: Scene {
+                spec,
+                state: &self.state,
+                allocation: &self.allocation[..agents],
+                actions: &self.actions[..agents],
+            },
             episode: (tally.episodes + 1).min(self.episodes.unwrap_or(usize::MAX)),
             episodes: self.episodes,
             finished: tally.episodes,
@@ -130,7 +140,7 @@ impl Onlooker {
             tick: self.figures.tick.percentiles(),
             hint,
         };
-        self.screen.show(|canvas| view::lines(&picture, canvas));
+        self.screen.show(|canvas| picture::lines(&picture, self.view, canvas));
     }
 }
 
@@ -193,7 +203,8 @@ impl WorldObserver for Onlooker {
             && let Some(finished) = &tally.last
         {
             let number = self.earlier + episode as usize + 1;
-            tell!("{}", episode_line(number, self.episodes, finished));
+            let what = self.view.outcome(self.environment.borrow().spec(), finished);
+            tell!("{}", episode_line(number, self.episodes, finished, &what));
         }
     }
 }
@@ -204,16 +215,12 @@ fn unanswered(report: &TickReport<'_>) -> u64 {
     acted.filter(|(agent, _)| report.answered >> agent & 1 == 0).count() as u64
 }
 
-fn episode_line(episode: usize, episodes: Option<usize>, finished: &FinishedEpisode) -> String {
-    let metrics = &finished.metrics;
-    let end = match (metrics.solved, metrics.timed_out) {
+fn episode_line(number: usize, episodes: Option<usize>, episode: &Episode, what: &str) -> String {
+    let end = match (episode.solved, episode.timed_out) {
         (true, _) => "solved",
         (false, true) => "timed out",
         (false, false) => "lost",
     };
     let of = episodes.map_or(String::new(), |episodes| format!(" of {episodes}"));
-    format!(
-        "episode {episode:3}{of}: {:8}  {end:9}  {} of {} buildings saved in {} steps",
-        finished.team, metrics.buildings_completed, metrics.buildings, metrics.steps
-    )
+    format!("episode {number:3}{of}: {:8}  {end:9}  {what}", episode.group)
 }

@@ -6,7 +6,6 @@ use clap::{Args, ValueEnum};
 use sortie_bundle::{Bundle, FallbackAllocation};
 use sortie_core::Allocator;
 use sortie_core::roles::Counters;
-use sortie_envs::save_the_city::AllocationRule;
 use sortie_ipc::{
     AllocatorProcess, Domain, DomainContract, Ended, ProcessSettings, RunnerProcess, Stop,
 };
@@ -14,14 +13,15 @@ use sortie_ipc::{
 use super::registry::Bundles;
 use super::scheduling::Scheduling;
 use super::world::{Playing, WorldOfTeam, play};
-use crate::allocation::AllocatorChoice;
+use crate::allocation::{Allocation, AllocatorChoice};
 use crate::allocator::DeployedAllocator;
 use crate::deployment::{domain_contract, model_id, open_bundle};
+use crate::environment::entry_of;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::proposals::ProposalArguments;
 use crate::signals::stop_on_signals;
-use crate::worlds::save_the_city::CityAllocator;
+use crate::worlds::rules::RuleAllocator;
 
 /// Run one process of a team: what `run` and `up` start, and what a person may start in its place
 #[derive(Debug, Args)]
@@ -34,8 +34,8 @@ pub(crate) struct ProcessArguments {
     /// Agents that a runner acts for
     #[arg(long, value_delimiter = ',')]
     agents: Vec<u16>,
-    #[arg(long, value_enum, default_value = "coordinated")]
-    allocation: AllocatorChoice,
+    #[arg(long, value_enum)]
+    allocation: Option<AllocatorChoice>,
     #[arg(long, value_enum, default_value_t = Backend::Plan)]
     backend: Backend,
     #[command(flatten)]
@@ -80,7 +80,10 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
     let bundle = open_bundle(&arguments.bundle)?;
     let domain = Domain::new(&arguments.domain)?;
     // A runner acts on whatever allocation comes.
-    let allocation = (arguments.role != Role::Runner).then_some(arguments.allocation);
+    let allocation = match arguments.role {
+        Role::Runner => None,
+        _ => AllocatorChoice::of_bundle(&bundle, arguments.allocation)?,
+    };
     let mixes_teams = arguments.mix_teams;
     let contract = DomainContract { mixes_teams, ..domain_contract(&bundle, allocation) };
     let limits = &bundle.manifest().limits;
@@ -95,7 +98,7 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
     };
     match arguments.role {
         Role::World => {
-            let ProcessArguments { allocation, backend, seed, json, quiet, fill, .. } = *arguments;
+            let ProcessArguments { backend, seed, json, quiet, fill, .. } = *arguments;
             let ProcessSettings { private, linger, real_time, .. } = settings;
             let world = WorldOfTeam {
                 bundle: &bundle,
@@ -113,7 +116,9 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
             play(&world, &arguments.playing, &domain, &stop)
         }
         Role::Runner => act(arguments, (&bundle, &contract), &domain, &settings, &stop),
-        Role::Allocator => allocate(arguments, (&bundle, &contract), &domain, &settings, &stop),
+        Role::Allocator => {
+            allocate(arguments, allocation, (&bundle, &contract), &domain, &settings, &stop)
+        }
     }
 }
 
@@ -129,13 +134,11 @@ fn act(
     let mut memory = DeployedPolicy::open(bundle, backend)?;
     let mut bundles =
         Bundles::beside(&arguments.bundle, |bundle: &Bundle| DeployedPolicy::open(bundle, backend));
-    // A rule that draws nothing: every runner finds the same.
-    let mut rule = CityAllocator::new(AllocationRule::Heuristic, 0);
-    let has_rule = bundle.contract().fallback_allocation == FallbackAllocation::Heuristic;
+    let mut rule = fallback(bundle)?;
     let mut process = RunnerProcess::join(domain, contract, &arguments.agents, settings, stop)?;
     let ended = loop {
         let mut policy = memory.policy()?;
-        let rule = has_rule.then_some(&mut rule as &mut dyn Allocator);
+        let rule = rule.as_mut().map(|rule| rule as &mut dyn Allocator);
         let ended = process.act(policy.as_mut(), rule, Some(&mut bundles), stop);
         drop(policy);
         match (ended, bundles.take()) {
@@ -147,15 +150,30 @@ fn act(
     outcome(ended.and(left))
 }
 
+/// The rule that every runner falls back to, where the contract says so. It draws nothing: all find the same.
+fn fallback(bundle: &Bundle) -> Result<Option<RuleAllocator>, Failure> {
+    if bundle.contract().fallback_allocation != FallbackAllocation::Heuristic {
+        return Ok(None);
+    }
+    let rule = Allocation::named("heuristic")?;
+    RuleAllocator::new(entry_of(bundle)?, rule, 0).map(Some)
+}
+
 /// An allocator: with the bundle that it was started with, then with those that it is told to load.
 fn allocate(
     arguments: &ProcessArguments,
+    allocation: Option<AllocatorChoice>,
     (bundle, contract): (&Bundle, &DomainContract),
     domain: &Domain,
     settings: &ProcessSettings,
     stop: &Stop,
 ) -> Outcome {
-    let ProcessArguments { allocation, backend, seed, proposals, .. } = *arguments;
+    let ProcessArguments { backend, seed, proposals, .. } = *arguments;
+    let Some(allocation) = allocation else {
+        let name = arguments.bundle.display();
+        let message = format!("`{name}` knows of no subtasks: there is nothing to allocate");
+        return Err(Failure::new(Exit::Usage, message));
+    };
     let open =
         |bundle: &Bundle| DeployedAllocator::open(bundle, allocation, backend, seed, proposals);
     let mut memory = open(bundle)?;

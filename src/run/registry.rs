@@ -66,7 +66,7 @@ mod tests {
 
     #[test]
     fn a_key_is_a_name_and_no_path() {
-        for key in ["save-the-city", "v1.2_b", &"x".repeat(32)] {
+        for key in ["a-team", "v1.2_b", &"x".repeat(32)] {
             assert!(is_key(key), "{key}");
         }
         for path in ["", ".", "..", "a/b", "/a", "..\\a", "a b", &"x".repeat(33)] {

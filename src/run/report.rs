@@ -2,12 +2,15 @@
 
 use std::collections::BTreeMap;
 
-use serde::Serialize;
+use serde::{Serialize, Serializer};
+use serde_json::Value;
+use sortie_envs::Spec;
 use sortie_learn::evaluate::wilson_interval;
 
 use super::onlooker::{Figures, Onlooker};
 use crate::latency::{Latency, Percentiles};
 use crate::output::{Table, plural, print_json, say};
+use crate::views::view_of;
 use crate::worlds::tally::{Tally, TeamTally};
 
 /// The summary of a run; scripts rely on its names.
@@ -19,8 +22,11 @@ pub(super) struct Report {
     success: f64,
     success_ci95: [f64; 2],
     return_mean: f64,
-    buildings_saved: u64,
-    buildings: u64,
+    /// The environment's own.
+    #[serde(flatten, serialize_with = "in_order")]
+    own: Vec<(&'static str, Value)>,
+    #[serde(skip)]
+    own_text: String,
     by_team: BTreeMap<String, TeamTally>,
     decisions: u64,
     /// Actions of agents for which nobody answered in time.
@@ -46,6 +52,7 @@ pub(super) enum Manner {
 /// Reports what was played, however it ended; nothing where it ended badly before the first episode was over.
 pub(super) fn report(
     tally: &Tally,
+    spec: &Spec,
     onlooker: &Onlooker,
     setup: Setup,
     manner: Manner,
@@ -54,7 +61,7 @@ pub(super) fn report(
     if !has_ended_well && tally.episodes == 0 {
         return;
     }
-    let report = Report::new(tally, onlooker.earlier(), &onlooker.figures, setup);
+    let report = Report::new((tally, spec), onlooker.earlier(), &onlooker.figures, setup);
     match manner {
         Manner::Json => print_json(&report),
         Manner::Tables => report.print(&onlooker.figures),
@@ -69,16 +76,22 @@ pub(super) struct Setup {
 }
 
 impl Report {
-    pub(super) fn new(tally: &Tally, earlier: usize, figures: &Figures, setup: Setup) -> Self {
-        let Tally { episodes, solved, returns, buildings_saved, buildings, .. } = *tally;
+    fn new(
+        (tally, spec): (&Tally, &Spec),
+        earlier: usize,
+        figures: &Figures,
+        setup: Setup,
+    ) -> Self {
+        let Tally { episodes, solved, returns, .. } = *tally;
+        let own = view_of(spec.name).figures(spec, tally);
         Self {
             episodes,
             episodes_of_dead_worlds: earlier,
             success: solved as f64 / episodes.max(1) as f64,
             success_ci95: wilson_interval(solved, episodes),
             return_mean: returns / episodes.max(1) as f64,
-            buildings_saved,
-            buildings,
+            own: own.fields,
+            own_text: own.text,
             by_team: tally.by_team.clone(),
             decisions: figures.decisions,
             fallbacks: figures.fallbacks,
@@ -103,12 +116,8 @@ impl Report {
             plural(self.episodes, "episode"),
             self.allocation
         );
-        say!(
-            "buildings saved {} of {}, mean return {:.1}\n",
-            self.buildings_saved,
-            self.buildings,
-            self.return_mean
-        );
+        let own = if self.own_text.is_empty() { "" } else { ", " };
+        say!("{}{own}mean return {:.1}\n", self.own_text, self.return_mean);
         let mut teams = Table::new(&["team", "episodes", "solved"]);
         for (team, report) in &self.by_team {
             teams.row([team.clone(), report.episodes.to_string(), report.solved.to_string()]);
@@ -140,6 +149,14 @@ impl Report {
             None => "as fast as the team acts".to_string(),
         }
     }
+}
+
+/// As a map, which sorts nothing.
+fn in_order<S: Serializer>(
+    fields: &[(&'static str, Value)],
+    serializer: S,
+) -> Result<S::Ok, S::Error> {
+    serializer.collect_map(fields.iter().map(|(name, value)| (name, value)))
 }
 
 fn latency_row(name: &str, shown: Percentiles, latency: &Latency) -> [String; 6] {

@@ -2,20 +2,19 @@
 
 use console::Term;
 
-use super::view::{ASCII, Canvas, Glyphs, UNICODE};
 use crate::terminal;
+use crate::views::Canvas;
 
 /// Redraws a block of lines in place.
 pub(super) struct Screen {
     terminal: Term,
-    glyphs: &'static Glyphs,
+    is_unicode: bool,
     drawn: usize,
 }
 
 impl Screen {
     pub(super) fn new() -> Self {
-        let glyphs = if terminal::is_unicode() { &UNICODE } else { &ASCII };
-        Self { terminal: Term::stdout(), glyphs, drawn: 0 }
+        Self { terminal: Term::stdout(), is_unicode: terminal::is_unicode(), drawn: 0 }
     }
 
     /// Puts what `draw` makes of the room that there is in the place of what was shown before. A terminal that is gone
@@ -24,7 +23,7 @@ impl Screen {
         let (height, width) = self.terminal.size();
         // One row stays free for the cursor: a block that scrolls cannot be redrawn.
         let (lines, width) = (usize::from(height).max(2) - 1, usize::from(width).max(2) - 1);
-        let mut shown = draw(Canvas { width, lines, glyphs: self.glyphs });
+        let mut shown = draw(Canvas { width, lines, is_unicode: self.is_unicode });
         shown.truncate(lines);
         let mut text = String::new();
         for line in &shown {

@@ -15,7 +15,8 @@ use crate::proposals::ProposalArguments;
 pub(crate) struct Team<'a> {
     pub(crate) bundle: &'a Path,
     pub(crate) domain: &'a str,
-    pub(crate) allocation: AllocatorChoice,
+    /// Who assigns agents to subtasks, if anybody does.
+    pub(crate) allocation: Option<AllocatorChoice>,
     pub(crate) backend: Backend,
     pub(crate) proposals: ProposalArguments,
     pub(crate) seed: u64,
@@ -47,9 +48,10 @@ impl Team<'_> {
         }
     }
 
-    /// An allocator, one of several that differ by name only.
-    pub(crate) fn allocator(&self, name: String) -> Charge {
-        Charge { name, role: Role::Allocator, agents: 0, command: self.command("allocator") }
+    /// An allocator, one of several that differ by name only; none for a team that knows of no subtasks.
+    pub(crate) fn allocator(&self, name: String) -> Option<Charge> {
+        self.allocation?;
+        Some(Charge { name, role: Role::Allocator, agents: 0, command: self.command("allocator") })
     }
 
     /// This program as a process of the team.
@@ -61,7 +63,9 @@ impl Team<'_> {
         if let Some(parent) = self.parent {
             command.arg("--parent").arg(parent.to_string());
         }
-        command.arg("--allocation").arg(self.allocation.name());
+        if let Some(allocation) = self.allocation {
+            command.arg("--allocation").arg(allocation.name());
+        }
         command.arg("--backend").arg(self.backend.name());
         command.args(self.proposals.flag());
         command.arg("--seed").arg(self.seed.to_string());

@@ -93,10 +93,10 @@ pub(crate) fn run(arguments: &UpArguments) -> Outcome {
     let seed = arguments.common.seed;
     // Opened here although others will: errors show once, and plans are compiled.
     let world = open_world(&bundle, arguments.playing.env.as_deref(), seed)?;
-    let learned = bundle.has_allocator();
-    let allocation = AllocatorChoice::or_default(arguments.allocation, learned);
+    let allocation = AllocatorChoice::of_bundle(&bundle, arguments.allocation)?;
     DeployedPolicy::open(&bundle, arguments.backend)?;
-    DeployedAllocator::open(&bundle, allocation, arguments.backend, seed, arguments.proposals)?;
+    let draws = (seed, arguments.proposals);
+    DeployedAllocator::open_for(&bundle, allocation, arguments.backend, draws)?;
     let domain = Domain::new(&arguments.domain)?;
     let team = Team {
         bundle: &arguments.bundle,
@@ -112,7 +112,7 @@ pub(crate) fn run(arguments: &UpArguments) -> Outcome {
     let membership = domain.enter()?;
     membership.check(&DomainContract {
         mixes_teams: arguments.mix_teams,
-        ..domain_contract(&bundle, Some(allocation))
+        ..domain_contract(&bundle, allocation)
     })?;
     let charges = charges(arguments, &team, world.shape().agents)?;
     let is_told = !arguments.common.quiet && !arguments.common.json;
@@ -159,7 +159,8 @@ fn charges(
     let own_core = |index: usize| arguments.pin.then_some(index);
     // Allocators have time: they run wherever there is room.
     let allocators = (0..=arguments.standbys)
-        .map(|index| with_flags(team.allocator(format!("allocator {index}")), None));
+        .filter_map(|index| team.allocator(format!("allocator {index}")))
+        .map(|charge| with_flags(charge, None));
     let runners =
         (1..).zip(&groups).map(|(index, group)| with_flags(team.runner(group), own_core(index)));
     let world = with_flags(world(arguments, team), own_core(0));

@@ -5,8 +5,8 @@ use std::time::Duration;
 use clap::Args;
 use sortie_bundle::Bundle;
 use sortie_core::World;
+use sortie_envs::Split;
 use sortie_envs::random::generator;
-use sortie_envs::save_the_city::{Constants, SaveTheCity, ScenarioSet};
 use sortie_ipc::{
     Domain, DomainContract, Fill, RealTime, Stop, WorldSettings, world_process,
     world_process_with_fill,
@@ -16,12 +16,12 @@ use super::ledger::Ledger;
 use super::onlooker::{Display, Onlooker};
 use super::report::{Manner, Setup, report};
 use super::{positive_seconds, rate};
-use crate::allocation::AllocatorChoice;
+use crate::allocation::{AllocatorChoice, name_of};
 use crate::deployment::model_id;
 use crate::environment::{ScenarioSetName, check_fits};
 use crate::failure::{Exit, Failure, Outcome};
 use crate::policy::{Backend, DeployedPolicy};
-use crate::worlds::save_the_city::CityWorld;
+use crate::worlds::world::EnvironmentWorld;
 
 /// What a supervised world plays.
 #[derive(Clone, Debug, Args)]
@@ -52,25 +52,23 @@ impl Playing {
     }
 }
 
-/// The city that a bundle is to play in.
+/// The world that a bundle is to play in.
 pub(super) fn open_world(
     bundle: &Bundle,
     asked: Option<&str>,
     seed: u64,
-) -> Result<CityWorld, Failure> {
+) -> Result<EnvironmentWorld, Failure> {
     let trained_on = &bundle.manifest().contract.environment.name;
     let set = ScenarioSetName::parse(asked.unwrap_or(trained_on))?;
-    let set = ScenarioSet::named(set.set()).map_err(Failure::bug)?;
     check_fits(bundle, &set)?;
-    let city = SaveTheCity::new(set, Constants::default(), 1, seed).map_err(Failure::bug)?;
-    Ok(CityWorld::new(city, generator(seed)))
+    Ok(EnvironmentWorld::new(set.open(Split::Train)?, generator(seed)))
 }
 
 /// The world's part of a team.
 pub(super) struct WorldOfTeam<'a> {
     pub(super) bundle: &'a Bundle,
     pub(super) contract: &'a DomainContract,
-    pub(super) allocation: AllocatorChoice,
+    pub(super) allocation: Option<AllocatorChoice>,
     pub(super) backend: Backend,
     pub(super) seed: u64,
     pub(super) json: bool,
@@ -103,12 +101,19 @@ pub(super) fn play(
         _ => play_on(team, playing, domain, &mut world, left, &mut onlooker, stop),
     };
     let setup = Setup {
-        allocation: team.allocation.name().to_string(),
+        allocation: name_of(team.allocation).to_string(),
         backend: team.backend.name().to_string(),
         rate_hz: playing.rate_hz(),
     };
     let manner = if team.json { Manner::Json } else { Manner::Tables };
-    report(&world.tally.borrow(), &onlooker, setup, manner, ended.is_ok());
+    report(
+        &world.tally.borrow(),
+        world.environment.borrow().spec(),
+        &onlooker,
+        setup,
+        manner,
+        ended.is_ok(),
+    );
     if ended.is_ok() {
         onlooker.close();
     }
@@ -120,13 +125,13 @@ fn play_on(
     team: &WorldOfTeam<'_>,
     playing: &Playing,
     domain: &Domain,
-    world: &mut CityWorld,
+    world: &mut EnvironmentWorld,
     left: Option<usize>,
     onlooker: &mut Onlooker,
     stop: &Stop,
 ) -> Outcome {
     let settings = WorldSettings {
-        allocator: true,
+        allocator: team.allocation.is_some(),
         strict: false,
         period: playing.rate_hz().map_or(Duration::ZERO, |hz| Duration::from_secs_f64(1.0 / hz)),
         patience: Duration::from_secs_f64(playing.patience),

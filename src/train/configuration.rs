@@ -25,7 +25,7 @@ pub(super) fn configuration(arguments: &TrainArguments) -> Result<Settings, Fail
         None => Settings::preset(&arguments.preset).map_err(usage)?,
     };
     if let Some(name) = &arguments.env {
-        settings.environment_mut().set = ScenarioSetName::parse(name)?.set().to_string();
+        settings.environment_mut().set = ScenarioSetName::parse_learned(name)?.set().to_string();
     }
     if let Some(allocation) = arguments.allocation {
         allocate_by(&mut settings, allocation);
@@ -63,20 +63,13 @@ pub(super) fn configuration(arguments: &TrainArguments) -> Result<Settings, Fail
 fn allocate_by(settings: &mut Settings, allocation: Allocation) {
     match settings {
         Settings::Records(config) => {
-            let weight = |rule| f64::from(u8::from(rule == allocation));
+            let weight = |rule| f64::from(u8::from(rule == allocation.name()));
             config.allocation.learned = 0.0;
-            config.allocation.coordinated = weight(Allocation::Coordinated);
-            config.allocation.heuristic = weight(Allocation::Heuristic);
-            config.allocation.random = weight(Allocation::Random);
+            config.allocation.coordinated = weight("coordinated");
+            config.allocation.heuristic = weight("heuristic");
+            config.allocation.random = weight("random");
         }
-        Settings::Windows(config) => {
-            let rule = match allocation {
-                Allocation::Coordinated => "coordinated",
-                Allocation::Heuristic => "heuristic",
-                Allocation::Random => "random",
-            };
-            config.allocation.by = rule.to_owned();
-        }
+        Settings::Windows(config) => config.allocation.by = allocation.name().to_owned(),
     }
 }
 

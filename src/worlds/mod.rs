@@ -1,4 +1,5 @@
 //! The built-in worlds of `run`: environments behind the runtime's traits.
 
-pub(crate) mod save_the_city;
+pub(crate) mod rules;
 pub(crate) mod tally;
+pub(crate) mod world;

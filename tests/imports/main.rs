@@ -3,6 +3,7 @@
 //! `CIRCLES=trainer/learn cargo test --test imports` shows the circles of a crate that is excepted.
 
 mod circles;
+mod environments;
 mod modules;
 mod tokens;
 

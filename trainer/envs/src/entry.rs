@@ -11,6 +11,10 @@ use serde::de::{DeserializeOwned, IntoDeserializer, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, forward_to_deserialize_any};
 
 use crate::environment::{Environment, Split};
+use crate::frame::FrameReader;
+#[cfg(feature = "std")]
+use crate::recorded::Recordings;
+use crate::spec::Rule;
 
 /// One environment by its name.
 #[derive(Clone, Copy, Debug)]
@@ -25,6 +29,13 @@ pub struct Entry {
     pub sets: fn() -> Vec<String>,
     /// Makes one.
     pub open: fn(&Choice<'_>) -> Result<Box<dyn Environment>, EnvironmentError>,
+    /// The rules that assign agents to subtasks, as in [`Spec::rules`](crate::Spec::rules).
+    pub rules: &'static [Rule],
+    /// Makes what reads its states back from feature rows, where rules or relations need that.
+    pub reader: Option<fn() -> Box<dyn FrameReader>>,
+    /// Its recorded episodes.
+    #[cfg(feature = "std")]
+    pub recordings: Option<Recordings>,
 }
 
 /// Which variant of an environment is wanted.

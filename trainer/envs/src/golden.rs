@@ -2,18 +2,10 @@
 
 use std::path::Path;
 
+use crate::entry::Entry;
 use crate::recorded::Field;
-pub use crate::recorded::{GoldenError, Mismatch, Replay};
-use crate::{group_matching, save_the_city};
-
-/// Replays an episode given as text under the name of its file.
-type ReplayText = fn(&str, &str) -> Result<Replay, GoldenError>;
-
-/// The schemas that a file may name, and who replays it.
-const SCHEMAS: [(&str, ReplayText); 2] = [
-    (save_the_city::golden::SCHEMA, save_the_city::golden::replay),
-    (group_matching::golden::SCHEMA, group_matching::golden::replay),
-];
+pub use crate::recorded::{GoldenError, Mismatch, Recordings, Replay};
+use crate::registry::ENVIRONMENTS;
 
 /// Replays the episode in a file.
 pub fn replay_file(path: &Path) -> Result<Replay, GoldenError> {
@@ -25,12 +17,26 @@ pub fn replay_file(path: &Path) -> Result<Replay, GoldenError> {
 ///
 /// An action that is not available ends the replay and counts as a mismatch.
 pub fn replay(file: &str, text: &str) -> Result<Replay, GoldenError> {
+    let (_, recordings) = recorded(text)?;
+    (recordings.replay)(file, text)
+}
+
+/// The environment of an episode given as text.
+pub fn environment(text: &str) -> Result<&'static Entry, GoldenError> {
+    recorded(text).map(|(entry, _)| entry)
+}
+
+/// The environment whose schema the text names.
+fn recorded(text: &str) -> Result<(&'static Entry, Recordings), GoldenError> {
     let value = serde_json::from_str(text).map_err(GoldenError::Json)?;
     let schema = Field::root(&value).get("schema")?;
     let named = schema.text()?;
-    let known = SCHEMAS.iter().find(|(known, _)| *known == named);
-    let names = SCHEMAS.map(|(known, _)| format!("`{known}`"));
-    let (_, replay) =
-        known.ok_or_else(|| schema.refuse(format!("is not {}", names.join(" or "))))?;
-    replay(file, text)
+    let known: Vec<_> =
+        ENVIRONMENTS.iter().filter_map(|entry| Some((entry, entry.recordings?))).collect();
+    if let Some(found) = known.iter().find(|(_, recordings)| recordings.schema == named) {
+        return Ok(*found);
+    }
+    let names: Vec<_> =
+        known.iter().map(|(_, recordings)| format!("`{}`", recordings.schema)).collect();
+    Err(schema.refuse(format!("is not {}", names.join(" or "))))
 }

@@ -25,6 +25,7 @@ extern crate alloc;
 pub mod conformance;
 mod entry;
 pub mod environment;
+pub mod frame;
 #[cfg(feature = "std")]
 pub mod golden;
 pub mod group_matching;
@@ -39,9 +40,10 @@ pub mod spec;
 mod throughput;
 
 pub use environment::{Environment, Episode, Split, StateError, Step, StepError};
+pub use frame::{Frame, FrameError, FrameReader};
 pub use observation::{ActionSet, AgentSet, EntitySet, Observation, members};
 pub use random::Random;
 pub use registry::{Choice, ENVIRONMENTS, Entry, EnvironmentError, open};
 pub use rows::SparseRows;
-pub use spec::{Metric, Rewards, Shape, Spec, SpecError, View};
+pub use spec::{Metric, Rewards, Rule, Shape, Spec, SpecError, View};
 pub use throughput::observe_and_step;

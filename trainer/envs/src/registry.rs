@@ -6,10 +6,9 @@ use alloc::string::{String, ToString};
 
 pub use crate::entry::{Choice, Entry, EnvironmentError, Setting};
 use crate::environment::{Environment, Split};
-use crate::{group_matching, save_the_city};
 
 /// Every environment of this crate. Learners know none of them: they are handed an [`Environment`].
-pub const ENVIRONMENTS: &[Entry] = &[save_the_city::ENTRY, group_matching::ENTRY];
+pub const ENVIRONMENTS: &[Entry] = &[crate::save_the_city::ENTRY, crate::group_matching::ENTRY];
 
 /// An environment by the name that `--env` takes: `NAME` or `NAME/SET`.
 ///

@@ -54,6 +54,15 @@ pub struct Metric {
     pub about: &'static str,
 }
 
+/// A rule that assigns agents to subtasks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Rule {
+    /// Its name, as `--allocation` takes it.
+    pub name: &'static str,
+    /// What it does, in one sentence.
+    pub about: &'static str,
+}
+
 /// Who earns rewards besides the team.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Rewards {
@@ -84,8 +93,8 @@ pub struct Spec {
     pub rewards: Rewards,
     /// Symmetries of the rules, the one that changes nothing included.
     pub turns: usize,
-    /// Names of the rules that assign agents to subtasks.
-    pub rules: &'static [&'static str],
+    /// The rules that assign agents to subtasks, the usual one first.
+    pub rules: &'static [Rule],
     /// Columns of the relation between an entity and a subtask.
     pub relations: usize,
     /// Most features of one row that differ from zero.

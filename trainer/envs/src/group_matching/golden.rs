@@ -17,10 +17,13 @@ use super::simulator::GroupMatching;
 use crate::environment::Step;
 use crate::recorded::Field;
 use crate::recorded::GoldenError;
-use crate::recorded::{Comparison, Replay};
+use crate::recorded::{Comparison, Recordings, Replay};
 
 /// The schema that files must name.
 pub const SCHEMA: &str = "sortie-golden/group-matching/1";
+
+/// How they are found.
+pub(super) const RECORDINGS: Recordings = Recordings { schema: SCHEMA, replay };
 
 const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 

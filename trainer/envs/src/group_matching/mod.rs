@@ -19,7 +19,7 @@ mod simulator;
 mod spec;
 mod walk;
 
-pub use bytes::state_bytes;
+pub use bytes::{ring_of, state_bytes};
 pub use error::ParametersError;
 pub use features::{columns, feature_names, write_row};
 pub use metrics::EpisodeMetrics;
@@ -28,6 +28,7 @@ pub use ring::Ring;
 pub use rules::{ACTION_NAMES, ACTIONS, LEFT, RIGHT, STAY};
 pub use seam::ENTRY;
 pub use simulator::GroupMatching;
+pub use spec::sizes;
 pub use walk::walk;
 
 /// The version of the rules: another one where a trained policy would notice the difference.

@@ -30,6 +30,10 @@ pub const ENTRY: Entry = Entry {
     version: VERSION,
     sets: || SET_NAMES.map(String::from).to_vec(),
     open: |choice| Ok(Box::new(open(choice)?)),
+    rules: &[],
+    reader: None,
+    #[cfg(feature = "std")]
+    recordings: Some(super::golden::RECORDINGS),
 };
 
 /// What can be set besides the sizes, which the name of the set says.

@@ -15,6 +15,9 @@ pub(super) const NAME: &str = "group-matching";
 const METRICS: &[Metric] =
     &[Metric { name: "matches", unit: "groups", about: "that have gathered" }];
 
+/// Entries of a row beside the groups: its cell, itself.
+const OWN_ENTRIES: usize = 2;
+
 /// What a ring with these parameters says of itself.
 pub(super) fn spec(parameters: &Parameters) -> Spec {
     let Parameters { agents, groups, episode_limit, .. } = *parameters;
@@ -31,9 +34,16 @@ pub(super) fn spec(parameters: &Parameters) -> Spec {
         turns: 1,
         rules: &[],
         relations: 0,
-        // Its cell, its groups, itself.
-        row_entries: 2 + groups,
+        row_entries: OWN_ENTRIES + groups,
         state_bytes: state_bytes(parameters),
         episode_limit,
     }
+}
+
+/// The sizes of a ring by what it says of itself, with its most steps; all else is as usual.
+pub fn sizes(spec: &Spec) -> Parameters {
+    let Shape { agents, features, .. } = spec.shape;
+    let groups = spec.row_entries - OWN_ENTRIES;
+    let cells = features - groups - agents;
+    Parameters { agents, cells, groups, episode_limit: spec.episode_limit, ..Parameters::default() }
 }

@@ -7,6 +7,7 @@ use super::coordinated::coordinated_allocation;
 use super::heuristic::heuristic_allocation;
 use super::state::{City, UNASSIGNED};
 use crate::random::member;
+use crate::spec::Rule;
 
 /// A rule that assigns agents to buildings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -20,7 +21,34 @@ pub enum AllocationRule {
     Coordinated,
 }
 
+/// The rules as command lines name them, the usual one first.
+pub(super) const RULES: [(Rule, AllocationRule); 3] = [
+    (
+        Rule {
+            name: "coordinated",
+            about: "One agent after the other, by travel time, urgency and who is there already",
+        },
+        AllocationRule::Coordinated,
+    ),
+    (
+        Rule {
+            name: "heuristic",
+            about: "Every agent for itself, the nearest subtask of the kind it prefers",
+        },
+        AllocationRule::Heuristic,
+    ),
+    (
+        Rule { name: "random", about: "Every agent an open subtask at random" },
+        AllocationRule::Random,
+    ),
+];
+
 impl AllocationRule {
+    /// The rule of this name.
+    pub fn named(name: &str) -> Option<Self> {
+        RULES.into_iter().find(|(rule, _)| rule.name == name).map(|(_, rule)| rule)
+    }
+
     /// Writes for every agent its building, or [`UNASSIGNED`]; further entries are [`UNASSIGNED`].
     ///
     /// Only [`AllocationRule::Random`] draws from the generator.

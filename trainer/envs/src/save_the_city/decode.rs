@@ -1,74 +1,21 @@
 //! Reads a city back from feature rows, so that allocation rules work on messages alone.
 
 use alloc::vec::Vec;
-use core::fmt;
 
-use rand_xoshiro::Xoshiro256PlusPlus;
-
-use super::allocation::AllocationRule;
+use super::allocation::RULES;
 use super::features::{
     AVAILABLE, BURNING, COMPLETE, FEATURES, FIRE, HEALTH, IGNITION_RATE, SINCE_LAST_FIRE, X_SCALED,
     Y_SCALED,
 };
-use super::relation::write_relation;
+use super::relation::{RELATIONS, write_relation};
 use super::reset::ABSENT_BUILDING;
 use super::rules::ACTIONS;
 use super::state::{
     AgentKind, AgentState, BuildingKind, BuildingState, City, MAX_AGENTS, MAX_BUILDINGS,
     NO_BUILDING, Status, UNASSIGNED,
 };
-
-/// A row that no city can have.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum DecodeError {
-    /// The rows are shorter than the counts say, or a row has fewer than 58 columns.
-    BadLength,
-    /// More than 64 agents or 25 buildings.
-    TooLarge,
-    /// A feature of this entity is not a finite number.
-    NonFinite {
-        /// The entity's row.
-        entity: usize,
-    },
-    /// A one-hot of this entity's row is missing, or a value lies outside its range.
-    BadRow {
-        /// The entity's row.
-        entity: usize,
-    },
-}
-
-impl fmt::Display for DecodeError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::BadLength => f.write_str("the feature rows are too short"),
-            Self::TooLarge => f.write_str("more agents or buildings than a city can have"),
-            Self::NonFinite { entity } => write!(f, "a feature of entity {entity} is not finite"),
-            Self::BadRow { entity } => {
-                write!(f, "the row of entity {entity} describes no agent or building")
-            }
-        }
-    }
-}
-
-impl core::error::Error for DecodeError {}
-
-/// The parts of a frame that describe a city.
-#[derive(Clone, Copy, Debug)]
-pub struct CityRows<'a> {
-    /// Features `[N, stride]` with N = agents + tasks; the first 58 columns of a row count.
-    pub rows: &'a [f32],
-    /// Columns of a row.
-    pub stride: usize,
-    /// Agent rows A, present or not.
-    pub agents: usize,
-    /// Building rows T, present or not.
-    pub tasks: usize,
-    /// The entities that exist; bit e stands for row e.
-    pub present: u128,
-    /// The open buildings; bit b stands for row A + b.
-    pub open_tasks: u32,
-}
+use crate::frame::{Frame, FrameError, FrameReader};
+use crate::random::Random;
 
 /// Decodes cities into buffers that it keeps.
 #[derive(Clone, Debug)]
@@ -76,6 +23,8 @@ pub struct CityDecoder {
     agents: Vec<AgentState>,
     agent_rows: Vec<usize>,
     buildings: Vec<BuildingState>,
+    /// The agent rows of the frame, with absent ones.
+    slots: usize,
     team_allocation: Vec<u8>,
 }
 
@@ -92,29 +41,31 @@ impl CityDecoder {
             agents: Vec::with_capacity(MAX_AGENTS),
             agent_rows: Vec::with_capacity(MAX_AGENTS),
             buildings: Vec::with_capacity(MAX_BUILDINGS),
+            slots: 0,
             team_allocation: Vec::with_capacity(MAX_AGENTS),
         }
     }
 
     /// Reads the present agents, in the order of their rows, and all buildings, absent ones as closed.
-    pub fn decode(&mut self, frame: &CityRows<'_>) -> Result<City<'_>, DecodeError> {
+    pub fn decode(&mut self, frame: &Frame<'_>) -> Result<City<'_>, FrameError> {
         if frame.agents > MAX_AGENTS || frame.tasks > MAX_BUILDINGS {
-            return Err(DecodeError::TooLarge);
+            return Err(FrameError::TooLarge);
         }
         let entities = frame.agents + frame.tasks;
         if frame.stride < FEATURES || frame.rows.len() / frame.stride < entities {
-            return Err(DecodeError::BadLength);
+            return Err(FrameError::BadLength);
         }
         self.agents.clear();
         self.agent_rows.clear();
         self.buildings.clear();
+        self.slots = frame.agents;
         let rows = frame.rows.chunks_exact(frame.stride).map(|row| &row[..FEATURES]);
         for (entity, row) in rows.take(entities).enumerate() {
             let present = frame.present >> entity & 1 == 1;
             if present && !row.iter().all(|value| value.is_finite()) {
-                return Err(DecodeError::NonFinite { entity });
+                return Err(FrameError::NonFinite { entity });
             }
-            let bad_row = DecodeError::BadRow { entity };
+            let bad_row = FrameError::BadRow { entity };
             if let Some(task) = entity.checked_sub(frame.agents) {
                 let open = frame.open_tasks >> task & 1 == 1;
                 let building = if present { building(row, open) } else { Some(ABSENT_BUILDING) };
@@ -133,37 +84,44 @@ impl CityDecoder {
                 .position(|(task, building)| present(task) && agent.distance_to(building) == 1);
             agent.beside = beside.map_or(NO_BUILDING, |index| index as u8);
         }
-        Ok(City { agents: &self.agents, buildings: &self.buildings })
+        Ok(self.city())
     }
 
-    /// Writes the relation `[N, RELATIONS]` of every row of the frame that was decoded last to a
-    /// building; see [`write_relation`].
-    pub fn write_relation(&self, frame: &CityRows<'_>, task: usize, relation: &mut [f32]) {
-        let city = City { agents: &self.agents, buildings: &self.buildings };
-        write_relation(city, task, &self.agent_rows, frame.agents, relation);
+    fn city(&self) -> City<'_> {
+        City { agents: &self.agents, buildings: &self.buildings }
+    }
+}
+
+impl FrameReader for CityDecoder {
+    fn read(&mut self, frame: &Frame<'_>) -> Result<(), FrameError> {
+        self.decode(frame).map(drop)
     }
 
-    /// Allocates from a frame alone: writes for every agent row `[A]` an open building or
-    /// [`UNASSIGNED`], which absent agents get too.
-    pub fn allocate(
+    fn allocate(
         &mut self,
-        rule: AllocationRule,
-        frame: &CityRows<'_>,
-        rng: &mut Xoshiro256PlusPlus,
+        rule: usize,
+        random: &mut Random,
         allocation: &mut [u8],
-    ) -> Result<(), DecodeError> {
-        if allocation.len() < frame.agents {
-            return Err(DecodeError::BadLength);
+    ) -> Result<(), FrameError> {
+        if allocation.len() < self.slots {
+            return Err(FrameError::BadLength);
         }
-        self.decode(frame)?;
         self.team_allocation.resize(self.agents.len(), UNASSIGNED);
         let city = City { agents: &self.agents, buildings: &self.buildings };
-        rule.allocate(city, rng, &mut self.team_allocation);
+        RULES[rule].1.allocate(city, random, &mut self.team_allocation);
         allocation.fill(UNASSIGNED);
         for (&row, &task) in self.agent_rows.iter().zip(&self.team_allocation) {
             allocation[row] = task;
         }
         Ok(())
+    }
+
+    fn relations(&self) -> usize {
+        RELATIONS
+    }
+
+    fn relate(&self, task: usize, relation: &mut [f32]) {
+        write_relation(self.city(), task, &self.agent_rows, self.slots, relation);
     }
 }
 

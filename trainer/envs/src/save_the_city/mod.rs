@@ -30,7 +30,7 @@ mod symmetry;
 
 pub use allocation::{AllocationRule, DecisionPoints, random_allocation};
 pub use coordinated::coordinated_allocation;
-pub use decode::{CityDecoder, CityRows, DecodeError};
+pub use decode::CityDecoder;
 pub use error::CityError;
 pub use features::{
     FEATURE_NAMES, FEATURES, agent_features, building_features, write_agent_row, write_building_row,
@@ -45,7 +45,7 @@ pub use rules::{
 };
 pub use scenarios::{BuildingPlan, SET_NAMES, Scenario, ScenarioSet};
 pub use scripted::{ScriptedTeam, random_actions, scripted_actions};
-pub use seam::ENTRY;
+pub use seam::{ENTRY, with_city};
 pub use simulator::SaveTheCity;
 pub use state::{
     AgentKind, AgentState, BuildingKind, BuildingState, City, MAX_AGENTS, MAX_BUILDINGS,

@@ -4,8 +4,9 @@ use alloc::boxed::Box;
 use alloc::string::{String, ToString};
 use alloc::vec::Vec;
 
-use super::allocation::AllocationRule;
+use super::allocation::RULES;
 use super::bytes::{CityBytes, write_state};
+use super::decode::CityDecoder;
 use super::features::{agent_features, building_features};
 use super::metrics::EpisodeMetrics;
 use super::potential::potential;
@@ -14,7 +15,7 @@ use super::rules::FIGHT;
 use super::scenarios::{SET_NAMES, ScenarioSet};
 use super::scripted::scripted_actions;
 use super::simulator::SaveTheCity;
-use super::spec::{METRICS, NAME};
+use super::spec::{BUILDINGS, METRICS, NAME, RULE_NAMES};
 use super::state::{AgentState, BuildingState, City, MAX_AGENTS, MAX_BUILDINGS, NO_BUILDING};
 use super::symmetry::Symmetry;
 use super::{Constants, VERSION};
@@ -32,14 +33,14 @@ pub const ENTRY: Entry = Entry {
     version: VERSION,
     sets: || SET_NAMES.map(String::from).to_vec(),
     open: |choice| Ok(Box::new(open(choice)?)),
+    rules: RULE_NAMES,
+    reader: Some(|| Box::new(CityDecoder::new())),
+    #[cfg(feature = "std")]
+    recordings: Some(super::golden::RECORDINGS),
 };
 
 /// The set that is played where none is named.
 const DEFAULT_SET: &str = SET_NAMES[0];
-
-/// The rules of allocation, by their place in [`Spec::rules`].
-const RULES: [AllocationRule; 3] =
-    [AllocationRule::Random, AllocationRule::Heuristic, AllocationRule::Coordinated];
 
 fn open(choice: &Choice<'_>) -> Result<SaveTheCity, EnvironmentError> {
     let unfit = |error: &dyn ToString| EnvironmentError::Set(error.to_string());
@@ -59,8 +60,11 @@ fn known(state: &[u8]) -> CityBytes<'_> {
     }
 }
 
-/// Calls `with` on a whole city.
-fn with_city<T>(state: &[u8], with: impl FnOnce(City<'_>) -> T) -> T {
+/// Calls `with` on the city of a saved state.
+///
+/// # Panics
+/// The bytes are none that [`Environment::save`] has written.
+pub fn with_city<T>(state: &[u8], with: impl FnOnce(City<'_>) -> T) -> T {
     let state = known(state);
     let mut agents = [super::reset::ABSENT_AGENT; MAX_AGENTS];
     let mut buildings = [super::reset::ABSENT_BUILDING; MAX_BUILDINGS];
@@ -81,7 +85,10 @@ fn decode<'a>(
 
 fn metrics(metrics: &EpisodeMetrics) -> Vec<Option<f64>> {
     let entries: Vec<_> = metrics.entries().collect();
-    let value = |name| entries.iter().find(|(known, _)| *known == name).map(|(_, value)| *value);
+    let value = |name| match name {
+        BUILDINGS => Some(f64::from(metrics.buildings)),
+        _ => entries.iter().find(|(known, _)| *known == name).map(|(_, value)| *value),
+    };
     METRICS.iter().map(|metric| value(metric.name)).collect()
 }
 
@@ -195,7 +202,7 @@ impl Environment for SaveTheCity {
     }
 
     fn allocate(&self, rule: usize, state: &[u8], random: &mut Random, allocation: &mut [u8]) {
-        with_city(state, |city| RULES[rule].allocate(city, random, allocation));
+        with_city(state, |city| RULES[rule].1.allocate(city, random, allocation));
     }
 
     fn scripted(

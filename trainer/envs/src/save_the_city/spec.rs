@@ -2,6 +2,7 @@
 
 use alloc::string::String;
 
+use super::allocation::RULES;
 use super::bytes::state_bytes;
 use super::features::{FEATURE_NAMES, FEATURES, ROW_ENTRIES};
 use super::relation::RELATIONS;
@@ -9,10 +10,16 @@ use super::rules::{ACTION_NAMES, ACTIONS};
 use super::scenarios::ScenarioSet;
 use super::symmetry::Symmetry;
 use super::{Constants, VERSION};
-use crate::spec::{Metric, Rewards, Shape, Spec, View};
+use crate::spec::{Metric, Rewards, Rule, Shape, Spec, View};
 
 /// Its name, as `--env` takes it.
 pub(super) const NAME: &str = "save-the-city";
+
+/// The metric that tells how many buildings there were.
+pub(super) const BUILDINGS: &str = "buildings";
+
+/// What a command line may name, see [`RULES`].
+pub(super) const RULE_NAMES: &[Rule] = &[RULES[0].0, RULES[1].0, RULES[2].0];
 
 pub(super) const METRICS: &[Metric] = &[
     Metric { name: "none_burned", unit: "share", about: "no building was lost" },
@@ -24,6 +31,7 @@ pub(super) const METRICS: &[Metric] = &[
     Metric { name: "fires_extinguished", unit: "fires", about: "put out" },
     Metric { name: "buildings_completed", unit: "buildings", about: "completed" },
     Metric { name: "buildings_burned", unit: "buildings", about: "lost" },
+    Metric { name: BUILDINGS, unit: "buildings", about: "of the episode" },
     Metric { name: "buildings_health_delta", unit: "health", about: "sum of all changes" },
     Metric { name: "types_per_firefight", unit: "kinds", about: "at a fire that anyone fought" },
     Metric { name: "types_per_build", unit: "kinds", about: "at a building that anyone built" },
@@ -48,7 +56,7 @@ pub(super) fn spec(set: &ScenarioSet, constants: &Constants) -> Spec {
         metrics: METRICS,
         rewards: Rewards { tasks: true, agents: false },
         turns: Symmetry::ALL.len(),
-        rules: &["random", "heuristic", "coordinated"],
+        rules: RULE_NAMES,
         relations: RELATIONS,
         row_entries: ROW_ENTRIES,
         state_bytes: state_bytes(set.max_agents, set.max_buildings),

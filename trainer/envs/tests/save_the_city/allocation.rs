@@ -4,9 +4,10 @@ use super::{environment, for_random_states, observed};
 use sortie_envs::random::{below, generator};
 use sortie_envs::save_the_city::{
     AgentKind, AgentState, AllocationRule, BuildingKind, BuildingState, City, CityDecoder,
-    CityRows, DecisionPoints, DecodeError, RELATIONS, SaveTheCity, Status, UNASSIGNED,
-    coordinated_allocation, write_relation,
+    DecisionPoints, RELATIONS, SaveTheCity, Status, UNASSIGNED, coordinated_allocation,
+    write_relation,
 };
+use sortie_envs::{Frame, FrameError, FrameReader, Random};
 
 /// What an allocator is shown: rows of 60 columns, absent ones as zeros.
 #[derive(Clone)]
@@ -19,6 +20,22 @@ struct Buffers {
 
 const STRIDE: usize = 60;
 
+/// The rules by their numbers.
+const RULES: [AllocationRule; 3] =
+    [AllocationRule::Coordinated, AllocationRule::Heuristic, AllocationRule::Random];
+
+/// Allocates from a frame alone.
+fn allocate(
+    decoder: &mut CityDecoder,
+    rule: usize,
+    frame: &Frame<'_>,
+    random: &mut Random,
+    allocation: &mut [u8],
+) -> Result<(), FrameError> {
+    decoder.read(frame)?;
+    decoder.allocate(rule, random, allocation)
+}
+
 fn observe(city: &SaveTheCity) -> Buffers {
     let seen = observed(city);
     let mut rows = vec![0.0; city.shape().entities * STRIDE];
@@ -28,8 +45,8 @@ fn observe(city: &SaveTheCity) -> Buffers {
     Buffers { rows, stride: STRIDE, present: seen.present, open_tasks: seen.open_tasks }
 }
 
-fn frame<'a>(city: &SaveTheCity, buffers: &'a Buffers) -> CityRows<'a> {
-    CityRows {
+fn frame<'a>(city: &SaveTheCity, buffers: &'a Buffers) -> Frame<'a> {
+    Frame {
         rows: &buffers.rows,
         stride: buffers.stride,
         agents: city.shape().agents,
@@ -44,12 +61,12 @@ fn rules_give_the_same_from_a_state_and_from_its_rows() {
     let mut decoder = CityDecoder::new();
     for_random_states(2, |city, label| {
         let buffers = observe(city);
-        for rule in [AllocationRule::Heuristic, AllocationRule::Coordinated, AllocationRule::Random]
-        {
+        for (number, rule) in RULES.into_iter().enumerate() {
             let (mut from_state, mut from_rows) = ([7; 24], [7; 24]);
             let mut rng = generator(3);
             rule.allocate(city.city(0), &mut rng.clone(), &mut from_state);
-            decoder.allocate(rule, &frame(city, &buffers), &mut rng, &mut from_rows).unwrap();
+            let frame = frame(city, &buffers);
+            allocate(&mut decoder, number, &frame, &mut rng, &mut from_rows).unwrap();
             assert_eq!(from_state, from_rows, "{label}, {rule:?}");
         }
     });
@@ -81,7 +98,7 @@ fn relations_are_the_same_from_a_state_and_from_its_rows() {
         let mut from_rows = vec![7.0; shape.entities * RELATIONS];
         let mut from_state = from_rows.clone();
         for task in 0..shape.tasks {
-            decoder.write_relation(&rows, task, &mut from_rows);
+            decoder.relate(task, &mut from_rows);
             write_relation(city.city(0), task, &agents, shape.agents, &mut from_state);
             assert_eq!(from_rows, from_state, "{label}, building {task}");
         }
@@ -97,10 +114,9 @@ fn absent_agents_leave_a_gap() {
     let mut decoder = CityDecoder::new();
     let mut rng = generator(1);
     let mut allocation = [7; 5];
-    let rule = AllocationRule::Heuristic;
-    decoder.allocate(rule, &frame(&city, &buffers), &mut rng, &mut allocation).unwrap();
+    allocate(&mut decoder, 1, &frame(&city, &buffers), &mut rng, &mut allocation).unwrap();
     let mut whole = [7; 5];
-    rule.allocate(city.city(0), &mut rng, &mut whole);
+    RULES[1].allocate(city.city(0), &mut rng, &mut whole);
     whole[2] = UNASSIGNED;
     assert_eq!(allocation, whole);
 }
@@ -117,17 +133,17 @@ fn rows_that_describe_no_city_are_refused() {
     };
     assert_eq!(refusal(&|_| {}), None);
     let first_building = 5 * 60;
-    assert_eq!(refusal(&|b| b.rows[57] = f32::NAN), Some(DecodeError::NonFinite { entity: 0 }));
-    assert_eq!(refusal(&|b| b.rows[0..5].fill(0.0)), Some(DecodeError::BadRow { entity: 0 }));
-    assert_eq!(refusal(&|b| b.rows[37] = 1.0), Some(DecodeError::BadRow { entity: 0 }));
+    assert_eq!(refusal(&|b| b.rows[57] = f32::NAN), Some(FrameError::NonFinite { entity: 0 }));
+    assert_eq!(refusal(&|b| b.rows[0..5].fill(0.0)), Some(FrameError::BadRow { entity: 0 }));
+    assert_eq!(refusal(&|b| b.rows[37] = 1.0), Some(FrameError::BadRow { entity: 0 }));
     for (column, value) in [(57, -0.15), (56, 1.5), (56, -1.0), (38, -1.0)] {
         let refused = refusal(&|b| b.rows[first_building + column] = value);
-        assert_eq!(refused, Some(DecodeError::BadRow { entity: 5 }), "column {column}");
+        assert_eq!(refused, Some(FrameError::BadRow { entity: 5 }), "column {column}");
     }
-    assert_eq!(refusal(&|b| b.rows.truncate(659)), Some(DecodeError::BadLength));
-    assert_eq!(refusal(&|b| b.stride = 57), Some(DecodeError::BadLength));
-    let too_large = CityRows { tasks: 26, ..frame(&city, &buffers) };
-    assert_eq!(decoder.decode(&too_large).err(), Some(DecodeError::TooLarge));
+    assert_eq!(refusal(&|b| b.rows.truncate(659)), Some(FrameError::BadLength));
+    assert_eq!(refusal(&|b| b.stride = 57), Some(FrameError::BadLength));
+    let too_large = Frame { tasks: 26, ..frame(&city, &buffers) };
+    assert_eq!(decoder.decode(&too_large).err(), Some(FrameError::TooLarge));
 }
 
 #[test]
@@ -146,10 +162,9 @@ fn any_rows_and_masks_give_a_possible_allocation_or_a_refusal() {
         buffers.present &= bits(&mut rng) | bits(&mut rng) << 64;
         buffers.open_tasks = bits(&mut rng) as u32 & bits(&mut rng) as u32;
         let frame = frame(city, &buffers);
-        for rule in [AllocationRule::Heuristic, AllocationRule::Coordinated, AllocationRule::Random]
-        {
+        for (number, rule) in RULES.into_iter().enumerate() {
             let mut allocation = [7; 64];
-            match decoder.allocate(rule, &frame, &mut rng, &mut allocation) {
+            match allocate(&mut decoder, number, &frame, &mut rng, &mut allocation) {
                 Ok(()) => allocated += 1,
                 Err(_) => {
                     refused += 1;

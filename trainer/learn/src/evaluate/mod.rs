@@ -16,11 +16,13 @@ mod worlds;
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
-use sortie_envs::Step;
 use sortie_envs::save_the_city::{
     AllocationRule, City, Constants, DecisionPoints, EpisodeMetrics, SaveTheCity, ScenarioSet,
     UNASSIGNED,
 };
+use sortie_envs::{Entry, Step};
+
+pub use sortie_envs::save_the_city::golden::{Labels, Recorder};
 
 pub use allocators::{DeployedAllocator, allocation_state};
 pub use causes::Cause;
@@ -31,6 +33,9 @@ pub use teams::{NetworkTeam, PolicyTeam, ScriptedActors};
 use crate::error::LearnError;
 use play::{Finished, Play};
 use sortie_nn::random::Generator;
+
+/// The environment whose episodes are played here.
+pub static LEARNED: &Entry = &sortie_envs::save_the_city::ENTRY;
 
 /// One state in which a team is to act.
 #[derive(Clone, Copy, Debug)]
@@ -110,6 +115,11 @@ impl Allocate for AllocationRule {
         AllocationRule::allocate(*self, city, generator, allocation);
         Ok(())
     }
+}
+
+/// One of the rules of allocation by its name.
+pub fn rule_named(name: &str) -> Option<Box<dyn Allocate>> {
+    AllocationRule::named(name).map(|rule| Box::new(rule) as Box<dyn Allocate>)
 }
 
 /// Assigns nobody: what agents need that know of no subtasks.

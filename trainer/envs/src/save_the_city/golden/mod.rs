@@ -10,9 +10,13 @@ mod playback;
 mod record;
 mod replay;
 
+use crate::recorded::Recordings;
 pub use playback::Playback;
 pub use record::{Labels, Recorder};
 pub use replay::replay;
 
 /// The schema that files must name.
 pub const SCHEMA: &str = "sortie-golden/save-the-city/1";
+
+/// How they are found.
+pub(super) const RECORDINGS: Recordings = Recordings { schema: SCHEMA, replay };

@@ -1,158 +1,127 @@
-//! `sortie view`: one episode as a page to look at, step by step.
+//! An episode of SaveTheCity as a page.
 
 mod allocator;
 mod capture;
 mod data;
 mod episode;
 mod events;
-mod mind;
-mod page;
 mod value_networks;
 mod values;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use clap::Args;
-use serde::Serialize;
 use sortie_envs::save_the_city::golden::Playback;
-use sortie_envs::save_the_city::{ACTION_NAMES, DecisionPoints, SIDE, SaveTheCity};
+use sortie_envs::save_the_city::{ACTION_NAMES, DecisionPoints, ENTRY, SIDE, SaveTheCity};
 use sortie_learn::LearnError;
 use sortie_learn::evaluate::{Allocate, EvaluationPlan, Scene, ScriptedActors, Team};
 use sortie_learn::methods::alma::{Conditioning, NetworkPolicy};
 
 use crate::allocation::AllocatorChoice;
 use crate::environment;
-use crate::failure::{Exit, Failure, Outcome};
-use crate::files::{Kind, try_output, write_output};
-use crate::options::Common;
-use crate::output::{plural, print_json, say};
+use crate::failure::{Exit, Failure};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::proposals::ProposalArguments;
 use crate::subject::Subject;
 use crate::subject_allocator::{self, SubjectAllocator};
+use crate::views::mind::DeployedMind;
+use crate::views::page::{Web, html, script, style};
+use crate::views::{Page, Wanted};
 use capture::{Captured, Thinker, capture};
-use data::Page;
+use data::Page as Data;
 use episode::{Played, Replayed, open_recording};
-use mind::DeployedMind;
 use values::TeamValueProbe;
 
-/// Look at one episode: where everybody is, who is assigned where, what each agent computes
-///
-/// SUBJECT is a training run, a bundle, `scripted`, or a recorded episode (`sortie eval
-/// --episodes-out`). The page is one HTML file that needs nothing else and works offline.
-#[derive(Debug, Args)]
-#[command(after_help = "Examples:
-  sortie view models/save-the-city -o episode.html --episode 7
-  sortie view episodes/00007.json --policy runs/first -o episode.html")]
-pub(crate) struct ViewArguments {
-    /// A training run, a bundle, `scripted`, or the file of a recorded episode
-    subject: PathBuf,
-    /// The page to write
-    #[arg(short, long, value_name = "FILE.html")]
-    output: PathBuf,
-    /// Number of the episode to play, as `sortie eval --episodes-out` counts them; default: 0
-    #[arg(long, value_name = "N")]
-    episode: Option<u32>,
-    /// Environment and scenario set; default: those of the subject
-    #[arg(long, value_name = "ENV[/SET]")]
-    env: Option<String>,
-    /// Who assigns agents to subtasks [default: learned where the subject has it, else coordinated;
-    /// for a recording what its label says]
-    #[arg(long, value_enum)]
-    allocation: Option<AllocatorChoice>,
-    /// Show what this run or bundle computes in a recorded episode
-    #[arg(long, value_name = "RUN|BUNDLE", visible_aliases = ["run", "bundle"])]
-    policy: Option<PathBuf>,
-    #[command(flatten)]
-    common: Common,
-}
+const WEB: Web = Web {
+    styles: &[
+        include_str!("web/colours.css"),
+        style::BASICS,
+        include_str!("web/focus.css"),
+        style::LAYOUT,
+        include_str!("web/desk.css"),
+        style::RESULT,
+        include_str!("web/map.css"),
+        style::PLAYBACK,
+        include_str!("web/timeline.css"),
+        style::AGENT,
+        include_str!("web/buildings.css"),
+        style::DIALOG,
+    ],
+    map: include_str!("web/map.html"),
+    panels: include_str!("web/panels.html"),
+    scripts: &[
+        script::EPISODE,
+        include_str!("web/status.js"),
+        script::SUMS,
+        include_str!("web/entities.js"),
+        script::NUMBERS,
+        script::ELEMENTS,
+        include_str!("web/signs.js"),
+        include_str!("web/map.js"),
+        include_str!("web/agent.js"),
+        include_str!("web/building.js"),
+        include_str!("web/timeline.js"),
+        script::PLAYER,
+    ],
+};
 
-#[derive(Serialize)]
-struct Report<'a> {
-    file: &'a Path,
-    steps: usize,
-}
-
-pub(crate) fn run(arguments: &ViewArguments) -> Outcome {
-    let file = &arguments.output;
-    try_output(file, Kind::Page)?;
-    let subject = arguments.subject.as_path();
-    let page = if subject.is_file() {
-        recorded_page(arguments, subject)?
-    } else {
-        played_page(arguments)?
-    };
-    write_output(file, page::html(&page).as_bytes())?;
-    let report = Report { file, steps: page.steps.len() };
-    if arguments.common.json {
-        print_json(&report);
-    } else {
-        say!("{}: {}", file.display(), plural(report.steps, "step"));
+/// The page of an episode that the subject plays.
+pub(super) fn played(wanted: &Wanted<'_>, subject: &Subject) -> Result<Page, Failure> {
+    let set = wanted.set.clone().unwrap_or_default();
+    let (number, seed) = (wanted.episode, wanted.seed);
+    let plan = EvaluationPlan::new(set.set(), number + 1, seed)?;
+    if let Subject::Bundle(bundle) = subject {
+        environment::check_fits(bundle, &set)?;
     }
-    Ok(())
-}
-
-fn played_page(arguments: &ViewArguments) -> Result<Page, Failure> {
-    if arguments.policy.is_some() {
-        return Err(usage("--policy is for recorded episodes; name the run or bundle itself"));
-    }
-    let subject = Subject::find(&arguments.subject)?;
-    let set = subject.scenario_set(arguments.env.as_deref())?;
-    let number = arguments.episode.unwrap_or(0) as usize;
-    let plan = EvaluationPlan::new(set.set(), number + 1, arguments.common.seed)?;
-    if let Subject::Bundle(bundle) = &subject {
-        environment::check_fits(bundle, &plan.set)?;
-    }
-    let draws = (ProposalArguments::default(), arguments.common.seed);
+    let draws = (ProposalArguments::default(), seed);
     let (allocation, mut allocator) = subject_allocator::open_for(
-        &subject,
-        arguments.allocation,
-        &subject,
-        &arguments.subject.to_string_lossy(),
+        subject,
+        wanted.allocation,
+        subject,
+        &wanted.subject.to_string_lossy(),
         Backend::Plan,
         draws,
     )?;
     let mut allocator = allocator.allocator()?;
     let mut played = Played { plan: &plan, allocator: allocator.as_mut() };
-    let probe = TeamValueProbe::of(&subject)?;
-    let captured = think(Some(&subject), arguments.common.seed, |thinker| {
-        capture(&mut played, thinker, probe, plan.interval)
-    })?;
+    let probe = TeamValueProbe::of(subject)?;
+    let captured =
+        think(Some(subject), seed, |thinker| capture(&mut played, thinker, probe, plan.interval))?;
     let mut notes = Vec::new();
     if matches!(subject, Subject::Scripted) {
         notes.push("The scripted low level has no network: no utilities, no attention.".into());
     }
-    Ok(Page {
+    Ok(page(&Data {
         allocation: Some(allocation.into()),
         env: set.to_string(),
-        episode: Some((arguments.common.seed, number)),
+        episode: Some((seed, number)),
         notes,
-        ..page_of(arguments.subject.display().to_string(), captured)
-    })
+        ..data_of(wanted.subject.display().to_string(), captured)
+    }))
 }
 
-fn recorded_page(arguments: &ViewArguments, file: &Path) -> Result<Page, Failure> {
-    if arguments.episode.is_some() || arguments.env.is_some() {
-        return Err(usage("--episode and --env choose what is played, but this is a recording"));
-    }
-    match (arguments.allocation, &arguments.policy) {
-        (Some(AllocatorChoice::Random), _) => {
+/// The page of a recorded episode.
+pub(super) fn recorded(wanted: &Wanted<'_>, text: &str) -> Result<Page, Failure> {
+    let file = wanted.subject;
+    let asked = wanted.allocation.map(AllocatorChoice::name);
+    match (asked, wanted.policy) {
+        (Some("random"), _) => {
             return Err(usage("a random allocation cannot be computed again from a recording"));
         }
-        (Some(AllocatorChoice::Learned), None) => {
+        (Some("learned"), None) => {
             return Err(usage("name the team that learned to allocate: --policy RUN or BUNDLE"));
         }
         _ => {}
     }
-    let mut playback = open_recording(file)?;
-    let subject = arguments.policy.as_deref().map(Subject::find).transpose()?;
+    let mut playback = open_recording(file, text)?;
+    let policy = wanted.policy;
+    let subject = policy.map(Subject::find).transpose()?;
     let world = playback.world();
     if let Some(Subject::Bundle(bundle)) = &subject {
-        environment::check_fits(bundle, world.scenario_set())?;
+        let spec = sortie_envs::Environment::spec(world);
+        environment::check_spec(bundle, spec, &world.scenario_set().name)?;
     }
     let env = environment_of(world);
-    let policy = arguments.policy.as_deref();
-    let choice = arguments.allocation.or_else(|| {
+    let choice = wanted.allocation.or_else(|| {
         let is_learned = subject.as_ref().is_some_and(Subject::has_allocator);
         let labelled = allocator::of_label(&playback.labels().policy);
         labelled.filter(|choice| *choice != AllocatorChoice::Learned || is_learned)
@@ -160,8 +129,8 @@ fn recorded_page(arguments: &ViewArguments, file: &Path) -> Result<Page, Failure
     let name = playback.labels().name.clone();
     let notes = notes_on_recording(&playback, choice, policy);
     let open = |choice| {
-        let owner = policy.unwrap_or(&arguments.subject).to_string_lossy();
-        let draws = (ProposalArguments::default(), arguments.common.seed);
+        let owner = policy.unwrap_or(file).to_string_lossy();
+        let draws = (ProposalArguments::default(), wanted.seed);
         SubjectAllocator::open(choice, subject.as_ref(), &owner, Backend::Plan, draws)
     };
     let mut allocator = choice.map(open).transpose()?;
@@ -169,15 +138,19 @@ fn recorded_page(arguments: &ViewArguments, file: &Path) -> Result<Page, Failure
     let allocator = allocator.as_mut().map(|allocator| allocator.as_mut() as &mut dyn Allocate);
     let mut replayed = Replayed { playback: &mut playback, allocator };
     let probe = subject.as_ref().map(TeamValueProbe::of).transpose()?.flatten();
-    let captured = think(subject.as_ref(), arguments.common.seed, |thinker| {
+    let captured = think(subject.as_ref(), wanted.seed, |thinker| {
         capture(&mut replayed, thinker, probe, DecisionPoints::ACTION_LENGTH)
     })?;
-    Ok(Page {
+    Ok(page(&Data {
         allocation: choice.map(|choice| choice.name().into()),
         env,
         notes,
-        ..page_of(name, captured)
-    })
+        ..data_of(name, captured)
+    }))
+}
+
+fn page(data: &Data) -> Page {
+    Page { html: html(&WEB, data), steps: data.steps.len() }
 }
 
 fn notes_on_recording(
@@ -208,7 +181,7 @@ fn notes_on_recording(
 }
 
 fn environment_of(world: &SaveTheCity) -> String {
-    format!("save-the-city/{}", world.scenario_set().name)
+    format!("{}/{}", ENTRY.name, world.scenario_set().name)
 }
 
 /// Sets up who is asked, for as long as `watch` lasts.
@@ -246,10 +219,10 @@ impl Team for Nobody {
     }
 }
 
-fn page_of(subject: String, captured: Captured) -> Page {
+fn data_of(subject: String, captured: Captured) -> Data {
     let events = events::events(&captured);
     let Captured { agents, buildings, states, steps, result } = captured;
-    Page {
+    Data {
         format: data::FORMAT,
         subject,
         allocation: None,

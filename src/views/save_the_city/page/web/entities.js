@@ -1,23 +1,3 @@
-"use strict";
-
-// The episode, and what follows from it. State t is what the team sees before step t; the last state is final.
-
-const episode = JSON.parse(document.getElementById("episode").textContent);
-const LAST = episode.states.length - 1;
-const STATUS = ["open", "complete", "burned down"];
-
-/** Rewards summed up to each state. */
-const returns = [0];
-for (const step of episode.steps) {
-  returns.push(returns.at(-1) + step.reward);
-}
-
-/** Events by the state in which they show. */
-const eventsAt = new Map();
-for (const event of episode.events) {
-  eventsAt.set(event.at, [...(eventsAt.get(event.at) ?? []), event]);
-}
-
 /** Agents come first among entities, then buildings. */
 function entityName(entity) {
   const agents = episode.agents.length;
@@ -51,24 +31,3 @@ function bestAction(state, agent) {
   return available.reduce((best, action) => (utilities[action] > utilities[best] ? action : best));
 }
 
-function mean(numbers) {
-  return numbers.reduce((sum, number) => sum + number, 0) / numbers.length;
-}
-
-/** Two decimals, with a real minus sign. */
-function fixed(number) {
-  return number.toFixed(2).replace("-", "−").replace("−0.00", "0.00");
-}
-
-/** "+0.25", "−1.20", "0". */
-function signed(number) {
-  const text = fixed(number);
-  if (text === "0.00") {
-    return "0";
-  }
-  return number > 0 ? `+${text}` : text;
-}
-
-function percent(share) {
-  return `${Math.round(share * 100)}`;
-}

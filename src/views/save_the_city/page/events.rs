@@ -66,7 +66,7 @@ fn moved(episode: &Captured, before: &State, state: &State) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::view::data::{AgentFacts, BuildingFacts, EpisodeResult};
+    use crate::views::save_the_city::page::data::{AgentFacts, BuildingFacts, EpisodeResult};
 
     /// One agent at one of two buildings; building a has this status and fire, and burns next then.
     fn state(status: u8, fire: f64, next_fire: u16, task: Option<u8>) -> State {

@@ -2,14 +2,14 @@
 
 use sortie_core::AllocateError;
 use sortie_core::allocate::{TaskRelation, TeamQuery as DeployedQuery, TeamValueNetwork};
-use sortie_envs::save_the_city::{City, Symmetry};
+use sortie_envs::save_the_city::{City, ENTRY, Symmetry};
 use sortie_learn::LearnError;
 use sortie_learn::evaluate::allocation_state;
 use sortie_learn::methods::alma::team_value::{TeamQuery, TeamValueInput};
 use sortie_learn::methods::alma::{UtilityNetwork, UtilityPass};
 
 use crate::allocator::LearnedAllocator;
-use crate::worlds::save_the_city::CityRelation;
+use crate::worlds::rules::FrameRelation;
 
 /// Tells what teams at a building are worth.
 pub(super) trait ValueTeams {
@@ -60,7 +60,8 @@ impl ValueTeams for DeployedNetwork {
     ) -> Result<Vec<f32>, LearnError> {
         let state = allocation_state(city);
         let state = state.view();
-        let mut travel = CityRelation::new();
+        let travel = FrameRelation::new(&ENTRY);
+        let mut travel = travel.map_err(|failure| LearnError::Team(failure.message))?;
         travel.observe(&state).map_err(refusal)?;
         let mut relation = vec![0.0; state.entity_task.len() * travel.columns()];
         travel.write(&state, task, &mut relation);

@@ -1,15 +1,17 @@
 //! Who assigned agents in the episode that is viewed.
 
-use crate::allocation::AllocatorChoice;
+use crate::allocation::{Allocation, AllocatorChoice};
 
 /// Who allocated in a recording of `sortie eval --episodes-out`, by its label, where that can be
 /// computed again: random choices are lost.
 pub(super) fn of_label(policy: &str) -> Option<AllocatorChoice> {
     let (_, allocation) = policy.rsplit_once(", ")?;
     let name = allocation.strip_suffix(" allocation")?;
-    let known =
-        [AllocatorChoice::Learned, AllocatorChoice::Coordinated, AllocatorChoice::Heuristic];
-    known.into_iter().find(|choice| choice.name() == name)
+    match name {
+        "learned" => Some(AllocatorChoice::Learned),
+        "random" => None,
+        rule => Allocation::named(rule).ok().map(AllocatorChoice::Rule),
+    }
 }
 
 #[cfg(test)]

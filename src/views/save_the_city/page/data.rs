@@ -2,6 +2,8 @@
 
 use serde::Serialize;
 
+use crate::views::mind::Thought;
+
 /// Version of this data; the page's script and these types change together.
 pub(super) const FORMAT: u32 = 1;
 
@@ -85,23 +87,6 @@ pub(super) struct State {
     pub(super) values: Option<Vec<Option<TeamValues>>>,
 }
 
-/// What one agent computes.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub(super) struct Thought {
-    /// Utility of every action, available or not.
-    pub(super) utilities: Vec<f64>,
-    pub(super) attention: Vec<Attention>,
-}
-
-/// How much an agent attends to one entity.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub(super) struct Attention {
-    /// Agents first, then buildings.
-    pub(super) entity: usize,
-    /// One weight per head.
-    pub(super) weights: Vec<f64>,
-}
-
 /// What the allocator expects of teams at one building.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct TeamValues {
@@ -151,11 +136,4 @@ pub(super) enum EventKind {
     BurnedDown,
     /// Agents get another building.
     Reallocated,
-}
-
-/// Four decimals are enough to read, and keep pages small.
-pub(super) fn rounded(value: impl Into<f64>) -> f64 {
-    let rounded = (value.into() * 1e4).round() / 1e4;
-    // Minus zero reads oddly.
-    rounded + 0.0
 }

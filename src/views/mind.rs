@@ -1,14 +1,32 @@
 //! What agents think: utilities and attention of a run's network or of a bundle's.
 
+use serde::Serialize;
 use sortie_bundle::Bundle;
 use sortie_core::choose::masked_argmax;
 use sortie_core::{DecideError, Decision, Observation, Policy};
 use sortie_learn::methods::alma::NetworkPolicy;
 use sortie_plans::AttentionProbe;
 
-use super::data::{Attention, Thought, rounded};
+use super::page::rounded;
 use crate::compiler::compiler;
 use crate::failure::Failure;
+
+/// What one agent computes.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct Thought {
+    /// Utility of every action, available or not.
+    pub(super) utilities: Vec<f64>,
+    pub(super) attention: Vec<Attention>,
+}
+
+/// How much an agent attends to one entity.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct Attention {
+    /// Agents first.
+    pub(super) entity: usize,
+    /// One weight per head.
+    pub(super) weights: Vec<f64>,
+}
 
 /// A policy that also tells what it attends to.
 pub(super) trait Mind: Policy {

@@ -1,10 +1,11 @@
-//! The live picture of a city: its map, who is assigned where, and how fast the team ticks.
+//! The live picture of a city: its map, and who is assigned where.
 
-use console::{Style, style};
+use console::style;
 use sortie_core::UNASSIGNED;
-use sortie_envs::save_the_city::{ACTION_NAMES, AgentKind, BuildingState, City, SIDE, Status};
+use sortie_envs::save_the_city::{ACTION_NAMES, AgentKind, City, SIDE};
 
-use crate::latency::Percentiles;
+use super::looks::{Glyphs, Look};
+use crate::views::{Canvas, Drawing};
 
 /// Characters of one map cell.
 const CELL: usize = 2;
@@ -18,104 +19,30 @@ const BAR: usize = 6;
 const NARROW_AGENT: usize = 14;
 
 /// All that one picture shows.
-pub(super) struct Picture<'a> {
+pub(super) struct Scene<'a> {
     pub(super) city: City<'a>,
     /// Building of every agent, [`UNASSIGNED`] for none.
     pub(super) allocation: &'a [u8],
     /// Last action of every agent, by index.
     pub(super) actions: &'a [u16],
-    pub(super) episode: usize,
-    /// `None` = without end.
-    pub(super) episodes: Option<usize>,
-    pub(super) finished: usize,
-    pub(super) solved: usize,
-    pub(super) step: u32,
-    pub(super) tick: Percentiles,
-    /// What a person may do.
-    pub(super) hint: &'a str,
 }
-
-/// Where a picture is drawn.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Canvas {
-    /// Characters of a line.
-    pub(super) width: usize,
-    pub(super) lines: usize,
-    pub(super) glyphs: &'static Glyphs,
-}
-
-/// The characters of a picture.
-#[derive(Debug)]
-pub(super) struct Glyphs {
-    corners: [&'static str; 4],
-    edge: &'static str,
-    side: &'static str,
-    nothing: &'static str,
-    full: &'static str,
-    empty: &'static str,
-    burning: &'static str,
-    open: &'static str,
-    complete: &'static str,
-    burned_down: &'static str,
-}
-
-/// For terminals that show Unicode.
-pub(super) static UNICODE: Glyphs = Glyphs {
-    corners: ["┌", "┐", "└", "┘"],
-    edge: "─",
-    side: "│",
-    nothing: "·",
-    full: "█",
-    empty: "░",
-    burning: "▲",
-    open: "□",
-    complete: "■",
-    burned_down: "×",
-};
-
-/// For all others.
-pub(super) static ASCII: Glyphs = Glyphs {
-    corners: ["+", "+", "+", "+"],
-    edge: "-",
-    side: "|",
-    nothing: ".",
-    full: "#",
-    empty: ".",
-    burning: "^",
-    open: "o",
-    complete: "=",
-    burned_down: "x",
-};
 
 /// The picture as lines of text, without line ends.
-pub(super) fn lines(picture: &Picture<'_>, canvas: Canvas) -> Vec<String> {
-    let mut left = map(&picture.city, canvas.glyphs);
-    // Above and below: headline and legend.
-    let room = canvas.lines.saturating_sub(3).max(left.len());
-    let right = Tables { picture, width: canvas.width.saturating_sub(MAP + GAP), canvas };
+pub(super) fn draw(scene: &Scene<'_>, canvas: Canvas) -> Drawing {
+    let glyphs = Glyphs::of(canvas);
+    let mut left = map(&scene.city, glyphs);
+    // Below: what the signs of buildings mean.
+    let room = canvas.lines.saturating_sub(1).max(left.len());
+    let right = Tables { scene, width: canvas.width.saturating_sub(MAP + GAP), glyphs };
     let right = right.lines(room);
     left.resize(left.len().max(right.len()), " ".repeat(MAP));
-    let mut lines = vec![headline(picture)];
+    let mut lines = Vec::new();
     for (index, map_line) in left.into_iter().enumerate() {
         let text = right.get(index).map_or("", String::as_str);
         lines.push(format!("{map_line}{:GAP$}{text}", "").trim_end().to_string());
     }
-    lines.push(legend(canvas.glyphs));
-    lines.push(format!("F firefighter  B builder  G generalist    {}", picture.hint));
-    lines
-}
-
-fn headline(picture: &Picture<'_>) -> String {
-    let of = picture.episodes.map_or(String::new(), |episodes| format!(" of {episodes}"));
-    format!(
-        "episode {}{of}, step {:3}   solved {} of {}   tick p50 {:.0} us, p99 {:.0} us",
-        picture.episode,
-        picture.step,
-        picture.solved,
-        picture.finished,
-        picture.tick.p50,
-        picture.tick.p99,
-    )
+    lines.push(legend(glyphs));
+    Drawing { lines, legend: "F firefighter  B builder  G generalist".to_owned() }
 }
 
 fn legend(glyphs: &Glyphs) -> String {
@@ -152,8 +79,8 @@ fn cell(city: &City<'_>, x: u8, y: u8, glyphs: &Glyphs) -> String {
 
 /// The tables of buildings and agents, beside the map.
 struct Tables<'a> {
-    picture: &'a Picture<'a>,
-    canvas: Canvas,
+    scene: &'a Scene<'a>,
+    glyphs: &'static Glyphs,
     /// Characters of a line.
     width: usize,
 }
@@ -161,7 +88,7 @@ struct Tables<'a> {
 impl Tables<'_> {
     /// As much as there is room for; what is left out is counted.
     fn lines(&self, room: usize) -> Vec<String> {
-        let city = &self.picture.city;
+        let city = &self.scene.city;
         let all: Vec<usize> = (0..city.buildings.len()).collect();
         let agents = self.agents();
         let mut lines = if all.len() + agents.len() + 2 <= room {
@@ -187,7 +114,7 @@ impl Tables<'_> {
 
     /// Buildings that need somebody come first, and are shown in their order.
     fn most_urgent_buildings(&self, room: usize) -> Vec<String> {
-        let buildings = self.picture.city.buildings;
+        let buildings = self.scene.city.buildings;
         let mut shown: Vec<usize> = (0..buildings.len()).collect();
         shown.sort_by_key(|&index| Look::of(&buildings[index]) as usize);
         // A line for the header, one for what is not shown.
@@ -207,9 +134,8 @@ impl Tables<'_> {
     }
 
     fn building(&self, index: usize) -> String {
-        let Self { picture, canvas, width } = self;
-        let glyphs = canvas.glyphs;
-        let building = &picture.city.buildings[index];
+        let Self { scene, glyphs, width } = self;
+        let building = &scene.city.buildings[index];
         let look = Look::of(building);
         let full = ((building.health * BAR as f64).round() as usize).min(BAR);
         let bar = format!("{}{}", glyphs.full.repeat(full), glyphs.empty.repeat(BAR - full));
@@ -226,7 +152,7 @@ impl Tables<'_> {
 
     /// Who is assigned to a building; those for whom there is no room are counted.
     fn team(&self, building: usize, width: usize) -> String {
-        let Picture { city, allocation, .. } = self.picture;
+        let Scene { city, allocation, .. } = self.scene;
         let team: Vec<usize> = (0..city.agents.len())
             .filter(|&agent| allocation.get(agent) == Some(&(building as u8)))
             .collect();
@@ -241,14 +167,14 @@ impl Tables<'_> {
 
     fn agents(&self) -> Vec<String> {
         let header = "agent            assigned to  action".to_owned();
-        let agents = self.picture.city.agents;
+        let agents = self.scene.city.agents;
         let line = |(index, agent): (usize, &sortie_envs::save_the_city::AgentState)| {
             let kind = match agent.kind {
                 AgentKind::Firefighter => "firefighter",
                 AgentKind::Builder => "builder",
                 AgentKind::Generalist => "generalist",
             };
-            let name = format!("{:3}", agent_name(&self.picture.city, index));
+            let name = format!("{:3}", agent_name(&self.scene.city, index));
             let (task, action) = self.work(index);
             format!("{} {kind:11}  {task:11}  {action}", style(name).cyan().bold())
         };
@@ -258,10 +184,10 @@ impl Tables<'_> {
     /// Several agents a line.
     fn many_agents(&self) -> Vec<String> {
         let across = (self.width / NARROW_AGENT).max(1);
-        let count = self.picture.city.agents.len();
+        let count = self.scene.city.agents.len();
         let agent = |index: usize| {
             let (task, action) = self.work(index);
-            let name = format!("{:3}", agent_name(&self.picture.city, index));
+            let name = format!("{:3}", agent_name(&self.scene.city, index));
             let rest = format!("{task} {action:8}");
             format!("{} {rest:.9}", style(name).cyan().bold())
         };
@@ -275,7 +201,7 @@ impl Tables<'_> {
 
     /// What an agent is assigned to, and what it does.
     fn work(&self, index: usize) -> (char, &'static str) {
-        let Picture { allocation, actions, .. } = self.picture;
+        let Scene { allocation, actions, .. } = self.scene;
         let task = match allocation.get(index) {
             None | Some(&UNASSIGNED) => '-',
             Some(&task) => building_letter(usize::from(task)),
@@ -295,65 +221,9 @@ fn building_letter(index: usize) -> char {
     char::from(b'a'.saturating_add(index as u8))
 }
 
-/// How a building looks on the map, the most urgent first.
-#[derive(Clone, Copy)]
-enum Look {
-    Burning,
-    Open,
-    Complete,
-    BurnedDown,
-}
-
-impl Look {
-    fn of(building: &BuildingState) -> Self {
-        match building.status {
-            Status::Complete => Self::Complete,
-            Status::BurnedDown => Self::BurnedDown,
-            Status::Open if building.is_burning() => Self::Burning,
-            Status::Open => Self::Open,
-        }
-    }
-
-    fn style(self) -> Style {
-        match self {
-            Self::Burning => Style::new().red().bold(),
-            Self::Open => Style::new().yellow(),
-            Self::Complete => Style::new().green(),
-            Self::BurnedDown => Style::new().dim(),
-        }
-    }
-
-    fn word(self) -> &'static str {
-        match self {
-            Self::BurnedDown => "burned down",
-            other => other.short_word(),
-        }
-    }
-
-    /// At most eight characters.
-    fn short_word(self) -> &'static str {
-        match self {
-            Self::Burning => "burning",
-            Self::Open => "open",
-            Self::Complete => "complete",
-            Self::BurnedDown => "burned",
-        }
-    }
-
-    fn symbol(self, glyphs: &Glyphs) -> String {
-        let symbol = match self {
-            Self::Burning => glyphs.burning,
-            Self::Open => glyphs.open,
-            Self::Complete => glyphs.complete,
-            Self::BurnedDown => glyphs.burned_down,
-        };
-        self.style().apply_to(symbol).to_string()
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use sortie_envs::save_the_city::{AgentState, BuildingKind};
+    use sortie_envs::save_the_city::{AgentState, BuildingKind, BuildingState, Status};
 
     use super::*;
 
@@ -371,24 +241,9 @@ mod tests {
         }
     }
 
-    fn picture<'a>(city: City<'a>, allocation: &'a [u8], actions: &'a [u16]) -> Picture<'a> {
-        Picture {
-            city,
-            allocation,
-            actions,
-            episode: 2,
-            episodes: Some(20),
-            finished: 1,
-            solved: 1,
-            step: 7,
-            tick: Percentiles { p50: 20.4, p99: 80.0, p999: None, max: 90.0 },
-            hint: "q quits",
-        }
-    }
-
-    fn canvas(width: usize, lines: usize, glyphs: &'static Glyphs) -> Canvas {
+    fn lines(scene: &Scene<'_>, width: usize, lines: usize, is_unicode: bool) -> Vec<String> {
         console::set_colors_enabled(false);
-        Canvas { width, lines, glyphs }
+        draw(scene, Canvas { width, lines, is_unicode }).lines
     }
 
     #[test]
@@ -396,17 +251,12 @@ mod tests {
         let agents = [AgentState::at(AgentKind::Firefighter, 2, 4)];
         let buildings = [building(0.5, 0.25, 1), building(1.0, 0.0, 4), building(0.0, 0.0, 7)];
         let city = City { agents: &agents, buildings: &buildings };
-        let shown = lines(&picture(city, &[0], &[9]), canvas(79, 23, &UNICODE));
-        assert_eq!(
-            shown[0],
-            "episode 2 of 20, step   7   solved 1 of 1   tick p50 20 us, p99 80 us"
-        );
+        let shown = lines(&Scene { city, allocation: &[0], actions: &[9] }, 79, 21, true);
         // The map's first line is its edge, the second y = 15: y = 4 is the thirteenth.
-        assert_eq!(shown[13], "│ ·▲aF0 ·■b · ·×c · · · · · · · ·│");
-        assert!(shown[2].ends_with("▲a burning   ███░░░  0.25  F0"), "{}", shown[2]);
-        assert!(shown[3].ends_with("■b complete  ██████  0.00"), "{}", shown[3]);
-        assert!(shown[7].ends_with("F0  firefighter  a            fight"), "{}", shown[7]);
-        assert!(shown[20].ends_with("q quits"), "{}", shown[20]);
+        assert_eq!(shown[12], "│ ·▲aF0 ·■b · ·×c · · · · · · · ·│");
+        assert!(shown[1].ends_with("▲a burning   ███░░░  0.25  F0"), "{}", shown[1]);
+        assert!(shown[2].ends_with("■b complete  ██████  0.00"), "{}", shown[2]);
+        assert!(shown[6].ends_with("F0  firefighter  a            fight"), "{}", shown[6]);
     }
 
     /// Twenty-four agents, six of them at each of the first four of twenty-five buildings.
@@ -426,9 +276,10 @@ mod tests {
     fn in_80_columns_nothing_is_cut_off_and_what_is_left_out_is_counted() {
         let (agents, buildings, allocation, actions) = crowd();
         let city = City { agents: &agents, buildings: &buildings };
-        let shown = lines(&picture(city, &allocation, &actions), canvas(79, 23, &ASCII));
+        let scene = Scene { city, allocation: &allocation, actions: &actions };
+        let shown = lines(&scene, 79, 21, false);
         let text = shown.join("\n");
-        assert!(shown.len() <= 23, "{text}");
+        assert!(shown.len() <= 21, "{text}");
         assert!(shown.iter().all(|line| line.is_ascii() && line.len() <= 79), "{text}");
         // Every agent by a name of its own, and the burning building although it is the last one.
         for agent in 0..24 {
@@ -443,10 +294,11 @@ mod tests {
     fn a_team_without_room_is_counted() {
         let (agents, buildings, allocation, actions) = crowd();
         let city = City { agents: &agents, buildings: &buildings };
-        let shown = lines(&picture(city, &allocation, &actions), canvas(79, 60, &ASCII));
+        let scene = Scene { city, allocation: &allocation, actions: &actions };
+        let shown = lines(&scene, 79, 58, false);
         let line = shown.iter().find(|line| line.contains("=d complete")).expect("building d");
         assert!(line.ends_with("G18 G19 G20 +3"), "{line}");
-        let wide = lines(&picture(city, &allocation, &actions), canvas(120, 60, &ASCII));
+        let wide = lines(&scene, 120, 58, false);
         let line = wide.iter().find(|line| line.contains("=d complete")).expect("building d");
         assert!(line.ends_with("G18 G19 G20 G21 G22 G23"), "{line}");
     }

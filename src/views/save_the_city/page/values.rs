@@ -5,12 +5,13 @@ use sortie_learn::LearnError;
 use sortie_learn::evaluate::Scene;
 use sortie_learn::export::LearnedAllocator;
 
-use super::data::{TeamValues, rounded};
+use super::data::TeamValues;
 use super::value_networks::{DeployedNetwork, RunNetwork, ValueTeams};
 use crate::allocator::LearnedAllocator as DeployedLearned;
 use crate::failure::Failure;
 use crate::policy::Backend;
 use crate::subject::Subject;
+use crate::views::page::rounded;
 
 /// Other teams that are shown.
 const OTHERS: usize = 3;

@@ -1,33 +1,3 @@
-// Small helpers to build elements, and the signs that stand for things.
-
-const SVG = document.getElementById("map").namespaceURI;
-
-/** An SVG element with attributes and children. */
-function svg(name, attributes = {}, ...children) {
-  const element = document.createElementNS(SVG, name);
-  setAll(element, attributes);
-  element.append(...children);
-  return element;
-}
-
-/** An HTML element with attributes and children. */
-function html(name, attributes = {}, ...children) {
-  const element = document.createElement(name);
-  setAll(element, attributes);
-  element.append(...children);
-  return element;
-}
-
-function setAll(element, attributes) {
-  for (const [name, value] of Object.entries(attributes)) {
-    element.setAttribute(name, value);
-  }
-}
-
-function byId(id) {
-  return document.getElementById(id);
-}
-
 // Signs are drawn around (0, 0), about 16 wide.
 const SIGNS = {
   fire: "M0,-9 C2,-5 7,-3 6,3 A6,6 0 0 1 -6,3 C-6,0 -4,-1 -3.5,-4 C-1.5,-3 -0.5,-5 0,-9 Z",

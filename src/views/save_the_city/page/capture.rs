@@ -7,11 +7,12 @@ use sortie_envs::save_the_city::{
 use sortie_learn::LearnError;
 use sortie_learn::evaluate::{Onlooker, PolicyTeam, Scene, Team, Watched};
 
-use super::data::{AgentFacts, BuildingFacts, EpisodeResult, State, Step, Thought, rounded};
+use super::data::{AgentFacts, BuildingFacts, EpisodeResult, State, Step};
 use super::episode::Episode;
-use super::mind::{Diary, Mind};
 use super::values::TeamValueProbe;
 use crate::failure::Failure;
+use crate::views::mind::{Diary, Mind, Thought};
+use crate::views::page::rounded;
 
 /// An episode as it went.
 pub(super) struct Captured {

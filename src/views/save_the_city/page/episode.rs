@@ -40,14 +40,13 @@ pub(super) struct Replayed<'a> {
 }
 
 /// Reads a recording and checks that it replays bit for bit.
-pub(super) fn open_recording(file: &Path) -> Result<Playback, Failure> {
-    let text = std::fs::read_to_string(file).map_err(|error| Failure::file(file, &error))?;
+pub(super) fn open_recording(file: &Path, text: &str) -> Result<Playback, Failure> {
     let name = file.display().to_string();
     let unreadable = |error| replay::unreadable(error).within(&name);
-    let replayed = golden::replay(&name, &text).map_err(unreadable)?;
+    let replayed = golden::replay(&name, text).map_err(unreadable)?;
     match replayed.mismatches.first() {
         Some(first) => Err(replay::difference(first, replayed.mismatches.len())),
-        None => Playback::new(&text).map_err(unreadable),
+        None => Playback::new(text).map_err(unreadable),
     }
 }
 

@@ -1,0 +1,108 @@
+//! `sortie view`: one episode as a page to look at, step by step.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use serde::Serialize;
+use sortie_envs::golden;
+
+use crate::allocation::AllocatorChoice;
+use crate::failure::{Exit, Failure, Outcome};
+use crate::files::{Kind, try_output, write_output};
+use crate::options::Common;
+use crate::output::{plural, print_json, say};
+use crate::replay;
+use crate::subject::Subject;
+use crate::views::{Page, Wanted, view_of};
+
+/// Look at one episode: where everybody is, who is assigned where, what each agent computes
+///
+/// SUBJECT is a training run, a bundle, `scripted`, or a recorded episode (`sortie eval
+/// --episodes-out`). The page is one HTML file that needs nothing else and works offline.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  sortie view models/save-the-city -o episode.html --episode 7
+  sortie view episodes/00007.json --policy runs/first -o episode.html")]
+pub(crate) struct ViewArguments {
+    /// A training run, a bundle, `scripted`, or the file of a recorded episode
+    subject: PathBuf,
+    /// The page to write
+    #[arg(short, long, value_name = "FILE.html")]
+    output: PathBuf,
+    /// Number of the episode to play, as `sortie eval --episodes-out` counts them; default: 0
+    #[arg(long, value_name = "N")]
+    episode: Option<u32>,
+    /// Environment and scenario set; default: those of the subject
+    #[arg(long, value_name = "ENV[/SET]")]
+    env: Option<String>,
+    /// Who assigns agents to subtasks [default: learned where the subject has it, else coordinated;
+    /// for a recording what its label says]
+    #[arg(long, value_enum)]
+    allocation: Option<AllocatorChoice>,
+    /// Show what this run or bundle computes in a recorded episode
+    #[arg(long, value_name = "RUN|BUNDLE", visible_aliases = ["run", "bundle"])]
+    policy: Option<PathBuf>,
+    #[command(flatten)]
+    common: Common,
+}
+
+#[derive(Serialize)]
+struct Report<'a> {
+    file: &'a Path,
+    steps: usize,
+}
+
+pub(crate) fn run(arguments: &ViewArguments) -> Outcome {
+    let file = &arguments.output;
+    try_output(file, Kind::Page)?;
+    let subject = arguments.subject.as_path();
+    let page = if subject.is_file() {
+        recorded_page(arguments, subject)?
+    } else {
+        played_page(arguments)?
+    };
+    write_output(file, page.html.as_bytes())?;
+    let report = Report { file, steps: page.steps };
+    if arguments.common.json {
+        print_json(&report);
+    } else {
+        say!("{}: {}", file.display(), plural(report.steps, "step"));
+    }
+    Ok(())
+}
+
+fn played_page(arguments: &ViewArguments) -> Result<Page, Failure> {
+    if arguments.policy.is_some() {
+        return Err(usage("--policy is for recorded episodes; name the run or bundle itself"));
+    }
+    let subject = Subject::find(&arguments.subject)?;
+    let set = subject.scenario_set(arguments.env.as_deref())?;
+    let view = view_of(set.entry().name);
+    view.played(&Wanted { set: Some(set), ..wanted(arguments) }, &subject)
+}
+
+fn recorded_page(arguments: &ViewArguments, file: &Path) -> Result<Page, Failure> {
+    if arguments.episode.is_some() || arguments.env.is_some() {
+        return Err(usage("--episode and --env choose what is played, but this is a recording"));
+    }
+    let text = fs::read_to_string(file).map_err(|error| Failure::file(file, &error))?;
+    let entry = golden::environment(&text)
+        .map_err(|error| replay::unreadable(error).within(file.display()))?;
+    view_of(entry.name).recorded(&wanted(arguments), &text)
+}
+
+fn wanted(arguments: &ViewArguments) -> Wanted<'_> {
+    Wanted {
+        subject: &arguments.subject,
+        set: None,
+        episode: arguments.episode.unwrap_or(0) as usize,
+        seed: arguments.common.seed,
+        allocation: arguments.allocation,
+        policy: arguments.policy.as_deref(),
+    }
+}
+
+fn usage(message: &str) -> Failure {
+    Failure::new(Exit::Usage, message)
+}

@@ -1,0 +1,156 @@
+//! What is shown of environments, a folder for each: a picture in the terminal, a page, words in a report.
+//!
+//! The rest of the command line knows environments by their names alone.
+
+mod mind;
+mod page;
+mod save_the_city;
+
+use std::path::Path;
+
+use serde_json::{Map, Value};
+use sortie_envs::{Episode, Spec};
+
+use crate::allocation::AllocatorChoice;
+use crate::environment::ScenarioSetName;
+use crate::failure::{Exit, Failure};
+use crate::subject::Subject;
+use crate::worlds::tally::Tally;
+
+/// Every environment that is shown by more than its numbers.
+const VIEWS: &[(&str, &dyn View)] = &[save_the_city::VIEW];
+
+/// What is shown of an environment of this name.
+pub(crate) fn view_of(environment: &str) -> &'static dyn View {
+    let found = VIEWS.iter().find(|(known, _)| *known == environment);
+    found.map_or(&Plain, |(_, view)| *view)
+}
+
+/// What is shown of one environment. The defaults do for any.
+pub(crate) trait View {
+    /// What an episode came to, in a few words.
+    fn outcome(&self, spec: &Spec, episode: &Episode) -> String {
+        let values = spec.metrics.iter().zip(&episode.metrics);
+        let told =
+            values.filter_map(|(metric, value)| Some(format!("{} {}", metric.name, (*value)?)));
+        told.collect::<Vec<_>>().join(", ")
+    }
+
+    /// What episodes came to, beside what is counted everywhere.
+    fn figures(&self, spec: &Spec, tally: &Tally) -> Figures {
+        let mean = |name| {
+            let sum = tally.metric(spec, name);
+            (sum.episodes > 0).then(|| sum.sum / sum.episodes as f64)
+        };
+        let means = || spec.metrics.iter().filter_map(|metric| Some((metric, mean(metric.name)?)));
+        let text =
+            means().map(|(metric, mean)| format!("{} {mean:.2} {}", metric.name, metric.unit));
+        let fields: Map<String, Value> =
+            means().map(|(metric, mean)| (metric.name.to_owned(), mean.into())).collect();
+        Figures {
+            text: text.collect::<Vec<_>>().join(", "),
+            fields: vec![("metrics", fields.into())],
+        }
+    }
+
+    /// A state as lines of text, and what explains its signs.
+    fn draw(&self, scene: &Scene<'_>, canvas: Canvas) -> Drawing {
+        let _ = canvas;
+        let actions = scene.actions.iter().enumerate();
+        let action = |(agent, action): (usize, &u16)| {
+            let name = scene.spec.actions.get(usize::from(*action));
+            name.map(|name| format!("agent {agent:2}  {name}"))
+        };
+        Drawing { lines: actions.filter_map(action).collect(), legend: String::new() }
+    }
+
+    /// The page of an episode that the subject plays.
+    fn played(&self, wanted: &Wanted<'_>, subject: &Subject) -> Result<Page, Failure> {
+        let _ = subject;
+        Err(no_page(wanted))
+    }
+
+    /// The page of a recorded episode, given as text.
+    fn recorded(&self, wanted: &Wanted<'_>, text: &str) -> Result<Page, Failure> {
+        let _ = text;
+        let message = format!(
+            "`{}` is a recording of an environment whose episodes can only be viewed as they are played",
+            wanted.subject.display()
+        );
+        Err(Failure::new(Exit::Usage, message))
+    }
+}
+
+/// An environment that nothing more is known of.
+struct Plain;
+
+impl View for Plain {}
+
+/// What a report says of an environment's own numbers.
+pub(crate) struct Figures {
+    /// For people, without line ends.
+    pub(crate) text: String,
+    /// For scripts, by their names and in this order.
+    pub(crate) fields: Vec<(&'static str, Value)>,
+}
+
+/// One state that is drawn.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Scene<'a> {
+    pub(crate) spec: &'a Spec,
+    /// As the environment saves it.
+    pub(crate) state: &'a [u8],
+    /// Subtask of every agent, [`UNASSIGNED`](sortie_core::UNASSIGNED) for none.
+    pub(crate) allocation: &'a [u8],
+    /// Last action of every agent, by index.
+    pub(crate) actions: &'a [u16],
+}
+
+/// Where it is drawn.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Canvas {
+    /// Characters of a line.
+    pub(crate) width: usize,
+    pub(crate) lines: usize,
+    /// Whether there is more than ASCII.
+    pub(crate) is_unicode: bool,
+}
+
+/// A picture of characters.
+pub(crate) struct Drawing {
+    pub(crate) lines: Vec<String>,
+    /// What signs mean, at the foot.
+    pub(crate) legend: String,
+}
+
+/// Which episode is wanted as a page.
+#[derive(Debug)]
+pub(crate) struct Wanted<'a> {
+    /// Where the page goes by the command line's words: a run, a bundle, `scripted` or a recording.
+    pub(crate) subject: &'a Path,
+    /// What is played; none for recordings.
+    pub(crate) set: Option<ScenarioSetName>,
+    /// Its number.
+    pub(crate) episode: usize,
+    pub(crate) seed: u64,
+    pub(crate) allocation: Option<AllocatorChoice>,
+    /// Whose thoughts are shown in a recording.
+    pub(crate) policy: Option<&'a Path>,
+}
+
+/// A page.
+pub(crate) struct Page {
+    pub(crate) html: String,
+    /// Steps of its episode.
+    pub(crate) steps: usize,
+}
+
+fn no_page(wanted: &Wanted<'_>) -> Failure {
+    let known: Vec<&str> = VIEWS.iter().map(|(name, _)| *name).collect();
+    let message = format!(
+        "`{}` cannot be looked at: there are pages of {} only",
+        wanted.subject.display(),
+        known.join(", ")
+    );
+    Failure::new(Exit::Usage, message)
+}

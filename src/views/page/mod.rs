@@ -1,0 +1,74 @@
+//! One file with everything in it: markup, style, script and data.
+//!
+//! Every page has a picture, a slider with its keys, and panels. An environment adds what its own looks like: its script
+//! has `createMap`, `createAgentPanel`, `createBuildingPanel` (for whatever agents work on or belong to) and
+//! `createTimeline`, and its data the agents' names, `states`, `steps` with rewards, `events` and a `result`.
+
+use serde::Serialize;
+
+const SKELETON: &str = include_str!("web/page.html");
+
+/// Parts of a style that all pages share.
+pub(super) mod style {
+    pub(in crate::views) const BASICS: &str = include_str!("web/basics.css");
+    pub(in crate::views) const LAYOUT: &str = include_str!("web/layout.css");
+    pub(in crate::views) const RESULT: &str = include_str!("web/result.css");
+    pub(in crate::views) const PLAYBACK: &str = include_str!("web/playback.css");
+    pub(in crate::views) const AGENT: &str = include_str!("web/agent.css");
+    pub(in crate::views) const DIALOG: &str = include_str!("web/dialog.css");
+}
+
+/// Parts of a script that all pages share.
+pub(super) mod script {
+    pub(in crate::views) const EPISODE: &str = include_str!("web/episode.js");
+    pub(in crate::views) const SUMS: &str = include_str!("web/sums.js");
+    pub(in crate::views) const NUMBERS: &str = include_str!("web/numbers.js");
+    pub(in crate::views) const ELEMENTS: &str = include_str!("web/elements.js");
+    pub(in crate::views) const PLAYER: &str = include_str!("web/player.js");
+}
+
+/// What a page is made of beside its data.
+pub(super) struct Web {
+    /// In the order of the cascade.
+    pub(super) styles: &'static [&'static str],
+    /// The panel of the picture.
+    pub(super) map: &'static str,
+    /// The panels behind the slider.
+    pub(super) panels: &'static str,
+    /// In the order in which they build on each other.
+    pub(super) scripts: &'static [&'static str],
+}
+
+/// The page as HTML.
+pub(super) fn html(web: &Web, data: &impl Serialize) -> String {
+    let data = serde_json::to_string(data).expect("pages have string keys only");
+    let parts = [
+        ("/* STYLE */", web.styles.concat()),
+        ("<!-- MAP -->", web.map.to_string()),
+        ("<!-- PANELS -->", web.panels.to_string()),
+        ("\"DATA\"", escape(&data)),
+        ("/* SCRIPT */", web.scripts.concat()),
+    ];
+    let mut html = String::new();
+    let mut rest = SKELETON;
+    for (place, part) in parts {
+        let (before, after) = rest.split_once(place).expect("the skeleton has a place for it");
+        html.push_str(before);
+        html.push_str(&part);
+        rest = after;
+    }
+    html.push_str(rest);
+    html
+}
+
+/// Inside a script element only `<` could end it, or begin a comment. JSON has it in texts alone.
+fn escape(json: &str) -> String {
+    json.replace('<', "\\u003c")
+}
+
+/// Four decimals are enough to read, and keep pages small.
+pub(super) fn rounded(value: impl Into<f64>) -> f64 {
+    let rounded = (value.into() * 1e4).round() / 1e4;
+    // Minus zero reads oddly.
+    rounded + 0.0
+}

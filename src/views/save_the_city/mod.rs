@@ -1,0 +1,56 @@
+//! SaveTheCity as it is shown.
+
+mod looks;
+mod page;
+mod terminal;
+
+use sortie_envs::save_the_city::{ENTRY, with_city};
+use sortie_envs::{Episode, Spec};
+
+use super::{Canvas, Drawing, Figures, Page, Scene, View, Wanted};
+use crate::failure::Failure;
+use crate::subject::Subject;
+use crate::worlds::tally::Tally;
+
+/// How it is found.
+pub(super) const VIEW: (&str, &dyn View) = (ENTRY.name, &Shown);
+
+struct Shown;
+
+impl View for Shown {
+    fn outcome(&self, spec: &Spec, episode: &Episode) -> String {
+        let count = |name| {
+            let place = spec.metrics.iter().position(|metric| metric.name == name);
+            place.and_then(|place| episode.metrics[place]).unwrap_or(0.0)
+        };
+        let (saved, all) = (count(SAVED), count(ALL));
+        format!("{saved} of {all} buildings saved in {} steps", episode.steps)
+    }
+
+    fn figures(&self, spec: &Spec, tally: &Tally) -> Figures {
+        let [saved, all] = [SAVED, ALL].map(|name| tally.metric(spec, name).sum as u64);
+        Figures {
+            text: format!("buildings saved {saved} of {all}"),
+            fields: vec![("buildings_saved", saved.into()), ("buildings", all.into())],
+        }
+    }
+
+    fn draw(&self, scene: &Scene<'_>, canvas: Canvas) -> Drawing {
+        let Scene { state, allocation, actions, .. } = *scene;
+        with_city(state, |city| {
+            terminal::draw(&terminal::Scene { city, allocation, actions }, canvas)
+        })
+    }
+
+    fn played(&self, wanted: &Wanted<'_>, subject: &Subject) -> Result<Page, Failure> {
+        page::played(wanted, subject)
+    }
+
+    fn recorded(&self, wanted: &Wanted<'_>, text: &str) -> Result<Page, Failure> {
+        page::recorded(wanted, text)
+    }
+}
+
+/// The metrics that tell of buildings.
+const SAVED: &str = "buildings_completed";
+const ALL: &str = "buildings";

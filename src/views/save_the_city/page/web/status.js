@@ -1,0 +1,2 @@
+const STATUS = ["open", "complete", "burned down"];
+

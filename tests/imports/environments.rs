@@ -1,0 +1,73 @@
+//! Where the sources name environments: in their own folders, and in a line of a registry.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use sortie_envs::ENVIRONMENTS;
+
+use crate::tokens::tokens;
+
+/// Files that name each environment so many times: as a module and in a registry.
+const REGISTRIES: [(&str, usize); 3] =
+    [("trainer/envs/src/lib.rs", 1), ("trainer/envs/src/registry.rs", 1), ("src/views/mod.rs", 2)];
+
+/// Folders that name environments besides, and why they may.
+const EXCEPTED: [(&str, &str); 1] =
+    [("src/bench/train", "what is timed beside PyTorch is made of one environment's rows")];
+
+#[test]
+fn environments_are_named_in_their_folders_and_registries_alone() {
+    let mut wrong = String::new();
+    let mut excepted = EXCEPTED.map(|_| 0);
+    for file in ["src", "trainer/envs/src"].iter().flat_map(|folder| sources(Path::new(folder))) {
+        let text = fs::read_to_string(&file).expect("a source file");
+        for entry in ENVIRONMENTS {
+            let module = entry.name.replace('-', "_");
+            if file.iter().any(|folder| folder == module.as_str()) {
+                continue;
+            }
+            let named = named(&text, entry.name, &module);
+            if let Some(place) = EXCEPTED.iter().position(|(folder, _)| file.starts_with(folder)) {
+                excepted[place] += named.len();
+                continue;
+            }
+            let registry = REGISTRIES.iter().find(|(registry, _)| file == Path::new(registry));
+            if named.len() > registry.map_or(0, |(_, most)| *most) {
+                let lines = format!("{}: lines {named:?} name {}\n", file.display(), entry.name);
+                wrong.push_str(&lines);
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{wrong}");
+    for ((folder, _), count) in EXCEPTED.iter().zip(excepted) {
+        assert!(count > 0, "{folder} names no environment: it needs no exception");
+    }
+}
+
+#[test]
+fn a_name_is_found_in_code_and_not_in_comments() {
+    let text = "//! save_the_city\nuse a::save_the_city::B;\nlet x = SaveTheCity;\nf(\"save-the-city\");\n\
+        f(\"models/save-the-city\");\n";
+    assert_eq!(named(text, "save-the-city", "save_the_city"), [2, 3, 4]);
+}
+
+/// The lines that name an environment: by its module, by the same in one word, or as a text.
+fn named(text: &str, name: &str, module: &str) -> Vec<usize> {
+    let one_word = module.replace('_', "");
+    let is_named =
+        |word: &str| word == module || word.to_lowercase() == one_word && word != one_word;
+    let words = tokens(text).into_iter().filter(|token| is_named(&token.text));
+    let literal = format!("\"{name}\"");
+    let literals = text.lines().enumerate().filter(|(_, line)| line.contains(&literal));
+    words.map(|token| token.line).chain(literals.map(|(line, _)| line + 1)).collect()
+}
+
+fn sources(folder: &Path) -> Vec<PathBuf> {
+    let entries = fs::read_dir(folder).expect("a folder of sources").flatten();
+    let found = entries.flat_map(|entry| match entry.path() {
+        path if path.is_dir() => sources(&path),
+        path if path.extension().is_some_and(|end| end == "rs") => vec![path],
+        _ => Vec::new(),
+    });
+    found.collect()
+}
