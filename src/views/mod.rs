@@ -2,6 +2,8 @@
 //!
 //! The rest of the command line knows environments by their names alone.
 
+mod acting;
+mod group_matching;
 mod mind;
 mod page;
 mod save_the_city;
@@ -18,7 +20,7 @@ use crate::subject::Subject;
 use crate::worlds::tally::Tally;
 
 /// Every environment that is shown by more than its numbers.
-const VIEWS: &[(&str, &dyn View)] = &[save_the_city::VIEW];
+const VIEWS: &[(&str, &dyn View)] = &[save_the_city::VIEW, group_matching::VIEW];
 
 /// What is shown of an environment of this name.
 pub(crate) fn view_of(environment: &str) -> &'static dyn View {

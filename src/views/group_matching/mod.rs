@@ -1,0 +1,55 @@
+//! Group Matching as it is shown.
+
+mod page;
+mod terminal;
+
+use sortie_envs::group_matching::{ENTRY, ring_of, sizes};
+use sortie_envs::{Episode, Spec};
+
+use super::{Canvas, Drawing, Figures, Page, Scene, View, Wanted};
+use crate::failure::Failure;
+use crate::subject::Subject;
+use crate::worlds::tally::Tally;
+
+/// How it is found.
+pub(super) const VIEW: (&str, &dyn View) = (ENTRY.name, &Shown);
+
+struct Shown;
+
+impl View for Shown {
+    fn outcome(&self, spec: &Spec, episode: &Episode) -> String {
+        let gathered = episode.metrics.first().copied().flatten().unwrap_or(0.0);
+        let groups = sizes(spec).groups;
+        format!("{gathered} of {groups} groups gathered in {} steps", episode.steps)
+    }
+
+    fn figures(&self, spec: &Spec, tally: &Tally) -> Figures {
+        let gathered = tally.metric(spec, "matches").sum as u64;
+        let groups = sizes(spec).groups * tally.episodes;
+        Figures {
+            text: format!("groups gathered {gathered} of {groups}"),
+            fields: vec![("groups_gathered", gathered.into()), ("groups", groups.into())],
+        }
+    }
+
+    fn draw(&self, scene: &Scene<'_>, canvas: Canvas) -> Drawing {
+        let sizes = sizes(scene.spec);
+        match ring_of(&sizes, scene.state) {
+            Ok(ring) => terminal::draw(ring, &sizes, scene, canvas),
+            Err(error) => Drawing { lines: vec![error.to_string()], legend: String::new() },
+        }
+    }
+
+    fn played(&self, wanted: &Wanted<'_>, subject: &Subject) -> Result<Page, Failure> {
+        page::played(wanted, subject)
+    }
+}
+
+/// `A` for group 0, `A2` for the one after `Z`.
+fn group_name(group: usize) -> String {
+    let letter = char::from(b'A' + (group % 26) as u8);
+    match group / 26 {
+        0 => letter.to_string(),
+        round => format!("{letter}{}", round + 1),
+    }
+}

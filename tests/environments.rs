@@ -1,0 +1,103 @@
+//! `--env` for environments of any kind: what each offers, and what is refused with what would fit.
+
+mod support;
+
+use std::fs;
+
+use serde_json::Value;
+use support::browser::Browser;
+use support::{BUNDLE, assert_fails, json, output};
+
+const RING: &str = "group-matching/6x5x2";
+
+/// A page of one episode in a folder of its own, and the data that its script reads.
+fn page(arguments: &[&str]) -> (tempfile::TempDir, Value) {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let file = folder.path().join("page.html");
+    let name = file.display().to_string();
+    let report = json(&[&["view", "--json", "-o", &name], arguments].concat());
+    let text = fs::read_to_string(&file).expect("the page");
+    let (_, rest) = text.split_once("id=\"episode\">").expect("a data element");
+    let (data, _) = rest.split_once("</script>").expect("its end");
+    let data: Value = serde_json::from_str(data).expect("data is JSON");
+    assert_eq!(report["steps"], data["steps"].as_array().expect("steps").len());
+    (folder, data)
+}
+
+fn list(value: &Value) -> &Vec<Value> {
+    value.as_array().expect("a list")
+}
+
+#[test]
+fn an_episode_of_group_matching_is_a_page() {
+    let (folder, data) = page(&["scripted", "--env", RING, "--episode", "4"]);
+    let (states, steps) = (list(&data["states"]), list(&data["steps"]));
+    assert_eq!(states.len(), steps.len() + 1);
+    assert_eq!((list(&data["agents"]).len(), list(&data["groups"]).len()), (6, 2));
+    assert_eq!(data["result"], "solved");
+    for (state, step) in states.iter().zip(steps) {
+        assert_eq!(list(&state["sees"][0]).len(), 6, "everybody sees everybody");
+        assert!(list(&step["actions"]).iter().all(|action| action.as_u64() < Some(3)));
+    }
+    let end = &states[steps.len()];
+    assert!(list(&end["gathered"]).iter().all(|gathered| gathered == true));
+    for group in list(&data["groups"]) {
+        let cell = |agent: &Value| &end["places"][agent.as_u64().expect("a number") as usize];
+        let cells: Vec<&Value> = list(&group["members"]).iter().map(cell).collect();
+        assert!(cells.windows(2).all(|pair| pair[0] == pair[1]), "{cells:?}");
+    }
+    let text = fs::read_to_string(folder.path().join("page.html")).expect("the page");
+    assert!(text.contains("default-src 'none'"), "the page forbids itself to load anything");
+
+    let browser = Browser::start();
+    browser.open(&folder.path().join("page.html"));
+    let step = || browser.text("#step");
+    assert_eq!(step(), format!("0 / {}", steps.len()));
+    browser.press("\u{E010}");
+    assert_eq!(step(), format!("{0} / {0}", steps.len()));
+    assert!(browser.text("#happening").contains("gathers"));
+    browser.evaluate(
+        "const scrubber = document.getElementById('scrubber'); scrubber.value = 1; \
+         scrubber.dispatchEvent(new Event('input'));",
+    );
+    assert_eq!(step(), format!("1 / {}", steps.len()));
+    browser.click("#agents button:nth-child(3)");
+    let name = data["agents"][2]["name"].as_str().expect("a name");
+    assert!(browser.text("#agent-title").starts_with(name));
+    assert!(browser.text("#utilities").contains("taken"));
+    assert!(browser.text("#attention").contains("(itself)"));
+    browser.click(".people .person:nth-child(1)");
+    let name = data["agents"][0]["name"].as_str().expect("a name");
+    assert!(browser.text("#agent-title").starts_with(name));
+    browser.click("#groups button:nth-child(2)");
+    assert_eq!(browser.text("#group-title"), "Group B");
+    assert_eq!(browser.console(), Vec::<Value>::new());
+}
+
+#[test]
+fn an_episode_of_group_matching_repeats_by_its_seed_and_number() {
+    let play =
+        |more: &[&str]| page(&[&["scripted", "--env", RING], more].concat()).1["states"].clone();
+    assert_eq!(play(&["--seed", "3"]), play(&["--seed", "3", "--episode", "0"]));
+    assert_ne!(play(&["--seed", "3"]), play(&["--seed", "4"]));
+    assert_ne!(play(&["--seed", "3"]), play(&["--seed", "3", "--episode", "1"]));
+}
+
+#[test]
+fn what_an_environment_does_not_offer_is_refused_with_what_would_fit() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let place = folder.path().join("page.html").display().to_string();
+    let view = |more: &[&str]| output(&[&["view", "-o", &place], more].concat());
+    let ring = ["scripted", "--env", "group-matching", "--allocation", "coordinated"];
+    assert_fails(&view(&ring), 2, &["no subtasks", "coordinated"]);
+    let sizes = ["scripted", "--env", "group-matching/8x6"];
+    assert_fails(&view(&sizes), 2, &["8x6", "8x6x2"]);
+    let recording = fs::read_dir("tests/golden/group-matching").expect("recordings").flatten();
+    let recording = recording.map(|entry| entry.path().display().to_string()).min();
+    assert_fails(&view(&[&recording.expect("a recording")]), 2, &["recording", "played"]);
+    for verb in ["run", "up"] {
+        let refused = output(&[verb, BUNDLE, "--env", "group-matching", "--episodes", "1"]);
+        assert_fails(&refused, 78, &[BUNDLE, "other features"]);
+    }
+    assert_fails(&view(&[BUNDLE, "--env", "group-matching"]), 78, &[BUNDLE, "other features"]);
+}
