@@ -156,3 +156,48 @@ fn no_page(wanted: &Wanted<'_>) -> Failure {
     );
     Failure::new(Exit::Usage, message)
 }
+
+#[cfg(test)]
+mod tests {
+    use sortie_envs::{ENVIRONMENTS, Split};
+
+    use super::*;
+
+    /// What an environment says of itself, and an episode with these of its metrics.
+    pub(super) fn episode(environment: &str, values: &[(&str, f64)]) -> (Spec, Episode) {
+        let name = ScenarioSetName::parse(environment).expect("a set");
+        let spec = name.open(Split::Train).expect("it opens").spec().clone();
+        let value = |name| values.iter().find(|(known, _)| *known == name).map(|(_, value)| *value);
+        let metrics = spec.metrics.iter().map(|metric| value(metric.name)).collect();
+        (spec, Episode { steps: 7, episode_return: 1.5, metrics, ..Episode::default() })
+    }
+
+    #[test]
+    fn an_environment_without_a_view_is_told_by_its_numbers() {
+        let entry = ENVIRONMENTS.last().expect("an environment");
+        let metric = episode(entry.name, &[]).0.metrics[0];
+        let (spec, played) = episode(entry.name, &[(metric.name, 1.0)]);
+        let view = view_of("no such environment");
+        assert_eq!(view.outcome(&spec, &played), format!("{} 1", metric.name));
+        let mut tally = Tally::default();
+        tally.add(played);
+        tally.add(episode(entry.name, &[(metric.name, 2.0)]).1);
+        tally.add(episode(entry.name, &[]).1);
+        let figures = view.figures(&spec, &tally);
+        assert_eq!(figures.text, format!("{} 1.50 {}", metric.name, metric.unit));
+        assert_eq!(figures.fields[0].1[metric.name], 1.5);
+        let scene = Scene { spec: &spec, state: &[], allocation: &[], actions: &[1, u16::MAX] };
+        let canvas = Canvas { width: 79, lines: 21, is_unicode: true };
+        assert_eq!(view.draw(&scene, canvas).lines, [format!("agent  0  {}", spec.actions[1])]);
+        let wanted = Wanted {
+            subject: Path::new("scripted"),
+            set: None,
+            episode: 0,
+            seed: 1,
+            allocation: None,
+            policy: None,
+        };
+        let refused = view.played(&wanted, &Subject::Scripted).err().expect("no page");
+        assert!(refused.message.contains("there are pages of"), "{}", refused.message);
+    }
+}

@@ -53,3 +53,22 @@ fn group_name(group: usize) -> String {
         round => format!("{letter}{}", round + 1),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::views::tests::episode;
+
+    #[test]
+    fn episodes_are_told_in_their_own_words() {
+        let values = [("matches", 2.0)];
+        let (spec, played) = episode(&format!("{}/{}", ENTRY.name, "6x5x3"), &values);
+        assert_eq!(Shown.outcome(&spec, &played), "2 of 3 groups gathered in 7 steps");
+        let mut tally = Tally::default();
+        tally.add(played.clone());
+        tally.add(played);
+        let figures = Shown.figures(&spec, &tally);
+        assert_eq!(figures.text, "groups gathered 4 of 6");
+        assert_eq!(figures.fields, [("groups_gathered", 4.into()), ("groups", 6.into())]);
+    }
+}

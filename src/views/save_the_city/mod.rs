@@ -54,3 +54,22 @@ impl View for Shown {
 /// The metrics that tell of buildings.
 const SAVED: &str = "buildings_completed";
 const ALL: &str = "buildings";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::views::tests::episode;
+
+    #[test]
+    fn episodes_are_told_in_their_own_words() {
+        let values = [("buildings_completed", 2.0), ("buildings", 3.0)];
+        let (spec, played) = episode(&format!("{}/{}", ENTRY.name, "2-5a_2-5b"), &values);
+        assert_eq!(Shown.outcome(&spec, &played), "2 of 3 buildings saved in 7 steps");
+        let mut tally = Tally::default();
+        tally.add(played.clone());
+        tally.add(played);
+        let figures = Shown.figures(&spec, &tally);
+        assert_eq!(figures.text, "buildings saved 4 of 6");
+        assert_eq!(figures.fields, [("buildings_saved", 4.into()), ("buildings", 6.into())]);
+    }
+}
