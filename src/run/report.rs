@@ -109,12 +109,12 @@ impl Report {
     /// The tables for people.
     fn print(&self, figures: &Figures) {
         say!(
-            "\nsuccess {:.2} (95 % interval {:.2} to {:.2}) over {}, {} allocation",
+            "\nsuccess {:.2} (95 % interval {:.2} to {:.2}) over {}, {}",
             self.success,
             self.success_ci95[0],
             self.success_ci95[1],
             plural(self.episodes, "episode"),
-            self.allocation
+            self.allocated()
         );
         let own = if self.own_text.is_empty() { "" } else { ", " };
         say!("{}{own}mean return {:.1}\n", self.own_text, self.return_mean);
@@ -141,6 +141,13 @@ impl Report {
         latency.row(latency_row("observation to action", self.act_us, &figures.act));
         latency.row(latency_row("whole tick", self.tick_us, &figures.tick));
         latency.print();
+    }
+
+    fn allocated(&self) -> String {
+        match self.allocation.as_str() {
+            "none" => "without allocation".to_string(),
+            name => format!("{name} allocation"),
+        }
     }
 
     fn pace(&self) -> String {

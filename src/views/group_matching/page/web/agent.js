@@ -65,7 +65,7 @@ function showSeen(view, state) {
   byId("attention-heads").textContent = heads.length
     ? "mean attention, then head by head, in percent"
     : `${seen.length} of ${episode.agents.length} agents`;
-  const columns = ["cell", "group", ...(heads.length ? ["mean"] : []), ...heads.map((_, head) => `head ${head + 1}`)];
+  const columns = ["cell", "group", ...(heads.length ? ["mean"] : []), ...heads.map((_, head) => String(head + 1))];
   const head = html("tr", {}, html("td"), ...columns.map((name) => html("th", { scope: "col" }, name)));
   byId("attention").tBodies[0].replaceChildren(head, ...seen.map((row) => seenRow(view, state, row)));
 }
