@@ -6,16 +6,18 @@ use clap::Args;
 use indicatif::ProgressBar;
 use serde::Serialize;
 use sortie_bundle::files::check_folder;
-use sortie_bundle::{BundleError, hex};
+use sortie_bundle::{BundleError, Draft, hex};
 use sortie_learn::evaluate::{Allocate, Evaluation, EvaluationPlan, evaluate_watched};
-use sortie_learn::export::{Measured, check_exportable, draft_bundle};
-use sortie_learn::run::{Run, Settings};
+use sortie_learn::export::{Measured, MethodRun, check_exportable, draft_bundle, draft_method};
+use sortie_learn::play;
+use sortie_learn::run::{Run, Settings, read_curve};
 
 use crate::allocation::Allocation;
 use crate::compiler::with_plans;
 use crate::engines::check_program;
 use crate::environment::ScenarioSetName;
 use crate::failure::{Exit, Failure, Outcome};
+use crate::methods::LearnedMethod;
 use crate::options::Common;
 use crate::output::{print_json, say, warn_of_refused};
 use crate::progress::{self, CountedEpisodes};
@@ -64,6 +66,9 @@ struct Report {
 pub(crate) fn run(arguments: &ExportArguments) -> Outcome {
     check_place(&arguments.out)?;
     check_program()?;
+    if let Some(learned) = LearnedMethod::find(&arguments.run)? {
+        return export_method(arguments, &learned);
+    }
     let mut run = Run::open(&arguments.run)?;
     warn_of_refused(&run.refused);
     check_exportable(&run)?;
@@ -89,7 +94,11 @@ pub(crate) fn run(arguments: &ExportArguments) -> Outcome {
         measure(&run, &plans, &bar, &mut measured)?;
     }
     bar.finish_and_clear();
-    let draft = draft_bundle(&run, &arguments.run, &measured, seed)?;
+    write(arguments, draft_bundle(&run, &arguments.run, &measured, seed)?)
+}
+
+/// Writes the bundle with its plans.
+fn write(arguments: &ExportArguments, draft: Draft) -> Outcome {
     let draft = with_plans(draft, &arguments.out)?;
     let bundle = draft.write(&arguments.out)?;
     let report = Report { bundle: arguments.out.clone(), sha256: hex(bundle.id()) };
@@ -99,6 +108,36 @@ pub(crate) fn run(arguments: &ExportArguments) -> Outcome {
         say!("{}: {}", report.bundle.display(), report.sha256);
     }
     Ok(())
+}
+
+/// Exports what a method has learned in any environment.
+fn export_method(arguments: &ExportArguments, learned: &LearnedMethod) -> Outcome {
+    if arguments.team_max.is_some() {
+        let reason = "`--team-max` limits an allocator, which this run has not learned";
+        return Err(Failure::new(Exit::Usage, reason));
+    }
+    learned.method.deployed()?;
+    let seed = arguments.common.seed;
+    let seeds = arguments.seeds.unwrap_or(SeedRange::only(seed));
+    let (mut measured, mut sizes) = (Vec::new(), vec![learned.environment.spec().shape]);
+    for choice in learned.choices(&arguments.env)? {
+        let environment = learned.open_as(&choice)?;
+        sizes.push(environment.spec().shape);
+        let play = |seed| {
+            let (mut team, episodes) = (learned.method.team(), arguments.episodes as usize);
+            play::evaluate(&*environment, &mut *team, episodes, seed)
+        };
+        let parts: Vec<Evaluation> = seeds.iter().map(play).collect::<Result<_, _>>()?;
+        let evaluation = Evaluation::pooled(&parts);
+        measured.push(Measured { set: choice.set, allocation: "none".to_owned(), evaluation });
+    }
+    let run = MethodRun {
+        description: &learned.description,
+        environment: &*learned.environment,
+        method: &*learned.method,
+        curve: &read_curve(&arguments.run)?,
+    };
+    write(arguments, draft_method(&run, &arguments.run, &sizes, &measured, seed)?)
 }
 
 /// Refuses a place that a bundle cannot be written to, before anything is measured.

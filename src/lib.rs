@@ -20,6 +20,7 @@ mod files;
 mod inspect;
 mod latency;
 mod manual;
+mod methods;
 mod observations;
 mod onnxruntime;
 mod options;

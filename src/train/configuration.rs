@@ -7,19 +7,66 @@ use std::path::Path;
 use sortie_learn::LearnError;
 use sortie_learn::methods::alma::{Conditioning, MixerKind};
 use sortie_learn::methods::paper;
-use sortie_learn::run::Settings;
+use sortie_learn::run::{Configuration, Settings, keys_in};
+use sortie_learn::session::{MethodEntry, Setup};
 
-use super::{Method, Mixer, TrainArguments};
+use super::method::AlmaMethod;
+use super::{Mixer, TrainArguments};
 use crate::allocation::Allocation;
 use crate::environment::ScenarioSetName;
 use crate::failure::{Exit, Failure, Outcome};
+use crate::methods;
+
+/// The setup of a method that learns in any environment, as the command line asks for it.
+pub(super) fn setup(entry: &MethodEntry, arguments: &TrainArguments) -> Result<Setup, Failure> {
+    let refused =
+        [("--no-mask", arguments.no_mask), ("--allocation", arguments.allocation.is_some())];
+    if let Some((flag, _)) = refused.iter().find(|(_, is_given)| *is_given) {
+        let reason = format!("`{}` has no subtasks: drop `{flag}`", entry.name);
+        return Err(Failure::new(Exit::Usage, reason));
+    }
+    let mut setup = match &arguments.config {
+        Some(path) => {
+            let text = fs::read_to_string(path).map_err(|error| Failure::file(path, &error))?;
+            let first = entry.preset(entry.presets[0].0)?;
+            let read = entry.read(&first, &text);
+            read.map_err(|error| Failure::from(error).within(path.display()))?
+        }
+        None => entry.preset(&arguments.preset)?,
+    };
+    if let Some(name) = &arguments.env {
+        methods::choose(&mut setup.environment, name)?;
+    }
+    if setup.environment.name.is_empty() {
+        let reason = format!(
+            "`{}` learns anywhere: say where by `--env`: {}",
+            entry.name,
+            methods::environment_names()
+        );
+        return Err(Failure::new(Exit::Usage, reason));
+    }
+    if let Some(mixer) = arguments.mixer {
+        setup = entry.set(&setup, &format!("mixer.kind={}", mixer.name()))?;
+    }
+    if let Some(steps) = arguments.steps {
+        setup.run.steps = steps;
+    }
+    for assignment in &arguments.assignments {
+        setup = entry.set(&setup, assignment)?;
+    }
+    setup.check()?;
+    Ok(setup)
+}
 
 /// The configuration that the command line asks for.
-pub(super) fn configuration(arguments: &TrainArguments) -> Result<Settings, Failure> {
+pub(super) fn configuration(
+    method: AlmaMethod,
+    arguments: &TrainArguments,
+) -> Result<Settings, Failure> {
     let mut given = BTreeSet::new();
     let mut settings = match &arguments.config {
         Some(path) => configuration_file(path, &mut given)?,
-        None if arguments.method == Method::Copa && arguments.preset == "fast" => {
+        None if method == AlmaMethod::Copa && arguments.preset == "fast" => {
             Settings::Windows(paper::Config::like_fast())
         }
         None => Settings::preset(&arguments.preset).map_err(usage)?,
@@ -33,20 +80,22 @@ pub(super) fn configuration(arguments: &TrainArguments) -> Result<Settings, Fail
     if let Some(mixer) = arguments.mixer {
         mix_by(&mut settings, mixer)?;
     }
-    match arguments.method {
-        Method::Alma if arguments.no_mask => *settings.subtask_mut() = Conditioning::Input,
-        Method::Alma => {}
-        Method::Flat | Method::Copa if arguments.no_mask || arguments.allocation.is_some() => {
+    match method {
+        AlmaMethod::Alma if arguments.no_mask => *settings.subtask_mut() = Conditioning::Input,
+        AlmaMethod::Alma => {}
+        AlmaMethod::Flat | AlmaMethod::Copa
+            if arguments.no_mask || arguments.allocation.is_some() =>
+        {
             let reason = "`flat` and `copa` have no subtasks: drop `--no-mask` and `--allocation`";
             return Err(Failure::new(Exit::Usage, reason.to_string()));
         }
-        Method::Flat => {
+        AlmaMethod::Flat => {
             *settings.subtask_mut() = Conditioning::None;
             if let Settings::Windows(config) = &mut settings {
                 config.coach.enabled = false;
             }
         }
-        Method::Copa => enable_coach(&mut settings)?,
+        AlmaMethod::Copa => enable_coach(&mut settings)?,
     }
     if let Some(steps) = arguments.steps {
         settings.run_mut().steps = steps;
@@ -106,7 +155,7 @@ fn configuration_file(path: &Path, given: &mut BTreeSet<String>) -> Result<Setti
     let text = fs::read_to_string(path).map_err(|error| Failure::file(path, &error))?;
     let bad = |error: LearnError| Failure::from(error).within(path.display());
     let settings = Settings::from_toml(&text).map_err(bad)?;
-    given.extend(Settings::keys_in(&text).map_err(bad)?);
+    given.extend(keys_in(&text).map_err(bad)?);
     Ok(settings)
 }
 

@@ -1,6 +1,7 @@
 //! `sortie train`: learns a team and writes a run that can be watched, resumed and exported.
 
 mod configuration;
+mod method;
 mod reporter;
 mod seeds;
 
@@ -14,15 +15,21 @@ use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
 use sortie_ipc::Stop;
 use sortie_learn::LearnError;
 use sortie_learn::methods::Trainer;
-use sortie_learn::run::{Outcome as Ending, prolong, read_description, replace_products};
+use sortie_learn::run::{
+    Configuration, Outcome as Ending, RunDescription, Settings, method_of, prolong,
+    replace_products,
+};
+use sortie_learn::session::{MethodEntry, Session, Setup};
 
 use crate::allocation::Allocation;
 use crate::failure::{Exit, Failure, Outcome};
+use crate::methods;
 use crate::options::Common;
 use crate::output::{self, say, tell, warn_of_refused};
 use crate::seeds::SeedRange;
 use crate::signals::stop_on_signals;
-use configuration::configuration;
+use configuration::{configuration, setup};
+use method::Method;
 use reporter::Reporter;
 
 /// Learn a team's policy and write the run to a folder
@@ -41,13 +48,14 @@ use reporter::Reporter;
   sortie train flat --out runs/flat
   sortie train alma --preset paper --out runs/paper
   sortie train copa --preset paper --out runs/copa
+  sortie train refil --env group-matching --out runs/refil
   sortie train alma --resume runs/first
   sortie train alma --resume runs/first --steps 1200000")]
 pub(crate) struct TrainArguments {
     /// The algorithm
     #[arg(value_enum)]
     method: Method,
-    /// Environment and scenario set [default: save-the-city/2-5a_2-5b]
+    /// Environment and set of starts [default of alma, flat and copa: save-the-city/2-5a_2-5b]
     #[arg(long, value_name = "ENV[/SET]")]
     env: Option<String>,
     /// Named configuration to start from: `fast`, or `paper`, the dissertation's algorithm to the letter
@@ -98,17 +106,6 @@ pub(crate) struct TrainArguments {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Method {
-    /// Subtask-masked utilities under an allocation (dissertation chapter 7)
-    Alma,
-    /// The same without subtasks: everybody sees everything and earns the whole team's reward
-    Flat,
-    /// Flat agents and a coach that sees everything and tells each of them a strategy now and then; learned
-    /// from windows by either preset
-    Copa,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Mixer {
     /// Their sum (VDN)
     Sum,
@@ -118,13 +115,13 @@ enum Mixer {
     Qmix,
 }
 
-impl Method {
-    /// As `train.toml` has it.
+impl Mixer {
+    /// As configurations have it.
     fn name(self) -> &'static str {
         match self {
-            Self::Alma => "alma",
-            Self::Flat => "flat",
-            Self::Copa => "copa",
+            Self::Sum => "sum",
+            Self::Linear => "linear",
+            Self::Qmix => "qmix",
         }
     }
 }
@@ -134,7 +131,7 @@ const PATIENCE: Duration = Duration::from_secs(10);
 
 pub(crate) fn run(arguments: &TrainArguments) -> Outcome {
     if arguments.print_config {
-        say!("{}", configuration(arguments)?.explained()?.trim_end());
+        say!("{}", explained(arguments)?.trim_end());
         return Ok(());
     }
     output::may_be_lost();
@@ -143,10 +140,12 @@ pub(crate) fn run(arguments: &TrainArguments) -> Outcome {
         stop_without(sweep, &stop)?;
     }
     if let (Some(seeds), Some(out)) = (arguments.seeds, &arguments.out) {
-        let mut config = configuration(arguments)?;
-        config.run_mut().settle_products()?;
-        let threads = arguments.threads.unwrap_or(1);
-        return seeds::run(seeds, &config, threads, out, arguments.common, &stop);
+        return match arguments.method {
+            Method::Alma(method) => {
+                sweep(seeds, configuration(method, arguments)?, arguments, out, &stop)
+            }
+            Method::Any(entry) => sweep(seeds, checked(entry, arguments)?, arguments, out, &stop),
+        };
     }
     let (mut trainer, folder) = trainer(arguments)?;
     warn_of_refused(trainer.refused());
@@ -171,29 +170,48 @@ pub(crate) fn run(arguments: &TrainArguments) -> Outcome {
     }
 }
 
+/// The configuration that the command line asks for, with a sentence for every key.
+fn explained(arguments: &TrainArguments) -> Result<String, Failure> {
+    Ok(match arguments.method {
+        Method::Alma(method) => configuration(method, arguments)?.explained()?,
+        Method::Any(entry) => entry.explained(&checked(entry, arguments)?)?,
+    })
+}
+
+/// A setup that environment and method take.
+fn checked(entry: &MethodEntry, arguments: &TrainArguments) -> Result<Setup, Failure> {
+    let description = RunDescription::new(setup(entry, arguments)?, 0, 1);
+    methods::open(entry, &description, 1)?;
+    Ok(description.config)
+}
+
+/// One run per seed.
+fn sweep<C: Configuration + Sync>(
+    seeds: SeedRange,
+    mut config: C,
+    arguments: &TrainArguments,
+    out: &Path,
+    stop: &Stop,
+) -> Outcome {
+    config.run_mut().settle_products()?;
+    seeds::run(seeds, &config, arguments.threads.unwrap_or(1), out, arguments.common, stop)
+}
+
+/// A new run, or one to go on with, and its folder.
 fn trainer(arguments: &TrainArguments) -> Result<(Trainer, PathBuf), Failure> {
     let Some(folder) = &arguments.resume else {
         let folder = arguments.out.clone().unwrap_or_default();
-        let threads = arguments.threads.unwrap_or(cores());
-        let config = configuration(arguments)?;
-        return Ok((Trainer::new(config, arguments.common.seed, threads, &folder)?, folder));
+        return Ok((begun(arguments, &folder)?, folder));
     };
     check_method(arguments.method, folder)?;
-    if let Some(steps) = arguments.steps {
-        prolong(folder, steps)?;
-    }
-    if arguments.other_products
-        && let Some(products) = replace_products(folder)?
-    {
-        tell!(
-            "warning: {} goes on with `{products}` products, and so with other bits",
-            folder.display()
-        );
+    match arguments.method {
+        Method::Alma(_) => change::<Settings>(arguments, folder)?,
+        Method::Any(_) => change::<Setup>(arguments, folder)?,
     }
     let patience = if arguments.sweep.is_some() { PATIENCE } else { Duration::ZERO };
     let since = Instant::now();
     loop {
-        match Trainer::resume(folder, arguments.threads) {
+        match resumed(arguments, folder) {
             Err(LearnError::Busy { .. }) if since.elapsed() < patience => {
                 thread::sleep(Duration::from_millis(50));
             }
@@ -202,9 +220,50 @@ fn trainer(arguments: &TrainArguments) -> Result<(Trainer, PathBuf), Failure> {
     }
 }
 
+fn begun(arguments: &TrainArguments, folder: &Path) -> Result<Trainer, Failure> {
+    let (seed, threads) = (arguments.common.seed, arguments.threads.unwrap_or(cores()));
+    Ok(match arguments.method {
+        Method::Alma(method) => {
+            Trainer::new(configuration(method, arguments)?, seed, threads, folder)?
+        }
+        Method::Any(entry) => {
+            let description = RunDescription::new(setup(entry, arguments)?, seed, threads);
+            let (environment, method) = methods::open(entry, &description, threads)?;
+            let session = Session::begin(description, environment, method, folder)?;
+            Trainer::Method(Box::new(session))
+        }
+    })
+}
+
+fn resumed(arguments: &TrainArguments, folder: &Path) -> Result<Trainer, LearnError> {
+    let Method::Any(entry) = arguments.method else {
+        return Trainer::resume(folder, arguments.threads);
+    };
+    let session = Session::resume(folder, |description| {
+        methods::open(entry, description, arguments.threads.unwrap_or(description.threads))
+    })?;
+    Ok(Trainer::Method(Box::new(session)))
+}
+
+/// Changes what may be changed of a run that is gone on with.
+fn change<C: Configuration>(arguments: &TrainArguments, folder: &Path) -> Outcome {
+    if let Some(steps) = arguments.steps {
+        prolong::<C>(folder, steps)?;
+    }
+    if arguments.other_products
+        && let Some(products) = replace_products::<C>(folder)?
+    {
+        tell!(
+            "warning: {} goes on with `{products}` products, and so with other bits",
+            folder.display()
+        );
+    }
+    Ok(())
+}
+
 /// Refuses to go on with a run of another method.
 fn check_method(method: Method, folder: &Path) -> Outcome {
-    let learned = read_description(folder)?.method;
+    let learned = method_of(folder)?;
     if learned == method.name() {
         return Ok(());
     }

@@ -135,8 +135,12 @@ impl Observer for Reporter {
         if self.common.json {
             print_json(result);
         } else {
+            let under = match allocation.as_str() {
+                "none" => String::new(),
+                name => format!(" under {name} allocation"),
+            };
             let line = format!(
-                "{} fresh episodes under {allocation} allocation: success {:.3} ({low:.3} to {high:.3})",
+                "{} fresh episodes{under}: success {:.3} ({low:.3} to {high:.3})",
                 evaluation.episodes, evaluation.success
             );
             self.bar.suspend(|| say!("{line}"));

@@ -15,7 +15,7 @@ use serde::Serialize;
 use serde_json::Value;
 use sortie_bundle::files::{Durability, replace_file};
 use sortie_ipc::Stop;
-use sortie_learn::run::{Configuration, Difference, Settings, read_description};
+use sortie_learn::run::{Configuration, Difference, method_of, read_description};
 
 use super::cores;
 use crate::failure::{Exit, Failure, Outcome};
@@ -43,9 +43,9 @@ struct Summary {
 }
 
 /// Runs all seeds; those that are finished already are only read. A seed that fails stops no other.
-pub(super) fn run(
+pub(super) fn run<C: Configuration + Sync>(
     seeds: SeedRange,
-    config: &Settings,
+    config: &C,
     threads: usize,
     out: &Path,
     common: Common,
@@ -106,16 +106,16 @@ fn died() -> Failure {
 }
 
 /// What the runs of all seeds have in common.
-struct Sweep<'a> {
+struct Sweep<'a, C> {
     out: &'a Path,
-    config: &'a Settings,
+    config: &'a C,
     threads: usize,
     common: Common,
     bars: MultiProgress,
 }
 
-impl<'a> Sweep<'a> {
-    fn new(config: &'a Settings, threads: usize, out: &'a Path, common: Common) -> Self {
+impl<'a, C: Configuration + Sync> Sweep<'a, C> {
+    fn new(config: &'a C, threads: usize, out: &'a Path, common: Common) -> Self {
         let hidden = common.json || common.quiet;
         let target =
             if hidden { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
@@ -128,7 +128,7 @@ impl<'a> Sweep<'a> {
         if !folder.join("train.toml").exists() {
             return Ok(());
         }
-        let found = read_description(&folder)?;
+        let found_method = method_of(&folder)?;
         let (method, place) = (self.config.method(), folder.display());
         let other = |key: &str, there: &str, here: &str| {
             let reason = format!(
@@ -136,13 +136,14 @@ impl<'a> Sweep<'a> {
             );
             Err(Failure::new(Exit::Usage, reason))
         };
-        if found.method != method {
-            return other("method", &found.method, method);
+        if found_method != method {
+            return other("method", &found_method, method);
         }
+        let found = read_description::<C>(&folder)?;
         if found.seed != seed {
             return other("seed", &found.seed.to_string(), &seed.to_string());
         }
-        match self.config.difference(&found.config)? {
+        match Difference::between(self.config, &found.config)? {
             Some(Difference { key, ours, theirs }) => other(&key, &theirs, &ours),
             None => Ok(()),
         }
@@ -160,9 +161,10 @@ impl<'a> Sweep<'a> {
                 .map_err(|error| Failure::file(&path, &error));
         }
         let text = fs::read_to_string(&path).map_err(|error| Failure::file(&path, &error))?;
-        let found = Settings::from_toml(&text)
+        let found = C::from_text(self.config.method(), &text)
             .map_err(|error| Failure::from(error).within(path.display()))?;
-        let Some(Difference { key, ours, theirs }) = self.config.difference(&found)? else {
+        let Some(Difference { key, ours, theirs }) = Difference::between(self.config, &found)?
+        else {
             return Ok(());
         };
         let reason = format!(

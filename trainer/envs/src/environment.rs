@@ -142,9 +142,9 @@ impl core::error::Error for StateError {}
 /// So a learner keeps states and rebuilds what was seen. Every random choice comes from the generator that is
 /// passed in: the same state, actions and generator give the same step.
 ///
-/// [`conformance::check`](crate::conformance::check) tests what is promised here. An instance beyond
+/// Learners observe from several threads at once. [`conformance::check`](crate::conformance::check) tests what is promised here. An instance beyond
 /// [`instances`](Self::instances) and bytes that [`load`](Self::load) refuses are the caller's mistake and panic.
-pub trait Environment: Send {
+pub trait Environment: Send + Sync {
     /// What this environment says of itself.
     fn spec(&self) -> &Spec;
 

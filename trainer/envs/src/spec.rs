@@ -87,6 +87,8 @@ pub struct Spec {
     pub features: Vec<String>,
     /// `[U]`: names of the actions.
     pub actions: Vec<String>,
+    /// The action of an agent that nobody decides for: always available, and as harmless as any.
+    pub safe_action: Option<u16>,
     /// What an episode comes to, besides its return, its length and whether it was solved.
     pub metrics: &'static [Metric],
     /// Who earns rewards besides the team.
@@ -103,6 +105,29 @@ pub struct Spec {
     pub state_bytes: usize,
     /// Steps after which an episode is over, however it stands.
     pub episode_limit: u32,
+}
+
+/// Entities, no subtasks, nothing but the team's reward; name, sizes and lists of names are still missing.
+impl Default for Spec {
+    fn default() -> Self {
+        Self {
+            name: "",
+            version: "1",
+            shape: Shape { agents: 0, entities: 0, tasks: 0, actions: 0, features: 0 },
+            view: View::Entities,
+            features: Vec::new(),
+            actions: Vec::new(),
+            safe_action: None,
+            metrics: &[],
+            rewards: Rewards::default(),
+            turns: 1,
+            rules: &[],
+            relations: 0,
+            row_entries: 0,
+            state_bytes: 0,
+            episode_limit: u32::MAX,
+        }
+    }
 }
 
 impl Spec {

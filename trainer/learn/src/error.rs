@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use sortie_envs::StepError;
 use sortie_envs::save_the_city::CityError;
+use sortie_envs::{EnvironmentError, StepError};
 
 /// Why a run cannot be set up, continued or measured.
 #[derive(Debug, thiserror::Error)]
@@ -89,6 +89,9 @@ pub enum LearnError {
     /// The environment could not be set up.
     #[error("environment: {0}")]
     Environment(#[from] CityError),
+    /// There is no such environment.
+    #[error("{0}")]
+    Choice(#[from] EnvironmentError),
     /// The environment refused an action, which a sound policy never gives.
     #[error("environment: {0}")]
     Step(#[from] StepError),

@@ -5,9 +5,16 @@ pub mod configuration;
 pub mod error;
 pub mod evaluate;
 pub mod export;
+pub mod method;
 pub mod methods;
+pub mod play;
 pub mod random;
 pub mod report;
 pub mod run;
+pub mod session;
+pub mod state;
 
 pub use error::LearnError;
+pub use method::{Act, Method, Now, Scene, Scenes, Transition};
+pub use session::Session;
+pub use state::State;

@@ -6,14 +6,13 @@ use super::VERSION;
 use super::bytes::state_bytes;
 use super::features::feature_names;
 use super::parameters::Parameters;
-use super::rules::{ACTION_NAMES, ACTIONS};
+use super::rules::{ACTION_NAMES, ACTIONS, STAY};
 use crate::spec::{Metric, Rewards, Shape, Spec, View};
 
 /// Its name, as `--env` takes it.
 pub(super) const NAME: &str = "group-matching";
 
-const METRICS: &[Metric] =
-    &[Metric { name: "matches", unit: "groups", about: "that have gathered" }];
+const METRICS: &[Metric] = &[Metric { name: "matches", unit: "groups", about: "groups gathered" }];
 
 /// Entries of a row beside the groups: its cell, itself.
 const OWN_ENTRIES: usize = 2;
@@ -29,6 +28,7 @@ pub(super) fn spec(parameters: &Parameters) -> Spec {
         view: View::Entities,
         features: feature_names(parameters),
         actions: ACTION_NAMES.map(String::from).to_vec(),
+        safe_action: Some(STAY),
         metrics: METRICS,
         rewards: Rewards::default(),
         turns: 1,

@@ -22,7 +22,7 @@ pub(super) const BUILDINGS: &str = "buildings";
 pub(super) const RULE_NAMES: &[Rule] = &[RULES[0].0, RULES[1].0, RULES[2].0];
 
 pub(super) const METRICS: &[Metric] = &[
-    Metric { name: "none_burned", unit: "share", about: "no building was lost" },
+    Metric { name: "none_burned", unit: "share", about: "no building burned" },
     Metric {
         name: "prop_buildings_completed",
         unit: "share",
@@ -53,6 +53,7 @@ pub(super) fn spec(set: &ScenarioSet, constants: &Constants) -> Spec {
         view: View::Entities,
         features: FEATURE_NAMES.map(String::from).to_vec(),
         actions: ACTION_NAMES.map(String::from).to_vec(),
+        safe_action: Some(0),
         metrics: METRICS,
         rewards: Rewards { tasks: true, agents: false },
         turns: Symmetry::ALL.len(),

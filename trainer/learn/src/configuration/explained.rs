@@ -11,9 +11,13 @@ use crate::methods::{alma, paper};
 
 /// A configuration as a file with comments.
 pub(crate) fn explained<C: Kept>(config: &C) -> Result<String, LearnError> {
-    let table = table_of(config)?;
+    explained_by(C::SECTIONS, &table_of(config)?)
+}
+
+/// The values of these sections as a file with comments.
+pub(crate) fn explained_by(sections: &[Section], table: &Table) -> Result<String, LearnError> {
     let mut text = String::new();
-    for section in C::SECTIONS {
+    for section in sections {
         if !text.is_empty() {
             text.push('\n');
         }
@@ -21,9 +25,12 @@ pub(crate) fn explained<C: Kept>(config: &C) -> Result<String, LearnError> {
         if !section.name.is_empty() {
             text += &format!("[{}]\n", section.name);
         }
+        if section.keys.is_empty() {
+            text += &toml::to_string(part(table, section)?).map_err(unwritable)?;
+        }
         for key in section.keys {
             let Key { name, about, .. } = key;
-            let value = value(&table, section, key)?;
+            let value = value(table, section, key)?;
             text += &format!("# {about}\n#   {}\n{name} = {value}\n", limits(key));
         }
     }
@@ -80,8 +87,17 @@ fn limits(key: &Key) -> String {
 }
 
 fn value<'a>(table: &'a Table, section: &Section, key: &Key) -> Result<&'a Value, LearnError> {
-    let parents = section.name.split('.').filter(|parent| !parent.is_empty());
-    let inner = parents.into_iter().try_fold(table, |table, parent| table.get(parent)?.as_table());
     let missing = || LearnError::Config(format!("`{}.{}` has no value", section.name, key.name));
-    inner.and_then(|table| table.get(key.name)).ok_or_else(missing)
+    part(table, section)?.get(key.name).ok_or_else(missing)
+}
+
+/// The values of a section.
+fn part<'a>(table: &'a Table, section: &Section) -> Result<&'a Table, LearnError> {
+    let mut parents = section.name.split('.').filter(|parent| !parent.is_empty());
+    let inner = parents.try_fold(table, |table, parent| table.get(parent)?.as_table());
+    inner.ok_or_else(|| LearnError::Config(format!("there is no section `{}`", section.name)))
+}
+
+fn unwritable(error: toml::ser::Error) -> LearnError {
+    LearnError::Config(error.to_string())
 }

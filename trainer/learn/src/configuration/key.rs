@@ -50,6 +50,19 @@ pub enum Range {
     Text,
 }
 
+impl Key {
+    /// A key: its name within its section, the unit of its value (empty for what is no number), what it may be, and
+    /// what it does in one sentence.
+    pub const fn new(
+        name: &'static str,
+        unit: &'static str,
+        range: Range,
+        about: &'static str,
+    ) -> Self {
+        Self { name, unit, range, about }
+    }
+}
+
 impl Range {
     /// Whether a value is of the right kind and within the limits.
     pub fn holds(self, value: &Value) -> bool {

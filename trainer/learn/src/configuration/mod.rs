@@ -3,17 +3,20 @@
 mod explained;
 mod key;
 mod keys;
+mod parts;
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
-pub(crate) use explained::explained;
 pub use explained::reference;
+pub(crate) use explained::{explained, explained_by};
 pub use key::{Key, Range, Section};
 use key::{find, nearest_path};
-pub use keys::{FAST, PAPER};
+pub use keys::{EXPLORATION, FAST, OPTIMISER, PAPER};
+pub(crate) use keys::{RUN, WHERE};
+pub use parts::{ExplorationConfig, OptimiserConfig};
 
 use crate::error::LearnError;
 use crate::run::KEYS;
@@ -31,16 +34,28 @@ pub(crate) trait Kept: Default + Serialize + DeserializeOwned {
 ///
 /// A run's `train.toml` will do: its lines about the run itself are passed over.
 pub(crate) fn from_toml<C: Kept>(text: &str) -> Result<C, LearnError> {
+    from_table(table_in(text, C::SECTIONS, C::settle_older)?)
+}
+
+/// The values of a file, whose keys are those of these sections; its lines about the run itself are passed over.
+///
+/// `settle_older` gives the file of a run what it learned by before that was a key.
+pub(crate) fn table_in(
+    text: &str,
+    sections: &[Section],
+    settle_older: impl FnOnce(&mut Table),
+) -> Result<Table, LearnError> {
     let mut table = parsed(text)?;
     if KEYS.iter().filter_map(|key| table.remove(*key)).count() == KEYS.len() {
-        C::settle_older(&mut table);
+        settle_older(&mut table);
     }
-    from_table(table).map_err(|error| match error {
+    let checked = check_table("", &table, sections).map_err(|error| match error {
         LearnError::Value { key, reason, .. } => {
             LearnError::Value { line: line_of(text, &key), key, reason }
         }
         error => error,
-    })
+    });
+    checked.map(|()| table)
 }
 
 /// The table of a file's text.
@@ -77,6 +92,7 @@ fn check_table(within: &str, table: &Table, sections: &[Section]) -> Result<(), 
     for (name, value) in table {
         let path = if within.is_empty() { name.clone() } else { format!("{within}.{name}") };
         match (value, find(sections, &path)) {
+            (Value::Table(_), None) if is_open(sections, &path) => {}
             (Value::Table(inner), None) => check_table(&path, inner, sections)?,
             (_, None) => return Err(unknown(&path, sections)),
             (value, Some(key)) => check_value(path, key, value)?,
@@ -128,7 +144,7 @@ fn line_at(text: &str, place: usize) -> usize {
 
 /// Replaces the values of a table by those of another, of inner tables value by value: a section that
 /// names one key keeps the others as this configuration has them, not as the section's own type has.
-fn overlay(table: &mut Table, by: Table) {
+pub(crate) fn overlay(table: &mut Table, by: Table) {
     for (key, new) in by {
         match (table.get_mut(&key), new) {
             (Some(Value::Table(old)), Value::Table(new)) => overlay(old, new),
@@ -144,22 +160,47 @@ pub(crate) fn to_toml(config: &impl Serialize) -> Result<String, LearnError> {
 
 /// A configuration with one value replaced, named as in `replay.batch=256`.
 pub(crate) fn replaced<C: Kept>(config: &C, assignment: &str) -> Result<C, LearnError> {
+    let table = assigned(C::SECTIONS, table_of(config)?, assignment)?;
+    let bad = |why: &str| LearnError::Config(format!("`{assignment}`: {why}"));
+    table.try_into().map_err(|error: toml::de::Error| bad(error.message()))
+}
+
+/// A table with the value of one of its keys replaced.
+pub(crate) fn assigned(
+    sections: &[Section],
+    mut table: Table,
+    assignment: &str,
+) -> Result<Table, LearnError> {
     let bad = |why: &str| LearnError::Config(format!("`{assignment}`: {why}"));
     let (path, text) = assignment.split_once('=').ok_or_else(|| bad("not `key=value`"))?;
     let (path, text) = (path.trim(), text.trim());
-    let key = find(C::SECTIONS, path).ok_or_else(|| unknown(path, C::SECTIONS))?;
-    let value = parsed_as(key.range, text)
-        .ok_or_else(|| outside(path.to_owned(), key, format!("`{text}`")))?;
-    check_value(path.to_owned(), key, &value)?;
-    let mut table = table_of(config)?;
     let (parents, name) = path.rsplit_once('.').unwrap_or(("", path));
+    let value = if is_open(sections, parents) {
+        value_of(text).unwrap_or_else(|| Value::String(text.to_owned()))
+    } else {
+        let key = find(sections, path).ok_or_else(|| unknown(path, sections))?;
+        let value = parsed_as(key.range, text)
+            .ok_or_else(|| outside(path.to_owned(), key, format!("`{text}`")))?;
+        check_value(path.to_owned(), key, &value)?;
+        value
+    };
     let mut place = &mut table;
     for parent in parents.split('.').filter(|parent| !parent.is_empty()) {
         let inner = place.get_mut(parent).and_then(Value::as_table_mut);
-        place = inner.ok_or_else(|| unknown(path, C::SECTIONS))?;
+        place = inner.ok_or_else(|| unknown(path, sections))?;
     }
     place.insert(name.to_owned(), value);
-    table.try_into().map_err(|error: toml::de::Error| bad(error.message()))
+    Ok(table)
+}
+
+/// Whether a section takes any key: what they are is up to somebody else.
+fn is_open(sections: &[Section], name: &str) -> bool {
+    sections.iter().any(|section| section.name == name && section.keys.is_empty())
+}
+
+/// A text as a value of a file.
+fn value_of(text: &str) -> Option<Value> {
+    format!("value = {text}").parse::<Table>().ok()?.remove("value")
 }
 
 /// Refuses a configuration that does not hold, with what it must be.
@@ -173,7 +214,7 @@ fn parsed_as(range: Range, text: &str) -> Option<Value> {
         Range::Whole(..) => Value::Integer(text.replace('_', "").parse().ok()?),
         Range::Number(..) | Range::Positive(_) => Value::Float(text.replace('_', "").parse().ok()?),
         Range::Truth => Value::Boolean(text.parse().ok()?),
-        Range::Numbers(..) => format!("value = {text}").parse::<Table>().ok()?.remove("value")?,
+        Range::Numbers(..) => value_of(text)?,
         Range::OneOf(_) | Range::Sets | Range::Text => Value::String(text.to_owned()),
     })
 }

@@ -171,7 +171,7 @@ impl EvaluationPlan {
 pub struct Evaluation {
     /// Episodes played.
     pub episodes: usize,
-    /// Share of episodes with all buildings complete.
+    /// Share of episodes that were solved.
     pub success: f64,
     /// 95 % Wilson interval of the success.
     pub success_ci95: [f64; 2],
@@ -183,11 +183,12 @@ pub struct Evaluation {
     pub length_mean: f64,
     /// Share of episodes that ran out of time.
     pub timeouts: f64,
-    /// Share of episodes in which no building burned down.
-    pub none_burned: f64,
-    /// Failed episodes by cause, every [`Cause`] by its name.
+    /// Means of the environment's metrics by their names, over the episodes that have such a value.
+    #[serde(flatten)]
+    pub metrics: BTreeMap<String, f64>,
+    /// Failed episodes by cause, such as every [`Cause`] by its name; empty where none are told apart.
     pub failures: BTreeMap<String, usize>,
-    /// Success by team, its kinds as letters.
+    /// Success by the kind of episode, such as the team's kinds as letters.
     pub by_team: BTreeMap<String, TeamSuccess>,
 }
 
@@ -300,7 +301,7 @@ fn summary(episodes: Vec<Finished>) -> Evaluation {
         return_sd: (spread / count.saturating_sub(1).max(1) as f64).sqrt(),
         length_mean: mean(&|m| f64::from(m.steps)),
         timeouts: share(&|m| m.timed_out),
-        none_burned: share(&|m| m.none_burned()),
+        metrics: [("none_burned".to_owned(), share(&|m| m.none_burned()))].into(),
         failures: Cause::ALL.map(|cause| (cause.name().to_owned(), failed(cause))).into(),
         by_team,
     }
@@ -345,7 +346,7 @@ mod tests {
         );
         let burned = heuristic.failures.iter().filter(|(cause, _)| cause.starts_with("burned"));
         let burned: usize = burned.map(|(_, count)| count).sum();
-        assert_eq!(burned as f64, (1000.0 * (1.0 - heuristic.none_burned)).round());
+        assert_eq!(burned as f64, (1000.0 * (1.0 - heuristic.metrics["none_burned"])).round());
         let [low, high] = coordinated.success_ci95;
         assert!(low < coordinated.success && coordinated.success < high);
     }

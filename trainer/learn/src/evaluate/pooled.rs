@@ -1,5 +1,7 @@
 //! Several evaluations as one.
 
+use std::collections::BTreeMap;
+
 use super::{Evaluation, wilson_interval};
 
 impl Evaluation {
@@ -19,7 +21,7 @@ impl Evaluation {
             return_sd: return_sd(parts, return_mean, episodes),
             length_mean: mean(|part| part.length_mean),
             timeouts: mean(|part| part.timeouts),
-            none_burned: mean(|part| part.none_burned),
+            metrics: metrics(parts),
             failures: [].into(),
             by_team: [].into(),
         };
@@ -38,6 +40,20 @@ impl Evaluation {
         pooled.success_ci95 = wilson_interval(solved, episodes);
         pooled
     }
+}
+
+/// The means of all metrics, over the parts that have them.
+fn metrics(parts: &[Evaluation]) -> BTreeMap<String, f64> {
+    let mut sums = BTreeMap::<String, (f64, usize)>::new();
+    for part in parts {
+        for (name, value) in &part.metrics {
+            let (sum, episodes) = sums.entry(name.clone()).or_default();
+            *sum += value * part.episodes as f64;
+            *episodes += part.episodes;
+        }
+    }
+    let mean = |(sum, episodes): (f64, usize)| sum / episodes.max(1) as f64;
+    sums.into_iter().map(|(name, sum)| (name, mean(sum))).collect()
 }
 
 /// The spread of all returns about their common mean, from the spread and the mean of each part.
@@ -77,7 +93,7 @@ mod tests {
         near(pooled.return_sd, all.return_sd);
         near(pooled.length_mean, all.length_mean);
         near(pooled.timeouts, all.timeouts);
-        near(pooled.none_burned, all.none_burned);
+        near(pooled.metrics["none_burned"], all.metrics["none_burned"]);
         assert_eq!((pooled.episodes, pooled.success_ci95), (64, all.success_ci95));
         assert_eq!((&pooled.failures, &pooled.by_team), (&all.failures, &all.by_team));
     }

@@ -5,11 +5,10 @@ use std::path::Path;
 
 use sortie_bundle::{
     AGENT, ALLOCATOR, CARD, CURVE, CURVE_DATA, ContractV1, Draft, Environment, FallbackAllocation,
-    Golden, GoldenCase, Limits, Network, OwnedObservation, PROPOSAL_PARTS, PROPOSALS,
-    SubtaskConditioning, TEAM_VALUE, TRAINING, WIRE_ABI,
+    Golden, Limits, Network, PROPOSAL_PARTS, PROPOSALS, SubtaskConditioning, TEAM_VALUE, TRAINING,
+    WIRE_ABI,
 };
-use sortie_core::choose::masked_argmax;
-use sortie_core::{DecideError, Decision, Observation, Policy};
+use sortie_core::Policy;
 use sortie_envs::save_the_city::{
     ACTION_NAMES, ACTIONS, AllocationRule, FEATURE_NAMES, FEATURES, RELATIONS, ScenarioSet, VERSION,
 };
@@ -19,16 +18,13 @@ use super::attention::{AttentionNetwork, ExportError, Layer, Layout, Matrix};
 use super::card::card;
 use super::golden_allocations::golden_allocations;
 use super::proposals::{ProposalGraphs, export_proposals};
+use super::recorder::Recorder;
 use super::team_value::{TeamValueExport, team_value_onnx};
 use crate::error::LearnError;
 use crate::evaluate::{Evaluation, EvaluationPlan, PolicyTeam, evaluate};
 use crate::methods::alma::{Conditioning, NetworkPolicy, UtilityNetwork, UtilityWeights};
 use crate::run::{Run, RunAllocator, Settings};
 
-/// Golden observations of a bundle.
-const GOLDEN_CASES: usize = 256;
-/// One of so many decisions becomes golden, so that they come from many episodes.
-const GOLDEN_STRIDE: usize = 37;
 /// Episodes that golden observations are drawn from; they end sooner than all are needed.
 const GOLDEN_EPISODES: usize = 100;
 /// Action 0 is to stay, which is always available.
@@ -109,16 +105,12 @@ pub fn draft_bundle(
     let contract = contract(run.description.config.interval());
     let diverged = |error: ExportError| LearnError::format(folder, error);
     let agent = agent(&run.network.weights(), contract.hash()).map_err(diverged)?;
-    let read = |name: &str| {
-        let path = folder.join(name);
-        std::fs::read(&path).map_err(LearnError::file(path))
-    };
     let mut parts = BTreeMap::from([
         (AGENT.to_owned(), agent),
         (CARD.to_owned(), card(run, allocator, measured).into_bytes()),
-        (CURVE.to_owned(), read(CURVE)?),
-        (CURVE_DATA.to_owned(), read(CURVE_DATA)?),
-        (TRAINING.to_owned(), read(TRAINING)?),
+        (CURVE.to_owned(), read_part(folder, CURVE)?),
+        (CURVE_DATA.to_owned(), read_part(folder, CURVE_DATA)?),
+        (TRAINING.to_owned(), read_part(folder, TRAINING)?),
     ]);
     let kind = match &run.allocator {
         Some(RunAllocator::TeamValue(network)) => {
@@ -147,6 +139,12 @@ pub fn draft_bundle(
         contract,
         parts,
     })
+}
+
+/// A file of a run that becomes part of its bundle.
+pub(super) fn read_part(folder: &Path, name: &str) -> Result<Vec<u8>, LearnError> {
+    let path = folder.join(name);
+    std::fs::read(&path).map_err(LearnError::file(path))
 }
 
 fn contract(decision_interval: u32) -> ContractV1 {
@@ -253,42 +251,8 @@ fn golden(
         Some(allocator) => golden_allocations(&plan, &run.network, allocator)?,
         None => Vec::new(),
     };
-    let mut recorder =
-        Recorder { policy: NetworkPolicy::new(&run.network), decisions: 0, cases: Vec::new() };
+    let mut recorder = Recorder::new(NetworkPolicy::new(&run.network), FEATURES);
     let mut team = PolicyTeam::new(&mut recorder as &mut dyn Policy);
     evaluate(&plan, &mut team, &mut AllocationRule::Coordinated)?;
     Ok(Golden { cases: recorder.cases, allocations })
-}
-
-/// Decides, and keeps every so many-th decision.
-struct Recorder<'a> {
-    policy: NetworkPolicy<'a>,
-    decisions: usize,
-    cases: Vec<GoldenCase>,
-}
-
-impl Policy for Recorder<'_> {
-    fn actions(&self) -> usize {
-        self.policy.actions()
-    }
-
-    fn utilities(
-        &mut self,
-        observation: &Observation<'_>,
-        utilities: &mut [f32],
-    ) -> Result<(), DecideError> {
-        self.policy.utilities(observation, utilities)
-    }
-
-    fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
-        let mut utilities = vec![0.0; self.actions()];
-        self.utilities(observation, &mut utilities)?;
-        let decision = masked_argmax(&utilities, observation.available)?;
-        self.decisions += 1;
-        if self.decisions % GOLDEN_STRIDE == 1 && self.cases.len() < GOLDEN_CASES {
-            let observation = OwnedObservation::copy_of(observation, FEATURES);
-            self.cases.push(GoldenCase { observation, utilities, action: decision.action });
-        }
-        Ok(decision)
-    }
 }

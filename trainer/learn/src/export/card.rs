@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use super::bundle::{LearnedAllocator, Measured};
-use crate::run::{Run, RunAllocator, Settings};
+use crate::run::{Configuration, Run, RunAllocator, Settings};
 
 /// The model card.
 pub(super) fn card(
@@ -47,7 +47,7 @@ pub(super) fn card(
             "| `{set}` | {allocation} | {} | {:.3} ({low:.3} to {high:.3}) | {:.3} | {:.3} | {:.2} |",
             evaluation.episodes,
             evaluation.success,
-            evaluation.none_burned,
+            evaluation.metrics.get("none_burned").copied().unwrap_or(f64::NAN),
             evaluation.timeouts,
             evaluation.return_mean,
         );

@@ -3,6 +3,5 @@
 pub mod alma;
 pub mod paper;
 mod trainer;
-pub mod value_factorisation;
 
 pub use trainer::Trainer;

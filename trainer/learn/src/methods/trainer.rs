@@ -5,7 +5,8 @@ use std::sync::atomic::AtomicBool;
 
 use super::{alma, paper};
 use crate::error::LearnError;
-use crate::run::{CurvePoint, Observer, Outcome, Settings, read_description};
+use crate::run::{CurvePoint, Observer, Outcome, RunDescription, Settings, read_description};
+use crate::session::Session;
 
 /// A run that learns from records or from windows.
 #[derive(Debug)]
@@ -14,6 +15,8 @@ pub enum Trainer {
     Records(Box<alma::Trainer>),
     /// The preset `paper`.
     Windows(Box<paper::Trainer>),
+    /// Any other method.
+    Method(Box<Session>),
 }
 
 impl Trainer {
@@ -38,7 +41,8 @@ impl Trainer {
     ///
     /// `threads` may differ from before; it changes no result. `None` takes as many as before.
     pub fn resume(folder: &Path, threads: Option<usize>) -> Result<Self, LearnError> {
-        Ok(match read_description(folder)?.config {
+        let RunDescription { config, .. } = read_description::<Settings>(folder)?;
+        Ok(match config {
             Settings::Records(_) => {
                 Self::Records(Box::new(alma::Trainer::resume(folder, threads)?))
             }
@@ -57,6 +61,7 @@ impl Trainer {
         match self {
             Self::Records(trainer) => trainer.run(observer, stop),
             Self::Windows(trainer) => trainer.run(observer, stop),
+            Self::Method(session) => session.run(observer, stop),
         }
     }
 
@@ -65,6 +70,7 @@ impl Trainer {
         match self {
             Self::Records(trainer) => trainer.description().config.run.steps,
             Self::Windows(trainer) => trainer.description().config.run.steps,
+            Self::Method(session) => session.description().config.run.steps,
         }
     }
 
@@ -81,6 +87,7 @@ impl Trainer {
         match self {
             Self::Records(trainer) => trainer.env_steps(),
             Self::Windows(trainer) => trainer.env_steps(),
+            Self::Method(session) => session.env_steps(),
         }
     }
 
@@ -89,6 +96,7 @@ impl Trainer {
         match self {
             Self::Records(trainer) => trainer.curve(),
             Self::Windows(trainer) => trainer.curve(),
+            Self::Method(session) => session.curve(),
         }
     }
 
@@ -97,6 +105,7 @@ impl Trainer {
         match self {
             Self::Records(trainer) => trainer.refused(),
             Self::Windows(trainer) => trainer.refused(),
+            Self::Method(session) => session.refused(),
         }
     }
 }

@@ -23,9 +23,12 @@ use sortie_nn::layers::products::Products;
 
 use crate::error::LearnError;
 use crate::methods::alma::{UtilityNetwork, UtilityShape};
+use crate::state::Written;
 
 /// Version of the files of a checkpoint; another version is refused.
-const FORMAT: u32 = 3;
+const FORMAT: u32 = 4;
+/// The oldest version whose networks are still read; nobody can go on from it.
+const READABLE: u32 = 3;
 /// Checkpoints that are kept.
 const KEPT: usize = 2;
 /// What the name of a checkpoint ends with while it is written.
@@ -72,6 +75,9 @@ pub struct SavedNetwork<'a> {
     /// Vectors of one value per parameter.
     pub vectors: Vec<(&'static str, &'a [f32])>,
 }
+
+/// Name, sizes and numbers of a tensor.
+type SavedTensor<'a> = (String, Vec<usize>, &'a [f32]);
 
 impl SavedNetwork<'_> {
     /// Sizes and place of every tensor, by its name within a vector.
@@ -126,11 +132,44 @@ impl Checkpoints {
         networks: &[SavedNetwork<'_>],
         state: &impl Serialize,
     ) -> Result<PathBuf, LearnError> {
+        let shaped = networks.iter().filter_map(|n| Some((n.name.to_owned(), n.shape?)));
+        let mut tensors = Vec::new();
+        for network in networks {
+            for (vector, parameters) in &network.vectors {
+                for (tensor, sizes, range) in network.tensors() {
+                    let name = format!("{}/{vector}{tensor}", network.name);
+                    tensors.push((name, sizes.to_vec(), &parameters[range]));
+                }
+            }
+        }
+        self.write_tensors(env_steps, &tensors, shaped.collect(), state)
+    }
+
+    /// The same of what a [visit](crate::state::State) has found.
+    pub(crate) fn write_visited(
+        &self,
+        env_steps: u64,
+        Written { tensors, values }: &Written,
+    ) -> Result<PathBuf, LearnError> {
+        let tensors = tensors.iter();
+        let tensors: Vec<SavedTensor<'_>> = tensors
+            .map(|(name, sizes, numbers)| (name.clone(), sizes.clone(), &**numbers))
+            .collect();
+        self.write_tensors(env_steps, &tensors, BTreeMap::new(), values)
+    }
+
+    fn write_tensors(
+        &self,
+        env_steps: u64,
+        tensors: &[SavedTensor<'_>],
+        shapes: BTreeMap<String, UtilityShape>,
+        state: &impl Serialize,
+    ) -> Result<PathBuf, LearnError> {
         std::fs::create_dir_all(&self.folder).map_err(LearnError::file(&self.folder))?;
         let place = self.folder.join(format!("{env_steps:012}"));
         let unfinished = place.with_extension(UNFINISHED);
         remove(&unfinished)?;
-        let written = write_files(&unfinished, env_steps, networks, state).and_then(|()| {
+        let written = write_files(&unfinished, env_steps, tensors, shapes, state).and_then(|()| {
             remove(&place)?;
             std::fs::rename(&unfinished, &place).map_err(LearnError::file(&place))
         });
@@ -200,7 +239,8 @@ impl Checkpoints {
 fn write_files(
     folder: &Path,
     env_steps: u64,
-    networks: &[SavedNetwork<'_>],
+    tensors: &[SavedTensor<'_>],
+    shapes: BTreeMap<String, UtilityShape>,
     state: &impl Serialize,
 ) -> Result<(), LearnError> {
     let bad = |error: &dyn std::fmt::Display| LearnError::format(folder, error);
@@ -209,7 +249,7 @@ fn write_files(
         write_file(&path, content, Durability::Forced).map_err(LearnError::file(path))
     };
     std::fs::create_dir(folder).map_err(LearnError::file(folder))?;
-    let tensors = tensors_file(networks).map_err(|error| bad(&error))?;
+    let tensors = tensors_file(tensors).map_err(|error| bad(&error))?;
     let state = postcard::to_stdvec(state).map_err(|error| bad(&error))?;
     let mut files = BTreeMap::new();
     for (name, content) in [(TENSORS, &tensors), (STATE, &state)] {
@@ -217,8 +257,6 @@ fn write_files(
         files.insert(name.to_owned(), FileSum::of(content));
     }
     let version = env!("CARGO_PKG_VERSION").to_owned();
-    let shaped = networks.iter().filter_map(|n| Some((n.name.to_owned(), n.shape?)));
-    let shapes = shaped.collect();
     let products = Some(Products::here().to_string());
     let manifest = Manifest { format: FORMAT, version, env_steps, products, shapes, files };
     let manifest = toml::to_string(&manifest).map_err(|error| bad(&error))?;
@@ -241,9 +279,11 @@ impl Checkpoint {
         let text = std::fs::read_to_string(&path).map_err(LearnError::file(&path))?;
         let table: toml::Table = text.parse().map_err(|e| LearnError::format(&path, e))?;
         let format = table.get("format").and_then(toml::Value::as_integer);
-        if format != Some(FORMAT.into()) {
+        let oldest = if purpose == OpenFor::Use { READABLE } else { FORMAT };
+        if !format.is_some_and(|format| (oldest.into()..=FORMAT.into()).contains(&format)) {
             let found = format.map_or("none".to_owned(), |format| format.to_string());
-            let reason = format!("format {found}, but this version of Sortie reads {FORMAT}");
+            let aim = if purpose == OpenFor::Use { "reads" } else { "goes on from" };
+            let reason = format!("format {found}, but this version of Sortie {aim} {FORMAT}");
             return Err(LearnError::format(&path, reason));
         }
         let manifest: Manifest = table.try_into().map_err(|e| LearnError::format(&path, e))?;
@@ -350,21 +390,15 @@ impl Checkpoint {
     }
 }
 
-/// All vectors of all networks, cut into their tensors.
-fn tensors_file(networks: &[SavedNetwork<'_>]) -> Result<Vec<u8>, safetensors::SafeTensorError> {
-    let mut bytes: Vec<(String, [usize; 2], Vec<u8>)> = Vec::new();
-    for network in networks {
-        for (vector, parameters) in &network.vectors {
-            for (tensor, sizes, range) in network.tensors() {
-                let numbers = parameters[range].iter().flat_map(|number| number.to_le_bytes());
-                let name = format!("{}/{vector}{tensor}", network.name);
-                bytes.push((name, sizes, numbers.collect()));
-            }
-        }
-    }
-    let views = bytes
+fn tensors_file(tensors: &[SavedTensor<'_>]) -> Result<Vec<u8>, safetensors::SafeTensorError> {
+    let in_bytes = |numbers: &[f32]| numbers.iter().flat_map(|n| n.to_le_bytes()).collect();
+    let bytes: Vec<Vec<u8>> = tensors.iter().map(|(_, _, numbers)| in_bytes(numbers)).collect();
+    let views = tensors
         .iter()
-        .map(|(name, sizes, bytes)| Ok((name, TensorView::new(Dtype::F32, sizes.to_vec(), bytes)?)))
+        .zip(&bytes)
+        .map(|((name, sizes, _), bytes)| {
+            Ok((name, TensorView::new(Dtype::F32, sizes.clone(), bytes)?))
+        })
         .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()?;
     safetensors::serialize(views, None)
 }
@@ -491,9 +525,21 @@ mod tests {
         let checkpoints = Checkpoints::new(folder.path());
         let manifest = write(&checkpoints, 1).join(MANIFEST);
         let text = std::fs::read_to_string(&manifest).unwrap();
-        std::fs::write(&manifest, text.replace("format = 3", "format = 9")).unwrap();
+        std::fs::write(&manifest, text.replace("format = 4", "format = 9")).unwrap();
         let error = checkpoints.newest(OpenFor::Use).unwrap_err().to_string();
-        assert!(error.contains("format 9") && error.contains("reads 3"), "{error}");
+        assert!(error.contains("format 9") && error.contains("reads 4"), "{error}");
+    }
+
+    #[test]
+    fn networks_of_the_format_before_are_used_and_not_gone_on_from() {
+        let folder = tempfile::tempdir().unwrap();
+        let checkpoints = Checkpoints::new(folder.path());
+        let manifest = write(&checkpoints, 1).join(MANIFEST);
+        let text = std::fs::read_to_string(&manifest).unwrap();
+        std::fs::write(&manifest, text.replace("format = 4", "format = 3")).unwrap();
+        assert_eq!(checkpoints.newest(OpenFor::Use).unwrap().checkpoint.env_steps(), 1);
+        let error = checkpoints.newest(OpenFor::Resume).unwrap_err().to_string();
+        assert!(error.contains("format 3") && error.contains("goes on from 4"), "{error}");
     }
 
     #[test]

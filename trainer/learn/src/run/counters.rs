@@ -39,7 +39,7 @@ impl UpdateReport {
 pub struct EpisodeCounts {
     /// Episodes that ended.
     pub episodes: u64,
-    /// Those with all buildings complete.
+    /// Those that were solved.
     pub solved: u64,
     /// Those that timed out.
     pub timed_out: u64,
@@ -98,6 +98,8 @@ pub(crate) struct Counters {
     pub(crate) wall_s: f64,
     pub(crate) cpu_s: f64,
     pub(crate) window: Window,
+    /// As lines of text: a form that describes itself holds metrics of any name.
+    #[serde(with = "super::curve::as_lines")]
     pub(crate) curve: Vec<CurvePoint>,
 }
 
@@ -133,7 +135,7 @@ impl Counters {
             success: result.success,
             success_ci95: result.success_ci95,
             timeouts: result.timeouts,
-            none_burned: result.none_burned,
+            metrics: result.metrics.clone(),
             return_mean: result.return_mean,
             length_mean: result.length_mean,
             episodes: result.episodes,

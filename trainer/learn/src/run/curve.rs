@@ -1,5 +1,7 @@
 //! The learning curve: one point per evaluation.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Deserializer, Serialize};
 
 /// What one evaluation during training found, and what training did since the one before.
@@ -23,8 +25,9 @@ pub struct CurvePoint {
     pub success_ci95: [f64; 2],
     /// Share of those episodes that ran out of time.
     pub timeouts: f64,
-    /// Share of those episodes in which no building burned down.
-    pub none_burned: f64,
+    /// Means of the environment's metrics in those episodes, by their names.
+    #[serde(flatten)]
+    pub metrics: BTreeMap<String, f64>,
     /// Mean return of those episodes.
     pub return_mean: f64,
     /// Mean steps of those episodes.
@@ -52,11 +55,7 @@ pub struct CurvePoint {
 
 /// Reads a number that was not finite when it was written: JSON has only null for it.
 fn number_or_null<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
-    if deserializer.is_human_readable() {
-        Ok(Option::deserialize(deserializer)?.unwrap_or(f64::NAN))
-    } else {
-        f64::deserialize(deserializer)
-    }
+    Ok(Option::deserialize(deserializer)?.unwrap_or(f64::NAN))
 }
 
 /// One JSON object a line.
@@ -74,6 +73,28 @@ pub(super) fn from_lines(text: &str) -> serde_json::Result<Vec<CurvePoint>> {
     text.lines().map(serde_json::from_str).collect()
 }
 
+/// A curve within a form that does not describe itself.
+pub(super) mod as_lines {
+    use serde::de::Error as _;
+    use serde::ser::Error as _;
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    use super::{CurvePoint, from_lines, to_lines};
+
+    pub(in crate::run) fn serialize<S: Serializer>(
+        curve: &[CurvePoint],
+        serializer: S,
+    ) -> Result<S::Ok, S::Error> {
+        to_lines(curve).map_err(S::Error::custom)?.serialize(serializer)
+    }
+
+    pub(in crate::run) fn deserialize<'de, D: Deserializer<'de>>(
+        deserializer: D,
+    ) -> Result<Vec<CurvePoint>, D::Error> {
+        from_lines(&String::deserialize(deserializer)?).map_err(D::Error::custom)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -87,8 +108,10 @@ mod tests {
             .replace('\n', "");
         let curve = from_lines(&text).unwrap();
         assert!(curve[0].loss.is_nan() && curve[0].gradient_norm.is_nan());
-        let kept = postcard::to_stdvec(&curve).unwrap();
-        let back: Vec<CurvePoint> = postcard::from_bytes(&kept).unwrap();
-        assert!(back[0].loss.is_nan() && back[0].allocator_loss == 0.0);
+        assert_eq!(curve[0].metrics, [("none_burned".to_owned(), 0.0)].into());
+        let counters = crate::run::Counters { curve, ..Default::default() };
+        let kept = postcard::to_stdvec(&counters).unwrap();
+        let back: crate::run::Counters = postcard::from_bytes(&kept).unwrap();
+        assert!(back.curve[0].loss.is_nan() && back.curve[0].allocator_loss == 0.0);
     }
 }

@@ -3,6 +3,7 @@
 use sortie_nn::layers::products::Products;
 use toml::Table;
 
+use super::RunConfig;
 use super::settings::Settings;
 use crate::configuration;
 use crate::error::LearnError;
@@ -10,11 +11,22 @@ use crate::error::LearnError;
 /// A configuration that a run can learn by.
 pub trait Configuration: Sized {
     /// The algorithm by its name on the command line.
-    fn method(&self) -> &'static str;
+    fn method(&self) -> &str;
+    /// How long it learns, and when it measures and saves.
+    fn run(&self) -> &RunConfig;
+    /// The same, to be changed.
+    fn run_mut(&mut self) -> &mut RunConfig;
+    /// Refuses values that cannot work.
+    fn check(&self) -> Result<(), LearnError>;
     /// The configuration as a file that a person can read.
     fn to_toml(&self) -> Result<String, LearnError>;
-    /// Reads a configuration and refuses one that cannot work.
-    fn from_table(table: Table) -> Result<Self, LearnError>;
+    /// Reads the configuration of a method and refuses one that cannot work.
+    fn from_table(method: &str, table: Table) -> Result<Self, LearnError>;
+
+    /// Reads a file of it.
+    fn from_text(method: &str, text: &str) -> Result<Self, LearnError> {
+        Self::from_table(method, configuration::parsed(text)?)
+    }
 }
 
 /// How a run learns. The same description gives the same weights, whatever the number of threads.
@@ -66,12 +78,13 @@ impl<C: Configuration> RunDescription<C> {
         settle_older(&mut table);
         let text = |value: toml::Value| value.as_str().map(str::to_owned);
         let number = |value: toml::Value| value.as_integer().and_then(|n| u64::try_from(n).ok());
+        let method = text(method).ok_or_else(|| bad("`method` is not text"))?;
         Ok(Self {
-            method: text(method).ok_or_else(|| bad("`method` is not text"))?,
             version: text(version).ok_or_else(|| bad("`version` is not text"))?,
             seed: number(seed).ok_or_else(|| bad("`seed` is not a number"))?,
             threads: number(threads).ok_or_else(|| bad("`threads` is not a number"))? as usize,
-            config: C::from_table(table)?,
+            config: C::from_table(&method, table)?,
+            method,
         })
     }
 }

@@ -4,10 +4,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use super::meter::Meter;
-use super::{Clock, Counters, Observer, Outcome, RunFolder, RunResult};
+use super::{Clock, Counters, Observer, Outcome, RunConfig, RunFolder, RunResult};
 use crate::error::LearnError;
 use crate::evaluate::Evaluation;
-use crate::methods::alma::config::RunConfig;
 
 /// A run that learns.
 pub(crate) trait Learning {
@@ -44,9 +43,11 @@ pub(crate) struct Labels {
 
 /// How the agents try out and learn.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Rates {
-    pub(crate) epsilon: f32,
-    pub(crate) learning_rate: f32,
+pub struct Rates {
+    /// Chance of a random action, before factors of instances.
+    pub epsilon: f32,
+    /// Step size of the optimiser.
+    pub learning_rate: f32,
 }
 
 /// The episodes that every run reports on in the end: the same for all runs, seen by none.

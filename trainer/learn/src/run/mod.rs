@@ -13,9 +13,11 @@
 
 pub mod chart;
 pub mod checkpoint;
+mod config;
 mod counters;
 mod curve;
 mod description;
+mod difference;
 mod folder;
 mod learning;
 mod meter;
@@ -27,19 +29,22 @@ mod settings;
 use std::path::Path;
 
 pub use checkpoint::{Checkpoint, Checkpoints};
+pub use config::RunConfig;
 pub(crate) use counters::{Counters, Level};
 pub use counters::{EpisodeCounts, UpdateReport};
 pub use curve::CurvePoint;
 pub(crate) use description::KEYS;
 pub use description::{Configuration, RunDescription};
+pub use difference::{Difference, keys_in};
 pub(crate) use folder::RunFolder;
-pub(crate) use learning::{Labels, Learning, Rates, learn};
+pub use learning::Rates;
+pub(crate) use learning::{Labels, Learning, learn};
 pub use meter::TrainingPoint;
 pub use products::replace_products;
 pub(crate) use progress::Clock;
 pub use progress::{Observer, Outcome, Progress};
 pub use result::RunResult;
-pub use settings::{Difference, Settings};
+pub use settings::Settings;
 
 use crate::error::LearnError;
 use crate::evaluate::{Agents, Allocate, NetworkTeam};
@@ -144,17 +149,32 @@ impl Run {
     }
 }
 
+/// The evaluations of the run in a folder.
+pub fn read_curve(folder: &Path) -> Result<Vec<CurvePoint>, LearnError> {
+    RunFolder::new(folder).read_curve()
+}
+
+/// The name of the method that the run in a folder learns by.
+pub fn method_of(folder: &Path) -> Result<String, LearnError> {
+    let path = folder.join("train.toml");
+    let text = std::fs::read_to_string(&path).map_err(LearnError::file(&path))?;
+    let table =
+        crate::configuration::parsed(&text).map_err(|error| LearnError::format(&path, error))?;
+    let method = table.get("method").and_then(toml::Value::as_str);
+    method.map(str::to_owned).ok_or_else(|| LearnError::format(path, "no `method`"))
+}
+
 /// How the run in a folder learns.
-pub fn read_description(folder: &Path) -> Result<RunDescription, LearnError> {
+pub fn read_description<C: Configuration>(folder: &Path) -> Result<RunDescription<C>, LearnError> {
     RunFolder::new(folder).read_description()
 }
 
 /// Has the run in a folder learn for so many environment steps: more than it was configured for.
 ///
 /// Nothing else of its configuration changes; its result is void, and it is to be resumed.
-pub fn prolong(folder: &Path, steps: u64) -> Result<(), LearnError> {
+pub fn prolong<C: Configuration>(folder: &Path, steps: u64) -> Result<(), LearnError> {
     let files = RunFolder::claim(folder)?;
-    let mut description: RunDescription = files.read_description()?;
+    let mut description: RunDescription<C> = files.read_description()?;
     let before = std::mem::replace(&mut description.config.run_mut().steps, steps);
     if steps < before {
         let reason = format!("`run.steps` is {before} already: a run can only be made longer");

@@ -4,9 +4,8 @@ use std::path::Path;
 
 use sortie_nn::layers::products::Products;
 
-use super::{RunDescription, RunFolder};
+use super::{Configuration, RunConfig, RunDescription, RunFolder};
 use crate::error::LearnError;
-use crate::methods::alma::config::RunConfig;
 
 /// What `run.products` says where the processor decides.
 const WIDEST: &str = "widest";
@@ -35,9 +34,9 @@ impl RunConfig {
 
 /// Has the run in a folder go on with the widest products of this processor where it lacks those that the run
 /// learns with; says which it takes instead.
-pub fn replace_products(folder: &Path) -> Result<Option<String>, LearnError> {
+pub fn replace_products<C: Configuration>(folder: &Path) -> Result<Option<String>, LearnError> {
     let files = RunFolder::claim(folder)?;
-    let mut description: RunDescription = files.read_description()?;
+    let mut description: RunDescription<C> = files.read_description()?;
     let run = description.config.run_mut();
     if run.settled_products().is_ok() {
         return Ok(None);

@@ -1,14 +1,13 @@
 //! The configuration of any run.
 
-use std::collections::{BTreeMap, BTreeSet};
+use toml::Table;
 
-use toml::{Table, Value};
-
+use super::RunConfig;
 use super::description::Configuration;
 use crate::configuration;
 use crate::error::LearnError;
 use crate::methods::alma::Conditioning;
-use crate::methods::alma::config::{EnvironmentConfig, RunConfig};
+use crate::methods::alma::config::EnvironmentConfig;
 use crate::methods::{alma, paper};
 
 /// How a run is configured, by what it learns from.
@@ -49,13 +48,6 @@ impl Settings {
         }
     }
 
-    /// The keys that a file has a value for.
-    pub fn keys_in(text: &str) -> Result<Vec<String>, LearnError> {
-        let mut values = BTreeMap::new();
-        flatten("", configuration::parsed(text)?, &mut values);
-        Ok(values.into_keys().collect())
-    }
-
     /// Has a run of the preset `fast` that is shorter than the preset's explore and hand over to its
     /// allocator sooner, in proportion. What `is_given` says stays as it is.
     pub fn fit_to_length(&mut self, is_given: impl Fn(&str) -> bool) {
@@ -72,33 +64,6 @@ impl Settings {
         }
     }
 
-    /// Refuses values that cannot work.
-    pub fn check(&self) -> Result<(), LearnError> {
-        match self {
-            Self::Records(config) => config.check(),
-            Self::Windows(config) => config.check(),
-        }
-    }
-
-    /// The first key whose value is another in `other`: `run.steps`, on which others may depend, then in the
-    /// order of the alphabet.
-    pub fn difference(&self, other: &Self) -> Result<Option<Difference>, LearnError> {
-        let (ours, theirs) = (flat(self)?, flat(other)?);
-        let keys: BTreeSet<&String> = ours.keys().chain(theirs.keys()).collect();
-        let value = |values: &BTreeMap<String, Value>, key| match values.get(key) {
-            Some(value) => value.to_string(),
-            None => "not there".to_owned(),
-        };
-        let steps = "run.steps".to_owned();
-        Ok([&steps].into_iter().chain(keys).find(|key| ours.get(*key) != theirs.get(*key)).map(
-            |key| Difference {
-                key: key.clone(),
-                ours: value(&ours, key),
-                theirs: value(&theirs, key),
-            },
-        ))
-    }
-
     /// The world that is learned in.
     pub fn environment(&self) -> &EnvironmentConfig {
         match self {
@@ -112,22 +77,6 @@ impl Settings {
         match self {
             Self::Records(config) => &mut config.environment,
             Self::Windows(config) => &mut config.environment,
-        }
-    }
-
-    /// How long it learns, and when it measures and saves.
-    pub fn run(&self) -> &RunConfig {
-        match self {
-            Self::Records(config) => &config.run,
-            Self::Windows(config) => &config.run,
-        }
-    }
-
-    /// The same, to be changed.
-    pub fn run_mut(&mut self) -> &mut RunConfig {
-        match self {
-            Self::Records(config) => &mut config.run,
-            Self::Windows(config) => &mut config.run,
         }
     }
 
@@ -157,7 +106,7 @@ impl Settings {
 }
 
 impl Configuration for Settings {
-    fn method(&self) -> &'static str {
+    fn method(&self) -> &str {
         match self {
             Self::Records(config) => config.method(),
             Self::Windows(config) => config.method(),
@@ -171,43 +120,32 @@ impl Configuration for Settings {
         }
     }
 
-    fn from_table(table: Table) -> Result<Self, LearnError> {
-        if is_windows(&table) {
-            Ok(Self::Windows(paper::Config::from_table(table)?))
-        } else {
-            Ok(Self::Records(alma::Config::from_table(table)?))
+    fn run(&self) -> &RunConfig {
+        match self {
+            Self::Records(config) => &config.run,
+            Self::Windows(config) => &config.run,
         }
     }
-}
 
-/// A key that two configurations have other values for.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Difference {
-    /// The key, as in `run.steps`.
-    pub key: String,
-    /// Its value in the one.
-    pub ours: String,
-    /// Its value in the other.
-    pub theirs: String,
-}
+    fn run_mut(&mut self) -> &mut RunConfig {
+        match self {
+            Self::Records(config) => &mut config.run,
+            Self::Windows(config) => &mut config.run,
+        }
+    }
 
-/// All values of a configuration by their keys.
-fn flat(settings: &Settings) -> Result<BTreeMap<String, Value>, LearnError> {
-    let table: Table = settings
-        .to_toml()?
-        .parse()
-        .map_err(|error: toml::de::Error| LearnError::Config(error.message().to_owned()))?;
-    let mut values = BTreeMap::new();
-    flatten("", table, &mut values);
-    Ok(values)
-}
+    fn check(&self) -> Result<(), LearnError> {
+        match self {
+            Self::Records(config) => config.check(),
+            Self::Windows(config) => config.check(),
+        }
+    }
 
-fn flatten(name: &str, table: Table, to: &mut BTreeMap<String, Value>) {
-    for (key, value) in table {
-        let key = if name.is_empty() { key } else { format!("{name}.{key}") };
-        match value {
-            Value::Table(inner) => flatten(&key, inner, to),
-            value => drop(to.insert(key, value)),
+    fn from_table(method: &str, table: Table) -> Result<Self, LearnError> {
+        if is_windows(&table) {
+            Ok(Self::Windows(paper::Config::from_table(method, table)?))
+        } else {
+            Ok(Self::Records(alma::Config::from_table(method, table)?))
         }
     }
 }

@@ -7,5 +7,4 @@ mod low_level;
 mod networks;
 mod popart;
 mod reference;
-mod value_factorisation;
 mod windows;

@@ -90,22 +90,7 @@ pub const FAST: &[Section] = &[
     Section {
         name: "exploration",
         about: "How often agents take a random available action.",
-        keys: &[
-            key("start", "probability", SHARE, "At the first step."),
-            key("end", "probability", SHARE, "From step `steps` on."),
-            key(
-                "steps",
-                "environment steps",
-                Whole(0, STEPS),
-                "Length of the way down. Unless set, a run of less than 600,000 steps shrinks it in proportion.",
-            ),
-            key(
-                "spread",
-                "factor",
-                Numbers(0.0, 100.0),
-                "Factors on the probability, dealt to the instances in turn: some act greedily, some more wildly.",
-            ),
-        ],
+        keys: EXPLORATION,
     },
     Section {
         name: "optimiser",

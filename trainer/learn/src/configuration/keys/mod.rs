@@ -16,8 +16,33 @@ const REWARD: Range = Number(-1e6, 1e6);
 const WIDTH: Range = Whole(1, 1024);
 
 const fn key(name: &'static str, unit: &'static str, range: Range, about: &'static str) -> Key {
-    Key { name, unit, range, about }
+    Key::new(name, unit, range, about)
 }
+
+/// Where a run of any method learns.
+pub(crate) const WHERE: [Section; 2] = [
+    Section {
+        name: "environment",
+        about: "The world to learn in.",
+        keys: &[
+            key("name", "", Text, "Name of the environment."),
+            key("set", "", Text, "Starts that episodes are drawn from; empty for the default."),
+            INSTANCES,
+        ],
+    },
+    Section {
+        name: "environment.settings",
+        about: "Numbers of the rules that differ from the usual ones; which there are is up to the environment.",
+        keys: &[],
+    },
+];
+
+const INSTANCES: Key = key(
+    "instances",
+    "episodes",
+    Whole(1, 4096),
+    "Episodes that run at the same time; one that ends restarts at once.",
+);
 
 const ENVIRONMENT: Section = Section {
     name: "environment",
@@ -25,12 +50,7 @@ const ENVIRONMENT: Section = Section {
     keys: &[
         key("name", "", OneOf(&["save-the-city"]), "Name of the environment."),
         key("set", "", Sets, "Teams and buildings that episodes are drawn from."),
-        key(
-            "instances",
-            "episodes",
-            Whole(1, 4096),
-            "Episodes that run at the same time; one that ends restarts at once.",
-        ),
+        INSTANCES,
     ],
 };
 
@@ -142,7 +162,8 @@ const REPLAY: &[Key] = &[
     ),
 ];
 
-const OPTIMISER: &[Key] = &[
+/// The keys of [`OptimiserConfig`](super::OptimiserConfig).
+pub const OPTIMISER: &[Key] = &[
     key("learning_rate", "step of Adam", Number(0.0, 1000.0), "Learning rate of Adam."),
     key(
         "learning_rate_end",
@@ -172,6 +193,24 @@ const OPTIMISER: &[Key] = &[
     ),
 ];
 
+/// The keys of [`ExplorationConfig`](super::ExplorationConfig).
+pub const EXPLORATION: &[Key] = &[
+    key("start", "probability", SHARE, "At the first step."),
+    key("end", "probability", SHARE, "From step `steps` on."),
+    key(
+        "steps",
+        "environment steps",
+        Whole(0, STEPS),
+        "Length of the way down. Unless set, a run of less than 600,000 steps shrinks it in proportion.",
+    ),
+    key(
+        "spread",
+        "factor",
+        Numbers(0.0, 100.0),
+        "Factors on the probability, dealt to the instances in turn: some act greedily, some more wildly.",
+    ),
+];
+
 const RETURNS: &[Key] = &[
     key("steps", "steps", Whole(1, 1000), "Steps before a target bootstraps."),
     key("discount", "factor per step", SHARE, "Worth of a reward one step later."),
@@ -183,7 +222,7 @@ const RETURNS: &[Key] = &[
     ),
 ];
 
-const RUN: Section = Section {
+pub(crate) const RUN: Section = Section {
     name: "run",
     about: "How long to learn, and when to measure and save.",
     keys: &[

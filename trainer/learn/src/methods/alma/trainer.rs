@@ -8,7 +8,7 @@ use sortie_envs::save_the_city::ScenarioSet;
 use sortie_nn::random::Generator;
 use sortie_nn::workers::Workers;
 
-use super::config::{Allocation, Config, EnvironmentConfig, RunConfig};
+use super::config::{Allocation, Config, EnvironmentConfig};
 use super::learner::{Knowledge, Learner};
 use super::mixed_network::MixedNetwork;
 use super::mixer::Mixer;
@@ -23,7 +23,7 @@ use crate::evaluate::{Agents, Evaluation, EvaluationPlan, NetworkTeam, NoSubtask
 use crate::random::{Purpose, generator};
 use crate::run::{
     Counters, CurvePoint, Labels, Learning, Level, Observer, Outcome, Progress, Rates, Run,
-    RunAllocator, RunDescription, RunFolder, learn,
+    RunAllocator, RunConfig, RunDescription, RunFolder, learn,
 };
 
 /// Tells the allocator's streams of random numbers from the agents'.

@@ -11,9 +11,9 @@ use super::rollout::Exploration;
 use super::windows::WindowShape;
 use crate::configuration::{self, Kept, PAPER, Section};
 use crate::error::LearnError;
-use crate::methods::alma::config::{Allocation, EnvironmentConfig, RunConfig};
+use crate::methods::alma::config::{Allocation, EnvironmentConfig};
 use crate::methods::alma::{self, Conditioning};
-use crate::run::Configuration;
+use crate::run::{Configuration, RunConfig};
 
 /// The configuration of a run. Its defaults are those of the dissertation and its public code.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -340,7 +340,7 @@ impl Kept for Config {
 }
 
 impl Configuration for Config {
-    fn method(&self) -> &'static str {
+    fn method(&self) -> &str {
         match self.low_level.conditioning {
             _ if self.coach.enabled => "copa",
             Conditioning::None => "flat",
@@ -352,7 +352,19 @@ impl Configuration for Config {
         configuration::to_toml(self)
     }
 
-    fn from_table(table: toml::Table) -> Result<Self, LearnError> {
+    fn run(&self) -> &RunConfig {
+        &self.run
+    }
+
+    fn run_mut(&mut self) -> &mut RunConfig {
+        &mut self.run
+    }
+
+    fn check(&self) -> Result<(), LearnError> {
+        Self::check(self)
+    }
+
+    fn from_table(_: &str, table: toml::Table) -> Result<Self, LearnError> {
         let config: Self = configuration::from_table(table)?;
         config.check()?;
         Ok(config)

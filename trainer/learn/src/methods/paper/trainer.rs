@@ -16,10 +16,10 @@ use super::sampling::{SampleShape, Shaping, cut_windows, draw_episodes};
 use crate::error::LearnError;
 use crate::evaluate::{Evaluation, EvaluationPlan, NetworkTeam, NoSubtasks, evaluate};
 use crate::methods::alma::UtilityNetwork;
-use crate::methods::alma::config::{Allocation, EnvironmentConfig, ReturnsConfig, RunConfig};
+use crate::methods::alma::config::{Allocation, EnvironmentConfig, ReturnsConfig};
 use crate::random::{Purpose, generator};
 use crate::run::{
-    Counters, CurvePoint, Labels, Learning, Observer, Outcome, Progress, Rates, Run,
+    Counters, CurvePoint, Labels, Learning, Observer, Outcome, Progress, Rates, Run, RunConfig,
     RunDescription, RunFolder, UpdateReport, learn,
 };
 

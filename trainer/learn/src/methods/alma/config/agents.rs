@@ -1,7 +1,6 @@
 //! How the agents learn to act.
 
 use serde::{Deserialize, Serialize};
-use sortie_nn::schedule::linear;
 
 use super::require;
 use crate::error::LearnError;
@@ -163,32 +162,5 @@ impl From<&ReturnsConfig> for Returns {
     fn from(config: &ReturnsConfig) -> Self {
         let ReturnsConfig { steps, discount, shaping } = *config;
         Self { steps, discount, shaping }
-    }
-}
-
-/// How much the agents try out: a random available action with probability epsilon.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct ExplorationConfig {
-    /// Epsilon of the first step.
-    pub start: f32,
-    /// Epsilon from step `steps` on.
-    pub end: f32,
-    /// Environment steps of the way down.
-    pub steps: u64,
-    /// Factors on epsilon, dealt to the instances in turn: some act greedily, some more wildly.
-    pub spread: Vec<f32>,
-}
-
-impl Default for ExplorationConfig {
-    fn default() -> Self {
-        Self { start: 1.0, end: 0.05, steps: 60_000, spread: vec![0.0, 0.2, 1.0, 2.0] }
-    }
-}
-
-impl ExplorationConfig {
-    /// Epsilon before the instances' factors, `step` environment steps into a run.
-    pub fn epsilon_at(&self, step: u64) -> f32 {
-        linear(self.start, self.end, self.steps, step)
     }
 }

@@ -2,17 +2,16 @@
 
 mod agents;
 mod allocation;
+mod environment;
 mod learning;
-mod run;
 
 use serde::{Deserialize, Serialize};
 
-pub use agents::{
-    AgentNetworkConfig, ExplorationConfig, MixerConfig, NetworkConfig, ReturnsConfig,
-};
+pub use crate::configuration::{ExplorationConfig, OptimiserConfig};
+pub use agents::{AgentNetworkConfig, MixerConfig, NetworkConfig, ReturnsConfig};
 pub use allocation::{Allocation, AllocationConfig, AllocatorConfig};
-pub use learning::{OptimiserConfig, ReplayConfig};
-pub use run::{EnvironmentConfig, RunConfig};
+pub use environment::EnvironmentConfig;
+pub use learning::ReplayConfig;
 
 use sortie_envs::save_the_city::{ACTIONS, ScenarioSet};
 use toml::Table;
@@ -20,7 +19,7 @@ use toml::Table;
 use super::utility::UtilityShape;
 use crate::configuration::{self, FAST, Kept, Section, require};
 use crate::error::LearnError;
-use crate::run::Configuration;
+use crate::run::{Configuration, RunConfig};
 
 /// The configuration of a run. Its defaults are the preset `fast`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -133,7 +132,7 @@ impl Kept for Config {
 }
 
 impl Configuration for Config {
-    fn method(&self) -> &'static str {
+    fn method(&self) -> &str {
         if self.network.subtask.has_subtasks() { "alma" } else { "flat" }
     }
 
@@ -141,7 +140,19 @@ impl Configuration for Config {
         configuration::to_toml(self)
     }
 
-    fn from_table(mut table: Table) -> Result<Self, LearnError> {
+    fn run(&self) -> &RunConfig {
+        &self.run
+    }
+
+    fn run_mut(&mut self) -> &mut RunConfig {
+        &mut self.run
+    }
+
+    fn check(&self) -> Result<(), LearnError> {
+        Self::check(self)
+    }
+
+    fn from_table(_: &str, mut table: Table) -> Result<Self, LearnError> {
         Self::settle_older(&mut table);
         let config: Self = configuration::from_table(table)?;
         config.check()?;

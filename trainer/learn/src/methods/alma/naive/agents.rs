@@ -116,6 +116,11 @@ fn the_loss_of_every_record_is_that_of_the_rules() {
                 squared_error(&online.utility, &target.utility, &replay.get(sample), Map(symmetry));
             let what = format!("{subtask:?}, skip {skip}, record {sample}, map {symmetry}");
             assert_near(&what, chunk.squared_error(), want);
+            // The mean is taken over so many.
+            let networks = Networks { online: &online, target: &target };
+            chunk.learn(networks, &replay, &[pick; 3]);
+            assert_eq!(chunk.terms(), 3, "{what}");
+            assert_near(&what, chunk.squared_error(), 3.0 * want);
         }
     }
 }

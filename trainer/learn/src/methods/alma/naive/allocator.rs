@@ -96,6 +96,8 @@ fn check_losses(skip: bool) {
             let error = value(&online, &segment.now, task, Map(symmetry)) - wanted;
             let what = format!("segment {sample}, building {task}, map {symmetry}");
             assert_near(&what, loss.squared_error(), error * error);
+            loss.learn(Networks { online: &online, target: &target }, &segments, &[pick; 3]);
+            assert_eq!(loss.terms(), 3, "{what}");
         }
     }
     assert!(moved > 100 && closed > 10, "{moved} other teams, {closed} closed, {ended} ended");

@@ -118,6 +118,9 @@ impl Samples for Segments {
 
 #[cfg(test)]
 mod tests {
+    use sortie_envs::Environment;
+    use sortie_envs::save_the_city::{Constants, SaveTheCity, ScenarioSet};
+
     use super::*;
 
     #[test]
@@ -134,6 +137,39 @@ mod tests {
         }
         assert_eq!(segments.len(), 2);
         assert_eq!([segments.get(0), segments.get(1)].map(|s| s.rewards[0]), [3.0, 2.0]);
+    }
+
+    #[test]
+    fn a_ring_from_a_file_fits_only_where_all_its_parts_do() {
+        let mut random = sortie_envs::random::generator(1);
+        let set = ScenarioSet::named("2-5a_2-5b").unwrap();
+        let mut worlds = SaveTheCity::new(set, Constants::default(), 1, 1).unwrap();
+        worlds.reset(0, &mut random);
+        let city = worlds.city(0);
+        let decision = |agents: usize, allocated: usize, buildings: usize| Decision {
+            agents: vec![city.agents[0]; agents],
+            buildings: vec![city.buildings[0]; buildings],
+            allocation: vec![0; allocated],
+        };
+        let segment =
+            |now, next, rewards| Segment { now, rewards: vec![0.0; rewards], discount: 0.9, next };
+        let ring = |segment: Segment| Segments { capacity: 2, segments: vec![segment], next: 1 };
+        let sound = ring(segment(decision(2, 2, 1), decision(2, 2, 1), 1));
+        assert!(sound.fits(2) && !sound.fits(3) && !sound.is_empty());
+        assert_eq!((sound.count(), Segments::new(2).is_empty()), (1, true));
+        for broken in [
+            segment(decision(2, 2, 1), decision(2, 2, 2), 1),
+            segment(decision(2, 1, 1), decision(2, 2, 1), 1),
+            segment(decision(2, 2, 1), decision(2, 1, 1), 1),
+            segment(decision(2, 2, 1), decision(2, 2, 1), 2),
+        ] {
+            assert!(!ring(broken).fits(2));
+        }
+        let other = segment(decision(1, 1, 1), decision(1, 1, 1), 1);
+        let full = Segments { capacity: 2, segments: vec![other.clone(); 2], next: 0 };
+        assert_eq!(full.count(), 2);
+        assert!(full.fits(2) && !Segments { next: 2, ..full.clone() }.fits(2));
+        assert!(!Segments { segments: vec![other; 3], ..full }.fits(2));
     }
 
     #[test]

@@ -3,11 +3,12 @@
 //! A record is a place in an instance's stretch; what it needs of the future is read there, so that the
 //! number of steps, the discount and the partition are chosen when it is used.
 
+use serde::{Deserialize, Serialize};
 use sortie_envs::Random;
 use sortie_envs::random::below;
 
 /// How a step left its episode.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum End {
     /// It goes on.
     Open,
@@ -18,7 +19,7 @@ pub enum End {
 }
 
 /// Steps of all instances, the latest of each.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Replay {
     agents: usize,
     state_bytes: usize,
@@ -27,7 +28,7 @@ pub struct Replay {
 }
 
 /// The states of one instance. State i stands at place `i % capacity`.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 struct Stretch {
     written: usize,
     states: Vec<u8>,

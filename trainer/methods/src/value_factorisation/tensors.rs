@@ -15,6 +15,18 @@ pub struct Tensor {
     pub range: Range<usize>,
 }
 
+impl Tensor {
+    /// The same as checkpoints name it.
+    pub(super) fn saved(&self) -> sortie_learn::state::Tensor {
+        let Self { name, range, .. } = self;
+        sortie_learn::state::Tensor {
+            name: name.clone(),
+            shape: vec![range.len()],
+            range: range.clone(),
+        }
+    }
+}
+
 /// Places tensors `(name, inputs, numbers)` one behind the other.
 pub(super) fn place(start: usize, prefix: &str, tensors: &[(&str, usize, usize)]) -> Vec<Tensor> {
     let mut end = start;

@@ -90,6 +90,9 @@ pub(super) struct Forward<'a> {
     pub(super) output: &'a mut [f32],
 }
 
+/// The widths that attention is built for.
+pub(super) const WIDTHS: [usize; 4] = [16, 32, 64, 128];
+
 /// Attends, at a width of 16, 32, 64 or 128. There are as many blocks as `output` has room for.
 pub(super) fn forward(width: usize, lists: &SplitLists, pass: Forward<'_>) {
     run_widest(ForwardWork { width, lists, pass });

@@ -1,24 +1,30 @@
 //! `sortie eval`: how good is a team, over fresh greedy episodes?
 
+mod method;
+mod table;
+
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use clap::Args;
 use indicatif::ProgressBar;
 use serde::Serialize;
+use sortie_envs::{Metric, Split};
 use sortie_learn::evaluate::{
     Allocate, Evaluation, EvaluationPlan, Onlooker, Planner, PlannerReport, PolicyTeam,
     ScriptedActors, Team, evaluate_watched,
 };
 
+use self::method::{flat_bundle, play_bundle, play_method};
 use crate::allocation::AllocatorChoice;
 use crate::environment::{self, ScenarioSetName};
 use crate::episodes::EpisodeWriter;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::files::{Kind, try_output};
+use crate::methods::LearnedMethod;
 use crate::observations::RecordingPolicy;
 use crate::options::Common;
-use crate::output::{Table, plural, print_json, say};
+use crate::output::{plural, print_json, say};
 use crate::policy::PlanProfile;
 use crate::policy::{Backend, DeployedPolicy};
 use crate::progress::{self, CountedEpisodes};
@@ -104,7 +110,7 @@ struct Report<'a> {
 
 /// How far seeds lie apart.
 #[derive(Serialize)]
-struct BySeed {
+pub(super) struct BySeed {
     success: BTreeMap<u64, f64>,
     success_sd: f64,
 }
@@ -128,6 +134,12 @@ struct Match<'a> {
 
 pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
     arguments.backend.prepare()?;
+    if let Some(learned) = LearnedMethod::find(&arguments.subject)? {
+        return play_method(arguments, &learned);
+    }
+    if let Some(bundle) = flat_bundle(&arguments.subject)? {
+        return play_bundle(arguments, &bundle);
+    }
     let subject = Subject::find(&arguments.subject)?;
     check(arguments, &subject)?;
     if let Some(file) = &arguments.dump {
@@ -143,7 +155,9 @@ pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
     let played = seeds.iter().map(|seed| Ok((seed, playing.play(seed)?)));
     let mut played: Vec<(u64, Played)> = played.collect::<Result<_, Failure>>()?;
     playing.bar.finish_and_clear();
-    let by_seed = arguments.seeds.map(|_| BySeed::of(&played));
+    let by_seed = arguments
+        .seeds
+        .map(|_| BySeed::of(played.iter().map(|(seed, one)| (*seed, &one.evaluation))));
     let parts: Vec<Evaluation> = played.iter().map(|(_, one)| one.evaluation.clone()).collect();
     let Some((_, mut last)) = played.pop() else { return Ok(()) };
     if by_seed.is_some() {
@@ -161,7 +175,8 @@ pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
             planner: last.planner,
         });
     } else {
-        print(&playing, &last, by_seed.as_ref());
+        let environment = playing.set.open(Split::Test)?;
+        print(&playing, &last, environment.spec().metrics, by_seed.as_ref());
     }
     Ok(())
 }
@@ -190,9 +205,9 @@ fn check(arguments: &EvalArguments, subject: &Subject) -> Outcome {
 }
 
 impl BySeed {
-    fn of(played: &[(u64, Played)]) -> Self {
+    fn of<'a>(evaluations: impl Iterator<Item = (u64, &'a Evaluation)>) -> Self {
         let success: BTreeMap<u64, f64> =
-            played.iter().map(|(seed, played)| (*seed, played.evaluation.success)).collect();
+            evaluations.map(|(seed, evaluation)| (seed, evaluation.success)).collect();
         let mean = success.values().sum::<f64>() / success.len().max(1) as f64;
         let squares: f64 = success.values().map(|success| (success - mean).powi(2)).sum();
         let success_sd = (squares / success.len().saturating_sub(1).max(1) as f64).sqrt();
@@ -273,10 +288,9 @@ impl Match<'_> {
     }
 }
 
-fn print(playing: &Match<'_>, played: &Played, by_seed: Option<&BySeed>) {
+fn print(playing: &Match<'_>, played: &Played, metrics: &[Metric], by_seed: Option<&BySeed>) {
     let Match { arguments, set, .. } = playing;
     let Played { evaluation, allocation, planner } = played;
-    let [low, high] = evaluation.success_ci95;
     let under = match *allocation {
         "none" => " without allocation".to_owned(),
         name => format!(" under {name} allocation"),
@@ -294,32 +308,5 @@ fn print(playing: &Match<'_>, played: &Played, by_seed: Option<&BySeed>) {
              ({changed} of {decisions} decisions changed)"
         );
     }
-    let mut table = Table::new(&["figure", "value"]);
-    let mut row = |name: &str, value: String| table.row([name.to_string(), value]);
-    row("success", format!("{:.3} ({low:.3} to {high:.3})", evaluation.success));
-    if let Some(BySeed { success, success_sd }) = by_seed {
-        let least = success.values().copied().fold(f64::INFINITY, f64::min);
-        let most = success.values().copied().fold(0.0, f64::max);
-        let name = format!("of {}", plural(success.len(), "seed"));
-        row(&name, format!("sd {success_sd:.3} ({least:.3} to {most:.3})"));
-    }
-    row("no building burned", format!("{:.3}", evaluation.none_burned));
-    row("time-outs", format!("{:.3}", evaluation.timeouts));
-    row("return", format!("{:.2} (sd {:.2})", evaluation.return_mean, evaluation.return_sd));
-    row("steps", format!("{:.1}", evaluation.length_mean));
-    table.print();
-    say!();
-    let mut causes = Table::new(&["cause of failure", "episodes", "share"]);
-    for (cause, count) in &evaluation.failures {
-        let share = *count as f64 / evaluation.episodes.max(1) as f64;
-        causes.row([cause.clone(), count.to_string(), format!("{share:.3}")]);
-    }
-    causes.print();
-    say!();
-    let mut teams = Table::new(&["team", "episodes", "success"]);
-    for (team, success) in &evaluation.by_team {
-        let share = success.solved as f64 / success.episodes.max(1) as f64;
-        teams.row([team.clone(), success.episodes.to_string(), format!("{share:.3}")]);
-    }
-    teams.print();
+    table::print(evaluation, metrics, by_seed);
 }

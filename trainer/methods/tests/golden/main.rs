@@ -1,9 +1,13 @@
-//! The agents of value factorisation and the masks of imagination.
+//! Value factorisation against the reference's modules, on recorded inputs (`tests/golden`).
+
+#[path = "../../../learn/tests/golden/files.rs"]
+#[expect(dead_code, reason = "other recordings need the rest")]
+mod files;
 
 use sortie_envs::{EntitySet, Observation};
-use sortie_learn::methods::value_factorisation::{AgentPass, AgentShape, Partitions, Scenes};
+use sortie_methods::value_factorisation::{AgentPass, AgentShape, Partitions, Scenes};
 
-use super::files::{Case, json_cases};
+use files::{Case, json_cases};
 
 /// The entities that a row of a mask leaves open.
 fn open(mask: &[f64]) -> EntitySet {

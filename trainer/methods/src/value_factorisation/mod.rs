@@ -8,8 +8,11 @@ mod acting;
 mod agent;
 mod buffers;
 mod config;
+mod deployed;
+mod keys;
 mod learner;
 mod looking;
+mod method;
 mod mixer;
 mod partition;
 mod replay;
@@ -17,19 +20,20 @@ mod scenes;
 mod split_attention;
 mod temporal_difference;
 mod tensors;
-mod training;
 
 pub use acting::Acting;
 pub use agent::{AgentPass, AgentShape};
-pub use config::Config;
+pub use config::{
+    Config, ImaginationConfig, MixerConfig, NetworkConfig, ReplayConfig, ReturnsConfig,
+};
+pub use keys::{QMIX, REFIL, VDN};
 pub use learner::Learner;
+pub use method::ValueFactorisation;
 pub use mixer::{MixerKind, MixerPass, MixerShape, Slopes, Teams};
 pub use partition::Partitions;
 pub use replay::{End, Future, Place, Replay};
 pub use scenes::Scenes;
 pub use temporal_difference::{Batch, Losses, Network, NetworkShape, TemporalDifference};
-pub use tensors::Tensor;
-pub use training::{Progress, Result, evaluate, train};
 
 #[cfg(test)]
 mod tests;

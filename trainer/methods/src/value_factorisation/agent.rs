@@ -68,6 +68,11 @@ impl AgentShape {
         self.numbers().into_iter().sum()
     }
 
+    /// The tensors in a vector of parameters.
+    pub(super) fn views(self, parameters: &[f32]) -> [&[f32]; 8] {
+        views(parameters, self.numbers())
+    }
+
     fn square(self) -> LinearShape {
         LinearShape { input: self.width, output: self.width }
     }
@@ -101,7 +106,7 @@ impl AgentPass {
         blocks: usize,
     ) -> &[f32] {
         let [fc1, fc1_bias, attention_in, out, out_bias, skip, head, head_bias] =
-            views(parameters, shape.numbers());
+            shape.views(parameters);
         let weights = Weights { fc1, fc1_bias, attention_in };
         let numbers = scenes.agents() * shape.width;
         let attended =
@@ -131,8 +136,7 @@ impl AgentPass {
         d_utilities: &[f32],
         gradient: &mut [f32],
     ) {
-        let [fc1, fc1_bias, attention_in, out, _, skip, head, _] =
-            views(parameters, shape.numbers());
+        let [fc1, fc1_bias, attention_in, out, _, skip, head, _] = shape.views(parameters);
         let [d_fc1, d_fc1_bias, d_attention_in, d_out, d_out_bias, d_skip, d_head, d_head_bias] =
             views_mut(gradient, shape.numbers());
         let numbers = scenes.agents() * shape.width;

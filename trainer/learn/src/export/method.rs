@@ -1,0 +1,166 @@
+//! A run of any method becomes a bundle.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::path::Path;
+
+use sortie_bundle::{
+    AGENT, CARD, CURVE, CURVE_DATA, ContractV1, Draft, Environment as Described,
+    FallbackAllocation, Golden, GoldenCase, Limits, Network, SubtaskConditioning, TRAINING,
+    WIRE_ABI,
+};
+use sortie_envs::{Environment, Shape, Spec};
+
+use super::agent::{AgentNetwork, agent_onnx};
+use super::bundle::{Measured, read_part};
+use super::deployed::DeployedAgents;
+use super::recorder::Recorder;
+use crate::error::LearnError;
+use crate::method::Method;
+use crate::play::{PolicyTeam, evaluate};
+use crate::run::{CurvePoint, RunDescription};
+use crate::session::Setup;
+
+/// Episodes that golden observations are drawn from.
+const GOLDEN_EPISODES: usize = 400;
+
+/// A run of any method, as far as its bundle needs it.
+pub struct MethodRun<'a> {
+    /// How it learned.
+    pub description: &'a RunDescription<Setup>,
+    /// Where it learned.
+    pub environment: &'a dyn Environment,
+    /// What has learned.
+    pub method: &'a dyn Method,
+    /// Its evaluations.
+    pub curve: &'a [CurvePoint],
+}
+
+/// Makes a bundle of what the run in `folder` has learned; `sizes` are those of all environments that it is to serve.
+///
+/// # Errors
+/// The agents cannot be deployed, files of the run cannot be read, or the network is not finite.
+pub fn draft_method(
+    run: &MethodRun<'_>,
+    folder: &Path,
+    sizes: &[Shape],
+    measured: &[Measured],
+    seed: u64,
+) -> Result<Draft, LearnError> {
+    let spec = run.environment.spec();
+    let DeployedAgents { network, mut policy } = run.method.deployed()?;
+    let contract = contract(spec, network.inputs != spec.shape.features);
+    let agent = agent_onnx(&AgentNetwork {
+        features: spec.shape.features,
+        append_last_action: contract.append_last_action,
+        contract: contract.hash(),
+        layers: network,
+    });
+    let agent = agent.map_err(|error| LearnError::format(folder, error))?;
+    let mut team = PolicyTeam::new(Recorder::new(&mut *policy, spec.shape.features));
+    evaluate(run.environment, &mut team, GOLDEN_EPISODES, seed)?;
+    let golden = Golden { cases: team.into_policy().cases, allocations: Vec::new() };
+    let parts = BTreeMap::from([
+        (AGENT.to_owned(), agent),
+        (CARD.to_owned(), card(run, measured, network.skip.is_some()).into_bytes()),
+        (CURVE.to_owned(), read_part(folder, CURVE)?),
+        (CURVE_DATA.to_owned(), read_part(folder, CURVE_DATA)?),
+        (TRAINING.to_owned(), read_part(folder, TRAINING)?),
+    ]);
+    Ok(Draft {
+        environment: described(run, &golden.cases),
+        limits: limits(sizes),
+        network: Network { agent: "masked-attention".to_owned(), allocator: None, hidden: 0 },
+        golden,
+        contract,
+        parts,
+    })
+}
+
+fn contract(spec: &Spec, append_last_action: bool) -> ContractV1 {
+    ContractV1 {
+        abi: WIRE_ABI,
+        actions: spec.shape.actions as u16,
+        features: spec.shape.features as u16,
+        feature_names: spec.features.clone(),
+        action_names: spec.actions.clone(),
+        decision_interval: 1,
+        append_last_action,
+        subtask_conditioning: SubtaskConditioning::None,
+        subtask_actions: false,
+        safe_action: spec.safe_action,
+        fallback_allocation: FallbackAllocation::Unallocated,
+    }
+}
+
+/// The environment, with the ranges of features that golden observations have shown.
+fn described(run: &MethodRun<'_>, cases: &[GoldenCase]) -> Described {
+    let spec = run.environment.spec();
+    let columns = spec.shape.features;
+    let mut ranges = vec![[0.0f32, 0.0]; columns];
+    for row in cases.iter().flat_map(|case| case.observation.rows.chunks_exact(columns)) {
+        for (range, value) in ranges.iter_mut().zip(row) {
+            *range = [range[0].min(*value), range[1].max(*value)];
+        }
+    }
+    Described {
+        name: run.description.config.environment.to_string(),
+        version: spec.version.to_owned(),
+        feature_units: vec!["1".to_owned(); columns],
+        feature_ranges: ranges,
+    }
+}
+
+fn limits(sizes: &[Shape]) -> Limits {
+    let most = |size: fn(&Shape) -> usize| sizes.iter().map(size).max().unwrap_or(0) as u16;
+    Limits {
+        n_max: most(|shape| shape.entities),
+        t_max: most(|shape| shape.tasks),
+        team_max: most(|shape| shape.agents),
+    }
+}
+
+/// The model card.
+fn card(run: &MethodRun<'_>, measured: &[Measured], skip: bool) -> String {
+    let RunDescription { method, seed, version, config, .. } = run.description;
+    let mut card = format!(
+        "# A team for {}\n\n\
+         Every agent runs the same attention network over the entities that it observes. Trained by\n\
+         `sortie train {method}`, seed {seed}, Sortie {version}; `train.toml` repeats the run.\n\n\
+         ## How well it does\n\n\
+         Greedy episodes that training never saw. The interval is that of the episodes, not of training again.\n\n\
+         | starts | episodes | success (95 % interval) | time-outs | return | steps |\n\
+         | --- | --- | --- | --- | --- | --- |\n",
+        config.environment
+    );
+    for Measured { set, evaluation, .. } in measured {
+        let [low, high] = evaluation.success_ci95;
+        // Writing to a string cannot fail.
+        let _ = writeln!(
+            card,
+            "| `{set}` | {} | {:.3} ({low:.3} to {high:.3}) | {:.3} | {:.2} | {:.2} |",
+            evaluation.episodes,
+            evaluation.success,
+            evaluation.timeouts,
+            evaluation.return_mean,
+            evaluation.length_mean,
+        );
+    }
+    if let Some(last) = run.curve.last() {
+        let _ = writeln!(
+            card,
+            "\nTraining took {} environment steps, {:.0} seconds of processor time and {:.0} seconds.",
+            last.env_steps, last.cpu_s, last.wall_s
+        );
+    }
+    let _ = writeln!(
+        card,
+        "\nMatrix products were computed with `{}`: `--set run.products={0}` repeats the run byte for byte.",
+        config.run.products
+    );
+    if skip {
+        card += "\n## Where the training departs from the dissertation\n\n\
+                 - An agent's own embedding reaches the layer before the head past the attention (`network.skip`).\n";
+    }
+    card
+}

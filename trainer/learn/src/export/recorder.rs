@@ -1,0 +1,50 @@
+//! Keeps decisions of a policy as golden cases.
+
+use sortie_bundle::{GoldenCase, OwnedObservation};
+use sortie_core::choose::masked_argmax;
+use sortie_core::{DecideError, Decision, Observation, Policy};
+
+/// Golden observations of a bundle.
+const GOLDEN_CASES: usize = 256;
+/// One of so many decisions becomes golden, so that they come from many episodes.
+const GOLDEN_STRIDE: usize = 37;
+
+/// Decides, and keeps every so many-th decision.
+pub(super) struct Recorder<P> {
+    policy: P,
+    features: usize,
+    decisions: usize,
+    pub(super) cases: Vec<GoldenCase>,
+}
+
+impl<P: Policy> Recorder<P> {
+    pub(super) fn new(policy: P, features: usize) -> Self {
+        Self { policy, features, decisions: 0, cases: Vec::new() }
+    }
+}
+
+impl<P: Policy> Policy for Recorder<P> {
+    fn actions(&self) -> usize {
+        self.policy.actions()
+    }
+
+    fn utilities(
+        &mut self,
+        observation: &Observation<'_>,
+        utilities: &mut [f32],
+    ) -> Result<(), DecideError> {
+        self.policy.utilities(observation, utilities)
+    }
+
+    fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
+        let mut utilities = vec![0.0; self.actions()];
+        self.utilities(observation, &mut utilities)?;
+        let decision = masked_argmax(&utilities, observation.available)?;
+        self.decisions += 1;
+        if self.decisions % GOLDEN_STRIDE == 1 && self.cases.len() < GOLDEN_CASES {
+            let observation = OwnedObservation::copy_of(observation, self.features);
+            self.cases.push(GoldenCase { observation, utilities, action: decision.action });
+        }
+        Ok(decision)
+    }
+}

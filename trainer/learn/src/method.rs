@@ -1,0 +1,124 @@
+//! What a method adds to a run: how its agents act, what they remember, how they learn.
+
+use sortie_envs::{Environment, Random, Step};
+
+use crate::error::LearnError;
+use crate::export::DeployedAgents;
+use crate::run::{Rates, UpdateReport};
+use crate::state::State;
+
+/// A state in which a team is to act.
+#[derive(Clone, Copy, Debug)]
+pub struct Scene<'a> {
+    /// Number of the instance, the same as long as its episode runs: what agents remember belongs to it.
+    pub instance: usize,
+    /// The state, for [`Environment::observe`].
+    pub state: &'a [u8],
+    /// Whether it is the first of its episode.
+    pub begins: bool,
+}
+
+/// States of one environment in which teams are to act.
+#[derive(Clone, Copy)]
+pub struct Scenes<'a> {
+    /// What observes them.
+    pub environment: &'a dyn Environment,
+    /// The states.
+    pub scenes: &'a [Scene<'a>],
+}
+
+/// What chooses the actions of all agents, the best that it knows.
+pub trait Act {
+    /// Writes `[scenes, A]` an available action of every agent that exists; what stands for others does not matter.
+    ///
+    /// # Errors
+    /// The team cannot decide.
+    fn act(&mut self, scenes: &Scenes<'_>, actions: &mut [u16]) -> Result<(), LearnError>;
+}
+
+/// A step of an instance that was just taken.
+#[derive(Clone, Copy)]
+pub struct Transition<'a> {
+    /// What observes its states.
+    pub environment: &'a dyn Environment,
+    /// Number of the instance.
+    pub instance: usize,
+    /// The state in which the team acted.
+    pub state: &'a [u8],
+    /// `[A]`: what it did.
+    pub actions: &'a [u16],
+    /// What the team earned, and whether the episode is over.
+    pub step: Step,
+    /// `[T]`: what each subtask earned, where the environment says so.
+    pub task_rewards: &'a [f64],
+    /// `[A]`: what each agent earned, where the environment says so.
+    pub agent_rewards: &'a [f64],
+    /// The state that followed, before an instance whose episode is over starts anew.
+    pub next: &'a [u8],
+}
+
+/// How far a run is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Now {
+    /// Environment steps taken.
+    pub env_steps: u64,
+    /// Environment steps of the whole run.
+    pub of: u64,
+}
+
+/// A method at work in a run.
+pub trait Method: Send {
+    /// Writes `[scenes, A]` an available action of every agent that exists, trying things out; what stands for others
+    /// does not matter.
+    ///
+    /// # Errors
+    /// The team cannot decide.
+    fn act(
+        &mut self,
+        scenes: &Scenes<'_>,
+        now: Now,
+        random: &mut Random,
+        actions: &mut [u16],
+    ) -> Result<(), LearnError>;
+
+    /// Remembers a step, of all instances in turn.
+    ///
+    /// # Errors
+    /// It cannot be learned from.
+    fn remember(&mut self, transition: &Transition<'_>) -> Result<(), LearnError>;
+
+    /// Makes the updates that are due, and adds what each of them found. Methods that learn from every step as they
+    /// remember it have none.
+    ///
+    /// # Errors
+    /// Learning cannot go on.
+    fn update(
+        &mut self,
+        environment: &dyn Environment,
+        now: Now,
+        reports: &mut Vec<UpdateReport>,
+    ) -> Result<(), LearnError> {
+        let _ = (environment, now, reports);
+        Ok(())
+    }
+
+    /// Exploration and learning rate.
+    fn rates(&self, now: Now) -> Rates;
+
+    /// The team as it is measured: greedy, and where the method averages weights, with the averaged ones.
+    fn team(&self) -> Box<dyn Act + '_>;
+
+    /// Names everything that the run depends on from here on: what is written to checkpoints and read back.
+    ///
+    /// # Errors
+    /// What is read does not fit.
+    fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError>;
+
+    /// The agents as they are deployed.
+    ///
+    /// # Errors
+    /// They cannot be deployed; the error says why.
+    fn deployed(&self) -> Result<DeployedAgents<'_>, LearnError> {
+        Err(LearnError::Config("agents of this method are evaluated only".to_owned()))
+    }
+}

@@ -1,0 +1,92 @@
+//! A deployed policy as a team.
+
+use sortie_core::policy::{NO_ACTION, Observation as Seen, Policy};
+use sortie_core::{DecideError, EntityMask};
+use sortie_envs::{EntitySet, Observation};
+
+use crate::error::LearnError;
+use crate::method::{Act, Scenes};
+
+/// A deployed policy, agent by agent, on what each of them would see.
+#[derive(Debug)]
+pub struct PolicyTeam<P> {
+    policy: P,
+    seen: Observation,
+    rows: Vec<f32>,
+    available: Vec<u16>,
+    /// `[instances][A]`
+    last_actions: Vec<Vec<u16>>,
+}
+
+impl<P: Policy> PolicyTeam<P> {
+    /// Acts by a policy that sees everything that is observable.
+    pub fn new(policy: P) -> Self {
+        Self {
+            policy,
+            seen: Observation::default(),
+            rows: Vec::new(),
+            available: Vec::new(),
+            last_actions: Vec::new(),
+        }
+    }
+
+    /// The policy.
+    pub fn into_policy(self) -> P {
+        self.policy
+    }
+
+    /// Lays out what an instance shows.
+    fn look(&mut self, scenes: &Scenes<'_>, scene: usize) {
+        let Self { seen, rows, available, last_actions, .. } = self;
+        let (environment, scene) = (scenes.environment, scenes.scenes[scene]);
+        let shape = environment.spec().shape;
+        environment.observe(scene.state, 0, EntitySet::MAX, seen);
+        rows.clear();
+        rows.resize(shape.entities * shape.features, 0.0);
+        for (entity, row) in rows.chunks_exact_mut(shape.features).enumerate() {
+            if seen.entities >> entity & 1 == 1 {
+                seen.rows.write_dense(seen.row_of(entity), row);
+            }
+        }
+        available.clear();
+        for actions in &seen.available {
+            available.extend((0..shape.actions).map(|action| (actions >> action & 1) as u16));
+        }
+        let places = last_actions.len().max(scene.instance + 1);
+        last_actions.resize(places, Vec::new());
+        if scene.begins {
+            last_actions[scene.instance] = vec![NO_ACTION; shape.agents];
+        }
+    }
+}
+
+impl<P: Policy> Act for PolicyTeam<P> {
+    fn act(&mut self, scenes: &Scenes<'_>, actions: &mut [u16]) -> Result<(), LearnError> {
+        let shape = scenes.environment.spec().shape;
+        for (scene, actions) in actions.chunks_exact_mut(shape.agents).enumerate() {
+            self.look(scenes, scene);
+            let instance = scenes.scenes[scene].instance;
+            let agents = self.seen.agents();
+            let see = |agent: usize| Seen {
+                rows: &self.rows,
+                stride: shape.features,
+                last_actions: &self.last_actions[instance],
+                visible: mask(self.seen.observable[agent] & self.seen.present),
+                self_index: agent,
+                available: &self.available[agent * shape.actions..][..shape.actions],
+            };
+            let observations: Vec<Seen<'_>> = (0..agents).map(see).collect();
+            let mut decisions = vec![Err(DecideError::BadLength); agents];
+            self.policy.decide_batch(&observations, &mut decisions);
+            for (action, decision) in actions.iter_mut().zip(decisions) {
+                *action = decision.map_err(|error| LearnError::Team(error.to_string()))?.action;
+            }
+            self.last_actions[instance].copy_from_slice(actions);
+        }
+        Ok(())
+    }
+}
+
+fn mask(entities: EntitySet) -> EntityMask {
+    EntityMask::from_words(&[entities as u64, (entities >> 64) as u64])
+}

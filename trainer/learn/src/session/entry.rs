@@ -1,0 +1,94 @@
+//! What a method says of itself to be found by its name.
+
+use sortie_envs::Spec;
+use toml::Table;
+
+use super::Setup;
+use crate::configuration::{self, RUN, Section, WHERE};
+use crate::error::LearnError;
+use crate::method::Method;
+use crate::run::Configuration;
+
+/// One method by its name.
+#[derive(Clone, Copy, Debug)]
+pub struct MethodEntry {
+    /// Its name, as `sortie train` takes it.
+    pub name: &'static str,
+    /// What it is, in one sentence.
+    pub about: &'static str,
+    /// Its own keys.
+    pub sections: &'static [Section],
+    /// The setups that it comes with by their names, the default first; which environment is up to who asks.
+    pub presets: &'static [(&'static str, fn() -> Setup)],
+    /// Makes one, as it is before its first step.
+    pub open: fn(&Opening<'_>) -> Result<Box<dyn Method>, LearnError>,
+}
+
+/// What a method is made for.
+#[derive(Clone, Copy, Debug)]
+pub struct Opening<'a> {
+    /// How the run is set up.
+    pub setup: &'a Setup,
+    /// What the environment says of itself.
+    pub spec: &'a Spec,
+    /// Seed of all random choices.
+    pub seed: u64,
+    /// Threads to compute with; they change no result.
+    pub threads: usize,
+}
+
+impl MethodEntry {
+    /// One of its presets.
+    ///
+    /// # Errors
+    /// It has none of that name.
+    pub fn preset(&self, name: &str) -> Result<Setup, LearnError> {
+        let found = self.presets.iter().find(|(known, _)| *known == name);
+        let known: Vec<&str> = self.presets.iter().map(|(known, _)| *known).collect();
+        let unknown = || {
+            let known = known.join("`, `");
+            LearnError::Config(format!(
+                "`{}` has no preset `{name}`; there are `{known}`",
+                self.name
+            ))
+        };
+        let (_, setup) = found.ok_or_else(unknown)?;
+        Ok(Setup { method: self.name.to_owned(), ..setup() })
+    }
+
+    /// Reads a file; what is missing is as `setup` has it.
+    ///
+    /// # Errors
+    /// A key is unknown or has a value outside its limits.
+    pub fn read(&self, setup: &Setup, text: &str) -> Result<Setup, LearnError> {
+        let table = configuration::table_in(text, &self.sections(), |_| {})?;
+        let mut whole = setup.table()?;
+        configuration::overlay(&mut whole, table);
+        self.made_of(whole)
+    }
+
+    /// Replaces one value, named as in `run.steps=100_000`.
+    ///
+    /// # Errors
+    /// The key is unknown or the value outside its limits.
+    pub fn set(&self, setup: &Setup, assignment: &str) -> Result<Setup, LearnError> {
+        self.made_of(configuration::assigned(&self.sections(), setup.table()?, assignment)?)
+    }
+
+    fn made_of(&self, table: Table) -> Result<Setup, LearnError> {
+        Setup::from_table(self.name, table)
+    }
+
+    /// A setup as a file that explains every key.
+    ///
+    /// # Errors
+    /// The setup lacks a key.
+    pub fn explained(&self, setup: &Setup) -> Result<String, LearnError> {
+        configuration::explained_by(&self.sections(), &setup.table()?)
+    }
+
+    /// All keys of a setup.
+    pub fn sections(&self) -> Vec<Section> {
+        [&WHERE, self.sections, &[RUN]].concat()
+    }
+}

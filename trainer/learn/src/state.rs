@@ -1,0 +1,105 @@
+//! What a run depends on, named once: the same function writes it to a checkpoint and reads it back.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+pub use sortie_nn::tape::Tensor;
+
+use crate::error::LearnError;
+use crate::run::checkpoint::Checkpoint;
+
+/// Visits everything that a run depends on.
+#[derive(Debug)]
+pub struct State<'a>(Visit<'a>);
+
+#[derive(Debug)]
+enum Visit<'a> {
+    Write(&'a mut Written),
+    Read { checkpoint: &'a Checkpoint, values: &'a BTreeMap<String, Vec<u8>> },
+    Weights(&'a Checkpoint),
+}
+
+/// What a visit has found.
+#[derive(Debug, Default)]
+pub(crate) struct Written {
+    /// Name, sizes and numbers of every tensor.
+    pub(crate) tensors: Vec<(String, Vec<usize>, Vec<f32>)>,
+    /// Everything else by its name.
+    pub(crate) values: BTreeMap<String, Vec<u8>>,
+}
+
+impl<'a> State<'a> {
+    /// A visit that writes down what it finds.
+    pub(crate) fn write(written: &'a mut Written) -> Self {
+        Self(Visit::Write(written))
+    }
+
+    /// A visit that puts everything back as a checkpoint has it.
+    pub(crate) fn read(checkpoint: &'a Checkpoint, values: &'a BTreeMap<String, Vec<u8>>) -> Self {
+        Self(Visit::Read { checkpoint, values })
+    }
+
+    /// A visit that puts back tensors only: enough to use what was learned.
+    pub(crate) fn weights(checkpoint: &'a Checkpoint) -> Self {
+        Self(Visit::Weights(checkpoint))
+    }
+
+    /// A vector of parameters, cut into its tensors; `name` as in `agents/online`.
+    ///
+    /// # Errors
+    /// The checkpoint has other tensors.
+    pub fn tensors(
+        &mut self,
+        name: &str,
+        tensors: &[Tensor],
+        parameters: &mut [f32],
+    ) -> Result<(), LearnError> {
+        for tensor in tensors {
+            let (name, part) =
+                (format!("{name}/{}", tensor.name), &mut parameters[tensor.range.clone()]);
+            match &mut self.0 {
+                Visit::Write(written) => {
+                    written.tensors.push((name, tensor.shape.clone(), part.to_vec()));
+                }
+                Visit::Read { checkpoint, .. } | Visit::Weights(checkpoint) => {
+                    part.copy_from_slice(&checkpoint.whole_vector(&name, part.len())?);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Anything else; visits that want weights only pass it over.
+    ///
+    /// # Errors
+    /// The checkpoint has no such value, or one of another kind.
+    pub fn value<T: Serialize + DeserializeOwned>(
+        &mut self,
+        name: &str,
+        value: &mut T,
+    ) -> Result<(), LearnError> {
+        match &mut self.0 {
+            Visit::Write(written) => {
+                let bytes = postcard::to_stdvec(value);
+                let bytes = bytes.map_err(|error| unfit(name, &error))?;
+                written.values.insert(name.to_owned(), bytes);
+            }
+            Visit::Read { values, .. } => {
+                let bytes = values.get(name).ok_or_else(|| unfit(name, &"is missing"))?;
+                *value = postcard::from_bytes(bytes).map_err(|error| unfit(name, &error))?;
+            }
+            Visit::Weights(_) => {}
+        }
+        Ok(())
+    }
+
+    /// Whether this visit changes what it visits.
+    pub fn is_reading(&self) -> bool {
+        !matches!(self.0, Visit::Write(_))
+    }
+}
+
+fn unfit(name: &str, reason: &dyn std::fmt::Display) -> LearnError {
+    LearnError::Config(format!("`{name}` of the checkpoint: {reason}"))
+}

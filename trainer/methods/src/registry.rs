@@ -1,0 +1,14 @@
+//! The methods by their names, for command lines and files.
+
+use sortie_learn::session::MethodEntry;
+
+use crate::value_factorisation;
+
+/// Every method of this crate.
+pub const METHODS: &[MethodEntry] =
+    &[value_factorisation::QMIX, value_factorisation::VDN, value_factorisation::REFIL];
+
+/// A method by its name.
+pub fn find(name: &str) -> Option<&'static MethodEntry> {
+    METHODS.iter().find(|entry| entry.name == name)
+}

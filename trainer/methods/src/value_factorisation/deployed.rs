@@ -1,0 +1,110 @@
+//! The agents as they are deployed.
+
+use sortie_core::choose::masked_argmax;
+use sortie_core::{DecideError, Decision, Policy};
+use sortie_envs::{EntitySet, Observation};
+use sortie_learn::export::{AttentionNetwork, DeployedAgents, Layer, Layout, Matrix};
+
+use super::agent::AgentPass;
+use super::scenes::Scenes;
+use super::split_attention::HEADS;
+use super::temporal_difference::Network;
+
+/// The agents of a network.
+pub(super) fn deployed(network: &Network) -> DeployedAgents<'_> {
+    let shape = network.shape.agent;
+    let [fc1, fc1_bias, attention_in, out, out_bias, skip, head, head_bias] =
+        shape.views(network.agent());
+    let matrix = |values| Matrix { values, layout: Layout::OutputsFirst };
+    DeployedAgents {
+        network: AttentionNetwork {
+            inputs: shape.input,
+            width: shape.width,
+            heads: HEADS,
+            base: shape.width,
+            outputs: shape.actions,
+            fc1: Layer {
+                weight: Matrix { values: fc1, layout: Layout::InputsFirst },
+                bias: fc1_bias,
+            },
+            attention_in: matrix(attention_in),
+            attention_out: Layer { weight: matrix(out), bias: out_bias },
+            skip: shape.skip.then(|| matrix(skip)),
+            fc2: None,
+            head: Layer { weight: matrix(head), bias: head_bias },
+        },
+        policy: Box::new(NetworkPolicy::new(network)),
+    }
+}
+
+/// Decides with the trainer's own forward pass: what golden observations expect of every engine.
+struct NetworkPolicy<'a> {
+    network: &'a Network,
+    pass: AgentPass,
+    scenes: Scenes,
+    seen: Observation,
+}
+
+impl<'a> NetworkPolicy<'a> {
+    fn new(network: &'a Network) -> Self {
+        Self {
+            network,
+            pass: AgentPass::default(),
+            scenes: Scenes::default(),
+            seen: Observation { available: vec![0], ..Observation::default() },
+        }
+    }
+
+    /// The agent becomes the first entity and the only agent, what it sees follows.
+    fn look(&mut self, observation: &sortie_core::Observation<'_>) -> Result<(), DecideError> {
+        let own = observation.self_index;
+        let columns = self.network.shape.agent.input;
+        let others = observation.visible.iter().filter(|entity| *entity != own);
+        self.seen.rows.clear();
+        let mut entities = 0;
+        for entity in std::iter::once(own).chain(others) {
+            let row = observation.rows.get(entity * observation.stride..);
+            let row = row.and_then(|row| row.get(..columns)).ok_or(DecideError::BadLength)?;
+            self.seen.rows.push_dense(row);
+            entities += 1;
+        }
+        let all = EntitySet::MAX >> (EntitySet::BITS as usize - entities);
+        (self.seen.present, self.seen.entities) = (all, all);
+        self.seen.observable.clear();
+        self.seen.observable.push(if observation.visible.contains(own) { all } else { all & !1 });
+        self.scenes.clear();
+        self.scenes.push(&self.seen, |_| EntitySet::MAX);
+        self.scenes.finish();
+        Ok(())
+    }
+}
+
+impl Policy for NetworkPolicy<'_> {
+    fn actions(&self) -> usize {
+        self.network.shape.agent.actions
+    }
+
+    fn utilities(
+        &mut self,
+        observation: &sortie_core::Observation<'_>,
+        utilities: &mut [f32],
+    ) -> Result<(), DecideError> {
+        self.look(observation)?;
+        let shape = self.network.shape.agent;
+        let computed = self.pass.forward(shape, self.network.agent(), &self.scenes, 1);
+        if computed.len() != utilities.len() {
+            return Err(DecideError::BadLength);
+        }
+        utilities.copy_from_slice(computed);
+        Ok(())
+    }
+
+    fn decide(
+        &mut self,
+        observation: &sortie_core::Observation<'_>,
+    ) -> Result<Decision, DecideError> {
+        let mut utilities = vec![0.0; self.actions()];
+        self.utilities(observation, &mut utilities)?;
+        masked_argmax(&utilities, observation.available)
+    }
+}
