@@ -30,6 +30,7 @@ mod progress;
 mod proposals;
 mod replay;
 mod run;
+mod scripted;
 mod seeds;
 mod signals;
 mod subject;

@@ -5,11 +5,13 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde::Serialize;
+use sortie_bundle::MANIFEST;
 use sortie_envs::golden;
 
 use crate::allocation::AllocatorChoice;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::files::{Kind, try_output, write_output};
+use crate::methods::{LearnedMethod, choose};
 use crate::options::Common;
 use crate::output::{plural, print_json, say};
 use crate::replay;
@@ -76,10 +78,30 @@ fn played_page(arguments: &ViewArguments) -> Result<Page, Failure> {
     if arguments.policy.is_some() {
         return Err(usage("--policy is for recorded episodes; name the run or bundle itself"));
     }
+    // A bundle carries the configuration that its run had.
+    if !arguments.subject.join(MANIFEST).exists()
+        && let Some(learned) = LearnedMethod::find(&arguments.subject)?
+    {
+        return learned_page(arguments, &learned);
+    }
     let subject = Subject::find(&arguments.subject)?;
     let set = subject.scenario_set(arguments.env.as_deref())?;
     let view = view_of(set.entry().name);
     view.played(&Wanted { set: Some(set), ..wanted(arguments) }, &subject)
+}
+
+/// The page of a run of a method that learns in any environment.
+fn learned_page(arguments: &ViewArguments, learned: &LearnedMethod) -> Result<Page, Failure> {
+    if let Some(asked) = arguments.allocation {
+        return Err(asked.of_no_use());
+    }
+    let mut choice = learned.description.config.environment.clone();
+    if let Some(name) = &arguments.env {
+        choose(&mut choice, name)?;
+    }
+    let world = learned.open_as(&choice)?;
+    let (view, mut team) = (view_of(world.spec().name), learned.method.team());
+    view.acted(&wanted(arguments), choice.to_string(), &*world, &mut *team)
 }
 
 fn recorded_page(arguments: &ViewArguments, file: &Path) -> Result<Page, Failure> {

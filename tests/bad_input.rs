@@ -174,7 +174,6 @@ fn an_environment_without_a_learner_is_named() {
     let words = ["group-matching", "save-the-city", "bench env"];
     let refused = ["train", "alma", "--env", "group-matching", "--out", "no-such-folder"];
     assert_fails(&output(&refused), 2, &words);
-    assert_fails(&output(&["eval", "scripted", "--env", "group-matching"]), 2, &words);
     let stepped = output(&["bench", "env", "--env", "group-matching", "--seconds", "0.01"]);
     assert!(stepped.status.success(), "{}", support::stderr(&stepped));
 }

@@ -3,10 +3,11 @@
 mod support;
 
 use std::fs;
+use std::path::PathBuf;
 
 use serde_json::Value;
 use support::browser::Browser;
-use support::{BUNDLE, assert_fails, json, output};
+use support::{BUNDLE, TestDomain, assert_fails, json, output, stderr};
 
 const RING: &str = "group-matching/6x5x2";
 
@@ -81,6 +82,64 @@ fn an_episode_of_group_matching_repeats_by_its_seed_and_number() {
     assert_eq!(play(&["--seed", "3"]), play(&["--seed", "3", "--episode", "0"]));
     assert_ne!(play(&["--seed", "3"]), play(&["--seed", "4"]));
     assert_ne!(play(&["--seed", "3"]), play(&["--seed", "3", "--episode", "1"]));
+}
+
+#[test]
+fn the_script_of_group_matching_is_measured_on_the_episodes_that_its_pages_show() {
+    let measured = json(&["eval", "scripted", "--env", RING, "--episodes", "40", "--json"]);
+    assert_eq!((&measured["env"], &measured["episodes"]), (&RING.into(), &40.into()));
+    assert!(measured["success"].as_f64() > Some(0.9), "{measured}");
+    let one = json(&["eval", "scripted", "--env", RING, "--episodes", "1", "--json"]);
+    let (_folder, data) = page(&["scripted", "--env", RING]);
+    assert_eq!(one["length_mean"].as_f64(), Some(list(&data["steps"]).len() as f64));
+    let refused = output(&["eval", "scripted", "--env", RING, "--allocation", "random"]);
+    assert_fails(&refused, 2, &["--allocation"]);
+}
+
+#[test]
+fn a_team_of_group_matching_is_looked_at_and_deployed() {
+    let place = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| place.path().join(name).display().to_string();
+    let (run, bundle) = (path("run"), path("bundle"));
+    let trained = ["train", "vdn", "--env", RING, "--steps", "3000", "--out", &run, "-q"];
+    let trained = output(&trained);
+    assert!(trained.status.success(), "{}", stderr(&trained));
+    let (_folder, by_run) = page(&[&run, "--episode", "2"]);
+    let exported = output(&["export", &run, "--out", &bundle, "--episodes", "10", "-q"]);
+    assert!(exported.status.success(), "{}", stderr(&exported));
+    let (_folder, by_bundle) = page(&[&bundle, "--episode", "2"]);
+    assert_eq!(by_run["steps"], by_bundle["steps"], "both play the same");
+    for (state, step) in list(&by_bundle["states"]).iter().zip(list(&by_bundle["steps"])) {
+        let thoughts = list(&state["thoughts"]).iter().zip(list(&step["actions"]));
+        for (thought, action) in thoughts {
+            let utilities =
+                list(&thought["utilities"]).iter().map(|value| value.as_f64().expect("a number"));
+            let utilities: Vec<f64> = utilities.collect();
+            let taken = utilities[action.as_u64().expect("a number") as usize];
+            assert!(utilities.iter().all(|utility| *utility <= taken), "{thought}, {action}");
+            assert_eq!(list(&thought["attention"]).len(), 6);
+        }
+    }
+
+    let domain = TestDomain::new("ring");
+    let play = |more: &[&str]| {
+        let arguments = ["run", &bundle, "--episodes", "2", "--seed", "3", "--json", "--domain"];
+        json(&[&arguments, &[domain.id.as_str()][..], more].concat())
+    };
+    let (processes, in_process) = (play(&["--isolate"]), play(&["--in-process"]));
+    for key in ["success", "return_mean", "groups_gathered", "by_team", "decisions"] {
+        assert_eq!(processes[key], in_process[key], "{key}");
+    }
+    assert_eq!((&processes["groups"], &processes["allocation"]), (&4.into(), &"none".into()));
+    assert_eq!(
+        processes["processes"], 7,
+        "a world and a process for each agent, nobody who allocates"
+    );
+    let up = ["up", &bundle, "--episodes", "2", "--rate", "0", "--json", "--domain", &domain.id];
+    assert_eq!(json(&up)["episodes"], 2);
+    assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
+    let refused = output(&["run", &bundle, "--allocation", "random", "--in-process"]);
+    assert_fails(&refused, 2, &["no subtasks", "random"]);
 }
 
 #[test]

@@ -16,6 +16,7 @@ use crate::failure::{Exit, Failure, Outcome};
 use crate::methods::{LearnedMethod, choose};
 use crate::output::{plural, print_json, say};
 use crate::policy::{DeployedPolicy, PlanProfile};
+use crate::scripted::Scripted;
 use crate::seeds::SeedRange;
 
 #[derive(Serialize)]
@@ -67,6 +68,14 @@ pub(super) fn play_method(arguments: &EvalArguments, learned: &LearnedMethod) ->
     }
     let environment = learned.open_as(&choice)?;
     play_team(arguments, &choice.to_string(), &*environment, &mut *learned.method.team())
+}
+
+/// Measures the script of an environment in which nobody is allocated.
+pub(super) fn play_script(arguments: &EvalArguments, name: &ScenarioSetName) -> Outcome {
+    check(arguments)?;
+    let environment = name.open(Split::Test)?;
+    let mut team = Scripted::of(name, &*environment, arguments.common.seed)?;
+    play_team(arguments, &name.to_string(), &*environment, &mut team)
 }
 
 /// Plays the episodes that are asked for, and prints what they come to.

@@ -15,7 +15,7 @@ use sortie_learn::evaluate::{
     ScriptedActors, Team, evaluate_watched,
 };
 
-use self::method::{flat_bundle, play_bundle, play_method};
+use self::method::{flat_bundle, play_bundle, play_method, play_script};
 use crate::allocation::AllocatorChoice;
 use crate::environment::{self, ScenarioSetName};
 use crate::episodes::EpisodeWriter;
@@ -146,6 +146,9 @@ pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
         try_output(file, Kind::Observations)?;
     }
     let set = subject.scenario_set(arguments.env.as_deref())?;
+    if matches!(subject, Subject::Scripted) && set.check_learned().is_err() {
+        return play_script(arguments, &set);
+    }
     set.check_learned()?;
     let other = arguments.allocator.as_deref().map(Subject::find).transpose()?;
     let seeds = arguments.seeds.unwrap_or(SeedRange::only(arguments.common.seed));

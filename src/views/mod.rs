@@ -2,7 +2,6 @@
 //!
 //! The rest of the command line knows environments by their names alone.
 
-mod acting;
 mod group_matching;
 mod mind;
 mod page;
@@ -11,7 +10,8 @@ mod save_the_city;
 use std::path::Path;
 
 use serde_json::{Map, Value};
-use sortie_envs::{Episode, Spec};
+use sortie_envs::{Environment, Episode, Spec};
+use sortie_learn::Act;
 
 use crate::allocation::AllocatorChoice;
 use crate::environment::ScenarioSetName;
@@ -70,6 +70,21 @@ pub(crate) trait View {
     fn played(&self, wanted: &Wanted<'_>, subject: &Subject) -> Result<Page, Failure> {
         let _ = subject;
         Err(no_page(wanted))
+    }
+
+    /// The page of an episode that a team of any method plays in `world`, which is called `env`.
+    fn acted(
+        &self,
+        wanted: &Wanted<'_>,
+        env: String,
+        world: &dyn Environment,
+        team: &mut dyn Act,
+    ) -> Result<Page, Failure> {
+        let _ = (world, team);
+        let subject = wanted.subject.display();
+        let message =
+            format!("`{subject}` cannot be looked at in `{env}`; `sortie eval` measures it");
+        Err(Failure::new(Exit::Usage, message))
     }
 
     /// The page of a recorded episode, given as text.

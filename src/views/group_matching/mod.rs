@@ -4,7 +4,8 @@ mod page;
 mod terminal;
 
 use sortie_envs::group_matching::{ENTRY, ring_of, sizes};
-use sortie_envs::{Episode, Spec};
+use sortie_envs::{Environment, Episode, Spec};
+use sortie_learn::Act;
 
 use super::{Canvas, Drawing, Figures, Page, Scene, View, Wanted};
 use crate::failure::Failure;
@@ -42,6 +43,16 @@ impl View for Shown {
 
     fn played(&self, wanted: &Wanted<'_>, subject: &Subject) -> Result<Page, Failure> {
         page::played(wanted, subject)
+    }
+
+    fn acted(
+        &self,
+        wanted: &Wanted<'_>,
+        env: String,
+        world: &dyn Environment,
+        team: &mut dyn Act,
+    ) -> Result<Page, Failure> {
+        page::acted(wanted, env, world, team)
     }
 }
 

@@ -1,29 +1,22 @@
 //! Plays an episode and writes it down.
 
 use sortie_envs::group_matching::{LEFT, Parameters, RIGHT, Ring, ring_of, sizes};
-use sortie_envs::{EntitySet, Environment, Observation, Random, members};
+use sortie_envs::{EntitySet, Environment, Observation, Random, Split, members};
+use sortie_learn::{Act, Scene, Scenes};
 
 use super::data::{AgentFacts, Captured, EpisodeResult, Event, EventKind, GroupFacts, State, Step};
-use crate::failure::{Exit, Failure};
-use crate::views::acting::Actors;
+use crate::failure::Failure;
 use crate::views::group_matching::group_name;
 use crate::views::mind::Thought;
 use crate::views::page::rounded;
 
-/// Who acts.
-pub(super) enum Team<'a> {
-    /// The environment's script, which may draw.
-    Script(Random),
-    /// A mind for each agent.
-    Actors(Actors<'a>),
-}
-
-/// Plays the world's next episode and writes it down.
+/// Plays an episode of the environment and writes it down.
 pub(super) fn capture(
-    mut world: Box<dyn Environment>,
+    environment: &dyn Environment,
     mut random: Random,
-    team: &mut Team<'_>,
+    team: &mut dyn Act,
 ) -> Result<Captured, Failure> {
+    let mut world = environment.open(1, Split::Test);
     world.reset(0, &mut random);
     let spec = world.spec().clone();
     let (sizes, shape) = (sizes(&spec), spec.shape);
@@ -35,13 +28,12 @@ pub(super) fn capture(
         world.save(0, &mut state);
         world.observe(&state, 0, EntitySet::MAX, &mut seen);
         let ring = ring_of(&sizes, &state).map_err(Failure::bug)?;
-        let mut shown = shown(ring, &seen);
+        states.push(shown(ring, &seen));
         if world.episode(0).done {
-            states.push(shown);
             break facts(ring);
         }
-        shown.thoughts = act(team, &*world, &state, &seen, &mut actions)?;
-        states.push(shown);
+        let scene = Scene { instance: 0, state: &state, begins: steps.is_empty() };
+        team.act(&Scenes { environment: &*world, scenes: &[scene] }, &mut actions)?;
         let before = ring.cells.to_vec();
         let step = world.step(0, &actions, &mut random).map_err(Failure::bug)?;
         let mut after = Vec::new();
@@ -60,24 +52,12 @@ pub(super) fn capture(
     Ok(Captured { cells, actions, agents, groups, states, steps, events, result })
 }
 
-/// Writes the team's actions; tells its thoughts where it has any.
-fn act(
-    team: &mut Team<'_>,
-    world: &dyn Environment,
-    state: &[u8],
-    seen: &Observation,
-    actions: &mut [u16],
-) -> Result<Option<Vec<Thought>>, Failure> {
-    match team {
-        Team::Script(random) => {
-            let nobody = vec![u8::MAX; actions.len()];
-            if world.scripted(state, &nobody, random, actions) {
-                return Ok(None);
-            }
-            let message = format!("`{}` has no scripted team", world.spec().name);
-            Err(Failure::new(Exit::Usage, message))
-        }
-        Team::Actors(actors) => actors.act(seen, &world.spec().shape, actions).map(Some),
+/// Gives the states what was thought in them: agent by agent, state by state; none in the last.
+pub(super) fn give_thoughts(states: &mut [State], thoughts: Vec<Thought>) {
+    let mut thoughts = thoughts.into_iter();
+    for state in states {
+        let own: Vec<Thought> = thoughts.by_ref().take(state.places.len()).collect();
+        state.thoughts = (!own.is_empty()).then_some(own);
     }
 }
 

@@ -3,19 +3,21 @@
 mod capture;
 mod data;
 
-use sortie_envs::Split;
+use sortie_envs::{Environment, Split};
+use sortie_learn::Act;
+use sortie_learn::play::PolicyTeam;
 use sortie_learn::random::{Purpose, generator};
 
 use crate::environment::check_fits;
 use crate::failure::{Exit, Failure};
 use crate::policy::{Backend, DeployedPolicy};
+use crate::scripted::Scripted;
 use crate::subject::Subject;
-use crate::views::acting::Actors;
-use crate::views::mind::DeployedMind;
+use crate::views::mind::{DeployedMind, Diary};
 use crate::views::page::{Web, html, script, style};
 use crate::views::{Page, Wanted};
-use capture::{Team, capture};
-use data::Data;
+use capture::{capture, give_thoughts};
+use data::{Captured, Data};
 
 const WEB: Web = Web {
     styles: &[
@@ -48,47 +50,66 @@ const WEB: Web = Web {
 
 /// The page of an episode that the subject plays.
 pub(super) fn played(wanted: &Wanted<'_>, subject: &Subject) -> Result<Page, Failure> {
+    let set = wanted.set.clone().unwrap_or_default();
     if let Some(asked) = wanted.allocation {
         return Err(asked.of_no_use());
     }
-    let set = wanted.set.clone().unwrap_or_default();
-    // As evaluations number them.
-    let random = generator(wanted.seed, Purpose::Evaluation, wanted.episode as u64);
-    let world = set.open(Split::Test)?;
-    let shape = world.spec().shape;
-    let mut notes = vec![
-        "The oracle's groups are shown; no agent is told its group mates but by what it sees.",
-    ];
-    let captured = match subject {
+    let (env, world) = (set.to_string(), set.open(Split::Test)?);
+    match subject {
         Subject::Scripted => {
-            notes.push("The scripted team has no network: no utilities, no attention.");
-            let own = generator(wanted.seed, Purpose::Evaluation, u64::MAX);
-            capture(world, random, &mut Team::Script(own))?
+            let mut team = Scripted::of(&set, &*world, wanted.seed)?;
+            let note = "The scripted team has no network: no utilities, no attention.";
+            Ok(page(wanted, env, &[note], play(wanted, &*world, &mut team)?))
         }
         Subject::Bundle(bundle) => {
             check_fits(bundle, &set)?;
             let mut deployed = DeployedPolicy::open(bundle, Backend::Plan)?;
             let mut mind = DeployedMind::new(bundle, deployed.policy()?)?;
-            capture(world, random, &mut Team::Actors(Actors::new(&mut mind, &shape)))?
+            let mut diary = Diary::new(&mut mind);
+            let mut captured = play(wanted, &*world, &mut PolicyTeam::new(&mut diary))?;
+            give_thoughts(&mut captured.states, diary.thoughts);
+            Ok(page(wanted, env, &[], captured))
         }
         Subject::Run(_) => {
-            let message = format!(
-                "`{}` is a run: only bundles and `scripted` can be viewed in `{set}`; \
-                 export it first",
-                wanted.subject.display()
-            );
-            return Err(Failure::new(Exit::Usage, message));
+            let subject = wanted.subject.display();
+            let message = format!("`{subject}` has learned in another environment than `{set}`");
+            Err(Failure::new(Exit::Mismatch, message))
         }
-    };
+    }
+}
+
+/// The page of an episode that a team plays which tells nothing of its thoughts.
+pub(super) fn acted(
+    wanted: &Wanted<'_>,
+    env: String,
+    world: &dyn Environment,
+    team: &mut dyn Act,
+) -> Result<Page, Failure> {
+    const NOTE: &str = "Utilities and attention are shown of bundles: export the run.";
+    Ok(page(wanted, env, &[NOTE], play(wanted, world, team)?))
+}
+
+fn play(
+    wanted: &Wanted<'_>,
+    world: &dyn Environment,
+    team: &mut dyn Act,
+) -> Result<Captured, Failure> {
+    // As evaluations number them.
+    let random = generator(wanted.seed, Purpose::Evaluation, wanted.episode as u64);
+    capture(world, random, team)
+}
+
+fn page(wanted: &Wanted<'_>, env: String, notes: &[&'static str], captured: Captured) -> Page {
+    const TRUTH: &str = "Groups are shown as they are; agents know of them what they see.";
     let steps = captured.steps.len();
     let data = Data {
         format: data::FORMAT,
         subject: wanted.subject.display().to_string(),
         allocation: None,
-        env: set.to_string(),
+        env,
         episode: Some((wanted.seed, wanted.episode)),
-        notes,
+        notes: [&[TRUTH], notes].concat(),
         captured,
     };
-    Ok(Page { html: html(&WEB, &data), steps })
+    Page { html: html(&WEB, &data), steps }
 }
