@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde::Serialize;
-use sortie_bundle::MANIFEST;
 use sortie_envs::golden;
 
 use crate::allocation::AllocatorChoice;
@@ -78,10 +77,7 @@ fn played_page(arguments: &ViewArguments) -> Result<Page, Failure> {
     if arguments.policy.is_some() {
         return Err(usage("--policy is for recorded episodes; name the run or bundle itself"));
     }
-    // A bundle carries the configuration that its run had.
-    if !arguments.subject.join(MANIFEST).exists()
-        && let Some(learned) = LearnedMethod::find(&arguments.subject)?
-    {
+    if let Some(learned) = LearnedMethod::find(&arguments.subject)? {
         return learned_page(arguments, &learned);
     }
     let subject = Subject::find(&arguments.subject)?;
