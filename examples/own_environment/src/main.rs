@@ -23,13 +23,13 @@ struct Depot {
     tracks: Vec<Track>,
 }
 
-/// One instance. Its bytes are steps, depot and carts.
+/// One instance, as its bytes are: steps, ninths of the reward that were earned, depot and carts.
 #[derive(Clone, Copy, Default)]
 struct Track {
     steps: u8,
+    earned: u8,
     depot: u8,
     carts: [u8; CARTS],
-    episode_return: f64,
 }
 
 impl Depot {
@@ -48,7 +48,7 @@ impl Depot {
             actions: ["left", "stay", "right"].map(str::to_owned).to_vec(),
             safe_action: Some(1),
             row_entries: 2,
-            state_bytes: 2 + CARTS,
+            state_bytes: 3 + CARTS,
             episode_limit: STEPS.into(),
             ..Spec::default()
         };
@@ -109,32 +109,33 @@ impl Environment for Depot {
             *field = *field + *action as u8 - 1;
         }
         track.steps += 1;
-        let reward = (track.gathered() as f64 / CARTS as f64).powi(2);
-        track.episode_return += reward;
+        let earned = (track.gathered() * track.gathered()) as u8;
+        track.earned += earned;
+        let reward = f64::from(earned) / 9.0;
         Ok(Step { reward, timed_out: track.steps == STEPS, ..Step::default() })
     }
 
     fn save(&self, instance: usize, state: &mut Vec<u8>) {
-        let Track { steps, depot, carts, .. } = self.tracks[instance];
-        state.extend([steps, depot]);
+        let Track { steps, earned, depot, carts } = self.tracks[instance];
+        state.extend([steps, earned, depot]);
         state.extend(carts);
     }
 
     fn load(&mut self, instance: usize, state: &[u8]) -> Result<(), StateError> {
-        let Ok([steps, depot, carts @ ..]) = <[u8; 2 + CARTS]>::try_from(state) else {
+        let Ok([steps, earned, depot, carts @ ..]) = <[u8; 3 + CARTS]>::try_from(state) else {
             return Err(StateError::Length { found: state.len(), wanted: self.spec.state_bytes });
         };
         if carts.iter().chain([&depot]).any(|field| usize::from(*field) >= FIELDS) || steps > STEPS
         {
             return Err(StateError::Impossible("something stands beyond the track".to_owned()));
         }
-        self.tracks[instance] = Track { steps, depot, carts, episode_return: 0.0 };
+        self.tracks[instance] = Track { steps, earned, depot, carts };
         Ok(())
     }
 
     fn observe(&self, state: &[u8], _: usize, wanted: EntitySet, seen: &mut Observation) {
         const ALL: EntitySet = (1 << (CARTS + 1)) - 1;
-        let fields = state[2..].iter().chain([&state[1]]);
+        let fields = state[3..].iter().chain([&state[2]]);
         *seen = Observation::new(&self.spec.shape);
         (seen.present, seen.entities) = (ALL, wanted & ALL);
         for (entity, field) in fields.enumerate() {
@@ -159,7 +160,7 @@ impl Environment for Depot {
             done,
             solved: done && track.gathered() == CARTS,
             timed_out: done,
-            episode_return: track.episode_return,
+            episode_return: f64::from(track.earned) / 9.0,
             ..Episode::default()
         }
     }
@@ -173,7 +174,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let entry = sortie_methods::find("vdn").ok_or("no such method")?;
     let mut setup = entry.preset("fast")?;
     setup.environment = EnvironmentChoice::of(&*depot(), 16);
-    setup.run = RunConfig { steps: 20_000, evaluate_every: 5_000, final_episodes: 0, ..setup.run };
+    setup.run = RunConfig { steps: 40_000, evaluate_every: 10_000, final_episodes: 0, ..setup.run };
     let description = RunDescription::new(setup, 1, 1);
     let (setup, spec) = (&description.config, &depot().spec);
     let method = (entry.open)(&Opening { setup, spec, seed: 1, threads: 1 })?;

@@ -109,7 +109,7 @@ impl Method for QLearning {
 type Parts = (Box<dyn Environment>, Box<dyn Method>);
 
 fn parts() -> Result<Parts, LearnError> {
-    let ring = sortie_envs::open("group-matching/2x5x1", Split::Train, 1, &BTreeMap::new())?;
+    let ring = sortie_envs::open("group-matching/3x6x1", Split::Train, 1, &BTreeMap::new())?;
     Ok((ring, Box::new(QLearning(vec![0.0; PLACES * ACTIONS]))))
 }
 
