@@ -28,7 +28,7 @@ pub(super) fn setup(entry: &MethodEntry, arguments: &TrainArguments) -> Result<S
     let mut setup = match &arguments.config {
         Some(path) => {
             let text = fs::read_to_string(path).map_err(|error| Failure::file(path, &error))?;
-            let first = entry.preset(entry.presets[0].0)?;
+            let first = entry.preset(entry.presets[0].name)?;
             let read = entry.read(&first, &text);
             read.map_err(|error| Failure::from(error).within(path.display()))?
         }

@@ -19,9 +19,18 @@ pub struct MethodEntry {
     /// Its own keys.
     pub sections: &'static [Section],
     /// The setups that it comes with by their names, the default first; which environment is up to who asks.
-    pub presets: &'static [(&'static str, fn() -> Setup)],
+    pub presets: &'static [Preset],
     /// Makes one, as it is before its first step.
     pub open: fn(&Opening<'_>) -> Result<Box<dyn Method>, LearnError>,
+}
+
+/// A setup that a method comes with.
+#[derive(Clone, Copy, Debug)]
+pub struct Preset {
+    /// Its name.
+    pub name: &'static str,
+    /// Makes it.
+    pub setup: fn() -> Setup,
 }
 
 /// What a method is made for.
@@ -43,8 +52,8 @@ impl MethodEntry {
     /// # Errors
     /// It has none of that name.
     pub fn preset(&self, name: &str) -> Result<Setup, LearnError> {
-        let found = self.presets.iter().find(|(known, _)| *known == name);
-        let known: Vec<&str> = self.presets.iter().map(|(known, _)| *known).collect();
+        let found = self.presets.iter().find(|preset| preset.name == name);
+        let known: Vec<&str> = self.presets.iter().map(|preset| preset.name).collect();
         let unknown = || {
             let known = known.join("`, `");
             LearnError::Config(format!(
@@ -52,8 +61,8 @@ impl MethodEntry {
                 self.name
             ))
         };
-        let (_, setup) = found.ok_or_else(unknown)?;
-        Ok(Setup { method: self.name.to_owned(), ..setup() })
+        let preset = found.ok_or_else(unknown)?;
+        Ok(Setup { method: self.name.to_owned(), ..(preset.setup)() })
     }
 
     /// Reads a file; what is missing is as `setup` has it.

@@ -14,7 +14,7 @@ use std::sync::atomic::AtomicBool;
 
 use sortie_envs::Environment;
 
-pub use entry::{MethodEntry, Opening};
+pub use entry::{MethodEntry, Opening, Preset};
 pub use setup::{EnvironmentChoice, Setup};
 
 use crate::error::LearnError;

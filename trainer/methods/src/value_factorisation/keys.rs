@@ -3,7 +3,7 @@
 use sortie_envs::View;
 use sortie_learn::configuration::{EXPLORATION, Key, OPTIMISER, Range, Section};
 use sortie_learn::run::RunConfig;
-use sortie_learn::session::{EnvironmentChoice, MethodEntry, Opening, Setup};
+use sortie_learn::session::{EnvironmentChoice, MethodEntry, Opening, Preset, Setup};
 use sortie_learn::{LearnError, Method};
 use toml::Table;
 
@@ -18,7 +18,7 @@ pub const QMIX: MethodEntry = MethodEntry {
     name: "qmix",
     about: "Utilities of agents that attend to entities, mixed by what a hypernetwork sees (A-QMIX, dissertation chapter 5)",
     sections: KEYS,
-    presets: &[("fast", || fast(|_| {}))],
+    presets: &[Preset { name: "fast", setup: || fast(|_| {}) }],
     open,
 };
 
@@ -26,7 +26,10 @@ pub const QMIX: MethodEntry = MethodEntry {
 pub const VDN: MethodEntry = MethodEntry {
     name: "vdn",
     about: "The same agents, whose utilities are added (VDN)",
-    presets: &[("fast", || fast(|config| config.mixer.kind = MixerKind::Sum))],
+    presets: &[Preset {
+        name: "fast",
+        setup: || fast(|config| config.mixer.kind = MixerKind::Sum),
+    }],
     ..QMIX
 };
 
@@ -34,7 +37,10 @@ pub const VDN: MethodEntry = MethodEntry {
 pub const REFIL: MethodEntry = MethodEntry {
     name: "refil",
     about: "A-QMIX that learns besides from imagined groups, drawn at random (REFIL, dissertation chapter 5)",
-    presets: &[("fast", || fast(|config| config.imagination.partitions = Partitions::Drawn))],
+    presets: &[Preset {
+        name: "fast",
+        setup: || fast(|config| config.imagination.partitions = Partitions::Drawn),
+    }],
     ..QMIX
 };
 
