@@ -5,7 +5,7 @@ use std::path::Path;
 use sortie_bundle::{MANIFEST, TRAINING};
 use sortie_envs::{ENVIRONMENTS, Environment, Split};
 use sortie_learn::run::{RunDescription, method_of, read_description};
-use sortie_learn::session::{EnvironmentChoice, MethodEntry, Opening, Setup, load_weights};
+use sortie_learn::session::{EnvironmentChoice, MethodEntry, Opening, Parts, Setup, load_weights};
 use sortie_learn::{LearnError, Method};
 
 use crate::environment::ScenarioSetName;
@@ -68,7 +68,7 @@ pub(crate) fn open(
     entry: &MethodEntry,
     description: &RunDescription<Setup>,
     threads: usize,
-) -> Result<(Box<dyn Environment>, Box<dyn Method>), LearnError> {
+) -> Result<Parts, LearnError> {
     let RunDescription { config: setup, seed, .. } = description;
     let environment = open_environment(&setup.environment)?;
     let spec = environment.spec();

@@ -32,6 +32,9 @@ use crate::state::{State, Written};
 /// Who allocates where there are no subtasks.
 const NOBODY: &str = "none";
 
+/// An environment, and a method as it is before its first step.
+pub type Parts = (Box<dyn Environment>, Box<dyn Method>);
+
 /// A run of any method in any environment.
 pub struct Session {
     description: RunDescription<Setup>,
@@ -71,9 +74,7 @@ impl Session {
     /// Another process learns in the folder, or its files cannot be read.
     pub fn resume(
         folder: &Path,
-        open: impl FnOnce(
-            &RunDescription<Setup>,
-        ) -> Result<(Box<dyn Environment>, Box<dyn Method>), LearnError>,
+        open: impl FnOnce(&RunDescription<Setup>) -> Result<Parts, LearnError>,
     ) -> Result<Self, LearnError> {
         let files = RunFolder::claim(folder)?;
         let mut description = files.read_description::<Setup>()?;
