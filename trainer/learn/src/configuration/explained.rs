@@ -60,7 +60,8 @@ In the preset `fast`, runs of less than 600,000 steps shrink `exploration.steps`
 This page is written by the program; a test compares them.
 ";
 
-fn tables(
+/// The keys of these sections as tables, with their defaults.
+pub(crate) fn tables(
     title: &str,
     sections: &[Section],
     config: &impl Serialize,
@@ -69,8 +70,11 @@ fn tables(
     let mut text = format!("\n## {title}\n");
     for section in sections {
         let heading = if section.name.is_empty() { "At the top" } else { section.name };
-        text += &format!("\n### {heading}\n\n{}\n\n", section.about);
-        text += "| key | default | range | what |\n| --- | --- | --- | --- |\n";
+        text += &format!("\n### {heading}\n\n{}\n", section.about);
+        if section.keys.is_empty() {
+            continue;
+        }
+        text += "\n| key | default | range | what |\n| --- | --- | --- | --- |\n";
         for key in section.keys {
             let Key { name, about, .. } = key;
             let value = value(&table, section, key)?;

@@ -11,7 +11,7 @@ use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
 pub use explained::reference;
-pub(crate) use explained::{explained, explained_by};
+pub(crate) use explained::{explained, explained_by, tables};
 pub use key::{Key, Range, Section};
 use key::{find, nearest_path};
 pub use keys::{EXPLORATION, FAST, OPTIMISER, PAPER};

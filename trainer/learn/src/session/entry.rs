@@ -96,6 +96,19 @@ impl MethodEntry {
         configuration::explained_by(&self.sections(), &setup.table()?)
     }
 
+    /// All keys with their defaults, as a part of a page of documentation.
+    ///
+    /// # Errors
+    /// A preset lacks a key.
+    pub fn reference(&self) -> Result<String, LearnError> {
+        let mut text = String::new();
+        for preset in self.presets {
+            let title = format!("`{}`, preset `{}`", self.name, preset.name);
+            text += &configuration::tables(&title, &self.sections(), &(preset.setup)().table()?)?;
+        }
+        Ok(text)
+    }
+
     /// All keys of a setup.
     pub fn sections(&self) -> Vec<Section> {
         [&WHERE, self.sections, &[RUN]].concat()

@@ -90,7 +90,9 @@ pub const FAST: &[Section] = &[
     Section {
         name: "exploration",
         about: "How often agents take a random available action.",
-        keys: EXPLORATION,
+        keys: &exploration(
+            "Length of the way down. Unless set, a run of less than 600,000 steps shrinks it in proportion.",
+        ),
     },
     Section {
         name: "optimiser",

@@ -194,22 +194,21 @@ pub const OPTIMISER: &[Key] = &[
 ];
 
 /// The keys of [`ExplorationConfig`](super::ExplorationConfig).
-pub const EXPLORATION: &[Key] = &[
-    key("start", "probability", SHARE, "At the first step."),
-    key("end", "probability", SHARE, "From step `steps` on."),
-    key(
-        "steps",
-        "environment steps",
-        Whole(0, STEPS),
-        "Length of the way down. Unless set, a run of less than 600,000 steps shrinks it in proportion.",
-    ),
-    key(
-        "spread",
-        "factor",
-        Numbers(0.0, 100.0),
-        "Factors on the probability, dealt to the instances in turn: some act greedily, some more wildly.",
-    ),
-];
+pub const EXPLORATION: &[Key] = &exploration("Length of the way down.");
+
+const fn exploration(steps: &'static str) -> [Key; 4] {
+    [
+        key("start", "probability", SHARE, "At the first step."),
+        key("end", "probability", SHARE, "From step `steps` on."),
+        key("steps", "environment steps", Whole(0, STEPS), steps),
+        key(
+            "spread",
+            "factor",
+            Numbers(0.0, 100.0),
+            "Factors on the probability, dealt to the instances in turn: some act greedily, some more wildly.",
+        ),
+    ]
+}
 
 const RETURNS: &[Key] = &[
     key("steps", "steps", Whole(1, 1000), "Steps before a target bootstraps."),

@@ -1,0 +1,30 @@
+//! The page about the keys of methods says what the program knows.
+
+use sortie_learn::run::Difference;
+use sortie_methods::value_factorisation::{QMIX, REFIL, VDN};
+
+const HEAD: &str = "\
+# Methods of any environment, key by key
+
+`sortie train METHOD --env ENV/SET --print-config` prints these keys with their values; `--set`, `--config` and `train.toml` take them, as
+[configuration.md](configuration.md) says. This page is written by the program; a test compares them.
+";
+
+#[test]
+fn the_page_lists_every_key() {
+    let mut page = HEAD.to_owned() + &QMIX.reference().unwrap() + "\n## The others\n\n";
+    let qmix = QMIX.preset("fast").unwrap();
+    for other in [VDN, REFIL] {
+        let setup = other.preset("fast").unwrap();
+        let difference = Difference::between(&qmix, &setup).unwrap().unwrap();
+        page += &format!("- `{}`: `{}` is `{}`.\n", other.name, difference.key, difference.theirs);
+    }
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/configuration-methods.md");
+    if std::env::var_os("SORTIE_WRITE_DOCS").is_some() {
+        std::fs::write(path, &page).unwrap();
+    }
+    assert!(
+        std::fs::read_to_string(path).unwrap_or_default() == page,
+        "docs/configuration-methods.md is another: SORTIE_WRITE_DOCS=1 cargo test -p sortie-methods --test reference"
+    );
+}
