@@ -10,6 +10,7 @@ mod plan;
 mod play;
 mod players;
 mod pooled;
+mod summary;
 mod teams;
 mod worlds;
 
@@ -17,10 +18,9 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 use sortie_envs::save_the_city::{
-    AllocationRule, City, Constants, DecisionPoints, EpisodeMetrics, SaveTheCity, ScenarioSet,
-    UNASSIGNED,
+    AllocationRule, City, Constants, DecisionPoints, SaveTheCity, ScenarioSet, UNASSIGNED,
 };
-use sortie_envs::{Entry, Step};
+use sortie_envs::{Entry, Episode, Step};
 
 pub use sortie_envs::save_the_city::golden::{Labels, Recorder};
 
@@ -276,34 +276,24 @@ pub fn watch_last_episode(
     Ok(())
 }
 
-fn summary(episodes: Vec<Finished>) -> Evaluation {
-    let count = episodes.len();
-    let mean = |value: &dyn Fn(&EpisodeMetrics) -> f64| {
-        episodes.iter().map(|episode| value(&episode.metrics)).sum::<f64>() / count.max(1) as f64
+fn summary(finished: Vec<Finished>) -> Evaluation {
+    let episode = |finished: &Finished| {
+        let metrics = &finished.metrics;
+        Episode {
+            steps: metrics.steps,
+            done: true,
+            solved: metrics.solved,
+            timed_out: metrics.timed_out,
+            episode_return: metrics.episode_return,
+            group: finished.team.clone(),
+            metrics: vec![Some(f64::from(u8::from(metrics.none_burned())))],
+        }
     };
-    let share = |holds: &dyn Fn(&EpisodeMetrics) -> bool| mean(&|m| f64::from(u8::from(holds(m))));
-    let return_mean = mean(&|m| m.episode_return);
-    let spread: f64 =
-        episodes.iter().map(|e| (e.metrics.episode_return - return_mean).powi(2)).sum();
-    let mut by_team = BTreeMap::<String, TeamSuccess>::new();
-    for episode in &episodes {
-        let entry = by_team.entry(episode.team.clone()).or_default();
-        entry.episodes += 1;
-        entry.solved += usize::from(episode.metrics.solved);
-    }
-    let failed = |cause: Cause| episodes.iter().filter(|e| e.cause == Some(cause)).count();
-    let solved = by_team.values().map(|team| team.solved).sum();
+    let episodes: Vec<Episode> = finished.iter().map(episode).collect();
+    let failed = |cause: Cause| finished.iter().filter(|e| e.cause == Some(cause)).count();
     Evaluation {
-        episodes: count,
-        success: share(&|m| m.solved),
-        success_ci95: wilson_interval(solved, count),
-        return_mean,
-        return_sd: (spread / count.saturating_sub(1).max(1) as f64).sqrt(),
-        length_mean: mean(&|m| f64::from(m.steps)),
-        timeouts: share(&|m| m.timed_out),
-        metrics: [("none_burned".to_owned(), share(&|m| m.none_burned()))].into(),
         failures: Cause::ALL.map(|cause| (cause.name().to_owned(), failed(cause))).into(),
-        by_team,
+        ..Evaluation::of(["none_burned"].into_iter(), &episodes)
     }
 }
 

@@ -1,11 +1,9 @@
 //! Greedy episodes, and what they come to.
 
-use std::collections::BTreeMap;
-
 use sortie_envs::{Environment, Episode, Random, Split};
 
 use crate::error::LearnError;
-use crate::evaluate::{Evaluation, TeamSuccess, wilson_interval};
+use crate::evaluate::Evaluation;
 use crate::method::{Act, Scene, Scenes};
 use crate::random::{Purpose, generator};
 
@@ -48,7 +46,7 @@ pub fn evaluate(
             open.extend(Open::start(&mut *worlds, world.instance, &mut started, episodes, seed));
         }
     }
-    Ok(summary(worlds.spec().metrics.iter().map(|metric| metric.name), &done))
+    Ok(Evaluation::of(worlds.spec().metrics.iter().map(|metric| metric.name), &done))
 }
 
 /// An episode that is being played.
@@ -87,37 +85,27 @@ impl Open {
     }
 }
 
-fn summary(metrics: impl Iterator<Item = &'static str>, episodes: &[Episode]) -> Evaluation {
-    let count = episodes.len();
-    let mean = |value: &dyn Fn(&Episode) -> f64| {
-        episodes.iter().map(value).sum::<f64>() / count.max(1) as f64
-    };
-    let share =
-        |holds: &dyn Fn(&Episode) -> bool| mean(&|episode| f64::from(u8::from(holds(episode))));
-    let return_mean = mean(&|episode| episode.episode_return);
-    let spread: f64 = episodes.iter().map(|e| (e.episode_return - return_mean).powi(2)).sum();
-    let mut by_team = BTreeMap::<String, TeamSuccess>::new();
-    for episode in episodes {
-        let entry = by_team.entry(episode.group.clone()).or_default();
-        entry.episodes += 1;
-        entry.solved += usize::from(episode.solved);
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Stays, and counts the episodes that begin.
+    struct Begins(usize);
+
+    impl Act for Begins {
+        fn act(&mut self, scenes: &Scenes<'_>, actions: &mut [u16]) -> Result<(), LearnError> {
+            self.0 += scenes.scenes.iter().filter(|scene| scene.begins).count();
+            actions.fill(1);
+            Ok(())
+        }
     }
-    let metric = |(index, name): (usize, &str)| {
-        let values = episodes.iter().filter_map(|e| e.metrics.get(index).copied().flatten());
-        let values: Vec<f64> = values.collect();
-        let mean = values.iter().sum::<f64>() / values.len() as f64;
-        (!values.is_empty()).then(|| (name.to_owned(), mean))
-    };
-    Evaluation {
-        episodes: count,
-        success: share(&|episode| episode.solved),
-        success_ci95: wilson_interval(by_team.values().map(|team| team.solved).sum(), count),
-        return_mean,
-        return_sd: (spread / count.saturating_sub(1).max(1) as f64).sqrt(),
-        length_mean: mean(&|episode| f64::from(episode.steps)),
-        timeouts: share(&|episode| episode.timed_out),
-        metrics: metrics.enumerate().filter_map(metric).collect(),
-        failures: BTreeMap::new(),
-        by_team,
+
+    #[test]
+    fn an_episode_begins_once() {
+        let ring = sortie_envs::open("group-matching/4x3x2", Split::Test, 1, &Default::default());
+        let mut begins = Begins(0);
+        let evaluation = evaluate(&*ring.unwrap(), &mut begins, 100, 1).unwrap();
+        assert_eq!((begins.0, evaluation.episodes), (100, 100));
+        assert!(evaluation.length_mean > 2.0, "{evaluation:?}");
     }
 }

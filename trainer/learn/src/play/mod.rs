@@ -59,13 +59,13 @@ impl Play {
         let agents = self.worlds.spec().shape.agents;
         self.actions.clear();
         self.actions.resize(self.running.len() * agents, 0);
-        let scene = |(instance, running): (usize, &'_ Running)| (instance, running.begins);
-        let scenes: Vec<Scene<'_>> = self
-            .running
-            .iter()
-            .enumerate()
-            .map(|each| (scene(each), &each.1.state))
-            .map(|((instance, begins), state)| Scene { instance, state, begins })
+        let running = self.running.iter().enumerate();
+        let scenes: Vec<Scene<'_>> = running
+            .map(|(instance, Running { state, begins, .. })| Scene {
+                instance,
+                state,
+                begins: *begins,
+            })
             .collect();
         let scenes = Scenes { environment: &*self.worlds, scenes: &scenes };
         method.act(&scenes, now, &mut self.random, &mut self.actions)?;
