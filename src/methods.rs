@@ -70,6 +70,7 @@ pub(crate) fn open(
     threads: usize,
 ) -> Result<Parts, LearnError> {
     let RunDescription { config: setup, seed, .. } = description;
+    entry.check(setup)?;
     let environment = open_environment(&setup.environment)?;
     let spec = environment.spec();
     let method = (entry.open)(&Opening { setup, spec, seed: *seed, threads })?;

@@ -64,6 +64,10 @@ fn a_run_is_inspected_evaluated_prolonged_and_exported() {
 fn what_does_not_fit_is_refused_in_one_line() {
     for (arguments, part) in [
         (
+            &["train", "vdn", "--env", "group-matching", "--steps", "0", "--out", "x"][..],
+            "`run.steps` is 0",
+        ),
+        (
             &["train", "vdn", "--out", "nowhere"][..],
             "say where by `--env`: save-the-city, group-matching",
         ),

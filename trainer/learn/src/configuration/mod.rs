@@ -88,7 +88,11 @@ pub(crate) fn table_of(config: &impl Serialize) -> Result<Table, LearnError> {
     parsed(&to_toml(config)?)
 }
 
-fn check_table(within: &str, table: &Table, sections: &[Section]) -> Result<(), LearnError> {
+pub(crate) fn check_table(
+    within: &str,
+    table: &Table,
+    sections: &[Section],
+) -> Result<(), LearnError> {
     for (name, value) in table {
         let path = if within.is_empty() { name.clone() } else { format!("{within}.{name}") };
         match (value, find(sections, &path)) {

@@ -88,6 +88,14 @@ impl MethodEntry {
         Setup::from_table(self.name, table)
     }
 
+    /// Refuses a setup with a value outside the limits of its key, such as that of a file that somebody changed.
+    ///
+    /// # Errors
+    /// The first such key.
+    pub fn check(&self, setup: &Setup) -> Result<(), LearnError> {
+        configuration::check_table("", &setup.table()?, &self.sections())
+    }
+
     /// A setup as a file that explains every key.
     ///
     /// # Errors

@@ -19,7 +19,7 @@ pub use setup::{EnvironmentChoice, Setup};
 
 use crate::error::LearnError;
 use crate::evaluate::Evaluation;
-use crate::method::{Act, Method, Now};
+use crate::method::{Method, Now};
 use crate::play::{self, Play};
 use crate::random::{Purpose, generator};
 use crate::run::checkpoint::{Checkpoint, OpenFor};
@@ -229,8 +229,7 @@ impl Learning for Session {
     }
 
     fn measure(&self, episodes: usize, seed: u64) -> Result<Evaluation, LearnError> {
-        let mut team: Box<dyn Act + '_> = self.method.team();
-        play::evaluate(&*self.environment, &mut *team, episodes, seed)
+        play::evaluate(&*self.environment, &mut *self.method.team(), episodes, seed)
     }
 
     fn save(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError> {
