@@ -157,3 +157,71 @@ impl Acting {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use sortie_envs::{Split, Step};
+
+    use super::super::keys::VDN;
+    use super::*;
+
+    fn ring() -> Box<dyn Environment> {
+        sortie_envs::open("group-matching/4x3x2", Split::Train, 1, &Default::default()).unwrap()
+    }
+
+    /// A method that has seen the first state of an episode so many times, each time left in one way.
+    fn seen(ring: &mut dyn Environment, batch: usize, step: Step) -> ValueFactorisation {
+        let mut setup = VDN.preset("fast").unwrap();
+        setup.environment.instances = 1;
+        let mut config: Config = setup.own().unwrap();
+        config.replay.batch = batch;
+        let opening = Opening { setup: &setup, spec: ring.spec(), seed: 1, threads: 1 };
+        let mut method = ValueFactorisation::new(config, &opening);
+        let mut state = Vec::new();
+        ring.reset(0, &mut generator(1, Purpose::Rollout, 0));
+        ring.save(0, &mut state);
+        for _ in 0..20 {
+            let transition = Transition {
+                environment: ring,
+                instance: 0,
+                state: &state,
+                actions: &[1; 4],
+                step,
+                task_rewards: &[],
+                agent_rewards: &[],
+                next: &state,
+            };
+            method.remember(&transition).unwrap();
+        }
+        method
+    }
+
+    #[test]
+    fn what_follows_an_end_is_worth_nothing_and_what_follows_a_time_out_something() {
+        let end = |terminated, timed_out| {
+            let step = Step { reward: 2.0, terminated, timed_out, ..Step::default() };
+            let mut method = seen(&mut *ring(), 32, step);
+            let place = method.replay.draw(1, &mut method.random);
+            let future = method.replay.future(place, 1, 0.5);
+            (future.reward, future.discount)
+        };
+        assert_eq!(end(true, false), (2.0, 0.0));
+        assert_eq!(end(false, true), (2.0, 0.5));
+        assert_eq!(end(false, false), (2.0, 0.5));
+    }
+
+    #[test]
+    fn the_gradient_is_the_mean_of_all_chunks() {
+        let norm = |batch| {
+            let mut ring = ring();
+            let step = Step { reward: 2.0, terminated: true, ..Step::default() };
+            let mut method = seen(&mut *ring, batch, step);
+            let ValueFactorisation { learner, replay, random, .. } = &mut method;
+            learner.update(replay, &*ring, 0.0, random)
+        };
+        let (one, three) = (norm(32), norm(96));
+        assert!(one.gradient_norm > 0.1, "{one:?}");
+        assert!((one.gradient_norm - three.gradient_norm).abs() < 1e-4, "{one:?} {three:?}");
+        assert!((one.loss - three.loss).abs() < 1e-6, "{one:?} {three:?}");
+    }
+}
