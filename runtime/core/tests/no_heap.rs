@@ -17,6 +17,7 @@ use sortie_core::{
 
 const AGENT: &[u8] = include_plan!("../../../tests/golden/plans/agent-1.0.plan");
 const INT8: &[u8] = include_plan!("../../../tests/golden/plans/agent-int8-1.1.plan");
+const SKIP: &[u8] = include_plan!("../../../tests/golden/plans/agent-skip-1.3.plan");
 const TEAM_VALUE: &[u8] = include_plan!("../../../tests/golden/plans/team-value-1.0.plan");
 
 const PROPOSALS: &[u8] = include_plan!("../../../tests/golden/plans/proposals-1.2.plan");
@@ -104,6 +105,11 @@ fn decisions_never_touch_the_heap() {
 #[test]
 fn int8_decisions_never_touch_the_heap() {
     decide::<{ arena_bytes(INT8) }>(INT8);
+}
+
+#[test]
+fn decisions_with_a_skip_never_touch_the_heap() {
+    decide::<{ arena_bytes(SKIP) }>(SKIP);
 }
 
 fn decide<const ARENA: usize>(plan: &[u8]) {
