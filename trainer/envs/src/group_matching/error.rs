@@ -22,7 +22,7 @@ pub enum ParametersError {
     Noise,
     /// Episodes without a step.
     NoSteps,
-    /// A size of groups that is held out where none or all have it.
+    /// Held-out starts where none or all are.
     HeldOut,
 }
 
@@ -39,7 +39,7 @@ impl fmt::Display for ParametersError {
             }
             Self::Noise => f.write_str("the noise is not a probability from 0 to 1"),
             Self::HeldOut => f.write_str(
-                "a held-out size of groups needs two drawn groups, and fewer members than agents",
+                "what is held out leaves no starts to learn from, or none to measure on",
             ),
             Self::NoSteps => f.write_str("an episode limit of 0 steps leaves no episode"),
         }

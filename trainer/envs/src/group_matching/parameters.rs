@@ -1,6 +1,7 @@
 //! The sizes and chances of a ring.
 
 use super::error::ParametersError;
+use super::reset::has_both;
 use crate::spec::Shape;
 
 /// Most agents.
@@ -34,6 +35,10 @@ pub struct Parameters {
     /// A size of groups that is kept for measuring: starts to learn from have no group of it, those to
     /// measure on have one. 0 for none.
     pub held_out: usize,
+    /// Starts in which two groups have so many members or more are kept for measuring. 0 for none.
+    pub held_out_members: usize,
+    /// The share of all ways to group the agents that is kept for measuring.
+    pub held_out_share: f64,
 }
 
 impl Default for Parameters {
@@ -47,6 +52,8 @@ impl Default for Parameters {
             fixed_groups: false,
             groups_known_at_first: false,
             held_out: 0,
+            held_out_members: 0,
+            held_out_share: 0.0,
         }
     }
 }
@@ -89,8 +96,15 @@ impl Parameters {
         if self.episode_limit == 0 {
             return Err(ParametersError::NoSteps);
         }
-        let drawn = self.groups > 1 && !self.fixed_groups && self.held_out < self.agents;
-        if drawn || self.held_out == 0 { Ok(()) } else { Err(ParametersError::HeldOut) }
+        if self.holds_out() && !has_both(self) {
+            return Err(ParametersError::HeldOut);
+        }
+        Ok(())
+    }
+
+    /// Whether some starts are kept for measuring.
+    pub(super) fn holds_out(&self) -> bool {
+        self.held_out > 0 || self.held_out_members > 0 || self.held_out_share > 0.0
     }
 
     /// Columns of a feature row.

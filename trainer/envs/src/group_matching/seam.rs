@@ -44,21 +44,44 @@ struct Settings {
     episode_limit: u32,
     groups_known_at_first: bool,
     held_out: usize,
+    held_out_members: usize,
+    held_out_share: f64,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        let Parameters { noise, episode_limit, groups_known_at_first, held_out, .. } =
-            Parameters::default();
-        Self { noise, episode_limit, groups_known_at_first, held_out }
+        let usual = Parameters::default();
+        Self {
+            noise: usual.noise,
+            episode_limit: usual.episode_limit,
+            groups_known_at_first: usual.groups_known_at_first,
+            held_out: usual.held_out,
+            held_out_members: usual.held_out_members,
+            held_out_share: usual.held_out_share,
+        }
+    }
+}
+
+impl Settings {
+    /// The parameters of a ring of these sizes.
+    fn with_sizes(self, sizes: Parameters) -> Parameters {
+        Parameters {
+            noise: self.noise,
+            episode_limit: self.episode_limit,
+            groups_known_at_first: self.groups_known_at_first,
+            held_out: self.held_out,
+            held_out_members: self.held_out_members,
+            held_out_share: self.held_out_share,
+            ..sizes
+        }
     }
 }
 
 fn open(choice: &Choice<'_>) -> Result<GroupMatching, EnvironmentError> {
-    let Settings { noise, episode_limit, groups_known_at_first, held_out } = choice.settings()?;
+    let settings: Settings = choice.settings()?;
     let sizes = Parameters::named(choice.set.unwrap_or(SET_NAMES[0]))
         .map_err(|error| EnvironmentError::Set(error.to_string()))?;
-    let parameters = Parameters { noise, episode_limit, groups_known_at_first, held_out, ..sizes };
+    let parameters = settings.with_sizes(sizes);
     GroupMatching::new(parameters, choice.instances)
         .map(|ring| ring.with_instances(choice.instances, choice.split))
         .map_err(|error| EnvironmentError::Setting(error.to_string()))
