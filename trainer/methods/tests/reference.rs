@@ -13,11 +13,14 @@ const HEAD: &str = "\
 #[test]
 fn the_page_lists_every_key() {
     let mut page = HEAD.to_owned() + &QMIX.reference().unwrap() + "\n## The others\n\n";
-    let qmix = QMIX.preset("fast").unwrap();
-    for other in [VDN, REFIL] {
-        let setup = other.preset("fast").unwrap();
-        let difference = Difference::between(&qmix, &setup).unwrap().unwrap();
-        page += &format!("- `{}`: `{}` is `{}`.\n", other.name, difference.key, difference.theirs);
+    for preset in ["fast", "paper"] {
+        let qmix = QMIX.preset(preset).unwrap();
+        for other in [VDN, REFIL] {
+            let setup = other.preset(preset).unwrap();
+            let Difference { key, theirs, .. } =
+                Difference::between(&qmix, &setup).unwrap().unwrap();
+            page += &format!("- `{}`, preset `{preset}`: `{key}` is `{theirs}`.\n", other.name);
+        }
     }
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/configuration-methods.md");
     if std::env::var_os("SORTIE_WRITE_DOCS").is_some() {

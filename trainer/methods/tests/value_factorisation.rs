@@ -99,15 +99,41 @@ fn a_small_ring_is_learned_by_every_method() {
     }
 }
 
+/// Agents with a memory that learn from whole episodes as the dissertation's do.
+const REMEMBERING: [&str; 8] = [
+    "network.memory=8",
+    "mixer.hypernetworks=separate",
+    "replay.unit=episodes",
+    "replay.capacity=20",
+    "replay.batch=8",
+    "replay.steps_per_update=0",
+    "update.rule=rmsprop",
+    "update.target_every=10",
+];
+
+fn with<'a>(more: &[&'a str]) -> Vec<&'a str> {
+    REMEMBERING.into_iter().chain(more.iter().copied()).collect()
+}
+
 #[test]
 fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
-    let run = small("refil", &["run.steps=2000", "run.final_episodes=0"]);
+    let short = ["run.steps=2000", "run.final_episodes=0"];
+    goes_on_as_if_it_had_not_stopped(&small("refil", &short));
+}
+
+#[test]
+fn agents_with_a_memory_go_on_as_if_they_had_not_stopped() {
+    let short = with(&["run.steps=2000", "run.final_episodes=0", "optimiser.learning_rate=0.001"]);
+    goes_on_as_if_it_had_not_stopped(&small("refil", &short));
+}
+
+fn goes_on_as_if_it_had_not_stopped(run: &(&'static MethodEntry, Setup)) {
     let (whole, parted) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    let mut session = begin(&run, 3, 1, whole.path());
+    let mut session = begin(run, 3, 1, whole.path());
     session.run(&mut (), &AtomicBool::new(false)).unwrap();
 
     let stop = AtomicBool::new(false);
-    let mut first = begin(&run, 3, 1, parted.path());
+    let mut first = begin(run, 3, 1, parted.path());
     let mut watch = Watch { stop: Some((&stop, 1_100)), ..Watch::default() };
     assert_eq!(first.run(&mut watch, &stop).unwrap(), Outcome::Stopped);
     drop(first);
@@ -117,9 +143,10 @@ fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
     second.run(&mut (), &AtomicBool::new(false)).unwrap();
     assert!(weights(whole.path()) == weights(parted.path()), "other weights");
     assert_eq!(curve(&session), curve(&second));
+    assert!(session.curve().iter().all(|point| point.loss > 0.0), "{:?}", session.curve());
 
     let other = tempfile::tempdir().unwrap();
-    let mut other_seed = begin(&run, 4, 1, other.path());
+    let mut other_seed = begin(run, 4, 1, other.path());
     other_seed.run(&mut (), &AtomicBool::new(false)).unwrap();
     assert!(weights(whole.path()) != weights(other.path()), "another seed gives the same weights");
 }
@@ -152,12 +179,14 @@ fn what_was_learned_is_opened_and_taken_over() {
 
 #[test]
 fn the_deployed_policy_plays_as_the_team_that_learned() {
-    for skip in ["network.skip=true", "network.skip=false"] {
-        let (entry, setup) = small("refil", &[skip]);
+    let remembers = with(&["network.skip=true"]);
+    for changes in [&["network.skip=true"][..], &["network.skip=false"], &remembers] {
+        let (entry, setup) = small("refil", changes);
         let description = RunDescription::new(setup, 2, 1);
         let (ring, method) = open(entry, &description, 1).unwrap();
         let mut deployed = method.deployed().unwrap();
-        assert_eq!(deployed.network.skip.is_some(), skip.ends_with("true"));
+        assert_eq!(deployed.network.skip.is_some(), changes.contains(&"network.skip=true"));
+        assert_eq!(deployed.memory.is_some(), changes.len() > 1);
         let mut policy = play::PolicyTeam::new(&mut *deployed.policy);
         let mine = play::evaluate(&*ring, &mut policy, 40, 3).unwrap();
         assert_eq!(mine, play::evaluate(&*ring, &mut *method.team(), 40, 3).unwrap());
@@ -174,6 +203,12 @@ fn what_cannot_work_is_refused_with_what_would() {
     assert!(error.contains("48") && error.contains("[16, 32, 64, 128]"), "{error}");
     let error = open_with("refil", &["replay.capacity=100"]);
     assert!(error.contains("replay.capacity") && error.contains("group-matching"), "{error}");
+    let error = open_with("refil", &["network.memory=8"]);
+    assert!(error.contains("`replay.unit=episodes`"), "{error}");
+    let error = open_with("refil", &["replay.steps_per_update=0"]);
+    assert!(error.contains("`replay.steps_per_update` is 0"), "{error}");
+    let error = open_with("refil", &with(&["replay.batch=21"]));
+    assert!(error.contains("20 episodes, an update draws 21"), "{error}");
     let entry = find("refil").unwrap();
     let setup = entry.preset("fast").unwrap();
     for (assignment, parts) in [
@@ -185,7 +220,7 @@ fn what_cannot_work_is_refused_with_what_would() {
         assert!(parts.iter().all(|part| error.contains(part)), "{error}");
     }
     let error = entry.preset("slow").unwrap_err().to_string();
-    assert!(error.contains("`slow`") && error.contains("`fast`"), "{error}");
+    assert!(error.contains("`slow`") && error.contains("`fast`, `paper`"), "{error}");
 }
 
 #[test]

@@ -48,7 +48,12 @@ pub fn draft_method(
     seed: u64,
 ) -> Result<Draft, LearnError> {
     let spec = run.environment.spec();
-    let DeployedAgents { network, mut policy } = run.method.deployed()?;
+    let DeployedAgents { network, memory, mut policy } = run.method.deployed()?;
+    if memory.is_some() {
+        let reason =
+            "agents with a memory are evaluated only: teams of processes keep no memories yet";
+        return Err(LearnError::Config(reason.to_owned()));
+    }
     let contract = contract(spec, network.inputs != spec.shape.features);
     let agent = agent_onnx(&AgentNetwork {
         features: spec.shape.features,

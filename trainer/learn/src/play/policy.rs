@@ -16,6 +16,8 @@ pub struct PolicyTeam<P> {
     available: Vec<u16>,
     /// `[instances][A]`
     last_actions: Vec<Vec<u16>>,
+    /// `[instances][A, R]`
+    memories: Vec<Vec<f32>>,
 }
 
 impl<P: Policy> PolicyTeam<P> {
@@ -27,6 +29,7 @@ impl<P: Policy> PolicyTeam<P> {
             rows: Vec::new(),
             available: Vec::new(),
             last_actions: Vec::new(),
+            memories: Vec::new(),
         }
     }
 
@@ -37,7 +40,7 @@ impl<P: Policy> PolicyTeam<P> {
 
     /// Lays out what an instance shows.
     fn look(&mut self, scenes: &Scenes<'_>, scene: usize) {
-        let Self { seen, rows, available, last_actions, .. } = self;
+        let Self { policy, seen, rows, available, last_actions, memories } = self;
         let (environment, scene) = (scenes.environment, scenes.scenes[scene]);
         let shape = environment.spec().shape;
         environment.observe(scene.state, 0, EntitySet::MAX, seen);
@@ -54,7 +57,9 @@ impl<P: Policy> PolicyTeam<P> {
         }
         let places = last_actions.len().max(scene.instance + 1);
         last_actions.resize(places, Vec::new());
+        memories.resize(places, Vec::new());
         if scene.begins {
+            memories[scene.instance] = vec![0.0; shape.agents * policy.hidden()];
             last_actions[scene.instance] = vec![NO_ACTION; shape.agents];
         }
     }
@@ -77,7 +82,15 @@ impl<P: Policy> Act for PolicyTeam<P> {
             };
             let observations: Vec<Seen<'_>> = (0..agents).map(see).collect();
             let mut decisions = vec![Err(DecideError::BadLength); agents];
-            self.policy.decide_batch(&observations, &mut decisions);
+            if self.policy.hidden() == 0 {
+                self.policy.decide_batch(&observations, &mut decisions);
+            } else {
+                let memories = self.memories[instance].chunks_exact_mut(self.policy.hidden());
+                let seen = observations.iter().zip(memories).zip(&mut decisions);
+                for ((observation, memory), decision) in seen {
+                    *decision = self.policy.decide_with(observation, memory);
+                }
+            }
             for (action, decision) in actions.iter_mut().zip(decisions) {
                 *action = decision.map_err(|error| LearnError::Team(error.to_string()))?.action;
             }

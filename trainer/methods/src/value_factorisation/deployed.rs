@@ -3,25 +3,36 @@
 use sortie_core::choose::masked_argmax;
 use sortie_core::{DecideError, Decision, Policy};
 use sortie_envs::{EntitySet, Observation};
-use sortie_learn::export::{AttentionNetwork, DeployedAgents, Layer, Layout, Matrix};
+use sortie_learn::export::{AttentionNetwork, DeployedAgents, GruCell, Layer, Layout, Matrix};
+use sortie_nn::layers::gru::lengths;
 
 use super::agent::AgentPass;
 use super::scenes::Scenes;
 use super::split_attention::HEADS;
 use super::temporal_difference::Network;
+use super::tensors::views;
 
 /// The agents of a network.
 pub(super) fn deployed(network: &Network) -> DeployedAgents<'_> {
     let shape = network.shape.agent;
-    let [fc1, fc1_bias, attention_in, out, out_bias, skip, head, head_bias] =
+    let [fc1, fc1_bias, attention_in, out, out_bias, skip, fc2, fc2_bias, unit, head, head_bias] =
         shape.views(network.agent());
     let matrix = |values| Matrix { values, layout: Layout::OutputsFirst };
+    let remembers = shape.memory > 0;
+    let memory = remembers.then(|| {
+        let [input, recurrent, input_bias, recurrent_bias] = views(unit, lengths(shape.memory));
+        GruCell {
+            input: Layer { weight: matrix(input), bias: input_bias },
+            recurrent: Layer { weight: matrix(recurrent), bias: recurrent_bias },
+        }
+    });
     DeployedAgents {
+        memory,
         network: AttentionNetwork {
             inputs: shape.input,
             width: shape.width,
             heads: HEADS,
-            base: shape.width,
+            base: shape.last(),
             outputs: shape.actions,
             fc1: Layer {
                 weight: Matrix { values: fc1, layout: Layout::InputsFirst },
@@ -30,7 +41,7 @@ pub(super) fn deployed(network: &Network) -> DeployedAgents<'_> {
             attention_in: matrix(attention_in),
             attention_out: Layer { weight: matrix(out), bias: out_bias },
             skip: shape.skip.then(|| matrix(skip)),
-            fc2: None,
+            fc2: remembers.then(|| Layer { weight: matrix(fc2), bias: fc2_bias }),
             head: Layer { weight: matrix(head), bias: head_bias },
         },
         policy: Box::new(NetworkPolicy::new(network)),
@@ -89,9 +100,34 @@ impl Policy for NetworkPolicy<'_> {
         observation: &sortie_core::Observation<'_>,
         utilities: &mut [f32],
     ) -> Result<(), DecideError> {
-        self.look(observation)?;
+        self.utilities_with(observation, &mut [], utilities)
+    }
+
+    fn decide(
+        &mut self,
+        observation: &sortie_core::Observation<'_>,
+    ) -> Result<Decision, DecideError> {
+        self.decide_with(observation, &mut [])
+    }
+
+    fn hidden(&self) -> usize {
+        self.network.shape.agent.memory
+    }
+
+    fn utilities_with(
+        &mut self,
+        observation: &sortie_core::Observation<'_>,
+        hidden: &mut [f32],
+        utilities: &mut [f32],
+    ) -> Result<(), DecideError> {
         let shape = self.network.shape.agent;
-        let computed = self.pass.forward(shape, self.network.agent(), &self.scenes, 1);
+        if hidden.len() != shape.memory {
+            return Err(DecideError::HiddenState { want: shape.memory, got: hidden.len() });
+        }
+        self.look(observation)?;
+        let memory = (shape.memory > 0).then_some(hidden);
+        let scenes = (&self.scenes, 1);
+        let computed = self.pass.forward_from(shape, self.network.agent(), scenes, memory);
         if computed.len() != utilities.len() {
             return Err(DecideError::BadLength);
         }
@@ -99,12 +135,13 @@ impl Policy for NetworkPolicy<'_> {
         Ok(())
     }
 
-    fn decide(
+    fn decide_with(
         &mut self,
         observation: &sortie_core::Observation<'_>,
+        hidden: &mut [f32],
     ) -> Result<Decision, DecideError> {
         let mut utilities = vec![0.0; self.actions()];
-        self.utilities(observation, &mut utilities)?;
+        self.utilities_with(observation, hidden, &mut utilities)?;
         masked_argmax(&utilities, observation.available)
     }
 }

@@ -1,96 +1,11 @@
-//! The methods by their names, their presets and keys.
+//! The keys of the methods.
 
-use sortie_envs::View;
 use sortie_learn::configuration::{EXPLORATION, Key, OPTIMISER, Range, Section};
-use sortie_learn::run::RunConfig;
-use sortie_learn::session::{EnvironmentChoice, MethodEntry, Opening, Preset, Setup};
-use sortie_learn::{LearnError, Method};
-use toml::Table;
-
-use super::config::Config;
-use super::method::ValueFactorisation;
-use super::mixer::MixerKind;
-use super::partition::Partitions;
-use super::split_attention::WIDTHS;
-
-/// A-QMIX: agents that look at entities, under a mixer that does.
-pub const QMIX: MethodEntry = MethodEntry {
-    name: "qmix",
-    about: "Utilities of agents that attend to entities, mixed by what a hypernetwork sees (A-QMIX, dissertation chapter 5)",
-    sections: KEYS,
-    presets: &[Preset { name: "fast", setup: || fast(|_| {}) }],
-    open,
-};
-
-/// VDN: the utilities are added.
-pub const VDN: MethodEntry = MethodEntry {
-    name: "vdn",
-    about: "The same agents, whose utilities are added (VDN)",
-    presets: &[Preset {
-        name: "fast",
-        setup: || fast(|config| config.mixer.kind = MixerKind::Sum),
-    }],
-    ..QMIX
-};
-
-/// REFIL: A-QMIX that learns from imagined groups besides.
-pub const REFIL: MethodEntry = MethodEntry {
-    name: "refil",
-    about: "A-QMIX that learns besides from imagined groups, drawn at random (REFIL, dissertation chapter 5)",
-    presets: &[Preset {
-        name: "fast",
-        setup: || fast(|config| config.imagination.partitions = Partitions::Drawn),
-    }],
-    ..QMIX
-};
-
-fn fast(change: impl FnOnce(&mut Config)) -> Setup {
-    let mut config = Config::default();
-    change(&mut config);
-    Setup {
-        environment: EnvironmentChoice { instances: 16, ..EnvironmentChoice::default() },
-        run: RunConfig { steps: 100_000, evaluate_every: 10_000, ..RunConfig::default() },
-        own: table(&config),
-        ..Setup::default()
-    }
-}
-
-/// The configuration as a file has it; through text, in which numbers have no more digits than they need.
-fn table(config: &Config) -> Table {
-    let text = toml::to_string(config).expect("sizes and rates are values of a file");
-    text.parse().expect("what was written can be read")
-}
-
-fn open(opening: &Opening<'_>) -> Result<Box<dyn Method>, LearnError> {
-    let config: Config = opening.setup.own()?;
-    let Opening { spec, .. } = opening;
-    let misfit = |reason: String| {
-        Err(LearnError::Config(format!("`{}` in `{}`: {reason}", opening.setup.method, spec.name)))
-    };
-    if spec.view != View::Entities {
-        return misfit(
-            "its agents look at entities, of which this environment shows none".to_owned(),
-        );
-    }
-    if !WIDTHS.contains(&config.network.width) {
-        return misfit(format!(
-            "`network.width` is {}, must be one of {WIDTHS:?}",
-            config.network.width
-        ));
-    }
-    let kept = config.replay.capacity / opening.setup.environment.instances;
-    if kept <= 4 * config.returns.steps {
-        return misfit(format!(
-            "`replay.capacity` leaves {kept} states for each instance, too few"
-        ));
-    }
-    Ok(Box::new(ValueFactorisation::new(config, opening)))
-}
 
 const SHARE: Range = Range::Number(0.0, 1.0);
 const SIZE: i64 = 20_000_000;
 
-const KEYS: &[Section] = &[
+pub(super) const KEYS: &[Section] = &[
     Section {
         name: "network",
         about: "The agents' network, and the hypernetwork of the mixer.",
@@ -104,14 +19,20 @@ const KEYS: &[Section] = &[
             Key::new(
                 "active_inputs",
                 "columns",
-                Range::Whole(1, 1024),
-                "Non-zero inputs that the first weights are sized for; rows are mostly zeros.",
+                Range::Whole(0, 1024),
+                "Non-zero inputs that the first weights are sized for, as rows are mostly zeros; 0: all columns.",
             ),
             Key::new(
                 "skip",
                 "",
                 Range::Truth,
                 "Whether an agent's own embedding reaches the layer before the head, past the attention.",
+            ),
+            Key::new(
+                "memory",
+                "columns",
+                Range::Whole(0, 1024),
+                "Width of what agents remember in a gated recurrent unit, which needs `replay.unit=episodes`; 0: nothing.",
             ),
         ],
     },
@@ -124,6 +45,12 @@ const KEYS: &[Section] = &[
                 "",
                 Range::OneOf(&["sum", "linear", "qmix"]),
                 "Their sum (VDN), a weighted sum and a value of the state, or two layers with non-negative weights (QMIX).",
+            ),
+            Key::new(
+                "hypernetworks",
+                "",
+                Range::OneOf(&["shared", "separate"]),
+                "Whether one network makes all numbers that are mixed with, or one each kind: weights, biases, value.",
             ),
             Key::new(
                 "mixing",
@@ -158,13 +85,19 @@ const KEYS: &[Section] = &[
         name: "replay",
         about: "What is kept, and how much of it an update sees.",
         keys: &[
-            Key::new("capacity", "states", Range::Whole(1, SIZE), "States kept, of all instances."),
-            Key::new("batch", "states", Range::Whole(1, 65_536), "States in an update."),
+            Key::new(
+                "unit",
+                "",
+                Range::OneOf(&["steps", "episodes"]),
+                "What is kept and drawn: single states with what followed them, or whole episodes.",
+            ),
+            Key::new("capacity", "units", Range::Whole(1, SIZE), "Kept, of all instances."),
+            Key::new("batch", "units", Range::Whole(1, 65_536), "In an update."),
             Key::new(
                 "steps_per_update",
                 "environment steps",
-                Range::Whole(1, SIZE),
-                "Steps from one update to the next.",
+                Range::Whole(0, SIZE),
+                "Steps from one update to the next; 0: an update for each episode that ends.",
             ),
         ],
     },
@@ -174,4 +107,22 @@ const KEYS: &[Section] = &[
         keys: EXPLORATION,
     },
     Section { name: "optimiser", about: "How the weights follow the gradient.", keys: OPTIMISER },
+    Section {
+        name: "update",
+        about: "What follows the gradient, and the weights.",
+        keys: &[
+            Key::new(
+                "rule",
+                "",
+                Range::OneOf(&["adam", "rmsprop"]),
+                "How weights follow the gradient. RMSprop has a decay of 0.99 and adds 1e-5 to its denominator.",
+            ),
+            Key::new(
+                "target_every",
+                "updates",
+                Range::Whole(1, SIZE),
+                "Updates from one move of the target network to the next.",
+            ),
+        ],
+    },
 ];

@@ -7,6 +7,24 @@ use sortie_nn::layers::{SparseRows, relu, sparse_linear};
 use super::buffers::sized;
 use super::split_attention::{self, Backward, Forward, HEADS, SplitLists};
 
+/// What is looked at, and by whom.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct View<'a> {
+    /// Features of entities.
+    pub(super) rows: &'a SparseRows,
+    /// The row of every query, where rows are shared; else query i belongs to row i.
+    pub(super) own: &'a [u32],
+    /// For each query the rows that it sees.
+    pub(super) lists: &'a SplitLists,
+}
+
+impl View<'_> {
+    /// Rows that queries are made of, which come first.
+    fn asking(self) -> usize {
+        if self.own.is_empty() { self.lists.queries() } else { self.rows.len() }
+    }
+}
+
 /// The weights, borrowed from a parameter vector.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Weights<'a> {
@@ -30,12 +48,16 @@ pub(super) struct Gradients<'a> {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Looking {
     embedding: Vec<f32>,
+    /// Of the rows, where they are shared.
+    row_queries: Vec<f32>,
     queries: Vec<f32>,
     keys_values: Vec<f32>,
     weights: Vec<f32>,
     shares: Vec<f32>,
     attended: Vec<f32>,
+    own: Vec<f32>,
     d_embedding: Vec<f32>,
+    d_row_queries: Vec<f32>,
     d_queries: Vec<f32>,
     d_keys_values: Vec<f32>,
     d_scores: Vec<f32>,
@@ -55,22 +77,24 @@ impl Looking {
         &mut self,
         width: usize,
         weights: Weights<'_>,
-        rows: &SparseRows,
-        lists: &SplitLists,
+        view: View<'_>,
         blocks: usize,
     ) -> &[f32] {
+        let View { rows, own, lists } = view;
         let agents = lists.queries();
         let embedding = sized(&mut self.embedding, rows.len() * width);
         sparse_linear::forward(rows, weights.fc1, weights.fc1_bias, embedding);
         relu::forward(embedding);
         let (to_queries, to_keys_values) = weights.attention_in.split_at(width * width);
+        let asking = &embedding[..view.asking() * width];
         let queries = sized(&mut self.queries, agents * width);
-        linear::forward_without_bias(
-            square(width),
-            &embedding[..agents * width],
-            to_queries,
-            queries,
-        );
+        if own.is_empty() {
+            linear::forward_without_bias(square(width), asking, to_queries, queries);
+        } else {
+            let of_rows = sized(&mut self.row_queries, asking.len());
+            linear::forward_without_bias(square(width), asking, to_queries, of_rows);
+            gather(width, own, of_rows, queries);
+        }
         let keys_values = sized(&mut self.keys_values, rows.len() * 2 * width);
         linear::forward_without_bias(keys_values_of(width), embedding, to_keys_values, keys_values);
         let output = sized(&mut self.attended, blocks * agents * width);
@@ -85,9 +109,14 @@ impl Looking {
         output
     }
 
-    /// The agents' own embeddings in the last forward pass, so many numbers.
-    pub(super) fn own(&self, numbers: usize) -> &[f32] {
-        &self.embedding[..numbers]
+    /// The agents' own embeddings `[agents, E]` in the last forward pass, which looked at this.
+    pub(super) fn own(&mut self, width: usize, view: View<'_>) -> &[f32] {
+        if view.own.is_empty() {
+            return &self.embedding[..view.lists.queries() * width];
+        }
+        let own = sized(&mut self.own, view.own.len() * width);
+        gather(width, view.own, &self.embedding, own);
+        own
     }
 
     /// What the last forward pass computed, so many numbers.
@@ -101,11 +130,12 @@ impl Looking {
         &mut self,
         width: usize,
         weights: Weights<'_>,
-        (rows, lists): (&SparseRows, &SplitLists),
+        view: View<'_>,
         d_attended: &[f32],
         d_own: Option<&[f32]>,
         gradients: Gradients<'_>,
     ) {
+        let View { rows, own, lists } = view;
         let agents = lists.queries();
         let d_queries = sized(&mut self.d_queries, agents * width);
         let d_keys_values = sized(&mut self.d_keys_values, rows.len() * 2 * width);
@@ -124,19 +154,45 @@ impl Looking {
 
         let embedding = &self.embedding[..rows.len() * width];
         let d_embedding = sized(&mut self.d_embedding, rows.len() * width);
-        let own = agents * width;
+        let asking = view.asking() * width;
         let (to_queries, to_keys_values) = weights.attention_in.split_at(width * width);
         let (d_to_queries, d_to_keys_values) = gradients.attention_in.split_at_mut(width * width);
         let shape = keys_values_of(width);
         linear::backward_weight(shape, embedding, d_keys_values, d_to_keys_values);
         linear::backward_input(shape, d_keys_values, to_keys_values, Store::Replace, d_embedding);
-        let shape = square(width);
-        linear::backward_weight(shape, &embedding[..own], d_queries, d_to_queries);
-        linear::backward_input(shape, d_queries, to_queries, Store::Add, &mut d_embedding[..own]);
-        for (slope, own) in d_embedding.iter_mut().zip(d_own.unwrap_or_default()) {
-            *slope += own;
+        let mut d_asked: &[f32] = d_queries;
+        if !own.is_empty() {
+            let of_rows = sized(&mut self.d_row_queries, asking);
+            of_rows.fill(0.0);
+            scatter(width, own, d_queries, of_rows);
+            d_asked = of_rows;
+        }
+        let (embedding_of, d_embedding_of) = (&embedding[..asking], &mut d_embedding[..asking]);
+        linear::backward_weight(square(width), embedding_of, d_asked, d_to_queries);
+        linear::backward_input(square(width), d_asked, to_queries, Store::Add, d_embedding_of);
+        if let Some(d_own) = d_own {
+            if own.is_empty() {
+                d_embedding.iter_mut().zip(d_own).for_each(|(slope, own)| *slope += own);
+            } else {
+                scatter(width, own, d_own, d_embedding);
+            }
         }
         relu::backward(embedding, d_embedding);
         sparse_linear::backward(rows, d_embedding, gradients.fc1, gradients.fc1_bias);
+    }
+}
+
+/// Copies the row of every query.
+fn gather(width: usize, own: &[u32], rows: &[f32], out: &mut [f32]) {
+    for (out, row) in out.chunks_exact_mut(width).zip(own) {
+        out.copy_from_slice(&rows[*row as usize * width..][..width]);
+    }
+}
+
+/// Adds what every query has to its row.
+fn scatter(width: usize, own: &[u32], values: &[f32], rows: &mut [f32]) {
+    for (values, row) in values.chunks_exact(width).zip(own) {
+        let row = &mut rows[*row as usize * width..][..width];
+        row.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
     }
 }

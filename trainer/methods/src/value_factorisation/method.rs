@@ -10,8 +10,8 @@ use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition};
 use super::acting::Acting;
 use super::config::Config;
 use super::deployed::deployed;
-use super::learner::Learner;
-use super::replay::{End, Replay};
+use super::experience::Experience;
+use super::learner::{Learner, Update};
 use super::temporal_difference::Network;
 use super::tensors::Tensor;
 
@@ -20,7 +20,7 @@ use super::tensors::Tensor;
 pub struct ValueFactorisation {
     config: Config,
     learner: Learner,
-    replay: Replay,
+    experience: Experience,
     /// Draws records and partitions.
     random: Random,
     acting: Acting,
@@ -36,12 +36,11 @@ impl ValueFactorisation {
         let instances = setup.environment.instances;
         let mut weights = generator(seed, Purpose::Weights, 0);
         let network = Network::initialise(config.shape(spec), &mut weights);
-        let capacity = config.replay.capacity / instances;
         // Every instance needs to have played for longer than a record looks ahead.
         let first = (4 * config.returns.steps * instances).max(config.replay.batch) as u64;
         Self {
             learner: Learner::new(config.clone(), network, threads),
-            replay: Replay::new(instances, capacity, spec.shape.agents, spec.state_bytes),
+            experience: Experience::new(&config.replay, instances, spec),
             random: generator(seed, Purpose::Replay, 0),
             acting: Acting::default(),
             updates: 0,
@@ -69,16 +68,7 @@ impl Method for ValueFactorisation {
     }
 
     fn remember(&mut self, transition: &Transition<'_>) -> Result<(), LearnError> {
-        let Transition { instance, state, actions, step, next, .. } = *transition;
-        let end = match (step.terminated, step.timed_out) {
-            (true, _) => End::Over,
-            (_, true) => End::TimedOut,
-            _ => End::Open,
-        };
-        self.replay.push(instance, state, actions, step.reward as f32, end);
-        if step.done() {
-            self.replay.push_last(instance, next);
-        }
+        self.experience.push(transition);
         Ok(())
     }
 
@@ -88,12 +78,18 @@ impl Method for ValueFactorisation {
         now: Now,
         reports: &mut Vec<UpdateReport>,
     ) -> Result<(), LearnError> {
-        let due = now.env_steps.saturating_sub(self.first) / self.config.replay.steps_per_update;
-        let rate = self.config.optimiser.learning_rate_at(now.env_steps, now.of);
+        let due = match self.config.replay.steps_per_update {
+            0 => self.experience.finished(),
+            every => now.env_steps.saturating_sub(self.first) / every,
+        };
+        let learning_rate = self.config.optimiser.learning_rate_at(now.env_steps, now.of);
+        let batch = self.config.replay.batch;
         while self.updates < due {
             self.updates += 1;
-            let report = self.learner.update(&self.replay, environment, rate, &mut self.random);
-            reports.push(report);
+            let moves_target = self.updates.is_multiple_of(self.config.update.target_every);
+            let update = Update { learning_rate, moves_target };
+            let Self { experience, learner, random, .. } = self;
+            reports.extend(experience.teach(learner, environment, update, random, batch));
         }
         Ok(())
     }
@@ -110,21 +106,22 @@ impl Method for ValueFactorisation {
     }
 
     fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
-        let Learner { online, target, average, adam, .. } = &mut self.learner;
+        let Learner { online, target, average, optimiser, .. } = &mut self.learner;
         let tensors: Vec<_> = online.shape.tensors().iter().map(Tensor::saved).collect();
         for (name, vector) in [
             ("online", &mut online.parameters),
             ("target", &mut target.parameters),
             ("average", &mut average.parameters),
-            ("adam-mean", &mut adam.mean),
-            ("adam-square", &mut adam.square),
         ] {
             state.tensors(name, &tensors, vector)?;
         }
-        state.value("adam-steps", &mut adam.steps)?;
+        optimiser.state(state, &tensors)?;
         state.value("updates", &mut self.updates)?;
         state.value("random", &mut self.random)?;
-        state.value("replay", &mut self.replay)
+        if self.config.network.memory > 0 {
+            state.value("memories", &mut self.acting.memories)?;
+        }
+        self.experience.state(state)
     }
 
     fn deployed(&self) -> Result<DeployedAgents<'_>, LearnError> {
@@ -153,7 +150,7 @@ impl Acting {
         let mut seen = Observation::default();
         for scene in scenes.scenes {
             scenes.environment.observe(scene.state, 0, EntitySet::MAX, &mut seen);
-            self.push(&seen);
+            self.push(scene.instance, scene.begins, &seen);
         }
     }
 }
@@ -162,7 +159,7 @@ impl Acting {
 mod tests {
     use sortie_envs::{Split, Step};
 
-    use super::super::keys::VDN;
+    use super::super::presets::VDN;
     use super::*;
 
     fn ring() -> Box<dyn Environment> {
@@ -201,8 +198,9 @@ mod tests {
         let end = |terminated, timed_out| {
             let step = Step { reward: 2.0, terminated, timed_out, ..Step::default() };
             let mut method = seen(&mut *ring(), 32, step);
-            let place = method.replay.draw(1, &mut method.random);
-            let future = method.replay.future(place, 1, 0.5);
+            let Experience::Steps(replay) = &method.experience else { panic!("steps") };
+            let place = replay.draw(1, &mut method.random);
+            let future = replay.future(place, 1, 0.5);
             (future.reward, future.discount)
         };
         assert_eq!(end(true, false), (2.0, 0.0));
@@ -216,8 +214,9 @@ mod tests {
             let mut ring = ring();
             let step = Step { reward: 2.0, terminated: true, ..Step::default() };
             let mut method = seen(&mut *ring, batch, step);
-            let ValueFactorisation { learner, replay, random, .. } = &mut method;
-            learner.update(replay, &*ring, 0.0, random)
+            let ValueFactorisation { learner, experience, random, .. } = &mut method;
+            let update = Update { learning_rate: 0.0, moves_target: true };
+            experience.teach(learner, &*ring, update, random, batch).unwrap()
         };
         let (one, three) = (norm(32), norm(96));
         assert!(one.gradient_norm > 0.1, "{one:?}");

@@ -7,14 +7,20 @@
 mod acting;
 mod agent;
 mod buffers;
+mod chunk;
 mod config;
 mod deployed;
+mod episodes;
+mod experience;
 mod keys;
 mod learner;
 mod looking;
+mod memory;
 mod method;
 mod mixer;
+mod optimiser;
 mod partition;
+mod presets;
 mod replay;
 mod scenes;
 mod split_attention;
@@ -24,13 +30,16 @@ mod tensors;
 pub use acting::Acting;
 pub use agent::{AgentPass, AgentShape};
 pub use config::{
-    Config, ImaginationConfig, MixerConfig, NetworkConfig, ReplayConfig, ReturnsConfig,
+    Config, ImaginationConfig, MixerConfig, NetworkConfig, ReplayConfig, ReturnsConfig, Rule, Unit,
+    UpdateConfig,
 };
-pub use keys::{QMIX, REFIL, VDN};
-pub use learner::Learner;
+pub use episodes::{Ahead, Episode, Episodes};
+pub use learner::{Learner, Update};
+pub use memory::Moment;
 pub use method::ValueFactorisation;
-pub use mixer::{MixerKind, MixerPass, MixerShape, Slopes, Teams};
+pub use mixer::{Hypernetworks, MixerKind, MixerPass, MixerShape, Slopes, Teams};
 pub use partition::Partitions;
+pub use presets::{QMIX, REFIL, VDN};
 pub use replay::{End, Future, Place, Replay};
 pub use scenes::Scenes;
 pub use temporal_difference::{Batch, Losses, Network, NetworkShape, TemporalDifference};

@@ -1,22 +1,62 @@
 //! What networks look at: the entities of any number of independent states.
 
+use std::collections::HashMap;
+
 use sortie_envs::{ActionSet, EntitySet, Observation, SparseRows, members};
 
+use super::looking::View;
+use super::memory::{Moment, Timeline};
 use super::split_attention::SplitLists;
 
 /// States one behind the other. Query i belongs to row i: the rows of all agents that exist come first.
+///
+/// Where rows are [shared](Self::sharing), every different row stands there once: what networks make of
+/// each entity alone is made once, however often it is seen.
 #[derive(Clone, Debug, Default)]
 pub struct Scenes {
     rows: SparseRows,
     others: SparseRows,
+    shared: Option<Shared>,
     seen: SplitLists,
     known: SplitLists,
+    timeline: Timeline,
     sizes: Vec<usize>,
     available: Vec<ActionSet>,
     sets: Vec<Sets>,
     queries: Vec<Query>,
     /// Whether some agent does not see everything that exists in its state.
     hides: bool,
+}
+
+/// The different rows among many.
+#[derive(Clone, Debug, Default)]
+struct Shared {
+    rows: SparseRows,
+    /// For each of the many the one that it equals.
+    places: Vec<u32>,
+    known: HashMap<Vec<(usize, u32)>, u32>,
+    row: Vec<(usize, u32)>,
+}
+
+impl Shared {
+    fn fill(&mut self, all: &SparseRows) {
+        let Self { rows, places, known, row } = self;
+        rows.clear();
+        places.clear();
+        known.clear();
+        for index in 0..all.len() {
+            row.clear();
+            row.extend(all.row(index).map(|(column, value)| (column, value.to_bits())));
+            let place = known.get(&**row).copied().unwrap_or_else(|| {
+                let place = rows.len() as u32;
+                rows.push_row(all, index);
+                rows.end_row();
+                known.insert(row.clone(), place);
+                place
+            });
+            places.push(place);
+        }
+    }
 }
 
 /// Where the entities of a state stand.
@@ -36,10 +76,16 @@ struct Query {
 }
 
 impl Scenes {
+    /// No states yet, of which equal rows are to be one.
+    pub fn sharing() -> Self {
+        Self { shared: Some(Shared::default()), ..Self::default() }
+    }
+
     /// Forgets all states, keeps the memory.
     pub fn clear(&mut self) {
         self.rows.clear();
         self.others.clear();
+        self.timeline.clear();
         self.sizes.clear();
         self.available.clear();
         self.sets.clear();
@@ -47,14 +93,26 @@ impl Scenes {
         self.hides = false;
     }
 
-    /// Adds a state of which all rows have been observed; `within` gives the entities in the part of an
-    /// agent.
+    /// Adds a state of which all rows have been observed, the first of an episode of its own; `within` gives
+    /// the entities in the part of an agent.
     pub fn push(&mut self, seen: &Observation, within: impl Fn(usize) -> EntitySet) {
+        let episode = self.sizes.len();
+        self.push_at(Moment { episode, ..Moment::default() }, seen, within);
+    }
+
+    /// As [`push`](Self::push), of any moment of an episode.
+    pub fn push_at(
+        &mut self,
+        moment: Moment,
+        seen: &Observation,
+        within: impl Fn(usize) -> EntitySet,
+    ) {
         let slots = (1 << seen.observable.len()) - 1;
         let (agents, others) = (seen.present & slots, seen.present & !slots);
         let (first_agent, first_other) = (self.rows.len(), self.others.len());
         self.sets.push(Sets { agents, others, first_agent, first_other });
         self.sizes.push(agents.count_ones() as usize);
+        self.timeline.push(moment, seen.observable.len(), members(agents));
         for agent in members(agents) {
             self.rows.push_row(&seen.rows, seen.row_of(agent));
             self.rows.end_row();
@@ -73,6 +131,9 @@ impl Scenes {
     pub fn finish(&mut self) {
         let agents = self.rows.len();
         self.rows.append(&self.others);
+        if let Some(shared) = &mut self.shared {
+            shared.fill(&self.rows);
+        }
         self.seen.clear();
         self.known.clear();
         let mut queries = self.queries.iter();
@@ -80,11 +141,12 @@ impl Scenes {
             let present = sets.agents | sets.others;
             let row = |entity: usize| {
                 let before = (1u128 << entity) - 1;
-                if sets.agents >> entity & 1 == 1 {
+                let row = if sets.agents >> entity & 1 == 1 {
                     sets.first_agent + (sets.agents & before).count_ones() as usize
                 } else {
                     agents + sets.first_other + (sets.others & before).count_ones() as usize
-                }
+                };
+                self.shared.as_ref().map_or(row, |shared| shared.places[row] as usize)
             };
             for query in queries.by_ref().take(sets.agents.count_ones() as usize) {
                 let split = |seen: EntitySet| (seen & query.within, seen & !query.within);
@@ -98,19 +160,33 @@ impl Scenes {
         }
     }
 
-    /// Features of every entity, the agents' first.
-    pub(super) fn rows(&self) -> &SparseRows {
-        &self.rows
+    /// What each agent sees.
+    pub(super) fn seen(&self) -> View<'_> {
+        self.view(&self.seen)
     }
 
-    /// For each agent the rows that it sees.
-    pub(super) fn seen(&self) -> &SplitLists {
-        &self.seen
+    /// For each agent everything that exists in its state.
+    pub(super) fn known(&self) -> View<'_> {
+        self.view(if self.hides { &self.known } else { &self.seen })
     }
 
-    /// For each agent the rows of everything that exists in its state.
-    pub(super) fn known(&self) -> &SplitLists {
-        if self.hides { &self.known } else { &self.seen }
+    /// Where the agents stand in time.
+    pub(super) fn timeline(&self) -> &Timeline {
+        &self.timeline
+    }
+
+    fn view<'a>(&'a self, lists: &'a SplitLists) -> View<'a> {
+        match &self.shared {
+            Some(Shared { rows, places, .. }) => {
+                View { rows, own: &places[..self.agents()], lists }
+            }
+            None => View { rows: &self.rows, own: &[], lists },
+        }
+    }
+
+    /// Whether there are no states.
+    pub(super) fn is_empty(&self) -> bool {
+        self.sizes.is_empty()
     }
 
     /// Number of agents of every state.

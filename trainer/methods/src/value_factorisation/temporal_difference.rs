@@ -75,6 +75,9 @@ pub struct Batch {
     pub rewards: Vec<f32>,
     /// The states n steps later, or where the episode ended.
     pub after: Scenes,
+    /// Instead of states after, in whole episodes: where among the states before each of them is followed;
+    /// none for the last of an episode, in which nothing was done.
+    pub next: Vec<Option<usize>>,
     /// What the value of the state after counts: the discount, or 0 where it is worth nothing.
     pub discounts: Vec<f32>,
 }
@@ -86,7 +89,12 @@ impl Batch {
         self.actions.clear();
         self.rewards.clear();
         self.after.clear();
+        self.next.clear();
         self.discounts.clear();
+    }
+
+    fn has_whole_episodes(&self) -> bool {
+        !self.next.is_empty()
     }
 }
 
@@ -110,7 +118,8 @@ pub struct TemporalDifference {
     target_mixer: MixerPass,
     preferred: Vec<usize>,
     chosen: Vec<f32>,
-    targets: Vec<f32>,
+    /// Of every state in which something was done.
+    targets: Vec<Option<f32>>,
     d_values: Vec<f32>,
     d_imagined: Vec<f32>,
     d_chosen: Vec<f32>,
@@ -129,28 +138,41 @@ pub(super) fn best(utilities: &[f32], available: ActionSet) -> usize {
 }
 
 impl TemporalDifference {
-    /// The targets of a batch.
-    pub fn targets(&mut self, online: &Network, target: &Network, batch: &Batch) -> &[f32] {
+    /// The targets of a batch. Of whole episodes the online network's utilities are known.
+    fn set_targets(&mut self, online: &Network, target: &Network, batch: &Batch) {
         let shape = online.shape.agent;
-        let preferred = self.target_agent.forward(shape, online.agent(), &batch.after, 1);
-        let agents = preferred.chunks_exact(shape.actions).zip(batch.after.available());
+        let after = if batch.has_whole_episodes() { &batch.before } else { &batch.after };
+        let preferred = if batch.has_whole_episodes() {
+            self.agent.utilities(shape, after.agents())
+        } else {
+            self.target_agent.forward(shape, online.agent(), after, 1)
+        };
+        let agents = preferred.chunks_exact(shape.actions).zip(after.available());
         self.preferred.clear();
         self.preferred.extend(agents.map(|(utilities, open)| best(utilities, *open)));
-        let utilities = self.target_agent.forward(shape, target.agent(), &batch.after, 1);
+        let utilities = self.target_agent.forward(shape, target.agent(), after, 1);
         self.chosen.clear();
         let rows = utilities.chunks_exact(shape.actions);
         self.chosen.extend(rows.zip(&self.preferred).map(|(row, action)| row[*action]));
         let (values, _) = self.target_mixer.forward(
             target.shape.mixer,
             target.mixer(),
-            Teams { scenes: &batch.after, utilities: &self.chosen },
+            Teams { scenes: after, utilities: &self.chosen },
             1,
         );
         self.targets.clear();
-        let records = batch.rewards.iter().zip(&batch.discounts);
-        self.targets.extend(
-            records.zip(values).map(|((reward, discount), value)| reward + discount * value),
-        );
+        let records = batch.rewards.iter().zip(&batch.discounts).enumerate();
+        self.targets.extend(records.map(|(record, (reward, discount))| {
+            let next = match batch.next.get(record) {
+                Some(next) => (*next)?,
+                None => record,
+            };
+            Some(reward + discount * values[next])
+        }));
+    }
+
+    /// The targets of the batch that was descended last, where something was done.
+    pub fn targets(&self) -> &[Option<f32>] {
         &self.targets
     }
 
@@ -166,11 +188,12 @@ impl TemporalDifference {
         records: usize,
         gradient: &mut [f32],
     ) -> Losses {
-        self.targets(online, target, batch);
         let shape = online.shape;
         let blocks = if imagined.is_some() { BLOCKS } else { 1 };
         let agents = batch.before.agents();
-        let utilities = self.agent.forward(shape.agent, online.agent(), &batch.before, blocks);
+        self.agent.forward(shape.agent, online.agent(), &batch.before, blocks);
+        self.set_targets(online, target, batch);
+        let utilities = self.agent.utilities(shape.agent, blocks * agents);
         self.chosen.clear();
         let rows = utilities.chunks_exact(shape.agent.actions);
         self.chosen
@@ -183,7 +206,7 @@ impl TemporalDifference {
         let slopes = |values: &[f32], weight: f32, sum: &mut f64, out: &mut Vec<f32>| {
             out.clear();
             out.extend(values.iter().zip(&self.targets).map(|(value, target)| {
-                let error = value - target;
+                let error = target.map_or(0.0, |target| value - target);
                 *sum += f64::from(error * error);
                 weight * 2.0 * error / records as f32
             }));
@@ -191,7 +214,7 @@ impl TemporalDifference {
         let lambda = imagined.unwrap_or(0.0);
         slopes(values, 1.0 - lambda, &mut losses.real, &mut self.d_values);
         slopes(dreams, lambda, &mut losses.imagined, &mut self.d_imagined);
-        losses.targets = self.targets.iter().map(|target| f64::from(*target)).sum();
+        losses.targets = self.targets.iter().flatten().map(|target| f64::from(*target)).sum();
 
         let (d_agent, d_mixer) = gradient.split_at_mut(shape.agent.parameters());
         let d_chosen = sized(&mut self.d_chosen, self.chosen.len());

@@ -2,6 +2,7 @@ use sortie_envs::{EntitySet, Observation};
 use sortie_nn::gradient_check::{assert_gradient, random};
 use sortie_nn::random::stream;
 
+use super::tensors::Tensor;
 use super::*;
 
 const COLUMNS: usize = 9;
@@ -11,9 +12,10 @@ const MIXERS: [MixerKind; 3] = [MixerKind::Sum, MixerKind::Linear, MixerKind::Qm
 
 fn shape(kind: MixerKind, skip: bool) -> NetworkShape {
     let (input, active_inputs, width) = (COLUMNS, 3, 16);
+    let hypernetworks = Hypernetworks::Shared;
     NetworkShape {
-        agent: AgentShape { input, active_inputs, width, actions: 4, skip },
-        mixer: MixerShape { kind, input, active_inputs, width, mixing: 4 },
+        agent: AgentShape { input, active_inputs, width, actions: 4, skip, memory: 0 },
+        mixer: MixerShape { kind, hypernetworks, input, active_inputs, width, mixing: 4 },
     }
 }
 
@@ -59,7 +61,7 @@ fn batch(partitions: Partitions) -> Batch {
 }
 
 /// The loss that [`TemporalDifference::descend`] says it descends, from forward passes alone.
-fn loss(online: &Network, targets: &[f32], batch: &Batch, imagined: Option<f32>) -> f64 {
+fn loss(online: &Network, targets: &[Option<f32>], batch: &Batch, imagined: Option<f32>) -> f64 {
     let shape = online.shape;
     let blocks = if imagined.is_some() { 3 } else { 1 };
     let (agent, mixer) = online.parameters.split_at(shape.agent.parameters());
@@ -68,7 +70,7 @@ fn loss(online: &Network, targets: &[f32], batch: &Batch, imagined: Option<f32>)
     let chosen: Vec<f32> = utilities
         .chunks(4)
         .enumerate()
-        .map(|(row, utilities)| utilities[usize::from(batch.actions[row % 8])])
+        .map(|(row, utilities)| utilities[usize::from(batch.actions[row % batch.before.agents()])])
         .collect();
     let mut pass = MixerPass::default();
     let (values, dreams) = pass.forward(
@@ -78,7 +80,8 @@ fn loss(online: &Network, targets: &[f32], batch: &Batch, imagined: Option<f32>)
         blocks,
     );
     let mean = |values: &[f32]| {
-        let errors = values.iter().zip(targets).map(|(v, t)| f64::from(v - t).powi(2));
+        let errors =
+            values.iter().zip(targets).filter_map(|(v, t)| Some(f64::from(v - (*t)?).powi(2)));
         errors.sum::<f64>() / 3.0
     };
     let lambda = f64::from(imagined.unwrap_or(0.0));
@@ -90,27 +93,182 @@ fn gradients_agree_with_finite_differences() {
     for partitions in PARTITIONS {
         for kind in MIXERS {
             for skip in [true, false] {
-                let shape = shape(kind, skip);
-                let online = Network::initialise(shape, &mut stream(1, 1, 0));
-                let target = Network::initialise(shape, &mut stream(2, 1, 0));
-                let batch = batch(partitions);
-                let imagined = partitions.imagines().then_some(0.3);
-                let mut gradient = vec![0.0; shape.parameters()];
-                let mut pass = TemporalDifference::default();
-                pass.descend(&online, &target, &batch, imagined, 3, &mut gradient);
-                let targets = pass.targets(&online, &target, &batch).to_vec();
-                for tensor in shape.tensors() {
-                    let name = format!("{} of {partitions:?} {kind:?} {skip}", tensor.name);
-                    let place = tensor.range;
-                    let at = &online.parameters[place.clone()];
-                    assert_gradient(&name, at, &gradient[place.clone()], |moved| {
-                        let mut network = online.clone();
-                        network.parameters[place.clone()].copy_from_slice(moved);
-                        loss(&network, &targets, &batch, imagined)
-                    });
-                }
+                check_gradients(shape(kind, skip), partitions, &batch(partitions), 1.0);
             }
         }
+    }
+}
+
+/// What is descended has the slopes of the loss, with first weights that are so many times as large as usual.
+fn check_gradients(shape: NetworkShape, partitions: Partitions, batch: &Batch, scale: f32) {
+    let mut online = Network::initialise(shape, &mut stream(1, 1, 0));
+    online.parameters.iter_mut().for_each(|parameter| *parameter *= scale);
+    let target = Network::initialise(shape, &mut stream(2, 1, 0));
+    let imagined = partitions.imagines().then_some(0.3);
+    let mut gradient = vec![0.0; shape.parameters()];
+    let mut pass = TemporalDifference::default();
+    pass.descend(&online, &target, batch, imagined, 3, &mut gradient);
+    let targets = pass.targets().to_vec();
+    // A softmax does not change with what is added to all of its scores.
+    let matters = |tensor: &Tensor| {
+        tensor.name != "mixer.weights.project.bias" || shape.mixer.kind != MixerKind::Linear
+    };
+    for tensor in shape.tensors().into_iter().filter(matters) {
+        let name = format!("{} of {partitions:?} {shape:?}", tensor.name);
+        let place = tensor.range;
+        let at = &online.parameters[place.clone()];
+        assert_gradient(&name, at, &gradient[place.clone()], |moved| {
+            let mut network = online.clone();
+            network.parameters[place.clone()].copy_from_slice(moved);
+            loss(&network, &targets, batch, imagined)
+        });
+    }
+}
+
+/// Two episodes of the states: three of the first, behind which it is over, two of the second. All show the
+/// same first entity.
+fn story() -> Vec<(Moment, Observation)> {
+    let all = states(10, |_| EntitySet::MAX).into_iter().chain(states(20, |_| EntitySet::MAX));
+    let mut all: Vec<_> = all.take(5).collect();
+    let first = all[0].rows.clone();
+    for seen in &mut all[1..] {
+        let shown = std::mem::take(&mut seen.rows);
+        seen.rows.push_row(&first, 0);
+        seen.rows.end_row();
+        for row in 1..shown.len() {
+            seen.rows.push_row(&shown, row);
+            seen.rows.end_row();
+        }
+    }
+    let moments = [(0, 0), (0, 1), (0, 2), (1, 0), (1, 1)];
+    let moments = moments.map(|(episode, step)| Moment { step, episode });
+    moments.into_iter().zip(all).collect()
+}
+
+fn push(scenes: &mut Scenes, (moment, seen): &(Moment, Observation), partitions: Partitions) {
+    let within = |agent: usize| partitions.within(PART, COMPANIONS[agent], agent);
+    scenes.push_at(*moment, seen, within);
+}
+
+/// What was done in a state.
+fn done(state: usize, seen: &Observation) -> impl Iterator<Item = u16> {
+    let agents = (seen.present & 0b111).count_ones() as usize;
+    (0..agents).map(move |agent| ((agent + state) % 4) as u16)
+}
+
+/// The episodes as they are learned from.
+fn episodes(scenes: Scenes, partitions: Partitions) -> Batch {
+    let mut batch = Batch { before: scenes, ..Batch::default() };
+    for (state, told) in story().iter().enumerate() {
+        push(&mut batch.before, told, partitions);
+        batch.actions.extend(done(state, &told.1));
+    }
+    batch.before.finish();
+    batch.next = vec![Some(1), Some(2), None, Some(4), None];
+    batch.rewards = vec![0.5, -0.25, 0.0, 2.0, 0.0];
+    batch.discounts = vec![0.9, 0.0, 0.0, 0.7, 0.0];
+    batch
+}
+
+/// Their steps, each with the state that followed.
+fn steps_of_episodes() -> Batch {
+    let mut batch = Batch::default();
+    let story = story();
+    for (state, reward, discount) in [(0, 0.5, 0.9), (1, -0.25, 0.0), (3, 2.0, 0.7)] {
+        batch.before.push(&story[state].1, |_| EntitySet::MAX);
+        batch.after.push(&story[state + 1].1, |_| EntitySet::MAX);
+        batch.actions.extend(done(state, &story[state].1));
+        batch.rewards.push(reward);
+        batch.discounts.push(discount);
+    }
+    batch.before.finish();
+    batch.after.finish();
+    batch
+}
+
+#[test]
+fn gradients_of_whole_episodes_agree_with_finite_differences() {
+    for partitions in PARTITIONS {
+        for kind in MIXERS {
+            for memory in [0, 6] {
+                let mut shape = shape(kind, memory > 0);
+                shape.agent.memory = memory;
+                shape.mixer.hypernetworks = Hypernetworks::Separate;
+                let batch = episodes(Scenes::sharing(), partitions);
+                check_gradients(shape, partitions, &batch, 2.1);
+            }
+        }
+    }
+}
+
+#[test]
+fn shared_rows_change_nothing() {
+    for skip in [true, false] {
+        let shape = shape(MixerKind::Qmix, skip);
+        let online = Network::initialise(shape, &mut stream(1, 1, 0));
+        let target = Network::initialise(shape, &mut stream(2, 1, 0));
+        let [shared, apart] = [Scenes::sharing(), Scenes::default()].map(|scenes| {
+            let batch = episodes(scenes, Partitions::Drawn);
+            let mut gradient = vec![0.0; shape.parameters()];
+            let mut pass = TemporalDifference::default();
+            let losses = pass.descend(&online, &target, &batch, Some(0.3), 3, &mut gradient);
+            (losses, gradient)
+        });
+        assert!((shared.0.real - apart.0.real).abs() < 1e-5, "{:?} {:?}", shared.0, apart.0);
+        assert!((shared.0.imagined - apart.0.imagined).abs() < 1e-5);
+        for (shared, apart) in shared.1.iter().zip(&apart.1) {
+            assert!((shared - apart).abs() < 1e-5, "{shared} {apart}");
+        }
+    }
+}
+
+#[test]
+fn whole_episodes_teach_what_their_steps_teach() {
+    for kind in MIXERS {
+        let shape = shape(kind, true);
+        let online = Network::initialise(shape, &mut stream(1, 1, 0));
+        let target = Network::initialise(shape, &mut stream(2, 1, 0));
+        let batches = [episodes(Scenes::sharing(), Partitions::None), steps_of_episodes()];
+        let [whole, apart] = batches.map(|batch| {
+            let mut pass = TemporalDifference::default();
+            let mut gradient = vec![0.0; shape.parameters()];
+            let losses = pass.descend(&online, &target, &batch, None, 3, &mut gradient);
+            let targets: Vec<f32> = pass.targets().iter().flatten().copied().collect();
+            gradient.extend([losses.real as f32, losses.targets as f32]);
+            gradient.extend(targets);
+            gradient
+        });
+        assert_eq!(whole.len(), apart.len());
+        for (whole, apart) in whole.iter().zip(&apart) {
+            assert!((whole - apart).abs() < 1e-5, "{kind:?}: {whole} {apart}");
+        }
+    }
+}
+
+/// Agents that go through an episode at once remember what those do that go step by step.
+#[test]
+fn agents_remember_from_step_to_step_and_begin_with_nothing() {
+    let mut shape = shape(MixerKind::Sum, true);
+    shape.agent.memory = 6;
+    let network = Network::initialise(shape, &mut stream(5, 1, 0));
+    let whole = episodes(Scenes::sharing(), Partitions::None).before;
+    let mut pass = AgentPass::default();
+    let whole = pass.forward(shape.agent, network.agent(), &whole, 1).to_vec();
+    let (mut memory, mut apart) = (Vec::new(), Vec::new());
+    for (Moment { step, .. }, seen) in story() {
+        if step == 0 {
+            memory = vec![0.0; 3 * 6];
+        }
+        let mut scenes = Scenes::default();
+        scenes.push(&seen, |_| EntitySet::MAX);
+        scenes.finish();
+        let scenes = (&scenes, 1);
+        let memory = Some(&mut *memory);
+        apart.extend_from_slice(pass.forward_from(shape.agent, network.agent(), scenes, memory));
+    }
+    assert_eq!(whole.len(), apart.len());
+    for (whole, apart) in whole.iter().zip(&apart) {
+        assert!((whole - apart).abs() < 1e-5, "{whole} {apart}");
     }
 }
 

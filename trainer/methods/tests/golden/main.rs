@@ -51,7 +51,8 @@ fn imagined_masks_are_the_recorded_ones() {
 fn agents_look_as_the_recorded_ones_do() {
     for case in json_cases("agent_ff_none") {
         let (input, width) = (9, 16);
-        let shape = AgentShape { input, active_inputs: 9, width, actions: width, skip: false };
+        let shape =
+            AgentShape { input, active_inputs: 9, width, actions: width, skip: false, memory: 0 };
         let weights = |name: &str| case.get(&format!("w/_base.{name}")).f32s();
         let fc1 = weights("fc1.weight");
         let mut parameters: Vec<f32> =

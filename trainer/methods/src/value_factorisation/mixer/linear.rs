@@ -5,8 +5,9 @@
 
 use super::Team;
 
-/// Numbers of the hypernetwork for each agent.
-pub(super) const OUTPUTS: usize = 2;
+/// Numbers for each agent: what its utility is weighted by, and what the state is worth.
+pub(super) const KINDS: [(&str, usize); 2] = [("weights", 1), ("value", 1)];
+const OUTPUTS: usize = 2;
 
 /// The largest score of what is mixed, and the sum of `exp(score - largest)`.
 fn mass(team: Team, numbers: &[f32], imagined: bool) -> (f32, f32) {

@@ -4,18 +4,17 @@
 //! imagined utilities come from what the hypernetwork sees within and across; all else that a mixer needs
 //! comes from everything (dissertation section 5.4.1).
 
+mod hypernetwork;
 mod linear;
 mod qmix;
 mod sum;
 
 use serde::{Deserialize, Serialize};
-use sortie_nn::layers::linear::{self as dense, LinearShape};
-use sortie_nn::layers::matrix::Store;
 
+use self::hypernetwork::{HypernetworkPass, HypernetworkShape};
 use super::buffers::sized;
-use super::looking::{Gradients, Looking, Weights};
 use super::scenes::Scenes;
-use super::tensors::{Tensor, place, views, views_mut};
+use super::tensors::Tensor;
 
 /// How the utilities of a team become its value.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -30,61 +29,82 @@ pub enum MixerKind {
     Qmix,
 }
 
-/// Sizes of a mixer and of the hypernetwork that feeds it.
+/// Who makes the numbers that a mixer mixes with.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Hypernetworks {
+    /// One network makes all of them.
+    #[default]
+    Shared,
+    /// A network for each kind: weights, biases, the value of the state (the dissertation's).
+    Separate,
+}
+
+/// Sizes of a mixer and of the hypernetworks that feed it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MixerShape {
     /// How it mixes.
     pub kind: MixerKind,
+    /// Who makes its numbers.
+    pub hypernetworks: Hypernetworks,
     /// Columns of an entity's row.
     pub input: usize,
     /// Columns that are usually not zero.
     pub active_inputs: usize,
-    /// Width of the hypernetwork's embedding and attention.
+    /// Width of a hypernetwork's embedding and attention.
     pub width: usize,
     /// Width between the two layers of QMIX.
     pub mixing: usize,
 }
 
 impl MixerShape {
-    /// Numbers of the hypernetwork for each agent.
+    /// Numbers for each agent.
     fn outputs(self) -> usize {
-        match self.kind {
-            MixerKind::Sum => 0,
-            MixerKind::Linear => linear::OUTPUTS,
-            MixerKind::Qmix => qmix::outputs(self.mixing),
-        }
+        self.parts().iter().map(|part| part.outputs).sum()
     }
 
-    fn numbers(self) -> [usize; 5] {
-        let Self { input, width, .. } = self;
-        match self.kind {
-            MixerKind::Sum => [0; 5],
-            _ => {
-                let outputs = self.outputs();
-                [input * width, width, 3 * width * width, outputs * width, outputs]
+    /// The hypernetworks, whose numbers stand side by side; a sum has none.
+    fn parts(self) -> Vec<HypernetworkShape> {
+        let kinds: &[(&'static str, usize)] = match self.kind {
+            MixerKind::Sum => &[],
+            MixerKind::Linear => &linear::KINDS,
+            MixerKind::Qmix => &qmix::kinds(self.mixing),
+        };
+        let Self { input, active_inputs, width, .. } = self;
+        let part = |name, outputs, imagines| HypernetworkShape {
+            name,
+            input,
+            active_inputs,
+            width,
+            outputs,
+            imagines,
+        };
+        match self.hypernetworks {
+            Hypernetworks::Shared if kinds.is_empty() => Vec::new(),
+            Hypernetworks::Shared => {
+                vec![part("", kinds.iter().map(|(_, outputs)| outputs).sum(), true)]
+            }
+            // What is imagined is weighted by what imagined agents see; nothing else depends on it.
+            Hypernetworks::Separate => {
+                let kinds = kinds.iter().enumerate();
+                kinds.map(|(at, (name, outputs))| part(name, *outputs, at == 0)).collect()
             }
         }
     }
 
-    /// The tensors; a sum has none. No activation stands between the attention's output and the layer
-    /// behind it, so that both are one matrix, `project`.
-    pub(super) fn tensors(self, start: usize) -> Vec<Tensor> {
-        let Self { active_inputs, width, .. } = self;
-        let names =
-            ["fc1.weight", "fc1.bias", "attention.in.weight", "project.weight", "project.bias"];
-        let inputs = [active_inputs, active_inputs, width, width, width];
-        let numbers = self.numbers();
-        let all = (0..names.len()).map(|index| (names[index], inputs[index], numbers[index]));
-        place(start, "mixer", &all.filter(|(_, _, numbers)| *numbers > 0).collect::<Vec<_>>())
+    /// The tensors.
+    pub(super) fn tensors(self, mut start: usize) -> Vec<Tensor> {
+        let mut tensors = Vec::new();
+        for part in self.parts() {
+            tensors.extend(part.tensors(start));
+            start += part.parameters();
+        }
+        tensors
     }
 
     /// Number of parameters.
     pub fn parameters(self) -> usize {
-        self.numbers().into_iter().sum()
-    }
-
-    fn project(self) -> LinearShape {
-        LinearShape { input: self.width, output: self.outputs() }
+        self.parts().iter().map(|part| part.parameters()).sum()
     }
 }
 
@@ -132,12 +152,11 @@ impl Team {
 /// Activations of the last forward pass and space for a backward pass.
 #[derive(Clone, Debug, Default)]
 pub struct MixerPass {
-    looking: Looking,
+    parts: Vec<HypernetworkPass>,
     numbers: Vec<f32>,
     values: Vec<f32>,
     imagined: Vec<f32>,
     d_numbers: Vec<f32>,
-    d_attended: Vec<f32>,
     scratch: qmix::Scratch,
 }
 
@@ -146,20 +165,20 @@ impl MixerPass {
     pub fn forward(
         &mut self,
         shape: MixerShape,
-        parameters: &[f32],
+        mut parameters: &[f32],
         teams: Teams<'_>,
         blocks: usize,
     ) -> (&[f32], &[f32]) {
         let Teams { scenes, utilities } = teams;
         let agents = scenes.agents();
-        let outputs = shape.outputs();
+        let (parts, outputs) = (shape.parts(), shape.outputs());
         let numbers = sized(&mut self.numbers, blocks * agents * outputs);
-        if outputs > 0 {
-            let [fc1, fc1_bias, attention_in, project, bias] = views(parameters, shape.numbers());
-            let weights = Weights { fc1, fc1_bias, attention_in };
-            let (rows, known) = (scenes.rows(), scenes.known());
-            let attended = self.looking.forward(shape.width, weights, rows, known, blocks);
-            dense::forward(shape.project(), attended, project, bias, numbers);
+        self.parts.resize(parts.len(), HypernetworkPass::default());
+        let mut column = 0;
+        for (part, pass) in parts.iter().zip(&mut self.parts) {
+            let own = parameters.split_off(..part.parameters()).expect("parameters of all parts");
+            pass.forward(*part, own, scenes.known(), blocks, (&mut *numbers, outputs, column));
+            column += part.outputs;
         }
         self.values.clear();
         self.imagined.clear();
@@ -185,15 +204,15 @@ impl MixerPass {
     pub fn backward(
         &mut self,
         shape: MixerShape,
-        parameters: &[f32],
+        mut parameters: &[f32],
         teams: Teams<'_>,
         slopes: Slopes<'_>,
         d_utilities: &mut [f32],
-        gradient: &mut [f32],
+        mut gradient: &mut [f32],
     ) {
         let Teams { scenes, utilities } = teams;
         let agents = scenes.agents();
-        let outputs = shape.outputs();
+        let (parts, outputs) = (shape.parts(), shape.outputs());
         let count = utilities.len() * outputs;
         let numbers = &self.numbers[..count];
         let d_numbers = sized(&mut self.d_numbers, count);
@@ -222,21 +241,14 @@ impl MixerPass {
                 }
             }
         }
-        if outputs == 0 {
-            return;
+        let mut column = 0;
+        for (part, pass) in parts.iter().zip(&mut self.parts) {
+            let own = parameters.split_off(..part.parameters()).expect("parameters of all parts");
+            let slopes =
+                gradient.split_off_mut(..part.parameters()).expect("gradients of all parts");
+            let d_numbers = (&*d_numbers, outputs, column);
+            pass.backward(*part, own, scenes.known(), d_numbers, slopes);
+            column += part.outputs;
         }
-        let [fc1, fc1_bias, attention_in, project, _] = views(parameters, shape.numbers());
-        let [d_fc1, d_fc1_bias, d_attention_in, d_project, d_bias] =
-            views_mut(gradient, shape.numbers());
-        let wide = utilities.len() * shape.width;
-        dense::backward_weight(shape.project(), self.looking.attended(wide), d_numbers, d_project);
-        dense::backward_bias(d_numbers, d_bias);
-        let d_attended = sized(&mut self.d_attended, wide);
-        dense::backward_input(shape.project(), d_numbers, project, Store::Replace, d_attended);
-        let gradients =
-            Gradients { fc1: d_fc1, fc1_bias: d_fc1_bias, attention_in: d_attention_in };
-        let weights = Weights { fc1, fc1_bias, attention_in };
-        let looked = (scenes.rows(), scenes.known());
-        self.looking.backward(shape.width, weights, looked, d_attended, None, gradients);
     }
 }

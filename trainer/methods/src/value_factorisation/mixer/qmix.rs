@@ -8,8 +8,12 @@ use sortie_nn::layers::softmax;
 
 use super::Team;
 
-/// Numbers of the hypernetwork for each agent, at a mixing width M.
-pub(super) fn outputs(mixing: usize) -> usize {
+/// Numbers for each agent, at a mixing width M.
+pub(super) fn kinds(mixing: usize) -> [(&'static str, usize); 4] {
+    [("first", mixing), ("bias", mixing), ("second", mixing), ("value", 1)]
+}
+
+fn outputs(mixing: usize) -> usize {
     3 * mixing + 1
 }
 
