@@ -78,8 +78,8 @@ fn what_does_not_fit_is_refused_in_one_line() {
             "drop `--no-mask`",
         ),
         (
-            &["train", "vdn", "--env", "group-matching", "--preset", "paper", "--out", "x"],
-            "no preset `paper`",
+            &["train", "vdn", "--env", "group-matching", "--preset", "slow", "--out", "x"],
+            "no preset `slow`; there are `fast`, `paper`",
         ),
         (
             &["train", "qmix", "--env", "group-matching", "--set", "mixer.kid=sum", "--out", "x"],
