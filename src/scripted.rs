@@ -30,7 +30,12 @@ impl Scripted {
 }
 
 impl Act for Scripted {
-    fn act(&mut self, scenes: &Scenes<'_>, actions: &mut [u16]) -> Result<(), LearnError> {
+    fn act(
+        &mut self,
+        scenes: &Scenes<'_>,
+        _: &mut [Random],
+        actions: &mut [u16],
+    ) -> Result<(), LearnError> {
         let Self { random, unassigned } = self;
         for (scene, actions) in scenes.scenes.iter().zip(actions.chunks_exact_mut(unassigned.len()))
         {

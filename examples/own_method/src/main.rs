@@ -42,14 +42,14 @@ impl QLearning {
         &self,
         scenes: &Scenes<'_>,
         actions: &mut [u16],
-        mut instead: impl FnMut(u64) -> Option<usize>,
+        mut instead: impl FnMut(usize, u64) -> Option<usize>,
     ) {
         let agents = scenes.environment.spec().shape.agents;
         let mut seen = Observation::default();
         for (scene, actions) in scenes.scenes.iter().zip(actions.chunks_exact_mut(agents)) {
             scenes.environment.observe(scene.state, 0, EntitySet::MAX, &mut seen);
             for (agent, action) in actions.iter_mut().enumerate().take(seen.agents()) {
-                let other = instead(seen.available[agent]);
+                let other = instead(scene.instance, seen.available[agent]);
                 *action = other.unwrap_or_else(|| self.best(&seen, agent).0) as u16;
             }
         }
@@ -57,8 +57,13 @@ impl QLearning {
 }
 
 impl Act for QLearning {
-    fn act(&mut self, scenes: &Scenes<'_>, actions: &mut [u16]) -> Result<(), LearnError> {
-        self.choose(scenes, actions, |_| None);
+    fn act(
+        &mut self,
+        scenes: &Scenes<'_>,
+        _: &mut [Random],
+        actions: &mut [u16],
+    ) -> Result<(), LearnError> {
+        self.choose(scenes, actions, |_, _| None);
         Ok(())
     }
 }
@@ -68,13 +73,13 @@ impl Method for QLearning {
         &mut self,
         scenes: &Scenes<'_>,
         _: Now,
-        random: &mut Random,
+        random: &mut [Random],
         actions: &mut [u16],
     ) -> Result<(), LearnError> {
-        let mut explores = |open: u64| {
+        self.choose(scenes, actions, |instance, open| {
+            let random = &mut random[instance];
             chance(random, RATES.epsilon.into()).then(|| member(random, open.into())).flatten()
-        };
-        self.choose(scenes, actions, &mut explores);
+        });
         Ok(())
     }
 

@@ -4,7 +4,7 @@ use sortie_envs::{Environment, Random, Step};
 
 use crate::error::LearnError;
 use crate::export::DeployedAgents;
-use crate::run::{Rates, UpdateReport};
+use crate::run::{Rates, Reports};
 use crate::state::State;
 
 /// A state in which a team is to act.
@@ -16,6 +16,8 @@ pub struct Scene<'a> {
     pub state: &'a [u8],
     /// Whether it is the first of its episode.
     pub begins: bool,
+    /// Whether the step before changed the set of unfinished subtasks, so that agents are to be allocated anew.
+    pub tasks_changed: bool,
 }
 
 /// States of one environment in which teams are to act.
@@ -31,9 +33,22 @@ pub struct Scenes<'a> {
 pub trait Act {
     /// Writes `[scenes, A]` an available action of every agent that exists; what stands for others does not matter.
     ///
+    /// `random` holds a generator for every instance, by its number.
+    ///
     /// # Errors
     /// The team cannot decide.
-    fn act(&mut self, scenes: &Scenes<'_>, actions: &mut [u16]) -> Result<(), LearnError>;
+    fn act(
+        &mut self,
+        scenes: &Scenes<'_>,
+        random: &mut [Random],
+        actions: &mut [u16],
+    ) -> Result<(), LearnError>;
+
+    /// `[A]`: the subtask that each agent of an instance acted for last, 255 for none; empty where there are none.
+    fn allocation(&self, instance: usize) -> &[u8] {
+        let _ = instance;
+        &[]
+    }
 }
 
 /// A step of an instance that was just taken.
@@ -68,8 +83,20 @@ pub struct Now {
 
 /// A method at work in a run.
 pub trait Method: Send {
+    /// Whether instances whose episode is over wait until those of all are; otherwise they start anew at once.
+    fn waits(&self) -> bool {
+        false
+    }
+
+    /// An instance is about to start an episode; `random` is its generator.
+    fn begins(&mut self, instance: usize, random: &mut Random) {
+        let _ = (instance, random);
+    }
+
     /// Writes `[scenes, A]` an available action of every agent that exists, trying things out; what stands for others
     /// does not matter.
+    ///
+    /// `random` holds a generator for every instance, by its number.
     ///
     /// # Errors
     /// The team cannot decide.
@@ -77,7 +104,7 @@ pub trait Method: Send {
         &mut self,
         scenes: &Scenes<'_>,
         now: Now,
-        random: &mut Random,
+        random: &mut [Random],
         actions: &mut [u16],
     ) -> Result<(), LearnError>;
 
@@ -87,7 +114,7 @@ pub trait Method: Send {
     /// It cannot be learned from.
     fn remember(&mut self, transition: &Transition<'_>) -> Result<(), LearnError>;
 
-    /// Makes the updates that are due, and adds what each of them found. Methods that learn from every step as they
+    /// Makes the updates that are due, and adds what each of them found and how many decisions were made. Methods that learn from every step as they
     /// remember it have none.
     ///
     /// # Errors
@@ -96,7 +123,7 @@ pub trait Method: Send {
         &mut self,
         environment: &dyn Environment,
         now: Now,
-        reports: &mut Vec<UpdateReport>,
+        reports: &mut Reports,
     ) -> Result<(), LearnError> {
         let _ = (environment, now, reports);
         Ok(())

@@ -1,7 +1,8 @@
 //! Plays an episode and writes it down.
 
 use sortie_envs::group_matching::{LEFT, Parameters, RIGHT, Ring, ring_of, sizes};
-use sortie_envs::{EntitySet, Environment, Observation, Random, Split, members};
+use sortie_envs::{EntitySet, Environment, Observation, Split, members};
+use sortie_learn::play::Start;
 use sortie_learn::{Act, Scene, Scenes};
 
 use super::data::{AgentFacts, Captured, EpisodeResult, Event, EventKind, GroupFacts, State, Step};
@@ -13,10 +14,12 @@ use crate::views::page::rounded;
 /// Plays an episode of the environment and writes it down.
 pub(super) fn capture(
     environment: &dyn Environment,
-    mut random: Random,
+    start: Start,
     team: &mut dyn Act,
 ) -> Result<Captured, Failure> {
     let mut world = environment.open(1, Split::Test);
+    let Start { world: mut random, team: own, .. } = start;
+    let mut own = [own];
     world.reset(0, &mut random);
     let spec = world.spec().clone();
     let (sizes, shape) = (sizes(&spec), spec.shape);
@@ -32,8 +35,10 @@ pub(super) fn capture(
         if world.episode(0).done {
             break facts(ring);
         }
-        let scene = Scene { instance: 0, state: &state, begins: steps.is_empty() };
-        team.act(&Scenes { environment: &*world, scenes: &[scene] }, &mut actions)?;
+        let scene =
+            Scene { instance: 0, state: &state, begins: steps.is_empty(), tasks_changed: false };
+        let scenes = Scenes { environment: &*world, scenes: &[scene] };
+        team.act(&scenes, &mut own, &mut actions)?;
         let before = ring.cells.to_vec();
         let step = world.step(0, &actions, &mut random).map_err(Failure::bug)?;
         let mut after = Vec::new();

@@ -5,8 +5,7 @@ mod data;
 
 use sortie_envs::{Environment, Split};
 use sortie_learn::Act;
-use sortie_learn::play::PolicyTeam;
-use sortie_learn::random::{Purpose, generator};
+use sortie_learn::play::{PolicyTeam, Start};
 
 use crate::environment::check_fits;
 use crate::failure::{Exit, Failure};
@@ -95,8 +94,7 @@ fn play(
     team: &mut dyn Act,
 ) -> Result<Captured, Failure> {
     // As evaluations number them.
-    let random = generator(wanted.seed, Purpose::Evaluation, wanted.episode as u64);
-    capture(world, random, team)
+    capture(world, Start::of(wanted.seed, wanted.episode), team)
 }
 
 fn page(wanted: &Wanted<'_>, env: String, notes: &[&'static str], captured: Captured) -> Page {

@@ -1,5 +1,6 @@
 //! Greedy episodes, and what they come to.
 
+use rand_core::Rng;
 use sortie_envs::{Environment, Episode, Random, Split};
 
 use crate::error::LearnError;
@@ -23,30 +24,64 @@ pub fn evaluate(
     let mut worlds = environment.open(WORLDS.min(episodes), Split::Test);
     let agents = worlds.spec().shape.agents;
     let mut done = vec![Episode::default(); episodes];
-    let mut started = 0;
+    let mut starts = (0..episodes).map(|episode| Start::of(seed, episode));
+    // What the team leaves to chance in each instance.
+    let mut random = vec![sortie_envs::random::generator(0); worlds.instances()];
     let mut open = Vec::new();
-    for instance in 0..worlds.instances() {
-        open.extend(Open::start(&mut *worlds, instance, &mut started, episodes, seed));
+    for (instance, start) in (0..worlds.instances()).zip(&mut starts) {
+        open.push(start.begin(&mut *worlds, instance, &mut random));
     }
     let mut actions = Vec::new();
     while !open.is_empty() {
         actions.clear();
         actions.resize(open.len() * agents, 0);
         let scenes: Vec<Scene<'_>> = open.iter().map(Open::scene).collect();
-        team.act(&Scenes { environment: &*worlds, scenes: &scenes }, &mut actions)?;
+        let scenes = Scenes { environment: &*worlds, scenes: &scenes };
+        team.act(&scenes, &mut random, &mut actions)?;
         for (world, actions) in open.iter_mut().zip(actions.chunks_exact(agents)) {
             let step = worlds.step(world.instance, actions, &mut world.random)?;
             world.begins = false;
+            world.tasks_changed = step.tasks_changed;
             world.state.clear();
             worlds.save(world.instance, &mut world.state);
             world.is_done = step.done();
         }
         for world in open.extract_if(.., |world| world.is_done).collect::<Vec<_>>() {
             done[world.episode] = worlds.episode(world.instance);
-            open.extend(Open::start(&mut *worlds, world.instance, &mut started, episodes, seed));
+            let start = starts.next();
+            open.extend(start.map(|start| start.begin(&mut *worlds, world.instance, &mut random)));
         }
     }
     Ok(Evaluation::of(worlds.spec().metrics.iter().map(|metric| metric.name), &done))
+}
+
+/// An episode to be measured on.
+#[derive(Clone, Debug)]
+pub struct Start {
+    /// Its number.
+    pub episode: usize,
+    /// Draws the start, and what the steps leave to chance.
+    pub world: Random,
+    /// Draws what the team leaves to chance.
+    pub team: Random,
+}
+
+impl Start {
+    /// An episode of a seed, by its number.
+    pub fn of(seed: u64, episode: usize) -> Self {
+        let mut team = generator(seed, Purpose::Evaluation, episode as u64);
+        Self { episode, world: sortie_envs::random::generator(team.next_u64()), team }
+    }
+
+    fn begin(self, worlds: &mut dyn Environment, instance: usize, teams: &mut [Random]) -> Open {
+        let Self { episode, world: mut random, team } = self;
+        worlds.reset(instance, &mut random);
+        teams[instance] = team;
+        let mut state = Vec::new();
+        worlds.save(instance, &mut state);
+        let (begins, tasks_changed, is_done) = (true, false, false);
+        Open { episode, instance, random, state, begins, tasks_changed, is_done }
+    }
 }
 
 /// An episode that is being played.
@@ -56,32 +91,14 @@ struct Open {
     random: Random,
     state: Vec<u8>,
     begins: bool,
+    tasks_changed: bool,
     is_done: bool,
 }
 
 impl Open {
-    /// Starts the next episode, if there is one.
-    fn start(
-        worlds: &mut dyn Environment,
-        instance: usize,
-        started: &mut usize,
-        episodes: usize,
-        seed: u64,
-    ) -> Option<Self> {
-        let episode = *started;
-        if episode == episodes {
-            return None;
-        }
-        *started += 1;
-        let mut random = generator(seed, Purpose::Evaluation, episode as u64);
-        worlds.reset(instance, &mut random);
-        let mut state = Vec::new();
-        worlds.save(instance, &mut state);
-        Some(Self { episode, instance, random, state, begins: true, is_done: false })
-    }
-
     fn scene(&self) -> Scene<'_> {
-        Scene { instance: self.instance, state: &self.state, begins: self.begins }
+        let Self { instance, ref state, begins, tasks_changed, .. } = *self;
+        Scene { instance, state, begins, tasks_changed }
     }
 }
 
@@ -93,7 +110,12 @@ mod tests {
     struct Begins(usize);
 
     impl Act for Begins {
-        fn act(&mut self, scenes: &Scenes<'_>, actions: &mut [u16]) -> Result<(), LearnError> {
+        fn act(
+            &mut self,
+            scenes: &Scenes<'_>,
+            _: &mut [Random],
+            actions: &mut [u16],
+        ) -> Result<(), LearnError> {
             self.0 += scenes.scenes.iter().filter(|scene| scene.begins).count();
             actions.fill(1);
             Ok(())

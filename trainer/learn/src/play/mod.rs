@@ -4,9 +4,10 @@ mod episodes;
 mod policy;
 mod random;
 
-use sortie_envs::{Environment, Random, Split};
+use rand_core::Rng;
+use sortie_envs::{Environment, Random, Split, Step};
 
-pub use episodes::evaluate;
+pub use episodes::{Start, evaluate};
 pub use policy::PolicyTeam;
 pub use random::RandomTeam;
 
@@ -15,10 +16,11 @@ use crate::method::{Method, Now, Scene, Scenes, Transition};
 use crate::run::EpisodeCounts;
 use crate::state::State;
 
-/// Instances that are played to learn from, each started anew as soon as its episode is over.
+/// Instances that are played to learn from.
 pub struct Play {
     worlds: Box<dyn Environment>,
-    random: Random,
+    /// A generator for each instance: it draws what its steps, and whoever acts in it, leave to chance.
+    random: Vec<Random>,
     running: Vec<Running>,
     actions: Vec<u16>,
     next: Vec<u8>,
@@ -29,16 +31,23 @@ pub struct Play {
 struct Running {
     state: Vec<u8>,
     begins: bool,
+    tasks_changed: bool,
+    is_over: bool,
     episode_return: f64,
 }
 
 impl Play {
-    /// Starts so many instances; `random` belongs to them and to whoever acts in them.
-    pub fn new(environment: &dyn Environment, instances: usize, mut random: Random) -> Self {
-        let mut worlds = environment.open(instances, Split::Train);
-        let running = (0..instances).map(|instance| start(&mut *worlds, instance, &mut random));
-        let running = running.collect();
-        Self { worlds, random, running, actions: Vec::new(), next: Vec::new() }
+    /// Starts an episode for each of these generators.
+    pub fn new(
+        environment: &dyn Environment,
+        method: &mut dyn Method,
+        random: Vec<Random>,
+    ) -> Self {
+        let worlds = environment.open(random.len(), Split::Train);
+        let running = vec![Running::default(); random.len()];
+        let mut play = Self { worlds, random, running, actions: Vec::new(), next: Vec::new() };
+        (0..play.running.len()).for_each(|instance| play.start(instance, method));
+        play
     }
 
     /// What is played in.
@@ -46,7 +55,8 @@ impl Play {
         &*self.worlds
     }
 
-    /// Steps every instance once.
+    /// Steps every instance once; where the method [waits](Method::waits), until the episodes of all are over. Returns
+    /// the number of steps.
     ///
     /// # Errors
     /// The method cannot act or remember, or chose an action that is not available.
@@ -54,50 +64,96 @@ impl Play {
         &mut self,
         method: &mut dyn Method,
         now: Now,
-        episodes: &mut EpisodeCounts,
-    ) -> Result<(), LearnError> {
-        let agents = self.worlds.spec().shape.agents;
-        self.actions.clear();
-        self.actions.resize(self.running.len() * agents, 0);
-        let running = self.running.iter().enumerate();
-        let scenes: Vec<Scene<'_>> = running
-            .map(|(instance, Running { state, begins, .. })| Scene {
-                instance,
-                state,
-                begins: *begins,
-            })
-            .collect();
-        let scenes = Scenes { environment: &*self.worlds, scenes: &scenes };
-        method.act(&scenes, now, &mut self.random, &mut self.actions)?;
-        let teams = self.running.iter_mut().zip(self.actions.chunks_exact(agents));
-        for (instance, (running, actions)) in teams.enumerate() {
-            let step = self.worlds.step(instance, actions, &mut self.random)?;
-            self.next.clear();
-            self.worlds.save(instance, &mut self.next);
-            running.episode_return += step.reward;
-            method.remember(&Transition {
-                environment: &*self.worlds,
-                instance,
-                state: &running.state,
-                actions,
-                step,
-                task_rewards: self.worlds.task_rewards(instance),
-                agent_rewards: self.worlds.agent_rewards(instance),
-                next: &self.next,
-            })?;
-            if step.done() {
-                let episode = self.worlds.episode(instance);
-                episodes.episodes += 1;
-                episodes.solved += u64::from(episode.solved);
-                episodes.timed_out += u64::from(step.timed_out);
-                episodes.return_sum += running.episode_return;
-                *running = start(&mut *self.worlds, instance, &mut self.random);
-            } else {
-                std::mem::swap(&mut running.state, &mut self.next);
-                running.begins = false;
+        counts: &mut EpisodeCounts,
+    ) -> Result<u64, LearnError> {
+        let mut steps = 0;
+        loop {
+            self.act(method, now)?;
+            let mut place = 0;
+            for instance in 0..self.running.len() {
+                if !self.running[instance].is_over {
+                    self.advance(instance, place, method, counts)?;
+                    place += 1;
+                }
+            }
+            steps += place as u64;
+            let over = self.running.iter().filter(|running| running.is_over).count();
+            if !method.waits() || over == self.running.len() {
+                break;
             }
         }
+        for instance in 0..self.running.len() {
+            if self.running[instance].is_over {
+                self.start(instance, method);
+            }
+        }
+        Ok(steps)
+    }
+
+    /// Lets the method act in all instances whose episode runs.
+    fn act(&mut self, method: &mut dyn Method, now: Now) -> Result<(), LearnError> {
+        let running = self.running.iter().enumerate().filter(|(_, running)| !running.is_over);
+        let scene = |(instance, running)| {
+            let Running { state, begins, tasks_changed, .. }: &Running = running;
+            Scene { instance, state, begins: *begins, tasks_changed: *tasks_changed }
+        };
+        let scenes: Vec<Scene<'_>> = running.map(scene).collect();
+        self.actions.clear();
+        self.actions.resize(scenes.len() * self.worlds.spec().shape.agents, 0);
+        let scenes = Scenes { environment: &*self.worlds, scenes: &scenes };
+        method.act(&scenes, now, &mut self.random, &mut self.actions)
+    }
+
+    /// Steps an instance, whose actions stand at a place.
+    fn advance(
+        &mut self,
+        instance: usize,
+        place: usize,
+        method: &mut dyn Method,
+        counts: &mut EpisodeCounts,
+    ) -> Result<(), LearnError> {
+        let agents = self.worlds.spec().shape.agents;
+        let actions = &self.actions[place * agents..][..agents];
+        let step = self.worlds.step(instance, actions, &mut self.random[instance])?;
+        self.next.clear();
+        self.worlds.save(instance, &mut self.next);
+        let running = &mut self.running[instance];
+        method.remember(&Transition {
+            environment: &*self.worlds,
+            instance,
+            state: &running.state,
+            actions,
+            step,
+            task_rewards: self.worlds.task_rewards(instance),
+            agent_rewards: self.worlds.agent_rewards(instance),
+            next: &self.next,
+        })?;
+        std::mem::swap(&mut running.state, &mut self.next);
+        running.begins = false;
+        running.tasks_changed = step.tasks_changed;
+        running.is_over = step.done();
+        running.episode_return += step.reward;
+        if step.done() {
+            self.count(instance, step, counts);
+        }
         Ok(())
+    }
+
+    fn count(&self, instance: usize, step: Step, counts: &mut EpisodeCounts) {
+        counts.episodes += 1;
+        counts.solved += u64::from(self.worlds.episode(instance).solved);
+        counts.timed_out += u64::from(step.timed_out);
+        counts.return_sum += self.running[instance].episode_return;
+    }
+
+    /// Starts an episode, from a generator of its own, so that starts with more draws shift nothing else.
+    fn start(&mut self, instance: usize, method: &mut dyn Method) {
+        let random = &mut self.random[instance];
+        method.begins(instance, random);
+        self.worlds.reset(instance, &mut sortie_envs::random::generator(random.next_u64()));
+        let mut running = Running { begins: true, ..Running::default() };
+        self.worlds.save(instance, &mut running.state);
+        self.running[instance] = running;
     }
 
     /// Names what the rest of the play depends on.
@@ -105,20 +161,16 @@ impl Play {
     /// # Errors
     /// What is read does not fit.
     pub fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
+        let instances = self.running.len();
         state.value("play/random", &mut self.random)?;
         state.value("play/running", &mut self.running)?;
+        if [self.random.len(), self.running.len()] != [instances; 2] {
+            return Err(LearnError::Config("the checkpoint has other instances".to_owned()));
+        }
         for (instance, running) in self.running.iter().enumerate().filter(|_| state.is_reading()) {
             let loaded = self.worlds.load(instance, &running.state);
             loaded.map_err(|error| LearnError::Config(format!("instance {instance}: {error}")))?;
         }
         Ok(())
     }
-}
-
-/// Starts an episode.
-fn start(worlds: &mut dyn Environment, instance: usize, random: &mut Random) -> Running {
-    worlds.reset(instance, random);
-    let mut running = Running { begins: true, ..Running::default() };
-    worlds.save(instance, &mut running.state);
-    running
 }

@@ -2,7 +2,7 @@
 
 use sortie_core::policy::{NO_ACTION, Observation as Seen, Policy};
 use sortie_core::{DecideError, EntityMask};
-use sortie_envs::{EntitySet, Observation};
+use sortie_envs::{EntitySet, Observation, Random};
 
 use crate::error::LearnError;
 use crate::method::{Act, Scenes};
@@ -66,7 +66,12 @@ impl<P: Policy> PolicyTeam<P> {
 }
 
 impl<P: Policy> Act for PolicyTeam<P> {
-    fn act(&mut self, scenes: &Scenes<'_>, actions: &mut [u16]) -> Result<(), LearnError> {
+    fn act(
+        &mut self,
+        scenes: &Scenes<'_>,
+        _: &mut [Random],
+        actions: &mut [u16],
+    ) -> Result<(), LearnError> {
         let shape = scenes.environment.spec().shape;
         for (scene, actions) in actions.chunks_exact_mut(shape.agents).enumerate() {
             self.look(scenes, scene);

@@ -21,7 +21,12 @@ impl RandomTeam {
 }
 
 impl Act for RandomTeam {
-    fn act(&mut self, scenes: &Scenes<'_>, actions: &mut [u16]) -> Result<(), LearnError> {
+    fn act(
+        &mut self,
+        scenes: &Scenes<'_>,
+        _: &mut [Random],
+        actions: &mut [u16],
+    ) -> Result<(), LearnError> {
         let agents = scenes.environment.spec().shape.agents;
         for (scene, actions) in scenes.scenes.iter().zip(actions.chunks_exact_mut(agents)) {
             scenes.environment.observe(scene.state, 0, 0, &mut self.seen);

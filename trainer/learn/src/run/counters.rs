@@ -34,6 +34,17 @@ impl UpdateReport {
     }
 }
 
+/// What a method did since it was asked last.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Reports {
+    /// The updates of the agents.
+    pub agents: Vec<UpdateReport>,
+    /// The updates of what allocates them.
+    pub allocator: Vec<UpdateReport>,
+    /// How often agents were allocated.
+    pub decisions: u64,
+}
+
 /// Episodes that ended during some steps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct EpisodeCounts {
@@ -76,6 +87,21 @@ impl Updates {
 
     pub(crate) fn mean_gradient_norm(&self) -> f64 {
         self.gradient_norm / self.updates.max(1) as f64
+    }
+}
+
+impl Window {
+    /// Adds what a method did.
+    pub(crate) fn add(&mut self, reports: Reports, env_steps: u64) -> Result<(), LearnError> {
+        let Reports { agents, allocator, decisions } = reports;
+        for report in agents {
+            self.agents.add(report.finite("agents", env_steps)?);
+        }
+        for report in allocator {
+            self.allocator.add(report.finite("allocator", env_steps)?);
+        }
+        self.episodes.decisions += decisions;
+        Ok(())
     }
 }
 

@@ -31,7 +31,7 @@ use std::path::Path;
 pub use checkpoint::{Checkpoint, Checkpoints};
 pub use config::RunConfig;
 pub(crate) use counters::{Counters, Level};
-pub use counters::{EpisodeCounts, UpdateReport};
+pub use counters::{EpisodeCounts, Reports, UpdateReport};
 pub use curve::CurvePoint;
 pub(crate) use description::KEYS;
 pub use description::{Configuration, RunDescription};

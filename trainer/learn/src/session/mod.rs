@@ -24,7 +24,7 @@ use crate::play::{self, Play};
 use crate::random::{Purpose, generator};
 use crate::run::checkpoint::{Checkpoint, OpenFor};
 use crate::run::{
-    Counters, CurvePoint, Labels, Learning, Observer, Outcome, Progress, Rates, RunConfig,
+    Counters, CurvePoint, Labels, Learning, Observer, Outcome, Progress, Rates, Reports, RunConfig,
     RunDescription, RunFolder, learn,
 };
 use crate::state::{State, Written};
@@ -95,13 +95,14 @@ impl Session {
     fn start(
         description: RunDescription<Setup>,
         environment: Box<dyn Environment>,
-        method: Box<dyn Method>,
+        mut method: Box<dyn Method>,
         folder: RunFolder,
     ) -> Self {
         let Setup { environment: choice, run, .. } = &description.config;
-        let random = generator(description.seed, Purpose::Rollout, 0);
+        let stream = |index| generator(description.seed, Purpose::Rollout, index as u64);
+        let random = (0..choice.instances).map(stream).collect();
         Self {
-            play: Play::new(&*environment, choice.instances, random),
+            play: Play::new(&*environment, &mut *method, random),
             counters: Counters::new(run.evaluate_every),
             refused: Vec::new(),
             description,
@@ -216,14 +217,12 @@ impl Learning for Session {
     fn step(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError> {
         let now = self.now();
         let window = &mut self.counters.window;
-        self.play.round(&mut *self.method, now, &mut window.episodes)?;
-        self.counters.env_steps += self.description.config.environment.instances as u64;
+        let steps = self.play.round(&mut *self.method, now, &mut window.episodes)?;
+        self.counters.env_steps += steps;
         let now = self.now();
-        let mut reports = Vec::new();
+        let mut reports = Reports::default();
         self.method.update(self.play.environment(), now, &mut reports)?;
-        for report in reports {
-            self.counters.window.agents.add(report.finite("agents", now.env_steps)?);
-        }
+        self.counters.window.add(reports, now.env_steps)?;
         observer.progress(&Progress { env_steps: now.env_steps, env_steps_total: now.of });
         Ok(())
     }

@@ -42,17 +42,17 @@ impl Acting {
         self.decide(network, actions, |_, best, _| best);
     }
 
-    /// The same, each replaced by a random one with the chance of its team.
-    pub fn act(
+    /// The same, each replaced by a random one with the chance and by the generator of its team.
+    pub fn act<'a>(
         &mut self,
         network: &Network,
-        chances: impl Iterator<Item = f32>,
-        random: &mut Random,
+        teams: impl Iterator<Item = (f32, &'a mut Random)>,
         actions: &mut [u16],
     ) {
-        let chances: Vec<f32> = chances.collect();
+        let mut teams: Vec<_> = teams.collect();
         self.decide(network, actions, |team, best, available| {
-            if chance(random, chances[team].into()) {
+            let (epsilon, random) = &mut teams[team];
+            if chance(random, (*epsilon).into()) {
                 member(random, available.into()).unwrap_or(best)
             } else {
                 best

@@ -3,7 +3,7 @@
 use sortie_envs::{EntitySet, Environment, Observation, Random};
 use sortie_learn::export::DeployedAgents;
 use sortie_learn::random::{Purpose, generator};
-use sortie_learn::run::{Rates, UpdateReport};
+use sortie_learn::run::{Rates, Reports};
 use sortie_learn::session::Opening;
 use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition};
 
@@ -55,15 +55,16 @@ impl Method for ValueFactorisation {
         &mut self,
         scenes: &Scenes<'_>,
         now: Now,
-        random: &mut Random,
+        random: &mut [Random],
         actions: &mut [u16],
     ) -> Result<(), LearnError> {
         let exploration = &self.config.exploration;
         let epsilon = exploration.epsilon_at(now.env_steps);
         let factor = |instance: usize| exploration.spread[instance % exploration.spread.len()];
-        let chances = scenes.scenes.iter().map(|scene| (epsilon * factor(scene.instance)).min(1.0));
+        let teams = random.iter_mut().enumerate();
+        let teams = teams.map(|(instance, own)| ((epsilon * factor(instance)).min(1.0), own));
         self.acting.look(scenes);
-        self.acting.act(self.learner.online(), chances, random, actions);
+        self.acting.act(self.learner.online(), teams, actions);
         Ok(())
     }
 
@@ -76,7 +77,7 @@ impl Method for ValueFactorisation {
         &mut self,
         environment: &dyn Environment,
         now: Now,
-        reports: &mut Vec<UpdateReport>,
+        reports: &mut Reports,
     ) -> Result<(), LearnError> {
         let due = match self.config.replay.steps_per_update {
             0 => self.experience.finished(),
@@ -89,7 +90,7 @@ impl Method for ValueFactorisation {
             let moves_target = self.updates.is_multiple_of(self.config.update.target_every);
             let update = Update { learning_rate, moves_target };
             let Self { experience, learner, random, .. } = self;
-            reports.extend(experience.teach(learner, environment, update, random, batch));
+            reports.agents.extend(experience.teach(learner, environment, update, random, batch));
         }
         Ok(())
     }
@@ -136,7 +137,12 @@ struct Greedy<'a> {
 }
 
 impl Act for Greedy<'_> {
-    fn act(&mut self, scenes: &Scenes<'_>, actions: &mut [u16]) -> Result<(), LearnError> {
+    fn act(
+        &mut self,
+        scenes: &Scenes<'_>,
+        _: &mut [Random],
+        actions: &mut [u16],
+    ) -> Result<(), LearnError> {
         self.acting.look(scenes);
         self.acting.choose(self.network, actions);
         Ok(())
