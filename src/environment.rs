@@ -5,7 +5,7 @@ use std::fmt;
 
 use sortie_bundle::{Bundle, Environment};
 use sortie_envs::{Choice, ENVIRONMENTS, Entry, EnvironmentError, Shape, Spec, Split};
-use sortie_learn::evaluate::LEARNED;
+use sortie_methods::alma::evaluate::LEARNED;
 
 use crate::failure::{Exit, Failure, Outcome};
 

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use sortie_bundle::files::{Durability, replace_file};
 use sortie_envs::{Environment, Step};
 use sortie_learn::LearnError;
-use sortie_learn::evaluate::{Labels, Onlooker, Recorder, Watched};
+use sortie_methods::alma::evaluate::{Labels, Onlooker, Recorder, Watched};
 
 use crate::failure::Failure;
 use crate::files::{Kind, try_output};

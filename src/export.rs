@@ -7,10 +7,14 @@ use indicatif::ProgressBar;
 use serde::Serialize;
 use sortie_bundle::files::check_folder;
 use sortie_bundle::{BundleError, Draft, hex};
-use sortie_learn::evaluate::{Allocate, Evaluation, EvaluationPlan, evaluate_watched};
-use sortie_learn::export::{Measured, MethodRun, check_exportable, draft_bundle, draft_method};
+use sortie_learn::evaluate::Evaluation;
+use sortie_learn::export::{Measured, MethodRun, draft_method};
 use sortie_learn::play;
-use sortie_learn::run::{Run, Settings, read_curve};
+use sortie_learn::run::read_curve;
+use sortie_methods::alma::evaluate::{Allocate, EvaluationPlan, evaluate_watched};
+use sortie_methods::alma::export::{check_exportable, draft_bundle};
+use sortie_methods::alma::run::Run;
+use sortie_methods::alma::settings::Settings;
 
 use crate::allocation::Allocation;
 use crate::compiler::with_plans;

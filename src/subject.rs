@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use sortie_bundle::{Bundle, MANIFEST, SubtaskConditioning, TRAINING};
-use sortie_learn::run::Run;
+use sortie_methods::alma::run::Run;
 
 use crate::deployment::open_bundle;
 use crate::environment::ScenarioSetName;

@@ -1,7 +1,7 @@
 //! What allocates in episodes that one process plays: a rule, or what a subject has learned.
 
-use sortie_learn::evaluate::{Allocate, DeployedAllocator, LEARNED, NoSubtasks};
-use sortie_learn::run::{Run, RunAllocator};
+use sortie_methods::alma::evaluate::{Allocate, DeployedAllocator, LEARNED, NoSubtasks};
+use sortie_methods::alma::run::{Run, RunAllocator};
 
 use crate::allocation::{Allocation, AllocatorChoice};
 use crate::allocator::{LearnedAllocator as DeployedLearned, none_learned};

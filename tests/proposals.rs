@@ -6,8 +6,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use sortie_bundle::{AGENT, Bundle, Draft, PROPOSAL_PARTS, PROPOSALS};
-use sortie_learn::export::export_proposals;
-use sortie_learn::methods::paper::allocation::{AllocationShape, CriticWeights, PolicyWeights};
+use sortie_methods::alma::export::export_proposals;
+use sortie_methods::alma::windows::allocation::{AllocationShape, CriticWeights, PolicyWeights};
 use support::{BUNDLE, json};
 
 /// The shipped team with an allocator of random weights, which proposes.

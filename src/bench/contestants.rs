@@ -5,7 +5,7 @@ use std::path::Path;
 use sortie_bundle::Bundle;
 use sortie_core::Policy;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
-use sortie_learn::evaluate::EvaluationPlan;
+use sortie_methods::alma::evaluate::EvaluationPlan;
 use sortie_plans::{BatchedUtilities, CompileError, CompileOptions, Compiler, OnnxRuntimeEngine};
 
 use super::floor::Floor;

@@ -2,7 +2,7 @@
 
 use sortie_bundle::{Bundle, OwnedAllocationState, Recording};
 use sortie_core::{AllocateError, AllocationState, Allocator, Policy};
-use sortie_learn::evaluate::{DeployedAllocator, EvaluationPlan, PolicyTeam, evaluate};
+use sortie_methods::alma::evaluate::{DeployedAllocator, EvaluationPlan, PolicyTeam, evaluate};
 
 use crate::allocation::Allocation;
 use crate::failure::Failure;

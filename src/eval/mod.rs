@@ -10,9 +10,10 @@ use clap::Args;
 use indicatif::ProgressBar;
 use serde::Serialize;
 use sortie_envs::{Metric, Split};
-use sortie_learn::evaluate::{
-    Allocate, Evaluation, EvaluationPlan, Onlooker, Planner, PlannerReport, PolicyTeam,
-    ScriptedActors, Team, evaluate_watched,
+use sortie_learn::evaluate::Evaluation;
+use sortie_methods::alma::evaluate::{
+    Allocate, EvaluationPlan, Onlooker, Planner, PlannerReport, PolicyTeam, ScriptedActors, Team,
+    evaluate_watched,
 };
 
 use self::method::{flat_bundle, play_bundle, play_method, play_script};

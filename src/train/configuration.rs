@@ -5,10 +5,11 @@ use std::fs;
 use std::path::Path;
 
 use sortie_learn::LearnError;
-use sortie_learn::methods::alma::{Conditioning, MixerKind};
-use sortie_learn::methods::paper;
-use sortie_learn::run::{Configuration, Settings, keys_in};
+use sortie_learn::run::{Configuration, keys_in};
 use sortie_learn::session::{MethodEntry, Setup};
+use sortie_methods::alma::records::{Conditioning, MixerKind};
+use sortie_methods::alma::settings::Settings;
+use sortie_methods::alma::windows;
 
 use super::method::AlmaMethod;
 use super::{Mixer, TrainArguments};
@@ -67,7 +68,7 @@ pub(super) fn configuration(
     let mut settings = match &arguments.config {
         Some(path) => configuration_file(path, &mut given)?,
         None if method == AlmaMethod::Copa && arguments.preset == "fast" => {
-            Settings::Windows(paper::Config::like_fast())
+            Settings::Windows(windows::Config::like_fast())
         }
         None => Settings::preset(&arguments.preset).map_err(usage)?,
     };

@@ -14,12 +14,12 @@ use clap::{Args, ValueEnum};
 use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
 use sortie_ipc::Stop;
 use sortie_learn::LearnError;
-use sortie_learn::methods::Trainer;
 use sortie_learn::run::{
-    Configuration, Outcome as Ending, RunDescription, Settings, method_of, prolong,
-    replace_products,
+    Configuration, Outcome as Ending, RunDescription, method_of, prolong, replace_products,
 };
 use sortie_learn::session::{MethodEntry, Session, Setup};
+use sortie_methods::alma::Trainer;
+use sortie_methods::alma::settings::Settings;
 
 use crate::allocation::Allocation;
 use crate::failure::{Exit, Failure, Outcome};

@@ -2,8 +2,8 @@
 
 use console::Term;
 use indicatif::{HumanCount, ProgressBar, ProgressDrawTarget, ProgressStyle};
-use sortie_learn::methods::Trainer;
 use sortie_learn::run::{CurvePoint, Observer, Progress, RunResult, TrainingPoint};
+use sortie_methods::alma::Trainer;
 
 use crate::options::Common;
 use crate::output::{print_json, say, tell};

@@ -1,9 +1,10 @@
-//! Where the sources name environments: in their own folders, and in a line of a registry.
+//! Where the sources name environments: in their own folders, and in a line of a registry. And where they name methods.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use sortie_envs::ENVIRONMENTS;
+use sortie_methods::METHODS;
 
 use crate::tokens::tokens;
 
@@ -12,15 +13,24 @@ const REGISTRIES: [(&str, usize); 3] =
     [("trainer/envs/src/lib.rs", 1), ("trainer/envs/src/registry.rs", 1), ("src/views/mod.rs", 2)];
 
 /// Folders that name environments besides, and why they may.
-const EXCEPTED: [(&str, &str); 1] =
-    [("src/bench/train", "what is timed beside PyTorch is made of one environment's rows")];
+const EXCEPTED: [(&str, &str); 2] = [
+    ("src/bench/train", "what is timed beside PyTorch is made of one environment's rows"),
+    (
+        "trainer/methods/src/alma",
+        "its learners read the states of the environment that they were made for",
+    ),
+];
+
+/// Folders of sources that know environments by their seam alone.
+const FOLDERS: [&str; 5] =
+    ["src", "trainer/envs/src", "trainer/nn/src", "trainer/learn/src", "trainer/methods/src"];
 
 #[test]
 fn environments_are_named_in_their_folders_and_registries_alone() {
     let mut wrong = String::new();
     let mut excepted = EXCEPTED.map(|_| 0);
-    for file in ["src", "trainer/envs/src"].iter().flat_map(|folder| sources(Path::new(folder))) {
-        let text = fs::read_to_string(&file).expect("a source file");
+    for file in FOLDERS.iter().flat_map(|folder| sources(Path::new(folder))) {
+        let text = without_tests(fs::read_to_string(&file).expect("a source file"));
         for entry in ENVIRONMENTS {
             let module = entry.name.replace('-', "_");
             if file.iter().any(|folder| folder == module.as_str()) {
@@ -45,6 +55,25 @@ fn environments_are_named_in_their_folders_and_registries_alone() {
 }
 
 #[test]
+fn the_engine_names_no_method() {
+    let mut wrong = String::new();
+    for file in ["trainer/nn/src", "trainer/learn/src"].map(Path::new).into_iter().flat_map(sources)
+    {
+        let text = without_tests(fs::read_to_string(&file).expect("a source file"));
+        let names = METHODS.iter().map(|entry| entry.name).chain(["alma", "copa"]);
+        for name in names {
+            let words = tokens(&text).into_iter();
+            let found = words.filter(|token| token.text.to_lowercase() == name);
+            let lines: Vec<usize> = found.map(|token| token.line).collect();
+            if !lines.is_empty() || text.contains(&format!("\"{name}\"")) {
+                wrong.push_str(&format!("{}: lines {lines:?} name {name}\n", file.display()));
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{wrong}");
+}
+
+#[test]
 fn a_name_is_found_in_code_and_not_in_comments() {
     let text = "//! save_the_city\nuse a::save_the_city::B;\nlet x = SaveTheCity;\nf(\"save-the-city\");\n\
         f(\"models/save-the-city\");\n";
@@ -60,6 +89,11 @@ fn named(text: &str, name: &str, module: &str) -> Vec<usize> {
     let literal = format!("\"{name}\"");
     let literals = text.lines().enumerate().filter(|(_, line)| line.contains(&literal));
     words.map(|token| token.line).chain(literals.map(|(line, _)| line + 1)).collect()
+}
+
+/// The code of a file before that of its tests, which may name what they like.
+fn without_tests(text: String) -> String {
+    text.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default().to_owned()
 }
 
 fn sources(folder: &Path) -> Vec<PathBuf> {

@@ -6,7 +6,7 @@ use std::path::Path;
 use sortie_envs::save_the_city::{
     ACTIONS, AgentState, BuildingState, FEATURES, Symmetry, write_agent_row, write_building_row,
 };
-use sortie_learn::methods::alma::{
+use sortie_methods::alma::records::{
     INPUT_COLUMNS, Knowledge, NO_ACTION, Pick, Replay, UtilityNetwork, UtilityShape,
 };
 

@@ -1,13 +1,13 @@
 //! What is timed: both levels of a run of preset `fast`, on experience of its own.
 
 use sortie_envs::save_the_city::MAX_AGENTS;
-use sortie_learn::methods::alma::team_value::{TeamSearch, TeamValueLoss};
-use sortie_learn::methods::alma::{
+use sortie_learn::random::{Purpose, generator};
+use sortie_learn::run::EpisodeCounts;
+use sortie_methods::alma::records::team_value::{TeamSearch, TeamValueLoss};
+use sortie_methods::alma::records::{
     Behaviour, Chunk, Config, Knowledge, Learner, Loss, Memory, Networks, Rollout, agents_learner,
     allocator_learner,
 };
-use sortie_learn::random::{Purpose, generator};
-use sortie_learn::run::EpisodeCounts;
 use sortie_nn::random::Generator;
 
 use super::{Case, Turn};

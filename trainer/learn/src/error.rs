@@ -2,7 +2,6 @@
 
 use std::path::PathBuf;
 
-use sortie_envs::save_the_city::CityError;
 use sortie_envs::{EnvironmentError, StepError};
 
 /// Why a run cannot be set up, continued or measured.
@@ -88,7 +87,7 @@ pub enum LearnError {
     },
     /// The environment could not be set up.
     #[error("environment: {0}")]
-    Environment(#[from] CityError),
+    Environment(Box<dyn std::error::Error + Send + Sync>),
     /// There is no such environment.
     #[error("{0}")]
     Choice(#[from] EnvironmentError),
@@ -105,19 +104,24 @@ fn at_line(line: Option<usize>) -> String {
 }
 
 impl LearnError {
+    /// Passes on what an environment says.
+    pub fn environment(error: impl std::error::Error + Send + Sync + 'static) -> Self {
+        Self::Environment(Box::new(error))
+    }
+
     /// Names the file of an input or output error.
-    pub(crate) fn file(path: impl Into<PathBuf>) -> impl FnOnce(std::io::Error) -> Self {
+    pub fn file(path: impl Into<PathBuf>) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.into();
         |source| Self::File { path, source }
     }
 
     /// Says what is in the way in a folder.
-    pub(crate) fn taken(path: impl Into<PathBuf>, reason: impl ToString) -> Self {
+    pub fn taken(path: impl Into<PathBuf>, reason: impl ToString) -> Self {
         Self::Taken { path: path.into(), reason: reason.to_string() }
     }
 
     /// Says what is wrong with a file.
-    pub(crate) fn format(path: impl Into<PathBuf>, reason: impl ToString) -> Self {
+    pub fn format(path: impl Into<PathBuf>, reason: impl ToString) -> Self {
         Self::Format { path: path.into(), reason: reason.to_string() }
     }
 }

@@ -6,7 +6,6 @@ pub mod error;
 pub mod evaluate;
 pub mod export;
 pub mod method;
-pub mod methods;
 pub mod play;
 pub mod random;
 pub mod report;

@@ -1,4 +1,4 @@
-//! The page about the keys of methods says what the program knows.
+//! The pages about the keys of methods say what the program knows.
 
 use sortie_learn::run::Difference;
 use sortie_methods::value_factorisation::{QMIX, REFIL, VDN};
@@ -29,5 +29,18 @@ fn the_page_lists_every_key() {
     assert!(
         std::fs::read_to_string(path).unwrap_or_default() == page,
         "docs/configuration-methods.md is another: SORTIE_WRITE_DOCS=1 cargo test -p sortie-methods --test reference"
+    );
+}
+
+#[test]
+fn the_page_of_almas_keys_is_as_the_program_writes_it() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/configuration.md");
+    let page = sortie_methods::alma::reference().unwrap();
+    if std::env::var_os("SORTIE_WRITE_DOCS").is_some() {
+        std::fs::write(path, &page).unwrap();
+    }
+    assert!(
+        std::fs::read_to_string(path).unwrap_or_default() == page,
+        "docs/configuration.md is another: SORTIE_WRITE_DOCS=1 cargo test -p sortie-methods --test reference"
     );
 }

@@ -4,12 +4,12 @@ use std::collections::HashMap;
 use std::path::Path;
 
 use sortie_envs::random::unit;
-use sortie_learn::methods::alma::{UtilityNetwork, UtilityShape};
-use sortie_learn::methods::paper::allocation::{
+use sortie_methods::alma::records::{UtilityNetwork, UtilityShape};
+use sortie_methods::alma::windows::allocation::{
     AllocationCritic, AllocationPolicy, AllocationShape, Noise, Rows, StepDraws,
 };
-use sortie_learn::methods::paper::low_level::{HYPERNETWORKS, LowLevelNetworks, Mixer};
-use sortie_learn::methods::paper::{PopArt, WindowShape, Windows};
+use sortie_methods::alma::windows::low_level::{HYPERNETWORKS, LowLevelNetworks, Mixer};
+use sortie_methods::alma::windows::{PopArt, WindowShape, Windows};
 
 use super::super::program::Expected;
 use super::super::tensors::Tensors;

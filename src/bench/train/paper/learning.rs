@@ -3,14 +3,14 @@
 use std::time::Duration;
 
 use sortie_envs::save_the_city::{AllocationRule, ScenarioSet};
-use sortie_learn::methods::paper::allocation::{AllocationLevel, AllocationState};
-use sortie_learn::methods::paper::low_level::{LowLevel, LowLevelConfig};
-use sortie_learn::methods::paper::{
+use sortie_learn::random::{Purpose, generator};
+use sortie_learn::run::EpisodeCounts;
+use sortie_methods::alma::windows::allocation::{AllocationLevel, AllocationState};
+use sortie_methods::alma::windows::low_level::{LowLevel, LowLevelConfig};
+use sortie_methods::alma::windows::{
     Config, Decide, Exploration, ProposalAllocator, Replay, Rollout, SampleShape, Shaping, Windows,
     cut_windows, draw_episodes,
 };
-use sortie_learn::random::{Purpose, generator};
-use sortie_learn::run::EpisodeCounts;
 use sortie_nn::random::Generator;
 
 use crate::bench::thread_cpu_s;

@@ -5,7 +5,7 @@ use sortie_envs::save_the_city::{
     AgentKind, BuildingKind, City, DecisionPoints, EpisodeMetrics, MAX_AGENTS, UNASSIGNED,
 };
 use sortie_learn::LearnError;
-use sortie_learn::evaluate::{Onlooker, PolicyTeam, Scene, Team, Watched};
+use sortie_methods::alma::evaluate::{Onlooker, PolicyTeam, Scene, Team, Watched};
 
 use super::data::{AgentFacts, BuildingFacts, EpisodeResult, State, Step};
 use super::episode::Episode;

@@ -4,11 +4,11 @@ use std::path::Path;
 
 use sortie_envs::save_the_city::golden::{self, Playback};
 use sortie_envs::save_the_city::{DecisionPoints, MAX_AGENTS, UNASSIGNED};
-use sortie_learn::evaluate::{
+use sortie_learn::random::{Purpose, generator};
+use sortie_methods::alma::evaluate::{
     Allocate, EvaluationPlan, Onlooker, Scene, Team, Watched, watch_last_episode,
 };
-use sortie_learn::methods::alma::NO_ACTION;
-use sortie_learn::random::{Purpose, generator};
+use sortie_methods::alma::records::NO_ACTION;
 use sortie_nn::random::Generator;
 
 use crate::failure::Failure;

@@ -13,8 +13,8 @@ use std::path::Path;
 use sortie_envs::save_the_city::golden::Playback;
 use sortie_envs::save_the_city::{ACTION_NAMES, DecisionPoints, ENTRY, SIDE, SaveTheCity};
 use sortie_learn::LearnError;
-use sortie_learn::evaluate::{Allocate, EvaluationPlan, Scene, ScriptedActors, Team};
-use sortie_learn::methods::alma::{Conditioning, NetworkPolicy};
+use sortie_methods::alma::evaluate::{Allocate, EvaluationPlan, Scene, ScriptedActors, Team};
+use sortie_methods::alma::records::{Conditioning, NetworkPolicy};
 
 use crate::allocation::AllocatorChoice;
 use crate::environment;

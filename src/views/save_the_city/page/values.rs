@@ -2,8 +2,8 @@
 
 use sortie_envs::save_the_city::City;
 use sortie_learn::LearnError;
-use sortie_learn::evaluate::Scene;
-use sortie_learn::export::LearnedAllocator;
+use sortie_methods::alma::evaluate::Scene;
+use sortie_methods::alma::export::LearnedAllocator;
 
 use super::data::TeamValues;
 use super::value_networks::{DeployedNetwork, RunNetwork, ValueTeams};
@@ -111,9 +111,9 @@ mod tests {
     use sortie_envs::save_the_city::{
         Constants, SaveTheCity, ScenarioSet, Status, Symmetry, UNASSIGNED,
     };
-    use sortie_learn::methods::alma::team_value::{COLUMNS, TeamQuery, TeamValueInput};
-    use sortie_learn::methods::alma::{UtilityNetwork, UtilityPass, UtilityShape};
     use sortie_learn::random::{Purpose, generator};
+    use sortie_methods::alma::records::team_value::{COLUMNS, TeamQuery, TeamValueInput};
+    use sortie_methods::alma::records::{UtilityNetwork, UtilityPass, UtilityShape};
 
     #[test]
     fn values_are_those_of_the_network_for_the_teams_that_are_named() {

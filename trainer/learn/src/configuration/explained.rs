@@ -4,18 +4,16 @@ use serde::Serialize;
 use toml::{Table, Value};
 
 use super::key::{Key, Section};
-use super::keys::{FAST, PAPER};
 use super::{Kept, table_of};
 use crate::error::LearnError;
-use crate::methods::{alma, paper};
 
 /// A configuration as a file with comments.
-pub(crate) fn explained<C: Kept>(config: &C) -> Result<String, LearnError> {
+pub fn explained<C: Kept>(config: &C) -> Result<String, LearnError> {
     explained_by(C::SECTIONS, &table_of(config)?)
 }
 
 /// The values of these sections as a file with comments.
-pub(crate) fn explained_by(sections: &[Section], table: &Table) -> Result<String, LearnError> {
+pub fn explained_by(sections: &[Section], table: &Table) -> Result<String, LearnError> {
     let mut text = String::new();
     for section in sections {
         if !text.is_empty() {
@@ -37,31 +35,8 @@ pub(crate) fn explained_by(sections: &[Section], table: &Table) -> Result<String
     Ok(text)
 }
 
-/// The page `docs/configuration.md`.
-pub fn reference() -> Result<String, LearnError> {
-    let mut page = String::from(HEAD);
-    page += &tables("Preset `fast`", FAST, &alma::Config::default())?;
-    page += &tables("Preset `paper`", PAPER, &paper::Config::default())?;
-    Ok(page)
-}
-
-const HEAD: &str = "\
-# The configuration, key by key
-
-`sortie train METHOD --print-config` prints the configuration that a command would learn by, with all of this as comments; it
-takes `--preset`, `--config`, `--set` and the other flags. What it prints is a file for `--config`, which may leave out what it
-does not change. `--set replay.batch=256` changes one value. A value outside its range, or a key that does not exist, is
-refused with exit code 2, by key, value and range, in files also by line. `train.toml` in a run's folder holds the values
-that the run learns by; `sortie train METHOD --resume DIR --steps N` changes `run.steps` and nothing else.
-
-In the preset `fast`, runs of less than 600,000 steps shrink `exploration.steps`, `allocator.learns_from` and
-`allocator.decides_from` in proportion, unless they are set.
-
-This page is written by the program; a test compares them.
-";
-
 /// The keys of these sections as tables, with their defaults.
-pub(crate) fn tables(
+pub fn tables(
     title: &str,
     sections: &[Section],
     config: &impl Serialize,

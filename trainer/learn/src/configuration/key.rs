@@ -2,7 +2,6 @@
 
 use std::fmt;
 
-use sortie_envs::save_the_city::ScenarioSet;
 use toml::Value;
 
 /// Keys that stand together in a file, under a heading.
@@ -44,8 +43,8 @@ pub enum Range {
     OneOf(&'static [&'static str]),
     /// `true` or `false`.
     Truth,
-    /// Scenario sets, joined by `+`.
-    Sets,
+    /// Text that a function accepts, and what that is.
+    Said(fn(&str) -> bool, &'static str),
     /// Any text.
     Text,
 }
@@ -79,7 +78,7 @@ impl Range {
                 !values.is_empty() && values.iter().all(holds)
             }
             (Self::OneOf(words), Value::String(word)) => words.contains(&word.as_str()),
-            (Self::Sets, Value::String(name)) => ScenarioSet::named(name).is_ok(),
+            (Self::Said(accepts, _), Value::String(text)) => accepts(text),
             (Self::Truth, Value::Boolean(_)) | (Self::Text, Value::String(_)) => true,
             _ => false,
         }
@@ -106,7 +105,7 @@ impl fmt::Display for Range {
             Self::OneOf([word]) => write!(f, "`{word}`"),
             Self::OneOf(words) => write!(f, "one of `{}`", words.join("`, `")),
             Self::Truth => f.write_str("`true` or `false`"),
-            Self::Sets => f.write_str("scenario sets such as `2-5a_2-5b`, joined by `+`"),
+            Self::Said(_, what) => f.write_str(what),
             Self::Text => f.write_str("text"),
         }
     }
@@ -120,7 +119,7 @@ pub(super) fn find<'a>(sections: &'a [Section], path: &str) -> Option<&'a Key> {
 }
 
 /// The whole names of all keys, in the order of the file.
-pub(super) fn paths(sections: &[Section]) -> impl Iterator<Item = String> {
+pub fn paths(sections: &[Section]) -> impl Iterator<Item = String> {
     let path = |section: &Section, key: &Key| match section.name {
         "" => key.name.to_owned(),
         name => format!("{name}.{}", key.name),
@@ -171,8 +170,10 @@ mod tests {
         assert!(!Range::Whole(1, 3).holds(&Value::Integer(4)));
         assert!(!Range::Whole(1, 3).holds(&float(2.0)));
         assert!(!Range::Numbers(0.0, 1.0).holds(&Value::Array(Vec::new())));
-        assert!(Range::Sets.holds(&Value::String("2-5a_2-5b+2-8a_2-8b".to_owned())));
-        assert!(!Range::Sets.holds(&Value::String("foo".to_owned())));
+        let lower =
+            Range::Said(|text| text.bytes().all(|byte| byte.is_ascii_lowercase()), "lower case");
+        assert!(lower.holds(&Value::String("foo".to_owned())));
+        assert!(!lower.holds(&Value::String("Foo".to_owned())));
     }
 
     #[test]

@@ -10,19 +10,17 @@ use serde::de::DeserializeOwned;
 use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
-pub use explained::reference;
-pub(crate) use explained::{explained, explained_by, tables};
-pub use key::{Key, Range, Section};
+pub use explained::{explained, explained_by, tables};
+pub use key::{Key, Range, Section, paths};
 use key::{find, nearest_path};
-pub use keys::{EXPLORATION, FAST, OPTIMISER, PAPER};
-pub(crate) use keys::{RUN, WHERE};
+pub use keys::{EXPLORATION, INSTANCES, OPTIMISER, RUN, SHARE, STEPS, WHERE, exploration};
 pub use parts::{ExplorationConfig, OptimiserConfig};
 
 use crate::error::LearnError;
 use crate::run::KEYS;
 
 /// What can be kept in a file.
-pub(crate) trait Kept: Default + Serialize + DeserializeOwned {
+pub trait Kept: Default + Serialize + DeserializeOwned {
     /// All its keys.
     const SECTIONS: &'static [Section];
 
@@ -33,14 +31,14 @@ pub(crate) trait Kept: Default + Serialize + DeserializeOwned {
 /// Reads a configuration; what is missing keeps its default.
 ///
 /// A run's `train.toml` will do: its lines about the run itself are passed over.
-pub(crate) fn from_toml<C: Kept>(text: &str) -> Result<C, LearnError> {
+pub fn from_toml<C: Kept>(text: &str) -> Result<C, LearnError> {
     from_table(table_in(text, C::SECTIONS, C::settle_older)?)
 }
 
 /// The values of a file, whose keys are those of these sections; its lines about the run itself are passed over.
 ///
 /// `settle_older` gives the file of a run what it learned by before that was a key.
-pub(crate) fn table_in(
+pub fn table_in(
     text: &str,
     sections: &[Section],
     settle_older: impl FnOnce(&mut Table),
@@ -59,7 +57,7 @@ pub(crate) fn table_in(
 }
 
 /// The table of a file's text.
-pub(crate) fn parsed(text: &str) -> Result<Table, LearnError> {
+pub fn parsed(text: &str) -> Result<Table, LearnError> {
     text.parse().map_err(|error: toml::de::Error| {
         let line = error.span().map_or(0, |span| line_at(text, span.start));
         let written = text.lines().nth(line.saturating_sub(1)).unwrap_or_default().trim();
@@ -69,7 +67,7 @@ pub(crate) fn parsed(text: &str) -> Result<Table, LearnError> {
 }
 
 /// Reads a configuration that was part of a file; what is missing keeps its default.
-pub(crate) fn from_table<C: Kept>(table: Table) -> Result<C, LearnError> {
+pub fn from_table<C: Kept>(table: Table) -> Result<C, LearnError> {
     check_table("", &table, C::SECTIONS)?;
     let mut whole = table_of(&C::default())?;
     overlay(&mut whole, table);
@@ -79,20 +77,17 @@ pub(crate) fn from_table<C: Kept>(table: Table) -> Result<C, LearnError> {
 }
 
 /// Refuses a configuration with a value outside the limits of its key.
-pub(crate) fn check_values<C: Kept>(config: &C) -> Result<(), LearnError> {
+pub fn check_values<C: Kept>(config: &C) -> Result<(), LearnError> {
     check_table("", &table_of(config)?, C::SECTIONS)
 }
 
 /// A configuration with its values as they are written.
-pub(crate) fn table_of(config: &impl Serialize) -> Result<Table, LearnError> {
+pub fn table_of(config: &impl Serialize) -> Result<Table, LearnError> {
     parsed(&to_toml(config)?)
 }
 
-pub(crate) fn check_table(
-    within: &str,
-    table: &Table,
-    sections: &[Section],
-) -> Result<(), LearnError> {
+/// Refuses a table with an unknown key, or a value outside the limits of its key; `within` is where it stands.
+pub fn check_table(within: &str, table: &Table, sections: &[Section]) -> Result<(), LearnError> {
     for (name, value) in table {
         let path = if within.is_empty() { name.clone() } else { format!("{within}.{name}") };
         match (value, find(sections, &path)) {
@@ -148,7 +143,7 @@ fn line_at(text: &str, place: usize) -> usize {
 
 /// Replaces the values of a table by those of another, of inner tables value by value: a section that
 /// names one key keeps the others as this configuration has them, not as the section's own type has.
-pub(crate) fn overlay(table: &mut Table, by: Table) {
+pub fn overlay(table: &mut Table, by: Table) {
     for (key, new) in by {
         match (table.get_mut(&key), new) {
             (Some(Value::Table(old)), Value::Table(new)) => overlay(old, new),
@@ -158,19 +153,19 @@ pub(crate) fn overlay(table: &mut Table, by: Table) {
 }
 
 /// The configuration as a file that a person can read.
-pub(crate) fn to_toml(config: &impl Serialize) -> Result<String, LearnError> {
+pub fn to_toml(config: &impl Serialize) -> Result<String, LearnError> {
     toml::to_string(config).map_err(|error| LearnError::Config(error.to_string()))
 }
 
 /// A configuration with one value replaced, named as in `replay.batch=256`.
-pub(crate) fn replaced<C: Kept>(config: &C, assignment: &str) -> Result<C, LearnError> {
+pub fn replaced<C: Kept>(config: &C, assignment: &str) -> Result<C, LearnError> {
     let table = assigned(C::SECTIONS, table_of(config)?, assignment)?;
     let bad = |why: &str| LearnError::Config(format!("`{assignment}`: {why}"));
     table.try_into().map_err(|error: toml::de::Error| bad(error.message()))
 }
 
 /// A table with the value of one of its keys replaced.
-pub(crate) fn assigned(
+pub fn assigned(
     sections: &[Section],
     mut table: Table,
     assignment: &str,
@@ -208,7 +203,7 @@ fn value_of(text: &str) -> Option<Value> {
 }
 
 /// Refuses a configuration that does not hold, with what it must be.
-pub(crate) fn require(holds: bool, what: &str) -> Result<(), LearnError> {
+pub fn require(holds: bool, what: &str) -> Result<(), LearnError> {
     if holds { Ok(()) } else { Err(LearnError::Config(what.to_owned())) }
 }
 
@@ -219,84 +214,6 @@ fn parsed_as(range: Range, text: &str) -> Option<Value> {
         Range::Number(..) | Range::Positive(_) => Value::Float(text.replace('_', "").parse().ok()?),
         Range::Truth => Value::Boolean(text.parse().ok()?),
         Range::Numbers(..) => value_of(text)?,
-        Range::OneOf(_) | Range::Sets | Range::Text => Value::String(text.to_owned()),
+        Range::OneOf(_) | Range::Said(..) | Range::Text => Value::String(text.to_owned()),
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::methods::{alma, paper};
-
-    /// Every key of a configuration stands in its table, and its default is within its limits.
-    fn is_complete<C: Kept>() {
-        fn collect(within: &str, table: &Table, to: &mut Vec<String>) {
-            for (name, value) in table {
-                let path =
-                    if within.is_empty() { name.clone() } else { format!("{within}.{name}") };
-                match value {
-                    Value::Table(inner) => collect(&path, inner, to),
-                    _ => to.push(path),
-                }
-            }
-        }
-        let table = table_of(&C::default()).unwrap();
-        check_values(&C::default()).unwrap();
-        let (mut there, mut known) = (Vec::new(), key::paths(C::SECTIONS).collect::<Vec<_>>());
-        collect("", &table, &mut there);
-        there.sort();
-        known.sort();
-        assert_eq!(there, known);
-        for section in C::SECTIONS {
-            assert!(section.about.ends_with('.'), "{}", section.name);
-            for key in section.keys {
-                assert!(key.about.ends_with('.') && !key.about.contains('|'), "{}", key.name);
-            }
-        }
-    }
-
-    #[test]
-    fn every_key_is_described() {
-        is_complete::<alma::Config>();
-        is_complete::<paper::Config>();
-    }
-
-    #[test]
-    fn values_without_sense_are_refused_by_key_value_and_range() {
-        for (assignment, parts) in [
-            ("optimiser.learning_rate=NaN", ["`optimiser.learning_rate`", "nan", "0 to 1000"]),
-            ("optimiser.learning_rate=1e30", ["`optimiser.learning_rate`", "1", "0 to 1000"]),
-            ("optimiser.clip=-1", ["`optimiser.clip`", "-1", "above 0"]),
-            ("optimiser.target_rate=5", ["`optimiser.target_rate`", "5", "0 to 1"]),
-            ("exploration.start=7", ["`exploration.start`", "7", "0 to 1"]),
-            ("environment.set=foo", ["`environment.set`", "foo", "2-5a_2-5b"]),
-            ("environment.constants.reward_scale=0", ["reward_scale`", "0", "above 0"]),
-            ("run.checkpoint_minutes=NaN", ["`run.checkpoint_minutes`", "nan", "minutes"]),
-            ("network.active_inputs=inf", ["`network.active_inputs`", "inf", "columns"]),
-            ("network.width=1000000000", ["`network.width`", "1000000000", "1 to 1024"]),
-            ("replay.batsch=3", ["`replay.batsch`", "no such key", "did you mean `replay.batch`?"]),
-            ("learning_rate=3", ["`learning_rate`", "no such key", "`optimiser.learning_rate`?"]),
-            ("replay.batch=many", ["`replay.batch`", "`many`", "a whole number"]),
-        ] {
-            let error = replaced(&alma::Config::default(), assignment).unwrap_err().to_string();
-            for part in parts {
-                assert!(error.contains(part), "{assignment}: no `{part}` in {error}");
-            }
-        }
-    }
-
-    #[test]
-    fn files_are_refused_by_line_and_key() {
-        for (text, parts) in [
-            ("[replay]\n\nbatch = \"a\"\n", ["line 3", "`replay.batch`", "a whole number"]),
-            ("[run]\nsteps = 5\n[replay]\nbatsch = 3\n", ["line 4", "`replay.batsch`", "mean"]),
-            ("replay.batch = 0\n", ["line 1", "`replay.batch`", "from 1"]),
-            ("[network]\nsubtask = mask\n", ["line 2", "subtask = mask", "quoted"]),
-        ] {
-            let error = from_toml::<alma::Config>(text).unwrap_err().to_string();
-            for part in parts {
-                assert!(error.contains(part), "{text}: no `{part}` in {error}");
-            }
-        }
-    }
 }

@@ -67,42 +67,53 @@ fn return_sd(parts: &[Evaluation], mean: f64, episodes: usize) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{EvaluationPlan, ScriptedActors, evaluate, play, summary};
-    use super::*;
-    use sortie_envs::save_the_city::AllocationRule;
+    use sortie_envs::Episode;
 
-    /// The episodes of a seed.
-    fn finished(seed: u64, episodes: usize) -> Vec<play::Finished> {
-        let plan = EvaluationPlan::new("2-5a_2-5b", episodes, seed).unwrap();
-        let mut onlooker = ();
-        let mut play = play::Play::new(&plan, 0, episodes, &mut onlooker).unwrap();
-        let mut done = vec![None; episodes];
-        let mut team = ScriptedActors::new(seed);
-        while play.step(&mut team, &mut AllocationRule::Heuristic, &mut done).unwrap() {}
-        done.into_iter().flatten().collect()
+    use super::*;
+
+    /// So many episodes, of which no two are alike.
+    fn episodes(from: usize, count: usize) -> Vec<Episode> {
+        let episode = |number: usize| Episode {
+            steps: 3 + number as u32,
+            done: true,
+            solved: number.is_multiple_of(3),
+            timed_out: number.is_multiple_of(5),
+            episode_return: (number as f64).sqrt(),
+            group: ["BF", "BG", "FG"][number % 3 / (1 + number % 2)].to_owned(),
+            metrics: vec![(!number.is_multiple_of(7)).then_some(number as f64)],
+        };
+        (from..from + count).map(episode).collect()
+    }
+
+    fn summary(episodes: &[Episode]) -> Evaluation {
+        let mut summary = Evaluation::of(["burned"].into_iter(), episodes);
+        summary.failures.insert("late".to_owned(), episodes.len());
+        summary
     }
 
     #[test]
     fn parts_of_unequal_length_are_as_one_evaluation_of_all_episodes() {
-        let (some, more) = (finished(1, 20), finished(2, 44));
-        let all = summary([some.clone(), more.clone()].concat());
-        let pooled = Evaluation::pooled(&[summary(some), summary(more)]);
-        let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-9, "{pooled:?} {all:?}");
+        let (some, more) = (episodes(1, 20), episodes(21, 44));
+        let all = summary(&[some.clone(), more.clone()].concat());
+        let mut pooled = Evaluation::pooled(&[summary(&some), summary(&more)]);
+        let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-9, "{a} {b}");
         near(pooled.success, all.success);
         near(pooled.return_mean, all.return_mean);
         near(pooled.return_sd, all.return_sd);
         near(pooled.length_mean, all.length_mean);
         near(pooled.timeouts, all.timeouts);
-        near(pooled.metrics["none_burned"], all.metrics["none_burned"]);
         assert_eq!((pooled.episodes, pooled.success_ci95), (64, all.success_ci95));
         assert_eq!((&pooled.failures, &pooled.by_team), (&all.failures, &all.by_team));
+        // Means of a metric weigh parts by all their episodes, also by those without a value.
+        pooled = Evaluation::pooled(&[summary(&some), summary(&episodes(22, 6))]);
+        let [first, second] =
+            [summary(&some), summary(&episodes(22, 6))].map(|one| one.metrics["burned"]);
+        near(pooled.metrics["burned"], (20.0 * first + 6.0 * second) / 26.0);
     }
 
     #[test]
     fn one_part_is_itself() {
-        let plan = EvaluationPlan::new("2-5a_2-5b", 30, 5).unwrap();
-        let mut team = ScriptedActors::new(5);
-        let alone = evaluate(&plan, &mut team, &mut AllocationRule::Coordinated).unwrap();
+        let alone = summary(&episodes(5, 30));
         let pooled = Evaluation::pooled(std::slice::from_ref(&alone));
         assert_eq!(pooled.success, alone.success);
         assert_eq!(pooled.by_team, alone.by_team);

@@ -8,7 +8,7 @@ use super::{Evaluation, TeamSuccess, wilson_interval};
 
 impl Evaluation {
     /// What finished episodes come to, whose metrics have these names; their failures are not told apart.
-    pub(crate) fn of(metrics: impl Iterator<Item = &'static str>, episodes: &[Episode]) -> Self {
+    pub fn of(metrics: impl Iterator<Item = &'static str>, episodes: &[Episode]) -> Self {
         let count = episodes.len();
         let mean = |value: &dyn Fn(&Episode) -> f64| {
             episodes.iter().map(value).sum::<f64>() / count.max(1) as f64

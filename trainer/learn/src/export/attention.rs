@@ -102,17 +102,17 @@ pub enum ExportError {
 
 /// What the layers read, by the names of values in the graph.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Inputs<'a> {
+pub struct Inputs<'a> {
     /// Rows f32 `[N, D]`.
-    pub(super) rows: &'a str,
+    pub rows: &'a str,
     /// The row that forms the query, i64 `[1]`; none: every row forms one.
-    pub(super) own: Option<&'a str>,
+    pub own: Option<&'a str>,
     /// What it attends to, bool `[N]`.
-    pub(super) visible: &'a str,
+    pub visible: &'a str,
 }
 
 /// Adds the network's nodes; the last one gives `output` `[U]`.
-pub(super) fn add_network(
+pub fn add_network(
     graph: &mut Graph,
     network: &AttentionNetwork<'_>,
     inputs: Inputs<'_>,
@@ -123,7 +123,7 @@ pub(super) fn add_network(
 }
 
 /// Adds the nodes in front of the head and returns the last one's name; its value is `[1, R]`.
-pub(super) fn add_base(
+pub fn add_base(
     graph: &mut Graph,
     network: &AttentionNetwork<'_>,
     inputs: Inputs<'_>,
@@ -134,7 +134,7 @@ pub(super) fn add_base(
 }
 
 /// Adds the embedding `[N, E]` and the attention `[1, E]`, or `[N, E]` where every row asks; returns both names.
-pub(super) fn add_attention(
+pub fn add_attention(
     graph: &mut Graph,
     network: &AttentionNetwork<'_>,
     inputs: Inputs<'_>,
@@ -154,7 +154,7 @@ pub(super) fn add_attention(
 }
 
 /// Adds the layer in front of the head if there is one, on `input` `[1, E]`; its value is `[1, R]`.
-pub(super) fn add_second(
+pub fn add_second(
     graph: &mut Graph,
     network: &AttentionNetwork<'_>,
     input: &str,
@@ -166,7 +166,7 @@ pub(super) fn add_second(
 }
 
 /// Adds the last layer, on `input` `[1, R]`; it gives `output` `[U]`.
-pub(super) fn add_head(
+pub fn add_head(
     graph: &mut Graph,
     network: &AttentionNetwork<'_>,
     input: &str,
@@ -244,7 +244,7 @@ fn attention(
 }
 
 /// `input W + b`.
-pub(super) fn layer(
+pub fn layer(
     graph: &mut Graph,
     name: &'static str,
     input: &str,
@@ -275,7 +275,8 @@ fn layer_with(
     Ok(graph.node(name, "Add", &[&sum, &bias], &[]))
 }
 
-pub(super) fn axis(axis: i64) -> Attribute<'static> {
+/// The attribute of operators that work along an axis.
+pub fn axis(axis: i64) -> Attribute<'static> {
     Attribute::Int("axis", axis)
 }
 
@@ -299,7 +300,7 @@ fn columns(values: &[f32], stride: usize, start: usize, count: usize) -> Vec<f32
 }
 
 /// Checks the size of a tensor, and that all its numbers are finite.
-pub(super) fn check(tensor: &'static str, values: &[f32], want: usize) -> Result<(), ExportError> {
+pub fn check(tensor: &'static str, values: &[f32], want: usize) -> Result<(), ExportError> {
     let got = values.len();
     if got != want {
         return Err(ExportError::WrongLength { tensor, want, got });

@@ -12,8 +12,8 @@ use sortie_bundle::{
 use sortie_envs::{Environment, Shape, Spec};
 
 use super::agent::{AgentNetwork, agent_onnx};
-use super::bundle::{Measured, read_part};
 use super::deployed::DeployedAgents;
+use super::measured::{Measured, read_part};
 use super::recorder::Recorder;
 use crate::error::LearnError;
 use crate::method::Method;

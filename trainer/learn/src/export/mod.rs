@@ -5,15 +5,12 @@
 //! softmax and their weights 0 after it.
 
 mod agent;
-mod attention;
-mod bundle;
-mod card;
+pub mod attention;
 mod deployed;
 mod entities;
-mod golden_allocations;
+mod measured;
 mod method;
-mod onnx;
-mod proposals;
+pub mod onnx;
 pub(crate) mod protobuf;
 mod recorder;
 mod recurrent;
@@ -23,10 +20,10 @@ mod team_value;
 
 pub use agent::{AgentNetwork, agent_onnx};
 pub use attention::{AttentionNetwork, ExportError, Layer, Layout, Matrix};
-pub use bundle::{LearnedAllocator, Measured, check_exportable, draft_bundle};
 pub use deployed::DeployedAgents;
 pub use entities::{EntityNetwork, Members, entity_network_onnx};
+pub use measured::{Measured, read_part};
 pub use method::{MethodRun, draft_method};
-pub use proposals::{ProposalGraphs, export_proposals};
+pub use recorder::Recorder;
 pub use recurrent::{GruCell, RecurrentAgent, recurrent_agent_onnx};
 pub use team_value::{TeamValueExport, team_value_onnx};

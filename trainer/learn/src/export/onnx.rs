@@ -7,14 +7,18 @@ const OPSET: i64 = 17;
 
 /// Element types that the graphs use.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Element {
+pub enum Element {
+    /// 32-bit floats.
     Float,
+    /// 64-bit integers.
     Int64,
+    /// Truth.
     Bool,
 }
 
 impl Element {
-    pub(super) fn id(self) -> i64 {
+    /// Its number in files.
+    pub fn id(self) -> i64 {
         match self {
             Self::Float => 1,
             Self::Int64 => 7,
@@ -25,21 +29,25 @@ impl Element {
 
 /// One dimension of an input or output.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Dim<'a> {
+pub enum Dim<'a> {
+    /// Of this size.
     Fixed(usize),
+    /// Of any size, by a name.
     Symbol(&'a str),
 }
 
 /// An attribute of a node.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Attribute<'a> {
+pub enum Attribute<'a> {
+    /// A whole number.
     Int(&'a str, i64),
+    /// Whole numbers.
     Ints(&'a str, &'a [i64]),
 }
 
 /// A graph under construction.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Graph {
+pub struct Graph {
     nodes: Vec<Message>,
     initializers: Vec<Message>,
     inputs: Vec<Message>,
@@ -48,7 +56,7 @@ pub(super) struct Graph {
 
 impl Graph {
     /// Declares an input and returns its name.
-    pub(super) fn input<'n>(
+    pub fn input<'n>(
         &mut self,
         name: &'n str,
         element: Element,
@@ -60,18 +68,18 @@ impl Graph {
     }
 
     /// Declares an output, which a node of that name computes.
-    pub(super) fn output(&mut self, name: &str, element: Element, shape: &[Dim<'_>], doc: &str) {
+    pub fn output(&mut self, name: &str, element: Element, shape: &[Dim<'_>], doc: &str) {
         self.outputs.push(value(name, element, shape, doc));
     }
 
     /// Adds a constant of f32 and returns its name.
-    pub(super) fn floats<'n>(&mut self, name: &'n str, shape: &[usize], values: &[f32]) -> &'n str {
+    pub fn floats<'n>(&mut self, name: &'n str, shape: &[usize], values: &[f32]) -> &'n str {
         let raw = values.iter().flat_map(|value| value.to_le_bytes()).collect();
         self.initializer(name, Element::Float, shape, raw)
     }
 
     /// Adds a constant of integers and returns its name.
-    pub(super) fn integers<'n>(&mut self, name: &'n str, values: &[i64]) -> &'n str {
+    pub fn integers<'n>(&mut self, name: &'n str, values: &[i64]) -> &'n str {
         let raw = values.iter().flat_map(|value| value.to_le_bytes()).collect();
         self.initializer(name, Element::Int64, &[values.len()], raw)
     }
@@ -90,7 +98,7 @@ impl Graph {
     }
 
     /// Adds a node whose output carries its name, and returns that name.
-    pub(super) fn node(
+    pub fn node(
         &mut self,
         name: &str,
         operator: &str,
@@ -105,7 +113,7 @@ impl Graph {
     }
 
     /// The finished model.
-    pub(super) fn into_model(self, name: &str, doc: &str, metadata: &[(&str, String)]) -> Vec<u8> {
+    pub fn into_model(self, name: &str, doc: &str, metadata: &[(&str, String)]) -> Vec<u8> {
         let graph = Message::default()
             .messages(1, &self.nodes)
             .text(2, name)

@@ -10,15 +10,17 @@ const GOLDEN_CASES: usize = 256;
 const GOLDEN_STRIDE: usize = 37;
 
 /// Decides, and keeps every so many-th decision.
-pub(super) struct Recorder<P> {
+pub struct Recorder<P> {
     policy: P,
     features: usize,
     decisions: usize,
-    pub(super) cases: Vec<GoldenCase>,
+    /// What was kept.
+    pub cases: Vec<GoldenCase>,
 }
 
 impl<P: Policy> Recorder<P> {
-    pub(super) fn new(policy: P, features: usize) -> Self {
+    /// Keeps decisions of this policy, which sees rows of so many features.
+    pub fn new(policy: P, features: usize) -> Self {
         Self { policy, features, decisions: 0, cases: Vec::new() }
     }
 }

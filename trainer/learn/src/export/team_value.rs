@@ -77,38 +77,3 @@ fn add_inputs(graph: &mut Graph) {
     graph.node("visible.kind", "Or", &["is_agent", "open"], &[]);
     graph.node("visible", "And", &["present", "visible.kind"], &[]);
 }
-
-#[cfg(test)]
-mod tests {
-    use super::super::bundle::layers;
-    use super::*;
-    use crate::methods::alma::{UtilityNetwork, UtilityShape};
-    use crate::random::{Purpose, generator};
-
-    const FEATURES: usize = 6;
-    const RELATIONS: usize = 3;
-
-    fn export(relations: usize) -> Result<Vec<u8>, ExportError> {
-        let input = FEATURES + 2 + RELATIONS;
-        let shape = UtilityShape { input, width: 16, heads: 2, base: 8, actions: 1, skip: false };
-        let weights = generator(7, Purpose::Weights, 0);
-        let network = UtilityNetwork::initialise(shape, 8.0, &mut { weights }).weights();
-        let (features, contract) = (FEATURES, 0x0123_4567_89ab_cdef);
-        let layers = layers(&network);
-        team_value_onnx(&TeamValueExport { features, relations, contract, layers })
-    }
-
-    #[test]
-    fn a_network_becomes_the_recorded_file() {
-        let path = "/../../tests/golden/onnx/team_value_small.onnx";
-        let path = format!("{}{path}", env!("CARGO_MANIFEST_DIR"));
-        let recorded = std::fs::read(path).unwrap();
-        assert!(export(RELATIONS).unwrap() == recorded, "the exported bytes changed");
-    }
-
-    #[test]
-    fn columns_that_do_not_add_up_are_refused() {
-        let error = export(4).unwrap_err();
-        assert_eq!(error, ExportError::Columns { want: 12, got: 11 });
-    }
-}

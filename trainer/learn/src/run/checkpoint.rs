@@ -7,11 +7,10 @@
 //! | file | content |
 //! | --- | --- |
 //! | `manifest.toml` | format version, version of Sortie, steps, instructions of products, network shapes, sizes and CRC-64 of the others |
-//! | `tensors.safetensors` | networks, each with its vectors (`online/`, `target/`, those of the optimiser) and, for utility networks, the tensors of [`UtilityShape::tensors`] |
+//! | `tensors.safetensors` | networks, each with its vectors (`online/`, `target/`, those of the optimiser), cut into their tensors |
 //! | `state.postcard` | counters, generators, running episodes, the curve, the replays |
 
 use std::collections::BTreeMap;
-use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use crc::{CRC_64_XZ, Crc, Table};
@@ -20,9 +19,9 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use sortie_bundle::files::{Durability, sync_folder, write_file};
 use sortie_nn::layers::products::Products;
+use sortie_nn::tape::Tensor;
 
 use crate::error::LearnError;
-use crate::methods::alma::{UtilityNetwork, UtilityShape};
 use crate::state::Written;
 
 /// Version of the files of a checkpoint; another version is refused.
@@ -46,7 +45,7 @@ struct Manifest {
     /// Instructions of matrix products.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     products: Option<String>,
-    shapes: BTreeMap<String, UtilityShape>,
+    shapes: BTreeMap<String, toml::Table>,
     files: BTreeMap<String, FileSum>,
 }
 
@@ -70,8 +69,8 @@ impl FileSum {
 pub struct SavedNetwork<'a> {
     /// The network's name.
     pub name: &'static str,
-    /// The sizes of a utility network, whose vectors are cut into their tensors. Others stay whole.
-    pub shape: Option<UtilityShape>,
+    /// What it needs to be built again, and the tensors that its vectors are cut into; others stay whole.
+    pub shape: Option<SavedShape>,
     /// Vectors of one value per parameter.
     pub vectors: Vec<(&'static str, &'a [f32])>,
 }
@@ -79,17 +78,33 @@ pub struct SavedNetwork<'a> {
 /// Name, sizes and numbers of a tensor.
 type SavedTensor<'a> = (String, Vec<usize>, &'a [f32]);
 
+/// What a network is built by.
+#[derive(Clone, Debug)]
+pub struct SavedShape {
+    sizes: toml::Table,
+    tensors: Vec<Tensor>,
+}
+
+impl SavedShape {
+    /// Sizes by their names, and the tensors that follow from them.
+    ///
+    /// # Errors
+    /// The sizes are no table.
+    pub fn new(sizes: &impl Serialize, tensors: Vec<Tensor>) -> Result<Self, LearnError> {
+        Ok(Self { sizes: crate::configuration::table_of(sizes)?, tensors })
+    }
+}
+
 impl SavedNetwork<'_> {
-    /// Sizes and place of every tensor, by its name within a vector.
-    fn tensors(&self) -> Vec<(String, [usize; 2], Range<usize>)> {
-        if let Some(shape) = self.shape {
-            let tensors = shape.tensors().into_iter();
-            return tensors
-                .map(|t| (format!("/{}", t.name), [t.rows, t.columns], t.range))
-                .collect();
+    /// The tensors of a vector, by their names within it.
+    fn tensors(&self) -> Vec<Tensor> {
+        if let Some(SavedShape { tensors, .. }) = &self.shape {
+            let named =
+                |tensor: &Tensor| Tensor { name: format!("/{}", tensor.name), ..tensor.clone() };
+            return tensors.iter().map(named).collect();
         }
         let count = self.vectors.first().map_or(0, |(_, vector)| vector.len());
-        vec![(String::new(), [1, count], 0..count)]
+        vec![Tensor { name: String::new(), shape: vec![1, count], range: 0..count }]
     }
 }
 
@@ -132,13 +147,15 @@ impl Checkpoints {
         networks: &[SavedNetwork<'_>],
         state: &impl Serialize,
     ) -> Result<PathBuf, LearnError> {
-        let shaped = networks.iter().filter_map(|n| Some((n.name.to_owned(), n.shape?)));
+        let sizes =
+            |n: &SavedNetwork<'_>| Some((n.name.to_owned(), n.shape.as_ref()?.sizes.clone()));
+        let shaped = networks.iter().filter_map(sizes);
         let mut tensors = Vec::new();
         for network in networks {
             for (vector, parameters) in &network.vectors {
-                for (tensor, sizes, range) in network.tensors() {
-                    let name = format!("{}/{vector}{tensor}", network.name);
-                    tensors.push((name, sizes.to_vec(), &parameters[range]));
+                for Tensor { name, shape, range } in network.tensors() {
+                    let name = format!("{}/{vector}{name}", network.name);
+                    tensors.push((name, shape, &parameters[range]));
                 }
             }
         }
@@ -162,7 +179,7 @@ impl Checkpoints {
         &self,
         env_steps: u64,
         tensors: &[SavedTensor<'_>],
-        shapes: BTreeMap<String, UtilityShape>,
+        shapes: BTreeMap<String, toml::Table>,
         state: &impl Serialize,
     ) -> Result<PathBuf, LearnError> {
         std::fs::create_dir_all(&self.folder).map_err(LearnError::file(&self.folder))?;
@@ -240,7 +257,7 @@ fn write_files(
     folder: &Path,
     env_steps: u64,
     tensors: &[SavedTensor<'_>],
-    shapes: BTreeMap<String, UtilityShape>,
+    shapes: BTreeMap<String, toml::Table>,
     state: &impl Serialize,
 ) -> Result<(), LearnError> {
     let bad = |error: &dyn std::fmt::Display| LearnError::format(folder, error);
@@ -311,26 +328,25 @@ impl Checkpoint {
         self.manifest.shapes.contains_key(network)
     }
 
-    /// The shape of a network: `agents` or `allocator`.
-    pub fn shape(&self, network: &str) -> Result<UtilityShape, LearnError> {
-        let shape = self.manifest.shapes.get(network).copied();
-        shape.ok_or_else(|| self.bad(format!("there is no `{network}` network")))
+    /// The sizes of a network that was saved with its shape.
+    ///
+    /// # Errors
+    /// There is no such network, or it is of another kind.
+    pub fn shape<S: DeserializeOwned>(&self, network: &str) -> Result<S, LearnError> {
+        let shape = self.manifest.shapes.get(network).cloned();
+        let shape = shape.ok_or_else(|| self.bad(format!("there is no `{network}` network")))?;
+        shape.try_into().map_err(|error| self.bad(error))
     }
 
-    /// A network by one of its parameter vectors: `online`, `target` or `average`.
-    pub fn network(&self, network: &str, vector: &str) -> Result<UtilityNetwork, LearnError> {
-        let parameters = self.vector(network, vector)?;
-        UtilityNetwork::from_parameters(self.shape(network)?, parameters)
-            .ok_or_else(|| self.bad(format!("`{network}/{vector}` does not fit its shape")))
-    }
-
-    /// One parameter vector of a network.
-    pub fn vector(&self, network: &str, vector: &str) -> Result<Vec<f32>, LearnError> {
+    /// A vector of a network as in `agents/online`, put together from its tensors.
+    ///
+    /// # Errors
+    /// It has not all of them, or of other sizes.
+    pub fn vector(&self, name: &str, tensors: &[Tensor]) -> Result<Vec<f32>, LearnError> {
         let file = SafeTensors::deserialize(&self.tensors).map_err(|error| self.bad(error))?;
-        let shape = self.shape(network)?;
-        let mut parameters = Vec::with_capacity(shape.parameters());
-        for tensor in shape.tensors() {
-            let name = format!("{network}/{vector}/{}", tensor.name);
+        let mut parameters = Vec::new();
+        for tensor in tensors {
+            let name = format!("{name}/{}", tensor.name);
             self.read_tensor(&file, &name, tensor.range.len(), &mut parameters)?;
         }
         Ok(parameters)
@@ -385,7 +401,8 @@ impl Checkpoint {
         }
     }
 
-    fn bad(&self, reason: impl ToString) -> LearnError {
+    /// Says what is wrong with it.
+    pub fn bad(&self, reason: impl ToString) -> LearnError {
         LearnError::format(&self.place, reason)
     }
 }
@@ -416,16 +433,19 @@ fn remove(folder: &Path) -> Result<(), LearnError> {
 mod tests {
     use super::*;
 
-    const SHAPE: UtilityShape =
-        UtilityShape { input: 3, width: 4, heads: 2, base: 2, actions: 2, skip: false };
-
-    fn write(checkpoints: &Checkpoints, env_steps: u64) -> PathBuf {
-        write_shape(SHAPE, checkpoints, env_steps)
+    /// A network of two tensors.
+    fn tensors() -> Vec<Tensor> {
+        let tensor = |name: &str, shape: [usize; 2], range| Tensor {
+            name: name.to_owned(),
+            shape: shape.to_vec(),
+            range,
+        };
+        vec![tensor("fc1.weight", [4, 3], 0..12), tensor("fc1.bias", [1, 4], 12..16)]
     }
 
-    fn write_shape(shape: UtilityShape, checkpoints: &Checkpoints, env_steps: u64) -> PathBuf {
-        let vector: Vec<f32> =
-            (0..shape.parameters()).map(|number| (env_steps + number as u64) as f32).collect();
+    fn write(checkpoints: &Checkpoints, env_steps: u64) -> PathBuf {
+        let vector: Vec<f32> = (0..16).map(|number| (env_steps + number) as f32).collect();
+        let shape = SavedShape::new(&BTreeMap::from([("width", 4)]), tensors()).unwrap();
         let agents = SavedNetwork {
             name: "agents",
             shape: Some(shape),
@@ -439,8 +459,10 @@ mod tests {
     fn steps_of(found: &Found) -> u64 {
         let state: u64 = found.checkpoint.state().unwrap();
         assert_eq!(state, found.checkpoint.env_steps());
-        let network = found.checkpoint.network("agents", "average").unwrap();
-        assert_eq!(network.parameters()[0], state as f32);
+        let sizes: BTreeMap<String, usize> = found.checkpoint.shape("agents").unwrap();
+        assert_eq!(sizes["width"], 4);
+        let vector = found.checkpoint.vector("agents/average", &tensors()).unwrap();
+        assert_eq!((vector.len(), vector[0]), (16, state as f32));
         state
     }
 
@@ -458,34 +480,13 @@ mod tests {
         assert_eq!(steps_of(&found), 100);
         assert!(found.refused.is_empty());
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2);
-        let missing =
-            |network, vector| found.checkpoint.vector(network, vector).unwrap_err().to_string();
+        let missing = found.checkpoint.vector("agents/target", &tensors()).unwrap_err();
+        let nowhere = found.checkpoint.shape::<toml::Table>("allocator").unwrap_err();
         let whole = |count| found.checkpoint.whole_vector("mixer/online", count);
         assert_eq!(whole(2).unwrap(), [1.5, 2.5]);
         assert!(whole(3).unwrap_err().to_string().contains("another size"));
-        assert!(missing("agents", "target").contains("agents/target/fc1"));
-        assert!(missing("allocator", "average").contains("no `allocator` network"));
-    }
-
-    #[test]
-    fn a_skip_is_read_back_and_one_that_nobody_names_is_not_there() {
-        let folder = tempfile::tempdir().unwrap();
-        let checkpoints = Checkpoints::new(folder.path());
-        write_shape(UtilityShape { skip: true, ..SHAPE }, &checkpoints, 1);
-        let read =
-            || checkpoints.newest(OpenFor::Use).unwrap().checkpoint.network("agents", "average");
-        let network = read().unwrap();
-        assert!(network.shape().skip);
-        assert_eq!(network.weights().skip_weight.len(), 16);
-        let last = SHAPE.parameters() as f32 + 16.0;
-        assert_eq!(network.weights().skip_weight.last(), Some(&last));
-
-        let manifest = write(&checkpoints, 2).join(MANIFEST);
-        let text = std::fs::read_to_string(&manifest).unwrap();
-        let older = text.replace("skip = false\n", "");
-        assert_ne!(older, text);
-        std::fs::write(&manifest, older).unwrap();
-        assert_eq!(read().unwrap().shape(), SHAPE);
+        assert!(missing.to_string().contains("agents/target/fc1"), "{missing}");
+        assert!(nowhere.to_string().contains("no `allocator` network"), "{nowhere}");
     }
 
     #[test]

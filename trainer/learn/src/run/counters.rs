@@ -8,9 +8,11 @@ use crate::evaluate::Evaluation;
 
 /// One value for the agents and one for the allocator.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub(crate) struct Level<T> {
-    pub(crate) agents: T,
-    pub(crate) allocator: T,
+pub struct Level<T> {
+    /// Of the agents.
+    pub agents: T,
+    /// Of what allocates them.
+    pub allocator: T,
 }
 
 /// What one update found.
@@ -24,7 +26,7 @@ pub struct UpdateReport {
 
 impl UpdateReport {
     /// The report, unless its loss is no number any more: then nothing can be learned from here on.
-    pub(crate) fn finite(self, level: &'static str, env_steps: u64) -> Result<Self, LearnError> {
+    pub fn finite(self, level: &'static str, env_steps: u64) -> Result<Self, LearnError> {
         let loss = self.loss;
         if loss.is_finite() {
             Ok(self)
@@ -62,37 +64,39 @@ pub struct EpisodeCounts {
 
 /// Sums over the updates since the last evaluation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Updates {
-    pub(crate) updates: u64,
+pub struct Updates {
+    /// How many.
+    pub updates: u64,
     loss: f64,
     gradient_norm: f64,
 }
 
 impl Updates {
-    pub(crate) fn add(&mut self, report: UpdateReport) {
+    /// Adds one.
+    pub fn add(&mut self, report: UpdateReport) {
         self.updates += 1;
         self.loss += report.loss;
         self.gradient_norm += f64::from(report.gradient_norm);
     }
 
     /// Mean loss of the updates after `before`, if there were any.
-    pub(crate) fn mean_loss_since(&self, before: &Self) -> Option<f64> {
+    pub fn mean_loss_since(&self, before: &Self) -> Option<f64> {
         let updates = self.updates - before.updates;
         (updates > 0).then(|| (self.loss - before.loss) / updates as f64)
     }
 
-    pub(crate) fn mean_loss(&self) -> f64 {
+    pub fn mean_loss(&self) -> f64 {
         self.loss / self.updates.max(1) as f64
     }
 
-    pub(crate) fn mean_gradient_norm(&self) -> f64 {
+    pub fn mean_gradient_norm(&self) -> f64 {
         self.gradient_norm / self.updates.max(1) as f64
     }
 }
 
 impl Window {
     /// Adds what a method did.
-    pub(crate) fn add(&mut self, reports: Reports, env_steps: u64) -> Result<(), LearnError> {
+    pub fn add(&mut self, reports: Reports, env_steps: u64) -> Result<(), LearnError> {
         let Reports { agents, allocator, decisions } = reports;
         for report in agents {
             self.agents.add(report.finite("agents", env_steps)?);
@@ -107,48 +111,52 @@ impl Window {
 
 /// What happened since the last evaluation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Window {
-    pub(crate) agents: Updates,
-    pub(crate) allocator: Updates,
-    pub(crate) episodes: EpisodeCounts,
+pub struct Window {
+    /// Updates of the agents.
+    pub agents: Updates,
+    /// Updates of what allocates them.
+    pub allocator: Updates,
+    /// Episodes that ended.
+    pub episodes: EpisodeCounts,
 }
 
 /// Where a run is.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Counters {
-    pub(crate) env_steps: u64,
-    /// Optimiser steps and decisions before the window.
-    pub(crate) updates: Level<u64>,
-    pub(crate) decisions: u64,
-    pub(crate) next_evaluation: u64,
-    pub(crate) wall_s: f64,
-    pub(crate) cpu_s: f64,
-    pub(crate) window: Window,
-    /// As lines of text: a form that describes itself holds metrics of any name.
+pub struct Counters {
+    /// Environment steps taken.
+    pub env_steps: u64,
+    /// Optimiser steps before the window.
+    pub updates: Level<u64>,
+    /// Decisions before the window.
+    pub decisions: u64,
+    /// Environment steps of the next evaluation.
+    pub next_evaluation: u64,
+    /// Seconds since the run began, interruptions left out.
+    pub wall_s: f64,
+    /// Seconds of processor time.
+    pub cpu_s: f64,
+    /// Since the last evaluation.
+    pub window: Window,
+    /// The evaluations, as lines of text: a form that describes itself holds metrics of any name.
     #[serde(with = "super::curve::as_lines")]
-    pub(crate) curve: Vec<CurvePoint>,
+    pub curve: Vec<CurvePoint>,
 }
 
 impl Counters {
     /// A run that has not begun, with its first evaluation after so many steps.
-    pub(crate) fn new(evaluate_every: u64) -> Self {
+    pub fn new(evaluate_every: u64) -> Self {
         Self { next_evaluation: evaluate_every, ..Self::default() }
     }
 
     /// Counts the time since the clock was read last.
-    pub(crate) fn add_time(&mut self, clock: &mut Clock) {
+    pub fn add_time(&mut self, clock: &mut Clock) {
         let (wall_s, cpu_s) = clock.lap();
         self.wall_s += wall_s;
         self.cpu_s += cpu_s;
     }
 
     /// A point of the curve: an evaluation, and what happened since the one before.
-    pub(crate) fn point(
-        &self,
-        result: &Evaluation,
-        allocation: String,
-        rates: Rates,
-    ) -> CurvePoint {
+    pub fn point(&self, result: &Evaluation, allocation: String, rates: Rates) -> CurvePoint {
         let Self { env_steps, updates, decisions, wall_s, cpu_s, window, .. } = self;
         let episodes = &window.episodes;
         CurvePoint {
@@ -176,7 +184,7 @@ impl Counters {
     }
 
     /// Closes the window: an evaluation was made.
-    pub(crate) fn add_point(&mut self, point: CurvePoint) {
+    pub fn add_point(&mut self, point: CurvePoint) {
         let Window { agents, allocator, episodes } = std::mem::take(&mut self.window);
         self.updates.agents += agents.updates;
         self.updates.allocator += allocator.updates;

@@ -4,7 +4,6 @@ use sortie_nn::layers::products::Products;
 use toml::Table;
 
 use super::RunConfig;
-use super::settings::Settings;
 use crate::configuration;
 use crate::error::LearnError;
 
@@ -31,8 +30,8 @@ pub trait Configuration: Sized {
 
 /// How a run learns. The same description gives the same weights, whatever the number of threads.
 #[derive(Clone, Debug, PartialEq)]
-pub struct RunDescription<C = Settings> {
-    /// The algorithm: `alma`, or where there are no subtasks `flat`, with a coach `copa`.
+pub struct RunDescription<C> {
+    /// The algorithm by its name.
     pub method: String,
     /// Version of Sortie that began the run.
     pub version: String,
@@ -45,7 +44,7 @@ pub struct RunDescription<C = Settings> {
 }
 
 /// The keys of the file that are about the run, not its configuration.
-pub(crate) const KEYS: [&str; 4] = ["method", "version", "seed", "threads"];
+pub const KEYS: [&str; 4] = ["method", "version", "seed", "threads"];
 
 impl<C: Configuration> RunDescription<C> {
     /// A run of this version of Sortie.
@@ -94,61 +93,5 @@ fn settle_older(table: &mut Table) {
     let run = table.entry("run").or_insert_with(|| Table::new().into());
     if let Some(run) = run.as_table_mut() {
         run.entry("products").or_insert_with(|| Products::usual().to_string().into());
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::methods::{alma, paper};
-
-    #[test]
-    fn the_written_file_reads_back() {
-        let mut config = alma::Config::default();
-        config.set("optimiser.learning_rate=0.0007").unwrap();
-        let description = RunDescription::new(config, 7, 2);
-        let text = description.to_toml().unwrap();
-        assert_eq!(RunDescription::from_toml(&text).unwrap(), description, "{text}");
-        assert_eq!(alma::Config::from_toml(&text).unwrap(), description.config);
-    }
-
-    #[test]
-    fn a_file_without_its_seed_is_refused() {
-        let error = RunDescription::<alma::Config>::from_toml("method = \"alma\"\nversion = \"0\"")
-            .unwrap_err();
-        assert!(error.to_string().contains("`seed`"), "{error}");
-    }
-
-    #[test]
-    fn a_run_of_before_computes_its_products_as_it_did() {
-        let text = RunDescription::new(alma::Config::default(), 1, 1).to_toml().unwrap();
-        let older = text.replace("products = \"widest\"\n", "");
-        assert_ne!(older, text);
-        let read = RunDescription::<alma::Config>::from_toml(&older).unwrap();
-        assert_eq!(read.config.run.products, Products::usual().to_string());
-    }
-
-    #[test]
-    fn a_run_of_before_has_no_skip_and_is_repeated_without() {
-        let text = RunDescription::new(alma::Config::default(), 1, 1).to_toml().unwrap();
-        let older = text.replace("skip = true\n", "");
-        let read = RunDescription::<Settings>::from_toml(&older).unwrap().config;
-        for found in [read, Settings::from_toml(&older).unwrap()] {
-            let Settings::Records(found) = found else { panic!("another learner") };
-            assert!(!found.network.skip && !found.allocator.network.skip);
-        }
-        // A file that somebody wrote leaves out what it does not change.
-        assert!(alma::Config::from_toml("[network]\nwidth = 32\n").unwrap().network.skip);
-    }
-
-    #[test]
-    fn a_file_says_what_its_run_learns_from() {
-        let records = RunDescription::new(alma::Config::default(), 1, 1).to_toml().unwrap();
-        let windows = RunDescription::new(paper::Config::default(), 1, 1).to_toml().unwrap();
-        let read = |text: &str| RunDescription::<Settings>::from_toml(text).unwrap();
-        assert!(matches!(read(&records).config, Settings::Records(_)));
-        assert!(matches!(read(&windows).config, Settings::Windows(_)), "{windows}");
-        assert_eq!(read(&windows).to_toml().unwrap(), windows);
-        assert!(RunDescription::<alma::Config>::from_toml(&windows).is_err());
     }
 }

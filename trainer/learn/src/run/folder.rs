@@ -16,7 +16,7 @@ const RESULT: &str = "result.json";
 
 /// The files of a run.
 #[derive(Debug)]
-pub(crate) struct RunFolder {
+pub struct RunFolder {
     folder: PathBuf,
     events: RunEvents,
     /// Held by the trainer of the run. The kernel frees it when its holder ends, however that is.
@@ -25,12 +25,12 @@ pub(crate) struct RunFolder {
 
 impl RunFolder {
     /// A folder to read, or to [`create`](Self::create) later.
-    pub(crate) fn new(folder: &Path) -> Self {
+    pub fn new(folder: &Path) -> Self {
         Self { folder: folder.to_owned(), events: RunEvents::new(folder), lock: None }
     }
 
     /// The folder of a run to go on with, which nobody else may do meanwhile.
-    pub(crate) fn claim(folder: &Path) -> Result<Self, LearnError> {
+    pub fn claim(folder: &Path) -> Result<Self, LearnError> {
         let mut run = Self::new(folder);
         let description = run.description_path();
         fs::metadata(&description).map_err(LearnError::file(&description))?;
@@ -42,7 +42,7 @@ impl RunFolder {
     }
 
     /// Makes the folder and claims it; refuses one that holds anything.
-    pub(crate) fn create<C: Configuration>(
+    pub fn create<C: Configuration>(
         &mut self,
         description: &RunDescription<C>,
     ) -> Result<(), LearnError> {
@@ -82,7 +82,7 @@ impl RunFolder {
     }
 
     /// Replaces `train.toml` of a run whose figures are void from now on.
-    pub(crate) fn rewrite_description<C: Configuration>(
+    pub fn rewrite_description<C: Configuration>(
         &self,
         description: &RunDescription<C>,
     ) -> Result<(), LearnError> {
@@ -96,34 +96,30 @@ impl RunFolder {
         replace(&self.description_path(), description.to_toml()?.as_bytes())
     }
 
-    pub(crate) fn read_description<C: Configuration>(
-        &self,
-    ) -> Result<RunDescription<C>, LearnError> {
+    /// How the run learns.
+    pub fn read_description<C: Configuration>(&self) -> Result<RunDescription<C>, LearnError> {
         let path = self.description_path();
         let text = fs::read_to_string(&path).map_err(LearnError::file(&path))?;
         RunDescription::from_toml(&text).map_err(|error| LearnError::format(path, error))
     }
 
-    pub(crate) fn checkpoints(&self) -> Checkpoints {
+    /// Its checkpoints.
+    pub fn checkpoints(&self) -> Checkpoints {
         Checkpoints::new(&self.folder.join("checkpoints"))
     }
 
     /// What TensorBoard was told of later steps by earlier sessions is void.
-    pub(crate) fn goes_on_from(&mut self, env_steps: u64) {
+    pub fn goes_on_from(&mut self, env_steps: u64) {
         self.events.goes_on_from(env_steps);
     }
 
     /// Tells TensorBoard how training itself goes.
-    pub(crate) fn write_training(&mut self, point: &TrainingPoint) -> Result<(), LearnError> {
+    pub fn write_training(&mut self, point: &TrainingPoint) -> Result<(), LearnError> {
         self.events.add_training(point)
     }
 
     /// Replaces `curve.json`, `curve.csv` and `curve.svg`, and tells TensorBoard of the newest point.
-    pub(crate) fn write_curve(
-        &mut self,
-        title: &str,
-        curve: &[CurvePoint],
-    ) -> Result<(), LearnError> {
+    pub fn write_curve(&mut self, title: &str, curve: &[CurvePoint]) -> Result<(), LearnError> {
         let path = self.curve_path();
         let text = curve::to_lines(curve).map_err(|error| LearnError::format(&path, error))?;
         replace(&path, text.as_bytes())?;
@@ -138,14 +134,15 @@ impl RunFolder {
     }
 
     /// Writes `result.json`.
-    pub(crate) fn write_result(&self, result: &RunResult) -> Result<(), LearnError> {
+    pub fn write_result(&self, result: &RunResult) -> Result<(), LearnError> {
         let path = self.folder.join(RESULT);
         let text = serde_json::to_string_pretty(result);
         let text = text.map_err(|error| LearnError::format(&path, error))?;
         replace(&path, text.as_bytes())
     }
 
-    pub(crate) fn read_curve(&self) -> Result<Vec<CurvePoint>, LearnError> {
+    /// Its evaluations up to now.
+    pub fn read_curve(&self) -> Result<Vec<CurvePoint>, LearnError> {
         let path = self.curve_path();
         if !path.exists() {
             return Ok(Vec::new());

@@ -9,7 +9,7 @@ use crate::error::LearnError;
 use crate::evaluate::Evaluation;
 
 /// A run that learns.
-pub(crate) trait Learning {
+pub trait Learning {
     /// How long it learns, and when it measures and saves.
     fn schedule(&self) -> RunConfig;
     /// What it is to be called, and by what it is measured.
@@ -30,15 +30,15 @@ pub(crate) trait Learning {
 
 /// What a run is called and measured by.
 #[derive(Clone, Debug)]
-pub(crate) struct Labels {
+pub struct Labels {
     /// Heading of its curve.
-    pub(crate) title: String,
+    pub title: String,
     /// Environment and scenario set.
-    pub(crate) environment: String,
+    pub environment: String,
     /// Who allocates.
-    pub(crate) allocation: String,
+    pub allocation: String,
     /// Its seed.
-    pub(crate) seed: u64,
+    pub seed: u64,
 }
 
 /// How the agents try out and learn.
@@ -56,7 +56,7 @@ const REPORT_SEED: u64 = 2_000_000;
 /// Learns until all steps are taken or `stop` is set.
 ///
 /// A checkpoint is written before the first step, at every evaluation, every some minutes, and at the end.
-pub(crate) fn learn(
+pub fn learn(
     run: &mut impl Learning,
     observer: &mut dyn Observer,
     stop: &AtomicBool,

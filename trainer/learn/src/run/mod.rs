@@ -24,130 +24,27 @@ mod meter;
 mod products;
 mod progress;
 mod result;
-mod settings;
 
 use std::path::Path;
 
 pub use checkpoint::{Checkpoint, Checkpoints};
 pub use config::RunConfig;
-pub(crate) use counters::{Counters, Level};
+pub use counters::{Counters, Level};
 pub use counters::{EpisodeCounts, Reports, UpdateReport};
 pub use curve::CurvePoint;
-pub(crate) use description::KEYS;
+pub use description::KEYS;
 pub use description::{Configuration, RunDescription};
 pub use difference::{Difference, keys_in};
-pub(crate) use folder::RunFolder;
+pub use folder::RunFolder;
 pub use learning::Rates;
-pub(crate) use learning::{Labels, Learning, learn};
+pub use learning::{Labels, Learning, learn};
 pub use meter::TrainingPoint;
 pub use products::replace_products;
-pub(crate) use progress::Clock;
+pub use progress::Clock;
 pub use progress::{Observer, Outcome, Progress};
 pub use result::RunResult;
-pub use settings::Settings;
 
 use crate::error::LearnError;
-use crate::evaluate::{Agents, Allocate, NetworkTeam};
-use crate::methods::alma::UtilityNetwork;
-use crate::methods::alma::team_value::TeamValueAllocator;
-use crate::methods::paper::allocation::{AllocationCritic, AllocationNetworks, AllocationPolicy};
-use crate::methods::paper::low_level::coach::Coach;
-use crate::methods::paper::{self, ProposalAllocator};
-
-/// A learned allocator.
-#[derive(Clone, Debug, PartialEq)]
-pub enum RunAllocator {
-    /// The averaged weights of a team-value network.
-    TeamValue(UtilityNetwork),
-    /// A policy that proposes allocations, and the critic that chooses among them.
-    Proposals {
-        /// Proposes.
-        policy: AllocationPolicy,
-        /// Chooses.
-        critic: AllocationCritic,
-    },
-}
-
-/// A finished or running run, opened to use what it learned.
-#[derive(Clone, Debug)]
-pub struct Run {
-    /// How it learns.
-    pub description: RunDescription,
-    /// Evaluations up to now.
-    pub curve: Vec<CurvePoint>,
-    /// The agents' weights of the newest sound checkpoint; averaged ones where the run averages.
-    pub network: UtilityNetwork,
-    /// The recurrent unit of the agents' memory; empty where they have none.
-    pub memory_unit: Vec<f32>,
-    /// What tells the agents their strategies, if the run learns that.
-    pub coach: Option<Coach>,
-    /// What the run has learned to allocate with, if it learns that.
-    pub allocator: Option<RunAllocator>,
-    /// Environment steps at that checkpoint.
-    pub env_steps: u64,
-    /// Why newer checkpoints were passed over.
-    pub refused: Vec<String>,
-}
-
-impl Run {
-    /// The agents as a team that can be measured.
-    pub fn team(&self) -> NetworkTeam<'_> {
-        let agents = Agents {
-            network: &self.network,
-            memory_unit: &self.memory_unit,
-            coach: self.coach.as_ref(),
-        };
-        NetworkTeam::conditioned(agents, self.description.config.subtask())
-    }
-
-    /// What the run has learned to allocate with, if it learns that, as something to be measured.
-    ///
-    /// One that proposes chooses among so many proposals, of which the first is the most probable.
-    pub fn learned_allocator(&self, proposals: usize) -> Option<Box<dyn Allocate + '_>> {
-        Some(match (self.allocator.as_ref()?, &self.description.config) {
-            (RunAllocator::TeamValue(network), Settings::Records(config)) => {
-                Box::new(TeamValueAllocator::new(network, config.allocation.team_max))
-            }
-            (RunAllocator::Proposals { policy, critic }, Settings::Windows(_)) => {
-                let networks = AllocationNetworks { policy, critic };
-                Box::new(ProposalAllocator::new(networks, proposals).greedy_first())
-            }
-            _ => return None,
-        })
-    }
-
-    /// Reads the folder of a run.
-    pub fn open(folder: &Path) -> Result<Self, LearnError> {
-        let folder = RunFolder::new(folder);
-        let description = folder.read_description()?;
-        let curve = folder.read_curve()?;
-        let found = folder.checkpoints().newest(checkpoint::OpenFor::Use)?;
-        let (network, memory_unit, coach, allocator) = match &description.config {
-            Settings::Records(_) => {
-                let average = |network| found.checkpoint.network(network, "average");
-                let allocator = found.checkpoint.has("allocator").then(|| average("allocator"));
-                let allocator = allocator.transpose()?.map(RunAllocator::TeamValue);
-                (average("agents")?, Vec::new(), None, allocator)
-            }
-            Settings::Windows(config) => (
-                found.checkpoint.network("agents", "online")?,
-                paper::saved_memory_unit(&found.checkpoint, config)?,
-                paper::saved_coach(&found.checkpoint, config)?,
-                paper::saved_allocator(&found.checkpoint, config)?,
-            ),
-        };
-        Ok(Self {
-            description,
-            curve,
-            network,
-            memory_unit,
-            coach,
-            allocator,
-            env_steps: found.checkpoint.env_steps(),
-            refused: found.refused,
-        })
-    }
-}
 
 /// The evaluations of the run in a folder.
 pub fn read_curve(folder: &Path) -> Result<Vec<CurvePoint>, LearnError> {

@@ -20,7 +20,7 @@ impl RunConfig {
     }
 
     /// The products of a run, if this processor has them.
-    pub(crate) fn settled_products(&self) -> Result<Products, LearnError> {
+    pub fn settled_products(&self) -> Result<Products, LearnError> {
         let here = Products::widest();
         match self.products.parse() {
             _ if self.products == WIDEST => Ok(here),

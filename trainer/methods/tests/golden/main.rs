@@ -1,6 +1,6 @@
 //! Value factorisation against the reference's modules, on recorded inputs (`tests/golden`).
 
-#[path = "../../../learn/tests/golden/files.rs"]
+#[path = "../alma_golden/files.rs"]
 #[expect(dead_code, reason = "other recordings need the rest")]
 mod files;
 

@@ -1,0 +1,315 @@
+//! Measures a team: greedy episodes on starts that training never sees.
+//!
+//! Anything that chooses actions can be measured: the utility network in training ([`NetworkTeam`]), a
+//! deployed policy ([`PolicyTeam`]) or the scripted low level ([`ScriptedActors`]). Episode e of a seed
+//! is the same whoever plays it, so that teams can be compared pair by pair.
+
+mod allocators;
+mod causes;
+mod plan;
+mod play;
+mod players;
+mod teams;
+mod worlds;
+
+use sortie_envs::save_the_city::{
+    AllocationRule, City, Constants, DecisionPoints, SaveTheCity, ScenarioSet, UNASSIGNED,
+};
+use sortie_envs::{Entry, Episode, Step};
+
+pub use sortie_envs::save_the_city::golden::{Labels, Recorder};
+
+pub use allocators::{DeployedAllocator, allocation_state};
+pub use causes::Cause;
+pub use plan::{Planner, PlannerReport};
+pub use players::{Agents, Players};
+pub use teams::{NetworkTeam, PolicyTeam, ScriptedActors};
+
+use play::{Finished, Play};
+use sortie_learn::LearnError;
+use sortie_learn::evaluate::Evaluation;
+use sortie_nn::random::Generator;
+
+/// The environment whose episodes are played here.
+pub static LEARNED: &Entry = &sortie_envs::save_the_city::ENTRY;
+
+/// One state in which a team is to act.
+#[derive(Clone, Copy, Debug)]
+pub struct Scene<'a> {
+    /// Number of the world, the same as long as its episode runs: what agents remember belongs to it.
+    pub world: usize,
+    /// Agents and buildings.
+    pub city: City<'a>,
+    /// The building of every agent, or [`sortie_envs::save_the_city::UNASSIGNED`].
+    pub allocation: &'a [u8],
+    /// The last action of every agent, or [`crate::alma::records::NO_ACTION`].
+    pub last_actions: &'a [u8],
+    /// What the team was [advised](Team::advise) at the last decision.
+    pub strategies: &'a [f32],
+}
+
+/// What chooses the actions of all agents.
+pub trait Team {
+    /// Writes one available action per existing agent of every scene into `actions` `[scenes, A]`.
+    fn act(
+        &mut self,
+        scenes: &[Scene<'_>],
+        actions: &mut [u16],
+        agents: usize,
+    ) -> Result<(), LearnError>;
+
+    /// Writes what a coach tells the agents of a city at a decision, for the scenes until the next one.
+    ///
+    /// Only teams with a coach write anything.
+    fn advise(&mut self, city: City<'_>, strategies: &mut Vec<f32>) -> Result<(), LearnError> {
+        let _ = (city, strategies);
+        Ok(())
+    }
+}
+
+/// The moment of a decision, all that is needed to play on from it in a copy of the world.
+#[derive(Clone, Copy, Debug)]
+pub struct Situation<'a> {
+    /// Agents and buildings.
+    pub city: City<'a>,
+    /// The last action of every agent, or [`crate::alma::records::NO_ACTION`].
+    pub last_actions: &'a [u8],
+    /// Steps since the episode began.
+    pub steps: u32,
+}
+
+/// What assigns agents to buildings at decision points.
+pub trait Allocate {
+    /// Writes the building of every agent, or [`sortie_envs::save_the_city::UNASSIGNED`]; `generator` belongs to the episode.
+    fn allocate(
+        &mut self,
+        city: City<'_>,
+        generator: &mut Generator,
+        allocation: &mut [u8],
+    ) -> Result<(), LearnError>;
+
+    /// The same, with what a copy of the world could be played on from. Only [`Planner`] looks at it.
+    fn decide(
+        &mut self,
+        situation: Situation<'_>,
+        team: &mut dyn Team,
+        generator: &mut Generator,
+        allocation: &mut [u8],
+    ) -> Result<(), LearnError> {
+        let _ = team;
+        self.allocate(situation.city, generator, allocation)
+    }
+}
+
+impl Allocate for AllocationRule {
+    fn allocate(
+        &mut self,
+        city: City<'_>,
+        generator: &mut Generator,
+        allocation: &mut [u8],
+    ) -> Result<(), LearnError> {
+        AllocationRule::allocate(*self, city, generator, allocation);
+        Ok(())
+    }
+}
+
+/// One of the rules of allocation by its name.
+pub fn rule_named(name: &str) -> Option<Box<dyn Allocate>> {
+    AllocationRule::named(name).map(|rule| Box::new(rule) as Box<dyn Allocate>)
+}
+
+/// Assigns nobody: what agents need that know of no subtasks.
+#[derive(Clone, Copy, Debug)]
+pub struct NoSubtasks;
+
+impl Allocate for NoSubtasks {
+    fn allocate(
+        &mut self,
+        _: City<'_>,
+        _: &mut Generator,
+        allocation: &mut [u8],
+    ) -> Result<(), LearnError> {
+        allocation.fill(UNASSIGNED);
+        Ok(())
+    }
+}
+
+/// Which episodes are played.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EvaluationPlan {
+    /// The scenarios; their test list is used.
+    pub set: ScenarioSet,
+    /// Numbers of the rules.
+    pub constants: Constants,
+    /// Steps between decisions, unless the open tasks change.
+    pub interval: u32,
+    /// How many episodes.
+    pub episodes: usize,
+    /// Which episodes: the same seed gives the same starts.
+    pub seed: u64,
+}
+
+impl EvaluationPlan {
+    /// So many episodes of a scenario set by its name, with the usual rules.
+    pub fn new(set: &str, episodes: usize, seed: u64) -> Result<Self, LearnError> {
+        Ok(Self {
+            set: ScenarioSet::named(set).map_err(LearnError::environment)?,
+            constants: Constants::default(),
+            interval: DecisionPoints::ACTION_LENGTH,
+            episodes,
+            seed,
+        })
+    }
+}
+
+/// Worlds played at the same time.
+const WORLDS: usize = 64;
+
+/// One step of one of the worlds of an evaluation, just taken; the world is not yet reset.
+#[derive(Clone, Copy, Debug)]
+pub struct Watched<'a> {
+    /// Number of the episode, from 0.
+    pub episode: usize,
+    /// All worlds.
+    pub worlds: &'a SaveTheCity,
+    /// The instance that is meant.
+    pub instance: usize,
+}
+
+/// Watches the episodes of an evaluation, which are played side by side.
+pub trait Onlooker {
+    /// An episode has been reset and shows its first state.
+    fn started(&mut self, watched: Watched<'_>) -> Result<(), LearnError>;
+
+    /// A step was taken.
+    fn stepped(
+        &mut self,
+        watched: Watched<'_>,
+        actions: &[u16],
+        outcome: &Step,
+    ) -> Result<(), LearnError>;
+}
+
+/// Nobody watches.
+impl Onlooker for () {
+    fn started(&mut self, _: Watched<'_>) -> Result<(), LearnError> {
+        Ok(())
+    }
+
+    fn stepped(&mut self, _: Watched<'_>, _: &[u16], _: &Step) -> Result<(), LearnError> {
+        Ok(())
+    }
+}
+
+/// Plays the episodes of a plan with a team and an allocator.
+pub fn evaluate(
+    plan: &EvaluationPlan,
+    team: &mut dyn Team,
+    allocator: &mut dyn Allocate,
+) -> Result<Evaluation, LearnError> {
+    evaluate_watched(plan, team, allocator, &mut ())
+}
+
+/// Plays the episodes of a plan while `onlooker` watches.
+pub fn evaluate_watched(
+    plan: &EvaluationPlan,
+    team: &mut dyn Team,
+    allocator: &mut dyn Allocate,
+    onlooker: &mut dyn Onlooker,
+) -> Result<Evaluation, LearnError> {
+    let worlds = WORLDS.min(plan.episodes);
+    let mut play = Play::new(plan, 0, worlds, onlooker)?;
+    let mut done = vec![None; plan.episodes];
+    while play.step(team, allocator, &mut done)? {}
+    Ok(summary(done.into_iter().flatten().collect()))
+}
+
+/// Plays the last episode of a plan alone: the same one that [`evaluate`] plays last.
+pub fn watch_last_episode(
+    plan: &EvaluationPlan,
+    team: &mut dyn Team,
+    allocator: &mut dyn Allocate,
+    onlooker: &mut dyn Onlooker,
+) -> Result<(), LearnError> {
+    let mut play = Play::new(plan, plan.episodes.saturating_sub(1), 1, onlooker)?;
+    let mut done = vec![None; plan.episodes];
+    while play.step(team, allocator, &mut done)? {}
+    Ok(())
+}
+
+fn summary(finished: Vec<Finished>) -> Evaluation {
+    let episode = |finished: &Finished| {
+        let metrics = &finished.metrics;
+        Episode {
+            steps: metrics.steps,
+            done: true,
+            solved: metrics.solved,
+            timed_out: metrics.timed_out,
+            episode_return: metrics.episode_return,
+            group: finished.team.clone(),
+            metrics: vec![Some(f64::from(u8::from(metrics.none_burned())))],
+        }
+    };
+    let episodes: Vec<Episode> = finished.iter().map(episode).collect();
+    let failed = |cause: Cause| finished.iter().filter(|e| e.cause == Some(cause)).count();
+    Evaluation {
+        failures: Cause::ALL.map(|cause| (cause.name().to_owned(), failed(cause))).into(),
+        ..Evaluation::of(["none_burned"].into_iter(), &episodes)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::alma::records::{Config, NetworkPolicy, UtilityNetwork};
+    use sortie_learn::random::{Purpose, generator};
+
+    fn plan(episodes: usize) -> EvaluationPlan {
+        EvaluationPlan::new("2-5a_2-5b", episodes, 11).unwrap()
+    }
+
+    #[test]
+    fn the_scripted_team_reaches_its_known_level() {
+        let mut team = ScriptedActors::new(1);
+        let coordinated =
+            evaluate(&plan(1000), &mut team, &mut AllocationRule::Coordinated).unwrap();
+        assert!((0.68..0.82).contains(&coordinated.success), "{coordinated:?}");
+        let heuristic = evaluate(&plan(1000), &mut team, &mut AllocationRule::Heuristic).unwrap();
+        assert!((0.44..0.56).contains(&heuristic.success), "{heuristic:?}");
+        assert_eq!(coordinated.by_team.len(), 13);
+        assert_eq!(coordinated.by_team.values().map(|team| team.episodes).sum::<usize>(), 1000);
+        let failed: usize = heuristic.failures.values().sum();
+        assert_eq!(
+            failed,
+            heuristic.by_team.values().map(|t| t.episodes - t.solved).sum::<usize>()
+        );
+        let burned = heuristic.failures.iter().filter(|(cause, _)| cause.starts_with("burned"));
+        let burned: usize = burned.map(|(_, count)| count).sum();
+        assert_eq!(burned as f64, (1000.0 * (1.0 - heuristic.metrics["none_burned"])).round());
+        let [low, high] = coordinated.success_ci95;
+        assert!(low < coordinated.success && coordinated.success < high);
+    }
+
+    #[test]
+    fn an_evaluation_repeats() {
+        let run = || {
+            evaluate(&plan(100), &mut ScriptedActors::new(3), &mut AllocationRule::Random).unwrap()
+        };
+        assert_eq!(run(), run());
+    }
+
+    #[test]
+    fn a_policy_acts_as_the_network_that_it_is_made_of() {
+        let config = Config::default();
+        let mut weights = generator(4, Purpose::Weights, 0);
+        let shape = config.agent_shape().unwrap();
+        let network = UtilityNetwork::initialise(shape, 8.0, &mut weights);
+        let play = |team: &mut dyn Team| {
+            evaluate(&plan(40), team, &mut AllocationRule::Heuristic).unwrap()
+        };
+        let by_network = play(&mut NetworkTeam::new(&network));
+        let by_policy = play(&mut PolicyTeam::new(NetworkPolicy::new(&network)));
+        assert_eq!(by_network, by_policy);
+        assert!(by_network.length_mean > 10.0);
+    }
+}

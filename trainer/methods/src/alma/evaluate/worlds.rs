@@ -1,0 +1,177 @@
+//! Cities side by side: who is due decides, all act at once, each is stepped.
+
+use sortie_envs::save_the_city::{DecisionPoints, SaveTheCity, UNASSIGNED};
+use sortie_envs::{Environment, Random, Split, Step};
+use sortie_nn::random::Generator;
+
+use super::{Allocate, EvaluationPlan, Scene, Situation, Team};
+use crate::alma::records::NO_ACTION;
+use sortie_learn::LearnError;
+
+/// What a world remembers between steps.
+struct World {
+    /// Draws what the rules of the world leave to chance.
+    random: Random,
+    /// Draws what the allocator leaves to chance.
+    generator: Generator,
+    decisions: DecisionPoints,
+    tasks_changed: bool,
+    allocation: Vec<u8>,
+    last_actions: Vec<u8>,
+    strategies: Vec<f32>,
+}
+
+/// The worlds; some of them play.
+pub(super) struct Worlds {
+    pub(super) city: SaveTheCity,
+    interval: u32,
+    worlds: Vec<World>,
+    /// Worlds that play, in rising order.
+    active: Vec<usize>,
+    /// The actions of every active world `[active, A]`.
+    actions: Vec<u16>,
+}
+
+impl Worlds {
+    /// So many worlds of a plan; none plays yet.
+    pub(super) fn new(plan: &EvaluationPlan, count: usize) -> Result<Self, LearnError> {
+        let mut city = SaveTheCity::new(plan.set.clone(), plan.constants, count, 0)
+            .map_err(LearnError::environment)?;
+        city.use_split(Split::Test);
+        Ok(Self {
+            city,
+            interval: plan.interval,
+            worlds: Vec::new(),
+            active: Vec::new(),
+            actions: Vec::new(),
+        })
+    }
+
+    fn agents(&self) -> usize {
+        self.city.scenario_set().max_agents
+    }
+
+    /// Begins an episode in a world, the next one to play or one that plays; its state has been set.
+    pub(super) fn begin(&mut self, index: usize, random: Random, generator: Generator) {
+        let agents = self.agents();
+        let world = World {
+            random,
+            generator,
+            decisions: DecisionPoints::every(self.interval),
+            tasks_changed: false,
+            allocation: vec![UNASSIGNED; agents],
+            last_actions: vec![NO_ACTION; agents],
+            strategies: Vec::new(),
+        };
+        match self.worlds.get_mut(index) {
+            Some(place) => *place = world,
+            None => self.worlds.push(world),
+        }
+        if self.active.last().is_none_or(|last| *last < index) {
+            self.active.push(index);
+        }
+    }
+
+    /// Puts a world in the middle of an episode whose allocation has just been decided.
+    pub(super) fn decided(
+        &mut self,
+        index: usize,
+        last_actions: &[u8],
+        allocation: &[u8],
+        team: &mut dyn Team,
+    ) -> Result<(), LearnError> {
+        let world = &mut self.worlds[index];
+        world.decisions.is_due(false);
+        world.last_actions.copy_from_slice(last_actions);
+        world.allocation.copy_from_slice(allocation);
+        team.advise(self.city.city(index), &mut world.strategies)
+    }
+
+    /// The worlds that play.
+    pub(super) fn active(&self) -> &[usize] {
+        &self.active
+    }
+
+    /// What the team sees of a world.
+    pub(super) fn scene(&self, index: usize) -> Scene<'_> {
+        let World { allocation, last_actions, strategies, .. } = &self.worlds[index];
+        let city = self.city.city(index);
+        Scene { world: index, city, allocation, last_actions, strategies }
+    }
+
+    /// Decides where a decision is due, and lets the team choose the actions of all active worlds.
+    pub(super) fn choose(
+        &mut self,
+        team: &mut dyn Team,
+        allocator: &mut dyn Allocate,
+    ) -> Result<(), LearnError> {
+        for index in &self.active {
+            let world = &mut self.worlds[*index];
+            if world.decisions.is_due(world.tasks_changed) {
+                let situation = Situation {
+                    city: self.city.city(*index),
+                    last_actions: &world.last_actions,
+                    steps: self.city.metrics(*index).steps,
+                };
+                let World { generator, allocation, strategies, .. } = world;
+                allocator.decide(situation, team, generator, allocation)?;
+                team.advise(self.city.city(*index), strategies)?;
+            }
+        }
+        let agents = self.agents();
+        let mut actions = std::mem::take(&mut self.actions);
+        actions.clear();
+        actions.resize(self.active.len() * agents, 0);
+        let scenes: Vec<Scene<'_>> = self.active.iter().map(|index| self.scene(*index)).collect();
+        team.act(&scenes, &mut actions, agents)?;
+        self.actions = actions;
+        Ok(())
+    }
+
+    /// What the team does in the active world at a place.
+    pub(super) fn actions(&self, place: usize) -> &[u16] {
+        let agents = self.agents();
+        &self.actions[place * agents..][..agents]
+    }
+
+    /// Steps the active world at a place.
+    pub(super) fn advance(&mut self, place: usize) -> Result<Step, LearnError> {
+        let (index, agents) = (self.active[place], self.agents());
+        let actions = &self.actions[place * agents..][..agents];
+        let world = &mut self.worlds[index];
+        let outcome = self.city.step(index, actions, &mut world.random)?;
+        for (last, action) in world.last_actions.iter_mut().zip(actions) {
+            *last = *action as u8;
+        }
+        world.tasks_changed = outcome.tasks_changed;
+        Ok(outcome)
+    }
+
+    /// Ends the play of worlds whose episode is over.
+    pub(super) fn retire(&mut self) {
+        self.active.retain(|index| !self.city.is_done(*index));
+    }
+
+    /// Ends all play.
+    pub(super) fn clear(&mut self) {
+        self.active.clear();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_team_is_measured_on_the_test_list_of_scenarios() {
+        let plan = EvaluationPlan::new("2-8a_2-8b_sim_Q1", 1, 1).unwrap();
+        let mut worlds = Worlds::new(&plan, 40).unwrap();
+        for index in 0..40 {
+            worlds.city.reset(index, &mut sortie_envs::random::generator(index as u64));
+            let agents = worlds.city.city(index).agents;
+            let team: Vec<_> = agents.iter().map(|agent| agent.kind).collect();
+            assert!(plan.set.test.iter().any(|scenario| scenario.team == team));
+            assert!(plan.set.train.iter().all(|scenario| scenario.team != team));
+        }
+    }
+}

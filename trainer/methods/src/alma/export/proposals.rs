@@ -1,0 +1,475 @@
+//! `allocator_trunk.onnx`, `allocator_step.onnx` and `allocator_critic.onnx`: a policy that proposes allocations, and the
+//! critic that chooses among them (dissertation section 7.4).
+//!
+//! The policy draws one agent's subtask after the other, so it is two graphs: the trunk runs once, the step once for
+//! every agent, with the embedding of the subtask that was chosen taken over in between. Counts are raw, the graphs
+//! scale them; the order of the subtasks is the identity.
+
+use crate::alma::windows::allocation::{AllocationShape, CriticWeights, PolicyWeights};
+use sortie_learn::export::attention::{ExportError, axis, check};
+use sortie_learn::export::onnx::{Attribute, Dim, Element, Graph};
+
+/// What the networks make of one more entity in a subtask.
+const COUNT_SCALE: f32 = 0.2;
+/// Stands for minus infinity among logits; the softmax of a row that holds nothing else stays finite.
+const BLOCKED: f32 = -1.0e30;
+
+/// The three graphs of an allocator that proposes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ProposalGraphs {
+    /// `entities [N, d], entity_task [N, T], present [N], is_agent [N] -> embedding [N, E], task_embedding [T, E],
+    /// task_count [T]`
+    pub trunk: Vec<u8>,
+    /// `agent_embedding [E], task_embedding [T, E], task_count [T], agent_count [T], task_open [T] -> log_pi [T],
+    /// task_embedding_if_chosen [T, E]`
+    pub step: Vec<u8>,
+    /// `entities [N, d], entity_task [N, T], present [N], is_agent [N] -> value [1]`
+    pub critic: Vec<u8>,
+}
+
+/// Writes the policy and the critic as ONNX. `contract` is the hash of the contract that they were trained for.
+///
+/// # Errors
+/// A tensor has another size than the shape says, or a number that is not finite.
+pub fn export_proposals(
+    policy: &PolicyWeights,
+    critic: &CriticWeights,
+    contract: u64,
+) -> Result<ProposalGraphs, ExportError> {
+    for AllocationShape { width, heads, .. } in [policy.shape, critic.shape] {
+        if heads == 0 || !width.is_multiple_of(heads) {
+            return Err(ExportError::Heads { heads, width });
+        }
+    }
+    Ok(ProposalGraphs {
+        trunk: trunk(policy, contract)?,
+        step: step(policy, contract)?,
+        critic: critic_graph(critic, contract)?,
+    })
+}
+
+fn trunk(policy: &PolicyWeights, contract: u64) -> Result<Vec<u8>, ExportError> {
+    let AllocationShape { columns, width, .. } = policy.shape;
+    let (n, e, t) = (Dim::Symbol("N"), Dim::Fixed(width), Dim::Fixed(columns));
+    let mut writer = Writer::of_entities(policy.shape, "agents: their last subtask");
+    let graph = &mut writer.graph;
+    graph.output("embedding", Element::Float, &[n, e], "Every entity, before any ReLU.");
+    graph.output("task_embedding", Element::Float, &[t, e], "Every subtask, nobody in it.");
+    let doc = "Entities of every subtask that are no agents.";
+    graph.output("task_count", Element::Float, &[t], doc);
+
+    let (weight, bias) = (&policy.entity_weight, &policy.entity_bias);
+    let features = writer.layer("fc1", "entities", weight, bias)?;
+    let task = writer.product("task", "entity_task", &policy.task_weight, columns)?;
+    let embedding = writer.graph.node("embedding", "Add", &[&features, &task], &[]);
+    let active = writer.graph.node("active", "Relu", &[&embedding], &[]);
+    // What is no agent is placed in its subtasks; who is present answers there.
+    writer.graph.node("others", "Not", &["is_agent"], &[]);
+    let other = writer.number("others");
+    let column = writer.column("others", &other);
+    let placed = writer.graph.node("placed", "Mul", &["entity_task", &column], &[]);
+    let answers = writer.graph.node("answers", "And", &["present", "others"], &[]);
+    let order = [Attribute::Ints("perm", &[1, 0])];
+    let by_task = writer.graph.node("placed.by_task", "Transpose", &[&placed], &order);
+    let shared = writer.graph.node("shared", "MatMul", &[&placed, &by_task], &[]);
+    let zero = writer.graph.floats("zero", &[], &[0.0]).to_owned();
+    let together = writer.graph.node("together", "Greater", &[&shared, &zero], &[]);
+    let visible = writer.graph.node("visible", "And", &[&together, &answers], &[]);
+    let weights = AttentionWeights {
+        packed: &policy.attention_in_weight,
+        out: &policy.attention_out_weight,
+        bias: &policy.attention_out_bias,
+    };
+    let attended = writer.attention(&active, &visible, policy.shape, weights)?;
+    let answering = writer.column("answers", "answers");
+    let shown = writer.graph.node("shown", "Where", &[&answering, &attended, &zero], &[]);
+    writer.graph.node("task_embedding", "MatMul", &[&by_task, &shown], &[]);
+    writer.sum("task_count", &placed, 0, false);
+    let doc = "Embeds entities and subtasks once for all proposals.";
+    Ok(writer.finish("allocator_trunk", "proposals-trunk", doc, policy.shape, contract))
+}
+
+fn step(policy: &PolicyWeights, contract: u64) -> Result<Vec<u8>, ExportError> {
+    let shape @ AllocationShape { columns, width, .. } = policy.shape;
+    let (e, t) = (Dim::Fixed(width), Dim::Fixed(columns));
+    let mut writer = Writer::default();
+    let graph = &mut writer.graph;
+    let doc = "The row of `embedding` of the agent that chooses.";
+    graph.input("agent_embedding", Element::Float, &[e], doc);
+    graph.input("task_embedding", Element::Float, &[t, e], "Every subtask as it is by now.");
+    graph.input("task_count", Element::Float, &[t], "Its entities that are no agents.");
+    graph.input("agent_count", Element::Float, &[t], "Its agents so far.");
+    graph.input("task_open", Element::Bool, &[t], "True where it may be chosen.");
+    let doc = "Logarithms of the probabilities; minus infinity of closed subtasks.";
+    graph.output("log_pi", Element::Float, &[t], doc);
+    let doc = "What each subtask becomes by the agent choosing it.";
+    graph.output("task_embedding_if_chosen", Element::Float, &[t, e], doc);
+
+    let counts = writer.counts(["task_count", "agent_count"], COUNT_SCALE);
+    let counted = writer.layer("count", &counts, &policy.count_weight, &policy.count_bias)?;
+    let sizes = writer.graph.node("sized", "Add", &["task_embedding", &counted], &[]);
+    let agent = writer.column("agent", "agent_embedding");
+    let pointed = writer.graph.node("pointed", "MatMul", &[&sizes, &agent], &[]);
+    let flat = writer.graph.integers("flat", &[columns as i64]).to_owned();
+    let pointed = writer.graph.node("pointed.flat", "Reshape", &[&pointed, &flat], &[]);
+    let scale = [1.0 / (width as f32).sqrt()];
+    let scale = writer.graph.floats("scale", &[], &scale).to_owned();
+    let logits = writer.graph.node("logits", "Mul", &[&pointed, &scale], &[]);
+    writer.log_softmax(&logits);
+
+    let (task, agent) = halves(policy)?;
+    let active = writer.graph.node("task.active", "Relu", &["task_embedding"], &[]);
+    let from_task = writer.product("from_task", &active, &task, width)?;
+    let active = writer.graph.node("agent.active", "Relu", &["agent_embedding"], &[]);
+    let row = writer.graph.integers("row", &[1, width as i64]).to_owned();
+    let active = writer.graph.node("agent.row", "Reshape", &[&active, &row], &[]);
+    let from_agent = writer.layer("from_agent", &active, &agent, &policy.update_bias)?;
+    let change = writer.graph.node("change", "Add", &[&from_task, &from_agent], &[]);
+    let name = "task_embedding_if_chosen";
+    writer.graph.node(name, "Add", &["task_embedding", &change], &[]);
+    let doc = "One agent's choice, and what it changes.";
+    Ok(writer.finish("allocator_step", "proposals-step", doc, shape, contract))
+}
+
+/// The columns of the update that belong to the subtask, and to the agent.
+fn halves(policy: &PolicyWeights) -> Result<(Vec<f32>, Vec<f32>), ExportError> {
+    let width = policy.shape.width;
+    check("update.weight", &policy.update_weight, 2 * width * width)?;
+    let half = |first: usize| {
+        let rows = policy.update_weight.chunks(2 * width);
+        rows.flat_map(|row| row.iter().skip(first).take(width)).copied().collect()
+    };
+    Ok((half(0), half(width)))
+}
+
+fn critic_graph(critic: &CriticWeights, contract: u64) -> Result<Vec<u8>, ExportError> {
+    let shape @ AllocationShape { columns, .. } = critic.shape;
+    let mut writer = Writer::of_entities(shape, "agents: the proposal");
+    let doc = "What the allocation is worth.";
+    writer.graph.output("value", Element::Float, &[Dim::Fixed(1)], doc);
+    let zero = writer.graph.floats("zero", &[], &[0.0]).to_owned();
+    writer.graph.node("others", "Not", &["is_agent"], &[]);
+    let counts_in = writer.graph.node("belongs", "Or", &["present", "others"], &[]);
+    let column = writer.column("belongs", &counts_in);
+    let placed = writer.graph.node("placed", "Where", &[&column, "entity_task", &zero], &[]);
+    let mut of_kind = |kind: &str, mask: &str| {
+        let number = writer.number(mask);
+        let column = writer.column(kind, &number);
+        let rows = writer.graph.node(kind, "Mul", &[&placed, &column], &[]);
+        writer.sum(&format!("{kind}.count"), &rows, 0, false)
+    };
+    let agents = of_kind("placed_agents", "is_agent");
+    let others = of_kind("placed_others", "others");
+    let counts = writer.counts([&agents, &others], 1.0);
+    let counted = writer.layer("count", &counts, &critic.count_weight, &critic.count_bias)?;
+    let scale = writer.graph.floats("count.scale", &[], &[COUNT_SCALE]).to_owned();
+    let counted = writer.graph.node("counted", "Mul", &[&counted, &scale], &[]);
+
+    let (weight, bias) = (&critic.entity_weight, &critic.entity_bias);
+    let features = writer.layer("fc1", "entities", weight, bias)?;
+    let task = writer.product("task", &placed, &critic.task_weight, columns)?;
+    let count = writer.graph.node("counted.rows", "MatMul", &[&placed, &counted], &[]);
+    let sum = writer.graph.node("features.task", "Add", &[&features, &task], &[]);
+    let sum = writer.graph.node("rows", "Add", &[&sum, &count], &[]);
+    let active = writer.graph.node("active", "Relu", &[&sum], &[]);
+    let weights = AttentionWeights {
+        packed: &critic.attention_in_weight,
+        out: &critic.attention_out_weight,
+        bias: &critic.attention_out_bias,
+    };
+    let attended = writer.attention(&active, "present", shape, weights)?;
+    let attended = writer.graph.node("attended.relu", "Relu", &[&attended], &[]);
+    let answers = writer.graph.node("answers", "And", &["present", "is_agent"], &[]);
+    let answering = writer.column("answers", &answers);
+    let shown = writer.graph.node("shown", "Where", &[&answering, &attended, &zero], &[]);
+    let sum = writer.sum("mean.sum", &shown, 0, true);
+    let number = writer.number("is_agent.all");
+    let count = writer.sum("mean.count", &number, 0, true);
+    let one = writer.graph.floats("mean.one", &[], &[1.0]).to_owned();
+    let count = writer.graph.node("mean.divisor", "Max", &[&count, &one], &[]);
+    let mean = writer.graph.node("mean", "Div", &[&sum, &count], &[]);
+    let (weight, bias) = head(critic)?;
+    let value = writer.layer("head", &mean, &weight, &bias)?;
+    let flat = writer.graph.integers("value.shape", &[1]).to_owned();
+    writer.graph.node("value", "Reshape", &[&value, &flat], &[]);
+    let doc = "The value of a whole allocation, in the units of returns.";
+    Ok(writer.finish("allocator_critic", "proposals-critic", doc, shape, contract))
+}
+
+/// The last layer with what the normalisation of targets makes of its value.
+fn head(critic: &CriticWeights) -> Result<(Vec<f32>, [f32; 1]), ExportError> {
+    let CriticWeights { popart_weight, popart_bias, mean, deviation, .. } = *critic;
+    check("head.weight", &critic.value_weight, critic.shape.width)?;
+    check("head.bias", &critic.value_bias, 1)?;
+    let factor = popart_weight * deviation;
+    let weight = critic.value_weight.iter().map(|weight| weight * factor).collect();
+    let bias = critic.value_bias.iter().sum::<f32>() * factor + popart_bias * deviation + mean;
+    Ok((weight, [bias]))
+}
+
+/// Tensors of attention, as they are packed.
+#[derive(Clone, Copy)]
+struct AttentionWeights<'a> {
+    /// `[3 E, E]`
+    packed: &'a [f32],
+    /// `[E, E]`
+    out: &'a [f32],
+    /// `[E]`
+    bias: &'a [f32],
+}
+
+/// A graph that is written.
+#[derive(Default)]
+struct Writer {
+    graph: Graph,
+}
+
+impl Writer {
+    /// A graph over all entities.
+    fn of_entities(shape: AllocationShape, agents: &str) -> Self {
+        let mut graph = Graph::default();
+        let (n, t) = (Dim::Symbol("N"), Dim::Fixed(shape.columns));
+        let rows = [n, Dim::Fixed(shape.features)];
+        graph.input("entities", Element::Float, &rows, "Features of every entity.");
+        let doc = format!("1 where the entity belongs to the subtask; {agents}.");
+        graph.input("entity_task", Element::Float, &[n, t], &doc);
+        graph.input("present", Element::Bool, &[n], "True where the entity exists.");
+        graph.input("is_agent", Element::Bool, &[n], "True for agents, present or not.");
+        Self { graph }
+    }
+
+    /// `input Wᵀ` of a matrix `[out, inputs]`.
+    fn product(
+        &mut self,
+        name: &'static str,
+        input: &str,
+        weight: &[f32],
+        inputs: usize,
+    ) -> Result<String, ExportError> {
+        let outputs = weight.len() / inputs.max(1);
+        check(name, weight, inputs * outputs)?;
+        let turned = (0..inputs).flat_map(|input| weight.iter().skip(input).step_by(inputs));
+        let turned: Vec<f32> = turned.copied().collect();
+        let weight = format!("{name}.weight");
+        self.graph.floats(&weight, &[inputs, outputs], &turned);
+        Ok(self.graph.node(&format!("{name}.product"), "MatMul", &[input, &weight], &[]))
+    }
+
+    /// `input Wᵀ + b`.
+    fn layer(
+        &mut self,
+        name: &'static str,
+        input: &str,
+        weight: &[f32],
+        bias: &[f32],
+    ) -> Result<String, ExportError> {
+        let inputs = weight.len() / bias.len().max(1);
+        check(name, weight, inputs * bias.len())?;
+        check(name, bias, bias.len())?;
+        let product = self.product(name, input, weight, inputs)?;
+        let name_of_bias = format!("{name}.bias");
+        self.graph.floats(&name_of_bias, &[bias.len()], bias);
+        Ok(self.graph.node(name, "Add", &[&product, &name_of_bias], &[]))
+    }
+
+    /// A mask as numbers.
+    fn number(&mut self, mask: &str) -> String {
+        let to_float = [Attribute::Int("to", Element::Float.id())];
+        let of = mask.trim_end_matches(".all");
+        self.graph.node(&format!("{mask}.number"), "Cast", &[of], &to_float)
+    }
+
+    /// A vector as a column.
+    fn column(&mut self, name: &str, vector: &str) -> String {
+        let place = format!("{name}.axis");
+        self.graph.integers(&place, &[1]);
+        self.graph.node(&format!("{name}.column"), "Unsqueeze", &[vector, &place], &[])
+    }
+
+    fn sum(&mut self, name: &str, rows: &str, along: i64, keep: bool) -> String {
+        let place = format!("{name}.along");
+        self.graph.integers(&place, &[along]);
+        let keep = [Attribute::Int("keepdims", keep.into())];
+        self.graph.node(name, "ReduceSum", &[rows, &place], &keep)
+    }
+
+    /// Two counts of every subtask side by side, each times `scale`.
+    fn counts(&mut self, [first, second]: [&str; 2], scale: f32) -> String {
+        let (first, second) =
+            (self.column("counts.first", first), self.column("counts.second", second));
+        let counts = self.graph.node("counts", "Concat", &[&first, &second], &[axis(1)]);
+        if scale == 1.0 {
+            return counts;
+        }
+        self.graph.floats("counts.scale", &[], &[scale]);
+        self.graph.node("counts.scaled", "Mul", &[&counts, "counts.scale"], &[])
+    }
+
+    /// `log_pi` of the open subtasks.
+    fn log_softmax(&mut self, logits: &str) {
+        let graph = &mut self.graph;
+        graph.floats("blocked", &[], &[BLOCKED]);
+        graph.floats("never", &[], &[f32::NEG_INFINITY]);
+        graph.integers("all", &[0]);
+        let keep = [Attribute::Int("keepdims", 1)];
+        graph.node("open_logits", "Where", &["task_open", logits, "blocked"], &[]);
+        let largest = [Attribute::Ints("axes", &[0]), Attribute::Int("keepdims", 1)];
+        graph.node("largest", "ReduceMax", &["open_logits"], &largest);
+        graph.node("shifted", "Sub", &["open_logits", "largest"], &[]);
+        graph.node("powers", "Exp", &["shifted"], &[]);
+        graph.node("total", "ReduceSum", &["powers", "all"], &keep);
+        graph.node("log_total", "Log", &["total"], &[]);
+        graph.node("normalised", "Sub", &["shifted", "log_total"], &[]);
+        graph.node("log_pi", "Where", &["task_open", "normalised", "never"], &[]);
+    }
+
+    /// Attention of every row to those that `visible` shows it.
+    fn attention(
+        &mut self,
+        rows: &str,
+        visible: &str,
+        AllocationShape { width, heads, .. }: AllocationShape,
+        AttentionWeights { packed, out, bias }: AttentionWeights<'_>,
+    ) -> Result<String, ExportError> {
+        check("attention.in", packed, 3 * width * width)?;
+        check("attention.out", bias, width)?;
+        let mut parts = packed.chunks(width * width);
+        let mut next = || parts.next().unwrap_or_default();
+        let query = self.product("attention.query", rows, next(), width)?;
+        let key = self.product("attention.key", rows, next(), width)?;
+        let value = self.product("attention.value", rows, next(), width)?;
+        let graph = &mut self.graph;
+        graph.integers("attention.split", &[0, heads as i64, (width / heads) as i64]);
+        let mut by_heads = |input: &str, order: &[i64]| {
+            let (split, ordered) = (format!("{input}.heads"), format!("{input}.ordered"));
+            graph.node(&split, "Reshape", &[input, "attention.split"], &[]);
+            graph.node(&ordered, "Transpose", &[&split], &[Attribute::Ints("perm", order)])
+        };
+        let query = by_heads(&query, &[1, 0, 2]);
+        let key = by_heads(&key, &[1, 2, 0]);
+        let value = by_heads(&value, &[1, 0, 2]);
+        let scale = 1.0 / ((width / heads) as f32).sqrt();
+        graph.floats("attention.scale", &[], &[scale]);
+        graph.floats("attention.blocked", &[], &[BLOCKED]);
+        graph.floats("attention.nothing", &[], &[0.0]);
+        graph.node("attention.scores", "MatMul", &[&query, &key], &[]);
+        graph.node("attention.logits", "Mul", &["attention.scores", "attention.scale"], &[]);
+        let masked = [visible, "attention.logits", "attention.blocked"];
+        graph.node("attention.masked", "Where", &masked, &[]);
+        graph.node("attention.softmax", "Softmax", &["attention.masked"], &[axis(-1)]);
+        let shown = [visible, "attention.softmax", "attention.nothing"];
+        graph.node("attention.weights", "Where", &shown, &[]);
+        graph.node("attention.mixed", "MatMul", &["attention.weights", &value], &[]);
+        let order = [Attribute::Ints("perm", &[1, 0, 2])];
+        graph.node("attention.mixed.ordered", "Transpose", &["attention.mixed"], &order);
+        // Zero keeps the number of rows.
+        graph.integers("attention.join", &[0, width as i64]);
+        let joined = ["attention.mixed.ordered", "attention.join"];
+        graph.node("attention.joined", "Reshape", &joined, &[]);
+        self.layer("attention.out", "attention.joined", out, bias)
+    }
+
+    fn finish(
+        self,
+        name: &str,
+        kind: &str,
+        doc: &str,
+        shape: AllocationShape,
+        contract: u64,
+    ) -> Vec<u8> {
+        let metadata = [
+            ("sortie.graph", kind.to_owned()),
+            ("sortie.format", "1".to_owned()),
+            ("sortie.contract", format!("{contract:016x}")),
+            ("sortie.features", shape.features.to_string()),
+            ("sortie.tasks", shape.columns.to_string()),
+        ];
+        self.graph.into_model(name, doc, &metadata)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SHAPE: AllocationShape = AllocationShape { features: 7, columns: 3, width: 16, heads: 2 };
+
+    /// Any small numbers.
+    fn numbers(seed: u32) -> impl FnMut(usize) -> Vec<f32> {
+        let mut state = seed;
+        let mut next = move || {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (state >> 8) as f32 / (1 << 24) as f32 - 0.5
+        };
+        move |count| (0..count).map(|_| next()).collect()
+    }
+
+    fn networks(shape: AllocationShape) -> (PolicyWeights, CriticWeights) {
+        let AllocationShape { features, columns, width, .. } = shape;
+        let mut tensor = numbers(5);
+        let policy = PolicyWeights {
+            shape,
+            entity_weight: tensor(width * features),
+            entity_bias: tensor(width),
+            task_weight: tensor(width * columns),
+            attention_in_weight: tensor(3 * width * width),
+            attention_out_weight: tensor(width * width),
+            attention_out_bias: tensor(width),
+            count_weight: tensor(width * 2),
+            count_bias: tensor(width),
+            update_weight: tensor(width * 2 * width),
+            update_bias: tensor(width),
+        };
+        let critic = CriticWeights {
+            shape,
+            entity_weight: tensor(width * features),
+            entity_bias: tensor(width),
+            task_weight: tensor(width * columns),
+            count_weight: tensor(width * 2),
+            count_bias: tensor(width),
+            attention_in_weight: tensor(3 * width * width),
+            attention_out_weight: tensor(width * width),
+            attention_out_bias: tensor(width),
+            value_weight: tensor(width),
+            value_bias: tensor(1),
+            popart_weight: 0.75,
+            popart_bias: -0.5,
+            mean: 2.0,
+            deviation: 3.0,
+        };
+        (policy, critic)
+    }
+
+    fn assert_recorded(name: &str, written: &[u8]) {
+        let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/golden/onnx/");
+        let recorded = std::fs::read(format!("{root}{name}")).unwrap();
+        assert!(written == recorded, "the exported bytes of {name} changed");
+    }
+
+    #[test]
+    fn networks_become_the_recorded_files() {
+        let (policy, critic) = networks(SHAPE);
+        let graphs = export_proposals(&policy, &critic, 0x0123_4567_89ab_cdef).unwrap();
+        assert_recorded("proposals_trunk_small.onnx", &graphs.trunk);
+        assert_recorded("proposals_step_small.onnx", &graphs.step);
+        assert_recorded("proposals_critic_small.onnx", &graphs.critic);
+    }
+
+    #[test]
+    fn what_does_not_fit_is_refused() {
+        let (mut policy, critic) = networks(SHAPE);
+        policy.update_weight.pop();
+        let error = export_proposals(&policy, &critic, 0).unwrap_err();
+        assert_eq!(
+            error,
+            ExportError::WrongLength { tensor: "update.weight", want: 512, got: 511 }
+        );
+        let (policy, mut critic) = networks(SHAPE);
+        critic.value_weight[3] = f32::NAN;
+        let error = export_proposals(&policy, &critic, 0).unwrap_err();
+        assert_eq!(error, ExportError::NonFinite { tensor: "head.weight" });
+        let (policy, critic) = networks(AllocationShape { heads: 5, ..SHAPE });
+        let error = export_proposals(&policy, &critic, 0).unwrap_err();
+        assert_eq!(error, ExportError::Heads { heads: 5, width: 16 });
+    }
+}

@@ -1,0 +1,303 @@
+//! Who works where while learning: allocations of an episode, explored, cut into segments.
+
+use serde::{Deserialize, Serialize};
+use sortie_envs::random::{below, chance, unit};
+use sortie_envs::save_the_city::{AllocationRule, City, DecisionPoints, UNASSIGNED};
+use sortie_nn::random::Generator;
+
+use super::config::{Allocation, AllocationConfig, AllocatorConfig, Config};
+use super::team_value::{Decision, Segment, Segments, TeamSearch};
+use super::utility::UtilityNetwork;
+use sortie_learn::LearnError;
+
+/// Who stands in for an allocator that has not begun to decide.
+const STAND_INS: [AllocationRule; 2] = [AllocationRule::Coordinated, AllocationRule::Heuristic];
+
+/// What one episode remembers between its decisions.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct Decisions {
+    allocation_by: Allocation,
+    /// The rule that decides while the learned allocator learns but does not decide.
+    stand_in: AllocationRule,
+    points: DecisionPoints,
+    tasks_changed: bool,
+    /// The building of every agent.
+    pub(super) allocation: Vec<u8>,
+    segment: Option<Segment>,
+}
+
+impl Decisions {
+    pub(super) fn new(interval: u32, agents: usize) -> Self {
+        Self {
+            allocation_by: Allocation::Learned,
+            stand_in: STAND_INS[0],
+            points: DecisionPoints::every(interval),
+            tasks_changed: false,
+            allocation: vec![UNASSIGNED; agents],
+            segment: None,
+        }
+    }
+
+    /// A new episode begins.
+    pub(super) fn restart(&mut self, config: &AllocationConfig, generator: &mut Generator) {
+        self.allocation_by = draw(config, generator);
+        self.stand_in = STAND_INS[below(generator, STAND_INS.len())];
+        self.points.restart();
+        self.tasks_changed = false;
+        self.segment = None;
+    }
+
+    /// Notes what a step earned and whether it changed the open tasks.
+    pub(super) fn reward(&mut self, discount: f32, task_rewards: &[f64], tasks_changed: bool) {
+        self.tasks_changed = tasks_changed;
+        if let Some(segment) = &mut self.segment {
+            for (sum, reward) in segment.rewards.iter_mut().zip(task_rewards) {
+                *sum += segment.discount * *reward as f32;
+            }
+            segment.discount *= discount;
+        }
+    }
+
+    /// Ends the episode. After a time-out nobody decides, so that there is no next team to value.
+    pub(super) fn end(&mut self, timed_out: bool, segments: Option<&mut Segments>) {
+        if let (Some(segment), Some(segments), false) = (self.segment.take(), segments, timed_out) {
+            segments.push(Segment { discount: 0.0, ..segment });
+        }
+    }
+
+    /// Ends the segment of the decision before and begins that of the one just made.
+    fn begin_segment(&mut self, city: City<'_>, segments: &mut Segments) {
+        let decision = Decision::new(city, &self.allocation);
+        if let Some(mut segment) = self.segment.take() {
+            segment.next = decision.clone();
+            segments.push(segment);
+        }
+        self.segment = Some(Segment {
+            rewards: vec![0.0; decision.buildings.len()],
+            discount: 1.0,
+            next: decision.clone(),
+            now: decision,
+        });
+    }
+}
+
+/// Makes the decisions of all episodes.
+#[derive(Debug)]
+pub(super) struct Deciding {
+    allocation: AllocationConfig,
+    allocator: AllocatorConfig,
+    search: TeamSearch,
+}
+
+impl Deciding {
+    pub(super) fn new(config: &Config) -> Self {
+        let (allocation, allocator) = (config.allocation.clone(), config.allocator.clone());
+        let search = TeamSearch::new(allocator.shape(), allocation.team_max);
+        Self { allocation, allocator, search }
+    }
+
+    /// Floating-point operations of the searches up to now.
+    pub(super) fn operations(&self) -> u64 {
+        self.search.operations()
+    }
+
+    /// Who allocates in a training episode, and how.
+    pub(super) fn allocation(&self) -> &AllocationConfig {
+        &self.allocation
+    }
+
+    /// Discount of the allocator's rewards per environment step.
+    pub(super) fn discount(&self) -> f32 {
+        self.allocator.discount
+    }
+
+    /// Decides if it is time to; returns whether it was.
+    ///
+    /// `network` decides where the learned allocator is to, or a rule in its stead. `segments` takes the
+    /// segment that ends; without them the allocator learns nothing, and nothing is tried out.
+    pub(super) fn decide(
+        &mut self,
+        episode: &mut Decisions,
+        city: City<'_>,
+        generator: &mut Generator,
+        network: Option<&UtilityNetwork>,
+        segments: Option<&mut Segments>,
+    ) -> Result<bool, LearnError> {
+        if !episode.points.is_due(episode.tasks_changed) {
+            return Ok(false);
+        }
+        let learns = segments.is_some();
+        let allocation = &mut episode.allocation;
+        match (episode.allocation_by, network) {
+            (Allocation::Learned, Some(network)) => {
+                self.search.allocate(network, city, allocation)?;
+            }
+            (Allocation::Learned, None) if learns => {
+                episode.stand_in.allocate(city, generator, allocation);
+            }
+            (Allocation::Learned, None) => STAND_INS[0].allocate(city, generator, allocation),
+            (Allocation::Rule(rule), _) => rule.allocate(city, generator, allocation),
+        }
+        let explores = learns && episode.allocation_by == Allocation::Learned;
+        if explores && chance(generator, self.allocator.moved_decisions) {
+            move_some(city, self.allocator.moved, self.allocation.team_max, generator, allocation);
+        }
+        if let Some(segments) = segments {
+            episode.begin_segment(city, segments);
+        }
+        Ok(true)
+    }
+}
+
+/// Sends a share of the agents to random open buildings, except where the team is full.
+fn move_some(
+    city: City<'_>,
+    share: f64,
+    team_max: usize,
+    generator: &mut Generator,
+    allocation: &mut [u8],
+) {
+    let numbered = city.buildings.iter().enumerate();
+    let open: Vec<u8> = numbered.filter(|(_, b)| b.is_open()).map(|(task, _)| task as u8).collect();
+    for agent in 0..city.agents.len() {
+        if chance(generator, share) && !open.is_empty() {
+            let task = open[below(generator, open.len())];
+            if allocation.iter().filter(|own| **own == task).count() < team_max {
+                allocation[agent] = task;
+            }
+        }
+    }
+}
+
+/// An allocator, drawn by its weight.
+fn draw(config: &AllocationConfig, generator: &mut Generator) -> Allocation {
+    let weights = config.weights();
+    let total: f64 = weights.iter().map(|(_, weight)| weight).sum();
+    let mut left = unit(generator) * total;
+    for (allocation, weight) in weights {
+        left -= weight;
+        if left < 0.0 {
+            return allocation;
+        }
+    }
+    config.measured()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sortie_envs::save_the_city::{AgentKind, AgentState, BuildingKind, BuildingState, Status};
+    use sortie_learn::random::{Purpose, generator};
+
+    #[test]
+    fn allocators_are_drawn_by_their_weights() {
+        let config = AllocationConfig {
+            learned: 1.0,
+            coordinated: 0.0,
+            heuristic: 3.0,
+            ..AllocationConfig::default()
+        };
+        let mut random = generator(1, Purpose::Rollout, 0);
+        let drawn: Vec<_> = (0..4000).map(|_| draw(&config, &mut random)).collect();
+        let share = |who| drawn.iter().filter(|drawn| **drawn == who).count() as f64 / 4000.0;
+        assert!((share(Allocation::Learned) - 0.25).abs() < 0.03);
+        assert!((share(Allocation::Rule(AllocationRule::Heuristic)) - 0.75).abs() < 0.03);
+    }
+
+    fn buildings(statuses: &[Status]) -> Vec<BuildingState> {
+        let building = |(index, status): (usize, &Status)| BuildingState {
+            health: 0.5,
+            fire: 0.0,
+            period: 70,
+            to_next_fire: 60,
+            since_last_fire: 10,
+            kind: BuildingKind::Fast,
+            status: *status,
+            x: 4 + 4 * index as u8,
+            y: 4,
+        };
+        statuses.iter().enumerate().map(building).collect()
+    }
+
+    #[test]
+    fn who_learns_decides_or_is_stood_in_for_and_nothing_else_is_tried_out() {
+        let agents = vec![AgentState::at(AgentKind::Builder, 5, 5); 6];
+        let buildings = buildings(&[Status::Open; 3]);
+        let city = City { agents: &agents, buildings: &buildings };
+        let by = |rule: AllocationRule| {
+            let mut allocation = vec![UNASSIGNED; 6];
+            rule.allocate(city, &mut generator(1, Purpose::Rollout, 0), &mut allocation);
+            allocation
+        };
+        let [coordinated, heuristic] = STAND_INS.map(by);
+        assert_ne!(coordinated, heuristic);
+        let decided = |allocation_by, learns: bool, moved_decisions| {
+            let mut config = Config::default();
+            (config.allocator.moved, config.allocator.moved_decisions) = (1.0, moved_decisions);
+            let stand_in = AllocationRule::Heuristic;
+            let mut episode = Decisions { allocation_by, stand_in, ..Decisions::new(5, 6) };
+            let (mut random, mut segments) = (generator(1, Purpose::Rollout, 0), Segments::new(10));
+            let segments = learns.then_some(&mut segments);
+            let due =
+                Deciding::new(&config).decide(&mut episode, city, &mut random, None, segments);
+            assert!(due.unwrap());
+            episode.allocation
+        };
+        let rule = Allocation::Rule(AllocationRule::Heuristic);
+        assert_eq!(decided(Allocation::Learned, true, 0.0), heuristic, "the episode's stand-in");
+        assert_ne!(decided(Allocation::Learned, true, 1.0), heuristic, "and agents are moved");
+        assert_eq!(decided(Allocation::Learned, false, 1.0), coordinated, "nobody learns");
+        assert_eq!(decided(rule, true, 1.0), heuristic, "a rule is not explored");
+    }
+
+    #[test]
+    fn an_episode_is_decided_by_whom_the_run_asks_for() {
+        let mut config = Config::default();
+        (config.allocation.learned, config.allocation.heuristic) = (0.0, 1.0);
+        let (deciding, mut episode) = (Deciding::new(&config), Decisions::new(5, 1));
+        episode.restart(deciding.allocation(), &mut generator(1, Purpose::Rollout, 0));
+        assert_eq!(episode.allocation_by, Allocation::Rule(AllocationRule::Heuristic));
+    }
+
+    #[test]
+    fn a_share_of_the_agents_moves_to_open_buildings_with_room() {
+        let agents = vec![AgentState::at(AgentKind::Builder, 5, 5); 1000];
+        let buildings = buildings(&[Status::Open, Status::Complete, Status::Open]);
+        let mut random = generator(1, Purpose::Rollout, 0);
+        let mut moved = |share, team_max, buildings| {
+            let (city, mut allocation) = (City { agents: &agents, buildings }, vec![1; 1000]);
+            move_some(city, share, team_max, &mut random, &mut allocation);
+            [0, 1, 2].map(|task| allocation.iter().filter(|own| **own == task).count())
+        };
+        assert_eq!(moved(0.0, 1000, &buildings), [0, 1000, 0]);
+        assert_eq!(moved(1.0, 1000, &buildings[1..2]), [0, 1000, 0], "nothing is open");
+        assert_eq!(moved(1.0, 3, &buildings), [3, 994, 3], "a team of three is full");
+        let [first, _, second] = moved(0.25, 1000, &buildings);
+        assert!(first.abs_diff(125) < 40 && second.abs_diff(125) < 40, "{first}, {second}");
+    }
+
+    #[test]
+    fn rewards_of_a_segment_are_discounted_step_by_step() {
+        let agents = [AgentState::at(AgentKind::Builder, 1, 2)];
+        let buildings = buildings(&[Status::Open; 2]);
+        let city = City { agents: &agents, buildings: &buildings };
+        let mut segments = Segments::new(10);
+        let mut episode = Decisions::new(5, 1);
+        episode.allocation = vec![1];
+        episode.begin_segment(city, &mut segments);
+        for (first, second) in [(1.0, 0.0), (2.0, 8.0), (4.0, 16.0)] {
+            episode.reward(0.5, &[first, second], false);
+        }
+        episode.allocation = vec![0];
+        episode.begin_segment(city, &mut segments);
+        let segment = segments.get(0);
+        assert_eq!(segment.rewards, [1.0 + 0.5 * 2.0 + 0.25 * 4.0, 0.5 * 8.0 + 0.25 * 16.0]);
+        assert_eq!(segment.discount, 0.125);
+        assert_eq!([&segment.now, &segment.next].map(|decision| decision.allocation[0]), [1, 0]);
+
+        episode.reward(0.5, &[3.0, 5.0], true);
+        episode.end(false, Some(&mut segments));
+        let last = segments.get(1);
+        assert_eq!((&last.rewards[..], last.discount), (&[3.0, 5.0][..], 0.0));
+    }
+}

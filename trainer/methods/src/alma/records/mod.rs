@@ -1,0 +1,49 @@
+//! ALMA: agents act on the subtask that an allocator gives them (dissertation chapter 7).
+//!
+//! One run learns both levels. The agents learn from records: one step of one building's team, with the
+//! rewards of the next steps. The allocator learns from its decisions, see [`team_value`]. Compared with
+//! the dissertation: records instead of windows, value decomposition by a sum instead of a mixing
+//! network, n-step returns, optional potential shaping, Adam, averaged weights, search instead of a
+//! proposal network.
+
+mod conditioning;
+pub mod config;
+mod deciding;
+mod entity_attention;
+mod history;
+mod learner;
+mod mixed_network;
+mod mixer;
+#[cfg(test)]
+mod naive;
+mod network_policy;
+mod operations;
+mod replay;
+mod rollout;
+mod saved;
+mod saved_network;
+mod team_batch;
+pub mod team_value;
+mod temporal_difference;
+mod trainer;
+mod utility;
+mod utility_pass;
+
+pub use conditioning::Conditioning;
+pub use config::{Allocation, Config};
+pub(crate) use entity_attention::{AttentionGradients, AttentionWeights, EntityAttention};
+pub use history::{History, Moment, Returns, StepRewards};
+pub use learner::{Knowledge, Learner, Loss, Networks, Parameters, Pick, Samples};
+pub use mixed_network::MixedNetwork;
+pub use mixer::{Mixer, MixerKind, MixerPass, MixerShape, MixerTensor, Teams};
+pub use network_policy::NetworkPolicy;
+pub use replay::{AgentStep, BuildingStep, Record, RecordLayout, Replay, Sample};
+pub use rollout::{Behaviour, InstanceSnapshot, Memory, Rollout};
+pub(crate) use saved_network::{saved_network, saved_shape, saved_vector};
+pub(crate) use team_batch::random_action;
+pub use team_batch::{INPUT_COLUMNS, NO_ACTION, TeamBatch, best_action};
+pub use temporal_difference::Chunk;
+pub use trainer::{Trainer, agents_learner, allocator_learner};
+pub use utility::{Tensor, UtilityNetwork, UtilityShape, UtilityWeights};
+pub(crate) use utility_pass::sized;
+pub use utility_pass::{UtilityInput, UtilityPass};

@@ -1,0 +1,104 @@
+//! The allocator's loss against the rules: `y = rewards + discount * f_target(s', building, the team sent next)`.
+
+use sortie_envs::save_the_city::{FEATURES, RELATIONS, agent_relation, building_relation};
+
+use super::{Map, agent_row, assert_near, building_row, outputs};
+use crate::alma::records::team_value::{Decision, Segments, TeamValueLoss};
+use crate::alma::records::{
+    Behaviour, Config, Loss, Memory, Networks, Pick, RecordLayout, Replay, Rollout, UtilityNetwork,
+    UtilityShape,
+};
+use sortie_learn::random::{Purpose, generator};
+use sortie_learn::run::EpisodeCounts;
+
+fn config() -> Config {
+    let mut config = Config::default();
+    // Decisions that differ from one another.
+    (config.allocator.moved, config.allocator.moved_decisions) = (0.5, 1.0);
+    (config.allocator.network.width, config.allocator.network.base) = (8, 6);
+    (config.network.width, config.network.base) = (8, 6);
+    config.environment.constants.episode_limit = 40;
+    config
+}
+
+fn network(seed: u64, skip: bool) -> UtilityNetwork {
+    let mut weights = generator(seed, Purpose::Weights, 0);
+    let shape = UtilityShape { skip, ..config().allocator.shape() };
+    UtilityNetwork::initialise(shape, 8.0, &mut weights)
+}
+
+/// Segments of agents that act at random.
+fn segments() -> Segments {
+    let config = config();
+    let shape = config.agent_shape().unwrap();
+    let agents = UtilityNetwork::initialise(shape, 8.0, &mut generator(1, Purpose::Weights, 0));
+    let mut rollout = Rollout::new(&config, shape, 4).unwrap();
+    let mut segments = Segments::new(1_000);
+    let mut records = Replay::new(100, RecordLayout { agents: 5, buildings: 1 });
+    for _ in 0..100 {
+        let behaviour = Behaviour { agents: &agents, epsilon: 1.0, allocator: None };
+        let memory = Memory { records: &mut records, segments: Some(&mut segments) };
+        rollout.step(behaviour, memory, &mut EpisodeCounts::default()).unwrap();
+    }
+    segments
+}
+
+/// What a network expects of the team that a decision sends to a building.
+fn value(network: &UtilityNetwork, decision: &Decision, task: usize, map: Map) -> f64 {
+    let columns = FEATURES + 2 + RELATIONS;
+    let building = map.building(&decision.buildings[task]);
+    let mut own = building_row(&building, columns);
+    own[FEATURES] = 1.0;
+    let mut seen = vec![own.clone()];
+    for (agent, sent) in decision.agents.iter().zip(&decision.allocation) {
+        let agent = map.agent(agent);
+        let mut row = agent_row(&agent, columns);
+        row[FEATURES + 1] = f64::from(u8::from(usize::from(*sent) == task));
+        row[FEATURES + 2 + agent_relation(&agent, &building)] = 1.0;
+        seen.push(row);
+    }
+    for (number, other) in decision.buildings.iter().enumerate() {
+        if number != task && other.is_open() {
+            let other = map.building(other);
+            let mut row = building_row(&other, columns);
+            row[FEATURES + 2 + building_relation(&other, &building)] = 1.0;
+            seen.push(row);
+        }
+    }
+    outputs(network, &own, &seen)[0]
+}
+
+#[test]
+fn the_loss_of_every_segment_is_that_of_the_rules() {
+    [false, true].into_iter().for_each(check_losses);
+}
+
+fn check_losses(skip: bool) {
+    let (segments, online, target) = (segments(), network(1, skip), network(2, skip));
+    let mut loss = TeamValueLoss::new(online.shape());
+    let (mut moved, mut ended, mut closed) = (0, 0, 0);
+    for sample in 0..segments.len() {
+        let segment = segments.get(sample);
+        let symmetry = (sample % 8) as u8;
+        let open = segment.now.buildings.iter().enumerate().filter(|(_, now)| now.is_open());
+        for (draw, (task, _)) in (0..).zip(open) {
+            let pick = Pick { sample: sample as u32, symmetry, draw };
+            loss.learn(Networks { online: &online, target: &target }, &segments, &[pick]);
+            let mut wanted = f64::from(segment.rewards[task]);
+            if segment.next.buildings[task].is_open() {
+                let next = value(&target, &segment.next, task, Map(symmetry));
+                wanted += f64::from(segment.discount) * next;
+                moved += usize::from(segment.next.team(task) != segment.now.team(task));
+            } else {
+                closed += 1;
+            }
+            ended += usize::from(segment.discount == 0.0);
+            let error = value(&online, &segment.now, task, Map(symmetry)) - wanted;
+            let what = format!("segment {sample}, building {task}, map {symmetry}");
+            assert_near(&what, loss.squared_error(), error * error);
+            loss.learn(Networks { online: &online, target: &target }, &segments, &[pick; 3]);
+            assert_eq!(loss.terms(), 3, "{what}");
+        }
+    }
+    assert!(moved > 100 && closed > 10, "{moved} other teams, {closed} closed, {ended} ended");
+}

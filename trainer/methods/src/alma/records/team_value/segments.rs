@@ -1,0 +1,180 @@
+//! What was decided and what it earned, up to the next decision.
+
+use serde::{Deserialize, Serialize};
+use sortie_envs::save_the_city::{AgentState, BuildingState, City};
+
+use crate::alma::records::learner::Samples;
+
+/// A state with the allocation that was made in it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Decision {
+    /// The agents.
+    pub agents: Vec<AgentState>,
+    /// The buildings.
+    pub buildings: Vec<BuildingState>,
+    /// The building of every agent `[A]`.
+    pub allocation: Vec<u8>,
+}
+
+impl Decision {
+    /// The allocation of a city.
+    pub fn new(city: City<'_>, allocation: &[u8]) -> Self {
+        Self {
+            agents: city.agents.to_vec(),
+            buildings: city.buildings.to_vec(),
+            allocation: allocation[..city.agents.len()].to_vec(),
+        }
+    }
+
+    /// The agents and buildings.
+    pub fn city(&self) -> City<'_> {
+        City { agents: &self.agents, buildings: &self.buildings }
+    }
+
+    /// The agents at a building, as bits.
+    pub fn team(&self, task: usize) -> u64 {
+        let members = self.allocation.iter().enumerate();
+        members.filter(|(_, own)| usize::from(**own) == task).map(|(agent, _)| 1 << agent).sum()
+    }
+}
+
+/// The steps from one decision to the next.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Segment {
+    /// What was decided.
+    pub now: Decision,
+    /// Discounted sum `[T]` of each task's rewards in between.
+    pub rewards: Vec<f32>,
+    /// Discount of what follows, a power of the discount of a step; 0 where the episode ended.
+    pub discount: f32,
+    /// What was decided then; `now` once more where the episode ended.
+    pub next: Decision,
+}
+
+impl Segment {
+    /// Whether its parts have the same agents and buildings.
+    fn fits(&self) -> bool {
+        let sizes = |decision: &Decision| (decision.agents.len(), decision.buildings.len());
+        let whole = |decision: &Decision| decision.allocation.len() == decision.agents.len();
+        sizes(&self.now) == sizes(&self.next)
+            && whole(&self.now)
+            && whole(&self.next)
+            && self.rewards.len() == self.now.buildings.len()
+    }
+}
+
+/// A ring of segments: the newest replaces the oldest.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Segments {
+    capacity: usize,
+    segments: Vec<Segment>,
+    next: usize,
+}
+
+impl Segments {
+    /// Room for `capacity` segments, at least one.
+    pub fn new(capacity: usize) -> Self {
+        Self { capacity: capacity.max(1), segments: Vec::new(), next: 0 }
+    }
+
+    /// Stores a segment.
+    pub fn push(&mut self, segment: Segment) {
+        match self.segments.get_mut(self.next) {
+            Some(place) => *place = segment,
+            None => self.segments.push(segment),
+        }
+        self.next = (self.next + 1) % self.capacity;
+    }
+
+    /// Number of segments.
+    pub fn len(&self) -> usize {
+        self.segments.len()
+    }
+
+    /// Whether there is no segment.
+    pub fn is_empty(&self) -> bool {
+        self.segments.is_empty()
+    }
+
+    /// A segment.
+    pub fn get(&self, index: usize) -> &Segment {
+        &self.segments[index]
+    }
+
+    /// Whether this is a ring of that size whose parts fit together, as one from a file should be.
+    pub fn fits(&self, capacity: usize) -> bool {
+        self.capacity == capacity
+            && self.segments.len() <= capacity
+            && self.next < capacity
+            && self.segments.iter().all(Segment::fits)
+    }
+}
+
+impl Samples for Segments {
+    fn count(&self) -> usize {
+        self.len()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use sortie_envs::Environment;
+    use sortie_envs::save_the_city::{Constants, SaveTheCity, ScenarioSet};
+
+    use super::*;
+
+    #[test]
+    fn the_newest_segment_replaces_the_oldest() {
+        let segment = |reward| Segment {
+            now: Decision::default(),
+            rewards: vec![reward],
+            discount: 0.9,
+            next: Decision::default(),
+        };
+        let mut segments = Segments::new(2);
+        for reward in [1.0, 2.0, 3.0] {
+            segments.push(segment(reward));
+        }
+        assert_eq!(segments.len(), 2);
+        assert_eq!([segments.get(0), segments.get(1)].map(|s| s.rewards[0]), [3.0, 2.0]);
+    }
+
+    #[test]
+    fn a_ring_from_a_file_fits_only_where_all_its_parts_do() {
+        let mut random = sortie_envs::random::generator(1);
+        let set = ScenarioSet::named("2-5a_2-5b").unwrap();
+        let mut worlds = SaveTheCity::new(set, Constants::default(), 1, 1).unwrap();
+        worlds.reset(0, &mut random);
+        let city = worlds.city(0);
+        let decision = |agents: usize, allocated: usize, buildings: usize| Decision {
+            agents: vec![city.agents[0]; agents],
+            buildings: vec![city.buildings[0]; buildings],
+            allocation: vec![0; allocated],
+        };
+        let segment =
+            |now, next, rewards| Segment { now, rewards: vec![0.0; rewards], discount: 0.9, next };
+        let ring = |segment: Segment| Segments { capacity: 2, segments: vec![segment], next: 1 };
+        let sound = ring(segment(decision(2, 2, 1), decision(2, 2, 1), 1));
+        assert!(sound.fits(2) && !sound.fits(3) && !sound.is_empty());
+        assert_eq!((sound.count(), Segments::new(2).is_empty()), (1, true));
+        for broken in [
+            segment(decision(2, 2, 1), decision(2, 2, 2), 1),
+            segment(decision(2, 1, 1), decision(2, 2, 1), 1),
+            segment(decision(2, 2, 1), decision(2, 1, 1), 1),
+            segment(decision(2, 2, 1), decision(2, 2, 1), 2),
+        ] {
+            assert!(!ring(broken).fits(2));
+        }
+        let other = segment(decision(1, 1, 1), decision(1, 1, 1), 1);
+        let full = Segments { capacity: 2, segments: vec![other.clone(); 2], next: 0 };
+        assert_eq!(full.count(), 2);
+        assert!(full.fits(2) && !Segments { next: 2, ..full.clone() }.fits(2));
+        assert!(!Segments { segments: vec![other; 3], ..full }.fits(2));
+    }
+
+    #[test]
+    fn a_team_is_the_bits_of_its_agents() {
+        let decision = Decision { allocation: vec![2, 0, 2, 255], ..Decision::default() };
+        assert_eq!([0, 1, 2].map(|task| decision.team(task)), [0b10, 0, 0b101]);
+    }
+}

@@ -1,0 +1,374 @@
+//! The high level as a whole: its networks and the steps that teach them.
+//!
+//! Amortised Q-learning (dissertation section 7.2.3 and the public code). Rows are shared out to a fixed
+//! number of lanes, each with gradients of its own that are added in order: the result depends neither
+//! on the number of threads nor on their timing.
+
+use std::ops::Range;
+use std::time::Duration;
+
+use rand_core::Rng;
+use sortie_nn::lanes::in_lanes;
+use sortie_nn::optimise::{RmsProp, clip_norm};
+use sortie_nn::random::Generator;
+
+use super::super::batch::Windows;
+use super::super::popart::PopArt;
+use super::super::times::{AllocationTimes, Stopwatch};
+use super::decide::{AllocationNetworks, TaskColumns, shuffled};
+use super::lane::{Heads, Lane, Loss};
+use super::networks::{AllocationCritic, AllocationPolicy};
+use super::proposals::Noise;
+use super::rows::{RowRules, Rows};
+use super::weights::AllocationShape;
+use sortie_learn::random::{Purpose, generator};
+
+/// Into how many parts the rows of a step are cut.
+const LANES: usize = 8;
+
+/// How the high level learns.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AllocationLearning {
+    /// Sizes of both networks.
+    pub shape: AllocationShape,
+    /// Allocations P that are proposed for every state.
+    pub proposals: usize,
+    /// How decision points become rows.
+    pub rows: RowRules,
+    /// Discount γ, once per decision.
+    pub discount: f64,
+    /// Weight of the proposals' entropy.
+    pub entropy: f64,
+    /// Step size of both optimisers.
+    pub learning_rate: f32,
+    /// Limit of the norm of each network's gradient.
+    pub gradient_norm: f32,
+    /// Follows the public code where it differs from the dissertation: in the policy's loss the last row
+    /// does not age, and the critic's head is rescaled only after its output has been compared.
+    pub as_public_code: bool,
+}
+
+impl AllocationLearning {
+    /// The published parameters, for decisions every `interval` environment steps.
+    pub fn published(shape: AllocationShape, interval: f32) -> Self {
+        Self {
+            shape,
+            proposals: 32,
+            rows: RowRules { interval, most: 400, age_limit: 150_000.0 },
+            discount: 0.99,
+            entropy: 0.01,
+            learning_rate: 5e-4,
+            gradient_norm: 10.0,
+            as_public_code: false,
+        }
+    }
+}
+
+/// The random choices of a step.
+#[derive(Clone, Debug)]
+pub struct StepDraws<'a> {
+    /// Columns of the policy and of the critic where it values proposals.
+    pub proposals: TaskColumns,
+    /// Columns of the critic where it values stored allocations, `[T]`.
+    pub stored: Vec<u8>,
+    /// Columns of the target critic, `[T]`.
+    pub target: Vec<u8>,
+    /// What the proposals are drawn with.
+    pub noise: Noise<'a>,
+}
+
+impl StepDraws<'_> {
+    /// Draws for T subtasks of networks with so many task columns.
+    pub fn draw(tasks: usize, columns: usize, generator: &mut Generator) -> Self {
+        Self {
+            proposals: TaskColumns::shuffled(tasks, columns, generator),
+            stored: shuffled(tasks, columns, generator),
+            target: shuffled(tasks, columns, generator),
+            noise: Noise::Seeded { seed: generator.next_u64(), greedy_first: false },
+        }
+    }
+}
+
+/// What one step found.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct AllocationReport {
+    /// Decision points learned from.
+    pub rows: usize,
+    /// Weighted mean of the critic's squared errors, in normalised units.
+    pub critic_loss: f64,
+    /// Weighted mean of `-log f` of the best proposals.
+    pub policy_loss: f64,
+    /// Mean entropy of the proposals.
+    pub entropy: f64,
+    /// Norm of the critic's gradient before clipping.
+    pub critic_norm: f32,
+    /// Norm of the policy's gradient before clipping.
+    pub policy_norm: f32,
+    /// Floating-point operations, of matrix products and attention only.
+    pub operations: u64,
+}
+
+/// What the last step was computed from, for inspection. Rows are decision points.
+#[derive(Clone, Debug, Default)]
+pub struct LastStep {
+    /// The rows.
+    pub rows: Rows,
+    /// Targets in real units, of all rows but the last.
+    pub targets: Vec<f64>,
+    /// The same in normalised units.
+    pub normalised: Vec<f64>,
+    /// `[rows, A]`: the best proposals.
+    pub best: Vec<u8>,
+    /// The critic's gradient, clipped.
+    pub critic_gradient: Vec<f32>,
+    /// The policy's gradient, clipped.
+    pub policy_gradient: Vec<f32>,
+}
+
+/// All that a checkpoint needs; the vectors are as long as the networks' parameters.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AllocationState {
+    /// Parameters of the critic.
+    pub critic: Vec<f32>,
+    /// Statistics of its targets.
+    pub popart: PopArt,
+    /// Parameters of the target critic.
+    pub target: Vec<f32>,
+    /// Statistics of the target critic.
+    pub target_popart: PopArt,
+    /// Parameters of the policy.
+    pub policy: Vec<f32>,
+    /// Running mean of the critic's squared gradient.
+    pub critic_square: Vec<f32>,
+    /// Running mean of the policy's squared gradient.
+    pub policy_square: Vec<f32>,
+}
+
+/// Critic, policy, target critic, optimisers, and the buffers of a step.
+#[derive(Clone, Debug)]
+pub struct AllocationLevel {
+    learning: AllocationLearning,
+    critic: AllocationCritic,
+    policy: AllocationPolicy,
+    /// Values what comes next. The public code copies the policy too, and never uses the copy.
+    target: AllocationCritic,
+    critic_optimiser: RmsProp,
+    policy_optimiser: RmsProp,
+    lanes: Vec<Lane>,
+    last: LastStep,
+    optimiser_time: Duration,
+}
+
+impl AllocationLevel {
+    /// Networks with random weights that have learned nothing.
+    pub fn new(learning: AllocationLearning, seed: u64) -> Self {
+        let random = |index| generator(seed, Purpose::Weights, index);
+        // The low level draws its weights from the streams before these.
+        let critic = AllocationCritic::initialise(learning.shape, &mut random(16));
+        let policy = AllocationPolicy::initialise(learning.shape, &mut random(17));
+        Self::with_networks(learning, critic.clone(), policy, critic)
+    }
+
+    /// Given networks and optimisers that have taken no step.
+    pub fn with_networks(
+        learning: AllocationLearning,
+        critic: AllocationCritic,
+        policy: AllocationPolicy,
+        target: AllocationCritic,
+    ) -> Self {
+        Self {
+            learning,
+            critic_optimiser: RmsProp::new(critic.parameters().len()),
+            policy_optimiser: RmsProp::new(policy.parameters().len()),
+            critic,
+            policy,
+            target,
+            lanes: vec![Lane::default(); LANES],
+            last: LastStep::default(),
+            optimiser_time: Duration::ZERO,
+        }
+    }
+
+    /// How it learns.
+    pub fn learning(&self) -> &AllocationLearning {
+        &self.learning
+    }
+
+    /// The networks that decide.
+    pub fn networks(&self) -> AllocationNetworks<'_> {
+        AllocationNetworks { policy: &self.policy, critic: &self.critic }
+    }
+
+    /// What the last step was computed from.
+    pub fn last_step(&self) -> &LastStep {
+        &self.last
+    }
+
+    /// How long the parts of all steps have taken up to now.
+    pub fn times(&self) -> AllocationTimes {
+        let sum = |of: fn(&AllocationTimes) -> Duration| {
+            self.lanes.iter().map(|lane| of(&lane.times)).sum::<Duration>()
+        };
+        AllocationTimes {
+            proposals: sum(|times| times.proposals),
+            critic: sum(|times| times.critic),
+            policy: sum(|times| times.policy),
+            optimiser: self.optimiser_time,
+        }
+    }
+
+    /// Lets the target critic be what the critic is.
+    pub fn copy_target(&mut self) {
+        self.target.clone_from(&self.critic);
+    }
+
+    /// A copy of all that is learned.
+    pub fn state(&self) -> AllocationState {
+        AllocationState {
+            critic: self.critic.parameters().to_vec(),
+            popart: self.critic.popart,
+            target: self.target.parameters().to_vec(),
+            target_popart: self.target.popart,
+            policy: self.policy.parameters().to_vec(),
+            critic_square: self.critic_optimiser.square.clone(),
+            policy_square: self.policy_optimiser.square.clone(),
+        }
+    }
+
+    /// Continues from what was learned, or `None` where a vector has the wrong length.
+    pub fn restore(learning: AllocationLearning, state: AllocationState) -> Option<Self> {
+        let shape = learning.shape;
+        let fits = |vector: &[f32], count: usize| (vector.len() == count).then_some(());
+        fits(&state.critic_square, AllocationCritic::count(shape))?;
+        fits(&state.policy_square, AllocationPolicy::count(shape))?;
+        let critic = AllocationCritic::from_parameters(shape, state.critic, state.popart)?;
+        let target = AllocationCritic::from_parameters(shape, state.target, state.target_popart)?;
+        let policy = AllocationPolicy::from_parameters(shape, state.policy)?;
+        let mut level = Self::with_networks(learning, critic, policy, target);
+        level.critic_optimiser.square = state.critic_square;
+        level.policy_optimiser.square = state.policy_square;
+        Some(level)
+    }
+
+    /// Takes one step on both networks, `now` environment steps into the run.
+    ///
+    /// Changes nothing and gives `None` where the windows hold nothing to learn from.
+    pub fn learn(
+        &mut self,
+        windows: &Windows,
+        now: u64,
+        generator: &mut Generator,
+        threads: usize,
+    ) -> Option<AllocationReport> {
+        let (tasks, columns) = (windows.shape.tasks, self.learning.shape.columns);
+        let draws = StepDraws::draw(tasks, columns, generator);
+        self.learn_with(windows, now, &draws, threads)
+    }
+
+    /// As [`learn`](Self::learn), with the random choices given.
+    pub fn learn_with(
+        &mut self,
+        windows: &Windows,
+        now: u64,
+        draws: &StepDraws<'_>,
+        threads: usize,
+    ) -> Option<AllocationReport> {
+        let mut rows = std::mem::take(&mut self.last.rows);
+        rows.collect(windows, now, &self.learning.rows);
+        let loss = Loss::new(&rows, &self.learning);
+        let report = loss.map(|loss| self.step(&rows, &loss, draws, threads));
+        self.last.rows = rows;
+        report
+    }
+
+    fn step(
+        &mut self,
+        rows: &Rows,
+        loss: &Loss,
+        draws: &StepDraws<'_>,
+        threads: usize,
+    ) -> AllocationReport {
+        let count = rows.len();
+        let (learning, critic, policy) = (&self.learning, &self.critic, &self.policy);
+        let networks = AllocationNetworks { policy, critic };
+        in_lanes(threads, &mut self.lanes, |index, lane| {
+            let range = lane_range(count, index);
+            lane.propose(networks, &self.target, (rows, range), loss, draws, learning);
+        });
+
+        let mut watch = Stopwatch::start();
+        self.last.best.clear();
+        self.last.best.extend(self.lanes.iter().flat_map(|lane| lane.best.iter().copied()));
+        let next: Vec<f64> =
+            self.lanes.iter().flat_map(|lane| lane.values.iter().copied()).collect();
+        self.find_targets(rows, &next);
+        let before = self.critic.head();
+        let masked = self.last.targets.iter().zip(&rows.mask);
+        let masked = masked.map(|(target, mask)| (*target, f64::from(u8::from(*mask))));
+        let rescale = self.critic.popart.update(masked);
+        let (weights, biases) = self.critic.head_mut();
+        rescale.apply(weights, biases);
+        let popart = self.critic.popart;
+        self.last.normalised.clear();
+        self.last.normalised.extend(self.last.targets.iter().map(|y| popart.normalise(*y)));
+
+        let after = self.critic.head();
+        let compared = if self.learning.as_public_code { before } else { after };
+        let heads = Heads { compared, gradient: after };
+        let (critic, targets) = (&self.critic, &self.last.normalised);
+        self.optimiser_time += watch.lap();
+        in_lanes(threads, &mut self.lanes, |index, lane| {
+            let range = lane_range(count, index);
+            lane.value(critic, (rows, range), loss, (targets, &draws.stored), heads);
+        });
+        self.descend(rows, loss)
+    }
+
+    /// Adds up the lanes and moves both networks.
+    fn descend(&mut self, rows: &Rows, loss: &Loss) -> AllocationReport {
+        let mut watch = Stopwatch::start();
+        let LastStep { critic_gradient, policy_gradient, .. } = &mut self.last;
+        sum_into(critic_gradient, self.lanes.iter().map(|lane| &lane.critic_gradient));
+        sum_into(policy_gradient, self.lanes.iter().map(|lane| &lane.policy_gradient));
+        let limit = self.learning.gradient_norm;
+        let critic_norm = clip_norm(critic_gradient, limit);
+        let policy_norm = clip_norm(policy_gradient, limit);
+        let rate = self.learning.learning_rate;
+        self.critic_optimiser.step(self.critic.parameters_mut(), critic_gradient, rate);
+        self.policy_optimiser.step(self.policy.parameters_mut(), policy_gradient, rate);
+        self.optimiser_time += watch.lap();
+        let sum = |of: fn(&Lane) -> f64| self.lanes.iter().map(of).sum::<f64>();
+        AllocationReport {
+            rows: rows.len(),
+            critic_loss: sum(|lane| lane.squared_error) / loss.critic_total,
+            policy_loss: sum(|lane| lane.surprise),
+            entropy: sum(|lane| lane.entropy) / loss.proposals,
+            critic_norm,
+            policy_norm,
+            operations: self.lanes.iter_mut().map(Lane::take_operations).sum(),
+        }
+    }
+
+    /// `R + γ (1 - term) Q(s', b*')` of all rows but the last.
+    fn find_targets(&mut self, rows: &Rows, next: &[f64]) {
+        let discount = self.learning.discount;
+        let known = rows.reward.iter().zip(&rows.terminated).zip(&next[1..]);
+        self.last.targets.clear();
+        self.last.targets.extend(known.map(|((reward, terminated), next)| {
+            f64::from(*reward) + if *terminated { 0.0 } else { discount * next }
+        }));
+    }
+}
+
+/// The rows of a lane.
+fn lane_range(rows: usize, lane: usize) -> Range<usize> {
+    rows * lane / LANES..rows * (lane + 1) / LANES
+}
+
+fn sum_into<'a>(sum: &mut Vec<f32>, parts: impl Iterator<Item = &'a Vec<f32>>) {
+    sum.clear();
+    for part in parts {
+        sum.resize(part.len(), 0.0);
+        sum.iter_mut().zip(part).for_each(|(sum, value)| *sum += value);
+    }
+}

@@ -1,0 +1,74 @@
+//! What coach and recognition network see: all that exists in a state, buildings with their subtasks.
+
+use sortie_envs::save_the_city::{City, agent_features, building_features};
+
+use super::super::agents::TaskOrder;
+use super::networks::CoachShape;
+use crate::alma::records::UtilityInput;
+use crate::alma::windows::batch::Windows;
+
+/// Writes some states: the agents of all of them first, who query, each seeing everything that exists in
+/// its state.
+///
+/// With `recognises`, agents come with the action that they take.
+pub fn state_input(
+    shape: CoachShape,
+    windows: &Windows,
+    states: &[usize],
+    order: &TaskOrder,
+    recognises: bool,
+    input: &mut UtilityInput,
+) {
+    let sizes = windows.shape;
+    input.clear();
+    let mut write = |state: usize, entity: usize| {
+        let row = state * sizes.entities + entity;
+        windows.features.row(row).for_each(|(column, value)| input.rows.push(column, value));
+        if let Some(mark) = order.0.get(usize::from(windows.entity_task[row])) {
+            input.rows.push(shape.features + usize::from(*mark), 1.0);
+        }
+        if recognises && entity < sizes.agents {
+            let action = usize::from(windows.actions[state * sizes.agents + entity]);
+            input.rows.push(shape.features + shape.marks + action, 1.0);
+        }
+        input.rows.end_row();
+    };
+    let present = |state: usize, entities: std::ops::Range<usize>| {
+        entities.filter(move |entity| windows.present[state * sizes.entities + entity])
+    };
+    let agents = |state: usize| present(state, 0..sizes.agents);
+    let others = |state: usize| present(state, sizes.agents..sizes.entities);
+    for state in states {
+        agents(*state).for_each(|agent| write(*state, agent));
+    }
+    for state in states {
+        others(*state).for_each(|other| write(*state, other));
+    }
+    let (mut own, mut other) = (0, states.iter().map(|state| agents(*state).count()).sum());
+    for state in states {
+        let (own_end, other_end) = (own + agents(*state).count(), other + others(*state).count());
+        for _ in own..own_end {
+            (own..own_end).chain(other..other_end).for_each(|row| input.visible.push(row));
+            input.visible.end_list();
+        }
+        (own, other) = (own_end, other_end);
+    }
+}
+
+/// Writes a city that is played in, for its coach.
+pub fn city_input(shape: CoachShape, city: City<'_>, order: &TaskOrder, input: &mut UtilityInput) {
+    input.clear();
+    for agent in city.agents {
+        agent_features(agent, |column, value| input.rows.push(column, value));
+        input.rows.end_row();
+    }
+    for (building, mark) in city.buildings.iter().zip(&order.0) {
+        building_features(building, |column, value| input.rows.push(column, value));
+        input.rows.push(shape.features + usize::from(*mark), 1.0);
+        input.rows.end_row();
+    }
+    for _ in city.agents {
+        (0..input.rows.len()).for_each(|row| input.visible.push(row));
+        input.visible.end_list();
+    }
+}

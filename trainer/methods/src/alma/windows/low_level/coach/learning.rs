@@ -1,0 +1,202 @@
+//! A coach that learns with its players: what it does before a step of theirs, and after it.
+
+use sortie_nn::lanes::in_lanes;
+use sortie_nn::optimise::RmsProp;
+use sortie_nn::random::{Generator, normals};
+
+use super::CoachConfig;
+use super::input::state_input;
+use super::loss::{CoachLane, ENTROPY, Guess};
+use super::networks::{Coach, CoachShape, Recognition, RecognitionShape};
+use super::strategies::{Held, Holdings, Strategies};
+use crate::alma::windows::batch::Windows;
+use crate::alma::windows::low_level::agents::TaskOrder;
+use crate::alma::windows::low_level::step::Lane;
+use crate::alma::windows::low_level::{CHUNK, LANES};
+
+/// Coach, recognition network and their optimisers. All state is open, to be saved and restored.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Coaching {
+    config: CoachConfig,
+    /// The coach that learns and tells.
+    pub online: Coach,
+    /// The coach of the players that value what comes next.
+    pub target: Coach,
+    /// Guesses strategies.
+    pub recognition: Recognition,
+    /// The optimisers of coach and recognition.
+    pub optimisers: [RmsProp; 2],
+}
+
+/// What has been told in a batch of windows.
+pub(in super::super) struct Told {
+    holdings: Holdings,
+    online: Strategies,
+    target: Strategies,
+    coach_order: TaskOrder,
+    recognition_order: TaskOrder,
+}
+
+impl Told {
+    /// What the players that learn hold.
+    pub(in super::super) fn online(&self) -> Held<'_> {
+        Held { holdings: &self.holdings, strategies: &self.online }
+    }
+
+    /// What the players that value hold.
+    pub(in super::super) fn target(&self) -> Held<'_> {
+        Held { holdings: &self.holdings, strategies: &self.target }
+    }
+}
+
+impl Coaching {
+    /// A new coach for players of so many actions.
+    pub(in super::super) fn new(
+        config: CoachConfig,
+        shape: CoachShape,
+        actions: usize,
+        generator: &mut Generator,
+    ) -> Self {
+        let online = Coach::initialise(shape, generator);
+        let recognition =
+            Recognition::initialise(RecognitionShape { coach: shape, actions }, generator);
+        let counts = [online.parameters().len(), recognition.parameters().len()];
+        Self {
+            config,
+            target: online.clone(),
+            online,
+            recognition,
+            optimisers: counts.map(RmsProp::new),
+        }
+    }
+
+    /// Number of parameters that learn.
+    pub(in super::super) fn parameters(&self) -> usize {
+        self.online.parameters().len() + self.recognition.parameters().len()
+    }
+
+    /// Draws the strategies of all decisions of a batch.
+    pub(in super::super) fn tell(
+        &self,
+        windows: &Windows,
+        threads: usize,
+        lanes: &mut [Lane],
+        generator: &mut Generator,
+    ) -> Told {
+        let counts = [self.online.parameters().len(), self.recognition.parameters().len()];
+        lanes.iter_mut().for_each(|lane| lane.coach.begin(counts[0], counts[1]));
+        let shape = self.online.shape();
+        let holdings = Holdings::new(windows);
+        let mut order = || TaskOrder::shuffled(shape.marks, generator);
+        let [coach_order, target_order, recognition_order] = [order(), order(), order()];
+        let networks = [(&self.online, &coach_order), (&self.target, &target_order)];
+        let [online, target] = networks.map(|(coach, order)| {
+            let rows = rows(coach, (windows, order), &holdings, threads, lanes);
+            let noise = normals(generator, holdings.count() * shape.strategy);
+            Strategies::draw(shape.strategy, rows, noise)
+        });
+        Told { holdings, online, target, coach_order, recognition_order }
+    }
+
+    /// What shapes strategies in a step.
+    pub(in super::super) fn guess<'a>(&'a self, told: &'a Told) -> Guess<'a> {
+        Guess {
+            network: &self.recognition,
+            order: &told.recognition_order,
+            held: told.online(),
+            beta: self.config.beta,
+        }
+    }
+
+    /// Goes back from the strategies to the coach, once all lanes have found their slopes.
+    pub(in super::super) fn descend(
+        &self,
+        told: &Told,
+        windows: &Windows,
+        threads: usize,
+        lanes: &mut [Lane],
+    ) {
+        let Told { holdings, online, coach_order, .. } = told;
+        let shape = self.online.shape();
+        let mut slopes = vec![0.0; holdings.count() * shape.strategy];
+        let mut entropies = vec![0.0; holdings.count()];
+        for CoachLane { places, shares, slopes: own, .. } in lanes.iter().map(|lane| &lane.coach) {
+            let agents = places.iter().zip(shares).zip(own.chunks_exact(shape.strategy));
+            for ((place, share), own) in agents {
+                let Some(place) = *place else { continue };
+                let sums = &mut slopes[place * shape.strategy..][..shape.strategy];
+                sums.iter_mut().zip(own).for_each(|(sum, slope)| *sum += slope);
+                entropies[place] -= self.config.beta * ENTROPY * share;
+            }
+        }
+        let d_rows = online.backward(&slopes, &entropies);
+        in_lanes(threads, lanes, |index, lane| {
+            let CoachLane { input, coach_pass, coach, rows, .. } = &mut lane.coach;
+            for (states, strategies) in chunks(holdings).skip(index).step_by(LANES) {
+                state_input(shape, windows, states, coach_order, false, input);
+                coach_pass.forward(&self.online, input);
+                let width = 2 * shape.strategy;
+                rows.clear();
+                rows.extend_from_slice(&d_rows[strategies.start * width..strategies.end * width]);
+                coach_pass.backward(&self.online, input, rows, coach);
+            }
+        });
+    }
+
+    /// Writes the gradients of coach and recognition: those of all lanes, added in order.
+    pub(in super::super) fn write_gradient(&self, lanes: &[Lane], gradient: &mut [f32]) {
+        gradient.fill(0.0);
+        let (coach, recognition) = gradient.split_at_mut(self.online.parameters().len());
+        for lane in lanes.iter().map(|lane| &lane.coach) {
+            coach.iter_mut().zip(&lane.coach).for_each(|(sum, value)| *sum += value);
+            recognition.iter_mut().zip(&lane.recognition).for_each(|(sum, value)| *sum += value);
+        }
+    }
+
+    /// Follows the gradient.
+    pub(in super::super) fn follow(&mut self, gradient: &[f32], learning_rate: f32) {
+        let (coach, recognition) = gradient.split_at(self.online.parameters().len());
+        let [of_coach, of_recognition] = &mut self.optimisers;
+        of_coach.step(self.online.parameters_mut(), coach, learning_rate);
+        of_recognition.step(self.recognition.parameters_mut(), recognition, learning_rate);
+    }
+
+    /// Renews the coach of the players that value what comes next.
+    pub(in super::super) fn copy_target(&mut self) {
+        self.target.clone_from(&self.online);
+    }
+}
+
+/// The decisions in parts that fit the cache, with the range of their strategies.
+fn chunks(holdings: &Holdings) -> impl Iterator<Item = (&[usize], std::ops::Range<usize>)> {
+    holdings.decisions.chunks(CHUNK).enumerate().map(|(chunk, states)| {
+        let first = chunk * CHUNK;
+        (states, holdings.ends[first]..holdings.ends[first + states.len()])
+    })
+}
+
+/// What a coach gives at all decisions, `[strategies, 2 R]`.
+fn rows(
+    coach: &Coach,
+    (windows, order): (&Windows, &TaskOrder),
+    holdings: &Holdings,
+    threads: usize,
+    lanes: &mut [Lane],
+) -> Vec<f32> {
+    in_lanes(threads, lanes, |index, lane| {
+        let CoachLane { input, coach_pass, rows, .. } = &mut lane.coach;
+        rows.clear();
+        for (states, _) in chunks(holdings).skip(index).step_by(LANES) {
+            state_input(coach.shape(), windows, states, order, false, input);
+            rows.extend_from_slice(coach_pass.forward(coach, input));
+        }
+    });
+    let width = 2 * coach.shape().strategy;
+    let mut all = Vec::with_capacity(holdings.count() * width);
+    let mut unread: Vec<&[f32]> = lanes.iter().map(|lane| &*lane.coach.rows).collect();
+    for (chunk, (_, strategies)) in chunks(holdings).enumerate() {
+        let own = unread[chunk % LANES].split_off(..strategies.len() * width);
+        all.extend_from_slice(own.expect("a lane has the rows of its chunks"));
+    }
+    all
+}

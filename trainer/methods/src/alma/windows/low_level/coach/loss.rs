@@ -1,0 +1,113 @@
+//! The terms of the loss that shape strategies, and what a lane of a step computes of them.
+//!
+//! With the public code: the recognition network guesses the strategy that an agent holds from what it
+//! sees and does; the logarithm of the guess's density is to be large, and so is, a tenth as much, the
+//! entropy of what the strategy was drawn from. Both are sums over a strategy's numbers, and means over
+//! the agents of a state and over the states that can be learned from.
+
+use super::gaussian;
+use super::input::state_input;
+use super::networks::Recognition;
+use super::passes::{CoachPass, RecognitionPass};
+use super::strategies::Held;
+use crate::alma::records::UtilityInput;
+use crate::alma::windows::batch::Windows;
+use crate::alma::windows::low_level::agents::TaskOrder;
+
+/// The coach's part of a lane: buffers, gradients, and the slopes of the strategies in its states.
+#[derive(Clone, Debug, Default)]
+pub(in super::super) struct CoachLane {
+    pub(super) input: UtilityInput,
+    pub(super) coach_pass: CoachPass,
+    recognition_pass: RecognitionPass,
+    d_rows: Vec<f32>,
+    /// What a coach gave for the decisions of this lane.
+    pub(super) rows: Vec<f32>,
+    /// Which strategies the agents of its states hold.
+    pub(super) places: Vec<Option<usize>>,
+    /// What part of the whole each agent is.
+    pub(super) shares: Vec<f32>,
+    /// Slopes of the loss by what they hold, `[agents, R]`.
+    pub(super) slopes: Vec<f32>,
+    pub(super) coach: Vec<f32>,
+    pub(super) recognition: Vec<f32>,
+    /// Its part of the terms.
+    pub(in super::super) loss: f64,
+}
+
+impl CoachLane {
+    /// Forgets the step before; there are so many parameters of coach and recognition.
+    pub(super) fn begin(&mut self, coach: usize, recognition: usize) {
+        self.places.clear();
+        self.shares.clear();
+        self.slopes.clear();
+        for (gradient, count) in [(&mut self.coach, coach), (&mut self.recognition, recognition)] {
+            gradient.clear();
+            gradient.resize(count, 0.0);
+        }
+        self.loss = 0.0;
+    }
+}
+
+/// What the terms are computed with.
+#[derive(Clone, Copy)]
+pub(in super::super) struct Guess<'a> {
+    pub(super) network: &'a Recognition,
+    pub(super) order: &'a TaskOrder,
+    pub(super) held: Held<'a>,
+    pub(super) beta: f32,
+}
+
+impl Guess<'_> {
+    /// Adds to a lane the terms of some of so many states. The slopes of the rest of the loss by what
+    /// their agents hold are `d_strategies [agents, R]`.
+    pub(in super::super) fn descend(
+        &self,
+        windows: &Windows,
+        (states, of): (&[usize], usize),
+        d_strategies: &[f32],
+        lane: &mut CoachLane,
+    ) {
+        let shape = self.network.shape();
+        let width = shape.coach.strategy;
+        state_input(shape.coach, windows, states, self.order, true, &mut lane.input);
+        let rows = lane.recognition_pass.forward(self.network, &lane.input);
+        let first = lane.places.len();
+        lane.slopes.extend_from_slice(d_strategies);
+        for state in states {
+            let present = &windows.present[state * windows.shape.entities..];
+            let agents = (0..windows.shape.agents).filter(|agent| present[*agent]);
+            let share = 1.0 / (of * agents.clone().count().max(1)) as f32;
+            for agent in agents {
+                lane.places.push(self.held.holdings.held(*state, agent));
+                lane.shares.push(share);
+            }
+        }
+        let nothing = vec![0.0; width];
+        lane.d_rows.resize(rows.len(), 0.0);
+        let agents = lane.places[first..].iter().zip(&lane.shares[first..]);
+        let slopes = lane.slopes[first * width..].chunks_exact_mut(width);
+        let rows = rows.chunks_exact(2 * width).zip(lane.d_rows.chunks_exact_mut(2 * width));
+        for (((place, share), slopes), (row, d_row)) in agents.zip(slopes).zip(rows) {
+            let strategies = self.held.strategies;
+            let strategy = place.map_or(&*nothing, |place| strategies.at(place));
+            let log_variances = place.map_or(&*nothing, |place| strategies.log_variances(place));
+            let weight = -self.beta * share;
+            let mut sum = 0.0;
+            for index in 0..width {
+                let (density, [by_number, by_mean, by_log_variance]) =
+                    gaussian::log_density(strategy[index], row[index], row[width + index]);
+                slopes[index] += weight * by_number;
+                d_row[index] = weight * by_mean;
+                d_row[width + index] = weight * by_log_variance;
+                sum += density + ENTROPY * gaussian::entropy(log_variances[index]).0;
+            }
+            lane.loss += f64::from(weight * sum);
+        }
+        let CoachLane { input, recognition_pass, d_rows, recognition, .. } = lane;
+        recognition_pass.backward(self.network, input, d_rows, recognition);
+    }
+}
+
+/// What the entropy weighs beside the recognition.
+pub(super) const ENTROPY: f32 = 0.1;

@@ -1,0 +1,207 @@
+use sortie_envs::random::chance;
+use sortie_envs::save_the_city::{
+    Constants, FEATURES, MAX_AGENTS, SaveTheCity, ScenarioSet, UNASSIGNED,
+};
+use sortie_nn::gradient_check::{assert_gradient, random};
+use sortie_nn::random::Generator;
+
+use super::super::tests::{SIZES, config, draws, random_windows};
+use super::super::{CHUNK, LowLevel, LowLevelConfig, TaskOrder};
+use super::strategies::Holdings;
+use super::*;
+use crate::alma::records::{Conditioning, UtilityInput};
+use crate::alma::windows::{
+    Episode, Moment, Replay, SampleShape, Shaping, WindowShape, Windows, cut_windows,
+};
+use sortie_learn::random::{Purpose, generator};
+
+const SHAPE: CoachShape = CoachShape { features: 5, marks: 3, width: 8, heads: 2, strategy: 6 };
+
+fn weights() -> Generator {
+    generator(4, Purpose::Weights, 0)
+}
+
+/// Windows with decisions now and then, and one action left to each agent: targets jump where the best
+/// action changes.
+fn decided(sizes: WindowShape) -> Windows {
+    let mut windows = random_windows(sizes, 1);
+    windows.available.chunks_exact_mut(sizes.actions).for_each(|codes| codes[1..].fill(0));
+    let draw = &mut generator(5, Purpose::Rollout, 0);
+    windows.decision.iter_mut().for_each(|decision| *decision = chance(draw, 0.3));
+    windows
+}
+
+/// A learner with a coach whose terms weigh enough to be seen, and a target of its own; its agents' own
+/// embeddings skip the attention.
+fn coached(sizes: WindowShape) -> LowLevel {
+    let config = LowLevelConfig { skip: true, ..config(Conditioning::None) };
+    let mut learner = LowLevel::new(config, sizes, &mut weights());
+    // Utilities of some size, so that slopes are more than rounding.
+    let head = learner.online.agents.shape().tensors()[7].range.clone();
+    learner.online.agents.parameters_mut()[head].iter_mut().for_each(|weight| *weight *= 60.0);
+    learner.add_coach(CoachConfig { enabled: true, beta: 0.05 }, &mut weights());
+    let other = &mut generator(6, Purpose::Weights, 0);
+    learner.coaching.as_mut().unwrap().target = Coach::initialise(SHAPE, other);
+    learner
+}
+
+fn all_states(recognises: bool) -> UtilityInput {
+    let windows = decided(SIZES);
+    let states: Vec<usize> = (0..SIZES.states()).collect();
+    let mut input = UtilityInput::default();
+    let order = TaskOrder::of_columns(&[2, 0, 1]);
+    state_input(SHAPE, &windows, &states, &order, recognises, &mut input);
+    input
+}
+
+#[test]
+fn gradients_of_the_networks_agree_with_finite_differences() {
+    let input = all_states(false);
+    let coach = Coach::initialise(SHAPE, &mut weights());
+    let slopes = random(7, input.visible.queries() * 2 * SHAPE.strategy);
+    let sum = |rows: &[f32]| -> f64 {
+        rows.iter().zip(&slopes).map(|(y, d)| f64::from(*y) * f64::from(*d)).sum()
+    };
+    let mut pass = CoachPass::default();
+    pass.forward(&coach, &input);
+    let mut gradient = vec![0.0; SHAPE.parameters()];
+    pass.backward(&coach, &input, &mut slopes.clone(), &mut gradient);
+    assert_gradient("coach", coach.parameters(), &gradient, |parameters| {
+        let coach = Coach::from_parameters(SHAPE, parameters.to_vec()).unwrap();
+        sum(CoachPass::default().forward(&coach, &input))
+    });
+
+    let input = all_states(true);
+    let shape = RecognitionShape { coach: SHAPE, actions: SIZES.actions };
+    let network = Recognition::initialise(shape, &mut weights());
+    let mut pass = RecognitionPass::default();
+    pass.forward(&network, &input);
+    let mut gradient = vec![0.0; shape.parameters()];
+    pass.backward(&network, &input, &mut slopes.clone(), &mut gradient);
+    assert_gradient("recognition", network.parameters(), &gradient, |parameters| {
+        let network = Recognition::from_parameters(shape, parameters.to_vec()).unwrap();
+        sum(RecognitionPass::default().forward(&network, &input))
+    });
+}
+
+#[test]
+fn gradients_of_a_step_agree_with_finite_differences() {
+    let windows = decided(SIZES);
+    let fresh = coached(SIZES);
+    let mut learner = fresh.clone();
+    let report = learner.descend(&windows, 1, &mut draws());
+    assert!(report.coach_loss > 0.1, "{report:?}");
+    let loss = |moved: &mut LowLevel| {
+        let report = moved.descend(&windows, 1, &mut draws());
+        report.loss + report.coach_loss
+    };
+    let (online, coaching) = (&fresh.online, fresh.coaching.as_ref().unwrap());
+    let mut rest = learner.gradient();
+    let mut next = |parameters: &[f32]| rest.split_off(..parameters.len()).unwrap();
+    let agents = next(online.agents.parameters());
+    assert_gradient("agents", online.agents.parameters(), agents, |parameters| {
+        let mut moved = fresh.clone();
+        moved.online.agents.parameters_mut().copy_from_slice(parameters);
+        loss(&mut moved)
+    });
+    next(online.mixer.parameters());
+    let coach = next(coaching.online.parameters());
+    assert_gradient("coach", coaching.online.parameters(), coach, |parameters| {
+        let mut moved = fresh.clone();
+        let coaching = moved.coaching.as_mut().unwrap();
+        coaching.online.parameters_mut().copy_from_slice(parameters);
+        loss(&mut moved)
+    });
+    let recognition = next(coaching.recognition.parameters());
+    assert_gradient("recognition", coaching.recognition.parameters(), recognition, |parameters| {
+        let mut moved = fresh.clone();
+        let coaching = moved.coaching.as_mut().unwrap();
+        coaching.recognition.parameters_mut().copy_from_slice(parameters);
+        loss(&mut moved)
+    });
+    assert!(rest.is_empty());
+}
+
+#[test]
+fn any_number_of_threads_gives_the_same_bits() {
+    let sizes = WindowShape { windows: 12, steps: 25, ..SIZES };
+    let windows = decided(sizes);
+    let learned = [1, 2, 3].map(|threads| {
+        let mut learner = coached(sizes);
+        let reports = [0, 1].map(|_| learner.learn(&windows, threads, &mut draws()));
+        assert!(reports[0].terms > 4 * CHUNK);
+        (reports, learner.online, learner.coaching)
+    });
+    assert_eq!(learned[0], learned[1]);
+    assert_eq!(learned[0], learned[2]);
+    assert_ne!(learned[0].2, coached(sizes).coaching);
+}
+
+#[test]
+fn players_that_are_told_nothing_learn_as_flat_agents() {
+    let windows = random_windows(SIZES, 1);
+    let mut told_nothing = coached(SIZES);
+    let mut flat = told_nothing.clone();
+    flat.coaching = None;
+    let [coached, alone] =
+        [&mut told_nothing, &mut flat].map(|learner| learner.descend(&windows, 1, &mut draws()));
+    assert_eq!((coached.loss, coached.target), (alone.loss, alone.target));
+    let players = flat.online.agents.parameters().len() + flat.online.mixer.parameters().len();
+    assert_eq!(told_nothing.gradient()[..players], flat.gradient()[..players]);
+}
+
+#[test]
+fn strategies_are_held_until_the_next_decision() {
+    let sizes = WindowShape { windows: 2, steps: 4, ..SIZES };
+    let mut windows = random_windows(sizes, 2);
+    windows.present.fill(true);
+    windows.present[2 * sizes.entities + 1] = false;
+    windows.decision = [false, true, false, true, false, false, true, false].into();
+    windows.decision[3] = false;
+    let holdings = Holdings::new(&windows);
+    assert_eq!((&*holdings.decisions, holdings.count()), (&[1, 6][..], 6));
+    let held = |state| [0, 1, 2].map(|agent| holdings.held(state, agent));
+    let (nothing, first, second) =
+        ([None; 3], [Some(0), Some(1), Some(2)], [Some(3), Some(4), Some(5)]);
+    let want = [nothing, first, first, first, nothing, nothing, second, second];
+    assert_eq!([0, 1, 2, 3, 4, 5, 6, 7].map(held), want);
+}
+
+#[test]
+fn a_coach_sees_the_same_where_agents_play_and_where_they_learn() {
+    let set = ScenarioSet::named("2-5a_2-5b").unwrap();
+    let (agents, tasks) = (set.max_agents, set.max_buildings);
+    let world = SaveTheCity::new(set, Constants::default(), 1, 3).unwrap();
+    let city = world.city(0);
+    let mut episode = Episode::default();
+    episode.begin(city, 0);
+    let (allocation, actions) = ([UNASSIGNED; MAX_AGENTS], [0; MAX_AGENTS]);
+    for decision in [true, false] {
+        let (allocation, actions) = (&allocation[..], &actions[..]);
+        episode.push_state(Moment { city, allocation, decision, actions });
+    }
+    episode.push_rewards(0.0, &[0.0; 32]);
+    let mut replay = Replay::new(1);
+    replay.push(episode);
+    let shaping = Shaping::default();
+    let sample = SampleShape { windows: 1, steps: 2, agents, tasks, shaping };
+    let windows = cut_windows(&replay, &[0], sample, &mut draws());
+
+    let shape = CoachShape { features: FEATURES, marks: tasks, ..SHAPE };
+    let order = TaskOrder::shuffled(tasks, &mut draws());
+    let [mut playing, mut learning] = [UtilityInput::default(), UtilityInput::default()];
+    city_input(shape, city, &order, &mut playing);
+    state_input(shape, &windows, &[0], &order, false, &mut learning);
+    assert_eq!(playing, learning);
+
+    let coach = Coach::initialise(shape, &mut weights());
+    let [mut told, mut drawn] = [Vec::new(), Vec::new()];
+    let mut advice = Advice::new(&coach);
+    advice.mean(city, &mut told).unwrap();
+    advice.draw(city, &mut draws(), &mut drawn);
+    assert_eq!((told.len(), drawn.len()), (city.agents.len() * 6, city.agents.len() * 6));
+    assert_ne!(told, drawn);
+    let few = Coach::initialise(CoachShape { marks: 1, ..shape }, &mut weights());
+    let refused = Advice::new(&few).mean(city, &mut told).unwrap_err();
+    assert!(refused.to_string().contains("knows 1 subtasks"), "{refused}");
+}

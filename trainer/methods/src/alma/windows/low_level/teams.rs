@@ -1,0 +1,174 @@
+//! The teams of some states, and what agents and mixer see of them.
+
+use std::ops::Range;
+
+use super::super::batch::{NO_TASK, Windows};
+use super::hypernetwork::MixerInput;
+use super::scene::{Marks, Places, Scene};
+use crate::alma::records::{Conditioning, UtilityInput};
+
+/// How states are looked at, from the state that a team belongs to.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct View {
+    /// Steps ahead of it whose entities there are.
+    ahead: usize,
+    /// Steps ahead of it whose subtasks hold.
+    tasks_ahead: usize,
+}
+
+impl View {
+    /// The state itself.
+    pub(super) const NOW: Self = Self { ahead: 0, tasks_ahead: 0 };
+    /// The state behind it.
+    pub(super) const NEXT: Self = Self { ahead: 1, tasks_ahead: 1 };
+    /// The state behind it, with the allocation as it was: whose team it is does not change on the way.
+    pub(super) const NEXT_AS_BEFORE: Self = Self { ahead: 1, tasks_ahead: 0 };
+
+    /// How agents with a memory look at all states of a window, one after the other, so that they look
+    /// like this at one: with the allocation of each state, memories begin at a window's first.
+    pub(super) fn sequence(self) -> Self {
+        if self.ahead == self.tasks_ahead { Self::NOW } else { self }
+    }
+
+    /// Steps ahead of a state whose entities there are.
+    pub(super) fn ahead(self) -> usize {
+        self.ahead
+    }
+
+    /// What there is to see of a state.
+    pub(super) fn of(self, windows: &Windows, state: usize) -> Scene<'_> {
+        Scene { windows, state: state + self.ahead, tasks_of: state + self.tasks_ahead }
+    }
+}
+
+/// The agents that work on a subtask in a state; without subtasks, all of a state.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Team {
+    pub(super) state: usize,
+    /// Their subtask; 0 without subtasks.
+    pub(super) task: usize,
+    /// Their place among the agents of all teams.
+    agents: Range<usize>,
+}
+
+/// Teams one behind the other, those of a state together.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Teams {
+    teams: Vec<Team>,
+    agents: Vec<u8>,
+    places: Places,
+}
+
+impl Teams {
+    /// Forgets all teams, keeps the memory.
+    pub(super) fn clear(&mut self) {
+        self.teams.clear();
+        self.agents.clear();
+    }
+
+    /// Adds the team of a subtask, with the agents that exist and hold to it in a view of its state.
+    ///
+    /// With `None` the team is everybody.
+    pub(super) fn push(&mut self, scene: Scene<'_>, state: usize, task: Option<usize>) {
+        let start = self.agents.len();
+        let member = |agent: &u8| {
+            let agent = usize::from(*agent);
+            scene.present(agent) && task.is_none_or(|task| usize::from(scene.task(agent)) == task)
+        };
+        self.agents.extend((0..scene.windows.shape.agents as u8).filter(member));
+        let agents = start..self.agents.len();
+        self.teams.push(Team { state, task: task.unwrap_or(0), agents });
+    }
+
+    /// The teams.
+    pub(super) fn each(&self) -> impl Iterator<Item = &Team> + Clone {
+        self.teams.iter()
+    }
+
+    /// State and number of every agent of every team.
+    pub(super) fn agents(&self) -> impl Iterator<Item = (usize, usize)> + Clone + '_ {
+        self.teams.iter().flat_map(|team| {
+            self.agents[team.agents.clone()].iter().map(|agent| (team.state, usize::from(*agent)))
+        })
+    }
+
+    /// Writes what the agents see: with the subtask mask only those of their subtask.
+    pub(super) fn write_agents(
+        &mut self,
+        (windows, view): (&Windows, View),
+        (conditioning, marks): (Conditioning, Marks<'_>),
+        input: &mut UtilityInput,
+    ) {
+        input.clear();
+        for (state, agent) in self.agents() {
+            view.of(windows, state).write(agent, marks, &mut input.rows);
+        }
+        let Self { teams, agents, places } = self;
+        for scene_teams in teams.chunk_by(|a, b| a.state == b.state) {
+            let (scene, own) = begin(windows, view, scene_teams, agents, places);
+            for agent in own.iter().copied().map(usize::from) {
+                for entity in 0..windows.shape.entities {
+                    let masked = conditioning == Conditioning::Mask;
+                    if scene.observes(agent, entity) && (!masked || scene.share_task(agent, entity))
+                    {
+                        let row = places.row(scene, entity, marks, &mut input.rows);
+                        input.visible.push(row);
+                    }
+                }
+                input.visible.end_list();
+            }
+        }
+    }
+
+    /// Writes what the mixer sees: everything that exists, with the subtask mask what belongs to a
+    /// team's subtask.
+    pub(super) fn write_mixer(
+        &mut self,
+        (windows, view): (&Windows, View),
+        (conditioning, marks): (Conditioning, Marks<'_>),
+        input: &mut MixerInput,
+    ) {
+        input.rows.clear();
+        input.teams.clear();
+        for (state, agent) in self.agents() {
+            view.of(windows, state).write(agent, marks, &mut input.rows);
+        }
+        let Self { teams, agents, places } = self;
+        for scene_teams in teams.chunk_by(|a, b| a.state == b.state) {
+            let (scene, _) = begin(windows, view, scene_teams, agents, places);
+            for team in scene_teams {
+                for entity in 0..windows.shape.entities {
+                    let masked = conditioning == Conditioning::Mask;
+                    if scene.present(entity)
+                        && (!masked || usize::from(scene.task(entity)) == team.task)
+                    {
+                        let row = places.row(scene, entity, marks, &mut input.rows);
+                        input.teams.push(row);
+                    }
+                }
+                input.teams.end_team(team.agents.len());
+            }
+        }
+    }
+}
+
+/// Begins the state of some teams; returns what there is to see and their agents.
+fn begin<'a, 'w>(
+    windows: &'w Windows,
+    view: View,
+    teams: &[Team],
+    agents: &'a [u8],
+    places: &mut Places,
+) -> (Scene<'w>, &'a [u8]) {
+    let span = teams[0].agents.start..teams[teams.len() - 1].agents.end;
+    let own = &agents[span.clone()];
+    places.begin(windows.shape.entities, span.start, own);
+    (view.of(windows, teams[0].state), own)
+}
+
+/// The subtask of every agent at a state, of those that have one.
+pub(super) fn tasks_with_agents(scene: Scene<'_>) -> u64 {
+    (0..scene.windows.shape.agents)
+        .filter(|agent| scene.present(*agent) && scene.task(*agent) != NO_TASK)
+        .fold(0, |tasks, agent| tasks | 1 << scene.task(agent))
+}
