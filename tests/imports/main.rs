@@ -14,13 +14,12 @@ use circles::circles;
 use modules::Crate;
 
 /// Modules that have circles, by their crate and their path in it, and why they may.
-const EXCEPTED: [(&str, &str, &str); 3] = [
+const EXCEPTED: [(&str, &str, &str); 2] = [
     (
         "runtime/core",
         "",
         "operators, plans and what allocates by them are one knot, untied on its own",
     ),
-    ("trainer/learn", "", "runs, reports and sessions are one knot, untied next"),
     ("trainer/methods", "alma", "its two learners share networks that stand in one of them"),
 ];
 

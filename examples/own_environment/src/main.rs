@@ -8,7 +8,7 @@ use sortie_envs::{
     EntitySet, Environment, Episode, Observation, Random, Shape, Spec, Split, StateError, Step,
     StepError, conformance,
 };
-use sortie_learn::export::{MethodRun, draft_method};
+use sortie_learn::draft::{MethodRun, draft_method};
 use sortie_learn::play;
 use sortie_learn::run::{RunConfig, RunDescription};
 use sortie_learn::session::{EnvironmentChoice, Opening, Session};

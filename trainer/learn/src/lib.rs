@@ -2,11 +2,13 @@
 #![forbid(unsafe_code)]
 
 pub mod configuration;
+pub mod draft;
 pub mod error;
 pub mod evaluate;
 pub mod export;
 pub mod method;
 pub mod play;
+mod protobuf;
 pub mod random;
 pub mod report;
 pub mod run;

@@ -7,7 +7,7 @@ use serde::de::DeserializeOwned;
 pub use sortie_nn::tape::Tensor;
 
 use crate::error::LearnError;
-use crate::run::checkpoint::Checkpoint;
+use crate::run::checkpoint::{Checkpoint, Written};
 
 /// Visits everything that a run depends on.
 #[derive(Debug)]
@@ -18,15 +18,6 @@ enum Visit<'a> {
     Write(&'a mut Written),
     Read { checkpoint: &'a Checkpoint, values: &'a BTreeMap<String, Vec<u8>> },
     Weights(&'a Checkpoint),
-}
-
-/// What a visit has found.
-#[derive(Debug, Default)]
-pub(crate) struct Written {
-    /// Name, sizes and numbers of every tensor.
-    pub(crate) tensors: Vec<(String, Vec<usize>, Vec<f32>)>,
-    /// Everything else by its name.
-    pub(crate) values: BTreeMap<String, Vec<u8>>,
 }
 
 impl<'a> State<'a> {

@@ -17,7 +17,9 @@ pub use keys::{EXPLORATION, INSTANCES, OPTIMISER, RUN, SHARE, STEPS, WHERE, expl
 pub use parts::{ExplorationConfig, OptimiserConfig};
 
 use crate::error::LearnError;
-use crate::run::KEYS;
+
+/// The keys of `train.toml` that are about the run, not its configuration.
+pub const RUN_KEYS: [&str; 4] = ["method", "version", "seed", "threads"];
 
 /// What can be kept in a file.
 pub trait Kept: Default + Serialize + DeserializeOwned {
@@ -44,7 +46,7 @@ pub fn table_in(
     settle_older: impl FnOnce(&mut Table),
 ) -> Result<Table, LearnError> {
     let mut table = parsed(text)?;
-    if KEYS.iter().filter_map(|key| table.remove(*key)).count() == KEYS.len() {
+    if RUN_KEYS.iter().filter_map(|key| table.remove(*key)).count() == RUN_KEYS.len() {
         settle_older(&mut table);
     }
     let checked = check_table("", &table, sections).map_err(|error| match error {

@@ -1,6 +1,6 @@
 //! ONNX models as protocol buffers: a graph grows node by node.
 
-use super::protobuf::Message;
+use crate::protobuf::Message;
 
 const IR_VERSION: i64 = 8;
 const OPSET: i64 = 17;

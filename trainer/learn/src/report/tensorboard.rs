@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use crc::{CRC_32_ISCSI, Crc};
 
 use crate::error::LearnError;
-use crate::export::protobuf::Message;
+use crate::protobuf::Message;
 
 /// Every event file's name begins so; the seconds since 1970 follow, then [`SUFFIX`].
 const PREFIX: &str = "events.out.tfevents.";

@@ -22,7 +22,6 @@ use sortie_nn::layers::products::Products;
 use sortie_nn::tape::Tensor;
 
 use crate::error::LearnError;
-use crate::state::Written;
 
 /// Version of the files of a checkpoint; another version is refused.
 const FORMAT: u32 = 4;
@@ -106,6 +105,15 @@ impl SavedNetwork<'_> {
         let count = self.vectors.first().map_or(0, |(_, vector)| vector.len());
         vec![Tensor { name: String::new(), shape: vec![1, count], range: 0..count }]
     }
+}
+
+/// Everything that a run depends on, as a [visit](crate::state::State) has found it.
+#[derive(Debug, Default)]
+pub(crate) struct Written {
+    /// Name, sizes and numbers of every tensor.
+    pub(crate) tensors: Vec<(String, Vec<usize>, Vec<f32>)>,
+    /// Everything else by its name.
+    pub(crate) values: BTreeMap<String, Vec<u8>>,
 }
 
 /// The checkpoints of a run.

@@ -2,9 +2,19 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Clock, CurvePoint, Rates};
+use super::clock::Clock;
+use super::curve::CurvePoint;
 use crate::error::LearnError;
 use crate::evaluate::Evaluation;
+
+/// How the agents try out and learn.
+#[derive(Clone, Copy, Debug)]
+pub struct Rates {
+    /// Chance of a random action, before factors of instances.
+    pub epsilon: f32,
+    /// Step size of the optimiser.
+    pub learning_rate: f32,
+}
 
 /// One value for the agents and one for the allocator.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

@@ -43,9 +43,6 @@ pub struct RunDescription<C> {
     pub config: C,
 }
 
-/// The keys of the file that are about the run, not its configuration.
-pub const KEYS: [&str; 4] = ["method", "version", "seed", "threads"];
-
 impl<C: Configuration> RunDescription<C> {
     /// A run of this version of Sortie.
     pub fn new(config: C, seed: u64, threads: usize) -> Self {

@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use super::meter::Meter;
-use super::{Clock, Counters, Observer, Outcome, RunConfig, RunFolder, RunResult};
+use super::{Clock, Counters, Observer, Outcome, Rates, RunConfig, RunFolder, RunResult};
 use crate::error::LearnError;
 use crate::evaluate::Evaluation;
 
@@ -39,15 +39,6 @@ pub struct Labels {
     pub allocation: String,
     /// Its seed.
     pub seed: u64,
-}
-
-/// How the agents try out and learn.
-#[derive(Clone, Copy, Debug)]
-pub struct Rates {
-    /// Chance of a random action, before factors of instances.
-    pub epsilon: f32,
-    /// Step size of the optimiser.
-    pub learning_rate: f32,
 }
 
 /// The episodes that every run reports on in the end: the same for all runs, seen by none.

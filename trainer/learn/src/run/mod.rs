@@ -13,6 +13,7 @@
 
 pub mod chart;
 pub mod checkpoint;
+mod clock;
 mod config;
 mod counters;
 mod curve;
@@ -28,19 +29,16 @@ mod result;
 use std::path::Path;
 
 pub use checkpoint::{Checkpoint, Checkpoints};
+pub use clock::Clock;
 pub use config::RunConfig;
-pub use counters::{Counters, Level};
-pub use counters::{EpisodeCounts, Reports, UpdateReport};
+pub use counters::{Counters, EpisodeCounts, Level, Rates, Reports, UpdateReport};
 pub use curve::CurvePoint;
-pub use description::KEYS;
 pub use description::{Configuration, RunDescription};
 pub use difference::{Difference, keys_in};
 pub use folder::RunFolder;
-pub use learning::Rates;
 pub use learning::{Labels, Learning, learn};
 pub use meter::TrainingPoint;
 pub use products::replace_products;
-pub use progress::Clock;
 pub use progress::{Observer, Outcome, Progress};
 pub use result::RunResult;
 

@@ -1,9 +1,6 @@
 //! How a run goes, for whoever watches it.
 
 use std::path::Path;
-use std::time::Instant;
-
-use rustix::time::{ClockId, clock_gettime};
 
 use super::{CurvePoint, RunResult, TrainingPoint};
 
@@ -54,32 +51,4 @@ pub enum Outcome {
     Finished,
     /// The stop flag was set; a checkpoint was written.
     Stopped,
-}
-
-/// Wall and processor time since the last reading.
-#[derive(Debug)]
-pub struct Clock {
-    wall: Instant,
-    cpu_s: f64,
-}
-
-impl Clock {
-    /// A clock that starts now.
-    pub fn start() -> Self {
-        Self { wall: Instant::now(), cpu_s: process_cpu_s() }
-    }
-
-    /// Seconds of the wall and of all processors since the last call, or the start.
-    pub fn lap(&mut self) -> (f64, f64) {
-        let now = Self::start();
-        let lap = ((now.wall - self.wall).as_secs_f64(), now.cpu_s - self.cpu_s);
-        *self = now;
-        lap
-    }
-}
-
-/// Processor time of all threads of this process.
-fn process_cpu_s() -> f64 {
-    let time = clock_gettime(ClockId::ProcessCPUTime);
-    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }

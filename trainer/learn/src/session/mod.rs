@@ -22,12 +22,12 @@ use crate::evaluate::Evaluation;
 use crate::method::{Method, Now};
 use crate::play::{self, Play};
 use crate::random::{Purpose, generator};
-use crate::run::checkpoint::{Checkpoint, OpenFor};
+use crate::run::checkpoint::{Checkpoint, OpenFor, Written};
 use crate::run::{
     Counters, CurvePoint, Labels, Learning, Observer, Outcome, Progress, Rates, Reports, RunConfig,
     RunDescription, RunFolder, learn,
 };
-use crate::state::{State, Written};
+use crate::state::State;
 
 /// Who allocates where there are no subtasks.
 const NOBODY: &str = "none";

@@ -21,10 +21,9 @@ use crate::alma::records::{Conditioning, NetworkPolicy, UtilityNetwork, UtilityW
 use crate::alma::run::{Run, RunAllocator};
 use crate::alma::settings::Settings;
 use sortie_learn::LearnError;
+use sortie_learn::draft::{Measured, Recorder, read_part};
 use sortie_learn::export::attention::{AttentionNetwork, ExportError, Layer, Layout, Matrix};
-use sortie_learn::export::{
-    AgentNetwork, Measured, Recorder, TeamValueExport, agent_onnx, read_part, team_value_onnx,
-};
+use sortie_learn::export::{AgentNetwork, TeamValueExport, agent_onnx, team_value_onnx};
 
 /// Episodes that golden observations are drawn from; they end sooner than all are needed.
 const GOLDEN_EPISODES: usize = 100;

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use sortie_learn::export::Measured;
+use sortie_learn::draft::Measured;
 
 use super::bundle::LearnedAllocator;
 use crate::alma::run::{Run, RunAllocator};

@@ -11,11 +11,10 @@ use sortie_bundle::{
 };
 use sortie_envs::{Environment, Shape, Spec};
 
-use super::agent::{AgentNetwork, agent_onnx};
-use super::deployed::DeployedAgents;
 use super::measured::{Measured, read_part};
 use super::recorder::Recorder;
 use crate::error::LearnError;
+use crate::export::{AgentNetwork, DeployedAgents, agent_onnx};
 use crate::method::Method;
 use crate::play::{PolicyTeam, evaluate};
 use crate::run::{CurvePoint, RunDescription};

@@ -1,0 +1,9 @@
+//! Runs become bundles: networks, contract, golden observations, card and curve.
+
+mod measured;
+mod method;
+mod recorder;
+
+pub use measured::{Measured, read_part};
+pub use method::{MethodRun, draft_method};
+pub use recorder::Recorder;
