@@ -29,6 +29,14 @@ pub struct Scenes<'a> {
     pub scenes: &'a [Scene<'a>],
 }
 
+impl Scenes<'_> {
+    /// The generators of the scenes, which are of different instances, out of those of all instances by their numbers.
+    pub fn generators<'a>(&self, random: &'a mut [Random]) -> impl Iterator<Item = &'a mut Random> {
+        let mut all: Vec<Option<&mut Random>> = random.iter_mut().map(Some).collect();
+        self.scenes.iter().filter_map(move |scene| all.get_mut(scene.instance)?.take())
+    }
+}
+
 /// What chooses the actions of all agents, the best that it knows.
 pub trait Act {
     /// Writes `[scenes, A]` an available action of every agent that exists; what stands for others does not matter.

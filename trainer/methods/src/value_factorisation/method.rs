@@ -61,8 +61,8 @@ impl Method for ValueFactorisation {
         let exploration = &self.config.exploration;
         let epsilon = exploration.epsilon_at(now.env_steps);
         let factor = |instance: usize| exploration.spread[instance % exploration.spread.len()];
-        let teams = random.iter_mut().enumerate();
-        let teams = teams.map(|(instance, own)| ((epsilon * factor(instance)).min(1.0), own));
+        let chances = scenes.scenes.iter().map(|scene| (epsilon * factor(scene.instance)).min(1.0));
+        let teams = chances.zip(scenes.generators(random));
         self.acting.look(scenes);
         self.acting.act(self.learner.online(), teams, actions);
         Ok(())
