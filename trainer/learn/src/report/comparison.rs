@@ -37,8 +37,9 @@ pub struct GroupSummary {
     pub success: Spread,
     /// Where the success is from: `result` (fresh episodes) or `curve` (last evaluation of training).
     pub success_from: &'static str,
-    /// Share of episodes in which nothing burned down, where all runs say so.
-    pub none_burned: Option<Spread>,
+    /// The environment's metrics by their names, where all runs say so.
+    #[serde(flatten)]
+    pub metrics: BTreeMap<String, Spread>,
     /// Share of episodes that ran out of time, where all runs say so.
     pub timeouts: Option<Spread>,
     /// Mean return, where all runs say so.
@@ -151,7 +152,7 @@ impl GroupSummary {
             runs: group.runs.len(),
             success: group.spread(success)?,
             success_from: if fresh { "result" } else { "curve" },
-            none_burned: result(&|result| result.none_burned),
+            metrics: metrics(group),
             timeouts: result(&|result| result.timeouts),
             return_mean: result(&|result| result.return_mean),
             length_mean: result(&|result| result.length_mean),
@@ -187,6 +188,18 @@ impl Until {
         };
         Self { reached: first.len(), env_steps: reached(Axis::Steps), cpu_s: reached(Axis::Cpu) }
     }
+}
+
+/// The metrics that the final evaluations of all runs of a group have.
+fn metrics(group: &Group) -> BTreeMap<String, Spread> {
+    let first = group.runs.first().and_then(|run| run.result.as_ref());
+    let names = first.into_iter().flat_map(FinalResult::metrics).map(|(name, _)| name);
+    let of = |run: &RunRecord, name: &str| {
+        let mut all = run.result.as_ref()?.metrics();
+        all.find(|(other, _)| *other == name).map(|(_, value)| value)
+    };
+    let spread = |name: &str| Some((name.to_owned(), group.spread(|run| of(run, name))?));
+    names.filter_map(spread).collect()
 }
 
 /// Whether all runs of a group have been evaluated on fresh episodes.
@@ -312,9 +325,9 @@ pub(super) mod tests {
             return_mean: None,
             length_mean: Some(60.0),
             timeouts: Some(0.125),
-            none_burned: Some(0.75),
             failures: [("burned_late".to_owned(), teams.len())].into(),
             by_team: teams.iter().map(team).collect(),
+            others: [("tidy".to_owned(), 0.75.into()), ("seed".to_owned(), 7.into())].into(),
         });
         run
     }
@@ -327,6 +340,9 @@ pub(super) mod tests {
         assert_eq!((summary.success.mean, summary.success_from), (0.625, "result"));
         assert_eq!(summary.timeouts.unwrap().mean, 0.125);
         assert_eq!(summary.return_mean, None);
+        let metrics: Vec<_> =
+            summary.metrics.iter().map(|(name, s)| (name.as_str(), s.mean)).collect();
+        assert_eq!(metrics, [("tidy", 0.75)]);
         assert_eq!(comparison.notes, Vec::<String>::new());
     }
 
@@ -336,7 +352,7 @@ pub(super) mod tests {
         let comparison = Comparison::of("t", &[group("a", runs)]);
         let summary = &comparison.groups[0];
         assert_eq!((summary.success.mean, summary.success_from), (0.45, "curve"));
-        assert_eq!(summary.none_burned, None);
+        assert!(summary.metrics.is_empty());
         assert!(comparison.notes[0].contains("not every run"), "{:?}", comparison.notes);
         assert!(comparison.notes[1].contains("100 to 300"), "{:?}", comparison.notes);
     }

@@ -9,10 +9,20 @@ use super::Row;
 use super::tensorboard::EventFile;
 use crate::error::LearnError;
 
-/// Quantities measured by playing greedy episodes, by the beginning of their names; all others are about
-/// learning itself.
-const EVALUATION: [&str; 6] =
-    ["success", "none_burned", "timeouts", "return_mean", "length_mean", "episodes"];
+/// Quantities about learning itself, by the beginning of their names; all others, of whatever environment, are measured
+/// by playing greedy episodes.
+const LEARNING: [&str; 10] = [
+    "updates",
+    "decisions",
+    "wall_s",
+    "cpu_s",
+    "loss",
+    "gradient_norm",
+    "allocator_",
+    "epsilon",
+    "learning_rate",
+    "training_",
+];
 /// The axis, which is no quantity.
 const STEP: &str = "env_steps";
 
@@ -68,8 +78,8 @@ impl RunEvents {
 }
 
 fn tag(name: &str) -> String {
-    let measured = EVALUATION.iter().any(|beginning| name.starts_with(beginning));
-    format!("{}/{name}", if measured { "evaluation" } else { "learning" })
+    let learning = LEARNING.iter().any(|beginning| name.starts_with(beginning));
+    format!("{}/{name}", if learning { "learning" } else { "evaluation" })
 }
 
 /// Seconds since 1970.

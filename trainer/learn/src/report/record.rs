@@ -5,6 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use super::Row;
 use crate::error::LearnError;
@@ -56,7 +57,7 @@ pub struct FinalResult {
     pub allocation: Option<String>,
     /// Episodes played.
     pub episodes: usize,
-    /// Share of episodes with all buildings complete.
+    /// Share of episodes that were solved.
     pub success: f64,
     /// Mean of the team's return.
     pub return_mean: Option<f64>,
@@ -64,14 +65,26 @@ pub struct FinalResult {
     pub length_mean: Option<f64>,
     /// Share of episodes that ran out of time.
     pub timeouts: Option<f64>,
-    /// Share of episodes in which no building burned down.
-    pub none_burned: Option<f64>,
     /// Failed episodes by cause.
     #[serde(default)]
     pub failures: BTreeMap<String, usize>,
     /// Success by team, its kinds as letters.
     #[serde(default)]
     pub by_team: BTreeMap<String, TeamSuccess>,
+    /// What else the file says, the environment's metrics among it.
+    #[serde(flatten)]
+    pub others: BTreeMap<String, Value>,
+}
+
+/// Numbers of a final evaluation that are no metrics of an environment.
+const NO_METRICS: [&str; 2] = ["seed", "return_sd"];
+
+impl FinalResult {
+    /// Means of the environment's metrics by their names.
+    pub fn metrics(&self) -> impl Iterator<Item = (&str, f64)> {
+        let others = self.others.iter().filter(|(name, _)| !NO_METRICS.contains(&name.as_str()));
+        others.filter_map(|(name, value)| Some((name.as_str(), value.as_f64()?)))
+    }
 }
 
 impl RunRecord {

@@ -1,5 +1,7 @@
 //! A comparison as text: Markdown and CSV.
 
+use std::collections::BTreeSet;
+
 use super::numbers::{count, duration};
 use super::{Comparison, GroupSummary, Reached, Spread, csv};
 
@@ -25,8 +27,11 @@ impl Comparison {
     }
 
     fn success_table(&self) -> String {
-        let header =
-            ["method", "runs", "success", "none burned", "time-outs", "return", "steps an episode"];
+        let metrics: BTreeSet<&str> =
+            self.groups.iter().flat_map(|group| group.metrics.keys()).map(String::as_str).collect();
+        let mut header: Vec<String> = ["method", "runs", "success"].map(str::to_owned).into();
+        header.extend(metrics.iter().map(|name| escaped(&name.replace('_', " "))));
+        header.extend(["time-outs", "return", "steps an episode"].map(str::to_owned));
         table(
             &header,
             self.groups.iter().map(|group| {
@@ -34,15 +39,12 @@ impl Comparison {
                 let plain = |spread: Option<Spread>| {
                     spread.map_or(String::new(), |s| format!("{:.1}", s.mean))
                 };
-                vec![
-                    escaped(&group.label),
-                    group.runs.to_string(),
-                    share(Some(group.success)),
-                    share(group.none_burned),
-                    share(group.timeouts),
-                    plain(group.return_mean),
-                    plain(group.length_mean),
-                ]
+                let own =
+                    vec![escaped(&group.label), group.runs.to_string(), share(Some(group.success))];
+                let metrics = metrics.iter().map(|name| share(group.metrics.get(*name).copied()));
+                let rest =
+                    [share(group.timeouts), plain(group.return_mean), plain(group.length_mean)];
+                own.into_iter().chain(metrics).chain(rest).collect()
             }),
         )
     }

@@ -19,7 +19,7 @@ pub struct CurvePoint {
     pub cpu_s: f64,
     /// Who allocated in the evaluation.
     pub allocation: String,
-    /// Share of greedy episodes with all buildings complete, played with the averaged weights.
+    /// Share of greedy episodes that were solved, played with the averaged weights.
     pub success: f64,
     /// 95 % Wilson interval of the success.
     pub success_ci95: [f64; 2],

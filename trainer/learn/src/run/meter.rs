@@ -19,7 +19,7 @@ pub struct TrainingPoint {
     pub steps_per_second: f64,
     /// Mean return of the exploring episodes that ended.
     pub return_mean: Option<f64>,
-    /// Share of those episodes with all buildings complete.
+    /// Share of those episodes that were solved.
     pub success: Option<f64>,
     /// Mean loss of the agents' updates.
     pub loss: Option<f64>,
