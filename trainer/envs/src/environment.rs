@@ -47,6 +47,8 @@ pub struct Episode {
     pub group: String,
     /// Values of the [metrics](Spec::metrics) in their order; none where the episode has no such value.
     pub metrics: Vec<Option<f64>>,
+    /// Why it failed, one of the [causes](Spec::causes); none where that is not known, or it did not fail.
+    pub cause: Option<&'static str>,
 }
 
 /// Which starts are drawn.
@@ -167,6 +169,12 @@ pub trait Environment: Send + Sync {
         actions: &[u16],
         random: &mut Random,
     ) -> Result<Step, StepError>;
+
+    /// Notes `[A]` what the agents act for in the next step of an instance, before every step from the first on, by
+    /// which [`Episode::cause`] is told. It changes nothing else.
+    fn note_allocation(&mut self, instance: usize, allocation: &[u8]) {
+        let _ = (instance, allocation);
+    }
 
     /// `[T]`: what each subtask earned in the last step; empty where [`Spec::rewards`] has none.
     fn task_rewards(&self, instance: usize) -> &[f64] {

@@ -91,6 +91,8 @@ pub struct Spec {
     pub safe_action: Option<u16>,
     /// What an episode comes to, besides its return, its length and whether it was solved.
     pub metrics: &'static [Metric],
+    /// Why episodes fail, by names; none where causes are not told apart.
+    pub causes: &'static [&'static str],
     /// Who earns rewards besides the team.
     pub rewards: Rewards,
     /// Symmetries of the rules, the one that changes nothing included.
@@ -119,6 +121,7 @@ impl Default for Spec {
             actions: Vec::new(),
             safe_action: None,
             metrics: &[],
+            causes: &[],
             rewards: Rewards::default(),
             turns: 1,
             rules: &[],

@@ -162,6 +162,7 @@ impl Environment for GroupMatching {
             episode_return: counted.episode_return,
             group: sizes.reduce(|sizes, size| format!("{sizes}+{size}")).unwrap_or_default(),
             metrics: [Some(counted.matches as f64)].to_vec(),
+            cause: None,
         }
     }
 

@@ -29,6 +29,7 @@ pub(super) fn spec(parameters: &Parameters) -> Spec {
         features: feature_names(parameters),
         actions: ACTION_NAMES.map(String::from).to_vec(),
         safe_action: Some(STAY),
+        causes: &[],
         metrics: METRICS,
         rewards: Rewards::default(),
         turns: 1,

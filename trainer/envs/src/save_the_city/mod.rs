@@ -5,6 +5,7 @@
 
 mod allocation;
 mod bytes;
+mod causes;
 mod checks;
 mod coordinated;
 mod decode;
@@ -29,6 +30,7 @@ mod state;
 mod symmetry;
 
 pub use allocation::{AllocationRule, DecisionPoints, random_allocation};
+pub use causes::Cause;
 pub use coordinated::coordinated_allocation;
 pub use decode::CityDecoder;
 pub use error::CityError;

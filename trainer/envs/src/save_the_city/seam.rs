@@ -6,6 +6,7 @@ use alloc::vec::Vec;
 
 use super::allocation::RULES;
 use super::bytes::{CityBytes, write_state};
+use super::causes::Cause;
 use super::decode::CityDecoder;
 use super::features::{agent_features, building_features};
 use super::metrics::EpisodeMetrics;
@@ -124,6 +125,10 @@ impl Environment for SaveTheCity {
         )
     }
 
+    fn note_allocation(&mut self, instance: usize, allocation: &[u8]) {
+        SaveTheCity::note_allocation(self, instance, allocation);
+    }
+
     fn task_rewards(&self, instance: usize) -> &[f64] {
         self.rewards_of_tasks(instance)
     }
@@ -188,6 +193,7 @@ impl Environment for SaveTheCity {
             episode_return: counted.episode_return,
             group: self.city(instance).agents.iter().map(|agent| agent.kind.letter()).collect(),
             metrics: metrics(counted),
+            cause: self.cause(instance).map(Cause::name),
         }
     }
 

@@ -4,6 +4,7 @@ use alloc::format;
 use alloc::vec;
 use alloc::vec::Vec;
 
+use super::causes::{Cause, CauseFinder, Done};
 use super::checks::check_state;
 use super::episode::{Episode, rewards};
 use super::error::CityError;
@@ -34,6 +35,15 @@ pub struct SaveTheCity {
     bounces: Vec<Bounce>,
     episodes: Vec<Episode>,
     lots: Lots,
+    /// Those who are told how agents are allocated, one by one as they are.
+    causes: Vec<Option<Told>>,
+}
+
+/// Why the episode of an instance may fail, and what its agents act for in the next step.
+#[derive(Clone, Debug, Default)]
+struct Told {
+    finder: CauseFinder,
+    allocation: Vec<u8>,
 }
 
 impl SaveTheCity {
@@ -73,6 +83,7 @@ impl SaveTheCity {
             bounces: vec![Bounce::default(); instances * set.max_agents],
             episodes: vec![empty; instances],
             lots: Lots::new(),
+            causes: vec![None; instances],
             split: Split::Train,
             set,
             constants,
@@ -157,6 +168,25 @@ impl SaveTheCity {
     /// The counts of the episode so far.
     pub fn metrics(&self, instance: usize) -> &EpisodeMetrics {
         &self.episodes[instance].metrics
+    }
+
+    /// Notes what the agents of an instance act for in its next step.
+    pub(super) fn note_allocation(&mut self, instance: usize, allocation: &[u8]) {
+        let mut told = self.causes[instance].take().unwrap_or_else(|| {
+            let mut told = Told::default();
+            told.finder.begin(self.city(instance));
+            told
+        });
+        told.allocation.clear();
+        told.allocation.extend_from_slice(allocation);
+        self.causes[instance] = Some(told);
+    }
+
+    /// Why the episode that is over failed, if somebody has noted all its allocations.
+    pub(super) fn cause(&self, instance: usize) -> Option<Cause> {
+        let Episode { done, metrics, .. } = &self.episodes[instance];
+        let told = self.causes[instance].as_ref().filter(|_| *done)?;
+        told.finder.cause(metrics.solved)
     }
 
     /// The collisions of the last step, in the order in which they were resolved.
@@ -275,6 +305,7 @@ impl SaveTheCity {
         let max = self.set.max_buildings;
         self.task_rewards[instance * max..][..max].fill(0.0);
         let scenario = self.episodes[instance].scenario;
+        self.causes[instance] = None;
         self.episodes[instance] = Episode {
             agents,
             buildings,
@@ -329,6 +360,11 @@ impl SaveTheCity {
             rewards(&self.constants, changes, episode.metrics.solved, max_reward, task_rewards);
         outcome.reward = total;
         episode.metrics.episode_return += total;
+        if let Some(Told { finder, allocation }) = &mut self.causes[instance] {
+            let bounces = &self.bounces[instance * self.set.max_agents..][..episode.bounces];
+            let city = City { agents, buildings };
+            finder.stepped(&self.constants, Done { city, allocation, actions, bounces });
+        }
         Ok(outcome)
     }
 }

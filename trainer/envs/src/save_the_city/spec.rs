@@ -4,6 +4,7 @@ use alloc::string::String;
 
 use super::allocation::RULES;
 use super::bytes::state_bytes;
+use super::causes::Cause;
 use super::features::{FEATURE_NAMES, FEATURES, ROW_ENTRIES};
 use super::relation::RELATIONS;
 use super::rules::{ACTION_NAMES, ACTIONS};
@@ -55,6 +56,7 @@ pub(super) fn spec(set: &ScenarioSet, constants: &Constants) -> Spec {
         actions: ACTION_NAMES.map(String::from).to_vec(),
         safe_action: Some(0),
         metrics: METRICS,
+        causes: &Cause::NAMES,
         rewards: Rewards { tasks: true, agents: false },
         turns: Symmetry::ALL.len(),
         rules: RULE_NAMES,

@@ -67,7 +67,7 @@ fn return_sd(parts: &[Evaluation], mean: f64, episodes: usize) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use sortie_envs::Episode;
+    use sortie_envs::{Episode, Metric, Spec};
 
     use super::*;
 
@@ -81,14 +81,14 @@ mod tests {
             episode_return: (number as f64).sqrt(),
             group: ["BF", "BG", "FG"][number % 3 / (1 + number % 2)].to_owned(),
             metrics: vec![(!number.is_multiple_of(7)).then_some(number as f64)],
+            cause: (number % 3 == 1).then_some("late"),
         };
         (from..from + count).map(episode).collect()
     }
 
     fn summary(episodes: &[Episode]) -> Evaluation {
-        let mut summary = Evaluation::of(["burned"].into_iter(), episodes);
-        summary.failures.insert("late".to_owned(), episodes.len());
-        summary
+        const METRICS: &[Metric] = &[Metric { name: "burned", unit: "share", about: "burned" }];
+        Evaluation::of(&Spec { metrics: METRICS, causes: &["late"], ..Spec::default() }, episodes)
     }
 
     #[test]

@@ -2,13 +2,13 @@
 
 use std::collections::BTreeMap;
 
-use sortie_envs::Episode;
+use sortie_envs::{Episode, Metric, Spec};
 
 use super::{Evaluation, TeamSuccess, wilson_interval};
 
 impl Evaluation {
-    /// What finished episodes come to, whose metrics have these names; their failures are not told apart.
-    pub fn of(metrics: impl Iterator<Item = &'static str>, episodes: &[Episode]) -> Self {
+    /// What finished episodes of an environment come to.
+    pub fn of(spec: &Spec, episodes: &[Episode]) -> Self {
         let count = episodes.len();
         let mean = |value: &dyn Fn(&Episode) -> f64| {
             episodes.iter().map(value).sum::<f64>() / count.max(1) as f64
@@ -23,11 +23,13 @@ impl Evaluation {
             entry.episodes += 1;
             entry.solved += usize::from(episode.solved);
         }
-        let metric = |(index, name): (usize, &str)| {
+        let failed = |cause: &&str| episodes.iter().filter(|e| e.cause == Some(*cause)).count();
+        let failures = spec.causes.iter().map(|cause| ((*cause).to_owned(), failed(cause)));
+        let metric = |(index, metric): (usize, &Metric)| {
             let values = episodes.iter().filter_map(|e| e.metrics.get(index).copied().flatten());
             let values: Vec<f64> = values.collect();
             let mean = values.iter().sum::<f64>() / values.len() as f64;
-            (!values.is_empty()).then(|| (name.to_owned(), mean))
+            (!values.is_empty()).then(|| (metric.name.to_owned(), mean))
         };
         Self {
             episodes: count,
@@ -37,8 +39,8 @@ impl Evaluation {
             return_sd: (spread / count.saturating_sub(1).max(1) as f64).sqrt(),
             length_mean: mean(&|episode| f64::from(episode.steps)),
             timeouts: share(&|episode| episode.timed_out),
-            metrics: metrics.enumerate().filter_map(metric).collect(),
-            failures: BTreeMap::new(),
+            metrics: spec.metrics.iter().enumerate().filter_map(metric).collect(),
+            failures: failures.collect(),
             by_team,
         }
     }

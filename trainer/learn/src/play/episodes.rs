@@ -39,6 +39,7 @@ pub fn evaluate(
         let scenes = Scenes { environment: &*worlds, scenes: &scenes };
         team.act(&scenes, &mut random, &mut actions)?;
         for (world, actions) in open.iter_mut().zip(actions.chunks_exact(agents)) {
+            worlds.note_allocation(world.instance, team.allocation(world.instance));
             let step = worlds.step(world.instance, actions, &mut world.random)?;
             world.begins = false;
             world.tasks_changed = step.tasks_changed;
@@ -52,7 +53,7 @@ pub fn evaluate(
             open.extend(start.map(|start| start.begin(&mut *worlds, world.instance, &mut random)));
         }
     }
-    Ok(Evaluation::of(worlds.spec().metrics.iter().map(|metric| metric.name), &done))
+    Ok(Evaluation::of(worlds.spec(), &done))
 }
 
 /// An episode to be measured on.

@@ -5,7 +5,6 @@
 //! is the same whoever plays it, so that teams can be compared pair by pair.
 
 mod allocators;
-mod causes;
 mod plan;
 mod play;
 mod players;
@@ -15,17 +14,16 @@ mod worlds;
 use sortie_envs::save_the_city::{
     AllocationRule, City, Constants, DecisionPoints, SaveTheCity, ScenarioSet, UNASSIGNED,
 };
-use sortie_envs::{Entry, Episode, Step};
+use sortie_envs::{Entry, Environment, Episode, Step};
 
 pub use sortie_envs::save_the_city::golden::{Labels, Recorder};
 
 pub use allocators::{DeployedAllocator, allocation_state};
-pub use causes::Cause;
 pub use plan::{Planner, PlannerReport};
 pub use players::{Agents, Players};
 pub use teams::{NetworkTeam, PolicyTeam, ScriptedActors};
 
-use play::{Finished, Play};
+use play::Play;
 use sortie_learn::LearnError;
 use sortie_learn::evaluate::Evaluation;
 use sortie_nn::random::Generator;
@@ -221,7 +219,8 @@ pub fn evaluate_watched(
     let mut play = Play::new(plan, 0, worlds, onlooker)?;
     let mut done = vec![None; plan.episodes];
     while play.step(team, allocator, &mut done)? {}
-    Ok(summary(done.into_iter().flatten().collect()))
+    let done: Vec<Episode> = done.into_iter().flatten().collect();
+    Ok(summary(play.worlds(), &done))
 }
 
 /// Plays the last episode of a plan alone: the same one that [`evaluate`] plays last.
@@ -237,25 +236,11 @@ pub fn watch_last_episode(
     Ok(())
 }
 
-fn summary(finished: Vec<Finished>) -> Evaluation {
-    let episode = |finished: &Finished| {
-        let metrics = &finished.metrics;
-        Episode {
-            steps: metrics.steps,
-            done: true,
-            solved: metrics.solved,
-            timed_out: metrics.timed_out,
-            episode_return: metrics.episode_return,
-            group: finished.team.clone(),
-            metrics: vec![Some(f64::from(u8::from(metrics.none_burned())))],
-        }
-    };
-    let episodes: Vec<Episode> = finished.iter().map(episode).collect();
-    let failed = |cause: Cause| finished.iter().filter(|e| e.cause == Some(cause)).count();
-    Evaluation {
-        failures: Cause::ALL.map(|cause| (cause.name().to_owned(), failed(cause))).into(),
-        ..Evaluation::of(["none_burned"].into_iter(), &episodes)
-    }
+/// What the episodes come to; of the metrics, the one that the dissertation tells.
+fn summary(worlds: &SaveTheCity, episodes: &[Episode]) -> Evaluation {
+    let mut evaluation = Evaluation::of(worlds.spec(), episodes);
+    evaluation.metrics.retain(|name, _| name == "none_burned");
+    evaluation
 }
 
 #[cfg(test)]

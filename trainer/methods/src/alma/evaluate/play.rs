@@ -1,39 +1,21 @@
 //! Many episodes side by side, each from its own seed.
 
 use rand_core::Rng;
-use sortie_envs::Environment;
-use sortie_envs::save_the_city::EpisodeMetrics;
+use sortie_envs::save_the_city::SaveTheCity;
+use sortie_envs::{Environment, Episode};
 
-use super::causes::{Cause, CauseFinder};
 use super::worlds::Worlds;
 use super::{Allocate, EvaluationPlan, Onlooker, Team, Watched};
 use sortie_learn::LearnError;
 use sortie_learn::random::{Purpose, generator};
-
-/// The running episode of a world.
-#[derive(Default)]
-struct Running {
-    episode: usize,
-    causes: CauseFinder,
-}
-
-/// A finished episode.
-#[derive(Clone, Debug)]
-pub(super) struct Finished {
-    /// The team's letters.
-    pub(super) team: String,
-    /// The counts.
-    pub(super) metrics: EpisodeMetrics,
-    /// Why it was not solved.
-    pub(super) cause: Option<Cause>,
-}
 
 /// The worlds of an evaluation and the episodes still to come.
 pub(super) struct Play<'a> {
     plan: &'a EvaluationPlan,
     onlooker: &'a mut dyn Onlooker,
     worlds: Worlds,
-    running: Vec<Running>,
+    /// The number of the episode of each world.
+    running: Vec<usize>,
     next_episode: usize,
 }
 
@@ -49,13 +31,18 @@ impl<'a> Play<'a> {
             plan,
             onlooker,
             worlds: Worlds::new(plan, worlds)?,
-            running: (0..worlds).map(|_| Running::default()).collect(),
+            running: vec![0; worlds],
             next_episode: first_episode,
         };
         for world in 0..worlds {
             play.start(world)?;
         }
         Ok(play)
+    }
+
+    /// What is played in.
+    pub(super) fn worlds(&self) -> &SaveTheCity {
+        &self.worlds.city
     }
 
     /// Starts the next episode in a world, if there is one left.
@@ -69,9 +56,7 @@ impl<'a> Play<'a> {
         let mut random = sortie_envs::random::generator(own.next_u64());
         self.worlds.city.reset(index, &mut random);
         self.worlds.begin(index, random, own);
-        let Running { episode: running, causes } = &mut self.running[index];
-        *running = episode;
-        causes.begin(self.worlds.city.city(index));
+        self.running[index] = episode;
         let watched = Watched { episode, worlds: &self.worlds.city, instance: index };
         self.onlooker.started(watched)
     }
@@ -81,7 +66,7 @@ impl<'a> Play<'a> {
         &mut self,
         team: &mut dyn Team,
         allocator: &mut dyn Allocate,
-        done: &mut [Option<Finished>],
+        done: &mut [Option<Episode>],
     ) -> Result<bool, LearnError> {
         self.worlds.choose(team, allocator)?;
         for place in 0..self.worlds.active().len() {
@@ -92,19 +77,14 @@ impl<'a> Play<'a> {
     }
 
     /// Steps the world at a place, and starts its next episode where this one ends.
-    fn advance(&mut self, place: usize, done: &mut [Option<Finished>]) -> Result<(), LearnError> {
+    fn advance(&mut self, place: usize, done: &mut [Option<Episode>]) -> Result<(), LearnError> {
         let index = self.worlds.active()[place];
         let outcome = self.worlds.advance(place)?;
-        let Running { episode, causes } = &mut self.running[index];
-        let city = &self.worlds.city;
-        causes.stepped(&self.plan.constants, self.worlds.scene(index), city.bounces(index));
-        let watched = Watched { episode: *episode, worlds: city, instance: index };
+        let (episode, city) = (self.running[index], &self.worlds.city);
+        let watched = Watched { episode, worlds: city, instance: index };
         self.onlooker.stepped(watched, self.worlds.actions(place), &outcome)?;
         if outcome.done() {
-            let metrics = *city.metrics(index);
-            let letters = city.city(index).agents.iter().map(|agent| agent.kind.letter());
-            let cause = causes.cause(metrics.solved);
-            done[*episode] = Some(Finished { team: letters.collect(), metrics, cause });
+            done[episode] = Some(city.episode(index));
             self.start(index)?;
         }
         Ok(())

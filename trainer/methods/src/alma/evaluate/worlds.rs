@@ -139,6 +139,7 @@ impl Worlds {
         let (index, agents) = (self.active[place], self.agents());
         let actions = &self.actions[place * agents..][..agents];
         let world = &mut self.worlds[index];
+        self.city.note_allocation(index, &world.allocation);
         let outcome = self.city.step(index, actions, &mut world.random)?;
         for (last, action) in world.last_actions.iter_mut().zip(actions) {
             *last = *action as u8;

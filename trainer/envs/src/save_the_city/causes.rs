@@ -4,11 +4,10 @@
 //! causes are tried in the order of [`Cause::ALL`]; the last one of either kind takes the rest, so that
 //! every failed episode has exactly one.
 
-use sortie_envs::save_the_city::{
-    AgentKind, AgentState, Bounce, BuildingState, City, Constants, FREEZE, Status, can_approach,
-};
+use alloc::vec::Vec;
 
-use super::Scene;
+use super::rules::{Bounce, Constants, FREEZE, can_approach};
+use super::state::{AgentKind, AgentState, BuildingState, City, Status};
 
 /// Why an episode was not solved.
 ///
@@ -33,6 +32,17 @@ pub enum Cause {
 }
 
 impl Cause {
+    /// The names of all.
+    pub(super) const NAMES: [&str; 7] = {
+        let mut names = [""; 7];
+        let mut place = 0;
+        while place < names.len() {
+            names[place] = Self::ALL[place].name();
+            place += 1;
+        }
+        names
+    };
+
     /// All causes, in the order in which they are tried.
     pub const ALL: [Self; 7] = [
         Self::BurnedUnattended,
@@ -82,6 +92,19 @@ struct Fire {
     out_of_reach: bool,
 }
 
+/// What a team did in a step, and where it led.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Done<'a> {
+    /// Agents and buildings after the step.
+    pub(super) city: City<'a>,
+    /// The building that each agent acted for.
+    pub(super) allocation: &'a [u8],
+    /// What each agent did.
+    pub(super) actions: &'a [u16],
+    /// The collisions of the step.
+    pub(super) bounces: &'a [Bounce],
+}
+
 /// Follows one episode.
 #[derive(Clone, Debug, Default)]
 pub(super) struct CauseFinder {
@@ -113,8 +136,8 @@ impl CauseFinder {
         self.buildings.extend_from_slice(city.buildings);
     }
 
-    /// A step was taken under the allocation of `after`, whose last actions are those of the step.
-    pub(super) fn stepped(&mut self, constants: &Constants, after: Scene<'_>, bounces: &[Bounce]) {
+    /// A step was taken.
+    pub(super) fn stepped(&mut self, constants: &Constants, after: Done<'_>) {
         let mut working = false;
         for (task, building) in after.city.buildings.iter().enumerate() {
             let before = self.buildings[task];
@@ -127,7 +150,7 @@ impl CauseFinder {
         }
         self.working.push(working);
         for agent in 0..self.agents.len() {
-            let blocked = self.is_blocked(after, agent, bounces);
+            let blocked = self.is_blocked(after, agent);
             self.blocked[agent].push(blocked);
         }
         self.keep(after.city);
@@ -150,7 +173,7 @@ impl CauseFinder {
         }))
     }
 
-    fn follow_fire(&mut self, constants: &Constants, after: Scene<'_>, task: usize) {
+    fn follow_fire(&mut self, constants: &Constants, after: Done<'_>, task: usize) {
         let (before, fire) = (&self.buildings[task], &mut self.fires[task]);
         if !before.is_burning() {
             *fire = Fire::default();
@@ -174,24 +197,24 @@ impl CauseFinder {
         }
     }
 
-    fn is_frozen(&self, after: Scene<'_>, task: usize) -> bool {
+    fn is_frozen(&self, after: Done<'_>, task: usize) -> bool {
         let before = &self.buildings[task];
-        let freezes = |(agent, action): (&AgentState, &u8)| {
-            usize::from(agent.beside) == task && u16::from(*action) == FREEZE
+        let freezes = |(agent, action): (&AgentState, &u16)| {
+            usize::from(agent.beside) == task && *action == FREEZE
         };
         before.is_burning()
             && after.city.buildings[task].fire >= before.fire
-            && self.agents.iter().zip(after.last_actions).any(freezes)
+            && self.agents.iter().zip(after.actions).any(freezes)
     }
 
-    fn is_blocked(&self, after: Scene<'_>, agent: usize, bounces: &[Bounce]) -> bool {
+    fn is_blocked(&self, after: Done<'_>, agent: usize) -> bool {
         let task = after.allocation[agent];
         let Some(building) = self.buildings.get(usize::from(task)) else { return false };
         let before = &self.agents[agent];
         let nearer = after.city.agents[agent].distance_to(building) < before.distance_to(building);
         !nearer
             && before.beside != task
-            && (bounces.iter().any(|bounce| usize::from(bounce.loser) == agent)
+            && (after.bounces.iter().any(|bounce| usize::from(bounce.loser) == agent)
                 || !can_approach(before, building))
     }
 }
@@ -225,9 +248,12 @@ fn is_out_of_reach(constants: &Constants, agents: &[AgentState], building: &Buil
 #[cfg(test)]
 mod tests {
     use super::*;
-    use sortie_envs::save_the_city::{ACTIONS, BuildingKind};
+    use alloc::vec;
 
-    const NORTH: u8 = 1;
+    use super::super::rules::ACTIONS;
+    use super::super::state::BuildingKind;
+
+    const NORTH: u16 = 1;
 
     fn building(health: f64, fire: f64) -> BuildingState {
         BuildingState {
@@ -254,17 +280,16 @@ mod tests {
         agents: &[AgentState],
         states: &[BuildingState],
         allocation: &[u8],
-        action: u8,
+        action: u16,
         bounces: &[Bounce],
     ) -> Option<Cause> {
         let mut finder = CauseFinder::default();
-        let last_actions = vec![action; agents.len()];
+        let actions = vec![action; agents.len()];
         finder.begin(City { agents, buildings: &states[..1] });
         for state in states.windows(2) {
             let city = City { agents, buildings: &state[1..] };
-            let after =
-                Scene { world: 0, city, allocation, last_actions: &last_actions, strategies: &[] };
-            finder.stepped(&Constants::default(), after, bounces);
+            let done = Done { city, allocation, actions: &actions, bounces };
+            finder.stepped(&Constants::default(), done);
         }
         finder.cause(false)
     }
@@ -316,5 +341,32 @@ mod tests {
             Some(Cause::TimeoutIdle),
             "sent nowhere"
         );
+    }
+
+    /// An episode of agents that stay, and how it ended; its allocations are noted from a step on, if they are.
+    fn episode(noted_from: Option<u32>) -> crate::Episode {
+        use crate::Environment;
+        use crate::random::generator;
+        let set = super::super::ScenarioSet::named("2-5a_2-5b").unwrap();
+        let mut city = super::super::SaveTheCity::new(set, Constants::default(), 1, 3).unwrap();
+        let mut random = generator(3);
+        Environment::reset(&mut city, 0, &mut random);
+        while !city.is_done(0) {
+            if noted_from.is_some_and(|from| city.metrics(0).steps >= from) {
+                Environment::note_allocation(&mut city, 0, &[0; 5]);
+            }
+            city.step(0, &[0; 5], &mut random).unwrap();
+        }
+        city.episode(0)
+    }
+
+    #[test]
+    fn whose_allocations_are_noted_is_told_why_it_failed_and_plays_as_before() {
+        let (silent, noted, late) = (episode(None), episode(Some(0)), episode(Some(7)));
+        assert!(!noted.solved && noted.steps > 7, "{noted:?}");
+        assert_eq!(silent.cause, None);
+        assert!(noted.cause.is_some_and(|cause| Cause::NAMES.contains(&cause)), "{noted:?}");
+        assert!(late.cause.is_some());
+        assert_eq!(crate::Episode { cause: None, ..noted }, silent);
     }
 }
