@@ -1,4 +1,7 @@
-//! Learns cooperative policies: algorithms, evaluation, ONNX export.
+//! The engine of learning: whatever the method and the environment, it plays, measures, writes down, resumes, reports
+//! and exports.
+//!
+//! A [`Method`] in an [`Environment`](sortie_envs::Environment) becomes a run by a [`Session`].
 #![forbid(unsafe_code)]
 
 pub mod configuration;

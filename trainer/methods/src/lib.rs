@@ -1,6 +1,7 @@
-//! Methods that learn in any environment, by name.
+//! The methods.
 //!
-//! A method is a [`Method`](sortie_learn::Method); [`METHODS`] is what command lines and files find them by.
+//! A method is a [`Method`](sortie_learn::Method); [`METHODS`] is what command lines and files find those by that learn
+//! in any environment. [`alma`] learns in the one that it was made for, by runs of its own.
 #![forbid(unsafe_code)]
 
 pub mod alma;

@@ -1,4 +1,4 @@
-//! ALMA: agents act on the subtask that an allocator gives them (dissertation chapter 7).
+//! ALMA learned from records: the preset `fast`.
 //!
 //! One run learns both levels. The agents learn from records: one step of one building's team, with the
 //! rewards of the next steps. The allocator learns from its decisions, see [`team_value`]. Compared with
