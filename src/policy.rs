@@ -4,7 +4,7 @@ use clap::ValueEnum;
 use sortie_bundle::Bundle;
 use sortie_core::decide::PlanPolicy;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
-use sortie_core::{Policy, limits};
+use sortie_core::{Policy, Remembering, limits};
 use sortie_plans::{CompileError, Ending, GraphEngine};
 
 use crate::compiler::{compiler, plans};
@@ -61,7 +61,13 @@ impl PlanProfile {
 }
 
 /// The memory of a bundle's policy.
-pub(crate) enum DeployedPolicy {
+pub(crate) struct DeployedPolicy {
+    engine: Engine,
+    /// What the agents of one team remember, `[A, R]`.
+    memory: Vec<f32>,
+}
+
+enum Engine {
     Plan { plan: AlignedBytes, arena: AlignedBytes },
     Graph(Box<dyn Policy>),
 }
@@ -92,18 +98,44 @@ impl DeployedPolicy {
     ) -> Result<Self, CompileError> {
         let (onnx, features) = (bundle.agent_onnx(), bundle.contract().features.into());
         compiler().rehearse(onnx, bundle.manifest().limits.n_max.into(), Some(features))?;
-        Ok(Self::Graph(engine.policy(onnx, features)?))
+        let policy = engine.policy(onnx, features)?;
+        let memory = vec![0.0; limits::AGENTS * policy.hidden()];
+        Ok(Self { engine: Engine::Graph(policy), memory })
     }
 
     /// The policy of a plan.
     pub(crate) fn of_plan(plan: AlignedBytes) -> Result<Self, CompileError> {
         // A process may act for any number of agents.
-        let arena_bytes = Plan::load(plan.as_slice())?.batch_arena_bytes(limits::AGENTS);
-        Ok(Self::Plan { plan, arena: AlignedBytes::zeroed(arena_bytes) })
+        let loaded = Plan::load(plan.as_slice())?;
+        let arena = AlignedBytes::zeroed(loaded.batch_arena_bytes(limits::AGENTS));
+        let memory = vec![0.0; limits::AGENTS * loaded.hidden()];
+        Ok(Self { engine: Engine::Plan { plan, arena }, memory })
     }
 
-    /// The policy over this memory.
+    /// The policy over this memory, for callers that keep what agents remember.
     pub(crate) fn policy(&mut self) -> Result<Box<dyn Policy + '_>, Failure> {
+        self.engine.policy()
+    }
+
+    /// The policy over this memory, that of one team: it keeps what agents remember, until their episode is over.
+    pub(crate) fn team(&mut self) -> Result<Box<dyn Policy + '_>, Failure> {
+        let Self { engine, memory } = self;
+        if memory.is_empty() {
+            return engine.policy();
+        }
+        Ok(match engine {
+            Engine::Plan { plan, arena } => {
+                let plan = Plan::load(plan.as_slice()).map_err(CompileError::from)?;
+                let policy = PlanPolicy::new(plan, arena.as_mut_slice());
+                Box::new(Remembering::new(policy.map_err(CompileError::from)?, memory))
+            }
+            Engine::Graph(policy) => Box::new(Remembering::new(policy.as_mut(), memory)),
+        })
+    }
+}
+
+impl Engine {
+    fn policy(&mut self) -> Result<Box<dyn Policy + '_>, Failure> {
         match self {
             Self::Plan { plan, arena } => {
                 let policy = Plan::load(plan.as_slice())

@@ -137,6 +137,8 @@ fn compare(arguments: &VerifyArguments) -> Result<Report, Failure> {
         }
         if wanted(Peer::Golden) {
             spinner.set_message("comparing with golden answers");
+            // onnxruntime runs agents without memory.
+            let runtime = runtime.filter(|_| bundle.manifest().network.hidden == 0);
             engines.extend(against_golden(&bundle, runtime, profile)?);
         }
         if let Some(file) = &arguments.observations {
@@ -217,10 +219,11 @@ fn judged(
         compiler().rehearse(onnx, n_max, features)?;
         let mut compared = Vec::new();
         for judge in judges {
+            let needs_tract = facts.network == Network::Entities || facts.hidden > 0;
+            if needs_tract && judge.name() != engines.tract().name() {
+                continue;
+            }
             if facts.network == Network::Entities {
-                if judge.name() != engines.tract().name() {
-                    continue;
-                }
                 let groups = facts.t_max.into();
                 let steps = random_entities(inputs, n_max, facts.features, groups, seed);
                 let found = engines.compare_entities(plan, onnx, &steps)?;

@@ -20,10 +20,23 @@ const SMALL: [&str; 12] = [
     "run.final_episodes=50",
 ];
 
-fn train(method: &str, folder: &str) {
+/// Agents with a memory.
+const REMEMBERING: [&str; 8] = [
+    "--set",
+    "network.memory=24",
+    "--set",
+    "replay.unit=episodes",
+    "--set",
+    "replay.batch=8",
+    "--set",
+    "replay.steps_per_update=0",
+];
+
+fn train(method: &str, folder: &str, more: &[&str]) {
     let mut arguments =
         vec!["train", method, "--out", folder, "-q", "--set", "run.evaluate_episodes=20"];
     arguments.extend(SMALL);
+    arguments.extend(more);
     let output = output(&arguments);
     assert!(output.status.success(), "{}", support::stderr(&output));
 }
@@ -33,7 +46,7 @@ fn a_run_is_inspected_evaluated_prolonged_and_exported() {
     let place = tempfile::tempdir().expect("a temporary folder");
     let path = |name: &str| place.path().join(name).display().to_string();
     let (run, bundle) = (path("run"), path("bundle"));
-    train("refil", &run);
+    train("refil", &run, &[]);
     let facts = json(&["inspect", &run, "--json"]);
     assert_eq!(facts["configuration"]["imagination"]["partitions"], "drawn");
     assert_eq!(facts["curve"].as_array().map(Vec::len), Some(2));
@@ -58,6 +71,36 @@ fn a_run_is_inspected_evaluated_prolonged_and_exported() {
     assert_eq!(facts["curve"].as_array().map(Vec::len), Some(3));
     let words = ["train", "vdn", "--resume", &run];
     assert_fails(&output(&words), 2, &["learns by `refil`, not by `vdn`"]);
+}
+
+#[test]
+fn agents_with_a_memory_are_deployed_as_they_were_measured() {
+    let place = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| place.path().join(name).display().to_string();
+    let (run, bundle) = (path("run"), path("bundle"));
+    train("vdn", &run, &REMEMBERING);
+    let exported = output(&["export", &run, "--out", &bundle, "--episodes", "10", "-q"]);
+    assert!(exported.status.success(), "{}", support::stderr(&exported));
+    assert_eq!(json(&["inspect", &bundle, "--json"])["network"]["hidden"], 24);
+    let verified = json(&["verify", &bundle, "--inputs", "32", "--json"]);
+    let engines = verified["engines"].as_array().expect("engines");
+    assert!(engines.len() > 2, "{verified}");
+    assert!(engines.iter().all(|engine| engine["action_mismatches"] == 0), "{verified}");
+    let evaluate = |subject: &str| json(&["eval", subject, "--episodes", "40", "--json"]);
+    let (learned, deployed) = (evaluate(&run), evaluate(&bundle));
+    for figure in ["success", "return_mean", "length_mean", "by_team"] {
+        assert_eq!(deployed[figure], learned[figure], "{figure}");
+    }
+
+    let domain = support::TestDomain::new("remember");
+    let play = |more: &[&str]| {
+        let arguments = ["run", &bundle, "--episodes", "3", "--seed", "3", "--json", "--domain"];
+        json(&[&arguments, &[domain.id.as_str()][..], more].concat())
+    };
+    let (processes, in_process) = (play(&["--isolate"]), play(&["--in-process"]));
+    for figure in ["success", "return_mean", "by_team", "decisions"] {
+        assert_eq!(processes[figure], in_process[figure], "{figure}");
+    }
 }
 
 #[test]

@@ -169,7 +169,7 @@ fn play_in_process(
     stop: &Stop,
 ) -> Outcome {
     let mut policy = DeployedPolicy::open(bundle, arguments.backend)?;
-    let mut policy = policy.policy()?;
+    let mut policy = policy.team()?;
     let mut allocator = allocator.map(DeployedAllocator::allocator).transpose()?;
     let allocator = allocator.as_mut().map(|allocator| allocator.as_mut() as &mut dyn Allocator);
     let team = InProcess { world, policy: policy.as_mut(), allocator };

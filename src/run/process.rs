@@ -137,7 +137,7 @@ fn act(
     let mut rule = fallback(bundle)?;
     let mut process = RunnerProcess::join(domain, contract, &arguments.agents, settings, stop)?;
     let ended = loop {
-        let mut policy = memory.policy()?;
+        let mut policy = memory.team()?;
         let rule = rule.as_mut().map(|rule| rule as &mut dyn Allocator);
         let ended = process.act(policy.as_mut(), rule, Some(&mut bundles), stop);
         drop(policy);

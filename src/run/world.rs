@@ -144,7 +144,7 @@ fn play_on(
     let start = |_: &mut _| Ok(());
     let ended = if team.fill {
         let mut policy = DeployedPolicy::open(team.bundle, team.backend)?;
-        let mut policy = policy.policy()?;
+        let mut policy = policy.team()?;
         let fill = Fill { policy: policy.as_mut(), model: model_id(team.bundle) };
         let filled: (&mut dyn World, _) = (world, fill);
         world_process_with_fill(domain, team.contract, filled, &settings, start, onlooker, stop)

@@ -78,6 +78,10 @@ impl Policy for DeployedMind<'_> {
     fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
         self.policy.decide(observation)
     }
+
+    fn begin_episode(&mut self) -> bool {
+        self.policy.begin_episode()
+    }
 }
 
 impl Mind for DeployedMind<'_> {

@@ -12,7 +12,8 @@ pub(crate) trait AgentEngine {
     /// The columns of the graph's rows.
     fn columns(&self) -> AgentColumns;
 
-    /// Writes what the graph gives `[U]`, whatever numbers these are: nothing is refused for its values.
+    /// Writes what the graph gives `[U]`, an agent with memory with an empty one, whatever numbers these are: nothing is
+    /// refused for its values.
     fn run(
         &mut self,
         observation: &Observation<'_>,

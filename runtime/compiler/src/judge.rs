@@ -54,7 +54,7 @@ impl Judge<'_> {
 ///
 /// A plan refuses a feature or a utility that is not finite; graphs compute on. Where a graph's utilities
 /// are not finite either, both have given no answer, and agree; see [`Standard`] for what is no number.
-/// Families hold no recurrent states, so that an agent with memory is not judged.
+/// Families hold no recurrent states: an agent with memory is judged with an empty one.
 pub fn judge_agent(
     plan: &[u8],
     onnx: &[u8],
@@ -63,10 +63,6 @@ pub fn judge_agent(
 ) -> Result<Vec<Comparison>, CompileError> {
     let plan = AlignedBytes::copy_of(plan);
     let plan = Plan::load(plan.as_slice())?;
-    if plan.hidden() != 0 {
-        let (what, got) = ("the recurrent state".into(), plan.hidden());
-        return Err(CompileError::Size { what, got, want: 0 });
-    }
     let mut engine = judge.agent(onnx, plan.header().features as usize)?;
     let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
     let mut policy = PlanPolicy::new(plan, arena.as_mut_slice())?;
@@ -83,7 +79,8 @@ fn compare_agents(
     let (mut got, mut want) = (vec![0.0; policy.actions()], vec![0.0; policy.actions()]);
     for observation in &family.inputs {
         let view = observation.view();
-        let ours = policy.utilities(&view, &mut got).is_ok();
+        let mut memory = vec![0.0; policy.hidden()];
+        let ours = policy.utilities_with(&view, &mut memory, &mut got).is_ok();
         let theirs = engine.run(&view, family.rows, &mut want).is_ok() && all_finite(&want);
         if family.standard == Standard::Refusal {
             comparison.add_no_number(!ours, theirs);
@@ -94,7 +91,8 @@ fn compare_agents(
             continue;
         }
         // The choice is a path of its own in a plan.
-        let chosen = policy.decide(&view).map(|decision| decision.action);
+        memory.fill(0.0);
+        let chosen = policy.decide_with(&view, &mut memory).map(|decision| decision.action);
         let wanted = masked_argmax(&want, view.available).map(|decision| decision.action);
         if chosen.is_ok() && wanted.is_ok() {
             comparison.add(&got, &want, chosen == wanted);

@@ -92,18 +92,21 @@ pub fn agreement(
     let [arena, reference_arena] = &mut arenas;
     let mut plan = PlanPolicy::boxed(plan, arena.as_mut_slice())?;
     let mut reference = PlanPolicy::boxed(reference, reference_arena.as_mut_slice())?;
+    let plan_memory = plan.hidden();
     let mut agreement =
         Agreement { observations: 0, equal_actions: 0, max_utility_error: 0.0, max_rel_error: 0.0 };
     let (mut got, mut want) = (vec![0.0; actions], vec![0.0; actions]);
     for observation in recording.observations() {
-        plan.utilities(&observation, &mut got).map_err(cannot_run)?;
-        reference.utilities(&observation, &mut want).map_err(cannot_run)?;
+        // A recording holds no memories.
+        let empty = || vec![0.0; plan_memory];
+        plan.utilities_with(&observation, &mut empty(), &mut got).map_err(cannot_run)?;
+        reference.utilities_with(&observation, &mut empty(), &mut want).map_err(cannot_run)?;
         let errors = got.iter().zip(&want).map(|(got, want)| (got - want).abs());
         let error = errors.fold(0.0, f32::max);
         agreement.max_utility_error = agreement.max_utility_error.max(error);
         agreement.max_rel_error = agreement.max_rel_error.max(error / (1.0 + magnitude(&want)));
-        let action = plan.decide(&observation).map_err(cannot_run)?.action;
-        let wanted = reference.decide(&observation).map_err(cannot_run)?.action;
+        let action = plan.decide_with(&observation, &mut empty()).map_err(cannot_run)?.action;
+        let wanted = reference.decide_with(&observation, &mut empty()).map_err(cannot_run)?.action;
         agreement.observations += 1;
         agreement.equal_actions += usize::from(action == wanted);
     }

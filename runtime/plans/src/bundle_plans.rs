@@ -242,8 +242,8 @@ impl<'a> Wanted<'a> {
         let (contract, header) = (self.bundle.contract(), plan.header());
         match self.network {
             Network::Agent => {
-                // Nobody who runs bundles keeps a state for an agent.
-                same_size("the recurrent state", plan.hidden(), 0)?;
+                let hidden = self.bundle.manifest().network.hidden as usize;
+                same_size("the recurrent state", plan.hidden(), hidden)?;
                 same_size("the number of utilities", plan.actions(), contract.actions.into())
             }
             Network::Proposals => {

@@ -101,7 +101,7 @@ pub fn magnitude(values: &[f32]) -> f32 {
     values.iter().fold(0.0, |largest: f32, value| largest.max(value.abs()))
 }
 
-/// Compares a policy with recorded answers.
+/// Compares a policy with recorded answers, which agents with memory gave with an empty one.
 pub fn compare_with_golden(
     name: &str,
     policy: &mut dyn Policy,
@@ -111,8 +111,10 @@ pub fn compare_with_golden(
     let mut got = vec![0.0; policy.actions()];
     for case in &golden.cases {
         let view = case.observation.view();
-        policy.utilities(&view, &mut got).map_err(cannot_run)?;
-        let action = policy.decide(&view).map_err(cannot_run)?.action;
+        let mut memory = vec![0.0; policy.hidden()];
+        policy.utilities_with(&view, &mut memory, &mut got).map_err(cannot_run)?;
+        memory.fill(0.0);
+        let action = policy.decide_with(&view, &mut memory).map_err(cannot_run)?.action;
         comparison.add(&got, &case.utilities, action == case.action);
     }
     Ok(comparison)

@@ -94,7 +94,8 @@ impl AgentEngine for TractPolicy {
         rows: Rows,
         utilities: &mut [f32],
     ) -> Result<(), DecideError> {
-        self.step(observation, rows, &mut [], utilities)
+        let mut memory = vec![0.0; self.hidden()];
+        self.step(observation, rows, &mut memory, utilities)
     }
 }
 

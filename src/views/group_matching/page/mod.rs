@@ -63,7 +63,7 @@ pub(super) fn played(wanted: &Wanted<'_>, subject: &Subject) -> Result<Page, Fai
         Subject::Bundle(bundle) => {
             check_fits(bundle, &set)?;
             let mut deployed = DeployedPolicy::open(bundle, Backend::Plan)?;
-            let mut mind = DeployedMind::new(bundle, deployed.policy()?)?;
+            let mut mind = DeployedMind::new(bundle, deployed.team()?)?;
             let mut diary = Diary::new(&mut mind);
             let mut captured = play(wanted, &*world, &mut PolicyTeam::new(&mut diary))?;
             give_thoughts(&mut captured.states, diary.thoughts);

@@ -13,6 +13,7 @@ use sortie_envs::{Environment, Shape, Spec};
 
 use super::measured::{Measured, read_part};
 use super::recorder::Recorder;
+use super::recurrent::{RecurrentAgent, recurrent_agent_onnx};
 use crate::error::LearnError;
 use crate::export::{AgentNetwork, DeployedAgents, agent_onnx};
 use crate::method::Method;
@@ -48,18 +49,18 @@ pub fn draft_method(
 ) -> Result<Draft, LearnError> {
     let spec = run.environment.spec();
     let DeployedAgents { network, memory, mut policy } = run.method.deployed()?;
-    if memory.is_some() {
-        let reason =
-            "agents with a memory are evaluated only: teams of processes keep no memories yet";
-        return Err(LearnError::Config(reason.to_owned()));
-    }
+    let hidden = if memory.is_some() { network.base as u32 } else { 0 };
     let contract = contract(spec, network.inputs != spec.shape.features);
-    let agent = agent_onnx(&AgentNetwork {
+    let agent = AgentNetwork {
         features: spec.shape.features,
         append_last_action: contract.append_last_action,
         contract: contract.hash(),
         layers: network,
-    });
+    };
+    let agent = match memory {
+        Some(gru) => recurrent_agent_onnx(&RecurrentAgent { agent, attention_relu: false, gru }),
+        None => agent_onnx(&agent),
+    };
     let agent = agent.map_err(|error| LearnError::format(folder, error))?;
     let mut team = PolicyTeam::new(Recorder::new(&mut *policy, spec.shape.features));
     evaluate(run.environment, &mut team, GOLDEN_EPISODES, seed)?;
@@ -74,7 +75,7 @@ pub fn draft_method(
     Ok(Draft {
         environment: described(run, &golden.cases),
         limits: limits(sizes),
-        network: Network { agent: "masked-attention".to_owned(), allocator: None, hidden: 0 },
+        network: Network { agent: "masked-attention".to_owned(), allocator: None, hidden },
         golden,
         contract,
         parts,

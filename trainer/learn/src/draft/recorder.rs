@@ -39,14 +39,28 @@ impl<P: Policy> Policy for Recorder<P> {
     }
 
     fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
+        self.decide_with(observation, &mut [])
+    }
+
+    fn hidden(&self) -> usize {
+        self.policy.hidden()
+    }
+
+    /// What is kept is the answer of an agent with an empty memory.
+    fn decide_with(
+        &mut self,
+        observation: &Observation<'_>,
+        hidden: &mut [f32],
+    ) -> Result<Decision, DecideError> {
         let mut utilities = vec![0.0; self.actions()];
-        self.utilities(observation, &mut utilities)?;
+        let mut empty = vec![0.0; hidden.len()];
+        self.policy.utilities_with(observation, &mut empty, &mut utilities)?;
         let decision = masked_argmax(&utilities, observation.available)?;
         self.decisions += 1;
         if self.decisions % GOLDEN_STRIDE == 1 && self.cases.len() < GOLDEN_CASES {
             let observation = OwnedObservation::copy_of(observation, self.features);
             self.cases.push(GoldenCase { observation, utilities, action: decision.action });
         }
-        Ok(decision)
+        if hidden.is_empty() { Ok(decision) } else { self.policy.decide_with(observation, hidden) }
     }
 }
