@@ -5,7 +5,9 @@ use sortie_nn::layers::matrix::Store;
 use sortie_nn::layers::{SparseRows, relu, sparse_linear};
 
 use super::buffers::sized;
-use super::split_attention::{self, Backward, Forward, HEADS, SplitLists};
+use super::row_scores;
+use super::split_attention::{self, Asking, Backward, ByRows, Forward, HEADS};
+use super::split_lists::SplitLists;
 
 /// What is looked at, and by whom.
 #[derive(Clone, Copy, Debug)]
@@ -20,8 +22,27 @@ pub(super) struct View<'a> {
 
 impl View<'_> {
     /// Rows that queries are made of, which come first.
-    fn asking(self) -> usize {
+    fn asking_rows(self) -> usize {
         if self.own.is_empty() { self.lists.queries() } else { self.rows.len() }
+    }
+
+    /// Whether scores are taken of rows by rows, which are fewer than the pairs that are looked at.
+    pub(super) fn is_by_rows(self) -> bool {
+        !self.own.is_empty() && self.rows.len().pow(2) <= 2 * self.lists.pairs()
+    }
+
+    /// Numbers of what scores are made of.
+    fn asked(self, width: usize) -> usize {
+        let rows = self.rows.len();
+        if self.is_by_rows() { HEADS * rows * rows } else { self.lists.queries() * width }
+    }
+
+    fn asking<'a>(&'a self, asked: &'a [f32]) -> Asking<'a> {
+        if self.is_by_rows() {
+            Asking::Rows(ByRows { scores: asked, own: self.own, rows: self.rows.len() })
+        } else {
+            Asking::Queries(asked)
+        }
     }
 }
 
@@ -50,7 +71,8 @@ pub(super) struct Looking {
     embedding: Vec<f32>,
     /// Of the rows, where they are shared.
     row_queries: Vec<f32>,
-    queries: Vec<f32>,
+    /// Queries, or scores of rows by rows.
+    asked: Vec<f32>,
     keys_values: Vec<f32>,
     weights: Vec<f32>,
     shares: Vec<f32>,
@@ -58,7 +80,7 @@ pub(super) struct Looking {
     own: Vec<f32>,
     d_embedding: Vec<f32>,
     d_row_queries: Vec<f32>,
-    d_queries: Vec<f32>,
+    d_asked: Vec<f32>,
     d_keys_values: Vec<f32>,
     d_scores: Vec<f32>,
 }
@@ -86,20 +108,24 @@ impl Looking {
         sparse_linear::forward(rows, weights.fc1, weights.fc1_bias, embedding);
         relu::forward(embedding);
         let (to_queries, to_keys_values) = weights.attention_in.split_at(width * width);
-        let asking = &embedding[..view.asking() * width];
-        let queries = sized(&mut self.queries, agents * width);
+        let asking = &embedding[..view.asking_rows() * width];
+        let keys_values = sized(&mut self.keys_values, rows.len() * 2 * width);
+        linear::forward_without_bias(keys_values_of(width), embedding, to_keys_values, keys_values);
+        let asked = sized(&mut self.asked, view.asked(width));
         if own.is_empty() {
-            linear::forward_without_bias(square(width), asking, to_queries, queries);
+            linear::forward_without_bias(square(width), asking, to_queries, asked);
         } else {
             let of_rows = sized(&mut self.row_queries, asking.len());
             linear::forward_without_bias(square(width), asking, to_queries, of_rows);
-            gather(width, own, of_rows, queries);
+            if view.is_by_rows() {
+                row_scores::forward(width, of_rows, keys_values, asked);
+            } else {
+                gather(width, own, of_rows, asked);
+            }
         }
-        let keys_values = sized(&mut self.keys_values, rows.len() * 2 * width);
-        linear::forward_without_bias(keys_values_of(width), embedding, to_keys_values, keys_values);
         let output = sized(&mut self.attended, blocks * agents * width);
         let pass = Forward {
-            queries,
+            asking: view.asking(asked),
             keys_values,
             weights: sized(&mut self.weights, lists.pairs() * HEADS),
             shares: sized(&mut self.shares, agents * HEADS),
@@ -137,39 +163,50 @@ impl Looking {
     ) {
         let View { rows, own, lists } = view;
         let agents = lists.queries();
-        let d_queries = sized(&mut self.d_queries, agents * width);
-        let d_keys_values = sized(&mut self.d_keys_values, rows.len() * 2 * width);
+        let d_asked = sized(&mut self.d_asked, view.asked(width));
+        let keys_values = &self.keys_values[..rows.len() * 2 * width];
+        let d_keys_values = sized(&mut self.d_keys_values, keys_values.len());
         let pass = Backward {
-            queries: &self.queries[..agents * width],
-            keys_values: &self.keys_values[..rows.len() * 2 * width],
+            asking: view.asking(&self.asked[..view.asked(width)]),
+            keys_values,
             weights: &self.weights[..lists.pairs() * HEADS],
             shares: &self.shares[..agents * HEADS],
             output: &self.attended[..d_attended.len()],
             d_output: d_attended,
             d_scores: sized(&mut self.d_scores, lists.pairs() * HEADS),
-            d_queries,
+            d_asking: d_asked,
             d_keys_values,
         };
         split_attention::backward(width, lists, pass);
 
+        let asking = view.asking_rows() * width;
+        let mut d_queries: &[f32] = d_asked;
+        if !own.is_empty() {
+            let of_rows = sized(&mut self.d_row_queries, asking);
+            if view.is_by_rows() {
+                let queries = &self.row_queries[..asking];
+                row_scores::backward(
+                    width,
+                    (queries, keys_values),
+                    d_asked,
+                    (of_rows, d_keys_values),
+                );
+            } else {
+                of_rows.fill(0.0);
+                scatter(width, own, d_asked, of_rows);
+            }
+            d_queries = of_rows;
+        }
         let embedding = &self.embedding[..rows.len() * width];
         let d_embedding = sized(&mut self.d_embedding, rows.len() * width);
-        let asking = view.asking() * width;
         let (to_queries, to_keys_values) = weights.attention_in.split_at(width * width);
         let (d_to_queries, d_to_keys_values) = gradients.attention_in.split_at_mut(width * width);
         let shape = keys_values_of(width);
         linear::backward_weight(shape, embedding, d_keys_values, d_to_keys_values);
         linear::backward_input(shape, d_keys_values, to_keys_values, Store::Replace, d_embedding);
-        let mut d_asked: &[f32] = d_queries;
-        if !own.is_empty() {
-            let of_rows = sized(&mut self.d_row_queries, asking);
-            of_rows.fill(0.0);
-            scatter(width, own, d_queries, of_rows);
-            d_asked = of_rows;
-        }
         let (embedding_of, d_embedding_of) = (&embedding[..asking], &mut d_embedding[..asking]);
-        linear::backward_weight(square(width), embedding_of, d_asked, d_to_queries);
-        linear::backward_input(square(width), d_asked, to_queries, Store::Add, d_embedding_of);
+        linear::backward_weight(square(width), embedding_of, d_queries, d_to_queries);
+        linear::backward_input(square(width), d_queries, to_queries, Store::Add, d_embedding_of);
         if let Some(d_own) = d_own {
             if own.is_empty() {
                 d_embedding.iter_mut().zip(d_own).for_each(|(slope, own)| *slope += own);

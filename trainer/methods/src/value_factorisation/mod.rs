@@ -22,8 +22,10 @@ mod optimiser;
 mod partition;
 mod presets;
 mod replay;
+mod row_scores;
 mod scenes;
 mod split_attention;
+mod split_lists;
 mod temporal_difference;
 mod tensors;
 

@@ -6,7 +6,7 @@ use sortie_envs::{ActionSet, EntitySet, Observation, SparseRows, members};
 
 use super::looking::View;
 use super::memory::{Moment, Timeline};
-use super::split_attention::SplitLists;
+use super::split_lists::SplitLists;
 
 /// States one behind the other. Query i belongs to row i: the rows of all agents that exist come first.
 ///

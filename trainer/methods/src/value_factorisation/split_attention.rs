@@ -5,69 +5,13 @@
 //! number a head, the share of the mass that lies within, so that what the query gets from everything is
 //! `share * within + (1 - share) * across`: exact, and no pair is looked at twice.
 
-use std::ops::Range;
 use std::slice::SliceIndex;
 
 use sortie_core::math::exp;
 use sortie_nn::layers::vectors::dots;
 use sortie_nn::layers::wide::{Work, run_widest};
 
-/// For each query the rows that it sees: those within its part of a partition, then those across.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct SplitLists {
-    /// Query i sees `rows[ends[i] .. ends[i + 1]]`; the first end is 0.
-    ends: Vec<u32>,
-    /// Where in `rows` the rows across begin, per query.
-    splits: Vec<u32>,
-    rows: Vec<u32>,
-}
-
-impl Default for SplitLists {
-    fn default() -> Self {
-        Self { ends: vec![0], splits: Vec::new(), rows: Vec::new() }
-    }
-}
-
-impl SplitLists {
-    /// Forgets all lists, keeps the memory.
-    pub(super) fn clear(&mut self) {
-        self.ends.truncate(1);
-        self.splits.clear();
-        self.rows.clear();
-    }
-
-    /// Adds the list of one query: rows within its part, and across. Without a partition all are within.
-    pub(super) fn push(
-        &mut self,
-        within: impl Iterator<Item = usize>,
-        across: impl Iterator<Item = usize>,
-    ) {
-        self.rows.extend(within.map(|row| row as u32));
-        self.splits.push(self.rows.len() as u32);
-        self.rows.extend(across.map(|row| row as u32));
-        self.ends.push(self.rows.len() as u32);
-    }
-
-    /// Number of queries.
-    pub(super) fn queries(&self) -> usize {
-        self.splits.len()
-    }
-
-    /// Total length of all lists.
-    pub(super) fn pairs(&self) -> usize {
-        self.rows.len()
-    }
-
-    /// The pairs of every query, and how many of them lie within.
-    #[inline(always)]
-    fn spans(&self) -> impl Iterator<Item = (Range<usize>, usize)> {
-        let ends = self.ends.windows(2).map(|ends| ends[0] as usize..ends[1] as usize);
-        ends.zip(&self.splits).map(|(pairs, split)| {
-            let within = *split as usize - pairs.start;
-            (pairs, within)
-        })
-    }
-}
+use super::split_lists::SplitLists;
 
 /// The queries' outputs, one behind the other: from everything and, with imagination, from within and
 /// from across.
@@ -75,11 +19,40 @@ pub(super) const BLOCKS: usize = 3;
 /// Attention heads, as in all experiments of the dissertation.
 pub(super) const HEADS: usize = 4;
 
+/// What scores are made of.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Asking<'a> {
+    /// Queries `[queries, width]`.
+    Queries(&'a [f32]),
+    /// The scores of rows by rows, of which every query asks as one.
+    Rows(ByRows<'a>),
+}
+
+/// Scores of rows by rows.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ByRows<'a> {
+    /// `[heads, rows, rows]`
+    pub(super) scores: &'a [f32],
+    /// The row of every query.
+    pub(super) own: &'a [u32],
+    /// How many there are.
+    pub(super) rows: usize,
+}
+
+impl ByRows<'_> {
+    /// Where the score of a query and a row stands, of every head.
+    #[inline(always)]
+    fn places(self, query: usize, row: u32) -> [usize; HEADS] {
+        let own = self.own[query] as usize;
+        std::array::from_fn(|head| (head * self.rows + own) * self.rows + row as usize)
+    }
+}
+
 /// The tensors of a forward pass.
 #[derive(Debug)]
 pub(super) struct Forward<'a> {
-    /// `[queries, width]`
-    pub(super) queries: &'a [f32],
+    /// What scores are made of.
+    pub(super) asking: Asking<'a>,
     /// `[rows, 2 * width]`: each row's key, then its value.
     pub(super) keys_values: &'a [f32],
     /// Attention weights `[pairs, heads]`, each part's own; written.
@@ -159,19 +132,33 @@ fn dot<const HEAD: usize>(one: &Vector<HEAD>, other: &Vector<HEAD>) -> Heads {
 impl ForwardWork<'_> {
     #[inline(always)]
     fn attend<const HEAD: usize>(self) {
+        let keys_values = self.pass.keys_values;
+        match self.pass.asking {
+            Asking::Queries(queries) => {
+                let scale = 1.0 / (HEAD as f32).sqrt();
+                self.attend_by::<HEAD>(|query, row| {
+                    let key = vector(keys_values, 2 * row as usize);
+                    dot(vector::<HEAD>(queries, query), key).map(|score| scale * score)
+                });
+            }
+            Asking::Rows(by) => self.attend_by::<HEAD>(|query, row| {
+                by.places(query, row).map(|place| by.scores[place])
+            }),
+        }
+    }
+
+    #[inline(always)]
+    fn attend_by<const HEAD: usize>(self, score: impl Fn(usize, u32) -> Heads) {
         let Self { lists, pass, .. } = self;
         let agents = lists.queries();
-        let scale = 1.0 / (HEAD as f32).sqrt();
         let imagines = pass.output.len() > agents * HEADS * HEAD;
         let (weights, _) = pass.weights.as_chunks_mut::<HEADS>();
         let (shares, _) = pass.shares.as_chunks_mut::<HEADS>();
         for (query, (pairs, split)) in lists.spans().enumerate() {
-            let own = vector::<HEAD>(pass.queries, query);
-            let list = &lists.rows[pairs.clone()];
+            let list = &lists.rows()[pairs.clone()];
             let weights = &mut weights[pairs];
             for (row, weights) in list.iter().zip(&mut *weights) {
-                let key = vector(pass.keys_values, 2 * *row as usize);
-                *weights = dot(own, key).map(|score| scale * score);
+                *weights = score(query, *row);
             }
             if !imagines {
                 softmax(weights);
@@ -256,7 +243,7 @@ fn share(first: Mass, second: Mass) -> Heads {
 #[derive(Debug)]
 pub(super) struct Backward<'a> {
     /// As in the forward pass.
-    pub(super) queries: &'a [f32],
+    pub(super) asking: Asking<'a>,
     /// As in the forward pass.
     pub(super) keys_values: &'a [f32],
     /// What the forward pass wrote.
@@ -269,9 +256,9 @@ pub(super) struct Backward<'a> {
     pub(super) d_output: &'a [f32],
     /// Space for `[pairs, heads]` numbers.
     pub(super) d_scores: &'a mut [f32],
-    /// Gradient of the queries `[queries, width]`, overwritten.
-    pub(super) d_queries: &'a mut [f32],
-    /// Gradient of keys and values `[rows, 2 * width]`, overwritten.
+    /// Gradient of the queries, or of the scores of rows by rows, overwritten.
+    pub(super) d_asking: &'a mut [f32],
+    /// Gradient of keys and values `[rows, 2 * width]`, overwritten; of scores of rows by rows keys have none here.
     pub(super) d_keys_values: &'a mut [f32],
 }
 
@@ -309,11 +296,14 @@ impl BackwardWork<'_> {
         let scale = 1.0 / (HEAD as f32).sqrt();
         let imagines = pass.d_output.len() > agents * HEADS * HEAD;
         pass.d_keys_values.fill(0.0);
+        if let Asking::Rows(_) = pass.asking {
+            pass.d_asking.fill(0.0);
+        }
         let (weights, _) = pass.weights.as_chunks::<HEADS>();
         let (shares, _) = pass.shares.as_chunks::<HEADS>();
         let (d_scores, _) = pass.d_scores.as_chunks_mut::<HEADS>();
         for (query, (pairs, split)) in lists.spans().enumerate() {
-            let list = &lists.rows[pairs.clone()];
+            let list = &lists.rows()[pairs.clone()];
             let (weights, d_scores) = (&weights[pairs.clone()], &mut d_scores[pairs]);
             let d_all = vector::<HEAD>(pass.d_output, query);
             let values = (pass.keys_values, &mut *pass.d_keys_values);
@@ -338,14 +328,25 @@ impl BackwardWork<'_> {
             } else {
                 Part::new(list, weights, ..).descend(d_all, &[0.0; HEADS], values, d_scores);
             }
-            let own = vector::<HEAD>(pass.queries, query);
+            let queries = match pass.asking {
+                Asking::Queries(queries) => queries,
+                Asking::Rows(by) => {
+                    for (row, d_score) in list.iter().zip(&*d_scores) {
+                        for (place, d_score) in by.places(query, *row).into_iter().zip(d_score) {
+                            pass.d_asking[place] += d_score;
+                        }
+                    }
+                    continue;
+                }
+            };
+            let own = vector::<HEAD>(queries, query);
             let mut d_own = [[0.0; HEAD]; HEADS];
             for (row, d_score) in list.iter().zip(&*d_scores) {
                 let d_score = d_score.map(|d| scale * d);
                 add(&mut d_own, &d_score, vector(pass.keys_values, 2 * *row as usize));
                 add(vector_mut(pass.d_keys_values, 2 * *row as usize), &d_score, own);
             }
-            *vector_mut(pass.d_queries, query) = d_own;
+            *vector_mut(pass.d_asking, query) = d_own;
         }
     }
 }

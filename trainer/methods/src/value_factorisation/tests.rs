@@ -156,18 +156,26 @@ fn done(state: usize, seen: &Observation) -> impl Iterator<Item = u16> {
     (0..agents).map(move |agent| ((agent + state) % 4) as u16)
 }
 
-/// The episodes as they are learned from.
-fn episodes(scenes: Scenes, partitions: Partitions) -> Batch {
+/// The episodes as they are learned from, so many times.
+fn episodes_times(scenes: Scenes, partitions: Partitions, times: usize) -> Batch {
     let mut batch = Batch { before: scenes, ..Batch::default() };
-    for (state, told) in story().iter().enumerate() {
-        push(&mut batch.before, told, partitions);
-        batch.actions.extend(done(state, &told.1));
+    for time in 0..times {
+        for (state, (moment, seen)) in story().into_iter().enumerate() {
+            let moment = Moment { episode: moment.episode + 2 * time, ..moment };
+            push(&mut batch.before, &(moment, seen.clone()), partitions);
+            batch.actions.extend(done(state + time, &seen));
+        }
+        let next = [Some(1), Some(2), None, Some(4), None];
+        batch.next.extend(next.map(|next| Some(next? + 5 * time)));
+        batch.rewards.extend([0.5, -0.25, 0.0, 2.0, 0.0]);
+        batch.discounts.extend([0.9, 0.0, 0.0, 0.7, 0.0]);
     }
     batch.before.finish();
-    batch.next = vec![Some(1), Some(2), None, Some(4), None];
-    batch.rewards = vec![0.5, -0.25, 0.0, 2.0, 0.0];
-    batch.discounts = vec![0.9, 0.0, 0.0, 0.7, 0.0];
     batch
+}
+
+fn episodes(scenes: Scenes, partitions: Partitions) -> Batch {
+    episodes_times(scenes, partitions, 1)
 }
 
 /// Their steps, each with the state that followed.
@@ -203,19 +211,31 @@ fn gradients_of_whole_episodes_agree_with_finite_differences() {
 
 #[test]
 fn shared_rows_change_nothing() {
-    for skip in [true, false] {
+    // Few pairs, and so many that scores are taken of rows by rows.
+    for (skip, times) in [(true, 1), (false, 1), (true, 12), (false, 12)] {
         let shape = shape(MixerKind::Qmix, skip);
         let online = Network::initialise(shape, &mut stream(1, 1, 0));
         let target = Network::initialise(shape, &mut stream(2, 1, 0));
         let [shared, apart] = [Scenes::sharing(), Scenes::default()].map(|scenes| {
-            let batch = episodes(scenes, Partitions::Drawn);
+            let batch = episodes_times(scenes, Partitions::Drawn, times);
+            assert_eq!(
+                batch.before.seen().is_by_rows(),
+                times > 1 && !batch.before.seen().own.is_empty()
+            );
             let mut gradient = vec![0.0; shape.parameters()];
             let mut pass = TemporalDifference::default();
-            let losses = pass.descend(&online, &target, &batch, Some(0.3), 3, &mut gradient);
+            let losses =
+                pass.descend(&online, &target, &batch, Some(0.3), 3 * times, &mut gradient);
             (losses, gradient)
         });
-        assert!((shared.0.real - apart.0.real).abs() < 1e-5, "{:?} {:?}", shared.0, apart.0);
-        assert!((shared.0.imagined - apart.0.imagined).abs() < 1e-5);
+        let times = times as f64;
+        assert!(
+            (shared.0.real - apart.0.real).abs() < 1e-5 * times,
+            "{:?} {:?}",
+            shared.0,
+            apart.0
+        );
+        assert!((shared.0.imagined - apart.0.imagined).abs() < 1e-5 * times);
         for (shared, apart) in shared.1.iter().zip(&apart.1) {
             assert!((shared - apart).abs() < 1e-5, "{shared} {apart}");
         }
