@@ -13,9 +13,10 @@ use sortie_envs::{Environment, Shape, Spec};
 
 use super::measured::{Measured, read_part};
 use super::recorder::Recorder;
-use super::recurrent::{RecurrentAgent, recurrent_agent_onnx};
 use crate::error::LearnError;
-use crate::export::{AgentNetwork, DeployedAgents, agent_onnx};
+use crate::export::{
+    AgentNetwork, DeployedAgents, RecurrentAgent, agent_onnx, recurrent_agent_onnx,
+};
 use crate::method::Method;
 use crate::play::{PolicyTeam, evaluate};
 use crate::run::{CurvePoint, RunDescription};
