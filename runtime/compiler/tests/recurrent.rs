@@ -146,6 +146,8 @@ fn tract_asks_for_the_state_too() {
     let observation = &random_observations(1, 11, 5, 4, 1)[0];
     let refused = |got| Err(DecideError::HiddenState { want: 8, got });
     assert_eq!(tract.decide(&observation.view()), refused(0));
+    let unknown = tract.utilities(&observation.view(), &mut [0.0; 4]);
+    assert_eq!(unknown, Err(DecideError::HiddenState { want: 8, got: 0 }));
     assert_eq!(tract.decide_with(&observation.view(), &mut [0.0; 7]), refused(7));
     assert!(tract.decide_with(&observation.view(), &mut [0.0; 8]).is_ok());
 }

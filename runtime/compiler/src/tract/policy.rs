@@ -4,7 +4,7 @@ use sortie_core::choose::masked_argmax;
 use sortie_core::{DecideError, Decision, Observation, Policy};
 use tract_onnx::prelude::*;
 
-use crate::engine::{AgentEngine, checked_utilities};
+use crate::engine::AgentEngine;
 use crate::graph::inputs::{AgentColumns, all_finite};
 use crate::graph::{Graph, Roles, guarded};
 use sortie_plans::CompileError;
@@ -109,7 +109,7 @@ impl Policy for TractPolicy {
         observation: &Observation<'_>,
         utilities: &mut [f32],
     ) -> Result<(), DecideError> {
-        checked_utilities(self, observation, utilities)
+        self.utilities_with(observation, &mut [], utilities)
     }
 
     fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
