@@ -1,7 +1,6 @@
 //! The sizes and chances of a ring.
 
 use super::error::ParametersError;
-use super::reset::has_both;
 use crate::spec::Shape;
 
 /// Most agents.
@@ -95,9 +94,6 @@ impl Parameters {
         }
         if self.episode_limit == 0 {
             return Err(ParametersError::NoSteps);
-        }
-        if self.holds_out() && !has_both(self) {
-            return Err(ParametersError::HeldOut);
         }
         Ok(())
     }

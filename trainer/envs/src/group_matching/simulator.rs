@@ -7,7 +7,7 @@ use super::bytes::State;
 use super::error::ParametersError;
 use super::metrics::EpisodeMetrics;
 use super::parameters::Parameters;
-use super::reset::{draw_cells, draw_groups};
+use super::reset::{draw_cells, draw_groups, has_both};
 use super::ring::{Ring, all_agents, member_bytes};
 use super::rules::{ACTIONS, moved, reward, slipped};
 use super::spec::spec;
@@ -67,6 +67,9 @@ impl GroupMatching {
     /// Sets up `instances` rings whose episodes are over.
     pub fn new(parameters: Parameters, instances: usize) -> Result<Self, ParametersError> {
         parameters.check()?;
+        if parameters.holds_out() && !has_both(&parameters) {
+            return Err(ParametersError::HeldOut);
+        }
         let episodes = vec![Episode::new(&parameters); instances];
         Ok(Self { episodes, spec: spec(&parameters), split: Split::Train, parameters })
     }
