@@ -31,7 +31,7 @@ fn list(value: &Value) -> &Vec<Value> {
 
 #[test]
 fn an_episode_of_group_matching_is_a_page() {
-    let (folder, data) = page(&["scripted", "--env", RING, "--episode", "4"]);
+    let (folder, data) = page(&["scripted", "--env", RING, "--episode", "5"]);
     let (states, steps) = (list(&data["states"]), list(&data["steps"]));
     assert_eq!(states.len(), steps.len() + 1);
     assert_eq!((list(&data["agents"]).len(), list(&data["groups"]).len()), (6, 2));
