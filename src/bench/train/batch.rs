@@ -122,8 +122,8 @@ pub(super) fn write(learning: &mut Learning, path: &Path) -> Result<Expected, Fa
     let mut expected = Expected { loss: f64::NAN, gradient_norm: f64::NAN };
     for number in 0..BATCHES {
         let mut chunk = learning.chunk();
-        let (loss, slopes) = gradient(&mut learning.agents, &mut chunk, &mut learning.picks);
-        let knowledge = learning.agents.knowledge();
+        let (loss, slopes) = gradient(&mut learning.method.agents, &mut chunk, &mut learning.picks);
+        let knowledge = learning.method.agents.knowledge();
         let Knowledge { online, target, replay, .. } = &*knowledge;
         let sizes =
             knowledge.picks().iter().map(|pick| replay.get(pick.sample as usize).record.size);

@@ -1,18 +1,17 @@
 //! What is timed: both levels of a run of preset `fast`, on experience of its own.
 
 use sortie_envs::save_the_city::MAX_AGENTS;
+use sortie_learn::Now;
+use sortie_learn::play::Play;
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::EpisodeCounts;
 use sortie_methods::alma::records::team_value::{TeamSearch, TeamValueLoss};
-use sortie_methods::alma::records::{
-    Behaviour, Chunk, Config, Knowledge, Learner, Loss, Memory, Networks, Rollout, agents_learner,
-    allocator_learner,
-};
+use sortie_methods::alma::records::{Chunk, Config, Knowledge, Learner, Loss, Networks, Records};
 use sortie_nn::random::Generator;
 
 use super::{Case, Turn};
 use crate::bench::thread_cpu_s;
-use crate::failure::Failure;
+use crate::failure::{Exit, Failure};
 
 /// Environment steps that fill the replays before anything is timed.
 const FILL: u64 = 40_000;
@@ -35,10 +34,9 @@ impl Work {
 /// Two learners and their roll-out.
 pub(super) struct Learning {
     pub(super) config: Config,
-    pub(super) agents: Learner<Chunk>,
+    pub(super) method: Records,
     pub(super) picks: Generator,
-    allocator: Learner<TeamValueLoss>,
-    rollout: Rollout,
+    play: Play,
     search: TeamSearch,
     decision: usize,
 }
@@ -50,43 +48,37 @@ impl Learning {
         assignments.iter().try_for_each(|assignment| config.set(assignment))?;
         // As much as is filled: the capacity of a whole run would only take memory.
         config.replay.capacity = 500_000;
+        // Decisions are kept from the first on, and rules make them until all is filled.
+        (config.allocator.learns_from, config.allocator.decides_from) = (0, FILL);
+        let mut method = Records::new(&config, seed, 1)?;
+        let stream = |index| generator(seed, Purpose::Rollout, index as u64);
+        let random = (0..config.environment.instances).map(stream).collect();
         let mut learning = Self {
-            agents: agents_learner(&config, seed)?,
-            allocator: allocator_learner(&config, seed),
-            rollout: Rollout::new(&config, config.agent_shape()?, seed)?,
+            play: Play::new(&config.environment.open()?, &mut method, random),
             search: TeamSearch::new(config.allocator.shape(), config.allocation.team_max),
             picks: generator(seed, Purpose::Replay, 0),
             decision: 0,
+            method,
             config,
         };
-        for step in 0..FILL / learning.rollout.instances() as u64 {
-            let env_steps = step * learning.rollout.instances() as u64;
-            let epsilon = learning.config.exploration.epsilon_at(env_steps);
-            learning.act(epsilon, false)?;
+        let instances = learning.config.environment.instances as u64;
+        for step in 0..FILL / instances {
+            learning.act(step * instances)?;
         }
         Ok(learning)
     }
 
-    /// A step in every instance; the network allocates, or rules in its stead.
-    fn act(&mut self, epsilon: f32, by_network: bool) -> Result<(), Failure> {
-        let mut agents = self.agents.knowledge_mut();
-        let mut allocator = self.allocator.knowledge_mut();
-        let Knowledge { online, replay: records, .. } = &mut *agents;
-        let Knowledge { online: values, replay: segments, .. } = &mut *allocator;
-        let behaviour = Behaviour {
-            agents: &online.utility,
-            epsilon,
-            allocator: by_network.then_some(&*values),
-        };
-        let memory = Memory { records, segments: Some(segments) };
-        self.rollout.step(behaviour, memory, &mut EpisodeCounts::default())?;
+    /// A step in every instance, so far into a run.
+    fn act(&mut self, env_steps: u64) -> Result<(), Failure> {
+        let now = Now { env_steps, of: self.config.run.steps };
+        self.play.round(&mut self.method, now, &mut EpisodeCounts::default())?;
         Ok(())
     }
 
     /// Empty space for gradients of the agents' loss.
     pub(super) fn chunk(&self) -> Chunk {
         let Config { network, mixer, .. } = &self.config;
-        Chunk::new(&self.agents.knowledge().online, network.subtask, mixer.reward_factor())
+        Chunk::new(&self.method.agents.knowledge().online, network.subtask, mixer.reward_factor())
     }
 
     /// The case of a work, without figures yet.
@@ -101,7 +93,7 @@ impl Learning {
             Work::Rollout => (
                 "roll-out, learned allocation".to_string(),
                 "thousand steps per CPU-second",
-                self.rollout.instances(),
+                self.config.environment.instances,
             ),
             Work::AllocatorUpdate => (
                 format!("allocator's update, {decisions} decisions"),
@@ -125,33 +117,35 @@ impl Learning {
 
     /// Works for so many CPU-seconds.
     pub(super) fn turn(&mut self, work: Work, seconds: f64) -> Result<Turn, Failure> {
-        let (rollout, search) = (self.rollout.operations(), self.search.operations());
+        let (rollout, search) = (self.method.rollout.operations(), self.search.operations());
         let mut turn = timed(seconds, || match work {
             Work::AgentsUpdate => {
-                self.agents.pick(&mut self.picks);
-                update(&mut self.agents, self.config.optimiser.learning_rate);
+                self.method.agents.pick(&mut self.picks);
+                update(&mut self.method.agents, self.config.optimiser.learning_rate);
                 Ok(())
             }
             Work::AllocatorUpdate => {
-                self.allocator.pick(&mut self.picks);
-                update(&mut self.allocator, self.config.allocator.optimiser.learning_rate);
+                let learner = self.method.allocator.as_mut().ok_or_else(no_allocator)?;
+                learner.pick(&mut self.picks);
+                update(learner, self.config.allocator.optimiser.learning_rate);
                 Ok(())
             }
-            Work::Rollout => self.act(self.config.exploration.end, true),
+            Work::Rollout => self.act(u64::MAX),
             Work::Search => self.decide(),
         })?;
         turn.operations = match work {
             Work::AgentsUpdate => {
                 let mut chunk = self.chunk();
-                gradient(&mut self.agents, &mut chunk, &mut self.picks);
+                gradient(&mut self.method.agents, &mut chunk, &mut self.picks);
                 chunk.operations() as f64 * turn.calls
             }
             Work::AllocatorUpdate => {
                 let mut loss = TeamValueLoss::new(self.config.allocator.shape());
-                gradient(&mut self.allocator, &mut loss, &mut self.picks);
+                let learner = self.method.allocator.as_mut().ok_or_else(no_allocator)?;
+                gradient(learner, &mut loss, &mut self.picks);
                 loss.operations() as f64 * turn.calls
             }
-            Work::Rollout => (self.rollout.operations() - rollout) as f64,
+            Work::Rollout => (self.method.rollout.operations() - rollout) as f64,
             Work::Search => (self.search.operations() - search) as f64,
         };
         Ok(turn)
@@ -159,7 +153,8 @@ impl Learning {
 
     /// Decides once more on a state in which it was decided before.
     fn decide(&mut self) -> Result<(), Failure> {
-        let knowledge = self.allocator.knowledge();
+        let learner = self.method.allocator.as_ref().ok_or_else(no_allocator)?;
+        let knowledge = learner.knowledge();
         self.decision = (self.decision + 1) % knowledge.replay.len();
         let city = knowledge.replay.get(self.decision).now.city();
         let mut allocation = [0; MAX_AGENTS];
@@ -167,6 +162,13 @@ impl Learning {
         std::hint::black_box(allocation);
         Ok(())
     }
+}
+
+fn no_allocator() -> Failure {
+    Failure::new(
+        Exit::Usage,
+        "what is measured learns an allocator: `allocation.learned` above 0, subtasks",
+    )
 }
 
 fn update<L: Loss>(learner: &mut Learner<L>, rate: f32) {

@@ -52,6 +52,8 @@ pub struct Metric {
     pub unit: &'static str,
     /// What it says, in a few words.
     pub about: &'static str,
+    /// Whether evaluations tell its mean; recordings of episodes have all.
+    pub is_reported: bool,
 }
 
 /// A rule that assigns agents to subtasks.

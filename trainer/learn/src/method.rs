@@ -1,10 +1,13 @@
 //! What a method adds to a run: how its agents act, what they remember, how they learn.
 
+use std::path::Path;
+
 use sortie_envs::{Environment, Random, Step};
 
 use crate::error::LearnError;
 use crate::export::DeployedAgents;
-use crate::run::{Rates, Reports};
+use crate::run::checkpoint::OpenFor;
+use crate::run::{Rates, Reports, RunFolder};
 use crate::state::State;
 
 /// A state in which a team is to act.
@@ -142,6 +145,20 @@ pub trait Method: Send {
 
     /// The team as it is measured: greedy, and where the method averages weights, with the averaged ones.
     fn team(&self) -> Box<dyn Act + '_>;
+
+    /// Who allocates its agents where it is measured; `none` where there are no subtasks.
+    fn allocation(&self) -> &str {
+        "none"
+    }
+
+    /// Begins with the weights of the run in a folder, before the first step.
+    ///
+    /// # Errors
+    /// There is no sound checkpoint, or its networks do not fit.
+    fn take_over(&mut self, folder: &Path) -> Result<(), LearnError> {
+        let found = RunFolder::new(folder).checkpoints().newest(OpenFor::Use)?;
+        self.state(&mut State::weights(&found.checkpoint))
+    }
 
     /// Names everything that the run depends on from here on: what is written to checkpoints and read back.
     ///

@@ -47,8 +47,10 @@ impl<'a> State<'a> {
         parameters: &mut [f32],
     ) -> Result<(), LearnError> {
         for tensor in tensors {
-            let (name, part) =
-                (format!("{name}/{}", tensor.name), &mut parameters[tensor.range.clone()]);
+            // A vector that is kept whole is one tensor without a name of its own.
+            let end =
+                if tensor.name.is_empty() { String::new() } else { format!("/{}", tensor.name) };
+            let (name, part) = (format!("{name}{end}"), &mut parameters[tensor.range.clone()]);
             match &mut self.0 {
                 Visit::Write(written) => {
                     written.tensors.push((name, tensor.shape.clone(), part.to_vec()));
@@ -59,6 +61,16 @@ impl<'a> State<'a> {
             }
         }
         Ok(())
+    }
+
+    /// A vector of parameters that is kept whole.
+    ///
+    /// # Errors
+    /// The checkpoint has none, or another.
+    pub fn vector(&mut self, name: &str, parameters: &mut [f32]) -> Result<(), LearnError> {
+        let range = 0..parameters.len();
+        let whole = Tensor { name: String::new(), shape: vec![1, range.end], range };
+        self.tensors(name, &[whole], parameters)
     }
 
     /// Anything else; visits that want weights only pass it over.

@@ -4,10 +4,12 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use sortie_envs::save_the_city::AllocationRule;
+use sortie_learn::LearnError;
 use sortie_learn::run::{Observer, Outcome, Progress};
+use sortie_methods::alma::Trainer;
 use sortie_methods::alma::evaluate::{EvaluationPlan, evaluate};
-use sortie_methods::alma::records::{Config, Trainer};
-use sortie_methods::alma::run::{Run, RunAllocator};
+use sortie_methods::alma::records::Config;
+use sortie_methods::alma::run::Run;
 use sortie_methods::alma::settings::Settings;
 
 /// A run of a few seconds whose replay overflows.
@@ -48,6 +50,11 @@ fn with(assignments: &[&str]) -> Config {
     config
 }
 
+/// A run in a new folder.
+fn begin(config: Config, seed: u64, threads: usize, folder: &Path) -> Result<Trainer, LearnError> {
+    Trainer::new(Settings::Records(config), seed, threads, folder)
+}
+
 /// Sets the stop flag at some steps, and notes what it is told.
 struct Recorder<'a> {
     stop_at: u64,
@@ -82,7 +89,7 @@ fn run(trainer: &mut Trainer, stop_at: u64) -> (Outcome, Vec<u8>, Vec<u64>) {
 
 fn whole_run(seed: u64, threads: usize) -> Vec<u8> {
     let folder = tempfile::tempdir().unwrap();
-    let mut trainer = Trainer::new(config(), seed, threads, folder.path()).unwrap();
+    let mut trainer = begin(config(), seed, threads, folder.path()).unwrap();
     let (outcome, tensors, evaluated) = run(&mut trainer, u64::MAX);
     assert_eq!(outcome, Outcome::Finished);
     assert_eq!(evaluated, [1000, 2000, 3000, 3200]);
@@ -100,7 +107,7 @@ fn a_seed_gives_the_same_weights_with_any_number_of_threads() {
 #[test]
 fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
     let folder = tempfile::tempdir().unwrap();
-    let mut trainer = Trainer::new(config(), 5, 1, folder.path()).unwrap();
+    let mut trainer = begin(config(), 5, 1, folder.path()).unwrap();
     assert_eq!(run(&mut trainer, 1500).0, Outcome::Stopped);
     drop(trainer);
     let mut trainer = Trainer::resume(folder.path(), Some(2)).unwrap();
@@ -112,7 +119,7 @@ fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
     assert!(tensors == whole_run(5, 1), "the resumed run has other weights");
 
     let whole = tempfile::tempdir().unwrap();
-    let mut trainer = Trainer::new(config(), 5, 1, whole.path()).unwrap();
+    let mut trainer = begin(config(), 5, 1, whole.path()).unwrap();
     run(&mut trainer, u64::MAX);
     let (resumed, whole) = (Run::open(folder.path()).unwrap(), Run::open(whole.path()).unwrap());
     assert_eq!(resumed.network, whole.network);
@@ -140,10 +147,10 @@ fn every_way_to_learn_resumes_exactly() {
             ["tensors.safetensors"].map(|name| std::fs::read(place.join(name)).unwrap())
         };
         let whole = tempfile::tempdir().unwrap();
-        run(&mut Trainer::new(config.clone(), 5, 1, whole.path()).unwrap(), u64::MAX);
+        run(&mut begin(config.clone(), 5, 1, whole.path()).unwrap(), u64::MAX);
 
         let stopped = tempfile::tempdir().unwrap();
-        let mut trainer = Trainer::new(config.clone(), 5, 2, stopped.path()).unwrap();
+        let mut trainer = begin(config.clone(), 5, 2, stopped.path()).unwrap();
         assert_eq!(run(&mut trainer, 900).0, Outcome::Stopped);
         drop(trainer);
         let mut trainer = Trainer::resume(stopped.path(), Some(1)).unwrap();
@@ -164,7 +171,7 @@ fn every_way_to_learn_resumes_exactly() {
 fn a_run_without_subtasks_learns_no_allocator_and_says_so() {
     let folder = tempfile::tempdir().unwrap();
     let config = with(&["network.subtask=none", "run.steps=400"]);
-    run(&mut Trainer::new(config, 5, 1, folder.path()).unwrap(), u64::MAX);
+    run(&mut begin(config, 5, 1, folder.path()).unwrap(), u64::MAX);
     let opened = Run::open(folder.path()).unwrap();
     assert!(opened.allocator.is_none());
     assert_eq!(opened.description.method, "flat");
@@ -177,7 +184,7 @@ fn a_run_without_subtasks_learns_no_allocator_and_says_so() {
 fn a_network_that_marks_subtasks_refuses_a_city_with_more_of_them() {
     let folder = tempfile::tempdir().unwrap();
     let config = with(&["network.subtask=input", "run.steps=400"]);
-    run(&mut Trainer::new(config, 5, 1, folder.path()).unwrap(), u64::MAX);
+    run(&mut begin(config, 5, 1, folder.path()).unwrap(), u64::MAX);
     let opened = Run::open(folder.path()).unwrap();
     let plan = EvaluationPlan::new("12a_12b", 1, 1).unwrap();
     let mut rule = AllocationRule::Coordinated;
@@ -188,7 +195,7 @@ fn a_network_that_marks_subtasks_refuses_a_city_with_more_of_them() {
 #[test]
 fn resuming_uses_the_checkpoint_before_a_damaged_one() {
     let folder = tempfile::tempdir().unwrap();
-    let mut trainer = Trainer::new(config(), 1, 1, folder.path()).unwrap();
+    let mut trainer = begin(config(), 1, 1, folder.path()).unwrap();
     run(&mut trainer, 1200);
     run(&mut trainer, 2000);
     let newest = folder.path().join("checkpoints/000000002000/state.postcard");
@@ -205,15 +212,15 @@ fn resuming_uses_the_checkpoint_before_a_damaged_one() {
 #[test]
 fn a_folder_with_a_run_is_not_overwritten() {
     let folder = tempfile::tempdir().unwrap();
-    Trainer::new(config(), 1, 1, folder.path()).unwrap();
-    let error = Trainer::new(config(), 2, 1, folder.path()).unwrap_err();
+    begin(config(), 1, 1, folder.path()).unwrap();
+    let error = begin(config(), 2, 1, folder.path()).unwrap_err();
     assert!(error.to_string().contains("holds a run already"), "{error}");
 }
 
 #[test]
 fn a_run_describes_and_draws_itself() {
     let folder = tempfile::tempdir().unwrap();
-    let mut trainer = Trainer::new(config(), 3, 1, folder.path()).unwrap();
+    let mut trainer = begin(config(), 3, 1, folder.path()).unwrap();
     run(&mut trainer, u64::MAX);
     let opened = Run::open(folder.path()).unwrap();
     let mut config = config();
@@ -223,10 +230,9 @@ fn a_run_describes_and_draws_itself() {
         (opened.description.seed, &opened.description.config),
         (3, &Settings::Records(config))
     );
-    assert_eq!(&opened.network, trainer.network());
     assert!(opened.curve.iter().all(|point| point.loss > 0.0 && point.cpu_s > 0.0));
     let svg = std::fs::read_to_string(folder.path().join("curve.svg")).unwrap();
-    assert!(svg.contains("alma on save-the-city 2-5a_2-5b, seed 3"));
+    assert!(svg.contains("alma on save-the-city/2-5a_2-5b, seed 3"));
     let result = std::fs::read_to_string(folder.path().join("result.json")).unwrap();
     assert!(result.contains("\"allocation\": \"learned\""), "{result}");
     let last = opened.curve.last().unwrap();
@@ -238,7 +244,7 @@ fn a_run_under_a_rule_learns_no_allocator() {
     let folder = tempfile::tempdir().unwrap();
     let mut config = config();
     config.set("allocation.learned=0").unwrap();
-    let mut trainer = Trainer::new(config, 3, 1, folder.path()).unwrap();
+    let mut trainer = begin(config, 3, 1, folder.path()).unwrap();
     run(&mut trainer, u64::MAX);
     let opened = Run::open(folder.path()).unwrap();
     assert!(opened.allocator.is_none());
@@ -251,7 +257,7 @@ fn a_run_under_a_rule_learns_no_allocator() {
 #[test]
 fn a_run_can_begin_with_what_another_learned() {
     let first = tempfile::tempdir().unwrap();
-    let mut trainer = Trainer::new(config(), 3, 1, first.path()).unwrap();
+    let mut trainer = begin(config(), 3, 1, first.path()).unwrap();
     run(&mut trainer, 1200);
     let learned = Run::open(first.path()).unwrap();
 
@@ -259,16 +265,18 @@ fn a_run_can_begin_with_what_another_learned() {
     config.run.from = first.path().display().to_string();
     config.set("environment.set=2-8a_2-8b").unwrap();
     let second = tempfile::tempdir().unwrap();
-    let trainer = Trainer::new(config.clone(), 4, 1, second.path()).unwrap();
-    assert_eq!(trainer.network(), &learned.network);
-    let Some(RunAllocator::TeamValue(allocator)) = &learned.allocator else {
-        panic!("the run learned none")
-    };
-    assert_eq!(trainer.allocator(), Some(allocator));
+    let mut trainer = begin(config.clone(), 4, 1, second.path()).unwrap();
+    // Stopped before its first step.
+    let stop = AtomicBool::new(true);
+    assert_eq!(trainer.run(&mut (), &stop).unwrap(), Outcome::Stopped);
+    let begun = Run::open(second.path()).unwrap();
+    assert_eq!((begun.env_steps, &begun.network), (0, &learned.network));
+    assert!(learned.allocator.is_some());
+    assert_eq!(begun.allocator, learned.allocator);
 
     config.set("network.width=32").unwrap();
     let third = tempfile::tempdir().unwrap();
-    let error = Trainer::new(config, 4, 1, third.path()).unwrap_err();
+    let error = begin(config, 4, 1, third.path()).unwrap_err();
     assert!(error.to_string().contains("another shape"), "{error}");
 
     for (key, of) in [("network.skip", "shape"), ("allocator.network.skip", "allocator")] {
@@ -276,7 +284,7 @@ fn a_run_can_begin_with_what_another_learned() {
         config.run.from = first.path().display().to_string();
         config.set(&format!("{key}=false")).unwrap();
         let fourth = tempfile::tempdir().unwrap();
-        let error = Trainer::new(config, 4, 1, fourth.path()).unwrap_err().to_string();
+        let error = begin(config, 4, 1, fourth.path()).unwrap_err().to_string();
         assert!(error.ends_with(&format!("{of}: `--set {key}=true`")), "{error}");
     }
 }

@@ -12,7 +12,8 @@ use crate::spec::{Metric, Rewards, Shape, Spec, View};
 /// Its name, as `--env` takes it.
 pub(super) const NAME: &str = "group-matching";
 
-const METRICS: &[Metric] = &[Metric { name: "matches", unit: "groups", about: "groups gathered" }];
+const METRICS: &[Metric] =
+    &[Metric { name: "matches", unit: "groups", about: "groups gathered", is_reported: true }];
 
 /// Entries of a row beside the groups: its cell, itself.
 const OWN_ENTRIES: usize = 2;

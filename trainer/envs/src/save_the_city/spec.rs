@@ -23,19 +23,40 @@ pub(super) const BUILDINGS: &str = "buildings";
 pub(super) const RULE_NAMES: &[Rule] = &[RULES[0].0, RULES[1].0, RULES[2].0];
 
 pub(super) const METRICS: &[Metric] = &[
-    Metric { name: "none_burned", unit: "share", about: "no building burned" },
+    Metric { name: "none_burned", unit: "share", about: "no building burned", is_reported: true },
     Metric {
         name: "prop_buildings_completed",
         unit: "share",
         about: "of the buildings that are complete",
+        is_reported: false,
     },
-    Metric { name: "fires_extinguished", unit: "fires", about: "put out" },
-    Metric { name: "buildings_completed", unit: "buildings", about: "completed" },
-    Metric { name: "buildings_burned", unit: "buildings", about: "lost" },
-    Metric { name: BUILDINGS, unit: "buildings", about: "of the episode" },
-    Metric { name: "buildings_health_delta", unit: "health", about: "sum of all changes" },
-    Metric { name: "types_per_firefight", unit: "kinds", about: "at a fire that anyone fought" },
-    Metric { name: "types_per_build", unit: "kinds", about: "at a building that anyone built" },
+    Metric { name: "fires_extinguished", unit: "fires", about: "put out", is_reported: false },
+    Metric {
+        name: "buildings_completed",
+        unit: "buildings",
+        about: "completed",
+        is_reported: false,
+    },
+    Metric { name: "buildings_burned", unit: "buildings", about: "lost", is_reported: false },
+    Metric { name: BUILDINGS, unit: "buildings", about: "of the episode", is_reported: false },
+    Metric {
+        name: "buildings_health_delta",
+        unit: "health",
+        about: "sum of all changes",
+        is_reported: false,
+    },
+    Metric {
+        name: "types_per_firefight",
+        unit: "kinds",
+        about: "at a fire that anyone fought",
+        is_reported: false,
+    },
+    Metric {
+        name: "types_per_build",
+        unit: "kinds",
+        about: "at a building that anyone built",
+        is_reported: false,
+    },
 ];
 
 /// What a set of scenarios says of itself.

@@ -87,7 +87,8 @@ mod tests {
     }
 
     fn summary(episodes: &[Episode]) -> Evaluation {
-        const METRICS: &[Metric] = &[Metric { name: "burned", unit: "share", about: "burned" }];
+        const METRICS: &[Metric] =
+            &[Metric { name: "burned", unit: "share", about: "burned", is_reported: true }];
         Evaluation::of(&Spec { metrics: METRICS, causes: &["late"], ..Spec::default() }, episodes)
     }
 

@@ -25,6 +25,7 @@ impl Evaluation {
         }
         let failed = |cause: &&str| episodes.iter().filter(|e| e.cause == Some(*cause)).count();
         let failures = spec.causes.iter().map(|cause| ((*cause).to_owned(), failed(cause)));
+        let reported = spec.metrics.iter().enumerate().filter(|(_, metric)| metric.is_reported);
         let metric = |(index, metric): (usize, &Metric)| {
             let values = episodes.iter().filter_map(|e| e.metrics.get(index).copied().flatten());
             let values: Vec<f64> = values.collect();
@@ -39,7 +40,7 @@ impl Evaluation {
             return_sd: (spread / count.saturating_sub(1).max(1) as f64).sqrt(),
             length_mean: mean(&|episode| f64::from(episode.steps)),
             timeouts: share(&|episode| episode.timed_out),
-            metrics: spec.metrics.iter().enumerate().filter_map(metric).collect(),
+            metrics: reported.filter_map(metric).collect(),
             failures: failures.collect(),
             by_team,
         }

@@ -27,10 +27,10 @@ pub fn evaluate(
     let mut starts = (0..episodes).map(|episode| Start::of(seed, episode));
     // What the team leaves to chance in each instance.
     let mut random = vec![sortie_envs::random::generator(0); worlds.instances()];
-    let mut open = Vec::new();
-    for (instance, start) in (0..worlds.instances()).zip(&mut starts) {
-        open.push(start.begin(&mut *worlds, instance, &mut random));
-    }
+    let mut open: Vec<Open> = (0..worlds.instances())
+        .zip(&mut starts)
+        .map(|(instance, start)| start.begin(&mut *worlds, instance, &mut random))
+        .collect();
     let mut actions = Vec::new();
     while !open.is_empty() {
         actions.clear();
@@ -47,11 +47,13 @@ pub fn evaluate(
             worlds.save(world.instance, &mut world.state);
             world.is_done = step.done();
         }
-        for world in open.extract_if(.., |world| world.is_done).collect::<Vec<_>>() {
+        for world in open.iter_mut().filter(|world| world.is_done) {
             done[world.episode] = worlds.episode(world.instance);
-            let start = starts.next();
-            open.extend(start.map(|start| start.begin(&mut *worlds, world.instance, &mut random)));
+            if let Some(start) = starts.next() {
+                *world = start.begin(&mut *worlds, world.instance, &mut random);
+            }
         }
+        open.retain(|world| !world.is_done);
     }
     Ok(Evaluation::of(worlds.spec(), &done))
 }

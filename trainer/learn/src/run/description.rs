@@ -11,6 +11,10 @@ use crate::error::LearnError;
 pub trait Configuration: Sized {
     /// The algorithm by its name on the command line.
     fn method(&self) -> &str;
+    /// Environment and set of starts by their names.
+    fn environment(&self) -> String;
+    /// Episodes that run at the same time.
+    fn instances(&self) -> usize;
     /// How long it learns, and when it measures and saves.
     fn run(&self) -> &RunConfig;
     /// The same, to be changed.

@@ -22,22 +22,19 @@ use crate::evaluate::Evaluation;
 use crate::method::{Method, Now};
 use crate::play::{self, Play};
 use crate::random::{Purpose, generator};
-use crate::run::checkpoint::{Checkpoint, OpenFor, Written};
+use crate::run::checkpoint::{OpenFor, Written};
 use crate::run::{
-    Counters, CurvePoint, Labels, Learning, Observer, Outcome, Progress, Rates, Reports, RunConfig,
-    RunDescription, RunFolder, learn,
+    Configuration, Counters, CurvePoint, Labels, Learning, Observer, Outcome, Progress, Rates,
+    Reports, RunConfig, RunDescription, RunFolder, learn,
 };
 use crate::state::State;
-
-/// Who allocates where there are no subtasks.
-const NOBODY: &str = "none";
 
 /// An environment, and a method as it is before its first step.
 pub type Parts = (Box<dyn Environment>, Box<dyn Method>);
 
 /// A run of any method in any environment.
-pub struct Session {
-    description: RunDescription<Setup>,
+pub struct Session<C = Setup> {
+    description: RunDescription<C>,
     folder: RunFolder,
     environment: Box<dyn Environment>,
     method: Box<dyn Method>,
@@ -46,18 +43,18 @@ pub struct Session {
     refused: Vec<String>,
 }
 
-impl Session {
+impl<C: Configuration> Session<C> {
     /// Begins a run in a new folder.
     ///
     /// # Errors
     /// The folder is not empty or cannot be written, or the setup cannot work.
     pub fn begin(
-        mut description: RunDescription<Setup>,
+        mut description: RunDescription<C>,
         environment: Box<dyn Environment>,
         method: Box<dyn Method>,
         folder: &Path,
     ) -> Result<Self, LearnError> {
-        description.config.run.settle_products()?;
+        description.config.run_mut().settle_products()?;
         let folder = RunFolder::new(folder);
         let mut session = Self::start(description, environment, method, folder);
         session.take_over()?;
@@ -74,11 +71,11 @@ impl Session {
     /// Another process learns in the folder, or its files cannot be read.
     pub fn resume(
         folder: &Path,
-        open: impl FnOnce(&RunDescription<Setup>) -> Result<Parts, LearnError>,
+        open: impl FnOnce(&RunDescription<C>) -> Result<Parts, LearnError>,
     ) -> Result<Self, LearnError> {
         let files = RunFolder::claim(folder)?;
-        let mut description = files.read_description::<Setup>()?;
-        description.config.run.settle_products()?;
+        let mut description = files.read_description::<C>()?;
+        description.config.run_mut().settle_products()?;
         let (environment, method) = open(&description)?;
         let mut session = Self::start(description, environment, method, files);
         if !session.folder.checkpoints().exist()? {
@@ -93,17 +90,17 @@ impl Session {
     }
 
     fn start(
-        description: RunDescription<Setup>,
+        description: RunDescription<C>,
         environment: Box<dyn Environment>,
         mut method: Box<dyn Method>,
         folder: RunFolder,
     ) -> Self {
-        let Setup { environment: choice, run, .. } = &description.config;
+        let config = &description.config;
         let stream = |index| generator(description.seed, Purpose::Rollout, index as u64);
-        let random = (0..choice.instances).map(stream).collect();
+        let random = (0..config.instances()).map(stream).collect();
         Self {
             play: Play::new(&*environment, &mut *method, random),
-            counters: Counters::new(run.evaluate_every),
+            counters: Counters::new(config.run().evaluate_every),
             refused: Vec::new(),
             description,
             folder,
@@ -114,12 +111,8 @@ impl Session {
 
     /// Begins with the weights of another run, where the setup says so.
     fn take_over(&mut self) -> Result<(), LearnError> {
-        let from = &self.description.config.run.from;
-        if from.is_empty() {
-            return Ok(());
-        }
-        let checkpoint = newest(Path::new(from))?.0;
-        self.method.state(&mut State::weights(&checkpoint))
+        let from = &self.description.config.run().from;
+        if from.is_empty() { Ok(()) } else { self.method.take_over(Path::new(from)) }
     }
 
     /// Names everything that the run depends on.
@@ -142,7 +135,7 @@ impl Session {
     }
 
     /// How the run learns.
-    pub fn description(&self) -> &RunDescription<Setup> {
+    pub fn description(&self) -> &RunDescription<C> {
         &self.description
     }
 
@@ -167,7 +160,7 @@ impl Session {
     }
 
     fn now(&self) -> Now {
-        Now { env_steps: self.counters.env_steps, of: self.description.config.run.steps }
+        Now { env_steps: self.counters.env_steps, of: self.description.config.run().steps }
     }
 }
 
@@ -176,28 +169,23 @@ impl Session {
 /// # Errors
 /// There is no sound checkpoint, or it is of another method.
 pub fn load_weights(folder: &Path, method: &mut dyn Method) -> Result<Vec<String>, LearnError> {
-    let (checkpoint, refused) = newest(folder)?;
-    method.state(&mut State::weights(&checkpoint))?;
-    Ok(refused)
-}
-
-fn newest(folder: &Path) -> Result<(Checkpoint, Vec<String>), LearnError> {
     let found = RunFolder::new(folder).checkpoints().newest(OpenFor::Use)?;
-    Ok((found.checkpoint, found.refused))
+    method.state(&mut State::weights(&found.checkpoint))?;
+    Ok(found.refused)
 }
 
-impl Learning for Session {
+impl<C: Configuration> Learning for Session<C> {
     fn schedule(&self) -> RunConfig {
-        self.description.config.run.clone()
+        self.description.config.run().clone()
     }
 
     fn labels(&self) -> Labels {
         let RunDescription { method, seed, config, .. } = &self.description;
-        let environment = config.environment.to_string();
+        let environment = config.environment();
         Labels {
             title: format!("{method} on {environment}, seed {seed}"),
             environment,
-            allocation: NOBODY.to_owned(),
+            allocation: self.method.allocation().to_owned(),
             seed: *seed,
         }
     }
@@ -240,7 +228,7 @@ impl Learning for Session {
     }
 }
 
-impl fmt::Debug for Session {
+impl<C: fmt::Debug> fmt::Debug for Session<C> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { description, counters, .. } = self;
         f.debug_struct("Session")

@@ -88,6 +88,14 @@ impl Configuration for Setup {
         &self.method
     }
 
+    fn environment(&self) -> String {
+        self.environment.to_string()
+    }
+
+    fn instances(&self) -> usize {
+        self.environment.instances
+    }
+
     fn run(&self) -> &RunConfig {
         &self.run
     }

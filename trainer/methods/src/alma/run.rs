@@ -7,7 +7,7 @@ use sortie_learn::run::{CurvePoint, RunDescription, RunFolder, checkpoint};
 
 use super::evaluate::{Agents, Allocate, NetworkTeam};
 use super::records::team_value::TeamValueAllocator;
-use super::records::{UtilityNetwork, saved_network};
+use super::records::{UtilityNetwork, network_of, saved_network};
 use super::settings::Settings;
 use super::windows::allocation::{AllocationCritic, AllocationNetworks, AllocationPolicy};
 use super::windows::low_level::coach::Coach;
@@ -82,11 +82,13 @@ impl Run {
         let curve = folder.read_curve()?;
         let found = folder.checkpoints().newest(checkpoint::OpenFor::Use)?;
         let (network, memory_unit, coach, allocator) = match &description.config {
-            Settings::Records(_) => {
-                let average = |network| saved_network(&found.checkpoint, network, "average");
-                let allocator = found.checkpoint.has("allocator").then(|| average("allocator"));
-                let allocator = allocator.transpose()?.map(RunAllocator::TeamValue);
-                (average("agents")?, Vec::new(), None, allocator)
+            Settings::Records(config) => {
+                let average = |name, shape| network_of(&found.checkpoint, name, shape);
+                let agents = average("agents/average", config.agent_shape()?)?;
+                let learns = config.learns_allocator();
+                let shape = config.allocator.shape();
+                let allocator = learns.then(|| average("allocator/average", shape)).transpose()?;
+                (agents, Vec::new(), None, allocator.map(RunAllocator::TeamValue))
             }
             Settings::Windows(config) => (
                 saved_network(&found.checkpoint, "agents", "online")?,

@@ -119,6 +119,14 @@ impl Configuration for Settings {
         }
     }
 
+    fn environment(&self) -> String {
+        Self::environment(self).full_name()
+    }
+
+    fn instances(&self) -> usize {
+        Self::environment(self).instances
+    }
+
     fn run(&self) -> &RunConfig {
         match self {
             Self::Records(config) => &config.run,

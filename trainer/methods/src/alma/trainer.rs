@@ -3,21 +3,34 @@
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
-use super::{records, windows};
-use crate::alma::settings::Settings;
 use sortie_learn::LearnError;
-use sortie_learn::run::{CurvePoint, Observer, Outcome, RunDescription, read_description};
-use sortie_learn::session::Session;
+use sortie_learn::run::{
+    Configuration, CurvePoint, Observer, Outcome, RunDescription, read_description,
+};
+use sortie_learn::session::{Parts, Session};
+
+use super::records::Records;
+use super::settings::Settings;
+use super::windows;
 
 /// A run that learns from records or from windows.
 #[derive(Debug)]
 pub enum Trainer {
     /// The preset `fast`.
-    Records(Box<records::Trainer>),
+    Records(Box<Session<Settings>>),
     /// The preset `paper`.
     Windows(Box<windows::Trainer>),
     /// Any other method.
     Method(Box<Session>),
+}
+
+/// The world of a run, and what learns in it as it is before its first step.
+fn parts(description: &RunDescription<Settings>, threads: usize) -> Result<Parts, LearnError> {
+    let Settings::Records(config) = &description.config else {
+        return Err(LearnError::Config("windows are learned from elsewhere".to_owned()));
+    };
+    let method = Records::new(config, description.seed, threads.max(1))?;
+    Ok((Box::new(config.environment.open()?), Box::new(method)))
 }
 
 impl Trainer {
@@ -29,8 +42,11 @@ impl Trainer {
         folder: &Path,
     ) -> Result<Self, LearnError> {
         Ok(match settings {
-            Settings::Records(config) => {
-                Self::Records(Box::new(records::Trainer::new(config, seed, threads, folder)?))
+            Settings::Records(_) => {
+                settings.check()?;
+                let description = RunDescription::new(settings, seed, threads.max(1));
+                let (environment, method) = parts(&description, threads)?;
+                Self::Records(Box::new(Session::begin(description, environment, method, folder)?))
             }
             Settings::Windows(config) => {
                 Self::Windows(Box::new(windows::Trainer::new(config, seed, threads, folder)?))
@@ -45,7 +61,10 @@ impl Trainer {
         let RunDescription { config, .. } = read_description::<Settings>(folder)?;
         Ok(match config {
             Settings::Records(_) => {
-                Self::Records(Box::new(records::Trainer::resume(folder, threads)?))
+                let session = Session::resume(folder, |description| {
+                    parts(description, threads.unwrap_or(description.threads))
+                })?;
+                Self::Records(Box::new(session))
             }
             Settings::Windows(_) => {
                 Self::Windows(Box::new(windows::Trainer::resume(folder, threads)?))
@@ -60,7 +79,7 @@ impl Trainer {
         stop: &AtomicBool,
     ) -> Result<Outcome, LearnError> {
         match self {
-            Self::Records(trainer) => trainer.run(observer, stop),
+            Self::Records(session) => session.run(observer, stop),
             Self::Windows(trainer) => trainer.run(observer, stop),
             Self::Method(session) => session.run(observer, stop),
         }
@@ -69,7 +88,7 @@ impl Trainer {
     /// Environment steps of the whole run.
     pub fn steps(&self) -> u64 {
         match self {
-            Self::Records(trainer) => trainer.description().config.run.steps,
+            Self::Records(session) => session.description().config.run().steps,
             Self::Windows(trainer) => trainer.description().config.run.steps,
             Self::Method(session) => session.description().config.run.steps,
         }
@@ -77,8 +96,8 @@ impl Trainer {
 
     /// The steps from which a learned allocator of the preset `fast` learns, and from which it decides.
     pub fn allocator_steps(&self) -> Option<[u64; 2]> {
-        let Self::Records(trainer) = self else { return None };
-        let config = &trainer.description().config;
+        let Self::Records(session) = self else { return None };
+        let Settings::Records(config) = &session.description().config else { return None };
         let steps = [config.allocator.learns_from, config.allocator.decides_from];
         config.learns_allocator().then_some(steps)
     }
@@ -86,7 +105,7 @@ impl Trainer {
     /// Environment steps taken.
     pub fn env_steps(&self) -> u64 {
         match self {
-            Self::Records(trainer) => trainer.env_steps(),
+            Self::Records(session) => session.env_steps(),
             Self::Windows(trainer) => trainer.env_steps(),
             Self::Method(session) => session.env_steps(),
         }
@@ -95,7 +114,7 @@ impl Trainer {
     /// The evaluations up to now.
     pub fn curve(&self) -> &[CurvePoint] {
         match self {
-            Self::Records(trainer) => trainer.curve(),
+            Self::Records(session) => session.curve(),
             Self::Windows(trainer) => trainer.curve(),
             Self::Method(session) => session.curve(),
         }
@@ -104,7 +123,7 @@ impl Trainer {
     /// Why newer checkpoints were passed over when the run was resumed.
     pub fn refused(&self) -> &[String] {
         match self {
-            Self::Records(trainer) => trainer.refused(),
+            Self::Records(session) => session.refused(),
             Self::Windows(trainer) => trainer.refused(),
             Self::Method(session) => session.refused(),
         }

@@ -4,6 +4,7 @@
 //! deployed policy ([`PolicyTeam`]) or the scripted low level ([`ScriptedActors`]). Episode e of a seed
 //! is the same whoever plays it, so that teams can be compared pair by pair.
 
+mod allocated;
 mod allocators;
 mod plan;
 mod play;
@@ -18,6 +19,7 @@ use sortie_envs::{Entry, Environment, Episode, Step};
 
 pub use sortie_envs::save_the_city::golden::{Labels, Recorder};
 
+pub use allocated::AllocatedTeam;
 pub use allocators::{DeployedAllocator, allocation_state};
 pub use plan::{Planner, PlannerReport};
 pub use players::{Agents, Players};
@@ -220,7 +222,7 @@ pub fn evaluate_watched(
     let mut done = vec![None; plan.episodes];
     while play.step(team, allocator, &mut done)? {}
     let done: Vec<Episode> = done.into_iter().flatten().collect();
-    Ok(summary(play.worlds(), &done))
+    Ok(Evaluation::of(play.worlds().spec(), &done))
 }
 
 /// Plays the last episode of a plan alone: the same one that [`evaluate`] plays last.
@@ -234,13 +236,6 @@ pub fn watch_last_episode(
     let mut done = vec![None; plan.episodes];
     while play.step(team, allocator, &mut done)? {}
     Ok(())
-}
-
-/// What the episodes come to; of the metrics, the one that the dissertation tells.
-fn summary(worlds: &SaveTheCity, episodes: &[Episode]) -> Evaluation {
-    let mut evaluation = Evaluation::of(worlds.spec(), episodes);
-    evaluation.metrics.retain(|name, _| name == "none_burned");
-    evaluation
 }
 
 #[cfg(test)]

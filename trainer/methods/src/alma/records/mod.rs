@@ -10,8 +10,11 @@ mod conditioning;
 pub mod config;
 mod deciding;
 mod entity_attention;
+#[cfg(test)]
+mod fixed;
 mod history;
 mod learner;
+mod method;
 mod mixed_network;
 mod mixer;
 #[cfg(test)]
@@ -20,12 +23,10 @@ mod network_policy;
 mod operations;
 mod replay;
 mod rollout;
-mod saved;
 mod saved_network;
 mod team_batch;
 pub mod team_value;
 mod temporal_difference;
-mod trainer;
 mod utility;
 mod utility_pass;
 
@@ -34,16 +35,17 @@ pub use config::{Allocation, Config};
 pub(crate) use entity_attention::{AttentionGradients, AttentionWeights, EntityAttention};
 pub use history::{History, Moment, Returns, StepRewards};
 pub use learner::{Knowledge, Learner, Loss, Networks, Parameters, Pick, Samples};
+pub use method::{Records, agents_learner, allocator_learner};
 pub use mixed_network::MixedNetwork;
 pub use mixer::{Mixer, MixerKind, MixerPass, MixerShape, MixerTensor, Teams};
 pub use network_policy::NetworkPolicy;
 pub use replay::{AgentStep, BuildingStep, Record, RecordLayout, Replay, Sample};
-pub use rollout::{Behaviour, InstanceSnapshot, Memory, Rollout};
-pub(crate) use saved_network::{saved_network, saved_shape, saved_vector};
+pub use rollout::{Behaviour, Memory, Rollout};
+pub(crate) use saved_network::{network_of, saved_network, saved_shape, saved_vector};
 pub(crate) use team_batch::random_action;
 pub use team_batch::{INPUT_COLUMNS, NO_ACTION, TeamBatch, best_action};
 pub use temporal_difference::Chunk;
-pub use trainer::{Trainer, agents_learner, allocator_learner};
+
 pub use utility::{Tensor, UtilityNetwork, UtilityShape, UtilityWeights};
 pub(crate) use utility_pass::sized;
 pub use utility_pass::{UtilityInput, UtilityPass};

@@ -11,7 +11,8 @@ pub(crate) fn saved_shape(shape: UtilityShape) -> Result<SavedShape, LearnError>
     SavedShape::new(&shape, tensors(shape))
 }
 
-fn tensors(shape: UtilityShape) -> Vec<state::Tensor> {
+/// The tensors of a network of this shape, as checkpoints have them.
+pub(crate) fn tensors(shape: UtilityShape) -> Vec<state::Tensor> {
     let tensor = |tensor: super::Tensor| state::Tensor {
         name: tensor.name.to_owned(),
         shape: vec![tensor.rows, tensor.columns],
@@ -29,6 +30,17 @@ pub(crate) fn saved_network(
     let shape = checkpoint.shape(network)?;
     let parameters = saved_vector(checkpoint, network, vector)?;
     let misfit = || checkpoint.bad(format!("`{network}/{vector}` does not fit its shape"));
+    UtilityNetwork::from_parameters(shape, parameters).ok_or_else(misfit)
+}
+
+/// A network of a shape that is known.
+pub(crate) fn network_of(
+    checkpoint: &Checkpoint,
+    name: &str,
+    shape: UtilityShape,
+) -> Result<UtilityNetwork, LearnError> {
+    let parameters = checkpoint.vector(name, &tensors(shape))?;
+    let misfit = || checkpoint.bad(format!("`{name}` does not fit its shape"));
     UtilityNetwork::from_parameters(shape, parameters).ok_or_else(misfit)
 }
 

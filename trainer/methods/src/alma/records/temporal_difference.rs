@@ -255,13 +255,9 @@ impl Loss for Chunk {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::alma::records::{
-        Behaviour, Config, Memory, Mixer, MixerKind, Parameters, Record, RecordLayout, Rollout,
-        UtilityNetwork,
-    };
-    use sortie_envs::save_the_city::ScenarioSet;
+    use crate::alma::records::fixed::{Fixed, begin, fixed, play};
+    use crate::alma::records::{Config, Mixer, MixerKind, Parameters, Record, UtilityNetwork};
     use sortie_learn::random::{Purpose, generator};
-    use sortie_learn::run::EpisodeCounts;
     use sortie_nn::gradient_check::assert_gradient;
 
     /// Few records, so that finite differences cross few kinks.
@@ -296,16 +292,10 @@ mod tests {
     }
 
     fn replay(config: &Config) -> Replay {
-        let online = network(config, 1).utility;
-        let mut rollout = Rollout::new(config, online.shape(), 4).unwrap();
-        let set = ScenarioSet::named(&config.environment.set).unwrap();
-        let mut replay = Replay::new(10_000, RecordLayout::new(config.network.subtask, &set));
-        for _ in 0..60 {
-            let behaviour = Behaviour { agents: &online, epsilon: 1.0, allocator: None };
-            let memory = Memory { records: &mut replay, segments: None };
-            rollout.step(behaviour, memory, &mut EpisodeCounts::default()).unwrap();
-        }
-        replay
+        let mut method =
+            Fixed { epsilon: 1.0, decides_from: u64::MAX, segments: None, ..fixed(config, 1) };
+        play(&mut begin(config, 4, &mut method), &mut method, 60);
+        method.records
     }
 
     fn picks(replay: &Replay, symmetry: impl Fn(usize) -> u8) -> Vec<Pick> {

@@ -353,6 +353,14 @@ impl Configuration for Config {
         configuration::to_toml(self)
     }
 
+    fn environment(&self) -> String {
+        self.environment.full_name()
+    }
+
+    fn instances(&self) -> usize {
+        self.environment.instances
+    }
+
     fn run(&self) -> &RunConfig {
         &self.run
     }

@@ -1,15 +1,15 @@
 //! The agents' loss against the rules: `y = reward + discount * sum of Q_target(s', best action of Q_online)`.
 
-use sortie_envs::save_the_city::{FEATURES, ScenarioSet};
+use sortie_envs::save_the_city::FEATURES;
 
 use super::{Map, Row, agent_row, assert_near, building_row, outputs};
 use crate::alma::records::conditioning::Conditioning;
+use crate::alma::records::fixed::{Fixed, begin, fixed, play};
 use crate::alma::records::{
-    AgentStep, Behaviour, Chunk, Config, Loss, Memory, MixedNetwork, Mixer, NO_ACTION, Networks,
-    Pick, RecordLayout, Replay, Rollout, Sample, UtilityNetwork,
+    AgentStep, Chunk, Config, Loss, MixedNetwork, Mixer, NO_ACTION, Networks, Pick, Replay, Sample,
+    UtilityNetwork,
 };
 use sortie_learn::random::{Purpose, generator};
-use sortie_learn::run::EpisodeCounts;
 
 fn config(subtask: Conditioning) -> Config {
     let mut config = Config::default();
@@ -30,16 +30,10 @@ fn network(config: &Config, seed: u64) -> MixedNetwork {
 
 /// Records of agents that act at random.
 fn replay(config: &Config) -> Replay {
-    let agents = network(config, 1).utility;
-    let mut rollout = Rollout::new(config, agents.shape(), 4).unwrap();
-    let set = ScenarioSet::named(&config.environment.set).unwrap();
-    let mut replay = Replay::new(10_000, RecordLayout::new(config.network.subtask, &set));
-    for _ in 0..40 {
-        let behaviour = Behaviour { agents: &agents, epsilon: 1.0, allocator: None };
-        let memory = Memory { records: &mut replay, segments: None };
-        rollout.step(behaviour, memory, &mut EpisodeCounts::default()).unwrap();
-    }
-    replay
+    let mut method =
+        Fixed { epsilon: 1.0, decides_from: u64::MAX, segments: None, ..fixed(config, 1) };
+    play(&mut begin(config, 4, &mut method), &mut method, 40);
+    method.records
 }
 
 /// What the team of a record sees, turned: when it acted, or in the state to bootstrap from.

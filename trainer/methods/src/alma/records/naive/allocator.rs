@@ -3,13 +3,10 @@
 use sortie_envs::save_the_city::{FEATURES, RELATIONS, agent_relation, building_relation};
 
 use super::{Map, agent_row, assert_near, building_row, outputs};
+use crate::alma::records::fixed::{Fixed, begin, fixed, play};
 use crate::alma::records::team_value::{Decision, Segments, TeamValueLoss};
-use crate::alma::records::{
-    Behaviour, Config, Loss, Memory, Networks, Pick, RecordLayout, Replay, Rollout, UtilityNetwork,
-    UtilityShape,
-};
+use crate::alma::records::{Config, Loss, Networks, Pick, UtilityNetwork, UtilityShape};
 use sortie_learn::random::{Purpose, generator};
-use sortie_learn::run::EpisodeCounts;
 
 fn config() -> Config {
     let mut config = Config::default();
@@ -30,17 +27,9 @@ fn network(seed: u64, skip: bool) -> UtilityNetwork {
 /// Segments of agents that act at random.
 fn segments() -> Segments {
     let config = config();
-    let shape = config.agent_shape().unwrap();
-    let agents = UtilityNetwork::initialise(shape, 8.0, &mut generator(1, Purpose::Weights, 0));
-    let mut rollout = Rollout::new(&config, shape, 4).unwrap();
-    let mut segments = Segments::new(1_000);
-    let mut records = Replay::new(100, RecordLayout { agents: 5, buildings: 1 });
-    for _ in 0..100 {
-        let behaviour = Behaviour { agents: &agents, epsilon: 1.0, allocator: None };
-        let memory = Memory { records: &mut records, segments: Some(&mut segments) };
-        rollout.step(behaviour, memory, &mut EpisodeCounts::default()).unwrap();
-    }
-    segments
+    let mut method = Fixed { epsilon: 1.0, decides_from: u64::MAX, ..fixed(&config, 1_000) };
+    play(&mut begin(&config, 4, &mut method), &mut method, 100);
+    method.segments.unwrap()
 }
 
 /// What a network expects of the team that a decision sends to a building.

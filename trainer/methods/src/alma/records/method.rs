@@ -1,0 +1,355 @@
+//! Learning from records as a [`Method`].
+
+use std::path::Path;
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+use sortie_envs::{Environment, Random};
+use sortie_learn::random::{Purpose, generator};
+use sortie_learn::run::{Level, Rates, Reports};
+use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition};
+use sortie_nn::random::Generator;
+use sortie_nn::workers::Workers;
+
+use super::config::{Allocation, Config};
+use super::learner::{Knowledge, Learner, Loss};
+use super::mixed_network::MixedNetwork;
+use super::mixer::Mixer;
+use super::replay::{RecordLayout, Replay};
+use super::rollout::{Behaviour, Memory, Rollout};
+use super::saved_network::tensors;
+use super::team_value::{Segments, TeamValueAllocator, TeamValueLoss};
+use super::temporal_difference::Chunk;
+use super::utility::UtilityNetwork;
+use crate::alma::evaluate::{Agents, Allocate, AllocatedTeam, NetworkTeam, NoSubtasks};
+use crate::alma::run::{Run, RunAllocator};
+
+/// Tells the allocator's streams of random numbers from the agents'.
+const ALLOCATOR_STREAM: u64 = 1;
+
+/// When each level makes its next update, in environment steps.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+struct Due(Level<u64>);
+
+impl Due {
+    /// Whether a level has an update to make.
+    fn any(&self, env_steps: u64) -> bool {
+        self.0.agents.min(self.0.allocator) <= env_steps
+    }
+
+    /// Which levels have an update to make; they are taken to have made it.
+    fn take(&mut self, env_steps: u64, config: &Config) -> Level<bool> {
+        let take = |next: &mut u64, pause: u64| {
+            let due = *next <= env_steps;
+            *next += if due { pause } else { 0 };
+            due
+        };
+        Level {
+            agents: take(&mut self.0.agents, config.replay.steps_per_update),
+            allocator: take(&mut self.0.allocator, config.allocator.replay.steps_per_update),
+        }
+    }
+}
+
+/// Agents, and where the run learns one, their allocator.
+#[derive(Debug)]
+pub struct Records {
+    config: Config,
+    /// The agents.
+    pub agents: Learner<Chunk>,
+    /// There is one if the run learns an allocator.
+    pub allocator: Option<Learner<TeamValueLoss>>,
+    workers: Workers,
+    /// Acts, and cuts what happens into records.
+    pub rollout: Rollout,
+    /// What each level draws its samples with.
+    picks: Level<Generator>,
+    due: Due,
+    /// Decisions that were not reported yet.
+    decisions: u64,
+    /// Whether the allocator learns from the steps that are being taken.
+    keeps_segments: bool,
+}
+
+impl Records {
+    /// Draws the first weights.
+    ///
+    /// # Errors
+    /// There is no such set of starts.
+    pub fn new(config: &Config, seed: u64, threads: usize) -> Result<Self, LearnError> {
+        let set = config.environment.scenario_set()?;
+        let agents = agents_learner(config, seed)?;
+        let allocator = config.learns_allocator().then(|| allocator_learner(config, seed));
+        let (act, allocate) = (agents.job(), allocator.as_ref().map(Learner::job));
+        let job = Arc::new(move || {
+            act();
+            allocate.iter().for_each(|allocate| allocate());
+        });
+        Ok(Self {
+            rollout: Rollout::new(config, config.agent_shape()?, set.max_agents),
+            workers: Workers::new(threads, job),
+            agents,
+            allocator,
+            picks: Level {
+                agents: generator(seed, Purpose::Replay, 0),
+                allocator: generator(seed, Purpose::Replay, ALLOCATOR_STREAM),
+            },
+            due: Due::default(),
+            decisions: 0,
+            keeps_segments: false,
+            config: config.clone(),
+        })
+    }
+
+    /// One update of each level that is due and has enough to learn from, both at the same time.
+    fn update_once(&mut self, now: Now, reports: &mut Reports) {
+        let Self { config, agents, allocator, picks, .. } = self;
+        let due = self.due.take(now.env_steps, config);
+        let learn_agents = due.agents && agents.is_warm();
+        if learn_agents {
+            agents.pick(&mut picks.agents);
+        }
+        let mut allocator = allocator.as_mut().filter(|learner| due.allocator && learner.is_warm());
+        if let Some(learner) = &mut allocator {
+            learner.pick(&mut picks.allocator);
+        }
+        self.workers.run();
+        if learn_agents {
+            let rate = config.optimiser.learning_rate_at(now.env_steps, now.of);
+            reports.agents.push(agents.follow(rate));
+        }
+        if let Some(learner) = allocator {
+            let rate = config.allocator.optimiser.learning_rate_at(now.env_steps, now.of);
+            reports.allocator.push(learner.follow(rate));
+        }
+    }
+
+    /// Who allocates where the team is measured.
+    fn measured_allocator(&self) -> Box<dyn Allocate + '_> {
+        if !self.config.network.subtask.has_subtasks() {
+            return Box::new(NoSubtasks);
+        }
+        let team_max = self.config.allocation.team_max;
+        match (self.config.allocation.measured(), &self.allocator) {
+            (Allocation::Learned, Some(learner)) => {
+                Box::new(TeamValueAllocator::new(&learner.average, team_max))
+            }
+            (Allocation::Rule(rule), _) => Box::new(rule),
+            // Whoever is measured under learned allocation learns it.
+            (Allocation::Learned, None) => Box::new(NoSubtasks),
+        }
+    }
+}
+
+impl Method for Records {
+    fn begins(&mut self, instance: usize, random: &mut Random) {
+        self.rollout.begin(instance, random);
+    }
+
+    fn act(
+        &mut self,
+        scenes: &Scenes<'_>,
+        now: Now,
+        random: &mut [Random],
+        actions: &mut [u16],
+    ) -> Result<(), LearnError> {
+        let Config { exploration, allocator: config, .. } = &self.config;
+        self.keeps_segments = now.env_steps >= config.learns_from;
+        let mut agents = self.agents.knowledge_mut();
+        let Knowledge { online, replay: records, .. } = &mut *agents;
+        let mut allocator = self.allocator.as_mut().map(Learner::knowledge_mut);
+        let (mut network, mut segments) = (None, None);
+        if let Some(allocator) = &mut allocator {
+            let Knowledge { online, replay, .. } = &mut **allocator;
+            network = (now.env_steps >= config.decides_from).then_some(&*online);
+            segments = self.keeps_segments.then_some(replay);
+        }
+        let epsilon = exploration.epsilon_at(now.env_steps);
+        let behaviour = Behaviour { agents: &online.utility, epsilon, allocator: network };
+        let memory = Memory { records, segments };
+        self.decisions += self.rollout.act(scenes, random, behaviour, memory, actions)?;
+        Ok(())
+    }
+
+    fn remember(&mut self, transition: &Transition<'_>) -> Result<(), LearnError> {
+        let mut agents = self.agents.knowledge_mut();
+        let mut allocator = self.allocator.as_mut().map(Learner::knowledge_mut);
+        let segments = allocator.as_mut().map(|allocator| &mut allocator.replay);
+        let segments = segments.filter(|_| self.keeps_segments);
+        self.rollout.remember(transition, Memory { records: &mut agents.replay, segments });
+        Ok(())
+    }
+
+    fn update(
+        &mut self,
+        _: &dyn Environment,
+        now: Now,
+        reports: &mut Reports,
+    ) -> Result<(), LearnError> {
+        reports.decisions += std::mem::take(&mut self.decisions);
+        while self.due.any(now.env_steps) {
+            self.update_once(now, reports);
+        }
+        Ok(())
+    }
+
+    fn rates(&self, now: Now) -> Rates {
+        Rates {
+            epsilon: self.config.exploration.epsilon_at(now.env_steps),
+            learning_rate: self.config.optimiser.learning_rate_at(now.env_steps, now.of),
+        }
+    }
+
+    fn team(&self) -> Box<dyn Act + '_> {
+        let Config { network, allocation, .. } = &self.config;
+        let agents = Agents::new(&self.agents.average.utility);
+        let team = Box::new(NetworkTeam::conditioned(agents, network.subtask));
+        Box::new(AllocatedTeam::new(team, self.measured_allocator(), allocation.interval))
+    }
+
+    fn allocation(&self) -> &str {
+        self.config.measured_allocation()
+    }
+
+    /// Begins with the averaged weights of another run.
+    fn take_over(&mut self, folder: &Path) -> Result<(), LearnError> {
+        let run = Run::open(folder)?;
+        let online = {
+            let knowledge = self.agents.knowledge();
+            MixedNetwork { utility: run.network, ..knowledge.online.clone() }
+        };
+        let ours = self.agents.average.utility.shape();
+        if ours != online.utility.shape() {
+            let hint = ours.hint_to_become(online.utility.shape(), "network.skip");
+            let reason = format!("`run.from` has agents of another shape{hint}");
+            return Err(LearnError::Config(reason));
+        }
+        begin_with(&mut self.agents, &online);
+        let (Some(learner), Some(RunAllocator::TeamValue(network))) =
+            (&mut self.allocator, &run.allocator)
+        else {
+            return Ok(());
+        };
+        let ours = learner.average.shape();
+        if ours != network.shape() {
+            let hint = ours.hint_to_become(network.shape(), "allocator.network.skip");
+            return Err(LearnError::Config(format!("`run.from` has another allocator{hint}")));
+        }
+        begin_with(learner, network);
+        Ok(())
+    }
+
+    fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
+        state.value("due", &mut self.due)?;
+        state.value("picks", &mut self.picks)?;
+        self.rollout.state(state)?;
+        let Self { config, agents, allocator, .. } = self;
+        let layout = RecordLayout::new(config.network.subtask, &config.environment.scenario_set()?);
+        let capacity = config.replay.capacity;
+        agents_state(agents, state)?;
+        if state.is_reading() && !agents.knowledge().replay.fits(capacity, layout) {
+            return Err(misfit("replay"));
+        }
+        let Some(learner) = allocator else { return Ok(()) };
+        allocator_state(learner, state)?;
+        if state.is_reading() && !learner.knowledge().replay.fits(config.allocator.replay.capacity)
+        {
+            return Err(misfit("allocator's replay"));
+        }
+        Ok(())
+    }
+}
+
+fn misfit(what: &str) -> LearnError {
+    LearnError::Config(format!("the checkpoint's {what} does not fit train.toml"))
+}
+
+/// A learner whose networks are all the same.
+fn begin_with<L: Loss>(learner: &mut Learner<L>, network: &L::Network) {
+    learner.average = network.clone();
+    let mut knowledge = learner.knowledge_mut();
+    (knowledge.target, knowledge.online) = (network.clone(), network.clone());
+}
+
+/// Names the agents' networks, their mixers, their optimiser and what they have seen.
+fn agents_state(learner: &mut Learner<Chunk>, state: &mut State<'_>) -> Result<(), LearnError> {
+    let shape = learner.average.utility.shape();
+    let (tensors, utilities) = (tensors(shape), shape.parameters());
+    let (mut adam, mut average) = (learner.adam.clone(), learner.average.clone());
+    {
+        let mut knowledge = learner.knowledge_mut();
+        let Knowledge { online, target, replay, .. } = &mut *knowledge;
+        for (name, network) in [("online", online), ("target", target), ("average", &mut average)] {
+            let MixedNetwork { utility, mixer } = network;
+            state.tensors(&format!("agents/{name}"), &tensors, utility.parameters_mut())?;
+            let mut parameters = mixer.parameters().to_vec();
+            state.value(&format!("mixer/{name}"), &mut parameters)?;
+            let read = Mixer::from_parameters(mixer.shape(), parameters);
+            *mixer = read.ok_or_else(|| misfit("mixer"))?;
+        }
+        state.value("records", replay)?;
+    }
+    for (name, vector) in [("mean", &mut adam.mean), ("square", &mut adam.square)] {
+        let (own, mixer) = vector.split_at_mut(utilities);
+        state.tensors(&format!("agents/adam-{name}"), &tensors, own)?;
+        let mut numbers = mixer.to_vec();
+        state.value(&format!("mixer/adam-{name}"), &mut numbers)?;
+        if numbers.len() != mixer.len() {
+            return Err(misfit("mixer"));
+        }
+        mixer.copy_from_slice(&numbers);
+    }
+    state.value("agents/adam-steps", &mut adam.steps)?;
+    (learner.adam, learner.average) = (adam, average);
+    Ok(())
+}
+
+/// The same of the allocator.
+fn allocator_state(
+    learner: &mut Learner<TeamValueLoss>,
+    state: &mut State<'_>,
+) -> Result<(), LearnError> {
+    let tensors = tensors(learner.average.shape());
+    let (mut adam, mut average) = (learner.adam.clone(), learner.average.clone());
+    {
+        let mut knowledge = learner.knowledge_mut();
+        let Knowledge { online, target, replay, .. } = &mut *knowledge;
+        for (name, network) in [("online", online), ("target", target), ("average", &mut average)] {
+            state.tensors(&format!("allocator/{name}"), &tensors, network.parameters_mut())?;
+        }
+        state.value("segments", replay)?;
+    }
+    state.tensors("allocator/adam-mean", &tensors, &mut adam.mean)?;
+    state.tensors("allocator/adam-square", &tensors, &mut adam.square)?;
+    state.value("allocator/adam-steps", &mut adam.steps)?;
+    (learner.adam, learner.average) = (adam, average);
+    Ok(())
+}
+
+/// The learner of the agents, before its first update.
+///
+/// # Errors
+/// There is no such set of starts.
+pub fn agents_learner(config: &Config, seed: u64) -> Result<Learner<Chunk>, LearnError> {
+    let (shape, inputs) = (config.agent_shape()?, config.network.active_inputs);
+    let mut weights = generator(seed, Purpose::Weights, 0);
+    let online = MixedNetwork {
+        utility: UtilityNetwork::initialise(shape, inputs, &mut weights),
+        mixer: Mixer::initialise(config.mixer.shape(shape.input), inputs, &mut weights),
+    };
+    let layout = RecordLayout::new(config.network.subtask, &config.environment.scenario_set()?);
+    let replay = Replay::new(config.replay.capacity, layout);
+    let loss = Chunk::new(&online, config.network.subtask, config.mixer.reward_factor());
+    Ok(Learner::new((&config.replay, &config.optimiser), online, replay, &loss))
+}
+
+/// The learner of the allocator, before its first update.
+pub fn allocator_learner(config: &Config, seed: u64) -> Learner<TeamValueLoss> {
+    let config = &config.allocator;
+    let mut weights = generator(seed, Purpose::Weights, ALLOCATOR_STREAM);
+    let inputs = config.network.active_inputs;
+    let online = UtilityNetwork::initialise(config.shape(), inputs, &mut weights);
+    let replay = Segments::new(config.replay.capacity);
+    let loss = TeamValueLoss::new(config.shape());
+    Learner::new((&config.replay, &config.optimiser), online, replay, &loss)
+}
