@@ -49,8 +49,17 @@ pub fn replace_file(path: &Path, content: &[u8], durability: Durability) -> io::
 
 /// Writes a file in its place: for folders that are moved as a whole.
 pub fn write_file(path: &Path, content: &[u8], durability: Durability) -> io::Result<()> {
+    write_parts(path, [content], durability)
+}
+
+/// The same of parts, one behind the other, which need not stand together in memory.
+pub fn write_parts<'a>(
+    path: &Path,
+    parts: impl IntoIterator<Item = &'a [u8]>,
+    durability: Durability,
+) -> io::Result<()> {
     let mut file = File::create(path)?;
-    file.write_all(content)?;
+    parts.into_iter().try_for_each(|part| file.write_all(part))?;
     match durability {
         Durability::Cached => Ok(()),
         Durability::Forced => file.sync_all(),

@@ -2,14 +2,15 @@
 
 use std::time::Duration;
 
-use sortie_envs::save_the_city::{AllocationRule, ScenarioSet};
+use sortie_learn::Now;
+use sortie_learn::play::Play;
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::EpisodeCounts;
+use sortie_methods::alma::records::Allocation;
 use sortie_methods::alma::windows::allocation::{AllocationLevel, AllocationState};
 use sortie_methods::alma::windows::low_level::{LowLevel, LowLevelConfig};
 use sortie_methods::alma::windows::{
-    Config, Decide, Exploration, ProposalAllocator, Replay, Rollout, SampleShape, Shaping, Windows,
-    cut_windows, draw_episodes,
+    Config, Replay, SampleShape, Shaping, WindowLearner, Windows, cut_windows, draw_episodes,
 };
 use sortie_nn::random::Generator;
 
@@ -35,7 +36,32 @@ pub(super) struct Levels {
     pub(super) allocation: AllocationLevel,
     pub(super) windows: Windows,
     pub(super) generator: Generator,
-    rollout: Rollout,
+    /// Plays by the same networks.
+    player: Player,
+}
+
+/// A method that plays rounds of episodes and learns nothing.
+struct Player {
+    method: WindowLearner,
+    play: Play,
+}
+
+impl Player {
+    fn new(config: &Config, seed: u64) -> Result<Self, Failure> {
+        let mut method = WindowLearner::new(config, seed, 1)?;
+        let stream = |index| generator(seed, Purpose::Rollout, index as u64);
+        let random = (0..config.environment.instances).map(stream).collect();
+        let play = Play::new(&config.environment.open()?, &mut method, random);
+        Ok(Self { method, play })
+    }
+
+    /// One episode in every environment, which are kept; environment steps.
+    fn round(&mut self) -> Result<u64, Failure> {
+        let now = Now { env_steps: TRIED_OUT_AT, of: TRIED_OUT_AT };
+        let steps = self.play.round(&mut self.method, now, &mut EpisodeCounts::default())?;
+        self.method.keep_episodes();
+        Ok(steps)
+    }
 }
 
 impl Levels {
@@ -43,12 +69,11 @@ impl Levels {
     pub(super) fn new(assignments: &[String], seed: u64) -> Result<Self, Failure> {
         let mut config = Config::default();
         assignments.iter().try_for_each(|assignment| config.set(assignment))?;
-        let set = ScenarioSet::named(&config.environment.set).map_err(Failure::bug)?;
+        let set = config.environment.scenario_set()?;
         let sizes = config.sizes(&set);
         let mut weights = generator(seed, Purpose::Weights, 0);
         let mut low_level = LowLevel::new(config.low_level.clone(), sizes, &mut weights);
         let mut allocation = AllocationLevel::new(config.allocation_learning(sizes), seed);
-        let mut rollout = Rollout::new(&config, low_level.online.agents.shape(), seed)?;
         let mut generator = generator(seed, Purpose::Replay, 0);
         let sample = SampleShape {
             windows: config.learning.windows,
@@ -57,7 +82,7 @@ impl Levels {
             tasks: set.max_buildings,
             shaping: Shaping::default(),
         };
-        let replay = fill(&mut rollout, &low_level, sample.windows, exploration(&config))?;
+        let replay = fill(&config, seed, sample.windows)?;
         let drawn = draw_episodes(&replay, sample.windows, &mut generator, |_| true)
             .ok_or_else(|| Failure::new(Exit::Bug, "too few episodes for a batch"))?;
         let windows = cut_windows(&replay, &drawn, sample, &mut generator);
@@ -77,7 +102,11 @@ impl Levels {
         let state = AllocationState { policy: drawn_policy, ..allocation.state() };
         let allocation = AllocationLevel::restore(still, state)
             .ok_or_else(|| Failure::new(Exit::Bug, "the allocator does not fit itself"))?;
-        Ok(Self { config, low_level: low, allocation, windows, generator, rollout })
+        let learned = Allocation::Learned.name().to_owned();
+        let mut player = Player::new(&with_allocation(&config, &learned), seed)?;
+        player.method.low_level = low.clone();
+        player.method.allocation = Some(allocation.clone());
+        Ok(Self { config, low_level: low, allocation, windows, generator, player })
     }
 
     /// Episodes of a round, which is also the number of steps that follow it.
@@ -123,38 +152,30 @@ impl Levels {
 
     /// One episode in every environment under the learned allocator: environment steps and CPU-seconds.
     pub(super) fn play(&mut self) -> Result<(f64, f64), Failure> {
-        let exploration = exploration(&self.config);
-        let networks = self.allocation.networks();
-        let mut allocator = ProposalAllocator::new(networks, self.config.allocation.proposals);
-        let agents = self.low_level.players();
         let start = thread_cpu_s();
-        let counts = &mut EpisodeCounts::default();
-        let episodes = self.rollout.round(agents, Some(&mut allocator), exploration, 0, counts)?;
-        let cpu_s = thread_cpu_s() - start;
-        Ok((episodes.iter().map(|episode| episode.steps() as f64).sum(), cpu_s))
+        let steps = self.player.round()?;
+        Ok((steps as f64, thread_cpu_s() - start))
     }
 }
 
-fn exploration(config: &Config) -> Exploration {
-    config.exploration.at(TRIED_OUT_AT)
+/// The same under another allocation.
+fn with_allocation(config: &Config, by: &str) -> Config {
+    let mut config = config.clone();
+    config.allocation.by = by.to_owned();
+    config
 }
 
 /// Plays so many episodes, in turns under the heuristic and under random allocations.
-fn fill(
-    rollout: &mut Rollout,
-    low_level: &LowLevel,
-    episodes: usize,
-    exploration: Exploration,
-) -> Result<Replay, Failure> {
-    let mut replay = Replay::new(2 * episodes);
-    let mut rules = [AllocationRule::Heuristic, AllocationRule::Random].into_iter().cycle();
-    while replay.len() < episodes {
-        let mut rule = rules.next();
-        let rule = rule.as_mut().map(|rule| rule as &mut dyn Decide);
-        let counts = &mut EpisodeCounts::default();
-        let agents = low_level.players();
-        let played = rollout.round(agents, rule, exploration, 0, counts)?;
-        played.into_iter().for_each(|episode| replay.push(episode));
+fn fill(config: &Config, seed: u64, episodes: usize) -> Result<Replay, Failure> {
+    let rules = ["heuristic", "random"].map(|by| with_allocation(config, by));
+    let [mut first, mut second] = [Player::new(&rules[0], seed)?, Player::new(&rules[1], seed)?];
+    let played = |player: &Player| player.method.replay.len();
+    while played(&first) + played(&second) < episodes {
+        first.round()?;
+        second.round()?;
     }
+    let mut replay = Replay::new(2 * episodes);
+    let all = [&first, &second].into_iter().flat_map(|player| player.method.replay.episodes());
+    all.for_each(|episode| replay.push(episode.clone()));
     Ok(replay)
 }

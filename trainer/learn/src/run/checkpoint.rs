@@ -6,7 +6,7 @@
 //!
 //! | file | content |
 //! | --- | --- |
-//! | `manifest.toml` | format version, version of Sortie, steps, instructions of products, network shapes, sizes and CRC-64 of the others |
+//! | `manifest.toml` | format version, version of Sortie, steps, instructions of products, sizes and CRC-64 of the others |
 //! | `tensors.safetensors` | networks, each with its vectors (`online/`, `target/`, those of the optimiser), cut into their tensors |
 //! | `state.postcard` | counters, generators, running episodes, the curve, the replays |
 
@@ -17,7 +17,7 @@ use crc::{CRC_64_XZ, Crc, Table};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
-use sortie_bundle::files::{Durability, sync_folder, write_file};
+use sortie_bundle::files::{Durability, sync_folder, write_parts};
 use sortie_nn::layers::products::Products;
 use sortie_nn::tape::Tensor;
 
@@ -44,7 +44,9 @@ struct Manifest {
     /// Instructions of matrix products.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     products: Option<String>,
-    shapes: BTreeMap<String, toml::Table>,
+    /// Sizes of networks, which checkpoints of before had.
+    #[serde(default, skip_serializing)]
+    shapes: Option<toml::Table>,
     files: BTreeMap<String, FileSum>,
 }
 
@@ -57,63 +59,27 @@ struct FileSum {
 }
 
 impl FileSum {
-    fn of(content: &[u8]) -> Self {
+    fn of<'a>(parts: impl IntoIterator<Item = &'a [u8]>) -> Self {
         static CRC: Crc<u64, Table<16>> = Crc::<u64, Table<16>>::new(&CRC_64_XZ);
-        Self { bytes: content.len() as u64, crc64: format!("{:016x}", CRC.checksum(content)) }
+        let (mut bytes, mut digest) = (0, CRC.digest());
+        for part in parts {
+            bytes += part.len() as u64;
+            digest.update(part);
+        }
+        Self { bytes, crc64: format!("{:016x}", digest.finalize()) }
     }
-}
-
-/// A network as a checkpoint holds it: parameter vectors by name.
-#[derive(Clone, Debug)]
-pub struct SavedNetwork<'a> {
-    /// The network's name.
-    pub name: &'static str,
-    /// What it needs to be built again, and the tensors that its vectors are cut into; others stay whole.
-    pub shape: Option<SavedShape>,
-    /// Vectors of one value per parameter.
-    pub vectors: Vec<(&'static str, &'a [f32])>,
 }
 
 /// Name, sizes and numbers of a tensor.
-type SavedTensor<'a> = (String, Vec<usize>, &'a [f32]);
-
-/// What a network is built by.
-#[derive(Clone, Debug)]
-pub struct SavedShape {
-    sizes: toml::Table,
-    tensors: Vec<Tensor>,
-}
-
-impl SavedShape {
-    /// Sizes by their names, and the tensors that follow from them.
-    ///
-    /// # Errors
-    /// The sizes are no table.
-    pub fn new(sizes: &impl Serialize, tensors: Vec<Tensor>) -> Result<Self, LearnError> {
-        Ok(Self { sizes: crate::configuration::table_of(sizes)?, tensors })
-    }
-}
-
-impl SavedNetwork<'_> {
-    /// The tensors of a vector, by their names within it.
-    fn tensors(&self) -> Vec<Tensor> {
-        if let Some(SavedShape { tensors, .. }) = &self.shape {
-            let named =
-                |tensor: &Tensor| Tensor { name: format!("/{}", tensor.name), ..tensor.clone() };
-            return tensors.iter().map(named).collect();
-        }
-        let count = self.vectors.first().map_or(0, |(_, vector)| vector.len());
-        vec![Tensor { name: String::new(), shape: vec![1, count], range: 0..count }]
-    }
-}
+pub type SavedTensor = (String, Vec<usize>, Vec<f32>);
 
 /// Everything that a run depends on, as a [visit](crate::state::State) has found it.
 #[derive(Debug, Default)]
-pub(crate) struct Written {
+pub struct Written {
     /// Name, sizes and numbers of every tensor.
-    pub(crate) tensors: Vec<(String, Vec<usize>, Vec<f32>)>,
+    pub tensors: Vec<SavedTensor>,
     /// Everything else by its name.
-    pub(crate) values: BTreeMap<String, Vec<u8>>,
+    pub values: BTreeMap<String, Vec<u8>>,
 }
 
 /// The checkpoints of a run.
@@ -148,53 +114,14 @@ impl Checkpoints {
 
     /// Writes a checkpoint and deletes those that are no longer needed.
     ///
-    /// `state` is everything that is no parameter vector.
-    pub fn write(
-        &self,
-        env_steps: u64,
-        networks: &[SavedNetwork<'_>],
-        state: &impl Serialize,
-    ) -> Result<PathBuf, LearnError> {
-        let sizes =
-            |n: &SavedNetwork<'_>| Some((n.name.to_owned(), n.shape.as_ref()?.sizes.clone()));
-        let shaped = networks.iter().filter_map(sizes);
-        let mut tensors = Vec::new();
-        for network in networks {
-            for (vector, parameters) in &network.vectors {
-                for Tensor { name, shape, range } in network.tensors() {
-                    let name = format!("{}/{vector}{name}", network.name);
-                    tensors.push((name, shape, &parameters[range]));
-                }
-            }
-        }
-        self.write_tensors(env_steps, &tensors, shaped.collect(), state)
-    }
-
-    /// The same of what a [visit](crate::state::State) has found.
-    pub(crate) fn write_visited(
-        &self,
-        env_steps: u64,
-        Written { tensors, values }: &Written,
-    ) -> Result<PathBuf, LearnError> {
-        let tensors = tensors.iter();
-        let tensors: Vec<SavedTensor<'_>> = tensors
-            .map(|(name, sizes, numbers)| (name.clone(), sizes.clone(), &**numbers))
-            .collect();
-        self.write_tensors(env_steps, &tensors, BTreeMap::new(), values)
-    }
-
-    fn write_tensors(
-        &self,
-        env_steps: u64,
-        tensors: &[SavedTensor<'_>],
-        shapes: BTreeMap<String, toml::Table>,
-        state: &impl Serialize,
-    ) -> Result<PathBuf, LearnError> {
+    /// # Errors
+    /// The disk is full, or a file cannot be written.
+    pub fn write(&self, env_steps: u64, written: &Written) -> Result<PathBuf, LearnError> {
         std::fs::create_dir_all(&self.folder).map_err(LearnError::file(&self.folder))?;
         let place = self.folder.join(format!("{env_steps:012}"));
         let unfinished = place.with_extension(UNFINISHED);
         remove(&unfinished)?;
-        let written = write_files(&unfinished, env_steps, tensors, shapes, state).and_then(|()| {
+        let written = write_files(&unfinished, env_steps, written).and_then(|()| {
             remove(&place)?;
             std::fs::rename(&unfinished, &place).map_err(LearnError::file(&place))
         });
@@ -261,31 +188,26 @@ impl Checkpoints {
 }
 
 /// Writes the files of a checkpoint into a new folder and forces them to the disk.
-fn write_files(
-    folder: &Path,
-    env_steps: u64,
-    tensors: &[SavedTensor<'_>],
-    shapes: BTreeMap<String, toml::Table>,
-    state: &impl Serialize,
-) -> Result<(), LearnError> {
+fn write_files(folder: &Path, env_steps: u64, written: &Written) -> Result<(), LearnError> {
     let bad = |error: &dyn std::fmt::Display| LearnError::format(folder, error);
-    let write = |name: &str, content: &[u8]| {
+    let write = |name: &str, parts: &[&[u8]]| {
         let path = folder.join(name);
-        write_file(&path, content, Durability::Forced).map_err(LearnError::file(path))
+        let written = write_parts(&path, parts.iter().copied(), Durability::Forced);
+        written.map_err(LearnError::file(path))
     };
     std::fs::create_dir(folder).map_err(LearnError::file(folder))?;
-    let tensors = tensors_file(tensors).map_err(|error| bad(&error))?;
-    let state = postcard::to_stdvec(state).map_err(|error| bad(&error))?;
+    let tensors = tensors_file(&written.tensors).map_err(|error| bad(&error))?;
+    let lengths = lengths(&written.values).map_err(|error| bad(&error))?;
     let mut files = BTreeMap::new();
-    for (name, content) in [(TENSORS, &tensors), (STATE, &state)] {
-        write(name, content)?;
-        files.insert(name.to_owned(), FileSum::of(content));
+    for (name, parts) in [(TENSORS, vec![&*tensors]), (STATE, state_file(written, &lengths))] {
+        write(name, &parts)?;
+        files.insert(name.to_owned(), FileSum::of(parts));
     }
     let version = env!("CARGO_PKG_VERSION").to_owned();
     let products = Some(Products::here().to_string());
-    let manifest = Manifest { format: FORMAT, version, env_steps, products, shapes, files };
+    let manifest = Manifest { format: FORMAT, version, env_steps, products, shapes: None, files };
     let manifest = toml::to_string(&manifest).map_err(|error| bad(&error))?;
-    write(MANIFEST, manifest.as_bytes())?;
+    write(MANIFEST, &[manifest.as_bytes()])?;
     sync_folder(folder).map_err(LearnError::file(folder))
 }
 
@@ -329,21 +251,6 @@ impl Checkpoint {
     /// Its folder.
     pub fn place(&self) -> &Path {
         &self.place
-    }
-
-    /// Whether there is a network of that name.
-    pub fn has(&self, network: &str) -> bool {
-        self.manifest.shapes.contains_key(network)
-    }
-
-    /// The sizes of a network that was saved with its shape.
-    ///
-    /// # Errors
-    /// There is no such network, or it is of another kind.
-    pub fn shape<S: DeserializeOwned>(&self, network: &str) -> Result<S, LearnError> {
-        let shape = self.manifest.shapes.get(network).cloned();
-        let shape = shape.ok_or_else(|| self.bad(format!("there is no `{network}` network")))?;
-        shape.try_into().map_err(|error| self.bad(error))
     }
 
     /// A vector of a network as in `agents/online`, put together from its tensors.
@@ -392,7 +299,7 @@ impl Checkpoint {
     fn read(&self, name: &str) -> Result<Vec<u8>, LearnError> {
         let path = self.place.join(name);
         let content = std::fs::read(&path).map_err(LearnError::file(&path))?;
-        if self.manifest.files.get(name) == Some(&FileSum::of(&content)) {
+        if self.manifest.files.get(name) == Some(&FileSum::of([&*content])) {
             Ok(content)
         } else {
             Err(LearnError::format(path, "cut short or damaged: its checksum is another"))
@@ -415,7 +322,25 @@ impl Checkpoint {
     }
 }
 
-fn tensors_file(tensors: &[SavedTensor<'_>]) -> Result<Vec<u8>, safetensors::SafeTensorError> {
+/// What stands before every part of a state: how many values there are, and behind each name how long its value is.
+fn lengths(values: &BTreeMap<String, Vec<u8>>) -> postcard::Result<Vec<Vec<u8>>> {
+    let mut lengths = vec![postcard::to_stdvec(&values.len())?];
+    for (name, value) in values {
+        let mut before = postcard::to_stdvec(name)?;
+        before.extend(postcard::to_stdvec(&value.len())?);
+        lengths.push(before);
+    }
+    Ok(lengths)
+}
+
+/// The values as postcard writes a map, in parts: a replay is too large to stand in memory twice.
+fn state_file<'a>(written: &'a Written, lengths: &'a [Vec<u8>]) -> Vec<&'a [u8]> {
+    // Nothing stands between the number of values and the first name.
+    let values = std::iter::once(&[][..]).chain(written.values.values().map(Vec::as_slice));
+    lengths.iter().zip(values).flat_map(|(before, value)| [before.as_slice(), value]).collect()
+}
+
+fn tensors_file(tensors: &[SavedTensor]) -> Result<Vec<u8>, safetensors::SafeTensorError> {
     let in_bytes = |numbers: &[f32]| numbers.iter().flat_map(|n| n.to_le_bytes()).collect();
     let bytes: Vec<Vec<u8>> = tensors.iter().map(|(_, _, numbers)| in_bytes(numbers)).collect();
     let views = tensors
@@ -453,22 +378,25 @@ mod tests {
 
     fn write(checkpoints: &Checkpoints, env_steps: u64) -> PathBuf {
         let vector: Vec<f32> = (0..16).map(|number| (env_steps + number) as f32).collect();
-        let shape = SavedShape::new(&BTreeMap::from([("width", 4)]), tensors()).unwrap();
-        let agents = SavedNetwork {
-            name: "agents",
-            shape: Some(shape),
-            vectors: vec![("average", &vector)],
+        let part = |tensor: Tensor| {
+            let name = format!("agents/average/{}", tensor.name);
+            (name, tensor.shape, vector[tensor.range].to_vec())
         };
-        let mixer =
-            SavedNetwork { name: "mixer", shape: None, vectors: vec![("online", &[1.5, 2.5])] };
-        checkpoints.write(env_steps, &[agents, mixer], &env_steps).unwrap()
+        let mut written = Written::default();
+        written.tensors.extend(tensors().into_iter().map(part));
+        written.tensors.push(("mixer/online".to_owned(), vec![1, 2], vec![1.5, 2.5]));
+        for (name, value) in [("steps", env_steps), ("more", 1 << 40)] {
+            written.values.insert(name.to_owned(), postcard::to_stdvec(&value).unwrap());
+        }
+        written.values.insert("long".to_owned(), vec![7; 300]);
+        checkpoints.write(env_steps, &written).unwrap()
     }
 
     fn steps_of(found: &Found) -> u64 {
-        let state: u64 = found.checkpoint.state().unwrap();
+        let values: BTreeMap<String, Vec<u8>> = found.checkpoint.state().unwrap();
+        assert_eq!((values.len(), &values["long"]), (3, &vec![7; 300]));
+        let state: u64 = postcard::from_bytes(&values["steps"]).unwrap();
         assert_eq!(state, found.checkpoint.env_steps());
-        let sizes: BTreeMap<String, usize> = found.checkpoint.shape("agents").unwrap();
-        assert_eq!(sizes["width"], 4);
         let vector = found.checkpoint.vector("agents/average", &tensors()).unwrap();
         assert_eq!((vector.len(), vector[0]), (16, state as f32));
         state
@@ -489,12 +417,10 @@ mod tests {
         assert!(found.refused.is_empty());
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2);
         let missing = found.checkpoint.vector("agents/target", &tensors()).unwrap_err();
-        let nowhere = found.checkpoint.shape::<toml::Table>("allocator").unwrap_err();
         let whole = |count| found.checkpoint.whole_vector("mixer/online", count);
         assert_eq!(whole(2).unwrap(), [1.5, 2.5]);
         assert!(whole(3).unwrap_err().to_string().contains("another size"));
         assert!(missing.to_string().contains("agents/target/fc1"), "{missing}");
-        assert!(nowhere.to_string().contains("no `allocator` network"), "{nowhere}");
     }
 
     #[test]

@@ -223,7 +223,7 @@ impl<C: Configuration> Learning for Session<C> {
         let mut written = Written::default();
         self.visit(&mut State::write(&mut written))?;
         let checkpoints = self.folder.checkpoints();
-        observer.saved(&checkpoints.write_visited(self.counters.env_steps, &written)?);
+        observer.saved(&checkpoints.write(self.counters.env_steps, &written)?);
         Ok(())
     }
 }

@@ -3,15 +3,16 @@
 use std::path::Path;
 
 use sortie_learn::LearnError;
-use sortie_learn::run::{CurvePoint, RunDescription, RunFolder, checkpoint};
+use sortie_learn::run::{Checkpoint, CurvePoint, RunDescription, RunFolder, checkpoint};
+use sortie_nn::layers::gru::lengths;
 
 use super::evaluate::{Agents, Allocate, NetworkTeam};
 use super::records::team_value::TeamValueAllocator;
-use super::records::{UtilityNetwork, network_of, saved_network};
+use super::records::{UtilityNetwork, network_of};
 use super::settings::Settings;
 use super::windows::allocation::{AllocationCritic, AllocationNetworks, AllocationPolicy};
-use super::windows::low_level::coach::Coach;
-use super::windows::{self, ProposalAllocator};
+use super::windows::low_level::coach::{Coach, CoachShape};
+use super::windows::{self, PopArt, ProposalAllocator};
 
 /// A learned allocator.
 #[derive(Clone, Debug, PartialEq)]
@@ -90,12 +91,7 @@ impl Run {
                 let allocator = learns.then(|| average("allocator/average", shape)).transpose()?;
                 (agents, Vec::new(), None, allocator.map(RunAllocator::TeamValue))
             }
-            Settings::Windows(config) => (
-                saved_network(&found.checkpoint, "agents", "online")?,
-                windows::saved_memory_unit(&found.checkpoint, config)?,
-                windows::saved_coach(&found.checkpoint, config)?,
-                windows::saved_allocator(&found.checkpoint, config)?,
-            ),
+            Settings::Windows(config) => windows_networks(&found.checkpoint, config)?,
         };
         Ok(Self {
             description,
@@ -108,4 +104,41 @@ impl Run {
             refused: found.refused,
         })
     }
+}
+
+/// Agents, the recurrent unit of their memory, what tells them strategies, and what allocates them.
+type Networks = (UtilityNetwork, Vec<f32>, Option<Coach>, Option<RunAllocator>);
+
+/// What a run has learned from windows.
+fn windows_networks(
+    checkpoint: &Checkpoint,
+    config: &windows::Config,
+) -> Result<Networks, LearnError> {
+    let sizes = config.sizes(&config.environment.scenario_set()?);
+    let whole = |name: &str, count: usize| checkpoint.whole_vector(name, count);
+    let shape = config.low_level.shape(sizes);
+    let agents = network_of(checkpoint, "agents/online", shape)?;
+    let memory_unit = match config.low_level.recurrent {
+        true => whole("memory/online", lengths(config.low_level.base).iter().sum())?,
+        false => Vec::new(),
+    };
+    let coach = match config.coach.enabled {
+        true => {
+            let shape = CoachShape::of(&config.low_level, sizes);
+            Coach::from_parameters(shape, whole("coach/online", shape.parameters())?)
+        }
+        false => None,
+    };
+    if !config.learns_allocator() {
+        return Ok((agents, memory_unit, coach, None));
+    }
+    let shape = config.allocation_learning(sizes).shape;
+    let misfit = || LearnError::format(checkpoint.place(), "its allocator does not fit train.toml");
+    let critic = whole("critic/online", AllocationCritic::count(shape))?;
+    let policy = whole("policy/online", AllocationPolicy::count(shape))?;
+    // Which of two allocations is better does not depend on the units of their values.
+    let critic = AllocationCritic::from_parameters(shape, critic, PopArt::default());
+    let policy = AllocationPolicy::from_parameters(shape, policy);
+    let (critic, policy) = (critic.ok_or_else(misfit)?, policy.ok_or_else(misfit)?);
+    Ok((agents, memory_unit, coach, Some(RunAllocator::Proposals { policy, critic })))
 }

@@ -3,34 +3,32 @@
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
-use sortie_learn::LearnError;
-use sortie_learn::run::{
-    Configuration, CurvePoint, Observer, Outcome, RunDescription, read_description,
-};
+use sortie_learn::run::{Configuration, CurvePoint, Observer, Outcome, RunDescription};
 use sortie_learn::session::{Parts, Session};
+use sortie_learn::{LearnError, Method};
 
 use super::records::Records;
 use super::settings::Settings;
-use super::windows;
+use super::windows::WindowLearner;
 
-/// A run that learns from records or from windows.
+/// A run that learns.
 #[derive(Debug)]
 pub enum Trainer {
-    /// The preset `fast`.
-    Records(Box<Session<Settings>>),
-    /// The preset `paper`.
-    Windows(Box<windows::Trainer>),
+    /// ALMA, flat agents and COPA.
+    Alma(Box<Session<Settings>>),
     /// Any other method.
     Method(Box<Session>),
 }
 
 /// The world of a run, and what learns in it as it is before its first step.
 fn parts(description: &RunDescription<Settings>, threads: usize) -> Result<Parts, LearnError> {
-    let Settings::Records(config) = &description.config else {
-        return Err(LearnError::Config("windows are learned from elsewhere".to_owned()));
+    let (seed, threads) = (description.seed, threads.max(1));
+    let environment = Settings::environment(&description.config).open()?;
+    let method: Box<dyn Method> = match &description.config {
+        Settings::Records(config) => Box::new(Records::new(config, seed, threads)?),
+        Settings::Windows(config) => Box::new(WindowLearner::new(config, seed, threads)?),
     };
-    let method = Records::new(config, description.seed, threads.max(1))?;
-    Ok((Box::new(config.environment.open()?), Box::new(method)))
+    Ok((Box::new(environment), method))
 }
 
 impl Trainer {
@@ -41,35 +39,21 @@ impl Trainer {
         threads: usize,
         folder: &Path,
     ) -> Result<Self, LearnError> {
-        Ok(match settings {
-            Settings::Records(_) => {
-                settings.check()?;
-                let description = RunDescription::new(settings, seed, threads.max(1));
-                let (environment, method) = parts(&description, threads)?;
-                Self::Records(Box::new(Session::begin(description, environment, method, folder)?))
-            }
-            Settings::Windows(config) => {
-                Self::Windows(Box::new(windows::Trainer::new(config, seed, threads, folder)?))
-            }
-        })
+        settings.check()?;
+        let description = RunDescription::new(settings, seed, threads.max(1));
+        let (environment, method) = parts(&description, threads)?;
+        let session = Session::begin(description, environment, method, folder)?;
+        Ok(Self::Alma(Box::new(session)))
     }
 
     /// Continues a run from its newest sound checkpoint, exactly as if it had not been stopped.
     ///
     /// `threads` may differ from before; it changes no result. `None` takes as many as before.
     pub fn resume(folder: &Path, threads: Option<usize>) -> Result<Self, LearnError> {
-        let RunDescription { config, .. } = read_description::<Settings>(folder)?;
-        Ok(match config {
-            Settings::Records(_) => {
-                let session = Session::resume(folder, |description| {
-                    parts(description, threads.unwrap_or(description.threads))
-                })?;
-                Self::Records(Box::new(session))
-            }
-            Settings::Windows(_) => {
-                Self::Windows(Box::new(windows::Trainer::resume(folder, threads)?))
-            }
-        })
+        let session = Session::resume(folder, |description| {
+            parts(description, threads.unwrap_or(description.threads))
+        })?;
+        Ok(Self::Alma(Box::new(session)))
     }
 
     /// Learns until all steps are taken or `stop` is set, and writes a checkpoint at the end.
@@ -79,8 +63,7 @@ impl Trainer {
         stop: &AtomicBool,
     ) -> Result<Outcome, LearnError> {
         match self {
-            Self::Records(session) => session.run(observer, stop),
-            Self::Windows(trainer) => trainer.run(observer, stop),
+            Self::Alma(session) => session.run(observer, stop),
             Self::Method(session) => session.run(observer, stop),
         }
     }
@@ -88,15 +71,14 @@ impl Trainer {
     /// Environment steps of the whole run.
     pub fn steps(&self) -> u64 {
         match self {
-            Self::Records(session) => session.description().config.run().steps,
-            Self::Windows(trainer) => trainer.description().config.run.steps,
+            Self::Alma(session) => session.description().config.run().steps,
             Self::Method(session) => session.description().config.run.steps,
         }
     }
 
     /// The steps from which a learned allocator of the preset `fast` learns, and from which it decides.
     pub fn allocator_steps(&self) -> Option<[u64; 2]> {
-        let Self::Records(session) = self else { return None };
+        let Self::Alma(session) = self else { return None };
         let Settings::Records(config) = &session.description().config else { return None };
         let steps = [config.allocator.learns_from, config.allocator.decides_from];
         config.learns_allocator().then_some(steps)
@@ -105,8 +87,7 @@ impl Trainer {
     /// Environment steps taken.
     pub fn env_steps(&self) -> u64 {
         match self {
-            Self::Records(session) => session.env_steps(),
-            Self::Windows(trainer) => trainer.env_steps(),
+            Self::Alma(session) => session.env_steps(),
             Self::Method(session) => session.env_steps(),
         }
     }
@@ -114,8 +95,7 @@ impl Trainer {
     /// The evaluations up to now.
     pub fn curve(&self) -> &[CurvePoint] {
         match self {
-            Self::Records(session) => session.curve(),
-            Self::Windows(trainer) => trainer.curve(),
+            Self::Alma(session) => session.curve(),
             Self::Method(session) => session.curve(),
         }
     }
@@ -123,8 +103,7 @@ impl Trainer {
     /// Why newer checkpoints were passed over when the run was resumed.
     pub fn refused(&self) -> &[String] {
         match self {
-            Self::Records(session) => session.refused(),
-            Self::Windows(trainer) => trainer.refused(),
+            Self::Alma(session) => session.refused(),
             Self::Method(session) => session.refused(),
         }
     }

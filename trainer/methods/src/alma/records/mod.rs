@@ -41,7 +41,7 @@ pub use mixer::{Mixer, MixerKind, MixerPass, MixerShape, MixerTensor, Teams};
 pub use network_policy::NetworkPolicy;
 pub use replay::{AgentStep, BuildingStep, Record, RecordLayout, Replay, Sample};
 pub use rollout::{Behaviour, Memory, Rollout};
-pub(crate) use saved_network::{network_of, saved_network, saved_shape, saved_vector};
+pub(crate) use saved_network::{network_of, tensors};
 pub(crate) use team_batch::random_action;
 pub use team_batch::{INPUT_COLUMNS, NO_ACTION, TeamBatch, best_action};
 pub use temporal_difference::Chunk;

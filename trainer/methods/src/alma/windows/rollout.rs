@@ -1,22 +1,16 @@
 //! Acting while learning: rounds of whole episodes, one in each of several environments.
 
-use rand_core::Rng;
-use serde::{Deserialize, Serialize};
-use sortie_envs::Environment;
 use sortie_envs::random::chance;
-use sortie_envs::save_the_city::{
-    AllocationRule, City, DecisionPoints, SaveTheCity, ScenarioSet, UNASSIGNED,
-};
+use sortie_envs::save_the_city::{AllocationRule, City, DecisionPoints, UNASSIGNED, with_city};
+use sortie_learn::{LearnError, Scenes, Transition};
 use sortie_nn::random::Generator;
 
 use super::config::Config;
 use super::low_level::coach::Advice;
 use super::replay::{Episode, Moment};
+use crate::alma::cities::CityState;
 use crate::alma::evaluate::{Agents, Players, Scene};
 use crate::alma::records::{NO_ACTION, UtilityShape, best_action, random_action};
-use sortie_learn::LearnError;
-use sortie_learn::random::{Purpose, generator};
-use sortie_learn::run::EpisodeCounts;
 
 /// How much is tried out in a round.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -33,6 +27,9 @@ pub struct Exploration {
 pub trait Decide {
     /// Writes the building of every agent. `allocation` comes with what was in force before,
     /// [`UNASSIGNED`] at the first decision of an episode.
+    ///
+    /// # Errors
+    /// The allocator does not fit the environment.
     fn decide(
         &mut self,
         city: City<'_>,
@@ -56,247 +53,207 @@ impl Decide for AllocationRule {
 }
 
 /// What one environment remembers between steps.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct Instance {
     points: DecisionPoints,
-    tasks_changed: bool,
     decision: bool,
     allocation: Vec<u8>,
     last_actions: Vec<u8>,
     /// What a coach has told the agents, `[A, R]`; empty without one.
     strategies: Vec<f32>,
+    /// The state in which its agents act.
+    city: CityState,
     episode: Episode,
-    episode_return: f64,
 }
-
-/// The generators of all environments: all that outlives a round.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct RolloutGenerators(Vec<Generator>);
 
 /// The environments of a run and the buffers to act in them.
 #[derive(Debug)]
 pub struct Rollout {
-    city: SaveTheCity,
     instances: Vec<Instance>,
-    /// They draw episodes, collisions, allocations and exploration.
-    generators: RolloutGenerators,
     players: Players,
-    /// `[instances, A]`
-    actions: Vec<u16>,
+}
+
+/// Who acts and allocates in a round, and how much is tried out.
+pub struct Behaviour<'a> {
+    /// What the agents act by.
+    pub agents: Agents<'a>,
+    /// Who allocates them, if anybody does.
+    pub allocator: Option<&'a mut dyn Decide>,
+    /// How much is tried out.
+    pub exploration: Exploration,
+    /// Environment steps of the run when the round began.
+    pub added: u64,
 }
 
 impl Rollout {
-    /// Environments in which no episode runs yet.
-    pub fn new(config: &Config, shape: UtilityShape, seed: u64) -> Result<Self, LearnError> {
-        let set = ScenarioSet::named(&config.environment.set).map_err(LearnError::environment)?;
-        let (count, agents) = (config.environment.instances, set.max_agents);
-        let city = SaveTheCity::new(set, config.environment.constants, count, 0)
-            .map_err(LearnError::environment)?;
-        let instance = |_| Instance {
+    /// Environments with so many agents at most, in which no episode runs yet.
+    pub fn new(config: &Config, shape: UtilityShape, agents: usize) -> Self {
+        let instance = Instance {
             points: DecisionPoints::every(config.allocation.interval),
-            tasks_changed: false,
             decision: false,
             allocation: vec![UNASSIGNED; agents],
             last_actions: vec![NO_ACTION; agents],
             strategies: Vec::new(),
+            city: CityState::default(),
             episode: Episode::default(),
-            episode_return: 0.0,
         };
-        let generators = (0..count).map(|index| generator(seed, Purpose::Rollout, index as u64));
-        Ok(Self {
-            city,
-            instances: (0..count).map(instance).collect(),
-            generators: RolloutGenerators(generators.collect()),
+        Self {
+            instances: vec![instance; config.environment.instances],
             players: Players::new(config.low_level.conditioning, shape),
-            actions: vec![0; count * agents],
-        })
-    }
-
-    /// The generators, for a checkpoint between two rounds.
-    pub fn generators(&self) -> &RolloutGenerators {
-        &self.generators
-    }
-
-    /// Goes on with generators of a checkpoint.
-    pub fn restore(&mut self, generators: RolloutGenerators) -> Result<(), LearnError> {
-        if generators.0.len() != self.generators.0.len() {
-            return Err(LearnError::Config("the checkpoint has other environments".to_owned()));
         }
-        self.generators = generators;
-        Ok(())
     }
 
-    /// Plays one episode in every environment; `added` is the number of steps taken before.
+    /// Allocates and advises where that is due, and writes the actions `[scenes, A]` of all agents. Returns the number of
+    /// decisions.
     ///
-    /// Environments whose episode is over wait for the others, as in the public code.
-    pub fn round(
+    /// `random` draws allocations, advice and exploration of each instance.
+    ///
+    /// # Errors
+    /// Agents or allocator do not fit the environment.
+    pub fn act(
         &mut self,
-        agents: Agents<'_>,
-        allocator: Option<&mut dyn Decide>,
-        exploration: Exploration,
-        added: u64,
-        counts: &mut EpisodeCounts,
-    ) -> Result<Vec<Episode>, LearnError> {
-        let mut allocator = allocator;
-        let mut advice = agents.coach.map(Advice::new);
-        (0..self.instances.len()).for_each(|index| self.begin(index, added));
-        let mut running: Vec<usize> = (0..self.instances.len()).collect();
-        while !running.is_empty() {
-            if let Some(allocator) = &mut allocator {
-                self.decide(&running, &mut **allocator, exploration, counts)?;
+        scenes: &Scenes<'_>,
+        random: &mut [Generator],
+        mut behaviour: Behaviour<'_>,
+        actions: &mut [u16],
+    ) -> Result<u64, LearnError> {
+        let mut advice = behaviour.agents.coach.map(Advice::new);
+        let mut decided = 0;
+        for scene in scenes.scenes {
+            let (instance, generator) =
+                (&mut self.instances[scene.instance], &mut random[scene.instance]);
+            instance.city.read(scene.state);
+            if scene.begins {
+                instance.begin(behaviour.added);
+            }
+            if behaviour.allocator.is_none() && advice.is_none() {
+                continue;
+            }
+            instance.decision = instance.points.is_due(scene.tasks_changed);
+            if !instance.decision {
+                continue;
+            }
+            decided += 1;
+            let Instance { city, allocation, strategies, .. } = instance;
+            if let Some(allocator) = &mut behaviour.allocator {
+                allocator.decide(city.city(), behaviour.exploration, generator, allocation)?;
             }
             if let Some(advice) = &mut advice {
-                self.advise(&running, advice, counts);
-            }
-            self.choose(&running, agents, exploration.actions)?;
-            for index in &running {
-                self.advance(*index, counts)?;
-            }
-            running.retain(|index| !self.city.is_done(*index));
-        }
-        Ok(self.instances.iter_mut().map(|i| std::mem::take(&mut i.episode)).collect())
-    }
-
-    fn begin(&mut self, index: usize, added: u64) {
-        let mut random = sortie_envs::random::generator(self.generators.0[index].next_u64());
-        self.city.reset(index, &mut random);
-        let instance = &mut self.instances[index];
-        instance.points.restart();
-        instance.tasks_changed = false;
-        instance.decision = false;
-        instance.allocation.fill(UNASSIGNED);
-        instance.last_actions.fill(NO_ACTION);
-        instance.strategies.clear();
-        instance.episode_return = 0.0;
-        instance.episode.begin(self.city.city(index), added);
-    }
-
-    fn decide(
-        &mut self,
-        running: &[usize],
-        allocator: &mut dyn Decide,
-        exploration: Exploration,
-        counts: &mut EpisodeCounts,
-    ) -> Result<(), LearnError> {
-        for index in running {
-            let instance = &mut self.instances[*index];
-            instance.decision = instance.points.is_due(instance.tasks_changed);
-            if instance.decision {
-                let (city, generator) = (self.city.city(*index), &mut self.generators.0[*index]);
-                allocator.decide(city, exploration, generator, &mut instance.allocation)?;
-                counts.decisions += 1;
+                advice.draw(city.city(), generator, strategies);
             }
         }
-        Ok(())
-    }
-
-    /// Lets a coach tell the agents where a decision is due.
-    fn advise(&mut self, running: &[usize], advice: &mut Advice<'_>, counts: &mut EpisodeCounts) {
-        for index in running {
-            let instance = &mut self.instances[*index];
-            instance.decision = instance.points.is_due(instance.tasks_changed);
-            if instance.decision {
-                let (city, generator) = (self.city.city(*index), &mut self.generators.0[*index]);
-                advice.draw(city, generator, &mut instance.strategies);
-                counts.decisions += 1;
-            }
-        }
+        self.choose(scenes, random, &behaviour, actions)?;
+        Ok(decided)
     }
 
     /// Writes the actions of all agents: the best by their utilities, or a random one.
     fn choose(
         &mut self,
-        running: &[usize],
-        agents: Agents<'_>,
-        epsilon: f32,
+        scenes: &Scenes<'_>,
+        random: &mut [Generator],
+        behaviour: &Behaviour<'_>,
+        actions: &mut [u16],
     ) -> Result<(), LearnError> {
-        let Self { city, instances, generators, players, actions, .. } = self;
-        let scene = |index: &usize| {
-            let Instance { allocation, last_actions, strategies, .. } = &instances[*index];
-            let city = city.city(*index);
-            Scene { world: *index, city, allocation, last_actions, strategies }
+        let Self { instances, players } = self;
+        let scene = |scene: &sortie_learn::Scene<'_>| {
+            let Instance { allocation, last_actions, strategies, city, .. } =
+                &instances[scene.instance];
+            Scene { world: scene.instance, city: city.city(), allocation, last_actions, strategies }
         };
-        let scenes: Vec<Scene<'_>> = running.iter().map(scene).collect();
-        let slots = city.shape().agents;
+        let shown: Vec<Scene<'_>> = scenes.scenes.iter().map(scene).collect();
+        let slots = scenes.environment.spec().shape.agents;
+        let epsilon = behaviour.exploration.actions;
         actions.fill(0);
-        players.act(agents, &scenes, slots, |place, agent, utilities| {
-            let available = scenes[place].city.agents[agent].available;
-            let generator = &mut generators.0[running[place]];
+        players.act(behaviour.agents, &shown, slots, |place, agent, utilities| {
+            let available = shown[place].city.agents[agent].available;
+            let generator = &mut random[shown[place].world];
             let action = if chance(generator, epsilon.into()) {
                 random_action(available, generator)
             } else {
                 best_action(utilities, available)
             };
-            actions[running[place] * slots + agent] = action.into();
+            actions[place * slots + agent] = action.into();
         })
     }
 
-    fn advance(&mut self, index: usize, counts: &mut EpisodeCounts) -> Result<(), LearnError> {
-        let instance = &mut self.instances[index];
-        let agents = self.city.shape().agents;
-        let actions = &self.actions[index * agents..][..agents];
-        let Instance { allocation, decision, episode, .. } = instance;
-        let (city, decision) = (self.city.city(index), *decision);
-        episode.push_state(Moment { city, allocation, decision, actions });
-
-        let generator = &mut self.generators.0[index];
-        let outcome = self.city.step(index, actions, generator)?;
-        episode.push_rewards(outcome.reward, self.city.task_rewards(index));
-        instance.episode_return += outcome.reward;
-        instance.tasks_changed = outcome.tasks_changed;
-        for (last, action) in instance.last_actions.iter_mut().zip(actions) {
+    /// Writes down a step.
+    pub fn remember(&mut self, transition: &Transition<'_>) {
+        let Transition { actions, step, .. } = *transition;
+        let Instance { allocation, decision, last_actions, city, episode, .. } =
+            &mut self.instances[transition.instance];
+        let moment = Moment { city: city.city(), allocation, decision: *decision, actions };
+        episode.push_state(moment);
+        episode.push_rewards(step.reward, transition.task_rewards);
+        for (last, action) in last_actions.iter_mut().zip(actions) {
             *last = *action as u8;
         }
-        if outcome.done() {
-            let Instance { allocation, episode, episode_return, .. } = instance;
-            let city = self.city.city(index);
-            let actions = &self.actions[index * agents..][..agents];
-            episode.push_state(Moment { city, allocation, decision: false, actions });
-            episode.terminated = outcome.terminated;
-            counts.episodes += 1;
-            counts.solved += u64::from(self.city.metrics(index).solved);
-            counts.timed_out += u64::from(outcome.timed_out);
-            counts.return_sum += *episode_return;
+        if step.done() {
+            with_city(transition.next, |city| {
+                episode.push_state(Moment { city, allocation, decision: false, actions });
+            });
+            episode.terminated = step.terminated;
         }
-        Ok(())
+    }
+
+    /// The episodes of the round that is over, in the order of the instances.
+    pub fn take_episodes(&mut self) -> impl Iterator<Item = Episode> {
+        self.instances.iter_mut().map(|instance| std::mem::take(&mut instance.episode))
+    }
+}
+
+impl Instance {
+    /// The first state of an episode has been read.
+    fn begin(&mut self, added: u64) {
+        self.points.restart();
+        self.decision = false;
+        self.allocation.fill(UNASSIGNED);
+        self.last_actions.fill(NO_ACTION);
+        self.strategies.clear();
+        self.episode.begin(self.city.city(), added);
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::alma::records::{Conditioning, INPUT_COLUMNS, UtilityNetwork};
-    use crate::alma::windows::low_level::{LowLevel, TaskOrder, agent_utilities};
-    use crate::alma::windows::{Replay, SampleShape, Shaping, cut_windows};
+    use crate::alma::records::Conditioning;
+    use crate::alma::windows::low_level::{TaskOrder, agent_utilities};
+    use crate::alma::windows::{SampleShape, Shaping, WindowLearner, cut_windows};
     use sortie_envs::save_the_city::ACTIONS;
+    use sortie_learn::Now;
+    use sortie_learn::play::Play;
+    use sortie_learn::random::{Purpose, generator};
+    use sortie_learn::run::EpisodeCounts;
+
+    /// Small networks, and agents that act at random half of the time.
+    fn config(by: &str, instances: usize, episode_limit: u32) -> Config {
+        let mut config = Config::default();
+        config.allocation.by = by.to_owned();
+        config.environment.instances = instances;
+        config.environment.constants.episode_limit = episode_limit;
+        (config.low_level.width, config.low_level.base) = (8, 8);
+        (config.exploration.actions.start, config.exploration.actions.end) = (0.5, 0.5);
+        config
+    }
+
+    /// Plays a round and keeps its episodes.
+    fn play(config: &Config, counts: &mut EpisodeCounts) -> WindowLearner {
+        let mut method = WindowLearner::new(config, 5, 1).unwrap();
+        let stream = |index| generator(5, Purpose::Rollout, index as u64);
+        let random = (0..config.environment.instances).map(stream).collect();
+        let mut play = Play::new(&config.environment.open().unwrap(), &mut method, random);
+        play.round(&mut method, Now { env_steps: 7, of: 100 }, counts).unwrap();
+        method.keep_episodes();
+        method
+    }
 
     #[test]
     fn a_round_plays_whole_episodes_and_decides_by_the_rules() {
-        let mut config = Config::default();
-        config.environment.instances = 3;
-        config.environment.constants.episode_limit = 30;
-        let shape = UtilityShape {
-            input: INPUT_COLUMNS,
-            width: 8,
-            heads: 4,
-            base: 8,
-            actions: ACTIONS,
-            skip: false,
-        };
-        let mut weights = generator(1, Purpose::Weights, 0);
-        let agents = UtilityNetwork::initialise(shape, 8.0, &mut weights);
-        let players = Agents::new(&agents);
-        let mut rollout = Rollout::new(&config, shape, 5).unwrap();
         let mut counts = EpisodeCounts::default();
-        let exploration = Exploration { actions: 0.5, ..Exploration::default() };
-        let mut play = |rollout: &mut Rollout| {
-            let rule: &mut dyn Decide = &mut AllocationRule::Heuristic;
-            rollout.round(players, Some(rule), exploration, 7, &mut counts).unwrap()
-        };
-        let before = rollout.generators().clone();
-        let episodes = play(&mut rollout);
-        assert_eq!(episodes.len(), 3);
-        for episode in &episodes {
+        let method = play(&config("heuristic", 3, 30), &mut counts);
+        let episodes = method.replay.episodes();
+        assert_eq!((episodes.len(), counts.episodes), (3, 3));
+        for episode in episodes {
             assert_eq!((episode.states(), episode.added), (episode.steps() + 1, 7));
             assert!(episode.terminated || episode.steps() == 30);
             let mut since = 0;
@@ -309,9 +266,6 @@ mod tests {
             }
             assert!(!episode.decision(episode.steps()), "the final state decides nothing");
         }
-        rollout.restore(before).unwrap();
-        assert_eq!(play(&mut rollout), episodes, "the generators are all that outlives a round");
-        assert_eq!(counts.episodes, 6);
     }
 
     #[test]
@@ -322,24 +276,13 @@ mod tests {
             (Conditioning::None, false),
             (Conditioning::Mask, true),
         ] {
-            let mut config = Config::default();
+            let mut config = config("random", 2, 20);
             config.low_level.recurrent = recurrent;
-            config.environment.instances = 2;
-            config.environment.constants.episode_limit = 20;
             config.low_level.conditioning = conditioning;
-            (config.low_level.width, config.low_level.base) = (8, 8);
-            let set = ScenarioSet::named(&config.environment.set).unwrap();
-            let sizes = config.sizes(&set);
-            let mut weights = generator(1, Purpose::Weights, 0);
-            let level = LowLevel::new(config.low_level.clone(), sizes, &mut weights);
+            let WindowLearner { low_level: level, replay, .. } =
+                play(&config, &mut EpisodeCounts::default());
             let shape = level.online.agents.shape();
-            let mut rollout = Rollout::new(&config, shape, 5).unwrap();
-            let exploration = Exploration { actions: 0.5, ..Exploration::default() };
-            let rule: &mut dyn Decide = &mut AllocationRule::Random;
-            let counts = &mut EpisodeCounts::default();
-            let played = rollout.round(level.players(), Some(rule), exploration, 0, counts);
-            let mut replay = Replay::new(2);
-            played.unwrap().into_iter().for_each(|episode| replay.push(episode));
+            let mut weights = generator(1, Purpose::Weights, 0);
 
             let shaping = Shaping::default();
             let sample = SampleShape { windows: 2, steps: 64, agents: 5, tasks: 6, shaping };

@@ -10,20 +10,7 @@ use sortie_nn::random::Generator;
 
 use super::super::batch::WindowShape;
 use super::config::LowLevelConfig;
-use crate::alma::records::{UtilityNetwork, UtilityShape};
-
-/// The sizes of the utility network in an environment of these sizes.
-pub(super) fn utility_shape(config: &LowLevelConfig, sizes: WindowShape) -> UtilityShape {
-    let marks = config.conditioning.task_columns(sizes.tasks + config.extra_tasks);
-    UtilityShape {
-        input: sizes.features + sizes.actions + marks,
-        width: config.width,
-        heads: config.heads,
-        base: config.base,
-        actions: sizes.actions,
-        skip: config.skip,
-    }
-}
+use crate::alma::records::UtilityNetwork;
 
 /// Draws a network uniformly in `±1/sqrt(inputs of the layer)`, as PyTorch does, of the embedding's first
 /// layer as configured; marks are a layer of their own.
@@ -32,7 +19,7 @@ pub(super) fn initialise(
     sizes: WindowShape,
     generator: &mut Generator,
 ) -> UtilityNetwork {
-    let shape = utility_shape(config, sizes);
+    let shape = config.shape(sizes);
     let features = sizes.features + sizes.actions;
     let active = if config.active_inputs > 0.0 { config.active_inputs } else { features as f32 };
     let mut network = UtilityNetwork::initialise(shape, active, generator);

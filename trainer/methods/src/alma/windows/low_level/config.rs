@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 use super::super::batch::WindowShape;
 use super::hypernetwork::HypernetworkShape;
 use super::mixer::{MixerShape, Nonnegative};
-use crate::alma::records::Conditioning;
 use crate::alma::records::config::ReturnsConfig;
+use crate::alma::records::{Conditioning, UtilityShape};
 
 /// When the PopArt head is rescaled to new statistics.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -95,6 +95,19 @@ impl Default for LowLevelConfig {
 }
 
 impl LowLevelConfig {
+    /// The sizes of the agents' network in an environment of these sizes.
+    pub fn shape(&self, sizes: WindowShape) -> UtilityShape {
+        let marks = self.conditioning.task_columns(sizes.tasks + self.extra_tasks);
+        UtilityShape {
+            input: sizes.features + sizes.actions + marks,
+            width: self.width,
+            heads: self.heads,
+            base: self.base,
+            actions: sizes.actions,
+            skip: self.skip,
+        }
+    }
+
     /// The sizes of the mixer in an environment of these sizes.
     pub fn mixer(&self, sizes: WindowShape) -> MixerShape {
         let tasks = if self.conditioning.has_subtasks() { sizes.tasks } else { 1 };

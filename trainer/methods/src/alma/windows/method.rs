@@ -1,0 +1,299 @@
+//! Learning from windows as a [`Method`]: rounds of episodes, and as many updates of both levels.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use sortie_envs::{Environment, Random};
+use sortie_learn::random::{Purpose, generator};
+use sortie_learn::run::{Rates, Reports, UpdateReport};
+use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition};
+use sortie_nn::random::Generator;
+
+use super::allocation::{AllocationLevel, AllocationState};
+use super::config::Config;
+use super::deciding::ProposalAllocator;
+use super::low_level::LowLevel;
+use super::low_level::coach::Coaching;
+use super::replay::Replay;
+use super::rollout::{Behaviour, Decide, Rollout};
+use super::sampling::{SampleShape, Shaping, cut_windows, draw_episodes};
+use crate::alma::evaluate::{Allocate, AllocatedTeam, NetworkTeam, NoSubtasks};
+use crate::alma::records::config::{Allocation, ReturnsConfig};
+use crate::alma::records::{UtilityNetwork, tensors};
+use crate::alma::run::Run;
+
+/// Episodes since the run began, and when target networks were renewed last.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+struct Episodes {
+    played: u64,
+    agents_copied: u64,
+    critic_copied: u64,
+}
+
+/// Agents with their mixer, and where the run learns one, their allocator.
+#[derive(Debug)]
+pub struct WindowLearner {
+    config: Config,
+    threads: usize,
+    /// Agents, mixer and coach.
+    pub low_level: LowLevel,
+    /// There is one if the run learns to allocate.
+    pub allocation: Option<AllocationLevel>,
+    rollout: Rollout,
+    /// Whole episodes.
+    pub replay: Replay,
+    /// What every update draws.
+    sample: SampleShape,
+    /// Draws episodes, windows and everything that an update needs.
+    generator: Generator,
+    episodes: Episodes,
+    /// Decisions that were not reported yet.
+    decisions: u64,
+}
+
+impl WindowLearner {
+    /// Draws the first weights.
+    ///
+    /// # Errors
+    /// There is no such set of starts.
+    pub fn new(config: &Config, seed: u64, threads: usize) -> Result<Self, LearnError> {
+        let set = config.environment.scenario_set()?;
+        let sizes = config.sizes(&set);
+        let mut weights = generator(seed, Purpose::Weights, 0);
+        let mut low_level = LowLevel::new(config.low_level.clone(), sizes, &mut weights);
+        if config.coach.enabled {
+            low_level.add_coach(config.coach, &mut weights);
+        }
+        let learning = config.learns_allocator().then(|| config.allocation_learning(sizes));
+        Ok(Self {
+            rollout: Rollout::new(config, low_level.online.agents.shape(), set.max_agents),
+            allocation: learning.map(|learning| AllocationLevel::new(learning, seed)),
+            replay: Replay::new(config.learning.episodes),
+            sample: SampleShape {
+                windows: config.learning.windows,
+                steps: config.learning.steps,
+                agents: sizes.agents,
+                tasks: sizes.tasks,
+                shaping: Shaping::default(),
+            },
+            generator: generator(seed, Purpose::Replay, 0),
+            episodes: Episodes::default(),
+            decisions: 0,
+            config: config.clone(),
+            threads,
+            low_level,
+        })
+    }
+
+    /// Keeps the episodes of the round that is over.
+    pub fn keep_episodes(&mut self) {
+        let Self { rollout, replay, .. } = self;
+        rollout.take_episodes().for_each(|episode| replay.push(episode));
+    }
+
+    /// One update of each level that has enough to learn from.
+    fn update_once(&mut self, now: u64, reports: &mut Reports) {
+        let Self { config, sample, generator, replay, threads, .. } = self;
+        let drawn = if config.low_level.frozen {
+            None
+        } else {
+            draw_episodes(replay, sample.windows, generator, |_| true)
+        };
+        if let Some(drawn) = drawn {
+            let ReturnsConfig { shaping: cell, discount, .. } = config.low_level.returns;
+            let shaped = SampleShape { shaping: Shaping { cell, discount }, ..*sample };
+            let windows = cut_windows(replay, &drawn, shaped, generator);
+            let report = self.low_level.learn(&windows, *threads, generator);
+            let report = UpdateReport { loss: report.loss, gradient_norm: report.gradient_norm };
+            reports.agents.push(report);
+        }
+        let Some(allocation) = &mut self.allocation else { return };
+        let recent = |added: u64| now - added <= config.allocation.oldest;
+        let drawn = draw_episodes(replay, sample.windows, generator, |e| recent(e.added));
+        if let Some(drawn) = drawn {
+            let windows = cut_windows(replay, &drawn, *sample, generator);
+            if let Some(report) = allocation.learn(&windows, now, generator, *threads) {
+                let (loss, gradient_norm) = (report.critic_loss, report.critic_norm);
+                reports.allocator.push(UpdateReport { loss, gradient_norm });
+            }
+        }
+    }
+
+    /// Renews target networks whose time has come.
+    fn copy_targets(&mut self) {
+        let learning = &self.config.learning;
+        let Episodes { played, agents_copied, critic_copied } = &mut self.episodes;
+        if *played >= *agents_copied + learning.copy_agents_every {
+            *agents_copied = *played;
+            self.low_level.copy_target();
+        }
+        if *played >= *critic_copied + learning.copy_critic_every {
+            *critic_copied = *played;
+            self.allocation.iter_mut().for_each(AllocationLevel::copy_target);
+        }
+    }
+
+    /// Who allocates where the team is measured.
+    fn measured_allocator(&self) -> Box<dyn Allocate + '_> {
+        let has_subtasks = self.config.low_level.conditioning.has_subtasks();
+        match (self.config.allocation(), &self.allocation) {
+            (Ok(Allocation::Rule(rule)), _) if has_subtasks => Box::new(rule),
+            (Ok(Allocation::Learned), Some(level)) => {
+                let proposals = self.config.allocation.proposals;
+                Box::new(ProposalAllocator::new(level.networks(), proposals))
+            }
+            // Whoever is measured under learned allocation learns it.
+            _ => Box::new(NoSubtasks),
+        }
+    }
+}
+
+impl Method for WindowLearner {
+    /// As in the public code.
+    fn waits(&self) -> bool {
+        true
+    }
+
+    fn act(
+        &mut self,
+        scenes: &Scenes<'_>,
+        now: Now,
+        random: &mut [Random],
+        actions: &mut [u16],
+    ) -> Result<(), LearnError> {
+        let config = &self.config;
+        let proposals = config.allocation.proposals;
+        let level = self.allocation.as_ref();
+        let mut learned = level.map(|level| ProposalAllocator::new(level.networks(), proposals));
+        let mut rule = match config.allocation()? {
+            Allocation::Rule(rule) if config.low_level.conditioning.has_subtasks() => Some(rule),
+            Allocation::Rule(_) | Allocation::Learned => None,
+        };
+        let allocator: Option<&mut dyn Decide> = match (&mut learned, &mut rule) {
+            (Some(learned), _) => Some(learned),
+            (None, rule) => rule.as_mut().map(|rule| rule as &mut dyn Decide),
+        };
+        let behaviour = Behaviour {
+            agents: self.low_level.players(),
+            allocator,
+            exploration: config.exploration.at(now.env_steps),
+            added: now.env_steps,
+        };
+        self.decisions += self.rollout.act(scenes, random, behaviour, actions)?;
+        Ok(())
+    }
+
+    fn remember(&mut self, transition: &Transition<'_>) -> Result<(), LearnError> {
+        self.rollout.remember(transition);
+        Ok(())
+    }
+
+    /// As many updates of each level as episodes were played.
+    fn update(
+        &mut self,
+        _: &dyn Environment,
+        now: Now,
+        reports: &mut Reports,
+    ) -> Result<(), LearnError> {
+        reports.decisions += std::mem::take(&mut self.decisions);
+        self.keep_episodes();
+        let instances = self.config.environment.instances;
+        for _ in 0..instances {
+            (0..self.config.learning.updates)
+                .for_each(|_| self.update_once(now.env_steps, reports));
+            self.copy_targets();
+        }
+        self.episodes.played += instances as u64;
+        Ok(())
+    }
+
+    fn rates(&self, now: Now) -> Rates {
+        Rates {
+            epsilon: self.config.exploration.at(now.env_steps).actions,
+            learning_rate: self.config.low_level.learning_rate,
+        }
+    }
+
+    fn team(&self) -> Box<dyn Act + '_> {
+        let Config { low_level, allocation, .. } = &self.config;
+        let agents = self.low_level.players();
+        let team = Box::new(NetworkTeam::conditioned(agents, low_level.conditioning));
+        Box::new(AllocatedTeam::new(team, self.measured_allocator(), allocation.interval))
+    }
+
+    fn allocation(&self) -> &str {
+        self.config.measured_allocation()
+    }
+
+    /// Begins with the agents of another run, of any preset.
+    fn take_over(&mut self, folder: &Path) -> Result<(), LearnError> {
+        let run = Run::open(folder)?;
+        let LowLevel { online, target, .. } = &mut self.low_level;
+        let shape = |agents: &UtilityNetwork, unit: &[f32]| (agents.shape(), unit.len());
+        if shape(&run.network, &run.memory_unit) != shape(&online.agents, &online.gru) {
+            let hint = online.agents.shape().hint_to_become(run.network.shape(), "low_level.skip");
+            let reason = format!("`run.from` has agents of another shape{hint}");
+            return Err(LearnError::Config(reason));
+        }
+        (target.agents, target.gru) = (run.network.clone(), run.memory_unit.clone());
+        (online.agents, online.gru) = (run.network, run.memory_unit);
+        Ok(())
+    }
+
+    /// Between two rounds no episode runs, so that instances remember nothing.
+    fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
+        low_level_state(&mut self.low_level, state)?;
+        if let Some(level) = &mut self.allocation {
+            allocation_state(level, state)?;
+        }
+        state.value("episodes", &mut self.episodes)?;
+        state.value("generator", &mut self.generator)?;
+        state.value("replay", &mut self.replay)
+    }
+}
+
+/// Names the networks of agents, mixer and coach with their optimisers.
+fn low_level_state(level: &mut LowLevel, state: &mut State<'_>) -> Result<(), LearnError> {
+    let LowLevel { online, target, optimisers: [agents, memory, mixer], coaching, .. } = level;
+    let tensors = tensors(online.agents.shape());
+    for (name, networks) in [("online", online), ("target", target)] {
+        state.tensors(&format!("agents/{name}"), &tensors, networks.agents.parameters_mut())?;
+        state.vector(&format!("mixer/{name}"), networks.mixer.parameters_mut())?;
+        if !networks.gru.is_empty() {
+            state.vector(&format!("memory/{name}"), &mut networks.gru)?;
+        }
+        state.value(&format!("mixer/{name}-statistics"), &mut networks.popart)?;
+    }
+    state.tensors("agents/square", &tensors, &mut agents.square)?;
+    state.vector("mixer/square", &mut mixer.square)?;
+    if !memory.square.is_empty() {
+        state.vector("memory/square", &mut memory.square)?;
+    }
+    let Some(coaching) = coaching else { return Ok(()) };
+    let Coaching { online, target, recognition, optimisers: [of_coach, of_recognition], .. } =
+        coaching;
+    state.vector("coach/online", online.parameters_mut())?;
+    state.vector("coach/target", target.parameters_mut())?;
+    state.vector("coach/square", &mut of_coach.square)?;
+    state.vector("recognition/online", recognition.parameters_mut())?;
+    state.vector("recognition/square", &mut of_recognition.square)
+}
+
+/// The same of critic and policy.
+fn allocation_state(level: &mut AllocationLevel, state: &mut State<'_>) -> Result<(), LearnError> {
+    let mut own = level.state();
+    let AllocationState { critic, target, policy, critic_square, policy_square, .. } = &mut own;
+    state.vector("critic/online", critic)?;
+    state.vector("critic/target", target)?;
+    state.vector("critic/square", critic_square)?;
+    state.vector("policy/online", policy)?;
+    state.vector("policy/square", policy_square)?;
+    state.value("critic/online-statistics", &mut own.popart)?;
+    state.value("critic/target-statistics", &mut own.target_popart)?;
+    if state.is_reading() {
+        let restored = AllocationLevel::restore(*level.learning(), own);
+        let misfit = "the checkpoint's allocator does not fit train.toml";
+        *level = restored.ok_or_else(|| LearnError::Config(misfit.to_owned()))?;
+    }
+    Ok(())
+}
