@@ -3,6 +3,7 @@
 mod configuration;
 mod method;
 mod reporter;
+mod running;
 mod seeds;
 
 use std::path::{Path, PathBuf};
@@ -18,7 +19,7 @@ use sortie_learn::run::{
     Configuration, Outcome as Ending, RunDescription, method_of, prolong, replace_products,
 };
 use sortie_learn::session::{MethodEntry, Session, Setup};
-use sortie_methods::alma::Trainer;
+use sortie_methods::alma;
 use sortie_methods::alma::settings::Settings;
 
 use crate::allocation::Allocation;
@@ -31,6 +32,7 @@ use crate::signals::stop_on_signals;
 use configuration::{configuration, setup};
 use method::Method;
 use reporter::Reporter;
+use running::Running;
 
 /// Learn a team's policy and write the run to a folder
 ///
@@ -198,7 +200,7 @@ fn sweep<C: Configuration + Sync>(
 }
 
 /// A new run, or one to go on with, and its folder.
-fn trainer(arguments: &TrainArguments) -> Result<(Trainer, PathBuf), Failure> {
+fn trainer(arguments: &TrainArguments) -> Result<(Running, PathBuf), Failure> {
     let Some(folder) = &arguments.resume else {
         let folder = arguments.out.clone().unwrap_or_default();
         return Ok((begun(arguments, &folder)?, folder));
@@ -220,29 +222,30 @@ fn trainer(arguments: &TrainArguments) -> Result<(Trainer, PathBuf), Failure> {
     }
 }
 
-fn begun(arguments: &TrainArguments, folder: &Path) -> Result<Trainer, Failure> {
+fn begun(arguments: &TrainArguments, folder: &Path) -> Result<Running, Failure> {
     let (seed, threads) = (arguments.common.seed, arguments.threads.unwrap_or(cores()));
     Ok(match arguments.method {
         Method::Alma(method) => {
-            Trainer::new(configuration(method, arguments)?, seed, threads, folder)?
+            let settings = configuration(method, arguments)?;
+            Running::Alma(Box::new(alma::begin(settings, seed, threads, folder)?))
         }
         Method::Any(entry) => {
             let description = RunDescription::new(setup(entry, arguments)?, seed, threads);
             let (environment, method) = methods::open(entry, &description, threads)?;
             let session = Session::begin(description, environment, method, folder)?;
-            Trainer::Method(Box::new(session))
+            Running::Method(Box::new(session))
         }
     })
 }
 
-fn resumed(arguments: &TrainArguments, folder: &Path) -> Result<Trainer, LearnError> {
+fn resumed(arguments: &TrainArguments, folder: &Path) -> Result<Running, LearnError> {
     let Method::Any(entry) = arguments.method else {
-        return Trainer::resume(folder, arguments.threads);
+        return Ok(Running::Alma(Box::new(alma::resume(folder, arguments.threads)?)));
     };
     let session = Session::resume(folder, |description| {
         methods::open(entry, description, arguments.threads.unwrap_or(description.threads))
     })?;
-    Ok(Trainer::Method(Box::new(session)))
+    Ok(Running::Method(Box::new(session)))
 }
 
 /// Changes what may be changed of a run that is gone on with.

@@ -3,8 +3,8 @@
 use console::Term;
 use indicatif::{HumanCount, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use sortie_learn::run::{CurvePoint, Observer, Progress, RunResult, TrainingPoint};
-use sortie_methods::alma::Trainer;
 
+use super::running::Running;
 use crate::options::Common;
 use crate::output::{print_json, say, tell};
 use crate::terminal_curve::terminal_curve;
@@ -25,7 +25,7 @@ pub(super) struct Reporter {
 }
 
 impl Reporter {
-    pub(super) fn new(trainer: &Trainer, common: Common) -> Self {
+    pub(super) fn new(trainer: &Running, common: Common) -> Self {
         let hidden = common.json || common.quiet;
         let target =
             if hidden { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
@@ -91,7 +91,7 @@ impl Drop for Reporter {
 }
 
 /// Says when a learned allocator begins its work, of which a short run sees little.
-fn tell_of_allocator(trainer: &Trainer) {
+fn tell_of_allocator(trainer: &Running) {
     let Some([learns, decides]) = trainer.allocator_steps() else { return };
     let (learns, decides) = (HumanCount(learns), HumanCount(decides));
     tell!("the allocator learns from step {learns} on and decides from step {decides} on");

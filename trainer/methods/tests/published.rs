@@ -6,11 +6,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use sortie_envs::save_the_city::AllocationRule;
 use sortie_learn::LearnError;
 use sortie_learn::run::{CurvePoint, Observer, Outcome, Progress};
+use sortie_learn::session::Session;
+use sortie_methods::alma;
 use sortie_methods::alma::evaluate::{EvaluationPlan, NoSubtasks, evaluate};
 use sortie_methods::alma::export::check_exportable;
 use sortie_methods::alma::run::{Run, RunAllocator};
+use sortie_methods::alma::settings::Settings;
 use sortie_methods::alma::windows::Config;
-use sortie_methods::alma::{Settings, Trainer};
 
 /// A run of a few seconds.
 fn config() -> Config {
@@ -41,9 +43,11 @@ fn config() -> Config {
     config
 }
 
+type Trainer = Session<Settings>;
+
 /// A run in a new folder.
 fn begin(config: Config, seed: u64, threads: usize, folder: &Path) -> Result<Trainer, LearnError> {
-    Trainer::new(Settings::Windows(config), seed, threads, folder)
+    alma::begin(Settings::Windows(config), seed, threads, folder)
 }
 
 /// Sets the stop flag at some steps, and notes what it is told.
@@ -104,7 +108,7 @@ fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
     let mut trainer = begin(config(), 5, 1, folder.path()).unwrap();
     assert_eq!(run(&mut trainer, 300).0, Outcome::Stopped);
     drop(trainer);
-    let mut trainer = Trainer::resume(folder.path(), Some(2)).unwrap();
+    let mut trainer = alma::resume(folder.path(), Some(2)).unwrap();
     let (outcome, tensors, _) = run(&mut trainer, u64::MAX);
     assert_eq!(outcome, Outcome::Finished);
     assert!(tensors == whole_run(config(), 5, 1).0, "the resumed run has other weights");
@@ -134,7 +138,7 @@ fn a_coach_learns_the_same_with_any_number_of_threads_and_when_resumed() {
     assert_eq!(run(&mut trainer, 500).0, Outcome::Stopped);
     assert!(trainer.curve().last().is_some_and(|point| point.updates > 0));
     drop(trainer);
-    let mut trainer = Trainer::resume(folder.path(), Some(2)).unwrap();
+    let mut trainer = alma::resume(folder.path(), Some(2)).unwrap();
     let (outcome, tensors, _) = run(&mut trainer, u64::MAX);
     assert_eq!(outcome, Outcome::Finished);
     assert!(tensors == one, "the resumed run has other weights");
@@ -189,7 +193,7 @@ fn agents_with_a_memory_are_saved_resumed_and_measured() {
     let mut trainer = begin(config.clone(), 5, 1, folder.path()).unwrap();
     assert_eq!(run(&mut trainer, 200).0, Outcome::Stopped);
     drop(trainer);
-    let mut trainer = Trainer::resume(folder.path(), Some(2)).unwrap();
+    let mut trainer = alma::resume(folder.path(), Some(2)).unwrap();
     let (_, tensors, curve) = run(&mut trainer, u64::MAX);
     assert!(tensors == whole_run(config, 5, 1).0, "the resumed run has other weights");
 

@@ -6,7 +6,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use sortie_envs::save_the_city::AllocationRule;
 use sortie_learn::LearnError;
 use sortie_learn::run::{Observer, Outcome, Progress};
-use sortie_methods::alma::Trainer;
+use sortie_learn::session::Session;
+use sortie_methods::alma;
 use sortie_methods::alma::evaluate::{EvaluationPlan, evaluate};
 use sortie_methods::alma::records::Config;
 use sortie_methods::alma::run::Run;
@@ -50,9 +51,11 @@ fn with(assignments: &[&str]) -> Config {
     config
 }
 
+type Trainer = Session<Settings>;
+
 /// A run in a new folder.
 fn begin(config: Config, seed: u64, threads: usize, folder: &Path) -> Result<Trainer, LearnError> {
-    Trainer::new(Settings::Records(config), seed, threads, folder)
+    alma::begin(Settings::Records(config), seed, threads, folder)
 }
 
 /// Sets the stop flag at some steps, and notes what it is told.
@@ -110,10 +113,10 @@ fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
     let mut trainer = begin(config(), 5, 1, folder.path()).unwrap();
     assert_eq!(run(&mut trainer, 1500).0, Outcome::Stopped);
     drop(trainer);
-    let mut trainer = Trainer::resume(folder.path(), Some(2)).unwrap();
+    let mut trainer = alma::resume(folder.path(), Some(2)).unwrap();
     assert_eq!(run(&mut trainer, 2500).0, Outcome::Stopped);
     drop(trainer);
-    let mut trainer = Trainer::resume(folder.path(), None).unwrap();
+    let mut trainer = alma::resume(folder.path(), None).unwrap();
     let (outcome, tensors, evaluated) = run(&mut trainer, u64::MAX);
     assert_eq!((outcome, &evaluated[..]), (Outcome::Finished, &[3000, 3200][..]));
     assert!(tensors == whole_run(5, 1), "the resumed run has other weights");
@@ -153,7 +156,7 @@ fn every_way_to_learn_resumes_exactly() {
         let mut trainer = begin(config.clone(), 5, 2, stopped.path()).unwrap();
         assert_eq!(run(&mut trainer, 900).0, Outcome::Stopped);
         drop(trainer);
-        let mut trainer = Trainer::resume(stopped.path(), Some(1)).unwrap();
+        let mut trainer = alma::resume(stopped.path(), Some(1)).unwrap();
         assert_eq!(run(&mut trainer, u64::MAX).0, Outcome::Finished);
         assert!(state(whole.path()) == state(stopped.path()), "{assignments:?}");
 
@@ -203,7 +206,7 @@ fn resuming_uses_the_checkpoint_before_a_damaged_one() {
     std::fs::write(&newest, &content[..content.len() / 2]).unwrap();
     drop(trainer);
 
-    let trainer = Trainer::resume(folder.path(), None).unwrap();
+    let trainer = alma::resume(folder.path(), None).unwrap();
     assert_eq!(trainer.env_steps(), 1200);
     assert!(trainer.refused()[0].contains("state.postcard"), "{:?}", trainer.refused());
     assert_eq!(Run::open(folder.path()).unwrap().env_steps, 1200);
@@ -251,7 +254,7 @@ fn a_run_under_a_rule_learns_no_allocator() {
     assert_eq!(opened.curve[0].allocation, "heuristic");
     assert_eq!(opened.curve[0].allocator_updates, 0);
     drop(trainer);
-    assert_eq!(Trainer::resume(folder.path(), None).unwrap().env_steps(), 3200);
+    assert_eq!(alma::resume(folder.path(), None).unwrap().env_steps(), 3200);
 }
 
 #[test]

@@ -10,11 +10,11 @@ pub mod export;
 pub mod records;
 mod reference;
 pub mod run;
+mod session;
 pub mod settings;
-mod trainer;
 pub mod windows;
 
 pub use reference::reference;
 pub use run::{Run, RunAllocator};
+pub use session::{begin, resume};
 pub use settings::Settings;
-pub use trainer::Trainer;
