@@ -178,6 +178,9 @@ mod tests {
         setup.environment.instances = 1;
         let mut config: Config = setup.own().unwrap();
         config.replay.batch = batch;
+        config.replay.steps_per_update = 1;
+        config.optimiser.target_rate = 1.0;
+        config.update.target_every = 3;
         let opening = Opening { setup: &setup, spec: ring.spec(), seed: 1, threads: 1 };
         let mut method = ValueFactorisation::new(config, &opening);
         let mut state = Vec::new();
@@ -197,6 +200,24 @@ mod tests {
             method.remember(&transition).unwrap();
         }
         method
+    }
+
+    #[test]
+    fn the_target_network_is_copied_every_so_many_updates() {
+        let mut ring = ring();
+        let step = Step { reward: 2.0, terminated: true, ..Step::default() };
+        let mut method = seen(&mut *ring, 8, step);
+        let first = method.learner.target.clone();
+        // The first update is due behind the twelfth step.
+        for (env_steps, copied) in [(13, false), (14, false), (15, true), (16, false)] {
+            let now = Now { env_steps, of: 100 };
+            let mut reports = Reports::default();
+            method.update(&*ring, now, &mut reports).unwrap();
+            assert_eq!(reports.agents.len(), 1, "{env_steps}");
+            let Learner { online, target, .. } = &method.learner;
+            assert_eq!(target == online, copied, "{env_steps}");
+            assert_eq!(*target == first, env_steps < 15, "{env_steps}");
+        }
     }
 
     #[test]
