@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 use sortie_bundle::files::{Durability, replace_file};
 use sortie_envs::{Environment, Step};
 use sortie_learn::LearnError;
-use sortie_methods::alma::evaluate::{Labels, Onlooker, Recorder, Watched};
+use sortie_learn::play::{Onlooker, Watched};
+use sortie_methods::alma::evaluate::{Labels, Recorder, cities};
 
 use crate::failure::Failure;
 use crate::files::{Kind, try_output};
@@ -33,7 +34,8 @@ impl EpisodeWriter {
 
 impl Onlooker for EpisodeWriter {
     fn started(&mut self, watched: Watched<'_>) -> Result<(), LearnError> {
-        let Watched { episode, worlds, instance } = watched;
+        let Watched { episode, instance, .. } = watched;
+        let worlds = cities(&watched)?;
         let name = format!("{episode:05}-{}", worlds.episode(instance).group);
         let labels = Labels { name, policy: self.policy.clone(), seed: self.seed };
         self.recorders.insert(episode, Recorder::new(worlds, instance, labels));
@@ -46,7 +48,8 @@ impl Onlooker for EpisodeWriter {
         actions: &[u16],
         outcome: &Step,
     ) -> Result<(), LearnError> {
-        let Watched { episode, worlds, instance } = watched;
+        let Watched { episode, instance, .. } = watched;
+        let worlds = cities(&watched)?;
         if let Some(recorder) = self.recorders.get_mut(&episode) {
             recorder.record(worlds, &actions[..worlds.agent_count(instance)], outcome);
         }

@@ -6,7 +6,7 @@ use console::Term;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use sortie_envs::Step;
 use sortie_learn::LearnError;
-use sortie_methods::alma::evaluate::{Onlooker, Watched};
+use sortie_learn::play::{Onlooker, Watched};
 
 use crate::options::Common;
 use crate::terminal;

@@ -11,8 +11,9 @@ use indicatif::ProgressBar;
 use serde::Serialize;
 use sortie_envs::{Metric, Split};
 use sortie_learn::evaluate::Evaluation;
+use sortie_learn::play::Onlooker;
 use sortie_methods::alma::evaluate::{
-    Allocate, EvaluationPlan, Onlooker, Planner, PlannerReport, PolicyTeam, ScriptedActors, Team,
+    Allocate, EvaluationPlan, Planner, PlannerReport, PolicyTeam, ScriptedActors, Team,
     evaluate_watched,
 };
 

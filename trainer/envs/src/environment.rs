@@ -3,6 +3,7 @@
 use alloc::boxed::Box;
 use alloc::string::String;
 use alloc::vec::Vec;
+use core::any::Any;
 use core::fmt;
 
 use crate::observation::{AgentSet, EntitySet, Observation};
@@ -146,7 +147,7 @@ impl core::error::Error for StateError {}
 ///
 /// Learners observe from several threads at once. [`conformance::check`](crate::conformance::check) tests what is promised here. An instance beyond
 /// [`instances`](Self::instances) and bytes that [`load`](Self::load) refuses are the caller's mistake and panic.
-pub trait Environment: Send + Sync {
+pub trait Environment: Any + Send + Sync {
     /// What this environment says of itself.
     fn spec(&self) -> &Spec;
 

@@ -5,7 +5,8 @@ use sortie_envs::save_the_city::{
     AgentKind, BuildingKind, City, DecisionPoints, EpisodeMetrics, MAX_AGENTS, UNASSIGNED,
 };
 use sortie_learn::LearnError;
-use sortie_methods::alma::evaluate::{Onlooker, PolicyTeam, Scene, Team, Watched};
+use sortie_learn::play::{Onlooker, Watched};
+use sortie_methods::alma::evaluate::{PolicyTeam, Scene, Team, cities};
 
 use super::data::{AgentFacts, BuildingFacts, EpisodeResult, State, Step};
 use super::episode::Episode;
@@ -134,7 +135,7 @@ struct StepLog {
 
 impl Onlooker for StepLog {
     fn started(&mut self, watched: Watched<'_>) -> Result<(), LearnError> {
-        let City { agents, buildings } = watched.worlds.city(watched.instance);
+        let City { agents, buildings } = cities(&watched)?.city(watched.instance);
         let agent = |(number, kind): (usize, AgentKind)| AgentFacts {
             name: format!("{}{number}", kind.letter()),
             kind: kind_name(kind),
@@ -161,7 +162,7 @@ impl Onlooker for StepLog {
         actions: &[u16],
         outcome: &sortie_envs::Step,
     ) -> Result<(), LearnError> {
-        let Watched { worlds, instance, .. } = watched;
+        let (worlds, instance) = (cities(&watched)?, watched.instance);
         let city = worlds.city(instance);
         let rewards = worlds.task_rewards(instance).iter().take(city.buildings.len());
         self.steps.push(Step {

@@ -4,10 +4,9 @@ use std::path::Path;
 
 use sortie_envs::save_the_city::golden::{self, Playback};
 use sortie_envs::save_the_city::{DecisionPoints, MAX_AGENTS, UNASSIGNED};
+use sortie_learn::play::{Onlooker, Watched};
 use sortie_learn::random::{Purpose, generator};
-use sortie_methods::alma::evaluate::{
-    Allocate, EvaluationPlan, Onlooker, Scene, Team, Watched, watch_last_episode,
-};
+use sortie_methods::alma::evaluate::{Allocate, EvaluationPlan, Scene, Team, watch_last_episode};
 use sortie_methods::alma::records::NO_ACTION;
 use sortie_nn::random::Generator;
 

@@ -1,7 +1,9 @@
 //! Greedy episodes, and what they come to.
 
+use std::ops::Range;
+
 use rand_core::Rng;
-use sortie_envs::{Environment, Episode, Random, Split};
+use sortie_envs::{Environment, Episode, Random, Split, Step};
 
 use crate::error::LearnError;
 use crate::evaluate::Evaluation;
@@ -9,7 +11,7 @@ use crate::method::{Act, Scene, Scenes};
 use crate::random::{Purpose, generator};
 
 /// Episodes that are played at the same time.
-const WORLDS: usize = 64;
+pub const WORLDS: usize = 64;
 
 /// Plays so many episodes on starts that training never sees. Episode e of a seed is the same whoever plays it.
 ///
@@ -22,25 +24,84 @@ pub fn evaluate(
     seed: u64,
 ) -> Result<Evaluation, LearnError> {
     let mut worlds = environment.open(WORLDS.min(episodes), Split::Test);
+    let done = watch(&mut *worlds, team, 0..episodes, seed, &mut ())?;
+    Ok(Evaluation::of(worlds.spec(), &done))
+}
+
+/// An instance of an environment in which an episode is watched.
+#[derive(Clone, Copy)]
+pub struct Watched<'a> {
+    /// Number of the episode.
+    pub episode: usize,
+    /// All instances.
+    pub worlds: &'a dyn Environment,
+    /// The one that is meant.
+    pub instance: usize,
+}
+
+/// Watches episodes, which are played side by side.
+pub trait Onlooker {
+    /// An episode shows its first state.
+    ///
+    /// # Errors
+    /// What is seen cannot be kept.
+    fn started(&mut self, watched: Watched<'_>) -> Result<(), LearnError>;
+
+    /// A step was taken; the instance has not started anew.
+    ///
+    /// # Errors
+    /// What is seen cannot be kept.
+    fn stepped(
+        &mut self,
+        watched: Watched<'_>,
+        actions: &[u16],
+        step: &Step,
+    ) -> Result<(), LearnError>;
+}
+
+/// Nobody watches.
+impl Onlooker for () {
+    fn started(&mut self, _: Watched<'_>) -> Result<(), LearnError> {
+        Ok(())
+    }
+
+    fn stepped(&mut self, _: Watched<'_>, _: &[u16], _: &Step) -> Result<(), LearnError> {
+        Ok(())
+    }
+}
+
+/// Plays these episodes of a seed, as many at a time as there are instances, while somebody watches.
+///
+/// # Errors
+/// The team cannot decide, chose an action that is not available, or who watches cannot go on.
+pub fn watch(
+    worlds: &mut dyn Environment,
+    team: &mut dyn Act,
+    episodes: Range<usize>,
+    seed: u64,
+    onlooker: &mut dyn Onlooker,
+) -> Result<Vec<Episode>, LearnError> {
     let agents = worlds.spec().shape.agents;
-    let mut done = vec![Episode::default(); episodes];
-    let mut starts = (0..episodes).map(|episode| Start::of(seed, episode));
+    let first = episodes.start;
+    let mut done = vec![Episode::default(); episodes.len()];
+    let mut starts = episodes.map(|episode| Start::of(seed, episode));
     // What the team leaves to chance in each instance.
     let mut random = vec![sortie_envs::random::generator(0); worlds.instances()];
     let mut open: Vec<Open> = (0..worlds.instances())
         .zip(&mut starts)
-        .map(|(instance, start)| start.begin(&mut *worlds, instance, &mut random))
+        .map(|(instance, start)| start.begin(worlds, instance, &mut random))
         .collect();
+    open.iter().try_for_each(|world| onlooker.started(world.watched(worlds)))?;
     let mut actions = Vec::new();
     while !open.is_empty() {
         actions.clear();
         actions.resize(open.len() * agents, 0);
         let scenes: Vec<Scene<'_>> = open.iter().map(Open::scene).collect();
-        let scenes = Scenes { environment: &*worlds, scenes: &scenes };
-        team.act(&scenes, &mut random, &mut actions)?;
+        team.act(&Scenes { environment: worlds, scenes: &scenes }, &mut random, &mut actions)?;
         for (world, actions) in open.iter_mut().zip(actions.chunks_exact(agents)) {
             worlds.note_allocation(world.instance, team.allocation(world.instance));
             let step = worlds.step(world.instance, actions, &mut world.random)?;
+            onlooker.stepped(world.watched(worlds), actions, &step)?;
             world.begins = false;
             world.tasks_changed = step.tasks_changed;
             world.state.clear();
@@ -48,14 +109,15 @@ pub fn evaluate(
             world.is_done = step.done();
         }
         for world in open.iter_mut().filter(|world| world.is_done) {
-            done[world.episode] = worlds.episode(world.instance);
+            done[world.episode - first] = worlds.episode(world.instance);
             if let Some(start) = starts.next() {
-                *world = start.begin(&mut *worlds, world.instance, &mut random);
+                *world = start.begin(worlds, world.instance, &mut random);
+                onlooker.started(world.watched(worlds))?;
             }
         }
         open.retain(|world| !world.is_done);
     }
-    Ok(Evaluation::of(worlds.spec(), &done))
+    Ok(done)
 }
 
 /// An episode to be measured on.
@@ -99,6 +161,10 @@ struct Open {
 }
 
 impl Open {
+    fn watched<'a>(&self, worlds: &'a dyn Environment) -> Watched<'a> {
+        Watched { episode: self.episode, worlds, instance: self.instance }
+    }
+
     fn scene(&self) -> Scene<'_> {
         let Self { instance, ref state, begins, tasks_changed, .. } = *self;
         Scene { instance, state, begins, tasks_changed }

@@ -7,15 +7,16 @@
 mod allocated;
 mod allocators;
 mod plan;
-mod play;
 mod players;
 mod teams;
 mod worlds;
 
+use std::any::Any;
+
 use sortie_envs::save_the_city::{
     AllocationRule, City, Constants, DecisionPoints, SaveTheCity, ScenarioSet, UNASSIGNED,
 };
-use sortie_envs::{Entry, Environment, Episode, Step};
+use sortie_envs::{Entry, Environment, Split};
 
 pub use sortie_envs::save_the_city::golden::{Labels, Recorder};
 
@@ -25,9 +26,9 @@ pub use plan::{Planner, PlannerReport};
 pub use players::{Agents, Players};
 pub use teams::{NetworkTeam, PolicyTeam, ScriptedActors};
 
-use play::Play;
 use sortie_learn::LearnError;
 use sortie_learn::evaluate::Evaluation;
+use sortie_learn::play::{Onlooker, WORLDS, Watched, watch};
 use sortie_nn::random::Generator;
 
 /// The environment whose episodes are played here.
@@ -101,6 +102,42 @@ pub trait Allocate {
     }
 }
 
+impl<T: Team + ?Sized> Team for &mut T {
+    fn act(
+        &mut self,
+        scenes: &[Scene<'_>],
+        actions: &mut [u16],
+        agents: usize,
+    ) -> Result<(), LearnError> {
+        (**self).act(scenes, actions, agents)
+    }
+
+    fn advise(&mut self, city: City<'_>, strategies: &mut Vec<f32>) -> Result<(), LearnError> {
+        (**self).advise(city, strategies)
+    }
+}
+
+impl<A: Allocate + ?Sized> Allocate for &mut A {
+    fn allocate(
+        &mut self,
+        city: City<'_>,
+        generator: &mut Generator,
+        allocation: &mut [u8],
+    ) -> Result<(), LearnError> {
+        (**self).allocate(city, generator, allocation)
+    }
+
+    fn decide(
+        &mut self,
+        situation: Situation<'_>,
+        team: &mut dyn Team,
+        generator: &mut Generator,
+        allocation: &mut [u8],
+    ) -> Result<(), LearnError> {
+        (**self).decide(situation, team, generator, allocation)
+    }
+}
+
 impl Allocate for AllocationRule {
     fn allocate(
         &mut self,
@@ -160,45 +197,24 @@ impl EvaluationPlan {
             seed,
         })
     }
-}
 
-/// Worlds played at the same time.
-const WORLDS: usize = 64;
-
-/// One step of one of the worlds of an evaluation, just taken; the world is not yet reset.
-#[derive(Clone, Copy, Debug)]
-pub struct Watched<'a> {
-    /// Number of the episode, from 0.
-    pub episode: usize,
-    /// All worlds.
-    pub worlds: &'a SaveTheCity,
-    /// The instance that is meant.
-    pub instance: usize,
-}
-
-/// Watches the episodes of an evaluation, which are played side by side.
-pub trait Onlooker {
-    /// An episode has been reset and shows its first state.
-    fn started(&mut self, watched: Watched<'_>) -> Result<(), LearnError>;
-
-    /// A step was taken.
-    fn stepped(
-        &mut self,
-        watched: Watched<'_>,
-        actions: &[u16],
-        outcome: &Step,
-    ) -> Result<(), LearnError>;
-}
-
-/// Nobody watches.
-impl Onlooker for () {
-    fn started(&mut self, _: Watched<'_>) -> Result<(), LearnError> {
-        Ok(())
+    /// So many instances to play in.
+    fn open(&self, instances: usize) -> Result<SaveTheCity, LearnError> {
+        let city = SaveTheCity::new(self.set.clone(), self.constants, instances, 0);
+        let mut city = city.map_err(LearnError::environment)?;
+        city.use_split(Split::Test);
+        Ok(city)
     }
+}
 
-    fn stepped(&mut self, _: Watched<'_>, _: &[u16], _: &Step) -> Result<(), LearnError> {
-        Ok(())
-    }
+/// The cities of an episode that is watched.
+///
+/// # Errors
+/// It is played elsewhere.
+pub fn cities<'a>(watched: &Watched<'a>) -> Result<&'a SaveTheCity, LearnError> {
+    let worlds: &dyn Any = watched.worlds;
+    let elsewhere = || LearnError::Team("it is made for another environment".to_owned());
+    worlds.downcast_ref().ok_or_else(elsewhere)
 }
 
 /// Plays the episodes of a plan with a team and an allocator.
@@ -217,12 +233,10 @@ pub fn evaluate_watched(
     allocator: &mut dyn Allocate,
     onlooker: &mut dyn Onlooker,
 ) -> Result<Evaluation, LearnError> {
-    let worlds = WORLDS.min(plan.episodes);
-    let mut play = Play::new(plan, 0, worlds, onlooker)?;
-    let mut done = vec![None; plan.episodes];
-    while play.step(team, allocator, &mut done)? {}
-    let done: Vec<Episode> = done.into_iter().flatten().collect();
-    Ok(Evaluation::of(play.worlds().spec(), &done))
+    let mut worlds = plan.open(WORLDS.min(plan.episodes))?;
+    let mut team = AllocatedTeam::new(Box::new(team), Box::new(allocator), plan.interval);
+    let done = watch(&mut worlds, &mut team, 0..plan.episodes, plan.seed, onlooker)?;
+    Ok(Evaluation::of(worlds.spec(), &done))
 }
 
 /// Plays the last episode of a plan alone: the same one that [`evaluate`] plays last.
@@ -232,9 +246,10 @@ pub fn watch_last_episode(
     allocator: &mut dyn Allocate,
     onlooker: &mut dyn Onlooker,
 ) -> Result<(), LearnError> {
-    let mut play = Play::new(plan, plan.episodes.saturating_sub(1), 1, onlooker)?;
-    let mut done = vec![None; plan.episodes];
-    while play.step(team, allocator, &mut done)? {}
+    let mut worlds = plan.open(1)?;
+    let mut team = AllocatedTeam::new(Box::new(team), Box::new(allocator), plan.interval);
+    let last = plan.episodes.saturating_sub(1)..plan.episodes;
+    watch(&mut worlds, &mut team, last, plan.seed, onlooker)?;
     Ok(())
 }
 

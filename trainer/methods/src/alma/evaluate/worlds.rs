@@ -1,7 +1,7 @@
 //! Cities side by side: who is due decides, all act at once, each is stepped.
 
 use sortie_envs::save_the_city::{DecisionPoints, SaveTheCity, UNASSIGNED};
-use sortie_envs::{Environment, Random, Split, Step};
+use sortie_envs::{Environment, Random, Step};
 use sortie_nn::random::Generator;
 
 use super::{Allocate, EvaluationPlan, Scene, Situation, Team};
@@ -35,11 +35,8 @@ pub(super) struct Worlds {
 impl Worlds {
     /// So many worlds of a plan; none plays yet.
     pub(super) fn new(plan: &EvaluationPlan, count: usize) -> Result<Self, LearnError> {
-        let mut city = SaveTheCity::new(plan.set.clone(), plan.constants, count, 0)
-            .map_err(LearnError::environment)?;
-        city.use_split(Split::Test);
         Ok(Self {
-            city,
+            city: plan.open(count)?,
             interval: plan.interval,
             worlds: Vec::new(),
             active: Vec::new(),
@@ -128,18 +125,11 @@ impl Worlds {
         Ok(())
     }
 
-    /// What the team does in the active world at a place.
-    pub(super) fn actions(&self, place: usize) -> &[u16] {
-        let agents = self.agents();
-        &self.actions[place * agents..][..agents]
-    }
-
     /// Steps the active world at a place.
     pub(super) fn advance(&mut self, place: usize) -> Result<Step, LearnError> {
         let (index, agents) = (self.active[place], self.agents());
         let actions = &self.actions[place * agents..][..agents];
         let world = &mut self.worlds[index];
-        self.city.note_allocation(index, &world.allocation);
         let outcome = self.city.step(index, actions, &mut world.random)?;
         for (last, action) in world.last_actions.iter_mut().zip(actions) {
             *last = *action as u8;
