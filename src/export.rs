@@ -124,17 +124,23 @@ fn export_method(arguments: &ExportArguments, learned: &LearnedMethod) -> Outcom
     let seed = arguments.common.seed;
     let seeds = arguments.seeds.unwrap_or(SeedRange::only(seed));
     let (mut measured, mut sizes) = (Vec::new(), vec![learned.environment.spec().shape]);
-    for choice in learned.choices(&arguments.env)? {
+    let choices = learned.choices(&arguments.env)?;
+    let evaluations = choices.len().saturating_mul(seeds.iter().count());
+    let all = u64::from(arguments.episodes).saturating_mul(evaluations as u64);
+    let bar = progress::bar(arguments.common, all, "episodes");
+    let mut counted = CountedEpisodes { bar: &bar, next: &mut () };
+    for choice in choices {
         let environment = learned.open_as(&choice)?;
         sizes.push(environment.spec().shape);
         let play = |seed| {
             let (mut team, episodes) = (learned.method.team(), arguments.episodes as usize);
-            play::evaluate(&*environment, &mut *team, episodes, seed)
+            play::evaluate_watched(&*environment, &mut *team, episodes, seed, &mut counted)
         };
         let parts: Vec<Evaluation> = seeds.iter().map(play).collect::<Result<_, _>>()?;
         let evaluation = Evaluation::pooled(&parts);
         measured.push(Measured { set: choice.set, allocation: "none".to_owned(), evaluation });
     }
+    bar.finish_and_clear();
     let run = MethodRun {
         description: &learned.description,
         environment: &*learned.environment,

@@ -7,7 +7,7 @@ use sortie_bundle::{Bundle, MANIFEST, SubtaskConditioning};
 use sortie_envs::{Environment, Split};
 use sortie_learn::Act;
 use sortie_learn::evaluate::Evaluation;
-use sortie_learn::play::{self, PolicyTeam};
+use sortie_learn::play::{PolicyTeam, evaluate_watched};
 
 use super::{BySeed, EvalArguments, table};
 use crate::deployment::open_bundle;
@@ -16,6 +16,7 @@ use crate::failure::{Exit, Failure, Outcome};
 use crate::methods::{LearnedMethod, choose};
 use crate::output::{plural, print_json, say};
 use crate::policy::{DeployedPolicy, PlanProfile};
+use crate::progress::{self, CountedEpisodes};
 use crate::scripted::Scripted;
 use crate::seeds::SeedRange;
 
@@ -86,12 +87,15 @@ fn play_team(
     team: &mut dyn Act,
 ) -> Outcome {
     let seeds = arguments.seeds.unwrap_or(SeedRange::only(arguments.common.seed));
-    let mut play = |seed| {
-        let episodes = arguments.episodes as usize;
-        Ok((seed, play::evaluate(environment, team, episodes, seed)?))
-    };
+    let episodes = arguments.episodes as usize;
+    let all = (episodes as u64).saturating_mul(seeds.iter().count() as u64);
+    let bar = progress::bar(arguments.common, all, "episodes");
+    let mut counted = CountedEpisodes { bar: &bar, next: &mut () };
+    let mut play =
+        |seed| Ok((seed, evaluate_watched(environment, team, episodes, seed, &mut counted)?));
     let played: Vec<(u64, Evaluation)> =
         seeds.iter().map(&mut play).collect::<Result<_, Failure>>()?;
+    bar.finish_and_clear();
     let by_seed =
         arguments.seeds.map(|_| BySeed::of(played.iter().map(|(seed, one)| (*seed, one))));
     let parts: Vec<Evaluation> = played.into_iter().map(|(_, one)| one).collect();

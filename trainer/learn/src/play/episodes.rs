@@ -23,8 +23,22 @@ pub fn evaluate(
     episodes: usize,
     seed: u64,
 ) -> Result<Evaluation, LearnError> {
+    evaluate_watched(environment, team, episodes, seed, &mut ())
+}
+
+/// The same while somebody watches.
+///
+/// # Errors
+/// As before, or who watches cannot go on.
+pub fn evaluate_watched(
+    environment: &dyn Environment,
+    team: &mut dyn Act,
+    episodes: usize,
+    seed: u64,
+    onlooker: &mut dyn Onlooker,
+) -> Result<Evaluation, LearnError> {
     let mut worlds = environment.open(WORLDS.min(episodes), Split::Test);
-    let done = watch(&mut *worlds, team, 0..episodes, seed, &mut ())?;
+    let done = watch(&mut *worlds, team, 0..episodes, seed, onlooker)?;
     Ok(Evaluation::of(worlds.spec(), &done))
 }
 

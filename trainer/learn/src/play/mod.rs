@@ -7,7 +7,7 @@ mod random;
 use rand_core::Rng;
 use sortie_envs::{Environment, Random, Split, Step};
 
-pub use episodes::{Onlooker, Start, WORLDS, Watched, evaluate, watch};
+pub use episodes::{Onlooker, Start, WORLDS, Watched, evaluate, evaluate_watched, watch};
 pub use policy::PolicyTeam;
 pub use random::RandomTeam;
 
