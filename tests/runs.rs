@@ -72,6 +72,20 @@ fn a_sweep_that_was_killed_goes_on_with_the_same_command() {
 }
 
 #[test]
+fn a_seed_that_a_killed_sweep_was_about_to_begin_is_gone_on_with() {
+    let place = Place::new();
+    let out = place.path("sweep-s1");
+    let new_run = train(&["--out", &out, "--steps", "300", "-q"]);
+    succeed(&new_run);
+    let result = Path::new(&out).join("result.json");
+    fs::remove_file(&result).expect("a result");
+    assert!(!output(&new_run).status.success(), "a folder with a run is not overwritten");
+    let parent = std::process::id().to_string();
+    succeed(&[&new_run[..], &["--sweep", &parent]].concat());
+    assert!(result.exists());
+}
+
+#[test]
 fn a_sweep_refuses_runs_of_another_configuration() {
     let place = Place::new();
     let out = place.path("sweep");

@@ -13,6 +13,7 @@ use std::time::{Duration, Instant};
 
 use clap::{Args, ValueEnum};
 use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
+use sortie_bundle::TRAINING;
 use sortie_ipc::Stop;
 use sortie_learn::LearnError;
 use sortie_learn::run::{
@@ -201,23 +202,27 @@ fn sweep<C: Configuration + Sync>(
 
 /// A new run, or one to go on with, and its folder.
 fn trainer(arguments: &TrainArguments) -> Result<(Running, PathBuf), Failure> {
-    let Some(folder) = &arguments.resume else {
-        let folder = arguments.out.clone().unwrap_or_default();
-        return Ok((begun(arguments, &folder)?, folder));
-    };
-    check_method(arguments.method, folder)?;
+    let folder = arguments.resume.as_ref().or(arguments.out.as_ref()).cloned().unwrap_or_default();
+    if arguments.resume.is_none() {
+        match begun(arguments, &folder) {
+            // The process of a sweep that was killed was about to begin it.
+            Err(_) if arguments.sweep.is_some() && folder.join(TRAINING).exists() => {}
+            running => return Ok((running?, folder)),
+        }
+    }
+    check_method(arguments.method, &folder)?;
     match arguments.method {
-        Method::Alma(_) => change::<Settings>(arguments, folder)?,
-        Method::Any(_) => change::<Setup>(arguments, folder)?,
+        Method::Alma(_) => change::<Settings>(arguments, &folder)?,
+        Method::Any(_) => change::<Setup>(arguments, &folder)?,
     }
     let patience = if arguments.sweep.is_some() { PATIENCE } else { Duration::ZERO };
     let since = Instant::now();
     loop {
-        match resumed(arguments, folder) {
+        match resumed(arguments, &folder) {
             Err(LearnError::Busy { .. }) if since.elapsed() < patience => {
                 thread::sleep(Duration::from_millis(50));
             }
-            trainer => return Ok((trainer?, folder.clone())),
+            trainer => return Ok((trainer?, folder)),
         }
     }
 }
