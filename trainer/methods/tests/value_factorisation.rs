@@ -139,7 +139,8 @@ fn goes_on_as_if_it_had_not_stopped(run: &(&'static MethodEntry, Setup)) {
     drop(first);
     let again = |folder: &Path| Session::resume(folder, |description| open(run.0, description, 2));
     let mut second = again(parted.path()).unwrap();
-    assert!((1_100..1_200).contains(&second.env_steps()));
+    // A round of whole episodes ends some time after the stop.
+    assert!((1_100..2_000).contains(&second.env_steps()), "{}", second.env_steps());
     second.run(&mut (), &AtomicBool::new(false)).unwrap();
     assert!(weights(whole.path()) == weights(parted.path()), "other weights");
     assert_eq!(curve(&session), curve(&second));

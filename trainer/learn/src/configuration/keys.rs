@@ -35,7 +35,7 @@ pub const INSTANCES: Key = key(
     "instances",
     "episodes",
     Whole(1, 4096),
-    "Episodes that run at the same time; one that ends restarts at once.",
+    "Episodes that run at the same time; one that ends restarts at once, or with all others where whole episodes are learned from.",
 );
 
 /// The keys of [`OptimiserConfig`](super::OptimiserConfig).

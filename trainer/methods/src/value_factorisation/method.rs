@@ -8,7 +8,7 @@ use sortie_learn::session::Opening;
 use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition};
 
 use super::acting::Acting;
-use super::config::Config;
+use super::config::{Config, Unit};
 use super::deployed::deployed;
 use super::experience::Experience;
 use super::learner::{Learner, Update};
@@ -51,6 +51,11 @@ impl ValueFactorisation {
 }
 
 impl Method for ValueFactorisation {
+    /// Who learns from whole episodes plays them in rounds, as in the public code.
+    fn waits(&self) -> bool {
+        self.config.replay.unit == Unit::Episodes
+    }
+
     fn act(
         &mut self,
         scenes: &Scenes<'_>,
