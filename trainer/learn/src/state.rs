@@ -7,7 +7,7 @@ use serde::de::DeserializeOwned;
 pub use sortie_nn::tape::Tensor;
 
 use crate::error::LearnError;
-use crate::run::checkpoint::{Checkpoint, Written};
+use crate::run::checkpoint::{Checkpoint, Written, in_bytes};
 
 /// Visits everything that a run depends on.
 #[derive(Debug)]
@@ -53,7 +53,7 @@ impl<'a> State<'a> {
             let (name, part) = (format!("{name}{end}"), &mut parameters[tensor.range.clone()]);
             match &mut self.0 {
                 Visit::Write(written) => {
-                    written.tensors.push((name, tensor.shape.clone(), part.to_vec()));
+                    written.tensors.push((name, tensor.shape.clone(), in_bytes(part)));
                 }
                 Visit::Read { checkpoint, .. } | Visit::Weights(checkpoint) => {
                     part.copy_from_slice(&checkpoint.whole_vector(&name, part.len())?);

@@ -70,8 +70,8 @@ impl FileSum {
     }
 }
 
-/// Name, sizes and numbers of a tensor.
-pub type SavedTensor = (String, Vec<usize>, Vec<f32>);
+/// Name, sizes and numbers of a tensor, as the file has them.
+pub type SavedTensor = (String, Vec<usize>, Vec<u8>);
 
 /// Everything that a run depends on, as a [visit](crate::state::State) has found it.
 #[derive(Debug, Default)]
@@ -340,15 +340,15 @@ fn state_file<'a>(written: &'a Written, lengths: &'a [Vec<u8>]) -> Vec<&'a [u8]>
     lengths.iter().zip(values).flat_map(|(before, value)| [before.as_slice(), value]).collect()
 }
 
+/// Numbers as files have them.
+pub(crate) fn in_bytes(numbers: &[f32]) -> Vec<u8> {
+    numbers.iter().flat_map(|number| number.to_le_bytes()).collect()
+}
+
 fn tensors_file(tensors: &[SavedTensor]) -> Result<Vec<u8>, safetensors::SafeTensorError> {
-    let in_bytes = |numbers: &[f32]| numbers.iter().flat_map(|n| n.to_le_bytes()).collect();
-    let bytes: Vec<Vec<u8>> = tensors.iter().map(|(_, _, numbers)| in_bytes(numbers)).collect();
     let views = tensors
         .iter()
-        .zip(&bytes)
-        .map(|((name, sizes, _), bytes)| {
-            Ok((name, TensorView::new(Dtype::F32, sizes.clone(), bytes)?))
-        })
+        .map(|(name, sizes, bytes)| Ok((name, TensorView::new(Dtype::F32, sizes.clone(), bytes)?)))
         .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()?;
     safetensors::serialize(views, None)
 }
@@ -380,11 +380,11 @@ mod tests {
         let vector: Vec<f32> = (0..16).map(|number| (env_steps + number) as f32).collect();
         let part = |tensor: Tensor| {
             let name = format!("agents/average/{}", tensor.name);
-            (name, tensor.shape, vector[tensor.range].to_vec())
+            (name, tensor.shape, in_bytes(&vector[tensor.range]))
         };
         let mut written = Written::default();
         written.tensors.extend(tensors().into_iter().map(part));
-        written.tensors.push(("mixer/online".to_owned(), vec![1, 2], vec![1.5, 2.5]));
+        written.tensors.push(("mixer/online".to_owned(), vec![1, 2], in_bytes(&[1.5, 2.5])));
         for (name, value) in [("steps", env_steps), ("more", 1 << 40)] {
             written.values.insert(name.to_owned(), postcard::to_stdvec(&value).unwrap());
         }
