@@ -36,7 +36,7 @@ pub struct UpdateReport {
 
 impl UpdateReport {
     /// The report, unless its loss is no number any more: then nothing can be learned from here on.
-    pub fn finite(self, level: &'static str, env_steps: u64) -> Result<Self, LearnError> {
+    pub(crate) fn finite(self, level: &'static str, env_steps: u64) -> Result<Self, LearnError> {
         let loss = self.loss;
         if loss.is_finite() {
             Ok(self)
@@ -74,39 +74,39 @@ pub struct EpisodeCounts {
 
 /// Sums over the updates since the last evaluation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Updates {
+pub(crate) struct Updates {
     /// How many.
-    pub updates: u64,
+    pub(crate) updates: u64,
     loss: f64,
     gradient_norm: f64,
 }
 
 impl Updates {
     /// Adds one.
-    pub fn add(&mut self, report: UpdateReport) {
+    pub(crate) fn add(&mut self, report: UpdateReport) {
         self.updates += 1;
         self.loss += report.loss;
         self.gradient_norm += f64::from(report.gradient_norm);
     }
 
     /// Mean loss of the updates after `before`, if there were any.
-    pub fn mean_loss_since(&self, before: &Self) -> Option<f64> {
+    pub(crate) fn mean_loss_since(&self, before: &Self) -> Option<f64> {
         let updates = self.updates - before.updates;
         (updates > 0).then(|| (self.loss - before.loss) / updates as f64)
     }
 
-    pub fn mean_loss(&self) -> f64 {
+    pub(crate) fn mean_loss(&self) -> f64 {
         self.loss / self.updates.max(1) as f64
     }
 
-    pub fn mean_gradient_norm(&self) -> f64 {
+    pub(crate) fn mean_gradient_norm(&self) -> f64 {
         self.gradient_norm / self.updates.max(1) as f64
     }
 }
 
 impl Window {
     /// Adds what a method did.
-    pub fn add(&mut self, reports: Reports, env_steps: u64) -> Result<(), LearnError> {
+    pub(crate) fn add(&mut self, reports: Reports, env_steps: u64) -> Result<(), LearnError> {
         let Reports { agents, allocator, decisions } = reports;
         for report in agents {
             self.agents.add(report.finite("agents", env_steps)?);
@@ -121,52 +121,57 @@ impl Window {
 
 /// What happened since the last evaluation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Window {
+pub(crate) struct Window {
     /// Updates of the agents.
-    pub agents: Updates,
+    pub(crate) agents: Updates,
     /// Updates of what allocates them.
-    pub allocator: Updates,
+    pub(crate) allocator: Updates,
     /// Episodes that ended.
-    pub episodes: EpisodeCounts,
+    pub(crate) episodes: EpisodeCounts,
 }
 
 /// Where a run is.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Counters {
+pub(crate) struct Counters {
     /// Environment steps taken.
-    pub env_steps: u64,
+    pub(crate) env_steps: u64,
     /// Optimiser steps before the window.
-    pub updates: Level<u64>,
+    pub(crate) updates: Level<u64>,
     /// Decisions before the window.
-    pub decisions: u64,
+    pub(crate) decisions: u64,
     /// Environment steps of the next evaluation.
-    pub next_evaluation: u64,
+    pub(crate) next_evaluation: u64,
     /// Seconds since the run began, interruptions left out.
-    pub wall_s: f64,
+    pub(crate) wall_s: f64,
     /// Seconds of processor time.
-    pub cpu_s: f64,
+    pub(crate) cpu_s: f64,
     /// Since the last evaluation.
-    pub window: Window,
+    pub(crate) window: Window,
     /// The evaluations, as lines of text: a form that describes itself holds metrics of any name.
     #[serde(with = "super::curve::as_lines")]
-    pub curve: Vec<CurvePoint>,
+    pub(crate) curve: Vec<CurvePoint>,
 }
 
 impl Counters {
     /// A run that has not begun, with its first evaluation after so many steps.
-    pub fn new(evaluate_every: u64) -> Self {
+    pub(crate) fn new(evaluate_every: u64) -> Self {
         Self { next_evaluation: evaluate_every, ..Self::default() }
     }
 
     /// Counts the time since the clock was read last.
-    pub fn add_time(&mut self, clock: &mut Clock) {
+    pub(crate) fn add_time(&mut self, clock: &mut Clock) {
         let (wall_s, cpu_s) = clock.lap();
         self.wall_s += wall_s;
         self.cpu_s += cpu_s;
     }
 
     /// A point of the curve: an evaluation, and what happened since the one before.
-    pub fn point(&self, result: &Evaluation, allocation: String, rates: Rates) -> CurvePoint {
+    pub(crate) fn point(
+        &self,
+        result: &Evaluation,
+        allocation: String,
+        rates: Rates,
+    ) -> CurvePoint {
         let Self { env_steps, updates, decisions, wall_s, cpu_s, window, .. } = self;
         let episodes = &window.episodes;
         CurvePoint {
@@ -194,7 +199,7 @@ impl Counters {
     }
 
     /// Closes the window: an evaluation was made.
-    pub fn add_point(&mut self, point: CurvePoint) {
+    pub(crate) fn add_point(&mut self, point: CurvePoint) {
         let Window { agents, allocator, episodes } = std::mem::take(&mut self.window);
         self.updates.agents += agents.updates;
         self.updates.allocator += allocator.updates;

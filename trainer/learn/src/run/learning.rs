@@ -9,7 +9,7 @@ use crate::error::LearnError;
 use crate::evaluate::Evaluation;
 
 /// A run that learns.
-pub trait Learning {
+pub(crate) trait Learning {
     /// How long it learns, and when it measures and saves.
     fn schedule(&self) -> RunConfig;
     /// What it is to be called, and by what it is measured.
@@ -30,15 +30,15 @@ pub trait Learning {
 
 /// What a run is called and measured by.
 #[derive(Clone, Debug)]
-pub struct Labels {
+pub(crate) struct Labels {
     /// Heading of its curve.
-    pub title: String,
+    pub(crate) title: String,
     /// Environment and scenario set.
-    pub environment: String,
+    pub(crate) environment: String,
     /// Who allocates.
-    pub allocation: String,
+    pub(crate) allocation: String,
     /// Its seed.
-    pub seed: u64,
+    pub(crate) seed: u64,
 }
 
 /// The episodes that every run reports on in the end: the same for all runs, seen by none.
@@ -47,7 +47,7 @@ const REPORT_SEED: u64 = 2_000_000;
 /// Learns until all steps are taken or `stop` is set.
 ///
 /// A checkpoint is written before the first step, at every evaluation, every some minutes, and at the end.
-pub fn learn(
+pub(crate) fn learn(
     run: &mut impl Learning,
     observer: &mut dyn Observer,
     stop: &AtomicBool,

@@ -29,14 +29,15 @@ mod result;
 use std::path::Path;
 
 pub use checkpoint::{Checkpoint, Checkpoints};
-pub use clock::Clock;
+pub(crate) use clock::Clock;
 pub use config::RunConfig;
-pub use counters::{Counters, EpisodeCounts, Level, Rates, Reports, UpdateReport};
+pub(crate) use counters::Counters;
+pub use counters::{EpisodeCounts, Level, Rates, Reports, UpdateReport};
 pub use curve::CurvePoint;
 pub use description::{Configuration, RunDescription};
 pub use difference::{Difference, keys_in};
 pub use folder::RunFolder;
-pub use learning::{Labels, Learning, learn};
+pub(crate) use learning::{Labels, Learning, learn};
 pub use meter::TrainingPoint;
 pub use products::replace_products;
 pub use progress::{Observer, Outcome, Progress};
