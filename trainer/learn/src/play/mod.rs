@@ -174,3 +174,86 @@ impl Play {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::method::Act;
+    use crate::run::Rates;
+    use sortie_envs::random::generator;
+
+    /// Stays, and counts the episodes that it is told of and those that it sees begin.
+    #[derive(Default)]
+    struct Counting {
+        waits: bool,
+        told: Vec<usize>,
+        seen: Vec<usize>,
+    }
+
+    impl Method for Counting {
+        fn waits(&self) -> bool {
+            self.waits
+        }
+
+        fn begins(&mut self, instance: usize, _: &mut Random) {
+            self.told.push(instance);
+        }
+
+        fn act(
+            &mut self,
+            scenes: &Scenes<'_>,
+            _: Now,
+            _: &mut [Random],
+            actions: &mut [u16],
+        ) -> Result<(), LearnError> {
+            let begun = scenes.scenes.iter().filter(|scene| scene.begins);
+            self.seen.extend(begun.map(|scene| scene.instance));
+            actions.fill(1);
+            Ok(())
+        }
+
+        fn remember(&mut self, _: &Transition<'_>) -> Result<(), LearnError> {
+            Ok(())
+        }
+
+        fn rates(&self, _: Now) -> Rates {
+            Rates { epsilon: 0.0, learning_rate: 0.0 }
+        }
+
+        fn team(&self) -> Box<dyn Act + '_> {
+            Box::new(RandomTeam::new(1))
+        }
+
+        fn state(&mut self, _: &mut State<'_>) -> Result<(), LearnError> {
+            Ok(())
+        }
+    }
+
+    fn play(method: &mut Counting) -> Play {
+        let ring = sortie_envs::open("group-matching/4x3x2", Split::Train, 1, &Default::default());
+        Play::new(&*ring.unwrap(), method, [1, 2, 3].map(generator).to_vec())
+    }
+
+    #[test]
+    fn a_method_is_told_of_every_episode_before_it_sees_it() {
+        let mut method = Counting::default();
+        let (mut play, mut counts) = (play(&mut method), EpisodeCounts::default());
+        assert_eq!((&method.told[..], method.seen.len()), (&[0, 1, 2][..], 0));
+        for _ in 0..100 {
+            assert_eq!(play.round(&mut method, Now::default(), &mut counts).unwrap(), 3);
+        }
+        // What began in the last round is seen in the next.
+        assert_eq!(method.told[..method.seen.len()], method.seen);
+        assert!(counts.episodes >= 3 && method.told.len() as u64 == 3 + counts.episodes);
+    }
+
+    #[test]
+    fn who_waits_plays_rounds_of_one_episode_in_each_instance() {
+        let mut method = Counting { waits: true, ..Counting::default() };
+        let (mut play, mut counts) = (play(&mut method), EpisodeCounts::default());
+        let steps = play.round(&mut method, Now::default(), &mut counts).unwrap();
+        assert!(steps > 3 && steps <= 3 * 50, "{steps}");
+        assert_eq!((counts.episodes, &method.seen[..]), (3, &[0, 1, 2][..]));
+        assert_eq!(method.told, [0, 1, 2, 0, 1, 2]);
+    }
+}
