@@ -6,6 +6,7 @@
 
 pub mod alma;
 pub mod registry;
+mod saved_states;
 pub mod value_factorisation;
 
 pub use registry::{METHODS, find};

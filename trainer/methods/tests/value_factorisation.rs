@@ -153,6 +153,26 @@ fn goes_on_as_if_it_had_not_stopped(run: &(&'static MethodEntry, Setup)) {
 }
 
 #[test]
+fn states_of_different_lengths_are_learned_from() {
+    let whole_episodes = with(&["network.memory=0"]);
+    for replay in [&[][..], &whole_episodes] {
+        let folder = tempfile::tempdir().unwrap();
+        let (entry, mut setup) = small("qmix", replay);
+        setup.environment.name = "save-the-city".to_owned();
+        setup.environment.set = "2-5a_2-5b".to_owned();
+        for assignment in ["run.steps=1000", "run.final_episodes=8"] {
+            setup = entry.set(&setup, assignment).unwrap();
+        }
+        let mut session = begin(&(entry, setup), 1, 1, folder.path());
+        let mut watch = Watch::default();
+        session.run(&mut watch, &AtomicBool::new(false)).unwrap();
+        assert!(session.curve().iter().any(|point| point.loss > 0.0), "{:?}", session.curve());
+        let failures = watch.result.expect("a result").evaluation.failures;
+        assert!(failures.values().sum::<usize>() > 0, "{failures:?}");
+    }
+}
+
+#[test]
 fn what_was_learned_is_opened_and_taken_over() {
     let folder = tempfile::tempdir().unwrap();
     let run =

@@ -251,7 +251,7 @@ mod tests {
     use alloc::vec;
 
     use super::super::rules::ACTIONS;
-    use super::super::state::BuildingKind;
+    use super::super::state::{BuildingKind, UNASSIGNED};
 
     const NORTH: u16 = 1;
 
@@ -343,8 +343,8 @@ mod tests {
         );
     }
 
-    /// An episode of agents that stay, and how it ended; its allocations are noted from a step on, if they are.
-    fn episode(noted_from: Option<u32>) -> crate::Episode {
+    /// An episode of agents that stay, and how it ended; an allocation is noted from a step on, if it is.
+    fn episode(noted_from: Option<u32>, allocation: &[u8]) -> crate::Episode {
         use crate::Environment;
         use crate::random::generator;
         let set = super::super::ScenarioSet::named("2-5a_2-5b").unwrap();
@@ -353,7 +353,7 @@ mod tests {
         Environment::reset(&mut city, 0, &mut random);
         while !city.is_done(0) {
             if noted_from.is_some_and(|from| city.metrics(0).steps >= from) {
-                Environment::note_allocation(&mut city, 0, &[0; 5]);
+                Environment::note_allocation(&mut city, 0, allocation);
             }
             city.step(0, &[0; 5], &mut random).unwrap();
         }
@@ -362,11 +362,20 @@ mod tests {
 
     #[test]
     fn whose_allocations_are_noted_is_told_why_it_failed_and_plays_as_before() {
-        let (silent, noted, late) = (episode(None), episode(Some(0)), episode(Some(7)));
+        let all = [0; 5];
+        let (silent, noted) = (episode(None, &all), episode(Some(0), &all));
+        let late = episode(Some(7), &all);
         assert!(!noted.solved && noted.steps > 7, "{noted:?}");
         assert_eq!(silent.cause, None);
         assert!(noted.cause.is_some_and(|cause| Cause::NAMES.contains(&cause)), "{noted:?}");
         assert!(late.cause.is_some());
         assert_eq!(crate::Episode { cause: None, ..noted }, silent);
+    }
+
+    #[test]
+    fn who_knows_no_subtasks_works_for_none() {
+        let nothing = episode(Some(0), &[UNASSIGNED; 5]);
+        assert_eq!(episode(Some(0), &[]), nothing);
+        assert_eq!(nothing.cause, Some(Cause::BurnedUnattended.name()));
     }
 }

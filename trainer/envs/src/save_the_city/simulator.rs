@@ -14,7 +14,7 @@ use super::reset::{ABSENT_AGENT, ABSENT_BUILDING, Lots, draw_city};
 use super::rules::{self, Bounce, Change, Constants, Effort};
 use super::scenarios::ScenarioSet;
 use super::spec::spec;
-use super::state::{AgentState, BuildingState, City, MAX_BUILDINGS, Status};
+use super::state::{AgentState, BuildingState, City, MAX_BUILDINGS, Status, UNASSIGNED};
 use crate::environment::{Split, Step, StepError};
 use crate::random::{Random, below, generator};
 use crate::spec::{Shape, Spec};
@@ -179,6 +179,8 @@ impl SaveTheCity {
         });
         told.allocation.clear();
         told.allocation.extend_from_slice(allocation);
+        // Who is not told of works for nothing.
+        told.allocation.resize(self.set.max_agents, UNASSIGNED);
         self.causes[instance] = Some(told);
     }
 

@@ -24,7 +24,7 @@ use sortie_nn::tape::Tensor;
 use crate::error::LearnError;
 
 /// Version of the files of a checkpoint; another version is refused.
-const FORMAT: u32 = 5;
+const FORMAT: u32 = 6;
 /// The oldest version whose networks are still read; nobody can go on from it.
 const READABLE: u32 = 3;
 /// Checkpoints that are kept.
@@ -460,9 +460,9 @@ mod tests {
         let checkpoints = Checkpoints::new(folder.path());
         let manifest = write(&checkpoints, 1).join(MANIFEST);
         let text = std::fs::read_to_string(&manifest).unwrap();
-        std::fs::write(&manifest, text.replace("format = 5", "format = 9")).unwrap();
+        std::fs::write(&manifest, text.replace("format = 6", "format = 9")).unwrap();
         let error = checkpoints.newest(OpenFor::Use).unwrap_err().to_string();
-        assert!(error.contains("format 9") && error.contains("reads 5"), "{error}");
+        assert!(error.contains("format 9") && error.contains("reads 6"), "{error}");
     }
 
     #[test]
@@ -471,11 +471,11 @@ mod tests {
         let checkpoints = Checkpoints::new(folder.path());
         let manifest = write(&checkpoints, 1).join(MANIFEST);
         let text = std::fs::read_to_string(&manifest).unwrap();
-        let older = text.replace("format = 5", "format = 3") + "\n[shapes.agents]\nwidth = 4\n";
+        let older = text.replace("format = 6", "format = 3") + "\n[shapes.agents]\nwidth = 4\n";
         std::fs::write(&manifest, older).unwrap();
         assert_eq!(checkpoints.newest(OpenFor::Use).unwrap().checkpoint.env_steps(), 1);
         let error = checkpoints.newest(OpenFor::Resume).unwrap_err().to_string();
-        assert!(error.contains("format 3") && error.contains("goes on from 5"), "{error}");
+        assert!(error.contains("format 3") && error.contains("goes on from 6"), "{error}");
     }
 
     #[test]

@@ -5,12 +5,12 @@ use sortie_envs::Random;
 use sortie_envs::random::below;
 
 use super::replay::End;
+use crate::saved_states::SavedStates;
 
 /// Episodes of all instances, and what of the running ones there is.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Episodes {
     agents: usize,
-    state_bytes: usize,
     capacity: usize,
     /// Episodes that have ended since the run began. Episode i stands at place `i % capacity`.
     finished: u64,
@@ -21,7 +21,7 @@ pub struct Episodes {
 /// One episode: a state more than things that were done.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Episode {
-    states: Vec<u8>,
+    states: SavedStates,
     actions: Vec<u16>,
     rewards: Vec<f32>,
     /// Whether it was over, and did not run out of time.
@@ -41,9 +41,9 @@ pub struct Ahead {
 
 impl Episodes {
     /// Room for so many episodes.
-    pub fn new(instances: usize, capacity: usize, agents: usize, state_bytes: usize) -> Self {
+    pub fn new(instances: usize, capacity: usize, agents: usize) -> Self {
         let running = vec![Episode::default(); instances];
-        Self { agents, state_bytes, capacity, finished: 0, kept: Vec::new(), running }
+        Self { agents, capacity, finished: 0, kept: Vec::new(), running }
     }
 
     /// Adds a state in which actions were taken, what came of them, and the state that followed.
@@ -55,13 +55,13 @@ impl Episodes {
         next: &[u8],
     ) {
         let running = &mut self.running[instance];
-        running.states.extend_from_slice(state);
+        running.states.push(state);
         running.actions.extend_from_slice(actions);
         running.rewards.push(reward);
         if end == End::Open {
             return;
         }
-        running.states.extend_from_slice(next);
+        running.states.push(next);
         running.is_over = end == End::Over;
         let episode = std::mem::take(running);
         let place = (self.finished % self.capacity as u64) as usize;
@@ -93,7 +93,7 @@ impl Episodes {
 
     /// The bytes of a state.
     pub fn state(&self, episode: usize, step: usize) -> &[u8] {
-        &self.kept[episode].states[step * self.state_bytes..][..self.state_bytes]
+        self.kept[episode].states.at(step)
     }
 
     /// The actions that were taken in a state; none in the last.
@@ -131,7 +131,7 @@ mod tests {
 
     /// Episodes of three steps each; every other one is over, the others ran out of time.
     fn episodes(count: usize, capacity: usize) -> Episodes {
-        let mut episodes = Episodes::new(2, capacity, 2, 1);
+        let mut episodes = Episodes::new(2, capacity, 2);
         for episode in 0..count {
             for step in 0..3 {
                 let end = match (step, episode % 2) {

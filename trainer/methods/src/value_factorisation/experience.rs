@@ -24,7 +24,7 @@ impl Experience {
         let capacity = config.capacity;
         match config.unit {
             Unit::Steps => Self::Steps(Replay::new(instances, capacity / instances, agents, bytes)),
-            Unit::Episodes => Self::Episodes(Episodes::new(instances, capacity, agents, bytes)),
+            Unit::Episodes => Self::Episodes(Episodes::new(instances, capacity, agents)),
         }
     }
 

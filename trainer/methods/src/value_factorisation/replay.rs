@@ -31,7 +31,10 @@ pub struct Replay {
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 struct Stretch {
     written: usize,
+    /// `[capacity, state_bytes]`
     states: Vec<u8>,
+    /// Bytes of each state; what stands behind them does not matter.
+    lengths: Vec<u32>,
     actions: Vec<u16>,
     rewards: Vec<f32>,
     ends: Vec<Option<End>>,
@@ -61,6 +64,7 @@ impl Replay {
         let stretch = Stretch {
             written: 0,
             states: vec![0; capacity * state_bytes],
+            lengths: vec![0; capacity],
             actions: vec![0; capacity * agents],
             rewards: vec![0.0; capacity],
             ends: vec![None; capacity],
@@ -85,7 +89,8 @@ impl Replay {
         let stretch = &mut self.stretches[instance];
         let slot = stretch.written % self.capacity;
         stretch.written += 1;
-        stretch.states[slot * self.state_bytes..][..self.state_bytes].copy_from_slice(state);
+        stretch.states[slot * self.state_bytes..][..state.len()].copy_from_slice(state);
+        stretch.lengths[slot] = state.len() as u32;
         stretch.ends[slot] = end;
         slot
     }
@@ -109,7 +114,8 @@ impl Replay {
     /// The bytes of a state.
     pub fn state(&self, place: Place) -> &[u8] {
         let slot = place.state % self.capacity;
-        &self.stretches[place.instance].states[slot * self.state_bytes..][..self.state_bytes]
+        let stretch = &self.stretches[place.instance];
+        &stretch.states[slot * self.state_bytes..][..stretch.lengths[slot] as usize]
     }
 
     /// The actions that were taken in a state.
@@ -174,6 +180,17 @@ mod tests {
         assert_eq!(future(0, 5), (3, 0.5 + 0.5, 0.0));
         assert_eq!(future(5, 5), (13, 11.0 + 6.0, 0.25));
         assert_eq!(future(8, 2), (22, 20.0 + 10.5, 0.25));
+    }
+
+    #[test]
+    fn a_state_has_its_own_length() {
+        let mut replay = Replay::new(1, 4, 1, 3);
+        let states = [&[1][..], &[2, 3, 4], &[], &[5, 6], &[7]];
+        for (number, state) in states.iter().enumerate() {
+            replay.push(0, state, &[0], 0.0, End::Open);
+            assert_eq!(replay.state(Place { instance: 0, state: number }), *state);
+        }
+        assert_eq!(replay.state(Place { instance: 0, state: 3 }), states[3]);
     }
 
     #[test]
