@@ -78,14 +78,13 @@ impl Levels {
         let sample = SampleShape {
             windows: config.learning.windows,
             steps: config.learning.steps,
-            agents: set.max_agents,
-            tasks: set.max_buildings,
             shaping: Shaping::default(),
         };
         let replay = fill(&config, seed, sample.windows)?;
         let drawn = draw_episodes(&replay, sample.windows, &mut generator, |_| true)
             .ok_or_else(|| Failure::new(Exit::Bug, "too few episodes for a batch"))?;
-        let windows = cut_windows(&replay, &drawn, sample, &mut generator);
+        let environment = config.environment.open()?;
+        let windows = cut_windows(&environment, &replay, &drawn, sample, &mut generator);
         let drawn_policy = allocation.state().policy;
         for _ in 0..FIRST_STEPS {
             low_level.learn(&windows, 1, &mut generator);

@@ -46,7 +46,8 @@ pub struct Windows {
     pub present: Vec<bool>,
     /// `[W S, A, N]`: the entities that each agent can observe.
     pub observable: Vec<bool>,
-    /// `[W S, N]`: the subtask of every entity or [`NO_TASK`]; of agents, the allocation in force.
+    /// `[W S, N]`: the subtask of every entity, the first of several, or [`NO_TASK`]; of agents, the allocation in
+    /// force.
     pub entity_task: Vec<u8>,
     /// `[W S, T]`: the subtasks that exist and are not finished.
     pub open: Vec<bool>,

@@ -39,7 +39,7 @@ pub struct WindowLearner {
     pub low_level: LowLevel,
     /// There is one if the run learns to allocate.
     pub allocation: Option<AllocationLevel>,
-    rollout: Rollout,
+    pub(super) rollout: Rollout,
     /// Whole episodes.
     pub replay: Replay,
     /// What every update draws.
@@ -72,8 +72,6 @@ impl WindowLearner {
             sample: SampleShape {
                 windows: config.learning.windows,
                 steps: config.learning.steps,
-                agents: sizes.agents,
-                tasks: sizes.tasks,
                 shaping: Shaping::default(),
             },
             generator: generator(seed, Purpose::Replay, 0),
@@ -92,7 +90,7 @@ impl WindowLearner {
     }
 
     /// One update of each level that has enough to learn from.
-    fn update_once(&mut self, now: u64, reports: &mut Reports) {
+    fn update_once(&mut self, environment: &dyn Environment, now: u64, reports: &mut Reports) {
         let Self { config, sample, generator, replay, threads, .. } = self;
         let drawn = if config.low_level.frozen {
             None
@@ -100,9 +98,9 @@ impl WindowLearner {
             draw_episodes(replay, sample.windows, generator, |_| true)
         };
         if let Some(drawn) = drawn {
-            let ReturnsConfig { shaping: cell, discount, .. } = config.low_level.returns;
-            let shaped = SampleShape { shaping: Shaping { cell, discount }, ..*sample };
-            let windows = cut_windows(replay, &drawn, shaped, generator);
+            let ReturnsConfig { shaping: scale, discount, .. } = config.low_level.returns;
+            let shaped = SampleShape { shaping: Shaping { scale, discount }, ..*sample };
+            let windows = cut_windows(environment, replay, &drawn, shaped, generator);
             let report = self.low_level.learn(&windows, *threads, generator);
             let report = UpdateReport { loss: report.loss, gradient_norm: report.gradient_norm };
             reports.agents.push(report);
@@ -111,7 +109,7 @@ impl WindowLearner {
         let recent = |added: u64| now - added <= config.allocation.oldest;
         let drawn = draw_episodes(replay, sample.windows, generator, |e| recent(e.added));
         if let Some(drawn) = drawn {
-            let windows = cut_windows(replay, &drawn, *sample, generator);
+            let windows = cut_windows(environment, replay, &drawn, *sample, generator);
             if let Some(report) = allocation.learn(&windows, now, generator, *threads) {
                 let (loss, gradient_norm) = (report.critic_loss, report.critic_norm);
                 reports.allocator.push(UpdateReport { loss, gradient_norm });
@@ -191,7 +189,7 @@ impl Method for WindowLearner {
     /// As many updates of each level as episodes were played.
     fn update(
         &mut self,
-        _: &dyn Environment,
+        environment: &dyn Environment,
         now: Now,
         reports: &mut Reports,
     ) -> Result<(), LearnError> {
@@ -200,7 +198,7 @@ impl Method for WindowLearner {
         let instances = self.config.environment.instances;
         for _ in 0..instances {
             (0..self.config.learning.updates)
-                .for_each(|_| self.update_once(now.env_steps, reports));
+                .for_each(|_| self.update_once(environment, now.env_steps, reports));
             self.copy_targets();
         }
         self.episodes.played += instances as u64;

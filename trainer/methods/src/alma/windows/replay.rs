@@ -1,30 +1,26 @@
-//! Whole episodes, stored as compact states from which everything else is rebuilt.
+//! Whole episodes, stored as states from which everything else is rebuilt.
 
 use serde::{Deserialize, Serialize};
-use sortie_envs::save_the_city::{AgentState, BuildingState, City};
+
+use crate::saved_states::SavedStates;
 
 /// One episode: every state with what was decided in it, and the final state.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Episode {
-    /// Agents of this episode.
-    pub agents: usize,
-    /// Buildings, each a subtask.
-    pub buildings: usize,
     /// Environment steps of the run when it began.
     pub added: u64,
-    /// `[states, agents]`
-    agent_states: Vec<AgentState>,
-    /// `[states, buildings]`
-    building_states: Vec<BuildingState>,
-    /// `[states, agents]`: the allocation in force.
+    agents: usize,
+    tasks: usize,
+    states: SavedStates,
+    /// `[states, A]`: the allocation in force.
     allocation: Vec<u8>,
-    /// `[states, agents]`; what stands at the final state is never used.
+    /// `[states, A]`; what stands at the final state is never used.
     actions: Vec<u8>,
     /// `[states]`: whether agents were allocated anew.
     decision: Vec<bool>,
     /// `[steps]`
     reward: Vec<f32>,
-    /// `[steps, buildings]`
+    /// `[steps, T]`
     task_reward: Vec<f32>,
     /// The last step came to the episode's own end, not to its time limit.
     pub terminated: bool,
@@ -33,46 +29,53 @@ pub struct Episode {
 /// A state with what was decided in it.
 #[derive(Clone, Copy, Debug)]
 pub struct Moment<'a> {
-    /// Agents and buildings.
-    pub city: City<'a>,
-    /// The building of every agent.
+    /// Its bytes.
+    pub state: &'a [u8],
+    /// `[A]`: the subtask of every agent.
     pub allocation: &'a [u8],
     /// Whether that was decided in this state.
     pub decision: bool,
-    /// What the agents do.
+    /// `[A]`: what the agents do.
     pub actions: &'a [u16],
 }
 
 impl Episode {
-    /// Begins an episode in place of whatever was stored here.
-    pub fn begin(&mut self, city: City<'_>, added: u64) {
-        *self = Self {
-            agents: city.agents.len(),
-            buildings: city.buildings.len(),
-            added,
-            ..Self::default()
-        };
+    /// Begins an episode of at most so many agents and subtasks, `added` environment steps into the run.
+    pub fn begin(agents: usize, tasks: usize, added: u64) -> Self {
+        Self { agents, tasks, added, ..Self::default() }
     }
 
     /// Adds a state.
     pub fn push_state(&mut self, moment: Moment<'_>) {
-        let agents = self.agents;
-        self.agent_states.extend_from_slice(moment.city.agents);
-        self.building_states.extend_from_slice(moment.city.buildings);
-        self.allocation.extend_from_slice(&moment.allocation[..agents]);
-        self.actions.extend(moment.actions[..agents].iter().map(|action| *action as u8));
+        self.states.push(moment.state);
+        self.allocation.extend_from_slice(&moment.allocation[..self.agents]);
+        let actions = &moment.actions[..self.agents];
+        self.actions.extend(actions.iter().map(|action| *action as u8));
         self.decision.push(moment.decision);
     }
 
-    /// Adds what the step from the last state earned: for the team, and for every subtask.
+    /// Adds what the step from the last state earned: for the team, and for every subtask that has a reward.
     pub fn push_rewards(&mut self, team: f64, tasks: &[f64]) {
         self.reward.push(team as f32);
-        self.task_reward.extend(tasks[..self.buildings].iter().map(|reward| *reward as f32));
+        self.task_reward.extend(tasks.iter().map(|reward| *reward as f32));
+        self.task_reward.resize(self.reward.len() * self.tasks, 0.0);
+    }
+
+    /// Adds the final state, and keeps no memory for more.
+    pub fn end(&mut self, last: Moment<'_>, terminated: bool) {
+        self.push_state(last);
+        self.terminated = terminated;
+        self.states.shrink_to_fit();
+        self.allocation.shrink_to_fit();
+        self.actions.shrink_to_fit();
+        self.decision.shrink_to_fit();
+        self.reward.shrink_to_fit();
+        self.task_reward.shrink_to_fit();
     }
 
     /// States, the final one included.
     pub fn states(&self) -> usize {
-        self.decision.len()
+        self.states.len()
     }
 
     /// Steps taken.
@@ -80,20 +83,17 @@ impl Episode {
         self.reward.len()
     }
 
-    /// Agents and buildings in a state.
-    pub fn city(&self, state: usize) -> City<'_> {
-        City {
-            agents: &self.agent_states[state * self.agents..][..self.agents],
-            buildings: &self.building_states[state * self.buildings..][..self.buildings],
-        }
+    /// The bytes of a state.
+    pub fn state(&self, state: usize) -> &[u8] {
+        self.states.at(state)
     }
 
-    /// The allocation `[agents]` in force in a state.
+    /// The allocation `[A]` in force in a state.
     pub fn allocation(&self, state: usize) -> &[u8] {
         &self.allocation[state * self.agents..][..self.agents]
     }
 
-    /// The actions `[agents]` taken in a state.
+    /// The actions `[A]` taken in a state.
     pub fn actions(&self, state: usize) -> &[u8] {
         &self.actions[state * self.agents..][..self.agents]
     }
@@ -108,9 +108,9 @@ impl Episode {
         self.reward[step]
     }
 
-    /// The reward of every subtask in a step.
+    /// The rewards `[T]` of all subtasks in a step.
     pub fn task_reward(&self, step: usize) -> &[f32] {
-        &self.task_reward[step * self.buildings..][..self.buildings]
+        &self.task_reward[step * self.tasks..][..self.tasks]
     }
 }
 

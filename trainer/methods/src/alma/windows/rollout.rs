@@ -1,7 +1,8 @@
 //! Acting while learning: rounds of whole episodes, one in each of several environments.
 
+use sortie_envs::Shape;
 use sortie_envs::random::chance;
-use sortie_envs::save_the_city::{AllocationRule, City, DecisionPoints, UNASSIGNED, with_city};
+use sortie_envs::save_the_city::{AllocationRule, City, DecisionPoints, UNASSIGNED};
 use sortie_learn::{LearnError, Scenes, Transition};
 use sortie_nn::random::Generator;
 
@@ -124,7 +125,7 @@ impl Rollout {
                 (&mut self.instances[scene.instance], &mut random[scene.instance]);
             instance.city.read(scene.state);
             if scene.begins {
-                instance.begin(behaviour.added);
+                instance.begin(scenes.environment.spec().shape, behaviour.added);
             }
             if behaviour.allocator.is_none() && advice.is_none() {
                 continue;
@@ -178,20 +179,17 @@ impl Rollout {
 
     /// Writes down a step.
     pub fn remember(&mut self, transition: &Transition<'_>) {
-        let Transition { actions, step, .. } = *transition;
-        let Instance { allocation, decision, last_actions, city, episode, .. } =
+        let Transition { state, actions, step, next, .. } = *transition;
+        let Instance { allocation, decision, last_actions, episode, .. } =
             &mut self.instances[transition.instance];
-        let moment = Moment { city: city.city(), allocation, decision: *decision, actions };
+        let moment = Moment { state, allocation, decision: *decision, actions };
         episode.push_state(moment);
         episode.push_rewards(step.reward, transition.task_rewards);
         for (last, action) in last_actions.iter_mut().zip(actions) {
             *last = *action as u8;
         }
         if step.done() {
-            with_city(transition.next, |city| {
-                episode.push_state(Moment { city, allocation, decision: false, actions });
-            });
-            episode.terminated = step.terminated;
+            episode.end(Moment { state: next, decision: false, ..moment }, step.terminated);
         }
     }
 
@@ -202,14 +200,14 @@ impl Rollout {
 }
 
 impl Instance {
-    /// The first state of an episode has been read.
-    fn begin(&mut self, added: u64) {
+    /// An episode begins, in an environment of this shape.
+    fn begin(&mut self, shape: Shape, added: u64) {
         self.points.restart();
         self.decision = false;
         self.allocation.fill(UNASSIGNED);
         self.last_actions.fill(NO_ACTION);
         self.strategies.clear();
-        self.episode.begin(self.city.city(), added);
+        self.episode = Episode::begin(shape.agents, shape.tasks, added);
     }
 }
 
@@ -219,7 +217,8 @@ mod tests {
     use crate::alma::records::Conditioning;
     use crate::alma::windows::low_level::{TaskOrder, agent_utilities};
     use crate::alma::windows::{SampleShape, Shaping, WindowLearner, cut_windows};
-    use sortie_envs::save_the_city::ACTIONS;
+    use sortie_envs::save_the_city::{ACTIONS, with_city};
+    use sortie_envs::{EntitySet, Environment, Observation, Step};
     use sortie_learn::Now;
     use sortie_learn::play::Play;
     use sortie_learn::random::{Purpose, generator};
@@ -236,6 +235,13 @@ mod tests {
         config
     }
 
+    /// What there is to see in a state of an episode.
+    fn seen(environment: &dyn Environment, episode: &Episode, state: usize) -> Observation {
+        let mut seen = Observation::new(&environment.spec().shape);
+        environment.observe(episode.state(state), 0, EntitySet::MAX, &mut seen);
+        seen
+    }
+
     /// Plays a round and keeps its episodes.
     fn play(config: &Config, counts: &mut EpisodeCounts) -> WindowLearner {
         let mut method = WindowLearner::new(config, 5, 1).unwrap();
@@ -250,7 +256,8 @@ mod tests {
     #[test]
     fn a_round_plays_whole_episodes_and_decides_by_the_rules() {
         let mut counts = EpisodeCounts::default();
-        let method = play(&config("heuristic", 3, 30), &mut counts);
+        let config = config("heuristic", 3, 30);
+        let (method, city) = (play(&config, &mut counts), config.environment.open().unwrap());
         let episodes = method.replay.episodes();
         assert_eq!((episodes.len(), counts.episodes), (3, 3));
         for episode in episodes {
@@ -258,13 +265,52 @@ mod tests {
             assert!(episode.terminated || episode.steps() == 30);
             let mut since = 0;
             for state in 0..episode.steps() {
-                let open = |state: usize| episode.city(state).open_tasks();
+                let open = |state: usize| seen(&city, episode, state).open_tasks;
                 let changed = state > 0 && open(state) != open(state - 1);
                 let due = state == 0 || since >= 5 || changed;
                 assert_eq!(episode.decision(state), due, "state {state}");
                 since = if due { 1 } else { since + 1 };
             }
             assert!(!episode.decision(episode.steps()), "the final state decides nothing");
+        }
+    }
+
+    #[test]
+    fn an_episode_keeps_its_states_in_order_and_the_last_behind_its_end() {
+        let config = config("heuristic", 2, 30);
+        let city = config.environment.open().unwrap();
+        let shape = city.spec().shape;
+        let mut rollout = WindowLearner::new(&config, 1, 1).unwrap().rollout;
+        let instance = &mut rollout.instances[1];
+        instance.begin(shape, 9);
+        instance.allocation.fill(3);
+        for (state, timed_out) in [(10, false), (11, false), (12, true)] {
+            let step = Step { reward: f64::from(state), timed_out, ..Step::default() };
+            rollout.remember(&Transition {
+                environment: &city,
+                instance: 1,
+                state: &[state],
+                actions: &[u16::from(state); 5],
+                step,
+                task_rewards: &[1.0; 6],
+                agent_rewards: &[],
+                next: &[state + 1],
+            });
+        }
+        let [empty, episode] = &rollout.take_episodes().collect::<Vec<_>>()[..] else { panic!() };
+        assert_eq!((empty, episode.steps(), episode.added), (&Episode::default(), 3, 9));
+        let states: Vec<u8> = (0..episode.states()).map(|state| episode.state(state)[0]).collect();
+        assert_eq!((&states[..], episode.terminated), (&[10, 11, 12, 13][..], false));
+        for step in 0..3 {
+            let action = 10 + step as u8;
+            assert_eq!(
+                (episode.actions(step), episode.allocation(step)),
+                (&[action; 5][..], &[3; 5][..])
+            );
+            assert_eq!(
+                (episode.reward(step), episode.task_reward(step)),
+                (f32::from(action), &[1.0; 6][..])
+            );
         }
     }
 
@@ -285,23 +331,16 @@ mod tests {
             let mut weights = generator(1, Purpose::Weights, 0);
 
             let shaping = Shaping::default();
-            let sample = SampleShape { windows: 2, steps: 64, agents: 5, tasks: 6, shaping };
-            let windows = cut_windows(&replay, &[0, 1], sample, &mut weights);
+            let sample = SampleShape { windows: 2, steps: 64, shaping };
+            let city = config.environment.open().unwrap();
+            let windows = cut_windows(&city, &replay, &[0, 1], sample, &mut weights);
             let order = TaskOrder::identity(6);
             let in_windows = agent_utilities(level.players(), &windows, conditioning, &order);
             let mut players = Players::new(conditioning, shape);
             let mut compared = 0;
             for (world, episode) in replay.episodes().iter().enumerate() {
-                let mut last_actions = vec![NO_ACTION; episode.agents];
+                let mut last_actions = vec![NO_ACTION; 5];
                 for state in 0..episode.steps() {
-                    let (city, allocation) = (episode.city(state), episode.allocation(state));
-                    let scene = Scene {
-                        world,
-                        city,
-                        allocation,
-                        last_actions: &last_actions,
-                        strategies: &[],
-                    };
                     let act = |_: usize, agent: usize, utilities: &[f32]| {
                         let at = ((world * windows.shape.steps + state) * 5 + agent) * ACTIONS;
                         for (acted, learned) in utilities.iter().zip(&in_windows[at..]) {
@@ -309,7 +348,16 @@ mod tests {
                         }
                         compared += 1;
                     };
-                    players.act(level.players(), &[scene], 5, act).unwrap();
+                    with_city(episode.state(state), |city| {
+                        let scene = Scene {
+                            world,
+                            city,
+                            allocation: episode.allocation(state),
+                            last_actions: &last_actions,
+                            strategies: &[],
+                        };
+                        players.act(level.players(), &[scene], 5, act).unwrap();
+                    });
                     last_actions.copy_from_slice(episode.actions(state));
                 }
             }

@@ -1,7 +1,6 @@
 use sortie_envs::random::chance;
-use sortie_envs::save_the_city::{
-    Constants, FEATURES, MAX_AGENTS, SaveTheCity, ScenarioSet, UNASSIGNED,
-};
+use sortie_envs::save_the_city::with_city;
+use sortie_envs::{Shape, Split};
 use sortie_nn::gradient_check::{assert_gradient, random};
 use sortie_nn::random::Generator;
 
@@ -11,7 +10,7 @@ use super::strategies::Holdings;
 use super::*;
 use crate::alma::records::{Conditioning, UtilityInput};
 use crate::alma::windows::{
-    Episode, Moment, Replay, SampleShape, Shaping, WindowShape, Windows, cut_windows,
+    Episode, Moment, NO_TASK, Replay, SampleShape, Shaping, WindowShape, Windows, cut_windows,
 };
 use sortie_learn::random::{Purpose, generator};
 
@@ -169,39 +168,40 @@ fn strategies_are_held_until_the_next_decision() {
 
 #[test]
 fn a_coach_sees_the_same_where_agents_play_and_where_they_learn() {
-    let set = ScenarioSet::named("2-5a_2-5b").unwrap();
-    let (agents, tasks) = (set.max_agents, set.max_buildings);
-    let world = SaveTheCity::new(set, Constants::default(), 1, 3).unwrap();
-    let city = world.city(0);
-    let mut episode = Episode::default();
-    episode.begin(city, 0);
-    let (allocation, actions) = ([UNASSIGNED; MAX_AGENTS], [0; MAX_AGENTS]);
-    for decision in [true, false] {
-        let (allocation, actions) = (&allocation[..], &actions[..]);
-        episode.push_state(Moment { city, allocation, decision, actions });
-    }
-    episode.push_rewards(0.0, &[0.0; 32]);
+    let world = sortie_envs::open("save-the-city/2-5a_2-5b", Split::Train, 1, &Default::default());
+    let mut world = world.unwrap();
+    world.reset(0, &mut sortie_envs::random::generator(3));
+    let Shape { agents, tasks, features, .. } = world.spec().shape;
+    let mut state = Vec::new();
+    world.save(0, &mut state);
+    let mut episode = Episode::begin(agents, tasks, 0);
+    let (allocation, actions) = (vec![NO_TASK; agents], vec![0; agents]);
+    let first =
+        Moment { state: &state, allocation: &allocation, decision: true, actions: &actions };
+    episode.push_state(first);
+    episode.push_rewards(0.0, &[]);
+    episode.end(Moment { decision: false, ..first }, false);
     let mut replay = Replay::new(1);
     replay.push(episode);
-    let shaping = Shaping::default();
-    let sample = SampleShape { windows: 1, steps: 2, agents, tasks, shaping };
-    let windows = cut_windows(&replay, &[0], sample, &mut draws());
+    let sample = SampleShape { windows: 1, steps: 2, shaping: Shaping::default() };
+    let windows = cut_windows(&*world, &replay, &[0], sample, &mut draws());
 
-    let shape = CoachShape { features: FEATURES, marks: tasks, ..SHAPE };
+    let shape = CoachShape { features, marks: tasks, ..SHAPE };
     let order = TaskOrder::shuffled(tasks, &mut draws());
     let [mut playing, mut learning] = [UtilityInput::default(), UtilityInput::default()];
-    city_input(shape, city, &order, &mut playing);
+    with_city(&state, |city| city_input(shape, city, &order, &mut playing));
     state_input(shape, &windows, &[0], &order, false, &mut learning);
     assert_eq!(playing, learning);
 
     let coach = Coach::initialise(shape, &mut weights());
     let [mut told, mut drawn] = [Vec::new(), Vec::new()];
     let mut advice = Advice::new(&coach);
-    advice.mean(city, &mut told).unwrap();
-    advice.draw(city, &mut draws(), &mut drawn);
-    assert_eq!((told.len(), drawn.len()), (city.agents.len() * 6, city.agents.len() * 6));
+    with_city(&state, |city| advice.mean(city, &mut told).unwrap());
+    with_city(&state, |city| advice.draw(city, &mut draws(), &mut drawn));
+    let present = windows.present[..agents].iter().filter(|present| **present).count();
+    assert_eq!((told.len(), drawn.len()), (present * 6, present * 6));
     assert_ne!(told, drawn);
     let few = Coach::initialise(CoachShape { marks: 1, ..shape }, &mut weights());
-    let refused = Advice::new(&few).mean(city, &mut told).unwrap_err();
+    let refused = with_city(&state, |city| Advice::new(&few).mean(city, &mut told)).unwrap_err();
     assert!(refused.to_string().contains("knows 1 subtasks"), "{refused}");
 }
