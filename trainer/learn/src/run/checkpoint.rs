@@ -14,13 +14,14 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use crc::{CRC_64_XZ, Crc, Table};
-use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use safetensors::tensor::{Dtype, SafeTensors};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use sortie_bundle::files::{Durability, sync_folder, write_parts};
 use sortie_nn::layers::products::Products;
 use sortie_nn::tape::Tensor;
 
+use super::contents::{Contents, SavedTensor};
 use crate::error::LearnError;
 
 /// Version of the files of a checkpoint; another version is refused.
@@ -69,9 +70,6 @@ impl FileSum {
         Self { bytes, crc64: format!("{:016x}", digest.finalize()) }
     }
 }
-
-/// Name, sizes and numbers of a tensor, as the file has them.
-pub type SavedTensor = (String, Vec<usize>, Vec<u8>);
 
 /// Everything that a run depends on, as a [visit](crate::state::State) has found it.
 #[derive(Debug, Default)]
@@ -196,10 +194,11 @@ fn write_files(folder: &Path, env_steps: u64, written: &Written) -> Result<(), L
         written.map_err(LearnError::file(path))
     };
     std::fs::create_dir(folder).map_err(LearnError::file(folder))?;
-    let tensors = tensors_file(&written.tensors).map_err(|error| bad(&error))?;
-    let lengths = lengths(&written.values).map_err(|error| bad(&error))?;
+    let tensors = Contents::of_tensors(&written.tensors).map_err(|error| bad(&error))?;
+    let values = Contents::of_values(&written.values).map_err(|error| bad(&error))?;
     let mut files = BTreeMap::new();
-    for (name, parts) in [(TENSORS, vec![&*tensors]), (STATE, state_file(written, &lengths))] {
+    for (name, contents) in [(TENSORS, tensors), (STATE, values)] {
+        let parts: Vec<&[u8]> = contents.parts().collect();
         write(name, &parts)?;
         files.insert(name.to_owned(), FileSum::of(parts));
     }
@@ -322,35 +321,9 @@ impl Checkpoint {
     }
 }
 
-/// What stands before every part of a state: how many values there are, and behind each name how long its value is.
-fn lengths(values: &BTreeMap<String, Vec<u8>>) -> postcard::Result<Vec<Vec<u8>>> {
-    let mut lengths = vec![postcard::to_stdvec(&values.len())?];
-    for (name, value) in values {
-        let mut before = postcard::to_stdvec(name)?;
-        before.extend(postcard::to_stdvec(&value.len())?);
-        lengths.push(before);
-    }
-    Ok(lengths)
-}
-
-/// The values as postcard writes a map, in parts: a replay is too large to stand in memory twice.
-fn state_file<'a>(written: &'a Written, lengths: &'a [Vec<u8>]) -> Vec<&'a [u8]> {
-    // Nothing stands between the number of values and the first name.
-    let values = std::iter::once(&[][..]).chain(written.values.values().map(Vec::as_slice));
-    lengths.iter().zip(values).flat_map(|(before, value)| [before.as_slice(), value]).collect()
-}
-
 /// Numbers as files have them.
 pub(crate) fn in_bytes(numbers: &[f32]) -> Vec<u8> {
     numbers.iter().flat_map(|number| number.to_le_bytes()).collect()
-}
-
-fn tensors_file(tensors: &[SavedTensor]) -> Result<Vec<u8>, safetensors::SafeTensorError> {
-    let views = tensors
-        .iter()
-        .map(|(name, sizes, bytes)| Ok((name, TensorView::new(Dtype::F32, sizes.clone(), bytes)?)))
-        .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()?;
-    safetensors::serialize(views, None)
 }
 
 fn remove(folder: &Path) -> Result<(), LearnError> {

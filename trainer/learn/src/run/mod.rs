@@ -15,6 +15,7 @@ pub mod chart;
 pub mod checkpoint;
 mod clock;
 mod config;
+mod contents;
 mod counters;
 mod curve;
 mod description;
