@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use sortie_envs::Environment;
 use sortie_learn::Now;
 use sortie_learn::play::Play;
 use sortie_learn::random::{Purpose, generator};
@@ -10,7 +11,8 @@ use sortie_methods::alma::records::Allocation;
 use sortie_methods::alma::windows::allocation::{AllocationLevel, AllocationState};
 use sortie_methods::alma::windows::low_level::{LowLevel, LowLevelConfig};
 use sortie_methods::alma::windows::{
-    Config, Replay, SampleShape, Shaping, WindowLearner, Windows, cut_windows, draw_episodes,
+    Config, Replay, SampleShape, Shaping, WindowLearner, WindowShape, Windows, cut_windows,
+    draw_episodes,
 };
 use sortie_nn::random::Generator;
 
@@ -48,10 +50,11 @@ struct Player {
 
 impl Player {
     fn new(config: &Config, seed: u64) -> Result<Self, Failure> {
-        let mut method = WindowLearner::new(config, seed, 1)?;
+        let environment = config.environment.open()?;
+        let mut method = WindowLearner::new(config, environment.spec().shape, seed, 1);
         let stream = |index| generator(seed, Purpose::Rollout, index as u64);
         let random = (0..config.environment.instances).map(stream).collect();
-        let play = Play::new(&config.environment.open()?, &mut method, random);
+        let play = Play::new(&environment, &mut method, random);
         Ok(Self { method, play })
     }
 
@@ -69,8 +72,8 @@ impl Levels {
     pub(super) fn new(assignments: &[String], seed: u64) -> Result<Self, Failure> {
         let mut config = Config::default();
         assignments.iter().try_for_each(|assignment| config.set(assignment))?;
-        let set = config.environment.scenario_set()?;
-        let sizes = config.sizes(&set);
+        let environment = config.environment.open()?;
+        let sizes = WindowShape::of(environment.spec().shape);
         let mut weights = generator(seed, Purpose::Weights, 0);
         let mut low_level = LowLevel::new(config.low_level.clone(), sizes, &mut weights);
         let mut allocation = AllocationLevel::new(config.allocation_learning(sizes), seed);
@@ -83,7 +86,6 @@ impl Levels {
         let replay = fill(&config, seed, sample.windows)?;
         let drawn = draw_episodes(&replay, sample.windows, &mut generator, |_| true)
             .ok_or_else(|| Failure::new(Exit::Bug, "too few episodes for a batch"))?;
-        let environment = config.environment.open()?;
         let windows = cut_windows(&environment, &replay, &drawn, sample, &mut generator);
         let drawn_policy = allocation.state().policy;
         for _ in 0..FIRST_STEPS {

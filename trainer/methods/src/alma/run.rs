@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use sortie_envs::Environment;
 use sortie_learn::LearnError;
 use sortie_learn::run::{Checkpoint, CurvePoint, RunDescription, RunFolder, checkpoint};
 use sortie_nn::layers::gru::lengths;
@@ -12,7 +13,7 @@ use super::records::{UtilityNetwork, network_of};
 use super::settings::Settings;
 use super::windows::allocation::{AllocationCritic, AllocationNetworks, AllocationPolicy};
 use super::windows::low_level::coach::{Coach, CoachShape};
-use super::windows::{self, PopArt, ProposalAllocator};
+use super::windows::{self, PopArt, ProposalAllocator, WindowShape};
 
 /// A learned allocator.
 #[derive(Clone, Debug, PartialEq)]
@@ -114,7 +115,7 @@ fn windows_networks(
     checkpoint: &Checkpoint,
     config: &windows::Config,
 ) -> Result<Networks, LearnError> {
-    let sizes = config.sizes(&config.environment.scenario_set()?);
+    let sizes = WindowShape::of(config.environment.open()?.spec().shape);
     let whole = |name: &str, count: usize| checkpoint.whole_vector(name, count);
     let shape = config.low_level.shape(sizes);
     let agents = network_of(checkpoint, "agents/online", shape)?;

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use sortie_envs::Environment;
 use sortie_learn::run::{Configuration, RunDescription};
 use sortie_learn::session::{Parts, Session};
 use sortie_learn::{LearnError, Method};
@@ -45,7 +46,10 @@ fn parts(description: &RunDescription<Settings>, threads: usize) -> Result<Parts
     let environment = Settings::environment(&description.config).open()?;
     let method: Box<dyn Method> = match &description.config {
         Settings::Records(config) => Box::new(Records::new(config, seed, threads)?),
-        Settings::Windows(config) => Box::new(WindowLearner::new(config, seed, threads)?),
+        Settings::Windows(config) => {
+            let shape = environment.spec().shape;
+            Box::new(WindowLearner::new(config, shape, seed, threads))
+        }
     };
     Ok((Box::new(environment), method))
 }

@@ -1,5 +1,6 @@
 //! What both levels learn from: windows of consecutive steps.
 
+use sortie_envs::Shape;
 use sortie_nn::layers::SparseRows;
 
 /// The subtask of an entity that belongs to none.
@@ -27,6 +28,12 @@ pub struct WindowShape {
 }
 
 impl WindowShape {
+    /// Sizes of an environment, as a batch of no windows.
+    pub fn of(shape: Shape) -> Self {
+        let Shape { agents, entities, tasks, actions, features } = shape;
+        Self { windows: 0, steps: 0, agents, entities, tasks, actions, features }
+    }
+
     /// States of all windows, W S.
     pub fn states(&self) -> usize {
         self.windows * self.steps

@@ -1,7 +1,6 @@
 //! Everything that decides how a run of the preset `paper` learns, in one readable file.
 
 use serde::{Deserialize, Serialize};
-use sortie_envs::save_the_city::{ACTIONS, FEATURES, ScenarioSet};
 use sortie_nn::schedule::linear;
 
 use super::allocation::{AllocationLearning, AllocationShape, RowRules};
@@ -256,19 +255,6 @@ impl Config {
     /// Who allocates, by name.
     pub fn measured_allocation(&self) -> &str {
         if self.low_level.conditioning.has_subtasks() { &self.allocation.by } else { "none" }
-    }
-
-    /// Sizes of the environment, as a batch of no windows.
-    pub fn sizes(&self, set: &ScenarioSet) -> WindowShape {
-        WindowShape {
-            windows: 0,
-            steps: 0,
-            agents: set.max_agents,
-            entities: set.max_agents + set.max_buildings,
-            tasks: set.max_buildings,
-            actions: ACTIONS,
-            features: FEATURES,
-        }
     }
 
     /// How the allocator learns in an environment of these sizes.

@@ -3,13 +3,14 @@
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use sortie_envs::{Environment, Random};
+use sortie_envs::{Environment, Random, Shape};
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Rates, Reports, UpdateReport};
 use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition};
 use sortie_nn::random::Generator;
 
 use super::allocation::{AllocationLevel, AllocationState};
+use super::batch::WindowShape;
 use super::config::Config;
 use super::deciding::ProposalAllocator;
 use super::low_level::LowLevel;
@@ -52,21 +53,17 @@ pub struct WindowLearner {
 }
 
 impl WindowLearner {
-    /// Draws the first weights.
-    ///
-    /// # Errors
-    /// There is no such set of starts.
-    pub fn new(config: &Config, seed: u64, threads: usize) -> Result<Self, LearnError> {
-        let set = config.environment.scenario_set()?;
-        let sizes = config.sizes(&set);
+    /// Draws the first weights, for an environment of this shape.
+    pub fn new(config: &Config, shape: Shape, seed: u64, threads: usize) -> Self {
+        let sizes = WindowShape::of(shape);
         let mut weights = generator(seed, Purpose::Weights, 0);
         let mut low_level = LowLevel::new(config.low_level.clone(), sizes, &mut weights);
         if config.coach.enabled {
             low_level.add_coach(config.coach, &mut weights);
         }
         let learning = config.learns_allocator().then(|| config.allocation_learning(sizes));
-        Ok(Self {
-            rollout: Rollout::new(config, low_level.online.agents.shape(), set.max_agents),
+        Self {
+            rollout: Rollout::new(config, low_level.online.agents.shape(), shape.agents),
             allocation: learning.map(|learning| AllocationLevel::new(learning, seed)),
             replay: Replay::new(config.learning.episodes),
             sample: SampleShape {
@@ -80,7 +77,7 @@ impl WindowLearner {
             config: config.clone(),
             threads,
             low_level,
-        })
+        }
     }
 
     /// Keeps the episodes of the round that is over.

@@ -244,10 +244,11 @@ mod tests {
 
     /// Plays a round and keeps its episodes.
     fn play(config: &Config, counts: &mut EpisodeCounts) -> WindowLearner {
-        let mut method = WindowLearner::new(config, 5, 1).unwrap();
+        let city = config.environment.open().unwrap();
+        let mut method = WindowLearner::new(config, city.spec().shape, 5, 1);
         let stream = |index| generator(5, Purpose::Rollout, index as u64);
         let random = (0..config.environment.instances).map(stream).collect();
-        let mut play = Play::new(&config.environment.open().unwrap(), &mut method, random);
+        let mut play = Play::new(&city, &mut method, random);
         play.round(&mut method, Now { env_steps: 7, of: 100 }, counts).unwrap();
         method.keep_episodes();
         method
@@ -280,7 +281,7 @@ mod tests {
         let config = config("heuristic", 2, 30);
         let city = config.environment.open().unwrap();
         let shape = city.spec().shape;
-        let mut rollout = WindowLearner::new(&config, 1, 1).unwrap().rollout;
+        let mut rollout = WindowLearner::new(&config, shape, 1, 1).rollout;
         let instance = &mut rollout.instances[1];
         instance.begin(shape, 9);
         instance.allocation.fill(3);

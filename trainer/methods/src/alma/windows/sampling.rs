@@ -6,7 +6,7 @@
 //! actions and allocations before a window's first state are the true ones.
 
 use sortie_envs::random::below;
-use sortie_envs::{AgentSet, EntitySet, Environment, Observation, Shape};
+use sortie_envs::{AgentSet, EntitySet, Environment, Observation};
 use sortie_nn::random::Generator;
 
 use super::batch::{NO_ACTION, NO_TASK, WindowShape, Windows};
@@ -64,9 +64,8 @@ pub fn cut_windows(
     let episodes: Vec<&Episode> = drawn.iter().map(|index| &replay.episodes()[*index]).collect();
     let longest = episodes.iter().map(|episode| episode.states()).max().unwrap_or(0);
     let steps = sample.steps.min(longest);
-    let Shape { agents, entities, tasks, actions, features } = environment.spec().shape;
-    let shape =
-        WindowShape { windows: drawn.len(), steps, agents, entities, tasks, actions, features };
+    let sizes = WindowShape::of(environment.spec().shape);
+    let shape = WindowShape { windows: drawn.len(), steps, ..sizes };
     let mut windows = Windows::new(shape);
     windows.features.clear();
     // Every state of all windows, by episode and its number there.
@@ -80,7 +79,7 @@ pub fn cut_windows(
     for (state, place) in places.into_iter().enumerate() {
         match place {
             Some(place) => writer.write(state, place),
-            None => (0..entities).for_each(|_| writer.windows.features.end_row()),
+            None => (0..sizes.entities).for_each(|_| writer.windows.features.end_row()),
         }
     }
     writer.windows
@@ -253,7 +252,7 @@ mod tests {
     use crate::alma::windows::replay::Moment;
     use rand_core::SeedableRng;
     use sortie_envs::random::member;
-    use sortie_envs::{Split, members};
+    use sortie_envs::{Shape, Split, members};
 
     const SAMPLE: SampleShape =
         SampleShape { windows: 4, steps: 8, shaping: Shaping { scale: 0.0, discount: 0.0 } };
