@@ -6,7 +6,7 @@ use clap::ValueEnum;
 use clap::builder::PossibleValue;
 use sortie_bundle::{Bundle, SubtaskConditioning};
 use sortie_envs::{ENVIRONMENTS, Entry, Rule};
-use sortie_methods::alma::evaluate::{Allocate, LEARNED, rule_named};
+use sortie_methods::alma::evaluate::{LEARNED, RuleAllocator};
 
 use crate::environment::entry_of;
 use crate::failure::{Exit, Failure};
@@ -75,10 +75,9 @@ impl Allocation {
     }
 
     /// The rule as something that evaluations can ask.
-    pub(crate) fn measured(self) -> Result<Box<dyn Allocate>, Failure> {
+    pub(crate) fn measured(self) -> Result<RuleAllocator, Failure> {
         self.number(LEARNED)?;
-        let rule = rule_named(self.name());
-        rule.ok_or_else(|| Failure::new(Exit::Bug, format!("`{}` cannot be asked", self.name())))
+        Ok(RuleAllocator(self.name()))
     }
 
     pub(crate) fn name(self) -> &'static str {

@@ -7,6 +7,7 @@ use indicatif::ProgressBar;
 use serde::Serialize;
 use sortie_bundle::files::check_folder;
 use sortie_bundle::{BundleError, Draft, hex};
+use sortie_envs::Split;
 use sortie_learn::draft::{Measured, MethodRun, draft_method};
 use sortie_learn::evaluate::Evaluation;
 use sortie_learn::play;
@@ -93,9 +94,10 @@ pub(crate) fn run(arguments: &ExportArguments) -> Outcome {
     let bar = progress::bar(arguments.common, episodes, "episodes");
     let mut measured = Vec::new();
     for set in sets {
-        let plan = |seed| EvaluationPlan::new(&set, arguments.episodes as usize, seed);
-        let plans: Vec<EvaluationPlan> = seeds.iter().map(plan).collect::<Result<_, _>>()?;
-        measure(&run, &plans, &bar, &mut measured)?;
+        let environment = set.open(Split::Test)?;
+        let plan = |seed| EvaluationPlan::new(&*environment, arguments.episodes as usize, seed);
+        let plans: Vec<EvaluationPlan<'_>> = seeds.iter().map(plan).collect();
+        measure(&run, (set.set(), &plans), &bar, &mut measured)?;
     }
     bar.finish_and_clear();
     write(arguments, draft_bundle(&run, &arguments.run, &measured, seed)?)
@@ -162,18 +164,18 @@ fn check_place(out: &Path) -> Outcome {
 }
 
 /// The scenario sets to measure on.
-fn sets(arguments: &ExportArguments, run: &Run) -> Result<Vec<String>, Failure> {
+fn sets(arguments: &ExportArguments, run: &Run) -> Result<Vec<ScenarioSetName>, Failure> {
     if arguments.env.is_empty() {
-        return Ok(vec![run.description.config.environment().set.clone()]);
+        let own = run.description.config.environment().full_name();
+        return Ok(vec![ScenarioSetName::parse_learned(&own)?]);
     }
-    let set = |name: &String| Ok(ScenarioSetName::parse_learned(name)?.set().to_owned());
-    arguments.env.iter().map(set).collect()
+    arguments.env.iter().map(|name| ScenarioSetName::parse_learned(name)).collect()
 }
 
 /// Measures the run's agents under its own allocator and under the rules.
 fn measure(
     run: &Run,
-    plans: &[EvaluationPlan],
+    (set, plans): (&str, &[EvaluationPlan<'_>]),
     bar: &ProgressBar,
     measured: &mut Vec<Measured>,
 ) -> Outcome {
@@ -184,8 +186,7 @@ fn measure(
             parts.push(evaluate_watched(plan, &mut run.team(), allocator, &mut counted)?);
         }
         let evaluation = Evaluation::pooled(&parts);
-        let set = plans.first().map_or(String::new(), |plan| plan.set.name.clone());
-        let allocation = name.to_owned();
+        let (set, allocation) = (set.to_owned(), name.to_owned());
         measured.push(Measured { set, allocation, evaluation });
         Ok(())
     };
@@ -193,7 +194,7 @@ fn measure(
         add("learned", &mut *allocator)?;
     }
     for name in RULES {
-        add(name, &mut *Allocation::named(name)?.measured()?)?;
+        add(name, &mut Allocation::named(name)?.measured()?)?;
     }
     Ok(())
 }

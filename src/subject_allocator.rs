@@ -91,7 +91,7 @@ impl<'a> SubjectAllocator<'a> {
     pub(crate) fn allocator(&mut self) -> Result<Box<dyn Allocate + '_>, Failure> {
         Ok(match self {
             Self::Nobody => Box::new(NoSubtasks),
-            Self::Rule(rule) => rule.measured()?,
+            Self::Rule(rule) => Box::new(rule.measured()?),
             Self::Run(run, proposals) => {
                 run.learned_allocator(proposals.count()).ok_or_else(|| none_learned("the run"))?
             }

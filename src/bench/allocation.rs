@@ -119,8 +119,7 @@ fn states(
     let mut policy = DeployedPolicy::open(bundle, Backend::Plan)?;
     let set = ScenarioSetName::parse_learned(&bundle.manifest().contract.environment.name)?;
     let mut policy = policy.policy()?;
-    let states =
-        scenes::allocation_states(policy.as_mut(), allocator.allocator()?, set.set(), seed)?;
+    let states = scenes::allocation_states(policy.as_mut(), allocator.allocator()?, &set, seed)?;
     let fits = |state: &OwnedAllocationState| (state.agents, state.open().count()) == SIZE;
     let states: Vec<_> = states.into_iter().filter(fits).collect();
     if states.is_empty() {

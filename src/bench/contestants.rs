@@ -5,17 +5,18 @@ use std::path::Path;
 use sortie_bundle::Bundle;
 use sortie_core::Policy;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
-use sortie_methods::alma::evaluate::EvaluationPlan;
 use sortie_plans::{BatchedUtilities, CompileError, CompileOptions, Compiler, OnnxRuntimeEngine};
 
 use super::floor::Floor;
 use super::quantised::quantise_or_note;
-use super::scenes::LARGE_SET;
+use super::scenes::large_set;
 use crate::compiler::compiler;
+use crate::environment::ScenarioSetName;
 use crate::failure::Failure;
 use crate::onnxruntime::OnnxRuntimeArguments;
 use crate::output::tell;
 use crate::policy::{Backend, DeployedPolicy};
+use sortie_envs::Split;
 
 /// The profiles of our plans, and what their engines are called.
 const PROFILES: [(&str, Profile); 3] = [
@@ -107,8 +108,8 @@ impl OnnxRuntimePeer {
 
 /// The bundle's network for more entities than it may have been exported for.
 fn plan_for_large_teams(bundle: &Bundle, profile: Profile) -> Result<AlignedBytes, Failure> {
-    let large = EvaluationPlan::new(LARGE_SET, 0, 0)?.set;
-    let large = large.max_agents + large.max_buildings;
+    let own = ScenarioSetName::parse_learned(&bundle.manifest().contract.environment.name)?;
+    let large = large_set(&own)?.open(Split::Test)?.spec().shape.entities;
     let options = CompileOptions {
         n_max: large.max(bundle.manifest().limits.n_max.into()),
         features: Some(bundle.contract().features.into()),

@@ -113,6 +113,7 @@ fn recordings(
     }
     let own = ScenarioSetName::parse_learned(&bundle.manifest().contract.environment.name)?;
     let seed = arguments.measuring.common.seed;
-    let mut record = |set: &str| scenes::record(bundle, policy, set, seed);
-    Ok(vec![record(own.set())?, record(scenes::LARGE_SET)?])
+    let large = scenes::large_set(&own)?;
+    let mut record = |set| scenes::record(bundle, policy, set, seed);
+    Ok(vec![record(&own)?, record(&large)?])
 }

@@ -2,14 +2,19 @@
 
 use sortie_bundle::{Bundle, OwnedAllocationState, Recording};
 use sortie_core::{AllocateError, AllocationState, Allocator, Policy};
+use sortie_envs::Split;
 use sortie_methods::alma::evaluate::{DeployedAllocator, EvaluationPlan, PolicyTeam, evaluate};
 
 use crate::allocation::Allocation;
+use crate::environment::ScenarioSetName;
 use crate::failure::Failure;
 use crate::observations::RecordingPolicy;
 
-/// The set with the largest teams that are measured.
-pub(super) const LARGE_SET: &str = "2-8a_2-8b";
+/// The set with the largest teams that are measured, of the environment of another set.
+pub(super) fn large_set(own: &ScenarioSetName) -> Result<ScenarioSetName, Failure> {
+    ScenarioSetName::parse(&format!("{}/2-8a_2-8b", own.entry().name))
+}
+
 /// Episodes that are recorded: some thousand observations.
 const EPISODES: usize = 64;
 
@@ -17,13 +22,14 @@ const EPISODES: usize = 64;
 pub(super) fn record(
     bundle: &Bundle,
     policy: &mut dyn Policy,
-    set: &str,
+    set: &ScenarioSetName,
     seed: u64,
 ) -> Result<Recording, Failure> {
-    let plan = EvaluationPlan::new(set, EPISODES, seed)?;
+    let environment = set.open(Split::Test)?;
+    let plan = EvaluationPlan::new(&*environment, EPISODES, seed);
     let mut recorder = RecordingPolicy::new(policy, bundle);
     let mut rule = Allocation::named("coordinated")?.measured()?;
-    evaluate(&plan, &mut PolicyTeam::new(&mut recorder), &mut *rule)?;
+    evaluate(&plan, &mut PolicyTeam::new(&mut recorder), &mut rule)?;
     Ok(recorder.into_recording())
 }
 
@@ -31,10 +37,11 @@ pub(super) fn record(
 pub(super) fn allocation_states(
     policy: &mut dyn Policy,
     allocator: impl Allocator,
-    set: &str,
+    set: &ScenarioSetName,
     seed: u64,
 ) -> Result<Vec<OwnedAllocationState>, Failure> {
-    let plan = EvaluationPlan::new(set, EPISODES, seed)?;
+    let environment = set.open(Split::Test)?;
+    let plan = EvaluationPlan::new(&*environment, EPISODES, seed);
     let mut states = Vec::new();
     let diary = Diary { allocator, states: &mut states };
     evaluate(&plan, &mut PolicyTeam::new(policy), &mut DeployedAllocator(Box::new(diary)))?;

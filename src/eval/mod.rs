@@ -224,7 +224,8 @@ impl Match<'_> {
     /// Plays the episodes of one seed.
     fn play(&self, seed: u64) -> Result<Played, Failure> {
         let Self { arguments, subject, other, set, .. } = self;
-        let plan = EvaluationPlan::new(set.set(), arguments.episodes as usize, seed)?;
+        let environment = set.open(Split::Test)?;
+        let plan = EvaluationPlan::new(&*environment, arguments.episodes as usize, seed);
         let asked = other.as_ref().map(|_| AllocatorChoice::Learned).or(arguments.allocation);
         let owner = other.as_ref().unwrap_or(subject);
         let name = arguments.allocator.as_ref().unwrap_or(&arguments.subject).to_string_lossy();
@@ -258,7 +259,7 @@ impl Match<'_> {
     /// Has a planner look ahead where that is wanted.
     fn watch(
         &self,
-        plan: &EvaluationPlan,
+        plan: &EvaluationPlan<'_>,
         team: &mut dyn Team,
         allocator: &mut dyn Allocate,
         allocation: &'static str,
@@ -267,7 +268,7 @@ impl Match<'_> {
             let evaluation = self.record(plan, team, allocator, allocation)?;
             return Ok(Played { evaluation, allocation, planner: None });
         };
-        let mut planner = Planner::new(plan, allocator, candidates.into())?;
+        let mut planner = Planner::new(plan, allocator, candidates.into());
         let label = format!("planned from {allocation}");
         let evaluation = self.record(plan, team, &mut planner, &label)?;
         Ok(Played { evaluation, allocation, planner: Some(planner.report()) })
@@ -276,7 +277,7 @@ impl Match<'_> {
     /// Plays, and writes the episodes to files where that is wanted.
     fn record(
         &self,
-        plan: &EvaluationPlan,
+        plan: &EvaluationPlan<'_>,
         team: &mut dyn Team,
         allocator: &mut dyn Allocate,
         allocation: &str,

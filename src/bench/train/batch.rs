@@ -3,11 +3,9 @@
 use std::collections::HashMap;
 use std::path::Path;
 
-use sortie_envs::save_the_city::{
-    ACTIONS, AgentState, BuildingState, FEATURES, Symmetry, write_agent_row, write_building_row,
-};
+use sortie_envs::{EntitySet, Environment, Observation, members};
 use sortie_methods::alma::records::{
-    INPUT_COLUMNS, Knowledge, NO_ACTION, Pick, Replay, UtilityNetwork, UtilityShape,
+    Columns, Experience, Knowledge, Moment, NO_ACTION, Pick, Replay, UtilityNetwork, UtilityShape,
 };
 
 use super::learning::{Learning, gradient};
@@ -42,25 +40,32 @@ impl Tensors {
     }
 
     /// A batch, its teams padded to its largest.
-    fn batch(&mut self, number: usize, replay: &Replay, picks: &[Pick], team: usize) {
+    fn batch(
+        &mut self,
+        number: usize,
+        experience: Experience<'_, Replay>,
+        picks: &[Pick],
+        team: usize,
+    ) {
         let mut dense = Dense::default();
         for pick in picks {
-            dense.push(replay, *pick, team);
+            dense.push(experience, *pick, team);
         }
         let count = picks.len();
         let name = |part: &str| format!("batch{number}.{part}");
-        let rows = [count, team + 1, INPUT_COLUMNS];
+        let shape = experience.environment.spec().shape;
+        let rows = [count, team + 1, Columns::of(&shape).unmarked()];
         self.floats(name("rows"), &rows, &dense.rows);
         self.floats(name("next_rows"), &rows, &dense.next_rows);
         self.flags(name("present"), &[count, team], &dense.present);
         self.integers(name("actions"), &[count, team], &dense.actions);
-        self.flags(name("next_available"), &[count, team, ACTIONS], &dense.next_available);
+        self.flags(name("next_available"), &[count, team, shape.actions], &dense.next_available);
         self.floats(name("reward"), &[count], &dense.reward);
         self.floats(name("discount"), &[count], &dense.discount);
     }
 }
 
-/// Rows `[records, team + 1, columns]` of agents and building, and what belongs to them.
+/// Rows `[records, team + 1, columns]` of agents and their thing, and what belongs to them.
 #[derive(Default)]
 struct Dense {
     rows: Vec<f32>,
@@ -74,46 +79,70 @@ struct Dense {
 
 impl Dense {
     /// Adds a record, turned as it was picked.
-    fn push(&mut self, replay: &Replay, pick: Pick, team: usize) {
-        let turn = Symmetry::ALL[usize::from(pick.symmetry)];
-        let turned = |action: u8| turn.action(action.into()) as u8;
+    fn push(&mut self, experience: Experience<'_, Replay>, pick: Pick, team: usize) {
+        let Experience { environment, replay } = experience;
         let sample = replay.get(pick.sample as usize);
-        let (record, building) = (sample.record, &sample.buildings[0]);
-        let (members, _) = sample.split_team();
+        let turn = pick.symmetry.into();
+        let agents: Vec<usize> = members(sample.team().into()).collect();
+        let things = sample.record.things();
+        let sight = EntitySet::from(sample.team()) | things;
+        let now = Seen::new(environment, sample.now, turn, sight);
+        let next = Seen::new(environment, sample.next, turn, sight);
         for place in 0..team {
-            let member = members.get(place);
+            let member = agents.get(place).copied();
+            let action = member.map_or(0, |agent| now.turned(sample.now.actions[agent]));
             self.present.push(member.is_some());
-            self.actions.push(member.map_or(0, |member| turned(member.action).into()));
-            let now = member.map(|m| (turn.agent(&m.agent), turned(m.last_action)));
-            let next = member.map(|m| (turn.agent(&m.next), turned(m.next_last_action)));
-            let available = next.map_or(0, |(agent, _)| agent.available);
-            self.next_available.extend((0..ACTIONS).map(|action| available >> action & 1 == 1));
-            push_agent(&mut self.rows, now);
-            push_agent(&mut self.next_rows, next);
+            self.actions.push(action.into());
+            let available = member.map_or(0, |agent| next.seen.available[agent]);
+            let actions = environment.spec().shape.actions;
+            self.next_available.extend((0..actions).map(|action| available >> action & 1 == 1));
+            self.rows.extend(now.row(member));
+            self.next_rows.extend(next.row(member));
         }
-        push_building(&mut self.rows, &turn.building(&building.building));
-        push_building(&mut self.next_rows, &turn.building(&building.next));
-        self.reward.push(record.reward);
-        self.discount.push(record.discount);
+        let thing = members(things).next();
+        self.rows.extend(now.row(thing));
+        self.next_rows.extend(next.row(thing));
+        self.reward.push(sample.record.reward);
+        self.discount.push(sample.record.discount);
     }
 }
 
-/// Adds the row of an agent with its last action, or of none.
-fn push_agent(rows: &mut Vec<f32>, agent: Option<(AgentState, u8)>) {
-    let mut row = [0.0; INPUT_COLUMNS];
-    if let Some((agent, last_action)) = agent {
-        write_agent_row(&agent, &mut row[..FEATURES]);
+/// What a team sees in a moment, turned.
+struct Seen<'a> {
+    environment: &'a dyn Environment,
+    moment: Moment<'a>,
+    turn: usize,
+    seen: Observation,
+}
+
+impl<'a> Seen<'a> {
+    fn new(
+        environment: &'a dyn Environment,
+        moment: Moment<'a>,
+        turn: usize,
+        sight: EntitySet,
+    ) -> Self {
+        let mut seen = Observation::default();
+        environment.observe(moment.state, turn, sight, &mut seen);
+        Self { environment, moment, turn, seen }
+    }
+
+    fn turned(&self, action: u8) -> u16 {
+        self.environment.turned_action(self.turn, action.into())
+    }
+
+    /// The row of an entity, an agent's with its last action, or of none.
+    fn row(&self, entity: Option<usize>) -> Vec<f32> {
+        let shape = self.environment.spec().shape;
+        let mut row = vec![0.0; Columns::of(&shape).unmarked()];
+        let Some(entity) = entity else { return row };
+        self.seen.rows.write_dense(self.seen.row_of(entity), &mut row[..shape.features]);
+        let last_action = self.moment.last_actions.get(entity).copied().unwrap_or(NO_ACTION);
         if last_action != NO_ACTION {
-            row[FEATURES + usize::from(last_action)] = 1.0;
+            row[shape.features + usize::from(self.turned(last_action))] = 1.0;
         }
+        row
     }
-    rows.extend(row);
-}
-
-fn push_building(rows: &mut Vec<f32>, building: &BuildingState) {
-    let mut row = [0.0; INPUT_COLUMNS];
-    write_building_row(building, &mut row[..FEATURES]);
-    rows.extend(row);
 }
 
 /// Writes networks, batches and, for the first batch, our gradient.
@@ -125,10 +154,10 @@ pub(super) fn write(learning: &mut Learning, path: &Path) -> Result<Expected, Fa
         let (loss, slopes) = gradient(&mut learning.method.agents, &mut chunk, &mut learning.picks);
         let knowledge = learning.method.agents.knowledge();
         let Knowledge { online, target, replay, .. } = &*knowledge;
-        let sizes =
-            knowledge.picks().iter().map(|pick| replay.get(pick.sample as usize).record.size);
-        let team = sizes.max().map_or(1, usize::from);
-        tensors.batch(number, replay, knowledge.picks(), team);
+        let picks = knowledge.picks().iter();
+        let sizes = picks.map(|pick| replay.get(pick.sample as usize).team().count_ones());
+        let team = sizes.max().map_or(1, |largest| largest as usize);
+        tensors.batch(number, knowledge.experience(), knowledge.picks(), team);
         if number == 0 {
             let norm = slopes.iter().map(|slope| f64::from(*slope).powi(2)).sum::<f64>().sqrt();
             expected = Expected { loss, gradient_norm: norm };

@@ -1,5 +1,6 @@
 //! What is timed: both levels of a run of preset `fast`, on experience of its own.
 
+use sortie_envs::Environment;
 use sortie_envs::save_the_city::MAX_AGENTS;
 use sortie_learn::Now;
 use sortie_learn::play::Play;
@@ -50,12 +51,16 @@ impl Learning {
         config.replay.capacity = 500_000;
         // Decisions are kept from the first on, and rules make them until all is filled.
         (config.allocator.learns_from, config.allocator.decides_from) = (0, FILL);
-        let mut method = Records::new(&config, seed, 1)?;
+        let environment = config.environment.open()?;
+        let mut method = Records::new(&config, &environment, seed, 1);
         let stream = |index| generator(seed, Purpose::Rollout, index as u64);
         let random = (0..config.environment.instances).map(stream).collect();
         let mut learning = Self {
-            play: Play::new(&config.environment.open()?, &mut method, random),
-            search: TeamSearch::new(config.allocator.shape(), config.allocation.team_max),
+            play: Play::new(&environment, &mut method, random),
+            search: TeamSearch::new(
+                config.allocator.shape(environment.spec()),
+                config.allocation.team_max,
+            ),
             picks: generator(seed, Purpose::Replay, 0),
             decision: 0,
             method,
@@ -140,8 +145,8 @@ impl Learning {
                 chunk.operations() as f64 * turn.calls
             }
             Work::AllocatorUpdate => {
-                let mut loss = TeamValueLoss::new(self.config.allocator.shape());
                 let learner = self.method.allocator.as_mut().ok_or_else(no_allocator)?;
+                let mut loss = TeamValueLoss::new(learner.average.shape());
                 gradient(learner, &mut loss, &mut self.picks);
                 loss.operations() as f64 * turn.calls
             }
@@ -156,9 +161,10 @@ impl Learning {
         let learner = self.method.allocator.as_ref().ok_or_else(no_allocator)?;
         let knowledge = learner.knowledge();
         self.decision = (self.decision + 1) % knowledge.replay.len();
-        let city = knowledge.replay.get(self.decision).now.city();
+        let state = &knowledge.replay.get(self.decision).now.state;
         let mut allocation = [0; MAX_AGENTS];
-        self.search.allocate(&knowledge.online, city, &mut allocation)?;
+        let (environment, random) = (knowledge.experience().environment, &mut self.picks);
+        self.search.allocate(&knowledge.online, environment, state, random, &mut allocation)?;
         std::hint::black_box(allocation);
         Ok(())
     }
@@ -184,10 +190,10 @@ pub(super) fn gradient<L: Loss>(
 ) -> (f64, Vec<f32>) {
     learner.pick(picks);
     let knowledge = learner.knowledge();
-    let Knowledge { online, target, replay, .. } = &*knowledge;
+    let Knowledge { online, target, .. } = &*knowledge;
     let (mut sum, mut error, mut terms) = (Vec::new(), 0.0, 0);
     for picks in knowledge.picks().chunks(L::CHUNK) {
-        loss.learn(Networks { online, target }, replay, picks);
+        loss.learn(Networks { online, target }, knowledge.experience(), picks);
         sum.resize(loss.gradient().len(), 0.0);
         sum.iter_mut().zip(loss.gradient()).for_each(|(sum, part)| *sum += part);
         error += loss.squared_error();

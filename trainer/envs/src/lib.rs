@@ -23,6 +23,7 @@
 extern crate alloc;
 
 pub mod conformance;
+mod decisions;
 mod entry;
 pub mod environment;
 pub mod frame;
@@ -39,6 +40,7 @@ pub mod save_the_city;
 pub mod spec;
 mod throughput;
 
+pub use decisions::{DecisionPoints, UNASSIGNED};
 pub use environment::{Environment, Episode, Split, StateError, Step, StepError};
 pub use frame::{Frame, FrameError, FrameReader};
 pub use observation::{ActionSet, AgentSet, EntitySet, Observation, members};

@@ -3,6 +3,7 @@
 use alloc::vec;
 use alloc::vec::Vec;
 
+use crate::decisions::UNASSIGNED;
 use crate::rows::SparseRows;
 use crate::spec::Shape;
 
@@ -16,13 +17,24 @@ pub type AgentSet = u64;
 pub type ActionSet = u64;
 
 /// The members of a set, lowest first.
-pub fn members(set: EntitySet) -> impl Iterator<Item = usize> {
-    let mut left = set;
-    core::iter::from_fn(move || {
-        let member = (left != 0).then(|| left.trailing_zeros() as usize)?;
-        left &= left - 1;
+#[inline]
+pub fn members(set: EntitySet) -> Members {
+    Members(set)
+}
+
+/// The members of a set that are still to come.
+#[derive(Clone, Debug)]
+pub struct Members(EntitySet);
+
+impl Iterator for Members {
+    type Item = usize;
+
+    #[inline]
+    fn next(&mut self) -> Option<usize> {
+        let member = (self.0 != 0).then(|| self.0.trailing_zeros() as usize)?;
+        self.0 &= self.0 - 1;
         Some(member)
-    })
+    }
 }
 
 /// What there is to see in one state; filled by [`Environment::observe`](crate::Environment::observe).
@@ -59,6 +71,33 @@ impl Observation {
     pub fn agents(&self) -> usize {
         let agents = self.observable.len() as u32;
         (self.present.trailing_ones().min(agents)) as usize
+    }
+
+    /// Number of subtasks up to the last one that is open or that something belongs to.
+    pub fn tasks(&self) -> usize {
+        let known = self.entity_task.iter().fold(self.open_tasks, |all, tasks| all | tasks);
+        (u32::BITS - known.leading_zeros()) as usize
+    }
+
+    /// The entities that exist and are no agents.
+    #[inline]
+    pub fn things(&self) -> EntitySet {
+        self.present & !((1 << self.observable.len()) - 1)
+    }
+
+    /// Those of them that belong to a subtask.
+    pub fn things_of(&self, task: usize) -> EntitySet {
+        let belong = |entity: &usize| self.entity_task[*entity] >> task & 1 == 1;
+        members(self.things()).filter(belong).fold(0, |set, entity| set | 1 << entity)
+    }
+
+    /// The first subtask that an entity belongs to, [`UNASSIGNED`] where it belongs to none.
+    #[inline]
+    pub fn task_of(&self, entity: usize) -> u8 {
+        match self.entity_task[entity] {
+            0 => UNASSIGNED,
+            tasks => tasks.trailing_zeros() as u8,
+        }
     }
 
     /// The row in [`rows`](Self::rows) of an entity that has one.

@@ -38,6 +38,13 @@ impl SparseRows {
         self.entries.extend_from_slice(other.entries_of(row));
     }
 
+    /// Adds all features of a row of another collection, each so many columns further, to the row that the next
+    /// [`end_row`](Self::end_row) closes.
+    #[inline]
+    pub fn push_row_at(&mut self, first: usize, other: &Self, row: usize) {
+        other.row(row).for_each(|(column, value)| self.push(first + column, value));
+    }
+
     /// Closes a row.
     #[inline]
     pub fn end_row(&mut self) {

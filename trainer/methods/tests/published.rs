@@ -3,12 +3,11 @@
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use sortie_envs::save_the_city::AllocationRule;
 use sortie_learn::LearnError;
 use sortie_learn::run::{CurvePoint, Observer, Outcome, Progress};
 use sortie_learn::session::Session;
 use sortie_methods::alma;
-use sortie_methods::alma::evaluate::{EvaluationPlan, NoSubtasks, evaluate};
+use sortie_methods::alma::evaluate::{EvaluationPlan, NoSubtasks, RuleAllocator, evaluate};
 use sortie_methods::alma::export::check_exportable;
 use sortie_methods::alma::run::{Run, RunAllocator};
 use sortie_methods::alma::settings::Settings;
@@ -145,8 +144,8 @@ fn a_coach_learns_the_same_with_any_number_of_threads_and_when_resumed() {
 
     let opened = Run::open(folder.path()).unwrap();
     assert_eq!(opened.description.method, "copa");
-    let mut plan = EvaluationPlan::new("2-5a_2-5b", 8, u64::MAX - 5).unwrap();
-    plan.constants.episode_limit = 40;
+    let environment = opened.description.config.environment().open().unwrap();
+    let plan = EvaluationPlan::new(&environment, 8, u64::MAX - 5);
     let measure =
         |run: &Run| evaluate(&plan, &mut run.team(), &mut NoSubtasks).unwrap().return_mean;
     // The run's own last evaluation, to the last digit, and another one without the coach.
@@ -200,10 +199,9 @@ fn agents_with_a_memory_are_saved_resumed_and_measured() {
     let opened = Run::open(folder.path()).unwrap();
     assert_eq!(opened.memory_unit.len(), 3 * 8 * 8 * 2 + 3 * 8 * 2);
     let measure = |opened: &Run| {
-        let mut plan = EvaluationPlan::new("2-5a_2-5b", 8, u64::MAX - 5).unwrap();
-        plan.constants = opened.description.config.environment().constants;
-        let mut rule = AllocationRule::Heuristic;
-        evaluate(&plan, &mut opened.team(), &mut rule).unwrap()
+        let environment = opened.description.config.environment().open().unwrap();
+        let plan = EvaluationPlan::new(&environment, 8, u64::MAX - 5);
+        evaluate(&plan, &mut opened.team(), &mut RuleAllocator("heuristic")).unwrap()
     };
     // The run's own last evaluation, to the last digit, and another one without the memory.
     let last = curve.last().expect("an evaluation");

@@ -3,12 +3,12 @@
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use sortie_envs::save_the_city::AllocationRule;
+use sortie_envs::Split;
 use sortie_learn::LearnError;
 use sortie_learn::run::{Observer, Outcome, Progress};
 use sortie_learn::session::Session;
 use sortie_methods::alma;
-use sortie_methods::alma::evaluate::{EvaluationPlan, evaluate};
+use sortie_methods::alma::evaluate::{EvaluationPlan, RuleAllocator, evaluate};
 use sortie_methods::alma::records::Config;
 use sortie_methods::alma::run::Run;
 use sortie_methods::alma::settings::Settings;
@@ -189,8 +189,10 @@ fn a_network_that_marks_subtasks_refuses_a_city_with_more_of_them() {
     let config = with(&["network.subtask=input", "run.steps=400"]);
     run(&mut begin(config, 5, 1, folder.path()).unwrap(), u64::MAX);
     let opened = Run::open(folder.path()).unwrap();
-    let plan = EvaluationPlan::new("12a_12b", 1, 1).unwrap();
-    let mut rule = AllocationRule::Coordinated;
+    let environment =
+        sortie_envs::open("save-the-city/12a_12b", Split::Test, 1, &Default::default()).unwrap();
+    let plan = EvaluationPlan::new(&*environment, 1, 1);
+    let mut rule = RuleAllocator("coordinated");
     let error = evaluate(&plan, &mut opened.team(), &mut rule).unwrap_err().to_string();
     assert!(error.contains("fewer subtasks"), "{error}");
 }

@@ -2,8 +2,9 @@
 
 use sortie_envs::Environment;
 use sortie_envs::save_the_city::{
-    AgentKind, BuildingKind, City, DecisionPoints, EpisodeMetrics, MAX_AGENTS, UNASSIGNED,
+    AgentKind, BuildingKind, City, EpisodeMetrics, MAX_AGENTS, with_city,
 };
+use sortie_envs::{DecisionPoints, UNASSIGNED};
 use sortie_learn::LearnError;
 use sortie_learn::play::{Onlooker, Watched};
 use sortie_methods::alma::evaluate::{PolicyTeam, Scene, Team, cities};
@@ -94,7 +95,7 @@ impl Team for StateLog<'_> {
         agents: usize,
     ) -> Result<(), LearnError> {
         for scene in scenes {
-            let mut state = state(scene.city, scene.allocation);
+            let mut state = with_city(scene.state, |city| state(city, scene.allocation));
             state.values = self.probe.as_mut().map(|probe| probe.values(scene)).transpose()?;
             self.states.push(state);
         }

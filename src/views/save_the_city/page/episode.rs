@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
+use sortie_envs::save_the_city::MAX_AGENTS;
 use sortie_envs::save_the_city::golden::{self, Playback};
-use sortie_envs::save_the_city::{DecisionPoints, MAX_AGENTS, UNASSIGNED};
+use sortie_envs::{DecisionPoints, EntitySet, Environment, Observation, UNASSIGNED};
 use sortie_learn::play::{Onlooker, Watched};
 use sortie_learn::random::{Purpose, generator};
 use sortie_methods::alma::evaluate::{Allocate, EvaluationPlan, Scene, Team, watch_last_episode};
@@ -21,7 +22,7 @@ pub(super) trait Episode {
 
 /// An episode that the team itself plays: the last one of a plan.
 pub(super) struct Played<'a> {
-    pub(super) plan: &'a EvaluationPlan,
+    pub(super) plan: &'a EvaluationPlan<'a>,
     pub(super) allocator: &'a mut dyn Allocate,
 }
 
@@ -58,19 +59,25 @@ impl Episode for Replayed<'_> {
         onlooker.started(watched(self.playback))?;
         let mut decisions = DecisionPoints::default();
         let mut tasks_changed = false;
+        let mut seen = Observation::default();
         let mut allocation = [UNASSIGNED; MAX_AGENTS];
         let mut last_actions = [NO_ACTION; MAX_AGENTS];
         // No allocator that can be asked again draws from it.
         let mut unused: Generator = generator(0, Purpose::Evaluation, 0);
         while let Some(actions) = self.playback.next_actions().map(<[u16]>::to_vec) {
-            let city = self.playback.world().city(0);
+            let environment: &dyn Environment = self.playback.world();
+            let mut state = Vec::new();
+            environment.save(0, &mut state);
+            environment.observe(&state, 0, EntitySet::MAX, &mut seen);
             let due = decisions.is_due(tasks_changed);
             if let Some(allocator) = self.allocator.as_mut().filter(|_| due) {
-                allocator.allocate(city, &mut unused, &mut allocation)?;
+                allocator.allocate(environment, &state, &mut unused, &mut allocation)?;
             }
             let scene = Scene {
                 world: 0,
-                city,
+                environment,
+                state: &state,
+                seen: &seen,
                 allocation: &allocation,
                 last_actions: &last_actions,
                 strategies: &[],

@@ -11,7 +11,8 @@ mod values;
 use std::path::Path;
 
 use sortie_envs::save_the_city::golden::Playback;
-use sortie_envs::save_the_city::{ACTION_NAMES, DecisionPoints, ENTRY, SIDE, SaveTheCity};
+use sortie_envs::save_the_city::{ACTION_NAMES, ENTRY, SIDE, SaveTheCity};
+use sortie_envs::{DecisionPoints, Split};
 use sortie_learn::LearnError;
 use sortie_methods::alma::evaluate::{Allocate, EvaluationPlan, Scene, ScriptedActors, Team};
 use sortie_methods::alma::records::{Conditioning, NetworkPolicy};
@@ -68,7 +69,8 @@ const WEB: Web = Web {
 pub(super) fn played(wanted: &Wanted<'_>, subject: &Subject) -> Result<Page, Failure> {
     let set = wanted.set.clone().unwrap_or_default();
     let (number, seed) = (wanted.episode, wanted.seed);
-    let plan = EvaluationPlan::new(set.set(), number + 1, seed)?;
+    let environment = set.open(Split::Test)?;
+    let plan = EvaluationPlan::new(&*environment, number + 1, seed);
     if let Subject::Bundle(bundle) = subject {
         environment::check_fits(bundle, &set)?;
     }

@@ -2,9 +2,9 @@
 
 use sortie_core::AllocateError;
 use sortie_core::allocate::{TaskRelation, TeamQuery as DeployedQuery, TeamValueNetwork};
-use sortie_envs::save_the_city::{City, ENTRY, Symmetry};
+use sortie_envs::save_the_city::ENTRY;
 use sortie_learn::LearnError;
-use sortie_methods::alma::evaluate::allocation_state;
+use sortie_methods::alma::evaluate::{Scene, allocation_state};
 use sortie_methods::alma::records::team_value::{TeamQuery, TeamValueInput};
 use sortie_methods::alma::records::{UtilityNetwork, UtilityPass};
 
@@ -16,7 +16,7 @@ pub(super) trait ValueTeams {
     /// The value of every team, bit a of which stands for agent a, at an open building.
     fn values(
         &mut self,
-        city: City<'_>,
+        scene: &Scene<'_>,
         task: usize,
         teams: &[u64],
     ) -> Result<Vec<f32>, LearnError>;
@@ -38,13 +38,14 @@ impl<'a> RunNetwork<'a> {
 impl ValueTeams for RunNetwork<'_> {
     fn values(
         &mut self,
-        city: City<'_>,
+        scene: &Scene<'_>,
         task: usize,
         teams: &[u64],
     ) -> Result<Vec<f32>, LearnError> {
-        let turn = Symmetry::ALL[0];
-        let queries = teams.iter().map(|&team| TeamQuery { city, task, team, turn });
-        Ok(self.pass.forward(self.network, self.input.queries(queries)).to_vec())
+        let state = scene.state;
+        let queries = teams.iter().map(|&team| TeamQuery { state, task, team, turn: 0 });
+        let input = self.input.queries(scene.environment, queries);
+        Ok(self.pass.forward(self.network, input).to_vec())
     }
 }
 
@@ -54,11 +55,11 @@ pub(super) struct DeployedNetwork(pub(super) LearnedAllocator);
 impl ValueTeams for DeployedNetwork {
     fn values(
         &mut self,
-        city: City<'_>,
+        scene: &Scene<'_>,
         task: usize,
         teams: &[u64],
     ) -> Result<Vec<f32>, LearnError> {
-        let state = allocation_state(city);
+        let state = allocation_state(scene.environment, scene.state);
         let state = state.view();
         let travel = FrameRelation::new(&ENTRY);
         let mut travel = travel.map_err(|failure| LearnError::Team(failure.message))?;

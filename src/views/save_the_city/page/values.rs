@@ -1,6 +1,6 @@
 //! What the learned allocator expects of teams.
 
-use sortie_envs::save_the_city::City;
+use sortie_envs::members;
 use sortie_learn::LearnError;
 use sortie_methods::alma::evaluate::Scene;
 use sortie_methods::alma::export::LearnedAllocator;
@@ -48,30 +48,30 @@ impl<'a> TeamValueProbe<'a> {
         &mut self,
         scene: &Scene<'_>,
     ) -> Result<Vec<Option<TeamValues>>, LearnError> {
-        let city = scene.city;
-        let members = |task| {
-            let assigned = scene.allocation.iter().take(city.agents.len()).enumerate();
+        let agents = scene.seen.agents();
+        let team = |task| {
+            let assigned = scene.allocation.iter().take(agents).enumerate();
             let here = assigned.filter(|(_, own)| usize::from(**own) == task);
             here.fold(0, |team, (agent, _)| team | 1_u64 << agent)
         };
-        let buildings = city.buildings.iter().enumerate();
-        buildings
-            .map(|(task, building)| {
-                let values =
-                    building.is_open().then(|| self.at_building(city, task, members(task)));
-                values.transpose()
+        let tasks = 0..scene.seen.tasks();
+        tasks
+            .map(|task| {
+                let is_open = scene.seen.open_tasks >> task & 1 == 1;
+                is_open.then(|| self.at_building(scene, task, team(task))).transpose()
             })
             .collect()
     }
 
     fn at_building(
         &mut self,
-        city: City<'_>,
+        scene: &Scene<'_>,
         task: usize,
         chosen: u64,
     ) -> Result<TeamValues, LearnError> {
-        let teams = self.candidates(city.agents.len(), chosen);
-        let values = self.network.values(city, task, &teams)?;
+        let agents = scene.seen.agents();
+        let teams = self.candidates(agents, chosen);
+        let values = self.network.values(scene, task, &teams)?;
         let mut others = Vec::new();
         let (mut own, mut nobody) = (0.0, 0.0);
         for (&team, value) in teams.iter().zip(values) {
@@ -81,8 +81,7 @@ impl<'a> TeamValueProbe<'a> {
             if team == chosen {
                 own = rounded(value);
             } else if team != 0 {
-                let members = (0..city.agents.len()).filter(|agent| team >> agent & 1 == 1);
-                others.push((members.collect(), rounded(value)));
+                others.push((members(team.into()).collect(), rounded(value)));
             }
         }
         others.sort_by(|(_, one): &(Vec<usize>, f64), (_, other)| other.total_cmp(one));
@@ -108,42 +107,52 @@ impl<'a> TeamValueProbe<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use sortie_envs::save_the_city::{
-        Constants, SaveTheCity, ScenarioSet, Status, Symmetry, UNASSIGNED,
-    };
+    use sortie_envs::UNASSIGNED;
+    use sortie_envs::{EntitySet, Observation, Split};
     use sortie_learn::random::{Purpose, generator};
-    use sortie_methods::alma::records::team_value::{COLUMNS, TeamQuery, TeamValueInput};
+    use sortie_methods::alma::records::team_value::{TeamColumns, TeamQuery, TeamValueInput};
     use sortie_methods::alma::records::{UtilityNetwork, UtilityPass, UtilityShape};
 
     #[test]
     fn values_are_those_of_the_network_for_the_teams_that_are_named() {
-        let set = ScenarioSet::named("2-8a_2-8b").unwrap();
-        let worlds = SaveTheCity::new(set, Constants::default(), 1, 3).unwrap();
-        let city = worlds.city(0);
-        let mut buildings = city.buildings.to_vec();
-        buildings[1].status = Status::Complete;
-        let city = City { agents: city.agents, buildings: &buildings };
-        let shape =
-            UtilityShape { input: COLUMNS, width: 16, heads: 2, base: 8, actions: 1, skip: false };
+        let city =
+            sortie_envs::open("save-the-city/2-8a_2-8b", Split::Train, 1, &Default::default());
+        let (mut city, mut random) = (city.unwrap(), generator(3, Purpose::Rollout, 0));
+        let (mut state, mut seen) = (Vec::new(), Observation::default());
+        city.reset(0, &mut random);
+        city.save(0, &mut state);
+        city.observe(&state, 0, EntitySet::MAX, &mut seen);
+        // The network is asked about open buildings only; this one says that it is not.
+        seen.open_tasks &= !0b10;
+        let (environment, agents) = (&*city, seen.agents());
+        let input = TeamColumns::of(environment.spec()).count();
+        let shape = UtilityShape { input, width: 16, heads: 2, base: 8, actions: 1, skip: false };
         let mut weights = generator(1, Purpose::Weights, 0);
         let network = UtilityNetwork::initialise(shape, 8.0, &mut weights);
-        let mut allocation = vec![0; city.agents.len()];
+        let mut allocation = vec![0; agents];
         allocation[0] = UNASSIGNED;
 
         let mut probe = TeamValueProbe::of_run(LearnedAllocator { network: &network, team_max: 2 });
-        let scene =
-            Scene { world: 0, city, allocation: &allocation, last_actions: &[], strategies: &[] };
+        let scene = Scene {
+            world: 0,
+            environment,
+            state: &state,
+            seen: &seen,
+            allocation: &allocation,
+            last_actions: &[],
+            strategies: &[],
+        };
         let values = probe.values(&scene).unwrap();
-        assert_eq!(values.len(), buildings.len());
+        assert_eq!(values.len(), seen.tasks());
         assert!(values[1].is_none(), "closed buildings have no value");
 
         let ask = |task, team| {
             let mut input = TeamValueInput::default();
-            let query = TeamQuery { city, task, team, turn: Symmetry::ALL[0] };
+            let query = TeamQuery { state: &state, task, team, turn: 0 };
             let mut pass = UtilityPass::new(shape);
-            rounded(pass.forward(&network, input.queries(std::iter::once(query)))[0])
+            rounded(pass.forward(&network, input.queries(environment, std::iter::once(query)))[0])
         };
-        let everybody_else = (1 << city.agents.len()) - 2;
+        let everybody_else = (1 << agents) - 2;
         for (task, chosen) in [(0, everybody_else), (2, 0)] {
             let found = values[task].as_ref().unwrap();
             assert_eq!(found.chosen, ask(task, chosen));

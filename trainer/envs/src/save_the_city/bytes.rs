@@ -88,6 +88,20 @@ impl<'a> CityBytes<'a> {
         Ok(Self { header, agents, buildings })
     }
 
+    /// The same without a reason where they do not hold.
+    #[inline]
+    pub(super) fn known(bytes: &'a [u8]) -> Option<Self> {
+        let (header, rest) = bytes.split_first_chunk::<HEADER>()?;
+        let (agents, buildings) = (usize::from(header[2]), usize::from(header[3]));
+        let holds = header[0] == LAYOUT
+            && bytes.len() == state_bytes(agents, buildings)
+            && agents <= MAX_AGENTS
+            && buildings <= MAX_BUILDINGS;
+        let (agents, buildings) = rest.split_at_checked(agents * AGENT).filter(|_| holds)?;
+        Some(Self { header, agents: agents.as_chunks().0, buildings: buildings.as_chunks().0 })
+    }
+
+    #[inline]
     pub(super) fn agents(&self) -> usize {
         self.agents.len()
     }
@@ -117,6 +131,13 @@ impl<'a> CityBytes<'a> {
             solved: false,
             timed_out: false,
         }
+    }
+
+    /// The available actions of an agent.
+    #[inline]
+    pub(super) fn available(&self, index: usize) -> u16 {
+        let [.., low, high] = self.agents[index];
+        u16::from_le_bytes([low, high])
     }
 
     #[inline]

@@ -251,7 +251,8 @@ mod tests {
     use alloc::vec;
 
     use super::super::rules::ACTIONS;
-    use super::super::state::{BuildingKind, UNASSIGNED};
+    use super::super::state::BuildingKind;
+    use crate::decisions::UNASSIGNED;
 
     const NORTH: u16 = 1;
 

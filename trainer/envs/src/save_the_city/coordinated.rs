@@ -1,7 +1,8 @@
 //! A hand-written allocation that looks at the whole team.
 
 use super::rules::Constants;
-use super::state::{AgentKind, AgentState, BuildingState, City, MAX_BUILDINGS, UNASSIGNED};
+use super::state::{AgentKind, AgentState, BuildingState, City, MAX_BUILDINGS};
+use crate::decisions::UNASSIGNED;
 
 /// Agents already given to one building, by kind.
 #[derive(Clone, Copy, Default)]

@@ -12,8 +12,9 @@ use super::reset::ABSENT_BUILDING;
 use super::rules::ACTIONS;
 use super::state::{
     AgentKind, AgentState, BuildingKind, BuildingState, City, MAX_AGENTS, MAX_BUILDINGS,
-    NO_BUILDING, Status, UNASSIGNED,
+    NO_BUILDING, Status,
 };
+use crate::decisions::UNASSIGNED;
 use crate::frame::{Frame, FrameError, FrameReader};
 use crate::random::Random;
 

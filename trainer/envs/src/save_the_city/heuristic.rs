@@ -1,6 +1,7 @@
 //! The dissertation's hand-written allocation: every agent for itself.
 
-use super::state::{AgentKind, AgentState, BuildingState, City, UNASSIGNED};
+use super::state::{AgentKind, AgentState, BuildingState, City};
+use crate::decisions::UNASSIGNED;
 
 /// Gives every agent the nearest open building of the sort that it prefers.
 ///

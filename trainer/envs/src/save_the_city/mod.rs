@@ -29,7 +29,7 @@ mod spec;
 mod state;
 mod symmetry;
 
-pub use allocation::{AllocationRule, DecisionPoints, random_allocation};
+pub use allocation::{AllocationRule, random_allocation};
 pub use causes::Cause;
 pub use coordinated::coordinated_allocation;
 pub use decode::CityDecoder;
@@ -51,7 +51,7 @@ pub use seam::{ENTRY, with_city};
 pub use simulator::SaveTheCity;
 pub use state::{
     AgentKind, AgentState, BuildingKind, BuildingState, City, MAX_AGENTS, MAX_BUILDINGS,
-    NO_BUILDING, SIDE, Status, UNASSIGNED, manhattan,
+    NO_BUILDING, SIDE, Status, manhattan,
 };
 pub use symmetry::Symmetry;
 

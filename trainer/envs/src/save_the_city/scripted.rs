@@ -2,10 +2,12 @@
 
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-use super::allocation::{AllocationRule, DecisionPoints};
+use super::allocation::AllocationRule;
 use super::grid::{FreeCells, cell, neighbours};
 use super::rules::{BUILD, FIGHT, FREEZE, STAY, displacement};
-use super::state::{AgentKind, AgentState, BuildingState, City, MAX_AGENTS, SIDE, UNASSIGNED};
+use super::state::{AgentKind, AgentState, BuildingState, City, MAX_AGENTS, SIDE};
+use crate::decisions::DecisionPoints;
+use crate::decisions::UNASSIGNED;
 use crate::random::{below, member};
 
 /// Steps from a cell to the goal; [`FAR`] where there is no way.

@@ -54,7 +54,13 @@ fn open(choice: &Choice<'_>) -> Result<SaveTheCity, EnvironmentError> {
 }
 
 /// A state that has been checked before.
+#[inline]
 fn known(state: &[u8]) -> CityBytes<'_> {
+    CityBytes::known(state).unwrap_or_else(|| refused(state))
+}
+
+#[cold]
+fn refused(state: &[u8]) -> CityBytes<'_> {
     match CityBytes::new(state) {
         Ok(state) => state,
         Err(error) => panic!("a state that `load` refuses: {error}"),
@@ -163,7 +169,7 @@ impl Environment for SaveTheCity {
         }
         seen.available.resize(max_agents, 1);
         for (index, available) in seen.available[..agents].iter_mut().enumerate() {
-            *available = turn.available(state.agent(index).available).into();
+            *available = turn.available(state.available(index)).into();
         }
         seen.available[agents..].fill(1);
         seen.open_tasks = state.open_tasks();

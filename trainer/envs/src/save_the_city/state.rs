@@ -8,8 +8,6 @@ pub const SIDE: u8 = 16;
 pub const MAX_AGENTS: usize = 64;
 /// Most buildings: a spacing of at least 3 leaves no more sites.
 pub const MAX_BUILDINGS: usize = 25;
-/// Marks an agent without a building in an allocation.
-pub const UNASSIGNED: u8 = 0xFF;
 /// Marks an agent that stands beside no building.
 pub const NO_BUILDING: u8 = 0xFF;
 

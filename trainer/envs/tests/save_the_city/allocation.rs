@@ -4,9 +4,9 @@ use super::{environment, for_random_states, observed};
 use sortie_envs::random::{below, generator};
 use sortie_envs::save_the_city::{
     AgentKind, AgentState, AllocationRule, BuildingKind, BuildingState, City, CityDecoder,
-    DecisionPoints, RELATIONS, SaveTheCity, Status, UNASSIGNED, coordinated_allocation,
-    write_relation,
+    RELATIONS, SaveTheCity, Status, coordinated_allocation, write_relation,
 };
+use sortie_envs::{DecisionPoints, UNASSIGNED};
 use sortie_envs::{Frame, FrameError, FrameReader, Random};
 
 /// What an allocator is shown: rows of 60 columns, absent ones as zeros.

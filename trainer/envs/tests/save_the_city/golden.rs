@@ -9,9 +9,9 @@ use sortie_envs::random::generator;
 use sortie_envs::save_the_city::golden::{Labels, Recorder};
 use sortie_envs::save_the_city::{
     AgentKind, AgentState, AllocationRule, BuildingKind, BuildingPlan, BuildingState, City,
-    DecisionPoints, SET_NAMES, Scenario, ScenarioSet, ScriptedTeam, Status, UNASSIGNED,
-    heuristic_allocation,
+    SET_NAMES, Scenario, ScenarioSet, ScriptedTeam, Status, heuristic_allocation,
 };
+use sortie_envs::{DecisionPoints, UNASSIGNED};
 
 use super::{environment, golden_folder};
 

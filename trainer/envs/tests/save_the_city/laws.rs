@@ -3,9 +3,10 @@
 use std::collections::HashSet;
 
 use sortie_envs::Environment;
+use sortie_envs::UNASSIGNED;
 use sortie_envs::random::generator;
 use sortie_envs::save_the_city::{
-    AgentKind, BuildingState, SaveTheCity, Status, UNASSIGNED, random_allocation,
+    AgentKind, BuildingState, SaveTheCity, Status, random_allocation,
 };
 
 use super::{environment, for_random_states, play_randomly};

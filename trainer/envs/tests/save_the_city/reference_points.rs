@@ -1,9 +1,10 @@
 //! Success rates and returns that the dissertation's environment was measured to give.
 
+use sortie_envs::DecisionPoints;
 use sortie_envs::Environment;
 use sortie_envs::random::generator;
 use sortie_envs::save_the_city::{
-    AllocationRule, DecisionPoints, EpisodeMetrics, SaveTheCity, ScriptedTeam, random_actions,
+    AllocationRule, EpisodeMetrics, SaveTheCity, ScriptedTeam, random_actions,
 };
 
 use super::environment;

@@ -2,10 +2,10 @@
 
 use std::error::Error;
 
+use sortie_envs::DecisionPoints;
 use sortie_envs::random::{below, generator as draws};
 use sortie_envs::save_the_city::{
-    Constants, DecisionPoints, SaveTheCity, ScenarioSet, random_actions, random_allocation,
-    scripted_actions,
+    Constants, SaveTheCity, ScenarioSet, random_actions, random_allocation, scripted_actions,
 };
 use sortie_envs::{EntitySet, Environment, Observation};
 use sortie_methods::alma::windows::{NO_ACTION, NO_TASK, WindowShape, Windows};

@@ -3,7 +3,6 @@
 //!
 //! Two learners: one from [`records`], the preset `fast`, one from [`windows`], the preset `paper`.
 
-mod cities;
 pub mod configuration;
 pub mod evaluate;
 pub mod export;

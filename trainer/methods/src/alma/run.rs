@@ -83,12 +83,14 @@ impl Run {
         let description = folder.read_description()?;
         let curve = folder.read_curve()?;
         let found = folder.checkpoints().newest(checkpoint::OpenFor::Use)?;
+        let environment = Settings::environment(&description.config).open()?;
+        let spec = environment.spec();
         let (network, memory_unit, coach, allocator) = match &description.config {
             Settings::Records(config) => {
                 let average = |name, shape| network_of(&found.checkpoint, name, shape);
-                let agents = average("agents/average", config.agent_shape()?)?;
+                let agents = average("agents/average", config.network.shape(spec))?;
                 let learns = config.learns_allocator();
-                let shape = config.allocator.shape();
+                let shape = config.allocator.shape(spec);
                 let allocator = learns.then(|| average("allocator/average", shape)).transpose()?;
                 (agents, Vec::new(), None, allocator.map(RunAllocator::TeamValue))
             }

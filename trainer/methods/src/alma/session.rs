@@ -45,7 +45,7 @@ fn parts(description: &RunDescription<Settings>, threads: usize) -> Result<Parts
     let (seed, threads) = (description.seed, threads.max(1));
     let environment = Settings::environment(&description.config).open()?;
     let method: Box<dyn Method> = match &description.config {
-        Settings::Records(config) => Box::new(Records::new(config, seed, threads)?),
+        Settings::Records(config) => Box::new(Records::new(config, &environment, seed, threads)),
         Settings::Windows(config) => {
             let shape = environment.spec().shape;
             Box::new(WindowLearner::new(config, shape, seed, threads))

@@ -8,7 +8,8 @@ use super::super::heuristic::heuristic_allocation;
 use super::super::metrics::EpisodeMetrics;
 use super::super::rules::{Bounce, availability_codes};
 use super::super::simulator::SaveTheCity;
-use super::super::state::{City, MAX_AGENTS, UNASSIGNED};
+use super::super::state::{City, MAX_AGENTS};
+use crate::decisions::UNASSIGNED;
 use crate::environment::{Environment, Step};
 use crate::observation::{EntitySet, Observation, members};
 

@@ -1,11 +1,9 @@
 //! A team and who allocates it, as one that plays anywhere.
 
-use sortie_envs::Random;
-use sortie_envs::save_the_city::{DecisionPoints, UNASSIGNED};
+use sortie_envs::{DecisionPoints, EntitySet, Observation, Random, UNASSIGNED};
 use sortie_learn::{Act, LearnError, Scenes};
 
 use super::{Allocate, Scene, Situation, Team};
-use crate::alma::cities::CityState;
 use crate::alma::records::NO_ACTION;
 
 /// What an instance remembers between steps.
@@ -15,8 +13,7 @@ struct Place {
     allocation: Vec<u8>,
     last_actions: Vec<u8>,
     strategies: Vec<f32>,
-    city: CityState,
-    steps: u32,
+    seen: Observation,
 }
 
 /// A team that is allocated at decision points.
@@ -33,16 +30,16 @@ impl<'a> AllocatedTeam<'a> {
         Self { team, allocator, interval, places: Vec::new() }
     }
 
-    /// Takes over the state of every scene, and decides where that is due.
+    /// Observes every scene, and decides where that is due.
     fn decide(&mut self, scenes: &Scenes<'_>, random: &mut [Random]) -> Result<(), LearnError> {
-        let agents = scenes.environment.spec().shape.agents;
+        let environment = scenes.environment;
+        let agents = environment.spec().shape.agents;
         let new = || Place {
             points: DecisionPoints::every(self.interval),
             allocation: vec![UNASSIGNED; agents],
             last_actions: vec![NO_ACTION; agents],
             strategies: Vec::new(),
-            city: CityState::default(),
-            steps: 0,
+            seen: Observation::default(),
         };
         for scene in scenes.scenes {
             let places = self.places.len().max(scene.instance + 1);
@@ -51,16 +48,14 @@ impl<'a> AllocatedTeam<'a> {
             if scene.begins {
                 *place = new();
             }
-            place.city.read(scene.state);
+            environment.observe(scene.state, 0, EntitySet::MAX, &mut place.seen);
             if place.points.is_due(scene.tasks_changed) {
-                let Place { city, last_actions, allocation, strategies, steps, .. } = place;
-                let city = city.city();
-                let situation = Situation { city, last_actions, steps: *steps };
+                let Place { seen, last_actions, allocation, strategies, .. } = place;
+                let situation = Situation { environment, state: scene.state, last_actions };
                 let generator = &mut random[scene.instance];
                 self.allocator.decide(situation, &mut *self.team, generator, allocation)?;
-                self.team.advise(city, strategies)?;
+                self.team.advise(seen, strategies)?;
             }
-            place.steps += 1;
         }
         Ok(())
     }
@@ -74,13 +69,15 @@ impl Act for AllocatedTeam<'_> {
         actions: &mut [u16],
     ) -> Result<(), LearnError> {
         self.decide(scenes, random)?;
-        let agents = scenes.environment.spec().shape.agents;
+        let environment = scenes.environment;
+        let agents = environment.spec().shape.agents;
         let Self { team, places, .. } = self;
-        let scene = |scene: &sortie_learn::Scene<'_>| {
-            let Place { allocation, last_actions, strategies, city, .. } = &places[scene.instance];
-            Scene { world: scene.instance, city: city.city(), allocation, last_actions, strategies }
-        };
-        let shown: Vec<Scene<'_>> = scenes.scenes.iter().map(scene).collect();
+        let shown = scenes.scenes.iter().map(|scene| {
+            let Place { allocation, last_actions, strategies, seen, .. } = &places[scene.instance];
+            let (world, state) = (scene.instance, scene.state);
+            Scene { world, environment, state, seen, allocation, last_actions, strategies }
+        });
+        let shown: Vec<Scene<'_>> = shown.collect();
         team.act(&shown, actions, agents)?;
         for (scene, actions) in scenes.scenes.iter().zip(actions.chunks_exact(agents)) {
             let last_actions = &mut places[scene.instance].last_actions;

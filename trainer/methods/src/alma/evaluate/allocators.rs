@@ -2,23 +2,68 @@
 
 use sortie_bundle::OwnedAllocationState;
 use sortie_core::{Allocator, EntityMask};
-use sortie_envs::save_the_city::{City, FEATURES, UNASSIGNED, write_agent_row, write_building_row};
+use sortie_envs::{EntitySet, Environment, Observation, UNASSIGNED, members};
 use sortie_nn::random::Generator;
 
 use super::Allocate;
 use sortie_learn::LearnError;
 
-/// A deployed allocator, on what it would see of a city.
+/// One of the [rules](sortie_envs::Spec::rules) of an environment, by its name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RuleAllocator(pub &'static str);
+
+impl Allocate for RuleAllocator {
+    fn allocate(
+        &mut self,
+        environment: &dyn Environment,
+        state: &[u8],
+        generator: &mut Generator,
+        allocation: &mut [u8],
+    ) -> Result<(), LearnError> {
+        let spec = environment.spec();
+        let known = spec.rules.iter().position(|rule| rule.name == self.0);
+        let unknown = || {
+            let names: Vec<&str> = spec.rules.iter().map(|rule| rule.name).collect();
+            let (name, names) = (spec.name, names.join("`, `"));
+            LearnError::Team(format!(
+                "`{name}` has no rule `{}` of allocation; it has `{names}`",
+                self.0
+            ))
+        };
+        environment.allocate(known.ok_or_else(unknown)?, state, generator, allocation);
+        Ok(())
+    }
+}
+
+/// Assigns nobody: what agents need that know of no subtasks.
+#[derive(Clone, Copy, Debug)]
+pub struct NoSubtasks;
+
+impl Allocate for NoSubtasks {
+    fn allocate(
+        &mut self,
+        _: &dyn Environment,
+        _: &[u8],
+        _: &mut Generator,
+        allocation: &mut [u8],
+    ) -> Result<(), LearnError> {
+        allocation.fill(UNASSIGNED);
+        Ok(())
+    }
+}
+
+/// A deployed allocator, on what it would see of a state.
 pub struct DeployedAllocator<'a>(pub Box<dyn Allocator + 'a>);
 
 impl Allocate for DeployedAllocator<'_> {
     fn allocate(
         &mut self,
-        city: City<'_>,
+        environment: &dyn Environment,
+        state: &[u8],
         _: &mut Generator,
         allocation: &mut [u8],
     ) -> Result<(), LearnError> {
-        let mut state = allocation_state(city);
+        let mut state = allocation_state(environment, state);
         // What a policy proposes depends on what was in force.
         for (tasks, last) in state.entity_task.iter_mut().zip(&allocation[..state.agents]) {
             *tasks = 1_u32.checked_shl((*last).into()).unwrap_or(0);
@@ -29,20 +74,22 @@ impl Allocate for DeployedAllocator<'_> {
     }
 }
 
-/// All that an allocator sees of a city; agents come without their last allocation.
-pub fn allocation_state(city: City<'_>) -> OwnedAllocationState {
-    let (agents, tasks) = (city.agents.len(), city.buildings.len());
-    let mut rows = vec![0.0; (agents + tasks) * FEATURES];
-    let mut each = rows.chunks_exact_mut(FEATURES);
-    city.agents.iter().zip(&mut each).for_each(|(agent, row)| write_agent_row(agent, row));
-    city.buildings.iter().zip(&mut each).for_each(|(b, row)| write_building_row(b, row));
+/// All that an allocator sees of a state; agents come without their last allocation.
+pub fn allocation_state(environment: &dyn Environment, state: &[u8]) -> OwnedAllocationState {
+    let features = environment.spec().shape.features;
+    let mut seen = Observation::default();
+    environment.observe(state, 0, EntitySet::MAX, &mut seen);
+    let mut rows = vec![0.0; seen.rows.len() * features];
+    for (row, dense) in rows.chunks_exact_mut(features).enumerate() {
+        seen.rows.write_dense(row, dense);
+    }
     OwnedAllocationState {
-        agents,
-        tasks,
+        agents: seen.agents(),
+        tasks: seen.tasks(),
         rows,
-        features: FEATURES,
-        present: EntityMask::first(agents + tasks),
-        entity_task: (0..agents).map(|_| 0).chain((0..tasks).map(|task| 1 << task)).collect(),
-        open_tasks: city.open_tasks(),
+        features,
+        present: EntityMask::first(seen.rows.len()),
+        entity_task: members(seen.present).map(|entity| seen.entity_task[entity]).collect(),
+        open_tasks: seen.open_tasks,
     }
 }

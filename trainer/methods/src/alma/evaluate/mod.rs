@@ -13,15 +13,13 @@ mod worlds;
 
 use std::any::Any;
 
-use sortie_envs::save_the_city::{
-    AllocationRule, City, Constants, DecisionPoints, SaveTheCity, ScenarioSet, UNASSIGNED,
-};
-use sortie_envs::{Entry, Environment, Split};
+use sortie_envs::save_the_city::SaveTheCity;
+use sortie_envs::{DecisionPoints, Entry, Environment, Observation, Split};
 
 pub use sortie_envs::save_the_city::golden::{Labels, Recorder};
 
 pub use allocated::AllocatedTeam;
-pub use allocators::{DeployedAllocator, allocation_state};
+pub use allocators::{DeployedAllocator, NoSubtasks, RuleAllocator, allocation_state};
 pub use plan::{Planner, PlannerReport};
 pub use players::{Agents, Players};
 pub use teams::{NetworkTeam, PolicyTeam, ScriptedActors};
@@ -35,13 +33,17 @@ use sortie_nn::random::Generator;
 pub static LEARNED: &Entry = &sortie_envs::save_the_city::ENTRY;
 
 /// One state in which a team is to act.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy)]
 pub struct Scene<'a> {
     /// Number of the world, the same as long as its episode runs: what agents remember belongs to it.
     pub world: usize,
-    /// Agents and buildings.
-    pub city: City<'a>,
-    /// The building of every agent, or [`sortie_envs::save_the_city::UNASSIGNED`].
+    /// What observes the state.
+    pub environment: &'a dyn Environment,
+    /// The state.
+    pub state: &'a [u8],
+    /// All that there is to see in it.
+    pub seen: &'a Observation,
+    /// The subtask of every agent, or [`sortie_envs::UNASSIGNED`].
     pub allocation: &'a [u8],
     /// The last action of every agent, or [`crate::alma::records::NO_ACTION`].
     pub last_actions: &'a [u8],
@@ -59,32 +61,34 @@ pub trait Team {
         agents: usize,
     ) -> Result<(), LearnError>;
 
-    /// Writes what a coach tells the agents of a city at a decision, for the scenes until the next one.
+    /// Writes what a coach tells the agents of a state at a decision, for the scenes until the next one.
     ///
     /// Only teams with a coach write anything.
-    fn advise(&mut self, city: City<'_>, strategies: &mut Vec<f32>) -> Result<(), LearnError> {
-        let _ = (city, strategies);
+    fn advise(&mut self, seen: &Observation, strategies: &mut Vec<f32>) -> Result<(), LearnError> {
+        let _ = (seen, strategies);
         Ok(())
     }
 }
 
 /// The moment of a decision, all that is needed to play on from it in a copy of the world.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy)]
 pub struct Situation<'a> {
-    /// Agents and buildings.
-    pub city: City<'a>,
+    /// What observes the state.
+    pub environment: &'a dyn Environment,
+    /// The state.
+    pub state: &'a [u8],
     /// The last action of every agent, or [`crate::alma::records::NO_ACTION`].
     pub last_actions: &'a [u8],
-    /// Steps since the episode began.
-    pub steps: u32,
 }
 
-/// What assigns agents to buildings at decision points.
+/// What assigns agents to subtasks at decision points.
 pub trait Allocate {
-    /// Writes the building of every agent, or [`sortie_envs::save_the_city::UNASSIGNED`]; `generator` belongs to the episode.
+    /// Writes the subtask of every agent, or [`sortie_envs::UNASSIGNED`]; `allocation` comes with what was in force.
+    /// `generator` belongs to the episode.
     fn allocate(
         &mut self,
-        city: City<'_>,
+        environment: &dyn Environment,
+        state: &[u8],
         generator: &mut Generator,
         allocation: &mut [u8],
     ) -> Result<(), LearnError>;
@@ -98,7 +102,7 @@ pub trait Allocate {
         allocation: &mut [u8],
     ) -> Result<(), LearnError> {
         let _ = team;
-        self.allocate(situation.city, generator, allocation)
+        self.allocate(situation.environment, situation.state, generator, allocation)
     }
 }
 
@@ -112,19 +116,20 @@ impl<T: Team + ?Sized> Team for &mut T {
         (**self).act(scenes, actions, agents)
     }
 
-    fn advise(&mut self, city: City<'_>, strategies: &mut Vec<f32>) -> Result<(), LearnError> {
-        (**self).advise(city, strategies)
+    fn advise(&mut self, seen: &Observation, strategies: &mut Vec<f32>) -> Result<(), LearnError> {
+        (**self).advise(seen, strategies)
     }
 }
 
 impl<A: Allocate + ?Sized> Allocate for &mut A {
     fn allocate(
         &mut self,
-        city: City<'_>,
+        environment: &dyn Environment,
+        state: &[u8],
         generator: &mut Generator,
         allocation: &mut [u8],
     ) -> Result<(), LearnError> {
-        (**self).allocate(city, generator, allocation)
+        (**self).allocate(environment, state, generator, allocation)
     }
 
     fn decide(
@@ -138,46 +143,11 @@ impl<A: Allocate + ?Sized> Allocate for &mut A {
     }
 }
 
-impl Allocate for AllocationRule {
-    fn allocate(
-        &mut self,
-        city: City<'_>,
-        generator: &mut Generator,
-        allocation: &mut [u8],
-    ) -> Result<(), LearnError> {
-        AllocationRule::allocate(*self, city, generator, allocation);
-        Ok(())
-    }
-}
-
-/// One of the rules of allocation by its name.
-pub fn rule_named(name: &str) -> Option<Box<dyn Allocate>> {
-    AllocationRule::named(name).map(|rule| Box::new(rule) as Box<dyn Allocate>)
-}
-
-/// Assigns nobody: what agents need that know of no subtasks.
-#[derive(Clone, Copy, Debug)]
-pub struct NoSubtasks;
-
-impl Allocate for NoSubtasks {
-    fn allocate(
-        &mut self,
-        _: City<'_>,
-        _: &mut Generator,
-        allocation: &mut [u8],
-    ) -> Result<(), LearnError> {
-        allocation.fill(UNASSIGNED);
-        Ok(())
-    }
-}
-
 /// Which episodes are played.
-#[derive(Clone, Debug, PartialEq)]
-pub struct EvaluationPlan {
-    /// The scenarios; their test list is used.
-    pub set: ScenarioSet,
-    /// Numbers of the rules.
-    pub constants: Constants,
+#[derive(Clone, Copy)]
+pub struct EvaluationPlan<'a> {
+    /// What is played in, on starts that training never draws.
+    pub environment: &'a dyn Environment,
     /// Steps between decisions, unless the open tasks change.
     pub interval: u32,
     /// How many episodes.
@@ -186,24 +156,15 @@ pub struct EvaluationPlan {
     pub seed: u64,
 }
 
-impl EvaluationPlan {
-    /// So many episodes of a scenario set by its name, with the usual rules.
-    pub fn new(set: &str, episodes: usize, seed: u64) -> Result<Self, LearnError> {
-        Ok(Self {
-            set: ScenarioSet::named(set).map_err(LearnError::environment)?,
-            constants: Constants::default(),
-            interval: DecisionPoints::ACTION_LENGTH,
-            episodes,
-            seed,
-        })
+impl<'a> EvaluationPlan<'a> {
+    /// So many episodes of a seed, with the usual interval between decisions.
+    pub fn new(environment: &'a dyn Environment, episodes: usize, seed: u64) -> Self {
+        Self { environment, interval: DecisionPoints::ACTION_LENGTH, episodes, seed }
     }
 
     /// So many instances to play in.
-    fn open(&self, instances: usize) -> Result<SaveTheCity, LearnError> {
-        let city = SaveTheCity::new(self.set.clone(), self.constants, instances, 0);
-        let mut city = city.map_err(LearnError::environment)?;
-        city.use_split(Split::Test);
-        Ok(city)
+    fn open(&self, instances: usize) -> Box<dyn Environment> {
+        self.environment.open(instances, Split::Test)
     }
 }
 
@@ -219,7 +180,7 @@ pub fn cities<'a>(watched: &Watched<'a>) -> Result<&'a SaveTheCity, LearnError> 
 
 /// Plays the episodes of a plan with a team and an allocator.
 pub fn evaluate(
-    plan: &EvaluationPlan,
+    plan: &EvaluationPlan<'_>,
     team: &mut dyn Team,
     allocator: &mut dyn Allocate,
 ) -> Result<Evaluation, LearnError> {
@@ -228,28 +189,28 @@ pub fn evaluate(
 
 /// Plays the episodes of a plan while `onlooker` watches.
 pub fn evaluate_watched(
-    plan: &EvaluationPlan,
+    plan: &EvaluationPlan<'_>,
     team: &mut dyn Team,
     allocator: &mut dyn Allocate,
     onlooker: &mut dyn Onlooker,
 ) -> Result<Evaluation, LearnError> {
-    let mut worlds = plan.open(WORLDS.min(plan.episodes))?;
+    let mut worlds = plan.open(WORLDS.min(plan.episodes));
     let mut team = AllocatedTeam::new(Box::new(team), Box::new(allocator), plan.interval);
-    let done = watch(&mut worlds, &mut team, 0..plan.episodes, plan.seed, onlooker)?;
+    let done = watch(&mut *worlds, &mut team, 0..plan.episodes, plan.seed, onlooker)?;
     Ok(Evaluation::of(worlds.spec(), &done))
 }
 
 /// Plays the last episode of a plan alone: the same one that [`evaluate`] plays last.
 pub fn watch_last_episode(
-    plan: &EvaluationPlan,
+    plan: &EvaluationPlan<'_>,
     team: &mut dyn Team,
     allocator: &mut dyn Allocate,
     onlooker: &mut dyn Onlooker,
 ) -> Result<(), LearnError> {
-    let mut worlds = plan.open(1)?;
+    let mut worlds = plan.open(1);
     let mut team = AllocatedTeam::new(Box::new(team), Box::new(allocator), plan.interval);
     let last = plan.episodes.saturating_sub(1)..plan.episodes;
-    watch(&mut worlds, &mut team, last, plan.seed, onlooker)?;
+    watch(&mut *worlds, &mut team, last, plan.seed, onlooker)?;
     Ok(())
 }
 
@@ -259,17 +220,20 @@ mod tests {
     use crate::alma::records::{Config, NetworkPolicy, UtilityNetwork};
     use sortie_learn::random::{Purpose, generator};
 
-    fn plan(episodes: usize) -> EvaluationPlan {
-        EvaluationPlan::new("2-5a_2-5b", episodes, 11).unwrap()
+    fn measured(episodes: usize, team: &mut dyn Team, allocator: &mut dyn Allocate) -> Evaluation {
+        let environment =
+            sortie_envs::open("save-the-city/2-5a_2-5b", Split::Test, 1, &Default::default());
+        let environment = environment.unwrap();
+        let plan = EvaluationPlan::new(&*environment, episodes, 11);
+        evaluate(&plan, team, allocator).unwrap()
     }
 
     #[test]
     fn the_scripted_team_reaches_its_known_level() {
         let mut team = ScriptedActors::new(1);
-        let coordinated =
-            evaluate(&plan(1000), &mut team, &mut AllocationRule::Coordinated).unwrap();
+        let coordinated = measured(1000, &mut team, &mut RuleAllocator("coordinated"));
         assert!((0.68..0.82).contains(&coordinated.success), "{coordinated:?}");
-        let heuristic = evaluate(&plan(1000), &mut team, &mut AllocationRule::Heuristic).unwrap();
+        let heuristic = measured(1000, &mut team, &mut RuleAllocator("heuristic"));
         assert!((0.44..0.56).contains(&heuristic.success), "{heuristic:?}");
         assert_eq!(coordinated.by_team.len(), 13);
         assert_eq!(coordinated.by_team.values().map(|team| team.episodes).sum::<usize>(), 1000);
@@ -287,9 +251,7 @@ mod tests {
 
     #[test]
     fn an_evaluation_repeats() {
-        let run = || {
-            evaluate(&plan(100), &mut ScriptedActors::new(3), &mut AllocationRule::Random).unwrap()
-        };
+        let run = || measured(100, &mut ScriptedActors::new(3), &mut RuleAllocator("random"));
         assert_eq!(run(), run());
     }
 
@@ -297,11 +259,10 @@ mod tests {
     fn a_policy_acts_as_the_network_that_it_is_made_of() {
         let config = Config::default();
         let mut weights = generator(4, Purpose::Weights, 0);
-        let shape = config.agent_shape().unwrap();
+        let environment = config.environment.open().unwrap();
+        let shape = config.network.shape(environment.spec());
         let network = UtilityNetwork::initialise(shape, 8.0, &mut weights);
-        let play = |team: &mut dyn Team| {
-            evaluate(&plan(40), team, &mut AllocationRule::Heuristic).unwrap()
-        };
+        let play = |team: &mut dyn Team| measured(40, team, &mut RuleAllocator("heuristic"));
         let by_network = play(&mut NetworkTeam::new(&network));
         let by_policy = play(&mut PolicyTeam::new(NetworkPolicy::new(&network)));
         assert_eq!(by_network, by_policy);

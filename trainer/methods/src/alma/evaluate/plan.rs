@@ -9,7 +9,7 @@
 use rand_core::{Rng, SeedableRng};
 use serde::Serialize;
 use sortie_envs::random::{below, chance};
-use sortie_envs::save_the_city::City;
+use sortie_envs::{Environment, Observation, members};
 use sortie_nn::random::Generator;
 
 use super::worlds::Worlds;
@@ -52,11 +52,7 @@ pub struct Planner<'a> {
 
 impl<'a> Planner<'a> {
     /// Improves the decisions of `base`, in the worlds of a plan, by up to `candidates` others each.
-    pub fn new(
-        plan: &EvaluationPlan,
-        base: &'a mut dyn Allocate,
-        candidates: usize,
-    ) -> Result<Self, LearnError> {
+    pub fn new(plan: &EvaluationPlan<'_>, base: &'a mut dyn Allocate, candidates: usize) -> Self {
         let report = PlannerReport {
             candidates,
             uses_simulator: true,
@@ -64,12 +60,12 @@ impl<'a> Planner<'a> {
             searched: 0,
             changed: 0,
         };
-        Ok(Self {
+        Self {
             base,
-            worlds: Worlds::new(plan, candidates.max(1))?,
+            worlds: Worlds::new(plan, candidates.max(1)),
             generator: generator(plan.seed, Purpose::Planning, 0),
             report,
-        })
+        }
     }
 
     /// What was done so far.
@@ -84,14 +80,11 @@ impl<'a> Planner<'a> {
         allocations: &[Vec<u8>],
         team: &mut dyn Team,
     ) -> Result<Vec<Rest>, LearnError> {
-        let Situation { city, last_actions, steps } = situation;
+        let Situation { state, last_actions, .. } = situation;
         self.worlds.clear();
         for (index, allocation) in allocations.iter().enumerate() {
             let random = sortie_envs::random::generator(self.generator.next_u64());
-            self.worlds
-                .city
-                .restore(index, city.agents, city.buildings, steps)
-                .map_err(LearnError::environment)?;
+            self.worlds.environment.load(index, state).map_err(LearnError::environment)?;
             let own = Generator::seed_from_u64(self.generator.next_u64());
             self.worlds.begin(index, random, own);
             self.worlds.decided(index, last_actions, allocation, team)?;
@@ -104,18 +97,17 @@ impl<'a> Planner<'a> {
             self.worlds.retire();
         }
         let rest = |index| {
-            let metrics = self.worlds.city.metrics(index);
-            Rest { solved: metrics.solved, rewards: metrics.episode_return }
+            let episode = self.worlds.environment.episode(index);
+            Rest { solved: episode.solved, rewards: episode.episode_return }
         };
         Ok((0..allocations.len()).map(rest).collect())
     }
 
-    /// The allocation with some agents sent to other open buildings.
-    fn changed(&mut self, city: City<'_>, allocation: &[u8]) -> Vec<u8> {
+    /// The allocation with some agents sent to other open subtasks.
+    fn changed(&mut self, seen: &Observation, allocation: &[u8]) -> Vec<u8> {
         let mut changed = allocation.to_vec();
-        let open = city.buildings.iter().enumerate().filter(|(_, building)| building.is_open());
-        let open: Vec<u8> = open.map(|(task, _)| task as u8).collect();
-        for task in &mut changed[..city.agents.len()] {
+        let open: Vec<u8> = members(seen.open_tasks.into()).map(|task| task as u8).collect();
+        for task in &mut changed[..seen.agents()] {
             if chance(&mut self.generator, MOVED) {
                 *task = open[below(&mut self.generator, open.len())];
             }
@@ -128,11 +120,12 @@ impl Allocate for Planner<'_> {
     /// The base's choice: without the simulator there is nothing to plan with.
     fn allocate(
         &mut self,
-        city: City<'_>,
+        environment: &dyn Environment,
+        state: &[u8],
         generator: &mut Generator,
         allocation: &mut [u8],
     ) -> Result<(), LearnError> {
-        self.base.allocate(city, generator, allocation)
+        self.base.allocate(environment, state, generator, allocation)
     }
 
     fn decide(
@@ -142,8 +135,8 @@ impl Allocate for Planner<'_> {
         generator: &mut Generator,
         allocation: &mut [u8],
     ) -> Result<(), LearnError> {
-        let city = situation.city;
-        self.base.allocate(city, generator, allocation)?;
+        let Situation { environment, state, .. } = situation;
+        self.base.allocate(environment, state, generator, allocation)?;
         self.report.decisions += 1;
         let [own] = self.simulate(situation, &[allocation.to_vec()], team)?[..] else {
             return Ok(());
@@ -152,8 +145,10 @@ impl Allocate for Planner<'_> {
             return Ok(());
         }
         self.report.searched += 1;
+        let mut seen = Observation::default();
+        environment.observe(state, 0, 0, &mut seen);
         let count = self.report.candidates;
-        let candidates: Vec<_> = (0..count).map(|_| self.changed(city, allocation)).collect();
+        let candidates: Vec<_> = (0..count).map(|_| self.changed(&seen, allocation)).collect();
         let mut best = own;
         for (rest, candidate) in
             self.simulate(situation, &candidates, team)?.into_iter().zip(&candidates)
@@ -171,27 +166,32 @@ impl Allocate for Planner<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::alma::evaluate::{ScriptedActors, evaluate};
-    use sortie_envs::save_the_city::AllocationRule;
+    use crate::alma::evaluate::{RuleAllocator, ScriptedActors, evaluate};
+    use sortie_envs::Split;
     use sortie_learn::evaluate::Evaluation;
 
     const EPISODES: usize = 100;
 
-    fn evaluation_plan() -> EvaluationPlan {
-        EvaluationPlan::new("2-5a_2-5b", EPISODES, 5).unwrap()
+    fn with_plan<T>(measure: impl FnOnce(&EvaluationPlan<'_>) -> T) -> T {
+        let environment =
+            sortie_envs::open("save-the-city/2-5a_2-5b", Split::Test, 1, &Default::default());
+        measure(&EvaluationPlan::new(&*environment.unwrap(), EPISODES, 5))
     }
 
     fn planned(candidates: usize) -> (Evaluation, PlannerReport) {
-        let (plan, mut base) = (evaluation_plan(), AllocationRule::Heuristic);
-        let mut planner = Planner::new(&plan, &mut base, candidates).unwrap();
-        let evaluation = evaluate(&plan, &mut ScriptedActors::new(1), &mut planner).unwrap();
-        (evaluation, planner.report())
+        with_plan(|plan| {
+            let mut base = RuleAllocator("heuristic");
+            let mut planner = Planner::new(plan, &mut base, candidates);
+            let evaluation = evaluate(plan, &mut ScriptedActors::new(1), &mut planner).unwrap();
+            (evaluation, planner.report())
+        })
     }
 
     #[test]
     fn looking_ahead_beats_the_allocator_on_the_same_episodes() {
         let mut team = ScriptedActors::new(1);
-        let base = evaluate(&evaluation_plan(), &mut team, &mut AllocationRule::Heuristic).unwrap();
+        let base =
+            with_plan(|plan| evaluate(plan, &mut team, &mut RuleAllocator("heuristic")).unwrap());
         let (planned, report) = planned(8);
         assert!(planned.success > base.success + 0.1, "{} {}", planned.success, base.success);
         assert!(planned.return_mean > base.return_mean);

@@ -1,11 +1,10 @@
 //! Agents that act in many worlds at once: alone, with a memory, or told strategies by a coach.
 
-use sortie_envs::save_the_city::ACTIONS;
 use sortie_nn::layers::gru::{GruPass, GruShape};
 
 use super::Scene;
 use crate::alma::records::{
-    Conditioning, NO_ACTION, TeamBatch, UtilityNetwork, UtilityPass, UtilityShape,
+    Columns, Conditioning, NO_ACTION, TeamBatch, UtilityNetwork, UtilityPass, UtilityShape,
 };
 use crate::alma::windows::low_level::coach::{Coach, PlayerPass, strategy_of};
 use sortie_learn::LearnError;
@@ -88,7 +87,8 @@ impl Players {
             self.remember(agents, &base, scenes, slots);
             self.pass.forward_head(network, &self.output)
         };
-        for ((scene, agent), utilities) in self.actors.iter().zip(utilities.chunks_exact(ACTIONS)) {
+        let actions = agents.network.shape().actions;
+        for ((scene, agent), utilities) in self.actors.iter().zip(utilities.chunks_exact(actions)) {
             each(*scene, *agent, utilities);
         }
         Ok(())
@@ -97,20 +97,21 @@ impl Players {
     /// Writes what all agents see.
     fn look(&mut self, shape: UtilityShape, scenes: &[Scene<'_>]) -> Result<(), LearnError> {
         let Self { batch, actors, .. } = self;
-        batch.clear();
+        let spec = scenes.first().map(|scene| scene.environment.spec());
+        batch.clear(spec.map_or_else(Columns::default, |spec| Columns::of(&spec.shape)));
         actors.clear();
-        let tasks = scenes.iter().map(|scene| scene.city.buildings.len()).max().unwrap_or(0);
+        let tasks = scenes.iter().map(|scene| scene.seen.tasks()).max().unwrap_or(0);
         if batch.columns(tasks) > shape.input {
-            let reason = format!("the network marks fewer subtasks than the {tasks} of this city");
+            let reason = format!("the network marks fewer subtasks than the {tasks} of this state");
             return Err(LearnError::Config(reason));
         }
         for (place, scene) in scenes.iter().enumerate() {
             let added = |agent| actors.push((place, agent));
-            batch.push_teams(scene.city, scene.allocation, scene.last_actions, added);
+            batch.push_teams(scene.seen, scene.allocation, scene.last_actions, added);
         }
         for (place, scene) in scenes.iter().enumerate() {
             let added = |agent| actors.push((place, agent));
-            batch.push_unassigned(scene.city, scene.allocation, scene.last_actions, added);
+            batch.push_unassigned(scene.seen, scene.allocation, scene.last_actions, added);
         }
         Ok(())
     }

@@ -2,9 +2,7 @@
 
 use sortie_core::entity_mask::EntityMask;
 use sortie_core::policy::{DecideError, NO_ACTION as NO_ACTION_YET, Observation, Policy, visible};
-use sortie_envs::save_the_city::{
-    ACTIONS, City, FEATURES, UNASSIGNED, scripted_actions, write_agent_row, write_building_row,
-};
+use sortie_envs::{ActionSet, Observation as Seen, UNASSIGNED, members};
 use sortie_nn::random::Generator;
 
 use super::players::{Agents, Players};
@@ -43,13 +41,13 @@ impl Team for NetworkTeam<'_> {
         agents: usize,
     ) -> Result<(), LearnError> {
         self.players.act(self.agents, scenes, agents, |scene, agent, utilities| {
-            let available = scenes[scene].city.agents[agent].available;
+            let available = scenes[scene].seen.available[agent];
             actions[scene * agents + agent] = best_action(utilities, available).into();
         })
     }
 
-    fn advise(&mut self, city: City<'_>, strategies: &mut Vec<f32>) -> Result<(), LearnError> {
-        self.advice.as_mut().map_or(Ok(()), |advice| advice.mean(city, strategies))
+    fn advise(&mut self, seen: &Seen, strategies: &mut Vec<f32>) -> Result<(), LearnError> {
+        self.advice.as_mut().map_or(Ok(()), |advice| advice.mean(seen, strategies))
     }
 }
 
@@ -74,7 +72,11 @@ impl Team for ScriptedActors {
         agents: usize,
     ) -> Result<(), LearnError> {
         for (scene, actions) in scenes.iter().zip(actions.chunks_exact_mut(agents)) {
-            scripted_actions(scene.city, scene.allocation, &mut self.generator, actions);
+            let Scene { environment, state, allocation, .. } = *scene;
+            if !environment.scripted(state, allocation, &mut self.generator, actions) {
+                let name = environment.spec().name;
+                return Err(LearnError::Team(format!("`{name}` has no scripted agents")));
+            }
         }
         Ok(())
     }
@@ -90,29 +92,26 @@ pub struct PolicyTeam<P> {
 }
 
 impl<P: Policy> PolicyTeam<P> {
-    /// Acts by a policy that was trained on SaveTheCity.
+    /// Acts by a policy under the subtask mask.
     pub fn new(policy: P) -> Self {
         Self { policy, rows: Vec::new(), last_actions: Vec::new(), entity_task: Vec::new() }
     }
 
-    fn observe(&mut self, scene: &Scene<'_>) {
-        let (agents, buildings) = (scene.city.agents, scene.city.buildings);
-        self.rows.resize((agents.len() + buildings.len()) * FEATURES, 0.0);
-        let mut rows = self.rows.chunks_exact_mut(FEATURES);
-        for (agent, row) in agents.iter().zip(&mut rows) {
-            write_agent_row(agent, row);
-        }
-        for (building, row) in buildings.iter().zip(&mut rows) {
-            write_building_row(building, row);
+    fn observe(&mut self, scene: &Scene<'_>, features: usize) {
+        let (seen, agents) = (scene.seen, scene.seen.agents());
+        self.rows.resize(seen.rows.len() * features, 0.0);
+        for (row, dense) in self.rows.chunks_exact_mut(features).enumerate() {
+            seen.rows.write_dense(row, dense);
         }
         let widen =
             |action: &u8| if *action == NO_ACTION { NO_ACTION_YET } else { (*action).into() };
         self.last_actions.clear();
-        self.last_actions.extend(scene.last_actions[..agents.len()].iter().map(widen));
+        self.last_actions.extend(scene.last_actions[..agents].iter().map(widen));
         let task_bit = |task: &u8| 1u32.checked_shl((*task).into()).unwrap_or(0);
         self.entity_task.clear();
-        self.entity_task.extend(scene.allocation[..agents.len()].iter().map(task_bit));
-        self.entity_task.extend((0..buildings.len()).map(|task| 1 << task));
+        self.entity_task.extend(scene.allocation[..agents].iter().map(task_bit));
+        let things = members(seen.present).skip(agents);
+        self.entity_task.extend(things.map(|entity| seen.entity_task[entity]));
     }
 }
 
@@ -124,20 +123,20 @@ impl<P: Policy> Team for PolicyTeam<P> {
         agents: usize,
     ) -> Result<(), LearnError> {
         for (scene, actions) in scenes.iter().zip(actions.chunks_exact_mut(agents)) {
-            self.observe(scene);
+            let shape = scene.environment.spec().shape;
+            self.observe(scene, shape.features);
             let everything = EntityMask::first(self.entity_task.len());
-            let available: Vec<[u16; ACTIONS]> = scene
-                .city
-                .agents
-                .iter()
-                .map(|agent| std::array::from_fn(|action| agent.available >> action & 1))
-                .collect();
+            let codes = |set: &ActionSet| {
+                (0..shape.actions).map(|action| (set >> action & 1) as u16).collect()
+            };
+            let present = &scene.seen.available[..scene.seen.agents()];
+            let available: Vec<Vec<u16>> = present.iter().map(codes).collect();
             let see = |(index, available)| {
                 let task = scene.allocation[index];
                 let subtask = (task != UNASSIGNED).then_some(task);
                 Observation {
                     rows: &self.rows,
-                    stride: FEATURES,
+                    stride: shape.features,
                     last_actions: &self.last_actions,
                     visible: visible(everything, everything, &self.entity_task, subtask),
                     self_index: index,
@@ -145,7 +144,7 @@ impl<P: Policy> Team for PolicyTeam<P> {
                 }
             };
             let observations: Vec<Observation<'_>> =
-                available.iter().map(<[u16; ACTIONS]>::as_slice).enumerate().map(see).collect();
+                available.iter().map(Vec::as_slice).enumerate().map(see).collect();
             let mut decisions = vec![Err(DecideError::BadLength); observations.len()];
             self.policy.decide_batch(&observations, &mut decisions);
             for (action, decision) in actions.iter_mut().zip(decisions) {

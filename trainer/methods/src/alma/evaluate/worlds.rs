@@ -1,7 +1,6 @@
-//! Cities side by side: who is due decides, all act at once, each is stepped.
+//! Worlds side by side: who is due decides, all act at once, each is stepped.
 
-use sortie_envs::save_the_city::{DecisionPoints, SaveTheCity, UNASSIGNED};
-use sortie_envs::{Environment, Random, Step};
+use sortie_envs::{DecisionPoints, EntitySet, Environment, Observation, Random, Step, UNASSIGNED};
 use sortie_nn::random::Generator;
 
 use super::{Allocate, EvaluationPlan, Scene, Situation, Team};
@@ -16,14 +15,26 @@ struct World {
     generator: Generator,
     decisions: DecisionPoints,
     tasks_changed: bool,
+    is_over: bool,
     allocation: Vec<u8>,
     last_actions: Vec<u8>,
     strategies: Vec<f32>,
+    state: Vec<u8>,
+    seen: Observation,
+}
+
+impl World {
+    /// Takes over the state of an instance.
+    fn look(&mut self, environment: &dyn Environment, instance: usize) {
+        self.state.clear();
+        environment.save(instance, &mut self.state);
+        environment.observe(&self.state, 0, EntitySet::MAX, &mut self.seen);
+    }
 }
 
 /// The worlds; some of them play.
 pub(super) struct Worlds {
-    pub(super) city: SaveTheCity,
+    pub(super) environment: Box<dyn Environment>,
     interval: u32,
     worlds: Vec<World>,
     /// Worlds that play, in rising order.
@@ -34,32 +45,36 @@ pub(super) struct Worlds {
 
 impl Worlds {
     /// So many worlds of a plan; none plays yet.
-    pub(super) fn new(plan: &EvaluationPlan, count: usize) -> Result<Self, LearnError> {
-        Ok(Self {
-            city: plan.open(count)?,
+    pub(super) fn new(plan: &EvaluationPlan<'_>, count: usize) -> Self {
+        Self {
+            environment: plan.open(count),
             interval: plan.interval,
             worlds: Vec::new(),
             active: Vec::new(),
             actions: Vec::new(),
-        })
+        }
     }
 
     fn agents(&self) -> usize {
-        self.city.scenario_set().max_agents
+        self.environment.spec().shape.agents
     }
 
     /// Begins an episode in a world, the next one to play or one that plays; its state has been set.
     pub(super) fn begin(&mut self, index: usize, random: Random, generator: Generator) {
         let agents = self.agents();
-        let world = World {
+        let mut world = World {
             random,
             generator,
             decisions: DecisionPoints::every(self.interval),
             tasks_changed: false,
+            is_over: false,
             allocation: vec![UNASSIGNED; agents],
             last_actions: vec![NO_ACTION; agents],
             strategies: Vec::new(),
+            state: Vec::new(),
+            seen: Observation::default(),
         };
+        world.look(&*self.environment, index);
         match self.worlds.get_mut(index) {
             Some(place) => *place = world,
             None => self.worlds.push(world),
@@ -81,7 +96,7 @@ impl Worlds {
         world.decisions.is_due(false);
         world.last_actions.copy_from_slice(last_actions);
         world.allocation.copy_from_slice(allocation);
-        team.advise(self.city.city(index), &mut world.strategies)
+        team.advise(&world.seen, &mut world.strategies)
     }
 
     /// The worlds that play.
@@ -91,9 +106,9 @@ impl Worlds {
 
     /// What the team sees of a world.
     pub(super) fn scene(&self, index: usize) -> Scene<'_> {
-        let World { allocation, last_actions, strategies, .. } = &self.worlds[index];
-        let city = self.city.city(index);
-        Scene { world: index, city, allocation, last_actions, strategies }
+        let World { allocation, last_actions, strategies, state, seen, .. } = &self.worlds[index];
+        let (world, environment) = (index, &*self.environment);
+        Scene { world, environment, state, seen, allocation, last_actions, strategies }
     }
 
     /// Decides where a decision is due, and lets the team choose the actions of all active worlds.
@@ -105,14 +120,11 @@ impl Worlds {
         for index in &self.active {
             let world = &mut self.worlds[*index];
             if world.decisions.is_due(world.tasks_changed) {
-                let situation = Situation {
-                    city: self.city.city(*index),
-                    last_actions: &world.last_actions,
-                    steps: self.city.metrics(*index).steps,
-                };
-                let World { generator, allocation, strategies, .. } = world;
+                let World { generator, allocation, strategies, state, seen, last_actions, .. } =
+                    world;
+                let situation = Situation { environment: &*self.environment, state, last_actions };
                 allocator.decide(situation, team, generator, allocation)?;
-                team.advise(self.city.city(*index), strategies)?;
+                team.advise(seen, strategies)?;
             }
         }
         let agents = self.agents();
@@ -130,39 +142,23 @@ impl Worlds {
         let (index, agents) = (self.active[place], self.agents());
         let actions = &self.actions[place * agents..][..agents];
         let world = &mut self.worlds[index];
-        let outcome = self.city.step(index, actions, &mut world.random)?;
+        let outcome = self.environment.step(index, actions, &mut world.random)?;
         for (last, action) in world.last_actions.iter_mut().zip(actions) {
             *last = *action as u8;
         }
         world.tasks_changed = outcome.tasks_changed;
+        world.is_over = outcome.done();
+        world.look(&*self.environment, index);
         Ok(outcome)
     }
 
     /// Ends the play of worlds whose episode is over.
     pub(super) fn retire(&mut self) {
-        self.active.retain(|index| !self.city.is_done(*index));
+        self.active.retain(|index| !self.worlds[*index].is_over);
     }
 
     /// Ends all play.
     pub(super) fn clear(&mut self) {
         self.active.clear();
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_team_is_measured_on_the_test_list_of_scenarios() {
-        let plan = EvaluationPlan::new("2-8a_2-8b_sim_Q1", 1, 1).unwrap();
-        let mut worlds = Worlds::new(&plan, 40).unwrap();
-        for index in 0..40 {
-            worlds.city.reset(index, &mut sortie_envs::random::generator(index as u64));
-            let agents = worlds.city.city(index).agents;
-            let team: Vec<_> = agents.iter().map(|agent| agent.kind).collect();
-            assert!(plan.set.test.iter().any(|scenario| scenario.team == team));
-            assert!(plan.set.train.iter().all(|scenario| scenario.team != team));
-        }
     }
 }

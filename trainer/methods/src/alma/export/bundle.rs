@@ -10,14 +10,16 @@ use sortie_bundle::{
 };
 use sortie_core::Policy;
 use sortie_envs::save_the_city::{
-    ACTION_NAMES, ACTIONS, AllocationRule, FEATURE_NAMES, FEATURES, RELATIONS, ScenarioSet, VERSION,
+    ACTION_NAMES, ACTIONS, FEATURE_NAMES, FEATURES, RELATIONS, ScenarioSet, VERSION,
 };
 
 use super::card::card;
 use super::golden_allocations::golden_allocations;
 use super::proposals::{ProposalGraphs, export_proposals};
 use crate::alma::evaluate::{EvaluationPlan, PolicyTeam, evaluate};
-use crate::alma::records::{Conditioning, NetworkPolicy, UtilityNetwork, UtilityWeights};
+use crate::alma::records::{
+    Allocation, Conditioning, NetworkPolicy, UtilityNetwork, UtilityWeights,
+};
 use crate::alma::run::{Run, RunAllocator};
 use crate::alma::settings::Settings;
 use sortie_learn::LearnError;
@@ -225,10 +227,10 @@ fn golden(
     seed: u64,
 ) -> Result<Golden, LearnError> {
     let config = &run.description.config;
+    let environment = config.environment().open()?;
     let plan = EvaluationPlan {
-        constants: config.environment().constants,
         interval: config.interval(),
-        ..EvaluationPlan::new(&config.environment().set, GOLDEN_EPISODES, seed)?
+        ..EvaluationPlan::new(&environment, GOLDEN_EPISODES, seed)
     };
     let allocations = match allocator {
         Some(allocator) => golden_allocations(&plan, &run.network, allocator)?,
@@ -236,6 +238,6 @@ fn golden(
     };
     let mut recorder = Recorder::new(NetworkPolicy::new(&run.network), FEATURES);
     let mut team = PolicyTeam::new(&mut recorder as &mut dyn Policy);
-    evaluate(&plan, &mut team, &mut AllocationRule::Coordinated)?;
+    evaluate(&plan, &mut team, &mut Allocation::Coordinated.allocator())?;
     Ok(Golden { cases: recorder.cases, allocations })
 }

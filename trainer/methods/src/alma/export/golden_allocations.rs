@@ -1,7 +1,7 @@
 //! Allocation states of greedy episodes, with the answers of the trainer's own search and network.
 
 use sortie_bundle::{GoldenAllocation, GoldenValue};
-use sortie_envs::save_the_city::{City, RELATIONS, Symmetry, write_relation};
+use sortie_envs::{EntitySet, Environment, SparseRows};
 use sortie_nn::random::Generator;
 
 use super::bundle::LearnedAllocator;
@@ -17,7 +17,7 @@ const STRIDE: usize = 23;
 
 /// Plays the episodes of a plan and keeps some of the allocations.
 pub(super) fn golden_allocations(
-    plan: &EvaluationPlan,
+    plan: &EvaluationPlan<'_>,
     agents: &UtilityNetwork,
     learned: LearnedAllocator<'_>,
 ) -> Result<Vec<GoldenAllocation>, LearnError> {
@@ -44,14 +44,15 @@ struct Recorder<'a> {
 impl Allocate for Recorder<'_> {
     fn allocate(
         &mut self,
-        city: City<'_>,
+        environment: &dyn Environment,
+        state: &[u8],
         generator: &mut Generator,
         allocation: &mut [u8],
     ) -> Result<(), LearnError> {
-        self.allocator.allocate(city, generator, allocation)?;
+        self.allocator.allocate(environment, state, generator, allocation)?;
         self.allocations += 1;
         if self.allocations % STRIDE == 1 && self.cases.len() < CASES {
-            let case = self.case(city, &allocation[..city.agents.len()]);
+            let case = self.case(environment, state, allocation);
             self.cases.push(case);
         }
         Ok(())
@@ -59,30 +60,49 @@ impl Allocate for Recorder<'_> {
 }
 
 impl Recorder<'_> {
-    fn case(&mut self, city: City<'_>, allocation: &[u8]) -> GoldenAllocation {
-        let state = allocation_state(city);
-        let rows: Vec<usize> = (0..city.agents.len()).collect();
+    fn case(
+        &mut self,
+        environment: &dyn Environment,
+        state: &[u8],
+        allocation: &[u8],
+    ) -> GoldenAllocation {
+        let seen = allocation_state(environment, state);
+        let allocation = allocation[..seen.agents].to_vec();
+        let relations = environment.spec().relations;
         let mut relation = Vec::new();
         let mut values = Vec::new();
-        for task in state.open() {
-            let mut to_task = vec![0.0; state.entities() * RELATIONS];
-            write_relation(city, task, &rows, rows.len(), &mut to_task);
-            relation.extend(to_task);
+        for task in seen.open() {
+            relation.extend(to_task(environment, state, task));
             let assigned = allocation.iter().enumerate();
             let team = assigned.filter(|(_, place)| usize::from(**place) == task);
             let team = team.map(|(agent, _)| 1_u64 << agent).sum();
-            let everybody = rows.iter().map(|agent| 1_u64 << agent).sum();
-            values.extend(self.values(city, task, [0, team, everybody]));
+            let everybody = (0..seen.agents).map(|agent| 1_u64 << agent).sum();
+            values.extend(self.values((environment, state), task, [0, team, everybody]));
         }
-        let allocation = allocation.to_vec();
-        GoldenAllocation { state, relations: RELATIONS, relation, values, allocation }
+        GoldenAllocation { state: seen, relations, relation, values, allocation }
     }
 
-    fn values(&mut self, city: City<'_>, task: usize, teams: [u64; 3]) -> [GoldenValue; 3] {
-        let turn = Symmetry::ALL[0];
+    fn values(
+        &mut self,
+        (environment, state): (&dyn Environment, &[u8]),
+        task: usize,
+        teams: [u64; 3],
+    ) -> [GoldenValue; 3] {
         let mut input = TeamValueInput::default();
-        let queries = teams.iter().map(|team| TeamQuery { city, task, team: *team, turn });
-        let values = self.pass.forward(self.network, input.queries(queries));
+        let queries = teams.iter().map(|team| TeamQuery { state, task, team: *team, turn: 0 });
+        let values = self.pass.forward(self.network, input.queries(environment, queries));
         std::array::from_fn(|index| GoldenValue { task, team: teams[index], value: values[index] })
     }
+}
+
+/// How every entity stands to a subtask, in full.
+fn to_task(environment: &dyn Environment, state: &[u8], task: usize) -> Vec<f32> {
+    let mut rows = SparseRows::default();
+    environment.relate(state, 0, task, EntitySet::MAX, &mut rows);
+    let columns = environment.spec().relations;
+    let mut dense = vec![0.0; rows.len() * columns];
+    for (row, dense) in dense.chunks_exact_mut(columns).enumerate() {
+        rows.write_dense(row, dense);
+    }
+    dense
 }

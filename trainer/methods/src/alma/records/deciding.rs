@@ -2,26 +2,28 @@
 
 use serde::{Deserialize, Serialize};
 use sortie_envs::random::{below, chance, unit};
-use sortie_envs::save_the_city::{AllocationRule, City, DecisionPoints, UNASSIGNED};
+use sortie_envs::{DecisionPoints, Observation, Spec, UNASSIGNED, members};
 use sortie_nn::random::Generator;
 
 use super::config::{Allocation, AllocationConfig, AllocatorConfig, Config};
+use super::history::Reached;
 use super::team_value::{Decision, Segment, Segments, TeamSearch};
 use super::utility::UtilityNetwork;
+use crate::alma::evaluate::Allocate;
 use sortie_learn::LearnError;
 
 /// Who stands in for an allocator that has not begun to decide.
-const STAND_INS: [AllocationRule; 2] = [AllocationRule::Coordinated, AllocationRule::Heuristic];
+const STAND_INS: [Allocation; 2] = [Allocation::Coordinated, Allocation::Heuristic];
 
 /// What one episode remembers between its decisions.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Decisions {
     allocation_by: Allocation,
     /// The rule that decides while the learned allocator learns but does not decide.
-    stand_in: AllocationRule,
+    stand_in: Allocation,
     points: DecisionPoints,
     tasks_changed: bool,
-    /// The building of every agent.
+    /// The subtask of every agent.
     pub(super) allocation: Vec<u8>,
     segment: Option<Segment>,
 }
@@ -66,14 +68,14 @@ impl Decisions {
     }
 
     /// Ends the segment of the decision before and begins that of the one just made.
-    fn begin_segment(&mut self, city: City<'_>, segments: &mut Segments) {
-        let decision = Decision::new(city, &self.allocation);
+    fn begin_segment(&mut self, (state, seen): (&[u8], &Observation), segments: &mut Segments) {
+        let decision = Decision::new(state, &self.allocation[..seen.agents()]);
         if let Some(mut segment) = self.segment.take() {
             segment.next = decision.clone();
             segments.push(segment);
         }
         self.segment = Some(Segment {
-            rewards: vec![0.0; decision.buildings.len()],
+            rewards: vec![0.0; seen.tasks()],
             discount: 1.0,
             next: decision.clone(),
             now: decision,
@@ -90,9 +92,9 @@ pub(super) struct Deciding {
 }
 
 impl Deciding {
-    pub(super) fn new(config: &Config) -> Self {
+    pub(super) fn new(config: &Config, spec: &Spec) -> Self {
         let (allocation, allocator) = (config.allocation.clone(), config.allocator.clone());
-        let search = TeamSearch::new(allocator.shape(), allocation.team_max);
+        let search = TeamSearch::new(allocator.shape(spec), allocation.team_max);
         Self { allocation, allocator, search }
     }
 
@@ -118,7 +120,7 @@ impl Deciding {
     pub(super) fn decide(
         &mut self,
         episode: &mut Decisions,
-        city: City<'_>,
+        (now, seen): (Reached<'_>, &Observation),
         generator: &mut Generator,
         network: Option<&UtilityNetwork>,
         segments: Option<&mut Segments>,
@@ -127,39 +129,42 @@ impl Deciding {
             return Ok(false);
         }
         let learns = segments.is_some();
+        let Reached { environment, state, .. } = now;
         let allocation = &mut episode.allocation;
         match (episode.allocation_by, network) {
             (Allocation::Learned, Some(network)) => {
-                self.search.allocate(network, city, allocation)?;
+                self.search.allocate(network, environment, state, generator, allocation)?;
             }
-            (Allocation::Learned, None) if learns => {
-                episode.stand_in.allocate(city, generator, allocation);
+            (by, _) => {
+                let rule = match (by, learns) {
+                    (Allocation::Learned, true) => episode.stand_in,
+                    (Allocation::Learned, false) => STAND_INS[0],
+                    (rule, _) => rule,
+                };
+                rule.allocator().allocate(environment, state, generator, allocation)?;
             }
-            (Allocation::Learned, None) => STAND_INS[0].allocate(city, generator, allocation),
-            (Allocation::Rule(rule), _) => rule.allocate(city, generator, allocation),
         }
         let explores = learns && episode.allocation_by == Allocation::Learned;
         if explores && chance(generator, self.allocator.moved_decisions) {
-            move_some(city, self.allocator.moved, self.allocation.team_max, generator, allocation);
+            move_some(seen, self.allocator.moved, self.allocation.team_max, generator, allocation);
         }
         if let Some(segments) = segments {
-            episode.begin_segment(city, segments);
+            episode.begin_segment((state, seen), segments);
         }
         Ok(true)
     }
 }
 
-/// Sends a share of the agents to random open buildings, except where the team is full.
+/// Sends a share of the agents to random open subtasks, except where the team is full.
 fn move_some(
-    city: City<'_>,
+    seen: &Observation,
     share: f64,
     team_max: usize,
     generator: &mut Generator,
     allocation: &mut [u8],
 ) {
-    let numbered = city.buildings.iter().enumerate();
-    let open: Vec<u8> = numbered.filter(|(_, b)| b.is_open()).map(|(task, _)| task as u8).collect();
-    for agent in 0..city.agents.len() {
+    let open: Vec<u8> = members(seen.open_tasks.into()).map(|task| task as u8).collect();
+    for agent in 0..seen.agents() {
         if chance(generator, share) && !open.is_empty() {
             let task = open[below(generator, open.len())];
             if allocation.iter().filter(|own| **own == task).count() < team_max {
@@ -186,7 +191,8 @@ fn draw(config: &AllocationConfig, generator: &mut Generator) -> Allocation {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use sortie_envs::save_the_city::{AgentKind, AgentState, BuildingKind, BuildingState, Status};
+    use crate::alma::records::toy::{AGENTS, Street, toy};
+    use sortie_envs::Environment;
     use sortie_learn::random::{Purpose, generator};
 
     #[test]
@@ -201,49 +207,36 @@ mod tests {
         let drawn: Vec<_> = (0..4000).map(|_| draw(&config, &mut random)).collect();
         let share = |who| drawn.iter().filter(|drawn| **drawn == who).count() as f64 / 4000.0;
         assert!((share(Allocation::Learned) - 0.25).abs() < 0.03);
-        assert!((share(Allocation::Rule(AllocationRule::Heuristic)) - 0.75).abs() < 0.03);
-    }
-
-    fn buildings(statuses: &[Status]) -> Vec<BuildingState> {
-        let building = |(index, status): (usize, &Status)| BuildingState {
-            health: 0.5,
-            fire: 0.0,
-            period: 70,
-            to_next_fire: 60,
-            since_last_fire: 10,
-            kind: BuildingKind::Fast,
-            status: *status,
-            x: 4 + 4 * index as u8,
-            y: 4,
-        };
-        statuses.iter().enumerate().map(building).collect()
+        assert!((share(Allocation::Heuristic) - 0.75).abs() < 0.03);
     }
 
     #[test]
     fn who_learns_decides_or_is_stood_in_for_and_nothing_else_is_tried_out() {
-        let agents = vec![AgentState::at(AgentKind::Builder, 5, 5); 6];
-        let buildings = buildings(&[Status::Open; 3]);
-        let city = City { agents: &agents, buildings: &buildings };
-        let by = |rule: AllocationRule| {
-            let mut allocation = vec![UNASSIGNED; 6];
-            rule.allocate(city, &mut generator(1, Purpose::Rollout, 0), &mut allocation);
+        let (environment, street) = (toy(), Street::new(6, &[3, 4, 14]));
+        let (state, seen) = (street.bytes(), street.seen());
+        let mut random = generator(1, Purpose::Rollout, 0);
+        let mut by = |rule: Allocation| {
+            let mut allocation = vec![UNASSIGNED; AGENTS];
+            let allocated =
+                rule.allocator().allocate(&environment, &state, &mut random, &mut allocation);
+            allocated.unwrap();
             allocation
         };
-        let [coordinated, heuristic] = STAND_INS.map(by);
+        let [coordinated, heuristic] = STAND_INS.map(&mut by);
         assert_ne!(coordinated, heuristic);
         let decided = |allocation_by, learns: bool, moved_decisions| {
             let mut config = Config::default();
             (config.allocator.moved, config.allocator.moved_decisions) = (1.0, moved_decisions);
-            let stand_in = AllocationRule::Heuristic;
-            let mut episode = Decisions { allocation_by, stand_in, ..Decisions::new(5, 6) };
+            let stand_in = Allocation::Heuristic;
+            let mut episode = Decisions { allocation_by, stand_in, ..Decisions::new(5, AGENTS) };
             let (mut random, mut segments) = (generator(1, Purpose::Rollout, 0), Segments::new(10));
             let segments = learns.then_some(&mut segments);
-            let due =
-                Deciding::new(&config).decide(&mut episode, city, &mut random, None, segments);
-            assert!(due.unwrap());
+            let now = (Reached { environment: &environment, state: &state, number: 0 }, &seen);
+            let mut deciding = Deciding::new(&config, environment.spec());
+            assert!(deciding.decide(&mut episode, now, &mut random, None, segments).unwrap());
             episode.allocation
         };
-        let rule = Allocation::Rule(AllocationRule::Heuristic);
+        let rule = Allocation::Heuristic;
         assert_eq!(decided(Allocation::Learned, true, 0.0), heuristic, "the episode's stand-in");
         assert_ne!(decided(Allocation::Learned, true, 1.0), heuristic, "and agents are moved");
         assert_eq!(decided(Allocation::Learned, false, 1.0), coordinated, "nobody learns");
@@ -254,42 +247,47 @@ mod tests {
     fn an_episode_is_decided_by_whom_the_run_asks_for() {
         let mut config = Config::default();
         (config.allocation.learned, config.allocation.heuristic) = (0.0, 1.0);
-        let (deciding, mut episode) = (Deciding::new(&config), Decisions::new(5, 1));
+        let (deciding, mut episode) = (Deciding::new(&config, toy().spec()), Decisions::new(5, 1));
         episode.restart(deciding.allocation(), &mut generator(1, Purpose::Rollout, 0));
-        assert_eq!(episode.allocation_by, Allocation::Rule(AllocationRule::Heuristic));
+        assert_eq!(episode.allocation_by, Allocation::Heuristic);
     }
 
     #[test]
-    fn a_share_of_the_agents_moves_to_open_buildings_with_room() {
-        let agents = vec![AgentState::at(AgentKind::Builder, 5, 5); 1000];
-        let buildings = buildings(&[Status::Open, Status::Complete, Status::Open]);
+    fn a_share_of_the_agents_moves_to_open_sites_with_room() {
         let mut random = generator(1, Purpose::Rollout, 0);
-        let mut moved = |share, team_max, buildings| {
-            let (city, mut allocation) = (City { agents: &agents, buildings }, vec![1; 1000]);
-            move_some(city, share, team_max, &mut random, &mut allocation);
-            [0, 1, 2].map(|task| allocation.iter().filter(|own| **own == task).count())
+        // Of so many times eight agents who are all at the second site.
+        let mut moved = |share, team_max, sites: &[(u8, bool)], times| {
+            let seen = Street { sites: sites.to_vec(), ..Street::new(8, &[]) }.seen();
+            let mut counts = [0; 3];
+            for _ in 0..times {
+                let mut allocation = vec![1; AGENTS];
+                move_some(&seen, share, team_max, &mut random, &mut allocation);
+                allocation.iter().for_each(|task| counts[usize::from(*task)] += 1);
+            }
+            counts
         };
-        assert_eq!(moved(0.0, 1000, &buildings), [0, 1000, 0]);
-        assert_eq!(moved(1.0, 1000, &buildings[1..2]), [0, 1000, 0], "nothing is open");
-        assert_eq!(moved(1.0, 3, &buildings), [3, 994, 3], "a team of three is full");
-        let [first, _, second] = moved(0.25, 1000, &buildings);
+        let sites = [(1, true), (5, false), (9, true)];
+        assert_eq!(moved(0.0, 8, &sites, 1), [0, 8, 0]);
+        assert_eq!(moved(1.0, 8, &sites[1..2], 1), [0, 8, 0], "nothing is open");
+        assert_eq!(moved(1.0, 3, &sites, 1), [3, 2, 3], "a team of three is full");
+        let [first, _, second]: [i32; 3] = moved(0.25, 8, &sites, 125);
         assert!(first.abs_diff(125) < 40 && second.abs_diff(125) < 40, "{first}, {second}");
     }
 
     #[test]
     fn rewards_of_a_segment_are_discounted_step_by_step() {
-        let agents = [AgentState::at(AgentKind::Builder, 1, 2)];
-        let buildings = buildings(&[Status::Open; 2]);
-        let city = City { agents: &agents, buildings: &buildings };
+        let street = Street::new(1, &[3, 9]);
+        let (state, seen) = (street.bytes(), street.seen());
+        let now = (&state[..], &seen);
         let mut segments = Segments::new(10);
         let mut episode = Decisions::new(5, 1);
         episode.allocation = vec![1];
-        episode.begin_segment(city, &mut segments);
+        episode.begin_segment(now, &mut segments);
         for (first, second) in [(1.0, 0.0), (2.0, 8.0), (4.0, 16.0)] {
             episode.reward(0.5, &[first, second], false);
         }
         episode.allocation = vec![0];
-        episode.begin_segment(city, &mut segments);
+        episode.begin_segment(now, &mut segments);
         let segment = segments.get(0);
         assert_eq!(segment.rewards, [1.0 + 0.5 * 2.0 + 0.25 * 4.0, 0.5 * 8.0 + 0.25 * 16.0]);
         assert_eq!(segment.discount, 0.125);

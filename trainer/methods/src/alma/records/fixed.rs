@@ -1,6 +1,6 @@
 //! Agents and allocators that act and learn nothing, for tests.
 
-use sortie_envs::save_the_city::with_city;
+use sortie_envs::{ActionSet, Environment, Observation};
 use sortie_learn::play::{Play, RandomTeam};
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{EpisodeCounts, Rates};
@@ -8,7 +8,9 @@ use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition};
 use sortie_nn::random::Generator as Random;
 
 use super::config::Config;
-use super::replay::{RecordLayout, Replay};
+use super::history::Returns;
+use super::observer::Observer;
+use super::replay::Replay;
 use super::rollout::{Behaviour, Memory, Rollout};
 use super::team_value::Segments;
 use super::utility::UtilityNetwork;
@@ -24,7 +26,7 @@ pub(super) struct Fixed {
     pub(super) segments: Option<Segments>,
     pub(super) decisions: u64,
     /// The actions that were available to whoever acted, and what was done, by instance.
-    pub(super) acted: Vec<(usize, u16, u16)>,
+    pub(super) acted: Vec<(usize, ActionSet, u16)>,
 }
 
 impl Method for Fixed {
@@ -47,11 +49,11 @@ impl Method for Fixed {
     }
 
     fn remember(&mut self, transition: &Transition<'_>) -> Result<(), LearnError> {
-        with_city(transition.state, |city| {
-            let acted = city.agents.iter().zip(transition.actions);
-            let instance = transition.instance;
-            self.acted.extend(acted.map(|(agent, action)| (instance, agent.available, *action)));
-        });
+        let mut seen = Observation::default();
+        transition.environment.observe(transition.state, 0, 0, &mut seen);
+        let acted = seen.available[..seen.agents()].iter().zip(transition.actions);
+        let instance = transition.instance;
+        self.acted.extend(acted.map(|(available, action)| (instance, *available, *action)));
         let memory = Memory { records: &mut self.records, segments: self.segments.as_mut() };
         self.rollout.remember(transition, memory);
         Ok(())
@@ -74,15 +76,16 @@ impl Method for Fixed {
 pub(super) fn fixed(config: &Config, segments: usize) -> Fixed {
     let network =
         |shape| UtilityNetwork::initialise(shape, 8.0, &mut generator(1, Purpose::Weights, 0));
-    let set = config.environment.scenario_set().unwrap();
-    let layout = RecordLayout::new(config.network.subtask, &set);
+    let environment = config.environment.open().unwrap();
+    let spec = environment.spec();
+    let lag = Returns::from(&config.returns).lag(config.environment.instances);
     Fixed {
-        rollout: Rollout::new(config, config.agent_shape().unwrap(), 5),
-        agents: network(config.agent_shape().unwrap()),
+        rollout: Rollout::new(config, spec),
+        agents: network(config.network.shape(spec)),
         epsilon: 0.0,
-        allocator: network(config.allocator.shape()),
+        allocator: network(config.allocator.shape(spec)),
         decides_from: 0,
-        records: Replay::new(10_000, layout),
+        records: Replay::new(10_000, lag, spec),
         segments: Some(Segments::new(segments)),
         decisions: 0,
         acted: Vec::new(),
@@ -104,4 +107,9 @@ pub(super) fn play(play: &mut Play, method: &mut Fixed, steps: u64) -> (EpisodeC
         play.round(method, Now { env_steps, of: steps }, &mut counts).unwrap();
     }
     (counts, method.decisions - before)
+}
+
+/// What observes the states of a run.
+pub(super) fn observer(config: &Config) -> Observer {
+    Observer::of(&config.environment.open().unwrap())
 }

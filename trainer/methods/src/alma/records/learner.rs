@@ -8,12 +8,14 @@ use std::fmt::Debug;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
-use super::config::{OptimiserConfig, ReplayConfig};
 use rand_core::Rng;
+use sortie_envs::Environment;
 use sortie_envs::random::below;
 use sortie_nn::optimise::{Adam, clip_norm, move_towards};
 use sortie_nn::random::Generator;
 
+use super::config::{OptimiserConfig, ReplayConfig};
+use super::observer::Observer;
 use sortie_learn::run::UpdateReport;
 
 /// A sample to learn from and how its map is turned.
@@ -21,7 +23,7 @@ use sortie_learn::run::UpdateReport;
 pub struct Pick {
     /// Index in the replay.
     pub sample: u32,
-    /// Index in [`sortie_envs::save_the_city::Symmetry::ALL`]; 0 changes nothing.
+    /// Number of the environment's symmetry; 0 changes nothing.
     pub symmetry: u8,
     /// What else the loss draws for this sample comes from this number.
     pub draw: u64,
@@ -55,6 +57,22 @@ pub struct Networks<'a, N> {
     pub target: &'a N,
 }
 
+/// What the loss is computed from.
+pub struct Experience<'a, R> {
+    /// What observes the states that were seen.
+    pub environment: &'a dyn Environment,
+    /// What was seen.
+    pub replay: &'a R,
+}
+
+impl<R> Clone for Experience<'_, R> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<R> Copy for Experience<'_, R> {}
+
 /// A sum of squared errors over samples, with its gradient: the space to compute them, and the result.
 pub trait Loss: Clone + Debug + Send + 'static {
     /// What learns.
@@ -68,7 +86,7 @@ pub trait Loss: Clone + Debug + Send + 'static {
     fn learn(
         &mut self,
         networks: Networks<'_, Self::Network>,
-        replay: &Self::Replay,
+        experience: Experience<'_, Self::Replay>,
         picks: &[Pick],
     );
     /// The sum of squared errors.
@@ -88,11 +106,18 @@ pub struct Knowledge<L: Loss> {
     pub target: L::Network,
     /// What was seen.
     pub replay: L::Replay,
+    /// What observes its states.
+    observer: Observer,
     /// Samples of the running update.
     picks: Vec<Pick>,
 }
 
 impl<L: Loss> Knowledge<L> {
+    /// What was seen, with what observes it.
+    pub fn experience(&self) -> Experience<'_, L::Replay> {
+        Experience { environment: &*self.observer, replay: &self.replay }
+    }
+
     /// The samples of the running update: those picked last and not yet followed.
     pub fn picks(&self) -> &[Pick] {
         &self.picks
@@ -118,11 +143,12 @@ impl<L: Loss> Shared<L> {
     /// Takes chunks until none is left.
     fn work(&self) {
         let knowledge = self.knowledge();
-        let Knowledge { online, target, replay, picks } = &*knowledge;
+        let Knowledge { online, target, picks, .. } = &*knowledge;
         loop {
             let index = self.next_chunk.fetch_add(1, Ordering::Relaxed);
             let Some(picks) = picks.chunks(L::CHUNK).nth(index) else { return };
-            self.chunk(index).learn(Networks { online, target }, replay, picks);
+            let networks = Networks { online, target };
+            self.chunk(index).learn(networks, knowledge.experience(), picks);
         }
     }
 }
@@ -148,14 +174,14 @@ impl<L: Loss> Learner<L> {
     pub fn new(
         config: (&ReplayConfig, &OptimiserConfig),
         online: L::Network,
-        replay: L::Replay,
+        (replay, observer): (L::Replay, Observer),
         loss: &L,
     ) -> Self {
         let (replay_config, optimiser) = (config.0.clone(), config.1.clone());
         let parameters = online.count();
         let (target, average) = (online.clone(), online.clone());
         let chunks = replay_config.batch.div_ceil(L::CHUNK);
-        let knowledge = Knowledge { online, target, replay, picks: Vec::new() };
+        let knowledge = Knowledge { online, target, replay, observer, picks: Vec::new() };
         Self {
             shared: Arc::new(Shared {
                 knowledge: RwLock::new(knowledge),
@@ -187,9 +213,9 @@ impl<L: Loss> Learner<L> {
 
     /// Draws the samples of an update.
     pub fn pick(&mut self, generator: &mut Generator) {
-        let symmetries = if self.replay.symmetries { 8 } else { 1 };
-        let batch = self.replay.batch;
+        let (batch, turns) = (self.replay.batch, self.replay.symmetries);
         let mut knowledge = self.knowledge_mut();
+        let symmetries = if turns { knowledge.observer.spec().turns } else { 1 };
         let samples = knowledge.replay.count();
         knowledge.picks.clear();
         knowledge.picks.extend((0..batch).map(|_| Pick {
@@ -244,6 +270,7 @@ impl<L: Loss> Learner<L> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::alma::records::toy::toy;
     use sortie_learn::random::{Purpose, generator};
 
     /// A line through samples, by its slope and its height at 0.
@@ -277,10 +304,15 @@ mod tests {
         type Replay = Vec<(f32, f32)>;
         const CHUNK: usize = 3;
 
-        fn learn(&mut self, networks: Networks<'_, Line>, replay: &Self::Replay, picks: &[Pick]) {
+        fn learn(
+            &mut self,
+            networks: Networks<'_, Line>,
+            experience: Experience<'_, Self::Replay>,
+            picks: &[Pick],
+        ) {
             let (slope, height) = (networks.online.0[0], networks.online.0[1]);
             let errors = picks.iter().map(|pick| {
-                let (x, y) = replay[pick.sample as usize];
+                let (x, y) = experience.replay[pick.sample as usize];
                 (x, slope * x + height - y)
             });
             let by_slope = errors.clone().map(|(x, error)| 2.0 * error * x).sum();
@@ -301,7 +333,8 @@ mod tests {
 
     #[test]
     fn updates_find_the_line_through_the_samples() {
-        let samples = (-10..10).map(|x| (x as f32 * 0.1, x as f32 * 0.3 + 1.0)).collect();
+        let samples: Vec<_> = (-10..10).map(|x| (x as f32 * 0.1, x as f32 * 0.3 + 1.0)).collect();
+        let samples = (samples, Observer::of(&toy()));
         let replay = ReplayConfig { batch: 8, ..ReplayConfig::default() };
         let optimiser = OptimiserConfig { target_rate: 0.0, ..OptimiserConfig::default() };
         let start = Line(vec![0.0, 0.0]);
@@ -325,7 +358,7 @@ mod tests {
     fn an_update_follows_the_mean_of_the_batch() {
         let replay = ReplayConfig { batch: 8, ..ReplayConfig::default() };
         let optimiser = OptimiserConfig { clip: 100.0, ..OptimiserConfig::default() };
-        let (start, samples) = (Line(vec![1.0, 0.0]), vec![(2.0, 3.0)]);
+        let (start, samples) = (Line(vec![1.0, 0.0]), (vec![(2.0, 3.0)], Observer::of(&toy())));
         let mut learner = Learner::new((&replay, &optimiser), start, samples, &LineLoss::default());
         let mut picks = generator(1, Purpose::Replay, 0);
         learner.pick(&mut picks);
@@ -346,11 +379,30 @@ mod tests {
     }
 
     #[test]
+    fn samples_are_turned_by_all_symmetries_of_the_environment_or_by_none() {
+        for (symmetries, turns) in [(true, vec![0, 1]), (false, vec![0])] {
+            let replay = ReplayConfig { batch: 64, symmetries, ..ReplayConfig::default() };
+            let optimiser = OptimiserConfig::default();
+            let samples = (vec![(1.0, 1.0)], Observer::of(&toy()));
+            let line = Line(vec![0.0; 2]);
+            let mut learner =
+                Learner::new((&replay, &optimiser), line, samples, &LineLoss::default());
+            learner.pick(&mut generator(1, Purpose::Replay, 0));
+            let picks = learner.knowledge().picks().to_vec();
+            let mut drawn: Vec<u8> = picks.iter().map(|pick| pick.symmetry).collect();
+            drawn.sort_unstable();
+            drawn.dedup();
+            assert_eq!(drawn, turns);
+        }
+    }
+
+    #[test]
     fn a_learner_is_warm_once_it_has_seen_enough() {
         let replay = ReplayConfig { warm_up: 2, ..ReplayConfig::default() };
         let optimiser = OptimiserConfig::default();
         let is_warm = |samples| {
             let (line, samples) = (Line(vec![0.0; 2]), vec![(1.0, 1.0); samples]);
+            let samples = (samples, Observer::of(&toy()));
             Learner::new((&replay, &optimiser), line, samples, &LineLoss::default()).is_warm()
         };
         assert_eq!([1, 2, 3].map(is_warm), [false, true, true]);

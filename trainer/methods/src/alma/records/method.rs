@@ -12,10 +12,12 @@ use sortie_nn::random::Generator;
 use sortie_nn::workers::Workers;
 
 use super::config::{Allocation, Config};
+use super::history::Returns;
 use super::learner::{Knowledge, Learner, Loss};
 use super::mixed_network::MixedNetwork;
 use super::mixer::Mixer;
-use super::replay::{RecordLayout, Replay};
+use super::observer::Observer;
+use super::replay::Replay;
 use super::rollout::{Behaviour, Memory, Rollout};
 use super::saved_network::tensors;
 use super::team_value::{Segments, TeamValueAllocator, TeamValueLoss};
@@ -59,6 +61,7 @@ pub struct Records {
     pub agents: Learner<Chunk>,
     /// There is one if the run learns an allocator.
     pub allocator: Option<Learner<TeamValueLoss>>,
+    observer: Observer,
     workers: Workers,
     /// Acts, and cuts what happens into records.
     pub rollout: Rollout,
@@ -72,21 +75,20 @@ pub struct Records {
 }
 
 impl Records {
-    /// Draws the first weights.
-    ///
-    /// # Errors
-    /// There is no such set of starts.
-    pub fn new(config: &Config, seed: u64, threads: usize) -> Result<Self, LearnError> {
-        let set = config.environment.scenario_set()?;
-        let agents = agents_learner(config, seed)?;
-        let allocator = config.learns_allocator().then(|| allocator_learner(config, seed));
+    /// Draws the first weights, for an environment.
+    pub fn new(config: &Config, environment: &dyn Environment, seed: u64, threads: usize) -> Self {
+        let observer = Observer::of(environment);
+        let agents = agents_learner(config, &observer, seed);
+        let learns = config.learns_allocator();
+        let allocator = learns.then(|| allocator_learner(config, &observer, seed));
         let (act, allocate) = (agents.job(), allocator.as_ref().map(Learner::job));
         let job = Arc::new(move || {
             act();
             allocate.iter().for_each(|allocate| allocate());
         });
-        Ok(Self {
-            rollout: Rollout::new(config, config.agent_shape()?, set.max_agents),
+        Self {
+            rollout: Rollout::new(config, environment.spec()),
+            observer,
             workers: Workers::new(threads, job),
             agents,
             allocator,
@@ -98,7 +100,7 @@ impl Records {
             decisions: 0,
             keeps_segments: false,
             config: config.clone(),
-        })
+        }
     }
 
     /// One update of each level that is due and has enough to learn from, both at the same time.
@@ -134,9 +136,9 @@ impl Records {
             (Allocation::Learned, Some(learner)) => {
                 Box::new(TeamValueAllocator::new(&learner.average, team_max))
             }
-            (Allocation::Rule(rule), _) => Box::new(rule),
             // Whoever is measured under learned allocation learns it.
             (Allocation::Learned, None) => Box::new(NoSubtasks),
+            (rule, _) => Box::new(rule.allocator()),
         }
     }
 }
@@ -243,11 +245,10 @@ impl Method for Records {
         state.value("due", &mut self.due)?;
         state.value("picks", &mut self.picks)?;
         self.rollout.state(state)?;
-        let Self { config, agents, allocator, .. } = self;
-        let layout = RecordLayout::new(config.network.subtask, &config.environment.scenario_set()?);
-        let capacity = config.replay.capacity;
+        let Self { config, agents, allocator, observer, .. } = self;
         agents_state(agents, state)?;
-        if state.is_reading() && !agents.knowledge().replay.fits(capacity, layout) {
+        let (capacity, lag) = (config.replay.capacity, lag(config));
+        if state.is_reading() && !agents.knowledge().replay.fits(capacity, lag, observer.spec()) {
             return Err(misfit("replay"));
         }
         let Some(learner) = allocator else { return Ok(()) };
@@ -327,29 +328,35 @@ fn allocator_state(
 }
 
 /// The learner of the agents, before its first update.
-///
-/// # Errors
-/// There is no such set of starts.
-pub fn agents_learner(config: &Config, seed: u64) -> Result<Learner<Chunk>, LearnError> {
-    let (shape, inputs) = (config.agent_shape()?, config.network.active_inputs);
+pub fn agents_learner(config: &Config, observer: &Observer, seed: u64) -> Learner<Chunk> {
+    let (shape, inputs) = (config.network.shape(observer.spec()), config.network.active_inputs);
     let mut weights = generator(seed, Purpose::Weights, 0);
     let online = MixedNetwork {
         utility: UtilityNetwork::initialise(shape, inputs, &mut weights),
         mixer: Mixer::initialise(config.mixer.shape(shape.input), inputs, &mut weights),
     };
-    let layout = RecordLayout::new(config.network.subtask, &config.environment.scenario_set()?);
-    let replay = Replay::new(config.replay.capacity, layout);
+    let replay = Replay::new(config.replay.capacity, lag(config), observer.spec());
+    let seen = (replay, observer.clone());
     let loss = Chunk::new(&online, config.network.subtask, config.mixer.reward_factor());
-    Ok(Learner::new((&config.replay, &config.optimiser), online, replay, &loss))
+    Learner::new((&config.replay, &config.optimiser), online, seen, &loss)
+}
+
+/// How many moments a record reaches back.
+fn lag(config: &Config) -> u64 {
+    Returns::from(&config.returns).lag(config.environment.instances)
 }
 
 /// The learner of the allocator, before its first update.
-pub fn allocator_learner(config: &Config, seed: u64) -> Learner<TeamValueLoss> {
+pub fn allocator_learner(
+    config: &Config,
+    observer: &Observer,
+    seed: u64,
+) -> Learner<TeamValueLoss> {
     let config = &config.allocator;
+    let shape = config.shape(observer.spec());
     let mut weights = generator(seed, Purpose::Weights, ALLOCATOR_STREAM);
-    let inputs = config.network.active_inputs;
-    let online = UtilityNetwork::initialise(config.shape(), inputs, &mut weights);
-    let replay = Segments::new(config.replay.capacity);
-    let loss = TeamValueLoss::new(config.shape());
-    Learner::new((&config.replay, &config.optimiser), online, replay, &loss)
+    let online = UtilityNetwork::initialise(shape, config.network.active_inputs, &mut weights);
+    let seen = (Segments::new(config.replay.capacity), observer.clone());
+    let loss = TeamValueLoss::new(shape);
+    Learner::new((&config.replay, &config.optimiser), online, seen, &loss)
 }

@@ -2,7 +2,6 @@
 
 use sortie_core::choose::masked_argmax;
 use sortie_core::{DecideError, Decision, NO_ACTION, Observation, Policy};
-use sortie_envs::save_the_city::FEATURES;
 
 use super::utility::UtilityNetwork;
 use super::utility_pass::{UtilityInput, UtilityPass};
@@ -57,19 +56,26 @@ impl<'a> NetworkPolicy<'a> {
         Ok(())
     }
 
+    /// Features of an entity: the columns before its last action.
+    fn features(&self) -> usize {
+        let shape = self.network.shape();
+        shape.input - shape.actions
+    }
+
     fn push_row(
         &mut self,
         observation: &Observation<'_>,
         entity: usize,
     ) -> Result<(), DecideError> {
+        let features = self.features();
         let row = observation.rows.get(entity * observation.stride..);
-        let row = row.and_then(|row| row.get(..FEATURES)).ok_or(DecideError::BadLength)?;
+        let row = row.and_then(|row| row.get(..features)).ok_or(DecideError::BadLength)?;
         for (column, value) in row.iter().enumerate().filter(|(_, value)| **value != 0.0) {
             self.input.rows.push(column, *value);
         }
         let last_action = observation.last_actions.get(entity).filter(|&&last| last != NO_ACTION);
         if let Some(action) = last_action {
-            self.input.rows.push(FEATURES + usize::from(*action), 1.0);
+            self.input.rows.push(features + usize::from(*action), 1.0);
         }
         self.input.rows.end_row();
         Ok(())

@@ -1,40 +1,12 @@
-//! What was seen, kept as compact states: a record is a step of one team.
+//! What was seen: moments, and records that refer to them. A record is a step of one team.
 //!
-//! Features are rebuilt when a record is used. A record holds everything that its team may see, so that
-//! it is a complete training sample: with the subtask mask that is the team and its building, otherwise
-//! the whole city.
+//! Features are rebuilt when a record is used.
 
 use serde::{Deserialize, Serialize};
-use sortie_envs::save_the_city::{AgentState, BuildingState, ScenarioSet};
+use sortie_envs::{AgentSet, EntitySet, Spec};
 
-use super::conditioning::Conditioning;
 use super::learner::Samples;
-
-/// One agent at the step of a record and some steps later.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct AgentStep {
-    /// The agent when it acted.
-    pub agent: AgentState,
-    /// What it had done before.
-    pub last_action: u8,
-    /// What it did.
-    pub action: u8,
-    /// The agent in the state to bootstrap from.
-    pub next: AgentState,
-    /// What it had done before that.
-    pub next_last_action: u8,
-    /// Its subtask when it acted, which is held fixed for the bootstrap.
-    pub task: u8,
-}
-
-/// One building at the step of a record and in the state to bootstrap from.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct BuildingStep {
-    /// The building when the team acted.
-    pub building: BuildingState,
-    /// The building later.
-    pub next: BuildingState,
-}
+use super::moments::{Moment, Moments};
 
 /// The rewards that the team of one step earned over the next steps.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -43,51 +15,47 @@ pub struct Record {
     pub reward: f32,
     /// Factor of the bootstrapped value; 0 where there is nothing to bootstrap from.
     pub discount: f32,
-    /// Agents in the team, at least one.
-    pub size: u8,
-    agents: u8,
-    buildings: u8,
+    /// The team's subtask when it acted, which is held fixed for the bootstrap.
+    pub task: u8,
+    /// How many moments later the one to bootstrap from is; 0 where there is none.
+    ahead: u32,
+    /// The moment in which the team acted.
+    now: u64,
+    /// The things in sight, in two halves.
+    things: [u64; 2],
 }
 
 impl Record {
-    /// A record of a team of so many agents.
-    pub fn new(reward: f32, discount: f32, size: usize) -> Self {
-        Self { reward, discount, size: size as u8, agents: 0, buildings: 0 }
+    /// A record of the team at a subtask in one moment and in a later one; `things` are in its sight.
+    pub fn new(task: usize, [now, next]: [u64; 2], things: EntitySet) -> Self {
+        let things = [things as u64, (things >> 64) as u64];
+        let ahead = (next - now) as u32;
+        Self { reward: 0.0, discount: 0.0, task: task as u8, ahead, now, things }
+    }
+
+    /// The things in sight.
+    pub fn things(&self) -> EntitySet {
+        EntitySet::from(self.things[0]) | EntitySet::from(self.things[1]) << 64
     }
 }
 
-/// A record with what its team sees.
+/// A record with the moments that it is about.
 #[derive(Clone, Copy, Debug)]
 pub struct Sample<'a> {
     /// Rewards and discount.
     pub record: &'a Record,
-    /// The team, then the other agents in sight.
-    pub agents: &'a [AgentStep],
-    /// The buildings in sight: all in the order of their subtasks, or the team's own.
-    pub buildings: &'a [BuildingStep],
+    /// When the team acted.
+    pub now: Moment<'a>,
+    /// To bootstrap from; `now` once more where there is nothing to bootstrap from.
+    pub next: Moment<'a>,
 }
 
-impl<'a> Sample<'a> {
-    /// The agents that earned the reward, then the others.
-    pub fn split_team(&self) -> (&'a [AgentStep], &'a [AgentStep]) {
-        self.agents.split_at(self.record.size.into())
-    }
-}
-
-/// The most that one record can hold.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct RecordLayout {
-    /// Agents in sight.
-    pub agents: usize,
-    /// Buildings in sight.
-    pub buildings: usize,
-}
-
-impl RecordLayout {
-    /// What a team may see in a scenario set.
-    pub fn new(conditioning: Conditioning, set: &ScenarioSet) -> Self {
-        let masked = conditioning == Conditioning::Mask;
-        Self { agents: set.max_agents, buildings: if masked { 1 } else { set.max_buildings } }
+impl Sample<'_> {
+    /// The agents that earned the reward.
+    pub fn team(&self) -> AgentSet {
+        let members = self.now.allocation.iter().enumerate();
+        let members = members.filter(|(_, task)| **task == self.record.task);
+        members.fold(0, |team, (agent, _)| team | 1 << agent)
     }
 }
 
@@ -95,46 +63,40 @@ impl RecordLayout {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Replay {
     capacity: usize,
-    layout: RecordLayout,
+    /// How many moments old what a new record refers to may be.
+    lag: u64,
     records: Vec<Record>,
-    /// `[records, layout.agents]`
-    agents: Vec<AgentStep>,
-    /// `[records, layout.buildings]`
-    buildings: Vec<BuildingStep>,
     next: usize,
+    /// What the records refer to.
+    pub(super) moments: Moments,
 }
 
 impl Replay {
-    /// Room for `capacity` records.
-    pub fn new(capacity: usize, layout: RecordLayout) -> Self {
-        Self {
-            capacity,
-            layout,
-            records: Vec::with_capacity(capacity),
-            agents: Vec::with_capacity(capacity * layout.agents),
-            buildings: Vec::with_capacity(capacity * layout.buildings),
-            next: 0,
-        }
+    /// Room for `capacity` records of an environment, each of which refers to none but the last `lag` moments.
+    pub fn new(capacity: usize, lag: u64, spec: &Spec) -> Self {
+        let (records, moments) = (Vec::with_capacity(capacity), Moments::new(spec));
+        Self { capacity, lag, records, next: 0, moments }
     }
 
-    /// Stores a record with what its team sees, the team first.
+    /// Stores a record, and forgets moments that no record refers to any more, nor will.
     ///
-    /// Panics if the team or the buildings are none, or more than the layout has room for.
-    pub fn push(
-        &mut self,
-        record: Record,
-        agents: impl IntoIterator<Item = AgentStep>,
-        buildings: impl IntoIterator<Item = BuildingStep>,
-    ) {
-        let agents = place(&mut self.agents, self.next, self.layout.agents, agents);
-        let buildings = place(&mut self.buildings, self.next, self.layout.buildings, buildings);
-        assert!((1..=agents).contains(&record.size), "a record needs a team");
-        let record = Record { agents, buildings, ..record };
+    /// # Panics
+    /// Where the record refers to older moments than it may.
+    pub fn push(&mut self, record: Record) {
+        assert!(record.now + self.lag >= self.moments.next(), "a record of a forgotten moment");
         match self.records.get_mut(self.next) {
             Some(place) => *place = record,
             None => self.records.push(record),
         }
         self.next = (self.next + 1) % self.capacity;
+        if let Some(oldest) = self.records.get(self.next).filter(|_| self.is_full()) {
+            self.moments.forget_before(oldest.now.saturating_sub(self.lag));
+        }
+    }
+
+    /// Whether the next record replaces one.
+    fn is_full(&self) -> bool {
+        self.records.len() == self.capacity
     }
 
     /// Number of records.
@@ -147,41 +109,37 @@ impl Replay {
         self.records.is_empty()
     }
 
-    /// A record and what its team sees.
+    /// A record and its moments.
+    #[inline]
     pub fn get(&self, index: usize) -> Sample<'_> {
         let record = &self.records[index];
-        Sample {
-            record,
-            agents: &self.agents[index * self.layout.agents..][..usize::from(record.agents)],
-            buildings: &self.buildings[index * self.layout.buildings..]
-                [..usize::from(record.buildings)],
-        }
+        let (now, next) = (record.now, record.now + u64::from(record.ahead));
+        Sample { record, now: self.moments.get(now), next: self.moments.get(next) }
     }
 
     /// Reads a little of each of these records, so that all are on their way from memory at the same time.
-    pub fn fetch(&self, indices: impl Iterator<Item = usize>) {
-        let RecordLayout { agents, buildings } = self.layout;
-        let read = indices.map(|index| {
-            let place = index * agents;
-            let (first, last) = (&self.agents[place], &self.agents[place + agents - 1]);
-            let building = &self.buildings[index * buildings];
-            self.records[index].size ^ first.task ^ last.task ^ building.next.x
+    pub fn fetch(&self, indices: impl Iterator<Item = usize> + Clone) {
+        let records = indices.map(|index| &self.records[index]);
+        let read = records.clone().fold(0, |sum, record| sum ^ record.task);
+        std::hint::black_box(read);
+        let read = records.fold(0, |sum, record| {
+            let next = record.now + u64::from(record.ahead);
+            sum ^ self.moments.fetch(record.now) ^ self.moments.fetch(next)
         });
         // What was read is not needed, which the compiler must not know.
-        std::hint::black_box(read.fold(0, |sum, read| sum ^ read));
+        std::hint::black_box(read);
     }
 
     /// Whether this is a replay of that size whose parts fit together, as one from a file should be.
-    pub fn fits(&self, capacity: usize, layout: RecordLayout) -> bool {
-        let Self { records, .. } = self;
-        (self.capacity, self.layout) == (capacity, layout)
+    pub fn fits(&self, capacity: usize, lag: u64, spec: &Spec) -> bool {
+        let Self { records, moments, .. } = self;
+        let next = |record: &Record| record.now.checked_add(record.ahead.into());
+        (self.capacity, self.lag) == (capacity, lag)
             && records.len() <= self.capacity
             && self.next < self.capacity.max(1)
-            && self.agents.len() == records.len() * layout.agents
-            && self.buildings.len() == records.len() * layout.buildings
-            && records.iter().all(|r| (1..=r.agents).contains(&r.size))
-            && records.iter().all(|r| usize::from(r.agents) <= layout.agents)
-            && records.iter().all(|r| (1..=layout.buildings).contains(&r.buildings.into()))
+            && moments.fits(spec)
+            && records.iter().all(|record| moments.has(record.now))
+            && records.iter().all(|record| next(record).is_some_and(|next| moments.has(next)))
     }
 }
 
@@ -189,28 +147,4 @@ impl Samples for Replay {
     fn count(&self) -> usize {
         self.len()
     }
-}
-
-/// Writes the rows of one record, fills up its room in a ring that still grows, and returns their number.
-fn place<T: Copy>(
-    rows: &mut Vec<T>,
-    record: usize,
-    room: usize,
-    items: impl IntoIterator<Item = T>,
-) -> u8 {
-    let start = record * room;
-    let mut count = 0;
-    for item in items {
-        assert!(count < room, "a record with room for {room} rows");
-        match rows.get_mut(start + count) {
-            Some(place) => *place = item,
-            None => rows.push(item),
-        }
-        count += 1;
-    }
-    assert!(count > 0, "a record without rows");
-    while rows.len() < start + room {
-        rows.push(rows[start]);
-    }
-    count as u8
 }

@@ -2,19 +2,18 @@
 
 use serde::{Deserialize, Serialize};
 use sortie_envs::random::chance;
-use sortie_envs::save_the_city::{ACTIONS, with_city};
+use sortie_envs::{EntitySet, Observation, Spec};
 use sortie_learn::{LearnError, Scenes, Transition};
 use sortie_nn::random::Generator;
 
 use super::config::Config;
 use super::deciding::{Deciding, Decisions};
-use super::history::{History, Moment, StepRewards};
+use super::history::{History, Reached, StepRewards};
 use super::replay::Replay;
-use super::team_batch::{NO_ACTION, TeamBatch, best_action, random_action};
+use super::team_batch::{Columns, NO_ACTION, TeamBatch, best_action, random_action};
 use super::team_value::Segments;
-use super::utility::{UtilityNetwork, UtilityShape};
+use super::utility::UtilityNetwork;
 use super::utility_pass::UtilityPass;
-use crate::alma::cities::CityState;
 
 /// What an instance remembers between steps.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -22,9 +21,12 @@ struct Instance {
     decisions: Decisions,
     last_actions: Vec<u8>,
     history: History,
-    /// The state in which its agents act.
+    /// The number of the moment in which its agents act.
     #[serde(skip)]
-    city: CityState,
+    number: u64,
+    /// What there is to see in it.
+    #[serde(skip)]
+    seen: Observation,
 }
 
 /// Who acts and allocates in a step.
@@ -60,20 +62,22 @@ pub struct Rollout {
 }
 
 impl Rollout {
-    /// Instances for teams of so many agents at most, none of which has begun an episode.
-    pub fn new(config: &Config, shape: UtilityShape, agents: usize) -> Self {
+    /// Instances of an environment, none of which has begun an episode.
+    pub fn new(config: &Config, spec: &Spec) -> Self {
+        let agents = spec.shape.agents;
         let instance = Instance {
             decisions: Decisions::new(config.allocation.interval, agents),
             last_actions: vec![NO_ACTION; agents],
             history: History::new(config.network.subtask, (&config.returns).into()),
-            city: CityState::default(),
+            number: 0,
+            seen: Observation::default(),
         };
         Self {
             instances: vec![instance; config.environment.instances],
-            deciding: Deciding::new(config),
+            deciding: Deciding::new(config, spec),
             spread: config.exploration.spread.clone(),
             batch: TeamBatch::new(config.network.subtask),
-            pass: UtilityPass::new(shape),
+            pass: UtilityPass::new(config.network.shape(spec)),
             actors: Vec::new(),
         }
     }
@@ -106,17 +110,19 @@ impl Rollout {
         actions: &mut [u16],
     ) -> Result<u64, LearnError> {
         let mut decided = 0;
+        let environment = scenes.environment;
         for scene in scenes.scenes {
             let instance = &mut self.instances[scene.instance];
-            let Instance { decisions, history, last_actions, city, .. } = instance;
-            city.read(scene.state);
-            let (city, generator) = (city.city(), &mut random[scene.instance]);
+            let Instance { decisions, history, last_actions, number, seen } = instance;
+            environment.observe(scene.state, 0, EntitySet::MAX, seen);
+            *number = memory.records.moments.push(scene.state, last_actions);
+            let now = Reached { environment, state: scene.state, number: *number };
             let segments = memory.segments.as_deref_mut();
-            let due =
-                self.deciding.decide(decisions, city, generator, behaviour.allocator, segments)?;
+            let (generator, network) = (&mut random[scene.instance], behaviour.allocator);
+            let due = self.deciding.decide(decisions, (now, seen), generator, network, segments)?;
             decided += u64::from(due);
-            let allocation = &decisions.allocation;
-            history.decide(Moment { city, allocation, last_actions }, memory.records);
+            history.decide(now, &decisions.allocation, memory.records);
+            history.begin(now, seen, &decisions.allocation, memory.records);
         }
         self.choose(scenes, random, behaviour, actions);
         Ok(decided)
@@ -131,21 +137,22 @@ impl Rollout {
         actions: &mut [u16],
     ) {
         let Self { instances, batch, pass, actors, spread, .. } = self;
-        batch.clear();
+        let shape = scenes.environment.spec().shape;
+        batch.clear(Columns::of(&shape));
         actors.clear();
-        // An agent without a building stays.
-        actions.fill(0);
+        // An agent without a subtask does nothing.
+        actions.fill(scenes.environment.spec().safe_action.unwrap_or(0));
         for (place, scene) in scenes.scenes.iter().enumerate() {
-            let Instance { decisions, last_actions, city, .. } = &instances[scene.instance];
-            batch.push_teams(city.city(), &decisions.allocation, last_actions, |agent| {
+            let Instance { decisions, last_actions, seen, .. } = &instances[scene.instance];
+            batch.push_teams(seen, &decisions.allocation, last_actions, |agent| {
                 actors.push((place, agent));
             });
         }
         let utilities = pass.forward(behaviour.agents, batch.finish());
-        let agents = scenes.environment.spec().shape.agents;
-        for ((place, agent), utilities) in actors.iter().zip(utilities.chunks_exact(ACTIONS)) {
+        for ((place, agent), utilities) in actors.iter().zip(utilities.chunks_exact(shape.actions))
+        {
             let index = scenes.scenes[*place].instance;
-            let available = instances[index].city.city().agents[*agent].available;
+            let available = instances[index].seen.available[*agent];
             let explore = behaviour.epsilon * spread[index % spread.len()];
             let generator = &mut random[index];
             let action = if chance(generator, explore.into()) {
@@ -153,29 +160,31 @@ impl Rollout {
             } else {
                 best_action(utilities, available)
             };
-            actions[place * agents + agent] = action.into();
+            actions[place * shape.agents + agent] = action.into();
         }
     }
 
     /// Stores the records and segments that a step completes.
     pub fn remember(&mut self, transition: &Transition<'_>, memory: Memory<'_>) {
         let Memory { records, segments } = memory;
-        let Transition { actions, step, task_rewards, .. } = *transition;
-        let Instance { history, decisions, last_actions, city } =
+        let Transition { environment, actions, step, task_rewards, next, .. } = *transition;
+        let Instance { history, decisions, last_actions, number, seen } =
             &mut self.instances[transition.instance];
-        let allocation = &decisions.allocation;
-        history.act(Moment { city: city.city(), allocation, last_actions }, actions);
+        records.moments.act(*number, &actions[..seen.agents()]);
         for (last, action) in last_actions.iter_mut().zip(actions) {
             *last = *action as u8;
         }
-        with_city(transition.next, |city| {
-            let after = Moment { city, allocation, last_actions };
-            let rewards = StepRewards { tasks: task_rewards, team: step.reward };
-            history.reward(after, rewards, records);
-            if step.done() {
-                history.end(after, step.timed_out, records);
-            }
-        });
+        environment.observe(next, 0, 0, seen);
+        let rewards = StepRewards { tasks: task_rewards, team: step.reward };
+        history.reward(seen.open_tasks, rewards, records);
+        if step.done() {
+            let timed_out = step.timed_out.then(|| Reached {
+                environment,
+                state: next,
+                number: records.moments.push(next, last_actions),
+            });
+            history.end(timed_out, records);
+        }
         decisions.reward(self.deciding.discount(), task_rewards, step.tasks_changed);
         if step.done() {
             decisions.end(step.timed_out, segments);
@@ -206,8 +215,9 @@ fn sizes(instances: &[Instance]) -> Vec<[usize; 2]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::alma::records::fixed::{Fixed, begin, fixed, play};
+    use crate::alma::records::fixed::{Fixed, begin, fixed, observer, play};
     use crate::alma::records::team_value::Decision;
+    use crate::alma::records::utility::UtilityShape;
 
     fn config(episode_limit: u32) -> Config {
         let mut config = Config::default();
@@ -226,13 +236,22 @@ mod tests {
         assert!(segments.len() > 300 && segments.len() as u64 <= decisions);
         assert!(segments.fits(10_000));
         let (mut ends, mut full) = (0, 0);
+        let environment = observer(&config);
+        let seen = |decision: &Decision| {
+            let mut seen = Observation::default();
+            environment.observe(&decision.state, 0, EntitySet::MAX, &mut seen);
+            seen
+        };
         for segment in (0..segments.len()).map(|index| segments.get(index)) {
-            let kinds = |decision: &Decision| {
-                decision.agents.iter().map(|agent| agent.kind).collect::<Vec<_>>()
+            let (now, next) = (seen(&segment.now), seen(&segment.next));
+            // The first feature of an agent that is not zero is its kind.
+            let kinds = |seen: &Observation| {
+                let kind = |agent| seen.rows.row(agent).next().map(|(column, _)| column);
+                (0..seen.agents()).map(kind).collect::<Vec<_>>()
             };
-            assert_eq!(kinds(&segment.now), kinds(&segment.next));
+            assert_eq!(kinds(&now), kinds(&next));
             for task in &segment.now.allocation {
-                assert!(segment.now.buildings[usize::from(*task)].is_open());
+                assert!(now.open_tasks >> task & 1 == 1);
             }
             ends += usize::from(segment.discount == 0.0);
             full += usize::from((segment.discount - 0.99_f32.powi(5)).abs() < 1e-6);
@@ -262,12 +281,16 @@ mod tests {
         let Rollout { instances, .. } = &method.rollout;
         let written = serde_json::to_string(instances).unwrap();
         let read: Vec<Instance> = serde_json::from_str(&written).unwrap();
-        let blank =
-            |instance: &Instance| Instance { city: CityState::default(), ..instance.clone() };
+        let blank = |instance: &Instance| Instance {
+            number: 0,
+            seen: Observation::default(),
+            ..instance.clone()
+        };
         assert_eq!(read, instances.iter().map(blank).collect::<Vec<_>>());
-        let sizes =
-            |agents| sizes(&Rollout::new(&config, config.agent_shape().unwrap(), agents).instances);
-        assert_ne!(sizes(4), sizes(5));
+        let mut spec = observer(&config).spec().clone();
+        let five = sizes(&Rollout::new(&config, &spec).instances);
+        spec.shape.agents = 4;
+        assert_ne!(sizes(&Rollout::new(&config, &spec).instances), five);
     }
 
     /// Agents that like an action the more the higher its number is.
@@ -283,7 +306,7 @@ mod tests {
     fn agents_explore_as_often_as_their_instance_and_evenly() {
         let mut config = config(200);
         config.exploration.spread = vec![0.0, 0.5, 1.0];
-        let agents = fond_of_high_numbers(config.agent_shape().unwrap());
+        let agents = fond_of_high_numbers(config.network.shape(observer(&config).spec()));
         let mut method = Fixed {
             agents,
             epsilon: 1.0,

@@ -1,31 +1,43 @@
 //! Teams and what they see, written as input of the utility network.
 //!
-//! The subtask mask of ALMA lets an agent see its own team and its own building only (dissertation
-//! section 7.3). Without the mask an agent sees the whole city.
+//! The subtask mask of ALMA lets an agent see its own team and its own subtask only (dissertation
+//! section 7.3). Without the mask an agent sees everything.
 
 use sortie_envs::random::member;
-use sortie_envs::save_the_city::{
-    ACTIONS, AgentState, BuildingState, City, FEATURES, UNASSIGNED, agent_features,
-    building_features,
-};
-use sortie_nn::layers::SparseRows;
+use sortie_envs::{ActionSet, Observation, Shape, SparseRows, UNASSIGNED, members};
 use sortie_nn::random::Generator;
 
 use super::conditioning::Conditioning;
 use super::utility_pass::UtilityInput;
 
-/// Columns of an entity's features and its last action's one-hot.
-///
-/// Where entities are marked with their subtask, the marks follow behind.
-pub const INPUT_COLUMNS: usize = FEATURES + ACTIONS;
-
 /// The last action of an agent that has not acted yet in its episode.
 pub const NO_ACTION: u8 = u8::MAX;
+
+/// What the columns of a row are: an entity's features, its last action as one-hot, and where entities are marked with
+/// their subtask, the marks.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Columns {
+    features: usize,
+    actions: usize,
+}
+
+impl Columns {
+    /// Those of an environment.
+    pub fn of(shape: &Shape) -> Self {
+        Self { features: shape.features, actions: shape.actions }
+    }
+
+    /// Their number without marks, and the first of the marks.
+    pub fn unmarked(self) -> usize {
+        self.features + self.actions
+    }
+}
 
 /// Any number of teams, each with what its agents see.
 #[derive(Clone, Debug, Default)]
 pub struct TeamBatch {
     conditioning: Conditioning,
+    columns: Columns,
     input: UtilityInput,
     /// What the teams see besides themselves.
     others: SparseRows,
@@ -39,36 +51,40 @@ impl TeamBatch {
         Self { conditioning, ..Self::default() }
     }
 
-    /// Columns of a row in a city of so many subtasks.
+    /// Columns of a row where there are so many subtasks.
     pub fn columns(&self, tasks: usize) -> usize {
-        INPUT_COLUMNS + self.conditioning.task_columns(tasks)
+        self.columns.unmarked() + self.conditioning.task_columns(tasks)
     }
 
-    /// Forgets all teams, keeps the memory.
-    pub fn clear(&mut self) {
+    /// Forgets all teams, keeps the memory; rows have these columns from here on.
+    pub fn clear(&mut self, columns: Columns) {
+        self.columns = columns;
         self.input.clear();
         self.others.clear();
         self.ends.clear();
     }
 
-    /// Adds an agent to the team that the next [`end_team`](Self::end_team) closes.
-    pub fn push_agent(&mut self, agent: &AgentState, last_action: u8, task: u8) {
-        write_agent(&mut self.input.rows, agent, last_action);
-        mark(self.conditioning, &mut self.input.rows, task);
-        self.input.rows.end_row();
+    /// Adds an agent, whose features are a row of `seen`, to the team that the next [`end_team`](Self::end_team) closes.
+    #[inline]
+    pub fn push_agent(&mut self, seen: &SparseRows, row: usize, last_action: u8, task: u8) {
+        let Self { conditioning, columns, input, .. } = self;
+        write_agent(&mut input.rows, *columns, (seen, row), last_action);
+        mark(*conditioning, *columns, &mut input.rows, task);
+        input.rows.end_row();
     }
 
     /// Adds an agent that this team sees, but that is not of it.
-    pub fn push_other(&mut self, agent: &AgentState, last_action: u8, task: u8) {
-        write_agent(&mut self.others, agent, last_action);
-        mark(self.conditioning, &mut self.others, task);
+    pub fn push_other(&mut self, seen: &SparseRows, row: usize, last_action: u8, task: u8) {
+        write_agent(&mut self.others, self.columns, (seen, row), last_action);
+        mark(self.conditioning, self.columns, &mut self.others, task);
         self.others.end_row();
     }
 
-    /// Adds a building that this team sees.
-    pub fn push_building(&mut self, building: &BuildingState, task: u8) {
-        building_features(building, |column, value| self.others.push(column, value));
-        mark(self.conditioning, &mut self.others, task);
+    /// Adds a thing that this team sees.
+    #[inline]
+    pub fn push_thing(&mut self, seen: &SparseRows, row: usize, task: u8) {
+        self.others.push_row(seen, row);
+        mark(self.conditioning, self.columns, &mut self.others, task);
         self.others.end_row();
     }
 
@@ -77,40 +93,43 @@ impl TeamBatch {
         self.ends.push((self.input.rows.len() as u32, self.others.len() as u32));
     }
 
-    /// Adds every team of a city. `added` is told the agents in the order of their rows.
+    /// Adds every team of a state of which everything was observed. `added` is told the agents in the order of their
+    /// rows.
     ///
     /// Without the subtask mask everybody sees the same, so that all agents are one team here.
     pub fn push_teams(
         &mut self,
-        city: City<'_>,
+        seen: &Observation,
         allocation: &[u8],
         last_actions: &[u8],
         added: impl FnMut(usize),
     ) {
         if self.conditioning == Conditioning::Mask {
-            self.push_masked_teams(city, allocation, last_actions, added);
+            self.push_masked_teams(seen, allocation, last_actions, added);
         } else {
-            self.push_everybody(city, allocation, last_actions, added);
+            self.push_everybody(seen, allocation, last_actions, added);
         }
     }
 
     fn push_masked_teams(
         &mut self,
-        city: City<'_>,
+        seen: &Observation,
         allocation: &[u8],
         last_actions: &[u8],
         mut added: impl FnMut(usize),
     ) {
-        for (task, building) in (0..).zip(city.buildings) {
+        for task in 0..seen.tasks() {
             let rows = self.input.rows.len();
-            for (agent, state) in city.agents.iter().enumerate() {
-                if allocation[agent] == task {
-                    self.push_agent(state, last_actions[agent], task);
+            for agent in 0..seen.agents() {
+                if usize::from(allocation[agent]) == task {
+                    self.push_agent(&seen.rows, agent, last_actions[agent], task as u8);
                     added(agent);
                 }
             }
             if self.input.rows.len() > rows {
-                self.push_building(building, task);
+                for thing in members(seen.things_of(task)) {
+                    self.push_thing(&seen.rows, seen.row_of(thing), task as u8);
+                }
                 self.end_team();
             }
         }
@@ -118,25 +137,25 @@ impl TeamBatch {
 
     fn push_everybody(
         &mut self,
-        city: City<'_>,
+        seen: &Observation,
         allocation: &[u8],
         last_actions: &[u8],
         mut added: impl FnMut(usize),
     ) {
-        for (agent, state) in city.agents.iter().enumerate() {
-            self.push_agent(state, last_actions[agent], allocation[agent]);
+        for agent in 0..seen.agents() {
+            self.push_agent(&seen.rows, agent, last_actions[agent], allocation[agent]);
             added(agent);
         }
-        for (task, building) in (0..).zip(city.buildings) {
-            self.push_building(building, task);
+        for thing in members(seen.things()) {
+            self.push_thing(&seen.rows, seen.row_of(thing), seen.task_of(thing));
         }
         self.end_team();
     }
 
-    /// Adds the agents of a city that are in no team, once all teams have been added.
+    /// Adds the agents of a state that are in no team, once all teams have been added.
     pub fn push_unassigned(
         &mut self,
-        city: City<'_>,
+        seen: &Observation,
         allocation: &[u8],
         last_actions: &[u8],
         mut added: impl FnMut(usize),
@@ -144,9 +163,9 @@ impl TeamBatch {
         if self.conditioning != Conditioning::Mask {
             return;
         }
-        for (agent, state) in city.agents.iter().enumerate() {
-            if usize::from(allocation[agent]) >= city.buildings.len() {
-                self.push_agent(state, last_actions[agent], UNASSIGNED);
+        for agent in 0..seen.agents() {
+            if usize::from(allocation[agent]) >= seen.tasks() {
+                self.push_agent(&seen.rows, agent, last_actions[agent], UNASSIGNED);
                 added(agent);
             }
         }
@@ -154,7 +173,7 @@ impl TeamBatch {
 
     /// Writes what each agent sees. No team may be added afterwards.
     ///
-    /// Agents after the last closed team have no building and see nothing.
+    /// Agents after the last closed team have no subtask and see nothing.
     pub fn finish(&mut self) -> &UtilityInput {
         let UtilityInput { rows, visible } = &mut self.input;
         let agents = rows.len();
@@ -179,24 +198,29 @@ impl TeamBatch {
     }
 }
 
-fn write_agent(rows: &mut SparseRows, agent: &AgentState, last_action: u8) {
-    agent_features(agent, |column, value| rows.push(column, value));
+fn write_agent(
+    rows: &mut SparseRows,
+    columns: Columns,
+    (seen, row): (&SparseRows, usize),
+    last_action: u8,
+) {
+    rows.push_row(seen, row);
     if last_action != NO_ACTION {
-        rows.push(FEATURES + usize::from(last_action), 1.0);
+        rows.push(columns.features + usize::from(last_action), 1.0);
     }
 }
 
 /// Marks a row with its subtask where there are columns for that.
-fn mark(conditioning: Conditioning, rows: &mut SparseRows, task: u8) {
+fn mark(conditioning: Conditioning, columns: Columns, rows: &mut SparseRows, task: u8) {
     if conditioning == Conditioning::Input && task != UNASSIGNED {
-        rows.push(INPUT_COLUMNS + usize::from(task), 1.0);
+        rows.push(columns.unmarked() + usize::from(task), 1.0);
     }
 }
 
 /// The available action of highest utility, the lowest index on ties.
 ///
-/// `available` has bit u set where action u is available; some bit within `utilities` must be set.
-pub fn best_action(utilities: &[f32], available: u16) -> u8 {
+/// Some action within `utilities` must be available.
+pub fn best_action(utilities: &[f32], available: ActionSet) -> u8 {
     let mut best = (f32::NEG_INFINITY, available.trailing_zeros() as u8);
     for (action, utility) in utilities.iter().enumerate() {
         if available >> action & 1 == 1 && *utility > best.0 {
@@ -206,44 +230,49 @@ pub fn best_action(utilities: &[f32], available: u16) -> u8 {
     best.1
 }
 
-/// A uniform choice among the available actions, with bits as in [`best_action`].
-pub(crate) fn random_action(available: u16, generator: &mut Generator) -> u8 {
+/// A uniform choice among the available actions.
+pub(crate) fn random_action(available: ActionSet, generator: &mut Generator) -> u8 {
     member(generator, available.into()).map_or(0, |action| action as u8)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use sortie_envs::save_the_city::{AgentKind, BuildingKind, Status};
+    use sortie_envs::EntitySet;
 
-    fn building() -> BuildingState {
-        BuildingState {
-            health: 0.5,
-            fire: 0.0,
-            period: 20,
-            to_next_fire: 12,
-            since_last_fire: 8,
-            kind: BuildingKind::Slow,
-            status: Status::Open,
-            x: 4,
-            y: 7,
+    const FEATURES: usize = 3;
+    const COLUMNS: Columns = Columns { features: FEATURES, actions: 5 };
+
+    /// Agents of four slots that exist, and two things, one for each subtask; row e is e + 1 in column 0.
+    fn seen(agents: usize) -> Observation {
+        let present: EntitySet = 0b11 << 4 | ((1 << agents) - 1);
+        let mut rows = SparseRows::default();
+        members(present).for_each(|entity| rows.push_dense(&[entity as f32 + 1.0, 0.0, 0.0]));
+        Observation {
+            entities: present,
+            rows,
+            present,
+            observable: vec![present; 4],
+            entity_task: vec![0, 0, 0, 0, 0b01, 0b10],
+            available: vec![1; 4],
+            open_tasks: 0b11,
         }
     }
 
     #[test]
-    fn agents_see_their_team_and_building_only() {
-        let agent = |x| AgentState::at(AgentKind::Builder, x, 2);
-        let mut batch = TeamBatch::default();
-        let agents = [agent(1), agent(2), agent(3), agent(4)];
-        let city = City { agents: &agents, buildings: &[building(); 2] };
+    fn agents_see_their_team_and_subtask_only() {
+        let (seen, mut batch) = (seen(4), TeamBatch::default());
+        batch.clear(COLUMNS);
         let (allocation, last) = ([0, 0, 1, UNASSIGNED], [NO_ACTION, 3, NO_ACTION, NO_ACTION]);
         let mut order = Vec::new();
-        batch.push_teams(city, &allocation, &last, |agent| order.push(agent));
-        batch.push_unassigned(city, &allocation, &last, |agent| order.push(agent));
+        batch.push_teams(&seen, &allocation, &last, |agent| order.push(agent));
+        batch.push_unassigned(&seen, &allocation, &last, |agent| order.push(agent));
         assert_eq!(order, [0, 1, 2, 3]);
         let input = batch.finish();
 
-        assert_eq!(input.rows.len(), 6);
+        let features = |row| input.rows.row(row).next();
+        let entities = (0..input.rows.len()).map(|row| features(row).unwrap().1 as usize - 1);
+        assert!(entities.eq(0..6));
         let lists = |query| input.visible.list(query).collect::<Vec<_>>();
         assert_eq!(lists(0), [0, 1, 4]);
         assert_eq!(lists(1), [0, 1, 4]);
@@ -257,27 +286,28 @@ mod tests {
 
     #[test]
     fn without_the_mask_everybody_sees_everything() {
-        let agents = [1, 2].map(|x| AgentState::at(AgentKind::Builder, x, 2));
-        let city = City { agents: &agents, buildings: &[building(); 2] };
+        let seen = seen(2);
         for (conditioning, marks) in [
             (Conditioning::Input, [Some(1), None, Some(0), Some(1)]),
             (Conditioning::None, [None; 4]),
         ] {
             let mut batch = TeamBatch::new(conditioning);
+            batch.clear(COLUMNS);
             let mut order = Vec::new();
-            batch.push_teams(city, &[1, UNASSIGNED], &[3, 4], |agent| order.push(agent));
-            batch.push_unassigned(city, &[1, UNASSIGNED], &[3, 4], |agent| order.push(agent));
+            batch.push_teams(&seen, &[1, UNASSIGNED], &[3, 4], |agent| order.push(agent));
+            batch.push_unassigned(&seen, &[1, UNASSIGNED], &[3, 4], |agent| order.push(agent));
             assert_eq!(order, [0, 1]);
             let input = batch.finish();
             for query in 0..2 {
                 assert!(input.visible.list(query).eq(0..4));
             }
+            let first = COLUMNS.unmarked();
             let mark = |row| {
                 let columns = input.rows.row(row).map(|(column, _)| column);
-                columns.filter(|column| *column >= INPUT_COLUMNS).collect::<Vec<_>>()
+                columns.filter(|column| *column >= first).collect::<Vec<_>>()
             };
             for (row, task) in marks.into_iter().enumerate() {
-                assert_eq!(mark(row), Vec::from_iter(task.map(|task: usize| INPUT_COLUMNS + task)));
+                assert_eq!(mark(row), Vec::from_iter(task.map(|task: usize| first + task)));
             }
         }
     }

@@ -10,15 +10,16 @@
 
 use rand_core::SeedableRng;
 use sortie_envs::random::below;
-use sortie_envs::save_the_city::Symmetry;
+use sortie_envs::{ActionSet, AgentSet, EntitySet, Environment, Observation, members};
 use sortie_nn::random::Generator;
 
 use super::conditioning::Conditioning;
-use super::learner::{Loss, Networks, Pick};
+use super::learner::{Experience, Loss, Networks, Pick};
 use super::mixed_network::MixedNetwork;
 use super::mixer::{MixerPass, Teams};
-use super::replay::Replay;
-use super::team_batch::{INPUT_COLUMNS, TeamBatch, best_action};
+use super::moments::Moment;
+use super::replay::{Replay, Sample};
+use super::team_batch::{Columns, NO_ACTION, TeamBatch, best_action};
 use super::utility::{UtilityNetwork, UtilityShape};
 use super::utility_pass::UtilityPass;
 
@@ -32,23 +33,74 @@ struct Side {
     actions: Vec<u8>,
     /// Utility of each agent's action.
     chosen: Vec<f32>,
+    seen: Observation,
+}
+
+/// How a sample is looked at.
+#[derive(Clone, Copy)]
+struct Look<'a> {
+    environment: &'a dyn Environment,
+    /// Number of the symmetry under which it is seen.
+    turn: usize,
+    /// The agents that earned the reward.
+    team: AgentSet,
+    /// The entities that they see.
+    sight: EntitySet,
+    /// `[A]`: the subtask that each agent has in both states.
+    allocation: &'a [u8],
+    /// The subtask that each subtask is marked as.
+    marks: &'a [u8],
+}
+
+impl Look<'_> {
+    fn mark(&self, task: u8) -> u8 {
+        self.marks.get(usize::from(task)).copied().unwrap_or(task)
+    }
+
+    fn turned(&self, action: u8) -> u8 {
+        if action == NO_ACTION {
+            NO_ACTION
+        } else {
+            self.environment.turned_action(self.turn, action.into()) as u8
+        }
+    }
 }
 
 impl Side {
     fn new(conditioning: Conditioning) -> Self {
         let batch = TeamBatch::new(conditioning);
-        Self { batch, sizes: Vec::new(), actions: Vec::new(), chosen: Vec::new() }
+        let seen = Observation::default();
+        Self { batch, sizes: Vec::new(), actions: Vec::new(), chosen: Vec::new(), seen }
     }
 
-    fn clear(&mut self) {
-        self.batch.clear();
+    fn clear(&mut self, columns: Columns) {
+        self.batch.clear(columns);
         self.sizes.clear();
         self.actions.clear();
     }
 
-    fn end_team(&mut self, size: usize) {
-        self.batch.end_team();
-        self.sizes.push(size);
+    /// Adds a team with what it sees in a state.
+    fn push(&mut self, moment: Moment<'_>, look: Look<'_>) {
+        let Self { batch, sizes, seen, .. } = self;
+        look.environment.observe(moment.state, look.turn, look.sight, seen);
+        let is_member = |agent: usize| look.team >> agent & 1 == 1;
+        let agents = members(seen.entities & !seen.things()).enumerate();
+        let (last_action, task) = (
+            |agent: usize| look.turned(moment.last_actions[agent]),
+            |agent: usize| look.mark(look.allocation[agent]),
+        );
+        for (row, agent) in agents.clone().filter(|(_, agent)| is_member(*agent)) {
+            batch.push_agent(&seen.rows, row, last_action(agent), task(agent));
+        }
+        for (row, agent) in agents.clone().filter(|(_, agent)| !is_member(*agent)) {
+            batch.push_other(&seen.rows, row, last_action(agent), task(agent));
+        }
+        let first = agents.count();
+        for (place, thing) in members(seen.entities & seen.things()).enumerate() {
+            batch.push_thing(&seen.rows, first + place, look.mark(seen.task_of(thing)));
+        }
+        batch.end_team();
+        sizes.push(look.team.count_ones() as usize);
     }
 
     /// Computes the value of every team.
@@ -74,13 +126,14 @@ impl Side {
 #[derive(Clone, Debug)]
 pub struct Chunk {
     shape: UtilityShape,
+    conditioning: Conditioning,
     reward_factor: f32,
     now: Side,
     next: Side,
     pass: UtilityPass,
     mixing: MixerPass,
     /// Available actions of each agent of `next`.
-    next_available: Vec<u16>,
+    next_available: Vec<ActionSet>,
     /// Reward, then target, and discount of each record.
     rewards: Vec<(f32, f32)>,
     /// The subtask that each subtask of a record is marked as.
@@ -98,6 +151,7 @@ impl Chunk {
         let shape = network.utility.shape();
         Self {
             shape,
+            conditioning,
             reward_factor,
             now: Side::new(conditioning),
             next: Side::new(conditioning),
@@ -120,55 +174,41 @@ impl Chunk {
     }
 
     /// Rebuilds the features of the records, turned as they were picked.
-    fn gather(&mut self, replay: &Replay, picks: &[Pick]) {
-        self.now.clear();
-        self.next.clear();
+    fn gather(&mut self, experience: Experience<'_, Replay>, picks: &[Pick]) {
+        let Experience { environment, replay } = experience;
+        let columns = Columns::of(&environment.spec().shape);
+        self.now.clear(columns);
+        self.next.clear(columns);
         self.next_available.clear();
         self.rewards.clear();
         replay.fetch(picks.iter().map(|pick| pick.sample as usize));
         for pick in picks {
-            exchange(&mut self.marks, self.shape.input - INPUT_COLUMNS, pick.draw);
-            let mark = |task: u8| self.marks.get(usize::from(task)).copied().unwrap_or(task);
-            let turn = Symmetry::ALL[usize::from(pick.symmetry)];
-            let turned_last = |action: u8| turn.action(action.into()) as u8;
-
-            let sample = replay.get(pick.sample as usize);
-            let record = sample.record;
-            let (team, others) = sample.split_team();
-            let Self { now, next, .. } = self;
-            for step in team {
-                let agent = turn.agent(&step.agent);
-                now.batch.push_agent(&agent, turned_last(step.last_action), mark(step.task));
-                now.actions.push(turn.action(step.action.into()) as u8);
-            }
-            for step in others {
-                let agent = turn.agent(&step.agent);
-                now.batch.push_other(&agent, turned_last(step.last_action), mark(step.task));
-            }
-            for (task, step) in (0..).zip(sample.buildings) {
-                now.batch.push_building(&turn.building(&step.building), mark(task));
-            }
-            now.end_team(team.len());
-            self.rewards.push((self.reward_factor * record.reward, record.discount));
-            if record.discount <= 0.0 {
-                continue;
-            }
-            for step in team {
-                let agent = turn.agent(&step.next);
-                next.batch.push_agent(&agent, turned_last(step.next_last_action), mark(step.task));
-                self.next_available.push(agent.available);
-            }
-            for step in others {
-                let agent = turn.agent(&step.next);
-                next.batch.push_other(&agent, turned_last(step.next_last_action), mark(step.task));
-            }
-            for (task, step) in (0..).zip(sample.buildings) {
-                next.batch.push_building(&turn.building(&step.next), mark(task));
-            }
-            next.end_team(team.len());
+            exchange(&mut self.marks, self.shape.input - columns.unmarked(), pick.draw);
+            self.push(environment, replay.get(pick.sample as usize), pick.symmetry.into());
         }
         self.now.batch.finish();
         self.next.batch.finish();
+    }
+
+    /// Adds what the team of a record sees.
+    fn push(&mut self, environment: &dyn Environment, sample: Sample<'_>, turn: usize) {
+        let Self { now, next, marks, .. } = self;
+        let (record, team) = (sample.record, sample.team());
+        let sight = match self.conditioning {
+            Conditioning::Mask => EntitySet::from(team) | record.things(),
+            Conditioning::Input | Conditioning::None => EntitySet::MAX,
+        };
+        let allocation = sample.now.allocation;
+        let look = Look { environment, turn, team, sight, allocation, marks };
+        now.push(sample.now, look);
+        let taken = members(team.into()).map(|agent| look.turned(sample.now.actions[agent]));
+        now.actions.extend(taken);
+        self.rewards.push((self.reward_factor * record.reward, record.discount));
+        if record.discount > 0.0 {
+            next.push(sample.next, look);
+            let available = members(team.into()).map(|agent| next.seen.available[agent]);
+            self.next_available.extend(available);
+        }
     }
 
     fn choose_next(&mut self, online: &UtilityNetwork) {
@@ -233,8 +273,13 @@ impl Loss for Chunk {
     type Replay = Replay;
     const CHUNK: usize = 128;
 
-    fn learn(&mut self, networks: Networks<'_, MixedNetwork>, replay: &Replay, picks: &[Pick]) {
-        self.gather(replay, picks);
+    fn learn(
+        &mut self,
+        networks: Networks<'_, MixedNetwork>,
+        experience: Experience<'_, Replay>,
+        picks: &[Pick],
+    ) {
+        self.gather(experience, picks);
         self.choose_next(&networks.online.utility);
         self.descend(networks);
     }
@@ -255,8 +300,8 @@ impl Loss for Chunk {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::alma::records::fixed::{Fixed, begin, fixed, play};
-    use crate::alma::records::{Config, Mixer, MixerKind, Parameters, Record, UtilityNetwork};
+    use crate::alma::records::fixed::{Fixed, begin, fixed, observer, play};
+    use crate::alma::records::{Config, Mixer, MixerKind, Parameters, UtilityNetwork};
     use sortie_learn::random::{Purpose, generator};
     use sortie_nn::gradient_check::assert_gradient;
 
@@ -280,7 +325,7 @@ mod tests {
 
     fn network(config: &Config, seed: u64) -> MixedNetwork {
         let mut weights = generator(seed, Purpose::Weights, 0);
-        let shape = config.agent_shape().unwrap();
+        let shape = config.network.shape(observer(config).spec());
         MixedNetwork {
             utility: UtilityNetwork::initialise(shape, 8.0, &mut weights),
             mixer: Mixer::initialise(config.mixer.shape(shape.input), 8.0, &mut weights),
@@ -311,7 +356,9 @@ mod tests {
         of: (&Replay, &[Pick]),
     ) -> f64 {
         let mut chunk = chunk(config);
-        chunk.learn(Networks { online, target }, of.0, of.1);
+        let environment = observer(config);
+        let experience = Experience { environment: &*environment, replay: of.0 };
+        chunk.learn(Networks { online, target }, experience, of.1);
         chunk.squared_error()
     }
 
@@ -339,8 +386,9 @@ mod tests {
             }
             assert!(picks.iter().any(|pick| discount(pick) > 0.0), "{subtask:?}");
 
-            let mut chunk = chunk(&config);
-            chunk.learn(Networks { online: &online, target: &target }, &replay, &picks);
+            let (mut chunk, environment) = (chunk(&config), observer(&config));
+            let experience = Experience { environment: &*environment, replay: &replay };
+            chunk.learn(Networks { online: &online, target: &target }, experience, &picks);
             let (to_utility, to_mixer) =
                 chunk.gradient().split_at(online.utility.shape().parameters());
             let loss =
@@ -370,12 +418,14 @@ mod tests {
         let (replay, online, target) = (replay(&config), network(&config, 1), network(&config, 2));
         let networks = || Networks { online: &online, target: &target };
         let picks = picks(&replay, |_| 0);
+        let environment = observer(&config);
+        let experience = Experience { environment: &*environment, replay: &replay };
         let mut whole = chunk(&config);
-        whole.learn(networks(), &replay, &picks);
+        whole.learn(networks(), experience, &picks);
         let mut sum = vec![0.0; online.count()];
         let mut chunk = chunk(&config);
         for part in picks.chunks(7) {
-            chunk.learn(networks(), &replay, part);
+            chunk.learn(networks(), experience, part);
             sum.iter_mut().zip(chunk.gradient()).for_each(|(sum, part)| *sum += part);
         }
         let largest =
@@ -390,10 +440,9 @@ mod tests {
     fn a_record_without_discount_learns_its_reward_alone() {
         let config = masked();
         let (mut replay, online) = (replay(&config), network(&config, 1));
-        let first = replay.get(0);
-        let record = Record::new(first.record.reward, 0.0, first.record.size.into());
-        let (agents, buildings) = (first.agents.to_vec(), first.buildings.to_vec());
-        replay.push(record, agents, buildings);
+        let mut newest = *replay.get(replay.len() - 1).record;
+        newest.discount = 0.0;
+        replay.push(newest);
         let last = Pick { sample: replay.len() as u32 - 1, symmetry: 0, draw: 0 };
         let error =
             |seed| squared_error(&config, &online, &network(&config, seed), (&replay, &[last]));
@@ -405,35 +454,34 @@ mod tests {
         for kind in [MixerKind::Sum, MixerKind::Linear, MixerKind::Qmix] {
             let config = config(Conditioning::None, kind);
             let (replay, network) = (replay(&config), network(&config, 1));
-            let sample = replay.get(3);
-            let value = |next: bool, actions: Option<&[u8]>| {
+            let (sample, environment) = (replay.get(3), observer(&config));
+            let mut seen = Observation::default();
+            environment.observe(sample.next.state, 0, 0, &mut seen);
+            let available = seen.available.clone();
+            let mut value = |next: bool, actions: Option<&[u8]>| {
+                let moment = if next { sample.next } else { sample.now };
+                environment.observe(moment.state, 0, EntitySet::MAX, &mut seen);
                 let mut batch = TeamBatch::new(Conditioning::None);
-                for step in sample.agents {
-                    let last = if next { step.next_last_action } else { step.last_action };
-                    batch.push_agent(if next { &step.next } else { &step.agent }, last, step.task);
-                }
-                for (task, step) in (0..).zip(sample.buildings) {
-                    batch.push_building(if next { &step.next } else { &step.building }, task);
-                }
-                batch.end_team();
+                batch.clear(Columns::of(&environment.spec().shape));
+                batch.push_teams(&seen, sample.now.allocation, moment.last_actions, |_| ());
                 let input = batch.finish();
                 let mut pass = UtilityPass::new(network.utility.shape());
                 let utilities = pass.forward(&network.utility, input);
-                let chosen = utilities.chunks_exact(12).zip(sample.agents).enumerate();
+                let chosen = utilities.chunks_exact(12).enumerate();
                 let chosen: Vec<f32> = chosen
-                    .map(|(agent, (utilities, step))| {
-                        let best = best_action(utilities, step.next.available);
+                    .map(|(agent, utilities)| {
+                        let best = best_action(utilities, available[agent]);
                         utilities[usize::from(actions.map_or(best, |taken| taken[agent]))]
                     })
                     .collect();
-                let teams = Teams { input, sizes: &[sample.agents.len()], utilities: &chosen };
+                let teams = Teams { input, sizes: &[seen.agents()], utilities: &chosen };
                 MixerPass::default().forward(&network.mixer, teams)[0]
             };
-            let taken: Vec<u8> = sample.agents.iter().map(|step| step.action).collect();
+            let taken = sample.now.actions;
             assert!(sample.record.discount > 0.0);
             let target = config.mixer.reward_factor() * sample.record.reward
                 + sample.record.discount * value(true, None);
-            let error = f64::from(value(false, Some(&taken)) - target);
+            let error = f64::from(value(false, Some(taken)) - target);
             let pick = Pick { sample: 3, symmetry: 0, draw: 0 };
             let got = squared_error(&config, &network, &network, (&replay, &[pick]));
             assert!((got - error * error).abs() < 1e-4 * (1.0 + got), "{kind:?}: {got} {error}");

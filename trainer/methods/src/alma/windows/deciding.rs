@@ -2,7 +2,7 @@
 
 use rand_core::Rng;
 use sortie_envs::random::{below, chance};
-use sortie_envs::save_the_city::{City, UNASSIGNED, agent_features, building_features};
+use sortie_envs::{EntitySet, Environment, Observation, UNASSIGNED, members};
 use sortie_nn::layers::SparseRows;
 use sortie_nn::random::Generator;
 
@@ -22,6 +22,7 @@ pub struct ProposalAllocator<'a> {
     greedy_first: bool,
     decider: Decider,
     features: SparseRows,
+    seen: Observation,
 }
 
 impl<'a> ProposalAllocator<'a> {
@@ -33,6 +34,7 @@ impl<'a> ProposalAllocator<'a> {
             greedy_first: false,
             decider: Decider::default(),
             features: SparseRows::default(),
+            seen: Observation::default(),
         }
     }
 
@@ -41,39 +43,39 @@ impl<'a> ProposalAllocator<'a> {
         Self { greedy_first: true, ..self }
     }
 
-    /// Decides in a city where `last` `[A]` was in force before. `None` shuffles the task columns.
+    /// Decides in a state where `last` `[A]` was in force before. `None` shuffles the task columns.
     fn propose(
         &mut self,
-        city: City<'_>,
+        environment: &dyn Environment,
+        state: &[u8],
         last: &[u8],
         columns: Option<TaskColumns>,
         generator: &mut Generator,
     ) -> Result<Decided, LearnError> {
-        let (agents, tasks) = (last.len(), city.buildings.len());
+        let Self { seen, features, .. } = self;
+        environment.observe(state, 0, EntitySet::MAX, seen);
+        let (agents, tasks) = (last.len(), seen.tasks());
         let known = self.networks.policy.shape().columns;
         if tasks > known {
-            let reason = format!("the allocator knows {known} subtasks, this city has {tasks}");
+            let reason = format!("the allocator knows {known} subtasks, this state has {tasks}");
             return Err(LearnError::Config(reason));
         }
-        self.features.clear();
-        for agent in 0..agents {
-            if let Some(agent) = city.agents.get(agent) {
-                agent_features(agent, |column, value| self.features.push(column, value));
+        // Agents that do not exist have a row as well, things do not.
+        let slots: EntitySet = (1 << agents) - 1;
+        let entities = || members(slots | seen.things());
+        features.clear();
+        for entity in entities() {
+            if seen.present >> entity & 1 == 1 {
+                features.push_row(&seen.rows, seen.row_of(entity));
             }
-            self.features.end_row();
+            features.end_row();
         }
-        for building in city.buildings {
-            building_features(building, |column, value| self.features.push(column, value));
-            self.features.end_row();
-        }
-        let present: Vec<bool> =
-            (0..agents + tasks).map(|row| row < city.agents.len() || row >= agents).collect();
-        let entity_task: Vec<u8> =
-            vec![NO_TASK; agents].into_iter().chain((0..).take(tasks)).collect();
-        let open: Vec<bool> = city.buildings.iter().map(|building| building.is_open()).collect();
-        let mut states = States::new(agents, agents + tasks, tasks);
+        let present: Vec<bool> = entities().map(|entity| seen.present >> entity & 1 == 1).collect();
+        let entity_task: Vec<u8> = entities().map(|entity| seen.task_of(entity)).collect();
+        let open: Vec<bool> = (0..tasks).map(|task| seen.open_tasks >> task & 1 == 1).collect();
+        let mut states = States::new(agents, present.len(), tasks);
         states.push(StateView {
-            features: &self.features,
+            features,
             first_row: 0,
             present: &present,
             entity_task: &entity_task,
@@ -89,12 +91,14 @@ impl<'a> ProposalAllocator<'a> {
 impl Allocate for ProposalAllocator<'_> {
     fn allocate(
         &mut self,
-        city: City<'_>,
+        environment: &dyn Environment,
+        state: &[u8],
         generator: &mut Generator,
         allocation: &mut [u8],
     ) -> Result<(), LearnError> {
-        let columns = TaskColumns::in_order(city.buildings.len());
-        let decided = self.propose(city, allocation, Some(columns), generator)?;
+        environment.observe(state, 0, 0, &mut self.seen);
+        let columns = TaskColumns::in_order(self.seen.tasks());
+        let decided = self.propose(environment, state, allocation, Some(columns), generator)?;
         allocation.copy_from_slice(&decided.best);
         Ok(())
     }
@@ -103,20 +107,17 @@ impl Allocate for ProposalAllocator<'_> {
 impl Decide for ProposalAllocator<'_> {
     fn decide(
         &mut self,
-        city: City<'_>,
+        environment: &dyn Environment,
+        state: &[u8],
         exploration: Exploration,
         generator: &mut Generator,
         allocation: &mut [u8],
     ) -> Result<(), LearnError> {
-        let decided = self.propose(city, allocation, None, generator)?;
+        let decided = self.propose(environment, state, allocation, None, generator)?;
         let first = chance(generator, exploration.proposal.into());
         allocation.copy_from_slice(if first { &decided.first } else { &decided.best });
-        let open: Vec<u8> = (0..)
-            .zip(city.buildings)
-            .filter(|(_, building)| building.is_open())
-            .map(|(task, _)| task)
-            .collect();
-        for task in &mut allocation[..city.agents.len()] {
+        let open: Vec<u8> = members(self.seen.open_tasks.into()).map(|task| task as u8).collect();
+        for task in &mut allocation[..self.seen.agents()] {
             if !open.is_empty() && chance(generator, exploration.allocation.into()) {
                 *task = open[below(generator, open.len())];
             }
@@ -125,6 +126,6 @@ impl Decide for ProposalAllocator<'_> {
     }
 }
 
-/// The environment's word for no building and the learner's are the same, so that allocations need no
+/// The environment's word for no subtask and the learner's are the same, so that allocations need no
 /// translation.
 const _: () = assert!(NO_TASK == UNASSIGNED);

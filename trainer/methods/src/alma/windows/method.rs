@@ -132,13 +132,13 @@ impl WindowLearner {
     fn measured_allocator(&self) -> Box<dyn Allocate + '_> {
         let has_subtasks = self.config.low_level.conditioning.has_subtasks();
         match (self.config.allocation(), &self.allocation) {
-            (Ok(Allocation::Rule(rule)), _) if has_subtasks => Box::new(rule),
             (Ok(Allocation::Learned), Some(level)) => {
                 let proposals = self.config.allocation.proposals;
                 Box::new(ProposalAllocator::new(level.networks(), proposals))
             }
-            // Whoever is measured under learned allocation learns it.
-            _ => Box::new(NoSubtasks),
+            (Ok(Allocation::Learned) | Err(_), _) => Box::new(NoSubtasks),
+            (Ok(rule), _) if has_subtasks => Box::new(rule.allocator()),
+            (Ok(_), _) => Box::new(NoSubtasks),
         }
     }
 }
@@ -161,8 +161,8 @@ impl Method for WindowLearner {
         let level = self.allocation.as_ref();
         let mut learned = level.map(|level| ProposalAllocator::new(level.networks(), proposals));
         let mut rule = match config.allocation()? {
-            Allocation::Rule(rule) if config.low_level.conditioning.has_subtasks() => Some(rule),
-            Allocation::Rule(_) | Allocation::Learned => None,
+            Allocation::Learned => None,
+            rule => config.low_level.conditioning.has_subtasks().then(|| rule.allocator()),
         };
         let allocator: Option<&mut dyn Decide> = match (&mut learned, &mut rule) {
             (Some(learned), _) => Some(learned),

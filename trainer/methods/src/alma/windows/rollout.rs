@@ -1,16 +1,14 @@
 //! Acting while learning: rounds of whole episodes, one in each of several environments.
 
-use sortie_envs::Shape;
 use sortie_envs::random::chance;
-use sortie_envs::save_the_city::{AllocationRule, City, DecisionPoints, UNASSIGNED};
+use sortie_envs::{DecisionPoints, EntitySet, Environment, Observation, Shape, UNASSIGNED};
 use sortie_learn::{LearnError, Scenes, Transition};
 use sortie_nn::random::Generator;
 
 use super::config::Config;
 use super::low_level::coach::Advice;
 use super::replay::{Episode, Moment};
-use crate::alma::cities::CityState;
-use crate::alma::evaluate::{Agents, Players, Scene};
+use crate::alma::evaluate::{Agents, Allocate, Players, RuleAllocator, Scene};
 use crate::alma::records::{NO_ACTION, UtilityShape, best_action, random_action};
 
 /// How much is tried out in a round.
@@ -26,30 +24,31 @@ pub struct Exploration {
 
 /// What allocates agents at decision points.
 pub trait Decide {
-    /// Writes the building of every agent. `allocation` comes with what was in force before,
+    /// Writes the subtask of every agent. `allocation` comes with what was in force before,
     /// [`UNASSIGNED`] at the first decision of an episode.
     ///
     /// # Errors
     /// The allocator does not fit the environment.
     fn decide(
         &mut self,
-        city: City<'_>,
+        environment: &dyn Environment,
+        state: &[u8],
         exploration: Exploration,
         generator: &mut Generator,
         allocation: &mut [u8],
     ) -> Result<(), LearnError>;
 }
 
-impl Decide for AllocationRule {
+impl Decide for RuleAllocator {
     fn decide(
         &mut self,
-        city: City<'_>,
+        environment: &dyn Environment,
+        state: &[u8],
         _: Exploration,
         generator: &mut Generator,
         allocation: &mut [u8],
     ) -> Result<(), LearnError> {
-        self.allocate(city, generator, allocation);
-        Ok(())
+        self.allocate(environment, state, generator, allocation)
     }
 }
 
@@ -62,8 +61,8 @@ struct Instance {
     last_actions: Vec<u8>,
     /// What a coach has told the agents, `[A, R]`; empty without one.
     strategies: Vec<f32>,
-    /// The state in which its agents act.
-    city: CityState,
+    /// What there is to see in the state in which its agents act.
+    seen: Observation,
     episode: Episode,
 }
 
@@ -95,7 +94,7 @@ impl Rollout {
             allocation: vec![UNASSIGNED; agents],
             last_actions: vec![NO_ACTION; agents],
             strategies: Vec::new(),
-            city: CityState::default(),
+            seen: Observation::default(),
             episode: Episode::default(),
         };
         Self {
@@ -123,9 +122,10 @@ impl Rollout {
         for scene in scenes.scenes {
             let (instance, generator) =
                 (&mut self.instances[scene.instance], &mut random[scene.instance]);
-            instance.city.read(scene.state);
+            let (environment, state) = (scenes.environment, scene.state);
+            environment.observe(state, 0, EntitySet::MAX, &mut instance.seen);
             if scene.begins {
-                instance.begin(scenes.environment.spec().shape, behaviour.added);
+                instance.begin(environment.spec().shape, behaviour.added);
             }
             if behaviour.allocator.is_none() && advice.is_none() {
                 continue;
@@ -135,12 +135,13 @@ impl Rollout {
                 continue;
             }
             decided += 1;
-            let Instance { city, allocation, strategies, .. } = instance;
+            let Instance { seen, allocation, strategies, .. } = instance;
             if let Some(allocator) = &mut behaviour.allocator {
-                allocator.decide(city.city(), behaviour.exploration, generator, allocation)?;
+                let exploration = behaviour.exploration;
+                allocator.decide(environment, state, exploration, generator, allocation)?;
             }
             if let Some(advice) = &mut advice {
-                advice.draw(city.city(), generator, strategies);
+                advice.draw(seen, generator, strategies);
             }
         }
         self.choose(scenes, random, &behaviour, actions)?;
@@ -156,17 +157,19 @@ impl Rollout {
         actions: &mut [u16],
     ) -> Result<(), LearnError> {
         let Self { instances, players } = self;
-        let scene = |scene: &sortie_learn::Scene<'_>| {
-            let Instance { allocation, last_actions, strategies, city, .. } =
+        let environment = scenes.environment;
+        let shown = scenes.scenes.iter().map(|scene| {
+            let Instance { allocation, last_actions, strategies, seen, .. } =
                 &instances[scene.instance];
-            Scene { world: scene.instance, city: city.city(), allocation, last_actions, strategies }
-        };
-        let shown: Vec<Scene<'_>> = scenes.scenes.iter().map(scene).collect();
-        let slots = scenes.environment.spec().shape.agents;
+            let (world, state) = (scene.instance, scene.state);
+            Scene { world, environment, state, seen, allocation, last_actions, strategies }
+        });
+        let shown: Vec<Scene<'_>> = shown.collect();
+        let slots = environment.spec().shape.agents;
         let epsilon = behaviour.exploration.actions;
         actions.fill(0);
         players.act(behaviour.agents, &shown, slots, |place, agent, utilities| {
-            let available = shown[place].city.agents[agent].available;
+            let available = shown[place].seen.available[agent];
             let generator = &mut random[shown[place].world];
             let action = if chance(generator, epsilon.into()) {
                 random_action(available, generator)
@@ -217,7 +220,7 @@ mod tests {
     use crate::alma::records::Conditioning;
     use crate::alma::windows::low_level::{TaskOrder, agent_utilities};
     use crate::alma::windows::{SampleShape, Shaping, WindowLearner, cut_windows};
-    use sortie_envs::save_the_city::{ACTIONS, with_city};
+    use sortie_envs::save_the_city::ACTIONS;
     use sortie_envs::{EntitySet, Environment, Observation, Step};
     use sortie_learn::Now;
     use sortie_learn::play::Play;
@@ -349,16 +352,16 @@ mod tests {
                         }
                         compared += 1;
                     };
-                    with_city(episode.state(state), |city| {
-                        let scene = Scene {
-                            world,
-                            city,
-                            allocation: episode.allocation(state),
-                            last_actions: &last_actions,
-                            strategies: &[],
-                        };
-                        players.act(level.players(), &[scene], 5, act).unwrap();
-                    });
+                    let scene = Scene {
+                        world,
+                        environment: &city,
+                        state: episode.state(state),
+                        seen: &seen(&city, episode, state),
+                        allocation: episode.allocation(state),
+                        last_actions: &last_actions,
+                        strategies: &[],
+                    };
+                    players.act(level.players(), &[scene], 5, act).unwrap();
                     last_actions.copy_from_slice(episode.actions(state));
                 }
             }

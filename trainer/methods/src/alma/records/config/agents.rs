@@ -1,12 +1,13 @@
 //! How the agents learn to act.
 
 use serde::{Deserialize, Serialize};
+use sortie_envs::Spec;
 
 use super::require;
 use crate::alma::records::conditioning::Conditioning;
 use crate::alma::records::history::Returns;
 use crate::alma::records::mixer::{MixerKind, MixerShape};
-use crate::alma::records::team_batch::INPUT_COLUMNS;
+use crate::alma::records::team_batch::Columns;
 use crate::alma::records::utility::UtilityShape;
 use sortie_learn::LearnError;
 
@@ -43,10 +44,10 @@ impl NetworkConfig {
         )
     }
 
-    /// The network's shape in an environment with so many actions.
-    pub fn shape(&self, actions: usize) -> UtilityShape {
+    /// The network's shape for rows of so many columns, with so many outputs.
+    pub fn shape(&self, input: usize, actions: usize) -> UtilityShape {
         UtilityShape {
-            input: INPUT_COLUMNS,
+            input,
             width: self.width,
             heads: self.heads,
             base: self.base,
@@ -88,10 +89,10 @@ impl AgentNetworkConfig {
         NetworkConfig { width, heads, base, active_inputs, skip }
     }
 
-    /// The network's shape in an environment with so many actions and subtasks.
-    pub fn shape(&self, actions: usize, tasks: usize) -> UtilityShape {
-        let marks = self.subtask.task_columns(tasks);
-        UtilityShape { input: INPUT_COLUMNS + marks, ..self.sizes().shape(actions) }
+    /// The network's shape in an environment.
+    pub fn shape(&self, spec: &Spec) -> UtilityShape {
+        let marks = self.subtask.task_columns(spec.shape.tasks);
+        self.sizes().shape(Columns::of(&spec.shape).unmarked() + marks, spec.shape.actions)
     }
 }
 

@@ -1,10 +1,11 @@
 //! Who assigns agents to buildings, and how that is learned.
 
 use serde::{Deserialize, Serialize};
-use sortie_envs::save_the_city::AllocationRule;
+use sortie_envs::Spec;
 
 use super::{NetworkConfig, OptimiserConfig, ReplayConfig, require};
-use crate::alma::records::team_value::COLUMNS;
+use crate::alma::evaluate::RuleAllocator;
+use crate::alma::records::team_value::TeamColumns;
 use crate::alma::records::utility::UtilityShape;
 use sortie_learn::LearnError;
 
@@ -45,27 +46,35 @@ impl Default for AllocationConfig {
 pub enum Allocation {
     /// The allocator of the run.
     Learned,
-    /// A hand-written rule.
-    Rule(AllocationRule),
+    /// The environment's rule that looks at the whole team.
+    Coordinated,
+    /// The reference's heuristic.
+    Heuristic,
+    /// Chance.
+    Random,
 }
 
 impl Allocation {
+    const ALL: [Self; 4] = [Self::Learned, Self::Coordinated, Self::Heuristic, Self::Random];
+
     /// The allocator of a name.
     pub fn named(name: &str) -> Option<Self> {
-        let rules =
-            [AllocationRule::Coordinated, AllocationRule::Heuristic, AllocationRule::Random];
-        let all = [Self::Learned].into_iter().chain(rules.map(Self::Rule));
-        all.into_iter().find(|allocation| allocation.name() == name)
+        Self::ALL.into_iter().find(|allocation| allocation.name() == name)
     }
 
     /// Its name on the command line and in reports.
     pub fn name(self) -> &'static str {
         match self {
             Self::Learned => "learned",
-            Self::Rule(AllocationRule::Coordinated) => "coordinated",
-            Self::Rule(AllocationRule::Heuristic) => "heuristic",
-            Self::Rule(AllocationRule::Random) => "random",
+            Self::Coordinated => "coordinated",
+            Self::Heuristic => "heuristic",
+            Self::Random => "random",
         }
+    }
+
+    /// The environment's rule of this name.
+    pub fn allocator(self) -> RuleAllocator {
+        RuleAllocator(self.name())
     }
 }
 
@@ -74,9 +83,9 @@ impl AllocationConfig {
     pub fn weights(&self) -> [(Allocation, f64); 4] {
         [
             (Allocation::Learned, self.learned),
-            (Allocation::Rule(AllocationRule::Coordinated), self.coordinated),
-            (Allocation::Rule(AllocationRule::Heuristic), self.heuristic),
-            (Allocation::Rule(AllocationRule::Random), self.random),
+            (Allocation::Coordinated, self.coordinated),
+            (Allocation::Heuristic, self.heuristic),
+            (Allocation::Random, self.random),
         ]
     }
 
@@ -153,9 +162,9 @@ impl Default for AllocatorConfig {
 }
 
 impl AllocatorConfig {
-    /// The network's shape: one output, the value.
-    pub fn shape(&self) -> UtilityShape {
-        UtilityShape { input: COLUMNS, ..self.network.shape(1) }
+    /// The network's shape in an environment: one output, the value.
+    pub fn shape(&self, spec: &Spec) -> UtilityShape {
+        self.network.shape(TeamColumns::of(spec).count(), 1)
     }
 }
 

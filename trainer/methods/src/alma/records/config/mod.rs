@@ -13,10 +13,8 @@ pub use environment::EnvironmentConfig;
 pub use learning::ReplayConfig;
 pub use sortie_learn::configuration::{ExplorationConfig, OptimiserConfig};
 
-use sortie_envs::save_the_city::{ACTIONS, ScenarioSet};
 use toml::Table;
 
-use super::utility::UtilityShape;
 use crate::alma::configuration::FAST;
 use sortie_learn::LearnError;
 use sortie_learn::configuration::{self, Kept, Section, require};
@@ -91,12 +89,6 @@ impl Config {
     /// Who allocates where the run is measured, by name.
     pub fn measured_allocation(&self) -> &'static str {
         if self.network.subtask.has_subtasks() { self.allocation.measured().name() } else { "none" }
-    }
-
-    /// The shape of the agents' network in this run's environment.
-    pub fn agent_shape(&self) -> Result<UtilityShape, LearnError> {
-        let set = ScenarioSet::named(&self.environment.set).map_err(LearnError::environment)?;
-        Ok(self.network.shape(ACTIONS, set.max_buildings))
     }
 
     /// Refuses values outside their limits, and values that do not go together.

@@ -1,13 +1,14 @@
 //! The agents' loss against the rules: `y = reward + discount * sum of Q_target(s', best action of Q_online)`.
 
-use sortie_envs::save_the_city::FEATURES;
+use sortie_envs::members;
+use sortie_envs::save_the_city::{AgentState, BuildingState, FEATURES, with_city};
 
 use super::{Map, Row, agent_row, assert_near, building_row, outputs};
 use crate::alma::records::conditioning::Conditioning;
-use crate::alma::records::fixed::{Fixed, begin, fixed, play};
+use crate::alma::records::fixed::{Fixed, begin, fixed, observer, play};
 use crate::alma::records::{
-    AgentStep, Chunk, Config, Loss, MixedNetwork, Mixer, NO_ACTION, Networks, Pick, Replay, Sample,
-    UtilityNetwork,
+    Chunk, Config, Experience, Loss, MixedNetwork, Mixer, NO_ACTION, Networks, Pick, Replay,
+    Sample, UtilityNetwork,
 };
 use sortie_learn::random::{Purpose, generator};
 
@@ -21,7 +22,7 @@ fn config(subtask: Conditioning) -> Config {
 
 fn network(config: &Config, seed: u64) -> MixedNetwork {
     let mut weights = generator(seed, Purpose::Weights, 0);
-    let shape = config.agent_shape().unwrap();
+    let shape = config.network.shape(observer(config).spec());
     MixedNetwork {
         utility: UtilityNetwork::initialise(shape, 8.0, &mut weights),
         mixer: Mixer::initialise(config.mixer.shape(shape.input), 8.0, &mut weights),
@@ -36,33 +37,42 @@ fn replay(config: &Config) -> Replay {
     method.records
 }
 
-/// What the team of a record sees, turned: when it acted, or in the state to bootstrap from.
-fn rows(sample: &Sample<'_>, map: Map, columns: usize, next: bool) -> Vec<Row> {
-    let marked = columns > FEATURES + 12;
-    let agent = |step: &AgentStep| {
-        let (state, last) = match next {
-            true => (&step.next, step.next_last_action),
-            false => (&step.agent, step.last_action),
-        };
-        let mut row = agent_row(&map.agent(state), columns);
-        if last != NO_ACTION {
-            row[FEATURES + usize::from(map.action(last))] = 1.0;
-        }
-        if marked {
-            row[FEATURES + 12 + usize::from(step.task)] = 1.0;
-        }
-        row
-    };
-    let agents = sample.agents.iter().map(agent);
-    let buildings = sample.buildings.iter().enumerate().map(|(task, step)| {
-        let state = if next { &step.next } else { &step.building };
-        let mut row = building_row(&map.building(state), columns);
-        if marked {
+/// What a team sees of a state.
+struct Sight {
+    /// The row of every agent and its available actions, agents of the team or not.
+    agents: Vec<(Row, u16)>,
+    buildings: Vec<Row>,
+}
+
+/// What there is to see of a record's state, turned: when its team acted, or to bootstrap from.
+fn sight(sample: &Sample<'_>, map: Map, columns: usize, next: bool) -> Sight {
+    let moment = if next { sample.next } else { sample.now };
+    let mark = |row: &mut Row, task: usize| {
+        if columns > FEATURES + 12 {
             row[FEATURES + 12 + task] = 1.0;
         }
-        row
-    });
-    agents.chain(buildings).collect()
+    };
+    with_city(moment.state, |city| {
+        let agent = |(number, agent): (usize, &AgentState)| {
+            let turned = map.agent(agent);
+            let mut row = agent_row(&turned, columns);
+            let last = moment.last_actions[number];
+            if last != NO_ACTION {
+                row[FEATURES + usize::from(map.action(last))] = 1.0;
+            }
+            mark(&mut row, sample.now.allocation[number].into());
+            (row, turned.available)
+        };
+        let building = |(task, building): (usize, &BuildingState)| {
+            let mut row = building_row(&map.building(building), columns);
+            mark(&mut row, task);
+            row
+        };
+        Sight {
+            agents: city.agents.iter().enumerate().map(agent).collect(),
+            buildings: city.buildings.iter().enumerate().map(building).collect(),
+        }
+    })
 }
 
 /// The squared difference between the value of what a team did and its target.
@@ -71,18 +81,36 @@ fn squared_error(
     target: &UtilityNetwork,
     sample: &Sample<'_>,
     map: Map,
+    subtask: Conditioning,
 ) -> f64 {
     let columns = online.shape().input;
-    let team = &sample.agents[..usize::from(sample.record.size)];
-    let (now, next) = (rows(sample, map, columns, false), rows(sample, map, columns, true));
+    let [now, next] = [false, true].map(|next| sight(sample, map, columns, next));
+    let task = usize::from(sample.record.task);
+    let team: Vec<usize> = members(sample.team().into()).collect();
+    let seen = |sight: &Sight| {
+        let row = |agent: usize| sight.agents[agent].0.clone();
+        match subtask {
+            Conditioning::Mask => {
+                let building = sight.buildings[task].clone();
+                team.iter().map(|agent| row(*agent)).chain([building]).collect::<Vec<_>>()
+            }
+            _ => {
+                let agents = (0..sight.agents.len()).map(row);
+                agents.chain(sight.buildings.iter().cloned()).collect()
+            }
+        }
+    };
+    let (seen_now, seen_next) = (seen(&now), seen(&next));
     let mut value = 0.0;
     let mut wanted = f64::from(sample.record.reward);
-    for (step, (now_row, next_row)) in team.iter().zip(now.iter().zip(&next)) {
-        value += outputs(online, now_row, &now)[usize::from(map.action(step.action))];
-        let liked = outputs(online, next_row, &next);
-        let is_available = |action: &usize| map.agent(&step.next).available >> action & 1 == 1;
+    for agent in &team {
+        let action = map.action(sample.now.actions[*agent]);
+        value += outputs(online, &now.agents[*agent].0, &seen_now)[usize::from(action)];
+        let (row, available) = &next.agents[*agent];
+        let liked = outputs(online, row, &seen_next);
+        let is_available = |action: &usize| available >> action & 1 == 1;
         let best = (0..12).filter(is_available).max_by(|a, b| liked[*a].total_cmp(&liked[*b]));
-        let valued = outputs(target, next_row, &next)[best.unwrap()];
+        let valued = outputs(target, row, &seen_next)[best.unwrap()];
         wanted += f64::from(sample.record.discount) * valued;
     }
     (value - wanted) * (value - wanted)
@@ -100,19 +128,21 @@ fn the_loss_of_every_record_is_that_of_the_rules() {
         let mut config = config(subtask);
         config.network.skip = skip;
         let (replay, online, target) = (replay(&config), network(&config, 1), network(&config, 2));
+        let environment = observer(&config);
+        let experience = Experience { environment: &*environment, replay: &replay };
         let mut chunk = Chunk::new(&online, subtask, config.mixer.reward_factor());
         for sample in (0..replay.len()).step_by(7) {
             let symmetry = (sample % 8) as u8;
             let networks = Networks { online: &online, target: &target };
             let pick = Pick { sample: sample as u32, symmetry, draw: 0 };
-            chunk.learn(networks, &replay, &[pick]);
-            let want =
-                squared_error(&online.utility, &target.utility, &replay.get(sample), Map(symmetry));
+            chunk.learn(networks, experience, &[pick]);
+            let (record, map) = (replay.get(sample), Map(symmetry));
+            let want = squared_error(&online.utility, &target.utility, &record, map, subtask);
             let what = format!("{subtask:?}, skip {skip}, record {sample}, map {symmetry}");
             assert_near(&what, chunk.squared_error(), want);
             // The mean is taken over so many.
             let networks = Networks { online: &online, target: &target };
-            chunk.learn(networks, &replay, &[pick; 3]);
+            chunk.learn(networks, experience, &[pick; 3]);
             assert_eq!(chunk.terms(), 3, "{what}");
             assert_near(&what, chunk.squared_error(), 3.0 * want);
         }

@@ -1,97 +1,141 @@
-//! Teams at buildings, written as input of the team-value network.
+//! Teams at subtasks, written as input of the team-value network.
 
-use sortie_envs::save_the_city::{
-    AgentState, BuildingState, City, FEATURES, RELATIONS, Symmetry, agent_features, agent_relation,
-    building_features, building_relation,
-};
-use sortie_nn::layers::SparseRows;
+use sortie_envs::{EntitySet, Environment, Observation, SparseRows, Spec, members};
 
 use crate::alma::records::UtilityInput;
 
-/// Marks the building that the value is about.
-const OWN: usize = FEATURES;
-/// Marks the agents of the team.
-const IN_TEAM: usize = FEATURES + 1;
-/// First of the columns that say how far away an entity is from the building.
-const RELATION: usize = FEATURES + 2;
-/// Columns of a row: an entity's features, its part in the question, its travel time as one-hot.
-pub const COLUMNS: usize = RELATION + RELATIONS;
+/// What the columns of a row are: an entity's features, its part in the question, its relation to the subtask.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct TeamColumns {
+    features: usize,
+    relations: usize,
+}
 
-/// A team at a building of a city.
+impl TeamColumns {
+    /// Those of an environment.
+    pub fn of(spec: &Spec) -> Self {
+        Self { features: spec.shape.features, relations: spec.relations }
+    }
+
+    /// Their number.
+    pub fn count(self) -> usize {
+        self.relation() + self.relations
+    }
+
+    /// Marks the subtask's thing that the value is about.
+    fn own(self) -> usize {
+        self.features
+    }
+
+    /// Marks the agents of the team.
+    fn in_team(self) -> usize {
+        self.features + 1
+    }
+
+    /// First of the columns that say how an entity stands to the subtask.
+    fn relation(self) -> usize {
+        self.features + 2
+    }
+}
+
+/// A team at a subtask.
 #[derive(Clone, Copy, Debug)]
 pub struct TeamQuery<'a> {
-    /// Agents and buildings.
-    pub city: City<'a>,
-    /// The building, which is open.
+    /// The state.
+    pub state: &'a [u8],
+    /// The subtask, which is open.
     pub task: usize,
     /// Bit a set where agent a is in the team.
     pub team: u64,
-    /// How the map is turned.
-    pub turn: Symmetry,
+    /// Number of the symmetry under which the state is seen.
+    pub turn: usize,
+}
+
+impl TeamQuery<'_> {
+    /// Whether it looks at the same things as another, maybe of another subtask.
+    fn looks_as(&self, other: &Self) -> bool {
+        std::ptr::eq(self.state, other.state) && self.turn == other.turn
+    }
 }
 
 /// Any number of teams as input of the network, which gives one value for each.
 #[derive(Clone, Debug, Default)]
 pub struct TeamValueInput {
     input: UtilityInput,
+    /// The rows behind those of the subtasks' own things.
+    others: SparseRows,
+    seen: Observation,
+    /// Of every entity that is seen how it stands to a subtask.
+    relations: SparseRows,
 }
 
 impl TeamValueInput {
     /// Writes independent queries, each with its own rows.
     pub fn queries<'a>(
         &mut self,
+        environment: &dyn Environment,
         queries: impl Iterator<Item = TeamQuery<'a>> + Clone,
     ) -> &UtilityInput {
-        self.input.clear();
-        for query in queries.clone() {
-            self.push_own(&query.turn.building(&query.city.buildings[query.task]));
-        }
+        self.clear();
+        let columns = TeamColumns::of(environment.spec());
+        let count = queries.clone().count();
+        let mut before: Option<TeamQuery<'_>> = None;
         for (index, query) in queries.enumerate() {
-            let TeamQuery { city, task, team, turn } = query;
-            let building = turn.building(&city.buildings[task]);
+            let TeamQuery { state, task, team, turn } = query;
+            let looks_as_before = before.is_some_and(|before| query.looks_as(&before));
+            if !looks_as_before {
+                environment.observe(state, turn, EntitySet::MAX, &mut self.seen);
+            }
+            if !looks_as_before || before.is_some_and(|before| before.task != task) {
+                self.relate(environment, query);
+            }
+            let own = self.own(task);
+            self.push_own(columns, own);
             self.input.visible.push(index);
-            for (number, agent) in city.agents.iter().enumerate() {
-                let row = self.push_agent(&turn.agent(agent), &building, team >> number & 1 == 1);
-                self.input.visible.push(row);
+            let first = self.others.len();
+            for agent in 0..self.seen.agents() {
+                self.push_agent(columns, agent, team >> agent & 1 == 1);
             }
-            for other in other_open(city, task) {
-                let row = self.push_other(&turn.building(other), &building);
-                self.input.visible.push(row);
-            }
+            self.push_others(columns, own);
+            (first..self.others.len()).for_each(|row| self.input.visible.push(count + row));
             self.input.visible.end_list();
+            before = Some(query);
         }
+        self.input.rows.append(&self.others);
         &self.input
     }
 
-    /// Writes every team at every open building: `[open buildings, 2^A]` queries.
+    /// Writes every team at every open subtask: `[open subtasks, 2^A]` queries.
     ///
-    /// The teams at a building share its other rows: each agent once as member and once not.
-    pub fn all_teams(&mut self, city: City<'_>) -> &UtilityInput {
-        self.input.clear();
-        let open = || city.buildings.iter().enumerate().filter(|(_, building)| building.is_open());
-        let teams = 0..1_usize << city.agents.len();
-        for (_, building) in open() {
-            teams.clone().for_each(|_| self.push_own(building));
-        }
-        for (place, (task, building)) in open().enumerate() {
-            let agents = self.input.rows.len();
-            for agent in city.agents {
-                self.push_agent(agent, building, false);
-                self.push_agent(agent, building, true);
+    /// The teams at a subtask share its other rows: each agent once as member and once not.
+    pub fn all_teams(&mut self, environment: &dyn Environment, state: &[u8]) -> &UtilityInput {
+        self.clear();
+        let columns = TeamColumns::of(environment.spec());
+        environment.observe(state, 0, EntitySet::MAX, &mut self.seen);
+        let agents = self.seen.agents();
+        let (teams, open) = (0..1_usize << agents, self.seen.open_tasks);
+        let count = open.count_ones() as usize * teams.len();
+        for (place, task) in members(open.into()).enumerate() {
+            self.relate(environment, TeamQuery { state, task, team: 0, turn: 0 });
+            let own = self.own(task);
+            teams.clone().for_each(|_| self.push_own(columns, own));
+            let first = count + self.others.len();
+            for agent in 0..agents {
+                self.push_agent(columns, agent, false);
+                self.push_agent(columns, agent, true);
             }
-            let others = self.input.rows.len();
-            for other in other_open(city, task) {
-                self.push_other(other, building);
-            }
-            let end = self.input.rows.len();
+            let others = count + self.others.len();
+            self.push_others(columns, own);
+            let end = count + self.others.len();
             let visible = &mut self.input.visible;
             for team in teams.clone() {
                 visible.push(place * teams.len() + team);
-                (0..city.agents.len()).for_each(|a| visible.push(agents + 2 * a + (team >> a & 1)));
+                (0..agents).for_each(|a| visible.push(first + 2 * a + (team >> a & 1)));
                 (others..end).for_each(|row| visible.push(row));
                 visible.end_list();
             }
         }
+        self.input.rows.append(&self.others);
         &self.input
     }
 
@@ -100,80 +144,126 @@ impl TeamValueInput {
         &self.input
     }
 
-    fn push_own(&mut self, building: &BuildingState) {
+    fn clear(&mut self) {
+        self.input.clear();
+        self.others.clear();
+    }
+
+    fn relate(&mut self, environment: &dyn Environment, query: TeamQuery<'_>) {
+        let TeamQuery { state, task, turn, .. } = query;
+        self.relations.clear();
+        environment.relate(state, turn, task, EntitySet::MAX, &mut self.relations);
+    }
+
+    /// The first thing of a subtask, and its row.
+    fn own(&self, task: usize) -> Option<(usize, usize)> {
+        let own = members(self.seen.things_of(task)).next();
+        own.map(|own| (own, self.seen.row_of(own)))
+    }
+
+    /// The row of the subtask's own thing.
+    fn push_own(&mut self, columns: TeamColumns, own: Option<(usize, usize)>) {
         let rows = &mut self.input.rows;
-        building_features(building, |column, value| rows.push(column, value));
-        rows.push(OWN, 1.0);
+        if let Some((_, row)) = own {
+            rows.push_row(&self.seen.rows, row);
+        }
+        rows.push(columns.own(), 1.0);
         rows.end_row();
     }
 
-    fn push_agent(&mut self, agent: &AgentState, building: &BuildingState, in_team: bool) -> usize {
-        let rows = &mut self.input.rows;
-        agent_features(agent, |column, value| rows.push(column, value));
+    /// An agent's row; those of agents come first, as everything was observed.
+    fn push_agent(&mut self, columns: TeamColumns, agent: usize, in_team: bool) {
+        self.others.push_row(&self.seen.rows, agent);
         if in_team {
-            rows.push(IN_TEAM, 1.0);
+            self.others.push(columns.in_team(), 1.0);
         }
-        end_row(rows, agent_relation(agent, building))
+        self.end_row(columns, agent);
     }
 
-    fn push_other(&mut self, other: &BuildingState, building: &BuildingState) -> usize {
-        let rows = &mut self.input.rows;
-        building_features(other, |column, value| rows.push(column, value));
-        end_row(rows, building_relation(other, building))
+    /// The rows of the things of open subtasks but one.
+    fn push_others(&mut self, columns: TeamColumns, own: Option<(usize, usize)>) {
+        let things = members(self.seen.things());
+        for (row, thing) in (self.seen.agents()..).zip(things) {
+            let is_open = self.seen.entity_task[thing] & self.seen.open_tasks != 0;
+            if is_open && own.is_none_or(|(own, _)| own != thing) {
+                self.others.push_row(&self.seen.rows, row);
+                self.end_row(columns, row);
+            }
+        }
     }
-}
 
-/// The open buildings but one.
-fn other_open<'a>(city: City<'a>, task: usize) -> impl Iterator<Item = &'a BuildingState> {
-    let numbered = city.buildings.iter().enumerate();
-    numbered.filter(move |(other, b)| *other != task && b.is_open()).map(|(_, b)| b)
-}
-
-/// Adds the relation to a row and closes it; returns the row's number.
-fn end_row(rows: &mut SparseRows, relation: usize) -> usize {
-    rows.push(RELATION + relation, 1.0);
-    rows.end_row();
-    rows.len() - 1
+    /// Adds an entity's relation to the row that is written and closes it.
+    fn end_row(&mut self, columns: TeamColumns, row: usize) {
+        self.others.push_row_at(columns.relation(), &self.relations, row);
+        self.others.end_row();
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::alma::records::toy::{Street, toy};
     use crate::alma::records::{UtilityNetwork, UtilityPass, config::AllocatorConfig};
-    use sortie_envs::save_the_city::{Constants, SaveTheCity, ScenarioSet, Status};
     use sortie_learn::random::{Purpose, generator};
     use sortie_nn::gradient_check::assert_gradient;
 
-    fn city() -> SaveTheCity {
-        let set = ScenarioSet::named("2-5a_2-5b").unwrap();
-        SaveTheCity::new(set, Constants::default(), 8, 5).unwrap()
+    /// Streets with three agents somewhere and three sites, the second of which is finished.
+    fn streets() -> Vec<Vec<u8>> {
+        let street = |index: u8| {
+            let mut street = Street::new(3, &[index, 9, 15 - index]);
+            street.agents.rotate_left(usize::from(index % 3));
+            street.agents[0] += index;
+            street.sites[1].1 = false;
+            street.bytes()
+        };
+        (0..8).map(street).collect()
     }
 
     fn network(skip: bool) -> UtilityNetwork {
         let mut config = AllocatorConfig::default();
         (config.network.width, config.network.base) = (16, 12);
         config.network.skip = skip;
-        UtilityNetwork::initialise(config.shape(), 8.0, &mut generator(1, Purpose::Weights, 0))
+        let shape = config.shape(toy().spec());
+        UtilityNetwork::initialise(shape, 8.0, &mut generator(1, Purpose::Weights, 0))
+    }
+
+    #[test]
+    fn a_row_says_what_an_entity_is_and_how_it_stands_to_the_subtask() {
+        let mut street = Street::new(2, &[4, 9, 6]);
+        street.sites[1].1 = false;
+        let state = street.bytes();
+        let mut input = TeamValueInput::default();
+        let query = |task| TeamQuery { state: &state, task, team: 0b10, turn: 0 };
+        let input = input.queries(&toy(), [query(0), query(2)].into_iter());
+        let own = |door| vec![(0, 1.0), (1, door), (2, 1.0), (3, 1.0)];
+        let other = |door, away: usize| vec![(0, 1.0), (1, door), (2, 1.0), (5 + away, 1.0)];
+        let wanted = [
+            own(4.0),
+            own(6.0),
+            vec![(5 + 4, 1.0)],
+            vec![(1, 1.0), (4, 1.0), (5 + 3, 1.0)],
+            other(6.0, 2),
+            vec![(5 + 6, 1.0)],
+            vec![(1, 1.0), (4, 1.0), (5 + 5, 1.0)],
+            other(4.0, 2),
+        ];
+        let rows = (0..input.rows.len()).map(|row| input.rows.row(row).collect::<Vec<_>>());
+        assert!(rows.eq(wanted));
+        assert!(input.visible.list(0).eq([0, 2, 3, 4]) && input.visible.list(1).eq([1, 5, 6, 7]));
     }
 
     #[test]
     fn shared_rows_give_the_values_of_single_queries() {
-        let (world, network) = (city(), network(true));
+        let (environment, network) = (toy(), network(true));
         let mut pass = UtilityPass::new(network.shape());
-        for instance in 0..8 {
-            let city = world.city(instance);
-            let mut buildings = city.buildings.to_vec();
-            buildings[1].status = Status::Complete;
-            let city = City { agents: city.agents, buildings: &buildings };
-            let shared = pass.forward(&network, TeamValueInput::default().all_teams(city)).to_vec();
-            let turn = Symmetry::ALL[0];
-            let tasks = (0..buildings.len()).filter(|task| *task != 1);
-            let queries = tasks.flat_map(|task| {
-                let teams = 0..1_u64 << city.agents.len();
-                teams.map(move |team| TeamQuery { city, task, team, turn })
+        for state in &streets() {
+            let mut shared = TeamValueInput::default();
+            let shared = pass.forward(&network, shared.all_teams(&environment, state)).to_vec();
+            let queries = [0, 2].into_iter().flat_map(|task| {
+                (0..1 << 3).map(move |team| TeamQuery { state, task, team, turn: 0 })
             });
             let mut single = TeamValueInput::default();
-            let single = pass.forward(&network, single.queries(queries));
+            let single = pass.forward(&network, single.queries(&environment, queries));
             assert_eq!(shared.len(), single.len());
             for (shared, single) in shared.iter().zip(single) {
                 assert!((shared - single).abs() < 1e-4, "{shared} against {single}");
@@ -188,15 +278,15 @@ mod tests {
     }
 
     fn check_gradient(network: &UtilityNetwork) {
-        let world = city();
-        let queries = (0..8).map(|instance| TeamQuery {
-            city: world.city(instance),
-            task: instance % 3,
-            team: instance as u64,
-            turn: Symmetry::ALL[instance],
+        let streets = streets();
+        let queries = streets.iter().enumerate().map(|(index, state)| TeamQuery {
+            state,
+            task: index % 2 * 2,
+            team: index as u64,
+            turn: index % 2,
         });
         let mut input = TeamValueInput::default();
-        input.queries(queries);
+        input.queries(&toy(), queries);
         let slopes = [0.3, -1.0, 0.5, 2.0, -0.7, 0.2, 1.1, -0.4];
         let loss = |parameters: &[f32]| -> f64 {
             let network = UtilityNetwork::from_parameters(network.shape(), parameters.to_vec());

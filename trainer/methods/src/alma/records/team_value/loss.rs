@@ -1,46 +1,51 @@
-//! SARSA on decisions, one target per open building.
+//! SARSA on decisions, one target per open subtask.
 //!
-//! `y = discounted task rewards of the segment + discount * f_target(next state, building, its next team)`,
-//! the next team being the one really sent next. A building that is closed by then adds nothing. Loss:
-//! squared difference. A drawn segment counts for one of the buildings that were open, drawn as well:
-//! the buildings of one decision have much in common, and teach less together than those of several.
+//! `y = discounted task rewards of the segment + discount * f_target(next state, subtask, its next team)`,
+//! the next team being the one really sent next. A subtask that is closed by then adds nothing. Loss:
+//! squared difference. A drawn segment counts for one of the subtasks that were open, drawn as well:
+//! the subtasks of one decision have much in common, and teach less together than those of several.
 
-use sortie_envs::save_the_city::Symmetry;
+use sortie_envs::{Environment, Observation, members};
 
 use super::input::{TeamQuery, TeamValueInput};
 use super::segments::{Decision, Segment, Segments};
-use crate::alma::records::learner::{Loss, Networks, Pick};
+use crate::alma::records::learner::{Experience, Loss, Networks, Pick};
 use crate::alma::records::{UtilityNetwork, UtilityPass, UtilityShape};
 
-/// A segment, one of the buildings that were open when it began, and how the map is turned.
+/// A segment, one of the subtasks that were open when it began, and how it is turned.
 #[derive(Clone, Copy, Debug)]
 struct Picked<'a> {
     segment: &'a Segment,
     task: usize,
-    turn: Symmetry,
+    turn: usize,
+    /// Whether the episode and the subtask are still open at the next decision.
+    goes_on: bool,
 }
 
 impl<'a> Picked<'a> {
-    /// The draw decides on the building. `None` where no building was open.
-    fn new(replay: &'a Segments, pick: &Pick) -> Option<Self> {
+    /// The draw decides on the subtask. `None` where none was open.
+    fn new(
+        experience: Experience<'a, Segments>,
+        pick: &Pick,
+        seen: &mut Observation,
+    ) -> Option<Self> {
+        let Experience { environment, replay } = experience;
         let segment = replay.get(pick.sample as usize);
-        let open = || {
-            let buildings = segment.now.buildings.iter().enumerate();
-            buildings.filter(|(_, building)| building.is_open()).map(|(task, _)| task)
-        };
-        let place = (pick.draw as usize).checked_rem(open().count())?;
-        let turn = Symmetry::ALL[usize::from(pick.symmetry)];
-        open().nth(place).map(|task| Self { segment, task, turn })
-    }
-
-    /// Whether the building is still open at the next decision.
-    fn goes_on(&self) -> bool {
-        self.segment.discount > 0.0 && self.segment.next.buildings[self.task].is_open()
+        environment.observe(&segment.now.state, 0, 0, seen);
+        let open = seen.open_tasks;
+        let place = (pick.draw as usize).checked_rem(open.count_ones() as usize)?;
+        let task = members(open.into()).nth(place)?;
+        let mut goes_on = segment.discount > 0.0;
+        if goes_on {
+            environment.observe(&segment.next.state, 0, 0, seen);
+            goes_on = seen.open_tasks >> task & 1 == 1;
+        }
+        Some(Self { segment, task, turn: pick.symmetry.into(), goes_on })
     }
 
     fn query(&self, decision: &'a Decision) -> TeamQuery<'a> {
         let Self { task, turn, .. } = *self;
-        TeamQuery { city: decision.city(), task, team: decision.team(task), turn }
+        TeamQuery { state: &decision.state, task, team: decision.team(task), turn }
     }
 }
 
@@ -49,6 +54,7 @@ impl<'a> Picked<'a> {
 pub struct TeamValueLoss {
     pass: UtilityPass,
     input: TeamValueInput,
+    seen: Observation,
     targets: Vec<f32>,
     slopes: Vec<f32>,
     gradient: Vec<f32>,
@@ -61,6 +67,7 @@ impl TeamValueLoss {
         Self {
             pass: UtilityPass::new(shape),
             input: TeamValueInput::default(),
+            seen: Observation::default(),
             targets: Vec::new(),
             slopes: Vec::new(),
             gradient: vec![0.0; shape.parameters()],
@@ -74,9 +81,14 @@ impl TeamValueLoss {
     }
 
     /// Computes the gradient of the summed squared differences to the targets.
-    fn descend(&mut self, online: &UtilityNetwork, picks: &[Picked<'_>]) {
+    fn descend(
+        &mut self,
+        online: &UtilityNetwork,
+        environment: &dyn Environment,
+        picks: &[Picked<'_>],
+    ) {
         let queries = picks.iter().map(|picked| picked.query(&picked.segment.now));
-        let values = self.pass.forward(online, self.input.queries(queries));
+        let values = self.pass.forward(online, self.input.queries(environment, queries));
         self.slopes.clear();
         self.squared_error = 0.0;
         for (value, target) in values.iter().zip(&self.targets) {
@@ -89,13 +101,18 @@ impl TeamValueLoss {
         self.pass.backward(online, input, &self.slopes, &mut self.gradient);
     }
 
-    /// Writes the target of every picked building.
-    fn find_targets(&mut self, target: &UtilityNetwork, picks: &[Picked<'_>]) {
+    /// Writes the target of every picked subtask.
+    fn find_targets(
+        &mut self,
+        target: &UtilityNetwork,
+        environment: &dyn Environment,
+        picks: &[Picked<'_>],
+    ) {
         self.targets.clear();
         self.targets.extend(picks.iter().map(|picked| picked.segment.rewards[picked.task]));
-        let followed = || picks.iter().zip(0..).filter(|(picked, _)| picked.goes_on());
+        let followed = || picks.iter().zip(0..).filter(|(picked, _)| picked.goes_on);
         let queries = followed().map(|(picked, _)| picked.query(&picked.segment.next));
-        let values = self.pass.forward(target, self.input.queries(queries));
+        let values = self.pass.forward(target, self.input.queries(environment, queries));
         for ((picked, number), value) in followed().zip(values) {
             self.targets[number as usize] += picked.segment.discount * value;
         }
@@ -107,11 +124,16 @@ impl Loss for TeamValueLoss {
     type Replay = Segments;
     const CHUNK: usize = 64;
 
-    fn learn(&mut self, networks: Networks<'_, UtilityNetwork>, replay: &Segments, picks: &[Pick]) {
-        let picks: Vec<Picked<'_>> =
-            picks.iter().filter_map(|pick| Picked::new(replay, pick)).collect();
-        self.find_targets(networks.target, &picks);
-        self.descend(networks.online, &picks);
+    fn learn(
+        &mut self,
+        networks: Networks<'_, UtilityNetwork>,
+        experience: Experience<'_, Segments>,
+        picks: &[Pick],
+    ) {
+        let picked = |pick| Picked::new(experience, pick, &mut self.seen);
+        let picks: Vec<Picked<'_>> = picks.iter().filter_map(picked).collect();
+        self.find_targets(networks.target, experience.environment, &picks);
+        self.descend(networks.online, experience.environment, &picks);
     }
 
     fn squared_error(&self) -> f64 {
@@ -131,8 +153,7 @@ impl Loss for TeamValueLoss {
 mod tests {
     use super::*;
     use crate::alma::records::config::{AllocatorConfig, NetworkConfig};
-    use sortie_envs::Environment;
-    use sortie_envs::save_the_city::{Constants, SaveTheCity, ScenarioSet, Status};
+    use crate::alma::records::toy::{Street, toy};
     use sortie_learn::random::{Purpose, generator};
     use sortie_nn::gradient_check::assert_gradient;
 
@@ -142,25 +163,21 @@ mod tests {
 
     fn skipping(seed: u64, skip: bool) -> UtilityNetwork {
         let network = NetworkConfig { width: 16, base: 12, skip, ..NetworkConfig::default() };
-        let shape = AllocatorConfig { network, ..AllocatorConfig::default() }.shape();
+        let shape = AllocatorConfig { network, ..AllocatorConfig::default() };
+        let shape = shape.shape(toy().spec());
         UtilityNetwork::initialise(shape, 8.0, &mut generator(seed, Purpose::Weights, 0))
     }
 
-    /// Segments between unrelated decisions; building 0 closes in every second one.
+    /// Segments between unrelated decisions; site 0 closes in every second one.
     fn segments() -> Segments {
-        let set = ScenarioSet::named("2-5a_2-5b").unwrap();
-        let mut city = SaveTheCity::new(set, Constants::default(), 1, 5).unwrap();
         let mut segments = Segments::new(20);
-        let mut draws = sortie_envs::random::generator(5);
-        city.reset(0, &mut draws);
         for number in 0..20_u8 {
-            city.reset(0, &mut draws);
-            let now = Decision::new(city.city(0), &[number % 3, 1, 2, 0, 1]);
-            let mut next = Decision { allocation: vec![1; now.allocation.len()], ..now.clone() };
-            if number % 2 == 0 {
-                next.buildings[0].status = Status::Complete;
-            }
-            let rewards = (0..now.buildings.len()).map(|task| task as f32 - 1.0).collect();
+            let mut street = Street::new(5, &[number % 7, 8, 15 - number % 5]);
+            street.agents[0] += number % 9;
+            let now = Decision::new(&street.bytes(), &[number % 3, 1, 2, 0, 1]);
+            street.sites[0].1 = number % 2 == 1;
+            let next = Decision::new(&street.bytes(), &[1; 5]);
+            let rewards = (0..3).map(|task| task as f32 - 1.0).collect();
             let discount = if number % 5 == 0 { 0.0 } else { 0.95 };
             segments.push(Segment { now, rewards, discount, next });
         }
@@ -168,7 +185,7 @@ mod tests {
     }
 
     fn picks() -> Vec<Pick> {
-        (0..20).map(|i| Pick { sample: i, symmetry: (i % 8) as u8, draw: i.into() }).collect()
+        (0..20).map(|i| Pick { sample: i, symmetry: (i % 2) as u8, draw: i.into() }).collect()
     }
 
     #[test]
@@ -182,7 +199,8 @@ mod tests {
         let segments = segments();
         let learn = |online: &UtilityNetwork| {
             let mut loss = TeamValueLoss::new(online.shape());
-            loss.learn(Networks { online, target }, &segments, &picks());
+            let experience = Experience { environment: &toy(), replay: &segments };
+            loss.learn(Networks { online, target }, experience, &picks());
             loss
         };
         let base = learn(online);
@@ -198,14 +216,15 @@ mod tests {
     }
 
     #[test]
-    fn closed_buildings_and_ended_episodes_do_not_bootstrap() {
-        let (segments, target) = (segments(), network(2));
+    fn closed_subtasks_and_ended_episodes_do_not_bootstrap() {
+        let (segments, target, environment) = (segments(), network(2), toy());
+        let experience = Experience { environment: &environment, replay: &segments };
         let mut loss = TeamValueLoss::new(target.shape());
         for number in 0..20 {
-            let tasks = segments.get(number).now.buildings.len();
-            for task in 0..tasks {
+            for task in 0..3 {
                 let pick = Pick { sample: number as u32, symmetry: 0, draw: task as u64 };
-                loss.find_targets(&target, &[Picked::new(&segments, &pick).unwrap()]);
+                let picked = Picked::new(experience, &pick, &mut Observation::default());
+                loss.find_targets(&target, &environment, &[picked.unwrap()]);
                 let bootstraps = number % 5 != 0 && (task != 0 || number % 2 != 0);
                 assert_eq!(loss.targets[0] != task as f32 - 1.0, bootstraps, "{number} {task}");
             }

@@ -1,7 +1,7 @@
 //! The best allocation by the team-value network.
 
 use sortie_core::allocate::{EXACT_AGENTS, TeamValue, Teams, ascent, exact};
-use sortie_envs::save_the_city::{City, Symmetry, UNASSIGNED, coordinated_allocation};
+use sortie_envs::{Environment, Observation, UNASSIGNED};
 use sortie_nn::random::Generator;
 
 use super::input::{TeamQuery, TeamValueInput};
@@ -18,16 +18,18 @@ pub struct TeamSearch {
     team_max: usize,
     pass: UtilityPass,
     input: TeamValueInput,
+    seen: Observation,
     arena: Vec<exact::Cell>,
 }
 
 impl TeamSearch {
-    /// Empty space; no building gets more than `team_max` agents.
+    /// Empty space; no subtask gets more than `team_max` agents.
     pub fn new(shape: UtilityShape, team_max: usize) -> Self {
         Self {
             team_max,
             pass: UtilityPass::new(shape),
             input: TeamValueInput::default(),
+            seen: Observation::default(),
             arena: Vec::new(),
         }
     }
@@ -37,27 +39,29 @@ impl TeamSearch {
         self.pass.operations()
     }
 
-    /// Writes the best building of every agent; further entries are [`UNASSIGNED`].
+    /// Writes the best subtask of every agent; further entries are [`UNASSIGNED`].
     ///
-    /// Exact for up to [`EXACT_AGENTS`] agents; for more, coordinate ascent from the coordinated allocation.
+    /// Exact for up to [`EXACT_AGENTS`] agents; for more, coordinate ascent from what the environment's usual rule allocates.
     pub fn allocate(
         &mut self,
         network: &UtilityNetwork,
-        city: City<'_>,
+        environment: &dyn Environment,
+        state: &[u8],
+        generator: &mut Generator,
         allocation: &mut [u8],
     ) -> Result<(), LearnError> {
-        let agents = city.agents.len();
-        let open_tasks = city.open_tasks();
+        environment.observe(state, 0, 0, &mut self.seen);
+        let (agents, open_tasks) = (self.seen.agents(), self.seen.open_tasks);
         let teams = Teams { agents, open_tasks, team_max: self.team_max };
         allocation.fill(UNASSIGNED);
         let found = if agents <= EXACT_AGENTS {
-            let values = self.pass.forward(network, self.input.all_teams(city));
+            let values = self.pass.forward(network, self.input.all_teams(environment, state));
             self.arena.resize(values.len(), exact::Cell::default());
             exact::search(teams, values, &mut self.arena, &mut allocation[..agents]).map(drop)
         } else {
-            coordinated_allocation(city, allocation);
+            environment.allocate(0, state, generator, allocation);
             let Self { pass, input, .. } = self;
-            let mut values = NetworkValue { network, city, pass, input };
+            let mut values = NetworkValue { network, environment, state, pass, input };
             ascent::search(teams, &mut values, SWEEPS, &mut allocation[..agents]).map(drop)
         };
         found.map_err(|error| LearnError::Team(error.to_string()))
@@ -67,7 +71,8 @@ impl TeamSearch {
 /// The values of single teams, as the coordinate ascent asks for them.
 struct NetworkValue<'a> {
     network: &'a UtilityNetwork,
-    city: City<'a>,
+    environment: &'a dyn Environment,
+    state: &'a [u8],
     pass: &'a mut UtilityPass,
     input: &'a mut TeamValueInput,
 }
@@ -80,11 +85,11 @@ impl TeamValue for NetworkValue<'_> {
     }
 
     fn values(&mut self, questions: &[(usize, u64)], values: &mut [f32]) {
-        let (city, turn) = (self.city, Symmetry::ALL[0]);
+        let Self { network, environment, state, pass, input } = self;
         let query =
-            |(task, team): &(usize, u64)| TeamQuery { city, task: *task, team: *team, turn };
-        let queries = questions.iter().map(query);
-        values.copy_from_slice(self.pass.forward(self.network, self.input.queries(queries)));
+            |(task, team): &(usize, u64)| TeamQuery { state, task: *task, team: *team, turn: 0 };
+        let input = input.queries(*environment, questions.iter().map(query));
+        values.copy_from_slice(pass.forward(network, input));
     }
 }
 
@@ -96,7 +101,7 @@ pub struct TeamValueAllocator<'a> {
 }
 
 impl<'a> TeamValueAllocator<'a> {
-    /// Allocates by a network; no building gets more than `team_max` agents.
+    /// Allocates by a network; no subtask gets more than `team_max` agents.
     pub fn new(network: &'a UtilityNetwork, team_max: usize) -> Self {
         Self { network, search: TeamSearch::new(network.shape(), team_max) }
     }
@@ -105,11 +110,12 @@ impl<'a> TeamValueAllocator<'a> {
 impl Allocate for TeamValueAllocator<'_> {
     fn allocate(
         &mut self,
-        city: City<'_>,
-        _: &mut Generator,
+        environment: &dyn Environment,
+        state: &[u8],
+        generator: &mut Generator,
         allocation: &mut [u8],
     ) -> Result<(), LearnError> {
-        self.search.allocate(self.network, city, allocation)
+        self.search.allocate(self.network, environment, state, generator, allocation)
     }
 }
 
@@ -118,30 +124,42 @@ mod tests {
     use super::*;
     use crate::alma::evaluate::{EvaluationPlan, ScriptedActors, evaluate};
     use crate::alma::records::config::AllocatorConfig;
-    use sortie_envs::save_the_city::{Constants, SaveTheCity, ScenarioSet};
+    use sortie_envs::Split;
     use sortie_learn::random::{Purpose, generator};
 
-    fn network() -> UtilityNetwork {
+    fn environment(set: &str, instances: usize) -> Box<dyn Environment> {
+        let name = format!("save-the-city/{set}");
+        sortie_envs::open(&name, Split::Train, instances, &Default::default()).unwrap()
+    }
+
+    fn network(environment: &dyn Environment) -> UtilityNetwork {
         let mut config = AllocatorConfig::default();
         (config.network.width, config.network.base) = (8, 8);
-        UtilityNetwork::initialise(config.shape(), 8.0, &mut generator(2, Purpose::Weights, 0))
+        let shape = config.shape(environment.spec());
+        UtilityNetwork::initialise(shape, 8.0, &mut generator(2, Purpose::Weights, 0))
     }
 
     #[test]
-    fn every_agent_gets_an_open_building_and_no_team_is_too_large() {
+    fn every_agent_gets_an_open_subtask_and_no_team_is_too_large() {
         for set in ["2-5a_2-5b", "12a_12b"] {
-            let set = ScenarioSet::named(set).unwrap();
-            let world = SaveTheCity::new(set, Constants::default(), 6, 5).unwrap();
-            let network = network();
+            let mut worlds = environment(set, 6);
+            let network = network(&*worlds);
+            let (mut random, mut seen) =
+                (generator(5, Purpose::Rollout, 0), Observation::default());
             for instance in 0..6 {
-                let city = world.city(instance);
+                worlds.reset(instance, &mut random);
+                let mut state = Vec::new();
+                worlds.save(instance, &mut state);
+                worlds.observe(&state, 0, 0, &mut seen);
                 let mut allocation = [7; 64];
                 let mut search = TeamSearch::new(network.shape(), 2);
-                search.allocate(&network, city, &mut allocation).unwrap();
-                let (assigned, rest) = allocation.split_at(city.agents.len());
+                let found =
+                    search.allocate(&network, &*worlds, &state, &mut random, &mut allocation);
+                found.unwrap();
+                let (assigned, rest) = allocation.split_at(seen.agents());
                 assert!(rest.iter().all(|task| *task == UNASSIGNED));
                 for task in assigned {
-                    assert!(city.buildings[usize::from(*task)].is_open());
+                    assert!(seen.open_tasks >> task & 1 == 1);
                     assert!(assigned.iter().filter(|other| *other == task).count() <= 2);
                 }
             }
@@ -150,8 +168,9 @@ mod tests {
 
     #[test]
     fn an_untrained_allocator_plays_to_the_end() {
-        let plan = EvaluationPlan::new("2-5a_2-5b", 20, 3).unwrap();
-        let network = network();
+        let environment = environment("2-5a_2-5b", 1);
+        let plan = EvaluationPlan::new(&*environment, 20, 3);
+        let network = network(&*environment);
         let play = || {
             let mut allocator = TeamValueAllocator::new(&network, 5);
             evaluate(&plan, &mut ScriptedActors::new(1), &mut allocator).unwrap()

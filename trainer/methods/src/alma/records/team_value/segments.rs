@@ -1,37 +1,25 @@
 //! What was decided and what it earned, up to the next decision.
 
 use serde::{Deserialize, Serialize};
-use sortie_envs::save_the_city::{AgentState, BuildingState, City};
 
 use crate::alma::records::learner::Samples;
 
 /// A state with the allocation that was made in it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Decision {
-    /// The agents.
-    pub agents: Vec<AgentState>,
-    /// The buildings.
-    pub buildings: Vec<BuildingState>,
-    /// The building of every agent `[A]`.
+    /// The state.
+    pub state: Vec<u8>,
+    /// The subtask of every agent `[A]`.
     pub allocation: Vec<u8>,
 }
 
 impl Decision {
-    /// The allocation of a city.
-    pub fn new(city: City<'_>, allocation: &[u8]) -> Self {
-        Self {
-            agents: city.agents.to_vec(),
-            buildings: city.buildings.to_vec(),
-            allocation: allocation[..city.agents.len()].to_vec(),
-        }
+    /// What was decided for the agents that exist in a state.
+    pub fn new(state: &[u8], allocation: &[u8]) -> Self {
+        Self { state: state.to_vec(), allocation: allocation.to_vec() }
     }
 
-    /// The agents and buildings.
-    pub fn city(&self) -> City<'_> {
-        City { agents: &self.agents, buildings: &self.buildings }
-    }
-
-    /// The agents at a building, as bits.
+    /// The agents at a subtask, as bits.
     pub fn team(&self, task: usize) -> u64 {
         let members = self.allocation.iter().enumerate();
         members.filter(|(_, own)| usize::from(**own) == task).map(|(agent, _)| 1 << agent).sum()
@@ -52,14 +40,10 @@ pub struct Segment {
 }
 
 impl Segment {
-    /// Whether its parts have the same agents and buildings.
+    /// Whether its parts are of the same episode, as they should be.
     fn fits(&self) -> bool {
-        let sizes = |decision: &Decision| (decision.agents.len(), decision.buildings.len());
-        let whole = |decision: &Decision| decision.allocation.len() == decision.agents.len();
+        let sizes = |decision: &Decision| (decision.state.len(), decision.allocation.len());
         sizes(&self.now) == sizes(&self.next)
-            && whole(&self.now)
-            && whole(&self.next)
-            && self.rewards.len() == self.now.buildings.len()
     }
 }
 
@@ -118,9 +102,6 @@ impl Samples for Segments {
 
 #[cfg(test)]
 mod tests {
-    use sortie_envs::Environment;
-    use sortie_envs::save_the_city::{Constants, SaveTheCity, ScenarioSet};
-
     use super::*;
 
     #[test]
@@ -141,31 +122,21 @@ mod tests {
 
     #[test]
     fn a_ring_from_a_file_fits_only_where_all_its_parts_do() {
-        let mut random = sortie_envs::random::generator(1);
-        let set = ScenarioSet::named("2-5a_2-5b").unwrap();
-        let mut worlds = SaveTheCity::new(set, Constants::default(), 1, 1).unwrap();
-        worlds.reset(0, &mut random);
-        let city = worlds.city(0);
-        let decision = |agents: usize, allocated: usize, buildings: usize| Decision {
-            agents: vec![city.agents[0]; agents],
-            buildings: vec![city.buildings[0]; buildings],
+        let decision = |bytes: usize, allocated: usize| Decision {
+            state: vec![0; bytes],
             allocation: vec![0; allocated],
         };
-        let segment =
-            |now, next, rewards| Segment { now, rewards: vec![0.0; rewards], discount: 0.9, next };
+        let segment = |now, next| Segment { now, rewards: vec![0.0; 2], discount: 0.9, next };
         let ring = |segment: Segment| Segments { capacity: 2, segments: vec![segment], next: 1 };
-        let sound = ring(segment(decision(2, 2, 1), decision(2, 2, 1), 1));
+        let sound = ring(segment(decision(9, 2), decision(9, 2)));
         assert!(sound.fits(2) && !sound.fits(3) && !sound.is_empty());
         assert_eq!((sound.count(), Segments::new(2).is_empty()), (1, true));
-        for broken in [
-            segment(decision(2, 2, 1), decision(2, 2, 2), 1),
-            segment(decision(2, 1, 1), decision(2, 2, 1), 1),
-            segment(decision(2, 2, 1), decision(2, 1, 1), 1),
-            segment(decision(2, 2, 1), decision(2, 2, 1), 2),
-        ] {
+        for broken in
+            [segment(decision(9, 2), decision(8, 2)), segment(decision(9, 2), decision(9, 1))]
+        {
             assert!(!ring(broken).fits(2));
         }
-        let other = segment(decision(1, 1, 1), decision(1, 1, 1), 1);
+        let other = segment(decision(1, 1), decision(1, 1));
         let full = Segments { capacity: 2, segments: vec![other.clone(); 2], next: 0 };
         assert_eq!(full.count(), 2);
         assert!(full.fits(2) && !Segments { next: 2, ..full.clone() }.fits(2));

@@ -1,6 +1,6 @@
-//! What coach and recognition network see: all that exists in a state, buildings with their subtasks.
+//! What coach and recognition network see: all that exists in a state, things with their subtasks.
 
-use sortie_envs::save_the_city::{City, agent_features, building_features};
+use sortie_envs::{Observation, members};
 
 use super::super::agents::TaskOrder;
 use super::networks::CoachShape;
@@ -55,19 +55,22 @@ pub fn state_input(
     }
 }
 
-/// Writes a city that is played in, for its coach.
-pub fn city_input(shape: CoachShape, city: City<'_>, order: &TaskOrder, input: &mut UtilityInput) {
+/// Writes a state that is played in, of which everything is seen, for its coach.
+pub fn seen_input(
+    shape: CoachShape,
+    seen: &Observation,
+    order: &TaskOrder,
+    input: &mut UtilityInput,
+) {
     input.clear();
-    for agent in city.agents {
-        agent_features(agent, |column, value| input.rows.push(column, value));
+    for entity in members(seen.present) {
+        input.rows.push_row(&seen.rows, seen.row_of(entity));
+        if let Some(mark) = order.0.get(usize::from(seen.task_of(entity))) {
+            input.rows.push(shape.features + usize::from(*mark), 1.0);
+        }
         input.rows.end_row();
     }
-    for (building, mark) in city.buildings.iter().zip(&order.0) {
-        building_features(building, |column, value| input.rows.push(column, value));
-        input.rows.push(shape.features + usize::from(*mark), 1.0);
-        input.rows.end_row();
-    }
-    for _ in city.agents {
+    for _ in 0..seen.agents() {
         (0..input.rows.len()).for_each(|row| input.visible.push(row));
         input.visible.end_list();
     }

@@ -23,7 +23,7 @@ mod trunk;
 pub use advice::Advice;
 pub(crate) use advice::strategy_of;
 pub use gaussian::drawn;
-pub use input::{city_input, state_input};
+pub use input::{seen_input, state_input};
 pub use learning::Coaching;
 pub(super) use learning::Told;
 pub(super) use loss::{CoachLane, Guess};

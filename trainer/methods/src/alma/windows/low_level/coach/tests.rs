@@ -1,6 +1,5 @@
 use sortie_envs::random::chance;
-use sortie_envs::save_the_city::with_city;
-use sortie_envs::{Shape, Split};
+use sortie_envs::{EntitySet, Observation, Shape, Split};
 use sortie_nn::gradient_check::{assert_gradient, random};
 use sortie_nn::random::Generator;
 
@@ -174,6 +173,8 @@ fn a_coach_sees_the_same_where_agents_play_and_where_they_learn() {
     let Shape { agents, tasks, features, .. } = world.spec().shape;
     let mut state = Vec::new();
     world.save(0, &mut state);
+    let mut seen = Observation::default();
+    world.observe(&state, 0, EntitySet::MAX, &mut seen);
     let mut episode = Episode::begin(agents, tasks, 0);
     let (allocation, actions) = (vec![NO_TASK; agents], vec![0; agents]);
     let first =
@@ -189,19 +190,18 @@ fn a_coach_sees_the_same_where_agents_play_and_where_they_learn() {
     let shape = CoachShape { features, marks: tasks, ..SHAPE };
     let order = TaskOrder::shuffled(tasks, &mut draws());
     let [mut playing, mut learning] = [UtilityInput::default(), UtilityInput::default()];
-    with_city(&state, |city| city_input(shape, city, &order, &mut playing));
+    seen_input(shape, &seen, &order, &mut playing);
     state_input(shape, &windows, &[0], &order, false, &mut learning);
     assert_eq!(playing, learning);
 
     let coach = Coach::initialise(shape, &mut weights());
     let [mut told, mut drawn] = [Vec::new(), Vec::new()];
     let mut advice = Advice::new(&coach);
-    with_city(&state, |city| advice.mean(city, &mut told).unwrap());
-    with_city(&state, |city| advice.draw(city, &mut draws(), &mut drawn));
-    let present = windows.present[..agents].iter().filter(|present| **present).count();
-    assert_eq!((told.len(), drawn.len()), (present * 6, present * 6));
+    advice.mean(&seen, &mut told).unwrap();
+    advice.draw(&seen, &mut draws(), &mut drawn);
+    assert_eq!((told.len(), drawn.len()), (seen.agents() * 6, seen.agents() * 6));
     assert_ne!(told, drawn);
     let few = Coach::initialise(CoachShape { marks: 1, ..shape }, &mut weights());
-    let refused = with_city(&state, |city| Advice::new(&few).mean(city, &mut told)).unwrap_err();
+    let refused = Advice::new(&few).mean(&seen, &mut told).unwrap_err();
     assert!(refused.to_string().contains("knows 1 subtasks"), "{refused}");
 }
