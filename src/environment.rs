@@ -5,7 +5,6 @@ use std::fmt;
 
 use sortie_bundle::{Bundle, Environment};
 use sortie_envs::{Choice, ENVIRONMENTS, Entry, EnvironmentError, Shape, Spec, Split};
-use sortie_methods::alma::evaluate::LEARNED;
 
 use crate::failure::{Exit, Failure, Outcome};
 
@@ -35,22 +34,29 @@ impl ScenarioSetName {
         Self { entry, set: (entry.sets)().swap_remove(0) }
     }
 
-    /// As [`parse`](Self::parse), for what is done with learners of tasks that one environment alone has.
-    pub(crate) fn parse_learned(text: &str) -> Result<Self, Failure> {
+    /// As [`parse`](Self::parse), for teams that are allocated to subtasks.
+    pub(crate) fn parse_with_subtasks(text: &str) -> Result<Self, Failure> {
         let name = Self::parse(text)?;
-        name.check_learned()?;
+        name.check_subtasks()?;
         Ok(name)
     }
 
-    /// Refuses environments that teams are not learned, evaluated and exported in.
-    pub(crate) fn check_learned(&self) -> Outcome {
-        if self.entry.name == LEARNED.name {
+    /// Whether it has subtasks that agents are allocated to.
+    pub(crate) fn has_subtasks(&self) -> Result<bool, Failure> {
+        Ok(self.open(Split::Test)?.spec().shape.tasks > 0)
+    }
+
+    /// Refuses environments without subtasks.
+    pub(crate) fn check_subtasks(&self) -> Outcome {
+        if self.has_subtasks()? {
             return Ok(());
         }
-        let (name, learned) = (self.entry.name, LEARNED.name);
+        let has = |entry: &&'static Entry| Self::usual(entry).has_subtasks().unwrap_or(false);
+        let fit: Vec<&str> = ENVIRONMENTS.iter().filter(has).map(|entry| entry.name).collect();
+        let (name, fit) = (self.entry.name, fit.join("`, `"));
         let reason = format!(
-            "`{name}` is no environment that this is done in, only `{learned}` is; `sortie view scripted --env \
-             {name}` plays in it, `sortie bench env --env {name}` steps it"
+            "`{name}` has no subtasks that agents could be allocated to, as `{fit}` has; `sortie view scripted \
+             --env {name}` plays in it, `sortie bench env --env {name}` steps it"
         );
         Err(Failure::new(Exit::Usage, reason))
     }
@@ -83,7 +89,7 @@ impl ScenarioSetName {
 /// What is played where nothing is named.
 impl Default for ScenarioSetName {
     fn default() -> Self {
-        Self::usual(LEARNED)
+        Self::usual(&ENVIRONMENTS[0])
     }
 }
 

@@ -167,9 +167,9 @@ fn check_place(out: &Path) -> Outcome {
 fn sets(arguments: &ExportArguments, run: &Run) -> Result<Vec<ScenarioSetName>, Failure> {
     if arguments.env.is_empty() {
         let own = run.description.config.environment().full_name();
-        return Ok(vec![ScenarioSetName::parse_learned(&own)?]);
+        return Ok(vec![ScenarioSetName::parse_with_subtasks(&own)?]);
     }
-    arguments.env.iter().map(|name| ScenarioSetName::parse_learned(name)).collect()
+    arguments.env.iter().map(|name| ScenarioSetName::parse_with_subtasks(name)).collect()
 }
 
 /// Measures the run's agents under its own allocator and under the rules.
@@ -194,7 +194,7 @@ fn measure(
         add("learned", &mut *allocator)?;
     }
     for name in RULES {
-        add(name, &mut Allocation::named(name)?.measured()?)?;
+        add(name, &mut Allocation::named(name)?.measured())?;
     }
     Ok(())
 }

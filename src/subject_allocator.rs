@@ -1,6 +1,7 @@
 //! What allocates in episodes that one process plays: a rule, or what a subject has learned.
 
-use sortie_methods::alma::evaluate::{Allocate, DeployedAllocator, LEARNED, NoSubtasks};
+use sortie_envs::Entry;
+use sortie_methods::alma::evaluate::{Allocate, DeployedAllocator, NoSubtasks};
 use sortie_methods::alma::run::{Run, RunAllocator};
 
 use crate::allocation::{Allocation, AllocatorChoice};
@@ -23,12 +24,12 @@ pub(crate) enum SubjectAllocator<'a> {
     Proposing(Box<ProposalMemory>),
 }
 
-/// Who allocates for `team`, by name, and the memory of it.
+/// Who allocates for a team in an environment, by name, and the memory of it.
 ///
 /// What was asked for, else the learned allocator where `owner` has one, else the coordinated rule; for a team that knows
 /// of no subtasks nobody, and asking for an allocator is a mistake.
 pub(crate) fn open_for<'a>(
-    team: &Subject,
+    (team, entry): (&Subject, &'static Entry),
     asked: Option<AllocatorChoice>,
     owner: &'a Subject,
     name: &str,
@@ -36,7 +37,7 @@ pub(crate) fn open_for<'a>(
     draws: (ProposalArguments, u64),
 ) -> Result<(&'static str, SubjectAllocator<'a>), Failure> {
     if team.has_subtasks() {
-        let choice = AllocatorChoice::or_default(asked, owner.has_allocator(), LEARNED)?;
+        let choice = AllocatorChoice::or_default(asked, owner.has_allocator(), entry)?;
         let allocator = SubjectAllocator::open(choice, Some(owner), name, backend, draws)?;
         return Ok((choice.name(), allocator));
     }
@@ -91,7 +92,7 @@ impl<'a> SubjectAllocator<'a> {
     pub(crate) fn allocator(&mut self) -> Result<Box<dyn Allocate + '_>, Failure> {
         Ok(match self {
             Self::Nobody => Box::new(NoSubtasks),
-            Self::Rule(rule) => Box::new(rule.measured()?),
+            Self::Rule(rule) => Box::new(rule.measured()),
             Self::Run(run, proposals) => {
                 run.learned_allocator(proposals.count()).ok_or_else(|| none_learned("the run"))?
             }

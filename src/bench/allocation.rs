@@ -117,7 +117,7 @@ fn states(
     seed: u64,
 ) -> Result<Vec<OwnedAllocationState>, Failure> {
     let mut policy = DeployedPolicy::open(bundle, Backend::Plan)?;
-    let set = ScenarioSetName::parse_learned(&bundle.manifest().contract.environment.name)?;
+    let set = ScenarioSetName::parse_with_subtasks(&bundle.manifest().contract.environment.name)?;
     let mut policy = policy.policy()?;
     let states = scenes::allocation_states(policy.as_mut(), allocator.allocator()?, &set, seed)?;
     let fits = |state: &OwnedAllocationState| (state.agents, state.open().count()) == SIZE;

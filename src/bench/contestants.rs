@@ -108,7 +108,7 @@ impl OnnxRuntimePeer {
 
 /// The bundle's network for more entities than it may have been exported for.
 fn plan_for_large_teams(bundle: &Bundle, profile: Profile) -> Result<AlignedBytes, Failure> {
-    let own = ScenarioSetName::parse_learned(&bundle.manifest().contract.environment.name)?;
+    let own = ScenarioSetName::parse_with_subtasks(&bundle.manifest().contract.environment.name)?;
     let large = large_set(&own)?.open(Split::Test)?.spec().shape.entities;
     let options = CompileOptions {
         n_max: large.max(bundle.manifest().limits.n_max.into()),

@@ -111,7 +111,7 @@ fn recordings(
     if let Some(file) = &arguments.observations {
         return Ok(vec![read_recording(file, bundle)?]);
     }
-    let own = ScenarioSetName::parse_learned(&bundle.manifest().contract.environment.name)?;
+    let own = ScenarioSetName::parse_with_subtasks(&bundle.manifest().contract.environment.name)?;
     let seed = arguments.measuring.common.seed;
     let large = scenes::large_set(&own)?;
     let mut record = |set| scenes::record(bundle, policy, set, seed);

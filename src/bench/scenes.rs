@@ -28,7 +28,7 @@ pub(super) fn record(
     let environment = set.open(Split::Test)?;
     let plan = EvaluationPlan::new(&*environment, EPISODES, seed);
     let mut recorder = RecordingPolicy::new(policy, bundle);
-    let mut rule = Allocation::named("coordinated")?.measured()?;
+    let mut rule = Allocation::named("coordinated")?.measured();
     evaluate(&plan, &mut PolicyTeam::new(&mut recorder), &mut rule)?;
     Ok(recorder.into_recording())
 }

@@ -148,10 +148,10 @@ pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
         try_output(file, Kind::Observations)?;
     }
     let set = subject.scenario_set(arguments.env.as_deref())?;
-    if matches!(subject, Subject::Scripted) && set.check_learned().is_err() {
+    if matches!(subject, Subject::Scripted) && !set.has_subtasks()? {
         return play_script(arguments, &set);
     }
-    set.check_learned()?;
+    set.check_subtasks()?;
     let other = arguments.allocator.as_deref().map(Subject::find).transpose()?;
     let seeds = arguments.seeds.unwrap_or(SeedRange::only(arguments.common.seed));
     let episodes = u64::from(arguments.episodes).saturating_mul(seeds.iter().count() as u64);
@@ -230,8 +230,14 @@ impl Match<'_> {
         let owner = other.as_ref().unwrap_or(subject);
         let name = arguments.allocator.as_ref().unwrap_or(&arguments.subject).to_string_lossy();
         let draws = (arguments.proposals, seed);
-        let (allocation, mut allocator) =
-            subject_allocator::open_for(subject, asked, owner, &name, arguments.backend, draws)?;
+        let (allocation, mut allocator) = subject_allocator::open_for(
+            (subject, set.entry()),
+            asked,
+            owner,
+            &name,
+            arguments.backend,
+            draws,
+        )?;
         if let (Subject::Bundle(bundle), true) = (owner, allocator.is_deployed()) {
             environment::check_fits(bundle, set)?;
         }
@@ -289,7 +295,8 @@ impl Match<'_> {
             return Ok(counted(&mut ())?);
         };
         let subject = self.arguments.subject.to_string_lossy();
-        let mut writer = EpisodeWriter::new(folder, (&subject, allocation), plan.seed)?;
+        let mut writer =
+            EpisodeWriter::new(folder, self.set.entry(), (&subject, allocation), plan.seed)?;
         Ok(counted(&mut writer)?)
     }
 }

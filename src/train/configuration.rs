@@ -73,7 +73,8 @@ pub(super) fn configuration(
         None => Settings::preset(&arguments.preset).map_err(usage)?,
     };
     if let Some(name) = &arguments.env {
-        settings.environment_mut().set = ScenarioSetName::parse_learned(name)?.set().to_string();
+        settings.environment_mut().set =
+            ScenarioSetName::parse_with_subtasks(name)?.set().to_string();
     }
     if let Some(allocation) = arguments.allocation {
         allocate_by(&mut settings, allocation);

@@ -4,7 +4,9 @@ use std::path::Path;
 
 use crate::entry::Entry;
 use crate::recorded::Field;
-pub use crate::recorded::{GoldenError, Mismatch, Recordings, Replay};
+pub use crate::recorded::{
+    GoldenError, Labels, Mismatch, Record, Recordings, Replay, StartRecording,
+};
 use crate::registry::ENVIRONMENTS;
 
 /// Replays the episode in a file.

@@ -1,13 +1,15 @@
 //! Watches an episode and writes it down.
 
+use std::any::Any;
+
 use sortie_envs::Environment;
 use sortie_envs::save_the_city::{
-    AgentKind, BuildingKind, City, EpisodeMetrics, MAX_AGENTS, with_city,
+    AgentKind, BuildingKind, City, EpisodeMetrics, MAX_AGENTS, SaveTheCity, with_city,
 };
 use sortie_envs::{DecisionPoints, UNASSIGNED};
 use sortie_learn::LearnError;
 use sortie_learn::play::{Onlooker, Watched};
-use sortie_methods::alma::evaluate::{PolicyTeam, Scene, Team, cities};
+use sortie_methods::alma::evaluate::{PolicyTeam, Scene, Team};
 
 use super::data::{AgentFacts, BuildingFacts, EpisodeResult, State, Step};
 use super::episode::Episode;
@@ -179,6 +181,13 @@ impl Onlooker for StepLog {
         self.result = Some(result(worlds.metrics(instance)));
         Ok(())
     }
+}
+
+/// The cities of an episode that is watched.
+fn cities<'a>(watched: &Watched<'a>) -> Result<&'a SaveTheCity, LearnError> {
+    let worlds: &dyn Any = watched.worlds;
+    let elsewhere = || LearnError::Team("this page is made for another environment".to_owned());
+    worlds.downcast_ref().ok_or_else(elsewhere)
 }
 
 fn result(metrics: &EpisodeMetrics) -> EpisodeResult {

@@ -76,7 +76,7 @@ pub(super) fn played(wanted: &Wanted<'_>, subject: &Subject) -> Result<Page, Fai
     }
     let draws = (ProposalArguments::default(), seed);
     let (allocation, mut allocator) = subject_allocator::open_for(
-        subject,
+        (subject, set.entry()),
         wanted.allocation,
         subject,
         &wanted.subject.to_string_lossy(),

@@ -23,7 +23,7 @@ use crate::recorded::{Comparison, Recordings, Replay};
 pub const SCHEMA: &str = "sortie-golden/group-matching/1";
 
 /// How they are found.
-pub(super) const RECORDINGS: Recordings = Recordings { schema: SCHEMA, replay };
+pub(super) const RECORDINGS: Recordings = Recordings { schema: SCHEMA, replay, record: None };
 
 const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 

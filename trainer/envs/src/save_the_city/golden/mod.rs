@@ -10,13 +10,15 @@ mod playback;
 mod record;
 mod replay;
 
+pub use crate::recorded::Labels;
 use crate::recorded::Recordings;
 pub use playback::Playback;
-pub use record::{Labels, Recorder};
+pub use record::Recorder;
 pub use replay::replay;
 
 /// The schema that files must name.
 pub const SCHEMA: &str = "sortie-golden/save-the-city/1";
 
 /// How they are found.
-pub(super) const RECORDINGS: Recordings = Recordings { schema: SCHEMA, replay };
+pub(super) const RECORDINGS: Recordings =
+    Recordings { schema: SCHEMA, replay, record: Some(record::start) };

@@ -1,7 +1,7 @@
 //! Plays a recorded episode step by step, for whoever wants to look at it.
 
 use super::super::simulator::SaveTheCity;
-use super::record::Labels;
+use super::Labels;
 use super::replay::{Moves, read_moves, restore};
 use crate::environment::{Step, StepError};
 use crate::recorded::Field;

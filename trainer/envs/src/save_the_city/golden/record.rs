@@ -1,5 +1,6 @@
 //! Writes episodes as they are played.
 
+use std::any::Any;
 use std::fmt::Write;
 
 use serde_json::{Value, json};
@@ -8,18 +9,8 @@ use super::super::simulator::SaveTheCity;
 use super::SCHEMA;
 use super::events::Events;
 use super::frames;
-use crate::environment::Step;
-
-/// What a recorded episode is called; for people, nothing depends on it.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Labels {
-    /// Name of the episode.
-    pub name: String,
-    /// What the actions come from.
-    pub policy: String,
-    /// Seed of the run.
-    pub seed: u64,
-}
+use crate::environment::{Environment, Step};
+use crate::recorded::{Labels, Record};
 
 /// Records one episode of one instance.
 ///
@@ -87,6 +78,33 @@ impl Recorder {
         list(&mut text, "steps", &self.steps, "");
         text.push_str("}\n");
         text
+    }
+}
+
+/// Starts to record the episode of an instance.
+pub(super) fn start(
+    environment: &dyn Environment,
+    instance: usize,
+    labels: Labels,
+) -> Option<Box<dyn Record>> {
+    let recorder = Recorder::new(city(environment)?, instance, labels);
+    Some(Box::new(recorder))
+}
+
+fn city(environment: &dyn Environment) -> Option<&SaveTheCity> {
+    let environment: &dyn Any = environment;
+    environment.downcast_ref()
+}
+
+impl Record for Recorder {
+    fn step(&mut self, environment: &dyn Environment, actions: &[u16], step: &Step) {
+        if let Some(city) = city(environment) {
+            self.record(city, &actions[..city.agent_count(self.instance)], step);
+        }
+    }
+
+    fn finish(self: Box<Self>, environment: &dyn Environment) -> String {
+        city(environment).map_or_else(String::new, |city| Recorder::finish(*self, city))
     }
 }
 

@@ -11,12 +11,7 @@ mod players;
 mod teams;
 mod worlds;
 
-use std::any::Any;
-
-use sortie_envs::save_the_city::SaveTheCity;
-use sortie_envs::{DecisionPoints, Entry, Environment, Observation, Split};
-
-pub use sortie_envs::save_the_city::golden::{Labels, Recorder};
+use sortie_envs::{DecisionPoints, Environment, Observation, Split};
 
 pub use allocated::AllocatedTeam;
 pub use allocators::{DeployedAllocator, NoSubtasks, RuleAllocator, allocation_state};
@@ -26,11 +21,8 @@ pub use teams::{NetworkTeam, PolicyTeam, ScriptedActors};
 
 use sortie_learn::LearnError;
 use sortie_learn::evaluate::Evaluation;
-use sortie_learn::play::{Onlooker, WORLDS, Watched, watch};
+use sortie_learn::play::{Onlooker, WORLDS, watch};
 use sortie_nn::random::Generator;
-
-/// The environment whose episodes are played here.
-pub static LEARNED: &Entry = &sortie_envs::save_the_city::ENTRY;
 
 /// One state in which a team is to act.
 #[derive(Clone, Copy)]
@@ -166,16 +158,6 @@ impl<'a> EvaluationPlan<'a> {
     fn open(&self, instances: usize) -> Box<dyn Environment> {
         self.environment.open(instances, Split::Test)
     }
-}
-
-/// The cities of an episode that is watched.
-///
-/// # Errors
-/// It is played elsewhere.
-pub fn cities<'a>(watched: &Watched<'a>) -> Result<&'a SaveTheCity, LearnError> {
-    let worlds: &dyn Any = watched.worlds;
-    let elsewhere = || LearnError::Team("it is made for another environment".to_owned());
-    worlds.downcast_ref().ok_or_else(elsewhere)
 }
 
 /// Plays the episodes of a plan with a team and an allocator.
