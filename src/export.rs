@@ -12,10 +12,10 @@ use sortie_learn::draft::{Measured, MethodRun, draft_method};
 use sortie_learn::evaluate::Evaluation;
 use sortie_learn::play;
 use sortie_learn::run::read_curve;
+use sortie_methods::alma;
 use sortie_methods::alma::evaluate::{Allocate, EvaluationPlan, evaluate_watched};
 use sortie_methods::alma::export::{check_exportable, draft_bundle};
 use sortie_methods::alma::run::Run;
-use sortie_methods::alma::settings::Settings;
 
 use crate::allocation::Allocation;
 use crate::compiler::with_plans;
@@ -78,7 +78,7 @@ pub(crate) fn run(arguments: &ExportArguments) -> Outcome {
     warn_of_refused(&run.refused);
     check_exportable(&run)?;
     if let Some(team_max) = arguments.team_max {
-        let Settings::Records(config) = &mut run.description.config else {
+        let alma::Config::Records(config) = &mut run.config else {
             let reason =
                 "`--team-max` limits a team-value allocator, which this run has not learned";
             return Err(Failure::new(Exit::Usage, reason));
@@ -166,7 +166,7 @@ fn check_place(out: &Path) -> Outcome {
 /// The scenario sets to measure on.
 fn sets(arguments: &ExportArguments, run: &Run) -> Result<Vec<ScenarioSetName>, Failure> {
     if arguments.env.is_empty() {
-        let own = run.description.config.environment().full_name();
+        let own = run.description.config.environment.to_string();
         return Ok(vec![ScenarioSetName::parse_with_subtasks(&own)?]);
     }
     arguments.env.iter().map(|name| ScenarioSetName::parse_with_subtasks(name)).collect()

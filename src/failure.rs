@@ -128,7 +128,9 @@ impl From<LearnError> for Failure {
             }
             LearnError::File { .. } => Exit::InputOutput,
             LearnError::Format { .. } | LearnError::Syntax { .. } => Exit::BadData,
-            LearnError::Environment(_) | LearnError::Choice(_) => Exit::Usage,
+            LearnError::Misfit(_) | LearnError::Environment(_) | LearnError::Choice(_) => {
+                Exit::Usage
+            }
             _ => Exit::Bug,
         };
         Self::new(exit, error.to_string())

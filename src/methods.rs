@@ -1,12 +1,14 @@
 //! Runs of methods that learn in any environment.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use sortie_bundle::{MANIFEST, TRAINING};
-use sortie_envs::{ENVIRONMENTS, Environment, Split};
+use sortie_envs::{ENVIRONMENTS, Entry, Environment, Split};
 use sortie_learn::run::{RunDescription, method_of, read_description};
-use sortie_learn::session::{EnvironmentChoice, MethodEntry, Opening, Parts, Setup, load_weights};
+use sortie_learn::session::{EnvironmentChoice, MethodEntry, Opening, Parts, load_weights};
 use sortie_learn::{LearnError, Method};
+use sortie_methods::{METHODS, alma};
 
 use crate::environment::ScenarioSetName;
 use crate::failure::{Exit, Failure, Outcome};
@@ -14,19 +16,23 @@ use crate::output::warn_of_refused;
 
 /// What a run of any method has learned.
 pub(crate) struct LearnedMethod {
-    pub(crate) description: RunDescription<Setup>,
+    pub(crate) description: RunDescription,
     pub(crate) environment: Box<dyn Environment>,
     pub(crate) method: Box<dyn Method>,
 }
 
 impl LearnedMethod {
-    /// Opens a folder, if a run of such a method is in it.
+    /// Opens a folder, if a run is in it whose team plays anywhere.
     pub(crate) fn find(folder: &Path) -> Result<Option<Self>, Failure> {
         if folder.join(MANIFEST).exists() || !folder.join(TRAINING).exists() {
             return Ok(None);
         }
-        let Some(entry) = sortie_methods::find(&method_of(folder)?) else { return Ok(None) };
-        let description = read_description::<Setup>(folder)?;
+        let name = method_of(folder)?;
+        let Some(entry) = sortie_methods::find(&name) else { return Ok(None) };
+        if alma::METHODS.iter().any(|other| other.name == name) {
+            return Ok(None);
+        }
+        let description = read_description(folder)?;
         let (environment, mut method) = open(entry, &description, 1)?;
         warn_of_refused(&load_weights(folder, &mut *method)?);
         Ok(Some(Self { description, environment, method }))
@@ -66,15 +72,46 @@ impl LearnedMethod {
 /// Makes environment and method as a run is set up, the method as it is before its first step.
 pub(crate) fn open(
     entry: &MethodEntry,
-    description: &RunDescription<Setup>,
+    description: &RunDescription,
     threads: usize,
 ) -> Result<Parts, LearnError> {
     let RunDescription { config: setup, seed, .. } = description;
-    entry.check(setup)?;
     let environment = open_environment(&setup.environment)?;
-    let spec = environment.spec();
-    let method = (entry.open)(&Opening { setup, spec, seed: *seed, threads })?;
+    let opening = Opening { setup, environment: &*environment, seed: *seed, threads };
+    let method = entry.method(&opening);
+    let method = method.map_err(|error| match error {
+        LearnError::Misfit(why) => {
+            let fitting =
+                METHODS.iter().filter(|other| (other.misfit)(environment.spec()).is_none());
+            let fitting: Vec<&str> = fitting.map(|other| other.name).collect();
+            LearnError::Misfit(format!("{why}; what fits: {}", fitting.join(", ")))
+        }
+        error => error,
+    })?;
     Ok((environment, method))
+}
+
+/// Names the environment where nobody did and only one fits the method, and its first set where there is none.
+pub(crate) fn settle(entry: &MethodEntry, choice: &mut EnvironmentChoice) -> Outcome {
+    if choice.name.is_empty() {
+        let fits = |other: &&Entry| {
+            let opened = sortie_envs::open(other.name, Split::Train, 0, &BTreeMap::new());
+            opened.is_ok_and(|environment| (entry.misfit)(environment.spec()).is_none())
+        };
+        let fitting: Vec<&Entry> = ENVIRONMENTS.iter().filter(fits).collect();
+        let [only] = fitting[..] else {
+            let names: Vec<&str> = fitting.iter().map(|other| other.name).collect();
+            let (name, names) = (entry.name, names.join(", "));
+            let reason = format!("`{name}` learns anywhere: say where by `--env`: {names}");
+            return Err(Failure::new(Exit::Usage, reason));
+        };
+        only.name.clone_into(&mut choice.name);
+    }
+    if choice.set.is_empty() {
+        let name = choice.name.clone();
+        choose(choice, &name)?;
+    }
+    Ok(())
 }
 
 /// The environment that is asked for.
@@ -82,12 +119,6 @@ pub(crate) fn open_environment(
     choice: &EnvironmentChoice,
 ) -> Result<Box<dyn Environment>, LearnError> {
     Ok(sortie_envs::open(&choice.to_string(), Split::Train, 1, &choice.settings)?)
-}
-
-/// The environments by their names, with their sets: what a person may choose.
-pub(crate) fn environment_names() -> String {
-    let names: Vec<&str> = ENVIRONMENTS.iter().map(|entry| entry.name).collect();
-    names.join(", ")
 }
 
 /// Reads `ENV` or `ENV/SET`; without a set it is the environment's first.

@@ -45,7 +45,7 @@ impl Subject {
     /// Whether its agents look at subtasks; those of `flat` and `copa` do not.
     pub(crate) fn has_subtasks(&self) -> bool {
         match self {
-            Self::Run(run) => run.description.config.subtask().has_subtasks(),
+            Self::Run(run) => run.config.subtask().has_subtasks(),
             Self::Bundle(bundle) => {
                 bundle.contract().subtask_conditioning != SubtaskConditioning::None
             }
@@ -69,8 +69,7 @@ impl Subject {
                 ScenarioSetName::parse(&bundle.manifest().contract.environment.name)
             }
             (None, Self::Run(run)) => {
-                let config = run.description.config.environment();
-                ScenarioSetName::parse(&format!("{}/{}", config.name, config.set))
+                ScenarioSetName::parse(&run.description.config.environment.to_string())
             }
             (None, Self::Scripted) => Ok(ScenarioSetName::default()),
         }

@@ -170,8 +170,8 @@ fn an_unknown_environment_lists_the_known_ones() {
 }
 
 #[test]
-fn an_environment_without_a_learner_is_named() {
-    let words = ["group-matching", "save-the-city", "bench env"];
+fn an_environment_that_a_method_does_not_fit_is_named_with_what_fits() {
+    let words = ["`alma`", "`group-matching`", "no subtasks", "what fits: qmix, vdn, refil"];
     let refused = ["train", "alma", "--env", "group-matching", "--out", "no-such-folder"];
     assert_fails(&output(&refused), 2, &words);
     let stepped = output(&["bench", "env", "--env", "group-matching", "--seconds", "0.01"]);
@@ -257,10 +257,16 @@ fn values_of_a_configuration_are_refused_with_their_key() {
         "replay.batch=1000000000",
         "environment.instances=1000000000",
         "optimiser.learning_rate=NaN",
-        "environment.set=foo",
     ] {
         let key = assignment.split('=').next().expect("a key");
         assert_fails(&train(&["--set", assignment]), 2, &[key, "must be"]);
+    }
+    for (assignment, parts) in [
+        ("environment.set=foo", ["`foo`", "`2-5a_2-5b`"]),
+        ("environment.settings.reward_scale=0", ["`reward_scale` is 0", "above 0"]),
+        ("environment.constants.episode_limits=5", ["`episode_limits`", "`episode_limit`"]),
+    ] {
+        assert_fails(&train(&["--set", assignment]), 2, &parts);
     }
     let place = tempfile::tempdir().expect("a temporary folder");
     let file = place.path().join("mine.toml").display().to_string();

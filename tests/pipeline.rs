@@ -182,7 +182,7 @@ fn a_flat_run_is_evaluated_but_not_exported() {
     assert_fails(&output(&["export", &run, "--out", &bundle]), 2, &["network.subtask"]);
 
     let contradiction = output(&["train", "flat", "--no-mask", "--out", &path("other")]);
-    assert_fails(&contradiction, 2, &["no subtasks"]);
+    assert_fails(&contradiction, 2, &["`flat`", "drop `--no-mask`"]);
 }
 
 #[test]

@@ -83,7 +83,7 @@ fn flat_runs_and_rules_learn_by_the_published_algorithm_too() {
     let refused = output(&["export", &flat, "--out", &path("bundle")]);
     assert_fails(&refused, 2, &["subtask"]);
     let mixer = ["train", "alma", "--preset", "paper", "--mixer", "sum", "--out", &path("sum")];
-    assert_fails(&output(&mixer), 2, &["qmix"]);
+    assert_fails(&output(&mixer), 2, &["`alma`", "drop `--mixer`"]);
     let preset = ["train", "alma", "--preset", "slow", "--out", &path("slow")];
     assert_fails(&output(&preset), 2, &["fast", "paper"]);
 }
@@ -115,5 +115,5 @@ fn a_coach_learns_under_the_conditions_of_the_preset_fast() {
     let records = path("records.toml");
     std::fs::write(&records, "[returns]\nsteps = 3\n").expect("a file");
     let wrong = ["train", "copa", "--config", &records, "--out", &path("wrong")];
-    assert_fails(&output(&wrong), 2, &["windows"]);
+    assert_fails(&output(&wrong), 2, &[&records, "line 2", "`returns.steps`"]);
 }

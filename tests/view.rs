@@ -134,12 +134,11 @@ fn agents_without_the_subtask_mask_are_refused() {
         "run.final_episodes=1",
         "run.evaluate_episodes=1",
         "network.width=32",
-        "network.subtask=none",
         "allocation.coordinated=1",
         "allocation.learned=0",
     ];
     let run = path("run");
-    let mut arguments = vec!["train", "alma", "--steps", "1000", "-q", "--out", &run];
+    let mut arguments = vec!["train", "flat", "--steps", "1000", "-q", "--out", &run];
     arguments.extend(sets.iter().flat_map(|set| ["--set", set]));
     let trained = output(&arguments);
     assert!(trained.status.success(), "{}", support::stderr(&trained));

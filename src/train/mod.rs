@@ -3,7 +3,6 @@
 mod configuration;
 mod method;
 mod reporter;
-mod running;
 mod seeds;
 
 use std::path::{Path, PathBuf};
@@ -16,12 +15,8 @@ use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
 use sortie_bundle::TRAINING;
 use sortie_ipc::Stop;
 use sortie_learn::LearnError;
-use sortie_learn::run::{
-    Configuration, Outcome as Ending, RunDescription, method_of, prolong, replace_products,
-};
-use sortie_learn::session::{MethodEntry, Session, Setup};
-use sortie_methods::alma;
-use sortie_methods::alma::settings::Settings;
+use sortie_learn::run::{Outcome as Ending, RunDescription, method_of, prolong, replace_products};
+use sortie_learn::session::{Session, Setup};
 
 use crate::allocation::Allocation;
 use crate::failure::{Exit, Failure, Outcome};
@@ -30,10 +25,9 @@ use crate::options::Common;
 use crate::output::{self, say, tell, warn_of_refused};
 use crate::seeds::SeedRange;
 use crate::signals::stop_on_signals;
-use configuration::{configuration, setup};
+use configuration::setup;
 use method::Method;
 use reporter::Reporter;
-use running::Running;
 
 /// Learn a team's policy and write the run to a folder
 ///
@@ -58,7 +52,7 @@ pub(crate) struct TrainArguments {
     /// The algorithm
     #[arg(value_enum)]
     method: Method,
-    /// Environment and set of starts [default of alma, flat and copa: save-the-city/2-5a_2-5b]
+    /// Environment and set of starts [default: the first set of the only environment that the method fits]
     #[arg(long, value_name = "ENV[/SET]")]
     env: Option<String>,
     /// Named configuration to start from: `fast`, or `paper`, the dissertation's algorithm to the letter
@@ -134,7 +128,7 @@ const PATIENCE: Duration = Duration::from_secs(10);
 
 pub(crate) fn run(arguments: &TrainArguments) -> Outcome {
     if arguments.print_config {
-        say!("{}", explained(arguments)?.trim_end());
+        say!("{}", arguments.method.0.explained(&checked(arguments)?)?.trim_end());
         return Ok(());
     }
     output::may_be_lost();
@@ -143,19 +137,14 @@ pub(crate) fn run(arguments: &TrainArguments) -> Outcome {
         stop_without(sweep, &stop)?;
     }
     if let (Some(seeds), Some(out)) = (arguments.seeds, &arguments.out) {
-        return match arguments.method {
-            Method::Alma(method) => {
-                sweep(seeds, configuration(method, arguments)?, arguments, out, &stop)
-            }
-            Method::Any(entry) => sweep(seeds, checked(entry, arguments)?, arguments, out, &stop),
-        };
+        return sweep(seeds, checked(arguments)?, arguments, out, &stop);
     }
-    let (mut trainer, folder) = trainer(arguments)?;
-    warn_of_refused(trainer.refused());
-    let mut reporter = Reporter::new(&trainer, arguments.common);
-    let ending = trainer.run(&mut reporter, stop.flag());
+    let (mut session, folder) = session(arguments)?;
+    warn_of_refused(session.refused());
+    let mut reporter = Reporter::new(&session, arguments.common);
+    let ending = session.run(&mut reporter, stop.flag());
     drop(reporter);
-    let method = arguments.method.name();
+    let method = arguments.method.0.name;
     match ending? {
         Ending::Stopped if arguments.sweep.is_some() => Err(Failure::new(Exit::Interrupted, "")),
         Ending::Stopped => Err(Failure::new(
@@ -173,48 +162,37 @@ pub(crate) fn run(arguments: &TrainArguments) -> Outcome {
     }
 }
 
-/// The configuration that the command line asks for, with a sentence for every key.
-fn explained(arguments: &TrainArguments) -> Result<String, Failure> {
-    Ok(match arguments.method {
-        Method::Alma(method) => configuration(method, arguments)?.explained()?,
-        Method::Any(entry) => entry.explained(&checked(entry, arguments)?)?,
-    })
-}
-
-/// A setup that environment and method take.
-fn checked(entry: &MethodEntry, arguments: &TrainArguments) -> Result<Setup, Failure> {
-    let description = RunDescription::new(setup(entry, arguments)?, 0, 1);
-    methods::open(entry, &description, 1)?;
+/// The setup that the command line asks for, which environment and method take.
+fn checked(arguments: &TrainArguments) -> Result<Setup, Failure> {
+    let description = RunDescription::new(setup(arguments)?, 0, 1);
+    methods::open(arguments.method.0, &description, 1)?;
     Ok(description.config)
 }
 
 /// One run per seed.
-fn sweep<C: Configuration + Sync>(
+fn sweep(
     seeds: SeedRange,
-    mut config: C,
+    mut setup: Setup,
     arguments: &TrainArguments,
     out: &Path,
     stop: &Stop,
 ) -> Outcome {
-    config.run_mut().settle_products()?;
-    seeds::run(seeds, &config, arguments.threads.unwrap_or(1), out, arguments.common, stop)
+    setup.run.settle_products()?;
+    seeds::run(seeds, &setup, arguments.threads.unwrap_or(1), out, arguments.common, stop)
 }
 
 /// A new run, or one to go on with, and its folder.
-fn trainer(arguments: &TrainArguments) -> Result<(Running, PathBuf), Failure> {
+fn session(arguments: &TrainArguments) -> Result<(Session, PathBuf), Failure> {
     let folder = arguments.resume.as_ref().or(arguments.out.as_ref()).cloned().unwrap_or_default();
     if arguments.resume.is_none() {
         match begun(arguments, &folder) {
             // The process of a sweep that was killed was about to begin it.
             Err(_) if arguments.sweep.is_some() && folder.join(TRAINING).exists() => {}
-            running => return Ok((running?, folder)),
+            session => return Ok((session?, folder)),
         }
     }
     check_method(arguments.method, &folder)?;
-    match arguments.method {
-        Method::Alma(_) => change::<Settings>(arguments, &folder)?,
-        Method::Any(_) => change::<Setup>(arguments, &folder)?,
-    }
+    change(arguments, &folder)?;
     let patience = if arguments.sweep.is_some() { PATIENCE } else { Duration::ZERO };
     let since = Instant::now();
     loop {
@@ -222,44 +200,32 @@ fn trainer(arguments: &TrainArguments) -> Result<(Running, PathBuf), Failure> {
             Err(LearnError::Busy { .. }) if since.elapsed() < patience => {
                 thread::sleep(Duration::from_millis(50));
             }
-            trainer => return Ok((trainer?, folder)),
+            session => return Ok((session?, folder)),
         }
     }
 }
 
-fn begun(arguments: &TrainArguments, folder: &Path) -> Result<Running, Failure> {
+fn begun(arguments: &TrainArguments, folder: &Path) -> Result<Session, Failure> {
     let (seed, threads) = (arguments.common.seed, arguments.threads.unwrap_or(cores()));
-    Ok(match arguments.method {
-        Method::Alma(method) => {
-            let settings = configuration(method, arguments)?;
-            Running::Alma(Box::new(alma::begin(settings, seed, threads, folder)?))
-        }
-        Method::Any(entry) => {
-            let description = RunDescription::new(setup(entry, arguments)?, seed, threads);
-            let (environment, method) = methods::open(entry, &description, threads)?;
-            let session = Session::begin(description, environment, method, folder)?;
-            Running::Method(Box::new(session))
-        }
+    let description = RunDescription::new(setup(arguments)?, seed, threads);
+    let (environment, method) = methods::open(arguments.method.0, &description, threads)?;
+    Ok(Session::begin(description, environment, method, folder)?)
+}
+
+fn resumed(arguments: &TrainArguments, folder: &Path) -> Result<Session, LearnError> {
+    Session::resume(folder, |description| {
+        let threads = arguments.threads.unwrap_or(description.threads);
+        methods::open(arguments.method.0, description, threads)
     })
 }
 
-fn resumed(arguments: &TrainArguments, folder: &Path) -> Result<Running, LearnError> {
-    let Method::Any(entry) = arguments.method else {
-        return Ok(Running::Alma(Box::new(alma::resume(folder, arguments.threads)?)));
-    };
-    let session = Session::resume(folder, |description| {
-        methods::open(entry, description, arguments.threads.unwrap_or(description.threads))
-    })?;
-    Ok(Running::Method(Box::new(session)))
-}
-
 /// Changes what may be changed of a run that is gone on with.
-fn change<C: Configuration>(arguments: &TrainArguments, folder: &Path) -> Outcome {
+fn change(arguments: &TrainArguments, folder: &Path) -> Outcome {
     if let Some(steps) = arguments.steps {
-        prolong::<C>(folder, steps)?;
+        prolong(folder, steps)?;
     }
     if arguments.other_products
-        && let Some(products) = replace_products::<C>(folder)?
+        && let Some(products) = replace_products(folder)?
     {
         tell!(
             "warning: {} goes on with `{products}` products, and so with other bits",
@@ -272,10 +238,10 @@ fn change<C: Configuration>(arguments: &TrainArguments, folder: &Path) -> Outcom
 /// Refuses to go on with a run of another method.
 fn check_method(method: Method, folder: &Path) -> Outcome {
     let learned = method_of(folder)?;
-    if learned == method.name() {
+    if learned == method.0.name {
         return Ok(());
     }
-    let (folder, asked) = (folder.display(), method.name());
+    let (folder, asked) = (folder.display(), method.0.name);
     let reason = format!(
         "{folder} learns by `{learned}`, not by `{asked}`: `sortie train {learned} --resume {folder}`"
     );

@@ -2,9 +2,9 @@
 
 use console::Term;
 use indicatif::{HumanCount, ProgressBar, ProgressDrawTarget, ProgressStyle};
+use sortie_learn::Session;
 use sortie_learn::run::{CurvePoint, Observer, Progress, RunResult, TrainingPoint};
 
-use super::running::Running;
 use crate::options::Common;
 use crate::output::{print_json, say, tell};
 use crate::terminal_curve::terminal_curve;
@@ -25,22 +25,23 @@ pub(super) struct Reporter {
 }
 
 impl Reporter {
-    pub(super) fn new(trainer: &Running, common: Common) -> Self {
+    pub(super) fn new(session: &Session, common: Common) -> Self {
         let hidden = common.json || common.quiet;
         let target =
             if hidden { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
-        let bar = ProgressBar::with_draw_target(Some(trainer.steps()), target);
+        let bar =
+            ProgressBar::with_draw_target(Some(session.description().config.run.steps), target);
         let style = ProgressStyle::with_template(
             "{bar:20} {percent:>3} % of {human_len} steps, {eta} left\n{msg}",
         );
         bar.set_style(style.expect("the template is a constant"));
-        bar.set_position(trainer.env_steps());
+        bar.set_position(session.env_steps());
         bar.reset_eta();
-        let curve = trainer.curve().iter().map(place).collect();
-        let allocator_updates = trainer.curve().last().map_or(0, |point| point.allocator_updates);
+        let curve = session.curve().iter().map(place).collect();
+        let allocator_updates = session.curve().last().map_or(0, |point| point.allocator_updates);
         let reporter = Self { bar, training: None, curve, allocator_updates, common };
         if !hidden {
-            tell_of_allocator(trainer);
+            tell_of_allocator(session);
         }
         reporter.show();
         reporter
@@ -91,12 +92,13 @@ impl Drop for Reporter {
 }
 
 /// Says when a learned allocator begins its work, of which a short run sees little.
-fn tell_of_allocator(trainer: &Running) {
-    let Some([learns, decides]) = trainer.allocator_steps() else { return };
+fn tell_of_allocator(session: &Session) {
+    let Some([learns, decides]) = session.method().allocator_steps() else { return };
+    let steps = session.description().config.run.steps;
     let (learns, decides) = (HumanCount(learns), HumanCount(decides));
     tell!("the allocator learns from step {learns} on and decides from step {decides} on");
-    if decides.0 >= trainer.steps() {
-        let steps = HumanCount(trainer.steps());
+    if decides.0 >= steps {
+        let steps = HumanCount(steps);
         tell!("warning: this run ends at step {steps}: its allocator will never have decided");
     }
 }

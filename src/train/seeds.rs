@@ -15,7 +15,7 @@ use serde::Serialize;
 use serde_json::Value;
 use sortie_bundle::files::{Durability, replace_file};
 use sortie_ipc::Stop;
-use sortie_learn::run::{Configuration, Difference, method_of, read_description};
+use sortie_learn::run::{Difference, Setup, method_of, read_description};
 
 use super::cores;
 use crate::failure::{Exit, Failure, Outcome};
@@ -43,19 +43,19 @@ struct Summary {
 }
 
 /// Runs all seeds; those that are finished already are only read. A seed that fails stops no other.
-pub(super) fn run<C: Configuration + Sync>(
+pub(super) fn run(
     seeds: SeedRange,
-    config: &C,
+    setup: &Setup,
     threads: usize,
     out: &Path,
     common: Common,
     stop: &Stop,
 ) -> Outcome {
-    if config.run().final_episodes == 0 {
+    if setup.run.final_episodes == 0 {
         let reason = "`run.final_episodes` is 0: a sweep compares what its seeds report in the end";
         return Err(Failure::new(Exit::Usage, reason));
     }
-    let sweep = Sweep::new(config, threads, out, common);
+    let sweep = Sweep::new(setup, threads, out, common);
     for seed in seeds.first..=seeds.last {
         sweep.check(seed)?;
     }
@@ -106,20 +106,20 @@ fn died() -> Failure {
 }
 
 /// What the runs of all seeds have in common.
-struct Sweep<'a, C> {
+struct Sweep<'a> {
     out: &'a Path,
-    config: &'a C,
+    setup: &'a Setup,
     threads: usize,
     common: Common,
     bars: MultiProgress,
 }
 
-impl<'a, C: Configuration + Sync> Sweep<'a, C> {
-    fn new(config: &'a C, threads: usize, out: &'a Path, common: Common) -> Self {
+impl<'a> Sweep<'a> {
+    fn new(setup: &'a Setup, threads: usize, out: &'a Path, common: Common) -> Self {
         let hidden = common.json || common.quiet;
         let target =
             if hidden { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
-        Self { out, config, threads, common, bars: MultiProgress::with_draw_target(target) }
+        Self { out, setup, threads, common, bars: MultiProgress::with_draw_target(target) }
     }
 
     /// Refuses a seed whose folder holds a run of another configuration, finished or not.
@@ -129,23 +129,23 @@ impl<'a, C: Configuration + Sync> Sweep<'a, C> {
             return Ok(());
         }
         let found_method = method_of(&folder)?;
-        let (method, place) = (self.config.method(), folder.display());
+        let (method, place) = (&self.setup.method, folder.display());
         let other = |key: &str, there: &str, here: &str| {
             let reason = format!(
                 "{place} has `{key}` = {there}, this sweep {here}: repeat what began it, or choose another --out"
             );
             Err(Failure::new(Exit::Usage, reason))
         };
-        if found_method != method {
+        if found_method != *method {
             return other("method", &found_method, method);
         }
-        let found = read_description::<C>(&folder)?;
+        let found = read_description(&folder)?;
         if found.seed != seed {
             return other("seed", &found.seed.to_string(), &seed.to_string());
         }
-        match Difference::between(self.config, &found.config)? {
-            Some(Difference { key, ours, theirs }) => other(&key, &theirs, &ours),
-            None => Ok(()),
+        match &Difference::between(self.setup, &found.config)?[..] {
+            [Difference { key, ours, theirs }, ..] => other(key, theirs, ours),
+            [] => Ok(()),
         }
     }
 
@@ -156,17 +156,15 @@ impl<'a, C: Configuration + Sync> Sweep<'a, C> {
             fs::create_dir_all(parent).map_err(|error| Failure::file(parent, &error))?;
         }
         if !path.exists() {
-            let text = self.config.to_toml()?;
+            let text = self.setup.to_toml()?;
             return replace_file(&path, text.as_bytes(), Durability::Forced)
                 .map_err(|error| Failure::file(&path, &error));
         }
         let text = fs::read_to_string(&path).map_err(|error| Failure::file(&path, &error))?;
-        let found = C::from_text(self.config.method(), &text)
+        let found = Setup::from_text(&self.setup.method, &text)
             .map_err(|error| Failure::from(error).within(path.display()))?;
-        let Some(Difference { key, ours, theirs }) = Difference::between(self.config, &found)?
-        else {
-            return Ok(());
-        };
+        let differences = Difference::between(self.setup, &found)?;
+        let Some(Difference { key, ours, theirs }) = differences.first() else { return Ok(()) };
         let reason = format!(
             "{} has `{key}` = {theirs}, this sweep {ours}: remove it, or choose another --out",
             path.display()
@@ -196,7 +194,7 @@ impl<'a, C: Configuration + Sync> Sweep<'a, C> {
         let failed = |error: std::io::Error| Failure::new(Exit::InputOutput, error.to_string());
         let mut child = self.command(seed, folder).spawn().map_err(failed)?;
         let (output, words) = (child.stdout.take(), child.stderr.take());
-        let bar = self.bars.add(bar(self.config.run().steps, seed));
+        let bar = self.bars.add(bar(self.setup.run.steps, seed));
         let error = thread::scope(|scope| {
             scope.spawn(|| forward_stop(&child, stop));
             let error = scope.spawn(|| words.map_or(String::new(), |words| self.listen(words)));
@@ -235,7 +233,7 @@ impl<'a, C: Configuration + Sync> Sweep<'a, C> {
     fn command(&self, seed: u64, folder: &Path) -> Command {
         // A program that was replaced while it runs is still itself under this name.
         let mut command = Command::new("/proc/self/exe");
-        command.args(["train", self.config.method(), "--json"]);
+        command.args(["train", &self.setup.method, "--json"]);
         command.args(["--threads", &self.threads.to_string()]);
         command.args(["--sweep", &std::process::id().to_string()]);
         if folder.join("train.toml").exists() {

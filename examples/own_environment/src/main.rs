@@ -176,8 +176,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     setup.environment = EnvironmentChoice::of(&*depot(), 16);
     setup.run = RunConfig { steps: 40_000, evaluate_every: 10_000, final_episodes: 0, ..setup.run };
     let description = RunDescription::new(setup, 1, 1);
-    let (setup, spec) = (&description.config, &depot().spec);
-    let method = (entry.open)(&Opening { setup, spec, seed: 1, threads: 1 })?;
+    let (setup, environment) = (&description.config, &*depot());
+    let method = entry.method(&Opening { setup, environment, seed: 1, threads: 1 })?;
     let folder = std::env::temp_dir().join(format!("own-environment-{}", std::process::id()));
     let mut session = Session::begin(description.clone(), depot(), method, &folder)?;
     session.run(&mut (), &AtomicBool::new(false))?;
@@ -191,7 +191,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (method, curve) = (session.method(), session.curve());
     let run = MethodRun { description: &description, environment: &*depot(), method, curve };
     let bundle =
-        draft_method(&run, &folder, &[spec.shape], &[], 1)?.write(&folder.join("bundle"))?;
+        draft_method(&run, &folder, &[depot().spec.shape], &[], 1)?.write(&folder.join("bundle"))?;
     println!("exported: {}", bundle.folder().join("agent.onnx").display());
     Ok(())
 }

@@ -138,8 +138,8 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     let parted = folder.join("parted");
     begin(&parted, 40_000)?.run(&mut (), &AtomicBool::new(false))?;
-    prolong::<Setup>(&parted, 100_000)?;
-    Session::<Setup>::resume(&parted, |_| parts())?.run(&mut (), &AtomicBool::new(false))?;
+    prolong(&parted, 100_000)?;
+    Session::resume(&parted, |_| parts())?.run(&mut (), &AtomicBool::new(false))?;
     let end = "checkpoints/000000100000/tensors.safetensors";
     let weights = |run: &str| std::fs::read(folder.join(run).join(end));
     let is_same = weights("whole")? == weights("parted")?;

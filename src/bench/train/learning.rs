@@ -10,7 +10,7 @@ use sortie_methods::alma::records::team_value::{TeamSearch, TeamValueLoss};
 use sortie_methods::alma::records::{Chunk, Config, Knowledge, Learner, Loss, Networks, Records};
 use sortie_nn::random::Generator;
 
-use super::{Case, Turn};
+use super::{Case, Turn, setup};
 use crate::bench::thread_cpu_s;
 use crate::failure::{Exit, Failure};
 
@@ -45,8 +45,7 @@ pub(super) struct Learning {
 impl Learning {
     /// Acts for a while by initial networks, exploring as a run does, under rules that allocate.
     pub(super) fn new(assignments: &[String], seed: u64) -> Result<Self, Failure> {
-        let mut config = Config::default();
-        assignments.iter().try_for_each(|assignment| config.set(assignment))?;
+        let mut config = Config::of(&setup("fast", assignments)?)?;
         // As much as is filled: the capacity of a whole run would only take memory.
         config.replay.capacity = 500_000;
         // Decisions are kept from the first on, and rules make them until all is filled.

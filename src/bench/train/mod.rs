@@ -17,6 +17,9 @@ use super::{Figures, Measuring, Ratio, Row, pin};
 use crate::failure::Failure;
 use learning::{Learning, Work};
 pub(super) use paper::Part;
+use sortie_learn::LearnError;
+use sortie_learn::run::Setup;
+use sortie_methods::alma::ALMA;
 use sortie_nn::layers::matrix::{Matrix, MatrixMut, Store, multiply};
 use torch::{Formulation, Torch, find};
 
@@ -84,6 +87,12 @@ pub(super) fn measure(arguments: &TrainArguments) -> Result<Figures, Failure> {
         Preset::Fast => measure_fast(arguments),
         Preset::Paper => paper::measure(arguments),
     }
+}
+
+/// A preset with some values replaced.
+fn setup(preset: &str, assignments: &[String]) -> Result<Setup, LearnError> {
+    let set = |setup, assignment: &String| ALMA.set(&setup, assignment);
+    assignments.iter().try_fold(ALMA.preset(preset)?, set)
 }
 
 fn measure_fast(arguments: &TrainArguments) -> Result<Figures, Failure> {

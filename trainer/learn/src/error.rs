@@ -85,6 +85,9 @@ pub enum LearnError {
         /// The widest that there is.
         widest: String,
     },
+    /// A method cannot learn in an environment; the text says why.
+    #[error("{0}")]
+    Misfit(String),
     /// The environment could not be set up.
     #[error("environment: {0}")]
     Environment(Box<dyn std::error::Error + Send + Sync>),

@@ -151,6 +151,11 @@ pub trait Method: Send {
         "none"
     }
 
+    /// Environment steps from which an allocator that is learned learns, and from which it decides.
+    fn allocator_steps(&self) -> Option<[u64; 2]> {
+        None
+    }
+
     /// Begins with the weights of the run in a folder, before the first step.
     ///
     /// # Errors

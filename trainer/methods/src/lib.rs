@@ -1,7 +1,6 @@
 //! The methods.
 //!
-//! A method is a [`Method`](sortie_learn::Method); [`METHODS`] is what command lines and files find those by that learn
-//! in any environment. [`alma`] learns in the one that it was made for, by runs of its own.
+//! A method is a [`Method`](sortie_learn::Method); [`METHODS`] is what command lines and files find it by.
 #![forbid(unsafe_code)]
 
 pub mod alma;

@@ -2,11 +2,17 @@
 
 use sortie_learn::session::MethodEntry;
 
-use crate::value_factorisation;
+use crate::{alma, value_factorisation};
 
 /// Every method of this crate.
-pub const METHODS: &[MethodEntry] =
-    &[value_factorisation::QMIX, value_factorisation::VDN, value_factorisation::REFIL];
+pub const METHODS: &[MethodEntry] = &[
+    alma::ALMA,
+    alma::FLAT,
+    alma::COPA,
+    value_factorisation::QMIX,
+    value_factorisation::VDN,
+    value_factorisation::REFIL,
+];
 
 /// A method by its name.
 pub fn find(name: &str) -> Option<&'static MethodEntry> {

@@ -1,24 +1,25 @@
 //! Short runs of the preset `paper`: repeatable, independent of threads, resumable byte for byte.
 
+mod sessions;
+
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use sortie_learn::LearnError;
+use sessions::{begin, environment_of, resume};
 use sortie_learn::run::{CurvePoint, Observer, Outcome, Progress};
-use sortie_learn::session::Session;
-use sortie_methods::alma;
+use sortie_learn::session::{MethodEntry, Session, Setup};
 use sortie_methods::alma::evaluate::{EvaluationPlan, NoSubtasks, RuleAllocator, evaluate};
 use sortie_methods::alma::export::check_exportable;
 use sortie_methods::alma::run::{Run, RunAllocator};
-use sortie_methods::alma::settings::Settings;
-use sortie_methods::alma::windows::Config;
+use sortie_methods::alma::{ALMA, COPA, FLAT};
 
-/// A run of a few seconds.
-fn config() -> Config {
-    let mut config = Config::default();
-    for assignment in [
+/// A run of a few seconds, with some values replaced.
+fn small(method: &MethodEntry, assignments: &[&str]) -> Setup {
+    let usual = [
+        "environment.name=save-the-city",
+        "environment.set=2-5a_2-5b",
         "environment.instances=2",
-        "environment.constants.episode_limit=40",
+        "environment.settings.episode_limit=40",
         "low_level.width=16",
         "low_level.base=8",
         "low_level.hypernetwork_width=16",
@@ -36,17 +37,12 @@ fn config() -> Config {
         "run.evaluate_episodes=8",
         "run.final_episodes=8",
         "run.checkpoint_minutes=60",
-    ] {
-        config.set(assignment).unwrap_or_else(|error| panic!("{error}"));
-    }
-    config
+    ];
+    sessions::with(&method.preset("paper").unwrap(), &[&usual, assignments].concat())
 }
 
-type Trainer = Session<Settings>;
-
-/// A run in a new folder.
-fn begin(config: Config, seed: u64, threads: usize, folder: &Path) -> Result<Trainer, LearnError> {
-    alma::begin(Settings::Windows(config), seed, threads, folder)
+fn config() -> Setup {
+    small(&ALMA, &[])
 }
 
 /// Sets the stop flag at some steps, and notes what it is told.
@@ -72,7 +68,7 @@ impl Observer for Recorder<'_> {
 }
 
 /// Runs until a step and returns the outcome with the newest checkpoint's tensors and the curve.
-fn run(trainer: &mut Trainer, stop_at: u64) -> (Outcome, Vec<u8>, Vec<CurvePoint>) {
+fn run(trainer: &mut Session, stop_at: u64) -> (Outcome, Vec<u8>, Vec<CurvePoint>) {
     let stop = AtomicBool::new(false);
     let mut recorder =
         Recorder { stop_at, stop: &stop, checkpoints: Vec::new(), curve: Vec::new() };
@@ -81,7 +77,7 @@ fn run(trainer: &mut Trainer, stop_at: u64) -> (Outcome, Vec<u8>, Vec<CurvePoint
     (outcome, std::fs::read(newest.join("tensors.safetensors")).unwrap(), recorder.curve)
 }
 
-fn whole_run(config: Config, seed: u64, threads: usize) -> (Vec<u8>, Vec<CurvePoint>) {
+fn whole_run(config: Setup, seed: u64, threads: usize) -> (Vec<u8>, Vec<CurvePoint>) {
     let folder = tempfile::tempdir().unwrap();
     let mut trainer = begin(config, seed, threads, folder.path()).unwrap();
     let (outcome, tensors, curve) = run(&mut trainer, u64::MAX);
@@ -107,7 +103,7 @@ fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
     let mut trainer = begin(config(), 5, 1, folder.path()).unwrap();
     assert_eq!(run(&mut trainer, 300).0, Outcome::Stopped);
     drop(trainer);
-    let mut trainer = alma::resume(folder.path(), Some(2)).unwrap();
+    let mut trainer = resume(folder.path(), Some(2)).unwrap();
     let (outcome, tensors, _) = run(&mut trainer, u64::MAX);
     assert_eq!(outcome, Outcome::Finished);
     assert!(tensors == whole_run(config(), 5, 1).0, "the resumed run has other weights");
@@ -118,11 +114,8 @@ fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
 }
 
 /// The same with a coach.
-fn coached() -> Config {
-    let mut config = config();
-    config.enable_coach();
-    config.run.steps = 700;
-    config
+fn coached() -> Setup {
+    small(&COPA, &["run.steps=700"])
 }
 
 #[test]
@@ -137,15 +130,15 @@ fn a_coach_learns_the_same_with_any_number_of_threads_and_when_resumed() {
     assert_eq!(run(&mut trainer, 500).0, Outcome::Stopped);
     assert!(trainer.curve().last().is_some_and(|point| point.updates > 0));
     drop(trainer);
-    let mut trainer = alma::resume(folder.path(), Some(2)).unwrap();
+    let mut trainer = resume(folder.path(), Some(2)).unwrap();
     let (outcome, tensors, _) = run(&mut trainer, u64::MAX);
     assert_eq!(outcome, Outcome::Finished);
     assert!(tensors == one, "the resumed run has other weights");
 
     let opened = Run::open(folder.path()).unwrap();
-    assert_eq!(opened.description.method, "copa");
-    let environment = opened.description.config.environment().open().unwrap();
-    let plan = EvaluationPlan::new(&environment, 8, u64::MAX - 5);
+    assert_eq!(opened.description.config.method, "copa");
+    let environment = environment_of(&opened.description.config).unwrap();
+    let plan = EvaluationPlan::new(&*environment, 8, u64::MAX - 5);
     let measure =
         |run: &Run| evaluate(&plan, &mut run.team(), &mut NoSubtasks).unwrap().return_mean;
     // The run's own last evaluation, to the last digit, and another one without the coach.
@@ -159,17 +152,23 @@ fn a_coach_learns_the_same_with_any_number_of_threads_and_when_resumed() {
 
 #[test]
 fn every_way_to_allocate_and_to_be_conditioned_learns() {
-    for assignments in [
-        &["low_level.conditioning=none"][..],
-        &["low_level.conditioning=input", "low_level.extra_tasks=2", "allocation.extra_tasks=2"],
-        &["allocation.by=heuristic"],
-        &["allocation.by=heuristic", "low_level.recurrent=true"],
-        &["allocation.by=random"],
+    for (method, assignments) in [
+        (FLAT, &[][..]),
+        (
+            ALMA,
+            &[
+                "low_level.conditioning=input",
+                "low_level.extra_tasks=2",
+                "allocation.extra_tasks=2",
+            ],
+        ),
+        (ALMA, &["allocation.by=heuristic"]),
+        (ALMA, &["allocation.by=heuristic", "low_level.recurrent=true"]),
+        (ALMA, &["allocation.by=random"]),
     ] {
-        let mut config = config();
-        config.run.steps = 500;
-        assignments.iter().for_each(|assignment| config.set(assignment).unwrap());
-        let learned = config.learns_allocator();
+        let config = small(&method, &[&["run.steps=500"], assignments].concat());
+        let learned =
+            method.name == "alma" && config.own["allocation"]["by"].as_str() == Some("learned");
         let (_, curve) = whole_run(config, 3, 2);
         let last = curve.last().expect("an evaluation");
         assert!(last.updates > 0 && last.loss.is_finite(), "{assignments:?}");
@@ -180,27 +179,25 @@ fn every_way_to_allocate_and_to_be_conditioned_learns() {
 #[test]
 fn agents_with_a_memory_are_saved_resumed_and_measured() {
     let folder = tempfile::tempdir().unwrap();
-    let mut config = config();
-    for assignment in [
+    let assignments = [
         "low_level.recurrent=true",
         "low_level.skip=true",
         "allocation.by=heuristic",
         "run.steps=500",
-    ] {
-        config.set(assignment).unwrap();
-    }
+    ];
+    let config = small(&ALMA, &assignments);
     let mut trainer = begin(config.clone(), 5, 1, folder.path()).unwrap();
     assert_eq!(run(&mut trainer, 200).0, Outcome::Stopped);
     drop(trainer);
-    let mut trainer = alma::resume(folder.path(), Some(2)).unwrap();
+    let mut trainer = resume(folder.path(), Some(2)).unwrap();
     let (_, tensors, curve) = run(&mut trainer, u64::MAX);
     assert!(tensors == whole_run(config, 5, 1).0, "the resumed run has other weights");
 
     let opened = Run::open(folder.path()).unwrap();
     assert_eq!(opened.memory_unit.len(), 3 * 8 * 8 * 2 + 3 * 8 * 2);
     let measure = |opened: &Run| {
-        let environment = opened.description.config.environment().open().unwrap();
-        let plan = EvaluationPlan::new(&environment, 8, u64::MAX - 5);
+        let environment = environment_of(&opened.description.config).unwrap();
+        let plan = EvaluationPlan::new(&*environment, 8, u64::MAX - 5);
         evaluate(&plan, &mut opened.team(), &mut RuleAllocator("heuristic")).unwrap()
     };
     // The run's own last evaluation, to the last digit, and another one without the memory.
@@ -215,10 +212,9 @@ fn agents_with_a_memory_are_saved_resumed_and_measured() {
 fn an_allocator_learns_for_agents_of_another_run_that_stay_as_they_are() {
     let (first, second) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     run(&mut begin(config(), 1, 1, first.path()).unwrap(), 300);
-    let mut config = config();
-    config.run.from = first.path().display().to_string();
-    config.low_level.frozen = true;
-    run(&mut begin(config.clone(), 2, 1, second.path()).unwrap(), u64::MAX);
+    let from = format!("run.from={}", first.path().display());
+    let frozen = [&from, "low_level.frozen=true"];
+    run(&mut begin(small(&ALMA, &frozen), 2, 1, second.path()).unwrap(), u64::MAX);
     let (first, second) = (Run::open(first.path()).unwrap(), Run::open(second.path()).unwrap());
     assert_eq!(first.network, second.network);
     let policy = |run: &Run| match &run.allocator {
@@ -227,8 +223,8 @@ fn an_allocator_learns_for_agents_of_another_run_that_stay_as_they_are() {
     };
     assert_ne!(policy(&first), policy(&second));
 
-    config.low_level.width = 32;
     let other = tempfile::tempdir().unwrap();
-    let error = begin(config, 2, 1, other.path()).unwrap_err().to_string();
+    let wide = small(&ALMA, &[&frozen[..], &["low_level.width=32"]].concat());
+    let error = begin(wide, 2, 1, other.path()).unwrap_err().to_string();
     assert!(error.contains("shape"), "{error}");
 }

@@ -1,41 +1,67 @@
-//! The pages about the keys of methods say what the program knows.
+//! The page about the keys of methods says what the program knows.
 
+use std::fmt::Write as _;
+
+use sortie_envs::registry::Setting;
+use sortie_envs::{ENVIRONMENTS, Split};
 use sortie_learn::run::Difference;
+use sortie_learn::session::MethodEntry;
+use sortie_methods::alma::{ALMA, COPA, FLAT};
 use sortie_methods::value_factorisation::{QMIX, REFIL, VDN};
 
 const HEAD: &str = "\
-# Methods of any environment, key by key
+# The configuration, key by key
 
-`sortie train METHOD --env ENV/SET --print-config` prints these keys with their values; `--set`, `--config` and `train.toml` take them, as
-[configuration.md](configuration.md) says. This page is written by the program; a test compares them.
+`sortie train METHOD --print-config` prints the configuration that a command would learn by, with all of this as comments; it
+takes `--env`, `--preset`, `--config`, `--set` and the other flags. What it prints is a file for `--config`, which may leave out what it
+does not change. `--set replay.batch=256` changes one value. A value outside its range, or a key that does not exist, is
+refused with exit code 2, by key, value and range, in files also by line. `train.toml` in a run's folder holds the values
+that the run learns by; `sortie train METHOD --resume DIR --steps N` changes `run.steps` and nothing else.
+
+`--mixer M`, `--no-mask` and `--allocation RULE` are short for `--set` of the keys that they are about.
+
+`environment.settings` holds numbers of the rules: `--set environment.settings.episode_limit=100`. Which there are is up to the
+environment, see [environments.md](environments.md#settings).
+
+In the preset `fast` of `alma` and `flat`, runs of less than 600,000 steps shrink `exploration.steps`, `allocator.learns_from` and
+`allocator.decides_from` in proportion, unless they are set.
+
+This page is written by the program; a test compares them.
 ";
 
-#[test]
-fn the_page_lists_every_key() {
-    let mut page = HEAD.to_owned() + &QMIX.reference().unwrap() + "\n## The others\n\n";
-    for preset in ["fast", "paper"] {
-        let qmix = QMIX.preset(preset).unwrap();
-        for other in [VDN, REFIL] {
-            let setup = other.preset(preset).unwrap();
-            let Difference { key, theirs, .. } =
-                Difference::between(&qmix, &setup).unwrap().unwrap();
-            page += &format!("- `{}`, preset `{preset}`: `{key}` is `{theirs}`.\n", other.name);
+/// What methods have otherwise than a first one.
+fn others(first: &MethodEntry, others: &[MethodEntry]) -> String {
+    let names: Vec<&str> = others.iter().map(|other| other.name).collect();
+    let mut text = format!("\n## `{}`\n\nAs `{}` but for:\n\n", names.join("` and `"), first.name);
+    for other in others {
+        for preset in other.presets {
+            let setup = other.preset(preset.name).unwrap();
+            // The preset of the first that is most like it.
+            let presets = first.presets.iter().map(|preset| first.preset(preset.name).unwrap());
+            let apart = presets.map(|usual| Difference::between(&usual, &setup).unwrap());
+            let (like, apart) =
+                first.presets.iter().zip(apart).min_by_key(|(_, apart)| apart.len()).unwrap();
+            let keys: Vec<String> = apart
+                .iter()
+                .map(|other| format!("`{}` is `{}`", other.key, other.theirs))
+                .collect();
+            let (name, preset, like) = (other.name, preset.name, like.name);
+            let unlike =
+                if preset == like { String::new() } else { format!(", as `{like}` but for") };
+            writeln!(text, "- `{name}`, preset `{preset}`{unlike}: {}.", keys.join(", ")).unwrap();
         }
     }
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/configuration-methods.md");
-    if std::env::var_os("SORTIE_WRITE_DOCS").is_some() {
-        std::fs::write(path, &page).unwrap();
-    }
-    assert!(
-        std::fs::read_to_string(path).unwrap_or_default() == page,
-        "docs/configuration-methods.md is another: SORTIE_WRITE_DOCS=1 cargo test -p sortie-methods --test reference"
-    );
+    text
 }
 
 #[test]
-fn the_page_of_almas_keys_is_as_the_program_writes_it() {
+fn the_page_lists_every_key() {
+    let mut page = HEAD.to_owned();
+    for (first, like_it) in [(ALMA, [FLAT, COPA]), (QMIX, [VDN, REFIL])] {
+        page += &first.reference().unwrap();
+        page += &others(&first, &like_it);
+    }
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/configuration.md");
-    let page = sortie_methods::alma::reference().unwrap();
     if std::env::var_os("SORTIE_WRITE_DOCS").is_some() {
         std::fs::write(path, &page).unwrap();
     }
@@ -43,4 +69,24 @@ fn the_page_of_almas_keys_is_as_the_program_writes_it() {
         std::fs::read_to_string(path).unwrap_or_default() == page,
         "docs/configuration.md is another: SORTIE_WRITE_DOCS=1 cargo test -p sortie-methods --test reference"
     );
+}
+
+#[test]
+fn the_page_of_environments_lists_every_setting() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/environments.md");
+    let page = std::fs::read_to_string(path).unwrap();
+    for entry in ENVIRONMENTS {
+        let (_, section) = page.split_once(&format!("\n### {}\n", entry.name)).unwrap();
+        let section = section.split("\n### ").next().unwrap();
+        // What refuses a setting names all that there are.
+        let unknown = [("no_such_setting".to_owned(), Setting::Whole(1))].into();
+        let Err(refusal) = sortie_envs::open(entry.name, Split::Train, 1, &unknown) else {
+            panic!("{} takes any setting", entry.name)
+        };
+        let refusal = refusal.to_string();
+        let (_, known) = refusal.split_once("expected one of ").unwrap();
+        for name in known.split(", ") {
+            assert!(section.contains(&format!("\n| {name} |")), "{}: {name}", entry.name);
+        }
+    }
 }

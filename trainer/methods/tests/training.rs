@@ -1,22 +1,23 @@
 //! Short runs: repeatable, independent of threads, resumable byte for byte.
 
+mod sessions;
+
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use sessions::{begin, resume};
 use sortie_envs::Split;
-use sortie_learn::LearnError;
 use sortie_learn::run::{Observer, Outcome, Progress};
-use sortie_learn::session::Session;
-use sortie_methods::alma;
+use sortie_learn::session::{Session, Setup};
 use sortie_methods::alma::evaluate::{EvaluationPlan, RuleAllocator, evaluate};
-use sortie_methods::alma::records::Config;
 use sortie_methods::alma::run::Run;
-use sortie_methods::alma::settings::Settings;
+use sortie_methods::alma::{ALMA, FLAT};
 
-/// A run of a few seconds whose replay overflows.
-fn config() -> Config {
-    let mut config = Config::default();
-    for assignment in [
+/// A run of a few seconds whose replay overflows, with some values replaced.
+fn with(assignments: &[&str]) -> Setup {
+    let usual = [
+        "environment.name=save-the-city",
+        "environment.set=2-5a_2-5b",
         "environment.instances=4",
         "network.width=16",
         "network.base=16",
@@ -38,24 +39,16 @@ fn config() -> Config {
         "run.evaluate_episodes=20",
         "run.final_episodes=20",
         "run.checkpoint_minutes=60",
-    ] {
-        config.set(assignment).unwrap();
-    }
-    config
+    ];
+    let method = if assignments.contains(&WITHOUT_SUBTASKS) { FLAT } else { ALMA };
+    sessions::with(&method.preset("fast").unwrap(), &[&usual, assignments].concat())
 }
 
-/// The same with some values replaced.
-fn with(assignments: &[&str]) -> Config {
-    let mut config = config();
-    assignments.iter().for_each(|assignment| config.set(assignment).unwrap());
-    config
-}
+/// What `flat` has and `alma` has not.
+const WITHOUT_SUBTASKS: &str = "network.subtask=none";
 
-type Trainer = Session<Settings>;
-
-/// A run in a new folder.
-fn begin(config: Config, seed: u64, threads: usize, folder: &Path) -> Result<Trainer, LearnError> {
-    alma::begin(Settings::Records(config), seed, threads, folder)
+fn usual() -> Setup {
+    with(&[])
 }
 
 /// Sets the stop flag at some steps, and notes what it is told.
@@ -81,7 +74,7 @@ impl Observer for Recorder<'_> {
 }
 
 /// Runs until a step and returns the outcome with the newest checkpoint's tensors.
-fn run(trainer: &mut Trainer, stop_at: u64) -> (Outcome, Vec<u8>, Vec<u64>) {
+fn run(trainer: &mut Session, stop_at: u64) -> (Outcome, Vec<u8>, Vec<u64>) {
     let stop = AtomicBool::new(false);
     let mut recorder =
         Recorder { stop_at, stop: &stop, checkpoints: Vec::new(), evaluated: Vec::new() };
@@ -92,7 +85,7 @@ fn run(trainer: &mut Trainer, stop_at: u64) -> (Outcome, Vec<u8>, Vec<u64>) {
 
 fn whole_run(seed: u64, threads: usize) -> Vec<u8> {
     let folder = tempfile::tempdir().unwrap();
-    let mut trainer = begin(config(), seed, threads, folder.path()).unwrap();
+    let mut trainer = begin(usual(), seed, threads, folder.path()).unwrap();
     let (outcome, tensors, evaluated) = run(&mut trainer, u64::MAX);
     assert_eq!(outcome, Outcome::Finished);
     assert_eq!(evaluated, [1000, 2000, 3000, 3200]);
@@ -110,19 +103,19 @@ fn a_seed_gives_the_same_weights_with_any_number_of_threads() {
 #[test]
 fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
     let folder = tempfile::tempdir().unwrap();
-    let mut trainer = begin(config(), 5, 1, folder.path()).unwrap();
+    let mut trainer = begin(usual(), 5, 1, folder.path()).unwrap();
     assert_eq!(run(&mut trainer, 1500).0, Outcome::Stopped);
     drop(trainer);
-    let mut trainer = alma::resume(folder.path(), Some(2)).unwrap();
+    let mut trainer = resume(folder.path(), Some(2)).unwrap();
     assert_eq!(run(&mut trainer, 2500).0, Outcome::Stopped);
     drop(trainer);
-    let mut trainer = alma::resume(folder.path(), None).unwrap();
+    let mut trainer = resume(folder.path(), None).unwrap();
     let (outcome, tensors, evaluated) = run(&mut trainer, u64::MAX);
     assert_eq!((outcome, &evaluated[..]), (Outcome::Finished, &[3000, 3200][..]));
     assert!(tensors == whole_run(5, 1), "the resumed run has other weights");
 
     let whole = tempfile::tempdir().unwrap();
-    let mut trainer = begin(config(), 5, 1, whole.path()).unwrap();
+    let mut trainer = begin(usual(), 5, 1, whole.path()).unwrap();
     run(&mut trainer, u64::MAX);
     let (resumed, whole) = (Run::open(folder.path()).unwrap(), Run::open(whole.path()).unwrap());
     assert_eq!(resumed.network, whole.network);
@@ -156,7 +149,7 @@ fn every_way_to_learn_resumes_exactly() {
         let mut trainer = begin(config.clone(), 5, 2, stopped.path()).unwrap();
         assert_eq!(run(&mut trainer, 900).0, Outcome::Stopped);
         drop(trainer);
-        let mut trainer = alma::resume(stopped.path(), Some(1)).unwrap();
+        let mut trainer = resume(stopped.path(), Some(1)).unwrap();
         assert_eq!(run(&mut trainer, u64::MAX).0, Outcome::Finished);
         assert!(state(whole.path()) == state(stopped.path()), "{assignments:?}");
 
@@ -177,7 +170,7 @@ fn a_run_without_subtasks_learns_no_allocator_and_says_so() {
     run(&mut begin(config, 5, 1, folder.path()).unwrap(), u64::MAX);
     let opened = Run::open(folder.path()).unwrap();
     assert!(opened.allocator.is_none());
-    assert_eq!(opened.description.method, "flat");
+    assert_eq!(opened.description.config.method, "flat");
     assert!(opened.curve.iter().all(|point| point.allocation == "none"));
     let error = sortie_methods::alma::export::check_exportable(&opened).unwrap_err().to_string();
     assert!(error.contains("network.subtask"), "{error}");
@@ -200,7 +193,7 @@ fn a_network_that_marks_subtasks_refuses_a_city_with_more_of_them() {
 #[test]
 fn resuming_uses_the_checkpoint_before_a_damaged_one() {
     let folder = tempfile::tempdir().unwrap();
-    let mut trainer = begin(config(), 1, 1, folder.path()).unwrap();
+    let mut trainer = begin(usual(), 1, 1, folder.path()).unwrap();
     run(&mut trainer, 1200);
     run(&mut trainer, 2000);
     let newest = folder.path().join("checkpoints/000000002000/state.postcard");
@@ -208,7 +201,7 @@ fn resuming_uses_the_checkpoint_before_a_damaged_one() {
     std::fs::write(&newest, &content[..content.len() / 2]).unwrap();
     drop(trainer);
 
-    let trainer = alma::resume(folder.path(), None).unwrap();
+    let trainer = resume(folder.path(), None).unwrap();
     assert_eq!(trainer.env_steps(), 1200);
     assert!(trainer.refused()[0].contains("state.postcard"), "{:?}", trainer.refused());
     assert_eq!(Run::open(folder.path()).unwrap().env_steps, 1200);
@@ -217,24 +210,21 @@ fn resuming_uses_the_checkpoint_before_a_damaged_one() {
 #[test]
 fn a_folder_with_a_run_is_not_overwritten() {
     let folder = tempfile::tempdir().unwrap();
-    begin(config(), 1, 1, folder.path()).unwrap();
-    let error = begin(config(), 2, 1, folder.path()).unwrap_err();
+    begin(usual(), 1, 1, folder.path()).unwrap();
+    let error = begin(usual(), 2, 1, folder.path()).unwrap_err();
     assert!(error.to_string().contains("holds a run already"), "{error}");
 }
 
 #[test]
 fn a_run_describes_and_draws_itself() {
     let folder = tempfile::tempdir().unwrap();
-    let mut trainer = begin(config(), 3, 1, folder.path()).unwrap();
+    let mut trainer = begin(usual(), 3, 1, folder.path()).unwrap();
     run(&mut trainer, u64::MAX);
     let opened = Run::open(folder.path()).unwrap();
-    let mut config = config();
-    config.run.settle_products().unwrap();
-    assert_ne!(config.run.products, "widest");
-    assert_eq!(
-        (opened.description.seed, &opened.description.config),
-        (3, &Settings::Records(config))
-    );
+    let mut setup = usual();
+    setup.run.settle_products().unwrap();
+    assert_ne!(setup.run.products, "widest");
+    assert_eq!((opened.description.seed, opened.description.config), (3, setup));
     assert!(opened.curve.iter().all(|point| point.loss > 0.0 && point.cpu_s > 0.0));
     let svg = std::fs::read_to_string(folder.path().join("curve.svg")).unwrap();
     assert!(svg.contains("alma on save-the-city/2-5a_2-5b, seed 3"));
@@ -247,30 +237,27 @@ fn a_run_describes_and_draws_itself() {
 #[test]
 fn a_run_under_a_rule_learns_no_allocator() {
     let folder = tempfile::tempdir().unwrap();
-    let mut config = config();
-    config.set("allocation.learned=0").unwrap();
-    let mut trainer = begin(config, 3, 1, folder.path()).unwrap();
+    let mut trainer = begin(with(&["allocation.learned=0"]), 3, 1, folder.path()).unwrap();
     run(&mut trainer, u64::MAX);
     let opened = Run::open(folder.path()).unwrap();
     assert!(opened.allocator.is_none());
     assert_eq!(opened.curve[0].allocation, "heuristic");
     assert_eq!(opened.curve[0].allocator_updates, 0);
     drop(trainer);
-    assert_eq!(alma::resume(folder.path(), None).unwrap().env_steps(), 3200);
+    assert_eq!(resume(folder.path(), None).unwrap().env_steps(), 3200);
 }
 
 #[test]
 fn a_run_can_begin_with_what_another_learned() {
     let first = tempfile::tempdir().unwrap();
-    let mut trainer = begin(config(), 3, 1, first.path()).unwrap();
+    let mut trainer = begin(usual(), 3, 1, first.path()).unwrap();
     run(&mut trainer, 1200);
     let learned = Run::open(first.path()).unwrap();
 
-    let mut config = config();
-    config.run.from = first.path().display().to_string();
-    config.set("environment.set=2-8a_2-8b").unwrap();
+    let from = format!("run.from={}", first.path().display());
+    let config = with(&[&from, "environment.set=2-8a_2-8b"]);
     let second = tempfile::tempdir().unwrap();
-    let mut trainer = begin(config.clone(), 4, 1, second.path()).unwrap();
+    let mut trainer = begin(config, 4, 1, second.path()).unwrap();
     // Stopped before its first step.
     let stop = AtomicBool::new(true);
     assert_eq!(trainer.run(&mut (), &stop).unwrap(), Outcome::Stopped);
@@ -279,17 +266,15 @@ fn a_run_can_begin_with_what_another_learned() {
     assert!(learned.allocator.is_some());
     assert_eq!(begun.allocator, learned.allocator);
 
-    config.set("network.width=32").unwrap();
     let third = tempfile::tempdir().unwrap();
-    let error = begin(config, 4, 1, third.path()).unwrap_err();
+    let error = begin(with(&[&from, "network.width=32"]), 4, 1, third.path()).unwrap_err();
     assert!(error.to_string().contains("another shape"), "{error}");
 
     for (key, of) in [("network.skip", "shape"), ("allocator.network.skip", "allocator")] {
-        let mut config = self::config();
-        config.run.from = first.path().display().to_string();
-        config.set(&format!("{key}=false")).unwrap();
         let fourth = tempfile::tempdir().unwrap();
-        let error = begin(config, 4, 1, fourth.path()).unwrap_err().to_string();
+        let error = begin(with(&[&from, &format!("{key}=false")]), 4, 1, fourth.path())
+            .unwrap_err()
+            .to_string();
         assert!(error.ends_with(&format!("{of}: `--set {key}=true`")), "{error}");
     }
 }

@@ -17,6 +17,7 @@ use sortie_methods::alma::windows::{
 use sortie_nn::random::Generator;
 
 use crate::bench::thread_cpu_s;
+use crate::bench::train::setup;
 use crate::failure::{Exit, Failure};
 
 /// Environment steps into a run, for how much is tried out.
@@ -70,8 +71,7 @@ impl Player {
 impl Levels {
     /// Plays by initial networks under rules that allocate, cuts a batch, and learns from it a little.
     pub(super) fn new(assignments: &[String], seed: u64) -> Result<Self, Failure> {
-        let mut config = Config::default();
-        assignments.iter().try_for_each(|assignment| config.set(assignment))?;
+        let config = Config::of(&setup("paper", assignments)?)?;
         let environment = config.environment.open()?;
         let sizes = WindowShape::of(environment.spec().shape);
         let mut weights = generator(seed, Purpose::Weights, 0);

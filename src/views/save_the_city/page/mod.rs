@@ -194,7 +194,7 @@ fn think(
 ) -> Result<Captured, Failure> {
     match subject {
         Some(Subject::Run(run)) => {
-            if run.description.config.subtask() != Conditioning::Mask {
+            if run.config.subtask() != Conditioning::Mask {
                 return Err(usage(
                     "the agents of this run do not act under the subtask mask; only \
                                   such agents can be viewed",

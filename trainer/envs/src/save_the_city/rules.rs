@@ -2,6 +2,9 @@
 //!
 //! Numbers are f64, one operation at a time in the written order: the order is part of the rules.
 
+use alloc::format;
+use alloc::string::String;
+
 use serde::{Deserialize, Serialize};
 
 use super::grid::{DIRECTIONS, FreeCells, Ground};
@@ -83,6 +86,37 @@ impl Default for Constants {
 }
 
 impl Constants {
+    /// Refuses numbers by which no episode can be played.
+    ///
+    /// # Errors
+    /// The first that is outside its limits.
+    pub(super) fn check(&self) -> Result<(), String> {
+        const TINY: f64 = f64::MIN_POSITIVE;
+        const MOST: f64 = 1e6;
+        for (name, value, least, most) in [
+            ("init_fire_chance", self.init_fire_chance, 0.0, 1.0),
+            ("fire_burn_rate", self.fire_burn_rate, 0.0, 100.0),
+            ("fire_reduce_rate", self.fire_reduce_rate, 0.0, 100.0),
+            ("fire_growth_rate", self.fire_growth_rate, 0.0, 100.0),
+            ("base_build_rate", self.base_build_rate, 0.0, 100.0),
+            ("generalist_help_factor", self.generalist_help_factor, 0.0, 100.0),
+            ("episode_limit", self.episode_limit.into(), 1.0, 100_000.0),
+            ("reward_scale", self.reward_scale, TINY, MOST),
+            ("health_delta_mult", self.health_delta_mult, -MOST, MOST),
+            ("complete", self.complete, -MOST, MOST),
+            ("burned_down", self.burned_down, -MOST, MOST),
+            ("extinguish", self.extinguish, -MOST, MOST),
+            ("solved", self.solved, -MOST, MOST),
+            ("ts_pen", self.ts_pen, -MOST, MOST),
+        ] {
+            if !(least..=most).contains(&value) {
+                let least = if least == TINY { "above 0".into() } else { format!("from {least}") };
+                return Err(format!("`{name}` is {value}, must be a number {least} to {most}"));
+            }
+        }
+        Ok(())
+    }
+
     /// What an episode of at most `buildings` buildings can earn, before scaling.
     pub fn max_reward(&self, buildings: usize) -> f64 {
         let buildings = buildings as f64;

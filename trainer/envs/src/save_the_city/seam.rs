@@ -47,6 +47,7 @@ fn open(choice: &Choice<'_>) -> Result<SaveTheCity, EnvironmentError> {
     let unfit = |error: &dyn ToString| EnvironmentError::Set(error.to_string());
     let set = ScenarioSet::named(choice.set.unwrap_or(DEFAULT_SET)).map_err(|e| unfit(&e))?;
     let constants: Constants = choice.settings()?;
+    constants.check().map_err(EnvironmentError::Setting)?;
     let mut city =
         SaveTheCity::new(set, constants, choice.instances, 0).map_err(|error| unfit(&error))?;
     city.use_split(choice.split);

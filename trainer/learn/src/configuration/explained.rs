@@ -1,19 +1,12 @@
 //! Configurations with an explanation of every key: as a file, and as a page of the documentation.
 
-use serde::Serialize;
 use toml::{Table, Value};
 
 use super::key::{Key, Section};
-use super::{Kept, table_of};
 use crate::error::LearnError;
 
-/// A configuration as a file with comments.
-pub fn explained<C: Kept>(config: &C) -> Result<String, LearnError> {
-    explained_by(C::SECTIONS, &table_of(config)?)
-}
-
 /// The values of these sections as a file with comments.
-pub fn explained_by(sections: &[Section], table: &Table) -> Result<String, LearnError> {
+pub fn explained(sections: &[Section], table: &Table) -> Result<String, LearnError> {
     let mut text = String::new();
     for section in sections {
         if !text.is_empty() {
@@ -36,12 +29,7 @@ pub fn explained_by(sections: &[Section], table: &Table) -> Result<String, Learn
 }
 
 /// The keys of these sections as tables, with their defaults.
-pub fn tables(
-    title: &str,
-    sections: &[Section],
-    config: &impl Serialize,
-) -> Result<String, LearnError> {
-    let table = table_of(config)?;
+pub fn tables(title: &str, sections: &[Section], table: &Table) -> Result<String, LearnError> {
     let mut text = format!("\n## {title}\n");
     for section in sections {
         let heading = if section.name.is_empty() { "At the top" } else { section.name };
@@ -52,7 +40,7 @@ pub fn tables(
         text += "\n| key | default | range | what |\n| --- | --- | --- | --- |\n";
         for key in section.keys {
             let Key { name, about, .. } = key;
-            let value = value(&table, section, key)?;
+            let value = value(table, section, key)?;
             text += &format!("| `{name}` | `{value}` | {} | {about} |\n", limits(key));
         }
     }

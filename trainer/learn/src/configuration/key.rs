@@ -112,7 +112,7 @@ impl fmt::Display for Range {
 }
 
 /// A key of these sections by its whole name, as in `allocator.replay.batch`.
-pub(super) fn find<'a>(sections: &'a [Section], path: &str) -> Option<&'a Key> {
+pub(crate) fn find<'a>(sections: &'a [Section], path: &str) -> Option<&'a Key> {
     let (section, name) = path.rsplit_once('.').unwrap_or(("", path));
     let section = sections.iter().find(|other| other.name == section)?;
     section.keys.iter().find(|key| key.name == name)

@@ -6,13 +6,13 @@ mod keys;
 mod parts;
 
 use serde::Serialize;
-use serde::de::DeserializeOwned;
 use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
-pub use explained::{explained, explained_by, tables};
+pub use explained::{explained, tables};
+pub(crate) use key::find;
+use key::nearest_path;
 pub use key::{Key, Range, Section, paths};
-use key::{find, nearest_path};
 pub use keys::{EXPLORATION, INSTANCES, OPTIMISER, RUN, SHARE, STEPS, WHERE, exploration};
 pub use parts::{ExplorationConfig, OptimiserConfig};
 
@@ -21,41 +21,17 @@ use crate::error::LearnError;
 /// The keys of `train.toml` that are about the run, not its configuration.
 pub const RUN_KEYS: [&str; 4] = ["method", "version", "seed", "threads"];
 
-/// What can be kept in a file.
-pub trait Kept: Default + Serialize + DeserializeOwned {
-    /// All its keys.
-    const SECTIONS: &'static [Section];
-
-    /// Gives the file of a run what it learned by before that was a key.
-    fn settle_older(_run: &mut Table) {}
-}
-
-/// Reads a configuration; what is missing keeps its default.
+/// Refuses a table as [`check_table`] does, by the line of the file's text that is wrong.
 ///
-/// A run's `train.toml` will do: its lines about the run itself are passed over.
-pub fn from_toml<C: Kept>(text: &str) -> Result<C, LearnError> {
-    from_table(table_in(text, C::SECTIONS, C::settle_older)?)
-}
-
-/// The values of a file, whose keys are those of these sections; its lines about the run itself are passed over.
-///
-/// `settle_older` gives the file of a run what it learned by before that was a key.
-pub fn table_in(
-    text: &str,
-    sections: &[Section],
-    settle_older: impl FnOnce(&mut Table),
-) -> Result<Table, LearnError> {
-    let mut table = parsed(text)?;
-    if RUN_KEYS.iter().filter_map(|key| table.remove(*key)).count() == RUN_KEYS.len() {
-        settle_older(&mut table);
-    }
-    let checked = check_table("", &table, sections).map_err(|error| match error {
+/// # Errors
+/// A key is unknown, or its value outside its limits.
+pub fn check_file(text: &str, table: &Table, sections: &[Section]) -> Result<(), LearnError> {
+    check_table("", table, sections).map_err(|error| match error {
         LearnError::Value { key, reason, .. } => {
             LearnError::Value { line: line_of(text, &key), key, reason }
         }
         error => error,
-    });
-    checked.map(|()| table)
+    })
 }
 
 /// The table of a file's text.
@@ -66,21 +42,6 @@ pub fn parsed(text: &str) -> Result<Table, LearnError> {
         let reason = error.message().replace('\n', ", ");
         LearnError::Syntax { line, reason: format!("`{written}`: {reason}") }
     })
-}
-
-/// Reads a configuration that was part of a file; what is missing keeps its default.
-pub fn from_table<C: Kept>(table: Table) -> Result<C, LearnError> {
-    check_table("", &table, C::SECTIONS)?;
-    let mut whole = table_of(&C::default())?;
-    overlay(&mut whole, table);
-    whole
-        .try_into()
-        .map_err(|error: toml::de::Error| LearnError::Config(error.message().to_owned()))
-}
-
-/// Refuses a configuration with a value outside the limits of its key.
-pub fn check_values<C: Kept>(config: &C) -> Result<(), LearnError> {
-    check_table("", &table_of(config)?, C::SECTIONS)
 }
 
 /// A configuration with its values as they are written.
@@ -157,13 +118,6 @@ pub fn overlay(table: &mut Table, by: Table) {
 /// The configuration as a file that a person can read.
 pub fn to_toml(config: &impl Serialize) -> Result<String, LearnError> {
     toml::to_string(config).map_err(|error| LearnError::Config(error.to_string()))
-}
-
-/// A configuration with one value replaced, named as in `replay.batch=256`.
-pub fn replaced<C: Kept>(config: &C, assignment: &str) -> Result<C, LearnError> {
-    let table = assigned(C::SECTIONS, table_of(config)?, assignment)?;
-    let bad = |why: &str| LearnError::Config(format!("`{assignment}`: {why}"));
-    table.try_into().map_err(|error: toml::de::Error| bad(error.message()))
 }
 
 /// A table with the value of one of its keys replaced.

@@ -20,7 +20,6 @@ use crate::export::{
 use crate::method::Method;
 use crate::play::{PolicyTeam, evaluate};
 use crate::run::{CurvePoint, RunDescription};
-use crate::session::Setup;
 
 /// Episodes that golden observations are drawn from.
 const GOLDEN_EPISODES: usize = 400;
@@ -28,7 +27,7 @@ const GOLDEN_EPISODES: usize = 400;
 /// A run of any method, as far as its bundle needs it.
 pub struct MethodRun<'a> {
     /// How it learned.
-    pub description: &'a RunDescription<Setup>,
+    pub description: &'a RunDescription,
     /// Where it learned.
     pub environment: &'a dyn Environment,
     /// What has learned.
@@ -128,7 +127,8 @@ fn limits(sizes: &[Shape]) -> Limits {
 
 /// The model card.
 fn card(run: &MethodRun<'_>, measured: &[Measured], skip: bool) -> String {
-    let RunDescription { method, seed, version, config, .. } = run.description;
+    let RunDescription { seed, version, config, .. } = run.description;
+    let method = &config.method;
     let mut card = format!(
         "# A team for {}\n\n\
          Every agent runs the same attention network over the entities that it observes. Trained by\n\

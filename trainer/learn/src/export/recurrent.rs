@@ -69,8 +69,8 @@ fn add_gru(
     let distance = graph.node("gru.distance", "Sub", &[&state, &new], &[]);
     let step = graph.node("gru.step", "Mul", &[&update, &distance], &[]);
     let next = graph.node("gru.next", "Add", &[&new, &step], &[]);
-    let flat = graph.integers("h_out.shape", &[size as i64]);
-    graph.node("h_out", "Reshape", &[&next, flat], &[]);
+    let shape = graph.integers("h_out.shape", &[size as i64]);
+    graph.node("h_out", "Reshape", &[&next, shape], &[]);
     Ok(next)
 }
 

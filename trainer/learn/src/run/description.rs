@@ -3,66 +3,33 @@
 use sortie_nn::layers::products::Products;
 use toml::Table;
 
-use super::RunConfig;
+use super::Setup;
 use crate::configuration;
 use crate::error::LearnError;
 
-/// A configuration that a run can learn by.
-pub trait Configuration: Sized {
-    /// The algorithm by its name on the command line.
-    fn method(&self) -> &str;
-    /// Environment and set of starts by their names.
-    fn environment(&self) -> String;
-    /// Episodes that run at the same time.
-    fn instances(&self) -> usize;
-    /// How long it learns, and when it measures and saves.
-    fn run(&self) -> &RunConfig;
-    /// The same, to be changed.
-    fn run_mut(&mut self) -> &mut RunConfig;
-    /// Refuses values that cannot work.
-    fn check(&self) -> Result<(), LearnError>;
-    /// The configuration as a file that a person can read.
-    fn to_toml(&self) -> Result<String, LearnError>;
-    /// Reads the configuration of a method and refuses one that cannot work.
-    fn from_table(method: &str, table: Table) -> Result<Self, LearnError>;
-
-    /// Reads a file of it.
-    fn from_text(method: &str, text: &str) -> Result<Self, LearnError> {
-        Self::from_table(method, configuration::parsed(text)?)
-    }
-}
-
 /// How a run learns. The same description gives the same weights, whatever the number of threads.
 #[derive(Clone, Debug, PartialEq)]
-pub struct RunDescription<C> {
-    /// The algorithm by its name.
-    pub method: String,
+pub struct RunDescription {
     /// Version of Sortie that began the run.
     pub version: String,
     /// Seed of all random choices.
     pub seed: u64,
     /// Threads that compute gradients.
     pub threads: usize,
-    /// The complete configuration.
-    pub config: C,
+    /// Method, environment and the complete configuration.
+    pub config: Setup,
 }
 
-impl<C: Configuration> RunDescription<C> {
+impl RunDescription {
     /// A run of this version of Sortie.
-    pub fn new(config: C, seed: u64, threads: usize) -> Self {
-        Self {
-            method: config.method().to_owned(),
-            version: env!("CARGO_PKG_VERSION").to_owned(),
-            seed,
-            threads,
-            config,
-        }
+    pub fn new(config: Setup, seed: u64, threads: usize) -> Self {
+        Self { version: env!("CARGO_PKG_VERSION").to_owned(), seed, threads, config }
     }
 
     /// The file's text: four lines about the run, then the configuration.
     pub fn to_toml(&self) -> Result<String, LearnError> {
-        let Self { method, version, seed, threads, config } = self;
-        let config = config.to_toml()?;
+        let Self { version, seed, threads, config } = self;
+        let (method, config) = (&config.method, config.to_toml()?);
         Ok(format!(
             "method = \"{method}\"\nversion = \"{version}\"\nseed = {seed}\nthreads = {threads}\n\n{config}"
         ))
@@ -83,8 +50,7 @@ impl<C: Configuration> RunDescription<C> {
             version: text(version).ok_or_else(|| bad("`version` is not text"))?,
             seed: number(seed).ok_or_else(|| bad("`seed` is not a number"))?,
             threads: number(threads).ok_or_else(|| bad("`threads` is not a number"))? as usize,
-            config: C::from_table(&method, table)?,
-            method,
+            config: Setup::from_table(&method, table)?,
         })
     }
 }

@@ -1,10 +1,10 @@
 //! What two configurations have in common, key by key.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use toml::{Table, Value};
 
-use super::description::Configuration;
+use super::Setup;
 use crate::configuration;
 use crate::error::LearnError;
 
@@ -20,22 +20,24 @@ pub struct Difference {
 }
 
 impl Difference {
-    /// The first key whose value is another in `theirs`: `run.steps`, on which others may depend, then in the
-    /// order of the alphabet.
-    pub fn between<C: Configuration>(ours: &C, theirs: &C) -> Result<Option<Self>, LearnError> {
+    /// The keys whose values are others in `theirs`: `run.steps` first, on which others may depend, then in the order of
+    /// the alphabet.
+    pub fn between(ours: &Setup, theirs: &Setup) -> Result<Vec<Self>, LearnError> {
         let (ours, theirs) = (values(&ours.to_toml()?)?, values(&theirs.to_toml()?)?);
-        let keys: BTreeSet<&String> = ours.keys().chain(theirs.keys()).collect();
-        let value = |values: &BTreeMap<String, Value>, key| match values.get(key) {
+        let mut keys: Vec<&String> = ours.keys().chain(theirs.keys()).collect();
+        keys.sort_by_key(|key| (*key != "run.steps", *key));
+        keys.dedup();
+        let value = |values: &BTreeMap<String, Value>, key: &str| match values.get(key) {
             Some(value) => value.to_string(),
             None => "not there".to_owned(),
         };
-        let steps = "run.steps".to_owned();
-        let mut keys = [&steps].into_iter().chain(keys);
-        Ok(keys.find(|key| ours.get(*key) != theirs.get(*key)).map(|key| Self {
+        let differ = |key: &&String| ours.get(*key) != theirs.get(*key);
+        let difference = |key: &String| Self {
             key: key.clone(),
             ours: value(&ours, key),
             theirs: value(&theirs, key),
-        }))
+        };
+        Ok(keys.into_iter().filter(differ).map(difference).collect())
     }
 }
 

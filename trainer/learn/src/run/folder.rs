@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use sortie_bundle::files::{self, Durability, replace_file};
 
-use super::description::{Configuration, RunDescription};
+use super::RunDescription;
 use super::{Checkpoints, CurvePoint, RunResult, TrainingPoint, chart, curve};
 use crate::error::LearnError;
 use crate::report::{RunEvents, csv};
@@ -42,10 +42,7 @@ impl RunFolder {
     }
 
     /// Makes the folder and claims it; refuses one that holds anything.
-    pub fn create<C: Configuration>(
-        &mut self,
-        description: &RunDescription<C>,
-    ) -> Result<(), LearnError> {
+    pub fn create(&mut self, description: &RunDescription) -> Result<(), LearnError> {
         let folder = &self.folder;
         if self.description_path().exists() {
             let reason =
@@ -82,10 +79,7 @@ impl RunFolder {
     }
 
     /// Replaces `train.toml` of a run whose figures are void from now on.
-    pub fn rewrite_description<C: Configuration>(
-        &self,
-        description: &RunDescription<C>,
-    ) -> Result<(), LearnError> {
+    pub fn rewrite_description(&self, description: &RunDescription) -> Result<(), LearnError> {
         let result = self.folder.join(RESULT);
         match fs::remove_file(&result) {
             Err(error) if error.kind() != ErrorKind::NotFound => {
@@ -97,7 +91,7 @@ impl RunFolder {
     }
 
     /// How the run learns.
-    pub fn read_description<C: Configuration>(&self) -> Result<RunDescription<C>, LearnError> {
+    pub fn read_description(&self) -> Result<RunDescription, LearnError> {
         let path = self.description_path();
         let text = fs::read_to_string(&path).map_err(LearnError::file(&path))?;
         RunDescription::from_toml(&text).map_err(|error| LearnError::format(path, error))

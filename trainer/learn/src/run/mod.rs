@@ -26,6 +26,7 @@ mod meter;
 mod products;
 mod progress;
 mod result;
+mod setup;
 
 use std::path::Path;
 
@@ -35,7 +36,7 @@ pub use config::RunConfig;
 pub(crate) use counters::Counters;
 pub use counters::{EpisodeCounts, Level, Rates, Reports, UpdateReport};
 pub use curve::CurvePoint;
-pub use description::{Configuration, RunDescription};
+pub use description::RunDescription;
 pub use difference::{Difference, keys_in};
 pub use folder::RunFolder;
 pub(crate) use learning::{Labels, Learning, learn};
@@ -43,6 +44,8 @@ pub use meter::TrainingPoint;
 pub use products::replace_products;
 pub use progress::{Observer, Outcome, Progress};
 pub use result::RunResult;
+pub use setup::{EnvironmentChoice, Setup};
+pub(crate) use setup::{rename_older, renamed};
 
 use crate::error::LearnError;
 
@@ -62,17 +65,17 @@ pub fn method_of(folder: &Path) -> Result<String, LearnError> {
 }
 
 /// How the run in a folder learns.
-pub fn read_description<C: Configuration>(folder: &Path) -> Result<RunDescription<C>, LearnError> {
+pub fn read_description(folder: &Path) -> Result<RunDescription, LearnError> {
     RunFolder::new(folder).read_description()
 }
 
 /// Has the run in a folder learn for so many environment steps: more than it was configured for.
 ///
 /// Nothing else of its configuration changes; its result is void, and it is to be resumed.
-pub fn prolong<C: Configuration>(folder: &Path, steps: u64) -> Result<(), LearnError> {
+pub fn prolong(folder: &Path, steps: u64) -> Result<(), LearnError> {
     let files = RunFolder::claim(folder)?;
-    let mut description: RunDescription<C> = files.read_description()?;
-    let before = std::mem::replace(&mut description.config.run_mut().steps, steps);
+    let mut description = files.read_description()?;
+    let before = std::mem::replace(&mut description.config.run.steps, steps);
     if steps < before {
         let reason = format!("`run.steps` is {before} already: a run can only be made longer");
         return Err(LearnError::taken(folder, reason));

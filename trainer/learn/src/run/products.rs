@@ -4,7 +4,7 @@ use std::path::Path;
 
 use sortie_nn::layers::products::Products;
 
-use super::{Configuration, RunConfig, RunDescription, RunFolder};
+use super::{RunConfig, RunFolder};
 use crate::error::LearnError;
 
 /// What `run.products` says where the processor decides.
@@ -34,10 +34,10 @@ impl RunConfig {
 
 /// Has the run in a folder go on with the widest products of this processor where it lacks those that the run
 /// learns with; says which it takes instead.
-pub fn replace_products<C: Configuration>(folder: &Path) -> Result<Option<String>, LearnError> {
+pub fn replace_products(folder: &Path) -> Result<Option<String>, LearnError> {
     let files = RunFolder::claim(folder)?;
-    let mut description: RunDescription<C> = files.read_description()?;
-    let run = description.config.run_mut();
+    let mut description = files.read_description()?;
+    let run = &mut description.config.run;
     if run.settled_products().is_ok() {
         return Ok(None);
     }

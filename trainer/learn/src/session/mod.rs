@@ -6,7 +6,6 @@
 //! The same [`Setup`] and seed give the same weights, whatever the number of threads.
 
 mod entry;
-mod setup;
 
 use std::fmt;
 use std::path::Path;
@@ -14,8 +13,9 @@ use std::sync::atomic::AtomicBool;
 
 use sortie_envs::Environment;
 
-pub use entry::{MethodEntry, Opening, Preset};
-pub use setup::{EnvironmentChoice, Setup};
+pub use entry::{Flag, MethodEntry, Opening, Preset};
+
+pub use crate::run::{EnvironmentChoice, Setup};
 
 use crate::error::LearnError;
 use crate::evaluate::Evaluation;
@@ -24,8 +24,8 @@ use crate::play::{self, Play};
 use crate::random::{Purpose, generator};
 use crate::run::checkpoint::{OpenFor, Written};
 use crate::run::{
-    Configuration, Counters, CurvePoint, Labels, Learning, Observer, Outcome, Progress, Rates,
-    Reports, RunConfig, RunDescription, RunFolder, learn,
+    Counters, CurvePoint, Labels, Learning, Observer, Outcome, Progress, Rates, Reports, RunConfig,
+    RunDescription, RunFolder, learn,
 };
 use crate::state::State;
 
@@ -33,8 +33,8 @@ use crate::state::State;
 pub type Parts = (Box<dyn Environment>, Box<dyn Method>);
 
 /// A run of any method in any environment.
-pub struct Session<C = Setup> {
-    description: RunDescription<C>,
+pub struct Session {
+    description: RunDescription,
     folder: RunFolder,
     environment: Box<dyn Environment>,
     method: Box<dyn Method>,
@@ -43,18 +43,18 @@ pub struct Session<C = Setup> {
     refused: Vec<String>,
 }
 
-impl<C: Configuration> Session<C> {
+impl Session {
     /// Begins a run in a new folder.
     ///
     /// # Errors
     /// The folder is not empty or cannot be written, or the setup cannot work.
     pub fn begin(
-        mut description: RunDescription<C>,
+        mut description: RunDescription,
         environment: Box<dyn Environment>,
         method: Box<dyn Method>,
         folder: &Path,
     ) -> Result<Self, LearnError> {
-        description.config.run_mut().settle_products()?;
+        description.config.run.settle_products()?;
         let folder = RunFolder::new(folder);
         let mut session = Self::start(description, environment, method, folder);
         session.take_over()?;
@@ -71,11 +71,11 @@ impl<C: Configuration> Session<C> {
     /// Another process learns in the folder, or its files cannot be read.
     pub fn resume(
         folder: &Path,
-        open: impl FnOnce(&RunDescription<C>) -> Result<Parts, LearnError>,
+        open: impl FnOnce(&RunDescription) -> Result<Parts, LearnError>,
     ) -> Result<Self, LearnError> {
         let files = RunFolder::claim(folder)?;
-        let mut description = files.read_description::<C>()?;
-        description.config.run_mut().settle_products()?;
+        let mut description = files.read_description()?;
+        description.config.run.settle_products()?;
         let (environment, method) = open(&description)?;
         let mut session = Self::start(description, environment, method, files);
         if !session.folder.checkpoints().exist()? {
@@ -90,17 +90,17 @@ impl<C: Configuration> Session<C> {
     }
 
     fn start(
-        description: RunDescription<C>,
+        description: RunDescription,
         environment: Box<dyn Environment>,
         mut method: Box<dyn Method>,
         folder: RunFolder,
     ) -> Self {
-        let config = &description.config;
+        let Setup { environment: choice, run, .. } = &description.config;
         let stream = |index| generator(description.seed, Purpose::Rollout, index as u64);
-        let random = (0..config.instances()).map(stream).collect();
+        let random = (0..choice.instances).map(stream).collect();
         Self {
             play: Play::new(&*environment, &mut *method, random),
-            counters: Counters::new(config.run().evaluate_every),
+            counters: Counters::new(run.evaluate_every),
             refused: Vec::new(),
             description,
             folder,
@@ -111,7 +111,7 @@ impl<C: Configuration> Session<C> {
 
     /// Begins with the weights of another run, where the setup says so.
     fn take_over(&mut self) -> Result<(), LearnError> {
-        let from = &self.description.config.run().from;
+        let from = &self.description.config.run.from;
         if from.is_empty() { Ok(()) } else { self.method.take_over(Path::new(from)) }
     }
 
@@ -135,7 +135,7 @@ impl<C: Configuration> Session<C> {
     }
 
     /// How the run learns.
-    pub fn description(&self) -> &RunDescription<C> {
+    pub fn description(&self) -> &RunDescription {
         &self.description
     }
 
@@ -160,7 +160,7 @@ impl<C: Configuration> Session<C> {
     }
 
     fn now(&self) -> Now {
-        Now { env_steps: self.counters.env_steps, of: self.description.config.run().steps }
+        Now { env_steps: self.counters.env_steps, of: self.description.config.run.steps }
     }
 }
 
@@ -174,14 +174,14 @@ pub fn load_weights(folder: &Path, method: &mut dyn Method) -> Result<Vec<String
     Ok(found.refused)
 }
 
-impl<C: Configuration> Learning for Session<C> {
+impl Learning for Session {
     fn schedule(&self) -> RunConfig {
-        self.description.config.run().clone()
+        self.description.config.run.clone()
     }
 
     fn labels(&self) -> Labels {
-        let RunDescription { method, seed, config, .. } = &self.description;
-        let environment = config.environment();
+        let RunDescription { seed, config, .. } = &self.description;
+        let (method, environment) = (&config.method, config.environment.to_string());
         Labels {
             title: format!("{method} on {environment}, seed {seed}"),
             environment,
@@ -228,7 +228,7 @@ impl<C: Configuration> Learning for Session<C> {
     }
 }
 
-impl<C: fmt::Debug> fmt::Debug for Session<C> {
+impl fmt::Debug for Session {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { description, counters, .. } = self;
         f.debug_struct("Session")

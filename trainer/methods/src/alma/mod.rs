@@ -3,17 +3,15 @@
 //!
 //! Two learners: one from [`records`], the preset `fast`, one from [`windows`], the preset `paper`.
 
+mod config;
 pub mod configuration;
 pub mod evaluate;
 pub mod export;
+mod presets;
 pub mod records;
-mod reference;
 pub mod run;
-mod session;
-pub mod settings;
 pub mod windows;
 
-pub use reference::reference;
+pub use config::Config;
+pub use presets::{ALMA, COPA, FLAT, METHODS};
 pub use run::{Run, RunAllocator};
-pub use session::{begin, resume};
-pub use settings::Settings;

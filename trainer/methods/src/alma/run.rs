@@ -2,15 +2,16 @@
 
 use std::path::Path;
 
+use sortie_bundle::TRAINING;
 use sortie_envs::Environment;
 use sortie_learn::LearnError;
 use sortie_learn::run::{Checkpoint, CurvePoint, RunDescription, RunFolder, checkpoint};
 use sortie_nn::layers::gru::lengths;
 
+use super::config::Config;
 use super::evaluate::{Agents, Allocate, NetworkTeam};
 use super::records::team_value::TeamValueAllocator;
 use super::records::{UtilityNetwork, network_of};
-use super::settings::Settings;
 use super::windows::allocation::{AllocationCritic, AllocationNetworks, AllocationPolicy};
 use super::windows::low_level::coach::{Coach, CoachShape};
 use super::windows::{self, PopArt, ProposalAllocator, WindowShape};
@@ -33,7 +34,9 @@ pub enum RunAllocator {
 #[derive(Clone, Debug)]
 pub struct Run {
     /// How it learns.
-    pub description: RunDescription<Settings>,
+    pub description: RunDescription,
+    /// What it learns by.
+    pub config: Config,
     /// Evaluations up to now.
     pub curve: Vec<CurvePoint>,
     /// The agents' weights of the newest sound checkpoint; averaged ones where the run averages.
@@ -58,18 +61,18 @@ impl Run {
             memory_unit: &self.memory_unit,
             coach: self.coach.as_ref(),
         };
-        NetworkTeam::conditioned(agents, self.description.config.subtask())
+        NetworkTeam::conditioned(agents, self.config.subtask())
     }
 
     /// What the run has learned to allocate with, if it learns that, as something to be measured.
     ///
     /// One that proposes chooses among so many proposals, of which the first is the most probable.
     pub fn learned_allocator(&self, proposals: usize) -> Option<Box<dyn Allocate + '_>> {
-        Some(match (self.allocator.as_ref()?, &self.description.config) {
-            (RunAllocator::TeamValue(network), Settings::Records(config)) => {
+        Some(match (self.allocator.as_ref()?, &self.config) {
+            (RunAllocator::TeamValue(network), Config::Records(config)) => {
                 Box::new(TeamValueAllocator::new(network, config.allocation.team_max))
             }
-            (RunAllocator::Proposals { policy, critic }, Settings::Windows(_)) => {
+            (RunAllocator::Proposals { policy, critic }, Config::Windows(_)) => {
                 let networks = AllocationNetworks { policy, critic };
                 Box::new(ProposalAllocator::new(networks, proposals).greedy_first())
             }
@@ -79,14 +82,16 @@ impl Run {
 
     /// Reads the folder of a run.
     pub fn open(folder: &Path) -> Result<Self, LearnError> {
-        let folder = RunFolder::new(folder);
-        let description = folder.read_description()?;
-        let curve = folder.read_curve()?;
-        let found = folder.checkpoints().newest(checkpoint::OpenFor::Use)?;
-        let environment = Settings::environment(&description.config).open()?;
+        let files = RunFolder::new(folder);
+        let description = files.read_description()?;
+        let config = Config::of(&description.config)
+            .map_err(|error| LearnError::format(folder.join(TRAINING), error))?;
+        let curve = files.read_curve()?;
+        let found = files.checkpoints().newest(checkpoint::OpenFor::Use)?;
+        let environment = config.environment().open()?;
         let spec = environment.spec();
-        let (network, memory_unit, coach, allocator) = match &description.config {
-            Settings::Records(config) => {
+        let (network, memory_unit, coach, allocator) = match &config {
+            Config::Records(config) => {
                 let average = |name, shape| network_of(&found.checkpoint, name, shape);
                 let agents = average("agents/average", config.network.shape(spec))?;
                 let learns = config.learns_allocator();
@@ -94,10 +99,11 @@ impl Run {
                 let allocator = learns.then(|| average("allocator/average", shape)).transpose()?;
                 (agents, Vec::new(), None, allocator.map(RunAllocator::TeamValue))
             }
-            Settings::Windows(config) => windows_networks(&found.checkpoint, config)?,
+            Config::Windows(config) => windows_networks(&found.checkpoint, config)?,
         };
         Ok(Self {
             description,
+            config,
             curve,
             network,
             memory_unit,

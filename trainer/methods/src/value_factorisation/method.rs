@@ -32,7 +32,8 @@ pub struct ValueFactorisation {
 impl ValueFactorisation {
     /// Draws the first weights.
     pub fn new(config: Config, opening: &Opening<'_>) -> Self {
-        let Opening { setup, spec, seed, threads } = *opening;
+        let Opening { setup, environment, seed, threads } = *opening;
+        let spec = environment.spec();
         let instances = setup.environment.instances;
         let mut weights = generator(seed, Purpose::Weights, 0);
         let network = Network::initialise(config.shape(spec), &mut weights);
@@ -186,7 +187,7 @@ mod tests {
         config.replay.steps_per_update = 1;
         config.optimiser.target_rate = 1.0;
         config.update.target_every = 3;
-        let opening = Opening { setup: &setup, spec: ring.spec(), seed: 1, threads: 1 };
+        let opening = Opening { setup: &setup, environment: ring, seed: 1, threads: 1 };
         let mut method = ValueFactorisation::new(config, &opening);
         let mut state = Vec::new();
         ring.reset(0, &mut generator(1, Purpose::Rollout, 0));

@@ -1,10 +1,9 @@
 //! The methods by their names, and their presets.
 
-use sortie_envs::View;
+use sortie_envs::{Spec, View};
 use sortie_learn::run::RunConfig;
-use sortie_learn::session::{EnvironmentChoice, MethodEntry, Opening, Preset, Setup};
+use sortie_learn::session::{Flag, MethodEntry, Opening, Preset, Setup};
 use sortie_learn::{LearnError, Method};
-use toml::Table;
 
 use super::config::{Config, ReplayConfig, Unit};
 use super::keys::KEYS;
@@ -17,11 +16,15 @@ use super::split_attention::WIDTHS;
 pub const QMIX: MethodEntry = MethodEntry {
     name: "qmix",
     about: "Utilities of agents that attend to entities, mixed by what a hypernetwork sees (A-QMIX, dissertation chapter 5)",
-    sections: KEYS,
+    keys: |_| KEYS,
     presets: &[
         Preset { name: "fast", setup: || fast(plain) },
         Preset { name: "paper", setup: || paper(plain) },
     ],
+    flags: &[Flag { name: "--mixer", assignments: &["mixer.kind={}"] }],
+    in_proportion: &[],
+    settle_older: |_| {},
+    misfit,
     open,
 };
 
@@ -74,33 +77,22 @@ fn paper(change: fn(&mut Config)) -> Setup {
 
 fn setup(instances: usize, run: RunConfig, mut config: Config, change: fn(&mut Config)) -> Setup {
     change(&mut config);
-    Setup {
-        environment: EnvironmentChoice { instances, ..EnvironmentChoice::default() },
-        run,
-        own: table(&config),
-        ..Setup::default()
-    }
+    Setup::of(instances, run, &config)
 }
 
-/// The configuration as a file has it; through text, in which numbers have no more digits than they need.
-fn table(config: &Config) -> Table {
-    let text = toml::to_string(config).expect("sizes and rates are values of a file");
-    text.parse().expect("what was written can be read")
+fn misfit(spec: &Spec) -> Option<&'static str> {
+    (spec.view != View::Entities)
+        .then_some("its agents look at entities, of which this environment shows none")
 }
 
 fn open(opening: &Opening<'_>) -> Result<Box<dyn Method>, LearnError> {
     let config: Config = opening.setup.own()?;
-    let Opening { spec, .. } = opening;
-    let misfit = |reason: String| {
+    let spec = opening.environment.spec();
+    let refused = |reason: String| {
         Err(LearnError::Config(format!("`{}` in `{}`: {reason}", opening.setup.method, spec.name)))
     };
-    if spec.view != View::Entities {
-        return misfit(
-            "its agents look at entities, of which this environment shows none".to_owned(),
-        );
-    }
     if !WIDTHS.contains(&config.network.width) {
-        return misfit(format!(
+        return refused(format!(
             "`network.width` is {}, must be one of {WIDTHS:?}",
             config.network.width
         ));
@@ -109,24 +101,24 @@ fn open(opening: &Opening<'_>) -> Result<Box<dyn Method>, LearnError> {
     let kept = capacity / opening.setup.environment.instances;
     match unit {
         Unit::Steps if kept <= 4 * config.returns.steps => {
-            return misfit(format!(
+            return refused(format!(
                 "`replay.capacity` leaves {kept} states for each instance, too few"
             ));
         }
         Unit::Steps if steps_per_update == 0 => {
-            return misfit(
+            return refused(
                 "`replay.steps_per_update` is 0, an update for each episode, which `replay.unit=episodes` counts"
                     .to_owned(),
             );
         }
         Unit::Steps if config.network.memory > 0 => {
-            return misfit(
+            return refused(
                 "`network.memory` is learned through whole episodes, which `replay.unit=episodes` keeps"
                     .to_owned(),
             );
         }
         Unit::Episodes if capacity < batch => {
-            return misfit(format!(
+            return refused(format!(
                 "`replay.capacity` is {capacity} episodes, an update draws {batch} different ones"
             ));
         }

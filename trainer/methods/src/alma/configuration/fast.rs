@@ -3,9 +3,7 @@
 use super::*;
 
 /// The keys of the preset `fast`.
-pub const FAST: &[Section] = &[
-    ENVIRONMENT,
-    CONSTANTS,
+pub(in crate::alma) const FAST: &[Section] = &[
     Section {
         name: "allocation",
         about: "Who assigns agents to buildings: a training episode draws its allocator by these weights.",
@@ -145,5 +143,4 @@ pub const FAST: &[Section] = &[
         about: "How the allocator's weights follow the gradient.",
         keys: OPTIMISER,
     },
-    RUN,
 ];

@@ -9,7 +9,7 @@ const SCHEDULE: &[Key] = &[
 ];
 
 /// The keys of the preset `paper`.
-pub const PAPER: &[Section] = &[
+pub(in crate::alma) const PAPER: &[Section] = &[
     Section {
         name: "",
         about: "What is learned from.",
@@ -20,8 +20,6 @@ pub const PAPER: &[Section] = &[
             "Windows of whole episodes, which tells this file from those of the preset `fast`.",
         )],
     },
-    ENVIRONMENT,
-    CONSTANTS,
     Section {
         name: "low_level",
         about: "The agents' utilities, their mixer, and how both learn.",
@@ -219,5 +217,4 @@ pub const PAPER: &[Section] = &[
             ),
         ],
     },
-    RUN,
 ];

@@ -16,12 +16,12 @@ use sortie_envs::save_the_city::{
 use super::card::card;
 use super::golden_allocations::golden_allocations;
 use super::proposals::{ProposalGraphs, export_proposals};
+use crate::alma::config::Config;
 use crate::alma::evaluate::{EvaluationPlan, PolicyTeam, evaluate};
 use crate::alma::records::{
     Allocation, Conditioning, NetworkPolicy, UtilityNetwork, UtilityWeights,
 };
 use crate::alma::run::{Run, RunAllocator};
-use crate::alma::settings::Settings;
 use sortie_learn::LearnError;
 use sortie_learn::draft::{Measured, Recorder, read_part};
 use sortie_learn::export::attention::{AttentionNetwork, ExportError, Layer, Layout, Matrix};
@@ -44,7 +44,7 @@ pub struct LearnedAllocator<'a> {
 impl<'a> LearnedAllocator<'a> {
     /// The allocator of a run, if the run learns one.
     pub fn of(run: &'a Run) -> Option<Self> {
-        let Settings::Records(config) = &run.description.config else { return None };
+        let Config::Records(config) = &run.config else { return None };
         let team_max = config.allocation.team_max;
         match &run.allocator {
             Some(RunAllocator::TeamValue(network)) => Some(Self { network, team_max }),
@@ -65,7 +65,7 @@ pub fn check_exportable(run: &Run) -> Result<(), LearnError> {
              everything, and a message of {numbers} numbers from it to each of them"
         )));
     }
-    let conditioning = run.description.config.subtask();
+    let conditioning = run.config.subtask();
     if !run.memory_unit.is_empty() {
         let reason =
             "agents with a memory are evaluated only: teams of processes keep no memories yet";
@@ -93,7 +93,7 @@ pub fn draft_bundle(
 ) -> Result<Draft, LearnError> {
     check_exportable(run)?;
     let allocator = LearnedAllocator::of(run);
-    let contract = contract(run.description.config.interval());
+    let contract = contract(run.config.interval());
     let diverged = |error: ExportError| LearnError::format(folder, error);
     let agent = agent(&run.network.weights(), contract.hash()).map_err(diverged)?;
     let mut parts = BTreeMap::from([
@@ -150,7 +150,6 @@ fn contract(decision_interval: u32) -> ContractV1 {
 }
 
 fn environment(run: &Run) -> Environment {
-    let config = run.description.config.environment();
     let unit = |name: &&str| match *name {
         "x-scaled" | "y-scaled" => "sides of the map",
         "health" | "fire" => "share of full",
@@ -159,7 +158,7 @@ fn environment(run: &Run) -> Environment {
         _ => "flag",
     };
     Environment {
-        name: format!("{}/{}", config.name, config.set),
+        name: run.description.config.environment.to_string(),
         version: VERSION.to_owned(),
         feature_units: FEATURE_NAMES.iter().map(|name| unit(name).to_owned()).collect(),
         feature_ranges: vec![[0.0, 1.0]; FEATURES],
@@ -173,7 +172,7 @@ fn limits(
     measured: &[Measured],
 ) -> Result<Limits, LearnError> {
     let (mut agents, mut buildings) = (0, 0);
-    let learned_on = &run.description.config.environment().set;
+    let learned_on = &run.description.config.environment.set;
     for name in measured.iter().map(|measured| &measured.set).chain([learned_on]) {
         let set = ScenarioSet::named(name).map_err(LearnError::environment)?;
         (agents, buildings) = (set.max_agents.max(agents), set.max_buildings.max(buildings));
@@ -226,7 +225,7 @@ fn golden(
     allocator: Option<LearnedAllocator<'_>>,
     seed: u64,
 ) -> Result<Golden, LearnError> {
-    let config = &run.description.config;
+    let config = &run.config;
     let environment = config.environment().open()?;
     let plan = EvaluationPlan {
         interval: config.interval(),

@@ -5,9 +5,9 @@ use std::fmt::Write as _;
 use sortie_learn::draft::Measured;
 
 use super::bundle::LearnedAllocator;
+use crate::alma::config::Config;
 use crate::alma::run::{Run, RunAllocator};
-use crate::alma::settings::Settings;
-use sortie_learn::run::Configuration;
+use sortie_learn::run::RunDescription;
 
 /// The model card.
 pub(super) fn card(
@@ -15,18 +15,13 @@ pub(super) fn card(
     allocator: Option<LearnedAllocator<'_>>,
     measured: &[Measured],
 ) -> String {
-    let description = &run.description;
-    let config = &description.config;
+    let RunDescription { version, seed, config, .. } = &run.description;
     let mut card = format!(
-        "# A team for {}/{}\n\n\
+        "# A team for {}\n\n\
          Every agent runs the same masked-attention utility network (dissertation section 7.3): it sees the\n\
          entities of its own subtask, its team mates and one building, and nothing else. Trained by\n\
          `sortie train {}`, seed {}, Sortie {}; `train.toml` repeats the run.\n\n",
-        config.environment().name,
-        config.environment().set,
-        description.method,
-        description.seed,
-        description.version,
+        config.environment, config.method, seed, version,
     );
     if let Some(LearnedAllocator { team_max, .. }) = allocator {
         let _ = writeln!(
@@ -56,8 +51,8 @@ pub(super) fn card(
             evaluation.return_mean,
         );
     }
-    if !config.run().from.is_empty() {
-        let _ = writeln!(card, "\nIt began with the networks of the run `{}`.", config.run().from);
+    if !config.run.from.is_empty() {
+        let _ = writeln!(card, "\nIt began with the networks of the run `{}`.", config.run.from);
     }
     if let Some(last) = run.curve.last() {
         let _ = writeln!(
@@ -69,7 +64,7 @@ pub(super) fn card(
     let _ = writeln!(
         card,
         "\nMatrix products were computed with `{}`: `--set run.products={0}` repeats the run byte for byte.",
-        config.run().products
+        config.run.products
     );
     card += &departures(run);
     card += "\n## Limits\n\nIt serves teams and cities up to the largest of these scenarios; `bundle.toml` has the numbers.\n\
@@ -100,9 +95,9 @@ fn departures(run: &Run) -> String {
     let mut text = "\n## Where the training departs from the dissertation\n\n".to_owned();
     let skips = skips(run);
     text += &skips;
-    let config = match &run.description.config {
-        Settings::Records(config) => config,
-        Settings::Windows(_) => {
+    let config = match &run.config {
+        Config::Records(config) => config,
+        Config::Windows(_) => {
             text += if skips.is_empty() { "- Nowhere but in" } else { "- In" };
             text += " the sampled windows: none learns a step from one episode to the next.\n";
             return text;

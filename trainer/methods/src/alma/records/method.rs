@@ -213,6 +213,11 @@ impl Method for Records {
         self.config.measured_allocation()
     }
 
+    fn allocator_steps(&self) -> Option<[u64; 2]> {
+        let config = &self.config.allocator;
+        self.allocator.is_some().then_some([config.learns_from, config.decides_from])
+    }
+
     /// Begins with the averaged weights of another run.
     fn take_over(&mut self, folder: &Path) -> Result<(), LearnError> {
         let run = Run::open(folder)?;

@@ -8,12 +8,12 @@ use super::batch::WindowShape;
 use super::low_level::LowLevelConfig;
 use super::low_level::coach::CoachConfig;
 use super::rollout::Exploration;
-use crate::alma::configuration::PAPER;
 use crate::alma::records::config::{Allocation, EnvironmentConfig};
 use crate::alma::records::{self, Conditioning};
 use sortie_learn::LearnError;
-use sortie_learn::configuration::{self, Kept, Section};
-use sortie_learn::run::{Configuration, RunConfig};
+use sortie_learn::configuration::require;
+use sortie_learn::run::RunConfig;
+use sortie_learn::session::Setup;
 
 /// The configuration of a run. Its defaults are those of the dissertation and its public code.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -22,6 +22,7 @@ pub struct Config {
     /// What is learned from, which tells this file from others.
     pub learner: Learner,
     /// The world to learn in.
+    #[serde(skip)]
     pub environment: EnvironmentConfig,
     /// The agents' utilities, their mixer, and how both learn.
     pub low_level: LowLevelConfig,
@@ -34,6 +35,7 @@ pub struct Config {
     /// What is kept, and how the weights follow the gradient.
     pub learning: LearningConfig,
     /// How long to learn, and when to measure and save.
+    #[serde(skip)]
     pub run: RunConfig,
 }
 
@@ -221,19 +223,15 @@ impl Config {
         }
     }
 
-    /// Reads a configuration; what is missing keeps its default.
-    pub fn from_toml(text: &str) -> Result<Self, LearnError> {
-        let config: Self = configuration::from_toml(text)?;
+    /// What a setup says.
+    ///
+    /// # Errors
+    /// A value is impossible, or does not go together with others.
+    pub fn of(setup: &Setup) -> Result<Self, LearnError> {
+        let environment = EnvironmentConfig::of(&setup.environment)?;
+        let config = Self { environment, run: setup.run.clone(), ..setup.own()? };
         config.check()?;
         Ok(config)
-    }
-
-    /// Replaces one value, named as in `learning.windows=16`.
-    pub fn set(&mut self, assignment: &str) -> Result<(), LearnError> {
-        let changed: Self = configuration::replaced(self, assignment)?;
-        changed.check()?;
-        *self = changed;
-        Ok(())
     }
 
     /// Who allocates.
@@ -287,11 +285,9 @@ impl Config {
         self.coach.enabled = true;
     }
 
-    /// Refuses values outside their limits, and values that do not go together.
-    pub fn check(&self) -> Result<(), LearnError> {
-        let require = configuration::require;
+    /// Refuses values that do not go together.
+    fn check(&self) -> Result<(), LearnError> {
         let Self { low_level, allocation, learning, .. } = self;
-        configuration::check_values(self)?;
         require(
             low_level.width.is_multiple_of(low_level.heads),
             "`low_level.width` must be a multiple of `low_level.heads`",
@@ -315,105 +311,11 @@ impl Config {
             "`learning.episodes` must be at least `learning.windows`",
         )
     }
-
-    /// The configuration as a file that explains every key.
-    pub fn explained(&self) -> Result<String, LearnError> {
-        configuration::explained(self)
-    }
-}
-
-impl Kept for Config {
-    const SECTIONS: &'static [Section] = PAPER;
-}
-
-impl Configuration for Config {
-    fn method(&self) -> &str {
-        match self.low_level.conditioning {
-            _ if self.coach.enabled => "copa",
-            Conditioning::None => "flat",
-            Conditioning::Mask | Conditioning::Input => "alma",
-        }
-    }
-
-    fn to_toml(&self) -> Result<String, LearnError> {
-        configuration::to_toml(self)
-    }
-
-    fn environment(&self) -> String {
-        self.environment.full_name()
-    }
-
-    fn instances(&self) -> usize {
-        self.environment.instances
-    }
-
-    fn run(&self) -> &RunConfig {
-        &self.run
-    }
-
-    fn run_mut(&mut self) -> &mut RunConfig {
-        &mut self.run
-    }
-
-    fn check(&self) -> Result<(), LearnError> {
-        Self::check(self)
-    }
-
-    fn from_table(_: &str, table: toml::Table) -> Result<Self, LearnError> {
-        let config: Self = configuration::from_table(table)?;
-        config.check()?;
-        Ok(config)
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_written_file_reads_back_and_values_are_replaced() {
-        let mut config = Config::default();
-        for assignment in [
-            "learning.windows=16",
-            "exploration.actions.steps=5_000",
-            "allocation.by=heuristic",
-            "low_level.conditioning=input",
-        ] {
-            config.set(assignment).unwrap_or_else(|error| panic!("{error}"));
-        }
-        assert_eq!(config.exploration.actions.steps, 5_000);
-        assert!(!config.learns_allocator());
-        let text = config.to_toml().unwrap();
-        assert_eq!(Config::from_toml(&text).unwrap(), config, "{text}");
-    }
-
-    #[test]
-    fn wrong_values_are_refused() {
-        let mut config = Config::default();
-        for (assignment, part) in [
-            ("allocation.by=nobody", "nobody"),
-            ("low_level.heads=5", "multiple"),
-            ("learning.episodes=9", "`learning.windows`"),
-            ("allocation.rows=1", "from 2"),
-            ("coach.enabled=true", "`none`"),
-        ] {
-            let error = config.set(assignment).unwrap_err().to_string();
-            assert!(error.contains(part), "{assignment}: {error}");
-        }
-        assert_eq!(config, Config::default());
-    }
-
-    #[test]
-    fn methods_have_their_names() {
-        let mut config = Config::default();
-        assert_eq!(config.method(), "alma");
-        config.set("low_level.conditioning=none").unwrap();
-        assert_eq!(config.method(), "flat");
-        let mut told = Config::default();
-        told.enable_coach();
-        config.set("coach.enabled=true").unwrap();
-        assert_eq!((config.method(), &config), ("copa", &told));
-    }
 
     #[test]
     fn exploration_falls_to_its_ends() {

@@ -1,12 +1,12 @@
 //! Where a run learns.
 
-use serde::{Deserialize, Serialize};
 use sortie_envs::save_the_city::{Constants, SaveTheCity, ScenarioSet};
+use sortie_envs::{Choice, Split};
 use sortie_learn::LearnError;
+use sortie_learn::session::EnvironmentChoice;
 
 /// The world to learn in.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct EnvironmentConfig {
     /// Name of the environment: `save-the-city`.
     pub name: String,
@@ -30,6 +30,18 @@ impl Default for EnvironmentConfig {
 }
 
 impl EnvironmentConfig {
+    /// The world that a setup names.
+    ///
+    /// # Errors
+    /// There is no such setting.
+    pub fn of(choice: &EnvironmentChoice) -> Result<Self, LearnError> {
+        let EnvironmentChoice { name, set, instances, settings } = choice.clone();
+        let asked = Choice { set: None, split: Split::Train, instances, settings: &settings };
+        let constants = asked.settings()?;
+        let set = if set.is_empty() { Self::default().set } else { set };
+        Ok(Self { name, set, instances, constants })
+    }
+
     /// The scenario set by its name.
     ///
     /// # Errors
@@ -45,10 +57,5 @@ impl EnvironmentConfig {
     pub fn open(&self) -> Result<SaveTheCity, LearnError> {
         SaveTheCity::new(self.scenario_set()?, self.constants, 1, 0)
             .map_err(LearnError::environment)
-    }
-
-    /// Environment and set by their names.
-    pub fn full_name(&self) -> String {
-        format!("{}/{}", self.name, self.set)
     }
 }
