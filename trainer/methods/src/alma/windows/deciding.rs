@@ -3,12 +3,9 @@
 use rand_core::Rng;
 use sortie_envs::random::{below, chance};
 use sortie_envs::{EntitySet, Environment, Observation, UNASSIGNED, members};
-use sortie_nn::layers::SparseRows;
 use sortie_nn::random::Generator;
 
-use super::allocation::{
-    AllocationNetworks, Decided, Decider, Noise, StateView, States, TaskColumns,
-};
+use super::allocation::{AllocationNetworks, Decided, Decider, Noise, States, TaskColumns};
 use super::batch::NO_TASK;
 use super::rollout::{Decide, Exploration};
 use crate::alma::evaluate::Allocate;
@@ -21,7 +18,6 @@ pub struct ProposalAllocator<'a> {
     proposals: usize,
     greedy_first: bool,
     decider: Decider,
-    features: SparseRows,
     seen: Observation,
 }
 
@@ -33,7 +29,6 @@ impl<'a> ProposalAllocator<'a> {
             proposals,
             greedy_first: false,
             decider: Decider::default(),
-            features: SparseRows::default(),
             seen: Observation::default(),
         }
     }
@@ -52,7 +47,7 @@ impl<'a> ProposalAllocator<'a> {
         columns: Option<TaskColumns>,
         generator: &mut Generator,
     ) -> Result<Decided, LearnError> {
-        let Self { seen, features, .. } = self;
+        let Self { seen, .. } = self;
         environment.observe(state, 0, EntitySet::MAX, seen);
         let (agents, tasks) = (last.len(), seen.tasks());
         let known = self.networks.policy.shape().columns;
@@ -60,28 +55,8 @@ impl<'a> ProposalAllocator<'a> {
             let reason = format!("the allocator knows {known} subtasks, this state has {tasks}");
             return Err(LearnError::Config(reason));
         }
-        // Agents that do not exist have a row as well, things do not.
-        let slots: EntitySet = (1 << agents) - 1;
-        let entities = || members(slots | seen.things());
-        features.clear();
-        for entity in entities() {
-            if seen.present >> entity & 1 == 1 {
-                features.push_row(&seen.rows, seen.row_of(entity));
-            }
-            features.end_row();
-        }
-        let present: Vec<bool> = entities().map(|entity| seen.present >> entity & 1 == 1).collect();
-        let entity_task: Vec<u8> = entities().map(|entity| seen.task_of(entity)).collect();
-        let open: Vec<bool> = (0..tasks).map(|task| seen.open_tasks >> task & 1 == 1).collect();
-        let mut states = States::new(agents, present.len(), tasks);
-        states.push(StateView {
-            features,
-            first_row: 0,
-            present: &present,
-            entity_task: &entity_task,
-            open: &open,
-            last_allocation: last,
-        });
+        let mut states = States::new(agents, seen.entity_task.len(), tasks);
+        states.push_seen(seen, last);
         let columns = columns.unwrap_or_else(|| TaskColumns::shuffled(tasks, known, generator));
         let noise = Noise::Seeded { seed: generator.next_u64(), greedy_first: self.greedy_first };
         Ok(self.decider.decide(self.networks, &states, &columns, (self.proposals, noise)))
@@ -129,3 +104,122 @@ impl Decide for ProposalAllocator<'_> {
 /// The environment's word for no subtask and the learner's are the same, so that allocations need no
 /// translation.
 const _: () = assert!(NO_TASK == UNASSIGNED);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::alma::windows::allocation::{
+        AllocationCritic, AllocationPolicy, AllocationShape, StateView,
+    };
+    use crate::alma::windows::{
+        Episode, Moment, Replay, SampleShape, Shaping, Windows, cut_windows,
+    };
+    use sortie_envs::Split;
+    use sortie_learn::random::{Purpose, generator};
+
+    fn draws(index: u64) -> Generator {
+        generator(3, Purpose::Proposals, index)
+    }
+
+    fn city() -> Box<dyn Environment> {
+        sortie_envs::open("save-the-city/2-5a_2-5b", Split::Train, 1, &Default::default()).unwrap()
+    }
+
+    /// The first state of an episode, and a window of it.
+    fn start(number: u64) -> (Vec<u8>, Windows) {
+        let mut city = city();
+        city.reset(0, &mut draws(number));
+        let mut state = Vec::new();
+        city.save(0, &mut state);
+        let shape = city.spec().shape;
+        let (allocation, actions) = (vec![NO_TASK; shape.agents], vec![0; shape.agents]);
+        let mut episode = Episode::begin(shape.agents, shape.tasks, 0);
+        let (allocation, actions) = (&allocation[..], &actions[..]);
+        episode.end(Moment { state: &state, allocation, decision: true, actions }, true);
+        let mut replay = Replay::new(1);
+        replay.push(episode);
+        let sample = SampleShape { windows: 1, steps: 1, shaping: Shaping::default() };
+        (state, cut_windows(&*city, &replay, &[0], sample, &mut draws(0)))
+    }
+
+    fn networks() -> (AllocationPolicy, AllocationCritic) {
+        let shape = city().spec().shape;
+        let (features, columns) = (shape.features, shape.tasks);
+        let shape = AllocationShape { features, columns, width: 16, heads: 4 };
+        let policy = AllocationPolicy::initialise(shape, &mut draws(1));
+        (policy, AllocationCritic::initialise(shape, &mut draws(2)))
+    }
+
+    #[test]
+    fn what_is_decided_in_a_state_is_what_a_window_of_it_gives() {
+        let (policy, critic) = networks();
+        let networks = AllocationNetworks { policy: &policy, critic: &critic };
+        let mut allocator = ProposalAllocator::new(networks, 8);
+        let mut decided = Vec::new();
+        for number in 0..20 {
+            let (state, windows) = start(number);
+            let sizes = windows.shape;
+            let last: Vec<u8> = (0..sizes.agents).map(|agent| (agent % 2) as u8).collect();
+            let mut states = States::new(sizes.agents, sizes.entities, sizes.tasks);
+            states.push(StateView {
+                features: &windows.features,
+                first_row: 0,
+                present: &windows.present,
+                entity_task: &windows.entity_task,
+                open: &windows.open,
+                last_allocation: &last,
+            });
+            let noise = Noise::Seeded { seed: draws(number).next_u64(), greedy_first: false };
+            let columns = TaskColumns::in_order(sizes.tasks);
+            let want = Decider::default().decide(networks, &states, &columns, (8, noise));
+
+            let mut allocation = last.clone();
+            allocator.allocate(&*city(), &state, &mut draws(number), &mut allocation).unwrap();
+            assert_eq!(allocation, want.best);
+            decided.push(allocation);
+        }
+        decided.sort();
+        decided.dedup();
+        assert!(decided.len() > 10, "{decided:?}");
+    }
+
+    #[test]
+    fn agents_that_exist_try_out_open_subtasks() {
+        let (policy, critic) = networks();
+        let networks = AllocationNetworks { policy: &policy, critic: &critic };
+        let mut allocator = ProposalAllocator::new(networks, 8);
+        let allocator: &mut dyn Decide = &mut allocator;
+        let exploration = Exploration { allocation: 1.0, ..Exploration::default() };
+        // A start with fewer agents and subtasks than there may be.
+        let few = |windows: &Windows| {
+            windows.open.contains(&false) && !windows.present[windows.shape.agents - 1]
+        };
+        let mut starts = (0..).map(start);
+        let (state, windows) = starts.find(|(_, windows)| few(windows)).unwrap();
+        let (city, sizes) = (city(), windows.shape);
+        let mut met = vec![false; sizes.tasks];
+        for number in 0..50 {
+            let (mut random, mut allocation) = (draws(number), vec![NO_TASK; sizes.agents]);
+            allocator.decide(&*city, &state, exploration, &mut random, &mut allocation).unwrap();
+            for (task, present) in allocation.into_iter().zip(&windows.present) {
+                assert_eq!(task != NO_TASK, *present);
+                if *present {
+                    met[usize::from(task)] = true;
+                }
+            }
+        }
+        assert_eq!(met, windows.open);
+    }
+
+    #[test]
+    fn more_subtasks_than_the_networks_know_are_refused() {
+        let shape = AllocationShape { features: 58, columns: 1, width: 16, heads: 4 };
+        let policy = AllocationPolicy::initialise(shape, &mut draws(1));
+        let critic = AllocationCritic::initialise(shape, &mut draws(2));
+        let networks = AllocationNetworks { policy: &policy, critic: &critic };
+        let mut allocator = ProposalAllocator::new(networks, 8);
+        let error = allocator.allocate(&*city(), &start(0).0, &mut draws(0), &mut [NO_TASK; 5]);
+        let error = error.unwrap_err().to_string();
+        assert!(error.contains("knows 1 subtasks, this state has"), "{error}");
+    }
+}

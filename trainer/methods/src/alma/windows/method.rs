@@ -292,3 +292,47 @@ fn allocation_state(level: &mut AllocationLevel, state: &mut State<'_>) -> Resul
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::alma::records::Conditioning;
+    use sortie_envs::Split;
+    use sortie_learn::play::{self, Play};
+    use sortie_learn::run::EpisodeCounts;
+
+    /// Small networks that learn from four windows.
+    fn small() -> Config {
+        let mut config = Config::default();
+        config.environment.instances = 4;
+        (config.low_level.width, config.low_level.base) = (8, 8);
+        config.low_level.hypernetwork_width = 8;
+        (config.learning.windows, config.learning.steps) = (4, 16);
+        config
+    }
+
+    #[test]
+    fn flat_agents_and_players_learn_where_there_are_no_subtasks() {
+        let ring = sortie_envs::open("group-matching/4x3x2", Split::Train, 1, &Default::default());
+        let ring = ring.unwrap();
+        for with_coach in [false, true] {
+            let mut config = small();
+            config.low_level.conditioning = Conditioning::None;
+            config.coach.enabled = with_coach;
+            let mut method = WindowLearner::new(&config, ring.spec().shape, 1, 1);
+            let random = (0..4).map(|index| generator(1, Purpose::Rollout, index)).collect();
+            let mut play = Play::new(&*ring, &mut method, random);
+            let (now, mut reports) = (Now { env_steps: 0, of: 1_000 }, Reports::default());
+            let before = method.low_level.online.clone();
+            for _ in 0..2 {
+                play.round(&mut method, now, &mut EpisodeCounts::default()).unwrap();
+                method.update(&*ring, now, &mut reports).unwrap();
+            }
+            assert_eq!(method.replay.len(), 8);
+            assert_ne!(method.low_level.online, before);
+            assert!(reports.agents.iter().all(|report| report.loss > 0.0), "{reports:?}");
+            let measured = play::evaluate(&*ring, &mut *method.team(), 8, 3).unwrap();
+            assert_eq!(measured, play::evaluate(&*ring, &mut *method.team(), 8, 3).unwrap());
+        }
+    }
+}

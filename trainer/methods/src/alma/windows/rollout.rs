@@ -219,8 +219,7 @@ mod tests {
     use super::*;
     use crate::alma::records::Conditioning;
     use crate::alma::windows::low_level::{TaskOrder, agent_utilities};
-    use crate::alma::windows::{SampleShape, Shaping, WindowLearner, cut_windows};
-    use sortie_envs::save_the_city::ACTIONS;
+    use crate::alma::windows::{SampleShape, Shaping, WindowLearner, WindowShape, cut_windows};
     use sortie_envs::{EntitySet, Environment, Observation, Step};
     use sortie_learn::Now;
     use sortie_learn::play::Play;
@@ -346,7 +345,8 @@ mod tests {
                 let mut last_actions = vec![NO_ACTION; 5];
                 for state in 0..episode.steps() {
                     let act = |_: usize, agent: usize, utilities: &[f32]| {
-                        let at = ((world * windows.shape.steps + state) * 5 + agent) * ACTIONS;
+                        let WindowShape { steps, actions, .. } = windows.shape;
+                        let at = ((world * steps + state) * 5 + agent) * actions;
                         for (acted, learned) in utilities.iter().zip(&in_windows[at..]) {
                             assert!((acted - learned).abs() < 1e-5, "{acted} {learned}");
                         }

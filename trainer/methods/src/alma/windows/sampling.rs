@@ -161,7 +161,7 @@ impl Writer<'_> {
                 windows.features.push_row(&seen.rows, seen.row_of(entity));
                 windows.entity_task[first + entity] = match episode.allocation(at).get(entity) {
                     Some(task) => *task,
-                    None => task_of(seen.entity_task[entity]),
+                    None => seen.task_of(entity),
                 };
             }
             windows.features.end_row();
@@ -239,11 +239,6 @@ impl Writer<'_> {
         }
         windows.reward[state] += gain(team(None), None, windows.terminated[state]);
     }
-}
-
-/// The subtask of an entity that belongs to one at most.
-fn task_of(tasks: u32) -> u8 {
-    if tasks == 0 { NO_TASK } else { tasks.trailing_zeros() as u8 }
 }
 
 #[cfg(test)]

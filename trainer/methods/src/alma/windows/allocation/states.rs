@@ -1,5 +1,6 @@
 //! The states in which agents are to be allocated.
 
+use sortie_envs::Observation;
 use sortie_nn::layers::SparseRows;
 
 use super::super::batch::NO_TASK;
@@ -64,6 +65,24 @@ impl States {
         self.entity_task.extend_from_slice(state.entity_task);
         self.open.extend_from_slice(state.open);
         self.last_allocation.extend_from_slice(state.last_allocation);
+    }
+
+    /// Adds a state of which everything was observed, with the allocation `[A]` that was in force before. Panics if it
+    /// has other sizes; of its subtasks, those that exist count.
+    pub fn push_seen(&mut self, seen: &Observation, last_allocation: &[u8]) {
+        assert_eq!(seen.entity_task.len(), self.entities, "entities");
+        assert_eq!(last_allocation.len(), self.agents, "agents");
+        for entity in 0..self.entities {
+            let exists = seen.present >> entity & 1 == 1;
+            if exists {
+                self.features.push_row(&seen.rows, seen.row_of(entity));
+            }
+            self.features.end_row();
+            self.present.push(exists);
+            self.entity_task.push(seen.task_of(entity));
+        }
+        self.open.extend((0..self.tasks).map(|task| seen.open_tasks >> task & 1 == 1));
+        self.last_allocation.extend_from_slice(last_allocation);
     }
 
     /// How many states there are.
