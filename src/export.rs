@@ -13,9 +13,10 @@ use sortie_learn::evaluate::Evaluation;
 use sortie_learn::play;
 use sortie_learn::run::read_curve;
 use sortie_methods::alma;
-use sortie_methods::alma::evaluate::{Allocate, EvaluationPlan, evaluate_watched};
+use sortie_methods::alma::evaluate::{EvaluationPlan, evaluate_watched};
 use sortie_methods::alma::export::{check_exportable, draft_bundle};
 use sortie_methods::alma::run::Run;
+use sortie_methods::alma::teams::Allocate;
 
 use crate::allocation::Allocation;
 use crate::compiler::with_plans;

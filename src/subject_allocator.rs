@@ -1,8 +1,8 @@
 //! What allocates in episodes that one process plays: a rule, or what a subject has learned.
 
 use sortie_envs::Entry;
-use sortie_methods::alma::evaluate::{Allocate, DeployedAllocator, NoSubtasks};
 use sortie_methods::alma::run::{Run, RunAllocator};
+use sortie_methods::alma::teams::{Allocate, DeployedAllocator, NoSubtasks};
 
 use crate::allocation::{Allocation, AllocatorChoice};
 use crate::allocator::{LearnedAllocator as DeployedLearned, none_learned};

@@ -3,7 +3,8 @@
 use sortie_bundle::{Bundle, OwnedAllocationState, Recording};
 use sortie_core::{AllocateError, AllocationState, Allocator, Policy};
 use sortie_envs::Split;
-use sortie_methods::alma::evaluate::{DeployedAllocator, EvaluationPlan, PolicyTeam, evaluate};
+use sortie_methods::alma::evaluate::{EvaluationPlan, evaluate};
+use sortie_methods::alma::teams::{DeployedAllocator, PolicyTeam};
 
 use crate::allocation::Allocation;
 use crate::environment::ScenarioSetName;

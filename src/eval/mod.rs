@@ -12,10 +12,8 @@ use serde::Serialize;
 use sortie_envs::{Metric, Split};
 use sortie_learn::evaluate::Evaluation;
 use sortie_learn::play::Onlooker;
-use sortie_methods::alma::evaluate::{
-    Allocate, EvaluationPlan, Planner, PlannerReport, PolicyTeam, ScriptedActors, Team,
-    evaluate_watched,
-};
+use sortie_methods::alma::evaluate::{EvaluationPlan, Planner, PlannerReport, evaluate_watched};
+use sortie_methods::alma::teams::{Allocate, PolicyTeam, ScriptedActors, Team};
 
 use self::method::{flat_bundle, play_bundle, play_method, play_script};
 use crate::allocation::AllocatorChoice;

@@ -4,7 +4,7 @@ use serde::Serialize;
 use sortie_bundle::Bundle;
 use sortie_core::choose::masked_argmax;
 use sortie_core::{DecideError, Decision, Observation, Policy};
-use sortie_methods::alma::records::NetworkPolicy;
+use sortie_methods::alma::agents::NetworkPolicy;
 use sortie_plans::AttentionProbe;
 
 use super::page::rounded;

@@ -4,9 +4,8 @@ use std::collections::HashMap;
 use std::path::Path;
 
 use sortie_envs::{EntitySet, Environment, Observation, members};
-use sortie_methods::alma::records::{
-    Columns, Experience, Knowledge, Moment, NO_ACTION, Pick, Replay, UtilityNetwork, UtilityShape,
-};
+use sortie_methods::alma::agents::{Columns, NO_ACTION, UtilityNetwork, UtilityShape};
+use sortie_methods::alma::records::{Experience, Knowledge, Moment, Pick, Replay};
 
 use super::learning::{Learning, gradient};
 use super::program::Expected;

@@ -10,9 +10,9 @@ use std::error::Error;
 use std::time::Instant;
 
 use sortie_learn::random::{Purpose, generator};
-use sortie_methods::alma::records::Conditioning;
+use sortie_methods::alma::agents::Conditioning;
 use sortie_methods::alma::windows::NO_TASK;
-use sortie_methods::alma::windows::low_level::coach::CoachConfig;
+use sortie_methods::alma::windows::low_level::coaching::CoachConfig;
 use sortie_methods::alma::windows::low_level::{LowLevel, LowLevelConfig};
 use sortie_nn::layers::matrix::{Matrix, MatrixMut, Store, multiply};
 

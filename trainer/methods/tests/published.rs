@@ -8,9 +8,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use sessions::{begin, environment_of, resume};
 use sortie_learn::run::{CurvePoint, Observer, Outcome, Progress};
 use sortie_learn::session::{MethodEntry, Session, Setup};
-use sortie_methods::alma::evaluate::{EvaluationPlan, NoSubtasks, RuleAllocator, evaluate};
+use sortie_methods::alma::evaluate::{EvaluationPlan, evaluate};
 use sortie_methods::alma::export::check_exportable;
 use sortie_methods::alma::run::{Run, RunAllocator};
+use sortie_methods::alma::teams::{NoSubtasks, RuleAllocator};
 use sortie_methods::alma::{ALMA, COPA, FLAT};
 
 /// A run of a few seconds, with some values replaced.

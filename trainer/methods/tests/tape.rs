@@ -1,8 +1,8 @@
 //! The tape computes what passes written by hand compute, to the bit.
 
 use sortie_learn::random::{Purpose, generator};
-use sortie_methods::alma::records::{UtilityInput, UtilityNetwork, UtilityPass, UtilityShape};
-use sortie_methods::alma::windows::low_level::coach::{
+use sortie_methods::alma::agents::{UtilityInput, UtilityNetwork, UtilityPass, UtilityShape};
+use sortie_methods::alma::coach::{
     Coach, CoachPass, CoachShape, Recognition, RecognitionPass, RecognitionShape,
 };
 use sortie_nn::gradient_check::random;

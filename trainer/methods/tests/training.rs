@@ -9,8 +9,9 @@ use sessions::{begin, resume};
 use sortie_envs::Split;
 use sortie_learn::run::{Observer, Outcome, Progress};
 use sortie_learn::session::{Session, Setup};
-use sortie_methods::alma::evaluate::{EvaluationPlan, RuleAllocator, evaluate};
+use sortie_methods::alma::evaluate::{EvaluationPlan, evaluate};
 use sortie_methods::alma::run::Run;
+use sortie_methods::alma::teams::RuleAllocator;
 use sortie_methods::alma::{ALMA, FLAT};
 
 /// A run of a few seconds whose replay overflows, with some values replaced.

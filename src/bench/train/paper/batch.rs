@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::path::Path;
 
 use sortie_envs::random::unit;
-use sortie_methods::alma::records::{UtilityNetwork, UtilityShape};
+use sortie_methods::alma::agents::{UtilityNetwork, UtilityShape};
 use sortie_methods::alma::windows::allocation::{
     AllocationCritic, AllocationPolicy, AllocationShape, Noise, Rows, StepDraws,
 };

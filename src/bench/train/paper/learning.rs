@@ -7,7 +7,7 @@ use sortie_learn::Now;
 use sortie_learn::play::Play;
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::EpisodeCounts;
-use sortie_methods::alma::records::Allocation;
+use sortie_methods::alma::teams::Allocation;
 use sortie_methods::alma::windows::allocation::{AllocationLevel, AllocationState};
 use sortie_methods::alma::windows::low_level::{LowLevel, LowLevelConfig};
 use sortie_methods::alma::windows::{

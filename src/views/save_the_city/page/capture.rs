@@ -9,7 +9,7 @@ use sortie_envs::save_the_city::{
 use sortie_envs::{DecisionPoints, UNASSIGNED};
 use sortie_learn::LearnError;
 use sortie_learn::play::{Onlooker, Watched};
-use sortie_methods::alma::evaluate::{PolicyTeam, Scene, Team};
+use sortie_methods::alma::teams::{PolicyTeam, Scene, Team};
 
 use super::data::{AgentFacts, BuildingFacts, EpisodeResult, State, Step};
 use super::episode::Episode;

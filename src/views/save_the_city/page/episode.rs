@@ -7,8 +7,9 @@ use sortie_envs::save_the_city::golden::{self, Playback};
 use sortie_envs::{DecisionPoints, EntitySet, Environment, Observation, UNASSIGNED};
 use sortie_learn::play::{Onlooker, Watched};
 use sortie_learn::random::{Purpose, generator};
-use sortie_methods::alma::evaluate::{Allocate, EvaluationPlan, Scene, Team, watch_last_episode};
-use sortie_methods::alma::records::NO_ACTION;
+use sortie_methods::alma::agents::NO_ACTION;
+use sortie_methods::alma::evaluate::{EvaluationPlan, watch_last_episode};
+use sortie_methods::alma::teams::{Allocate, Scene, Team};
 use sortie_nn::random::Generator;
 
 use crate::failure::Failure;

@@ -14,8 +14,9 @@ use sortie_envs::save_the_city::golden::Playback;
 use sortie_envs::save_the_city::{ACTION_NAMES, ENTRY, SIDE, SaveTheCity};
 use sortie_envs::{DecisionPoints, Split};
 use sortie_learn::LearnError;
-use sortie_methods::alma::evaluate::{Allocate, EvaluationPlan, Scene, ScriptedActors, Team};
-use sortie_methods::alma::records::{Conditioning, NetworkPolicy};
+use sortie_methods::alma::agents::{Conditioning, NetworkPolicy};
+use sortie_methods::alma::evaluate::EvaluationPlan;
+use sortie_methods::alma::teams::{Allocate, Scene, ScriptedActors, Team};
 
 use crate::allocation::AllocatorChoice;
 use crate::environment;

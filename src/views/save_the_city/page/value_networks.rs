@@ -4,9 +4,9 @@ use sortie_core::AllocateError;
 use sortie_core::allocate::{TaskRelation, TeamQuery as DeployedQuery, TeamValueNetwork};
 use sortie_envs::save_the_city::ENTRY;
 use sortie_learn::LearnError;
-use sortie_methods::alma::evaluate::{Scene, allocation_state};
+use sortie_methods::alma::agents::{UtilityNetwork, UtilityPass};
 use sortie_methods::alma::records::team_value::{TeamQuery, TeamValueInput};
-use sortie_methods::alma::records::{UtilityNetwork, UtilityPass};
+use sortie_methods::alma::teams::{Scene, allocation_state};
 
 use crate::allocator::LearnedAllocator;
 use crate::worlds::rules::FrameRelation;

@@ -2,8 +2,8 @@
 
 use sortie_envs::members;
 use sortie_learn::LearnError;
-use sortie_methods::alma::evaluate::Scene;
 use sortie_methods::alma::export::LearnedAllocator;
+use sortie_methods::alma::teams::Scene;
 
 use super::data::TeamValues;
 use super::value_networks::{DeployedNetwork, RunNetwork, ValueTeams};
@@ -110,8 +110,8 @@ mod tests {
     use sortie_envs::UNASSIGNED;
     use sortie_envs::{EntitySet, Observation, Split};
     use sortie_learn::random::{Purpose, generator};
+    use sortie_methods::alma::agents::{UtilityNetwork, UtilityPass, UtilityShape};
     use sortie_methods::alma::records::team_value::{TeamColumns, TeamQuery, TeamValueInput};
-    use sortie_methods::alma::records::{UtilityNetwork, UtilityPass, UtilityShape};
 
     #[test]
     fn values_are_those_of_the_network_for_the_teams_that_are_named() {

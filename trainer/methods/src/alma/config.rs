@@ -6,9 +6,9 @@ use sortie_learn::session::Setup;
 use toml::Table;
 
 use super::configuration::{FAST, PAPER};
-use super::records::Conditioning;
 use super::records::config::EnvironmentConfig;
 use super::{records, windows};
+use crate::alma::agents::Conditioning;
 use sortie_learn::configuration::Section;
 
 /// What a run learns by.

@@ -3,6 +3,8 @@
 //!
 //! Two learners: one from [`records`], the preset `fast`, one from [`windows`], the preset `paper`.
 
+pub mod agents;
+pub mod coach;
 mod config;
 pub mod configuration;
 pub mod evaluate;
@@ -10,6 +12,7 @@ pub mod export;
 mod presets;
 pub mod records;
 pub mod run;
+pub mod teams;
 pub mod windows;
 
 pub use config::Config;

@@ -6,8 +6,10 @@ use sortie_learn::session::{Flag, MethodEntry, Opening, Preset, Setup};
 use sortie_learn::{LearnError, Method};
 
 use super::config::{Config, keys, settle_older};
-use super::records::{self, Conditioning, Records};
+use super::records;
+use super::records::Records;
 use super::windows::{self, WindowLearner};
+use crate::alma::agents::Conditioning;
 
 /// The methods of this module.
 pub const METHODS: [MethodEntry; 3] = [ALMA, FLAT, COPA];

@@ -9,12 +9,12 @@ use sortie_learn::run::{Checkpoint, CurvePoint, RunDescription, RunFolder, check
 use sortie_nn::layers::gru::lengths;
 
 use super::config::Config;
-use super::evaluate::{Agents, Allocate, NetworkTeam};
 use super::records::team_value::TeamValueAllocator;
-use super::records::{UtilityNetwork, network_of};
 use super::windows::allocation::{AllocationCritic, AllocationNetworks, AllocationPolicy};
-use super::windows::low_level::coach::{Coach, CoachShape};
 use super::windows::{self, PopArt, ProposalAllocator, WindowShape};
+use crate::alma::agents::{UtilityNetwork, network_of};
+use crate::alma::coach::Coach;
+use crate::alma::teams::{Agents, Allocate, NetworkTeam};
 
 /// A learned allocator.
 #[derive(Clone, Debug, PartialEq)]
@@ -133,7 +133,7 @@ fn windows_networks(
     };
     let coach = match config.coach.enabled {
         true => {
-            let shape = CoachShape::of(&config.low_level, sizes);
+            let shape = config.low_level.coach(sizes);
             Coach::from_parameters(shape, whole("coach/online", shape.parameters())?)
         }
         false => None,

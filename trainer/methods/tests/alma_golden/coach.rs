@@ -1,11 +1,10 @@
 //! COPA's coach and recognition network against the reference's modules.
 
-use sortie_methods::alma::records::UtilityInput;
-use sortie_methods::alma::windows::low_level::TaskOrder;
-use sortie_methods::alma::windows::low_level::coach::{
-    Coach, CoachPass, CoachShape, Recognition, RecognitionPass, RecognitionShape, drawn,
-    state_input,
+use sortie_methods::alma::agents::{TaskOrder, UtilityInput};
+use sortie_methods::alma::coach::{
+    Coach, CoachPass, CoachShape, Recognition, RecognitionPass, RecognitionShape, gaussian::drawn,
 };
+use sortie_methods::alma::windows::low_level::coaching::state_input;
 
 use crate::files::{Case, assert_close, json_cases};
 use crate::reference;

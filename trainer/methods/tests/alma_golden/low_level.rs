@@ -2,13 +2,23 @@
 
 use serde_json::Value;
 use sortie_learn::random::{Purpose, generator};
-use sortie_methods::alma::evaluate::Agents;
-use sortie_methods::alma::records::Conditioning;
+use sortie_methods::alma::agents::{Conditioning, TaskOrder};
+use sortie_methods::alma::teams::Agents;
 use sortie_methods::alma::windows::PopArt;
-use sortie_methods::alma::windows::low_level::{
-    HypernetworkPass, HypernetworkShape, LowLevel, LowLevelConfig, Merged, Mixer, MixerShape, Mode,
-    Nonnegative, PopArtOrder, TaskOrder, agent_utilities, is_available, team_input, team_values,
-};
+use sortie_methods::alma::windows::low_level::HypernetworkPass;
+use sortie_methods::alma::windows::low_level::HypernetworkShape;
+use sortie_methods::alma::windows::low_level::LowLevel;
+use sortie_methods::alma::windows::low_level::LowLevelConfig;
+use sortie_methods::alma::windows::low_level::Merged;
+use sortie_methods::alma::windows::low_level::Mixer;
+use sortie_methods::alma::windows::low_level::MixerShape;
+use sortie_methods::alma::windows::low_level::Mode;
+use sortie_methods::alma::windows::low_level::Nonnegative;
+use sortie_methods::alma::windows::low_level::PopArtOrder;
+use sortie_methods::alma::windows::low_level::agent_utilities;
+use sortie_methods::alma::windows::low_level::is_available;
+use sortie_methods::alma::windows::low_level::team_input;
+use sortie_methods::alma::windows::low_level::team_values;
 use sortie_nn::layers::gru::{GruPass, GruShape};
 use sortie_nn::layers::linear::{self, LinearShape};
 use sortie_nn::layers::softmax;

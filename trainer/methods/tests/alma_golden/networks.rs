@@ -1,9 +1,9 @@
 //! The layers against the reference's modules, on recorded inputs (`tests/golden/networks`).
 
-use sortie_methods::alma::records::{
-    Mixer, MixerKind, MixerPass, MixerShape, Teams, UtilityInput, UtilityNetwork, UtilityPass,
-    UtilityShape, UtilityWeights,
+use sortie_methods::alma::agents::{
+    UtilityInput, UtilityNetwork, UtilityPass, UtilityShape, UtilityWeights,
 };
+use sortie_methods::alma::records::{Mixer, MixerKind, MixerPass, MixerShape, Teams};
 use sortie_nn::layers::attention::{self, AttentionShape};
 use sortie_nn::layers::linear::{self, LinearShape};
 use sortie_nn::layers::{SparseRows, VisibleLists};

@@ -1,6 +1,6 @@
 //! Weights and masks of the reference's low level as ours.
 
-use sortie_methods::alma::records::{UtilityNetwork, UtilityShape, UtilityWeights};
+use sortie_methods::alma::agents::{UtilityNetwork, UtilityShape, UtilityWeights};
 use sortie_methods::alma::windows::{NO_TASK, WindowShape, Windows};
 
 use crate::files::Case;

@@ -4,136 +4,17 @@
 //! deployed policy ([`PolicyTeam`]) or the scripted low level ([`ScriptedActors`]). Episode e of a seed
 //! is the same whoever plays it, so that teams can be compared pair by pair.
 
-mod allocated;
-mod allocators;
-mod plan;
-mod players;
-mod teams;
+mod planner;
 mod worlds;
 
-use sortie_envs::{DecisionPoints, Environment, Observation, Split};
+use sortie_envs::{DecisionPoints, Environment, Split};
 
-pub use allocated::AllocatedTeam;
-pub use allocators::{DeployedAllocator, NoSubtasks, RuleAllocator, allocation_state};
-pub use plan::{Planner, PlannerReport};
-pub use players::{Agents, Players};
-pub use teams::{NetworkTeam, PolicyTeam, ScriptedActors};
+pub use planner::{Planner, PlannerReport};
 
+use crate::alma::teams::{Allocate, AllocatedTeam, Team};
 use sortie_learn::LearnError;
 use sortie_learn::evaluate::Evaluation;
 use sortie_learn::play::{Onlooker, WORLDS, watch};
-use sortie_nn::random::Generator;
-
-/// One state in which a team is to act.
-#[derive(Clone, Copy)]
-pub struct Scene<'a> {
-    /// Number of the world, the same as long as its episode runs: what agents remember belongs to it.
-    pub world: usize,
-    /// What observes the state.
-    pub environment: &'a dyn Environment,
-    /// The state.
-    pub state: &'a [u8],
-    /// All that there is to see in it.
-    pub seen: &'a Observation,
-    /// The subtask of every agent, or [`sortie_envs::UNASSIGNED`].
-    pub allocation: &'a [u8],
-    /// The last action of every agent, or [`crate::alma::records::NO_ACTION`].
-    pub last_actions: &'a [u8],
-    /// What the team was [advised](Team::advise) at the last decision.
-    pub strategies: &'a [f32],
-}
-
-/// What chooses the actions of all agents.
-pub trait Team {
-    /// Writes one available action per existing agent of every scene into `actions` `[scenes, A]`.
-    fn act(
-        &mut self,
-        scenes: &[Scene<'_>],
-        actions: &mut [u16],
-        agents: usize,
-    ) -> Result<(), LearnError>;
-
-    /// Writes what a coach tells the agents of a state at a decision, for the scenes until the next one.
-    ///
-    /// Only teams with a coach write anything.
-    fn advise(&mut self, seen: &Observation, strategies: &mut Vec<f32>) -> Result<(), LearnError> {
-        let _ = (seen, strategies);
-        Ok(())
-    }
-}
-
-/// The moment of a decision, all that is needed to play on from it in a copy of the world.
-#[derive(Clone, Copy)]
-pub struct Situation<'a> {
-    /// What observes the state.
-    pub environment: &'a dyn Environment,
-    /// The state.
-    pub state: &'a [u8],
-    /// The last action of every agent, or [`crate::alma::records::NO_ACTION`].
-    pub last_actions: &'a [u8],
-}
-
-/// What assigns agents to subtasks at decision points.
-pub trait Allocate {
-    /// Writes the subtask of every agent, or [`sortie_envs::UNASSIGNED`]; `allocation` comes with what was in force.
-    /// `generator` belongs to the episode.
-    fn allocate(
-        &mut self,
-        environment: &dyn Environment,
-        state: &[u8],
-        generator: &mut Generator,
-        allocation: &mut [u8],
-    ) -> Result<(), LearnError>;
-
-    /// The same, with what a copy of the world could be played on from. Only [`Planner`] looks at it.
-    fn decide(
-        &mut self,
-        situation: Situation<'_>,
-        team: &mut dyn Team,
-        generator: &mut Generator,
-        allocation: &mut [u8],
-    ) -> Result<(), LearnError> {
-        let _ = team;
-        self.allocate(situation.environment, situation.state, generator, allocation)
-    }
-}
-
-impl<T: Team + ?Sized> Team for &mut T {
-    fn act(
-        &mut self,
-        scenes: &[Scene<'_>],
-        actions: &mut [u16],
-        agents: usize,
-    ) -> Result<(), LearnError> {
-        (**self).act(scenes, actions, agents)
-    }
-
-    fn advise(&mut self, seen: &Observation, strategies: &mut Vec<f32>) -> Result<(), LearnError> {
-        (**self).advise(seen, strategies)
-    }
-}
-
-impl<A: Allocate + ?Sized> Allocate for &mut A {
-    fn allocate(
-        &mut self,
-        environment: &dyn Environment,
-        state: &[u8],
-        generator: &mut Generator,
-        allocation: &mut [u8],
-    ) -> Result<(), LearnError> {
-        (**self).allocate(environment, state, generator, allocation)
-    }
-
-    fn decide(
-        &mut self,
-        situation: Situation<'_>,
-        team: &mut dyn Team,
-        generator: &mut Generator,
-        allocation: &mut [u8],
-    ) -> Result<(), LearnError> {
-        (**self).decide(situation, team, generator, allocation)
-    }
-}
 
 /// Which episodes are played.
 #[derive(Clone, Copy)]
@@ -199,7 +80,9 @@ pub fn watch_last_episode(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::alma::records::{Config, NetworkPolicy, UtilityNetwork};
+    use crate::alma::agents::{NetworkPolicy, UtilityNetwork};
+    use crate::alma::records::Config;
+    use crate::alma::teams::{NetworkTeam, PolicyTeam, RuleAllocator, ScriptedActors};
     use sortie_learn::random::{Purpose, generator};
 
     fn measured(episodes: usize, team: &mut dyn Team, allocator: &mut dyn Allocate) -> Evaluation {

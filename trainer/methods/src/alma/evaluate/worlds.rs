@@ -3,8 +3,9 @@
 use sortie_envs::{DecisionPoints, EntitySet, Environment, Observation, Random, Step, UNASSIGNED};
 use sortie_nn::random::Generator;
 
-use super::{Allocate, EvaluationPlan, Scene, Situation, Team};
-use crate::alma::records::NO_ACTION;
+use super::EvaluationPlan;
+use crate::alma::agents::NO_ACTION;
+use crate::alma::teams::{Allocate, Scene, Situation, Team};
 use sortie_learn::LearnError;
 
 /// What a world remembers between steps.

@@ -16,12 +16,11 @@ use sortie_envs::save_the_city::{
 use super::card::card;
 use super::golden_allocations::golden_allocations;
 use super::proposals::{ProposalGraphs, export_proposals};
+use crate::alma::agents::{Conditioning, NetworkPolicy, UtilityNetwork, UtilityWeights};
 use crate::alma::config::Config;
-use crate::alma::evaluate::{EvaluationPlan, PolicyTeam, evaluate};
-use crate::alma::records::{
-    Allocation, Conditioning, NetworkPolicy, UtilityNetwork, UtilityWeights,
-};
+use crate::alma::evaluate::{EvaluationPlan, evaluate};
 use crate::alma::run::{Run, RunAllocator};
+use crate::alma::teams::{Allocation, PolicyTeam};
 use sortie_learn::LearnError;
 use sortie_learn::draft::{Measured, Recorder, read_part};
 use sortie_learn::export::attention::{AttentionNetwork, ExportError, Layer, Layout, Matrix};

@@ -5,9 +5,10 @@ use sortie_envs::{EntitySet, Environment, SparseRows};
 use sortie_nn::random::Generator;
 
 use super::bundle::LearnedAllocator;
-use crate::alma::evaluate::{Allocate, EvaluationPlan, NetworkTeam, allocation_state, evaluate};
+use crate::alma::agents::{UtilityNetwork, UtilityPass};
+use crate::alma::evaluate::{EvaluationPlan, evaluate};
 use crate::alma::records::team_value::{TeamQuery, TeamValueAllocator, TeamValueInput};
-use crate::alma::records::{UtilityNetwork, UtilityPass};
+use crate::alma::teams::{Allocate, NetworkTeam, allocation_state};
 use sortie_learn::LearnError;
 
 /// Allocation states of a bundle.

@@ -4,7 +4,7 @@ use sortie_learn::export::attention::ExportError;
 use sortie_learn::export::{TeamValueExport, team_value_onnx};
 
 use super::bundle::layers;
-use crate::alma::records::{UtilityNetwork, UtilityShape};
+use crate::alma::agents::{UtilityNetwork, UtilityShape};
 use sortie_learn::random::{Purpose, generator};
 
 const FEATURES: usize = 6;

@@ -5,11 +5,13 @@ use sortie_envs::random::{below, chance, unit};
 use sortie_envs::{DecisionPoints, Observation, Spec, UNASSIGNED, members};
 use sortie_nn::random::Generator;
 
-use super::config::{Allocation, AllocationConfig, AllocatorConfig, Config};
+use super::config::AllocationConfig;
+use super::config::AllocatorConfig;
+use super::config::Config;
 use super::history::Reached;
 use super::team_value::{Decision, Segment, Segments, TeamSearch};
-use super::utility::UtilityNetwork;
-use crate::alma::evaluate::Allocate;
+use crate::alma::agents::UtilityNetwork;
+use crate::alma::teams::{Allocate, Allocation};
 use sortie_learn::LearnError;
 
 /// Who stands in for an allocator that has not begun to decide.

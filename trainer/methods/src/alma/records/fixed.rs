@@ -13,7 +13,7 @@ use super::observer::Observer;
 use super::replay::Replay;
 use super::rollout::{Behaviour, Memory, Rollout};
 use super::team_value::Segments;
-use super::utility::UtilityNetwork;
+use crate::alma::agents::UtilityNetwork;
 
 /// Agents and an allocator that learn nothing; the allocator decides from a step on.
 pub(super) struct Fixed {

@@ -12,8 +12,8 @@ use std::collections::VecDeque;
 use serde::{Deserialize, Serialize};
 use sortie_envs::{AgentSet, EntitySet, Environment, Observation, members};
 
-use super::conditioning::Conditioning;
 use super::replay::{Record, Replay};
+use crate::alma::agents::Conditioning;
 
 /// How rewards of several steps become one target.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

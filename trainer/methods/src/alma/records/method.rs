@@ -11,7 +11,7 @@ use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition};
 use sortie_nn::random::Generator;
 use sortie_nn::workers::Workers;
 
-use super::config::{Allocation, Config};
+use super::config::Config;
 use super::history::Returns;
 use super::learner::{Knowledge, Learner, Loss};
 use super::mixed_network::MixedNetwork;
@@ -19,12 +19,11 @@ use super::mixer::Mixer;
 use super::observer::Observer;
 use super::replay::Replay;
 use super::rollout::{Behaviour, Memory, Rollout};
-use super::saved_network::tensors;
 use super::team_value::{Segments, TeamValueAllocator, TeamValueLoss};
 use super::temporal_difference::Chunk;
-use super::utility::UtilityNetwork;
-use crate::alma::evaluate::{Agents, Allocate, AllocatedTeam, NetworkTeam, NoSubtasks};
+use crate::alma::agents::{UtilityNetwork, tensors};
 use crate::alma::run::{Run, RunAllocator};
+use crate::alma::teams::{Agents, Allocate, AllocatedTeam, Allocation, NetworkTeam, NoSubtasks};
 
 /// Tells the allocator's streams of random numbers from the agents'.
 const ALLOCATOR_STREAM: u64 = 1;

@@ -2,7 +2,7 @@
 
 use super::learner::Parameters;
 use super::mixer::Mixer;
-use super::utility::UtilityNetwork;
+use crate::alma::agents::UtilityNetwork;
 
 /// A utility network with its mixer.
 #[derive(Clone, Debug, PartialEq)]
@@ -11,6 +11,16 @@ pub struct MixedNetwork {
     pub utility: UtilityNetwork,
     /// Makes a team's value of its agents' utilities.
     pub mixer: Mixer,
+}
+
+impl Parameters for UtilityNetwork {
+    fn parts(&self) -> Vec<&[f32]> {
+        vec![self.parameters()]
+    }
+
+    fn parts_mut(&mut self) -> Vec<&mut [f32]> {
+        vec![self.parameters_mut()]
+    }
 }
 
 /// The utility network's parameters, then the mixer's.

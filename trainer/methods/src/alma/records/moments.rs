@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use serde::{Deserialize, Serialize};
 use sortie_envs::{Spec, UNASSIGNED};
 
-use super::team_batch::NO_ACTION;
+use crate::alma::agents::NO_ACTION;
 
 /// Moments that are stored, and forgotten, together.
 const BLOCK: u64 = 1024;

@@ -10,10 +10,10 @@ use super::config::Config;
 use super::deciding::{Deciding, Decisions};
 use super::history::{History, Reached, StepRewards};
 use super::replay::Replay;
-use super::team_batch::{Columns, NO_ACTION, TeamBatch, best_action, random_action};
 use super::team_value::Segments;
-use super::utility::UtilityNetwork;
-use super::utility_pass::UtilityPass;
+use crate::alma::agents::{
+    Columns, NO_ACTION, TeamBatch, UtilityNetwork, UtilityPass, best_action, random_action,
+};
 
 /// What an instance remembers between steps.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -215,9 +215,9 @@ fn sizes(instances: &[Instance]) -> Vec<[usize; 2]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::alma::agents::UtilityShape;
     use crate::alma::records::fixed::{Fixed, begin, fixed, observer, play};
     use crate::alma::records::team_value::Decision;
-    use crate::alma::records::utility::UtilityShape;
 
     fn config(episode_limit: u32) -> Config {
         let mut config = Config::default();

@@ -13,15 +13,15 @@ use sortie_envs::random::below;
 use sortie_envs::{ActionSet, AgentSet, EntitySet, Environment, Observation, members};
 use sortie_nn::random::Generator;
 
-use super::conditioning::Conditioning;
 use super::learner::{Experience, Loss, Networks, Pick};
 use super::mixed_network::MixedNetwork;
 use super::mixer::{MixerPass, Teams};
 use super::moments::Moment;
 use super::replay::{Replay, Sample};
-use super::team_batch::{Columns, NO_ACTION, TeamBatch, best_action};
-use super::utility::{UtilityNetwork, UtilityShape};
-use super::utility_pass::UtilityPass;
+use crate::alma::agents::{
+    Columns, Conditioning, NO_ACTION, TeamBatch, UtilityNetwork, UtilityPass, UtilityShape,
+    best_action,
+};
 
 /// One of the two states of the records: the rows, and what is known of the teams.
 #[derive(Clone, Debug)]
@@ -300,8 +300,9 @@ impl Loss for Chunk {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::alma::agents::UtilityNetwork;
     use crate::alma::records::fixed::{Fixed, begin, fixed, observer, play};
-    use crate::alma::records::{Config, Mixer, MixerKind, Parameters, UtilityNetwork};
+    use crate::alma::records::{Config, Mixer, MixerKind, Parameters};
     use sortie_learn::random::{Purpose, generator};
     use sortie_nn::gradient_check::assert_gradient;
 

@@ -8,7 +8,7 @@ use sortie_nn::random::Generator;
 use super::allocation::{AllocationNetworks, Decided, Decider, Noise, States, TaskColumns};
 use super::batch::NO_TASK;
 use super::rollout::{Decide, Exploration};
-use crate::alma::evaluate::Allocate;
+use crate::alma::teams::Allocate;
 use sortie_learn::LearnError;
 
 /// Proposes allocations and takes the one that the critic values most.

@@ -14,14 +14,14 @@ use super::batch::WindowShape;
 use super::config::Config;
 use super::deciding::ProposalAllocator;
 use super::low_level::LowLevel;
-use super::low_level::coach::Coaching;
+use super::low_level::coaching::Coaching;
 use super::replay::Replay;
 use super::rollout::{Behaviour, Decide, Rollout};
 use super::sampling::{SampleShape, Shaping, cut_windows, draw_episodes};
-use crate::alma::evaluate::{Allocate, AllocatedTeam, NetworkTeam, NoSubtasks};
-use crate::alma::records::config::{Allocation, ReturnsConfig};
-use crate::alma::records::{UtilityNetwork, tensors};
+use crate::alma::agents::{UtilityNetwork, tensors};
+use crate::alma::records::config::ReturnsConfig;
 use crate::alma::run::Run;
+use crate::alma::teams::{Allocate, AllocatedTeam, Allocation, NetworkTeam, NoSubtasks};
 
 /// Episodes since the run began, and when target networks were renewed last.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -296,7 +296,7 @@ fn allocation_state(level: &mut AllocationLevel, state: &mut State<'_>) -> Resul
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::alma::records::Conditioning;
+    use crate::alma::agents::Conditioning;
     use sortie_envs::Split;
     use sortie_learn::play::{self, Play};
     use sortie_learn::run::EpisodeCounts;

@@ -6,10 +6,10 @@ use sortie_learn::{LearnError, Scenes, Transition};
 use sortie_nn::random::Generator;
 
 use super::config::Config;
-use super::low_level::coach::Advice;
 use super::replay::{Episode, Moment};
-use crate::alma::evaluate::{Agents, Allocate, Players, RuleAllocator, Scene};
-use crate::alma::records::{NO_ACTION, UtilityShape, best_action, random_action};
+use crate::alma::agents::{NO_ACTION, UtilityShape, best_action, random_action};
+use crate::alma::coach::Advice;
+use crate::alma::teams::{Agents, Allocate, Players, RuleAllocator, Scene};
 
 /// How much is tried out in a round.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -217,8 +217,8 @@ impl Instance {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::alma::records::Conditioning;
-    use crate::alma::windows::low_level::{TaskOrder, agent_utilities};
+    use crate::alma::agents::{Conditioning, TaskOrder};
+    use crate::alma::windows::low_level::agent_utilities;
     use crate::alma::windows::{SampleShape, Shaping, WindowLearner, WindowShape, cut_windows};
     use sortie_envs::{EntitySet, Environment, Observation, Step};
     use sortie_learn::Now;

@@ -4,11 +4,9 @@ use serde::{Deserialize, Serialize};
 use sortie_envs::Spec;
 
 use super::require;
-use crate::alma::records::conditioning::Conditioning;
+use crate::alma::agents::{Columns, Conditioning, UtilityShape};
 use crate::alma::records::history::Returns;
 use crate::alma::records::mixer::{MixerKind, MixerShape};
-use crate::alma::records::team_batch::Columns;
-use crate::alma::records::utility::UtilityShape;
 use sortie_learn::LearnError;
 
 /// Sizes of the utility network.

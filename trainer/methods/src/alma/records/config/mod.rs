@@ -8,7 +8,7 @@ mod learning;
 use serde::{Deserialize, Serialize};
 
 pub use agents::{AgentNetworkConfig, MixerConfig, NetworkConfig, ReturnsConfig};
-pub use allocation::{Allocation, AllocationConfig, AllocatorConfig};
+pub use allocation::{AllocationConfig, AllocatorConfig};
 pub use environment::EnvironmentConfig;
 pub use learning::ReplayConfig;
 pub use sortie_learn::configuration::{ExplorationConfig, OptimiserConfig};

@@ -10,9 +10,10 @@ use sortie_nn::layers::attention::AttentionShape;
 use sortie_nn::layers::linear::{self, LinearShape};
 use sortie_nn::layers::matrix::Store;
 
-use super::super::entity_attention::{AttentionGradients, AttentionWeights, EntityAttention};
-use super::super::utility_pass::{UtilityInput, sized};
 use super::MixerTensor;
+use crate::alma::agents::{
+    AttentionGradients, AttentionWeights, EntityAttention, UtilityInput, sized,
+};
 
 /// Sizes of a hypernetwork.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -12,7 +12,7 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use super::utility_pass::{UtilityInput, sized};
+use crate::alma::agents::{UtilityInput, sized};
 use hypernetwork::{HypernetworkPass, HypernetworkShape};
 use sortie_nn::random::{Generator, signed_unit};
 

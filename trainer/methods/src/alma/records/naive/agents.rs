@@ -4,11 +4,10 @@ use sortie_envs::members;
 use sortie_envs::save_the_city::{AgentState, BuildingState, FEATURES, with_city};
 
 use super::{Map, Row, agent_row, assert_near, building_row, outputs};
-use crate::alma::records::conditioning::Conditioning;
+use crate::alma::agents::{Conditioning, NO_ACTION, UtilityNetwork};
 use crate::alma::records::fixed::{Fixed, begin, fixed, observer, play};
 use crate::alma::records::{
-    Chunk, Config, Experience, Loss, MixedNetwork, Mixer, NO_ACTION, Networks, Pick, Replay,
-    Sample, UtilityNetwork,
+    Chunk, Config, Experience, Loss, MixedNetwork, Mixer, Networks, Pick, Replay, Sample,
 };
 use sortie_learn::random::{Purpose, generator};
 

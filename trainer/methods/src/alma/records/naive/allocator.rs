@@ -6,11 +6,10 @@ use sortie_envs::save_the_city::{
 };
 
 use super::{Map, agent_row, assert_near, building_row, outputs};
+use crate::alma::agents::{UtilityNetwork, UtilityShape};
 use crate::alma::records::fixed::{Fixed, begin, fixed, observer, play};
 use crate::alma::records::team_value::{Decision, Segments, TeamValueLoss};
-use crate::alma::records::{
-    Config, Experience, Loss, Networks, Pick, UtilityNetwork, UtilityShape,
-};
+use crate::alma::records::{Config, Experience, Loss, Networks, Pick};
 use sortie_learn::random::{Purpose, generator};
 
 fn config() -> Config {

@@ -9,7 +9,7 @@ mod allocator;
 use sortie_envs::save_the_city::{AgentState, BuildingState, FEATURES};
 use sortie_envs::save_the_city::{write_agent_row, write_building_row};
 
-use super::utility::UtilityNetwork;
+use crate::alma::agents::UtilityNetwork;
 
 type Row = Vec<f64>;
 

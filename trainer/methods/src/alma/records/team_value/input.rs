@@ -2,7 +2,7 @@
 
 use sortie_envs::{EntitySet, Environment, Observation, SparseRows, Spec, members};
 
-use crate::alma::records::UtilityInput;
+use crate::alma::agents::UtilityInput;
 
 /// What the columns of a row are: an entity's features, its part in the question, its relation to the subtask.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -202,8 +202,9 @@ impl TeamValueInput {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::alma::agents::{UtilityNetwork, UtilityPass};
+    use crate::alma::records::config::AllocatorConfig;
     use crate::alma::records::toy::{Street, toy};
-    use crate::alma::records::{UtilityNetwork, UtilityPass, config::AllocatorConfig};
     use sortie_learn::random::{Purpose, generator};
     use sortie_nn::gradient_check::assert_gradient;
 

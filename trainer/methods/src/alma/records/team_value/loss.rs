@@ -9,8 +9,8 @@ use sortie_envs::{Environment, Observation, members};
 
 use super::input::{TeamQuery, TeamValueInput};
 use super::segments::{Decision, Segment, Segments};
+use crate::alma::agents::{UtilityNetwork, UtilityPass, UtilityShape};
 use crate::alma::records::learner::{Experience, Loss, Networks, Pick};
-use crate::alma::records::{UtilityNetwork, UtilityPass, UtilityShape};
 
 /// A segment, one of the subtasks that were open when it began, and how it is turned.
 #[derive(Clone, Copy, Debug)]

@@ -5,8 +5,8 @@ use sortie_envs::{Environment, Observation, UNASSIGNED};
 use sortie_nn::random::Generator;
 
 use super::input::{TeamQuery, TeamValueInput};
-use crate::alma::evaluate::Allocate;
-use crate::alma::records::{UtilityNetwork, UtilityPass, UtilityShape};
+use crate::alma::agents::{UtilityNetwork, UtilityPass, UtilityShape};
+use crate::alma::teams::Allocate;
 use sortie_learn::LearnError;
 
 /// Sweeps of the coordinate ascent; few are needed until no agent moves.
@@ -122,8 +122,9 @@ impl Allocate for TeamValueAllocator<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::alma::evaluate::{EvaluationPlan, ScriptedActors, evaluate};
+    use crate::alma::evaluate::{EvaluationPlan, evaluate};
     use crate::alma::records::config::AllocatorConfig;
+    use crate::alma::teams::ScriptedActors;
     use sortie_envs::Split;
     use sortie_learn::random::{Purpose, generator};
 

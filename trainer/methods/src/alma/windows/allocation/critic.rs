@@ -15,7 +15,7 @@ use super::networks::{AllocationCritic, COUNT_SCALE};
 use super::states::{States, team_size};
 use super::trunk::NONE;
 use super::weights::AllocationShape;
-use crate::alma::records::sized;
+use crate::alma::agents::sized;
 
 /// Allocations to be valued, with what their rows share.
 #[derive(Clone, Debug, Default)]

@@ -16,7 +16,7 @@ use super::gathers::{
 use super::networks::{COUNT_SCALE, PolicyParts};
 use super::trunk::{Block, NONE, Trunk, times_counts};
 use super::weights::AllocationShape;
-use crate::alma::records::sized;
+use crate::alma::agents::sized;
 
 /// One team at one subtask of one state.
 #[derive(Clone, Copy, Debug)]

@@ -15,7 +15,7 @@ use super::gathers::{add_rectified, gather, scatter_add};
 use super::networks::{COUNT_SCALE, PolicyParts};
 use super::states::States;
 use super::weights::AllocationShape;
-use crate::alma::records::sized;
+use crate::alma::agents::sized;
 
 /// Nothing stands here.
 pub(super) const NONE: u32 = u32::MAX;

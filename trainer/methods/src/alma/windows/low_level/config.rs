@@ -5,8 +5,9 @@ use serde::{Deserialize, Serialize};
 use super::super::batch::WindowShape;
 use super::hypernetwork::HypernetworkShape;
 use super::mixer::{MixerShape, Nonnegative};
+use crate::alma::agents::{Conditioning, UtilityShape};
+use crate::alma::coach::CoachShape;
 use crate::alma::records::config::ReturnsConfig;
-use crate::alma::records::{Conditioning, UtilityShape};
 
 /// When the PopArt head is rescaled to new statistics.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -105,6 +106,17 @@ impl LowLevelConfig {
             base: self.base,
             actions: sizes.actions,
             skip: self.skip,
+        }
+    }
+
+    /// The sizes of a coach in an environment of these sizes: as wide as its players.
+    pub fn coach(&self, sizes: WindowShape) -> CoachShape {
+        CoachShape {
+            features: sizes.features,
+            marks: sizes.tasks + self.extra_tasks,
+            width: self.width,
+            heads: self.heads,
+            strategy: self.base,
         }
     }
 

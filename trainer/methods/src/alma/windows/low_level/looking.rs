@@ -1,11 +1,12 @@
 //! How the agents of some teams look at their states, and what gradients that gives.
 
 use super::super::batch::Windows;
-use super::coach::{Held, PlayerPass};
+use super::coaching::Held;
 use super::recurrent::{Recurrent, RecurrentPass};
 use super::scene::Marks;
 use super::teams::{Teams, View};
-use crate::alma::records::{Conditioning, UtilityInput, UtilityPass, UtilityShape};
+use crate::alma::agents::{Conditioning, UtilityInput, UtilityPass, UtilityShape};
+use crate::alma::coach::PlayerPass;
 
 /// Passes of the agents of some teams: as they are, with a memory, or with a coach.
 #[derive(Clone, Debug)]

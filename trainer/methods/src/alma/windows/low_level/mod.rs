@@ -10,7 +10,7 @@
 
 mod agents;
 mod availability;
-pub mod coach;
+pub mod coaching;
 mod config;
 mod hypernetwork;
 mod looking;
@@ -22,7 +22,6 @@ mod step;
 mod teams;
 mod values;
 
-pub use agents::TaskOrder;
 pub use availability::is_available;
 pub use config::{LowLevelConfig, PopArtOrder};
 pub use hypernetwork::{
@@ -39,9 +38,9 @@ use std::time::Duration;
 use super::batch::{WindowShape, Windows};
 use super::popart::PopArt;
 use super::times::{LowLevelTimes, Stopwatch};
-use crate::alma::evaluate::Agents;
-use crate::alma::records::{Conditioning, UtilityNetwork};
-use coach::{CoachConfig, CoachShape, Coaching, Held, Told};
+use crate::alma::agents::{Conditioning, TaskOrder, UtilityNetwork};
+use crate::alma::teams::Agents;
+use coaching::{CoachConfig, Coaching, Held, Told};
 use recurrent::Recurrent;
 use sortie_nn::lanes::in_lanes;
 use sortie_nn::optimise::{RmsProp, clip_norm};
@@ -142,7 +141,7 @@ impl LowLevel {
     pub fn add_coach(&mut self, config: CoachConfig, generator: &mut Generator) {
         let LowLevelConfig { conditioning, recurrent, .. } = self.config;
         assert!(!conditioning.has_subtasks() && !recurrent, "agents that take no coach");
-        let shape = CoachShape::of(&self.config, self.sizes);
+        let shape = self.config.coach(self.sizes);
         let coaching = Coaching::new(config, shape, self.sizes.actions, generator);
         let own = self.optimisers.iter().map(|optimiser| optimiser.square.len()).sum::<usize>();
         self.gradient.resize(own + coaching.parameters(), 0.0);

@@ -10,7 +10,7 @@ use sortie_nn::random::{Generator, signed_unit};
 use super::super::batch::Windows;
 use super::scene::Marks;
 use super::teams::{Teams, View};
-use crate::alma::records::{Conditioning, UtilityInput, UtilityNetwork, UtilityPass};
+use crate::alma::agents::{Conditioning, UtilityInput, UtilityNetwork, UtilityPass};
 
 /// Draws a unit uniformly in `±1/sqrt(width)`, as PyTorch does.
 pub(super) fn initialise(width: usize, generator: &mut Generator) -> Vec<f32> {

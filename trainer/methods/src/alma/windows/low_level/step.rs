@@ -12,9 +12,8 @@ use std::time::Duration;
 
 use super::super::batch::Windows;
 use super::super::popart::PopArt;
-use super::agents::TaskOrder;
 use super::availability::is_available;
-use super::coach::{CoachLane, Guess, Held};
+use super::coaching::{CoachLane, Guess, Held};
 use super::config::LowLevelConfig;
 use super::hypernetwork::MixerInput;
 use super::looking::LookingPass;
@@ -22,8 +21,8 @@ use super::mixer::{MergedMixer, Mixer, MixerGradient, MixerPass};
 use super::recurrent::Recurrent;
 use super::scene::Marks;
 use super::teams::{Teams, View, tasks_with_agents};
+use crate::alma::agents::{Conditioning, TaskOrder, UtilityNetwork};
 use crate::alma::records::config::ReturnsConfig;
-use crate::alma::records::{Conditioning, UtilityNetwork};
 
 /// A term of the loss: the value of a team in a state.
 #[derive(Clone, Copy, Debug, PartialEq)]

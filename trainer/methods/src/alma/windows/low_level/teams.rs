@@ -5,7 +5,7 @@ use std::ops::Range;
 use super::super::batch::{NO_TASK, Windows};
 use super::hypernetwork::MixerInput;
 use super::scene::{Marks, Places, Scene};
-use crate::alma::records::{Conditioning, UtilityInput};
+use crate::alma::agents::{Conditioning, UtilityInput};
 
 /// How states are looked at, from the state that a team belongs to.
 #[derive(Clone, Copy, Debug)]

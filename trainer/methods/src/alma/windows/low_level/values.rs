@@ -3,14 +3,13 @@
 use std::ops::Range;
 
 use super::super::batch::{WindowShape, Windows};
-use super::TaskOrder;
 use super::hypernetwork::MixerInput;
 use super::looking::LookingPass;
 use super::mixer::{Mixer, MixerPass};
 use super::recurrent::Recurrent;
 use super::teams::{Teams, View};
-use crate::alma::evaluate::Agents;
-use crate::alma::records::Conditioning;
+use crate::alma::agents::{Conditioning, TaskOrder};
+use crate::alma::teams::Agents;
 
 /// The utilities `[W S, A, U]` in all states as the learner computes them, zeros for absent agents.
 /// Memories are empty at the begin of a window.

@@ -1,30 +1,14 @@
 //! Forward and backward passes of the utility network over many samples at once.
 
 use sortie_nn::layers::matrix::Store;
-use sortie_nn::layers::{SparseRows, VisibleLists, linear, relu};
+use sortie_nn::layers::{linear, relu};
 
-use super::entity_attention::{EntityAttention, SkipBackward};
+use super::entity_attention::EntityAttention;
+
+use super::entity_attention::SkipBackward;
 use super::operations;
 use super::utility::{UtilityNetwork, UtilityShape, UtilityViewMut};
-
-/// What the network looks at: the entities of any number of independent samples.
-///
-/// Query i belongs to row i: the rows of all acting agents come first, then the other entities.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct UtilityInput {
-    /// Features `[rows, D]` of every entity, last actions included.
-    pub rows: SparseRows,
-    /// For each acting agent the rows that it sees, its own among them where it is visible.
-    pub visible: VisibleLists,
-}
-
-impl UtilityInput {
-    /// Forgets all samples, keeps the memory.
-    pub fn clear(&mut self) {
-        self.rows.clear();
-        self.visible.clear();
-    }
-}
+use super::utility_input::{UtilityInput, sized};
 
 /// Buffers of one worker: the activations of the last forward pass and the gradients of a backward pass.
 ///
@@ -192,13 +176,4 @@ impl UtilityPass {
             grad.attention,
         );
     }
-}
-
-/// The first `length` numbers of a buffer that grows but never shrinks; their content is whatever
-/// stood there.
-pub(crate) fn sized(buffer: &mut Vec<f32>, length: usize) -> &mut [f32] {
-    if buffer.len() < length {
-        buffer.resize(length, 0.0);
-    }
-    &mut buffer[..length]
 }

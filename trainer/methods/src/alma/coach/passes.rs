@@ -10,7 +10,7 @@ use sortie_nn::layers::relu;
 use super::gaussian;
 use super::networks::{Coach, Recognition};
 use super::trunk::TrunkPass;
-use crate::alma::records::{UtilityInput, sized};
+use crate::alma::agents::{UtilityInput, sized};
 
 /// Buffers of one worker for passes of a coach.
 #[derive(Clone, Debug, Default)]

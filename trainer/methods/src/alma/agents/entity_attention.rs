@@ -9,7 +9,7 @@ use sortie_nn::layers::linear::{self, LinearShape};
 use sortie_nn::layers::matrix::Store;
 use sortie_nn::layers::{relu, sparse_linear};
 
-use super::utility_pass::{UtilityInput, sized};
+use super::utility_input::{UtilityInput, sized};
 
 /// The weights, borrowed from a flat parameter vector.
 #[derive(Clone, Copy, Debug)]

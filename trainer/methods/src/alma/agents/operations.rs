@@ -6,7 +6,7 @@
 
 use super::entity_attention::absorbs;
 use super::utility::UtilityShape;
-use super::utility_pass::UtilityInput;
+use super::utility_input::UtilityInput;
 
 /// Operations of a forward pass.
 pub(super) fn forward(shape: UtilityShape, input: &UtilityInput) -> u64 {

@@ -4,7 +4,10 @@ use sortie_core::choose::masked_argmax;
 use sortie_core::{DecideError, Decision, NO_ACTION, Observation, Policy};
 
 use super::utility::UtilityNetwork;
-use super::utility_pass::{UtilityInput, UtilityPass};
+
+use super::utility_pass::UtilityPass;
+
+use super::utility_input::UtilityInput;
 
 /// Decides with the trainer's own forward pass: what golden observations expect of every engine.
 #[derive(Debug)]

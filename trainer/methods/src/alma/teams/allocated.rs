@@ -4,7 +4,7 @@ use sortie_envs::{DecisionPoints, EntitySet, Observation, Random, UNASSIGNED};
 use sortie_learn::{Act, LearnError, Scenes};
 
 use super::{Allocate, Scene, Situation, Team};
-use crate::alma::records::NO_ACTION;
+use crate::alma::agents::NO_ACTION;
 
 /// What an instance remembers between steps.
 #[derive(Clone, Debug)]

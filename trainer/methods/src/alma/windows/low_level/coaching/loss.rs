@@ -5,14 +5,11 @@
 //! entropy of what the strategy was drawn from. Both are sums over a strategy's numbers, and means over
 //! the agents of a state and over the states that can be learned from.
 
-use super::gaussian;
 use super::input::state_input;
-use super::networks::Recognition;
-use super::passes::{CoachPass, RecognitionPass};
 use super::strategies::Held;
-use crate::alma::records::UtilityInput;
+use crate::alma::agents::{TaskOrder, UtilityInput};
+use crate::alma::coach::{CoachPass, Recognition, RecognitionPass, gaussian};
 use crate::alma::windows::batch::Windows;
-use crate::alma::windows::low_level::agents::TaskOrder;
 
 /// The coach's part of a lane: buffers, gradients, and the slopes of the strategies in its states.
 #[derive(Clone, Debug, Default)]

@@ -14,7 +14,6 @@ use sortie_nn::layers::linear::LinearShape;
 use sortie_nn::random::{Generator, signed_unit};
 
 use super::entity_attention::{AttentionGradients, AttentionWeights};
-use super::learner::Parameters;
 
 /// Sizes of a utility network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -216,16 +215,6 @@ impl UtilityNetwork {
             head_bias,
             skip: self.shape.skip.then_some(skip),
         }
-    }
-}
-
-impl Parameters for UtilityNetwork {
-    fn parts(&self) -> Vec<&[f32]> {
-        vec![&self.parameters]
-    }
-
-    fn parts_mut(&mut self) -> Vec<&mut [f32]> {
-        vec![&mut self.parameters]
     }
 }
 

@@ -5,10 +5,12 @@ use sortie_core::policy::{DecideError, NO_ACTION as NO_ACTION_YET, Observation, 
 use sortie_envs::{ActionSet, Observation as Seen, UNASSIGNED, members};
 use sortie_nn::random::Generator;
 
-use super::players::{Agents, Players};
 use super::{Scene, Team};
-use crate::alma::records::{Conditioning, NO_ACTION, UtilityNetwork, best_action};
-use crate::alma::windows::low_level::coach::Advice;
+
+use super::players::{Agents, Players};
+
+use crate::alma::agents::{Conditioning, NO_ACTION, UtilityNetwork, best_action};
+use crate::alma::coach::Advice;
 use sortie_learn::LearnError;
 use sortie_learn::random::{Purpose, generator};
 

@@ -3,12 +3,11 @@
 use sortie_envs::Observation;
 use sortie_nn::random::{Generator, normals};
 
-use super::super::agents::TaskOrder;
 use super::gaussian;
 use super::input::seen_input;
 use super::networks::Coach;
 use super::passes::CoachPass;
-use crate::alma::records::UtilityInput;
+use crate::alma::agents::{TaskOrder, UtilityInput};
 use sortie_learn::LearnError;
 
 /// Tells the agents of a state their strategies.

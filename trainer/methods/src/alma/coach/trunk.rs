@@ -5,7 +5,7 @@ use sortie_nn::layers::linear::{self, LinearShape};
 use sortie_nn::layers::matrix::Store;
 use sortie_nn::layers::relu;
 
-use crate::alma::records::{
+use crate::alma::agents::{
     AttentionGradients, AttentionWeights, EntityAttention, UtilityInput, sized,
 };
 

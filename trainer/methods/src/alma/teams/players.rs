@@ -3,10 +3,10 @@
 use sortie_nn::layers::gru::{GruPass, GruShape};
 
 use super::Scene;
-use crate::alma::records::{
+use crate::alma::agents::{
     Columns, Conditioning, NO_ACTION, TeamBatch, UtilityNetwork, UtilityPass, UtilityShape,
 };
-use crate::alma::windows::low_level::coach::{Coach, PlayerPass, strategy_of};
+use crate::alma::coach::{Coach, PlayerPass, strategy_of};
 use sortie_learn::LearnError;
 
 /// What agents act by.

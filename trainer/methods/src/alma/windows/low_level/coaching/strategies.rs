@@ -1,6 +1,6 @@
 //! The strategies of a batch of windows: drawn where they are decided, held until the next decision.
 
-use super::gaussian;
+use crate::alma::coach::gaussian;
 use crate::alma::windows::batch::Windows;
 
 /// The place of an agent that has been told nothing.

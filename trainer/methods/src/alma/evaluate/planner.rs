@@ -12,8 +12,9 @@ use sortie_envs::random::{below, chance};
 use sortie_envs::{Environment, Observation, members};
 use sortie_nn::random::Generator;
 
+use super::EvaluationPlan;
 use super::worlds::Worlds;
-use super::{Allocate, EvaluationPlan, Situation, Team};
+use crate::alma::teams::{Allocate, Situation, Team};
 use sortie_learn::LearnError;
 use sortie_learn::random::{Purpose, generator};
 
@@ -166,7 +167,8 @@ impl Allocate for Planner<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::alma::evaluate::{RuleAllocator, ScriptedActors, evaluate};
+    use crate::alma::evaluate::evaluate;
+    use crate::alma::teams::{RuleAllocator, ScriptedActors};
     use sortie_envs::Split;
     use sortie_learn::evaluate::Evaluation;
 

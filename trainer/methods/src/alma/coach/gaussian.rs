@@ -37,13 +37,13 @@ pub fn drawn<'a>(row: &'a [f32], noise: &'a [f32]) -> impl Iterator<Item = f32> 
 }
 
 /// The standard deviation that belongs to the logarithm of a variance.
-pub(super) fn deviation(log_variance: f32) -> f32 {
+pub(crate) fn deviation(log_variance: f32) -> f32 {
     (0.5 * log_variance).exp()
 }
 
 /// A number's logarithm of density within its bounds, and its slopes by number, mean and logarithm of the
 /// variance, in this order.
-pub(super) fn log_density(number: f32, mean: f32, log_variance: f32) -> (f32, [f32; 3]) {
+pub(crate) fn log_density(number: f32, mean: f32, log_variance: f32) -> (f32, [f32; 3]) {
     let (least, most) = LOG_DENSITY;
     let distance = number - mean;
     let scaled = distance * (-log_variance).exp();
@@ -58,7 +58,7 @@ pub(super) fn log_density(number: f32, mean: f32, log_variance: f32) -> (f32, [f
 }
 
 /// A number's entropy within its bounds, and its slope by the logarithm of the variance.
-pub(super) fn entropy(log_variance: f32) -> (f32, f32) {
+pub(crate) fn entropy(log_variance: f32) -> (f32, f32) {
     let (least, most) = ENTROPY;
     let entropy = 0.5 * (1.0 + (2.0 * PI).ln() + log_variance);
     let slope = if (least..=most).contains(&entropy) { 0.5 } else { 0.0 };

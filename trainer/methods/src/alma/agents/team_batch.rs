@@ -8,7 +8,8 @@ use sortie_envs::{ActionSet, Observation, Shape, SparseRows, UNASSIGNED, members
 use sortie_nn::random::Generator;
 
 use super::conditioning::Conditioning;
-use super::utility_pass::UtilityInput;
+
+use super::utility_input::UtilityInput;
 
 /// The last action of an agent that has not acted yet in its episode.
 pub const NO_ACTION: u8 = u8::MAX;

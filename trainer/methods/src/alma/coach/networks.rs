@@ -3,9 +3,7 @@
 use sortie_nn::layers::linear::LinearShape;
 use sortie_nn::random::{Generator, signed_unit};
 
-use super::super::config::LowLevelConfig;
 use super::trunk::TrunkShape;
-use crate::alma::windows::batch::WindowShape;
 
 /// Sizes of a coach.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,17 +21,6 @@ pub struct CoachShape {
 }
 
 impl CoachShape {
-    /// The sizes of a coach in an environment of these sizes: as wide as its players.
-    pub fn of(players: &LowLevelConfig, sizes: WindowShape) -> Self {
-        Self {
-            features: sizes.features,
-            marks: sizes.tasks + players.extra_tasks,
-            width: players.width,
-            heads: players.heads,
-            strategy: players.base,
-        }
-    }
-
     pub(super) fn trunk(self) -> TrunkShape {
         let Self { features, marks, width, heads, .. } = self;
         TrunkShape { input: features + marks, width, heads }

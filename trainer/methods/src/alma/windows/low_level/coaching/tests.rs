@@ -3,11 +3,17 @@ use sortie_envs::{EntitySet, Observation, Shape, Split};
 use sortie_nn::gradient_check::{assert_gradient, random};
 use sortie_nn::random::Generator;
 
+use super::super::CHUNK;
+use super::super::LowLevel;
+use super::super::LowLevelConfig;
 use super::super::tests::{SIZES, config, draws, random_windows};
-use super::super::{CHUNK, LowLevel, LowLevelConfig, TaskOrder};
 use super::strategies::Holdings;
 use super::*;
-use crate::alma::records::{Conditioning, UtilityInput};
+use crate::alma::agents::{Conditioning, TaskOrder, UtilityInput};
+use crate::alma::coach::{
+    Advice, Coach, CoachPass, CoachShape, Recognition, RecognitionPass, RecognitionShape,
+    seen_input,
+};
 use crate::alma::windows::{
     Episode, Moment, NO_TASK, Replay, SampleShape, Shaping, WindowShape, Windows, cut_windows,
 };

@@ -1,6 +1,6 @@
 //! Players: a utility network with a strategy added before its head.
 
-use crate::alma::records::{UtilityInput, UtilityNetwork, UtilityPass};
+use crate::alma::agents::{UtilityInput, UtilityNetwork, UtilityPass};
 
 /// Buffers of one worker for passes of players, beside those of their network.
 #[derive(Clone, Debug, Default)]

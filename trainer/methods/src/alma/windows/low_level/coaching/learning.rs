@@ -7,10 +7,10 @@ use sortie_nn::random::{Generator, normals};
 use super::CoachConfig;
 use super::input::state_input;
 use super::loss::{CoachLane, ENTROPY, Guess};
-use super::networks::{Coach, CoachShape, Recognition, RecognitionShape};
 use super::strategies::{Held, Holdings, Strategies};
+use crate::alma::agents::TaskOrder;
+use crate::alma::coach::{Coach, CoachShape, Recognition, RecognitionShape};
 use crate::alma::windows::batch::Windows;
-use crate::alma::windows::low_level::agents::TaskOrder;
 use crate::alma::windows::low_level::step::Lane;
 use crate::alma::windows::low_level::{CHUNK, LANES};
 
