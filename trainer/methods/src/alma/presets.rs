@@ -8,6 +8,7 @@ use sortie_learn::{LearnError, Method};
 use super::config::{Config, keys, settle_older};
 use super::records;
 use super::records::Records;
+use super::run::learned;
 use super::windows::{self, WindowLearner};
 use crate::alma::agents::Conditioning;
 
@@ -111,10 +112,14 @@ fn open(opening: &Opening<'_>) -> Result<Box<dyn Method>, LearnError> {
         return Err(LearnError::Config(reason));
     }
     Ok(match config {
-        Config::Records(config) => Box::new(Records::new(&config, environment, seed, threads)),
+        Config::Records(config) => {
+            let records = Records::new(&config, environment, seed, threads);
+            Box::new(records.beginning_with(learned))
+        }
         Config::Windows(config) => {
             let shape = environment.spec().shape;
-            Box::new(WindowLearner::new(&config, shape, seed, threads))
+            let windows = WindowLearner::new(&config, shape, seed, threads);
+            Box::new(windows.beginning_with(learned))
         }
     })
 }

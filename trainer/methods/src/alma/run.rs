@@ -12,7 +12,7 @@ use super::config::Config;
 use super::records::team_value::TeamValueAllocator;
 use super::windows::allocation::{AllocationCritic, AllocationNetworks, AllocationPolicy};
 use super::windows::{self, PopArt, ProposalAllocator, WindowShape};
-use crate::alma::agents::{UtilityNetwork, network_of};
+use crate::alma::agents::{Learned, UtilityNetwork, network_of};
 use crate::alma::coach::Coach;
 use crate::alma::teams::{Agents, Allocate, NetworkTeam};
 
@@ -113,6 +113,19 @@ impl Run {
             refused: found.refused,
         })
     }
+}
+
+/// What the run in a folder has learned, as far as another takes it over.
+///
+/// # Errors
+/// There is no sound checkpoint.
+pub fn learned(folder: &Path) -> Result<Learned, LearnError> {
+    let Run { network, memory_unit, allocator, .. } = Run::open(folder)?;
+    let team_values = match allocator {
+        Some(RunAllocator::TeamValue(network)) => Some(network),
+        Some(RunAllocator::Proposals { .. }) | None => None,
+    };
+    Ok(Learned { network, memory_unit, team_values })
 }
 
 /// Agents, the recurrent unit of their memory, what tells them strategies, and what allocates them.

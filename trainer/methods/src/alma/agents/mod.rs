@@ -2,6 +2,7 @@
 
 mod conditioning;
 mod entity_attention;
+mod learned;
 mod network_policy;
 mod operations;
 mod saved_network;
@@ -13,6 +14,8 @@ mod utility_pass;
 
 pub use conditioning::Conditioning;
 pub(crate) use entity_attention::{AttentionGradients, AttentionWeights, EntityAttention};
+pub(crate) use learned::open_nothing;
+pub use learned::{Learned, OpenLearned};
 pub use network_policy::NetworkPolicy;
 pub(crate) use saved_network::{network_of, tensors};
 pub use task_order::TaskOrder;

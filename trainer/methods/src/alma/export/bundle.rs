@@ -15,9 +15,9 @@ use sortie_envs::save_the_city::{
 
 use super::card::card;
 use super::golden_allocations::golden_allocations;
+use super::learned::LearnedAllocator;
 use super::proposals::{ProposalGraphs, export_proposals};
-use crate::alma::agents::{Conditioning, NetworkPolicy, UtilityNetwork, UtilityWeights};
-use crate::alma::config::Config;
+use crate::alma::agents::{Conditioning, NetworkPolicy, UtilityWeights};
 use crate::alma::evaluate::{EvaluationPlan, evaluate};
 use crate::alma::run::{Run, RunAllocator};
 use crate::alma::teams::{Allocation, PolicyTeam};
@@ -30,27 +30,6 @@ use sortie_learn::export::{AgentNetwork, TeamValueExport, agent_onnx, team_value
 const GOLDEN_EPISODES: usize = 100;
 /// Action 0 is to stay, which is always available.
 const SAFE_ACTION: u16 = 0;
-
-/// A learned allocator.
-#[derive(Clone, Copy, Debug)]
-pub struct LearnedAllocator<'a> {
-    /// Its team-value network.
-    pub network: &'a UtilityNetwork,
-    /// Largest team of one building.
-    pub team_max: usize,
-}
-
-impl<'a> LearnedAllocator<'a> {
-    /// The allocator of a run, if the run learns one.
-    pub fn of(run: &'a Run) -> Option<Self> {
-        let Config::Records(config) = &run.config else { return None };
-        let team_max = config.allocation.team_max;
-        match &run.allocator {
-            Some(RunAllocator::TeamValue(network)) => Some(Self { network, team_max }),
-            _ => None,
-        }
-    }
-}
 
 /// Refuses runs whose agents need more than what a deployed agent is shown.
 ///

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use sortie_learn::draft::Measured;
 
-use super::bundle::LearnedAllocator;
+use super::learned::LearnedAllocator;
 use crate::alma::config::Config;
 use crate::alma::run::{Run, RunAllocator};
 use sortie_learn::run::RunDescription;

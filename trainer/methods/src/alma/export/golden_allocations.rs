@@ -4,7 +4,7 @@ use sortie_bundle::{GoldenAllocation, GoldenValue};
 use sortie_envs::{EntitySet, Environment, SparseRows};
 use sortie_nn::random::Generator;
 
-use super::bundle::LearnedAllocator;
+use super::learned::LearnedAllocator;
 use crate::alma::agents::{UtilityNetwork, UtilityPass};
 use crate::alma::evaluate::{EvaluationPlan, evaluate};
 use crate::alma::records::team_value::{TeamQuery, TeamValueAllocator, TeamValueInput};

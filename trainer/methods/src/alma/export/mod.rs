@@ -3,9 +3,11 @@
 mod bundle;
 mod card;
 mod golden_allocations;
+mod learned;
 mod proposals;
 #[cfg(test)]
 mod tests;
 
-pub use bundle::{LearnedAllocator, check_exportable, draft_bundle};
+pub use bundle::{check_exportable, draft_bundle};
+pub use learned::LearnedAllocator;
 pub use proposals::{ProposalGraphs, export_proposals};

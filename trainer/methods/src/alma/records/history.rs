@@ -12,6 +12,7 @@ use std::collections::VecDeque;
 use serde::{Deserialize, Serialize};
 use sortie_envs::{AgentSet, EntitySet, Environment, Observation, members};
 
+use super::config::ReturnsConfig;
 use super::replay::{Record, Replay};
 use crate::alma::agents::Conditioning;
 
@@ -24,6 +25,13 @@ pub struct Returns {
     pub discount: f32,
     /// Potential of one cell between an agent and its subtask; 0 leaves the rewards alone.
     pub shaping: f32,
+}
+
+impl From<&ReturnsConfig> for Returns {
+    fn from(config: &ReturnsConfig) -> Self {
+        let ReturnsConfig { steps, discount, shaping } = *config;
+        Self { steps, discount, shaping }
+    }
 }
 
 impl Returns {

@@ -21,8 +21,7 @@ use super::replay::Replay;
 use super::rollout::{Behaviour, Memory, Rollout};
 use super::team_value::{Segments, TeamValueAllocator, TeamValueLoss};
 use super::temporal_difference::Chunk;
-use crate::alma::agents::{UtilityNetwork, tensors};
-use crate::alma::run::{Run, RunAllocator};
+use crate::alma::agents::{OpenLearned, UtilityNetwork, open_nothing, tensors};
 use crate::alma::teams::{Agents, Allocate, AllocatedTeam, Allocation, NetworkTeam, NoSubtasks};
 
 /// Tells the allocator's streams of random numbers from the agents'.
@@ -61,6 +60,8 @@ pub struct Records {
     /// There is one if the run learns an allocator.
     pub allocator: Option<Learner<TeamValueLoss>>,
     observer: Observer,
+    /// Opens the run to begin with.
+    open_learned: OpenLearned,
     workers: Workers,
     /// Acts, and cuts what happens into records.
     pub rollout: Rollout,
@@ -88,6 +89,7 @@ impl Records {
         Self {
             rollout: Rollout::new(config, environment.spec()),
             observer,
+            open_learned: open_nothing,
             workers: Workers::new(threads, job),
             agents,
             allocator,
@@ -100,6 +102,11 @@ impl Records {
             keeps_segments: false,
             config: config.clone(),
         }
+    }
+
+    /// The same that can begin with what another run has learned.
+    pub fn beginning_with(self, open_learned: OpenLearned) -> Self {
+        Self { open_learned, ..self }
     }
 
     /// One update of each level that is due and has enough to learn from, both at the same time.
@@ -219,10 +226,10 @@ impl Method for Records {
 
     /// Begins with the averaged weights of another run.
     fn take_over(&mut self, folder: &Path) -> Result<(), LearnError> {
-        let run = Run::open(folder)?;
+        let learned = (self.open_learned)(folder)?;
         let online = {
             let knowledge = self.agents.knowledge();
-            MixedNetwork { utility: run.network, ..knowledge.online.clone() }
+            MixedNetwork { utility: learned.network, ..knowledge.online.clone() }
         };
         let ours = self.agents.average.utility.shape();
         if ours != online.utility.shape() {
@@ -231,9 +238,7 @@ impl Method for Records {
             return Err(LearnError::Config(reason));
         }
         begin_with(&mut self.agents, &online);
-        let (Some(learner), Some(RunAllocator::TeamValue(network))) =
-            (&mut self.allocator, &run.allocator)
-        else {
+        let (Some(learner), Some(network)) = (&mut self.allocator, &learned.team_values) else {
             return Ok(());
         };
         let ours = learner.average.shape();

@@ -5,9 +5,9 @@ use sortie_nn::schedule::linear;
 
 use super::allocation::{AllocationLearning, AllocationShape, RowRules};
 use super::batch::WindowShape;
+use super::exploration::Exploration;
 use super::low_level::LowLevelConfig;
 use super::low_level::coaching::CoachConfig;
-use super::rollout::Exploration;
 use crate::alma::agents::Conditioning;
 use crate::alma::records::config::EnvironmentConfig;
 use crate::alma::records::{self};

@@ -7,7 +7,8 @@ use sortie_nn::random::Generator;
 
 use super::allocation::{AllocationNetworks, Decided, Decider, Noise, States, TaskColumns};
 use super::batch::NO_TASK;
-use super::rollout::{Decide, Exploration};
+use super::exploration::Exploration;
+use super::rollout::Decide;
 use crate::alma::teams::Allocate;
 use sortie_learn::LearnError;
 

@@ -18,9 +18,8 @@ use super::low_level::coaching::Coaching;
 use super::replay::Replay;
 use super::rollout::{Behaviour, Decide, Rollout};
 use super::sampling::{SampleShape, Shaping, cut_windows, draw_episodes};
-use crate::alma::agents::{UtilityNetwork, tensors};
+use crate::alma::agents::{OpenLearned, UtilityNetwork, open_nothing, tensors};
 use crate::alma::records::config::ReturnsConfig;
-use crate::alma::run::Run;
 use crate::alma::teams::{Allocate, AllocatedTeam, Allocation, NetworkTeam, NoSubtasks};
 
 /// Episodes since the run began, and when target networks were renewed last.
@@ -35,6 +34,8 @@ struct Episodes {
 #[derive(Debug)]
 pub struct WindowLearner {
     config: Config,
+    /// Opens the run to begin with.
+    open_learned: OpenLearned,
     threads: usize,
     /// Agents, mixer and coach.
     pub low_level: LowLevel,
@@ -75,9 +76,15 @@ impl WindowLearner {
             episodes: Episodes::default(),
             decisions: 0,
             config: config.clone(),
+            open_learned: open_nothing,
             threads,
             low_level,
         }
+    }
+
+    /// The same that can begin with what another run has learned.
+    pub fn beginning_with(self, open_learned: OpenLearned) -> Self {
+        Self { open_learned, ..self }
     }
 
     /// Keeps the episodes of the round that is over.
@@ -222,16 +229,17 @@ impl Method for WindowLearner {
 
     /// Begins with the agents of another run, of any preset.
     fn take_over(&mut self, folder: &Path) -> Result<(), LearnError> {
-        let run = Run::open(folder)?;
+        let learned = (self.open_learned)(folder)?;
         let LowLevel { online, target, .. } = &mut self.low_level;
         let shape = |agents: &UtilityNetwork, unit: &[f32]| (agents.shape(), unit.len());
-        if shape(&run.network, &run.memory_unit) != shape(&online.agents, &online.gru) {
-            let hint = online.agents.shape().hint_to_become(run.network.shape(), "low_level.skip");
+        if shape(&learned.network, &learned.memory_unit) != shape(&online.agents, &online.gru) {
+            let hint =
+                online.agents.shape().hint_to_become(learned.network.shape(), "low_level.skip");
             let reason = format!("`run.from` has agents of another shape{hint}");
             return Err(LearnError::Config(reason));
         }
-        (target.agents, target.gru) = (run.network.clone(), run.memory_unit.clone());
-        (online.agents, online.gru) = (run.network, run.memory_unit);
+        (target.agents, target.gru) = (learned.network.clone(), learned.memory_unit.clone());
+        (online.agents, online.gru) = (learned.network, learned.memory_unit);
         Ok(())
     }
 

@@ -6,21 +6,11 @@ use sortie_learn::{LearnError, Scenes, Transition};
 use sortie_nn::random::Generator;
 
 use super::config::Config;
+use super::exploration::Exploration;
 use super::replay::{Episode, Moment};
 use crate::alma::agents::{NO_ACTION, UtilityShape, best_action, random_action};
 use crate::alma::coach::Advice;
 use crate::alma::teams::{Agents, Allocate, Players, RuleAllocator, Scene};
-
-/// How much is tried out in a round.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Exploration {
-    /// How often an agent takes a random available action.
-    pub actions: f32,
-    /// How often a decision takes the first proposal instead of the critic's best.
-    pub proposal: f32,
-    /// How often an agent is given a random open subtask at a decision.
-    pub allocation: f32,
-}
 
 /// What allocates agents at decision points.
 pub trait Decide {

@@ -5,7 +5,6 @@ use sortie_envs::Spec;
 
 use super::require;
 use crate::alma::agents::{Columns, Conditioning, UtilityShape};
-use crate::alma::records::history::Returns;
 use crate::alma::records::mixer::{MixerKind, MixerShape};
 use sortie_learn::LearnError;
 
@@ -154,12 +153,5 @@ pub struct ReturnsConfig {
 impl Default for ReturnsConfig {
     fn default() -> Self {
         Self { steps: 3, discount: 0.97, shaping: 0.5 }
-    }
-}
-
-impl From<&ReturnsConfig> for Returns {
-    fn from(config: &ReturnsConfig) -> Self {
-        let ReturnsConfig { steps, discount, shaping } = *config;
-        Self { steps, discount, shaping }
     }
 }

@@ -5,7 +5,7 @@ use sortie_envs::Spec;
 
 use super::{NetworkConfig, OptimiserConfig, ReplayConfig, require};
 use crate::alma::agents::UtilityShape;
-use crate::alma::records::team_value::TeamColumns;
+use crate::alma::records::team_columns::TeamColumns;
 use crate::alma::teams::Allocation;
 use sortie_learn::LearnError;
 

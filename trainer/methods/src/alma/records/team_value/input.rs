@@ -1,42 +1,9 @@
 //! Teams at subtasks, written as input of the team-value network.
 
-use sortie_envs::{EntitySet, Environment, Observation, SparseRows, Spec, members};
+use sortie_envs::{EntitySet, Environment, Observation, SparseRows, members};
 
 use crate::alma::agents::UtilityInput;
-
-/// What the columns of a row are: an entity's features, its part in the question, its relation to the subtask.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct TeamColumns {
-    features: usize,
-    relations: usize,
-}
-
-impl TeamColumns {
-    /// Those of an environment.
-    pub fn of(spec: &Spec) -> Self {
-        Self { features: spec.shape.features, relations: spec.relations }
-    }
-
-    /// Their number.
-    pub fn count(self) -> usize {
-        self.relation() + self.relations
-    }
-
-    /// Marks the subtask's thing that the value is about.
-    fn own(self) -> usize {
-        self.features
-    }
-
-    /// Marks the agents of the team.
-    fn in_team(self) -> usize {
-        self.features + 1
-    }
-
-    /// First of the columns that say how an entity stands to the subtask.
-    fn relation(self) -> usize {
-        self.features + 2
-    }
-}
+use crate::alma::records::team_columns::TeamColumns;
 
 /// A team at a subtask.
 #[derive(Clone, Copy, Debug)]

@@ -15,7 +15,8 @@ mod loss;
 mod search;
 mod segments;
 
-pub use input::{TeamColumns, TeamQuery, TeamValueInput};
+pub use super::team_columns::TeamColumns;
+pub use input::{TeamQuery, TeamValueInput};
 pub use loss::TeamValueLoss;
 pub use search::{TeamSearch, TeamValueAllocator};
 pub use segments::{Decision, Segment, Segments};

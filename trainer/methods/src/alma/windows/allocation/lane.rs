@@ -5,7 +5,7 @@ use std::ops::Range;
 use super::super::times::{AllocationTimes, Stopwatch};
 use super::critic::{CriticInput, CriticPass};
 use super::decide::{AllocationNetworks, best_of, blocks, push_distinct};
-use super::level::{AllocationLearning, StepDraws};
+use super::learning::{AllocationLearning, StepDraws};
 use super::networks::AllocationCritic;
 use super::proposals::ProposalPass;
 use super::rows::Rows;

@@ -7,7 +7,6 @@
 use std::ops::Range;
 use std::time::Duration;
 
-use rand_core::Rng;
 use sortie_nn::lanes::in_lanes;
 use sortie_nn::optimise::{RmsProp, clip_norm};
 use sortie_nn::random::Generator;
@@ -15,79 +14,15 @@ use sortie_nn::random::Generator;
 use super::super::batch::Windows;
 use super::super::popart::PopArt;
 use super::super::times::{AllocationTimes, Stopwatch};
-use super::decide::{AllocationNetworks, TaskColumns, shuffled};
+use super::decide::AllocationNetworks;
 use super::lane::{Heads, Lane, Loss};
+use super::learning::{AllocationLearning, StepDraws};
 use super::networks::{AllocationCritic, AllocationPolicy};
-use super::proposals::Noise;
-use super::rows::{RowRules, Rows};
-use super::weights::AllocationShape;
+use super::rows::Rows;
 use sortie_learn::random::{Purpose, generator};
 
 /// Into how many parts the rows of a step are cut.
 const LANES: usize = 8;
-
-/// How the high level learns.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct AllocationLearning {
-    /// Sizes of both networks.
-    pub shape: AllocationShape,
-    /// Allocations P that are proposed for every state.
-    pub proposals: usize,
-    /// How decision points become rows.
-    pub rows: RowRules,
-    /// Discount γ, once per decision.
-    pub discount: f64,
-    /// Weight of the proposals' entropy.
-    pub entropy: f64,
-    /// Step size of both optimisers.
-    pub learning_rate: f32,
-    /// Limit of the norm of each network's gradient.
-    pub gradient_norm: f32,
-    /// Follows the public code where it differs from the dissertation: in the policy's loss the last row
-    /// does not age, and the critic's head is rescaled only after its output has been compared.
-    pub as_public_code: bool,
-}
-
-impl AllocationLearning {
-    /// The published parameters, for decisions every `interval` environment steps.
-    pub fn published(shape: AllocationShape, interval: f32) -> Self {
-        Self {
-            shape,
-            proposals: 32,
-            rows: RowRules { interval, most: 400, age_limit: 150_000.0 },
-            discount: 0.99,
-            entropy: 0.01,
-            learning_rate: 5e-4,
-            gradient_norm: 10.0,
-            as_public_code: false,
-        }
-    }
-}
-
-/// The random choices of a step.
-#[derive(Clone, Debug)]
-pub struct StepDraws<'a> {
-    /// Columns of the policy and of the critic where it values proposals.
-    pub proposals: TaskColumns,
-    /// Columns of the critic where it values stored allocations, `[T]`.
-    pub stored: Vec<u8>,
-    /// Columns of the target critic, `[T]`.
-    pub target: Vec<u8>,
-    /// What the proposals are drawn with.
-    pub noise: Noise<'a>,
-}
-
-impl StepDraws<'_> {
-    /// Draws for T subtasks of networks with so many task columns.
-    pub fn draw(tasks: usize, columns: usize, generator: &mut Generator) -> Self {
-        Self {
-            proposals: TaskColumns::shuffled(tasks, columns, generator),
-            stored: shuffled(tasks, columns, generator),
-            target: shuffled(tasks, columns, generator),
-            noise: Noise::Seeded { seed: generator.next_u64(), greedy_first: false },
-        }
-    }
-}
 
 /// What one step found.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

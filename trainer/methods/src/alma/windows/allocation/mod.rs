@@ -7,6 +7,7 @@ mod critic;
 mod decide;
 mod gathers;
 mod lane;
+mod learning;
 mod level;
 mod networks;
 mod proposals;
@@ -20,9 +21,8 @@ mod trunk;
 mod weights;
 
 pub use decide::{AllocationNetworks, Decided, Decider, Proposed, TaskColumns};
-pub use level::{
-    AllocationLearning, AllocationLevel, AllocationReport, AllocationState, LastStep, StepDraws,
-};
+pub use learning::{AllocationLearning, StepDraws};
+pub use level::{AllocationLevel, AllocationReport, AllocationState, LastStep};
 pub use networks::{AllocationCritic, AllocationPolicy};
 pub use proposals::Noise;
 pub use rows::{RowRules, Rows};

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::super::batch::WindowShape;
 use super::hypernetwork::HypernetworkShape;
-use super::mixer::{MixerShape, Nonnegative};
+use super::mixer_shape::{MixerShape, Nonnegative};
 use crate::alma::agents::{Conditioning, UtilityShape};
 use crate::alma::coach::CoachShape;
 use crate::alma::records::config::ReturnsConfig;

@@ -2,7 +2,7 @@
 
 use sortie_nn::layers::{TeamLists, softmax};
 
-use super::mixer::{MixerShape, Nonnegative};
+use super::mixer_shape::{MixerShape, Nonnegative};
 
 /// What the hypernetworks gave: `W1 [agents, M]`, `b1 [teams, M]`, `w2 [teams, M]`, `V [teams]`.
 pub(super) struct Numbers<'a>(pub(super) [&'a [f32]; 4]);

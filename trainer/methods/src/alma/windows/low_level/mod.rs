@@ -15,6 +15,7 @@ mod config;
 mod hypernetwork;
 mod looking;
 mod mixer;
+mod mixer_shape;
 mod mixing;
 mod recurrent;
 mod scene;
@@ -27,9 +28,8 @@ pub use config::{LowLevelConfig, PopArtOrder};
 pub use hypernetwork::{
     HypernetworkGradient, HypernetworkPass, HypernetworkShape, Merged, MixerInput, Mode,
 };
-pub use mixer::{
-    HYPERNETWORKS, MergedMixer, Mixer, MixerGradient, MixerPass, MixerShape, Nonnegative,
-};
+pub use mixer::{MergedMixer, Mixer, MixerGradient, MixerPass};
+pub use mixer_shape::{HYPERNETWORKS, MixerShape, Nonnegative};
 pub use step::Term;
 pub use values::{agent_utilities, team_input, team_values};
 

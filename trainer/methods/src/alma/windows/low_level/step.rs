@@ -115,6 +115,18 @@ pub(super) struct Lane {
     pub(super) descent_time: Duration,
 }
 
+impl AsRef<CoachLane> for Lane {
+    fn as_ref(&self) -> &CoachLane {
+        &self.coach
+    }
+}
+
+impl AsMut<CoachLane> for Lane {
+    fn as_mut(&mut self) -> &mut CoachLane {
+        &mut self.coach
+    }
+}
+
 impl Lane {
     pub(super) fn new(agents: &UtilityNetwork, gru: &[f32], mixer: &Mixer) -> Self {
         Self {

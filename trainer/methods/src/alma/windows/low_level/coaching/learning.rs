@@ -11,7 +11,6 @@ use super::strategies::{Held, Holdings, Strategies};
 use crate::alma::agents::TaskOrder;
 use crate::alma::coach::{Coach, CoachShape, Recognition, RecognitionShape};
 use crate::alma::windows::batch::Windows;
-use crate::alma::windows::low_level::step::Lane;
 use crate::alma::windows::low_level::{CHUNK, LANES};
 
 /// Coach, recognition network and their optimisers. All state is open, to be saved and restored.
@@ -80,11 +79,11 @@ impl Coaching {
         &self,
         windows: &Windows,
         threads: usize,
-        lanes: &mut [Lane],
+        lanes: &mut [impl AsMut<CoachLane> + AsRef<CoachLane> + Send],
         generator: &mut Generator,
     ) -> Told {
         let counts = [self.online.parameters().len(), self.recognition.parameters().len()];
-        lanes.iter_mut().for_each(|lane| lane.coach.begin(counts[0], counts[1]));
+        lanes.iter_mut().for_each(|lane| lane.as_mut().begin(counts[0], counts[1]));
         let shape = self.online.shape();
         let holdings = Holdings::new(windows);
         let mut order = || TaskOrder::shuffled(shape.marks, generator);
@@ -114,13 +113,13 @@ impl Coaching {
         told: &Told,
         windows: &Windows,
         threads: usize,
-        lanes: &mut [Lane],
+        lanes: &mut [impl AsMut<CoachLane> + AsRef<CoachLane> + Send],
     ) {
         let Told { holdings, online, coach_order, .. } = told;
         let shape = self.online.shape();
         let mut slopes = vec![0.0; holdings.count() * shape.strategy];
         let mut entropies = vec![0.0; holdings.count()];
-        for CoachLane { places, shares, slopes: own, .. } in lanes.iter().map(|lane| &lane.coach) {
+        for CoachLane { places, shares, slopes: own, .. } in lanes.iter().map(AsRef::as_ref) {
             let agents = places.iter().zip(shares).zip(own.chunks_exact(shape.strategy));
             for ((place, share), own) in agents {
                 let Some(place) = *place else { continue };
@@ -131,7 +130,7 @@ impl Coaching {
         }
         let d_rows = online.backward(&slopes, &entropies);
         in_lanes(threads, lanes, |index, lane| {
-            let CoachLane { input, coach_pass, coach, rows, .. } = &mut lane.coach;
+            let CoachLane { input, coach_pass, coach, rows, .. } = lane.as_mut();
             for (states, strategies) in chunks(holdings).skip(index).step_by(LANES) {
                 state_input(shape, windows, states, coach_order, false, input);
                 coach_pass.forward(&self.online, input);
@@ -144,10 +143,14 @@ impl Coaching {
     }
 
     /// Writes the gradients of coach and recognition: those of all lanes, added in order.
-    pub(in super::super) fn write_gradient(&self, lanes: &[Lane], gradient: &mut [f32]) {
+    pub(in super::super) fn write_gradient(
+        &self,
+        lanes: &[impl AsRef<CoachLane>],
+        gradient: &mut [f32],
+    ) {
         gradient.fill(0.0);
         let (coach, recognition) = gradient.split_at_mut(self.online.parameters().len());
-        for lane in lanes.iter().map(|lane| &lane.coach) {
+        for lane in lanes.iter().map(AsRef::as_ref) {
             coach.iter_mut().zip(&lane.coach).for_each(|(sum, value)| *sum += value);
             recognition.iter_mut().zip(&lane.recognition).for_each(|(sum, value)| *sum += value);
         }
@@ -181,10 +184,10 @@ fn rows(
     (windows, order): (&Windows, &TaskOrder),
     holdings: &Holdings,
     threads: usize,
-    lanes: &mut [Lane],
+    lanes: &mut [impl AsMut<CoachLane> + AsRef<CoachLane> + Send],
 ) -> Vec<f32> {
     in_lanes(threads, lanes, |index, lane| {
-        let CoachLane { input, coach_pass, rows, .. } = &mut lane.coach;
+        let CoachLane { input, coach_pass, rows, .. } = lane.as_mut();
         rows.clear();
         for (states, _) in chunks(holdings).skip(index).step_by(LANES) {
             state_input(coach.shape(), windows, states, order, false, input);
@@ -193,7 +196,7 @@ fn rows(
     });
     let width = 2 * coach.shape().strategy;
     let mut all = Vec::with_capacity(holdings.count() * width);
-    let mut unread: Vec<&[f32]> = lanes.iter().map(|lane| &*lane.coach.rows).collect();
+    let mut unread: Vec<&[f32]> = lanes.iter().map(|lane| &*lane.as_ref().rows).collect();
     for (chunk, (_, strategies)) in chunks(holdings).enumerate() {
         let own = unread[chunk % LANES].split_off(..strategies.len() * width);
         all.extend_from_slice(own.expect("a lane has the rows of its chunks"));
