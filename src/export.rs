@@ -25,10 +25,11 @@ use crate::environment::ScenarioSetName;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::methods::LearnedMethod;
 use crate::options::Common;
-use crate::output::{print_json, say, warn_of_refused};
+use crate::output::{print_json, say};
 use crate::progress::{self, CountedEpisodes};
 use crate::proposals::ProposalArguments;
 use crate::seeds::SeedRange;
+use crate::subject::open_run;
 
 /// Rules that the agents are measured under beside their own allocator.
 const RULES: [&str; 2] = ["coordinated", "heuristic"];
@@ -75,8 +76,7 @@ pub(crate) fn run(arguments: &ExportArguments) -> Outcome {
     if let Some(learned) = LearnedMethod::find(&arguments.run)? {
         return export_method(arguments, &learned);
     }
-    let mut run = Run::open(&arguments.run)?;
-    warn_of_refused(&run.refused);
+    let (mut run, learned_in) = open_run(&arguments.run)?;
     check_exportable(&run)?;
     if let Some(team_max) = arguments.team_max {
         let alma::Config::Records(config) = &mut run.config else {
@@ -93,15 +93,16 @@ pub(crate) fn run(arguments: &ExportArguments) -> Outcome {
     let evaluations = (sets.len() * allocators).saturating_mul(seeds.iter().count());
     let episodes = u64::from(arguments.episodes).saturating_mul(evaluations as u64);
     let bar = progress::bar(arguments.common, episodes, "episodes");
-    let mut measured = Vec::new();
+    let (mut measured, mut sizes) = (Vec::new(), vec![learned_in.spec().shape]);
     for set in sets {
         let environment = set.open(Split::Test)?;
+        sizes.push(environment.spec().shape);
         let plan = |seed| EvaluationPlan::new(&*environment, arguments.episodes as usize, seed);
         let plans: Vec<EvaluationPlan<'_>> = seeds.iter().map(plan).collect();
         measure(&run, (set.set(), &plans), &bar, &mut measured)?;
     }
     bar.finish_and_clear();
-    write(arguments, draft_bundle(&run, &arguments.run, &measured, seed)?)
+    write(arguments, draft_bundle((&run, &*learned_in), &arguments.run, &sizes, &measured, seed)?)
 }
 
 /// Writes the bundle with its plans.

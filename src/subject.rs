@@ -3,11 +3,14 @@
 use std::path::Path;
 
 use sortie_bundle::{Bundle, MANIFEST, SubtaskConditioning, TRAINING};
+use sortie_envs::Environment;
+use sortie_learn::run::read_description;
 use sortie_methods::alma::run::Run;
 
 use crate::deployment::open_bundle;
 use crate::environment::ScenarioSetName;
 use crate::failure::{Exit, Failure};
+use crate::methods::open_environment;
 use crate::output::warn_of_refused;
 
 /// What is evaluated.
@@ -20,6 +23,15 @@ pub(crate) enum Subject {
     Scripted,
 }
 
+/// A run of ALMA, and where it learned.
+pub(crate) fn open_run(folder: &Path) -> Result<(Run, Box<dyn Environment>), Failure> {
+    let description = read_description(folder)?;
+    let environment = open_environment(&description.config.environment)?;
+    let run = Run::open(folder, environment.spec())?;
+    warn_of_refused(&run.refused);
+    Ok((run, environment))
+}
+
 impl Subject {
     /// Finds out what is named so.
     pub(crate) fn find(path: &Path) -> Result<Self, Failure> {
@@ -30,9 +42,7 @@ impl Subject {
             return Ok(Self::Bundle(Box::new(open_bundle(path)?)));
         }
         if path.join(TRAINING).exists() {
-            let run = Run::open(path)?;
-            warn_of_refused(&run.refused);
-            return Ok(Self::Run(Box::new(run)));
+            return Ok(Self::Run(Box::new(open_run(path)?.0)));
         }
         let reason = if path.exists() {
             "is neither a bundle nor a training run: it has no `bundle.toml` and no `train.toml`"

@@ -1,6 +1,5 @@
 //! What is timed: both levels of a run of preset `fast`, on experience of its own.
 
-use sortie_envs::Environment;
 use sortie_envs::save_the_city::MAX_AGENTS;
 use sortie_learn::Now;
 use sortie_learn::play::Play;
@@ -13,6 +12,7 @@ use sortie_nn::random::Generator;
 use super::{Case, Turn, setup};
 use crate::bench::thread_cpu_s;
 use crate::failure::{Exit, Failure};
+use crate::methods;
 
 /// Environment steps that fill the replays before anything is timed.
 const FILL: u64 = 40_000;
@@ -35,6 +35,8 @@ impl Work {
 /// Two learners and their roll-out.
 pub(super) struct Learning {
     pub(super) config: Config,
+    /// Of the whole run.
+    steps: u64,
     pub(super) method: Records,
     pub(super) picks: Generator,
     play: Play,
@@ -45,17 +47,18 @@ pub(super) struct Learning {
 impl Learning {
     /// Acts for a while by initial networks, exploring as a run does, under rules that allocate.
     pub(super) fn new(assignments: &[String], seed: u64) -> Result<Self, Failure> {
-        let mut config = Config::of(&setup("fast", assignments)?)?;
+        let setup = setup("fast", assignments)?;
+        let mut config = Config::of(&setup)?;
         // As much as is filled: the capacity of a whole run would only take memory.
         config.replay.capacity = 500_000;
         // Decisions are kept from the first on, and rules make them until all is filled.
         (config.allocator.learns_from, config.allocator.decides_from) = (0, FILL);
-        let environment = config.environment.open()?;
-        let mut method = Records::new(&config, &environment, seed, 1);
+        let environment = methods::open_environment(&setup.environment)?;
+        let mut method = Records::new(&config, &*environment, seed, 1);
         let stream = |index| generator(seed, Purpose::Rollout, index as u64);
         let random = (0..config.environment.instances).map(stream).collect();
         let mut learning = Self {
-            play: Play::new(&environment, &mut method, random),
+            play: Play::new(&*environment, &mut method, random),
             search: TeamSearch::new(
                 config.allocator.shape(environment.spec()),
                 config.allocation.team_max,
@@ -64,6 +67,7 @@ impl Learning {
             decision: 0,
             method,
             config,
+            steps: setup.run.steps,
         };
         let instances = learning.config.environment.instances as u64;
         for step in 0..FILL / instances {
@@ -74,7 +78,7 @@ impl Learning {
 
     /// A step in every instance, so far into a run.
     fn act(&mut self, env_steps: u64) -> Result<(), Failure> {
-        let now = Now { env_steps, of: self.config.run.steps };
+        let now = Now { env_steps, of: self.steps };
         self.play.round(&mut self.method, now, &mut EpisodeCounts::default())?;
         Ok(())
     }

@@ -15,9 +15,9 @@ use serde::Serialize;
 use super::rounds::paired_ratio;
 use super::{Figures, Measuring, Ratio, Row, pin};
 use crate::failure::Failure;
+use crate::methods;
 use learning::{Learning, Work};
 pub(super) use paper::Part;
-use sortie_learn::LearnError;
 use sortie_learn::run::Setup;
 use sortie_methods::alma::ALMA;
 use sortie_nn::layers::matrix::{Matrix, MatrixMut, Store, multiply};
@@ -90,9 +90,11 @@ pub(super) fn measure(arguments: &TrainArguments) -> Result<Figures, Failure> {
 }
 
 /// A preset with some values replaced.
-fn setup(preset: &str, assignments: &[String]) -> Result<Setup, LearnError> {
+fn setup(preset: &str, assignments: &[String]) -> Result<Setup, Failure> {
     let set = |setup, assignment: &String| ALMA.set(&setup, assignment);
-    assignments.iter().try_fold(ALMA.preset(preset)?, set)
+    let mut setup = assignments.iter().try_fold(ALMA.preset(preset)?, set)?;
+    methods::settle(&ALMA, &mut setup.environment)?;
+    Ok(setup)
 }
 
 fn measure_fast(arguments: &TrainArguments) -> Result<Figures, Failure> {

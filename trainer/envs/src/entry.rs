@@ -77,6 +77,12 @@ pub enum Setting {
     Text(String),
 }
 
+impl From<i64> for Setting {
+    fn from(number: i64) -> Self {
+        Self::Whole(number)
+    }
+}
+
 impl<'de> IntoDeserializer<'de> for Setting {
     type Deserializer = Self;
 

@@ -87,6 +87,8 @@ pub struct Spec {
     pub view: View,
     /// `[d]`: names of the features.
     pub features: Vec<String>,
+    /// `[d]`: units of the features; none where they have none.
+    pub units: Vec<&'static str>,
     /// `[U]`: names of the actions.
     pub actions: Vec<String>,
     /// The action of an agent that nobody decides for: always available, and as harmless as any.
@@ -120,6 +122,7 @@ impl Default for Spec {
             shape: Shape { agents: 0, entities: 0, tasks: 0, actions: 0, features: 0 },
             view: View::Entities,
             features: Vec::new(),
+            units: Vec::new(),
             actions: Vec::new(),
             safe_action: None,
             metrics: &[],
@@ -157,7 +160,9 @@ impl Spec {
         }
         let names =
             [("features", self.features.len(), features), ("actions", self.actions.len(), actions)];
-        for (what, found, wanted) in names {
+        let units = self.units.len();
+        let units = (units > 0).then_some(("units", units, features));
+        for (what, found, wanted) in names.into_iter().chain(units) {
             if found != wanted {
                 return Err(SpecError::Names { what, found, wanted });
             }

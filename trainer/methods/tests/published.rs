@@ -5,7 +5,7 @@ mod sessions;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use sessions::{begin, environment_of, resume};
+use sessions::{begin, environment_of, open_run, resume};
 use sortie_learn::run::{CurvePoint, Observer, Outcome, Progress};
 use sortie_learn::session::{MethodEntry, Session, Setup};
 use sortie_methods::alma::evaluate::{EvaluationPlan, evaluate};
@@ -109,7 +109,7 @@ fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
     assert_eq!(outcome, Outcome::Finished);
     assert!(tensors == whole_run(config(), 5, 1).0, "the resumed run has other weights");
 
-    let opened = Run::open(folder.path()).unwrap();
+    let opened = open_run(folder.path()).unwrap();
     assert!(matches!(opened.allocator, Some(RunAllocator::Proposals { .. })));
     assert_eq!(opened.env_steps, trainer.env_steps());
 }
@@ -136,7 +136,7 @@ fn a_coach_learns_the_same_with_any_number_of_threads_and_when_resumed() {
     assert_eq!(outcome, Outcome::Finished);
     assert!(tensors == one, "the resumed run has other weights");
 
-    let opened = Run::open(folder.path()).unwrap();
+    let opened = open_run(folder.path()).unwrap();
     assert_eq!(opened.description.config.method, "copa");
     let environment = environment_of(&opened.description.config).unwrap();
     let plan = EvaluationPlan::new(&*environment, 8, u64::MAX - 5);
@@ -194,7 +194,7 @@ fn agents_with_a_memory_are_saved_resumed_and_measured() {
     let (_, tensors, curve) = run(&mut trainer, u64::MAX);
     assert!(tensors == whole_run(config, 5, 1).0, "the resumed run has other weights");
 
-    let opened = Run::open(folder.path()).unwrap();
+    let opened = open_run(folder.path()).unwrap();
     assert_eq!(opened.memory_unit.len(), 3 * 8 * 8 * 2 + 3 * 8 * 2);
     let measure = |opened: &Run| {
         let environment = environment_of(&opened.description.config).unwrap();
@@ -216,7 +216,7 @@ fn an_allocator_learns_for_agents_of_another_run_that_stay_as_they_are() {
     let from = format!("run.from={}", first.path().display());
     let frozen = [&from, "low_level.frozen=true"];
     run(&mut begin(small(&ALMA, &frozen), 2, 1, second.path()).unwrap(), u64::MAX);
-    let (first, second) = (Run::open(first.path()).unwrap(), Run::open(second.path()).unwrap());
+    let (first, second) = (open_run(first.path()).unwrap(), open_run(second.path()).unwrap());
     assert_eq!(first.network, second.network);
     let policy = |run: &Run| match &run.allocator {
         Some(RunAllocator::Proposals { policy, .. }) => policy.clone(),

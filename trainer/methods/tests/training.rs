@@ -5,12 +5,11 @@ mod sessions;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use sessions::{begin, resume};
+use sessions::{begin, open_run, resume};
 use sortie_envs::Split;
 use sortie_learn::run::{Observer, Outcome, Progress};
 use sortie_learn::session::{Session, Setup};
 use sortie_methods::alma::evaluate::{EvaluationPlan, evaluate};
-use sortie_methods::alma::run::Run;
 use sortie_methods::alma::teams::RuleAllocator;
 use sortie_methods::alma::{ALMA, FLAT};
 
@@ -118,7 +117,7 @@ fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
     let whole = tempfile::tempdir().unwrap();
     let mut trainer = begin(usual(), 5, 1, whole.path()).unwrap();
     run(&mut trainer, u64::MAX);
-    let (resumed, whole) = (Run::open(folder.path()).unwrap(), Run::open(whole.path()).unwrap());
+    let (resumed, whole) = (open_run(folder.path()).unwrap(), open_run(whole.path()).unwrap());
     assert_eq!(resumed.network, whole.network);
     assert!(resumed.allocator.is_some() && resumed.allocator == whole.allocator);
     assert_eq!(resumed.curve.len(), 4);
@@ -154,8 +153,7 @@ fn every_way_to_learn_resumes_exactly() {
         assert_eq!(run(&mut trainer, u64::MAX).0, Outcome::Finished);
         assert!(state(whole.path()) == state(stopped.path()), "{assignments:?}");
 
-        let (resumed, whole) =
-            (Run::open(stopped.path()).unwrap(), Run::open(whole.path()).unwrap());
+        let (resumed, whole) = (open_run(stopped.path()).unwrap(), open_run(whole.path()).unwrap());
         assert!(whole.curve.last().unwrap().updates > 50, "{assignments:?}");
         for (resumed, whole) in resumed.curve.iter().zip(&whole.curve) {
             assert_eq!(resumed.loss, whole.loss, "{assignments:?} at {}", resumed.env_steps);
@@ -169,7 +167,7 @@ fn a_run_without_subtasks_learns_no_allocator_and_says_so() {
     let folder = tempfile::tempdir().unwrap();
     let config = with(&["network.subtask=none", "run.steps=400"]);
     run(&mut begin(config, 5, 1, folder.path()).unwrap(), u64::MAX);
-    let opened = Run::open(folder.path()).unwrap();
+    let opened = open_run(folder.path()).unwrap();
     assert!(opened.allocator.is_none());
     assert_eq!(opened.description.config.method, "flat");
     assert!(opened.curve.iter().all(|point| point.allocation == "none"));
@@ -182,7 +180,7 @@ fn a_network_that_marks_subtasks_refuses_a_city_with_more_of_them() {
     let folder = tempfile::tempdir().unwrap();
     let config = with(&["network.subtask=input", "run.steps=400"]);
     run(&mut begin(config, 5, 1, folder.path()).unwrap(), u64::MAX);
-    let opened = Run::open(folder.path()).unwrap();
+    let opened = open_run(folder.path()).unwrap();
     let environment =
         sortie_envs::open("save-the-city/12a_12b", Split::Test, 1, &Default::default()).unwrap();
     let plan = EvaluationPlan::new(&*environment, 1, 1);
@@ -205,7 +203,7 @@ fn resuming_uses_the_checkpoint_before_a_damaged_one() {
     let trainer = resume(folder.path(), None).unwrap();
     assert_eq!(trainer.env_steps(), 1200);
     assert!(trainer.refused()[0].contains("state.postcard"), "{:?}", trainer.refused());
-    assert_eq!(Run::open(folder.path()).unwrap().env_steps, 1200);
+    assert_eq!(open_run(folder.path()).unwrap().env_steps, 1200);
 }
 
 #[test]
@@ -221,7 +219,7 @@ fn a_run_describes_and_draws_itself() {
     let folder = tempfile::tempdir().unwrap();
     let mut trainer = begin(usual(), 3, 1, folder.path()).unwrap();
     run(&mut trainer, u64::MAX);
-    let opened = Run::open(folder.path()).unwrap();
+    let opened = open_run(folder.path()).unwrap();
     let mut setup = usual();
     setup.run.settle_products().unwrap();
     assert_ne!(setup.run.products, "widest");
@@ -240,7 +238,7 @@ fn a_run_under_a_rule_learns_no_allocator() {
     let folder = tempfile::tempdir().unwrap();
     let mut trainer = begin(with(&["allocation.learned=0"]), 3, 1, folder.path()).unwrap();
     run(&mut trainer, u64::MAX);
-    let opened = Run::open(folder.path()).unwrap();
+    let opened = open_run(folder.path()).unwrap();
     assert!(opened.allocator.is_none());
     assert_eq!(opened.curve[0].allocation, "heuristic");
     assert_eq!(opened.curve[0].allocator_updates, 0);
@@ -253,7 +251,7 @@ fn a_run_can_begin_with_what_another_learned() {
     let first = tempfile::tempdir().unwrap();
     let mut trainer = begin(usual(), 3, 1, first.path()).unwrap();
     run(&mut trainer, 1200);
-    let learned = Run::open(first.path()).unwrap();
+    let learned = open_run(first.path()).unwrap();
 
     let from = format!("run.from={}", first.path().display());
     let config = with(&[&from, "environment.set=2-8a_2-8b"]);
@@ -262,7 +260,7 @@ fn a_run_can_begin_with_what_another_learned() {
     // Stopped before its first step.
     let stop = AtomicBool::new(true);
     assert_eq!(trainer.run(&mut (), &stop).unwrap(), Outcome::Stopped);
-    let begun = Run::open(second.path()).unwrap();
+    let begun = open_run(second.path()).unwrap();
     assert_eq!((begun.env_steps, &begun.network), (0, &learned.network));
     assert!(learned.allocator.is_some());
     assert_eq!(begun.allocator, learned.allocator);

@@ -2,7 +2,6 @@
 
 use std::time::Duration;
 
-use sortie_envs::Environment;
 use sortie_learn::Now;
 use sortie_learn::play::Play;
 use sortie_learn::random::{Purpose, generator};
@@ -19,6 +18,7 @@ use sortie_nn::random::Generator;
 use crate::bench::thread_cpu_s;
 use crate::bench::train::setup;
 use crate::failure::{Exit, Failure};
+use crate::methods;
 
 /// Environment steps into a run, for how much is tried out.
 const TRIED_OUT_AT: u64 = 1_000_000;
@@ -51,11 +51,11 @@ struct Player {
 
 impl Player {
     fn new(config: &Config, seed: u64) -> Result<Self, Failure> {
-        let environment = config.environment.open()?;
-        let mut method = WindowLearner::new(config, environment.spec().shape, seed, 1);
+        let environment = methods::open_environment(&config.environment)?;
+        let mut method = WindowLearner::new(config, environment.spec(), seed, 1);
         let stream = |index| generator(seed, Purpose::Rollout, index as u64);
         let random = (0..config.environment.instances).map(stream).collect();
-        let play = Play::new(&environment, &mut method, random);
+        let play = Play::new(&*environment, &mut method, random);
         Ok(Self { method, play })
     }
 
@@ -72,7 +72,7 @@ impl Levels {
     /// Plays by initial networks under rules that allocate, cuts a batch, and learns from it a little.
     pub(super) fn new(assignments: &[String], seed: u64) -> Result<Self, Failure> {
         let config = Config::of(&setup("paper", assignments)?)?;
-        let environment = config.environment.open()?;
+        let environment = methods::open_environment(&config.environment)?;
         let sizes = WindowShape::of(environment.spec().shape);
         let mut weights = generator(seed, Purpose::Weights, 0);
         let mut low_level = LowLevel::new(config.low_level.clone(), sizes, &mut weights);
@@ -86,7 +86,7 @@ impl Levels {
         let replay = fill(&config, seed, sample.windows)?;
         let drawn = draw_episodes(&replay, sample.windows, &mut generator, |_| true)
             .ok_or_else(|| Failure::new(Exit::Bug, "too few episodes for a batch"))?;
-        let windows = cut_windows(&environment, &replay, &drawn, sample, &mut generator);
+        let windows = cut_windows(&*environment, &replay, &drawn, sample, &mut generator);
         let drawn_policy = allocation.state().policy;
         for _ in 0..FIRST_STEPS {
             low_level.learn(&windows, 1, &mut generator);

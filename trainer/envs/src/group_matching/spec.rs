@@ -28,6 +28,7 @@ pub(super) fn spec(parameters: &Parameters) -> Spec {
         shape: Shape { agents, entities: agents, tasks: 0, actions: ACTIONS, features },
         view: View::Entities,
         features: feature_names(parameters),
+        units: Vec::new(),
         actions: ACTION_NAMES.map(String::from).to_vec(),
         safe_action: Some(STAY),
         causes: &[],

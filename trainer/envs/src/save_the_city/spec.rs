@@ -59,6 +59,17 @@ pub(super) const METRICS: &[Metric] = &[
     },
 ];
 
+/// The unit of a feature.
+fn unit(feature: &str) -> &'static str {
+    match feature {
+        "x-scaled" | "y-scaled" => "sides of the map",
+        "health" | "fire" => "share of full",
+        "since-last-fire" => "ignition periods",
+        "ignition-rate" => "share of the fastest",
+        _ => "flag",
+    }
+}
+
 /// What a set of scenarios says of itself.
 pub(super) fn spec(set: &ScenarioSet, constants: &Constants) -> Spec {
     let shape = Shape {
@@ -74,6 +85,7 @@ pub(super) fn spec(set: &ScenarioSet, constants: &Constants) -> Spec {
         shape,
         view: View::Entities,
         features: FEATURE_NAMES.map(String::from).to_vec(),
+        units: FEATURE_NAMES.map(unit).to_vec(),
         actions: ACTION_NAMES.map(String::from).to_vec(),
         safe_action: Some(0),
         metrics: METRICS,

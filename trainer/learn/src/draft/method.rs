@@ -4,13 +4,10 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
 
-use sortie_bundle::{
-    AGENT, CARD, CURVE, CURVE_DATA, ContractV1, Draft, Environment as Described,
-    FallbackAllocation, Golden, GoldenCase, Limits, Network, SubtaskConditioning, TRAINING,
-    WIRE_ABI,
-};
-use sortie_envs::{Environment, Shape, Spec};
+use sortie_bundle::{AGENT, CARD, CURVE, CURVE_DATA, Draft, Golden, Network, TRAINING};
+use sortie_envs::{Environment, Shape};
 
+use super::described::{contract, described, limits};
 use super::measured::{Measured, read_part};
 use super::recorder::Recorder;
 use crate::error::LearnError;
@@ -73,56 +70,13 @@ pub fn draft_method(
         (TRAINING.to_owned(), read_part(folder, TRAINING)?),
     ]);
     Ok(Draft {
-        environment: described(run, &golden.cases),
+        environment: described(run.description.config.environment.to_string(), spec, &golden.cases),
         limits: limits(sizes),
         network: Network { agent: "masked-attention".to_owned(), allocator: None, hidden },
         golden,
         contract,
         parts,
     })
-}
-
-fn contract(spec: &Spec, append_last_action: bool) -> ContractV1 {
-    ContractV1 {
-        abi: WIRE_ABI,
-        actions: spec.shape.actions as u16,
-        features: spec.shape.features as u16,
-        feature_names: spec.features.clone(),
-        action_names: spec.actions.clone(),
-        decision_interval: 1,
-        append_last_action,
-        subtask_conditioning: SubtaskConditioning::None,
-        subtask_actions: false,
-        safe_action: spec.safe_action,
-        fallback_allocation: FallbackAllocation::Unallocated,
-    }
-}
-
-/// The environment, with the ranges of features that golden observations have shown.
-fn described(run: &MethodRun<'_>, cases: &[GoldenCase]) -> Described {
-    let spec = run.environment.spec();
-    let columns = spec.shape.features;
-    let mut ranges = vec![[0.0f32, 0.0]; columns];
-    for row in cases.iter().flat_map(|case| case.observation.rows.chunks_exact(columns)) {
-        for (range, value) in ranges.iter_mut().zip(row) {
-            *range = [range[0].min(*value), range[1].max(*value)];
-        }
-    }
-    Described {
-        name: run.description.config.environment.to_string(),
-        version: spec.version.to_owned(),
-        feature_units: vec!["1".to_owned(); columns],
-        feature_ranges: ranges,
-    }
-}
-
-fn limits(sizes: &[Shape]) -> Limits {
-    let most = |size: fn(&Shape) -> usize| sizes.iter().map(size).max().unwrap_or(0) as u16;
-    Limits {
-        n_max: most(|shape| shape.entities),
-        t_max: most(|shape| shape.tasks),
-        team_max: most(|shape| shape.agents),
-    }
 }
 
 /// The model card.

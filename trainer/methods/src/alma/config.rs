@@ -6,7 +6,6 @@ use sortie_learn::session::Setup;
 use toml::Table;
 
 use super::configuration::{FAST, PAPER};
-use super::records::config::EnvironmentConfig;
 use super::{records, windows};
 use crate::alma::agents::Conditioning;
 use sortie_learn::configuration::Section;
@@ -51,14 +50,6 @@ impl Config {
         match self {
             Self::Records(config) => config.network.subtask,
             Self::Windows(config) => config.low_level.conditioning,
-        }
-    }
-
-    /// The world that is learned in.
-    pub(super) fn environment(&self) -> &EnvironmentConfig {
-        match self {
-            Self::Records(config) => &config.environment,
-            Self::Windows(config) => &config.environment,
         }
     }
 

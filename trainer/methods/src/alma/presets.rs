@@ -117,8 +117,7 @@ fn open(opening: &Opening<'_>) -> Result<Box<dyn Method>, LearnError> {
             Box::new(records.beginning_with(learned))
         }
         Config::Windows(config) => {
-            let shape = environment.spec().shape;
-            let windows = WindowLearner::new(&config, shape, seed, threads);
+            let windows = WindowLearner::new(&config, environment.spec(), seed, threads);
             Box::new(windows.beginning_with(learned))
         }
     })

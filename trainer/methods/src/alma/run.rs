@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use sortie_bundle::TRAINING;
-use sortie_envs::Environment;
+use sortie_envs::Spec;
 use sortie_learn::LearnError;
 use sortie_learn::run::{Checkpoint, CurvePoint, RunDescription, RunFolder, checkpoint};
 use sortie_nn::layers::gru::lengths;
@@ -80,16 +80,17 @@ impl Run {
         })
     }
 
-    /// Reads the folder of a run.
-    pub fn open(folder: &Path) -> Result<Self, LearnError> {
+    /// Reads the folder of a run that learned in such an environment.
+    ///
+    /// # Errors
+    /// There is no sound checkpoint, or its networks are others than its configuration says.
+    pub fn open(folder: &Path, spec: &Spec) -> Result<Self, LearnError> {
         let files = RunFolder::new(folder);
         let description = files.read_description()?;
         let config = Config::of(&description.config)
             .map_err(|error| LearnError::format(folder.join(TRAINING), error))?;
         let curve = files.read_curve()?;
         let found = files.checkpoints().newest(checkpoint::OpenFor::Use)?;
-        let environment = config.environment().open()?;
-        let spec = environment.spec();
         let (network, memory_unit, coach, allocator) = match &config {
             Config::Records(config) => {
                 let average = |name, shape| network_of(&found.checkpoint, name, shape);
@@ -99,7 +100,7 @@ impl Run {
                 let allocator = learns.then(|| average("allocator/average", shape)).transpose()?;
                 (agents, Vec::new(), None, allocator.map(RunAllocator::TeamValue))
             }
-            Config::Windows(config) => windows_networks(&found.checkpoint, config)?,
+            Config::Windows(config) => windows_networks(&found.checkpoint, config, spec)?,
         };
         Ok(Self {
             description,
@@ -119,8 +120,8 @@ impl Run {
 ///
 /// # Errors
 /// There is no sound checkpoint.
-pub fn learned(folder: &Path) -> Result<Learned, LearnError> {
-    let Run { network, memory_unit, allocator, .. } = Run::open(folder)?;
+pub fn learned(folder: &Path, spec: &Spec) -> Result<Learned, LearnError> {
+    let Run { network, memory_unit, allocator, .. } = Run::open(folder, spec)?;
     let team_values = match allocator {
         Some(RunAllocator::TeamValue(network)) => Some(network),
         Some(RunAllocator::Proposals { .. }) | None => None,
@@ -135,8 +136,9 @@ type Networks = (UtilityNetwork, Vec<f32>, Option<Coach>, Option<RunAllocator>);
 fn windows_networks(
     checkpoint: &Checkpoint,
     config: &windows::Config,
+    spec: &Spec,
 ) -> Result<Networks, LearnError> {
-    let sizes = WindowShape::of(config.environment.open()?.spec().shape);
+    let sizes = WindowShape::of(spec.shape);
     let whole = |name: &str, count: usize| checkpoint.whole_vector(name, count);
     let shape = config.low_level.shape(sizes);
     let agents = network_of(checkpoint, "agents/online", shape)?;

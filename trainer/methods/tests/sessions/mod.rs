@@ -3,9 +3,10 @@
 use std::path::Path;
 
 use sortie_envs::{Environment, Split};
-use sortie_learn::run::RunDescription;
+use sortie_learn::run::{RunDescription, read_description};
 use sortie_learn::session::{Opening, Parts, Session, Setup};
 use sortie_learn::{LearnError, Method};
+use sortie_methods::alma::run::Run;
 use sortie_methods::find;
 
 /// The setup with some values replaced.
@@ -19,6 +20,12 @@ pub(crate) fn with(setup: &Setup, assignments: &[&str]) -> Setup {
 pub(crate) fn environment_of(setup: &Setup) -> Result<Box<dyn Environment>, LearnError> {
     let choice = &setup.environment;
     Ok(sortie_envs::open(&choice.to_string(), Split::Train, 1, &choice.settings)?)
+}
+
+/// A run of ALMA, to use what it learned.
+pub(crate) fn open_run(folder: &Path) -> Result<Run, LearnError> {
+    let environment = environment_of(&read_description(folder)?.config)?;
+    Run::open(folder, environment.spec())
 }
 
 /// Its environment and its method before the first step.

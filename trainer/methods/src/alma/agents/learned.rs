@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use sortie_envs::Spec;
+
 use super::utility::UtilityNetwork;
 use sortie_learn::LearnError;
 
@@ -16,10 +18,10 @@ pub struct Learned {
     pub team_values: Option<UtilityNetwork>,
 }
 
-/// Opens what the run in a folder has learned.
-pub type OpenLearned = fn(&Path) -> Result<Learned, LearnError>;
+/// Opens what the run in a folder has learned, in an environment like this one.
+pub type OpenLearned = fn(&Path, &Spec) -> Result<Learned, LearnError>;
 
 /// For methods that are not told how.
-pub(crate) fn open_nothing(folder: &Path) -> Result<Learned, LearnError> {
+pub(crate) fn open_nothing(folder: &Path, _: &Spec) -> Result<Learned, LearnError> {
     Err(LearnError::Config(format!("nothing opens the run in {}", folder.display())))
 }

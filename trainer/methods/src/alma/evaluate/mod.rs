@@ -124,7 +124,8 @@ mod tests {
     fn a_policy_acts_as_the_network_that_it_is_made_of() {
         let config = Config::default();
         let mut weights = generator(4, Purpose::Weights, 0);
-        let environment = config.environment.open().unwrap();
+        let environment =
+            sortie_envs::open("save-the-city", Split::Test, 1, &Default::default()).unwrap();
         let shape = config.network.shape(environment.spec());
         let network = UtilityNetwork::initialise(shape, 8.0, &mut weights);
         let play = |team: &mut dyn Team| measured(40, team, &mut RuleAllocator("heuristic"));

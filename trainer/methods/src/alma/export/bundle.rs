@@ -4,14 +4,11 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use sortie_bundle::{
-    AGENT, ALLOCATOR, CARD, CURVE, CURVE_DATA, ContractV1, Draft, Environment, FallbackAllocation,
-    Golden, Limits, Network, PROPOSAL_PARTS, PROPOSALS, SubtaskConditioning, TEAM_VALUE, TRAINING,
-    WIRE_ABI,
+    AGENT, ALLOCATOR, CARD, CURVE, CURVE_DATA, ContractV1, Draft, Golden, Limits, Network,
+    PROPOSAL_PARTS, PROPOSALS, SubtaskConditioning, TEAM_VALUE, TRAINING,
 };
 use sortie_core::Policy;
-use sortie_envs::save_the_city::{
-    ACTION_NAMES, ACTIONS, FEATURE_NAMES, FEATURES, RELATIONS, ScenarioSet, VERSION,
-};
+use sortie_envs::{Environment, Shape, Spec};
 
 use super::card::card;
 use super::golden_allocations::golden_allocations;
@@ -22,14 +19,12 @@ use crate::alma::evaluate::{EvaluationPlan, evaluate};
 use crate::alma::run::{Run, RunAllocator};
 use crate::alma::teams::{Allocation, PolicyTeam};
 use sortie_learn::LearnError;
-use sortie_learn::draft::{Measured, Recorder, read_part};
+use sortie_learn::draft::{self, Measured, Recorder, described, read_part};
 use sortie_learn::export::attention::{AttentionNetwork, ExportError, Layer, Layout, Matrix};
 use sortie_learn::export::{AgentNetwork, TeamValueExport, agent_onnx, team_value_onnx};
 
 /// Episodes that golden observations are drawn from; they end sooner than all are needed.
 const GOLDEN_EPISODES: usize = 100;
-/// Action 0 is to stay, which is always available.
-const SAFE_ACTION: u16 = 0;
 
 /// Refuses runs whose agents need more than what a deployed agent is shown.
 ///
@@ -64,16 +59,19 @@ pub fn check_exportable(run: &Run) -> Result<(), LearnError> {
 /// # Errors
 /// The run is not [deployable](check_exportable), its files cannot be read, or its network is not finite.
 pub fn draft_bundle(
-    run: &Run,
+    (run, environment): (&Run, &dyn Environment),
     folder: &Path,
+    sizes: &[Shape],
     measured: &[Measured],
     seed: u64,
 ) -> Result<Draft, LearnError> {
     check_exportable(run)?;
     let allocator = LearnedAllocator::of(run);
-    let contract = contract(run.config.interval());
+    let spec = environment.spec();
+    let contract = contract(spec, run.config.interval());
+    let golden = golden(run, environment, allocator, seed)?;
     let diverged = |error: ExportError| LearnError::format(folder, error);
-    let agent = agent(&run.network.weights(), contract.hash()).map_err(diverged)?;
+    let agent = agent(spec, &run.network.weights(), contract.hash()).map_err(diverged)?;
     let mut parts = BTreeMap::from([
         (AGENT.to_owned(), agent),
         (CARD.to_owned(), card(run, allocator, measured).into_bytes()),
@@ -83,7 +81,7 @@ pub fn draft_bundle(
     ]);
     let kind = match &run.allocator {
         Some(RunAllocator::TeamValue(network)) => {
-            let onnx = team_value(&network.weights(), contract.hash()).map_err(diverged)?;
+            let onnx = team_value(spec, &network.weights(), contract.hash()).map_err(diverged)?;
             parts.insert(ALLOCATOR.to_owned(), onnx);
             Some(TEAM_VALUE)
         }
@@ -96,82 +94,47 @@ pub fn draft_bundle(
         }
         None => None,
     };
+    let name = run.description.config.environment.to_string();
     Ok(Draft {
-        environment: environment(run),
-        limits: limits(run, allocator, measured)?,
+        environment: described(name, spec, &golden.cases),
+        limits: limits(allocator, sizes),
         network: Network {
             agent: "masked-attention".to_owned(),
             allocator: kind.map(str::to_owned),
             hidden: 0,
         },
-        golden: golden(run, allocator, seed)?,
+        golden,
         contract,
         parts,
     })
 }
 
-fn contract(decision_interval: u32) -> ContractV1 {
-    let names = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect();
-    ContractV1 {
-        abi: WIRE_ABI,
-        actions: ACTIONS as u16,
-        features: FEATURES as u16,
-        feature_names: names(&FEATURE_NAMES),
-        action_names: names(&ACTION_NAMES),
-        decision_interval,
-        append_last_action: true,
-        subtask_conditioning: SubtaskConditioning::Mask,
-        subtask_actions: false,
-        safe_action: Some(SAFE_ACTION),
-        fallback_allocation: FallbackAllocation::Unallocated,
-    }
+/// The contract of agents that see their own subtask.
+fn contract(spec: &Spec, decision_interval: u32) -> ContractV1 {
+    let subtask_conditioning = SubtaskConditioning::Mask;
+    ContractV1 { decision_interval, subtask_conditioning, ..draft::contract(spec, true) }
 }
 
-fn environment(run: &Run) -> Environment {
-    let unit = |name: &&str| match *name {
-        "x-scaled" | "y-scaled" => "sides of the map",
-        "health" | "fire" => "share of full",
-        "since-last-fire" => "ignition periods",
-        "ignition-rate" => "share of the fastest",
-        _ => "flag",
-    };
-    Environment {
-        name: run.description.config.environment.to_string(),
-        version: VERSION.to_owned(),
-        feature_units: FEATURE_NAMES.iter().map(|name| unit(name).to_owned()).collect(),
-        feature_ranges: vec![[0.0, 1.0]; FEATURES],
-    }
-}
-
-/// Sizes of the set that the run learned on and of all sets that it was measured on.
-fn limits(
-    run: &Run,
-    allocator: Option<LearnedAllocator<'_>>,
-    measured: &[Measured],
-) -> Result<Limits, LearnError> {
-    let (mut agents, mut buildings) = (0, 0);
-    let learned_on = &run.description.config.environment.set;
-    for name in measured.iter().map(|measured| &measured.set).chain([learned_on]) {
-        let set = ScenarioSet::named(name).map_err(LearnError::environment)?;
-        (agents, buildings) = (set.max_agents.max(agents), set.max_buildings.max(buildings));
-    }
-    let team_max = allocator.map_or(agents, |learned| learned.team_max.min(agents));
-    Ok(Limits {
-        n_max: (agents + buildings) as u16,
-        t_max: buildings as u16,
-        team_max: team_max as u16,
-    })
+/// Sizes of all environments that the bundle is to serve.
+fn limits(allocator: Option<LearnedAllocator<'_>>, sizes: &[Shape]) -> Limits {
+    let limits = draft::limits(sizes);
+    let team_max = allocator.map_or(usize::MAX, |learned| learned.team_max);
+    Limits { team_max: limits.team_max.min(team_max.try_into().unwrap_or(u16::MAX)), ..limits }
 }
 
 /// The agents' network as ONNX.
-fn agent(weights: &UtilityWeights, contract: u64) -> Result<Vec<u8>, ExportError> {
-    let layers = layers(weights);
-    agent_onnx(&AgentNetwork { features: FEATURES, append_last_action: true, contract, layers })
+fn agent(spec: &Spec, weights: &UtilityWeights, contract: u64) -> Result<Vec<u8>, ExportError> {
+    let (features, layers) = (spec.shape.features, layers(weights));
+    agent_onnx(&AgentNetwork { features, append_last_action: true, contract, layers })
 }
 
 /// The allocator's network as ONNX.
-fn team_value(weights: &UtilityWeights, contract: u64) -> Result<Vec<u8>, ExportError> {
-    let (features, relations, layers) = (FEATURES, RELATIONS, layers(weights));
+fn team_value(
+    spec: &Spec,
+    weights: &UtilityWeights,
+    contract: u64,
+) -> Result<Vec<u8>, ExportError> {
+    let (features, relations, layers) = (spec.shape.features, spec.relations, layers(weights));
     team_value_onnx(&TeamValueExport { features, relations, contract, layers })
 }
 
@@ -200,20 +163,21 @@ pub(super) fn layers(weights: &UtilityWeights) -> AttentionNetwork<'_> {
 /// Observations and allocation states of greedy episodes, with the answers of the trainer's own passes.
 fn golden(
     run: &Run,
+    environment: &dyn Environment,
     allocator: Option<LearnedAllocator<'_>>,
     seed: u64,
 ) -> Result<Golden, LearnError> {
     let config = &run.config;
-    let environment = config.environment().open()?;
     let plan = EvaluationPlan {
         interval: config.interval(),
-        ..EvaluationPlan::new(&environment, GOLDEN_EPISODES, seed)
+        ..EvaluationPlan::new(environment, GOLDEN_EPISODES, seed)
     };
     let allocations = match allocator {
         Some(allocator) => golden_allocations(&plan, &run.network, allocator)?,
         None => Vec::new(),
     };
-    let mut recorder = Recorder::new(NetworkPolicy::new(&run.network), FEATURES);
+    let mut recorder =
+        Recorder::new(NetworkPolicy::new(&run.network), environment.spec().shape.features);
     let mut team = PolicyTeam::new(&mut recorder as &mut dyn Policy);
     evaluate(&plan, &mut team, &mut Allocation::Coordinated.allocator())?;
     Ok(Golden { cases: recorder.cases, allocations })

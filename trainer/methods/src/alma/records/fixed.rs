@@ -1,6 +1,6 @@
 //! Agents and allocators that act and learn nothing, for tests.
 
-use sortie_envs::{ActionSet, Environment, Observation};
+use sortie_envs::{ActionSet, Environment, Observation, Split};
 use sortie_learn::play::{Play, RandomTeam};
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{EpisodeCounts, Rates};
@@ -13,6 +13,7 @@ use super::observer::Observer;
 use super::replay::Replay;
 use super::rollout::{Behaviour, Memory, Rollout};
 use super::team_value::Segments;
+use crate::alma::ALMA;
 use crate::alma::agents::UtilityNetwork;
 
 /// Agents and an allocator that learn nothing; the allocator decides from a step on.
@@ -72,11 +73,22 @@ impl Method for Fixed {
     }
 }
 
+/// The preset `fast`.
+pub(super) fn usual() -> Config {
+    Config::of(&ALMA.preset("fast").unwrap()).unwrap()
+}
+
+/// Where a run learns.
+fn city(config: &Config) -> Box<dyn Environment> {
+    let settings = &config.environment.settings;
+    sortie_envs::open("save-the-city/2-5a_2-5b", Split::Train, 1, settings).unwrap()
+}
+
 /// Greedy agents with the first weights of seed 1, with room for records, and for so many segments.
 pub(super) fn fixed(config: &Config, segments: usize) -> Fixed {
     let network =
         |shape| UtilityNetwork::initialise(shape, 8.0, &mut generator(1, Purpose::Weights, 0));
-    let environment = config.environment.open().unwrap();
+    let environment = city(config);
     let spec = environment.spec();
     let lag = Returns::from(&config.returns).lag(config.environment.instances);
     Fixed {
@@ -94,10 +106,10 @@ pub(super) fn fixed(config: &Config, segments: usize) -> Fixed {
 
 /// Starts an episode in every instance.
 pub(super) fn begin(config: &Config, seed: u64, method: &mut Fixed) -> Play {
-    let city = config.environment.open().unwrap();
+    let city = city(config);
     let stream = |index| generator(seed, Purpose::Rollout, index as u64);
     let random = (0..config.environment.instances).map(stream).collect();
-    Play::new(&city, method, random)
+    Play::new(&*city, method, random)
 }
 
 /// Steps all instances so many times; what ended, and how often it was decided.
@@ -111,5 +123,5 @@ pub(super) fn play(play: &mut Play, method: &mut Fixed, steps: u64) -> (EpisodeC
 
 /// What observes the states of a run.
 pub(super) fn observer(config: &Config) -> Observer {
-    Observer::of(&config.environment.open().unwrap())
+    Observer::of(&*city(config))
 }

@@ -226,7 +226,7 @@ impl Method for Records {
 
     /// Begins with the averaged weights of another run.
     fn take_over(&mut self, folder: &Path) -> Result<(), LearnError> {
-        let learned = (self.open_learned)(folder)?;
+        let learned = (self.open_learned)(folder, self.observer.spec())?;
         let online = {
             let knowledge = self.agents.knowledge();
             MixedNetwork { utility: learned.network, ..knowledge.online.clone() }

@@ -216,12 +216,12 @@ fn sizes(instances: &[Instance]) -> Vec<[usize; 2]> {
 mod tests {
     use super::*;
     use crate::alma::agents::UtilityShape;
-    use crate::alma::records::fixed::{Fixed, begin, fixed, observer, play};
+    use crate::alma::records::fixed::{Fixed, begin, fixed, observer, play, usual};
     use crate::alma::records::team_value::Decision;
 
-    fn config(episode_limit: u32) -> Config {
-        let mut config = Config::default();
-        config.environment.constants.episode_limit = episode_limit;
+    fn config(episode_limit: i64) -> Config {
+        let mut config = usual();
+        config.environment.settings.insert("episode_limit".into(), episode_limit.into());
         config.environment.instances = 3;
         config.allocator.network.width = 8;
         config

@@ -301,7 +301,7 @@ impl Loss for Chunk {
 mod tests {
     use super::*;
     use crate::alma::agents::UtilityNetwork;
-    use crate::alma::records::fixed::{Fixed, begin, fixed, observer, play};
+    use crate::alma::records::fixed::{Fixed, begin, fixed, observer, play, usual};
     use crate::alma::records::{Config, Mixer, MixerKind, Parameters};
     use sortie_learn::random::{Purpose, generator};
     use sortie_nn::gradient_check::assert_gradient;
@@ -310,11 +310,12 @@ mod tests {
     const BATCH: usize = 16;
 
     fn config(subtask: Conditioning, kind: MixerKind) -> Config {
-        let mut config = Config::default();
+        let mut config = usual();
         config.allocation.heuristic = 1.0;
         (config.network.subtask, config.mixer.kind) = (subtask, kind);
         // Small rewards, beside whose rounding the slopes of a mixer are large.
-        (config.environment.constants.reward_scale, config.returns.shaping) = (2.0, 0.05);
+        config.environment.settings.insert("reward_scale".into(), 2.into());
+        config.returns.shaping = 0.05;
         (config.network.width, config.network.base) = (8, 6);
         (config.mixer.width, config.mixer.heads, config.mixer.mixing) = (8, 2, 4);
         config

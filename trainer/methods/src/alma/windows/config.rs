@@ -9,13 +9,11 @@ use super::exploration::Exploration;
 use super::low_level::LowLevelConfig;
 use super::low_level::coaching::CoachConfig;
 use crate::alma::agents::Conditioning;
-use crate::alma::records::config::EnvironmentConfig;
 use crate::alma::records::{self};
 use crate::alma::teams::Allocation;
 use sortie_learn::LearnError;
 use sortie_learn::configuration::require;
-use sortie_learn::run::RunConfig;
-use sortie_learn::session::Setup;
+use sortie_learn::session::{EnvironmentChoice, Setup};
 
 /// The configuration of a run. Its defaults are those of the dissertation and its public code.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -23,9 +21,9 @@ use sortie_learn::session::Setup;
 pub struct Config {
     /// What is learned from, which tells this file from others.
     pub learner: Learner,
-    /// The world to learn in.
+    /// Where it learns.
     #[serde(skip)]
-    pub environment: EnvironmentConfig,
+    pub environment: EnvironmentChoice,
     /// The agents' utilities, their mixer, and how both learn.
     pub low_level: LowLevelConfig,
     /// Who tells agents without subtasks what to do: COPA.
@@ -36,9 +34,6 @@ pub struct Config {
     pub exploration: ExplorationConfig,
     /// What is kept, and how the weights follow the gradient.
     pub learning: LearningConfig,
-    /// How long to learn, and when to measure and save.
-    #[serde(skip)]
-    pub run: RunConfig,
 }
 
 /// What this preset learns from.
@@ -54,13 +49,12 @@ impl Default for Config {
     fn default() -> Self {
         Self {
             learner: Learner::Windows,
-            environment: EnvironmentConfig { instances: 8, ..EnvironmentConfig::default() },
+            environment: EnvironmentChoice::default(),
             low_level: LowLevelConfig::default(),
             coach: CoachConfig::default(),
             allocation: AllocationConfig::default(),
             exploration: ExplorationConfig::default(),
             learning: LearningConfig::default(),
-            run: RunConfig { steps: 10_000_000, evaluate_episodes: 160, ..RunConfig::default() },
         }
     }
 }
@@ -220,7 +214,6 @@ impl Config {
                 copy_critic_every: 10,
                 ..LearningConfig::default()
             },
-            run: fast.run,
             ..Self::default()
         }
     }
@@ -230,8 +223,7 @@ impl Config {
     /// # Errors
     /// A value is impossible, or does not go together with others.
     pub fn of(setup: &Setup) -> Result<Self, LearnError> {
-        let environment = EnvironmentConfig::of(&setup.environment)?;
-        let config = Self { environment, run: setup.run.clone(), ..setup.own()? };
+        let config = Self { environment: setup.environment.clone(), ..setup.own()? };
         config.check()?;
         Ok(config)
     }

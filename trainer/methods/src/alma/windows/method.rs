@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use sortie_envs::{Environment, Random, Shape};
+use sortie_envs::{Environment, Random, Spec};
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Rates, Reports, UpdateReport};
 use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition};
@@ -36,6 +36,7 @@ pub struct WindowLearner {
     config: Config,
     /// Opens the run to begin with.
     open_learned: OpenLearned,
+    spec: Spec,
     threads: usize,
     /// Agents, mixer and coach.
     pub low_level: LowLevel,
@@ -54,9 +55,9 @@ pub struct WindowLearner {
 }
 
 impl WindowLearner {
-    /// Draws the first weights, for an environment of this shape.
-    pub fn new(config: &Config, shape: Shape, seed: u64, threads: usize) -> Self {
-        let sizes = WindowShape::of(shape);
+    /// Draws the first weights, for such an environment.
+    pub fn new(config: &Config, spec: &Spec, seed: u64, threads: usize) -> Self {
+        let sizes = WindowShape::of(spec.shape);
         let mut weights = generator(seed, Purpose::Weights, 0);
         let mut low_level = LowLevel::new(config.low_level.clone(), sizes, &mut weights);
         if config.coach.enabled {
@@ -64,7 +65,7 @@ impl WindowLearner {
         }
         let learning = config.learns_allocator().then(|| config.allocation_learning(sizes));
         Self {
-            rollout: Rollout::new(config, low_level.online.agents.shape(), shape.agents),
+            rollout: Rollout::new(config, low_level.online.agents.shape(), spec.shape.agents),
             allocation: learning.map(|learning| AllocationLevel::new(learning, seed)),
             replay: Replay::new(config.learning.episodes),
             sample: SampleShape {
@@ -77,6 +78,7 @@ impl WindowLearner {
             decisions: 0,
             config: config.clone(),
             open_learned: open_nothing,
+            spec: spec.clone(),
             threads,
             low_level,
         }
@@ -229,7 +231,7 @@ impl Method for WindowLearner {
 
     /// Begins with the agents of another run, of any preset.
     fn take_over(&mut self, folder: &Path) -> Result<(), LearnError> {
-        let learned = (self.open_learned)(folder)?;
+        let learned = (self.open_learned)(folder, &self.spec)?;
         let LowLevel { online, target, .. } = &mut self.low_level;
         let shape = |agents: &UtilityNetwork, unit: &[f32]| (agents.shape(), unit.len());
         if shape(&learned.network, &learned.memory_unit) != shape(&online.agents, &online.gru) {
@@ -327,7 +329,7 @@ mod tests {
             let mut config = small();
             config.low_level.conditioning = Conditioning::None;
             config.coach.enabled = with_coach;
-            let mut method = WindowLearner::new(&config, ring.spec().shape, 1, 1);
+            let mut method = WindowLearner::new(&config, ring.spec(), 1, 1);
             let random = (0..4).map(|index| generator(1, Purpose::Rollout, index)).collect();
             let mut play = Play::new(&*ring, &mut method, random);
             let (now, mut reports) = (Now { env_steps: 0, of: 1_000 }, Reports::default());

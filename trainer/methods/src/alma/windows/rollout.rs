@@ -210,21 +210,27 @@ mod tests {
     use crate::alma::agents::{Conditioning, TaskOrder};
     use crate::alma::windows::low_level::agent_utilities;
     use crate::alma::windows::{SampleShape, Shaping, WindowLearner, WindowShape, cut_windows};
-    use sortie_envs::{EntitySet, Environment, Observation, Step};
+    use sortie_envs::{EntitySet, Environment, Observation, Split, Step};
     use sortie_learn::Now;
     use sortie_learn::play::Play;
     use sortie_learn::random::{Purpose, generator};
     use sortie_learn::run::EpisodeCounts;
 
     /// Small networks, and agents that act at random half of the time.
-    fn config(by: &str, instances: usize, episode_limit: u32) -> Config {
+    fn config(by: &str, instances: usize, episode_limit: i64) -> Config {
         let mut config = Config::default();
         config.allocation.by = by.to_owned();
         config.environment.instances = instances;
-        config.environment.constants.episode_limit = episode_limit;
+        config.environment.settings.insert("episode_limit".into(), episode_limit.into());
         (config.low_level.width, config.low_level.base) = (8, 8);
         (config.exploration.actions.start, config.exploration.actions.end) = (0.5, 0.5);
         config
+    }
+
+    /// Where a run learns.
+    fn city(config: &Config) -> Box<dyn Environment> {
+        let settings = &config.environment.settings;
+        sortie_envs::open("save-the-city/2-5a_2-5b", Split::Train, 1, settings).unwrap()
     }
 
     /// What there is to see in a state of an episode.
@@ -236,11 +242,11 @@ mod tests {
 
     /// Plays a round and keeps its episodes.
     fn play(config: &Config, counts: &mut EpisodeCounts) -> WindowLearner {
-        let city = config.environment.open().unwrap();
-        let mut method = WindowLearner::new(config, city.spec().shape, 5, 1);
+        let city = city(config);
+        let mut method = WindowLearner::new(config, city.spec(), 5, 1);
         let stream = |index| generator(5, Purpose::Rollout, index as u64);
         let random = (0..config.environment.instances).map(stream).collect();
-        let mut play = Play::new(&city, &mut method, random);
+        let mut play = Play::new(&*city, &mut method, random);
         play.round(&mut method, Now { env_steps: 7, of: 100 }, counts).unwrap();
         method.keep_episodes();
         method
@@ -250,7 +256,7 @@ mod tests {
     fn a_round_plays_whole_episodes_and_decides_by_the_rules() {
         let mut counts = EpisodeCounts::default();
         let config = config("heuristic", 3, 30);
-        let (method, city) = (play(&config, &mut counts), config.environment.open().unwrap());
+        let (method, city) = (play(&config, &mut counts), city(&config));
         let episodes = method.replay.episodes();
         assert_eq!((episodes.len(), counts.episodes), (3, 3));
         for episode in episodes {
@@ -258,7 +264,7 @@ mod tests {
             assert!(episode.terminated || episode.steps() == 30);
             let mut since = 0;
             for state in 0..episode.steps() {
-                let open = |state: usize| seen(&city, episode, state).open_tasks;
+                let open = |state: usize| seen(&*city, episode, state).open_tasks;
                 let changed = state > 0 && open(state) != open(state - 1);
                 let due = state == 0 || since >= 5 || changed;
                 assert_eq!(episode.decision(state), due, "state {state}");
@@ -271,16 +277,16 @@ mod tests {
     #[test]
     fn an_episode_keeps_its_states_in_order_and_the_last_behind_its_end() {
         let config = config("heuristic", 2, 30);
-        let city = config.environment.open().unwrap();
+        let city = city(&config);
         let shape = city.spec().shape;
-        let mut rollout = WindowLearner::new(&config, shape, 1, 1).rollout;
+        let mut rollout = WindowLearner::new(&config, city.spec(), 1, 1).rollout;
         let instance = &mut rollout.instances[1];
         instance.begin(shape, 9);
         instance.allocation.fill(3);
         for (state, timed_out) in [(10, false), (11, false), (12, true)] {
             let step = Step { reward: f64::from(state), timed_out, ..Step::default() };
             rollout.remember(&Transition {
-                environment: &city,
+                environment: &*city,
                 instance: 1,
                 state: &[state],
                 actions: &[u16::from(state); 5],
@@ -325,8 +331,8 @@ mod tests {
 
             let shaping = Shaping::default();
             let sample = SampleShape { windows: 2, steps: 64, shaping };
-            let city = config.environment.open().unwrap();
-            let windows = cut_windows(&city, &replay, &[0, 1], sample, &mut weights);
+            let city = city(&config);
+            let windows = cut_windows(&*city, &replay, &[0, 1], sample, &mut weights);
             let order = TaskOrder::identity(6);
             let in_windows = agent_utilities(level.players(), &windows, conditioning, &order);
             let mut players = Players::new(conditioning, shape);
@@ -344,9 +350,9 @@ mod tests {
                     };
                     let scene = Scene {
                         world,
-                        environment: &city,
+                        environment: &*city,
                         state: episode.state(state),
-                        seen: &seen(&city, episode, state),
+                        seen: &seen(&*city, episode, state),
                         allocation: episode.allocation(state),
                         last_actions: &last_actions,
                         strategies: &[],

@@ -2,29 +2,26 @@
 
 mod agents;
 mod allocation;
-mod environment;
 mod learning;
 
 use serde::{Deserialize, Serialize};
 
 pub use agents::{AgentNetworkConfig, MixerConfig, NetworkConfig, ReturnsConfig};
 pub use allocation::{AllocationConfig, AllocatorConfig};
-pub use environment::EnvironmentConfig;
 pub use learning::ReplayConfig;
 pub use sortie_learn::configuration::{ExplorationConfig, OptimiserConfig};
 
 use sortie_learn::LearnError;
 use sortie_learn::configuration::require;
-use sortie_learn::run::RunConfig;
-use sortie_learn::session::Setup;
+use sortie_learn::session::{EnvironmentChoice, Setup};
 
 /// What a setup says. Its defaults are the preset `fast`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
-    /// The world to learn in.
+    /// Where it learns.
     #[serde(skip)]
-    pub environment: EnvironmentConfig,
+    pub environment: EnvironmentChoice,
     /// Who assigns agents to buildings while learning.
     pub allocation: AllocationConfig,
     /// The agents' network.
@@ -41,9 +38,6 @@ pub struct Config {
     pub optimiser: OptimiserConfig,
     /// How the allocator learns.
     pub allocator: AllocatorConfig,
-    /// How long to learn, and when to measure and save.
-    #[serde(skip)]
-    pub run: RunConfig,
 }
 
 impl Config {
@@ -52,8 +46,7 @@ impl Config {
     /// # Errors
     /// A value is impossible, or does not go together with others.
     pub fn of(setup: &Setup) -> Result<Self, LearnError> {
-        let environment = EnvironmentConfig::of(&setup.environment)?;
-        let config = Self { environment, run: setup.run.clone(), ..setup.own()? };
+        let config = Self { environment: setup.environment.clone(), ..setup.own()? };
         config.check()?;
         Ok(config)
     }

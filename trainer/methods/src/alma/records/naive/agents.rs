@@ -5,14 +5,14 @@ use sortie_envs::save_the_city::{AgentState, BuildingState, FEATURES, with_city}
 
 use super::{Map, Row, agent_row, assert_near, building_row, outputs};
 use crate::alma::agents::{Conditioning, NO_ACTION, UtilityNetwork};
-use crate::alma::records::fixed::{Fixed, begin, fixed, observer, play};
+use crate::alma::records::fixed::{Fixed, begin, fixed, observer, play, usual};
 use crate::alma::records::{
     Chunk, Config, Experience, Loss, MixedNetwork, Mixer, Networks, Pick, Replay, Sample,
 };
 use sortie_learn::random::{Purpose, generator};
 
 fn config(subtask: Conditioning) -> Config {
-    let mut config = Config::default();
+    let mut config = usual();
     config.allocation.heuristic = 1.0;
     config.network.subtask = subtask;
     (config.network.width, config.network.base) = (8, 6);

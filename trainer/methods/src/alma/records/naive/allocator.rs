@@ -7,18 +7,18 @@ use sortie_envs::save_the_city::{
 
 use super::{Map, agent_row, assert_near, building_row, outputs};
 use crate::alma::agents::{UtilityNetwork, UtilityShape};
-use crate::alma::records::fixed::{Fixed, begin, fixed, observer, play};
+use crate::alma::records::fixed::{Fixed, begin, fixed, observer, play, usual};
 use crate::alma::records::team_value::{Decision, Segments, TeamValueLoss};
 use crate::alma::records::{Config, Experience, Loss, Networks, Pick};
 use sortie_learn::random::{Purpose, generator};
 
 fn config() -> Config {
-    let mut config = Config::default();
+    let mut config = usual();
     // Decisions that differ from one another.
     (config.allocator.moved, config.allocator.moved_decisions) = (0.5, 1.0);
     (config.allocator.network.width, config.allocator.network.base) = (8, 6);
     (config.network.width, config.network.base) = (8, 6);
-    config.environment.constants.episode_limit = 40;
+    config.environment.settings.insert("episode_limit".into(), 40.into());
     config
 }
 
