@@ -148,3 +148,87 @@ impl Samples for Replay {
         self.len()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sortie_envs::Shape;
+    use sortie_envs::random::{below, generator};
+
+    const LAG: u64 = 40;
+
+    fn spec() -> Spec {
+        let shape = Shape { agents: 3, entities: 130, tasks: 2, actions: 4, features: 5 };
+        Spec { shape, state_bytes: 8, ..Spec::default() }
+    }
+
+    fn push_moment(replay: &mut Replay) -> u64 {
+        let number = replay.moments.next();
+        replay.moments.push(&number.to_le_bytes(), &[0; 3])
+    }
+
+    fn number(moment: Moment<'_>) -> u64 {
+        moment.state.try_into().map_or(u64::MAX, u64::from_le_bytes)
+    }
+
+    #[test]
+    fn every_record_keeps_its_moments_until_it_is_replaced() {
+        let (mut replay, mut random) = (Replay::new(700, LAG, &spec()), generator(1));
+        let mut pushed = Vec::new();
+        for _ in 0..20_000 {
+            let newest = push_moment(&mut replay);
+            // Some moments are of no record, some of several, and not in their order.
+            for _ in 0..below(&mut random, 3) {
+                let now = newest.saturating_sub(below(&mut random, LAG as usize) as u64);
+                let next = now + below(&mut random, (newest - now) as usize + 1) as u64;
+                replay.push(Record::new(0, [now, next], 0));
+                pushed.push([now, next]);
+            }
+        }
+        assert!(replay.len() == 700 && pushed.len() > 15_000);
+        let mut kept: Vec<_> = (0..700)
+            .map(|index| {
+                let Sample { now, next, .. } = replay.get(index);
+                [number(now), number(next)]
+            })
+            .collect();
+        replay.fetch(0..700);
+        kept.rotate_left(pushed.len() % 700);
+        assert_eq!(kept, pushed[pushed.len() - 700..]);
+        assert!(!replay.moments.has(15_000), "what is of no record any more is forgotten");
+        assert!(replay.fits(700, LAG, &spec()));
+    }
+
+    #[test]
+    fn a_record_has_a_team_and_things_in_sight() {
+        let mut replay = Replay::new(2, LAG, &spec());
+        let now = push_moment(&mut replay);
+        replay.moments.allocate(now, &[1, 0]);
+        let things = 1 << 127 | 1 << 3;
+        replay.push(Record::new(1, [now; 2], things));
+        let sample = replay.get(0);
+        assert_eq!((sample.team(), sample.record.things()), (0b001, things));
+    }
+
+    #[test]
+    fn a_replay_of_a_file_fits_only_where_all_its_records_do() {
+        let mut replay = Replay::new(3, LAG, &spec());
+        for _ in 0..5 {
+            let now = push_moment(&mut replay);
+            replay.push(Record::new(0, [now; 2], 0));
+        }
+        assert!(replay.fits(3, LAG, &spec()));
+        assert!(!replay.fits(4, LAG, &spec()) && !replay.fits(3, LAG + 1, &spec()));
+        let broken: [fn(&mut Replay); 4] = [
+            |replay| replay.next = 3,
+            |replay| replay.records[1].now = 5,
+            |replay| replay.records[1].ahead = 9,
+            |replay| replay.records.extend_from_within(..),
+        ];
+        for change in broken {
+            let mut changed = replay.clone();
+            change(&mut changed);
+            assert!(!changed.fits(3, LAG, &spec()));
+        }
+    }
+}

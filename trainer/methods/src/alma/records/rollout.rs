@@ -218,6 +218,7 @@ mod tests {
     use crate::alma::agents::UtilityShape;
     use crate::alma::records::fixed::{Fixed, begin, fixed, observer, play, usual};
     use crate::alma::records::team_value::Decision;
+    use sortie_envs::Environment;
 
     fn config(episode_limit: i64) -> Config {
         let mut config = usual();
@@ -271,6 +272,32 @@ mod tests {
         assert_eq!(kept(&method), before + decisions, "only decisions end segments");
         assert_eq!(play(&mut instances, &mut method, 1).1, 3);
         assert_eq!(kept(&method), before + decisions, "a new episode joins nothing");
+    }
+
+    #[test]
+    fn records_reach_to_the_state_in_which_time_ran_out() {
+        let config = config(5);
+        let mut method = Fixed { epsilon: 1.0, decides_from: 99, ..fixed(&config, 1) };
+        play(&mut begin(&config, 1, &mut method), &mut method, 40);
+        let mut environment = config.environment.open().unwrap();
+        let mut steps = |state: &[u8]| {
+            environment.load(0, state).unwrap();
+            environment.episode(0).steps
+        };
+        let mut last = [0; 2];
+        for index in 0..method.records.len() {
+            let sample = method.records.get(index);
+            let [now, next] = [sample.now, sample.next].map(|moment| steps(moment.state));
+            if sample.record.discount > 0.0 {
+                assert!((1..=3).contains(&(next - now)), "from step {now} to step {next}");
+                let ended = next == 5;
+                assert_eq!(sample.next.actions[0] == NO_ACTION, ended, "nobody acts any more");
+                last[usize::from(ended)] += 1;
+            } else {
+                assert_eq!(now, next);
+            }
+        }
+        assert!(last[0] > 50 && last[1] > 50, "{last:?}");
     }
 
     #[test]

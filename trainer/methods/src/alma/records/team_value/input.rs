@@ -218,6 +218,12 @@ mod tests {
         let rows = (0..input.rows.len()).map(|row| input.rows.row(row).collect::<Vec<_>>());
         assert!(rows.eq(wanted));
         assert!(input.visible.list(0).eq([0, 2, 3, 4]) && input.visible.list(1).eq([1, 5, 6, 7]));
+
+        let mut input = TeamValueInput::default();
+        let turned = [0, 1].map(|turn| TeamQuery { turn, ..query(0) });
+        let input = input.queries(&toy(), turned.into_iter());
+        let owns = [0, 1].map(|row| input.rows.row(row).collect::<Vec<_>>());
+        assert_eq!(owns, [own(4.0), own(11.0)], "the same state under a symmetry");
     }
 
     #[test]
