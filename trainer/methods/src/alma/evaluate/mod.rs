@@ -127,7 +127,8 @@ mod tests {
         let environment =
             sortie_envs::open("save-the-city", Split::Test, 1, &Default::default()).unwrap();
         let shape = config.network.shape(environment.spec());
-        let network = UtilityNetwork::initialise(shape, 8.0, &mut weights);
+        // So large weights that whatever is seen decides what is done.
+        let network = UtilityNetwork::initialise(shape, 0.02, &mut weights);
         let play = |team: &mut dyn Team| measured(40, team, &mut RuleAllocator("heuristic"));
         let by_network = play(&mut NetworkTeam::new(&network));
         let by_policy = play(&mut PolicyTeam::new(NetworkPolicy::new(&network)));

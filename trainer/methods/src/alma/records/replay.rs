@@ -184,6 +184,7 @@ mod tests {
                 replay.push(Record::new(0, [now, next], 0));
                 pushed.push([now, next]);
             }
+            assert!(replay.fits(700, LAG, &spec()), "no moment of a record is forgotten");
         }
         assert!(replay.len() == 700 && pushed.len() > 15_000);
         let mut kept: Vec<_> = (0..700)
@@ -196,7 +197,6 @@ mod tests {
         kept.rotate_left(pushed.len() % 700);
         assert_eq!(kept, pushed[pushed.len() - 700..]);
         assert!(!replay.moments.has(15_000), "what is of no record any more is forgotten");
-        assert!(replay.fits(700, LAG, &spec()));
     }
 
     #[test]

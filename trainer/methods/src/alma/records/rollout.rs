@@ -291,6 +291,10 @@ mod tests {
             if sample.record.discount > 0.0 {
                 assert!((1..=3).contains(&(next - now)), "from step {now} to step {next}");
                 let ended = next == 5;
+                if next == now + 1 {
+                    let taken = sample.now.actions.iter().filter(|action| **action != NO_ACTION);
+                    assert!(sample.next.last_actions.iter().zip(taken).all(|(last, a)| last == a));
+                }
                 assert_eq!(sample.next.actions[0] == NO_ACTION, ended, "nobody acts any more");
                 last[usize::from(ended)] += 1;
             } else {
