@@ -12,10 +12,6 @@ use crate::tokens::tokens;
 const REGISTRIES: [(&str, usize); 3] =
     [("trainer/envs/src/lib.rs", 1), ("trainer/envs/src/registry.rs", 1), ("src/views/mod.rs", 2)];
 
-/// Folders that name environments besides, and why they may.
-const EXCEPTED: [(&str, &str); 1] =
-    [("src/bench/train", "what is timed beside PyTorch is made of one environment's rows")];
-
 /// Folders of sources that know environments by their seam alone.
 const FOLDERS: [&str; 5] =
     ["src", "trainer/envs/src", "trainer/nn/src", "trainer/learn/src", "trainer/methods/src"];
@@ -23,7 +19,6 @@ const FOLDERS: [&str; 5] =
 #[test]
 fn environments_are_named_in_their_folders_and_registries_alone() {
     let mut wrong = String::new();
-    let mut excepted = EXCEPTED.map(|_| 0);
     for file in FOLDERS.iter().flat_map(|folder| sources(Path::new(folder))) {
         let text = without_tests(fs::read_to_string(&file).expect("a source file"));
         for entry in ENVIRONMENTS {
@@ -32,10 +27,6 @@ fn environments_are_named_in_their_folders_and_registries_alone() {
                 continue;
             }
             let named = named(&text, entry.name, &module);
-            if let Some(place) = EXCEPTED.iter().position(|(folder, _)| file.starts_with(folder)) {
-                excepted[place] += named.len();
-                continue;
-            }
             let registry = REGISTRIES.iter().find(|(registry, _)| file == Path::new(registry));
             if named.len() > registry.map_or(0, |(_, most)| *most) {
                 let lines = format!("{}: lines {named:?} name {}\n", file.display(), entry.name);
@@ -44,9 +35,6 @@ fn environments_are_named_in_their_folders_and_registries_alone() {
         }
     }
     assert!(wrong.is_empty(), "{wrong}");
-    for ((folder, _), count) in EXCEPTED.iter().zip(excepted) {
-        assert!(count > 0, "{folder} names no environment: it needs no exception");
-    }
 }
 
 #[test]

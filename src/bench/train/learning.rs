@@ -1,6 +1,5 @@
 //! What is timed: both levels of a run of preset `fast`, on experience of its own.
 
-use sortie_envs::save_the_city::MAX_AGENTS;
 use sortie_learn::Now;
 use sortie_learn::play::Play;
 use sortie_learn::random::{Purpose, generator};
@@ -165,8 +164,8 @@ impl Learning {
         let knowledge = learner.knowledge();
         self.decision = (self.decision + 1) % knowledge.replay.len();
         let state = &knowledge.replay.get(self.decision).now.state;
-        let mut allocation = [0; MAX_AGENTS];
         let (environment, random) = (knowledge.experience().environment, &mut self.picks);
+        let mut allocation = vec![0; environment.spec().shape.agents];
         self.search.allocate(&knowledge.online, environment, state, random, &mut allocation)?;
         std::hint::black_box(allocation);
         Ok(())

@@ -7,10 +7,11 @@ use sortie_learn::{LearnError, Method};
 
 use super::config::{Config, keys, settle_older};
 use super::records;
-use super::records::Records;
+use super::records::{Records, STAND_INS};
 use super::run::learned;
 use super::windows::{self, WindowLearner};
 use crate::alma::agents::Conditioning;
+use crate::alma::teams::Allocation;
 
 /// The methods of this module.
 pub const METHODS: [MethodEntry; 3] = [ALMA, FLAT, COPA];
@@ -99,8 +100,13 @@ fn coached() -> Setup {
 }
 
 fn misfit(spec: &Spec) -> Option<&'static str> {
-    (spec.shape.tasks == 0 || !spec.rewards.tasks)
-        .then_some("it has no subtasks with rewards of their own")
+    if spec.shape.tasks == 0 || !spec.rewards.tasks {
+        return Some("it has no subtasks with rewards of their own");
+    }
+    let has = |name: &Allocation| spec.rules.iter().any(|rule| rule.name == name.name());
+    (!STAND_INS.iter().all(has)).then_some(
+        "it lacks a rule of allocation, `coordinated` or `heuristic`, that stands in at first",
+    )
 }
 
 fn open(opening: &Opening<'_>) -> Result<Box<dyn Method>, LearnError> {
@@ -121,4 +127,28 @@ fn open(opening: &Opening<'_>) -> Result<Box<dyn Method>, LearnError> {
             Box::new(windows.beginning_with(learned))
         }
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sortie_envs::{Rewards, Rule, Shape};
+
+    #[test]
+    fn what_an_environment_lacks_is_said() {
+        let mut spec = Spec {
+            shape: Shape { agents: 2, entities: 4, tasks: 2, actions: 3, features: 2 },
+            rewards: Rewards { tasks: true, agents: false },
+            rules: &[
+                Rule { name: "coordinated", about: "" },
+                Rule { name: "heuristic", about: "" },
+            ],
+            ..Spec::default()
+        };
+        assert_eq!(misfit(&spec), None);
+        spec.rules = &spec.rules[..1];
+        assert!(misfit(&spec).is_some_and(|lack| lack.contains("`heuristic`")));
+        spec.shape.tasks = 0;
+        assert!(misfit(&spec).is_some_and(|lack| lack.contains("no subtasks")));
+    }
 }

@@ -15,7 +15,7 @@ use crate::alma::teams::{Allocate, Allocation};
 use sortie_learn::LearnError;
 
 /// Who stands in for an allocator that has not begun to decide.
-const STAND_INS: [Allocation; 2] = [Allocation::Coordinated, Allocation::Heuristic];
+pub(crate) const STAND_INS: [Allocation; 2] = [Allocation::Coordinated, Allocation::Heuristic];
 
 /// What one episode remembers between its decisions.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -28,6 +28,7 @@ mod temporal_difference;
 mod toy;
 
 pub use config::Config;
+pub(crate) use deciding::STAND_INS;
 pub use history::{History, Reached, Returns, StepRewards};
 pub use learner::{Experience, Knowledge, Learner, Loss, Networks, Parameters, Pick, Samples};
 pub use method::{Records, agents_learner, allocator_learner};

@@ -218,7 +218,7 @@ mod tests {
     use crate::alma::agents::UtilityShape;
     use crate::alma::records::fixed::{Fixed, begin, fixed, observer, play, usual};
     use crate::alma::records::team_value::Decision;
-    use sortie_envs::Environment;
+    use sortie_envs::Split;
 
     fn config(episode_limit: i64) -> Config {
         let mut config = usual();
@@ -279,7 +279,7 @@ mod tests {
         let config = config(5);
         let mut method = Fixed { epsilon: 1.0, decides_from: 99, ..fixed(&config, 1) };
         play(&mut begin(&config, 1, &mut method), &mut method, 40);
-        let mut environment = config.environment.open().unwrap();
+        let mut environment = observer(&config).open(1, Split::Test);
         let mut steps = |state: &[u8]| {
             environment.load(0, state).unwrap();
             environment.episode(0).steps
