@@ -260,7 +260,7 @@ impl Chunk {
 fn exchange(marks: &mut Vec<u8>, tasks: usize, draw: u64) {
     marks.clear();
     marks.extend(0..tasks as u8);
-    if draw != 0 {
+    if draw != 0 && tasks > 1 {
         let mut generator = Generator::seed_from_u64(draw);
         for last in (1..tasks).rev() {
             marks.swap(last, below(&mut generator, last + 1));

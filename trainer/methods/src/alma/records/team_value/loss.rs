@@ -130,6 +130,7 @@ impl Loss for TeamValueLoss {
         experience: Experience<'_, Segments>,
         picks: &[Pick],
     ) {
+        experience.replay.fetch(picks.iter().map(|pick| pick.sample as usize));
         let picked = |pick| Picked::new(experience, pick, &mut self.seen);
         let picks: Vec<Picked<'_>> = picks.iter().filter_map(picked).collect();
         self.find_targets(networks.target, experience.environment, &picks);

@@ -85,6 +85,15 @@ impl Segments {
         &self.segments[index]
     }
 
+    /// Reads a little of the states of each of these segments, so that all are on their way from memory at the same time.
+    pub(super) fn fetch(&self, indices: impl Iterator<Item = usize>) {
+        let first = |decision: &Decision| decision.state.first().copied().unwrap_or(0);
+        let read = indices
+            .map(|index| first(&self.segments[index].now) ^ first(&self.segments[index].next));
+        // What was read is not needed, which the compiler must not know.
+        std::hint::black_box(read.fold(0, |sum, read| sum ^ read));
+    }
+
     /// Whether this is a ring of that size whose parts fit together, as one from a file should be.
     pub fn fits(&self, capacity: usize) -> bool {
         self.capacity == capacity
