@@ -1,6 +1,7 @@
 //! What a ring says of itself.
 
 use alloc::string::String;
+use alloc::vec::Vec;
 
 use super::VERSION;
 use super::bytes::state_bytes;
