@@ -21,6 +21,7 @@ mod naive;
 mod observer;
 mod replay;
 mod rollout;
+mod side;
 mod team_columns;
 pub mod team_value;
 mod temporal_difference;

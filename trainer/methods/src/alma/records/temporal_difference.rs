@@ -10,117 +10,17 @@
 
 use rand_core::SeedableRng;
 use sortie_envs::random::below;
-use sortie_envs::{ActionSet, AgentSet, EntitySet, Environment, Observation, members};
+use sortie_envs::{ActionSet, EntitySet, Environment, members};
 use sortie_nn::random::Generator;
 
 use super::learner::{Experience, Loss, Networks, Pick};
 use super::mixed_network::MixedNetwork;
-use super::mixer::{MixerPass, Teams};
-use super::moments::Moment;
+use super::mixer::MixerPass;
 use super::replay::{Replay, Sample};
+use super::side::{Look, Side};
 use crate::alma::agents::{
-    Columns, Conditioning, NO_ACTION, TeamBatch, UtilityNetwork, UtilityPass, UtilityShape,
-    best_action,
+    Columns, Conditioning, UtilityNetwork, UtilityPass, UtilityShape, best_action,
 };
-
-/// One of the two states of the records: the rows, and what is known of the teams.
-#[derive(Clone, Debug)]
-struct Side {
-    batch: TeamBatch,
-    /// Number of agents of each team.
-    sizes: Vec<usize>,
-    /// Each agent's action: the one taken, or the best of the next state.
-    actions: Vec<u8>,
-    /// Utility of each agent's action.
-    chosen: Vec<f32>,
-    seen: Observation,
-}
-
-/// How a sample is looked at.
-#[derive(Clone, Copy)]
-struct Look<'a> {
-    environment: &'a dyn Environment,
-    /// Number of the symmetry under which it is seen.
-    turn: usize,
-    /// The agents that earned the reward.
-    team: AgentSet,
-    /// The entities that they see.
-    sight: EntitySet,
-    /// `[A]`: the subtask that each agent has in both states.
-    allocation: &'a [u8],
-    /// The subtask that each subtask is marked as.
-    marks: &'a [u8],
-}
-
-impl Look<'_> {
-    fn mark(&self, task: u8) -> u8 {
-        self.marks.get(usize::from(task)).copied().unwrap_or(task)
-    }
-
-    fn turned(&self, action: u8) -> u8 {
-        if action == NO_ACTION {
-            NO_ACTION
-        } else {
-            self.environment.turned_action(self.turn, action.into()) as u8
-        }
-    }
-}
-
-impl Side {
-    fn new(conditioning: Conditioning) -> Self {
-        let batch = TeamBatch::new(conditioning);
-        let seen = Observation::default();
-        Self { batch, sizes: Vec::new(), actions: Vec::new(), chosen: Vec::new(), seen }
-    }
-
-    fn clear(&mut self, columns: Columns) {
-        self.batch.clear(columns);
-        self.sizes.clear();
-        self.actions.clear();
-    }
-
-    /// Adds a team with what it sees in a state.
-    fn push(&mut self, moment: Moment<'_>, look: Look<'_>) {
-        let Self { batch, sizes, seen, .. } = self;
-        look.environment.observe(moment.state, look.turn, look.sight, seen);
-        let is_member = |agent: usize| look.team >> agent & 1 == 1;
-        let agents = members(seen.entities & !seen.things()).enumerate();
-        let (last_action, task) = (
-            |agent: usize| look.turned(moment.last_actions[agent]),
-            |agent: usize| look.mark(look.allocation[agent]),
-        );
-        for (row, agent) in agents.clone().filter(|(_, agent)| is_member(*agent)) {
-            batch.push_agent(&seen.rows, row, last_action(agent), task(agent));
-        }
-        for (row, agent) in agents.clone().filter(|(_, agent)| !is_member(*agent)) {
-            batch.push_other(&seen.rows, row, last_action(agent), task(agent));
-        }
-        let first = agents.count();
-        for (place, thing) in members(seen.entities & seen.things()).enumerate() {
-            batch.push_thing(&seen.rows, first + place, look.mark(seen.task_of(thing)));
-        }
-        batch.end_team();
-        sizes.push(look.team.count_ones() as usize);
-    }
-
-    /// Computes the value of every team.
-    fn values<'a>(
-        &mut self,
-        network: &MixedNetwork,
-        pass: &mut UtilityPass,
-        mixing: &'a mut MixerPass,
-    ) -> &'a [f32] {
-        let utilities = pass.forward(&network.utility, self.batch.input());
-        let agents = utilities.chunks_exact(network.utility.shape().actions).zip(&self.actions);
-        self.chosen.clear();
-        self.chosen.extend(agents.map(|(utilities, action)| utilities[usize::from(*action)]));
-        mixing.forward(&network.mixer, self.teams())
-    }
-
-    fn teams(&self) -> Teams<'_> {
-        Teams { input: self.batch.input(), sizes: &self.sizes, utilities: &self.chosen }
-    }
-}
 
 /// Space to compute the gradient of some records, and the result.
 #[derive(Clone, Debug)]
@@ -300,9 +200,12 @@ impl Loss for Chunk {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::alma::agents::TeamBatch;
     use crate::alma::agents::UtilityNetwork;
     use crate::alma::records::fixed::{Fixed, begin, fixed, observer, play, usual};
+    use crate::alma::records::mixer::Teams;
     use crate::alma::records::{Config, Mixer, MixerKind, Parameters};
+    use sortie_envs::Observation;
     use sortie_learn::random::{Purpose, generator};
     use sortie_nn::gradient_check::assert_gradient;
 
