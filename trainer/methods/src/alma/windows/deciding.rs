@@ -8,7 +8,6 @@ use sortie_nn::random::Generator;
 use super::allocation::{AllocationNetworks, Decided, Decider, Noise, States, TaskColumns};
 use super::batch::NO_TASK;
 use super::exploration::Exploration;
-use super::rollout::Decide;
 use crate::alma::teams::Allocate;
 use sortie_learn::LearnError;
 
@@ -80,20 +79,35 @@ impl Allocate for ProposalAllocator<'_> {
     }
 }
 
-impl Decide for ProposalAllocator<'_> {
-    fn decide(
+/// The same while learning, when other decisions are tried out.
+#[derive(Debug)]
+pub struct ExploringAllocator<'a> {
+    allocator: ProposalAllocator<'a>,
+    exploration: Exploration,
+}
+
+impl<'a> ProposalAllocator<'a> {
+    /// The same that tries out so much, and whose task columns are shuffled.
+    pub fn exploring(self, exploration: Exploration) -> ExploringAllocator<'a> {
+        ExploringAllocator { allocator: self, exploration }
+    }
+}
+
+impl Allocate for ExploringAllocator<'_> {
+    fn allocate(
         &mut self,
         environment: &dyn Environment,
         state: &[u8],
-        exploration: Exploration,
         generator: &mut Generator,
         allocation: &mut [u8],
     ) -> Result<(), LearnError> {
-        let decided = self.propose(environment, state, allocation, None, generator)?;
+        let Self { allocator, exploration } = self;
+        let decided = allocator.propose(environment, state, allocation, None, generator)?;
         let first = chance(generator, exploration.proposal.into());
         allocation.copy_from_slice(if first { &decided.first } else { &decided.best });
-        let open: Vec<u8> = members(self.seen.open_tasks.into()).map(|task| task as u8).collect();
-        for task in &mut allocation[..self.seen.agents()] {
+        let seen = &allocator.seen;
+        let open: Vec<u8> = members(seen.open_tasks.into()).map(|task| task as u8).collect();
+        for task in &mut allocation[..seen.agents()] {
             if !open.is_empty() && chance(generator, exploration.allocation.into()) {
                 *task = open[below(generator, open.len())];
             }
@@ -188,9 +202,8 @@ mod tests {
     fn agents_that_exist_try_out_open_subtasks() {
         let (policy, critic) = networks();
         let networks = AllocationNetworks { policy: &policy, critic: &critic };
-        let mut allocator = ProposalAllocator::new(networks, 8);
-        let allocator: &mut dyn Decide = &mut allocator;
         let exploration = Exploration { allocation: 1.0, ..Exploration::default() };
+        let mut allocator = ProposalAllocator::new(networks, 8).exploring(exploration);
         // A start with fewer agents and subtasks than there may be.
         let few = |windows: &Windows| {
             windows.open.contains(&false) && !windows.present[windows.shape.agents - 1]
@@ -201,7 +214,7 @@ mod tests {
         let mut met = vec![false; sizes.tasks];
         for number in 0..50 {
             let (mut random, mut allocation) = (draws(number), vec![NO_TASK; sizes.agents]);
-            allocator.decide(&*city, &state, exploration, &mut random, &mut allocation).unwrap();
+            allocator.allocate(&*city, &state, &mut random, &mut allocation).unwrap();
             for (task, present) in allocation.into_iter().zip(&windows.present) {
                 assert_eq!(task != NO_TASK, *present);
                 if *present {

@@ -16,7 +16,7 @@ use super::deciding::ProposalAllocator;
 use super::low_level::LowLevel;
 use super::low_level::coaching::Coaching;
 use super::replay::Replay;
-use super::rollout::{Behaviour, Decide, Rollout};
+use super::rollout::{Behaviour, Rollout};
 use super::sampling::{SampleShape, Shaping, cut_windows, draw_episodes};
 use crate::alma::agents::{OpenLearned, UtilityNetwork, open_nothing, tensors};
 use crate::alma::records::config::ReturnsConfig;
@@ -168,19 +168,22 @@ impl Method for WindowLearner {
         let config = &self.config;
         let proposals = config.allocation.proposals;
         let level = self.allocation.as_ref();
-        let mut learned = level.map(|level| ProposalAllocator::new(level.networks(), proposals));
+        let exploration = config.exploration.at(now.env_steps);
+        let mut learned = level.map(|level| {
+            ProposalAllocator::new(level.networks(), proposals).exploring(exploration)
+        });
         let mut rule = match config.allocation()? {
             Allocation::Learned => None,
             rule => config.low_level.conditioning.has_subtasks().then(|| rule.allocator()),
         };
-        let allocator: Option<&mut dyn Decide> = match (&mut learned, &mut rule) {
+        let allocator: Option<&mut dyn Allocate> = match (&mut learned, &mut rule) {
             (Some(learned), _) => Some(learned),
-            (None, rule) => rule.as_mut().map(|rule| rule as &mut dyn Decide),
+            (None, rule) => rule.as_mut().map(|rule| rule as &mut dyn Allocate),
         };
         let behaviour = Behaviour {
             agents: self.low_level.players(),
             allocator,
-            exploration: config.exploration.at(now.env_steps),
+            exploration,
             added: now.env_steps,
         };
         self.decisions += self.rollout.act(scenes, random, behaviour, actions)?;

@@ -20,11 +20,11 @@ mod times;
 
 pub use batch::{NO_ACTION, NO_TASK, WindowShape, Windows};
 pub use config::Config;
-pub use deciding::ProposalAllocator;
+pub use deciding::{ExploringAllocator, ProposalAllocator};
 pub use exploration::Exploration;
 pub use method::WindowLearner;
 pub use popart::{PopArt, Rescale};
 pub use replay::{Episode, Moment, Replay};
-pub use rollout::{Behaviour, Decide, Rollout};
+pub use rollout::{Behaviour, Rollout};
 pub use sampling::{SampleShape, Shaping, cut_windows, draw_episodes};
 pub use times::{AllocationTimes, LowLevelTimes};

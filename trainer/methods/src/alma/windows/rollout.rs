@@ -1,7 +1,7 @@
 //! Acting while learning: rounds of whole episodes, one in each of several environments.
 
 use sortie_envs::random::chance;
-use sortie_envs::{DecisionPoints, EntitySet, Environment, Observation, Shape, UNASSIGNED};
+use sortie_envs::{DecisionPoints, EntitySet, Observation, Shape, UNASSIGNED};
 use sortie_learn::{LearnError, Scenes, Transition};
 use sortie_nn::random::Generator;
 
@@ -10,37 +10,7 @@ use super::exploration::Exploration;
 use super::replay::{Episode, Moment};
 use crate::alma::agents::{NO_ACTION, UtilityShape, best_action, random_action};
 use crate::alma::coach::Advice;
-use crate::alma::teams::{Agents, Allocate, Players, RuleAllocator, Scene};
-
-/// What allocates agents at decision points.
-pub trait Decide {
-    /// Writes the subtask of every agent. `allocation` comes with what was in force before,
-    /// [`UNASSIGNED`] at the first decision of an episode.
-    ///
-    /// # Errors
-    /// The allocator does not fit the environment.
-    fn decide(
-        &mut self,
-        environment: &dyn Environment,
-        state: &[u8],
-        exploration: Exploration,
-        generator: &mut Generator,
-        allocation: &mut [u8],
-    ) -> Result<(), LearnError>;
-}
-
-impl Decide for RuleAllocator {
-    fn decide(
-        &mut self,
-        environment: &dyn Environment,
-        state: &[u8],
-        _: Exploration,
-        generator: &mut Generator,
-        allocation: &mut [u8],
-    ) -> Result<(), LearnError> {
-        self.allocate(environment, state, generator, allocation)
-    }
-}
+use crate::alma::teams::{Agents, Allocate, Players, Scene};
 
 /// What one environment remembers between steps.
 #[derive(Clone, Debug)]
@@ -68,7 +38,7 @@ pub struct Behaviour<'a> {
     /// What the agents act by.
     pub agents: Agents<'a>,
     /// Who allocates them, if anybody does.
-    pub allocator: Option<&'a mut dyn Decide>,
+    pub allocator: Option<&'a mut dyn Allocate>,
     /// How much is tried out.
     pub exploration: Exploration,
     /// Environment steps of the run when the round began.
@@ -127,8 +97,7 @@ impl Rollout {
             decided += 1;
             let Instance { seen, allocation, strategies, .. } = instance;
             if let Some(allocator) = &mut behaviour.allocator {
-                let exploration = behaviour.exploration;
-                allocator.decide(environment, state, exploration, generator, allocation)?;
+                allocator.allocate(environment, state, generator, allocation)?;
             }
             if let Some(advice) = &mut advice {
                 advice.draw(seen, generator, strategies);
