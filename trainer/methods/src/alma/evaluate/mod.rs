@@ -1,8 +1,7 @@
 //! Measures a team: greedy episodes on starts that training never sees.
 //!
-//! Anything that chooses actions can be measured: the utility network in training ([`NetworkTeam`]), a
-//! deployed policy ([`PolicyTeam`]) or the scripted low level ([`ScriptedActors`]). Episode e of a seed
-//! is the same whoever plays it, so that teams can be compared pair by pair.
+//! Any [`Team`] under any allocator can be measured. Episode e of a seed is the same whoever plays it, so that teams can
+//! be compared pair by pair.
 
 mod planner;
 mod worlds;
