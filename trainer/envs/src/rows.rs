@@ -98,6 +98,17 @@ impl SparseRows {
         self.row(row).for_each(|(column, value)| dense[column] = value);
     }
 
+    /// Writes all closed rows in full, one behind the other.
+    ///
+    /// # Panics
+    /// Where a row has more than so many columns.
+    pub fn write_all(&self, columns: usize, dense: &mut Vec<f32>) {
+        dense.resize(self.len() * columns, 0.0);
+        for row in 0..self.len() {
+            self.write_dense(row, &mut dense[row * columns..][..columns]);
+        }
+    }
+
     #[inline(always)]
     fn entries_of(&self, row: usize) -> &[(u16, f32)] {
         &self.entries[self.ends[row] as usize..self.ends[row + 1] as usize]

@@ -67,30 +67,14 @@ pub(super) struct CityBytes<'a> {
 
 impl<'a> CityBytes<'a> {
     /// Checks layout and length.
+    #[inline]
     pub(super) fn new(bytes: &'a [u8]) -> Result<Self, StateError> {
-        let short = StateError::Length { found: bytes.len(), wanted: HEADER };
-        let (header, rest) = bytes.split_first_chunk::<HEADER>().ok_or(short)?;
-        if header[0] != LAYOUT {
-            return Err(StateError::Version { found: header[0], wanted: LAYOUT });
-        }
-        let (agents, buildings) = (usize::from(header[2]), usize::from(header[3]));
-        let wanted = state_bytes(agents, buildings);
-        if bytes.len() != wanted {
-            return Err(StateError::Length { found: bytes.len(), wanted });
-        }
-        if agents > MAX_AGENTS || buildings > MAX_BUILDINGS {
-            let reason = format!("{agents} agents and {buildings} buildings");
-            return Err(StateError::Impossible(reason));
-        }
-        let (agents, buildings) = rest.split_at(agents * AGENT);
-        let (agents, _) = agents.as_chunks();
-        let (buildings, _) = buildings.as_chunks();
-        Ok(Self { header, agents, buildings })
+        Self::known(bytes).ok_or_else(|| refusal(bytes))
     }
 
     /// The same without a reason where they do not hold.
     #[inline]
-    pub(super) fn known(bytes: &'a [u8]) -> Option<Self> {
+    fn known(bytes: &'a [u8]) -> Option<Self> {
         let (header, rest) = bytes.split_first_chunk::<HEADER>()?;
         let (agents, buildings) = (usize::from(header[2]), usize::from(header[3]));
         let holds = header[0] == LAYOUT
@@ -180,6 +164,23 @@ impl<'a> CityBytes<'a> {
     pub(super) fn open_tasks(&self) -> u32 {
         (0..self.buildings.len()).map(|task| u32::from(self.is_open(task)) << task).sum()
     }
+}
+
+/// Why bytes are no state.
+#[cold]
+fn refusal(bytes: &[u8]) -> StateError {
+    let Some((header, _)) = bytes.split_first_chunk::<HEADER>() else {
+        return StateError::Length { found: bytes.len(), wanted: HEADER };
+    };
+    if header[0] != LAYOUT {
+        return StateError::Version { found: header[0], wanted: LAYOUT };
+    }
+    let (agents, buildings) = (usize::from(header[2]), usize::from(header[3]));
+    let wanted = state_bytes(agents, buildings);
+    if bytes.len() != wanted {
+        return StateError::Length { found: bytes.len(), wanted };
+    }
+    StateError::Impossible(format!("{agents} agents and {buildings} buildings"))
 }
 
 fn agent_kind(code: u8) -> AgentKind {

@@ -57,11 +57,6 @@ fn open(choice: &Choice<'_>) -> Result<SaveTheCity, EnvironmentError> {
 /// A state that has been checked before.
 #[inline]
 fn known(state: &[u8]) -> CityBytes<'_> {
-    CityBytes::known(state).unwrap_or_else(|| refused(state))
-}
-
-#[cold]
-fn refused(state: &[u8]) -> CityBytes<'_> {
     match CityBytes::new(state) {
         Ok(state) => state,
         Err(error) => panic!("a state that `load` refuses: {error}"),

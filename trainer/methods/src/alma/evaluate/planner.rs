@@ -8,8 +8,8 @@
 
 use rand_core::{Rng, SeedableRng};
 use serde::Serialize;
-use sortie_envs::random::{below, chance};
-use sortie_envs::{Environment, Observation, members};
+use sortie_envs::random::{chance, member};
+use sortie_envs::{Environment, Observation};
 use sortie_nn::random::Generator;
 
 use super::EvaluationPlan;
@@ -107,10 +107,11 @@ impl<'a> Planner<'a> {
     /// The allocation with some agents sent to other open subtasks.
     fn changed(&mut self, seen: &Observation, allocation: &[u8]) -> Vec<u8> {
         let mut changed = allocation.to_vec();
-        let open: Vec<u8> = members(seen.open_tasks.into()).map(|task| task as u8).collect();
         for task in &mut changed[..seen.agents()] {
-            if chance(&mut self.generator, MOVED) {
-                *task = open[below(&mut self.generator, open.len())];
+            if chance(&mut self.generator, MOVED)
+                && let Some(open) = member(&mut self.generator, seen.open_tasks.into())
+            {
+                *task = open as u8;
             }
         }
         changed

@@ -100,10 +100,7 @@ impl Recorder<'_> {
 fn to_task(environment: &dyn Environment, state: &[u8], task: usize) -> Vec<f32> {
     let mut rows = SparseRows::default();
     environment.relate(state, 0, task, EntitySet::MAX, &mut rows);
-    let columns = environment.spec().relations;
-    let mut dense = vec![0.0; rows.len() * columns];
-    for (row, dense) in dense.chunks_exact_mut(columns).enumerate() {
-        rows.write_dense(row, dense);
-    }
+    let mut dense = Vec::new();
+    rows.write_all(environment.spec().relations, &mut dense);
     dense
 }

@@ -1,8 +1,8 @@
 //! Who works where while learning: allocations of an episode, explored, cut into segments.
 
 use serde::{Deserialize, Serialize};
-use sortie_envs::random::{below, chance, unit};
-use sortie_envs::{DecisionPoints, Observation, Spec, UNASSIGNED, members};
+use sortie_envs::random::{below, chance, member, unit};
+use sortie_envs::{DecisionPoints, Observation, Spec, UNASSIGNED};
 use sortie_nn::random::Generator;
 
 use super::config::AllocationConfig;
@@ -165,10 +165,13 @@ fn move_some(
     generator: &mut Generator,
     allocation: &mut [u8],
 ) {
-    let open: Vec<u8> = members(seen.open_tasks.into()).map(|task| task as u8).collect();
+    let open = seen.open_tasks;
     for agent in 0..seen.agents() {
-        if chance(generator, share) && !open.is_empty() {
-            let task = open[below(generator, open.len())];
+        if chance(generator, share)
+            && open != 0
+            && let Some(task) = member(generator, open.into())
+        {
+            let task = task as u8;
             if allocation.iter().filter(|own| **own == task).count() < team_max {
                 allocation[agent] = task;
             }

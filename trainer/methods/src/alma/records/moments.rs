@@ -10,7 +10,7 @@ use crate::alma::agents::NO_ACTION;
 /// Moments that are stored, and forgotten, together.
 const BLOCK: u64 = 1024;
 /// Bytes that say how long a state is.
-const LENGTH: usize = 2;
+const LENGTH: usize = 4;
 
 /// The newest moments of a run by their numbers, which only grow.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -54,7 +54,7 @@ impl Moments {
         let (number, padding) = (self.next, self.state_bytes - state.len());
         self.next += 1;
         if let Some(block) = self.blocks.back_mut() {
-            block.extend((state.len() as u16).to_le_bytes());
+            block.extend((state.len() as u32).to_le_bytes());
             block.extend(state);
             block.extend(std::iter::repeat_n(0, padding));
             block.extend(std::iter::repeat_n(UNASSIGNED, self.agents));
@@ -84,8 +84,8 @@ impl Moments {
         let (state, rest) = rest.split_at(self.state_bytes);
         let (allocation, rest) = rest.split_at(self.agents);
         let (last_actions, actions) = rest.split_at(self.agents);
-        let length = u16::from_le_bytes([length[0], length[1]]);
-        Moment { state: &state[..length.into()], allocation, last_actions, actions }
+        let length = u32::from_le_bytes([length[0], length[1], length[2], length[3]]);
+        Moment { state: &state[..length as usize], allocation, last_actions, actions }
     }
 
     /// Reads a little of a moment, so that it is on its way from memory.

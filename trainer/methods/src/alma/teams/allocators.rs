@@ -79,10 +79,8 @@ pub fn allocation_state(environment: &dyn Environment, state: &[u8]) -> OwnedAll
     let features = environment.spec().shape.features;
     let mut seen = Observation::default();
     environment.observe(state, 0, EntitySet::MAX, &mut seen);
-    let mut rows = vec![0.0; seen.rows.len() * features];
-    for (row, dense) in rows.chunks_exact_mut(features).enumerate() {
-        seen.rows.write_dense(row, dense);
-    }
+    let mut rows = Vec::new();
+    seen.rows.write_all(features, &mut rows);
     OwnedAllocationState {
         agents: seen.agents(),
         tasks: seen.tasks(),

@@ -101,10 +101,7 @@ impl<P: Policy> PolicyTeam<P> {
 
     fn observe(&mut self, scene: &Scene<'_>, features: usize) {
         let (seen, agents) = (scene.seen, scene.seen.agents());
-        self.rows.resize(seen.rows.len() * features, 0.0);
-        for (row, dense) in self.rows.chunks_exact_mut(features).enumerate() {
-            seen.rows.write_dense(row, dense);
-        }
+        seen.rows.write_all(features, &mut self.rows);
         let widen =
             |action: &u8| if *action == NO_ACTION { NO_ACTION_YET } else { (*action).into() };
         self.last_actions.clear();

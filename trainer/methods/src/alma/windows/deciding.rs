@@ -1,8 +1,8 @@
 //! Deciding in the environment by proposal policy and critic.
 
 use rand_core::Rng;
-use sortie_envs::random::{below, chance};
-use sortie_envs::{EntitySet, Environment, Observation, UNASSIGNED, members};
+use sortie_envs::random::{chance, member};
+use sortie_envs::{EntitySet, Environment, Observation, UNASSIGNED};
 use sortie_nn::random::Generator;
 
 use super::allocation::{AllocationNetworks, Decided, Decider, Noise, States, TaskColumns};
@@ -105,11 +105,13 @@ impl Allocate for ExploringAllocator<'_> {
         let decided = allocator.propose(environment, state, allocation, None, generator)?;
         let first = chance(generator, exploration.proposal.into());
         allocation.copy_from_slice(if first { &decided.first } else { &decided.best });
-        let seen = &allocator.seen;
-        let open: Vec<u8> = members(seen.open_tasks.into()).map(|task| task as u8).collect();
-        for task in &mut allocation[..seen.agents()] {
-            if !open.is_empty() && chance(generator, exploration.allocation.into()) {
-                *task = open[below(generator, open.len())];
+        let (open, agents) = (allocator.seen.open_tasks, allocator.seen.agents());
+        for task in &mut allocation[..agents] {
+            if open != 0
+                && chance(generator, exploration.allocation.into())
+                && let Some(drawn) = member(generator, open.into())
+            {
+                *task = drawn as u8;
             }
         }
         Ok(())
