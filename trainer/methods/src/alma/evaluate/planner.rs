@@ -98,8 +98,8 @@ impl<'a> Planner<'a> {
             self.worlds.retire();
         }
         let rest = |index| {
-            let episode = self.worlds.environment.episode(index);
-            Rest { solved: episode.solved, rewards: episode.episode_return }
+            let solved = self.worlds.environment.episode(index).solved;
+            Rest { solved, rewards: self.worlds.earned(index) }
         };
         Ok((0..allocations.len()).map(rest).collect())
     }

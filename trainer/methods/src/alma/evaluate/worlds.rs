@@ -17,6 +17,8 @@ struct World {
     decisions: DecisionPoints,
     tasks_changed: bool,
     is_over: bool,
+    /// Rewards of the team since it began to play.
+    earned: f64,
     allocation: Vec<u8>,
     last_actions: Vec<u8>,
     strategies: Vec<f32>,
@@ -69,6 +71,7 @@ impl Worlds {
             decisions: DecisionPoints::every(self.interval),
             tasks_changed: false,
             is_over: false,
+            earned: 0.0,
             allocation: vec![UNASSIGNED; agents],
             last_actions: vec![NO_ACTION; agents],
             strategies: Vec::new(),
@@ -98,6 +101,11 @@ impl Worlds {
         world.last_actions.copy_from_slice(last_actions);
         world.allocation.copy_from_slice(allocation);
         team.advise(&world.seen, &mut world.strategies)
+    }
+
+    /// What the team has earned in a world since it began to play there.
+    pub(super) fn earned(&self, index: usize) -> f64 {
+        self.worlds[index].earned
     }
 
     /// The worlds that play.
@@ -149,6 +157,7 @@ impl Worlds {
         }
         world.tasks_changed = outcome.tasks_changed;
         world.is_over = outcome.done();
+        world.earned += outcome.reward;
         world.look(&*self.environment, index);
         Ok(outcome)
     }
