@@ -1,0 +1,146 @@
+//! Steps with parameters, and those of networks: layers, attention, memories.
+
+use super::super::operation::Operation;
+use super::super::{Gru, Linear, Norm, Pass, Var};
+use crate::layers::attention::{self, AttentionShape};
+use crate::layers::gru::GruShape;
+use crate::layers::unfold::{self, UnfoldShape};
+use crate::layers::{SparseRows, VisibleLists, linear, normalise, sparse_linear};
+
+impl Pass<'_> {
+    /// `x W' + b`
+    pub fn linear(&mut self, x: Var, layer: Linear) -> Var {
+        self.affine(x, layer, false)
+    }
+
+    /// `max(0, x W' + b)`
+    pub fn linear_rectified(&mut self, x: Var, layer: Linear) -> Var {
+        self.affine(x, layer, true)
+    }
+
+    fn affine(&mut self, x: Var, layer: Linear, rectified: bool) -> Var {
+        let [rows, columns] = self.size(x);
+        assert_eq!(columns, layer.shape.input, "columns of the input");
+        let operation = Operation::Linear { x, layer, rectified };
+        let y = self.tape.push(operation, rows, layer.shape.output, true);
+        let weight = &self.parameters[layer.weight_range()];
+        let bias = layer.bias_range().map(|range| &self.parameters[range]);
+        let range = self.tape.of(x).range();
+        let (before, out) = self.tape.split(y);
+        let x = &before[range];
+        match (bias, rectified) {
+            (Some(bias), false) => linear::forward(layer.shape, x, weight, bias, out),
+            (Some(bias), true) => linear::forward_rectified(layer.shape, x, weight, bias, out),
+            (None, false) => linear::forward_without_bias(layer.shape, x, weight, out),
+            (None, true) => {
+                linear::forward_without_bias(layer.shape, x, weight, out);
+                crate::layers::relu::forward(out);
+            }
+        }
+        y
+    }
+
+    /// A first layer over features that are mostly zeros; its weight is `[input, output]`.
+    pub fn sparse_linear(&mut self, features: &SparseRows, layer: Linear) -> Var {
+        let (rows, kept) = self.tape.sparse.next();
+        kept.clear();
+        kept.append(features);
+        let operation = Operation::SparseLinear { rows, layer };
+        let y = self.tape.push(operation, features.len(), layer.shape.output, true);
+        let weight = &self.parameters[layer.weight_range()];
+        let bias = layer.bias_range().expect("sparse layers have offsets");
+        sparse_linear::forward(features, weight, &self.parameters[bias], self.tape.split(y).1);
+        y
+    }
+
+    /// A convolution: a picture a row in, its patches behind each other out, `[patches, output]` of each.
+    pub fn convolution(&mut self, x: Var, shape: UnfoldShape, layer: Linear) -> Var {
+        let pictures = self.size(x)[0];
+        let patches = self.unfold(x, shape);
+        let y = self.linear(patches, layer);
+        let numbers = self.size(y)[0] * layer.shape.output;
+        self.reshape(y, numbers / pictures)
+    }
+
+    /// The patches of pictures, each a row.
+    pub fn unfold(&mut self, x: Var, shape: UnfoldShape) -> Var {
+        let [pictures, columns] = self.size(x);
+        assert_eq!(columns, shape.picture(), "columns of a picture");
+        let (down, across) = shape.patches();
+        let rows = pictures * down * across;
+        self.step(Operation::Unfold { x, shape }, x, [rows, shape.patch()], |x, y| {
+            unfold::forward(shape, x, y);
+        })
+    }
+
+    /// Layer normalisation: every row with mean 0 and variance 1, then factors and offsets of columns.
+    pub fn layer_norm(&mut self, x: Var, layer: Norm) -> Var {
+        let size = self.size(x);
+        let normal = self.step(Operation::Normalise { x }, x, size, |x, y| {
+            normalise::rows(size[1], x, y);
+        });
+        let y = self.tape.push(Operation::Affine { x: normal, layer }, size[0], size[1], true);
+        let parameters = &self.parameters[layer.start..layer.start + 2 * layer.width];
+        let (factors, offsets) = parameters.split_at(layer.width);
+        let range = self.tape.of(normal).range();
+        let (before, out) = self.tape.split(y);
+        normalise::affine(factors, offsets, &before[range], out);
+        y
+    }
+
+    /// What each query makes of the rows that it sees: `queries [queries, width]`, `keys_values [rows, 2 width]`
+    /// a key and its value in a row. Several passes may share keys and values, and see others of them.
+    pub fn attention(
+        &mut self,
+        queries: Var,
+        keys_values: Var,
+        visible: &VisibleLists,
+        heads: usize,
+    ) -> Var {
+        let [count, width] = self.size(queries);
+        assert_eq!((count, 2 * width), (visible.queries(), self.size(keys_values)[1]), "sizes");
+        let shape = AttentionShape { width, heads };
+        let (lists, kept) = self.tape.lists.next();
+        kept.copy_from(visible);
+        let pairs = visible.pairs() * heads;
+        let weights = self.tape.reserve(pairs);
+        let operation =
+            Operation::Attend { queries, keys_values, lists, weights: weights as u32, shape };
+        let needs = self.tape.needs(queries) || self.tape.needs(keys_values);
+        let y = self.tape.push(operation, count, width, needs);
+        let ranges = [queries, keys_values].map(|var| self.tape.of(var).range());
+        // The weights stand between the inputs and the result.
+        let range = self.tape.of(y).range();
+        let (before, rest) = self.tape.values.split_at_mut(weights);
+        let (weights, rest) = rest.split_at_mut(range.start - weights);
+        let [queries, keys_values] = ranges.map(|range| &before[range]);
+        let out = &mut rest[..count * width];
+        attention::forward(shape, visible, queries, keys_values, &mut weights[..pairs], out);
+        y
+    }
+
+    /// The memories of a recurrent unit after each step of `x [steps * slots, width]`, from `memory
+    /// [slots, width]`, which gets no slopes and becomes what is left; it is emptied behind each step where
+    /// `carry [steps * slots]` does not hold.
+    pub fn gru(&mut self, x: Var, layer: Gru, carry: &[bool], memory: &mut [f32]) -> Var {
+        let [rows, width] = self.size(x);
+        assert_eq!((rows, width), (carry.len(), layer.width), "sizes");
+        let slots = memory.len() / width;
+        let first = self.tape.carry.len();
+        self.tape.carry.extend_from_slice(carry);
+        let (pass, _) = self.tape.grus.next();
+        let operation =
+            Operation::Recur { x, pass, carry: first as u32, slots: slots as u32, layer };
+        let y = self.tape.push(operation, rows, width, true);
+        let (range, out) = (self.tape.of(x).range(), self.tape.of(y).range());
+        let (before, rest) = self.tape.values.split_at_mut(out.start);
+        self.tape.grus.things[pass as usize].forward(
+            GruShape { width, slots },
+            &self.parameters[layer.range()],
+            (&before[range], carry),
+            memory,
+            &mut rest[..out.len()],
+        );
+        y
+    }
+}
