@@ -18,13 +18,6 @@ pub(crate) struct Circle {
     lines: BTreeMap<Edge, Vec<String>>,
 }
 
-impl Circle {
-    /// Whether it is inside a module of the crate; one without a name is the crate.
-    pub(crate) fn stands_in(&self, module: &str) -> bool {
-        module.is_empty() || self.folder.first().is_some_and(|first| first == module)
-    }
-}
-
 /// Finds the circles of a crate.
 ///
 /// An import counts between the two siblings under which its ends part: of `a::b::c` that names `a::d::e`, between

@@ -1,46 +1,24 @@
 //! Imports run one way inside every crate.
-//!
-//! `CIRCLES=runtime/core cargo test --test imports` shows the circles of a crate that is excepted.
 
 mod circles;
 mod environments;
 mod modules;
 mod tokens;
 
+use std::fs;
 use std::path::{Path, PathBuf};
-use std::{env, fs};
 
 use circles::circles;
 use modules::Crate;
 
-/// Modules that have circles, by their crate and their path in it, and why they may.
-const EXCEPTED: [(&str, &str, &str); 1] = [(
-    "runtime/core",
-    "",
-    "operators, plans and what allocates by them are one knot, untied on its own",
-)];
-
 #[test]
 fn imports_run_one_way_inside_every_crate() {
-    let asked = env::var("CIRCLES").unwrap_or_default();
-    let mut wrong = String::new();
-    let mut excepted = EXCEPTED.map(|_| 0);
-    for (name, root) in crates() {
-        for circle in circles(Crate::read(&root).imports()) {
-            let stands = |(crate_name, module, _): &(&str, &str, &str)| {
-                *crate_name == name && circle.stands_in(module)
-            };
-            let exception = EXCEPTED.iter().position(stands);
-            exception.into_iter().for_each(|place| excepted[place] += 1);
-            if exception.is_none() || name == asked {
-                wrong.push_str(&format!("{name}: {circle}"));
-            }
-        }
-    }
+    let circles = crates().into_iter().flat_map(|(name, root)| {
+        let circles = circles(Crate::read(&root).imports());
+        circles.into_iter().map(move |circle| format!("{name}: {circle}"))
+    });
+    let wrong: String = circles.collect();
     assert!(wrong.is_empty(), "{wrong}");
-    for ((name, module, _), count) in EXCEPTED.iter().zip(excepted) {
-        assert!(count > 0, "`{module}` of {name} has no circles: it needs no exception");
-    }
 }
 
 #[test]

@@ -35,6 +35,7 @@ pub mod plan;
 pub mod policy;
 pub mod remember;
 pub mod roles;
+mod shape;
 pub mod wire;
 pub mod world;
 
@@ -44,4 +45,5 @@ pub use entities::Entities;
 pub use entity_mask::EntityMask;
 pub use policy::{DecideError, Decision, NO_ACTION, Observation, Policy, visible};
 pub use remember::Remembering;
-pub use world::{Shape, StepOutcome, UnavailableAction, World};
+pub use shape::Shape;
+pub use world::{StepOutcome, UnavailableAction, World};

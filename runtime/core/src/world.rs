@@ -1,22 +1,8 @@
 //! The environment or robot side that a team acts in.
 
-use crate::wire::FrameMut;
+pub use crate::shape::Shape;
 
-/// Padded sizes of a domain; a bundle's limits must cover them.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Shape {
-    /// Agents A.
-    pub agents: usize,
-    /// Entities N, agents included.
-    pub entities: usize,
-    /// Subtasks T.
-    pub tasks: usize,
-    /// Actions U of one agent.
-    pub actions: usize,
-    /// Features d of one entity, without its last action.
-    pub features: usize,
-}
+use crate::wire::FrameMut;
 
 /// What a step did to the episode.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

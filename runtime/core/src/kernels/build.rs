@@ -2,17 +2,9 @@
 
 use core::fmt;
 
+use super::Portable;
 use super::arithmetic::Arithmetic;
-use super::{Kernels, Portable};
-
-/// A computation by kernels of any build. Where `run` is always inlined, it is itself compiled for the build.
-pub trait Work {
-    /// What it computes.
-    type Output;
-
-    /// Computes it.
-    fn run(self, kernels: impl Kernels) -> Self::Output;
-}
+pub use super::work::Work;
 
 /// A build of the kernels that this processor can run: there is no other way to one than to ask it.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]

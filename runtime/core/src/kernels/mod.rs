@@ -22,6 +22,7 @@ pub mod several;
 pub mod softmax;
 #[cfg(test)]
 mod tests;
+mod work;
 #[cfg(all(feature = "std", target_arch = "x86_64"))]
 mod x86;
 

@@ -11,13 +11,13 @@ mod wider;
 use core::marker::PhantomData;
 
 use super::arithmetic::Arithmetic;
-use super::build::Work;
 use super::dot;
 use super::mark::Marks;
 use super::product::{self, Around, Sparse};
 use super::rows::Rows;
 use super::several::{self, AddRows, PART, Pair, Strip};
 use super::softmax;
+use super::work::Work;
 use super::{Heads, Kernels};
 
 /// The time, in ticks of the processor's clock: read in a few nanoseconds.

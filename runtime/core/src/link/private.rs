@@ -5,11 +5,11 @@ use zerocopy::IntoBytes;
 use super::{
     ActionTx, AgentLink, AllocRx, Bell, Clock, Frame, FrameBlock, FrameRx, LinkError, StatTx, Wake,
 };
+use crate::shape::Shape;
 use crate::wire::{
     ActionMsg, AllocMsg, FrameFormat, FrameHeader, FrameLayout, FrameView, LayoutError, Role,
     StatMsg,
 };
-use crate::world::Shape;
 
 /// The newest frame as one agent gets it: what this agent sees, and no more.
 pub struct PrivateFrames<'m> {

@@ -3,12 +3,11 @@
 use serde::{Deserialize, Serialize};
 
 use super::operator::Operator;
-use super::{Linear, Place, Scratch, Sizes, places};
+use super::{LAYOUT_TILES, Linear, Place, Scratch, Sizes, places};
 use crate::kernels::Kernels;
 use crate::kernels::product::{Sparse, padded};
 use crate::kernels::rows::Rows;
 use crate::kernels::softmax::slots;
-use crate::plan::LAYOUT_TILES;
 use crate::policy::{DecideError, Observation};
 
 /// Attention in which every embedded row asks and every one answers (dissertation section 2.3).

@@ -6,12 +6,11 @@ use serde::{Deserialize, Serialize};
 
 use super::operator::Operator;
 use super::team::{Member, Team};
-use super::{Linear, Place, Scratch, Sizes, places, slice};
+use super::{LAYOUT_TILES, Linear, Place, Scratch, Sizes, places, slice};
 use crate::kernels::product::{Around, Sparse, TILE, padded};
 use crate::kernels::rows::Rows;
 use crate::kernels::softmax::slots;
 use crate::kernels::{HEADS, Head, Heads, Kernels};
-use crate::plan::LAYOUT_TILES;
 use crate::policy::{DecideError, Observation};
 
 /// Attention over the embedded rows, rewritten for a single query (dissertation section 2.3).

@@ -4,10 +4,9 @@ use serde::{Deserialize, Serialize};
 
 use super::operator::Operator;
 use super::team::Team;
-use super::{Linear, Place, Scratch, Sizes, places};
+use super::{LAYOUT_TILES, Linear, Place, Scratch, Sizes, places};
 use crate::kernels::Kernels;
 use crate::kernels::product::Sparse;
-use crate::plan::LAYOUT_TILES;
 use crate::policy::{DecideError, Observation};
 
 /// `W x + b`, with a ReLU where one follows.

@@ -4,12 +4,11 @@ use serde::{Deserialize, Serialize};
 
 use super::operator::Operator;
 use super::team::{Member, Team};
-use super::{Linear, Place, Scratch, Sizes, places};
+use super::{LAYOUT_TILES, Linear, Place, Scratch, Sizes, places};
 use crate::entity_mask::EntityMask;
 use crate::kernels::Kernels;
 use crate::kernels::mark::Marks;
 use crate::kernels::product::Sparse;
-use crate::plan::LAYOUT_TILES;
 use crate::policy::{DecideError, NO_ACTION, Observation};
 
 /// `relu(W x + b)` of every visible entity and of the agent itself; invisible rows are never read.

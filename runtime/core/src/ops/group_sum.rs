@@ -3,11 +3,10 @@
 use serde::{Deserialize, Serialize};
 
 use super::operator::Operator;
-use super::{Place, Scratch, Sizes, places};
+use super::{LAYOUT_TILES, Place, Scratch, Sizes, places};
 use crate::kernels::Kernels;
 use crate::kernels::product::padded;
 use crate::limits;
-use crate::plan::LAYOUT_TILES;
 use crate::policy::{DecideError, Observation};
 
 /// For every group, a subtask for instance, the sum of the rows of the present entities that belong to it.

@@ -3,11 +3,10 @@
 use serde::{Deserialize, Serialize};
 
 use super::operator::Operator;
-use super::{Linear, Place, Scratch, Sizes, places};
+use super::{LAYOUT_TILES, Linear, Place, Scratch, Sizes, places};
 use crate::kernels::Kernels;
 use crate::kernels::product::{Sparse, padded};
 use crate::math::{all_finite, sigmoid, tanh};
-use crate::plan::LAYOUT_TILES;
 use crate::policy::{DecideError, Observation};
 
 /// Gates of the unit, in the order of its matrices: reset r, update z, candidate n.

@@ -8,13 +8,12 @@ use super::int8_layer::{
 };
 use super::operator::Operator;
 use super::team::{Member, Team};
-use super::{Place, Scratch, Sizes, places};
+use super::{LAYOUT_INT8, Place, Scratch, Sizes, places};
 use crate::kernels::Kernels;
 use crate::kernels::int8::Matrix;
 use crate::kernels::product::padded;
 use crate::kernels::rows::Rows;
 use crate::kernels::softmax::slots;
-use crate::plan::LAYOUT_INT8;
 use crate::policy::{DecideError, Observation};
 
 /// As [`super::AttendOwn`]: queries, absorbed keys, values and output are int8 products, each of whose inputs are

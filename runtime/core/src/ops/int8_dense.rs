@@ -5,9 +5,8 @@ use serde::{Deserialize, Serialize};
 use super::int8_layer::{Between, From, Int8Layer, product, quantised_floats, team_products};
 use super::operator::Operator;
 use super::team::Team;
-use super::{Place, Scratch, Sizes, places};
+use super::{LAYOUT_INT8, Place, Scratch, Sizes, places};
 use crate::kernels::Kernels;
-use crate::plan::LAYOUT_INT8;
 use crate::policy::{DecideError, Observation};
 
 /// `W x + b`, with a ReLU where one follows.

@@ -6,11 +6,10 @@ use super::embed_entities::last_action;
 use super::int8_layer::{Int8Layer, integers, quantised_floats};
 use super::operator::Operator;
 use super::team::{Member, Team};
-use super::{Place, Scratch, Sizes, places};
+use super::{LAYOUT_INT8, Place, Scratch, Sizes, places};
 use crate::entity_mask::EntityMask;
 use crate::kernels::Kernels;
 use crate::kernels::int8::{Matrix, SparseVector};
-use crate::plan::LAYOUT_INT8;
 use crate::policy::{DecideError, Observation};
 
 /// As [`super::EmbedEntities`]; every row is quantised by itself, and pairs of inputs that are both zero are left

@@ -3,10 +3,9 @@
 use serde::{Deserialize, Serialize};
 
 use super::operator::Operator;
-use super::{Place, Scratch, Sizes, places};
+use super::{LAYOUT_TILES, Place, Scratch, Sizes, places};
 use crate::kernels::Kernels;
 use crate::kernels::product::padded;
-use crate::plan::LAYOUT_TILES;
 use crate::policy::{DecideError, Observation};
 
 /// Which rows a mean is taken over.

@@ -41,17 +41,22 @@ pub use masked_argmax::MaskedArgmax;
 pub use masked_sample::MaskedSample;
 pub use mean_rows::{MeanRows, Members};
 pub use output::{Output, OutputRows};
-pub(crate) use proposals::COUNTS;
+pub(crate) use proposals::{COUNTS, arena as proposal_arena};
 pub use proposals::{
     EmbedTasks, PointerLogits, ProposalNetwork, RowAttention, ScoreAllocations, Vectors,
 };
-pub use set::{AllOperators, FeedForward, Int8FeedForward, OperatorSet};
-pub use table::{Op, OpKind};
+pub use set::{AllOperators, FeedForward, Int8FeedForward};
+pub use table::{Op, OpKind, OperatorSet};
 
 use crate::entity_mask::EntityMask;
 use crate::kernels::mark::{MARKED, Marks};
 use crate::kernels::product::{Around, padded};
 use crate::policy::DecideError;
+
+/// Layout 1 of weights: f32 in tiles of 64 columns.
+pub const LAYOUT_TILES: u32 = 1;
+/// Layout 2 of weights: int8 in strips of 16 columns, pairs of inputs side by side; steps and biases f32.
+pub const LAYOUT_INT8: u32 = 2;
 
 /// The sizes of a plan that its operators are checked against.
 #[derive(Clone, Copy, Debug)]

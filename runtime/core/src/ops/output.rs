@@ -3,12 +3,11 @@
 use serde::{Deserialize, Serialize};
 
 use super::operator::Operator;
-use super::{Place, Scratch, Sizes, place};
+use super::{LAYOUT_TILES, Place, Scratch, Sizes, place};
 use crate::kernels::Kernels;
 use crate::kernels::product::padded;
 use crate::limits;
 use crate::math::all_finite;
-use crate::plan::LAYOUT_TILES;
 use crate::policy::{DecideError, Observation};
 
 /// What the rows of an output stand for.

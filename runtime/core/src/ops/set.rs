@@ -1,26 +1,6 @@
-//! Which operators a binary has, chosen by type.
+//! Sets of operators for the usual plans.
 
-use super::OpKind;
-
-/// The operators that a plan may use; code of the others is never linked through it.
-///
-/// A host takes [`AllOperators`] and runs every plan. Where flash is short, name what the plan needs:
-///
-/// ```
-/// use sortie_core::ops::{OpKind, OperatorSet};
-///
-/// #[derive(Clone, Copy, Debug)]
-/// struct Mine;
-///
-/// impl OperatorSet for Mine {
-///     const OPERATORS: &[OpKind] =
-///         &[OpKind::EmbedEntities, OpKind::AttendOwn, OpKind::Dense, OpKind::MaskedArgmax];
-/// }
-/// ```
-pub trait OperatorSet: Copy + core::fmt::Debug {
-    /// The operators of the set.
-    const OPERATORS: &[OpKind];
-}
+use super::{OpKind, OperatorSet};
 
 /// Every operator of this crate.
 #[derive(Clone, Copy, Debug)]
@@ -52,20 +32,9 @@ impl OperatorSet for Int8FeedForward {
     ];
 }
 
-/// Whether `kind` is among the operators of `S`; constant, so that what is missing is not linked.
-pub(crate) const fn has<S: OperatorSet>(kind: OpKind) -> bool {
-    let mut kinds = S::OPERATORS;
-    while let [first, rest @ ..] = kinds {
-        if *first as u8 == kind as u8 {
-            return true;
-        }
-        kinds = rest;
-    }
-    false
-}
-
 #[cfg(test)]
 mod tests {
+    use super::super::table::has;
     use super::*;
 
     #[test]

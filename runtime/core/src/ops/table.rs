@@ -3,7 +3,6 @@
 use serde::{Deserialize, Serialize};
 
 use super::operator::Operator;
-use super::set::{OperatorSet, has};
 use super::team::Team;
 use super::{
     AttendAll, AttendOwn, Dense, EmbedEntities, EmbedTasks, GroupSum, Gru, Int8AttendOwn,
@@ -13,6 +12,38 @@ use super::{
 use crate::kernels::Kernels;
 use crate::limits;
 use crate::policy::{DecideError, Observation};
+
+/// The operators that a plan may use; code of the others is never linked through it.
+///
+/// A host takes [`AllOperators`] and runs every plan. Where flash is short, name what the plan needs:
+///
+/// ```
+/// use sortie_core::ops::{OpKind, OperatorSet};
+///
+/// #[derive(Clone, Copy, Debug)]
+/// struct Mine;
+///
+/// impl OperatorSet for Mine {
+///     const OPERATORS: &[OpKind] =
+///         &[OpKind::EmbedEntities, OpKind::AttendOwn, OpKind::Dense, OpKind::MaskedArgmax];
+/// }
+/// ```
+pub trait OperatorSet: Copy + core::fmt::Debug {
+    /// The operators of the set.
+    const OPERATORS: &[OpKind];
+}
+
+/// Whether `kind` is among the operators of `S`; constant, so that what is missing is not linked.
+pub(crate) const fn has<S: OperatorSet>(kind: OpKind) -> bool {
+    let mut kinds = S::OPERATORS;
+    while let [first, rest @ ..] = kinds {
+        if *first as u8 == kind as u8 {
+            return true;
+        }
+        kinds = rest;
+    }
+    false
+}
 
 /// Makes [`Op`] and [`OpKind`] of operators, whose order is that of their numbers in a plan.
 macro_rules! operators {

@@ -3,16 +3,13 @@
 use serde::{Deserialize, Serialize};
 
 use super::error::PlanError;
+use crate::ops::{LAYOUT_INT8, LAYOUT_TILES};
 
 /// Bytes of the header.
 pub const HEADER_BYTES: usize = 128;
 /// The plan format of this build: major, minor. It reads the same major up to the same minor, and writes the
 /// lowest minor that has what the plan uses.
 pub const VERSION: (u16, u16) = (1, 3);
-/// Layout 1: f32 in tiles of 64 columns.
-pub const LAYOUT_TILES: u32 = 1;
-/// Layout 2: int8 in strips of 16 columns, pairs of inputs side by side; steps and biases f32.
-pub const LAYOUT_INT8: u32 = 2;
 /// Alignment of the weights inside a plan and of the arena, in bytes.
 pub const ALIGNMENT: usize = 64;
 

@@ -18,11 +18,12 @@ mod tests;
 pub use aligned::AlignedBytes;
 pub use error::{Part, PlanError};
 pub use header::{
-    ALIGNMENT, Checksums, HEADER_BYTES, Header, LAYOUT_INT8, LAYOUT_TILES, Network, Profile,
-    VERSION, arena_bytes,
+    ALIGNMENT, Checksums, HEADER_BYTES, Header, Network, Profile, VERSION, arena_bytes,
 };
 pub use in_place::Aligned;
 pub use program::{OPS, Program};
+
+pub use crate::ops::{LAYOUT_INT8, LAYOUT_TILES};
 
 use core::marker::PhantomData;
 

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::error::PlanError;
 use super::header::{Header, Network};
-use crate::allocate::proposals::arena_floats;
+use crate::ops::proposal_arena::arena_floats;
 use crate::ops::{Gru, Op, OperatorSet, Output, OutputRows, Place, ProposalNetwork, Sizes};
 
 /// Most operators of one program.

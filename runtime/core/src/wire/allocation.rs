@@ -5,7 +5,7 @@ use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 use super::{ABI, assert_layout};
 use crate::allocator::UNASSIGNED;
 use crate::limits;
-use crate::world::Shape;
+use crate::shape::Shape;
 
 /// One allocation of all agents.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, FromBytes, IntoBytes, Immutable, KnownLayout)]

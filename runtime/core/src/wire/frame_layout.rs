@@ -5,7 +5,7 @@ use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 use super::{FrameKind, assert_layout};
 use crate::entity_mask::EntityMask;
 use crate::limits;
-use crate::world::Shape;
+use crate::shape::Shape;
 
 /// Sections start at multiples of this.
 const ALIGNMENT: usize = 64;

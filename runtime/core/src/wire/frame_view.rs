@@ -8,7 +8,7 @@ use crate::allocator::AllocationState;
 use crate::entity_mask::EntityMask;
 use crate::limits;
 use crate::policy::{NO_ACTION, Observation};
-use crate::world::Shape;
+use crate::shape::Shape;
 
 /// Why a frame is not read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -4,9 +4,7 @@ use core::ops::Range;
 
 use crate::limits;
 use crate::math::ln;
-
-/// Most proposals that are drawn in together.
-pub const TOGETHER: usize = 16;
+use crate::ops::proposal_arena::TOGETHER;
 
 /// The place of each of them.
 const LANES: [u32; TOGETHER] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15];

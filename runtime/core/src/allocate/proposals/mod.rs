@@ -13,11 +13,12 @@ mod scene;
 mod step;
 mod trunk;
 
-pub use draw::{Draw, GumbelDraw, TOGETHER, largest_open};
-pub use memory::{PROPOSALS, arena_floats};
+pub use draw::{Draw, GumbelDraw, largest_open};
+
+pub use crate::ops::proposal_arena::{PROPOSALS, TOGETHER, arena_floats};
 
 use draw::scramble;
-use memory::{Extent, Memory};
+use memory::Memory;
 use scene::Scene;
 
 use crate::allocator::{AllocateError, AllocationState, Allocator, UNASSIGNED};
@@ -26,6 +27,7 @@ use crate::kernels::Kernels;
 use crate::kernels::build::Work;
 use crate::limits;
 use crate::ops::ProposalNetwork;
+use crate::ops::proposal_arena::{Extent, floats};
 use crate::plan::{Network, Plan, PlanError};
 
 /// Allocates by the best of several proposals.
@@ -69,7 +71,7 @@ impl<'a> ProposalAllocator<'a> {
         let n_max = plan.header().n_max as usize;
         let proposals = proposals.clamp(1, limits::PROPOSALS);
         let network = plan.program().proposal_network();
-        let floats = network.map_or(0, |network| memory::floats(&network, n_max, proposals));
+        let floats = network.map_or(0, |network| floats(&network, n_max, proposals));
         usize::try_from(floats.saturating_mul(4)).unwrap_or(usize::MAX)
     }
 

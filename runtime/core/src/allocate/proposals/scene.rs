@@ -1,6 +1,6 @@
 //! What the three networks look at.
 
-use super::memory::{Extent, Grid};
+use super::memory::Grid;
 use crate::allocator::{AllocateError, AllocationState};
 use crate::entity_mask::EntityMask;
 use crate::kernels::mark::{MARKED, Marks};
@@ -10,6 +10,7 @@ use crate::kernels::several::Pair;
 use crate::kernels::softmax::slots;
 use crate::kernels::{ATTENDED_WIDTH, HEADS, Heads, Kernels};
 use crate::limits;
+use crate::ops::proposal_arena::Extent;
 use crate::ops::{Linear, ProposalNetwork, RowAttention};
 use crate::policy::DecideError;
 

@@ -5,7 +5,7 @@
 //! changes. What a node adds to those that become of it is the same whoever the agent: it is computed once, and not for
 //! nodes that stay as they are. Counts enter the logits linearly: three products for each agent say all about them.
 
-use super::draw::{Draw, TOGETHER};
+use super::draw::Draw;
 use super::memory::{Grid, NONE, StepMemory, TrunkMemory};
 use super::scene::{Product, Scene, refused, vector};
 use crate::allocator::AllocateError;
@@ -14,6 +14,7 @@ use crate::kernels::rows::Rows;
 use crate::limits;
 use crate::math::{all_finite, relu};
 use crate::ops::COUNTS;
+use crate::ops::proposal_arena::TOGETHER;
 
 /// Writes every proposal's places and counts. The first nodes stand, and what agents add to updates; `updates` is
 /// memory for a row of every proposal and agent.

@@ -6,8 +6,8 @@ use crate::entity_mask::EntityMask;
 use crate::limits;
 use crate::link::Frame;
 use crate::policy::NO_ACTION;
+use crate::shape::Shape;
 use crate::wire::{FrameFormat, FrameHeader, FrameLayout, FrameMut, FrameView};
-use crate::world::Shape;
 
 const MICROSECOND: u64 = 1_000;
 /// Columns of features whose presence one word tells.

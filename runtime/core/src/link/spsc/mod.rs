@@ -24,8 +24,8 @@ use self::memory::{
 use self::topic::Writer;
 use super::{Clock, LinkError};
 use crate::plan::Aligned;
+use crate::shape::Shape;
 use crate::wire::{FrameError, FrameLayout, payload_bytes};
-use crate::world::Shape;
 
 #[cfg(doc)]
 use super::Bell;

@@ -4,13 +4,14 @@
 //! proposals; so they have no places in the arena, stand in programs of [`crate::plan::Network::Proposals`] alone, and
 //! answer with an error where they are run as one step of a program.
 
+pub(crate) mod arena;
+
 use serde::{Deserialize, Serialize};
 
 use super::operator::Operator;
-use super::{Linear, Sizes, slice};
+use super::{LAYOUT_TILES, Linear, Sizes, slice};
 use crate::kernels::product::padded;
 use crate::limits;
-use crate::plan::LAYOUT_TILES;
 use crate::policy::DecideError;
 
 /// The layers of attention among rows. Heads are padded among the outputs of query, key and value.
