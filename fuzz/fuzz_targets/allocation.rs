@@ -14,7 +14,7 @@ use sortie_core::{
     AllocateError, AllocationState, Allocator, EntityMask, UNASSIGNED, include_plan,
 };
 
-const TEAM_VALUE: &[u8] = include_plan!("../../tests/golden/plans/team-value-1.0.plan");
+const TEAM_VALUE: &[u8] = include_plan!("../../tests/golden/plans/team-value-2.0.plan");
 const RELATIONS: usize = 3;
 
 /// Repeats numbers of the input as costs and as relations.

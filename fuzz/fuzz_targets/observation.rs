@@ -11,8 +11,8 @@ use sortie_core::kernels::build::Build;
 use sortie_core::plan::{AlignedBytes, Plan};
 use sortie_core::{EntityMask, Observation, include_plan};
 
-const AGENT: &[u8] = include_plan!("../../tests/golden/plans/agent-1.0.plan");
-const ODD_SIZES: &[u8] = include_plan!("../../tests/golden/plans/agent-odd-sizes-1.0.plan");
+const AGENT: &[u8] = include_plan!("../../tests/golden/plans/agent-2.0.plan");
+const ODD_SIZES: &[u8] = include_plan!("../../tests/golden/plans/agent-odd-sizes-2.0.plan");
 
 static PLANS: LazyLock<[Plan<'static>; 2]> =
     LazyLock::new(|| [AGENT, ODD_SIZES].map(|plan| Plan::load(plan).expect("a golden plan")));

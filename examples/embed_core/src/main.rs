@@ -7,7 +7,7 @@ use sortie_core::plan::{Aligned, Plan, PlanError, arena_bytes};
 use sortie_core::{EntityMask, NO_ACTION, Observation, PlanPolicy, Policy, include_plan};
 
 /// Your own comes from `sortie compile agent.onnx -o agent.plan`.
-const PLAN: &[u8] = include_plan!("../../../tests/golden/plans/agent-1.0.plan");
+const PLAN: &[u8] = include_plan!("../../../tests/golden/plans/agent-2.0.plan");
 
 const AGENTS: usize = 4;
 const FEATURES: usize = 6;

@@ -2,7 +2,7 @@
 
 use sortie_compiler::{compare_entities_with_graph, compile};
 use sortie_core::EntityMask;
-use sortie_core::ops::{Op, OpKind};
+use sortie_core::ops::{OpKind, OpRef};
 use sortie_core::plan::{AlignedBytes, Network, Plan};
 use sortie_plans::{
     CompileError, CompileOptions, Compiled, OwnedEntities, TOLERANCE, random_entities,
@@ -25,7 +25,7 @@ fn ask(plan: &[u8], step: &OwnedEntities) -> Vec<Vec<f32>> {
     let plan = AlignedBytes::copy_of(plan);
     let plan = Plan::load(plan.as_slice()).unwrap();
     let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
-    let widths: Vec<usize> = plan.program().outputs().map(|o| usize::from(o.width)).collect();
+    let widths: Vec<usize> = plan.program().outputs().map(|o| o.width as usize).collect();
     let groups = FILES.iter().find(|(_, _, sizes)| sizes[0] == widths[2]).unwrap().2[2];
     let rows = [1, step.groups.len(), groups];
     let mut answers: Vec<Vec<f32>> =
@@ -43,12 +43,12 @@ fn all_operators_are_recognised() {
         let plan = AlignedBytes::copy_of(&bytes);
         let plan = Plan::load(plan.as_slice()).unwrap();
         assert_eq!(plan.header().network, Network::Entities);
-        let kinds: Vec<OpKind> = plan.program().ops.iter().map(Op::kind).collect();
+        let kinds: Vec<OpKind> = plan.program().ops().map(OpRef::kind).collect();
         assert_eq!(kinds.len(), operators, "{kinds:?}");
         for kind in [OpKind::AttendAll, OpKind::MeanRows, OpKind::GroupSum] {
             assert_eq!(kinds.iter().filter(|found| **found == kind).count(), 1, "{kinds:?}");
         }
-        let widths: Vec<usize> = plan.program().outputs().map(|o| o.width.into()).collect();
+        let widths: Vec<usize> = plan.program().outputs().map(|o| o.width as usize).collect();
         assert_eq!(widths, [outputs, width, width]);
         assert_eq!(ask(&bytes, &random_entities(1, N_MAX, FEATURES, groups, 1)[0]).len(), 3);
     }

@@ -106,18 +106,17 @@ fn values_of_teams_agree_one_by_one_and_together() {
 }
 
 #[test]
-fn a_plan_with_a_skip_names_it_and_is_of_version_1_3() {
+fn a_plan_with_a_skip_names_it() {
     for name in [AGENT, ONE_LAYER, RECURRENT, TEAM_VALUE] {
         let plan = compiled(name, 9, Profile::Exact);
-        assert_eq!(plan.as_slice()[8..12], [1, 0, 3, 0], "{name}");
+        assert_eq!(plan.as_slice()[124], 1, "{name}");
         let facts = inspect_plan(plan.as_slice()).unwrap();
         let attention = &facts.operators[1];
         assert_eq!(attention.name, "AttendOwn");
         assert!(attention.detail.ends_with(", skip, relu"), "{}", attention.detail);
     }
     let int8 = compiled(AGENT, 9, Profile::Int8);
-    assert_eq!(int8.as_slice()[8..12], [1, 0, 3, 0]);
+    assert_eq!(int8.as_slice()[124], 1);
     let without = compiled("agent_small", 9, Profile::Exact);
-    assert_eq!(without.as_slice()[8..12], [1, 0, 0, 0]);
     assert_eq!(without.as_slice()[HEADER_BYTES - 4..HEADER_BYTES], [0; 4]);
 }

@@ -9,9 +9,9 @@ use sortie_core::{
     AllocateError, AllocationState, Allocator, EntityMask, UNASSIGNED, include_plan, limits,
 };
 
-const TEAM_VALUE: &[u8] = include_plan!("../../../tests/golden/plans/team-value-1.0.plan");
+const TEAM_VALUE: &[u8] = include_plan!("../../../tests/golden/plans/team-value-2.0.plan");
 
-const PROPOSALS: &[u8] = include_plan!("../../../tests/golden/plans/proposals-1.2.plan");
+const PROPOSALS: &[u8] = include_plan!("../../../tests/golden/plans/proposals-2.0.plan");
 
 /// Columns of a row, as many as the proposing network takes and one more than the team-value network; columns of its
 /// relation.

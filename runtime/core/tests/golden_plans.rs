@@ -1,4 +1,4 @@
-//! Plans of every format version stay readable, with the bits that they had.
+//! Plans of every version that this build reads decide with the bits that they had; those of earlier ones are refused.
 
 use sortie_core::allocate::ProposalAllocator;
 use sortie_core::allocate::proposals::GumbelDraw;
@@ -6,15 +6,23 @@ use sortie_core::kernels::build::Build;
 use sortie_core::plan::{Aligned, Plan, PlanError, arena_bytes};
 use sortie_core::{AllocationState, DecideError, EntityMask, NO_ACTION, Observation, include_plan};
 
-const AGENT: &[u8] = include_plan!("../../../tests/golden/plans/agent-1.0.plan");
-const INT8: &[u8] = include_plan!("../../../tests/golden/plans/agent-int8-1.1.plan");
-const ODD_SIZES: &[u8] = include_plan!("../../../tests/golden/plans/agent-odd-sizes-1.0.plan");
-const SKIP: &[u8] = include_plan!("../../../tests/golden/plans/agent-skip-1.3.plan");
-const INT8_SKIP: &[u8] = include_plan!("../../../tests/golden/plans/agent-skip-int8-1.3.plan");
-const TEAM_VALUE: &[u8] = include_plan!("../../../tests/golden/plans/team-value-1.0.plan");
+const AGENT: &[u8] = include_plan!("../../../tests/golden/plans/agent-2.0.plan");
+const INT8: &[u8] = include_plan!("../../../tests/golden/plans/agent-int8-2.0.plan");
+const ODD_SIZES: &[u8] = include_plan!("../../../tests/golden/plans/agent-odd-sizes-2.0.plan");
+const SKIP: &[u8] = include_plan!("../../../tests/golden/plans/agent-skip-2.0.plan");
+const INT8_SKIP: &[u8] = include_plan!("../../../tests/golden/plans/agent-skip-int8-2.0.plan");
+const TEAM_VALUE: &[u8] = include_plan!("../../../tests/golden/plans/team-value-2.0.plan");
 const TEAM_VALUE_SKIP: &[u8] =
-    include_plan!("../../../tests/golden/plans/team-value-skip-1.3.plan");
-const PROPOSALS: &[u8] = include_plan!("../../../tests/golden/plans/proposals-1.2.plan");
+    include_plan!("../../../tests/golden/plans/team-value-skip-2.0.plan");
+const PROPOSALS: &[u8] = include_plan!("../../../tests/golden/plans/proposals-2.0.plan");
+
+/// Plans of every version of before, as their first compiler wrote them.
+const FIRST_MAJOR: [(&[u8], u16); 4] = [
+    (include_plan!("../../../tests/golden/plans/agent-1.0.plan"), 0),
+    (include_plan!("../../../tests/golden/plans/agent-int8-1.1.plan"), 1),
+    (include_plan!("../../../tests/golden/plans/proposals-1.2.plan"), 2),
+    (include_plan!("../../../tests/golden/plans/agent-skip-1.3.plan"), 3),
+];
 
 /// The numbers of the recorded observations, see the folder's README.
 struct Numbers(u64);
@@ -72,40 +80,40 @@ fn decisions<const ARENA: usize>(bytes: &[u8]) -> String {
 }
 
 #[test]
-fn an_agent_of_format_1_0_decides_as_recorded() {
-    let want = include_str!("../../../tests/golden/plans/agent-1.0.txt");
+fn an_agent_decides_as_recorded() {
+    let want = include_str!("../../../tests/golden/plans/agent-2.0.txt");
     assert_eq!(decisions::<{ arena_bytes(AGENT) }>(AGENT), want);
 }
 
 #[test]
-fn an_int8_agent_of_format_1_1_decides_as_recorded() {
-    let want = include_str!("../../../tests/golden/plans/agent-int8-1.1.txt");
+fn an_int8_agent_decides_as_recorded() {
+    let want = include_str!("../../../tests/golden/plans/agent-int8-2.0.txt");
     assert_eq!(decisions::<{ arena_bytes(INT8) }>(INT8), want);
 }
 
 #[test]
-fn odd_sizes_of_format_1_0_decide_as_recorded() {
-    let want = include_str!("../../../tests/golden/plans/agent-odd-sizes-1.0.txt");
+fn odd_sizes_decide_as_recorded() {
+    let want = include_str!("../../../tests/golden/plans/agent-odd-sizes-2.0.txt");
     assert_eq!(decisions::<{ arena_bytes(ODD_SIZES) }>(ODD_SIZES), want);
 }
 
 #[test]
-fn agents_with_a_skip_of_format_1_3_decide_as_recorded() {
-    let want = include_str!("../../../tests/golden/plans/agent-skip-1.3.txt");
+fn agents_with_a_skip_decide_as_recorded() {
+    let want = include_str!("../../../tests/golden/plans/agent-skip-2.0.txt");
     assert_eq!(decisions::<{ arena_bytes(SKIP) }>(SKIP), want);
-    let want = include_str!("../../../tests/golden/plans/agent-skip-int8-1.3.txt");
+    let want = include_str!("../../../tests/golden/plans/agent-skip-int8-2.0.txt");
     assert_eq!(decisions::<{ arena_bytes(INT8_SKIP) }>(INT8_SKIP), want);
 }
 
 #[test]
-fn a_team_value_with_a_skip_of_format_1_3_is_as_recorded() {
-    let want = include_str!("../../../tests/golden/plans/team-value-skip-1.3.txt");
+fn a_team_value_with_a_skip_is_as_recorded() {
+    let want = include_str!("../../../tests/golden/plans/team-value-skip-2.0.txt");
     assert_eq!(decisions::<{ arena_bytes(TEAM_VALUE_SKIP) }>(TEAM_VALUE_SKIP), want);
 }
 
 #[test]
-fn a_team_value_of_format_1_0_is_as_recorded() {
-    let want = include_str!("../../../tests/golden/plans/team-value-1.0.txt");
+fn a_team_value_is_as_recorded() {
+    let want = include_str!("../../../tests/golden/plans/team-value-2.0.txt");
     assert_eq!(decisions::<{ arena_bytes(TEAM_VALUE) }>(TEAM_VALUE), want);
 }
 
@@ -148,8 +156,8 @@ fn proposals() -> String {
 }
 
 #[test]
-fn proposals_of_format_1_2_are_as_recorded() {
-    let want = include_str!("../../../tests/golden/plans/proposals-1.2.txt");
+fn proposals_are_as_recorded() {
+    let want = include_str!("../../../tests/golden/plans/proposals-2.0.txt");
     assert_eq!(proposals(), want, "got:\n{}", proposals());
 }
 
@@ -157,10 +165,20 @@ fn proposals_of_format_1_2_are_as_recorded() {
 fn a_newer_major_version_is_refused_by_name() {
     let mut newer = Aligned([0; AGENT.len()]);
     newer.0.copy_from_slice(AGENT);
-    newer.0[8] = 2;
+    newer.0[8] = 3;
     let error = Plan::load(&newer.0).map(drop).expect_err("a version that is not known");
-    assert_eq!(error, PlanError::Version { major: 2, minor: 0 });
-    assert!(error.to_string().contains("plan format 2.0"), "{error}");
+    assert_eq!(error, PlanError::Version { major: 3, minor: 0 });
+    assert!(error.to_string().contains("plan format 3.0"), "{error}");
+}
+
+#[test]
+fn plans_of_the_first_major_version_are_refused_by_name() {
+    for (plan, minor) in FIRST_MAJOR {
+        let error = Plan::load(plan).map(drop).expect_err("a version of before");
+        assert_eq!(error, PlanError::Version { major: 1, minor });
+        let text = error.to_string();
+        assert!(text.contains(&format!("1.{minor}")) && text.contains("compile"), "{text}");
+    }
 }
 
 #[test]

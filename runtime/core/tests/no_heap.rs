@@ -15,12 +15,12 @@ use sortie_core::{
     Policy, include_plan,
 };
 
-const AGENT: &[u8] = include_plan!("../../../tests/golden/plans/agent-1.0.plan");
-const INT8: &[u8] = include_plan!("../../../tests/golden/plans/agent-int8-1.1.plan");
-const SKIP: &[u8] = include_plan!("../../../tests/golden/plans/agent-skip-1.3.plan");
-const TEAM_VALUE: &[u8] = include_plan!("../../../tests/golden/plans/team-value-1.0.plan");
+const AGENT: &[u8] = include_plan!("../../../tests/golden/plans/agent-2.0.plan");
+const INT8: &[u8] = include_plan!("../../../tests/golden/plans/agent-int8-2.0.plan");
+const SKIP: &[u8] = include_plan!("../../../tests/golden/plans/agent-skip-2.0.plan");
+const TEAM_VALUE: &[u8] = include_plan!("../../../tests/golden/plans/team-value-2.0.plan");
 
-const PROPOSALS: &[u8] = include_plan!("../../../tests/golden/plans/proposals-1.2.plan");
+const PROPOSALS: &[u8] = include_plan!("../../../tests/golden/plans/proposals-2.0.plan");
 
 /// The system's allocator, counting the calls of each thread.
 struct Counting;

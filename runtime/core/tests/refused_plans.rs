@@ -3,7 +3,7 @@
 use sortie_core::include_plan;
 use sortie_core::plan::{HEADER_BYTES, Header, Part, Plan, PlanError, Profile, checksums};
 
-const AGENT: &[u8] = include_plan!("../../../tests/golden/plans/agent-1.0.plan");
+const AGENT: &[u8] = include_plan!("../../../tests/golden/plans/agent-2.0.plan");
 
 /// A plan where its alignment demands it, whether or not the core has an allocator's help.
 #[repr(C, align(64))]

@@ -13,7 +13,7 @@ use sortie_core::wire::{
 use sortie_core::{EntityMask, NO_ACTION, PlanPolicy, Shape, UNASSIGNED};
 use zerocopy::IntoBytes;
 
-const AGENT: &[u8] = include_plan!("../../../tests/golden/plans/agent-1.0.plan");
+const AGENT: &[u8] = include_plan!("../../../tests/golden/plans/agent-2.0.plan");
 const SHAPE: Shape = Shape { agents: 3, entities: 5, tasks: 2, actions: 4, features: 6 };
 const TICK: u64 = 7 << 32 | 1;
 

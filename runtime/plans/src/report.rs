@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 use sortie_core::limits;
-use sortie_core::ops::{Members, Op, OutputRows};
+use sortie_core::ops::{Members, OpRef, OutputRows};
 use sortie_core::plan::{Profile, Program};
 
 use crate::comparison::Comparison;
@@ -80,7 +80,7 @@ pub struct OperatorReport {
 
 /// What is known about a plan of this program.
 pub fn report(
-    program: &Program,
+    program: &Program<'_>,
     n_max: usize,
     flash_bytes: usize,
     comparison: &Comparison,
@@ -99,69 +99,83 @@ pub fn report(
 }
 
 /// The operators of a program, for reports.
-pub(crate) fn operators(program: &Program, n_max: usize) -> Vec<OperatorReport> {
-    let describe = |op: &Op| OperatorReport {
+pub(crate) fn operators(program: &Program<'_>, n_max: usize) -> Vec<OperatorReport> {
+    let describe = |op: OpRef<'_>| OperatorReport {
         name: op.name().to_owned(),
         detail: detail(op),
         macs: op.multiply_adds(n_max),
     };
-    program.ops.iter().map(describe).collect()
+    program.ops().map(describe).collect()
 }
 
-fn detail(op: &Op) -> String {
+fn detail(op: OpRef<'_>) -> String {
     let relu = |relu: bool| if relu { ", relu" } else { "" };
     let skip = |skips: bool| if skips { ", skip" } else { "" };
     match op {
-        Op::EmbedEntities(op) => {
-            format!("[N, {}] -> [N, {}]{}", op.layer.inputs, op.layer.outputs, relu(op.relu))
+        OpRef::EmbedEntities(op) => {
+            format!(
+                "[N, {}] -> [N, {}]{}",
+                op.layer.inputs,
+                op.layer.outputs,
+                relu(op.relu.is_set())
+            )
         }
-        Op::AttendOwn(op) => {
+        OpRef::AttendOwn(op) => {
             let heads = if op.heads == 1 { "head" } else { "heads" };
             let (width, outputs) = (op.width, op.output.outputs);
-            let (skip, relu) = (skip(op.skips()), relu(op.relu));
+            let (skip, relu) = (skip(op.skips()), relu(op.relu.is_set()));
             format!("[N, {width}] -> [{outputs}], {} {heads}{skip}{relu}", op.heads)
         }
-        Op::Dense(op) => {
-            format!("[{}] -> [{}]{}", op.layer.inputs, op.layer.outputs, relu(op.relu))
+        OpRef::Dense(op) => {
+            format!("[{}] -> [{}]{}", op.layer.inputs, op.layer.outputs, relu(op.relu.is_set()))
         }
-        Op::Gru(op) => format!("[{}], state [{}]", op.input.inputs, op.size),
-        Op::AttendAll(op) => {
+        OpRef::Gru(op) => format!("[{}], state [{}]", op.input.inputs, op.size),
+        OpRef::AttendAll(op) => {
             let heads = if op.heads == 1 { "head" } else { "heads" };
             let (width, outputs) = (op.width, op.output.outputs);
-            format!("[N, {width}] -> [N, {outputs}], {} {heads}{}", op.heads, relu(op.relu))
+            format!(
+                "[N, {width}] -> [N, {outputs}], {} {heads}{}",
+                op.heads,
+                relu(op.relu.is_set())
+            )
         }
-        Op::MeanRows(op) => {
+        OpRef::MeanRows(op) => {
             let whose = if op.members == Members::Agents { "of agents" } else { "of all" };
             format!("[N, {}] -> [{}], {whose}", op.width, op.width)
         }
-        Op::GroupSum(op) => format!("[N, {}] -> [{}, {}]", op.width, op.groups, op.width),
-        Op::Output(op) => match op.rows {
+        OpRef::GroupSum(op) => format!("[N, {}] -> [{}, {}]", op.width, op.groups, op.width),
+        OpRef::Output(op) => match op.rows {
             OutputRows::Entities => format!("[N, {}]", op.width),
-            OutputRows::Groups(groups) => format!("[{groups}, {}]", op.width),
+            OutputRows::Groups => format!("[{}, {}]", op.groups, op.width),
             _ => format!("[{}]", op.width),
         },
-        Op::Int8EmbedEntities(op) => {
-            format!("[N, {}] -> [N, {}]{}", op.layer.inputs, op.layer.outputs, relu(op.relu))
+        OpRef::Int8EmbedEntities(op) => {
+            format!(
+                "[N, {}] -> [N, {}]{}",
+                op.layer.inputs,
+                op.layer.outputs,
+                relu(op.relu.is_set())
+            )
         }
-        Op::Int8AttendOwn(op) => {
+        OpRef::Int8AttendOwn(op) => {
             let heads = if op.heads == 1 { "head" } else { "heads" };
             let (width, outputs) = (op.width, op.output.outputs);
-            let (skip, relu) = (skip(op.skips()), relu(op.relu));
+            let (skip, relu) = (skip(op.skips()), relu(op.relu.is_set()));
             format!("[N, {width}] -> [{outputs}], {} {heads}{skip}{relu}", op.heads)
         }
-        Op::Int8Dense(op) => {
-            format!("[{}] -> [{}]{}", op.layer.inputs, op.layer.outputs, relu(op.relu))
+        OpRef::Int8Dense(op) => {
+            format!("[{}] -> [{}]{}", op.layer.inputs, op.layer.outputs, relu(op.relu.is_set()))
         }
-        Op::EmbedTasks(op) => {
+        OpRef::EmbedTasks(op) => {
             let (features, tasks) = (op.embed.inputs, op.tasks.count);
             format!("[N, {features}] -> [N, {0}], [{tasks}, {0}]", op.embed.outputs)
         }
-        Op::PointerLogits(op) => format!("[{}] -> logits of subtasks", op.from_task.inputs),
-        Op::ScoreAllocations(op) => {
+        OpRef::PointerLogits(op) => format!("[{}] -> logits of subtasks", op.from_task.inputs),
+        OpRef::ScoreAllocations(op) => {
             format!("[N, {}] -> [N, {}] -> value", op.embed.inputs, op.embed.outputs)
         }
-        Op::MaskedArgmax(op) => format!("[{}] -> action", op.from.len),
-        Op::MaskedSample(op) => format!("[{}] -> drawn action", op.from.len),
+        OpRef::MaskedArgmax(op) => format!("[{}] -> action", op.from.len),
+        OpRef::MaskedSample(op) => format!("[{}] -> drawn action", op.from.len),
         _ => String::new(),
     }
 }

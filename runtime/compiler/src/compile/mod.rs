@@ -4,7 +4,7 @@ mod parity;
 mod proposals;
 
 use sortie_bundle::sha256;
-use sortie_core::plan::{Network, Profile, Program};
+use sortie_core::plan::{Network, Profile, Program, ProgramDraft};
 use sortie_plans::{
     Comparison, CompileError, CompileOptions, Compiled, TOLERANCE, random_entities,
     random_observations, random_team_queries, report,
@@ -42,18 +42,20 @@ pub fn compile(onnx: &[u8], options: &CompileOptions) -> Result<Compiled, Compil
         max_error: 0.0,
         action_mismatch: 0.0,
     };
-    let draft = assemble(&program, &weights, sizes, &origin);
+    let draft = assemble(&program, &weights, sizes, &origin)?;
     let comparison = prove(&draft, &graph, sizes, options)?;
     origin.max_error = comparison.max_rel_error;
     origin.action_mismatch = comparison.action_mismatches as f32 / comparison.inputs.max(1) as f32;
-    let bytes = assemble(&program, &weights, sizes, &origin);
+    let bytes = assemble(&program, &weights, sizes, &origin)?;
+    let program = program.to_bytes();
+    let program = Program::read(program.as_slice())?;
     let report = report(&program, sizes.n_max, bytes.len(), &comparison);
     Ok(Compiled { bytes, report })
 }
 
 /// A network as a program.
 struct Lowered {
-    program: Program,
+    program: ProgramDraft,
     weights: Vec<u8>,
     sizes: AgentSizes,
     network: Network,
@@ -105,7 +107,7 @@ fn lower_layers(
     sizes: AgentSizes,
     network: Network,
     profile: Profile,
-) -> Result<(Program, Vec<u8>), CompileError> {
+) -> Result<(ProgramDraft, Vec<u8>), CompileError> {
     if profile != Profile::Int8 {
         return lower_agent(layers, sizes).map(|(program, weights)| (program, weights.to_bytes()));
     }

@@ -120,10 +120,10 @@ pub(crate) fn entities_against_graph(
         for output in plan.program().outputs() {
             let rows = match output.rows {
                 OutputRows::Entities => view.groups.len(),
-                OutputRows::Groups(groups) => groups.into(),
+                OutputRows::Groups => output.groups.into(),
                 _ => 1,
             };
-            got.push(vec![0.0; rows * usize::from(output.width)]);
+            got.push(vec![0.0; rows * output.width as usize]);
         }
         let mut outputs: Vec<&mut [f32]> = got.iter_mut().map(Vec::as_mut_slice).collect();
         plan.evaluate(arena.as_mut_slice(), &view, &mut outputs).map_err(cannot_run)?;

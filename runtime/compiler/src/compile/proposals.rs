@@ -4,7 +4,7 @@ use sortie_bundle::{OwnedAllocationState, sha256};
 use sortie_core::allocate::ProposalAllocator;
 use sortie_core::allocate::proposals::{Draw, GumbelDraw};
 use sortie_core::limits;
-use sortie_core::plan::{AlignedBytes, Network, Plan, Profile};
+use sortie_core::plan::{AlignedBytes, Network, Plan, Profile, Program};
 
 use crate::graph::Graph;
 use crate::lower::{AgentSizes, Choice, Origin, assemble, lower_proposals};
@@ -47,7 +47,7 @@ pub fn compile_proposals(
         max_error: 0.0,
         action_mismatch: 0.0,
     };
-    let draft = assemble(&program, &weights, sizes, &origin);
+    let draft = assemble(&program, &weights, sizes, &origin)?;
     let CompileOptions { inputs, n_max, seed, .. } = *options;
     let states = random_allocation_states(inputs, n_max, features, tasks, seed);
     let comparison = proposals_against_graphs(&draft, graphs.each_ref(), &states, seed)?;
@@ -57,7 +57,9 @@ pub fn compile_proposals(
         return Err(CompileError::Differs { error, limit, input, seed });
     }
     origin.max_error = error;
-    let bytes = assemble(&program, &weights, sizes, &origin);
+    let bytes = assemble(&program, &weights, sizes, &origin)?;
+    let program = program.to_bytes();
+    let program = Program::read(program.as_slice())?;
     Ok(Compiled { report: report(&program, n_max, bytes.len(), &comparison), bytes })
 }
 

@@ -6,7 +6,7 @@ use sortie_core::limits;
 use sortie_core::ops::{
     AttendOwn, Dense, EmbedEntities, Gru, MaskedArgmax, MaskedSample, Op, Place,
 };
-use sortie_core::plan::{OPS, Program};
+use sortie_core::plan::{OPS, ProgramDraft};
 
 use super::layout::Weights;
 use crate::matching::{AgentLayers, GruLayers, Layer, Matrix, Step};
@@ -38,28 +38,20 @@ pub(crate) struct AgentSizes {
 pub(crate) fn lower_agent(
     layers: &AgentLayers,
     sizes: AgentSizes,
-) -> Result<(Program, Weights), CompileError> {
+) -> Result<(ProgramDraft, Weights), CompileError> {
     check(layers, sizes)?;
     let (mut weights, mut arena) = (Weights::default(), Arena::default());
-    let mut ops = heapless::Vec::new();
-    let mut push = |op| {
-        let full = |_| CompileError::TooLarge {
-            what: "the number of layers".into(),
-            got: OPS + 1,
-            max: OPS,
-        };
-        ops.push(op).map_err(full)
-    };
+    let mut ops = Vec::new();
     let width = padded(layers.embed.matrix.outputs);
     let rows = arena.place((sizes.n_max + 1) * width);
-    push(Op::EmbedEntities(EmbedEntities {
+    ops.push(Op::EmbedEntities(EmbedEntities {
         layer: weights.add_layer(&layers.embed),
-        last_actions: (layers.embed.matrix.inputs - sizes.features) as u16,
-        relu: layers.embed.relu,
+        last_actions: (layers.embed.matrix.inputs - sizes.features) as u32,
+        relu: layers.embed.relu.into(),
         rows,
-    }))?;
+    }));
     let attend = lower_attention(layers, sizes, rows, &mut weights, &mut arena);
-    push(Op::AttendOwn(attend))?;
+    ops.push(Op::AttendOwn(attend));
     let (mut from, mut sparse) = (attend.to, layers.output.relu);
     for step in &layers.steps {
         let op = match step {
@@ -67,9 +59,9 @@ pub(crate) fn lower_agent(
                 let to = arena.place(padded(layer.matrix.outputs));
                 from.len = layer.matrix.inputs as u32;
                 let linear = weights.add_layer(layer);
-                let (relu, sparse_input) = (layer.relu, sparse);
+                let (relu, sparse_input) = (layer.relu.into(), sparse.into());
                 let dense = Dense { layer: linear, relu, sparse_input, from, to };
-                (from, sparse) = (to, relu);
+                (from, sparse) = (to, layer.relu);
                 Op::Dense(dense)
             }
             Step::Gru(unit) => {
@@ -78,16 +70,17 @@ pub(crate) fn lower_agent(
                 Op::Gru(gru)
             }
         };
-        push(op)?;
+        ops.push(op);
     }
     from.len = sizes.actions as u32;
-    push(match sizes.choice {
+    ops.push(match sizes.choice {
         Choice::Greedy => Op::MaskedArgmax(MaskedArgmax { from }),
         Choice::Drawn => Op::MaskedSample(MaskedSample { from }),
-    })?;
+    });
+    at_most("the number of layers", ops.len(), OPS)?;
     let inputs = layers.embed.matrix.inputs.max(longest_input(layers));
     let nonzeros = inputs.div_ceil(MARKED) as u32;
-    Ok((Program { ops, floats: arena.floats(), nonzeros }, weights))
+    Ok((ProgramDraft { ops, floats: arena.floats(), nonzeros }, weights))
 }
 
 fn lower_attention(
@@ -113,7 +106,7 @@ fn lower_attention(
         keys: weights.add_matrices(&keys.iter().collect::<Vec<_>>()),
         values: weights.add_matrices(&values.iter().collect::<Vec<_>>()),
         output: weights.add_layer(&output),
-        relu: layers.output.relu,
+        relu: layers.output.relu.into(),
         query_place: arena.place(padded(layers.query.matrix.outputs)),
         absorbed: arena.place(padded(width)),
         scores: arena.place(sizes.n_max),
@@ -134,10 +127,10 @@ fn lower_gru(
     let (size, gates) = (recurrent.matrix.inputs, recurrent.matrix.outputs);
     from.len = input.matrix.inputs as u32;
     Gru {
-        size: size as u16,
+        size: size as u32,
         input: weights.add_layer(&input),
         recurrent: weights.add_layer(&recurrent),
-        sparse_input,
+        sparse_input: sparse_input.into(),
         from,
         state: arena.place(size),
         input_gates: arena.place(gates),

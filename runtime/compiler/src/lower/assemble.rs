@@ -1,6 +1,9 @@
 //! Program and weights become the bytes of a plan.
 
-use sortie_core::plan::{ALIGNMENT, HEADER_BYTES, Header, Network, Profile, Program, checksums};
+use sortie_core::plan::{
+    ALIGNMENT, HEADER_BYTES, Header, Network, Profile, Program, ProgramDraft, checksums,
+};
+use sortie_plans::CompileError;
 
 use super::agent::AgentSizes;
 
@@ -25,13 +28,14 @@ pub(crate) struct Origin {
 
 /// Lays out header, program and weights.
 pub(crate) fn assemble(
-    program: &Program,
+    program: &ProgramDraft,
     weights: &[u8],
     sizes: AgentSizes,
     origin: &Origin,
-) -> Vec<u8> {
-    // Serialising plain fields to memory has no way to fail; the loader would refuse an empty program.
-    let program_bytes = postcard::to_stdvec(program).unwrap_or_default();
+) -> Result<Vec<u8>, CompileError> {
+    let program_bytes = program.to_bytes();
+    let program_bytes = program_bytes.as_slice();
+    let program: Program<'_> = Program::read(program_bytes)?;
     let weights_offset = (HEADER_BYTES + program_bytes.len()).next_multiple_of(ALIGNMENT);
     let header = Header {
         layout: origin.profile.layout(),
@@ -40,7 +44,7 @@ pub(crate) fn assemble(
         n_max: sizes.n_max as u32,
         features: sizes.features as u32,
         actions: sizes.actions as u32,
-        hidden: program.memory().map_or(0, |unit| u32::from(unit.size)),
+        hidden: program.memory().map_or(0, |unit| unit.size),
         program_offset: HEADER_BYTES as u32,
         program_len: program_bytes.len() as u32,
         weights_offset: weights_offset as u32,
@@ -55,10 +59,10 @@ pub(crate) fn assemble(
         arena_bytes_per_agent: 4 * program.own_floats().unwrap_or(0),
         skip: program.skips(),
     };
-    let checksums = checksums(&header, &program_bytes, weights);
+    let checksums = checksums(&header, program_bytes, weights);
     let mut plan = header.to_bytes(checksums).to_vec();
     plan.extend(program_bytes);
     plan.resize(weights_offset, 0);
     plan.extend(weights);
-    plan
+    Ok(plan)
 }

@@ -6,7 +6,7 @@ use sortie_core::limits;
 use sortie_core::ops::{
     AttendAll, Dense, EmbedEntities, GroupSum, MeanRows, Op, Output, OutputRows, Place,
 };
-use sortie_core::plan::{OPS, Program};
+use sortie_core::plan::{OPS, ProgramDraft};
 
 use super::agent::{Arena, at_most, by_heads, check_weights, padded_heads, same_sizes};
 use super::layout::Weights;
@@ -38,7 +38,7 @@ struct Value {
 pub(crate) fn lower_entities(
     layers: &EntityLayers,
     sizes: EntitySizes,
-) -> Result<(Program, Weights), CompileError> {
+) -> Result<(ProgramDraft, Weights), CompileError> {
     let EntitySizes { n_max, features, groups } = sizes;
     at_most("the number of entities", n_max, limits::ENTITIES)?;
     at_most("the number of features", features, limits::FEATURES)?;
@@ -50,14 +50,14 @@ pub(crate) fn lower_entities(
     }
     for output in &layers.outputs {
         let Value { place: from, width, rows, .. } = lowering.value(*output)?;
-        lowering.ops.push(Op::Output(Output { from, width: width as u16, rows }));
+        let groups = if rows == OutputRows::Groups { groups as u16 } else { 0 };
+        lowering.ops.push(Op::Output(Output { from, width: width as u32, rows, groups }));
     }
     let count = lowering.ops.len();
     at_most("the number of layers and outputs", count, OPS)?;
     let floats = lowering.arena.floats();
     let nonzeros = lowering.longest_input.div_ceil(MARKED) as u32;
-    let ops = lowering.ops.into_iter().collect();
-    Ok((Program { ops, floats, nonzeros }, lowering.weights))
+    Ok((ProgramDraft { ops: lowering.ops, floats, nonzeros }, lowering.weights))
 }
 
 #[derive(Default)]
@@ -79,7 +79,7 @@ impl Lowering {
         self.ops.push(Op::EmbedEntities(EmbedEntities {
             layer: linear,
             last_actions: 0,
-            relu,
+            relu: relu.into(),
             rows,
         }));
         self.values.push(Value {
@@ -106,7 +106,7 @@ impl Lowering {
                 let groups = self.sizes.groups as u16;
                 let to = self.arena.place(usize::from(groups) * padded(width));
                 let sum = GroupSum { rows, width: width as u16, groups, to };
-                let rows = OutputRows::Groups(groups);
+                let rows = OutputRows::Groups;
                 (Op::GroupSum(sum), Value { place: to, width, rows, relu: false })
             }
             EntityStep::Dense { from, layer } => self.dense(*from, layer)?,
@@ -124,7 +124,8 @@ impl Lowering {
         let to = self.arena.place(padded(outputs));
         let relu = layer.relu;
         let linear = self.weights.add_layer(layer);
-        let dense = Dense { layer: linear, relu, sparse_input, from, to };
+        let sparse_input = sparse_input.into();
+        let dense = Dense { layer: linear, relu: relu.into(), sparse_input, from, to };
         let value = Value { place: to, width: outputs, rows: OutputRows::One, relu };
         Ok((Op::Dense(dense), value))
     }
@@ -163,7 +164,7 @@ impl Lowering {
             key,
             value,
             output,
-            relu,
+            relu: relu.into(),
             queries,
             keys,
             values,

@@ -5,9 +5,11 @@ use sortie_core::ops::{
     Int8AttendOwn, Int8Dense, Int8EmbedEntities, MaskedArgmax, MaskedSample, Op, Place,
     quantised_floats,
 };
-use sortie_core::plan::{OPS, Program};
+use sortie_core::plan::{OPS, ProgramDraft};
 
-use super::agent::{AgentSizes, Arena, Choice, behind_heads, check, padded_heads, side_by_side};
+use super::agent::{
+    AgentSizes, Arena, Choice, at_most, behind_heads, check, padded_heads, side_by_side,
+};
 use super::int8_layout::{Int8Weights, Order};
 use crate::matching::{AgentLayers, Layer, Matrix, Step};
 use sortie_plans::CompileError;
@@ -16,29 +18,21 @@ use sortie_plans::CompileError;
 pub(crate) fn lower_agent_int8(
     layers: &AgentLayers,
     sizes: AgentSizes,
-) -> Result<(Program, Int8Weights), CompileError> {
+) -> Result<(ProgramDraft, Int8Weights), CompileError> {
     check(layers, sizes)?;
     let (mut weights, mut arena) = (Int8Weights::default(), Arena::default());
-    let mut ops = heapless::Vec::new();
-    let mut push = |op| {
-        let full = |_| CompileError::TooLarge {
-            what: "the number of layers".into(),
-            got: OPS + 1,
-            max: OPS,
-        };
-        ops.push(op).map_err(full)
-    };
+    let mut ops = Vec::new();
     let Matrix { inputs, outputs: width, .. } = layers.embed.matrix;
     let rows = arena.place((sizes.n_max + 1) * padded(width));
-    push(Op::Int8EmbedEntities(Int8EmbedEntities {
+    ops.push(Op::Int8EmbedEntities(Int8EmbedEntities {
         layer: weights.add_layer(&layers.embed, Order::Pairs),
-        last_actions: (inputs - sizes.features) as u16,
-        relu: layers.embed.relu,
+        last_actions: (inputs - sizes.features) as u32,
+        relu: layers.embed.relu.into(),
         rows,
         quantised: arena.place(quantised_floats(inputs)),
-    }))?;
+    }));
     let attend = lower_attention(layers, sizes, rows, &mut weights, &mut arena);
-    push(Op::Int8AttendOwn(attend))?;
+    ops.push(Op::Int8AttendOwn(attend));
     let mut from = attend.to;
     for step in &layers.steps {
         let layer = match step {
@@ -50,20 +44,21 @@ pub(crate) fn lower_agent_int8(
         from.len = layer.matrix.inputs as u32;
         let dense = Int8Dense {
             layer: weights.add_layer(layer, Order::Strips),
-            relu: layer.relu,
+            relu: layer.relu.into(),
             from,
             to: arena.place(padded(layer.matrix.outputs)),
             quantised: arena.place(quantised_floats(layer.matrix.inputs)),
         };
         from = dense.to;
-        push(Op::Int8Dense(dense))?;
+        ops.push(Op::Int8Dense(dense));
     }
     from.len = sizes.actions as u32;
-    push(match sizes.choice {
+    ops.push(match sizes.choice {
         Choice::Greedy => Op::MaskedArgmax(MaskedArgmax { from }),
         Choice::Drawn => Op::MaskedSample(MaskedSample { from }),
-    })?;
-    Ok((Program { ops, floats: arena.floats(), nonzeros: 0 }, weights))
+    });
+    at_most("the number of layers", ops.len(), OPS)?;
+    Ok((ProgramDraft { ops, floats: arena.floats(), nonzeros: 0 }, weights))
 }
 
 fn lower_attention(
@@ -105,7 +100,7 @@ fn lower_attention(
         values,
         value_steps,
         output: weights.add_layer(&output, Order::Strips),
-        relu: layers.output.relu,
+        relu: layers.output.relu.into(),
         query_place: arena.place(attended),
         absorbed: arena.place(padded(width)),
         scores: arena.place(sizes.n_max),

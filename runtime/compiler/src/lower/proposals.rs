@@ -5,7 +5,7 @@ use sortie_core::limits;
 use sortie_core::ops::{
     EmbedTasks, Op, PointerLogits, ProposalNetwork, RowAttention, ScoreAllocations,
 };
-use sortie_core::plan::Program;
+use sortie_core::plan::ProgramDraft;
 
 use super::agent::{at_most, by_heads, check_weights, padded_heads, same_sizes};
 use super::layout::Weights;
@@ -18,7 +18,7 @@ use sortie_plans::CompileError;
 pub(crate) fn lower_proposals(
     layers: &ProposalLayers,
     n_max: usize,
-) -> Result<(Program, Weights), CompileError> {
+) -> Result<(ProgramDraft, Weights), CompileError> {
     check(layers, n_max)?;
     let mut weights = Weights::default();
     let network = ProposalNetwork {
@@ -36,7 +36,7 @@ pub(crate) fn lower_proposals(
         max: limits::ENTITIES,
     };
     let floats = floats.ok_or(too_large)?;
-    Ok((Program { ops: ops.into_iter().collect(), floats, nonzeros: 0 }, weights))
+    Ok((ProgramDraft { ops: ops.to_vec(), floats, nonzeros: 0 }, weights))
 }
 
 fn lower_trunk(layers: &TrunkLayers, weights: &mut Weights) -> EmbedTasks {
@@ -73,7 +73,7 @@ fn lower_attention(attention: &AllAttention, weights: &mut Weights) -> RowAttent
     let [query, key, value] =
         [query, key, value].map(|layer| weights.add_layer(&by_heads(layer, *heads)));
     let output = weights.add_layer(&padded_output);
-    RowAttention { heads: *heads as u16, query, key, value, output }
+    RowAttention { heads: *heads as u32, query, key, value, output }
 }
 
 /// Checks that sizes fit each other and into a plan, and that all numbers are finite.

@@ -1,9 +1,9 @@
 //! Multi-head attention of every entity's query.
 
-use serde::{Deserialize, Serialize};
+use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::operator::Operator;
-use super::{LAYOUT_TILES, Linear, Place, Scratch, Sizes, places};
+use super::{Flag, LAYOUT_TILES, Linear, Place, Scratch, Sizes, places};
 use crate::kernels::Kernels;
 use crate::kernels::product::{Sparse, padded};
 use crate::kernels::rows::Rows;
@@ -15,7 +15,8 @@ use crate::policy::{DecideError, Observation};
 /// With as many queries as rows, keys and values are worth computing: s_ij = q_i · k_j, y_i = W_o Σ_j a_ij v_j.
 /// Query, key and value layers have a padded head for every head among their outputs, so that heads start
 /// at whole tiles.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
 pub struct AttendAll {
     /// The rows, `[n_max, padded width]` or longer.
     pub rows: Place,
@@ -32,7 +33,7 @@ pub struct AttendAll {
     /// W_o; its inputs are the heads' outputs, each padded.
     pub output: Linear,
     /// Whether a ReLU follows.
-    pub relu: bool,
+    pub relu: Flag,
     /// q of every head and row, `[heads, visible, padded head width]`, with room for `n_max` rows.
     pub queries: Place,
     /// k, alike.
@@ -96,7 +97,7 @@ impl Operator for AttendAll {
             places(scratch.floats, self.places().each_ref())?;
         let scores = scores.get_mut(..slots(visible)).ok_or(DecideError::BadLength)?;
         let (matrix, around) =
-            (self.output.matrix(weights)?, self.output.around(weights, self.relu)?);
+            (self.output.matrix(weights)?, self.output.around(weights, self.relu.is_set())?);
         let (head, of_head) = self.head_floats(visible);
         let to = to.chunks_exact_mut(self.output.padded_outputs()).take(visible);
         for (row, to) in to.enumerate() {

@@ -2,11 +2,11 @@
 
 use core::ops::Range;
 
-use serde::{Deserialize, Serialize};
+use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::operator::Operator;
 use super::team::{Member, Team};
-use super::{LAYOUT_TILES, Linear, Place, Scratch, Sizes, places, slice};
+use super::{Flag, LAYOUT_TILES, Linear, Place, Scratch, Sizes, places, slice};
 use crate::kernels::product::{Around, Sparse, TILE, padded};
 use crate::kernels::rows::Rows;
 use crate::kernels::softmax::slots;
@@ -21,7 +21,8 @@ use crate::policy::{DecideError, Observation};
 ///
 /// Where the output layer has E inputs more, they are the own row itself, however little the agent sees: a *skip*
 /// past the attention, W_o o + W_s x_own as one product.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
 pub struct AttendOwn {
     /// The embeddings that [`super::EmbedEntities`] wrote.
     pub rows: Place,
@@ -38,7 +39,7 @@ pub struct AttendOwn {
     /// W_o; its inputs are the heads' outputs, each padded like outputs are. With a skip W_s stands below it.
     pub output: Linear,
     /// Whether a ReLU follows.
-    pub relu: bool,
+    pub relu: Flag,
     /// q, padded.
     pub query_place: Place,
     /// u of one head, padded E floats.
@@ -123,7 +124,7 @@ impl Operator for AttendOwn {
                 *to = *from;
             }
         }
-        let around = self.output.around(weights, self.relu)?;
+        let around = self.output.around(weights, self.relu.is_set())?;
         kernels.product(self.output.matrix(weights)?, attended, around, to);
         Ok(())
     }
@@ -307,7 +308,7 @@ impl AttendOwn {
             team.keep_own_rows(usize::from(self.width), &kept);
         }
         let (matrix, around) =
-            (self.output.matrix(weights)?, self.output.around(weights, self.relu)?);
+            (self.output.matrix(weights)?, self.output.around(weights, self.relu.is_set())?);
         kernels.products(matrix, &mut team.pairs(&self.attended, &self.to, |_| true), around);
         Ok(())
     }

@@ -1,23 +1,24 @@
 //! A layer on one vector.
 
-use serde::{Deserialize, Serialize};
+use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::operator::Operator;
 use super::team::Team;
-use super::{LAYOUT_TILES, Linear, Place, Scratch, Sizes, places};
+use super::{Flag, LAYOUT_TILES, Linear, Place, Scratch, Sizes, places};
 use crate::kernels::Kernels;
 use crate::kernels::product::Sparse;
 use crate::policy::{DecideError, Observation};
 
 /// `W x + b`, with a ReLU where one follows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
 pub struct Dense {
     /// The layer.
     pub layer: Linear,
     /// Whether a ReLU follows.
-    pub relu: bool,
+    pub relu: Flag,
     /// Whether the input comes out of a ReLU, so that leaving out its zeros pays.
-    pub sparse_input: bool,
+    pub sparse_input: Flag,
     /// The input, as long as the layer's inputs.
     pub from: Place,
     /// The output, as long as the layer's padded outputs.
@@ -34,7 +35,7 @@ impl Operator for Dense {
             && self.from.disjoint(&self.to)
             && self.from.len == u32::from(self.layer.inputs)
             && self.to.len as usize == self.layer.padded_outputs()
-            && (!self.sparse_input || sizes.lists(u64::from(self.layer.inputs)))
+            && (!self.sparse_input.is_set() || sizes.lists(u64::from(self.layer.inputs)))
     }
 
     fn multiply_adds(&self, _: u64) -> u64 {
@@ -51,8 +52,8 @@ impl Operator for Dense {
     ) -> Result<(), DecideError> {
         let matrix = self.layer.matrix(weights)?;
         let [from, to] = places(scratch.floats, [&self.from, &self.to])?;
-        let around = self.layer.around(weights, self.relu)?;
-        if self.sparse_input {
+        let around = self.layer.around(weights, self.relu.is_set())?;
+        if self.sparse_input.is_set() {
             kernels.mark(from, scratch.nonzeros);
             let marks = &*scratch.nonzeros;
             let inputs = Sparse { values: from, marks, one: None, count: from.len() };
@@ -75,7 +76,7 @@ impl Operator for Dense {
         _: &[Observation<'_>],
         team: &mut Team<'_>,
     ) -> Result<(), DecideError> {
-        let around = self.layer.around(weights, self.relu)?;
+        let around = self.layer.around(weights, self.relu.is_set())?;
         let pairs = &mut team.pairs(&self.from, &self.to, |_| true);
         kernels.products(self.layer.matrix(weights)?, pairs, around);
         Ok(())

@@ -1,10 +1,10 @@
 //! The first layer of an agent network, on the rows that the agent may see.
 
-use serde::{Deserialize, Serialize};
+use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::operator::Operator;
 use super::team::{Member, Team};
-use super::{LAYOUT_TILES, Linear, Place, Scratch, Sizes, places};
+use super::{Flag, LAYOUT_TILES, Linear, Place, Scratch, Sizes, places};
 use crate::entity_mask::EntityMask;
 use crate::kernels::Kernels;
 use crate::kernels::mark::Marks;
@@ -15,14 +15,15 @@ use crate::policy::{DecideError, NO_ACTION, Observation};
 ///
 /// The matrix has d inputs, and U more where the last action's one-hot is appended; the one-hot is one row
 /// of weights and never materialised. Features that are zero are left out.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
 pub struct EmbedEntities {
     /// The layer; inputs are features, then last actions.
     pub layer: Linear,
     /// Last actions U that follow the features among the inputs, or 0.
-    pub last_actions: u16,
+    pub last_actions: u32,
     /// Whether a ReLU follows.
-    pub relu: bool,
+    pub relu: Flag,
     /// Where the embeddings go: `[n_max + 1, padded outputs]`, the own row of an agent that does not see
     /// itself behind the visible ones.
     pub rows: Place,
@@ -33,7 +34,7 @@ impl Operator for EmbedEntities {
 
     fn check(&self, sizes: &Sizes) -> bool {
         let inputs = u32::from(self.layer.inputs);
-        let actions = u32::from(self.last_actions);
+        let actions = self.last_actions;
         let rows = (u64::from(sizes.n_max) + 1).saturating_mul(self.layer.padded_outputs() as u64);
         self.layer.check(sizes)
             && inputs.checked_sub(actions) == Some(sizes.features)
@@ -56,7 +57,7 @@ impl Operator for EmbedEntities {
         scratch: &mut Scratch<'_>,
     ) -> Result<(), DecideError> {
         let matrix = self.layer.matrix(weights)?;
-        let around = self.layer.around(weights, self.relu)?;
+        let around = self.layer.around(weights, self.relu.is_set())?;
         let [rows] = places(scratch.floats, [&self.rows])?;
         let rows = rows.chunks_exact_mut(self.layer.padded_outputs());
         let visible = observation.visible;
@@ -87,7 +88,7 @@ impl Operator for EmbedEntities {
         team: &mut Team<'_>,
     ) -> Result<(), DecideError> {
         let matrix = self.layer.matrix(weights)?;
-        let around = self.layer.around(weights, self.relu)?;
+        let around = self.layer.around(weights, self.relu.is_set())?;
         let Team { rows, nonzeros, members, .. } = team;
         let own = |member: &Member| observations.get(member.index);
         let mut union = EntityMask::EMPTY;
@@ -123,7 +124,7 @@ impl EmbedEntities {
         observation: &Observation<'a>,
         marks: &'a mut [Marks],
     ) -> Result<Sparse<'a>, DecideError> {
-        let features = usize::from(self.layer.inputs.saturating_sub(self.last_actions));
+        let features = u32::from(self.layer.inputs).saturating_sub(self.last_actions) as usize;
         let start = entity.saturating_mul(observation.stride);
         let row = observation.rows.get(start..start.saturating_add(features));
         let values = row.ok_or(DecideError::BadLength)?;
@@ -139,13 +140,13 @@ impl EmbedEntities {
 /// An entity's last action, if the network takes `last_actions` and there was one.
 #[inline(always)]
 pub(super) fn last_action(
-    last_actions: u16,
+    last_actions: u32,
     entity: usize,
     observation: &Observation<'_>,
 ) -> Result<Option<u16>, DecideError> {
     match observation.last_actions.get(entity) {
         Some(&action) if last_actions > 0 && action != NO_ACTION => {
-            (action < last_actions).then_some(Some(action)).ok_or(DecideError::BadLength)
+            (u32::from(action) < last_actions).then_some(Some(action)).ok_or(DecideError::BadLength)
         }
         _ => Ok(None),
     }

@@ -1,6 +1,6 @@
 //! Sums of rows, one for every group of entities.
 
-use serde::{Deserialize, Serialize};
+use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::operator::Operator;
 use super::{LAYOUT_TILES, Place, Scratch, Sizes, places};
@@ -10,7 +10,8 @@ use crate::limits;
 use crate::policy::{DecideError, Observation};
 
 /// For every group, a subtask for instance, the sum of the rows of the present entities that belong to it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
 pub struct GroupSum {
     /// The rows, `[n_max, padded width]` or longer.
     pub rows: Place,

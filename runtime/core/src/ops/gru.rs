@@ -1,9 +1,9 @@
 //! A gated recurrent unit: what an agent remembers from step to step.
 
-use serde::{Deserialize, Serialize};
+use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::operator::Operator;
-use super::{LAYOUT_TILES, Linear, Place, Scratch, Sizes, places};
+use super::{Flag, LAYOUT_TILES, Linear, Place, Scratch, Sizes, places};
 use crate::kernels::Kernels;
 use crate::kernels::product::{Sparse, padded};
 use crate::math::{all_finite, sigmoid, tanh};
@@ -20,16 +20,17 @@ const GATES: usize = 3;
 /// Both matrices hold the gates side by side, each padded like outputs are, so that a layer has three times
 /// the padded state's outputs. The caller's state stands at `state` before the program runs; the new one, at
 /// `to`, is the caller's next.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
 pub struct Gru {
     /// Floats R of the state.
-    pub size: u16,
+    pub size: u32,
     /// W and b, on the input.
     pub input: Linear,
     /// U and c, on the state.
     pub recurrent: Linear,
     /// Whether the input comes out of a ReLU, so that leaving out its zeros pays.
-    pub sparse_input: bool,
+    pub sparse_input: Flag,
     /// The input y, as long as the input layer's inputs.
     pub from: Place,
     /// The state h, R floats.
@@ -46,15 +47,17 @@ impl Operator for Gru {
     const LAYOUT: Option<u32> = Some(LAYOUT_TILES);
 
     fn check(&self, sizes: &Sizes) -> bool {
+        if u32::from(self.recurrent.inputs) != self.size {
+            return false;
+        }
         let (padded, gates) = (self.padded_size(), GATES * self.padded_size());
         let layers = self.input.check(sizes)
             && self.recurrent.check(sizes)
             && usize::from(self.input.outputs) == gates
             && usize::from(self.recurrent.outputs) == gates
-            && self.recurrent.inputs == self.size
-            && (!self.sparse_input || sizes.lists(u64::from(self.input.inputs)));
+            && (!self.sparse_input.is_set() || sizes.lists(u64::from(self.input.inputs)));
         let lengths = self.from.len == u32::from(self.input.inputs)
-            && self.state.len == u32::from(self.size)
+            && self.state.len == self.size
             && self.input_gates.len as usize == gates
             && self.recurrent_gates.len as usize == gates
             && self.to.len as usize == padded;
@@ -77,7 +80,7 @@ impl Operator for Gru {
         let [from, state, inputs, recurrents, to] = places(scratch.floats, self.places())?;
         let matrix = self.input.matrix(weights)?;
         let around = self.input.around(weights, false)?;
-        if self.sparse_input {
+        if self.sparse_input.is_set() {
             kernels.mark(from, scratch.nonzeros);
             let marks = &*scratch.nonzeros;
             let from = Sparse { values: from, marks, one: None, count: from.len() };
@@ -97,7 +100,7 @@ impl Operator for Gru {
 
 impl Gru {
     fn padded_size(&self) -> usize {
-        padded(usize::from(self.size))
+        padded(self.size as usize)
     }
 
     fn places(&self) -> [&Place; 5] {

@@ -1,6 +1,6 @@
 //! Multi-head attention of the agent's own query, with int8 weights.
 
-use serde::{Deserialize, Serialize};
+use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::attend_own::attend;
 use super::int8_layer::{
@@ -8,7 +8,7 @@ use super::int8_layer::{
 };
 use super::operator::Operator;
 use super::team::{Member, Team};
-use super::{LAYOUT_INT8, Place, Scratch, Sizes, places};
+use super::{Flag, LAYOUT_INT8, Place, Scratch, Sizes, places};
 use crate::kernels::Kernels;
 use crate::kernels::int8::Matrix;
 use crate::kernels::product::padded;
@@ -21,7 +21,8 @@ use crate::policy::{DecideError, Observation};
 ///
 /// Every head has the query's outputs divided by the heads, a multiple of eight: what a narrower head has beyond
 /// its width has weights of zero. The output layer takes the own row as well where there is a skip.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
 pub struct Int8AttendOwn {
     /// The embeddings that [`super::Int8EmbedEntities`] wrote.
     pub rows: Place,
@@ -42,7 +43,7 @@ pub struct Int8AttendOwn {
     /// W_o.
     pub output: Int8Layer,
     /// Whether a ReLU follows.
-    pub relu: bool,
+    pub relu: Flag,
     /// q.
     pub query_place: Place,
     /// u of one head, padded E floats.
@@ -138,7 +139,7 @@ impl Operator for Int8AttendOwn {
             let mixed = mixed.get(..width).ok_or(DecideError::BadLength)?;
             product(kernels, &self.values(weights, head)?, mixed, quantised, output)?;
         }
-        product(kernels, &self.output.matrix(weights, self.relu)?, attended, quantised, to)
+        product(kernels, &self.output.matrix(weights, self.relu.is_set())?, attended, quantised, to)
     }
 
     fn works_for_teams(&self, shared: u32) -> bool {
@@ -175,7 +176,7 @@ impl Operator for Int8AttendOwn {
             let kept = self.attended.part(self.query.outputs.into()..self.attended.len as usize);
             team.keep_own_rows(width, &kept);
         }
-        let matrix = self.output.matrix(weights, self.relu)?;
+        let matrix = self.output.matrix(weights, self.relu.is_set())?;
         let between = Between { from: From::Own(&self.attended), quantised, to: &self.to };
         team_products(kernels, &matrix, team, between, |_| true)
     }

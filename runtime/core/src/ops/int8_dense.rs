@@ -1,21 +1,22 @@
 //! A layer on one vector, of int8 weights.
 
-use serde::{Deserialize, Serialize};
+use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::int8_layer::{Between, From, Int8Layer, product, quantised_floats, team_products};
 use super::operator::Operator;
 use super::team::Team;
-use super::{LAYOUT_INT8, Place, Scratch, Sizes, places};
+use super::{Flag, LAYOUT_INT8, Place, Scratch, Sizes, places};
 use crate::kernels::Kernels;
 use crate::policy::{DecideError, Observation};
 
 /// `W x + b`, with a ReLU where one follows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
 pub struct Int8Dense {
     /// The layer.
     pub layer: Int8Layer,
     /// Whether a ReLU follows.
-    pub relu: bool,
+    pub relu: Flag,
     /// The input, as long as the layer's inputs.
     pub from: Place,
     /// The output, as long as the layer's padded outputs.
@@ -49,7 +50,7 @@ impl Operator for Int8Dense {
     ) -> Result<(), DecideError> {
         let wanted = [&self.from, &self.quantised, &self.to];
         let [from, quantised, to] = places(scratch.floats, wanted)?;
-        product(kernels, &self.layer.matrix(weights, self.relu)?, from, quantised, to)
+        product(kernels, &self.layer.matrix(weights, self.relu.is_set())?, from, quantised, to)
     }
 
     fn works_for_teams(&self, shared: u32) -> bool {
@@ -65,7 +66,7 @@ impl Operator for Int8Dense {
         team: &mut Team<'_>,
     ) -> Result<(), DecideError> {
         let Self { from, quantised, to, .. } = self;
-        let matrix = self.layer.matrix(weights, self.relu)?;
+        let matrix = self.layer.matrix(weights, self.relu.is_set())?;
         let between = Between { from: From::Own(from), quantised, to };
         team_products(kernels, &matrix, team, between, |_| true)
     }

@@ -1,12 +1,12 @@
 //! The first layer of an agent network with int8 weights, on the rows that the agent may see.
 
-use serde::{Deserialize, Serialize};
+use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::embed_entities::last_action;
 use super::int8_layer::{Int8Layer, integers, quantised_floats};
 use super::operator::Operator;
 use super::team::{Member, Team};
-use super::{LAYOUT_INT8, Place, Scratch, Sizes, places};
+use super::{Flag, LAYOUT_INT8, Place, Scratch, Sizes, places};
 use crate::entity_mask::EntityMask;
 use crate::kernels::Kernels;
 use crate::kernels::int8::{Matrix, SparseVector};
@@ -14,14 +14,15 @@ use crate::policy::{DecideError, Observation};
 
 /// As [`super::EmbedEntities`]; every row is quantised by itself, and pairs of inputs that are both zero are left
 /// out. The matrix stores all outputs of a pair of inputs side by side.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
 pub struct Int8EmbedEntities {
     /// The layer; inputs are features, then last actions.
     pub layer: Int8Layer,
     /// Last actions U that follow the features among the inputs, or 0.
-    pub last_actions: u16,
+    pub last_actions: u32,
     /// Whether a ReLU follows.
-    pub relu: bool,
+    pub relu: Flag,
     /// Where the embeddings go: `[n_max + 1, padded outputs]`, the own row of an agent that does not see
     /// itself behind the visible ones.
     pub rows: Place,
@@ -34,7 +35,7 @@ impl Operator for Int8EmbedEntities {
 
     fn check(&self, sizes: &Sizes) -> bool {
         let inputs = u32::from(self.layer.inputs);
-        let actions = u32::from(self.last_actions);
+        let actions = self.last_actions;
         let rows = (u64::from(sizes.n_max) + 1).saturating_mul(self.layer.padded_outputs() as u64);
         self.layer.check(sizes)
             && inputs.checked_sub(actions) == Some(sizes.features)
@@ -56,7 +57,7 @@ impl Operator for Int8EmbedEntities {
         observation: &Observation<'_>,
         scratch: &mut Scratch<'_>,
     ) -> Result<(), DecideError> {
-        let matrix = self.layer.matrix(weights, self.relu)?;
+        let matrix = self.layer.matrix(weights, self.relu.is_set())?;
         let [rows, quantised] = places(scratch.floats, [&self.rows, &self.quantised])?;
         let rows = rows.chunks_exact_mut(self.layer.padded_outputs());
         let visible = observation.visible;
@@ -86,7 +87,7 @@ impl Operator for Int8EmbedEntities {
         observations: &[Observation<'_>],
         team: &mut Team<'_>,
     ) -> Result<(), DecideError> {
-        let matrix = self.layer.matrix(weights, self.relu)?;
+        let matrix = self.layer.matrix(weights, self.relu.is_set())?;
         let quantised = team.own_place(&self.quantised);
         let Team { rows, own: floats, members, .. } = team;
         let quantised = floats.get_mut(quantised.range()).ok_or(DecideError::BadLength)?;
@@ -122,7 +123,7 @@ impl Int8EmbedEntities {
         quantised: &mut [f32],
         outputs: &mut [f32],
     ) -> Result<(), DecideError> {
-        let features = usize::from(self.layer.inputs.saturating_sub(self.last_actions));
+        let features = u32::from(self.layer.inputs).saturating_sub(self.last_actions) as usize;
         let start = entity.saturating_mul(observation.stride);
         let row = observation.rows.get(start..start.saturating_add(features));
         let values = row.ok_or(DecideError::BadLength)?;

@@ -1,8 +1,7 @@
 //! Layers of int8 weights, and the products that the int8 operators are made of.
 
 use heapless::Vec;
-use serde::{Deserialize, Serialize};
-use zerocopy::{FromBytes, IntoBytes};
+use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::team::{Member, TEAM, Team};
 use super::{Place, Sizes, places, slice};
@@ -15,7 +14,8 @@ use crate::policy::DecideError;
 const ROW_FLOATS: usize = size_of::<Row>() / size_of::<f32>();
 
 /// A matrix of int8 weights with its steps and its bias: offsets into the weights, in floats.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
 pub struct Int8Layer {
     /// Inputs.
     pub inputs: u16,

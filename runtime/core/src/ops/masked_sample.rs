@@ -1,6 +1,6 @@
 //! The drawn choice among the available actions.
 
-use serde::{Deserialize, Serialize};
+use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::operator::Operator;
 use super::team::Team;
@@ -9,7 +9,8 @@ use crate::kernels::Kernels;
 use crate::policy::{DecideError, Observation};
 
 /// A draw ([`crate::choose::masked_sample`]); its input is the program's logits `[U]`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
 pub struct MaskedSample {
     /// The logits, as many as there are actions.
     pub from: Place,

@@ -1,6 +1,6 @@
 //! The mean of some rows.
 
-use serde::{Deserialize, Serialize};
+use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::operator::Operator;
 use super::{LAYOUT_TILES, Place, Scratch, Sizes, places};
@@ -9,7 +9,8 @@ use crate::kernels::product::padded;
 use crate::policy::{DecideError, Observation};
 
 /// Which rows a mean is taken over.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(u16)]
 #[non_exhaustive]
 pub enum Members {
     /// All present entities.
@@ -19,7 +20,8 @@ pub enum Members {
 }
 
 /// The mean of the rows of some entities; zeros where there is none.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
 pub struct MeanRows {
     /// The rows, `[n_max, padded width]` or longer.
     pub rows: Place,

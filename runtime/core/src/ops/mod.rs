@@ -1,6 +1,6 @@
 //! The macro-operators of a plan, one file each: what they need, how they are checked, what they compute.
 //!
-//! An operator names its places in the weights and in the arena as offsets in floats. [`Op::check`] proves once,
+//! An operator names its places in the weights and in the arena as offsets in floats. [`OpRef::check`] proves once,
 //! at load, that all of them lie inside and that what is written is not read by the same step; execution then
 //! only takes slices that exist, and still answers with an error where one does not.
 
@@ -25,7 +25,7 @@ mod set;
 mod table;
 pub(crate) mod team;
 
-use serde::{Deserialize, Serialize};
+use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 pub use attend_all::AttendAll;
 pub use attend_own::AttendOwn;
@@ -46,7 +46,7 @@ pub use proposals::{
     EmbedTasks, PointerLogits, ProposalNetwork, RowAttention, ScoreAllocations, Vectors,
 };
 pub use set::{AllOperators, FeedForward, Int8FeedForward};
-pub use table::{Op, OpKind, OperatorSet};
+pub use table::{Op, OpKind, OpRef, OperatorSet};
 
 use crate::entity_mask::EntityMask;
 use crate::kernels::mark::{MARKED, Marks};
@@ -103,8 +103,32 @@ impl Sizes {
     }
 }
 
+/// Yes or no, as a plan holds it: in a word of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(u32)]
+pub enum Flag {
+    /// It is not so.
+    No,
+    /// It is so.
+    Yes,
+}
+
+impl Flag {
+    /// Whether it is so.
+    pub const fn is_set(self) -> bool {
+        matches!(self, Self::Yes)
+    }
+}
+
+impl From<bool> for Flag {
+    fn from(set: bool) -> Self {
+        if set { Self::Yes } else { Self::No }
+    }
+}
+
 /// A range of the arena, in floats.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
 pub struct Place {
     /// First float.
     pub offset: u32,
@@ -132,7 +156,8 @@ impl Place {
 }
 
 /// A matrix with bias: offsets into the weights, sizes as the network means them, before padding.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
 pub struct Linear {
     /// Inputs.
     pub inputs: u16,

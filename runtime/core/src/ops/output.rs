@@ -1,6 +1,6 @@
 //! What the caller reads of a network over all entities.
 
-use serde::{Deserialize, Serialize};
+use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::operator::Operator;
 use super::{LAYOUT_TILES, Place, Scratch, Sizes, place};
@@ -11,42 +11,49 @@ use crate::math::all_finite;
 use crate::policy::{DecideError, Observation};
 
 /// What the rows of an output stand for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(u16)]
 #[non_exhaustive]
 pub enum OutputRows {
     /// One row.
     One,
     /// A row for every entity; those of absent ones are zeros.
     Entities,
-    /// A row for every one of so many groups.
-    Groups(u16),
+    /// A row for every group.
+    Groups,
 }
 
 /// One output of a network that has several; outputs come in the order of the source graph.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
 pub struct Output {
     /// The values; a row is padded.
     pub from: Place,
     /// Floats of a row, without padding.
-    pub width: u16,
+    pub width: u32,
     /// What the rows stand for.
     pub rows: OutputRows,
+    /// Number of groups, 0 where rows stand for something else.
+    pub groups: u16,
 }
 
 impl Operator for Output {
     const LAYOUT: Option<u32> = Some(LAYOUT_TILES);
 
     fn check(&self, sizes: &Sizes) -> bool {
-        let padded = padded(usize::from(self.width));
+        if self.width == 0 || self.width > u32::from(u16::MAX) {
+            return false;
+        }
+        let padded = padded(self.width as usize);
         let fits = match self.rows {
             OutputRows::One => self.from.len as usize == padded,
             OutputRows::Entities => sizes.holds_rows(&self.from, padded),
-            OutputRows::Groups(groups) => {
-                usize::from(groups) <= limits::TASKS
-                    && self.from.len as usize == usize::from(groups) * padded
+            OutputRows::Groups => {
+                usize::from(self.groups) <= limits::TASKS
+                    && self.from.len as usize == usize::from(self.groups) * padded
             }
         };
-        self.width > 0 && fits && sizes.holds(&self.from)
+        fits && sizes.holds(&self.from)
     }
 
     fn multiply_adds(&self, _: u64) -> u64 {
@@ -69,10 +76,10 @@ impl Operator for Output {
 impl Output {
     /// Copies the values out, padding left behind.
     pub(crate) fn read(&self, scratch: &Scratch<'_>, to: &mut [f32]) -> Result<(), DecideError> {
-        let width = usize::from(self.width);
+        let width = self.width as usize;
         let rows = place(scratch.floats, &self.from)?.chunks_exact(padded(width));
         match self.rows {
-            OutputRows::One | OutputRows::Groups(_) => {
+            OutputRows::One | OutputRows::Groups => {
                 if to.len() != width * rows.len() {
                     return Err(DecideError::BadLength);
                 }

@@ -1,6 +1,6 @@
 //! The table of operators, from which all that is said of each comes.
 
-use serde::{Deserialize, Serialize};
+use zerocopy::{IntoBytes, TryFromBytes};
 
 use super::operator::Operator;
 use super::team::Team;
@@ -45,14 +45,21 @@ pub(crate) const fn has<S: OperatorSet>(kind: OpKind) -> bool {
     false
 }
 
-/// Makes [`Op`] and [`OpKind`] of operators, whose order is that of their numbers in a plan.
+/// Makes [`Op`], [`OpRef`] and [`OpKind`] of operators, whose order is that of their numbers in a plan.
 macro_rules! operators {
     ($($(#[$doc:meta])* $kind:ident,)*) => {
-        /// One step of a program.
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+        /// One operator, of which compilers build programs.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         #[non_exhaustive]
         pub enum Op {
             $($(#[$doc])* $kind($kind),)*
+        }
+
+        /// One operator, where it stands in a program.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[non_exhaustive]
+        pub enum OpRef<'a> {
+            $($(#[$doc])* $kind(&'a $kind),)*
         }
 
         /// The kinds of operators.
@@ -78,18 +85,48 @@ macro_rules! operators {
         }
 
         impl Op {
+            /// The operator, borrowed.
+            pub const fn borrow(&self) -> OpRef<'_> {
+                match self { $(Self::$kind(op) => OpRef::$kind(op),)* }
+            }
+        }
+
+        impl<'a> OpRef<'a> {
+            /// Reads the fields of an operator of the set `S` where they stand; `None` where there is no such operator,
+            /// or its fields are none.
+            #[inline(always)]
+            pub(crate) fn read<S: OperatorSet>(kind: u16, fields: &'a [u8]) -> Option<Self> {
+                $(if const { has::<S>(OpKind::$kind) } && kind == OpKind::$kind as u16 {
+                    return $kind::try_ref_from_bytes(fields).ok().map(Self::$kind);
+                })*
+                None
+            }
+
+            /// The fields as a plan holds them, whole words.
+            pub fn fields(self) -> &'a [u8] {
+                match self { $(Self::$kind(op) => op.as_bytes(),)* }
+            }
+
+            /// The operator by itself.
+            pub const fn to_op(self) -> Op {
+                match self { $(Self::$kind(op) => Op::$kind(*op),)* }
+            }
+
             /// The operator's kind.
-            pub const fn kind(&self) -> OpKind {
+            pub const fn kind(self) -> OpKind {
                 match self { $(Self::$kind(_) => OpKind::$kind,)* }
             }
 
             /// Whether every place lies inside and sizes agree.
-            pub fn check(&self, sizes: &Sizes) -> bool {
-                match self { $(Self::$kind(op) => op.check(sizes),)* }
+            pub(crate) fn check<S: OperatorSet>(self, sizes: &Sizes) -> bool {
+                match self {
+                    $(Self::$kind(op) if const { has::<S>(OpKind::$kind) } => op.check(sizes),)*
+                    _ => false,
+                }
             }
 
             /// Multiply-adds of one decision with `visible` entities, zeros not left out.
-            pub fn multiply_adds(&self, visible: usize) -> u64 {
+            pub fn multiply_adds(self, visible: usize) -> u64 {
                 // No plan takes more; so nothing overflows.
                 let visible = visible.min(limits::ENTITIES) as u64;
                 match self { $(Self::$kind(op) => op.multiply_adds(visible),)* }
@@ -98,7 +135,7 @@ macro_rules! operators {
             /// Runs the operator if it is of the set `S`; the code of others is not linked.
             #[inline(always)]
             pub(crate) fn run<S: OperatorSet>(
-                &self,
+                self,
                 kernels: impl Kernels,
                 weights: &[f32],
                 observation: &Observation<'_>,
@@ -115,14 +152,14 @@ macro_rules! operators {
 
             /// Whether the operator can work for a team, whose members' own places lie behind the first
             /// `shared` floats.
-            pub(crate) fn works_for_teams(&self, shared: u32) -> bool {
+            pub(crate) fn works_for_teams(self, shared: u32) -> bool {
                 match self { $(Self::$kind(op) => op.works_for_teams(shared),)* }
             }
 
             /// As [`Self::run`] for all members of a team, whose observations are of one frame.
             #[inline(always)]
             pub(crate) fn run_team<S: OperatorSet>(
-                &self,
+                self,
                 kernels: impl Kernels,
                 weights: &[f32],
                 observations: &[Observation<'_>],
@@ -185,16 +222,16 @@ impl OpKind {
     }
 }
 
-impl Op {
+impl OpRef<'_> {
     /// The operator's name, as reports show it.
-    pub const fn name(&self) -> &'static str {
+    pub const fn name(self) -> &'static str {
         self.kind().name()
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Linear, Place, RowAttention};
+    use super::super::{Flag, Linear, Place, RowAttention};
     use super::*;
 
     #[test]
@@ -202,8 +239,13 @@ mod tests {
         let place = Place { offset: 0, len: u32::MAX };
         let most = u16::MAX;
         let layer = Linear { inputs: most, outputs: most, weights: 0, bias: 0 };
-        let attention =
-            RowAttention { heads: most, query: layer, key: layer, value: layer, output: layer };
+        let attention = RowAttention {
+            heads: most.into(),
+            query: layer,
+            key: layer,
+            value: layer,
+            output: layer,
+        };
         let vectors = super::super::Vectors { weights: 0, count: most, width: most };
         let all = Op::AttendAll(AttendAll {
             rows: place,
@@ -213,7 +255,7 @@ mod tests {
             key: layer,
             value: layer,
             output: layer,
-            relu: true,
+            relu: Flag::Yes,
             queries: place,
             keys: place,
             values: place,
@@ -230,8 +272,8 @@ mod tests {
         });
         let matrix = 65_535 * 65_536_u64;
         let of_rows = |rows: u64| 4 * rows * matrix + 2 * rows * rows * 65_535;
-        assert_eq!(all.multiply_adds(2), of_rows(2));
-        assert_eq!(all.multiply_adds(usize::MAX), of_rows(limits::ENTITIES as u64));
-        assert_eq!(critic.multiply_adds(3), 3 * matrix + of_rows(3) + matrix);
+        assert_eq!(all.borrow().multiply_adds(2), of_rows(2));
+        assert_eq!(all.borrow().multiply_adds(usize::MAX), of_rows(limits::ENTITIES as u64));
+        assert_eq!(critic.borrow().multiply_adds(3), 3 * matrix + of_rows(3) + matrix);
     }
 }

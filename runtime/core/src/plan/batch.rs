@@ -15,7 +15,7 @@ use crate::kernels::build::Work;
 use crate::kernels::mark::Marks;
 use crate::limits;
 use crate::ops::team::{Member, TEAM, Team};
-use crate::ops::{Op, OperatorSet};
+use crate::ops::{OpRef, OperatorSet};
 use crate::policy::{DecideError, Decision, Observation};
 
 /// An agent's utilities in the arena, or why there are none.
@@ -93,11 +93,11 @@ impl<S: OperatorSet> Plan<'_, S> {
 
     /// Floats of memory in which several selections share what they have in common.
     pub fn shared_floats(&self) -> usize {
-        let floats = |op: &Op| match op {
-            Op::AttendOwn(op) => op.shared_floats(),
+        let floats = |op: OpRef<'_>| match op {
+            OpRef::AttendOwn(op) => op.shared_floats(),
             _ => 0,
         };
-        self.program.ops.iter().map(floats).max().unwrap_or(0)
+        self.program.ops().map(floats).max().unwrap_or(0)
     }
 
     fn run_batch(
@@ -170,12 +170,12 @@ impl<S: OperatorSet> Plan<'_, S> {
         answer: &mut dyn FnMut(usize, Computed<'_>),
     ) -> Result<(), DecideError> {
         let own_floats = self.program.own_floats().ok_or(DecideError::BadLength)? as usize;
-        let row_floats = (self.program.floats as usize).saturating_sub(own_floats);
+        let row_floats = (self.program.floats() as usize).saturating_sub(own_floats);
         let rest = arena.split_at_mut_checked(4 * row_floats);
         let (rows, rest) = rest.ok_or(DecideError::BadLength)?;
         let rest = rest.split_at_mut_checked(4 * own_floats * members.len());
         let (own, rest) = rest.ok_or(DecideError::BadLength)?;
-        let marks = rest.get_mut(..8 * self.program.nonzeros as usize);
+        let marks = rest.get_mut(..8 * self.program.nonzeros() as usize);
         let mut team = Team {
             rows: <[f32]>::mut_from_bytes(rows).map_err(|_| DecideError::BadLength)?,
             own: <[f32]>::mut_from_bytes(own).map_err(|_| DecideError::BadLength)?,
@@ -221,7 +221,7 @@ impl<S: OperatorSet> Work for TeamExecution<'_, '_, '_, S> {
 
     #[inline(always)]
     fn run(self, kernels: impl Kernels) -> Self::Output {
-        for op in &self.plan.program.ops {
+        for op in self.plan.program.ops() {
             op.run_team::<S>(kernels, self.plan.weights, self.observations, self.team)?;
         }
         Ok(())

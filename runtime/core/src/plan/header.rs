@@ -1,15 +1,12 @@
 //! The fixed first bytes of a plan.
 
-use serde::{Deserialize, Serialize};
-
 use super::error::PlanError;
 use crate::ops::{LAYOUT_INT8, LAYOUT_TILES};
 
 /// Bytes of the header.
 pub const HEADER_BYTES: usize = 128;
-/// The plan format of this build: major, minor. It reads the same major up to the same minor, and writes the
-/// lowest minor that has what the plan uses.
-pub const VERSION: (u16, u16) = (1, 3);
+/// The plan format of this build: major, minor. It reads the same major up to the same minor.
+pub const VERSION: (u16, u16) = (2, 0);
 /// Alignment of the weights inside a plan and of the arena, in bytes.
 pub const ALIGNMENT: usize = 64;
 
@@ -19,7 +16,8 @@ const ENDIAN_PROBE: u32 = 0x0102_0304;
 pub(super) const CRC_OFFSET: usize = 60;
 
 /// How a plan computes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "std", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum Profile {
@@ -167,7 +165,7 @@ impl Header {
         };
         put(&MAGIC);
         put(&VERSION.0.to_le_bytes());
-        put(&self.minor().to_le_bytes());
+        put(&VERSION.1.to_le_bytes());
         let sizes = [
             ENDIAN_PROBE,
             self.layout,
@@ -194,13 +192,6 @@ impl Header {
         put(&self.arena_bytes_per_agent.to_le_bytes());
         put(&[u8::from(self.skip)]);
         bytes
-    }
-
-    /// The lowest minor version that has what the plan uses.
-    fn minor(&self) -> u16 {
-        const SKIP: u16 = 3;
-        let skip = if self.skip { SKIP } else { 0 };
-        self.profile.minor().max(self.network.minor()).max(skip)
     }
 }
 
@@ -250,14 +241,6 @@ impl Profile {
         }
     }
 
-    /// The minor version that has the profile.
-    const fn minor(self) -> u16 {
-        match self {
-            Self::Exact | Self::Fused => 0,
-            Self::Int8 => 1,
-        }
-    }
-
     fn from_id(id: u8) -> Result<Self, PlanError> {
         match id {
             0 => Ok(Self::Exact),
@@ -286,14 +269,6 @@ impl Network {
             Self::TeamValue => 1,
             Self::Proposals => 2,
             Self::Entities => 5,
-        }
-    }
-
-    /// The minor version that has the network.
-    const fn minor(self) -> u16 {
-        match self {
-            Self::Agent | Self::TeamValue | Self::Entities => 0,
-            Self::Proposals => 2,
         }
     }
 

@@ -8,7 +8,7 @@
 /// use sortie_core::include_plan;
 /// use sortie_core::plan::{Aligned, Plan, arena_bytes};
 ///
-/// const PLAN: &[u8] = include_plan!("../../../../tests/golden/plans/agent-1.0.plan");
+/// const PLAN: &[u8] = include_plan!("../../../../tests/golden/plans/agent-2.0.plan");
 ///
 /// let arena = Aligned([0; arena_bytes(PLAN)]);
 /// Plan::load(PLAN)?.check_arena(&arena.0)?;

@@ -1,4 +1,4 @@
-//! Plans: a fixed header, a postcard program, raw aligned weights; used in place, checked once.
+//! Plans: a fixed header, a program of fixed records, raw aligned weights; used in place, checked once.
 //!
 //! [`Plan::load`] makes every check. After it a decision never allocates, blocks or panics; it fails only for
 //! the observation's sake ([`DecideError`]). Weights are never copied: they stay in the caller's bytes, be that
@@ -7,6 +7,8 @@
 #[cfg(any(test, feature = "std"))]
 mod aligned;
 mod batch;
+#[cfg(any(test, feature = "std"))]
+mod draft;
 mod error;
 mod header;
 mod in_place;
@@ -16,16 +18,16 @@ mod tests;
 
 #[cfg(any(test, feature = "std"))]
 pub use aligned::AlignedBytes;
+#[cfg(any(test, feature = "std"))]
+pub use draft::ProgramDraft;
 pub use error::{Part, PlanError};
 pub use header::{
     ALIGNMENT, Checksums, HEADER_BYTES, Header, Network, Profile, VERSION, arena_bytes,
 };
 pub use in_place::Aligned;
-pub use program::{OPS, Program};
+pub use program::{OPS, Ops, Program};
 
 pub use crate::ops::{LAYOUT_INT8, LAYOUT_TILES};
-
-use core::marker::PhantomData;
 
 use zerocopy::FromBytes;
 
@@ -48,11 +50,10 @@ use crate::policy::{DecideError, Decision, Observation};
 #[derive(Clone, Debug)]
 pub struct Plan<'a, S: OperatorSet = AllOperators> {
     header: Header,
-    program: Program,
+    program: Program<'a, S>,
     weights: &'a [f32],
     build: Build,
     sums: Sums,
-    operators: PhantomData<S>,
 }
 
 /// How products are added up. Only a build that has fused sums can say so.
@@ -103,16 +104,12 @@ impl<'a, S: OperatorSet> Plan<'a, S> {
         check_alignment(weights)?;
         let weights =
             <[f32]>::ref_from_bytes(weights).map_err(|_| PlanError::ShapeMismatch { op: 0 })?;
-        let (program, rest): (Program, _) =
-            postcard::take_from_bytes(program_bytes).map_err(|_| PlanError::UnknownOp)?;
-        check::<S>(&header, &program)?;
-        if !rest.is_empty() {
-            return Err(PlanError::ShapeMismatch { op: program.ops.len() });
-        }
+        let program = Program::read(program_bytes)?;
+        check(&header, &program)?;
         let build = Build::widest();
         let sums = Sums::of(header.profile, build)
             .ok_or(PlanError::WrongProfile { got: header.profile.id() })?;
-        Ok(Self { header, program, weights, build, sums, operators: PhantomData })
+        Ok(Self { header, program, weights, build, sums })
     }
 
     /// The same plan on another build of the kernels than the widest.
@@ -128,7 +125,7 @@ impl<'a, S: OperatorSet> Plan<'a, S> {
     }
 
     /// The program.
-    pub fn program(&self) -> &Program {
+    pub fn program(&self) -> &Program<'a, S> {
         &self.program
     }
 
@@ -287,7 +284,7 @@ impl<'a, S: OperatorSet> Plan<'a, S> {
         if observation.stride < self.header.features as usize {
             return Err(DecideError::BadLength);
         }
-        let float_bytes = 4 * self.program.floats as usize;
+        let float_bytes = 4 * self.program.floats() as usize;
         let arena = arena.get_mut(..self.arena_bytes()).ok_or(DecideError::BadLength)?;
         let (floats, list) =
             arena.split_at_mut_checked(float_bytes).ok_or(DecideError::BadLength)?;
@@ -331,7 +328,7 @@ impl<S: OperatorSet> Work for Execution<'_, '_, '_, S> {
         // Where no entity exists there is no row either, not even an agent's own.
         let skip =
             self.plan.header.network == Network::Entities && self.observation.visible.is_empty();
-        for op in self.plan.program.ops.iter().skip(usize::from(skip)) {
+        for op in self.plan.program.ops().skip(usize::from(skip)) {
             op.run::<S>(kernels, self.plan.weights, self.observation, self.scratch)?;
         }
         Ok(())
@@ -339,10 +336,10 @@ impl<S: OperatorSet> Work for Execution<'_, '_, '_, S> {
 }
 
 /// Checks that header and program agree, that parts do not overlap and that all sizes are ones that messages can express.
-fn check<S: OperatorSet>(header: &Header, program: &Program) -> Result<(), PlanError> {
+fn check<S: OperatorSet>(header: &Header, program: &Program<'_, S>) -> Result<(), PlanError> {
     let sizes = Sizes {
-        floats: program.floats,
-        nonzeros: program.nonzeros,
+        floats: program.floats(),
+        nonzeros: program.nonzeros(),
         weights: header.weights_len / 4,
         n_max: header.n_max,
         features: header.features,
@@ -358,11 +355,11 @@ fn check<S: OperatorSet>(header: &Header, program: &Program) -> Result<(), PlanE
         && within(header.actions, limits::ACTIONS)
         && within(header.features, limits::FEATURES)
         && u64::from(header.arena_bytes) == program.arena_bytes();
-    let mismatch = PlanError::ShapeMismatch { op: program.ops.len() };
+    let mismatch = program.mismatch();
     if !fits {
         return Err(mismatch);
     }
-    program.check::<S>(&sizes, header)?;
+    program.check(&sizes, header)?;
     // Plans of the first version say nothing about teams.
     let per_agent = 4 * u64::from(program.own_floats().unwrap_or(0));
     let fits_teams = [0, per_agent].contains(&u64::from(header.arena_bytes_per_agent));

@@ -1,28 +1,94 @@
-//! The program of a plan: what is computed, one operator after the other.
+//! The program of a plan: what is computed, one operator after the other, read where it stands.
+//!
+//! A program is the floats of the arena, the marks behind them, then a record for every operator: its number and the
+//! words of its fields, 16 bits each, then the fields as `repr(C)` lays them out. All of it is little-endian words.
 
-use heapless::Vec;
-use serde::{Deserialize, Serialize};
+use core::marker::PhantomData;
 
 use super::error::PlanError;
 use super::header::{Header, Network};
 use crate::ops::proposal_arena::arena_floats;
-use crate::ops::{Gru, Op, OperatorSet, Output, OutputRows, Place, ProposalNetwork, Sizes};
+use crate::ops::{
+    AllOperators, Gru, OpRef, OperatorSet, Output, OutputRows, Place, ProposalNetwork, Sizes,
+};
 
-/// Most operators of one program.
-pub const OPS: usize = 16;
+/// Most operators of one program, so that a check of each against all before it ends soon.
+pub const OPS: usize = 64;
+
+/// Bytes of a word, of which everything in a program is made.
+const WORD: usize = 4;
 
 /// The operators in order, and what the arena holds.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Program {
-    /// The operators; the first embeds entities, the last chooses the action or is an output.
-    pub ops: Vec<Op, OPS>,
-    /// Floats of the arena.
-    pub floats: u32,
-    /// Marks behind the floats, which say which of 64 inputs are not zero.
-    pub nonzeros: u32,
+#[derive(Clone, Copy, Debug)]
+pub struct Program<'a, S: OperatorSet = AllOperators> {
+    floats: u32,
+    nonzeros: u32,
+    records: &'a [u8],
+    operators: PhantomData<S>,
 }
 
-impl Program {
+/// The operators of a program, one after the other; ends where no further one can be read.
+#[derive(Clone, Debug)]
+pub struct Ops<'a, S> {
+    rest: &'a [u8],
+    operators: PhantomData<S>,
+}
+
+impl<'a, S: OperatorSet> Iterator for Ops<'a, S> {
+    type Item = OpRef<'a>;
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<OpRef<'a>> {
+        let (&[low, high, words, more_words], rest) = self.rest.split_first_chunk::<WORD>()?;
+        let bytes = WORD * usize::from(u16::from_le_bytes([words, more_words]));
+        let (fields, rest) = rest.split_at_checked(bytes)?;
+        let op = OpRef::read::<S>(u16::from_le_bytes([low, high]), fields)?;
+        self.rest = rest;
+        Some(op)
+    }
+}
+
+impl<'a, S: OperatorSet> Program<'a, S> {
+    /// Finds the operators of a program, which starts at a multiple of four bytes; whether they fit each other is
+    /// not checked.
+    ///
+    /// # Errors
+    /// `Misaligned`, `UnknownOp` where something is no operator of `S`, `ShapeMismatch` where there are more than
+    /// [`OPS`].
+    pub fn read(bytes: &'a [u8]) -> Result<Self, PlanError> {
+        let address = bytes.as_ptr().addr();
+        if !address.is_multiple_of(WORD) {
+            let got = address & address.wrapping_neg();
+            return Err(PlanError::Misaligned { need: WORD, got });
+        }
+        let (floats, rest) = bytes.split_first_chunk().ok_or(PlanError::UnknownOp)?;
+        let (nonzeros, records) = rest.split_first_chunk().ok_or(PlanError::UnknownOp)?;
+        let (floats, nonzeros) = (u32::from_le_bytes(*floats), u32::from_le_bytes(*nonzeros));
+        let program = Self { floats, nonzeros, records, operators: PhantomData };
+        let mut ops = program.ops();
+        let count = ops.by_ref().take(OPS + 1).count();
+        if count > OPS {
+            return Err(PlanError::ShapeMismatch { op: OPS });
+        }
+        ops.rest.is_empty().then_some(program).ok_or(PlanError::UnknownOp)
+    }
+
+    /// The operators; the first embeds entities, the last chooses the action or is an output.
+    #[inline(always)]
+    pub fn ops(&self) -> Ops<'a, S> {
+        Ops { rest: self.records, operators: PhantomData }
+    }
+
+    /// Floats of the arena.
+    pub fn floats(&self) -> u32 {
+        self.floats
+    }
+
+    /// Marks behind the floats, which say which of 64 inputs are not zero.
+    pub fn nonzeros(&self) -> u32 {
+        self.nonzeros
+    }
+
     /// Bytes of arena: floats, then marks of two words.
     pub fn arena_bytes(&self) -> u64 {
         4 * u64::from(self.floats) + 8 * u64::from(self.nonzeros)
@@ -31,51 +97,56 @@ impl Program {
     /// Floats of an agent's own places, behind the rows that a team shares; none where one agent is worked on
     /// after the other.
     pub fn own_floats(&self) -> Option<u32> {
-        let (rows, _) = self.ops.first().and_then(embedded)?;
+        let (rows, _) = self.ops().next().and_then(embedded)?;
         let shared = rows.len;
         let own = self.floats.checked_sub(shared).filter(|own| *own > 0)?;
-        self.ops.iter().all(|op| op.works_for_teams(shared)).then_some(own)
+        self.ops().all(|op| op.works_for_teams(shared)).then_some(own)
     }
 
     /// Where the utilities stand after the program ran.
     pub fn utilities(&self) -> Option<Place> {
-        match self.ops.last() {
-            Some(Op::MaskedArgmax(op)) => Some(op.from),
-            Some(Op::MaskedSample(op)) => Some(op.from),
+        match self.ops().last() {
+            Some(OpRef::MaskedArgmax(op)) => Some(op.from),
+            Some(OpRef::MaskedSample(op)) => Some(op.from),
             _ => None,
         }
     }
 
     /// Whether the utilities are logits to draw an action from.
     pub fn draws(&self) -> bool {
-        matches!(self.ops.last(), Some(Op::MaskedSample(_)))
+        matches!(self.ops().last(), Some(OpRef::MaskedSample(_)))
     }
 
     /// What the program remembers from one run to the next.
-    pub fn memory(&self) -> Option<&Gru> {
-        self.ops.iter().find_map(|op| match op {
-            Op::Gru(gru) => Some(gru),
+    pub fn memory(&self) -> Option<&'a Gru> {
+        self.ops().find_map(|op| match op {
+            OpRef::Gru(gru) => Some(gru),
             _ => None,
         })
     }
 
     /// Whether the layer behind the attention takes the own row as well.
     pub fn skips(&self) -> bool {
-        self.ops.iter().any(skips)
+        self.ops().any(skips)
     }
 
     /// What the caller of a network over all entities reads, in order.
-    pub fn outputs(&self) -> impl Iterator<Item = &Output> {
-        self.ops.iter().filter_map(|op| match op {
-            Op::Output(output) => Some(output),
+    pub fn outputs(&self) -> impl Iterator<Item = &'a Output> {
+        self.ops().filter_map(|op| match op {
+            OpRef::Output(output) => Some(output),
             _ => None,
         })
     }
 
     /// The network of an allocator that proposes.
     pub fn proposal_network(&self) -> Option<ProposalNetwork> {
-        match self.ops.as_slice() {
-            [Op::EmbedTasks(trunk), Op::PointerLogits(step), Op::ScoreAllocations(critic)] => {
+        let mut ops = self.ops();
+        match [ops.next()?, ops.next()?, ops.next()?] {
+            [
+                OpRef::EmbedTasks(trunk),
+                OpRef::PointerLogits(step),
+                OpRef::ScoreAllocations(critic),
+            ] if ops.next().is_none() => {
                 Some(ProposalNetwork { trunk: *trunk, step: *step, critic: *critic })
             }
             _ => None,
@@ -84,8 +155,8 @@ impl Program {
 
     /// Checks the operators of an allocator that proposes, and that the arena is at least as large as they need it.
     fn check_proposals(&self, sizes: &Sizes, header: &Header) -> Result<(), PlanError> {
-        for (index, op) in self.ops.iter().enumerate() {
-            if !(op.check(sizes) && op.kind().fits(header.layout)) {
+        for (index, op) in self.ops().enumerate() {
+            if !(op.check::<S>(sizes) && op.kind().fits(header.layout)) {
                 return Err(PlanError::ShapeMismatch { op: index });
             }
         }
@@ -95,93 +166,97 @@ impl Program {
                 && u64::from(self.floats) >= arena_floats(network, sizes.n_max as usize)
                 && (self.nonzeros, sizes.hidden) == (0, 0)
         });
-        network.map(drop).ok_or(PlanError::ShapeMismatch { op: self.ops.len() })
+        network.map(drop).ok_or_else(|| self.mismatch())
     }
 
     /// Checks every operator, that rows are embedded before anything reads them, and that the program ends as
     /// its network does: with one choice, or with outputs.
-    pub(super) fn check<S: OperatorSet>(
-        &self,
-        sizes: &Sizes,
-        header: &Header,
-    ) -> Result<(), PlanError> {
-        if !self.ops.iter().all(|op| S::OPERATORS.contains(&op.kind())) {
-            return Err(PlanError::UnknownOp);
-        }
+    pub(super) fn check(&self, sizes: &Sizes, header: &Header) -> Result<(), PlanError> {
         if header.network == Network::Proposals {
             return self.check_proposals(sizes, header);
         }
-        let is_end = |op: &Op| match header.network {
-            Network::Entities => matches!(op, Op::Output(_)),
+        let is_end = |op: OpRef<'_>| match header.network {
+            Network::Entities => matches!(op, OpRef::Output(_)),
             Network::Proposals => false,
             Network::Agent | Network::TeamValue => {
-                matches!(op, Op::MaskedArgmax(_) | Op::MaskedSample(_))
+                matches!(op, OpRef::MaskedArgmax(_) | OpRef::MaskedSample(_))
             }
         };
         let mut units = 0;
         let mut ends = 0;
-        for (index, op) in self.ops.iter().enumerate() {
+        for (index, op) in self.ops().enumerate() {
             let first = embedded(op).is_some() == (index == 0);
-            let is_choice = matches!(op, Op::MaskedArgmax(_) | Op::MaskedSample(_));
+            let is_choice = matches!(op, OpRef::MaskedArgmax(_) | OpRef::MaskedSample(_));
             let in_place = match op {
-                Op::MaskedArgmax(_) | Op::MaskedSample(_) | Op::Output(_) => is_end(op),
-                Op::EmbedTasks(_) | Op::PointerLogits(_) | Op::ScoreAllocations(_) => false,
+                OpRef::MaskedArgmax(_) | OpRef::MaskedSample(_) | OpRef::Output(_) => is_end(op),
+                OpRef::EmbedTasks(_) | OpRef::PointerLogits(_) | OpRef::ScoreAllocations(_) => {
+                    false
+                }
                 _ => ends == 0,
             };
-            units += u32::from(matches!(op, Op::Gru(_)));
+            units += u32::from(matches!(op, OpRef::Gru(_)));
             ends += u32::from(is_end(op));
             let alone = !is_choice || ends == 1;
             let fits = first && in_place && alone && units <= 1 && op.kind().fits(header.layout);
-            if !(fits && self.reads_written_rows(index, op) && op.check(sizes)) {
+            if !(fits && self.reads_written_rows(index, op) && op.check::<S>(sizes)) {
                 return Err(PlanError::ShapeMismatch { op: index });
             }
         }
-        let remembered = self.memory().map_or(0, |gru| u32::from(gru.size));
+        let remembered = self.memory().map_or(0, |gru| gru.size);
         // A network over all entities has no own row.
         let fits_skip =
             self.skips() == header.skip && !(header.skip && header.network == Network::Entities);
         if ends == 0 || remembered != sizes.hidden || !fits_skip {
-            return Err(PlanError::ShapeMismatch { op: self.ops.len() });
+            return Err(self.mismatch());
         }
         Ok(())
     }
 
+    /// Something about the program as a whole does not fit.
+    pub(super) fn mismatch(&self) -> PlanError {
+        PlanError::ShapeMismatch { op: self.ops().count() }
+    }
+
     /// Whether the rows that an operator reads are rows that an earlier one wrote.
-    fn reads_written_rows(&self, index: usize, op: &Op) -> bool {
+    fn reads_written_rows(&self, index: usize, op: OpRef<'_>) -> bool {
         let (place, width) = match op {
-            Op::AttendOwn(op) => (op.rows, op.width),
-            Op::Int8AttendOwn(op) => (op.rows, op.width),
-            Op::AttendAll(op) => (op.rows, op.width),
-            Op::MeanRows(op) => (op.rows, op.width),
-            Op::GroupSum(op) => (op.rows, op.width),
-            Op::Output(Output { from, width, rows: OutputRows::Entities }) => (*from, *width),
+            OpRef::AttendOwn(op) => (op.rows, op.width.into()),
+            OpRef::Int8AttendOwn(op) => (op.rows, op.width.into()),
+            OpRef::AttendAll(op) => (op.rows, op.width.into()),
+            OpRef::MeanRows(op) => (op.rows, op.width.into()),
+            OpRef::GroupSum(op) => (op.rows, op.width.into()),
+            OpRef::Output(Output { from, width, rows: OutputRows::Entities, .. }) => {
+                (*from, *width)
+            }
             _ => return true,
         };
-        let own = matches!(op, Op::AttendOwn(_) | Op::Int8AttendOwn(_));
-        self.ops.iter().take(index).any(|before| match before {
-            Op::EmbedEntities(_) | Op::Int8EmbedEntities(_) => {
+        let own = matches!(op, OpRef::AttendOwn(_) | OpRef::Int8AttendOwn(_));
+        self.ops().take(index).any(|before| match before {
+            OpRef::EmbedEntities(_) | OpRef::Int8EmbedEntities(_) => {
                 embedded(before) == Some((place, width))
             }
             // It writes no row for an agent that does not see itself.
-            Op::AttendAll(before) => !own && (before.to, before.output.outputs) == (place, width),
+            OpRef::AttendAll(before) => {
+                !own && (before.to, before.output.outputs.into()) == (place, width)
+            }
             _ => false,
         })
     }
 }
 
-fn skips(op: &Op) -> bool {
+fn skips(op: OpRef<'_>) -> bool {
     match op {
-        Op::AttendOwn(op) => op.skips(),
-        Op::Int8AttendOwn(op) => op.skips(),
+        OpRef::AttendOwn(op) => op.skips(),
+        OpRef::Int8AttendOwn(op) => op.skips(),
         _ => false,
     }
 }
 
 /// The rows that an operator embeds, and their width.
-fn embedded(op: &Op) -> Option<(Place, u16)> {
+fn embedded(op: OpRef<'_>) -> Option<(Place, u32)> {
     match op {
-        Op::EmbedEntities(op) => Some((op.rows, op.layer.outputs)),
-        Op::Int8EmbedEntities(op) => Some((op.rows, op.layer.outputs)),
+        OpRef::EmbedEntities(op) => Some((op.rows, op.layer.outputs.into())),
+        OpRef::Int8EmbedEntities(op) => Some((op.rows, op.layer.outputs.into())),
         _ => None,
     }
 }

@@ -9,12 +9,12 @@ use std::vec::Vec;
 
 use super::{
     ALIGNMENT, AlignedBytes, HEADER_BYTES, Header, Network, Plan, PlanError, Profile, Program,
-    checksums,
+    ProgramDraft, checksums,
 };
 use crate::kernels::build::Build;
 use crate::kernels::mark::MARKED;
 use crate::kernels::product::padded;
-use crate::ops::{AttendOwn, Dense, EmbedEntities, Linear, MaskedArgmax, Op, Place};
+use crate::ops::{AttendOwn, Dense, EmbedEntities, Flag, Linear, MaskedArgmax, Op, Place};
 use crate::policy::NO_ACTION;
 use crate::{DecideError, Decision, EntityMask, Observation};
 
@@ -109,12 +109,12 @@ fn plan(sizes: Sizes, profile: Profile, random: &mut Random) -> AlignedBytes {
     let mut build = Builder { random, weights: Vec::new(), floats: 0 };
     let rows = build.place((n_max + 1) * width);
     let last_actions = if sizes.last_action { actions } else { 0 };
-    let relu = build.random.below(2) == 0;
+    let relu = Flag::from(build.random.below(2) == 0);
     let attended = heads * padded(head) + skip;
     let embed = EmbedEntities {
         layer: build.layer(features + last_actions, width),
-        last_actions: last_actions as u16,
-        relu: true,
+        last_actions: last_actions as u32,
+        relu: Flag::Yes,
         rows,
     };
     let bound = 1.5 / (width as f32).sqrt();
@@ -137,15 +137,15 @@ fn plan(sizes: Sizes, profile: Profile, random: &mut Random) -> AlignedBytes {
     let (hidden, utilities) = (build.place(base), build.place(padded(actions)));
     let first = Dense {
         layer: build.layer(width, base),
-        relu: true,
+        relu: Flag::Yes,
         sparse_input: relu,
         from: attend.to,
         to: hidden,
     };
     let last = Dense {
         layer: build.layer(base, actions),
-        relu: false,
-        sparse_input: true,
+        relu: Flag::No,
+        sparse_input: Flag::Yes,
         from: hidden,
         to: utilities,
     };
@@ -158,17 +158,23 @@ fn plan(sizes: Sizes, profile: Profile, random: &mut Random) -> AlignedBytes {
         Op::MaskedArgmax(MaskedArgmax { from }),
     ];
     let inputs = (features + last_actions).max(width).max(base);
-    let program = Program {
-        ops: ops.into_iter().collect(),
+    let program = ProgramDraft {
+        ops: ops.to_vec(),
         floats: build.floats as u32,
         nonzeros: inputs.div_ceil(MARKED) as u32,
     };
     assemble(sizes, profile, &program, &build.weights)
 }
 
-fn assemble(sizes: Sizes, profile: Profile, program: &Program, weights: &[f32]) -> AlignedBytes {
-    let mut buffer = [0; 1024];
-    let program_bytes = postcard::to_slice(program, &mut buffer).unwrap();
+fn assemble(
+    sizes: Sizes,
+    profile: Profile,
+    program: &ProgramDraft,
+    weights: &[f32],
+) -> AlignedBytes {
+    let program_bytes = program.to_bytes();
+    let program_bytes = program_bytes.as_slice();
+    let program: Program<'_> = Program::read(program_bytes).unwrap();
     let weights: Vec<u8> = weights.iter().flat_map(|weight| weight.to_le_bytes()).collect();
     let offset = (HEADER_BYTES + program_bytes.len()).next_multiple_of(ALIGNMENT);
     let header = Header {

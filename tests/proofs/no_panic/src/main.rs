@@ -23,11 +23,11 @@ use sortie_core::{
 };
 use zerocopy::FromBytes;
 
-const AGENT: &[u8] = include_plan!("../../../golden/plans/agent-1.0.plan");
-const INT8: &[u8] = include_plan!("../../../golden/plans/agent-int8-1.1.plan");
-const TEAM_VALUE: &[u8] = include_plan!("../../../golden/plans/team-value-1.0.plan");
+const AGENT: &[u8] = include_plan!("../../../golden/plans/agent-2.0.plan");
+const INT8: &[u8] = include_plan!("../../../golden/plans/agent-int8-2.0.plan");
+const TEAM_VALUE: &[u8] = include_plan!("../../../golden/plans/team-value-2.0.plan");
 
-const PROPOSALS: &[u8] = include_plan!("../../../golden/plans/proposals-1.2.plan");
+const PROPOSALS: &[u8] = include_plan!("../../../golden/plans/proposals-2.0.plan");
 
 /// Whether all gave what it should.
 fn everything() -> bool {

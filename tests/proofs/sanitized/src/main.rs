@@ -12,9 +12,9 @@ use sortie_core::{
     AllocateError, AllocationState, Allocator, EntityMask, NO_ACTION, Observation, include_plan,
 };
 
-const AGENT: &[u8] = include_plan!("../../../golden/plans/agent-1.0.plan");
-const ODD_SIZES: &[u8] = include_plan!("../../../golden/plans/agent-odd-sizes-1.0.plan");
-const TEAM_VALUE: &[u8] = include_plan!("../../../golden/plans/team-value-1.0.plan");
+const AGENT: &[u8] = include_plan!("../../../golden/plans/agent-2.0.plan");
+const ODD_SIZES: &[u8] = include_plan!("../../../golden/plans/agent-odd-sizes-2.0.plan");
+const TEAM_VALUE: &[u8] = include_plan!("../../../golden/plans/team-value-2.0.plan");
 
 /// The same number everywhere.
 struct Constant(f32);

@@ -4,7 +4,7 @@ use sortie_bundle::OwnedObservation;
 use sortie_core::identity::fnv1a;
 use sortie_core::kernels::build::Build;
 use sortie_core::ops::Op;
-use sortie_core::plan::{AlignedBytes, Plan, PlanError};
+use sortie_core::plan::{AlignedBytes, Plan, PlanError, ProgramDraft};
 use sortie_core::{DecideError, EntityMask, NO_ACTION, PlanPolicy, Policy};
 
 use super::networks::{Random, Shape, ask_anything, plan, reference, run_forged, with_program};
@@ -272,7 +272,7 @@ fn forged_plans_never_panic_or_leave_their_arena() {
 fn a_program_without_its_ends_is_refused() {
     let good = Engine::small().bytes.as_slice().to_vec();
     let plan = AlignedBytes::copy_of(&good);
-    let program = Plan::load(plan.as_slice()).unwrap().program().clone();
+    let program = ProgramDraft::of(Plan::load(plan.as_slice()).unwrap().program());
     assert!(matches!(program.ops.first(), Some(Op::EmbedEntities(_))));
     let shortened = |skip: usize, take: usize| {
         let mut program = program.clone();

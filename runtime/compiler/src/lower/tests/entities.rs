@@ -2,7 +2,7 @@
 
 use sortie_core::kernels::build::Build;
 use sortie_core::ops::{Members, OutputRows};
-use sortie_core::plan::{AlignedBytes, Network, Plan, PlanError, Profile};
+use sortie_core::plan::{AlignedBytes, Network, Plan, PlanError, Profile, ProgramDraft};
 use sortie_core::{DecideError, Entities, EntityMask, PlanPolicy};
 
 use super::agent::bits;
@@ -82,7 +82,7 @@ impl Critic {
             max_error: 0.0,
             action_mismatch: 0.0,
         };
-        AlignedBytes::copy_of(&assemble(&program, &weights.to_bytes(), sizes, &origin))
+        AlignedBytes::copy_of(&assemble(&program, &weights.to_bytes(), sizes, &origin).unwrap())
     }
 
     /// The three outputs by the book.
@@ -253,11 +253,11 @@ fn forged_plans_never_panic_or_leave_their_arena() {
         let mut answers: Vec<Vec<f32>> = Vec::new();
         for output in plan.program().outputs() {
             let rows = match output.rows {
-                OutputRows::Groups(groups) => usize::from(groups),
+                OutputRows::Groups => usize::from(output.groups),
                 OutputRows::Entities => scene.groups.len(),
                 _ => 1,
             };
-            answers.push(vec![0.0; rows * usize::from(output.width)]);
+            answers.push(vec![0.0; rows * output.width as usize]);
         }
         let mut answers: Vec<&mut [f32]> = answers.iter_mut().map(Vec::as_mut_slice).collect();
         let mut arena = AlignedBytes::zeroed(plan.arena_bytes().min(1 << 20));
@@ -271,7 +271,7 @@ fn forged_plans_never_panic_or_leave_their_arena() {
 fn outputs_stand_at_the_end_and_rows_are_written_before_they_are_read() {
     let critic = Critic::random(&mut Random::new(50));
     let bytes = critic.plan();
-    let program = Plan::load(bytes.as_slice()).unwrap().program().clone();
+    let program = ProgramDraft::of(Plan::load(bytes.as_slice()).unwrap().program());
     let refused = |order: &[usize]| {
         let mut program = program.clone();
         program.ops = order.iter().map(|&index| program.ops[index]).collect();

@@ -2,7 +2,7 @@
 
 use sortie_bundle::OwnedObservation;
 use sortie_core::ops::Op;
-use sortie_core::plan::{AlignedBytes, Plan};
+use sortie_core::plan::{AlignedBytes, Plan, ProgramDraft};
 use sortie_core::{EntityMask, PlanPolicy, Policy};
 
 use super::agent::{SMALL, bits, small_observations};
@@ -109,7 +109,7 @@ fn forged_plans_are_refused_or_stay_inside_their_arena() {
 fn layers_that_read_what_they_write_are_refused() {
     let plan = int8_plan(&Random::new(1).layers(SMALL), SMALL);
     let loaded = AlignedBytes::copy_of(&plan);
-    let mut program = Plan::load(loaded.as_slice()).unwrap().program().clone();
+    let mut program = ProgramDraft::of(Plan::load(loaded.as_slice()).unwrap().program());
     for op in &mut program.ops {
         if let Op::Int8Dense(op) = op {
             op.to = op.from;

@@ -5,7 +5,8 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use sortie_bundle::OwnedObservation;
 use sortie_core::NO_ACTION;
 use sortie_core::plan::{
-    AlignedBytes, Checksums, HEADER_BYTES, Header, Network, Plan, Profile, Program, checksums,
+    AlignedBytes, Checksums, HEADER_BYTES, Header, Network, Plan, Profile, Program, ProgramDraft,
+    checksums,
 };
 
 use crate::lower::{AgentSizes, Choice, Origin, assemble, lower_agent, lower_agent_int8};
@@ -121,7 +122,7 @@ pub(crate) fn plan_that(choice: Choice, layers: &AgentLayers, shape: Shape) -> V
         max_error: 0.0,
         action_mismatch: 0.0,
     };
-    assemble(&program, &weights.to_bytes(), sizes, &origin)
+    assemble(&program, &weights.to_bytes(), sizes, &origin).unwrap()
 }
 
 /// The int8 plan of a random network.
@@ -138,7 +139,7 @@ pub(crate) fn int8_plan(layers: &AgentLayers, shape: Shape) -> Vec<u8> {
         max_error: 0.0,
         action_mismatch: 0.0,
     };
-    assemble(&program, &weights.bytes, sizes, &origin)
+    assemble(&program, &weights.bytes, sizes, &origin).unwrap()
 }
 
 /// The utilities of the plain form of the network, in f64. `state` is replaced by the new one.
@@ -254,10 +255,12 @@ pub(crate) fn forge(good: &[u8], change: impl FnOnce(&mut Vec<u8>)) -> Option<Al
 }
 
 /// The same plan with another program.
-pub(crate) fn with_program(good: &[u8], program: &Program) -> AlignedBytes {
-    let bytes = postcard::to_stdvec(program).unwrap();
+pub(crate) fn with_program(good: &[u8], program: &ProgramDraft) -> AlignedBytes {
+    let bytes = program.to_bytes();
+    let bytes = bytes.as_slice();
+    let program: Program<'_> = Program::read(bytes).unwrap();
     let forged = forge(good, |plan| {
-        plan[HEADER_BYTES..HEADER_BYTES + bytes.len()].copy_from_slice(&bytes);
+        plan[HEADER_BYTES..HEADER_BYTES + bytes.len()].copy_from_slice(bytes);
         plan[48..52].copy_from_slice(&(bytes.len() as u32).to_le_bytes());
         let per_agent = 4 * program.own_floats().unwrap_or(0);
         plan[120..124].copy_from_slice(&per_agent.to_le_bytes());

@@ -31,7 +31,7 @@ pub(crate) fn plan(layers: &ProposalLayers, n_max: usize, profile: Profile) -> A
         max_error: 0.0,
         action_mismatch: 0.0,
     };
-    AlignedBytes::copy_of(&assemble(&program, &weights.to_bytes(), sizes, &origin))
+    AlignedBytes::copy_of(&assemble(&program, &weights.to_bytes(), sizes, &origin).unwrap())
 }
 
 /// The columns `start..` of a matrix `[out, in]`, as many as `inputs`.

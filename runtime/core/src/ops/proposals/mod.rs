@@ -6,7 +6,7 @@
 
 pub(crate) mod arena;
 
-use serde::{Deserialize, Serialize};
+use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::operator::Operator;
 use super::{LAYOUT_TILES, Linear, Sizes, slice};
@@ -15,10 +15,11 @@ use crate::limits;
 use crate::policy::DecideError;
 
 /// The layers of attention among rows. Heads are padded among the outputs of query, key and value.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
 pub struct RowAttention {
     /// Heads.
-    pub heads: u16,
+    pub heads: u32,
     /// W_q, divided by the root of the head width.
     pub query: Linear,
     /// W_k.
@@ -38,7 +39,7 @@ impl RowAttention {
     /// Floats of one head, padded; never zero.
     #[inline(always)]
     pub(crate) fn head_width(&self) -> usize {
-        self.inner().checked_div(usize::from(self.heads)).unwrap_or(0).max(1)
+        self.inner().checked_div(self.heads as usize).unwrap_or(0).max(1)
     }
 
     /// Whether rows of `width` go in and come out.
@@ -55,7 +56,7 @@ impl RowAttention {
             && self.output.check(sizes)
             && self.output.outputs == width
             && head.is_multiple_of(8)
-            && head * usize::from(self.heads) == inner
+            && head * self.heads as usize == inner
     }
 
     /// Multiply-adds of `rows` that attend to each other.
@@ -67,7 +68,8 @@ impl RowAttention {
 }
 
 /// Vectors of weights, one behind the other, each padded.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
 pub struct Vectors {
     /// Where the first starts.
     pub weights: u32,
@@ -96,7 +98,8 @@ impl Vectors {
 }
 
 /// The trunk: embeds all entities, lets the rows of one subtask attend to each other, and sums them up.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
 pub struct EmbedTasks {
     /// d features to E; no ReLU follows, subtasks are added first.
     pub embed: Linear,
@@ -107,7 +110,8 @@ pub struct EmbedTasks {
 }
 
 /// The step: where an agent's pointer goes, and what its choice changes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
 pub struct PointerLogits {
     /// What a subtask's other entities, its agents, and no count at all add to its embedding `[3, E]`.
     pub counts: Vectors,
@@ -120,7 +124,8 @@ pub struct PointerLogits {
 }
 
 /// The critic: what a whole allocation is worth.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
 pub struct ScoreAllocations {
     /// d features to E; no ReLU follows, subtasks and counts are added first.
     pub embed: Linear,

@@ -5,11 +5,12 @@ use std::vec::Vec;
 use super::{Builder, Frame, Random, Sizes, alone, assemble};
 use crate::kernels::product::padded;
 use crate::ops::{
-    Int8AttendOwn, Int8Dense, Int8EmbedEntities, Int8Layer, MaskedArgmax, Op, Place,
+    Flag, Int8AttendOwn, Int8Dense, Int8EmbedEntities, Int8Layer, MaskedArgmax, Op, Place,
     quantised_floats,
 };
 use crate::plan::{
-    AlignedBytes, HEADER_BYTES, Header, LAYOUT_TILES, Plan, PlanError, Profile, Program, checksums,
+    AlignedBytes, HEADER_BYTES, Header, LAYOUT_TILES, Plan, PlanError, Profile, ProgramDraft,
+    checksums,
 };
 
 /// Columns of steps and biases.
@@ -41,7 +42,7 @@ pub(super) fn plan(sizes: Sizes, random: &mut Random) -> AlignedBytes {
     assemble(sizes, Profile::Int8, &program, &weights)
 }
 
-fn program(sizes: Sizes, random: &mut Random) -> (Program, Vec<f32>) {
+fn program(sizes: Sizes, random: &mut Random) -> (ProgramDraft, Vec<f32>) {
     let Sizes { n_max, features, actions, width, heads, base, skip, .. } = sizes;
     let head = padded(sizes.head);
     let mut build = Builder { random, weights: Vec::new(), floats: 0 };
@@ -49,8 +50,8 @@ fn program(sizes: Sizes, random: &mut Random) -> (Program, Vec<f32>) {
     let last_actions = if sizes.last_action { actions } else { 0 };
     let embed = Int8EmbedEntities {
         layer: build.int8_layer(features + last_actions, width),
-        last_actions: last_actions as u16,
-        relu: true,
+        last_actions: last_actions as u32,
+        relu: Flag::Yes,
         rows,
         quantised: build.place(quantised_floats(features + last_actions)),
     };
@@ -66,7 +67,7 @@ fn program(sizes: Sizes, random: &mut Random) -> (Program, Vec<f32>) {
         values,
         value_steps,
         output: build.int8_layer(heads * head + skip, width),
-        relu: build.random.below(2) == 0,
+        relu: (build.random.below(2) == 0).into(),
         query_place: build.place(heads * head),
         absorbed: build.place(width),
         scores: build.place(n_max),
@@ -77,7 +78,7 @@ fn program(sizes: Sizes, random: &mut Random) -> (Program, Vec<f32>) {
     };
     let mut dense = |inputs: usize, outputs: usize, relu: bool, from: Place| Int8Dense {
         layer: build.int8_layer(inputs, outputs),
-        relu,
+        relu: relu.into(),
         from,
         to: build.place(padded(outputs)),
         quantised: build.place(quantised_floats(inputs)),
@@ -93,7 +94,7 @@ fn program(sizes: Sizes, random: &mut Random) -> (Program, Vec<f32>) {
         Op::MaskedArgmax(MaskedArgmax { from }),
     ];
     let floats = build.floats as u32;
-    (Program { ops: ops.into_iter().collect(), floats, nonzeros: 0 }, build.weights)
+    (ProgramDraft { ops: ops.to_vec(), floats, nonzeros: 0 }, build.weights)
 }
 
 const SIZES: Sizes = Sizes {
