@@ -24,7 +24,16 @@ pub struct Program<'a, S: OperatorSet = AllOperators> {
     floats: u32,
     nonzeros: u32,
     records: &'a [u8],
+    found: Found<'a>,
     operators: PhantomData<S>,
+}
+
+/// What every decision asks a program for, found once.
+#[derive(Clone, Copy, Debug, Default)]
+struct Found<'a> {
+    own_floats: Option<u32>,
+    utilities: Option<Place>,
+    memory: Option<&'a Gru>,
 }
 
 /// The operators of a program, one after the other; ends where no further one can be read.
@@ -64,13 +73,18 @@ impl<'a, S: OperatorSet> Program<'a, S> {
         let (floats, rest) = bytes.split_first_chunk().ok_or(PlanError::UnknownOp)?;
         let (nonzeros, records) = rest.split_first_chunk().ok_or(PlanError::UnknownOp)?;
         let (floats, nonzeros) = (u32::from_le_bytes(*floats), u32::from_le_bytes(*nonzeros));
-        let program = Self { floats, nonzeros, records, operators: PhantomData };
+        let found = Found::default();
+        let mut program = Self { floats, nonzeros, records, found, operators: PhantomData };
         let mut ops = program.ops();
         let count = ops.by_ref().take(OPS + 1).count();
         if count > OPS {
             return Err(PlanError::ShapeMismatch { op: OPS });
         }
-        ops.rest.is_empty().then_some(program).ok_or(PlanError::UnknownOp)
+        if !ops.rest.is_empty() {
+            return Err(PlanError::UnknownOp);
+        }
+        program.found = program.find();
+        Ok(program)
     }
 
     /// The operators; the first embeds entities, the last chooses the action or is an output.
@@ -94,22 +108,33 @@ impl<'a, S: OperatorSet> Program<'a, S> {
         4 * u64::from(self.floats) + 8 * u64::from(self.nonzeros)
     }
 
+    fn find(&self) -> Found<'a> {
+        let rows = self.ops().next().and_then(embedded);
+        let own_floats = rows.and_then(|(rows, _)| {
+            let own = self.floats.checked_sub(rows.len).filter(|own| *own > 0)?;
+            self.ops().all(|op| op.works_for_teams(rows.len)).then_some(own)
+        });
+        let utilities = match self.ops().last() {
+            Some(OpRef::MaskedArgmax(op)) => Some(op.from),
+            Some(OpRef::MaskedSample(op)) => Some(op.from),
+            _ => None,
+        };
+        let memory = self.ops().find_map(|op| match op {
+            OpRef::Gru(gru) => Some(gru),
+            _ => None,
+        });
+        Found { own_floats, utilities, memory }
+    }
+
     /// Floats of an agent's own places, behind the rows that a team shares; none where one agent is worked on
     /// after the other.
     pub fn own_floats(&self) -> Option<u32> {
-        let (rows, _) = self.ops().next().and_then(embedded)?;
-        let shared = rows.len;
-        let own = self.floats.checked_sub(shared).filter(|own| *own > 0)?;
-        self.ops().all(|op| op.works_for_teams(shared)).then_some(own)
+        self.found.own_floats
     }
 
     /// Where the utilities stand after the program ran.
     pub fn utilities(&self) -> Option<Place> {
-        match self.ops().last() {
-            Some(OpRef::MaskedArgmax(op)) => Some(op.from),
-            Some(OpRef::MaskedSample(op)) => Some(op.from),
-            _ => None,
-        }
+        self.found.utilities
     }
 
     /// Whether the utilities are logits to draw an action from.
@@ -119,10 +144,7 @@ impl<'a, S: OperatorSet> Program<'a, S> {
 
     /// What the program remembers from one run to the next.
     pub fn memory(&self) -> Option<&'a Gru> {
-        self.ops().find_map(|op| match op {
-            OpRef::Gru(gru) => Some(gru),
-            _ => None,
-        })
+        self.found.memory
     }
 
     /// Whether the layer behind the attention takes the own row as well.
