@@ -1,5 +1,6 @@
 //! `sortie inspect`: the facts of a bundle, a plan, an ONNX file or a training run.
 
+mod onnx;
 mod run;
 
 use std::fs;
@@ -8,11 +9,12 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 use sortie_bundle::{AGENT, ALLOCATOR, Bundle, MANIFEST, Manifest, TRAINING, hex};
-use sortie_plans::{OnnxFacts, PlanFacts, inspect_plan};
+use sortie_plans::{OnnxFacts, PlanFacts, PolicyOptions, inspect_plan};
 
 use crate::compiler::compiler;
 use crate::deployment::open_bundle;
-use crate::failure::{Failure, Outcome};
+use crate::failure::{Exit, Failure, Outcome};
+use crate::foreign::PolicyArguments;
 use crate::options::Common;
 use crate::output::{Table, plural, print_json, say};
 
@@ -24,12 +26,16 @@ const PLAN_MAGIC: &[u8] = b"SORTIEPL";
 #[command(after_help = "Examples:
   sortie inspect models/save-the-city
   sortie inspect models/save-the-city/agent.onnx --json
+  sortie inspect walking.onnx --output actions
   sortie inspect runs/first")]
 pub(crate) struct InspectArguments {
     /// The folder of a bundle or of a training run, a plan, or an ONNX file
     file: PathBuf,
     #[command(flatten)]
     common: Common,
+    // Last: what follows would stand under its heading.
+    #[command(flatten)]
+    policy: PolicyArguments,
 }
 
 #[derive(Serialize)]
@@ -46,27 +52,50 @@ struct BundleFacts<'a> {
 }
 
 pub(crate) fn run(arguments: &InspectArguments) -> Outcome {
-    let path = &arguments.file;
-    if path.join(TRAINING).exists() && !path.join(MANIFEST).exists() {
-        return run::inspect(path, arguments.common.json);
-    }
-    if path.is_dir() || !path.exists() {
-        return inspect_bundle(path, arguments.common.json);
+    let (path, json) = (&arguments.file, arguments.common.json);
+    let is_run = path.join(TRAINING).exists() && !path.join(MANIFEST).exists();
+    if is_run || path.is_dir() || !path.exists() {
+        arguments.refuse_policy()?;
+        return if is_run { run::inspect(path, json) } else { inspect_bundle(path, json) };
     }
     let bytes = fs::read(path).map_err(|error| Failure::file(path, &error))?;
-    let within = |error| Failure::from(error).within(path.display());
     if bytes.starts_with(PLAN_MAGIC) {
-        let facts = inspect_plan(&bytes).map_err(within)?;
-        show(arguments.common.json, &facts, print_plan);
-    } else {
-        let facts = compiler().inspect_onnx(&bytes).map_err(within)?;
-        show(arguments.common.json, &facts, print_onnx);
+        arguments.refuse_policy()?;
+        let facts = inspect_plan(&bytes);
+        let facts = facts.map_err(|error| Failure::from(error).within(path.display()))?;
+        if json {
+            print_json(&facts)
+        } else {
+            print_plan(&facts)
+        }
+        return Ok(());
     }
-    Ok(())
+    inspect_onnx(arguments, &bytes)
 }
 
-fn show<F: Serialize>(json: bool, facts: &F, print: fn(&F)) {
-    if json { print_json(facts) } else { print(facts) }
+impl InspectArguments {
+    /// Refuses flags that only ONNX files have a use for.
+    fn refuse_policy(&self) -> Outcome {
+        if self.policy.options() == PolicyOptions::default() {
+            return Ok(());
+        }
+        let message = "inputs and outputs are named for ONNX files only: leave these flags out";
+        Err(Failure::new(Exit::Usage, message))
+    }
+}
+
+/// Shows a file; what must be said about it before it is a policy comes last.
+fn inspect_onnx(arguments: &InspectArguments, bytes: &[u8]) -> Outcome {
+    let within = |error| Failure::from(error).within(arguments.file.display());
+    let inspected = compiler().inspect(bytes, &arguments.policy.options()).map_err(within)?;
+    let (facts, policy) = (inspected.facts, inspected.policy.transpose());
+    let known = policy.as_ref().ok().and_then(Option::as_ref);
+    if arguments.common.json {
+        print_json(&onnx::Report::of(&facts, known));
+    } else {
+        onnx::print(&facts, known);
+    }
+    policy.map(|_| ()).map_err(within)
 }
 
 fn inspect_bundle(path: &Path, json: bool) -> Outcome {
@@ -148,33 +177,6 @@ fn print_plan(facts: &PlanFacts) {
     let mut operators = Table::of_text(&["operator", "sizes"]);
     for operator in &facts.operators {
         operators.row([operator.name.clone(), operator.detail.clone()]);
-    }
-    operators.print();
-}
-
-fn print_onnx(facts: &OnnxFacts) {
-    let mut table = self::facts();
-    let mut row = |name: &str, value: String| table.row([name.to_string(), value]);
-    row("producer", facts.producer.clone());
-    row("opset", facts.opset.to_string());
-    row("ir_version", facts.ir_version.to_string());
-    row("parameters", facts.parameters.to_string());
-    for (name, value) in &facts.metadata {
-        row(name, value.clone());
-    }
-    table.print();
-    say!();
-    let mut tensors = Table::of_text(&["tensor", "name", "shape"]);
-    for (kind, named) in [("input", &facts.inputs), ("output", &facts.outputs)] {
-        for (name, shape) in named {
-            tensors.row([kind.to_owned(), name.clone(), shape.clone()]);
-        }
-    }
-    tensors.print();
-    say!();
-    let mut operators = Table::new(&["operator", "count"]);
-    for (operator, count) in &facts.operators {
-        operators.row([operator.clone(), count.to_string()]);
     }
     operators.print();
 }

@@ -153,6 +153,7 @@ impl From<CompileError> for Failure {
         let exit = match &error {
             CompileError::Plan(PlanError::Version { .. }) => Exit::Mismatch,
             CompileError::Size { .. } => Exit::Mismatch,
+            error if error.asks() => Exit::Usage,
             CompileError::Differs { .. } => Exit::Bug,
             CompileError::NoCompiler { .. } => Exit::NotRunning,
             CompileError::NoProcess { .. } => Exit::InputOutput,

@@ -1,5 +1,6 @@
 //! `sortie verify`: do the plan, tract, onnxruntime and the recorded answers agree?
 
+mod recorded;
 mod verdict;
 
 use std::fs;
@@ -11,7 +12,7 @@ use sortie_bundle::{Bundle, Recording};
 use sortie_core::plan::{AlignedBytes, Network, PlanError, Profile};
 use sortie_plans::{
     BundlePlans, Comparison, CompileError, CompileOptions, Compiler, CompilerProcess, GraphEngine,
-    ObservationSizes, OnnxRuntimeEngine, ProposalFiles, TeamQuerySizes, agreement,
+    ObservationSizes, OnnxRuntimeEngine, PolicyOptions, ProposalFiles, TeamQuerySizes, agreement,
     compare_with_golden, compare_with_golden_allocations, inspect_plan, observation_families,
     random_allocation_states, random_entities, team_query_families,
 };
@@ -21,6 +22,7 @@ use crate::compiler::{compiler, plans};
 use crate::deployment::open_bundle;
 use crate::engines::engines;
 use crate::failure::{Exit, Failure, Outcome};
+use crate::foreign::PolicyArguments;
 use crate::observations::read_recording;
 use crate::onnxruntime::OnnxRuntimeArguments;
 use crate::options::Common;
@@ -40,7 +42,8 @@ use crate::progress;
   sortie verify models/save-the-city --inputs 10000
   sortie verify models/save-the-city --python venv/bin/python3
   sortie verify models/save-the-city --profile int8 --observations seen.bin
-  sortie verify agent.onnx --against tract")]
+  sortie verify agent.onnx --against tract
+  sortie verify walking.onnx --npz recorded.npz")]
 pub(crate) struct VerifyArguments {
     /// A bundle's folder or an ONNX file
     subject: PathBuf,
@@ -56,10 +59,17 @@ pub(crate) struct VerifyArguments {
     /// Observations of `sortie eval BUNDLE --dump FILE`, on which the plan is compared with the exact one
     #[arg(long, value_name = "FILE")]
     observations: Option<PathBuf>,
+    /// Recorded inputs `in__NAME` and answers `out__NAME` of a policy that is run by tract and onnxruntime: arrays that
+    /// `numpy.savez` saved, one case behind the other
+    #[arg(long, value_name = "FILE", conflicts_with = "observations")]
+    npz: Option<PathBuf>,
     #[command(flatten)]
     onnxruntime: OnnxRuntimeArguments,
     #[command(flatten)]
     common: Common,
+    // Last: what follows would stand under its heading.
+    #[command(flatten)]
+    policy: PolicyArguments,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -77,6 +87,9 @@ struct Report {
     engines: Vec<Compared>,
     /// Peers that were wanted but not found.
     not_compared: Vec<&'static str>,
+    /// What runs a policy that has no plan.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    engine: Option<&'static str>,
 }
 
 /// What one engine gave beside another, over all families and for each.
@@ -97,31 +110,35 @@ pub(crate) fn run(arguments: &VerifyArguments) -> Outcome {
     let report = compare(arguments)?;
     if arguments.common.json {
         print_json(&report);
+    } else if arguments.npz.is_some() {
+        verdict::print_recorded(&report);
     } else {
         verdict::print(&report);
     }
     match arguments.profile {
-        PlanProfile::Int8 => verdict::judge_actions(&report),
-        PlanProfile::Exact | PlanProfile::Fused => verdict::judge(&report.engines),
+        PlanProfile::Int8 if arguments.npz.is_none() => verdict::judge_actions(&report),
+        PlanProfile::Int8 | PlanProfile::Exact | PlanProfile::Fused => {
+            verdict::judge(&report.engines)
+        }
     }
 }
 
 fn compare(arguments: &VerifyArguments) -> Result<Report, Failure> {
     let subject = &arguments.subject;
-    let asked = |peer| arguments.against.contains(&peer);
-    let wanted = |peer| arguments.against.is_empty() || asked(peer);
-    let runtime = match wanted(Peer::Onnxruntime) {
-        false => None,
-        true if asked(Peer::Onnxruntime) => Some(arguments.onnxruntime.open()?),
-        true => arguments.onnxruntime.open_or_note("onnxruntime is not compared")?,
-    };
-    let mut judges: Vec<&dyn GraphEngine> = Vec::new();
-    if wanted(Peer::Tract) {
-        judges.push(engines()?.tract());
+    let (asked, wanted) = (|peer| arguments.asks_for(peer), |peer| arguments.wants(peer));
+    let judges = Judges::open(arguments)?;
+    if let Some(file) = &arguments.npz {
+        if subject.is_dir() || asked(Peer::Golden) {
+            let message = "`--npz` is for the ONNX file of a policy, which has no golden answers";
+            return Err(Failure::new(Exit::Usage, message));
+        }
+        return recorded::compare(arguments, file, &judges);
     }
-    if let Some(runtime) = runtime {
-        judges.push(runtime);
+    if arguments.policy.options() != PolicyOptions::default() {
+        let message = "what is said about a policy's inputs and outputs goes with `--npz FILE`";
+        return Err(Failure::new(Exit::Usage, message));
     }
+    let (not_compared, Judges { engines: judges, runtime, .. }) = (judges.missing(), judges);
     let mut engines = Vec::new();
     let spinner = progress::spinner(arguments.common);
     spinner.set_message("comparing the plans with their graphs");
@@ -158,8 +175,47 @@ fn compare(arguments: &VerifyArguments) -> Result<Report, Failure> {
         engines.extend(judged(arguments, &network, &judges)?);
     }
     spinner.finish_and_clear();
-    let missing = wanted(Peer::Onnxruntime) && runtime.is_none();
-    Ok(Report { engines, not_compared: missing.then_some("onnxruntime").into_iter().collect() })
+    Ok(Report { engines, not_compared, engine: None })
+}
+
+impl VerifyArguments {
+    /// Whether this peer is named.
+    fn asks_for(&self, peer: Peer) -> bool {
+        self.against.contains(&peer)
+    }
+
+    /// Whether this peer is named, or all are wanted.
+    fn wants(&self, peer: Peer) -> bool {
+        self.against.is_empty() || self.asks_for(peer)
+    }
+}
+
+/// The engines that are compared.
+struct Judges {
+    engines: Vec<&'static dyn GraphEngine>,
+    runtime: Option<&'static dyn OnnxRuntimeEngine>,
+    /// Whether onnxruntime is wanted.
+    wants_runtime: bool,
+}
+
+impl Judges {
+    fn open(arguments: &VerifyArguments) -> Result<Self, Failure> {
+        let wants_runtime = arguments.wants(Peer::Onnxruntime);
+        let runtime = match wants_runtime {
+            false => None,
+            true if arguments.asks_for(Peer::Onnxruntime) => Some(arguments.onnxruntime.open()?),
+            true => arguments.onnxruntime.open_or_note("onnxruntime is not compared")?,
+        };
+        let tract = if arguments.wants(Peer::Tract) { Some(engines()?.tract()) } else { None };
+        let engines = tract.into_iter().chain(runtime.map(|runtime| runtime as _)).collect();
+        Ok(Self { engines, runtime, wants_runtime })
+    }
+
+    /// The engines that were wanted but not found.
+    fn missing(&self) -> Vec<&'static str> {
+        let missing = self.wants_runtime && self.runtime.is_none();
+        missing.then_some("onnxruntime").into_iter().collect()
+    }
 }
 
 /// A plan that is judged, and the network that it was made from.

@@ -28,6 +28,27 @@ pub(super) fn print(report: &Report) {
     say!("{NOTE}");
 }
 
+pub(super) fn print_recorded(report: &Report) {
+    for engine in &report.engines {
+        say!("{}", engine.name);
+        let mut table = Table::new(&["  output", "cases", "error", "other"]);
+        for output in &engine.families {
+            table.row([
+                format!("  {}", output.name),
+                output.inputs.to_string(),
+                format!("{:.1e}", output.max_rel_error),
+                output.action_mismatches.to_string(),
+            ]);
+        }
+        table.print();
+        say!();
+    }
+    say!("error: the largest |a - b| / (1 + |b|); other: another action");
+    if let Some(engine) = report.engine {
+        say!("{engine}");
+    }
+}
+
 const HEADER: [&str; 7] =
     ["  family", "inputs", "error", "other", "refused", "one-sided", "swallowed"];
 

@@ -3,16 +3,17 @@
 use std::io::{self, Write};
 
 use sortie_plans::{
-    AttentionLayers, CompileError, ProposalFiles, Request, Rows, random_entities,
-    random_observations_of, random_team_queries_of, read_request,
+    AttentionLayers, CompileError, FlatPolicy, PolicyFacts, PolicyOptions, ProposalFiles, Request,
+    Rows, random_entities, random_observations_of, random_team_queries_of, read_request,
 };
 
 use crate::compile::{compile, compile_proposals};
 use crate::engine::TeamValueEngine;
+use crate::flat::FlatGraph;
 use crate::graph::{EntityRoles, Graph, Inputs, TeamRoles};
-use crate::inspect::inspect_onnx;
+use crate::inspect::inspect;
 use crate::matching::match_agent;
-use crate::tract::{TractEntities, TractPolicy, TractTeamValue};
+use crate::tract::{TractEntities, TractFlatPolicy, TractPolicy, TractTeamValue};
 
 /// Answers one request of a [`sortie_plans::CompilerProcess`], from standard input to standard output.
 ///
@@ -28,7 +29,8 @@ pub fn answer_compiler() -> io::Result<()> {
         Request::Rehearse { n_max, features } => {
             postcard::to_stdvec(&rehearse(&onnx, n_max, features))
         }
-        Request::Inspect => postcard::to_stdvec(&inspect_onnx(&onnx)),
+        Request::RehearsePolicy(options) => postcard::to_stdvec(&rehearse_policy(&onnx, &options)),
+        Request::Inspect(options) => postcard::to_stdvec(&inspect(&onnx, &options)),
         Request::Attention => postcard::to_stdvec(&attention_layers(&onnx)),
     };
     io::stdout().lock().write_all(&answer.map_err(io::Error::other)?)
@@ -76,13 +78,27 @@ fn rehearse(onnx: &[u8], n_max: usize, features: Option<usize>) -> Result<(), Co
     Ok(())
 }
 
+/// Runs a policy on zeros, its state fed back.
+fn rehearse_policy(onnx: &[u8], options: &PolicyOptions) -> Result<PolicyFacts, CompileError> {
+    const RUNS: usize = 4;
+    let mut policy = TractFlatPolicy::from_graph(FlatGraph::read(onnx, options)?)?;
+    let facts = policy.facts().clone();
+    let inputs: Vec<Vec<f32>> = facts.given().map(|input| vec![0.0; input.length()]).collect();
+    let inputs: Vec<&[f32]> = inputs.iter().map(Vec::as_slice).collect();
+    let mut states = vec![0.0; facts.state_length()];
+    for _ in 0..RUNS {
+        policy.run(&inputs, &mut states)?;
+    }
+    Ok(facts)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn errors_cross_the_process_boundary_as_they_are() {
-        let error = inspect_onnx(b"no network").map(|_| ()).unwrap_err();
+        let error = inspect(b"no network", &PolicyOptions::default()).map(|_| ()).unwrap_err();
         let bytes = postcard::to_stdvec(&error).unwrap();
         let crossed: CompileError = postcard::from_bytes(&bytes).unwrap();
         assert_eq!(format!("{error:?}"), format!("{crossed:?}"));

@@ -11,6 +11,7 @@
 mod answer;
 mod compile;
 mod engine;
+mod flat;
 mod graph;
 mod inspect;
 mod judge;
@@ -25,7 +26,7 @@ pub use compile::{
     compare_entities_with_graph, compare_proposals_with_graphs, compare_team_values_with_graph,
     compare_with_graph, compile, compile_proposals,
 };
-pub use inspect::inspect_onnx;
+pub use inspect::{inspect, inspect_onnx};
 pub use judge::{Judge, judge_agent, judge_team_values};
 pub use linked::{InProcess, LinkedEngines};
 pub use tract::{TractPolicy, TractTeamValue};

@@ -87,7 +87,11 @@ impl Comparison {
     pub fn add_on_scale(&mut self, largest: f32, got: &[f32], want: &[f32], same_action: bool) {
         let distance =
             got.iter().zip(want).map(|(got, want)| (got - want).abs()).fold(0.0, f32::max);
-        let error = distance / (1.0 + largest);
+        self.add_error(distance / (1.0 + largest), same_action);
+    }
+
+    /// Adds an input with its largest error.
+    pub fn add_error(&mut self, error: f32, same_action: bool) {
         if error > self.max_rel_error {
             (self.max_rel_error, self.worst_input) = (error, self.inputs);
         }

@@ -14,6 +14,7 @@ use crate::comparison::Comparison;
 use crate::error::CompileError;
 use crate::families::Family;
 use crate::observations::{OwnedEntities, OwnedTeamQuery};
+use crate::policy::{FlatPolicy, PolicyOptions};
 use crate::proposal_files::ProposalFiles;
 
 /// The engines of a program, and its compiler.
@@ -85,6 +86,16 @@ pub trait GraphEngine: Sync {
     /// # Errors
     /// The file cannot be read.
     fn team_value(&self, onnx: &[u8]) -> Result<Box<dyn TeamValueNetwork>, CompileError>;
+
+    /// A policy of which only what these options say is known.
+    ///
+    /// # Errors
+    /// The file cannot be read, or more must be said about it.
+    fn flat_policy(
+        &self,
+        onnx: &[u8],
+        options: &PolicyOptions,
+    ) -> Result<Box<dyn FlatPolicy>, CompileError>;
 
     /// Compares an agent's plan with its graph, a comparison for each family.
     ///

@@ -24,11 +24,46 @@ pub enum CompileError {
         "an agent network needs entities f32 [N, D], self_index i64 [1] and visible bool [N], with memory a state \
          f32 [R] that comes out too, a team-value network entities and relation f32 [N, _] and present, is_agent, in_task, open, team bool [N], \
          a network over all entities entities f32 [N, D], present bool [N] and, where needed, is_agent bool [N] and \
-         groups bool [N, T]; the file has {found}"
+         groups bool [N, T]; the file has {found}; policies of other kinds have no plan yet, but `sortie inspect` \
+         shows them and `sortie verify --npz` runs them"
     )]
     Inputs {
         /// The inputs of the file, with types and shapes.
         found: String,
+    },
+    /// A size is left open.
+    #[error("the size `{name}` of {values} is left open; fix it, as in `--size {name}=7`")]
+    OpenSize {
+        /// The size's name.
+        name: String,
+        /// The inputs that have it.
+        values: String,
+    },
+    /// More must be said about a policy's inputs or outputs.
+    #[error("{what} is not clear: {candidates}; write {flag}")]
+    Unclear {
+        /// What must be said.
+        what: Cow<'static, str>,
+        /// What it may be.
+        candidates: String,
+        /// The flag that says it.
+        flag: Cow<'static, str>,
+    },
+    /// A flag names what the file does not have.
+    #[error("the file has no {what} `{name}`, only {found}")]
+    NotInFile {
+        /// What is named.
+        what: Cow<'static, str>,
+        /// The name.
+        name: String,
+        /// The names that there are.
+        found: String,
+    },
+    /// Inputs or outputs that no policy has.
+    #[error("the file is no policy: {reason}")]
+    NoPolicy {
+        /// What is wrong.
+        reason: String,
     },
     /// An agent's network stands where an allocator's is needed, or the other way round.
     #[error("the file is not {want} network")]
@@ -167,6 +202,11 @@ pub enum CompileError {
 }
 
 impl CompileError {
+    /// Whether flags help: the file can be read, and more must be said about it.
+    pub fn asks(&self) -> bool {
+        matches!(self, Self::OpenSize { .. } | Self::Unclear { .. } | Self::NotInFile { .. })
+    }
+
     /// The error of a program that reads ONNX files and could not be started.
     pub fn not_started(program: PathBuf, error: &io::Error) -> Self {
         match error.kind() {

@@ -7,6 +7,7 @@ use sortie_bundle::hex;
 use sortie_core::plan::{AlignedBytes, Network, Plan};
 
 use crate::error::CompileError;
+use crate::policy::PolicyFacts;
 use crate::report::{OperatorReport, operators};
 
 /// What an ONNX file holds.
@@ -28,6 +29,15 @@ pub struct OnnxFacts {
     pub parameters: i64,
     /// Metadata entries.
     pub metadata: BTreeMap<String, String>,
+}
+
+/// What an ONNX file holds, and, where it is none of the networks that plans are made of, the policy that it may be.
+#[derive(Debug, Serialize, Deserialize)]
+pub struct InspectedOnnx {
+    /// What it holds.
+    pub facts: OnnxFacts,
+    /// The policy, or what must be said about the file before it is one; none for the networks that plans are made of.
+    pub policy: Option<Result<PolicyFacts, CompileError>>,
 }
 
 /// What a plan holds.

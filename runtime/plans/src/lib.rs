@@ -18,6 +18,7 @@ mod families;
 mod golden_allocations;
 mod layers;
 mod observations;
+mod policy;
 mod process;
 mod proof;
 mod proposal_files;
@@ -36,7 +37,7 @@ pub use engines::{
     OnnxRuntimeError,
 };
 pub use error::CompileError;
-pub use facts::{OnnxFacts, PlanFacts, inspect_plan};
+pub use facts::{InspectedOnnx, OnnxFacts, PlanFacts, inspect_plan};
 pub use families::{
     Family, ObservationSizes, Rows, Standard, TeamQuerySizes, observation_families,
     team_query_families,
@@ -46,6 +47,10 @@ pub use layers::{Layer, Matrix};
 pub use observations::{
     OwnedEntities, OwnedTeamQuery, random_allocation_states, random_entities, random_observations,
     random_observations_of, random_states, random_team_queries, random_team_queries_of,
+};
+pub use policy::{
+    FlatPolicy, InputRole, OutputRole, PolicyAnswer, PolicyFacts, PolicyInput, PolicyOptions,
+    PolicyOutput, PolicyState, ValueType,
 };
 pub use process::{CompilerProcess, ProcessLimits, Request, read_request};
 pub use proposal_files::ProposalFiles;

@@ -24,7 +24,8 @@ use crate::attention::AttentionLayers;
 use crate::bundle_plans::Compiler;
 use crate::ending::Ending;
 use crate::error::CompileError;
-use crate::facts::OnnxFacts;
+use crate::facts::{InspectedOnnx, OnnxFacts};
+use crate::policy::{PolicyFacts, PolicyOptions};
 use crate::proposal_files::ProposalFiles;
 use crate::report::{CompileOptions, Compiled};
 
@@ -46,7 +47,7 @@ impl Default for ProcessLimits {
 }
 
 /// What the process is asked for; the ONNX file follows.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum Request {
     /// A plan of one network.
     Compile(CompileOptions),
@@ -59,8 +60,10 @@ pub enum Request {
         /// Features of an entity; none for all columns.
         features: Option<usize>,
     },
+    /// A few runs of a policy.
+    RehearsePolicy(PolicyOptions),
     /// The file's facts.
-    Inspect,
+    Inspect(PolicyOptions),
     /// The layers that give an agent's attention.
     Attention,
 }
@@ -126,7 +129,25 @@ impl CompilerProcess {
 
     /// The facts of an ONNX file, whether or not it can be compiled.
     pub fn inspect_onnx(&self, onnx: &[u8]) -> Result<OnnxFacts, CompileError> {
-        self.ask(Request::Inspect, onnx)
+        self.inspect(onnx, &PolicyOptions::default()).map(|inspected| inspected.facts)
+    }
+
+    /// The facts of an ONNX file, and of the policy that it is if it is no network that plans are made of.
+    pub fn inspect(
+        &self,
+        onnx: &[u8],
+        options: &PolicyOptions,
+    ) -> Result<InspectedOnnx, CompileError> {
+        self.ask(Request::Inspect(options.clone()), onnx)
+    }
+
+    /// Has a policy read and run a few times, as [`Self::rehearse`] has a network.
+    pub fn rehearse_policy(
+        &self,
+        onnx: &[u8],
+        options: &PolicyOptions,
+    ) -> Result<PolicyFacts, CompileError> {
+        self.ask(Request::RehearsePolicy(options.clone()), onnx)
     }
 
     /// The layers that give the attention of an agent's network.

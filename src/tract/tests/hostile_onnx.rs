@@ -15,11 +15,14 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use sortie_compiler::compile;
 use sortie_plans::{
-    CompileError, CompileOptions, Compiler, CompilerProcess, Ending, ProcessLimits,
+    CompileError, CompileOptions, Compiler, CompilerProcess, Ending, PolicyOptions, ProcessLimits,
 };
 
 /// Changes to every file that each run of the tests tries.
 const SEEDS: u64 = 300;
+
+/// The same for every policy that others exported.
+const POLICY_SEEDS: u64 = 60;
 
 const FILES: [&str; 7] = [
     "agent_small",
@@ -150,6 +153,20 @@ fn damaged_files_are_compiled_or_refused_with_a_reason() {
     println!("{:?}", kinds.into_inner().unwrap());
     let wrong = wrong.into_inner().unwrap();
     assert!(wrong.is_empty(), "{} files: {wrong:#?}", wrong.len());
+}
+
+#[test]
+fn damaged_policies_are_run_or_refused_with_a_reason() {
+    for name in ["sb3_dqn.dynamo", "sb3_maskable_ppo.classic"] {
+        let good = read(format!("tests/golden/onnx-foreign/{name}.onnx"));
+        for seed in 0..POLICY_SEEDS {
+            let options = PolicyOptions::default();
+            let Err(error) = compiler().rehearse_policy(&damaged(seed, &good), &options) else {
+                continue;
+            };
+            assert!(is_contained(&error), "{name} with seed {seed}: {error}");
+        }
+    }
 }
 
 #[test]

@@ -9,17 +9,19 @@ use sortie_bundle::{OwnedAllocationState, OwnedObservation};
 use sortie_core::Policy;
 use sortie_core::allocate::TeamValueNetwork;
 use sortie_plans::{
-    Comparison, CompileError, CompileOptions, Compiled, Compiler, Engines, Family, GraphEngine,
-    OnnxRuntimeEngine, OnnxRuntimeError, OwnedEntities, OwnedTeamQuery, ProposalFiles,
+    Comparison, CompileError, CompileOptions, Compiled, Compiler, Engines, Family, FlatPolicy,
+    GraphEngine, OnnxRuntimeEngine, OnnxRuntimeError, OwnedEntities, OwnedTeamQuery, PolicyOptions,
+    ProposalFiles,
 };
 
 use crate::answer::answer_compiler;
 use crate::compile::{
     compare_entities_with_graph, compare_proposals_with_graphs, compile, compile_proposals,
 };
+use crate::flat::FlatGraph;
 use crate::judge::{Judge, judge_agent, judge_team_values};
 use crate::onnxruntime::{OnnxRuntime, find_library};
-use crate::tract::{TractPolicy, TractTeamValue};
+use crate::tract::{TractFlatPolicy, TractPolicy, TractTeamValue};
 
 /// tract's version, as the lock file pins it.
 const TRACT_VERSION: &str = "0.23.9";
@@ -104,6 +106,15 @@ impl GraphEngine for Tract {
 
     fn team_value(&self, onnx: &[u8]) -> Result<Box<dyn TeamValueNetwork>, CompileError> {
         Ok(Box::new(TractTeamValue::new(onnx)?))
+    }
+
+    fn flat_policy(
+        &self,
+        onnx: &[u8],
+        options: &PolicyOptions,
+    ) -> Result<Box<dyn FlatPolicy>, CompileError> {
+        let graph = FlatGraph::read(onnx, options)?;
+        Ok(Box::new(TractFlatPolicy::from_graph(graph)?))
     }
 
     fn judge_agent(

@@ -5,14 +5,15 @@ use sortie_core::allocate::proposals::Draw;
 use sortie_core::allocate::{TeamQuery, TeamValueNetwork};
 use sortie_core::{AllocateError, AllocationState, DecideError, Observation, Policy};
 use sortie_plans::{
-    BatchedUtilities, BatchedValues, Comparison, CompileError, DrawnProposals, Family, GraphEngine,
-    OnnxRuntimeEngine, OwnedTeamQuery, ProposalFiles,
+    BatchedUtilities, BatchedValues, Comparison, CompileError, DrawnProposals, Family, FlatPolicy,
+    GraphEngine, OnnxRuntimeEngine, OwnedTeamQuery, PolicyOptions, ProposalFiles,
 };
 
+use crate::flat::FlatGraph;
 use crate::judge::{Judge, judge_agent, judge_team_values};
 use crate::onnxruntime::{
-    BatchedAgents, BatchedTeamValues, OnnxRuntime, OnnxRuntimePolicy, OnnxRuntimeProposals,
-    OnnxRuntimeTeamValue,
+    BatchedAgents, BatchedTeamValues, OnnxRuntime, OnnxRuntimeFlatPolicy, OnnxRuntimePolicy,
+    OnnxRuntimeProposals, OnnxRuntimeTeamValue,
 };
 
 impl GraphEngine for OnnxRuntime {
@@ -30,6 +31,15 @@ impl GraphEngine for OnnxRuntime {
 
     fn team_value(&self, onnx: &[u8]) -> Result<Box<dyn TeamValueNetwork>, CompileError> {
         Ok(Box::new(OnnxRuntimeTeamValue::new(self, onnx)?))
+    }
+
+    fn flat_policy(
+        &self,
+        onnx: &[u8],
+        options: &PolicyOptions,
+    ) -> Result<Box<dyn FlatPolicy>, CompileError> {
+        let graph = FlatGraph::read(onnx, options)?;
+        Ok(Box::new(OnnxRuntimeFlatPolicy::from_graph(self, graph)?))
     }
 
     fn judge_agent(

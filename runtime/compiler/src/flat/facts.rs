@@ -1,0 +1,222 @@
+//! What the inputs and outputs of a simplified graph are for.
+
+use sortie_plans::{
+    CompileError, InputRole, OutputRole, PolicyFacts, PolicyInput, PolicyOptions, PolicyOutput,
+    PolicyState, ValueType,
+};
+use tract_onnx::pb;
+use tract_onnx::prelude::*;
+
+use super::counts;
+use super::interface::other_values;
+use super::nodes::ArgMax;
+use super::outputs::role;
+use super::selection::Selection;
+use super::states::NONE;
+use super::values::{Value, listed, value_type};
+use crate::graph::guarded;
+
+/// The most numbers of one input or output.
+const MOST_NUMBERS: usize = 1 << 24;
+
+impl Selection {
+    pub(super) fn facts(
+        &self,
+        file: &pb::ModelProto,
+        model: &TypedModel,
+        options: &PolicyOptions,
+    ) -> Result<PolicyFacts, CompileError> {
+        let graph = file.graph.clone().unwrap_or_default();
+        let inputs = graph.input.iter().map(|input| &input.name).zip(&model.inputs);
+        let inputs = inputs.map(|(name, outlet)| typed(model, name, *outlet));
+        let inputs: Vec<Value> = inputs.collect::<Result<_, _>>()?;
+        let outputs = graph.output.iter().map(|output| &output.name).zip(&model.outputs);
+        let outputs = outputs.map(|(name, outlet)| typed(model, name, *outlet));
+        let outputs: Vec<Value> = outputs.collect::<Result<_, _>>()?;
+        let outputs = self.output_facts(&inputs, &outputs)?;
+        let states = self.state_facts(&inputs, &outputs)?;
+        let inputs = self.input_facts(inputs, &outputs, options.available.as_deref())?;
+        let stored = graph.initializer.iter().map(|tensor| {
+            let sizes = tensor.dims.iter().map(|size| u64::try_from(*size).unwrap_or(0));
+            sizes.fold(1, u64::saturating_mul)
+        });
+        Ok(PolicyFacts {
+            inputs,
+            outputs,
+            states,
+            operators: counts::operators(model),
+            parameters: stored.fold(0, u64::saturating_add),
+            multiply_adds: guarded(|| Ok(counts::multiply_adds(model))).unwrap_or_default(),
+        })
+    }
+
+    fn output_facts(
+        &self,
+        inputs: &[Value],
+        outputs: &[Value],
+    ) -> Result<Vec<PolicyOutput>, CompileError> {
+        let masks: Vec<&Value> = inputs.iter().filter(|input| is_mask(input)).collect();
+        let mut facts = Vec::new();
+        for ((place, wanted), choice) in self.wanted.iter().enumerate().zip(&self.choices) {
+            let output = outputs.get(place).ok_or_else(other_values)?;
+            let choice_of = choice.as_ref().and_then(|choice| {
+                let scores = outputs.iter().find(|output| output.name == choice.scores)?;
+                let shape = scores.shape.as_ref()?;
+                shape.get(axis_of(choice.axis, shape.len())?).copied()
+            });
+            facts.push(output_fact(output, role(output, wanted.said, choice_of, &masks))?);
+        }
+        let states = outputs.iter().skip(self.wanted.len()).take(self.states.len());
+        for output in states {
+            facts.push(output_fact(output, OutputRole::State)?);
+        }
+        Ok(facts)
+    }
+
+    fn state_facts(
+        &self,
+        inputs: &[Value],
+        outputs: &[PolicyOutput],
+    ) -> Result<Vec<PolicyState>, CompileError> {
+        let mut states = Vec::new();
+        for pair in &self.states {
+            let input =
+                inputs.iter().find(|input| input.name == pair.input).ok_or_else(other_values)?;
+            let output = outputs.iter().find(|output| output.name == pair.output);
+            let output = output.ok_or_else(other_values)?;
+            let length = input.shape.iter().flatten().product();
+            if length != output.length() {
+                return Err(CompileError::NoPolicy {
+                    reason: format!(
+                        "{input} cannot be the state that comes back as `{}` {:?}",
+                        output.name, output.shape
+                    ),
+                });
+            }
+            let (input, output) = (pair.input.clone(), pair.output.clone());
+            states.push(PolicyState { input, output, length });
+        }
+        Ok(states)
+    }
+
+    fn input_facts(
+        &self,
+        inputs: Vec<Value>,
+        outputs: &[PolicyOutput],
+        asked: Option<&str>,
+    ) -> Result<Vec<PolicyInput>, CompileError> {
+        let available = self.available(&inputs, outputs, asked)?;
+        let mut facts = Vec::new();
+        for input in inputs {
+            let role = match &input {
+                _ if self.states.iter().any(|pair| pair.input == input.name) => InputRole::State,
+                _ if available.as_ref() == Some(&input.name) => InputRole::Available,
+                _ if input.is_float() => InputRole::Observation,
+                _ => InputRole::Extra,
+            };
+            let (kind, shape) = known(&input)?;
+            facts.push(PolicyInput { name: input.name, kind, shape, role });
+        }
+        if !facts.iter().any(|input| input.role == InputRole::Observation) {
+            let found = listed(facts.iter().map(|input| {
+                format!("`{}` {} ({})", input.name, input.kind.name(), input.role.name())
+            }));
+            let reason = format!("it needs an observation, an input of floats, and has {found}");
+            return Err(CompileError::NoPolicy { reason });
+        }
+        Ok(facts)
+    }
+
+    /// The mask of available actions: as long as there are actions.
+    fn available(
+        &self,
+        inputs: &[Value],
+        outputs: &[PolicyOutput],
+        asked: Option<&str>,
+    ) -> Result<Option<String>, CompileError> {
+        let actions: Vec<usize> = outputs
+            .iter()
+            .filter_map(|output| match output.role {
+                OutputRole::Discrete(actions) => Some(actions),
+                _ => None,
+            })
+            .collect();
+        let fits = |input: &&Value| {
+            is_mask(input) && input.last_size().is_some_and(|n| actions.contains(&n))
+        };
+        let masks: Vec<&Value> = inputs.iter().filter(fits).collect();
+        match (asked, masks.as_slice()) {
+            (Some(NONE), _) | (None, []) => Ok(None),
+            (None, [one]) => Ok(Some(one.name.clone())),
+            (Some(name), masks) if masks.iter().any(|mask| mask.name == name) => {
+                Ok(Some(name.to_owned()))
+            }
+            (Some(name), masks) => Err(CompileError::NotInFile {
+                what: "mask of available actions".into(),
+                name: name.to_owned(),
+                found: listed(masks.iter().map(ToString::to_string)),
+            }),
+            (None, several) => Err(CompileError::Unclear {
+                what: "which input says what actions are available".into(),
+                candidates: listed(several.iter().map(ToString::to_string)),
+                flag: "`--available NAME` or `--available none`".into(),
+            }),
+        }
+    }
+
+    /// The places of scores among the cut file's outputs, where the choice is along their last axis.
+    pub(super) fn scores(&self, outputs: &[String], model: &TypedModel) -> Vec<Option<usize>> {
+        let place = |choice: &Option<ArgMax>| {
+            let choice = choice.as_ref()?;
+            let place = outputs.iter().position(|name| *name == choice.scores)?;
+            let rank = model.outlet_fact(*model.outputs.get(place)?).ok()?.rank();
+            (axis_of(choice.axis, rank)? + 1 == rank).then_some(place)
+        };
+        self.choices.iter().map(place).collect()
+    }
+}
+
+fn is_mask(value: &Value) -> bool {
+    value.kind.is_some_and(ValueType::is_mask)
+}
+
+/// An axis that may count from the end.
+fn axis_of(axis: i64, rank: usize) -> Option<usize> {
+    let axis = if axis < 0 { axis.checked_add(i64::try_from(rank).ok()?)? } else { axis };
+    usize::try_from(axis).ok().filter(|axis| *axis < rank)
+}
+
+/// An input or output of the simplified graph.
+fn typed(model: &TypedModel, name: &str, outlet: OutletId) -> Result<Value, CompileError> {
+    let fact = model
+        .outlet_fact(outlet)
+        .map_err(|error| CompileError::Unreadable { reason: error.to_string() })?;
+    let shape = fact.shape.as_concrete().map(<[usize]>::to_vec);
+    let value = Value { name: name.to_owned(), kind: value_type(fact.datum_type), shape };
+    let all = value.shape.iter().flatten();
+    match all.copied().try_fold(1, usize::checked_mul).is_some_and(|all| all <= MOST_NUMBERS) {
+        true => Ok(value),
+        false => {
+            let reason = format!("{value} has more than {MOST_NUMBERS} numbers");
+            Err(CompileError::NoPolicy { reason })
+        }
+    }
+}
+
+fn output_fact(output: &Value, role: OutputRole) -> Result<PolicyOutput, CompileError> {
+    let (kind, shape) = known(output)?;
+    Ok(PolicyOutput { name: output.name.clone(), kind, shape, role })
+}
+
+/// The type and the sizes of what an engine is given or gives.
+fn known(value: &Value) -> Result<(ValueType, Vec<usize>), CompileError> {
+    match (value.kind, &value.shape) {
+        (Some(kind), Some(shape)) => Ok((kind, shape.clone())),
+        _ => {
+            let reason = format!(
+                "{value} must have fixed sizes and be one of f32, f64, i64, i32, u8 and bool"
+            );
+            Err(CompileError::NoPolicy { reason })
+        }
+    }
+}

@@ -1,0 +1,79 @@
+//! Policies whoever exported them: a file's wanted outputs, what they are computed from, and what is what in it.
+//!
+//! Everything is decided on the file itself. What the wanted outputs do not need is cut away before tract analyses it,
+//! and the same cut file is what engines run.
+
+mod counts;
+mod facts;
+mod interface;
+mod nodes;
+mod outputs;
+mod selection;
+mod sizes;
+mod states;
+#[cfg(test)]
+mod tests;
+mod values;
+
+use sortie_plans::{CompileError, PolicyOptions};
+use tract_onnx::pb;
+use tract_onnx::prelude::*;
+
+use crate::graph::guarded;
+pub(crate) use interface::Interface;
+use nodes::cut;
+use selection::Selection;
+use values::{Value, Values, reader};
+
+/// A policy, read.
+#[derive(Debug)]
+pub(crate) struct FlatGraph {
+    /// The part of the file that is needed, sizes fixed.
+    pub(crate) file: pb::ModelProto,
+    /// The same, simplified.
+    pub(crate) model: TypedModel,
+    pub(crate) interface: Interface,
+}
+
+impl FlatGraph {
+    /// Reads a file and finds what is what in it.
+    pub(crate) fn read(onnx: &[u8], options: &PolicyOptions) -> Result<Self, CompileError> {
+        let (file, values) = fixed(onnx, options)?;
+        let selection = Selection::of(&file, &values, options)?;
+        let outputs = selection.outputs();
+        let file = cut(&file, &outputs);
+        let read = || reader().model_for_proto_model(&file)?.into_typed()?.into_decluttered();
+        let model = guarded(read).map_err(|reason| CompileError::Unreadable { reason })?;
+        let facts = selection.facts(&file, &model, options)?;
+        let scores = selection.scores(&outputs, &model);
+        Ok(Self { file, model, interface: Interface { facts, outputs, scores } })
+    }
+}
+
+/// The inputs and outputs of a file with their types and sizes, as far as they are known.
+pub(crate) type Described = [Vec<(String, String)>; 2];
+
+/// Describes the inputs and outputs of a file whose sizes can be fixed.
+pub(crate) fn described(onnx: &[u8], options: &PolicyOptions) -> Result<Described, CompileError> {
+    let (_, Values { inputs, outputs }) = fixed(onnx, options)?;
+    let describe = |value: Value| (value.name.clone(), value.text());
+    Ok([inputs, outputs].map(|values| values.into_iter().map(describe).collect()))
+}
+
+/// Describes the inputs and outputs of a file as it stands, sizes left open by their names.
+pub(crate) fn declared(file: &pb::ModelProto) -> Described {
+    let graph = file.graph.as_ref();
+    let describe = |value: &pb::ValueInfoProto| (value.name.clone(), values::declared_text(value));
+    let inputs = graph.map(|graph| graph.input.iter().map(describe).collect());
+    let outputs = graph.map(|graph| graph.output.iter().map(describe).collect());
+    [inputs, outputs].map(Option::unwrap_or_default)
+}
+
+/// A file with all sizes fixed.
+fn fixed(onnx: &[u8], options: &PolicyOptions) -> Result<(pb::ModelProto, Values), CompileError> {
+    let mut file = guarded(|| reader().proto_model_for_read(&mut &*onnx))
+        .map_err(|reason| CompileError::Unreadable { reason })?;
+    sizes::fix(file.graph.get_or_insert_default(), &options.sizes)?;
+    let values = Values::of(&file);
+    Ok((file, values))
+}

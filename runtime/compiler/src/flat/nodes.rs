@@ -1,0 +1,91 @@
+//! A file's nodes by what they compute, and the part of a file that some outputs need.
+
+use std::collections::{HashMap, HashSet};
+
+use tract_onnx::pb;
+
+/// Operators whose output is their first input in another shape or type.
+const CARRIERS: [&str; 6] = ["Identity", "Cast", "Squeeze", "Unsqueeze", "Reshape", "Flatten"];
+
+/// Nodes by the names of their outputs.
+pub(super) struct Nodes<'a> {
+    makers: HashMap<&'a str, &'a pb::NodeProto>,
+}
+
+/// The choice of the largest of some scores.
+pub(super) struct ArgMax {
+    /// The name of the scores.
+    pub(super) scores: String,
+    /// The axis of the scores along which it chooses; negative from the end.
+    pub(super) axis: i64,
+}
+
+impl<'a> Nodes<'a> {
+    pub(super) fn of(graph: &'a pb::GraphProto) -> Self {
+        let outputs =
+            |node: &'a pb::NodeProto| node.output.iter().map(move |output| (output.as_str(), node));
+        Self { makers: graph.node.iter().flat_map(outputs).collect() }
+    }
+
+    /// The choice that an output is, whatever its shape and type.
+    pub(super) fn argmax(&self, output: &str) -> Option<ArgMax> {
+        let mut node = *self.makers.get(output)?;
+        // No way is longer, but for circles.
+        for _ in 0..self.makers.len() {
+            if node.op_type == "ArgMax" {
+                let axis = node.attribute.iter().find(|attribute| attribute.name == "axis");
+                let axis = axis.map_or(0, |axis| axis.i);
+                return Some(ArgMax { scores: node.input.first()?.clone(), axis });
+            }
+            if !CARRIERS.contains(&node.op_type.as_str()) {
+                return None;
+            }
+            node = self.makers.get(node.input.first()?.as_str())?;
+        }
+        None
+    }
+
+    /// The names of all that these values are computed from, their own among them.
+    pub(super) fn behind<'n>(&self, values: impl IntoIterator<Item = &'n str>) -> HashSet<String> {
+        let mut open: Vec<String> = values.into_iter().map(str::to_owned).collect();
+        let mut behind = HashSet::new();
+        while let Some(name) = open.pop() {
+            if let Some(node) = self.makers.get(name.as_str())
+                && !behind.contains(&name)
+            {
+                open.extend(read_by(node));
+            }
+            behind.insert(name);
+        }
+        behind
+    }
+}
+
+/// The names that a node reads; those inside its own graphs may be of values outside.
+fn read_by(node: &pb::NodeProto) -> Vec<String> {
+    let mut names: Vec<String> =
+        node.input.iter().filter(|name| !name.is_empty()).cloned().collect();
+    for attribute in &node.attribute {
+        for graph in attribute.g.iter().chain(&attribute.graphs) {
+            names.extend(graph.output.iter().map(|output| output.name.clone()));
+            names.extend(graph.node.iter().flat_map(read_by));
+        }
+    }
+    names
+}
+
+/// The file with nothing but what these outputs need; no output may be named twice.
+pub(super) fn cut(file: &pb::ModelProto, outputs: &[String]) -> pb::ModelProto {
+    let mut file = file.clone();
+    if let Some(graph) = &mut file.graph {
+        let needed = Nodes::of(graph).behind(outputs.iter().map(String::as_str));
+        graph.node.retain(|node| node.output.iter().any(|output| needed.contains(output)));
+        graph.initializer.retain(|tensor| needed.contains(&tensor.name));
+        graph.input.retain(|input| needed.contains(&input.name));
+        // Notes on values between are of sizes that may be others now.
+        graph.value_info.clear();
+        let bare = |name: &String| pb::ValueInfoProto { name: name.clone(), ..Default::default() };
+        graph.output = outputs.iter().map(bare).collect();
+    }
+    file
+}

@@ -1,0 +1,6 @@
+//! What is what in small files made for it.
+
+mod files;
+mod graphs;
+mod outputs;
+mod states;

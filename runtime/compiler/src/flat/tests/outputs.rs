@@ -1,0 +1,71 @@
+//! Which outputs are wanted, and what they are.
+
+use sortie_plans::{OutputRole, ValueType};
+
+use crate::flat::outputs::{Kind, role, wanted};
+use crate::flat::values::Value;
+
+fn value(name: &str, kind: ValueType, shape: &[usize]) -> Value {
+    Value { name: name.to_owned(), kind: Some(kind), shape: Some(shape.to_vec()) }
+}
+
+/// The wanted ones of floats of these names; those that start with `!` are choices.
+fn chosen(names: &[&str], asked: &[&str]) -> Result<Vec<String>, String> {
+    let values: Vec<Value> =
+        names.iter().map(|name| value(name, ValueType::F32, &[1, 5])).collect();
+    let asked: Vec<String> = asked.iter().map(ToString::to_string).collect();
+    let values: Vec<&Value> = values.iter().collect();
+    let found = wanted(&values, |value| value.name.starts_with('!'), &asked);
+    let found = found.map_err(|error| error.to_string())?;
+    Ok(found.into_iter().map(|wanted| wanted.name).collect())
+}
+
+#[test]
+fn a_choice_comes_before_names_and_names_before_the_only_output() {
+    assert_eq!(chosen(&["action", "!x", "q"], &[]).unwrap(), ["!x"]);
+    for name in ["action", "Actions", "q", "q_values", "logits"] {
+        assert_eq!(chosen(&["value", name, "log_prob"], &[]).unwrap(), [name]);
+    }
+    assert_eq!(chosen(&["29"], &[]).unwrap(), ["29"]);
+}
+
+#[test]
+fn what_is_not_clear_is_listed_with_the_flag() {
+    for names in [["!x", "!y"], ["action", "q"], ["mean", "log_std"]] {
+        let message = chosen(&names, &[]).unwrap_err();
+        for word in [names[0], names[1], "--output NAME"] {
+            assert!(message.contains(word), "{word}: {message}");
+        }
+    }
+    assert!(chosen(&[], &[]).is_err());
+}
+
+#[test]
+fn outputs_that_are_asked_for_come_in_the_order_of_the_file() {
+    assert_eq!(chosen(&["a", "!b", "c"], &["c", "a"]).unwrap(), ["a", "c"]);
+    assert_eq!(chosen(&["a", "a:discrete"], &["a:discrete"]).unwrap(), ["a:discrete"]);
+    assert_eq!(chosen(&["a", "b"], &["a:discrete"]).unwrap(), ["a"]);
+    let message = chosen(&["a", "b"], &["x"]).unwrap_err();
+    assert!(message.contains("`x`") && message.contains("`a` f32 [1, 5]"), "{message}");
+}
+
+#[test]
+fn numbers_are_scores_by_name_or_mask_and_else_the_action_itself() {
+    let mask = value("mask", ValueType::Bool, &[1, 5]);
+    let of = |name: &str, said, masks: &[&Value]| {
+        role(&value(name, ValueType::F32, &[2, 5]), said, None, masks)
+    };
+    for name in ["q", "Q_values", "logits", "action_logits"] {
+        assert_eq!(of(name, None, &[]), OutputRole::Discrete(5), "{name}");
+    }
+    for name in ["actions", "mean", "29"] {
+        assert_eq!(of(name, None, &[]), OutputRole::Continuous(10), "{name}");
+    }
+    assert_eq!(of("29", None, &[&mask]), OutputRole::Discrete(5));
+    assert_eq!(of("actions", None, &[&mask]), OutputRole::Continuous(10));
+    assert_eq!(of("29", Some(Kind::Discrete), &[]), OutputRole::Discrete(5));
+    assert_eq!(of("q", Some(Kind::Continuous), &[]), OutputRole::Continuous(10));
+    let place = value("q", ValueType::I64, &[1]);
+    assert_eq!(role(&place, None, Some(7), &[]), OutputRole::Discrete(7));
+    assert_eq!(role(&place, None, None, &[]), OutputRole::Continuous(1));
+}

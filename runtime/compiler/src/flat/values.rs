@@ -1,0 +1,134 @@
+//! A file's inputs and outputs, as far as they are known before anything is chosen.
+
+use std::fmt;
+
+use sortie_plans::ValueType;
+use tract_onnx::pb;
+use tract_onnx::pb::tensor_proto::DataType;
+use tract_onnx::pb::tensor_shape_proto::dimension;
+use tract_onnx::pb::type_proto;
+use tract_onnx::prelude::*;
+use tract_onnx::tract_hir::internal::*;
+
+use crate::graph::guarded;
+
+/// An input or output.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Value {
+    pub(super) name: String,
+    pub(super) kind: Option<ValueType>,
+    /// None where it is not known: that part of the graph may not be needed.
+    pub(super) shape: Option<Vec<usize>>,
+}
+
+/// The inputs and outputs of a file.
+pub(super) struct Values {
+    pub(super) inputs: Vec<Value>,
+    pub(super) outputs: Vec<Value>,
+}
+
+impl Values {
+    /// Those of a file with fixed sizes; what outputs are like follows from the graph.
+    pub(super) fn of(file: &pb::ModelProto) -> Self {
+        let graph = file.graph.as_ref();
+        let infos = |values: fn(&pb::GraphProto) -> &[pb::ValueInfoProto]| {
+            graph.map(values).unwrap_or_default().iter()
+        };
+        let inputs: Vec<Value> = infos(|graph| &graph.input).map(declared).collect();
+        let mut outputs: Vec<Value> = infos(|graph| &graph.output).map(declared).collect();
+        // What cannot be read or analysed may belong to outputs that nobody wants.
+        let infer = || {
+            let mut model = reader().model_for_proto_model(file)?;
+            let _ = model.analyse(true);
+            let outlets = model.output_outlets()?.iter();
+            outlets.map(|outlet| model.outlet_fact(*outlet).cloned()).collect()
+        };
+        let inferred: Vec<InferenceFact> = guarded(infer).unwrap_or_default();
+        for (output, fact) in outputs.iter_mut().zip(inferred) {
+            output.kind = fact.datum_type.concretize().map_or(output.kind, value_type);
+            output.shape =
+                fact.shape.as_concrete_finite().ok().flatten().map(|shape| shape.to_vec());
+        }
+        Self { inputs, outputs }
+    }
+}
+
+impl Value {
+    /// The last of its sizes, if they are known.
+    pub(super) fn last_size(&self) -> Option<usize> {
+        self.shape.as_ref()?.last().copied()
+    }
+
+    pub(super) fn is_float(&self) -> bool {
+        self.kind.is_some_and(ValueType::is_float)
+    }
+
+    /// Type and sizes.
+    pub(super) fn text(&self) -> String {
+        let kind = self.kind.map_or("of unknown type", ValueType::name);
+        self.shape.as_ref().map_or(kind.to_owned(), |shape| format!("{kind} {shape:?}"))
+    }
+}
+
+impl fmt::Display for Value {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "`{}` {}", self.name, self.text())
+    }
+}
+
+/// What reads files with fixed sizes: what they note of values between may be of other ones.
+pub(super) fn reader() -> tract_onnx::Onnx {
+    tract_onnx::onnx().with_ignore_value_info(true)
+}
+
+/// Several things in a message.
+pub(super) fn listed(things: impl Iterator<Item = String>) -> String {
+    let things: Vec<String> = things.collect();
+    if things.is_empty() { "none".to_owned() } else { things.join(", ") }
+}
+
+/// The type of numbers that engines are given and give.
+pub(super) fn value_type(kind: DatumType) -> Option<ValueType> {
+    Some(match kind {
+        DatumType::F32 => ValueType::F32,
+        DatumType::F64 => ValueType::F64,
+        DatumType::I64 | DatumType::TDim => ValueType::I64,
+        DatumType::I32 => ValueType::I32,
+        DatumType::U8 => ValueType::U8,
+        DatumType::Bool => ValueType::Bool,
+        _ => return None,
+    })
+}
+
+/// The sizes of an input or output; none where it is no tensor, or has none.
+pub(super) fn dims(value: &pb::ValueInfoProto) -> Option<&[pb::tensor_shape_proto::Dimension]> {
+    let type_proto::Value::TensorType(tensor) = value.r#type.as_ref()?.value.as_ref()?;
+    Some(&tensor.shape.as_ref()?.dim)
+}
+
+fn declared(value: &pb::ValueInfoProto) -> Value {
+    let size = |dim: &pb::tensor_shape_proto::Dimension| match dim.value {
+        Some(dimension::Value::DimValue(size)) => usize::try_from(size).ok(),
+        _ => None,
+    };
+    let shape = dims(value).and_then(|dims| dims.iter().map(size).collect());
+    Value { name: value.name.clone(), kind: declared_type(value), shape }
+}
+
+/// Type and sizes as the file has them.
+pub(super) fn declared_text(value: &pb::ValueInfoProto) -> String {
+    let size = |dim: &pb::tensor_shape_proto::Dimension| match &dim.value {
+        Some(dimension::Value::DimValue(size)) => size.to_string(),
+        Some(dimension::Value::DimParam(name)) if !name.is_empty() => name.clone(),
+        _ => "?".to_owned(),
+    };
+    let kind = declared_type(value).map_or("of unknown type", ValueType::name);
+    let sizes: Vec<String> = dims(value).unwrap_or_default().iter().map(size).collect();
+    format!("{kind} [{}]", sizes.join(", "))
+}
+
+fn declared_type(value: &pb::ValueInfoProto) -> Option<ValueType> {
+    let type_proto::Value::TensorType(tensor) = value.r#type.as_ref()?.value.as_ref()?;
+    let kind = DataType::try_from(tensor.elem_type).ok()?;
+    value_type(DatumType::try_from(kind).ok()?)
+}

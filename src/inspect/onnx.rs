@@ -1,0 +1,91 @@
+//! What an ONNX file holds, and the policy that it is.
+
+use serde::Serialize;
+use sortie_plans::{OnnxFacts, PolicyFacts};
+
+use crate::foreign::ENGINE;
+use crate::output::{Table, say};
+
+/// What is known of a file. A policy has two more keys.
+#[derive(Serialize)]
+pub(super) struct Report<'a> {
+    #[serde(flatten)]
+    facts: &'a OnnxFacts,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    policy: Option<&'a PolicyFacts>,
+    /// What runs it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    engine: Option<&'static str>,
+}
+
+impl<'a> Report<'a> {
+    pub(super) fn of(facts: &'a OnnxFacts, policy: Option<&'a PolicyFacts>) -> Self {
+        Self { facts, policy, engine: policy.map(|_| ENGINE) }
+    }
+}
+
+pub(super) fn print(facts: &OnnxFacts, policy: Option<&PolicyFacts>) {
+    print_facts(facts, policy);
+    say!();
+    print_values(facts, policy);
+    say!();
+    print_operators("operator", &facts.operators);
+    if let Some(policy) = policy {
+        say!();
+        print_operators("simplified", &policy.operators);
+    }
+}
+
+fn print_facts(facts: &OnnxFacts, policy: Option<&PolicyFacts>) {
+    let mut table = super::facts();
+    let mut row = |name: &str, value: String| table.row([name.to_string(), value]);
+    row("producer", facts.producer.clone());
+    row("opset", facts.opset.to_string());
+    row("ir_version", facts.ir_version.to_string());
+    row("parameters", facts.parameters.to_string());
+    if let Some(policy) = policy {
+        row("parameters_needed", policy.parameters.to_string());
+        let countable = policy.multiply_adds.map(|count| count.to_string());
+        row("multiply-adds", countable.unwrap_or_else(|| "not countable".to_string()));
+        for state in &policy.states {
+            let names = format!("`{}` comes back as `{}`", state.input, state.output);
+            row("state", format!("{names}, {} numbers", state.length));
+        }
+        row("engine", ENGINE.to_string());
+    }
+    for (name, value) in &facts.metadata {
+        row(name, value.clone());
+    }
+    table.print();
+}
+
+fn print_values(facts: &OnnxFacts, policy: Option<&PolicyFacts>) {
+    let mut header = vec!["tensor", "name", "shape"];
+    header.extend(policy.map(|_| "role"));
+    let mut tensors = Table::of_text(&header);
+    for (kind, named) in [("input", &facts.inputs), ("output", &facts.outputs)] {
+        for (name, shape) in named {
+            let role = policy.map(|policy| role(policy, kind, name));
+            let cells = [kind.to_owned(), name.clone(), shape.clone()];
+            tensors.row(cells.into_iter().chain(role));
+        }
+    }
+    tensors.print();
+}
+
+/// What an input or output is for; those that are not needed have no role.
+fn role(policy: &PolicyFacts, kind: &str, name: &str) -> String {
+    let input = policy.inputs.iter().find(|input| kind == "input" && input.name == name);
+    let output = policy.outputs.iter().find(|output| kind == "output" && output.name == name);
+    let input = input.map(|input| input.role.name().to_owned());
+    let role = input.or_else(|| output.map(|output| output.role.to_string()));
+    role.unwrap_or_else(|| "not needed".to_owned())
+}
+
+fn print_operators(name: &str, operators: &std::collections::BTreeMap<String, usize>) {
+    let mut table = Table::new(&[name, "count"]);
+    for (operator, count) in operators {
+        table.row([operator.clone(), count.to_string()]);
+    }
+    table.print();
+}

@@ -1,0 +1,303 @@
+//! A policy that somebody else exported, beside what was recorded of it.
+
+use std::fs;
+use std::path::Path;
+
+use sortie_plans::{
+    Comparison, CompileError, FlatPolicy, OutputRole, PolicyAnswer, PolicyFacts, PolicyOutput,
+};
+
+use super::{Compared, Judges, Report, VerifyArguments, within};
+use crate::compiler::compiler;
+use crate::engines::engines;
+use crate::failure::{Exit, Failure};
+use crate::foreign::ENGINE;
+use crate::npz::{self, Array, Arrays};
+
+/// Steps that recurrent policies take with their states fed back.
+const STEPS: usize = 100;
+
+/// Compares the engines with recorded answers; recurrent policies also with each other, step by step.
+pub(super) fn compare(
+    arguments: &VerifyArguments,
+    file: &Path,
+    judges: &Judges,
+) -> Result<Report, Failure> {
+    let (subject, options) = (&arguments.subject, arguments.policy.options());
+    let onnx = fs::read(subject).map_err(|error| Failure::file(subject, &error))?;
+    let arrays = npz::read(file)?;
+    let failed = within(subject);
+    // What this process reads has then been read and run elsewhere.
+    let facts = compiler().rehearse_policy(&onnx, &options).map_err(&failed)?;
+    let cases = Cases::of(&facts, &arrays)
+        .map_err(|reason| Failure::new(Exit::BadData, format!("{}: {reason}", file.display())))?;
+    let tract = engines()?.tract().name();
+    let mut engines = Vec::new();
+    let mut fed_back: Vec<(&str, Vec<Step>)> = Vec::new();
+    for judge in &judges.engines {
+        let mut policy = judge.flat_policy(&onnx, &options).map_err(&failed)?;
+        let name = format!("{} against recorded", judge.name());
+        engines.push(Compared::new(name, cases.recorded(policy.as_mut()).map_err(&failed)?));
+        if facts.state_length() > 0 {
+            fed_back.push((judge.name(), cases.fed_back(policy.as_mut()).map_err(&failed)?));
+        }
+    }
+    if let [(one, got), (other, want)] = fed_back.as_slice() {
+        let name = format!("{one} against {other}, {STEPS} steps with the state fed back");
+        engines.push(Compared::new(name, step_by_step(&facts, got, want)));
+    }
+    let engine = judges.engines.iter().any(|judge| judge.name() == tract).then_some(ENGINE);
+    Ok(Report { engines, not_compared: judges.missing(), engine })
+}
+
+/// What was recorded, in the order in which a policy takes and gives it.
+struct Cases<'a> {
+    facts: &'a PolicyFacts,
+    count: usize,
+    given: Vec<&'a Array>,
+    states: Vec<&'a Array>,
+    /// What came out; next states need not have been recorded.
+    answers: Vec<Option<&'a Array>>,
+}
+
+/// What a policy gave and what it remembered then.
+struct Step {
+    answers: Vec<PolicyAnswer>,
+    states: Vec<f32>,
+}
+
+impl<'a> Cases<'a> {
+    fn of(facts: &'a PolicyFacts, arrays: &'a Arrays) -> Result<Self, String> {
+        let found = |name: String, length: usize| match arrays.get(&name) {
+            Some(array) => checked(&name, array, length).map(Some),
+            None => Ok(None),
+        };
+        let needed = |name: String, length: usize| {
+            let names = || arrays.keys().map(String::as_str).collect::<Vec<_>>().join(", ");
+            let missing = || format!("there is no `{name}`, only {}", names());
+            found(name.clone(), length)?.ok_or_else(missing)
+        };
+        let given =
+            facts.given().map(|input| needed(format!("in__{}", input.name), input.length()));
+        let states = facts.states.iter();
+        let states = states.map(|state| needed(format!("in__{}", state.input), state.length));
+        let answers = facts.outputs.iter().map(|output| {
+            let name = format!("out__{}", output.name);
+            match output.role {
+                OutputRole::State => found(name, output.length()),
+                _ => needed(name, output.length()).map(Some),
+            }
+        });
+        let (given, states) =
+            (given.collect::<Result<Vec<_>, _>>()?, states.collect::<Result<Vec<_>, _>>()?);
+        let answers: Vec<Option<&Array>> = answers.collect::<Result<_, _>>()?;
+        let all = || given.iter().chain(&states).chain(answers.iter().flatten());
+        let counts: Vec<usize> = all().filter_map(|array| array.shape.first().copied()).collect();
+        let count = counts.first().copied().unwrap_or(0);
+        if count == 0 || counts.iter().any(|other| *other != count) {
+            return Err(format!(
+                "the first axis of every array counts the cases, at least one and as many in each: they have {counts:?}"
+            ));
+        }
+        Ok(Self { facts, count, given, states, answers })
+    }
+
+    /// The inputs of a case.
+    fn inputs(&self, case: usize) -> Vec<&'a [f32]> {
+        self.given.iter().map(|array| numbers_of(array, case, self.count)).collect()
+    }
+
+    /// A comparison for each output.
+    fn recorded(&self, policy: &mut dyn FlatPolicy) -> Result<Vec<Comparison>, CompileError> {
+        let mut comparisons: Vec<Comparison> = named(self.facts);
+        for case in 0..self.count {
+            let states = self.states.iter().flat_map(|array| numbers_of(array, case, self.count));
+            let mut states: Vec<f32> = states.copied().collect();
+            let answers = policy.run(&self.inputs(case), &mut states)?;
+            let got = Step { answers, states }.outputs(self.facts);
+            let compared =
+                self.facts.outputs.iter().zip(&mut comparisons).zip(got).zip(&self.answers);
+            for (((output, comparison), got), want) in compared {
+                if let Some(want) = want {
+                    add(comparison, output, &got, numbers_of(want, case, self.count));
+                }
+            }
+        }
+        comparisons.retain(|comparison| comparison.inputs > 0);
+        Ok(comparisons)
+    }
+
+    /// What a policy gives that starts without memory and sees one case after the other.
+    fn fed_back(&self, policy: &mut dyn FlatPolicy) -> Result<Vec<Step>, CompileError> {
+        let mut states = vec![0.0; self.facts.state_length()];
+        let step = |step| {
+            let answers = policy.run(&self.inputs(step % self.count), &mut states)?;
+            Ok(Step { answers, states: states.clone() })
+        };
+        (0..STEPS).map(step).collect()
+    }
+}
+
+impl Step {
+    /// An answer for each output, states among them.
+    fn outputs(&self, facts: &PolicyFacts) -> Vec<PolicyAnswer> {
+        let mut states = self.states.as_slice();
+        let next = facts.states.iter().map(|state| {
+            let (numbers, rest) = states.split_at_checked(state.length).unwrap_or_default();
+            states = rest;
+            PolicyAnswer { numbers: numbers.to_vec(), scores: Vec::new() }
+        });
+        self.answers.iter().cloned().chain(next).collect()
+    }
+}
+
+/// Refuses an array that does not hold so many numbers a case, or something that is no number.
+fn checked<'a>(name: &str, array: &'a Array, length: usize) -> Result<&'a Array, String> {
+    let cases = array.shape.first().copied().unwrap_or(0);
+    if cases.checked_mul(length) != Some(array.numbers.len()) {
+        return Err(format!(
+            "`{name}` has the sizes {:?}, needed are cases of {length} numbers",
+            array.shape
+        ));
+    }
+    match array.numbers.iter().position(|number| number.is_nan()) {
+        Some(at) => Err(format!("`{name}` holds NaN in case {}", at / length.max(1))),
+        None => Ok(array),
+    }
+}
+
+/// The numbers of one case.
+fn numbers_of(array: &Array, case: usize, count: usize) -> &[f32] {
+    let length = array.numbers.len() / count.max(1);
+    array.numbers.get(case * length..(case + 1) * length).unwrap_or_default()
+}
+
+/// Nothing compared yet of each output.
+fn named(facts: &PolicyFacts) -> Vec<Comparison> {
+    facts.outputs.iter().map(|output| Comparison::new(&output.name)).collect()
+}
+
+/// Compares two engines step by step.
+fn step_by_step(facts: &PolicyFacts, got: &[Step], want: &[Step]) -> Vec<Comparison> {
+    let mut comparisons = named(facts);
+    for (got, want) in got.iter().zip(want) {
+        let both = got.outputs(facts).into_iter().zip(want.outputs(facts));
+        for ((output, comparison), (got, want)) in
+            facts.outputs.iter().zip(&mut comparisons).zip(both)
+        {
+            add(comparison, output, &got, &want.numbers);
+        }
+    }
+    comparisons
+}
+
+/// Adds what came of an output in one case.
+fn add(comparison: &mut Comparison, output: &PolicyOutput, got: &PolicyAnswer, want: &[f32]) {
+    let whole = !output.kind.is_float();
+    let (error, same) = match output.role {
+        OutputRole::Discrete(actions) if whole => {
+            (choice_error(actions, got, want), got.numbers == want)
+        }
+        OutputRole::Discrete(actions) => (
+            largest_error(&got.numbers, want),
+            choices(&got.numbers, actions) == choices(want, actions),
+        ),
+        _ if whole && got.numbers != want => (f32::INFINITY, true),
+        _ => (largest_error(&got.numbers, want), true),
+    };
+    comparison.add_error(error, same);
+}
+
+/// The largest |a - b| / (1 + |b|); infinite where one of them is no number, or they differ in their infinities.
+fn largest_error(got: &[f32], want: &[f32]) -> f32 {
+    let error = |(got, want): (&f32, &f32)| match (got - want).abs() / (1.0 + want.abs()) {
+        _ if got == want => 0.0,
+        error if error.is_finite() => error,
+        _ => f32::INFINITY,
+    };
+    let lengths = if got.len() == want.len() { 0.0 } else { f32::INFINITY };
+    got.iter().zip(want).map(error).fold(lengths, f32::max)
+}
+
+/// How far the scores of other choices lie behind: another choice between equal scores is none.
+fn choice_error(actions: usize, got: &PolicyAnswer, want: &[f32]) -> f32 {
+    if got.numbers == want {
+        return 0.0;
+    }
+    let rows = got.scores.chunks_exact(actions.max(1));
+    if rows.len() != want.len() || want.len() != got.numbers.len() {
+        return f32::INFINITY;
+    }
+    let score = |row: &[f32], place: f32| row.get(place as usize).copied();
+    let of_rows = rows.zip(got.numbers.iter().zip(want)).map(|(row, (got, want))| {
+        match (score(row, *got), score(row, *want)) {
+            (Some(got), Some(want)) => largest_error(&[got], &[want]),
+            _ => f32::INFINITY,
+        }
+    });
+    of_rows.fold(0.0, f32::max)
+}
+
+/// The place of the largest score of each row.
+fn choices(scores: &[f32], actions: usize) -> Vec<Option<usize>> {
+    let largest = |row: &[f32]| {
+        let best = row.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+        row.iter().position(|score| *score == best)
+    };
+    scores.chunks_exact(actions.max(1)).map(largest).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sortie_plans::ValueType;
+
+    fn compared(kind: ValueType, role: OutputRole, got: PolicyAnswer, want: &[f32]) -> Comparison {
+        let shape = vec![1, got.numbers.len()];
+        let output = PolicyOutput { name: "out".to_owned(), kind, shape, role };
+        let mut comparison = Comparison::new("out");
+        add(&mut comparison, &output, &got, want);
+        comparison
+    }
+
+    fn numbers(numbers: &[f32]) -> PolicyAnswer {
+        PolicyAnswer { numbers: numbers.to_vec(), scores: Vec::new() }
+    }
+
+    #[test]
+    fn numbers_agree_within_the_tolerance_of_each() {
+        let of = |got: f32, want: f32| {
+            compared(ValueType::F32, OutputRole::Continuous(2), numbers(&[1.0, got]), &[1.0, want])
+        };
+        assert!(of(1000.0, 1000.005).agrees() && of(0.0, 0.000_009).agrees());
+        assert!(!of(0.0, 0.000_02).agrees());
+        assert!(of(f32::NEG_INFINITY, f32::NEG_INFINITY).agrees());
+        for (got, want) in [(f32::NAN, 0.0), (f32::INFINITY, 0.0), (0.0, f32::INFINITY)] {
+            assert!(!of(got, want).agrees(), "{got} {want}");
+        }
+        let short =
+            compared(ValueType::F32, OutputRole::Continuous(1), numbers(&[1.0]), &[1.0, 2.0]);
+        assert!(!short.agrees());
+    }
+
+    #[test]
+    fn another_choice_is_right_only_between_equal_scores() {
+        let of = |scores: &[f32]| {
+            let got = PolicyAnswer { numbers: vec![0.0], scores: scores.to_vec() };
+            compared(ValueType::I64, OutputRole::Discrete(3), got, &[2.0])
+        };
+        let tie = of(&[1.0, 0.0, 0.999_999]);
+        assert!(tie.agrees() && tie.action_mismatches == 1);
+        assert!(!of(&[1.0, 0.0, 0.9]).agrees());
+        assert!(!of(&[]).agrees(), "nobody knows the scores");
+        let count = compared(ValueType::I64, OutputRole::Continuous(1), numbers(&[3.0]), &[4.0]);
+        assert!(!count.agrees());
+    }
+
+    #[test]
+    fn scores_that_choose_another_action_are_counted() {
+        let got = numbers(&[1.0, 1.000_001]);
+        let other = compared(ValueType::F32, OutputRole::Discrete(2), got, &[1.000_001, 1.0]);
+        assert!(other.agrees() && other.action_mismatches == 1);
+    }
+}
