@@ -24,6 +24,15 @@ pub fn exp(x: f32) -> f32 {
     let shifted = x * core::f32::consts::LOG2_E + ROUND;
     let power = shifted - ROUND;
     let rest = (x - power * LN2_HIGH) - power * LN2_LOW;
+    let mantissa = beyond_linear(rest) + (rest + 1.0);
+    // The low bits of `shifted` hold the rounded power; moved up, they become the exponent.
+    let exponent = shifted.to_bits().wrapping_sub(ROUND.to_bits()).wrapping_add(127) << 23;
+    mantissa * f32::from_bits(exponent)
+}
+
+/// eˣ - 1 - x for |x| up to half of ln 2.
+#[inline(always)]
+fn beyond_linear(x: f32) -> f32 {
     let mut polynomial = 1.987_569_15e-4;
     for coefficient in [
         1.398_199_950_7e-3,
@@ -32,12 +41,39 @@ pub fn exp(x: f32) -> f32 {
         1.666_666_545_9e-1,
         5.000_000_120_1e-1,
     ] {
-        polynomial = polynomial * rest + coefficient;
+        polynomial = polynomial * x + coefficient;
     }
-    let mantissa = polynomial * rest * rest + (rest + 1.0);
-    // The low bits of `shifted` hold the rounded power; moved up, they become the exponent.
-    let exponent = shifted.to_bits().wrapping_sub(ROUND.to_bits()).wrapping_add(127) << 23;
-    mantissa * f32::from_bits(exponent)
+    polynomial * x * x
+}
+
+/// eˣ - 1, within four units in the last place; arguments are clamped to [-87, 88].
+#[inline(always)]
+pub fn exp_minus_one(x: f32) -> f32 {
+    let near_zero = beyond_linear(x) + x;
+    if x.abs() < 0.34 { near_zero } else { exp(x) - 1.0 }
+}
+
+/// ln(1 + eˣ), within 2e-7 of itself or absolutely, whichever is more.
+#[inline(always)]
+pub fn softplus(x: f32) -> f32 {
+    relu(x) + ln(1.0 + exp(-x.abs()))
+}
+
+/// [`ln`] of any number: that of 0 is minus infinity, that of anything below is none.
+#[inline(always)]
+pub fn ln_of_any(x: f32) -> f32 {
+    // A power of two that makes subnormal numbers normal.
+    const LARGER: f32 = 16_777_216.0;
+    const LN_LARGER: f32 = 16.635_532;
+    if x >= f32::MIN_POSITIVE {
+        if x < f32::INFINITY { ln(x) } else { x }
+    } else if x > 0.0 {
+        ln(x * LARGER) - LN_LARGER
+    } else if x == 0.0 {
+        f32::NEG_INFINITY
+    } else {
+        f32::NAN
+    }
 }
 
 /// The natural logarithm of a normal positive number, within two units in the last place or 1e-7, whichever is more.

@@ -2,8 +2,10 @@
 
 use sortie_core::include_plan;
 use sortie_core::ops::{
-    AttendAll, Flag, GroupSum, Gru, Int8AttendOwn, Int8Dense, Int8EmbedEntities, Int8Layer, Linear,
-    MaskedSample, MeanRows, Members, Op, OpKind, OpRef, Output, OutputRows, Place,
+    Arrange, AttendAll, Combination, Combine, Constant, Flag, Function, GroupSum, Gru, Input,
+    Int8AttendOwn, Int8Dense, Int8EmbedEntities, Int8Layer, Linear, Map, MaskedSample, MeanRows,
+    Members, Multiply, Normalise, Op, OpKind, OpRef, Output, OutputRows, Place, Reduce, Reduction,
+    Select, Softmax, State,
 };
 use sortie_core::plan::{Checksums, HEADER_BYTES, Header, Network, Plan, Profile, VERSION};
 
@@ -194,6 +196,47 @@ fn other_operators() -> [Op; 9] {
     ]
 }
 
+/// One of every step of a policy.
+fn steps() -> [Op; 11] {
+    let place = Place { offset: 0, len: 4 };
+    let (from, to, left, right) = (place, place, place, place);
+    let (columns, a, b) = (4, 0, 0);
+    let [sizes, from_strides, to_strides] = [[1; 4]; 3];
+    [
+        Op::Input(Input { index: 0, to }),
+        Op::State(State { from, to }),
+        Op::Constant(Constant { weights: 0, to }),
+        Op::Map(Map { function: Function::Not, a, b, from, to }),
+        Op::Combine(Combine { combination: Combination::Or, left, right, to }),
+        Op::Select(Select { condition: from, yes: from, no: from, to }),
+        Op::Arrange(Arrange { from, to, sizes, from_strides, to_strides }),
+        Op::Reduce(Reduce { reduction: Reduction::ArgMax, columns, from, to }),
+        Op::Softmax(Softmax { logarithm: Flag::No, columns, from, to }),
+        Op::Normalise(Normalise { columns, epsilon: 0, factors: 0, offsets: 0, from, to }),
+        Op::Multiply(Multiply { rows: 1, inner: 1, columns, left, right, to }),
+    ]
+}
+
+#[test]
+fn functions_have_the_documented_numbers() {
+    let functions = |name: &str| {
+        let row = table("operator").find(|row| row[0].starts_with(name)).expect("a row");
+        row[1].split("; ").map(str::to_owned).collect::<Vec<_>>()
+    };
+    let [_, _, _, map, combine, _, _, reduce, ..] = steps();
+    // The last of each is what the document names last.
+    for (op, name, last) in [
+        (map, "Map", "1 where x is 0, else 0"),
+        (combine, "Combine", "one other than 0"),
+        (reduce, "Reduce", "place of the largest, the first of several"),
+    ] {
+        let functions = functions(name);
+        assert_eq!(functions.last().map(String::as_str), Some(last));
+        let number = (functions.len() - 1) as u32;
+        assert_eq!(op.borrow().fields()[..4], number.to_le_bytes(), "{name}");
+    }
+}
+
 /// Bytes of a list of fields as the document names them.
 fn bytes_of_fields(fields: &str) -> usize {
     let (mut bytes, mut names) = (0, 0);
@@ -202,7 +245,8 @@ fn bytes_of_fields(fields: &str) -> usize {
         let Some((_, kind)) = field.split_once("` ") else { continue };
         let each = match kind.trim_end_matches('s') {
             "u16" | "member" | "output row" => 2,
-            "u32" | "flag" => 4,
+            "u32" | "flag" | "choice" => 4,
+            "quadruple" => 16,
             "place" | "vector" => 8,
             "linear" => 12,
             "int8 layer" => 16,
@@ -225,7 +269,7 @@ fn every_operator_is_written_as_documented() {
         assert_eq!((op.kind() as u16).to_string(), row[0], "{}", op.name());
         assert_eq!(op.fields().len(), bytes_of_fields(row[2]), "{}", op.name());
     };
-    other_operators().iter().for_each(|op| fits(op.borrow()));
+    other_operators().iter().chain(&steps()).for_each(|op| fits(op.borrow()));
     for plan in [AGENT, PROPOSALS] {
         Plan::load(plan).expect("a golden plan").program().ops().for_each(fits);
     }
@@ -301,6 +345,7 @@ fn networks_have_the_documented_numbers() {
         (Network::Agent, "0: an agent's utilities"),
         (Network::TeamValue, "1: the value of a team"),
         (Network::Entities, "5: outputs of a network over all entities"),
+        (Network::Policy, "6: a policy over inputs of fixed sizes"),
     ];
     for (network, text) in networks {
         assert!(row[4].contains(text) && text.starts_with(&network.id().to_string()), "{text}");

@@ -51,6 +51,18 @@ pub fn four_dots<A: Arithmetic>(vector: &[f32], rows: [&[f32]; ROWS]) -> [f32; R
     lanes.map(join)
 }
 
+/// The sum of the squares of all values.
+#[inline(always)]
+pub fn sum_of_squares(values: &[f32]) -> f32 {
+    let mut lanes = [0.0; LANES];
+    for chunk in values.chunks(LANES) {
+        for (lane, value) in lanes.iter_mut().zip(chunk) {
+            *lane += value * value;
+        }
+    }
+    join(lanes)
+}
+
 /// The sum of all values.
 #[inline(always)]
 pub fn sum(values: &[f32]) -> f32 {

@@ -4,7 +4,7 @@ use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::operator::Operator;
 use super::team::Team;
-use super::{Flag, LAYOUT_TILES, Linear, Place, Scratch, Sizes, places};
+use super::{Flag, LAYOUT_TILES, Linear, Place, Places, Scratch, Sizes, places};
 use crate::kernels::Kernels;
 use crate::kernels::product::Sparse;
 use crate::policy::{DecideError, Observation};
@@ -36,6 +36,14 @@ impl Operator for Dense {
             && self.from.len == u32::from(self.layer.inputs)
             && self.to.len as usize == self.layer.padded_outputs()
             && (!self.sparse_input.is_set() || sizes.lists(u64::from(self.layer.inputs)))
+    }
+
+    fn reads(&self) -> Places {
+        Places::of([self.from])
+    }
+
+    fn writes(&self) -> Places {
+        Places::of([self.to])
     }
 
     fn multiply_adds(&self, _: u64) -> u64 {

@@ -3,7 +3,7 @@
 use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::operator::Operator;
-use super::{Flag, LAYOUT_TILES, Linear, Place, Scratch, Sizes, places};
+use super::{Flag, LAYOUT_TILES, Linear, Place, Places, Scratch, Sizes, places};
 use crate::kernels::Kernels;
 use crate::kernels::product::{Sparse, padded};
 use crate::math::{all_finite, sigmoid, tanh};
@@ -62,6 +62,14 @@ impl Operator for Gru {
             && self.recurrent_gates.len as usize == gates
             && self.to.len as usize == padded;
         layers && lengths && sizes.hold_apart(&self.places())
+    }
+
+    fn reads(&self) -> Places {
+        Places::of([self.from, self.state])
+    }
+
+    fn writes(&self) -> Places {
+        Places::of([self.to])
     }
 
     fn multiply_adds(&self, _: u64) -> u64 {

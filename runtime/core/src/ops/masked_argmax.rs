@@ -4,7 +4,7 @@ use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::operator::Operator;
 use super::team::Team;
-use super::{Place, Scratch, Sizes};
+use super::{Place, Places, Scratch, Sizes};
 use crate::kernels::Kernels;
 use crate::policy::{DecideError, Observation};
 
@@ -21,6 +21,10 @@ impl Operator for MaskedArgmax {
 
     fn check(&self, sizes: &Sizes) -> bool {
         sizes.holds(&self.from) && self.from.len == sizes.actions
+    }
+
+    fn reads(&self) -> Places {
+        Places::of([self.from])
     }
 
     fn multiply_adds(&self, _: u64) -> u64 {

@@ -20,8 +20,10 @@ mod masked_sample;
 mod mean_rows;
 mod operator;
 mod output;
+mod place;
 mod proposals;
 mod set;
+mod steps;
 mod table;
 pub(crate) mod team;
 
@@ -41,11 +43,17 @@ pub use masked_argmax::MaskedArgmax;
 pub use masked_sample::MaskedSample;
 pub use mean_rows::{MeanRows, Members};
 pub use output::{Output, OutputRows};
+pub use place::Place;
+pub(crate) use place::{Places, apart, copied, place, places};
 pub(crate) use proposals::{COUNTS, arena as proposal_arena};
 pub use proposals::{
     EmbedTasks, PointerLogits, ProposalNetwork, RowAttention, ScoreAllocations, Vectors,
 };
 pub use set::{AllOperators, FeedForward, Int8FeedForward};
+pub use steps::{
+    Arrange, Combination, Combine, Constant, Function, Input, Map, Multiply, Normalise, Reduce,
+    Reduction, Select, Softmax, State,
+};
 pub use table::{Op, OpKind, OpRef, OperatorSet};
 
 use crate::entity_mask::EntityMask;
@@ -93,6 +101,11 @@ impl Sizes {
         })
     }
 
+    /// Whether two places lie inside and are the same or do not overlap.
+    fn hold_in_place(&self, from: &Place, to: &Place) -> bool {
+        self.holds(from) && self.holds(to) && (from == to || from.disjoint(to))
+    }
+
     /// Whether a place has room for a row of `width` floats for every entity.
     fn holds_rows(&self, place: &Place, width: usize) -> bool {
         u64::from(place.len) >= u64::from(self.n_max).saturating_mul(width as u64)
@@ -123,35 +136,6 @@ impl Flag {
 impl From<bool> for Flag {
     fn from(set: bool) -> Self {
         if set { Self::Yes } else { Self::No }
-    }
-}
-
-/// A range of the arena, in floats.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
-#[repr(C)]
-pub struct Place {
-    /// First float.
-    pub offset: u32,
-    /// Number of floats.
-    pub len: u32,
-}
-
-impl Place {
-    pub(crate) fn range(&self) -> core::ops::Range<usize> {
-        let start = self.offset as usize;
-        start..start.saturating_add(self.len as usize)
-    }
-
-    /// Some floats of the place, which stay inside it.
-    fn part(&self, range: core::ops::Range<usize>) -> Self {
-        let start = range.start.min(self.len as usize) as u32;
-        let end = range.end.min(self.len as usize) as u32;
-        Self { offset: self.offset.saturating_add(start), len: end.saturating_sub(start) }
-    }
-
-    fn disjoint(&self, other: &Self) -> bool {
-        let end = |place: &Self| u64::from(place.offset) + u64::from(place.len);
-        end(self) <= u64::from(other.offset) || end(other) <= u64::from(self.offset)
     }
 }
 
@@ -224,24 +208,12 @@ pub(crate) struct Scratch<'a> {
     pub(crate) agents: EntityMask,
     /// The groups of every entity.
     pub(crate) groups: &'a [u32],
+    /// The inputs of a policy.
+    pub(crate) inputs: &'a [&'a [f32]],
 }
 
 #[inline(always)]
 fn slice(weights: &[f32], offset: u32, len: usize) -> Result<&[f32], DecideError> {
     let start = offset as usize;
     weights.get(start..start.saturating_add(len)).ok_or(DecideError::BadLength)
-}
-
-/// The floats of a place.
-fn place<'a>(floats: &'a [f32], wanted: &Place) -> Result<&'a [f32], DecideError> {
-    floats.get(wanted.range()).ok_or(DecideError::BadLength)
-}
-
-/// Places that do not overlap, all writable.
-#[inline(always)]
-fn places<'a, const COUNT: usize>(
-    floats: &'a mut [f32],
-    wanted: [&Place; COUNT],
-) -> Result<[&'a mut [f32]; COUNT], DecideError> {
-    floats.get_disjoint_mut(wanted.map(Place::range)).map_err(|_| DecideError::BadLength)
 }

@@ -1,7 +1,7 @@
 //! What every operator says of itself.
 
 use super::team::Team;
-use super::{Scratch, Sizes};
+use super::{Places, Scratch, Sizes};
 use crate::kernels::Kernels;
 use crate::policy::{DecideError, Observation};
 
@@ -16,6 +16,16 @@ pub(super) trait Operator {
 
     /// Multiply-adds with `visible` entities, zeros not left out.
     fn multiply_adds(&self, visible: u64) -> u64;
+
+    /// What the operator reads of a policy's values.
+    fn reads(&self) -> Places {
+        Places::default()
+    }
+
+    /// What it writes of them; nothing where it stands in no policy.
+    fn writes(&self) -> Places {
+        Places::default()
+    }
 
     /// Runs as a step of a program.
     fn run<K: Kernels>(

@@ -3,7 +3,7 @@
 use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::operator::Operator;
-use super::{LAYOUT_TILES, Place, Scratch, Sizes, place};
+use super::{LAYOUT_TILES, Place, Places, Scratch, Sizes, place};
 use crate::kernels::Kernels;
 use crate::kernels::product::padded;
 use crate::limits;
@@ -54,6 +54,10 @@ impl Operator for Output {
             }
         };
         fits && sizes.holds(&self.from)
+    }
+
+    fn reads(&self) -> Places {
+        Places::of([Place { len: self.width, ..self.from }])
     }
 
     fn multiply_adds(&self, _: u64) -> u64 {

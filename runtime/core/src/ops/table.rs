@@ -5,9 +5,10 @@ use zerocopy::{IntoBytes, TryFromBytes};
 use super::operator::Operator;
 use super::team::Team;
 use super::{
-    AttendAll, AttendOwn, Dense, EmbedEntities, EmbedTasks, GroupSum, Gru, Int8AttendOwn,
-    Int8Dense, Int8EmbedEntities, MaskedArgmax, MaskedSample, MeanRows, Output, PointerLogits,
-    ScoreAllocations, Scratch, Sizes,
+    Arrange, AttendAll, AttendOwn, Combine, Constant, Dense, EmbedEntities, EmbedTasks, GroupSum,
+    Gru, Input, Int8AttendOwn, Int8Dense, Int8EmbedEntities, Map, MaskedArgmax, MaskedSample,
+    MeanRows, Multiply, Normalise, Output, Places, PointerLogits, Reduce, ScoreAllocations,
+    Scratch, Select, Sizes, Softmax, State,
 };
 use crate::kernels::Kernels;
 use crate::limits;
@@ -125,6 +126,16 @@ macro_rules! operators {
                 }
             }
 
+            /// What it reads of a policy's values.
+            pub(crate) fn reads(self) -> Places {
+                match self { $(Self::$kind(op) => op.reads(),)* }
+            }
+
+            /// What it writes of them.
+            pub(crate) fn writes(self) -> Places {
+                match self { $(Self::$kind(op) => op.writes(),)* }
+            }
+
             /// Multiply-adds of one decision with `visible` entities, zeros not left out.
             pub fn multiply_adds(self, visible: usize) -> u64 {
                 // No plan takes more; so nothing overflows.
@@ -210,9 +221,41 @@ operators! {
     PointerLogits,
     /// Its critic.
     ScoreAllocations,
+    /// What the caller of a policy gives.
+    Input,
+    /// What a policy remembers.
+    State,
+    /// Numbers of the weights.
+    Constant,
+    /// A function of every number.
+    Map,
+    /// A function of two values.
+    Combine,
+    /// One of two values.
+    Select,
+    /// Numbers in another order.
+    Arrange,
+    /// One number of every row.
+    Reduce,
+    /// The softmax of every row.
+    Softmax,
+    /// Layer normalisation.
+    Normalise,
+    /// The product of two values.
+    Multiply,
 }
 
 impl OpKind {
+    /// Whether it is a part of an allocator that proposes, and of nothing else.
+    pub(crate) const fn is_of_proposals(self) -> bool {
+        matches!(self, Self::EmbedTasks | Self::PointerLogits | Self::ScoreAllocations)
+    }
+
+    /// Whether it stands in policies alone.
+    pub(crate) const fn is_step(self) -> bool {
+        self as u16 >= Self::Input as u16
+    }
+
     /// Whether plans of this weight layout have the operator.
     pub(crate) const fn fits(self, layout: u32) -> bool {
         match self.layout() {

@@ -43,6 +43,8 @@ pub enum Network {
     Proposals,
     /// Any outputs over all entities: a critic, the trunk of an allocator.
     Entities,
+    /// A policy over inputs of fixed sizes: one agent's action, or any outputs.
+    Policy,
 }
 
 /// The header of a plan; magic, version, byte order and checksums are checked and not kept.
@@ -259,6 +261,7 @@ impl Network {
             Self::TeamValue => "team-value",
             Self::Proposals => "proposals",
             Self::Entities => "entities",
+            Self::Policy => "policy",
         }
     }
 
@@ -269,6 +272,7 @@ impl Network {
             Self::TeamValue => 1,
             Self::Proposals => 2,
             Self::Entities => 5,
+            Self::Policy => 6,
         }
     }
 
@@ -278,6 +282,7 @@ impl Network {
             1 => Ok(Self::TeamValue),
             2 => Ok(Self::Proposals),
             5 => Ok(Self::Entities),
+            6 => Ok(Self::Policy),
             _ => Err(PlanError::UnknownOp),
         }
     }

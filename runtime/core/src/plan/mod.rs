@@ -12,6 +12,7 @@ mod draft;
 mod error;
 mod header;
 mod in_place;
+mod policy;
 mod program;
 #[cfg(test)]
 mod tests;
@@ -25,6 +26,7 @@ pub use header::{
     ALIGNMENT, Checksums, HEADER_BYTES, Header, Network, Profile, VERSION, arena_bytes,
 };
 pub use in_place::Aligned;
+pub use policy::Given;
 pub use program::{OPS, Ops, Program};
 
 pub use crate::ops::{LAYOUT_INT8, LAYOUT_TILES};
@@ -292,7 +294,16 @@ impl<'a, S: OperatorSet> Plan<'a, S> {
         let nonzeros = <[Marks]>::mut_from_bytes(list).map_err(|_| DecideError::BadLength)?;
         let present = observation.visible;
         let agents = EntityMask::EMPTY;
-        Ok(Scratch { floats, nonzeros, visible: 0, own: 0, present, agents, groups: &[] })
+        Ok(Scratch {
+            floats,
+            nonzeros,
+            visible: 0,
+            own: 0,
+            present,
+            agents,
+            groups: &[],
+            inputs: &[],
+        })
     }
 
     /// The weights.

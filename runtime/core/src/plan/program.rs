@@ -9,11 +9,12 @@ use super::error::PlanError;
 use super::header::{Header, Network};
 use crate::ops::proposal_arena::arena_floats;
 use crate::ops::{
-    AllOperators, Gru, OpRef, OperatorSet, Output, OutputRows, Place, ProposalNetwork, Sizes,
+    AllOperators, Gru, Input, OpRef, OperatorSet, Output, OutputRows, Place, ProposalNetwork,
+    Sizes, State,
 };
 
 /// Most operators of one program, so that a check of each against all before it ends soon.
-pub const OPS: usize = 64;
+pub const OPS: usize = 256;
 
 /// Bytes of a word, of which everything in a program is made.
 const WORD: usize = 4;
@@ -194,12 +195,14 @@ impl<'a, S: OperatorSet> Program<'a, S> {
     /// Checks every operator, that rows are embedded before anything reads them, and that the program ends as
     /// its network does: with one choice, or with outputs.
     pub(super) fn check(&self, sizes: &Sizes, header: &Header) -> Result<(), PlanError> {
-        if header.network == Network::Proposals {
-            return self.check_proposals(sizes, header);
+        match header.network {
+            Network::Proposals => return self.check_proposals(sizes, header),
+            Network::Policy => return self.check_policy(sizes, header),
+            _ => {}
         }
         let is_end = |op: OpRef<'_>| match header.network {
             Network::Entities => matches!(op, OpRef::Output(_)),
-            Network::Proposals => false,
+            Network::Proposals | Network::Policy => false,
             Network::Agent | Network::TeamValue => {
                 matches!(op, OpRef::MaskedArgmax(_) | OpRef::MaskedSample(_))
             }
@@ -211,9 +214,7 @@ impl<'a, S: OperatorSet> Program<'a, S> {
             let is_choice = matches!(op, OpRef::MaskedArgmax(_) | OpRef::MaskedSample(_));
             let in_place = match op {
                 OpRef::MaskedArgmax(_) | OpRef::MaskedSample(_) | OpRef::Output(_) => is_end(op),
-                OpRef::EmbedTasks(_) | OpRef::PointerLogits(_) | OpRef::ScoreAllocations(_) => {
-                    false
-                }
+                _ if op.kind().is_of_proposals() || op.kind().is_step() => false,
                 _ => ends == 0,
             };
             units += u32::from(matches!(op, OpRef::Gru(_)));
@@ -232,6 +233,72 @@ impl<'a, S: OperatorSet> Program<'a, S> {
             return Err(self.mismatch());
         }
         Ok(())
+    }
+
+    /// The inputs of a policy, in the caller's order.
+    pub fn inputs(&self) -> impl Iterator<Item = &'a Input> {
+        self.ops().filter_map(|op| match op {
+            OpRef::Input(input) => Some(input),
+            _ => None,
+        })
+    }
+
+    /// The recurrent states of a policy, in the order in which the caller keeps them.
+    pub fn states(&self) -> impl Iterator<Item = &'a State> {
+        self.ops().filter_map(|op| match op {
+            OpRef::State(state) => Some(state),
+            _ => None,
+        })
+    }
+
+    /// Checks a policy: inputs and states first, then steps, each of which reads what was written before it, then one
+    /// choice or the outputs.
+    fn check_policy(&self, sizes: &Sizes, header: &Header) -> Result<(), PlanError> {
+        let (mut inputs, mut part) = (0, PolicyPart::Inputs);
+        for (index, op) in self.ops().enumerate() {
+            let own = PolicyPart::of(op);
+            let numbered = match op {
+                OpRef::Input(input) => input.index == inputs,
+                _ => true,
+            };
+            inputs += u32::from(matches!(op, OpRef::Input(_)));
+            // Nothing follows a choice.
+            let in_order = own.is_some_and(|own| own >= part) && part != PolicyPart::Choice;
+            let written = op.reads().iter().all(|place| self.is_written(*place, index));
+            let fits = numbered && in_order && written && op.kind().fits(header.layout);
+            if !(fits && op.check::<S>(sizes)) {
+                return Err(PlanError::ShapeMismatch { op: index });
+            }
+            part = own.unwrap_or(part);
+        }
+        let count = self.ops().count();
+        let known = self.states().all(|state| self.is_written(state.to, count));
+        let hidden = self.states().fold(0, |sum: u32, state| sum.saturating_add(state.from.len));
+        let ends = matches!(part, PolicyPart::Outputs | PolicyPart::Choice);
+        let fits = inputs > 0 && ends && known && hidden == sizes.hidden && !header.skip;
+        fits.then_some(()).ok_or_else(|| self.mismatch())
+    }
+
+    /// Whether the operators before `index` wrote all floats of a place.
+    fn is_written(&self, place: Place, index: usize) -> bool {
+        let end = u64::from(place.offset) + u64::from(place.len);
+        let mut at = u64::from(place.offset);
+        while at < end {
+            let mut next = at;
+            for written in self.ops().take(index).map(OpRef::writes) {
+                for place in written.iter() {
+                    let start = u64::from(place.offset);
+                    if start <= at {
+                        next = next.max(start + u64::from(place.len));
+                    }
+                }
+            }
+            if next == at {
+                return false;
+            }
+            at = next;
+        }
+        true
     }
 
     /// Something about the program as a whole does not fit.
@@ -263,6 +330,28 @@ impl<'a, S: OperatorSet> Program<'a, S> {
             }
             _ => false,
         })
+    }
+}
+
+/// The parts of a policy's program, in order.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum PolicyPart {
+    Inputs,
+    Steps,
+    Outputs,
+    Choice,
+}
+
+impl PolicyPart {
+    /// Where an operator stands; `None` if in no policy.
+    fn of(op: OpRef<'_>) -> Option<Self> {
+        match op {
+            OpRef::Input(_) | OpRef::State(_) => Some(Self::Inputs),
+            OpRef::Dense(_) | OpRef::Gru(_) => Some(Self::Steps),
+            OpRef::Output(Output { rows: OutputRows::One, .. }) => Some(Self::Outputs),
+            OpRef::MaskedArgmax(_) | OpRef::MaskedSample(_) => Some(Self::Choice),
+            op => op.kind().is_step().then_some(Self::Steps),
+        }
     }
 }
 

@@ -2,6 +2,7 @@
 //! of its members alone.
 
 mod int8;
+mod policy;
 mod refusals;
 
 use std::vec;
@@ -204,6 +205,18 @@ fn assemble(
     bytes.resize(offset, 0);
     bytes.extend(weights);
     AlignedBytes::copy_of(&bytes)
+}
+
+/// The same plan with another header, and the checksums for it.
+fn with_header(bytes: &[u8], change: impl FnOnce(&mut Header)) -> AlignedBytes {
+    let (mut header, _) = Header::read(bytes).unwrap();
+    change(&mut header);
+    let program = &bytes[HEADER_BYTES..][..header.program_len as usize];
+    let weights = &bytes[header.weights_offset as usize..][..header.weights_len as usize];
+    let checksums = checksums(&header, program, weights);
+    let mut changed = bytes.to_vec();
+    changed[..HEADER_BYTES].copy_from_slice(&header.to_bytes(checksums));
+    AlignedBytes::copy_of(&changed)
 }
 
 /// What the agents of one process see: one frame, and for every agent what it looks at.

@@ -1,0 +1,112 @@
+//! Numbers in another order: transposed, cut out, repeated, put beside others.
+
+use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
+
+use super::super::operator::Operator;
+use super::super::{LAYOUT_TILES, Place, Places, Scratch, Sizes, apart};
+use crate::kernels::Kernels;
+use crate::policy::{DecideError, Observation};
+
+/// Most dimensions of a copy.
+pub(super) const DIMENSIONS: usize = 4;
+
+/// Copies the numbers of a grid: the one at indices i stands `i · from_strides` behind the source's start, and goes
+/// `i · to_strides` behind the result's.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
+pub struct Arrange {
+    /// The source.
+    pub from: Place,
+    /// The result, apart from it.
+    pub to: Place,
+    /// Numbers along every dimension, at least one.
+    pub sizes: [u32; DIMENSIONS],
+    /// Steps in the source; 0 repeats.
+    pub from_strides: [u32; DIMENSIONS],
+    /// Steps in the result.
+    pub to_strides: [u32; DIMENSIONS],
+}
+
+impl Operator for Arrange {
+    const LAYOUT: Option<u32> = Some(LAYOUT_TILES);
+
+    fn check(&self, sizes: &Sizes) -> bool {
+        self.sizes.iter().all(|size| *size > 0)
+            && self.last(&self.from_strides) < u64::from(self.from.len)
+            && self.last(&self.to_strides) < u64::from(self.to.len)
+            && sizes.hold_apart(&[&self.from, &self.to])
+    }
+
+    fn multiply_adds(&self, _: u64) -> u64 {
+        0
+    }
+
+    fn reads(&self) -> Places {
+        Places::of([self.from])
+    }
+
+    fn writes(&self) -> Places {
+        // Several copies may fill a value together, such as parts that stand beside each other.
+        Places::of([self.to])
+    }
+
+    #[inline(always)]
+    fn run<K: Kernels>(
+        &self,
+        _: K,
+        _: &[f32],
+        _: &Observation<'_>,
+        scratch: &mut Scratch<'_>,
+    ) -> Result<(), DecideError> {
+        let (sources, to) = apart(scratch.floats, &self.to)?;
+        let from = sources.get(&self.from)?;
+        let [planes, blocks, rows, columns] = self.sizes.map(|size| size as usize);
+        let from_strides = self.from_strides.map(|stride| stride as usize);
+        let to_strides = self.to_strides.map(|stride| stride as usize);
+        for plane in 0..planes {
+            for block in 0..blocks {
+                for row in 0..rows {
+                    let start = |[of_plane, of_block, of_row, _]: [usize; DIMENSIONS]| {
+                        plane * of_plane + block * of_block + row * of_row
+                    };
+                    let from = from.get(start(from_strides)..).ok_or(DecideError::BadLength)?;
+                    let to = to.get_mut(start(to_strides)..).ok_or(DecideError::BadLength)?;
+                    copy_row(columns, from, from_strides[3], to, to_strides[3])?;
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Arrange {
+    /// The place of the last number.
+    fn last(&self, strides: &[u32; DIMENSIONS]) -> u64 {
+        let sizes = self.sizes.iter().zip(strides);
+        let steps = sizes.map(|(size, stride)| {
+            u64::from(size.saturating_sub(1)).saturating_mul(u64::from(*stride))
+        });
+        steps.fold(0, u64::saturating_add)
+    }
+}
+
+/// Copies so many numbers.
+#[inline(always)]
+fn copy_row(
+    count: usize,
+    from: &[f32],
+    from_stride: usize,
+    to: &mut [f32],
+    to_stride: usize,
+) -> Result<(), DecideError> {
+    if (from_stride, to_stride) == (1, 1) {
+        let from = from.get(..count).ok_or(DecideError::BadLength)?;
+        to.get_mut(..count).ok_or(DecideError::BadLength)?.copy_from_slice(from);
+        return Ok(());
+    }
+    for index in 0..count {
+        let from = from.get(index * from_stride).ok_or(DecideError::BadLength)?;
+        *to.get_mut(index * to_stride).ok_or(DecideError::BadLength)? = *from;
+    }
+    Ok(())
+}

@@ -1,0 +1,131 @@
+//! A function of every number of a value.
+
+use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
+
+use super::super::operator::Operator;
+use super::super::{LAYOUT_TILES, Place, Places, Scratch, Sizes, copied};
+use crate::kernels::Kernels;
+use crate::math;
+use crate::policy::{DecideError, Observation};
+
+/// A function of one number x, with parameters a and b.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(u32)]
+#[non_exhaustive]
+pub enum Function {
+    /// a x + b
+    Affine,
+    /// max(0, x)
+    Relu,
+    /// x where it is positive, else a x
+    LeakyRelu,
+    /// x where it is positive, else a (eˣ - 1)
+    Elu,
+    /// tanh x
+    Tanh,
+    /// 1 / (1 + e⁻ˣ)
+    Sigmoid,
+    /// ln(1 + eˣ)
+    Softplus,
+    /// x / (1 + |x|)
+    Softsign,
+    /// x / (1 + e⁻ˣ)
+    Silu,
+    /// x between a and b
+    Clip,
+    /// eˣ, x clamped to [-87, 88]
+    Exp,
+    /// ln x; of 0 and below something that is not finite
+    Ln,
+    /// √x
+    Sqrt,
+    /// |x|
+    Absolute,
+    /// 1 / x
+    Reciprocal,
+    /// 1 where x is 0, else 0
+    Not,
+}
+
+/// Applies a function to every number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
+pub struct Map {
+    /// The function.
+    pub function: Function,
+    /// The bits of its parameter a.
+    pub a: u32,
+    /// The bits of its parameter b.
+    pub b: u32,
+    /// The value.
+    pub from: Place,
+    /// The result, as long; the value itself, or apart from it.
+    pub to: Place,
+}
+
+impl Operator for Map {
+    const LAYOUT: Option<u32> = Some(LAYOUT_TILES);
+
+    fn check(&self, sizes: &Sizes) -> bool {
+        self.from.len == self.to.len && sizes.hold_in_place(&self.from, &self.to)
+    }
+
+    fn multiply_adds(&self, _: u64) -> u64 {
+        0
+    }
+
+    fn reads(&self) -> Places {
+        Places::of([self.from])
+    }
+
+    fn writes(&self) -> Places {
+        Places::of([self.to])
+    }
+
+    #[inline(always)]
+    fn run<K: Kernels>(
+        &self,
+        _: K,
+        _: &[f32],
+        _: &Observation<'_>,
+        scratch: &mut Scratch<'_>,
+    ) -> Result<(), DecideError> {
+        let values = copied(scratch.floats, &self.from, &self.to)?;
+        let (a, b) = (f32::from_bits(self.a), f32::from_bits(self.b));
+        match self.function {
+            Function::Affine => each(values, |x| a * x + b),
+            Function::Relu => each(values, math::relu),
+            Function::LeakyRelu => each(values, |x| if x > 0.0 { x } else { a * x }),
+            Function::Elu => {
+                each(values, |x| if x > 0.0 { x } else { a * math::exp_minus_one(x) });
+            }
+            Function::Tanh => each(values, math::tanh),
+            Function::Sigmoid => each(values, math::sigmoid),
+            Function::Softplus => each(values, math::softplus),
+            Function::Softsign => each(values, |x| x / (1.0 + x.abs())),
+            Function::Silu => each(values, |x| x * math::sigmoid(x)),
+            Function::Clip => each(values, |x| clip(x, a, b)),
+            Function::Exp => each(values, math::exp),
+            Function::Ln => each(values, math::ln_of_any),
+            Function::Sqrt => each(values, libm::sqrtf),
+            Function::Absolute => each(values, f32::abs),
+            Function::Reciprocal => each(values, |x| 1.0 / x),
+            Function::Not => each(values, |x| if x == 0.0 { 1.0 } else { 0.0 }),
+        }
+        Ok(())
+    }
+}
+
+#[inline(always)]
+fn each(values: &mut [f32], function: impl Fn(f32) -> f32) {
+    for value in values {
+        *value = function(*value);
+    }
+}
+
+/// NaN stays NaN.
+#[inline(always)]
+fn clip(x: f32, low: f32, high: f32) -> f32 {
+    let x = if x < low { low } else { x };
+    if x > high { high } else { x }
+}

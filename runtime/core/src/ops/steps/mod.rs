@@ -1,0 +1,28 @@
+//! Steps on values of fixed sizes, of which policies of any shape are made; one file each.
+//!
+//! A value is a place of the arena. Matrices stand row behind row, without padding, unless a step says otherwise.
+//! What has an own operator beside these (a layer, a recurrent unit, an attention) stands between them in one program.
+
+mod arrange;
+mod combine;
+mod constant;
+mod input;
+mod map;
+mod multiply;
+mod normalise;
+mod reduce;
+mod select;
+mod softmax;
+mod state;
+
+pub use arrange::Arrange;
+pub use combine::{Combination, Combine};
+pub use constant::Constant;
+pub use input::Input;
+pub use map::{Function, Map};
+pub use multiply::Multiply;
+pub use normalise::Normalise;
+pub use reduce::{Reduce, Reduction};
+pub use select::Select;
+pub use softmax::Softmax;
+pub use state::State;

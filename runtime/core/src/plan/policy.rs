@@ -1,0 +1,135 @@
+//! Policies over inputs of fixed sizes.
+
+use super::{Execution, Network, Plan, finite};
+use crate::choose::{masked_argmax, masked_sample};
+use crate::entity_mask::EntityMask;
+use crate::ops::{OperatorSet, Place, Scratch};
+use crate::policy::{DecideError, Decision, Observation};
+
+/// What a policy decides on.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Given<'a> {
+    /// The inputs, in the plan's order and of its lengths.
+    pub inputs: &'a [&'a [f32]],
+    /// Availability of actions `[U]`, 0 = not available.
+    pub available: &'a [u16],
+}
+
+impl<S: OperatorSet> Plan<'_, S> {
+    /// Writes the outputs of a policy, one after the other in the order of the source graph. `states` `[R]` holds the
+    /// recurrent states one behind the other; they are replaced where the outputs could be computed.
+    ///
+    /// # Errors
+    /// `BadLength` where inputs, outputs or the arena do not fit or the plan is no policy with outputs, `HiddenState`
+    /// where the states do not, `NonFinite` where an input, an output or a state is no finite number.
+    pub fn respond(
+        &self,
+        arena: &mut [u8],
+        inputs: &[&[f32]],
+        states: &mut [f32],
+        outputs: &mut [&mut [f32]],
+    ) -> Result<(), DecideError> {
+        if outputs.is_empty() || outputs.len() != self.program.outputs().count() {
+            return Err(DecideError::BadLength);
+        }
+        let scratch = self.run_policy(arena, inputs, states)?;
+        for (output, to) in self.program.outputs().zip(outputs) {
+            output.read(&scratch, to)?;
+        }
+        self.remember(&scratch, states)
+    }
+
+    /// Chooses greedily among the available actions, lowest index on ties.
+    ///
+    /// # Errors
+    /// As [`Self::respond`], and `NoAvailableAction`.
+    pub fn choose(
+        &self,
+        arena: &mut [u8],
+        given: &Given<'_>,
+        states: &mut [f32],
+    ) -> Result<Decision, DecideError> {
+        let scratch = self.run_policy(arena, given.inputs, states)?;
+        let decision = masked_argmax(self.chosen(&scratch)?, given.available)?;
+        self.remember(&scratch, states)?;
+        Ok(decision)
+    }
+
+    /// Draws an action from the policy's logits by 32 random bits.
+    ///
+    /// # Errors
+    /// As [`Self::choose`], and `Greedy` where the policy does not draw.
+    pub fn draw(
+        &self,
+        arena: &mut [u8],
+        given: &Given<'_>,
+        states: &mut [f32],
+        random: u32,
+    ) -> Result<Decision, DecideError> {
+        if !self.program.draws() {
+            return Err(DecideError::Greedy);
+        }
+        let scratch = self.run_policy(arena, given.inputs, states)?;
+        let decision = masked_sample(self.chosen(&scratch)?, given.available, random)?;
+        self.remember(&scratch, states)?;
+        Ok(decision)
+    }
+
+    fn chosen<'s>(&self, scratch: &'s Scratch<'_>) -> Result<&'s [f32], DecideError> {
+        let place = self.program.utilities().ok_or(DecideError::BadLength)?;
+        finite(scratch.floats.get(place.range()).ok_or(DecideError::BadLength)?)
+    }
+
+    fn run_policy<'s>(
+        &self,
+        arena: &'s mut [u8],
+        inputs: &'s [&'s [f32]],
+        states: &[f32],
+    ) -> Result<Scratch<'s>, DecideError> {
+        let (want, got) = (self.hidden(), states.len());
+        if got != want {
+            return Err(DecideError::HiddenState { want, got });
+        }
+        if self.header.network != Network::Policy || inputs.len() != self.program.inputs().count() {
+            return Err(DecideError::BadLength);
+        }
+        let nothing = Observation {
+            rows: &[],
+            stride: self.header.features as usize,
+            last_actions: &[],
+            visible: EntityMask::EMPTY,
+            self_index: 0,
+            available: &[],
+        };
+        let mut scratch = self.scratch(arena, &nothing)?;
+        scratch.inputs = inputs;
+        let mut rest = states;
+        for state in self.program.states() {
+            let from = rest.split_off(..state.from.len as usize).ok_or(DecideError::BadLength)?;
+            finite(from)?;
+            floats(&mut scratch, &state.from)?.copy_from_slice(from);
+        }
+        self.execute(Execution { plan: self, observation: &nothing, scratch: &mut scratch })?;
+        Ok(scratch)
+    }
+
+    /// Hands the next states to the caller, all of them or none.
+    fn remember(&self, scratch: &Scratch<'_>, states: &mut [f32]) -> Result<(), DecideError> {
+        let next = |place: &Place| {
+            finite(scratch.floats.get(place.range()).ok_or(DecideError::BadLength)?)
+        };
+        for state in self.program.states() {
+            next(&state.to)?;
+        }
+        let mut rest = states;
+        for state in self.program.states() {
+            let to = rest.split_off_mut(..state.to.len as usize).ok_or(DecideError::BadLength)?;
+            to.copy_from_slice(next(&state.to)?);
+        }
+        Ok(())
+    }
+}
+
+fn floats<'s>(scratch: &'s mut Scratch<'_>, place: &Place) -> Result<&'s mut [f32], DecideError> {
+    scratch.floats.get_mut(place.range()).ok_or(DecideError::BadLength)
+}
