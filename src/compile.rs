@@ -9,7 +9,7 @@ use sortie_bundle::hex;
 use sortie_core::plan::Profile;
 use sortie_plans::{
     Agreement, CompileError, CompileOptions, Compiled, Compiler, LEAST_AGREEMENT,
-    LEAST_OBSERVATIONS, Quantised, Report, quantise,
+    LEAST_OBSERVATIONS, PolicyOptions, Quantised, Report, quantise,
 };
 
 use crate::compiler::{compiler, with_plans};
@@ -17,6 +17,7 @@ use crate::deployment::open_bundle;
 use crate::engines::check_program;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::files::{Kind, try_output, write_output};
+use crate::foreign::PolicyArguments;
 use crate::observations::read_any_recording;
 use crate::options::Common;
 use crate::output::{Table, print_json, say, tell};
@@ -29,18 +30,21 @@ use crate::policy::PlanProfile;
 /// instead, and refused where it takes another action in more than 0.5 % of them. Prints what the plan will
 /// cost: flash, arena, work.
 ///
+/// A policy that somebody else exported becomes a plan of general steps; what is what in it is found, or said by flags.
+///
 /// Given a bundle, writes the same bundle with plans of its own networks, which run without being compiled again.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   sortie compile models/save-the-city/agent.onnx -o agent.plan --n-max 11
   sortie compile models/save-the-city/agent.onnx -o agent.plan --n-max 11 --profile int8 --observations seen.bin
+  sortie compile walking.onnx -o walking.plan
   sortie compile models/first -o models/first-with-plans")]
 pub(crate) struct CompileArguments {
     /// The network, or the folder of a bundle
     #[arg(value_name = "ONNX|BUNDLE")]
     onnx: PathBuf,
     /// Where to write the plan, or the new bundle
-    #[arg(short, long, value_name = "PLAN|BUNDLE")]
+    #[arg(short, long = "out", value_name = "PLAN|BUNDLE")]
     output: PathBuf,
     /// Most visible entities, which sizes the arena
     #[arg(long, default_value_t = 32, value_parser = clap::value_parser!(u16).range(1..=128))]
@@ -54,6 +58,8 @@ pub(crate) struct CompileArguments {
     /// Write an int8 plan however seldom it takes the same action, and whatever was recorded
     #[arg(long)]
     force: bool,
+    #[command(flatten)]
+    policy: PolicyArguments,
     #[command(flatten)]
     common: Common,
 }
@@ -124,10 +130,26 @@ pub(crate) fn run(arguments: &CompileArguments) -> Outcome {
         print(arguments, &compiled.report, Some((agreement, exact)));
         return Ok(());
     }
-    let compiled = compiler().compile(&onnx, &options).map_err(failed)?;
+    let compiled = compile_any(&onnx, &options, &arguments.policy.options()).map_err(failed)?;
     write_output(plan, &compiled.bytes)?;
     print(arguments, &compiled.report, None);
     Ok(())
+}
+
+/// Compiles a network of ours, or a policy of somebody else: what says something about one means one.
+fn compile_any(
+    onnx: &[u8],
+    options: &CompileOptions,
+    policy: &PolicyOptions,
+) -> Result<Compiled, CompileError> {
+    let of_others = || compiler().compile_policy(onnx, policy, options).map(|of| of.compiled);
+    if *policy != PolicyOptions::default() {
+        return of_others();
+    }
+    match compiler().compile(onnx, options) {
+        Err(CompileError::Inputs { .. }) => of_others(),
+        compiled => compiled,
+    }
 }
 
 /// Writes a bundle again, with plans.

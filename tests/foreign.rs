@@ -146,7 +146,7 @@ fn every_file_gives_its_recorded_answers() {
         let engines = report["engines"].as_array().expect("engines");
         let names: Vec<&str> =
             engines.iter().filter_map(|engine| engine["name"].as_str()).collect();
-        assert_eq!(names[0], "tract against recorded");
+        assert_eq!(names[..2], ["plan against recorded", "tract against recorded"]);
         for engine in engines {
             let families = engine["families"].as_array().expect("outputs");
             assert_eq!(families.len(), outputs.split(", ").count(), "{name}: {engine}");
@@ -161,9 +161,11 @@ fn every_file_gives_its_recorded_answers() {
             eprintln!("NOT COMPARED with onnxruntime: it is not installed here");
             continue;
         }
-        assert_eq!(names[1], "onnxruntime against recorded");
-        let together = "tract against onnxruntime, 100 steps with the state fed back";
-        assert_eq!(names.get(2), outputs.contains("state").then_some(&together), "{name}");
+        assert_eq!(names[2], "onnxruntime against recorded");
+        let together = |pair| format!("{pair}, 100 steps with the state fed back");
+        let pairs = ["plan against tract", "plan against onnxruntime", "tract against onnxruntime"];
+        let pairs = if outputs.contains("state") { &pairs[..] } else { &[] };
+        assert_eq!(names[3..], pairs.iter().map(together).collect::<Vec<_>>(), "{name}");
     }
 }
 
@@ -193,7 +195,7 @@ fn other_answers_than_recorded_are_a_difference() {
     let end = bytes.windows(4).position(|four| four == b"PK\x01\x02").expect("a directory");
     let changed = [&bytes[end - 4..end - 2], &[0x80, 0x41]].concat();
     let path = edited(folder.path(), name, &bytes[end - 4..end + 2], &changed);
-    assert_fails(&verify(&onnx(name), &path), 1, &["tract against recorded, q", "1e-5"]);
+    assert_fails(&verify(&onnx(name), &path), 1, &["plan against recorded, q", "1e-5"]);
 
     // A choice that no score explains.
     let name = "sb3_maskable_ppo.classic";
@@ -203,7 +205,7 @@ fn other_answers_than_recorded_are_a_difference() {
     let other = (from[8] + 1) % 5;
     let changed = [&from[..8], &[other]].concat();
     let path = edited(folder.path(), name, from, &changed);
-    assert_fails(&verify(&onnx(name), &path), 1, &["tract against recorded, action"]);
+    assert_fails(&verify(&onnx(name), &path), 1, &["plan against recorded, action"]);
 }
 
 #[test]
@@ -265,12 +267,21 @@ fn flags_of_policies_go_with_policies() {
         2,
         &["--npz"],
     );
-    // Without what was recorded a policy would need a plan.
-    let words = ["no plan yet", "sortie inspect", "sortie verify --npz"];
+    let words = ["sortie verify --npz"];
     assert_fails(&output(&["verify", &agent, "--against", "tract"]), 65, &words);
+}
+
+#[test]
+fn every_file_becomes_a_plan() {
     let folder = tempfile::tempdir().expect("a folder");
-    let plan = folder.path().join("agent.plan").display().to_string();
-    assert_fails(&output(&["compile", &agent, "-o", &plan]), 65, &words);
+    let plan = folder.path().join("policy.plan").display().to_string();
+    for (name, flags, ..) in FILES {
+        let compile = ["compile", &onnx(name), "-o", &plan, "--json"];
+        let report = json(&[&compile, flags].concat());
+        assert!(report["max_rel_error"].as_f64().is_some_and(|error| error < 1e-5), "{name}");
+        let inspected = json(&["inspect", &plan, "--json"]);
+        assert_eq!(inspected["network"], "policy", "{name}: {inspected}");
+    }
 }
 
 #[test]

@@ -22,8 +22,39 @@ fuzz_target!(|bytes: &[u8]| {
     let Some(plan) = plan else { return };
     if let Ok(plan) = Plan::load(plan.as_slice()) {
         decide(&plan, bytes);
+        respond(&plan, bytes);
     }
 });
+
+/// A policy's outputs, which no other plan gives.
+fn respond(plan: &Plan<'_>, bytes: &[u8]) {
+    let mut input = Input(bytes.get(bytes.len() / 2..).unwrap_or_default());
+    let lengths = || plan.program().inputs().map(|input| input.to.len as usize);
+    if lengths().chain([plan.hidden()]).any(|length| length > MOST_BYTES) {
+        return;
+    }
+    let given: Vec<Vec<f32>> =
+        lengths().map(|length| (0..length).map(|_| input.float()).collect()).collect();
+    let given: Vec<&[f32]> = given.iter().map(Vec::as_slice).collect();
+    let answers = [plan.clone(), plan.clone().on(Build::PORTABLE)].map(|plan| {
+        let mut memory = AlignedBytes::zeroed(plan.arena_bytes() + 2 * GUARD);
+        memory.as_mut_slice().fill(0xA5);
+        let end = GUARD + plan.arena_bytes();
+        let mut states = vec![0.5; plan.hidden()];
+        let widths = plan.program().outputs().map(|output| output.width as usize);
+        let mut outputs: Vec<Vec<f32>> = widths.map(|width| vec![0.0; width]).collect();
+        let mut places: Vec<&mut [f32]> = outputs.iter_mut().map(Vec::as_mut_slice).collect();
+        let arena = &mut memory.as_mut_slice()[GUARD..end];
+        let answer = plan.respond(arena, &given, &mut states, &mut places);
+        let (before, rest) = memory.as_slice().split_at(GUARD);
+        let after = &rest[plan.arena_bytes()..];
+        assert!(before.iter().chain(after).all(|byte| *byte == 0xA5), "left its arena");
+        let bits = |numbers: &[f32]| numbers.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
+        let outputs: Vec<Vec<u32>> = outputs.iter().map(|output| bits(output)).collect();
+        answer.map(|()| (outputs, bits(&states)))
+    });
+    assert_eq!(answers[0], answers[1], "the builds of the kernels differ");
+}
 
 /// Header and program with made-up weights and right checksums.
 fn forge(bytes: &[u8]) -> Option<AlignedBytes> {

@@ -3,8 +3,10 @@
 use std::fs;
 use std::path::Path;
 
+use sortie_core::plan::AlignedBytes;
 use sortie_plans::{
-    Comparison, CompileError, FlatPolicy, OutputRole, PolicyAnswer, PolicyFacts, PolicyOutput,
+    Comparison, CompileError, CompileOptions, CompiledPolicy, FlatPolicy, OutputRole,
+    PlanFlatPolicy, PolicyAnswer, PolicyFacts, PolicyOptions, PolicyOutput,
 };
 
 use super::{Compared, Judges, Report, VerifyArguments, within};
@@ -13,6 +15,7 @@ use crate::engines::engines;
 use crate::failure::{Exit, Failure};
 use crate::foreign::ENGINE;
 use crate::npz::{self, Array, Arrays};
+use crate::output::tell;
 
 /// Steps that recurrent policies take with their states fed back.
 const STEPS: usize = 100;
@@ -32,22 +35,54 @@ pub(super) fn compare(
     let cases = Cases::of(&facts, &arrays)
         .map_err(|reason| Failure::new(Exit::BadData, format!("{}: {reason}", file.display())))?;
     let tract = engines()?.tract().name();
+    let options = (&options, arguments.common.seed);
+    let compiled = compiled_policy(&onnx, options, arguments.common.quiet).map_err(&failed)?;
+    let plan = compiled.as_ref().map(|compiled| AlignedBytes::copy_of(&compiled.compiled.bytes));
     let mut engines = Vec::new();
     let mut fed_back: Vec<(&str, Vec<Step>)> = Vec::new();
+    let mut policies: Vec<(&str, Box<dyn FlatPolicy + '_>)> = Vec::new();
+    if let Some(plan) = &plan {
+        let plan = PlanFlatPolicy::load(plan.as_slice(), facts.clone()).map_err(&failed)?;
+        policies.push(("plan", Box::new(plan)));
+    }
     for judge in &judges.engines {
-        let mut policy = judge.flat_policy(&onnx, &options).map_err(&failed)?;
-        let name = format!("{} against recorded", judge.name());
+        let policy = judge.flat_policy(&onnx, options.0).map_err(&failed)?;
+        policies.push((judge.name(), policy));
+    }
+    for (engine, policy) in &mut policies {
+        let name = format!("{engine} against recorded");
         engines.push(Compared::new(name, cases.recorded(policy.as_mut()).map_err(&failed)?));
         if facts.state_length() > 0 {
-            fed_back.push((judge.name(), cases.fed_back(policy.as_mut()).map_err(&failed)?));
+            fed_back.push((engine, cases.fed_back(policy.as_mut()).map_err(&failed)?));
         }
     }
-    if let [(one, got), (other, want)] = fed_back.as_slice() {
-        let name = format!("{one} against {other}, {STEPS} steps with the state fed back");
-        engines.push(Compared::new(name, step_by_step(&facts, got, want)));
+    for (index, (one, got)) in fed_back.iter().enumerate() {
+        for (other, want) in fed_back.iter().skip(index + 1) {
+            let name = format!("{one} against {other}, {STEPS} steps with the state fed back");
+            engines.push(Compared::new(name, step_by_step(&facts, got, want)));
+        }
     }
     let engine = judges.engines.iter().any(|judge| judge.name() == tract).then_some(ENGINE);
     Ok(Report { engines, not_compared: judges.missing(), engine })
+}
+
+/// The policy's plan; where a node has no step that is said, and the other engines are compared.
+fn compiled_policy(
+    onnx: &[u8],
+    (policy, seed): (&PolicyOptions, u64),
+    quiet: bool,
+) -> Result<Option<CompiledPolicy>, CompileError> {
+    let options = CompileOptions { seed, ..CompileOptions::default() };
+    match compiler().compile_policy(onnx, policy, &options) {
+        Ok(compiled) => Ok(Some(compiled)),
+        Err(error @ CompileError::Unsupported { .. }) => {
+            if !quiet {
+                tell!("note: there is no plan of this file to compare: {error}");
+            }
+            Ok(None)
+        }
+        Err(error) => Err(error),
+    }
 }
 
 /// What was recorded, in the order in which a policy takes and gives it.

@@ -7,7 +7,7 @@ use sortie_plans::{
     Rows, random_entities, random_observations_of, random_team_queries_of, read_request,
 };
 
-use crate::compile::{compile, compile_proposals};
+use crate::compile::{compile, compile_policy, compile_proposals};
 use crate::engine::TeamValueEngine;
 use crate::flat::FlatGraph;
 use crate::graph::{EntityRoles, Graph, Inputs, TeamRoles};
@@ -26,6 +26,9 @@ pub fn answer_compiler() -> io::Result<()> {
         Request::CompileProposals(options) => postcard::to_stdvec(
             &ProposalFiles::split(&onnx).and_then(|files| compile_proposals(&files, &options)),
         ),
+        Request::CompilePolicy(policy, options) => {
+            postcard::to_stdvec(&compile_policy(&onnx, &policy, &options))
+        }
         Request::Rehearse { n_max, features } => {
             postcard::to_stdvec(&rehearse(&onnx, n_max, features))
         }

@@ -24,7 +24,7 @@ mod tract;
 pub use answer::answer_compiler;
 pub use compile::{
     compare_entities_with_graph, compare_proposals_with_graphs, compare_team_values_with_graph,
-    compare_with_graph, compile, compile_proposals,
+    compare_with_graph, compile, compile_policy, compile_proposals,
 };
 pub use inspect::{inspect, inspect_onnx};
 pub use judge::{Judge, judge_agent, judge_team_values};

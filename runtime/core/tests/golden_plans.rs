@@ -16,6 +16,8 @@ const TEAM_VALUE_SKIP: &[u8] =
     include_plan!("../../../tests/golden/plans/team-value-skip-2.0.plan");
 const PROPOSALS: &[u8] = include_plan!("../../../tests/golden/plans/proposals-2.0.plan");
 
+const POLICY: &[u8] = include_plan!("../../../tests/golden/plans/policy-2.0.plan");
+
 /// Plans of every version of before, as their first compiler wrote them.
 const FIRST_MAJOR: [(&[u8], u16); 4] = [
     (include_plan!("../../../tests/golden/plans/agent-1.0.plan"), 0),
@@ -159,6 +161,37 @@ fn proposals() -> String {
 fn proposals_are_as_recorded() {
     let want = include_str!("../../../tests/golden/plans/proposals-2.0.txt");
     assert_eq!(proposals(), want, "got:\n{}", proposals());
+}
+
+/// One line a seed: the bits of a policy's only output.
+fn responses() -> String {
+    let plan = Plan::load(POLICY).expect("a plan of the golden files");
+    let lengths: Vec<usize> = plan.program().inputs().map(|input| input.to.len as usize).collect();
+    let [features, mask] = lengths[..] else { panic!("other inputs") };
+    let mut lines = String::new();
+    for seed in 0..16 {
+        let mut numbers = Numbers(seed);
+        let features: Vec<f32> = (0..features).map(|_| numbers.feature()).collect();
+        let hidden = |index: usize| index > 0 && numbers.next().is_multiple_of(2);
+        let mask: Vec<f32> = (0..mask).map(hidden).map(|set| f32::from(u8::from(set))).collect();
+        let answers = [Build::widest(), Build::PORTABLE].map(|build| {
+            let mut arena = Aligned([0xFF; arena_bytes(POLICY)]);
+            let mut output = vec![0.0; plan.actions()];
+            let inputs: [&[f32]; 2] = [&features, &mask];
+            let plan = plan.clone().on(build);
+            plan.respond(&mut arena.0, &inputs, &mut [], &mut [&mut output]).expect("numbers");
+            output.iter().map(|number| format!(" {:08x}", number.to_bits())).collect::<String>()
+        });
+        assert_eq!(answers[0], answers[1], "seed {seed}");
+        lines += &format!("{seed}:{}\n", answers[0]);
+    }
+    lines
+}
+
+#[test]
+fn a_policy_responds_as_recorded() {
+    let want = include_str!("../../../tests/golden/plans/policy-2.0.txt");
+    assert_eq!(responses(), want, "got:\n{}", responses());
 }
 
 #[test]

@@ -9,7 +9,7 @@ use sortie_core::allocate::{
     CostAllocator, CostMethod, CostModel, LastAllocation, PlanTeamValue, ProposalAllocator,
     SearchMemory, TaskRelation, TeamValueAllocator, exact,
 };
-use sortie_core::plan::{Aligned, Plan, arena_bytes};
+use sortie_core::plan::{Aligned, Given, Plan, arena_bytes};
 use sortie_core::{
     AllocateError, AllocationState, Allocator, EntityMask, NO_ACTION, Observation, PlanPolicy,
     Policy, include_plan,
@@ -20,6 +20,7 @@ const INT8: &[u8] = include_plan!("../../../tests/golden/plans/agent-int8-2.0.pl
 const SKIP: &[u8] = include_plan!("../../../tests/golden/plans/agent-skip-2.0.plan");
 const TEAM_VALUE: &[u8] = include_plan!("../../../tests/golden/plans/team-value-2.0.plan");
 
+const POLICY: &[u8] = include_plan!("../../../tests/golden/plans/policy-2.0.plan");
 const PROPOSALS: &[u8] = include_plan!("../../../tests/golden/plans/proposals-2.0.plan");
 
 /// The system's allocator, counting the calls of each thread.
@@ -179,6 +180,27 @@ fn allocations_never_touch_the_heap() {
         }
     });
     assert_eq!((calls, made), (0, 2 * count));
+}
+
+#[test]
+fn policies_never_touch_the_heap() {
+    let features: Vec<f32> = (0..70).map(|number| (number % 5) as f32 / 4.0 - 0.5).collect();
+    let (mask, mut arena) = ([0.0; 7], Aligned([0; arena_bytes(POLICY)]));
+    let count = decisions() / 100;
+    let mut made = 0;
+    let calls = heap_calls(|| {
+        let mut output = [0.0; 6];
+        for number in 0..count {
+            let plan = Plan::load(POLICY).expect("a golden plan");
+            let inputs: &[&[f32]] = &[&features, &mask];
+            let responded = plan.respond(&mut arena.0, inputs, &mut [], &mut [&mut output]);
+            let available = [1, 1, 1, (number % 2) as u16, 1, 1];
+            let given = Given { inputs, available: &available };
+            let chosen = plan.choose(&mut arena.0, &given, &mut []);
+            made += usize::from(responded.is_ok() && chosen.is_ok());
+        }
+    });
+    assert_eq!((calls, made), (0, count));
 }
 
 #[test]

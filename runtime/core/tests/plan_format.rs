@@ -212,7 +212,15 @@ fn steps() -> [Op; 11] {
         Op::Arrange(Arrange { from, to, sizes, from_strides, to_strides }),
         Op::Reduce(Reduce { reduction: Reduction::ArgMax, columns, from, to }),
         Op::Softmax(Softmax { logarithm: Flag::No, columns, from, to }),
-        Op::Normalise(Normalise { columns, epsilon: 0, factors: 0, offsets: 0, from, to }),
+        Op::Normalise(Normalise {
+            centred: Flag::Yes,
+            columns,
+            epsilon: 0,
+            factors: 0,
+            offsets: 0,
+            from,
+            to,
+        }),
         Op::Multiply(Multiply { rows: 1, inner: 1, columns, left, right, to }),
     ]
 }

@@ -24,8 +24,8 @@ pub enum CompileError {
         "an agent network needs entities f32 [N, D], self_index i64 [1] and visible bool [N], with memory a state \
          f32 [R] that comes out too, a team-value network entities and relation f32 [N, _] and present, is_agent, in_task, open, team bool [N], \
          a network over all entities entities f32 [N, D], present bool [N] and, where needed, is_agent bool [N] and \
-         groups bool [N, T]; the file has {found}; policies of other kinds have no plan yet, but `sortie inspect` \
-         shows them and `sortie verify --npz` runs them"
+         groups bool [N, T]; the file has {found}; a policy of another kind is compared with \
+         recorded answers by `sortie verify --npz`"
     )]
     Inputs {
         /// The inputs of the file, with types and shapes.

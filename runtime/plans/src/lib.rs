@@ -19,6 +19,7 @@ mod golden_allocations;
 mod layers;
 mod observations;
 mod policy;
+mod policy_plan;
 mod process;
 mod proof;
 mod proposal_files;
@@ -46,12 +47,14 @@ pub use golden_allocations::compare_with_golden_allocations;
 pub use layers::{Layer, Matrix};
 pub use observations::{
     OwnedEntities, OwnedTeamQuery, random_allocation_states, random_entities, random_observations,
-    random_observations_of, random_states, random_team_queries, random_team_queries_of,
+    random_observations_of, random_policy_inputs, random_states, random_team_queries,
+    random_team_queries_of,
 };
 pub use policy::{
     FlatPolicy, InputRole, OutputRole, PolicyAnswer, PolicyFacts, PolicyInput, PolicyOptions,
     PolicyOutput, PolicyState, ValueType,
 };
+pub use policy_plan::{CompiledPolicy, PlanFlatPolicy};
 pub use process::{CompilerProcess, ProcessLimits, Request, read_request};
 pub use proposal_files::ProposalFiles;
 pub use report::{CompileOptions, Compiled, OperatorReport, Report, VERSION, report};

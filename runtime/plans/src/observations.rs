@@ -6,6 +6,8 @@ use sortie_bundle::{OwnedAllocationState, OwnedObservation};
 use sortie_core::allocate::TeamQuery;
 use sortie_core::{AllocationState, Entities, EntityMask, NO_ACTION, limits};
 
+use crate::policy::{InputRole, PolicyFacts, PolicyInput};
+
 /// A team at a subtask, with all that its value depends on.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OwnedTeamQuery {
@@ -47,6 +49,29 @@ impl OwnedEntities {
         let Self { rows, features: stride, present, agents, groups } = self;
         Entities { rows, stride: *stride, present: *present, agents: *agents, groups }
     }
+}
+
+/// `count` times random numbers for every input of a policy that is no state: features, small whole numbers, and masks
+/// whose rows hold both, as nobody knows which of both hides everything.
+pub fn random_policy_inputs(count: usize, facts: &PolicyFacts, seed: u64) -> Vec<Vec<Vec<f32>>> {
+    let mut random = Random(Xoshiro256PlusPlus::seed_from_u64(seed));
+    let mut input = |input: &PolicyInput, sparse: bool| {
+        let is_mask = input.kind.is_mask() || input.role == InputRole::Available;
+        let mut number = || match input.kind {
+            _ if is_mask => f32::from(u8::from(random.below(3) > 0)),
+            kind if kind.is_integer() => random.below(2) as f32,
+            _ => random.feature(sparse),
+        };
+        let mut numbers: Vec<f32> = (0..input.length()).map(|_| number()).collect();
+        let row = input.shape.last().map_or(1, |size| *size).max(1);
+        for row in numbers.chunks_mut(row).filter(|row| is_mask && row.len() > 1) {
+            let is_same = row.iter().all(|number| row.first() == Some(number));
+            row.iter_mut().take(usize::from(is_same)).for_each(|number| *number = 1.0 - *number);
+        }
+        numbers
+    };
+    let case = |index| facts.given().map(|given| input(given, index % 2 == 1)).collect();
+    (0..count).map(case).collect()
 }
 
 /// `count` random steps of up to `n_max` entities and `groups` groups: everything, nothing, one, all but one or any

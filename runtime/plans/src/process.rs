@@ -26,6 +26,7 @@ use crate::ending::Ending;
 use crate::error::CompileError;
 use crate::facts::{InspectedOnnx, OnnxFacts};
 use crate::policy::{PolicyFacts, PolicyOptions};
+use crate::policy_plan::CompiledPolicy;
 use crate::proposal_files::ProposalFiles;
 use crate::report::{CompileOptions, Compiled};
 
@@ -53,6 +54,8 @@ pub enum Request {
     Compile(CompileOptions),
     /// A plan of three, [`ProposalFiles::joined`].
     CompileProposals(CompileOptions),
+    /// A plan of a policy.
+    CompilePolicy(PolicyOptions, CompileOptions),
     /// A few runs of the graph.
     Rehearse {
         /// Entities of each run.
@@ -125,6 +128,19 @@ impl CompilerProcess {
         features: Option<usize>,
     ) -> Result<(), CompileError> {
         self.ask(Request::Rehearse { n_max, features }, onnx)
+    }
+
+    /// The plan of a policy whoever exported it.
+    ///
+    /// # Errors
+    /// The file cannot be read, more must be said about it, a node has no step, or plan and graph differ.
+    pub fn compile_policy(
+        &self,
+        onnx: &[u8],
+        policy: &PolicyOptions,
+        options: &CompileOptions,
+    ) -> Result<CompiledPolicy, CompileError> {
+        self.ask(Request::CompilePolicy(policy.clone(), *options), onnx)
     }
 
     /// The facts of an ONNX file, whether or not it can be compiled.

@@ -174,6 +174,23 @@ fn detail(op: OpRef<'_>) -> String {
         OpRef::ScoreAllocations(op) => {
             format!("[N, {}] -> [N, {}] -> value", op.embed.inputs, op.embed.outputs)
         }
+        OpRef::Input(op) => format!("[{}]", op.to.len),
+        OpRef::State(op) => format!("[{}]", op.from.len),
+        OpRef::Constant(op) => format!("[{}]", op.to.len),
+        OpRef::Map(op) => format!("{:?}, [{}]", op.function, op.to.len),
+        OpRef::Combine(op) => {
+            format!("{:?}, [{}] and [{}]", op.combination, op.left.len, op.right.len)
+        }
+        OpRef::Select(op) => format!("[{}]", op.to.len),
+        OpRef::Arrange(op) => format!("{:?} of [{}]", op.sizes, op.from.len),
+        OpRef::Reduce(op) => {
+            format!("{:?}, [{}, {}]", op.reduction, op.to.len, op.columns)
+        }
+        OpRef::Softmax(op) => format!("[{}, {}]", op.from.len / op.columns.max(1), op.columns),
+        OpRef::Normalise(op) => format!("[{}, {}]", op.from.len / op.columns.max(1), op.columns),
+        OpRef::Multiply(op) => {
+            format!("[{}, {}] by [{}, {}]", op.rows, op.inner, op.inner, op.columns)
+        }
         OpRef::MaskedArgmax(op) => format!("[{}] -> action", op.from.len),
         OpRef::MaskedSample(op) => format!("[{}] -> drawn action", op.from.len),
         _ => String::new(),

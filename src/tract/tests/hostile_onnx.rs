@@ -177,7 +177,7 @@ fn a_file_that_allocates_without_bound_is_given_up() {
     let folder = tempfile::tempdir().unwrap();
     let plan = folder.path().join("hostile.plan");
     let plan = plan.display().to_string();
-    for arguments in [&["compile", ALLOCATES, "--output", &plan][..], &["inspect", ALLOCATES]] {
+    for arguments in [&["compile", ALLOCATES, "--out", &plan][..], &["inspect", ALLOCATES]] {
         let mut command = Command::new(PROGRAM);
         command.current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).args(arguments);
         let output = command.output().expect("the program starts");

@@ -1,6 +1,7 @@
 //! From the bytes of an ONNX file to a plan that was checked against it.
 
 mod parity;
+mod policy;
 mod proposals;
 
 use sortie_bundle::sha256;
@@ -11,6 +12,7 @@ use sortie_plans::{
 };
 
 pub use parity::{compare_entities_with_graph, compare_team_values_with_graph, compare_with_graph};
+pub use policy::compile_policy;
 pub use proposals::{compare_proposals_with_graphs, compile_proposals};
 
 use crate::graph::{EntityRoles, Graph, Inputs, ProposalPart, TeamRoles};

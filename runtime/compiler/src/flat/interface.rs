@@ -13,6 +13,11 @@ pub(crate) struct Interface {
 }
 
 impl Interface {
+    /// The output of the cut file that an output's numbers are to be taken from: the scores that a choice is made of.
+    pub(crate) fn scores_of(&self, output: usize) -> usize {
+        self.scores.get(output).copied().flatten().unwrap_or(output)
+    }
+
     /// The numbers of every input of the cut file, in its order.
     pub(crate) fn arranged<'a>(
         &'a self,

@@ -44,7 +44,10 @@ pub(crate) fn assemble(
         n_max: sizes.n_max as u32,
         features: sizes.features as u32,
         actions: sizes.actions as u32,
-        hidden: program.memory().map_or(0, |unit| unit.size),
+        hidden: match origin.network {
+            Network::Policy => program.states().map(|state| state.from.len).sum(),
+            _ => program.memory().map_or(0, |unit| unit.size),
+        },
         program_offset: HEADER_BYTES as u32,
         program_len: program_bytes.len() as u32,
         weights_offset: weights_offset as u32,

@@ -59,6 +59,13 @@ impl Weights {
         Vectors { weights: start as u32, count: *count as u16, width: *width as u16 }
     }
 
+    /// Adds numbers as they are.
+    pub(crate) fn add_numbers(&mut self, numbers: &[f32]) -> u32 {
+        let start = self.align();
+        self.floats.extend(numbers);
+        start as u32
+    }
+
     fn align(&mut self) -> usize {
         self.floats.resize(self.floats.len().next_multiple_of(ALIGN), 0.0);
         self.floats.len()

@@ -6,6 +6,7 @@ mod entities;
 mod int8;
 mod int8_layout;
 mod layout;
+mod policy;
 mod proposals;
 #[cfg(test)]
 mod tests;
@@ -14,4 +15,5 @@ pub(crate) use agent::{AgentSizes, Choice, lower_agent};
 pub(crate) use assemble::{Origin, assemble};
 pub(crate) use entities::{EntitySizes, lower_entities};
 pub(crate) use int8::lower_agent_int8;
+pub(crate) use policy::{LoweredPolicy, lower_policy};
 pub(crate) use proposals::lower_proposals;

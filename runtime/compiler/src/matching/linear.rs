@@ -103,7 +103,7 @@ pub(crate) fn match_scale(graph: &Graph, outlet: OutletId) -> (OutletId, f32) {
 }
 
 /// Reads a constant operand as `[inputs, outputs]`: summed axes first, in the order of the other operand.
-fn as_matrix(einsum: &EinSum, constant: &Tensor, slot: usize) -> Option<Matrix> {
+pub(crate) fn as_matrix(einsum: &EinSum, constant: &Tensor, slot: usize) -> Option<Matrix> {
     let (mut summed, mut kept) = (Vec::new(), Vec::new());
     for axis in einsum.axes.iter_all_axes() {
         let Some(&position) = axis.inputs.get(slot)?.first() else { continue };

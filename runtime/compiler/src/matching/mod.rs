@@ -10,6 +10,7 @@ mod team_value;
 pub(crate) use agent::{AgentLayers, Step, match_agent};
 pub(crate) use entities::{AllAttention, EntityLayers, EntityStep, match_entities};
 pub(crate) use gru::GruLayers;
+pub(crate) use linear::as_matrix;
 pub(crate) use proposals::{
     CriticLayers, ProposalLayers, StepLayers, TrunkLayers, match_proposals,
 };

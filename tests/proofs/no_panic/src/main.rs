@@ -15,7 +15,7 @@ use sortie_core::allocate::{
     CostAllocator, CostMethod, CostModel, LastAllocation, PlanTeamValue, ProposalAllocator,
     SearchMemory, TaskRelation, TeamValueAllocator, exact,
 };
-use sortie_core::plan::{Aligned, Plan, arena_bytes};
+use sortie_core::plan::{Aligned, Given, Plan, arena_bytes};
 use sortie_core::wire::{AllocMsg, FrameFormat, FrameHeader, FrameLayout, FrameMut, FrameView};
 use sortie_core::{
     AllocateError, AllocationState, Allocator, EntityMask, NO_ACTION, Observation, PlanPolicy,
@@ -27,6 +27,7 @@ const AGENT: &[u8] = include_plan!("../../../golden/plans/agent-2.0.plan");
 const INT8: &[u8] = include_plan!("../../../golden/plans/agent-int8-2.0.plan");
 const TEAM_VALUE: &[u8] = include_plan!("../../../golden/plans/team-value-2.0.plan");
 
+const POLICY: &[u8] = include_plan!("../../../golden/plans/policy-2.0.plan");
 const PROPOSALS: &[u8] = include_plan!("../../../golden/plans/proposals-2.0.plan");
 
 /// Whether all gave what it should.
@@ -41,6 +42,7 @@ fn everything() -> bool {
         && decide::<{ arena_bytes(INT8) }>(INT8, int8) == Some(true)
         && allocate() == Some(true)
         && propose() == Some(true)
+        && respond() == Some(true)
         && read_messages() == Some(true)
         && links::on_a_chip() == Some(true)
         && links::over_a_line() == Some(true)
@@ -141,6 +143,22 @@ fn allocate() -> Option<bool> {
         all &= places_both(&mut CostAllocator { model, method, team_max, costs }, &state);
     }
     Some(all)
+}
+
+/// A policy of general steps writes its outputs, and chooses among them.
+fn respond() -> Option<bool> {
+    let plan = Plan::load(black_box(POLICY)).ok()?;
+    let mut arena = Aligned([0; arena_bytes(POLICY)]);
+    let (features, mask) = ([0.25; 70], [0.0; 7]);
+    let inputs: [&[f32]; 2] = [&features, &mask];
+    let inputs = black_box(inputs.as_slice());
+    let mut output = [0.0; 6];
+    let outputs = &mut [black_box(output.as_mut_slice())];
+    plan.respond(black_box(&mut arena.0), inputs, black_box(&mut []), outputs).ok()?;
+    let available = [0, 1, 0, 0, 0, 0];
+    let given = Given { inputs, available: black_box(available.as_slice()) };
+    let decision = plan.choose(&mut arena.0, &given, &mut []).ok()?;
+    Some(decision.action == 1 && output.get(1) == Some(&decision.utility))
 }
 
 /// The best of some proposals places both agents.

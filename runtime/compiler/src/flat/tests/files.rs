@@ -62,7 +62,31 @@ impl File {
         self.node_with("ArgMax", &[scores], output, vec![number("axis", -1), number("keepdims", 0)])
     }
 
-    fn node_with(
+    /// Constant numbers.
+    pub(super) fn constant(mut self, name: &str, sizes: &[usize], numbers: &[f32]) -> Self {
+        self.0.initializer.push(pb::TensorProto {
+            name: name.to_owned(),
+            data_type: DataType::Float as i32,
+            dims: sizes.iter().map(|size| *size as i64).collect(),
+            float_data: numbers.to_vec(),
+            ..Default::default()
+        });
+        self
+    }
+
+    /// Constant whole numbers.
+    pub(super) fn whole(mut self, name: &str, numbers: &[i64]) -> Self {
+        self.0.initializer.push(pb::TensorProto {
+            name: name.to_owned(),
+            data_type: DataType::Int64 as i32,
+            dims: vec![numbers.len() as i64],
+            int64_data: numbers.to_vec(),
+            ..Default::default()
+        });
+        self
+    }
+
+    pub(super) fn node_with(
         mut self,
         operator: &str,
         inputs: &[&str],

@@ -3,4 +3,5 @@
 mod files;
 mod graphs;
 mod outputs;
+mod plans;
 mod states;

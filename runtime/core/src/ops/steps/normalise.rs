@@ -3,14 +3,17 @@
 use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::super::operator::Operator;
-use super::super::{LAYOUT_TILES, Place, Places, Scratch, Sizes, copied, slice};
+use super::super::{Flag, LAYOUT_TILES, Place, Places, Scratch, Sizes, copied, slice};
 use crate::kernels::{Kernels, dot};
 use crate::policy::{DecideError, Observation};
 
-/// Brings every row to mean 0 and variance 1, then multiplies its columns with factors and adds offsets.
+/// Brings every row to mean 0 and variance 1, or only its squares to mean 1; then multiplies its columns with factors and
+/// adds offsets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
 #[repr(C)]
 pub struct Normalise {
+    /// Whether the mean is taken away.
+    pub centred: Flag,
     /// Numbers of a row.
     pub columns: u32,
     /// The bits of what is added to the variance.
@@ -61,8 +64,10 @@ impl Operator for Normalise {
         let offsets = slice(weights, self.offsets, columns)?;
         let rows = copied(scratch.floats, &self.from, &self.to)?;
         for row in rows.chunks_exact_mut(columns.max(1)) {
-            let mean = dot::sum(row) / columns as f32;
-            row.iter_mut().for_each(|value| *value -= mean);
+            if self.centred.is_set() {
+                let mean = dot::sum(row) / columns as f32;
+                row.iter_mut().for_each(|value| *value -= mean);
+            }
             let variance = dot::sum_of_squares(row) / columns as f32;
             let scale = 1.0 / libm::sqrtf(variance + f32::from_bits(self.epsilon));
             for ((value, factor), offset) in row.iter_mut().zip(factors).zip(offsets) {

@@ -294,27 +294,31 @@ fn rows_are_reduced_weighed_and_normalised() {
     }
 
     let (factors, offsets) = (numbers(&mut random, columns), numbers(&mut random, columns));
-    let mut draft = Draft::default();
-    let place = draft.input(x.len());
-    let (of_factors, of_offsets) = (draft.weights(&factors), draft.weights(&offsets));
-    draft.push(Op::Normalise(Normalise {
-        columns: columns as u32,
-        epsilon: 1e-5_f32.to_bits(),
-        factors: of_factors,
-        offsets: of_offsets,
-        from: place,
-        to: place,
-    }));
-    draft.output(place);
-    let normal = |row: &[f64]| -> Vec<f64> {
-        let mean = row.iter().sum::<f64>() / columns as f64;
-        let variance = row.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / columns as f64;
-        let scale = 1.0 / (variance + f64::from(1e-5_f32)).sqrt();
-        let columns = row.iter().zip(&factors).zip(&offsets);
-        columns.map(|((x, f), o)| (x - mean) * scale * f64::from(*f) + f64::from(*o)).collect()
-    };
-    let want: Vec<f64> = wide.chunks(columns).flat_map(normal).collect();
-    assert_close(&draft.respond(&[&x], x.len()).unwrap(), &want, "normalised");
+    for centred in [Flag::Yes, Flag::No] {
+        let mut draft = Draft::default();
+        let place = draft.input(x.len());
+        let (of_factors, of_offsets) = (draft.weights(&factors), draft.weights(&offsets));
+        draft.push(Op::Normalise(Normalise {
+            centred,
+            columns: columns as u32,
+            epsilon: 1e-5_f32.to_bits(),
+            factors: of_factors,
+            offsets: of_offsets,
+            from: place,
+            to: place,
+        }));
+        draft.output(place);
+        let normal = |row: &[f64]| -> Vec<f64> {
+            let mean = row.iter().sum::<f64>() / columns as f64;
+            let mean = if centred.is_set() { mean } else { 0.0 };
+            let variance = row.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / columns as f64;
+            let scale = 1.0 / (variance + f64::from(1e-5_f32)).sqrt();
+            let columns = row.iter().zip(&factors).zip(&offsets);
+            columns.map(|((x, f), o)| (x - mean) * scale * f64::from(*f) + f64::from(*o)).collect()
+        };
+        let want: Vec<f64> = wide.chunks(columns).flat_map(normal).collect();
+        assert_close(&draft.respond(&[&x], x.len()).unwrap(), &want, "normalised");
+    }
 }
 
 #[test]
@@ -492,7 +496,15 @@ fn steps_stay_inside_their_places() {
         Op::Multiply(Multiply { rows, inner, columns, left, right, to })
     };
     let normalise = |columns, weights| {
-        Op::Normalise(Normalise { columns, epsilon: 0, factors: weights, offsets: 0, from: x, to })
+        Op::Normalise(Normalise {
+            centred: Flag::Yes,
+            columns,
+            epsilon: 0,
+            factors: weights,
+            offsets: 0,
+            from: x,
+            to,
+        })
     };
     let gru = |size| {
         let layer = Linear { inputs: 8, outputs: 24, weights: 0, bias: 0 };

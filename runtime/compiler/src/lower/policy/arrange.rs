@@ -1,0 +1,234 @@
+//! Numbers in another order: transposed, cut out, repeated, beside each other.
+
+use sortie_core::ops::{Arrange, Op, Place};
+use tract_onnx::prelude::*;
+use tract_onnx::tract_core::ops::array::Slice;
+use tract_onnx::tract_core::ops::change_axes::AxisOp;
+use tract_onnx::tract_hir::internal::DimLike;
+
+use super::values::{Value, numbers};
+use super::{Lowered, Lowering};
+
+/// One dimension of a copy: numbers along it, and the steps in the source and in the result.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Dimension {
+    pub(super) size: usize,
+    pub(super) from: usize,
+    pub(super) to: usize,
+}
+
+/// The steps between neighbours along every axis.
+pub(super) fn strides(shape: &[usize]) -> Vec<usize> {
+    let mut strides: Vec<usize> = shape
+        .iter()
+        .rev()
+        .scan(1, |step, size| {
+            let own = *step;
+            *step *= size;
+            Some(own)
+        })
+        .collect();
+    strides.reverse();
+    strides
+}
+
+/// The same copy in as few dimensions as possible.
+fn merged(dimensions: &[Dimension]) -> Vec<Dimension> {
+    let mut merged: Vec<Dimension> = Vec::new();
+    for inner in dimensions.iter().filter(|dimension| dimension.size != 1) {
+        match merged.last_mut() {
+            Some(outer)
+                if outer.from == inner.size * inner.from && outer.to == inner.size * inner.to =>
+            {
+                *outer = Dimension { size: outer.size * inner.size, ..*inner };
+            }
+            _ => merged.push(*inner),
+        }
+    }
+    merged
+}
+
+impl Lowering<'_> {
+    /// Adds a copy, slowest dimension first.
+    pub(super) fn arrange(
+        &mut self,
+        node: &TypedNode,
+        from: Place,
+        to: Place,
+        dimensions: &[Dimension],
+    ) -> Lowered<()> {
+        const MOST: usize = 4;
+        let merged = merged(dimensions);
+        if merged.len() > MOST {
+            return Err(self.unsupported(node, "it moves numbers along more than four dimensions"));
+        }
+        let (mut sizes, mut from_strides, mut to_strides) = ([1; MOST], [0; MOST], [0; MOST]);
+        for (index, dimension) in (MOST - merged.len()..).zip(&merged) {
+            sizes[index] = dimension.size as u32;
+            from_strides[index] = dimension.from as u32;
+            to_strides[index] = dimension.to as u32;
+        }
+        self.ops.push(Op::Arrange(Arrange { from, to, sizes, from_strides, to_strides }));
+        Ok(())
+    }
+
+    /// The axes of a value in another order, behind each other.
+    pub(super) fn permuted(
+        &mut self,
+        node: &TypedNode,
+        value: &Value,
+        order: &[usize],
+    ) -> Lowered<Place> {
+        let steps = strides(&value.shape);
+        let sizes: Vec<usize> = order.iter().map(|axis| value.shape[*axis]).collect();
+        let own = strides(&sizes);
+        let dimensions: Vec<Dimension> = (order.iter().zip(&sizes).zip(&own))
+            .map(|((axis, size), to)| Dimension { size: *size, from: steps[*axis], to: *to })
+            .collect();
+        let is_moved = merged(&dimensions).iter().any(|d| d.from != d.to);
+        if !is_moved {
+            return Ok(value.place);
+        }
+        let to = self.arena.place(value.place.len as usize);
+        self.arrange(node, value.place, to, &dimensions)?;
+        Ok(to)
+    }
+
+    /// An operand repeated to a shape of as many axes.
+    pub(super) fn broadcast(
+        &mut self,
+        node: &TypedNode,
+        slot: usize,
+        shape: &[usize],
+    ) -> Lowered<Place> {
+        let value = self.operand(node, slot)?;
+        let count: usize = shape.iter().product();
+        if value.place.len as usize == count {
+            return Ok(value.place);
+        }
+        if value.shape.len() != shape.len() {
+            return Err(self.unsupported(node, "its operands have other numbers of axes"));
+        }
+        let (from, to) = (strides(&value.shape), strides(shape));
+        let dimensions: Vec<Dimension> = (0..shape.len())
+            .map(|axis| Dimension {
+                size: shape[axis],
+                from: if value.shape[axis] == 1 { 0 } else { from[axis] },
+                to: to[axis],
+            })
+            .collect();
+        let place = self.arena.place(count);
+        self.arrange(node, value.place, place, &dimensions)?;
+        Ok(place)
+    }
+
+    pub(super) fn axes(&mut self, node: &TypedNode, op: &AxisOp) -> Lowered<()> {
+        let value = self.operand(node, 0)?;
+        let AxisOp::Move(from, to) = *op else { return self.give(node, 0, value.place) };
+        let mut order: Vec<usize> = (0..value.shape.len()).collect();
+        let axis = order.remove(from);
+        order.insert(to, axis);
+        let place = self.permuted(node, &value, &order)?;
+        self.give(node, 0, place)
+    }
+
+    pub(super) fn slice(&mut self, node: &TypedNode, slice: &Slice) -> Lowered<()> {
+        let start = slice.start.to_usize();
+        let start = start.map_err(|_| self.unsupported(node, "its start is left open"))?;
+        let (value, shape) = (self.operand(node, 0)?, self.shape(node, 0)?);
+        let place = self.part(node, &value, slice.axis, start, &shape)?;
+        self.give(node, 0, place)
+    }
+
+    /// A part of a value along one axis.
+    fn part(
+        &mut self,
+        node: &TypedNode,
+        value: &Value,
+        axis: usize,
+        start: usize,
+        shape: &[usize],
+    ) -> Lowered<Place> {
+        let steps = strides(&value.shape);
+        let len: usize = shape.iter().product();
+        let first = value.place.offset as usize + start * steps[axis];
+        if value.shape[..axis].iter().all(|size| *size == 1) {
+            return Ok(Place { offset: first as u32, len: len as u32 });
+        }
+        let own = strides(shape);
+        let dimensions: Vec<Dimension> = (0..shape.len())
+            .map(|axis| Dimension { size: shape[axis], from: steps[axis], to: own[axis] })
+            .collect();
+        let rest = value.place.len as usize - start * steps[axis];
+        let from = Place { offset: first as u32, len: rest as u32 };
+        let to = self.arena.place(len);
+        self.arrange(node, from, to, &dimensions)?;
+        Ok(to)
+    }
+
+    pub(super) fn concat(&mut self, node: &TypedNode, axis: usize) -> Lowered<()> {
+        let shape = self.shape(node, 0)?;
+        let own = strides(&shape);
+        let whole = self.arena.place(shape.iter().product());
+        let mut start = 0;
+        for slot in 0..node.inputs.len() {
+            let value = self.operand(node, slot)?;
+            let steps = strides(&value.shape);
+            let dimensions: Vec<Dimension> = (0..shape.len())
+                .map(|axis| Dimension { size: value.shape[axis], from: steps[axis], to: own[axis] })
+                .collect();
+            let skipped = (start * own[axis]) as u32;
+            let to = Place { offset: whole.offset + skipped, len: whole.len - skipped };
+            self.arrange(node, value.place, to, &dimensions)?;
+            start += value.shape[axis];
+        }
+        self.give(node, 0, whole)
+    }
+
+    /// Parts of a value whose numbers are constant.
+    pub(super) fn gather(&mut self, node: &TypedNode, axis: usize) -> Lowered<()> {
+        let indices = self.outlet(node, 1)?;
+        let indices = self.constant(indices).and_then(|tensor| numbers(&tensor));
+        let indices =
+            indices.ok_or_else(|| self.unsupported(node, "which rows it takes is computed"))?;
+        let value = self.operand(node, 0)?;
+        let size = value.shape[axis];
+        let index = |index: &f32| if *index < 0.0 { *index + size as f32 } else { *index } as usize;
+        let mut one = value.shape.clone();
+        one[axis] = 1;
+        if let [only] = indices.as_slice() {
+            let place = self.part(node, &value, axis, index(only), &one)?;
+            return self.give(node, 0, place);
+        }
+        let mut shape = value.shape.clone();
+        shape[axis] = indices.len();
+        let (own, steps) = (strides(&shape), strides(&value.shape));
+        let whole = self.arena.place(shape.iter().product());
+        for (place, taken) in indices.iter().map(index).enumerate() {
+            let dimensions: Vec<Dimension> = (0..shape.len())
+                .map(|axis| Dimension { size: one[axis], from: steps[axis], to: own[axis] })
+                .collect();
+            let part = |place: Place, start: usize| Place {
+                offset: place.offset + start as u32,
+                len: place.len.saturating_sub(start as u32),
+            };
+            let from = part(value.place, taken * steps[axis]);
+            self.arrange(node, from, part(whole, place * own[axis]), &dimensions)?;
+        }
+        self.give(node, 0, whole)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dimensions_that_follow_each_other_are_one() {
+        let d = |size, from, to| Dimension { size, from, to };
+        assert_eq!(strides(&[2, 3, 4]), [12, 4, 1]);
+        assert_eq!(merged(&[d(2, 12, 12), d(3, 4, 4), d(4, 1, 1)]), [d(24, 1, 1)]);
+        assert_eq!(merged(&[d(2, 12, 12), d(1, 9, 9), d(4, 1, 3)]), [d(2, 12, 12), d(4, 1, 3)]);
+        assert_eq!(merged(&[d(5, 0, 4), d(4, 1, 1)]), [d(5, 0, 4), d(4, 1, 1)]);
+    }
+}

@@ -1,0 +1,253 @@
+//! Policies whoever exported them become steps on values of fixed sizes.
+//!
+//! Every node of tract's simplified graph becomes a few steps; a product with constant weights becomes a layer, with the
+//! bias and the ReLU that follow. Reshaping moves no number: a value is a place and its sizes.
+
+mod arrange;
+mod elementwise;
+mod products;
+mod rows;
+mod values;
+
+use std::collections::HashSet;
+
+use sortie_core::kernels::mark::MARKED;
+use sortie_core::kernels::product::padded;
+use sortie_core::limits;
+use sortie_core::ops::{
+    Combination, Combine, Function, Input, Map, MaskedArgmax, Op, Output, OutputRows, Place, State,
+};
+use sortie_core::plan::{OPS, ProgramDraft};
+use sortie_plans::{CompileError, InputRole, OutputRole};
+use tract_onnx::prelude::*;
+use tract_onnx::tract_core::ops::array::{Gather, MultiBroadcastTo, Slice, TypedConcat};
+use tract_onnx::tract_core::ops::binary::TypedBinOp;
+use tract_onnx::tract_core::ops::cast::Cast;
+use tract_onnx::tract_core::ops::change_axes::AxisOp;
+use tract_onnx::tract_core::ops::einsum::EinSum;
+use tract_onnx::tract_core::ops::element_wise::ElementWiseOp;
+use tract_onnx::tract_core::ops::konst::Const;
+use tract_onnx::tract_core::ops::logic::Iff;
+use tract_onnx::tract_core::ops::lstm_cell::LstmEpilogue;
+use tract_onnx::tract_core::ops::nn::{Reduce, RmsNorm, Softmax};
+use tract_onnx::tract_core::ops::source::TypedSource;
+
+use super::agent::{Arena, at_most};
+use super::layout::Weights;
+use crate::flat::FlatGraph;
+use values::Values;
+
+/// A policy as a program.
+pub(crate) struct LoweredPolicy {
+    pub(crate) program: ProgramDraft,
+    pub(crate) weights: Weights,
+    /// Numbers of the first input, as far as a plan's header can say.
+    pub(crate) features: usize,
+    /// Actions to choose from; 1 where none is chosen.
+    pub(crate) actions: usize,
+}
+
+/// Lowers a policy: its inputs and states, the steps, its outputs, and a choice where the first output is one.
+///
+/// # Errors
+/// `Unsupported` names the node that no step computes.
+pub(crate) fn lower_policy(graph: &FlatGraph) -> Result<LoweredPolicy, CompileError> {
+    let mut lowering = Lowering::new(&graph.model);
+    lowering.inputs(graph)?;
+    let order = graph.model.eval_order();
+    let order = order.map_err(|error| CompileError::Unreadable { reason: error.to_string() })?;
+    let needed = needed(graph);
+    for node in order.into_iter().filter(|node| needed.contains(node)) {
+        lowering.node(graph.model.node(node))?;
+    }
+    lowering.outputs(graph)
+}
+
+/// The outlets of all outputs, in the order of the facts: of a choice those of its scores.
+fn outlets(graph: &FlatGraph) -> impl Iterator<Item = Option<OutletId>> {
+    let count = graph.interface.facts.outputs.len();
+    let outlet = |index| graph.model.outputs.get(graph.interface.scores_of(index)).copied();
+    (0..count).map(outlet)
+}
+
+/// The nodes that outputs are computed from.
+fn needed(graph: &FlatGraph) -> HashSet<usize> {
+    let mut waiting: Vec<usize> = outlets(graph).flatten().map(|outlet| outlet.node).collect();
+    let mut needed = HashSet::new();
+    while let Some(node) = waiting.pop() {
+        if needed.insert(node) {
+            waiting.extend(graph.model.node(node).inputs.iter().map(|outlet| outlet.node));
+        }
+    }
+    needed
+}
+
+/// What is written so far.
+struct Lowering<'m> {
+    model: &'m TypedModel,
+    arena: Arena,
+    weights: Weights,
+    ops: Vec<Op>,
+    values: Values,
+    /// The next states, whose places are not known before the end.
+    states: Vec<usize>,
+    longest_sparse: usize,
+}
+
+type Lowered<T> = Result<T, CompileError>;
+
+impl<'m> Lowering<'m> {
+    fn new(model: &'m TypedModel) -> Self {
+        Self {
+            model,
+            arena: Arena::default(),
+            weights: Weights::default(),
+            ops: Vec::new(),
+            values: Values::default(),
+            states: Vec::new(),
+            longest_sparse: 0,
+        }
+    }
+
+    /// Inputs in the order in which callers give them, then states.
+    fn inputs(&mut self, graph: &FlatGraph) -> Lowered<()> {
+        let sources = graph.model.inputs.iter().zip(&graph.interface.facts.inputs);
+        let (states, given): (Vec<_>, Vec<_>) =
+            sources.partition(|(_, input)| input.role == InputRole::State);
+        for (index, (outlet, input)) in given.into_iter().enumerate() {
+            let to = self.arena.place(input.length());
+            self.ops.push(Op::Input(Input { index: index as u32, to }));
+            self.values.insert(*outlet, to, input.shape.clone());
+        }
+        for (outlet, input) in states {
+            let from = self.arena.place(input.length());
+            self.states.push(self.ops.len());
+            self.ops.push(Op::State(State { from, to: from }));
+            self.values.insert(*outlet, from, input.shape.clone());
+        }
+        Ok(())
+    }
+
+    fn node(&mut self, node: &TypedNode) -> Lowered<()> {
+        let op = &node.op;
+        let is_known = (0..node.outputs.len()).all(|slot| self.values.has((node.id, slot).into()));
+        if is_known || op.is::<TypedSource>() || op.is::<Const>() {
+            return Ok(());
+        }
+        if let Some(einsum) = op.downcast_ref::<EinSum>() {
+            return self.product(node, einsum);
+        }
+        if let Some(binary) = op.downcast_ref::<TypedBinOp>() {
+            return self.binary(node, binary.0.name());
+        }
+        if let Some(function) = op.downcast_ref::<ElementWiseOp>() {
+            return self.function(node, function);
+        }
+        if let Some(axes) = op.downcast_ref::<AxisOp>() {
+            return self.axes(node, axes);
+        }
+        if let Some(slice) = op.downcast_ref::<Slice>() {
+            return self.slice(node, slice);
+        }
+        if let Some(concat) = op.downcast_ref::<TypedConcat>() {
+            return self.concat(node, concat.axis);
+        }
+        if let Some(gather) = op.downcast_ref::<Gather>() {
+            return self.gather(node, gather.axis);
+        }
+        if let Some(softmax) = op.downcast_ref::<Softmax>() {
+            return self.softmax(node, softmax);
+        }
+        if let Some(reduce) = op.downcast_ref::<Reduce>() {
+            return self.reduce(node, reduce);
+        }
+        if let Some(norm) = op.downcast_ref::<RmsNorm>() {
+            return self.normalise(node, norm);
+        }
+        if let Some(cast) = op.downcast_ref::<Cast>() {
+            return self.cast(node, cast.to);
+        }
+        if let Some(lstm) = op.downcast_ref::<LstmEpilogue>() {
+            return self.lstm(node, lstm.hidden);
+        }
+        if op.is::<Iff>() {
+            return self.select(node);
+        }
+        if op.is::<MultiBroadcastTo>() {
+            let input = self.broadcast(node, 0, &self.shape(node, 0)?)?;
+            return self.give(node, 0, input);
+        }
+        Err(self.unsupported(node, "it has no step"))
+    }
+
+    /// The outputs, the next states, and the choice.
+    fn outputs(mut self, graph: &FlatGraph) -> Lowered<LoweredPolicy> {
+        let facts = &graph.interface.facts;
+        let mut places = Vec::new();
+        for (outlet, output) in outlets(graph).zip(&facts.outputs) {
+            let lost = || CompileError::Unreadable { reason: format!("`{}` is lost", output.name) };
+            places.push((self.place_of(outlet.ok_or_else(lost)?)?, output.role));
+        }
+        let of_states = |(_, role): &&(Place, OutputRole)| *role == OutputRole::State;
+        for (place, _) in places.iter().filter(of_states) {
+            self.next_state(*place)?;
+        }
+        let wanted = || places.iter().filter(|place| !of_states(place));
+        for (from, _) in wanted() {
+            let (width, rows, groups) = (from.len, OutputRows::One, 0);
+            let from = Place { len: padded(width as usize) as u32, ..*from };
+            self.ops.push(Op::Output(Output { from, width, rows, groups }));
+        }
+        let choice = wanted().find_map(|(place, role)| match role {
+            OutputRole::Discrete(actions)
+                if place.len as usize == *actions && *actions <= limits::ACTIONS =>
+            {
+                Some(*place)
+            }
+            _ => None,
+        });
+        let actions = choice.map_or(1, |place| place.len as usize);
+        if let Some(from) = choice {
+            self.ops.push(Op::MaskedArgmax(MaskedArgmax { from }));
+        }
+        at_most("the number of steps", self.ops.len(), OPS)?;
+        // A slice at the arena's end is read as far as its padding.
+        self.arena.place(16);
+        let nonzeros = self.longest_sparse.div_ceil(MARKED) as u32;
+        let program = ProgramDraft { ops: self.ops, floats: self.arena.floats(), nonzeros };
+        let features = facts.given().next().map_or(1, |input| input.length());
+        let features = features.clamp(1, limits::FEATURES);
+        Ok(LoweredPolicy { program, weights: self.weights, features, actions })
+    }
+
+    /// A state's next value stands by itself, whatever it is made of.
+    fn next_state(&mut self, from: Place) -> Lowered<()> {
+        let to = self.arena.place(from.len as usize);
+        let (a, b) = (1.0_f32.to_bits(), 0.0_f32.to_bits());
+        self.ops.push(Op::Map(Map { function: Function::Affine, a, b, from, to }));
+        let index = if self.states.is_empty() { None } else { Some(self.states.remove(0)) };
+        match index.and_then(|index| self.ops.get_mut(index)) {
+            Some(Op::State(state)) if state.from.len == to.len => {
+                state.to = to;
+                Ok(())
+            }
+            _ => Err(CompileError::NoPolicy {
+                reason: "a recurrent state comes out in another length".to_owned(),
+            }),
+        }
+    }
+
+    /// Adds a step that joins two values, the right one as long as the left or a single number.
+    fn combine(&mut self, combination: Combination, left: Place, right: Place) -> Place {
+        let to = self.arena.place(left.len as usize);
+        self.ops.push(Op::Combine(Combine { combination, left, right, to }));
+        to
+    }
+
+    /// Adds a function of every number.
+    fn map(&mut self, function: Function, [a, b]: [f32; 2], from: Place) -> Place {
+        let to = self.arena.place(from.len as usize);
+        self.ops.push(Op::Map(Map { function, a: a.to_bits(), b: b.to_bits(), from, to }));
+        to
+    }
+}

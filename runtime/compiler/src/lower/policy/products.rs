@@ -1,0 +1,234 @@
+//! Products: layers where one side is constant, and those of two values.
+
+use sortie_core::kernels::product::padded;
+use sortie_core::ops::{Dense, Flag, Multiply, Op, Place};
+use tract_onnx::prelude::*;
+use tract_onnx::tract_core::ops::binary::TypedBinOp;
+use tract_onnx::tract_core::ops::einsum::EinSum;
+
+use super::arrange::{Dimension, strides};
+use super::values::{Value, numbers};
+use super::{Lowered, Lowering};
+use crate::lower::agent::at_most;
+use crate::matching::{Layer, as_matrix};
+
+/// Which side of a product has an axis that is longer than one.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    /// Both, and the result: one product for each.
+    Each,
+    /// The left one and the result.
+    Row,
+    /// Both, and they are summed over.
+    Inner,
+    /// The right one and the result.
+    Column,
+}
+
+/// An axis of a product: where it stands in both operands and in the result.
+struct Axis {
+    kind: Kind,
+    size: usize,
+    at: [Option<usize>; 2],
+    out: Option<usize>,
+}
+
+impl<'m> Lowering<'m> {
+    pub(super) fn product(&mut self, node: &TypedNode, einsum: &EinSum) -> Lowered<()> {
+        for slot in [1, 0] {
+            let constant = self.constant(self.outlet(node, slot)?);
+            let constant = constant.filter(|tensor| tensor.datum_type() == f32::datum_type());
+            let matrix = constant.and_then(|tensor| as_matrix(einsum, &tensor, slot));
+            if let (Some(matrix), 2) = (matrix, node.inputs.len()) {
+                let bias = vec![0.0; matrix.outputs];
+                let layer = Layer { matrix, bias, relu: false };
+                return self.layer(node, einsum, 1 - slot, layer);
+            }
+        }
+        self.product_of_two(node, einsum)
+    }
+
+    /// The same layer for every row of a value.
+    fn layer(
+        &mut self,
+        node: &TypedNode,
+        einsum: &EinSum,
+        slot: usize,
+        mut layer: Layer,
+    ) -> Lowered<()> {
+        let value = self.operand(node, slot)?;
+        let axes = self.product_axes(node, einsum)?;
+        let own = |axis: &Axis| axis.at[slot];
+        let is_inner = |axis: &&Axis| axis.kind == Kind::Inner;
+        let rows: Vec<&Axis> =
+            axes.iter().filter(|axis| own(axis).is_some() && !is_inner(axis)).collect();
+        let mut order: Vec<usize> = rows.iter().filter_map(|axis| own(axis)).collect();
+        order.sort_unstable();
+        let mut inner: Vec<usize> = axes.iter().filter(is_inner).filter_map(own).collect();
+        inner.sort_unstable();
+        order.extend(inner);
+        // Axes of one number stand anywhere.
+        let others = (0..value.shape.len()).filter(|axis| !order.contains(axis));
+        let order: Vec<usize> = others.collect::<Vec<_>>().into_iter().chain(order).collect();
+        let from = self.permuted(node, &value, &order)?;
+        let (inputs, outputs) = (layer.matrix.inputs, layer.matrix.outputs);
+        at_most("the width of a layer", inputs.max(outputs), usize::from(u16::MAX) / 8)?;
+        let rows = from.len as usize / inputs.max(1);
+        // With one row the result needs no other order, so that bias and ReLU can join the layer.
+        let absorbed = if rows == 1 { self.absorb(node, &mut layer) } else { Vec::new() };
+        let to = self.arena.place(rows * outputs + padded(outputs));
+        let linear = self.weights.add_layer(&layer);
+        let sparse_input = self.relu_behind(node, slot);
+        if sparse_input {
+            self.longest_sparse = self.longest_sparse.max(inputs);
+        }
+        for row in 0..rows {
+            let part = |place: Place, width: usize, len: usize| Place {
+                offset: place.offset + (row * width) as u32,
+                len: len as u32,
+            };
+            // A row's padding is written over by the next row.
+            self.ops.push(Op::Dense(Dense {
+                layer: linear,
+                relu: Flag::from(layer.relu),
+                sparse_input: Flag::from(sparse_input),
+                from: part(from, inputs, inputs),
+                to: part(to, outputs, padded(outputs)),
+            }));
+        }
+        let to = Place { len: (rows * outputs) as u32, ..to };
+        if rows == 1 {
+            self.give(node, 0, to)?;
+            return absorbed.into_iter().try_for_each(|node| self.give(node, 0, to));
+        }
+        let sized: Vec<&Axis> = axes.iter().filter(|axis| axis.out.is_some()).collect();
+        let is_row = |axis: &&&Axis| own(axis).is_some();
+        let mut behind: Vec<&Axis> = sized.iter().filter(is_row).copied().collect();
+        behind.sort_by_key(|axis| own(axis));
+        let mut columns: Vec<&Axis> = sized.iter().filter(|axis| !is_row(axis)).copied().collect();
+        columns.sort_by_key(|axis| axis.out);
+        behind.extend(columns);
+        self.result(node, to, &behind)
+    }
+
+    /// Takes the bias and the ReLU behind a product into its layer, where nothing else reads what is between.
+    fn absorb(&self, node: &TypedNode, layer: &mut Layer) -> Vec<&'m TypedNode> {
+        let mut absorbed = Vec::new();
+        let outputs = layer.matrix.outputs;
+        let sum = self
+            .only_reader(node, "Add")
+            .and_then(|(sum, constant)| Some((sum, bias(&*self.constant(constant)?, outputs)?)));
+        let mut last = node;
+        if let Some((sum, bias)) = sum {
+            layer.bias = bias;
+            absorbed.push(sum);
+            last = sum;
+        }
+        let relu = self.only_reader(last, "Max");
+        if let Some((relu, _)) = relu.filter(|(_, low)| self.uniform(*low) == Some(0.0)) {
+            layer.relu = true;
+            absorbed.push(relu);
+        }
+        absorbed
+    }
+
+    /// The function of two that alone reads a node, and its other operand.
+    fn only_reader(&self, node: &TypedNode, name: &str) -> Option<(&'m TypedNode, OutletId)> {
+        let own = OutletId::new(node.id, 0);
+        let readers = &node.outputs.first()?.successors;
+        let &[reader] = readers.as_slice() else { return None };
+        let reader = self.model.node(reader.node);
+        let is_output = self.model.outputs.contains(&own);
+        let is_named = reader.op_as::<TypedBinOp>().is_some_and(|op| op.0.name() == name);
+        let other = reader.inputs.iter().copied().find(|input| *input != own)?;
+        (is_named && !is_output).then_some((reader, other))
+    }
+
+    /// Whether a value comes out of a ReLU, so that many of its numbers are zero.
+    fn relu_behind(&self, node: &TypedNode, slot: usize) -> bool {
+        let Some(outlet) = node.inputs.get(slot) else { return false };
+        let before = self.model.node(outlet.node);
+        let is_max = before.op_as::<TypedBinOp>().is_some_and(|op| op.0.name() == "Max");
+        is_max && before.inputs.iter().any(|input| self.uniform(*input) == Some(0.0))
+    }
+
+    fn product_of_two(&mut self, node: &TypedNode, einsum: &EinSum) -> Lowered<()> {
+        let values = [self.operand(node, 0)?, self.operand(node, 1)?];
+        let axes = self.product_axes(node, einsum)?;
+        let of = |kind: Kind| axes.iter().filter(move |axis| axis.kind == kind);
+        let size = |kind: Kind| of(kind).map(|axis| axis.size).product::<usize>();
+        let behind = |slot: usize, kinds: [Kind; 3], value: &Value| -> Vec<usize> {
+            let known = kinds.into_iter().flat_map(of).filter_map(|axis| axis.at[slot]);
+            let known: Vec<usize> = known.collect();
+            let others = (0..value.shape.len()).filter(|axis| !known.contains(axis));
+            others.chain(known.iter().copied()).collect()
+        };
+        let left_order = behind(0, [Kind::Each, Kind::Row, Kind::Inner], &values[0]);
+        let right_order = behind(1, [Kind::Each, Kind::Inner, Kind::Column], &values[1]);
+        let left = self.permuted(node, &values[0], &left_order)?;
+        let right = self.permuted(node, &values[1], &right_order)?;
+        let (rows, inner, columns) = (size(Kind::Row), size(Kind::Inner), size(Kind::Column));
+        let to = self.arena.place(size(Kind::Each) * rows * columns);
+        let [rows, inner, columns] = [rows, inner, columns].map(|size| size as u32);
+        self.ops.push(Op::Multiply(Multiply { rows, inner, columns, left, right, to }));
+        let order: Vec<&Axis> =
+            of(Kind::Each).chain(of(Kind::Row)).chain(of(Kind::Column)).collect();
+        self.result(node, to, &order)
+    }
+
+    /// Brings a result whose axes stand in some order into the order of the graph.
+    fn result(&mut self, node: &TypedNode, place: Place, order: &[&Axis]) -> Lowered<()> {
+        let shape = self.shape(node, 0)?;
+        let sizes: Vec<usize> = order.iter().map(|axis| axis.size).collect();
+        let (from, own) = (strides(&sizes), strides(&shape));
+        let dimensions: Vec<Dimension> = (order.iter().zip(&from))
+            .filter_map(|(axis, from)| {
+                let to = *own.get(axis.out?)?;
+                Some(Dimension { size: axis.size, from: *from, to })
+            })
+            .collect();
+        if dimensions.iter().all(|dimension| dimension.from == dimension.to) {
+            return self.give(node, 0, place);
+        }
+        let to = self.arena.place(place.len as usize);
+        self.arrange(node, place, to, &dimensions)?;
+        self.give(node, 0, to)
+    }
+
+    /// The axes that are longer than one, in the order of the operands.
+    fn product_axes(&self, node: &TypedNode, einsum: &EinSum) -> Lowered<Vec<Axis>> {
+        let facts = self.model.node_input_facts(node.id).unwrap_or_default();
+        let shapes: Vec<&[usize]> =
+            facts.iter().map(|fact| fact.shape.as_concrete().unwrap_or(&[])).collect();
+        let unsupported = || self.unsupported(node, "it is no product of two values");
+        let &[left, right] = shapes.as_slice() else { return Err(unsupported()) };
+        let mut axes = Vec::new();
+        for axis in einsum.axes.iter_all_axes() {
+            let at = [(0, left), (1, right)].map(|(slot, shape)| {
+                let position = *axis.inputs.get(slot)?.first()?;
+                (*shape.get(position)? != 1).then_some(position)
+            });
+            let out = axis.outputs.first().and_then(|out| out.first().copied());
+            let size = match at {
+                [Some(position), _] => left[position],
+                [_, Some(position)] => right[position],
+                _ => continue,
+            };
+            let kind = match (at[0].is_some(), at[1].is_some(), out.is_some()) {
+                (true, true, true) => Kind::Each,
+                (true, false, true) => Kind::Row,
+                (true, true, false) => Kind::Inner,
+                (false, true, true) => Kind::Column,
+                _ => return Err(unsupported()),
+            };
+            axes.push(Axis { kind, size, at, out });
+        }
+        axes.sort_by_key(|axis| axis.at);
+        Ok(axes)
+    }
+}
+
+/// The numbers of a bias, one for every output.
+fn bias(tensor: &Tensor, outputs: usize) -> Option<Vec<f32>> {
+    numbers(tensor).filter(|bias| bias.len() == outputs)
+}

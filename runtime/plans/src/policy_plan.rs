@@ -1,0 +1,75 @@
+//! The plan of a policy, behind the same trait as the engines that run its file.
+
+use serde::{Deserialize, Serialize};
+use sortie_core::plan::{AlignedBytes, Network, Plan};
+
+use crate::comparison::cannot_run;
+use crate::error::CompileError;
+use crate::policy::{FlatPolicy, OutputRole, PolicyAnswer, PolicyFacts, PolicyOutput};
+use crate::report::Compiled;
+
+/// A policy's plan, and what it takes and gives.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct CompiledPolicy {
+    /// The plan.
+    pub compiled: Compiled,
+    /// Inputs, outputs and states, in the plan's order.
+    pub facts: PolicyFacts,
+}
+
+/// A policy that runs its plan.
+#[derive(Debug)]
+pub struct PlanFlatPolicy<'p> {
+    plan: Plan<'p>,
+    arena: AlignedBytes,
+    facts: PolicyFacts,
+}
+
+impl<'p> PlanFlatPolicy<'p> {
+    /// Loads a plan, which has to be aligned.
+    ///
+    /// # Errors
+    /// The plan cannot be loaded, or is no policy's.
+    pub fn load(plan: &'p [u8], facts: PolicyFacts) -> Result<Self, CompileError> {
+        let plan = Plan::load(plan)?;
+        plan.check_network(Network::Policy)?;
+        let arena = AlignedBytes::zeroed(plan.arena_bytes());
+        Ok(Self { plan, arena, facts })
+    }
+}
+
+impl FlatPolicy for PlanFlatPolicy<'_> {
+    fn facts(&self) -> &PolicyFacts {
+        &self.facts
+    }
+
+    fn run(
+        &mut self,
+        inputs: &[&[f32]],
+        states: &mut [f32],
+    ) -> Result<Vec<PolicyAnswer>, CompileError> {
+        self.facts.check(inputs, states)?;
+        let widths = self.plan.program().outputs().map(|output| output.width as usize);
+        let mut numbers: Vec<Vec<f32>> = widths.map(|width| vec![0.0; width]).collect();
+        let mut places: Vec<&mut [f32]> = numbers.iter_mut().map(Vec::as_mut_slice).collect();
+        let arena = self.arena.as_mut_slice();
+        self.plan.respond(arena, inputs, states, &mut places).map_err(cannot_run)?;
+        Ok(self.facts.wanted().zip(numbers).map(answer).collect())
+    }
+}
+
+/// What a plan's output says of a policy's: a plan gives the scores that a choice is made of.
+fn answer((output, numbers): (&PolicyOutput, Vec<f32>)) -> PolicyAnswer {
+    match output.role {
+        OutputRole::Discrete(actions) if output.kind.is_integer() => {
+            let places = numbers.chunks(actions.max(1)).map(|scores| first_largest(scores) as f32);
+            PolicyAnswer { numbers: places.collect(), scores: numbers }
+        }
+        _ => PolicyAnswer { numbers, scores: Vec::new() },
+    }
+}
+
+fn first_largest(scores: &[f32]) -> usize {
+    let largest = scores.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+    scores.iter().position(|score| *score == largest).unwrap_or(0)
+}
