@@ -1,6 +1,6 @@
 //! The macro-operators of a plan, one file each: what they need, how they are checked, what they compute.
 //!
-//! An operator names its places in the weights and in the arena as offsets in floats. [`OpRef::check`] proves once,
+//! An operator names its places in the weights and in the arena as offsets in floats. `OpRef::check` proves once,
 //! at load, that all of them lie inside and that what is written is not read by the same step; execution then
 //! only takes slices that exist, and still answers with an error where one does not.
 

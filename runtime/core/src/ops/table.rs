@@ -16,7 +16,7 @@ use crate::policy::{DecideError, Observation};
 
 /// The operators that a plan may use; code of the others is never linked through it.
 ///
-/// A host takes [`AllOperators`] and runs every plan. Where flash is short, name what the plan needs:
+/// A host takes [`AllOperators`](super::AllOperators) and runs every plan. Where flash is short, name what the plan needs:
 ///
 /// ```
 /// use sortie_core::ops::{OpKind, OperatorSet};
