@@ -46,6 +46,11 @@ pub(crate) const fn has<S: OperatorSet>(kind: OpKind) -> bool {
     false
 }
 
+/// Whether an operator of `S` runs where there are steps of policies, or are none.
+const fn runs<S: OperatorSet, const STEPS: bool>(kind: OpKind) -> bool {
+    has::<S>(kind) && (STEPS || !kind.is_step())
+}
+
 /// Makes [`Op`], [`OpRef`] and [`OpKind`] of operators, whose order is that of their numbers in a plan.
 macro_rules! operators {
     ($($(#[$doc:meta])* $kind:ident,)*) => {
@@ -143,9 +148,10 @@ macro_rules! operators {
                 match self { $(Self::$kind(op) => op.multiply_adds(visible),)* }
             }
 
-            /// Runs the operator if it is of the set `S`; the code of others is not linked.
+            /// Runs the operator if it is of the set `S`, and no step of a policy unless `STEPS` says so; the code of
+            /// others is not linked. Networks without steps so keep a loop that is short enough for the registers.
             #[inline(always)]
-            pub(crate) fn run<S: OperatorSet>(
+            pub(crate) fn run<S: OperatorSet, const STEPS: bool>(
                 self,
                 kernels: impl Kernels,
                 weights: &[f32],
@@ -153,7 +159,7 @@ macro_rules! operators {
                 scratch: &mut Scratch<'_>,
             ) -> Result<(), DecideError> {
                 match self {
-                    $(Self::$kind(op) if const { has::<S>(OpKind::$kind) } => {
+                    $(Self::$kind(op) if const { runs::<S, STEPS>(OpKind::$kind) } => {
                         op.run(kernels, weights, observation, scratch)
                     })*
                     // Loading refused it.

@@ -340,7 +340,7 @@ impl<S: OperatorSet> Work for Execution<'_, '_, '_, S> {
         let skip =
             self.plan.header.network == Network::Entities && self.observation.visible.is_empty();
         for op in self.plan.program.ops().skip(usize::from(skip)) {
-            op.run::<S>(kernels, self.plan.weights, self.observation, self.scratch)?;
+            op.run::<S, false>(kernels, self.plan.weights, self.observation, self.scratch)?;
         }
         Ok(())
     }

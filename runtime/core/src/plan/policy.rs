@@ -1,8 +1,10 @@
 //! Policies over inputs of fixed sizes.
 
-use super::{Execution, Network, Plan, finite};
+use super::{Network, Plan, finite};
 use crate::choose::{masked_argmax, masked_sample};
 use crate::entity_mask::EntityMask;
+use crate::kernels::Kernels;
+use crate::kernels::build::Work;
 use crate::ops::{OperatorSet, Place, Scratch};
 use crate::policy::{DecideError, Decision, Observation};
 
@@ -109,7 +111,7 @@ impl<S: OperatorSet> Plan<'_, S> {
             finite(from)?;
             floats(&mut scratch, &state.from)?.copy_from_slice(from);
         }
-        self.execute(Execution { plan: self, observation: &nothing, scratch: &mut scratch })?;
+        self.execute(PolicyExecution { plan: self, observation: &nothing, scratch: &mut scratch })?;
         Ok(scratch)
     }
 
@@ -125,6 +127,24 @@ impl<S: OperatorSet> Plan<'_, S> {
         for state in self.program.states() {
             let to = rest.split_off_mut(..state.to.len as usize).ok_or(DecideError::BadLength)?;
             to.copy_from_slice(next(&state.to)?);
+        }
+        Ok(())
+    }
+}
+
+struct PolicyExecution<'p, 'a, 's, S: OperatorSet> {
+    plan: &'p Plan<'a, S>,
+    observation: &'p Observation<'p>,
+    scratch: &'p mut Scratch<'s>,
+}
+
+impl<S: OperatorSet> Work for PolicyExecution<'_, '_, '_, S> {
+    type Output = Result<(), DecideError>;
+
+    #[inline(always)]
+    fn run(self, kernels: impl Kernels) -> Self::Output {
+        for op in self.plan.program.ops() {
+            op.run::<S, true>(kernels, self.plan.weights, self.observation, self.scratch)?;
         }
         Ok(())
     }
