@@ -147,7 +147,8 @@ fn compile_any(
         return of_others();
     }
     match compiler().compile(onnx, options) {
-        Err(CompileError::Inputs { .. }) => of_others(),
+        // Sizes that are left open can end the reading of a network before its inputs are looked at.
+        Err(CompileError::Inputs { .. } | CompileError::Unreadable { .. }) => of_others(),
         compiled => compiled,
     }
 }

@@ -241,6 +241,9 @@ fn what_must_be_said_about_a_file_is_asked_for() {
     let open = onnx("torch_mha_own_query.classic");
     let words = ["`N`", "`entities`", "--size N=7"];
     assert_fails(&verify(&open, &npz("torch_mha_own_query.classic")), 2, &words);
+    let folder = tempfile::tempdir().expect("a folder");
+    let plan = folder.path().join("policy.plan").display().to_string();
+    assert_fails(&output(&["compile", &open, "-o", &plan]), 2, &words);
     let inspected = output(&["inspect", &open]);
     assert_fails(&inspected, 2, &words);
     let shown = String::from_utf8_lossy(&inspected.stdout).into_owned();
