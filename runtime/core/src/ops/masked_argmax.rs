@@ -27,10 +27,6 @@ impl Operator for MaskedArgmax {
         Places::of([self.from])
     }
 
-    fn multiply_adds(&self, _: u64) -> u64 {
-        0
-    }
-
     #[inline(always)]
     fn run<K: Kernels>(
         &self,

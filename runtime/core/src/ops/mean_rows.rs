@@ -43,10 +43,6 @@ impl Operator for MeanRows {
             && sizes.hold_apart(&[&self.rows, &self.to])
     }
 
-    fn multiply_adds(&self, _: u64) -> u64 {
-        0
-    }
-
     #[inline(always)]
     fn run<K: Kernels>(
         &self,

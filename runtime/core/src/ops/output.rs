@@ -60,10 +60,6 @@ impl Operator for Output {
         Places::of([Place { len: self.width, ..self.from }])
     }
 
-    fn multiply_adds(&self, _: u64) -> u64 {
-        0
-    }
-
     #[inline(always)]
     fn run<K: Kernels>(
         &self,

@@ -37,10 +37,6 @@ impl Operator for Arrange {
             && sizes.hold_apart(&[&self.from, &self.to])
     }
 
-    fn multiply_adds(&self, _: u64) -> u64 {
-        0
-    }
-
     fn reads(&self) -> Places {
         Places::of([self.from])
     }

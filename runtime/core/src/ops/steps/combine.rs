@@ -60,10 +60,6 @@ impl Operator for Combine {
             && sizes.hold_apart(&[&self.right, &self.to])
     }
 
-    fn multiply_adds(&self, _: u64) -> u64 {
-        0
-    }
-
     fn reads(&self) -> Places {
         Places::of([self.left, self.right])
     }

@@ -24,10 +24,6 @@ impl Operator for Constant {
         sizes.holds(&self.to) && sizes.holds_weights(self.weights, self.to.len.into())
     }
 
-    fn multiply_adds(&self, _: u64) -> u64 {
-        0
-    }
-
     fn writes(&self) -> Places {
         Places::of([self.to])
     }

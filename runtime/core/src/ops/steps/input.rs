@@ -25,10 +25,6 @@ impl Operator for Input {
         sizes.holds(&self.to)
     }
 
-    fn multiply_adds(&self, _: u64) -> u64 {
-        0
-    }
-
     fn writes(&self) -> Places {
         Places::of([self.to])
     }

@@ -70,10 +70,6 @@ impl Operator for Map {
         self.from.len == self.to.len && sizes.hold_in_place(&self.from, &self.to)
     }
 
-    fn multiply_adds(&self, _: u64) -> u64 {
-        0
-    }
-
     fn reads(&self) -> Places {
         Places::of([self.from])
     }

@@ -39,10 +39,6 @@ impl Operator for Normalise {
             && sizes.holds_weights(self.offsets, self.columns.into())
     }
 
-    fn multiply_adds(&self, _: u64) -> u64 {
-        0
-    }
-
     fn reads(&self) -> Places {
         Places::of([self.from])
     }

@@ -34,10 +34,6 @@ impl Operator for Select {
                 .all(|place| sizes.hold_apart(&[place, &self.to]))
     }
 
-    fn multiply_adds(&self, _: u64) -> u64 {
-        0
-    }
-
     fn reads(&self) -> Places {
         Places::of([self.condition, self.yes, self.no])
     }

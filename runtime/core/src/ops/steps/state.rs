@@ -25,10 +25,6 @@ impl Operator for State {
         sizes.hold_apart(&[&self.from, &self.to]) && self.from.len == self.to.len
     }
 
-    fn multiply_adds(&self, _: u64) -> u64 {
-        0
-    }
-
     fn writes(&self) -> Places {
         Places::of([self.from])
     }
