@@ -415,6 +415,32 @@ fn a_policy_chooses_and_remembers() {
 }
 
 #[test]
+fn of_several_states_all_are_remembered_or_none() {
+    let mut draft = Draft { hidden: 2, ..Draft::default() };
+    let x = draft.input(1);
+    for factor in [1.0_f32, f32::MAX] {
+        let (from, to) = (draft.place(1), draft.place(1));
+        draft.program.ops.insert(1, Op::State(State { from, to }));
+        let (a, b) = (factor.to_bits(), 0);
+        draft.push(Op::Map(Map { function: Function::Affine, a, b, from: x, to }));
+    }
+    // The state that overflows is the caller's second.
+    draft.program.ops.swap(1, 2);
+    draft.output(x);
+    let bytes = draft.bytes();
+    let plan = Plan::load(bytes.as_slice()).unwrap();
+    let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
+    let (mut states, mut output) = ([7.0, 8.0], [0.0]);
+    let mut respond = |x: f32, states: &mut [f32]| {
+        plan.respond(arena.as_mut_slice(), &[&[x]], states, &mut [&mut output])
+    };
+    assert_eq!(respond(2.0, &mut states), Err(DecideError::NonFinite));
+    assert_eq!(states, [7.0, 8.0]);
+    assert_eq!(respond(1.0, &mut states), Ok(()));
+    assert_eq!(states, [1.0, f32::MAX]);
+}
+
+#[test]
 fn a_policy_draws_from_its_logits() {
     let mut draft = Draft { actions: 3, ..Draft::default() };
     let from = draft.input(3);
