@@ -2,10 +2,10 @@
 
 use sortie_core::include_plan;
 use sortie_core::ops::{
-    Arrange, AttendAll, Combination, Combine, Constant, Flag, Function, GroupSum, Gru, Input,
-    Int8AttendOwn, Int8Dense, Int8EmbedEntities, Int8Layer, Linear, Map, MaskedSample, MeanRows,
-    Members, Multiply, Normalise, Op, OpKind, OpRef, Output, OutputRows, Place, Reduce, Reduction,
-    Select, Softmax, State,
+    Arrange, AttendAll, Combination, Combine, Constant, Convolve, Flag, Function, GroupSum, Gru,
+    GruCell, Input, Int8AttendOwn, Int8Dense, Int8EmbedEntities, Int8Layer, Linear, LstmCell, Map,
+    MaskedSample, MeanRows, Members, Multiply, Normalise, Op, OpKind, OpRef, Output, OutputRows,
+    Place, Reduce, Reduction, Select, Softmax, State,
 };
 use sortie_core::plan::{Checksums, HEADER_BYTES, Header, Network, Plan, Profile, VERSION};
 
@@ -197,7 +197,7 @@ fn other_operators() -> [Op; 9] {
 }
 
 /// One of every step of a policy.
-fn steps() -> [Op; 11] {
+fn steps() -> [Op; 14] {
     let place = Place { offset: 0, len: 4 };
     let (from, to, left, right) = (place, place, place, place);
     let (columns, a, b) = (4, 0, 0);
@@ -206,7 +206,7 @@ fn steps() -> [Op; 11] {
         Op::Input(Input { index: 0, to }),
         Op::State(State { from, to }),
         Op::Constant(Constant { weights: 0, to }),
-        Op::Map(Map { function: Function::Not, a, b, from, to }),
+        Op::Map(Map { function: Function::Erf, a, b, from, to }),
         Op::Combine(Combine { combination: Combination::Or, left, right, to }),
         Op::Select(Select { condition: from, yes: from, no: from, to }),
         Op::Arrange(Arrange { from, to, sizes, from_strides, to_strides }),
@@ -222,6 +222,30 @@ fn steps() -> [Op; 11] {
             to,
         }),
         Op::Multiply(Multiply { rows: 1, inner: 1, columns, left, right, to }),
+        Op::GruCell(GruCell { input: from, recurrent: from, state: from, to }),
+        Op::LstmCell(LstmCell {
+            bias: 0,
+            input: from,
+            recurrent: from,
+            cell: from,
+            to,
+            cell_to: to,
+        }),
+        Op::Convolve(Convolve {
+            layer: Linear { inputs: 1, outputs: 2, weights: 3, bias: 4 },
+            relu: Flag::No,
+            channels: 1,
+            size: [1; 2],
+            kernel: [1; 2],
+            stride: [1; 2],
+            dilation: [1; 2],
+            padding: [0; 2],
+            result: [1; 2],
+            from,
+            patch: from,
+            point: to,
+            to,
+        }),
     ]
 }
 
@@ -234,7 +258,7 @@ fn functions_have_the_documented_numbers() {
     let [_, _, _, map, combine, _, _, reduce, ..] = steps();
     // The last of each is what the document names last.
     for (op, name, last) in [
-        (map, "Map", "1 where x is 0, else 0"),
+        (map, "Map", "the error function"),
         (combine, "Combine", "one other than 0"),
         (reduce, "Reduce", "place of the largest, the first of several"),
     ] {
@@ -254,6 +278,7 @@ fn bytes_of_fields(fields: &str) -> usize {
         let each = match kind.trim_end_matches('s') {
             "u16" | "member" | "output row" => 2,
             "u32" | "flag" | "choice" => 4,
+            "pair" => 8,
             "quadruple" => 16,
             "place" | "vector" => 8,
             "linear" => 12,

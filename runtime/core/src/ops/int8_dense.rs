@@ -5,7 +5,7 @@ use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 use super::int8_layer::{Between, From, Int8Layer, product, quantised_floats, team_products};
 use super::operator::Operator;
 use super::team::Team;
-use super::{Flag, LAYOUT_INT8, Place, Scratch, Sizes, places};
+use super::{Flag, LAYOUT_INT8, Place, Places, Scratch, Sizes, places};
 use crate::kernels::Kernels;
 use crate::policy::{DecideError, Observation};
 
@@ -34,6 +34,15 @@ impl Operator for Int8Dense {
             && self.from.len == u32::from(self.layer.inputs)
             && self.to.len as usize == self.layer.padded_outputs()
             && self.quantised.len as usize == quantised_floats(self.layer.inputs.into())
+    }
+
+    fn reads(&self) -> Places {
+        Places::of([self.from])
+    }
+
+    fn writes(&self) -> Places {
+        // The quantised input is nobody else's to read.
+        Places::of([self.to])
     }
 
     fn multiply_adds(&self, _: u64) -> u64 {

@@ -3,7 +3,7 @@
 use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::operator::Operator;
-use super::{LAYOUT_TILES, Place, Places, Scratch, Sizes, place};
+use super::{Place, Places, Scratch, Sizes, place};
 use crate::kernels::Kernels;
 use crate::kernels::product::padded;
 use crate::limits;
@@ -38,7 +38,7 @@ pub struct Output {
 }
 
 impl Operator for Output {
-    const LAYOUT: Option<u32> = Some(LAYOUT_TILES);
+    const LAYOUT: Option<u32> = None;
 
     fn check(&self, sizes: &Sizes) -> bool {
         if self.width == 0 || self.width > u32::from(u16::MAX) {

@@ -5,10 +5,10 @@ use zerocopy::{IntoBytes, TryFromBytes};
 use super::operator::Operator;
 use super::team::Team;
 use super::{
-    Arrange, AttendAll, AttendOwn, Combine, Constant, Dense, EmbedEntities, EmbedTasks, GroupSum,
-    Gru, Input, Int8AttendOwn, Int8Dense, Int8EmbedEntities, Map, MaskedArgmax, MaskedSample,
-    MeanRows, Multiply, Normalise, Output, Places, PointerLogits, Reduce, ScoreAllocations,
-    Scratch, Select, Sizes, Softmax, State,
+    Arrange, AttendAll, AttendOwn, Combine, Constant, Convolve, Dense, EmbedEntities, EmbedTasks,
+    GroupSum, Gru, GruCell, Input, Int8AttendOwn, Int8Dense, Int8EmbedEntities, LstmCell, Map,
+    MaskedArgmax, MaskedSample, MeanRows, Multiply, Normalise, Output, Places, PointerLogits,
+    Reduce, ScoreAllocations, Scratch, Select, Sizes, Softmax, State,
 };
 use crate::kernels::Kernels;
 use crate::limits;
@@ -249,6 +249,12 @@ operators! {
     Normalise,
     /// The product of two values.
     Multiply,
+    /// A gated recurrent unit behind its products.
+    GruCell,
+    /// A long short-term memory behind its products.
+    LstmCell,
+    /// A layer on every patch of a picture.
+    Convolve,
 }
 
 impl OpKind {

@@ -347,7 +347,7 @@ impl PolicyPart {
     fn of(op: OpRef<'_>) -> Option<Self> {
         match op {
             OpRef::Input(_) | OpRef::State(_) => Some(Self::Inputs),
-            OpRef::Dense(_) | OpRef::Gru(_) => Some(Self::Steps),
+            OpRef::Dense(_) | OpRef::Int8Dense(_) | OpRef::Gru(_) => Some(Self::Steps),
             OpRef::Output(Output { rows: OutputRows::One, .. }) => Some(Self::Outputs),
             OpRef::MaskedArgmax(_) | OpRef::MaskedSample(_) => Some(Self::Choice),
             op => op.kind().is_step().then_some(Self::Steps),

@@ -1,9 +1,12 @@
 //! Laws of plans of random shapes and weights: every build of the kernels gives the same bits, and a team the bits
 //! of its members alone.
 
+mod cells;
+mod drafts;
 mod int8;
 mod policy;
 mod refusals;
+mod steps;
 
 use std::vec;
 use std::vec::Vec;

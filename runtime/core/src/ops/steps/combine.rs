@@ -3,7 +3,7 @@
 use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::super::operator::Operator;
-use super::super::{LAYOUT_TILES, Place, Places, Scratch, Sizes, apart, copied};
+use super::super::{Place, Places, Scratch, Sizes, apart, copied};
 use crate::kernels::Kernels;
 use crate::policy::{DecideError, Observation};
 
@@ -51,7 +51,7 @@ pub struct Combine {
 }
 
 impl Operator for Combine {
-    const LAYOUT: Option<u32> = Some(LAYOUT_TILES);
+    const LAYOUT: Option<u32> = None;
 
     fn check(&self, sizes: &Sizes) -> bool {
         self.left.len == self.to.len

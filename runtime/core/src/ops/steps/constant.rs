@@ -3,7 +3,7 @@
 use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::super::operator::Operator;
-use super::super::{LAYOUT_TILES, Place, Places, Scratch, Sizes, places, slice};
+use super::super::{Place, Places, Scratch, Sizes, places, slice};
 use crate::kernels::Kernels;
 use crate::policy::{DecideError, Observation};
 
@@ -18,7 +18,7 @@ pub struct Constant {
 }
 
 impl Operator for Constant {
-    const LAYOUT: Option<u32> = Some(LAYOUT_TILES);
+    const LAYOUT: Option<u32> = None;
 
     fn check(&self, sizes: &Sizes) -> bool {
         sizes.holds(&self.to) && sizes.holds_weights(self.weights, self.to.len.into())

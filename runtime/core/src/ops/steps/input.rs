@@ -3,7 +3,7 @@
 use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::super::operator::Operator;
-use super::super::{LAYOUT_TILES, Place, Places, Scratch, Sizes, places};
+use super::super::{Place, Places, Scratch, Sizes, places};
 use crate::kernels::Kernels;
 use crate::math::all_finite;
 use crate::policy::{DecideError, Observation};
@@ -19,7 +19,7 @@ pub struct Input {
 }
 
 impl Operator for Input {
-    const LAYOUT: Option<u32> = Some(LAYOUT_TILES);
+    const LAYOUT: Option<u32> = None;
 
     fn check(&self, sizes: &Sizes) -> bool {
         sizes.holds(&self.to)

@@ -3,7 +3,7 @@
 use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::super::operator::Operator;
-use super::super::{LAYOUT_TILES, Place, Places, Scratch, Sizes, copied};
+use super::super::{Place, Places, Scratch, Sizes, copied};
 use crate::kernels::Kernels;
 use crate::math;
 use crate::policy::{DecideError, Observation};
@@ -45,6 +45,8 @@ pub enum Function {
     Reciprocal,
     /// 1 where x is 0, else 0
     Not,
+    /// The error function, 2/√π times the integral of e^(-t²) from 0 to x
+    Erf,
 }
 
 /// Applies a function to every number.
@@ -64,7 +66,7 @@ pub struct Map {
 }
 
 impl Operator for Map {
-    const LAYOUT: Option<u32> = Some(LAYOUT_TILES);
+    const LAYOUT: Option<u32> = None;
 
     fn check(&self, sizes: &Sizes) -> bool {
         self.from.len == self.to.len && sizes.hold_in_place(&self.from, &self.to)
@@ -107,6 +109,7 @@ impl Operator for Map {
             Function::Absolute => each(values, f32::abs),
             Function::Reciprocal => each(values, |x| 1.0 / x),
             Function::Not => each(values, |x| if x == 0.0 { 1.0 } else { 0.0 }),
+            Function::Erf => each(values, libm::erff),
         }
         Ok(())
     }

@@ -4,8 +4,10 @@
 //! What has an own operator beside these (a layer, a recurrent unit, an attention) stands between them in one program.
 
 mod arrange;
+mod cells;
 mod combine;
 mod constant;
+mod convolve;
 mod input;
 mod map;
 mod multiply;
@@ -16,8 +18,10 @@ mod softmax;
 mod state;
 
 pub use arrange::Arrange;
+pub use cells::{GruCell, LstmCell};
 pub use combine::{Combination, Combine};
 pub use constant::Constant;
+pub use convolve::Convolve;
 pub use input::Input;
 pub use map::{Function, Map};
 pub use multiply::Multiply;

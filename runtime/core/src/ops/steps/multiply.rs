@@ -3,7 +3,7 @@
 use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::super::operator::Operator;
-use super::super::{LAYOUT_TILES, Place, Places, Scratch, Sizes, apart};
+use super::super::{Place, Places, Scratch, Sizes, apart};
 use crate::kernels::Kernels;
 use crate::policy::{DecideError, Observation};
 
@@ -27,7 +27,7 @@ pub struct Multiply {
 }
 
 impl Operator for Multiply {
-    const LAYOUT: Option<u32> = Some(LAYOUT_TILES);
+    const LAYOUT: Option<u32> = None;
 
     fn check(&self, sizes: &Sizes) -> bool {
         let size = |a: u32, b: u32| u64::from(a) * u64::from(b);

@@ -3,7 +3,7 @@
 use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::super::operator::Operator;
-use super::super::{LAYOUT_TILES, Place, Places, Scratch, Sizes, places};
+use super::super::{Place, Places, Scratch, Sizes, places};
 use crate::kernels::{Kernels, dot};
 use crate::policy::{DecideError, Observation};
 
@@ -39,7 +39,7 @@ pub struct Reduce {
 }
 
 impl Operator for Reduce {
-    const LAYOUT: Option<u32> = Some(LAYOUT_TILES);
+    const LAYOUT: Option<u32> = None;
 
     fn check(&self, sizes: &Sizes) -> bool {
         self.columns > 0

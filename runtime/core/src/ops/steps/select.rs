@@ -3,7 +3,7 @@
 use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::super::operator::Operator;
-use super::super::{LAYOUT_TILES, Place, Places, Scratch, Sizes, apart};
+use super::super::{Place, Places, Scratch, Sizes, apart};
 use crate::kernels::Kernels;
 use crate::policy::{DecideError, Observation};
 
@@ -22,7 +22,7 @@ pub struct Select {
 }
 
 impl Operator for Select {
-    const LAYOUT: Option<u32> = Some(LAYOUT_TILES);
+    const LAYOUT: Option<u32> = None;
 
     fn check(&self, sizes: &Sizes) -> bool {
         let lengths = [1, self.to.len];

@@ -3,7 +3,7 @@
 use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::super::operator::Operator;
-use super::super::{Flag, LAYOUT_TILES, Place, Places, Scratch, Sizes, copied};
+use super::super::{Flag, Place, Places, Scratch, Sizes, copied};
 use crate::kernels::{Kernels, dot};
 use crate::math::{exp, ln};
 use crate::policy::{DecideError, Observation};
@@ -24,7 +24,7 @@ pub struct Softmax {
 }
 
 impl Operator for Softmax {
-    const LAYOUT: Option<u32> = Some(LAYOUT_TILES);
+    const LAYOUT: Option<u32> = None;
 
     fn check(&self, sizes: &Sizes) -> bool {
         self.from.len == self.to.len

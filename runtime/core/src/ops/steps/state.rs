@@ -3,7 +3,7 @@
 use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::super::operator::Operator;
-use super::super::{LAYOUT_TILES, Place, Places, Scratch, Sizes};
+use super::super::{Place, Places, Scratch, Sizes};
 use crate::kernels::Kernels;
 use crate::policy::{DecideError, Observation};
 
@@ -19,10 +19,11 @@ pub struct State {
 }
 
 impl Operator for State {
-    const LAYOUT: Option<u32> = Some(LAYOUT_TILES);
+    const LAYOUT: Option<u32> = None;
 
     fn check(&self, sizes: &Sizes) -> bool {
-        sizes.hold_apart(&[&self.from, &self.to]) && self.from.len == self.to.len
+        // Both may share floats: one is written before the first operator, the other read behind the last.
+        sizes.holds(&self.from) && sizes.holds(&self.to) && self.from.len == self.to.len
     }
 
     fn writes(&self) -> Places {
