@@ -196,6 +196,12 @@ pub enum CompileError {
         /// What the system said.
         reason: String,
     },
+    /// The names behind a plan cannot be read.
+    #[error("the names behind the plan cannot be read: {reason}; compile the policy again")]
+    Annex {
+        /// What is wrong with them.
+        reason: String,
+    },
     /// The plan is not one that can be loaded.
     #[error("the plan cannot be loaded")]
     Plan(#[from] PlanError),

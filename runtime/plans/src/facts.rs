@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize, Serializer};
 use sortie_bundle::hex;
 use sortie_core::plan::{AlignedBytes, Network, Plan};
 
+use crate::annex::Annex;
 use crate::error::CompileError;
 use crate::policy::PolicyFacts;
 use crate::report::{OperatorReport, operators};
@@ -76,6 +77,9 @@ pub struct PlanFacts {
     pub macs: u64,
     /// The operators in order.
     pub operators: Vec<OperatorReport>,
+    /// Names, sizes and roles of a policy's inputs and outputs; none where the plan has no annex.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub policy: Option<Annex>,
 }
 
 fn network_name<S: Serializer>(network: &Network, serializer: S) -> Result<S::Ok, S::Error> {
@@ -85,6 +89,7 @@ fn network_name<S: Serializer>(network: &Network, serializer: S) -> Result<S::Ok
 /// Reads the facts of a plan.
 pub fn inspect_plan(plan: &[u8]) -> Result<PlanFacts, CompileError> {
     let flash_bytes = plan.len();
+    let policy = Annex::of_plan(plan)?;
     let plan = AlignedBytes::copy_of(plan);
     let plan = Plan::load(plan.as_slice())?;
     let header = plan.header();
@@ -106,5 +111,6 @@ pub fn inspect_plan(plan: &[u8]) -> Result<PlanFacts, CompileError> {
         action_mismatch: header.action_mismatch,
         macs: operators.iter().map(|operator| operator.macs).sum(),
         operators,
+        policy,
     })
 }

@@ -6,6 +6,7 @@
 #![forbid(unsafe_code)]
 
 mod agreement;
+mod annex;
 mod attention;
 mod bundle_plans;
 mod cache;
@@ -28,6 +29,7 @@ mod report;
 pub use agreement::{
     Agreement, LEAST_AGREEMENT, LEAST_OBSERVATIONS, Quantised, RECORDED, agreement, quantise,
 };
+pub use annex::Annex;
 pub use attention::{AttentionLayers, AttentionProbe};
 pub use bundle_plans::{BundlePlans, Compiler};
 pub use cache::user_cache;

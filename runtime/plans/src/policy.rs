@@ -138,6 +138,12 @@ pub trait FlatPolicy {
         inputs: &[&[f32]],
         states: &mut [f32],
     ) -> Result<Vec<PolicyAnswer>, CompileError>;
+
+    /// One decision with states and outputs of its own, which nobody reads: what benchmarks time.
+    ///
+    /// # Errors
+    /// As [`Self::run`].
+    fn step(&mut self, inputs: &[&[f32]]) -> Result<(), CompileError>;
 }
 
 impl PolicyFacts {

@@ -191,6 +191,15 @@ fn detail(op: OpRef<'_>) -> String {
         OpRef::Multiply(op) => {
             format!("[{}, {}] by [{}, {}]", op.rows, op.inner, op.inner, op.columns)
         }
+        OpRef::GruCell(op) => format!("[{}]", op.to.len),
+        OpRef::LstmCell(op) => format!("[{}]", op.to.len),
+        OpRef::Convolve(op) => {
+            let ([height, width], [rows, columns]) = (op.size, op.kernel);
+            let picture = format!("[{}, {height}, {width}]", op.channels);
+            let ([height, width], outputs) = (op.result, op.layer.outputs);
+            let relu = relu(op.relu.is_set());
+            format!("{picture} by {rows} x {columns} -> [{outputs}, {height}, {width}]{relu}")
+        }
         OpRef::MaskedArgmax(op) => format!("[{}] -> action", op.from.len),
         OpRef::MaskedSample(op) => format!("[{}] -> drawn action", op.from.len),
         _ => String::new(),
