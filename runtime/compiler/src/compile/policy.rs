@@ -3,8 +3,9 @@
 use sortie_bundle::sha256;
 use sortie_core::plan::{AlignedBytes, Network, Profile, Program};
 use sortie_plans::{
-    Comparison, CompileError, CompileOptions, Compiled, CompiledPolicy, FlatPolicy, PlanFlatPolicy,
-    PolicyAnswer, PolicyOptions, TOLERANCE, magnitude, random_policy_inputs, report,
+    Annex, Comparison, CompileError, CompileOptions, Compiled, CompiledPolicy, FlatPolicy,
+    PlanFlatPolicy, PolicyAnswer, PolicyOptions, TOLERANCE, magnitude, random_policy_inputs,
+    report,
 };
 
 use crate::flat::FlatGraph;
@@ -24,12 +25,12 @@ pub fn compile_policy(
     policy: &PolicyOptions,
     options: &CompileOptions,
 ) -> Result<CompiledPolicy, CompileError> {
-    if options.profile == Profile::Int8 {
-        return Err(CompileError::NoInt8 { what: "a policy of general steps".into() });
-    }
     let graph = FlatGraph::read(onnx, policy)?;
     let facts = graph.interface.facts.clone();
-    let lowered = guarded(|| Ok(lower_policy(&graph)));
+    let entries = graph.file.metadata_props.iter();
+    let metadata = entries.map(|entry| (entry.key.clone(), entry.value.clone()));
+    let annex = Annex::new(facts.clone(), metadata);
+    let lowered = guarded(|| Ok(lower_policy(&graph, options.profile)));
     let lowered = lowered.map_err(|reason| CompileError::Unreadable { reason })??;
     let LoweredPolicy { program, weights, features, actions } = lowered;
     let weights = weights.to_bytes();
@@ -49,7 +50,8 @@ pub fn compile_policy(
     let comparison = prove(&mut plan, &mut reference, options)?;
     origin.max_error = comparison.max_rel_error;
     origin.action_mismatch = comparison.action_mismatches as f32 / comparison.inputs.max(1) as f32;
-    let bytes = assemble(&program, &weights, sizes, &origin)?;
+    let mut bytes = assemble(&program, &weights, sizes, &origin)?;
+    annex.append_to(&mut bytes)?;
     let program = program.to_bytes();
     let report = report(&Program::read(program.as_slice())?, 1, bytes.len(), &comparison);
     Ok(CompiledPolicy { compiled: Compiled { bytes, report }, facts })
@@ -73,8 +75,10 @@ fn prove(
         compare(plan, graph, &given, &mut states, &mut comparison)?;
     }
     let error = comparison.max_rel_error;
-    if error.is_nan() || error > TOLERANCE || comparison.refusals_differ > 0 {
-        let (limit, input, seed) = (TOLERANCE, comparison.worst_input, options.seed);
+    // Plans of few bits are judged by whoever has recorded observations.
+    let limit = if options.profile == Profile::Int8 { f32::INFINITY } else { TOLERANCE };
+    if error.is_nan() || error > limit || comparison.refusals_differ > 0 {
+        let (input, seed) = (comparison.worst_input, options.seed);
         return Err(CompileError::Differs { error, limit, input, seed });
     }
     Ok(comparison)

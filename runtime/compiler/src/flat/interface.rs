@@ -66,6 +66,6 @@ impl Interface {
 }
 
 /// An engine or the reader gave other inputs or outputs than were asked for.
-pub(super) fn other_values() -> CompileError {
+pub(crate) fn other_values() -> CompileError {
     CompileError::Run { reason: "its inputs or outputs are not those of the file".to_owned() }
 }

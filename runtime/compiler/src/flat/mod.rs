@@ -20,7 +20,7 @@ use tract_onnx::pb;
 use tract_onnx::prelude::*;
 
 use crate::graph::guarded;
-pub(crate) use interface::Interface;
+pub(crate) use interface::{Interface, other_values};
 use nodes::cut;
 use selection::Selection;
 use values::{Value, Values, reader};

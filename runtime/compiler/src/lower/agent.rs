@@ -306,12 +306,15 @@ pub(crate) fn check_weights(
 #[derive(Default)]
 pub(crate) struct Arena {
     used: usize,
+    /// All places that were handed out.
+    pub(crate) places: Vec<Place>,
 }
 
 impl Arena {
     pub(crate) fn place(&mut self, len: usize) -> Place {
         let place = Place { offset: self.used as u32, len: len as u32 };
         self.used = (self.used + len).next_multiple_of(16);
+        self.places.push(place);
         place
     }
 

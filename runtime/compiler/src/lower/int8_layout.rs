@@ -74,7 +74,7 @@ impl Int8Weights {
     }
 
     /// Adds numbers, zeros behind them up to whole strips.
-    fn add_floats(&mut self, floats: &[f32]) -> u32 {
+    pub(crate) fn add_floats(&mut self, floats: &[f32]) -> u32 {
         let start = self.align();
         let zeros = floats.len().next_multiple_of(STRIP) - floats.len();
         // Adding zero turns -0 into +0.

@@ -5,14 +5,17 @@ use ort::value::{DynValue, Tensor};
 use prost::Message;
 use sortie_plans::{CompileError, FlatPolicy, PolicyAnswer, PolicyFacts, PolicyInput, ValueType};
 
+use super::bound_flat::BoundPolicy;
 use super::{OnnxRuntime, refused};
-use crate::flat::{FlatGraph, Interface};
+use crate::flat::{FlatGraph, Interface, other_values};
 
 /// A policy that runs the needed part of its file with onnxruntime.
 #[derive(Debug)]
 pub(crate) struct OnnxRuntimeFlatPolicy {
     session: Session,
     interface: Interface,
+    /// The tensors of [`FlatPolicy::step`], made by its first.
+    bound: Option<BoundPolicy>,
 }
 
 impl OnnxRuntimeFlatPolicy {
@@ -21,7 +24,7 @@ impl OnnxRuntimeFlatPolicy {
         graph: FlatGraph,
     ) -> Result<Self, CompileError> {
         let session = runtime.session(&graph.file.encode_to_vec())?;
-        Ok(Self { session, interface: graph.interface })
+        Ok(Self { session, interface: graph.interface, bound: None })
     }
 }
 
@@ -35,7 +38,7 @@ impl FlatPolicy for OnnxRuntimeFlatPolicy {
         inputs: &[&[f32]],
         states: &mut [f32],
     ) -> Result<Vec<PolicyAnswer>, CompileError> {
-        let Self { session, interface } = self;
+        let Self { session, interface, .. } = self;
         let arranged = interface.arranged(inputs, states)?;
         let named = |(input, numbers): (&PolicyInput, &[f32])| -> ort::Result<_> {
             Ok((input.name.clone(), SessionInputValue::from(tensor(input, numbers)?)))
@@ -49,6 +52,15 @@ impl FlatPolicy for OnnxRuntimeFlatPolicy {
             given.push(numbers.ok_or_else(|| CompileError::Run { reason: reason() })?);
         }
         interface.answers(&given, states)
+    }
+
+    fn step(&mut self, inputs: &[&[f32]]) -> Result<(), CompileError> {
+        let Self { session, interface, bound } = self;
+        if bound.is_none() {
+            *bound = Some(BoundPolicy::new(session, interface).map_err(refused)?);
+        }
+        let bound = bound.as_mut().ok_or_else(other_values)?;
+        bound.step(session, inputs)
     }
 }
 

@@ -8,6 +8,7 @@ mod agent;
 mod batched_agents;
 mod batched_graph;
 mod batched_team_values;
+mod bound_flat;
 mod flat;
 mod library;
 mod proposals;

@@ -87,17 +87,28 @@ impl File {
     }
 
     pub(super) fn node_with(
-        mut self,
+        self,
         operator: &str,
         inputs: &[&str],
         output: &str,
         attribute: Vec<pb::AttributeProto>,
     ) -> Self {
+        self.nodes(operator, inputs, &[output], attribute)
+    }
+
+    /// A node of several outputs, named after the first.
+    pub(super) fn nodes(
+        mut self,
+        operator: &str,
+        inputs: &[&str],
+        outputs: &[&str],
+        attribute: Vec<pb::AttributeProto>,
+    ) -> Self {
         self.0.node.push(pb::NodeProto {
-            name: format!("{output}.node"),
+            name: format!("{}.node", outputs.first().copied().unwrap_or_default()),
             op_type: operator.to_owned(),
             input: inputs.iter().map(ToString::to_string).collect(),
-            output: vec![output.to_owned()],
+            output: outputs.iter().map(ToString::to_string).collect(),
             attribute,
             ..Default::default()
         });

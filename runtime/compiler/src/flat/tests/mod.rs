@@ -5,3 +5,4 @@ mod graphs;
 mod outputs;
 mod plans;
 mod states;
+mod units;

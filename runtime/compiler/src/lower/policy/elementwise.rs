@@ -1,7 +1,8 @@
 //! Functions of numbers: of one value, of two, of a condition.
 
-use sortie_core::ops::{Combination, Combine, Function, Op, Place, Select};
+use sortie_core::ops::{Combination, Function, Op, Place, Select};
 use tract_onnx::prelude::*;
+use tract_onnx::tract_core::ops::binary::TypedBinOp;
 use tract_onnx::tract_core::ops::element_wise::ElementWiseOp;
 use tract_onnx::tract_core::ops::nn::LeakyRelu;
 
@@ -26,6 +27,7 @@ impl Lowering<'_> {
             "Recip" => self.map(Function::Reciprocal, [0.0; 2], from),
             "Neg" => self.map(Function::Affine, [-1.0, 0.0], from),
             "Not" => self.map(Function::Not, [0.0; 2], from),
+            "Erf" => self.map(Function::Erf, [0.0; 2], from),
             "Square" => self.combine(Combination::Multiply, from, from),
             "Rsqrt" => {
                 let root = self.map(Function::Sqrt, [0.0; 2], from);
@@ -129,6 +131,11 @@ impl Lowering<'_> {
 
     /// One of two values, by a condition.
     pub(super) fn select(&mut self, node: &TypedNode) -> Lowered<()> {
+        if let Some((outlet, alpha)) = self.elu(node) {
+            let from = self.place_of(outlet)?;
+            let to = self.map(Function::Elu, [alpha, 0.0], from);
+            return self.give(node, 0, to);
+        }
         let shape = self.shape(node, 0)?;
         let condition = self.broadcast(node, 0, &shape)?;
         let (yes, no) = (self.choice(node, 1, &shape)?, self.choice(node, 2, &shape)?);
@@ -137,37 +144,54 @@ impl Lowering<'_> {
         self.give(node, 0, to)
     }
 
+    /// Whether a choice is x where x is positive, else α (eˣ - 1): x and α.
+    fn elu(&self, node: &TypedNode) -> Option<(OutletId, f32)> {
+        let &[condition, yes, no] = node.inputs.as_slice() else { return None };
+        let condition = self.model.node(condition.node);
+        let name = condition.op_as::<TypedBinOp>()?.0.name();
+        let &[left, right] = condition.inputs.as_slice() else { return None };
+        let below = match name {
+            "LT" | "LTE" => true,
+            "GT" | "GTE" => false,
+            _ => return None,
+        };
+        let (x, is_below) = match (self.uniform(left), self.uniform(right)) {
+            (None, Some(0.0)) => (left, below),
+            (Some(0.0), None) => (right, !below),
+            _ => return None,
+        };
+        let (bent, kept) = if is_below { (yes, no) } else { (no, yes) };
+        let (alpha, offset) = self.line_of_power(bent, x)?;
+        (kept == x && offset == -alpha).then_some((x, alpha))
+    }
+
+    /// A value as a eˣ + b: a and b.
+    fn line_of_power(&self, outlet: OutletId, x: OutletId) -> Option<(f32, f32)> {
+        let node = self.model.node(outlet.node);
+        if let Some(function) = node.op_as::<ElementWiseOp>() {
+            let is_power = function.0.name() == "Exp" && node.inputs.first() == Some(&x);
+            return is_power.then_some((1.0, 0.0));
+        }
+        let name = node.op_as::<TypedBinOp>()?.0.name();
+        let &[left, right] = node.inputs.as_slice() else { return None };
+        let (inner, n, is_first) = match (self.uniform(left), self.uniform(right)) {
+            (None, Some(n)) => (left, n, true),
+            (Some(n), None) => (right, n, false),
+            _ => return None,
+        };
+        let (a, b) = self.line_of_power(inner, x)?;
+        match name {
+            "Add" => Some((a, b + n)),
+            "Sub" if is_first => Some((a, b - n)),
+            "Mul" => Some((a * n, b * n)),
+            _ => None,
+        }
+    }
+
     /// A single number as it is, else repeated.
     fn choice(&mut self, node: &TypedNode, slot: usize, shape: &[usize]) -> Lowered<Place> {
         let place = self.operand(node, slot)?.place;
         if place.len == 1 { Ok(place) } else { self.broadcast(node, slot, shape) }
-    }
-
-    /// What an LSTM does behind its products: gates input, output, forget, candidate; then the output and the cell.
-    pub(super) fn lstm(&mut self, node: &TypedNode, hidden: usize) -> Lowered<()> {
-        let (gates, cell) = (self.operand(node, 0)?.place, self.operand(node, 1)?.place);
-        if gates.len as usize != 4 * hidden || cell.len as usize != hidden {
-            return Err(self.unsupported(node, "plans run an LSTM for one step of one sequence"));
-        }
-        let part = |place: Place, first: usize, count: usize| Place {
-            offset: place.offset + (first * hidden) as u32,
-            len: (count * hidden) as u32,
-        };
-        let open = self.map(Function::Sigmoid, [0.0; 2], part(gates, 0, 3));
-        let candidate = self.map(Function::Tanh, [0.0; 2], part(gates, 3, 1));
-        let kept = self.combine(Combination::Multiply, part(open, 2, 1), cell);
-        let added = self.combine(Combination::Multiply, part(open, 0, 1), candidate);
-        let (left, to) = (kept, kept);
-        self.ops.push(Op::Combine(Combine {
-            combination: Combination::Add,
-            left,
-            right: added,
-            to,
-        }));
-        let bounded = self.map(Function::Tanh, [0.0; 2], kept);
-        let output = self.combine(Combination::Multiply, bounded, part(open, 1, 1));
-        self.give(node, 0, output)?;
-        self.give(node, 1, kept)
     }
 }
 

@@ -4,10 +4,14 @@
 //! bias and the ReLU that follow. Reshaping moves no number: a value is a place and its sizes.
 
 mod arrange;
+mod cells;
+mod convolve;
 mod elementwise;
 mod products;
 mod rows;
+mod tidy;
 mod values;
+mod weights;
 
 use std::collections::HashSet;
 
@@ -17,15 +21,17 @@ use sortie_core::limits;
 use sortie_core::ops::{
     Combination, Combine, Function, Input, Map, MaskedArgmax, Op, Output, OutputRows, Place, State,
 };
-use sortie_core::plan::{OPS, ProgramDraft};
+use sortie_core::plan::{OPS, Profile, ProgramDraft};
 use sortie_plans::{CompileError, InputRole, OutputRole};
 use tract_onnx::prelude::*;
 use tract_onnx::tract_core::ops::array::{Gather, MultiBroadcastTo, Slice, TypedConcat};
 use tract_onnx::tract_core::ops::binary::TypedBinOp;
 use tract_onnx::tract_core::ops::cast::Cast;
 use tract_onnx::tract_core::ops::change_axes::AxisOp;
+use tract_onnx::tract_core::ops::cnn::Conv;
 use tract_onnx::tract_core::ops::einsum::EinSum;
 use tract_onnx::tract_core::ops::element_wise::ElementWiseOp;
+use tract_onnx::tract_core::ops::gru_cell::GruEpilogue;
 use tract_onnx::tract_core::ops::konst::Const;
 use tract_onnx::tract_core::ops::logic::Iff;
 use tract_onnx::tract_core::ops::lstm_cell::LstmEpilogue;
@@ -33,14 +39,17 @@ use tract_onnx::tract_core::ops::nn::{Reduce, RmsNorm, Softmax};
 use tract_onnx::tract_core::ops::source::TypedSource;
 
 use super::agent::{Arena, at_most};
-use super::layout::Weights;
 use crate::flat::FlatGraph;
 use values::Values;
+use weights::PolicyWeights;
+
+/// Floats behind the last value.
+const PADDING: u32 = 16;
 
 /// A policy as a program.
 pub(crate) struct LoweredPolicy {
     pub(crate) program: ProgramDraft,
-    pub(crate) weights: Weights,
+    pub(crate) weights: PolicyWeights,
     /// Numbers of the first input, as far as a plan's header can say.
     pub(crate) features: usize,
     /// Actions to choose from; 1 where none is chosen.
@@ -51,8 +60,11 @@ pub(crate) struct LoweredPolicy {
 ///
 /// # Errors
 /// `Unsupported` names the node that no step computes.
-pub(crate) fn lower_policy(graph: &FlatGraph) -> Result<LoweredPolicy, CompileError> {
-    let mut lowering = Lowering::new(&graph.model);
+pub(crate) fn lower_policy(
+    graph: &FlatGraph,
+    profile: Profile,
+) -> Result<LoweredPolicy, CompileError> {
+    let mut lowering = Lowering::new(&graph.model, profile);
     lowering.inputs(graph)?;
     let order = graph.model.eval_order();
     let order = order.map_err(|error| CompileError::Unreadable { reason: error.to_string() })?;
@@ -86,7 +98,7 @@ fn needed(graph: &FlatGraph) -> HashSet<usize> {
 struct Lowering<'m> {
     model: &'m TypedModel,
     arena: Arena,
-    weights: Weights,
+    weights: PolicyWeights,
     ops: Vec<Op>,
     values: Values,
     /// The next states, whose places are not known before the end.
@@ -97,11 +109,11 @@ struct Lowering<'m> {
 type Lowered<T> = Result<T, CompileError>;
 
 impl<'m> Lowering<'m> {
-    fn new(model: &'m TypedModel) -> Self {
+    fn new(model: &'m TypedModel, profile: Profile) -> Self {
         Self {
             model,
             arena: Arena::default(),
-            weights: Weights::default(),
+            weights: PolicyWeights::of(profile),
             ops: Vec::new(),
             values: Values::default(),
             states: Vec::new(),
@@ -170,6 +182,12 @@ impl<'m> Lowering<'m> {
         if let Some(lstm) = op.downcast_ref::<LstmEpilogue>() {
             return self.lstm(node, lstm.hidden);
         }
+        if let Some(gru) = op.downcast_ref::<GruEpilogue>() {
+            return self.gru(node, gru.hidden);
+        }
+        if let Some(conv) = op.downcast_ref::<Conv>() {
+            return self.convolve(node, conv);
+        }
         if op.is::<Iff>() {
             return self.select(node);
         }
@@ -210,21 +228,19 @@ impl<'m> Lowering<'m> {
         if let Some(from) = choice {
             self.ops.push(Op::MaskedArgmax(MaskedArgmax { from }));
         }
+        let floats = tidy::tidy(&mut self.ops, &self.arena.places);
         at_most("the number of steps", self.ops.len(), OPS)?;
         // A slice at the arena's end is read as far as its padding.
-        self.arena.place(16);
+        let floats = floats + PADDING;
         let nonzeros = self.longest_sparse.div_ceil(MARKED) as u32;
-        let program = ProgramDraft { ops: self.ops, floats: self.arena.floats(), nonzeros };
+        let program = ProgramDraft { ops: self.ops, floats, nonzeros };
         let features = facts.given().next().map_or(1, |input| input.length());
         let features = features.clamp(1, limits::FEATURES);
         Ok(LoweredPolicy { program, weights: self.weights, features, actions })
     }
 
-    /// A state's next value stands by itself, whatever it is made of.
-    fn next_state(&mut self, from: Place) -> Lowered<()> {
-        let to = self.arena.place(from.len as usize);
-        let (a, b) = (1.0_f32.to_bits(), 0.0_f32.to_bits());
-        self.ops.push(Op::Map(Map { function: Function::Affine, a, b, from, to }));
+    /// The caller's next state is what stands there behind the last step.
+    fn next_state(&mut self, to: Place) -> Lowered<()> {
         let index = if self.states.is_empty() { None } else { Some(self.states.remove(0)) };
         match index.and_then(|index| self.ops.get_mut(index)) {
             Some(Op::State(state)) if state.from.len == to.len => {

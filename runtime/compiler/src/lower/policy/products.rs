@@ -1,7 +1,7 @@
 //! Products: layers where one side is constant, and those of two values.
 
 use sortie_core::kernels::product::padded;
-use sortie_core::ops::{Dense, Flag, Multiply, Op, Place};
+use sortie_core::ops::{Multiply, Op, Place};
 use tract_onnx::prelude::*;
 use tract_onnx::tract_core::ops::binary::TypedBinOp;
 use tract_onnx::tract_core::ops::einsum::EinSum;
@@ -73,28 +73,19 @@ impl<'m> Lowering<'m> {
         let from = self.permuted(node, &value, &order)?;
         let (inputs, outputs) = (layer.matrix.inputs, layer.matrix.outputs);
         at_most("the width of a layer", inputs.max(outputs), usize::from(u16::MAX) / 8)?;
-        let rows = from.len as usize / inputs.max(1);
+        let rows = (from.len as usize / inputs.max(1)).max(1);
         // With one row the result needs no other order, so that bias and ReLU can join the layer.
         let absorbed = if rows == 1 { self.absorb(node, &mut layer) } else { Vec::new() };
-        let to = self.arena.place(rows * outputs + padded(outputs));
-        let linear = self.weights.add_layer(&layer);
+        let to = self.arena.place((rows - 1) * outputs + padded(outputs));
         let sparse_input = self.relu_behind(node, slot);
         if sparse_input {
             self.longest_sparse = self.longest_sparse.max(inputs);
         }
+        let stored = self.weights.add_layer(&layer, sparse_input, &mut self.arena);
         for row in 0..rows {
-            let part = |place: Place, width: usize, len: usize| Place {
-                offset: place.offset + (row * width) as u32,
-                len: len as u32,
-            };
             // A row's padding is written over by the next row.
-            self.ops.push(Op::Dense(Dense {
-                layer: linear,
-                relu: Flag::from(layer.relu),
-                sparse_input: Flag::from(sparse_input),
-                from: part(from, inputs, inputs),
-                to: part(to, outputs, padded(outputs)),
-            }));
+            let at = |place: Place, width: usize| place.offset + (row * width) as u32;
+            self.ops.push(stored.op(at(from, inputs), at(to, outputs)));
         }
         let to = Place { len: (rows * outputs) as u32, ..to };
         if rows == 1 {
@@ -124,12 +115,17 @@ impl<'m> Lowering<'m> {
             absorbed.push(sum);
             last = sum;
         }
-        let relu = self.only_reader(last, "Max");
-        if let Some((relu, _)) = relu.filter(|(_, low)| self.uniform(*low) == Some(0.0)) {
+        if let Some(relu) = self.relu_after(last) {
             layer.relu = true;
             absorbed.push(relu);
         }
         absorbed
+    }
+
+    /// The ReLU that alone reads a node.
+    pub(super) fn relu_after(&self, node: &TypedNode) -> Option<&'m TypedNode> {
+        let (relu, low) = self.only_reader(node, "Max")?;
+        (self.uniform(low) == Some(0.0)).then_some(relu)
     }
 
     /// The function of two that alone reads a node, and its other operand.
