@@ -172,8 +172,15 @@ fn print_plan(facts: &PlanFacts) {
     row("largest_error", format!("{:.1e}", facts.max_rel_error));
     row("contract", facts.contract.clone());
     row("source", facts.source.clone());
+    for (name, value) in facts.policy.iter().flat_map(|policy| &policy.metadata) {
+        row(name, value.clone());
+    }
     table.print();
     say!();
+    if let Some(policy) = &facts.policy {
+        onnx::print_roles(&policy.facts);
+        say!();
+    }
     let mut operators = Table::of_text(&["operator", "sizes"]);
     for operator in &facts.operators {
         operators.row([operator.name.clone(), operator.detail.clone()]);

@@ -19,7 +19,7 @@ use crate::policy::{Backend, DeployedPolicy};
 use sortie_envs::Split;
 
 /// The profiles of our plans, and what their engines are called.
-const PROFILES: [(&str, Profile); 3] = [
+pub(super) const PROFILES: [(&str, Profile); 3] = [
     ("sortie exact", Profile::Exact),
     ("sortie fused", Profile::Fused),
     ("sortie int8", Profile::Int8),
@@ -121,7 +121,7 @@ fn plan_for_large_teams(bundle: &Bundle, profile: Profile) -> Result<AlignedByte
     compiled.map(|compiled| AlignedBytes::copy_of(&compiled.bytes)).map_err(failed)
 }
 
-fn floor_of(plan: &[u8]) -> Result<Floor, CompileError> {
+pub(super) fn floor_of(plan: &[u8]) -> Result<Floor, CompileError> {
     let loaded = Plan::load(plan)?;
     let header = loaded.header();
     let start = header.weights_offset as usize;

@@ -7,6 +7,7 @@ mod decision;
 mod environment;
 pub(crate) mod faults;
 mod floor;
+mod policies;
 mod proposals;
 mod quantised;
 mod rounds;
@@ -39,6 +40,7 @@ const FLOOR: &str = "floor";
   sortie bench decision --pin 1
   sortie bench decision models/save-the-city --python venv/bin/python3 --pace hot
   sortie bench allocation --seconds 5
+  sortie bench policy walking.onnx --python venv/bin/python3
   sortie bench proposals --python venv/bin/python3
   sortie bench env --seconds 10
   sortie bench faults --runner-kills 1000 --allocator-kills 200
@@ -52,6 +54,7 @@ pub(crate) struct BenchArguments {
 enum What {
     Decision(decision::DecisionArguments),
     Allocation(allocation::AllocationArguments),
+    Policy(policies::PolicyBenchArguments),
     Proposals(proposals::ProposalsArguments),
     Env(environment::EnvironmentArguments),
     Train(train::TrainArguments),
@@ -109,7 +112,9 @@ struct Figures {
 }
 
 pub(crate) fn run(arguments: &BenchArguments) -> Outcome {
-    if let What::Decision(_) | What::Allocation(_) | What::Proposals(_) = &arguments.what {
+    if let What::Decision(_) | What::Allocation(_) | What::Policy(_) | What::Proposals(_) =
+        &arguments.what
+    {
         // Before plans are compiled, which the other program would do once more.
         engines()?;
     }
@@ -118,6 +123,7 @@ pub(crate) fn run(arguments: &BenchArguments) -> Outcome {
         What::Allocation(arguments) => {
             (allocation::measure(arguments)?, arguments.measuring.common)
         }
+        What::Policy(arguments) => (policies::measure(arguments)?, arguments.measuring.common),
         What::Proposals(arguments) => (proposals::measure(arguments)?, arguments.measuring.common),
         What::Env(arguments) => (environment::measure(arguments)?, arguments.measuring.common),
         What::Faults(arguments) => return faults::run(arguments),

@@ -73,6 +73,20 @@ fn print_values(facts: &OnnxFacts, policy: Option<&PolicyFacts>) {
     tensors.print();
 }
 
+/// The inputs and outputs of a policy, as its plan has them.
+pub(super) fn print_roles(policy: &PolicyFacts) {
+    let mut tensors = Table::of_text(&["tensor", "name", "shape", "role"]);
+    for input in &policy.inputs {
+        let shape = format!("{} {:?}", input.kind.name(), input.shape);
+        tensors.row(["input".to_owned(), input.name.clone(), shape, input.role.name().to_owned()]);
+    }
+    for output in &policy.outputs {
+        let shape = format!("{} {:?}", output.kind.name(), output.shape);
+        tensors.row(["output".to_owned(), output.name.clone(), shape, output.role.to_string()]);
+    }
+    tensors.print();
+}
+
 /// What an input or output is for; those that are not needed have no role.
 fn role(policy: &PolicyFacts, kind: &str, name: &str) -> String {
     let input = policy.inputs.iter().find(|input| kind == "input" && input.name == name);
