@@ -1,0 +1,193 @@
+//! `sortie.Bundle`: a team, its agents and its allocator.
+
+use std::path::PathBuf;
+use std::sync::{Mutex, PoisonError};
+
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::sync::MutexExt;
+use serde_json::{Value, json};
+use sortie_bundle::hex;
+use sortie_core::plan::{AlignedBytes, PlanError, Profile};
+use sortie_core::{DecideError, Decision, Observation, limits};
+use sortie_plans::{BundlePlans, CompileError, CompilerProcess, user_cache};
+
+use crate::arrays::array;
+use crate::bundle_allocator::{Asked, allocate};
+use crate::bundle_observations::Observations;
+use crate::compiler::{carried, program, to_python};
+use crate::errors::{exceptions, within, words};
+use crate::owned_plan::OwnedPlan;
+
+/// A team: its agents, and the allocator that it learned.
+#[pyclass(frozen, module = "sortie")]
+pub(crate) struct Bundle {
+    bundle: sortie_bundle::Bundle,
+    agents: OwnedPlan,
+    allocator: Option<OwnedPlan>,
+    working: Mutex<Working>,
+}
+
+/// What decisions write to.
+struct Working {
+    arena: AlignedBytes,
+    /// The recurrent state of every agent there may be, `[AGENTS, R]`.
+    memory: Vec<f32>,
+}
+
+#[pymethods]
+impl Bundle {
+    #[new]
+    fn new(py: Python<'_>, folder: PathBuf) -> PyResult<Self> {
+        let compiler = CompilerProcess::new(program(py)?, ["compiler"]);
+        py.detach(|| Self::open(&folder, compiler)).map_err(|failure| match failure {
+            Failure::NoCompiler => carried(py).err().unwrap_or_else(|| {
+                exceptions::CompileError::new_err("the compiler cannot be started")
+            }),
+            Failure::Words(words) => exceptions::BundleError::new_err(within(Some(&folder), words)),
+        })
+    }
+
+    /// What the team was trained for, and what its parts are.
+    fn inspect<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let mut report = json!(self.bundle.manifest());
+        if let Value::Object(report) = &mut report {
+            report.insert("id".to_owned(), hex(self.bundle.id()).into());
+        }
+        to_python(py, &report)
+    }
+
+    /// The action of every agent `[A]`, -1 where none is available.
+    #[pyo3(signature = (entities, visible, available, last_actions=None))]
+    fn decide<'py>(
+        &self,
+        entities: &Bound<'py, PyAny>,
+        visible: &Bound<'py, PyAny>,
+        available: &Bound<'py, PyAny>,
+        last_actions: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let py = entities.py();
+        let contract = self.bundle.contract();
+        let seen = Observations::read(contract, entities, visible, available, last_actions)?;
+        let decisions = py.detach(|| self.decisions(&seen.views()));
+        let action = |(agent, decision): (usize, Result<Decision, DecideError>)| match decision {
+            Ok(decision) => Ok(i64::from(decision.action)),
+            Err(DecideError::NoAvailableAction) => Ok(-1),
+            Err(error) => Err(exceptions::DecideError::new_err(format!("agent {agent}: {error}"))),
+        };
+        let actions = decisions.into_iter().enumerate().map(action);
+        let actions = actions.collect::<PyResult<Vec<i64>>>()?;
+        Ok(array(py, &[actions.len()], &actions)?.into_any())
+    }
+
+    /// The subtask of every agent `[A]` that the team's allocator gives it, -1 for none.
+    #[pyo3(signature = (entities, agents, entity_tasks, open_tasks, *, present=None, relation=None))]
+    fn allocate<'py>(
+        &self,
+        entities: &Bound<'py, PyAny>,
+        agents: usize,
+        entity_tasks: &Bound<'py, PyAny>,
+        open_tasks: &Bound<'py, PyAny>,
+        present: Option<&Bound<'py, PyAny>>,
+        relation: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let asked = Asked { entities, agents, entity_tasks, open_tasks, present, relation };
+        match &self.allocator {
+            Some(plan) => allocate(&self.bundle, plan, &asked),
+            None if self.bundle.has_allocator() => Err(self.refusal(
+                "its allocator proposes allocations, which `sortie run` does and Python does not",
+            )),
+            None => Err(self.refusal("the team has learned no allocator")),
+        }
+    }
+
+    /// Forgets what was before: an episode begins.
+    fn reset(&self, py: Python<'_>) {
+        let working = self.working.lock_py_attached(py);
+        working.unwrap_or_else(PoisonError::into_inner).memory.fill(0.0);
+    }
+
+    fn __repr__(&self) -> String {
+        let environment = &self.bundle.manifest().contract.environment.name;
+        format!("<sortie.Bundle {} of {environment}>", self.bundle.folder().display())
+    }
+}
+
+impl Bundle {
+    fn open(folder: &std::path::Path, compiler: CompilerProcess) -> Result<Self, Failure> {
+        let bundle = sortie_bundle::Bundle::open(folder)?;
+        let plans = BundlePlans::new(compiler, user_cache(), warn);
+        let agents = OwnedPlan::load(plans.agent(&bundle, Profile::Exact)?)?;
+        let allocator = plans.allocator(&bundle)?.map(OwnedPlan::load).transpose()?;
+        let arena = AlignedBytes::zeroed(agents.plan().batch_arena_bytes(limits::AGENTS));
+        let memory = vec![0.0; limits::AGENTS * agents.plan().hidden()];
+        Ok(Self { bundle, agents, allocator, working: Mutex::new(Working { arena, memory }) })
+    }
+
+    fn refusal(&self, words: &str) -> PyErr {
+        PyValueError::new_err(within(Some(self.bundle.folder()), words.to_owned()))
+    }
+
+    /// A decision for every agent; where one gets an error, nobody's state changes.
+    fn decisions(&self, seen: &[Observation<'_>]) -> Vec<Result<Decision, DecideError>> {
+        let plan = self.agents.plan();
+        let mut decisions = vec![Err(DecideError::BadLength); seen.len()];
+        let mut working = self.working.lock().unwrap_or_else(PoisonError::into_inner);
+        let Working { arena, memory } = &mut *working;
+        if plan.hidden() == 0 {
+            plan.decide_batch(arena.as_mut_slice(), seen, &mut decisions);
+            return decisions;
+        }
+        let mut states = memory.clone();
+        let each = seen.iter().zip(states.chunks_exact_mut(plan.hidden())).zip(&mut decisions);
+        for ((observation, state), decision) in each {
+            *decision = plan.decide(arena.as_mut_slice(), observation, Some(state));
+        }
+        let is_error = |decision: &Result<Decision, DecideError>| {
+            !matches!(decision, Ok(_) | Err(DecideError::NoAvailableAction))
+        };
+        if !decisions.iter().any(is_error) {
+            *memory = states;
+        }
+        decisions
+    }
+}
+
+/// Why a bundle cannot be opened.
+enum Failure {
+    NoCompiler,
+    Words(String),
+}
+
+impl From<sortie_bundle::BundleError> for Failure {
+    fn from(error: sortie_bundle::BundleError) -> Self {
+        Self::Words(words(&error))
+    }
+}
+
+impl From<CompileError> for Failure {
+    fn from(error: CompileError) -> Self {
+        match error {
+            CompileError::NoCompiler { .. } => Self::NoCompiler,
+            error => Self::Words(words(&error)),
+        }
+    }
+}
+
+impl From<PlanError> for Failure {
+    fn from(error: PlanError) -> Self {
+        Self::Words(words(&error))
+    }
+}
+
+/// A note as a warning of Python's.
+fn warn(note: &str) {
+    Python::attach(|py| {
+        let warnings = py.import("warnings");
+        let warned = warnings.and_then(|warnings| warnings.call_method1("warn", (note,)));
+        // Where warnings are errors this one has nobody to go to.
+        if let Err(error) = warned {
+            error.write_unraisable(py, None);
+        }
+    });
+}

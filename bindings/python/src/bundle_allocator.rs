@@ -1,0 +1,159 @@
+//! The allocator that a team learned: its network, and the search of the best allocation.
+
+use numpy::PyUntypedArrayMethods;
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use sortie_bundle::{Bundle, OwnedAllocationState};
+use sortie_core::allocate::{
+    EXACT_AGENTS, LastAllocation, PlanTeamValue, SearchMemory, TaskRelation, TeamValueAllocator,
+    exact,
+};
+use sortie_core::plan::{AlignedBytes, PlanError};
+use sortie_core::{AllocateError, AllocationState, Allocator, EntityMask, UNASSIGNED, limits};
+
+use crate::arrays::{array, mask, numbers, slice};
+use crate::bundle_observations::{rows, set};
+use crate::errors::{exceptions, words};
+use crate::owned_plan::OwnedPlan;
+
+/// Columns of the network beside features and relation: a flag of the subtask's own row, and one of the team.
+const FLAGS: usize = 2;
+
+/// What an allocation is made of.
+pub(crate) struct Asked<'a, 'py> {
+    pub(crate) entities: &'a Bound<'py, PyAny>,
+    pub(crate) agents: usize,
+    pub(crate) entity_tasks: &'a Bound<'py, PyAny>,
+    pub(crate) open_tasks: &'a Bound<'py, PyAny>,
+    pub(crate) present: Option<&'a Bound<'py, PyAny>>,
+    pub(crate) relation: Option<&'a Bound<'py, PyAny>>,
+}
+
+/// What an entity has to do with a subtask, `[T, N, F]`.
+struct Relation {
+    numbers: Vec<f32>,
+    columns: usize,
+    entities: usize,
+}
+
+impl TaskRelation for Relation {
+    fn columns(&self) -> usize {
+        self.columns
+    }
+
+    fn observe(&mut self, _: &AllocationState<'_>) -> Result<(), AllocateError> {
+        Ok(())
+    }
+
+    fn write(&mut self, _: &AllocationState<'_>, task: usize, relation: &mut [f32]) {
+        let floats = (self.columns * self.entities).max(1);
+        let of_task = self.numbers.chunks_exact(floats).nth(task).unwrap_or_default();
+        for (to, from) in relation.iter_mut().zip(of_task) {
+            *to = *from;
+        }
+    }
+}
+
+pub(crate) fn allocate<'py>(
+    bundle: &Bundle,
+    plan: &OwnedPlan,
+    asked: &Asked<'_, 'py>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let py = asked.entities.py();
+    let features = bundle.contract().features.into();
+    let columns = plan.plan().header().features as usize;
+    let state = asked.state(features)?;
+    let relation = asked.relation(&state, columns.saturating_sub(features + FLAGS))?;
+    let team_max = bundle.manifest().limits.team_max.into();
+    let allocation = py.detach(|| search(plan, &state, relation, team_max));
+    let allocation = allocation.map_err(exceptions::DecideError::new_err)?;
+    let task = |task: &u8| if *task == UNASSIGNED { -1 } else { i64::from(*task) };
+    let allocation: Vec<i64> = allocation.iter().map(task).collect();
+    Ok(array(py, &[allocation.len()], &allocation)?.into_any())
+}
+
+impl Asked<'_, '_> {
+    fn state(&self, features: usize) -> PyResult<OwnedAllocationState> {
+        let (rows, count) = rows(self.entities, features)?;
+        let tasks = self.open_tasks.len()?;
+        if tasks > limits::TASKS || self.agents > count.min(limits::AGENTS) {
+            return Err(PyValueError::new_err(format!(
+                "{} agents of {count} entities and {tasks} subtasks: agents are the first entities, at most {}; \
+                 at most {} subtasks",
+                self.agents,
+                limits::AGENTS,
+                limits::TASKS
+            )));
+        }
+        let present = match self.present {
+            Some(present) => set(&mask("present", present, &[count])?),
+            None => EntityMask::first(count),
+        };
+        let open = mask("open_tasks", self.open_tasks, &[tasks])?;
+        let entity_tasks = mask("entity_tasks", self.entity_tasks, &[count, tasks])?;
+        let entity_task = match tasks {
+            0 => vec![0; count],
+            _ => entity_tasks.chunks(tasks).map(bits).collect(),
+        };
+        let (agents, open_tasks) = (self.agents, bits(&open));
+        Ok(OwnedAllocationState { agents, tasks, rows, features, present, entity_task, open_tasks })
+    }
+
+    fn relation(&self, state: &OwnedAllocationState, columns: usize) -> PyResult<Relation> {
+        let (tasks, entities) = (state.tasks, state.entities());
+        let want = [tasks, entities, columns];
+        let numbers = match self.relation {
+            Some(relation) => {
+                let relation = numbers("relation", relation)?;
+                if relation.shape() != want {
+                    return Err(PyValueError::new_err(format!(
+                        "`relation` has the shape {:?}, needed is {want:?}: subtasks, entities, columns",
+                        relation.shape()
+                    )));
+                }
+                slice(&relation)?.to_vec()
+            }
+            None if columns == 0 => Vec::new(),
+            None => {
+                return Err(PyValueError::new_err(format!(
+                    "the allocator knows more of entities than their features: give `relation` {want:?}"
+                )));
+            }
+        };
+        Ok(Relation { numbers, columns, entities })
+    }
+}
+
+/// The flags as bits, the first the lowest.
+fn bits(flags: &[u16]) -> u32 {
+    let set = flags.iter().enumerate().filter(|(_, flag)| **flag != 0);
+    set.fold(0, |bits, (place, _)| bits | 1 << place)
+}
+
+/// The allocation of the highest value.
+fn search(
+    plan: &OwnedPlan,
+    state: &OwnedAllocationState,
+    relation: Relation,
+    team_max: usize,
+) -> Result<Vec<u8>, String> {
+    let plan = plan.plan().clone();
+    let mut arena = AlignedBytes::zeroed(plan.batch_arena_bytes(limits::AGENTS));
+    let entities = state.entities();
+    let mut rows = vec![0.0; PlanTeamValue::memory_floats(&plan, entities)];
+    let cells = exact::cells(state.agents.min(EXACT_AGENTS), state.open().count());
+    let (mut values, mut cells) = (vec![0.0; cells], vec![exact::Cell::default(); cells]);
+    let mut relations = vec![0.0; entities * relation.columns];
+    let network = PlanTeamValue::new(plan, arena.as_mut_slice(), &mut rows);
+    let mut allocator = TeamValueAllocator {
+        network: network.map_err(|error: PlanError| words(&error))?,
+        relation,
+        start: LastAllocation,
+        team_max,
+        exact_agents: EXACT_AGENTS,
+        memory: SearchMemory { cells: &mut cells, values: &mut values, relation: &mut relations },
+    };
+    let mut allocation = vec![0; state.agents];
+    let found = allocator.allocate(&state.view(), &mut allocation);
+    found.map(|()| allocation).map_err(|error| error.to_string())
+}

@@ -1,0 +1,201 @@
+"""Files: what is opened, what is refused and in which words; and what runs meanwhile."""
+
+import threading
+
+import pytest
+import sortie
+from conftest import assert_close, foreign, recorded
+from sortie import _compiler
+
+
+@pytest.fixture
+def no_compiler(monkeypatch, tmp_path):
+    monkeypatch.setattr(_compiler, "PROGRAM", tmp_path / "sortie-tract")
+
+
+def plan_of(name, folder):
+    path = folder / f"{name}.plan"
+    sortie.compile(foreign(name), path)
+    return path
+
+
+def test_an_installation_without_compiler_runs_plans_and_says_what_it_lacks(tmp_path, monkeypatch):
+    path = plan_of("sb3_dqn.classic", tmp_path)
+    observation = recorded("sb3_dqn.classic")["in__observation"][0]
+    want = sortie.Plan(foreign("sb3_dqn.classic"))(observation)
+    monkeypatch.setattr(_compiler, "PROGRAM", tmp_path / "sortie-tract")
+    assert sortie.Plan(path)(observation[0]).tobytes() == want.tobytes()
+    for refused in (
+        lambda: sortie.Plan(foreign("sb3_dqn.classic")),
+        lambda: sortie.compile(foreign("sb3_dqn.classic"), tmp_path / "other.plan"),
+        lambda: sortie.verify(foreign("sb3_dqn.classic"), "recorded.npz"),
+    ):
+        with pytest.raises(sortie.CompileError, match="sortie-tract` is missing, which reads ONNX files"):
+            refused()
+
+
+def test_a_shipped_team_needs_no_compiler(no_compiler, root):
+    assert "group-matching" in repr(sortie.Bundle(root / "models" / "group-matching"))
+
+
+def test_missing_files_are_as_everywhere(tmp_path):
+    for opened in (sortie.Plan, lambda path: sortie.compile(path, tmp_path / "out.plan")):
+        with pytest.raises(FileNotFoundError) as caught:
+            opened(tmp_path / "none.onnx")
+        assert caught.value.filename == str(tmp_path / "none.onnx")
+    with pytest.raises(IsADirectoryError):
+        sortie.Plan(tmp_path)
+    with pytest.raises(sortie.BundleError, match="none"):
+        sortie.Bundle(tmp_path / "none")
+    with pytest.raises(OSError, match="nowhere"):
+        sortie.compile(foreign("sb3_dqn.classic"), tmp_path / "nowhere" / "out.plan")
+
+
+def test_files_are_named_or_read_before(tmp_path):
+    path = plan_of("sb3_dqn.classic", tmp_path)
+    for flawed in (5, None, path.open("rb")):
+        with pytest.raises(TypeError, match="expected the path or the bytes of a plan or of an ONNX file"):
+            sortie.Plan(flawed)
+
+
+def test_broken_plans_are_refused(tmp_path):
+    path = plan_of("sb3_dqn.classic", tmp_path)
+    whole = path.read_bytes()
+    end = whole.index(b"SORTIEAX")
+    for length in (0, 7, 100, end - 64):
+        path.write_bytes(whole[:length])
+        with pytest.raises(sortie.PlanError, match=str(path)):
+            sortie.Plan(path)
+    damaged = bytearray(whole)
+    damaged[end - 70] ^= 1
+    with pytest.raises(sortie.PlanError):
+        sortie.Plan(bytes(damaged))
+
+
+def test_plans_of_other_networks_are_refused(root):
+    with pytest.raises(sortie.PlanError, match=r"network agent.*`sortie.Bundle`"):
+        sortie.Plan(root / "models" / "group-matching" / "agent.plan")
+
+
+def test_a_plan_has_its_options_decided(tmp_path):
+    path = plan_of("sb3_dqn.classic", tmp_path)
+    for options in ({"profile": "fused"}, {"outputs": ["q"]}, {"sizes": {"N": 7}}, {"available": "none"}):
+        with pytest.raises(ValueError, match="this is a plan"):
+            sortie.Plan(path, **options)
+
+
+def test_files_that_are_no_policies_are_refused_in_the_words_of_the_command_line(root):
+    with pytest.raises(sortie.CompileError, match="the ONNX file cannot be read"):
+        sortie.Plan(b"no model at all")
+    name = foreign("torch_mha_own_query.classic")
+    with pytest.raises(sortie.CompileError, match=rf"{name}: the size `N` of .* is left open.*--size N=7"):
+        sortie.Plan(name)
+    with pytest.raises(sortie.CompileError, match="the file has no output `action`, only"):
+        sortie.Plan(foreign("sb3_dqn.classic"), outputs=["action"])
+    for options, words in (
+        ({"profile": "fast"}, "profile is `exact` or `fused`"),
+        ({"profile": "int8"}, "judged by recorded observations"),
+        ({"sizes": {"N": 0}}, "the size `N` is a whole number from 1"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            sortie.Plan(foreign("sb3_dqn.classic"), **options)
+
+
+def test_a_fused_plan_says_so_and_answers_alike():
+    exact, fused = (sortie.Plan(foreign("sb3_dqn.classic"), profile) for profile in ("exact", "fused"))
+    assert (exact.inspect()["profile"], fused.inspect()["profile"]) == ("exact", "fused")
+    observation = recorded("sb3_dqn.classic")["in__observation"][0]
+    assert_close(fused(observation), exact(observation))
+
+
+def test_a_file_that_allocates_without_bound_ends_its_own_process_only(root):
+    with pytest.raises(sortie.CompileError, match="the reader gave up|reading the ONNX file was given up"):
+        sortie.Plan(root / "tests" / "hostile" / "allocates.onnx")
+
+
+def test_threads_run_while_a_file_is_compiled(tmp_path, monkeypatch):
+    # A compiler that ends once another thread of this very program has written to the pipe that it reads.
+    program, gate = tmp_path / "sortie-tract", tmp_path / "gate"
+    import os
+
+    os.mkfifo(gate)
+    program.write_text(f'#!/bin/sh\ncat >/dev/null\ncat "{gate}"\nexit 3\n')
+    program.chmod(0o755)
+    monkeypatch.setattr(_compiler, "PROGRAM", program)
+    thread = threading.Thread(target=lambda: gate.write_text("go on"))
+    thread.start()
+    with pytest.raises(sortie.CompileError, match="ended with code 3|code 3|3"):
+        sortie.Plan(foreign("sb3_dqn.classic"))
+    thread.join()
+
+
+def test_several_threads_ask_one_plan():
+    plan = sortie.Plan(foreign("sb3_dqn.classic"))
+    observations = recorded("sb3_dqn.classic")["in__observation"]
+    want = plan.decide_batch(observations).tolist()
+    found = {}
+
+    def ask(number):
+        many = [plan.decide_batch(observations).tolist() for _ in range(20)]
+        found[number] = [[plan.decide(seen) for seen in observations], *many]
+
+    threads = [threading.Thread(target=ask, args=(number,)) for number in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert all(answers == want for number in found.values() for answers in number)
+    assert len(found) == 4
+
+
+def test_verify_compares_with_recorded_answers(tmp_path):
+    npz = foreign("sb3_dqn.classic").with_suffix(".npz")
+    report = sortie.verify(foreign("sb3_dqn.classic"), npz)
+    names = [engine["name"] for engine in report["engines"]]
+    assert names == [f"{engine} against recorded" for engine in ("plan", "tract", "onnxruntime")]
+
+
+def test_verify_raises_where_answers_differ_and_keeps_the_report(tmp_path):
+    import numpy as np
+
+    arrays = recorded("sb3_dqn.classic")
+    arrays["out__q"][5, 0, 0] += 1
+    np.savez(tmp_path / "other.npz", **arrays)
+    with pytest.raises(sortie.DifferenceError, match="plan against recorded, q") as caught:
+        sortie.verify(foreign("sb3_dqn.classic"), tmp_path / "other.npz")
+    assert caught.value.report["engines"][0]["max_rel_error"] > 0.1
+    with pytest.raises(sortie.CompileError, match="none.npz"):
+        sortie.verify(foreign("sb3_dqn.classic"), tmp_path / "none.npz")
+    with pytest.raises(sortie.CompileError, match="--size N=7"):
+        sortie.verify(foreign("torch_mha_own_query.classic"), tmp_path / "other.npz")
+
+
+def test_inspect_tells_what_a_plan_is():
+    report = sortie.Plan(foreign("sb3_recurrent_ppo.classic")).inspect()
+    assert report["network"] == "policy" and report["profile"] == "exact"
+    assert report["hidden"] == 128 and report["flash_bytes"] > 50_000
+    states = report["policy"]["facts"]["states"]
+    assert [(state["input"], state["output"], state["length"]) for state in states] == [
+        ("h", "h_out", 64),
+        ("c", "c_out", 64),
+    ]
+
+
+def test_a_plan_without_its_names_decides_alike(tmp_path):
+    whole = plan_of("sb3_recurrent_ppo.classic", tmp_path).read_bytes()
+    bare = sortie.Plan(whole[: whole.index(b"SORTIEAX")])
+    assert repr(bare) == "<sortie.Plan input_0 [8], state [128] -> output_0 [5]>"
+    named = sortie.Plan(whole)
+    for observation in recorded("sb3_recurrent_ppo.classic")["in__observation"][:8, 0]:
+        assert bare(observation).tobytes() == named(observation).tobytes()
+        assert bare.decide(observation) == named.decide(observation)
+    assert bare.inspect()["policy"]["facts"]["inputs"][0]["name"] == "input_0"
+
+
+def test_names_that_are_another_plans_are_refused(tmp_path):
+    one, other = (plan_of(name, tmp_path).read_bytes() for name in ("sb3_dqn.classic", "epymarl_rnn.classic"))
+    mixed = one[: one.index(b"SORTIEAX")] + other[other.index(b"SORTIEAX") :]
+    with pytest.raises(sortie.PlanError, match="the names behind the plan cannot be read: they are another plan's"):
+        sortie.Plan(mixed)
+    with pytest.raises(sortie.PlanError, match="it is cut off or changed"):
+        sortie.Plan(one[:-3])
