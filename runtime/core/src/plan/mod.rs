@@ -209,8 +209,7 @@ impl<'a, S: OperatorSet> Plan<'a, S> {
         entities: &Entities<'_>,
         outputs: &mut [&mut [f32]],
     ) -> Result<(), DecideError> {
-        if self.header.network != Network::Entities
-            || outputs.len() != self.program.outputs().count()
+        if self.header.network != Network::Entities || outputs.len() != self.program.output_count()
         {
             return Err(DecideError::BadLength);
         }

@@ -31,7 +31,7 @@ impl<S: OperatorSet> Plan<'_, S> {
         states: &mut [f32],
         outputs: &mut [&mut [f32]],
     ) -> Result<(), DecideError> {
-        if outputs.is_empty() || outputs.len() != self.program.outputs().count() {
+        if outputs.is_empty() || outputs.len() != self.program.output_count() {
             return Err(DecideError::BadLength);
         }
         let scratch = self.run_policy(arena, inputs, states)?;
@@ -92,7 +92,7 @@ impl<S: OperatorSet> Plan<'_, S> {
         if got != want {
             return Err(DecideError::HiddenState { want, got });
         }
-        if self.header.network != Network::Policy || inputs.len() != self.program.inputs().count() {
+        if self.header.network != Network::Policy || inputs.len() != self.program.input_count() {
             return Err(DecideError::BadLength);
         }
         let nothing = Observation {
@@ -117,16 +117,20 @@ impl<S: OperatorSet> Plan<'_, S> {
 
     /// Hands the next states to the caller, all of them or none.
     fn remember(&self, scratch: &Scratch<'_>, states: &mut [f32]) -> Result<(), DecideError> {
-        let next = |place: &Place| {
-            finite(scratch.floats.get(place.range()).ok_or(DecideError::BadLength)?)
-        };
+        if states.is_empty() {
+            return Ok(());
+        }
+        let next = |place: &Place| scratch.floats.get(place.range()).ok_or(DecideError::BadLength);
         for state in self.program.states() {
-            next(&state.to)?;
+            finite(next(&state.to)?)?;
         }
         let mut rest = states;
         for state in self.program.states() {
             let to = rest.split_off_mut(..state.to.len as usize).ok_or(DecideError::BadLength)?;
-            to.copy_from_slice(next(&state.to)?);
+            // As long as its place, which loading checked.
+            for (to, next) in to.iter_mut().zip(next(&state.to)?) {
+                *to = *next;
+            }
         }
         Ok(())
     }

@@ -35,6 +35,10 @@ struct Found<'a> {
     own_floats: Option<u32>,
     utilities: Option<Place>,
     memory: Option<&'a Gru>,
+    inputs: usize,
+    outputs: usize,
+    /// The records from the first output on.
+    ends: &'a [u8],
 }
 
 /// The operators of a program, one after the other; ends where no further one can be read.
@@ -124,7 +128,15 @@ impl<'a, S: OperatorSet> Program<'a, S> {
             OpRef::Gru(gru) => Some(gru),
             _ => None,
         });
-        Found { own_floats, utilities, memory }
+        let inputs = self.inputs().count();
+        let mut ops = self.ops();
+        let mut ends = ops.rest;
+        while !matches!(ops.next(), None | Some(OpRef::Output(_))) {
+            ends = ops.rest;
+        }
+        let is_output = |op: &OpRef<'_>| matches!(op, OpRef::Output(_));
+        let outputs = self.ops().filter(is_output).count();
+        Found { own_floats, utilities, memory, inputs, outputs, ends }
     }
 
     /// Floats of an agent's own places, behind the rows that a team shares; none where one agent is worked on
@@ -153,12 +165,19 @@ impl<'a, S: OperatorSet> Program<'a, S> {
         self.ops().any(skips)
     }
 
-    /// What the caller of a network over all entities reads, in order.
+    /// What the caller of a network with outputs reads, in order.
+    #[inline(always)]
     pub fn outputs(&self) -> impl Iterator<Item = &'a Output> {
-        self.ops().filter_map(|op| match op {
+        let ends = Ops::<S> { rest: self.found.ends, operators: PhantomData };
+        ends.filter_map(|op| match op {
             OpRef::Output(output) => Some(output),
             _ => None,
         })
+    }
+
+    /// How many outputs there are.
+    pub fn output_count(&self) -> usize {
+        self.found.outputs
     }
 
     /// The network of an allocator that proposes.
@@ -237,18 +256,30 @@ impl<'a, S: OperatorSet> Program<'a, S> {
 
     /// The inputs of a policy, in the caller's order.
     pub fn inputs(&self) -> impl Iterator<Item = &'a Input> {
-        self.ops().filter_map(|op| match op {
+        self.firsts().filter_map(|op| match op {
             OpRef::Input(input) => Some(input),
             _ => None,
         })
     }
 
+    /// How many inputs there are.
+    pub fn input_count(&self) -> usize {
+        self.found.inputs
+    }
+
     /// The recurrent states of a policy, in the order in which the caller keeps them.
+    #[inline(always)]
     pub fn states(&self) -> impl Iterator<Item = &'a State> {
-        self.ops().filter_map(|op| match op {
+        self.firsts().filter_map(|op| match op {
             OpRef::State(state) => Some(state),
             _ => None,
         })
+    }
+
+    /// Inputs and states, which stand before all steps.
+    #[inline(always)]
+    fn firsts(&self) -> impl Iterator<Item = OpRef<'a>> {
+        self.ops().take_while(|op| matches!(op, OpRef::Input(_) | OpRef::State(_)))
     }
 
     /// Checks a policy: inputs and states first, then steps, each of which reads what was written before it, then one

@@ -11,6 +11,8 @@ use crate::policy::{DecideError, Observation};
 /// Numbers that are worked on together: their gates fit into registers.
 const LANES: usize = 16;
 
+type Lanes = [f32; LANES];
+
 /// One step of a gated recurrent unit behind its products, gates in the order of ONNX: update z, reset r, candidate n.
 ///
 /// z = σ(x₁ + h₁), r = σ(x₂ + h₂), n = tanh(x₃ + r h₃), and the new state is n + z (h - n).
@@ -61,7 +63,7 @@ fn gates<const GATES: usize>(all: &[f32]) -> [&[f32]; GATES] {
 
 /// Some numbers of every gate, zeros behind the last.
 #[inline(always)]
-fn lanes<const GATES: usize>(gates: [&[f32]; GATES], first: usize) -> [[f32; LANES]; GATES] {
+fn lanes<const GATES: usize>(gates: [&[f32]; GATES], first: usize) -> [Lanes; GATES] {
     gates.map(|gate| {
         let gate = gate.get(first..).unwrap_or_default();
         match gate.first_chunk() {
@@ -77,17 +79,31 @@ fn lanes<const GATES: usize>(gates: [&[f32]; GATES], first: usize) -> [[f32; LAN
     })
 }
 
-/// A function of several numbers, lane by lane.
+/// Lane by lane, a sum.
 #[inline(always)]
-fn each<const OF: usize>(
-    of: [[f32; LANES]; OF],
-    function: impl Fn([f32; OF]) -> f32,
-) -> [f32; LANES] {
-    let mut result = [0.0; LANES];
-    for (lane, result) in result.iter_mut().enumerate() {
-        *result = function(of.map(|numbers| numbers.get(lane).copied().unwrap_or_default()));
+fn sum(mut left: Lanes, right: Lanes) -> Lanes {
+    for (left, right) in left.iter_mut().zip(right) {
+        *left += right;
     }
-    result
+    left
+}
+
+/// Lane by lane, a product.
+#[inline(always)]
+fn product(mut left: Lanes, right: Lanes) -> Lanes {
+    for (left, right) in left.iter_mut().zip(right) {
+        *left *= right;
+    }
+    left
+}
+
+/// A function of every lane.
+#[inline(always)]
+fn each(mut lanes: Lanes, function: impl Fn(f32) -> f32) -> Lanes {
+    for lane in &mut lanes {
+        *lane = function(*lane);
+    }
+    lanes
 }
 
 impl Operator for GruCell {
@@ -130,10 +146,11 @@ impl Operator for GruCell {
             let [x_update, x_reset, x_candidate] = lanes(input, first);
             let [h_update, h_reset, h_candidate] = lanes(recurrent, first);
             let [state] = lanes([state], first);
-            let update = each([x_update, h_update], |[x, h]| sigmoid(x + h));
-            let reset = each([x_reset, h_reset], |[x, h]| sigmoid(x + h));
-            let candidate = each([x_candidate, reset, h_candidate], |[x, r, h]| tanh(x + r * h));
-            let next = each([candidate, update, state], |[n, z, h]| n + z * (h - n));
+            let update = each(sum(x_update, h_update), sigmoid);
+            let reset = each(sum(x_reset, h_reset), sigmoid);
+            let candidate = each(sum(x_candidate, product(reset, h_candidate)), tanh);
+            let moved = product(update, sum(state, each(candidate, |n| -n)));
+            let next = sum(candidate, moved);
             for (to, next) in to.iter_mut().zip(next) {
                 *to = next;
             }
@@ -188,13 +205,13 @@ impl Operator for LstmCell {
             let [h_input, h_output, h_forget, h_candidate] = h;
             let [b_input, b_output, b_forget, b_candidate] = b;
             let [cell] = lanes([&*cell], first);
-            let open = each([x_input, h_input, b_input], |[x, h, b]| sigmoid(x + h + b));
-            let output = each([x_output, h_output, b_output], |[x, h, b]| sigmoid(x + h + b));
-            let forget = each([x_forget, h_forget, b_forget], |[x, h, b]| sigmoid(x + h + b));
-            let candidate =
-                each([x_candidate, h_candidate, b_candidate], |[x, h, b]| tanh(x + h + b));
-            let next = each([forget, cell, open, candidate], |[f, c, i, g]| f * c + i * g);
-            let state = each([output, next], |[o, c]| o * tanh(c));
+            let gate = |x, h, b| sum(sum(x, h), b);
+            let open = each(gate(x_input, h_input, b_input), sigmoid);
+            let output = each(gate(x_output, h_output, b_output), sigmoid);
+            let forget = each(gate(x_forget, h_forget, b_forget), sigmoid);
+            let candidate = each(gate(x_candidate, h_candidate, b_candidate), tanh);
+            let next = sum(product(forget, cell), product(open, candidate));
+            let state = product(output, each(next, tanh));
             for ((to, state), (cell_to, next)) in
                 to.iter_mut().zip(state).zip(cell_to.iter_mut().zip(next))
             {
