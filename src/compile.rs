@@ -1,5 +1,7 @@
 //! `sortie compile`: an ONNX network becomes a plan, proved against its source.
 
+mod policy;
+
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -38,6 +40,7 @@ use crate::policy::PlanProfile;
   sortie compile models/save-the-city/agent.onnx -o agent.plan --n-max 11
   sortie compile models/save-the-city/agent.onnx -o agent.plan --n-max 11 --profile int8 --observations seen.bin
   sortie compile walking.onnx -o walking.plan
+  sortie compile walking.onnx -o walking.plan --profile int8 --npz recorded.npz
   sortie compile models/first -o models/first-with-plans")]
 pub(crate) struct CompileArguments {
     /// The network, or the folder of a bundle
@@ -53,8 +56,12 @@ pub(crate) struct CompileArguments {
     #[arg(long, value_enum, default_value_t = PlanProfile::Exact)]
     profile: PlanProfile,
     /// Observations of `sortie eval BUNDLE --dump FILE`, on which an int8 plan must act as the f32 plan does
-    #[arg(long, value_name = "FILE", required_if_eq("profile", "int8"))]
+    #[arg(long, value_name = "FILE")]
     observations: Option<PathBuf>,
+    /// Recorded inputs `in__NAME` of a policy of somebody else, on which its int8 plan must act as the f32 plan does:
+    /// arrays that `numpy.savez` saved, one case behind the other
+    #[arg(long, value_name = "FILE", conflicts_with = "observations")]
+    npz: Option<PathBuf>,
     /// Write an int8 plan however seldom it takes the same action, and whatever was recorded
     #[arg(long)]
     force: bool,
@@ -130,6 +137,17 @@ pub(crate) fn run(arguments: &CompileArguments) -> Outcome {
         print(arguments, &compiled.report, Some((agreement, exact)));
         return Ok(());
     }
+    if let (Profile::Int8, Some(file)) = (options.profile, &arguments.npz) {
+        let quantised = policy::quantised(arguments, &onnx, &options, file, &failed)?;
+        write_output(plan, &quantised.compiled.compiled.bytes)?;
+        policy::print(arguments, &quantised);
+        return Ok(());
+    }
+    if options.profile == Profile::Int8 {
+        let message = "an int8 plan is judged by how it acts on recorded observations: name them with \
+                       `--observations FILE` (agents of this trainer) or `--npz FILE` (other policies)";
+        return Err(Failure::new(Exit::Usage, message));
+    }
     let compiled = compile_any(&onnx, &options, &arguments.policy.options()).map_err(failed)?;
     write_output(plan, &compiled.bytes)?;
     print(arguments, &compiled.report, None);
@@ -189,6 +207,11 @@ fn judge(agreement: &Agreement, force: bool) -> Outcome {
     } else {
         return Ok(());
     };
+    refuse(&flaw, force)
+}
+
+/// Ends the command for a flaw, or warns of it.
+fn refuse(flaw: &str, force: bool) -> Outcome {
     if !force {
         return Err(Failure::difference(format!("{flaw}; `--force` writes the plan all the same")));
     }
@@ -249,6 +272,10 @@ fn print(arguments: &CompileArguments, report: &Report, int8: Option<(&Agreement
         report.inputs,
         report.action_mismatches
     );
+    print_operators(report);
+}
+
+fn print_operators(report: &Report) {
     let mut table = Table::new(&["operator", "sizes", "multiply-adds"]);
     for operator in &report.operators {
         let row = [operator.name.clone(), operator.detail.clone(), operator.macs.to_string()];

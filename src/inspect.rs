@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 use sortie_bundle::{AGENT, ALLOCATOR, Bundle, MANIFEST, Manifest, TRAINING, hex};
-use sortie_plans::{OnnxFacts, PlanFacts, PolicyOptions, inspect_plan};
+use sortie_plans::{CompileOptions, OnnxFacts, PlanFacts, PolicyOptions, inspect_plan};
 
 use crate::compiler::compiler;
 use crate::deployment::open_bundle;
@@ -90,10 +90,14 @@ fn inspect_onnx(arguments: &InspectArguments, bytes: &[u8]) -> Outcome {
     let inspected = compiler().inspect(bytes, &arguments.policy.options()).map_err(within)?;
     let (facts, policy) = (inspected.facts, inspected.policy.transpose());
     let known = policy.as_ref().ok().and_then(Option::as_ref);
+    let plan = known.map(|_| {
+        let (policy, options) = (arguments.policy.options(), CompileOptions::default());
+        compiler().compile_policy(bytes, &policy, &options)
+    });
     if arguments.common.json {
-        print_json(&onnx::Report::of(&facts, known));
+        print_json(&onnx::Report::of(&facts, known, plan.as_ref()));
     } else {
-        onnx::print(&facts, known);
+        onnx::print(&facts, known, plan.as_ref());
     }
     policy.map(|_| ()).map_err(within)
 }
@@ -172,6 +176,12 @@ fn print_plan(facts: &PlanFacts) {
     row("largest_error", format!("{:.1e}", facts.max_rel_error));
     row("contract", facts.contract.clone());
     row("source", facts.source.clone());
+    if let Some(agreement) = facts.policy.as_ref().and_then(|policy| policy.agreement.as_ref()) {
+        let same = format!("same actions on {:.3} %", 100.0 * agreement.share());
+        let (deviation, observations) = (agreement.largest_deviation(), agreement.observations);
+        let error = format!("largest error {deviation:.3} of what an action varies by");
+        row("int8", format!("{same} of {observations} observations, {error}"));
+    }
     for (name, value) in facts.policy.iter().flat_map(|policy| &policy.metadata) {
         row(name, value.clone());
     }

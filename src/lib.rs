@@ -30,6 +30,7 @@ mod output;
 mod policy;
 mod progress;
 mod proposals;
+mod recorded_inputs;
 mod replay;
 mod run;
 mod scripted;

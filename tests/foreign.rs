@@ -105,7 +105,9 @@ fn what_is_what_is_found_in_every_file() {
             format!("{} {} {}", word("input"), word("output"), state["length"])
         };
         assert_eq!(list(&policy["states"], pair), states, "{name}");
-        assert_eq!(report["engine"], "tract: allocates, no promise about bits or time");
+        assert_eq!(report["engine"], "plan", "{name}");
+        let plan = &report["plan"];
+        assert!(plan["flash_bytes"].as_u64() > plan["arena_bytes"].as_u64(), "{name}: {plan}");
         assert!(policy["multiply_adds"].as_u64().is_some_and(|count| count > 1000), "{name}");
     }
 }
@@ -167,6 +169,51 @@ fn every_file_gives_its_recorded_answers() {
         let pairs = if outputs.contains("state") { &pairs[..] } else { &[] };
         assert_eq!(names[3..], pairs.iter().map(together).collect::<Vec<_>>(), "{name}");
     }
+}
+
+#[test]
+fn weights_of_eight_bits_are_judged_by_what_was_recorded() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let plan = folder.path().join("few.plan").display().to_string();
+    for (name, outputs, discrete) in
+        [("sb3_dqn.classic", 1, true), ("sb3_recurrent_ppo.classic", 1, true)]
+    {
+        let recorded = npz(name);
+        let onnx = onnx(name);
+        let compile = ["compile", &onnx, "-o", &plan, "--profile", "int8"];
+        assert_fails(&output(&compile), 2, &["--observations", "--npz"]);
+        let compile = [&compile[..], &["--npz", &recorded]].concat();
+        assert_fails(&output(&compile), 1, &["64 observations say too little", "--force"]);
+        assert!(!Path::new(&plan).exists());
+        let report = json(&[&compile[..], &["--force", "--json"]].concat());
+        let agreement = &report["agreement"];
+        assert_eq!(agreement["observations"], 64);
+        assert_eq!(agreement["outputs"].as_array().map(Vec::len), Some(outputs), "{name}");
+        let first = &agreement["outputs"][0];
+        assert_eq!(first["equal_actions"].is_u64(), discrete);
+        let deviation = first["largest_deviation"].as_f64().expect("a number");
+        assert!(deviation > 0.0 && deviation < 0.2, "{name}: {deviation}");
+        let sizes = [&report["flash_bytes"], &report["exact"]["flash_bytes"]];
+        assert!(2 * sizes[0].as_u64().unwrap() < sizes[1].as_u64().unwrap(), "{name}: {sizes:?}");
+        // The plan says it of itself.
+        let inspected = json(&["inspect", &plan, "--json"]);
+        assert_eq!(&inspected["policy"]["agreement"], agreement);
+        fs::remove_file(&plan).expect("a plan");
+    }
+}
+
+#[test]
+fn a_plan_knows_the_names_of_its_file() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let plan = folder.path().join("named.plan").display().to_string();
+    let compiled = output(&["compile", &onnx("sb3_recurrent_ppo.classic"), "-o", &plan]);
+    assert!(compiled.status.success(), "{}", stderr(&compiled));
+    let facts = json(&["inspect", &plan, "--json"]);
+    let policy = &facts["policy"]["facts"];
+    assert_eq!(list(&policy["inputs"], named), "observation observation, h state, c state");
+    let text = output(&["inspect", &plan]);
+    let text = String::from_utf8_lossy(&text.stdout).into_owned();
+    assert!(text.contains("observation") && text.contains("next recurrent state"), "{text}");
 }
 
 /// A copy of a recorded file with some bytes replaced by as many others.

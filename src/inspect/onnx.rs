@@ -1,12 +1,12 @@
-//! What an ONNX file holds, and the policy that it is.
+//! What an ONNX file holds, the policy that it is, and what its plan costs.
 
 use serde::Serialize;
-use sortie_plans::{OnnxFacts, PolicyFacts};
+use sortie_plans::{CompileError, CompiledPolicy, OnnxFacts, PolicyFacts};
 
 use crate::foreign::ENGINE;
 use crate::output::{Table, say};
 
-/// What is known of a file. A policy has two more keys.
+/// What is known of a file. A policy has more keys.
 #[derive(Serialize)]
 pub(super) struct Report<'a> {
     #[serde(flatten)]
@@ -16,16 +16,38 @@ pub(super) struct Report<'a> {
     /// What runs it.
     #[serde(skip_serializing_if = "Option::is_none")]
     engine: Option<&'static str>,
+    /// What its plan costs.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    plan: Option<PlanCost>,
 }
 
+/// What the plan of a policy costs.
+#[derive(Serialize)]
+struct PlanCost {
+    flash_bytes: usize,
+    arena_bytes: usize,
+}
+
+/// A file with a policy that has no plan is run by tract.
+type Plan<'a> = Option<&'a Result<CompiledPolicy, CompileError>>;
+
 impl<'a> Report<'a> {
-    pub(super) fn of(facts: &'a OnnxFacts, policy: Option<&'a PolicyFacts>) -> Self {
-        Self { facts, policy, engine: policy.map(|_| ENGINE) }
+    pub(super) fn of(
+        facts: &'a OnnxFacts,
+        policy: Option<&'a PolicyFacts>,
+        plan: Plan<'_>,
+    ) -> Self {
+        let cost = |plan: &CompiledPolicy| {
+            let report = &plan.compiled.report;
+            PlanCost { flash_bytes: report.flash_bytes, arena_bytes: report.arena_bytes }
+        };
+        let engine = plan.map(|plan| if plan.is_ok() { "plan" } else { ENGINE });
+        Self { facts, policy, engine, plan: plan.and_then(|plan| plan.as_ref().ok().map(cost)) }
     }
 }
 
-pub(super) fn print(facts: &OnnxFacts, policy: Option<&PolicyFacts>) {
-    print_facts(facts, policy);
+pub(super) fn print(facts: &OnnxFacts, policy: Option<&PolicyFacts>, plan: Plan<'_>) {
+    print_facts(facts, policy, plan);
     say!();
     print_values(facts, policy);
     say!();
@@ -36,7 +58,7 @@ pub(super) fn print(facts: &OnnxFacts, policy: Option<&PolicyFacts>) {
     }
 }
 
-fn print_facts(facts: &OnnxFacts, policy: Option<&PolicyFacts>) {
+fn print_facts(facts: &OnnxFacts, policy: Option<&PolicyFacts>, plan: Plan<'_>) {
     let mut table = super::facts();
     let mut row = |name: &str, value: String| table.row([name.to_string(), value]);
     row("producer", facts.producer.clone());
@@ -51,7 +73,18 @@ fn print_facts(facts: &OnnxFacts, policy: Option<&PolicyFacts>) {
             let names = format!("`{}` comes back as `{}`", state.input, state.output);
             row("state", format!("{names}, {} numbers", state.length));
         }
-        row("engine", ENGINE.to_string());
+    }
+    match plan {
+        Some(Ok(plan)) => {
+            let report = &plan.compiled.report;
+            let (flash, arena) = (report.flash_bytes, report.arena_bytes);
+            row("plan", format!("{flash} bytes of flash, {arena} bytes of arena"));
+        }
+        Some(Err(error)) => {
+            row("plan", format!("none: {error}"));
+            row("engine", ENGINE.to_string());
+        }
+        None => {}
     }
     for (name, value) in &facts.metadata {
         row(name, value.clone());

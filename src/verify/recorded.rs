@@ -6,7 +6,7 @@ use std::path::Path;
 use sortie_core::plan::AlignedBytes;
 use sortie_plans::{
     Comparison, CompileError, CompileOptions, CompiledPolicy, FlatPolicy, OutputRole,
-    PlanFlatPolicy, PolicyAnswer, PolicyFacts, PolicyOptions, PolicyOutput,
+    PlanFlatPolicy, PolicyAnswer, PolicyFacts, PolicyOptions, PolicyOutput, RecordedCase,
 };
 
 use super::{Compared, Judges, Report, VerifyArguments, within};
@@ -16,6 +16,7 @@ use crate::failure::{Exit, Failure};
 use crate::foreign::ENGINE;
 use crate::npz::{self, Array, Arrays};
 use crate::output::tell;
+use crate::recorded_inputs::RecordedInputs;
 
 /// Steps that recurrent policies take with their states fed back.
 const STEPS: usize = 100;
@@ -88,9 +89,7 @@ fn compiled_policy(
 /// What was recorded, in the order in which a policy takes and gives it.
 struct Cases<'a> {
     facts: &'a PolicyFacts,
-    count: usize,
-    given: Vec<&'a Array>,
-    states: Vec<&'a Array>,
+    inputs: RecordedInputs<'a>,
     /// What came out; next states need not have been recorded.
     answers: Vec<Option<&'a Array>>,
 }
@@ -103,58 +102,35 @@ struct Step {
 
 impl<'a> Cases<'a> {
     fn of(facts: &'a PolicyFacts, arrays: &'a Arrays) -> Result<Self, String> {
-        let found = |name: String, length: usize| match arrays.get(&name) {
-            Some(array) => checked(&name, array, length).map(Some),
-            None => Ok(None),
-        };
-        let needed = |name: String, length: usize| {
-            let names = || arrays.keys().map(String::as_str).collect::<Vec<_>>().join(", ");
-            let missing = || format!("there is no `{name}`, only {}", names());
-            found(name.clone(), length)?.ok_or_else(missing)
-        };
-        let given =
-            facts.given().map(|input| needed(format!("in__{}", input.name), input.length()));
-        let states = facts.states.iter();
-        let states = states.map(|state| needed(format!("in__{}", state.input), state.length));
+        let inputs = RecordedInputs::of(facts, arrays)?;
+        let missing = facts.states.first().filter(|_| !inputs.has_states());
+        if let Some(state) = missing {
+            return Err(inputs.missing(&format!("in__{}", state.input)));
+        }
         let answers = facts.outputs.iter().map(|output| {
             let name = format!("out__{}", output.name);
             match output.role {
-                OutputRole::State => found(name, output.length()),
-                _ => needed(name, output.length()).map(Some),
+                OutputRole::State => inputs.found(&name, output.length()),
+                _ => inputs.needed(&name, output.length()).map(Some),
             }
         });
-        let (given, states) =
-            (given.collect::<Result<Vec<_>, _>>()?, states.collect::<Result<Vec<_>, _>>()?);
         let answers: Vec<Option<&Array>> = answers.collect::<Result<_, _>>()?;
-        let all = || given.iter().chain(&states).chain(answers.iter().flatten());
-        let counts: Vec<usize> = all().filter_map(|array| array.shape.first().copied()).collect();
-        let count = counts.first().copied().unwrap_or(0);
-        if count == 0 || counts.iter().any(|other| *other != count) {
-            return Err(format!(
-                "the first axis of every array counts the cases, at least one and as many in each: they have {counts:?}"
-            ));
-        }
-        Ok(Self { facts, count, given, states, answers })
-    }
-
-    /// The inputs of a case.
-    fn inputs(&self, case: usize) -> Vec<&'a [f32]> {
-        self.given.iter().map(|array| numbers_of(array, case, self.count)).collect()
+        Ok(Self { facts, inputs, answers })
     }
 
     /// A comparison for each output.
     fn recorded(&self, policy: &mut dyn FlatPolicy) -> Result<Vec<Comparison>, CompileError> {
         let mut comparisons: Vec<Comparison> = named(self.facts);
-        for case in 0..self.count {
-            let states = self.states.iter().flat_map(|array| numbers_of(array, case, self.count));
-            let mut states: Vec<f32> = states.copied().collect();
-            let answers = policy.run(&self.inputs(case), &mut states)?;
+        for case in 0..self.inputs.count {
+            let RecordedCase { inputs, states } = self.inputs.case(case);
+            let mut states = states.unwrap_or_default();
+            let answers = policy.run(&inputs, &mut states)?;
             let got = Step { answers, states }.outputs(self.facts);
             let compared =
                 self.facts.outputs.iter().zip(&mut comparisons).zip(got).zip(&self.answers);
             for (((output, comparison), got), want) in compared {
                 if let Some(want) = want {
-                    add(comparison, output, &got, numbers_of(want, case, self.count));
+                    add(comparison, output, &got, self.inputs.numbers(want, case));
                 }
             }
         }
@@ -166,7 +142,8 @@ impl<'a> Cases<'a> {
     fn fed_back(&self, policy: &mut dyn FlatPolicy) -> Result<Vec<Step>, CompileError> {
         let mut states = vec![0.0; self.facts.state_length()];
         let step = |step| {
-            let answers = policy.run(&self.inputs(step % self.count), &mut states)?;
+            let case = self.inputs.case(step % self.inputs.count);
+            let answers = policy.run(&case.inputs, &mut states)?;
             Ok(Step { answers, states: states.clone() })
         };
         (0..STEPS).map(step).collect()
@@ -184,27 +161,6 @@ impl Step {
         });
         self.answers.iter().cloned().chain(next).collect()
     }
-}
-
-/// Refuses an array that does not hold so many numbers a case, or something that is no number.
-fn checked<'a>(name: &str, array: &'a Array, length: usize) -> Result<&'a Array, String> {
-    let cases = array.shape.first().copied().unwrap_or(0);
-    if cases.checked_mul(length) != Some(array.numbers.len()) {
-        return Err(format!(
-            "`{name}` has the sizes {:?}, needed are cases of {length} numbers",
-            array.shape
-        ));
-    }
-    match array.numbers.iter().position(|number| number.is_nan()) {
-        Some(at) => Err(format!("`{name}` holds NaN in case {}", at / length.max(1))),
-        None => Ok(array),
-    }
-}
-
-/// The numbers of one case.
-fn numbers_of(array: &Array, case: usize, count: usize) -> &[f32] {
-    let length = array.numbers.len() / count.max(1);
-    array.numbers.get(case * length..(case + 1) * length).unwrap_or_default()
 }
 
 /// Nothing compared yet of each output.

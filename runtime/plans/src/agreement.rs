@@ -125,7 +125,7 @@ impl From<Agreement> for Comparison {
 }
 
 /// Writes the share of other actions into a plan's header.
-fn note_mismatch(plan: &mut [u8], share: f64) -> Result<(), CompileError> {
+pub(crate) fn note_mismatch(plan: &mut [u8], share: f64) -> Result<(), CompileError> {
     let (mut header, _) = Header::read(plan)?;
     header.action_mismatch = share as f32;
     let part =

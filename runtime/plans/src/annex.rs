@@ -10,26 +10,31 @@ use sortie_core::plan::Header;
 
 use crate::error::CompileError;
 use crate::policy::PolicyFacts;
+use crate::policy_agreement::PolicyAgreement;
 
 const MAGIC: [u8; 8] = *b"SORTIEAX";
 /// The most bytes that metadata of a source may have, one entry's name and text.
 const ENTRY: usize = 65_536;
 
 /// What is known of a policy beside its plan.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Annex {
     /// Inputs, outputs and states, in the plan's order.
     pub facts: PolicyFacts,
     /// Metadata of the source, by name.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub metadata: BTreeMap<String, String>,
+    /// How a plan of few bits acts beside the exact one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub agreement: Option<PolicyAgreement>,
 }
 
 impl Annex {
     /// Entries of metadata that are longer than 64 KiB are left out: they are no names.
     pub fn new(facts: PolicyFacts, metadata: impl IntoIterator<Item = (String, String)>) -> Self {
         let is_short = |(name, text): &(String, String)| name.len() + text.len() <= ENTRY;
-        Self { facts, metadata: metadata.into_iter().filter(is_short).collect() }
+        let metadata = metadata.into_iter().filter(is_short).collect();
+        Self { facts, metadata, agreement: None }
     }
 
     /// Writes it behind a plan that has none.
@@ -46,13 +51,22 @@ impl Annex {
         Ok(())
     }
 
+    /// Writes it behind a plan in place of the one that it has.
+    ///
+    /// # Errors
+    /// The plan has no header, or this is longer than a plan can say.
+    pub fn replace_in(&self, plan: &mut Vec<u8>) -> Result<(), CompileError> {
+        let end = weights_end(plan)?;
+        plan.truncate(end);
+        self.append_to(plan)
+    }
+
     /// The annex of a plan; `None` where nothing of the kind stands behind its weights.
     ///
     /// # Errors
     /// The plan has no header, or its annex is cut off or changed.
     pub fn of_plan(plan: &[u8]) -> Result<Option<Self>, CompileError> {
-        let (header, _) = Header::read(plan)?;
-        let end = header.weights_offset as usize + header.weights_len as usize;
+        let end = weights_end(plan)?;
         let Some((magic, rest)) = plan.get(end..).and_then(|rest| rest.split_first_chunk()) else {
             return Ok(None);
         };
@@ -64,6 +78,12 @@ impl Annex {
             serde_json::from_slice(text).map_err(|error| broken(&error.to_string()))?;
         Ok(Some(annex))
     }
+}
+
+/// Where the weights of a plan end.
+fn weights_end(plan: &[u8]) -> Result<usize, CompileError> {
+    let (header, _) = Header::read(plan)?;
+    Ok((header.weights_offset as usize).saturating_add(header.weights_len as usize))
 }
 
 /// The text behind the magic, where it is whole.

@@ -20,10 +20,12 @@ mod golden_allocations;
 mod layers;
 mod observations;
 mod policy;
+mod policy_agreement;
 mod policy_plan;
 mod process;
 mod proof;
 mod proposal_files;
+mod quantised_policy;
 mod report;
 
 pub use agreement::{
@@ -56,7 +58,11 @@ pub use policy::{
     FlatPolicy, InputRole, OutputRole, PolicyAnswer, PolicyFacts, PolicyInput, PolicyOptions,
     PolicyOutput, PolicyState, ValueType,
 };
+pub use policy_agreement::{
+    LARGEST_DEVIATION, OutputAgreement, PolicyAgreement, RecordedCase, policy_agreement,
+};
 pub use policy_plan::{CompiledPolicy, PlanFlatPolicy};
 pub use process::{CompilerProcess, ProcessLimits, Request, read_request};
 pub use proposal_files::ProposalFiles;
+pub use quantised_policy::{QuantisedPolicy, quantise_policy};
 pub use report::{CompileOptions, Compiled, OperatorReport, Report, VERSION, report};
