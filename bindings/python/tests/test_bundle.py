@@ -2,11 +2,13 @@
 
 import json
 import shutil
+import subprocess
 
 import numpy as np
 import pytest
 import sortie
 from conftest import ROOT
+from sortie import _compiler
 
 MODELS = ROOT / "models"
 TEAMS = sorted(path.name for path in MODELS.iterdir())
@@ -118,3 +120,62 @@ def test_a_damaged_bundle_is_refused(tmp_path):
     (folder / "agent.plan").write_bytes(plan)
     with pytest.raises(sortie.BundleError, match=str(folder)):
         sortie.Bundle(folder)
+
+
+@pytest.fixture(scope="module")
+def remembering(tmp_path_factory):
+    """A team with memory: none is shipped, and the program that the package carries trains too."""
+    folder = tmp_path_factory.mktemp("remembering")
+    memory = ["--set", "network.memory=16", "--set", "replay.unit=episodes", "--set", "run.final_episodes=2"]
+    for words in (
+        ["train", "vdn", "--env", "group-matching", "--steps", "400", "--threads", "1", *memory, "--out", "run"],
+        ["export", "run", "--out", "team"],
+    ):
+        subprocess.run([_compiler.program(), *words, "--quiet"], cwd=folder, check=True, capture_output=True)
+    return sortie.Bundle(folder / "team")
+
+
+def frames(count):
+    """Agents anywhere, in groups of any size."""
+    random = np.random.default_rng(2)
+    for _ in range(count):
+        cells, groups = np.eye(6)[random.integers(6, size=8)], np.eye(2)[random.integers(2, size=8)]
+        yield np.concatenate([cells, groups, np.eye(8)], axis=1).astype("f4")
+
+
+def test_agents_remember_until_an_episode_begins(remembering):
+    assert remembering.inspect()["network"]["hidden"] == 16
+    everybody, available = np.ones((8, 8), bool), np.ones((8, 3), bool)
+
+    def play(begins):
+        remembering.reset()
+        actions = []
+        for entities in frames(40):
+            if begins:
+                remembering.reset()
+            actions.append(remembering.decide(entities, everybody, available).tolist())
+        return actions
+
+    assert play(False) == play(False)
+    assert play(True) == play(True)
+    assert play(True) != play(False)
+
+
+def test_agents_remember_nothing_of_a_frame_that_was_refused(remembering):
+    everybody, available = np.ones((8, 8), bool), np.ones((8, 3), bool)
+    flawed = next(frames(1))
+    flawed[7, 0] = np.inf
+
+    def play(refused):
+        remembering.reset()
+        actions = []
+        for entities in frames(40):
+            if refused:
+                # Everybody but the last could decide.
+                alone = np.eye(8, dtype=bool)
+                with pytest.raises(sortie.DecideError, match="agent 7"):
+                    remembering.decide(flawed, alone, available)
+            actions.append(remembering.decide(entities, everybody, available).tolist())
+        return actions
+
+    assert play(True) == play(False)

@@ -149,3 +149,6 @@ def test_five_choices_at_once_are_an_array():
     available[:, scores[0].argmax(-1)] = False
     masked = np.where(available, scores[0], -np.inf).argmax(-1)
     assert plan.decide(case, available=available).ravel().tolist() == masked.tolist()
+    columns = {name: np.asfortranarray(array) for name, array in case.items()}
+    assert not columns["entities"].flags.c_contiguous
+    assert (plan(columns) == plan(case)).all()
