@@ -81,6 +81,17 @@ pub(crate) fn mask(name: &str, given: &Bound<'_, PyAny>, want: &[usize]) -> PyRe
     Ok(flags.as_array().iter().map(|flag| u16::from(*flag)).collect())
 }
 
+/// A mask as the numbers of an input; everything where none was given.
+pub(crate) fn flags(mask: &[u16], length: usize) -> PyResult<Vec<f32>> {
+    match mask.len() {
+        0 => Ok(vec![1.0; length]),
+        got if got == length => Ok(mask.iter().map(|flag| f32::from(*flag)).collect()),
+        got => {
+            Err(PyValueError::new_err(format!("`available` has {got} flags, needed are {length}")))
+        }
+    }
+}
+
 /// Whole numbers, one after the other.
 pub(crate) fn whole(name: &str, given: &Bound<'_, PyAny>) -> PyResult<Vec<i64>> {
     let py = given.py();

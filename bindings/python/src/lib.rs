@@ -5,6 +5,7 @@ mod arrays;
 mod bundle;
 mod bundle_allocator;
 mod bundle_observations;
+mod choices;
 mod compiler;
 mod errors;
 mod interface;

@@ -4,28 +4,29 @@ use std::collections::BTreeMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use numpy::PyUntypedArrayMethods;
-use pyo3::exceptions::{PyTypeError, PyValueError};
+use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::sync::MutexExt;
 use pyo3::types::{PyDict, PyTuple};
 use serde_json::{Value, json};
-use sortie_core::choose::masked_argmax;
 use sortie_core::plan::{AlignedBytes, Network};
 use sortie_core::{DecideError, plan::PlanError};
 use sortie_plans::{OutputRole, PolicyOutput, inspect_plan};
 
-use crate::arrays::{Numbers, array, array_as, mask, numbers, slice};
+use crate::arrays::{Numbers, array, array_as, flags, mask, numbers, slice};
+use crate::choices::{choices, choices_shape, first_largest, mask_shape};
 use crate::compiler::{Asked as Options, to_python};
 use crate::errors::{exceptions, of_decision, words};
 use crate::interface::{Asked, Fit, Interface, fit, shape_as};
 use crate::owned_plan::OwnedPlan;
+use crate::plan_batch::Batch;
 use crate::source::Source;
 
 /// A policy as a plan.
 #[pyclass(frozen, module = "sortie")]
 pub(crate) struct Plan {
-    pub(crate) plan: OwnedPlan,
-    pub(crate) interface: Interface,
+    plan: OwnedPlan,
+    interface: Interface,
     working: Mutex<Working>,
 }
 
@@ -157,7 +158,8 @@ impl Plan {
         states: Option<&Bound<'py, PyAny>>,
         named: Option<&Bound<'py, PyDict>>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        crate::plan_batch::decide(self, observations, available, states, named)
+        let batch = Batch { plan: &self.plan, interface: &self.interface };
+        batch.decide(observations, named, available, states)
     }
 
     /// The recurrent states, one behind the other: a copy.
@@ -294,60 +296,4 @@ impl Plan {
 
 fn no_outputs() -> PyErr {
     PyTypeError::new_err("the plan gives no outputs, only decisions")
-}
-
-/// A mask as the numbers of an input; everything where none was given.
-fn flags(mask: &[u16], length: usize) -> PyResult<Vec<f32>> {
-    match mask.len() {
-        0 => Ok(vec![1.0; length]),
-        got if got == length => Ok(mask.iter().map(|flag| f32::from(*flag)).collect()),
-        got => {
-            Err(PyValueError::new_err(format!("`available` has {got} flags, needed are {length}")))
-        }
-    }
-}
-
-/// The sizes of a mask of one case.
-pub(crate) fn mask_shape(output: &PolicyOutput) -> PyResult<Vec<usize>> {
-    let OutputRole::Discrete(actions) = output.role else {
-        let message =
-            format!("`{}` is no choice of actions: `available` is of no use", output.name);
-        return Err(PyTypeError::new_err(message));
-    };
-    let mut shape = choices_shape(output, Fit::WithoutBatch).to_vec();
-    shape.push(actions);
-    Ok(shape)
-}
-
-/// The sizes of the choices that an output is: one for each row of scores.
-pub(crate) fn choices_shape(output: &PolicyOutput, fit: Fit) -> &[usize] {
-    let shape = match output.shape.split_last() {
-        // Scores; of an `ArgMax` inside, the file has one place for each row.
-        Some((_, rows)) if !output.kind.is_integer() => rows,
-        _ => &output.shape,
-    };
-    let shape = shape_as(shape, fit);
-    // One choice is a number.
-    if shape.iter().product::<usize>() == 1 { &[] } else { shape }
-}
-
-/// The choice of every row of scores. An empty mask leaves everything available.
-pub(crate) fn choices(
-    scores: &[f32],
-    actions: usize,
-    mask: &[u16],
-) -> Result<Vec<i64>, DecideError> {
-    let everything = vec![1; if mask.is_empty() { actions } else { 0 }];
-    let mut masks = mask.chunks(actions.max(1));
-    let choice = |scores: &[f32]| {
-        let mask = masks.next().unwrap_or(&everything);
-        masked_argmax(scores, mask).map(|decision| decision.action.into())
-    };
-    scores.chunks(actions.max(1)).map(choice).collect()
-}
-
-/// The place of the largest, the first of several.
-fn first_largest(scores: &[f32]) -> f32 {
-    let largest = scores.iter().copied().fold(f32::NEG_INFINITY, f32::max);
-    scores.iter().position(|score| *score == largest).unwrap_or(0) as f32
 }

@@ -5,13 +5,13 @@ use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 use sortie_core::DecideError;
-use sortie_plans::OutputRole;
+use sortie_plans::{OutputRole, PolicyInput};
 
-use crate::arrays::{array, array_as, mask, numbers, slice};
+use crate::arrays::{array, array_as, flags, mask, numbers, slice};
+use crate::choices::{choices, choices_shape, mask_shape};
 use crate::errors::exceptions;
-use crate::interface::{Asked, Fit, fit, shape_as};
+use crate::interface::{Asked, Fit, Interface, fit, shape_as};
 use crate::owned_plan::OwnedPlan;
-use crate::plan::{Plan, choices, choices_shape, mask_shape};
 
 /// Copies of all that is given, so that other threads may write to the arrays meanwhile.
 struct Cases {
@@ -38,58 +38,55 @@ struct Decided {
     states: Vec<f32>,
 }
 
-pub(crate) fn decide<'py>(
-    plan: &Plan,
-    observations: &Bound<'py, PyTuple>,
-    available: Option<&Bound<'py, PyAny>>,
-    states: Option<&Bound<'py, PyAny>>,
-    named: Option<&Bound<'py, PyDict>>,
-) -> PyResult<Bound<'py, PyAny>> {
-    let py = observations.py();
-    let output = plan.interface.action()?;
-    let cases = Cases::read(plan, observations, available, states, named)?;
-    let (count, actions) = (
-        cases.count,
-        match output.role {
-            OutputRole::Discrete(actions) => Some(actions),
-            _ => None,
-        },
-    );
-    let decided = py.detach(|| cases.decide(&plan.plan, actions));
-    let decided = decided.map_err(|(case, error)| {
-        exceptions::DecideError::new_err(format!("case {case}: {error}"))
-    })?;
-    if let Some(states) = states {
-        let states = states.cast::<PyArrayDyn<f32>>()?.try_readwrite()?;
-        let mut states = states;
-        states.as_slice_mut()?.copy_from_slice(&decided.states);
-    }
-    let shape = |rest: &[usize]| [&[count], rest].concat();
-    match actions {
-        Some(_) => {
-            let shape = shape(choices_shape(output, Fit::WithoutBatch));
-            Ok(array(py, &shape, &decided.chosen)?.into_any())
-        }
-        None => {
-            let shape = shape(shape_as(&output.shape, Fit::WithoutBatch));
-            array_as(py, output.kind, &shape, &decided.numbers)
-        }
-    }
+/// A policy that is asked about many cases.
+pub(crate) struct Batch<'a> {
+    pub(crate) plan: &'a OwnedPlan,
+    pub(crate) interface: &'a Interface,
 }
 
-impl Cases {
+impl Batch<'_> {
+    pub(crate) fn decide<'py>(
+        &self,
+        observations: &Bound<'py, PyTuple>,
+        named: Option<&Bound<'py, PyDict>>,
+        available: Option<&Bound<'py, PyAny>>,
+        states: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let py = observations.py();
+        let output = self.interface.action()?;
+        let given = self.interface.collect(observations, named, Asked::AllButMask)?;
+        let cases = self.read(&given, available, states)?;
+        let actions = match output.role {
+            OutputRole::Discrete(actions) => Some(actions),
+            _ => None,
+        };
+        let count = cases.count;
+        let decided = py.detach(|| cases.decide(self.plan, actions));
+        let decided = decided.map_err(|(case, error)| {
+            exceptions::DecideError::new_err(format!("case {case}: {error}"))
+        })?;
+        if let Some(states) = states {
+            let mut states = states.cast::<PyArrayDyn<f32>>()?.try_readwrite()?;
+            states.as_slice_mut()?.copy_from_slice(&decided.states);
+        }
+        let shape = |rest: &[usize]| [&[count], rest].concat();
+        if actions.is_some() {
+            let shape = shape(choices_shape(output, Fit::WithoutBatch));
+            return Ok(array(py, &shape, &decided.chosen)?.into_any());
+        }
+        let shape = shape(shape_as(&output.shape, Fit::WithoutBatch));
+        array_as(py, output.kind, &shape, &decided.numbers)
+    }
+
+    /// What was given for every input, and beside.
     fn read(
-        plan: &Plan,
-        observations: &Bound<'_, PyTuple>,
+        &self,
+        given: &[Option<Bound<'_, PyAny>>],
         available: Option<&Bound<'_, PyAny>>,
         states: Option<&Bound<'_, PyAny>>,
-        named: Option<&Bound<'_, PyDict>>,
-    ) -> PyResult<Self> {
-        let interface = &plan.interface;
-        let given = interface.collect(observations, named, Asked::AllButMask)?;
-        let mut count = None;
-        let mut columns = Vec::with_capacity(given.len());
-        for (input, given) in interface.given.iter().zip(&given) {
+    ) -> PyResult<Cases> {
+        let (mut count, mut columns) = (None, Vec::with_capacity(given.len()));
+        for (input, given) in self.interface.given.iter().zip(given) {
             let Some(given) = given else {
                 columns.push(None);
                 continue;
@@ -106,31 +103,30 @@ impl Cases {
             }
             columns.push(Some(slice(&array)?.to_vec()));
         }
-        let count = count.ok_or_else(|| interface.misfit(Asked::AllButMask))?;
+        let count = count.ok_or_else(|| self.interface.misfit(Asked::AllButMask))?;
         let available = match available {
             Some(available) => {
-                let shape = [&[count], mask_shape(interface.action()?)?.as_slice()].concat();
-                mask("available", available, &shape)?
+                let shape = mask_shape(self.interface.action()?)?;
+                mask("available", available, &[&[count], shape.as_slice()].concat())?
             }
             None => Vec::new(),
         };
-        let inputs = interface.given.iter().zip(columns).map(|(input, column)| {
+        let column = |(input, column): (&PolicyInput, Option<Vec<f32>>)| {
             let width = input.length();
-            let flags = || available.iter().map(|flag| f32::from(*flag)).collect();
-            let all = || vec![1.0; count * width];
-            let numbers =
-                column.unwrap_or_else(|| if available.is_empty() { all() } else { flags() });
-            if numbers.len() == count * width {
-                Ok(Column { numbers, width })
-            } else {
-                Err(PyValueError::new_err(format!("`available` does not fit `{}`", input.name)))
-            }
-        });
+            let numbers = match column {
+                Some(numbers) => numbers,
+                None => flags(&available, count * width)?,
+            };
+            Ok(Column { numbers, width })
+        };
+        let inputs = self.interface.given.iter().zip(columns).map(column);
         let inputs = inputs.collect::<PyResult<_>>()?;
-        let states = read_states(states, [count, plan.plan.plan().hidden()])?;
-        Ok(Self { count, inputs, available, states })
+        let states = read_states(states, [count, self.plan.plan().hidden()])?;
+        Ok(Cases { count, inputs, available, states })
     }
+}
 
+impl Cases {
     /// Decides on one case after the other; the error names the first on which nothing could be decided.
     fn decide(
         self,

@@ -103,6 +103,20 @@ def test_what_does_not_fit_is_refused():
         bundle.allocate(entities, 8, np.ones((8, 1), bool), [True])
 
 
+def test_what_is_not_present_is_not_looked_at():
+    bundle = sortie.Bundle(MODELS / "save-the-city")
+    with pytest.raises(ValueError, match="give `relation`") as caught:
+        bundle.allocate(np.zeros((4, 58), "f4"), 2, np.eye(4, 2, dtype=bool), [True, True])
+    columns = int(str(caught.value).rstrip("]").split(", ")[-1])
+    entities, relation = np.zeros((4, 58), "f4"), np.zeros((2, 4, columns), "f4")
+    entities[1] = np.nan
+    belongs = np.array([[0, 0], [0, 0], [1, 0], [0, 1]])
+    asked = (entities, 2, belongs, [True, True])
+    assert bundle.allocate(*asked, present=[1, 0, 1, 1], relation=relation)[0] in (0, 1)
+    with pytest.raises(sortie.DecideError, match="not a finite number"):
+        bundle.allocate(*asked, relation=relation)
+
+
 def test_an_allocation_needs_what_the_environment_knows():
     bundle = sortie.Bundle(MODELS / "save-the-city")
     entities = np.zeros((4, 58), "f4")

@@ -1,6 +1,8 @@
 """Files: what is opened, what is refused and in which words; and what runs meanwhile."""
 
+import json
 import os
+import struct
 import threading
 
 import numpy as np
@@ -190,10 +192,52 @@ def test_a_plan_without_its_names_decides_alike(tmp_path):
     assert bare.inspect()["policy"]["facts"]["inputs"][0]["name"] == "input_0"
 
 
-def test_names_that_are_another_plans_are_refused(tmp_path):
-    one, other = (plan_of(name, tmp_path).read_bytes() for name in ("sb3_dqn.classic", "epymarl_rnn.classic"))
-    mixed = one[: one.index(b"SORTIEAX")] + other[other.index(b"SORTIEAX") :]
+def crc32c(text):
+    value = 0xFFFFFFFF
+    for byte in text:
+        value ^= byte
+        for _ in range(8):
+            value = value >> 1 ^ (0x82F63B78 if value & 1 else 0)
+    return value ^ 0xFFFFFFFF
+
+
+def renamed(plan, edit):
+    """The plan with other names, sizes and roles behind it."""
+    end = plan.index(b"SORTIEAX")
+    annex = json.loads(plan[end + 16 :])
+    edit(annex["facts"])
+    text = json.dumps(annex).encode()
+    return plan[: end + 8] + struct.pack("<II", len(text), crc32c(text)) + text
+
+
+def test_names_may_be_others(tmp_path):
+    def edit(facts):
+        facts["inputs"][0]["name"] = "what is seen"
+
+    plan = renamed(plan_of("sb3_dqn.classic", tmp_path).read_bytes(), edit)
+    assert repr(sortie.Plan(plan)) == "<sortie.Plan what is seen [1, 8] -> q [1, 5]>"
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        lambda facts: facts["inputs"][0].update(shape=[1, 41]),
+        lambda facts: facts["inputs"][0].update(shape=[2**40, 2**40]),
+        lambda facts: facts["inputs"][0].update(role="state"),
+        lambda facts: facts["inputs"].append(facts["inputs"][0]),
+        lambda facts: facts["outputs"][0].update(shape=[1, 8]),
+        lambda facts: facts["outputs"][0].update(kind="i64"),
+        lambda facts: facts["outputs"][0].update(role={"discrete": 4}),
+        lambda facts: facts["outputs"][0].update(role={"discrete": 0}),
+        lambda facts: facts["outputs"][0].update(role={"discrete": 2**63}, kind="i64"),
+        lambda facts: facts["outputs"].pop(0),
+        lambda facts: facts["states"][0].update(length=63),
+        lambda facts: facts["states"].clear(),
+    ],
+)
+def test_names_that_are_another_plans_are_refused(edit, tmp_path):
+    plan = plan_of("epymarl_rnn.classic", tmp_path).read_bytes()
     with pytest.raises(sortie.PlanError, match="the names behind the plan cannot be read: they are another plan's"):
-        sortie.Plan(mixed)
+        sortie.Plan(renamed(plan, edit))
     with pytest.raises(sortie.PlanError, match="it is cut off or changed"):
-        sortie.Plan(one[:-3])
+        sortie.Plan(plan[:-3])
