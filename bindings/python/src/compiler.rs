@@ -14,7 +14,7 @@ use crate::errors::{exceptions, of_file, words};
 use crate::source::Source;
 
 /// Why the profile int8 is left to the command line.
-const UNJUDGED: &str = "an int8 plan is judged by recorded observations: make it with `sortie compile --profile int8`, and open the plan";
+const UNJUDGED: &str = "an int8 plan is judged by recorded observations: make it with `sortie compile --profile int8 --npz FILE`, and open the plan";
 
 /// What is said about a file beside itself.
 pub(crate) struct Asked {

@@ -3,6 +3,7 @@
 import json
 import os
 import struct
+import subprocess
 import threading
 
 import numpy as np
@@ -110,6 +111,18 @@ def test_a_fused_plan_says_so_and_answers_alike():
     assert (exact.inspect()["profile"], fused.inspect()["profile"]) == ("exact", "fused")
     observation = recorded("sb3_dqn.classic")["in__observation"][0]
     assert_close(fused(observation), exact(observation))
+
+
+def test_an_int8_plan_of_the_command_line_is_opened(tmp_path):
+    onnx, plan = foreign("epymarl_rnn.classic"), tmp_path / "int8.plan"
+    # So few cases say too little to rely on it, which is what `--force` is for.
+    judged = ["--profile", "int8", "--npz", onnx.with_suffix(".npz"), "--force", "--quiet"]
+    subprocess.run([_compiler.program(), "compile", onnx, "-o", plan, *judged], check=True, capture_output=True)
+    exact, int8 = sortie.Plan(onnx), sortie.Plan(plan)
+    assert int8.inspect()["profile"] == "int8" and repr(int8) == repr(exact)
+    observation = recorded("epymarl_rnn.classic")["in__obs"][0]
+    differences = np.abs(int8(observation) - exact(observation))
+    assert 0 < differences.max() < 0.05
 
 
 def test_a_file_that_allocates_without_bound_ends_its_own_process_only(root):
