@@ -49,7 +49,7 @@ pub(crate) use proposals::{COUNTS, arena as proposal_arena};
 pub use proposals::{
     EmbedTasks, PointerLogits, ProposalNetwork, RowAttention, ScoreAllocations, Vectors,
 };
-pub use set::{AllOperators, FeedForward, Int8FeedForward};
+pub use set::{AllOperators, FeedForward, Int8FeedForward, Policies};
 pub use steps::{
     Arrange, Combination, Combine, Constant, Convolve, Function, GruCell, Input, LstmCell, Map,
     Multiply, Normalise, Reduce, Reduction, Select, Softmax, State,

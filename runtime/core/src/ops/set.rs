@@ -32,10 +32,50 @@ impl OperatorSet for Int8FeedForward {
     ];
 }
 
+/// What policies over inputs of fixed sizes need.
+#[derive(Clone, Copy, Debug)]
+pub struct Policies;
+
+impl OperatorSet for Policies {
+    const OPERATORS: &[OpKind] = &[
+        OpKind::Dense,
+        OpKind::MaskedArgmax,
+        OpKind::Gru,
+        OpKind::MaskedSample,
+        OpKind::Output,
+        OpKind::Input,
+        OpKind::State,
+        OpKind::Constant,
+        OpKind::Map,
+        OpKind::Combine,
+        OpKind::Select,
+        OpKind::Arrange,
+        OpKind::Reduce,
+        OpKind::Softmax,
+        OpKind::Normalise,
+        OpKind::Multiply,
+    ];
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::table::has;
     use super::*;
+
+    #[test]
+    fn policies_have_every_step() {
+        let beside = [
+            OpKind::Dense,
+            OpKind::Gru,
+            OpKind::Output,
+            OpKind::MaskedArgmax,
+            OpKind::MaskedSample,
+        ];
+        for &kind in OpKind::ALL {
+            let of_policies = kind.is_step() || beside.contains(&kind);
+            assert_eq!(has::<Policies>(kind), of_policies, "{}", kind.name());
+        }
+    }
 
     #[test]
     fn a_set_has_what_it_names() {

@@ -109,7 +109,7 @@ impl<S: OperatorSet> Plan<'_, S> {
         for state in self.program.states() {
             let from = rest.split_off(..state.from.len as usize).ok_or(DecideError::BadLength)?;
             finite(from)?;
-            floats(&mut scratch, &state.from)?.copy_from_slice(from);
+            copy(from, floats(&mut scratch, &state.from)?);
         }
         self.execute(PolicyExecution { plan: self, observation: &nothing, scratch: &mut scratch })?;
         Ok(scratch)
@@ -127,10 +127,7 @@ impl<S: OperatorSet> Plan<'_, S> {
         let mut rest = states;
         for state in self.program.states() {
             let to = rest.split_off_mut(..state.to.len as usize).ok_or(DecideError::BadLength)?;
-            // As long as its place, which loading checked.
-            for (to, next) in to.iter_mut().zip(next(&state.to)?) {
-                *to = *next;
-            }
+            copy(next(&state.to)?, to);
         }
         Ok(())
     }
@@ -156,4 +153,11 @@ impl<S: OperatorSet> Work for PolicyExecution<'_, '_, '_, S> {
 
 fn floats<'s>(scratch: &'s mut Scratch<'_>, place: &Place) -> Result<&'s mut [f32], DecideError> {
     scratch.floats.get_mut(place.range()).ok_or(DecideError::BadLength)
+}
+
+/// Copies as many numbers as both have, which checks made the same; no optimiser has to know that.
+fn copy(from: &[f32], to: &mut [f32]) {
+    for (to, from) in to.iter_mut().zip(from) {
+        *to = *from;
+    }
 }

@@ -37,7 +37,11 @@ impl Operator for Constant {
         scratch: &mut Scratch<'_>,
     ) -> Result<(), DecideError> {
         let [to] = places(scratch.floats, [&self.to])?;
-        to.copy_from_slice(slice(weights, self.weights, to.len())?);
+        let from = slice(weights, self.weights, to.len())?;
+        // A copy of slices would panic where their lengths differ; not every target's optimiser sees that they do not.
+        for (to, from) in to.iter_mut().zip(from) {
+            *to = *from;
+        }
         Ok(())
     }
 }

@@ -1,0 +1,6 @@
+//! The functions of the header, by what they are about.
+
+pub(crate) mod decide;
+pub(crate) mod load;
+pub(crate) mod sizes;
+pub(crate) mod version;

@@ -1,0 +1,39 @@
+//! The C interface: plans in programs that are not written in Rust. `include/sortie.h` is its header.
+//!
+//! Every function is total: what a caller can get wrong is answered with a [`SortieError`], as far as C lets anyone see
+//! it. Nothing is allocated: a policy lives in memory that the caller gives, its plan is used where it lies.
+#![no_std]
+#![deny(unsafe_code)]
+#![cfg_attr(
+    not(test),
+    deny(
+        clippy::indexing_slicing,
+        clippy::unwrap_used,
+        clippy::expect_used,
+        clippy::panic,
+        clippy::unreachable
+    )
+)]
+
+#[cfg(any(test, feature = "std"))]
+extern crate std;
+
+#[allow(unsafe_code, reason = "reads and writes what pointers of C point to")]
+mod border;
+mod errors;
+#[allow(unsafe_code, reason = "functions that C calls")]
+#[allow(clippy::missing_safety_doc, reason = "the header says it once, for all")]
+mod exports;
+mod operators;
+#[cfg(not(any(test, feature = "std")))]
+#[allow(unsafe_code, reason = "calls a function that exists nowhere")]
+mod panicked;
+#[allow(unsafe_code, reason = "cuts the caller's memory into parts")]
+mod policy;
+
+pub use errors::SortieError;
+pub use exports::decide::*;
+pub use exports::load::*;
+pub use exports::sizes::*;
+pub use exports::version::*;
+pub use policy::SortiePolicy;
