@@ -43,6 +43,7 @@ impl OperatorSet for Policies {
         OpKind::Gru,
         OpKind::MaskedSample,
         OpKind::Output,
+        OpKind::Int8Dense,
         OpKind::Input,
         OpKind::State,
         OpKind::Constant,
@@ -54,6 +55,9 @@ impl OperatorSet for Policies {
         OpKind::Softmax,
         OpKind::Normalise,
         OpKind::Multiply,
+        OpKind::GruCell,
+        OpKind::LstmCell,
+        OpKind::Convolve,
     ];
 }
 
@@ -66,6 +70,7 @@ mod tests {
     fn policies_have_every_step() {
         let beside = [
             OpKind::Dense,
+            OpKind::Int8Dense,
             OpKind::Gru,
             OpKind::Output,
             OpKind::MaskedArgmax,
