@@ -1,25 +1,21 @@
 //! Any bytes as a plan, and plans forged with right checksums: load, decide, stay inside the arena.
-//!
-//! The first byte says which; a forged plan is header and program, its weights are made up.
 #![no_main]
 
+mod forged;
 mod input;
 
+use forged::MOST_BYTES;
 use input::Input;
 use libfuzzer_sys::fuzz_target;
 use sortie_core::kernels::build::Build;
-use sortie_core::plan::{AlignedBytes, Checksums, Header, Plan, checksums};
+use sortie_core::plan::{AlignedBytes, Plan};
 use sortie_core::{EntityMask, NO_ACTION, Observation};
 
-/// Weights and arenas beyond this only make the fuzzer slow.
-const MOST_BYTES: usize = 1 << 16;
 /// Bytes before and after the arena that must stay as they are.
 const GUARD: usize = 64;
 
 fuzz_target!(|bytes: &[u8]| {
-    let Some((kind, bytes)) = bytes.split_first() else { return };
-    let plan = if kind % 2 == 0 { forge(bytes) } else { Some(AlignedBytes::copy_of(bytes)) };
-    let Some(plan) = plan else { return };
+    let Some((plan, bytes)) = forged::plan(bytes) else { return };
     if let Ok(plan) = Plan::load(plan.as_slice()) {
         decide(&plan, bytes);
         respond(&plan, bytes);
@@ -54,28 +50,6 @@ fn respond(plan: &Plan<'_>, bytes: &[u8]) {
         answer.map(|()| (outputs, bits(&states)))
     });
     assert_eq!(answers[0], answers[1], "the builds of the kernels differ");
-}
-
-/// Header and program with made-up weights and right checksums.
-fn forge(bytes: &[u8]) -> Option<AlignedBytes> {
-    let (mut header, _) = Header::read(bytes).ok()?;
-    let (start, len) = (header.program_offset as usize, header.program_len as usize);
-    let program = bytes.get(start..start.checked_add(len)?)?;
-    header.weights_offset = start.saturating_add(len).next_multiple_of(64) as u32;
-    let len = header.weights_len as usize;
-    if len > MOST_BYTES || header.arena_bytes as usize > MOST_BYTES {
-        return None;
-    }
-    let weight =
-        |index: usize| (index.wrapping_mul(2_654_435_761) >> 8 & 0xFFFF) as f32 / 65_536.0 - 0.5;
-    let weights: Vec<u8> = (0..len / 4).flat_map(|index| weight(index).to_le_bytes()).collect();
-    let checksums: Checksums = checksums(&header, program, &weights);
-    let mut plan = bytes.get(..start)?.to_vec();
-    plan.get_mut(..128)?.copy_from_slice(&header.to_bytes(checksums));
-    plan.extend(program);
-    plan.resize(header.weights_offset as usize, 0);
-    plan.extend(weights);
-    Some(AlignedBytes::copy_of(&plan))
 }
 
 fn decide(plan: &Plan<'_>, bytes: &[u8]) {
