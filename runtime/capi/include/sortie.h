@@ -13,6 +13,7 @@
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
+
 /* Before an array that holds a plan: `SORTIE_ALIGNED static const unsigned char PLAN[] = {...};`. */
 #if defined(__cplusplus)
 #define SORTIE_ALIGNED alignas(64)

@@ -1,8 +1,9 @@
 //! Which operators the library has.
 
-/// Every one.
 #[cfg(feature = "agents")]
-pub(crate) use sortie_core::ops::AllOperators as Operators;
-/// Those of policies over inputs of fixed sizes.
+use sortie_core::ops::AllOperators as Operators;
 #[cfg(not(feature = "agents"))]
-pub(crate) use sortie_core::ops::Policies as Operators;
+use sortie_core::ops::Policies as Operators;
+
+/// A plan, run by the operators of this library.
+pub(crate) type Plan<'a> = sortie_core::plan::Plan<'a, Operators>;

@@ -3,14 +3,11 @@
 use core::alloc::Layout;
 use core::slice;
 
-use sortie_core::plan::{self, ALIGNMENT, Network};
+use sortie_core::plan::{ALIGNMENT, Network};
 
 use crate::border::{Array, Span, apart};
 use crate::errors::SortieError;
-use crate::operators::Operators;
-
-/// A plan, run by the operators of this library.
-pub(crate) type Plan<'a> = plan::Plan<'a, Operators>;
+use crate::operators::Plan;
 
 /// A loaded policy. It lives in the memory that was given to `sortie_load`, and ends with it: there is nothing to be freed.
 /// One thread at a time uses it; several policies may share one plan.
@@ -37,7 +34,7 @@ struct Parts {
 impl Parts {
     fn of(plan: &Plan<'_>) -> Option<Self> {
         let slots = |count| Layout::array::<&[f32]>(count).ok();
-        let (inputs, outputs) = (plan.program().inputs().count(), plan.program().outputs().count());
+        let (inputs, outputs) = (plan.program().input_count(), plan.program().output_count());
         let policy = Layout::new::<SortiePolicy>();
         let (all, inputs) = policy.extend(slots(inputs)?).ok()?;
         let (all, outputs) = all.extend(slots(outputs)?).ok()?;
@@ -87,7 +84,7 @@ impl SortiePolicy {
             return Err(SortieError::MemoryTooSmall);
         }
         let start = memory.start().wrapping_add(before);
-        let (inputs, outputs) = (plan.program().inputs().count(), plan.program().outputs().count());
+        let (inputs, outputs) = (plan.program().input_count(), plan.program().output_count());
         // SAFETY: all bytes lie inside the memory, which is the caller's to give; written before any of it is read.
         unsafe { start.write_bytes(0, parts.bytes) };
         let at = |offset| start.wrapping_add(offset);

@@ -2,7 +2,8 @@
 
 use sortie_core::plan::Network;
 
-use crate::policy::{Plan, SortiePolicy};
+use crate::operators::Plan;
+use crate::policy::SortiePolicy;
 
 /// What a plan is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,7 +33,7 @@ pub unsafe extern "C" fn sortie_kind(policy: *const SortiePolicy) -> SortieKind 
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sortie_input_count(policy: *const SortiePolicy) -> usize {
     // SAFETY: as the caller promises.
-    unsafe { told(policy, |plan| Some(plan.program().inputs().count())) }
+    unsafe { told(policy, |plan| Some(plan.program().input_count())) }
 }
 
 /// Numbers of the input at `index`.
@@ -46,7 +47,7 @@ pub unsafe extern "C" fn sortie_input_length(policy: *const SortiePolicy, index:
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sortie_output_count(policy: *const SortiePolicy) -> usize {
     // SAFETY: as the caller promises.
-    unsafe { told(policy, |plan| Some(plan.program().outputs().count())) }
+    unsafe { told(policy, |plan| Some(plan.program().output_count())) }
 }
 
 /// Numbers of the output at `index`.
