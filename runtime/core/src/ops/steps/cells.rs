@@ -8,11 +8,6 @@ use crate::kernels::Kernels;
 use crate::math::{all_finite, sigmoid, tanh};
 use crate::policy::{DecideError, Observation};
 
-/// Numbers that are worked on together: their gates fit into registers.
-const LANES: usize = 16;
-
-type Lanes = [f32; LANES];
-
 /// One step of a gated recurrent unit behind its products, gates in the order of ONNX: update z, reset r, candidate n.
 ///
 /// z = σ(x₁ + h₁), r = σ(x₂ + h₂), n = tanh(x₃ + r h₃), and the new state is n + z (h - n).
@@ -61,51 +56,6 @@ fn gates<const GATES: usize>(all: &[f32]) -> [&[f32]; GATES] {
     gates
 }
 
-/// Some numbers of every gate, zeros behind the last.
-#[inline(always)]
-fn lanes<const GATES: usize>(gates: [&[f32]; GATES], first: usize) -> [Lanes; GATES] {
-    gates.map(|gate| {
-        let gate = gate.get(first..).unwrap_or_default();
-        match gate.first_chunk() {
-            Some(lanes) => *lanes,
-            None => {
-                let mut lanes = [0.0; LANES];
-                for (lane, number) in lanes.iter_mut().zip(gate) {
-                    *lane = *number;
-                }
-                lanes
-            }
-        }
-    })
-}
-
-/// Lane by lane, a sum.
-#[inline(always)]
-fn sum(mut left: Lanes, right: Lanes) -> Lanes {
-    for (left, right) in left.iter_mut().zip(right) {
-        *left += right;
-    }
-    left
-}
-
-/// Lane by lane, a product.
-#[inline(always)]
-fn product(mut left: Lanes, right: Lanes) -> Lanes {
-    for (left, right) in left.iter_mut().zip(right) {
-        *left *= right;
-    }
-    left
-}
-
-/// A function of every lane.
-#[inline(always)]
-fn each(mut lanes: Lanes, function: impl Fn(f32) -> f32) -> Lanes {
-    for lane in &mut lanes {
-        *lane = function(*lane);
-    }
-    lanes
-}
-
 impl Operator for GruCell {
     const LAYOUT: Option<u32> = None;
 
@@ -142,18 +92,19 @@ impl Operator for GruCell {
             return Err(DecideError::NonFinite);
         }
         let (input, recurrent) = (gates::<3>(input), gates::<3>(recurrent));
-        for (to, first) in to.chunks_mut(LANES).zip((0..).step_by(LANES)) {
-            let [x_update, x_reset, x_candidate] = lanes(input, first);
-            let [h_update, h_reset, h_candidate] = lanes(recurrent, first);
-            let [state] = lanes([state], first);
-            let update = each(sum(x_update, h_update), sigmoid);
-            let reset = each(sum(x_reset, h_reset), sigmoid);
-            let candidate = each(sum(x_candidate, product(reset, h_candidate)), tanh);
-            let moved = product(update, sum(state, each(candidate, |n| -n)));
-            let next = sum(candidate, moved);
-            for (to, next) in to.iter_mut().zip(next) {
-                *to = next;
-            }
+        let [x_update, x_reset, x_candidate] = input;
+        let [h_update, h_reset, h_candidate] = recurrent;
+        // Loops over few slices become vectors, several at a time.
+        for ((to, x), h) in to.iter_mut().zip(x_update).zip(h_update) {
+            *to = sigmoid(x + h);
+        }
+        let resets = x_reset.iter().zip(h_reset);
+        let candidates = x_candidate.iter().zip(h_candidate);
+        for (((to, state), (x_r, h_r)), (x, h)) in
+            to.iter_mut().zip(state).zip(resets).zip(candidates)
+        {
+            let candidate = tanh(x + sigmoid(x_r + h_r) * h);
+            *to = candidate + *to * (state - candidate);
         }
         Ok(())
     }
@@ -198,25 +149,26 @@ impl Operator for LstmCell {
             return Err(DecideError::NonFinite);
         }
         let (input, recurrent, bias) = (gates::<4>(input), gates::<4>(recurrent), gates::<4>(bias));
-        let results = to.chunks_mut(LANES).zip(cell_to.chunks_mut(LANES));
-        for ((to, cell_to), first) in results.zip((0..).step_by(LANES)) {
-            let (x, h, b) = (lanes(input, first), lanes(recurrent, first), lanes(bias, first));
-            let [x_input, x_output, x_forget, x_candidate] = x;
-            let [h_input, h_output, h_forget, h_candidate] = h;
-            let [b_input, b_output, b_forget, b_candidate] = b;
-            let [cell] = lanes([&*cell], first);
-            let gate = |x, h, b| sum(sum(x, h), b);
-            let open = each(gate(x_input, h_input, b_input), sigmoid);
-            let output = each(gate(x_output, h_output, b_output), sigmoid);
-            let forget = each(gate(x_forget, h_forget, b_forget), sigmoid);
-            let candidate = each(gate(x_candidate, h_candidate, b_candidate), tanh);
-            let next = sum(product(forget, cell), product(open, candidate));
-            let state = product(output, each(next, tanh));
-            for ((to, state), (cell_to, next)) in
-                to.iter_mut().zip(state).zip(cell_to.iter_mut().zip(next))
-            {
-                (*to, *cell_to) = (state, next);
-            }
+        let [x_input, x_output, x_forget, x_candidate] = input;
+        let [h_input, h_output, h_forget, h_candidate] = recurrent;
+        let [b_input, b_output, b_forget, b_candidate] = bias;
+        // Loops over few slices become vectors, several at a time.
+        let forget = x_forget.iter().zip(h_forget).zip(b_forget);
+        for ((next, cell), ((x, h), b)) in cell_to.iter_mut().zip(&*cell).zip(forget) {
+            *next = sigmoid(x + h + b) * cell;
+        }
+        // What is kept of the result's place until its own turn: the candidates.
+        let candidates = x_candidate.iter().zip(h_candidate).zip(b_candidate);
+        for (to, ((x, h), b)) in to.iter_mut().zip(candidates) {
+            *to = tanh(x + h + b);
+        }
+        let inputs = x_input.iter().zip(h_input).zip(b_input);
+        for ((next, candidate), ((x, h), b)) in cell_to.iter_mut().zip(&*to).zip(inputs) {
+            *next += sigmoid(x + h + b) * candidate;
+        }
+        let outputs = x_output.iter().zip(h_output).zip(b_output);
+        for ((to, next), ((x, h), b)) in to.iter_mut().zip(&*cell_to).zip(outputs) {
+            *to = sigmoid(x + h + b) * tanh(*next);
         }
         Ok(())
     }
