@@ -115,7 +115,7 @@ static void agent_decides_and_samples(void)
         seen.actions = 4;
         for (index = 0; index < 4; index++) {
             memset(available, 0, sizeof available);
-            available[index] = 255;
+            available[index] = 128;
             EXPECT(SORTIE_ERROR_NONE, sortie_decide(agent, &seen, NULL, 0, &decision));
             CHECK(decision.action == index && bits_of(decision.utility) == want[index]);
             EXPECT(SORTIE_ERROR_NONE, sortie_sample(drawn, &seen, NULL, 0, seed << 28, &decision));
@@ -123,7 +123,7 @@ static void agent_decides_and_samples(void)
         }
         seen.visible = NULL;
         EXPECT(SORTIE_ERROR_NONE, sortie_decide(agent, &seen, NULL, 0, &decision));
-        memset(visible, 9, sizeof visible);
+        memset(visible, 128, sizeof visible);
         seen.visible = visible;
         want[0] = bits_of(decision.utility);
         EXPECT(SORTIE_ERROR_NONE, sortie_decide(agent, &seen, NULL, 0, &decision));
