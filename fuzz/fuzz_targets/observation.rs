@@ -7,7 +7,7 @@ use std::sync::LazyLock;
 
 use input::Input;
 use libfuzzer_sys::fuzz_target;
-use sortie_core::kernels::build::Build;
+use sortie_core::internal::kernels::build::Build;
 use sortie_core::plan::{AlignedBytes, Plan};
 use sortie_core::{EntityMask, Observation, include_plan};
 

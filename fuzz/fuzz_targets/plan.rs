@@ -7,7 +7,7 @@ mod input;
 use forged::MOST_BYTES;
 use input::Input;
 use libfuzzer_sys::fuzz_target;
-use sortie_core::kernels::build::Build;
+use sortie_core::internal::kernels::build::Build;
 use sortie_core::plan::{AlignedBytes, Plan};
 use sortie_core::{EntityMask, NO_ACTION, Observation};
 
@@ -25,7 +25,7 @@ fuzz_target!(|bytes: &[u8]| {
 /// A policy's outputs, which no other plan gives.
 fn respond(plan: &Plan<'_>, bytes: &[u8]) {
     let mut input = Input(bytes.get(bytes.len() / 2..).unwrap_or_default());
-    let lengths = || plan.program().inputs().map(|input| input.to.len as usize);
+    let lengths = || plan.inputs();
     if lengths().chain([plan.hidden()]).any(|length| length > MOST_BYTES) {
         return;
     }
@@ -37,7 +37,7 @@ fn respond(plan: &Plan<'_>, bytes: &[u8]) {
         memory.as_mut_slice().fill(0xA5);
         let end = GUARD + plan.arena_bytes();
         let mut states = vec![0.5; plan.hidden()];
-        let widths = plan.program().outputs().map(|output| output.width as usize);
+        let widths = plan.outputs();
         let mut outputs: Vec<Vec<f32>> = widths.map(|width| vec![0.0; width]).collect();
         let mut places: Vec<&mut [f32]> = outputs.iter_mut().map(Vec::as_mut_slice).collect();
         let arena = &mut memory.as_mut_slice()[GUARD..end];

@@ -9,7 +9,7 @@ use embedded_io::{ErrorType, Read, ReadReady, Write};
 use input::Input;
 use libfuzzer_sys::fuzz_target;
 use sortie_core::Shape;
-use sortie_core::checksum::crc32c;
+use sortie_core::internal::checksum::crc32c;
 use sortie_core::link::{AllocRx, Clock, FrameBlock, FrameRx, Processor, Serial, packet_bytes};
 use sortie_core::wire::{FrameFormat, FrameLayout, FrameView};
 

@@ -62,10 +62,13 @@ impl Crate {
     fn module(&mut self, path: ModulePath, file: &Path, folder: &Path, text: &[Token]) {
         let mut module = Module { file: file.into(), ..Module::default() };
         let mut at = 0;
+        // `#[path = "."]`: the files of a module inside this file lie beside it. No other path is written.
+        let mut is_beside = false;
         while at < text.len() {
             let words = Words(&text[at..]);
             at += match words.get(0) {
                 "#" => {
+                    is_beside |= words.get(2) == "path";
                     let attribute = words.attribute();
                     let is_test = Words(&words.0[..attribute]).are_for_tests();
                     attribute + if is_test { words.from(attribute).item() } else { 0 }
@@ -82,7 +85,9 @@ impl Crate {
                     let name = words.get(1);
                     let length = words.item();
                     let inner = &words.0[3..length - 1];
-                    self.module(below(&path, name), file, &folder.join(name), inner);
+                    let inside =
+                        folder.join(if std::mem::take(&mut is_beside) { "" } else { name });
+                    self.module(below(&path, name), file, &inside, inner);
                     length
                 }
                 // `use<'a>` of a type is no import.

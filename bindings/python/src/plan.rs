@@ -214,7 +214,7 @@ impl Plan {
         }
         let interface = Interface::of(bytes, plan.plan());
         let interface = interface.map_err(|error| refused(words(&error)))?;
-        let widths = plan.plan().program().outputs().map(|output| output.width as usize);
+        let widths = plan.plan().outputs();
         let outputs = widths.map(|width| vec![0.0; width]).collect();
         let states = vec![0.0; plan.plan().hidden()];
         let working = Mutex::new(Working { arena: plan.arena(), states, outputs });

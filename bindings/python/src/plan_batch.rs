@@ -134,7 +134,7 @@ impl Cases {
         actions: Option<usize>,
     ) -> Result<Decided, (usize, DecideError)> {
         let (mut arena, plan) = (plan.arena(), plan.plan());
-        let widths = plan.program().outputs().map(|output| output.width as usize);
+        let widths = plan.outputs();
         let mut outputs: Vec<Vec<f32>> = widths.map(|width| vec![0.0; width]).collect();
         let hidden = plan.hidden();
         let masks = self.available.len().checked_div(self.count).unwrap_or(0);

@@ -5,7 +5,7 @@
 #![no_std]
 
 use sortie_core::DecideError;
-use sortie_core::ops::Policies;
+use sortie_core::operators::Policies;
 use sortie_core::plan::{Aligned, Plan, PlanError, arena_bytes};
 
 const PLAN: &[u8] = sortie_core::include_plan!("../../embed_c/cart.plan");

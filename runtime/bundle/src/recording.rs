@@ -17,7 +17,7 @@
 //! 0xFFFF where there was none; then for each observation its own row u16, availability u16 `[U]` and the mask
 //! of visible entities, two u64, entity 0 in the lowest bit of the first.
 
-use sortie_core::checksum::crc32c;
+use sortie_core::internal::checksum::crc32c;
 use sortie_core::{EntityMask, NO_ACTION, Observation, limits};
 
 const MAGIC: &[u8; 8] = b"SORTIEOB";

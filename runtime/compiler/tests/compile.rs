@@ -3,7 +3,7 @@
 use safetensors::SafeTensors;
 use sortie_bundle::OwnedObservation;
 use sortie_compiler::{TractPolicy, compare_with_graph, compile, inspect_onnx};
-use sortie_core::kernels::build::Build;
+use sortie_core::internal::kernels::build::Build;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
 use sortie_core::{EntityMask, NO_ACTION, PlanPolicy, Policy};
 use sortie_plans::{CompileError, CompileOptions, Compiled, inspect_plan, random_observations};

@@ -2,7 +2,8 @@
 
 use sortie_compiler::{compare_entities_with_graph, compile};
 use sortie_core::EntityMask;
-use sortie_core::ops::{OpKind, OpRef};
+use sortie_core::internal::ops::OpRef;
+use sortie_core::operators::OpKind;
 use sortie_core::plan::{AlignedBytes, Network, Plan};
 use sortie_plans::{
     CompileError, CompileOptions, Compiled, OwnedEntities, TOLERANCE, random_entities,

@@ -6,7 +6,7 @@ use sortie_bundle::OwnedAllocationState;
 use sortie_compiler::{compare_proposals_with_graphs, compile, compile_proposals};
 use sortie_core::allocate::ProposalAllocator;
 use sortie_core::allocate::proposals::{Draw, GumbelDraw};
-use sortie_core::kernels::build::Build;
+use sortie_core::internal::kernels::build::Build;
 use sortie_core::plan::{AlignedBytes, Network, Plan, PlanError, Profile};
 use sortie_core::{AllocateError, Allocator, EntityMask, UNASSIGNED};
 use sortie_plans::{

@@ -6,7 +6,7 @@
 
 use std::time::Instant;
 
-use sortie_core::kernels::build::Build;
+use sortie_core::internal::kernels::build::Build;
 use sortie_core::plan::{AlignedBytes, Plan};
 use sortie_core::{DecideError, EntityMask, Observation};
 

@@ -1,7 +1,34 @@
-//! The runtime core: executes masked-attention policies, allocates agents to subtasks, speaks the wire format.
+//! The runtime core: executes policies, allocates agents to subtasks, speaks the wire format.
 //!
 //! No heap, no operating system, no panics: a plan is used in place, an arena is given by the caller,
 //! every error is a small enum. One plan gives the same bits on every target.
+//!
+//! A policy that `sortie compile policy.onnx -o policy.plan` made a plan of, in ten lines:
+//!
+//! ```
+//! use sortie_core::include_plan;
+//! use sortie_core::plan::{Aligned, Plan, arena_bytes};
+//!
+//! const PLAN: &[u8] = include_plan!("../../../examples/embed_c/cart.plan");
+//!
+//! let plan = Plan::load(PLAN)?;                      // checked once, used where it lies
+//! let mut arena = Aligned([0; arena_bytes(PLAN)]);   // all memory that decisions need
+//! let mut states = [0.0; 16];                        // what it remembers: plan.states()
+//! for position in [0.5, 0.4, 0.2] {
+//!     let mut force = [0.0];
+//!     plan.respond(&mut arena.0, &[&[position]], &mut states, &mut [&mut force])?;
+//!     assert!(force[0].abs() <= 1.0);
+//! }
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! | for | see |
+//! | --- | --- |
+//! | policies over inputs of fixed sizes | [`Plan::respond`](plan::Plan::respond), [`Plan::choose`](plan::Plan::choose) |
+//! | agents that see entities through masks | [`Policy`], [`PlanPolicy`], [`Observation`] |
+//! | who works on which subtask | [`allocate`], [`Allocator`] |
+//! | agents, allocator and world as processes or devices | [`wire`], [`roles`], [`link`] |
+//! | images with only the operators that a plan needs | [`operators`] |
 #![no_std]
 #![deny(unsafe_code)]
 #![cfg_attr(
@@ -20,17 +47,13 @@ extern crate std;
 
 pub mod allocate;
 pub mod allocator;
-pub mod checksum;
 pub mod choose;
 pub mod decide;
 pub mod entities;
 pub mod entity_mask;
 pub mod identity;
-pub mod kernels;
 pub mod limits;
 pub mod link;
-pub mod math;
-pub mod ops;
 pub mod plan;
 pub mod policy;
 pub mod remember;
@@ -38,6 +61,25 @@ pub mod roles;
 mod shape;
 pub mod wire;
 pub mod world;
+
+/// The operators of a plan, for programs that link only what their plans need.
+pub mod operators {
+    pub use crate::ops::{
+        AllOperators, FeedForward, Int8FeedForward, OpKind, OperatorSet, Policies,
+    };
+}
+
+/// What compilers of plans, trainers and tests of this repository take besides. It changes without notice.
+#[doc(hidden)]
+#[path = "."]
+pub mod internal {
+    pub mod checksum;
+    pub mod kernels;
+    pub mod math;
+    pub mod ops;
+}
+
+use internal::{checksum, kernels, math, ops};
 
 pub use allocator::{AllocateError, AllocationState, Allocator, UNASSIGNED};
 pub use decide::PlanPolicy;

@@ -2,7 +2,7 @@
 
 use sortie_core::allocate::ProposalAllocator;
 use sortie_core::allocate::proposals::GumbelDraw;
-use sortie_core::kernels::build::Build;
+use sortie_core::internal::kernels::build::Build;
 use sortie_core::plan::{Aligned, Plan, PlanError, arena_bytes};
 use sortie_core::{AllocationState, DecideError, EntityMask, NO_ACTION, Observation, include_plan};
 

@@ -1,12 +1,13 @@
 //! The document of the plan format and the code say the same.
 
 use sortie_core::include_plan;
-use sortie_core::ops::{
+use sortie_core::internal::ops::{
     Arrange, AttendAll, Combination, Combine, Constant, Convolve, Flag, Function, GroupSum, Gru,
     GruCell, Input, Int8AttendOwn, Int8Dense, Int8EmbedEntities, Int8Layer, Linear, LstmCell, Map,
-    MaskedSample, MeanRows, Members, Multiply, Normalise, Op, OpKind, OpRef, Output, OutputRows,
-    Place, Reduce, Reduction, Select, Softmax, State,
+    MaskedSample, MeanRows, Members, Multiply, Normalise, Op, OpRef, Output, OutputRows, Place,
+    Reduce, Reduction, Select, Softmax, State,
 };
+use sortie_core::operators::OpKind;
 use sortie_core::plan::{Checksums, HEADER_BYTES, Header, Network, Plan, Profile, VERSION};
 
 const DOCUMENT: &str = include_str!("../../../docs/plan-format.md");

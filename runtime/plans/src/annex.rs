@@ -5,7 +5,7 @@
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
-use sortie_core::checksum::crc32c;
+use sortie_core::internal::checksum::crc32c;
 use sortie_core::plan::Header;
 
 use crate::error::CompileError;

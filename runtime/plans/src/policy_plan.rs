@@ -41,7 +41,7 @@ impl<'p> PlanFlatPolicy<'p> {
         plan.check_network(Network::Policy)?;
         let arena = AlignedBytes::zeroed(plan.arena_bytes());
         let states = vec![0.0; plan.hidden()];
-        let widths = plan.program().outputs().map(|output| output.width as usize);
+        let widths = plan.outputs();
         let outputs = widths.map(|width| vec![0.0; width]).collect();
         Ok(Self { plan, arena, facts, states, outputs })
     }

@@ -1,8 +1,8 @@
 //! What a compiler is told, and what it tells of the plan that it made.
 
 use serde::{Deserialize, Serialize};
+use sortie_core::internal::ops::{Members, OpRef, OutputRows};
 use sortie_core::limits;
-use sortie_core::ops::{Members, OpRef, OutputRows};
 use sortie_core::plan::{Profile, Program};
 
 use crate::comparison::Comparison;

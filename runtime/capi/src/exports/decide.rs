@@ -192,7 +192,7 @@ unsafe fn choice(
     // SAFETY: as the caller promises.
     let policy = unsafe { SortiePolicy::at_mut(policy) }?;
     policy.check_network(Network::Policy)?;
-    if policy.plan.program().utilities().is_none() {
+    if !policy.plan.chooses() {
         return Err(SortieError::WrongKind);
     }
     // SAFETY: as the caller promises.

@@ -82,14 +82,14 @@ pub unsafe extern "C" fn sortie_state_numbers(policy: *const SortiePolicy) -> us
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sortie_actions(policy: *const SortiePolicy) -> usize {
     // SAFETY: as the caller promises.
-    unsafe { told(policy, |plan| plan.program().utilities().map(|_| plan.actions())) }
+    unsafe { told(policy, |plan| plan.chooses().then(|| plan.actions())) }
 }
 
 /// Whether actions can be drawn: `sortie_draw`, `sortie_sample`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sortie_draws(policy: *const SortiePolicy) -> bool {
     // SAFETY: as the caller promises.
-    unsafe { SortiePolicy::at(policy) }.is_ok_and(|policy| policy.plan.program().draws())
+    unsafe { SortiePolicy::at(policy) }.is_ok_and(|policy| policy.plan.draws())
 }
 
 /// Features of an entity that an agent sees, its last action not counted.
@@ -122,16 +122,16 @@ fn of_agent<'p, 'a>(plan: &'p Plan<'a>) -> Option<&'p Plan<'a>> {
 
 /// Numbers of every input.
 pub(crate) fn input_lengths(plan: &Plan<'_>) -> impl Iterator<Item = usize> {
-    plan.program().inputs().map(|input| input.to.len as usize)
+    plan.inputs()
 }
 
 /// Numbers of every output.
 pub(crate) fn output_lengths(plan: &Plan<'_>) -> impl Iterator<Item = usize> {
-    plan.program().outputs().map(|output| output.width as usize)
+    plan.outputs()
 }
 
 fn state_lengths(plan: &Plan<'_>) -> impl Iterator<Item = usize> {
     let of_agent = (plan.hidden() > 0).then(|| plan.hidden());
     let of_agent = of_agent.filter(|_| plan.header().network == Network::Agent);
-    plan.program().states().map(|state| state.from.len as usize).chain(of_agent)
+    plan.states().chain(of_agent)
 }

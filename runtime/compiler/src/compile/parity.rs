@@ -3,7 +3,7 @@
 use sortie_bundle::OwnedObservation;
 use sortie_core::allocate::{PlanTeamValue, TeamValueNetwork};
 use sortie_core::choose::masked_argmax;
-use sortie_core::ops::OutputRows;
+use sortie_core::internal::ops::OutputRows;
 use sortie_core::plan::{AlignedBytes, Plan};
 use sortie_core::{PlanPolicy, Policy};
 use sortie_plans::{

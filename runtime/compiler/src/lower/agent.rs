@@ -1,11 +1,11 @@
 //! Matched layers become operators: where weights lie and what the arena holds.
 
-use sortie_core::kernels::mark::MARKED;
-use sortie_core::kernels::product::padded;
-use sortie_core::limits;
-use sortie_core::ops::{
+use sortie_core::internal::kernels::mark::MARKED;
+use sortie_core::internal::kernels::product::padded;
+use sortie_core::internal::ops::{
     AttendOwn, Dense, EmbedEntities, Gru, MaskedArgmax, MaskedSample, Op, Place,
 };
+use sortie_core::limits;
 use sortie_core::plan::{OPS, ProgramDraft};
 
 use super::layout::Weights;

@@ -1,11 +1,11 @@
 //! Layers of networks over all entities become operators.
 
-use sortie_core::kernels::mark::MARKED;
-use sortie_core::kernels::product::padded;
-use sortie_core::limits;
-use sortie_core::ops::{
+use sortie_core::internal::kernels::mark::MARKED;
+use sortie_core::internal::kernels::product::padded;
+use sortie_core::internal::ops::{
     AttendAll, Dense, EmbedEntities, GroupSum, MeanRows, Op, Output, OutputRows, Place,
 };
+use sortie_core::limits;
 use sortie_core::plan::{OPS, ProgramDraft};
 
 use super::agent::{Arena, at_most, by_heads, check_weights, padded_heads, same_sizes};

@@ -1,7 +1,7 @@
 //! Matched layers become operators of int8 weights.
 
-use sortie_core::kernels::product::padded;
-use sortie_core::ops::{
+use sortie_core::internal::kernels::product::padded;
+use sortie_core::internal::ops::{
     Int8AttendOwn, Int8Dense, Int8EmbedEntities, MaskedArgmax, MaskedSample, Op, Place,
     quantised_floats,
 };

@@ -1,7 +1,7 @@
 //! Weights as an int8 plan stores them: layout 2, strips of 16 columns, pairs of inputs side by side.
 
-use sortie_core::kernels::int8::{PAIRS, STRIP};
-use sortie_core::ops::Int8Layer;
+use sortie_core::internal::kernels::int8::{PAIRS, STRIP};
+use sortie_core::internal::ops::Int8Layer;
 
 use crate::matching::{Layer, Matrix};
 

@@ -1,7 +1,7 @@
 //! Weights as a plan stores them: layout 1, tiles of up to 64 columns.
 
-use sortie_core::kernels::product::{padded, tile_width};
-use sortie_core::ops::{Linear, Vectors};
+use sortie_core::internal::kernels::product::{padded, tile_width};
+use sortie_core::internal::ops::{Linear, Vectors};
 
 use crate::matching::{Layer, Matrix};
 

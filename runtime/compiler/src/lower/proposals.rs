@@ -1,10 +1,10 @@
 //! Layers of an allocator that proposes become operators.
 
 use sortie_core::allocate::proposals::{PROPOSALS, arena_floats};
-use sortie_core::limits;
-use sortie_core::ops::{
+use sortie_core::internal::ops::{
     EmbedTasks, Op, PointerLogits, ProposalNetwork, RowAttention, ScoreAllocations,
 };
+use sortie_core::limits;
 use sortie_core::plan::ProgramDraft;
 
 use super::agent::{at_most, by_heads, check_weights, padded_heads, same_sizes};

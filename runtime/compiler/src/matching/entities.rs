@@ -1,6 +1,6 @@
 //! Networks over all entities: critics, the trunks of allocators (dissertation sections 2.3 and 5.1).
 
-use sortie_core::ops::Members;
+use sortie_core::internal::ops::Members;
 use tract_onnx::prelude::*;
 use tract_onnx::tract_core::ops::change_axes::AxisOp;
 use tract_onnx::tract_core::ops::einsum::EinSum;

@@ -19,7 +19,7 @@ use crate::policy::{DecideError, Observation};
 /// A host takes [`AllOperators`](super::AllOperators) and runs every plan. Where flash is short, name what the plan needs:
 ///
 /// ```
-/// use sortie_core::ops::{OpKind, OperatorSet};
+/// use sortie_core::operators::{OpKind, OperatorSet};
 ///
 /// #[derive(Clone, Copy, Debug)]
 /// struct Mine;

@@ -20,15 +20,18 @@ mod tests;
 #[cfg(any(test, feature = "std"))]
 pub use aligned::AlignedBytes;
 #[cfg(any(test, feature = "std"))]
+#[doc(hidden)]
 pub use draft::ProgramDraft;
 pub use error::{Part, PlanError};
-pub use header::{
-    ALIGNMENT, Checksums, HEADER_BYTES, Header, Network, Profile, VERSION, arena_bytes,
-};
+pub use header::{ALIGNMENT, Header, Network, Profile, VERSION, arena_bytes};
+#[doc(hidden)]
+pub use header::{Checksums, HEADER_BYTES};
 pub use in_place::Aligned;
 pub use policy::Given;
+#[doc(hidden)]
 pub use program::{OPS, Ops, Program};
 
+#[doc(hidden)]
 pub use crate::ops::{LAYOUT_INT8, LAYOUT_TILES};
 
 use zerocopy::FromBytes;
@@ -126,6 +129,7 @@ impl<'a, S: OperatorSet> Plan<'a, S> {
         &self.header
     }
 
+    #[doc(hidden)]
     /// The program.
     pub fn program(&self) -> &Program<'a, S> {
         &self.program

@@ -18,6 +18,31 @@ pub struct Given<'a> {
 }
 
 impl<S: OperatorSet> Plan<'_, S> {
+    /// How many numbers each input of a policy has, in the caller's order.
+    pub fn inputs(&self) -> impl Iterator<Item = usize> {
+        self.program.inputs().map(|input| input.to.len as usize)
+    }
+
+    /// How many numbers each output has, in the order of the source graph.
+    pub fn outputs(&self) -> impl Iterator<Item = usize> {
+        self.program.outputs().map(|output| output.width as usize)
+    }
+
+    /// How many numbers each recurrent state of a policy has, in the order in which the caller keeps them.
+    pub fn states(&self) -> impl Iterator<Item = usize> {
+        self.program.states().map(|state| state.from.len as usize)
+    }
+
+    /// Whether the policy's action is one of [`Plan::actions`] that [`Plan::choose`] chooses.
+    pub fn chooses(&self) -> bool {
+        self.program.utilities().is_some()
+    }
+
+    /// Whether [`Plan::draw`] draws it.
+    pub fn draws(&self) -> bool {
+        self.program.draws()
+    }
+
     /// Writes the outputs of a policy, one after the other in the order of the source graph. `states` `[R]` holds the
     /// recurrent states one behind the other; they are replaced where the outputs could be computed.
     ///

@@ -4,7 +4,7 @@ use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::rc::Rc;
 
-use sortie_core::checksum::crc32c;
+use sortie_core::internal::checksum::crc32c;
 use sortie_core::link::FrameBlock;
 use sortie_core::wire::{ActionMsg, AllocMsg, FrameHeader, Role, StatMsg};
 use zerocopy::{FromBytes, IntoBytes};

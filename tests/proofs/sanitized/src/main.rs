@@ -6,7 +6,7 @@ use sortie_core::allocate::{
     CostAllocator, CostMethod, CostModel, LastAllocation, PlanTeamValue, SearchMemory,
     TaskRelation, TeamValueAllocator, exact,
 };
-use sortie_core::kernels::build::Build;
+use sortie_core::internal::kernels::build::Build;
 use sortie_core::plan::{AlignedBytes, Plan};
 use sortie_core::{
     AllocateError, AllocationState, Allocator, EntityMask, NO_ACTION, Observation, include_plan,

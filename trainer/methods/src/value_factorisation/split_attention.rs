@@ -7,7 +7,7 @@
 
 use std::slice::SliceIndex;
 
-use sortie_core::math::exp;
+use sortie_core::internal::math::exp;
 use sortie_nn::layers::vectors::dots;
 use sortie_nn::layers::wide::{Work, run_widest};
 

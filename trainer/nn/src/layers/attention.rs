@@ -6,7 +6,7 @@
 //! because their weight is zero.
 
 use super::wide::{Work, run_widest};
-use sortie_core::math::exp;
+use sortie_core::internal::math::exp;
 
 use super::vectors::{add_scaled, dots, weighted_sum};
 

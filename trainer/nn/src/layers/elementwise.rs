@@ -2,7 +2,7 @@
 //!
 //! Backward passes take the output of the forward pass; [`Store`] says whether they replace or add.
 
-use sortie_core::math;
+use sortie_core::internal::math;
 
 use super::matrix::Store;
 use super::vectors;

@@ -5,7 +5,7 @@
 
 use super::linear::{self, LinearShape};
 use super::matrix::Store;
-use sortie_core::math::{sigmoid, tanh};
+use sortie_core::internal::math::{sigmoid, tanh};
 
 /// Sizes of a unit and of what it goes through.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

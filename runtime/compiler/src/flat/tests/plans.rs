@@ -1,6 +1,6 @@
 //! What operators become in plans: each is compiled alone, and compiling proves it against tract on 256 inputs.
 
-use sortie_core::ops::OpRef;
+use sortie_core::internal::ops::OpRef;
 use sortie_core::plan::{AlignedBytes, Plan};
 use sortie_plans::{CompileError, CompileOptions, CompiledPolicy, PolicyOptions};
 use tract_onnx::pb::AttributeProto;

@@ -1,6 +1,6 @@
 //! Numbers in another order: transposed, cut out, repeated, beside each other.
 
-use sortie_core::ops::{Arrange, Op, Place};
+use sortie_core::internal::ops::{Arrange, Op, Place};
 use tract_onnx::prelude::*;
 use tract_onnx::tract_core::ops::array::Slice;
 use tract_onnx::tract_core::ops::change_axes::AxisOp;

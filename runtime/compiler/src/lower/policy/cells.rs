@@ -1,6 +1,6 @@
 //! Recurrent units: what stands between and behind their products.
 
-use sortie_core::ops::{GruCell, LstmCell, Op, Place};
+use sortie_core::internal::ops::{GruCell, LstmCell, Op, Place};
 use tract_onnx::prelude::*;
 use tract_onnx::tract_core::ops::binary::TypedBinOp;
 
@@ -74,7 +74,7 @@ impl Lowering<'_> {
     fn zeros(&mut self, count: usize) -> Place {
         let to = self.arena.place(count);
         let weights = self.weights.add_numbers(&vec![0.0; count]);
-        self.ops.push(Op::Constant(sortie_core::ops::Constant { weights, to }));
+        self.ops.push(Op::Constant(sortie_core::internal::ops::Constant { weights, to }));
         to
     }
 }

@@ -1,7 +1,7 @@
 //! Convolutions: a layer on every patch of a picture.
 
-use sortie_core::kernels::product::padded;
-use sortie_core::ops::{Convolve, Flag, Op};
+use sortie_core::internal::kernels::product::padded;
+use sortie_core::internal::ops::{Convolve, Flag, Op};
 use tract_onnx::prelude::*;
 use tract_onnx::tract_core::ops::cnn::{Conv, KernelFormat};
 

@@ -1,6 +1,6 @@
 //! Functions of numbers: of one value, of two, of a condition.
 
-use sortie_core::ops::{Combination, Function, Op, Place, Select};
+use sortie_core::internal::ops::{Combination, Function, Op, Place, Select};
 use tract_onnx::prelude::*;
 use tract_onnx::tract_core::ops::binary::TypedBinOp;
 use tract_onnx::tract_core::ops::element_wise::ElementWiseOp;

@@ -15,12 +15,12 @@ mod weights;
 
 use std::collections::HashSet;
 
-use sortie_core::kernels::mark::MARKED;
-use sortie_core::kernels::product::padded;
-use sortie_core::limits;
-use sortie_core::ops::{
+use sortie_core::internal::kernels::mark::MARKED;
+use sortie_core::internal::kernels::product::padded;
+use sortie_core::internal::ops::{
     Combination, Combine, Function, Input, Map, MaskedArgmax, Op, Output, OutputRows, Place, State,
 };
+use sortie_core::limits;
 use sortie_core::plan::{OPS, Profile, ProgramDraft};
 use sortie_plans::{CompileError, InputRole, OutputRole};
 use tract_onnx::prelude::*;

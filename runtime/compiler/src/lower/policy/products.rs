@@ -1,7 +1,7 @@
 //! Products: layers where one side is constant, and those of two values.
 
-use sortie_core::kernels::product::padded;
-use sortie_core::ops::{Multiply, Op, Place};
+use sortie_core::internal::kernels::product::padded;
+use sortie_core::internal::ops::{Multiply, Op, Place};
 use tract_onnx::prelude::*;
 use tract_onnx::tract_core::ops::binary::TypedBinOp;
 use tract_onnx::tract_core::ops::einsum::EinSum;

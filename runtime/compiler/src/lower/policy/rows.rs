@@ -1,6 +1,6 @@
 //! What becomes of rows: softmax and reductions.
 
-use sortie_core::ops::{
+use sortie_core::internal::ops::{
     Combination, Flag, Function, Normalise, Op, Place, Reduce, Reduction, Softmax,
 };
 use tract_onnx::prelude::*;

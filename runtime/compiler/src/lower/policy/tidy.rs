@@ -6,7 +6,7 @@
 
 use std::collections::BTreeSet;
 
-use sortie_core::ops::{Op, Place};
+use sortie_core::internal::ops::{Op, Place};
 
 /// Floats that a block starts at a multiple of.
 const ALIGN: u32 = 16;

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use sortie_core::ops::{Constant, Op, Place};
+use sortie_core::internal::ops::{Constant, Op, Place};
 use sortie_plans::CompileError;
 use tract_onnx::prelude::*;
 

@@ -2,8 +2,10 @@
 
 use std::collections::HashMap;
 
-use sortie_core::kernels::product::padded;
-use sortie_core::ops::{Dense, Flag, Int8Dense, Int8Layer, Linear, Op, Place, quantised_floats};
+use sortie_core::internal::kernels::product::padded;
+use sortie_core::internal::ops::{
+    Dense, Flag, Int8Dense, Int8Layer, Linear, Op, Place, quantised_floats,
+};
 use sortie_core::plan::Profile;
 
 use crate::lower::agent::Arena;

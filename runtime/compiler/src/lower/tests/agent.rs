@@ -2,8 +2,8 @@
 
 use sortie_bundle::OwnedObservation;
 use sortie_core::identity::fnv1a;
-use sortie_core::kernels::build::Build;
-use sortie_core::ops::Op;
+use sortie_core::internal::kernels::build::Build;
+use sortie_core::internal::ops::Op;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError, ProgramDraft};
 use sortie_core::{DecideError, EntityMask, NO_ACTION, PlanPolicy, Policy};
 

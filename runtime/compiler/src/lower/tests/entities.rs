@@ -1,7 +1,7 @@
 //! Networks over all entities: attention of every query, means, sums by group, several outputs.
 
-use sortie_core::kernels::build::Build;
-use sortie_core::ops::{Members, OutputRows};
+use sortie_core::internal::kernels::build::Build;
+use sortie_core::internal::ops::{Members, OutputRows};
 use sortie_core::plan::{AlignedBytes, Network, Plan, PlanError, Profile, ProgramDraft};
 use sortie_core::{DecideError, Entities, EntityMask, PlanPolicy};
 

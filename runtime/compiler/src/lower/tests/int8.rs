@@ -1,7 +1,7 @@
 //! int8 plans of random networks against plain loops, and the laws that they obey.
 
 use sortie_bundle::OwnedObservation;
-use sortie_core::ops::Op;
+use sortie_core::internal::ops::Op;
 use sortie_core::plan::{AlignedBytes, Plan, ProgramDraft};
 use sortie_core::{EntityMask, PlanPolicy, Policy};
 

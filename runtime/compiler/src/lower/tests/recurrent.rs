@@ -2,8 +2,8 @@
 
 use sortie_core::choose::masked_sample;
 use sortie_core::identity::fnv1a;
-use sortie_core::kernels::build::Build;
-use sortie_core::ops::FeedForward;
+use sortie_core::internal::kernels::build::Build;
+use sortie_core::operators::FeedForward;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError};
 use sortie_core::{DecideError, Decision, PlanPolicy, Policy};
 

@@ -27,7 +27,7 @@ fn weights(
 }
 
 fn exp(x: f32) -> f32 {
-    sortie_core::math::exp(x)
+    sortie_core::internal::math::exp(x)
 }
 
 pub(super) fn value(team: Team, numbers: &[f32], utilities: &[f32], imagined: bool) -> f32 {

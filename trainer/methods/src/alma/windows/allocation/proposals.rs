@@ -11,7 +11,7 @@ use super::states::States;
 use super::teams::Teams;
 use super::tree::{Prefix, Tree};
 use super::trunk::{Block, NONE, Trunk};
-use sortie_core::math::exp;
+use sortie_core::internal::math::exp;
 use sortie_envs::random::unit;
 use sortie_learn::random::{Purpose, generator};
 use sortie_nn::random::Generator;
