@@ -43,6 +43,7 @@ use crate::progress;
   sortie verify models/save-the-city --python venv/bin/python3
   sortie verify models/save-the-city --profile int8 --observations seen.bin
   sortie verify agent.onnx --against tract
+  sortie verify walking.onnx
   sortie verify walking.onnx --npz recorded.npz")]
 pub(crate) struct VerifyArguments {
     /// A bundle's folder or an ONNX file
@@ -90,6 +91,9 @@ struct Report {
     /// What runs a policy that has no plan.
     #[serde(skip_serializing_if = "Option::is_none")]
     engine: Option<&'static str>,
+    /// Whether it is of a policy that somebody else exported.
+    #[serde(skip)]
+    is_policy: bool,
 }
 
 /// What one engine gave beside another, over all families and for each.
@@ -110,13 +114,13 @@ pub(crate) fn run(arguments: &VerifyArguments) -> Outcome {
     let report = compare(arguments)?;
     if arguments.common.json {
         print_json(&report);
-    } else if arguments.npz.is_some() {
+    } else if report.is_policy {
         verdict::print_recorded(&report);
     } else {
         verdict::print(&report);
     }
     match arguments.profile {
-        PlanProfile::Int8 if arguments.npz.is_none() => verdict::judge_actions(&report),
+        PlanProfile::Int8 if !report.is_policy => verdict::judge_actions(&report),
         PlanProfile::Int8 | PlanProfile::Exact | PlanProfile::Fused => {
             verdict::judge(&report.engines)
         }
@@ -132,11 +136,10 @@ fn compare(arguments: &VerifyArguments) -> Result<Report, Failure> {
             let message = "`--npz` is for the ONNX file of a policy, which has no golden answers";
             return Err(Failure::new(Exit::Usage, message));
         }
-        return recorded::compare(arguments, file, &judges);
+        return recorded::compare(arguments, Some(file), &judges);
     }
-    if arguments.policy.options() != PolicyOptions::default() {
-        let message = "what is said about a policy's inputs and outputs goes with `--npz FILE`";
-        return Err(Failure::new(Exit::Usage, message));
+    if is_policy(arguments)? {
+        return recorded::compare(arguments, None, &judges);
     }
     let (not_compared, Judges { engines: judges, runtime, .. }) = (judges.missing(), judges);
     let mut engines = Vec::new();
@@ -175,7 +178,23 @@ fn compare(arguments: &VerifyArguments) -> Result<Report, Failure> {
         engines.extend(judged(arguments, &network, &judges)?);
     }
     spinner.finish_and_clear();
-    Ok(Report { engines, not_compared, engine: None })
+    Ok(Report { engines, not_compared, engine: None, is_policy: false })
+}
+
+/// Whether the subject is a policy that somebody else exported: what says something about one means one.
+fn is_policy(arguments: &VerifyArguments) -> Result<bool, Failure> {
+    let (subject, options) = (&arguments.subject, arguments.policy.options());
+    if subject.is_dir() || !subject.exists() {
+        let message = "what is said about a policy's inputs and outputs goes with an ONNX file";
+        let says = options != PolicyOptions::default();
+        return if says { Err(Failure::new(Exit::Usage, message)) } else { Ok(false) };
+    }
+    if arguments.observations.is_some() || arguments.asks_for(Peer::Golden) {
+        return Ok(false);
+    }
+    let onnx = fs::read(subject).map_err(|error| Failure::file(subject, &error))?;
+    let inspected = compiler().inspect(&onnx, &options).map_err(within(subject))?;
+    inspected.policy.transpose().map(|policy| policy.is_some()).map_err(within(subject))
 }
 
 impl VerifyArguments {

@@ -1,4 +1,4 @@
-//! A policy that somebody else exported, beside what was recorded of it.
+//! A policy that somebody else exported, beside what was recorded of it, or its engines beside each other.
 
 use std::fs;
 use std::path::Path;
@@ -7,6 +7,7 @@ use sortie_core::plan::AlignedBytes;
 use sortie_plans::{
     Comparison, CompileError, CompileOptions, CompiledPolicy, FlatPolicy, OutputRole,
     PlanFlatPolicy, PolicyAnswer, PolicyFacts, PolicyOptions, PolicyOutput, RecordedCase,
+    random_policy_inputs,
 };
 
 use super::{Compared, Judges, Report, VerifyArguments, within};
@@ -21,50 +22,120 @@ use crate::recorded_inputs::RecordedInputs;
 /// Steps that recurrent policies take with their states fed back.
 const STEPS: usize = 100;
 
-/// Compares the engines with recorded answers; recurrent policies also with each other, step by step.
+/// Random inputs after which they begin without memory again.
+const FED_BACK: usize = 16;
+
+/// Compares the engines with recorded answers, recurrent policies also with each other, step by step; where nothing was
+/// recorded, all with each other on random inputs.
 pub(super) fn compare(
     arguments: &VerifyArguments,
-    file: &Path,
+    recorded: Option<&Path>,
     judges: &Judges,
 ) -> Result<Report, Failure> {
     let (subject, options) = (&arguments.subject, arguments.policy.options());
     let onnx = fs::read(subject).map_err(|error| Failure::file(subject, &error))?;
-    let arrays = npz::read(file)?;
     let failed = within(subject);
     // What this process reads has then been read and run elsewhere.
     let facts = compiler().rehearse_policy(&onnx, &options).map_err(&failed)?;
-    let cases = Cases::of(&facts, &arrays)
-        .map_err(|reason| Failure::new(Exit::BadData, format!("{}: {reason}", file.display())))?;
-    let tract = engines()?.tract().name();
-    let options = (&options, arguments.common.seed);
-    let compiled = compiled_policy(&onnx, options, arguments.common.quiet).map_err(&failed)?;
+    let seeded = (&options, arguments.common.seed);
+    let compiled = compiled_policy(&onnx, seeded, arguments.common.quiet).map_err(&failed)?;
     let plan = compiled.as_ref().map(|compiled| AlignedBytes::copy_of(&compiled.compiled.bytes));
-    let mut engines = Vec::new();
-    let mut fed_back: Vec<(&str, Vec<Step>)> = Vec::new();
     let mut policies: Vec<(&str, Box<dyn FlatPolicy + '_>)> = Vec::new();
     if let Some(plan) = &plan {
         let plan = PlanFlatPolicy::load(plan.as_slice(), facts.clone()).map_err(&failed)?;
         policies.push(("plan", Box::new(plan)));
     }
     for judge in &judges.engines {
-        let policy = judge.flat_policy(&onnx, options.0).map_err(&failed)?;
+        let policy = judge.flat_policy(&onnx, &options).map_err(&failed)?;
         policies.push((judge.name(), policy));
     }
-    for (engine, policy) in &mut policies {
-        let name = format!("{engine} against recorded");
-        engines.push(Compared::new(name, cases.recorded(policy.as_mut()).map_err(&failed)?));
-        if facts.state_length() > 0 {
-            fed_back.push((engine, cases.fed_back(policy.as_mut()).map_err(&failed)?));
+    let compared = match recorded {
+        Some(file) => {
+            let arrays = npz::read(file)?;
+            let cases = Cases::of(&facts, &arrays);
+            let broken = |reason| format!("{}: {reason}", file.display());
+            let cases = cases.map_err(|reason| Failure::new(Exit::BadData, broken(reason)))?;
+            with_recorded(&mut policies, &cases)
         }
-    }
-    for (index, (one, got)) in fed_back.iter().enumerate() {
-        for (other, want) in fed_back.iter().skip(index + 1) {
-            let name = format!("{one} against {other}, {STEPS} steps with the state fed back");
-            engines.push(Compared::new(name, step_by_step(&facts, got, want)));
+        None => {
+            let inputs =
+                random_policy_inputs(arguments.inputs as usize, &facts, arguments.common.seed);
+            with_each_other(&mut policies, &facts, &inputs)
         }
-    }
+    };
+    let tract = engines()?.tract().name();
     let engine = judges.engines.iter().any(|judge| judge.name() == tract).then_some(ENGINE);
-    Ok(Report { engines, not_compared: judges.missing(), engine })
+    let (engines, not_compared) = (compared.map_err(&failed)?, judges.missing());
+    Ok(Report { engines, not_compared, engine, is_policy: true })
+}
+
+/// All policies before what was recorded.
+fn with_recorded(
+    policies: &mut [(&str, Box<dyn FlatPolicy + '_>)],
+    cases: &Cases<'_>,
+) -> Result<Vec<Compared>, CompileError> {
+    let inputs: Vec<_> =
+        (0..STEPS).map(|step| cases.inputs.case(step % cases.inputs.count).inputs).collect();
+    let mut compared = Vec::new();
+    let mut fed_back = Vec::new();
+    for (engine, policy) in policies {
+        let name = format!("{engine} against recorded");
+        compared.push(Compared::new(name, cases.recorded(policy.as_mut())?));
+        if cases.facts.state_length() > 0 {
+            fed_back.push((*engine, steps(policy.as_mut(), &inputs, STEPS)?));
+        }
+    }
+    let how = format!("{STEPS} steps with the state fed back");
+    compared.extend(pairs(cases.facts, &fed_back, &how));
+    Ok(compared)
+}
+
+/// All policies before each other.
+fn with_each_other(
+    policies: &mut [(&str, Box<dyn FlatPolicy + '_>)],
+    facts: &PolicyFacts,
+    inputs: &[Vec<Vec<f32>>],
+) -> Result<Vec<Compared>, CompileError> {
+    let inputs: Vec<Vec<&[f32]>> =
+        inputs.iter().map(|given| given.iter().map(Vec::as_slice).collect()).collect();
+    let mut answered = Vec::new();
+    for (engine, policy) in policies {
+        answered.push((*engine, steps(policy.as_mut(), &inputs, FED_BACK)?));
+    }
+    let how = match facts.state_length() {
+        0 => "random inputs".to_owned(),
+        _ => format!("random inputs, the state fed back for {FED_BACK}"),
+    };
+    Ok(pairs(facts, &answered, &how))
+}
+
+/// What a policy gives for inputs one after the other; its memory is emptied before every so many.
+fn steps(
+    policy: &mut dyn FlatPolicy,
+    inputs: &[Vec<&[f32]>],
+    episode: usize,
+) -> Result<Vec<Step>, CompileError> {
+    let mut states = vec![0.0; policy.facts().state_length()];
+    let step = |(index, given): (usize, &Vec<&[f32]>)| {
+        if index % episode == 0 {
+            states.fill(0.0);
+        }
+        let answers = policy.run(given, &mut states)?;
+        Ok(Step { answers, states: states.clone() })
+    };
+    inputs.iter().enumerate().map(step).collect()
+}
+
+/// Every two that answered, step by step.
+fn pairs(facts: &PolicyFacts, answered: &[(&str, Vec<Step>)], how: &str) -> Vec<Compared> {
+    let mut compared = Vec::new();
+    for (index, (one, got)) in answered.iter().enumerate() {
+        for (other, want) in answered.iter().skip(index + 1) {
+            let name = format!("{one} against {other}, {how}");
+            compared.push(Compared::new(name, step_by_step(facts, got, want)));
+        }
+    }
+    compared
 }
 
 /// The policy's plan; where a node has no step that is said, and the other engines are compared.
@@ -136,17 +207,6 @@ impl<'a> Cases<'a> {
         }
         comparisons.retain(|comparison| comparison.inputs > 0);
         Ok(comparisons)
-    }
-
-    /// What a policy gives that starts without memory and sees one case after the other.
-    fn fed_back(&self, policy: &mut dyn FlatPolicy) -> Result<Vec<Step>, CompileError> {
-        let mut states = vec![0.0; self.facts.state_length()];
-        let step = |step| {
-            let case = self.inputs.case(step % self.inputs.count);
-            let answers = policy.run(&case.inputs, &mut states)?;
-            Ok(Step { answers, states: states.clone() })
-        };
-        (0..STEPS).map(step).collect()
     }
 }
 
