@@ -2,10 +2,10 @@
 
 use sortie_core::include_plan;
 use sortie_core::internal::ops::{
-    Arrange, AttendAll, Combination, Combine, Constant, Convolve, Flag, Function, GroupSum, Gru,
-    GruCell, Input, Int8AttendOwn, Int8Dense, Int8EmbedEntities, Int8Layer, Linear, LstmCell, Map,
-    MaskedSample, MeanRows, Members, Multiply, Normalise, Op, OpRef, Output, OutputRows, Place,
-    Reduce, Reduction, Select, Softmax, State,
+    Arrange, AttendAll, Combination, Combine, Constant, Convolve, DenseRows, Flag, Function,
+    GroupSum, Gru, GruCell, Input, Int8AttendOwn, Int8Dense, Int8EmbedEntities, Int8Layer, Linear,
+    LstmCell, Map, MaskedSample, MeanRows, Members, Multiply, Normalise, Op, OpRef, Output,
+    OutputRows, Place, Reduce, Reduction, Select, Softmax, State,
 };
 use sortie_core::operators::OpKind;
 use sortie_core::plan::{Checksums, HEADER_BYTES, Header, Network, Plan, Profile, VERSION};
@@ -198,7 +198,7 @@ fn other_operators() -> [Op; 9] {
 }
 
 /// One of every step of a policy.
-fn steps() -> [Op; 14] {
+fn steps() -> [Op; 15] {
     let place = Place { offset: 0, len: 4 };
     let (from, to, left, right) = (place, place, place, place);
     let (columns, a, b) = (4, 0, 0);
@@ -245,6 +245,13 @@ fn steps() -> [Op; 14] {
             from,
             patch: from,
             point: to,
+            to,
+        }),
+        Op::DenseRows(DenseRows {
+            layer: Linear { inputs: 1, outputs: 2, weights: 3, bias: 4 },
+            relu: Flag::Yes,
+            rows: 2,
+            from,
             to,
         }),
     ]

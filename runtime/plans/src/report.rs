@@ -191,6 +191,10 @@ fn detail(op: OpRef<'_>) -> String {
         OpRef::Multiply(op) => {
             format!("[{}, {}] by [{}, {}]", op.rows, op.inner, op.inner, op.columns)
         }
+        OpRef::DenseRows(op) => {
+            let (rows, layer, relu) = (op.rows, &op.layer, relu(op.relu.is_set()));
+            format!("[{rows}, {}] -> [{rows}, {}]{relu}", layer.inputs, layer.outputs)
+        }
         OpRef::GruCell(op) => format!("[{}]", op.to.len),
         OpRef::LstmCell(op) => format!("[{}]", op.to.len),
         OpRef::Convolve(op) => {

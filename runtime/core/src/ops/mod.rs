@@ -51,8 +51,8 @@ pub use proposals::{
 };
 pub use set::{AllOperators, FeedForward, Int8FeedForward, Policies};
 pub use steps::{
-    Arrange, Combination, Combine, Constant, Convolve, Function, GruCell, Input, LstmCell, Map,
-    Multiply, Normalise, Reduce, Reduction, Select, Softmax, State,
+    Arrange, Combination, Combine, Constant, Convolve, DenseRows, Function, GruCell, Input,
+    LstmCell, Map, Multiply, Normalise, Reduce, Reduction, Select, Softmax, State,
 };
 pub use table::{Op, OpKind, OpRef, OperatorSet};
 

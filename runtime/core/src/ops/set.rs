@@ -58,6 +58,7 @@ impl OperatorSet for Policies {
         OpKind::GruCell,
         OpKind::LstmCell,
         OpKind::Convolve,
+        OpKind::DenseRows,
     ];
 }
 

@@ -5,10 +5,10 @@ use zerocopy::{IntoBytes, TryFromBytes};
 use super::operator::Operator;
 use super::team::Team;
 use super::{
-    Arrange, AttendAll, AttendOwn, Combine, Constant, Convolve, Dense, EmbedEntities, EmbedTasks,
-    GroupSum, Gru, GruCell, Input, Int8AttendOwn, Int8Dense, Int8EmbedEntities, LstmCell, Map,
-    MaskedArgmax, MaskedSample, MeanRows, Multiply, Normalise, Output, Places, PointerLogits,
-    Reduce, ScoreAllocations, Scratch, Select, Sizes, Softmax, State,
+    Arrange, AttendAll, AttendOwn, Combine, Constant, Convolve, Dense, DenseRows, EmbedEntities,
+    EmbedTasks, GroupSum, Gru, GruCell, Input, Int8AttendOwn, Int8Dense, Int8EmbedEntities,
+    LstmCell, Map, MaskedArgmax, MaskedSample, MeanRows, Multiply, Normalise, Output, Places,
+    PointerLogits, Reduce, ScoreAllocations, Scratch, Select, Sizes, Softmax, State,
 };
 use crate::kernels::Kernels;
 use crate::limits;
@@ -255,6 +255,8 @@ operators! {
     LstmCell,
     /// A layer on every patch of a picture.
     Convolve,
+    /// A layer on every row of a value.
+    DenseRows,
 }
 
 impl OpKind {

@@ -172,7 +172,7 @@ fn products_become_layers_with_their_bias_and_relu() {
         .node("Add", &["rows", "scores"], "q")
         .output("q");
     let found = steps(&file);
-    assert_eq!(found.iter().filter(|step| **step == "Dense").count(), 3);
+    assert_eq!(found.iter().filter(|step| **step == "DenseRows").count(), 1);
     assert!(found.contains(&"Multiply"));
 }
 

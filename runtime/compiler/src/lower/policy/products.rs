@@ -82,11 +82,7 @@ impl<'m> Lowering<'m> {
             self.longest_sparse = self.longest_sparse.max(inputs);
         }
         let stored = self.weights.add_layer(&layer, sparse_input, &mut self.arena);
-        for row in 0..rows {
-            // A row's padding is written over by the next row.
-            let at = |place: Place, width: usize| place.offset + (row * width) as u32;
-            self.ops.push(stored.op(at(from, inputs), at(to, outputs)));
-        }
+        self.ops.extend(stored.ops(rows, from, to));
         let to = Place { len: (rows * outputs) as u32, ..to };
         if rows == 1 {
             self.give(node, 0, to)?;

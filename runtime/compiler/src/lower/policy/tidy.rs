@@ -178,6 +178,7 @@ fn reads_and_writes(op: &mut Op) -> (Vec<&mut Place>, Vec<&mut Place>) {
         Op::Normalise(op) => (vec![&mut op.from], vec![&mut op.to]),
         Op::Multiply(op) => (vec![&mut op.left, &mut op.right], vec![&mut op.to]),
         Op::Dense(op) => (vec![&mut op.from], vec![&mut op.to]),
+        Op::DenseRows(op) => (vec![&mut op.from], vec![&mut op.to]),
         Op::Int8Dense(op) => (vec![&mut op.from], vec![&mut op.to, &mut op.quantised]),
         Op::GruCell(op) => {
             (vec![&mut op.input, &mut op.recurrent, &mut op.state], vec![&mut op.to])

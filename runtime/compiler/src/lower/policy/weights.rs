@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use sortie_core::internal::kernels::product::padded;
 use sortie_core::internal::ops::{
-    Dense, Flag, Int8Dense, Int8Layer, Linear, Op, Place, quantised_floats,
+    Dense, DenseRows, Flag, Int8Dense, Int8Layer, Linear, Op, Place, quantised_floats,
 };
 use sortie_core::plan::Profile;
 
@@ -80,8 +80,28 @@ impl PolicyWeights {
 }
 
 impl StoredLayer {
+    /// The layer on every row of a value, rows side by side without padding.
+    pub(super) fn ops(self, rows: usize, from: Place, to: Place) -> Vec<Op> {
+        match self.kind {
+            Stored::Tiles(layer, _) if rows > 1 => {
+                let before = (rows - 1) * usize::from(layer.outputs);
+                let to = Place { len: (before + layer.padded_outputs()) as u32, ..to };
+                let (relu, rows) = (self.relu, rows as u32);
+                vec![Op::DenseRows(DenseRows { layer, relu, rows, from, to })]
+            }
+            Stored::Tiles(Linear { inputs, outputs, .. }, _)
+            | Stored::Int8(Int8Layer { inputs, outputs, .. }, _) => (0..rows as u32)
+                // A row's padding is written over by the next row.
+                .map(|row| {
+                    let at = |place: Place, width: u16| place.offset + row * u32::from(width);
+                    self.op(at(from, inputs), at(to, outputs))
+                })
+                .collect(),
+        }
+    }
+
     /// The layer on a vector: so many floats from the first on, as its result.
-    pub(super) fn op(self, from: u32, to: u32) -> Op {
+    fn op(self, from: u32, to: u32) -> Op {
         let relu = self.relu;
         let places = |inputs: u16, outputs: u16| {
             let to = Place { offset: to, len: padded(outputs.into()) as u32 };

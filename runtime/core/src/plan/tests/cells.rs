@@ -1,4 +1,4 @@
-//! Recurrent cells and convolutions against plain arithmetic.
+//! Recurrent cells, convolutions and layers on rows against plain arithmetic.
 
 use std::vec;
 use std::vec::Vec;
@@ -7,7 +7,9 @@ use super::Random;
 use super::drafts::{Draft, assert_close, numbers, step};
 use crate::DecideError;
 use crate::kernels::product::{padded, tile_width};
-use crate::ops::{Convolve, Flag, Function, GruCell, Linear, LstmCell, Map, Op, Place};
+use crate::ops::{
+    Convolve, Dense, DenseRows, Flag, Function, GruCell, Linear, LstmCell, Map, Op, Place,
+};
 use crate::plan::PlanError;
 
 fn sigmoid(x: f64) -> f64 {
@@ -248,6 +250,58 @@ fn cells_and_convolutions_stay_inside_their_places() {
     ];
     for op in wrong {
         let mut draft = Draft { weights: vec![0.0; 112], ..Draft::default() };
+        draft.program.floats = 200;
+        draft.push(Op::Input(crate::ops::Input { index: 0, to: place(0, 64) }));
+        draft.push(op);
+        draft.output(place(0, 8));
+        assert_eq!(draft.refused(), Some(PlanError::ShapeMismatch { op: 1 }), "{op:?}");
+    }
+}
+
+#[test]
+fn every_row_gets_what_it_would_get_alone() {
+    let mut random = Random(10);
+    for (rows, inputs, outputs) in [(2, 5, 3), (7, 6, 8), (8, 9, 64), (19, 4, 72), (3, 1, 10)] {
+        let x = numbers(&mut random, rows * inputs);
+        let matrix = numbers(&mut random, inputs * outputs);
+        let mut draft = Draft::default();
+        let weights = draft.weights(&tiles(&matrix, outputs));
+        let bias = draft.weights(&vec![-0.25; padded(outputs)]);
+        let layer = Linear { inputs: inputs as u16, outputs: outputs as u16, weights, bias };
+        let mut alone = Draft { weights: draft.weights.clone(), ..Draft::default() };
+        let from = draft.input(x.len());
+        let to = draft.place((rows - 1) * outputs + padded(outputs));
+        let relu = Flag::Yes;
+        draft.push(Op::DenseRows(DenseRows { layer, relu, rows: rows as u32, from, to }));
+        draft.output(Place { len: (rows * outputs) as u32, ..to });
+        let together = draft.respond(&[&x], rows * outputs).unwrap();
+        let (row, to) = (alone.input(inputs), alone.place(padded(outputs)));
+        let sparse_input = Flag::No;
+        alone.push(Op::Dense(Dense { layer, relu, sparse_input, from: row, to }));
+        alone.output(Place { len: outputs as u32, ..to });
+        for (x, together) in x.chunks(inputs).zip(together.chunks(outputs)) {
+            let alone = alone.respond(&[x], outputs).unwrap();
+            let bits = |numbers: &[f32]| numbers.iter().map(|n| n.to_bits()).collect::<Vec<_>>();
+            assert_eq!(bits(together), bits(&alone), "{rows} rows of {inputs} to {outputs}");
+        }
+    }
+}
+
+#[test]
+fn layers_on_rows_stay_inside_their_places() {
+    let place = |offset, len| Place { offset, len };
+    let layer = Linear { inputs: 4, outputs: 3, weights: 0, bias: 32 };
+    let on = |rows, from, to| Op::DenseRows(DenseRows { layer, relu: Flag::No, rows, from, to });
+    let wrong = [
+        on(0, place(0, 0), place(64, 8)),
+        on(2, place(0, 7), place(64, 11)),
+        on(2, place(0, 8), place(64, 10)),
+        on(2, place(0, 8), place(4, 11)),
+        on(2, place(0, 8), place(190, 11)),
+        on(u32::MAX, place(0, 8), place(64, 11)),
+    ];
+    for op in wrong {
+        let mut draft = Draft { weights: vec![0.0; 64], ..Draft::default() };
         draft.program.floats = 200;
         draft.push(Op::Input(crate::ops::Input { index: 0, to: place(0, 64) }));
         draft.push(op);
