@@ -11,6 +11,7 @@ mod frame_header;
 mod frame_layout;
 mod frame_view;
 mod private_frame;
+mod served;
 mod status;
 #[cfg(test)]
 mod tests;
@@ -23,6 +24,10 @@ pub use frame_header::{FrameHeader, FrameKind};
 pub(crate) use frame_layout::payload_bytes;
 pub use frame_layout::{FrameFormat, FrameHead, FrameLayout, LayoutError};
 pub use frame_view::{FrameError, FrameView};
+pub use served::{
+    AnswerHead, AnswerStatus, AnswerView, MessageError, ObservationHead, ObservationView, Reason,
+    ServedFormat,
+};
 pub use status::{Role, StatMsg};
 
 #[cfg(target_endian = "big")]
