@@ -9,7 +9,7 @@ use crate::failure::Outcome;
 use crate::terminal::Color;
 use crate::{
     bench, compare, compile, compiler, control, doctor, eval, export, inspect, manual, replay, run,
-    train, verify, version, view,
+    serve, train, verify, version, view,
 };
 
 const EXIT_CODES: &str = "\
@@ -83,6 +83,7 @@ fn color(words: &[OsString]) -> ColorChoice {
 enum Verb {
     Run(run::RunArguments),
     Up(run::up::UpArguments),
+    Serve(serve::ServeArguments),
     Control(control::ControlArguments),
     Doctor(doctor::DoctorArguments),
     Eval(eval::EvalArguments),
@@ -108,6 +109,7 @@ pub(crate) fn dispatch(arguments: Arguments) -> Outcome {
     match arguments.verb {
         Verb::Run(arguments) => run::run(&arguments),
         Verb::Up(arguments) => run::up::run(&arguments),
+        Verb::Serve(arguments) => serve::run(&arguments),
         Verb::Control(arguments) => control::run(&arguments),
         Verb::Doctor(arguments) => doctor::run(&arguments),
         Verb::Eval(arguments) => eval::run(&arguments),

@@ -141,7 +141,7 @@ impl From<sortie_ipc::Error> for Failure {
     fn from(error: sortie_ipc::Error) -> Self {
         use sortie_ipc::Error;
         let advice = match &error {
-            Error::Busy { what, .. } if what == "the world" => {
+            Error::Busy { what, .. } if ["the world", "the policy"].contains(&what.as_str()) => {
                 "; choose another domain with `--domain NAME`"
             }
             Error::OtherTeam { .. } => {

@@ -35,6 +35,7 @@ mod replay;
 mod run;
 mod scripted;
 mod seeds;
+mod serve;
 mod signals;
 mod subject;
 mod subject_allocator;

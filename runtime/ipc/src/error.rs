@@ -69,6 +69,34 @@ pub enum Error {
         /// The domain.
         domain: String,
     },
+    /// Nobody serves a policy.
+    #[error(
+        "no policy is served in domain `{domain}`: start `sortie serve PLAN --domain {domain}`"
+    )]
+    NoServer {
+        /// The domain.
+        domain: String,
+    },
+    /// The policy that is served takes or gives something else than this process expects.
+    #[error("domain `{domain}` serves another policy: {detail}")]
+    OtherPolicy {
+        /// The domain.
+        domain: String,
+        /// The first difference.
+        detail: String,
+    },
+    /// A policy that messages cannot carry.
+    #[error("the policy cannot be served: {problem}")]
+    NotServed {
+        /// What is too much.
+        problem: String,
+    },
+    /// An observation whose lengths are not the policy's.
+    #[error("the observation does not fit the policy: {problem}")]
+    BadObservation {
+        /// What differs.
+        problem: String,
+    },
     /// This process was made for another domain than the one that runs.
     #[error(
         "domain `{domain}` runs another contract: here {ours:016x}, there {theirs:016x}; {detail}"
@@ -193,10 +221,11 @@ impl Error {
         match self {
             Self::DomainId(_) | Self::NoSuchAgent { .. } | Self::NotOneAgent { .. } => 2,
             Self::BadFile { .. } | Self::Layout(_) => 65,
+            Self::NotServed { .. } | Self::BadObservation { .. } => 65,
             Self::World(WorldError::Unavailable(_)) => 65,
             Self::Allocator(AllocatorError::Refused { .. }) => 65,
             Self::World(WorldError::Link(_)) => 74,
-            Self::NoWorld { .. } | Self::World(_) => 69,
+            Self::NoWorld { .. } | Self::NoServer { .. } | Self::World(_) => 69,
             // What ended the process of the team says more than that it ended.
             Self::Child { status, .. } | Self::KeepsDying { status, .. } => match status.code() {
                 Some(code @ (65 | 66 | 70 | 74 | 75 | 77 | 78 | 141)) => code as u8,
@@ -208,7 +237,7 @@ impl Error {
             Self::Busy { .. } | Self::OtherTeam { .. } => 75,
             Self::RealTime { .. } => 77,
             Self::Contract { .. } | Self::SchemaInUse { .. } | Self::Limits { .. } => 78,
-            Self::Frames { .. } => 78,
+            Self::Frames { .. } | Self::OtherPolicy { .. } => 78,
             Self::Interrupted => 130,
         }
     }

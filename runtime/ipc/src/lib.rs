@@ -14,6 +14,7 @@ mod doorbell;
 mod error;
 mod in_process;
 mod iox;
+mod policy;
 mod processes;
 mod real_time;
 mod registry;
@@ -33,6 +34,10 @@ pub use in_process::{InProcess, run_in_process};
 pub use iox::{
     ControlRx, FrameNews, Housekeeping, InterProcess, IntraProcess, IoxAgent, IoxAllocator,
     IoxControl, IoxWatcher, IoxWorld, LinkService, LinkSetup,
+};
+pub use policy::{
+    Action, ClientCounters, ClientSettings, Expected, Fallback, PolicyClient, PolicySchema,
+    PolicyServer, Port, ServeCounters, ServeSettings, Served,
 };
 pub use processes::{
     AllocatorProcess, Children, Fill, ProcessSettings, RunnerProcess, WorldSettings,

@@ -5,6 +5,7 @@ use std::io;
 use std::path::Path;
 use std::time::Duration;
 
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use sortie_core::Shape;
 use sortie_core::identity::schema_hash;
@@ -266,22 +267,32 @@ fn short(value: &toml::Value) -> String {
     }
 }
 
-/// Writes the facts. Readers see the whole file or none.
+/// Writes the facts.
 pub(super) fn write(domain: &Domain, facts: &DomainFacts) -> Result<(), Error> {
-    let path = domain.path(FILE);
-    let bad = |error: toml::ser::Error| Error::BadFile {
-        path: domain.path(FILE),
-        problem: error.to_string(),
-    };
-    let text = toml::to_string(facts).map_err(bad)?;
-    let unfinished = domain.path("domain.toml.new");
+    write_file(domain, FILE, facts)
+}
+
+/// Writes what is stated in a file of the domain. Readers see the whole file or none.
+pub(crate) fn write_file(domain: &Domain, name: &str, facts: &impl Serialize) -> Result<(), Error> {
+    let path = domain.path(name);
+    let text = toml::to_string(facts)
+        .map_err(|error| Error::BadFile { path: path.clone(), problem: error.to_string() })?;
+    let unfinished = path.with_extension("toml.new");
     fs::write(&unfinished, text).map_err(Error::io("write", &unfinished))?;
     fs::rename(&unfinished, &path).map_err(Error::io("write", &path))
 }
 
 /// The facts, if the domain has a world.
 pub(super) fn read(domain: &Domain) -> Result<Option<DomainFacts>, Error> {
-    let path = domain.path(FILE);
+    read_file(domain, FILE)
+}
+
+/// What a file of the domain states, if there is one.
+pub(crate) fn read_file<T: DeserializeOwned>(
+    domain: &Domain,
+    name: &str,
+) -> Result<Option<T>, Error> {
+    let path = domain.path(name);
     let text = match fs::read_to_string(&path) {
         Ok(text) => text,
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
@@ -290,7 +301,7 @@ pub(super) fn read(domain: &Domain) -> Result<Option<DomainFacts>, Error> {
     parse(&path, &text).map(Some)
 }
 
-fn parse(path: &Path, text: &str) -> Result<DomainFacts, Error> {
+fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T, Error> {
     toml::from_str(text)
         .map_err(|error| Error::BadFile { path: path.to_path_buf(), problem: error.to_string() })
 }
@@ -352,7 +363,7 @@ mod tests {
         let shape = Shape { agents: 2, entities: 3, tasks: 1, actions: 4, features: 5 };
         let facts = DomainFacts::new(&contract(u64::MAX, 4), shape);
         let text = toml::to_string(&facts).unwrap();
-        assert_eq!(parse(Path::new(FILE), &text).unwrap(), facts);
+        assert_eq!(parse::<DomainFacts>(Path::new(FILE), &text).unwrap(), facts);
         assert_eq!(facts.shape(), shape);
     }
 }

@@ -167,6 +167,16 @@ impl Membership {
         self.take(&format!("agent-{agent}.lock"), &format!("agent {agent}"))
     }
 
+    /// Takes one end of a served policy.
+    ///
+    /// # Errors
+    /// Another process has it, or shared memory has no room for `bytes`.
+    pub(crate) fn take_end(&self, file: &str, what: &str, bytes: u64) -> Result<Lock, Error> {
+        let lock = self.take(file, what)?;
+        preflight::check_space(bytes)?;
+        Ok(lock)
+    }
+
     fn take(&self, file: &str, what: &str) -> Result<Lock, Error> {
         Lock::take(&self.domain.path(file))?.map_err(|pid| Error::Busy {
             what: what.to_string(),

@@ -10,8 +10,8 @@ use std::env;
 use std::path::{Path, PathBuf};
 
 pub use bell_kind::BellKind;
-pub(crate) use facts::nanoseconds;
 pub use facts::{DomainContract, DomainFacts};
+pub(crate) use facts::{nanoseconds, read_file, write_file};
 pub use lock::Lock;
 pub use membership::{Membership, Starting};
 

@@ -245,40 +245,47 @@ impl<'a, S: LinkService> Opener<'a, S> {
         self.retry(name, || service.notifier_builder().name(&port).default_event_id(id).create())
     }
 
-    /// Opens a service or creates a port, again and again while others are at it, or while dead processes
-    /// hold all places.
     fn retry<T, E: Debug>(
         &self,
         what: &str,
-        mut attempt: impl FnMut() -> Result<T, E>,
+        attempt: impl FnMut() -> Result<T, E>,
     ) -> Result<T, Error> {
-        let mut pause = FIRST_PAUSE;
-        for _ in 1..ATTEMPTS {
-            let refused = match attempt() {
-                Ok(opened) => return Ok(opened),
-                Err(error) => format!("{error:?}"),
-            };
-            if refused.contains("ExceedsMax") {
-                self.node.try_cleanup_dead_nodes();
-            } else if !PASSING.iter().any(|passing| refused.contains(passing)) {
-                return Err(self.refused(what, refused));
-            }
-            std::thread::sleep(pause);
-            pause = (pause * 2).min(LONGEST_PAUSE);
-        }
-        attempt().map_err(|error| self.refused(what, format!("{error:?}")))
+        retry(&self.node, (self.setup.domain, self.setup.format.schema), what, attempt)
     }
+}
 
-    /// The library's error types differ by pattern and call; their names do not.
-    fn refused(&self, what: &str, problem: String) -> Error {
-        if problem.contains("IncompatibleAttributes") {
-            return Error::SchemaInUse {
-                domain: self.setup.domain.id().to_string(),
-                schema: self.setup.format.schema,
-            };
+/// Opens a service of a domain or creates a port, again and again while others are at it, or while dead processes
+/// hold all places.
+pub(super) fn retry<S: LinkService, T, E: Debug>(
+    node: &Node<S>,
+    (domain, schema): (&Domain, u64),
+    what: &str,
+    mut attempt: impl FnMut() -> Result<T, E>,
+) -> Result<T, Error> {
+    let refused = |problem: String| refused(domain, schema, what, problem);
+    let mut pause = FIRST_PAUSE;
+    for _ in 1..ATTEMPTS {
+        let problem = match attempt() {
+            Ok(opened) => return Ok(opened),
+            Err(error) => format!("{error:?}"),
+        };
+        if problem.contains("ExceedsMax") {
+            node.try_cleanup_dead_nodes();
+        } else if !PASSING.iter().any(|passing| problem.contains(passing)) {
+            return Err(refused(problem));
         }
-        self.setup.domain.explain(what, problem)
+        std::thread::sleep(pause);
+        pause = (pause * 2).min(LONGEST_PAUSE);
     }
+    attempt().map_err(|error| refused(format!("{error:?}")))
+}
+
+/// The library's error types differ by pattern and call; their names do not.
+fn refused(domain: &Domain, schema: u64, what: &str, problem: String) -> Error {
+    if problem.contains("IncompatibleAttributes") {
+        return Error::SchemaInUse { domain: domain.id().to_string(), schema };
+    }
+    domain.explain(what, problem)
 }
 
 /// Sets the level of the library's log, which goes to standard error: 0 trace to 5 fatal. Returns whether
@@ -313,7 +320,7 @@ impl Cleaner {
     }
 }
 
-fn node<S: LinkService>(domain: &Domain, name: &str) -> Result<Node<S>, Error> {
+pub(super) fn node<S: LinkService>(domain: &Domain, name: &str) -> Result<Node<S>, Error> {
     NodeBuilder::new()
         .name(&NodeName::new(name).map_err(failed("node name"))?)
         .config(&config(domain)?)
@@ -336,7 +343,7 @@ pub(super) fn config(domain: &Domain) -> Result<Config, Error> {
     Ok(config)
 }
 
-fn attributes(schema: u64, abi: u16) -> Result<AttributeVerifier, Error> {
+pub(super) fn attributes(schema: u64, abi: u16) -> Result<AttributeVerifier, Error> {
     let mut verifier = AttributeVerifier::new();
     for (key, value) in
         [("sortie.schema", format!("{schema:016x}")), ("sortie.abi", abi.to_string())]
@@ -348,11 +355,11 @@ fn attributes(schema: u64, abi: u16) -> Result<AttributeVerifier, Error> {
     Ok(verifier)
 }
 
-fn service_name(name: &str) -> Result<ServiceName, Error> {
+pub(super) fn service_name(name: &str) -> Result<ServiceName, Error> {
     ServiceName::new(name).map_err(failed(name))
 }
 
-fn failed<E: Debug>(what: &str) -> impl FnOnce(E) -> Error + use<'_, E> {
+pub(super) fn failed<E: Debug>(what: &str) -> impl FnOnce(E) -> Error + use<'_, E> {
     move |error| Error::SharedMemory { what: what.to_string(), problem: format!("{error:?}") }
 }
 

@@ -81,6 +81,24 @@ pub(super) fn statuses(agents: usize) -> Topic {
     }
 }
 
+/// Observations for a served policy. A client that was killed holds its place until it is cleaned up.
+pub(super) fn observations() -> Topic {
+    Topic {
+        name: "sortie/1/policy/observation",
+        publishers: 4,
+        subscribers: 4,
+        buffer: 2,
+        history: 0,
+        borrow: 2,
+        loan: 1,
+    }
+}
+
+/// Its answers.
+pub(super) fn answers() -> Topic {
+    Topic { name: "sortie/1/policy/answer", ..observations() }
+}
+
 /// The request-response service.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Control {
@@ -126,6 +144,11 @@ pub(super) fn processes(agents: usize) -> usize {
     agents + 32
 }
 
+/// Messages that a publisher of a topic has room for.
+pub(super) fn slots(topic: Topic) -> usize {
+    topic.subscribers * (topic.buffer + topic.borrow) + topic.history + topic.loan + 1
+}
+
 /// Shared memory that the domain's publishers take at most, in bytes.
 pub(crate) fn worst_case_bytes(facts: &DomainFacts) -> Result<u64, Error> {
     let private = facts.has_private_frames().then(|| facts.private_format(0)).transpose()?;
@@ -136,9 +159,6 @@ pub(crate) fn worst_case_bytes(facts: &DomainFacts) -> Result<u64, Error> {
 /// The same by layouts; `private`: that of the private frames, if the domain has such.
 fn worst_case_bytes_of(layout: &FrameLayout, private: Option<&FrameLayout>) -> u64 {
     let agents = layout.shape().agents;
-    let slots = |topic: Topic| {
-        topic.subscribers * (topic.buffer + topic.borrow) + topic.history + topic.loan + 1
-    };
     // A world, a runner per agent, an allocator; each of them says hello.
     let frames = slots(frames(agents)) * (layout.payload_bytes() + 128);
     let private = private

@@ -16,7 +16,7 @@ use crate::iox::Cleaner;
 const PAUSE: Duration = Duration::from_millis(250);
 
 /// Looks after a domain until it is dropped.
-pub(super) struct Caretaker {
+pub(crate) struct Caretaker {
     // In this order: the library waits without end for an object without size, and the sweeper frees it then.
     _cleaner: Repeated,
     _sweeper: Repeated,
@@ -24,7 +24,7 @@ pub(super) struct Caretaker {
 
 impl Caretaker {
     /// Starts to look after `domain`.
-    pub(super) fn start(domain: &Domain) -> Result<Self, Error> {
+    pub(crate) fn start(domain: &Domain) -> Result<Self, Error> {
         let (swept, cleaned) = (domain.clone(), domain.clone());
         let mut unfinished = BTreeSet::new();
         let mut cleaner = None;

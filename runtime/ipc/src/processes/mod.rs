@@ -13,6 +13,7 @@ mod runner;
 mod world;
 
 pub(crate) use allocator::into_error as into_allocator_error;
+pub(crate) use caretaker::Caretaker;
 pub(crate) use world::into_error as into_world_error;
 
 use std::time::Duration;
@@ -37,14 +38,14 @@ use crate::stop::Stop;
 use crate::waker::Wakeable;
 
 /// Longest wait for a bell, so that signals and missed wake-ups are noticed.
-const HEARTBEAT_NS: u64 = 100_000_000;
+pub(crate) const HEARTBEAT_NS: u64 = 100_000_000;
 /// Longest wait for a signal that explains a failure.
 const SIGNAL_PATIENCE: Duration = Duration::from_millis(100);
 /// Longest wait of runners and the allocator for a world.
 const WORLD_PATIENCE: Duration = Duration::from_secs(10);
 
 /// How long waits linger: some times as long as a sleeper takes to run.
-const LINGER: Duration = Duration::from_micros(100);
+pub(crate) const LINGER: Duration = Duration::from_micros(100);
 
 /// How long the waits of a world or runner linger, if nobody says. A team that is paced has time, and what it needs
 /// most is never to be late.

@@ -5,6 +5,7 @@ mod conformance;
 mod control;
 mod fill;
 mod own_world;
+mod policy;
 mod private;
 mod processes;
 mod reload;

@@ -18,6 +18,7 @@ use sortie_ipc::{
 };
 
 use crate::own_world;
+use crate::policy;
 use crate::private;
 use crate::reload;
 use crate::toy::{self, DecisionLog, ToyAllocator, ToyPolicy, ToyWorld, Watchdog};
@@ -55,6 +56,10 @@ fn child_process() {
     let parent = std::env::var(PARENT).unwrap().parse().unwrap();
     let settings = ProcessSettings { parent: Some(parent), ..ProcessSettings::default() };
     let stop = Stop::on_signals().unwrap();
+    if [policy::SERVER, policy::CLIENT].contains(&role.as_str()) {
+        policy::play(&role, &domain, &stop);
+        return;
+    }
     if [own_world::WORLD, own_world::RUNNER].contains(&role.as_str()) {
         own_world::play(&role, &domain).unwrap();
         return;

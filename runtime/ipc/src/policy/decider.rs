@@ -1,0 +1,75 @@
+//! A plan that decides on what messages carry, with the memory that it needs.
+
+use sortie_core::DecideError;
+use sortie_core::choose::masked_argmax;
+use sortie_core::plan::{AlignedBytes, Plan};
+
+use super::PolicySchema;
+use super::schema::MOST_PORTS;
+
+/// A plan with its recurrent state. A decision takes nothing from the heap.
+pub(super) struct Decider<'p> {
+    plan: &'p Plan<'p>,
+    arena: AlignedBytes,
+    inputs: Vec<usize>,
+    outputs: Vec<usize>,
+    actions: usize,
+    states: Vec<f32>,
+}
+
+impl<'p> Decider<'p> {
+    pub(super) fn new(plan: &'p Plan<'p>, schema: &PolicySchema) -> Self {
+        Self {
+            plan,
+            arena: AlignedBytes::zeroed(plan.arena_bytes()),
+            inputs: schema.inputs.iter().map(|port| port.length).collect(),
+            outputs: schema.outputs.iter().map(|port| port.length).collect(),
+            actions: schema.actions,
+            states: vec![0.0; plan.hidden()],
+        }
+    }
+
+    /// Brings plan and arena near, and forgets what that came to.
+    pub(super) fn warm(&mut self) {
+        self.plan.warm();
+        let inputs = vec![0.0; self.inputs.iter().sum()];
+        let mut outputs = vec![0.0; self.outputs.iter().sum()];
+        // Zeros may be no observation that this policy decides on.
+        let _ = self.decide(&inputs, &vec![1; self.actions], &mut outputs);
+        self.forget();
+    }
+
+    /// Begins an episode.
+    pub(super) fn forget(&mut self) {
+        self.states.fill(0.0);
+    }
+
+    /// Writes the outputs; returns the action, where the policy chooses one. An error leaves the state as it was.
+    pub(super) fn decide(
+        &mut self,
+        mut inputs: &[f32],
+        available: &[u16],
+        outputs: &mut [f32],
+    ) -> Result<Option<u16>, DecideError> {
+        if self.actions != 0 && available.iter().all(|&code| code == 0) {
+            return Err(DecideError::NoAvailableAction);
+        }
+        let mut given: [&[f32]; MOST_PORTS] = [&[]; MOST_PORTS];
+        for (place, &length) in given.iter_mut().zip(&self.inputs) {
+            *place = inputs.split_off(..length).ok_or(DecideError::BadLength)?;
+        }
+        let given = given.get(..self.inputs.len()).ok_or(DecideError::BadLength)?;
+        let mut places: [&mut [f32]; MOST_PORTS] = Default::default();
+        let mut rest = &mut *outputs;
+        for (place, &length) in places.iter_mut().zip(&self.outputs) {
+            *place = rest.split_off_mut(..length).ok_or(DecideError::BadLength)?;
+        }
+        let places = places.get_mut(..self.outputs.len()).ok_or(DecideError::BadLength)?;
+        self.plan.respond(self.arena.as_mut_slice(), given, &mut self.states, places)?;
+        if self.actions == 0 {
+            return Ok(None);
+        }
+        let scores = outputs.get(..self.actions).ok_or(DecideError::BadLength)?;
+        masked_argmax(scores, available).map(|decision| Some(decision.action))
+    }
+}
