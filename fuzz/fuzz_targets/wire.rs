@@ -7,8 +7,8 @@ use input::Input;
 use libfuzzer_sys::fuzz_target;
 use sortie_core::plan::AlignedBytes;
 use sortie_core::wire::{
-    ABI, ActionMsg, AllocMsg, ControlRep, ControlReq, FrameFormat, FrameHeader, FrameLayout, FrameMut,
-    FrameView, StatMsg,
+    ABI, ActionMsg, AllocMsg, AnswerHead, ControlRep, ControlReq, FrameFormat, FrameHeader,
+    FrameLayout, FrameMut, FrameView, ObservationHead, ServedFormat, StatMsg,
 };
 use sortie_core::{EntityMask, Shape, visible};
 use zerocopy::{FromBytes, IntoBytes};
@@ -28,6 +28,7 @@ fuzz_target!(|bytes: &[u8]| {
     if let Ok(layout) = FrameLayout::new(shape) {
         frame(&mut input, layout);
     }
+    served(&mut input, shape);
 });
 
 fn messages(input: &mut Input<'_>, shape: Shape) {
@@ -52,6 +53,36 @@ fn messages(input: &mut Input<'_>, shape: Shape) {
     }
     if let Ok(message) = ControlRep::read_from_bytes(input.bytes(size_of::<ControlRep>())) {
         assert!(message.text().len() <= message.text.len());
+    }
+}
+
+/// What a robot and the server of its policy say to each other, cut anywhere and of any bytes behind the magic.
+fn served(input: &mut Input<'_>, shape: Shape) {
+    let Ok(format) = ServedFormat::new(SCHEMA, shape.entities, shape.agents, shape.actions) else {
+        return;
+    };
+    for magic in [ObservationHead::MAGIC, AnswerHead::MAGIC] {
+        let bytes =
+            [format.observation_bytes(), format.answer_bytes(), input.up_to(800)][input.up_to(2)];
+        let mut message = AlignedBytes::zeroed(bytes);
+        let drawn = input.bytes(bytes.saturating_sub(16));
+        let beginning = [magic.to_le_bytes(), u32::from(ABI).to_le_bytes(), [0; 4], [0; 4]];
+        let beginning = beginning.iter().flatten().copied();
+        for (to, from) in
+            message.as_mut_slice().iter_mut().zip(beginning.chain(drawn.iter().copied()))
+        {
+            *to = from;
+        }
+        if let Ok(view) = format.read_observation(message.as_slice()) {
+            assert_eq!(
+                (view.inputs.len(), view.available.len()),
+                (format.inputs(), format.actions())
+            );
+            assert_eq!(ObservationHead::of(message.as_slice()), Some(view.head));
+        }
+        if let Ok(view) = format.read_answer(message.as_slice()) {
+            assert_eq!(view.outputs.len(), format.outputs());
+        }
     }
 }
 

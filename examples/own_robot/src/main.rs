@@ -35,9 +35,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     match words[..] {
         [] => drive(),
         ["latency"] => latency::measure(Duration::ZERO),
-        ["latency", microseconds] => {
-            latency::measure(Duration::from_micros(microseconds.parse()?))
-        }
+        ["latency", microseconds] => latency::measure(Duration::from_micros(microseconds.parse()?)),
         [latency::ANSWER, folder] => latency::answer(folder.as_ref()),
         _ => Err("expected nothing, or `latency [MICROSECONDS]`".into()),
     }

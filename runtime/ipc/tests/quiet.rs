@@ -10,6 +10,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use rustix::thread::{disable_syscall_user_dispatch, enable_syscall_user_dispatch};
+use sortie_core::plan::Plan;
 use sortie_core::roles::{
     AllocatorOptions, AllocatorRole, Identity, Poll, RunnerOptions, RunnerRole, TickReport,
     WorldObserver, WorldOptions, WorldRole,
@@ -20,8 +21,9 @@ use sortie_core::{
     Policy, Shape, StepOutcome, UnavailableAction, World,
 };
 use sortie_ipc::{
-    BellKind, ControlRx, Domain, DomainContract, DomainFacts, IoxAgent, IoxAllocator, IoxWorld,
-    LinkSetup,
+    BellKind, ClientSettings, ControlRx, Domain, DomainContract, DomainFacts, Expected, Fallback,
+    IoxAgent, IoxAllocator, IoxWorld, LinkSetup, PolicyClient, PolicySchema, PolicyServer,
+    RealTime, ServeSettings, Served, Stop,
 };
 
 const SHAPE: Shape = Shape { agents: 8, entities: 16, tasks: 4, actions: 14, features: 58 };
@@ -276,6 +278,40 @@ fn a_tick_without_sleepers_calls_neither_kernel_nor_heap() {
     });
     assert_eq!((calls, heap_calls), (0, 0), "system calls, calls of the heap");
     assert_eq!(team.ticks.allocated - allocated, TICKS / 4);
+}
+
+#[test]
+fn neither_end_of_a_served_policy_calls_the_heap() {
+    const CART: &[u8] = sortie_core::include_plan!("../../../examples/embed_c/cart.plan");
+    let plan = Plan::load(CART).unwrap();
+    let schema = PolicySchema::of_plan(&plan).unwrap();
+    let domain = Domain::new(&format!("served{}", std::process::id())).unwrap();
+    let deadline = Duration::from_secs(3600);
+    let (stop, fallback, real_time) = (Stop::new(), Fallback::Hold, RealTime::default());
+    let settings = ServeSettings { deadline, fallback, linger: None, real_time };
+    std::thread::scope(|scope| {
+        let server = scope.spawn(|| {
+            let mut server = PolicyServer::open(&domain, schema, &settings).unwrap();
+            let mut heap_calls = Vec::with_capacity(WARM_UP + TICKS);
+            let mut note = |_: &Served| heap_calls.push(HEAP_CALLS.get());
+            server.serve(&plan, &mut note, &stop).unwrap();
+            heap_calls[heap_calls.len() - 1] - heap_calls[WARM_UP]
+        });
+        let expected = Expected { inputs: &[("", 1)], outputs: &[("", 1)], actions: 0 };
+        let settings = ClientSettings::default();
+        let mut client = PolicyClient::connect(&domain, &expected, &settings).unwrap();
+        let mut decide = |times| {
+            for _ in 0..times {
+                client.decide(&[&[0.5]], &[]).unwrap();
+            }
+        };
+        decide(WARM_UP);
+        let before = HEAP_CALLS.get();
+        decide(TICKS);
+        let heap_calls = HEAP_CALLS.get() - before;
+        stop.stop();
+        assert_eq!((heap_calls, server.join().unwrap()), (0, 0), "calls of client and server");
+    });
 }
 
 #[test]

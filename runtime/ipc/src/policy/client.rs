@@ -186,12 +186,12 @@ impl PolicyClient {
     }
 
     fn check(&self, inputs: &[&[f32]], available: &[u16]) -> Result<(), Error> {
-        let PolicySchema { actions, inputs: wanted, .. } = &self.schema;
-        let got: Vec<usize>;
-        let problem = if !wanted.iter().map(|port| port.length).eq(inputs.iter().map(|i| i.len())) {
-            got = inputs.iter().map(|input| input.len()).collect();
-            let wanted: Vec<usize> = wanted.iter().map(|port| port.length).collect();
-            format!("its inputs have {got:?} numbers, the policy's {wanted:?}")
+        let PolicySchema { actions, inputs: ports, .. } = &self.schema;
+        let wanted = || ports.iter().map(|port| port.length);
+        let given = || inputs.iter().map(|input| input.len());
+        let problem = if !wanted().eq(given()) {
+            let [given, wanted]: [Vec<_>; 2] = [given().collect(), wanted().collect()];
+            format!("its inputs have {given:?} numbers, the policy's {wanted:?}")
         } else if available.len() != *actions {
             format!("its mask is about {} actions, the policy's {actions}", available.len())
         } else {
