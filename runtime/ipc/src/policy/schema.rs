@@ -58,11 +58,10 @@ impl PolicySchema {
     pub fn of_plan(plan: &Plan<'_>) -> Result<Self, Error> {
         let bad = |problem: String| Error::NotServed { problem };
         plan.check_network(Network::Policy).map_err(|error| bad(error.to_string()))?;
-        let program = plan.program();
-        let port = |length: u32| Port { name: String::new(), length: length as usize };
-        let inputs: Vec<Port> = program.inputs().map(|input| port(input.to.len)).collect();
-        let outputs: Vec<Port> = program.outputs().map(|output| port(output.width)).collect();
-        let states = program.states().map(|state| port(state.from.len)).collect();
+        let port = |length: usize| Port { name: String::new(), length };
+        let inputs: Vec<Port> = plan.inputs().map(port).collect();
+        let outputs: Vec<Port> = plan.outputs().map(port).collect();
+        let states = plan.states().map(port).collect();
         for (what, count) in [("inputs", inputs.len()), ("outputs", outputs.len())] {
             if count == 0 || count > MOST_PORTS {
                 return Err(bad(format!("it has {count} {what}, from 1 to {MOST_PORTS} are")));
@@ -70,7 +69,7 @@ impl PolicySchema {
         }
         // A choice is made of the first output's scores.
         let scores = outputs.first().map_or(0, |output| output.length);
-        let chooses = program.utilities().is_some() && scores == plan.actions();
+        let chooses = plan.chooses() && scores == plan.actions();
         Ok(Self { actions: if chooses { scores } else { 0 }, inputs, outputs, states })
     }
 
