@@ -2,7 +2,6 @@
 
 mod policy;
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -11,7 +10,7 @@ use sortie_bundle::hex;
 use sortie_core::plan::Profile;
 use sortie_plans::{
     Agreement, CompileError, CompileOptions, Compiled, Compiler, LEAST_AGREEMENT,
-    LEAST_OBSERVATIONS, PolicyOptions, Quantised, Report, quantise,
+    LEAST_OBSERVATIONS, PolicyOptions, Quantised, Report, quantise, read_onnx,
 };
 
 use crate::compiler::{compiler, with_plans};
@@ -109,7 +108,7 @@ pub(crate) fn run(arguments: &CompileArguments) -> Outcome {
     if path.is_dir() {
         return compile_bundle(arguments);
     }
-    let onnx = fs::read(path).map_err(|error| Failure::file(path, &error))?;
+    let onnx = read_onnx(path).map_err(|error| Failure::file(path, &error))?;
     let options = CompileOptions {
         n_max: arguments.n_max.into(),
         profile: arguments.profile.profile(),

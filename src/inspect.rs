@@ -3,13 +3,12 @@
 mod onnx;
 mod run;
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde::Serialize;
 use sortie_bundle::{AGENT, ALLOCATOR, Bundle, MANIFEST, Manifest, TRAINING, hex};
-use sortie_plans::{CompileOptions, OnnxFacts, PlanFacts, PolicyOptions, inspect_plan};
+use sortie_plans::{CompileOptions, OnnxFacts, PlanFacts, PolicyOptions, inspect_plan, read_onnx};
 
 use crate::compiler::compiler;
 use crate::deployment::open_bundle;
@@ -58,7 +57,7 @@ pub(crate) fn run(arguments: &InspectArguments) -> Outcome {
         arguments.refuse_policy()?;
         return if is_run { run::inspect(path, json) } else { inspect_bundle(path, json) };
     }
-    let bytes = fs::read(path).map_err(|error| Failure::file(path, &error))?;
+    let bytes = read_onnx(path).map_err(|error| Failure::file(path, &error))?;
     if bytes.starts_with(PLAN_MAGIC) {
         arguments.refuse_policy()?;
         let facts = inspect_plan(&bytes);

@@ -1,6 +1,5 @@
 //! `sortie serve`: a policy decides for a robot's program, over shared memory.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -11,7 +10,7 @@ use sortie_ipc::{
     Domain, Fallback, PolicySchema, PolicyServer, Port, RealTime, ServeCounters, ServeSettings,
     Served,
 };
-use sortie_plans::{Annex, CompileError, CompileOptions};
+use sortie_plans::{Annex, CompileError, CompileOptions, read_onnx};
 
 use crate::compiler::compiler;
 use crate::engines::check_program;
@@ -123,7 +122,7 @@ pub(crate) fn run(arguments: &ServeArguments) -> Outcome {
 /// The plan of a file: itself, or what the limited process compiles of it.
 fn open_plan(arguments: &ServeArguments) -> Result<AlignedBytes, Failure> {
     let path = &arguments.policy;
-    let bytes = fs::read(path).map_err(|error| Failure::file(path, &error))?;
+    let bytes = read_onnx(path).map_err(|error| Failure::file(path, &error))?;
     if bytes.starts_with(PLAN) {
         return Ok(AlignedBytes::copy_of(&bytes));
     }

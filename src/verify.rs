@@ -3,7 +3,6 @@
 mod recorded;
 mod verdict;
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
@@ -14,7 +13,7 @@ use sortie_plans::{
     BundlePlans, Comparison, CompileError, CompileOptions, Compiler, CompilerProcess, GraphEngine,
     ObservationSizes, OnnxRuntimeEngine, PolicyOptions, ProposalFiles, TeamQuerySizes, agreement,
     compare_with_golden, compare_with_golden_allocations, inspect_plan, observation_families,
-    random_allocation_states, random_entities, team_query_families,
+    random_allocation_states, random_entities, read_onnx, team_query_families,
 };
 
 use crate::allocator::LearnedAllocator;
@@ -173,7 +172,7 @@ fn compare(arguments: &VerifyArguments) -> Result<Report, Failure> {
         let message = "golden observations belong to a bundle: name its folder";
         return Err(Failure::new(Exit::Usage, message));
     } else {
-        let onnx = fs::read(subject).map_err(|error| Failure::file(subject, &error))?;
+        let onnx = read_onnx(subject).map_err(|error| Failure::file(subject, &error))?;
         let network = Judged::file(arguments, &onnx)?;
         engines.extend(judged(arguments, &network, &judges)?);
     }
@@ -192,7 +191,7 @@ fn is_policy(arguments: &VerifyArguments) -> Result<bool, Failure> {
     if arguments.observations.is_some() || arguments.asks_for(Peer::Golden) {
         return Ok(false);
     }
-    let onnx = fs::read(subject).map_err(|error| Failure::file(subject, &error))?;
+    let onnx = read_onnx(subject).map_err(|error| Failure::file(subject, &error))?;
     let inspected = compiler().inspect(&onnx, &options).map_err(within(subject))?;
     inspected.policy.transpose().map(|policy| policy.is_some()).map_err(within(subject))
 }

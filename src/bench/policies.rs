@@ -1,13 +1,12 @@
 //! `bench policy`: a policy whoever exported it, as a plan and by the peers.
 
-use std::fs;
 use std::path::PathBuf;
 
 use clap::Args;
 use sortie_core::plan::{AlignedBytes, PlanError, Profile};
 use sortie_plans::{
     CompileError, CompileOptions, FlatPolicy, PlanFlatPolicy, PolicyFacts, PolicyOptions,
-    random_policy_inputs,
+    random_policy_inputs, read_onnx,
 };
 
 use super::contestants::{PROFILES, floor_of};
@@ -47,7 +46,7 @@ pub(super) struct PolicyBenchArguments {
 pub(super) fn measure(arguments: &PolicyBenchArguments) -> Result<Figures, Failure> {
     let mut figures = Figures::default();
     for file in &arguments.files {
-        let onnx = fs::read(file).map_err(|error| Failure::file(file, &error))?;
+        let onnx = read_onnx(file).map_err(|error| Failure::file(file, &error))?;
         let name = file.file_stem().unwrap_or(file.as_os_str()).display().to_string();
         measure_one(arguments, &name, &onnx, &mut figures)
             .map_err(|failure| failure.within(file.display()))?;

@@ -1,13 +1,12 @@
 //! A policy that somebody else exported, beside what was recorded of it, or its engines beside each other.
 
-use std::fs;
 use std::path::Path;
 
 use sortie_core::plan::AlignedBytes;
 use sortie_plans::{
     Comparison, CompileError, CompileOptions, CompiledPolicy, FlatPolicy, OutputRole,
     PlanFlatPolicy, PolicyAnswer, PolicyFacts, PolicyOptions, PolicyOutput, RecordedCase,
-    random_policy_inputs,
+    random_policy_inputs, read_onnx,
 };
 
 use super::{Compared, Judges, Report, VerifyArguments, within};
@@ -33,7 +32,7 @@ pub(super) fn compare(
     judges: &Judges,
 ) -> Result<Report, Failure> {
     let (subject, options) = (&arguments.subject, arguments.policy.options());
-    let onnx = fs::read(subject).map_err(|error| Failure::file(subject, &error))?;
+    let onnx = read_onnx(subject).map_err(|error| Failure::file(subject, &error))?;
     let failed = within(subject);
     // What this process reads has then been read and run elsewhere.
     let facts = compiler().rehearse_policy(&onnx, &options).map_err(&failed)?;

@@ -1,11 +1,11 @@
 //! What a plan is made of: a file's path, or bytes.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::{PyByteArray, PyBytes};
+use sortie_plans::read_onnx;
 
 use crate::errors::{of_file, within};
 
@@ -33,7 +33,7 @@ impl Source {
             ))
         })?;
         let bytes =
-            given.py().detach(|| fs::read(&path)).map_err(|error| of_file(&path, &error))?;
+            given.py().detach(|| read_onnx(&path)).map_err(|error| of_file(&path, &error))?;
         Ok(Self { path: Some(path), bytes })
     }
 

@@ -19,6 +19,7 @@ mod families;
 mod golden_allocations;
 mod layers;
 mod observations;
+mod onnx_file;
 mod policy;
 mod policy_agreement;
 mod policy_plan;
@@ -54,6 +55,7 @@ pub use observations::{
     random_observations_of, random_policy_inputs, random_states, random_team_queries,
     random_team_queries_of,
 };
+pub use onnx_file::read_onnx;
 pub use policy::{
     FlatPolicy, InputRole, OutputRole, PolicyAnswer, PolicyFacts, PolicyInput, PolicyOptions,
     PolicyOutput, PolicyState, ValueType,

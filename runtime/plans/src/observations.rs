@@ -6,7 +6,7 @@ use sortie_bundle::{OwnedAllocationState, OwnedObservation};
 use sortie_core::allocate::TeamQuery;
 use sortie_core::{AllocationState, Entities, EntityMask, NO_ACTION, limits};
 
-use crate::policy::{InputRole, PolicyFacts, PolicyInput};
+use crate::policy::{InputRole, PolicyFacts, PolicyInput, ValueType};
 
 /// A team at a subtask, with all that its value depends on.
 #[derive(Clone, Debug, PartialEq)]
@@ -56,10 +56,14 @@ impl OwnedEntities {
 pub fn random_policy_inputs(count: usize, facts: &PolicyFacts, seed: u64) -> Vec<Vec<Vec<f32>>> {
     let mut random = Random(Xoshiro256PlusPlus::seed_from_u64(seed));
     let mut input = |input: &PolicyInput, sparse: bool| {
-        let is_mask = input.kind.is_mask() || input.role == InputRole::Available;
+        let is_mask = match input.role {
+            InputRole::Observation => input.kind == ValueType::Bool,
+            role => input.kind.is_mask() || role == InputRole::Available,
+        };
         let mut number = || match input.kind {
             _ if is_mask => f32::from(u8::from(random.below(3) > 0)),
             kind if kind.is_integer() => random.below(2) as f32,
+            ValueType::U8 => random.below(256) as f32,
             _ => random.feature(sparse),
         };
         let mut numbers: Vec<f32> = (0..input.length()).map(|_| number()).collect();

@@ -106,12 +106,17 @@ impl Selection {
         asked: Option<&str>,
     ) -> Result<Vec<PolicyInput>, CompileError> {
         let available = self.available(&inputs, outputs, asked)?;
+        let has_floats = inputs.iter().any(|input| {
+            input.is_float() && !self.states.iter().any(|pair| pair.input == input.name)
+        });
         let mut facts = Vec::new();
         for input in inputs {
             let role = match &input {
                 _ if self.states.iter().any(|pair| pair.input == input.name) => InputRole::State,
                 _ if available.as_ref() == Some(&input.name) => InputRole::Available,
                 _ if input.is_float() => InputRole::Observation,
+                // Pictures and discrete observations, unless they stand beside an observation of floats.
+                _ if !has_floats && input.is_whole() => InputRole::Observation,
                 _ => InputRole::Extra,
             };
             let (kind, shape) = known(&input)?;
@@ -121,7 +126,7 @@ impl Selection {
             let found = listed(facts.iter().map(|input| {
                 format!("`{}` {} ({})", input.name, input.kind.name(), input.role.name())
             }));
-            let reason = format!("it needs an observation, an input of floats, and has {found}");
+            let reason = format!("it needs an observation, an input of numbers, and has {found}");
             return Err(CompileError::NoPolicy { reason });
         }
         Ok(facts)

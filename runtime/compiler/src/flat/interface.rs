@@ -59,10 +59,15 @@ impl Interface {
         let scores = self.scores.iter().map(|place| place.and_then(|place| given.get(place)));
         let answer = |((numbers, _), scores): ((&Vec<f32>, _), Option<&Vec<f32>>)| PolicyAnswer {
             numbers: numbers.clone(),
-            scores: scores.cloned().unwrap_or_default(),
+            scores: scores.map_or_else(Vec::new, |scores| scores.iter().map(finite).collect()),
         };
         Ok(wanted.zip(scores).map(answer).collect())
     }
+}
+
+/// A score; what must not be chosen often has the score minus infinity.
+fn finite(score: &f32) -> f32 {
+    if *score == f32::NEG_INFINITY { f32::MIN } else { *score }
 }
 
 /// An engine or the reader gave other inputs or outputs than were asked for.

@@ -18,6 +18,7 @@ mod values;
 use sortie_plans::{CompileError, PolicyOptions};
 use tract_onnx::pb;
 use tract_onnx::prelude::*;
+use tract_onnx::tract_core::ops::scan::Scan;
 
 use crate::graph::guarded;
 pub(crate) use interface::{Interface, other_values};
@@ -42,7 +43,16 @@ impl FlatGraph {
         let selection = Selection::of(&file, &values, options)?;
         let outputs = selection.outputs();
         let file = cut(&file, &outputs);
-        let read = || reader().model_for_proto_model(&file)?.into_typed()?.into_decluttered();
+        let read = || {
+            let mut model = reader().model_for_proto_model(&file)?.into_typed()?;
+            // ONNX has no memory of its own: every run begins with the state that goes in.
+            for node in &mut model.nodes {
+                if let Some(scan) = node.op_as_mut::<Scan>() {
+                    scan.reset_every_turn = true;
+                }
+            }
+            model.into_decluttered()
+        };
         let model = guarded(read).map_err(|reason| CompileError::Unreadable { reason })?;
         let facts = selection.facts(&file, &model, options)?;
         let scores = selection.scores(&outputs, &model);

@@ -33,8 +33,12 @@ pub(super) fn wanted(
         return Ok(outputs.iter().filter_map(of).collect());
     }
     let choices = outputs.iter().copied().filter(|output| is_choice(output));
-    let like_actions = outputs.iter().copied().filter(|output| is_like_actions(&output.name));
-    for found in [choices.collect(), like_actions.collect(), outputs.to_vec()] {
+    let named = |is_like: fn(&str) -> bool| -> Vec<&Value> {
+        outputs.iter().copied().filter(|output| is_like(&output.name.to_lowercase())).collect()
+    };
+    let ways =
+        [choices.collect(), named(is_without_chance), named(is_like_actions), outputs.to_vec()];
+    for found in ways {
         match found.as_slice() {
             [] => {}
             [one] => return Ok(vec![Wanted { name: one.name.clone(), said: None }]),
@@ -66,9 +70,14 @@ fn unclear(outputs: &[&Value]) -> CompileError {
     }
 }
 
+/// Whether a name in small letters says that nothing is drawn at random, beside outputs that are.
+fn is_without_chance(name: &str) -> bool {
+    name.starts_with("deterministic") && name.contains("action")
+}
+
+/// Whether a name in small letters is one of actions, of their values or of what they are drawn around.
 fn is_like_actions(name: &str) -> bool {
-    let name = name.to_lowercase();
-    ["action", "q", "logits"].iter().any(|start| name.starts_with(start))
+    name == "mu" || ["action", "q", "logits"].iter().any(|start| name.starts_with(start))
 }
 
 /// What the numbers of an output are: as it is said, else by its name, else discrete where there is a mask for them.

@@ -63,6 +63,11 @@ impl Value {
         self.kind.is_some_and(ValueType::is_float)
     }
 
+    /// Whether it has numbers that are whole.
+    pub(super) fn is_whole(&self) -> bool {
+        self.kind.is_some_and(|kind| kind.is_integer() || kind == ValueType::U8)
+    }
+
     /// Type and sizes.
     pub(super) fn text(&self) -> String {
         let kind = self.kind.map_or("of unknown type", ValueType::name);

@@ -27,6 +27,9 @@ fn a_choice_comes_before_names_and_names_before_the_only_output() {
         assert_eq!(chosen(&["value", name, "log_prob"], &[]).unwrap(), [name]);
     }
     assert_eq!(chosen(&["29"], &[]).unwrap(), ["29"]);
+    assert_eq!(chosen(&["mu", "log_std", "value"], &[]).unwrap(), ["mu"]);
+    let drawn = ["continuous_actions", "deterministic_continuous_actions", "action_shape"];
+    assert_eq!(chosen(&drawn, &[]).unwrap(), drawn[1..2]);
 }
 
 #[test]

@@ -1,9 +1,10 @@
 //! Numbers in another order: transposed, cut out, repeated, beside each other.
 
-use sortie_core::internal::ops::{Arrange, Op, Place};
+use sortie_core::internal::ops::{Arrange, Combination, Multiply, Op, Place};
 use tract_onnx::prelude::*;
-use tract_onnx::tract_core::ops::array::Slice;
+use tract_onnx::tract_core::ops::array::{OneHot, Slice};
 use tract_onnx::tract_core::ops::change_axes::AxisOp;
+use tract_onnx::tract_core::ops::downsample::Downsample;
 use tract_onnx::tract_hir::internal::DimLike;
 
 use super::values::{Value, numbers};
@@ -166,6 +167,27 @@ impl Lowering<'_> {
         Ok(to)
     }
 
+    /// Every so many parts of a value along one axis.
+    pub(super) fn every(&mut self, node: &TypedNode, every: &Downsample) -> Lowered<()> {
+        let (value, shape) = (self.operand(node, 0)?, self.shape(node, 0)?);
+        let stride = usize::try_from(every.stride);
+        let stride = stride.map_err(|_| self.unsupported(node, "it goes backwards"))?;
+        let (steps, own) = (strides(&value.shape), strides(&shape));
+        let step =
+            |axis: usize| if axis == every.axis { steps[axis] * stride } else { steps[axis] };
+        let dimensions: Vec<Dimension> = (0..shape.len())
+            .map(|axis| Dimension { size: shape[axis], from: step(axis), to: own[axis] })
+            .collect();
+        let skipped = (every.modulo * steps[every.axis]) as u32;
+        let from = Place {
+            offset: value.place.offset + skipped,
+            len: value.place.len.saturating_sub(skipped),
+        };
+        let to = self.arena.place(shape.iter().product());
+        self.arrange(node, from, to, &dimensions)?;
+        self.give(node, 0, to)
+    }
+
     pub(super) fn concat(&mut self, node: &TypedNode, axis: usize) -> Lowered<()> {
         let shape = self.shape(node, 0)?;
         let own = strides(&shape);
@@ -185,12 +207,61 @@ impl Lowering<'_> {
         self.give(node, 0, whole)
     }
 
+    /// Rows of zeros but for a one, each where a number says.
+    pub(super) fn one_hot(&mut self, node: &TypedNode, hot: &OneHot) -> Lowered<()> {
+        let value = self.operand(node, 0)?;
+        let numbers = [&hot.off, &hot.on].map(|tensor| numbers(tensor));
+        let is_plain = numbers == [Some(vec![0.0]), Some(vec![1.0])];
+        let is_last = value.shape[hot.axis..].iter().all(|size| *size == 1);
+        if !is_plain || !is_last {
+            let hint = "plans have rows of zeros and a one along the last axis";
+            return Err(self.unsupported(node, hint));
+        }
+        let place = self.hot(node, value.place, hot.dim)?;
+        self.give(node, 0, place)
+    }
+
+    /// A row of so many numbers for each index: 1 where the index says, else 0. Indices may count from the end.
+    fn hot(&mut self, node: &TypedNode, indices: Place, size: usize) -> Lowered<Place> {
+        let repeated = self.arena.place(indices.len as usize * size);
+        let of = |size, from, to| Dimension { size, from, to };
+        let dimensions = [of(indices.len as usize, 1, size), of(size, 0, 1)];
+        self.arrange(node, indices, repeated, &dimensions)?;
+        let mut is_at = |first: f32| {
+            let places: Vec<f32> = (0..size).map(|place| place as f32 + first).collect();
+            let places = self.stored(&places.repeat(indices.len as usize));
+            self.combine(Combination::Equal, places, repeated)
+        };
+        let (from_start, from_end) = (is_at(0.0), is_at(-(size as f32)));
+        Ok(self.combine(Combination::Or, from_start, from_end))
+    }
+
+    /// Rows of a table where the numbers of the rows are computed: products with rows of zeros and a one.
+    fn looked_up(&mut self, node: &TypedNode, axis: usize) -> Lowered<()> {
+        let (table, indices) = (self.operand(node, 0)?, self.operand(node, 1)?.place);
+        if axis != 0 || table.shape.is_empty() {
+            return Err(self.unsupported(node, "which rows it takes is computed"));
+        }
+        let (inner, columns) = (table.shape[0], table.shape[1..].iter().product::<usize>());
+        let left = self.hot(node, indices, inner)?;
+        let to = self.arena.place(indices.len as usize * columns);
+        let [rows, inner, columns] = [indices.len as usize, inner, columns].map(|n| n as u32);
+        self.ops.push(Op::Multiply(Multiply {
+            rows,
+            inner,
+            columns,
+            left,
+            right: table.place,
+            to,
+        }));
+        self.give(node, 0, to)
+    }
+
     /// Parts of a value whose numbers are constant.
     pub(super) fn gather(&mut self, node: &TypedNode, axis: usize) -> Lowered<()> {
         let indices = self.outlet(node, 1)?;
         let indices = self.constant(indices).and_then(|tensor| numbers(&tensor));
-        let indices =
-            indices.ok_or_else(|| self.unsupported(node, "which rows it takes is computed"))?;
+        let Some(indices) = indices else { return self.looked_up(node, axis) };
         let value = self.operand(node, 0)?;
         let size = value.shape[axis];
         let index = |index: &f32| if *index < 0.0 { *index + size as f32 } else { *index } as usize;

@@ -1,6 +1,6 @@
 //! Recurrent units: what stands between and behind their products.
 
-use sortie_core::internal::ops::{GruCell, LstmCell, Op, Place};
+use sortie_core::internal::ops::{GruCell, LstmCell, Op};
 use tract_onnx::prelude::*;
 use tract_onnx::tract_core::ops::binary::TypedBinOp;
 
@@ -33,7 +33,7 @@ impl Lowering<'_> {
             &[input, recurrent] => ([self.place_of(input)?, self.place_of(recurrent)?], sum.bias),
             _ => {
                 let all = self.operand(node, 0)?.place;
-                ([all, self.zeros(gates)], vec![0.0; gates])
+                ([all, self.stored(&vec![0.0; gates])], vec![0.0; gates])
             }
         };
         let [input, recurrent] = values;
@@ -69,13 +69,6 @@ impl Lowering<'_> {
         } else {
             sum.values.push(outlet);
         }
-    }
-
-    fn zeros(&mut self, count: usize) -> Place {
-        let to = self.arena.place(count);
-        let weights = self.weights.add_numbers(&vec![0.0; count]);
-        self.ops.push(Op::Constant(sortie_core::internal::ops::Constant { weights, to }));
-        to
     }
 }
 

@@ -1,90 +1,124 @@
 //! Convolutions: a layer on every patch of a picture.
 
 use sortie_core::internal::kernels::product::padded;
-use sortie_core::internal::ops::{Convolve, Flag, Op};
+use sortie_core::internal::ops::{Convolve, Flag, Op, Place};
 use tract_onnx::prelude::*;
-use tract_onnx::tract_core::ops::cnn::{Conv, KernelFormat};
+use tract_onnx::tract_core::ops::cnn::{Conv, KernelFormat, PoolSpec};
 
-use super::values::numbers;
+use super::values::{Value, numbers};
 use super::weights::PolicyWeights;
 use super::{Lowered, Lowering};
 use crate::lower::agent::at_most;
 use crate::matching::{Layer, Matrix};
 use sortie_plans::CompileError;
 
+/// The patches of a picture, along both of its directions.
+pub(super) struct Patches {
+    pub(super) channels: usize,
+    pub(super) size: [usize; 2],
+    pub(super) kernel: [usize; 2],
+    pub(super) stride: [usize; 2],
+    pub(super) dilation: [usize; 2],
+    /// Points outside of the picture, above it and on its left.
+    pub(super) before: [usize; 2],
+    pub(super) result: [usize; 2],
+}
+
 impl Lowering<'_> {
     pub(super) fn convolve(&mut self, node: &TypedNode, conv: &Conv) -> Lowered<()> {
         let value = self.operand(node, 0)?;
         let unsupported = |hint| self.unsupported(node, hint);
-        if conv.group != 1 || conv.q_params.is_some() {
-            return Err(unsupported("plans convolve all channels at once, in f32"));
+        if conv.q_params.is_some() {
+            return Err(unsupported("plans convolve in f32"));
         }
         let PolicyWeights::Tiles(_) = &self.weights else {
             return Err(CompileError::NoInt8 { what: "a convolution".into() });
         };
-        let spec = &conv.pool_spec;
-        let shape = spec.data_format.shape(value.shape.clone());
-        let shape = shape.map_err(|_| unsupported("its picture has other sizes"))?;
-        let is_one = shape.n().is_none_or(|batch| *batch == 1);
-        if !is_one || spec.data_format.c_is_last() || !(1..=2).contains(&shape.hw_rank()) {
-            return Err(unsupported(
-                "plans convolve one picture of one or two dimensions, channels first",
-            ));
-        }
-        let layer = self.kernel(node, conv)?;
-        let mut layer = layer.ok_or_else(|| unsupported("its kernel is no constant"))?;
+        let patches = self.patches(node, &conv.pool_spec, &value)?;
+        let groups = self.kernels(node, conv)?;
+        let groups = groups.ok_or_else(|| unsupported("its kernel is no constant"))?;
         let relu = self.relu_after(node);
-        layer.relu = relu.is_some();
-        at_most("the width of a layer", layer.matrix.inputs, usize::from(u16::MAX) / 8)?;
-        let padding = spec.computed_padding(shape.hw_dims());
-        // A line is a picture of one row.
-        let both = |of: &dyn Fn(usize) -> usize, line: u32| match shape.hw_rank() {
-            1 => [line, of(0) as u32],
-            _ => [of(0) as u32, of(1) as u32],
-        };
-        let size = both(&|axis| shape.hw_dims()[axis], 1);
-        let kernel = both(&|axis| spec.kernel_shape[axis], 1);
-        let stride = both(&|axis| spec.stride(axis), 1);
-        let dilation = both(&|axis| spec.dilation(axis), 1);
-        let before = both(&|axis| padding[axis].pad_before, 0);
-        let result = both(&|axis| padding[axis].convoluted, 1);
-        let (inputs, outputs) = (layer.matrix.inputs, layer.matrix.outputs);
-        let [height, width] = result.map(|size| size as usize);
-        let to = self.arena.place(outputs * height * width);
+        let channels = patches.channels / groups.len();
+        let (outputs, inputs) = (conv.pool_spec.output_channels, channels * area(patches.kernel));
+        at_most("the width of a layer", inputs, usize::from(u16::MAX) / 8)?;
+        let to = self.arena.place(outputs * area(patches.result));
         let patch = self.arena.place(inputs);
-        let point = self.arena.place(padded(outputs));
-        let PolicyWeights::Tiles(weights) = &mut self.weights else { return Ok(()) };
-        self.ops.push(Op::Convolve(Convolve {
-            layer: weights.add_layer(&layer),
-            relu: Flag::from(layer.relu),
-            channels: *shape.c() as u32,
-            size,
-            kernel,
-            stride,
-            dilation,
-            padding: before,
-            result,
-            from: value.place,
-            patch,
-            point,
-            to,
-        }));
+        let point = self.arena.place(padded(outputs / groups.len()));
+        // Groups of channels stand behind each other, and know nothing of each other.
+        let parts = [value.place, to].map(|place| place.len / groups.len() as u32);
+        for (group, mut layer) in (0..).zip(groups) {
+            layer.relu = relu.is_some();
+            let part = |place: Place, len: u32| Place { offset: place.offset + group * len, len };
+            let PolicyWeights::Tiles(weights) = &mut self.weights else { return Ok(()) };
+            let whole = |sizes: [usize; 2]| sizes.map(|size| size as u32);
+            self.ops.push(Op::Convolve(Convolve {
+                layer: weights.add_layer(&layer),
+                relu: Flag::from(layer.relu),
+                channels: channels as u32,
+                size: whole(patches.size),
+                kernel: whole(patches.kernel),
+                stride: whole(patches.stride),
+                dilation: whole(patches.dilation),
+                padding: whole(patches.before),
+                result: whole(patches.result),
+                from: part(value.place, parts[0]),
+                patch,
+                point,
+                to: part(to, parts[1]),
+            }));
+        }
         self.give(node, 0, to)?;
         relu.map_or(Ok(()), |relu| self.give(relu, 0, to))
     }
 
-    /// The kernel as a layer on patches, channel behind channel; none where it is no constant.
-    fn kernel(&self, node: &TypedNode, conv: &Conv) -> Lowered<Option<Layer>> {
+    /// The patches that a convolution or a pool works on.
+    pub(super) fn patches(
+        &self,
+        node: &TypedNode,
+        spec: &PoolSpec,
+        value: &Value,
+    ) -> Lowered<Patches> {
+        let shape = spec.data_format.shape(value.shape.clone());
+        let shape = shape.map_err(|_| self.unsupported(node, "its picture has other sizes"))?;
+        let is_one = shape.n().is_none_or(|batch| *batch == 1);
+        if !is_one || spec.data_format.c_is_last() || !(1..=2).contains(&shape.hw_rank()) {
+            let hint = "plans take one picture of one or two dimensions, channels first";
+            return Err(self.unsupported(node, hint));
+        }
+        let padding = spec.computed_padding(shape.hw_dims());
+        // A line is a picture of one row.
+        let both = |of: &dyn Fn(usize) -> usize, line: usize| match shape.hw_rank() {
+            1 => [line, of(0)],
+            _ => [of(0), of(1)],
+        };
+        Ok(Patches {
+            channels: *shape.c(),
+            size: both(&|axis| shape.hw_dims()[axis], 1),
+            kernel: both(&|axis| spec.kernel_shape[axis], 1),
+            stride: both(&|axis| spec.stride(axis), 1),
+            dilation: both(&|axis| spec.dilation(axis), 1),
+            before: both(&|axis| padding[axis].pad_before, 0),
+            result: both(&|axis| padding[axis].convoluted, 1),
+        })
+    }
+
+    /// The kernel of every group as a layer on patches, channel behind channel; none where it is no constant.
+    fn kernels(&self, node: &TypedNode, conv: &Conv) -> Lowered<Option<Vec<Layer>>> {
         let constant = |slot: usize| -> Lowered<Option<Vec<f32>>> {
             let tensor = self.constant(self.outlet(node, slot)?);
             Ok(tensor.and_then(|tensor| numbers(&tensor)))
         };
         let (Some(values), Some(bias)) = (constant(1)?, constant(2)?) else { return Ok(None) };
-        let outputs = conv.pool_spec.output_channels;
-        let channels = conv.pool_spec.input_channels;
+        let (groups, outputs) = (conv.group, conv.pool_spec.output_channels);
+        let channels = conv.pool_spec.input_channels / groups.max(1);
         let area: usize = conv.pool_spec.kernel_shape.iter().product();
         let inputs = channels * area;
-        if outputs == 0 || values.len() != inputs * outputs {
+        let bias = if let [all] = bias.as_slice() { vec![*all; outputs] } else { bias };
+        let is_divided = groups > 0 && outputs % groups == 0;
+        // Only this order has its groups behind each other.
+        let is_ordered = groups == 1 || conv.kernel_fmt == KernelFormat::OIHW;
+        let has_all = outputs > 0 && values.len() == inputs * outputs && bias.len() == outputs;
+        if !(is_divided && is_ordered && has_all) {
             return Ok(None);
         }
         let at = |output: usize, channel: usize, point: usize| match conv.kernel_fmt {
@@ -92,16 +126,21 @@ impl Lowering<'_> {
             KernelFormat::HWIO => (point * channels + channel) * outputs + output,
             KernelFormat::OHWI => (output * area + point) * channels + channel,
         };
-        let weight = |input: usize, output: usize| values[at(output, input / area, input % area)];
-        let values = (0..inputs).flat_map(|input| (0..outputs).map(move |output| (input, output)));
-        let values = values.map(|(input, output)| weight(input, output)).collect();
-        let bias = match bias.as_slice() {
-            [all] => vec![*all; outputs],
-            _ => bias,
+        let of_group = outputs / groups;
+        let layer = |group: usize| {
+            let own = group * of_group..(group + 1) * of_group;
+            let places =
+                (0..inputs).flat_map(|input| own.clone().map(move |output| (input, output)));
+            let weight = |(input, output)| values[at(output, input / area, input % area)];
+            let numbers = places.map(weight).collect();
+            let matrix = Matrix { inputs, outputs: of_group, values: numbers };
+            Layer { matrix, bias: bias[own.clone()].to_vec(), relu: false }
         };
-        if bias.len() != outputs {
-            return Ok(None);
-        }
-        Ok(Some(Layer { matrix: Matrix { inputs, outputs, values }, bias, relu: false }))
+        Ok(Some((0..groups).map(layer).collect()))
     }
+}
+
+/// The points of a grid.
+pub(super) fn area([height, width]: [usize; 2]) -> usize {
+    height * width
 }

@@ -1,9 +1,12 @@
 //! Functions of numbers: of one value, of two, of a condition.
 
+use std::f32::consts::FRAC_1_SQRT_2;
+
 use sortie_core::internal::ops::{Combination, Function, Op, Place, Select};
 use tract_onnx::prelude::*;
 use tract_onnx::tract_core::ops::binary::TypedBinOp;
 use tract_onnx::tract_core::ops::element_wise::ElementWiseOp;
+use tract_onnx::tract_core::ops::math::PowConst;
 use tract_onnx::tract_core::ops::nn::LeakyRelu;
 
 use super::{Lowered, Lowering};
@@ -12,6 +15,10 @@ impl Lowering<'_> {
     /// A function of every number.
     pub(super) fn function(&mut self, node: &TypedNode, op: &ElementWiseOp) -> Lowered<()> {
         let from = self.operand(node, 0)?.place;
+        if let Some(PowConst { exponent }) = op.0.downcast_ref::<PowConst>() {
+            let to = self.power(node, from, *exponent)?;
+            return self.give(node, 0, to);
+        }
         if let Some(LeakyRelu { alpha }) = op.0.downcast_ref::<LeakyRelu>() {
             let to = self.map(Function::LeakyRelu, [*alpha, 0.0], from);
             return self.give(node, 0, to);
@@ -28,6 +35,34 @@ impl Lowering<'_> {
             "Neg" => self.map(Function::Affine, [-1.0, 0.0], from),
             "Not" => self.map(Function::Not, [0.0; 2], from),
             "Erf" => self.map(Function::Erf, [0.0; 2], from),
+            "Floor" => self.map(Function::Floor, [0.0; 2], from),
+            "RoundHalfToEven" => self.map(Function::Round, [0.0; 2], from),
+            "Sign" => self.map(Function::Sign, [0.0; 2], from),
+            "Sin" => self.map(Function::Sine, [0.0; 2], from),
+            "Cos" => self.map(Function::Cosine, [0.0; 2], from),
+            "Ceil" => {
+                let negated = self.map(Function::Affine, [-1.0, 0.0], from);
+                let floor = self.map(Function::Floor, [0.0; 2], negated);
+                self.map(Function::Affine, [-1.0, 0.0], floor)
+            }
+            "GeluExact" => {
+                let scaled = self.map(Function::Affine, [FRAC_1_SQRT_2, 0.0], from);
+                let erf = self.map(Function::Erf, [0.0; 2], scaled);
+                self.times_line(from, erf, [0.5, 0.5])
+            }
+            "GeluApproximate" => {
+                // √(2/π) (x + 0.044715 x³)
+                let square = self.combine(Combination::Multiply, from, from);
+                let root = core::f32::consts::FRAC_2_PI.sqrt();
+                let angle = self.times_line(from, square, [0.044715 * root, root]);
+                let tanh = self.map(Function::Tanh, [0.0; 2], angle);
+                self.times_line(from, tanh, [0.5, 0.5])
+            }
+            "HardSwish" => {
+                let line = self.map(Function::Affine, [1.0 / 6.0, 0.5], from);
+                let gate = self.map(Function::Clip, [0.0, 1.0], line);
+                self.combine(Combination::Multiply, from, gate)
+            }
             "Square" => self.combine(Combination::Multiply, from, from),
             "Rsqrt" => {
                 let root = self.map(Function::Sqrt, [0.0; 2], from);
@@ -36,6 +71,37 @@ impl Lowering<'_> {
             _ => return Err(self.unsupported(node, "it is no function that plans have")),
         };
         self.give(node, 0, to)
+    }
+
+    /// x (a y + b)
+    fn times_line(&mut self, x: Place, y: Place, line: [f32; 2]) -> Place {
+        let factor = self.map(Function::Affine, line, y);
+        self.combine(Combination::Multiply, x, factor)
+    }
+
+    /// A power whose exponent is a small multiple of a half.
+    fn power(&mut self, node: &TypedNode, x: Place, exponent: f32) -> Lowered<Place> {
+        const MOST: f32 = 8.0;
+        let (whole, size) = (exponent.abs().floor(), exponent.abs());
+        if !(size == whole || size == whole + 0.5) || size > MOST || size == 0.0 {
+            return Err(
+                self.unsupported(node, "plans have powers of whole and half numbers up to 8")
+            );
+        }
+        let mut power = (size != whole).then(|| self.map(Function::Sqrt, [0.0; 2], x));
+        for _ in 0..whole as usize {
+            power = Some(power.map_or(x, |power| self.combine(Combination::Multiply, power, x)));
+        }
+        let power = power.unwrap_or(x);
+        if exponent > 0.0 { Ok(power) } else { Ok(self.map(Function::Reciprocal, [0.0; 2], power)) }
+    }
+
+    /// The whole part: |x| rounded down, with x's sign.
+    fn truncated(&mut self, x: Place) -> Place {
+        let size = self.map(Function::Absolute, [0.0; 2], x);
+        let floor = self.map(Function::Floor, [0.0; 2], size);
+        let sign = self.map(Function::Sign, [0.0; 2], x);
+        self.combine(Combination::Multiply, sign, floor)
     }
 
     /// A cast: numbers are f32 whatever they stand for, masks 0 and 1.
@@ -49,9 +115,7 @@ impl Lowering<'_> {
                 let zero = self.map(Function::Not, [0.0; 2], value);
                 self.map(Function::Not, [0.0; 2], zero)
             }
-            Some(from) if is_whole(to) && from.is_float() => {
-                return Err(self.unsupported(node, "plans do not cut off fractions"));
-            }
+            Some(from) if is_whole(to) && from.is_float() => self.truncated(value),
             _ => value,
         };
         self.give(node, 0, place)
@@ -102,6 +166,11 @@ impl Lowering<'_> {
             "Add" => (Function::Affine, [1.0, n]),
             "Sub" => (Function::Affine, [1.0, -n]),
             "Mul" => (Function::Affine, [n, 0.0]),
+            "Pow" => {
+                let shape = self.shape(node, 0)?;
+                let from = self.broadcast(node, 0, &shape)?;
+                return self.power(node, from, n).map(Some);
+            }
             "Div" if is_power_of_two(n) => (Function::Affine, [1.0 / n, 0.0]),
             "Max" if n == 0.0 => (Function::Relu, [0.0; 2]),
             "Max" => (Function::Clip, [n, f32::INFINITY]),

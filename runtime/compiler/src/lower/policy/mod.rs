@@ -7,6 +7,7 @@ mod arrange;
 mod cells;
 mod convolve;
 mod elementwise;
+mod pools;
 mod products;
 mod rows;
 mod tidy;
@@ -24,11 +25,12 @@ use sortie_core::limits;
 use sortie_core::plan::{OPS, Profile, ProgramDraft};
 use sortie_plans::{CompileError, InputRole, OutputRole};
 use tract_onnx::prelude::*;
-use tract_onnx::tract_core::ops::array::{Gather, MultiBroadcastTo, Slice, TypedConcat};
+use tract_onnx::tract_core::ops::array::{Gather, MultiBroadcastTo, OneHot, Slice, TypedConcat};
 use tract_onnx::tract_core::ops::binary::TypedBinOp;
 use tract_onnx::tract_core::ops::cast::Cast;
 use tract_onnx::tract_core::ops::change_axes::AxisOp;
-use tract_onnx::tract_core::ops::cnn::Conv;
+use tract_onnx::tract_core::ops::cnn::{Conv, MaxPool, SumPool};
+use tract_onnx::tract_core::ops::downsample::Downsample;
 use tract_onnx::tract_core::ops::einsum::EinSum;
 use tract_onnx::tract_core::ops::element_wise::ElementWiseOp;
 use tract_onnx::tract_core::ops::gru_cell::GruEpilogue;
@@ -161,6 +163,9 @@ impl<'m> Lowering<'m> {
         if let Some(slice) = op.downcast_ref::<Slice>() {
             return self.slice(node, slice);
         }
+        if let Some(every) = op.downcast_ref::<Downsample>() {
+            return self.every(node, every);
+        }
         if let Some(concat) = op.downcast_ref::<TypedConcat>() {
             return self.concat(node, concat.axis);
         }
@@ -188,6 +193,15 @@ impl<'m> Lowering<'m> {
         if let Some(conv) = op.downcast_ref::<Conv>() {
             return self.convolve(node, conv);
         }
+        if let Some(pool) = op.downcast_ref::<MaxPool>() {
+            return self.largest(node, pool);
+        }
+        if let Some(pool) = op.downcast_ref::<SumPool>() {
+            return self.sum(node, pool);
+        }
+        if let Some(hot) = op.downcast_ref::<OneHot>() {
+            return self.one_hot(node, hot);
+        }
         if op.is::<Iff>() {
             return self.select(node);
         }
@@ -204,7 +218,12 @@ impl<'m> Lowering<'m> {
         let mut places = Vec::new();
         for (outlet, output) in outlets(graph).zip(&facts.outputs) {
             let lost = || CompileError::Unreadable { reason: format!("`{}` is lost", output.name) };
-            places.push((self.place_of(outlet.ok_or_else(lost)?)?, output.role));
+            let outlet = outlet.ok_or_else(lost)?;
+            let mut place = self.place_of(outlet)?;
+            if matches!(output.role, OutputRole::Discrete(_)) && self.is_masked(outlet) {
+                place = self.map(Function::Clip, [f32::MIN, f32::INFINITY], place);
+            }
+            places.push((place, output.role));
         }
         let of_states = |(_, role): &&(Place, OutputRole)| *role == OutputRole::State;
         for (place, _) in places.iter().filter(of_states) {
@@ -237,6 +256,19 @@ impl<'m> Lowering<'m> {
         let features = facts.given().next().map_or(1, |input| input.length());
         let features = features.clamp(1, limits::FEATURES);
         Ok(LoweredPolicy { program, weights: self.weights, features, actions })
+    }
+
+    /// Whether scores are minus infinity where an action must not be chosen.
+    fn is_masked(&self, mut outlet: OutletId) -> bool {
+        let mut node = self.model.node(outlet.node);
+        while node.op_is::<AxisOp>()
+            && let Some(before) = node.inputs.first()
+        {
+            outlet = *before;
+            node = self.model.node(outlet.node);
+        }
+        let is_closed = |outlet: &OutletId| self.uniform(*outlet) == Some(f32::NEG_INFINITY);
+        node.op_is::<Iff>() && node.inputs.iter().any(is_closed)
     }
 
     /// The caller's next state is what stands there behind the last step.

@@ -72,7 +72,7 @@ impl Lowering<'_> {
         self.give(node, 0, place)
     }
 
-    fn reduced(&mut self, reduction: Reduction, columns: usize, from: Place) -> Place {
+    pub(super) fn reduced(&mut self, reduction: Reduction, columns: usize, from: Place) -> Place {
         let to = self.arena.place(from.len as usize / columns.max(1));
         self.ops.push(Op::Reduce(Reduce { reduction, columns: columns as u32, from, to }));
         to

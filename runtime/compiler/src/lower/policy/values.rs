@@ -50,12 +50,17 @@ impl Lowering<'_> {
         let missing = || self.unsupported(node, "nothing computes it");
         let constant = self.constant(outlet).ok_or_else(missing)?;
         let numbers = numbers(&constant).ok_or_else(missing)?;
-        let to = self.arena.place(numbers.len());
-        let weights = self.weights.add_numbers(&numbers);
-        // Behind inputs and states, which come first, and before whatever reads it.
-        self.ops.push(Op::Constant(Constant { weights, to }));
+        let to = self.stored(&numbers);
         self.values.insert(outlet, to, constant.shape().to_vec());
         self.value(outlet)
+    }
+
+    /// Adds numbers that the plan has: behind inputs and states, which come first, and before whatever reads them.
+    pub(super) fn stored(&mut self, numbers: &[f32]) -> Place {
+        let to = self.arena.place(numbers.len());
+        let weights = self.weights.add_numbers(numbers);
+        self.ops.push(Op::Constant(Constant { weights, to }));
+        to
     }
 
     pub(super) fn place_of(&mut self, outlet: OutletId) -> Lowered<Place> {

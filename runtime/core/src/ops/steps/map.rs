@@ -47,6 +47,16 @@ pub enum Function {
     Not,
     /// The error function, 2/√π times the integral of e^(-t²) from 0 to x
     Erf,
+    /// The largest whole number that is not above x
+    Floor,
+    /// The nearest whole number, of two the even one
+    Round,
+    /// 1 where x is positive, -1 where it is negative, else x
+    Sign,
+    /// The sine, of sizes below 2²⁸; else something that is not finite
+    Sine,
+    /// The cosine, of the same
+    Cosine,
 }
 
 /// Applies a function to every number.
@@ -110,6 +120,11 @@ impl Operator for Map {
             Function::Reciprocal => each(values, |x| 1.0 / x),
             Function::Not => each(values, |x| if x == 0.0 { 1.0 } else { 0.0 }),
             Function::Erf => each(values, libm::erff),
+            Function::Floor => each(values, libm::floorf),
+            Function::Round => each(values, libm::rintf),
+            Function::Sign => each(values, sign),
+            Function::Sine => each(values, math::sine),
+            Function::Cosine => each(values, math::cosine),
         }
         Ok(())
     }
@@ -119,6 +134,16 @@ impl Operator for Map {
 fn each(values: &mut [f32], function: impl Fn(f32) -> f32) {
     for value in values {
         *value = function(*value);
+    }
+}
+
+/// Zero and NaN stay what they are.
+#[inline(always)]
+fn sign(x: f32) -> f32 {
+    match x {
+        _ if x > 0.0 => 1.0,
+        _ if x < 0.0 => -1.0,
+        _ => x,
     }
 }
 

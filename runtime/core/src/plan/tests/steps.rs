@@ -15,7 +15,7 @@ fn functions_are_what_they_are_called() {
     let softplus = |x: f64| x.exp().ln_1p();
     let sigmoid = |x: f64| 1.0 / (1.0 + (-x).exp());
     type Reference = fn(f64) -> f64;
-    let functions: [(Function, f32, f32, Reference); 14] = [
+    let functions: [(Function, f32, f32, Reference); 19] = [
         (Function::Affine, 2.0, -1.5, |x| 2.0 * x - 1.5),
         (Function::Relu, 0.0, 0.0, |x| x.max(0.0)),
         (Function::LeakyRelu, 0.01, 0.0, |x| if x > 0.0 { x } else { f64::from(0.01_f32) * x }),
@@ -30,6 +30,11 @@ fn functions_are_what_they_are_called() {
         (Function::Absolute, 0.0, 0.0, f64::abs),
         (Function::Reciprocal, 0.0, 0.0, |x| 1.0 / x),
         (Function::Not, 0.0, 0.0, |x| if x == 0.0 { 1.0 } else { 0.0 }),
+        (Function::Floor, 0.0, 0.0, f64::floor),
+        (Function::Round, 0.0, 0.0, f64::round_ties_even),
+        (Function::Sign, 0.0, 0.0, f64::signum),
+        (Function::Sine, 0.0, 0.0, f64::sin),
+        (Function::Cosine, 0.0, 0.0, f64::cos),
     ];
     let mut random = Random(3);
     for (function, a, b, reference) in functions {
@@ -55,6 +60,13 @@ fn functions_are_what_they_are_called() {
         let wide = f64::from(x);
         assert_close(&one(Function::Softplus), &[softplus(wide)], "softplus");
         assert_close(&one(Function::Silu), &[wide * sigmoid(wide)], "silu");
+        let far = 1000.0 * x;
+        let of_far = |function| {
+            let map = |from: &[Place], to| Op::Map(Map { function, a: 0, b: 0, from: from[0], to });
+            step(&[&[far]], 1, map)
+        };
+        assert_close(&of_far(Function::Sine), &[f64::from(far).sin()], "sine");
+        assert_close(&of_far(Function::Cosine), &[f64::from(far).cos()], "cosine");
         if x > 0.0 {
             assert_close(&one(Function::Ln), &[wide.ln()], "ln");
             assert_close(&one(Function::Sqrt), &[wide.sqrt()], "sqrt");

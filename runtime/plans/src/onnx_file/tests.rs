@@ -1,0 +1,82 @@
+use super::*;
+
+fn message(fields: &[(u64, &[u8])]) -> Vec<u8> {
+    let mut message = Vec::new();
+    fields.iter().for_each(|(number, content)| put(&mut message, *number, content));
+    message
+}
+
+fn number(number: u64, value: u64) -> Vec<u8> {
+    let mut field = Vec::new();
+    put_number(&mut field, number << 3);
+    put_number(&mut field, value);
+    field
+}
+
+/// A file with one tensor inside and one elsewhere.
+fn model(place: &[(&str, &str)]) -> Vec<u8> {
+    let inside = message(&[(8, b"bias"), (RAW_DATA, &[7; 200])]);
+    let mut outside = message(&[(8, b"weight")]);
+    for (key, value) in place {
+        let pair = message(&[(KEY, key.as_bytes()), (VALUE, value.as_bytes())]);
+        put(&mut outside, EXTERNAL_DATA, &pair);
+    }
+    outside.extend(number(DATA_LOCATION, EXTERNAL));
+    let graph = message(&[(2, b"policy"), (INITIALIZER, &inside), (INITIALIZER, &outside)]);
+    [number(1, 8), message(&[(GRAPH, &graph), (3, b"")])].concat()
+}
+
+fn read(place: &[(&str, &str)]) -> io::Result<Vec<u8>> {
+    let folder = tempfile::tempdir()?;
+    let path = folder.path().join("policy.onnx");
+    fs::write(folder.path().join("policy.onnx.data"), [1, 2, 3, 4, 5, 6])?;
+    fs::create_dir(folder.path().join("inner"))?;
+    fs::write(&path, model(place))?;
+    read_onnx(&path)
+}
+
+#[test]
+fn weights_beside_a_file_are_put_into_it() {
+    let place = [("location", "policy.onnx.data"), ("offset", "2"), ("length", "3")];
+    let weight = message(&[(8, b"weight"), (RAW_DATA, &[3, 4, 5])]);
+    let bias = message(&[(8, b"bias"), (RAW_DATA, &[7; 200])]);
+    let graph = message(&[(2, b"policy"), (INITIALIZER, &bias), (INITIALIZER, &weight)]);
+    let whole = [number(1, 8), message(&[(GRAPH, &graph), (3, b"")])].concat();
+    assert_eq!(read(&place).unwrap(), whole);
+    // Without a length, up to the end.
+    let weight = message(&[(8, b"weight"), (RAW_DATA, &[1, 2, 3, 4, 5, 6])]);
+    assert!(read(&place[..1]).unwrap().windows(weight.len()).any(|bytes| bytes == weight));
+}
+
+#[test]
+fn places_that_are_not_there_are_refused() {
+    let data = ("location", "policy.onnx.data");
+    for (place, words) in [
+        (vec![], "no name"),
+        (vec![("location", "../policy.onnx.data")], "no name"),
+        (vec![("location", "/etc/hostname")], "no name"),
+        (vec![("location", "other.data")], "same folder"),
+        (vec![("location", "inner")], "no file"),
+        (vec![data, ("offset", "7")], "fewer bytes"),
+        (vec![data, ("length", "7")], "fewer bytes"),
+        (vec![data, ("offset", "2"), ("length", "-1")], "fewer bytes"),
+    ] {
+        let error = read(&place).unwrap_err();
+        assert_eq!(error.kind(), io::ErrorKind::InvalidData);
+        assert!(error.to_string().contains(words), "{place:?}: {error}");
+    }
+}
+
+#[test]
+fn other_files_come_as_they_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("file");
+    let whole = model(&[]);
+    let inside = message(&[(GRAPH, &message(&[(INITIALIZER, &message(&[(RAW_DATA, &[1])]))]))]);
+    let cut = &whole[..whole.len() - 3];
+    for bytes in [b"SORTIEPL plan".as_slice(), b"", &[0xff; 30], cut, &inside] {
+        fs::write(&path, bytes).unwrap();
+        assert!(read_onnx(&path).is_ok_and(|read| read == bytes), "{bytes:?}");
+    }
+    assert!(read_onnx(folder.path()).is_err());
+}
