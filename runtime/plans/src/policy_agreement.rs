@@ -7,7 +7,7 @@ use crate::agreement::LEAST_AGREEMENT;
 use crate::comparison::cannot_run;
 use crate::error::CompileError;
 use crate::policy::{FlatPolicy, OutputRole, PolicyAnswer};
-use crate::policy_plan::{CompiledPolicy, PlanFlatPolicy};
+use crate::policy_plan::{CompiledPolicy, PlanFlatPolicy, first_largest};
 
 /// Largest error of a continuous action, in units of what the action varies by.
 pub const LARGEST_DEVIATION: f64 = 0.1;
@@ -112,10 +112,6 @@ fn equal_actions(got: &[PolicyAnswer], want: &[PolicyAnswer], actions: usize) ->
         if !answer.scores.is_empty() {
             return answer.numbers.iter().map(|place| *place as usize).collect();
         }
-        let first_largest = |row: &[f32]| {
-            let most = row.iter().copied().fold(f32::NEG_INFINITY, f32::max);
-            row.iter().position(|score| *score == most).unwrap_or(0)
-        };
         answer.numbers.chunks(actions.max(1)).map(first_largest).collect()
     };
     got.iter().zip(want).filter(|(got, want)| chosen(got) == chosen(want)).count()

@@ -96,7 +96,8 @@ fn answer((output, numbers): (&PolicyOutput, Vec<f32>)) -> PolicyAnswer {
     }
 }
 
-fn first_largest(scores: &[f32]) -> usize {
+/// The place of the largest score, the first of several.
+pub(crate) fn first_largest(scores: &[f32]) -> usize {
     let largest = scores.iter().copied().fold(f32::NEG_INFINITY, f32::max);
     scores.iter().position(|score| *score == largest).unwrap_or(0)
 }
