@@ -5,7 +5,7 @@ use std::boxed::Box;
 
 use crate::kernels::pause::Pause;
 use crate::ops::{AllOperators, OperatorSet};
-use crate::plan::{Network, Plan, PlanError, Profile};
+use crate::plan::{Plan, PlanError, Profile};
 use crate::policy::{DecideError, Decision, Observation, Policy};
 
 /// A policy over a plan and an arena that the caller gives.
@@ -17,10 +17,10 @@ pub struct PlanPolicy<'a, S: OperatorSet = AllOperators> {
 }
 
 impl<'a, S: OperatorSet> PlanPolicy<'a, S> {
-    /// Binds an agent's plan to its arena, of [`Plan::arena_bytes`] bytes and aligned like the plan; of
+    /// Binds the plan of an agent, or of a policy whose inputs an agent observes, to its arena, of [`Plan::arena_bytes`] bytes and aligned like the plan; of
     /// [`Plan::batch_arena_bytes`] where several agents are to be worked on together.
     pub fn new(plan: Plan<'a, S>, arena: &'a mut [u8]) -> Result<Self, PlanError> {
-        plan.check_network(Network::Agent)?;
+        plan.check_agent()?;
         plan.check_arena(arena)?;
         Ok(Self { plan, arena, pause: Pause::default() })
     }

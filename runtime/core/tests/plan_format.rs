@@ -4,8 +4,8 @@ use sortie_core::include_plan;
 use sortie_core::internal::ops::{
     Arrange, AttendAll, Combination, Combine, Constant, Convolve, DenseRows, Flag, Function,
     GroupSum, Gru, GruCell, Input, Int8AttendOwn, Int8Dense, Int8EmbedEntities, Int8Layer, Linear,
-    LstmCell, Map, MaskedSample, MeanRows, Members, Multiply, Normalise, Op, OpRef, Output,
-    OutputRows, Place, Reduce, Reduction, Select, Softmax, State,
+    LstmCell, Map, MaskedSample, MeanRows, Meaning, Members, Multiply, Normalise, Op, OpRef,
+    Output, OutputRows, Place, Reduce, Reduction, Select, Softmax, State,
 };
 use sortie_core::operators::OpKind;
 use sortie_core::plan::{Checksums, HEADER_BYTES, Header, Network, Plan, Profile, VERSION};
@@ -204,7 +204,7 @@ fn steps() -> [Op; 15] {
     let (columns, a, b) = (4, 0, 0);
     let [sizes, from_strides, to_strides] = [[1; 4]; 3];
     [
-        Op::Input(Input { index: 0, to }),
+        Op::Input(Input { index: 0, meaning: Meaning::None, to }),
         Op::State(State { from, to }),
         Op::Constant(Constant { weights: 0, to }),
         Op::Map(Map { function: Function::Cosine, a, b, from, to }),
@@ -284,7 +284,7 @@ fn bytes_of_fields(fields: &str) -> usize {
         names += 1;
         let Some((_, kind)) = field.split_once("` ") else { continue };
         let each = match kind.trim_end_matches('s') {
-            "u16" | "member" | "output row" => 2,
+            "u16" | "member" | "output row" | "meaning" => 2,
             "u32" | "flag" | "choice" => 4,
             "pair" => 8,
             "quadruple" => 16,
@@ -323,6 +323,23 @@ fn choices_have_the_documented_numbers() {
     {
         let output = Output { from: Place { offset: 0, len: 8 }, width: 3, rows, groups: 0 };
         assert_eq!(Op::Output(output).borrow().fields()[12..14], (number as u16).to_le_bytes());
+    }
+    let meanings = [
+        Meaning::None,
+        Meaning::OwnRow,
+        Meaning::Available,
+        Meaning::Rows,
+        Meaning::RowsOwnFirst,
+        Meaning::Visible,
+        Meaning::VisibleOwnFirst,
+        Meaning::Blocked,
+        Meaning::BlockedOwnFirst,
+        Meaning::OwnIndex,
+    ];
+    assert!(table("meaning").map(|row| row[0]).eq((0..meanings.len()).map(|n| n.to_string())));
+    for (number, meaning) in meanings.into_iter().enumerate() {
+        let input = Input { index: 0, meaning, to: Place { offset: 0, len: 8 } };
+        assert_eq!(Op::Input(input).borrow().fields()[2..4], (number as u16).to_le_bytes());
     }
     for (number, members) in [Members::Present, Members::Agents].into_iter().enumerate() {
         let (rows, to) = (Place { offset: 0, len: 8 }, Place { offset: 8, len: 8 });

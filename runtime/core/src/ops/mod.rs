@@ -52,8 +52,9 @@ pub use proposals::{
 pub use set::{AllOperators, FeedForward, Int8FeedForward, Policies};
 pub use steps::{
     Arrange, Combination, Combine, Constant, Convolve, DenseRows, Function, GruCell, Input,
-    LstmCell, Map, Multiply, Normalise, Reduce, Reduction, Select, Softmax, State,
+    LstmCell, Map, Meaning, Multiply, Normalise, Reduce, Reduction, Select, Softmax, State,
 };
+pub(crate) use table::has;
 pub use table::{Op, OpKind, OpRef, OperatorSet};
 
 use crate::entity_mask::EntityMask;
@@ -208,8 +209,12 @@ pub(crate) struct Scratch<'a> {
     pub(crate) agents: EntityMask,
     /// The groups of every entity.
     pub(crate) groups: &'a [u32],
-    /// The inputs of a policy.
-    pub(crate) inputs: &'a [&'a [f32]],
+    /// The inputs of a policy; none where it observes as an agent of a team.
+    pub(crate) inputs: Option<&'a [&'a [f32]]>,
+    /// Features d of an entity.
+    pub(crate) features: usize,
+    /// Most entities N.
+    pub(crate) most: usize,
 }
 
 #[inline(always)]

@@ -48,7 +48,7 @@ use crate::kernels::build::{Build, Work};
 use crate::kernels::mark::Marks;
 use crate::limits;
 use crate::math::all_finite;
-use crate::ops::{AllOperators, OperatorSet, Scratch, Sizes};
+use crate::ops::{AllOperators, OpKind, OperatorSet, Scratch, Sizes, has};
 use crate::policy::{DecideError, Decision, Observation};
 
 /// A loaded plan: checked, bound to its weights, and run by the operators of `S`.
@@ -237,6 +237,17 @@ impl<'a, S: OperatorSet> Plan<'a, S> {
         if self.header.network == network { Ok(()) } else { Err(PlanError::WrongNetwork) }
     }
 
+    /// Refuses plans that cannot act for an agent of a team: those of other networks, and policies of which an input is
+    /// nothing that an agent observes, or that choose no action.
+    pub(crate) fn check_agent(&self) -> Result<(), PlanError> {
+        let acts = match self.header.network {
+            Network::Agent => true,
+            Network::Policy => self.program.acts_in_teams(),
+            _ => false,
+        };
+        acts.then_some(()).ok_or(PlanError::WrongNetwork)
+    }
+
     /// Touches every cache line of the weights, so that the next decision finds them near.
     pub fn warm(&self) {
         let lines = self.weights.chunks(16).filter_map(|line| line.first());
@@ -251,6 +262,10 @@ impl<'a, S: OperatorSet> Plan<'a, S> {
         hidden: Option<&mut [f32]>,
     ) -> Result<&'s [f32], DecideError> {
         let hidden = hidden.unwrap_or_default();
+        // A set without inputs has no code of policies.
+        if const { has::<S>(OpKind::Input) } && self.header.network == Network::Policy {
+            return self.run_in_team(arena, observation, hidden);
+        }
         let (want, got) = (self.hidden(), hidden.len());
         if got != want {
             return Err(DecideError::HiddenState { want, got });
@@ -305,7 +320,9 @@ impl<'a, S: OperatorSet> Plan<'a, S> {
             present,
             agents,
             groups: &[],
-            inputs: &[],
+            inputs: None,
+            features: self.header.features as usize,
+            most: self.header.n_max as usize,
         })
     }
 

@@ -59,11 +59,11 @@ impl<S: OperatorSet> Plan<'_, S> {
         if outputs.is_empty() || outputs.len() != self.program.output_count() {
             return Err(DecideError::BadLength);
         }
-        let scratch = self.run_policy(arena, inputs, states)?;
+        let scratch = self.run_given(arena, inputs, states)?;
         for (output, to) in self.program.outputs().zip(outputs) {
             output.read(&scratch, to)?;
         }
-        self.remember(&scratch, states)
+        self.remember(scratch.floats, states)
     }
 
     /// Chooses greedily among the available actions, lowest index on ties.
@@ -76,9 +76,9 @@ impl<S: OperatorSet> Plan<'_, S> {
         given: &Given<'_>,
         states: &mut [f32],
     ) -> Result<Decision, DecideError> {
-        let scratch = self.run_policy(arena, given.inputs, states)?;
-        let decision = masked_argmax(self.chosen(&scratch)?, given.available)?;
-        self.remember(&scratch, states)?;
+        let scratch = self.run_given(arena, given.inputs, states)?;
+        let decision = masked_argmax(self.chosen(scratch.floats)?, given.available)?;
+        self.remember(scratch.floats, states)?;
         Ok(decision)
     }
 
@@ -96,27 +96,37 @@ impl<S: OperatorSet> Plan<'_, S> {
         if !self.program.draws() {
             return Err(DecideError::Greedy);
         }
-        let scratch = self.run_policy(arena, given.inputs, states)?;
-        let decision = masked_sample(self.chosen(&scratch)?, given.available, random)?;
-        self.remember(&scratch, states)?;
+        let scratch = self.run_given(arena, given.inputs, states)?;
+        let decision = masked_sample(self.chosen(scratch.floats)?, given.available, random)?;
+        self.remember(scratch.floats, states)?;
         Ok(decision)
     }
 
-    fn chosen<'s>(&self, scratch: &'s Scratch<'_>) -> Result<&'s [f32], DecideError> {
-        let place = self.program.utilities().ok_or(DecideError::BadLength)?;
-        finite(scratch.floats.get(place.range()).ok_or(DecideError::BadLength)?)
+    /// The utilities of a policy for what an agent of a team observes.
+    pub(super) fn run_in_team<'s>(
+        &self,
+        arena: &'s mut [u8],
+        observation: &Observation<'_>,
+        states: &mut [f32],
+    ) -> Result<&'s [f32], DecideError> {
+        let scratch = self.run_policy(arena, None, observation, states)?;
+        let floats: &'s [f32] = scratch.floats;
+        let utilities = self.chosen(floats)?;
+        self.remember(floats, states)?;
+        Ok(utilities)
     }
 
-    fn run_policy<'s>(
+    fn chosen<'s>(&self, floats: &'s [f32]) -> Result<&'s [f32], DecideError> {
+        let place = self.program.utilities().ok_or(DecideError::BadLength)?;
+        finite(floats.get(place.range()).ok_or(DecideError::BadLength)?)
+    }
+
+    fn run_given<'s>(
         &self,
         arena: &'s mut [u8],
         inputs: &'s [&'s [f32]],
         states: &[f32],
     ) -> Result<Scratch<'s>, DecideError> {
-        let (want, got) = (self.hidden(), states.len());
-        if got != want {
-            return Err(DecideError::HiddenState { want, got });
-        }
         if self.header.network != Network::Policy || inputs.len() != self.program.input_count() {
             return Err(DecideError::BadLength);
         }
@@ -128,7 +138,22 @@ impl<S: OperatorSet> Plan<'_, S> {
             self_index: 0,
             available: &[],
         };
-        let mut scratch = self.scratch(arena, &nothing)?;
+        self.run_policy(arena, Some(inputs), &nothing, states)
+    }
+
+    /// Runs on what a caller gives, or else on what an agent observes.
+    fn run_policy<'s>(
+        &self,
+        arena: &'s mut [u8],
+        inputs: Option<&'s [&'s [f32]]>,
+        observation: &Observation<'_>,
+        states: &[f32],
+    ) -> Result<Scratch<'s>, DecideError> {
+        let (want, got) = (self.hidden(), states.len());
+        if got != want {
+            return Err(DecideError::HiddenState { want, got });
+        }
+        let mut scratch = self.scratch(arena, observation)?;
         scratch.inputs = inputs;
         let mut rest = states;
         for state in self.program.states() {
@@ -136,16 +161,16 @@ impl<S: OperatorSet> Plan<'_, S> {
             finite(from)?;
             copy(from, floats(&mut scratch, &state.from)?);
         }
-        self.execute(PolicyExecution { plan: self, observation: &nothing, scratch: &mut scratch })?;
+        self.execute(PolicyExecution { plan: self, observation, scratch: &mut scratch })?;
         Ok(scratch)
     }
 
     /// Hands the next states to the caller, all of them or none.
-    fn remember(&self, scratch: &Scratch<'_>, states: &mut [f32]) -> Result<(), DecideError> {
+    fn remember(&self, floats: &[f32], states: &mut [f32]) -> Result<(), DecideError> {
         if states.is_empty() {
             return Ok(());
         }
-        let next = |place: &Place| scratch.floats.get(place.range()).ok_or(DecideError::BadLength);
+        let next = |place: &Place| floats.get(place.range()).ok_or(DecideError::BadLength);
         for state in self.program.states() {
             finite(next(&state.to)?)?;
         }

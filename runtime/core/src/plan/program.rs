@@ -9,8 +9,8 @@ use super::error::PlanError;
 use super::header::{Header, Network};
 use crate::ops::proposal_arena::arena_floats;
 use crate::ops::{
-    AllOperators, Gru, Input, OpRef, OperatorSet, Output, OutputRows, Place, ProposalNetwork,
-    Sizes, State,
+    AllOperators, Gru, Input, Meaning, OpRef, OperatorSet, Output, OutputRows, Place,
+    ProposalNetwork, Sizes, State,
 };
 
 /// Most operators of one program, so that a check of each against all before it ends soon.
@@ -262,6 +262,12 @@ impl<'a, S: OperatorSet> Program<'a, S> {
         })
     }
 
+    /// Whether an agent of a team can decide by it: it chooses an action, and observes all inputs.
+    pub fn acts_in_teams(&self) -> bool {
+        let observes = |input: &Input| input.meaning != Meaning::None;
+        self.utilities().is_some() && self.inputs().all(observes)
+    }
+
     /// How many inputs there are.
     pub fn input_count(&self) -> usize {
         self.found.inputs
@@ -289,7 +295,7 @@ impl<'a, S: OperatorSet> Program<'a, S> {
         for (index, op) in self.ops().enumerate() {
             let own = PolicyPart::of(op);
             let numbered = match op {
-                OpRef::Input(input) => input.index == inputs,
+                OpRef::Input(input) => u32::from(input.index) == inputs,
                 _ => true,
             };
             inputs += u32::from(matches!(op, OpRef::Input(_)));

@@ -3,6 +3,7 @@
 
 mod cells;
 mod drafts;
+mod in_team;
 mod int8;
 mod policy;
 mod refusals;

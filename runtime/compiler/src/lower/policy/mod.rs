@@ -19,7 +19,8 @@ use std::collections::HashSet;
 use sortie_core::internal::kernels::mark::MARKED;
 use sortie_core::internal::kernels::product::padded;
 use sortie_core::internal::ops::{
-    Combination, Combine, Function, Input, Map, MaskedArgmax, Op, Output, OutputRows, Place, State,
+    Combination, Combine, Function, Input, Map, MaskedArgmax, Meaning, Op, Output, OutputRows,
+    Place, State,
 };
 use sortie_core::limits;
 use sortie_core::plan::{OPS, Profile, ProgramDraft};
@@ -130,7 +131,8 @@ impl<'m> Lowering<'m> {
             sources.partition(|(_, input)| input.role == InputRole::State);
         for (index, (outlet, input)) in given.into_iter().enumerate() {
             let to = self.arena.place(input.length());
-            self.ops.push(Op::Input(Input { index: index as u32, to }));
+            let (index, meaning) = (index as u16, Meaning::None);
+            self.ops.push(Op::Input(Input { index, meaning, to }));
             self.values.insert(*outlet, to, input.shape.clone());
         }
         for (outlet, input) in states {

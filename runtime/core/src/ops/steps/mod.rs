@@ -24,7 +24,7 @@ pub use combine::{Combination, Combine};
 pub use constant::Constant;
 pub use convolve::Convolve;
 pub use dense_rows::DenseRows;
-pub use input::Input;
+pub use input::{Input, Meaning};
 pub use map::{Function, Map};
 pub use multiply::Multiply;
 pub use normalise::Normalise;

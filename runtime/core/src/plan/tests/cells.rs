@@ -8,7 +8,8 @@ use super::drafts::{Draft, assert_close, numbers, step};
 use crate::DecideError;
 use crate::kernels::product::{padded, tile_width};
 use crate::ops::{
-    Convolve, Dense, DenseRows, Flag, Function, GruCell, Linear, LstmCell, Map, Op, Place,
+    Convolve, Dense, DenseRows, Flag, Function, GruCell, Input, Linear, LstmCell, Map, Meaning, Op,
+    Place,
 };
 use crate::plan::PlanError;
 
@@ -251,7 +252,8 @@ fn cells_and_convolutions_stay_inside_their_places() {
     for op in wrong {
         let mut draft = Draft { weights: vec![0.0; 112], ..Draft::default() };
         draft.program.floats = 200;
-        draft.push(Op::Input(crate::ops::Input { index: 0, to: place(0, 64) }));
+        let (index, meaning) = (0, Meaning::None);
+        draft.push(Op::Input(Input { index, meaning, to: place(0, 64) }));
         draft.push(op);
         draft.output(place(0, 8));
         assert_eq!(draft.refused(), Some(PlanError::ShapeMismatch { op: 1 }), "{op:?}");
@@ -303,7 +305,8 @@ fn layers_on_rows_stay_inside_their_places() {
     for op in wrong {
         let mut draft = Draft { weights: vec![0.0; 64], ..Draft::default() };
         draft.program.floats = 200;
-        draft.push(Op::Input(crate::ops::Input { index: 0, to: place(0, 64) }));
+        let (index, meaning) = (0, Meaning::None);
+        draft.push(Op::Input(Input { index, meaning, to: place(0, 64) }));
         draft.push(op);
         draft.output(place(0, 8));
         assert_eq!(draft.refused(), Some(PlanError::ShapeMismatch { op: 1 }), "{op:?}");

@@ -7,7 +7,7 @@ use super::{Random, Sizes, assemble, with_header};
 use crate::DecideError;
 use crate::kernels::build::Build;
 use crate::kernels::product::padded;
-use crate::ops::{Input, Op, Output, OutputRows, Place};
+use crate::ops::{Input, Meaning, Op, Output, OutputRows, Place};
 use crate::plan::{AlignedBytes, Network, Plan, PlanError, Profile, ProgramDraft};
 
 /// A policy that is being built.
@@ -31,9 +31,13 @@ impl Draft {
     }
 
     pub(super) fn input(&mut self, len: usize) -> Place {
+        self.observed(Meaning::None, len)
+    }
+
+    pub(super) fn observed(&mut self, meaning: Meaning, len: usize) -> Place {
         let to = self.place(len);
-        let index = self.program.ops.iter().filter(|op| matches!(op, Op::Input(_))).count() as u32;
-        self.push(Op::Input(Input { index, to }));
+        let index = self.program.ops.iter().filter(|op| matches!(op, Op::Input(_))).count() as u16;
+        self.push(Op::Input(Input { index, meaning, to }));
         to
     }
 

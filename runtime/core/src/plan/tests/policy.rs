@@ -8,13 +8,13 @@ use super::with_header;
 use crate::DecideError;
 use crate::ops::{
     AllOperators, Arrange, Combination, Combine, Constant, Dense, Flag, Function, Gru, Input,
-    Linear, Map, MaskedArgmax, MaskedSample, Multiply, Normalise, Op, Place, Reduce, Reduction,
-    Select, Softmax, State,
+    Linear, Map, MaskedArgmax, MaskedSample, Meaning, Multiply, Normalise, Op, Place, Reduce,
+    Reduction, Select, Softmax, State,
 };
 use crate::plan::{AlignedBytes, Given, Network, Plan, PlanError, Program};
 
 /// A layer, a constant that is added, a choice; and a state that counts what it is given.
-fn counting() -> Draft {
+pub(super) fn counting() -> Draft {
     let mut draft = Draft { hidden: 2, actions: 3, ..Draft::default() };
     let observation = draft.input(2);
     let state = draft.place(2);
@@ -244,13 +244,13 @@ fn steps_stay_inside_their_places() {
         gru(u32::MAX),
         Op::Constant(Constant { weights: 60, to }),
         Op::Constant(Constant { weights: u32::MAX, to }),
-        Op::Input(Input { index: 0, to: place(60, 8) }),
+        Op::Input(Input { index: 0, meaning: Meaning::None, to: place(60, 8) }),
         Op::State(State { from: x, to: place(60, 8) }),
     ];
     for op in wrong {
         let mut draft = Draft { weights: vec![0.0; 64], ..Draft::default() };
         draft.program.floats = 64;
-        draft.push(Op::Input(Input { index: 0, to: place(0, 8) }));
+        draft.push(Op::Input(Input { index: 0, meaning: Meaning::None, to: place(0, 8) }));
         draft.push(op);
         draft.push(Op::Constant(Constant { weights: 0, to: place(0, 64) }));
         assert_eq!(draft.refused(), Some(PlanError::ShapeMismatch { op: 1 }), "{op:?}");
