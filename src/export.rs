@@ -1,4 +1,6 @@
-//! `sortie export`: a training run becomes a bundle.
+//! `sortie export`: a training run, or a policy of somebody else, becomes a bundle.
+
+mod policy;
 
 use std::path::{Path, PathBuf};
 
@@ -17,12 +19,14 @@ use sortie_methods::alma::evaluate::{EvaluationPlan, evaluate_watched};
 use sortie_methods::alma::export::{check_exportable, draft_bundle};
 use sortie_methods::alma::run::Run;
 use sortie_methods::alma::teams::Allocate;
+use sortie_plans::PolicyOptions;
 
 use crate::allocation::Allocation;
 use crate::compiler::with_plans;
 use crate::engines::check_program;
 use crate::environment::ScenarioSetName;
 use crate::failure::{Exit, Failure, Outcome};
+use crate::foreign::PolicyArguments;
 use crate::methods::LearnedMethod;
 use crate::options::Common;
 use crate::output::{print_json, say};
@@ -37,18 +41,23 @@ const RULES: [&str; 2] = ["coordinated", "heuristic"];
 /// Export a training run as a bundle: networks as ONNX, contract, golden observations, card and curve
 ///
 /// The averaged weights are evaluated first, over fresh greedy episodes; the card tells the result.
+///
+/// An ONNX file, a policy that somebody else trained, becomes a bundle as well, whose agents decide by it on their own
+/// rows of --env. It must choose one of the environment's actions.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   sortie export runs/first --out models/first
-  sortie export runs/large --env save-the-city/12a_12b --env save-the-city/24a_24b --out models/large")]
+  sortie export runs/large --env save-the-city/12a_12b --env save-the-city/24a_24b --out models/large
+  sortie export agent.onnx --env group-matching/8x6x2 --out models/mine")]
 pub(crate) struct ExportArguments {
-    /// Folder of the run
+    /// Folder of the run, or the ONNX file of a policy
+    #[arg(value_name = "RUN|ONNX")]
     run: PathBuf,
     /// Folder of the new bundle
     #[arg(long, value_name = "BUNDLE")]
     out: PathBuf,
     /// Scenario set to measure on, and to size the bundle for; may be given several times [default:
-    /// what the run learned on]
+    /// what the run learned on; an ONNX file needs it]
     #[arg(long, value_name = "ENV[/SET]")]
     env: Vec<String>,
     /// Episodes to evaluate for the card, on each set and under each allocation
@@ -62,6 +71,9 @@ pub(crate) struct ExportArguments {
     team_max: Option<u16>,
     #[command(flatten)]
     common: Common,
+    // Last: what follows would stand under its heading.
+    #[command(flatten)]
+    policy: PolicyArguments,
 }
 
 #[derive(Serialize)]
@@ -73,6 +85,13 @@ struct Report {
 pub(crate) fn run(arguments: &ExportArguments) -> Outcome {
     check_place(&arguments.out)?;
     check_program()?;
+    if policy::is_policy(&arguments.run) {
+        return policy::export(arguments);
+    }
+    if arguments.policy.options() != PolicyOptions::default() {
+        let reason = "what is said about a policy's inputs and outputs goes with an ONNX file";
+        return Err(Failure::new(Exit::Usage, reason));
+    }
     if let Some(learned) = LearnedMethod::find(&arguments.run)? {
         return export_method(arguments, &learned);
     }

@@ -5,7 +5,7 @@ use sortie_bundle::Bundle;
 use sortie_core::decide::PlanPolicy;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
 use sortie_core::{Policy, Remembering, limits};
-use sortie_plans::{CompileError, Ending, GraphEngine};
+use sortie_plans::{CompileError, Ending, GraphEngine, TeamPolicy, TeamSizes, roles_of};
 
 use crate::compiler::{compiler, plans};
 use crate::engines::engines;
@@ -96,9 +96,7 @@ impl DeployedPolicy {
         bundle: &Bundle,
         engine: &dyn GraphEngine,
     ) -> Result<Self, CompileError> {
-        let (onnx, features) = (bundle.agent_onnx(), bundle.contract().features.into());
-        compiler().rehearse(onnx, bundle.manifest().limits.n_max.into(), Some(features))?;
-        let policy = engine.policy(onnx, features)?;
+        let policy = graph_policy(bundle, engine)?;
         let memory = vec![0.0; limits::AGENTS * policy.hidden()];
         Ok(Self { engine: Engine::Graph(policy), memory })
     }
@@ -134,6 +132,22 @@ impl DeployedPolicy {
     }
 }
 
+/// The graph of a bundle's agent in an engine, once another process has read and run it.
+pub(crate) fn graph_policy(
+    bundle: &Bundle,
+    engine: &dyn GraphEngine,
+) -> Result<Box<dyn Policy>, CompileError> {
+    let (onnx, contract) = (bundle.agent_onnx(), bundle.contract());
+    if let Some(roles) = roles_of(bundle)? {
+        compiler().rehearse_policy(onnx, &roles)?;
+        let policy = engine.flat_policy(onnx, &roles)?;
+        return Ok(Box::new(TeamPolicy::new(policy, TeamSizes::of(contract))?));
+    }
+    let features = contract.features.into();
+    compiler().rehearse(onnx, bundle.manifest().limits.n_max.into(), Some(features))?;
+    engine.policy(onnx, features)
+}
+
 impl Engine {
     fn policy(&mut self) -> Result<Box<dyn Policy + '_>, Failure> {
         match self {
@@ -152,7 +166,7 @@ impl From<CompileError> for Failure {
     fn from(error: CompileError) -> Self {
         let exit = match &error {
             CompileError::Plan(PlanError::Version { .. }) => Exit::Mismatch,
-            CompileError::Size { .. } => Exit::Mismatch,
+            CompileError::Size { .. } | CompileError::NoAgent { .. } => Exit::Mismatch,
             error if error.asks() => Exit::Usage,
             CompileError::Differs { .. } => Exit::Bug,
             CompileError::NoCompiler { .. } => Exit::NotRunning,

@@ -7,13 +7,15 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use serde::Serialize;
-use sortie_bundle::{Bundle, Recording};
-use sortie_core::plan::{AlignedBytes, Network, PlanError, Profile};
+use sortie_bundle::{Bundle, POLICY, Recording};
+use sortie_core::plan::{AlignedBytes, Network, Plan, PlanError, Profile};
+use sortie_core::{Observation, PlanPolicy};
 use sortie_plans::{
     BundlePlans, Comparison, CompileError, CompileOptions, Compiler, CompilerProcess, GraphEngine,
-    ObservationSizes, OnnxRuntimeEngine, PolicyOptions, ProposalFiles, TeamQuerySizes, agreement,
-    compare_with_golden, compare_with_golden_allocations, inspect_plan, observation_families,
-    random_allocation_states, random_entities, read_onnx, team_query_families,
+    ObservationSizes, OnnxRuntimeEngine, PolicyOptions, ProposalFiles, Standard, TeamQuerySizes,
+    agreement, compare_agents, compare_with_golden, compare_with_golden_allocations, inspect_plan,
+    observation_families, random_allocation_states, random_entities, read_onnx,
+    team_query_families,
 };
 
 use crate::allocator::LearnedAllocator;
@@ -26,8 +28,7 @@ use crate::observations::read_recording;
 use crate::onnxruntime::OnnxRuntimeArguments;
 use crate::options::Common;
 use crate::output::print_json;
-use crate::policy::DeployedPolicy;
-use crate::policy::PlanProfile;
+use crate::policy::{DeployedPolicy, PlanProfile, graph_policy};
 use crate::progress;
 
 /// Compare plans with tract, with onnxruntime and with a bundle's golden observations and allocations
@@ -156,8 +157,9 @@ fn compare(arguments: &VerifyArguments) -> Result<Report, Failure> {
         }
         if wanted(Peer::Golden) {
             spinner.set_message("comparing with golden answers");
-            // onnxruntime runs agents without memory.
-            let runtime = runtime.filter(|_| bundle.manifest().network.hidden == 0);
+            // onnxruntime runs agents without memory, and policies of others.
+            let sortie_bundle::Network { agent, hidden, .. } = &bundle.manifest().network;
+            let runtime = runtime.filter(|_| *hidden == 0 || agent == POLICY);
             engines.extend(against_golden(&bundle, runtime, profile)?);
         }
         if let Some(file) = &arguments.observations {
@@ -241,6 +243,8 @@ struct Judged<'a> {
     onnx: &'a [u8],
     plan: AlignedBytes,
     n_max: usize,
+    /// The bundle, where the network is that of its agent.
+    bundle: Option<&'a Bundle>,
 }
 
 impl<'a> Judged<'a> {
@@ -248,7 +252,7 @@ impl<'a> Judged<'a> {
     fn agent(bundle: &'a Bundle, profile: Profile) -> Result<Self, Failure> {
         let plan = unproved().agent(bundle, profile).map_err(within(bundle.folder()))?;
         let n_max = bundle.manifest().limits.n_max.into();
-        Ok(Self { onnx: bundle.agent_onnx(), plan, n_max })
+        Ok(Self { onnx: bundle.agent_onnx(), plan, n_max, bundle: Some(bundle) })
     }
 
     /// The plan by which a bundle's allocator values teams, if it does.
@@ -256,7 +260,7 @@ impl<'a> Judged<'a> {
         let Some(onnx) = bundle.allocator_onnx() else { return Ok(None) };
         let plan = unproved().allocator(bundle).map_err(within(bundle.folder()))?;
         let n_max = bundle.manifest().limits.n_max.into();
-        Ok(plan.map(|plan| Self { onnx, plan, n_max }))
+        Ok(plan.map(|plan| Self { onnx, plan, n_max, bundle: None }))
     }
 
     /// The plan of a file.
@@ -264,7 +268,8 @@ impl<'a> Judged<'a> {
         let (profile, seed) = (arguments.profile.profile(), arguments.common.seed);
         let options = CompileOptions { profile, seed, ..CompileOptions::default() };
         let compiled = compiler().compile(onnx, &options).map_err(within(&arguments.subject))?;
-        Ok(Self { onnx, plan: AlignedBytes::copy_of(&compiled.bytes), n_max: options.n_max })
+        let plan = AlignedBytes::copy_of(&compiled.bytes);
+        Ok(Self { onnx, plan, n_max: options.n_max, bundle: None })
     }
 }
 
@@ -283,11 +288,14 @@ fn judged(
     network: &Judged<'_>,
     judges: &[&dyn GraphEngine],
 ) -> Result<Vec<Compared>, Failure> {
-    let Judged { onnx, plan, n_max } = network;
+    let Judged { onnx, plan, n_max, bundle } = network;
     let (inputs, seed, n_max) = (arguments.inputs as usize, arguments.common.seed, *n_max);
     let engines = engines()?;
     let compare = || -> Result<Vec<Compared>, CompileError> {
         let (plan, facts) = (plan.as_slice(), inspect_plan(plan.as_slice())?);
+        if let (Network::Policy, Some(bundle)) = (facts.network, bundle) {
+            return judged_policy(arguments, bundle, plan, judges);
+        }
         // The graph that this process reads for its judges has then been read and run elsewhere.
         let features = (facts.network == Network::Agent).then_some(facts.features);
         compiler().rehearse(onnx, n_max, features)?;
@@ -323,6 +331,39 @@ fn judged(
         Ok(compared)
     };
     compare().map_err(within(&arguments.subject))
+}
+
+/// The plan of a policy over inputs of fixed sizes, acting for an agent, before its judges.
+fn judged_policy(
+    arguments: &VerifyArguments,
+    bundle: &Bundle,
+    plan: &[u8],
+    judges: &[&dyn GraphEngine],
+) -> Result<Vec<Compared>, CompileError> {
+    let plan = Plan::load(plan)?;
+    let sizes = ObservationSizes {
+        n_max: bundle.manifest().limits.n_max.into(),
+        features: plan.header().features as usize,
+        actions: plan.actions(),
+    };
+    let (inputs, seed) = (arguments.inputs as usize, arguments.common.seed);
+    let mut families = observation_families(inputs, sizes, seed);
+    // What is no number stands in any row that is visible, of which the agent observes only its own.
+    families.retain(|family| family.standard != Standard::Refusal);
+    let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
+    let mut policy = PlanPolicy::boxed(plan, arena.as_mut_slice())?;
+    let mut compared = Vec::new();
+    for judge in judges {
+        let mut graph = graph_policy(bundle, *judge)?;
+        let mut answers = |seen: &Observation<'_>, _, utilities: &mut [f32]| {
+            let mut memory = vec![0.0; graph.hidden()];
+            graph.utilities_with(seen, &mut memory, utilities).is_ok()
+        };
+        let compare = |family| compare_agents(policy.as_mut(), &mut answers, family);
+        let found = families.iter().map(compare).collect();
+        compared.push(Compared::new(format!("plan against {}", judge.name()), found));
+    }
+    Ok(compared)
 }
 
 /// The plan of a proposing allocator before its graphs.

@@ -5,7 +5,10 @@ use std::path::Path;
 use sortie_bundle::Bundle;
 use sortie_core::Policy;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
-use sortie_plans::{BatchedUtilities, CompileError, CompileOptions, Compiler, OnnxRuntimeEngine};
+use sortie_plans::{
+    BatchedUtilities, CompileError, CompileOptions, Compiler, OnnxRuntimeEngine, TeamSizes,
+    roles_of,
+};
 
 use super::floor::Floor;
 use super::quantised::quantise_or_note;
@@ -15,7 +18,7 @@ use crate::environment::ScenarioSetName;
 use crate::failure::Failure;
 use crate::onnxruntime::OnnxRuntimeArguments;
 use crate::output::tell;
-use crate::policy::{Backend, DeployedPolicy};
+use crate::policy::{Backend, DeployedPolicy, graph_policy};
 use sortie_envs::Split;
 
 /// The profiles of our plans, and what their engines are called.
@@ -43,7 +46,8 @@ pub(super) struct OnnxRuntimePeer {
     pub(super) alone: Box<dyn Policy>,
     /// The same network quantised by onnxruntime.
     pub(super) quantised: Option<Box<dyn Policy>>,
-    pub(super) team: Box<dyn BatchedUtilities>,
+    /// None for policies of others, which take one agent's row.
+    pub(super) team: Option<Box<dyn BatchedUtilities>>,
 }
 
 impl<'b> Contestants<'b> {
@@ -86,7 +90,7 @@ impl<'b> Contestants<'b> {
     /// Our policy of the default profile.
     pub(super) fn first(&mut self) -> Result<Box<dyn Policy + '_>, Failure> {
         let (_, exact) = self.ours.first_mut().expect("every machine runs the exact profile");
-        exact.policy()
+        exact.team()
     }
 }
 
@@ -98,10 +102,13 @@ impl OnnxRuntimePeer {
     ) -> Result<Self, CompileError> {
         let features = bundle.contract().features.into();
         let onnx = bundle.agent_onnx();
-        let alone = runtime.policy(onnx, features)?;
+        let alone = graph_policy(bundle, runtime)?;
+        if roles_of(bundle)?.is_some() {
+            return Ok(Self { runtime, alone, quantised: None, team: None });
+        }
         let quantised = quantise_or_note(python, onnx)
             .map(|variant| runtime.policy_of_variant(onnx, &variant, features));
-        let team = runtime.batched_agents(onnx, features)?;
+        let team = Some(runtime.batched_agents(onnx, features)?);
         Ok(Self { runtime, alone, quantised: quantised.transpose()?, team })
     }
 }
@@ -116,8 +123,16 @@ fn plan_for_large_teams(bundle: &Bundle, profile: Profile) -> Result<AlignedByte
         profile,
         ..CompileOptions::default()
     };
-    let compiled = compiler().compile(bundle.agent_onnx(), &options);
     let failed = |error: CompileError| Failure::from(error).within(bundle.folder().display());
+    let onnx = bundle.agent_onnx();
+    let compiled = match roles_of(bundle).map_err(failed)? {
+        Some(roles) => {
+            let team = Some(TeamSizes::of(bundle.contract()));
+            let options = CompileOptions { team, ..options };
+            compiler().compile_policy(onnx, &roles, &options).map(|policy| policy.compiled)
+        }
+        None => compiler().compile(onnx, &options),
+    };
     compiled.map(|compiled| AlignedBytes::copy_of(&compiled.bytes)).map_err(failed)
 }
 

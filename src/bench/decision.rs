@@ -67,9 +67,9 @@ fn alone(
     let Contestants { name, ours, tract, onnxruntime, floor, .. } = contestants;
     let mut plans = Vec::new();
     for (profile, plan) in ours {
-        plans.push((*profile, plan.policy()?));
+        plans.push((*profile, plan.team()?));
     }
-    let mut tract = tract.policy()?;
+    let mut tract = tract.team()?;
     for pace in schedule.paces {
         let mut engines = Vec::new();
         for (profile, policy) in &mut plans {

@@ -51,7 +51,7 @@ fn measure_team(
     let Contestants { ours, onnxruntime, floor, .. } = contestants;
     let mut plans = Vec::new();
     for (profile, plan) in ours {
-        plans.push((*profile, plan.policy()?));
+        plans.push((*profile, plan.team()?));
     }
     let mut utilities = vec![0.0; agents * actions];
     let frame = |call: usize| &frames[call % frames.len()];
@@ -60,9 +60,11 @@ fn measure_team(
         for (profile, policy) in &mut plans {
             engines.push(our_engine(profile, |call| decide_together(frame(call), policy.as_mut())));
         }
-        if let Some(peer) = onnxruntime {
+        if let Some(peer) = onnxruntime
+            && let Some(team) = &mut peer.team
+        {
             let utilities = &mut utilities;
-            let at_once = |call| at_once(frame(call), peer.team.as_mut(), utilities);
+            let at_once = |call| at_once(frame(call), team.as_mut(), utilities);
             engines.push(engine("onnxruntime", peer.runtime.version(), at_once));
         }
         engines.push(engine(FLOOR, "", |_| floor.read()));
@@ -106,14 +108,14 @@ fn at_once(frame: &[Observation<'_>], peer: &mut dyn BatchedUtilities, utilities
 /// The batched graph must compute what the single one does, which our plan was proved against.
 fn check(frames: &[Vec<Observation<'_>>], contestants: &mut Contestants<'_>) -> Outcome {
     let Contestants { ours, onnxruntime: Some(peer), .. } = contestants else { return Ok(()) };
+    let Some(team) = &mut peer.team else { return Ok(()) };
     let (_, exact) = ours.first_mut().expect("every machine runs the exact profile");
     let mut ours = exact.policy()?;
     let actions = ours.actions();
     let mut want = vec![0.0; actions];
     for frame in frames {
         let mut got = vec![0.0; frame.len() * actions];
-        peer.team
-            .utilities(frame, &mut got)
+        team.utilities(frame, &mut got)
             .map_err(|error| Failure::difference(format!("the batched graph: {error}")))?;
         for (observation, got) in frame.iter().zip(got.chunks_exact(actions)) {
             ours.utilities(observation, &mut want)

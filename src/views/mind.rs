@@ -5,7 +5,7 @@ use sortie_bundle::Bundle;
 use sortie_core::choose::masked_argmax;
 use sortie_core::{DecideError, Decision, Observation, Policy};
 use sortie_methods::alma::agents::NetworkPolicy;
-use sortie_plans::AttentionProbe;
+use sortie_plans::{AttentionProbe, roles_of};
 
 use super::page::rounded;
 use crate::compiler::compiler;
@@ -51,13 +51,16 @@ impl Mind for NetworkPolicy<'_> {
 /// A bundle as deployed, with the attention read from its graph.
 pub(super) struct DeployedMind<'a> {
     policy: Box<dyn Policy + 'a>,
-    probe: AttentionProbe,
+    /// None where the network attends to nothing that is known.
+    probe: Option<AttentionProbe>,
 }
 
 impl<'a> DeployedMind<'a> {
     pub(super) fn new(bundle: &Bundle, policy: Box<dyn Policy + 'a>) -> Result<Self, Failure> {
         let features = usize::from(bundle.contract().features);
-        let probe = AttentionProbe::new(compiler().attention(bundle.agent_onnx())?, features);
+        let attends = roles_of(bundle)?.is_none();
+        let layers = attends.then(|| compiler().attention(bundle.agent_onnx())).transpose()?;
+        let probe = layers.map(|layers| AttentionProbe::new(layers, features));
         Ok(Self { policy, probe })
     }
 }
@@ -89,8 +92,9 @@ impl Mind for DeployedMind<'_> {
         &mut self,
         observation: &Observation<'_>,
     ) -> Result<Vec<(usize, Vec<f32>)>, DecideError> {
-        let weights = self.probe.weights(observation)?;
-        let parts = weights.chunks_exact(self.probe.heads()).map(<[f32]>::to_vec);
+        let Some(probe) = &mut self.probe else { return Ok(Vec::new()) };
+        let weights = probe.weights(observation)?;
+        let parts = weights.chunks_exact(probe.heads()).map(<[f32]>::to_vec);
         Ok(observation.visible.iter().zip(parts).collect())
     }
 }

@@ -10,8 +10,9 @@ use crate::digest::{hex, sha256};
 use crate::error::BundleError;
 use crate::golden::{Golden, MIN_ALLOCATIONS, MIN_CASES};
 use crate::manifest::{
-    Contract, Environment, FORMAT, Limits, Manifest, Network, PROPOSALS, TEAM_VALUE,
+    Contract, Environment, FORMAT, Limits, Manifest, Network, POLICY, PROPOSALS, TEAM_VALUE,
 };
+use crate::policy_roles::PolicyRoles;
 
 /// The file that vouches for all others.
 pub const MANIFEST: &str = "bundle.toml";
@@ -26,6 +27,8 @@ pub const PROPOSAL_PARTS: [&str; 3] =
 pub const AGENT_PLAN: &str = "agent.plan";
 /// The plan of the allocator's network, or of its three networks.
 pub const ALLOCATOR_PLAN: &str = "allocator.plan";
+/// What is what in the agent's network, where that is a policy of somebody else and must be said.
+pub const POLICY_ROLES: &str = "policy.toml";
 /// Observations with expected answers.
 pub const GOLDEN: &str = "golden.json";
 /// The model card.
@@ -137,6 +140,20 @@ impl Bundle {
     /// The agent's network.
     pub fn agent_onnx(&self) -> &[u8] {
         self.part(AGENT).unwrap_or_default()
+    }
+
+    /// What is said of the agent's network, where that is a policy over inputs of fixed sizes.
+    ///
+    /// # Errors
+    /// `policy.toml` cannot be read.
+    pub fn policy_roles(&self) -> Result<Option<PolicyRoles>, BundleError> {
+        if self.manifest.network.agent != POLICY {
+            return Ok(None);
+        }
+        let text = self.part(POLICY_ROLES).unwrap_or_default();
+        let path = self.folder.join(POLICY_ROLES);
+        let roles = PolicyRoles::from_toml(text);
+        roles.map(Some).map_err(|reason| BundleError::Invalid { path, reason })
     }
 
     /// Whether an allocator was learned, of any kind.

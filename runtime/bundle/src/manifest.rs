@@ -10,6 +10,9 @@ use crate::contract::ContractV1;
 /// The bundle format that this program writes, and the newest that it reads.
 pub(crate) const FORMAT: u32 = 1;
 
+/// The kind of agent network that is a policy over inputs of fixed sizes, whoever exported it.
+pub const POLICY: &str = "policy";
+
 /// The kind of allocator that values a team at a subtask, and searches.
 pub const TEAM_VALUE: &str = "team-value";
 /// The kind of allocator that proposes allocations and values them: trunk, step and critic.
@@ -95,7 +98,7 @@ impl Limits {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Network {
-    /// Kind of the agent network, for example `masked-attention`.
+    /// Kind of the agent network, for example `masked-attention`, or [`POLICY`].
     pub agent: String,
     /// Kind of the allocator's network, [`TEAM_VALUE`] or [`PROPOSALS`], where the bundle has one.
     #[serde(default, skip_serializing_if = "Option::is_none")]

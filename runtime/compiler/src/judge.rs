@@ -2,9 +2,8 @@
 
 use sortie_bundle::OwnedObservation;
 use sortie_core::allocate::{PlanTeamValue, TeamValueNetwork};
-use sortie_core::choose::masked_argmax;
 use sortie_core::plan::{AlignedBytes, Plan};
-use sortie_core::{PlanPolicy, Policy};
+use sortie_core::{Observation, PlanPolicy};
 
 use crate::engine::{AgentEngine, TeamValueEngine};
 use crate::graph::inputs::all_finite;
@@ -12,7 +11,7 @@ use crate::onnxruntime::{OnnxRuntime, OnnxRuntimePolicy, OnnxRuntimeTeamValue};
 use crate::tract::{TractPolicy, TractTeamValue};
 use sortie_plans::CompileError;
 use sortie_plans::OwnedTeamQuery;
-use sortie_plans::{Comparison, magnitude};
+use sortie_plans::{Comparison, compare_agents, magnitude};
 use sortie_plans::{Family, Standard};
 
 /// An engine that runs the source graph itself.
@@ -66,41 +65,11 @@ pub fn judge_agent(
     let mut engine = judge.agent(onnx, plan.header().features as usize)?;
     let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
     let mut policy = PlanPolicy::new(plan, arena.as_mut_slice())?;
-    let compare = |family| compare_agents(&mut policy, engine.as_mut(), family);
+    let mut answers = |seen: &Observation<'_>, rows, want: &mut [f32]| {
+        engine.run(seen, rows, want).is_ok() && all_finite(want)
+    };
+    let compare = |family| compare_agents(&mut policy, &mut answers, family);
     Ok(families.iter().map(compare).collect())
-}
-
-fn compare_agents(
-    policy: &mut dyn Policy,
-    engine: &mut dyn AgentEngine,
-    family: &Family<OwnedObservation>,
-) -> Comparison {
-    let mut comparison = comparison_of(family);
-    let (mut got, mut want) = (vec![0.0; policy.actions()], vec![0.0; policy.actions()]);
-    for observation in &family.inputs {
-        let view = observation.view();
-        let mut memory = vec![0.0; policy.hidden()];
-        let ours = policy.utilities_with(&view, &mut memory, &mut got).is_ok();
-        let theirs = engine.run(&view, family.rows, &mut want).is_ok() && all_finite(&want);
-        if family.standard == Standard::Refusal {
-            comparison.add_no_number(!ours, theirs);
-            continue;
-        }
-        if !ours || !theirs {
-            comparison.add_refusal(ours == theirs);
-            continue;
-        }
-        // The choice is a path of its own in a plan.
-        memory.fill(0.0);
-        let chosen = policy.decide_with(&view, &mut memory).map(|decision| decision.action);
-        let wanted = masked_argmax(&want, view.available).map(|decision| decision.action);
-        if chosen.is_ok() && wanted.is_ok() {
-            comparison.add(&got, &want, chosen == wanted);
-        } else {
-            comparison.add_unchosen(&got, &want, chosen == wanted);
-        }
-    }
-    comparison
 }
 
 /// Compares an allocator's plan with its graph, a comparison for each family.
@@ -129,7 +98,7 @@ fn compare_values(
     engine: &mut dyn TeamValueEngine,
     family: &Family<OwnedTeamQuery>,
 ) -> Comparison {
-    let mut comparison = comparison_of(family);
+    let mut comparison = family.comparison();
     let (mut got, mut want) = (Vec::new(), Vec::new());
     for query in &family.inputs {
         let state = query.state.view();
@@ -152,9 +121,4 @@ fn compare_values(
         comparison.add_on_scale(largest, &[*got], &[*want], true);
     }
     comparison
-}
-
-/// Nothing compared yet of a family.
-fn comparison_of<T>(family: &Family<T>) -> Comparison {
-    Comparison { judged: family.standard != Standard::Nothing, ..Comparison::new(family.name) }
 }

@@ -13,8 +13,8 @@ use sortie_compiler::{InProcess, TractPolicy, compile};
 use sortie_core::plan::{AlignedBytes, Header, Plan, Profile, checksums};
 use sortie_core::{PlanPolicy, Policy};
 use sortie_plans::{
-    BundlePlans, CompileError, CompileOptions, Compiled, Compiler, ProposalFiles,
-    compare_with_golden, random_observations,
+    BundlePlans, CompileError, CompileOptions, Compiled, CompiledPolicy, Compiler, PolicyOptions,
+    ProposalFiles, compare_with_golden, random_observations,
 };
 
 fn onnx() -> Vec<u8> {
@@ -55,6 +55,16 @@ impl Compiler for &Counting {
         options: &CompileOptions,
     ) -> Result<Compiled, CompileError> {
         InProcess.compile_proposals(files, options)
+    }
+
+    fn compile_policy(
+        &self,
+        onnx: &[u8],
+        policy: &PolicyOptions,
+        options: &CompileOptions,
+    ) -> Result<CompiledPolicy, CompileError> {
+        self.0.set(self.0.get() + 1);
+        InProcess.compile_policy(onnx, policy, options)
     }
 }
 

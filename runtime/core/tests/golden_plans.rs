@@ -17,6 +17,7 @@ const TEAM_VALUE_SKIP: &[u8] =
 const PROPOSALS: &[u8] = include_plan!("../../../tests/golden/plans/proposals-2.0.plan");
 
 const POLICY: &[u8] = include_plan!("../../../tests/golden/plans/policy-2.0.plan");
+const POLICY_IN_TEAM: &[u8] = include_plan!("../../../tests/golden/plans/policy-in-team-2.1.plan");
 
 /// Plans of every version of before, as their first compiler wrote them.
 const FIRST_MAJOR: [(&[u8], u16); 4] = [
@@ -54,19 +55,22 @@ fn decisions<const ARENA: usize>(bytes: &[u8]) -> String {
         let rows: Vec<f32> = (0..entities * features).map(|_| numbers.feature()).collect();
         let last_actions = [numbers.next() as u16 % header.actions as u16, NO_ACTION];
         let words = [numbers.next() % (1 << entities)];
+        let available = vec![1; plan.actions()];
         let observation = Observation {
             rows: &rows,
             stride: features,
             last_actions: &last_actions,
             visible: EntityMask::from_words(&words),
             self_index: numbers.next() as usize % entities,
-            available: &[],
+            available: &available,
         };
         let mut answers = [vec![0.0; plan.actions()], vec![0.0; plan.actions()]];
         for (plan, utilities) in
             [plan.clone(), plan.clone().on(Build::PORTABLE)].iter().zip(&mut answers)
         {
-            plan.utilities(&mut arena.0, &observation, None, utilities).expect("finite utilities");
+            let mut state = vec![0.5; plan.hidden()];
+            let computed = plan.utilities(&mut arena.0, &observation, Some(&mut state), utilities);
+            computed.expect("finite utilities");
         }
         let [widest, portable] = answers.map(|utilities| {
             utilities
@@ -111,6 +115,12 @@ fn agents_with_a_skip_decide_as_recorded() {
 fn a_team_value_with_a_skip_is_as_recorded() {
     let want = include_str!("../../../tests/golden/plans/team-value-skip-2.0.txt");
     assert_eq!(decisions::<{ arena_bytes(TEAM_VALUE_SKIP) }>(TEAM_VALUE_SKIP), want);
+}
+
+#[test]
+fn a_policy_in_a_team_decides_as_recorded() {
+    let want = include_str!("../../../tests/golden/plans/policy-in-team-2.1.txt");
+    assert_eq!(decisions::<{ arena_bytes(POLICY_IN_TEAM) }>(POLICY_IN_TEAM), want);
 }
 
 #[test]

@@ -336,7 +336,7 @@ fn choices_have_the_documented_numbers() {
         Meaning::BlockedOwnFirst,
         Meaning::OwnIndex,
     ];
-    assert!(table("meaning").map(|row| row[0]).eq((0..meanings.len()).map(|n| n.to_string())));
+    assert!(table("in a team").map(|row| row[0]).eq((0..meanings.len()).map(|n| n.to_string())));
     for (number, meaning) in meanings.into_iter().enumerate() {
         let input = Input { index: 0, meaning, to: Place { offset: 0, len: 8 } };
         assert_eq!(Op::Input(input).borrow().fields()[2..4], (number as u16).to_le_bytes());

@@ -2,15 +2,18 @@
 
 use std::path::PathBuf;
 
-use sortie_bundle::{AGENT_PLAN, ALLOCATOR_PLAN, Bundle, sha256};
+use sortie_bundle::{AGENT_PLAN, ALLOCATOR_PLAN, Bundle, POLICY_ROLES, sha256};
 use sortie_core::limits;
 use sortie_core::plan::{AlignedBytes, Network, Plan, PlanError, Profile};
 
 use crate::cache::{PlanKey, keep, kept};
 use crate::error::CompileError;
+use crate::policy::{PolicyOptions, roles_of};
+use crate::policy_plan::CompiledPolicy;
 use crate::proof::{prove_agent, prove_allocator};
 use crate::proposal_files::ProposalFiles;
 use crate::report::{CompileOptions, Compiled, VERSION};
+use crate::team_sizes::TeamSizes;
 
 /// Makes plans of networks, here or in another process.
 pub trait Compiler {
@@ -29,6 +32,17 @@ pub trait Compiler {
         files: &ProposalFiles<'_>,
         options: &CompileOptions,
     ) -> Result<Compiled, CompileError>;
+
+    /// The same for a policy over inputs of fixed sizes.
+    ///
+    /// # Errors
+    /// As [`Self::compile`], or more must be said about the file.
+    fn compile_policy(
+        &self,
+        onnx: &[u8],
+        policy: &PolicyOptions,
+        options: &CompileOptions,
+    ) -> Result<CompiledPolicy, CompileError>;
 }
 
 /// Finds the plans of bundles, and asks each about the bundle's golden answers before anybody acts by it.
@@ -50,6 +64,8 @@ struct Wanted<'a> {
     onnx: &'a [u8],
     profile: Profile,
     n_max: usize,
+    /// What is said of a policy over inputs of fixed sizes.
+    policy: Option<PolicyOptions>,
 }
 
 impl<C: Compiler> BundlePlans<C> {
@@ -70,7 +86,7 @@ impl<C: Compiler> BundlePlans<C> {
     /// The shipped plan is not of this bundle's network, a new one cannot be compiled, or the golden observations
     /// get other answers than the recorded ones.
     pub fn agent(&self, bundle: &Bundle, profile: Profile) -> Result<AlignedBytes, CompileError> {
-        self.find(&Wanted::agent(bundle, profile))
+        self.find(&Wanted::agent(bundle, profile)?)
     }
 
     /// The plan of a bundle's team-value network, if it has one.
@@ -103,7 +119,7 @@ impl<C: Compiler> BundlePlans<C> {
         let proposals =
             joined.as_ref().map(|joined| Wanted::proposals(bundle, joined, Profile::Exact));
         let wanted =
-            [Some(Wanted::agent(bundle, Profile::Exact)), Wanted::allocator(bundle), proposals];
+            [Some(Wanted::agent(bundle, Profile::Exact)?), Wanted::allocator(bundle), proposals];
         let ship = |wanted: Wanted<'_>| {
             let plan = self.compiled(&wanted)?;
             self.checked(&wanted, &plan)?;
@@ -158,6 +174,10 @@ impl<C: Compiler> BundlePlans<C> {
     fn compiled(&self, wanted: &Wanted<'_>) -> Result<AlignedBytes, CompileError> {
         let options = wanted.options();
         let compiled = match (wanted.network, proposal_files(wanted.bundle)) {
+            (Network::Policy, _) => {
+                let policy = wanted.policy.clone().unwrap_or_default();
+                self.compiler.compile_policy(wanted.onnx, &policy, &options)?.compiled
+            }
             (Network::Proposals, Some(files)) => {
                 self.compiler.compile_proposals(&files, &options)?
             }
@@ -171,7 +191,7 @@ impl<C: Compiler> BundlePlans<C> {
         let loaded = Plan::load(plan.as_slice())?;
         wanted.check_sizes(&loaded)?;
         match wanted.network {
-            Network::Agent if self.proves => prove_agent(loaded, wanted.bundle),
+            Network::Agent | Network::Policy if self.proves => prove_agent(loaded, wanted.bundle),
             Network::TeamValue if self.proves => prove_allocator(loaded, wanted.bundle),
             _ => Ok(()),
         }
@@ -179,9 +199,11 @@ impl<C: Compiler> BundlePlans<C> {
 }
 
 impl<'a> Wanted<'a> {
-    fn agent(bundle: &'a Bundle, profile: Profile) -> Self {
-        let (part, network, onnx) = (AGENT_PLAN, Network::Agent, bundle.agent_onnx());
-        Self { bundle, part, network, onnx, profile, n_max: bundle.manifest().limits.n_max.into() }
+    fn agent(bundle: &'a Bundle, profile: Profile) -> Result<Self, CompileError> {
+        let policy = roles_of(bundle)?;
+        let network = if policy.is_some() { Network::Policy } else { Network::Agent };
+        let (part, onnx, n_max) = (AGENT_PLAN, bundle.agent_onnx(), bundle.manifest().limits.n_max);
+        Ok(Self { bundle, part, network, onnx, profile, n_max: n_max.into(), policy })
     }
 
     fn allocator(bundle: &'a Bundle) -> Option<Self> {
@@ -189,12 +211,13 @@ impl<'a> Wanted<'a> {
         // Several teams are valued together, and every agent is a member of some and a stranger to others: two rows.
         let n_max = (2 * usize::from(bundle.manifest().limits.n_max)).min(limits::ENTITIES);
         let onnx = bundle.allocator_onnx()?;
-        Some(Self { bundle, part, network, onnx, profile, n_max })
+        Some(Self { bundle, part, network, onnx, profile, n_max, policy: None })
     }
 
     fn proposals(bundle: &'a Bundle, onnx: &'a [u8], profile: Profile) -> Self {
-        let (part, network) = (ALLOCATOR_PLAN, Network::Proposals);
-        Self { bundle, part, network, onnx, profile, n_max: bundle.manifest().limits.n_max.into() }
+        let (part, network, policy) = (ALLOCATOR_PLAN, Network::Proposals, None);
+        let n_max = bundle.manifest().limits.n_max.into();
+        Self { bundle, part, network, onnx, profile, n_max, policy }
     }
 
     fn key(&self) -> PlanKey<'_> {
@@ -205,6 +228,7 @@ impl<'a> Wanted<'a> {
             contract: self.bundle.contract().hash(),
             n_max: self.n_max,
             t_max: self.bundle.manifest().limits.t_max,
+            roles: self.bundle.part(POLICY_ROLES).unwrap_or_default(),
         }
     }
 
@@ -216,6 +240,7 @@ impl<'a> Wanted<'a> {
             t_max: self.bundle.manifest().limits.t_max,
             features: Some(contract.features.into()),
             contract: Some(contract.hash()),
+            team: Some(TeamSizes::of(contract)),
             ..CompileOptions::default()
         }
     }
@@ -241,7 +266,7 @@ impl<'a> Wanted<'a> {
         plan.check_network(self.network)?;
         let (contract, header) = (self.bundle.contract(), plan.header());
         match self.network {
-            Network::Agent => {
+            Network::Agent | Network::Policy => {
                 let hidden = self.bundle.manifest().network.hidden as usize;
                 same_size("the recurrent state", plan.hidden(), hidden)?;
                 same_size("the number of utilities", plan.actions(), contract.actions.into())

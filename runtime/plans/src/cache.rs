@@ -29,13 +29,15 @@ pub(crate) struct PlanKey<'a> {
     pub(crate) n_max: usize,
     /// Most subtasks.
     pub(crate) t_max: u16,
+    /// What is said of the network's inputs and outputs.
+    pub(crate) roles: &'a [u8],
 }
 
 impl PlanKey<'_> {
     /// The file name of the plan: the same for the same plan, different for any other.
     fn file_name(&self) -> String {
         let source = hex(&sha256(self.onnx));
-        let rest = (self.profile, self.compiler, self.contract, self.n_max, self.t_max);
+        let rest = (self.profile, self.compiler, self.contract, self.n_max, self.t_max, self.roles);
         hex(&sha256(format!("{source} {rest:?}").as_bytes())).split_at(32).0.to_owned() + ".plan"
     }
 }
@@ -90,6 +92,7 @@ mod tests {
         contract: 1,
         n_max: 8,
         t_max: 3,
+        roles: b"",
     };
 
     #[test]
@@ -131,6 +134,7 @@ mod tests {
             PlanKey { contract: 2, ..KEY },
             PlanKey { n_max: 9, ..KEY },
             PlanKey { t_max: 4, ..KEY },
+            PlanKey { roles: b"output = 'q'", ..KEY },
         ];
         for other in changed {
             assert_ne!(other.file_name(), KEY.file_name(), "{other:?}");

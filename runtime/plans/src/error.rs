@@ -202,6 +202,18 @@ pub enum CompileError {
         /// What is wrong with them.
         reason: String,
     },
+    /// What is said of a bundle's policy cannot be read.
+    #[error("{reason}")]
+    NoRoles {
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A policy cannot act for an agent of a team.
+    #[error("no agent of a team can act by this policy: {reason}")]
+    NoAgent {
+        /// What does not fit.
+        reason: String,
+    },
     /// The plan is not one that can be loaded.
     #[error("the plan cannot be loaded")]
     Plan(#[from] PlanError),

@@ -5,6 +5,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use sortie_bundle::OwnedObservation;
 use sortie_core::EntityMask;
 
+use crate::comparison::Comparison;
 use crate::observations::{
     OwnedTeamQuery, random_observations, random_observations_of, random_team_queries,
     random_team_queries_of,
@@ -51,6 +52,14 @@ pub struct Family<T> {
     pub standard: Standard,
     /// Which rows a graph gets: all, unless it is known that the graph's own masking cannot hide a value.
     pub rows: Rows,
+}
+
+impl<T> Family<T> {
+    /// Nothing compared yet.
+    pub fn comparison(&self) -> Comparison {
+        let judged = self.standard != Standard::Nothing;
+        Comparison { judged, ..Comparison::new(self.name) }
+    }
 }
 
 /// Sizes of an agent's network and of its world.

@@ -17,6 +17,7 @@ mod error;
 mod facts;
 mod families;
 mod golden_allocations;
+mod judged_agents;
 mod layers;
 mod observations;
 mod onnx_file;
@@ -28,6 +29,8 @@ mod proof;
 mod proposal_files;
 mod quantised_policy;
 mod report;
+mod team_policy;
+mod team_sizes;
 
 pub use agreement::{
     Agreement, LEAST_AGREEMENT, LEAST_OBSERVATIONS, Quantised, RECORDED, agreement, quantise,
@@ -49,6 +52,7 @@ pub use families::{
     team_query_families,
 };
 pub use golden_allocations::compare_with_golden_allocations;
+pub use judged_agents::{Answers, compare_agents};
 pub use layers::{Layer, Matrix};
 pub use observations::{
     OwnedEntities, OwnedTeamQuery, random_allocation_states, random_entities, random_observations,
@@ -58,7 +62,7 @@ pub use observations::{
 pub use onnx_file::read_onnx;
 pub use policy::{
     FlatPolicy, InputRole, OutputRole, PolicyAnswer, PolicyFacts, PolicyInput, PolicyOptions,
-    PolicyOutput, PolicyState, ValueType,
+    PolicyOutput, PolicyState, ValueType, roles_of,
 };
 pub use policy_agreement::{
     LARGEST_DEVIATION, OutputAgreement, PolicyAgreement, RecordedCase, policy_agreement,
@@ -68,3 +72,5 @@ pub use process::{CompilerProcess, ProcessLimits, Request, read_request};
 pub use proposal_files::ProposalFiles;
 pub use quantised_policy::{QuantisedPolicy, quantise_policy};
 pub use report::{CompileOptions, Compiled, OperatorReport, Report, VERSION, report};
+pub use team_policy::TeamPolicy;
+pub use team_sizes::TeamSizes;

@@ -4,6 +4,8 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use sortie_bundle::{Bundle, PolicyRoles};
+
 use crate::error::CompileError;
 
 /// What is said about a file; what is left out is found.
@@ -17,6 +19,30 @@ pub struct PolicyOptions {
     pub states: Vec<String>,
     /// The mask of available actions; `none` where what looks like one is none.
     pub available: Option<String>,
+}
+
+impl From<PolicyRoles> for PolicyOptions {
+    fn from(roles: PolicyRoles) -> Self {
+        let PolicyRoles { output, state, available, size } = roles;
+        Self { outputs: output, sizes: size.into_iter().collect(), states: state, available }
+    }
+}
+
+impl From<PolicyOptions> for PolicyRoles {
+    fn from(options: PolicyOptions) -> Self {
+        let PolicyOptions { outputs, sizes, states, available } = options;
+        Self { output: outputs, size: sizes.into_iter().collect(), state: states, available }
+    }
+}
+
+/// What is said of a bundle's agent, where that is a policy over inputs of fixed sizes.
+///
+/// # Errors
+/// The bundle's `policy.toml` cannot be read.
+pub fn roles_of(bundle: &Bundle) -> Result<Option<PolicyOptions>, CompileError> {
+    let roles = bundle.policy_roles();
+    let roles = roles.map_err(|error| CompileError::NoRoles { reason: error.to_string() })?;
+    Ok(roles.map(PolicyOptions::from))
 }
 
 /// What a policy takes and gives: only what the wanted outputs are computed from, sizes fixed, a batch of one.

@@ -101,6 +101,15 @@ impl Compiler for CompilerProcess {
     ) -> Result<Compiled, CompileError> {
         self.ask(Request::CompileProposals(*options), &files.joined())
     }
+
+    fn compile_policy(
+        &self,
+        onnx: &[u8],
+        policy: &PolicyOptions,
+        options: &CompileOptions,
+    ) -> Result<CompiledPolicy, CompileError> {
+        self.compile_policy(onnx, policy, options)
+    }
 }
 
 impl CompilerProcess {

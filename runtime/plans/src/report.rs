@@ -6,9 +6,10 @@ use sortie_core::limits;
 use sortie_core::plan::{Profile, Program};
 
 use crate::comparison::Comparison;
+use crate::team_sizes::TeamSizes;
 
 /// The compiler's version; a plan of another version is compiled again.
-pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), "-2");
+pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), "-3");
 
 /// What the file alone does not say.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
@@ -23,6 +24,8 @@ pub struct CompileOptions {
     pub features: Option<usize>,
     /// Hash of the contract; none: as the file's metadata says, else 0.
     pub contract: Option<u64>,
+    /// The team that a policy acts in; none: its plan is for a caller that knows what the inputs are.
+    pub team: Option<TeamSizes>,
     /// Random observations that plan and graph must agree on.
     pub inputs: usize,
     /// Seed of the observations.
@@ -33,7 +36,16 @@ impl Default for CompileOptions {
     fn default() -> Self {
         let n_max = 32.min(limits::ENTITIES);
         let profile = Profile::Exact;
-        Self { n_max, profile, t_max: 0, features: None, contract: None, inputs: 256, seed: 0 }
+        Self {
+            n_max,
+            profile,
+            t_max: 0,
+            features: None,
+            contract: None,
+            team: None,
+            inputs: 256,
+            seed: 0,
+        }
     }
 }
 

@@ -30,16 +30,22 @@ pub fn compile_policy(
     let entries = graph.file.metadata_props.iter();
     let metadata = entries.map(|entry| (entry.key.clone(), entry.value.clone()));
     let annex = Annex::new(facts.clone(), metadata);
-    let lowered = guarded(|| Ok(lower_policy(&graph, options.profile)));
+    let meanings = options.team.map(|team| team.meanings(&facts)).transpose()?;
+    let meanings = meanings.unwrap_or_default();
+    let lowered = guarded(|| Ok(lower_policy(&graph, &meanings, options.profile)));
     let lowered = lowered.map_err(|reason| CompileError::Unreadable { reason })??;
     let LoweredPolicy { program, weights, features, actions } = lowered;
     let weights = weights.to_bytes();
-    let sizes = AgentSizes { n_max: 1, features, actions, choice: Choice::Greedy };
+    let (n_max, features) = match options.team {
+        Some(team) => (options.n_max, team.features),
+        None => (1, features),
+    };
+    let sizes = AgentSizes { n_max, features, actions, choice: Choice::Greedy };
     let mut origin = Origin {
         source: sha256(onnx),
         profile: options.profile,
         network: Network::Policy,
-        contract: 0,
+        contract: options.contract.unwrap_or(0),
         t_max: 0,
         max_error: 0.0,
         action_mismatch: 0.0,

@@ -9,14 +9,15 @@ use sortie_bundle::{OwnedAllocationState, OwnedObservation};
 use sortie_core::Policy;
 use sortie_core::allocate::TeamValueNetwork;
 use sortie_plans::{
-    Comparison, CompileError, CompileOptions, Compiled, Compiler, Engines, Family, FlatPolicy,
-    GraphEngine, OnnxRuntimeEngine, OnnxRuntimeError, OwnedEntities, OwnedTeamQuery, PolicyOptions,
-    ProposalFiles,
+    Comparison, CompileError, CompileOptions, Compiled, CompiledPolicy, Compiler, Engines, Family,
+    FlatPolicy, GraphEngine, OnnxRuntimeEngine, OnnxRuntimeError, OwnedEntities, OwnedTeamQuery,
+    PolicyOptions, ProposalFiles,
 };
 
 use crate::answer::answer_compiler;
 use crate::compile::{
-    compare_entities_with_graph, compare_proposals_with_graphs, compile, compile_proposals,
+    compare_entities_with_graph, compare_proposals_with_graphs, compile, compile_policy,
+    compile_proposals,
 };
 use crate::flat::FlatGraph;
 use crate::judge::{Judge, judge_agent, judge_team_values};
@@ -41,6 +42,15 @@ impl Compiler for InProcess {
         options: &CompileOptions,
     ) -> Result<Compiled, CompileError> {
         compile_proposals(files, options)
+    }
+
+    fn compile_policy(
+        &self,
+        onnx: &[u8],
+        policy: &PolicyOptions,
+        options: &CompileOptions,
+    ) -> Result<CompiledPolicy, CompileError> {
+        compile_policy(onnx, policy, options)
     }
 }
 

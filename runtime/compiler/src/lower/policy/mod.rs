@@ -59,16 +59,17 @@ pub(crate) struct LoweredPolicy {
     pub(crate) actions: usize,
 }
 
-/// Lowers a policy: its inputs and states, the steps, its outputs, and a choice where the first output is one.
+/// Lowers a policy: its inputs, of which `meanings` says what they are in a team, its states, the steps, its outputs, and a choice where the first output is one.
 ///
 /// # Errors
 /// `Unsupported` names the node that no step computes.
 pub(crate) fn lower_policy(
     graph: &FlatGraph,
+    meanings: &[Meaning],
     profile: Profile,
 ) -> Result<LoweredPolicy, CompileError> {
     let mut lowering = Lowering::new(&graph.model, profile);
-    lowering.inputs(graph)?;
+    lowering.inputs(graph, meanings)?;
     let order = graph.model.eval_order();
     let order = order.map_err(|error| CompileError::Unreadable { reason: error.to_string() })?;
     let needed = needed(graph);
@@ -125,13 +126,14 @@ impl<'m> Lowering<'m> {
     }
 
     /// Inputs in the order in which callers give them, then states.
-    fn inputs(&mut self, graph: &FlatGraph) -> Lowered<()> {
+    fn inputs(&mut self, graph: &FlatGraph, meanings: &[Meaning]) -> Lowered<()> {
         let sources = graph.model.inputs.iter().zip(&graph.interface.facts.inputs);
         let (states, given): (Vec<_>, Vec<_>) =
             sources.partition(|(_, input)| input.role == InputRole::State);
         for (index, (outlet, input)) in given.into_iter().enumerate() {
             let to = self.arena.place(input.length());
-            let (index, meaning) = (index as u16, Meaning::None);
+            let meaning = meanings.get(index).copied().unwrap_or(Meaning::None);
+            let index = index as u16;
             self.ops.push(Op::Input(Input { index, meaning, to }));
             self.values.insert(*outlet, to, input.shape.clone());
         }

@@ -1,0 +1,177 @@
+//! What the inputs of a policy over fixed sizes are where an agent of a team observes them.
+
+use serde::{Deserialize, Serialize};
+use sortie_bundle::ContractV1;
+use sortie_core::internal::ops::Meaning;
+
+use crate::error::CompileError;
+use crate::policy::{InputRole, OutputRole, PolicyFacts, PolicyInput};
+
+/// Sizes of what an agent of a team observes and does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TeamSizes {
+    /// Features d of an entity.
+    pub features: usize,
+    /// Actions U.
+    pub actions: usize,
+    /// Whether the one-hot of an entity's last action follows its features.
+    pub last_action: bool,
+}
+
+impl TeamSizes {
+    /// The sizes of a contract.
+    pub fn of(contract: &ContractV1) -> Self {
+        Self {
+            features: contract.features.into(),
+            actions: contract.actions.into(),
+            last_action: contract.append_last_action,
+        }
+    }
+
+    /// Numbers of a row.
+    pub fn row(&self) -> usize {
+        self.features + if self.last_action { self.actions } else { 0 }
+    }
+
+    /// What the inputs that a caller would give are in such a team, in their order.
+    ///
+    /// # Errors
+    /// The policy does not choose one of the actions, or an input is nothing that an agent observes.
+    pub fn meanings(&self, facts: &PolicyFacts) -> Result<Vec<Meaning>, CompileError> {
+        self.check_choice(facts)?;
+        let mut rows = facts.given().filter(|input| input.role == InputRole::Observation);
+        if let (Some(one), Some(other)) = (rows.next(), rows.next()) {
+            let names = format!("`{}` and `{}`", one.name, other.name);
+            return Err(no_agent(format!("an agent observes one row, {names} are two")));
+        }
+        facts.given().map(|input| self.meaning(input)).collect()
+    }
+
+    fn meaning(&self, input: &PolicyInput) -> Result<Meaning, CompileError> {
+        let (name, length) = (&input.name, input.length());
+        match input.role {
+            InputRole::Observation if length == self.row() => Ok(Meaning::OwnRow),
+            InputRole::Observation => Err(no_agent(format!(
+                "`{name}` has {length} numbers, an agent's own row has {} ({})",
+                self.row(),
+                self.columns()
+            ))),
+            InputRole::Available if length == self.actions => Ok(Meaning::Available),
+            InputRole::Available | InputRole::Extra | InputRole::State => Err(no_agent(format!(
+                "`{name}` {:?} is neither an agent's own row nor its available actions",
+                input.shape
+            ))),
+        }
+    }
+
+    /// What stands in a row, for people.
+    fn columns(&self) -> String {
+        let features = format!("{} features", self.features);
+        if self.last_action {
+            format!("{features} and the one-hot of its last action among {}", self.actions)
+        } else {
+            format!("{features}, its last action is none of them")
+        }
+    }
+
+    fn check_choice(&self, facts: &PolicyFacts) -> Result<(), CompileError> {
+        let want = self.actions;
+        let outputs: Vec<_> = facts.wanted().collect();
+        let [output] = outputs.as_slice() else {
+            let names: Vec<_> = outputs.iter().map(|output| output.name.as_str()).collect();
+            let names = names.join("`, `");
+            let reason = format!("it has several outputs, `{names}`: `--output NAME` says which");
+            return Err(no_agent(reason));
+        };
+        let name = &output.name;
+        match output.role {
+            OutputRole::Discrete(got) if got != want => {
+                Err(no_agent(format!("`{name}` chooses among {got} actions, an agent has {want}")))
+            }
+            // A choice among several is as many choices as there are rows.
+            OutputRole::Discrete(_) if ![1, want].contains(&output.length()) => {
+                let shape = &output.shape;
+                Err(no_agent(format!("`{name}` {shape:?} is more than one choice")))
+            }
+            OutputRole::Discrete(_) => Ok(()),
+            OutputRole::Continuous(_) | OutputRole::State => Err(no_agent(format!(
+                "`{name}` {:?} is no choice of one of {want} actions; where its numbers are the actions' scores, \
+                 write `--output {name}:discrete`",
+                output.shape
+            ))),
+        }
+    }
+}
+
+fn no_agent(reason: String) -> CompileError {
+    CompileError::NoAgent { reason }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::policy::{PolicyOutput, ValueType};
+
+    fn facts(
+        inputs: &[(&str, usize, InputRole)],
+        output: OutputRole,
+        length: usize,
+    ) -> PolicyFacts {
+        let input = |(name, length, role): &(&str, usize, InputRole)| PolicyInput {
+            name: (*name).to_owned(),
+            kind: ValueType::F32,
+            shape: vec![1, *length],
+            role: *role,
+        };
+        let (name, kind, shape) = ("q".to_owned(), ValueType::F32, vec![1, length]);
+        PolicyFacts {
+            inputs: inputs.iter().map(input).collect(),
+            outputs: vec![PolicyOutput { name, kind, shape, role: output }],
+            states: Vec::new(),
+            operators: Default::default(),
+            parameters: 0,
+            multiply_adds: None,
+        }
+    }
+
+    const TEAM: TeamSizes = TeamSizes { features: 5, actions: 3, last_action: true };
+
+    fn refused(facts: &PolicyFacts) -> String {
+        TEAM.meanings(facts).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn an_agent_observes_its_row_and_its_available_actions() {
+        let inputs = [
+            ("mask", 3, InputRole::Available),
+            ("h", 9, InputRole::State),
+            ("obs", 8, InputRole::Observation),
+        ];
+        let facts = facts(&inputs, OutputRole::Discrete(3), 3);
+        assert_eq!(TEAM.meanings(&facts).unwrap(), [Meaning::Available, Meaning::OwnRow]);
+        let without = TeamSizes { last_action: false, ..TEAM };
+        let reason = without.meanings(&facts).unwrap_err().to_string();
+        assert!(reason.ends_with(
+            "`obs` has 8 numbers, an agent's own row has 5 (5 features, its last action is none of them)"
+        ));
+    }
+
+    #[test]
+    fn what_does_not_fit_is_named() {
+        let row = [("obs", 8, InputRole::Observation)];
+        let short = [("obs", 5, InputRole::Observation)];
+        let other = [row[0], ("time", 1, InputRole::Extra)];
+        let two = [row[0], ("more", 8, InputRole::Observation)];
+        let (choice, scores) = (OutputRole::Discrete(3), OutputRole::Continuous(3));
+        for (facts, words) in [
+            (facts(&short, choice, 3), "`obs` has 5 numbers, an agent's own row has 8"),
+            (facts(&other, choice, 3), "`time` [1, 1] is neither"),
+            (facts(&two, choice, 3), "`obs` and `more` are two"),
+            (facts(&row, OutputRole::Discrete(4), 4), "chooses among 4 actions, an agent has 3"),
+            (facts(&row, choice, 6), "more than one choice"),
+            (facts(&row, scores, 3), "`--output q:discrete`"),
+        ] {
+            assert!(refused(&facts).contains(words), "{}", refused(&facts));
+        }
+    }
+}
