@@ -113,6 +113,19 @@ pub enum CompileError {
         /// The nearest supported pattern.
         hint: Cow<'static, str>,
     },
+    /// A node asks for what its reader does not know.
+    #[error(
+        "`{node}` ({operator}) asks for {what}, which tract does not read: the policy would be computed without; \
+         export it without, or run it by onnxruntime"
+    )]
+    PassedOver {
+        /// The node's name.
+        node: String,
+        /// Its operator.
+        operator: String,
+        /// What is passed over.
+        what: String,
+    },
     /// A part of the network has no int8 form.
     #[error("{what} has no int8 form: compile with the profile exact or fused")]
     NoInt8 {

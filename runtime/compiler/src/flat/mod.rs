@@ -6,6 +6,7 @@
 mod counts;
 mod facts;
 mod interface;
+mod misread;
 mod nodes;
 mod outputs;
 mod selection;
@@ -43,6 +44,7 @@ impl FlatGraph {
         let selection = Selection::of(&file, &values, options)?;
         let outputs = selection.outputs();
         let file = cut(&file, &outputs);
+        file.graph.as_ref().map_or(Ok(()), misread::refuse)?;
         let read = || {
             let mut model = reader().model_for_proto_model(&file)?.into_typed()?;
             // ONNX has no memory of its own: every run begins with the state that goes in.

@@ -115,7 +115,8 @@ fn functions_of_two_values_repeat_what_is_shorter() {
         .node("Less", &["x", "y"], "less")
         .node("And", &["hidden", "less"], "both")
         .node("Or", &["both", "mask"], "any")
-        .node("Where", &["any", "x", "y"], "q")
+        .node("Xor", &["any", "less"], "one")
+        .node("Where", &["one", "x", "y"], "q")
         .output("q");
     assert!(steps(&file).contains(&"Select"));
 }
@@ -138,6 +139,12 @@ fn numbers_move_as_the_graph_says() {
         .whole("axis", &[2])
         .node("Slice", &["x", "start", "end", "axis"], "part")
         .node_with("Transpose", &["part"], "q", vec![numbers("perm", &[2, 0, 1])])
+        .output("q");
+    assert!(steps(&file).contains(&"Arrange"));
+    let file = inputs()
+        .whole("pads", &[0, 1, 2, 0, 0, 1])
+        .constant("around", &[], &[0.5])
+        .node("Pad", &["x", "pads", "around"], "q")
         .output("q");
     assert!(steps(&file).contains(&"Arrange"));
 }
@@ -185,6 +192,44 @@ fn layer_normalisation_is_a_policy_like_others() {
         .output("q");
     let compiled = compiled(&file);
     assert!(compiled.is_ok(), "{}", compiled.unwrap_err());
+}
+
+#[test]
+fn what_would_be_computed_otherwise_is_refused() {
+    let strings = |name: &str, strings: &[&str]| AttributeProto {
+        name: name.into(),
+        strings: strings.iter().map(|text| text.as_bytes().to_vec()).collect(),
+        ..Default::default()
+    };
+    let text = |name: &str, text: &str| AttributeProto { s: text.into(), ..strings(name, &[]) };
+
+    let usual = ["Sigmoid", "Tanh"];
+    for (operator, attribute, what) in [
+        ("RNN", strings("activations", &["Relu"]), "asks for Relu,"),
+        ("GRU", strings("activations", &["HardSigmoid", "Tanh"]), "asks for HardSigmoid, Tanh,"),
+        ("GRU", strings("activations", &[usual, ["Relu"; 2]].concat()), "Relu, Relu,"),
+        ("LSTM", float("clip", 0.5), "asks for clip,"),
+        ("LSTM", number("input_forget", 1), "asks for input_forget,"),
+        ("LSTM", text("direction", "reverse"), "asks for direction,"),
+        ("Celu", float("alpha", 0.5), "asks for alpha = 0.5,"),
+        ("BatchNormalization", number("training_mode", 1), "asks for the means of training,"),
+    ] {
+        let file = one(operator, vec![attribute]);
+        let refused = compiled(&file).unwrap_err();
+        assert!(matches!(refused, CompileError::PassedOver { .. }), "{refused}");
+        assert!(refused.to_string().contains(what), "{refused}");
+    }
+    for (operator, attribute) in [
+        ("LSTM", strings("activations", &["Sigmoid", "Tanh", "Tanh"])),
+        ("GRU", strings("activations", &[usual; 2].concat())),
+        ("GRU", text("direction", "forward")),
+        ("LSTM", number("input_forget", 0)),
+        ("Celu", float("alpha", 1.0)),
+    ] {
+        let refused = compiled(&one(operator, vec![attribute])).err();
+        let is_passed = matches!(refused, Some(CompileError::PassedOver { .. }));
+        assert!(!is_passed, "{operator}: {refused:?}");
+    }
 }
 
 #[test]

@@ -85,6 +85,16 @@ fn convolutions_of_all_kinds_are_one_step() {
         let found = steps(&convolution(square, &kernel, attributes));
         assert!(found.starts_with(&["Input", "Convolve", "Output"]), "{found:?}");
     }
+    // Channels behind the points, as cameras give them.
+    let camera = File::default()
+        .input("x", Float, &["1", "7", "6", "2"])
+        .constant("W", &kernel, &some(36))
+        .node_with("Transpose", &["x"], "picture", vec![numbers("perm", &[0, 3, 1, 2])])
+        .nodes("Conv", &["picture", "W"], &["map"], vec![numbers("strides", &[2, 1])])
+        .node_with("Transpose", &["map"], "seen", vec![numbers("perm", &[0, 2, 3, 1])])
+        .node("Flatten", &["seen"], "q")
+        .output("q");
+    assert!(steps(&camera).contains(&"Convolve"));
     let line = convolution(&["1", "4", "9"], &[5, 4, 3], vec![("strides", vec![2])]);
     assert!(steps(&line).contains(&"Convolve"));
     let grouped = File::default()

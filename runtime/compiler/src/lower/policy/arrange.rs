@@ -2,7 +2,7 @@
 
 use sortie_core::internal::ops::{Arrange, Combination, Multiply, Op, Place};
 use tract_onnx::prelude::*;
-use tract_onnx::tract_core::ops::array::{OneHot, Slice};
+use tract_onnx::tract_core::ops::array::{OneHot, Pad, PadMode, Slice};
 use tract_onnx::tract_core::ops::change_axes::AxisOp;
 use tract_onnx::tract_core::ops::downsample::Downsample;
 use tract_onnx::tract_hir::internal::DimLike;
@@ -204,6 +204,29 @@ impl Lowering<'_> {
             self.arrange(node, value.place, to, &dimensions)?;
             start += value.shape[axis];
         }
+        self.give(node, 0, whole)
+    }
+
+    /// A value with constant numbers around it.
+    pub(super) fn pad(&mut self, node: &TypedNode, pad: &Pad) -> Lowered<()> {
+        let PadMode::Constant(fill) = &pad.mode else {
+            return Err(self.unsupported(node, "plans have constant numbers around a value"));
+        };
+        let fill = numbers(fill);
+        let fill = fill.ok_or_else(|| self.unsupported(node, "it is filled with no number"))?;
+        let (value, shape) = (self.operand(node, 0)?, self.shape(node, 0)?);
+        let (steps, own) = (strides(&value.shape), strides(&shape));
+        let whole = self.arena.place(shape.iter().product());
+        let around = self.stored(&fill);
+        let all = Dimension { size: whole.len as usize, from: 0, to: 1 };
+        self.arrange(node, around, whole, &[all])?;
+        let skipped = pad.pads.iter().zip(&own).map(|((before, _), step)| before * step);
+        let skipped = skipped.sum::<usize>() as u32;
+        let inside = Place { offset: whole.offset + skipped, len: whole.len - skipped };
+        let dimensions: Vec<Dimension> = (0..shape.len())
+            .map(|axis| Dimension { size: value.shape[axis], from: steps[axis], to: own[axis] })
+            .collect();
+        self.arrange(node, value.place, inside, &dimensions)?;
         self.give(node, 0, whole)
     }
 

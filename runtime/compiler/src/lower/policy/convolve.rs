@@ -4,6 +4,7 @@ use sortie_core::internal::kernels::product::padded;
 use sortie_core::internal::ops::{Convolve, Flag, Op, Place};
 use tract_onnx::prelude::*;
 use tract_onnx::tract_core::ops::cnn::{Conv, KernelFormat, PoolSpec};
+use tract_onnx::tract_core::ops::nn::DataFormat;
 
 use super::values::{Value, numbers};
 use super::weights::PolicyWeights;
@@ -27,6 +28,7 @@ pub(super) struct Patches {
 impl Lowering<'_> {
     pub(super) fn convolve(&mut self, node: &TypedNode, conv: &Conv) -> Lowered<()> {
         let value = self.operand(node, 0)?;
+        let value = self.channels_first(node, &conv.pool_spec, value)?;
         let unsupported = |hint| self.unsupported(node, hint);
         if conv.q_params.is_some() {
             return Err(unsupported("plans convolve in f32"));
@@ -67,22 +69,62 @@ impl Lowering<'_> {
                 to: part(to, parts[1]),
             }));
         }
+        let to = self.as_picture(node, &conv.pool_spec, &patches, outputs, to)?;
         self.give(node, 0, to)?;
         relu.map_or(Ok(()), |relu| self.give(relu, 0, to))
     }
 
-    /// The patches that a convolution or a pool works on.
+    /// A picture with its channels before its points, as steps take it.
+    pub(super) fn channels_first(
+        &mut self,
+        node: &TypedNode,
+        spec: &PoolSpec,
+        value: Value,
+    ) -> Lowered<Value> {
+        let axes = value.shape.len();
+        let first = usize::from(spec.data_format.has_n());
+        if !spec.data_format.c_is_last() || axes <= first {
+            return Ok(value);
+        }
+        let order: Vec<usize> = (0..first).chain([axes - 1]).chain(first..axes - 1).collect();
+        let place = self.permuted(node, &value, &order)?;
+        Ok(Value { place, shape: order.into_iter().map(|axis| value.shape[axis]).collect() })
+    }
+
+    /// A result with its channels where the graph has them.
+    pub(super) fn as_picture(
+        &mut self,
+        node: &TypedNode,
+        spec: &PoolSpec,
+        patches: &Patches,
+        channels: usize,
+        place: Place,
+    ) -> Lowered<Place> {
+        if !spec.data_format.c_is_last() {
+            return Ok(place);
+        }
+        let [height, width] = patches.result;
+        let value = Value { place, shape: vec![channels, height, width] };
+        self.permuted(node, &value, &[1, 2, 0])
+    }
+
+    /// The patches that a convolution or a pool works on; the picture has its channels first.
     pub(super) fn patches(
         &self,
         node: &TypedNode,
         spec: &PoolSpec,
         value: &Value,
     ) -> Lowered<Patches> {
-        let shape = spec.data_format.shape(value.shape.clone());
+        let format = match spec.data_format {
+            DataFormat::NHWC => DataFormat::NCHW,
+            DataFormat::HWC => DataFormat::CHW,
+            first => first,
+        };
+        let shape = format.shape(value.shape.clone());
         let shape = shape.map_err(|_| self.unsupported(node, "its picture has other sizes"))?;
         let is_one = shape.n().is_none_or(|batch| *batch == 1);
-        if !is_one || spec.data_format.c_is_last() || !(1..=2).contains(&shape.hw_rank()) {
-            let hint = "plans take one picture of one or two dimensions, channels first";
+        if !is_one || !(1..=2).contains(&shape.hw_rank()) {
+            let hint = "plans take one picture of one or two dimensions";
             return Err(self.unsupported(node, hint));
         }
         let padding = spec.computed_padding(shape.hw_dims());

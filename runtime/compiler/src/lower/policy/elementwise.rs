@@ -124,6 +124,10 @@ impl Lowering<'_> {
     /// A function of two values, repeated to the same sizes.
     pub(super) fn binary(&mut self, node: &TypedNode, name: &str) -> Lowered<()> {
         let (left, right) = (self.outlet(node, 0)?, self.outlet(node, 1)?);
+        let is_whole = |fact: &TypedFact| !fact.datum_type.is_float();
+        if name == "Div" && self.model.outlet_fact(left).is_ok_and(is_whole) {
+            return Err(self.unsupported(node, "plans do not divide whole numbers"));
+        }
         if let Some(constant) = self.uniform(right)
             && let Some(place) = self.with_number(node, name, constant)?
         {
@@ -142,7 +146,7 @@ impl Lowering<'_> {
             "Div" => (Combination::Divide, 0, 1),
             "Min" => (Combination::Minimum, 0, 1),
             "Max" => (Combination::Maximum, 0, 1),
-            "Eq" | "NE" => (Combination::Equal, 0, 1),
+            "Eq" | "NE" | "Xor" => (Combination::Equal, 0, 1),
             "LT" => (Combination::Less, 0, 1),
             "GT" => (Combination::Less, 1, 0),
             "LTE" => (Combination::LessOrEqual, 0, 1),
@@ -156,7 +160,8 @@ impl Lowering<'_> {
         let single = self.operand(node, right)?.place;
         let right = if single.len == 1 { single } else { self.broadcast(node, right, &shape)? };
         let to = self.combine(combination, left, right);
-        let to = if name == "NE" { self.map(Function::Not, [0.0; 2], to) } else { to };
+        let is_other = matches!(name, "NE" | "Xor");
+        let to = if is_other { self.map(Function::Not, [0.0; 2], to) } else { to };
         self.give(node, 0, to)
     }
 

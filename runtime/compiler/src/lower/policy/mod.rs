@@ -26,7 +26,9 @@ use sortie_core::limits;
 use sortie_core::plan::{OPS, Profile, ProgramDraft};
 use sortie_plans::{CompileError, InputRole, OutputRole};
 use tract_onnx::prelude::*;
-use tract_onnx::tract_core::ops::array::{Gather, MultiBroadcastTo, OneHot, Slice, TypedConcat};
+use tract_onnx::tract_core::ops::array::{
+    Gather, MultiBroadcastTo, OneHot, Pad, Slice, TypedConcat,
+};
 use tract_onnx::tract_core::ops::binary::TypedBinOp;
 use tract_onnx::tract_core::ops::cast::Cast;
 use tract_onnx::tract_core::ops::change_axes::AxisOp;
@@ -202,6 +204,9 @@ impl<'m> Lowering<'m> {
         }
         if let Some(pool) = op.downcast_ref::<SumPool>() {
             return self.sum(node, pool);
+        }
+        if let Some(pad) = op.downcast_ref::<Pad>() {
+            return self.pad(node, pad);
         }
         if let Some(hot) = op.downcast_ref::<OneHot>() {
             return self.one_hot(node, hot);

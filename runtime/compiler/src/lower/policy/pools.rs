@@ -18,17 +18,21 @@ impl Lowering<'_> {
             return Err(self.unsupported(node, "plans do not say where the largest number stands"));
         }
         let value = self.operand(node, 0)?;
+        let value = self.channels_first(node, &pool.pool_spec, value)?;
         let patches = self.patches(node, &pool.pool_spec, &value)?;
         let to = self.pooled(node, &patches, &value, Reduction::Maximum, f32::MIN)?;
+        let to = self.as_picture(node, &pool.pool_spec, &patches, patches.channels, to)?;
         self.give(node, 0, to)
     }
 
     /// The sum or the mean of every patch.
     pub(super) fn sum(&mut self, node: &TypedNode, pool: &SumPool) -> Lowered<()> {
         let value = self.operand(node, 0)?;
+        let value = self.channels_first(node, &pool.pool_spec, value)?;
         let patches = self.patches(node, &pool.pool_spec, &value)?;
         let sum = self.pooled(node, &patches, &value, Reduction::Sum, 0.0)?;
         let to = if pool.normalize { self.mean(&patches, pool, sum) } else { sum };
+        let to = self.as_picture(node, &pool.pool_spec, &patches, patches.channels, to)?;
         self.give(node, 0, to)
     }
 
