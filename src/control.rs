@@ -1,4 +1,4 @@
-//! `sortie control`: tells the processes of a running team what to do.
+//! `sortie control`: tells the processes of a running team, or the server of a policy, what to do.
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -12,6 +12,7 @@ use crate::allocation::AllocatorChoice;
 use crate::allocator::DeployedAllocator;
 use crate::deployment::open_bundle;
 use crate::failure::{Exit, Failure, Outcome};
+use crate::foreign::ENGINE;
 use crate::output::{print_json, say};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::proposals::ProposalArguments;
@@ -19,6 +20,7 @@ use crate::run::registry;
 
 /// Tell the processes of a running team what to do: say who they are, pause, continue, end, change the leader
 ///
+/// The server of a policy says who it is, and ends.
 /// Prints a line for each process that the order concerns. Exit code 69 where none runs, or none can do it.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
@@ -51,7 +53,7 @@ enum OrderArgument {
     Resume,
     /// The world gives up its episode and begins the next
     ResetEpisode,
-    /// The world ends, and its team with it
+    /// The world ends, and its team with it; so does the server of a policy
     ShutDown,
     /// The leading allocator lets a standby lead
     StepDown,
@@ -145,9 +147,12 @@ fn judge(answers: &[Answer]) -> Outcome {
 fn line(answer: &Answer) -> String {
     let process = &answer.process;
     let mut line = format!("{} {}", process.role.name(), process.pid);
-    line += &match answer.tick {
-        0 => ", no tick yet".to_string(),
-        tick => format!(", tick {}", tick as u32),
+    let tick = answer.tick as u32;
+    line += &match (process.serves, answer.tick) {
+        (false, 0) => ", no tick yet".to_string(),
+        (false, _) => format!(", tick {tick}"),
+        (true, 0) => ", serves a policy, no observation yet".to_string(),
+        (true, _) => format!(", serves a policy, observation {tick}"),
     };
     if process.agents != 0 {
         let agents: Vec<String> = agents(answer).iter().map(u16::to_string).collect();
@@ -163,6 +168,9 @@ fn line(answer: &Answer) -> String {
         if is_so {
             line += &format!(", {word}");
         }
+    }
+    if process.is_graph {
+        line += &format!(", by {ENGINE}");
     }
     match answer.status {
         Some(ControlStatus::Done) => line,
@@ -210,6 +218,10 @@ struct ToldProcess {
     leads: bool,
     paused: bool,
     degraded: bool,
+    /// Whether it serves a policy; its tick is then the number of an observation.
+    serves: bool,
+    /// What runs its network's graph, where that is no plan.
+    engine: Option<&'static str>,
 }
 
 impl ToldProcess {
@@ -226,6 +238,8 @@ impl ToldProcess {
             leads: process.term.is_some(),
             paused: process.is_paused,
             degraded: process.is_degraded,
+            serves: process.serves,
+            engine: process.is_graph.then_some(ENGINE),
         }
     }
 }
@@ -245,6 +259,8 @@ mod tests {
             term: Some(2),
             is_paused: true,
             is_degraded: false,
+            serves: false,
+            is_graph: false,
         };
         Answer { process, status: Some(status), tick: (2 << 32) + 30 }
     }
@@ -260,6 +276,18 @@ mod tests {
         };
         let told = "world 7, no tick yet, agents 0 2, model abababab, paused: not supported";
         assert_eq!(line(&other), told);
+        let process = ProcessInfo {
+            role: Role::Runner,
+            agents: 0,
+            serves: true,
+            is_graph: true,
+            is_paused: false,
+            ..other.process
+        };
+        let serves = Answer { process, tick: 9, status: Some(ControlStatus::Done) };
+        let told = "runner 7, serves a policy, observation 9, model abababab, by tract: allocates, no promise about \
+                    bits or time";
+        assert_eq!(line(&serves), told);
     }
 
     #[test]

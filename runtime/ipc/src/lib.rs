@@ -15,6 +15,7 @@ mod error;
 mod in_process;
 mod iox;
 mod policy;
+mod process_info;
 mod processes;
 mod real_time;
 mod registry;
@@ -25,20 +26,21 @@ mod threads;
 mod waker;
 
 pub use clock::MonotonicClock;
-pub use control::{Answer, NotAProcess, Order, ProcessInfo, control};
+pub use control::{Answer, Order, control};
 pub use doctor::{Finding, Severity, examine};
 pub use domain::{BellKind, Domain, DomainContract, DomainFacts, Lock, Membership, Starting};
 pub use doorbell::Doorbell;
 pub use error::Error;
 pub use in_process::{InProcess, run_in_process};
 pub use iox::{
-    ControlRx, FrameNews, Housekeeping, InterProcess, IntraProcess, IoxAgent, IoxAllocator,
-    IoxControl, IoxWatcher, IoxWorld, LinkService, LinkSetup,
+    AnyThread, ControlRx, FrameNews, Housekeeping, InterProcess, IntraProcess, IoxAgent,
+    IoxAllocator, IoxControl, IoxWatcher, IoxWorld, LinkService, LinkSetup,
 };
 pub use policy::{
-    Action, ClientCounters, ClientSettings, Expected, Fallback, PolicyClient, PolicySchema,
+    Action, ClientCounters, ClientSettings, Engine, Expected, Fallback, PolicyClient, PolicySchema,
     PolicyServer, Port, ServeCounters, ServeSettings, Served,
 };
+pub use process_info::{NotAProcess, ProcessInfo};
 pub use processes::{
     AllocatorProcess, Children, Fill, ProcessSettings, RunnerProcess, WorldSettings,
     allocator_process, group_agents, runner_process, runner_process_with_heuristic, world_process,

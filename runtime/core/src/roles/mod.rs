@@ -14,7 +14,7 @@ mod runner;
 mod world;
 
 pub use allocator::{AllocatorError, AllocatorOptions, AllocatorRole};
-pub use presence::Identity;
+pub use presence::{Identity, Presence};
 pub use runner::{RunnerOptions, RunnerRole};
 pub use world::{TickReport, WorldError, WorldObserver, WorldOptions, WorldRole};
 

@@ -41,7 +41,7 @@ impl Identity {
 
 /// What a process tells of itself, and when: a world that starts later learns from it who is there.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Presence {
+pub struct Presence {
     sent: u64,
     start_ns: u64,
     told_ns: u64,
@@ -53,13 +53,25 @@ pub(super) struct Presence {
 }
 
 impl Presence {
+    /// Counts what was answered: the time from the message that woke the process to its running, and from there to its
+    /// own message.
+    pub fn note(&mut self, wake_ns: u64, work_ns: u64) {
+        self.wakes.note(wake_ns);
+        self.works.note(work_ns);
+    }
+
+    /// Whether the process has said hello, and not goodbye.
+    pub fn is_there(&self) -> bool {
+        self.is_there
+    }
+
     /// Whether a process that has said hello is to be heard of again.
-    pub(super) fn is_due(&self, now_ns: u64) -> bool {
+    pub fn is_due(&self, now_ns: u64) -> bool {
         self.is_there && now_ns.saturating_sub(self.told_ns) >= STATUS_INTERVAL_NS
     }
 
-    /// The next status of a process, with `flags`.
-    pub(super) fn tell(
+    /// The next status of a process, with `flags`: [`StatMsg::HELLO`] first, [`StatMsg::BYE`] at last.
+    pub fn tell(
         &mut self,
         identity: &Identity,
         (schema, role): (u64, Role),

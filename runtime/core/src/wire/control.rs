@@ -16,7 +16,7 @@ pub enum Command {
     Resume = 3,
     /// World: give up the current episode and begin the next.
     ResetEpisode = 4,
-    /// World: end, and the team with it.
+    /// World: end, and the team with it. Server of a policy: end.
     ShutDown = 5,
     /// Runner, allocator: load a model anew; the text is a key of the process's own registry.
     ReloadModel = 6,

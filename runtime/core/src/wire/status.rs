@@ -10,7 +10,7 @@ use super::{ABI, assert_layout};
 pub enum Role {
     /// Steps the environment, or the robots' own sensing.
     World = 0,
-    /// Acts for one or more agents.
+    /// Acts for one or more agents, or serves a policy.
     Runner = 1,
     /// Assigns agents to subtasks.
     Allocator = 2,
@@ -108,6 +108,8 @@ impl StatMsg {
     pub const DEGRADED: u32 = 4;
     /// It leads its role.
     pub const LEADER: u32 = 8;
+    /// It has no plan: an engine runs its network's graph, which allocates and promises nothing about bits or time.
+    pub const GRAPH: u32 = 16;
 
     /// Whether all flags of `flags` are set.
     pub fn has(&self, flags: u32) -> bool {

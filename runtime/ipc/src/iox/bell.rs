@@ -5,7 +5,7 @@ use sortie_core::wire::Role;
 
 use super::LinkService;
 use super::event::EventBell;
-use super::open::Opener;
+use super::opener::Opener;
 use crate::domain::BellKind;
 use crate::doorbell::Doorbell;
 use crate::error::Error;

@@ -6,7 +6,8 @@ use iceoryx2::prelude::*;
 use sortie_core::wire::{ControlRep, ControlReq, Role};
 
 use super::message::{AnswerPayload, Message, RequestPayload};
-use super::open::{Opener, RequestClient, RequestServer};
+use super::open::{RequestClient, RequestServer};
+use super::opener::Opener;
 use super::setup::LinkSetup;
 use super::watcher::Bells;
 use super::{InterProcess, LinkService};
@@ -50,7 +51,11 @@ impl<S: LinkService> IoxControl<S> {
     pub fn open(setup: &LinkSetup<'_>) -> Result<Self, Error> {
         let opener = Opener::new(setup)?;
         let bells = Bells::open(&opener)?;
-        Ok(Self { client: opener.control_client()?, bells, _node: opener.into_node() })
+        Ok(Self::new(opener.control_client()?, bells, opener.into_node()))
+    }
+
+    pub(super) fn new(client: RequestClient<S>, bells: Bells<S>, node: Node<S>) -> Self {
+        Self { client, bells, _node: node }
     }
 
     /// Asks all processes, and waits until all have answered, `patience` at most.

@@ -10,7 +10,7 @@ use rustix::io::{read, write};
 use sortie_core::link::{Clock, LinkError, Wake};
 use sortie_core::wire::Role;
 
-use super::open::Opener;
+use super::opener::Opener;
 use super::{LinkService, services};
 use crate::clock::MonotonicClock;
 use crate::error::Error;

@@ -16,9 +16,8 @@ use super::control::{ControlRx, serve};
 use super::message::{
     ActionPayload, AllocPayload, FrameHeaderPayload, Message, RequestPayload, StatPayload,
 };
-use super::open::{
-    FrameReceiver, Opener, PendingAnswers, Receiver, RequestClient, RequestServer, Sender,
-};
+use super::open::{PendingAnswers, Receiver, RequestClient, RequestServer, Sender};
+use super::opener::{FrameReceiver, Opener};
 use super::services;
 use super::setup::LinkSetup;
 use super::world_frames::WorldFrames;

@@ -13,6 +13,7 @@ mod inter_process;
 mod links;
 mod message;
 mod open;
+mod opener;
 mod pool;
 mod served;
 mod services;
@@ -23,20 +24,22 @@ mod world_frames;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::prelude::{FileDescriptor, FileDescriptorBased};
 use iceoryx2::service::Service;
+pub use iceoryx2::service::ipc_threadsafe::Service as AnyThread;
 pub use iceoryx2::service::local_threadsafe::Service as IntraProcess;
 
 pub use control::{ControlRx, IoxControl};
 pub use inter_process::InterProcess;
 pub use links::{Housekeeping, IoxAgent, IoxAllocator, IoxWorld};
 pub(crate) use open::{Cleaner, set_log_level};
-pub(crate) use served::{ServedLink, ServedSetup, served_bytes};
+pub(crate) use served::{ServedLink, ServedPresence, ServedSetup, ServedWatcher, served_bytes};
 pub(crate) use services::worst_case_bytes;
 pub use setup::LinkSetup;
 pub(crate) use watcher::dead_nodes;
 pub use watcher::{FrameNews, IoxWatcher};
 
-/// The services that links are opened over: [`InterProcess`], or [`IntraProcess`] for threads of one
-/// process, with nothing in shared memory.
+/// The services that links are opened over: [`InterProcess`], whose links stay on their thread; [`AnyThread`], which is
+/// the same to others and takes a message's handle from the heap; or [`IntraProcess`] for threads of one process, with
+/// nothing in shared memory.
 pub trait LinkService: Service {
     /// What becomes readable when a listener is notified.
     #[doc(hidden)]
@@ -52,4 +55,4 @@ macro_rules! opens_links {
         }
     )+};
 }
-opens_links!(InterProcess, IntraProcess);
+opens_links!(InterProcess, AnyThread, IntraProcess);

@@ -6,19 +6,15 @@ use std::time::Duration;
 use iceoryx2::config::Config;
 use iceoryx2::pending_response::PendingResponse;
 use iceoryx2::port::client::Client;
-use iceoryx2::port::listener::Listener;
-use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::server::Server;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::*;
 use iceoryx2::service::attribute::{AttributeKey, AttributeValue};
 use iceoryx2::service::port_factory::{publish_subscribe, request_response};
-use sortie_core::wire::{ABI, FrameHead, FrameLayout, Role};
 
-use super::message::{AnswerPayload, FrameHeaderPayload, Message, RequestPayload};
-use super::services::{self, Topic};
-use super::setup::LinkSetup;
+use super::message::{AnswerPayload, Message, RequestPayload};
+use super::services::{Control, Topic};
 use super::{InterProcess, LinkService};
 use crate::domain::Domain;
 use crate::error::Error;
@@ -38,9 +34,6 @@ const PASSING: [&str; 6] = [
     "UnableToCreateServiceTag",
 ];
 
-pub(super) type FrameTopic<S> = publish_subscribe::PortFactory<S, [u8], FrameHeaderPayload>;
-pub(super) type FrameSender<S> = Publisher<S, [u8], FrameHeaderPayload>;
-pub(super) type FrameReceiver<S> = Subscriber<S, [u8], FrameHeaderPayload>;
 pub(super) type Sender<S, M> = Publisher<S, M, ()>;
 pub(super) type Receiver<S, M> = Subscriber<S, M, ()>;
 type ControlService<S> = request_response::PortFactory<S, RequestPayload, (), AnswerPayload, ()>;
@@ -48,93 +41,21 @@ pub(super) type RequestServer<S> = Server<S, RequestPayload, (), AnswerPayload, 
 pub(super) type RequestClient<S> = Client<S, RequestPayload, (), AnswerPayload, ()>;
 pub(super) type PendingAnswers<S> = PendingResponse<S, RequestPayload, (), AnswerPayload, ()>;
 
-/// A node, and what is needed to open services with it.
-pub(super) struct Opener<'a, S: LinkService> {
-    node: Node<S>,
-    setup: &'a LinkSetup<'a>,
-    attributes: AttributeVerifier,
+/// What all services of one schema are opened with.
+pub(super) struct Services<'a, S: LinkService> {
+    pub(super) node: &'a Node<S>,
+    pub(super) domain: &'a Domain,
+    pub(super) schema: u64,
+    pub(super) attributes: &'a AttributeVerifier,
+    /// Name of the ports.
+    pub(super) name: &'a str,
+    /// Most processes that are at a service at once.
+    pub(super) processes: usize,
 }
 
-impl<'a, S: LinkService> Opener<'a, S> {
-    pub(super) fn new(setup: &'a LinkSetup<'a>) -> Result<Self, Error> {
-        // Errors come back as values; `IOX2_LOG_LEVEL` brings the library's own words.
-        set_log_level_from_env_or(LogLevel::Fatal);
-        let node = node(setup.domain, setup.name)?;
-        Ok(Self { node, setup, attributes: attributes(setup.format.schema, ABI)? })
-    }
-
-    pub(super) fn setup(&self) -> &'a LinkSetup<'a> {
-        self.setup
-    }
-
-    pub(super) fn into_node(self) -> Node<S> {
-        self.node
-    }
-
-    fn agents(&self) -> usize {
-        self.setup.format.layout.shape().agents
-    }
-
+impl<S: LinkService> Services<'_, S> {
     fn port_name(&self) -> Result<PortName, Error> {
-        PortName::new(self.setup.name).map_err(failed("port name"))
-    }
-
-    /// The service of world frames, or that of one agent's private ones.
-    pub(super) fn frames(&self, agent: Option<usize>) -> Result<FrameTopic<S>, Error> {
-        let topic = self.frame_topic(agent);
-        let private = agent.map(services::private_frames_name);
-        let name = service_name(private.as_deref().unwrap_or(topic.name))?;
-        let alignment = Alignment::new(align_of::<FrameHead>())
-            .ok_or("not a power of two")
-            .map_err(failed("alignment"))?;
-        self.retry(topic.name, || {
-            self.node
-                .service_builder(&name)
-                .publish_subscribe::<[u8]>()
-                .user_header::<FrameHeaderPayload>()
-                .payload_alignment(alignment)
-                .max_publishers(topic.publishers)
-                .max_subscribers(topic.subscribers)
-                .subscriber_max_buffer_size(topic.buffer)
-                .history_size(topic.history)
-                .subscriber_max_borrowed_samples(topic.borrow)
-                .enable_safe_overflow(true)
-                .max_nodes(services::processes(self.agents()))
-                .open_or_create_with_attributes(&self.attributes)
-        })
-    }
-
-    fn frame_topic(&self, agent: Option<usize>) -> Topic {
-        agent.map_or_else(|| services::frames(self.agents()), |_| services::private_frames())
-    }
-
-    /// Sends frames of `layout`: the world's, or those of its owner.
-    pub(super) fn frame_sender(&self, layout: &FrameLayout) -> Result<FrameSender<S>, Error> {
-        let topic = self.frame_topic(layout.owner());
-        let (service, name) = (self.frames(layout.owner())?, self.port_name()?);
-        self.retry(topic.name, || {
-            service
-                .publisher_builder()
-                .name(&name)
-                .initial_max_slice_len(layout.payload_bytes())
-                .allocation_strategy(AllocationStrategy::Static)
-                .max_loaned_samples(topic.loan)
-                .create()
-        })
-    }
-
-    /// Receives world frames, or the private ones of `agent`.
-    pub(super) fn frame_receiver(&self, agent: Option<usize>) -> Result<FrameReceiver<S>, Error> {
-        let topic = self.frame_topic(agent);
-        let (service, name) = (self.frames(agent)?, self.port_name()?);
-        self.retry(topic.name, || {
-            service
-                .subscriber_builder()
-                .name(&name)
-                .buffer_size(topic.buffer)
-                .history_request(topic.history)
-                .create()
-        })
+        PortName::new(self.name).map_err(failed("port name"))
     }
 
     fn topic<M: Message>(
@@ -152,27 +73,19 @@ impl<'a, S: LinkService> Opener<'a, S> {
                 .history_size(topic.history)
                 .subscriber_max_borrowed_samples(topic.borrow)
                 .enable_safe_overflow(true)
-                .max_nodes(services::processes(self.agents()))
-                .open_or_create_with_attributes(&self.attributes)
+                .max_nodes(self.processes)
+                .open_or_create_with_attributes(self.attributes)
         })
     }
 
-    pub(super) fn sender<M: Message>(
-        &self,
-        topic: fn(usize) -> Topic,
-    ) -> Result<Sender<S, M>, Error> {
-        let topic = topic(self.agents());
+    pub(super) fn sender<M: Message>(&self, topic: Topic) -> Result<Sender<S, M>, Error> {
         let (service, name) = (self.topic::<M>(topic)?, self.port_name()?);
         self.retry(topic.name, || {
             service.publisher_builder().name(&name).max_loaned_samples(topic.loan).create()
         })
     }
 
-    pub(super) fn receiver<M: Message>(
-        &self,
-        topic: fn(usize) -> Topic,
-    ) -> Result<Receiver<S, M>, Error> {
-        let topic = topic(self.agents());
+    pub(super) fn receiver<M: Message>(&self, topic: Topic) -> Result<Receiver<S, M>, Error> {
         let (service, name) = (self.topic::<M>(topic)?, self.port_name()?);
         self.retry(topic.name, || {
             service
@@ -184,8 +97,7 @@ impl<'a, S: LinkService> Opener<'a, S> {
         })
     }
 
-    fn control(&self) -> Result<ControlService<S>, Error> {
-        let control = services::control(self.agents());
+    fn control(&self, control: Control) -> Result<ControlService<S>, Error> {
         let name = service_name(control.name)?;
         self.retry(control.name, || {
             self.node
@@ -199,50 +111,19 @@ impl<'a, S: LinkService> Opener<'a, S> {
                 .enable_safe_overflow_for_requests(true)
                 .enable_safe_overflow_for_responses(true)
                 .enable_fire_and_forget_requests(true)
-                .max_nodes(services::processes(self.agents()))
-                .open_or_create_with_attributes(&self.attributes)
+                .max_nodes(self.processes)
+                .open_or_create_with_attributes(self.attributes)
         })
     }
 
-    pub(super) fn control_server(&self) -> Result<RequestServer<S>, Error> {
-        let (service, name) = (self.control()?, self.port_name()?);
-        let control = services::control(self.agents());
+    pub(super) fn control_server(&self, control: Control) -> Result<RequestServer<S>, Error> {
+        let (service, name) = (self.control(control)?, self.port_name()?);
         self.retry(control.name, || service.server_builder().name(&name).create())
     }
 
-    pub(super) fn control_client(&self) -> Result<RequestClient<S>, Error> {
-        let (service, name) = (self.control()?, self.port_name()?);
-        let control = services::control(self.agents());
+    pub(super) fn control_client(&self, control: Control) -> Result<RequestClient<S>, Error> {
+        let (service, name) = (self.control(control)?, self.port_name()?);
         self.retry(control.name, || service.client_builder().name(&name).create())
-    }
-
-    fn bell(
-        &self,
-        name: &'static str,
-    ) -> Result<iceoryx2::service::port_factory::event::PortFactory<S>, Error> {
-        let service = service_name(name)?;
-        let ports = services::bell_ports(self.agents());
-        self.retry(name, || {
-            self.node
-                .service_builder(&service)
-                .event()
-                .event_id_max_value(services::BELL_IDS)
-                .max_listeners(ports)
-                .max_notifiers(ports)
-                .max_nodes(services::processes(self.agents()))
-                .open_or_create_with_attributes(&self.attributes)
-        })
-    }
-
-    pub(super) fn listener(&self, name: &'static str) -> Result<Listener<S>, Error> {
-        let (service, port) = (self.bell(name)?, self.port_name()?);
-        self.retry(name, || service.listener_builder().name(&port).create())
-    }
-
-    pub(super) fn notifier(&self, name: &'static str, own: Role) -> Result<Notifier<S>, Error> {
-        let (service, port) = (self.bell(name)?, self.port_name()?);
-        let id = EventId::new(services::bell_id(own));
-        self.retry(name, || service.notifier_builder().name(&port).default_event_id(id).create())
     }
 
     fn retry<T, E: Debug>(
@@ -250,7 +131,7 @@ impl<'a, S: LinkService> Opener<'a, S> {
         what: &str,
         attempt: impl FnMut() -> Result<T, E>,
     ) -> Result<T, Error> {
-        retry(&self.node, (self.setup.domain, self.setup.format.schema), what, attempt)
+        retry(self.node, (self.domain, self.schema), what, attempt)
     }
 }
 
@@ -361,32 +242,4 @@ pub(super) fn service_name(name: &str) -> Result<ServiceName, Error> {
 
 pub(super) fn failed<E: Debug>(what: &str) -> impl FnOnce(E) -> Error + use<'_, E> {
     move |error| Error::SharedMemory { what: what.to_string(), problem: format!("{error:?}") }
-}
-
-#[cfg(test)]
-mod tests {
-    use sortie_core::Shape;
-    use sortie_core::wire::FrameFormat;
-
-    use super::*;
-    use crate::domain::BellKind;
-
-    #[test]
-    fn services_of_another_schema_or_abi_are_refused() {
-        let domain = Domain::new(&format!("abi-{}", std::process::id())).unwrap();
-        let _member = domain.enter().unwrap();
-        let shape = Shape { agents: 2, entities: 3, tasks: 1, actions: 4, features: 5 };
-        let format = FrameFormat { layout: FrameLayout::new(shape).unwrap(), schema: 7 };
-        let (name, bell) = ("test", BellKind::Doorbell);
-        let setup = LinkSetup { domain: &domain, format, name, bell, linger: Duration::ZERO };
-        let first = Opener::<InterProcess>::new(&setup).unwrap();
-        let _frames = first.frames(None).unwrap();
-        for (schema, abi) in [(8, ABI), (7, ABI + 1)] {
-            let attributes = attributes(schema, abi).unwrap();
-            let other = Opener { attributes, ..Opener::<InterProcess>::new(&setup).unwrap() };
-            let refused = other.frames(None).unwrap_err();
-            assert!(matches!(refused, Error::SchemaInUse { .. }), "{refused}");
-            assert_eq!(refused.exit_code(), 78);
-        }
-    }
 }

@@ -1,4 +1,4 @@
-//! The two ends of a served policy: observations one way, answers the other.
+//! The two ends of a served policy: observations one way, answers the other; and how its server is looked after.
 
 use std::time::Duration;
 
@@ -7,18 +7,25 @@ use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::*;
 use iceoryx2::sample::Sample;
-use sortie_core::link::Wake;
-use sortie_core::wire::{ABI, MessageError, ObservationHead, Role, ServedFormat};
+use sortie_core::link::{LinkError, StatRx, Wake};
+use sortie_core::wire::{
+    ABI, ControlRep, ControlReq, MessageError, ObservationHead, Role, ServedFormat, StatMsg,
+};
 
-use super::InterProcess;
-use super::open::{attributes, failed, node, retry, service_name};
+use super::control::{ControlRx, IoxControl, serve};
+use super::message::{Message as _, StatPayload};
+use super::open::{
+    Receiver, RequestServer, Sender, Services, attributes, failed, node, retry, service_name,
+};
 use super::services::{self, Topic};
+use super::watcher::Bells;
+use super::{InterProcess, LinkService};
 use crate::domain::Domain;
 use crate::doorbell::Doorbell;
 use crate::error::Error;
 use crate::waker::Waker;
 
-type Message = Sample<InterProcess, [u8], ()>;
+type Message<S> = Sample<S, [u8], ()>;
 
 /// What an end is opened with.
 #[derive(Clone, Copy, Debug)]
@@ -31,18 +38,18 @@ pub(crate) struct ServedSetup<'a> {
 }
 
 /// One end: the server's, or its client's.
-pub(crate) struct ServedLink {
-    sender: Publisher<InterProcess, [u8], ()>,
-    receiver: Subscriber<InterProcess, [u8], ()>,
+pub(crate) struct ServedLink<S: LinkService = InterProcess> {
+    sender: Publisher<S, [u8], ()>,
+    receiver: Subscriber<S, [u8], ()>,
     /// Bytes of every message that is sent.
     bytes: usize,
     bell: Doorbell,
     peer: Role,
     /// Dropped last.
-    _node: Node<InterProcess>,
+    node: Node<S>,
 }
 
-impl ServedLink {
+impl<S: LinkService> ServedLink<S> {
     /// The end that answers.
     pub(crate) fn server(setup: &ServedSetup<'_>) -> Result<Self, Error> {
         let (observations, answers) = topics();
@@ -63,8 +70,7 @@ impl ServedLink {
         received: Topic,
         [own, peer]: [Role; 2],
     ) -> Result<Self, Error> {
-        set_log_level_from_env_or(LogLevel::Fatal);
-        let node = node::<InterProcess>(setup.domain, "policy")?;
+        let node = quiet_node(setup, "policy")?;
         let schema = setup.format.schema();
         let attributes = attributes(schema, ABI)?;
         let alignment = Alignment::new(align_of::<ObservationHead>())
@@ -98,7 +104,7 @@ impl ServedLink {
                 .create()
         })?;
         let bell = Doorbell::open(setup.domain, own, setup.linger)?;
-        Ok(Self { sender, receiver, bytes, bell, peer, _node: node })
+        Ok(Self { sender, receiver, bytes, bell, peer, node })
     }
 
     /// Writes a message in shared memory, sends it, and wakes the other end.
@@ -113,7 +119,7 @@ impl ServedLink {
     }
 
     /// The next message that waits.
-    pub(crate) fn receive(&self) -> Result<Option<Message>, Error> {
+    pub(crate) fn receive(&self) -> Result<Option<Message<S>>, Error> {
         self.receiver.receive().map_err(failed("receive"))
     }
 
@@ -127,6 +133,19 @@ impl ServedLink {
         self.bell.wait_for_rings(token, 1, until_ns)
     }
 
+    /// What the server tells of itself, and is told: over ports of their own, which no observation waits for.
+    ///
+    /// # Errors
+    /// Shared memory cannot be used.
+    pub(crate) fn presence(&self, setup: &ServedSetup<'_>) -> Result<ServedPresence<S>, Error> {
+        let attributes = attributes(setup.format.schema(), ABI)?;
+        let services = services_of(setup, &self.node, &attributes);
+        Ok(ServedPresence {
+            statuses: services.sender(services::served_statuses())?,
+            requests: services.control_server(services::served_control())?,
+        })
+    }
+
     pub(crate) fn waker(&self) -> Waker {
         self.bell.waker()
     }
@@ -136,6 +155,83 @@ impl ServedLink {
         // A connection that fails is tried again at the next heartbeat.
         let _ = self.sender.update_connections();
         let _ = self.receiver.update_connections();
+    }
+}
+
+/// The ports by which a server is looked after.
+pub(crate) struct ServedPresence<S: LinkService = InterProcess> {
+    statuses: Sender<S, StatPayload>,
+    requests: RequestServer<S>,
+}
+
+impl<S: LinkService> ServedPresence<S> {
+    /// Sends a status. One that fails is followed by the next.
+    pub(crate) fn tell(&self, status: &StatMsg) {
+        let _ = self.statuses.update_connections();
+        let _ = self.statuses.send_copy(StatPayload::wrap(status));
+    }
+}
+
+impl<S: LinkService> ControlRx for ServedPresence<S> {
+    fn answer_requests(&mut self, answer: &mut dyn FnMut(&ControlReq) -> ControlRep) -> bool {
+        serve(&self.requests, answer)
+    }
+}
+
+/// Hears what a server tells of itself.
+pub(crate) struct ServedWatcher {
+    statuses: Receiver<InterProcess, StatPayload>,
+    /// Dropped last.
+    _node: Node<InterProcess>,
+}
+
+impl ServedWatcher {
+    pub(crate) fn open(setup: &ServedSetup<'_>) -> Result<Self, Error> {
+        let node = quiet_node::<InterProcess>(setup, "watcher")?;
+        let attributes = attributes(setup.format.schema(), ABI)?;
+        let services = services_of(setup, &node, &attributes);
+        Ok(Self { statuses: services.receiver(services::served_statuses())?, _node: node })
+    }
+}
+
+impl StatRx for ServedWatcher {
+    fn receive_statuses(&mut self, take: &mut dyn FnMut(&StatMsg)) -> Result<(), LinkError> {
+        while let Some(sample) = self.statuses.receive().map_err(|_| LinkError::Statuses)? {
+            take(sample.payload().message());
+        }
+        Ok(())
+    }
+}
+
+impl IoxControl {
+    /// The same for the server of a policy.
+    pub(crate) fn open_served(setup: &ServedSetup<'_>) -> Result<Self, Error> {
+        let node = quiet_node::<InterProcess>(setup, "control")?;
+        let attributes = attributes(setup.format.schema(), ABI)?;
+        let services = services_of(setup, &node, &attributes);
+        let client = services.control_client(services::served_control())?;
+        let bell = Doorbell::open(setup.domain, Role::Watcher, Duration::ZERO)?;
+        Ok(Self::new(client, Bells::Doorbell(bell), node))
+    }
+}
+
+fn quiet_node<S: LinkService>(setup: &ServedSetup<'_>, name: &str) -> Result<Node<S>, Error> {
+    set_log_level_from_env_or(LogLevel::Fatal);
+    node::<S>(setup.domain, name)
+}
+
+fn services_of<'a, S: LinkService>(
+    setup: &ServedSetup<'a>,
+    node: &'a Node<S>,
+    attributes: &'a AttributeVerifier,
+) -> Services<'a, S> {
+    Services {
+        node,
+        domain: setup.domain,
+        schema: setup.format.schema(),
+        attributes,
+        name: "policy",
+        processes: PROCESSES,
     }
 }
 
@@ -152,5 +248,9 @@ fn topics() -> (Topic, Topic) {
 pub(crate) fn served_bytes(format: &ServedFormat) -> u64 {
     let (observations, answers) = topics();
     let of = |topic: Topic, bytes: usize| services::slots(topic) * (bytes + 128);
-    (of(observations, format.observation_bytes()) + of(answers, format.answer_bytes())) as u64
+    let presence = services::status_bytes(services::served_statuses())
+        + services::control_bytes(services::served_control());
+    let messages =
+        of(observations, format.observation_bytes()) + of(answers, format.answer_bytes());
+    (messages + presence) as u64
 }

@@ -99,6 +99,16 @@ pub(super) fn answers() -> Topic {
     Topic { name: "sortie/1/policy/answer", ..observations() }
 }
 
+/// What the server of a policy tells of itself.
+pub(super) fn served_statuses() -> Topic {
+    Topic { name: "sortie/1/policy/stat", publishers: 4, ..statuses(0) }
+}
+
+/// What it is told.
+pub(super) fn served_control() -> Control {
+    Control { name: "sortie/1/policy/ctl", servers: 4, ..control(0) }
+}
+
 /// The request-response service.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Control {
@@ -149,6 +159,17 @@ pub(super) fn slots(topic: Topic) -> usize {
     topic.subscribers * (topic.buffer + topic.borrow) + topic.history + topic.loan + 1
 }
 
+/// Shared memory of one process that tells of itself.
+pub(super) fn status_bytes(topic: Topic) -> usize {
+    slots(topic) * 576
+}
+
+/// Shared memory of one process that answers requests.
+pub(super) fn control_bytes(control: Control) -> usize {
+    let Control { clients, active, buffer, .. } = control;
+    clients * (active * (buffer + 1) + 1) * 320
+}
+
 /// Shared memory that the domain's publishers take at most, in bytes.
 pub(crate) fn worst_case_bytes(facts: &DomainFacts) -> Result<u64, Error> {
     let private = facts.has_private_frames().then(|| facts.private_format(0)).transpose()?;
@@ -165,8 +186,7 @@ fn worst_case_bytes_of(layout: &FrameLayout, private: Option<&FrameLayout>) -> u
         .map_or(0, |layout| agents * slots(private_frames()) * (layout.payload_bytes() + 128));
     let actions = agents * slots(actions(agents)) * 128;
     let allocations = slots(allocations(agents)) * 192;
-    let statuses = (agents + 2) * slots(statuses(agents)) * 576;
-    let Control { clients, active, buffer, .. } = control(agents);
-    let answers = (agents + 2) * clients * (active * (buffer + 1) + 1) * 320;
+    let statuses = (agents + 2) * status_bytes(statuses(agents));
+    let answers = (agents + 2) * control_bytes(control(agents));
     (frames + private + actions + allocations + statuses + answers) as u64
 }

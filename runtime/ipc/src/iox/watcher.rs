@@ -12,7 +12,8 @@ use sortie_core::wire::{
 use zerocopy::FromZeros;
 
 use super::message::{ActionPayload, AllocPayload, Message, StatPayload};
-use super::open::{FrameReceiver, FrameTopic, Opener, Receiver, Sender, config};
+use super::open::{Receiver, Sender, config};
+use super::opener::{FrameReceiver, FrameTopic, Opener};
 use super::setup::LinkSetup;
 use super::{InterProcess, LinkService, services};
 use crate::domain::{BellKind, Domain};

@@ -7,7 +7,7 @@ use zerocopy::IntoBytes;
 
 use super::LinkService;
 use super::message::{FrameHeaderPayload, Message};
-use super::open::{FrameSender, Opener};
+use super::opener::{FrameSender, Opener};
 use crate::error::Error;
 
 /// Writes a frame in place and returns its header.

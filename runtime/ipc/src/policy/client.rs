@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use sortie_core::link::Clock;
+use sortie_core::link::{Clock, Wake};
 use sortie_core::wire::{AnswerHead, AnswerStatus, ObservationHead, Reason, ServedFormat};
 
 use super::schema::ServedFacts;
@@ -10,7 +10,7 @@ use super::{Expected, Fallback, PolicySchema};
 use crate::clock::MonotonicClock;
 use crate::domain::{Domain, Lock, Membership, nanoseconds};
 use crate::error::Error;
-use crate::iox::{ServedLink, ServedSetup, served_bytes};
+use crate::iox::{AnyThread, InterProcess, LinkService, ServedLink, ServedSetup, served_bytes};
 use crate::processes::{HEARTBEAT_NS, LINGER};
 
 /// Pause between two looks for a server.
@@ -72,8 +72,10 @@ pub struct Action<'a> {
 
 /// A connection to the server of a domain. It outlives servers: while there is none, every decision is the
 /// fallback, and the next server goes on with the episode from a new recurrent state.
-pub struct PolicyClient {
-    link: ServedLink,
+///
+/// It stays on the thread that made it; one over [`AnyThread`] may go from thread to thread.
+pub struct PolicyClient<S: LinkService = InterProcess> {
+    link: ServedLink<S>,
     schema: PolicySchema,
     format: ServedFormat,
     deadline_ns: u64,
@@ -102,9 +104,32 @@ impl PolicyClient {
         expected: &Expected<'_>,
         settings: &ClientSettings,
     ) -> Result<Self, Error> {
+        Self::open(domain, Some(expected), settings)
+    }
+}
+
+impl PolicyClient<AnyThread> {
+    /// As [`PolicyClient::connect`], for a client that goes from thread to thread, and to whatever policy is served:
+    /// [`Self::schema`] says what it takes and gives, [`PolicySchema::check`] whether that is what is expected.
+    ///
+    /// # Errors
+    /// As [`PolicyClient::connect`].
+    pub fn connect_for_threads(domain: &Domain, settings: &ClientSettings) -> Result<Self, Error> {
+        Self::open(domain, None, settings)
+    }
+}
+
+impl<S: LinkService> PolicyClient<S> {
+    fn open(
+        domain: &Domain,
+        expected: Option<&Expected<'_>>,
+        settings: &ClientSettings,
+    ) -> Result<Self, Error> {
         let membership = domain.enter()?;
         let facts = await_facts(domain, settings.patience)?;
         facts.check(domain, expected)?;
+        let fallback = settings.fallback.unwrap_or(facts.fallback);
+        facts.schema.check_fallback(fallback)?;
         let format = facts.schema.format()?;
         let seat = membership.take_end("client.lock", "the robot", served_bytes(&format))?;
         let link = {
@@ -117,7 +142,7 @@ impl PolicyClient {
             link,
             format,
             deadline_ns: nanoseconds(deadline),
-            fallback: settings.fallback.unwrap_or(facts.fallback),
+            fallback,
             // One client after the other: no two of them start at the same time.
             session: MonotonicClock.now_ns(),
             seq: 0,
@@ -160,6 +185,21 @@ impl PolicyClient {
     /// [`Error::BadObservation`]: the lengths are not the policy's, and nothing was sent. Whatever the server does
     /// is no error, but the fallback.
     pub fn decide(&mut self, inputs: &[&[f32]], available: &[u16]) -> Result<Action<'_>, Error> {
+        self.decide_while(inputs, available, &mut || true)
+    }
+
+    /// As [`Self::decide`], for callers with a patience of their own: `goes_on` is asked about every 100 ms while there
+    /// is no answer.
+    ///
+    /// # Errors
+    /// As [`Self::decide`]; [`Error::Interrupted`] where `goes_on` says no, and the observation may still reach the
+    /// policy.
+    pub fn decide_while(
+        &mut self,
+        inputs: &[&[f32]],
+        available: &[u16],
+        goes_on: &mut dyn FnMut() -> bool,
+    ) -> Result<Action<'_>, Error> {
         self.check(inputs, available)?;
         self.seq += 1;
         let t_ns = MonotonicClock.now_ns();
@@ -168,7 +208,10 @@ impl PolicyClient {
         let head =
             ObservationHead { session, seq, t_ns, deadline_ns, episode, ..Default::default() };
         let sent = self.link.send(|to| format.write_observation(&head, inputs, available, to));
-        let answer = sent.ok().and_then(|()| self.await_answer(deadline_ns));
+        let answer = match sent {
+            Ok(()) => self.await_answer(deadline_ns, goes_on)?,
+            Err(_) => None,
+        };
         let mut lost_state = false;
         let (status, reason) = match answer {
             Some(answer) => {
@@ -201,17 +244,25 @@ impl PolicyClient {
     }
 
     /// Waits for the answer to the newest observation, and copies its outputs.
-    fn await_answer(&mut self, deadline_ns: u64) -> Option<AnswerHead> {
+    fn await_answer(
+        &mut self,
+        deadline_ns: u64,
+        goes_on: &mut dyn FnMut() -> bool,
+    ) -> Result<Option<AnswerHead>, Error> {
         loop {
             let token = self.link.token();
             if let Some(answer) = self.look() {
-                return Some(answer);
+                return Ok(Some(answer));
             }
             let now_ns = MonotonicClock.now_ns();
             if now_ns >= deadline_ns {
-                return None;
+                return Ok(None);
             }
-            self.link.wait(token, deadline_ns.min(now_ns.saturating_add(HEARTBEAT_NS)));
+            let heartbeat_ns = now_ns.saturating_add(HEARTBEAT_NS);
+            let woken = self.link.wait(token, deadline_ns.min(heartbeat_ns));
+            if woken == Wake::Timeout && heartbeat_ns < deadline_ns && !goes_on() {
+                return Err(Error::Interrupted);
+            }
         }
     }
 

@@ -1,37 +1,34 @@
-//! A plan that decides on what messages carry, with the memory that it needs.
+//! What decides on what messages carry, with the memory that it needs.
 
-use sortie_core::DecideError;
 use sortie_core::choose::masked_argmax;
-use sortie_core::plan::{AlignedBytes, Plan};
+use sortie_core::wire::Reason;
 
-use super::PolicySchema;
-use super::schema::MOST_PORTS;
+use super::engine::Engine;
+use super::schema::{MOST_PORTS, PolicySchema};
 
-/// A plan with its recurrent state. A decision takes nothing from the heap.
-pub(super) struct Decider<'p> {
-    plan: &'p Plan<'p>,
-    arena: AlignedBytes,
+/// An engine with the recurrent state of the policy that it runs.
+pub(super) struct Decider<'e> {
+    engine: &'e mut dyn Engine,
     inputs: Vec<usize>,
     outputs: Vec<usize>,
     actions: usize,
     states: Vec<f32>,
 }
 
-impl<'p> Decider<'p> {
-    pub(super) fn new(plan: &'p Plan<'p>, schema: &PolicySchema) -> Self {
+impl<'e> Decider<'e> {
+    pub(super) fn new(engine: &'e mut dyn Engine, schema: &PolicySchema) -> Self {
         Self {
-            plan,
-            arena: AlignedBytes::zeroed(plan.arena_bytes()),
+            engine,
             inputs: schema.inputs.iter().map(|port| port.length).collect(),
             outputs: schema.outputs.iter().map(|port| port.length).collect(),
             actions: schema.actions,
-            states: vec![0.0; plan.hidden()],
+            states: vec![0.0; schema.states.iter().map(|state| state.length).sum()],
         }
     }
 
-    /// Brings plan and arena near, and forgets what that came to.
+    /// Brings near what decisions read and write, and forgets what that came to.
     pub(super) fn warm(&mut self) {
-        self.plan.warm();
+        self.engine.warm();
         let inputs = vec![0.0; self.inputs.iter().sum()];
         let mut outputs = vec![0.0; self.outputs.iter().sum()];
         // Zeros may be no observation that this policy decides on.
@@ -50,26 +47,27 @@ impl<'p> Decider<'p> {
         mut inputs: &[f32],
         available: &[u16],
         outputs: &mut [f32],
-    ) -> Result<Option<u16>, DecideError> {
+    ) -> Result<Option<u16>, Reason> {
         if self.actions != 0 && available.iter().all(|&code| code == 0) {
-            return Err(DecideError::NoAvailableAction);
+            return Err(Reason::NoAvailableAction);
         }
         let mut given: [&[f32]; MOST_PORTS] = [&[]; MOST_PORTS];
         for (place, &length) in given.iter_mut().zip(&self.inputs) {
-            *place = inputs.split_off(..length).ok_or(DecideError::BadLength)?;
+            *place = inputs.split_off(..length).ok_or(Reason::Length)?;
         }
-        let given = given.get(..self.inputs.len()).ok_or(DecideError::BadLength)?;
+        let given = given.get(..self.inputs.len()).ok_or(Reason::Length)?;
         let mut places: [&mut [f32]; MOST_PORTS] = Default::default();
         let mut rest = &mut *outputs;
         for (place, &length) in places.iter_mut().zip(&self.outputs) {
-            *place = rest.split_off_mut(..length).ok_or(DecideError::BadLength)?;
+            *place = rest.split_off_mut(..length).ok_or(Reason::Length)?;
         }
-        let places = places.get_mut(..self.outputs.len()).ok_or(DecideError::BadLength)?;
-        self.plan.respond(self.arena.as_mut_slice(), given, &mut self.states, places)?;
+        let places = places.get_mut(..self.outputs.len()).ok_or(Reason::Length)?;
+        self.engine.respond(given, &mut self.states, places)?;
         if self.actions == 0 {
             return Ok(None);
         }
-        let scores = outputs.get(..self.actions).ok_or(DecideError::BadLength)?;
-        masked_argmax(scores, available).map(|decision| Some(decision.action))
+        let scores = outputs.get(..self.actions).ok_or(Reason::Length)?;
+        let decision = masked_argmax(scores, available).map_err(Reason::from)?;
+        Ok(Some(decision.action))
     }
 }

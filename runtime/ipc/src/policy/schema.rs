@@ -93,6 +93,20 @@ impl PolicySchema {
         self
     }
 
+    /// Checks that a fallback action is one.
+    pub(super) fn check_fallback(&self, fallback: Fallback) -> Result<(), Error> {
+        let problem = match (fallback, self.actions) {
+            (Fallback::Action(_), 0) => {
+                "it does not choose among actions: its fallback is `hold` or `zero`".to_owned()
+            }
+            (Fallback::Action(action), actions) if usize::from(action) >= actions => {
+                format!("its actions are 0 to {}, the fallback is {action}", actions - 1)
+            }
+            _ => return Ok(()),
+        };
+        Err(Error::NotServed { problem })
+    }
+
     /// FNV-1a over all lengths and names: each list as its count, then length, length of the name and name of each
     /// port, and at last the actions; numbers as little-endian `u32`.
     pub fn hash(&self) -> u64 {
@@ -128,6 +142,14 @@ impl PolicySchema {
             );
             Error::NotServed { problem }
         })
+    }
+
+    /// Checks that the policy of `domain`, which this is of, is the one that somebody expects.
+    ///
+    /// # Errors
+    /// [`Error::OtherPolicy`] with the first difference.
+    pub fn check(&self, domain: &Domain, expected: &Expected<'_>) -> Result<(), Error> {
+        self.difference(expected).map_or(Ok(()), |detail| Err(other(domain, detail)))
     }
 
     /// The first difference from what somebody expects.
@@ -169,11 +191,11 @@ fn first_difference(what: &str, here: &[(&str, usize)], there: &[Port]) -> Optio
 
 /// What a server states.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct ServedFacts {
+pub(crate) struct ServedFacts {
     abi: u16,
     deadline_ns: u64,
-    pub(super) fallback: Fallback,
-    pub(super) schema: PolicySchema,
+    pub(crate) fallback: Fallback,
+    pub(crate) schema: PolicySchema,
 }
 
 impl ServedFacts {
@@ -183,7 +205,7 @@ impl ServedFacts {
         Self { abi: ABI, deadline_ns, fallback, schema }
     }
 
-    pub(super) fn deadline(&self) -> Duration {
+    pub(crate) fn deadline(&self) -> Duration {
         Duration::from_nanos(self.deadline_ns)
     }
 
@@ -191,22 +213,29 @@ impl ServedFacts {
         write_file(domain, FILE, self)
     }
 
-    pub(super) fn read(domain: &Domain) -> Result<Option<Self>, Error> {
+    pub(crate) fn read(domain: &Domain) -> Result<Option<Self>, Error> {
         read_file(domain, FILE)
     }
 
-    /// Checks that a client fits.
+    /// Checks that a client fits; one that expects nothing in particular fits every policy of its ABI.
     ///
     /// # Errors
     /// [`Error::OtherPolicy`] with the first difference.
-    pub(super) fn check(&self, domain: &Domain, expected: &Expected<'_>) -> Result<(), Error> {
+    pub(crate) fn check(
+        &self,
+        domain: &Domain,
+        expected: Option<&Expected<'_>>,
+    ) -> Result<(), Error> {
         let abi = self.abi;
-        let of_abi = (abi != ABI).then(|| format!("messages are of ABI {ABI} here, {abi} there"));
-        match of_abi.or_else(|| self.schema.difference(expected)) {
-            None => Ok(()),
-            Some(detail) => Err(Error::OtherPolicy { domain: domain.id().to_string(), detail }),
+        if abi != ABI {
+            return Err(other(domain, format!("messages are of ABI {ABI} here, {abi} there")));
         }
+        expected.map_or(Ok(()), |expected| self.schema.check(domain, expected))
     }
+}
+
+fn other(domain: &Domain, detail: String) -> Error {
+    Error::OtherPolicy { domain: domain.id().to_string(), detail }
 }
 
 #[cfg(test)]

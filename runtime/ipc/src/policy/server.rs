@@ -5,17 +5,20 @@ use std::time::Duration;
 use sortie_core::link::Clock;
 use sortie_core::plan::Plan;
 use sortie_core::wire::{
-    AnswerHead, AnswerStatus, ObservationHead, ObservationView, Reason, ServedFormat,
+    AnswerHead, AnswerStatus, ObservationHead, ObservationView, Reason, ServedFormat, StatMsg,
 };
 
 use super::decider::Decider;
+use super::engine::{Engine, PlanEngine};
+use super::presence::ServerPresence;
 use super::schema::ServedFacts;
+use super::served::{ServeCounters, Served};
 use super::{Fallback, PolicySchema};
 use crate::clock::MonotonicClock;
 use crate::domain::{Domain, Lock, Membership};
 use crate::error::Error;
-use crate::iox::{ServedLink, ServedSetup, served_bytes};
-use crate::processes::{Caretaker, HEARTBEAT_NS, LINGER};
+use crate::iox::{ControlRx, ServedLink, ServedPresence, ServedSetup, served_bytes};
+use crate::processes::{Caretaker, HEARTBEAT_NS, LINGER, answer};
 use crate::real_time::RealTime;
 use crate::stop::Stop;
 
@@ -32,40 +35,9 @@ pub struct ServeSettings {
     pub real_time: RealTime,
 }
 
-/// What a server did since its start.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct ServeCounters {
-    /// Answers of the policy, late ones among them.
-    pub answered: u64,
-    /// Answers of the policy after the deadline.
-    pub late: u64,
-    /// Observations on which it could not decide.
-    pub fallbacks: u64,
-    /// Messages that are no observations of this policy.
-    pub refused: u64,
-    /// Observations that newer ones overtook.
-    pub missed: u64,
-    /// Clients that came.
-    pub sessions: u64,
-    /// Times that the recurrent state began anew.
-    pub resets: u64,
-    /// Answers that could not be sent.
-    pub failed_sends: u64,
-}
-
-/// One observation that was answered.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Served {
-    /// What became of it.
-    pub status: AnswerStatus,
-    /// From its sending to this process running.
-    pub wake_ns: u64,
-    /// The decision alone.
-    pub decide_ns: u64,
-}
-
 /// A policy's place in a domain, whose services are open.
 pub struct PolicyServer {
+    presence: ServedPresence,
     link: ServedLink,
     schema: PolicySchema,
     format: ServedFormat,
@@ -87,17 +59,21 @@ impl PolicyServer {
         schema: PolicySchema,
         settings: &ServeSettings,
     ) -> Result<Self, Error> {
-        check_fallback(&schema, settings.fallback)?;
+        schema.check_fallback(settings.fallback)?;
         let format = schema.format()?;
         let membership = domain.enter()?;
         let lock = membership.take_end("policy.lock", "the policy", served_bytes(&format))?;
-        let link = {
+        let (link, presence) = {
             let _starting = membership.lock_start()?;
             let linger = settings.linger.unwrap_or(LINGER);
-            ServedLink::server(&ServedSetup { domain, format, linger })?
+            let setup = ServedSetup { domain, format, linger };
+            let link = ServedLink::server(&setup)?;
+            let presence = link.presence(&setup)?;
+            (link, presence)
         };
         ServedFacts::new(schema.clone(), settings.deadline, settings.fallback).write(domain)?;
         Ok(Self {
+            presence,
             link,
             schema,
             format,
@@ -122,7 +98,21 @@ impl PolicyServer {
             let problem = "the plan is not that of the schema".to_owned();
             return Err(Error::NotServed { problem });
         }
-        let mut decider = Decider::new(plan, &self.schema);
+        self.serve_with(&mut PlanEngine::new(plan), observe, stop)
+    }
+
+    /// The same with an engine that gives what the schema says.
+    ///
+    /// # Errors
+    /// The system refuses what the settings ask for, or shared memory fails.
+    pub fn serve_with(
+        &mut self,
+        engine: &mut dyn Engine,
+        observe: &mut dyn FnMut(&Served),
+        stop: &Stop,
+    ) -> Result<ServeCounters, Error> {
+        let mut told = ServerPresence::new(engine, self.format.schema());
+        let mut decider = Decider::new(engine, &self.schema);
         decider.warm();
         self.settings.real_time.claim()?;
         stop.wakes(self.link.waker());
@@ -136,18 +126,21 @@ impl PolicyServer {
             next: vec![0.0; self.format.outputs()],
             counters: ServeCounters::default(),
         };
-        self.answer_until(&mut serving, observe, stop)?;
-        Ok(serving.counters)
+        self.tell(&mut told, &serving.counters, StatMsg::HELLO);
+        let ended = self.answer_until(&mut serving, &mut told, observe, stop);
+        self.tell(&mut told, &serving.counters, StatMsg::BYE);
+        ended.map(|()| serving.counters)
     }
 
     fn answer_until(
-        &self,
+        &mut self,
         serving: &mut Serving<'_>,
+        told: &mut ServerPresence,
         observe: &mut dyn FnMut(&Served),
         stop: &Stop,
     ) -> Result<(), Error> {
         let mut kept_house_ns = MonotonicClock.now_ns();
-        while !stop.is_set() {
+        while !stop.is_set() && !told.is_over() {
             let token = self.link.token();
             let mut newest = None;
             while let Some(message) = self.link.receive()? {
@@ -155,31 +148,28 @@ impl PolicyServer {
             }
             if let Some(message) = newest {
                 if let Some(served) = serving.answer(&self.link, message.payload()) {
+                    told.note(&served);
                     observe(&served);
                 }
+                continue;
+            }
+            if self.presence.answer_requests(&mut |request| answer(told, request)) {
                 continue;
             }
             let now_ns = MonotonicClock.now_ns();
             if now_ns.saturating_sub(kept_house_ns) >= HEARTBEAT_NS {
                 self.link.housekeep();
+                self.tell(told, &serving.counters, 0);
                 kept_house_ns = now_ns;
             }
             self.link.wait(token, now_ns.saturating_add(HEARTBEAT_NS));
         }
         Ok(())
     }
-}
 
-/// Checks that a fallback action is one.
-fn check_fallback(schema: &PolicySchema, fallback: Fallback) -> Result<(), Error> {
-    let problem = match fallback {
-        Fallback::Action(action) if usize::from(action) >= schema.actions => match schema.actions {
-            0 => "it does not choose among actions: its fallback is `hold` or `zero`".to_owned(),
-            actions => format!("its actions are 0 to {}, the fallback is {action}", actions - 1),
-        },
-        _ => return Ok(()),
-    };
-    Err(Error::NotServed { problem })
+    fn tell(&self, told: &mut ServerPresence, met: &ServeCounters, flags: u32) {
+        self.presence.tell(&told.tell(met, flags, MonotonicClock.now_ns()));
+    }
 }
 
 /// Whose observation came last.
@@ -190,8 +180,8 @@ struct Client {
     seq: u64,
 }
 
-struct Serving<'p> {
-    decider: Decider<'p>,
+struct Serving<'e> {
+    decider: Decider<'e>,
     format: ServedFormat,
     fallback: Fallback,
     client: Option<Client>,
@@ -215,7 +205,7 @@ impl Serving<'_> {
                 let status = AnswerStatus::Refused;
                 let head = AnswerHead { session, seq, ..head(status, Reason::from(error), None) };
                 let wake_ns = woken_ns.saturating_sub(t_ns);
-                (head, Served { status, wake_ns, decide_ns: 0 })
+                (head, Served { seq, status, wake_ns, decide_ns: 0 })
             }
         };
         let Self { format, outputs, counters, .. } = self;
@@ -236,10 +226,10 @@ impl Serving<'_> {
                 self.counters.answered += 1;
                 (AnswerStatus::Answered, Reason::None)
             }
-            Err(error) => {
+            Err(reason) => {
                 self.action = self.fallback.apply(&mut self.outputs, self.action, available);
                 self.counters.fallbacks += 1;
-                (AnswerStatus::Fallback, Reason::from(error))
+                (AnswerStatus::Fallback, reason)
             }
         };
         let now_ns = MonotonicClock.now_ns();
@@ -256,7 +246,7 @@ impl Serving<'_> {
             decide_ns: u32::try_from(decide_ns).unwrap_or(u32::MAX),
             ..head(status, reason, self.action)
         };
-        (answer, Served { status, wake_ns, decide_ns })
+        (answer, Served { seq, status, wake_ns, decide_ns })
     }
 
     /// Begins what is new: a client, or an episode.

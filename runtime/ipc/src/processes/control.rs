@@ -3,11 +3,11 @@
 use sortie_core::roles::Counters;
 use sortie_core::wire::{Command, ControlRep, ControlReq, ControlStatus};
 
-use crate::control::ProcessInfo;
 use crate::iox::set_log_level;
+use crate::process_info::ProcessInfo;
 
 /// A process that can be told what to do.
-pub(super) trait Controlled {
+pub(crate) trait Controlled {
     /// Hash of the domain's contract and shape.
     fn schema(&self) -> u64;
 
@@ -23,7 +23,7 @@ pub(super) trait Controlled {
 }
 
 /// Obeys a request, if it is this process that is meant.
-pub(super) fn answer(process: &mut impl Controlled, request: &ControlReq) -> ControlRep {
+pub(crate) fn answer(process: &mut impl Controlled, request: &ControlReq) -> ControlRep {
     let status = status(process, request);
     let answer = request.answer(process.schema(), status, process.tick());
     answer.with_text(&process.info().to_string())

@@ -14,6 +14,7 @@ mod world;
 
 pub(crate) use allocator::into_error as into_allocator_error;
 pub(crate) use caretaker::Caretaker;
+pub(crate) use control::{Controlled, answer};
 pub(crate) use world::into_error as into_world_error;
 
 use std::time::Duration;
@@ -29,7 +30,6 @@ pub use runner::{RunnerProcess, runner_process, runner_process_with_heuristic};
 pub use world::{WorldSettings, world_process, world_process_with_fill};
 
 use self::context_switches::ContextSwitches;
-use self::control::Controlled;
 use crate::build::BUILD;
 use crate::error::Error;
 use crate::iox::{ControlRx, Housekeeping};

@@ -7,10 +7,10 @@ use sortie_core::{Allocator, Policy, Shape};
 use super::control::Controlled;
 use super::parent::Parent;
 use super::{Process, ProcessSettings, WORLD_PATIENCE, drive, linger};
-use crate::control::ProcessInfo;
 use crate::domain::{Domain, DomainContract, Lock, Membership};
 use crate::error::Error;
 use crate::iox::{IoxAgent, LinkSetup};
+use crate::process_info::ProcessInfo;
 use crate::registry::{Ended, Registry, Reloading};
 use crate::stop::Stop;
 

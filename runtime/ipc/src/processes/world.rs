@@ -13,10 +13,10 @@ use super::control::Controlled;
 use super::fill::{Fill, Filling, both};
 use super::{Children, Process, drive, linger};
 use crate::build::BUILD;
-use crate::control::ProcessInfo;
 use crate::domain::{BellKind, Domain, DomainContract, DomainFacts, nanoseconds};
 use crate::error::Error;
 use crate::iox::{IoxWorld, LinkSetup, worst_case_bytes};
+use crate::process_info::ProcessInfo;
 use crate::real_time::RealTime;
 use crate::stop::Stop;
 

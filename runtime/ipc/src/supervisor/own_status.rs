@@ -1,25 +1,15 @@
 //! What a supervisor tells of itself.
 
 use sortie_core::link::{Clock, LinkError, StatTx};
-use sortie_core::roles::Identity;
-use sortie_core::wire::{ABI, Role, StatMsg};
-use zerocopy::FromZeros;
+use sortie_core::roles::{Counters, Identity, Presence};
+use sortie_core::wire::{Role, StatMsg};
 
 use crate::build::BUILD;
 use crate::clock::MonotonicClock;
 
-/// How often it does so.
-const INTERVAL_NS: u64 = 100_000_000;
-/// Index of the processes that took the place of earlier ones among a status's counters.
-const RESTARTS_SEEN: usize = 12;
-
 /// Its statuses so far.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct OwnStatus {
-    sent: u64,
-    start_ns: u64,
-    told_ns: u64,
-}
+pub(super) struct OwnStatus(Presence);
 
 impl OwnStatus {
     /// Says hello once, then ten times a second that it is there.
@@ -30,11 +20,10 @@ impl OwnStatus {
         restarts: u64,
     ) -> Result<(), LinkError> {
         let now_ns = MonotonicClock.now_ns();
-        if self.sent == 0 {
-            self.start_ns = now_ns;
+        if !self.0.is_there() {
             return self.send(link, schema, (StatMsg::HELLO, restarts), now_ns);
         }
-        if now_ns.saturating_sub(self.told_ns) < INTERVAL_NS {
+        if !self.0.is_due(now_ns) {
             return Ok(());
         }
         self.send(link, schema, (0, restarts), now_ns)
@@ -42,7 +31,7 @@ impl OwnStatus {
 
     /// Says goodbye, if it has said hello.
     pub(super) fn leave(&mut self, link: &mut impl StatTx, schema: u64) -> Result<(), LinkError> {
-        if self.sent == 0 {
+        if !self.0.is_there() {
             return Ok(());
         }
         self.send(link, schema, (StatMsg::BYE, 0), MonotonicClock.now_ns())
@@ -52,26 +41,13 @@ impl OwnStatus {
         &mut self,
         link: &mut impl StatTx,
         schema: u64,
-        (flags, restarts): (u32, u64),
+        (flags, restarts_seen): (u32, u64),
         now_ns: u64,
     ) -> Result<(), LinkError> {
-        self.sent += 1;
-        self.told_ns = now_ns;
-        let Identity { pid, name, .. } = Identity::new(std::process::id(), "supervisor");
-        let mut status = StatMsg {
-            schema,
-            seq: self.sent,
-            t_ns: now_ns,
-            start_ns: self.start_ns,
-            pid,
-            role: Role::Supervisor as u8,
-            abi: ABI as u8,
-            build: BUILD,
-            flags,
-            name,
-            ..StatMsg::new_zeroed()
-        };
-        status.counters[RESTARTS_SEEN] = restarts;
-        link.send_status(&status)
+        let identity = Identity::new(std::process::id(), "supervisor");
+        let identity = Identity { build: BUILD, ..identity };
+        let counters = Counters { restarts_seen, ..Counters::default() };
+        let domain = (schema, Role::Supervisor);
+        link.send_status(&self.0.tell(&identity, domain, &counters, flags, now_ns))
     }
 }

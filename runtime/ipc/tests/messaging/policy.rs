@@ -1,5 +1,7 @@
 //! A policy that is served, and the programs that ask it.
 
+mod presence;
+
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Stdio};
 use std::sync::mpsc;
@@ -56,12 +58,23 @@ struct Serving {
 
 impl Serving {
     fn start(domain: &Domain, plan: &'static [u8], settings: &ServeSettings) -> Self {
+        Self::start_with(domain, plan, settings, move |server, stop| {
+            server.serve(&Plan::load(plan).unwrap(), &mut |_| (), stop).unwrap()
+        })
+    }
+
+    fn start_with(
+        domain: &Domain,
+        plan: &'static [u8],
+        settings: &ServeSettings,
+        serve: impl FnOnce(&mut PolicyServer, &Stop) -> ServeCounters + Send + 'static,
+    ) -> Self {
         let (stop, domain, settings) = (Stop::new(), domain.clone(), *settings);
         let (stops, (opened, opens)) = (stop.clone(), mpsc::channel());
         let thread = std::thread::spawn(move || {
             let mut server = PolicyServer::open(&domain, schema(plan), &settings).unwrap();
             opened.send(()).unwrap();
-            server.serve(&Plan::load(plan).unwrap(), &mut |_| (), &stops).unwrap()
+            serve(&mut server, &stops)
         });
         opens.recv().unwrap();
         Self { stop, thread }

@@ -1,8 +1,13 @@
 //! What is wrong with the machine, or with a domain.
 
+mod finding;
+mod served;
+
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Duration, Instant};
+
+pub use finding::{Finding, Severity};
 
 use sortie_core::link::StatRx;
 use sortie_core::wire::{Role, StatMsg};
@@ -20,53 +25,6 @@ const LISTENING: Duration = Duration::from_millis(350);
 const KEEP_OUT: [&str; 4] = ["base directory", "ownership", "socket paths", "open files"];
 /// Pause between two looks.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
-
-/// How bad a finding is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Severity {
-    /// As it should be.
-    Fine,
-    /// Works, but is worth a look.
-    Warning,
-    /// Something will not work.
-    Problem,
-}
-
-/// One thing that was looked at.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Finding {
-    /// What was looked at.
-    pub check: &'static str,
-    /// How bad it is.
-    pub severity: Severity,
-    /// What was found.
-    pub found: String,
-    /// What to do about it; empty where nothing is to be done.
-    pub advice: &'static str,
-}
-
-impl Finding {
-    fn new(
-        severity: Severity,
-        check: &'static str,
-        found: impl Into<String>,
-        advice: &'static str,
-    ) -> Self {
-        Self { check, severity, found: found.into(), advice }
-    }
-
-    fn fine(check: &'static str, found: impl Into<String>) -> Self {
-        Self::new(Severity::Fine, check, found, "")
-    }
-
-    /// What a check came to.
-    fn of(check: &'static str, result: Result<(), Error>, advice: &'static str) -> Self {
-        match result {
-            Ok(()) => Self::fine(check, "enough for a team"),
-            Err(error) => Self::new(Severity::Problem, check, error.to_string(), advice),
-        }
-    }
-}
 
 /// Looks at the machine, and at the domain if it runs, which it joins for a moment.
 ///
@@ -146,12 +104,16 @@ fn examine_leftovers(domain: &Domain) -> Result<Finding, Error> {
 }
 
 fn examine_running(membership: &Membership, findings: &mut Vec<Finding>) -> Result<(), Error> {
+    let served = served::examine(membership, findings)?;
     let Some(facts) = membership.facts()? else {
+        if served {
+            return Ok(());
+        }
         findings.push(Finding::new(
             Severity::Problem,
             "world",
-            "processes wait for a world",
-            "start one: `sortie up BUNDLE`",
+            "processes wait for a world, or for a policy",
+            "start one: `sortie up BUNDLE`, or `sortie serve PLAN`",
         ));
         return Ok(());
     };

@@ -1,0 +1,127 @@
+//! Who a process is, as it answers those who ask.
+
+use std::fmt;
+use std::str::FromStr;
+
+use sortie_core::roles::Identity;
+use sortie_core::wire::Role;
+
+/// Who answers, as `key=value` words and flags.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ProcessInfo {
+    /// What it is.
+    pub role: Role,
+    /// Its process id.
+    pub pid: u32,
+    /// Bit a: it acts for agent a. Of a world: a process does.
+    pub agents: u64,
+    /// First 16 bytes of its model's id; zeros where it has none.
+    pub model: [u8; 16],
+    /// The term that it leads its role in, if it leads.
+    pub term: Option<u32>,
+    /// A world that stands still.
+    pub is_paused: bool,
+    /// A world whose agents have had no allocation for too long.
+    pub is_degraded: bool,
+    /// A runner that serves a policy to a robot's program. Its tick is the number of an observation.
+    pub serves: bool,
+    /// It runs a network's graph, which allocates and promises nothing about bits or time.
+    pub is_graph: bool,
+}
+
+impl ProcessInfo {
+    /// A process that acts for nobody, leads nothing and has nothing to report.
+    pub(crate) fn new(role: Role, identity: &Identity) -> Self {
+        let Identity { pid, model, .. } = *identity;
+        Self {
+            role,
+            pid,
+            agents: 0,
+            model,
+            term: None,
+            is_paused: false,
+            is_degraded: false,
+            serves: false,
+            is_graph: false,
+        }
+    }
+}
+
+/// The words of what is so or not.
+const FLAGS: [&str; 4] = ["paused", "degraded", "serves", "graph"];
+
+impl fmt::Display for ProcessInfo {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { role, pid, agents, model, .. } = *self;
+        let model = u128::from_be_bytes(model);
+        write!(f, "role={} pid={pid} agents={agents:x} model={model:032x}", role.name())?;
+        if let Some(term) = self.term {
+            write!(f, " term={term}")?;
+        }
+        let Self { is_paused, is_degraded, serves, is_graph, .. } = *self;
+        let flags = [is_paused, is_degraded, serves, is_graph];
+        let set = FLAGS.into_iter().zip(flags).filter(|(_, is_set)| *is_set);
+        set.into_iter().try_for_each(|(word, _)| write!(f, " {word}"))
+    }
+}
+
+/// A text that does not say which process answers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NotAProcess;
+
+impl FromStr for ProcessInfo {
+    type Err = NotAProcess;
+
+    /// Words of later versions are passed over.
+    fn from_str(text: &str) -> Result<Self, NotAProcess> {
+        let words = || text.split_whitespace();
+        let value = |key: &str| {
+            let mut pairs = words().filter_map(|word| word.split_once('='));
+            pairs.find(|(name, _)| *name == key).map(|(_, value)| value)
+        };
+        let mut roles = (0..=u8::MAX).map_while(Role::from_number);
+        let role = value("role").ok_or(NotAProcess)?;
+        let [is_paused, is_degraded, serves, is_graph] =
+            FLAGS.map(|flag| words().any(|word| word == flag));
+        let hex = |key| value(key).and_then(|value| u128::from_str_radix(value, 16).ok());
+        Ok(Self {
+            role: roles.find(|known| known.name() == role).ok_or(NotAProcess)?,
+            pid: value("pid").and_then(|pid| pid.parse().ok()).ok_or(NotAProcess)?,
+            agents: hex("agents").and_then(|agents| agents.try_into().ok()).unwrap_or(0),
+            model: hex("model").unwrap_or(0).to_be_bytes(),
+            term: value("term").and_then(|term| term.parse().ok()),
+            is_paused,
+            is_degraded,
+            serves,
+            is_graph,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_answers_fits_an_answer_and_comes_back() {
+        let widest = ProcessInfo {
+            role: Role::Supervisor,
+            pid: u32::MAX,
+            agents: u64::MAX,
+            model: [0xAB; 16],
+            term: Some(u32::MAX),
+            is_paused: true,
+            is_degraded: true,
+            serves: true,
+            is_graph: true,
+        };
+        let text = widest.to_string();
+        assert!(text.len() <= 224, "{}", text.len());
+        assert_eq!(text.parse(), Ok(widest));
+        let least = ProcessInfo { term: None, is_paused: false, serves: false, ..widest };
+        assert_eq!(format!("{least} later=5 words").parse(), Ok(least));
+        for text in ["", "role=world", "pid=5", "role=cook pid=5", "role=world pid=x"] {
+            assert_eq!(text.parse::<ProcessInfo>(), Err(NotAProcess), "{text}");
+        }
+    }
+}
