@@ -1,25 +1,31 @@
 //! `sortie serve`: a policy decides for a robot's program, over shared memory.
 
+mod graph;
+
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::Args;
 use serde::Serialize;
+use sortie_bundle::sha256;
 use sortie_core::plan::{AlignedBytes, Plan};
 use sortie_ipc::{
     Domain, Fallback, PolicySchema, PolicyServer, Port, RealTime, ServeCounters, ServeSettings,
-    Served,
+    Served, Stop,
 };
 use sortie_plans::{Annex, CompileError, CompileOptions, read_onnx};
 
 use crate::compiler::compiler;
-use crate::engines::check_program;
-use crate::failure::{Failure, Outcome};
-use crate::foreign::PolicyArguments;
+use crate::engines::{check_program, engines};
+use crate::failure::{Exit, Failure, Outcome};
+use crate::foreign::{ENGINE, PolicyArguments};
 use crate::latency::{Latency, Percentiles};
 use crate::options::Common;
 use crate::output::{Table, print_json, say};
+use crate::policy::Backend;
 use crate::signals::stop_on_signals;
+
+use graph::Graph;
 
 /// What plans begin with.
 const PLAN: &[u8] = b"SORTIEPL";
@@ -32,11 +38,16 @@ const PLAN: &[u8] = b"SORTIEPL";
 #[command(after_help = "Examples:
   sortie serve walking.plan
   sortie serve walking.plan --domain legs --deadline-ms 2 --fallback zero
-  sortie serve walking.onnx --rt 50 --core 1 --json")]
+  sortie serve walking.onnx --rt 50 --core 1 --json
+  sortie serve gathers.onnx --backend tract")]
 pub(crate) struct ServeArguments {
     /// A policy's plan, or its ONNX file, which is compiled first
     #[arg(value_name = "PLAN|ONNX")]
     policy: PathBuf,
+    /// What decides: the plan, or tract where a file cannot be compiled, which allocates and promises nothing about
+    /// bits or time
+    #[arg(long, value_enum, default_value_t = Backend::Plan)]
+    backend: Backend,
     /// Name by which robots find it; keeps it apart from all others on the host
     #[arg(long, env = "SORTIE_DOMAIN", default_value = "default")]
     domain: String,
@@ -72,6 +83,8 @@ fn milliseconds(text: &str) -> Result<f64, String> {
 struct Summary<'a> {
     policy: &'a Path,
     domain: &'a str,
+    /// `plan`, or what runs the graph.
+    engine: &'static str,
     answered: u64,
     late: u64,
     fallbacks: u64,
@@ -87,14 +100,61 @@ struct Summary<'a> {
 }
 
 pub(crate) fn run(arguments: &ServeArguments) -> Outcome {
-    let ServeArguments { policy, common, .. } = arguments;
-    let stop = stop_on_signals()?;
-    let domain = Domain::new(&arguments.domain)?;
-    let bytes = open_plan(arguments)?;
-    let within = |failure: Failure| failure.within(policy.display());
+    arguments.backend.prepare()?;
+    let bytes =
+        read_onnx(&arguments.policy).map_err(|error| Failure::file(&arguments.policy, &error))?;
+    let within = |failure: Failure| failure.within(arguments.policy.display());
+    match arguments.backend {
+        Backend::Plan => serve_plan(arguments, &bytes, &within),
+        Backend::Tract => serve_graph(arguments, &bytes, &within),
+    }
+}
+
+fn serve_plan(
+    arguments: &ServeArguments,
+    bytes: &[u8],
+    within: &dyn Fn(Failure) -> Failure,
+) -> Outcome {
+    let bytes = plan_of(arguments, bytes).map_err(within)?;
     let plan = Plan::load(bytes.as_slice())
         .map_err(|error| within(Failure::from(CompileError::from(error))))?;
     let schema = schema(&plan, bytes.as_slice()).map_err(within)?;
+    serve(arguments, schema, |server, observe, stop| server.serve(&plan, observe, stop))
+}
+
+/// A file that another process has read and run is run here, as by all verbs that run graphs.
+fn serve_graph(
+    arguments: &ServeArguments,
+    bytes: &[u8],
+    within: &dyn Fn(Failure) -> Failure,
+) -> Outcome {
+    if bytes.starts_with(PLAN) {
+        let message = "this is a plan; `--backend tract` runs the ONNX file that it was made of";
+        return Err(within(Failure::new(Exit::Usage, message)));
+    }
+    let options = arguments.foreign.options();
+    let failed = |error| within(Failure::from(error));
+    compiler().rehearse_policy(bytes, &options).map_err(failed)?;
+    let policy = engines()?.tract().flat_policy(bytes, &options).map_err(failed)?;
+    let model = sha256(bytes).first_chunk().copied().unwrap_or_default();
+    let mut graph = Graph::new(policy, model).map_err(failed)?;
+    let schema = graph.schema();
+    serve(arguments, schema, |server, observe, stop| server.serve_with(&mut graph, observe, stop))
+}
+
+/// Opens the services, and decides until Ctrl-C.
+fn serve(
+    arguments: &ServeArguments,
+    schema: PolicySchema,
+    decide: impl FnOnce(
+        &mut PolicyServer,
+        &mut dyn FnMut(&Served),
+        &Stop,
+    ) -> Result<ServeCounters, sortie_ipc::Error>,
+) -> Outcome {
+    let ServeArguments { policy, common, .. } = arguments;
+    let stop = stop_on_signals()?;
+    let domain = Domain::new(&arguments.domain)?;
     let settings = ServeSettings {
         deadline: Duration::from_secs_f64(arguments.deadline_ms / 1000.0),
         fallback: arguments.fallback,
@@ -105,31 +165,31 @@ pub(crate) fn run(arguments: &ServeArguments) -> Outcome {
     let mut server = PolicyServer::open(&domain, schema, &settings)?;
     if !common.json && !common.quiet {
         say!("{}: {taken}", policy.display());
+        if arguments.backend == Backend::Tract {
+            say!("by {ENGINE}");
+        }
         say!("serving in domain `{}`; Ctrl-C ends it", domain.id());
     }
-    let (mut wake, mut decide) = (Latency::new(), Latency::new());
+    let (mut wake, mut decision) = (Latency::new(), Latency::new());
     let mut observe = |served: &Served| {
         wake.record_ns(served.wake_ns);
-        decide.record_ns(served.decide_ns);
+        decision.record_ns(served.decide_ns);
     };
-    let counters = server.serve(&plan, &mut observe, &stop)?;
+    let counters = decide(&mut server, &mut observe, &stop)?;
     drop(server);
     let shown = |latency: &Latency| (latency.samples() > 0).then(|| latency.percentiles());
-    report(arguments, &counters, [shown(&wake), shown(&decide)]);
+    report(arguments, &counters, [shown(&wake), shown(&decision)]);
     Ok(())
 }
 
 /// The plan of a file: itself, or what the limited process compiles of it.
-fn open_plan(arguments: &ServeArguments) -> Result<AlignedBytes, Failure> {
-    let path = &arguments.policy;
-    let bytes = read_onnx(path).map_err(|error| Failure::file(path, &error))?;
+fn plan_of(arguments: &ServeArguments, bytes: &[u8]) -> Result<AlignedBytes, Failure> {
     if bytes.starts_with(PLAN) {
-        return Ok(AlignedBytes::copy_of(&bytes));
+        return Ok(AlignedBytes::copy_of(bytes));
     }
     check_program()?;
     let options = CompileOptions { seed: arguments.common.seed, ..CompileOptions::default() };
-    let compiled = compiler().compile_policy(&bytes, &arguments.foreign.options(), &options);
-    let compiled = compiled.map_err(|error| Failure::from(error).within(path.display()))?;
+    let compiled = compiler().compile_policy(bytes, &arguments.foreign.options(), &options)?;
     Ok(AlignedBytes::copy_of(&compiled.compiled.bytes))
 }
 
@@ -180,6 +240,10 @@ fn report(
         print_json(&Summary {
             policy,
             domain,
+            engine: match arguments.backend {
+                Backend::Plan => Backend::Plan.name(),
+                Backend::Tract => ENGINE,
+            },
             answered,
             late,
             fallbacks,
@@ -193,8 +257,12 @@ fn report(
         });
         return;
     }
+    let by = match arguments.backend {
+        Backend::Plan => String::new(),
+        Backend::Tract => format!(" (by {ENGINE})"),
+    };
     say!(
-        "{answered} answered, {late} of them late, {fallbacks} fallbacks, {missed} missed, {refused} refused; \
+        "{answered} answered{by}, {late} of them late, {fallbacks} fallbacks, {missed} missed, {refused} refused; \
          {sessions} robots, {resets} episodes"
     );
     let mut table = Table::new(&["microseconds", "p50", "p99", "max"]);

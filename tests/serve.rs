@@ -10,17 +10,27 @@ use serde_json::Value;
 use sortie_core::plan::{AlignedBytes, Given, Plan};
 use sortie_core::wire::{AnswerStatus, Reason};
 use sortie_ipc::{ClientSettings, Domain, Expected, PolicyClient, PolicySchema};
-use support::{TestDomain, assert_fails, interrupt, output, sortie, stderr};
+use support::{TestDomain, assert_fails, interrupt, output, sortie, stderr, wait_until};
 
 const CART: &str = "examples/embed_c/cart.plan";
 const CART_SHAPE: Expected<'_> =
     Expected { inputs: &[("position", 1)], outputs: &[("force", 1)], actions: 0 };
+/// A recurrent policy of which no plan can be made.
+const GATHERS: &str = "tests/golden/onnx-unplanned/gathers.onnx";
+const ENGINE: &str = "tract: allocates, no promise about bits or time";
 /// A recurrent network with scores of 9 actions.
 const RECURRENT: &str = "tests/golden/onnx-foreign/epymarl_rnn.classic.onnx";
 
 fn serve(policy: &str, domain: &TestDomain) -> Child {
+    serve_with(policy, domain, &[])
+}
+
+fn serve_with(policy: &str, domain: &TestDomain, more: &[&str]) -> Child {
     let arguments = ["serve", policy, "--domain", &domain.id, "--json"];
-    sortie(&arguments).stdout(Stdio::piped()).spawn().expect("the command line starts")
+    sortie(&[&arguments, more].concat())
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("the command line starts")
 }
 
 /// What it prints after Ctrl-C.
@@ -116,5 +126,142 @@ fn what_cannot_be_served_is_refused() {
     assert_eq!(usage.status.code(), Some(2));
     let usage = serve(&[CART, "--deadline-ms", "0"]);
     assert_eq!(usage.status.code(), Some(2));
+    let plan = serve(&[CART, "--backend", "tract"]);
+    assert_fails(&plan, 2, &["cart.plan: this is a plan", "the ONNX file that it was made of"]);
+    // A file whose weights lie in another one.
+    let folder = tempfile::tempdir().expect("a folder");
+    let alone = folder.path().join("alone.onnx");
+    let with_data = "tests/golden/onnx-producers/rsl_rl_mlp.onnx";
+    std::fs::copy(with_data, &alone).expect("a copy");
+    assert_fails(&serve(&[&alone.display().to_string()]), 66, &["must lie in the same folder"]);
     assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
+}
+
+/// What `sortie control` and `sortie doctor` say of a domain.
+fn told(domain: &TestDomain, words: &[&str]) -> String {
+    let told = output(&[words, &["--domain", &domain.id]].concat());
+    String::from_utf8(told.stdout).expect("text")
+}
+
+#[test]
+fn a_server_is_seen_and_ended_from_outside() {
+    let domain = TestDomain::new("told");
+    let server = serve(CART, &domain);
+    let mut client = connect(&domain, &CART_SHAPE);
+    client.decide(&[&[0.5]], &[]).expect("the policy's lengths");
+    let info = told(&domain, &["control", "info"]);
+    let words = format!("runner {}, serves a policy, observation 1, model ", server.id());
+    assert!(info.starts_with(&words) && info.lines().count() == 1, "{info}");
+    wait_until("the doctor hears the server", || {
+        let found = told(&domain, &["doctor"]);
+        let has = |words: &str| found.contains(words);
+        has(" [1] -> [1], schema ")
+            && has(", deadline 20 ms, fallback hold")
+            && has(&format!("process {}, model ", server.id()))
+            && has(", 1 answers, 0 late, 0 fallbacks")
+    });
+    let pause = output(&["control", "pause", "--domain", &domain.id]);
+    assert_fails(&pause, 69, &["no process that could do it has answered"]);
+    let ended = told(&domain, &["control", "shut-down"]);
+    assert!(ended.starts_with("runner "), "{ended}");
+    let ended = server.wait_with_output().expect("its output");
+    assert_eq!(ended.status.code(), Some(0), "{}", stderr(&ended));
+    let summary: Value = serde_json::from_slice(&ended.stdout).expect("one JSON object");
+    assert_eq!((summary["answered"].as_u64(), summary["engine"].as_str()), (Some(1), Some("plan")));
+    drop(client);
+    assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
+}
+
+#[test]
+fn a_file_without_a_plan_is_run_by_tract_where_that_is_said() {
+    let domain = TestDomain::new("gathers");
+    let refused = output(&["serve", GATHERS, "--domain", &domain.id]);
+    let words = [
+        "`gather` (GatherElements f32 [1, 6], i64 [1, 5]) does not fit",
+        "the nearest that has is Gather along one axis",
+        "`--backend tract` still runs this file on a host",
+    ];
+    assert_fails(&refused, 65, &words);
+    let server = serve_with(GATHERS, &domain, &["--backend", "tract"]);
+    let expected = Expected { inputs: &[("obs", 6)], outputs: &[("q", 5)], actions: 5 };
+    let mut client = connect(&domain, &expected);
+    let mut state = [0.0; 6];
+    for step in 0..20_usize {
+        if step == 12 {
+            client.begin_episode();
+            state = [0.0; 6];
+        }
+        let input: [f32; 6] = std::array::from_fn(|index| ((step * 7 + index * 5) % 11) as f32);
+        for (state, input) in state.iter_mut().zip(input) {
+            *state = (*state + input) / 2.0;
+        }
+        let scores = [4, 2, 0, 5, 1].map(|place: usize| state[place]);
+        let mut available = [1; 5];
+        available[step % 5] = 0;
+        let action = client.decide(&[&input], &available).expect("the policy's lengths");
+        assert_eq!((action.status, action.outputs), (AnswerStatus::Answered, &scores[..]));
+        let chosen = usize::from(action.action.expect("a choice"));
+        let best = (0..5).filter(|index| available[*index] != 0).map(|index| scores[index]);
+        assert_eq!(scores[chosen], best.fold(f32::MIN, f32::max), "step {step}");
+    }
+    // Refused as by plans, and the state stays.
+    let nan = client.decide(&[&[f32::NAN; 6]], &[1; 5]).expect("the policy's lengths");
+    assert_eq!((nan.status, nan.reason), (AnswerStatus::Fallback, Reason::NonFinite));
+    let huge = client.decide(&[&[f32::MAX; 6]], &[1; 5]).expect("the policy's lengths");
+    assert_eq!(huge.status, AnswerStatus::Answered, "{:?}", huge.reason);
+    let infinite = client.decide(&[&[f32::MAX; 6]], &[1; 5]).expect("the policy's lengths");
+    assert_eq!((infinite.status, infinite.reason), (AnswerStatus::Fallback, Reason::NonFinite));
+    let info = told(&domain, &["control", "info"]);
+    assert!(info.trim_end().ends_with(&format!(", by {ENGINE}")), "{info}");
+    wait_until("the doctor hears the server", || {
+        told(&domain, &["doctor"])
+            .contains("runs the graph: allocates, no promise about bits or time")
+    });
+    drop(client);
+    let summary = summary(server);
+    assert_eq!(summary["engine"], ENGINE);
+    assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
+}
+
+#[test]
+fn tract_serves_what_a_plan_of_the_same_file_serves() {
+    let recurrent = ("tests/golden/onnx-foreign/sb3_ppo_discrete.classic.onnx", 30);
+    for (file, steps) in [(RECURRENT, 30), recurrent] {
+        let domains = [TestDomain::new("by-plan"), TestDomain::new("by-tract")];
+        let servers =
+            [serve(file, &domains[0]), serve_with(file, &domains[1], &["--backend", "tract"])];
+        let mut clients = domains.each_ref().map(|domain| {
+            let domain = Domain::new(&domain.id).expect("a domain");
+            let minute = Some(Duration::from_secs(60));
+            let settings = ClientSettings {
+                deadline: minute,
+                patience: Duration::from_secs(60),
+                ..ClientSettings::default()
+            };
+            PolicyClient::connect_for_threads(&domain, &settings).expect("a server")
+        });
+        let schema = clients[0].schema().clone();
+        assert_eq!(&schema, clients[1].schema(), "{file}");
+        let available = vec![1; schema.actions];
+        for step in 0..steps {
+            let number = |index: usize| ((step * 31 + index * 17) % 23) as f32 / 11.0 - 1.0;
+            let inputs: Vec<Vec<f32>> =
+                schema.inputs.iter().map(|port| (0..port.length).map(number).collect()).collect();
+            let inputs: Vec<&[f32]> = inputs.iter().map(Vec::as_slice).collect();
+            let [(plan, chosen), (graph, also)] = clients.each_mut().map(|client| {
+                let action = client.decide(&inputs, &available).expect("the policy's lengths");
+                assert_eq!(action.status, AnswerStatus::Answered, "{file}: {:?}", action.reason);
+                (action.outputs.to_vec(), action.action)
+            });
+            assert_eq!(chosen, also, "{file}, step {step}");
+            for (plan, graph) in plan.iter().zip(&graph) {
+                assert!(
+                    (plan - graph).abs() <= 1e-5 * (1.0 + graph.abs()),
+                    "{file}: {plan}, {graph}"
+                );
+            }
+        }
+        drop(clients);
+        servers.into_iter().for_each(|server| drop(summary(server)));
+    }
 }

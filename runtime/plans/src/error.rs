@@ -24,8 +24,8 @@ pub enum CompileError {
         "an agent network needs entities f32 [N, D], self_index i64 [1] and visible bool [N], with memory a state \
          f32 [R] that comes out too, a team-value network entities and relation f32 [N, _] and present, is_agent, in_task, open, team bool [N], \
          a network over all entities entities f32 [N, D], present bool [N] and, where needed, is_agent bool [N] and \
-         groups bool [N, T]; the file has {found}; a policy of another kind is compared with \
-         recorded answers by `sortie verify --npz`"
+         groups bool [N, T]; the file has {found}; a policy of another kind needs no \
+         bundle: `sortie compile FILE.onnx` makes a plan of it"
     )]
     Inputs {
         /// The inputs of the file, with types and shapes.
@@ -101,7 +101,7 @@ pub enum CompileError {
     },
     /// A part of the graph matches no pattern.
     #[error(
-        "`{node}` ({operator} {shapes}) does not fit: {hint}; the tract back-end still runs this file"
+        "`{node}` ({operator} {shapes}) does not fit: {hint}; `--backend tract` still runs this file on a host"
     )]
     Unsupported {
         /// The node's name.

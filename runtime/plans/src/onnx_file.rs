@@ -77,16 +77,17 @@ impl Beside<'_> {
     }
 
     fn read(&mut self, place: &Place) -> io::Result<Vec<u8>> {
-        let refused = |reason: &str| {
-            let words = format!("its weights lie in `{}`, {reason}", place.location);
-            io::Error::new(io::ErrorKind::InvalidData, words)
+        let failed = |kind: io::ErrorKind, reason: &str| {
+            io::Error::new(kind, format!("its weights lie in `{}`, {reason}", place.location))
         };
+        let refused = |reason: &str| failed(io::ErrorKind::InvalidData, reason);
         let mut parts = Path::new(&place.location).components();
         if place.location.is_empty() || !parts.all(|part| matches!(part, Component::Normal(_))) {
             return Err(refused("which is no name of a file in its folder"));
         }
         let missing = |error: io::Error| {
-            refused(&format!("which must lie in the same folder and cannot be read ({error})"))
+            let reason = "which must lie in the same folder and cannot be read";
+            failed(error.kind(), &format!("{reason} ({error})"))
         };
         let path = self.folder.join(&place.location);
         // A link could lead anywhere, and reading what is no file may never end.

@@ -7,6 +7,7 @@ mod arrange;
 mod cells;
 mod convolve;
 mod elementwise;
+mod nearest;
 mod pools;
 mod products;
 mod rows;
@@ -45,6 +46,7 @@ use tract_onnx::tract_core::ops::source::TypedSource;
 
 use super::agent::{Arena, at_most};
 use crate::flat::FlatGraph;
+use nearest::nearest;
 use values::Values;
 use weights::PolicyWeights;
 
@@ -218,7 +220,7 @@ impl<'m> Lowering<'m> {
             let input = self.broadcast(node, 0, &self.shape(node, 0)?)?;
             return self.give(node, 0, input);
         }
-        Err(self.unsupported(node, "it has no step"))
+        Err(self.unsupported(node, nearest(&node.op.name())))
     }
 
     /// The outputs, the next states, and the choice.
