@@ -3,7 +3,7 @@
 use std::error::Error;
 use std::path::Path;
 
-use pyo3::exceptions::PyOSError;
+use pyo3::exceptions::{PyOSError, PyValueError};
 use pyo3::prelude::*;
 use sortie_core::DecideError;
 
@@ -15,6 +15,7 @@ pub(crate) mod exceptions {
     import_exception!(sortie._errors, CompileError);
     import_exception!(sortie._errors, DecideError);
     import_exception!(sortie._errors, PlanError);
+    import_exception!(sortie._errors, ServeError);
 }
 
 /// An error and what caused it, on one line.
@@ -47,4 +48,13 @@ pub(crate) fn of_file(path: &Path, error: &std::io::Error) -> PyErr {
 /// Why nothing could be decided.
 pub(crate) fn of_decision(error: DecideError) -> PyErr {
     exceptions::DecideError::new_err(error.to_string())
+}
+
+/// Why a served policy cannot be asked.
+pub(crate) fn of_service(error: sortie_ipc::Error) -> PyErr {
+    const USAGE: u8 = 2;
+    match error.exit_code() {
+        USAGE => PyValueError::new_err(words(&error)),
+        code => exceptions::ServeError::new_err((words(&error), code)),
+    }
 }

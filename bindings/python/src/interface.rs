@@ -4,6 +4,7 @@ use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 use sortie_core::plan::Plan;
+use sortie_ipc::{PolicySchema, Port};
 use sortie_plans::{
     Annex, CompileError, InputRole, OutputRole, PolicyFacts, PolicyInput, PolicyOutput,
     PolicyState, ValueType,
@@ -34,6 +35,27 @@ impl Interface {
             Some(Annex { facts, .. }) if fits(&facts, plan) => Ok(Self::new(facts)),
             Some(_) => Err(CompileError::Annex { reason: "they are another plan's".to_owned() }),
         }
+    }
+
+    /// What a server says of its policy, with the names that the robot's program has where its plan has none.
+    pub(crate) fn of_served(
+        inputs: &[(String, usize)],
+        outputs: &[(String, usize)],
+        schema: &PolicySchema,
+    ) -> Self {
+        let lengths = |ports: &[Port]| ports.iter().map(|port| port.length).collect::<Vec<_>>();
+        let PolicySchema { actions, inputs: given, outputs: wanted, states } = schema;
+        let mut facts = plain(*actions, &lengths(given), &lengths(wanted), &lengths(states));
+        let places = facts.inputs.iter_mut().map(|input| &mut input.name);
+        let places = places.chain(facts.outputs.iter_mut().map(|output| &mut output.name));
+        let said = inputs.iter().chain(outputs).map(|(name, _)| name);
+        for ((place, port), said) in places.zip(given.iter().chain(wanted)).zip(said) {
+            let name = if port.name.is_empty() { said } else { &port.name };
+            if !name.is_empty() {
+                place.clone_from(name);
+            }
+        }
+        Self::new(facts)
     }
 
     fn new(facts: PolicyFacts) -> Self {
@@ -128,34 +150,41 @@ impl Interface {
 
 /// What a plan says that has no names.
 fn nameless(plan: &Plan<'_>) -> PolicyFacts {
-    let (program, actions) = (plan.program(), plan.actions());
-    let input = |(index, length): (usize, u32)| PolicyInput {
+    let program = plan.program();
+    let actions = program.utilities().map_or(0, |_| plan.actions());
+    let inputs: Vec<usize> = program.inputs().map(|input| input.to.len as usize).collect();
+    let outputs: Vec<usize> = program.outputs().map(|output| output.width as usize).collect();
+    let states: Vec<usize> = program.states().map(|state| state.from.len as usize).collect();
+    plain(actions, &inputs, &outputs, &states)
+}
+
+/// Inputs, outputs and states of these lengths, named by their places; the first output is the scores of so many actions,
+/// where there are any.
+fn plain(actions: usize, inputs: &[usize], outputs: &[usize], states: &[usize]) -> PolicyFacts {
+    let input = |(index, length): (usize, &usize)| PolicyInput {
         name: format!("input_{index}"),
         kind: ValueType::F32,
-        shape: vec![length as usize],
+        shape: vec![*length],
         role: InputRole::Observation,
     };
-    let output = |(index, length): (usize, u32)| PolicyOutput {
+    let output = |(index, length): (usize, &usize)| PolicyOutput {
         name: format!("output_{index}"),
         kind: ValueType::F32,
-        shape: vec![length as usize],
-        role: match program.utilities() {
-            Some(_) if index == 0 => OutputRole::Discrete(actions),
-            _ => OutputRole::Continuous(length as usize),
+        shape: vec![*length],
+        role: match actions {
+            1.. if index == 0 => OutputRole::Discrete(actions),
+            _ => OutputRole::Continuous(*length),
         },
     };
-    let state = |(index, length): (usize, u32)| PolicyState {
+    let state = |(index, length): (usize, &usize)| PolicyState {
         input: format!("state_{index}"),
         output: format!("state_{index}_next"),
-        length: length as usize,
+        length: *length,
     };
-    let inputs = program.inputs().map(|input| input.to.len).enumerate().map(input);
-    let outputs = program.outputs().map(|output| output.width).enumerate().map(output);
-    let states = program.states().map(|state| state.from.len).enumerate().map(state);
     PolicyFacts {
-        inputs: inputs.collect(),
-        outputs: outputs.collect(),
-        states: states.collect(),
+        inputs: inputs.iter().enumerate().map(input).collect(),
+        outputs: outputs.iter().enumerate().map(output).collect(),
+        states: states.iter().enumerate().map(state).collect(),
         operators: Default::default(),
         parameters: 0,
         multiply_adds: None,

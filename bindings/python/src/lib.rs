@@ -12,6 +12,7 @@ mod interface;
 mod owned_plan;
 mod plan;
 mod plan_batch;
+mod policy_client;
 mod source;
 
 use pyo3::pymodule;
@@ -24,4 +25,6 @@ mod _sortie {
     use crate::compiler::compile;
     #[pymodule_export]
     use crate::plan::Plan;
+    #[pymodule_export]
+    use crate::policy_client::{Action, PolicyClient};
 }

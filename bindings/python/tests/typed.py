@@ -26,11 +26,22 @@ def team(folder: str, entities: NDArray[np.float32]) -> NDArray[np.int64]:
     return tasks + bundle.decide(entities, np.ones((2, 4), bool), np.ones((2, 3), bool), [-1, 0])
 
 
+def robot(observation: NDArray[np.float32]) -> float:
+    with sortie.PolicyClient("legs", inputs={"position": 1}, outputs={"force": 1}, fallback=0, deadline=0.002) as policy:
+        policy.begin_episode()
+        policy.set_deadline(0.02)
+        action: sortie.Action = policy.decide(observation, available=None)
+        if action.status == "fallback" or action.lost_state:
+            print(action.reason, policy.counters["silent"], policy.schema["actions"])
+        force: NDArray[np.float32] = action.outputs
+        return float(force[0]) if action.action is None else action.action
+
+
 def files(onnx: str, out: str) -> None:
     try:
         report = sortie.compile(onnx, out, profile="fused")
         print(report["macs"], sortie.verify(onnx, "recorded.npz", sizes={"N": 7})["engines"])
     except sortie.DifferenceError as error:
         print(error.report)
-    except (sortie.CompileError, sortie.PlanError, sortie.BundleError) as error:
+    except (sortie.CompileError, sortie.PlanError, sortie.BundleError, sortie.ServeError) as error:
         print(isinstance(error, sortie.SortieError))

@@ -6,11 +6,12 @@
 Everything else is in docs/python.md.
 """
 
-from ._errors import BundleError, CompileError, DecideError, DifferenceError, PlanError, SortieError
-from ._sortie import Bundle, Plan, compile
+from ._errors import BundleError, CompileError, DecideError, DifferenceError, PlanError, ServeError, SortieError
+from ._sortie import Action, Bundle, Plan, PolicyClient, compile
 from ._verify import verify
 
 __all__ = [
+    "Action",
     "Bundle",
     "BundleError",
     "CompileError",
@@ -18,6 +19,8 @@ __all__ = [
     "DifferenceError",
     "Plan",
     "PlanError",
+    "PolicyClient",
+    "ServeError",
     "SortieError",
     "compile",
     "verify",

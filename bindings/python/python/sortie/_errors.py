@@ -23,6 +23,15 @@ class DecideError(SortieError):
     """A plan that fits was given numbers on which nothing can be decided: NaN, or no available action."""
 
 
+class ServeError(SortieError):
+    """A served policy cannot be asked: there is none, it is another one, another robot's program has it, or shared
+    memory cannot be used. `exit_code` is the number by which the command line tells these apart."""
+
+    def __init__(self, message: str, exit_code: int) -> None:
+        super().__init__(message)
+        self.exit_code = exit_code
+
+
 class DifferenceError(SortieError):
     """Answers differ from the recorded ones. `report` holds what was compared."""
 

@@ -1,11 +1,12 @@
 import os
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeAlias, final
+from types import TracebackType
+from typing import Any, Literal, TypeAlias, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Bundle", "Plan", "compile"]
+__all__ = ["Action", "Bundle", "Plan", "PolicyClient", "compile"]
 
 _Path: TypeAlias = str | os.PathLike[str]
 # Strictly typed callers read a dict's values by `isinstance`, or name the output that they want.
@@ -130,6 +131,101 @@ class Bundle:
 
     def inspect(self) -> dict[str, Any]:
         """The content of `bundle.toml`, and the bundle's `id`."""
+
+@final
+class PolicyClient:
+    """The robot's side of a policy that `sortie serve` runs in another process, under the name `domain`.
+
+    Waits `patience` seconds for a server. `inputs` and `outputs` (lengths by name, in the policy's order) and `actions`
+    say what the program gives and wants; a policy of anything else is refused. What is left out fits any policy.
+
+    `deadline` is how many seconds a decision takes at most, `fallback` ("hold", "zero" or an action's number) what is done
+    without an answer: both as the server says, unless they are given. `linger` is how many seconds a wait looks for the
+    answer before it sleeps.
+
+    Python's other threads run on during every wait, and Ctrl-C ends it. One call at a time: a second one raises
+    RuntimeError. Not to be used on both sides of a fork.
+
+    Raises ServeError; ValueError for a name that is none, and settings that do not fit.
+    """
+
+    def __new__(
+        cls,
+        domain: str,
+        *,
+        inputs: dict[str, int] | None = None,
+        outputs: dict[str, int] | None = None,
+        actions: int | None = None,
+        deadline: float | None = None,
+        fallback: str | int | None = None,
+        patience: float = 10.0,
+        linger: float | None = None,
+    ) -> PolicyClient: ...
+    def decide(
+        self,
+        *inputs: ArrayLike | Mapping[str, ArrayLike],
+        available: ArrayLike | None = None,
+        **named: ArrayLike,
+    ) -> Action:
+        """What to do on these inputs, one after the other, by name or as one dict: at the deadline at the latest, and
+        whatever the server does. `available` `[U]` are flags, 0 = not available, of a policy that chooses.
+
+        An input is any array of as many numbers as the policy's, row by row; it is copied.
+
+        Raises TypeError and ValueError for what does not fit; nothing was sent then.
+        """
+
+    def begin_episode(self) -> None:
+        """The next observation begins an episode: the recurrent state starts anew."""
+
+    def set_deadline(self, deadline: float) -> None:
+        """Waits so many seconds for every answer from now on."""
+
+    @property
+    def counters(self) -> dict[str, int]:
+        """What happened since the start: answered, late (among these), fallbacks, silent (among these), overdue, foreign,
+        lost_states."""
+
+    @property
+    def schema(self) -> dict[str, Any]:
+        """What the policy takes and gives: `inputs`, `outputs` and `states`, each with `name` and `length`, and `actions`."""
+
+    def close(self) -> None:
+        """Leaves the domain, so that another robot may come. At the end of a `with` block by itself."""
+
+    def __enter__(self) -> PolicyClient: ...
+    def __exit__(
+        self,
+        _kind: type[BaseException] | None,
+        _raised: BaseException | None,
+        _trace: TracebackType | None,
+    ) -> None: ...
+
+@final
+class Action:
+    """What a robot is to do."""
+
+    @property
+    def status(self) -> Literal["answered", "late", "fallback"]:
+        """Whether it is the policy's, in time or late, or the fallback."""
+
+    @property
+    def reason(
+        self,
+    ) -> Literal["foreign", "length", "non_finite", "no_available_action", "policy", "silence"] | None:
+        """Why it is the fallback; None where it is not."""
+
+    @property
+    def action(self) -> int | None:
+        """The action that was chosen; None where the policy does not choose, or none is available."""
+
+    @property
+    def outputs(self) -> _Answer:
+        """The output, float32 `[length]`, or a dict of several by name. New arrays; of a choice they are its scores."""
+
+    @property
+    def lost_state(self) -> bool:
+        """Whether the server was started anew within the episode, and has forgotten what was before."""
 
 def compile(
     onnx: _Path | bytes | bytearray,
