@@ -59,6 +59,7 @@ fn listen(watcher: &mut ServedWatcher) -> Result<Option<(StatMsg, StatMsg)>, Err
     while Instant::now() < until {
         watcher.receive_statuses(&mut |status| {
             heard = match heard {
+                Some((first, _)) if status.has(StatMsg::BYE) && first.pid != status.pid => heard,
                 _ if status.has(StatMsg::BYE) => None,
                 Some((first, _)) if first.pid == status.pid => {
                     is_news = true;

@@ -163,7 +163,7 @@ fn a_client_goes_from_thread_to_thread_and_its_wait_can_be_ended() {
     client.schema().check(&domain, &CART_SHAPE).unwrap();
     let other = Expected { actions: 2, ..CART_SHAPE };
     assert_eq!(client.schema().check(&domain, &other).unwrap_err().exit_code(), 78);
-    let mut answered = |client: &mut PolicyClient<AnyThread>| {
+    let answered = |client: &mut PolicyClient<AnyThread>| {
         client.decide(&[&[0.5]], &[]).unwrap().status == AnswerStatus::Answered
     };
     assert!(answered(&mut client));
