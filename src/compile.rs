@@ -147,7 +147,8 @@ pub(crate) fn run(arguments: &CompileArguments) -> Outcome {
                        `--observations FILE` (agents of this trainer) or `--npz FILE` (other policies)";
         return Err(Failure::new(Exit::Usage, message));
     }
-    let compiled = compile_any(&onnx, &options, &arguments.policy.options()).map_err(failed)?;
+    let policy = arguments.policy.options_for(path)?;
+    let compiled = compile_any(&onnx, &options, &policy).map_err(failed)?;
     write_output(plan, &compiled.bytes)?;
     print(arguments, &compiled.report, None);
     Ok(())

@@ -86,13 +86,12 @@ impl InspectArguments {
 /// Shows a file; what must be said about it before it is a policy comes last.
 fn inspect_onnx(arguments: &InspectArguments, bytes: &[u8]) -> Outcome {
     let within = |error| Failure::from(error).within(arguments.file.display());
-    let inspected = compiler().inspect(bytes, &arguments.policy.options()).map_err(within)?;
+    let options = arguments.policy.options_for(&arguments.file)?;
+    let inspected = compiler().inspect(bytes, &options).map_err(within)?;
     let (facts, policy) = (inspected.facts, inspected.policy.transpose());
     let known = policy.as_ref().ok().and_then(Option::as_ref);
-    let plan = known.map(|_| {
-        let (policy, options) = (arguments.policy.options(), CompileOptions::default());
-        compiler().compile_policy(bytes, &policy, &options)
-    });
+    let plan =
+        known.map(|_| compiler().compile_policy(bytes, &options, &CompileOptions::default()));
     if arguments.common.json {
         print_json(&onnx::Report::of(&facts, known, plan.as_ref()));
     } else {

@@ -141,7 +141,10 @@ pub(crate) fn graph_policy(
     if let Some(roles) = roles_of(bundle)? {
         compiler().rehearse_policy(onnx, &roles)?;
         let policy = engine.flat_policy(onnx, &roles)?;
-        return Ok(Box::new(TeamPolicy::new(policy, TeamSizes::of(contract))?));
+        return Ok(Box::new(TeamPolicy::new(
+            policy,
+            TeamSizes::of(contract, bundle.manifest().limits.n_max),
+        )?));
     }
     let features = contract.features.into();
     compiler().rehearse(onnx, bundle.manifest().limits.n_max.into(), Some(features))?;

@@ -11,11 +11,11 @@ use sortie_bundle::{Bundle, POLICY, Recording};
 use sortie_core::plan::{AlignedBytes, Network, Plan, PlanError, Profile};
 use sortie_core::{Observation, PlanPolicy};
 use sortie_plans::{
-    BundlePlans, Comparison, CompileError, CompileOptions, Compiler, CompilerProcess, GraphEngine,
-    ObservationSizes, OnnxRuntimeEngine, PolicyOptions, ProposalFiles, Standard, TeamQuerySizes,
-    agreement, compare_agents, compare_with_golden, compare_with_golden_allocations, inspect_plan,
-    observation_families, random_allocation_states, random_entities, read_onnx,
-    team_query_families,
+    Annex, BundlePlans, Comparison, CompileError, CompileOptions, Compiler, CompilerProcess,
+    GraphEngine, ObservationSizes, OnnxRuntimeEngine, PolicyOptions, ProposalFiles, Standard,
+    TeamQuerySizes, agreement, compare_agents, compare_with_golden,
+    compare_with_golden_allocations, inspect_plan, observation_families, random_allocation_states,
+    random_entities, read_onnx, team_query_families,
 };
 
 use crate::allocator::LearnedAllocator;
@@ -184,7 +184,8 @@ fn compare(arguments: &VerifyArguments) -> Result<Report, Failure> {
 
 /// Whether the subject is a policy that somebody else exported: what says something about one means one.
 fn is_policy(arguments: &VerifyArguments) -> Result<bool, Failure> {
-    let (subject, options) = (&arguments.subject, arguments.policy.options());
+    let subject = &arguments.subject;
+    let options = arguments.policy.options_for(subject)?;
     if subject.is_dir() || !subject.exists() {
         let message = "what is said about a policy's inputs and outputs goes with an ONNX file";
         let says = options != PolicyOptions::default();
@@ -340,7 +341,7 @@ fn judged_policy(
     plan: &[u8],
     judges: &[&dyn GraphEngine],
 ) -> Result<Vec<Compared>, CompileError> {
-    let plan = Plan::load(plan)?;
+    let (annex, plan) = (Annex::of_plan(plan)?, Plan::load(plan)?);
     let sizes = ObservationSizes {
         n_max: bundle.manifest().limits.n_max.into(),
         features: plan.header().features as usize,
@@ -348,8 +349,9 @@ fn judged_policy(
     };
     let (inputs, seed) = (arguments.inputs as usize, arguments.common.seed);
     let mut families = observation_families(inputs, sizes, seed);
-    // What is no number stands in any row that is visible, of which the agent observes only its own.
-    families.retain(|family| family.standard != Standard::Refusal);
+    // What is no number stands in any row that is visible; many policies observe only their own.
+    let observes_all = annex.is_some_and(|annex| annex.facts.entities().is_some());
+    families.retain(|family| observes_all || family.standard != Standard::Refusal);
     let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
     let mut policy = PlanPolicy::boxed(plan, arena.as_mut_slice())?;
     let mut compared = Vec::new();

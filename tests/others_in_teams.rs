@@ -110,3 +110,64 @@ fn what_is_said_of_a_policy_stands_in_its_bundle() {
     let parts = |bundle: &str| json(&["inspect", bundle, "--json"])["parts"].clone();
     assert_eq!(parts(&bundle), parts(&again));
 }
+
+#[test]
+fn a_network_over_entities_plays_alike_whichever_way_it_finds_itself() {
+    let home = tempfile::tempdir().expect("a folder");
+    let first = ["--entities", "entities", "--mask", "pad:blocked", "--self", "first"];
+    let first = export(home.path(), "ring_first", &first);
+    // The same by a file beside the network.
+    let onnx = home.path().join("ring.onnx");
+    fs::copy(format!("{FOLDER}/ring_index.onnx"), &onnx).expect("a copy");
+    let toml = "entities = 'entities'
+mask = 'visible:visible'
+self = 'self_index'
+";
+    fs::write(home.path().join("ring.toml"), toml).expect("roles");
+    let (onnx, index) = (onnx.display().to_string(), home.path().join("index"));
+    let index = index.display().to_string();
+    json(&["export", &onnx, "--env", SET, "--out", &index, "--episodes", "20", "--json"]);
+    for bundle in [&first, &index] {
+        verify(bundle);
+        let plan = json(&["inspect", &format!("{bundle}/agent.plan"), "--json"]);
+        assert_eq!((&plan["n_max"], &plan["features"]), (&10.into(), &16.into()));
+    }
+    let (first, index) = (play(&first, &["--in-process"]), play(&index, &["--in-process"]));
+    for key in ["success", "return_mean", "decisions", "ticks"] {
+        assert_eq!(first[key], index[key], "{key}");
+    }
+}
+
+#[test]
+fn roles_are_said_by_flags_before_files_and_other_keys_are_refused() {
+    let home = tempfile::tempdir().expect("a folder");
+    let (onnx, toml) = (home.path().join("ring.onnx"), home.path().join("ring.toml"));
+    fs::copy(format!("{FOLDER}/ring_first.onnx"), &onnx).expect("a copy");
+    let onnx = onnx.display().to_string();
+    let write = |text: &str| fs::write(&toml, text).expect("roles");
+    write(
+        "entities = 'entities'
+mask = 'pad:visible'
+self = 'first'",
+    );
+    let role = |more: &[&str]| {
+        let facts = json(&[&["inspect", &onnx, "--json"], more].concat());
+        facts["policy"]["inputs"][1]["role"]["mask"]["blocks"].clone()
+    };
+    assert_eq!(role(&[]), false);
+    assert_eq!(role(&["--mask", "pad:blocked"]), true);
+    let other = home.path().join("other").display().to_string();
+    fs::write(
+        &other,
+        "entities = 'entities'
+mask = 'pad:blocked'
+self = 'first'",
+    )
+    .expect("roles");
+    assert_eq!(role(&["--contract", &other]), true);
+    write("entity = 'entities'");
+    let unknown = ["ring.toml", "unknown field `entity`, expected one of", "`entities`", "`self`"];
+    assert_fails(&output(&["inspect", &onnx]), 65, &unknown);
+    write("entities = 'entities'");
+    assert_fails(&output(&["inspect", &onnx]), 2, &["`pad` bool [1, 10]", "--mask NAME:visible"]);
+}

@@ -127,7 +127,8 @@ fn plan_for_large_teams(bundle: &Bundle, profile: Profile) -> Result<AlignedByte
     let onnx = bundle.agent_onnx();
     let compiled = match roles_of(bundle).map_err(failed)? {
         Some(roles) => {
-            let team = Some(TeamSizes::of(bundle.contract()));
+            let entities = bundle.manifest().limits.n_max;
+            let team = Some(TeamSizes::of(bundle.contract(), entities));
             let options = CompileOptions { team, ..options };
             compiler().compile_policy(onnx, &roles, &options).map(|policy| policy.compiled)
         }

@@ -46,9 +46,10 @@ pub(super) struct PolicyBenchArguments {
 pub(super) fn measure(arguments: &PolicyBenchArguments) -> Result<Figures, Failure> {
     let mut figures = Figures::default();
     for file in &arguments.files {
+        let options = arguments.policy.options_for(file)?;
         let onnx = read_onnx(file).map_err(|error| Failure::file(file, &error))?;
         let name = file.file_stem().unwrap_or(file.as_os_str()).display().to_string();
-        measure_one(arguments, &name, &onnx, &mut figures)
+        measure_one(arguments, &name, (&onnx, &options), &mut figures)
             .map_err(|failure| failure.within(file.display()))?;
     }
     Ok(figures)
@@ -57,11 +58,10 @@ pub(super) fn measure(arguments: &PolicyBenchArguments) -> Result<Figures, Failu
 fn measure_one(
     arguments: &PolicyBenchArguments,
     name: &str,
-    onnx: &[u8],
+    (onnx, options): (&[u8], &PolicyOptions),
     figures: &mut Figures,
 ) -> Outcome {
-    let options = arguments.policy.options();
-    let plans = compile(onnx, &options)?;
+    let plans = compile(onnx, options)?;
     let Some((_, exact, facts)) = plans.first() else { return Ok(()) };
     let floor = floor_of(exact.as_slice())?;
     let mut ours = Vec::new();
@@ -74,9 +74,9 @@ fn measure_one(
             Err(error) => return Err(error.into()),
         }
     }
-    let mut tract = engines()?.tract().flat_policy(onnx, &options)?;
+    let mut tract = engines()?.tract().flat_policy(onnx, options)?;
     let runtime = arguments.onnxruntime.open_or_note("onnxruntime is not measured")?;
-    let peer = runtime.map(|runtime| runtime.flat_policy(onnx, &options));
+    let peer = runtime.map(|runtime| runtime.flat_policy(onnx, options));
     let mut peer = peer.transpose()?;
     let inputs = random_policy_inputs(INPUTS, facts, arguments.measuring.common.seed);
     let inputs: Vec<Vec<&[f32]>> =

@@ -33,7 +33,7 @@ pub(super) fn quantised(
     failed: &dyn Fn(CompileError) -> Failure,
 ) -> Result<QuantisedPolicy, Failure> {
     let arrays = npz::read(file)?;
-    let policy = arguments.policy.options();
+    let policy = arguments.policy.options_for(&arguments.onnx)?;
     let facts = compiler().rehearse_policy(onnx, &policy).map_err(failed)?;
     let recorded = RecordedInputs::of(&facts, &arrays)
         .map_err(|reason| Failure::new(Exit::BadData, format!("{}: {reason}", file.display())))?;

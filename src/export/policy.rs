@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use sortie_bundle::{
-    AGENT, CARD, ContractV1, Draft, Golden, Network, POLICY, POLICY_ROLES, PolicyRoles,
+    AGENT, CARD, ContractV1, Draft, Golden, Limits, Network, POLICY, POLICY_ROLES, PolicyRoles,
 };
 use sortie_core::Policy;
 use sortie_envs::{Environment, Spec, Split};
@@ -13,8 +13,8 @@ use sortie_learn::draft::{Measured, Recorder, contract, described, limits};
 use sortie_learn::evaluate::Evaluation;
 use sortie_learn::play::{PolicyTeam, evaluate, evaluate_watched};
 use sortie_plans::{
-    CompileError, FlatPolicy, InputRole, PolicyFacts, PolicyOptions, TeamPolicy, TeamSizes,
-    read_onnx,
+    CompileError, FlatPolicy, InputRole, PolicyFacts, PolicyInput, PolicyOptions, TeamPolicy,
+    TeamSizes, read_onnx,
 };
 
 use super::{ExportArguments, write};
@@ -75,7 +75,8 @@ pub(super) fn export(arguments: &ExportArguments) -> Outcome {
 
 impl Exported {
     fn open(arguments: &ExportArguments) -> Result<Self, Failure> {
-        let (file, roles) = (&arguments.run, arguments.policy.options());
+        let file = &arguments.run;
+        let roles = arguments.policy.options_for(file)?;
         if arguments.team_max.is_some() {
             let reason =
                 "`--team-max` limits an allocator, which a policy of somebody else has not";
@@ -98,16 +99,20 @@ impl Exported {
             let reason = format!("`{set}` has other features or actions than `{first}`");
             return Err(Failure::new(Exit::Mismatch, reason));
         }
-        let row = facts.given().find(|input| input.role == InputRole::Observation);
+        let row = |input: &PolicyInput| match input.role {
+            InputRole::Observation => Some(input.length()),
+            InputRole::Entities { .. } => input.shape.last().copied(),
+            _ => None,
+        };
         let with_action = spec.shape.features + spec.shape.actions;
-        let last_action = row.is_some_and(|row| row.length() == with_action);
+        let last_action = facts.given().find_map(row) == Some(with_action);
         let contract = contract(spec, last_action);
         Ok(Self { onnx, roles, facts, contract, first, others })
     }
 
     /// The policy as an agent, run by tract.
     fn policy(&self) -> Result<TeamPolicy, CompileError> {
-        let team = TeamSizes::of(&self.contract);
+        let team = TeamSizes::of(&self.contract, self.limits().n_max);
         team.meanings(&self.facts)?;
         let engines = engines().map_err(|failure| CompileError::Run { reason: failure.message })?;
         let policy: Box<dyn FlatPolicy> = engines.tract().flat_policy(&self.onnx, &self.roles)?;
@@ -116,6 +121,12 @@ impl Exported {
 
     fn places(&self) -> impl Iterator<Item = &Place> {
         std::iter::once(&self.first).chain(&self.others)
+    }
+
+    /// The largest domain that its bundle serves.
+    fn limits(&self) -> Limits {
+        let shapes: Vec<_> = self.places().map(|place| place.spec().shape).collect();
+        limits(&shapes)
     }
 
     fn draft(
@@ -145,10 +156,9 @@ impl Exported {
         if roles != PolicyRoles::default() {
             parts.insert(POLICY_ROLES.to_owned(), roles.to_toml().into_bytes());
         }
-        let shapes: Vec<_> = self.places().map(|place| place.spec().shape).collect();
         Ok(Draft {
             environment: described(set.to_string(), environment.spec(), &golden.cases),
-            limits: limits(&shapes),
+            limits: self.limits(),
             network: Network { agent: POLICY.to_owned(), allocator: None, hidden },
             golden,
             contract: self.contract.clone(),

@@ -31,7 +31,8 @@ pub(super) fn compare(
     recorded: Option<&Path>,
     judges: &Judges,
 ) -> Result<Report, Failure> {
-    let (subject, options) = (&arguments.subject, arguments.policy.options());
+    let subject = &arguments.subject;
+    let options = arguments.policy.options_for(subject)?;
     let onnx = read_onnx(subject).map_err(|error| Failure::file(subject, &error))?;
     let failed = within(subject);
     // What this process reads has then been read and run elsewhere.

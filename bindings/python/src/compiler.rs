@@ -42,7 +42,9 @@ impl Asked {
             )));
         }
         let sizes = sizes.into_iter().collect();
-        Ok(Self { profile, policy: PolicyOptions { outputs, sizes, states, available } })
+        let policy =
+            PolicyOptions { outputs, sizes, states, available, ..PolicyOptions::default() };
+        Ok(Self { profile, policy })
     }
 
     /// Refuses what only an ONNX file can be asked for.

@@ -19,6 +19,15 @@ pub struct PolicyRoles {
     /// The mask of available actions; `none` where what looks like one is none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub available: Option<String>,
+    /// The input that holds the entities `[1, N, D]`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub entities: Option<String>,
+    /// Which of them the agent may attend to: `NAME:visible` where that is 1, `NAME:blocked` where it is 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mask: Option<String>,
+    /// Which of them the agent itself is: `first`, or the input with its number.
+    #[serde(rename = "self", skip_serializing_if = "Option::is_none")]
+    pub own: Option<String>,
     /// Sizes that the file leaves open, by their name in it.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub size: BTreeMap<String, usize>,
@@ -62,7 +71,11 @@ mod tests {
     fn what_is_written_is_read() {
         let size = BTreeMap::from([("N".to_owned(), 7)]);
         let (output, state) = (vec!["q:discrete".to_owned()], vec!["h:h_next".to_owned()]);
-        let roles = PolicyRoles { output, state, size, available: Some("none".to_owned()) };
+        let named = |name: &str| Some(name.to_owned());
+        let (entities, mask, own) = (named("seen"), named("pad:blocked"), named("first"));
+        let available = named("none");
+        let roles = PolicyRoles { output, state, available, entities, mask, own, size };
+        assert!(roles.to_toml().contains("self = \"first\""));
         assert_eq!(PolicyRoles::from_toml(roles.to_toml().as_bytes()), Ok(roles));
         assert_eq!(PolicyRoles::default().to_toml(), "");
         let one = PolicyRoles::from_toml(b"output = 'q'").unwrap();

@@ -240,7 +240,7 @@ impl<'a> Wanted<'a> {
             t_max: self.bundle.manifest().limits.t_max,
             features: Some(contract.features.into()),
             contract: Some(contract.hash()),
-            team: Some(TeamSizes::of(contract)),
+            team: Some(TeamSizes::of(contract, self.bundle.manifest().limits.n_max)),
             ..CompileOptions::default()
         }
     }

@@ -58,7 +58,8 @@ pub fn random_policy_inputs(count: usize, facts: &PolicyFacts, seed: u64) -> Vec
     let mut input = |input: &PolicyInput, sparse: bool| {
         let is_mask = match input.role {
             InputRole::Observation => input.kind == ValueType::Bool,
-            role => input.kind.is_mask() || role == InputRole::Available,
+            InputRole::Available | InputRole::Mask { .. } => true,
+            _ => input.kind.is_mask(),
         };
         let mut number = || match input.kind {
             _ if is_mask => f32::from(u8::from(random.below(3) > 0)),

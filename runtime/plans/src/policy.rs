@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
-
 use sortie_bundle::{Bundle, PolicyRoles};
 
 use crate::error::CompileError;
@@ -19,19 +18,27 @@ pub struct PolicyOptions {
     pub states: Vec<String>,
     /// The mask of available actions; `none` where what looks like one is none.
     pub available: Option<String>,
+    /// The input that holds the entities `[1, N, D]` of a team.
+    pub entities: Option<String>,
+    /// Which of them the agent may attend to: `NAME:visible` where that is 1, `NAME:blocked` where it is 0.
+    pub mask: Option<String>,
+    /// Which of them the agent itself is: `first`, or the input with its number.
+    pub own: Option<String>,
 }
 
 impl From<PolicyRoles> for PolicyOptions {
     fn from(roles: PolicyRoles) -> Self {
-        let PolicyRoles { output, state, available, size } = roles;
-        Self { outputs: output, sizes: size.into_iter().collect(), states: state, available }
+        let PolicyRoles { output, state, available, entities, mask, own, size } = roles;
+        let sizes = size.into_iter().collect();
+        Self { outputs: output, sizes, states: state, available, entities, mask, own }
     }
 }
 
 impl From<PolicyOptions> for PolicyRoles {
     fn from(options: PolicyOptions) -> Self {
-        let PolicyOptions { outputs, sizes, states, available } = options;
-        Self { output: outputs, size: sizes.into_iter().collect(), state: states, available }
+        let PolicyOptions { outputs, sizes, states, available, entities, mask, own } = options;
+        let size = sizes.into_iter().collect();
+        Self { output: outputs, state: states, available, entities, mask, own, size }
     }
 }
 
@@ -109,6 +116,20 @@ pub enum InputRole {
     Available,
     /// What it remembers.
     State,
+    /// All entities of a team, `[1, N, D]`.
+    Entities {
+        /// Whether the agent's own row comes before all others.
+        own_first: bool,
+    },
+    /// Which of them it may attend to.
+    Mask {
+        /// Whether it is 1 for the others.
+        blocks: bool,
+        /// Whether the agent itself comes before all others.
+        own_first: bool,
+    },
+    /// Which of them it is itself.
+    OwnIndex,
     /// Whatever else it needs.
     Extra,
 }
@@ -181,6 +202,11 @@ impl PolicyFacts {
     /// The outputs that a caller wants.
     pub fn wanted(&self) -> impl Iterator<Item = &PolicyOutput> {
         self.outputs.iter().filter(|output| output.role != OutputRole::State)
+    }
+
+    /// The input that holds the entities of a team.
+    pub fn entities(&self) -> Option<&PolicyInput> {
+        self.inputs.iter().find(|input| matches!(input.role, InputRole::Entities { .. }))
     }
 
     /// Numbers of all recurrent states.
@@ -265,6 +291,11 @@ impl InputRole {
             Self::Observation => "observation",
             Self::Available => "available actions",
             Self::State => "recurrent state",
+            Self::Entities { own_first: true } => "entities, itself first",
+            Self::Entities { own_first: false } => "entities",
+            Self::Mask { blocks: true, .. } => "blocked entities",
+            Self::Mask { blocks: false, .. } => "visible entities",
+            Self::OwnIndex => "own entity",
             Self::Extra => "extra",
         }
     }

@@ -1,7 +1,7 @@
 //! What a compiler is told, and what it tells of the plan that it made.
 
 use serde::{Deserialize, Serialize};
-use sortie_core::internal::ops::{Members, OpRef, OutputRows};
+use sortie_core::internal::ops::{Meaning, Members, OpRef, OutputRows};
 use sortie_core::limits;
 use sortie_core::plan::{Profile, Program};
 
@@ -186,7 +186,8 @@ fn detail(op: OpRef<'_>) -> String {
         OpRef::ScoreAllocations(op) => {
             format!("[N, {}] -> [N, {}] -> value", op.embed.inputs, op.embed.outputs)
         }
-        OpRef::Input(op) => format!("[{}]", op.to.len),
+        OpRef::Input(op) if op.meaning == Meaning::None => format!("[{}]", op.to.len),
+        OpRef::Input(op) => format!("[{}], {:?}", op.to.len, op.meaning),
         OpRef::State(op) => format!("[{}]", op.from.len),
         OpRef::Constant(op) => format!("[{}]", op.to.len),
         OpRef::Map(op) => format!("{:?}, [{}]", op.function, op.to.len),

@@ -62,7 +62,24 @@ impl TeamSizes {
             Meaning::Available => {
                 seen.available.iter().map(|code| f32::from(u8::from(*code != 0))).collect()
             }
-            _ => Vec::new(),
+            Meaning::Rows | Meaning::RowsOwnFirst => {
+                let shown = |entity: usize| {
+                    let is_shown = entity == seen.self_index || seen.visible.contains(entity);
+                    if is_shown { self.row_of(seen, entity) } else { Ok(vec![0.0; self.row()]) }
+                };
+                let entities = order(seen, length / self.row().max(1), meaning)?;
+                entities.into_iter().map(shown).collect::<Result<Vec<_>, _>>()?.concat()
+            }
+            Meaning::Visible | Meaning::VisibleOwnFirst => order(seen, length, meaning)?
+                .into_iter()
+                .map(|entity| f32::from(u8::from(seen.visible.contains(entity))))
+                .collect(),
+            Meaning::Blocked | Meaning::BlockedOwnFirst => order(seen, length, meaning)?
+                .into_iter()
+                .map(|entity| f32::from(u8::from(!seen.visible.contains(entity))))
+                .collect(),
+            Meaning::OwnIndex => vec![seen.self_index as f32],
+            Meaning::None => Vec::new(),
         };
         if numbers.len() == length { Ok(numbers) } else { Err(DecideError::BadLength) }
     }
@@ -77,6 +94,21 @@ impl TeamSizes {
         let features = features.ok_or(DecideError::BadLength)?.iter().copied();
         Ok(features.chain(one_hot).collect())
     }
+}
+
+/// The entities in the places of an input.
+fn order(seen: &Observation<'_>, max: usize, meaning: Meaning) -> Result<Vec<usize>, DecideError> {
+    let last = seen.visible.iter().chain([seen.self_index]).max().unwrap_or(0);
+    if last >= max {
+        return Err(DecideError::TooManyEntities { max, got: last + 1 });
+    }
+    let mut entities: Vec<usize> = (0..max).collect();
+    let own_first = [Meaning::RowsOwnFirst, Meaning::VisibleOwnFirst, Meaning::BlockedOwnFirst];
+    if own_first.contains(&meaning) {
+        entities.remove(seen.self_index);
+        entities.insert(0, seen.self_index);
+    }
+    Ok(entities)
 }
 
 fn check_finite(numbers: &[f32]) -> Result<(), DecideError> {

@@ -10,6 +10,8 @@ use crate::policy::{InputRole, OutputRole, PolicyFacts, PolicyInput};
 /// Sizes of what an agent of a team observes and does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TeamSizes {
+    /// Most entities of a team.
+    pub entities: usize,
     /// Features d of an entity.
     pub features: usize,
     /// Actions U.
@@ -19,13 +21,26 @@ pub struct TeamSizes {
 }
 
 impl TeamSizes {
-    /// The sizes of a contract.
-    pub fn of(contract: &ContractV1) -> Self {
+    /// The sizes of a contract, and of teams of so many entities.
+    pub fn of(contract: &ContractV1, entities: u16) -> Self {
         Self {
+            entities: entities.into(),
             features: contract.features.into(),
             actions: contract.actions.into(),
             last_action: contract.append_last_action,
         }
+    }
+
+    /// What a network over entities takes by itself: its rows are features, without last actions.
+    pub fn of_entities(facts: &PolicyFacts) -> Option<Self> {
+        let input = facts.entities()?;
+        let (entities, features) = (input.shape.iter().rev().nth(1)?, input.shape.last()?);
+        let actions = facts.wanted().find_map(|output| match output.role {
+            OutputRole::Discrete(actions) => Some(actions),
+            _ => None,
+        });
+        let (entities, features) = (*entities, *features);
+        Some(Self { entities, features, actions: actions?, last_action: false })
     }
 
     /// Numbers of a row.
@@ -57,11 +72,40 @@ impl TeamSizes {
                 self.columns()
             ))),
             InputRole::Available if length == self.actions => Ok(Meaning::Available),
+            InputRole::Entities { own_first } => {
+                self.check_rows(input)?;
+                Ok(if own_first { Meaning::RowsOwnFirst } else { Meaning::Rows })
+            }
+            InputRole::Mask { blocks, own_first } => Ok(match (blocks, own_first) {
+                (false, false) => Meaning::Visible,
+                (false, true) => Meaning::VisibleOwnFirst,
+                (true, false) => Meaning::Blocked,
+                (true, true) => Meaning::BlockedOwnFirst,
+            }),
+            InputRole::OwnIndex => Ok(Meaning::OwnIndex),
             InputRole::Available | InputRole::Extra | InputRole::State => Err(no_agent(format!(
                 "`{name}` {:?} is neither an agent's own row nor its available actions",
                 input.shape
             ))),
         }
+    }
+
+    /// Whether the rows are an agent's, and enough of them.
+    fn check_rows(&self, input: &PolicyInput) -> Result<(), CompileError> {
+        let mut sizes = input.shape.iter().rev();
+        let (row, count) = (sizes.next().unwrap_or(&0), sizes.next().unwrap_or(&0));
+        let name = &input.name;
+        if *row != self.row() {
+            let (want, columns) = (self.row(), self.columns());
+            return Err(no_agent(format!(
+                "`{name}` has rows of {row} numbers, an entity has {want} ({columns})"
+            )));
+        }
+        if *count < self.entities {
+            let most = self.entities;
+            return Err(no_agent(format!("`{name}` has {count} rows, teams have {most} entities")));
+        }
+        Ok(())
     }
 
     /// What stands in a row, for people.
@@ -134,7 +178,7 @@ mod tests {
         }
     }
 
-    const TEAM: TeamSizes = TeamSizes { features: 5, actions: 3, last_action: true };
+    const TEAM: TeamSizes = TeamSizes { entities: 4, features: 5, actions: 3, last_action: true };
 
     fn refused(facts: &PolicyFacts) -> String {
         TEAM.meanings(facts).unwrap_err().to_string()
@@ -154,6 +198,27 @@ mod tests {
         assert!(reason.ends_with(
             "`obs` has 8 numbers, an agent's own row has 5 (5 features, its last action is none of them)"
         ));
+    }
+
+    #[test]
+    fn an_agent_observes_entities() {
+        let rows = |count, width, own_first| {
+            let role = InputRole::Entities { own_first };
+            let mut facts = facts(&[("seen", 0, role)], OutputRole::Discrete(3), 3);
+            facts.inputs[0].shape = vec![1, count, width];
+            facts
+        };
+        assert_eq!(TEAM.meanings(&rows(4, 8, true)).unwrap(), [Meaning::RowsOwnFirst]);
+        assert_eq!(TEAM.meanings(&rows(6, 8, false)).unwrap(), [Meaning::Rows]);
+        let narrow = refused(&rows(4, 5, true));
+        assert!(narrow.contains("`seen` has rows of 5 numbers, an entity has 8 (5 features"));
+        assert!(refused(&rows(3, 8, true)).ends_with("`seen` has 3 rows, teams have 4 entities"));
+        let alone = TeamSizes::of_entities(&rows(6, 8, true));
+        let want = TeamSizes { entities: 6, features: 8, actions: 3, last_action: false };
+        assert_eq!(alone, Some(want));
+        let role = InputRole::Mask { blocks: true, own_first: false };
+        let mask = facts(&[("pad", 4, role)], OutputRole::Discrete(3), 3);
+        assert_eq!(TEAM.meanings(&mask).unwrap(), [Meaning::Blocked]);
     }
 
     #[test]

@@ -7,7 +7,7 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-CELLS, GROUPS, AGENTS, ACTIONS, HIDDEN = 6, 2, 8, 3, 8
+CELLS, GROUPS, AGENTS, ACTIONS, HIDDEN, ROOM = 6, 2, 8, 3, 8, 10
 FEATURES = CELLS + GROUPS + AGENTS
 FLOAT = TensorProto.FLOAT
 
@@ -66,5 +66,49 @@ def remembering(random):
     save("ring_gru", nodes, given, [("logits", [1, ACTIONS]), ("h_out", [1, HIDDEN])], weights)
 
 
+def attending(random, name, by_index):
+    """The agent's own row asks all rows that it may see; there is room for more entities than there are.
+
+    Both files have the same weights: one finds the own row by its number, the other first.
+    """
+    draw = lambda *shape: random.normal(0, 0.6, shape).astype(np.float32)
+    weights = {
+        "wk": draw(FEATURES, HIDDEN),
+        "wq": draw(FEATURES, HIDDEN),
+        "wv": draw(FEATURES, HIDDEN),
+        "w": draw(HIDDEN + FEATURES, ACTIONS),
+        "never": np.array(-1e9, np.float32),
+    }
+    node = helper.make_node
+    if by_index:
+        mask, given = "visible", [("self_index", [1], TensorProto.INT64)]
+        own = [node("Gather", ["entities", "self_index"], ["own"], axis=1)]
+        masked = node("Where", ["mask", "scores", "never"], ["open"])
+    else:
+        mask, given = "pad", []
+        weights |= {"start": np.array([0], np.int64), "end": np.array([1], np.int64)}
+        own = [node("Slice", ["entities", "start", "end", "end"], ["own"])]
+        masked = node("Where", ["mask", "never", "scores"], ["open"])
+    weights["one"] = np.array([1], np.int64)
+    nodes = own + [
+        node("MatMul", ["entities", "wk"], ["keys"]),
+        node("Transpose", ["keys"], ["turned"], perm=[0, 2, 1]),
+        node("MatMul", ["own", "wq"], ["query"]),
+        node("MatMul", ["query", "turned"], ["scores"]),
+        node("Unsqueeze", [mask, "one"], ["mask"]),
+        masked,
+        node("Softmax", ["open"], ["shares"], axis=-1),
+        node("MatMul", ["entities", "wv"], ["values"]),
+        node("MatMul", ["shares", "values"], ["mixed"]),
+        node("Concat", ["mixed", "own"], ["both"], axis=2),
+        node("Flatten", ["both"], ["flat"]),
+        node("MatMul", ["flat", "w"], ["q"]),
+    ]
+    given = [("entities", [1, ROOM, FEATURES]), (mask, [1, ROOM], TensorProto.BOOL)] + given
+    save(name, nodes, given, [("q", [1, ACTIONS])], weights)
+
+
+attending(np.random.default_rng(9), "ring_first", False)
+attending(np.random.default_rng(9), "ring_index", True)
 walker()
 remembering(np.random.default_rng(7))

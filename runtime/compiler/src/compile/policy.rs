@@ -4,8 +4,8 @@ use sortie_bundle::sha256;
 use sortie_core::plan::{AlignedBytes, Network, Profile, Program};
 use sortie_plans::{
     Annex, Comparison, CompileError, CompileOptions, Compiled, CompiledPolicy, FlatPolicy,
-    PlanFlatPolicy, PolicyAnswer, PolicyOptions, TOLERANCE, magnitude, random_policy_inputs,
-    report,
+    PlanFlatPolicy, PolicyAnswer, PolicyOptions, TOLERANCE, TeamSizes, magnitude,
+    random_policy_inputs, report,
 };
 
 use crate::flat::FlatGraph;
@@ -30,14 +30,16 @@ pub fn compile_policy(
     let entries = graph.file.metadata_props.iter();
     let metadata = entries.map(|entry| (entry.key.clone(), entry.value.clone()));
     let annex = Annex::new(facts.clone(), metadata);
-    let meanings = options.team.map(|team| team.meanings(&facts)).transpose()?;
+    let team = options.team.or_else(|| TeamSizes::of_entities(&facts));
+    let meanings = team.map(|team| team.meanings(&facts)).transpose()?;
     let meanings = meanings.unwrap_or_default();
     let lowered = guarded(|| Ok(lower_policy(&graph, &meanings, options.profile)));
     let lowered = lowered.map_err(|reason| CompileError::Unreadable { reason })??;
     let LoweredPolicy { program, weights, features, actions } = lowered;
     let weights = weights.to_bytes();
-    let (n_max, features) = match options.team {
-        Some(team) => (options.n_max, team.features),
+    let places = facts.entities().and_then(|input| input.shape.iter().rev().nth(1).copied());
+    let (n_max, features) = match team {
+        Some(team) => (places.unwrap_or(options.n_max), team.features),
         None => (1, features),
     };
     let sizes = AgentSizes { n_max, features, actions, choice: Choice::Greedy };

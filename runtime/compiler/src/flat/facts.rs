@@ -8,6 +8,7 @@ use tract_onnx::pb;
 use tract_onnx::prelude::*;
 
 use super::counts;
+use super::entities::EntityRoles;
 use super::interface::other_values;
 use super::nodes::ArgMax;
 use super::outputs::role;
@@ -35,7 +36,7 @@ impl Selection {
         let outputs: Vec<Value> = outputs.collect::<Result<_, _>>()?;
         let outputs = self.output_facts(&inputs, &outputs)?;
         let states = self.state_facts(&inputs, &outputs)?;
-        let inputs = self.input_facts(inputs, &outputs, options.available.as_deref())?;
+        let inputs = self.input_facts(inputs, &outputs, options)?;
         let stored = graph.initializer.iter().map(|tensor| {
             let sizes = tensor.dims.iter().map(|size| u64::try_from(*size).unwrap_or(0));
             sizes.fold(1, u64::saturating_mul)
@@ -103,15 +104,19 @@ impl Selection {
         &self,
         inputs: Vec<Value>,
         outputs: &[PolicyOutput],
-        asked: Option<&str>,
+        options: &PolicyOptions,
     ) -> Result<Vec<PolicyInput>, CompileError> {
-        let available = self.available(&inputs, outputs, asked)?;
+        let entities = EntityRoles::of(&inputs, options)?;
+        let is_of_entities = |name: &str| entities.as_ref().and_then(|roles| roles.role(name));
+        let others: Vec<&Value> =
+            inputs.iter().filter(|input| is_of_entities(&input.name).is_none()).collect();
+        let available = available(&others, outputs, options.available.as_deref())?;
         let has_floats = inputs.iter().any(|input| {
             input.is_float() && !self.states.iter().any(|pair| pair.input == input.name)
         });
         let mut facts = Vec::new();
         for input in inputs {
-            let role = match &input {
+            let found = || match &input {
                 _ if self.states.iter().any(|pair| pair.input == input.name) => InputRole::State,
                 _ if available.as_ref() == Some(&input.name) => InputRole::Available,
                 _ if input.is_float() => InputRole::Observation,
@@ -119,10 +124,14 @@ impl Selection {
                 _ if !has_floats && input.is_whole() => InputRole::Observation,
                 _ => InputRole::Extra,
             };
+            let role = is_of_entities(&input.name).unwrap_or_else(found);
             let (kind, shape) = known(&input)?;
             facts.push(PolicyInput { name: input.name, kind, shape, role });
         }
-        if !facts.iter().any(|input| input.role == InputRole::Observation) {
+        let observes = |input: &PolicyInput| {
+            matches!(input.role, InputRole::Observation | InputRole::Entities { .. })
+        };
+        if !facts.iter().any(observes) {
             let found = listed(facts.iter().map(|input| {
                 format!("`{}` {} ({})", input.name, input.kind.name(), input.role.name())
             }));
@@ -130,43 +139,6 @@ impl Selection {
             return Err(CompileError::NoPolicy { reason });
         }
         Ok(facts)
-    }
-
-    /// The mask of available actions: as long as there are actions.
-    fn available(
-        &self,
-        inputs: &[Value],
-        outputs: &[PolicyOutput],
-        asked: Option<&str>,
-    ) -> Result<Option<String>, CompileError> {
-        let actions: Vec<usize> = outputs
-            .iter()
-            .filter_map(|output| match output.role {
-                OutputRole::Discrete(actions) => Some(actions),
-                _ => None,
-            })
-            .collect();
-        let fits = |input: &&Value| {
-            is_mask(input) && input.last_size().is_some_and(|n| actions.contains(&n))
-        };
-        let masks: Vec<&Value> = inputs.iter().filter(fits).collect();
-        match (asked, masks.as_slice()) {
-            (Some(NONE), _) | (None, []) => Ok(None),
-            (None, [one]) => Ok(Some(one.name.clone())),
-            (Some(name), masks) if masks.iter().any(|mask| mask.name == name) => {
-                Ok(Some(name.to_owned()))
-            }
-            (Some(name), masks) => Err(CompileError::NotInFile {
-                what: "mask of available actions".into(),
-                name: name.to_owned(),
-                found: listed(masks.iter().map(ToString::to_string)),
-            }),
-            (None, several) => Err(CompileError::Unclear {
-                what: "which input says what actions are available".into(),
-                candidates: listed(several.iter().map(ToString::to_string)),
-                flag: "`--available NAME` or `--available none`".into(),
-            }),
-        }
     }
 
     /// The places of scores among the cut file's outputs, where the choice is along their last axis.
@@ -178,6 +150,41 @@ impl Selection {
             (axis_of(choice.axis, rank)? + 1 == rank).then_some(place)
         };
         self.choices.iter().map(place).collect()
+    }
+}
+
+/// The mask of available actions: as long as there are actions.
+fn available(
+    inputs: &[&Value],
+    outputs: &[PolicyOutput],
+    asked: Option<&str>,
+) -> Result<Option<String>, CompileError> {
+    let actions: Vec<usize> = outputs
+        .iter()
+        .filter_map(|output| match output.role {
+            OutputRole::Discrete(actions) => Some(actions),
+            _ => None,
+        })
+        .collect();
+    let fits =
+        |input: &&&Value| is_mask(input) && input.last_size().is_some_and(|n| actions.contains(&n));
+    let masks: Vec<&Value> = inputs.iter().filter(fits).copied().collect();
+    match (asked, masks.as_slice()) {
+        (Some(NONE), _) | (None, []) => Ok(None),
+        (None, [one]) => Ok(Some(one.name.clone())),
+        (Some(name), masks) if masks.iter().any(|mask| mask.name == name) => {
+            Ok(Some(name.to_owned()))
+        }
+        (Some(name), masks) => Err(CompileError::NotInFile {
+            what: "mask of available actions".into(),
+            name: name.to_owned(),
+            found: listed(masks.iter().map(ToString::to_string)),
+        }),
+        (None, several) => Err(CompileError::Unclear {
+            what: "which input says what actions are available".into(),
+            candidates: listed(several.iter().map(ToString::to_string)),
+            flag: "`--available NAME` or `--available none`".into(),
+        }),
     }
 }
 

@@ -4,6 +4,7 @@
 //! and the same cut file is what engines run.
 
 mod counts;
+mod entities;
 mod facts;
 mod interface;
 mod misread;

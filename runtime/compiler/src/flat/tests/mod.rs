@@ -1,5 +1,6 @@
 //! What is what in small files made for it.
 
+mod entities;
 mod files;
 mod graphs;
 mod outputs;

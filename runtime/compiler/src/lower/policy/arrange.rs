@@ -262,10 +262,14 @@ impl Lowering<'_> {
     /// Rows of a table where the numbers of the rows are computed: products with rows of zeros and a one.
     fn looked_up(&mut self, node: &TypedNode, axis: usize) -> Lowered<()> {
         let (table, indices) = (self.operand(node, 0)?, self.operand(node, 1)?.place);
-        if axis != 0 || table.shape.is_empty() {
+        let (before, rows) = table.shape.split_at(axis);
+        let [inner, columns @ ..] = rows else {
             return Err(self.unsupported(node, "which rows it takes is computed"));
+        };
+        if before.iter().any(|size| *size != 1) {
+            return Err(self.unsupported(node, "which rows it takes of several tables is computed"));
         }
-        let (inner, columns) = (table.shape[0], table.shape[1..].iter().product::<usize>());
+        let (inner, columns) = (*inner, columns.iter().product::<usize>());
         let left = self.hot(node, indices, inner)?;
         let to = self.arena.place(indices.len as usize * columns);
         let [rows, inner, columns] = [indices.len as usize, inner, columns].map(|n| n as u32);
