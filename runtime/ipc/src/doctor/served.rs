@@ -1,6 +1,5 @@
 //! What is wrong with a policy that is served.
 
-use std::path::Path;
 use std::time::{Duration, Instant};
 
 use sortie_core::link::StatRx;
@@ -51,28 +50,23 @@ pub(super) fn examine(membership: &Membership, findings: &mut Vec<Finding>) -> R
     Ok(true)
 }
 
-/// The first and the newest status of the server, if it lives.
+/// The first and the newest status of the server. One that is dead or stopped is not heard: a new listener gets what was
+/// said before it came from the living alone.
 fn listen(watcher: &mut ServedWatcher) -> Result<Option<(StatMsg, StatMsg)>, Error> {
     let until = Instant::now() + LISTENING;
     let mut heard: Option<(StatMsg, StatMsg)> = None;
-    let mut is_news = false;
     while Instant::now() < until {
         watcher.receive_statuses(&mut |status| {
             heard = match heard {
                 Some((first, _)) if status.has(StatMsg::BYE) && first.pid != status.pid => heard,
                 _ if status.has(StatMsg::BYE) => None,
-                Some((first, _)) if first.pid == status.pid => {
-                    is_news = true;
-                    Some((first, *status))
-                }
+                Some((first, _)) if first.pid == status.pid => Some((first, *status)),
                 _ => Some((*status, *status)),
             };
         })?;
         std::thread::sleep(LOOK_EVERY);
     }
-    // The last status of one that was killed or stopped stays, and no other follows.
-    let lives = |pid: u32| Path::new("/proc").join(pid.to_string()).exists();
-    Ok(heard.filter(|(_, last)| is_news && lives(last.pid)))
+    Ok(heard)
 }
 
 /// `obs [40] -> actions [12], schema 0123…, deadline 20 ms, fallback hold`.

@@ -1,5 +1,6 @@
 //! How a server is looked after, with any engine; and clients that do more than ask.
 
+use rustix::process::{Pid, Signal, kill_process};
 use sortie_core::plan::Plan;
 use sortie_core::wire::{AnswerStatus, Command, ControlStatus, Reason, Role};
 use sortie_ipc::{
@@ -58,7 +59,7 @@ fn await_finding(domain: &Domain, is_so: impl Fn(&Finding) -> bool) -> Finding {
 }
 
 #[test]
-fn the_doctor_sees_a_server_and_misses_one_that_was_killed() {
+fn the_doctor_sees_a_server_and_misses_one_that_was_stopped_or_killed() {
     let _watchdog = Watchdog::new();
     let domain = toy::domain();
     let mut server = ready(&domain, SERVER);
@@ -89,6 +90,12 @@ fn the_doctor_sees_a_server_and_misses_one_that_was_killed() {
     stop.stop();
     robot.join().unwrap();
     let client = PolicyClient::connect(&domain, &CART_SHAPE, &PATIENT).unwrap();
+    // One that stands still is missed as one that is dead.
+    let stopped = Pid::from_raw(server.id() as i32).unwrap();
+    kill_process(stopped, Signal::STOP).unwrap();
+    await_finding(&domain, is("server", Severity::Problem));
+    kill_process(stopped, Signal::CONT).unwrap();
+    await_finding(&domain, is("server", Severity::Fine));
     server.kill().unwrap();
     server.wait().unwrap();
     let lost = await_finding(&domain, is("server", Severity::Problem));
