@@ -149,6 +149,19 @@ mod tests {
     }
 
     #[test]
+    fn another_annex_stands_in_place_of_the_first() {
+        let (mut plan, first) = (plan(), annex());
+        first.append_to(&mut plan).expect("short enough");
+        let length = plan.len();
+        let agreement = PolicyAgreement { observations: 3, outputs: Vec::new() };
+        let second = Annex { agreement: Some(agreement), ..first.clone() };
+        second.replace_in(&mut plan).expect("short enough");
+        assert_eq!(Annex::of_plan(&plan).expect("whole"), Some(second));
+        first.replace_in(&mut plan).expect("short enough");
+        assert_eq!(plan.len(), length);
+    }
+
+    #[test]
     fn an_annex_that_is_cut_off_or_changed_is_refused() {
         let mut plan = plan();
         let end = plan.len();

@@ -147,7 +147,10 @@ fn deviation(numbers: &[f64]) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
     use super::*;
+    use crate::policy::{PolicyFacts, PolicyState};
 
     fn answer(numbers: &[f32]) -> PolicyAnswer {
         PolicyAnswer { numbers: numbers.to_vec(), scores: Vec::new() }
@@ -179,6 +182,51 @@ mod tests {
         let place = |place: f32| PolicyAnswer { numbers: vec![place], scores: vec![0.0; 3] };
         assert_eq!(equal_actions(&[place(1.0)], &[place(1.0)], 3), 1);
         assert_eq!(equal_actions(&[place(2.0)], &[place(1.0)], 3), 0);
+    }
+
+    /// Counts its decisions in its state, and answers with it.
+    struct Counter(PolicyFacts);
+
+    impl FlatPolicy for Counter {
+        fn facts(&self) -> &PolicyFacts {
+            &self.0
+        }
+
+        fn run(
+            &mut self,
+            _: &[&[f32]],
+            states: &mut [f32],
+        ) -> Result<Vec<PolicyAnswer>, CompileError> {
+            states.iter_mut().for_each(|state| *state += 1.0);
+            Ok(vec![answer(states)])
+        }
+
+        fn step(&mut self, _: &[&[f32]]) -> Result<(), CompileError> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn states_are_those_recorded_else_those_left_behind() {
+        let state = PolicyState { input: "h_in".into(), output: "h_out".into(), length: 1 };
+        let facts = PolicyFacts {
+            inputs: Vec::new(),
+            outputs: Vec::new(),
+            states: vec![state],
+            operators: BTreeMap::new(),
+            parameters: 0,
+            multiply_adds: None,
+        };
+        let case = |states| RecordedCase { inputs: Vec::new(), states };
+        let seen = |cases: &[RecordedCase<'_>]| -> Vec<f32> {
+            let answers = answers(&mut Counter(facts.clone()), cases).expect("answers");
+            answers.iter().map(|answers| answers[0].numbers[0]).collect()
+        };
+        assert_eq!(seen(&[case(None), case(None), case(None)]), [1.0, 2.0, 3.0]);
+        assert_eq!(
+            seen(&[case(Some(vec![7.0])), case(Some(vec![0.5])), case(None)]),
+            [8.0, 1.5, 2.5]
+        );
     }
 
     #[test]

@@ -194,3 +194,6 @@ fn reads_and_writes(op: &mut Op) -> (Vec<&mut Place>, Vec<&mut Place>) {
         _ => (vec![], vec![]),
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -3,6 +3,6 @@
 mod agent;
 mod entities;
 mod int8;
-mod networks;
+pub(in crate::lower) mod networks;
 mod proposals;
 mod recurrent;
