@@ -198,6 +198,8 @@ fn weights_of_eight_bits_are_judged_by_what_was_recorded() {
         // The plan says it of itself.
         let inspected = json(&["inspect", &plan, "--json"]);
         assert_eq!(&inspected["policy"]["agreement"], agreement);
+        let other = 64 - first["equal_actions"].as_u64().expect("a count");
+        assert_eq!(inspected["action_mismatch"].as_f64(), Some(other as f64 / 64.0));
         fs::remove_file(&plan).expect("a plan");
     }
 }
