@@ -117,10 +117,10 @@ fn program(random: &mut Random) -> (Vec<Op>, Vec<Place>) {
         }
         values.push(to);
     }
-    for index in 0..ops.len() {
-        let Op::State(State { from, .. }) = ops[index] else { continue };
-        let next: Vec<Place> = values.iter().filter(|v| v.len == from.len).copied().collect();
-        ops[index] = Op::State(State { from, to: next[random.below(next.len())] });
+    for op in &mut ops {
+        let Op::State(state) = op else { continue };
+        let next: Vec<Place> = values.iter().filter(|v| v.len == state.from.len).copied().collect();
+        state.to = next[random.below(next.len())];
     }
     for _ in 0..2 {
         let from = values[random.below(values.len())];
