@@ -52,7 +52,7 @@ fn header() -> ([u8; HEADER_BYTES], Vec<(&'static str, Vec<u8>)>) {
     let fields = vec![
         ("magic", b"SORTIEPL".to_vec()),
         ("major", VERSION.0.to_le_bytes().to_vec()),
-        ("minor", VERSION.1.to_le_bytes().to_vec()),
+        ("minor", vec![0; 2]),
         ("endian", vec![4, 3, 2, 1]),
         ("layout", word(header.layout)),
         ("arena_bytes", word(header.arena_bytes)),

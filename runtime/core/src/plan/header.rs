@@ -167,7 +167,7 @@ impl Header {
         };
         put(&MAGIC);
         put(&VERSION.0.to_le_bytes());
-        put(&VERSION.1.to_le_bytes());
+        put(&self.network.minor().to_le_bytes());
         let sizes = [
             ENDIAN_PROBE,
             self.layout,
@@ -254,6 +254,14 @@ impl Profile {
 }
 
 impl Network {
+    /// The oldest minor version that reads such plans: they say that one, so that older builds go on reading them.
+    const fn minor(self) -> u16 {
+        match self {
+            Self::Policy => 1,
+            _ => 0,
+        }
+    }
+
     /// The network's name, for people and scripts.
     pub const fn name(self) -> &'static str {
         match self {

@@ -36,7 +36,7 @@ fn comes_back_as_it_was_written() {
 #[test]
 fn fields_stand_where_the_format_says() {
     let bytes = header().to_bytes(Checksums { program: 0xaabb_ccdd, weights: 0x1122_3344 });
-    assert_eq!(&bytes[..16], b"SORTIEPL\x02\0\x01\0\x04\x03\x02\x01");
+    assert_eq!(&bytes[..16], b"SORTIEPL\x02\0\0\0\x04\x03\x02\x01");
     assert_eq!(bytes[16..20], 1_u32.to_le_bytes());
     assert_eq!(bytes[28..32], 11_u32.to_le_bytes());
     assert_eq!(bytes[44..48], 128_u32.to_le_bytes());
@@ -53,7 +53,10 @@ fn fields_stand_where_the_format_says() {
 fn a_plan_with_a_skip_says_so() {
     let with = Header { skip: true, ..header() };
     let bytes = with.to_bytes(Checksums::default());
-    assert_eq!((&bytes[8..12], &bytes[124..]), (&[2, 0, 1, 0][..], &[1, 0, 0, 0][..]));
+    assert_eq!((&bytes[8..12], &bytes[124..]), (&[2, 0, 0, 0][..], &[1, 0, 0, 0][..]));
+    // A policy says what its inputs are.
+    let policy = Header { network: Network::Policy, ..header() };
+    assert_eq!(policy.to_bytes(Checksums::default())[8..12], [2, 0, 1, 0]);
     assert_eq!(Header::read(&bytes), Ok((with, Checksums::default())));
 }
 
@@ -66,7 +69,7 @@ fn refuses_what_it_cannot_read() {
         Header::read(&changed).map(|_| ())
     };
     assert_eq!(with(0, b'X'), Err(PlanError::BadMagic));
-    assert_eq!(with(8, 1), Err(PlanError::Version { major: 1, minor: 1 }));
+    assert_eq!(with(8, 1), Err(PlanError::Version { major: 1, minor: 0 }));
     assert_eq!(with(10, 2), Err(PlanError::Version { major: 2, minor: 2 }));
     assert_eq!(with(124, 2), Err(PlanError::UnknownOp));
     assert_eq!(with(12, 1), Err(PlanError::Endian));
