@@ -133,7 +133,7 @@ fn weights_in_a_file_beside_it_belong_to_a_policy() {
     let plan = folder.path().join("policy.plan").display().to_string();
     let compile = || output(&["compile", &onnx, "-o", &plan]);
     for verb in [output(&["inspect", &onnx]), compile()] {
-        assert_fails(&verb, 74, &["rsl_rl_mlp.onnx.data", "same folder"]);
+        assert_fails(&verb, 66, &["rsl_rl_mlp.onnx.data", "same folder"]);
     }
     fs::write(&data, b"short").expect("a file");
     assert_fails(&compile(), 74, &["rsl_rl_mlp.onnx.data", "fewer bytes"]);
