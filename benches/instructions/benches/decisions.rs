@@ -102,7 +102,7 @@ fn together(scene: Scene) {
     let Scene { plan, mut arena, observations } = scene;
     let mut decisions: [Result<Decision, DecideError>; TEAM] = [Err(DecideError::BadLength); TEAM];
     for frame in observations.iter().take(DECISIONS / TEAM) {
-        plan.decide_batch(arena.as_mut_slice(), &team(*frame), &mut decisions);
+        plan.decide_batch(arena.as_mut_slice(), &team(*frame), None, &mut decisions);
         let _ = black_box(&decisions);
     }
 }

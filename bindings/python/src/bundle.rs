@@ -134,15 +134,9 @@ impl Bundle {
         let mut decisions = vec![Err(DecideError::BadLength); seen.len()];
         let mut working = self.working.lock().unwrap_or_else(PoisonError::into_inner);
         let Working { arena, memory } = &mut *working;
-        if plan.hidden() == 0 {
-            plan.decide_batch(arena.as_mut_slice(), seen, &mut decisions);
-            return decisions;
-        }
         let mut states = memory.clone();
-        let each = seen.iter().zip(states.chunks_exact_mut(plan.hidden())).zip(&mut decisions);
-        for ((observation, state), decision) in each {
-            *decision = plan.decide(arena.as_mut_slice(), observation, Some(state));
-        }
+        let of_these = states.get_mut(..seen.len() * plan.hidden());
+        plan.decide_batch(arena.as_mut_slice(), seen, of_these, &mut decisions);
         let is_error = |decision: &Result<Decision, DecideError>| {
             !matches!(decision, Ok(_) | Err(DecideError::NoAvailableAction))
         };

@@ -98,7 +98,17 @@ impl<S: OperatorSet> Policy for PlanPolicy<'_, S> {
         decisions: &mut [Result<Decision, DecideError>],
     ) {
         let (plan, arena) = self.begin();
-        plan.decide_batch(arena, observations, decisions);
+        plan.decide_batch(arena, observations, None, decisions);
+    }
+
+    fn decide_batch_with(
+        &mut self,
+        observations: &[Observation<'_>],
+        hidden: &mut [f32],
+        decisions: &mut [Result<Decision, DecideError>],
+    ) {
+        let (plan, arena) = self.begin();
+        plan.decide_batch(arena, observations, Some(hidden), decisions);
     }
 
     fn warm(&self) {

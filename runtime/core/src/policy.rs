@@ -110,6 +110,27 @@ pub trait Policy {
         }
     }
 
+    /// As [`Self::decide_batch`] of a policy with memory. `hidden` `[B, R]` holds the states of those that observe, in the
+    /// same order, each as in [`Self::decide_with`]; a state of another size answers everyone with
+    /// [`DecideError::HiddenState`].
+    fn decide_batch_with(
+        &mut self,
+        observations: &[Observation<'_>],
+        hidden: &mut [f32],
+        decisions: &mut [Result<Decision, DecideError>],
+    ) {
+        let size = self.hidden();
+        let (want, got) = (observations.len().saturating_mul(size), hidden.len());
+        if got != want {
+            return decisions.fill(Err(DecideError::HiddenState { want, got }));
+        }
+        for (index, (observation, decision)) in observations.iter().zip(decisions).enumerate() {
+            let start = index.saturating_mul(size);
+            let state = hidden.get_mut(start..start.saturating_add(size)).unwrap_or_default();
+            *decision = self.decide_with(observation, state);
+        }
+    }
+
     /// Brings what the next decision reads near, ahead of a deadline; changes nothing else.
     fn warm(&self) {}
 
@@ -176,6 +197,15 @@ impl<P: Policy + ?Sized> Policy for &mut P {
         decisions: &mut [Result<Decision, DecideError>],
     ) {
         (**self).decide_batch(observations, decisions);
+    }
+
+    fn decide_batch_with(
+        &mut self,
+        observations: &[Observation<'_>],
+        hidden: &mut [f32],
+        decisions: &mut [Result<Decision, DecideError>],
+    ) {
+        (**self).decide_batch_with(observations, hidden, decisions);
     }
 
     fn warm(&self) {

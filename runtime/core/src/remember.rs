@@ -30,6 +30,25 @@ impl<'m, P: Policy> Remembering<'m, P> {
         let state = self.memory.get_mut(start..end);
         Ok((&mut self.policy, state.ok_or(DecideError::HiddenState { want: end, got })?))
     }
+
+    /// Decides for agents whose indexes follow each other, so that their states do.
+    fn decide_in_turn(
+        &mut self,
+        observations: &[Observation<'_>],
+        decisions: &mut [Result<Decision, DecideError>],
+    ) {
+        let size = self.policy.hidden();
+        let first = observations.first().map_or(0, |observation| observation.self_index);
+        let start = first.saturating_mul(size);
+        let end = start.saturating_add(observations.len().saturating_mul(size));
+        if let Some(states) = self.memory.get_mut(start..end) {
+            return self.policy.decide_batch_with(observations, states, decisions);
+        }
+        // Whoever has no state gets that error, the others decide.
+        for (observation, decision) in observations.iter().zip(decisions) {
+            *decision = self.decide(observation);
+        }
+    }
 }
 
 impl<P: Policy> Policy for Remembering<'_, P> {
@@ -49,6 +68,23 @@ impl<P: Policy> Policy for Remembering<'_, P> {
     fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
         let (policy, state) = self.recall(observation)?;
         policy.decide_with(observation, state)
+    }
+
+    fn decide_batch(
+        &mut self,
+        observations: &[Observation<'_>],
+        mut decisions: &mut [Result<Decision, DecideError>],
+    ) {
+        if self.policy.hidden() == 0 {
+            return self.policy.decide_batch(observations, decisions);
+        }
+        let follows = |a: &Observation<'_>, b: &Observation<'_>| {
+            a.self_index.checked_add(1) == Some(b.self_index)
+        };
+        for observations in observations.chunk_by(follows) {
+            let of_these = decisions.split_off_mut(..observations.len().min(decisions.len()));
+            self.decide_in_turn(observations, of_these.unwrap_or_default());
+        }
     }
 
     fn warm(&self) {
@@ -117,6 +153,11 @@ mod tests {
         assert_eq!(count(&mut policy, 2), Err(DecideError::HiddenState { want: 3, got: 2 }));
         assert!(policy.begin_episode());
         assert_eq!(count(&mut policy, 0), Ok(1.0));
+        let mut together = [Err(DecideError::BadLength); 4];
+        policy.decide_batch(&[1, 0, 1, 2].map(observed), &mut together);
+        let counts = together.map(|decision| decision.map(|decision| decision.utility));
+        let missing = Err(DecideError::HiddenState { want: 3, got: 2 });
+        assert_eq!(counts, [Ok(1.0), Ok(2.0), Ok(2.0), missing]);
         assert_eq!((policy.hidden(), policy.actions()), (0, 1));
     }
 }

@@ -239,6 +239,6 @@ fn rows_that_overlap_are_refused() {
     };
     assert_eq!(plan.decide(&mut arena.0, &observation, None), Err(DecideError::BadLength));
     let mut together = [Err(DecideError::Greedy); 2];
-    plan.decide_batch(&mut arena.0, &[observation; 2], &mut together);
+    plan.decide_batch(&mut arena.0, &[observation; 2], None, &mut together);
     assert_eq!(together, [Err(DecideError::BadLength); 2]);
 }

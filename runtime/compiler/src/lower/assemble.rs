@@ -59,7 +59,11 @@ pub(crate) fn assemble(
         profile: origin.profile,
         network: origin.network,
         t_max: origin.t_max,
-        arena_bytes_per_agent: 4 * program.own_floats().unwrap_or(0),
+        // Readers of format 2.0 know no teams that remember.
+        arena_bytes_per_agent: match program.memory() {
+            Some(_) => 0,
+            None => 4 * program.own_floats().unwrap_or(0),
+        },
         skip: program.skips(),
     };
     let checksums = checksums(&header, program_bytes, weights);

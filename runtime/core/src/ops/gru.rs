@@ -3,6 +3,7 @@
 use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::operator::Operator;
+use super::team::Team;
 use super::{Flag, LAYOUT_TILES, Linear, Place, Places, Scratch, Sizes, places};
 use crate::kernels::Kernels;
 use crate::kernels::product::{Sparse, padded};
@@ -103,6 +104,40 @@ impl Operator for Gru {
             return Err(DecideError::NonFinite);
         }
         self.combine(inputs, recurrents, state, to).ok_or(DecideError::BadLength)
+    }
+
+    fn works_for_teams(&self, shared: u32) -> bool {
+        self.places().iter().all(|place| place.offset >= shared)
+    }
+
+    /// As [`Self::run`] for all members of a team, whose states stand at their own `state`; zeros of the input are not
+    /// left out.
+    #[inline(always)]
+    fn run_team(
+        &self,
+        kernels: impl Kernels,
+        weights: &[f32],
+        _: &[Observation<'_>],
+        team: &mut Team<'_>,
+    ) -> Result<(), DecideError> {
+        let layers = [
+            (&self.input, &self.from, &self.input_gates),
+            (&self.recurrent, &self.state, &self.recurrent_gates),
+        ];
+        for (layer, from, to) in layers {
+            let around = layer.around(weights, false)?;
+            kernels.products(layer.matrix(weights)?, &mut team.pairs(from, to, |_| true), around);
+        }
+        let [state, inputs, recurrents, to] =
+            [self.state, self.input_gates, self.recurrent_gates, self.to]
+                .map(|place| team.own_place(&place));
+        for (member, floats) in team.own_places() {
+            let places = [&state, &inputs, &recurrents, &to];
+            let [state, inputs, recurrents, to] = super::places(floats, places)?;
+            member.alone |= !(all_finite(inputs) && all_finite(recurrents));
+            self.combine(inputs, recurrents, state, to).ok_or(DecideError::BadLength)?;
+        }
+        Ok(())
     }
 }
 

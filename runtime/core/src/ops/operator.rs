@@ -44,8 +44,7 @@ pub(super) trait Operator {
 
     /// Whether the operator can work for a team, whose members' own places lie behind the first `shared` floats.
     ///
-    /// Agents with memory cannot: they bring their states one after the other. Operators over all entities know no
-    /// single agent.
+    /// Operators over all entities know no single agent.
     fn works_for_teams(&self, shared: u32) -> bool {
         let _ = shared;
         false

@@ -77,6 +77,11 @@ impl<'a> Team<'a> {
         Place { offset: place.offset.saturating_sub(self.rows.len() as u32), ..*place }
     }
 
+    /// Every member and its own places.
+    pub(crate) fn own_places(&mut self) -> impl Iterator<Item = (&mut Member, &mut [f32])> {
+        self.members.iter_mut().zip(self.own.chunks_exact_mut(self.own_floats.max(1)))
+    }
+
     /// The members' floats `from` and `to`, for those members that are `wanted`.
     pub(crate) fn pairs(
         &mut self,

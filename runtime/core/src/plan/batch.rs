@@ -15,7 +15,7 @@ use crate::kernels::build::Work;
 use crate::kernels::mark::Marks;
 use crate::limits;
 use crate::ops::team::{Member, TEAM, Team};
-use crate::ops::{OpRef, OperatorSet};
+use crate::ops::{Gru, OpRef, OperatorSet};
 use crate::policy::{DecideError, Decision, Observation};
 
 /// An agent's utilities in the arena, or why there are none.
@@ -36,14 +36,18 @@ impl<S: OperatorSet> Plan<'_, S> {
     }
 
     /// Decides for every observation as [`Plan::decide`] does. Answers beyond the shorter of the two slices are
-    /// not given.
+    /// not given. `hidden` `[B, R]` holds the states of those that observe, in the same order, where the policy has memory;
+    /// a state of another size answers everyone with [`DecideError::HiddenState`].
     pub fn decide_batch(
         &self,
         arena: &mut [u8],
         observations: &[Observation<'_>],
+        hidden: Option<&mut [f32]>,
         decisions: &mut [Result<Decision, DecideError>],
     ) {
-        self.run_batch(arena, &mut [], observations, &mut |index, utilities| {
+        let hidden = hidden.unwrap_or_default();
+        let asked = Asked { observations, arena, shared: &mut [], hidden };
+        self.run_batch(asked, &mut |index, utilities| {
             let place = decisions.get_mut(index).zip(observations.get(index));
             if let Some((decision, observation)) = place {
                 *decision =
@@ -75,7 +79,8 @@ impl<S: OperatorSet> Plan<'_, S> {
         results: &mut [Result<(), DecideError>],
     ) {
         let actions = self.actions();
-        self.run_batch(arena, shared, observations, &mut |index, computed| {
+        let asked = Asked { observations, arena, shared, hidden: &mut [] };
+        self.run_batch(asked, &mut |index, computed| {
             let start = index.saturating_mul(actions);
             let to = utilities.get_mut(start..start.saturating_add(actions));
             if let Some(result) = results.get_mut(index) {
@@ -100,21 +105,20 @@ impl<S: OperatorSet> Plan<'_, S> {
         self.program.ops().map(floats).max().unwrap_or(0)
     }
 
-    fn run_batch(
-        &self,
-        arena: &mut [u8],
-        shared: &mut [f32],
-        observations: &[Observation<'_>],
-        answer: &mut dyn FnMut(usize, Computed<'_>),
-    ) {
+    fn run_batch(&self, mut asked: Asked<'_>, answer: &mut dyn FnMut(usize, Computed<'_>)) {
+        let (want, got) = (asked.observations.len() * self.hidden(), asked.hidden.len());
+        if got != want {
+            let refused = DecideError::HiddenState { want, got };
+            return (0..asked.observations.len()).for_each(|index| answer(index, Err(refused)));
+        }
         let mut next = 0;
-        while next < observations.len() {
-            let members = self.team(arena.len(), observations, next);
+        while next < asked.observations.len() {
+            let members = self.team(asked.arena.len(), asked.observations, next);
             let count = members.len().max(1);
             let mut alone: Vec<usize, TEAM> = Vec::new();
             // Who shares nothing and has no company is faster alone.
-            if (count == 1 && shared.is_empty())
-                || self.run_team(arena, shared, observations, members, &mut alone, answer).is_err()
+            if (count == 1 && asked.shared.is_empty())
+                || self.run_team(&mut asked, members, &mut alone, answer).is_err()
             {
                 alone.clear();
                 // There is room for every member.
@@ -123,8 +127,9 @@ impl<S: OperatorSet> Plan<'_, S> {
                 }
             }
             for &index in &alone {
-                if let Some(observation) = observations.get(index) {
-                    answer(index, self.run(arena, observation, None));
+                let hidden = state_of(asked.hidden, self.hidden(), index);
+                if let Some(observation) = asked.observations.get(index) {
+                    answer(index, self.run(asked.arena, observation, hidden));
                 }
             }
             next += count;
@@ -162,16 +167,14 @@ impl<S: OperatorSet> Plan<'_, S> {
     /// Works for a team; who is to be asked alone afterwards is added to `alone`.
     fn run_team(
         &self,
-        arena: &mut [u8],
-        shared: &mut [f32],
-        observations: &[Observation<'_>],
+        asked: &mut Asked<'_>,
         members: Vec<Member, TEAM>,
         alone: &mut Vec<usize, TEAM>,
         answer: &mut dyn FnMut(usize, Computed<'_>),
     ) -> Result<(), DecideError> {
         let own_floats = self.program.own_floats().ok_or(DecideError::BadLength)? as usize;
         let row_floats = (self.program.floats() as usize).saturating_sub(own_floats);
-        let rest = arena.split_at_mut_checked(4 * row_floats);
+        let rest = asked.arena.split_at_mut_checked(4 * row_floats);
         let (rows, rest) = rest.ok_or(DecideError::BadLength)?;
         let rest = rest.split_at_mut_checked(4 * own_floats * members.len());
         let (own, rest) = rest.ok_or(DecideError::BadLength)?;
@@ -180,27 +183,68 @@ impl<S: OperatorSet> Plan<'_, S> {
             rows: <[f32]>::mut_from_bytes(rows).map_err(|_| DecideError::BadLength)?,
             own: <[f32]>::mut_from_bytes(own).map_err(|_| DecideError::BadLength)?,
             own_floats: own_floats.max(1),
-            shared,
+            shared: asked.shared,
             nonzeros: marks
                 .and_then(|marks| <[Marks]>::mut_from_bytes(marks).ok())
                 .ok_or(DecideError::BadLength)?,
             members,
         };
+        if let Some(gru) = self.program.memory() {
+            recall(gru, &mut team, asked.hidden)?;
+        }
+        let observations = asked.observations;
         self.execute(TeamExecution { plan: self, observations, team: &mut team })?;
         let place = self.program.utilities().ok_or(DecideError::BadLength)?;
-        let place = team.own_place(&place);
-        for (member, floats) in
-            team.members.iter().zip(team.own.chunks_exact(team.own_floats.max(1)))
-        {
+        let utilities = team.own_place(&place);
+        let memory = self.program.memory().map(|gru| (gru, team.own_place(&gru.to)));
+        for (member, floats) in team.own_places() {
             if member.alone {
                 let _ = alone.push(member.index);
                 continue;
             }
-            let utilities = floats.get(place.range()).ok_or(DecideError::BadLength);
-            answer(member.index, utilities.and_then(super::finite));
+            let utilities = floats.get(utilities.range()).ok_or(DecideError::BadLength);
+            let utilities = utilities.and_then(super::finite);
+            if let (Ok(_), Some((gru, to))) = (utilities, &memory) {
+                let state = state_of(asked.hidden, gru.size as usize, member.index);
+                copy(state, floats.get(to.range()))?;
+            }
+            answer(member.index, utilities);
         }
         Ok(())
     }
+}
+
+/// What is asked at once, and the memory to answer it.
+struct Asked<'b> {
+    observations: &'b [Observation<'b>],
+    arena: &'b mut [u8],
+    /// Room for what several selections of one entity share, see [`Plan::shared_floats`].
+    shared: &'b mut [f32],
+    /// States `[B, R]` of those that observe.
+    hidden: &'b mut [f32],
+}
+
+/// The state, `size` floats, of the observation at `index`.
+fn state_of(hidden: &mut [f32], size: usize, index: usize) -> Option<&mut [f32]> {
+    let start = index.saturating_mul(size);
+    hidden.get_mut(start..start.saturating_add(size))
+}
+
+/// Copies every member's state to its own place.
+fn recall(gru: &Gru, team: &mut Team<'_>, hidden: &mut [f32]) -> Result<(), DecideError> {
+    let place = team.own_place(&gru.state);
+    team.own_places().try_for_each(|(member, floats)| {
+        let state = state_of(hidden, gru.size as usize, member.index);
+        copy(floats.get_mut(place.range()), state.as_deref())
+    })
+}
+
+fn copy(to: Option<&mut [f32]>, from: Option<&[f32]>) -> Result<(), DecideError> {
+    let (to, from) = to.zip(from).ok_or(DecideError::BadLength)?;
+    for (to, from) in to.iter_mut().zip(from) {
+        *to = *from;
+    }
+    Ok(())
 }
 
 /// Whether two agents look at the same rows.

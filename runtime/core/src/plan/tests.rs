@@ -386,7 +386,7 @@ fn a_team_decides_as_its_members_alone() {
         let want: Vec<Result<Decision, DecideError>> = observations.iter().map(ask).collect();
         let mut got = vec![Err(DecideError::NonFinite); observations.len()];
         let mut arena = AlignedBytes::zeroed(plan.batch_arena_bytes(9));
-        plan.decide_batch(arena.as_mut_slice(), &observations, &mut got);
+        plan.decide_batch(arena.as_mut_slice(), &observations, None, &mut got);
         assert_eq!(got, want, "{sizes:?}");
     }
 }

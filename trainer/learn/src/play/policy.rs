@@ -87,15 +87,8 @@ impl<P: Policy> Act for PolicyTeam<P> {
             };
             let observations: Vec<Seen<'_>> = (0..agents).map(see).collect();
             let mut decisions = vec![Err(DecideError::BadLength); agents];
-            if self.policy.hidden() == 0 {
-                self.policy.decide_batch(&observations, &mut decisions);
-            } else {
-                let memories = self.memories[instance].chunks_exact_mut(self.policy.hidden());
-                let seen = observations.iter().zip(memories).zip(&mut decisions);
-                for ((observation, memory), decision) in seen {
-                    *decision = self.policy.decide_with(observation, memory);
-                }
-            }
+            let states = &mut self.memories[instance][..agents * self.policy.hidden()];
+            self.policy.decide_batch_with(&observations, states, &mut decisions);
             for (action, decision) in actions.iter_mut().zip(decisions) {
                 *action = decision.map_err(|error| LearnError::Team(error.to_string()))?.action;
             }

@@ -5,7 +5,7 @@ use sortie_core::identity::fnv1a;
 use sortie_core::internal::kernels::build::Build;
 use sortie_core::operators::FeedForward;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError};
-use sortie_core::{DecideError, Decision, PlanPolicy, Policy};
+use sortie_core::{DecideError, Decision, EntityMask, PlanPolicy, Policy};
 
 use super::agent::{SMALL, bits, small_observations};
 use super::networks::{Random, Shape, ask_anything, forge, plan, plan_that, reference, run_forged};
@@ -80,6 +80,59 @@ fn every_build_remembers_the_same_bits_and_they_are_the_recorded_ones() {
 /// FNV-1a of utilities and states of 64 steps. It changes only with the arithmetic contract.
 const RECORDED: u64 = 0x2397_69be_8556_5150;
 
+/// Decisions of `agents`, each alone and then all in one call of the same plan, over an episode; in every second step one
+/// of them sees or remembers what is no number, in every third nobody is seen.
+fn decide_both_ways(shape: Shape, size: usize, room: usize, agents: usize) {
+    let mut random = Random::new(size as u64);
+    let bytes = AlignedBytes::copy_of(&plan(&random.recurrent_layers(shape, size), shape));
+    let plan = Plan::load(bytes.as_slice()).unwrap();
+    let mut arena = AlignedBytes::zeroed(plan.batch_arena_bytes(room));
+    let (mut apart, mut together) = (vec![0.0; agents * size], vec![0.0; agents * size]);
+    let frames = random_observations(12, shape.n_max, shape.features, shape.actions, 5);
+    for (step, mut frame) in frames.into_iter().enumerate() {
+        let (broken_row, broken_state) = (step % 4 == 1, step % 4 == 3);
+        if broken_row {
+            frame.rows[0] = f32::NAN;
+        }
+        for states in [&mut apart, &mut together] {
+            // The gates overflow, and saturate.
+            states[..size].fill(if broken_state { f32::MAX } else { 0.5 });
+        }
+        let observe = |agent| {
+            let mut observation = frame.view();
+            observation.self_index = agent;
+            (step % 3 == 2).then(|| observation.visible = EntityMask::EMPTY);
+            observation.visible.remove(agent);
+            observation
+        };
+        let observations: Vec<_> = (0..agents).map(observe).collect();
+        let states = apart.chunks_exact_mut(size);
+        let alone: Vec<_> = observations
+            .iter()
+            .zip(states)
+            .map(|(seen, state)| plan.decide(arena.as_mut_slice(), seen, Some(state)))
+            .collect();
+        let mut decisions = vec![Err(DecideError::BadLength); agents];
+        let states = Some(together.as_mut_slice());
+        plan.decide_batch(arena.as_mut_slice(), &observations, states, &mut decisions);
+        assert_eq!(decisions, alone, "{size}, room for {room}, step {step}");
+        assert_eq!(bits(&together), bits(&apart), "{size}, room for {room}, step {step}");
+        let broken = broken_row || (broken_state && size > 1);
+        assert_eq!(alone.contains(&Err(DecideError::NonFinite)), broken);
+    }
+    assert!(together.chunks_exact(size).skip(1).all(|state| state != &together[..size]));
+}
+
+#[test]
+fn agents_that_remember_decide_together_as_they_would_alone() {
+    let shape = Shape { n_max: 6, ..SMALL };
+    for size in [1, 5, 16, 40] {
+        for room in [1, 2, 6] {
+            decide_both_ways(shape, size, room, 6);
+        }
+    }
+}
+
 #[test]
 fn a_state_of_another_size_is_refused_and_none_is_touched() {
     let bytes = small();
@@ -99,7 +152,10 @@ fn a_state_of_another_size_is_refused_and_none_is_touched() {
     }
     let mut decisions = [Ok(Decision { action: 0, utility: 0.0 }); 3];
     policy.decide_batch(&[observation.view(); 3], &mut decisions);
-    assert_eq!(decisions, [refused(0); 3]);
+    let refused_all = |got| [Err(DecideError::HiddenState { want: 3 * STATE, got }); 3];
+    assert_eq!(decisions, refused_all(0));
+    policy.decide_batch_with(&[observation.view(); 3], &mut [0.0; 4], &mut decisions);
+    assert_eq!(decisions, refused_all(4));
     let forgetful = AlignedBytes::copy_of(&self::plan(&Random::new(1).layers(SMALL), SMALL));
     let plan = Plan::load(forgetful.as_slice()).unwrap();
     let mut policy = PlanPolicy::new(plan, arena.as_mut_slice()).unwrap();

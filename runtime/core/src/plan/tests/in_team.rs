@@ -173,7 +173,7 @@ fn agents_without_memory_decide_together_as_alone() {
     let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
     let agents = [seen(0, 0, &[1; 2]), seen(1, 0, &[1, 0]), seen(2, 0, &[0; 2])];
     let mut together = [Err(DecideError::BadLength); 3];
-    plan.decide_batch(arena.as_mut_slice(), &agents, &mut together);
+    plan.decide_batch(arena.as_mut_slice(), &agents, None, &mut together);
     let actions = together.map(|decision| decision.map(|decision| decision.action));
     assert_eq!(actions, [Ok(1), Ok(0), Err(DecideError::NoAvailableAction)]);
 }
