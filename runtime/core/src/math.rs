@@ -105,6 +105,26 @@ fn of_angle(x: f32, quarters: u32) -> f32 {
     if x.abs() < 268_435_456.0 { value as f32 } else { f32::NAN }
 }
 
+/// The arc tangent, within three units in the last place.
+#[inline(always)]
+pub fn arc_tangent(x: f32) -> f32 {
+    /// The tangents of an eighth and of three eighths of half a turn.
+    const NEAR: f32 = 0.414_213_56;
+    const FAR: f32 = 2.414_213_6;
+    let size = x.abs();
+    let (angle, rest) = match () {
+        () if size > FAR => (core::f32::consts::FRAC_PI_2, -1.0 / size),
+        () if size > NEAR => (core::f32::consts::FRAC_PI_4, (size - 1.0) / (size + 1.0)),
+        () => (0.0, size),
+    };
+    let square = rest * rest;
+    let mut factor = -6.083_451_7e-2;
+    for coefficient in [0.105_960_01, -0.142_438_49, 0.199_984_89, -0.333_333_16] {
+        factor = factor * square + coefficient;
+    }
+    (angle + (rest * square * factor + rest)).copysign(x)
+}
+
 /// ln(1 + eˣ), within four units in the last place.
 #[inline(always)]
 pub fn softplus(x: f32) -> f32 {

@@ -18,7 +18,7 @@ struct Function {
 /// Angles beyond this are no numbers to the sine.
 const FAR: f32 = 268_435_440.0;
 
-const FUNCTIONS: [Function; 11] = [
+const FUNCTIONS: [Function; 12] = [
     Function { name: "exp", own: math::exp, exact: f64::exp, from: -87.0, to: 88.0 },
     Function {
         name: "exp - 1",
@@ -35,6 +35,13 @@ const FUNCTIONS: [Function; 11] = [
     Function { name: "erf", own: libm::erff, exact: libm::erf, from: f32::MIN, to: f32::MAX },
     Function { name: "sine", own: math::sine, exact: f64::sin, from: -FAR, to: FAR },
     Function { name: "cosine", own: math::cosine, exact: f64::cos, from: -FAR, to: FAR },
+    Function {
+        name: "arc tangent",
+        own: math::arc_tangent,
+        exact: f64::atan,
+        from: f32::MIN,
+        to: f32::MAX,
+    },
     Function { name: "sqrt", own: libm::sqrtf, exact: f64::sqrt, from: 0.0, to: f32::MAX },
 ];
 

@@ -207,7 +207,7 @@ fn steps() -> [Op; 15] {
         Op::Input(Input { index: 0, meaning: Meaning::None, to }),
         Op::State(State { from, to }),
         Op::Constant(Constant { weights: 0, to }),
-        Op::Map(Map { function: Function::Cosine, a, b, from, to }),
+        Op::Map(Map { function: Function::ArcTangent, a, b, from, to }),
         Op::Combine(Combine { combination: Combination::Or, left, right, to }),
         Op::Select(Select { condition: from, yes: from, no: from, to }),
         Op::Arrange(Arrange { from, to, sizes, from_strides, to_strides }),
@@ -266,7 +266,7 @@ fn functions_have_the_documented_numbers() {
     let [_, _, _, map, combine, _, _, reduce, ..] = steps();
     // The last of each is what the document names last.
     for (op, name, last) in [
-        (map, "Map", "cosine"),
+        (map, "Map", "arc tangent"),
         (combine, "Combine", "one other than 0"),
         (reduce, "Reduce", "place of the largest, the first of several"),
     ] {

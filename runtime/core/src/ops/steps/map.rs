@@ -57,6 +57,8 @@ pub enum Function {
     Sine,
     /// The cosine, of the same
     Cosine,
+    /// The arc tangent
+    ArcTangent,
 }
 
 /// Applies a function to every number.
@@ -125,6 +127,7 @@ impl Operator for Map {
             Function::Sign => each(values, sign),
             Function::Sine => each(values, math::sine),
             Function::Cosine => each(values, math::cosine),
+            Function::ArcTangent => each(values, math::arc_tangent),
         }
         Ok(())
     }

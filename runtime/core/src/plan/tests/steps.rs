@@ -15,7 +15,7 @@ fn functions_are_what_they_are_called() {
     let softplus = |x: f64| x.exp().ln_1p();
     let sigmoid = |x: f64| 1.0 / (1.0 + (-x).exp());
     type Reference = fn(f64) -> f64;
-    let functions: [(Function, f32, f32, Reference); 19] = [
+    let functions: [(Function, f32, f32, Reference); 20] = [
         (Function::Affine, 2.0, -1.5, |x| 2.0 * x - 1.5),
         (Function::Relu, 0.0, 0.0, |x| x.max(0.0)),
         (Function::LeakyRelu, 0.01, 0.0, |x| if x > 0.0 { x } else { f64::from(0.01_f32) * x }),
@@ -35,6 +35,7 @@ fn functions_are_what_they_are_called() {
         (Function::Sign, 0.0, 0.0, f64::signum),
         (Function::Sine, 0.0, 0.0, f64::sin),
         (Function::Cosine, 0.0, 0.0, f64::cos),
+        (Function::ArcTangent, 0.0, 0.0, f64::atan),
     ];
     let mut random = Random(3);
     for (function, a, b, reference) in functions {
@@ -67,6 +68,7 @@ fn functions_are_what_they_are_called() {
         };
         assert_close(&of_far(Function::Sine), &[f64::from(far).sin()], "sine");
         assert_close(&of_far(Function::Cosine), &[f64::from(far).cos()], "cosine");
+        assert_close(&of_far(Function::ArcTangent), &[f64::from(far).atan()], "arc tangent");
         if x > 0.0 {
             assert_close(&one(Function::Ln), &[wide.ln()], "ln");
             assert_close(&one(Function::Sqrt), &[wide.sqrt()], "sqrt");
