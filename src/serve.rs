@@ -39,7 +39,7 @@ const PLAN: &[u8] = b"SORTIEPL";
   sortie serve walking.plan
   sortie serve walking.plan --domain legs --deadline-ms 2 --fallback zero
   sortie serve walking.onnx --rt 50 --core 1 --json
-  sortie serve gathers.onnx --backend tract")]
+  sortie serve scatters.onnx --backend tract")]
 pub(crate) struct ServeArguments {
     /// A policy's plan, or its ONNX file, which is compiled first
     #[arg(value_name = "PLAN|ONNX")]

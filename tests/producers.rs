@@ -11,10 +11,14 @@ use support::{assert_fails, json, output};
 const FOLDER: &str = "tests/golden/onnx-producers";
 
 /// Files that say too little about themselves, and the flags that say it.
-const FLAGS: [(&str, &[&str]); 1] = [("torch_squashed", &["--output", "mean"])];
+const FLAGS: [(&str, &[&str]); 3] = [
+    ("torch_squashed", &["--output", "mean"]),
+    ("mlagents_earlier_discrete", &["--output", "discrete_actions:likeliest"]),
+    ("mlagents_earlier", &["--output", "continuous_actions:likeliest"]),
+];
 
 /// What is found in files where more than the observation goes in or something is to be chosen: wanted outputs, states.
-const FOUND: [(&str, &str, &str); 12] = [
+const FOUND: [(&str, &str, &str); 15] = [
     ("rsl_rl_mlp", "actions continuous 12", ""),
     ("rsl_rl_gru_two_layers", "actions continuous 8", "h_in h_out 32"),
     ("rsl_rl_lstm", "actions continuous 8", "h_in h_out 24, c_in c_out 24"),
@@ -27,6 +31,17 @@ const FOUND: [(&str, &str, &str); 12] = [
     ("sb3_dqn_cnn.dynamo", "q_values discrete 5", ""),
     ("sb3_maskable_ppo.classic", "action discrete 5", ""),
     ("godot_ppo_several.dynamo", "output continuous 7", ""),
+    ("mlagents_discrete", "deterministic_discrete_actions discrete 3", ""),
+    (
+        "mlagents_both",
+        "deterministic_continuous_actions continuous 2, deterministic_discrete_actions continuous 2",
+        "",
+    ),
+    (
+        "mlagents_lstm",
+        "deterministic_continuous_actions continuous 2",
+        "recurrent_in recurrent_out 24",
+    ),
     ("torch_lstm_cell.classic", "actions continuous 4", "h_in h_out 16, c_in c_out 16"),
     ("torch_choice.classic", "action discrete 6", ""),
     ("torch_heads.dynamo", "output continuous 10", ""),
@@ -93,6 +108,13 @@ fn godot_rl() {
 #[test]
 fn skrl() {
     all_agree("skrl_", 6);
+}
+
+#[test]
+fn unity() {
+    all_agree("mlagents_", 11);
+    let drawn = output(&["inspect", &path("mlagents_earlier", "onnx")]);
+    assert_fails(&drawn, 2, &["RandomNormalLike", "`--output continuous_actions:likeliest`"]);
 }
 
 #[test]

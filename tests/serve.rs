@@ -16,7 +16,7 @@ const CART: &str = "examples/embed_c/cart.plan";
 const CART_SHAPE: Expected<'_> =
     Expected { inputs: &[("position", 1)], outputs: &[("force", 1)], actions: 0 };
 /// A recurrent policy of which no plan can be made.
-const GATHERS: &str = "tests/golden/onnx-unplanned/gathers.onnx";
+const SCATTERS: &str = "tests/golden/onnx-unplanned/scatters.onnx";
 const ENGINE: &str = "tract: allocates, no promise about bits or time";
 /// A recurrent network with scores of 9 actions.
 const RECURRENT: &str = "tests/golden/onnx-foreign/epymarl_rnn.classic.onnx";
@@ -174,15 +174,15 @@ fn a_server_is_seen_and_ended_from_outside() {
 
 #[test]
 fn a_file_without_a_plan_is_run_by_tract_where_that_is_said() {
-    let domain = TestDomain::new("gathers");
-    let refused = output(&["serve", GATHERS, "--domain", &domain.id]);
+    let domain = TestDomain::new("scatters");
+    let refused = output(&["serve", SCATTERS, "--domain", &domain.id]);
     let words = [
-        "`gather` (GatherElements f32 [1, 6], i64 [1, 5]) does not fit",
-        "the nearest that has is Gather along one axis",
+        "`scatter` (ScatterElements f32 [1, 6], i64 [1, 6], f32 [1, 6]) does not fit",
+        "plans put numbers at constant places and add nothing to what stands there",
         "`--backend tract` still runs this file on a host",
     ];
     assert_fails(&refused, 65, &words);
-    let server = serve_with(GATHERS, &domain, &["--backend", "tract"]);
+    let server = serve_with(SCATTERS, &domain, &["--backend", "tract"]);
     let expected = Expected { inputs: &[("obs", 6)], outputs: &[("q", 5)], actions: 5 };
     let mut client = connect(&domain, &expected);
     let mut state = [0.0; 6];

@@ -39,8 +39,8 @@ def numbers(generator, shape, kind):
     return generator.normal(size=shape).astype(kind)
 
 
-def record(name, cases=64, sizes=None, **made):
-    """Writes NAME.npz: `made` makes the inputs of their names, as generator, shape and type say."""
+def record(name, cases=64, sizes=None, outputs=None, **made):
+    """Writes NAME.npz: all outputs, or those named; `made` makes the inputs of their names, as generator, shape and type say."""
     file = path(name)
     onnx.checker.check_model(file)
     session = onnxruntime.InferenceSession(file, providers=["CPUExecutionProvider"])
@@ -51,7 +51,7 @@ def record(name, cases=64, sizes=None, **made):
         for value in session.get_inputs():
             shape = [size if isinstance(size, int) else (sizes or {}).get(size, 1) for size in value.shape]
             given[value.name] = made.get(value.name, numbers)(generator, shape, TYPES[value.type])
-        outputs = [value.name for value in session.get_outputs()]
+        outputs = outputs or [value.name for value in session.get_outputs()]
         for key, value in given.items():
             recorded.setdefault(f"in__{key}", []).append(value)
         for key, value in zip(outputs, session.run(outputs, given)):

@@ -38,6 +38,7 @@ fn passed_over(node: &NodeProto) -> Option<String> {
             let alpha = attribute("alpha").filter(|alpha| alpha.f != 1.0);
             alpha.map(|alpha| format!("alpha = {}", alpha.f))
         }
+        "GlobalLpPool" => Some("a root of its sums".to_owned()),
         "BatchNormalization" => attribute("training_mode")
             .filter(|mode| mode.i != 0)
             .map(|_| "the means of training".to_owned()),

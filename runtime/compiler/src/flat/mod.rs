@@ -4,6 +4,7 @@
 //! and the same cut file is what engines run.
 
 mod counts;
+mod drawn;
 mod entities;
 mod facts;
 mod interface;
@@ -15,12 +16,12 @@ mod sizes;
 mod states;
 #[cfg(test)]
 mod tests;
+mod unrolled;
 mod values;
 
 use sortie_plans::{CompileError, PolicyOptions};
 use tract_onnx::pb;
 use tract_onnx::prelude::*;
-use tract_onnx::tract_core::ops::scan::Scan;
 
 use crate::graph::guarded;
 pub(crate) use interface::{Interface, other_values};
@@ -47,14 +48,8 @@ impl FlatGraph {
         let file = cut(&file, &outputs);
         file.graph.as_ref().map_or(Ok(()), misread::refuse)?;
         let read = || {
-            let mut model = reader().model_for_proto_model(&file)?.into_typed()?;
-            // ONNX has no memory of its own: every run begins with the state that goes in.
-            for node in &mut model.nodes {
-                if let Some(scan) = node.op_as_mut::<Scan>() {
-                    scan.reset_every_turn = true;
-                }
-            }
-            model.into_decluttered()
+            let model = reader().model_for_proto_model(&file)?.into_typed()?;
+            unrolled::unrolled(model)?.into_decluttered()
         };
         let model = guarded(read).map_err(|reason| CompileError::Unreadable { reason })?;
         let facts = selection.facts(&file, &model, options)?;
@@ -86,7 +81,11 @@ pub(crate) fn declared(file: &pb::ModelProto) -> Described {
 fn fixed(onnx: &[u8], options: &PolicyOptions) -> Result<(pb::ModelProto, Values), CompileError> {
     let mut file = guarded(|| reader().proto_model_for_read(&mut &*onnx))
         .map_err(|reason| CompileError::Unreadable { reason })?;
-    sizes::fix(file.graph.get_or_insert_default(), &options.sizes)?;
+    let graph = file.graph.get_or_insert_default();
+    sizes::fix(graph, &options.sizes)?;
+    if options.outputs.iter().any(|output| output.ends_with(drawn::LIKELIEST)) {
+        drawn::take_likeliest(graph);
+    }
     let values = Values::of(&file);
     Ok((file, values))
 }

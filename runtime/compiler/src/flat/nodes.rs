@@ -4,6 +4,8 @@ use std::collections::{HashMap, HashSet};
 
 use tract_onnx::pb;
 
+use super::drawn::draws;
+
 /// Operators whose output is their first input in another shape or type.
 const CARRIERS: [&str; 6] = ["Identity", "Cast", "Squeeze", "Unsqueeze", "Reshape", "Flatten"];
 
@@ -37,12 +39,20 @@ impl<'a> Nodes<'a> {
                 let axis = axis.map_or(0, |axis| axis.i);
                 return Some(ArgMax { scores: node.input.first()?.clone(), axis });
             }
-            if !CARRIERS.contains(&node.op_type.as_str()) {
+            let is_alone = node.op_type == "Concat" && node.input.len() == 1;
+            if !is_alone && !CARRIERS.contains(&node.op_type.as_str()) {
                 return None;
             }
             node = self.makers.get(node.input.first()?.as_str())?;
         }
         None
+    }
+
+    /// The node behind an output that draws at random.
+    pub(super) fn drawn(&self, output: &str) -> Option<&'a pb::NodeProto> {
+        let behind = self.behind([output]);
+        let mut makers = behind.iter().filter_map(|name| self.makers.get(name.as_str()));
+        makers.find(|node| draws(node)).copied()
     }
 
     /// The names of all that these values are computed from, their own among them.

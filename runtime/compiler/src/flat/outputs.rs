@@ -2,6 +2,7 @@
 
 use sortie_plans::{CompileError, OutputRole, ValueType};
 
+use super::drawn::LIKELIEST;
 use super::values::{Value, listed};
 
 /// An output that is wanted.
@@ -19,11 +20,23 @@ pub(super) enum Kind {
     Continuous,
 }
 
-/// The outputs that are asked for, in the file's order; else the one that chooses an action, else the one that is named
-/// like actions or their values, else the only one. `outputs` are those that are no states.
+/// What is told of an output before any is wanted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Told {
+    /// It chooses an action.
+    pub(super) is_choice: bool,
+    /// It is drawn at random.
+    pub(super) is_drawn: bool,
+    /// Nothing that goes in changes it.
+    pub(super) is_constant: bool,
+}
+
+/// The outputs that are asked for, in the file's order; else those named as without chance, else the one that chooses an
+/// action, else the one that is named like actions or their values, else the only one. `outputs` are those that are no
+/// states. What never changes is only wanted where it is asked for, what is drawn stands back behind what is not.
 pub(super) fn wanted(
     outputs: &[&Value],
-    is_choice: impl Fn(&Value) -> bool,
+    told: impl Fn(&Value) -> Told,
     asked: &[String],
 ) -> Result<Vec<Wanted>, CompileError> {
     if !asked.is_empty() {
@@ -32,27 +45,46 @@ pub(super) fn wanted(
         let of = |output: &&Value| asked.iter().find(|wanted| wanted.name == output.name).cloned();
         return Ok(outputs.iter().filter_map(of).collect());
     }
-    let choices = outputs.iter().copied().filter(|output| is_choice(output));
+    let outputs: Vec<&Value> =
+        outputs.iter().copied().filter(|output| !told(output).is_constant).collect();
     let named = |is_like: fn(&str) -> bool| -> Vec<&Value> {
-        outputs.iter().copied().filter(|output| is_like(&output.name.to_lowercase())).collect()
+        let is_like = |output: &&&Value| is_like(&output.name.to_lowercase());
+        outputs.iter().filter(is_like).copied().collect()
     };
-    let ways =
-        [choices.collect(), named(is_without_chance), named(is_like_actions), outputs.to_vec()];
-    for found in ways {
+    let taken = |found: &[&Value]| -> Vec<Wanted> {
+        found.iter().map(|output| Wanted { name: output.name.clone(), said: None }).collect()
+    };
+    let without_chance = named(is_without_chance);
+    if !without_chance.is_empty() {
+        return Ok(taken(&without_chance));
+    }
+    let choices: Vec<&Value> =
+        outputs.iter().copied().filter(|output| told(output).is_choice).collect();
+    for mut found in [choices, named(is_like_actions), named(is_of_actions)] {
+        if found.iter().any(|output| !told(output).is_drawn) {
+            found.retain(|output| !told(output).is_drawn);
+        }
         match found.as_slice() {
             [] => {}
-            [one] => return Ok(vec![Wanted { name: one.name.clone(), said: None }]),
+            [_] => return Ok(taken(&found)),
             several => return Err(unclear(several)),
         }
     }
-    Err(CompileError::NoPolicy { reason: "it has no output but recurrent states".to_owned() })
+    match outputs.as_slice() {
+        [] => {
+            Err(CompileError::NoPolicy { reason: "it has no output but recurrent states".into() })
+        }
+        [_] => Ok(taken(&outputs)),
+        several => Err(unclear(several)),
+    }
 }
 
 fn named(outputs: &[&Value], asked: &str) -> Result<Wanted, CompileError> {
     let whole = (asked, None);
     let discrete = asked.strip_suffix(":discrete").map(|name| (name, Some(Kind::Discrete)));
     let continuous = asked.strip_suffix(":continuous").map(|name| (name, Some(Kind::Continuous)));
-    let mut forms = [Some(whole), discrete, continuous].into_iter().flatten();
+    let likeliest = asked.strip_suffix(LIKELIEST).map(|name| (name, None));
+    let mut forms = [Some(whole), discrete, continuous, likeliest].into_iter().flatten();
     let form = forms.find(|(name, _)| outputs.iter().any(|output| output.name == *name));
     let wanted = form.map(|(name, said)| Wanted { name: name.to_owned(), said });
     wanted.ok_or_else(|| CompileError::NotInFile {
@@ -73,6 +105,11 @@ fn unclear(outputs: &[&Value]) -> CompileError {
 /// Whether a name in small letters says that nothing is drawn at random, beside outputs that are.
 fn is_without_chance(name: &str) -> bool {
     name.starts_with("deterministic") && name.contains("action")
+}
+
+/// Whether a name in small letters ends as one of actions.
+fn is_of_actions(name: &str) -> bool {
+    name.ends_with("_action") || name.ends_with("_actions")
 }
 
 /// Whether a name in small letters is one of actions, of their values or of what they are drawn around.

@@ -5,8 +5,9 @@ use std::collections::HashSet;
 use sortie_plans::{CompileError, PolicyOptions, ValueType};
 use tract_onnx::pb;
 
+use super::drawn::LIKELIEST;
 use super::nodes::{ArgMax, Nodes};
-use super::outputs::{Wanted, wanted};
+use super::outputs::{Told, Wanted, wanted};
 use super::states::{self, Pair};
 use super::values::{Value, Values};
 
@@ -30,10 +31,17 @@ impl Selection {
         let is_state = |name: &str| pairs.iter().any(|pair| pair.output == name);
         let others: Vec<&Value> =
             values.outputs.iter().filter(|output| !is_state(&output.name)).collect();
-        let is_choice = |output: &Value| {
-            output.kind.is_some_and(ValueType::is_integer) && nodes.argmax(&output.name).is_some()
+        let told = |output: &Value| {
+            let behind = nodes.behind([output.name.as_str()]);
+            let is_whole = output.kind.is_some_and(ValueType::is_integer);
+            Told {
+                is_choice: is_whole && nodes.argmax(&output.name).is_some(),
+                is_drawn: nodes.drawn(&output.name).is_some(),
+                is_constant: !values.inputs.iter().any(|input| behind.contains(&input.name)),
+            }
         };
-        let wanted = wanted(&others, is_choice, &options.outputs)?;
+        let wanted = wanted(&others, told, &options.outputs)?;
+        refuse_drawn(&nodes, &wanted, &options.outputs)?;
         let choices = wanted.iter().map(|wanted| nodes.argmax(&wanted.name)).collect();
         let (states, behind) = needed(&nodes, &wanted, pairs);
         if options.states.is_empty() {
@@ -43,7 +51,11 @@ impl Selection {
                 .inputs
                 .iter()
                 .filter(|input| behind.contains(&input.name) && !is_state(&input.name));
-            let outputs = others.iter().copied().filter(|output| !is_wanted(&output.name));
+            let may_return = |output: &&Value| {
+                let Told { is_drawn, is_constant, .. } = told(output);
+                !is_wanted(&output.name) && !is_drawn && !is_constant
+            };
+            let outputs = others.iter().copied().filter(may_return);
             states::refuse_hidden(&inputs.collect::<Vec<_>>(), &outputs.collect::<Vec<_>>())?;
         }
         Ok(Self { wanted, choices, states })
@@ -58,6 +70,31 @@ impl Selection {
         let names = wanted.chain(states).chain(scores).filter(|name| seen.insert(*name));
         names.cloned().collect()
     }
+}
+
+/// Refuses wanted outputs that come out otherwise every time.
+fn refuse_drawn(
+    nodes: &Nodes<'_>,
+    wanted: &[Wanted],
+    asked: &[String],
+) -> Result<(), CompileError> {
+    for Wanted { name, .. } in wanted {
+        let Some(node) = nodes.drawn(name) else { continue };
+        let likeliest = format!("{name}{LIKELIEST}");
+        if asked.contains(&likeliest) {
+            let reason = format!("nothing is the likeliest of what {} draws", node.op_type);
+            return Err(CompileError::NoPolicy { reason });
+        }
+        return Err(CompileError::Unclear {
+            what: "what is wanted of numbers that are drawn at random".into(),
+            candidates: format!("`{name}`, by {}", node.op_type),
+            flag: format!(
+                "`--output {likeliest}` for a normal's mean or the most probable of several"
+            )
+            .into(),
+        });
+    }
+    Ok(())
 }
 
 /// The states that the wanted outputs need, those among them that these states need, and the names of all behind them.

@@ -1,6 +1,6 @@
 //! Whole files: sizes, what is cut away, what inputs are for.
 
-use sortie_plans::{InputRole, PolicyFacts, PolicyOptions};
+use sortie_plans::{InputRole, OutputRole, PolicyFacts, PolicyOptions};
 use tract_onnx::pb;
 use tract_onnx::pb::tensor_proto::DataType::{Bool, Float, Int64, Uint8};
 
@@ -213,4 +213,54 @@ fn broken_files_are_refused() {
     for length in (0..bytes.len()).step_by(7) {
         assert!(crate::flat::FlatGraph::read(&bytes[..length], &PolicyOptions::default()).is_err());
     }
+}
+
+#[test]
+fn the_likeliest_stands_for_what_is_drawn() {
+    let drawn = || {
+        plain()
+            .node_with("Softmax", &["q"], "probabilities", vec![])
+            .node("Log", &["probabilities"], "logarithms")
+            .node("Multinomial", &["logarithms"], "several")
+            .node("RandomNormalLike", &["q"], "noise")
+            .node("Add", &["q", "noise"], "normal")
+            .node("RandomUniformLike", &["q"], "even")
+    };
+    for (output, operator) in
+        [("several", "Multinomial"), ("normal", "RandomNormalLike"), ("even", "RandomUniformLike")]
+    {
+        let mut file = drawn();
+        file.0.output.clear();
+        let message = file.output(output).refused();
+        let flag = format!("`--output {output}:likeliest`");
+        assert!(message.contains(operator) && message.contains(&flag), "{message}");
+        let mut file = drawn();
+        file.0.output.clear();
+        let outputs = vec![format!("{output}:likeliest")];
+        let facts =
+            file.output(output).read(&PolicyOptions { outputs, ..PolicyOptions::default() });
+        match output {
+            "several" => assert_eq!(facts.unwrap().outputs[0].role, OutputRole::Discrete(3)),
+            "normal" => assert_eq!(facts.unwrap().outputs[0].role, OutputRole::Continuous(3)),
+            _ => assert!(facts.unwrap_err().to_string().contains("nothing is the likeliest")),
+        }
+    }
+}
+
+#[test]
+fn numbers_that_are_constant_or_drawn_are_no_states() {
+    let file = File::default()
+        .input("obs", Float, &["1", "3"])
+        .input("goal", Float, &["1", "3"])
+        .constant("version", &[1, 3], &[1.0; 3])
+        .node("Add", &["obs", "goal"], "mean")
+        .node("RandomNormalLike", &["mean"], "noise")
+        .node("Add", &["mean", "noise"], "drawn")
+        .node("Identity", &["version"], "kept")
+        .output("mean")
+        .output("drawn")
+        .output("kept");
+    let outputs = vec!["mean".to_owned()];
+    let facts = file.read(&PolicyOptions { outputs, ..PolicyOptions::default() }).unwrap();
+    assert_eq!(facts.inputs.len(), 2);
 }

@@ -3,7 +3,9 @@
 mod entities;
 mod files;
 mod graphs;
+mod loops;
 mod outputs;
 mod plans;
+mod seldom;
 mod states;
 mod units;

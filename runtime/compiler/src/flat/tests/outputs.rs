@@ -2,20 +2,25 @@
 
 use sortie_plans::{OutputRole, ValueType};
 
-use crate::flat::outputs::{Kind, role, wanted};
+use crate::flat::outputs::{Kind, Told, role, wanted};
 use crate::flat::values::Value;
 
 fn value(name: &str, kind: ValueType, shape: &[usize]) -> Value {
     Value { name: name.to_owned(), kind: Some(kind), shape: Some(shape.to_vec()) }
 }
 
-/// The wanted ones of floats of these names; those that start with `!` are choices.
+/// The wanted ones of floats of these names; those that start with `!` are choices, with `?` drawn, with `=` constant.
 fn chosen(names: &[&str], asked: &[&str]) -> Result<Vec<String>, String> {
     let values: Vec<Value> =
         names.iter().map(|name| value(name, ValueType::F32, &[1, 5])).collect();
     let asked: Vec<String> = asked.iter().map(ToString::to_string).collect();
     let values: Vec<&Value> = values.iter().collect();
-    let found = wanted(&values, |value| value.name.starts_with('!'), &asked);
+    let told = |value: &Value| Told {
+        is_choice: value.name.starts_with('!'),
+        is_drawn: value.name.contains('?'),
+        is_constant: value.name.contains('='),
+    };
+    let found = wanted(&values, told, &asked);
     let found = found.map_err(|error| error.to_string())?;
     Ok(found.into_iter().map(|wanted| wanted.name).collect())
 }
@@ -30,6 +35,19 @@ fn a_choice_comes_before_names_and_names_before_the_only_output() {
     assert_eq!(chosen(&["mu", "log_std", "value"], &[]).unwrap(), ["mu"]);
     let drawn = ["continuous_actions", "deterministic_continuous_actions", "action_shape"];
     assert_eq!(chosen(&drawn, &[]).unwrap(), drawn[1..2]);
+    let both = ["!x", "deterministic_continuous_actions", "deterministic_discrete_actions"];
+    assert_eq!(chosen(&both, &[]).unwrap(), both[1..]);
+    assert_eq!(chosen(&["value", "continuous_actions"], &[]).unwrap(), ["continuous_actions"]);
+}
+
+#[test]
+fn what_is_drawn_or_never_changes_stands_back() {
+    assert_eq!(chosen(&["action?", "action_mean", "value"], &[]).unwrap(), ["action_mean"]);
+    assert_eq!(chosen(&["action?", "value"], &[]).unwrap(), ["action?"]);
+    assert_eq!(chosen(&["action=", "action", "="], &[]).unwrap(), ["action"]);
+    assert_eq!(chosen(&["action=", "x"], &["action="]).unwrap(), ["action="]);
+    assert_eq!(chosen(&["x", "x:likeliest"], &["x:likeliest"]).unwrap(), ["x:likeliest"]);
+    assert_eq!(chosen(&["x", "y"], &["x:likeliest"]).unwrap(), ["x"]);
 }
 
 #[test]

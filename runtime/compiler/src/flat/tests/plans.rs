@@ -60,6 +60,15 @@ fn functions_of_one_number() {
         ("Exp", vec![]),
         ("Abs", vec![]),
         ("Neg", vec![]),
+        ("Tan", vec![]),
+        ("Sinh", vec![]),
+        ("Cosh", vec![]),
+        ("Asinh", vec![]),
+        ("Atan", vec![]),
+        ("IsNaN", vec![]),
+        ("ReduceProd", vec![numbers("axes", &[2])]),
+        ("ReduceProd", vec![numbers("axes", &[0, 1]), number("keepdims", 0)]),
+        ("Trilu", vec![number("upper", 0)]),
         ("Identity", vec![]),
         ("Softmax", vec![number("axis", -1)]),
         ("Softmax", vec![number("axis", 1)]),
@@ -212,6 +221,7 @@ fn what_would_be_computed_otherwise_is_refused() {
         ("LSTM", number("input_forget", 1), "asks for input_forget,"),
         ("LSTM", text("direction", "reverse"), "asks for direction,"),
         ("Celu", float("alpha", 0.5), "asks for alpha = 0.5,"),
+        ("GlobalLpPool", number("p", 2), "asks for a root of its sums,"),
         ("BatchNormalization", number("training_mode", 1), "asks for the means of training,"),
     ] {
         let file = one(operator, vec![attribute]);
@@ -234,14 +244,14 @@ fn what_would_be_computed_otherwise_is_refused() {
 
 #[test]
 fn what_has_no_step_is_named() {
-    let file = one("Tan", vec![]);
+    let file = one("LRN", vec![number("size", 3)]);
     let refused = compiled(&file).unwrap_err();
     let CompileError::Unsupported { node, operator, shapes, .. } = &refused else {
         panic!("{refused}")
     };
     assert_eq!(
         (node.as_str(), operator.as_str(), shapes.as_str()),
-        ("q.node", "Tan", "f32 [1, 3, 4]")
+        ("q.node", "Lrn", "f32 [1, 3, 4]")
     );
 }
 

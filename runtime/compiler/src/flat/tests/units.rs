@@ -10,7 +10,7 @@ use super::plans::{compiled, float, number, numbers, steps};
 use crate::compile::compile_policy;
 
 /// Any numbers in [-1, 1], so many of them.
-fn some(count: usize) -> Vec<f32> {
+pub(super) fn some(count: usize) -> Vec<f32> {
     (0..count).map(|index| ((index * 37 + 11) % 64) as f32 / 32.0 - 1.0).collect()
 }
 

@@ -169,9 +169,8 @@ impl Lowering<'_> {
 
     /// Every so many parts of a value along one axis.
     pub(super) fn every(&mut self, node: &TypedNode, every: &Downsample) -> Lowered<()> {
+        let Ok(stride) = usize::try_from(every.stride) else { return self.moved(node, &[0]) };
         let (value, shape) = (self.operand(node, 0)?, self.shape(node, 0)?);
-        let stride = usize::try_from(every.stride);
-        let stride = stride.map_err(|_| self.unsupported(node, "it goes backwards"))?;
         let (steps, own) = (strides(&value.shape), strides(&shape));
         let step =
             |axis: usize| if axis == every.axis { steps[axis] * stride } else { steps[axis] };
@@ -209,9 +208,7 @@ impl Lowering<'_> {
 
     /// A value with constant numbers around it.
     pub(super) fn pad(&mut self, node: &TypedNode, pad: &Pad) -> Lowered<()> {
-        let PadMode::Constant(fill) = &pad.mode else {
-            return Err(self.unsupported(node, "plans have constant numbers around a value"));
-        };
+        let PadMode::Constant(fill) = &pad.mode else { return self.moved(node, &[0]) };
         let fill = numbers(fill);
         let fill = fill.ok_or_else(|| self.unsupported(node, "it is filled with no number"))?;
         let (value, shape) = (self.operand(node, 0)?, self.shape(node, 0)?);
@@ -245,7 +242,7 @@ impl Lowering<'_> {
     }
 
     /// A row of so many numbers for each index: 1 where the index says, else 0. Indices may count from the end.
-    fn hot(&mut self, node: &TypedNode, indices: Place, size: usize) -> Lowered<Place> {
+    pub(super) fn hot(&mut self, node: &TypedNode, indices: Place, size: usize) -> Lowered<Place> {
         let repeated = self.arena.place(indices.len as usize * size);
         let of = |size, from, to| Dimension { size, from, to };
         let dimensions = [of(indices.len as usize, 1, size), of(size, 0, 1)];

@@ -1,6 +1,6 @@
 //! Functions of numbers: of one value, of two, of a condition.
 
-use std::f32::consts::FRAC_1_SQRT_2;
+use std::f32::consts::{FRAC_1_SQRT_2, FRAC_PI_2};
 
 use sortie_core::internal::ops::{Combination, Function, Op, Place, Select};
 use tract_onnx::prelude::*;
@@ -63,6 +63,37 @@ impl Lowering<'_> {
                 let gate = self.map(Function::Clip, [0.0, 1.0], line);
                 self.combine(Combination::Multiply, from, gate)
             }
+            "Tan" => {
+                let sine = self.map(Function::Sine, [0.0; 2], from);
+                let cosine = self.map(Function::Cosine, [0.0; 2], from);
+                self.combine(Combination::Divide, sine, cosine)
+            }
+            "Sinh" => self.powers(from, -0.5),
+            "Cosh" => self.powers(from, 0.5),
+            "Asinh" => {
+                let size = self.map(Function::Absolute, [0.0; 2], from);
+                let place = self.logarithm_with_root(size, 1.0);
+                let sign = self.map(Function::Sign, [0.0; 2], from);
+                self.combine(Combination::Multiply, place, sign)
+            }
+            "Acosh" => self.logarithm_with_root(from, -1.0),
+            "Atanh" => {
+                let above = self.map(Function::Affine, [1.0, 1.0], from);
+                let below = self.map(Function::Affine, [-1.0, 1.0], from);
+                let ratio = self.combine(Combination::Divide, above, below);
+                let logarithm = self.map(Function::Ln, [0.0; 2], ratio);
+                self.map(Function::Affine, [0.5, 0.0], logarithm)
+            }
+            "Atan" => self.map(Function::ArcTangent, [0.0; 2], from),
+            "Asin" => self.arc_sine(from),
+            "Acos" => {
+                let sine = self.arc_sine(from);
+                self.map(Function::Affine, [-1.0, FRAC_PI_2], sine)
+            }
+            "IsNan" => {
+                let is_number = self.combine(Combination::Equal, from, from);
+                self.map(Function::Not, [0.0; 2], is_number)
+            }
             "Square" => self.combine(Combination::Multiply, from, from),
             "Rsqrt" => {
                 let root = self.map(Function::Sqrt, [0.0; 2], from);
@@ -73,20 +104,57 @@ impl Lowering<'_> {
         self.give(node, 0, to)
     }
 
+    /// eˣ / 2 and so many e⁻ˣ
+    fn powers(&mut self, x: Place, inverse: f32) -> Place {
+        let power = self.map(Function::Exp, [0.0; 2], x);
+        let one_over = self.map(Function::Reciprocal, [0.0; 2], power);
+        let (left, right) = (
+            self.map(Function::Affine, [0.5, 0.0], power),
+            self.map(Function::Affine, [inverse, 0.0], one_over),
+        );
+        self.combine(Combination::Add, left, right)
+    }
+
+    /// ln(x + √(x² + c))
+    fn logarithm_with_root(&mut self, x: Place, c: f32) -> Place {
+        let square = self.combine(Combination::Multiply, x, x);
+        let sum = self.map(Function::Affine, [1.0, c], square);
+        let root = self.map(Function::Sqrt, [0.0; 2], sum);
+        let sum = self.combine(Combination::Add, x, root);
+        self.map(Function::Ln, [0.0; 2], sum)
+    }
+
+    /// The arc tangent of x / √((1 - x) (1 + x))
+    fn arc_sine(&mut self, x: Place) -> Place {
+        let above = self.map(Function::Affine, [1.0, 1.0], x);
+        let below = self.map(Function::Affine, [-1.0, 1.0], x);
+        let square = self.combine(Combination::Multiply, above, below);
+        let root = self.map(Function::Sqrt, [0.0; 2], square);
+        let tangent = self.combine(Combination::Divide, x, root);
+        self.map(Function::ArcTangent, [0.0; 2], tangent)
+    }
+
     /// x (a y + b)
     fn times_line(&mut self, x: Place, y: Place, line: [f32; 2]) -> Place {
         let factor = self.map(Function::Affine, line, y);
         self.combine(Combination::Multiply, x, factor)
     }
 
-    /// A power whose exponent is a small multiple of a half.
+    /// A power: products and a root where the exponent is a small multiple of a half, else e to the logarithm times it.
     fn power(&mut self, node: &TypedNode, x: Place, exponent: f32) -> Lowered<Place> {
         const MOST: f32 = 8.0;
         let (whole, size) = (exponent.abs().floor(), exponent.abs());
-        if !(size == whole || size == whole + 0.5) || size > MOST || size == 0.0 {
-            return Err(
-                self.unsupported(node, "plans have powers of whole and half numbers up to 8")
-            );
+        if size == 0.0 {
+            return Err(self.unsupported(node, "it is 1 whatever goes in"));
+        }
+        if !(size == whole || size == whole + 0.5) || size > MOST {
+            let logarithm = self.map(Function::Ln, [0.0; 2], x);
+            let product = self.map(Function::Affine, [exponent, 0.0], logarithm);
+            let power = self.map(Function::Exp, [0.0; 2], product);
+            // Below zero there is none, which the exponential does not say.
+            let root = self.map(Function::Sqrt, [0.0; 2], x);
+            let zero = self.map(Function::Affine, [0.0, 0.0], root);
+            return Ok(self.combine(Combination::Add, power, zero));
         }
         let mut power = (size != whole).then(|| self.map(Function::Sqrt, [0.0; 2], x));
         for _ in 0..whole as usize {
@@ -125,8 +193,18 @@ impl Lowering<'_> {
     pub(super) fn binary(&mut self, node: &TypedNode, name: &str) -> Lowered<()> {
         let (left, right) = (self.outlet(node, 0)?, self.outlet(node, 1)?);
         let is_whole = |fact: &TypedFact| !fact.datum_type.is_float();
-        if name == "Div" && self.model.outlet_fact(left).is_ok_and(is_whole) {
-            return Err(self.unsupported(node, "plans do not divide whole numbers"));
+        let is_whole = self.model.outlet_fact(left).is_ok_and(is_whole);
+        if name == "Rem" || name == "Div" && is_whole {
+            let shape = self.shape(node, 0)?;
+            let (left, right) =
+                (self.broadcast(node, 0, &shape)?, self.broadcast(node, 1, &shape)?);
+            let quotient = self.combine(Combination::Divide, left, right);
+            let mut to = self.truncated(quotient);
+            if name == "Rem" {
+                let whole = self.combine(Combination::Multiply, to, right);
+                to = self.combine(Combination::Subtract, left, whole);
+            }
+            return self.give(node, 0, to);
         }
         if let Some(constant) = self.uniform(right)
             && let Some(place) = self.with_number(node, name, constant)?
@@ -196,6 +274,12 @@ impl Lowering<'_> {
             "Max" if n == 0.0 => (Function::Relu, [0.0; 2]),
             "Max" => (Function::Clip, [n, f32::INFINITY]),
             "Min" => (Function::Clip, [f32::NEG_INFINITY, n]),
+            "Pow" if n > 0.0 => {
+                let shape = self.shape(node, 0)?;
+                let from = self.broadcast(node, 1, &shape)?;
+                let exponent = self.map(Function::Affine, [n.ln(), 0.0], from);
+                return Ok(Some(self.map(Function::Exp, [0.0; 2], exponent)));
+            }
             _ => return Ok(None),
         };
         let shape = self.shape(node, 0)?;

@@ -7,15 +7,17 @@ mod arrange;
 mod cells;
 mod convolve;
 mod elementwise;
+mod moved;
 mod nearest;
 mod pools;
 mod products;
+mod ranked;
 mod rows;
 mod tidy;
 mod values;
 mod weights;
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 
 use sortie_core::internal::kernels::mark::MARKED;
 use sortie_core::internal::kernels::product::padded;
@@ -28,7 +30,8 @@ use sortie_core::plan::{OPS, Profile, ProgramDraft};
 use sortie_plans::{CompileError, InputRole, OutputRole};
 use tract_onnx::prelude::*;
 use tract_onnx::tract_core::ops::array::{
-    Gather, MultiBroadcastTo, OneHot, Pad, Slice, TypedConcat,
+    CumSum, Gather, GatherElements, GatherNd, MultiBroadcastTo, OneHot, Pad, ScatterElements,
+    ScatterNd, ScatterReduction, Slice, Tile, Topk, Trilu, TypedConcat,
 };
 use tract_onnx::tract_core::ops::binary::TypedBinOp;
 use tract_onnx::tract_core::ops::cast::Cast;
@@ -41,14 +44,14 @@ use tract_onnx::tract_core::ops::gru_cell::GruEpilogue;
 use tract_onnx::tract_core::ops::konst::Const;
 use tract_onnx::tract_core::ops::logic::Iff;
 use tract_onnx::tract_core::ops::lstm_cell::LstmEpilogue;
-use tract_onnx::tract_core::ops::nn::{Reduce, RmsNorm, Softmax};
+use tract_onnx::tract_core::ops::nn::{NearestUpsample, Reduce, RmsNorm, Softmax};
 use tract_onnx::tract_core::ops::source::TypedSource;
 
 use super::agent::{Arena, at_most};
 use crate::flat::FlatGraph;
 use nearest::nearest;
 use values::Values;
-use weights::PolicyWeights;
+use weights::{PolicyWeights, StoredLayer};
 
 /// Floats behind the last value.
 const PADDING: u32 = 16;
@@ -112,6 +115,8 @@ struct Lowering<'m> {
     /// The next states, whose places are not known before the end.
     states: Vec<usize>,
     longest_sparse: usize,
+    /// The layers among the weights, by what they are.
+    layers: HashMap<[u8; 32], StoredLayer>,
 }
 
 type Lowered<T> = Result<T, CompileError>;
@@ -126,6 +131,7 @@ impl<'m> Lowering<'m> {
             values: Values::default(),
             states: Vec::new(),
             longest_sparse: 0,
+            layers: HashMap::new(),
         }
     }
 
@@ -219,6 +225,41 @@ impl<'m> Lowering<'m> {
         if op.is::<MultiBroadcastTo>() {
             let input = self.broadcast(node, 0, &self.shape(node, 0)?)?;
             return self.give(node, 0, input);
+        }
+        self.seldom(node)
+    }
+
+    /// Operators that few policies have.
+    fn seldom(&mut self, node: &TypedNode) -> Lowered<()> {
+        let op = &node.op;
+        if let Some(top) = op.downcast_ref::<Topk>() {
+            return self.largest_of_rows(node, top);
+        }
+        if let Some(sum) = op.downcast_ref::<CumSum>() {
+            return self.running_sum(node, sum);
+        }
+        let is_known = |slot: usize| {
+            node.inputs.get(slot).is_some_and(|outlet| self.constant(*outlet).is_some())
+        };
+        if let Some(gather) = op.downcast_ref::<GatherElements>().filter(|_| !is_known(1)) {
+            return self.picked(node, gather.axis);
+        }
+        if let Some(gather) = op.downcast_ref::<GatherNd>().filter(|_| !is_known(1)) {
+            return self.picked_behind(node, gather.batch_dims);
+        }
+        if op.is::<Tile>()
+            || op.is::<Trilu>()
+            || op.is::<NearestUpsample>()
+            || op.is::<GatherElements>()
+            || op.is::<GatherNd>()
+        {
+            return self.moved(node, &[0]);
+        }
+        let scatters = op.downcast_ref::<ScatterNd>().map(|scatter| &scatter.reduction);
+        let scatters = scatters
+            .or_else(|| op.downcast_ref::<ScatterElements>().map(|scatter| &scatter.reduction));
+        if scatters == Some(&ScatterReduction::None) {
+            return self.moved(node, &[0, 2]);
         }
         Err(self.unsupported(node, nearest(&node.op.name())))
     }

@@ -3,15 +3,14 @@
 /// The hint of the error that names such a node.
 pub(super) fn nearest(operator: &str) -> &'static str {
     match operator {
-        "GatherElements" | "GatherNd" | "Compress" => {
-            "it has no step, the nearest that has is Gather along one axis"
+        "Compress" => "it has no step, the nearest that has is Gather along one axis",
+        "ScatterElements" | "ScatterNd" => {
+            "plans put numbers at constant places and add nothing to what stands there"
         }
-        "Scan" | "ScanLoop" | "If" => {
-            "loops and branches have no step, the nearest that has is a GRU or LSTM cell of one step, its state an input and an output"
+        "Scan" | "GruSeq" => {
+            "a loop becomes steps where it is known how often it turns, at most 128 times"
         }
-        "Topk" | "Sort" => {
-            "it has no step, the nearest that has is an ArgMax that gives the action"
-        }
+        "Sort" => "it has no step, the nearest that has is TopK of at most 16 numbers",
         "ConvTranspose" | "DeconvSum" | "Deconv" => "it has no step, the nearest that has is Conv",
         _ => "it has no step, docs/operators.md lists what has",
     }

@@ -1,5 +1,6 @@
 //! Products: layers where one side is constant, and those of two values.
 
+use sortie_bundle::sha256;
 use sortie_core::internal::kernels::product::padded;
 use sortie_core::internal::ops::{Multiply, Op, Place};
 use tract_onnx::prelude::*;
@@ -8,9 +9,10 @@ use tract_onnx::tract_core::ops::einsum::EinSum;
 
 use super::arrange::{Dimension, strides};
 use super::values::{Value, numbers};
+use super::weights::StoredLayer;
 use super::{Lowered, Lowering};
 use crate::lower::agent::at_most;
-use crate::matching::{Layer, as_matrix};
+use crate::matching::{Layer, Matrix, as_matrix};
 
 /// Which side of a product has an axis that is longer than one.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -81,7 +83,7 @@ impl<'m> Lowering<'m> {
         if sparse_input {
             self.longest_sparse = self.longest_sparse.max(inputs);
         }
-        let stored = self.weights.add_layer(&layer, sparse_input, &mut self.arena);
+        let stored = self.stored_layer(&layer, sparse_input);
         self.ops.extend(stored.ops(rows, from, to));
         let to = Place { len: (rows * outputs) as u32, ..to };
         if rows == 1 {
@@ -96,6 +98,21 @@ impl<'m> Lowering<'m> {
         columns.sort_by_key(|axis| axis.out);
         behind.extend(columns);
         self.result(node, to, &behind)
+    }
+
+    /// Adds a layer to the weights; one that stands there already, as in every turn of a loop, stands there once.
+    fn stored_layer(&mut self, layer: &Layer, sparse_input: bool) -> StoredLayer {
+        let Matrix { inputs, outputs, values } = &layer.matrix;
+        let sizes = [*inputs, *outputs, usize::from(layer.relu), usize::from(sparse_input)];
+        let numbers = values.iter().chain(&layer.bias).flat_map(|number| number.to_le_bytes());
+        let bytes: Vec<u8> = sizes.iter().flat_map(|n| n.to_le_bytes()).chain(numbers).collect();
+        let key = sha256(&bytes);
+        if let Some(stored) = self.layers.get(&key) {
+            return *stored;
+        }
+        let stored = self.weights.add_layer(layer, sparse_input, &mut self.arena);
+        self.layers.insert(key, stored);
+        stored
     }
 
     /// Takes the bias and the ReLU behind a product into its layer, where nothing else reads what is between.

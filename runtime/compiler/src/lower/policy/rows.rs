@@ -29,6 +29,10 @@ impl Lowering<'_> {
 
     pub(super) fn reduce(&mut self, node: &TypedNode, op: &nn::Reduce) -> Lowered<()> {
         let value = self.operand(node, 0)?;
+        if op.reducer == Reducer::Prod {
+            let place = self.product_of_rows(node, &value, &op.axes)?;
+            return self.give(node, 0, place);
+        }
         let (order, columns) = rows(&value.shape, &op.axes);
         let from = self.permuted(node, &value, &order)?;
         let place = match op.reducer {
@@ -79,7 +83,7 @@ impl Lowering<'_> {
     }
 
     /// Rows whose axes were put behind each other, in the value's own order.
-    fn restored(
+    pub(super) fn restored(
         &mut self,
         node: &TypedNode,
         place: Place,
@@ -101,7 +105,7 @@ impl Lowering<'_> {
 }
 
 /// The axes with those of a row last, and the numbers of a row.
-fn rows(shape: &[usize], axes: &[usize]) -> (Vec<usize>, usize) {
+pub(super) fn rows(shape: &[usize], axes: &[usize]) -> (Vec<usize>, usize) {
     let is_column = |axis: &usize| axes.contains(axis);
     let others = (0..shape.len()).filter(|axis| !is_column(axis));
     let order: Vec<usize> = others.chain((0..shape.len()).filter(is_column)).collect();

@@ -1,0 +1,149 @@
+//! Operators that few policies have: each is compiled alone, and compiling proves it against tract on 256 inputs.
+
+use tract_onnx::pb::AttributeProto;
+use tract_onnx::pb::tensor_proto::DataType::{Float, Int64};
+
+use super::files::File;
+use super::plans::{compiled, number, steps};
+
+fn picture() -> File {
+    File::default().input("x", Float, &["1", "3", "4"])
+}
+
+fn compiles(what: &str, file: File) {
+    let compiled = compiled(&file);
+    assert!(compiled.is_ok(), "{what}: {}", compiled.unwrap_err());
+}
+
+#[test]
+fn functions_of_a_part_of_all_numbers() {
+    for operator in ["Asin", "Acos", "Atanh"] {
+        let file = picture().node("Tanh", &["x"], "small").node(operator, &["small"], "q");
+        compiles(operator, file.output("q"));
+    }
+    let positive = || picture().node("Abs", &["x"], "size").constant("one", &[], &[1.5]);
+    let above = || positive().node("Add", &["size", "one"], "above");
+    compiles("Acosh", above().node("Acosh", &["above"], "q").output("q"));
+    for exponent in [0.3, -1.7, 9.0] {
+        let file = above().constant("n", &[], &[exponent]).node("Pow", &["above", "n"], "q");
+        compiles("Pow", file.output("q"));
+    }
+    // Powers of numbers below zero are none.
+    let file = picture().constant("n", &[], &[0.3]).node("Pow", &["x", "n"], "q");
+    compiles("Pow", file.output("q"));
+    compiles("Pow", above().node("Pow", &["one", "x"], "q").output("q"));
+}
+
+#[test]
+fn whole_numbers_are_divided_and_have_remainders() {
+    for (operator, divisor) in [("Div", 3), ("Mod", 3), ("Div", -2), ("Mod", -2)] {
+        let file = File::default()
+            .input("n", Int64, &["1", "4"])
+            .whole("by", &[divisor])
+            .node(operator, &["n", "by"], "parts")
+            .node_with("Cast", &["parts"], "q", vec![number("to", Float as i64)]);
+        compiles(operator, file.output("q"));
+    }
+    let file = picture().constant("by", &[], &[0.7]);
+    let file = file.node_with("Mod", &["x", "by"], "q", vec![number("fmod", 1)]);
+    compiles("Mod", file.output("q"));
+}
+
+#[test]
+fn the_largest_of_a_row_come_one_after_the_other() {
+    for (count, axis, largest) in [(1, 2, 1), (3, 2, 1), (2, 1, 0), (4, -1, 0)] {
+        for output in ["numbers", "places"] {
+            let attributes = vec![number("axis", axis), number("largest", largest)];
+            let file = picture()
+                .whole("count", &[count])
+                .nodes("TopK", &["x", "count"], &["numbers", "places"], attributes)
+                .node_with("Cast", &[output], "q", vec![number("to", Float as i64)]);
+            compiles(output, file.output("q"));
+        }
+    }
+    let many = File::default().input("x", Float, &["1", "20"]).whole("count", &[17]).nodes(
+        "TopK",
+        &["x", "count"],
+        &["q", "places"],
+        vec![],
+    );
+    let refused = compiled(&many.output("q")).unwrap_err().to_string();
+    assert!(refused.contains("at most 16"), "{refused}");
+}
+
+#[test]
+fn running_sums_go_both_ways() {
+    for (axis, exclusive, reverse) in [(2, 0, 0), (2, 1, 0), (2, 0, 1), (1, 1, 1)] {
+        let attributes = vec![number("exclusive", exclusive), number("reverse", reverse)];
+        let mut file = picture().whole("axis", &[axis]);
+        file.0.initializer[0].dims.clear();
+        let file = file.node_with("CumSum", &["x", "axis"], "q", attributes);
+        compiles("CumSum", file.output("q"));
+    }
+}
+
+#[test]
+fn numbers_move_to_places_that_are_constant() {
+    let text =
+        |name: &str, text: &str| AttributeProto { s: text.into(), r#type: 3, ..number(name, 0) };
+    let constant = |name: &str, sizes: &[usize], places: &[i64]| {
+        let mut file = picture().whole(name, places);
+        let sizes = sizes.iter().map(|size| *size as i64).collect();
+        file.0.initializer.last_mut().unwrap().dims = sizes;
+        file
+    };
+    for mode in ["edge", "reflect"] {
+        let file = picture().whole("pads", &[0, 1, 2, 0, 1, 3]);
+        let file = file.node_with("Pad", &["x", "pads"], "q", vec![text("mode", mode)]);
+        assert!(steps(&file.output("q")).contains(&"Arrange"), "{mode}");
+    }
+    compiles(
+        "Tile",
+        picture().whole("times", &[1, 2, 3]).node("Tile", &["x", "times"], "q").output("q"),
+    );
+    let backwards = picture()
+        .whole("start", &[-1])
+        .whole("end", &[-9])
+        .whole("axis", &[2])
+        .whole("step", &[-1]);
+    compiles(
+        "Slice",
+        backwards.node("Slice", &["x", "start", "end", "axis", "step"], "q").output("q"),
+    );
+    let file = constant("places", &[1, 3, 2], &[0, -1, 2, 2, 1, 3]);
+    let file = file.node_with("GatherElements", &["x", "places"], "q", vec![number("axis", 2)]);
+    compiles("GatherElements", file.output("q"));
+    let file = constant("places", &[2, 2], &[0, 1, 0, 2]);
+    compiles("GatherND", file.node("GatherND", &["x", "places"], "q").output("q"));
+    let file = constant("places", &[1, 2], &[0, 1]).input("new", Float, &["1", "4"]);
+    compiles("ScatterND", file.node("ScatterND", &["x", "places", "new"], "q").output("q"));
+    let file = constant("places", &[1, 1, 2], &[3, 1]).input("new", Float, &["1", "1", "2"]);
+    let file =
+        file.node_with("ScatterElements", &["x", "places", "new"], "q", vec![number("axis", 2)]);
+    compiles("ScatterElements", file.output("q"));
+    let file = File::default()
+        .input("x", Float, &["1", "2", "3", "3"])
+        .constant("scales", &[4], &[1.0, 1.0, 2.0, 2.0])
+        .node_with("Resize", &["x", "", "scales"], "q", vec![text("mode", "nearest")]);
+    compiles("Resize", file.output("q"));
+}
+
+#[test]
+fn computed_places_choose_one_number_of_every_row() {
+    let chosen = |keep: i64| {
+        let attributes = vec![number("axis", -1), number("keepdims", keep)];
+        picture().input("y", Float, &["1", "3", "4"]).node_with(
+            "ArgMax",
+            &["x"],
+            "best",
+            attributes,
+        )
+    };
+    let file = chosen(1).node_with("GatherElements", &["y", "best"], "q", vec![number("axis", 2)]);
+    compiles("GatherElements", file.output("q"));
+    let file = chosen(1).node_with("GatherND", &["y", "best"], "q", vec![number("batch_dims", 2)]);
+    compiles("GatherND", file.output("q"));
+    let file = chosen(1).node_with("GatherElements", &["y", "best"], "q", vec![number("axis", 1)]);
+    let refused = compiled(&file.output("q")).unwrap_err().to_string();
+    assert!(refused.contains("some rows only"), "{refused}");
+}
