@@ -1,7 +1,12 @@
 //! What a file asks for and tract passes over: such a policy would be computed, and proved, as another one.
 
 use sortie_plans::CompileError;
-use tract_onnx::pb::{AttributeProto, GraphProto, NodeProto};
+use tract_onnx::pb::{AttributeProto, GraphProto, ModelProto, NodeProto};
+use tract_onnx::prelude::*;
+
+use super::nodes::cut;
+use super::values::reader;
+use crate::graph::guarded;
 
 /// The functions of recurrent units, which are the only ones that are read.
 const UNITS: [(&str, &[&str]); 3] =
@@ -19,6 +24,45 @@ pub(super) fn refuse(graph: &GraphProto) -> Result<(), CompileError> {
         }
     }
     Ok(())
+}
+
+/// Refuses recurrent units that are told how long their histories are, unless that is all there is.
+pub(super) fn refuse_lengths(file: &ModelProto) -> Result<(), CompileError> {
+    let nodes = file.graph.as_ref().map_or(&[][..], |graph| &graph.node);
+    for node in nodes {
+        let is_unit = UNITS.iter().any(|(unit, _)| *unit == node.op_type);
+        let given = [node.input.first(), node.input.get(4).filter(|name| !name.is_empty())];
+        if let ([Some(history), Some(lengths)], true) = (given, is_unit)
+            && guarded(|| is_whole(file, node, [history, lengths])) != Ok(true)
+        {
+            let (node, operator) = (node.name.clone(), node.op_type.clone());
+            let what = "sequence_lens that may leave out a part of the history".to_owned();
+            return Err(CompileError::PassedOver { node, operator, what });
+        }
+    }
+    Ok(())
+}
+
+/// Whether the lengths are constant and those of the history.
+fn is_whole(file: &ModelProto, node: &NodeProto, names: [&String; 2]) -> TractResult<bool> {
+    // An output that is an input as well would lose its sizes.
+    let behind = names.map(|name| format!("{name}.behind"));
+    let mut file = file.clone();
+    let nodes = names.iter().zip(&behind).map(|(name, behind)| NodeProto {
+        op_type: "Identity".into(),
+        input: vec![(*name).clone()],
+        output: vec![behind.clone()],
+        ..Default::default()
+    });
+    file.graph.get_or_insert_default().node.extend(nodes);
+    let model =
+        reader().model_for_proto_model(&cut(&file, &behind))?.into_typed()?.into_decluttered()?;
+    let batch_first = node.attribute.iter().any(|a| a.name == "layout" && a.i == 1);
+    let turns = model.output_fact(0)?.shape[usize::from(batch_first)].to_i64()?;
+    let Some(lengths) = model.output_fact(1)?.konst.clone() else { return Ok(false) };
+    let lengths = lengths.cast_to::<i64>()?;
+    let lengths = lengths.to_plain_array_view::<i64>()?;
+    Ok(lengths.iter().all(|length| *length == turns))
 }
 
 fn passed_over(node: &NodeProto) -> Option<String> {

@@ -47,6 +47,7 @@ impl FlatGraph {
         let outputs = selection.outputs();
         let file = cut(&file, &outputs);
         file.graph.as_ref().map_or(Ok(()), misread::refuse)?;
+        misread::refuse_lengths(&file)?;
         let read = || {
             let model = reader().model_for_proto_model(&file)?.into_typed()?;
             unrolled::unrolled(model)?.into_decluttered()

@@ -114,7 +114,7 @@ fn is_of_actions(name: &str) -> bool {
 
 /// Whether a name in small letters is one of actions, of their values or of what they are drawn around.
 fn is_like_actions(name: &str) -> bool {
-    name == "mu" || ["action", "q", "logits"].iter().any(|start| name.starts_with(start))
+    name == "mu" || ["action", "q", "logits", "policy"].iter().any(|start| name.starts_with(start))
 }
 
 /// What the numbers of an output are: as it is said, else by its name, else discrete where there is a mask for them.

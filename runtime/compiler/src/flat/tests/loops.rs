@@ -1,7 +1,7 @@
 //! Loops and branches: laid open they are steps like others. Compiling proves each against tract on 256 inputs.
 
 use sortie_plans::PolicyOptions;
-use tract_onnx::pb::tensor_proto::DataType::{Bool, Float};
+use tract_onnx::pb::tensor_proto::DataType::{Bool, Float, Int32};
 use tract_onnx::pb::{AttributeProto, GraphProto};
 
 use super::files::File;
@@ -40,6 +40,31 @@ fn units_over_a_history_are_cells_one_behind_the_other() {
                 assert!(cells >= turns, "{operator} {turns} {sides} {output}: {found:?}");
             }
         }
+    }
+}
+
+#[test]
+fn lengths_of_a_history_are_all_of_it_or_refused() {
+    let of = |lengths: &[i64], is_given: bool| {
+        let mut file = history("GRU", 3, 6, 1);
+        file = match is_given {
+            true => file.input("lengths", Int32, &["1"]),
+            false => file.whole("whole", lengths).node_with(
+                "Cast",
+                &["whole"],
+                "lengths",
+                vec![number("to", Int32 as i64)],
+            ),
+        };
+        let unit = file.0.node.iter_mut().find(|node| node.op_type == "GRU").unwrap();
+        unit.input.push("lengths".to_owned());
+        file.0.node.rotate_left(1);
+        compiled(&file.node("Relu", &["last"], "q").output("q"))
+    };
+    assert!(of(&[6], false).is_ok());
+    for refused in [of(&[5], false), of(&[], true)] {
+        let refused = refused.unwrap_err().to_string();
+        assert!(refused.contains("sequence_lens"), "{refused}");
     }
 }
 

@@ -28,7 +28,7 @@ fn chosen(names: &[&str], asked: &[&str]) -> Result<Vec<String>, String> {
 #[test]
 fn a_choice_comes_before_names_and_names_before_the_only_output() {
     assert_eq!(chosen(&["action", "!x", "q"], &[]).unwrap(), ["!x"]);
-    for name in ["action", "Actions", "q", "q_values", "logits"] {
+    for name in ["action", "Actions", "q", "q_values", "logits", "policy"] {
         assert_eq!(chosen(&["value", name, "log_prob"], &[]).unwrap(), [name]);
     }
     assert_eq!(chosen(&["29"], &[]).unwrap(), ["29"]);

@@ -95,6 +95,18 @@ fn convolutions_of_all_kinds_are_one_step() {
         .node("Flatten", &["seen"], "q")
         .output("q");
     assert!(steps(&camera).contains(&"Convolve"));
+    // Pictures of a history, one behind the other.
+    let history = File::default()
+        .input("x", Float, &["1", "6", "7", "6"])
+        .whole("each", &[3, 2, 7, 6])
+        .whole("all", &[1, -1])
+        .constant("W", &kernel, &some(36))
+        .node("Reshape", &["x", "each"], "pictures")
+        .nodes("Conv", &["pictures", "W"], &["map"], vec![numbers("strides", &[2, 1])])
+        .nodes("MaxPool", &["map"], &["seen"], vec![numbers("kernel_shape", &[2, 2])])
+        .node("Reshape", &["seen", "all"], "q")
+        .output("q");
+    assert_eq!(steps(&history).iter().filter(|step| **step == "Convolve").count(), 3);
     let line = convolution(&["1", "4", "9"], &[5, 4, 3], vec![("strides", vec![2])]);
     assert!(steps(&line).contains(&"Convolve"));
     let grouped = File::default()

@@ -1,7 +1,7 @@
 //! Convolutions: a layer on every patch of a picture.
 
 use sortie_core::internal::kernels::product::padded;
-use sortie_core::internal::ops::{Convolve, Flag, Op, Place};
+use sortie_core::internal::ops::{Convolve, Flag, Linear, Op, Place};
 use tract_onnx::prelude::*;
 use tract_onnx::tract_core::ops::cnn::{Conv, KernelFormat, PoolSpec};
 use tract_onnx::tract_core::ops::nn::DataFormat;
@@ -15,6 +15,7 @@ use sortie_plans::CompileError;
 
 /// The patches of a picture, along both of its directions.
 pub(super) struct Patches {
+    pub(super) pictures: usize,
     pub(super) channels: usize,
     pub(super) size: [usize; 2],
     pub(super) kernel: [usize; 2],
@@ -43,19 +44,20 @@ impl Lowering<'_> {
         let channels = patches.channels / groups.len();
         let (outputs, inputs) = (conv.pool_spec.output_channels, channels * area(patches.kernel));
         at_most("the width of a layer", inputs, usize::from(u16::MAX) / 8)?;
-        let to = self.arena.place(outputs * area(patches.result));
+        let to = self.arena.place(patches.pictures * outputs * area(patches.result));
         let patch = self.arena.place(inputs);
         let point = self.arena.place(padded(outputs / groups.len()));
-        // Groups of channels stand behind each other, and know nothing of each other.
-        let parts = [value.place, to].map(|place| place.len / groups.len() as u32);
-        for (group, mut layer) in (0..).zip(groups) {
-            layer.relu = relu.is_some();
-            let part = |place: Place, len: u32| Place { offset: place.offset + group * len, len };
-            let PolicyWeights::Tiles(weights) = &mut self.weights else { return Ok(()) };
+        let PolicyWeights::Tiles(weights) = &mut self.weights else { return Ok(()) };
+        let layers: Vec<Linear> = groups.iter().map(|layer| weights.add_layer(layer)).collect();
+        // Pictures, and groups of their channels, stand behind each other and know nothing of each other.
+        let count = patches.pictures * layers.len();
+        let parts = [value.place, to].map(|place| place.len / count.max(1) as u32);
+        for (index, layer) in (0..count as u32).zip(layers.iter().cycle()) {
+            let part = |place: Place, len: u32| Place { offset: place.offset + index * len, len };
             let whole = |sizes: [usize; 2]| sizes.map(|size| size as u32);
             self.ops.push(Op::Convolve(Convolve {
-                layer: weights.add_layer(&layer),
-                relu: Flag::from(layer.relu),
+                layer: *layer,
+                relu: Flag::from(relu.is_some()),
                 channels: channels as u32,
                 size: whole(patches.size),
                 kernel: whole(patches.kernel),
@@ -104,8 +106,8 @@ impl Lowering<'_> {
             return Ok(place);
         }
         let [height, width] = patches.result;
-        let value = Value { place, shape: vec![channels, height, width] };
-        self.permuted(node, &value, &[1, 2, 0])
+        let value = Value { place, shape: vec![patches.pictures, channels, height, width] };
+        self.permuted(node, &value, &[0, 2, 3, 1])
     }
 
     /// The patches that a convolution or a pool works on; the picture has its channels first.
@@ -122,9 +124,8 @@ impl Lowering<'_> {
         };
         let shape = format.shape(value.shape.clone());
         let shape = shape.map_err(|_| self.unsupported(node, "its picture has other sizes"))?;
-        let is_one = shape.n().is_none_or(|batch| *batch == 1);
-        if !is_one || !(1..=2).contains(&shape.hw_rank()) {
-            let hint = "plans take one picture of one or two dimensions";
+        if !(1..=2).contains(&shape.hw_rank()) {
+            let hint = "plans take pictures of one or two dimensions";
             return Err(self.unsupported(node, hint));
         }
         let padding = spec.computed_padding(shape.hw_dims());
@@ -134,6 +135,7 @@ impl Lowering<'_> {
             _ => [of(0), of(1)],
         };
         Ok(Patches {
+            pictures: shape.n().copied().unwrap_or(1),
             channels: *shape.c(),
             size: both(&|axis| shape.hw_dims()[axis], 1),
             kernel: both(&|axis| spec.kernel_shape[axis], 1),

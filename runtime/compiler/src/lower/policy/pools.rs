@@ -47,7 +47,7 @@ impl Lowering<'_> {
             return self.map(Function::Affine, [1.0 / first, 0.0], sum);
         }
         let shares: Vec<f32> = counts.iter().map(|count| 1.0 / count.max(1.0)).collect();
-        let shares = self.stored(&shares.repeat(patches.channels));
+        let shares = self.stored(&shares.repeat(patches.pictures * patches.channels));
         self.combine(Combination::Multiply, sum, shares)
     }
 
@@ -61,7 +61,7 @@ impl Lowering<'_> {
         fill: f32,
     ) -> Lowered<Place> {
         let (from, [height, width]) = self.framed(node, patches, value, fill)?;
-        let channels = patches.channels;
+        let channels = patches.pictures * patches.channels;
         let ([rows, columns], [tall, wide]) = (patches.result, patches.kernel);
         let beside = self.arena.place(channels * height * columns * wide);
         let of = |size, from, to| Dimension { size, from, to };
@@ -101,14 +101,15 @@ impl Lowering<'_> {
             return Ok((value.place, framed));
         }
         let [above, left] = patches.before;
-        let to = self.arena.place(patches.channels * area(framed));
+        let channels = patches.pictures * patches.channels;
+        let to = self.arena.place(channels * area(framed));
         let of = |size, from, to| Dimension { size, from, to };
         let frame = self.stored(&[fill]);
         self.arrange(node, frame, to, &[of(to.len as usize, 0, 1)])?;
         let skipped = (above * framed[1] + left) as u32;
         let inner = Place { offset: to.offset + skipped, len: to.len - skipped };
         let dimensions = [
-            of(patches.channels, height * width, area(framed)),
+            of(channels, height * width, area(framed)),
             of(height, width, framed[1]),
             of(width, 1, 1),
         ];
