@@ -132,7 +132,7 @@ fn serve_graph(
         let message = "this is a plan; `--backend tract` runs the ONNX file that it was made of";
         return Err(within(Failure::new(Exit::Usage, message)));
     }
-    let options = arguments.foreign.options();
+    let options = arguments.foreign.options_for(&arguments.policy)?;
     let failed = |error| within(Failure::from(error));
     compiler().rehearse_policy(bytes, &options).map_err(failed)?;
     let policy = engines()?.tract().flat_policy(bytes, &options).map_err(failed)?;
@@ -188,8 +188,9 @@ fn plan_of(arguments: &ServeArguments, bytes: &[u8]) -> Result<AlignedBytes, Fai
         return Ok(AlignedBytes::copy_of(bytes));
     }
     check_program()?;
+    let roles = arguments.foreign.options_for(&arguments.policy)?;
     let options = CompileOptions { seed: arguments.common.seed, ..CompileOptions::default() };
-    let compiled = compiler().compile_policy(bytes, &arguments.foreign.options(), &options)?;
+    let compiled = compiler().compile_policy(bytes, &roles, &options)?;
     Ok(AlignedBytes::copy_of(&compiled.compiled.bytes))
 }
 

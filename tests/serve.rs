@@ -20,6 +20,8 @@ const SCATTERS: &str = "tests/golden/onnx-unplanned/scatters.onnx";
 const ENGINE: &str = "tract: allocates, no promise about bits or time";
 /// A recurrent network with scores of 9 actions.
 const RECURRENT: &str = "tests/golden/onnx-foreign/epymarl_rnn.classic.onnx";
+const RECURRENT_SHAPE: Expected<'_> =
+    Expected { inputs: &[("obs", 40)], outputs: &[("q", 9)], actions: 9 };
 
 fn serve(policy: &str, domain: &TestDomain) -> Child {
     serve_with(policy, domain, &[])
@@ -110,6 +112,29 @@ fn a_recurrent_policy_of_an_onnx_file_chooses_among_available_actions() {
     let summary = summary(server);
     assert_eq!((summary["answered"].as_u64(), summary["fallbacks"].as_u64()), (Some(60), Some(1)));
     assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
+}
+
+/// Scores of actions that are said to be numbers: nothing is chosen.
+#[test]
+fn what_stands_beside_a_policy_or_in_a_named_file_says_what_is_served() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let [onnx, beside, named] =
+        ["rnn.onnx", "rnn.toml", "other.toml"].map(|name| folder.path().join(name));
+    std::fs::copy(RECURRENT, &onnx).expect("a copy");
+    let [onnx, other] = [&onnx, &named].map(|path| path.display().to_string());
+    let cases: [(_, &[&str]); 2] =
+        [(beside, &[]), (named, &["--contract", &other, "--backend", "tract"])];
+    for (file, more) in cases {
+        std::fs::write(&file, "output = \"q:continuous\"\n").expect("a contract");
+        let domain = TestDomain::new("contract");
+        let server = serve_with(&onnx, &domain, more);
+        connect(&domain, &Expected { actions: 0, ..RECURRENT_SHAPE });
+        summary(server);
+        std::fs::remove_file(file).expect("it is there");
+    }
+    let domain = TestDomain::new("contract");
+    let missing = ["serve", &onnx, "--domain", &domain.id, "--contract", &other];
+    assert_fails(&output(&missing), 66, &["other.toml"]);
 }
 
 #[test]
