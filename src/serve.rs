@@ -39,6 +39,7 @@ const PLAN: &[u8] = b"SORTIEPL";
   sortie serve walking.plan
   sortie serve walking.plan --domain legs --deadline-ms 2 --fallback zero
   sortie serve walking.onnx --rt 50 --core 1 --json
+  sortie serve hunting.onnx --draw --seed 7
   sortie serve scatters.onnx --backend tract")]
 pub(crate) struct ServeArguments {
     /// A policy's plan, or its ONNX file, which is compiled first
@@ -57,6 +58,9 @@ pub(crate) struct ServeArguments {
     /// What robots do without an answer: `hold` the last, `zero`, or the number of an action
     #[arg(long, default_value_t = Fallback::Hold, value_name = "hold|zero|ACTION")]
     fallback: Fallback,
+    /// Draws actions from the softmax of their scores, by random numbers of `--seed`, instead of taking the best
+    #[arg(long)]
+    draw: bool,
     /// The core that it decides on
     #[arg(long, value_name = "CORE")]
     core: Option<usize>,
@@ -158,6 +162,7 @@ fn serve(
     let settings = ServeSettings {
         deadline: Duration::from_secs_f64(arguments.deadline_ms / 1000.0),
         fallback: arguments.fallback,
+        draw: arguments.draw.then_some(common.seed),
         linger: Some(Duration::from_micros(arguments.linger_us)),
         real_time: RealTime { priority: arguments.rt, core: arguments.core },
     };
@@ -167,6 +172,9 @@ fn serve(
         say!("{}: {taken}", policy.display());
         if arguments.backend == Backend::Tract {
             say!("by {ENGINE}");
+        }
+        if let Some(seed) = settings.draw {
+            say!("actions are drawn, seed {seed}");
         }
         say!("serving in domain `{}`; Ctrl-C ends it", domain.id());
     }

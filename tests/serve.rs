@@ -22,6 +22,8 @@ const ENGINE: &str = "tract: allocates, no promise about bits or time";
 const RECURRENT: &str = "tests/golden/onnx-foreign/epymarl_rnn.classic.onnx";
 const RECURRENT_SHAPE: Expected<'_> =
     Expected { inputs: &[("obs", 40)], outputs: &[("q", 9)], actions: 9 };
+/// Draws after which an action's share is near its probability.
+const DRAWS: usize = 1_000;
 
 fn serve(policy: &str, domain: &TestDomain) -> Child {
     serve_with(policy, domain, &[])
@@ -114,6 +116,43 @@ fn a_recurrent_policy_of_an_onnx_file_chooses_among_available_actions() {
     assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
 }
 
+#[test]
+fn actions_are_drawn_by_their_scores_and_a_seed() {
+    let drawn = |more: &[&str]| {
+        let domain = TestDomain::new("drawn");
+        let server = serve_with(RECURRENT, &domain, &[&["--draw"], more].concat());
+        let mut client = connect(&domain, &RECURRENT_SHAPE);
+        let mut available = [1; 9];
+        available[3] = 0;
+        let mut scores = [0.0; 9];
+        let mut decide = || {
+            client.begin_episode();
+            let action = client.decide(&[&[0.5; 40]], &available).expect("the policy's lengths");
+            assert_eq!(action.status, AnswerStatus::Answered);
+            scores.copy_from_slice(action.outputs);
+            action.action.expect("a choice")
+        };
+        let actions: Vec<u16> = (0..DRAWS).map(|_| decide()).collect();
+        let weights: Vec<f32> = scores
+            .iter()
+            .zip(available)
+            .map(|(score, code)| f32::from(code) * score.exp())
+            .collect();
+        let total: f32 = weights.iter().sum();
+        for (action, weight) in (0..).zip(weights) {
+            let count = actions.iter().filter(|drawn| **drawn == action).count();
+            let (got, want) = (count as f32 / DRAWS as f32, weight / total);
+            assert!((got - want).abs() <= 0.3 * want, "action {action}: {got}, not {want}");
+        }
+        drop(client);
+        summary(server);
+        actions
+    };
+    let actions = drawn(&["--seed", "7"]);
+    assert_eq!(actions, drawn(&["--seed", "7", "--backend", "tract"]));
+    assert_ne!(actions, drawn(&["--seed", "8"]));
+}
+
 /// Scores of actions that are said to be numbers: nothing is chosen.
 #[test]
 fn what_stands_beside_a_policy_or_in_a_named_file_says_what_is_served() {
@@ -147,6 +186,8 @@ fn what_cannot_be_served_is_refused() {
     assert_fails(&serve(&["README.md"]), 65, &["README.md"]);
     let fallback = serve(&[CART, "--fallback", "3"]);
     assert_fails(&fallback, 65, &["its fallback is `hold` or `zero`"]);
+    let draw = serve(&[CART, "--draw"]);
+    assert_fails(&draw, 65, &["it does not choose among actions: there is none to draw"]);
     let usage = serve(&[CART, "--fallback", "sleep"]);
     assert_eq!(usage.status.code(), Some(2));
     let usage = serve(&[CART, "--deadline-ms", "0"]);

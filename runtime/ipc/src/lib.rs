@@ -17,6 +17,7 @@ mod iox;
 mod policy;
 mod process_info;
 mod processes;
+mod random;
 mod real_time;
 mod registry;
 mod stop;

@@ -288,7 +288,7 @@ fn neither_end_of_a_served_policy_calls_the_heap() {
     let domain = Domain::new(&format!("served{}", std::process::id())).unwrap();
     let deadline = Duration::from_secs(3600);
     let (stop, fallback, real_time) = (Stop::new(), Fallback::Hold, RealTime::default());
-    let settings = ServeSettings { deadline, fallback, linger: None, real_time };
+    let settings = ServeSettings { deadline, fallback, draw: None, linger: None, real_time };
     std::thread::scope(|scope| {
         let server = scope.spawn(|| {
             let mut server = PolicyServer::open(&domain, schema, &settings).unwrap();

@@ -1,10 +1,11 @@
 //! What decides on what messages carry, with the memory that it needs.
 
-use sortie_core::choose::masked_argmax;
+use sortie_core::choose::{masked_argmax, masked_sample};
 use sortie_core::wire::Reason;
 
 use super::engine::Engine;
 use super::schema::{MOST_PORTS, PolicySchema};
+use crate::random::Random;
 
 /// An engine with the recurrent state of the policy that it runs.
 pub(super) struct Decider<'e> {
@@ -13,27 +14,36 @@ pub(super) struct Decider<'e> {
     outputs: Vec<usize>,
     actions: usize,
     states: Vec<f32>,
+    /// What actions are drawn with; `None` = the best is taken.
+    random: Option<Random>,
 }
 
 impl<'e> Decider<'e> {
-    pub(super) fn new(engine: &'e mut dyn Engine, schema: &PolicySchema) -> Self {
+    pub(super) fn new(
+        engine: &'e mut dyn Engine,
+        schema: &PolicySchema,
+        seed: Option<u64>,
+    ) -> Self {
         Self {
             engine,
             inputs: schema.inputs.iter().map(|port| port.length).collect(),
             outputs: schema.outputs.iter().map(|port| port.length).collect(),
             actions: schema.actions,
             states: vec![0.0; schema.states.iter().map(|state| state.length).sum()],
+            random: seed.map(Random::new),
         }
     }
 
     /// Brings near what decisions read and write, and forgets what that came to.
     pub(super) fn warm(&mut self) {
         self.engine.warm();
+        let unused = self.random.clone();
         let inputs = vec![0.0; self.inputs.iter().sum()];
         let mut outputs = vec![0.0; self.outputs.iter().sum()];
         // Zeros may be no observation that this policy decides on.
         let _ = self.decide(&inputs, &vec![1; self.actions], &mut outputs);
         self.forget();
+        self.random = unused;
     }
 
     /// Begins an episode.
@@ -67,7 +77,10 @@ impl<'e> Decider<'e> {
             return Ok(None);
         }
         let scores = outputs.get(..self.actions).ok_or(Reason::Length)?;
-        let decision = masked_argmax(scores, available).map_err(Reason::from)?;
-        Ok(Some(decision.action))
+        let decision = match &mut self.random {
+            None => masked_argmax(scores, available),
+            Some(random) => masked_sample(scores, available, (random.draw() >> 32) as u32),
+        };
+        Ok(Some(decision.map_err(Reason::from)?.action))
     }
 }

@@ -107,6 +107,15 @@ impl PolicySchema {
         Err(Error::NotServed { problem })
     }
 
+    /// Checks that there is something to draw where that is asked for.
+    pub(super) fn check_draw(&self, seed: Option<u64>) -> Result<(), Error> {
+        if seed.is_some() && self.actions == 0 {
+            let problem = "it does not choose among actions: there is none to draw".to_owned();
+            return Err(Error::NotServed { problem });
+        }
+        Ok(())
+    }
+
     /// FNV-1a over all lengths and names: each list as its count, then length, length of the name and name of each
     /// port, and at last the actions; numbers as little-endian `u32`.
     pub fn hash(&self) -> u64 {

@@ -29,6 +29,8 @@ pub struct ServeSettings {
     pub deadline: Duration,
     /// What is done where the policy does not answer.
     pub fallback: Fallback,
+    /// Draws actions from the softmax of their scores by numbers of this seed; `None` = takes the best.
+    pub draw: Option<u64>,
     /// How long waits linger before they sleep; `None` = 100 us.
     pub linger: Option<Duration>,
     /// What the deciding thread asks the system for.
@@ -52,14 +54,15 @@ impl PolicyServer {
     /// Takes the domain for a policy that takes and gives what `schema` says. Clients find it from now on.
     ///
     /// # Errors
-    /// Another process serves a policy in this domain, a client of another policy is in it, or shared memory cannot
-    /// be used.
+    /// The settings ask for a choice among actions where the policy has none, another process serves a policy in this
+    /// domain, a client of another policy is in it, or shared memory cannot be used.
     pub fn open(
         domain: &Domain,
         schema: PolicySchema,
         settings: &ServeSettings,
     ) -> Result<Self, Error> {
         schema.check_fallback(settings.fallback)?;
+        schema.check_draw(settings.draw)?;
         let format = schema.format()?;
         let membership = domain.enter()?;
         let lock = membership.take_end("policy.lock", "the policy", served_bytes(&format))?;
@@ -112,7 +115,7 @@ impl PolicyServer {
         stop: &Stop,
     ) -> Result<ServeCounters, Error> {
         let mut told = ServerPresence::new(engine, self.format.schema());
-        let mut decider = Decider::new(engine, &self.schema);
+        let mut decider = Decider::new(engine, &self.schema, self.settings.draw);
         decider.warm();
         self.settings.real_time.claim()?;
         stop.wakes(self.link.waker());

@@ -15,6 +15,7 @@ use super::team::AGENTS;
 use super::{StormReport, StormSettings};
 use crate::clock::MonotonicClock;
 use crate::domain::Domain;
+use crate::random::Random;
 use crate::stop::Stop;
 
 /// Ticks in a row that all have to answer before the next blow.
@@ -61,7 +62,7 @@ pub(super) struct Blows {
     calm: u32,
     runner_kills: u32,
     allocator_kills: u32,
-    random: u64,
+    random: Random,
     period: Duration,
     leader: Option<u32>,
     /// A lone leader that is killed leaves nobody who could take over.
@@ -99,7 +100,7 @@ impl Blows {
             calm: 0,
             runner_kills: settings.runner_kills,
             allocator_kills: settings.allocator_kills,
-            random: settings.seed,
+            random: Random::new(settings.seed),
             period: settings.period,
             leader: None,
             standby: None,
@@ -132,14 +133,6 @@ impl Blows {
         self.checks.found
     }
 
-    /// The next number of the splitmix64 generator.
-    fn draw(&mut self) -> u64 {
-        self.random = self.random.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mixed = (self.random ^ (self.random >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        mixed ^ (mixed >> 31)
-    }
-
     fn objects(&self) -> u64 {
         self.domain.shared_memory().map_or(0, |objects| objects.len() as u64)
     }
@@ -151,9 +144,9 @@ impl Blows {
             self.awaited = Awaited::CleanUp { ticks: 0 };
             return;
         }
-        let is_runner = self.draw() % left < u64::from(self.runner_kills);
-        let agent = (self.draw() % AGENTS as u64) as usize;
-        let pause = self.draw() % (self.period.as_nanos() as u64).max(1);
+        let is_runner = self.random.draw() % left < u64::from(self.runner_kills);
+        let agent = (self.random.draw() % AGENTS as u64) as usize;
+        let pause = self.random.draw() % (self.period.as_nanos() as u64).max(1);
         let pid = if is_runner {
             let Some(answer) = report.answers().nth(agent) else { return };
             self.runner_kills -= 1;

@@ -42,7 +42,13 @@ const PATIENT: ClientSettings = ClientSettings {
 const SHORT: Duration = Duration::from_millis(5);
 
 fn settings(fallback: Fallback) -> ServeSettings {
-    ServeSettings { deadline: SHORT, fallback, linger: None, real_time: RealTime::default() }
+    ServeSettings {
+        deadline: SHORT,
+        fallback,
+        draw: None,
+        linger: None,
+        real_time: RealTime::default(),
+    }
 }
 
 fn schema(plan: &[u8]) -> PolicySchema {
