@@ -71,3 +71,37 @@ fn a_team_that_is_up_does_what_it_is_told() {
     assert_fails(&over, 69, &["no world has started in domain"]);
     assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
 }
+
+#[test]
+fn processes_that_run_graphs_say_so() {
+    let domain = TestDomain::new("graphs");
+    let team = ["up", BUNDLE, "--domain", &domain.id, "--quiet", "--backend", "tract"];
+    let mut up = sortie(&team)
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("the command line starts");
+    let runs_graph = |process: &serde_json::Value| {
+        process["engine"] == "tract: allocates, no promise about bits or time"
+    };
+    await_info(&domain.id, |processes| {
+        let is_told =
+            |process: &serde_json::Value| runs_graph(process) == (process["role"] != "world");
+        ["world", "runner", "allocator"].iter().all(|role| {
+            let mut of_role =
+                processes.iter().filter(|process| process["role"] == *role).peekable();
+            of_role.peek().is_some() && of_role.all(is_told)
+        })
+    });
+    wait_until("the doctor hears it", || {
+        let told = output(&["doctor", "--domain", &domain.id]);
+        let told = String::from_utf8_lossy(&told.stdout).into_owned();
+        ["runner ", "allocator "].iter().all(|role| {
+            let mut lines = told.lines();
+            lines.any(|line| line.contains(role) && line.contains(", runs the graph: allocates"))
+        })
+    });
+    json(&["control", "shut-down", "--domain", &domain.id, "--json"]);
+    assert_eq!(up.wait().expect("its status").code(), Some(0));
+    assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
+}

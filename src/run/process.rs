@@ -86,9 +86,13 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
     };
     let mixes_teams = arguments.mix_teams;
     let contract = DomainContract { mixes_teams, ..domain_contract(&bundle, allocation) };
+    // Rules run none.
+    let runs_network =
+        arguments.role == Role::Runner || allocation == Some(AllocatorChoice::Learned);
     let limits = &bundle.manifest().limits;
     let settings = ProcessSettings {
         model: model_id(&bundle),
+        is_graph: arguments.backend == Backend::Tract && runs_network,
         entities_max: Some(limits.n_max.into()),
         tasks_max: Some(limits.t_max.into()),
         private: arguments.private,

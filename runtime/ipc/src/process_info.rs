@@ -32,7 +32,7 @@ pub struct ProcessInfo {
 impl ProcessInfo {
     /// A process that acts for nobody, leads nothing and has nothing to report.
     pub(crate) fn new(role: Role, identity: &Identity) -> Self {
-        let Identity { pid, model, .. } = *identity;
+        let Identity { pid, model, is_graph, .. } = *identity;
         Self {
             role,
             pid,
@@ -42,7 +42,7 @@ impl ProcessInfo {
             is_paused: false,
             is_degraded: false,
             serves: false,
-            is_graph: false,
+            is_graph,
         }
     }
 }

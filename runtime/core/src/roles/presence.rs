@@ -16,6 +16,8 @@ pub struct Identity {
     pub pid: u32,
     /// First 16 bytes of the model's id.
     pub model: [u8; 16],
+    /// Whether an engine runs its network's graph, see [`StatMsg::GRAPH`].
+    pub is_graph: bool,
     /// Build of the program.
     pub build: u32,
     /// Port name, zero padded.
@@ -29,7 +31,7 @@ impl Identity {
         for (to, from) in padded.iter_mut().zip(name.bytes()) {
             *to = from;
         }
-        Self { pid, model: [0; 16], build: 0, name: padded }
+        Self { pid, model: [0; 16], is_graph: false, build: 0, name: padded }
     }
 
     /// First 4 bytes of the model's id.
@@ -85,6 +87,7 @@ impl Presence {
         self.sent += 1;
         self.told_ns = now_ns;
         self.is_there = flags & StatMsg::BYE == 0;
+        let flags = if identity.is_graph { flags | StatMsg::GRAPH } else { flags };
         StatMsg {
             schema,
             seq: self.sent,
@@ -123,5 +126,12 @@ mod tests {
         assert!(presence.is_due(40 + STATUS_INTERVAL_NS));
         tell(&mut presence, StatMsg::BYE, 90);
         assert!(!presence.is_due(u64::MAX));
+        let graph = Identity { is_graph: true, ..identity };
+        let told = |identity: &Identity| {
+            let domain = (5, Role::Runner);
+            Presence::default().tell(identity, domain, &Counters::default(), StatMsg::HELLO, 40)
+        };
+        assert!(told(&graph).has(StatMsg::HELLO | StatMsg::GRAPH));
+        assert!(!told(&identity).has(StatMsg::GRAPH));
     }
 }

@@ -232,6 +232,14 @@ fn ticks(role: &str, status: &StatMsg, missed: u64) -> String {
     }
 }
 
+/// What runs its network, where that is no plan.
+fn engine(status: &StatMsg) -> &'static str {
+    match status.has(StatMsg::GRAPH) {
+        true => ", runs the graph: allocates, no promise about bits or time",
+        false => "",
+    }
+}
+
 fn examine_process(status: &StatMsg) -> Finding {
     let role = Role::from_number(status.role).map_or("process", Role::name);
     let is_allocator = status.role == Role::Allocator as u8;
@@ -243,8 +251,9 @@ fn examine_process(status: &StatMsg) -> Finding {
     };
     let missed = status.counters.get(MISSED_WAKE_UPS).copied().unwrap_or(0);
     let found = format!(
-        "{role} {}{leads}{model}{}, version {}",
+        "{role} {}{leads}{model}{}{}, version {}",
         status.pid,
+        engine(status),
         ticks(role, status, missed),
         version(status.build)
     );

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 use sortie_core::link::StatRx;
 use sortie_core::wire::StatMsg;
 
+use super::engine;
 use super::finding::{Finding, Severity};
 use crate::build::version;
 use crate::domain::{Membership, preflight};
@@ -96,15 +97,11 @@ fn examine_server(first: &StatMsg, last: &StatMsg) -> [Finding; 2] {
     let [answers, missed, late, fallbacks, refused] =
         [ANSWERS, MISSED, LATE, FALLBACKS, REFUSED].map(|index| count(last, index));
     let [a, b, c, d, ..] = last.model;
-    let engine = if last.has(StatMsg::GRAPH) {
-        ", runs the graph: allocates, no promise about bits or time"
-    } else {
-        ""
-    };
     let found = format!(
-        "process {}, model {a:02x}{b:02x}{c:02x}{d:02x}{engine}, {answers} answers, {late} late, {fallbacks} fallbacks, \
+        "process {}, model {a:02x}{b:02x}{c:02x}{d:02x}{}, {answers} answers, {late} late, {fallbacks} fallbacks, \
          {missed} missed, {refused} refused, version {}",
         last.pid,
+        engine(last),
         version(last.build)
     );
     let asked = since(ANSWERS) + since(MISSED) + since(REFUSED);

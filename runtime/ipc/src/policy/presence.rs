@@ -14,7 +14,6 @@ pub(super) struct ServerPresence {
     presence: Presence,
     identity: Identity,
     schema: u64,
-    is_graph: bool,
     /// Number of the newest observation, in its session.
     newest: u64,
     /// Of requests: what is counted of observations stands elsewhere.
@@ -24,12 +23,16 @@ pub(super) struct ServerPresence {
 
 impl ServerPresence {
     pub(super) fn new(engine: &dyn Engine, schema: u64) -> Self {
-        let identity = Identity::new(std::process::id(), "policy");
+        let identity = Identity {
+            model: engine.model(),
+            is_graph: engine.is_graph(),
+            build: BUILD,
+            ..Identity::new(std::process::id(), "policy")
+        };
         Self {
             presence: Presence::default(),
-            identity: Identity { model: engine.model(), build: BUILD, ..identity },
+            identity,
             schema,
-            is_graph: engine.is_graph(),
             newest: 0,
             counters: Counters::default(),
             is_over: false,
@@ -58,7 +61,6 @@ impl ServerPresence {
             restarts_seen: met.sessions.saturating_sub(1),
             ..self.counters
         };
-        let flags = if self.is_graph { flags | StatMsg::GRAPH } else { flags };
         let domain = (self.schema, Role::Runner);
         let told = self.presence.tell(&self.identity, domain, &counters, flags, now_ns);
         StatMsg { last_tick: self.newest, ..told }
@@ -75,8 +77,7 @@ impl Controlled for ServerPresence {
     }
 
     fn info(&self) -> ProcessInfo {
-        let is_graph = self.is_graph;
-        ProcessInfo { serves: true, is_graph, ..ProcessInfo::new(Role::Runner, &self.identity) }
+        ProcessInfo { serves: true, ..ProcessInfo::new(Role::Runner, &self.identity) }
     }
 
     fn counters_mut(&mut self) -> &mut Counters {

@@ -58,6 +58,8 @@ fn linger(stated: Option<Duration>, is_paced: bool) -> Duration {
 pub struct ProcessSettings {
     /// First 16 bytes of the model's id.
     pub model: [u8; 16],
+    /// Whether an engine runs the model's graph: it allocates, and promises nothing about bits or time.
+    pub is_graph: bool,
     /// Most entities that the model takes; `None` = any.
     pub entities_max: Option<usize>,
     /// Most subtasks that the model takes; `None` = any.
@@ -76,9 +78,12 @@ pub struct ProcessSettings {
 impl ProcessSettings {
     /// Who the process of port `name` is.
     fn identity(&self, name: &str) -> Identity {
-        let build = BUILD;
-        let new = Identity::new(std::process::id(), name);
-        Identity { model: self.model, build, ..new }
+        Identity {
+            model: self.model,
+            is_graph: self.is_graph,
+            build: BUILD,
+            ..Identity::new(std::process::id(), name)
+        }
     }
 
     fn check_limits(&self, shape: sortie_core::Shape) -> Result<(), Error> {
