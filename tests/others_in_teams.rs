@@ -4,9 +4,10 @@ mod support;
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::Stdio;
 
 use serde_json::Value;
-use support::{TestDomain, assert_fails, json, output};
+use support::{TestDomain, assert_fails, interrupt, json, output, sortie, wait_until};
 
 const FOLDER: &str = "tests/golden/onnx-team";
 const SET: &str = "group-matching/8x6x2";
@@ -74,6 +75,41 @@ fn a_recurrent_policy_plays_alike_in_processes_by_plan_and_by_tract() {
         assert_eq!(in_process[key], processes[key], "{key}");
         assert_eq!(in_process[key], tract[key], "{key}");
     }
+    assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
+}
+
+#[test]
+fn a_supervised_team_of_a_recurrent_policy_plays_as_one_in_a_single_process() {
+    let home = tempfile::tempdir().expect("a folder");
+    let bundle = export(home.path(), "ring_gru", &[]);
+    let in_process = play(&bundle, &["--in-process"]);
+    for more in [&["--isolate"][..], &["--private"], &["--backend", "tract"]] {
+        let domain = TestDomain::new("othersup");
+        let up = ["up", &bundle, "--domain", &domain.id, "--json", "--seed", "5", "--rate", "0"];
+        let played = json(&[&up[..], &["--episodes", "5"], more].concat());
+        for key in ["success", "return_mean", "groups_gathered", "decisions"] {
+            assert_eq!(in_process[key], played[key], "{key}, {more:?}");
+        }
+        assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
+    }
+}
+
+#[test]
+fn the_doctor_misses_no_allocator_where_nothing_is_allocated() {
+    let home = tempfile::tempdir().expect("a folder");
+    let bundle = export(home.path(), "ring_gru", &[]);
+    let domain = TestDomain::new("othersdoc");
+    let mut up = sortie(&["up", &bundle, "--domain", &domain.id, "--quiet", "--isolate"])
+        .stdout(Stdio::null())
+        .spawn()
+        .expect("the command line starts");
+    wait_until("the doctor finds nothing wrong", || {
+        let found = output(&["doctor", "--domain", &domain.id]);
+        let text = String::from_utf8_lossy(&found.stdout).into_owned();
+        found.status.success() && text.contains("none: there is nothing to allocate")
+    });
+    interrupt(&up);
+    assert_eq!(up.wait().expect("its status").code(), Some(130));
     assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
 }
 

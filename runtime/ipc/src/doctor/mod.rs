@@ -166,7 +166,7 @@ fn examine_team(
     });
     findings.extend(statuses.values().map(examine_process));
     findings.push(examine_seats(&statuses, format.layout.every_agent()));
-    findings.push(examine_allocators(&statuses));
+    findings.push(examine_allocators(&statuses, facts.has_allocation()));
     drop(watcher);
     findings.push(match dead_nodes(domain)? {
         0 => Finding::fine("dead nodes", "none"),
@@ -288,12 +288,15 @@ fn examine_seats(statuses: &BTreeMap<u32, StatMsg>, agents: u64) -> Finding {
     )
 }
 
-fn examine_allocators(statuses: &BTreeMap<u32, StatMsg>) -> Finding {
+fn examine_allocators(statuses: &BTreeMap<u32, StatMsg>, has_allocation: bool) -> Finding {
     let is_allocator = |status: &&StatMsg| status.role == Role::Allocator as u8;
     let allocators = statuses.values().filter(is_allocator).count();
     let leaders =
         statuses.values().filter(is_allocator).filter(|status| status.has(StatMsg::LEADER));
     match (leaders.count(), allocators) {
+        (0, 0) if !has_allocation => {
+            Finding::fine("allocator", "none: there is nothing to allocate")
+        }
         (0, _) => Finding::new(
             Severity::Problem,
             "allocator",

@@ -111,6 +111,11 @@ impl DomainFacts {
         self.private
     }
 
+    /// Whether the world says who allocates.
+    pub fn has_allocation(&self) -> bool {
+        self.allocation.is_some()
+    }
+
     /// Nanoseconds from frame to frame; 0 = as long as the team takes.
     pub fn period_ns(&self) -> u64 {
         self.period_ns
