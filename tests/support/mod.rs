@@ -61,7 +61,7 @@ pub(crate) struct TestDomain {
 }
 
 impl TestDomain {
-    /// Short, since the id stands twice in socket paths, which the system limits.
+    /// Short, so that paths have the id in them: the system limits those of sockets.
     pub(crate) fn new(name: &str) -> Self {
         Self { id: format!("{name}-{}", std::process::id() % 10_000) }
     }

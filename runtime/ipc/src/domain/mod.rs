@@ -9,6 +9,8 @@ pub(crate) mod preflight;
 use std::env;
 use std::path::{Path, PathBuf};
 
+use sortie_core::identity::fnv1a;
+
 pub use bell_kind::BellKind;
 pub use facts::{DomainContract, DomainFacts};
 pub(crate) use facts::{nanoseconds, read_file, write_file};
@@ -30,6 +32,8 @@ pub struct Domain {
     id: String,
     uid: u32,
     base: PathBuf,
+    /// Of all its shared-memory objects.
+    prefix: String,
 }
 
 impl Domain {
@@ -58,7 +62,22 @@ impl Domain {
             return Err(Error::DomainId(id.to_string()));
         }
         let uid = rustix::process::getuid().as_raw();
-        Ok(Self { id: id.to_string(), uid, base: parent.join(id) })
+        Ok(Self::of_user(uid, parent, id))
+    }
+
+    /// Paths and names have the id in them, or a number in its place where socket paths would be too long.
+    fn of_user(uid: u32, parent: &Path, id: &str) -> Self {
+        let named = |name: &str, prefix: String| {
+            let base = parent.join(name);
+            Self { id: id.to_string(), uid, base, prefix }
+        };
+        let plain = named(id, format!("sortie-{uid}-{id}-"));
+        if preflight::check_path_length(&plain).is_ok() {
+            return plain;
+        }
+        // No id has an underscore.
+        let short = format!("_{:010x}", fnv1a(format!("{uid}/{id}").as_bytes()) >> 24);
+        named(&short, format!("sortie-{short}-"))
     }
 
     /// The id.
@@ -77,19 +96,19 @@ impl Domain {
     }
 
     /// Prefix of all its shared-memory objects.
-    pub(crate) fn prefix(&self) -> String {
-        format!("sortie-{}-{}-", self.uid, self.id)
+    pub(crate) fn prefix(&self) -> &str {
+        &self.prefix
     }
 
     /// Name of the doorbell's shared-memory object.
     pub(crate) fn bell_object(&self) -> String {
-        self.prefix() + "bell"
+        format!("{}bell", self.prefix)
     }
 
     /// Whether a shared-memory object is this domain's: the prefix, and no further `-`, which
     /// would be part of a longer id.
     pub(crate) fn owns(&self, object: &str) -> bool {
-        object.strip_prefix(&self.prefix()).is_some_and(|rest| !rest.contains('-'))
+        object.strip_prefix(&self.prefix).is_some_and(|rest| !rest.contains('-'))
     }
 
     /// The directory above, if it is the one that this crate creates for a user's domains.
@@ -152,6 +171,23 @@ mod tests {
             assert!(matches!(refused, Err(Error::DomainId(_))), "{id}");
         }
         assert!(Domain::under(Path::new("/dev/shm"), "team-7").is_ok());
+    }
+
+    #[test]
+    fn ids_of_every_length_fit_paths_of_every_user() {
+        for uid in [0, 1000, u32::MAX] {
+            let parent = Path::new(SHARED_MEMORY).join(own_parent(uid));
+            let domains = (1..=ID_LENGTH).map(|length| {
+                let domain = Domain::of_user(uid, &parent, &"x".repeat(length));
+                preflight::check_path_length(&domain).unwrap();
+                domain
+            });
+            let domains: Vec<Domain> = domains.collect();
+            assert!(domains[0].base().ends_with("x"));
+            let [.., one, other] = domains.as_slice() else { unreachable!() };
+            assert_ne!(one.base(), other.base());
+            assert!(one.owns(&one.bell_object()) && !one.owns(&other.bell_object()));
+        }
     }
 
     #[test]

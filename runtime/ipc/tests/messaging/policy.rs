@@ -149,6 +149,18 @@ fn position(step: u16) -> [f32; 1] {
 }
 
 #[test]
+fn a_domain_of_the_longest_name_is_served_and_leaves_nothing() {
+    let _watchdog = Watchdog::new();
+    let domain = Domain::new(&format!("longest-name-{:011}", std::process::id())).unwrap();
+    let serving = Serving::start(&domain, CART, &settings(Fallback::Hold));
+    let mut client = PolicyClient::connect(&domain, &CART_SHAPE, &PATIENT).unwrap();
+    assert_eq!(client.decide(&[&[0.5]], &[]).unwrap().status, AnswerStatus::Answered);
+    drop(client);
+    assert_eq!(serving.end().answered, 1);
+    assert_eq!(toy::leftovers(&domain), [""; 0]);
+}
+
+#[test]
 fn served_answers_are_those_of_a_direct_call_over_episodes() {
     let _watchdog = Watchdog::new();
     let domain = toy::domain();
