@@ -66,7 +66,8 @@ pub struct Action<'a> {
     pub action: Option<u16>,
     /// All outputs, one behind the other.
     pub outputs: &'a [f32],
-    /// The server began within the episode with a new recurrent state: it was started anew.
+    /// The server began within the episode with a new recurrent state: it was started anew. Said once, also where its
+    /// first answer came too late.
     pub lost_state: bool,
 }
 
@@ -83,8 +84,12 @@ pub struct PolicyClient<S: LinkService = InterProcess> {
     session: u64,
     seq: u64,
     episode: u32,
+    /// The episode's first observation.
+    first_seq: u64,
     /// Whether the policy has answered in this episode.
     is_remembered: bool,
+    /// Whether it has then lost the episode's state, which is not told yet.
+    lost_state: bool,
     /// What was done last.
     outputs: Vec<f32>,
     action: Option<u16>,
@@ -147,7 +152,9 @@ impl<S: LinkService> PolicyClient<S> {
             session: MonotonicClock.now_ns(),
             seq: 0,
             episode: 0,
+            first_seq: 1,
             is_remembered: false,
+            lost_state: false,
             outputs: vec![0.0; format.outputs()],
             action: None,
             counters: ClientCounters::default(),
@@ -175,7 +182,9 @@ impl<S: LinkService> PolicyClient<S> {
     /// The next observation begins an episode: the recurrent state starts anew.
     pub fn begin_episode(&mut self) {
         self.episode = self.episode.wrapping_add(1);
+        self.first_seq = self.seq + 1;
         self.is_remembered = false;
+        self.lost_state = false;
     }
 
     /// What to do on these inputs, in the order of the schema; `available` `[U]` has 0 for actions that are not
@@ -212,19 +221,14 @@ impl<S: LinkService> PolicyClient<S> {
             Ok(()) => self.await_answer(deadline_ns, goes_on)?,
             Err(_) => None,
         };
-        let mut lost_state = false;
         let (status, reason) = match answer {
-            Some(answer) => {
-                lost_state = self.is_remembered && answer.has(AnswerHead::STATE_RESET);
-                self.is_remembered = true;
-                self.counters.lost_states += u64::from(lost_state);
-                self.take(&answer, available)
-            }
+            Some(answer) => self.take(&answer, available),
             None => {
                 self.counters.silent += 1;
                 self.fall_back(Reason::Silence, available)
             }
         };
+        let lost_state = std::mem::take(&mut self.lost_state);
         Ok(Action { status, reason, action: self.action, outputs: &self.outputs, lost_state })
     }
 
@@ -273,7 +277,14 @@ impl<S: LinkService> PolicyClient<S> {
                 self.counters.foreign += 1;
                 continue;
             };
-            if (answer.head.session, answer.head.seq) != (self.session, self.seq) {
+            let AnswerHead { session, seq, .. } = *answer.head;
+            if session == self.session && seq >= self.first_seq {
+                let lost_state = self.is_remembered && answer.head.has(AnswerHead::STATE_RESET);
+                self.lost_state |= lost_state;
+                self.counters.lost_states += u64::from(lost_state);
+                self.is_remembered = true;
+            }
+            if (session, seq) != (self.session, self.seq) {
                 self.counters.overdue += 1;
                 continue;
             }

@@ -313,6 +313,36 @@ fn a_policy_has_one_server_and_one_client() {
 }
 
 #[test]
+fn a_state_that_is_lost_is_said_also_where_the_first_answer_comes_too_late() {
+    let _watchdog = Watchdog::new();
+    let domain = toy::domain();
+    let settings = settings(Fallback::Hold);
+    let first = Serving::start(&domain, CART, &settings);
+    let mut client = PolicyClient::connect(&domain, &CART_SHAPE, &PATIENT).unwrap();
+    client.decide(&[&[0.5]], &[]).unwrap();
+    first.end();
+    let ((serve, may_serve), (answered, answers)) = (mpsc::channel(), mpsc::channel());
+    let next = Serving::start_with(&domain, CART, &settings, move |server, stop| {
+        may_serve.recv().unwrap();
+        let plan = Plan::load(CART).unwrap();
+        server.serve(&plan, &mut |served| answered.send(served.seq).unwrap(), stop).unwrap()
+    });
+    client.set_deadline(Duration::ZERO);
+    let silent = client.decide(&[&[0.5]], &[]).unwrap();
+    assert_eq!((silent.reason, silent.lost_state), (Reason::Silence, false));
+    serve.send(()).unwrap();
+    assert_eq!(answers.recv(), Ok(2));
+    client.set_deadline(Duration::from_secs(3600));
+    for lost_state in [true, false] {
+        let action = client.decide(&[&[0.5]], &[]).unwrap();
+        assert_eq!((action.status, action.lost_state), (AnswerStatus::Answered, lost_state));
+    }
+    assert_eq!((client.counters().overdue, client.counters().lost_states), (1, 1));
+    drop(client);
+    next.end();
+}
+
+#[test]
 fn a_robot_outlives_a_server_that_is_killed_and_goes_on_with_the_next() {
     let _watchdog = Watchdog::new();
     let domain = toy::domain();
