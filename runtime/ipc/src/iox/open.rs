@@ -11,6 +11,7 @@ use iceoryx2::port::server::Server;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::*;
 use iceoryx2::service::attribute::{AttributeKey, AttributeValue};
+use iceoryx2::service::builder::publish_subscribe as publish_subscribe_builder;
 use iceoryx2::service::port_factory::{publish_subscribe, request_response};
 
 use super::message::{AnswerPayload, Message, RequestPayload};
@@ -41,6 +42,21 @@ pub(super) type RequestServer<S> = Server<S, RequestPayload, (), AnswerPayload, 
 pub(super) type RequestClient<S> = Client<S, RequestPayload, (), AnswerPayload, ()>;
 pub(super) type PendingAnswers<S> = PendingResponse<S, RequestPayload, (), AnswerPayload, ()>;
 
+/// A topic whose messages are bytes, behind headers `H`.
+pub(super) type Bytes<S, H> = publish_subscribe::PortFactory<S, [u8], H>;
+pub(super) type BytesSender<S, H> = Publisher<S, [u8], H>;
+pub(super) type BytesReceiver<S, H> = Subscriber<S, [u8], H>;
+
+/// Which topic that is.
+#[derive(Clone, Debug)]
+pub(super) struct ByteTopic {
+    pub(super) topic: Topic,
+    /// The service's, where a topic has several.
+    pub(super) name: String,
+    /// Messages begin at multiples of this.
+    pub(super) alignment: usize,
+}
+
 /// What all services of one schema are opened with.
 pub(super) struct Services<'a, S: LinkService> {
     pub(super) node: &'a Node<S>,
@@ -64,17 +80,70 @@ impl<S: LinkService> Services<'_, S> {
     ) -> Result<publish_subscribe::PortFactory<S, M, ()>, Error> {
         let name = service_name(topic.name)?;
         self.retry(topic.name, || {
-            self.node
-                .service_builder(&name)
-                .publish_subscribe::<M>()
-                .max_publishers(topic.publishers)
-                .max_subscribers(topic.subscribers)
-                .subscriber_max_buffer_size(topic.buffer)
-                .history_size(topic.history)
-                .subscriber_max_borrowed_samples(topic.borrow)
-                .enable_safe_overflow(true)
-                .max_nodes(self.processes)
-                .open_or_create_with_attributes(self.attributes)
+            let service = self.node.service_builder(&name).publish_subscribe::<M>();
+            self.sized(service, topic).open_or_create_with_attributes(self.attributes)
+        })
+    }
+
+    fn sized<M: Debug + IceoryxSend + ?Sized, H: Debug + ZeroCopySend>(
+        &self,
+        service: publish_subscribe_builder::Builder<M, H, S>,
+        topic: Topic,
+    ) -> publish_subscribe_builder::Builder<M, H, S> {
+        service
+            .max_publishers(topic.publishers)
+            .max_subscribers(topic.subscribers)
+            .subscriber_max_buffer_size(topic.buffer)
+            .history_size(topic.history)
+            .subscriber_max_borrowed_samples(topic.borrow)
+            .enable_safe_overflow(true)
+            .max_nodes(self.processes)
+    }
+
+    pub(super) fn bytes<H: Debug + ZeroCopySend>(
+        &self,
+        ByteTopic { topic, name, alignment }: &ByteTopic,
+    ) -> Result<Bytes<S, H>, Error> {
+        let name = service_name(name)?;
+        let alignment =
+            Alignment::new(*alignment).ok_or("not a power of two").map_err(failed("alignment"))?;
+        self.retry(topic.name, || {
+            let service = self.node.service_builder(&name).publish_subscribe::<[u8]>();
+            let service = service.user_header::<H>().payload_alignment(alignment);
+            self.sized(service, *topic).open_or_create_with_attributes(self.attributes)
+        })
+    }
+
+    /// Sends messages of at most so many bytes.
+    pub(super) fn bytes_sender<H: Debug + ZeroCopySend>(
+        &self,
+        bytes: &ByteTopic,
+        most: usize,
+    ) -> Result<BytesSender<S, H>, Error> {
+        let (service, name, topic) = (self.bytes(bytes)?, self.port_name()?, bytes.topic);
+        self.retry(topic.name, || {
+            service
+                .publisher_builder()
+                .name(&name)
+                .initial_max_slice_len(most)
+                .allocation_strategy(AllocationStrategy::Static)
+                .max_loaned_samples(topic.loan)
+                .create()
+        })
+    }
+
+    pub(super) fn bytes_receiver<H: Debug + ZeroCopySend>(
+        &self,
+        bytes: &ByteTopic,
+    ) -> Result<BytesReceiver<S, H>, Error> {
+        let (service, name, topic) = (self.bytes(bytes)?, self.port_name()?, bytes.topic);
+        self.retry(topic.name, || {
+            service
+                .subscriber_builder()
+                .name(&name)
+                .buffer_size(topic.buffer)
+                .history_request(topic.history)
+                .create()
         })
     }
 

@@ -4,25 +4,22 @@ use std::fmt::Debug;
 
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
-use iceoryx2::port::publisher::Publisher;
-use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::*;
-use iceoryx2::service::port_factory::publish_subscribe;
 use sortie_core::wire::{ABI, FrameHead, FrameLayout, Role};
 
 use super::LinkService;
 use super::message::{FrameHeaderPayload, Message};
 use super::open::{
-    Receiver, RequestClient, RequestServer, Sender, Services, attributes, failed, node, retry,
-    service_name,
+    ByteTopic, Bytes, BytesReceiver, BytesSender, Receiver, RequestClient, RequestServer, Sender,
+    Services, attributes, failed, node, retry, service_name,
 };
 use super::services::{self, Topic};
 use super::setup::LinkSetup;
 use crate::error::Error;
 
-pub(super) type FrameTopic<S> = publish_subscribe::PortFactory<S, [u8], FrameHeaderPayload>;
-pub(super) type FrameSender<S> = Publisher<S, [u8], FrameHeaderPayload>;
-pub(super) type FrameReceiver<S> = Subscriber<S, [u8], FrameHeaderPayload>;
+pub(super) type FrameTopic<S> = Bytes<S, FrameHeaderPayload>;
+pub(super) type FrameSender<S> = BytesSender<S, FrameHeaderPayload>;
+pub(super) type FrameReceiver<S> = BytesReceiver<S, FrameHeaderPayload>;
 
 /// A node, and what is needed to open services with it.
 pub(super) struct Opener<'a, S: LinkService> {
@@ -57,60 +54,31 @@ impl<'a, S: LinkService> Opener<'a, S> {
 
     /// The service of world frames, or that of one agent's private ones.
     pub(super) fn frames(&self, agent: Option<usize>) -> Result<FrameTopic<S>, Error> {
-        let topic = self.frame_topic(agent);
-        let private = agent.map(services::private_frames_name);
-        let name = service_name(private.as_deref().unwrap_or(topic.name))?;
-        let alignment = Alignment::new(align_of::<FrameHead>())
-            .ok_or("not a power of two")
-            .map_err(failed("alignment"))?;
-        self.retry(topic.name, || {
-            self.node
-                .service_builder(&name)
-                .publish_subscribe::<[u8]>()
-                .user_header::<FrameHeaderPayload>()
-                .payload_alignment(alignment)
-                .max_publishers(topic.publishers)
-                .max_subscribers(topic.subscribers)
-                .subscriber_max_buffer_size(topic.buffer)
-                .history_size(topic.history)
-                .subscriber_max_borrowed_samples(topic.borrow)
-                .enable_safe_overflow(true)
-                .max_nodes(services::processes(self.agents()))
-                .open_or_create_with_attributes(&self.attributes)
-        })
+        self.services().bytes(&self.frame_topic(agent))
     }
 
-    fn frame_topic(&self, agent: Option<usize>) -> Topic {
-        agent.map_or_else(|| services::frames(self.agents()), |_| services::private_frames())
+    fn frame_topic(&self, agent: Option<usize>) -> ByteTopic {
+        let alignment = align_of::<FrameHead>();
+        match agent {
+            None => {
+                let topic = services::frames(self.agents());
+                ByteTopic { topic, name: topic.name.to_owned(), alignment }
+            }
+            Some(agent) => {
+                let name = services::private_frames_name(agent);
+                ByteTopic { topic: services::private_frames(), name, alignment }
+            }
+        }
     }
 
     /// Sends frames of `layout`: the world's, or those of its owner.
     pub(super) fn frame_sender(&self, layout: &FrameLayout) -> Result<FrameSender<S>, Error> {
-        let topic = self.frame_topic(layout.owner());
-        let (service, name) = (self.frames(layout.owner())?, self.port_name()?);
-        self.retry(topic.name, || {
-            service
-                .publisher_builder()
-                .name(&name)
-                .initial_max_slice_len(layout.payload_bytes())
-                .allocation_strategy(AllocationStrategy::Static)
-                .max_loaned_samples(topic.loan)
-                .create()
-        })
+        self.services().bytes_sender(&self.frame_topic(layout.owner()), layout.payload_bytes())
     }
 
     /// Receives world frames, or the private ones of `agent`.
     pub(super) fn frame_receiver(&self, agent: Option<usize>) -> Result<FrameReceiver<S>, Error> {
-        let topic = self.frame_topic(agent);
-        let (service, name) = (self.frames(agent)?, self.port_name()?);
-        self.retry(topic.name, || {
-            service
-                .subscriber_builder()
-                .name(&name)
-                .buffer_size(topic.buffer)
-                .history_request(topic.history)
-                .create()
-        })
+        self.services().bytes_receiver(&self.frame_topic(agent))
     }
 
     pub(super) fn sender<M: Message>(

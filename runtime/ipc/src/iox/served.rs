@@ -2,8 +2,6 @@
 
 use std::time::Duration;
 
-use iceoryx2::port::publisher::Publisher;
-use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::*;
 use iceoryx2::sample::Sample;
@@ -15,7 +13,8 @@ use sortie_core::wire::{
 use super::control::{ControlRx, IoxControl, serve};
 use super::message::{Message as _, StatPayload};
 use super::open::{
-    Receiver, RequestServer, Sender, Services, attributes, failed, node, retry, service_name,
+    ByteTopic, BytesReceiver, BytesSender, Receiver, RequestServer, Sender, Services, attributes,
+    failed, node,
 };
 use super::services::{self, Topic};
 use super::watcher::Bells;
@@ -39,8 +38,8 @@ pub(crate) struct ServedSetup<'a> {
 
 /// One end: the server's, or its client's.
 pub(crate) struct ServedLink<S: LinkService = InterProcess> {
-    sender: Publisher<S, [u8], ()>,
-    receiver: Subscriber<S, [u8], ()>,
+    sender: BytesSender<S, ()>,
+    receiver: BytesReceiver<S, ()>,
     /// Bytes of every message that is sent.
     bytes: usize,
     bell: Doorbell,
@@ -71,38 +70,10 @@ impl<S: LinkService> ServedLink<S> {
         [own, peer]: [Role; 2],
     ) -> Result<Self, Error> {
         let node = quiet_node(setup, "policy")?;
-        let schema = setup.format.schema();
-        let attributes = attributes(schema, ABI)?;
-        let alignment = Alignment::new(align_of::<ObservationHead>())
-            .ok_or("not a power of two")
-            .map_err(failed("alignment"))?;
-        let service = |topic: Topic| {
-            let name = service_name(topic.name)?;
-            retry(&node, (setup.domain, schema), topic.name, || {
-                node.service_builder(&name)
-                    .publish_subscribe::<[u8]>()
-                    .payload_alignment(alignment)
-                    .max_publishers(topic.publishers)
-                    .max_subscribers(topic.subscribers)
-                    .subscriber_max_buffer_size(topic.buffer)
-                    .history_size(topic.history)
-                    .subscriber_max_borrowed_samples(topic.borrow)
-                    .enable_safe_overflow(true)
-                    .max_nodes(PROCESSES)
-                    .open_or_create_with_attributes(&attributes)
-            })
-        };
-        let (out, back) = (service(sent)?, service(received)?);
-        let receiver = retry(&node, (setup.domain, schema), received.name, || {
-            back.subscriber_builder().buffer_size(received.buffer).create()
-        })?;
-        let sender = retry(&node, (setup.domain, schema), sent.name, || {
-            out.publisher_builder()
-                .initial_max_slice_len(bytes)
-                .allocation_strategy(AllocationStrategy::Static)
-                .max_loaned_samples(sent.loan)
-                .create()
-        })?;
+        let attributes = attributes(setup.format.schema(), ABI)?;
+        let services = services_of(setup, &node, &attributes);
+        let receiver = services.bytes_receiver(&messages(received))?;
+        let sender = services.bytes_sender(&messages(sent), bytes)?;
         let bell = Doorbell::open(setup.domain, own, setup.linger)?;
         Ok(Self { sender, receiver, bytes, bell, peer, node })
     }
@@ -242,6 +213,10 @@ const PROCESSES: usize = 16;
 /// Observations and answers.
 fn topics() -> (Topic, Topic) {
     (services::observations(), services::answers())
+}
+
+fn messages(topic: Topic) -> ByteTopic {
+    ByteTopic { topic, name: topic.name.to_owned(), alignment: align_of::<ObservationHead>() }
 }
 
 /// Shared memory that both ends take at most, in bytes.
