@@ -5,7 +5,7 @@ use std::path::Path;
 use sortie_core::plan::AlignedBytes;
 use sortie_plans::{
     Comparison, CompileError, CompileOptions, CompiledPolicy, FlatPolicy, OutputRole,
-    PlanFlatPolicy, PolicyAnswer, PolicyFacts, PolicyOptions, PolicyOutput, RecordedCase,
+    PlanFlatPolicy, PolicyAnswer, PolicyFacts, PolicyOptions, PolicyOutput, RecordedCase, choices,
     random_policy_inputs, read_onnx,
 };
 
@@ -251,7 +251,7 @@ fn add(comparison: &mut Comparison, output: &PolicyOutput, got: &PolicyAnswer, w
         }
         OutputRole::Discrete(actions) => (
             largest_error(&got.numbers, want),
-            choices(&got.numbers, actions) == choices(want, actions),
+            choices(&got.numbers, actions).eq(choices(want, actions)),
         ),
         _ if whole && got.numbers != want => (f32::INFINITY, true),
         _ => (largest_error(&got.numbers, want), true),
@@ -287,15 +287,6 @@ fn choice_error(actions: usize, got: &PolicyAnswer, want: &[f32]) -> f32 {
         }
     });
     of_rows.fold(0.0, f32::max)
-}
-
-/// The place of the largest score of each row.
-fn choices(scores: &[f32], actions: usize) -> Vec<Option<usize>> {
-    let largest = |row: &[f32]| {
-        let best = row.iter().copied().fold(f32::NEG_INFINITY, f32::max);
-        row.iter().position(|score| *score == best)
-    };
-    scores.chunks_exact(actions.max(1)).map(largest).collect()
 }
 
 #[cfg(test)]

@@ -46,9 +46,3 @@ pub(crate) fn choices(
     };
     scores.chunks(actions.max(1)).map(choice).collect()
 }
-
-/// The place of the largest, the first of several.
-pub(crate) fn first_largest(scores: &[f32]) -> f32 {
-    let largest = scores.iter().copied().fold(f32::NEG_INFINITY, f32::max);
-    scores.iter().position(|score| *score == largest).unwrap_or(0) as f32
-}

@@ -14,7 +14,7 @@ use sortie_core::{DecideError, plan::PlanError};
 use sortie_plans::{OutputRole, PolicyOutput, inspect_plan};
 
 use crate::arrays::{Numbers, array, array_as, flags, mask, numbers, slice};
-use crate::choices::{choices, choices_shape, first_largest, mask_shape};
+use crate::choices::{choices, choices_shape, mask_shape};
 use crate::compiler::{Asked as Options, to_python};
 use crate::errors::{exceptions, of_decision, words};
 use crate::interface::{Asked, Fit, Interface, fit, shape_as};
@@ -96,7 +96,7 @@ impl Plan {
             let shape = shape_as(&output.shape, given.fit);
             match output.role {
                 OutputRole::Discrete(actions) if output.kind.is_integer() => {
-                    let places = numbers.chunks(actions.max(1)).map(first_largest);
+                    let places = sortie_plans::choices(numbers, actions).map(|place| place as f32);
                     array_as(py, output.kind, shape, &places.collect::<Vec<f32>>())
                 }
                 _ => array_as(py, output.kind, shape, numbers),

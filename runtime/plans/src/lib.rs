@@ -67,7 +67,7 @@ pub use policy::{
 pub use policy_agreement::{
     LARGEST_DEVIATION, OutputAgreement, PolicyAgreement, RecordedCase, policy_agreement,
 };
-pub use policy_plan::{CompiledPolicy, PlanFlatPolicy};
+pub use policy_plan::{CompiledPolicy, PlanFlatPolicy, choices};
 pub use process::{CompilerProcess, ProcessLimits, Request, read_request};
 pub use proposal_files::ProposalFiles;
 pub use quantised_policy::{QuantisedPolicy, quantise_policy};

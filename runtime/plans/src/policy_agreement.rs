@@ -7,7 +7,7 @@ use crate::agreement::LEAST_AGREEMENT;
 use crate::comparison::cannot_run;
 use crate::error::CompileError;
 use crate::policy::{FlatPolicy, OutputRole, PolicyAnswer};
-use crate::policy_plan::{CompiledPolicy, PlanFlatPolicy, first_largest};
+use crate::policy_plan::{CompiledPolicy, PlanFlatPolicy, choices};
 
 /// Largest error of a continuous action, in units of what the action varies by.
 pub const LARGEST_DEVIATION: f64 = 0.1;
@@ -112,7 +112,7 @@ fn equal_actions(got: &[PolicyAnswer], want: &[PolicyAnswer], actions: usize) ->
         if !answer.scores.is_empty() {
             return answer.numbers.iter().map(|place| *place as usize).collect();
         }
-        answer.numbers.chunks(actions.max(1)).map(first_largest).collect()
+        choices(&answer.numbers, actions).collect()
     };
     got.iter().zip(want).filter(|(got, want)| chosen(got) == chosen(want)).count()
 }

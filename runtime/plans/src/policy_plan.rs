@@ -89,15 +89,19 @@ impl FlatPolicy for PlanFlatPolicy<'_> {
 fn answer((output, numbers): (&PolicyOutput, Vec<f32>)) -> PolicyAnswer {
     match output.role {
         OutputRole::Discrete(actions) if output.kind.is_integer() => {
-            let places = numbers.chunks(actions.max(1)).map(|scores| first_largest(scores) as f32);
-            PolicyAnswer { numbers: places.collect(), scores: numbers }
+            let places = choices(&numbers, actions).map(|place| place as f32).collect();
+            PolicyAnswer { numbers: places, scores: numbers }
         }
         _ => PolicyAnswer { numbers, scores: Vec::new() },
     }
 }
 
-/// The place of the largest score, the first of several.
-pub(crate) fn first_largest(scores: &[f32]) -> usize {
+/// The choice that each row of scores makes: the place of the largest, the first of several.
+pub fn choices(scores: &[f32], actions: usize) -> impl Iterator<Item = usize> {
+    scores.chunks(actions.max(1)).map(first_largest)
+}
+
+fn first_largest(scores: &[f32]) -> usize {
     let largest = scores.iter().copied().fold(f32::NEG_INFINITY, f32::max);
     scores.iter().position(|score| *score == largest).unwrap_or(0)
 }
