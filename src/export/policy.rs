@@ -1,7 +1,6 @@
 //! A policy that was not trained here becomes a bundle: proved to fit an environment, and measured in it.
 
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
 use std::path::Path;
 
 use sortie_bundle::{
@@ -9,7 +8,7 @@ use sortie_bundle::{
 };
 use sortie_core::Policy;
 use sortie_envs::{Environment, Spec, Split};
-use sortie_learn::draft::{Measured, Recorder, contract, described, limits};
+use sortie_learn::draft::{Measured, Recorder, contract, described, limits, measured_table};
 use sortie_learn::evaluate::Evaluation;
 use sortie_learn::play::{PolicyTeam, evaluate, evaluate_watched};
 use sortie_plans::{
@@ -198,26 +197,12 @@ impl Exported {
 
 /// The model card.
 fn card(set: &ScenarioSetName, measured: &[Measured]) -> String {
-    let mut card = format!(
+    format!(
         "# A policy of somebody else for {set}\n\n\
          Every agent decides by `agent.onnx` alone, on its own row. It was not trained by Sortie.\n\n\
          ## How well it does\n\n\
          Greedy episodes. The interval is that of the episodes.\n\n\
-         | starts | episodes | success (95 % interval) | time-outs | return | steps |\n\
-         | --- | --- | --- | --- | --- | --- |\n"
-    );
-    for Measured { set, evaluation, .. } in measured {
-        let [low, high] = evaluation.success_ci95;
-        // Writing to a string cannot fail.
-        let _ = writeln!(
-            card,
-            "| `{set}` | {} | {:.3} ({low:.3} to {high:.3}) | {:.3} | {:.2} | {:.2} |",
-            evaluation.episodes,
-            evaluation.success,
-            evaluation.timeouts,
-            evaluation.return_mean,
-            evaluation.length_mean,
-        );
-    }
-    card
+         {}",
+        measured_table(measured)
+    )
 }

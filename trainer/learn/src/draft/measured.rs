@@ -1,5 +1,6 @@
 //! What goes into a bundle besides its networks.
 
+use std::fmt::Write as _;
 use std::path::Path;
 
 use crate::error::LearnError;
@@ -14,6 +15,28 @@ pub struct Measured {
     pub allocation: String,
     /// How the team did.
     pub evaluation: Evaluation,
+}
+
+/// The card's table of measured episodes, a row for each set.
+pub fn measured_table(measured: &[Measured]) -> String {
+    let mut table = "\
+         | starts | episodes | success (95 % interval) | time-outs | return | steps |\n\
+         | --- | --- | --- | --- | --- | --- |\n"
+        .to_owned();
+    for Measured { set, evaluation, .. } in measured {
+        let [low, high] = evaluation.success_ci95;
+        // Writing to a string cannot fail.
+        let _ = writeln!(
+            table,
+            "| `{set}` | {} | {:.3} ({low:.3} to {high:.3}) | {:.3} | {:.2} | {:.2} |",
+            evaluation.episodes,
+            evaluation.success,
+            evaluation.timeouts,
+            evaluation.return_mean,
+            evaluation.length_mean,
+        );
+    }
+    table
 }
 
 /// A file of a run that becomes part of its bundle.

@@ -8,7 +8,7 @@ use sortie_bundle::{AGENT, CARD, CURVE, CURVE_DATA, Draft, Golden, Network, TRAI
 use sortie_envs::{Environment, Shape};
 
 use super::described::{contract, described, limits};
-use super::measured::{Measured, read_part};
+use super::measured::{Measured, measured_table, read_part};
 use super::recorder::Recorder;
 use crate::error::LearnError;
 use crate::export::{
@@ -88,24 +88,10 @@ fn card(run: &MethodRun<'_>, measured: &[Measured], skip: bool) -> String {
          Every agent runs the same attention network over the entities that it observes. Trained by\n\
          `sortie train {method}`, seed {seed}, Sortie {version}; `train.toml` repeats the run.\n\n\
          ## How well it does\n\n\
-         Greedy episodes that training never saw. The interval is that of the episodes, not of training again.\n\n\
-         | starts | episodes | success (95 % interval) | time-outs | return | steps |\n\
-         | --- | --- | --- | --- | --- | --- |\n",
+         Greedy episodes that training never saw. The interval is that of the episodes, not of training again.\n\n",
         config.environment
     );
-    for Measured { set, evaluation, .. } in measured {
-        let [low, high] = evaluation.success_ci95;
-        // Writing to a string cannot fail.
-        let _ = writeln!(
-            card,
-            "| `{set}` | {} | {:.3} ({low:.3} to {high:.3}) | {:.3} | {:.2} | {:.2} |",
-            evaluation.episodes,
-            evaluation.success,
-            evaluation.timeouts,
-            evaluation.return_mean,
-            evaluation.length_mean,
-        );
-    }
+    card += &measured_table(measured);
     if let Some(last) = run.curve.last() {
         let _ = writeln!(
             card,

@@ -6,6 +6,6 @@ mod method;
 mod recorder;
 
 pub use described::{contract, described, limits};
-pub use measured::{Measured, read_part};
+pub use measured::{Measured, measured_table, read_part};
 pub use method::{MethodRun, draft_method};
 pub use recorder::Recorder;
