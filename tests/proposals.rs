@@ -3,11 +3,17 @@
 mod support;
 
 use std::collections::BTreeMap;
+use std::fs;
 use std::path::Path;
 
-use sortie_bundle::{AGENT, Bundle, Draft, PROPOSAL_PARTS, PROPOSALS};
+use serde::Deserialize;
+use sortie_bundle::{AGENT, Bundle, Draft, GoldenAllocation, MIN_CASES, PROPOSAL_PARTS, PROPOSALS};
+use sortie_core::allocate::ProposalAllocator;
+use sortie_core::plan::{AlignedBytes, Plan, Profile};
+use sortie_core::{Allocator, UNASSIGNED};
 use sortie_methods::alma::export::export_proposals;
 use sortie_methods::alma::windows::allocation::{AllocationShape, CriticWeights, PolicyWeights};
+use sortie_plans::{BundlePlans, CompilerProcess};
 use support::{BUNDLE, json};
 
 /// The shipped team with an allocator of random weights, which proposes.
@@ -31,6 +37,7 @@ fn proposing(folder: &Path) {
     let environment = team.manifest().contract.environment.clone();
     let mut golden = team.golden().clone();
     golden.allocations.clear();
+    golden.cases.truncate(MIN_CASES);
     let draft = Draft { contract, environment, limits, network, golden, parts };
     draft.write(folder).expect("a new folder");
 }
@@ -74,6 +81,57 @@ fn networks(shape: AllocationShape) -> (PolicyWeights, CriticWeights) {
         deviation: 1.0,
     };
     (policy, critic)
+}
+
+/// The team of [`proposing`] but for its agents, who are those of the shipped team, and what it allocates: for tests of
+/// the Python package, which can make no bundle.
+const RECORDED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/golden/proposing-team");
+
+/// Allocations in the states that the shipped team recorded.
+#[derive(Deserialize)]
+struct Recorded {
+    proposals: usize,
+    seed: u64,
+    /// -1: none.
+    allocations: Vec<Vec<i64>>,
+}
+
+/// What the team's allocator gives in the states that the shipped team recorded, by so many proposals from a seed.
+fn allocations(bundle: &Bundle, proposals: usize, seed: u64) -> Vec<Vec<i64>> {
+    let compiler = Path::new(env!("CARGO_BIN_EXE_sortie")).with_file_name("sortie-tract");
+    let plans = BundlePlans::new(CompilerProcess::new(compiler, ["compiler"]), None, |_| {});
+    let plan = plans.proposals(bundle, Profile::Exact).expect("a plan").expect("it proposes");
+    let plan = Plan::load(plan.as_slice()).expect("a plan");
+    let mut arena = AlignedBytes::zeroed(ProposalAllocator::arena_bytes(&plan, proposals));
+    let allocator = ProposalAllocator::new(plan, arena.as_mut_slice(), proposals, seed);
+    let mut allocator = allocator.expect("an allocator");
+    let shipped = Bundle::open(Path::new(BUNDLE)).expect("the shipped bundle");
+    let answer = |case: &GoldenAllocation| {
+        let mut allocation = vec![0; case.state.agents];
+        allocator.allocate(&case.state.view(), &mut allocation).expect("an allocation");
+        let number = |task| if task == UNASSIGNED { -1 } else { i64::from(task) };
+        allocation.into_iter().map(number).collect()
+    };
+    shipped.golden().allocations.iter().map(answer).collect()
+}
+
+#[test]
+fn the_recorded_team_is_this_one_and_its_allocations_are_recorded() {
+    let place = tempfile::tempdir().expect("a temporary folder");
+    let folder = place.path().join("proposing");
+    proposing(&folder);
+    let bundle = Bundle::open(&folder).expect("a bundle");
+    let recorded = Path::new(RECORDED);
+    for file in PROPOSAL_PARTS.into_iter().chain(["bundle.toml", "golden.json"]) {
+        let (made, kept) = (folder.join(file), recorded.join(file));
+        assert!(fs::read(made).unwrap() == fs::read(kept).unwrap(), "{file}");
+    }
+    let text = fs::read_to_string(recorded.join("allocations.json")).expect("the recorded file");
+    let recorded: Vec<Recorded> = serde_json::from_str(&text).expect("recorded allocations");
+    assert!(recorded.len() > 2);
+    for Recorded { proposals, seed, allocations: wanted } in recorded {
+        assert_eq!(allocations(&bundle, proposals, seed), wanted, "{proposals} from {seed}");
+    }
 }
 
 #[test]

@@ -8,12 +8,13 @@ use pyo3::prelude::*;
 use pyo3::sync::MutexExt;
 use serde_json::{Value, json};
 use sortie_bundle::hex;
-use sortie_core::plan::{AlignedBytes, PlanError, Profile};
+use sortie_core::allocate::proposals::PROPOSALS;
+use sortie_core::plan::{AlignedBytes, Network, PlanError, Profile};
 use sortie_core::{DecideError, Decision, Observation, limits};
 use sortie_plans::{BundlePlans, CompileError, CompilerProcess, user_cache};
 
 use crate::arrays::array;
-use crate::bundle_allocator::{Asked, allocate};
+use crate::bundle_allocator::{Asked, How, allocate};
 use crate::bundle_observations::Observations;
 use crate::compiler::{carried, program, to_python};
 use crate::errors::{exceptions, within, words};
@@ -81,7 +82,10 @@ impl Bundle {
     }
 
     /// The subtask of every agent `[A]` that the team's allocator gives it, -1 for none.
-    #[pyo3(signature = (entities, agents, entity_tasks, open_tasks, *, present=None, relation=None))]
+    #[pyo3(signature = (
+        entities, agents, entity_tasks, open_tasks, *, present=None, relation=None, proposals=None, seed=0
+    ))]
+    #[expect(clippy::too_many_arguments, reason = "they are Python's, most by name")]
     fn allocate<'py>(
         &self,
         entities: &Bound<'py, PyAny>,
@@ -90,15 +94,28 @@ impl Bundle {
         open_tasks: &Bound<'py, PyAny>,
         present: Option<&Bound<'py, PyAny>>,
         relation: Option<&Bound<'py, PyAny>>,
+        proposals: Option<usize>,
+        seed: u64,
     ) -> PyResult<Bound<'py, PyAny>> {
         let asked = Asked { entities, agents, entity_tasks, open_tasks, present, relation };
-        match &self.allocator {
-            Some(plan) => allocate(&self.bundle, plan, &asked),
-            None if self.bundle.has_allocator() => Err(self.refusal(
-                "its allocator proposes allocations, which `sortie run` does and Python does not",
-            )),
-            None => Err(self.refusal("the team has learned no allocator")),
-        }
+        let Some(plan) = &self.allocator else {
+            return Err(self.refusal("the team has learned no allocator"));
+        };
+        let proposes = plan.plan().header().network == Network::Proposals;
+        let how = match (proposes, proposals) {
+            (true, Some(0)) => return Err(PyValueError::new_err("`proposals` is at least 1")),
+            (true, Some(count)) if count > limits::PROPOSALS => {
+                let most = limits::PROPOSALS;
+                return Err(PyValueError::new_err(format!("`proposals` is at most {most}")));
+            }
+            (true, proposals) => How::Propose { proposals: proposals.unwrap_or(PROPOSALS), seed },
+            (false, None) => How::Search,
+            (false, Some(_)) => {
+                return Err(self
+                    .refusal("`proposals` is for an allocator that proposes; this one does not"));
+            }
+        };
+        allocate(&self.bundle, plan, &asked, how)
     }
 
     /// Forgets what was before: an episode begins.
@@ -118,7 +135,11 @@ impl Bundle {
         let bundle = sortie_bundle::Bundle::open(folder)?;
         let plans = BundlePlans::new(compiler, user_cache(), warn);
         let agents = OwnedPlan::load(plans.agent(&bundle, Profile::Exact)?)?;
-        let allocator = plans.allocator(&bundle)?.map(OwnedPlan::load).transpose()?;
+        let allocator = match bundle.proposal_graphs() {
+            Some(_) => plans.proposals(&bundle, Profile::Exact)?,
+            None => plans.allocator(&bundle)?,
+        };
+        let allocator = allocator.map(OwnedPlan::load).transpose()?;
         let arena = AlignedBytes::zeroed(agents.plan().batch_arena_bytes(limits::AGENTS));
         let memory = vec![0.0; limits::AGENTS * agents.plan().hidden()];
         Ok(Self { bundle, agents, allocator, working: Mutex::new(Working { arena, memory }) })

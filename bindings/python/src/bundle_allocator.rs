@@ -5,8 +5,8 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use sortie_bundle::{Bundle, OwnedAllocationState};
 use sortie_core::allocate::{
-    EXACT_AGENTS, LastAllocation, PlanTeamValue, SearchMemory, TaskRelation, TeamValueAllocator,
-    exact,
+    EXACT_AGENTS, LastAllocation, PlanTeamValue, ProposalAllocator, SearchMemory, TaskRelation,
+    TeamValueAllocator, exact,
 };
 use sortie_core::plan::{AlignedBytes, PlanError};
 use sortie_core::{AllocateError, AllocationState, Allocator, EntityMask, UNASSIGNED, limits};
@@ -27,6 +27,15 @@ pub(crate) struct Asked<'a, 'py> {
     pub(crate) open_tasks: &'a Bound<'py, PyAny>,
     pub(crate) present: Option<&'a Bound<'py, PyAny>>,
     pub(crate) relation: Option<&'a Bound<'py, PyAny>>,
+}
+
+/// How the best allocation is found.
+#[derive(Clone, Copy)]
+pub(crate) enum How {
+    /// By the values of teams.
+    Search,
+    /// As the best of those that a policy draws, by noise from the seed; one is the most probable.
+    Propose { proposals: usize, seed: u64 },
 }
 
 /// What an entity has to do with a subtask, `[T, N, F]`.
@@ -58,14 +67,22 @@ pub(crate) fn allocate<'py>(
     bundle: &Bundle,
     plan: &OwnedPlan,
     asked: &Asked<'_, 'py>,
+    how: How,
 ) -> PyResult<Bound<'py, PyAny>> {
     let py = asked.entities.py();
     let features = bundle.contract().features.into();
     let columns = plan.plan().header().features as usize;
     let state = asked.state(features)?;
-    let relation = asked.relation(&state, columns.saturating_sub(features + FLAGS))?;
+    let relation = match how {
+        How::Search => columns.saturating_sub(features + FLAGS),
+        How::Propose { .. } => 0,
+    };
+    let relation = asked.relation(&state, relation)?;
     let team_max = bundle.manifest().limits.team_max.into();
-    let allocation = py.detach(|| search(plan, &state, relation, team_max));
+    let allocation = py.detach(|| match how {
+        How::Search => search(plan, &state, relation, team_max),
+        How::Propose { proposals, seed } => propose(plan, &state, proposals, seed),
+    });
     let allocation = allocation.map_err(exceptions::DecideError::new_err)?;
     let task = |task: &u8| if *task == UNASSIGNED { -1 } else { i64::from(*task) };
     let allocation: Vec<i64> = allocation.iter().map(task).collect();
@@ -130,7 +147,20 @@ fn bits(flags: &[u16]) -> u32 {
     set.fold(0, |bits, (place, _)| bits | 1 << place)
 }
 
-/// The allocation of the highest value.
+/// The allocation of the highest value among so many that are drawn.
+fn propose(
+    plan: &OwnedPlan,
+    state: &OwnedAllocationState,
+    proposals: usize,
+    seed: u64,
+) -> Result<Vec<u8>, String> {
+    let plan = plan.plan().clone();
+    let mut arena = AlignedBytes::zeroed(ProposalAllocator::arena_bytes(&plan, proposals));
+    let allocator = ProposalAllocator::new(plan, arena.as_mut_slice(), proposals, seed);
+    allocation_of(&mut allocator.map_err(|error| words(&error))?, state)
+}
+
+/// The allocation of the highest value of all.
 fn search(
     plan: &OwnedPlan,
     state: &OwnedAllocationState,
@@ -153,6 +183,13 @@ fn search(
         exact_agents: EXACT_AGENTS,
         memory: SearchMemory { cells: &mut cells, values: &mut values, relation: &mut relations },
     };
+    allocation_of(&mut allocator, state)
+}
+
+fn allocation_of(
+    allocator: &mut impl Allocator,
+    state: &OwnedAllocationState,
+) -> Result<Vec<u8>, String> {
     let mut allocation = vec![0; state.agents];
     let found = allocator.allocate(&state.view(), &mut allocation);
     found.map(|()| allocation).map_err(|error| error.to_string())

@@ -12,6 +12,7 @@ from conftest import ROOT
 from sortie import _compiler
 
 MODELS = ROOT / "models"
+PROPOSING = ROOT / "tests/golden/proposing-team"
 TEAMS = sorted(path.name for path in MODELS.iterdir())
 EXACT_AGENTS = 10
 ALLOCATING = [name for name in TEAMS if name != "group-matching"]
@@ -30,6 +31,15 @@ def rows(named, contract):
 
 def flags(places, length):
     return np.isin(np.arange(length), places)
+
+
+def state_of(case, contract):
+    """A recorded state as `allocate` takes it, and what is present in it."""
+    entities = rows(case["entities"], contract)
+    tasks = 1 + max(max(tasks, default=0) for tasks in case["entity_tasks"])
+    belongs = np.array([flags(tasks_of, tasks) for tasks_of in case["entity_tasks"]])
+    state = (entities, case["agents"], belongs, flags(case["open_tasks"], tasks))
+    return state, flags(case["present"], len(entities))
 
 
 @pytest.fixture(scope="module", params=TEAMS)
@@ -61,27 +71,53 @@ def test_every_recorded_state_gets_its_allocation(name):
     cases = json.loads((MODELS / name / "golden.json").read_text())["allocations"]
     # In a build for tests large teams take a while.
     for case in cases[: 1 if name.endswith("large") else 8]:
-        entities = rows(case["entities"], contract)
-        tasks = 1 + max(max(tasks, default=0) for tasks in case["entity_tasks"])
-        belongs = np.array([flags(tasks_of, tasks) for tasks_of in case["entity_tasks"]])
+        state, present = state_of(case, contract)
+        entities, tasks = state[0], len(state[3])
         relation = np.zeros((tasks, len(entities), case["relations"]), "f4")
         for task, entries in zip(case["open_tasks"], case["relation"], strict=True):
             for row, column, value in entries:
                 relation[task, row, column] = value
-        allocation = bundle.allocate(
-            entities,
-            case["agents"],
-            belongs,
-            flags(case["open_tasks"], tasks),
-            present=flags(case["present"], len(entities)),
-            relation=relation,
-        )
+        allocation = bundle.allocate(*state, present=present, relation=relation)
         want = [-1 if task is None else task for task in case["allocation"]]
         here = [agent for agent in case["present"] if agent < case["agents"]]
         # Larger teams are searched from a start that the bundle does not record.
         if case["agents"] <= EXACT_AGENTS:
             assert allocation[here].tolist() == [want[agent] for agent in here]
         assert set(allocation[here].tolist()) <= {-1, *case["open_tasks"]}
+
+
+@pytest.fixture
+def proposing(tmp_path):
+    """The recorded team whose allocator proposes."""
+    folder = tmp_path / "proposing"
+    shutil.copytree(PROPOSING, folder)
+    shutil.copy(MODELS / "save-the-city" / "agent.onnx", folder)
+    return sortie.Bundle(folder)
+
+
+def test_proposals_are_those_of_the_command_line(proposing):
+    states = json.loads((MODELS / "save-the-city" / "golden.json").read_text())["allocations"]
+    contract, asked = proposing.inspect()["contract"], 0
+    for recorded in json.loads((PROPOSING / "allocations.json").read_text()):
+        for case, want in zip(states, recorded["allocations"], strict=True):
+            state, present = state_of(case, contract)
+            how = {"proposals": recorded["proposals"], "seed": recorded["seed"]}
+            got = proposing.allocate(*state, present=present, **how)
+            assert got.tolist() == want
+            asked += 1
+    assert asked >= 100
+    assert proposing.allocate(*state).tolist() == proposing.allocate(*state, proposals=32, seed=0).tolist()
+
+
+def test_proposals_that_cannot_be_are_refused(proposing):
+    state = (np.zeros((4, 58), "f4"), 2, np.eye(4, 2, dtype=bool), [True, True])
+    for count, words in [(0, "at least 1"), (257, "at most 256")]:
+        with pytest.raises(ValueError, match=words):
+            proposing.allocate(*state, proposals=count)
+    with pytest.raises(ValueError, match=r"`relation` has the shape \[1\], needed is \[2, 4, 0\]"):
+        proposing.allocate(*state, relation=[1.0])
+    with pytest.raises(ValueError, match="this one does not"):
+        opened("save-the-city").allocate(*state, proposals=8)
 
 
 def test_what_does_not_fit_is_refused():
