@@ -91,6 +91,17 @@ fn all_agree(producer: &str, count: usize) {
 }
 
 #[test]
+fn quantised_policies_agree_with_what_was_recorded() {
+    all_agree("quantised", 4);
+}
+
+#[test]
+fn numbers_of_16_bits_agree_with_the_same_numbers_in_32() {
+    all_agree("half", 1);
+    all_agree("brain", 1);
+}
+
+#[test]
 fn rsl_rl() {
     all_agree("rsl_rl_", 14);
 }

@@ -11,6 +11,7 @@ mod interface;
 mod misread;
 mod nodes;
 mod outputs;
+mod quantised;
 mod selection;
 mod sizes;
 mod states;
@@ -18,6 +19,7 @@ mod states;
 mod tests;
 mod unrolled;
 mod values;
+mod widened;
 
 use sortie_plans::{CompileError, PolicyOptions};
 use tract_onnx::pb;
@@ -82,8 +84,10 @@ pub(crate) fn declared(file: &pb::ModelProto) -> Described {
 fn fixed(onnx: &[u8], options: &PolicyOptions) -> Result<(pb::ModelProto, Values), CompileError> {
     let mut file = guarded(|| reader().proto_model_for_read(&mut &*onnx))
         .map_err(|reason| CompileError::Unreadable { reason })?;
+    widened::widen(&mut file);
     let graph = file.graph.get_or_insert_default();
     sizes::fix(graph, &options.sizes)?;
+    quantised::as_floats(graph);
     if options.outputs.iter().any(|output| output.ends_with(drawn::LIKELIEST)) {
         drawn::take_likeliest(graph);
     }

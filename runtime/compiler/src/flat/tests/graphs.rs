@@ -184,7 +184,7 @@ fn whole_numbers_are_observations_without_floats_and_strange_numbers_are_refused
         File::default().input("task", Int64, &["1", "3"]).node("Relu", &["task"], "q").output("q");
     assert_eq!(named(&file.found(), InputRole::Observation), ["task"]);
     let file = File::default()
-        .input("obs", pb::tensor_proto::DataType::Float16, &["1", "3"])
+        .input("obs", pb::tensor_proto::DataType::Int16, &["1", "3"])
         .node("Relu", &["obs"], "q")
         .output("q");
     assert!(file.refused().contains("one of f32, f64"), "{}", file.refused());

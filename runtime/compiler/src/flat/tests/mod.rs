@@ -4,6 +4,7 @@ mod entities;
 mod files;
 mod graphs;
 mod loops;
+mod narrow;
 mod outputs;
 mod plans;
 mod seldom;
