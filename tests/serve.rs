@@ -277,8 +277,20 @@ fn a_file_without_a_plan_is_run_by_tract_where_that_is_said() {
     assert_eq!(huge.status, AnswerStatus::Answered, "{:?}", huge.reason);
     let infinite = client.decide(&[&[f32::MAX; 6]], &[1; 5]).expect("the policy's lengths");
     assert_eq!((infinite.status, infinite.reason), (AnswerStatus::Fallback, Reason::NonFinite));
+    // So is a state that no score shows.
+    client.begin_episode();
+    for (status, reason) in
+        [(AnswerStatus::Answered, Reason::None), (AnswerStatus::Fallback, Reason::NonFinite)]
+    {
+        let hidden = [0.0, 0.0, 0.0, f32::MAX, 0.0, 0.0];
+        let action = client.decide(&[&hidden], &[1; 5]).expect("the policy's lengths");
+        assert_eq!((action.status, action.reason), (status, reason));
+    }
     let info = told(&domain, &["control", "info"]);
-    assert!(info.trim_end().ends_with(&format!(", by {ENGINE}")), "{info}");
+    let sha256 = sortie_bundle::sha256(&std::fs::read(SCATTERS).expect("the file"));
+    let model: String = sha256[..4].iter().map(|byte| format!("{byte:02x}")).collect();
+    let ending = format!(", model {model}, by {ENGINE}");
+    assert!(info.trim_end().ends_with(&ending), "{info}");
     wait_until("the doctor hears the server", || {
         told(&domain, &["doctor"])
             .contains("runs the graph: allocates, no promise about bits or time")
