@@ -56,6 +56,14 @@ def robot(domain):
         yield policy, server
 
 
+@pytest.fixture
+def ctrl_c():
+    """Hears SIGINT, which shells let background programs ignore."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 def positions():
     return np.sin(np.arange(50, dtype=np.float32))
 
@@ -210,6 +218,7 @@ def test_other_threads_run_while_an_answer_is_awaited(robot):
     assert answers[0].status == "answered" and policy.counters["answered"] == 2
 
 
+@pytest.mark.usefixtures("ctrl_c")
 def test_ctrl_c_ends_a_wait_for_an_answer_and_the_client_goes_on(robot):
     policy, server = robot
     server.send_signal(signal.SIGSTOP)
@@ -230,6 +239,7 @@ def test_ctrl_c_ends_a_wait_for_an_answer_and_the_client_goes_on(robot):
     assert policy.decide([0.5]).status == "answered"
 
 
+@pytest.mark.usefixtures("ctrl_c")
 def test_ctrl_c_ends_the_wait_for_a_server(domain):
     def interrupt():
         while not any(Path("/dev/shm").glob(f"sortie-*/{domain}")):
