@@ -6,7 +6,7 @@ use alloc::vec;
 use alloc::vec::Vec;
 
 use crate::environment::{Environment, Split, Step};
-use crate::observation::{EntitySet, Observation};
+use crate::observation::{EntitySet, Observation, members};
 use crate::random::{Random, generator, member};
 use crate::spec::Spec;
 
@@ -132,7 +132,7 @@ impl Laws {
         require(lengths == [shape.agents, shape.agents, shape.entities], || {
             format!("masks of {lengths:?}")
         })?;
-        for row in 0..rows {
+        for (row, entity) in members(seen.present).enumerate() {
             let entries: Vec<_> = seen.rows.row(row).collect();
             require(entries.len() <= self.spec.row_entries, || {
                 format!(
@@ -144,8 +144,9 @@ impl Laws {
             require(entries.is_sorted_by(|one, next| one.0 < next.0), || {
                 format!("features out of order: {entries:?}")
             })?;
-            let sound =
-                |(column, value): &(usize, f32)| *column < shape.features && value.is_finite();
+            let features =
+                self.spec.role_of(entity).map_or(shape.features, |role| role.features.len());
+            let sound = |(column, value): &(usize, f32)| *column < features && value.is_finite();
             require(entries.iter().all(sound), || format!("impossible features: {entries:?}"))?;
         }
         let within = |tasks: u32| u64::from(tasks) >> shape.tasks == 0;
@@ -155,7 +156,8 @@ impl Laws {
         )?;
         let agents = seen.agents();
         for (agent, available) in seen.available.iter().enumerate() {
-            let possible = *available != 0 && u128::from(*available) >> shape.actions == 0;
+            let actions = self.spec.role_of(agent).map_or(shape.actions, |role| role.actions.len());
+            let possible = *available != 0 && u128::from(*available) >> actions == 0;
             require(possible && (agent < agents || *available == 1), || {
                 format!("agent {agent} may do {available:b}")
             })?;
@@ -166,7 +168,7 @@ impl Laws {
     /// Rows alone, and under every symmetry, are those of the whole.
     fn check_parts(&mut self, state: &[u8]) -> Result<(), String> {
         let mut part = Observation::new(&self.spec.shape);
-        for entity in crate::observation::members(self.seen.present) {
+        for entity in members(self.seen.present) {
             self.played.observe(state, 0, 1 << entity, &mut part);
             let (whole, row) = (&self.seen, self.seen.row_of(entity));
             require(

@@ -31,6 +31,7 @@ pub mod frame;
 pub mod golden;
 pub mod group_matching;
 pub mod observation;
+pub mod particle;
 pub mod random;
 #[cfg(feature = "std")]
 mod recorded;
@@ -47,5 +48,5 @@ pub use observation::{ActionSet, AgentSet, EntitySet, Observation, members};
 pub use random::Random;
 pub use registry::{Choice, ENVIRONMENTS, Entry, EnvironmentError, open};
 pub use rows::SparseRows;
-pub use spec::{Metric, Rewards, Rule, Shape, Spec, SpecError, View};
+pub use spec::{Metric, Rewards, Role, Rule, Shape, Spec, SpecError, View};
 pub use throughput::observe_and_step;

@@ -3,6 +3,7 @@
 use alloc::string::String;
 use alloc::vec::Vec;
 use core::fmt;
+use core::ops::Range;
 
 /// Padded sizes of an environment, constant for its life.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -65,6 +66,21 @@ pub struct Rule {
     pub about: &'static str,
 }
 
+/// Agents that see and do the same kinds of things, where not all do.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Role {
+    /// Its name.
+    pub name: &'static str,
+    /// Its agents.
+    pub agents: Range<usize>,
+    /// Names of what they see; further columns of their rows are zeros.
+    pub features: Vec<String>,
+    /// Units of the features; none where they have none.
+    pub units: Vec<&'static str>,
+    /// Names of their actions; further ones are never available.
+    pub actions: Vec<String>,
+}
+
 /// Who earns rewards besides the team.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Rewards {
@@ -85,12 +101,14 @@ pub struct Spec {
     pub shape: Shape,
     /// What a row of an observation stands for.
     pub view: View,
-    /// `[d]`: names of the features.
+    /// `[d]`: names of the features; with roles those of a role that sees as many.
     pub features: Vec<String>,
     /// `[d]`: units of the features; none where they have none.
     pub units: Vec<&'static str>,
-    /// `[U]`: names of the actions.
+    /// `[U]`: names of the actions; with roles those of a role that has as many.
     pub actions: Vec<String>,
+    /// Who sees and does what, in the order of the agents; empty where all agents are alike.
+    pub roles: Vec<Role>,
     /// The action of an agent that nobody decides for: always available, and as harmless as any.
     pub safe_action: Option<u16>,
     /// What an episode comes to, besides its return, its length and whether it was solved.
@@ -124,6 +142,7 @@ impl Default for Spec {
             features: Vec::new(),
             units: Vec::new(),
             actions: Vec::new(),
+            roles: Vec::new(),
             safe_action: None,
             metrics: &[],
             causes: &[],
@@ -139,7 +158,13 @@ impl Default for Spec {
 }
 
 impl Spec {
-    /// Refuses sizes beyond what learners and executors hold, and lists of names that do not fit the sizes.
+    /// The role of an agent, where agents have roles.
+    pub fn role_of(&self, agent: usize) -> Option<&Role> {
+        self.roles.iter().find(|role| role.agents.contains(&agent))
+    }
+
+    /// Refuses sizes beyond what learners and executors hold, lists of names that do not fit the sizes, and roles
+    /// that do not share out the agents.
     ///
     /// # Errors
     /// The first size or list that is wrong.
@@ -166,6 +191,35 @@ impl Spec {
             if found != wanted {
                 return Err(SpecError::Names { what, found, wanted });
             }
+        }
+        self.check_roles()
+    }
+
+    fn check_roles(&self) -> Result<(), SpecError> {
+        let Shape { agents, actions, features, .. } = self.shape;
+        let mut shared = 0;
+        for role in &self.roles {
+            let own = [
+                ("agents of a role", role.agents.len(), agents),
+                ("features of a role", role.features.len(), features),
+                ("actions of a role", role.actions.len(), actions),
+            ];
+            for (what, found, most) in own {
+                if !(1..=most).contains(&found) {
+                    return Err(SpecError::Size { what, found, least: 1, most });
+                }
+            }
+            let (found, wanted) = (role.units.len(), role.features.len());
+            if found > 0 && found != wanted {
+                return Err(SpecError::Names { what: "units of a role", found, wanted });
+            }
+            if role.agents.start != shared {
+                return Err(SpecError::Roles { agent: shared });
+            }
+            shared = role.agents.end;
+        }
+        if shared < agents && !self.roles.is_empty() {
+            return Err(SpecError::Roles { agent: shared });
         }
         Ok(())
     }
@@ -195,6 +249,11 @@ pub enum SpecError {
         /// The things.
         wanted: usize,
     },
+    /// The roles, in their order, do not share out the agents in theirs.
+    Roles {
+        /// The first agent whose role is not the next one.
+        agent: usize,
+    },
 }
 
 impl fmt::Display for SpecError {
@@ -206,6 +265,7 @@ impl fmt::Display for SpecError {
             Self::Names { what, found, wanted } => {
                 write!(f, "{found} names were given for {wanted} {what}")
             }
+            Self::Roles { agent } => write!(f, "agent {agent} has no role, or one out of order"),
         }
     }
 }

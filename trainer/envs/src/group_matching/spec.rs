@@ -41,6 +41,7 @@ pub(super) fn spec(parameters: &Parameters) -> Spec {
         row_entries: OWN_ENTRIES + groups,
         state_bytes: state_bytes(parameters),
         episode_limit,
+        ..Spec::default()
     }
 }
 

@@ -97,5 +97,6 @@ pub(super) fn spec(set: &ScenarioSet, constants: &Constants) -> Spec {
         row_entries: ROW_ENTRIES,
         state_bytes: state_bytes(set.max_agents, set.max_buildings),
         episode_limit: constants.episode_limit,
+        ..Spec::default()
     }
 }
