@@ -60,7 +60,7 @@ pub(crate) trait View {
         let _ = canvas;
         let actions = scene.actions.iter().enumerate();
         let action = |(agent, action): (usize, &u16)| {
-            let name = scene.spec.actions.get(usize::from(*action));
+            let name = scene.spec.actions_of(agent).get(usize::from(*action));
             name.map(|name| format!("agent {agent:2}  {name}"))
         };
         Drawing { lines: actions.filter_map(action).collect(), legend: String::new() }

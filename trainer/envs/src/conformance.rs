@@ -144,8 +144,7 @@ impl Laws {
             require(entries.is_sorted_by(|one, next| one.0 < next.0), || {
                 format!("features out of order: {entries:?}")
             })?;
-            let features =
-                self.spec.role_of(entity).map_or(shape.features, |role| role.features.len());
+            let features = self.spec.features_of(entity).len();
             let sound = |(column, value): &(usize, f32)| *column < features && value.is_finite();
             require(entries.iter().all(sound), || format!("impossible features: {entries:?}"))?;
         }
@@ -156,7 +155,7 @@ impl Laws {
         )?;
         let agents = seen.agents();
         for (agent, available) in seen.available.iter().enumerate() {
-            let actions = self.spec.role_of(agent).map_or(shape.actions, |role| role.actions.len());
+            let actions = self.spec.actions_of(agent).len();
             let possible = *available != 0 && u128::from(*available) >> actions == 0;
             require(possible && (agent < agents || *available == 1), || {
                 format!("agent {agent} may do {available:b}")

@@ -49,4 +49,4 @@ pub use random::Random;
 pub use registry::{Choice, ENVIRONMENTS, Entry, EnvironmentError, open};
 pub use rows::SparseRows;
 pub use spec::{Metric, Rewards, Role, Rule, Shape, Spec, SpecError, View};
-pub use throughput::observe_and_step;
+pub use throughput::{observe_and_step, step_alone};

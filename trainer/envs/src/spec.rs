@@ -158,9 +158,18 @@ impl Default for Spec {
 }
 
 impl Spec {
-    /// The role of an agent, where agents have roles.
-    pub fn role_of(&self, agent: usize) -> Option<&Role> {
+    fn role_of(&self, agent: usize) -> Option<&Role> {
         self.roles.iter().find(|role| role.agents.contains(&agent))
+    }
+
+    /// Names of what is seen of an agent, or by it: of the first columns of its row.
+    pub fn features_of(&self, agent: usize) -> &[String] {
+        self.role_of(agent).map_or(&self.features, |role| &role.features)
+    }
+
+    /// Names of the actions of an agent.
+    pub fn actions_of(&self, agent: usize) -> &[String] {
+        self.role_of(agent).map_or(&self.actions, |role| &role.actions)
     }
 
     /// Refuses sizes beyond what learners and executors hold, lists of names that do not fit the sizes, and roles

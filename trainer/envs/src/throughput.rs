@@ -1,10 +1,10 @@
-//! The loop that throughput is measured on.
+//! The loops that throughput is measured on.
 
 use alloc::vec::Vec;
 
-use crate::environment::Environment;
+use crate::environment::{Environment, StepError};
 use crate::observation::{EntitySet, Observation};
-use crate::random::{Random, member};
+use crate::random::{Random, below, member};
 
 /// Observes and steps every instance `rounds` times with random actions; returns the team return of
 /// all episodes that ended.
@@ -37,4 +37,30 @@ pub fn observe_and_step(
         }
     }
     returns
+}
+
+/// Steps every instance `rounds` times with random actions, as [`observe_and_step`] does but without looking.
+///
+/// # Errors
+/// An action was not available: which are is what observations say.
+pub fn step_alone(
+    environment: &mut dyn Environment,
+    random: &mut Random,
+    rounds: usize,
+) -> Result<f64, StepError> {
+    let spec = environment.spec();
+    let agents = 0..spec.shape.agents;
+    let possible: Vec<usize> = agents.map(|agent| spec.actions_of(agent).len()).collect();
+    let (mut actions, mut returns) = (Vec::new(), 0.0);
+    for _ in 0..rounds {
+        for instance in 0..environment.instances() {
+            actions.clear();
+            actions.extend(possible.iter().map(|count| below(random, *count) as u16));
+            if environment.step(instance, &actions, random)?.done() {
+                returns += environment.episode(instance).episode_return;
+                environment.reset(instance, random);
+            }
+        }
+    }
+    Ok(returns)
 }

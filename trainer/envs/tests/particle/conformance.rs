@@ -38,8 +38,9 @@ fn roles_say_who_sees_and_does_what() {
     let ends = ["rover-4", "rover-x", "rover-y", "goal-x", "goal-y"];
     assert_eq!(tower.features[4..], ends);
     assert_eq!(tower.units[3..6], ["flag", "flag", "half sides of the square"]);
-    assert_eq!(world.spec().role_of(4), Some(rover));
-    assert_eq!(world.spec().role_of(5), Some(tower));
+    assert_eq!(world.spec().features_of(4), rover.features);
+    assert_eq!(world.spec().features_of(5), tower.features);
+    assert_eq!(world.spec().actions_of(9), tower.actions);
     assert_eq!(world.spec().features, rover.features);
 
     let hunt = opened("treasure-12", &[]);
@@ -51,8 +52,8 @@ fn roles_say_who_sees_and_does_what() {
     assert_eq!(collector.features[treasure..treasure + 2], ["treasure-1-x", "treasure-1-y"]);
 
     let alike = opened("navigation-3", &[]);
-    assert_eq!((alike.spec().roles.len(), alike.spec().role_of(0)), (0, None));
-    assert_eq!(alike.spec().features[16..], ["other-1-says-0", "other-1-says-1"]);
+    assert_eq!(alike.spec().roles, []);
+    assert_eq!(alike.spec().features_of(2)[16..], ["other-1-says-0", "other-1-says-1"]);
 }
 
 #[test]

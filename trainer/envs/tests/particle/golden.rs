@@ -39,8 +39,7 @@ fn assert_seen(episode: &Episode, row: usize, world: &dyn Environment) -> bool {
     let mut seen = Observation::new(&spec.shape);
     world.observe(&saved(world), 0, EntitySet::MAX, &mut seen);
     for (agent, width) in episode.widths.iter().enumerate() {
-        let role = spec.role_of(agent).map_or(&spec.features, |role| &role.features);
-        assert_eq!(role.len(), *width, "{}", episode.name);
+        assert_eq!(spec.features_of(agent).len(), *width, "{}", episode.name);
         let mut dense = vec![0.0; spec.shape.features];
         seen.rows.write_dense(agent, &mut dense);
         let label = format!("{} state {row}, agent {agent}", episode.name);
