@@ -143,6 +143,22 @@ fn a_team_of_group_matching_is_looked_at_and_deployed() {
 }
 
 #[test]
+fn the_scripts_of_the_particle_world_are_measured() {
+    let rovers = ["eval", "scripted", "--env", "particle/rover-tower-8", "--episodes", "100"];
+    let measured = json(&[&rovers[..], &["--json"]].concat());
+    assert!(measured["return_mean"].as_f64() > Some(110.0), "{measured}");
+    assert!(measured["near"].as_f64() > Some(12.0), "{measured}");
+    assert_eq!((&measured["timeouts"], &measured["success"]), (&1.0.into(), &0.0.into()));
+    let rates = |env: &str| {
+        let report = json(&["bench", "env", "--env", env, "--seconds", "0.01", "--json"]);
+        let cases = list(&report["rows"]).iter().map(|row| row["case"].clone());
+        cases.collect::<Vec<Value>>()
+    };
+    assert_eq!(rates("particle"), ["particle", "particle, steps alone"]);
+    assert_eq!(rates("save-the-city"), ["save-the-city"], "not every action is possible there");
+}
+
+#[test]
 fn what_an_environment_does_not_offer_is_refused_with_what_would_fit() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let place = folder.path().join("page.html").display().to_string();

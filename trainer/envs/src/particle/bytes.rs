@@ -55,27 +55,33 @@ pub(super) fn read<S: Scenario>(
         Some(_) if bytes.len() == wanted => {}
         _ => return Err(StateError::Length { found: bytes.len(), wanted }),
     }
-    let mut reader = Reader(&bytes[1..]);
-    let mut state = || {
-        let steps = reader.count();
-        if steps > scenario.episode_limit() {
-            return Err(format!("it is {steps} steps long"));
-        }
-        let episode_return = reader.number()?;
-        Ok(State { steps, episode_return, world: scenario.read(&mut reader)? })
-    };
-    state().map_err(StateError::Impossible)
+    let mut reader = Reader { bytes: &bytes[1..], flaw: None };
+    let steps = reader.count();
+    reader.refuse(steps > scenario.episode_limit(), || format!("it is {steps} steps long"));
+    let state = State { steps, episode_return: reader.number(), world: scenario.read(&mut reader) };
+    reader.flaw.map_or(Ok(state), |flaw| Err(StateError::Impossible(flaw)))
 }
 
-/// Reads the bytes of a state, of which there are enough.
-pub struct Reader<'a>(&'a [u8]);
+/// Reads the bytes of a state, of which there are enough, and remembers what is wrong with them.
+pub struct Reader<'a> {
+    bytes: &'a [u8],
+    flaw: Option<String>,
+}
 
 impl Reader<'_> {
     #[inline]
     fn take<const COUNT: usize>(&mut self) -> [u8; COUNT] {
-        let (taken, rest) = self.0.split_first_chunk().expect("the length was checked");
-        self.0 = rest;
+        let (taken, rest) = self.bytes.split_first_chunk().expect("the length was checked");
+        self.bytes = rest;
         *taken
+    }
+
+    /// Remembers what is wrong, if it is; the first of several counts.
+    #[inline]
+    pub(super) fn refuse(&mut self, is_wrong: bool, flaw: impl FnOnce() -> String) {
+        if is_wrong && self.flaw.is_none() {
+            self.flaw = Some(flaw());
+        }
     }
 
     pub(super) fn count(&mut self) -> u32 {
@@ -83,36 +89,36 @@ impl Reader<'_> {
     }
 
     #[inline]
-    pub(super) fn number(&mut self) -> Result<f64, String> {
+    pub(super) fn number(&mut self) -> f64 {
         let number = f64::from_le_bytes(self.take());
-        if number.is_finite() { Ok(number) } else { Err("one of its numbers is none".into()) }
+        self.refuse(!number.is_finite(), || "one of its numbers is none".into());
+        number
     }
 
     #[inline]
-    pub(super) fn point(&mut self) -> Result<Point, String> {
-        Ok([self.number()?, self.number()?])
+    pub(super) fn point(&mut self) -> Point {
+        [self.number(), self.number()]
     }
 
     #[inline]
-    pub(super) fn mover(&mut self) -> Result<Mover, String> {
-        Ok(Mover { position: self.point()?, velocity: self.point()? })
+    pub(super) fn mover(&mut self) -> Mover {
+        Mover { position: self.point(), velocity: self.point() }
     }
 
     /// One of so many things.
     #[inline]
-    pub(super) fn index(&mut self, what: &str, count: usize) -> Result<u8, String> {
+    pub(super) fn index(&mut self, what: &str, count: usize) -> u8 {
         let [index] = self.take();
-        if usize::from(index) < count { Ok(index) } else { Err(format!("{what} {index}")) }
+        self.refuse(usize::from(index) >= count, || format!("{what} {index}"));
+        index
     }
 
     /// One of so many things, or none of them.
     #[inline]
-    pub(super) fn choice(&mut self, what: &str, count: usize) -> Result<Option<u8>, String> {
-        if self.0.first() == Some(&NONE) {
-            self.0 = &self.0[1..];
-            return Ok(None);
-        }
-        self.index(what, count).map(Some)
+    pub(super) fn choice(&mut self, what: &str, count: usize) -> Option<u8> {
+        let [index] = self.take();
+        self.refuse(index != NONE && usize::from(index) >= count, || format!("{what} {index}"));
+        (index != NONE).then_some(index)
     }
 }
 

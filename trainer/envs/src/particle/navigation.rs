@@ -1,7 +1,6 @@
 //! Cooperative Navigation: agents cover landmarks without touching each other.
 
 use alloc::format;
-use alloc::string::String;
 use alloc::vec;
 use alloc::vec::Vec;
 
@@ -140,13 +139,13 @@ impl Scenario for Navigation {
         write_number(world.uncovered, bytes);
     }
 
-    fn read(&self, bytes: &mut Reader<'_>) -> Result<Navigated, String> {
-        Ok(Navigated {
-            movers: self.bodies.iter().map(|_| bytes.mover()).collect::<Result<_, _>>()?,
-            landmarks: self.bodies.iter().map(|_| bytes.point()).collect::<Result<_, _>>()?,
+    fn read(&self, bytes: &mut Reader<'_>) -> Navigated {
+        Navigated {
+            movers: (0..self.agents()).map(|_| bytes.mover()).collect(),
+            landmarks: (0..self.agents()).map(|_| bytes.point()).collect(),
             collisions: bytes.count(),
-            uncovered: bytes.number()?,
-        })
+            uncovered: bytes.number(),
+        }
     }
 
     fn observe(&self, world: &Navigated, agent: usize, row: &mut Row<'_>) {

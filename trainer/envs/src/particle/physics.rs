@@ -35,7 +35,7 @@ pub struct Mover {
 pub struct Body {
     /// Of its disc.
     pub radius: f64,
-    /// Contacts push the lighter one more, see [`advance`].
+    /// A contact pushes by its force times the mass of the other over the own.
     pub mass: f64,
     /// Acceleration of its own actions.
     pub thrust: f64,

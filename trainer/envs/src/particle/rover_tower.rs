@@ -1,7 +1,7 @@
 //! Rover-Tower: each rover is led by words of a tower, which alone knows the goal (dissertation chapter 3).
 
 use alloc::format;
-use alloc::string::{String, ToString};
+use alloc::string::String;
 use alloc::vec;
 use alloc::vec::Vec;
 use core::mem;
@@ -152,31 +152,33 @@ impl Scenario for RoverTower {
     }
 
     fn write(&self, world: &Roved, bytes: &mut Vec<u8>) {
-        write_movers(&world.movers, bytes);
-        world.landmarks.iter().for_each(|landmark| write_point(*landmark, bytes));
         for Tower { rover, goal, said } in &world.towers {
             bytes.extend_from_slice(&[*rover, *goal]);
             write_choice(*said, bytes);
         }
         bytes.extend_from_slice(&world.near.to_le_bytes());
+        write_movers(&world.movers, bytes);
+        world.landmarks.iter().for_each(|landmark| write_point(*landmark, bytes));
     }
 
-    fn read(&self, bytes: &mut Reader<'_>) -> Result<Roved, String> {
+    fn read(&self, bytes: &mut Reader<'_>) -> Roved {
         let pairs = self.rovers();
-        let mut led = 0_u64;
-        let movers = (0..pairs).map(|_| bytes.mover()).collect::<Result<_, _>>()?;
-        let landmarks = (0..LANDMARKS).map(|_| bytes.point()).collect::<Result<_, _>>()?;
-        let mut tower = |_| {
-            let rover = bytes.index("a tower leads rover", pairs)?;
-            led |= 1 << rover;
-            let goal = bytes.index("a goal is landmark", LANDMARKS)?;
-            Ok(Tower { rover, goal, said: bytes.choice("a tower says", ACTIONS)? })
+        let mut tower = |_| Tower {
+            rover: bytes.index("a tower leads rover", pairs),
+            goal: bytes.index("a goal is landmark", LANDMARKS),
+            said: bytes.choice("a tower says", ACTIONS),
         };
-        let towers = (0..pairs).map(&mut tower).collect::<Result<_, String>>()?;
-        if led.count_ones() as usize != pairs {
-            return Err("two towers lead the same rover".to_string());
+        let towers: Vec<Tower> = (0..pairs).map(&mut tower).collect();
+        let near = bytes.count();
+        let led = towers.iter().fold(0_u64, |led, tower| led | 1 << (tower.rover % 64));
+        let is_shared = led.count_ones() as usize != pairs;
+        bytes.refuse(is_shared, || "two towers lead the same rover".into());
+        Roved {
+            movers: (0..pairs).map(|_| bytes.mover()).collect(),
+            landmarks: (0..LANDMARKS).map(|_| bytes.point()).collect(),
+            towers,
+            near,
         }
-        Ok(Roved { movers, landmarks, towers, near: bytes.count() })
     }
 
     fn observe(&self, world: &Roved, agent: usize, row: &mut Row<'_>) {

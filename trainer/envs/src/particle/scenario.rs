@@ -1,6 +1,5 @@
 //! What the scenarios of the plane differ in.
 
-use alloc::string::String;
 use alloc::vec::Vec;
 use core::fmt::Debug;
 
@@ -43,8 +42,8 @@ pub trait Scenario: Clone + Debug + Send + Sync + 'static {
     /// Adds the bytes of a world, always equally many.
     fn write(&self, world: &Self::World, bytes: &mut Vec<u8>);
 
-    /// Reads what [`write`](Self::write) wrote, or says why there is no such world.
-    fn read(&self, bytes: &mut Reader<'_>) -> Result<Self::World, String>;
+    /// Reads what [`write`](Self::write) wrote; what the reader has refused is not looked at.
+    fn read(&self, bytes: &mut Reader<'_>) -> Self::World;
 
     /// Writes what an agent sees.
     fn observe(&self, world: &Self::World, agent: usize, row: &mut Row<'_>);

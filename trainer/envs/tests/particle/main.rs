@@ -2,10 +2,12 @@
 
 mod conformance;
 mod golden;
+mod liar;
 mod recorded;
 mod returns;
 mod rules;
 mod states;
+mod throughput;
 
 use sortie_envs::registry::Setting;
 use sortie_envs::{Environment, Split, open};

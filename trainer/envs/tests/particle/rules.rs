@@ -5,6 +5,7 @@ use sortie_envs::particle::{
     Stage, Treasure, TreasureCollection,
 };
 use sortie_envs::random::generator;
+use sortie_envs::registry::Setting;
 use sortie_envs::{EntitySet, Environment, Observation, StepError};
 
 use super::{opened, saved};
@@ -173,6 +174,36 @@ fn dead_treasures_are_far_away_or_zeros() {
 }
 
 #[test]
+fn the_setting_says_which() {
+    let farthest = |settings: &[(&str, Setting)]| {
+        let (mut world, mut random) = (opened("treasure-4", settings), generator(4));
+        world.reset(0, &mut random);
+        let (mut actions, mut farthest) = ([0; 4], 0.0_f32);
+        while !world.episode(0).done {
+            world.scripted(&saved(&*world), &[], &mut random, &mut actions);
+            world.step(0, &actions, &mut random).unwrap();
+            farthest = row(&*world, 0).iter().fold(farthest, |most, seen| most.max(seen.abs()));
+        }
+        farthest
+    };
+    assert!(farthest(&[]) > 990.0);
+    assert!(farthest(&[("dead_treasures", Setting::Text("far".into()))]) > 990.0);
+    assert!(farthest(&[("dead_treasures", Setting::Text("zeros".into()))]) < 4.0);
+}
+
+#[test]
+fn what_is_equally_near_is_seen_in_the_order_of_its_numbers() {
+    let scenario = TreasureCollection::new(2, DeadTreasures::Far, 100);
+    let mut world = scenario.world();
+    world.treasures[1].kind = 1;
+    world.treasures[3].kind = 1;
+    let mut hunt = Particle::new(scenario, 1);
+    hunt.start(0, world);
+    let kinds: Vec<f32> = row(&hunt, 0)[6 + 7 * 8..].chunks(4).map(|seen| seen[3]).collect();
+    assert_eq!(kinds, [0.0, 1.0, 0.0, 1.0, 0.0, 0.0]);
+}
+
+#[test]
 fn messages_are_seen_in_the_step_that_they_are_said_in() {
     let mut world = Particle::new(RoverTower::new(2, 25), 1);
     world.reset(0, &mut generator(3));
@@ -204,6 +235,8 @@ fn potentials_tell_how_far_everybody_has_to_go() {
     near(potential(0b10), -10.0 * 1.4_f32.hypot(1.2));
     near(potential(0b1000), -4.0);
     near(potential(0b1001), -7.0);
+    world.hands[2].now = None;
+    near(hunt(world.clone())(0b1000), -10.0);
     // The treasure beside is dead, all others are far away, and nobody holds anything any more.
     world.hands.fill(Hand::default());
     world.treasures[0].stage = Stage::Taken;

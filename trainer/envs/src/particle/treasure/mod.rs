@@ -161,7 +161,7 @@ impl Scenario for TreasureCollection {
         world.write(bytes);
     }
 
-    fn read(&self, bytes: &mut Reader<'_>) -> Result<Hoard, String> {
+    fn read(&self, bytes: &mut Reader<'_>) -> Hoard {
         Hoard::read(self.agents(), self.collectors, bytes)
     }
 

@@ -3,7 +3,6 @@
 //! Rewards and observations of a step tell of holdings and treasures as they stood before anything was taken or
 //! brought in that step. So both are kept: as they stand, and as they are seen.
 
-use alloc::string::String;
 use alloc::vec::Vec;
 
 use crate::particle::bytes::{Reader, write_choice, write_movers, write_point};
@@ -114,30 +113,37 @@ impl Hoard {
         }
     }
 
-    pub(super) fn read(
-        agents: usize,
-        collectors: usize,
-        bytes: &mut Reader<'_>,
-    ) -> Result<Self, String> {
+    pub(super) fn read(agents: usize, collectors: usize, bytes: &mut Reader<'_>) -> Self {
         let kinds = agents - collectors;
-        let movers = (0..agents).map(|_| bytes.mover()).collect::<Result<_, _>>()?;
+        Self {
+            movers: (0..agents).map(|_| bytes.mover()).collect(),
+            hands: (0..collectors).map(|_| Hand::read(kinds, bytes)).collect(),
+            treasures: (0..collectors).map(|_| Treasure::read(kinds, bytes)).collect(),
+            taken: bytes.count(),
+            delivered: bytes.count(),
+            collisions: bytes.count(),
+        }
+    }
+}
+
+impl Hand {
+    fn read(kinds: usize, bytes: &mut Reader<'_>) -> Self {
         let mut hold = || bytes.choice("a collector holds kind", kinds);
-        let hands = (0..collectors).map(|_| Ok(Hand { now: hold()?, seen: hold()? }));
-        let hands = hands.collect::<Result<_, String>>()?;
-        let mut treasure = || {
-            let position = bytes.point()?;
-            let kind = bytes.index("a treasure is of kind", kinds)?;
-            let stage = bytes.index("a treasure is in stage", 3)?;
-            let seen = bytes.index("a treasure was of kind", kinds)?;
-            let stage = match stage {
-                0 => Stage::Lies,
-                1 => Stage::Taken,
-                _ => Stage::New(seen),
-            };
-            Ok(Treasure { position, kind, stage })
+        Self { now: hold(), seen: hold() }
+    }
+}
+
+impl Treasure {
+    fn read(kinds: usize, bytes: &mut Reader<'_>) -> Self {
+        let position = bytes.point();
+        let kind = bytes.index("a treasure is of kind", kinds);
+        let stage = bytes.index("a treasure is in stage", 3);
+        let seen = bytes.index("a treasure was of kind", kinds);
+        let stage = match stage {
+            0 => Stage::Lies,
+            1 => Stage::Taken,
+            _ => Stage::New(seen),
         };
-        let treasures = (0..collectors).map(|_| treasure()).collect::<Result<_, String>>()?;
-        let [taken, delivered, collisions] = [(); 3].map(|()| bytes.count());
-        Ok(Self { movers, hands, treasures, taken, delivered, collisions })
+        Self { position, kind, stage }
     }
 }
