@@ -58,7 +58,7 @@ impl Names {
     }
 }
 
-/// Writes what an agent sees, in the order of its [`Names`].
+/// Writes what an agent sees, in the order of its names.
 pub struct Row<'a> {
     rows: &'a mut SparseRows,
     column: usize,

@@ -18,7 +18,7 @@ const BUMPS: f64 = 2.0 * COLLECTOR.radius;
 
 impl TreasureCollection {
     /// Plays a step in which `draw` says place and kind of each treasure, by its number, that follows a taken one.
-    pub fn step_by(
+    pub(in crate::particle) fn step_by(
         &self,
         world: &mut Hoard,
         actions: &[u16],
