@@ -7,6 +7,7 @@
 
 pub mod absorbed_attention;
 pub mod attention;
+pub mod attention_scores;
 pub mod elementwise;
 pub mod gru;
 pub mod linear;

@@ -96,19 +96,50 @@ pub fn affine_backward(
     }
 }
 
-/// Gives every column of a batch `[rows, columns]` mean 0 and variance 1, in place: batch normalisation of
-/// inputs. Its numbers depend on the data only, so it comes before the network and before any chunks.
-pub fn batch(columns: usize, rows: &mut [f32]) {
-    let share = 1.0 / (rows.len() / columns).max(1) as f64;
-    for column in 0..columns {
-        let numbers = || rows.iter().skip(column).step_by(columns).map(|x| f64::from(*x));
-        let mean = share * numbers().sum::<f64>();
-        let variance = share * numbers().map(|x| (x - mean) * (x - mean)).sum::<f64>();
-        let inverse = 1.0 / (variance + f64::from(EPSILON)).sqrt();
-        for x in rows.iter_mut().skip(column).step_by(columns) {
-            *x = ((f64::from(*x) - mean) * inverse) as f32;
+/// Mean and variance of every column of a batch.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Moments {
+    /// `[columns]`
+    pub means: Vec<f64>,
+    /// `[columns]`, those of the batch itself: its sum of squares over its number of rows.
+    pub variances: Vec<f64>,
+}
+
+impl Moments {
+    /// Those of a batch `[rows, columns]`.
+    pub fn of(columns: usize, rows: &[f32]) -> Self {
+        let share = 1.0 / (rows.len() / columns).max(1) as f64;
+        let mut means = vec![0.0; columns];
+        for row in rows.chunks_exact(columns) {
+            means.iter_mut().zip(row).for_each(|(mean, x)| *mean += share * f64::from(*x));
+        }
+        let mut variances = vec![0.0; columns];
+        for row in rows.chunks_exact(columns) {
+            for ((variance, mean), x) in variances.iter_mut().zip(&means).zip(row) {
+                *variance += share * (f64::from(*x) - mean) * (f64::from(*x) - mean);
+            }
+        }
+        Self { means, variances }
+    }
+
+    /// Takes them away from a batch `[rows, columns]`: columns of which they are the moments get mean 0 and variance 1.
+    pub fn normalise(&self, rows: &mut [f32]) {
+        let inverse = |variance: &f64| 1.0 / (variance + f64::from(EPSILON)).sqrt();
+        let inverses: Vec<f64> = self.variances.iter().map(inverse).collect();
+        for row in rows.chunks_exact_mut(self.means.len()) {
+            for ((x, mean), inverse) in row.iter_mut().zip(&self.means).zip(&inverses) {
+                *x = ((f64::from(*x) - mean) * inverse) as f32;
+            }
         }
     }
+}
+
+/// Gives every column of a batch `[rows, columns]` mean 0 and variance 1, in place: batch normalisation of
+/// inputs. Its numbers depend on the data only, so it comes before the network and before any chunks.
+pub fn batch(columns: usize, rows: &mut [f32]) -> Moments {
+    let moments = Moments::of(columns, rows);
+    moments.normalise(rows);
+    moments
 }
 
 #[cfg(test)]

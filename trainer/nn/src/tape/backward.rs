@@ -5,7 +5,6 @@ use std::ops::Range;
 
 use super::operation::{Indices, Operation};
 use super::{Gru, Linear, Norm, Pass, Tape, Var};
-use crate::layers::attention::{self, AttentionShape, Backward};
 use crate::layers::gru::GruShape;
 use crate::layers::matrix::Store;
 use crate::layers::{elementwise, linear, losses, normalise, relu, softmax, sparse_linear, unfold};
@@ -75,6 +74,9 @@ impl Tape {
             }
             Operation::Attend { queries, keys_values, lists, weights, shape } => {
                 self.descend_attention([queries, keys_values], lists, weights as usize, shape, own);
+            }
+            Operation::SquaredScores { queries, keys_values, lists, shape } => {
+                self.descend_scores([queries, keys_values], lists, shape, own);
             }
             Operation::Recur { x, pass, carry, slots, layer } => {
                 let places = [pass, carry, slots].map(|place| place as usize);
@@ -236,7 +238,7 @@ impl Tape {
     }
 
     /// Stores slopes by `x` that were computed elsewhere.
-    fn keep(&mut self, x: Var, slopes: &[f32]) {
+    pub(super) fn keep(&mut self, x: Var, slopes: &[f32]) {
         if let Some((range, store)) = self.slopes_of(x) {
             elementwise::scale(1.0, slopes, store, &mut self.slopes[range]);
         }
@@ -277,38 +279,6 @@ impl Tape {
         self.through(x, own, |x, _, slopes| {
             normalise::affine_backward(factors, x, slopes, d_factors, d_offsets);
         });
-    }
-
-    fn descend_attention(
-        &mut self,
-        [queries, keys_values]: [Var; 2],
-        lists: u32,
-        weights: usize,
-        shape: AttentionShape,
-        own: Range<usize>,
-    ) {
-        let visible = &self.lists.things[lists as usize];
-        let ranges = [queries, keys_values].map(|var| self.of(var).range());
-        let [q, kv] = ranges.clone().map(|range| &self.values[range]);
-        let longest = (0..visible.queries()).map(|query| visible.span(query).1.len()).max();
-        let numbers = [q.len(), kv.len(), longest.unwrap_or(0) * shape.heads];
-        let mut scratch = mem::take(&mut self.scratch);
-        let space = sized(&mut scratch, numbers.iter().sum());
-        let (d_queries, space) = space.split_at_mut(numbers[0]);
-        let (d_keys_values, d_scores) = space.split_at_mut(numbers[1]);
-        let pass = Backward {
-            queries: q,
-            keys_values: kv,
-            weights: &self.values[weights..][..visible.pairs() * shape.heads],
-            d_output: &self.slopes[own],
-            d_scores,
-            d_queries: &mut *d_queries,
-            d_keys_values: &mut *d_keys_values,
-        };
-        attention::backward(shape, visible, pass);
-        self.keep(keys_values, d_keys_values);
-        self.keep(queries, d_queries);
-        self.scratch = scratch;
     }
 
     fn descend_gru(
@@ -393,7 +363,7 @@ fn weight_and_bias(layer: Linear, gradient: &mut [f32]) -> [&mut [f32]; 2] {
 }
 
 /// The first so many numbers of a buffer that only grows.
-fn sized(buffer: &mut Vec<f32>, numbers: usize) -> &mut [f32] {
+pub(super) fn sized(buffer: &mut Vec<f32>, numbers: usize) -> &mut [f32] {
     if buffer.len() < numbers {
         buffer.resize(numbers, 0.0);
     }

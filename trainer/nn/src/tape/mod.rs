@@ -27,6 +27,7 @@
 //! # assert!(loss > 0.0 && gradient.iter().any(|slope| *slope != 0.0));
 //! ```
 
+mod attending;
 mod backward;
 pub mod chunks;
 mod operation;

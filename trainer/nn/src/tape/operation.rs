@@ -49,6 +49,12 @@ pub(super) enum Operation {
         weights: u32,
         shape: AttentionShape,
     },
+    SquaredScores {
+        queries: Var,
+        keys_values: Var,
+        lists: u32,
+        shape: AttentionShape,
+    },
     /// `carry` is where it begins in the tape's.
     Recur {
         x: Var,

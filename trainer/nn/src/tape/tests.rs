@@ -86,6 +86,10 @@ fn gradients_of_steps_without_parameters_agree_with_finite_differences() {
         let (first, squares) = (t.columns(x, 0..1), t.multiply(x, x));
         t.concat(&[first, x, squares])
     });
+    check("stack", |t, x| {
+        let (first, squares) = (t.rows(x, 0..2), t.multiply(x, x));
+        t.stack(&[first, x, squares])
+    });
     check("add", |t, x| {
         let other = t.tanh(x);
         t.add(x, other)
@@ -164,6 +168,34 @@ fn attention_goes_over_shared_keys_and_values() {
         let others = t.attention(queries, keys_values, &others, 2);
         t.concat(&[own, others])
     });
+}
+
+#[test]
+fn squared_scores_are_those_of_each_query() {
+    let mut lists = VisibleLists::default();
+    for seen in [&[0, 1][..], &[1, 2, 3], &[]] {
+        seen.iter().for_each(|row| lists.push(*row));
+        lists.end_list();
+    }
+    let drawn = &mut stream(3, 1, 0);
+    let mut p = Parameters::default();
+    let (queries, keys_values) =
+        (p.projection("queries", 8, 8, drawn), p.projection("keys_values", 8, 16, drawn));
+    check("squared scores", &p, (4, 8), |t, x| {
+        let acting = t.rows(x, 0..3);
+        let (queries, keys_values) = (t.linear(acting, queries), t.linear(x, keys_values));
+        t.squared_scores(queries, keys_values, &lists, 2)
+    });
+    // One query of two heads, (1, 2) and (3, 4), and a key of (5, 6) and (7, 8): 17 and 53.
+    let mut tape = Tape::default();
+    let mut pass = tape.begin(&[]);
+    let query = pass.input(4, &[1.0, 2.0, 3.0, 4.0]);
+    let key = pass.input(8, &[5.0, 6.0, 7.0, 8.0, 9.0, 9.0, 9.0, 9.0]);
+    let mut one = VisibleLists::default();
+    one.push(0);
+    one.end_list();
+    let sum = pass.squared_scores(query, key, &one, 2);
+    assert_eq!(pass.values(sum), [17.0 * 17.0 + 53.0 * 53.0]);
 }
 
 #[test]

@@ -5,7 +5,7 @@ use super::super::{Gru, Linear, Norm, Pass, Var};
 use crate::layers::attention::{self, AttentionShape};
 use crate::layers::gru::GruShape;
 use crate::layers::unfold::{self, UnfoldShape};
-use crate::layers::{SparseRows, VisibleLists, linear, normalise, sparse_linear};
+use crate::layers::{SparseRows, VisibleLists, attention_scores, linear, normalise, sparse_linear};
 
 impl Pass<'_> {
     /// `x W' + b`
@@ -116,6 +116,29 @@ impl Pass<'_> {
         let [queries, keys_values] = ranges.map(|range| &before[range]);
         let out = &mut rest[..count * width];
         attention::forward(shape, visible, queries, keys_values, &mut weights[..pairs], out);
+        y
+    }
+
+    /// `[queries, 1]`: the sum of the squared scores of what each query sees, before they are scaled, over all heads.
+    pub fn squared_scores(
+        &mut self,
+        queries: Var,
+        keys_values: Var,
+        visible: &VisibleLists,
+        heads: usize,
+    ) -> Var {
+        let [count, width] = self.size(queries);
+        assert_eq!((count, 2 * width), (visible.queries(), self.size(keys_values)[1]), "sizes");
+        let shape = AttentionShape { width, heads };
+        let (lists, kept) = self.tape.lists.next();
+        kept.copy_from(visible);
+        let operation = Operation::SquaredScores { queries, keys_values, lists, shape };
+        let needs = self.tape.needs(queries) || self.tape.needs(keys_values);
+        let y = self.tape.push(operation, count, 1, needs);
+        let ranges = [queries, keys_values].map(|var| self.tape.of(var).range());
+        let (before, out) = self.tape.split(y);
+        let [queries, keys_values] = ranges.map(|range| &before[range]);
+        attention_scores::forward(shape, visible, queries, keys_values, out);
         y
     }
 

@@ -2,8 +2,8 @@
 
 use std::ops::Range;
 
-use super::super::operation::Operation;
-use super::super::{Pass, Var};
+use super::super::operation::{Indices, Operation};
+use super::super::{Pass, Tape, Var};
 use crate::layers::elementwise;
 use crate::layers::matrix::Store;
 
@@ -106,14 +106,36 @@ impl Pass<'_> {
 
     /// The columns of several matrices beside each other.
     pub fn concat(&mut self, parts: &[Var]) -> Var {
-        let rows = parts.first().map_or(0, |part| self.size(*part)[0]);
-        let width: usize = parts.iter().map(|part| self.size(*part)[1]).sum();
-        let needs = parts.iter().any(|part| self.tape.needs(*part));
-        let indices = self.tape.store_indices(parts.iter().map(|part| part.0));
-        let y = self.tape.push(Operation::Concat { parts: indices }, rows, width, needs);
-        let mut first = 0;
+        let parts = self.tape.store_indices(parts.iter().map(|part| part.0));
+        self.join_columns(parts)
+    }
+
+    /// The rows of several matrices behind each other.
+    pub fn stack(&mut self, parts: &[Var]) -> Var {
+        let columns = parts.first().map_or(1, |part| self.size(*part)[1]);
+        let first = self.tape.indices.len() as u32;
         for part in parts {
-            let (range, [count, columns]) = (self.tape.of(*part).range(), self.size(*part));
+            let [rows, width] = self.size(*part);
+            assert_eq!(width, columns, "columns of every part");
+            let row = self.reshape(*part, rows * width);
+            self.tape.indices.push(row.0);
+        }
+        let row = self.join_columns((first, first + parts.len() as u32));
+        self.reshape(row, columns)
+    }
+
+    /// The columns of the matrices whose numbers stand among the tape's indices.
+    fn join_columns(&mut self, parts: Indices) -> Var {
+        let numbers = parts.0 as usize..parts.1 as usize;
+        let part = |tape: &Tape, number: usize| Var(tape.indices[number]);
+        let sizes = numbers.clone().map(|number| self.size(part(self.tape, number)));
+        let (rows, width) = sizes.fold((0, 0), |sum, [rows, columns]| (rows, sum.1 + columns));
+        let needs = numbers.clone().any(|number| self.tape.needs(part(self.tape, number)));
+        let y = self.tape.push(Operation::Concat { parts }, rows, width, needs);
+        let mut first = 0;
+        for number in numbers {
+            let part = part(self.tape, number);
+            let (range, [count, columns]) = (self.tape.of(part).range(), self.size(part));
             assert_eq!(count, rows, "rows of every part");
             let (before, out) = self.tape.split(y);
             for (y, x) in out.chunks_exact_mut(width).zip(before[range].chunks_exact(columns)) {
