@@ -6,7 +6,7 @@ use std::path::Path;
 use sortie_bundle::{MANIFEST, TRAINING};
 use sortie_envs::{ENVIRONMENTS, Entry, Environment, Split};
 use sortie_learn::run::{RunDescription, method_of, read_description};
-use sortie_learn::session::{EnvironmentChoice, MethodEntry, Opening, Parts, load_weights};
+use sortie_learn::session::{EnvironmentChoice, MethodEntry, Opening, Parts, Setup, load_weights};
 use sortie_learn::{LearnError, Method};
 use sortie_methods::{METHODS, alma};
 
@@ -111,6 +111,15 @@ pub(crate) fn settle(entry: &MethodEntry, choice: &mut EnvironmentChoice) -> Out
         let name = choice.name.clone();
         choose(choice, &name)?;
     }
+    Ok(())
+}
+
+/// Fits a preset to the environment that it is to learn in, if that is known and fits.
+pub(crate) fn suit(entry: &MethodEntry, preset: &str, setup: &mut Setup) -> Outcome {
+    let mut choice = setup.environment.clone();
+    settle(entry, &mut choice)?;
+    let environment = open_environment(&choice)?;
+    (entry.suit)(preset, setup, environment.spec());
     Ok(())
 }
 

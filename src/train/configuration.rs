@@ -29,6 +29,9 @@ pub(super) fn setup(arguments: &TrainArguments) -> Result<Setup, Failure> {
     if let Some(name) = &arguments.env {
         methods::choose(&mut setup.environment, name)?;
     }
+    if arguments.config.is_none() {
+        methods::suit(entry, &arguments.preset, &mut setup)?;
+    }
     for (flag, value) in [
         ("--allocation", arguments.allocation.map(Allocation::name)),
         ("--mixer", arguments.mixer.map(Mixer::name)),

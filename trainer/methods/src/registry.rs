@@ -2,7 +2,7 @@
 
 use sortie_learn::session::MethodEntry;
 
-use crate::{alma, value_factorisation};
+use crate::{alma, maac, value_factorisation};
 
 /// Every method of this crate.
 pub const METHODS: &[MethodEntry] = &[
@@ -12,6 +12,7 @@ pub const METHODS: &[MethodEntry] = &[
     value_factorisation::QMIX,
     value_factorisation::VDN,
     value_factorisation::REFIL,
+    maac::MAAC,
 ];
 
 /// A method by its name.

@@ -1,8 +1,8 @@
 //! Episodes of the reference, replayed from their first states.
 
 use sortie_envs::particle::{
-    Hand, Hoard, Mover, Navigated, Navigation, Particle, Roved, RoverTower, Scenario, Stage, Tower,
-    Treasure, TreasureCollection,
+    DeadTreasures, Hand, Hoard, Mover, Navigated, Navigation, Particle, Roved, RoverTower,
+    Scenario, Stage, Tower, Treasure, TreasureCollection,
 };
 use sortie_envs::random::generator;
 use sortie_envs::{EntitySet, Environment, Observation, Step};
@@ -169,7 +169,7 @@ fn recorded_treasure_hunts_replay() {
                 }
                 step
             };
-            let scenario = TreasureCollection::new(banks, Default::default(), 100);
+            let scenario = TreasureCollection::new(banks, DeadTreasures::Far, 100);
             replay(scenario, &episode, start, play, check);
         }
     }

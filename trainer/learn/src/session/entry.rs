@@ -26,6 +26,8 @@ pub struct MethodEntry {
     pub flags: &'static [Flag],
     /// Numbers of steps that a run shorter than the default preset's has shorter in proportion, unless they were given.
     pub in_proportion: &'static [&'static str],
+    /// Fits a preset of this name to an environment that asks for other values.
+    pub suit: fn(&str, &mut Setup, &Spec),
     /// Gives the file of a run what it learned by before that was a key.
     pub settle_older: fn(&mut Table),
     /// Why it cannot learn in an environment.

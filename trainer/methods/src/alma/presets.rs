@@ -44,6 +44,7 @@ pub const ALMA: MethodEntry = MethodEntry {
         },
     ],
     in_proportion: &["exploration.steps", "allocator.learns_from", "allocator.decides_from"],
+    suit: |_, _, _| {},
     settle_older,
     misfit,
     open,

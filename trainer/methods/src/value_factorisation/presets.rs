@@ -23,6 +23,7 @@ pub const QMIX: MethodEntry = MethodEntry {
     ],
     flags: &[Flag { name: "--mixer", assignments: &["mixer.kind={}"] }],
     in_proportion: &[],
+    suit: |_, _, _| {},
     settle_older: |_| {},
     misfit,
     open,

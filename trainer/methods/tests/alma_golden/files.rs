@@ -95,6 +95,9 @@ pub(crate) fn safetensors_case(part: &str, group: &str) -> Case {
             safetensors::Dtype::I32 => {
                 view.data().as_chunks().0.iter().map(|b| i32::from_le_bytes(*b).into()).collect()
             }
+            safetensors::Dtype::I64 => {
+                view.data().as_chunks().0.iter().map(|b| i64::from_le_bytes(*b) as f64).collect()
+            }
             safetensors::Dtype::U8 => view.data().iter().map(|b| f64::from(*b)).collect(),
             other => panic!("unexpected type {other:?}"),
         };

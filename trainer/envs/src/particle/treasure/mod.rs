@@ -36,9 +36,9 @@ const BANK: Body = Body { radius: 0.075, mass: 2.25, ..COLLECTOR };
 #[serde(try_from = "String")]
 pub enum DeadTreasures {
     /// It is of its old kind and lies far away, as in the reference.
-    #[default]
     Far,
-    /// Zeros.
+    /// Zeros: nothing that a network would have to be normalised for.
+    #[default]
     Zeros,
 }
 

@@ -1,0 +1,143 @@
+//! Agents look at scenes and choose by their policies.
+
+use sortie_envs::random::unit;
+use sortie_envs::{EntitySet, Environment, Observation, Random};
+use sortie_learn::Scene;
+use sortie_nn::layers::softmax;
+use sortie_nn::tape::Tape;
+
+use super::batch::Running;
+use super::config::NetworkConfig;
+use super::drawing::drawn;
+use super::groups::Groups;
+use super::policies::Policies;
+
+/// What is seen in one state, all agents one behind the other, each as far as its role sees.
+pub(super) fn observe(
+    environment: &dyn Environment,
+    groups: &Groups,
+    state: &[u8],
+    seen: &mut Observation,
+    numbers: &mut Vec<f32>,
+) {
+    environment.observe(state, 0, EntitySet::MAX, seen);
+    for group in &groups.0 {
+        for agent in group.agents.clone() {
+            let start = numbers.len();
+            numbers.resize(start + group.observed, 0.0);
+            seen.rows.write_dense(agent, &mut numbers[start..]);
+        }
+    }
+}
+
+/// Numbers that all agents see together.
+pub(super) fn observed(groups: &Groups) -> usize {
+    groups.0.iter().map(|group| group.observed * group.agents.len()).sum()
+}
+
+/// Adds, by groups, the rows that the networks are shown of what is seen in one state.
+pub(super) fn show(
+    groups: &Groups,
+    network: &NetworkConfig,
+    mut observation: &[f32],
+    shown: &mut [Vec<f32>],
+) {
+    let scale = if network.normalised { 1.0 } else { network.input_scale };
+    for (group, shown) in groups.0.iter().zip(shown) {
+        for index in 0..group.agents.len() {
+            let (own, rest) = observation.split_at(group.observed);
+            observation = rest;
+            shown.extend(own.iter().map(|number| scale * number));
+            if group.identity {
+                let start = shown.len();
+                shown.resize(start + group.agents.len(), 0.0);
+                shown[start + index] = 1.0;
+            }
+        }
+    }
+}
+
+/// Agents at work in several scenes.
+#[derive(Debug, Default)]
+pub(super) struct Acting {
+    seen: Observation,
+    /// `[scenes, observed]`
+    pub(super) observations: Vec<f32>,
+    shown: Vec<Vec<f32>>,
+    tape: Tape,
+    /// By groups, `[scenes, agents, actions]`.
+    scores: Vec<Vec<f32>>,
+}
+
+/// The policies that act.
+#[derive(Clone, Copy)]
+pub(super) struct Actors<'a> {
+    pub(super) groups: &'a Groups,
+    pub(super) network: &'a NetworkConfig,
+    pub(super) policies: &'a Policies,
+    pub(super) weights: &'a [f32],
+    pub(super) running: &'a Running,
+}
+
+impl Acting {
+    /// Finds the scores of all actions in scenes.
+    pub(super) fn look<'s>(
+        &mut self,
+        actors: Actors<'_>,
+        environment: &dyn Environment,
+        scenes: impl Iterator<Item = &'s Scene<'s>>,
+    ) {
+        let Actors { groups, network, policies, weights, running } = actors;
+        self.observations.clear();
+        self.shown.resize_with(groups.0.len(), Vec::new);
+        self.shown.iter_mut().for_each(Vec::clear);
+        let width = observed(groups);
+        let mut count = 0;
+        for scene in scenes {
+            observe(environment, groups, scene.state, &mut self.seen, &mut self.observations);
+            let own = &self.observations[count * width..];
+            show(groups, network, own, &mut self.shown);
+            count += 1;
+        }
+        if network.normalised {
+            let rows = self.shown.iter_mut().enumerate();
+            rows.for_each(|(group, rows)| running.normalise(group, rows));
+        }
+        let mut pass = self.tape.begin(weights);
+        let scores = policies.scores(&mut pass, groups, &self.shown, 0..count);
+        self.scores.resize_with(scores.len(), Vec::new);
+        for (scores, kept) in scores.into_iter().zip(&mut self.scores) {
+            kept.clear();
+            kept.extend_from_slice(pass.values(scores));
+        }
+    }
+
+    /// Writes `[agents]` what agents choose in one of the scenes: drawn by their scores, or without a generator the best.
+    pub(super) fn choose(
+        &mut self,
+        groups: &Groups,
+        scene: usize,
+        mut random: Option<&mut Random>,
+        actions: &mut [u16],
+    ) {
+        for (group, scores) in groups.0.iter().zip(&mut self.scores) {
+            let row = group.agents.len() * group.actions;
+            let rows = scores[scene * row..][..row].chunks_exact_mut(group.actions);
+            for (scores, agent) in rows.zip(group.agents.clone()) {
+                actions[agent] = match &mut random {
+                    Some(random) => {
+                        softmax::forward(scores);
+                        drawn(scores, unit(random) as f32) as u16
+                    }
+                    None => best(scores),
+                };
+            }
+        }
+    }
+}
+
+/// The first of the largest.
+fn best(scores: &[f32]) -> u16 {
+    let largest = scores.iter().enumerate().reduce(|a, b| if b.1 > a.1 { b } else { a });
+    largest.map_or(0, |(action, _)| action as u16)
+}

@@ -1,0 +1,104 @@
+//! What an update sees, and what networks are shown of it.
+
+use sortie_nn::layers::normalise::{self, Moments};
+
+use super::groups::Groups;
+
+/// Records, by groups: rows of agents.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Batch {
+    /// Joint records.
+    pub records: usize,
+    /// `[rows, inputs]`: what they saw.
+    pub observations: Vec<Vec<f32>>,
+    /// `[rows]`: what they did.
+    pub actions: Vec<Vec<u32>>,
+    /// `[rows]`: what they earned until the next observation.
+    pub rewards: Vec<Vec<f32>>,
+    /// `[rows]`: what the value of the next observation counts, 0 behind an end.
+    pub discounts: Vec<Vec<f32>>,
+    /// `[rows, inputs]`: what they saw next.
+    pub next: Vec<Vec<f32>>,
+}
+
+impl Batch {
+    /// Forgets all records, keeps the memory.
+    pub fn clear(&mut self, groups: &Groups) {
+        fn emptied<T>(all: &mut Vec<Vec<T>>, groups: usize) {
+            all.resize_with(groups, Vec::new);
+            all.iter_mut().for_each(Vec::clear);
+        }
+        self.records = 0;
+        emptied(&mut self.actions, groups.0.len());
+        let Self { observations, rewards, discounts, next, .. } = self;
+        for all in [observations, rewards, discounts, next] {
+            emptied(all, groups.0.len());
+        }
+    }
+}
+
+/// Mean and variance of what each group's policy was shown, moved a tenth of the way with every batch.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Running {
+    /// By groups, `[inputs]`.
+    pub means: Vec<Vec<f64>>,
+    /// By groups, `[inputs]`.
+    pub variances: Vec<Vec<f64>>,
+}
+
+impl Running {
+    const RATE: f64 = 0.1;
+
+    /// Those of groups that saw nothing yet.
+    pub fn new(groups: &Groups) -> Self {
+        let all = |number: f64| groups.0.iter().map(|group| vec![number; group.inputs()]).collect();
+        Self { means: all(0.0), variances: all(1.0) }
+    }
+
+    /// Moves towards the moments of a batch of so many rows.
+    pub fn update(&mut self, group: usize, moments: &Moments, rows: usize) {
+        let unbiased = rows as f64 / (rows as f64 - 1.0).max(1.0);
+        let towards = |at: &mut f64, to: f64| *at += Self::RATE * (to - *at);
+        for (mean, to) in self.means[group].iter_mut().zip(&moments.means) {
+            towards(mean, *to);
+        }
+        for (variance, to) in self.variances[group].iter_mut().zip(&moments.variances) {
+            towards(variance, unbiased * to);
+        }
+    }
+
+    /// Normalises what a group is shown outside of batches.
+    pub fn normalise(&self, group: usize, rows: &mut [f32]) {
+        let (means, variances) = (self.means[group].clone(), self.variances[group].clone());
+        Moments { means, variances }.normalise(rows);
+    }
+}
+
+/// Writes which actions were taken behind the observations, `[rows, inputs + actions]`, and normalises these columns if
+/// the others are.
+pub(super) fn encode(
+    groups: &Groups,
+    observations: &[Vec<f32>],
+    actions: &[Vec<u32>],
+    normalised: bool,
+    encoded: &mut Vec<Vec<f32>>,
+) {
+    encoded.resize_with(groups.0.len(), Vec::new);
+    for ((group, encoded), (observations, actions)) in
+        groups.0.iter().zip(encoded).zip(observations.iter().zip(actions))
+    {
+        let mut taken = vec![0.0; actions.len() * group.actions];
+        for (taken, action) in taken.chunks_exact_mut(group.actions).zip(actions) {
+            taken[*action as usize] = 1.0;
+        }
+        if normalised {
+            normalise::batch(group.actions, &mut taken);
+        }
+        encoded.clear();
+        let rows = observations.chunks_exact(group.inputs());
+        for (observation, taken) in rows.zip(taken.chunks_exact(group.actions)) {
+            encoded.extend_from_slice(observation);
+            encoded.extend_from_slice(taken);
+        }
+    }
+}

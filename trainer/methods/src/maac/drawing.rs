@@ -1,0 +1,54 @@
+//! Actions drawn by their scores.
+
+use sortie_envs::Random;
+use sortie_envs::random::unit;
+use sortie_nn::layers::softmax;
+
+use super::groups::{Group, Groups};
+use super::learner::Rows;
+
+/// Where drawn actions come from.
+pub trait Draw {
+    /// Draws an action for every row of every group, by the scores of actions `[rows, actions]`.
+    fn draw(&mut self, groups: &Groups, scores: &Rows) -> Vec<Vec<u32>>;
+}
+
+impl Draw for Random {
+    fn draw(&mut self, groups: &Groups, scores: &Rows) -> Vec<Vec<u32>> {
+        let mut chances = Vec::new();
+        let mut of_group = |(group, scores): (&Group, &Vec<f32>)| {
+            let rows = scores.chunks_exact(group.actions);
+            rows.map(|scores| {
+                chances.clear();
+                chances.extend_from_slice(scores);
+                softmax::forward(&mut chances);
+                drawn(&chances, unit(self) as f32)
+            })
+            .collect()
+        };
+        groups.0.iter().zip(scores).map(&mut of_group).collect()
+    }
+}
+
+/// The action whose share of 0..1 a number falls into.
+pub(super) fn drawn(chances: &[f32], mut number: f32) -> u32 {
+    for (action, chance) in chances.iter().enumerate() {
+        if number < *chance {
+            return action as u32;
+        }
+        number -= chance;
+    }
+    (0..chances.len()).rev().find(|action| chances[*action] > 0.0).unwrap_or(0) as u32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn actions_are_drawn_by_their_chances() {
+        for (number, action) in [(0.0, 1), (0.24, 1), (0.26, 2), (0.99, 2), (1.0, 2)] {
+            assert_eq!(drawn(&[0.0, 0.25, 0.75, 0.0], number), action, "{number}");
+        }
+    }
+}

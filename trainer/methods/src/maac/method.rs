@@ -1,0 +1,290 @@
+//! MAAC as a [`Method`].
+
+use serde::{Deserialize, Serialize};
+use sortie_envs::{Environment, Observation, Random};
+use sortie_learn::random::{Purpose, generator};
+use sortie_learn::run::{Rates, Reports};
+use sortie_learn::session::Opening;
+use sortie_learn::{Act, LearnError, Method, Now, Scene, Scenes, State, Transition};
+
+use super::acting::{Acting, Actors, observe, observed, show};
+use super::batch::Batch;
+use super::config::Config;
+use super::groups::Groups;
+use super::learner::Learner;
+use super::replay::{Future, Outcome, Replay};
+
+/// Agents that learn from rewards of their own, and what they have seen.
+#[derive(Debug)]
+pub struct Maac {
+    config: Config,
+    learner: Learner,
+    replay: Replay,
+    /// Draws records and actions.
+    random: Random,
+    acting: Acting,
+    running: Vec<Decision>,
+    /// Environment steps at which the memory held enough to learn from.
+    began: Option<u64>,
+    updates: u64,
+    batch: Batch,
+    future: Future,
+    last: Vec<f32>,
+    seen: Observation,
+}
+
+/// What an instance is doing.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+struct Decision {
+    actions: Vec<u16>,
+    /// Steps that it holds for.
+    left: usize,
+    /// What each agent has earned by it.
+    rewards: Vec<f32>,
+    /// What a reward of the next step counts.
+    discount: f32,
+    /// How near each agent was to what it is after.
+    potentials: Vec<f32>,
+}
+
+impl Maac {
+    /// Draws the first weights.
+    pub fn new(config: Config, opening: &Opening<'_>) -> Self {
+        let Opening { setup, environment, seed, threads } = *opening;
+        let spec = environment.spec();
+        let instances = setup.environment.instances;
+        let groups = Groups::new(spec, config.network.shared, config.network.identity);
+        let mut weights = generator(seed, Purpose::Weights, 0);
+        let capacity = config.replay.capacity.div_ceil(instances);
+        let replay = Replay::new(instances, capacity, groups.agents(), observed(&groups));
+        Self {
+            learner: Learner::new(config.clone(), groups, threads, &mut weights),
+            replay,
+            random: generator(seed, Purpose::Replay, 0),
+            acting: Acting::default(),
+            running: vec![Decision::default(); instances],
+            began: None,
+            updates: 0,
+            batch: Batch::default(),
+            future: Future::default(),
+            last: Vec::new(),
+            seen: Observation::default(),
+            config,
+        }
+    }
+
+    /// Draws records for an update.
+    fn gather(&mut self) {
+        let Self { config, learner, replay, random, batch, future, .. } = self;
+        let (groups, network) = (&learner.groups, &config.network);
+        batch.clear(groups);
+        batch.records = config.replay.batch;
+        for _ in 0..batch.records {
+            let place = replay.draw(config.returns.steps, random);
+            replay.future(place, config.returns.steps, future);
+            show(groups, network, replay.observation(place), &mut batch.observations);
+            if let Some(next) = future.next {
+                show(groups, network, replay.observation(next), &mut batch.next);
+            }
+            let actions = replay.actions(place);
+            for (index, group) in groups.0.iter().enumerate() {
+                let own = group.agents.clone();
+                batch.actions[index].extend(actions[own.clone()].iter().map(|a| u32::from(*a)));
+                batch.rewards[index].extend_from_slice(&future.rewards[own.clone()]);
+                batch.discounts[index].extend(own.map(|_| future.discount));
+            }
+        }
+    }
+}
+
+/// Writes `[agents]` how near each agent is to what it is after, by which its rewards are shaped.
+fn find_potentials(
+    environment: &dyn Environment,
+    state: &[u8],
+    scale: f32,
+    agents: usize,
+    potentials: &mut Vec<f32>,
+) {
+    let near = |agent: usize| environment.potential(state, scale, 1 << agent, None);
+    potentials.clear();
+    potentials.extend((0..agents).map(|agent| if scale == 0.0 { 0.0 } else { near(agent) }));
+}
+
+impl Method for Maac {
+    fn act(
+        &mut self,
+        scenes: &Scenes<'_>,
+        _: Now,
+        random: &mut [Random],
+        actions: &mut [u16],
+    ) -> Result<(), LearnError> {
+        let Self { config, learner, replay, acting, running, .. } = self;
+        let groups = &learner.groups;
+        let decides = |scene: &&Scene<'_>| scene.begins || running[scene.instance].left == 0;
+        let deciding: Vec<&Scene<'_>> = scenes.scenes.iter().filter(decides).collect();
+        let actors = Actors {
+            groups,
+            network: &config.network,
+            policies: &learner.policies,
+            weights: &learner.policies.parameters.values,
+            running: &learner.running,
+        };
+        if !deciding.is_empty() {
+            acting.look(actors, scenes.environment, deciding.iter().copied());
+        }
+        let width = observed(groups);
+        for (place, scene) in deciding.into_iter().enumerate() {
+            let instance = scene.instance;
+            let decision = &mut running[instance];
+            decision.actions.resize(groups.agents(), 0);
+            acting.choose(groups, place, Some(&mut random[instance]), &mut decision.actions);
+            decision.left = config.returns.decision_interval;
+            decision.rewards.clear();
+            decision.rewards.resize(groups.agents(), 0.0);
+            decision.discount = 1.0;
+            if scene.begins {
+                let (scale, agents) = (config.returns.shaping, groups.agents());
+                let before = &mut decision.potentials;
+                find_potentials(scenes.environment, scene.state, scale, agents, before);
+            }
+            let observation = &acting.observations[place * width..][..width];
+            replay.decide(instance, observation, &decision.actions);
+        }
+        let chunks = actions.chunks_exact_mut(groups.agents());
+        for (scene, actions) in scenes.scenes.iter().zip(chunks) {
+            let decision = &mut running[scene.instance];
+            actions.copy_from_slice(&decision.actions);
+            decision.left -= 1;
+        }
+        Ok(())
+    }
+
+    fn remember(&mut self, transition: &Transition<'_>) -> Result<(), LearnError> {
+        let Self { config, learner, replay, running, last, seen, .. } = self;
+        let returns = &config.returns;
+        let decision = &mut running[transition.instance];
+        for (sum, reward) in decision.rewards.iter_mut().zip(transition.agent_rewards) {
+            *sum += decision.discount * *reward as f32;
+        }
+        decision.discount *= returns.discount;
+        let is_last = transition.step.done();
+        if decision.left > 0 && !is_last {
+            return Ok(());
+        }
+        let (agents, before) = (learner.groups.agents(), std::mem::take(&mut decision.potentials));
+        let after = &mut decision.potentials;
+        find_potentials(transition.environment, transition.next, returns.shaping, agents, after);
+        for ((sum, before), after) in decision.rewards.iter_mut().zip(&before).zip(after) {
+            *sum += decision.discount * *after - before;
+        }
+        let discount = if transition.step.terminated { 0.0 } else { decision.discount };
+        let outcome = Outcome { rewards: &decision.rewards, discount, is_last };
+        replay.conclude(transition.instance, outcome);
+        if is_last {
+            last.clear();
+            observe(transition.environment, &learner.groups, transition.next, seen, last);
+            replay.end(transition.instance, last);
+        }
+        Ok(())
+    }
+
+    fn update(
+        &mut self,
+        _: &dyn Environment,
+        now: Now,
+        reports: &mut Reports,
+    ) -> Result<(), LearnError> {
+        if self.began.is_none() && self.replay.decisions() >= self.config.replay.first {
+            self.began = Some(now.env_steps);
+        }
+        let Some(began) = self.began else { return Ok(()) };
+        let periods = (now.env_steps - began) / self.config.replay.steps_per_period;
+        let entropy = self.config.entropy.at(now.env_steps);
+        while self.updates < periods * self.config.replay.updates_per_period {
+            self.updates += 1;
+            self.gather();
+            let report = self.learner.update(&mut self.batch, entropy, &mut self.random);
+            reports.agents.push(report);
+        }
+        Ok(())
+    }
+
+    fn rates(&self, _: Now) -> Rates {
+        Rates { epsilon: 0.0, learning_rate: self.config.optimiser.policy_rate }
+    }
+
+    fn team(&self) -> Box<dyn Act + '_> {
+        Box::new(Greedy { maac: self, acting: Acting::default() })
+    }
+
+    fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
+        let Learner {
+            critic,
+            target_critic,
+            critic_optimiser,
+            policies,
+            target_policies,
+            average_policies,
+            policy_optimiser,
+            running,
+            ..
+        } = &mut self.learner;
+        let tensors = critic.parameters.tensors().to_vec();
+        for (name, vector) in [
+            ("critic", &mut critic.parameters.values),
+            ("target-critic", target_critic),
+            ("critic-adam-mean", &mut critic_optimiser.mean),
+            ("critic-adam-square", &mut critic_optimiser.square),
+        ] {
+            state.tensors(name, &tensors, vector)?;
+        }
+        let tensors = policies.parameters.tensors().to_vec();
+        for (name, vector) in [
+            ("policies", &mut policies.parameters.values),
+            ("target-policies", target_policies),
+            ("average-policies", average_policies),
+            ("policy-adam-mean", &mut policy_optimiser.mean),
+            ("policy-adam-square", &mut policy_optimiser.square),
+        ] {
+            state.tensors(name, &tensors, vector)?;
+        }
+        state.value("critic-adam-steps", &mut critic_optimiser.steps)?;
+        state.value("policy-adam-steps", &mut policy_optimiser.steps)?;
+        state.value("inputs", running)?;
+        state.value("random", &mut self.random)?;
+        state.value("decisions", &mut self.running)?;
+        state.value("began", &mut self.began)?;
+        state.value("updates", &mut self.updates)?;
+        state.value("replay", &mut self.replay)
+    }
+}
+
+/// Agents that take the action that they think the likeliest.
+struct Greedy<'a> {
+    maac: &'a Maac,
+    acting: Acting,
+}
+
+impl Act for Greedy<'_> {
+    fn act(
+        &mut self,
+        scenes: &Scenes<'_>,
+        _: &mut [Random],
+        actions: &mut [u16],
+    ) -> Result<(), LearnError> {
+        let Maac { config, learner, .. } = self.maac;
+        let groups = &learner.groups;
+        let actors = Actors {
+            groups,
+            network: &config.network,
+            policies: &learner.policies,
+            weights: &learner.average_policies,
+            running: &learner.running,
+        };
+        self.acting.look(actors, scenes.environment, scenes.scenes.iter());
+        for (place, actions) in actions.chunks_exact_mut(groups.agents()).enumerate() {
+            self.acting.choose(groups, place, None, actions);
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,33 @@
+//! MAAC: multi-actor-attention-critic (Iqbal and Sha 2019; dissertation chapter 3).
+//!
+//! Every agent has a reward and a policy of its own; a critic that looks at the others by attention values its actions
+//! while it learns. Deployed are the policies alone.
+
+mod acting;
+mod batch;
+mod config;
+mod critic;
+mod drawing;
+mod groups;
+mod keys;
+mod lanes;
+mod learner;
+mod losses;
+mod method;
+mod policies;
+mod presets;
+mod replay;
+
+pub use batch::{Batch, Running};
+pub use config::{
+    Attention, Config, EntropyConfig, NetworkConfig, OptimiserConfig, OwnActions, PolicyValues,
+    ReplayConfig, ReturnsConfig, UpdateConfig,
+};
+pub use critic::{Critic, CriticShape};
+pub use drawing::Draw;
+pub use groups::{Group, Groups};
+pub use learner::{Learner, Rows};
+pub use method::Maac;
+pub use policies::Policies;
+pub use presets::MAAC;
+pub use replay::{Future, Outcome, Place, Replay};
