@@ -39,7 +39,7 @@ impl Recorded {
     /// A tensor by our name for it.
     fn tensor(&self, of: &str, name: &str) -> Vec<f32> {
         let parts: Vec<&str> = name.split('.').collect();
-        let get = |name: String| self.case.get(&format!("{of}/{name}")).f32s();
+        let get = |name: String| self.case.get(&format!("{of}{name}")).f32s();
         let of_heads = |name: &str| -> Vec<f32> {
             let (kind, end) = name.split_once("HEAD").expect("a head");
             (0..self.heads).flat_map(|head| get(format!("critic/{kind}{head}{end}"))).collect()
@@ -99,8 +99,8 @@ impl Recorded {
         config.network.heads = self.heads;
         config.optimiser.target_rate = self.target_rate;
         let mut learner = Learner::new(config, self.groups.clone(), 1, &mut generator(1));
-        let critic = self.weights("init", &learner.critic.parameters);
-        let policies = self.weights("init", &learner.policies.parameters);
+        let critic = self.weights("init/", &learner.critic.parameters);
+        let policies = self.weights("init/", &learner.policies.parameters);
         learner.target_critic.copy_from_slice(&critic);
         learner.target_policies.copy_from_slice(&policies);
         learner.critic.parameters.values = critic;
@@ -138,7 +138,7 @@ fn rounds_give_the_recorded_gradients_and_weights() {
                 ["sampled/next_act", "sampled/act"].map(|name| recorded.actions(round, name));
             let mut batch = recorded.batch(round);
             learner.update(&mut batch, recorded.entropy, &mut Given(drawn.to_vec()));
-            let of = format!("update{round}/grad");
+            let of = format!("update{round}/grad/");
             let name = |kind: &str| format!("{}, {of}, {kind}", recorded.case.name);
             let want = recorded.weights(&of, &learner.critic.parameters);
             assert_close(&name("critic"), &learner.critic_gradient, &want, 1e-6);
@@ -147,12 +147,28 @@ fn rounds_give_the_recorded_gradients_and_weights() {
         }
         let name = |kind: &str| format!("{}, {kind}", recorded.case.name);
         let (critic, policies) = (&learner.critic.parameters, &learner.policies.parameters);
-        assert_close(&name("critic"), &critic.values, &recorded.weights("final", critic), 1e-6);
+        assert_close(&name("critic"), &critic.values, &recorded.weights("final/", critic), 1e-6);
         assert_close(
             &name("policies"),
             &policies.values,
-            &recorded.weights("final", policies),
+            &recorded.weights("final/", policies),
             1e-6,
         );
+        let (critic, policies) = (
+            recorded.weights("final/target_", critic),
+            recorded.weights("final/target_", policies),
+        );
+        assert_close(&name("target critic"), &learner.target_critic, &critic, 1e-6);
+        assert_close(&name("target policies"), &learner.target_policies, &policies, 1e-6);
+        assert_eq!(learner.average_policies, learner.policies.parameters.values);
+        for agent in 0..AGENTS {
+            let seen = |numbers: &[f64]| numbers.iter().map(|x| *x as f32).collect::<Vec<f32>>();
+            let of =
+                |name: &str| recorded.case.get(&format!("final/policy{agent}/in_fn.{name}")).f32s();
+            let running = &learner.running;
+            assert_close(&name("means"), &seen(&running.means[agent]), &of("running_mean"), 1e-6);
+            let variances = seen(&running.variances[agent]);
+            assert_close(&name("variances"), &variances, &of("running_var"), 1e-6);
+        }
     }
 }

@@ -288,3 +288,82 @@ impl Act for Greedy<'_> {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use sortie_envs::Split;
+
+    use super::super::presets::MAAC;
+    use super::*;
+
+    /// Plays one instance for some steps; what is kept of its decisions has to be what was seen meanwhile.
+    #[test]
+    fn an_action_is_held_and_earns_what_comes_of_it_until_the_next() {
+        const INTERVAL: usize = 3;
+        let (discount, scale) = (0.9_f32, 10.0);
+        let setup = MAAC.preset("fast").unwrap();
+        let mut config: Config = setup.own().unwrap();
+        config.returns.decision_interval = INTERVAL;
+        config.returns.discount = discount;
+        config.returns.shaping = scale;
+        let world = sortie_envs::open("particle/treasure-4", Split::Train, 1, &Default::default());
+        let mut world = world.unwrap();
+        let opening = Opening { setup: &setup, environment: &*world, seed: 1, threads: 1 };
+        let mut maac = Maac::new(config, &opening);
+        let mut random = [generator(1, Purpose::Rollout, 0)];
+        world.reset(0, &mut random[0]);
+        let near = |world: &dyn Environment, state: &[u8], agent: usize| {
+            world.potential(state, scale, 1 << agent, None)
+        };
+        let mut held = Vec::new();
+        let mut rewards = Vec::new();
+        for step in 0..2 * INTERVAL {
+            let mut state = Vec::new();
+            world.save(0, &mut state);
+            let scene =
+                Scene { instance: 0, state: &state, begins: step == 0, tasks_changed: false };
+            let scenes = Scenes { environment: &*world, scenes: &[scene] };
+            let mut actions = [0; 4];
+            maac.act(&scenes, Now::default(), &mut random, &mut actions).unwrap();
+            let first = step % INTERVAL == 0;
+            if first {
+                held = actions.to_vec();
+                rewards = (0..4).map(|agent| -near(&*world, &state, agent)).collect();
+            }
+            assert_eq!(held, actions, "step {step}");
+            let taken = world.step(0, &actions, &mut random[0]).unwrap();
+            let mut next = Vec::new();
+            world.save(0, &mut next);
+            maac.remember(&Transition {
+                environment: &*world,
+                instance: 0,
+                state: &state,
+                actions: &actions,
+                step: taken,
+                task_rewards: &[],
+                agent_rewards: world.agent_rewards(0),
+                next: &next,
+            })
+            .unwrap();
+            let factor = discount.powi((step % INTERVAL) as i32);
+            for (sum, reward) in rewards.iter_mut().zip(world.agent_rewards(0)) {
+                *sum += factor * *reward as f32;
+            }
+            if step % INTERVAL == INTERVAL - 1 {
+                let kept = maac.replay.rewards(0, step / INTERVAL);
+                for (agent, (kept, sum)) in kept.iter().zip(&rewards).enumerate() {
+                    let want = sum + factor * discount * near(&*world, &next, agent);
+                    assert!((kept - want).abs() < 1e-4, "agent {agent}: {kept} {want}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn what_chance_is_worth_falls_by_the_same_factor_each_step() {
+        let entropy = super::super::EntropyConfig { start: 0.16, end: 0.01, steps: 400 };
+        for (steps, want) in [(0, 0.16), (100, 0.08), (200, 0.04), (400, 0.01), (900, 0.01)] {
+            assert!((entropy.at(steps) - want).abs() < 1e-6, "{steps}");
+        }
+    }
+}

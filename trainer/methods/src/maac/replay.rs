@@ -172,6 +172,12 @@ impl Replay {
         &self.stretches[place.instance].actions[slot * self.agents..][..self.agents]
     }
 
+    /// What each agent earned by a decision of an instance, by its number.
+    #[cfg(test)]
+    pub(super) fn rewards(&self, instance: usize, number: usize) -> &[f32] {
+        &self.stretches[instance].rewards[number * self.agents..][..self.agents]
+    }
+
     /// A reward of an agent in deviations from the mean of all of its rewards that are kept.
     fn scaled(&self, agent: usize, reward: f32) -> f32 {
         let Total { count, sum, squares } = self.totals[agent];
