@@ -141,3 +141,31 @@ fn best(scores: &[f32]) -> u16 {
     let largest = scores.iter().enumerate().reduce(|a, b| if b.1 > a.1 { b } else { a });
     largest.map_or(0, |(action, _)| action as u16)
 }
+
+#[cfg(test)]
+mod tests {
+    use sortie_envs::Split;
+
+    use super::super::config::Config;
+    use super::*;
+
+    #[test]
+    fn agents_that_share_are_shown_what_they_see_and_which_they_are() {
+        let world =
+            sortie_envs::open("particle/rover-tower-4", Split::Train, 1, &Default::default());
+        let world = world.unwrap();
+        let groups = Groups::new(world.spec(), true, true);
+        assert_eq!(groups.0.iter().map(|group| group.inputs()).collect::<Vec<_>>(), [13, 8]);
+        let network = NetworkConfig { input_scale: 2.0, ..Config::default().network };
+        let observation: Vec<f32> = (1..=34).map(|number| number as f32).collect();
+        let mut shown = vec![Vec::new(); 2];
+        show(&groups, &network, &observation, &mut shown);
+        let second: Vec<f32> = (12..=22).map(|number| 2.0 * number as f32).collect();
+        assert_eq!((shown[0].len(), &shown[0][13..24]), (26, &second[..]));
+        assert_eq!((&shown[0][11..13], &shown[0][24..]), (&[1.0, 0.0][..], &[0.0, 1.0][..]));
+        assert_eq!((shown[1].len(), &shown[1][14..]), (16, &[0.0, 1.0][..]));
+        // Who is alone needs not be told.
+        let alone = Groups::new(world.spec(), false, true);
+        assert_eq!(alone.0.iter().map(|group| group.inputs()).collect::<Vec<_>>(), [11, 11, 6, 6]);
+    }
+}

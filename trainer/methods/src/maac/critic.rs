@@ -181,3 +181,49 @@ fn mean_of_others(pass: &mut Pass<'_>, x: Var, records: &[u32], agents: usize) -
     let others = pass.add(sums, own);
     pass.scale(others, 1.0 / (agents - 1).max(1) as f32)
 }
+
+#[cfg(test)]
+mod tests {
+    use sortie_nn::random::stream;
+    use sortie_nn::tape::Tape;
+
+    use super::super::batch::encode;
+    use super::super::groups::Group;
+    use super::*;
+
+    /// The values of each agent's actions in two records, after these actions.
+    fn values(uniform: bool, actions: [u32; 6]) -> Vec<Vec<f32>> {
+        let group =
+            |agents: Range<usize>| Group { agents, observed: 3, identity: false, actions: 2 };
+        let groups = Groups(vec![group(0..2), group(2..3)]);
+        let shape = CriticShape { width: 8, heads: 2, uniform };
+        let critic = Critic::new(shape, &groups, &mut stream(1, 1, 0));
+        let seen =
+            |rows: usize, first: f32| (0..rows * 3).map(|x| (first + x as f32).sin()).collect();
+        let observations: Vec<Vec<f32>> = vec![seen(4, 0.0), seen(2, 50.0)];
+        let actions = [actions[..4].to_vec(), actions[4..].to_vec()];
+        let mut encoded = Vec::new();
+        encode(&groups, &observations, &actions, false, &mut encoded);
+        let mut order = Order::default();
+        groups.others(2, &mut order.others);
+        groups.records(2, &mut order.records);
+        let mut tape = Tape::default();
+        let mut pass = tape.begin(&critic.parameters.values);
+        let shown = Shown { observations: &observations, encoded: &encoded };
+        let values = critic.values(&mut pass, &groups, shown, 0..2, &order);
+        let rows = values.of_actions.iter().flat_map(|of| pass.values(*of).chunks_exact(2));
+        rows.map(<[f32]>::to_vec).collect()
+    }
+
+    /// So that the mean over all own actions is a baseline.
+    #[test]
+    fn values_depend_on_what_the_others_did_in_the_same_record_alone() {
+        for uniform in [false, true] {
+            let before = values(uniform, [0; 6]);
+            // The first agent of the first record does something else.
+            let after = values(uniform, [1, 0, 0, 0, 0, 0]);
+            let changed: Vec<bool> = before.iter().zip(&after).map(|(a, b)| a != b).collect();
+            assert_eq!(changed, [false, true, false, false, true, false], "uniform {uniform}");
+        }
+    }
+}

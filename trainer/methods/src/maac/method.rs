@@ -359,6 +359,64 @@ mod tests {
         }
     }
 
+    /// Has a method learn in a small world for some steps.
+    fn learned(config: Config, periods: u64) -> (Maac, Reports, Box<dyn Environment>) {
+        let mut setup = MAAC.preset("fast").unwrap();
+        setup.environment.instances = 4;
+        let world =
+            sortie_envs::open("particle/rover-tower-2", Split::Train, 1, &Default::default());
+        let world = world.unwrap();
+        let opening = Opening { setup: &setup, environment: &*world, seed: 1, threads: 1 };
+        let mut maac = Maac::new(config, &opening);
+        let random = (0..4).map(|index| generator(1, Purpose::Rollout, index)).collect();
+        let mut play = sortie_learn::play::Play::new(&*world, &mut maac, random);
+        let mut reports = Reports::default();
+        let (mut env_steps, mut counts) = (0, Default::default());
+        while env_steps < 400 + 40 * periods {
+            let now = Now { env_steps, of: 1000 };
+            env_steps += play.round(&mut maac, now, &mut counts).unwrap();
+            maac.update(&*world, Now { env_steps, of: 1000 }, &mut reports).unwrap();
+        }
+        (maac, reports, world)
+    }
+
+    fn small() -> Config {
+        let mut config = Config::default();
+        config.replay.first = 400;
+        config.replay.batch = 16;
+        config.replay.steps_per_period = 40;
+        config.replay.updates_per_period = 3;
+        config
+    }
+
+    #[test]
+    fn as_many_updates_are_made_as_are_due() {
+        let (maac, reports, _) = learned(small(), 5);
+        assert_eq!((reports.agents.len(), maac.updates), (15, 15));
+        let mut clipped = small();
+        clipped.optimiser.critic_clip = 1e-3;
+        let (maac, reports, _) = learned(clipped, 1);
+        let norm =
+            maac.learner.critic_gradient.iter().map(|slope| slope * slope).sum::<f32>().sqrt();
+        assert!(norm <= 2.1e-3 && reports.agents[2].gradient_norm > 0.01, "{norm}");
+    }
+
+    #[test]
+    fn measured_are_the_averaged_policies() {
+        let (mut maac, _, world) = learned(small(), 2);
+        assert_ne!(maac.learner.average_policies, maac.learner.policies.parameters.values);
+        let act = |maac: &Maac| {
+            let mut team = maac.team();
+            let report = sortie_learn::play::evaluate(&*world, &mut *team, 20, 1).unwrap();
+            report.return_mean
+        };
+        let before = act(&maac);
+        maac.learner.policies.parameters.values.iter_mut().for_each(|weight| *weight = -*weight);
+        assert_eq!(act(&maac), before);
+        maac.learner.average_policies.iter_mut().for_each(|weight| *weight = -*weight);
+        assert_ne!(act(&maac), before);
+    }
+
     #[test]
     fn what_chance_is_worth_falls_by_the_same_factor_each_step() {
         let entropy = super::super::EntropyConfig { start: 0.16, end: 0.01, steps: 400 };
