@@ -1,4 +1,4 @@
-//! Episodes as bytes: version, steps and return, then what a scenario has.
+//! Numbers as bytes, as states have them.
 
 use alloc::format;
 use alloc::string::String;
@@ -6,61 +6,9 @@ use alloc::vec::Vec;
 
 use super::physics::Mover;
 use super::plane::Point;
-use super::scenario::Scenario;
-use crate::environment::StateError;
 
-/// The version of the layout.
-const LAYOUT: u8 = 1;
-/// Bytes before the world: the layout, the steps, the return.
-const HEAD: usize = 1 + 4 + 8;
 /// The byte of what is not there.
 const NONE: u8 = u8::MAX;
-
-/// What the bytes of a state say.
-pub(super) struct State<W> {
-    pub(super) steps: u32,
-    pub(super) episode_return: f64,
-    pub(super) world: W,
-}
-
-/// Bytes of every state of a scenario.
-pub(super) fn state_bytes<S: Scenario>(scenario: &S) -> usize {
-    let mut bytes = Vec::new();
-    scenario.write(&scenario.world(), &mut bytes);
-    HEAD + bytes.len()
-}
-
-/// Adds the bytes of a state.
-pub(super) fn write<S: Scenario>(
-    scenario: &S,
-    (steps, episode_return, world): (u32, f64, &S::World),
-    bytes: &mut Vec<u8>,
-) {
-    bytes.push(LAYOUT);
-    bytes.extend_from_slice(&steps.to_le_bytes());
-    write_number(episode_return, bytes);
-    scenario.write(world, bytes);
-}
-
-/// Reads what [`write`] wrote, which has so many bytes.
-pub(super) fn read<S: Scenario>(
-    scenario: &S,
-    wanted: usize,
-    bytes: &[u8],
-) -> Result<State<S::World>, StateError> {
-    match bytes.first() {
-        Some(&found) if found != LAYOUT => {
-            return Err(StateError::Version { found, wanted: LAYOUT });
-        }
-        Some(_) if bytes.len() == wanted => {}
-        _ => return Err(StateError::Length { found: bytes.len(), wanted }),
-    }
-    let mut reader = Reader { bytes: &bytes[1..], flaw: None };
-    let steps = reader.count();
-    reader.refuse(steps > scenario.episode_limit(), || format!("it is {steps} steps long"));
-    let state = State { steps, episode_return: reader.number(), world: scenario.read(&mut reader) };
-    reader.flaw.map_or(Ok(state), |flaw| Err(StateError::Impossible(flaw)))
-}
 
 /// Reads the bytes of a state, of which there are enough, and remembers what is wrong with them.
 pub struct Reader<'a> {
@@ -68,7 +16,16 @@ pub struct Reader<'a> {
     flaw: Option<String>,
 }
 
-impl Reader<'_> {
+impl<'a> Reader<'a> {
+    pub(super) fn new(bytes: &'a [u8]) -> Self {
+        Self { bytes, flaw: None }
+    }
+
+    /// What is wrong.
+    pub(super) fn flaw(self) -> Option<String> {
+        self.flaw
+    }
+
     #[inline]
     fn take<const COUNT: usize>(&mut self) -> [u8; COUNT] {
         let (taken, rest) = self.bytes.split_first_chunk().expect("the length was checked");

@@ -14,6 +14,7 @@ mod scenario;
 mod seam;
 mod simulator;
 mod spec;
+mod states;
 mod steering;
 mod treasure;
 

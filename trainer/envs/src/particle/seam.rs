@@ -8,7 +8,6 @@ use alloc::vec::Vec;
 use serde::Deserialize;
 
 use super::VERSION;
-use super::bytes::State;
 use super::columns::Row;
 use super::navigation::Navigation;
 use super::physics::ACTIONS;
@@ -16,6 +15,7 @@ use super::rover_tower::RoverTower;
 use super::scenario::Scenario;
 use super::simulator::Particle;
 use super::spec::NAME;
+use super::states::State;
 use super::treasure::{AGENTS_PER_BANK, DeadTreasures, TreasureCollection};
 use crate::entry::{Choice, Entry, EnvironmentError};
 use crate::environment::{Environment, Episode, Split, StateError, Step, StepError};

@@ -3,10 +3,10 @@
 use alloc::vec;
 use alloc::vec::Vec;
 
-use super::bytes::{self, State};
 use super::physics::ACTIONS;
 use super::scenario::Scenario;
 use super::spec::spec;
+use super::states::{self, State};
 use super::treasure::{Hoard, TreasureCollection};
 use crate::environment::{StateError, Step, StepError};
 use crate::random::Random;
@@ -111,7 +111,7 @@ impl<S: Scenario> Particle<S> {
 
     pub(super) fn write_state(&self, instance: usize, state: &mut Vec<u8>) {
         let Episode { world, steps, episode_return, .. } = &self.episodes[instance];
-        bytes::write(&self.scenario, (*steps, *episode_return, world), state);
+        states::write(&self.scenario, (*steps, *episode_return, world), state);
     }
 
     pub(super) fn read_state(&mut self, instance: usize, state: &[u8]) -> Result<(), StateError> {
@@ -123,7 +123,7 @@ impl<S: Scenario> Particle<S> {
 
     /// What the bytes of a state say.
     pub(super) fn state(&self, state: &[u8]) -> Result<State<S::World>, StateError> {
-        bytes::read(&self.scenario, self.spec.state_bytes, state)
+        states::read(&self.scenario, self.spec.state_bytes, state)
     }
 }
 

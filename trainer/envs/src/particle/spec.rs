@@ -3,9 +3,9 @@
 use alloc::vec::Vec;
 
 use super::VERSION;
-use super::bytes::state_bytes;
 use super::physics::ACTIONS;
 use super::scenario::Scenario;
+use super::states::state_bytes;
 use crate::spec::{Rewards, Shape, Spec, View};
 
 /// Its name, as `--env` takes it.

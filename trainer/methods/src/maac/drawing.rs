@@ -4,8 +4,7 @@ use sortie_envs::Random;
 use sortie_envs::random::unit;
 use sortie_nn::layers::softmax;
 
-use super::groups::{Group, Groups};
-use super::learner::Rows;
+use super::groups::{Group, Groups, Rows};
 
 /// Where drawn actions come from.
 pub trait Draw {

@@ -25,6 +25,9 @@ impl Group {
     }
 }
 
+/// Numbers by groups, a row for each agent of each record.
+pub type Rows = Vec<Vec<f32>>;
+
 /// All agents, in their order.
 ///
 /// Of a batch of records the rows of a group stand behind each other, record by record, and the groups behind each other.

@@ -9,13 +9,10 @@ use super::batch::{Batch, Running, encode};
 use super::config::{Attention, Config, OwnActions, PolicyValues};
 use super::critic::{Critic, CriticShape, Shown};
 use super::drawing::Draw;
-use super::groups::Groups;
+use super::groups::{Groups, Rows};
 use super::lanes::Lanes;
 use super::losses::{added, drawn_loss, expected_loss, soft_value, sum};
 use super::policies::Policies;
-
-/// Numbers by groups, a row for each agent of each record.
-pub type Rows = Vec<Vec<f32>>;
 
 /// Networks and optimisers.
 #[derive(Debug)]

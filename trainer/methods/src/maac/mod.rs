@@ -25,8 +25,8 @@ pub use config::{
 };
 pub use critic::{Critic, CriticShape};
 pub use drawing::Draw;
-pub use groups::{Group, Groups};
-pub use learner::{Learner, Rows};
+pub use groups::{Group, Groups, Rows};
+pub use learner::Learner;
 pub use method::Maac;
 pub use policies::Policies;
 pub use presets::MAAC;
