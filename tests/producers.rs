@@ -91,6 +91,11 @@ fn all_agree(producer: &str, count: usize) {
 }
 
 #[test]
+fn operators_that_are_taken_apart_agree_with_what_was_recorded() {
+    all_agree("apart", 4);
+}
+
+#[test]
 fn quantised_policies_agree_with_what_was_recorded() {
     all_agree("quantised", 4);
 }

@@ -9,4 +9,4 @@ python3 -m venv "${1:?the folder of the virtual environment}"
 python3.10 -m venv "$1/mlagents"
 "$1/mlagents/bin/pip" install --no-deps --ignore-requires-python -r requirements-mlagents.txt
 "$1/mlagents/bin/python" mlagents_files.py
-for script in rsl_rl sb3 godot skrl torch quantised; do "$1/bin/python" "${script}_files.py"; done
+for script in rsl_rl sb3 godot skrl torch quantised apart; do "$1/bin/python" "${script}_files.py"; done

@@ -3,6 +3,7 @@
 //! Everything is decided on the file itself. What the wanted outputs do not need is cut away before tract analyses it,
 //! and the same cut file is what engines run.
 
+mod apart;
 mod counts;
 mod drawn;
 mod entities;
@@ -11,7 +12,6 @@ mod interface;
 mod misread;
 mod nodes;
 mod outputs;
-mod quantised;
 mod selection;
 mod sizes;
 mod states;
@@ -87,10 +87,10 @@ fn fixed(onnx: &[u8], options: &PolicyOptions) -> Result<(pb::ModelProto, Values
     widened::widen(&mut file);
     let graph = file.graph.get_or_insert_default();
     sizes::fix(graph, &options.sizes)?;
-    quantised::as_floats(graph);
     if options.outputs.iter().any(|output| output.ends_with(drawn::LIKELIEST)) {
         drawn::take_likeliest(graph);
     }
+    apart::take_apart(&mut file);
     let values = Values::of(&file);
     Ok((file, values))
 }

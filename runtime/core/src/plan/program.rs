@@ -14,7 +14,11 @@ use crate::ops::{
 };
 
 /// Most operators of one program, so that a check of each against all before it ends soon.
-pub const OPS: usize = 256;
+pub const OPS: usize = 4096;
+
+/// How often a check may go through the operators before one, for each operator: once for every place that it reads, and
+/// as often again as parts of it were written out of order.
+const PASSES: usize = 16;
 
 /// Bytes of a word, of which everything in a program is made.
 const WORD: usize = 4;
@@ -292,6 +296,8 @@ impl<'a, S: OperatorSet> Program<'a, S> {
     /// choice or the outputs.
     fn check_policy(&self, sizes: &Sizes, header: &Header) -> Result<(), PlanError> {
         let (mut inputs, mut part) = (0, PolicyPart::Inputs);
+        let count = self.ops().count();
+        let mut passes = PASSES * count;
         for (index, op) in self.ops().enumerate() {
             let own = PolicyPart::of(op);
             let numbered = match op {
@@ -301,31 +307,33 @@ impl<'a, S: OperatorSet> Program<'a, S> {
             inputs += u32::from(matches!(op, OpRef::Input(_)));
             // Nothing follows a choice.
             let in_order = own.is_some_and(|own| own >= part) && part != PolicyPart::Choice;
-            let written = op.reads().iter().all(|place| self.is_written(*place, index));
+            let written =
+                op.reads().iter().all(|place| self.is_written(*place, index, &mut passes));
             let fits = numbered && in_order && written && op.kind().fits(header.layout);
             if !(fits && op.check::<S>(sizes)) {
                 return Err(PlanError::ShapeMismatch { op: index });
             }
             part = own.unwrap_or(part);
         }
-        let count = self.ops().count();
-        let known = self.states().all(|state| self.is_written(state.to, count));
+        let known = self.states().all(|state| self.is_written(state.to, count, &mut passes));
         let hidden = self.states().fold(0, |sum: u32, state| sum.saturating_add(state.from.len));
         let ends = matches!(part, PolicyPart::Outputs | PolicyPart::Choice);
         let fits = inputs > 0 && ends && known && hidden == sizes.hidden && !header.skip;
         fits.then_some(()).ok_or_else(|| self.mismatch())
     }
 
-    /// Whether the operators before `index` wrote all floats of a place.
-    fn is_written(&self, place: Place, index: usize) -> bool {
+    /// Whether the operators before `index` wrote all floats of a place, if so many passes through them tell.
+    fn is_written(&self, place: Place, index: usize, passes: &mut usize) -> bool {
         let end = u64::from(place.offset) + u64::from(place.len);
         let mut at = u64::from(place.offset);
         while at < end {
+            let Some(left) = passes.checked_sub(1) else { return false };
+            *passes = left;
             let mut next = at;
             for written in self.ops().take(index).map(OpRef::writes) {
                 for place in written.iter() {
                     let start = u64::from(place.offset);
-                    if start <= at {
+                    if start <= next {
                         next = next.max(start + u64::from(place.len));
                     }
                 }

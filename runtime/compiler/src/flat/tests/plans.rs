@@ -219,7 +219,6 @@ fn what_would_be_computed_otherwise_is_refused() {
         ("GRU", strings("activations", &[usual, ["Relu"; 2]].concat()), "Relu, Relu,"),
         ("LSTM", float("clip", 0.5), "asks for clip,"),
         ("LSTM", number("input_forget", 1), "asks for input_forget,"),
-        ("LSTM", text("direction", "reverse"), "asks for direction,"),
         ("Celu", float("alpha", 0.5), "asks for alpha = 0.5,"),
         ("GlobalLpPool", number("p", 2), "asks for a root of its sums,"),
         ("BatchNormalization", number("training_mode", 1), "asks for the means of training,"),
@@ -272,4 +271,18 @@ fn a_state_that_comes_back_as_it_was_is_kept() {
     let (mut states, mut q) = ([1.0, 2.0, 3.0, 4.0], [0.0; 4]);
     plan.respond(arena.as_mut_slice(), &[&[0.5; 4]], &mut states, &mut [&mut q]).unwrap();
     assert_eq!((q, states), ([1.5, 2.5, 3.5, 4.5], [1.0, 2.0, 3.0, 4.0]));
+}
+
+#[test]
+fn deep_networks_have_many_steps_and_wide_ones_long_layers() {
+    let mut file = File::default().input("x.0", Float, &["1", "4"]);
+    for layer in 0..300 {
+        file = file.node("Sin", &[&format!("x.{layer}")], &format!("x.{}", layer + 1));
+    }
+    let found = steps(&file.output("x.300"));
+    assert_eq!(found.iter().filter(|step| **step == "Map").count(), 300);
+    let wide = File::default().input("x", Float, &["1", "9000"]);
+    let mut wide = wide.layer("x", [9000, 3], "q");
+    wide.0.initializer.iter_mut().for_each(|weights| weights.float_data.fill(0.01));
+    assert_eq!(steps(&wide.output("q"))[..2], ["Input", "Dense"]);
 }

@@ -8,7 +8,7 @@ use tract_onnx::tract_core::ops::nn::DataFormat;
 
 use super::values::{Value, numbers};
 use super::weights::PolicyWeights;
-use super::{Lowered, Lowering};
+use super::{Lowered, Lowering, WIDEST};
 use crate::lower::agent::at_most;
 use crate::matching::{Layer, Matrix};
 use sortie_plans::CompileError;
@@ -43,7 +43,7 @@ impl Lowering<'_> {
         let relu = self.relu_after(node);
         let channels = patches.channels / groups.len();
         let (outputs, inputs) = (conv.pool_spec.output_channels, channels * area(patches.kernel));
-        at_most("the width of a layer", inputs, usize::from(u16::MAX) / 8)?;
+        at_most("the width of a layer", inputs, WIDEST)?;
         let to = self.arena.place(patches.pictures * outputs * area(patches.result));
         let patch = self.arena.place(inputs);
         let point = self.arena.place(padded(outputs / groups.len()));

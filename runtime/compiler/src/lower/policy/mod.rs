@@ -56,6 +56,9 @@ use weights::{PolicyWeights, StoredLayer};
 /// Floats behind the last value.
 const PADDING: u32 = 16;
 
+/// Most inputs and outputs of a layer: a number of 16 bits in whole tiles.
+const WIDEST: usize = 65_528;
+
 /// A policy as a program.
 pub(crate) struct LoweredPolicy {
     pub(crate) program: ProgramDraft,

@@ -10,7 +10,7 @@ use tract_onnx::tract_core::ops::einsum::EinSum;
 use super::arrange::{Dimension, strides};
 use super::values::{Value, numbers};
 use super::weights::StoredLayer;
-use super::{Lowered, Lowering};
+use super::{Lowered, Lowering, WIDEST};
 use crate::lower::agent::at_most;
 use crate::matching::{Layer, Matrix, as_matrix};
 
@@ -74,7 +74,7 @@ impl<'m> Lowering<'m> {
         let order: Vec<usize> = others.collect::<Vec<_>>().into_iter().chain(order).collect();
         let from = self.permuted(node, &value, &order)?;
         let (inputs, outputs) = (layer.matrix.inputs, layer.matrix.outputs);
-        at_most("the width of a layer", inputs.max(outputs), usize::from(u16::MAX) / 8)?;
+        at_most("the width of a layer", inputs.max(outputs), WIDEST)?;
         let rows = (from.len as usize / inputs.max(1)).max(1);
         // With one row the result needs no other order, so that bias and ReLU can join the layer.
         let absorbed = if rows == 1 { self.absorb(node, &mut layer) } else { Vec::new() };

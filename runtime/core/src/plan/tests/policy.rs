@@ -11,7 +11,7 @@ use crate::ops::{
     Linear, Map, MaskedArgmax, MaskedSample, Meaning, Multiply, Normalise, Op, Place, Reduce,
     Reduction, Select, Softmax, State,
 };
-use crate::plan::{AlignedBytes, Given, Network, Plan, PlanError, Program};
+use crate::plan::{AlignedBytes, Given, Network, OPS, Plan, PlanError, Program};
 
 /// A layer, a constant that is added, a choice; and a state that counts what it is given.
 pub(super) fn counting() -> Draft {
@@ -169,9 +169,26 @@ fn programs_that_do_not_hold_together_are_refused() {
     // More operators than a reader takes.
     let mut draft = counting();
     let sum = draft.program.ops[2];
-    draft.program.ops.splice(2..2, vec![sum; 260]);
+    draft.program.ops.splice(2..2, vec![sum; OPS]);
     let bytes = draft.program.to_bytes();
-    assert_eq!(Program::<AllOperators>::read(bytes.as_slice()).err(), mismatch(256));
+    assert_eq!(Program::<AllOperators>::read(bytes.as_slice()).err(), mismatch(OPS));
+}
+
+/// As the turns of a unit that goes backwards through a history are.
+#[test]
+fn parts_may_be_written_from_the_last_to_the_first() {
+    const PARTS: u32 = 100;
+    let mut draft = Draft { actions: 0, ..Draft::default() };
+    let from = draft.input(8);
+    let whole = draft.place(8 * PARTS as usize);
+    for part in (0..PARTS).rev() {
+        let to = Place { offset: whole.offset + 8 * part, len: 8 };
+        draft.push(Op::Map(Map { function: Function::Relu, a: 0, b: 0, from, to }));
+    }
+    draft.output(whole);
+    assert_eq!(draft.refused(), None);
+    draft.program.ops.remove(50);
+    assert_eq!(draft.refused(), Some(PlanError::ShapeMismatch { op: PARTS as usize }));
 }
 
 #[test]
