@@ -72,7 +72,7 @@ pub struct Place {
 pub struct Future {
     /// The decision that is looked at next.
     pub next: Option<Place>,
-    /// `[agents]`: the discounted rewards until there, on the scale of [`Replay::scaled`].
+    /// `[agents]`: the discounted rewards until there, in deviations from the mean of those that are kept.
     pub rewards: Vec<f32>,
     /// What its value counts.
     pub discount: f32,
