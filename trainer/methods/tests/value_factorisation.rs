@@ -4,6 +4,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use sortie_envs::{Environment, Split};
+use sortie_learn::export::DeployedNetworks;
 use sortie_learn::run::{CurvePoint, Observer, Outcome, Progress, RunDescription, RunResult};
 use sortie_learn::session::{MethodEntry, Opening, Session, Setup, load_weights};
 use sortie_learn::{LearnError, Method, play};
@@ -206,8 +207,11 @@ fn the_deployed_policy_plays_as_the_team_that_learned() {
         let description = RunDescription::new(setup, 2, 1);
         let (ring, method) = open(entry, &description, 1).unwrap();
         let mut deployed = method.deployed().unwrap();
-        assert_eq!(deployed.network.skip.is_some(), changes.contains(&"network.skip=true"));
-        assert_eq!(deployed.memory.is_some(), changes.len() > 1);
+        let DeployedNetworks::Attention { network, memory } = &deployed.networks else {
+            panic!("agents that attend")
+        };
+        assert_eq!(network.skip.is_some(), changes.contains(&"network.skip=true"));
+        assert_eq!(memory.is_some(), changes.len() > 1);
         let mut policy = play::PolicyTeam::new(&mut *deployed.policy);
         let mine = play::evaluate(&*ring, &mut policy, 40, 3).unwrap();
         assert_eq!(mine, play::evaluate(&*ring, &mut *method.team(), 40, 3).unwrap());

@@ -7,14 +7,19 @@ use super::values::{Value, listed};
 /// What says that an agent's own row comes before all others.
 const FIRST: &str = "first";
 
-/// The inputs of a network over entities.
+/// The inputs of a network over entities, or of one that is told who it is.
 pub(super) struct EntityRoles {
+    rows: Option<Rows>,
+    /// The input with the number of the own row; none where that comes first.
+    own: Option<String>,
+}
+
+/// The entities, and which of them an agent may attend to.
+struct Rows {
     entities: String,
     mask: String,
     /// Whether the mask is 1 for what must not be attended to.
     blocks: bool,
-    /// The input with the number of the own row; none where that comes first.
-    own: Option<String>,
 }
 
 impl EntityRoles {
@@ -25,8 +30,14 @@ impl EntityRoles {
     ) -> Result<Option<Self>, CompileError> {
         let PolicyOptions { entities, mask, own, .. } = options;
         let Some(entities) = entities else {
-            let says = mask.is_some() || own.is_some();
-            return if says { Err(no_entities(inputs)) } else { Ok(None) };
+            return match own.as_deref() {
+                None if mask.is_none() => Ok(None),
+                Some(name) if mask.is_none() && name != FIRST => {
+                    let own = Some(index(inputs, name)?);
+                    Ok(Some(Self { rows: None, own }))
+                }
+                _ => Err(no_entities(inputs)),
+            };
         };
         let rows = named(inputs, "input of entities", entities)?;
         let count = rows.is_float().then(|| count(rows)).flatten();
@@ -40,26 +51,24 @@ impl EntityRoles {
         if !is_mask(&mask) {
             return Err(no_mask(inputs.iter().filter(is_mask)));
         }
-        let is_index = |value: &&Value| value.is_whole() && numbers(value) == Some(1);
         let own = match own.as_deref() {
             Some(FIRST) => None,
-            Some(name) => Some(named(inputs, "number of the own row", name)?),
-            None => return Err(no_own(inputs.iter().filter(is_index))),
+            Some(name) => Some(index(inputs, name)?),
+            None => return Err(no_own(inputs)),
         };
-        if own.is_some_and(|own| !is_index(&own)) {
-            return Err(no_own(inputs.iter().filter(is_index)));
-        }
-        let (entities, mask) = (entities.clone(), mask.name.clone());
-        Ok(Some(Self { entities, mask, blocks, own: own.map(|own| own.name.clone()) }))
+        let rows = Rows { entities: entities.clone(), mask: mask.name.clone(), blocks };
+        Ok(Some(Self { rows: Some(rows), own }))
     }
 
     /// What an input is for, where it is one of these.
     pub(super) fn role(&self, name: &str) -> Option<InputRole> {
-        let (own_first, blocks) = (self.own.is_none(), self.blocks);
-        match name {
-            name if name == self.entities => Some(InputRole::Entities { own_first }),
-            name if name == self.mask => Some(InputRole::Mask { blocks, own_first }),
-            name if self.own.as_deref() == Some(name) => Some(InputRole::OwnIndex),
+        let own_first = self.own.is_none();
+        match &self.rows {
+            _ if self.own.as_deref() == Some(name) => Some(InputRole::OwnIndex),
+            Some(rows) if name == rows.entities => Some(InputRole::Entities { own_first }),
+            Some(rows) if name == rows.mask => {
+                Some(InputRole::Mask { blocks: rows.blocks, own_first })
+            }
             _ => None,
         }
     }
@@ -76,6 +85,16 @@ fn count(value: &Value) -> Option<usize> {
     let shape = value.shape.as_ref()?;
     let (count, rows) = (shape.iter().rev().nth(1)?, shape.iter().rev().skip(2));
     rows.copied().all(|size| size == 1).then_some(*count)
+}
+
+/// The input with the number of the own row.
+fn index(inputs: &[Value], name: &str) -> Result<String, CompileError> {
+    let own = named(inputs, "number of the own row", name)?;
+    if is_index(&own) { Ok(own.name.clone()) } else { Err(no_own(inputs)) }
+}
+
+fn is_index(value: &&Value) -> bool {
+    value.is_whole() && numbers(value) == Some(1)
 }
 
 fn numbers(value: &Value) -> Option<usize> {
@@ -112,7 +131,8 @@ fn no_mask<'v>(candidates: impl Iterator<Item = &'v Value>) -> CompileError {
     }
 }
 
-fn no_own<'v>(candidates: impl Iterator<Item = &'v Value>) -> CompileError {
+fn no_own(inputs: &[Value]) -> CompileError {
+    let candidates = inputs.iter().filter(is_index);
     CompileError::Unclear {
         what: "which entity the agent itself is".into(),
         candidates: listed(candidates.map(ToString::to_string)),

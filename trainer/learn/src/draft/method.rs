@@ -4,7 +4,10 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
 
-use sortie_bundle::{AGENT, CARD, CURVE, CURVE_DATA, Draft, Golden, Network, TRAINING};
+use sortie_bundle::{
+    AGENT, CARD, CURVE, CURVE_DATA, ContractV1, Draft, Golden, Network, POLICY, POLICY_ROLES,
+    PolicyRoles, TRAINING,
+};
 use sortie_envs::{Environment, Shape};
 
 use super::described::{contract, described, limits};
@@ -12,7 +15,8 @@ use super::measured::{Measured, measured_table, read_part};
 use super::recorder::Recorder;
 use crate::error::LearnError;
 use crate::export::{
-    AgentNetwork, DeployedAgents, RecurrentAgent, agent_onnx, recurrent_agent_onnx,
+    AGENT_NUMBER, AgentNetwork, DeployedAgents, DeployedNetworks, ExportError, RecurrentAgent,
+    agent_onnx, recurrent_agent_onnx,
 };
 use crate::method::Method;
 use crate::play::{PolicyTeam, evaluate};
@@ -45,51 +49,99 @@ pub fn draft_method(
     seed: u64,
 ) -> Result<Draft, LearnError> {
     let spec = run.environment.spec();
-    let DeployedAgents { network, memory, mut policy } = run.method.deployed()?;
-    let hidden = if memory.is_some() { network.base as u32 } else { 0 };
-    let contract = contract(spec, network.inputs != spec.shape.features);
-    let agent = AgentNetwork {
-        features: spec.shape.features,
-        append_last_action: contract.append_last_action,
-        contract: contract.hash(),
-        layers: network,
-    };
-    let agent = match memory {
-        Some(gru) => recurrent_agent_onnx(&RecurrentAgent { agent, attention_relu: false, gru }),
-        None => agent_onnx(&agent),
-    };
-    let agent = agent.map_err(|error| LearnError::format(folder, error))?;
+    let DeployedAgents { networks, mut policy } = run.method.deployed()?;
+    let contract = contract(spec, networks.take_last_actions(spec.shape.features));
+    let agent = networks.to_part(&contract).map_err(|error| LearnError::format(folder, error))?;
     let mut team = PolicyTeam::new(Recorder::new(&mut *policy, spec.shape.features));
     evaluate(run.environment, &mut team, GOLDEN_EPISODES, seed)?;
     let golden = Golden { cases: team.into_policy().cases, allocations: Vec::new() };
-    let parts = BTreeMap::from([
-        (AGENT.to_owned(), agent),
-        (CARD.to_owned(), card(run, measured, network.skip.is_some()).into_bytes()),
+    let mut parts = BTreeMap::from([
+        (AGENT.to_owned(), agent.onnx),
+        (CARD.to_owned(), card(run, measured, &networks).into_bytes()),
         (CURVE.to_owned(), read_part(folder, CURVE)?),
         (CURVE_DATA.to_owned(), read_part(folder, CURVE_DATA)?),
         (TRAINING.to_owned(), read_part(folder, TRAINING)?),
     ]);
+    if let Some(roles) = &agent.roles {
+        parts.insert(POLICY_ROLES.to_owned(), roles.to_toml().into_bytes());
+    }
     Ok(Draft {
         environment: described(run.description.config.environment.to_string(), spec, &golden.cases),
         limits: limits(sizes),
-        network: Network { agent: "masked-attention".to_owned(), allocator: None, hidden },
+        network: agent.network,
         golden,
         contract,
         parts,
     })
 }
 
+/// What a bundle holds of its agents' networks.
+struct AgentPart {
+    onnx: Vec<u8>,
+    network: Network,
+    /// What is said of its inputs, where that must be.
+    roles: Option<PolicyRoles>,
+}
+
+impl DeployedNetworks<'_> {
+    /// Whether rows hold last actions besides so many features.
+    fn take_last_actions(&self, features: usize) -> bool {
+        matches!(self, Self::Attention { network, .. } if network.inputs != features)
+    }
+
+    fn to_part(&self, contract: &ContractV1) -> Result<AgentPart, ExportError> {
+        let network =
+            |agent: &str, hidden| Network { agent: agent.to_owned(), allocator: None, hidden };
+        match self {
+            Self::Attention { network: layers, memory } => {
+                let agent = AgentNetwork {
+                    features: contract.features.into(),
+                    append_last_action: contract.append_last_action,
+                    contract: contract.hash(),
+                    layers: *layers,
+                };
+                let hidden = memory.map_or(0, |_| layers.base as u32);
+                let onnx = match *memory {
+                    Some(gru) => {
+                        recurrent_agent_onnx(&RecurrentAgent { agent, attention_relu: false, gru })
+                    }
+                    None => agent_onnx(&agent),
+                }?;
+                Ok(AgentPart { onnx, network: network("masked-attention", hidden), roles: None })
+            }
+            Self::OwnRow(networks) => {
+                let roles =
+                    PolicyRoles { own: Some(AGENT_NUMBER.to_owned()), ..PolicyRoles::default() };
+                let onnx = networks.to_onnx(contract.hash())?;
+                Ok(AgentPart { onnx, network: network(POLICY, 0), roles: Some(roles) })
+            }
+        }
+    }
+
+    fn about(&self) -> &'static str {
+        match self {
+            Self::Attention { .. } => {
+                "Every agent runs the same attention network over the entities that it observes."
+            }
+            Self::OwnRow(_) => {
+                "Every agent decides by its own row, by the network of its role or one of its own."
+            }
+        }
+    }
+}
+
 /// The model card.
-fn card(run: &MethodRun<'_>, measured: &[Measured], skip: bool) -> String {
+fn card(run: &MethodRun<'_>, measured: &[Measured], networks: &DeployedNetworks<'_>) -> String {
     let RunDescription { seed, version, config, .. } = run.description;
     let method = &config.method;
     let mut card = format!(
         "# A team for {}\n\n\
-         Every agent runs the same attention network over the entities that it observes. Trained by\n\
+         {} Trained by\n\
          `sortie train {method}`, seed {seed}, Sortie {version}; `train.toml` repeats the run.\n\n\
          ## How well it does\n\n\
          Greedy episodes that training never saw. The interval is that of the episodes, not of training again.\n\n",
-        config.environment
+        config.environment,
+        networks.about(),
     );
     card += &measured_table(measured);
     if let Some(last) = run.curve.last() {
@@ -104,7 +156,7 @@ fn card(run: &MethodRun<'_>, measured: &[Measured], skip: bool) -> String {
         "\nMatrix products were computed with `{}`: `--set run.products={0}` repeats the run byte for byte.",
         config.run.products
     );
-    if skip {
+    if matches!(networks, DeployedNetworks::Attention { network, .. } if network.skip.is_some()) {
         card += "\n## Where the training departs from the dissertation\n\n\
                  - An agent's own embedding reaches the layer before the head past the attention (`network.skip`).\n";
     }

@@ -3,14 +3,27 @@
 use sortie_core::Policy;
 
 use super::attention::AttentionNetwork;
+use super::own_row::OwnRowNetworks;
 use super::recurrent::GruCell;
 
-/// Agents that all run one attention network over the entities that they see.
+/// Agents, and what their answers are.
 pub struct DeployedAgents<'a> {
-    /// The network.
-    pub network: AttentionNetwork<'a>,
-    /// What they remember by, between the layer before the head and the head; no ReLU follows their attention then.
-    pub memory: Option<GruCell<'a>>,
+    /// Their networks.
+    pub networks: DeployedNetworks<'a>,
     /// What answers golden observations: the method's own pass.
     pub policy: Box<dyn Policy + 'a>,
+}
+
+/// What agents decide by.
+#[expect(clippy::large_enum_variant, reason = "there is one of them")]
+pub enum DeployedNetworks<'a> {
+    /// All run one attention network over the entities that they see.
+    Attention {
+        /// The network.
+        network: AttentionNetwork<'a>,
+        /// What they remember by, between the layer before the head and the head; no ReLU follows their attention then.
+        memory: Option<GruCell<'a>>,
+    },
+    /// Each runs one of several networks over its own row.
+    OwnRow(OwnRowNetworks),
 }

@@ -9,6 +9,7 @@ pub mod attention;
 mod deployed;
 mod entities;
 pub mod onnx;
+mod own_row;
 mod recurrent;
 #[cfg(test)]
 mod skip_tests;
@@ -16,7 +17,8 @@ mod team_value;
 
 pub use agent::{AgentNetwork, agent_onnx};
 pub use attention::{AttentionNetwork, ExportError, Layer, Layout, Matrix};
-pub use deployed::DeployedAgents;
+pub use deployed::{DeployedAgents, DeployedNetworks};
 pub use entities::{EntityNetwork, Members, entity_network_onnx};
+pub use own_row::{AGENT_NUMBER, DenseLayer, OwnRowNetworks};
 pub use recurrent::{GruCell, RecurrentAgent, recurrent_agent_onnx};
 pub use team_value::{TeamValueExport, team_value_onnx};

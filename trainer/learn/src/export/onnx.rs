@@ -41,6 +41,8 @@ pub enum Dim<'a> {
 pub enum Attribute<'a> {
     /// A whole number.
     Int(&'a str, i64),
+    /// A number.
+    Float(&'a str, f32),
     /// Whole numbers.
     Ints(&'a str, &'a [i64]),
 }
@@ -153,6 +155,9 @@ fn attribute(attribute: &Attribute<'_>) -> Message {
     match *attribute {
         Attribute::Int(name, value) => {
             Message::default().text(1, name).integer(3, value).integer(20, 2)
+        }
+        Attribute::Float(name, value) => {
+            Message::default().text(1, name).float(2, value).integer(20, 1)
         }
         Attribute::Ints(name, values) => {
             Message::default().text(1, name).integers(8, values).integer(20, 7)

@@ -87,10 +87,8 @@ impl Acting {
         environment: &dyn Environment,
         scenes: impl Iterator<Item = &'s Scene<'s>>,
     ) {
-        let Actors { groups, network, policies, weights, running } = actors;
-        self.observations.clear();
-        self.shown.resize_with(groups.0.len(), Vec::new);
-        self.shown.iter_mut().for_each(Vec::clear);
+        let Actors { groups, network, .. } = actors;
+        self.forget(groups);
         let width = observed(groups);
         let mut count = 0;
         for scene in scenes {
@@ -99,6 +97,43 @@ impl Acting {
             show(groups, network, own, &mut self.shown);
             count += 1;
         }
+        self.score(actors, count);
+    }
+
+    /// What an agent thinks of its actions by its own row alone, `[actions]`; none of an agent that there is not, or of
+    /// a row that is too short.
+    pub(super) fn look_from(
+        &mut self,
+        actors: Actors<'_>,
+        agent: usize,
+        row: &[f32],
+    ) -> Option<&[f32]> {
+        let groups = actors.groups;
+        let (index, group) =
+            groups.0.iter().enumerate().find(|(_, group)| group.agents.contains(&agent))?;
+        let own = row.get(..group.observed)?;
+        self.forget(groups);
+        for of in &groups.0 {
+            for other in of.agents.clone() {
+                let end = self.observations.len() + of.observed;
+                self.observations.extend_from_slice(if other == agent { own } else { &[] });
+                self.observations.resize(end, 0.0);
+            }
+        }
+        show(groups, actors.network, &self.observations, &mut self.shown);
+        self.score(actors, 1);
+        let place = agent - group.agents.start;
+        self.scores.get(index)?.get(place * group.actions..)?.get(..group.actions)
+    }
+
+    fn forget(&mut self, groups: &Groups) {
+        self.observations.clear();
+        self.shown.resize_with(groups.0.len(), Vec::new);
+        self.shown.iter_mut().for_each(Vec::clear);
+    }
+
+    fn score(&mut self, actors: Actors<'_>, count: usize) {
+        let Actors { groups, network, policies, weights, running } = actors;
         if network.normalised {
             let rows = self.shown.iter_mut().enumerate();
             rows.for_each(|(group, rows)| running.normalise(group, rows));

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 use sortie_envs::{Environment, Observation, Random};
+use sortie_learn::export::DeployedAgents;
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Rates, Reports};
 use sortie_learn::session::Opening;
@@ -10,6 +11,7 @@ use sortie_learn::{Act, LearnError, Method, Now, Scene, Scenes, State, Transitio
 use super::acting::{Acting, Actors, observe, observed, show};
 use super::batch::Batch;
 use super::config::Config;
+use super::deployed::deployed;
 use super::groups::Groups;
 use super::learner::Learner;
 use super::replay::{Future, Outcome, Replay};
@@ -31,6 +33,8 @@ pub struct Maac {
     future: Future,
     last: Vec<f32>,
     seen: Observation,
+    /// Numbers of a row and actions of an agent, the most of any.
+    sizes: [usize; 2],
 }
 
 /// What an instance is doing.
@@ -69,7 +73,20 @@ impl Maac {
             future: Future::default(),
             last: Vec::new(),
             seen: Observation::default(),
+            sizes: [spec.shape.features, spec.shape.actions],
             config,
+        }
+    }
+
+    /// The policies that are measured, and deployed.
+    fn measured(&self) -> Actors<'_> {
+        let Self { config, learner, .. } = self;
+        Actors {
+            groups: &learner.groups,
+            network: &config.network,
+            policies: &learner.policies,
+            weights: &learner.average_policies,
+            running: &learner.running,
         }
     }
 
@@ -217,6 +234,10 @@ impl Method for Maac {
         Box::new(Greedy { maac: self, acting: Acting::default() })
     }
 
+    fn deployed(&self) -> Result<DeployedAgents<'_>, LearnError> {
+        Ok(deployed(self.measured(), self.sizes))
+    }
+
     fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
         let Learner {
             critic,
@@ -272,15 +293,8 @@ impl Act for Greedy<'_> {
         _: &mut [Random],
         actions: &mut [u16],
     ) -> Result<(), LearnError> {
-        let Maac { config, learner, .. } = self.maac;
-        let groups = &learner.groups;
-        let actors = Actors {
-            groups,
-            network: &config.network,
-            policies: &learner.policies,
-            weights: &learner.average_policies,
-            running: &learner.running,
-        };
+        let actors = self.maac.measured();
+        let groups = actors.groups;
         self.acting.look(actors, scenes.environment, scenes.scenes.iter());
         for (place, actions) in actions.chunks_exact_mut(groups.agents()).enumerate() {
             self.acting.choose(groups, place, None, actions);

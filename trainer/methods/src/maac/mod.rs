@@ -7,6 +7,7 @@ mod acting;
 mod batch;
 mod config;
 mod critic;
+mod deployed;
 mod drawing;
 mod groups;
 mod keys;

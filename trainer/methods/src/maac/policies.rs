@@ -38,6 +38,11 @@ impl Policies {
         self.groups.iter().map(|(_, range)| range.clone())
     }
 
+    /// The layers of each group.
+    pub fn layers(&self) -> impl Iterator<Item = &[Linear; 3]> {
+        self.groups.iter().map(|(layers, _)| layers)
+    }
+
     /// By groups, `[rows, actions]`: the scores of actions in some records, whose softmax are their chances.
     pub fn scores(
         &self,

@@ -3,7 +3,9 @@
 use sortie_core::choose::masked_argmax;
 use sortie_core::{DecideError, Decision, Policy};
 use sortie_envs::{EntitySet, Observation};
-use sortie_learn::export::{AttentionNetwork, DeployedAgents, GruCell, Layer, Layout, Matrix};
+use sortie_learn::export::{
+    AttentionNetwork, DeployedAgents, DeployedNetworks, GruCell, Layer, Layout, Matrix,
+};
 use sortie_nn::layers::gru::lengths;
 
 use super::agent::AgentPass;
@@ -26,24 +28,21 @@ pub(super) fn deployed(network: &Network) -> DeployedAgents<'_> {
             recurrent: Layer { weight: matrix(recurrent), bias: recurrent_bias },
         }
     });
+    let layers = AttentionNetwork {
+        inputs: shape.input,
+        width: shape.width,
+        heads: HEADS,
+        base: shape.last(),
+        outputs: shape.actions,
+        fc1: Layer { weight: Matrix { values: fc1, layout: Layout::InputsFirst }, bias: fc1_bias },
+        attention_in: matrix(attention_in),
+        attention_out: Layer { weight: matrix(out), bias: out_bias },
+        skip: shape.skip.then(|| matrix(skip)),
+        fc2: remembers.then(|| Layer { weight: matrix(fc2), bias: fc2_bias }),
+        head: Layer { weight: matrix(head), bias: head_bias },
+    };
     DeployedAgents {
-        memory,
-        network: AttentionNetwork {
-            inputs: shape.input,
-            width: shape.width,
-            heads: HEADS,
-            base: shape.last(),
-            outputs: shape.actions,
-            fc1: Layer {
-                weight: Matrix { values: fc1, layout: Layout::InputsFirst },
-                bias: fc1_bias,
-            },
-            attention_in: matrix(attention_in),
-            attention_out: Layer { weight: matrix(out), bias: out_bias },
-            skip: shape.skip.then(|| matrix(skip)),
-            fc2: remembers.then(|| Layer { weight: matrix(fc2), bias: fc2_bias }),
-            head: Layer { weight: matrix(head), bias: head_bias },
-        },
+        networks: DeployedNetworks::Attention { network: layers, memory },
         policy: Box::new(NetworkPolicy::new(network)),
     }
 }

@@ -3,7 +3,7 @@
 use super::wide::{Work, run_widest};
 
 /// Added to a variance.
-const EPSILON: f32 = 1e-5;
+pub const EPSILON: f32 = 1e-5;
 
 /// Writes every row `[columns]` of `x` with mean 0 and variance 1.
 pub fn rows(columns: usize, x: &[f32], y: &mut [f32]) {

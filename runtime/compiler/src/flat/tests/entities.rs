@@ -45,6 +45,9 @@ fn entities_have_the_roles_that_are_said() {
     let available = InputRole::Available;
     assert_eq!(roles("me"), [entities(false), mask(false), InputRole::OwnIndex, available]);
     assert_eq!(roles("first"), [entities(true), mask(true), InputRole::Extra, available]);
+    let told = said("", None, Some("me")).unwrap();
+    let role = |name: &str| told.inputs.iter().find(|input| input.name == name).unwrap().role;
+    assert_eq!([role("rows"), role("me")], [InputRole::Observation, InputRole::OwnIndex]);
     let visible = said("rows", Some("pad:visible"), Some("me")).unwrap();
     let role = InputRole::Mask { blocks: false, own_first: false };
     assert!(visible.inputs.iter().any(|input| input.role == role));
@@ -68,6 +71,8 @@ fn what_is_missing_is_asked_for_with_what_there_is() {
         ),
         (said("me", Some("pad:blocked"), None), ["`rows` f32 [1, 4, 3]", "`--entities NAME`"]),
         (said("", Some("pad:blocked"), None), ["`rows` f32 [1, 4, 3]", "`--entities NAME`"]),
+        (said("", None, Some("first")), ["`rows` f32 [1, 4, 3]", "`--entities NAME`"]),
+        (said("", None, Some("legal")), ["`me` i64 [1]", "`--self NAME`"]),
     ] {
         let message = got.unwrap_err();
         assert!(words.iter().all(|word| message.contains(word)), "{words:?}: {message}");
