@@ -6,9 +6,9 @@ mod sessions;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use sortie_learn::play;
 use sortie_learn::run::{Observer, Progress};
-use sortie_learn::session::Setup;
+use sortie_learn::session::{Opening, Setup, load_weights};
+use sortie_learn::{Act, play};
 use sortie_methods::find;
 
 use sessions::{begin, environment_of, resume, with};
@@ -91,4 +91,18 @@ fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
         session.run(&mut (), &AtomicBool::new(false)).unwrap();
         assert_eq!(weights(whole.path()), weights(parted.path()), "{kind:?}");
     }
+}
+
+#[test]
+fn a_run_that_is_read_back_shows_its_policies_what_they_know() {
+    let setup = with(&pair(&["run.steps=4000"]), &["network.normalised=true"]);
+    let folder = tempfile::tempdir().unwrap();
+    let mut session = begin(setup.clone(), 1, 1, folder.path()).unwrap();
+    session.run(&mut (), &AtomicBool::new(false)).unwrap();
+    let world = environment_of(&setup).unwrap();
+    let opening = Opening { setup: &setup, environment: &*world, seed: 2, threads: 1 };
+    let mut method = find("maac").unwrap().method(&opening).unwrap();
+    load_weights(folder.path(), &mut *method).unwrap();
+    let play = |mut team: Box<dyn Act + '_>| play::evaluate(&*world, &mut *team, 40, 1).unwrap();
+    assert_eq!(play(method.team()), play(session.method().team()));
 }

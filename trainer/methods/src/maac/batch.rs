@@ -1,5 +1,6 @@
 //! What an update sees, and what networks are shown of it.
 
+use sortie_learn::{LearnError, State};
 use sortie_nn::layers::normalise::{self, Moments};
 
 use super::groups::Groups;
@@ -65,6 +66,18 @@ impl Running {
         for (variance, to) in self.variances[group].iter_mut().zip(&moments.variances) {
             towards(variance, unbiased * to);
         }
+    }
+
+    /// Visits them: rounded to f32 as part of the weights, and as they are for runs that go on.
+    pub(super) fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
+        let all = || self.means.iter().chain(&self.variances).flatten();
+        let mut rounded: Vec<f32> = all().map(|moment| *moment as f32).collect();
+        state.vector("inputs", &mut rounded)?;
+        if state.is_reading() {
+            let all = self.means.iter_mut().chain(&mut self.variances).flatten();
+            all.zip(rounded).for_each(|(moment, rounded)| *moment = f64::from(rounded));
+        }
+        state.value("inputs", self)
     }
 
     /// Normalises what a group is shown outside of batches.

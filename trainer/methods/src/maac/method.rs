@@ -271,7 +271,7 @@ impl Method for Maac {
         }
         state.value("critic-adam-steps", &mut critic_optimiser.steps)?;
         state.value("policy-adam-steps", &mut policy_optimiser.steps)?;
-        state.value("inputs", running)?;
+        running.state(state)?;
         state.value("random", &mut self.random)?;
         state.value("decisions", &mut self.running)?;
         state.value("began", &mut self.began)?;
