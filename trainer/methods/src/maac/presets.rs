@@ -33,12 +33,24 @@ fn fast() -> Setup {
 /// Steps from which on episodes count as long.
 const LONG: u32 = 50;
 
-/// Where episodes are long, what an action leads to shows later: agents hold their actions for some steps while they
-/// learn, try out more at first, and follow what they come nearer to.
+/// What `fast` is in an environment.
 fn suit(preset: &str, setup: &mut Setup, spec: &Spec) {
-    if preset != "fast" || spec.episode_limit < LONG {
+    if preset != "fast" {
         return;
     }
+    let run = setup.run.clone();
+    let (run, own) = match (spec.episode_limit >= LONG, spec.roles.is_empty()) {
+        (true, _) => long(run),
+        (false, true) => alike(run),
+        (false, false) => return,
+    };
+    let environment = setup.environment.clone();
+    *setup = Setup { method: setup.method.clone(), environment, ..Setup::of(64, run, &own) };
+}
+
+/// Where episodes are long, what an action leads to shows later: agents hold their actions for some steps while they
+/// learn, try out more at first, and follow what they come nearer to.
+fn long(run: RunConfig) -> (RunConfig, Config) {
     let fast = Config::default();
     let long = Config {
         network: NetworkConfig {
@@ -54,9 +66,21 @@ fn suit(preset: &str, setup: &mut Setup, spec: &Spec) {
         optimiser: OptimiserConfig { critic_rate: 0.003, target_rate: 0.05, ..fast.optimiser },
         update: fast.update,
     };
-    let run = RunConfig { steps: 1_500_000, evaluate_every: 100_000, ..setup.run.clone() };
-    let environment = setup.environment.clone();
-    *setup = Setup { method: setup.method.clone(), environment, ..Setup::of(64, run, &long) };
+    (RunConfig { steps: 1_500_000, evaluate_every: 100_000, ..run }, long)
+}
+
+/// Where episodes are short and all are alike, nobody has to know who is who, and rewards come at once.
+fn alike(run: RunConfig) -> (RunConfig, Config) {
+    let fast = Config::default();
+    let alike = Config {
+        network: NetworkConfig { identity: false, ..fast.network },
+        returns: ReturnsConfig { steps: 1, ..fast.returns },
+        replay: ReplayConfig { batch: 256, ..fast.replay },
+        entropy: EntropyConfig { start: 0.1, end: 0.01, steps: 1_000_000 },
+        optimiser: OptimiserConfig { target_rate: 0.05, ..fast.optimiser },
+        update: fast.update,
+    };
+    (RunConfig { steps: 1_000_000, evaluate_every: 100_000, ..run }, alike)
 }
 
 fn paper() -> Setup {
@@ -90,4 +114,35 @@ fn open(opening: &Opening<'_>) -> Result<Box<dyn Method>, LearnError> {
         )));
     }
     Ok(Box::new(Maac::new(config, opening)))
+}
+
+#[cfg(test)]
+mod tests {
+    use sortie_envs::Split;
+
+    use super::*;
+
+    /// Batch, steps before a value, environment steps of an action, identity, and steps of the run.
+    fn suited(preset: &str, set: &str) -> (usize, usize, usize, bool, u64) {
+        let world = sortie_envs::open(set, Split::Train, 1, &Default::default()).unwrap();
+        let mut setup = MAAC.preset(preset).unwrap();
+        suit(preset, &mut setup, world.spec());
+        assert_eq!(setup.method, "maac");
+        let Config { network, returns, replay, .. } = setup.own().unwrap();
+        let (batch, interval) = (replay.batch, returns.decision_interval);
+        (batch, returns.steps, interval, network.identity, setup.run.steps)
+    }
+
+    #[test]
+    fn fast_suits_long_episodes_and_agents_that_are_all_alike() {
+        let short = suited("fast", "particle/rover-tower-4");
+        assert_eq!(short, (128, 3, 1, true, 400_000));
+        assert_eq!(suited("fast", "particle/treasure-4"), (128, 1, 3, false, 1_500_000));
+        assert_eq!(suited("fast", "particle/navigation-3"), (256, 1, 1, false, 1_000_000));
+        let published = suited("paper", "particle/rover-tower-4");
+        assert_eq!(published.0, 1_024);
+        for set in ["particle/treasure-4", "particle/navigation-3"] {
+            assert_eq!(suited("paper", set), published, "{set}");
+        }
+    }
 }
