@@ -2,6 +2,7 @@
 
 mod batch;
 mod learning;
+mod maac;
 mod paper;
 mod program;
 mod tensors;
@@ -33,7 +34,8 @@ const PEAK_SIDE: usize = 512;
 /// Beside each figure stands the arithmetic that was done, and its share of what a large matrix product
 /// reaches in the same run. Where Python has torch, the update alternates with a PyTorch program of ours
 /// on the same records, in two formulations; loss and gradient are compared before. Preset `fast` counts
-/// updates per CPU-second; `paper` CPU-seconds per step of each level, and how they are spent.
+/// updates per CPU-second; `paper` CPU-seconds per step of each level, and how they are spent; `paper-maac`
+/// CPU-seconds per round of MAAC's updates.
 #[derive(Debug, Args)]
 pub(super) struct TrainArguments {
     /// How it is learned
@@ -56,6 +58,8 @@ enum Preset {
     Fast,
     /// As the dissertation does, from windows of whole episodes
     Paper,
+    /// A round of MAAC as published
+    PaperMaac,
 }
 
 /// The arithmetic of one case, medians over the rounds.
@@ -86,6 +90,7 @@ pub(super) fn measure(arguments: &TrainArguments) -> Result<Figures, Failure> {
     match arguments.preset {
         Preset::Fast => measure_fast(arguments),
         Preset::Paper => paper::measure(arguments),
+        Preset::PaperMaac => maac::measure(arguments),
     }
 }
 
