@@ -175,11 +175,7 @@ impl Round {
         for (kind, drawn) in ["drawn_next", "drawn"].iter().zip(&kept.drawn) {
             tensors.actions(kind, drawn);
         }
-        tensors.parameters(
-            "gradient.critic",
-            &learner.critic.parameters,
-            &learner.critic_gradient,
-        );
+        tensors.parameters("gradient.critic", &learner.critic.parameters, &learner.critic_gradient);
         let (policies, gradient) = (&learner.policies.parameters, &learner.policy_gradient);
         tensors.parameters("gradient.policies", policies, gradient);
         tensors

@@ -61,12 +61,12 @@ fn long(run: RunConfig) -> (RunConfig, Config) {
             ..fast.network
         },
         returns: ReturnsConfig { steps: 1, discount: 0.97, decision_interval: 3, shaping: 10.0 },
-        replay: ReplayConfig { steps_per_period: 192, ..fast.replay },
+        replay: ReplayConfig { batch: 256, steps_per_period: 384, capacity: 48_000, ..fast.replay },
         entropy: EntropyConfig { start: 0.15, end: 0.012, steps: 2_500_000 },
         optimiser: OptimiserConfig { critic_rate: 0.003, target_rate: 0.05, ..fast.optimiser },
         update: fast.update,
     };
-    (RunConfig { steps: 1_500_000, evaluate_every: 100_000, ..run }, long)
+    (RunConfig { steps: 2_500_000, evaluate_every: 100_000, ..run }, long)
 }
 
 /// Where episodes are short and all are alike, nobody has to know who is who, and rewards come at once.
@@ -137,7 +137,7 @@ mod tests {
     fn fast_suits_long_episodes_and_agents_that_are_all_alike() {
         let short = suited("fast", "particle/rover-tower-4");
         assert_eq!(short, (128, 3, 1, true, 400_000));
-        assert_eq!(suited("fast", "particle/treasure-4"), (128, 1, 3, false, 1_500_000));
+        assert_eq!(suited("fast", "particle/treasure-4"), (256, 1, 3, false, 2_500_000));
         assert_eq!(suited("fast", "particle/navigation-3"), (256, 1, 1, false, 1_000_000));
         let published = suited("paper", "particle/rover-tower-4");
         assert_eq!(published.0, 1_024);
