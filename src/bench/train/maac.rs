@@ -116,7 +116,6 @@ impl Round {
     fn new(assignments: &[String], seed: u64) -> Result<Self, Failure> {
         let set = |setup, assignment: &String| MAAC.set(&setup, assignment);
         let mut setup = assignments.iter().try_fold(MAAC.preset("paper")?, set)?;
-        setup.environment.name = "particle".to_string();
         setup.environment.set = SET.to_string();
         methods::settle(&MAAC, &mut setup.environment)?;
         let environment = methods::open_environment(&setup.environment)?;
