@@ -29,6 +29,7 @@ pub mod environment;
 pub mod frame;
 #[cfg(feature = "std")]
 pub mod golden;
+pub mod gridworld;
 pub mod group_matching;
 pub mod observation;
 pub mod particle;

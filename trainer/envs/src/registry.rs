@@ -8,8 +8,12 @@ pub use crate::entry::{Choice, Entry, EnvironmentError, Setting};
 use crate::environment::{Environment, Split};
 
 /// Every environment of this crate. Learners know none of them: they are handed an [`Environment`].
-pub const ENVIRONMENTS: &[Entry] =
-    &[crate::save_the_city::ENTRY, crate::group_matching::ENTRY, crate::particle::ENTRY];
+pub const ENVIRONMENTS: &[Entry] = &[
+    crate::save_the_city::ENTRY,
+    crate::group_matching::ENTRY,
+    crate::particle::ENTRY,
+    crate::gridworld::ENTRY,
+];
 
 /// An environment by the name that `--env` takes: `NAME` or `NAME/SET`.
 ///

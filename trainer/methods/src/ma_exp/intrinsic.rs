@@ -1,0 +1,85 @@
+//! Intrinsic rewards: what an agent earns for being where it, or others, have rarely been
+//! (dissertation section 4.3).
+
+use serde::{Deserialize, Serialize};
+
+/// What counts as worth exploring.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Intrinsic {
+    /// What is novel to the agent itself.
+    Independent,
+    /// What is novel to everybody.
+    Minimum,
+    /// What is more novel to the agent than to the team: places that it knows less than others.
+    Covering,
+    /// What is less novel to the agent than to the team: places that it knows better than others.
+    Burrowing,
+    /// The first agent burrows, the others cover.
+    LeaderFollower,
+    /// Where the team as a whole has not been.
+    Centralized,
+}
+
+impl Intrinsic {
+    /// The types that the dissertation chooses among, in its order.
+    pub const CHOSEN: [Self; 5] =
+        [Self::Independent, Self::Minimum, Self::Covering, Self::Burrowing, Self::LeaderFollower];
+
+    /// What an agent earns in a cell that is so novel to each agent, and where the team's cells together are so novel.
+    ///
+    /// In 32 bits and in the published order: where all are equal, the mean may differ from them by one bit, and a tie
+    /// pays.
+    #[inline]
+    pub fn reward(self, novelties: &[f32], team: f32, agent: usize) -> f32 {
+        let own = novelties[agent];
+        let mean = || novelties.iter().sum::<f32>() / novelties.len() as f32;
+        let paid = |pays: fn(&f32) -> bool| {
+            let (mean, beyond) = (mean(), own - mean());
+            if pays(&beyond) { beyond + mean } else { 0.0 }
+        };
+        match self {
+            Self::Independent => own,
+            Self::Minimum => novelties.iter().copied().fold(f32::INFINITY, f32::min),
+            Self::Covering => paid(|beyond| *beyond > 0.0),
+            Self::Burrowing => paid(|beyond| *beyond < 0.0),
+            Self::LeaderFollower if agent == 0 => Self::Burrowing.reward(novelties, team, agent),
+            Self::LeaderFollower => Self::Covering.reward(novelties, team, agent),
+            Self::Centralized => team,
+        }
+    }
+}
+
+/// Running mean and variance of a stream of numbers (Chan, Golub and LeVeque 1979).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Moments {
+    /// Mean.
+    pub mean: f64,
+    /// Variance of the population.
+    pub variance: f64,
+    /// Numbers so far.
+    pub count: f64,
+}
+
+impl Default for Moments {
+    fn default() -> Self {
+        Self { mean: 0.0, variance: 1.0, count: 1e-4 }
+    }
+}
+
+impl Moments {
+    /// Adds some numbers.
+    pub fn add(&mut self, numbers: impl ExactSizeIterator<Item = f64> + Clone) {
+        let count = numbers.len() as f64;
+        if count == 0.0 {
+            return;
+        }
+        let mean = numbers.clone().sum::<f64>() / count;
+        let variance = numbers.map(|number| (number - mean).powi(2)).sum::<f64>() / count;
+        let (apart, total) = (mean - self.mean, self.count + count);
+        let between = apart * apart * self.count * count / total;
+        self.mean += apart * count / total;
+        self.variance = (self.variance * self.count + variance * count + between) / total;
+        self.count = total;
+    }
+}

@@ -1,0 +1,85 @@
+//! What an agent's tables are asked by: its cell, the pit that it sees, and what it found.
+
+use serde::{Deserialize, Serialize};
+use sortie_envs::gridworld::{CELLS, SIDE};
+use sortie_envs::{SparseRows, Spec};
+
+/// Probabilities of a pit from which on it counts as likelier to open; below the first it counts as none.
+pub const PITS: [f32; 3] = [0.02, 0.08, 0.25];
+/// Kinds of pits.
+const KINDS: usize = PITS.len() + 1;
+
+/// Which columns of an observation say what.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Columns {
+    pits: core::ops::Range<usize>,
+    found: core::ops::Range<usize>,
+    row: usize,
+    column: usize,
+}
+
+impl Columns {
+    /// The columns by their names; none where an environment shows no such things.
+    pub fn of(spec: &Spec) -> Option<Self> {
+        let at = |name: &str| spec.features.iter().position(|feature| feature == name);
+        let block = |prefix: &str| {
+            let first = spec.features.iter().position(|feature| feature.starts_with(prefix))?;
+            let named = |feature: &&String| feature.starts_with(prefix);
+            Some(first..first + spec.features[first..].iter().take_while(named).count())
+        };
+        let found = block("found-")?;
+        let fits = found.len() <= 8;
+        fits.then_some(())?;
+        Some(Self { pits: block("pit-")?, found, row: at("row")?, column: at("column")? })
+    }
+
+    /// Kinds of treasures.
+    pub fn treasures(&self) -> usize {
+        self.found.len()
+    }
+
+    /// Where a row says that its agent is.
+    #[inline]
+    pub fn place(&self, rows: &SparseRows, row: usize) -> Place {
+        let (mut place, mut cell) = (Place::default(), [0.0; 2]);
+        for (column, value) in rows.row(row) {
+            if self.pits.contains(&column) {
+                place.pit = PITS.iter().filter(|least| value >= **least).count() as u8;
+            } else if self.found.contains(&column) {
+                place.found |= 1 << (column - self.found.start);
+            } else if column == self.row {
+                cell[0] = value;
+            } else if column == self.column {
+                cell[1] = value;
+            }
+        }
+        let [row, column] = cell.map(|part| (part * SIDE as f32).round() as u16);
+        place.cell = row * SIDE as u16 + column;
+        place
+    }
+}
+
+/// What an agent's tables are asked by.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct Place {
+    /// Its cell.
+    pub cell: u16,
+    /// The pit that it sees, by how likely it opens.
+    pub pit: u8,
+    /// The treasures that it found, as bits.
+    pub found: u8,
+}
+
+impl Place {
+    /// How many there can be with so many treasures.
+    pub fn count(treasures: usize) -> usize {
+        (CELLS * KINDS) << treasures
+    }
+
+    /// Its number.
+    #[inline]
+    pub fn index(self) -> usize {
+        let Self { cell, pit, found } = self;
+        (usize::from(found) * KINDS + usize::from(pit)) * CELLS + usize::from(cell)
+    }
+}
