@@ -13,6 +13,11 @@ pub const METHODS: &[MethodEntry] = &[
     value_factorisation::VDN,
     value_factorisation::REFIL,
     maac::MAAC,
+    maac::COMA,
+    maac::COMA_SAC,
+    maac::MADDPG,
+    maac::MADDPG_SAC,
+    maac::DDPG,
 ];
 
 /// A method by its name.

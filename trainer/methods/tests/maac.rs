@@ -84,6 +84,7 @@ impl Recorded {
             rewards: all("in/rew"),
             discounts: discounts.collect(),
             next: all("in/next_obs"),
+            follows: Vec::new(),
         }
     }
 

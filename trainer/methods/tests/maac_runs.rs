@@ -64,11 +64,7 @@ fn a_rover_learns_what_its_tower_says() {
 #[test]
 fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
     for kind in [
-        &[
-            "update.own_actions=expected",
-            "network.attention=uniform",
-            "returns.decision_interval=3",
-        ][..],
+        &["update.own_actions=expected", "network.critic=uniform", "returns.decision_interval=3"][..],
         &[
             "update.own_actions=drawn",
             "update.policy_values=fresh",

@@ -1,5 +1,6 @@
 //! Configurations as files: read, checked key by key, changed, and explained.
 
+mod define;
 mod explained;
 mod key;
 mod keys;

@@ -8,7 +8,7 @@ use sortie_nn::tape::Tape;
 
 use super::batch::Running;
 use super::config::NetworkConfig;
-use super::drawing::drawn;
+use super::drawing::{best, drawn};
 use super::groups::Groups;
 use super::policies::Policies;
 
@@ -164,17 +164,11 @@ impl Acting {
                         softmax::forward(scores);
                         drawn(scores, unit(random) as f32) as u16
                     }
-                    None => best(scores),
+                    None => best(scores) as u16,
                 };
             }
         }
     }
-}
-
-/// The first of the largest.
-fn best(scores: &[f32]) -> u16 {
-    let largest = scores.iter().enumerate().reduce(|a, b| if b.1 > a.1 { b } else { a });
-    largest.map_or(0, |(action, _)| action as u16)
 }
 
 #[cfg(test)]

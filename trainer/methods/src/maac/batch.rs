@@ -1,7 +1,7 @@
 //! What an update sees, and what networks are shown of it.
 
 use sortie_learn::{LearnError, State};
-use sortie_nn::layers::normalise::{self, Moments};
+use sortie_nn::layers::normalise::Moments;
 
 use super::groups::Groups;
 
@@ -20,6 +20,8 @@ pub struct Batch {
     pub discounts: Vec<Vec<f32>>,
     /// `[rows, inputs]`: what they saw next.
     pub next: Vec<Vec<f32>>,
+    /// `[records]`: whether the next record is the next decision of the same episode; empty where none is.
+    pub follows: Vec<bool>,
 }
 
 impl Batch {
@@ -30,6 +32,7 @@ impl Batch {
             all.iter_mut().for_each(Vec::clear);
         }
         self.records = 0;
+        self.follows.clear();
         emptied(&mut self.actions, groups.0.len());
         let Self { observations, rewards, discounts, next, .. } = self;
         for all in [observations, rewards, discounts, next] {
@@ -84,34 +87,5 @@ impl Running {
     pub fn normalise(&self, group: usize, rows: &mut [f32]) {
         let (means, variances) = (self.means[group].clone(), self.variances[group].clone());
         Moments { means, variances }.normalise(rows);
-    }
-}
-
-/// Writes which actions were taken behind the observations, `[rows, inputs + actions]`, and normalises these columns if
-/// the others are.
-pub(super) fn encode(
-    groups: &Groups,
-    observations: &[Vec<f32>],
-    actions: &[Vec<u32>],
-    normalised: bool,
-    encoded: &mut Vec<Vec<f32>>,
-) {
-    encoded.resize_with(groups.0.len(), Vec::new);
-    for ((group, encoded), (observations, actions)) in
-        groups.0.iter().zip(encoded).zip(observations.iter().zip(actions))
-    {
-        let mut taken = vec![0.0; actions.len() * group.actions];
-        for (taken, action) in taken.chunks_exact_mut(group.actions).zip(actions) {
-            taken[*action as usize] = 1.0;
-        }
-        if normalised {
-            normalise::batch(group.actions, &mut taken);
-        }
-        encoded.clear();
-        let rows = observations.chunks_exact(group.inputs());
-        for (observation, taken) in rows.zip(taken.chunks_exact(group.actions)) {
-            encoded.extend_from_slice(observation);
-            encoded.extend_from_slice(taken);
-        }
     }
 }

@@ -1,236 +1,179 @@
-//! What a run of MAAC leaves open.
+//! What a run of MAAC, or of a method that it is compared with, leaves open.
 
-use serde::{Deserialize, Serialize};
+use sortie_learn::configuration::Range::{self, Number, OneOf, Truth, Whole};
+use sortie_learn::configuration::SHARE;
+use sortie_learn::{sections, words};
 
-/// Sizes, chances and rates; the default is the preset `fast`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Config {
-    /// Policies and critic.
-    pub network: NetworkConfig,
+use super::critic::CriticShape;
+
+const ANY: Range = Number(0.0, 1e6);
+const WIDTH: Range = Whole(4, 1024);
+const SIZE: Range = Whole(1, 20_000_000);
+const STEPS: Range = Whole(0, 20_000_000_000);
+const FEW: Range = Whole(1, 1000);
+
+sections! {
+    /// Sizes, chances and rates; the default is the preset `fast`.
+    Config, KEYS;
+
+    /// Policies, and the critic that learns with them.
+    network: NetworkConfig {
+        /// What the critic makes of the others: it attends to them (MAAC), all count the same (MAAC (Uniform)), it has
+        /// everything in one row, as one for each group of agents (MADDPG) or one for all (COMA), or nothing (DDPG).
+        critic: CriticKind = CriticKind::Attention, OneOf(CriticKind::WORDS);
+        /// Width of the critic's layers, a multiple of its heads.
+        critic_width: usize = 64, WIDTH, "columns";
+        /// Width of the policies' layers.
+        policy_width: usize = 64, WIDTH, "columns";
+        /// Attention heads of the critic.
+        heads: usize = 4, Whole(1, 64), "heads";
+        /// Whether agents of a role share their networks; each has its own otherwise.
+        shared: bool = true, Truth;
+        /// Whether agents that share networks are told which of them they are.
+        identity: bool = true, Truth;
+        /// Whether inputs are normalised over the batch.
+        normalised: bool = false, Truth;
+        /// What inputs that are not normalised are multiplied with.
+        input_scale: f32 = 1.0, ANY, "factor";
+    }
+
     /// How rewards become targets.
-    pub returns: ReturnsConfig,
-    /// What is kept and how much of it an update sees.
-    pub replay: ReplayConfig,
-    /// How much chance in the choice of actions is worth.
-    pub entropy: EntropyConfig,
-    /// How the weights follow the gradient.
-    pub optimiser: OptimiserConfig,
+    returns: ReturnsConfig {
+        /// Decisions before a target bootstraps.
+        steps: usize = 3, FEW, "decisions";
+        /// Worth of a reward one step later.
+        discount: f32 = 0.95, SHARE, "factor per step";
+        /// What the target of the next decision counts beside its value, in whole episodes: TD(lambda).
+        lambda: f32 = 0.0, SHARE, "share";
+        /// Steps that an action is held for while learning; teams that are measured decide at every step.
+        decision_interval: usize = 1, FEW, "steps";
+        /// Scale of the environment's potential, whose rise is added to rewards while learning; 0: nothing is.
+        shaping: f32 = 0.0, ANY, "reward per unit";
+    }
+
+    /// What is kept, and how much of it an update sees.
+    replay: ReplayConfig {
+        /// Whether an update sees the episodes that all instances just ended, once, in place of a batch.
+        on_policy: bool = false, Truth;
+        /// Kept, of all instances.
+        capacity: usize = 24_000, SIZE, "decisions";
+        /// Kept before the first update.
+        first: usize = 4_000, SIZE, "decisions";
+        /// In an update.
+        batch: usize = 128, Whole(1, 65_536), "decisions";
+        /// Steps from one period of updates to the next.
+        steps_per_period: u64 = 64, SIZE, "environment steps";
+        /// Updates of a period.
+        updates_per_period: u64 = 1, FEW, "updates";
+    }
+
+    /// How much chance in the choice of actions is worth, in deviations of rewards.
+    entropy: EntropyConfig {
+        /// At first.
+        start: f32 = 0.03, ANY;
+        /// After `steps`, and from there on.
+        end: f32 = 0.03, ANY;
+        /// Steps in which it falls, by the same factor each.
+        steps: u64 = 0, STEPS, "environment steps";
+    }
+
+    /// How the weights follow the gradient, by Adam.
+    optimiser: OptimiserConfig {
+        /// Step size of the critic.
+        critic_rate: f32 = 0.002, SHARE;
+        /// Step size of the policies.
+        policy_rate: f32 = 0.001, SHARE;
+        /// Share of the way that targets move in an update.
+        target_rate: f32 = 0.03, SHARE, "share";
+        /// Share of the way that the policies that are measured move in an update.
+        average_rate: f32 = 0.01, SHARE, "share";
+        /// What a weight of the critic adds to its gradient.
+        weight_decay: f32 = 0.0, SHARE;
+        /// Largest norm of the critic's gradient, for each agent.
+        critic_clip: f32 = 10.0, ANY;
+        /// Largest norm of the gradient of a policy.
+        policy_clip: f32 = 0.5, ANY;
+        /// Added to Adam's denominator.
+        epsilon: f32 = 1e-8, SHARE;
+        /// Whether that is added before the correction of first steps, as PyTorch did until version 1.2.
+        early_epsilon: bool = false, Truth;
+    }
+
     /// What an update computes.
-    pub update: UpdateConfig,
+    update: UpdateConfig {
+        /// How an agent's own action counts in targets and policies: all by their chances, one that is drawn, or one that
+        /// the critic is shown and whose value says which way its scores should go (DDPG).
+        own_actions: OwnActions = OwnActions::Expected, OneOf(OwnActions::WORDS);
+        /// What policies learn from: the values that the critic's update computed, or those of the updated critic for
+        /// actions that all draw anew.
+        policy_values: PolicyValues = PolicyValues::Kept, OneOf(PolicyValues::WORDS);
+        /// What the mean squared score of an action counts.
+        score_penalty: f32 = 0.001, ANY;
+        /// What the mean squared score of attention counts.
+        attention_penalty: f32 = 0.001, ANY;
+    }
 }
 
-/// Policies and critic.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct NetworkConfig {
-    /// Width of the critic's layers.
-    pub critic_width: usize,
-    /// Width of the policies' layers.
-    pub policy_width: usize,
-    /// Attention heads.
-    pub heads: usize,
-    /// What the others count in the critic.
-    pub attention: Attention,
-    /// Whether agents of a role share their networks.
-    pub shared: bool,
-    /// Whether agents that share are told which of them they are.
-    pub identity: bool,
-    /// Whether inputs are normalised over the batch; otherwise they are multiplied.
-    pub normalised: bool,
-    /// What inputs that are not normalised are multiplied with.
-    pub input_scale: f32,
+words! {
+    /// What a critic makes of the others.
+    CriticKind {
+        /// It learns what they count (MAAC).
+        Attention = "attention",
+        /// They all count the same (MAAC (Uniform)).
+        Uniform = "uniform",
+        /// A critic for each group of agents has everything in one row (MADDPG).
+        All = "all",
+        /// One critic for all agents has everything in one row, and who is asked (COMA).
+        One = "one",
+        /// Nothing (DDPG).
+        Own = "own",
+    }
 }
 
-/// What the others count in the critic.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Attention {
-    /// What the critic learns that they count (MAAC).
-    Learned,
-    /// All the same (MAAC (Uniform)).
-    Uniform,
-}
-
-/// How rewards become targets.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct ReturnsConfig {
-    /// Decisions of reward before a value is looked up.
-    pub steps: usize,
-    /// Discount per environment step.
-    pub discount: f32,
-    /// Environment steps that an action is held for while learning.
-    pub decision_interval: usize,
-    /// Scale of the potential that shapes rewards; 0: rewards as they are.
-    pub shaping: f32,
-}
-
-/// What is kept and how much of it an update sees.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct ReplayConfig {
-    /// Decisions that are kept, of all instances.
-    pub capacity: usize,
-    /// Decisions before the first update.
-    pub first: usize,
-    /// Decisions that an update sees.
-    pub batch: usize,
-    /// Environment steps from one period of updates to the next.
-    pub steps_per_period: u64,
-    /// Updates of a period.
-    pub updates_per_period: u64,
-}
-
-/// How much chance in the choice of actions is worth.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct EntropyConfig {
-    /// At first.
-    pub start: f32,
-    /// After `steps`, and from there on.
-    pub end: f32,
-    /// Environment steps in which it falls, by the same factor each.
-    pub steps: u64,
-}
-
-/// How the weights follow the gradient.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct OptimiserConfig {
-    /// Step size of the critic.
-    pub critic_rate: f32,
-    /// Step size of the policies.
-    pub policy_rate: f32,
-    /// Share of the way that targets move in an update.
-    pub target_rate: f32,
-    /// Share of the way that the weights that are measured move in an update.
-    pub average_rate: f32,
-    /// What a critic's weight adds to its gradient.
-    pub weight_decay: f32,
-    /// Largest norm of the critic's gradient, for each agent.
-    pub critic_clip: f32,
-    /// Largest norm of the gradient of a policy.
-    pub policy_clip: f32,
-    /// Added to Adam's denominator.
-    pub epsilon: f32,
-    /// Whether that is added before the correction of the first steps, as PyTorch did until version 1.2.
-    pub early_epsilon: bool,
-}
-
-/// What an update computes.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct UpdateConfig {
+words! {
     /// How an agent's own action counts in targets and policies.
-    pub own_actions: OwnActions,
+    OwnActions {
+        /// All of them, by their chances.
+        Expected = "expected",
+        /// One that is drawn.
+        Drawn = "drawn",
+        /// One that the critic is shown, relaxed: the best in targets, drawn for policies (Gumbel-softmax).
+        Relaxed = "relaxed",
+    }
+}
+
+words! {
     /// Which values policies learn from.
-    pub policy_values: PolicyValues,
-    /// What the mean squared score of an action counts.
-    pub score_penalty: f32,
-    /// What the mean squared score of attention counts.
-    pub attention_penalty: f32,
-}
-
-/// How an agent's own action counts in targets and policies.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum OwnActions {
-    /// All of them, by their chances.
-    Expected,
-    /// One that is drawn.
-    Drawn,
-}
-
-/// Which values policies learn from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum PolicyValues {
-    /// Those that the critic's own update computed, for the others' actions of then.
-    Kept,
-    /// Those of the updated critic for actions that all draw now.
-    Fresh,
-}
-
-impl Default for Config {
-    fn default() -> Self {
-        Self {
-            network: NetworkConfig {
-                critic_width: 64,
-                policy_width: 64,
-                heads: 4,
-                attention: Attention::Learned,
-                shared: true,
-                identity: true,
-                normalised: false,
-                input_scale: 1.0,
-            },
-            returns: ReturnsConfig { steps: 3, discount: 0.95, decision_interval: 1, shaping: 0.0 },
-            replay: ReplayConfig {
-                capacity: 24_000,
-                first: 4_000,
-                batch: 128,
-                steps_per_period: 64,
-                updates_per_period: 1,
-            },
-            entropy: EntropyConfig { start: 0.03, end: 0.03, steps: 0 },
-            optimiser: OptimiserConfig {
-                critic_rate: 0.002,
-                policy_rate: 0.001,
-                target_rate: 0.03,
-                average_rate: 0.01,
-                weight_decay: 0.0,
-                critic_clip: 10.0,
-                policy_clip: 0.5,
-                epsilon: 1e-8,
-                early_epsilon: false,
-            },
-            update: UpdateConfig {
-                own_actions: OwnActions::Expected,
-                policy_values: PolicyValues::Kept,
-                score_penalty: 0.001,
-                attention_penalty: 0.001,
-            },
-        }
+    PolicyValues {
+        /// Those that the critic's own update computed, for the others' actions of then.
+        Kept = "kept",
+        /// Those of the updated critic for actions that all draw now.
+        Fresh = "fresh",
     }
 }
 
 impl Config {
     /// The preset `paper`: the published settings.
     pub fn paper() -> Self {
-        let fast = Self::default();
-        Self {
-            network: NetworkConfig {
-                critic_width: 128,
-                policy_width: 128,
-                shared: false,
-                identity: false,
-                normalised: true,
-                ..fast.network
-            },
-            returns: ReturnsConfig { steps: 1, discount: 0.99, ..fast.returns },
-            replay: ReplayConfig {
-                capacity: 1_000_000,
-                first: 1_024,
-                batch: 1_024,
-                steps_per_period: 100,
-                updates_per_period: 4,
-            },
-            entropy: EntropyConfig { start: 0.01, end: 0.01, steps: 0 },
-            optimiser: OptimiserConfig {
-                critic_rate: 0.001,
-                target_rate: 0.001,
-                average_rate: 1.0,
-                weight_decay: 0.001,
-                early_epsilon: true,
-                ..fast.optimiser
-            },
-            update: UpdateConfig {
-                own_actions: OwnActions::Drawn,
-                policy_values: PolicyValues::Fresh,
-                ..fast.update
-            },
-        }
+        let mut paper = Self::default();
+        let Self { network, returns, replay, entropy, optimiser, update } = &mut paper;
+        (network.critic_width, network.policy_width) = (128, 128);
+        (network.shared, network.identity, network.normalised) = (false, false, true);
+        (returns.steps, returns.discount) = (1, 0.99);
+        (replay.capacity, replay.first, replay.batch) = (1_000_000, 1_024, 1_024);
+        (replay.steps_per_period, replay.updates_per_period) = (100, 4);
+        (entropy.start, entropy.end) = (0.01, 0.01);
+        (optimiser.critic_rate, optimiser.weight_decay) = (0.001, 0.001);
+        (optimiser.target_rate, optimiser.average_rate) = (0.001, 1.0);
+        optimiser.early_epsilon = true;
+        (update.own_actions, update.policy_values) = (OwnActions::Drawn, PolicyValues::Fresh);
+        paper
+    }
+
+    /// The critic's sizes.
+    pub fn critic_shape(&self) -> CriticShape {
+        let NetworkConfig { critic: kind, critic_width: width, heads, .. } = self.network;
+        CriticShape { kind, width, heads, sees_own: self.update.own_actions == OwnActions::Relaxed }
     }
 }
 

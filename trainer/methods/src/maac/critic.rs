@@ -1,15 +1,17 @@
-//! The attentive critic: a value of each own action, from all observations and the others' actions.
+//! The critics: a value of each own action, from all observations and the others' actions.
 //!
 //! Dissertation section 3.3: every agent looks, with as many heads, at what the others observed and did, but not at
-//! itself.
+//! itself. Those of the methods that MAAC is compared with are [plainer](super::joint).
 
 use std::ops::Range;
 
-use sortie_nn::layers::VisibleLists;
+use sortie_nn::layers::{VisibleLists, normalise};
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Linear, Parameters, Pass, Var};
 
-use super::groups::Groups;
+use super::config::CriticKind;
+use super::groups::{Group, Groups, Rows};
+use super::joint::Joint;
 
 /// Slope of leaky ReLU below zero.
 pub(super) const SLOPE: f32 = 0.01;
@@ -17,25 +19,39 @@ pub(super) const SLOPE: f32 = 0.01;
 /// Sizes of a critic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CriticShape {
+    /// What it makes of the others.
+    pub kind: CriticKind,
     /// Width of its layers.
     pub width: usize,
     /// Attention heads.
     pub heads: usize,
-    /// Whether all others count the same, MAAC (Uniform).
-    pub uniform: bool,
+    /// Whether it is shown an agent's own action as well, and says what that is worth instead of each.
+    pub sees_own: bool,
 }
 
 /// A critic's layers and weights.
 #[derive(Clone, Debug)]
 pub struct Critic {
-    shape: CriticShape,
     /// The weights of all groups; those that the values of others depend on come [first](Self::shared).
     pub parameters: Parameters,
+    layers: Layers,
+    shared: usize,
+}
+
+#[derive(Clone, Debug)]
+enum Layers {
+    Attentive(Attentive),
+    Joint(Joint),
+}
+
+/// The layers of a critic that looks at the others.
+#[derive(Clone, Debug)]
+struct Attentive {
+    heads: usize,
     groups: Vec<GroupLayers>,
-    /// Queries and keys.
+    /// Queries and keys; none where all others count the same, MAAC (Uniform).
     looks: Option<[Linear; 2]>,
     value: Linear,
-    shared: usize,
 }
 
 /// The layers of a group's agents.
@@ -49,13 +65,22 @@ struct GroupLayers {
     head: Linear,
 }
 
+/// What was done, as a critic is shown it, by groups.
+#[derive(Debug, Default)]
+pub struct Encoded {
+    /// `[rows, columns]`
+    pub(super) taken: Rows,
+    /// `[rows, actions]`: the own action, which only some critics see.
+    pub(super) own: Rows,
+}
+
 /// What a critic is shown, by groups: rows of records.
 #[derive(Clone, Copy, Debug)]
 pub struct Shown<'a> {
     /// `[rows, inputs]`
-    pub observations: &'a [Vec<f32>],
-    /// `[rows, inputs + actions]`: the same, and which action was taken.
-    pub encoded: &'a [Vec<f32>],
+    pub observations: &'a Rows,
+    /// What was done.
+    pub encoded: &'a Encoded,
 }
 
 /// Who stands in the rows of so many records.
@@ -68,19 +93,101 @@ pub struct Order {
 /// What a critic says.
 #[derive(Debug)]
 pub struct Values {
-    /// By groups, `[rows, actions]`: the value of each own action.
+    /// By groups, `[rows, actions]`: the value of each own action, or `[rows, 1]` of the one that it sees.
     pub of_actions: Vec<Var>,
-    /// `[rows, 1]`: the squared scores of attention; none where all count the same.
+    /// `[rows, 1]`: the squared scores of attention, where it is learned.
     pub squared_scores: Option<Var>,
+    /// By groups, `[rows, actions]`: the leaves of own actions that it sees.
+    pub own: Vec<Var>,
 }
 
 impl Critic {
     /// Draws the first weights.
     pub fn new(shape: CriticShape, groups: &Groups, random: &mut Generator) -> Self {
         let mut parameters = Parameters::default();
-        let CriticShape { width, uniform, .. } = shape;
+        let (layers, shared) = match shape.kind {
+            CriticKind::Attention | CriticKind::Uniform => {
+                let (layers, shared) = Attentive::new(shape, groups, &mut parameters, random);
+                (Layers::Attentive(layers), shared)
+            }
+            _ => (Layers::Joint(Joint::new(shape, groups, &mut parameters, random)), 0),
+        };
+        Self { parameters, layers, shared }
+    }
+
+    /// Where the weights stand whose gradients come from the values of all agents.
+    pub fn shared(&self) -> Range<usize> {
+        0..self.shared
+    }
+
+    /// Encodes what the others did, and what each agent did itself, which may be normalised over the batch.
+    pub fn encode<'a>(
+        &self,
+        groups: &Groups,
+        observations: &'a Rows,
+        [others, own]: [&Vec<Vec<u32>>; 2],
+        normalised: bool,
+        encoded: &'a mut Encoded,
+    ) -> Shown<'a> {
+        let one_hot = |actions: &[Vec<u32>]| -> Rows {
+            groups.0.iter().zip(actions).map(|(group, taken)| group.one_hot(taken)).collect()
+        };
+        encoded.own = one_hot(own);
+        let Encoded { taken, .. } = encoded;
+        taken.resize_with(groups.0.len(), Vec::new);
+        match &self.layers {
+            Layers::Attentive(_) => {
+                encode(groups, observations, one_hot(others), normalised, taken);
+            }
+            Layers::Joint(joint) => joint.encode(groups, &one_hot(others), taken),
+        }
+        Shown { observations, encoded }
+    }
+
+    /// The values of some records.
+    pub fn values(
+        &self,
+        pass: &mut Pass<'_>,
+        groups: &Groups,
+        shown: Shown<'_>,
+        records: Range<usize>,
+        order: &Order,
+    ) -> Values {
+        match &self.layers {
+            Layers::Attentive(layers) => layers.values(pass, groups, shown, records, order),
+            Layers::Joint(layers) => layers.values(pass, groups, shown, records, order),
+        }
+    }
+}
+
+/// Writes the actions behind the observations, `[rows, inputs + actions]`, and normalises these columns if the others
+/// are.
+fn encode(groups: &Groups, observations: &Rows, taken: Rows, normalised: bool, encoded: &mut Rows) {
+    for (((group, encoded), observations), mut taken) in
+        groups.0.iter().zip(encoded).zip(observations).zip(taken)
+    {
+        if normalised {
+            normalise::batch(group.actions, &mut taken);
+        }
+        encoded.clear();
+        let rows = observations.chunks_exact(group.inputs());
+        for (observation, taken) in rows.zip(taken.chunks_exact(group.actions)) {
+            encoded.extend_from_slice(observation);
+            encoded.extend_from_slice(taken);
+        }
+    }
+}
+
+impl Attentive {
+    /// Its layers, and how many weights there are that the values of all depend on.
+    fn new(
+        shape: CriticShape,
+        groups: &Groups,
+        p: &mut Parameters,
+        random: &mut Generator,
+    ) -> (Self, usize) {
+        let CriticShape { width, heads, .. } = shape;
         let named = |kind: &str, group: usize| format!("{kind}.{group}");
-        let p = &mut parameters;
         let sized = || groups.0.iter().enumerate();
         let action_encoders: Vec<Linear> = sized()
             .map(|(index, group)| {
@@ -88,7 +195,7 @@ impl Critic {
                 p.linear(&name, group.inputs() + group.actions, width, random)
             })
             .collect();
-        let looks = (!uniform)
+        let looks = (shape.kind == CriticKind::Attention)
             .then(|| ["query", "key"].map(|name| p.projection(name, width, width, random)));
         let value = p.linear("value", width, width, random);
         let shared = p.values.len();
@@ -102,17 +209,10 @@ impl Critic {
                 head: linear("head", width, group.actions),
             }
         });
-        let groups = layers.collect();
-        Self { shape, groups, looks, value, shared, parameters }
+        (Self { heads, groups: layers.collect(), looks, value }, shared)
     }
 
-    /// Where the weights stand whose gradients come from the values of all agents.
-    pub fn shared(&self) -> Range<usize> {
-        0..self.shared
-    }
-
-    /// The values of some records.
-    pub fn values(
+    fn values(
         &self,
         pass: &mut Pass<'_>,
         groups: &Groups,
@@ -120,49 +220,41 @@ impl Critic {
         records: Range<usize>,
         order: &Order,
     ) -> Values {
-        let agents = groups.agents();
-        let encode = |pass: &mut Pass<'_>, group: usize, numbers: &[f32], layer: Linear| {
+        let encode = |pass: &mut Pass<'_>, group: &Group, numbers: &[f32], layer: Linear| {
             let row = layer.shape.input;
-            let of_record = row * groups.0[group].agents.len();
-            let numbers = &numbers[records.start * of_record..records.end * of_record];
-            let x = pass.input(row, numbers);
+            let x = pass.input(row, group.rows(numbers, row, &records));
             leaky(pass, x, layer)
         };
-        let layers = || self.groups.iter().enumerate();
+        let layers = || self.groups.iter().zip(&groups.0);
         let encoded: Vec<Var> = layers()
-            .map(|(index, layers)| {
-                encode(pass, index, &shown.encoded[index], layers.action_encoder)
-            })
+            .zip(&shown.encoded.taken)
+            .map(|((of, group), numbers)| encode(pass, group, numbers, of.action_encoder))
             .collect();
         let states: Vec<Var> = layers()
-            .map(|(index, layers)| {
-                encode(pass, index, &shown.observations[index], layers.state_encoder)
-            })
+            .zip(shown.observations)
+            .map(|((of, group), numbers)| encode(pass, group, numbers, of.state_encoder))
             .collect();
         let encoded = pass.stack(&encoded);
         let values = leaky(pass, encoded, self.value);
         let (of_others, squared_scores) = match self.looks {
-            None => (mean_of_others(pass, values, &order.records, agents), None),
+            None => (mean_of_others(pass, values, &order.records, groups.agents()), None),
             Some([query, key]) => {
                 let all = pass.stack(&states);
                 let queries = pass.linear(all, query);
                 let keys = pass.linear(encoded, key);
                 let keys_values = pass.concat(&[keys, values]);
-                let heads = self.shape.heads;
-                let seen = pass.attention(queries, keys_values, &order.others, heads);
-                let scores = pass.squared_scores(queries, keys_values, &order.others, heads);
+                let seen = pass.attention(queries, keys_values, &order.others, self.heads);
+                let scores = pass.squared_scores(queries, keys_values, &order.others, self.heads);
                 (seen, Some(scores))
             }
         };
-        let of_actions = layers().zip(states).map(|((index, layers), state)| {
-            let agents = &groups.0[index].agents;
-            let rows = agents.start * records.len()..agents.end * records.len();
-            let others = pass.rows(of_others, rows);
+        let of_actions = layers().zip(states).map(|((layers, group), state)| {
+            let others = pass.rows(of_others, group.places(records.len()));
             let both = pass.concat(&[state, others]);
             let hidden = leaky(pass, both, layers.hidden);
             pass.linear(hidden, layers.head)
         });
-        Values { of_actions: of_actions.collect(), squared_scores }
+        Values { of_actions: of_actions.collect(), squared_scores, own: Vec::new() }
     }
 }
 
@@ -187,29 +279,26 @@ mod tests {
     use sortie_nn::random::stream;
     use sortie_nn::tape::Tape;
 
-    use super::super::batch::encode;
-    use super::super::groups::Group;
     use super::*;
 
     /// The values of each agent's actions in two records, after these actions.
-    fn values(uniform: bool, actions: [u32; 6]) -> Vec<Vec<f32>> {
+    fn values(kind: CriticKind, actions: [u32; 6]) -> Vec<Vec<f32>> {
         let group =
             |agents: Range<usize>| Group { agents, observed: 3, identity: false, actions: 2 };
         let groups = Groups(vec![group(0..2), group(2..3)]);
-        let shape = CriticShape { width: 8, heads: 2, uniform };
+        let shape = CriticShape { kind, width: 8, heads: 2, sees_own: false };
         let critic = Critic::new(shape, &groups, &mut stream(1, 1, 0));
         let seen =
             |rows: usize, first: f32| (0..rows * 3).map(|x| (first + x as f32).sin()).collect();
         let observations: Vec<Vec<f32>> = vec![seen(4, 0.0), seen(2, 50.0)];
         let actions = [actions[..4].to_vec(), actions[4..].to_vec()];
-        let mut encoded = Vec::new();
-        encode(&groups, &observations, &actions, false, &mut encoded);
+        let mut encoded = Encoded::default();
+        let shown = critic.encode(&groups, &observations, [&actions; 2], false, &mut encoded);
         let mut order = Order::default();
         groups.others(2, &mut order.others);
         groups.records(2, &mut order.records);
         let mut tape = Tape::default();
         let mut pass = tape.begin(&critic.parameters.values);
-        let shown = Shown { observations: &observations, encoded: &encoded };
         let values = critic.values(&mut pass, &groups, shown, 0..2, &order);
         let rows = values.of_actions.iter().flat_map(|of| pass.values(*of).chunks_exact(2));
         rows.map(<[f32]>::to_vec).collect()
@@ -218,12 +307,14 @@ mod tests {
     /// So that the mean over all own actions is a baseline.
     #[test]
     fn values_depend_on_what_the_others_did_in_the_same_record_alone() {
-        for uniform in [false, true] {
-            let before = values(uniform, [0; 6]);
+        use CriticKind::{All, Attention, One, Own, Uniform};
+        for kind in [Attention, Uniform, All, One, Own] {
+            let before = values(kind, [0; 6]);
             // The first agent of the first record does something else.
-            let after = values(uniform, [1, 0, 0, 0, 0, 0]);
+            let after = values(kind, [1, 0, 0, 0, 0, 0]);
             let changed: Vec<bool> = before.iter().zip(&after).map(|(a, b)| a != b).collect();
-            assert_eq!(changed, [false, true, false, false, true, false], "uniform {uniform}");
+            let others = kind != Own;
+            assert_eq!(changed, [false, others, false, false, others, false], "{kind:?}");
         }
     }
 }

@@ -10,6 +10,11 @@ use super::groups::{Group, Groups, Rows};
 pub trait Draw {
     /// Draws an action for every row of every group, by the scores of actions `[rows, actions]`.
     fn draw(&mut self, groups: &Groups, scores: &Rows) -> Vec<Vec<u32>>;
+
+    /// Adds Gumbel's noise to scores, whose largest is then drawn by their softmax; none unless there is chance in it.
+    fn shake(&mut self, scores: &mut [f32]) {
+        let _ = scores;
+    }
 }
 
 impl Draw for Random {
@@ -27,6 +32,25 @@ impl Draw for Random {
         };
         groups.0.iter().zip(scores).map(&mut of_group).collect()
     }
+
+    fn shake(&mut self, scores: &mut [f32]) {
+        for score in scores {
+            let number = unit(self).max(f64::MIN_POSITIVE);
+            *score -= (-number.ln()).ln() as f32;
+        }
+    }
+}
+
+/// The best action of every row of every group.
+pub(super) fn best_of_all(groups: &Groups, scores: &Rows) -> Vec<Vec<u32>> {
+    let all = groups.0.iter().zip(scores);
+    all.map(|(of, scores)| scores.chunks_exact(of.actions).map(best).collect()).collect()
+}
+
+/// The first of the largest.
+pub(super) fn best(scores: &[f32]) -> u32 {
+    let largest = scores.iter().enumerate().reduce(|a, b| if b.1 > a.1 { b } else { a });
+    largest.map_or(0, |(action, _)| action as u32)
 }
 
 /// The action whose share of 0..1 a number falls into.

@@ -23,6 +23,31 @@ impl Group {
     pub fn inputs(&self) -> usize {
         self.observed + if self.identity { self.agents.len() } else { 0 }
     }
+
+    /// Of numbers with so many columns for each of its rows those of some records.
+    pub(super) fn rows<'a>(
+        &self,
+        numbers: &'a [f32],
+        columns: usize,
+        records: &Range<usize>,
+    ) -> &'a [f32] {
+        let of_record = columns * self.agents.len();
+        &numbers[records.start * of_record..records.end * of_record]
+    }
+
+    /// Where its rows stand among those of all groups, of so many records.
+    pub(super) fn places(&self, records: usize) -> Range<usize> {
+        self.agents.start * records..self.agents.end * records
+    }
+
+    /// `[rows, actions]`: a one for each of these actions, among zeros.
+    pub(super) fn one_hot(&self, actions: &[u32]) -> Vec<f32> {
+        let mut taken = vec![0.0; actions.len() * self.actions];
+        for (taken, action) in taken.chunks_exact_mut(self.actions).zip(actions) {
+            taken[*action as usize] = 1.0;
+        }
+        taken
+    }
 }
 
 /// Numbers by groups, a row for each agent of each record.

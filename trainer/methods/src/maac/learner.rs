@@ -5,13 +5,13 @@ use sortie_learn::run::UpdateReport;
 use sortie_nn::layers::{normalise, softmax};
 use sortie_nn::optimise::{Adam, clip_norm, move_towards};
 
-use super::batch::{Batch, Running, encode};
-use super::config::{Attention, Config, OwnActions, PolicyValues};
-use super::critic::{Critic, CriticShape, Shown};
-use super::drawing::Draw;
+use super::batch::{Batch, Running};
+use super::config::{Config, OptimiserConfig, OwnActions, PolicyValues};
+use super::critic::{Critic, Encoded};
+use super::drawing::{Draw, best_of_all};
 use super::groups::{Groups, Rows};
 use super::lanes::Lanes;
-use super::losses::{added, drawn_loss, expected_loss, soft_value, sum};
+use super::losses::{added, drawn_loss, expected_loss, relaxed_loss, soft_value, sum};
 use super::policies::Policies;
 
 /// Networks and optimisers.
@@ -19,7 +19,6 @@ use super::policies::Policies;
 pub struct Learner {
     pub(super) config: Config,
     pub(super) groups: Groups,
-    threads: usize,
     /// The critic that learns.
     pub critic: Critic,
     /// The weights of the critic that targets are computed by.
@@ -39,33 +38,29 @@ pub struct Learner {
     /// The policies' gradient of the last update, as their optimiser saw it.
     pub policy_gradient: Vec<f32>,
     lanes: Lanes,
+    encoded: Encoded,
     space: Space,
 }
 
 /// Memory of updates.
 #[derive(Debug, Default)]
 struct Space {
-    encoded: Rows,
-    next_encoded: Rows,
-    next_scores: Rows,
+    scores: Rows,
     next_values: Rows,
     targets: Rows,
+    /// Of own actions, or the slopes by them of what the critic was shown.
     values: Rows,
-    scores: Rows,
+    noise: Rows,
     nothing: Rows,
 }
 
 impl Learner {
     /// Draws the first weights.
     pub fn new(config: Config, groups: Groups, threads: usize, random: &mut Random) -> Self {
-        let network = &config.network;
-        let uniform = network.attention == Attention::Uniform;
-        let shape = CriticShape { width: network.critic_width, heads: network.heads, uniform };
-        let critic = Critic::new(shape, &groups, random);
-        let policies = Policies::new(network.policy_width, &groups, random);
+        let critic = Critic::new(config.critic_shape(), &groups, random);
+        let policies = Policies::new(config.network.policy_width, &groups, random);
         let adam = |parameters: &[f32]| Adam::new(parameters.len(), config.optimiser.epsilon);
         Self {
-            threads,
             target_critic: critic.parameters.values.clone(),
             target_policies: policies.parameters.values.clone(),
             average_policies: policies.parameters.values.clone(),
@@ -74,7 +69,8 @@ impl Learner {
             policy_optimiser: adam(&policies.parameters.values),
             critic_gradient: Vec::new(),
             policy_gradient: Vec::new(),
-            lanes: Lanes::default(),
+            lanes: Lanes::new(threads, &groups),
+            encoded: Encoded::default(),
             space: Space::default(),
             critic,
             policies,
@@ -86,8 +82,7 @@ impl Learner {
     /// One update of critic, policies and targets; normalises what the batch shows, if that is wanted.
     pub fn update(&mut self, batch: &mut Batch, entropy: f32, draw: &mut dyn Draw) -> UpdateReport {
         self.normalise(batch);
-        let next_actions = self.target_actions(batch, draw);
-        self.find_targets(batch, &next_actions, entropy);
+        self.find_targets(batch, entropy, draw);
         let report = self.update_critic(batch);
         self.update_policies(batch, entropy, draw);
         let rate = self.config.optimiser.target_rate;
@@ -115,53 +110,58 @@ impl Learner {
         }
     }
 
-    /// What the target policies do next.
-    fn target_actions(&mut self, batch: &Batch, draw: &mut dyn Draw) -> Vec<Vec<u32>> {
-        let Self { groups, policies, lanes, space, target_policies, threads, .. } = self;
-        let of = (&target_policies[..], batch.records);
-        lanes.compute(*threads, of, groups, &mut space.next_scores, |pass, range, _| {
+    /// What the records are worth: rewards, and the target critic's values of what comes next.
+    fn find_targets(&mut self, batch: &Batch, entropy: f32, draw: &mut dyn Draw) {
+        let Self { groups, critic, policies, lanes, encoded, space, config, .. } = self;
+        let of = (&self.target_policies[..], batch.records);
+        lanes.compute(of, &mut space.scores, |pass, range, _| {
             policies.scores(pass, groups, &batch.next, range)
         });
-        draw.draw(groups, &space.next_scores)
-    }
-
-    /// What the records are worth: rewards, and the target critic's values of what comes next.
-    fn find_targets(&mut self, batch: &Batch, next_actions: &[Vec<u32>], entropy: f32) {
-        let Self { groups, critic, lanes, space, target_critic, threads, config, .. } = self;
-        let normalised = config.network.normalised;
-        encode(groups, &batch.next, next_actions, normalised, &mut space.next_encoded);
-        let shown = Shown { observations: &batch.next, encoded: &space.next_encoded };
-        let of = (&target_critic[..], batch.records);
-        lanes.compute(*threads, of, groups, &mut space.next_values, |pass, range, order| {
+        let rule = config.update.own_actions;
+        let actions = match rule {
+            OwnActions::Relaxed => best_of_all(groups, &space.scores),
+            _ => draw.draw(groups, &space.scores),
+        };
+        let taken = [&actions, &actions];
+        let shown = critic.encode(groups, &batch.next, taken, config.network.normalised, encoded);
+        let of = (&self.target_critic[..], batch.records);
+        lanes.compute(of, &mut space.next_values, |pass, range, order| {
             critic.values(pass, groups, shown, range, order).of_actions
         });
         space.targets.resize_with(groups.0.len(), Vec::new);
         for (index, group) in groups.0.iter().enumerate() {
-            let rows = space.next_values[index].chunks_exact(group.actions);
-            let scores = space.next_scores[index].chunks_exact_mut(group.actions);
-            let records = rows.zip(scores).enumerate();
-            space.targets[index].clear();
-            space.targets[index].extend(records.map(|(row, (values, scores))| {
+            let targets = &mut space.targets[index];
+            targets.clear();
+            targets.resize(batch.rewards[index].len(), 0.0);
+            let values = &space.next_values[index];
+            let values = values.chunks_exact(values.len() / targets.len());
+            let scores = space.scores[index].chunks_exact_mut(group.actions);
+            for (row, (values, scores)) in values.zip(scores).enumerate().rev() {
                 softmax::log_forward(scores);
                 let (reward, discount) = (batch.rewards[index][row], batch.discounts[index][row]);
-                match config.update.own_actions {
-                    OwnActions::Expected => reward + discount * soft_value(values, scores, entropy),
+                let (mut worth, chance) = match rule {
+                    OwnActions::Expected => (soft_value(values, scores, entropy), 0.0),
                     OwnActions::Drawn => {
-                        let action = next_actions[index][row] as usize;
-                        // As in the public code the entropy is neither discounted nor lost behind an end.
-                        reward + discount * values[action] - entropy * scores[action]
+                        let action = actions[index][row] as usize;
+                        (values[action], entropy * scores[action])
                     }
+                    OwnActions::Relaxed => (values[0], 0.0),
+                };
+                let agents = group.agents.len();
+                if batch.follows.get(row / agents) == Some(&true) {
+                    worth += config.returns.lambda * (targets[row + agents] - worth);
                 }
-            }));
+                // As in the public code the worth of chance is neither discounted nor lost behind an end.
+                targets[row] = reward + discount * worth - chance;
+            }
         }
     }
 
     /// Moves the critic towards the targets, and keeps its values.
     fn update_critic(&mut self, batch: &Batch) -> UpdateReport {
-        let Self { groups, critic, lanes, space, threads, config, .. } = self;
-        let normalised = config.network.normalised;
-        encode(groups, &batch.observations, &batch.actions, normalised, &mut space.encoded);
-        let shown = Shown { observations: &batch.observations, encoded: &space.encoded };
+        let Self { groups, critic, lanes, encoded, space, config, .. } = self;
+        let (seen, taken) = (&batch.observations, [&batch.actions; 2]);
+        let shown = critic.encode(groups, seen, taken, config.network.normalised, encoded);
         let (agents, share) = (groups.agents(), 1.0 / batch.records as f32);
         let penalty = config.update.attention_penalty * share / (agents - 1).max(1) as f32;
         let gradient = &mut self.critic_gradient;
@@ -170,7 +170,7 @@ impl Learner {
         let of = (&critic.parameters.values[..], batch.records);
         let keep = (&mut gradient[..], &mut space.values);
         let targets = &space.targets;
-        let loss = lanes.descend(*threads, of, groups, keep, |pass, range, order| {
+        let loss = lanes.descend(of, keep, |pass, range, order| {
             let values = critic.values(pass, groups, shown, range.clone(), order);
             let mut loss = values.squared_scores.map(|scores| {
                 let sum = pass.sum_rows(scores);
@@ -179,7 +179,11 @@ impl Learner {
             for (index, of_actions) in values.of_actions.iter().enumerate() {
                 let size = groups.0[index].agents.len();
                 let rows = range.start * size..range.end * size;
-                let chosen = pass.pick(*of_actions, &batch.actions[index][rows.clone()]);
+                let chosen = if pass.size(*of_actions)[1] == 1 {
+                    *of_actions
+                } else {
+                    pass.pick(*of_actions, &batch.actions[index][rows.clone()])
+                };
                 let error = pass.squared_error(chosen, &targets[index][rows], share);
                 loss = Some(added(pass, loss, error));
             }
@@ -198,29 +202,33 @@ impl Learner {
 
     /// Moves the policies towards what the critic values.
     fn update_policies(&mut self, batch: &Batch, entropy: f32, draw: &mut dyn Draw) {
-        let actions = match self.config.update.policy_values {
-            PolicyValues::Kept => Vec::new(),
-            PolicyValues::Fresh => self.value_anew(batch, draw),
-        };
-        let Self { groups, policies, lanes, space, threads, config, .. } = self;
+        let rule = &self.config.update;
+        let anew =
+            rule.own_actions == OwnActions::Relaxed || rule.policy_values == PolicyValues::Fresh;
+        let actions = anew.then(|| self.value_anew(batch, draw));
+        let actions = actions.as_ref().unwrap_or(&batch.actions);
+        let Self { groups, policies, lanes, space, config, .. } = self;
         let (share, rule) = (1.0 / batch.records as f32, &config.update);
         let gradient = &mut self.policy_gradient;
         gradient.clear();
         gradient.resize(policies.parameters.values.len(), 0.0);
         let of = (&policies.parameters.values[..], batch.records);
-        let (values, keep) = (&space.values, (&mut gradient[..], &mut space.nothing));
-        lanes.descend(*threads, of, groups, keep, |pass, range, _| {
+        let Space { values, noise, nothing, .. } = space;
+        lanes.descend(of, (&mut gradient[..], nothing), |pass, range, _| {
             let all = policies.scores(pass, groups, &batch.observations, range.clone());
             let mut loss = None;
             for (index, scores) in all.into_iter().enumerate() {
                 let group = &groups.0[index];
                 let rows = range.start * group.agents.len()..range.end * group.agents.len();
                 let numbers = rows.start * group.actions..rows.end * group.actions;
-                let values = &values[index][numbers];
+                let values = &values[index][numbers.clone()];
                 let gain = match rule.own_actions {
                     OwnActions::Expected => expected_loss(pass, scores, values, entropy),
                     OwnActions::Drawn => {
                         drawn_loss(pass, scores, values, &actions[index][rows], entropy)
+                    }
+                    OwnActions::Relaxed => {
+                        relaxed_loss(pass, scores, &noise[index][numbers], values)
                     }
                 };
                 let gain = pass.scale(gain, share);
@@ -243,21 +251,45 @@ impl Learner {
     }
 
     /// Has all agents act as they would now, and finds the updated critic's values of that. Returns the actions.
+    ///
+    /// A critic that sees the own action is shown a drawn one, while the others do their best, and its slopes are found.
     fn value_anew(&mut self, batch: &Batch, draw: &mut dyn Draw) -> Vec<Vec<u32>> {
-        let Self { groups, critic, policies, lanes, space, threads, config, .. } = self;
+        let Self { groups, critic, policies, lanes, encoded, space, config, .. } = self;
+        let Space { scores, values, noise, .. } = space;
         let of = (&policies.parameters.values[..], batch.records);
-        lanes.compute(*threads, of, groups, &mut space.scores, |pass, range, _| {
+        lanes.compute(of, scores, |pass, range, _| {
             policies.scores(pass, groups, &batch.observations, range)
         });
-        let actions = draw.draw(groups, &space.scores);
-        let normalised = config.network.normalised;
-        encode(groups, &batch.observations, &actions, normalised, &mut space.encoded);
-        let shown = Shown { observations: &batch.observations, encoded: &space.encoded };
-        let of = (&critic.parameters.values[..], batch.records);
-        lanes.compute(*threads, of, groups, &mut space.values, |pass, range, order| {
-            critic.values(pass, groups, shown, range, order).of_actions
+        let relaxed = config.update.own_actions == OwnActions::Relaxed;
+        let others = if relaxed { best_of_all(groups, scores) } else { draw.draw(groups, scores) };
+        let own = relaxed.then(|| {
+            noise.resize_with(scores.len(), Vec::new);
+            for (scores, noise) in scores.iter_mut().zip(noise) {
+                noise.clear();
+                noise.resize(scores.len(), 0.0);
+                draw.shake(noise);
+                scores.iter_mut().zip(noise).for_each(|(score, noise)| *score += *noise);
+            }
+            best_of_all(groups, scores)
         });
-        actions
+        let (seen, taken) = (&batch.observations, [&others, own.as_ref().unwrap_or(&others)]);
+        let shown = critic.encode(groups, seen, taken, config.network.normalised, encoded);
+        let of = (&critic.parameters.values[..], batch.records);
+        if !relaxed {
+            lanes.compute(of, values, |pass, range, order| {
+                critic.values(pass, groups, shown, range, order).of_actions
+            });
+            return others;
+        }
+        lanes.slopes(of, values, |pass, range, order| {
+            let values = critic.values(pass, groups, shown, range, order);
+            let sums = values.of_actions.iter().map(|values| pass.sum_rows(*values));
+            let sums: Vec<_> = sums.collect();
+            let sum = pass.stack(&sums);
+            let sum = pass.sum_rows(sum);
+            (pass.scale(sum, -1.0), values.own)
+        });
+        others
     }
 }
 
@@ -268,7 +300,7 @@ fn follow(
     gradient: &[f32],
     rate: f32,
     decay: f32,
-    settings: &super::config::OptimiserConfig,
+    settings: &OptimiserConfig,
 ) {
     if settings.early_epsilon {
         // Before the correction: what is added is corrected as well.

@@ -46,6 +46,17 @@ pub(super) fn drawn_loss(
     sum(pass, cost)
 }
 
+/// The sum over rows of the slopes of a cost by actions times their relaxed chances: straight-through, as the critic was
+/// shown the largest of the shaken scores instead, whose slopes these are.
+pub(super) fn relaxed_loss(pass: &mut Pass<'_>, scores: Var, noise: &[f32], slopes: &[f32]) -> Var {
+    let columns = pass.size(scores)[1];
+    let (noise, slopes) = (pass.input(columns, noise), pass.input(columns, slopes));
+    let shaken = pass.add(scores, noise);
+    let chances = pass.softmax(shaken);
+    let cost = pass.multiply(chances, slopes);
+    sum(pass, cost)
+}
+
 pub(super) fn sum(pass: &mut Pass<'_>, x: Var) -> Var {
     let [rows, columns] = pass.size(x);
     let row = pass.reshape(x, rows * columns);

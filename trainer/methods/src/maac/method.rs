@@ -14,7 +14,7 @@ use super::config::Config;
 use super::deployed::deployed;
 use super::groups::Groups;
 use super::learner::Learner;
-use super::replay::{Future, Outcome, Replay};
+use super::replay::{Future, Outcome, Place, Replay};
 
 /// Agents that learn from rewards of their own, and what they have seen.
 #[derive(Debug)]
@@ -29,6 +29,8 @@ pub struct Maac {
     /// Environment steps at which the memory held enough to learn from.
     began: Option<u64>,
     updates: u64,
+    /// Decisions since the last update, where each is learned from once.
+    fresh: Vec<Place>,
     batch: Batch,
     future: Future,
     last: Vec<f32>,
@@ -69,6 +71,7 @@ impl Maac {
             running: vec![Decision::default(); instances],
             began: None,
             updates: 0,
+            fresh: Vec::new(),
             batch: Batch::default(),
             future: Future::default(),
             last: Vec::new(),
@@ -90,15 +93,20 @@ impl Maac {
         }
     }
 
-    /// Draws records for an update.
+    /// Draws records for an update, or takes those that are fresh.
     fn gather(&mut self) {
-        let Self { config, learner, replay, random, batch, future, .. } = self;
-        let (groups, network) = (&learner.groups, &config.network);
+        let Self { config, learner, replay, random, fresh, batch, future, .. } = self;
+        let (groups, network, steps) = (&learner.groups, &config.network, config.returns.steps);
         batch.clear(groups);
-        batch.records = config.replay.batch;
-        for _ in 0..batch.records {
-            let place = replay.draw(config.returns.steps, random);
-            replay.future(place, config.returns.steps, future);
+        fresh.sort_unstable();
+        batch.follows.extend(fresh.windows(2).map(|pair| pair[0].next() == pair[1]));
+        batch.records = if fresh.is_empty() { config.replay.batch } else { fresh.len() };
+        for record in 0..batch.records {
+            let place = match fresh.get(record) {
+                Some(place) => *place,
+                None => replay.draw(steps, random),
+            };
+            replay.future(place, steps, future);
             show(groups, network, replay.observation(place), &mut batch.observations);
             if let Some(next) = future.next {
                 show(groups, network, replay.observation(next), &mut batch.next);
@@ -111,6 +119,7 @@ impl Maac {
                 batch.discounts[index].extend(own.map(|_| future.discount));
             }
         }
+        fresh.clear();
     }
 }
 
@@ -128,6 +137,11 @@ fn find_potentials(
 }
 
 impl Method for Maac {
+    /// What is learned from once is all of one policy.
+    fn waits(&self) -> bool {
+        self.config.replay.on_policy
+    }
+
     fn act(
         &mut self,
         scenes: &Scenes<'_>,
@@ -177,7 +191,7 @@ impl Method for Maac {
     }
 
     fn remember(&mut self, transition: &Transition<'_>) -> Result<(), LearnError> {
-        let Self { config, learner, replay, running, last, seen, .. } = self;
+        let Self { config, learner, replay, running, fresh, last, seen, .. } = self;
         let returns = &config.returns;
         let decision = &mut running[transition.instance];
         for (sum, reward) in decision.rewards.iter_mut().zip(transition.agent_rewards) {
@@ -196,7 +210,10 @@ impl Method for Maac {
         }
         let discount = if transition.step.terminated { 0.0 } else { decision.discount };
         let outcome = Outcome { rewards: &decision.rewards, discount, is_last };
-        replay.conclude(transition.instance, outcome);
+        let place = replay.conclude(transition.instance, outcome);
+        if config.replay.on_policy {
+            fresh.push(place);
+        }
         if is_last {
             last.clear();
             observe(transition.environment, &learner.groups, transition.next, seen, last);
@@ -211,13 +228,19 @@ impl Method for Maac {
         now: Now,
         reports: &mut Reports,
     ) -> Result<(), LearnError> {
-        if self.began.is_none() && self.replay.decisions() >= self.config.replay.first {
+        let rule = &self.config.replay;
+        if self.began.is_none() && self.replay.decisions() >= rule.first {
             self.began = Some(now.env_steps);
         }
-        let Some(began) = self.began else { return Ok(()) };
-        let periods = (now.env_steps - began) / self.config.replay.steps_per_period;
+        let Some(began) = self.began else {
+            self.fresh.clear();
+            return Ok(());
+        };
+        let periods = (now.env_steps - began) / rule.steps_per_period;
+        let due = periods * rule.updates_per_period;
+        let due = if rule.on_policy { self.updates + 1 } else { due };
         let entropy = self.config.entropy.at(now.env_steps);
-        while self.updates < periods * self.config.replay.updates_per_period {
+        while self.updates < due {
             self.updates += 1;
             self.gather();
             let report = self.learner.update(&mut self.batch, entropy, &mut self.random);
@@ -276,6 +299,9 @@ impl Method for Maac {
         state.value("decisions", &mut self.running)?;
         state.value("began", &mut self.began)?;
         state.value("updates", &mut self.updates)?;
+        if self.config.replay.on_policy {
+            state.value("fresh", &mut self.fresh)?;
+        }
         state.value("replay", &mut self.replay)
     }
 }

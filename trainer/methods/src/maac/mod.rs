@@ -10,7 +10,7 @@ mod critic;
 mod deployed;
 mod drawing;
 mod groups;
-mod keys;
+mod joint;
 mod lanes;
 mod learner;
 mod losses;
@@ -21,7 +21,7 @@ mod replay;
 
 pub use batch::{Batch, Running};
 pub use config::{
-    Attention, Config, EntropyConfig, NetworkConfig, OptimiserConfig, OwnActions, PolicyValues,
+    Config, CriticKind, EntropyConfig, NetworkConfig, OptimiserConfig, OwnActions, PolicyValues,
     ReplayConfig, ReturnsConfig, UpdateConfig,
 };
 pub use critic::{Critic, CriticShape};
@@ -30,5 +30,5 @@ pub use groups::{Group, Groups, Rows};
 pub use learner::Learner;
 pub use method::Maac;
 pub use policies::Policies;
-pub use presets::MAAC;
+pub use presets::{COMA, COMA_SAC, DDPG, MAAC, MADDPG, MADDPG_SAC};
 pub use replay::{Future, Outcome, Place, Replay};

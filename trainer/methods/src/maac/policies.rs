@@ -53,9 +53,7 @@ impl Policies {
     ) -> Vec<Var> {
         let scores = self.groups.iter().zip(&groups.0).zip(observations);
         let scores = scores.map(|((([first, second, last], _), group), observations)| {
-            let of_record = group.inputs() * group.agents.len();
-            let numbers = &observations[records.start * of_record..records.end * of_record];
-            let x = pass.input(group.inputs(), numbers);
+            let x = pass.input(group.inputs(), group.rows(observations, group.inputs(), &records));
             let x = leaky(pass, x, *first);
             let x = leaky(pass, x, *second);
             pass.linear(x, *last)

@@ -1,14 +1,15 @@
 //! The method by its name, and its presets.
 
 use sortie_envs::{Spec, View};
+use sortie_learn::configuration::require;
 use sortie_learn::run::RunConfig;
 use sortie_learn::session::{MethodEntry, Opening, Preset, Setup};
 use sortie_learn::{LearnError, Method};
+use sortie_nn::random::stream;
 
-use super::config::{
-    Config, EntropyConfig, NetworkConfig, OptimiserConfig, ReplayConfig, ReturnsConfig,
-};
-use super::keys::KEYS;
+use super::config::{Config, CriticKind, KEYS, OwnActions, PolicyValues};
+use super::critic::{Critic, CriticShape};
+use super::groups::Groups;
 use super::method::Maac;
 
 /// MAAC: policies of their own, and a critic that looks at the others.
@@ -16,7 +17,10 @@ pub const MAAC: MethodEntry = MethodEntry {
     name: "maac",
     about: "Policies with rewards of their own, and a critic that looks at the others by attention (MAAC, dissertation chapter 3)",
     keys: |_| KEYS,
-    presets: &[Preset { name: "fast", setup: fast }, Preset { name: "paper", setup: paper }],
+    presets: &[
+        Preset { name: "fast", setup: || fast("maac") },
+        Preset { name: "paper", setup: paper },
+    ],
     flags: &[],
     in_proportion: &[],
     suit,
@@ -25,61 +29,133 @@ pub const MAAC: MethodEntry = MethodEntry {
     open,
 };
 
-fn fast() -> Setup {
+/// COMA: one critic for all, of everything, that learns from each decision once.
+pub const COMA: MethodEntry = MethodEntry {
+    name: "coma",
+    about: "Policies that one critic of everything values, which learns from each decision once (COMA; MAAC is compared with it)",
+    presets: &[Preset { name: "fast", setup: || fast("coma") }],
+    ..MAAC
+};
+
+/// COMA's critic, learning as MAAC does.
+pub const COMA_SAC: MethodEntry = MethodEntry {
+    name: "coma-sac",
+    about: "MAAC with the critic of COMA: one for all, of everything in one row",
+    presets: &[Preset { name: "fast", setup: || fast("coma-sac") }],
+    ..MAAC
+};
+
+/// MADDPG: a critic for each, of everything, whose slopes by the own action teach the policy.
+pub const MADDPG: MethodEntry = MethodEntry {
+    name: "maddpg",
+    about: "Policies that follow the slopes of critics of everything by the own action (MADDPG, discrete; MAAC is compared with it)",
+    presets: &[Preset { name: "fast", setup: || fast("maddpg") }],
+    ..MAAC
+};
+
+/// MADDPG's critics, learning as MAAC does.
+pub const MADDPG_SAC: MethodEntry = MethodEntry {
+    name: "maddpg-sac",
+    about: "MAAC with the critics of MADDPG: of everything in one row",
+    presets: &[Preset { name: "fast", setup: || fast("maddpg-sac") }],
+    ..MAAC
+};
+
+/// DDPG: as MADDPG, but critics see what their agents see.
+pub const DDPG: MethodEntry = MethodEntry {
+    name: "ddpg",
+    about: "Policies that follow the slopes of critics of the own observation by the own action (DDPG, discrete; MAAC is compared with it)",
+    presets: &[Preset { name: "fast", setup: || fast("ddpg") }],
+    ..MAAC
+};
+
+fn fast(method: &str) -> Setup {
     let run = RunConfig { steps: 400_000, evaluate_every: 50_000, ..RunConfig::default() };
-    Setup::of(64, run, &Config::default())
+    compared(method, run, Config::default())
+}
+
+/// A setup of MAAC as another method of the dissertation's table 3.1 has it.
+fn compared(method: &str, run: RunConfig, mut config: Config) -> Setup {
+    let Config { network, returns, replay, entropy, update, .. } = &mut config;
+    network.critic = match method {
+        "coma" | "coma-sac" => CriticKind::One,
+        "maddpg" | "maddpg-sac" => CriticKind::All,
+        "ddpg" => CriticKind::Own,
+        _ => network.critic,
+    };
+    let mut instances = 64;
+    match method {
+        "maddpg" | "ddpg" => update.own_actions = OwnActions::Relaxed,
+        "coma" => {
+            instances = 8;
+            (returns.steps, returns.lambda, replay.on_policy) = (1, 0.8, true);
+            (entropy.start, entropy.end, entropy.steps) = (0.0, 0.0, 0);
+            update.own_actions = OwnActions::Drawn;
+        }
+        _ => {}
+    }
+    Setup { method: method.to_owned(), ..Setup::of(instances, run, &config) }
 }
 
 /// Steps from which on episodes count as long.
 const LONG: u32 = 50;
 
-/// What `fast` is in an environment.
+/// What `fast` is in an environment. Critics of any kind have about as many parameters as MAAC's.
 fn suit(preset: &str, setup: &mut Setup, spec: &Spec) {
     if preset != "fast" {
         return;
     }
     let run = setup.run.clone();
-    let (run, own) = match (spec.episode_limit >= LONG, spec.roles.is_empty()) {
+    let (run, mut config) = match (spec.episode_limit >= LONG, spec.roles.is_empty()) {
         (true, _) => long(run),
         (false, true) => alike(run),
-        (false, false) => return,
+        (false, false) => (run, Config::default()),
     };
+    let suited = compared(&setup.method, run.clone(), config.clone());
+    if let Ok(Config { network, update, .. }) = suited.own() {
+        let groups = Groups::new(spec, network.shared, network.identity);
+        let maac = config.critic_shape();
+        (config.network.critic, config.update.own_actions) = (network.critic, update.own_actions);
+        config.network.critic_width = width_like(maac, config.critic_shape(), &groups);
+    }
     let environment = setup.environment.clone();
-    *setup = Setup { method: setup.method.clone(), environment, ..Setup::of(64, run, &own) };
+    *setup = Setup { environment, ..compared(&setup.method, run, config) };
+}
+
+/// How wide a critic is that has as many parameters as another, or hardly more.
+fn width_like(other: CriticShape, shape: CriticShape, groups: &Groups) -> usize {
+    if shape == other {
+        return shape.width;
+    }
+    let count = |shape| Critic::new(shape, groups, &mut stream(1, 1, 0)).parameters.values.len();
+    let want = count(other);
+    let has = |width: &usize| count(CriticShape { width: *width, ..shape }) >= want;
+    (4..=256).find(has).unwrap_or(other.width)
 }
 
 /// Where episodes are long, what an action leads to shows later: agents hold their actions for some steps while they
 /// learn, try out more at first, and follow what they come nearer to.
 fn long(run: RunConfig) -> (RunConfig, Config) {
-    let fast = Config::default();
-    let long = Config {
-        network: NetworkConfig {
-            critic_width: 32,
-            heads: 2,
-            identity: false,
-            input_scale: 3.0,
-            ..fast.network
-        },
-        returns: ReturnsConfig { steps: 1, discount: 0.97, decision_interval: 3, shaping: 10.0 },
-        replay: ReplayConfig { batch: 256, steps_per_period: 384, capacity: 48_000, ..fast.replay },
-        entropy: EntropyConfig { start: 0.15, end: 0.012, steps: 2_500_000 },
-        optimiser: OptimiserConfig { critic_rate: 0.003, target_rate: 0.05, ..fast.optimiser },
-        update: fast.update,
-    };
+    let mut long = Config::default();
+    let Config { network, returns, replay, entropy, optimiser, .. } = &mut long;
+    (network.critic_width, network.heads) = (32, 2);
+    (network.identity, network.input_scale) = (false, 3.0);
+    (returns.steps, returns.discount) = (1, 0.97);
+    (returns.decision_interval, returns.shaping) = (3, 10.0);
+    (replay.batch, replay.steps_per_period, replay.capacity) = (256, 384, 48_000);
+    (entropy.start, entropy.end, entropy.steps) = (0.15, 0.012, 2_500_000);
+    (optimiser.critic_rate, optimiser.target_rate) = (0.003, 0.05);
     (RunConfig { steps: 2_500_000, evaluate_every: 100_000, ..run }, long)
 }
 
 /// Where episodes are short and all are alike, nobody has to know who is who, and rewards come at once.
 fn alike(run: RunConfig) -> (RunConfig, Config) {
-    let fast = Config::default();
-    let alike = Config {
-        network: NetworkConfig { identity: false, ..fast.network },
-        returns: ReturnsConfig { steps: 1, ..fast.returns },
-        replay: ReplayConfig { batch: 256, ..fast.replay },
-        entropy: EntropyConfig { start: 0.1, end: 0.01, steps: 1_000_000 },
-        optimiser: OptimiserConfig { target_rate: 0.05, ..fast.optimiser },
-        update: fast.update,
-    };
+    let mut alike = Config::default();
+    let Config { network, returns, replay, entropy, optimiser, .. } = &mut alike;
+    network.identity = false;
+    (returns.steps, replay.batch) = (1, 256);
+    (entropy.start, entropy.end, entropy.steps) = (0.1, 0.01, 1_000_000);
+    optimiser.target_rate = 0.05;
     (RunConfig { steps: 1_000_000, evaluate_every: 100_000, ..run }, alike)
 }
 
@@ -100,19 +176,36 @@ fn misfit(spec: &Spec) -> Option<&'static str> {
 
 fn open(opening: &Opening<'_>) -> Result<Box<dyn Method>, LearnError> {
     let config: Config = opening.setup.own()?;
-    let network = &config.network;
-    if !network.critic_width.is_multiple_of(network.heads) {
-        return Err(LearnError::Config(format!(
+    let Config { network, returns, replay, update, .. } = &config;
+    let attends = matches!(network.critic, CriticKind::Attention | CriticKind::Uniform);
+    require(
+        !attends || network.critic_width.is_multiple_of(network.heads),
+        &format!(
             "`network.critic_width` is {}, must be a multiple of `network.heads`, {}",
             network.critic_width, network.heads
-        )));
-    }
-    let kept = config.replay.capacity / opening.setup.environment.instances;
-    if kept <= 2 * config.returns.steps || config.replay.capacity < config.replay.first {
-        return Err(LearnError::Config(format!(
+        ),
+    )?;
+    let kept = replay.capacity / opening.setup.environment.instances;
+    require(
+        kept > 2 * returns.steps && replay.capacity >= replay.first,
+        &format!(
             "`replay.capacity` leaves {kept} decisions for each instance, too few for `returns.steps` or `replay.first`"
-        )));
-    }
+        ),
+    )?;
+    require(
+        update.own_actions != OwnActions::Relaxed
+            || matches!(network.critic, CriticKind::All | CriticKind::Own),
+        "`update.own_actions=relaxed` needs `network.critic=all` or `own`: others are not shown the own action",
+    )?;
+    require(
+        !replay.on_policy || returns.steps == 1,
+        "`replay.on_policy` needs `returns.steps=1`; `returns.lambda` says what later rewards count",
+    )?;
+    require(
+        (update.own_actions, update.policy_values) != (OwnActions::Drawn, PolicyValues::Kept)
+            || replay.on_policy,
+        "`update.own_actions=drawn` needs `update.policy_values=fresh` or `replay.on_policy`: actions that are kept are of older policies",
+    )?;
     Ok(Box::new(Maac::new(config, opening)))
 }
 

@@ -61,10 +61,17 @@ struct Total {
 }
 
 /// A decision by its instance and number.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Place {
     instance: usize,
     number: usize,
+}
+
+impl Place {
+    /// The next of its episode, if that went on.
+    pub fn next(self) -> Self {
+        Self { number: self.number + 1, ..self }
+    }
 }
 
 /// What followed a decision.
@@ -90,8 +97,8 @@ impl Replay {
         self.write(instance, observation, actions, Next::Pending);
     }
 
-    /// Adds what came of the last decision of an instance.
-    pub fn conclude(&mut self, instance: usize, outcome: Outcome<'_>) {
+    /// Adds what came of the last decision of an instance, whose place this returns.
+    pub fn conclude(&mut self, instance: usize, outcome: Outcome<'_>) -> Place {
         let (agents, stretch) = (self.agents, &mut self.stretches[instance]);
         let slot = (stretch.written - 1) % self.capacity;
         stretch.rewards[slot * agents..][..agents].copy_from_slice(outcome.rewards);
@@ -100,6 +107,7 @@ impl Replay {
         for (total, reward) in self.totals.iter_mut().zip(outcome.rewards) {
             total.add(*reward, 1.0);
         }
+        Place { instance, number: stretch.written - 1 }
     }
 
     /// Adds the last observation of an episode.
