@@ -33,7 +33,7 @@ pub(crate) fn with_plans(mut draft: Draft, folder: &Path) -> Result<Draft, Failu
     let compiled = plans().shipped(&bundle);
     let compiled = compiled.map_err(|error| Failure::from(error).within(folder.display()))?;
     for (name, plan) in compiled {
-        draft.parts.insert(name.to_owned(), plan);
+        draft.parts.insert(name, plan);
     }
     Ok(draft)
 }

@@ -143,7 +143,13 @@ pub(crate) fn check_spec(bundle: &Bundle, spec: &Spec, set: &str) -> Outcome {
         return mismatch("the bundle was trained for other features or actions".to_string());
     }
     let limits = &bundle.manifest().limits;
-    let Shape { entities, tasks, .. } = spec.shape;
+    let Shape { agents, entities, tasks, .. } = spec.shape;
+    let known = bundle.manifest().network.graph_of.len();
+    if known > 0 && known != agents {
+        return mismatch(format!(
+            "`{set}` has {agents} agents, the bundle says of {known} which graph each decides by"
+        ));
+    }
     if entities > usize::from(limits.n_max) || tasks > usize::from(limits.t_max) {
         return mismatch(format!(
             "`{set}` has {entities} entities and {tasks} subtasks, the bundle takes at most {} and {}; \

@@ -3,11 +3,12 @@
 mod onnx;
 mod run;
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde::Serialize;
-use sortie_bundle::{AGENT, ALLOCATOR, Bundle, MANIFEST, Manifest, TRAINING, hex};
+use sortie_bundle::{ALLOCATOR, AgentGraph, Bundle, MANIFEST, Manifest, TRAINING, hex};
 use sortie_plans::{CompileOptions, OnnxFacts, PlanFacts, PolicyOptions, inspect_plan, read_onnx};
 
 use crate::compiler::compiler;
@@ -16,6 +17,9 @@ use crate::failure::{Exit, Failure, Outcome};
 use crate::foreign::PolicyArguments;
 use crate::options::Common;
 use crate::output::{Table, plural, print_json, say};
+
+/// The name of the graph by which all agents decide.
+const OF_ALL: &str = "";
 
 /// First bytes of every plan.
 const PLAN_MAGIC: &[u8] = b"SORTIEPL";
@@ -45,7 +49,12 @@ struct BundleFacts<'a> {
     manifest: &'a Manifest,
     golden_cases: usize,
     golden_allocations: usize,
-    agent: OnnxFacts,
+    /// The graph of all agents.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    agent: Option<OnnxFacts>,
+    /// The graphs that agents decide by where there are several, by name.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    agents: BTreeMap<String, OnnxFacts>,
     #[serde(skip_serializing_if = "Option::is_none")]
     allocator: Option<OnnxFacts>,
 }
@@ -106,13 +115,19 @@ fn inspect_bundle(path: &Path, json: bool) -> Outcome {
         let facts = compiler().inspect_onnx(onnx);
         facts.map_err(|error| Failure::from(error).within(path.join(name).display()))
     };
+    let graphs = bundle.agent_graphs().into_iter().map(|graph| {
+        let facts = inspect(&graph.onnx_part(), bundle.graph_onnx(&graph))?;
+        Ok((graph.name, facts))
+    });
+    let mut agents = graphs.collect::<Result<BTreeMap<_, _>, Failure>>()?;
     let facts = BundleFacts {
         bundle: path.display().to_string(),
         sha256: hex(bundle.id()),
         manifest: bundle.manifest(),
         golden_cases: bundle.golden().cases.len(),
         golden_allocations: bundle.golden().allocations.len(),
-        agent: inspect(AGENT, bundle.agent_onnx())?,
+        agent: agents.remove(OF_ALL),
+        agents,
         allocator: bundle.allocator_onnx().map(|onnx| inspect(ALLOCATOR, onnx)).transpose()?,
     };
     if json {
@@ -143,6 +158,9 @@ fn print_bundle(facts: &BundleFacts<'_>, bundle: &Bundle) {
     row("team", format!("at most {}", limits.team_max));
     row("network", facts.manifest.network.agent.clone());
     let allocator = facts.manifest.network.allocator.as_deref();
+    for (index, graph) in facts.manifest.network.graphs.iter().enumerate() {
+        row(&format!("graph_{}", graph.name), graph_fact(bundle, graph, index));
+    }
     row("allocator", allocator.unwrap_or("none learned").to_string());
     row("golden", golden(facts));
     table.print();
@@ -152,6 +170,15 @@ fn print_bundle(facts: &BundleFacts<'_>, bundle: &Bundle) {
         parts.row([name.clone(), hash.chars().take(32).collect()]);
     }
     parts.print();
+}
+
+/// Who decides by a graph, and on what.
+fn graph_fact(bundle: &Bundle, graph: &AgentGraph, index: usize) -> String {
+    let graph_of = bundle.manifest().network.graph_of.iter().enumerate();
+    let agents = graph_of.filter(|(_, of)| usize::from(**of) == index);
+    let agents: Vec<String> = agents.map(|(agent, _)| agent.to_string()).collect();
+    let AgentGraph { features, actions, .. } = graph;
+    format!("{features} features, {actions} actions, agents {}", agents.join(" "))
 }
 
 fn golden(facts: &BundleFacts<'_>) -> String {

@@ -1,11 +1,12 @@
 //! What executes a bundle's network: its plan, or tract.
 
 use clap::ValueEnum;
-use sortie_bundle::Bundle;
-use sortie_core::decide::PlanPolicy;
-use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
+use sortie_bundle::{AgentGraph, Bundle};
+use sortie_core::plan::{AlignedBytes, PlanError, Profile};
 use sortie_core::{Policy, Remembering, limits};
-use sortie_plans::{CompileError, Ending, GraphEngine, TeamPolicy, TeamSizes, roles_of};
+use sortie_plans::{
+    AgentPlans, CompileError, Ending, GraphEngine, TeamPolicy, TeamSizes, policy_by_agent, roles_of,
+};
 
 use crate::compiler::{compiler, plans};
 use crate::engines::engines;
@@ -68,17 +69,17 @@ pub(crate) struct DeployedPolicy {
 }
 
 enum Engine {
-    Plan { plan: AlignedBytes, arena: AlignedBytes },
+    Plans { plans: AgentPlans, arenas: Vec<AlignedBytes> },
     Graph(Box<dyn Policy>),
 }
 
 impl DeployedPolicy {
-    /// The bundle's plan, which has given its golden answers, or its graph.
+    /// The bundle's plans, which have given its golden answers, or its graphs.
     pub(crate) fn open(bundle: &Bundle, backend: Backend) -> Result<Self, Failure> {
         Self::open_as(bundle, backend, Profile::Exact)
     }
 
-    /// As [`Self::open`], the plan in any profile.
+    /// As [`Self::open`], the plans in any profile.
     pub(crate) fn open_as(
         bundle: &Bundle,
         backend: Backend,
@@ -86,12 +87,14 @@ impl DeployedPolicy {
     ) -> Result<Self, Failure> {
         let within = |error| Failure::from(error).within(bundle.folder().display());
         match backend {
-            Backend::Plan => plans().agent(bundle, profile).and_then(Self::of_plan).map_err(within),
+            Backend::Plan => {
+                plans().agents(bundle, profile).and_then(Self::of_plans).map_err(within)
+            }
             Backend::Tract => Self::of_graph(bundle, engines()?.tract()).map_err(within),
         }
     }
 
-    /// The graph in an engine, once another process has read and run it.
+    /// The graphs in an engine, once another process has read and run them.
     pub(crate) fn of_graph(
         bundle: &Bundle,
         engine: &dyn GraphEngine,
@@ -101,13 +104,13 @@ impl DeployedPolicy {
         Ok(Self { engine: Engine::Graph(policy), memory })
     }
 
-    /// The policy of a plan.
-    pub(crate) fn of_plan(plan: AlignedBytes) -> Result<Self, CompileError> {
+    /// The policy of a bundle's plans.
+    pub(crate) fn of_plans(plans: AgentPlans) -> Result<Self, CompileError> {
         // A process may act for any number of agents.
-        let loaded = Plan::load(plan.as_slice())?;
-        let arena = AlignedBytes::zeroed(loaded.batch_arena_bytes(limits::AGENTS));
-        let memory = vec![0.0; limits::AGENTS * loaded.hidden()];
-        Ok(Self { engine: Engine::Plan { plan, arena }, memory })
+        let mut arenas = plans.arenas(limits::AGENTS)?;
+        let hidden = plans.policy(&mut arenas)?.hidden();
+        let memory = vec![0.0; limits::AGENTS * hidden];
+        Ok(Self { engine: Engine::Plans { plans, arenas }, memory })
     }
 
     /// The policy over this memory, for callers that keep what agents remember.
@@ -118,33 +121,27 @@ impl DeployedPolicy {
     /// The policy over this memory, that of one team: it keeps what agents remember, until their episode is over.
     pub(crate) fn team(&mut self) -> Result<Box<dyn Policy + '_>, Failure> {
         let Self { engine, memory } = self;
-        if memory.is_empty() {
-            return engine.policy();
-        }
-        Ok(match engine {
-            Engine::Plan { plan, arena } => {
-                let plan = Plan::load(plan.as_slice()).map_err(CompileError::from)?;
-                let policy = PlanPolicy::new(plan, arena.as_mut_slice());
-                Box::new(Remembering::new(policy.map_err(CompileError::from)?, memory))
-            }
-            Engine::Graph(policy) => Box::new(Remembering::new(policy.as_mut(), memory)),
-        })
+        let policy = engine.policy()?;
+        Ok(if memory.is_empty() { policy } else { Box::new(Remembering::new(policy, memory)) })
     }
 }
 
-/// The graph of a bundle's agent in an engine, once another process has read and run it.
+/// The graphs of a bundle's agents in an engine, once another process has read and run them.
 pub(crate) fn graph_policy(
     bundle: &Bundle,
     engine: &dyn GraphEngine,
 ) -> Result<Box<dyn Policy>, CompileError> {
     let (onnx, contract) = (bundle.agent_onnx(), bundle.contract());
     if let Some(roles) = roles_of(bundle)? {
-        compiler().rehearse_policy(onnx, &roles)?;
-        let policy = engine.flat_policy(onnx, &roles)?;
-        return Ok(Box::new(TeamPolicy::new(
-            policy,
-            TeamSizes::of(contract, bundle.manifest().limits.n_max),
-        )?));
+        let policy = |graph: &AgentGraph| -> Result<Box<dyn Policy>, CompileError> {
+            let onnx = bundle.graph_onnx(graph);
+            compiler().rehearse_policy(onnx, &roles)?;
+            let policy = engine.flat_policy(onnx, &roles)?;
+            Ok(Box::new(TeamPolicy::new(policy, TeamSizes::of(bundle, graph))?))
+        };
+        let policies = bundle.agent_graphs().iter().map(policy).collect::<Result<_, _>>()?;
+        let graph_of = &bundle.manifest().network.graph_of;
+        return Ok(policy_by_agent(policies, graph_of, contract.actions.into()));
     }
     let features = contract.features.into();
     compiler().rehearse(onnx, bundle.manifest().limits.n_max.into(), Some(features))?;
@@ -154,11 +151,8 @@ pub(crate) fn graph_policy(
 impl Engine {
     fn policy(&mut self) -> Result<Box<dyn Policy + '_>, Failure> {
         match self {
-            Self::Plan { plan, arena } => {
-                let policy = Plan::load(plan.as_slice())
-                    .and_then(|plan| PlanPolicy::boxed(plan, arena.as_mut_slice()))
-                    .map_err(CompileError::from)?;
-                Ok(policy)
+            Self::Plans { plans, arenas } => {
+                Ok(plans.policy(arenas).map_err(CompileError::from)?)
             }
             Self::Graph(policy) => Ok(Box::new(policy.as_mut())),
         }

@@ -8,12 +8,12 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 use sortie_bundle::{Bundle, POLICY, Recording};
-use sortie_core::plan::{AlignedBytes, Network, Plan, PlanError, Profile};
-use sortie_core::{Observation, PlanPolicy};
+use sortie_core::Observation;
+use sortie_core::plan::{AlignedBytes, Network, PlanError, Profile};
 use sortie_plans::{
-    Annex, BundlePlans, Comparison, CompileError, CompileOptions, Compiler, CompilerProcess,
-    GraphEngine, ObservationSizes, OnnxRuntimeEngine, PolicyOptions, ProposalFiles, Standard,
-    TeamQuerySizes, agreement, compare_agents, compare_with_golden,
+    AgentPlans, Annex, BundlePlans, Comparison, CompileError, CompileOptions, Compiler,
+    CompilerProcess, GraphEngine, ObservationSizes, OnnxRuntimeEngine, PolicyOptions,
+    ProposalFiles, Standard, TeamQuerySizes, agreement, compare_agents, compare_with_golden,
     compare_with_golden_allocations, inspect_plan, observation_families, random_allocation_states,
     random_entities, read_onnx, team_query_families,
 };
@@ -148,7 +148,7 @@ fn compare(arguments: &VerifyArguments) -> Result<Report, Failure> {
     if subject.is_dir() || !subject.exists() {
         let bundle = open_bundle(subject)?;
         let profile = arguments.profile.profile();
-        engines.extend(judged(arguments, &Judged::agent(&bundle, profile)?, &judges)?);
+        engines.extend(judged_agents(arguments, &bundle, profile, &judges)?);
         if let Some(allocator) = Judged::allocator(&bundle)? {
             engines.extend(judged(arguments, &allocator, &judges)?);
         }
@@ -244,24 +244,15 @@ struct Judged<'a> {
     onnx: &'a [u8],
     plan: AlignedBytes,
     n_max: usize,
-    /// The bundle, where the network is that of its agent.
-    bundle: Option<&'a Bundle>,
 }
 
 impl<'a> Judged<'a> {
-    /// The plan that acts for a bundle's agents.
-    fn agent(bundle: &'a Bundle, profile: Profile) -> Result<Self, Failure> {
-        let plan = unproved().agent(bundle, profile).map_err(within(bundle.folder()))?;
-        let n_max = bundle.manifest().limits.n_max.into();
-        Ok(Self { onnx: bundle.agent_onnx(), plan, n_max, bundle: Some(bundle) })
-    }
-
     /// The plan by which a bundle's allocator values teams, if it does.
     fn allocator(bundle: &'a Bundle) -> Result<Option<Self>, Failure> {
         let Some(onnx) = bundle.allocator_onnx() else { return Ok(None) };
         let plan = unproved().allocator(bundle).map_err(within(bundle.folder()))?;
         let n_max = bundle.manifest().limits.n_max.into();
-        Ok(plan.map(|plan| Self { onnx, plan, n_max, bundle: None }))
+        Ok(plan.map(|plan| Self { onnx, plan, n_max }))
     }
 
     /// The plan of a file.
@@ -270,7 +261,7 @@ impl<'a> Judged<'a> {
         let options = CompileOptions { profile, seed, ..CompileOptions::default() };
         let compiled = compiler().compile(onnx, &options).map_err(within(&arguments.subject))?;
         let plan = AlignedBytes::copy_of(&compiled.bytes);
-        Ok(Self { onnx, plan, n_max: options.n_max, bundle: None })
+        Ok(Self { onnx, plan, n_max: options.n_max })
     }
 }
 
@@ -289,14 +280,11 @@ fn judged(
     network: &Judged<'_>,
     judges: &[&dyn GraphEngine],
 ) -> Result<Vec<Compared>, Failure> {
-    let Judged { onnx, plan, n_max, bundle } = network;
+    let Judged { onnx, plan, n_max } = network;
     let (inputs, seed, n_max) = (arguments.inputs as usize, arguments.common.seed, *n_max);
     let engines = engines()?;
     let compare = || -> Result<Vec<Compared>, CompileError> {
         let (plan, facts) = (plan.as_slice(), inspect_plan(plan.as_slice())?);
-        if let (Network::Policy, Some(bundle)) = (facts.network, bundle) {
-            return judged_policy(arguments, bundle, plan, judges);
-        }
         // The graph that this process reads for its judges has then been read and run elsewhere.
         let features = (facts.network == Network::Agent).then_some(facts.features);
         compiler().rehearse(onnx, n_max, features)?;
@@ -334,26 +322,56 @@ fn judged(
     compare().map_err(within(&arguments.subject))
 }
 
-/// The plan of a policy over inputs of fixed sizes, acting for an agent, before its judges.
-fn judged_policy(
+/// The plans that act for a bundle's agents before their judges.
+fn judged_agents(
     arguments: &VerifyArguments,
     bundle: &Bundle,
-    plan: &[u8],
+    profile: Profile,
+    judges: &[&dyn GraphEngine],
+) -> Result<Vec<Compared>, Failure> {
+    let within = within(bundle.folder());
+    let plans = unproved().agents(bundle, profile).map_err(&within)?;
+    if bundle.manifest().network.agent == POLICY {
+        return judged_policies(arguments, bundle, &plans, judges).map_err(within);
+    }
+    let (onnx, n_max) = (bundle.agent_onnx(), bundle.manifest().limits.n_max.into());
+    let mut compared = Vec::new();
+    for plan in plans.into_plans() {
+        compared.extend(judged(arguments, &Judged { onnx, plan, n_max }, judges)?);
+    }
+    Ok(compared)
+}
+
+/// The plans of policies over inputs of fixed sizes, acting for a team's agents.
+fn judged_policies(
+    arguments: &VerifyArguments,
+    bundle: &Bundle,
+    plans: &AgentPlans,
     judges: &[&dyn GraphEngine],
 ) -> Result<Vec<Compared>, CompileError> {
-    let (annex, plan) = (Annex::of_plan(plan)?, Plan::load(plan)?);
+    let (contract, manifest) = (bundle.contract(), bundle.manifest());
     let sizes = ObservationSizes {
-        n_max: bundle.manifest().limits.n_max.into(),
-        features: plan.header().features as usize,
-        actions: plan.actions(),
+        n_max: manifest.limits.n_max.into(),
+        features: contract.features.into(),
+        actions: contract.actions.into(),
     };
     let (inputs, seed) = (arguments.inputs as usize, arguments.common.seed);
     let mut families = observation_families(inputs, sizes, seed);
     // What is no number stands in any row that is visible; many policies observe only their own.
-    let observes_all = annex.is_some_and(|annex| annex.facts.entities().is_some());
+    let mut observes_all = false;
+    for plan in plans.plans() {
+        let annex = Annex::of_plan(plan.as_slice())?;
+        observes_all |= annex.is_some_and(|annex| annex.facts.entities().is_some());
+    }
     families.retain(|family| observes_all || family.standard != Standard::Refusal);
-    let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
-    let mut policy = PlanPolicy::boxed(plan, arena.as_mut_slice())?;
+    // Others than these agents are refused by all.
+    let agents = manifest.network.graph_of.len();
+    let observations = families.iter_mut().flat_map(|family| &mut family.inputs);
+    for seen in observations.filter(|_| agents > 0) {
+        seen.self_index %= agents;
+    }
+    let mut arenas = plans.arenas(1)?;
+    let mut policy = plans.policy(&mut arenas)?;
     let mut compared = Vec::new();
     for judge in judges {
         let mut graph = graph_policy(bundle, *judge)?;
@@ -404,7 +422,7 @@ fn against_golden(
     let tract = engines()?.tract();
     let graphs: Vec<&dyn GraphEngine> =
         std::iter::once(tract).chain(runtime.map(|runtime| runtime as _)).collect();
-    let plan = unproved().agent(bundle, profile).and_then(DeployedPolicy::of_plan);
+    let plan = unproved().agents(bundle, profile).and_then(DeployedPolicy::of_plans);
     let mut policies = vec![("plan", plan.map_err(&failed)?)];
     let mut allocators = Vec::new();
     if bundle.allocator_onnx().is_some() {
@@ -421,7 +439,7 @@ fn against_golden(
     let mut found = Vec::new();
     for (engine, policy) in &mut policies {
         let name = format!("{engine} against golden");
-        found.push(compare_with_golden(&name, policy.policy()?.as_mut(), golden));
+        found.push(compare_with_golden(&name, policy.policy()?.as_mut(), &golden.cases));
     }
     for (engine, allocator) in &mut allocators {
         let (name, network) =
@@ -442,9 +460,13 @@ fn against_exact(
     recording: &Recording,
 ) -> Result<Compared, Failure> {
     let failed = within(bundle.folder());
-    let plan = |profile| unproved().agent(bundle, profile).map_err(&failed);
-    let (plan, exact) = (plan(profile)?, plan(Profile::Exact)?);
-    let found = agreement(plan.as_slice(), exact.as_slice(), recording).map_err(failed)?;
+    let plans = |profile| {
+        let plans = unproved().agents(bundle, profile);
+        plans.and_then(DeployedPolicy::of_plans).map_err(&failed)
+    };
+    let (mut plans, mut exact) = (plans(profile)?, plans(Profile::Exact)?);
+    let (mut plans, mut exact) = (plans.policy()?, exact.policy()?);
+    let found = agreement(plans.as_mut(), exact.as_mut(), recording).map_err(failed)?;
     Ok(Compared::new(format!("{} plan against exact plan", profile.name()), vec![found.into()]))
 }
 

@@ -2,7 +2,9 @@
 
 mod support;
 
-use serde_json::Value;
+use std::fs;
+
+use serde_json::{Value, json};
 use support::{TestDomain, assert_fails, json, output};
 
 const SMALL: [&str; 15] = [
@@ -60,7 +62,20 @@ fn agents_of_a_role_share_a_network_and_know_their_number() {
     let [run, bundle] = deployed(&place, &scaled);
     assert_alike(&run, &bundle);
     let facts = json(&["inspect", &bundle, "--json"]);
-    assert_eq!(facts["network"]["agent"], "policy");
+    let network = &facts["network"];
+    assert_eq!(network["agent"], "policy");
+    assert_eq!(network["graph_of"], json!([0, 0, 1, 1]));
+    let [rover, tower] = [&network["graphs"][0], &network["graphs"][1]];
+    assert_eq!((&rover["name"], &tower["name"]), (&json!("rover"), &json!("tower")));
+    assert!(tower["actions"] != rover["actions"] && tower["features"] != rover["features"]);
+    // A decision costs three layers of the role's own sizes, the choice among the agents' biases, and what lies between.
+    for graph in [rover, tower] {
+        let name = graph["name"].as_str().expect("a name");
+        let plan = json(&["inspect", &format!("{bundle}/agent-{name}.plan"), "--json"]);
+        let size = |what: &str| graph[what].as_u64().expect("a size");
+        let layers = 24 * (size("features") + 24 + size("actions"));
+        assert_eq!(plan["macs"], layers + 24 * (4 + 3), "{name}");
+    }
     let domain = TestDomain::new("ownpolicies");
     let play = |more: &[&str]| {
         let run = ["run", &bundle, "--json", "--seed", "5", "--episodes", "5"];
@@ -69,6 +84,15 @@ fn agents_of_a_role_share_a_network_and_know_their_number() {
     let (one, several) = (play(&["--in-process"]), play(&["--domain", &domain.id]));
     assert_eq!(one["return_mean"], several["return_mean"]);
     assert!(one["decisions"].as_u64() > Some(0), "{one}");
+    let recorded = place.path().join("seen.bin").display().to_string();
+    json(&["eval", &bundle, "--episodes", "20", "--dump", &recorded, "--json"]);
+    let int8 = ["verify", &bundle, "--profile", "int8", "--observations", &recorded];
+    let int8 = json(&[&int8[..], &["--against", "golden", "--json"]].concat());
+    let beside = int8["engines"].as_array().expect("engines").last().expect("a comparison");
+    assert!(beside["inputs"].as_u64() >= Some(20 * 4) && beside["refused"] == 0, "{beside}");
+    let again = place.path().join("again").display().to_string();
+    let compiled = json(&["compile", &bundle, "-o", &again, "--json"]);
+    assert_eq!(compiled["sha256"], facts["sha256"]);
     let larger = ["run", &bundle, "--in-process", "--env", "particle/rover-tower-6"];
     assert_fails(&output(&larger), 78, &["trained for other features or actions"]);
     let out = place.path().join("other").display().to_string();
@@ -82,4 +106,28 @@ fn agents_with_networks_of_their_own_see_what_batches_had_on_average() {
     let own = ["network.shared=false", "network.normalised=true", "network.policy_width=16"];
     let [run, bundle] = deployed(&place, &own);
     assert_alike(&run, &bundle);
+    let facts = json(&["inspect", &bundle, "--json"]);
+    assert_eq!(facts["network"]["graph_of"], json!([0, 1, 2, 3]));
+    assert_eq!(facts["agents"]["3"]["inputs"].as_array().map(Vec::len), Some(1), "{facts}");
+}
+
+#[test]
+fn a_graph_that_is_missing_or_of_other_sizes_is_named() {
+    let place = tempfile::tempdir().expect("a folder");
+    let [_, bundle] = deployed(&place, &["network.policy_width=8"]);
+    let manifest = format!("{bundle}/bundle.toml");
+    let text = fs::read_to_string(&manifest).expect("the bundle's manifest");
+    let refused = |from: &str, to: &str, exit, words: &[&str]| {
+        assert!(text.contains(from), "{text}");
+        fs::write(&manifest, text.replacen(from, to, 1)).expect("another manifest");
+        assert_fails(&output(&["run", &bundle, "--in-process"]), exit, words);
+    };
+    refused("    1,\n    1,\n]", "    1,\n    1,\n    1,\n]", 78, &["4 agents", "of 5"]);
+    let known = "name = \"tower\"\nfeatures = ";
+    refused(known, "name = \"tower\"\nfeatures = 1 # ", 78, &["the number of features"]);
+    refused(known, "name = \"tower\"\nfeatures = 9", 65, &["`tower`", "features, a row has"]);
+    fs::write(&manifest, &text).expect("the manifest");
+    fs::remove_file(format!("{bundle}/agent-tower.onnx")).expect("a graph");
+    let gone = output(&["verify", &bundle]);
+    assert_fails(&gone, 66, &["agent-tower.onnx` is missing"]);
 }

@@ -2,18 +2,17 @@
 
 use std::path::Path;
 
-use sortie_bundle::Bundle;
+use sortie_bundle::{Bundle, POLICY};
 use sortie_core::Policy;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
 use sortie_plans::{
-    BatchedUtilities, CompileError, CompileOptions, Compiler, OnnxRuntimeEngine, TeamSizes,
-    roles_of,
+    AgentPlans, BatchedUtilities, CompileError, CompileOptions, Compiler, OnnxRuntimeEngine,
 };
 
 use super::floor::Floor;
 use super::quantised::quantise_or_note;
 use super::scenes::large_set;
-use crate::compiler::compiler;
+use crate::compiler::{compiler, plans};
 use crate::environment::ScenarioSetName;
 use crate::failure::Failure;
 use crate::onnxruntime::OnnxRuntimeArguments;
@@ -61,11 +60,11 @@ impl<'b> Contestants<'b> {
         let mut ours = Vec::new();
         let mut floor = None;
         for (name, profile) in PROFILES {
-            let plan = plan_for_large_teams(bundle, profile)?;
-            if profile == Profile::Exact {
+            let plans = plans_for_large_teams(bundle, profile)?;
+            if let (Profile::Exact, Some(plan)) = (profile, plans.plans().first()) {
                 floor = Some(floor_of(plan.as_slice()).map_err(within)?);
             }
-            match DeployedPolicy::of_plan(plan) {
+            match DeployedPolicy::of_plans(plans) {
                 Ok(policy) => ours.push((name, policy)),
                 Err(CompileError::Plan(PlanError::WrongProfile { .. })) => {
                     tell!("note: this machine cannot run `{name}`");
@@ -103,7 +102,7 @@ impl OnnxRuntimePeer {
         let features = bundle.contract().features.into();
         let onnx = bundle.agent_onnx();
         let alone = graph_policy(bundle, runtime)?;
-        if roles_of(bundle)?.is_some() {
+        if bundle.manifest().network.agent == POLICY {
             return Ok(Self { runtime, alone, quantised: None, team: None });
         }
         let quantised = quantise_or_note(python, onnx)
@@ -113,8 +112,13 @@ impl OnnxRuntimePeer {
     }
 }
 
-/// The bundle's network for more entities than it may have been exported for.
-fn plan_for_large_teams(bundle: &Bundle, profile: Profile) -> Result<AlignedBytes, Failure> {
+/// The bundle's networks for more entities than they may have been exported for; what takes inputs of fixed sizes is
+/// as it is.
+fn plans_for_large_teams(bundle: &Bundle, profile: Profile) -> Result<AgentPlans, Failure> {
+    let failed = |error: CompileError| Failure::from(error).within(bundle.folder().display());
+    if bundle.manifest().network.agent == POLICY {
+        return plans().agents(bundle, profile).map_err(failed);
+    }
     let own = ScenarioSetName::parse_with_subtasks(&bundle.manifest().contract.environment.name)?;
     let large = large_set(&own)?.open(Split::Test)?.spec().shape.entities;
     let options = CompileOptions {
@@ -123,18 +127,8 @@ fn plan_for_large_teams(bundle: &Bundle, profile: Profile) -> Result<AlignedByte
         profile,
         ..CompileOptions::default()
     };
-    let failed = |error: CompileError| Failure::from(error).within(bundle.folder().display());
-    let onnx = bundle.agent_onnx();
-    let compiled = match roles_of(bundle).map_err(failed)? {
-        Some(roles) => {
-            let entities = bundle.manifest().limits.n_max;
-            let team = Some(TeamSizes::of(bundle.contract(), entities));
-            let options = CompileOptions { team, ..options };
-            compiler().compile_policy(onnx, &roles, &options).map(|policy| policy.compiled)
-        }
-        None => compiler().compile(onnx, &options),
-    };
-    compiled.map(|compiled| AlignedBytes::copy_of(&compiled.bytes)).map_err(failed)
+    let compiled = compiler().compile(bundle.agent_onnx(), &options).map_err(failed)?;
+    Ok(AgentPlans::new(bundle, vec![AlignedBytes::copy_of(&compiled.bytes)]))
 }
 
 pub(super) fn floor_of(plan: &[u8]) -> Result<Floor, CompileError> {

@@ -111,8 +111,11 @@ fn recordings(
     if let Some(file) = &arguments.observations {
         return Ok(vec![read_recording(file, bundle)?]);
     }
-    let own = ScenarioSetName::parse_with_subtasks(&bundle.manifest().contract.environment.name)?;
+    let own = ScenarioSetName::parse(&bundle.manifest().contract.environment.name)?;
     let seed = arguments.measuring.common.seed;
+    if !own.has_subtasks()? {
+        return Ok(vec![scenes::record_without_subtasks(bundle, policy, &own, seed)?]);
+    }
     let large = scenes::large_set(&own)?;
     let mut record = |set| scenes::record(bundle, policy, set, seed);
     Ok(vec![record(&own)?, record(&large)?])

@@ -3,6 +3,7 @@
 use sortie_bundle::{Bundle, OwnedAllocationState, Recording};
 use sortie_core::{AllocateError, AllocationState, Allocator, Policy};
 use sortie_envs::Split;
+use sortie_learn::play;
 use sortie_methods::alma::evaluate::{EvaluationPlan, evaluate};
 use sortie_methods::alma::teams::{DeployedAllocator, PolicyTeam};
 
@@ -31,6 +32,19 @@ pub(super) fn record(
     let mut recorder = RecordingPolicy::new(policy, bundle);
     let mut rule = Allocation::named("coordinated")?.measured();
     evaluate(&plan, &mut PolicyTeam::new(&mut recorder), &mut rule)?;
+    Ok(recorder.into_recording())
+}
+
+/// The same of a scenario set without subtasks.
+pub(super) fn record_without_subtasks(
+    bundle: &Bundle,
+    policy: &mut dyn Policy,
+    set: &ScenarioSetName,
+    seed: u64,
+) -> Result<Recording, Failure> {
+    let environment = set.open(Split::Test)?;
+    let mut recorder = RecordingPolicy::new(policy, bundle);
+    play::evaluate(&*environment, &mut play::PolicyTeam::new(&mut recorder), EPISODES, seed)?;
     Ok(recorder.into_recording())
 }
 

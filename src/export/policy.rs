@@ -111,7 +111,7 @@ impl Exported {
 
     /// The policy as an agent, run by tract.
     fn policy(&self) -> Result<TeamPolicy, CompileError> {
-        let team = TeamSizes::of(&self.contract, self.limits().n_max);
+        let team = TeamSizes::of_contract(&self.contract, self.limits().n_max);
         team.meanings(&self.facts)?;
         let engines = engines().map_err(|failure| CompileError::Run { reason: failure.message })?;
         let policy: Box<dyn FlatPolicy> = engines.tract().flat_policy(&self.onnx, &self.roles)?;
@@ -158,7 +158,7 @@ impl Exported {
         Ok(Draft {
             environment: described(set.to_string(), environment.spec(), &golden.cases),
             limits: self.limits(),
-            network: Network { agent: POLICY.to_owned(), allocator: None, hidden },
+            network: Network { agent: POLICY.to_owned(), hidden, ..Network::default() },
             golden,
             contract: self.contract.clone(),
             parts,

@@ -10,8 +10,8 @@ use serde_json::{Value, json};
 use sortie_bundle::hex;
 use sortie_core::allocate::proposals::PROPOSALS;
 use sortie_core::plan::{AlignedBytes, Network, PlanError, Profile};
-use sortie_core::{DecideError, Decision, Observation, limits};
-use sortie_plans::{BundlePlans, CompileError, CompilerProcess, user_cache};
+use sortie_core::{DecideError, Decision, Observation, PlanPolicy, Policy, limits};
+use sortie_plans::{BundlePlans, CompileError, CompilerProcess, policy_by_agent, user_cache};
 
 use crate::arrays::array;
 use crate::bundle_allocator::{Asked, How, allocate};
@@ -24,14 +24,16 @@ use crate::owned_plan::OwnedPlan;
 #[pyclass(frozen, module = "sortie")]
 pub(crate) struct Bundle {
     bundle: sortie_bundle::Bundle,
-    agents: OwnedPlan,
+    /// The plan of all agents, or one for each of the bundle's graphs.
+    agents: Vec<OwnedPlan>,
     allocator: Option<OwnedPlan>,
     working: Mutex<Working>,
 }
 
 /// What decisions write to.
 struct Working {
-    arena: AlignedBytes,
+    /// An arena for each plan.
+    arenas: Vec<AlignedBytes>,
     /// The recurrent state of every agent there may be, `[AGENTS, R]`.
     memory: Vec<f32>,
 }
@@ -134,15 +136,18 @@ impl Bundle {
     fn open(folder: &std::path::Path, compiler: CompilerProcess) -> Result<Self, Failure> {
         let bundle = sortie_bundle::Bundle::open(folder)?;
         let plans = BundlePlans::new(compiler, user_cache(), warn);
-        let agents = OwnedPlan::load(plans.agent(&bundle, Profile::Exact)?)?;
+        let found = plans.agents(&bundle, Profile::Exact)?;
+        let mut arenas = found.arenas(limits::AGENTS)?;
+        let hidden = found.policy(&mut arenas)?.hidden();
+        let agents = found.into_plans().into_iter().map(OwnedPlan::load);
+        let agents = agents.collect::<Result<Vec<_>, _>>()?;
         let allocator = match bundle.proposal_graphs() {
             Some(_) => plans.proposals(&bundle, Profile::Exact)?,
             None => plans.allocator(&bundle)?,
         };
         let allocator = allocator.map(OwnedPlan::load).transpose()?;
-        let arena = AlignedBytes::zeroed(agents.plan().batch_arena_bytes(limits::AGENTS));
-        let memory = vec![0.0; limits::AGENTS * agents.plan().hidden()];
-        Ok(Self { bundle, agents, allocator, working: Mutex::new(Working { arena, memory }) })
+        let memory = vec![0.0; limits::AGENTS * hidden];
+        Ok(Self { bundle, agents, allocator, working: Mutex::new(Working { arenas, memory }) })
     }
 
     fn refusal(&self, words: &str) -> PyErr {
@@ -151,13 +156,21 @@ impl Bundle {
 
     /// A decision for every agent; where one gets an error, nobody's state changes.
     fn decisions(&self, seen: &[Observation<'_>]) -> Vec<Result<Decision, DecideError>> {
-        let plan = self.agents.plan();
         let mut decisions = vec![Err(DecideError::BadLength); seen.len()];
         let mut working = self.working.lock().unwrap_or_else(PoisonError::into_inner);
-        let Working { arena, memory } = &mut *working;
+        let Working { arenas, memory } = &mut *working;
+        let bind = |(plan, arena): (&OwnedPlan, &mut AlignedBytes)| {
+            PlanPolicy::boxed(plan.plan().clone(), arena.as_mut_slice())
+        };
+        let policies = self.agents.iter().zip(arenas).map(bind).collect::<Result<Vec<_>, _>>();
+        // They were bound to these arenas when the bundle was opened.
+        let Ok(policies) = policies else { return decisions };
+        let (graph_of, actions) =
+            (&self.bundle.manifest().network.graph_of, self.bundle.contract().actions);
+        let mut policy = policy_by_agent(policies, graph_of, actions.into());
         let mut states = memory.clone();
-        let of_these = states.get_mut(..seen.len() * plan.hidden());
-        plan.decide_batch(arena.as_mut_slice(), seen, of_these, &mut decisions);
+        let of_these = states.get_mut(..seen.len() * policy.hidden()).unwrap_or_default();
+        policy.decide_batch_with(seen, of_these, &mut decisions);
         let is_error = |decision: &Result<Decision, DecideError>| {
             !matches!(decision, Ok(_) | Err(DecideError::NoAvailableAction))
         };

@@ -1,10 +1,11 @@
 //! Reading and writing bundle folders.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use crate::agent_graphs::AgentGraph;
 use crate::contract::ContractV1;
 use crate::digest::{hex, sha256};
 use crate::error::BundleError;
@@ -16,7 +17,7 @@ use crate::policy_roles::PolicyRoles;
 
 /// The file that vouches for all others.
 pub const MANIFEST: &str = "bundle.toml";
-/// The agent's network.
+/// The network of all agents; that of some has their graph's name in its own, see [`AgentGraph`].
 pub const AGENT: &str = "agent.onnx";
 /// The team-value network of a learned allocator.
 pub const ALLOCATOR: &str = "allocator_team_value.onnx";
@@ -84,8 +85,9 @@ impl Bundle {
             parts.insert(name.clone(), read_part(folder, name, want)?);
         }
         let golden = golden_part(folder, &manifest, &parts)?;
-        for name in [AGENT].iter().chain(allocator_parts(&manifest.network)) {
-            if !parts.contains_key(*name) {
+        let allocator = allocator_parts(&manifest.network).iter().map(|name| (*name).to_owned());
+        for name in agent_parts(&manifest.network).into_iter().chain(allocator) {
+            if !parts.contains_key(&name) {
                 return Err(BundleError::Missing { path: folder.join(name) });
             }
         }
@@ -137,9 +139,20 @@ impl Bundle {
         self.parts.get(name).map(Vec::as_slice)
     }
 
-    /// The agent's network.
+    /// The network of all agents; nothing where they decide by several.
     pub fn agent_onnx(&self) -> &[u8] {
         self.part(AGENT).unwrap_or_default()
+    }
+
+    /// The graphs that agents decide by: one for all, or several.
+    pub fn agent_graphs(&self) -> Vec<AgentGraph> {
+        let graphs = &self.manifest.network.graphs;
+        if graphs.is_empty() { vec![AgentGraph::of_all(self.contract())] } else { graphs.clone() }
+    }
+
+    /// The network of one of them.
+    pub fn graph_onnx(&self, graph: &AgentGraph) -> &[u8] {
+        self.part(&graph.onnx_part()).unwrap_or_default()
     }
 
     /// What is said of the agent's network, where that is a policy over inputs of fixed sizes.
@@ -233,8 +246,12 @@ impl Draft {
         if let Some(flaw) = self.contract.flaw().or_else(|| self.limits.flaw()) {
             return invalid(MANIFEST, flaw);
         }
-        if !self.parts.contains_key(AGENT) {
-            return invalid(AGENT, "a bundle needs the agent's network".to_owned());
+        if let Some(flaw) = self.network.graphs_flaw(&self.contract) {
+            return invalid(MANIFEST, flaw);
+        }
+        let agents = agent_parts(&self.network);
+        if let Some(name) = agents.iter().find(|name| !self.parts.contains_key(*name)) {
+            return invalid(name, "a bundle needs the agents' networks".to_owned());
         }
         if let Some(name) = self.parts.keys().find(|name| !is_plain(name)) {
             return invalid(name, "not a plain file name, or one that the bundle uses".to_owned());
@@ -259,7 +276,7 @@ impl Draft {
     fn manifest(&self, parts: &BTreeMap<String, Vec<u8>>) -> Manifest {
         let hashed = |(name, bytes): (&String, &Vec<u8>)| (name.clone(), hex(&sha256(bytes)));
         Manifest {
-            format: FORMAT,
+            format: self.network.format(),
             contract: Contract {
                 hash: format!("{:016x}", self.contract.hash()),
                 environment: self.environment.clone(),
@@ -298,6 +315,9 @@ impl Manifest {
         if *want != got {
             return Err(BundleError::Contract { path: path.to_owned(), want: want.clone(), got });
         }
+        if let Some(flaw) = manifest.network.graphs_flaw(&manifest.contract.v1) {
+            return Err(invalid(format!("{flaw}, in [network]")));
+        }
         let known = |kind: &String| [TEAM_VALUE, PROPOSALS].contains(&kind.as_str());
         if let Some(kind) = manifest.network.allocator.as_ref().filter(|kind| !known(kind)) {
             return Err(invalid(format!("allocator `{kind}` is not known: update sortie")));
@@ -306,6 +326,14 @@ impl Manifest {
             return Err(invalid(format!("`{name}` in [parts] is not a plain file name")));
         }
         Ok(manifest)
+    }
+}
+
+/// The networks that agents decide by.
+fn agent_parts(network: &Network) -> Vec<String> {
+    match network.graphs.as_slice() {
+        [] => vec![AGENT.to_owned()],
+        graphs => graphs.iter().map(AgentGraph::onnx_part).collect(),
     }
 }
 
@@ -367,6 +395,18 @@ fn golden_flaw(golden: &Golden, network: &Network) -> Option<String> {
     let (cases, allocations) = (golden.cases.len(), golden.allocations.len());
     if cases < MIN_CASES {
         return Some(format!("{cases} cases, at least {MIN_CASES} are needed"));
+    }
+    let deciding: BTreeSet<Option<u16>> = golden
+        .cases
+        .iter()
+        .map(|case| network.graph_of.get(case.observation.self_index).copied())
+        .collect();
+    if !network.graphs.is_empty() && deciding.contains(&None) {
+        return Some(format!("a case is of an agent that is none of {}", network.graph_of.len()));
+    }
+    let mut graphs = network.graphs.iter().zip(0..);
+    if let Some((graph, _)) = graphs.find(|(_, index)| !deciding.contains(&Some(*index))) {
+        return Some(format!("no case is of an agent that decides by the graph `{}`", graph.name));
     }
     let few = network.allocator.as_deref() == Some(TEAM_VALUE) && allocations < MIN_ALLOCATIONS;
     few.then(|| format!("{allocations} allocations, at least {MIN_ALLOCATIONS} are needed"))

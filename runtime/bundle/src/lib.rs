@@ -6,6 +6,7 @@
 //! everything, the policy that runs included.
 #![forbid(unsafe_code)]
 
+mod agent_graphs;
 mod allocation;
 mod bundle;
 mod contract;
@@ -18,6 +19,7 @@ mod observation;
 mod policy_roles;
 mod recording;
 
+pub use agent_graphs::AgentGraph;
 pub use allocation::{GoldenAllocation, GoldenValue, OwnedAllocationState};
 pub use bundle::{
     AGENT, AGENT_PLAN, ALLOCATOR, ALLOCATOR_PLAN, Bundle, CARD, CURVE, CURVE_DATA, Draft, GOLDEN,

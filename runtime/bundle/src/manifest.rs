@@ -5,10 +5,11 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use sortie_core::limits;
 
+use crate::agent_graphs::AgentGraph;
 use crate::contract::ContractV1;
 
-/// The bundle format that this program writes, and the newest that it reads.
-pub(crate) const FORMAT: u32 = 1;
+/// The newest bundle format that this program reads.
+pub(crate) const FORMAT: u32 = 2;
 
 /// The kind of agent network that is a policy over inputs of fixed sizes, whoever exported it.
 pub const POLICY: &str = "policy";
@@ -95,7 +96,7 @@ impl Limits {
 }
 
 /// What the networks of a bundle are.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Network {
     /// Kind of the agent network, for example `masked-attention`, or [`POLICY`].
@@ -105,4 +106,17 @@ pub struct Network {
     pub allocator: Option<String>,
     /// Floats of the agent's hidden state, 0 if it has none.
     pub hidden: u32,
+    /// By agents: which of `graphs` each decides by; empty where all decide by the same.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub graph_of: Vec<u16>,
+    /// The graphs of [`POLICY`] agents that do not all decide by the same.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub graphs: Vec<AgentGraph>,
+}
+
+impl Network {
+    /// The format of its bundle: programs that know of one graph for all agents read the first.
+    pub(crate) fn format(&self) -> u32 {
+        if self.graphs.is_empty() { 1 } else { 2 }
+    }
 }

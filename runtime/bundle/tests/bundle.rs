@@ -5,9 +5,9 @@ use std::fs;
 use std::path::Path;
 
 use sortie_bundle::{
-    AGENT, ALLOCATOR, Bundle, BundleError, CARD, ContractV1, Draft, Environment,
+    AGENT, ALLOCATOR, AgentGraph, Bundle, BundleError, CARD, ContractV1, Draft, Environment,
     FallbackAllocation, GOLDEN, Golden, GoldenAllocation, GoldenCase, GoldenValue, Limits,
-    MANIFEST, MIN_ALLOCATIONS, MIN_CASES, Network, OwnedAllocationState, OwnedObservation,
+    MANIFEST, MIN_ALLOCATIONS, MIN_CASES, Network, OwnedAllocationState, OwnedObservation, POLICY,
     PROPOSAL_PARTS, PROPOSALS, SubtaskConditioning, TEAM_VALUE, WIRE_ABI, hex, sha256,
 };
 use sortie_core::EntityMask;
@@ -49,7 +49,7 @@ fn draft() -> Draft {
         contract,
         environment,
         limits: Limits { n_max: 11, t_max: 6, team_max: 3 },
-        network: Network { agent: "masked-attention".into(), allocator: None, hidden: 0 },
+        network: Network { agent: "masked-attention".into(), ..Network::default() },
         golden: Golden { cases: (0..MIN_CASES).map(case).collect(), allocations: Vec::new() },
         parts: parts.map(|(name, bytes)| (name.to_owned(), bytes.to_vec())).into(),
     }
@@ -147,6 +147,78 @@ fn a_proposing_allocator_comes_back_and_is_never_half_there() {
     }
 }
 
+/// A draft of a team with two roles, the second of which may not go.
+fn draft_of_roles() -> Draft {
+    let mut draft = draft();
+    let graph = |name: &str, actions| AgentGraph { name: name.into(), features: 1, actions };
+    let graphs = vec![graph("rover", 2), graph("tower", 1)];
+    draft.network =
+        Network { agent: POLICY.into(), graph_of: vec![0, 1, 1], graphs, ..Network::default() };
+    for (index, case) in draft.golden.cases.iter_mut().enumerate() {
+        case.observation.rows.push(0.5);
+        case.observation.self_index = index % 3;
+    }
+    draft.parts.remove(AGENT);
+    for name in ["rover", "tower"] {
+        draft.parts.insert(format!("agent-{name}.onnx"), name.into());
+    }
+    draft
+}
+
+#[test]
+fn the_graphs_of_several_roles_come_back() {
+    let home = tempfile::tempdir().unwrap();
+    let folder = home.path().join("towers");
+    let bundle = draft_of_roles().write(&folder).unwrap();
+    let graphs = bundle.agent_graphs();
+    assert_eq!(graphs, draft_of_roles().network.graphs);
+    assert_eq!(bundle.graph_onnx(&graphs[1]), b"tower");
+    assert_eq!(graphs[1].plan_part(), "agent-tower.plan");
+    assert_eq!((bundle.manifest().format, bundle.agent_onnx()), (2, &b""[..]));
+    let alike = draft().write(&home.path().join("city")).unwrap();
+    let [of_all] = &alike.agent_graphs()[..] else { panic!("one graph") };
+    assert_eq!((of_all.onnx_part().as_str(), of_all.actions), (AGENT, 2));
+    assert_eq!((alike.manifest().format, alike.graph_onnx(of_all)), (1, &b"network"[..]));
+
+    fs::remove_file(folder.join("agent-tower.onnx")).unwrap();
+    assert!(message(&folder).contains("agent-tower.onnx` is missing"));
+}
+
+#[test]
+fn graphs_that_do_not_fit_the_team_are_refused_in_words() {
+    let home = tempfile::tempdir().unwrap();
+    let refused = |change: fn(&mut Draft)| {
+        let mut draft = draft_of_roles();
+        change(&mut draft);
+        draft.write(&home.path().join("towers")).unwrap_err().to_string()
+    };
+    let told = |words: &str, change: fn(&mut Draft)| {
+        let error = refused(change);
+        assert!(error.contains(words), "{error}");
+    };
+    told("agent-rover.onnx", |draft| drop(draft.parts.remove("agent-rover.onnx")));
+    told("`tower` has 3 actions, a row has 2", |draft| draft.network.graphs[1].actions = 3);
+    told("`rover` has 0 features, a row has 1", |draft| draft.network.graphs[0].features = 0);
+    told("graph_of names graph 2, there are 2", |draft| draft.network.graph_of[0] = 2);
+    told("no agent decides by the graph `tower`", |draft| draft.network.graph_of = vec![0; 3]);
+    told("need names, each another", |draft| draft.network.graphs[1].name = "rover".into());
+    told("all decide by one graph", |draft| draft.network.agent = "masked-attention".into());
+    told("an agent that is none of 2", |draft| drop(draft.network.graph_of.pop()));
+    told("no case is of an agent that decides by the graph `rover`", |draft| {
+        draft.golden.cases.iter_mut().for_each(|case| case.observation.self_index = 1);
+    });
+    let at_most = "at most 64 are possible";
+    told(at_most, |draft| draft.network.graph_of = [0, 1].repeat(33));
+
+    let folder = home.path().join("edited");
+    draft_of_roles().write(&folder).unwrap();
+    let path = folder.join(MANIFEST);
+    let text = fs::read_to_string(&path).unwrap();
+    fs::write(&path, text.replace("actions = 1", "actions = 9")).unwrap();
+    let edited = message(&folder);
+    assert!(edited.contains("`tower` has 9 actions, a row has 2, in [network]"), "{edited}");
+}
+
 #[test]
 fn the_same_draft_gives_the_same_id() {
     let home = tempfile::tempdir().unwrap();
@@ -186,7 +258,7 @@ fn an_edited_manifest_is_refused_with_its_reason() {
         fs::write(&path, text.replace(from, to)).unwrap();
         message(&folder)
     };
-    assert!(refused("format = 1", "format = 2").contains("update sortie"));
+    assert!(refused("format = 1", "format = 3").contains("update sortie"));
     assert!(refused("decision_interval = 5", "decision_interval = 6").contains("was edited"));
     assert!(refused("\"distance\"", "\"distance\", \"x\"").contains("2 feature names for 1"));
     assert!(refused("\"card.md\"", "\"../card.md\"").contains("not a plain file name"));

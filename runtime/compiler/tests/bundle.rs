@@ -86,7 +86,7 @@ fn bundle(home: &tempfile::TempDir, contract: ContractV1) -> Bundle {
         contract,
         environment: Environment::default(),
         limits: Limits { n_max: 8, t_max: 3, team_max: 2 },
-        network: Network { agent: "masked-attention".into(), allocator: None, hidden: 0 },
+        network: Network { agent: "masked-attention".into(), ..Network::default() },
         golden: Golden {
             cases: observations.into_iter().map(answer).collect(),
             allocations: Vec::new(),
@@ -100,7 +100,8 @@ fn bundle(home: &tempfile::TempDir, contract: ContractV1) -> Bundle {
 fn plan_and_graph_give_the_golden_answers() {
     let home = tempfile::tempdir().unwrap();
     let bundle = bundle(&home, contract());
-    let bytes = plans(None).agent(&bundle, Profile::Exact).unwrap();
+    let plans = plans(None).agents(&bundle, Profile::Exact).unwrap();
+    let [bytes] = plans.plans() else { panic!("one graph, one plan") };
     let plan = Plan::load(bytes.as_slice()).unwrap();
     assert_eq!((plan.header().n_max, plan.header().t_max), (8, 3));
     assert_eq!(plan.header().contract, bundle.contract().hash());
@@ -108,7 +109,7 @@ fn plan_and_graph_give_the_golden_answers() {
     let mut plan = PlanPolicy::new(plan, arena.as_mut_slice()).unwrap();
     let mut tract = TractPolicy::new(bundle.agent_onnx(), 6).unwrap();
     for (name, policy) in [("plan", &mut plan as &mut dyn Policy), ("tract", &mut tract)] {
-        let comparison = compare_with_golden(name, policy, bundle.golden()).unwrap();
+        let comparison = compare_with_golden(name, policy, &bundle.golden().cases).unwrap();
         assert!(comparison.max_rel_error < 1e-6, "{comparison:?}");
         assert_eq!((comparison.inputs, comparison.action_mismatches), (MIN_CASES, 0));
     }
@@ -134,7 +135,7 @@ fn shipping(home: &tempfile::TempDir, change: fn(&mut Vec<u8>)) -> Bundle {
     let mut draft = bundle.draft();
     for (name, mut plan) in plans(None).shipped(&bundle).unwrap() {
         change(&mut plan);
-        draft.parts.insert(name.to_owned(), plan);
+        draft.parts.insert(name, plan);
     }
     draft.write(&home.path().join("shipping")).unwrap()
 }
@@ -145,7 +146,7 @@ fn asked(bundle: &Bundle, cache: Option<PathBuf>) -> (Result<(), CompileError>, 
     NOTED.set(false);
     let compiler = Counting::default();
     let plans = BundlePlans::new(&compiler, cache, |_| NOTED.set(true));
-    let found = plans.agent(bundle, Profile::Exact).map(|_| ());
+    let found = plans.agents(bundle, Profile::Exact).map(|_| ());
     (found, compiler.0.get(), NOTED.get())
 }
 

@@ -1,9 +1,9 @@
-//! Laws of a decision, on the golden observations of every shipped bundle, in every arithmetic profile. What ships has a
+//! Laws of a decision, on the golden observations of every shipped bundle whose agents attend to entities, in every arithmetic profile. What ships has a
 //! skip; a network without one sees what the team for SaveTheCity saw.
 
 use std::path::PathBuf;
 
-use sortie_bundle::{Bundle, OwnedObservation};
+use sortie_bundle::{Bundle, OwnedObservation, POLICY};
 use sortie_compiler::{InProcess, compile};
 use sortie_core::choose::masked_argmax;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
@@ -58,13 +58,17 @@ fn everywhere(mut law: impl FnMut(&mut Network, &[OwnedObservation])) {
     for folder in models.read_dir().unwrap() {
         let folder = folder.unwrap().path();
         let bundle = Bundle::open(&folder).unwrap();
+        if bundle.manifest().network.agent == POLICY {
+            continue;
+        }
         let golden = bundle.golden().cases.iter().map(|case| case.observation.clone());
         let golden: Vec<_> = golden.collect();
         let most = golden.iter().map(OwnedObservation::entities).max().unwrap();
         for profile in PROFILES {
-            let shipped = plans().agent(&bundle, profile).unwrap();
+            let shipped = plans().agents(&bundle, profile).unwrap();
+            let shipped = shipped.into_plans().pop();
             let plain = folder.ends_with("save-the-city").then(|| without_skip(most, profile));
-            for plan in [Some(shipped), plain].into_iter().flatten() {
+            for plan in [shipped, plain].into_iter().flatten() {
                 let Some(mut network) = Network::open(plan, profile) else { continue };
                 law(&mut network, &golden);
                 networks += 1;

@@ -26,6 +26,7 @@
 //! | --- | --- |
 //! | policies over inputs of fixed sizes | [`Plan::respond`](plan::Plan::respond), [`Plan::choose`](plan::Plan::choose) |
 //! | agents that see entities through masks | [`Policy`], [`PlanPolicy`], [`Observation`] |
+//! | teams of several policies | [`PolicyByAgent`] |
 //! | who works on which subtask | [`allocate`], [`Allocator`] |
 //! | agents, allocator and world as processes or devices | [`wire`], [`roles`], [`link`] |
 //! | images with only the operators that a plan needs | [`operators`] |
@@ -47,6 +48,7 @@ extern crate std;
 
 pub mod allocate;
 pub mod allocator;
+mod by_agent;
 pub mod choose;
 pub mod decide;
 pub mod entities;
@@ -82,6 +84,7 @@ pub mod internal {
 use internal::{checksum, kernels, math, ops};
 
 pub use allocator::{AllocateError, AllocationState, Allocator, UNASSIGNED};
+pub use by_agent::PolicyByAgent;
 pub use decide::PlanPolicy;
 pub use entities::Entities;
 pub use entity_mask::EntityMask;

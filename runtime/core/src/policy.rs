@@ -59,6 +59,13 @@ pub enum DecideError {
         /// Floats given.
         got: usize,
     },
+    /// The team's policies are for other agents.
+    UnknownAgent {
+        /// Agents that have a policy.
+        agents: usize,
+        /// The one that observes.
+        agent: usize,
+    },
     /// The policy chooses greedily: its utilities are not logits to draw from.
     Greedy,
 }
@@ -74,6 +81,9 @@ impl core::fmt::Display for DecideError {
             Self::NonFinite => f.write_str("a feature or a utility is not a finite number"),
             Self::HiddenState { want, got } => {
                 write!(f, "the policy's recurrent state has {want} numbers, {got} were given")
+            }
+            Self::UnknownAgent { agents, agent } => {
+                write!(f, "agent {agent} has no policy: there are policies for {agents} agents")
             }
             Self::Greedy => f.write_str("the policy chooses greedily and cannot be drawn from"),
         }
@@ -174,69 +184,78 @@ fn no_memory(hidden: &[f32]) -> Result<(), DecideError> {
     }
 }
 
-impl<P: Policy + ?Sized> Policy for &mut P {
-    fn actions(&self) -> usize {
-        (**self).actions()
-    }
+/// What points to a policy is one.
+macro_rules! policy_behind {
+    ($pointer:ty) => {
+        impl<P: Policy + ?Sized> Policy for $pointer {
+            fn actions(&self) -> usize {
+                (**self).actions()
+            }
 
-    fn utilities(
-        &mut self,
-        observation: &Observation<'_>,
-        utilities: &mut [f32],
-    ) -> Result<(), DecideError> {
-        (**self).utilities(observation, utilities)
-    }
+            fn utilities(
+                &mut self,
+                observation: &Observation<'_>,
+                utilities: &mut [f32],
+            ) -> Result<(), DecideError> {
+                (**self).utilities(observation, utilities)
+            }
 
-    fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
-        (**self).decide(observation)
-    }
+            fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
+                (**self).decide(observation)
+            }
 
-    fn decide_batch(
-        &mut self,
-        observations: &[Observation<'_>],
-        decisions: &mut [Result<Decision, DecideError>],
-    ) {
-        (**self).decide_batch(observations, decisions);
-    }
+            fn decide_batch(
+                &mut self,
+                observations: &[Observation<'_>],
+                decisions: &mut [Result<Decision, DecideError>],
+            ) {
+                (**self).decide_batch(observations, decisions);
+            }
 
-    fn decide_batch_with(
-        &mut self,
-        observations: &[Observation<'_>],
-        hidden: &mut [f32],
-        decisions: &mut [Result<Decision, DecideError>],
-    ) {
-        (**self).decide_batch_with(observations, hidden, decisions);
-    }
+            fn decide_batch_with(
+                &mut self,
+                observations: &[Observation<'_>],
+                hidden: &mut [f32],
+                decisions: &mut [Result<Decision, DecideError>],
+            ) {
+                (**self).decide_batch_with(observations, hidden, decisions);
+            }
 
-    fn warm(&self) {
-        (**self).warm();
-    }
+            fn warm(&self) {
+                (**self).warm();
+            }
 
-    fn begin_episode(&mut self) -> bool {
-        (**self).begin_episode()
-    }
+            fn begin_episode(&mut self) -> bool {
+                (**self).begin_episode()
+            }
 
-    fn hidden(&self) -> usize {
-        (**self).hidden()
-    }
+            fn hidden(&self) -> usize {
+                (**self).hidden()
+            }
 
-    fn utilities_with(
-        &mut self,
-        observation: &Observation<'_>,
-        hidden: &mut [f32],
-        utilities: &mut [f32],
-    ) -> Result<(), DecideError> {
-        (**self).utilities_with(observation, hidden, utilities)
-    }
+            fn utilities_with(
+                &mut self,
+                observation: &Observation<'_>,
+                hidden: &mut [f32],
+                utilities: &mut [f32],
+            ) -> Result<(), DecideError> {
+                (**self).utilities_with(observation, hidden, utilities)
+            }
 
-    fn decide_with(
-        &mut self,
-        observation: &Observation<'_>,
-        hidden: &mut [f32],
-    ) -> Result<Decision, DecideError> {
-        (**self).decide_with(observation, hidden)
-    }
+            fn decide_with(
+                &mut self,
+                observation: &Observation<'_>,
+                hidden: &mut [f32],
+            ) -> Result<Decision, DecideError> {
+                (**self).decide_with(observation, hidden)
+            }
+        }
+    };
 }
+
+policy_behind!(&mut P);
+#[cfg(feature = "std")]
+policy_behind!(std::boxed::Box<P>);
 
 /// The entities that an agent of `subtask` may attend to: observable, present, and of the same subtask.
 ///

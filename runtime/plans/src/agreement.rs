@@ -2,8 +2,8 @@
 
 use serde::Serialize;
 use sortie_bundle::Recording;
-use sortie_core::PlanPolicy;
 use sortie_core::plan::{AlignedBytes, HEADER_BYTES, Header, Plan, Profile, checksums};
+use sortie_core::{PlanPolicy, Policy};
 
 use crate::comparison::{Comparison, cannot_run, magnitude};
 use crate::error::CompileError;
@@ -65,13 +65,13 @@ pub fn quantise(
 ) -> Result<Quantised, CompileError> {
     let exact = compile(Profile::Exact)?;
     let mut compiled = compile(Profile::Int8)?;
-    let agreement = agreement(&compiled.bytes, &exact.bytes, recording)?;
+    let agreement = agreement_of_plans(&compiled.bytes, &exact.bytes, recording)?;
     note_mismatch(&mut compiled.bytes, 1.0 - agreement.share())?;
     Ok(Quantised { compiled, exact: exact.report, agreement })
 }
 
 /// Asks two plans about the same observations.
-pub fn agreement(
+fn agreement_of_plans(
     plan: &[u8],
     reference: &[u8],
     recording: &Recording,
@@ -92,7 +92,19 @@ pub fn agreement(
     let [arena, reference_arena] = &mut arenas;
     let mut plan = PlanPolicy::boxed(plan, arena.as_mut_slice())?;
     let mut reference = PlanPolicy::boxed(reference, reference_arena.as_mut_slice())?;
-    let plan_memory = plan.hidden();
+    agreement(plan.as_mut(), reference.as_mut(), recording)
+}
+
+/// Asks two policies about the same observations.
+///
+/// # Errors
+/// One of them cannot decide on an observation.
+pub fn agreement(
+    plan: &mut dyn Policy,
+    reference: &mut dyn Policy,
+    recording: &Recording,
+) -> Result<Agreement, CompileError> {
+    let (plan_memory, actions) = (plan.hidden(), reference.actions());
     let mut agreement =
         Agreement { observations: 0, equal_actions: 0, max_utility_error: 0.0, max_rel_error: 0.0 };
     let (mut got, mut want) = (vec![0.0; actions], vec![0.0; actions]);

@@ -2,15 +2,16 @@
 
 use std::path::PathBuf;
 
-use sortie_bundle::{AGENT_PLAN, ALLOCATOR_PLAN, Bundle, POLICY_ROLES, sha256};
+use sortie_bundle::{ALLOCATOR_PLAN, AgentGraph, Bundle, POLICY_ROLES, sha256};
 use sortie_core::limits;
 use sortie_core::plan::{AlignedBytes, Network, Plan, PlanError, Profile};
 
+use crate::agent_plans::AgentPlans;
 use crate::cache::{PlanKey, keep, kept};
 use crate::error::CompileError;
 use crate::policy::{PolicyOptions, roles_of};
 use crate::policy_plan::CompiledPolicy;
-use crate::proof::{prove_agent, prove_allocator};
+use crate::proof::{prove_agents, prove_allocator};
 use crate::proposal_files::ProposalFiles;
 use crate::report::{CompileOptions, Compiled, VERSION};
 use crate::team_sizes::TeamSizes;
@@ -58,7 +59,7 @@ pub struct BundlePlans<C> {
 struct Wanted<'a> {
     bundle: &'a Bundle,
     /// The file that a bundle ships it in.
-    part: &'static str,
+    part: String,
     network: Network,
     /// What the plan is known by: the network, or three of them joined.
     onnx: &'a [u8],
@@ -66,6 +67,8 @@ struct Wanted<'a> {
     n_max: usize,
     /// What is said of a policy over inputs of fixed sizes.
     policy: Option<PolicyOptions>,
+    /// The graph and its place among the bundle's, where agents decide by it.
+    graph: Option<(AgentGraph, usize)>,
 }
 
 impl<C: Compiler> BundlePlans<C> {
@@ -80,19 +83,21 @@ impl<C: Compiler> BundlePlans<C> {
         Self { proves: false, ..self }
     }
 
-    /// The plan of a bundle's agent.
+    /// The plans of a bundle's agents.
     ///
     /// # Errors
-    /// The shipped plan is not of this bundle's network, a new one cannot be compiled, or the golden observations
+    /// A shipped plan is not of this bundle's network, a new one cannot be compiled, or the golden observations
     /// get other answers than the recorded ones.
-    pub fn agent(&self, bundle: &Bundle, profile: Profile) -> Result<AlignedBytes, CompileError> {
-        self.find(&Wanted::agent(bundle, profile)?)
+    pub fn agents(&self, bundle: &Bundle, profile: Profile) -> Result<AgentPlans, CompileError> {
+        let wanted = Wanted::agents(bundle, profile)?;
+        let plans = wanted.iter().map(|wanted| self.find(wanted));
+        Ok(AgentPlans::new(bundle, plans.collect::<Result<_, _>>()?))
     }
 
     /// The plan of a bundle's team-value network, if it has one.
     ///
     /// # Errors
-    /// As [`Self::agent`], with golden allocations.
+    /// As [`Self::agents`], with golden allocations.
     pub fn allocator(&self, bundle: &Bundle) -> Result<Option<AlignedBytes>, CompileError> {
         Wanted::allocator(bundle).map(|wanted| self.find(&wanted)).transpose()
     }
@@ -100,7 +105,7 @@ impl<C: Compiler> BundlePlans<C> {
     /// The plan of a bundle's proposing allocator, if it has one. Bundles record no allocations of such an allocator.
     ///
     /// # Errors
-    /// As [`Self::agent`].
+    /// As [`Self::agents`].
     pub fn proposals(
         &self,
         bundle: &Bundle,
@@ -113,19 +118,18 @@ impl<C: Compiler> BundlePlans<C> {
     /// Compiles the plans that a bundle ships, by the names of their parts.
     ///
     /// # Errors
-    /// As [`Self::agent`].
-    pub fn shipped(&self, bundle: &Bundle) -> Result<Vec<(&'static str, Vec<u8>)>, CompileError> {
+    /// As [`Self::agents`].
+    pub fn shipped(&self, bundle: &Bundle) -> Result<Vec<(String, Vec<u8>)>, CompileError> {
         let joined = proposal_files(bundle).map(|files| files.joined());
         let proposals =
             joined.as_ref().map(|joined| Wanted::proposals(bundle, joined, Profile::Exact));
-        let wanted =
-            [Some(Wanted::agent(bundle, Profile::Exact)?), Wanted::allocator(bundle), proposals];
+        let agents = Wanted::agents(bundle, Profile::Exact)?;
         let ship = |wanted: Wanted<'_>| {
             let plan = self.compiled(&wanted)?;
             self.checked(&wanted, &plan)?;
             Ok((wanted.part, plan.as_slice().to_vec()))
         };
-        wanted.into_iter().flatten().map(ship).collect()
+        agents.into_iter().chain(Wanted::allocator(bundle)).chain(proposals).map(ship).collect()
     }
 
     fn find(&self, wanted: &Wanted<'_>) -> Result<AlignedBytes, CompileError> {
@@ -145,11 +149,11 @@ impl<C: Compiler> BundlePlans<C> {
     /// The plan that the bundle ships, unless it is of another version. What else is wrong with it is an error: its
     /// hash stands in the bundle, so that it was meant to be this.
     fn of_bundle(&self, wanted: &Wanted<'_>) -> Result<Option<AlignedBytes>, CompileError> {
-        let shipped = wanted.bundle.part(wanted.part).filter(|_| wanted.profile == Profile::Exact);
+        let shipped = wanted.bundle.part(&wanted.part).filter(|_| wanted.profile == Profile::Exact);
         let Some(plan) = shipped.map(AlignedBytes::copy_of) else { return Ok(None) };
         match Plan::load(plan.as_slice()) {
             Err(PlanError::Version { .. }) => {
-                let (name, part) = (wanted.bundle.folder().display(), wanted.part);
+                let (name, part) = (wanted.bundle.folder().display(), &wanted.part);
                 (self.note)(&format!("{name}: `{part}` is of another version, a plan is compiled"));
                 return Ok(None);
             }
@@ -190,34 +194,42 @@ impl<C: Compiler> BundlePlans<C> {
     fn checked(&self, wanted: &Wanted<'_>, plan: &AlignedBytes) -> Result<(), CompileError> {
         let loaded = Plan::load(plan.as_slice())?;
         wanted.check_sizes(&loaded)?;
-        match wanted.network {
-            Network::Agent | Network::Policy if self.proves => prove_agent(loaded, wanted.bundle),
-            Network::TeamValue if self.proves => prove_allocator(loaded, wanted.bundle),
+        match (wanted.network, &wanted.graph) {
+            _ if !self.proves => Ok(()),
+            (_, Some((_, graph))) => prove_agents(loaded, wanted.bundle, *graph),
+            (Network::TeamValue, _) => prove_allocator(loaded, wanted.bundle),
             _ => Ok(()),
         }
     }
 }
 
 impl<'a> Wanted<'a> {
-    fn agent(bundle: &'a Bundle, profile: Profile) -> Result<Self, CompileError> {
+    fn agents(bundle: &'a Bundle, profile: Profile) -> Result<Vec<Self>, CompileError> {
         let policy = roles_of(bundle)?;
         let network = if policy.is_some() { Network::Policy } else { Network::Agent };
-        let (part, onnx, n_max) = (AGENT_PLAN, bundle.agent_onnx(), bundle.manifest().limits.n_max);
-        Ok(Self { bundle, part, network, onnx, profile, n_max: n_max.into(), policy })
+        let n_max = bundle.manifest().limits.n_max.into();
+        let wanted = |(graph, place): (AgentGraph, usize)| {
+            let (part, onnx, policy) =
+                (graph.plan_part(), bundle.graph_onnx(&graph), policy.clone());
+            let graph = Some((graph, place));
+            Self { bundle, part, network, onnx, profile, n_max, policy, graph }
+        };
+        Ok(bundle.agent_graphs().into_iter().zip(0..).map(wanted).collect())
     }
 
     fn allocator(bundle: &'a Bundle) -> Option<Self> {
-        let (part, network, profile) = (ALLOCATOR_PLAN, Network::TeamValue, Profile::Exact);
+        let (part, network, profile) =
+            (ALLOCATOR_PLAN.to_owned(), Network::TeamValue, Profile::Exact);
         // Several teams are valued together, and every agent is a member of some and a stranger to others: two rows.
         let n_max = (2 * usize::from(bundle.manifest().limits.n_max)).min(limits::ENTITIES);
         let onnx = bundle.allocator_onnx()?;
-        Some(Self { bundle, part, network, onnx, profile, n_max, policy: None })
+        Some(Self { bundle, part, network, onnx, profile, n_max, policy: None, graph: None })
     }
 
     fn proposals(bundle: &'a Bundle, onnx: &'a [u8], profile: Profile) -> Self {
-        let (part, network, policy) = (ALLOCATOR_PLAN, Network::Proposals, None);
+        let (part, network) = (ALLOCATOR_PLAN.to_owned(), Network::Proposals);
         let n_max = bundle.manifest().limits.n_max.into();
-        Self { bundle, part, network, onnx, profile, n_max, policy }
+        Self { bundle, part, network, onnx, profile, n_max, policy: None, graph: None }
     }
 
     fn key(&self) -> PlanKey<'_> {
@@ -234,13 +246,14 @@ impl<'a> Wanted<'a> {
 
     fn options(&self) -> CompileOptions {
         let contract = self.bundle.contract();
+        let graph = self.graph.as_ref().map(|(graph, _)| graph);
         CompileOptions {
             n_max: self.n_max,
             profile: self.profile,
             t_max: self.bundle.manifest().limits.t_max,
-            features: Some(contract.features.into()),
+            features: Some(graph.map_or(contract.features, |graph| graph.features).into()),
             contract: Some(contract.hash()),
-            team: Some(TeamSizes::of(contract, self.bundle.manifest().limits.n_max)),
+            team: graph.map(|graph| TeamSizes::of(self.bundle, graph)),
             ..CompileOptions::default()
         }
     }
@@ -259,19 +272,21 @@ impl<'a> Wanted<'a> {
         } else {
             return Ok(());
         };
-        Err(CompileError::ForeignPlan { part: self.part.into(), reason })
+        Err(CompileError::ForeignPlan { part: self.part.clone().into(), reason })
     }
 
     fn check_sizes(&self, plan: &Plan<'_>) -> Result<(), CompileError> {
         plan.check_network(self.network)?;
         let (contract, header) = (self.bundle.contract(), plan.header());
-        match self.network {
-            Network::Agent | Network::Policy => {
+        match (self.network, &self.graph) {
+            (_, Some((graph, _))) => {
                 let hidden = self.bundle.manifest().network.hidden as usize;
                 same_size("the recurrent state", plan.hidden(), hidden)?;
-                same_size("the number of utilities", plan.actions(), contract.actions.into())
+                let (features, actions) = (graph.features.into(), graph.actions.into());
+                same_size("the number of features", header.features as usize, features)?;
+                same_size("the number of utilities", plan.actions(), actions)
             }
-            Network::Proposals => {
+            (Network::Proposals, _) => {
                 let (features, wanted) = (header.features as usize, contract.features.into());
                 same_size("the allocator's number of features", features, wanted)?;
                 let (got, want) = (header.t_max, self.bundle.manifest().limits.t_max);

@@ -1,7 +1,7 @@
 //! Whether two engines give the same answers.
 
 use serde::Serialize;
-use sortie_bundle::Golden;
+use sortie_bundle::GoldenCase;
 use sortie_core::Policy;
 
 use crate::error::CompileError;
@@ -106,14 +106,14 @@ pub fn magnitude(values: &[f32]) -> f32 {
 }
 
 /// Compares a policy with recorded answers, which agents with memory gave with an empty one.
-pub fn compare_with_golden(
+pub fn compare_with_golden<'a>(
     name: &str,
     policy: &mut dyn Policy,
-    golden: &Golden,
+    cases: impl IntoIterator<Item = &'a GoldenCase>,
 ) -> Result<Comparison, CompileError> {
     let mut comparison = Comparison::new(name);
     let mut got = vec![0.0; policy.actions()];
-    for case in &golden.cases {
+    for case in cases {
         let view = case.observation.view();
         let mut memory = vec![0.0; policy.hidden()];
         policy.utilities_with(&view, &mut memory, &mut got).map_err(cannot_run)?;

@@ -5,6 +5,7 @@
 //! golden observations and allocations. [`Engines`] is what a program has that links engines for ONNX graphs.
 #![forbid(unsafe_code)]
 
+mod agent_plans;
 mod agreement;
 mod annex;
 mod attention;
@@ -32,6 +33,7 @@ mod report;
 mod team_policy;
 mod team_sizes;
 
+pub use agent_plans::{AgentPlans, policy_by_agent};
 pub use agreement::{
     Agreement, LEAST_AGREEMENT, LEAST_OBSERVATIONS, Quantised, RECORDED, agreement, quantise,
 };

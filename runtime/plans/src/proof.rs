@@ -1,22 +1,36 @@
 //! Whether a plan gives the answers that its bundle recorded: asked before anybody acts by it.
 
-use sortie_bundle::Bundle;
+use sortie_bundle::{Bundle, GoldenCase};
 use sortie_core::allocate::PlanTeamValue;
 use sortie_core::plan::{AlignedBytes, Plan, Profile};
 use sortie_core::{PlanPolicy, limits};
 
+use crate::agent_plans::policy_by_agent;
 use crate::comparison::{Comparison, TOLERANCE, compare_with_golden};
 use crate::error::CompileError;
 use crate::golden_allocations::compare_with_golden_allocations;
 
-/// Asks an agent's plan about all golden observations.
+/// Asks the plan of a bundle's graph about all golden observations of agents that decide by it.
 ///
 /// A plan of profile `int8` has to answer them; how far it may be off is a matter of [`crate::agreement`].
-pub(crate) fn prove_agent(plan: Plan<'_>, bundle: &Bundle) -> Result<(), CompileError> {
+pub(crate) fn prove_agents(
+    plan: Plan<'_>,
+    bundle: &Bundle,
+    graph: usize,
+) -> Result<(), CompileError> {
     let is_int8 = plan.header().profile == Profile::Int8;
     let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
-    let mut policy = PlanPolicy::boxed(plan, arena.as_mut_slice())?;
-    let found = compare_with_golden("plan", policy.as_mut(), bundle.golden())?;
+    let policies = [PlanPolicy::boxed(plan, arena.as_mut_slice())?];
+    // Whoever decides by the graph decides by the only plan here.
+    let graph_of = bundle.manifest().network.graph_of.iter().map(|of| usize::from(*of));
+    let graph_of: Vec<usize> = graph_of.collect();
+    let none = vec![0; graph_of.len()];
+    let mut policy = policy_by_agent(policies.into(), &none, bundle.contract().actions.into());
+    let decides = |case: &&GoldenCase| {
+        graph_of.get(case.observation.self_index).is_none_or(|of| *of == graph)
+    };
+    let cases = bundle.golden().cases.iter().filter(decides);
+    let found = compare_with_golden("plan", policy.as_mut(), cases)?;
     if is_int8 { Ok(()) } else { judge(&found) }
 }
 

@@ -1,7 +1,7 @@
 //! What the inputs of a policy over fixed sizes are where an agent of a team observes them.
 
 use serde::{Deserialize, Serialize};
-use sortie_bundle::ContractV1;
+use sortie_bundle::{AgentGraph, Bundle, ContractV1};
 use sortie_core::internal::ops::Meaning;
 
 use crate::error::CompileError;
@@ -22,13 +22,20 @@ pub struct TeamSizes {
 
 impl TeamSizes {
     /// The sizes of a contract, and of teams of so many entities.
-    pub fn of(contract: &ContractV1, entities: u16) -> Self {
+    pub fn of_contract(contract: &ContractV1, entities: u16) -> Self {
         Self {
             entities: entities.into(),
             features: contract.features.into(),
             actions: contract.actions.into(),
             last_action: contract.append_last_action,
         }
+    }
+
+    /// What agents of a bundle observe and do that decide by one of its graphs.
+    pub fn of(bundle: &Bundle, graph: &AgentGraph) -> Self {
+        let (features, actions) = (graph.features.into(), graph.actions.into());
+        let all = Self::of_contract(bundle.contract(), bundle.manifest().limits.n_max);
+        Self { features, actions, ..all }
     }
 
     /// What a network over entities takes by itself: its rows are features, without last actions.

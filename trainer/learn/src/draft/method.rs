@@ -5,18 +5,18 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use sortie_bundle::{
-    AGENT, CARD, CURVE, CURVE_DATA, ContractV1, Draft, Golden, Network, POLICY, POLICY_ROLES,
-    PolicyRoles, TRAINING,
+    AGENT, AgentGraph, CARD, CURVE, CURVE_DATA, ContractV1, Draft, Golden, Network, POLICY,
+    POLICY_ROLES, PolicyRoles, TRAINING,
 };
-use sortie_envs::{Environment, Shape};
+use sortie_envs::{Environment, Shape, Spec};
 
 use super::described::{contract, described, limits};
 use super::measured::{Measured, measured_table, read_part};
 use super::recorder::Recorder;
 use crate::error::LearnError;
 use crate::export::{
-    AGENT_NUMBER, AgentNetwork, DeployedAgents, DeployedNetworks, ExportError, RecurrentAgent,
-    agent_onnx, recurrent_agent_onnx,
+    AGENT_NUMBER, AgentNetwork, DeployedAgents, DeployedNetworks, ExportError, OwnRowNetworks,
+    RecurrentAgent, agent_onnx, recurrent_agent_onnx,
 };
 use crate::method::Method;
 use crate::play::{PolicyTeam, evaluate};
@@ -51,24 +51,22 @@ pub fn draft_method(
     let spec = run.environment.spec();
     let DeployedAgents { networks, mut policy } = run.method.deployed()?;
     let contract = contract(spec, networks.take_last_actions(spec.shape.features));
-    let agent = networks.to_part(&contract).map_err(|error| LearnError::format(folder, error))?;
+    let agents =
+        networks.to_parts(spec, &contract).map_err(|error| LearnError::format(folder, error))?;
     let mut team = PolicyTeam::new(Recorder::new(&mut *policy, spec.shape.features));
     evaluate(run.environment, &mut team, GOLDEN_EPISODES, seed)?;
     let golden = Golden { cases: team.into_policy().cases, allocations: Vec::new() };
     let mut parts = BTreeMap::from([
-        (AGENT.to_owned(), agent.onnx),
         (CARD.to_owned(), card(run, measured, &networks).into_bytes()),
         (CURVE.to_owned(), read_part(folder, CURVE)?),
         (CURVE_DATA.to_owned(), read_part(folder, CURVE_DATA)?),
         (TRAINING.to_owned(), read_part(folder, TRAINING)?),
     ]);
-    if let Some(roles) = &agent.roles {
-        parts.insert(POLICY_ROLES.to_owned(), roles.to_toml().into_bytes());
-    }
+    parts.extend(agents.parts);
     Ok(Draft {
         environment: described(run.description.config.environment.to_string(), spec, &golden.cases),
         limits: limits(sizes),
-        network: agent.network,
+        network: agents.network,
         golden,
         contract,
         parts,
@@ -76,11 +74,10 @@ pub fn draft_method(
 }
 
 /// What a bundle holds of its agents' networks.
-struct AgentPart {
-    onnx: Vec<u8>,
+struct AgentParts {
     network: Network,
-    /// What is said of its inputs, where that must be.
-    roles: Option<PolicyRoles>,
+    /// The graphs, and what is said of their inputs where that must be.
+    parts: BTreeMap<String, Vec<u8>>,
 }
 
 impl DeployedNetworks<'_> {
@@ -89,9 +86,7 @@ impl DeployedNetworks<'_> {
         matches!(self, Self::Attention { network, .. } if network.inputs != features)
     }
 
-    fn to_part(&self, contract: &ContractV1) -> Result<AgentPart, ExportError> {
-        let network =
-            |agent: &str, hidden| Network { agent: agent.to_owned(), allocator: None, hidden };
+    fn to_parts(&self, spec: &Spec, contract: &ContractV1) -> Result<AgentParts, ExportError> {
         match self {
             Self::Attention { network: layers, memory } => {
                 let agent = AgentNetwork {
@@ -107,14 +102,11 @@ impl DeployedNetworks<'_> {
                     }
                     None => agent_onnx(&agent),
                 }?;
-                Ok(AgentPart { onnx, network: network("masked-attention", hidden), roles: None })
+                let agent = "masked-attention".to_owned();
+                let network = Network { agent, hidden, ..Network::default() };
+                Ok(AgentParts { network, parts: [(AGENT.to_owned(), onnx)].into() })
             }
-            Self::OwnRow(networks) => {
-                let roles =
-                    PolicyRoles { own: Some(AGENT_NUMBER.to_owned()), ..PolicyRoles::default() };
-                let onnx = networks.to_onnx(contract.hash())?;
-                Ok(AgentPart { onnx, network: network(POLICY, 0), roles: Some(roles) })
-            }
+            Self::OwnRow(networks) => own_row_parts(networks, spec, contract),
         }
     }
 
@@ -124,9 +116,49 @@ impl DeployedNetworks<'_> {
                 "Every agent runs the same attention network over the entities that it observes."
             }
             Self::OwnRow(_) => {
-                "Every agent decides by its own row, by the network of its role or one of its own."
+                "Every agent decides by its own row alone, by the network that `bundle.toml` names for it."
             }
         }
+    }
+}
+
+/// A graph for each network; `agent.onnx` where all decide by one.
+fn own_row_parts(
+    networks: &OwnRowNetworks,
+    spec: &Spec,
+    contract: &ContractV1,
+) -> Result<AgentParts, ExportError> {
+    let mut network = Network { agent: POLICY.to_owned(), ..Network::default() };
+    let mut parts = BTreeMap::new();
+    for (index, own) in networks.networks.iter().enumerate() {
+        let [features, actions] = own.sizes().map(|size| size as u16);
+        let graph =
+            AgentGraph { name: graph_name(&networks.agents(index), spec), features, actions };
+        parts.insert(graph.onnx_part(), networks.to_onnx(index, contract.hash())?);
+        network.graphs.push(graph);
+    }
+    if networks.networks.len() == 1 {
+        network.graphs.clear();
+    } else {
+        network.graph_of = networks.network_of.iter().map(|network| *network as u16).collect();
+    }
+    if networks.told_number() {
+        let own = Some(AGENT_NUMBER.to_owned());
+        let roles = PolicyRoles { own, ..PolicyRoles::default() };
+        parts.insert(POLICY_ROLES.to_owned(), roles.to_toml().into_bytes());
+    }
+    Ok(AgentParts { network, parts })
+}
+
+/// What the graph of these agents is named by: nothing where all decide by it, else their role, or the only one's number.
+fn graph_name(agents: &[usize], spec: &Spec) -> String {
+    if agents.len() == spec.shape.agents {
+        return String::new();
+    }
+    let mut roles = spec.roles.iter();
+    match (roles.find(|role| agents.iter().copied().eq(role.agents.clone())), agents) {
+        (None, [agent, ..]) => agent.to_string(),
+        (role, _) => role.map_or(String::new(), |role| role.name.to_owned()),
     }
 }
 

@@ -19,6 +19,6 @@ pub use agent::{AgentNetwork, agent_onnx};
 pub use attention::{AttentionNetwork, ExportError, Layer, Layout, Matrix};
 pub use deployed::{DeployedAgents, DeployedNetworks};
 pub use entities::{EntityNetwork, Members, entity_network_onnx};
-pub use own_row::{AGENT_NUMBER, DenseLayer, OwnRowNetworks};
+pub use own_row::{AGENT_NUMBER, DenseLayer, OwnRowNetwork, OwnRowNetworks};
 pub use recurrent::{GruCell, RecurrentAgent, recurrent_agent_onnx};
 pub use team_value::{TeamValueExport, team_value_onnx};

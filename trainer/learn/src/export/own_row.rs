@@ -1,6 +1,4 @@
-//! `agent.onnx` of agents that decide by their own row, each by one of several networks.
-//!
-//! One graph holds them all: it is told the agent's number, and takes of every layer's sums those of the agent's network.
+//! The graphs of agents that decide by their own row, each by one of several networks.
 
 use super::attention::{ExportError, check};
 use super::onnx::{Attribute, Dim, Element, Graph};
@@ -11,21 +9,25 @@ pub const AGENT_NUMBER: &str = "agent";
 /// Networks of dense layers over an agent's own row, leaky ReLU between them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OwnRowNetworks {
-    /// Numbers d of a row; a network that takes fewer takes the first of them.
-    pub features: usize,
-    /// Actions U; those that a network does not know score 0.
-    pub actions: usize,
     /// What leaky ReLU makes of numbers below zero.
     pub slope: f32,
     /// By agents: which network is its.
     pub network_of: Vec<usize>,
-    /// By agents, `[width]`: the biases of its first layer.
-    pub first_biases: Vec<Vec<f32>>,
-    /// Their layers, as many in each.
-    pub networks: Vec<Vec<DenseLayer>>,
+    /// The networks.
+    pub networks: Vec<OwnRowNetwork>,
 }
 
-/// A layer; the first has its biases by agents.
+/// One of them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OwnRowNetwork {
+    /// Its layers: the first takes the first features of a row, the last scores the first actions.
+    pub layers: Vec<DenseLayer>,
+    /// By agents that decide by it, `[width]`: what stands for the first layer's biases. Empty where it is the same for
+    /// all; the agents follow each other.
+    pub first_biases: Vec<Vec<f32>>,
+}
+
+/// A dense layer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DenseLayer {
     /// Columns.
@@ -37,34 +39,54 @@ pub struct DenseLayer {
 }
 
 impl OwnRowNetworks {
-    /// Writes them as ONNX: `observation f32 [1, d], agent i64 [1] -> logits f32 [1, U]`.
+    /// The agents that decide by a network.
+    pub fn agents(&self, network: usize) -> Vec<usize> {
+        let agents = self.network_of.iter().enumerate();
+        agents.filter(|(_, of)| **of == network).map(|(agent, _)| agent).collect()
+    }
+
+    /// Whether graphs are told which agent decides: all are, where any makes a difference of it.
+    pub fn told_number(&self) -> bool {
+        self.networks.iter().any(|network| !network.first_biases.is_empty())
+    }
+
+    /// Writes one as ONNX: `observation f32 [1, d] -> logits f32 [1, U]`, with the input `agent i64 [1]` where graphs
+    /// are told who decides.
     ///
     /// # Errors
     /// A number is not finite.
-    pub fn to_onnx(&self, contract: u64) -> Result<Vec<u8>, ExportError> {
+    pub fn to_onnx(&self, network: usize, contract: u64) -> Result<Vec<u8>, ExportError> {
         let mut graph = Graph::default();
         let one = Dim::Fixed(1);
-        let row = "The agent's own row, zeros behind what it sees.";
-        graph.input("observation", Element::Float, &[one, Dim::Fixed(self.features)], row);
-        graph.input(AGENT_NUMBER, Element::Int64, &[one], "The agent's number, from 0.");
+        let OwnRowNetwork { layers, .. } = &self.networks[network];
+        let [features, actions] = self.networks[network].sizes();
+        let row = "The agent's own row, as far as it sees.";
+        graph.input("observation", Element::Float, &[one, Dim::Fixed(features)], row);
+        if self.told_number() {
+            graph.input(AGENT_NUMBER, Element::Int64, &[one], "The agent's number, from 0.");
+        }
         let scores = "A score for every action, not masked by availability.";
-        graph.output("logits", Element::Float, &[one, Dim::Fixed(self.actions)], scores);
-        self.add_network_of(&mut graph);
+        graph.output("logits", Element::Float, &[one, Dim::Fixed(actions)], scores);
         let mut from = "observation".to_owned();
-        let mut inputs = self.features;
-        let layers = self.networks.iter().map(Vec::len).max().unwrap_or(0);
-        for layer in 0..layers {
-            let last = layer + 1 == layers;
-            let outputs = if last { self.actions } else { self.width(layer) };
-            from = self.add_layer(&mut graph, layer, [inputs, outputs], &from)?;
-            inputs = outputs;
-            if last {
-                graph.node("logits", "Identity", &[&from], &[]);
+        for (index, layer) in layers.iter().enumerate() {
+            let named = |what: &str| format!("layer.{index}.{what}");
+            check("policy.weight", &layer.weight, layer.inputs * layer.bias.len())?;
+            graph.floats(&named("weight"), &[layer.inputs, layer.bias.len()], &layer.turned());
+            let products =
+                graph.node(&named("products"), "MatMul", &[&from, &named("weight")], &[]);
+            let bias = if index == 0 && self.told_number() {
+                self.add_biases(&mut graph, network, &named("biases"))?
             } else {
+                check("policy.bias", &layer.bias, layer.bias.len())?;
+                graph.floats(&named("bias"), &[layer.bias.len()], &layer.bias).to_owned()
+            };
+            from = graph.node(&named("sums"), "Add", &[&products, &bias], &[]);
+            if index + 1 < layers.len() {
                 let slope = Attribute::Float("alpha", self.slope);
-                from = graph.node(&format!("hidden.{layer}"), "LeakyRelu", &[&from], &[slope]);
+                from = graph.node(&format!("hidden.{index}"), "LeakyRelu", &[&from], &[slope]);
             }
         }
+        graph.node("logits", "Identity", &[&from], &[]);
         let metadata = [
             ("sortie.graph", "policy".to_owned()),
             ("sortie.format", "1".to_owned()),
@@ -73,73 +95,43 @@ impl OwnRowNetworks {
         Ok(graph.into_model("agent", DOC, &metadata))
     }
 
-    fn width(&self, layer: usize) -> usize {
-        let widths = self.networks.iter().filter_map(|layers| layers.get(layer));
-        widths.map(|layer| layer.bias.len()).max().unwrap_or(0)
-    }
-
-    /// Looks up which network is the agent's, where there are several.
-    fn add_network_of(&self, graph: &mut Graph) {
-        if self.networks.len() > 1 {
-            let numbers: Vec<i64> = self.network_of.iter().map(|network| *network as i64).collect();
-            graph.integers("network_of", &numbers);
-            graph.node("network", "Gather", &["network_of", AGENT_NUMBER], &[]);
-        }
-    }
-
-    /// Adds a layer of all networks side by side, of which the agent's is taken; returns the name of its sums.
-    fn add_layer(
+    /// Adds the first layer's biases, a row for every agent of the team, and takes that of the agent that decides.
+    fn add_biases(
         &self,
         graph: &mut Graph,
-        layer: usize,
-        [inputs, outputs]: [usize; 2],
-        from: &str,
+        network: usize,
+        name: &str,
     ) -> Result<String, ExportError> {
-        let count = self.networks.len();
-        let named = |what: &str| format!("layer.{layer}.{what}");
-        let layers = || self.networks.iter().filter_map(|layers| layers.get(layer));
-        let weight: Vec<f32> = (0..inputs)
-            .flat_map(|input| layers().flat_map(move |layer| layer.column(input, outputs)))
-            .collect();
-        check("policy.weight", &weight, inputs * outputs * count)?;
-        graph.floats(&named("weight"), &[inputs, outputs * count], &weight);
-        let mut sums = graph.node(&named("products"), "MatMul", &[from, &named("weight")], &[]);
-        if layer > 0 {
-            let bias: Vec<f32> = layers().flat_map(|layer| filled(&layer.bias, outputs)).collect();
-            check("policy.bias", &bias, outputs * count)?;
-            graph.floats(&named("bias"), &[outputs * count], &bias);
-            sums = graph.node(&named("sums"), "Add", &[&sums, &named("bias")], &[]);
-        }
-        if count > 1 {
-            graph.integers(&named("sizes"), &[count as i64, outputs as i64]);
-            let all = graph.node(&named("all"), "Reshape", &[&sums, &named("sizes")], &[]);
-            sums = graph.node(&named("own"), "Gather", &[&all, "network"], &[]);
-        }
-        if layer == 0 {
-            let biases: Vec<f32> =
-                self.first_biases.iter().flat_map(|bias| filled(bias, outputs)).collect();
-            check("policy.bias", &biases, outputs * self.network_of.len())?;
-            graph.floats(&named("biases"), &[self.network_of.len(), outputs], &biases);
-            let biases = [&named("biases"), AGENT_NUMBER];
-            let bias = graph.node(&named("bias"), "Gather", &biases, &[]);
-            sums = graph.node(&named("sums"), "Add", &[&sums, &bias], &[]);
-        }
-        Ok(sums)
+        let OwnRowNetwork { layers, first_biases } = &self.networks[network];
+        let same = layers.first().map_or(&[][..], |layer| &layer.bias);
+        let mut own = first_biases.iter();
+        let rows = self.network_of.iter().map(|of| match *of == network {
+            true => own.next().map_or(same, Vec::as_slice),
+            // Nobody else decides by this network.
+            false => same,
+        });
+        let biases: Vec<f32> = rows.flatten().copied().collect();
+        let agents = self.network_of.len();
+        check("policy.bias", &biases, agents * same.len())?;
+        graph.floats(name, &[agents, same.len()], &biases);
+        Ok(graph.node(&format!("{name}.own"), "Gather", &[name, AGENT_NUMBER], &[]))
     }
 }
 
-const DOC: &str = "Scores of one agent's actions, by its own row and its number.";
+const DOC: &str = "Scores of one agent's actions, by its own row.";
+
+impl OwnRowNetwork {
+    /// Features that it takes, and actions that it scores.
+    pub fn sizes(&self) -> [usize; 2] {
+        let ends = (self.layers.first(), self.layers.last());
+        [ends.0.map_or(0, |layer| layer.inputs), ends.1.map_or(0, |layer| layer.bias.len())]
+    }
+}
 
 impl DenseLayer {
-    /// The weights of an input, zeros where the layer has none.
-    fn column(&self, input: usize, outputs: usize) -> impl Iterator<Item = f32> + '_ {
-        let rows = self.weight.chunks_exact(self.inputs);
-        let weights = rows.map(move |row| row.get(input).copied().unwrap_or(0.0));
-        weights.chain(std::iter::repeat(0.0)).take(outputs)
+    /// `[inputs, outputs]`
+    fn turned(&self) -> Vec<f32> {
+        let column = |input| self.weight.iter().skip(input).step_by(self.inputs);
+        (0..self.inputs).flat_map(column).copied().collect()
     }
-}
-
-/// Numbers, and zeros behind them.
-fn filled(numbers: &[f32], length: usize) -> impl Iterator<Item = f32> + '_ {
-    numbers.iter().copied().chain(std::iter::repeat(0.0)).take(length)
 }

@@ -1,39 +1,41 @@
-//! The agents as they are deployed: by one graph over an agent's own row and its number.
+//! The agents as they are deployed: by graphs over an agent's own row, one for each group.
 
 use sortie_core::choose::masked_argmax;
 use sortie_core::{DecideError, Decision, Observation, Policy};
-use sortie_learn::export::{DenseLayer, DeployedAgents, DeployedNetworks, OwnRowNetworks};
+use sortie_learn::export::{
+    DenseLayer, DeployedAgents, DeployedNetworks, OwnRowNetwork, OwnRowNetworks,
+};
 use sortie_nn::layers::normalise::EPSILON;
 use sortie_nn::tape::Linear;
 
 use super::acting::{Acting, Actors};
 use super::critic::SLOPE;
 
-/// The agents that these policies are, in teams with rows and actions of these numbers.
-pub(super) fn deployed(actors: Actors<'_>, sizes: [usize; 2]) -> DeployedAgents<'_> {
-    let [features, actions] = sizes;
+/// The agents that these policies are, in teams with so many actions.
+pub(super) fn deployed(actors: Actors<'_>, actions: usize) -> DeployedAgents<'_> {
     let policy = OwnPass { actors, acting: Acting::default(), actions };
     DeployedAgents {
-        networks: DeployedNetworks::OwnRow(networks(actors, features, actions)),
+        networks: DeployedNetworks::OwnRow(networks(actors)),
         policy: Box::new(policy),
     }
 }
 
 /// The policies' layers. What is done to their inputs is folded into the first, and what an agent's number changes.
-fn networks(actors: Actors<'_>, features: usize, actions: usize) -> OwnRowNetworks {
-    let (mut network_of, mut first_biases, mut networks) = (Vec::new(), Vec::new(), Vec::new());
+fn networks(actors: Actors<'_>) -> OwnRowNetworks {
+    let (mut network_of, mut networks) = (Vec::new(), Vec::new());
     for (index, layers) in actors.policies.layers().enumerate() {
         let group = &actors.groups.0[index];
         let columns = Columns::of(actors, index);
         let [mut first, second, last] = layers.map(|layer| dense(actors.weights, layer));
-        for place in 0..group.agents.len() {
-            network_of.push(index);
-            first_biases.push(columns.biases(&first, group.observed + place));
-        }
+        network_of.resize(group.agents.end, index);
+        let of_agent = |place| columns.biases(&first, Some(group.observed + place));
+        let told = if group.identity { group.agents.len() } else { 0 };
+        let first_biases = (0..told).map(of_agent).collect();
+        first.bias = columns.biases(&first, None);
         columns.fold(&mut first, group.observed);
-        networks.push(vec![first, second, last]);
+        networks.push(OwnRowNetwork { layers: vec![first, second, last], first_biases });
     }
-    OwnRowNetworks { features, actions, slope: SLOPE, network_of, first_biases, networks }
+    OwnRowNetworks { slope: SLOPE, network_of, networks }
 }
 
 /// What becomes of each input of a group's network: a factor times it, and an offset.
@@ -56,13 +58,13 @@ impl Columns {
         Self((0..group.inputs()).map(column).collect())
     }
 
-    /// The biases of a layer behind them, where one input is 1; of an agent that is not told its number none is.
-    fn biases(&self, layer: &DenseLayer, one: usize) -> Vec<f32> {
+    /// The biases of a layer behind them where one input is 1, or none.
+    fn biases(&self, layer: &DenseLayer, one: Option<usize>) -> Vec<f32> {
         let rows = layer.weight.chunks_exact(layer.inputs).zip(&layer.bias);
         let bias = |(row, bias): (&[f32], &f32)| {
             let inputs = row.iter().zip(&self.0).enumerate();
             let shown = inputs.map(|(column, (weight, [factor, offset]))| {
-                let one = f64::from(u8::from(column == one));
+                let one = f64::from(u8::from(Some(column) == one));
                 f64::from(*weight) * (factor * one + offset)
             });
             (f64::from(*bias) + shown.sum::<f64>()) as f32

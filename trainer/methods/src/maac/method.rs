@@ -35,8 +35,8 @@ pub struct Maac {
     future: Future,
     last: Vec<f32>,
     seen: Observation,
-    /// Numbers of a row and actions of an agent, the most of any.
-    sizes: [usize; 2],
+    /// Actions of an agent, the most of any.
+    actions: usize,
 }
 
 /// What an instance is doing.
@@ -76,7 +76,7 @@ impl Maac {
             future: Future::default(),
             last: Vec::new(),
             seen: Observation::default(),
-            sizes: [spec.shape.features, spec.shape.actions],
+            actions: spec.shape.actions,
             config,
         }
     }
@@ -258,7 +258,7 @@ impl Method for Maac {
     }
 
     fn deployed(&self) -> Result<DeployedAgents<'_>, LearnError> {
-        Ok(deployed(self.measured(), self.sizes))
+        Ok(deployed(self.measured(), self.actions))
     }
 
     fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {

@@ -101,7 +101,7 @@ pub fn draft_bundle(
         network: Network {
             agent: "masked-attention".to_owned(),
             allocator: kind.map(str::to_owned),
-            hidden: 0,
+            ..Network::default()
         },
         golden,
         contract,
