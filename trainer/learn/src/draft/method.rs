@@ -131,7 +131,7 @@ fn own_row_parts(
     let mut network = Network { agent: POLICY.to_owned(), ..Network::default() };
     let mut parts = BTreeMap::new();
     for (index, own) in networks.networks.iter().enumerate() {
-        let [features, actions] = own.sizes().map(|size| size as u16);
+        let [features, actions] = [own.features, own.actions()].map(|size| size as u16);
         let graph =
             AgentGraph { name: graph_name(&networks.agents(index), spec), features, actions };
         parts.insert(graph.onnx_part(), networks.to_onnx(index, contract.hash())?);

@@ -20,11 +20,11 @@ pub struct OwnRowNetworks {
 /// One of them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OwnRowNetwork {
-    /// Its layers: the first takes the first features of a row, the last scores the first actions.
+    /// Features that it takes, the first of a row.
+    pub features: usize,
+    /// Its layers. The first may take besides which of the network's agents decides, as zeros and a one; the last scores
+    /// the first actions.
     pub layers: Vec<DenseLayer>,
-    /// By agents that decide by it, `[width]`: what stands for the first layer's biases. Empty where it is the same for
-    /// all; the agents follow each other.
-    pub first_biases: Vec<Vec<f32>>,
 }
 
 /// A dense layer.
@@ -45,9 +45,11 @@ impl OwnRowNetworks {
         agents.filter(|(_, of)| **of == network).map(|(agent, _)| agent).collect()
     }
 
-    /// Whether graphs are told which agent decides: all are, where any makes a difference of it.
+    /// Whether graphs are told which agent decides: all are, where it matters to any.
     pub fn told_number(&self) -> bool {
-        self.networks.iter().any(|network| !network.first_biases.is_empty())
+        let takes =
+            |network: &OwnRowNetwork| network.layers.first().map_or(0, |first| first.inputs);
+        self.networks.iter().any(|network| takes(network) > network.features)
     }
 
     /// Writes one as ONNX: `observation f32 [1, d] -> logits f32 [1, U]`, with the input `agent i64 [1]` where graphs
@@ -58,33 +60,35 @@ impl OwnRowNetworks {
     pub fn to_onnx(&self, network: usize, contract: u64) -> Result<Vec<u8>, ExportError> {
         let mut graph = Graph::default();
         let one = Dim::Fixed(1);
-        let OwnRowNetwork { layers, .. } = &self.networks[network];
-        let [features, actions] = self.networks[network].sizes();
+        let OwnRowNetwork { features, layers } = &self.networks[network];
         let row = "The agent's own row, as far as it sees.";
-        graph.input("observation", Element::Float, &[one, Dim::Fixed(features)], row);
+        graph.input("observation", Element::Float, &[one, Dim::Fixed(*features)], row);
+        let scores = "A score for every action, not masked by availability.";
+        let actions = self.networks[network].actions();
+        graph.output("logits", Element::Float, &[one, Dim::Fixed(actions)], scores);
+        let (mut from, mut inputs) = ("observation".to_owned(), *features);
         if self.told_number() {
             graph.input(AGENT_NUMBER, Element::Int64, &[one], "The agent's number, from 0.");
+            (from, inputs) = self.add_number(&mut graph, network, [&from, AGENT_NUMBER]);
         }
-        let scores = "A score for every action, not masked by availability.";
-        graph.output("logits", Element::Float, &[one, Dim::Fixed(actions)], scores);
-        let mut from = "observation".to_owned();
         for (index, layer) in layers.iter().enumerate() {
             let named = |what: &str| format!("layer.{index}.{what}");
-            check("policy.weight", &layer.weight, layer.inputs * layer.bias.len())?;
-            graph.floats(&named("weight"), &[layer.inputs, layer.bias.len()], &layer.turned());
+            let outputs = layer.bias.len();
+            check("policy.weight", &layer.weight, layer.inputs * outputs)?;
+            check("policy.bias", &layer.bias, outputs)?;
+            let mut weight = layer.turned();
+            // A network that makes no difference between agents has no weights for their numbers.
+            weight.resize(inputs * outputs, 0.0);
+            graph.floats(&named("weight"), &[inputs, outputs], &weight);
+            graph.floats(&named("bias"), &[outputs], &layer.bias);
             let products =
                 graph.node(&named("products"), "MatMul", &[&from, &named("weight")], &[]);
-            let bias = if index == 0 && self.told_number() {
-                self.add_biases(&mut graph, network, &named("biases"))?
-            } else {
-                check("policy.bias", &layer.bias, layer.bias.len())?;
-                graph.floats(&named("bias"), &[layer.bias.len()], &layer.bias).to_owned()
-            };
-            from = graph.node(&named("sums"), "Add", &[&products, &bias], &[]);
+            from = graph.node(&named("sums"), "Add", &[&products, &named("bias")], &[]);
             if index + 1 < layers.len() {
                 let slope = Attribute::Float("alpha", self.slope);
                 from = graph.node(&format!("hidden.{index}"), "LeakyRelu", &[&from], &[slope]);
             }
+            inputs = outputs;
         }
         graph.node("logits", "Identity", &[&from], &[]);
         let metadata = [
@@ -95,36 +99,33 @@ impl OwnRowNetworks {
         Ok(graph.into_model("agent", DOC, &metadata))
     }
 
-    /// Adds the first layer's biases, a row for every agent of the team, and takes that of the agent that decides.
-    fn add_biases(
+    /// Adds to a row which of the network's agents decides; returns the name and the columns of both.
+    fn add_number(
         &self,
         graph: &mut Graph,
         network: usize,
-        name: &str,
-    ) -> Result<String, ExportError> {
-        let OwnRowNetwork { layers, first_biases } = &self.networks[network];
-        let same = layers.first().map_or(&[][..], |layer| &layer.bias);
-        let mut own = first_biases.iter();
-        let rows = self.network_of.iter().map(|of| match *of == network {
-            true => own.next().map_or(same, Vec::as_slice),
-            // Nobody else decides by this network.
-            false => same,
-        });
-        let biases: Vec<f32> = rows.flatten().copied().collect();
-        let agents = self.network_of.len();
-        check("policy.bias", &biases, agents * same.len())?;
-        graph.floats(name, &[agents, same.len()], &biases);
-        Ok(graph.node(&format!("{name}.own"), "Gather", &[name, AGENT_NUMBER], &[]))
+        [row, number]: [&str; 2],
+    ) -> (String, usize) {
+        let agents: Vec<i64> = self.agents(network).into_iter().map(|agent| agent as i64).collect();
+        let columns = agents.len();
+        graph.integers("agents", &agents);
+        graph.integers("agents.sizes", &[1, columns as i64]);
+        graph.node("is_agent", "Equal", &[number, "agents"], &[]);
+        let float = Attribute::Int("to", Element::Float.id());
+        graph.node("is_agent.numbers", "Cast", &["is_agent"], &[float]);
+        graph.node("identity", "Reshape", &["is_agent.numbers", "agents.sizes"], &[]);
+        let axis = Attribute::Int("axis", 1);
+        let shown = graph.node("shown", "Concat", &[row, "identity"], &[axis]);
+        (shown, self.networks[network].features + columns)
     }
 }
 
 const DOC: &str = "Scores of one agent's actions, by its own row.";
 
 impl OwnRowNetwork {
-    /// Features that it takes, and actions that it scores.
-    pub fn sizes(&self) -> [usize; 2] {
-        let ends = (self.layers.first(), self.layers.last());
-        [ends.0.map_or(0, |layer| layer.inputs), ends.1.map_or(0, |layer| layer.bias.len())]
+    /// Actions that it scores.
+    pub fn actions(&self) -> usize {
+        self.layers.last().map_or(0, |layer| layer.bias.len())
     }
 }
 

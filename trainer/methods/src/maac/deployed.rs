@@ -20,20 +20,16 @@ pub(super) fn deployed(actors: Actors<'_>, actions: usize) -> DeployedAgents<'_>
     }
 }
 
-/// The policies' layers. What is done to their inputs is folded into the first, and what an agent's number changes.
+/// The policies' layers. What is done to their inputs is folded into the first.
 fn networks(actors: Actors<'_>) -> OwnRowNetworks {
     let (mut network_of, mut networks) = (Vec::new(), Vec::new());
     for (index, layers) in actors.policies.layers().enumerate() {
         let group = &actors.groups.0[index];
-        let columns = Columns::of(actors, index);
         let [mut first, second, last] = layers.map(|layer| dense(actors.weights, layer));
+        Columns::of(actors, index).fold(&mut first);
         network_of.resize(group.agents.end, index);
-        let of_agent = |place| columns.biases(&first, Some(group.observed + place));
-        let told = if group.identity { group.agents.len() } else { 0 };
-        let first_biases = (0..told).map(of_agent).collect();
-        first.bias = columns.biases(&first, None);
-        columns.fold(&mut first, group.observed);
-        networks.push(OwnRowNetwork { layers: vec![first, second, last], first_biases });
+        networks
+            .push(OwnRowNetwork { features: group.observed, layers: vec![first, second, last] });
     }
     OwnRowNetworks { slope: SLOPE, network_of, networks }
 }
@@ -58,29 +54,17 @@ impl Columns {
         Self((0..group.inputs()).map(column).collect())
     }
 
-    /// The biases of a layer behind them where one input is 1, or none.
-    fn biases(&self, layer: &DenseLayer, one: Option<usize>) -> Vec<f32> {
-        let rows = layer.weight.chunks_exact(layer.inputs).zip(&layer.bias);
-        let bias = |(row, bias): (&[f32], &f32)| {
-            let inputs = row.iter().zip(&self.0).enumerate();
-            let shown = inputs.map(|(column, (weight, [factor, offset]))| {
-                let one = f64::from(u8::from(Some(column) == one));
-                f64::from(*weight) * (factor * one + offset)
-            });
-            (f64::from(*bias) + shown.sum::<f64>()) as f32
-        };
-        rows.map(bias).collect()
-    }
-
-    /// Takes the factors into a layer behind them, and leaves out the inputs behind what is observed.
-    fn fold(&self, layer: &mut DenseLayer, observed: usize) {
-        let rows = layer.weight.chunks_exact(layer.inputs);
-        let row = |row: &[f32]| {
-            let weights = row.iter().zip(&self.0).take(observed);
-            weights.map(|(weight, [factor, _])| (f64::from(*weight) * factor) as f32).collect()
-        };
-        layer.weight = rows.flat_map(|weights| -> Vec<f32> { row(weights) }).collect();
-        layer.inputs = observed;
+    /// Takes factors and offsets into a layer behind them.
+    fn fold(&self, layer: &mut DenseLayer) {
+        let rows = layer.weight.chunks_exact_mut(layer.inputs).zip(&mut layer.bias);
+        for (row, bias) in rows {
+            let mut sum = f64::from(*bias);
+            for (weight, [factor, offset]) in row.iter_mut().zip(&self.0) {
+                sum += f64::from(*weight) * offset;
+                *weight = (f64::from(*weight) * factor) as f32;
+            }
+            *bias = sum as f32;
+        }
     }
 }
 
