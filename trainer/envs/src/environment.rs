@@ -255,8 +255,8 @@ pub trait Environment: Any + Send + Sync {
         let _ = (state, turn, task, wanted, rows);
     }
 
-    /// Writes `[A]` the entities that truly belong with each agent, which agents do not see and oracle masks of
-    /// REFIL show; false where there is no such truth.
+    /// Writes `[A]` the entities that truly belong with each agent, itself among them: what oracle masks of REFIL show,
+    /// and what attention is measured by; false where there is no such truth.
     fn companions(&self, state: &[u8], companions: &mut [EntitySet]) -> bool {
         let _ = (state, companions);
         false

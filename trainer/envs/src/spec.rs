@@ -111,6 +111,8 @@ pub struct Spec {
     pub roles: Vec<Role>,
     /// The action of an agent that nobody decides for: always available, and as harmless as any.
     pub safe_action: Option<u16>,
+    /// Whether episodes can be solved; where none can, returns alone say how good a team is.
+    pub has_success: bool,
     /// What an episode comes to, besides its return, its length and whether it was solved.
     pub metrics: &'static [Metric],
     /// Why episodes fail, by names; none where causes are not told apart.
@@ -144,6 +146,7 @@ impl Default for Spec {
             actions: Vec::new(),
             roles: Vec::new(),
             safe_action: None,
+            has_success: true,
             metrics: &[],
             causes: &[],
             rewards: Rewards::default(),
@@ -158,7 +161,8 @@ impl Default for Spec {
 }
 
 impl Spec {
-    fn role_of(&self, agent: usize) -> Option<&Role> {
+    /// The role of an agent, where not all are alike.
+    pub fn role_of(&self, agent: usize) -> Option<&Role> {
         self.roles.iter().find(|role| role.agents.contains(&agent))
     }
 

@@ -7,6 +7,7 @@ use alloc::vec::Vec;
 use super::bytes::{Reader, write_movers, write_number, write_point};
 use super::columns::{Names, Row};
 use super::physics::{Body, MOVES, Mover, advance, touch};
+use super::picture::{Disc, Drawn, Picture, Thing};
 use super::plane::{Point, anywhere, from_to, squared_distance};
 use super::scenario::Scenario;
 use super::steering::{pair_nearest, towards};
@@ -15,6 +16,8 @@ use crate::spec::{Metric, Role};
 
 /// Numbers of an utterance, which nobody makes.
 const UTTERANCE: usize = 2;
+
+const LANDMARK_RADIUS: f64 = 0.05;
 
 const BODY: Body =
     Body { radius: 0.15, mass: 1.0, thrust: 5.0, max_speed: f64::INFINITY, collides: true };
@@ -157,6 +160,17 @@ impl Scenario for Navigation {
         }
         for (_, other) in world.movers.iter().enumerate().filter(|(other, _)| *other != agent) {
             row.pair(from_to(own.position, other.position));
+        }
+    }
+
+    fn picture(&self, world: &Navigated) -> Picture {
+        let disc = |place, radius| Some(Disc { place, radius });
+        let agent =
+            |mover: &Mover| Drawn { disc: disc(mover.position, BODY.radius), ..Drawn::default() };
+        let thing = |place: &Point| Thing { disc: disc(*place, LANDMARK_RADIUS), kind: None };
+        Picture {
+            agents: world.movers.iter().map(agent).collect(),
+            things: world.landmarks.iter().map(thing).collect(),
         }
     }
 

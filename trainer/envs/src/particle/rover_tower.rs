@@ -9,6 +9,7 @@ use core::mem;
 use super::bytes::{Reader, write_choice, write_movers, write_point};
 use super::columns::{Names, Row};
 use super::physics::{ACTIONS, Body, MOVES, Mover, advance};
+use super::picture::{Disc, Drawn, Picture, Thing};
 use super::plane::{Point, anywhere, squared_distance};
 use super::scenario::Scenario;
 use super::steering::towards;
@@ -194,6 +195,32 @@ impl Scenario for RoverTower {
             row.flags(Some(tower.rover), pairs);
             row.pair(world.movers[usize::from(tower.rover)].position);
             row.pair(world.landmarks[usize::from(tower.goal)]);
+        }
+    }
+
+    fn picture(&self, world: &Roved) -> Picture {
+        let disc = |place, radius| Some(Disc { place, radius });
+        let rover = |(rover, mover): (usize, &Mover)| {
+            let leads = |tower: &Tower| usize::from(tower.rover) == rover;
+            let tower = world.towers.iter().position(leads);
+            Drawn {
+                disc: disc(mover.position, ROVER.radius),
+                partner: tower.map(|tower| self.rovers() + tower),
+                goal: tower.map(|tower| world.towers[tower].goal.into()),
+                ..Drawn::default()
+            }
+        };
+        let tower = |tower: &Tower| Drawn {
+            says: tower.said,
+            partner: Some(tower.rover.into()),
+            goal: Some(tower.goal.into()),
+            ..Drawn::default()
+        };
+        let rovers = world.movers.iter().enumerate().map(rover);
+        let thing = |place: &Point| Thing { disc: disc(*place, LANDMARK_RADIUS), kind: None };
+        Picture {
+            agents: rovers.chain(world.towers.iter().map(tower)).collect(),
+            things: world.landmarks.iter().map(thing).collect(),
         }
     }
 

@@ -5,6 +5,7 @@ use core::fmt::Debug;
 
 use super::bytes::Reader;
 use super::columns::Row;
+use super::picture::Picture;
 use crate::random::Random;
 use crate::spec::{Metric, Role};
 
@@ -47,6 +48,9 @@ pub trait Scenario: Clone + Debug + Send + Sync + 'static {
 
     /// Writes what an agent sees.
     fn observe(&self, world: &Self::World, agent: usize, row: &mut Row<'_>);
+
+    /// What there is to draw of a world.
+    fn picture(&self, world: &Self::World) -> Picture;
 
     /// Writes the actions of a team that knows the whole world.
     fn script(&self, world: &Self::World, actions: &mut [u16]);

@@ -11,6 +11,7 @@ use super::VERSION;
 use super::columns::Row;
 use super::navigation::Navigation;
 use super::physics::ACTIONS;
+use super::picture::Picture;
 use super::rover_tower::RoverTower;
 use super::scenario::Scenario;
 use super::simulator::Particle;
@@ -214,6 +215,15 @@ impl<S: Scenario> Environment for Particle<S> {
     fn scripted(&self, state: &[u8], _: &[u8], _: &mut Random, actions: &mut [u16]) -> bool {
         self.scenario().script(&self.known(state), actions);
         true
+    }
+
+    /// The pairs of a rover and its tower.
+    fn companions(&self, state: &[u8], companions: &mut [EntitySet]) -> bool {
+        let Picture { agents, .. } = self.scenario().picture(&self.known(state));
+        for (agent, (drawn, companions)) in agents.iter().zip(companions).enumerate() {
+            *companions = 1 << agent | drawn.partner.map_or(0, |partner| 1 << partner);
+        }
+        agents.iter().any(|drawn| drawn.partner.is_some())
     }
 
     fn potential(&self, state: &[u8], scale: f32, team: AgentSet, _: Option<usize>) -> f32 {

@@ -31,6 +31,7 @@ pub(super) fn spec<S: Scenario>(scenario: &S) -> Spec {
         actions: widest.actions,
         roles,
         safe_action: Some(0),
+        has_success: false,
         metrics: S::METRICS,
         rewards: Rewards { tasks: false, agents: true },
         row_entries: features,

@@ -3,6 +3,7 @@
 mod conformance;
 mod golden;
 mod liar;
+mod picture;
 mod recorded;
 mod returns;
 mod rules;

@@ -14,6 +14,7 @@ use serde::Deserialize;
 use super::bytes::Reader;
 use super::columns::Row;
 use super::physics::{Body, Mover};
+use super::picture::{Disc, Drawn, Picture, Thing};
 use super::plane::{Point, anywhere};
 use super::scenario::Scenario;
 use crate::random::{Random, below};
@@ -167,6 +168,23 @@ impl Scenario for TreasureCollection {
 
     fn observe(&self, world: &Hoard, agent: usize, row: &mut Row<'_>) {
         self.see(world, agent, row);
+    }
+
+    fn picture(&self, world: &Hoard) -> Picture {
+        let agent = |(agent, mover): (usize, &Mover)| Drawn {
+            disc: Some(Disc { place: mover.position, radius: self.bodies[agent].radius }),
+            takes: agent.checked_sub(self.collectors).map(|kind| kind as u8),
+            holds: world.hands.get(agent).and_then(|hand| hand.now),
+            ..Drawn::default()
+        };
+        let thing = |treasure: &Treasure| {
+            let disc = Disc { place: treasure.position, radius: TREASURE_RADIUS };
+            Thing { disc: treasure.is_alive().then_some(disc), kind: Some(treasure.kind) }
+        };
+        Picture {
+            agents: world.movers.iter().enumerate().map(agent).collect(),
+            things: world.treasures.iter().map(thing).collect(),
+        }
     }
 
     fn script(&self, world: &Hoard, actions: &mut [u16]) {
