@@ -40,6 +40,15 @@ impl Scenes<'_> {
     }
 }
 
+/// What an agent thinks in a scene.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Thought {
+    /// `[U]`: scores of its actions, whose softmax are their chances.
+    pub scores: Vec<f32>,
+    /// Other agents and how much its critic looks at each, by heads; empty where it looks at nobody in particular.
+    pub attention: Vec<(usize, Vec<f32>)>,
+}
+
 /// What chooses the actions of all agents, the best that it knows.
 pub trait Act {
     /// Writes `[scenes, A]` an available action of every agent that exists; what stands for others does not matter.
@@ -59,6 +68,13 @@ pub trait Act {
     fn allocation(&self, instance: usize) -> &[u8] {
         let _ = instance;
         &[]
+    }
+
+    /// `[scenes, A]`: what the agents think where these are their actions, for whoever looks on; empty where the team
+    /// does not tell.
+    fn thoughts(&mut self, scenes: &Scenes<'_>, actions: &[u16]) -> Vec<Thought> {
+        let _ = (scenes, actions);
+        Vec::new()
     }
 }
 

@@ -63,10 +63,11 @@ pub(super) struct Acting {
     seen: Observation,
     /// `[scenes, observed]`
     pub(super) observations: Vec<f32>,
-    shown: Vec<Vec<f32>>,
+    /// By groups, `[scenes, agents, inputs]`.
+    pub(super) shown: Vec<Vec<f32>>,
     tape: Tape,
     /// By groups, `[scenes, agents, actions]`.
-    scores: Vec<Vec<f32>>,
+    pub(super) scores: Vec<Vec<f32>>,
 }
 
 /// The policies that act.

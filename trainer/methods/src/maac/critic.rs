@@ -95,6 +95,8 @@ pub struct Order {
 pub struct Values {
     /// By groups, `[rows, actions]`: the value of each own action, or `[rows, 1]` of the one that it sees.
     pub of_actions: Vec<Var>,
+    /// `[rows, width]`: what attention makes of the others, where it is learned.
+    pub attended: Option<Var>,
     /// `[rows, 1]`: the squared scores of attention, where it is learned.
     pub squared_scores: Option<Var>,
     /// By groups, `[rows, actions]`: the leaves of own actions that it sees.
@@ -236,8 +238,8 @@ impl Attentive {
             .collect();
         let encoded = pass.stack(&encoded);
         let values = leaky(pass, encoded, self.value);
-        let (of_others, squared_scores) = match self.looks {
-            None => (mean_of_others(pass, values, &order.records, groups.agents()), None),
+        let (of_others, attended, squared_scores) = match self.looks {
+            None => (mean_of_others(pass, values, &order.records, groups.agents()), None, None),
             Some([query, key]) => {
                 let all = pass.stack(&states);
                 let queries = pass.linear(all, query);
@@ -245,7 +247,7 @@ impl Attentive {
                 let keys_values = pass.concat(&[keys, values]);
                 let seen = pass.attention(queries, keys_values, &order.others, self.heads);
                 let scores = pass.squared_scores(queries, keys_values, &order.others, self.heads);
-                (seen, Some(scores))
+                (seen, Some(seen), Some(scores))
             }
         };
         let of_actions = layers().zip(states).map(|((layers, group), state)| {
@@ -254,7 +256,7 @@ impl Attentive {
             let hidden = leaky(pass, both, layers.hidden);
             pass.linear(hidden, layers.head)
         });
-        Values { of_actions: of_actions.collect(), squared_scores, own: Vec::new() }
+        Values { of_actions: of_actions.collect(), attended, squared_scores, own: Vec::new() }
     }
 }
 

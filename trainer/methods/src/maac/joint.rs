@@ -151,7 +151,7 @@ impl Joint {
             let known = group.actions.min(layers.head.shape.output);
             of_actions.push(pass.columns(values, 0..known));
         }
-        Values { of_actions, squared_scores: None, own }
+        Values { of_actions, attended: None, squared_scores: None, own }
     }
 }
 

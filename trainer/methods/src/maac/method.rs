@@ -6,9 +6,10 @@ use sortie_learn::export::DeployedAgents;
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Rates, Reports};
 use sortie_learn::session::Opening;
-use sortie_learn::{Act, LearnError, Method, Now, Scene, Scenes, State, Transition};
+use sortie_learn::{Act, LearnError, Method, Now, Scene, Scenes, State, Thought, Transition};
 
 use super::acting::{Acting, Actors, observe, observed, show};
+use super::attention::thoughts;
 use super::batch::Batch;
 use super::config::Config;
 use super::deployed::deployed;
@@ -327,6 +328,12 @@ impl Act for Greedy<'_> {
         }
         Ok(())
     }
+
+    fn thoughts(&mut self, scenes: &Scenes<'_>, actions: &[u16]) -> Vec<Thought> {
+        let actors = self.maac.measured();
+        self.acting.look(actors, scenes.environment, scenes.scenes.iter());
+        thoughts(&self.maac.learner, &self.acting, actions)
+    }
 }
 
 #[cfg(test)]
@@ -455,6 +462,24 @@ mod tests {
         assert_eq!(act(&maac), before);
         maac.learner.average_policies.iter_mut().for_each(|weight| *weight = -*weight);
         assert_ne!(act(&maac), before);
+    }
+
+    #[test]
+    fn agents_do_what_they_think_best() {
+        let (maac, _, mut world) = learned(small(), 1);
+        world.reset(0, &mut generator(2, Purpose::Rollout, 0));
+        let mut state = Vec::new();
+        world.save(0, &mut state);
+        let scene = Scene { instance: 0, state: &state, begins: true, tasks_changed: false };
+        let scenes = Scenes { environment: &*world, scenes: &[scene] };
+        let (mut team, mut actions) = (maac.team(), [0; 2]);
+        team.act(&scenes, &mut [], &mut actions).unwrap();
+        let thoughts = team.thoughts(&scenes, &actions);
+        assert_eq!(thoughts.len(), 2);
+        for (thought, action) in thoughts.iter().zip(actions) {
+            let best = thought.scores.iter().copied().fold(f32::MIN, f32::max);
+            assert_eq!(thought.scores[usize::from(action)], best);
+        }
     }
 
     #[test]

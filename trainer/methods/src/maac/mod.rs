@@ -4,6 +4,7 @@
 //! while it learns. Deployed are the policies alone.
 
 mod acting;
+mod attention;
 mod batch;
 mod config;
 mod critic;

@@ -119,6 +119,17 @@ impl Pass<'_> {
         y
     }
 
+    /// `[pairs, heads]`: the weights of what each query sees, list behind list, of a matrix that is
+    /// [`attention`](Self::attention)'s.
+    pub fn attention_weights(&self, attended: Var) -> Option<&[f32]> {
+        let Operation::Attend { lists, weights, shape, .. } = self.tape.of(attended).operation
+        else {
+            return None;
+        };
+        let numbers = self.tape.lists.things[lists as usize].pairs() * shape.heads;
+        Some(&self.tape.values[weights as usize..][..numbers])
+    }
+
     /// `[queries, 1]`: the sum of the squared scores of what each query sees, before they are scaled, over all heads.
     pub fn squared_scores(
         &mut self,
