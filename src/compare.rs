@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use clap::builder::{OsStringValueParser, TypedValueParser};
 use serde::Serialize;
+use sortie_learn::evaluate::Score;
 use sortie_learn::report::numbers::{count, duration};
 use sortie_learn::report::{self, Comparison, Group, GroupSummary, Reached, RunRecord};
 
@@ -135,15 +136,15 @@ fn children(folder: &Path) -> Vec<PathBuf> {
 }
 
 fn print(comparison: &Comparison, arguments: &CompareArguments) {
-    let levels: Vec<&String> =
-        comparison.groups.iter().take(1).flat_map(|group| group.until.keys()).collect();
+    let levels = comparison.levels();
+    let score = comparison.score;
     let mut header =
-        ["label", "runs", "success", "sd", "range", "steps", "CPU"].map(String::from).to_vec();
+        ["label", "runs", score.name(), "sd", "range", "steps", "CPU"].map(String::from).to_vec();
     header.extend(levels.iter().map(|level| format!("CPU until {level}")));
     let header: Vec<&str> = header.iter().map(String::as_str).collect();
     let mut table = Table::new(&header);
     for group in &comparison.groups {
-        table.row(cells(group, &levels));
+        table.row(cells(group, score, &levels));
     }
     table.print();
     if !arguments.common.quiet {
@@ -154,14 +155,18 @@ fn print(comparison: &Comparison, arguments: &CompareArguments) {
     }
 }
 
-fn cells(group: &GroupSummary, levels: &[&String]) -> Vec<String> {
-    let success = group.success;
+fn cells(group: &GroupSummary, score: Score, levels: &[&String]) -> Vec<String> {
+    let [mean, sd, range] = group.of_score(score).map_or_else(Default::default, |spread| {
+        let [min, max] = [spread.min, spread.max].map(|value| score.text(value));
+        let sd = spread.sd.map_or(String::new(), |sd| score.text(sd));
+        [score.text(spread.mean), sd, format!("{min} to {max}")]
+    });
     let mut cells = vec![
         group.label.clone(),
         group.runs.to_string(),
-        format!("{:.3}", success.mean),
-        success.sd.map_or(String::new(), |sd| format!("{sd:.3}")),
-        format!("{:.3} to {:.3}", success.min, success.max),
+        mean,
+        sd,
+        range,
         count(group.env_steps.mean),
         duration(group.cpu_s.mean),
     ];

@@ -1,27 +1,40 @@
 //! A learning curve as text, for terminals.
 
+use sortie_learn::evaluate::Score;
 use sortie_learn::report::numbers::count;
 
-/// Characters before the plot: a label and the axis.
-const LEFT: usize = 5;
 /// Braille characters have two columns and four rows of dots.
 const DOTS: (usize, usize) = (2, 4);
 /// The dots of a braille character by row, for its left and its right column.
 const BITS: [[u8; 4]; 2] = [[0x01, 0x02, 0x04, 0x40], [0x08, 0x10, 0x20, 0x80]];
 
-/// Draws success (0 to 1) against environment steps, in ascending order, on so many lines of so many
-/// characters; two of the lines are the axis.
+/// Draws a score against environment steps, in ascending order, on so many lines of so many characters; two of the
+/// lines are the axis.
 ///
 /// Too little room gives no line at all.
-pub(crate) fn terminal_curve(points: &[(f64, f64)], width: usize, height: usize) -> Vec<String> {
+pub(crate) fn terminal_curve(
+    points: &[(f64, f64)],
+    score: Score,
+    width: usize,
+    height: usize,
+) -> Vec<String> {
     let Some((end, _)) = points.last() else { return Vec::new() };
-    if width < LEFT + 30 || height < 5 {
+    let [low, high] = score.range(points.iter().map(|(_, value)| *value));
+    let labels = [0.0, 0.5, 1.0].map(|share| {
+        let value = low + share * (high - low);
+        (share, if score == Score::Success { format!("{value:.1}") } else { format!("{value:.0}") })
+    });
+    // A label, a space and the axis.
+    let left = labels.iter().map(|(_, label)| label.len()).max().unwrap_or(0) + 2;
+    if width < left + 30 || height < 5 {
         return Vec::new();
     }
-    let mut plot = Plot::new(width - LEFT, height - 2);
-    plot.draw(points, end.max(f64::MIN_POSITIVE));
-    let mut lines = plot.lines();
-    lines.extend(axis(*end, width - LEFT));
+    let shares: Vec<(f64, f64)> =
+        points.iter().map(|(x, value)| (*x, (value - low) / (high - low))).collect();
+    let mut plot = Plot::new(width - left, height - 2);
+    plot.draw(&shares, end.max(f64::MIN_POSITIVE));
+    let mut lines = plot.lines(&labels, left);
+    lines.extend(axis(*end, left, width - left));
     lines
 }
 
@@ -73,12 +86,13 @@ impl Plot {
         self.cells[cell] |= BITS[column % DOTS.0][row % DOTS.1];
     }
 
-    fn lines(&self) -> Vec<String> {
-        let label_row = |share| self.dot_row(share) / DOTS.1;
-        let labels = [0.0, 0.5, 1.0].map(|share| (label_row(share), share));
+    /// The lines, with labels at their shares in so many characters before them.
+    fn lines(&self, labels: &[(f64, String)], left: usize) -> Vec<String> {
         let line = |(row, cells): (usize, &[u8])| {
-            let label = labels.iter().find(|(other, _)| *other == row);
-            let left = label.map_or("    │".to_owned(), |(_, share)| format!("{share:.1} ┤"));
+            let mut labels = labels.iter();
+            let label = labels.find(|(share, _)| self.dot_row(*share) / DOTS.1 == row);
+            let (label, rule) = label.map_or(("", '│'), |(_, label)| (label, '┤'));
+            let left = format!("{label:>0$} {rule}", left - 2);
             let dots: String = cells.iter().map(|cell| braille(*cell)).collect();
             left + dots.trim_end()
         };
@@ -92,17 +106,18 @@ fn braille(dots: u8) -> char {
 }
 
 /// The horizontal axis, and what it means.
-fn axis(end: f64, width: usize) -> [String; 2] {
+fn axis(end: f64, left: usize, width: usize) -> [String; 2] {
     let middle = width / 2;
     let rule = |column| match column {
         column if column == middle || column + 1 == width => '┴',
         _ => '─',
     };
-    let line = "    └".to_owned() + &(0..width).map(rule).collect::<String>();
+    let line = format!("{:>left$}", '└') + &(0..width).map(rule).collect::<String>();
     let (half, whole) = (count(end / 2.0), format!("{} steps", count(end)));
-    let before_half = LEFT + middle - half.chars().count() / 2;
-    let before_whole = (LEFT + width).saturating_sub(whole.chars().count());
-    let labels = format!("{:<before_half$}{half}", "     0");
+    let before_half = left + middle - half.chars().count() / 2;
+    let before_whole = (left + width).saturating_sub(whole.chars().count());
+    let first = format!("{:left$}0", "");
+    let labels = format!("{first:<before_half$}{half}");
     [line, format!("{labels:<before_whole$}{whole}")]
 }
 
@@ -112,7 +127,7 @@ mod tests {
 
     #[test]
     fn a_rising_curve_goes_from_the_lower_left_to_the_upper_right() {
-        let lines = terminal_curve(&[(0.0, 0.0), (1e6, 1.0)], 40, 7);
+        let lines = terminal_curve(&[(0.0, 0.0), (1e6, 1.0)], Score::Success, 40, 7);
         let expected = "\
 1.0 ┤                            ⢀⣀⡤⠤⠖⠒⠋
     │                     ⣀⣀⡤⠤⠖⠚⠉⠉
@@ -125,13 +140,24 @@ mod tests {
     }
 
     #[test]
+    fn returns_reach_from_the_lowest_to_the_highest() {
+        let lines = terminal_curve(&[(0.0, -8.0), (1e6, 128.0)], Score::Return, 40, 7);
+        let labels: Vec<&str> = lines.iter().map(|line| line.split(' ').next().unwrap()).collect();
+        assert_eq!(labels[0], "128");
+        assert!(lines[2].starts_with(" 60 ┤") && lines[4].starts_with(" -8 ┤⣀"), "{lines:?}");
+    }
+
+    #[test]
     fn every_line_fits() {
         let points: Vec<(f64, f64)> =
             (1..200).map(|i| (f64::from(i) * 5e3, f64::from(i * 37 % 100) / 99.0)).collect();
         for (width, height) in [(35, 5), (80, 11), (211, 12)] {
-            let lines = terminal_curve(&points, width, height);
-            assert_eq!(lines.len(), height);
-            assert!(lines.iter().all(|line| line.chars().count() <= width), "{}", lines.join("\n"));
+            for score in [Score::Success, Score::Return] {
+                let lines = terminal_curve(&points, score, width + 1, height);
+                assert_eq!(lines.len(), height);
+                let fits = lines.iter().all(|line| line.chars().count() <= width + 1);
+                assert!(fits, "{}", lines.join("\n"));
+            }
         }
     }
 
@@ -140,9 +166,9 @@ mod tests {
         let dots = |lines: &[String]| {
             lines.iter().flat_map(|line| line.chars()).filter(|c| ('⠁'..='⣿').contains(c)).count()
         };
-        assert_eq!(dots(&terminal_curve(&[(50.0, 0.5)], 60, 8)), 1);
-        assert_eq!(dots(&terminal_curve(&[(0.0, f64::NAN)], 60, 8)), 1);
-        assert!(terminal_curve(&[], 60, 8).is_empty());
-        assert!(terminal_curve(&[(50.0, 0.5)], 10, 8).is_empty());
+        assert_eq!(dots(&terminal_curve(&[(50.0, 0.5)], Score::Success, 60, 8)), 1);
+        assert_eq!(dots(&terminal_curve(&[(0.0, f64::NAN)], Score::Success, 60, 8)), 1);
+        assert!(terminal_curve(&[], Score::Return, 60, 8).is_empty());
+        assert!(terminal_curve(&[(50.0, 0.5)], Score::Success, 10, 8).is_empty());
     }
 }

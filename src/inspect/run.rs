@@ -4,6 +4,7 @@ use std::path::Path;
 
 use console::Term;
 use serde::Serialize;
+use sortie_learn::evaluate::Score;
 use sortie_learn::report::numbers::{count, duration};
 use sortie_learn::report::{FinalResult, Row, RunRecord};
 
@@ -45,8 +46,9 @@ pub(super) fn inspect(folder: &Path, json: bool) -> Outcome {
     print_evaluations(&run);
     say!();
     let points: Vec<(f64, f64)> =
-        run.curve().iter().map(|point| (point.env_steps, point.success)).collect();
-    for line in terminal_curve(&points, usize::from(Term::stdout().size().1), CURVE_HEIGHT) {
+        run.curve().iter().map(|point| (point.env_steps, point.of(run.score))).collect();
+    let width = usize::from(Term::stdout().size().1);
+    for line in terminal_curve(&points, run.score, width, CURVE_HEIGHT) {
         say!("{line}");
     }
     print_result(&run);
@@ -78,21 +80,21 @@ fn plain(value: &toml::Value) -> String {
 
 fn print_evaluations(run: &RunRecord) {
     let hidden = run.rows.len().saturating_sub(SHOWN);
-    let mut table =
-        Table::new(&["steps", "wall", "CPU", "success", "95 % interval", "time-outs", "loss"]);
+    let figures: &[&str] = match run.score {
+        Score::Success => &["success", "95 % interval", "time-outs"],
+        Score::Return => &["return"],
+    };
+    let mut table = Table::new(&[&["steps", "wall", "CPU"], figures, &["loss"]].concat());
     for (row, point) in run.rows.iter().zip(run.curve()).skip(hidden) {
         let number = |name: &str, places: usize| {
             row.number(name).map_or(String::new(), |value| format!("{value:.places$}"))
         };
-        table.row([
-            count(point.env_steps),
-            duration(point.wall_s),
-            duration(point.cpu_s),
-            format!("{:.3}", point.success),
-            format!("{} to {}", number("success_ci95_low", 3), number("success_ci95_high", 3)),
-            number("timeouts", 3),
-            number("loss", 4),
-        ]);
+        let (low, high) = (number("success_ci95_low", 3), number("success_ci95_high", 3));
+        let interval = [format!("{low} to {high}"), number("timeouts", 3)];
+        let rest = if run.score == Score::Success { &interval[..] } else { &[] };
+        let times = [count(point.env_steps), duration(point.wall_s), duration(point.cpu_s)];
+        let score = run.score.text(point.of(run.score));
+        table.row(times.into_iter().chain([score]).chain(rest.to_vec()).chain([number("loss", 4)]));
     }
     table.print();
     if hidden > 0 {
@@ -103,9 +105,9 @@ fn print_evaluations(run: &RunRecord) {
 fn print_result(run: &RunRecord) {
     let Some(result) = &run.result else { return };
     let allocation = result.allocation.as_deref().unwrap_or("unknown");
+    let (name, score, episodes) =
+        (run.score.name(), run.score.text(run.final_score()), result.episodes);
     say!(
-        "\nfinal evaluation: success {:.3} of {} fresh episodes, {allocation} allocation",
-        result.success,
-        result.episodes
+        "\nfinal evaluation: {name} {score} of {episodes} fresh episodes, {allocation} allocation"
     );
 }

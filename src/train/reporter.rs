@@ -3,6 +3,7 @@
 use console::Term;
 use indicatif::{HumanCount, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use sortie_learn::Session;
+use sortie_learn::evaluate::{Evaluation, Score};
 use sortie_learn::run::{CurvePoint, Observer, Progress, RunResult, TrainingPoint};
 
 use crate::options::Common;
@@ -17,7 +18,9 @@ pub(super) struct Reporter {
     bar: ProgressBar,
     /// How training itself went lately.
     training: Option<TrainingPoint>,
-    /// Environment steps and success of the evaluations up to now.
+    /// What says how good the team is.
+    score: Score,
+    /// Environment steps and score of the evaluations up to now.
     curve: Vec<(f64, f64)>,
     /// Updates of the allocator up to the last evaluation.
     allocator_updates: u64,
@@ -37,9 +40,10 @@ impl Reporter {
         bar.set_style(style.expect("the template is a constant"));
         bar.set_position(session.env_steps());
         bar.reset_eta();
-        let curve = session.curve().iter().map(place).collect();
+        let score = session.score();
+        let curve = session.curve().iter().map(|point| place(score, point)).collect();
         let allocator_updates = session.curve().last().map_or(0, |point| point.allocator_updates);
-        let reporter = Self { bar, training: None, curve, allocator_updates, common };
+        let reporter = Self { bar, training: None, score, curve, allocator_updates, common };
         if !hidden {
             tell_of_allocator(session);
         }
@@ -53,25 +57,25 @@ impl Reporter {
             value.map(|value| format!("{name} {value:.digits$}"))
         };
         let training = self.training.as_ref();
-        let success = self.curve.last();
+        let score = self.curve.last();
         let figures = [
             training.map(|point| format!("{:.0} steps/s", point.steps_per_second)),
-            training.and_then(|point| figure("return", point.return_mean, 2)),
+            training.and_then(|point| figure("training return", point.return_mean, 2)),
             training.and_then(|point| figure("loss", point.loss, 4)),
             training.and_then(|point| figure("allocator's loss", point.allocator_loss, 4)),
-            success.map(|(_, success)| format!("success {success:.3}")),
+            score.map(|(_, score)| format!("{} {}", self.score.name(), self.score.text(*score))),
         ];
         let mut lines = vec![figures.into_iter().flatten().collect::<Vec<_>>().join("  ")];
-        if success.is_some() {
+        if score.is_some() {
             let width = usize::from(Term::stderr().size().1);
-            lines.extend(terminal_curve(&self.curve, width, CURVE_HEIGHT));
+            lines.extend(terminal_curve(&self.curve, self.score, width, CURVE_HEIGHT));
         }
         self.bar.set_message(lines.join("\n"));
     }
 
     /// An evaluation on one line of at most 80 columns.
     fn line(&self, point: &CurvePoint) -> String {
-        let CurvePoint { env_steps, wall_s, success, timeouts, loss, allocator_loss, .. } = point;
+        let CurvePoint { env_steps, wall_s, timeouts, loss, allocator_loss, .. } = point;
         let losses = if point.updates == 0 {
             "nothing learned yet".to_owned()
         } else if point.allocator_updates == self.allocator_updates {
@@ -79,9 +83,11 @@ impl Reporter {
         } else {
             format!("losses {loss:.3}, {allocator_loss:.3}")
         };
-        format!(
-            "{env_steps:>8} steps  {wall_s:>5.0} s  success {success:.3}  time-outs {timeouts:.3}  {losses}"
-        )
+        let came = match self.score {
+            Score::Success => format!("success {:.3}  time-outs {timeouts:.3}", point.success),
+            Score::Return => format!("return {:8.2}", point.return_mean),
+        };
+        format!("{env_steps:>8} steps  {wall_s:>5.0} s  {came}  {losses}")
     }
 }
 
@@ -103,8 +109,8 @@ fn tell_of_allocator(session: &Session) {
     }
 }
 
-fn place(point: &CurvePoint) -> (f64, f64) {
-    (point.env_steps as f64, point.success)
+fn place(score: Score, point: &CurvePoint) -> (f64, f64) {
+    (point.env_steps as f64, score.pick(point.success, point.return_mean))
 }
 
 impl Observer for Reporter {
@@ -120,7 +126,7 @@ impl Observer for Reporter {
     }
 
     fn evaluated(&mut self, point: &CurvePoint) {
-        self.curve.push(place(point));
+        self.curve.push(place(self.score, point));
         self.show();
         if self.common.json {
             print_json(point);
@@ -133,7 +139,6 @@ impl Observer for Reporter {
 
     fn finished(&mut self, result: &RunResult) {
         let RunResult { allocation, evaluation, .. } = result;
-        let [low, high] = evaluation.success_ci95;
         if self.common.json {
             print_json(result);
         } else {
@@ -141,10 +146,13 @@ impl Observer for Reporter {
                 "none" => String::new(),
                 name => format!(" under {name} allocation"),
             };
-            let line = format!(
-                "{} fresh episodes{under}: success {:.3} ({low:.3} to {high:.3})",
-                evaluation.episodes, evaluation.success
-            );
+            let Evaluation { episodes, success, return_mean, return_sd, .. } = evaluation;
+            let [low, high] = evaluation.success_ci95;
+            let came = match self.score {
+                Score::Success => format!("success {success:.3} ({low:.3} to {high:.3})"),
+                Score::Return => format!("return {return_mean:.2} (sd {return_sd:.2})"),
+            };
+            let line = format!("{episodes} fresh episodes{under}: {came}");
             self.bar.suspend(|| say!("{line}"));
         }
     }

@@ -15,6 +15,8 @@ use serde::Serialize;
 use serde_json::Value;
 use sortie_bundle::files::{Durability, replace_file};
 use sortie_ipc::Stop;
+use sortie_learn::evaluate::Score;
+use sortie_learn::report::Spread;
 use sortie_learn::run::{Difference, Setup, method_of, read_description};
 
 use super::cores;
@@ -29,6 +31,7 @@ struct Finished {
     seed: u64,
     run: PathBuf,
     success: f64,
+    return_mean: f64,
 }
 
 /// What all seeds together came to.
@@ -39,6 +42,8 @@ struct Summary {
     success_sd: f64,
     success_min: f64,
     success_max: f64,
+    return_mean: f64,
+    return_sd: f64,
     runs: Vec<Finished>,
 }
 
@@ -83,7 +88,7 @@ pub(super) fn run(
         let again = "stopped; the same command again goes on with what is unfinished";
         return Err(Failure::new(Exit::Interrupted, again));
     }
-    print(&Summary::new(successes(ended)?), common);
+    print(&Summary::new(successes(ended)?), sweep.score, common);
     Ok(())
 }
 
@@ -112,6 +117,8 @@ struct Sweep<'a> {
     threads: usize,
     common: Common,
     bars: MultiProgress,
+    /// What says how good the runs are.
+    score: Score,
 }
 
 impl<'a> Sweep<'a> {
@@ -119,7 +126,8 @@ impl<'a> Sweep<'a> {
         let hidden = common.json || common.quiet;
         let target =
             if hidden { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
-        Self { out, setup, threads, common, bars: MultiProgress::with_draw_target(target) }
+        let score = Score::of_environment(&setup.environment.to_string());
+        Self { out, setup, threads, common, score, bars: MultiProgress::with_draw_target(target) }
     }
 
     /// Refuses a seed whose folder holds a run of another configuration, finished or not.
@@ -186,8 +194,8 @@ impl<'a> Sweep<'a> {
         if !folder.join("result.json").exists() {
             self.learn(seed, &folder, stop)?;
         }
-        let success = success(&folder)?;
-        Ok(Finished { seed, run: folder, success })
+        let [success, return_mean] = ["success", "return_mean"].map(|key| figure(&folder, key));
+        Ok(Finished { seed, success: success?, return_mean: return_mean?, run: folder })
     }
 
     fn learn(&self, seed: u64, folder: &Path, stop: &Stop) -> Outcome {
@@ -252,10 +260,10 @@ impl<'a> Sweep<'a> {
     fn follow(&self, seed: u64, output: ChildStdout, bar: &ProgressBar) {
         for line in BufReader::new(output).lines().map_while(Result::ok) {
             let Ok(Value::Object(mut point)) = serde_json::from_str(&line) else { continue };
-            let success = point.get("success").and_then(Value::as_f64).unwrap_or(0.0);
+            let score = point.get(self.score.key()).and_then(Value::as_f64).unwrap_or(0.0);
             if let Some(steps) = point.get("env_steps").and_then(Value::as_u64) {
                 bar.set_position(steps);
-                bar.set_message(format!("success {success:.3}"));
+                bar.set_message(format!("{} {}", self.score.name(), self.score.text(score)));
             }
             if self.common.json {
                 point.insert("run_seed".to_owned(), seed.into());
@@ -281,7 +289,7 @@ fn forward_stop(child: &Child, stop: &Stop) -> rustix::io::Result<()> {
 fn bar(steps: u64, seed: u64) -> ProgressBar {
     let template = format!("seed {seed:<4} {{bar:30}} {{percent:>3}} %, {{eta}} left, {{msg}}");
     let style = ProgressStyle::with_template(&template).expect("the template is sound");
-    ProgressBar::new(steps).with_style(style).with_message("success not measured yet")
+    ProgressBar::new(steps).with_style(style).with_message("not measured yet")
 }
 
 /// `path` with more at its end.
@@ -291,46 +299,57 @@ fn suffixed(path: &Path, suffix: &str) -> PathBuf {
     name.into()
 }
 
-/// The success that a finished run reports.
-fn success(folder: &Path) -> Result<f64, Failure> {
+/// A figure that a finished run reports.
+fn figure(folder: &Path, key: &str) -> Result<f64, Failure> {
     let path = folder.join("result.json");
     let text = fs::read_to_string(&path).map_err(|error| Failure::file(&path, &error))?;
     let result: Option<Value> = serde_json::from_str(&text).ok();
-    result.and_then(|result| result.get("success")?.as_f64()).ok_or_else(|| {
-        Failure::new(Exit::BadData, format!("{}: no `success` in it", path.display()))
-    })
+    result
+        .and_then(|result| result.get(key)?.as_f64())
+        .ok_or_else(|| Failure::new(Exit::BadData, format!("{}: no `{key}` in it", path.display())))
+}
+
+/// Mean and spread of what finished runs report.
+fn spread(runs: &[Finished], figure: fn(&Finished) -> f64) -> Spread {
+    let nothing = Spread { mean: f64::NAN, sd: None, min: f64::NAN, max: f64::NAN };
+    Spread::of(runs.iter().map(figure)).unwrap_or(nothing)
 }
 
 impl Summary {
     fn new(runs: Vec<Finished>) -> Self {
-        let count = runs.len() as f64;
-        let mean = runs.iter().map(|run| run.success).sum::<f64>() / count;
-        let squares = runs.iter().map(|run| (run.success - mean).powi(2)).sum::<f64>();
-        let fold = |pick: fn(f64, f64) -> f64| runs.iter().map(|run| run.success).reduce(pick);
+        let success = spread(&runs, |run| run.success);
+        let returned = spread(&runs, |run| run.return_mean);
         Self {
             seeds: runs.len(),
-            success_mean: mean,
-            success_sd: (squares / (count - 1.0).max(1.0)).sqrt(),
-            success_min: fold(f64::min).unwrap_or(f64::NAN),
-            success_max: fold(f64::max).unwrap_or(f64::NAN),
+            success_mean: success.mean,
+            success_sd: success.sd.unwrap_or(0.0),
+            success_min: success.min,
+            success_max: success.max,
+            return_mean: returned.mean,
+            return_sd: returned.sd.unwrap_or(0.0),
             runs,
         }
     }
 }
 
-fn print(summary: &Summary, common: Common) {
+fn print(summary: &Summary, score: Score, common: Common) {
     if common.json {
         print_json(summary);
         return;
     }
-    let mut table = Table::new(&["run", "success"]);
+    let figure: fn(&Finished) -> f64 = match score {
+        Score::Success => |run| run.success,
+        Score::Return => |run| run.return_mean,
+    };
+    let mut table = Table::new(&["run", score.name()]);
     for run in &summary.runs {
-        table.row([run.run.display().to_string(), format!("{:.3}", run.success)]);
+        table.row([run.run.display().to_string(), score.text(figure(run))]);
     }
-    let Summary { success_mean, success_sd, success_min, success_max, .. } = summary;
-    table.row(["mean".to_owned(), format!("{success_mean:.3}")]);
-    table.row(["standard deviation".to_owned(), format!("{success_sd:.3}")]);
-    table.row(["range".to_owned(), format!("{success_min:.3} to {success_max:.3}")]);
+    let Spread { mean, sd, min, max } = spread(&summary.runs, figure);
+    let [mean, sd, min, max] = [mean, sd.unwrap_or(0.0), min, max].map(|value| score.text(value));
+    table.row(["mean".to_owned(), mean]);
+    table.row(["standard deviation".to_owned(), sd]);
+    table.row(["range".to_owned(), format!("{min} to {max}")]);
     table.print();
 }
 
@@ -340,10 +359,15 @@ mod tests {
 
     #[test]
     fn a_summary_tells_mean_and_spread() {
-        let run = |seed, success| Finished { seed, run: PathBuf::new(), success };
+        let run = |seed, success| {
+            let return_mean = 10.0 * success;
+            Finished { seed, run: PathBuf::new(), success, return_mean }
+        };
         let summary = Summary::new(vec![run(1, 0.5), run(2, 0.7), run(3, 0.9)]);
         assert!((summary.success_mean - 0.7).abs() < 1e-12);
         assert!((summary.success_sd - 0.2).abs() < 1e-12);
         assert_eq!((summary.success_min, summary.success_max), (0.5, 0.9));
+        assert!((summary.return_mean - 7.0).abs() < 1e-12);
+        assert!((summary.return_sd - 2.0).abs() < 1e-12);
     }
 }

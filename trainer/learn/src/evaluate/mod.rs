@@ -1,11 +1,14 @@
 //! What measured episodes come to.
 
 mod pooled;
+mod score;
 mod summary;
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
+
+pub use score::Score;
 
 /// What a team achieved.
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -4,7 +4,9 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use serde::Serialize;
 
+use super::group::score;
 use super::{Axis, FinalResult, Group, Point, RunRecord, Spread};
+use crate::evaluate::Score;
 
 /// Shares of solved episodes of which it is said when a run first reached them.
 const LEVELS: [f64; 2] = [0.6, 0.8];
@@ -14,11 +16,14 @@ const LEVELS: [f64; 2] = [0.6, 0.8];
 pub struct Comparison {
     /// Its title.
     pub title: String,
+    /// What is compared.
+    #[serde(skip)]
+    pub score: Score,
     /// One entry per label, in the order given.
     pub groups: Vec<GroupSummary>,
     /// One entry per run, label by label.
     pub runs: Vec<RunSummary>,
-    /// Success by team, for the labels whose runs have a final evaluation.
+    /// Success by team, if that is compared, for the labels whose runs have a final evaluation.
     pub teams: Vec<TeamSummary>,
     /// Why episodes failed, for the labels whose runs all say so.
     pub causes: Vec<CauseSummary>,
@@ -126,16 +131,33 @@ impl Comparison {
     pub fn of(title: &str, groups: &[Group]) -> Self {
         Self {
             title: title.to_owned(),
+            score: score(groups),
             groups: groups.iter().filter_map(GroupSummary::of).collect(),
             runs: groups.iter().flat_map(RunSummary::of).collect(),
-            teams: teams(groups),
+            teams: if score(groups) == Score::Success { teams(groups) } else { Vec::new() },
             causes: causes(groups),
             notes: notes(groups),
         }
     }
 }
 
+impl Comparison {
+    /// The levels that tables tell of: shares of solved episodes.
+    pub fn levels(&self) -> Vec<&String> {
+        let first = self.groups.iter().take(1).filter(|_| self.score == Score::Success);
+        first.flat_map(|group| group.until.keys()).collect()
+    }
+}
+
 impl GroupSummary {
+    /// What is compared of it.
+    pub fn of_score(&self, score: Score) -> Option<Spread> {
+        match score {
+            Score::Success => Some(self.success),
+            Score::Return => self.return_mean,
+        }
+    }
+
     fn of(group: &Group) -> Option<Self> {
         let result = |value: &dyn Fn(&FinalResult) -> Option<f64>| {
             group.spread(|run| run.result.as_ref().and_then(value))
@@ -146,6 +168,10 @@ impl GroupSummary {
             Some(result) if fresh => Some(result.success),
             _ => Some(run.last().success),
         };
+        let returned = |run: &RunRecord| match &run.result {
+            Some(result) => result.return_mean,
+            None => (run.score == Score::Return).then_some(run.last().return_mean),
+        };
         let level = |level: &f64| (format!("{level:.2}"), Until::of(group, *level));
         Some(Self {
             label: group.label.clone(),
@@ -154,7 +180,7 @@ impl GroupSummary {
             success_from: if fresh { "result" } else { "curve" },
             metrics: metrics(group),
             timeouts: result(&|result| result.timeouts),
-            return_mean: result(&|result| result.return_mean),
+            return_mean: group.spread(returned),
             length_mean: result(&|result| result.length_mean),
             env_steps: last(&|point| point.env_steps)?,
             cpu_s: last(&|point| point.cpu_s)?,

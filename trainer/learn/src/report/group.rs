@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use super::{Point, RunRecord};
+use crate::evaluate::Score;
 
 /// Runs under one label.
 #[derive(Clone, Debug)]
@@ -13,7 +14,14 @@ pub struct Group {
     pub runs: Vec<RunRecord>,
 }
 
-/// What success is drawn against.
+/// What is compared of groups: returns where none of their runs could solve anything.
+pub(super) fn score(groups: &[Group]) -> Score {
+    let mut runs = groups.iter().flat_map(|group| &group.runs).peekable();
+    let are_returns = runs.peek().is_some() && runs.all(|run| run.score == Score::Return);
+    if are_returns { Score::Return } else { Score::Success }
+}
+
+/// What a score is drawn against.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Axis {
     /// Environment steps.
@@ -37,7 +45,7 @@ impl Axis {
 pub struct Sample {
     /// The place: steps or seconds.
     pub x: f64,
-    /// Mean success of the seeds.
+    /// Mean score of the seeds.
     pub mean: f64,
     /// That of the worst seed.
     pub min: f64,
@@ -77,7 +85,7 @@ impl Group {
     ///
     /// A seed has the value of its last evaluation until the next one, and keeps that of its last when
     /// others go on. The samples begin where every seed has been evaluated once.
-    pub fn curve(&self, axis: Axis) -> Vec<Sample> {
+    pub fn curve(&self, axis: Axis, score: Score) -> Vec<Sample> {
         let firsts = self.runs.iter().filter_map(|run| run.curve().first());
         let begin = firsts.map(|point| axis.of(point)).fold(f64::NEG_INFINITY, f64::max);
         let all = self.runs.iter().flat_map(|run| run.curve());
@@ -85,13 +93,13 @@ impl Group {
             all.map(|point| axis.of(point)).filter(|x| *x >= begin).collect();
         places.sort_by(f64::total_cmp);
         places.dedup();
-        places.into_iter().filter_map(|x| self.sample(axis, x)).collect()
+        places.into_iter().filter_map(|x| self.sample(axis, score, x)).collect()
     }
 
-    fn sample(&self, axis: Axis, x: f64) -> Option<Sample> {
+    fn sample(&self, axis: Axis, score: Score, x: f64) -> Option<Sample> {
         let known = |run: &RunRecord| {
             let until = run.curve().partition_point(|point| axis.of(point) <= x);
-            Some(run.curve().get(until.checked_sub(1)?)?.success)
+            Some(run.curve().get(until.checked_sub(1)?)?.of(score))
         };
         let spread = Spread::of(self.runs.iter().filter_map(known))?;
         Some(Sample { x, mean: spread.mean, min: spread.min, max: spread.max })
@@ -115,12 +123,14 @@ pub(super) mod tests {
             cpu_s: env_steps / 1000.0,
             wall_s: env_steps / 500.0,
             success: *success,
+            return_mean: 100.0 * success,
         };
         RunRecord {
             folder: format!("made-up-s{seed}").into(),
             description: toml::Table::new(),
             seed: Some(seed),
             environment: None,
+            score: Score::Success,
             curve: curve.iter().map(point).collect(),
             rows: Vec::new(),
             result: None,
@@ -142,7 +152,7 @@ pub(super) mod tests {
         );
         let sample = |x, mean, min, max| Sample { x, mean, min, max };
         assert_eq!(
-            group.curve(Axis::Steps),
+            group.curve(Axis::Steps, Score::Success),
             [
                 sample(15.0, 0.125, 0.0, 0.25),
                 sample(20.0, 0.375, 0.25, 0.5),
@@ -150,8 +160,22 @@ pub(super) mod tests {
                 sample(30.0, 0.875, 0.75, 1.0),
             ]
         );
-        let seconds: Vec<f64> = group.curve(Axis::Cpu).iter().map(|sample| sample.x).collect();
+        let seconds: Vec<f64> =
+            group.curve(Axis::Cpu, Score::Success).iter().map(|sample| sample.x).collect();
         assert_eq!(seconds, [0.015, 0.02, 0.025, 0.03]);
+        let returns = group.curve(Axis::Steps, Score::Return);
+        assert_eq!(returns[0], sample(15.0, 12.5, 0.0, 25.0));
+    }
+
+    #[test]
+    fn returns_are_compared_where_no_run_could_solve_anything() {
+        let of = |scores: &[Score]| {
+            let run = |score: &Score| RunRecord { score: *score, ..run(1, &[(10.0, 0.5)]) };
+            score(&[group("a", scores.iter().map(run).collect())])
+        };
+        assert_eq!(of(&[Score::Return, Score::Return]), Score::Return);
+        assert_eq!(of(&[Score::Return, Score::Success]), Score::Success);
+        assert_eq!(of(&[]), Score::Success);
     }
 
     #[test]

@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use super::Row;
 use crate::error::LearnError;
-use crate::evaluate::TeamSuccess;
+use crate::evaluate::{Score, TeamSuccess};
 
 /// The learning curve: one JSON object a line.
 const CURVE: &str = "curve.json";
@@ -29,6 +29,8 @@ pub struct RunRecord {
     pub seed: Option<u64>,
     /// Environment and scenario set, where the run says so.
     pub environment: Option<String>,
+    /// What says how good it is.
+    pub score: Score,
     /// One point per evaluation, steps ascending; never empty.
     pub(super) curve: Vec<Point>,
     /// All that was written of each evaluation.
@@ -48,6 +50,15 @@ pub struct Point {
     pub wall_s: f64,
     /// Share of solved episodes.
     pub success: f64,
+    /// Mean return; not a number where the run does not say so.
+    pub return_mean: f64,
+}
+
+impl Point {
+    /// How good the team was.
+    pub fn of(&self, score: Score) -> f64 {
+        score.pick(self.success, self.return_mean)
+    }
 }
 
 /// The evaluation of the learned team on fresh episodes: `result.json`.
@@ -101,12 +112,13 @@ impl RunRecord {
         let description = read_description(&folder.join(DESCRIPTION))?;
         let text = |table: &toml::Table, key: &str| Some(table.get(key)?.as_str()?.to_owned());
         let environment = description.get("environment").and_then(toml::Value::as_table);
+        let environment = environment
+            .and_then(|table| Some(format!("{}/{}", text(table, "name")?, text(table, "set")?)));
         let seed = description.get("seed").and_then(toml::Value::as_integer);
         Ok(Self {
             seed: seed.and_then(|seed| u64::try_from(seed).ok()).or(split_seed(&name(folder)).1),
-            environment: environment.and_then(|table| {
-                Some(format!("{}/{}", text(table, "name")?, text(table, "set")?))
-            }),
+            score: environment.as_deref().map_or(Score::Success, Score::of_environment),
+            environment,
             curve,
             rows,
             result: read_result(&folder.join(RESULT))?,
@@ -138,6 +150,12 @@ impl RunRecord {
     /// Share of solved episodes: of the final evaluation, else of the last one during training.
     pub fn success(&self) -> f64 {
         self.result.as_ref().map_or(self.last().success, |result| result.success)
+    }
+
+    /// How good it is: in the final evaluation, else in the last one during training.
+    pub fn final_score(&self) -> f64 {
+        let returned = self.result.as_ref().and_then(|result| result.return_mean);
+        self.score.pick(self.success(), returned.unwrap_or(self.last().return_mean))
     }
 }
 
@@ -177,6 +195,7 @@ fn points(rows: &[Row]) -> Result<Vec<Point>, String> {
             cpu_s: number("cpu_s")?,
             wall_s: number("wall_s")?,
             success: number("success")?,
+            return_mean: row.number("return_mean").unwrap_or(f64::NAN),
         })
     };
     let points = rows.iter().enumerate().map(point).collect::<Result<Vec<_>, String>>()?;

@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 
 use super::numbers::{count, duration};
 use super::{Comparison, GroupSummary, Reached, Spread, csv};
+use crate::evaluate::Score;
 
 impl Comparison {
     /// A document with the tables and the notes.
@@ -29,29 +30,38 @@ impl Comparison {
     fn success_table(&self) -> String {
         let metrics: BTreeSet<&str> =
             self.groups.iter().flat_map(|group| group.metrics.keys()).map(String::as_str).collect();
-        let mut header: Vec<String> = ["method", "runs", "success"].map(str::to_owned).into();
+        let score = self.score;
+        let mut header: Vec<String> = ["method", "runs", score.name()].map(str::to_owned).into();
         header.extend(metrics.iter().map(|name| escaped(&name.replace('_', " "))));
-        header.extend(["time-outs", "return", "steps an episode"].map(str::to_owned));
+        if score == Score::Success {
+            header.extend(["time-outs", "return"].map(str::to_owned));
+        }
+        header.push("steps an episode".to_owned());
         table(
             &header,
             self.groups.iter().map(|group| {
-                let share = |spread: Option<Spread>| spread.map_or(String::new(), share);
+                let spread = |spread: Option<Spread>, score| {
+                    spread.map_or(String::new(), |spread| spread_text(spread, score))
+                };
+                let share = |of: Option<Spread>| spread(of, Score::Success);
                 let plain = |spread: Option<Spread>| {
                     spread.map_or(String::new(), |s| format!("{:.1}", s.mean))
                 };
-                let own =
-                    vec![escaped(&group.label), group.runs.to_string(), share(Some(group.success))];
+                let came = spread(group.of_score(score), score);
+                let own = [escaped(&group.label), group.runs.to_string(), came];
                 let metrics = metrics.iter().map(|name| share(group.metrics.get(*name).copied()));
-                let rest =
-                    [share(group.timeouts), plain(group.return_mean), plain(group.length_mean)];
-                own.into_iter().chain(metrics).chain(rest).collect()
+                let mut cells: Vec<String> = own.into_iter().chain(metrics).collect();
+                if score == Score::Success {
+                    cells.extend([share(group.timeouts), plain(group.return_mean)]);
+                }
+                cells.push(plain(group.length_mean));
+                cells
             }),
         )
     }
 
     fn effort_table(&self) -> String {
-        let levels: Vec<&String> =
-            self.groups.iter().take(1).flat_map(|g| g.until.keys()).collect();
+        let levels = self.levels();
         let mut header =
             vec!["method".to_owned(), "steps".into(), "CPU time".into(), "wall time".into()];
         for level in &levels {
@@ -102,11 +112,15 @@ impl Comparison {
 
 /// `0.731 ± 0.020 (0.712–0.752)`, or the value alone of one run.
 fn share(spread: Spread) -> String {
-    match spread.sd {
-        Some(sd) => {
-            format!("{:.3} ± {sd:.3} ({:.3}–{:.3})", spread.mean, spread.min, spread.max)
-        }
-        None => format!("{:.3}", spread.mean),
+    spread_text(spread, Score::Success)
+}
+
+/// The same of any score.
+fn spread_text(Spread { mean, sd, min, max }: Spread, score: Score) -> String {
+    let [mean, min, max] = [mean, min, max].map(|value| score.text(value));
+    match sd {
+        Some(sd) => format!("{mean} ± {} ({min}–{max})", score.text(sd)),
+        None => mean,
     }
 }
 
@@ -189,6 +203,18 @@ mod tests {
         ] {
             assert!(text.lines().any(|other| other == line), "{line}\n\n{text}");
         }
+    }
+
+    #[test]
+    fn returns_stand_where_success_would() {
+        let mut run = run(1, &[(100.0, 0.25)]);
+        run.score = Score::Return;
+        let comparison = Comparison::of("t", &[group("maac", vec![run])]);
+        let text = comparison.markdown();
+        for line in ["| method | runs | return | steps an episode |", "| maac | 1 | 25.00 |  |"] {
+            assert!(text.lines().any(|other| other == line), "{line}\n\n{text}");
+        }
+        assert!(!text.contains("until") && !text.contains("team"), "{text}");
     }
 
     #[test]

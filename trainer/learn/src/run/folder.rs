@@ -9,6 +9,7 @@ use sortie_bundle::files::{self, Durability, replace_file};
 use super::RunDescription;
 use super::{Checkpoints, CurvePoint, RunResult, TrainingPoint, chart, curve};
 use crate::error::LearnError;
+use crate::evaluate::Score;
 use crate::report::{RunEvents, csv};
 
 const LOCK: &str = "lock";
@@ -113,7 +114,12 @@ impl RunFolder {
     }
 
     /// Replaces `curve.json`, `curve.csv` and `curve.svg`, and tells TensorBoard of the newest point.
-    pub fn write_curve(&mut self, title: &str, curve: &[CurvePoint]) -> Result<(), LearnError> {
+    pub fn write_curve(
+        &mut self,
+        title: &str,
+        score: Score,
+        curve: &[CurvePoint],
+    ) -> Result<(), LearnError> {
         let path = self.curve_path();
         let text = curve::to_lines(curve).map_err(|error| LearnError::format(&path, error))?;
         replace(&path, text.as_bytes())?;
@@ -122,8 +128,8 @@ impl RunFolder {
         replace(&path, text.as_bytes())?;
         self.events.add(curve)?;
         let path = self.folder.join("curve.svg");
-        let svg =
-            chart::success_curve(title, curve).map_err(|error| LearnError::format(&path, error))?;
+        let svg = chart::learning_curve(title, score, curve);
+        let svg = svg.map_err(|error| LearnError::format(&path, error))?;
         replace(&path, svg.as_bytes())
     }
 

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use super::meter::Meter;
 use super::{Clock, Counters, Observer, Outcome, Rates, RunConfig, RunFolder, RunResult};
 use crate::error::LearnError;
-use crate::evaluate::Evaluation;
+use crate::evaluate::{Evaluation, Score};
 
 /// A run that learns.
 pub(crate) trait Learning {
@@ -39,6 +39,8 @@ pub(crate) struct Labels {
     pub(crate) allocation: String,
     /// Its seed.
     pub(crate) seed: u64,
+    /// What says how good it is.
+    pub(crate) score: Score,
 }
 
 /// The episodes that every run reports on in the end: the same for all runs, seen by none.
@@ -138,7 +140,7 @@ fn evaluate(
     saves: &mut Saves,
 ) -> Result<(), LearnError> {
     run.counters().add_time(&mut saves.clock);
-    let Labels { title, allocation, seed, .. } = run.labels();
+    let Labels { title, allocation, seed, score, .. } = run.labels();
     // Counted from the top, so that ordinary seeds remain fresh for later evaluations.
     let result = run.measure(run.schedule().evaluate_episodes, u64::MAX - seed)?;
     let rates = run.rates();
@@ -146,7 +148,7 @@ fn evaluate(
     observer.evaluated(&point);
     run.counters().add_point(point);
     let curve = run.counters().curve.clone();
-    let told = run.folder().write_curve(&title, &curve);
+    let told = run.folder().write_curve(&title, score, &curve);
     // Where the disk takes no picture it may still take what was learned.
     saves.save(run, observer)?;
     told

@@ -18,7 +18,7 @@ pub use entry::{Flag, MethodEntry, Opening, Preset};
 pub use crate::run::{EnvironmentChoice, Setup};
 
 use crate::error::LearnError;
-use crate::evaluate::Evaluation;
+use crate::evaluate::{Evaluation, Score};
 use crate::method::{Method, Now};
 use crate::play::{self, Play};
 use crate::random::{Purpose, generator};
@@ -144,6 +144,11 @@ impl Session {
         &*self.method
     }
 
+    /// What says how good it is.
+    pub fn score(&self) -> Score {
+        Score::of(self.environment.spec())
+    }
+
     /// The evaluations up to now.
     pub fn curve(&self) -> &[CurvePoint] {
         &self.counters.curve
@@ -187,6 +192,7 @@ impl Learning for Session {
             environment,
             allocation: self.method.allocation().to_owned(),
             seed: *seed,
+            score: self.score(),
         }
     }
 

@@ -9,6 +9,8 @@ use super::{
     stroke, text, text_width,
 };
 use crate::error::LearnError;
+use crate::evaluate::Score;
+use crate::report::group::score;
 use crate::report::numbers::{TimeUnit, count};
 use crate::report::{Axis, Group, Sample};
 
@@ -26,10 +28,11 @@ const KEY: i32 = 52;
 const LEGEND_TOP: i32 = 34;
 const LEGEND_STEP: i32 = 58;
 
-/// Draws mean success against environment steps or processor time, one line per group, with the range
+/// Draws mean success, or return, against environment steps or processor time, one line per group, with the range
 /// of its seeds behind it.
 pub fn curves(title: &str, groups: &[Group], axis: Axis) -> Result<String, LearnError> {
-    let curves: Vec<Vec<Sample>> = groups.iter().map(|group| group.curve(axis)).collect();
+    let score = score(groups);
+    let curves: Vec<Vec<Sample>> = groups.iter().map(|group| group.curve(axis, score)).collect();
     let last = curves.iter().filter_map(|curve| curve.last()).map(|sample| sample.x);
     let scale = Scale::new(axis, last.fold(0.0, f64::max));
     let legend_height = LEGEND_TOP + LEGEND_STEP * groups.len() as i32;
@@ -39,7 +42,7 @@ pub fn curves(title: &str, groups: &[Group], axis: Axis) -> Result<String, Learn
         let (width, _) = below.dim_in_pixel();
         let (below, caption) = below.split_vertically(height - TITLE_HEIGHT - CAPTION_HEIGHT);
         let (plot, legend) = below.split_horizontally(width as i32 - legend_width(groups));
-        draw_plot(&plot, &curves, &scale)?;
+        draw_plot(&plot, &curves, &scale, score)?;
         draw_legend(&legend, groups)?;
         text(
             &caption,
@@ -81,7 +84,10 @@ impl Scale {
     }
 }
 
-fn draw_plot(plot: &Canvas<'_>, curves: &[Vec<Sample>], scale: &Scale) -> Drawn {
+fn draw_plot(plot: &Canvas<'_>, curves: &[Vec<Sample>], scale: &Scale, score: Score) -> Drawn {
+    let samples = curves.iter().flatten();
+    let [low, high] = score.range(samples.flat_map(|sample| [sample.min, sample.max]));
+    let places = if score == Score::Success { 1 } else { 0 };
     let mut chart = ChartBuilder::on(plot)
         .margin_left(MARGIN - 8)
         .margin_right(MARGIN)
@@ -89,7 +95,7 @@ fn draw_plot(plot: &Canvas<'_>, curves: &[Vec<Sample>], scale: &Scale) -> Drawn 
         .margin_top(8)
         .x_label_area_size(66)
         .y_label_area_size(80)
-        .build_cartesian_2d(0.0..scale.of(scale.end), 0.0..1.0)?;
+        .build_cartesian_2d(0.0..scale.of(scale.end), low..high)?;
     chart
         .configure_mesh()
         .disable_x_mesh()
@@ -97,11 +103,11 @@ fn draw_plot(plot: &Canvas<'_>, curves: &[Vec<Sample>], scale: &Scale) -> Drawn 
         .light_line_style(TRANSPARENT)
         .axis_style(FAINT_INK)
         .x_desc(&scale.name)
-        .y_desc("share of solved episodes")
+        .y_desc(score.about())
         .x_labels(11)
         .y_labels(6)
         .x_label_formatter(&|x| (scale.label)(*x))
-        .y_label_formatter(&|share| format!("{share:.1}"))
+        .y_label_formatter(&|value| format!("{value:.places$}"))
         .label_style(("sans-serif", LABEL_SIZE, &INK))
         .axis_desc_style(("sans-serif", LABEL_SIZE + 2, &INK))
         .draw()?;
@@ -172,6 +178,14 @@ mod tests {
             assert!(svg.contains(part), "no `{part}`");
         }
         assert_eq!(svg.matches("<polygon").count(), 1);
+    }
+
+    #[test]
+    fn returns_have_an_axis_of_their_own() {
+        let mut run = run(1, &[(10.0, 0.1), (4e5, 0.8)]);
+        run.score = Score::Return;
+        let svg = curves("t", &[group("alone", vec![run])], Axis::Steps).unwrap();
+        assert!(svg.contains("mean return") && svg.contains("\n80\n"), "{svg}");
     }
 
     #[test]
