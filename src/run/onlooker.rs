@@ -134,8 +134,7 @@ impl Onlooker {
             },
             episode: (tally.episodes + 1).min(self.episodes.unwrap_or(usize::MAX)),
             episodes: self.episodes,
-            finished: tally.episodes,
-            solved: tally.solved,
+            tally: &tally,
             step,
             tick: self.figures.tick.percentiles(),
             hint,
@@ -203,8 +202,10 @@ impl WorldObserver for Onlooker {
             && let Some(finished) = &tally.last
         {
             let number = self.earlier + episode as usize + 1;
-            let what = self.view.outcome(self.environment.borrow().spec(), finished);
-            tell!("{}", episode_line(number, self.episodes, finished, &what));
+            let environment = self.environment.borrow();
+            let (spec, of) = (environment.spec(), self.episodes);
+            let what = self.view.outcome(spec, finished);
+            tell!("{}", episode_line((number, of), finished, spec.has_success, &what));
         }
     }
 }
@@ -215,11 +216,17 @@ fn unanswered(report: &TickReport<'_>) -> u64 {
     acted.filter(|(agent, _)| report.answered >> agent & 1 == 0).count() as u64
 }
 
-fn episode_line(number: usize, episodes: Option<usize>, episode: &Episode, what: &str) -> String {
+fn episode_line(
+    (number, episodes): (usize, Option<usize>),
+    episode: &Episode,
+    has_success: bool,
+    what: &str,
+) -> String {
     let end = match (episode.solved, episode.timed_out) {
-        (true, _) => "solved",
-        (false, true) => "timed out",
-        (false, false) => "lost",
+        _ if !has_success => format!("return {:.1}", episode.episode_return),
+        (true, _) => "solved".to_owned(),
+        (false, true) => "timed out".to_owned(),
+        (false, false) => "lost".to_owned(),
     };
     let of = episodes.map_or(String::new(), |episodes| format!(" of {episodes}"));
     format!("episode {number:3}{of}: {:8}  {end:9}  {what}", episode.group)

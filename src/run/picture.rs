@@ -2,6 +2,7 @@
 
 use crate::latency::Percentiles;
 use crate::views::{Canvas, Scene, View};
+use crate::worlds::tally::Tally;
 
 /// All that one picture shows.
 pub(super) struct Picture<'a> {
@@ -9,8 +10,8 @@ pub(super) struct Picture<'a> {
     pub(super) episode: usize,
     /// `None` = without end.
     pub(super) episodes: Option<usize>,
-    pub(super) finished: usize,
-    pub(super) solved: usize,
+    /// Of the finished episodes.
+    pub(super) tally: &'a Tally,
     pub(super) step: u32,
     pub(super) tick: Percentiles,
     /// What a person may do.
@@ -31,14 +32,15 @@ pub(super) fn lines(picture: &Picture<'_>, view: &dyn View, canvas: Canvas) -> V
 
 fn headline(picture: &Picture<'_>) -> String {
     let of = picture.episodes.map_or(String::new(), |episodes| format!(" of {episodes}"));
+    let Tally { episodes, solved, returns, .. } = picture.tally;
+    let came = match picture.scene.spec.has_success {
+        true => format!("solved {solved} of {episodes}"),
+        false if *episodes == 0 => "no return yet".to_owned(),
+        false => format!("mean return {:.1} of {episodes}", returns / *episodes as f64),
+    };
     format!(
-        "episode {}{of}, step {:3}   solved {} of {}   tick p50 {:.0} us, p99 {:.0} us",
-        picture.episode,
-        picture.step,
-        picture.solved,
-        picture.finished,
-        picture.tick.p50,
-        picture.tick.p99,
+        "episode {}{of}, step {:3}   {came}   tick p50 {:.0} us, p99 {:.0} us",
+        picture.episode, picture.step, picture.tick.p50, picture.tick.p99,
     )
 }
 
@@ -64,22 +66,23 @@ mod tests {
             let (allocation, actions) = (vec![0; agents], vec![0; agents]);
             let spec = world.spec();
             let scene = Scene { spec, state: &state, allocation: &allocation, actions: &actions };
+            let mut tally = Tally::default();
+            (tally.episodes, tally.solved, tally.returns) = (1, 1, 2.5);
             let picture = Picture {
                 scene,
                 episode: 2,
                 episodes: Some(20),
-                finished: 1,
-                solved: 1,
+                tally: &tally,
                 step: 7,
                 tick: Percentiles { p50: 20.4, p99: 80.0, p999: None, max: 90.0 },
                 hint: "q quits",
             };
             let canvas = Canvas { width: 79, lines: 23, is_unicode: false };
             let shown = lines(&picture, view_of(entry.name), canvas);
-            assert_eq!(
-                shown[0],
-                "episode 2 of 20, step   7   solved 1 of 1   tick p50 20 us, p99 80 us"
-            );
+            let came = if spec.has_success { "solved 1 of 1" } else { "mean return 2.5 of 1" };
+            let headline =
+                format!("episode 2 of 20, step   7   {came}   tick p50 20 us, p99 80 us");
+            assert_eq!(shown[0], headline);
             let text = shown.join("\n");
             assert!(text.ends_with("q quits"), "{text}");
             assert!((5..=23).contains(&shown.len()), "{text}");

@@ -27,6 +27,8 @@ pub(super) struct Report {
     own: Vec<(&'static str, Value)>,
     #[serde(skip)]
     own_text: String,
+    #[serde(skip)]
+    has_success: bool,
     by_team: BTreeMap<String, TeamTally>,
     decisions: u64,
     /// Actions of agents for which nobody answered in time.
@@ -92,6 +94,7 @@ impl Report {
             return_mean: returns / episodes.max(1) as f64,
             own: own.fields,
             own_text: own.text,
+            has_success: spec.has_success,
             by_team: tally.by_team.clone(),
             decisions: figures.decisions,
             fallbacks: figures.fallbacks,
@@ -108,23 +111,22 @@ impl Report {
 
     /// The tables for people.
     fn print(&self, figures: &Figures) {
-        say!(
-            "\nsuccess {:.2} (95 % interval {:.2} to {:.2}) over {}, {}",
-            self.success,
-            self.success_ci95[0],
-            self.success_ci95[1],
-            plural(self.episodes, "episode"),
-            self.allocated()
-        );
+        let over = format!("{}, {}", plural(self.episodes, "episode"), self.allocated());
+        let returned = format!("mean return {:.1}", self.return_mean);
         let own = if self.own_text.is_empty() { "" } else { ", " };
-        say!("{}{own}mean return {:.1}\n", self.own_text, self.return_mean);
-        let mut teams = Table::new(&["team", "episodes", "solved"]);
-        for (team, report) in &self.by_team {
-            teams.row([team.clone(), report.episodes.to_string(), report.solved.to_string()]);
+        if self.has_success {
+            let [low, high] = self.success_ci95;
+            let interval = format!("95 % interval {low:.2} to {high:.2}");
+            say!("\nsuccess {:.2} ({interval}) over {over}", self.success);
+            say!("{}{own}{returned}\n", self.own_text);
+            self.print_teams();
+            say!();
+        } else {
+            say!("\n{returned} over {over}");
+            say!("{}\n", self.own_text);
         }
-        teams.print();
         say!(
-            "\n{}, {}, {}, pace {}\n",
+            "{}, {}, {}, pace {}\n",
             plural(self.processes, "process"),
             plural(self.decisions as usize, "decision"),
             plural(self.fallbacks as usize, "fallback action"),
@@ -141,6 +143,14 @@ impl Report {
         latency.row(latency_row("observation to action", self.act_us, &figures.act));
         latency.row(latency_row("whole tick", self.tick_us, &figures.tick));
         latency.print();
+    }
+
+    fn print_teams(&self) {
+        let mut teams = Table::new(&["team", "episodes", "solved"]);
+        for (team, report) in &self.by_team {
+            teams.row([team.clone(), report.episodes.to_string(), report.solved.to_string()]);
+        }
+        teams.print();
     }
 
     fn allocated(&self) -> String {
