@@ -9,6 +9,7 @@ use sortie_learn::Act;
 use sortie_learn::evaluate::Evaluation;
 use sortie_learn::play::{PolicyTeam, evaluate_watched};
 
+use super::attention::{Attention, Watching};
 use super::{BySeed, EvalArguments, table};
 use crate::deployment::open_bundle;
 use crate::environment::{ScenarioSetName, check_fits};
@@ -30,6 +31,8 @@ struct Report<'a> {
     seeds: Option<&'a BySeed>,
     #[serde(flatten)]
     evaluation: &'a Evaluation,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    attention: Option<&'a Attention>,
 }
 
 /// The bundle in a folder, if its agents know of no subtasks.
@@ -91,11 +94,20 @@ fn play_team(
     let all = (episodes as u64).saturating_mul(seeds.iter().count() as u64);
     let bar = progress::bar(arguments.common, all, "episodes");
     let mut counted = CountedEpisodes { bar: &bar, next: &mut () };
-    let mut play =
-        |seed| Ok((seed, evaluate_watched(environment, team, episodes, seed, &mut counted)?));
+    let mut watching = Watching::new(team);
+    let mut play = |seed| {
+        let team: &mut dyn Act = if arguments.attention { &mut watching } else { watching.team() };
+        Ok((seed, evaluate_watched(environment, team, episodes, seed, &mut counted)?))
+    };
     let played: Vec<(u64, Evaluation)> =
         seeds.iter().map(&mut play).collect::<Result<_, Failure>>()?;
     bar.finish_and_clear();
+    let attention = watching.attention(environment.spec());
+    let subject = arguments.subject.to_string_lossy();
+    if arguments.attention && attention.is_none() {
+        let reason = format!("the critic of `{subject}` looks at nobody in particular");
+        return Err(Failure::new(Exit::Usage, reason));
+    }
     let by_seed =
         arguments.seeds.map(|_| BySeed::of(played.iter().map(|(seed, one)| (*seed, one))));
     let parts: Vec<Evaluation> = played.into_iter().map(|(_, one)| one).collect();
@@ -103,7 +115,6 @@ fn play_team(
         [one] => one.clone(),
         parts => Evaluation::pooled(parts),
     };
-    let subject = arguments.subject.to_string_lossy();
     if arguments.common.json {
         print_json(&Report {
             env,
@@ -111,11 +122,13 @@ fn play_team(
             seed: by_seed.is_none().then_some(arguments.common.seed),
             seeds: by_seed.as_ref(),
             evaluation: &evaluation,
+            attention: attention.as_ref(),
         });
         return Ok(());
     }
     say!("{env}: {subject}, {}", plural(evaluation.episodes, "episode"));
-    table::print(&evaluation, environment.spec().metrics, by_seed.as_ref());
+    table::print(&evaluation, environment.spec(), by_seed.as_ref());
+    attention.iter().for_each(Attention::print);
     Ok(())
 }
 

@@ -1,5 +1,6 @@
 //! `sortie eval`: how good is a team, over fresh greedy episodes?
 
+mod attention;
 mod method;
 mod table;
 
@@ -9,7 +10,7 @@ use std::path::PathBuf;
 use clap::Args;
 use indicatif::ProgressBar;
 use serde::Serialize;
-use sortie_envs::{Metric, Split};
+use sortie_envs::{Spec, Split};
 use sortie_learn::evaluate::Evaluation;
 use sortie_learn::play::Onlooker;
 use sortie_methods::alma::evaluate::{EvaluationPlan, Planner, PlannerReport, evaluate_watched};
@@ -80,6 +81,9 @@ pub(crate) struct EvalArguments {
     /// Record what the agents of a bundle see into this file, for `sortie bench decision` and `sortie compile`
     #[arg(long, value_name = "FILE", conflicts_with = "plan")]
     dump: Option<PathBuf>,
+    /// Also tell whom the critic of a run looks at, agent by agent, means over all steps: of `maac`
+    #[arg(long)]
+    attention: bool,
     /// What executes a bundle's network
     #[arg(long, value_enum, default_value_t = Backend::Plan)]
     backend: Backend,
@@ -113,6 +117,8 @@ struct Report<'a> {
 pub(super) struct BySeed {
     success: BTreeMap<u64, f64>,
     success_sd: f64,
+    returns: BTreeMap<u64, f64>,
+    returns_sd: f64,
 }
 
 /// What was measured, who allocated, and what the planner did if there was one.
@@ -136,6 +142,10 @@ pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
     arguments.backend.prepare()?;
     if let Some(learned) = LearnedMethod::find(&arguments.subject)? {
         return play_method(arguments, &learned);
+    }
+    if arguments.attention {
+        let reason = "`--attention` tells of critics, which are not deployed; name a run of `maac`";
+        return Err(Failure::new(Exit::Usage, reason));
     }
     if let Some(bundle) = flat_bundle(&arguments.subject)? {
         return play_bundle(arguments, &bundle);
@@ -179,7 +189,7 @@ pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
         });
     } else {
         let environment = playing.set.open(Split::Test)?;
-        print(&playing, &last, environment.spec().metrics, by_seed.as_ref());
+        print(&playing, &last, environment.spec(), by_seed.as_ref());
     }
     Ok(())
 }
@@ -209,13 +219,18 @@ fn check(arguments: &EvalArguments, subject: &Subject) -> Outcome {
 
 impl BySeed {
     fn of<'a>(evaluations: impl Iterator<Item = (u64, &'a Evaluation)>) -> Self {
-        let success: BTreeMap<u64, f64> =
-            evaluations.map(|(seed, evaluation)| (seed, evaluation.success)).collect();
-        let mean = success.values().sum::<f64>() / success.len().max(1) as f64;
-        let squares: f64 = success.values().map(|success| (success - mean).powi(2)).sum();
-        let success_sd = (squares / success.len().saturating_sub(1).max(1) as f64).sqrt();
-        Self { success, success_sd }
+        let figures =
+            |(seed, one): (u64, &Evaluation)| ((seed, one.success), (seed, one.return_mean));
+        let (success, returns): (BTreeMap<_, _>, BTreeMap<_, _>) = evaluations.map(figures).unzip();
+        Self { success_sd: sd(&success), returns_sd: sd(&returns), success, returns }
     }
+}
+
+/// How far seeds lie apart.
+fn sd(by_seed: &BTreeMap<u64, f64>) -> f64 {
+    let mean = by_seed.values().sum::<f64>() / by_seed.len().max(1) as f64;
+    let squares: f64 = by_seed.values().map(|value| (value - mean).powi(2)).sum();
+    (squares / by_seed.len().saturating_sub(1).max(1) as f64).sqrt()
 }
 
 impl Match<'_> {
@@ -299,7 +314,7 @@ impl Match<'_> {
     }
 }
 
-fn print(playing: &Match<'_>, played: &Played, metrics: &[Metric], by_seed: Option<&BySeed>) {
+fn print(playing: &Match<'_>, played: &Played, spec: &Spec, by_seed: Option<&BySeed>) {
     let Match { arguments, set, .. } = playing;
     let Played { evaluation, allocation, planner } = played;
     let under = match *allocation {
@@ -319,5 +334,5 @@ fn print(playing: &Match<'_>, played: &Played, metrics: &[Metric], by_seed: Opti
              ({changed} of {decisions} decisions changed)"
         );
     }
-    table::print(evaluation, metrics, by_seed);
+    table::print(evaluation, spec, by_seed);
 }

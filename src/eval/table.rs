@@ -1,36 +1,50 @@
 //! An evaluation as tables.
 
-use sortie_envs::Metric;
+use sortie_envs::Spec;
 use sortie_learn::evaluate::Evaluation;
 
 use super::BySeed;
 use crate::output::{Table, plural, say};
 
-pub(super) fn print(evaluation: &Evaluation, metrics: &[Metric], by_seed: Option<&BySeed>) {
-    let [low, high] = evaluation.success_ci95;
+pub(super) fn print(evaluation: &Evaluation, spec: &Spec, by_seed: Option<&BySeed>) {
+    let Evaluation { success, success_ci95: [low, high], return_mean, return_sd, .. } = evaluation;
     let mut table = Table::new(&["figure", "value"]);
     let mut row = |name: &str, value: String| table.row([name.to_string(), value]);
-    row("success", format!("{:.3} ({low:.3} to {high:.3})", evaluation.success));
-    if let Some(BySeed { success, success_sd }) = by_seed {
-        let least = success.values().copied().fold(f64::INFINITY, f64::min);
-        let most = success.values().copied().fold(0.0, f64::max);
-        let name = format!("of {}", plural(success.len(), "seed"));
-        row(&name, format!("sd {success_sd:.3} ({least:.3} to {most:.3})"));
+    let success = ("success", format!("{success:.3} ({low:.3} to {high:.3})"));
+    let returned = ("return", format!("{return_mean:.2} (sd {return_sd:.2})"));
+    let (first, by_seed) = match spec.has_success {
+        true => (&success, by_seed.map(|by_seed| (&by_seed.success, by_seed.success_sd, 3))),
+        false => (&returned, by_seed.map(|by_seed| (&by_seed.returns, by_seed.returns_sd, 2))),
+    };
+    row(first.0, first.1.clone());
+    if let Some((of_seeds, sd, digits)) = by_seed {
+        let least = of_seeds.values().copied().fold(f64::INFINITY, f64::min);
+        let most = of_seeds.values().copied().fold(f64::NEG_INFINITY, f64::max);
+        let name = format!("of {}", plural(of_seeds.len(), "seed"));
+        row(&name, format!("sd {sd:.digits$} ({least:.digits$} to {most:.digits$})"));
     }
-    for metric in metrics {
+    for metric in spec.metrics {
         if let Some(value) = evaluation.metrics.get(metric.name) {
             row(metric.about, format!("{value:.3}"));
         }
     }
-    row("time-outs", format!("{:.3}", evaluation.timeouts));
-    row("return", format!("{:.2} (sd {:.2})", evaluation.return_mean, evaluation.return_sd));
+    if spec.has_success {
+        row("time-outs", format!("{:.3}", evaluation.timeouts));
+        row(returned.0, returned.1);
+    }
     row("steps", format!("{:.1}", evaluation.length_mean));
     table.print();
-    say!();
     if !evaluation.failures.is_empty() {
-        print_failures(evaluation);
         say!();
+        print_failures(evaluation);
     }
+    if spec.has_success {
+        say!();
+        print_teams(evaluation);
+    }
+}
+
+fn print_teams(evaluation: &Evaluation) {
     let mut teams = Table::new(&["team", "episodes", "success"]);
     for (team, success) in &evaluation.by_team {
         let share = success.solved as f64 / success.episodes.max(1) as f64;
