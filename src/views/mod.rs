@@ -2,9 +2,11 @@
 //!
 //! The rest of the command line knows environments by their names alone.
 
+mod flat;
 mod group_matching;
 mod mind;
 mod page;
+mod particle;
 mod save_the_city;
 
 use std::path::Path;
@@ -20,7 +22,7 @@ use crate::subject::Subject;
 use crate::worlds::tally::Tally;
 
 /// Every environment that is shown by more than its numbers.
-const VIEWS: &[(&str, &dyn View)] = &[save_the_city::VIEW, group_matching::VIEW];
+const VIEWS: &[(&str, &dyn View)] = &[save_the_city::VIEW, group_matching::VIEW, particle::VIEW];
 
 /// What is shown of an environment of this name.
 pub(crate) fn view_of(environment: &str) -> &'static dyn View {
@@ -160,6 +162,20 @@ pub(crate) struct Page {
     pub(crate) html: String,
     /// Steps of its episode.
     pub(crate) steps: usize,
+}
+
+/// `A` for the first of some things, `A2` for the one after `Z`.
+fn lettered(number: usize) -> String {
+    let letter = char::from(b'A' + (number % 26) as u8);
+    match number / 26 {
+        0 => letter.to_string(),
+        round => format!("{letter}{}", round + 1),
+    }
+}
+
+/// A line that is no longer than this.
+fn fitting(text: String, width: usize) -> String {
+    console::truncate_str(&text, width, "+").into_owned()
 }
 
 fn no_page(wanted: &Wanted<'_>) -> Failure {

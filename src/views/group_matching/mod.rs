@@ -56,15 +56,6 @@ impl View for Shown {
     }
 }
 
-/// `A` for group 0, `A2` for the one after `Z`.
-fn group_name(group: usize) -> String {
-    let letter = char::from(b'A' + (group % 26) as u8);
-    match group / 26 {
-        0 => letter.to_string(),
-        round => format!("{letter}{}", round + 1),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -4,8 +4,7 @@ use console::style;
 use sortie_envs::group_matching::{ACTION_NAMES, Parameters, Ring};
 use sortie_envs::members;
 
-use super::group_name;
-use crate::views::{Canvas, Drawing, Scene};
+use crate::views::{Canvas, Drawing, Scene, fitting, lettered};
 
 /// The ring as lines of text, without line ends.
 pub(super) fn draw(
@@ -56,18 +55,14 @@ fn line(group: usize, set: u128, ring: Ring<'_>, scene: &Scene<'_>, canvas: Canv
         format!("{agent}: {}, {}", ring.cells[agent], action.unwrap_or(&"-"))
     });
     let agents = agents.collect::<Vec<_>>().join("  ");
-    let text = fitting(format!("{:5}  {gathered:8}  {agents}", group_name(group)), canvas.width);
+    let text = fitting(format!("{:5}  {gathered:8}  {agents}", lettered(group)), canvas.width);
     if ring.is_matched(set) { style(text).green().to_string() } else { text }
-}
-
-fn fitting(text: String, width: usize) -> String {
-    console::truncate_str(&text, width, "+").into_owned()
 }
 
 /// As pages of `sortie view` call it.
 fn name(ring: Ring<'_>, agent: usize) -> String {
     let group = ring.groups().position(|members| members >> agent & 1 == 1).unwrap_or(0);
-    format!("{}{agent}", group_name(group))
+    format!("{}{agent}", lettered(group))
 }
 
 #[cfg(test)]

@@ -10,8 +10,13 @@ const SKELETON: &str = include_str!("web/page.html");
 
 /// Parts of a style that all pages share.
 pub(super) mod style {
+    pub(in crate::views) const COLOURS: &str = include_str!("web/colours.css");
     pub(in crate::views) const BASICS: &str = include_str!("web/basics.css");
     pub(in crate::views) const LAYOUT: &str = include_str!("web/layout.css");
+    pub(in crate::views) const DESK: &str = include_str!("web/desk.css");
+    pub(in crate::views) const DISCS: &str = include_str!("web/discs.css");
+    pub(in crate::views) const LANES: &str = include_str!("web/lanes.css");
+    pub(in crate::views) const HEAT: &str = include_str!("web/heat.css");
     pub(in crate::views) const RESULT: &str = include_str!("web/result.css");
     pub(in crate::views) const PLAYBACK: &str = include_str!("web/playback.css");
     pub(in crate::views) const AGENT: &str = include_str!("web/agent.css");
@@ -24,6 +29,7 @@ pub(super) mod script {
     pub(in crate::views) const SUMS: &str = include_str!("web/sums.js");
     pub(in crate::views) const NUMBERS: &str = include_str!("web/numbers.js");
     pub(in crate::views) const ELEMENTS: &str = include_str!("web/elements.js");
+    pub(in crate::views) const LANES: &str = include_str!("web/lanes.js");
     pub(in crate::views) const PLAYER: &str = include_str!("web/player.js");
 }
 

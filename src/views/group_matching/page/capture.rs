@@ -7,7 +7,7 @@ use sortie_learn::{Act, Scene, Scenes};
 
 use super::data::{AgentFacts, Captured, EpisodeResult, Event, EventKind, GroupFacts, State, Step};
 use crate::failure::Failure;
-use crate::views::group_matching::group_name;
+use crate::views::lettered;
 use crate::views::mind::Thought;
 use crate::views::page::rounded;
 
@@ -79,10 +79,10 @@ fn shown(ring: Ring<'_>, seen: &Observation) -> State {
 }
 
 fn facts(ring: Ring<'_>) -> (Vec<AgentFacts>, Vec<GroupFacts>) {
-    let groups = ring.groups().enumerate().map(|(group, set)| GroupFacts {
-        name: group_name(group),
-        members: members(set).collect(),
-    });
+    let groups = ring
+        .groups()
+        .enumerate()
+        .map(|(group, set)| GroupFacts { name: lettered(group), members: members(set).collect() });
     let groups: Vec<GroupFacts> = groups.collect();
     let agent = |agent: usize| {
         let own = groups.iter().enumerate().filter(|(_, facts)| facts.members.contains(&agent));

@@ -3,31 +3,30 @@
 mod capture;
 mod data;
 
-use sortie_envs::{Environment, Split};
+use sortie_envs::Environment;
 use sortie_learn::Act;
-use sortie_learn::play::{PolicyTeam, Start};
+use sortie_learn::play::Start;
 
-use crate::environment::check_fits;
-use crate::failure::{Exit, Failure};
-use crate::policy::{Backend, DeployedPolicy};
-use crate::scripted::Scripted;
+use crate::failure::Failure;
 use crate::subject::Subject;
-use crate::views::mind::{DeployedMind, Diary};
 use crate::views::page::{Web, html, script, style};
-use crate::views::{Page, Wanted};
+use crate::views::{Page, Wanted, flat};
 use capture::{capture, give_thoughts};
 use data::{Captured, Data};
 
 const WEB: Web = Web {
     styles: &[
-        include_str!("web/colours.css"),
+        style::COLOURS,
         style::BASICS,
         style::LAYOUT,
-        include_str!("web/desk.css"),
+        style::DESK,
         style::RESULT,
+        style::DISCS,
         include_str!("web/ring.css"),
+        style::LANES,
         style::PLAYBACK,
         style::AGENT,
+        style::HEAT,
         include_str!("web/groups.css"),
         style::DIALOG,
     ],
@@ -42,6 +41,7 @@ const WEB: Web = Web {
         include_str!("web/ring.js"),
         include_str!("web/agent.js"),
         include_str!("web/groups.js"),
+        script::LANES,
         include_str!("web/timeline.js"),
         script::PLAYER,
     ],
@@ -49,32 +49,15 @@ const WEB: Web = Web {
 
 /// The page of an episode that the subject plays.
 pub(super) fn played(wanted: &Wanted<'_>, subject: &Subject) -> Result<Page, Failure> {
-    let set = wanted.set.clone().unwrap_or_default();
-    if let Some(asked) = wanted.allocation {
-        return Err(asked.of_no_use());
-    }
-    let (env, world) = (set.to_string(), set.open(Split::Test)?);
-    match subject {
-        Subject::Scripted => {
-            let mut team = Scripted::of(&set, &*world, wanted.seed)?;
-            let note = "The scripted team has no network: no utilities, no attention.";
-            Ok(page(wanted, env, &[note], play(wanted, &*world, &mut team)?))
-        }
-        Subject::Bundle(bundle) => {
-            check_fits(bundle, &set)?;
-            let mut deployed = DeployedPolicy::open(bundle, Backend::Plan)?;
-            let mut mind = DeployedMind::new(bundle, deployed.team()?)?;
-            let mut diary = Diary::new(&mut mind);
-            let mut captured = play(wanted, &*world, &mut PolicyTeam::new(&mut diary))?;
-            give_thoughts(&mut captured.states, diary.thoughts);
-            Ok(page(wanted, env, &[], captured))
-        }
-        Subject::Run(_) => {
-            let subject = wanted.subject.display();
-            let message = format!("`{subject}` has learned in another environment than `{set}`");
-            Err(Failure::new(Exit::Mismatch, message))
-        }
-    }
+    let notes: &[&str] = match subject {
+        Subject::Scripted => &["The scripted team has no network: no utilities, no attention."],
+        _ => &[],
+    };
+    let capture = |world: &dyn Environment, team: &mut dyn Act| play(wanted, world, team);
+    let (env, captured) = flat::played(wanted, subject, capture, |captured, thoughts| {
+        give_thoughts(&mut captured.states, thoughts)
+    })?;
+    Ok(page(wanted, env, notes, captured))
 }
 
 /// The page of an episode that a team plays which tells nothing of its thoughts.

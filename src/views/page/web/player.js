@@ -15,7 +15,7 @@ const show = [
 ];
 
 function refresh() {
-  const own = episode.states[view.at].allocation[view.agent];
+  const own = episode.states[view.at].allocation?.[view.agent];
   view.building = chosenBuilding ?? own ?? view.building;
   show.forEach((part) => part(view));
   tellAddress();
@@ -104,7 +104,7 @@ function quiet() {
 }
 
 function createHeader() {
-  const team = episode.agents.map(({ name }) => name[0]).join("");
+  const team = episode.team ?? episode.agents.map(({ name }) => name[0]).join("");
   byId("title").textContent = episode.subject;
   document.title = `${episode.subject}: one episode`;
   const facts = [episode.env, `team ${team}`];
@@ -118,7 +118,8 @@ function createHeader() {
   byId("facts").textContent = facts.join(" · ");
   const result = byId("result");
   result.classList.add(episode.result);
-  result.textContent = `${episode.result.replace("-", " ")} after ${LAST} steps`;
+  const came = episode.result === "over" ? `return ${fixed(returns[LAST])}` : episode.result.replace("-", " ");
+  result.textContent = `${came} after ${LAST} steps`;
   byId("notes").replaceChildren(...episode.notes.map((note) => html("p", {}, note)));
 }
 

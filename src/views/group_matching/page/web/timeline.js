@@ -1,60 +1,14 @@
 // The whole episode at a glance: a lane for every group and every agent, a column for every state.
 
-const GUTTER = 40;
-const GAP = 8;
-
-/** Draws the lanes, again whenever the width changes; the returned function moves the cursor. */
+/** Draws the lanes; the returned function moves the cursor. */
 function createTimeline(go) {
-  const timeline = byId("timeline");
-  const lanes = episode.groups.length + episode.agents.length;
-  const lane = Math.max(9, Math.min(18, Math.floor(220 / lanes)));
-  const height = lanes * lane + GAP + 2;
-  const cursor = svg("rect", { class: "cursor", y: 0, height });
-  let column = 1;
-  let at = 0;
-
-  function moveCursor() {
-    setAll(cursor, { x: GUTTER + at * column, width: Math.max(column, 2) });
-  }
-
-  function draw() {
-    const width = timeline.parentElement.clientWidth;
-    column = Math.min(90, (width - GUTTER - 8) / (LAST + 1));
-    setAll(timeline, { viewBox: `0 0 ${width} ${height}`, width, height });
-    const groups = episode.groups.map((_, group) => groupLane(group, lane, column));
-    const agents = episode.agents.map((_, agent) => agentLane(agent, lane, column));
-    groups.forEach((element, i) => element.setAttribute("transform", `translate(${GUTTER}, ${i * lane})`));
-    agents.forEach((element, i) =>
-      element.setAttribute("transform", `translate(${GUTTER}, ${(groups.length + i) * lane + GAP})`),
-    );
-    timeline.replaceChildren(...groups, ...agents, cursor);
-    moveCursor();
-  }
-
-  function pointed(event) {
-    const x = event.clientX - timeline.getBoundingClientRect().left - GUTTER;
-    go(Math.max(0, Math.min(LAST, Math.floor(x / column))));
-  }
-  timeline.addEventListener("pointerdown", (event) => {
-    timeline.setPointerCapture(event.pointerId);
-    pointed(event);
+  const groups = episode.groups.length;
+  return createLanes(go, {
+    count: groups + episode.agents.length,
+    above: groups,
+    draw: (number, lane, column) =>
+      number < groups ? groupLane(number, lane, column) : agentLane(number - groups, lane, column),
   });
-  timeline.addEventListener("pointermove", (event) => {
-    if (event.buttons) {
-      pointed(event);
-    }
-  });
-  new ResizeObserver(draw).observe(timeline.parentElement);
-  draw();
-
-  return function showTimeline(view) {
-    at = view.at;
-    moveCursor();
-  };
-}
-
-function laneName(name, lane) {
-  return svg("text", { x: -6, y: lane / 2, class: "lane-name", "font-size": Math.min(12, lane) }, name);
 }
 
 /** Filled where the group is together. */

@@ -1,0 +1,60 @@
+// Lanes across the whole episode, one below the other: a column for every state.
+
+const GUTTER = 40;
+const GAP = 8;
+
+/**
+ * Draws as many lanes, with a gap below the first `above`, again whenever the width changes; the returned function
+ * moves the cursor. `draw(number, lane, column)` is one lane of this height with columns of this width.
+ */
+function createLanes(go, { count, above, draw }) {
+  const timeline = byId("timeline");
+  const lane = Math.max(9, Math.min(18, Math.floor(220 / count)));
+  const height = count * lane + GAP + 2;
+  const cursor = svg("rect", { class: "cursor", y: 0, height });
+  let column = 1;
+  let at = 0;
+
+  function moveCursor() {
+    setAll(cursor, { x: GUTTER + at * column, width: Math.max(column, 2) });
+  }
+
+  function drawAll() {
+    const width = timeline.parentElement.clientWidth;
+    column = Math.min(90, (width - GUTTER - 8) / (LAST + 1));
+    setAll(timeline, { viewBox: `0 0 ${width} ${height}`, width, height });
+    const lanes = Array.from({ length: count }, (_, number) => {
+      const element = draw(number, lane, column);
+      const y = number * lane + (number < above ? 0 : GAP);
+      element.setAttribute("transform", `translate(${GUTTER}, ${y})`);
+      return element;
+    });
+    timeline.replaceChildren(...lanes, cursor);
+    moveCursor();
+  }
+
+  function pointed(event) {
+    const x = event.clientX - timeline.getBoundingClientRect().left - GUTTER;
+    go(Math.max(0, Math.min(LAST, Math.floor(x / column))));
+  }
+  timeline.addEventListener("pointerdown", (event) => {
+    timeline.setPointerCapture(event.pointerId);
+    pointed(event);
+  });
+  timeline.addEventListener("pointermove", (event) => {
+    if (event.buttons) {
+      pointed(event);
+    }
+  });
+  new ResizeObserver(drawAll).observe(timeline.parentElement);
+  drawAll();
+
+  return function showTimeline(view) {
+    at = view.at;
+    moveCursor();
+  };
+}
+
+function laneName(name, lane) {
+  return svg("text", { x: -6, y: lane / 2, class: "lane-name", "font-size": Math.min(12, lane) }, name);
+}

@@ -1,0 +1,108 @@
+//! The particle world as it is shown.
+
+mod page;
+mod terminal;
+
+use sortie_envs::particle::{ENTRY, picture_of};
+use sortie_envs::{Environment, Episode, Spec};
+use sortie_learn::Act;
+
+use super::{Canvas, Drawing, Figures, Page, Scene, View, Wanted, lettered};
+use crate::failure::Failure;
+use crate::subject::Subject;
+use crate::worlds::tally::Tally;
+
+/// How it is found.
+pub(super) const VIEW: (&str, &dyn View) = (ENTRY.name, &Shown);
+
+struct Shown;
+
+impl View for Shown {
+    fn outcome(&self, spec: &Spec, episode: &Episode) -> String {
+        let values = spec.metrics.iter().zip(&episode.metrics);
+        let told = values.filter_map(|(metric, value)| Some(told(metric.name, (*value)?)));
+        told.collect::<Vec<_>>().join(", ")
+    }
+
+    fn figures(&self, spec: &Spec, tally: &Tally) -> Figures {
+        let means = spec.metrics.iter().filter_map(|metric| {
+            let sum = tally.metric(spec, metric.name);
+            (sum.episodes > 0).then(|| (metric.name, sum.sum / sum.episodes as f64))
+        });
+        let means: Vec<(&str, f64)> = means.collect();
+        let text = means.iter().map(|(name, mean)| told(name, *mean));
+        let fields: serde_json::Map<_, _> =
+            means.iter().map(|(name, mean)| ((*name).to_owned(), (*mean).into())).collect();
+        Figures {
+            text: text.collect::<Vec<_>>().join(", "),
+            fields: vec![("metrics", fields.into())],
+        }
+    }
+
+    fn draw(&self, scene: &Scene<'_>, canvas: Canvas) -> Drawing {
+        match picture_of(scene.spec, scene.state) {
+            Ok(picture) => terminal::draw(&picture, scene, canvas),
+            Err(error) => Drawing { lines: vec![error.to_string()], legend: String::new() },
+        }
+    }
+
+    fn played(&self, wanted: &Wanted<'_>, subject: &Subject) -> Result<Page, Failure> {
+        page::played(wanted, subject)
+    }
+
+    fn acted(
+        &self,
+        wanted: &Wanted<'_>,
+        env: String,
+        world: &dyn Environment,
+        team: &mut dyn Act,
+    ) -> Result<Page, Failure> {
+        page::acted(wanted, env, world, team)
+    }
+}
+
+/// A metric in words; means have a decimal.
+fn told(metric: &str, value: f64) -> String {
+    let number = if value.fract() == 0.0 { value.to_string() } else { format!("{value:.1}") };
+    match metric {
+        "treasures" => format!("{number} treasures taken"),
+        "deliveries" => format!("{number} delivered"),
+        "near" => format!("rovers near their goals for {number} steps"),
+        "uncovered" => format!("landmarks uncovered by {value:.2}"),
+        name => format!("{number} {name}"),
+    }
+}
+
+/// The letter of a kind of treasure; that of its bank is a capital.
+fn kind_name(kind: u8) -> String {
+    lettered(kind.into()).to_lowercase()
+}
+
+/// What an agent is.
+fn role_of(spec: &Spec, agent: usize) -> &'static str {
+    spec.role_of(agent).map_or("agent", |role| role.name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::views::tests::episode;
+
+    #[test]
+    fn episodes_are_told_in_their_own_words() {
+        let told = |set: &str, values: &[(&str, f64)]| {
+            let (spec, played) = episode(&format!("{}/{set}", ENTRY.name), values);
+            let mut tally = Tally::default();
+            tally.add(played.clone());
+            (Shown.outcome(&spec, &played), Shown.figures(&spec, &tally))
+        };
+        let values = [("treasures", 12.0), ("deliveries", 9.0), ("collisions", 2.5)];
+        let (outcome, figures) = told("treasure-8", &values);
+        assert_eq!(outcome, "12 treasures taken, 9 delivered, 2.5 collisions");
+        assert_eq!((figures.text, &figures.fields[0].1["deliveries"]), (outcome, &9.0.into()));
+        let (outcome, _) = told("rover-tower-8", &[("near", 7.25)]);
+        assert_eq!(outcome, "rovers near their goals for 7.2 steps");
+        let (outcome, _) = told("navigation-3", &[("uncovered", 1.0), ("collisions", 3.0)]);
+        assert_eq!(outcome, "landmarks uncovered by 1.00, 3 collisions");
+    }
+}
