@@ -75,7 +75,8 @@ fn list(picture: &Picture, scene: &Scene<'_>, canvas: Canvas) -> Vec<String> {
     if lines.len() > canvas.lines {
         let hidden = lines.len() - canvas.lines + 1;
         lines.truncate(canvas.lines.saturating_sub(1));
-        lines.push(format!("({hidden} more in a taller window)"));
+        let more = format!("({hidden} more in a taller window)");
+        lines.push(fitting(more, canvas.width));
     }
     lines
 }
