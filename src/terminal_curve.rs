@@ -20,10 +20,9 @@ pub(crate) fn terminal_curve(
 ) -> Vec<String> {
     let Some((end, _)) = points.last() else { return Vec::new() };
     let [low, high] = score.range(points.iter().map(|(_, value)| *value));
-    let labels = [0.0, 0.5, 1.0].map(|share| {
-        let value = low + share * (high - low);
-        (share, if score == Score::Success { format!("{value:.1}") } else { format!("{value:.0}") })
-    });
+    let places = usize::from(high - low < 10.0);
+    let labels =
+        [0.0, 0.5, 1.0].map(|share| (share, format!("{:.places$}", low + share * (high - low))));
     // A label, a space and the axis.
     let left = labels.iter().map(|(_, label)| label.len()).max().unwrap_or(0) + 2;
     if width < left + 30 || height < 5 {

@@ -29,7 +29,7 @@ fn draw(svg: &mut String, title: &str, score: Score, curve: &[CurvePoint]) -> Dr
     let last = curve.last().map_or(1.0, |point| thousands(point.env_steps).max(1.0));
     let value = |point: &CurvePoint| score.pick(point.success, point.return_mean);
     let [low, high] = score.range(curve.iter().map(value));
-    let places = if score == Score::Success { 1 } else { 0 };
+    let places = usize::from(high - low < 10.0);
     let mut chart = ChartBuilder::on(&area)
         .caption(title, ("sans-serif", 18))
         .margin(14)

@@ -87,7 +87,7 @@ impl Scale {
 fn draw_plot(plot: &Canvas<'_>, curves: &[Vec<Sample>], scale: &Scale, score: Score) -> Drawn {
     let samples = curves.iter().flatten();
     let [low, high] = score.range(samples.flat_map(|sample| [sample.min, sample.max]));
-    let places = if score == Score::Success { 1 } else { 0 };
+    let places = usize::from(high - low < 10.0);
     let mut chart = ChartBuilder::on(plot)
         .margin_left(MARGIN - 8)
         .margin_right(MARGIN)
