@@ -293,7 +293,7 @@ mod tests {
         let seen =
             |rows: usize, first: f32| (0..rows * 3).map(|x| (first + x as f32).sin()).collect();
         let observations: Vec<Vec<f32>> = vec![seen(4, 0.0), seen(2, 50.0)];
-        let actions = [actions[..4].to_vec(), actions[4..].to_vec()];
+        let actions = vec![actions[..4].to_vec(), actions[4..].to_vec()];
         let mut encoded = Encoded::default();
         let shown = critic.encode(&groups, &observations, [&actions; 2], false, &mut encoded);
         let mut order = Order::default();
