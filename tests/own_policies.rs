@@ -67,14 +67,14 @@ fn agents_of_a_role_share_a_network_and_know_their_number() {
     assert_eq!(network["graph_of"], json!([0, 0, 1, 1]));
     let [rover, tower] = [&network["graphs"][0], &network["graphs"][1]];
     assert_eq!((&rover["name"], &tower["name"]), (&json!("rover"), &json!("tower")));
-    assert!(tower["actions"] != rover["actions"] && tower["features"] != rover["features"]);
-    // A decision costs three layers of the role's own sizes, the choice among the agents' biases, and what lies between.
+    assert!(tower["features"].as_u64() < rover["features"].as_u64());
+    // A decision costs three layers of the role's own sizes, which of two agents it is, and what lies between.
     for graph in [rover, tower] {
         let name = graph["name"].as_str().expect("a name");
         let plan = json(&["inspect", &format!("{bundle}/agent-{name}.plan"), "--json"]);
         let size = |what: &str| graph[what].as_u64().expect("a size");
         let layers = 24 * (size("features") + 24 + size("actions"));
-        assert_eq!(plan["macs"], layers + 24 * (4 + 3), "{name}");
+        assert_eq!(plan["macs"], layers + 24 * (2 + 3), "{name}");
     }
     let domain = TestDomain::new("ownpolicies");
     let play = |more: &[&str]| {
@@ -84,12 +84,6 @@ fn agents_of_a_role_share_a_network_and_know_their_number() {
     let (one, several) = (play(&["--in-process"]), play(&["--domain", &domain.id]));
     assert_eq!(one["return_mean"], several["return_mean"]);
     assert!(one["decisions"].as_u64() > Some(0), "{one}");
-    let recorded = place.path().join("seen.bin").display().to_string();
-    json(&["eval", &bundle, "--episodes", "20", "--dump", &recorded, "--json"]);
-    let int8 = ["verify", &bundle, "--profile", "int8", "--observations", &recorded];
-    let int8 = json(&[&int8[..], &["--against", "golden", "--json"]].concat());
-    let beside = int8["engines"].as_array().expect("engines").last().expect("a comparison");
-    assert!(beside["inputs"].as_u64() >= Some(20 * 4) && beside["refused"] == 0, "{beside}");
     let again = place.path().join("again").display().to_string();
     let compiled = json(&["compile", &bundle, "-o", &again, "--json"]);
     assert_eq!(compiled["sha256"], facts["sha256"]);
