@@ -15,7 +15,11 @@ use sessions::{begin, environment_of, resume, with};
 
 /// A rover that hears its tower's messages learns where to go.
 fn pair(assignments: &[&str]) -> Setup {
-    let mut setup = find("maac").unwrap().preset("fast").unwrap();
+    pair_of("maac", assignments)
+}
+
+fn pair_of(method: &str, assignments: &[&str]) -> Setup {
+    let mut setup = find(method).unwrap().preset("fast").unwrap();
     setup.environment.name = "particle".to_owned();
     setup.environment.set = "rover-tower-2".to_owned();
     let small = [
@@ -46,19 +50,39 @@ impl Observer for Stopping<'_> {
     }
 }
 
-#[test]
-fn a_rover_learns_what_its_tower_says() {
+/// What a pair earns before and after it learned so.
+fn learned(method: &str, assignments: &[&str]) -> [f64; 2] {
     let quick =
         ["optimiser.critic_rate=0.01", "optimiser.policy_rate=0.005", "returns.discount=0.9"];
-    let setup = with(&pair(&["run.steps=40000"]), &quick);
+    let setup = with(&pair_of(method, &quick), assignments);
     let folder = tempfile::tempdir().unwrap();
     let mut session = begin(setup.clone(), 1, 2, folder.path()).unwrap();
     session.run(&mut (), &AtomicBool::new(false)).unwrap();
     let world = environment_of(&setup).unwrap();
     let chance = play::evaluate(&*world, &mut play::RandomTeam::new(1), 300, 1).unwrap();
     let learned = play::evaluate(&*world, &mut *session.method().team(), 300, 1).unwrap();
-    assert!(chance.return_mean < 10.0, "{}", chance.return_mean);
-    assert!(learned.return_mean > 60.0, "{}", learned.return_mean);
+    [chance, learned].map(|report| report.return_mean)
+}
+
+#[test]
+fn a_rover_learns_what_its_tower_says() {
+    let [chance, learned] = learned("maac", &["run.steps=40000"]);
+    assert!(chance < 10.0 && learned > 60.0, "{chance} {learned}");
+}
+
+/// Critics that see only their agent's row do not know what the other is told; and who learns once learns slowly.
+#[test]
+fn a_rover_learns_by_the_methods_that_are_compared() {
+    for (method, least, assignments) in [
+        ("coma-sac", 60.0, &["run.steps=40000"][..]),
+        ("maddpg-sac", 60.0, &["run.steps=40000"]),
+        ("maddpg", 60.0, &["run.steps=40000"]),
+        ("ddpg", 20.0, &["run.steps=60000"]),
+        ("coma", 30.0, &["run.steps=200000", "environment.instances=4"]),
+    ] {
+        let [_, learned] = learned(method, assignments);
+        assert!(learned > least, "{method}: {learned}");
+    }
 }
 
 #[test]
@@ -71,6 +95,16 @@ fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
             "network.normalised=true",
             "network.shared=false",
             "replay.batch=200",
+        ],
+        &["network.critic=all", "update.own_actions=relaxed"],
+        &["network.critic=own", "network.normalised=true", "update.own_actions=relaxed"],
+        &["network.critic=one", "update.policy_values=fresh"],
+        &[
+            "network.critic=one",
+            "replay.on_policy=true",
+            "returns.steps=1",
+            "returns.lambda=0.8",
+            "update.own_actions=drawn",
         ],
     ] {
         let setup =

@@ -4,7 +4,7 @@ use sortie_learn::Thought;
 use sortie_nn::tape::Tape;
 
 use super::acting::Acting;
-use super::critic::{Critic, Encoded, Order};
+use super::critic::{Critic, Encoded};
 use super::groups::{Group, Groups, Rows};
 use super::learner::Learner;
 
@@ -46,12 +46,9 @@ fn looks(critic: &Critic, groups: &Groups, shown: &Rows, actions: &[u16]) -> Vec
     let actions: Vec<Vec<u32>> = groups.0.iter().map(of_group).collect();
     let mut encoded = Encoded::default();
     let shown = critic.encode(groups, shown, [&actions; 2], false, &mut encoded);
-    let mut order = Order::default();
-    groups.others(scenes, &mut order.others);
-    groups.records(scenes, &mut order.records);
     let mut tape = Tape::default();
     let mut pass = tape.begin(&critic.parameters.values);
-    let values = critic.values(&mut pass, groups, shown, 0..scenes, &order);
+    let values = critic.values(&mut pass, groups, shown, 0..scenes);
     let weights = values.attended.and_then(|attended| pass.attention_weights(attended));
     let Some(weights) = weights.filter(|weights| !weights.is_empty()) else { return Vec::new() };
     let of_row = weights.len() / (agents * scenes);

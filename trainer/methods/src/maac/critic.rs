@@ -5,7 +5,7 @@
 
 use std::ops::Range;
 
-use sortie_nn::layers::{VisibleLists, normalise};
+use sortie_nn::layers::normalise;
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Linear, Parameters, Pass, Var};
 
@@ -83,13 +83,6 @@ pub struct Shown<'a> {
     pub encoded: &'a Encoded,
 }
 
-/// Who stands in the rows of so many records.
-#[derive(Debug, Default)]
-pub struct Order {
-    pub(super) others: VisibleLists,
-    pub(super) records: Vec<u32>,
-}
-
 /// What a critic says.
 #[derive(Debug)]
 pub struct Values {
@@ -153,11 +146,10 @@ impl Critic {
         groups: &Groups,
         shown: Shown<'_>,
         records: Range<usize>,
-        order: &Order,
     ) -> Values {
         match &self.layers {
-            Layers::Attentive(layers) => layers.values(pass, groups, shown, records, order),
-            Layers::Joint(layers) => layers.values(pass, groups, shown, records, order),
+            Layers::Attentive(layers) => layers.values(pass, groups, shown, records),
+            Layers::Joint(layers) => layers.values(pass, groups, shown, records),
         }
     }
 }
@@ -220,7 +212,6 @@ impl Attentive {
         groups: &Groups,
         shown: Shown<'_>,
         records: Range<usize>,
-        order: &Order,
     ) -> Values {
         let encode = |pass: &mut Pass<'_>, group: &Group, numbers: &[f32], layer: Linear| {
             let row = layer.shape.input;
@@ -239,14 +230,18 @@ impl Attentive {
         let encoded = pass.stack(&encoded);
         let values = leaky(pass, encoded, self.value);
         let (of_others, attended, squared_scores) = match self.looks {
-            None => (mean_of_others(pass, values, &order.records, groups.agents()), None, None),
+            None => {
+                let of_records = groups.records(records.len());
+                (mean_of_others(pass, values, &of_records, groups.agents()), None, None)
+            }
             Some([query, key]) => {
                 let all = pass.stack(&states);
                 let queries = pass.linear(all, query);
                 let keys = pass.linear(encoded, key);
                 let keys_values = pass.concat(&[keys, values]);
-                let seen = pass.attention(queries, keys_values, &order.others, self.heads);
-                let scores = pass.squared_scores(queries, keys_values, &order.others, self.heads);
+                let others = groups.others(records.len());
+                let seen = pass.attention(queries, keys_values, &others, self.heads);
+                let scores = pass.squared_scores(queries, keys_values, &others, self.heads);
                 (seen, Some(seen), Some(scores))
             }
         };
@@ -283,27 +278,80 @@ mod tests {
 
     use super::*;
 
-    /// The values of each agent's actions in two records, after these actions.
-    fn values(kind: CriticKind, actions: [u32; 6]) -> Vec<Vec<f32>> {
+    /// Two agents that share and one alone, and what they see in two records.
+    fn three() -> (Groups, Rows) {
         let group =
             |agents: Range<usize>| Group { agents, observed: 3, identity: false, actions: 2 };
-        let groups = Groups(vec![group(0..2), group(2..3)]);
-        let shape = CriticShape { kind, width: 8, heads: 2, sees_own: false };
-        let critic = Critic::new(shape, &groups, &mut stream(1, 1, 0));
         let seen =
             |rows: usize, first: f32| (0..rows * 3).map(|x| (first + x as f32).sin()).collect();
-        let observations: Vec<Vec<f32>> = vec![seen(4, 0.0), seen(2, 50.0)];
+        (Groups(vec![group(0..2), group(2..3)]), vec![seen(4, 0.0), seen(2, 50.0)])
+    }
+
+    /// The values of each agent's actions in two records, after these actions.
+    fn values(kind: CriticKind, actions: [u32; 6]) -> Vec<Vec<f32>> {
+        let (groups, observations) = three();
+        let shape = CriticShape { kind, width: 8, heads: 2, sees_own: false };
+        let critic = Critic::new(shape, &groups, &mut stream(1, 1, 0));
         let actions = vec![actions[..4].to_vec(), actions[4..].to_vec()];
         let mut encoded = Encoded::default();
         let shown = critic.encode(&groups, &observations, [&actions; 2], false, &mut encoded);
-        let mut order = Order::default();
-        groups.others(2, &mut order.others);
-        groups.records(2, &mut order.records);
         let mut tape = Tape::default();
         let mut pass = tape.begin(&critic.parameters.values);
-        let values = critic.values(&mut pass, &groups, shown, 0..2, &order);
+        let values = critic.values(&mut pass, &groups, shown, 0..2);
         let rows = values.of_actions.iter().flat_map(|of| pass.values(*of).chunks_exact(2));
         rows.map(<[f32]>::to_vec).collect()
+    }
+
+    /// The sum of all values of own actions that lie between, and its slopes by them.
+    fn relaxed(kind: CriticKind, own: &Rows) -> (f32, Rows) {
+        let (groups, observations) = three();
+        let shape = CriticShape { kind, width: 8, heads: 2, sees_own: true };
+        let critic = Critic::new(shape, &groups, &mut stream(1, 1, 0));
+        let (mut encoded, actions) = (Encoded::default(), vec![vec![1, 0, 1, 1], vec![0, 1]]);
+        critic.encode(&groups, &observations, [&actions; 2], false, &mut encoded);
+        encoded.own = own.clone();
+        let shown = Shown { observations: &observations, encoded: &encoded };
+        let mut tape = Tape::default();
+        let mut pass = tape.begin(&critic.parameters.values);
+        let values = critic.values(&mut pass, &groups, shown, 0..2);
+        let all = pass.stack(&values.of_actions);
+        assert_eq!(pass.size(all), [6, 1]);
+        let sum = pass.sum_rows(all);
+        pass.backward(sum, &mut vec![0.0; critic.parameters.values.len()]);
+        let slopes = values.own.iter().map(|own| pass.slopes(*own).unwrap().to_vec());
+        (pass.values(sum)[0], slopes.collect())
+    }
+
+    #[test]
+    fn the_slopes_by_own_actions_are_those_of_differences() {
+        for kind in [CriticKind::All, CriticKind::Own] {
+            let own = vec![vec![0.3, 0.7, 0.9, 0.1, 0.5, 0.5, 0.2, 0.8], vec![0.6, 0.4, 0.0, 1.0]];
+            let (_, slopes) = relaxed(kind, &own);
+            for (group, number) in [(0, 0), (0, 3), (0, 6), (1, 1), (1, 2)] {
+                let at = |offset: f32| {
+                    let mut moved = own.clone();
+                    moved[group][number] += offset;
+                    relaxed(kind, &moved).0
+                };
+                let (slope, want) = (slopes[group][number], (at(1e-2) - at(-1e-2)) / 2e-2);
+                assert!(slope.abs() > 1e-4 && (slope - want).abs() < 1e-3, "{slope} {want}");
+            }
+        }
+    }
+
+    #[test]
+    fn one_critic_for_all_knows_whom_it_is_asked_about() {
+        let (groups, _) = three();
+        let shape = CriticShape { kind: CriticKind::One, width: 8, heads: 2, sees_own: false };
+        let critic = Critic::new(shape, &groups, &mut stream(1, 1, 0));
+        let mut encoded = Encoded::default();
+        let actions = vec![vec![1, 0, 1, 1], vec![0, 1]];
+        critic.encode(&groups, &vec![Vec::new(); 2], [&actions; 2], false, &mut encoded);
+        // What the others do, two columns each, and which agent.
+        let rows: Vec<&[f32]> = encoded.taken.iter().flat_map(|rows| rows.chunks(9)).collect();
+        assert_eq!(rows[1], [0., 1., 0., 0., 1., 0., 0., 1., 0.]);
+        assert_eq!(rows[4], [0., 1., 1., 0., 0., 0., 0., 0., 1.]);
+        assert_eq!(rows[5], [0., 1., 0., 1., 0., 0., 0., 0., 1.]);
     }
 
     /// So that the mean over all own actions is a baseline.

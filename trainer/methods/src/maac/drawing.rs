@@ -74,4 +74,19 @@ mod tests {
             assert_eq!(drawn(&[0.0, 0.25, 0.75, 0.0], number), action, "{number}");
         }
     }
+
+    #[test]
+    fn the_largest_of_shaken_scores_is_drawn_by_their_softmax() {
+        let mut random = sortie_envs::random::generator(1);
+        let chances = [0.1_f32, 0.6, 0.3];
+        let mut drawn = [0; 3];
+        for _ in 0..20_000 {
+            let mut scores = chances.map(f32::ln);
+            random.shake(&mut scores);
+            drawn[best(&scores) as usize] += 1;
+        }
+        for (count, chance) in drawn.into_iter().zip(chances) {
+            assert!((count as f32 / 20_000.0 - chance).abs() < 0.015, "{drawn:?}");
+        }
+    }
 }

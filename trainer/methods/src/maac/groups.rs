@@ -35,6 +35,12 @@ impl Group {
         &numbers[records.start * of_record..records.end * of_record]
     }
 
+    /// Record and agent of each of its rows.
+    pub(super) fn order(&self, records: usize) -> impl Iterator<Item = (usize, usize)> + use<> {
+        let agents = self.agents.clone();
+        (0..records).flat_map(move |record| agents.clone().map(move |agent| (record, agent)))
+    }
+
     /// Where its rows stand among those of all groups, of so many records.
     pub(super) fn places(&self, records: usize) -> Range<usize> {
         self.agents.start * records..self.agents.end * records
@@ -87,28 +93,21 @@ impl Groups {
         self.0.last().map_or(0, |group| group.agents.end)
     }
 
-    /// Writes for every row of so many records the rows of the other agents of its record, by their index.
-    pub fn others(&self, records: usize, others: &mut VisibleLists) {
-        others.clear();
-        for group in &self.0 {
-            for record in 0..records {
-                for agent in group.agents.clone() {
-                    let rows = (0..self.agents()).filter(|other| *other != agent);
-                    rows.for_each(|other| others.push(self.row(records, record, other)));
-                    others.end_list();
-                }
-            }
+    /// For every row of so many records the rows of the other agents of its record, by their index.
+    pub fn others(&self, records: usize) -> VisibleLists {
+        let mut others = VisibleLists::default();
+        for (record, agent) in self.0.iter().flat_map(|group| group.order(records)) {
+            let rows = (0..self.agents()).filter(|other| *other != agent);
+            rows.for_each(|other| others.push(self.row(records, record, other)));
+            others.end_list();
         }
+        others
     }
 
-    /// Writes for every row of so many records its record.
-    pub fn records(&self, records: usize, of: &mut Vec<u32>) {
-        of.clear();
-        for group in &self.0 {
-            let of_group =
-                (0..records).flat_map(|record| group.agents.clone().map(move |_| record));
-            of.extend(of_group.map(|record| record as u32));
-        }
+    /// For every row of so many records its record.
+    pub fn records(&self, records: usize) -> Vec<u32> {
+        let rows = self.0.iter().flat_map(|group| group.order(records));
+        rows.map(|(record, _)| record as u32).collect()
     }
 
     fn row(&self, records: usize, record: usize, agent: usize) -> usize {
@@ -129,9 +128,7 @@ mod tests {
     #[test]
     fn every_row_sees_the_others_of_its_record() {
         let groups = Groups(vec![group(0..2), group(2..3)]);
-        let (mut others, mut records) = (VisibleLists::default(), Vec::new());
-        groups.others(2, &mut others);
-        groups.records(2, &mut records);
+        let (others, records) = (groups.others(2), groups.records(2));
         // Agents 0 and 1 of record 0, of record 1; agent 2 of both.
         let lists: Vec<Vec<usize>> = (0..6).map(|row| others.list(row).collect()).collect();
         assert_eq!(lists, [[1, 4], [0, 4], [3, 5], [2, 5], [0, 1], [2, 3]]);

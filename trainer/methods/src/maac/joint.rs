@@ -8,7 +8,7 @@ use sortie_nn::random::Generator;
 use sortie_nn::tape::{Linear, Parameters, Pass, Var};
 
 use super::config::CriticKind;
-use super::critic::{CriticShape, Order, Shown, Values, leaky};
+use super::critic::{CriticShape, Shown, Values, leaky};
 use super::groups::{Groups, Rows};
 
 /// Such a critic's layers.
@@ -74,9 +74,7 @@ impl Joint {
             encoded.clear();
             let columns = context_columns(self.kind, groups, index);
             let records = taken[index].len() / (group.actions * group.agents.len());
-            for (record, agent) in
-                (0..records).flat_map(|r| group.agents.clone().map(move |a| (r, a)))
-            {
+            for (record, agent) in group.order(records) {
                 let end = encoded.len() + columns;
                 if self.kind == CriticKind::Own {
                     continue;
@@ -106,7 +104,6 @@ impl Joint {
         groups: &Groups,
         shown: Shown<'_>,
         records: Range<usize>,
-        order: &Order,
     ) -> Values {
         let all: Vec<Var> = groups
             .0
@@ -123,6 +120,7 @@ impl Joint {
             .map(|(group, x)| pass.reshape(*x, group.inputs() * group.agents.len()))
             .collect();
         let whole = pass.concat(&of_records);
+        let of_rows = groups.records(records.len());
         let (mut of_actions, mut own) = (Vec::new(), Vec::new());
         for (index, group) in groups.0.iter().enumerate() {
             let layers = self.layers[index % self.layers.len()];
@@ -130,7 +128,7 @@ impl Joint {
                 pass.linear(all[index], layers.observed)
             } else {
                 let of_record = pass.linear(whole, layers.observed);
-                pass.gather(of_record, &order.records[group.places(records.len())])
+                pass.gather(of_record, &of_rows[group.places(records.len())])
             };
             if let Some(layer) = layers.context {
                 let row = layer.shape.input;

@@ -4,13 +4,13 @@ use sortie_envs::Random;
 use sortie_learn::run::UpdateReport;
 use sortie_nn::layers::{normalise, softmax};
 use sortie_nn::optimise::{Adam, clip_norm, move_towards};
+use sortie_nn::tape::Chunks;
 
 use super::batch::{Batch, Running};
 use super::config::{Config, OptimiserConfig, OwnActions, PolicyValues};
 use super::critic::{Critic, Encoded};
 use super::drawing::{Draw, best_of_all};
 use super::groups::{Groups, Rows};
-use super::lanes::Lanes;
 use super::losses::{added, drawn_loss, expected_loss, relaxed_loss, soft_value, sum};
 use super::policies::Policies;
 
@@ -37,7 +37,8 @@ pub struct Learner {
     pub critic_gradient: Vec<f32>,
     /// The policies' gradient of the last update, as their optimiser saw it.
     pub policy_gradient: Vec<f32>,
-    lanes: Lanes,
+    threads: usize,
+    chunks: Chunks,
     encoded: Encoded,
     space: Space,
 }
@@ -51,7 +52,6 @@ struct Space {
     /// Of own actions, or the slopes by them of what the critic was shown.
     values: Rows,
     noise: Rows,
-    nothing: Rows,
 }
 
 impl Learner {
@@ -69,7 +69,8 @@ impl Learner {
             policy_optimiser: adam(&policies.parameters.values),
             critic_gradient: Vec::new(),
             policy_gradient: Vec::new(),
-            lanes: Lanes::new(threads, &groups),
+            chunks: Chunks::default(),
+            threads,
             encoded: Encoded::default(),
             space: Space::default(),
             critic,
@@ -112,9 +113,9 @@ impl Learner {
 
     /// What the records are worth: rewards, and the target critic's values of what comes next.
     fn find_targets(&mut self, batch: &Batch, entropy: f32, draw: &mut dyn Draw) {
-        let Self { groups, critic, policies, lanes, encoded, space, config, .. } = self;
-        let of = (&self.target_policies[..], batch.records);
-        lanes.compute(of, &mut space.scores, |pass, range, _| {
+        let Self { groups, critic, policies, threads, chunks, encoded, space, config, .. } = self;
+        let of = &self.target_policies;
+        chunks.values(*threads, of, batch.records, &mut space.scores, |pass, range| {
             policies.scores(pass, groups, &batch.next, range)
         });
         let rule = config.update.own_actions;
@@ -124,9 +125,9 @@ impl Learner {
         };
         let taken = [&actions, &actions];
         let shown = critic.encode(groups, &batch.next, taken, config.network.normalised, encoded);
-        let of = (&self.target_critic[..], batch.records);
-        lanes.compute(of, &mut space.next_values, |pass, range, order| {
-            critic.values(pass, groups, shown, range, order).of_actions
+        let of = &self.target_critic;
+        chunks.values(*threads, of, batch.records, &mut space.next_values, |pass, range| {
+            critic.values(pass, groups, shown, range).of_actions
         });
         space.targets.resize_with(groups.0.len(), Vec::new);
         for (index, group) in groups.0.iter().enumerate() {
@@ -159,7 +160,7 @@ impl Learner {
 
     /// Moves the critic towards the targets, and keeps its values.
     fn update_critic(&mut self, batch: &Batch) -> UpdateReport {
-        let Self { groups, critic, lanes, encoded, space, config, .. } = self;
+        let Self { groups, critic, threads, chunks, encoded, space, config, .. } = self;
         let (seen, taken) = (&batch.observations, [&batch.actions; 2]);
         let shown = critic.encode(groups, seen, taken, config.network.normalised, encoded);
         let (agents, share) = (groups.agents(), 1.0 / batch.records as f32);
@@ -167,11 +168,11 @@ impl Learner {
         let gradient = &mut self.critic_gradient;
         gradient.clear();
         gradient.resize(critic.parameters.values.len(), 0.0);
-        let of = (&critic.parameters.values[..], batch.records);
+        let of = &critic.parameters.values;
         let keep = (&mut gradient[..], &mut space.values);
         let targets = &space.targets;
-        let loss = lanes.descend(of, keep, |pass, range, order| {
-            let values = critic.values(pass, groups, shown, range.clone(), order);
+        let loss = chunks.gradient_and_values(*threads, of, batch.records, keep, |pass, range| {
+            let values = critic.values(pass, groups, shown, range.clone());
             let mut loss = values.squared_scores.map(|scores| {
                 let sum = pass.sum_rows(scores);
                 pass.scale(sum, penalty)
@@ -207,14 +208,14 @@ impl Learner {
             rule.own_actions == OwnActions::Relaxed || rule.policy_values == PolicyValues::Fresh;
         let actions = anew.then(|| self.value_anew(batch, draw));
         let actions = actions.as_ref().unwrap_or(&batch.actions);
-        let Self { groups, policies, lanes, space, config, .. } = self;
+        let Self { groups, policies, threads, chunks, space, config, .. } = self;
         let (share, rule) = (1.0 / batch.records as f32, &config.update);
         let gradient = &mut self.policy_gradient;
         gradient.clear();
         gradient.resize(policies.parameters.values.len(), 0.0);
-        let of = (&policies.parameters.values[..], batch.records);
-        let Space { values, noise, nothing, .. } = space;
-        lanes.descend(of, (&mut gradient[..], nothing), |pass, range, _| {
+        let of = &policies.parameters.values;
+        let Space { values, noise, .. } = space;
+        chunks.gradient(*threads, of, batch.records, gradient, |pass, range| {
             let all = policies.scores(pass, groups, &batch.observations, range.clone());
             let mut loss = None;
             for (index, scores) in all.into_iter().enumerate() {
@@ -239,7 +240,7 @@ impl Learner {
                 let squares = pass.scale(squares, penalty);
                 loss = Some(added(pass, loss, squares));
             }
-            (loss.expect("there are agents"), Vec::new())
+            loss.expect("there are agents")
         });
         let settings = &config.optimiser;
         for range in policies.ranges() {
@@ -254,10 +255,10 @@ impl Learner {
     ///
     /// A critic that sees the own action is shown a drawn one, while the others do their best, and its slopes are found.
     fn value_anew(&mut self, batch: &Batch, draw: &mut dyn Draw) -> Vec<Vec<u32>> {
-        let Self { groups, critic, policies, lanes, encoded, space, config, .. } = self;
+        let Self { groups, critic, policies, threads, chunks, encoded, space, config, .. } = self;
         let Space { scores, values, noise, .. } = space;
-        let of = (&policies.parameters.values[..], batch.records);
-        lanes.compute(of, scores, |pass, range, _| {
+        let of = &policies.parameters.values;
+        chunks.values(*threads, of, batch.records, scores, |pass, range| {
             policies.scores(pass, groups, &batch.observations, range)
         });
         let relaxed = config.update.own_actions == OwnActions::Relaxed;
@@ -274,15 +275,15 @@ impl Learner {
         });
         let (seen, taken) = (&batch.observations, [&others, own.as_ref().unwrap_or(&others)]);
         let shown = critic.encode(groups, seen, taken, config.network.normalised, encoded);
-        let of = (&critic.parameters.values[..], batch.records);
+        let of = &critic.parameters.values;
         if !relaxed {
-            lanes.compute(of, values, |pass, range, order| {
-                critic.values(pass, groups, shown, range, order).of_actions
+            chunks.values(*threads, of, batch.records, values, |pass, range| {
+                critic.values(pass, groups, shown, range).of_actions
             });
             return others;
         }
-        lanes.slopes(of, values, |pass, range, order| {
-            let values = critic.values(pass, groups, shown, range, order);
+        chunks.slopes(*threads, of, batch.records, values, |pass, range| {
+            let values = critic.values(pass, groups, shown, range);
             let sums = values.of_actions.iter().map(|values| pass.sum_rows(*values));
             let sums: Vec<_> = sums.collect();
             let sum = pass.stack(&sums);
@@ -314,4 +315,67 @@ fn follow(
     let decayed = gradient.iter().zip(&*weights).map(|(slope, weight)| slope + decay * weight);
     let decayed: Vec<f32> = decayed.collect();
     adam.step(&mut [weights], &decayed, rate);
+}
+
+#[cfg(test)]
+mod tests {
+    use sortie_envs::random::generator;
+
+    use super::super::config::CriticKind;
+    use super::super::groups::Group;
+    use super::*;
+
+    const RECORDS: usize = 6;
+
+    /// Two episodes of two agents, of four decisions and of two; the first ends for good.
+    fn episodes(rewards: bool) -> Batch {
+        let numbers = |first: f32, count: usize| -> Vec<f32> {
+            (0..count).map(|x| (first + x as f32).sin()).collect()
+        };
+        let ends = [1.0, 1.0, 1.0, 0.0, 1.0, 1.0];
+        let discounts = ends.iter().flat_map(|goes_on| [0.9 * goes_on; 2]).collect();
+        Batch {
+            records: RECORDS,
+            observations: vec![numbers(1.0, RECORDS * 2 * 3)],
+            actions: vec![(0..RECORDS as u32 * 2).map(|x| x % 2).collect()],
+            rewards: vec![if rewards { numbers(7.0, RECORDS * 2) } else { vec![0.0; 12] }],
+            discounts: vec![if rewards { discounts } else { vec![1.0; 12] }],
+            next: vec![numbers(4.0, RECORDS * 2 * 3)],
+            follows: vec![true, true, true, false, true],
+        }
+    }
+
+    fn targets(lambda: f32, batch: &Batch) -> Vec<f32> {
+        let mut config = Config::default();
+        config.network.critic = CriticKind::One;
+        config.returns.lambda = lambda;
+        let groups = Groups(vec![Group { agents: 0..2, observed: 3, identity: false, actions: 2 }]);
+        let mut learner = Learner::new(config, groups, 1, &mut generator(1));
+        learner.find_targets(batch, 0.0, &mut generator(2));
+        learner.space.targets[0].clone()
+    }
+
+    /// Against the forward view: returns of so many decisions each, mixed by powers of lambda.
+    #[test]
+    fn targets_of_whole_episodes_mix_returns_of_all_lengths() {
+        let lambda = 0.8;
+        let batch = episodes(true);
+        let found = targets(lambda, &batch);
+        let worth = targets(0.0, &episodes(false));
+        for (agent, (first, last)) in [(0, 4), (4, 6)].into_iter().flat_map(|e| [(0, e), (1, e)]) {
+            for start in first..last {
+                let row = |record: usize| record * 2 + agent;
+                let (mut earned, mut discount, mut want, mut rest) = (0.0, 1.0, 0.0, 1.0);
+                for record in start..last {
+                    earned += discount * batch.rewards[0][row(record)];
+                    discount *= batch.discounts[0][row(record)];
+                    let share = if record + 1 == last { rest } else { rest * (1.0 - lambda) };
+                    want += share * (earned + discount * worth[row(record)]);
+                    rest *= lambda;
+                }
+                let found = found[row(start)];
+                assert!((found - want).abs() < 1e-5, "{agent} {start}: {found} {want}");
+            }
+        }
+    }
 }

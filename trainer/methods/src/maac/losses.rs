@@ -109,4 +109,23 @@ mod tests {
         let parts = chances.iter().zip(values).map(|(p, q)| p * (q - entropy * p.ln()));
         assert!((worth - parts.sum::<f32>()).abs() < 1e-6);
     }
+
+    #[test]
+    fn the_relaxed_loss_has_the_slopes_of_differences() {
+        let (scores, noise, slopes_by) = ([0.3, -0.7, 1.1], [0.5, 1.2, -0.4], [2.0, -1.0, 0.5]);
+        let loss = |pass: &mut Pass<'_>, scores| relaxed_loss(pass, scores, &noise, &slopes_by);
+        let found = slopes(&scores, loss);
+        let at = |scores: &[f32]| {
+            let mut chances: Vec<f32> = scores.iter().zip(noise).map(|(s, n)| s + n).collect();
+            softmax::forward(&mut chances);
+            chances.iter().zip(slopes_by).map(|(p, slope)| p * slope).sum::<f32>()
+        };
+        for (place, found) in found.into_iter().enumerate() {
+            let (mut above, mut below) = (scores, scores);
+            above[place] += 1e-2;
+            below[place] -= 1e-2;
+            let want = (at(&above) - at(&below)) / 2e-2;
+            assert!((found - want).abs() < 1e-3, "{found} {want}");
+        }
+    }
 }

@@ -449,6 +449,31 @@ mod tests {
     }
 
     #[test]
+    fn what_is_learned_from_once_are_whole_episodes_in_their_order() {
+        let mut config = small();
+        (config.replay.on_policy, config.returns.steps) = (true, 1);
+        config.update.own_actions = super::super::OwnActions::Drawn;
+        let (maac, reports, world) = learned(config, 5);
+        // Four episodes at a time, of which the first four are there before anything is learned.
+        let steps = world.spec().episode_limit as usize;
+        assert_eq!(maac.batch.records, 4 * steps);
+        assert_eq!(
+            reports.agents.len(),
+            (400 + 40 * 5_usize).div_ceil(4 * steps) - 400 / (4 * steps) + 1
+        );
+        let ends: Vec<usize> = (0..maac.batch.records)
+            .filter(|record| maac.batch.follows.get(*record) != Some(&true))
+            .collect();
+        assert_eq!(ends, [1, 2, 3, 4].map(|episode| episode * steps - 1));
+        // What is seen next is what the record behind it sees.
+        let group = &maac.learner.groups.0[0];
+        let row = group.inputs() * group.agents.len();
+        let Batch { observations, next, .. } = &maac.batch;
+        assert_eq!(next[0][..row], observations[0][row..2 * row]);
+        assert_ne!(next[0][(steps - 1) * row..steps * row], observations[0][steps * row..][..row]);
+    }
+
+    #[test]
     fn measured_are_the_averaged_policies() {
         let (mut maac, _, world) = learned(small(), 2);
         assert_ne!(maac.learner.average_policies, maac.learner.policies.parameters.values);

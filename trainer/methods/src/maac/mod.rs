@@ -12,7 +12,6 @@ mod deployed;
 mod drawing;
 mod groups;
 mod joint;
-mod lanes;
 mod learner;
 mod losses;
 mod method;

@@ -90,7 +90,6 @@ fn compared(method: &str, run: RunConfig, mut config: Config) -> Setup {
             instances = 8;
             (returns.steps, returns.lambda, replay.on_policy) = (1, 0.8, true);
             (entropy.start, entropy.end, entropy.steps) = (0.0, 0.0, 0);
-            update.own_actions = OwnActions::Drawn;
         }
         _ => {}
     }
@@ -236,6 +235,51 @@ mod tests {
         assert_eq!(published.0, 1_024);
         for set in ["particle/treasure-4", "particle/navigation-3"] {
             assert_eq!(suited("paper", set), published, "{set}");
+        }
+    }
+
+    #[test]
+    fn critics_of_all_methods_have_about_as_many_parameters() {
+        for set in ["treasure-4", "treasure-8", "rover-tower-8", "rover-tower-14", "navigation-3"] {
+            let set = format!("particle/{set}");
+            let world = sortie_envs::open(&set, Split::Train, 1, &Default::default()).unwrap();
+            let count = |entry: &MethodEntry| {
+                let mut setup = entry.preset("fast").unwrap();
+                suit("fast", &mut setup, world.spec());
+                assert_eq!(setup.method, entry.name);
+                let config: Config = setup.own().unwrap();
+                let groups =
+                    Groups::new(world.spec(), config.network.shared, config.network.identity);
+                let critic = Critic::new(config.critic_shape(), &groups, &mut stream(1, 1, 0));
+                critic.parameters.values.len() as f64
+            };
+            let maac = count(&MAAC);
+            for entry in [COMA, COMA_SAC, MADDPG, MADDPG_SAC, DDPG] {
+                let ratio = count(&entry) / maac;
+                assert!((1.0..1.12).contains(&ratio), "{} in {set}: {ratio}", entry.name);
+            }
+        }
+    }
+
+    #[test]
+    fn what_does_not_go_together_is_refused() {
+        let world = sortie_envs::open("particle/treasure-4", Split::Train, 1, &Default::default());
+        let world = world.unwrap();
+        let opened = |entry: MethodEntry, assignment: &str| {
+            let setup = entry.set(&entry.preset("fast").unwrap(), assignment).unwrap();
+            let opening = Opening { setup: &setup, environment: &*world, seed: 1, threads: 1 };
+            entry.method(&opening).map(drop).map_err(|error| error.to_string())
+        };
+        assert_eq!(opened(MAAC, "network.heads=2"), Ok(()));
+        for (entry, assignment, named) in [
+            (MAAC, "network.heads=3", "network.heads"),
+            (MAAC, "update.own_actions=relaxed", "network.critic=all"),
+            (MAAC, "update.own_actions=drawn", "update.policy_values=fresh"),
+            (MAAC, "replay.on_policy=true", "returns.steps=1"),
+            (MAAC, "replay.capacity=300", "replay.capacity"),
+        ] {
+            let error = opened(entry, assignment).unwrap_err();
+            assert!(error.contains(named), "{assignment}: {error}");
         }
     }
 }

@@ -24,6 +24,7 @@ struct Chunk {
     tape: Tape,
     gradient: Vec<f32>,
     loss: f64,
+    found: Vec<Vec<f32>>,
 }
 
 impl fmt::Debug for Chunks {
@@ -55,22 +56,100 @@ impl Chunks {
         gradient: &mut [f32],
         loss: impl Fn(&mut Pass<'_>, Range<usize>) -> Var + Sync,
     ) -> f64 {
+        let alone = |pass: &mut Pass<'_>, range| (loss(pass, range), Vec::new());
+        self.gradient_and_values(threads, parameters, rows, (gradient, &mut Vec::new()), alone)
+    }
+
+    /// The same, and keeps matrices that were computed besides.
+    pub fn gradient_and_values(
+        &mut self,
+        threads: usize,
+        parameters: &[f32],
+        rows: usize,
+        (gradient, found): (&mut [f32], &mut Vec<Vec<f32>>),
+        loss: impl Fn(&mut Pass<'_>, Range<usize>) -> (Var, Vec<Var>) + Sync,
+    ) -> f64 {
+        self.run(threads, rows, |chunk, range| {
+            let mut pass = chunk.tape.begin(parameters);
+            let (loss, vars) = loss(&mut pass, range);
+            chunk.loss = f64::from(pass.values(loss)[0]);
+            keep(vars.iter().map(|var| pass.values(*var)), &mut chunk.found);
+            back(&mut pass, loss, parameters, &mut chunk.gradient);
+        });
+        let chunks = &self.chunks[..rows.div_ceil(ROWS)];
+        for chunk in chunks {
+            elementwise::scale(1.0, &chunk.gradient, Store::Add, gradient);
+        }
+        join(chunks, found);
+        chunks.iter().map(|chunk| chunk.loss).sum()
+    }
+
+    /// Computes matrices, each of which is then whole: what comes of all chunks behind each other.
+    pub fn values(
+        &mut self,
+        threads: usize,
+        parameters: &[f32],
+        rows: usize,
+        found: &mut Vec<Vec<f32>>,
+        values: impl Fn(&mut Pass<'_>, Range<usize>) -> Vec<Var> + Sync,
+    ) {
+        self.run(threads, rows, |chunk, range| {
+            let mut pass = chunk.tape.begin(parameters);
+            let vars = values(&mut pass, range);
+            keep(vars.iter().map(|var| pass.values(*var)), &mut chunk.found);
+        });
+        join(&self.chunks[..rows.div_ceil(ROWS)], found);
+    }
+
+    /// The slopes of a loss by leaves, which come behind it.
+    pub fn slopes(
+        &mut self,
+        threads: usize,
+        parameters: &[f32],
+        rows: usize,
+        found: &mut Vec<Vec<f32>>,
+        loss: impl Fn(&mut Pass<'_>, Range<usize>) -> (Var, Vec<Var>) + Sync,
+    ) {
+        self.run(threads, rows, |chunk, range| {
+            let mut pass = chunk.tape.begin(parameters);
+            let (loss, leaves) = loss(&mut pass, range);
+            back(&mut pass, loss, parameters, &mut chunk.gradient);
+            let slopes = leaves.iter().map(|leaf| pass.slopes(*leaf).unwrap_or_default());
+            keep(slopes, &mut chunk.found);
+        });
+        join(&self.chunks[..rows.div_ceil(ROWS)], found);
+    }
+
+    fn run(&mut self, threads: usize, rows: usize, work: impl Fn(&mut Chunk, Range<usize>) + Sync) {
         let count = rows.div_ceil(ROWS);
         while self.chunks.len() < count {
             self.chunks.push(Chunk { tape: (self.tape)(), ..Chunk::default() });
         }
-        let chunks = &mut self.chunks[..count];
-        in_lanes(threads, chunks, |index, Chunk { tape, gradient, loss: part }| {
-            gradient.clear();
-            gradient.resize(parameters.len(), 0.0);
-            let mut pass = tape.begin(parameters);
-            let value = loss(&mut pass, index * ROWS..rows.min((index + 1) * ROWS));
-            *part = f64::from(pass.values(value)[0]);
-            pass.backward(value, gradient);
+        in_lanes(threads, &mut self.chunks[..count], |index, chunk| {
+            work(chunk, index * ROWS..rows.min((index + 1) * ROWS));
         });
-        for chunk in &*chunks {
-            elementwise::scale(1.0, &chunk.gradient, Store::Add, gradient);
-        }
-        chunks.iter().map(|chunk| chunk.loss).sum()
+    }
+}
+
+fn back(pass: &mut Pass<'_>, loss: Var, parameters: &[f32], gradient: &mut Vec<f32>) {
+    gradient.clear();
+    gradient.resize(parameters.len(), 0.0);
+    pass.backward(loss, gradient);
+}
+
+fn keep<'a>(all: impl ExactSizeIterator<Item = &'a [f32]>, found: &mut Vec<Vec<f32>>) {
+    found.resize_with(all.len(), Vec::new);
+    for (numbers, found) in all.zip(found) {
+        found.clear();
+        found.extend_from_slice(numbers);
+    }
+}
+
+/// The numbers of every matrix in all chunks behind each other.
+fn join(chunks: &[Chunk], found: &mut Vec<Vec<f32>>) {
+    found.resize_with(chunks.first().map_or(0, |chunk| chunk.found.len()), Vec::new);
+    for (matrix, found) in found.iter_mut().enumerate() {
+        found.clear();
+        chunks.iter().for_each(|chunk| found.extend_from_slice(&chunk.found[matrix]));
     }
 }
