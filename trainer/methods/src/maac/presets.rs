@@ -6,6 +6,7 @@ use sortie_learn::run::RunConfig;
 use sortie_learn::session::{MethodEntry, Opening, Preset, Setup};
 use sortie_learn::{LearnError, Method};
 use sortie_nn::random::stream;
+use toml::{Table, Value};
 
 use super::config::{Config, CriticKind, KEYS, OwnActions, PolicyValues};
 use super::critic::{Critic, CriticShape};
@@ -24,7 +25,7 @@ pub const MAAC: MethodEntry = MethodEntry {
     flags: &[],
     in_proportion: &[],
     suit,
-    settle_older: |_| {},
+    settle_older,
     misfit,
     open,
 };
@@ -163,6 +164,16 @@ fn paper() -> Setup {
     Setup::of(12, run, &Config::paper())
 }
 
+/// Of critics there were two, by what attention is.
+fn settle_older(run: &mut Table) {
+    let Some(network) = run.get_mut("network").and_then(Value::as_table_mut) else { return };
+    if let Some(attention) = network.remove("attention") {
+        let uniform = attention.as_str() == Some("uniform");
+        let critic = if uniform { "uniform" } else { "attention" };
+        network.insert("critic".to_owned(), critic.into());
+    }
+}
+
 fn misfit(spec: &Spec) -> Option<&'static str> {
     if spec.view != View::Vectors {
         return Some(
@@ -258,6 +269,17 @@ mod tests {
                 let ratio = count(&entry) / maac;
                 assert!((1.0..1.12).contains(&ratio), "{} in {set}: {ratio}", entry.name);
             }
+        }
+    }
+
+    #[test]
+    fn files_of_older_runs_say_what_attention_is() {
+        for (older, kind) in [("learned", CriticKind::Attention), ("uniform", CriticKind::Uniform)]
+        {
+            let run = "method = \"maac\"\nversion = \"0.1.0\"\nseed = 1\nthreads = 1\n";
+            let text = format!("{run}[network]\nheads = 2\nattention = \"{older}\"\n");
+            let Config { network, .. } = MAAC.read(&text).unwrap().own().unwrap();
+            assert_eq!((network.critic, network.heads), (kind, 2));
         }
     }
 
