@@ -203,7 +203,7 @@ fn graphs_that_do_not_fit_the_team_are_refused_in_words() {
     told("no agent decides by the graph `tower`", |draft| draft.network.graph_of = vec![0; 3]);
     told("need names, each another", |draft| draft.network.graphs[1].name = "rover".into());
     told("all decide by one graph", |draft| draft.network.agent = "masked-attention".into());
-    told("an agent that is none of 2", |draft| drop(draft.network.graph_of.pop()));
+    told("an agent that is none of 2", |draft| draft.network.graph_of.truncate(2));
     told("no case is of an agent that decides by the graph `rover`", |draft| {
         draft.golden.cases.iter_mut().for_each(|case| case.observation.self_index = 1);
     });
