@@ -7,6 +7,7 @@ use sortie_envs::{ENVIRONMENTS, Split};
 use sortie_learn::run::Difference;
 use sortie_learn::session::MethodEntry;
 use sortie_methods::alma::{ALMA, COPA, FLAT};
+use sortie_methods::maac::{COMA, COMA_SAC, DDPG, MAAC, MADDPG, MADDPG_SAC};
 use sortie_methods::value_factorisation::{QMIX, REFIL, VDN};
 
 const HEAD: &str = "\
@@ -57,9 +58,10 @@ fn others(first: &MethodEntry, others: &[MethodEntry]) -> String {
 #[test]
 fn the_page_lists_every_key() {
     let mut page = HEAD.to_owned();
-    for (first, like_it) in [(ALMA, [FLAT, COPA]), (QMIX, [VDN, REFIL])] {
+    let compared = [COMA, COMA_SAC, MADDPG, MADDPG_SAC, DDPG];
+    for (first, like_it) in [(ALMA, &[FLAT, COPA][..]), (QMIX, &[VDN, REFIL]), (MAAC, &compared)] {
         page += &first.reference().unwrap();
-        page += &others(&first, &like_it);
+        page += &others(&first, like_it);
     }
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/configuration.md");
     if std::env::var_os("SORTIE_WRITE_DOCS").is_some() {
