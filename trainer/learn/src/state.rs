@@ -97,6 +97,19 @@ impl<'a> State<'a> {
         Ok(())
     }
 
+    /// The same of what is needed to use what was learned, beside tensors.
+    ///
+    /// # Errors
+    /// The checkpoint has no such value, or one of another kind.
+    pub fn kept<T: Serialize + DeserializeOwned>(
+        &mut self,
+        name: &str,
+        value: &mut T,
+    ) -> Result<(), LearnError> {
+        let Visit::Weights(checkpoint) = self.0 else { return self.value(name, value) };
+        State::read(checkpoint, &checkpoint.state()?).value(name, value)
+    }
+
     /// Whether this visit changes what it visits.
     pub fn is_reading(&self) -> bool {
         !matches!(self.0, Visit::Write(_))

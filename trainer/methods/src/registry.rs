@@ -2,7 +2,7 @@
 
 use sortie_learn::session::MethodEntry;
 
-use crate::{alma, maac, value_factorisation};
+use crate::{alma, ma_exp, maac, value_factorisation};
 
 /// Every method of this crate.
 pub const METHODS: &[MethodEntry] = &[
@@ -18,6 +18,7 @@ pub const METHODS: &[MethodEntry] = &[
     maac::MADDPG,
     maac::MADDPG_SAC,
     maac::DDPG,
+    ma_exp::MA_EXP,
 ];
 
 /// A method by its name.

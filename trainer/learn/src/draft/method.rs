@@ -107,6 +107,12 @@ impl DeployedNetworks<'_> {
                 Ok(AgentParts { network, parts: [(AGENT.to_owned(), onnx)].into() })
             }
             Self::OwnRow(networks) => own_row_parts(networks, spec, contract),
+            Self::Lookup(tables) => {
+                let network = Network { agent: POLICY.to_owned(), ..Network::default() };
+                let onnx = tables.to_onnx(contract.hash())?;
+                let parts = [(AGENT.to_owned(), onnx), told_number()].into();
+                Ok(AgentParts { network, parts })
+            }
         }
     }
 
@@ -118,6 +124,7 @@ impl DeployedNetworks<'_> {
             Self::OwnRow(_) => {
                 "Every agent decides by its own row alone, by the network that `bundle.toml` names for it."
             }
+            Self::Lookup(_) => "Every agent looks up in a table of its own what to do where it is.",
         }
     }
 }
@@ -143,11 +150,16 @@ fn own_row_parts(
         network.graph_of = networks.network_of.iter().map(|network| *network as u16).collect();
     }
     if networks.told_number() {
-        let own = Some(AGENT_NUMBER.to_owned());
-        let roles = PolicyRoles { own, ..PolicyRoles::default() };
-        parts.insert(POLICY_ROLES.to_owned(), roles.to_toml().into_bytes());
+        parts.extend([told_number()]);
     }
     Ok(AgentParts { network, parts })
+}
+
+/// What says that graphs are told the agent's number.
+fn told_number() -> (String, Vec<u8>) {
+    let own = Some(AGENT_NUMBER.to_owned());
+    let roles = PolicyRoles { own, ..PolicyRoles::default() };
+    (POLICY_ROLES.to_owned(), roles.to_toml().into_bytes())
 }
 
 /// What the graph of these agents is named by: nothing where all decide by it, else their role, or the only one's number.

@@ -3,6 +3,7 @@
 use sortie_core::Policy;
 
 use super::attention::AttentionNetwork;
+use super::lookup::LookupTables;
 use super::own_row::OwnRowNetworks;
 use super::recurrent::GruCell;
 
@@ -26,4 +27,6 @@ pub enum DeployedNetworks<'a> {
     },
     /// Each runs one of several networks over its own row.
     OwnRow(OwnRowNetworks),
+    /// Each looks its answers up.
+    Lookup(LookupTables),
 }

@@ -1,11 +1,11 @@
 //! How often agents stood where: what is rare is worth a visit.
 
-use std::collections::HashMap;
+use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
 /// How fast novelty fades with visits.
-pub const DECAY: f32 = 0.7;
+pub(super) const DECAY: f32 = 0.7;
 
 /// How novel a place is that was visited so often.
 pub fn novelty(visits: u32) -> f32 {
@@ -16,64 +16,80 @@ pub fn novelty(visits: u32) -> f32 {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Counts {
     agents: usize,
-    /// `[agents, cells]`
+    /// `[cells, agents]`
     visits: Vec<u32>,
-    /// `[agents, cells]`: how novel each cell is to each agent.
+    /// `[cells, agents]`: how novel each cell is to each agent.
     novelty: Vec<f32>,
-    /// Visits of the whole team to cells, where they are counted.
-    joint: Option<HashMap<u64, u32>>,
+    /// Visits of the whole team to its cells, where they are counted.
+    joint: Option<BTreeMap<u64, u32>>,
 }
 
 impl Counts {
     /// Nobody has been anywhere; `joint` says whether teams are counted too.
     pub fn new(agents: usize, cells: usize, joint: bool) -> Self {
         let size = agents * cells;
-        let joint = joint.then(HashMap::new);
+        let joint = joint.then(BTreeMap::new);
         Self { agents, visits: vec![0; size], novelty: vec![1.0; size], joint }
     }
 
-    /// Cells of one agent.
-    fn cells(&self) -> usize {
-        self.visits.len() / self.agents
-    }
-
     /// The agents stand in these cells.
-    pub fn visit(&mut self, cells: &[u16]) {
-        let stride = self.cells();
-        for (agent, cell) in cells.iter().enumerate() {
-            let place = agent * stride + usize::from(*cell);
+    pub fn visit(&mut self, cells: impl Iterator<Item = u16> + Clone) {
+        for (agent, cell) in cells.clone().enumerate() {
+            let place = usize::from(cell) * self.agents + agent;
             self.visits[place] = self.visits[place].saturating_add(1);
             self.novelty[place] = novelty(self.visits[place]);
         }
-        let key = self.team(cells);
         if let Some(joint) = &mut self.joint {
-            let visits = joint.entry(key).or_default();
+            let visits = joint.entry(team(cells)).or_default();
             *visits = visits.saturating_add(1);
         }
     }
 
     /// Visits of an agent to a cell.
-    pub fn visits(&self, agent: usize, cell: usize) -> u32 {
-        self.visits[agent * self.cells() + cell]
+    pub fn visits(&self, agent: usize, cell: u16) -> u32 {
+        self.visits[usize::from(cell) * self.agents + agent]
     }
 
-    /// Writes `[agents]` how novel a cell is to each agent.
+    /// `[agents]`: how novel a cell is to each agent.
     #[inline]
-    pub fn novelties(&self, cell: u16, novelties: &mut [f32]) {
-        let cells = self.cells();
-        for (agent, novelty) in novelties.iter_mut().enumerate() {
-            *novelty = self.novelty[agent * cells + usize::from(cell)];
-        }
+    pub fn novelties(&self, cell: u16) -> &[f32] {
+        &self.novelty[usize::from(cell) * self.agents..][..self.agents]
     }
 
     /// How novel it is that the team stands in these cells; 0 where teams are not counted.
-    pub fn team_novelty(&self, cells: &[u16]) -> f32 {
-        let Some(joint) = &self.joint else { return 0.0 };
-        novelty(joint.get(&self.team(cells)).copied().unwrap_or(0))
+    pub fn team_novelty(&self, cells: impl Iterator<Item = u16>) -> f32 {
+        let visits = |joint: &BTreeMap<u64, u32>| joint.get(&team(cells)).copied().unwrap_or(0);
+        self.joint.as_ref().map_or(0.0, |joint| novelty(visits(joint)))
+    }
+}
+
+/// The cells of a team as one number.
+fn team(cells: impl Iterator<Item = u16>) -> u64 {
+    cells.fold(0, |key, cell| key << 16 | u64::from(cell))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn visits_are_counted_by_agents_and_cells_and_teams() {
+        let mut counts = Counts::new(2, 400, true);
+        for cells in [[7, 399], [7, 8], [8, 7], [7, 8]] {
+            counts.visit(cells.into_iter());
+        }
+        let visits = [(0, 7), (0, 8), (1, 8), (1, 399), (1, 7), (1, 0)];
+        assert_eq!(visits.map(|(agent, cell)| counts.visits(agent, cell)), [3, 1, 2, 1, 1, 0]);
+        assert_eq!(counts.novelties(7), [novelty(3), 1.0]);
+        assert_eq!(counts.team_novelty([7, 8].into_iter()), novelty(2));
+        assert_eq!(counts.team_novelty([8, 8].into_iter()), 1.0);
+        assert_eq!(Counts::new(2, 400, false).team_novelty([7, 8].into_iter()), 0.0);
     }
 
-    fn team(&self, cells: &[u16]) -> u64 {
-        let stride = self.cells() as u64;
-        cells.iter().fold(0, |key, cell| key * stride + u64::from(*cell))
+    #[test]
+    fn novelty_fades_with_visits() {
+        assert_eq!((novelty(0), novelty(1)), (1.0, 1.0));
+        assert!((novelty(100) - 0.039_810_717).abs() < 1e-8);
+        assert!((1..5000).all(|visits| novelty(visits) > novelty(visits + 1)));
     }
 }

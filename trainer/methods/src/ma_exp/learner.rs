@@ -1,72 +1,45 @@
-//! Learning from segments, backwards: all heads of all agents at once.
+//! The tables of a team, and all that their values are made of.
 
 use serde::{Deserialize, Serialize};
+use sortie_envs::gridworld::CELLS;
 
 use super::counts::Counts;
 use super::intrinsic::Intrinsic;
-use super::memory::{Memory, Segment};
-use super::table::{ACTIONS, ALL, HEADS, Lanes, Table, Values};
+use super::places::Place;
+use super::shares::Shares;
+use super::table::{ACTIONS, HEADS, Lanes, Table, Terms, Worth};
 
-/// How values follow what happens.
+/// How a team learns.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rules {
-    /// By heads: what they explore for; a head without one is after the team's reward alone.
+    /// By heads: what they explore for. The last explores for nothing: it exploits.
     pub heads: Vec<Option<Intrinsic>>,
+    /// By heads: what intrinsic values count in the choice of actions.
+    pub weights: Lanes,
     /// Discounts of extrinsic and intrinsic rewards.
     pub discounts: [f32; 2],
-    /// How far targets look ahead, as long as actions are the best ones.
-    pub trace: f32,
-    /// First values.
-    pub starts: [f32; 2],
-    /// What intrinsic values count in the choice of actions.
-    pub weight: f32,
+    /// Tries of an action that count in what is known of it.
+    pub memory: f32,
 }
 
-impl Rules {
-    /// By heads: what intrinsic values count.
-    pub fn weights(&self) -> Lanes {
-        let mut weights = [0.0; HEADS];
-        for (weight, head) in weights.iter_mut().zip(&self.heads) {
-            *weight = if head.is_some() { self.weight } else { 0.0 };
-        }
-        weights
-    }
+/// A step of the team.
+#[derive(Clone, Copy, Debug)]
+pub struct Deed<'a> {
+    /// `[agents]`: the rows in which they acted.
+    pub rows: &'a [u32],
+    /// `[agents]`: what they did.
+    pub actions: &'a [u16],
+    /// `[agents]`: where they came to.
+    pub next: &'a [Place],
+    /// Whether the episode came to its own end.
+    pub is_end: bool,
 }
 
-/// What of the team's reward an agent's find and its steps are worth: the least squares of all steps so far.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Shares {
-    steps: f64,
-    finds: f64,
-    squares: f64,
-    rewards: f64,
-    products: f64,
-}
-
-impl Shares {
-    /// Adds a step in which so many agents found something.
-    pub fn add(&mut self, finds: usize, reward: f64) {
-        let finds = finds as f64;
-        self.steps += 1.0;
-        self.finds += finds;
-        self.squares += finds * finds;
-        self.rewards += reward;
-        self.products += finds * reward;
-    }
-
-    /// What a find adds for whoever made it, and what is left for each of so many agents in every step.
-    pub fn of(&self, agents: usize) -> [f32; 2] {
-        let spread = self.steps * self.squares - self.finds * self.finds;
-        let slope = self.steps * self.products - self.finds * self.rewards;
-        let find = if spread > 0.0 { slope / spread } else { 0.0 };
-        let rest = (self.rewards - find * self.finds) / self.steps.max(1.0);
-        [find as f32, (rest / agents as f64) as f32]
-    }
-}
-
-/// The tables of all agents.
+/// The tables of a team.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Learner {
+    /// The head that exploits.
+    exploits: usize,
     /// By agents.
     pub tables: Vec<Table>,
     /// Where everybody has been.
@@ -76,87 +49,95 @@ pub struct Learner {
 }
 
 impl Learner {
-    /// Tables without rows.
-    pub fn new(rules: &Rules, agents: usize, treasures: usize, cells: usize) -> Self {
-        let [extrinsic, intrinsic] = rules.starts;
-        let start = Values {
-            extrinsic: [[extrinsic; HEADS]; ACTIONS],
-            intrinsic: [[intrinsic; HEADS]; ACTIONS],
-        };
+    /// Tables without rows, whose actions are worth so much in rewards of the team and in exploring until they are tried.
+    pub fn new(
+        rules: &Rules,
+        agents: usize,
+        treasures: usize,
+        [extrinsic, intrinsic]: [f32; 2],
+    ) -> Self {
+        let start = Worth { extrinsic: [extrinsic; HEADS], intrinsic: [intrinsic; HEADS] };
         let joint = rules.heads.contains(&Some(Intrinsic::Centralized));
         Self {
+            exploits: rules.heads.len() - 1,
             tables: vec![Table::new(treasures, start); agents],
-            counts: Counts::new(agents, cells, joint),
+            counts: Counts::new(agents, CELLS, joint),
             shares: Shares::default(),
         }
     }
 
-    /// Learns from a segment with such a step size. `allowed` says which actions count in a row of an agent's table.
-    pub fn sweep(
-        &mut self,
-        rules: &Rules,
-        memory: &Memory,
-        segment: Segment,
-        rate: f32,
-        allowed: impl Fn(usize, usize) -> u8,
-    ) {
-        let Self { tables, counts, shares } = self;
-        let [find, rest] = shares.of(tables.len());
-        let weights = rules.weights();
-        let [extrinsic_discount, intrinsic_discount] = rules.discounts;
-        let (mut novelties, mut cells) = (vec![0.0; tables.len()], vec![0; tables.len()]);
-        for agent in 0..tables.len() {
-            let end = memory.deeds(segment, segment.steps)[agent];
-            let mut row = end.row();
-            let mut best = tables[agent].values[row].best(&weights, allowed(agent, row));
-            // What the next state is worth to each head.
-            let (mut extrinsic, mut intrinsic) = (best.extrinsic, best.intrinsic);
-            if segment.is_end {
-                (extrinsic, intrinsic) = ([0.0; HEADS], [0.0; HEADS]);
-            }
-            for step in (0..segment.steps).rev() {
-                let deed = memory.deeds(segment, step)[agent];
-                let cell = tables[agent].places[row].cell;
-                counts.novelties(cell, &mut novelties);
-                let mut team = 0.0;
-                if rules.heads.contains(&Some(Intrinsic::Centralized)) {
-                    let next = memory.deeds(segment, step + 1);
-                    for (cell, (table, deed)) in cells.iter_mut().zip(tables.iter().zip(next)) {
-                        *cell = table.places[deed.row()].cell;
-                    }
-                    team = counts.team_novelty(&cells);
-                }
-                let mut paid = [0.0; HEADS];
-                for (paid, head) in paid.iter_mut().zip(&rules.heads) {
-                    *paid = head.map_or(0.0, |head| head.reward(&novelties, team, agent));
-                }
-                let reward = rest + if deed.has_found() { find } else { 0.0 };
-                row = deed.row();
-                let action = deed.action();
-                let values = &mut tables[agent].values[row];
-                let (old_extrinsic, old_intrinsic) =
-                    (&mut values.extrinsic[action], &mut values.intrinsic[action]);
-                for head in 0..HEADS {
-                    extrinsic[head] = reward + extrinsic_discount * extrinsic[head];
-                    intrinsic[head] = paid[head] + intrinsic_discount * intrinsic[head];
-                    old_extrinsic[head] += rate * (extrinsic[head] - old_extrinsic[head]);
-                    old_intrinsic[head] += rate * (intrinsic[head] - old_intrinsic[head]);
-                }
-                best = values.best(&weights, allowed(agent, row));
-                for head in 0..HEADS {
-                    let is_best = best.action[head] == action as u32;
-                    let trace = if is_best { rules.trace } else { 0.0 };
-                    let (target, value) = (extrinsic[head], best.extrinsic[head]);
-                    extrinsic[head] = value + trace * (target - value);
-                    let (target, value) = (intrinsic[head], best.intrinsic[head]);
-                    intrinsic[head] = value + trace * (target - value);
-                }
+    /// The agents came to these places.
+    pub fn visit(&mut self, places: &[Place]) {
+        self.counts.visit(places.iter().map(|place| place.cell));
+    }
+
+    /// Adds what came of a step.
+    pub fn remember(&mut self, rules: &Rules, deed: &Deed<'_>, reward: f64) {
+        self.visit(deed.next);
+        let team = self.counts.team_novelty(deed.next.iter().map(|place| place.cell));
+        let mut finds = 0;
+        for (agent, table) in self.tables.iter_mut().enumerate() {
+            let next = table.row_of(deed.next[agent]);
+            table.rows[next as usize].team_novelty = team;
+            let (row, action) = (deed.rows[agent] as usize, usize::from(deed.actions[agent]));
+            let has_found = table.rows[row].place.found != deed.next[agent].found;
+            let outcome = &mut table.rows[row].outcomes[action];
+            outcome.add((!deed.is_end).then_some(next), has_found, rules.memory);
+            finds += usize::from(has_found);
+        }
+        self.shares.add(finds, reward);
+    }
+
+    fn terms(&self, rules: &Rules) -> Terms {
+        let shares = self.shares.of(self.tables.len());
+        Terms { weights: rules.weights, discounts: rules.discounts, shares }
+    }
+
+    /// What each head pays an agent for coming to a row's place, by where everybody has been until now.
+    fn paid(&self, rules: &Rules, agent: usize, row: usize) -> Lanes {
+        let row = &self.tables[agent].rows[row];
+        let novelties = self.counts.novelties(row.place.cell);
+        let mut paid = [0.0; HEADS];
+        for (paid, head) in paid.iter_mut().zip(&rules.heads) {
+            *paid = head.map_or(0.0, |head| head.reward(novelties, row.team_novelty, agent));
+        }
+        paid
+    }
+
+    /// Backs up rows `[steps, agents]` of a team, the last first.
+    pub fn back_up(&mut self, rules: &Rules, trail: &[u32]) {
+        let terms = self.terms(rules);
+        for rows in trail.chunks_exact(self.tables.len()).rev() {
+            for (agent, row) in rows.iter().enumerate() {
+                let paid = self.paid(rules, agent, *row as usize);
+                self.tables[agent].back_up(*row as usize, &terms, &paid);
             }
         }
     }
-}
 
-/// Every action counts.
-pub fn all(_: usize, _: usize) -> u8 {
-    ALL
+    /// Backs up all rows of all agents, those met last first.
+    pub fn back_up_all(&mut self, rules: &Rules) {
+        let terms = self.terms(rules);
+        for agent in 0..self.tables.len() {
+            for row in (0..self.tables[agent].rows.len()).rev() {
+                let paid = self.paid(rules, agent, row);
+                self.tables[agent].back_up(row, &terms, &paid);
+            }
+        }
+    }
+
+    /// What an agent's actions are worth to the team where it is: `[actions]`. Where it was never, it goes by the same
+    /// cell with a pit that is less likely to open; where there is none such, it stays.
+    pub fn utilities(&self, agent: usize, place: Option<Place>) -> [f32; ACTIONS] {
+        let known = |place: Place| {
+            let at = |pit| self.tables[agent].find(Place { pit, ..place });
+            (0..=place.pit).rev().find_map(at)
+        };
+        let Some(row) = place.and_then(known) else {
+            let mut stays = [0.0; ACTIONS];
+            stays[ACTIONS - 1] = 1.0;
+            return stays;
+        };
+        row.actions.map(|worth| worth.extrinsic[self.exploits])
+    }
 }

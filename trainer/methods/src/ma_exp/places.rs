@@ -5,17 +5,19 @@ use sortie_envs::gridworld::{CELLS, SIDE};
 use sortie_envs::{SparseRows, Spec};
 
 /// Probabilities of a pit from which on it counts as likelier to open; below the first it counts as none.
-pub const PITS: [f32; 3] = [0.02, 0.08, 0.25];
+pub(super) const PITS: [f32; 3] = [0.02, 0.08, 0.25];
 /// Kinds of pits.
 const KINDS: usize = PITS.len() + 1;
 
 /// Which columns of an observation say what.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Columns {
-    pits: core::ops::Range<usize>,
-    found: core::ops::Range<usize>,
+    pits: std::ops::Range<usize>,
+    found: std::ops::Range<usize>,
     row: usize,
     column: usize,
+    /// All of them.
+    width: usize,
 }
 
 impl Columns {
@@ -30,12 +32,27 @@ impl Columns {
         let found = block("found-")?;
         let fits = found.len() <= 8;
         fits.then_some(())?;
-        Some(Self { pits: block("pit-")?, found, row: at("row")?, column: at("column")? })
+        let (row, column, width) = (at("row")?, at("column")?, spec.features.len());
+        Some(Self { pits: block("pit-")?, found, row, column, width })
     }
 
     /// Kinds of treasures.
     pub fn treasures(&self) -> usize {
         self.found.len()
+    }
+
+    /// `[d]` each: what a row is multiplied with to give the cell, the probability of the pit that is seen, and the set
+    /// of what was found as a number.
+    pub fn weights(&self) -> [Vec<f32>; 3] {
+        let columns = self.width;
+        let mut weights = [vec![0.0; columns], vec![0.0; columns], vec![0.0; columns]];
+        weights[0][self.row] = (SIDE * SIDE) as f32;
+        weights[0][self.column] = SIDE as f32;
+        weights[1][self.pits.clone()].fill(1.0);
+        for (place, column) in self.found.clone().enumerate() {
+            weights[2][column] = (1_u32 << place) as f32;
+        }
+        weights
     }
 
     /// Where a row says that its agent is.

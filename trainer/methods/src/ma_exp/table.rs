@@ -2,57 +2,71 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::model::Outcome;
 use super::places::Place;
 
 /// Actions that tables hold.
-pub const ACTIONS: usize = 5;
+pub(super) const ACTIONS: usize = 5;
 /// Heads that tables hold.
-pub const HEADS: usize = 8;
+pub(super) const HEADS: usize = 8;
 
 /// One number for each head.
 pub type Lanes = [f32; HEADS];
 
-/// The values of all actions in one place, by actions and heads.
+/// What a place or an action is worth to each head.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Values {
-    /// What is earned from the team.
-    pub extrinsic: [Lanes; ACTIONS],
-    /// What is earned by exploring.
-    pub intrinsic: [Lanes; ACTIONS],
-}
-
-/// The best action of each head in one place, and its values.
-#[derive(Clone, Copy, Debug)]
-pub struct Best {
-    /// The action.
-    pub action: [u32; HEADS],
-    /// Its value to the team.
+pub struct Worth {
+    /// In rewards of the team.
     pub extrinsic: Lanes,
-    /// Its value in exploring.
+    /// In exploring.
     pub intrinsic: Lanes,
 }
 
-impl Values {
-    /// The best of some actions, by extrinsic values and so much of the intrinsic ones; the first of equal ones.
+/// What values are made by.
+#[derive(Clone, Copy, Debug)]
+pub struct Terms {
+    /// By heads: what intrinsic values count in the choice of actions.
+    pub weights: Lanes,
+    /// Discounts of extrinsic and intrinsic rewards.
+    pub discounts: [f32; 2],
+    /// What a find earns, and what a step costs.
+    pub shares: [f32; 2],
+}
+
+/// A place that was met.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Row {
+    /// The place.
+    pub place: Place,
+    /// What each action is worth.
+    pub actions: [Worth; ACTIONS],
+    /// What being here is worth, what is paid for coming here included.
+    pub here: Worth,
+    /// How novel the places of the whole team were when the agent was here last.
+    pub team_novelty: f32,
+    /// What came of each action.
+    pub outcomes: [Outcome; ACTIONS],
+}
+
+impl Row {
+    /// What an action is worth to a head that chooses.
     #[inline]
-    pub fn best(&self, weights: &Lanes, actions: u8) -> Best {
-        let mut best = Best {
-            action: [0; HEADS],
-            extrinsic: self.extrinsic[0],
-            intrinsic: self.intrinsic[0],
-        };
-        let mut sums = [f32::NEG_INFINITY; HEADS];
-        for action in (0..ACTIONS).filter(|action| actions >> action & 1 == 1) {
-            let (extrinsic, intrinsic) = (&self.extrinsic[action], &self.intrinsic[action]);
+    pub fn score(&self, action: usize, head: usize, weights: &Lanes) -> f32 {
+        let worth = &self.actions[action];
+        worth.extrinsic[head] + weights[head] * worth.intrinsic[head]
+    }
+
+    /// The worth of the action that each head likes best, the first of equal ones.
+    fn best(&self, weights: &Lanes) -> Worth {
+        let (mut best, mut scores) = (self.actions[0], [f32::NEG_INFINITY; HEADS]);
+        for worth in &self.actions {
             for head in 0..HEADS {
-                let sum = extrinsic[head] + weights[head] * intrinsic[head];
-                let is_better = sum > sums[head];
-                sums[head] = if is_better { sum } else { sums[head] };
-                best.action[head] = if is_better { action as u32 } else { best.action[head] };
-                best.extrinsic[head] =
-                    if is_better { extrinsic[head] } else { best.extrinsic[head] };
-                best.intrinsic[head] =
-                    if is_better { intrinsic[head] } else { best.intrinsic[head] };
+                let score = worth.extrinsic[head] + weights[head] * worth.intrinsic[head];
+                if score > scores[head] {
+                    scores[head] = score;
+                    best.extrinsic[head] = worth.extrinsic[head];
+                    best.intrinsic[head] = worth.intrinsic[head];
+                }
             }
         }
         best
@@ -62,39 +76,67 @@ impl Values {
 /// The values of an agent.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Table {
-    start: Values,
+    /// What actions are worth that were never tried.
+    start: Worth,
     /// By numbers of places: one more than the row, 0 where there is none.
-    rows: Vec<u32>,
-    /// By rows: their places.
-    pub places: Vec<Place>,
-    /// By rows.
-    pub values: Vec<Values>,
+    numbers: Vec<u32>,
+    /// In the order in which they were met.
+    pub rows: Vec<Row>,
 }
-
-/// All actions, as bits.
-pub const ALL: u8 = (1 << ACTIONS) - 1;
 
 impl Table {
     /// Without a row; `treasures` says how many places there can be.
-    pub fn new(treasures: usize, start: Values) -> Self {
-        Self { start, rows: vec![0; Place::count(treasures)], places: vec![], values: vec![] }
+    pub fn new(treasures: usize, start: Worth) -> Self {
+        Self { start, numbers: vec![0; Place::count(treasures)], rows: Vec::new() }
     }
 
     /// The row of a place, which it gets if it has none.
     #[inline]
     pub fn row_of(&mut self, place: Place) -> u32 {
-        let row = &mut self.rows[place.index()];
-        if *row == 0 {
-            self.places.push(place);
-            self.values.push(self.start);
-            *row = self.places.len() as u32;
+        let number = &mut self.numbers[place.index()];
+        if *number == 0 {
+            let actions = [self.start; ACTIONS];
+            let outcomes = Default::default();
+            self.rows.push(Row { place, actions, here: self.start, team_novelty: 1.0, outcomes });
+            *number = self.rows.len() as u32;
         }
-        *row - 1
+        *number - 1
     }
 
     /// The row of a place that was met.
+    pub fn find(&self, place: Place) -> Option<&Row> {
+        let number = self.numbers.get(place.index()).copied().unwrap_or(0) as usize;
+        self.rows.get(number.wrapping_sub(1))
+    }
+
+    /// Makes a row's values those that follow from what is known, given what each head pays for coming here.
     #[inline]
-    pub fn find(&self, place: Place) -> Option<usize> {
-        (self.rows[place.index()] as usize).checked_sub(1)
+    pub fn back_up(&mut self, row: usize, terms: &Terms, paid: &Lanes) {
+        let [find, cost] = terms.shares;
+        let [discount, intrinsic_discount] = terms.discounts;
+        for action in 0..ACTIONS {
+            let outcome = &self.rows[row].outcomes[action];
+            if outcome.tries == 0 {
+                continue;
+            }
+            let mut worth = Worth { extrinsic: [0.0; HEADS], intrinsic: [0.0; HEADS] };
+            for way in &outcome.ways {
+                let Some(next) = way.row else { continue };
+                let there = &self.rows[next as usize].here;
+                for head in 0..HEADS {
+                    worth.extrinsic[head] += way.chance * there.extrinsic[head];
+                    worth.intrinsic[head] += way.chance * there.intrinsic[head];
+                }
+            }
+            let earned = cost + find * outcome.find;
+            worth.extrinsic = worth.extrinsic.map(|value| earned + discount * value);
+            self.rows[row].actions[action] = worth;
+        }
+        let best = self.rows[row].best(&terms.weights);
+        let here = &mut self.rows[row].here;
+        here.extrinsic = best.extrinsic;
+        for head in 0..HEADS {
+            here.intrinsic[head] = paid[head] + intrinsic_discount * best.intrinsic[head];
+        }
     }
 }

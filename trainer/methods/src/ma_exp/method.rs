@@ -1,0 +1,230 @@
+//! MA-Exp as a [`Method`].
+
+use serde::{Deserialize, Serialize};
+use sortie_envs::random::{below, chance, unit};
+use sortie_envs::{EntitySet, Environment, Observation, Random};
+use sortie_learn::export::DeployedAgents;
+use sortie_learn::run::{Rates, Reports};
+use sortie_learn::session::Opening;
+use sortie_learn::{Act, LearnError, Method, Now, Scene, Scenes, State, Transition};
+
+use super::config::Config;
+use super::deployed::deployed;
+use super::learner::{Deed, Learner, Rules};
+use super::places::{Columns, Place};
+use super::selector::Selector;
+use super::table::{ACTIONS, Row};
+
+/// Noise by which equal actions are told apart.
+const TIES: f32 = 1e-3;
+
+/// Agents that explore together.
+#[derive(Debug)]
+pub struct MaExp {
+    config: Config,
+    rules: Rules,
+    columns: Columns,
+    learner: Learner,
+    selector: Selector,
+    running: Vec<Running>,
+    /// Whether only the last head acts.
+    exploits: bool,
+    /// Environment steps of the next sweep.
+    next_sweep: u64,
+    seen: Observation,
+}
+
+/// The running episode of an instance.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+struct Running {
+    head: usize,
+    /// `[agents]`: where they are.
+    places: Vec<Place>,
+    /// `[agents]`: the rows of that.
+    rows: Vec<u32>,
+    /// `[steps, agents]`: rows that were acted in since the last were backed up.
+    trail: Vec<u32>,
+    discounted: f64,
+    /// What a reward of the next step counts.
+    discount: f64,
+}
+
+impl MaExp {
+    /// A team that has been nowhere.
+    ///
+    /// # Panics
+    /// The environment shows no places.
+    pub fn new(config: Config, opening: &Opening<'_>) -> Self {
+        let spec = opening.environment.spec();
+        let columns = Columns::of(spec).expect("the environment was found to fit");
+        let rules = config.rules();
+        let starts = [config.values.start, config.values.intrinsic_start];
+        Self {
+            learner: Learner::new(&rules, spec.shape.agents, columns.treasures(), starts),
+            selector: Selector::new(rules.heads.len()),
+            running: vec![Running::default(); opening.setup.environment.instances],
+            exploits: false,
+            next_sweep: config.values.sweep_every,
+            seen: Observation::new(&spec.shape),
+            columns,
+            rules,
+            config,
+        }
+    }
+
+    fn epsilon(&self) -> f32 {
+        let exploration = &self.config.exploration;
+        if self.exploits { exploration.last_epsilon } else { exploration.epsilon }
+    }
+}
+
+/// Writes `[agents]` where they are in a state.
+fn look(
+    environment: &dyn Environment,
+    columns: &Columns,
+    state: &[u8],
+    seen: &mut Observation,
+    places: &mut Vec<Place>,
+) {
+    environment.observe(state, 0, EntitySet::MAX, seen);
+    places.clear();
+    places.extend((0..seen.rows.len()).map(|agent| columns.place(&seen.rows, agent)));
+}
+
+/// The action that a head likes best in a place, any of equal ones.
+fn liked(row: &Row, head: usize, rules: &Rules, random: &mut Random) -> u16 {
+    let score = |action: usize| row.score(action, head, &rules.weights);
+    let mut best = (f32::NEG_INFINITY, 0);
+    for action in 0..ACTIONS {
+        let score = score(action) + TIES * unit(random) as f32;
+        if score > best.0 {
+            best = (score, action as u16);
+        }
+    }
+    best.1
+}
+
+impl Method for MaExp {
+    fn begins(&mut self, instance: usize, random: &mut Random) {
+        let heads = &self.config.heads;
+        let running = &mut self.running[instance];
+        running.head = if self.exploits {
+            self.rules.heads.len() - 1
+        } else {
+            self.selector.choose(heads.any, heads.temperature, random)
+        };
+        (running.discounted, running.discount) = (0.0, 1.0);
+    }
+
+    fn act(
+        &mut self,
+        scenes: &Scenes<'_>,
+        now: Now,
+        random: &mut [Random],
+        actions: &mut [u16],
+    ) -> Result<(), LearnError> {
+        self.exploits = now.env_steps as f64 >= self.config.heads.until * now.of as f64;
+        let epsilon = f64::from(self.epsilon());
+        let Self { rules, columns, learner, running, seen, .. } = self;
+        let agents = learner.tables.len();
+        for (scene, actions) in scenes.scenes.iter().zip(actions.chunks_exact_mut(agents)) {
+            let Scene { instance, state, begins, .. } = *scene;
+            let Running { head, places, rows, .. } = &mut running[instance];
+            if begins {
+                look(scenes.environment, columns, state, seen, places);
+                learner.visit(places);
+            }
+            rows.clear();
+            for (agent, (place, action)) in places.iter().zip(actions).enumerate() {
+                let random = &mut random[instance];
+                let table = &mut learner.tables[agent];
+                let row = table.row_of(*place);
+                *action = if chance(random, epsilon) {
+                    below(random, ACTIONS) as u16
+                } else {
+                    liked(&table.rows[row as usize], *head, rules, random)
+                };
+                rows.push(row);
+            }
+        }
+        Ok(())
+    }
+
+    fn remember(&mut self, transition: &Transition<'_>) -> Result<(), LearnError> {
+        let Self { config, rules, columns, learner, selector, running, seen, .. } = self;
+        let Transition { environment, instance, actions, step, next, .. } = *transition;
+        let Running { head, places, rows, trail, discounted, discount } = &mut running[instance];
+        look(environment, columns, next, seen, places);
+        let deed = Deed { rows, actions, next: places, is_end: step.terminated };
+        learner.remember(rules, &deed, step.reward);
+        trail.extend_from_slice(rows);
+        *discounted += *discount * step.reward;
+        *discount *= f64::from(config.values.discount);
+        if step.done() || trail.len() >= config.values.segment * rows.len() {
+            learner.back_up(rules, trail);
+            trail.clear();
+        }
+        if step.done() {
+            selector.add(*head, *discounted);
+        }
+        Ok(())
+    }
+
+    fn update(&mut self, _: &dyn Environment, now: Now, _: &mut Reports) -> Result<(), LearnError> {
+        if now.env_steps >= self.next_sweep || now.env_steps >= now.of {
+            self.next_sweep = now.env_steps + self.config.values.sweep_every;
+            self.learner.back_up_all(&self.rules);
+        }
+        Ok(())
+    }
+
+    fn rates(&self, _: Now) -> Rates {
+        Rates { epsilon: self.epsilon(), learning_rate: 1.0 / self.rules.memory }
+    }
+
+    fn team(&self) -> Box<dyn Act + '_> {
+        Box::new(Greedy { team: self, seen: Observation::default(), places: Vec::new() })
+    }
+
+    fn deployed(&self) -> Result<DeployedAgents<'_>, LearnError> {
+        Ok(deployed(&self.learner, &self.columns))
+    }
+
+    fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
+        state.kept("tables", &mut self.learner)?;
+        state.value("selector", &mut self.selector)?;
+        state.value("running", &mut self.running)?;
+        state.value("exploits", &mut self.exploits)?;
+        state.value("next-sweep", &mut self.next_sweep)
+    }
+}
+
+/// Agents that take what is worth most to the team.
+struct Greedy<'a> {
+    team: &'a MaExp,
+    seen: Observation,
+    places: Vec<Place>,
+}
+
+impl Act for Greedy<'_> {
+    fn act(
+        &mut self,
+        scenes: &Scenes<'_>,
+        _: &mut [Random],
+        actions: &mut [u16],
+    ) -> Result<(), LearnError> {
+        let Self { team, seen, places } = self;
+        let mut actions = actions.iter_mut();
+        for scene in scenes.scenes {
+            look(scenes.environment, &team.columns, scene.state, seen, places);
+            for ((agent, place), action) in places.iter().enumerate().zip(&mut actions) {
+                let utilities = team.learner.utilities(agent, Some(*place));
+                let best = (0..ACTIONS)
+                    .rev()
+                    .max_by(|one, other| utilities[*one].total_cmp(&utilities[*other]));
+                *action = best.unwrap_or_default() as u16;
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,31 @@
+//! MA-Exp: coordinated exploration by intrinsic rewards (Iqbal and Sha 2019; dissertation chapter 4).
+//!
+//! A team shares one reward that it rarely sees. Each of several heads explores for something else, by how often agents
+//! have been where; one explores for nothing and is deployed. What is known of the world is kept by places, and values
+//! are what follows from it.
+
+mod config;
+mod counts;
+mod deployed;
+mod intrinsic;
+mod keys;
+mod learner;
+mod method;
+mod model;
+mod places;
+mod presets;
+mod selector;
+mod shares;
+mod table;
+
+pub use config::{Config, ExplorationConfig, HeadsConfig, Types, ValuesConfig};
+pub use counts::{Counts, novelty};
+pub use intrinsic::{Intrinsic, Moments};
+pub use learner::{Deed, Learner, Rules};
+pub use method::MaExp;
+pub use model::{Outcome, Way};
+pub use places::{Columns, Place};
+pub use presets::MA_EXP;
+pub use selector::Selector;
+pub use shares::Shares;
+pub use table::{Lanes, Row, Table, Terms, Worth};

@@ -1,0 +1,56 @@
+//! The method by its name, and its presets.
+
+use sortie_envs::Spec;
+use sortie_learn::run::RunConfig;
+use sortie_learn::session::{MethodEntry, Opening, Preset, Setup};
+use sortie_learn::{LearnError, Method};
+
+use super::config::Config;
+use super::keys::KEYS;
+use super::method::MaExp;
+use super::places::Columns;
+use super::table::ACTIONS;
+
+/// MA-Exp: several ways to explore together, and a choice between them.
+pub const MA_EXP: MethodEntry = MethodEntry {
+    name: "ma-exp",
+    about: "Coordinated exploration by intrinsic rewards of several types (MA-Exp, dissertation chapter 4)",
+    keys: |_| KEYS,
+    presets: &[Preset { name: "fast", setup: fast }],
+    flags: &[],
+    in_proportion: &[],
+    suit,
+    settle_older: |_| {},
+    misfit,
+    open,
+};
+
+fn fast() -> Setup {
+    let run = RunConfig {
+        steps: 300_000,
+        evaluate_every: 100_000,
+        evaluate_episodes: 200,
+        ..RunConfig::default()
+    };
+    Setup::of(12, run, &Config::default())
+}
+
+/// Tasks of several tiers, and larger teams, take longer.
+fn suit(preset: &str, setup: &mut Setup, spec: &Spec) {
+    let treasures = Columns::of(spec).map_or(0, |columns| columns.treasures());
+    if preset == "fast" && (treasures > spec.shape.agents || spec.shape.agents > 2) {
+        setup.run.steps = if treasures > spec.shape.agents { 1_000_000 } else { 600_000 };
+    }
+}
+
+fn misfit(spec: &Spec) -> Option<&'static str> {
+    let fits = Columns::of(spec).is_some() && spec.shape.actions == ACTIONS;
+    (!fits).then_some(
+        "its agents count their visits to cells of a grid and remember what they found there, of which this environment shows nothing",
+    )
+}
+
+fn open(opening: &Opening<'_>) -> Result<Box<dyn Method>, LearnError> {
+    let config: Config = opening.setup.own()?;
+    Ok(Box::new(MaExp::new(config, opening)))
+}
