@@ -125,3 +125,27 @@ fn a_graph_that_is_missing_or_of_other_sizes_is_named() {
     let gone = output(&["verify", &bundle]);
     assert_fails(&gone, 66, &["agent-tower.onnx` is missing"]);
 }
+
+#[test]
+fn agents_that_look_up_what_to_do_are_deployed() {
+    let place = tempfile::tempdir().expect("a folder");
+    let [run, bundle] = ["run", "bundle"].map(|name| place.path().join(name).display().to_string());
+    let train = ["train", "ma-exp", "-q", "--env", "gridworld/task3-2", "--steps", "60000"];
+    let short = ["--set", "run.evaluate_every=60000", "--set", "run.final_episodes=20"];
+    let trained = output(&[&train[..], &short, &["--out", &run]].concat());
+    assert!(trained.status.success(), "{}", support::stderr(&trained));
+    json(&["export", &run, "--out", &bundle, "--episodes", "20", "--json"]);
+    let against = ["--against", "tract,golden"];
+    let verified = json(&[&["verify", &bundle, "--inputs", "64", "--json"][..], &against].concat());
+    for engine in verified["engines"].as_array().expect("engines") {
+        assert_eq!(engine["action_mismatches"], 0, "{engine}");
+    }
+    let evaluate = |subject: &str| json(&["eval", subject, "--episodes", "60", "--json"]);
+    let [learned, deployed] = [evaluate(&run), evaluate(&bundle)];
+    for figure in ["return_mean", "length_mean", "treasures"] {
+        assert!(!learned[figure].is_null(), "{figure}: {learned}");
+        assert_eq!(deployed[figure], learned[figure], "{figure}");
+    }
+    let play = ["run", &bundle, "--json", "--in-process", "--episodes", "5"];
+    assert!(json(&play)["decisions"].as_u64() > Some(0));
+}

@@ -16,6 +16,8 @@ pub struct Config {
     pub values: ValuesConfig,
     /// How actions are tried out.
     pub exploration: ExplorationConfig,
+    /// How frozen policies are tried out.
+    pub audition: AuditionConfig,
 }
 
 /// What is explored for.
@@ -77,6 +79,16 @@ pub struct ExplorationConfig {
     pub last_epsilon: f32,
 }
 
+/// How frozen policies are tried out.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AuditionConfig {
+    /// Instances that play them once the last head acts alone.
+    pub instances: usize,
+    /// Episodes of each.
+    pub episodes: u32,
+}
+
 impl Default for Config {
     fn default() -> Self {
         Self {
@@ -92,6 +104,7 @@ impl Default for Config {
                 sweep_every: 1_200,
             },
             exploration: ExplorationConfig { epsilon: 0.1, last_epsilon: 0.05 },
+            audition: AuditionConfig { instances: 2, episodes: 20 },
         }
     }
 }

@@ -67,29 +67,3 @@ impl Counts {
 fn team(cells: impl Iterator<Item = u16>) -> u64 {
     cells.fold(0, |key, cell| key << 16 | u64::from(cell))
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn visits_are_counted_by_agents_and_cells_and_teams() {
-        let mut counts = Counts::new(2, 400, true);
-        for cells in [[7, 399], [7, 8], [8, 7], [7, 8]] {
-            counts.visit(cells.into_iter());
-        }
-        let visits = [(0, 7), (0, 8), (1, 8), (1, 399), (1, 7), (1, 0)];
-        assert_eq!(visits.map(|(agent, cell)| counts.visits(agent, cell)), [3, 1, 2, 1, 1, 0]);
-        assert_eq!(counts.novelties(7), [novelty(3), 1.0]);
-        assert_eq!(counts.team_novelty([7, 8].into_iter()), novelty(2));
-        assert_eq!(counts.team_novelty([8, 8].into_iter()), 1.0);
-        assert_eq!(Counts::new(2, 400, false).team_novelty([7, 8].into_iter()), 0.0);
-    }
-
-    #[test]
-    fn novelty_fades_with_visits() {
-        assert_eq!((novelty(0), novelty(1)), (1.0, 1.0));
-        assert!((novelty(100) - 0.039_810_717).abs() < 1e-8);
-        assert!((1..5000).all(|visits| novelty(visits) > novelty(visits + 1)));
-    }
-}

@@ -52,7 +52,7 @@ fn tables(learner: &Learner, columns: &Columns) -> LookupTables {
                     pit: pit as u8,
                     found,
                 });
-                answers.extend(learner.utilities(agent, place));
+                answers.extend(learner.utilities(agent, place, learner.deployed()));
             }
         }
     }
@@ -95,7 +95,8 @@ impl Policy for OwnTables<'_> {
         self.rows.push_dense(row.ok_or(DecideError::BadLength)?);
         let place = self.columns.place(&self.rows, 0);
         let known = utilities.get_mut(..ACTIONS).ok_or(DecideError::BadLength)?;
-        known.copy_from_slice(&self.learner.utilities(agent, Some(place)));
+        let version = self.learner.deployed();
+        known.copy_from_slice(&self.learner.utilities(agent, Some(place), version));
         Ok(())
     }
 

@@ -49,37 +49,3 @@ impl Intrinsic {
         }
     }
 }
-
-/// Running mean and variance of a stream of numbers (Chan, Golub and LeVeque 1979).
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Moments {
-    /// Mean.
-    pub mean: f64,
-    /// Variance of the population.
-    pub variance: f64,
-    /// Numbers so far.
-    pub count: f64,
-}
-
-impl Default for Moments {
-    fn default() -> Self {
-        Self { mean: 0.0, variance: 1.0, count: 1e-4 }
-    }
-}
-
-impl Moments {
-    /// Adds some numbers.
-    pub fn add(&mut self, numbers: impl ExactSizeIterator<Item = f64> + Clone) {
-        let count = numbers.len() as f64;
-        if count == 0.0 {
-            return;
-        }
-        let mean = numbers.clone().sum::<f64>() / count;
-        let variance = numbers.map(|number| (number - mean).powi(2)).sum::<f64>() / count;
-        let (apart, total) = (mean - self.mean, self.count + count);
-        let between = apart * apart * self.count * count / total;
-        self.mean += apart * count / total;
-        self.variance = (self.variance * self.count + variance * count + between) / total;
-        self.count = total;
-    }
-}

@@ -102,4 +102,17 @@ pub(super) const KEYS: &[Section] = &[
             ),
         ],
     },
+    Section {
+        name: "audition",
+        about: "Frozen policies are tried out one after the other once the head without intrinsic rewards acts alone; the one that returns most is deployed.",
+        keys: &[
+            Key::new(
+                "instances",
+                "instances",
+                Range::Whole(0, 4096),
+                "Instances that play them; the others go on learning. 0: what is known at the end is deployed.",
+            ),
+            Key::new("episodes", "episodes", Range::Whole(1, 1_000_000), "Episodes of each."),
+        ],
+    },
 ];

@@ -3,11 +3,12 @@
 use serde::{Deserialize, Serialize};
 use sortie_envs::gridworld::CELLS;
 
+use super::audition::Audition;
 use super::counts::Counts;
 use super::intrinsic::Intrinsic;
 use super::places::Place;
 use super::shares::Shares;
-use super::table::{ACTIONS, HEADS, Lanes, Table, Terms, Worth};
+use super::table::{ACTIONS, HEADS, Lanes, Table, Terms, Version, Worth};
 
 /// How a team learns.
 #[derive(Clone, Debug, PartialEq)]
@@ -46,6 +47,8 @@ pub struct Learner {
     pub counts: Counts,
     /// How the team's reward is shared out.
     pub shares: Shares,
+    /// Frozen policies that are tried out.
+    pub audition: Audition,
 }
 
 impl Learner {
@@ -63,6 +66,7 @@ impl Learner {
             tables: vec![Table::new(treasures, start); agents],
             counts: Counts::new(agents, CELLS, joint),
             shares: Shares::default(),
+            audition: Audition::default(),
         }
     }
 
@@ -126,18 +130,44 @@ impl Learner {
         }
     }
 
+    /// Goes on to the next policy that is tried out: what is known now.
+    pub fn audition_next(&mut self) {
+        let is_best = self.audition.go_on();
+        for row in self.tables.iter_mut().flat_map(|table| &mut table.rows) {
+            if is_best {
+                row.keep();
+            }
+            row.freeze(self.exploits);
+        }
+    }
+
+    /// What is deployed.
+    pub fn deployed(&self) -> Version {
+        if self.audition.best().is_some() { Version::Best } else { Version::Now }
+    }
+
     /// What an agent's actions are worth to the team where it is: `[actions]`. Where it was never, it goes by the same
     /// cell with a pit that is less likely to open; where there is none such, it stays.
-    pub fn utilities(&self, agent: usize, place: Option<Place>) -> [f32; ACTIONS] {
+    pub fn utilities(
+        &self,
+        agent: usize,
+        place: Option<Place>,
+        version: Version,
+    ) -> [f32; ACTIONS] {
         let known = |place: Place| {
             let at = |pit| self.tables[agent].find(Place { pit, ..place });
-            (0..=place.pit).rev().find_map(at)
+            (0..=place.pit).rev().find_map(|pit| at(pit)?.utilities(self.exploits, version))
         };
-        let Some(row) = place.and_then(known) else {
-            let mut stays = [0.0; ACTIONS];
-            stays[ACTIONS - 1] = 1.0;
-            return stays;
-        };
-        row.actions.map(|worth| worth.extrinsic[self.exploits])
+        place.and_then(known).unwrap_or(STAYS)
+    }
+
+    /// What an agent does where it is: what is worth most to the team, the first of equal ones.
+    pub fn best_action(&self, agent: usize, place: Place, version: Version) -> u16 {
+        let utilities = self.utilities(agent, Some(place), version);
+        let better = |one: &usize, other: &usize| utilities[*one].total_cmp(&utilities[*other]);
+        (0..ACTIONS).rev().max_by(better).unwrap_or_default() as u16
     }
 }
+
+/// What actions are worth where nothing is known: the last one is to stay.
+const STAYS: [f32; ACTIONS] = [0.0, 0.0, 0.0, 0.0, 1.0];

@@ -13,7 +13,7 @@ use super::deployed::deployed;
 use super::learner::{Deed, Learner, Rules};
 use super::places::{Columns, Place};
 use super::selector::Selector;
-use super::table::{ACTIONS, Row};
+use super::table::{ACTIONS, Row, Version};
 
 /// Noise by which equal actions are told apart.
 const TIES: f32 = 1e-3;
@@ -47,6 +47,9 @@ struct Running {
     discounted: f64,
     /// What a reward of the next step counts.
     discount: f64,
+    episode_return: f64,
+    /// Number of the frozen policy that is tried out; 0 where none is.
+    audition: u32,
 }
 
 impl MaExp {
@@ -113,7 +116,15 @@ impl Method for MaExp {
         } else {
             self.selector.choose(heads.any, heads.temperature, random)
         };
-        (running.discounted, running.discount) = (0.0, 1.0);
+        (running.discounted, running.discount, running.episode_return) = (0.0, 1.0, 0.0);
+        running.audition = 0;
+        let audition = &self.config.audition;
+        if self.exploits && instance < audition.instances {
+            if self.learner.audition.is_over(audition.episodes) {
+                self.learner.audition_next();
+            }
+            running.audition = self.learner.audition.number();
+        }
     }
 
     fn act(
@@ -129,7 +140,8 @@ impl Method for MaExp {
         let agents = learner.tables.len();
         for (scene, actions) in scenes.scenes.iter().zip(actions.chunks_exact_mut(agents)) {
             let Scene { instance, state, begins, .. } = *scene;
-            let Running { head, places, rows, .. } = &mut running[instance];
+            let Running { head, places, rows, audition, .. } = &mut running[instance];
+            let is_tried = *audition > 0 && *audition == learner.audition.number();
             if begins {
                 look(scenes.environment, columns, state, seen, places);
                 learner.visit(places);
@@ -137,14 +149,15 @@ impl Method for MaExp {
             rows.clear();
             for (agent, (place, action)) in places.iter().zip(actions).enumerate() {
                 let random = &mut random[instance];
-                let table = &mut learner.tables[agent];
-                let row = table.row_of(*place);
-                *action = if chance(random, epsilon) {
+                let row = learner.tables[agent].row_of(*place);
+                rows.push(row);
+                *action = if is_tried {
+                    learner.best_action(agent, *place, Version::Tried)
+                } else if chance(random, epsilon) {
                     below(random, ACTIONS) as u16
                 } else {
-                    liked(&table.rows[row as usize], *head, rules, random)
+                    liked(&learner.tables[agent].rows[row as usize], *head, rules, random)
                 };
-                rows.push(row);
             }
         }
         Ok(())
@@ -153,19 +166,22 @@ impl Method for MaExp {
     fn remember(&mut self, transition: &Transition<'_>) -> Result<(), LearnError> {
         let Self { config, rules, columns, learner, selector, running, seen, .. } = self;
         let Transition { environment, instance, actions, step, next, .. } = *transition;
-        let Running { head, places, rows, trail, discounted, discount } = &mut running[instance];
-        look(environment, columns, next, seen, places);
+        let running = &mut running[instance];
+        look(environment, columns, next, seen, &mut running.places);
+        let Running { places, rows, trail, .. } = running;
         let deed = Deed { rows, actions, next: places, is_end: step.terminated };
         learner.remember(rules, &deed, step.reward);
         trail.extend_from_slice(rows);
-        *discounted += *discount * step.reward;
-        *discount *= f64::from(config.values.discount);
         if step.done() || trail.len() >= config.values.segment * rows.len() {
             learner.back_up(rules, trail);
             trail.clear();
         }
+        running.episode_return += step.reward;
+        running.discounted += running.discount * step.reward;
+        running.discount *= f64::from(config.values.discount);
         if step.done() {
-            selector.add(*head, *discounted);
+            selector.add(running.head, running.discounted);
+            learner.audition.add(running.audition, running.episode_return);
         }
         Ok(())
     }
@@ -214,15 +230,11 @@ impl Act for Greedy<'_> {
         actions: &mut [u16],
     ) -> Result<(), LearnError> {
         let Self { team, seen, places } = self;
-        let mut actions = actions.iter_mut();
+        let (learner, mut actions) = (&team.learner, actions.iter_mut());
         for scene in scenes.scenes {
             look(scenes.environment, &team.columns, scene.state, seen, places);
             for ((agent, place), action) in places.iter().enumerate().zip(&mut actions) {
-                let utilities = team.learner.utilities(agent, Some(*place));
-                let best = (0..ACTIONS)
-                    .rev()
-                    .max_by(|one, other| utilities[*one].total_cmp(&utilities[*other]));
-                *action = best.unwrap_or_default() as u16;
+                *action = learner.best_action(agent, *place, learner.deployed());
             }
         }
         Ok(())

@@ -2,8 +2,9 @@
 //!
 //! A team shares one reward that it rarely sees. Each of several heads explores for something else, by how often agents
 //! have been where; one explores for nothing and is deployed. What is known of the world is kept by places, and values
-//! are what follows from it.
+//! are what follows from it. Frozen policies are tried out while others go on learning, and the best is deployed.
 
+mod audition;
 mod config;
 mod counts;
 mod deployed;
@@ -18,9 +19,10 @@ mod selector;
 mod shares;
 mod table;
 
-pub use config::{Config, ExplorationConfig, HeadsConfig, Types, ValuesConfig};
+pub use audition::Audition;
+pub use config::{AuditionConfig, Config, ExplorationConfig, HeadsConfig, Types, ValuesConfig};
 pub use counts::{Counts, novelty};
-pub use intrinsic::{Intrinsic, Moments};
+pub use intrinsic::Intrinsic;
 pub use learner::{Deed, Learner, Rules};
 pub use method::MaExp;
 pub use model::{Outcome, Way};
@@ -28,4 +30,4 @@ pub use places::{Columns, Place};
 pub use presets::MA_EXP;
 pub use selector::Selector;
 pub use shares::Shares;
-pub use table::{Lanes, Row, Table, Terms, Worth};
+pub use table::{Lanes, Row, Table, Terms, Version, Worth};

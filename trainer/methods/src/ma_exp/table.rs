@@ -46,6 +46,19 @@ pub struct Row {
     pub team_novelty: f32,
     /// What came of each action.
     pub outcomes: [Outcome; ACTIONS],
+    /// What each action was worth to the team when the policy was frozen that is tried out, and the best so far.
+    frozen: [Option<[f32; ACTIONS]>; 2],
+}
+
+/// What an agent acts by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Version {
+    /// What it knows now.
+    Now,
+    /// The frozen policy that is tried out.
+    Tried,
+    /// The best of those that were.
+    Best,
 }
 
 impl Row {
@@ -54,6 +67,25 @@ impl Row {
     pub fn score(&self, action: usize, head: usize, weights: &Lanes) -> f32 {
         let worth = &self.actions[action];
         worth.extrinsic[head] + weights[head] * worth.intrinsic[head]
+    }
+
+    /// What each action is worth to the team, as a head knows it, in some version; none of places that it does not know.
+    pub fn utilities(&self, head: usize, version: Version) -> Option<[f32; ACTIONS]> {
+        match version {
+            Version::Now => Some(self.actions.map(|worth| worth.extrinsic[head])),
+            Version::Tried => self.frozen[0],
+            Version::Best => self.frozen[1],
+        }
+    }
+
+    /// Freezes what a head knows now, to be tried out.
+    pub fn freeze(&mut self, head: usize) {
+        self.frozen[0] = self.utilities(head, Version::Now);
+    }
+
+    /// What is tried out is the best so far.
+    pub fn keep(&mut self) {
+        self.frozen[1] = self.frozen[0];
     }
 
     /// The worth of the action that each head likes best, the first of equal ones.
@@ -97,7 +129,14 @@ impl Table {
         if *number == 0 {
             let actions = [self.start; ACTIONS];
             let outcomes = Default::default();
-            self.rows.push(Row { place, actions, here: self.start, team_novelty: 1.0, outcomes });
+            self.rows.push(Row {
+                place,
+                actions,
+                here: self.start,
+                team_novelty: 1.0,
+                outcomes,
+                frozen: [None; 2],
+            });
             *number = self.rows.len() as u32;
         }
         *number - 1
