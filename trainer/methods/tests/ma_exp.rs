@@ -183,6 +183,7 @@ fn heads_are_paid_for_where_they_come_to() {
     let (mut learner, rules) = corridor(Types::One(Intrinsic::Independent));
     (0..200).for_each(|_| learner.back_up_all(&rules));
     let table = &learner.tables[0];
+    let worth = |cell: u16| table.find(place(cell)).unwrap();
     let there = worth(21).here.intrinsic[0];
     assert!((worth(20).actions[3].intrinsic[0] - there).abs() < 1e-5);
     let paid = novelty(learner.counts.visits(0, 21));
