@@ -255,6 +255,19 @@ pub trait Environment: Any + Send + Sync {
         let _ = (state, turn, task, wanted, rows);
     }
 
+    /// The [milestone](Spec::milestones) that the last step of an instance reached, by its number.
+    fn milestone(&self, instance: usize) -> Option<usize> {
+        let _ = instance;
+        None
+    }
+
+    /// The milestones, as bits, of which each can be reached next without another one before (the hierarchical
+    /// affordances of HAL), which agents do not see and oracle masks show; none where there is no such truth.
+    fn affordances(&self, state: &[u8]) -> Option<u32> {
+        let _ = state;
+        None
+    }
+
     /// Writes `[A]` the entities that truly belong with each agent, itself among them: what oracle masks of REFIL show,
     /// and what attention is measured by; false where there is no such truth.
     fn companions(&self, state: &[u8], companions: &mut [EntitySet]) -> bool {

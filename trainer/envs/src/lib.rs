@@ -23,6 +23,7 @@
 extern crate alloc;
 
 pub mod conformance;
+pub mod crafting;
 mod decisions;
 mod entry;
 pub mod environment;
@@ -31,6 +32,7 @@ pub mod frame;
 pub mod golden;
 pub mod gridworld;
 pub mod group_matching;
+pub mod milestones;
 pub mod observation;
 pub mod particle;
 pub mod random;
@@ -41,6 +43,7 @@ pub mod rows;
 pub mod save_the_city;
 pub mod spec;
 mod throughput;
+pub mod treasure_rooms;
 
 pub use decisions::{DecisionPoints, UNASSIGNED};
 pub use environment::{Environment, Episode, Split, StateError, Step, StepError};

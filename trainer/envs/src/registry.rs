@@ -13,6 +13,8 @@ pub const ENVIRONMENTS: &[Entry] = &[
     crate::group_matching::ENTRY,
     crate::particle::ENTRY,
     crate::gridworld::ENTRY,
+    crate::crafting::ENTRY,
+    crate::treasure_rooms::ENTRY,
 ];
 
 /// An environment by the name that `--env` takes: `NAME` or `NAME/SET`.

@@ -40,7 +40,7 @@ pub enum View {
     Entities,
     /// All that one agent sees; a row behind those of the agents is what a critic sees of the state.
     Vectors,
-    /// A picture of so many channels, rows and columns, the only row.
+    /// A picture of so many channels, rows and columns, the only row: cell by cell its channels, numbers behind them.
     Pictures([usize; 3]),
 }
 
@@ -117,6 +117,8 @@ pub struct Spec {
     pub metrics: &'static [Metric],
     /// Why episodes fail, by names; none where causes are not told apart.
     pub causes: &'static [&'static str],
+    /// Names of what can be reached on the way to the task, which is the last; none where no such thing is told.
+    pub milestones: Vec<String>,
     /// Who earns rewards besides the team.
     pub rewards: Rewards,
     /// Symmetries of the rules, the one that changes nothing included.
@@ -149,6 +151,7 @@ impl Default for Spec {
             has_success: true,
             metrics: &[],
             causes: &[],
+            milestones: Vec::new(),
             rewards: Rewards::default(),
             turns: 1,
             rules: &[],
