@@ -31,6 +31,12 @@ impl SparseRows {
         self.entries.push((column as u16, value));
     }
 
+    /// Adds features, columns and values, to the row that the next [`end_row`](Self::end_row) closes.
+    #[inline]
+    pub fn push_all(&mut self, features: &[(u16, f32)]) {
+        self.entries.extend_from_slice(features);
+    }
+
     /// Adds all features of a row of another collection to the row that the next
     /// [`end_row`](Self::end_row) closes.
     #[inline]

@@ -1,8 +1,8 @@
 //! Which milestones of crafting can be next.
 
 use super::rules::{item, milestone, object};
-use crate::milestones::World;
 use crate::milestones::board::{self, Board};
+use crate::milestones::{EMPTY, World};
 
 /// A state, and the milestones in use.
 struct Question<'a> {
@@ -50,7 +50,7 @@ impl Question<'_> {
         let asked = asked | 1 << milestone;
         let have = |milestone, count| self.have(milestone, count, asked);
         match milestone {
-            milestone::LOG => self.free_sides_of_trees() >= u32::from(count),
+            milestone::LOG => self.has_free_sides_of_trees(count.into()),
             milestone::WOOD => have(milestone::LOG, count.div_ceil(4)),
             milestone::STICK => have(milestone::WOOD, 2 * count.div_ceil(4)),
             milestone::BENCH => have(milestone::WOOD, 4 * count),
@@ -115,13 +115,13 @@ impl Question<'_> {
             || self.used >> milestone & 1 == 0 && self.affords(milestone, 1, asked)
     }
 
-    /// Sides from which trees can be felled, each for itself: whether somebody gets there is not asked.
-    fn free_sides_of_trees(&self) -> u32 {
+    /// Whether trees can be felled from so many sides, each for itself: whether somebody gets there is not asked.
+    fn has_free_sides_of_trees(&self, count: usize) -> bool {
         let (size, agent) = (usize::from(self.world.size), usize::from(self.world.position));
-        let is_free = |cell: &usize| self.world.cells[*cell] == 0 || *cell == agent;
-        let trees = (0..size * size).filter(|cell| self.world.cells[*cell] == object::TREE);
-        let sides = trees.map(|cell| [cell - 1, cell + 1, cell - size, cell + size]);
-        sides.map(|sides| sides.iter().filter(|side| is_free(side)).count() as u32).sum()
+        let is_free = |cell: &usize| self.world.cells[*cell] == EMPTY || *cell == agent;
+        let trees = self.world.cells.iter().enumerate().filter(|(_, it)| **it == object::TREE);
+        let sides = trees.flat_map(|(cell, _)| [cell - 1, cell + 1, cell - size, cell + size]);
+        sides.filter(is_free).take(count).count() == count
     }
 
     /// Whether a walk meets so many of these objects. It goes through what is mined without a milestone on the way.

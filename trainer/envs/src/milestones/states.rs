@@ -5,7 +5,7 @@ use alloc::vec::Vec;
 
 use super::game::Game;
 use super::simulator::{Episode, Standing};
-use super::world::{HOMES, ITEMS, World};
+use super::world::{CELLS, HOMES, ITEMS, World};
 use crate::environment::StateError;
 
 /// The version of the layout.
@@ -21,20 +21,27 @@ pub(super) fn state_bytes<G: Game>() -> usize {
 /// Adds the bytes of a state.
 pub(super) fn write(episode: &Episode, bytes: &mut Vec<u8>) {
     let Episode { world, steps, limit, standing, episode_return, reached, .. } = episode;
-    bytes.push(LAYOUT);
-    bytes.extend_from_slice(&steps.to_le_bytes());
-    bytes.extend_from_slice(&limit.to_le_bytes());
-    bytes.push(*standing as u8);
-    bytes.extend_from_slice(&episode_return.to_le_bytes());
-    bytes.extend_from_slice(&reached.to_le_bytes());
-    bytes.extend_from_slice(&world.open.to_le_bytes());
-    bytes.extend_from_slice(&[world.position, world.direction, world.carried, world.case]);
-    bytes.extend_from_slice(&world.homes);
-    bytes.extend(world.inventory.iter().flat_map(|count| count.to_le_bytes()));
+    let mut buffer = [0; OTHERS + 2 * ITEMS + CELLS];
+    let mut count = 0;
+    let mut add = |part: &[u8]| {
+        buffer[count..][..part.len()].copy_from_slice(part);
+        count += part.len();
+    };
+    add(&[LAYOUT]);
+    add(&steps.to_le_bytes());
+    add(&limit.to_le_bytes());
+    add(&[*standing as u8]);
+    add(&episode_return.to_le_bytes());
+    add(&reached.to_le_bytes());
+    add(&world.open.to_le_bytes());
+    add(&[world.position, world.direction, world.carried, world.case]);
+    add(&world.homes);
+    world.inventory.iter().for_each(|carried| add(&carried.to_le_bytes()));
     let size = usize::from(world.size);
     for row in world.cells[size..size * (size - 1)].chunks_exact(size) {
-        bytes.extend_from_slice(&row[1..size - 1]);
+        add(&row[1..size - 1]);
     }
+    bytes.extend_from_slice(&buffer[..count]);
 }
 
 /// The grid of a state of a known length.

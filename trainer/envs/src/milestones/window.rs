@@ -1,7 +1,7 @@
 //! The window that the agent sees, as the features of an observation.
 
 use super::game::Game;
-use super::world::{EMPTY, WALL, World};
+use super::world::{EMPTY, ITEMS, WALL, World};
 use crate::rows::SparseRows;
 
 /// Cells that are seen to each side.
@@ -40,15 +40,19 @@ const fn steps() -> [[u16; WINDOW * WINDOW]; 4] {
 pub fn window(world: &World) -> [u8; WINDOW * WINDOW] {
     let size = usize::from(world.size);
     let mut padded = [WALL; PADDED * PADDED];
-    for (y, row) in world.cells[..size * size].chunks_exact(size).enumerate() {
-        padded[(y + RADIUS) * PADDED + RADIUS..][..size].copy_from_slice(row);
+    let rows = padded[RADIUS * PADDED + RADIUS..].chunks_mut(PADDED);
+    for (to, row) in rows.zip(world.cells[..size * size].chunks_exact(size)) {
+        to[..size].copy_from_slice(row);
     }
     let (x, y) = (usize::from(world.position) % size, usize::from(world.position) / size);
-    let seen = &padded[y * PADDED + x..];
+    let seen = &padded[y * PADDED + x..][..SEEN];
     let mut window = STEPS[usize::from(world.direction & 3)].map(|step| seen[usize::from(step)]);
     window[HAND] = world.carried;
     window
 }
+
+/// Cells of the padded grid from the window's first corner to its last.
+const SEEN: usize = (WINDOW - 1) * PADDED + WINDOW;
 
 /// Columns of one cell: its object's, then its state's. Empty cells and the agent, always in the middle, have none.
 pub(super) const fn channels<G: Game>() -> usize {
@@ -63,29 +67,45 @@ pub(super) const fn columns<G: Game>() -> usize {
     WINDOW * WINDOW * channels::<G>() + G::ITEMS.len()
 }
 
+/// Most features of a row that differ from zero: an object and a state of each cell, and all items.
+const FEATURES: usize = 2 * WINDOW * WINDOW + ITEMS;
+
 /// Writes what the agent sees and carries; in a mirror, left for right.
 pub(super) fn write<G: Game>(world: &World, is_mirrored: bool, rows: &mut SparseRows) {
     let window = window(world);
     let states: [u8; 16] = core::array::from_fn(|object| G::state(world, object as u8));
-    for top in (0..window.len()).step_by(WINDOW) {
-        for column in 0..WINDOW {
-            let from = if is_mirrored { WINDOW - 1 - column } else { column };
-            let object = window[top + from];
-            if object != EMPTY {
-                let first = (top + column) * channels::<G>();
-                rows.push(first + usize::from(object) - FIRST, 1.0);
-                if !G::STATES.is_empty() {
-                    let state = usize::from(states[usize::from(object) & 15]);
-                    rows.push(first + G::OBJECTS.len() - FIRST + state, 1.0);
-                }
-            }
+    let mut features = [(0, 1.0); FEATURES + 2];
+    let mut count = 0;
+    for cell in 0..window.len() {
+        let from = if is_mirrored { MIRRORED[cell] } else { cell as u8 };
+        let object = window[usize::from(from)];
+        let is_there = usize::from(object != EMPTY);
+        let first = (cell * channels::<G>()) as u16;
+        // What an empty cell writes the next one overwrites, which costs less than not to write it.
+        features[count].0 = (first + u16::from(object)).wrapping_sub(FIRST as u16);
+        count += is_there;
+        if !G::STATES.is_empty() {
+            let state = u16::from(states[usize::from(object) & 15]);
+            features[count].0 = first + (G::OBJECTS.len() - FIRST) as u16 + state;
+            count += is_there;
         }
     }
     let items = WINDOW * WINDOW * channels::<G>();
-    for (item, count) in world.inventory[..G::ITEMS.len()].iter().enumerate() {
-        if *count > 0 {
-            rows.push(items + item, f32::from(*count));
-        }
+    for (item, carried) in world.inventory[..G::ITEMS.len()].iter().enumerate() {
+        features[count] = ((items + item) as u16, f32::from(*carried));
+        count += usize::from(*carried > 0);
     }
+    rows.push_all(&features[..count]);
     rows.end_row();
 }
+
+/// The cells of the window left for right.
+const MIRRORED: [u8; WINDOW * WINDOW] = {
+    let mut mirrored = [0; WINDOW * WINDOW];
+    let mut cell = 0;
+    while cell < mirrored.len() {
+        mirrored[cell] = (cell / WINDOW * WINDOW + WINDOW - 1 - cell % WINDOW) as u8;
+        cell += 1;
+    }
+    mirrored
+};

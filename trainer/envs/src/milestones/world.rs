@@ -41,10 +41,11 @@ impl World {
     /// An empty grid in its ring of walls.
     pub fn new(size: usize) -> Self {
         let mut cells = [EMPTY; CELLS];
-        let is_ring = |cell: usize| {
-            [cell % size, cell / size].iter().any(|place| [0, size - 1].contains(place))
-        };
-        (0..size * size).filter(|cell| is_ring(*cell)).for_each(|cell| cells[cell] = WALL);
+        cells[..size].fill(WALL);
+        cells[size * (size - 1)..size * size].fill(WALL);
+        for row in cells[size..size * (size - 1)].chunks_exact_mut(size) {
+            (row[0], row[size - 1]) = (WALL, WALL);
+        }
         Self {
             size: size as u8,
             cells,
