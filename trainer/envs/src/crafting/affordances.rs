@@ -1,6 +1,6 @@
 //! Which milestones of crafting can be next.
 
-use super::rules::{item, milestone, object};
+use super::numbers::{item, milestone, object};
 use crate::milestones::board::{self, Board};
 use crate::milestones::{EMPTY, World};
 

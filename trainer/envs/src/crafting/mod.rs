@@ -1,6 +1,7 @@
 //! Crafting: from logs to iron and diamond, a game of [`milestones`](crate::milestones).
 
 mod affordances;
+mod numbers;
 mod rules;
 
 pub use rules::Crafting;

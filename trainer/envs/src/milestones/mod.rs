@@ -8,7 +8,9 @@
 //! [`Environment::affordances`]: crate::Environment::affordances
 
 pub(crate) mod board;
+mod episode;
 mod game;
+mod rules;
 mod seam;
 mod set;
 mod simulator;
@@ -18,9 +20,10 @@ mod window;
 mod world;
 
 pub use game::{Effect, Game};
+pub use rules::Rules;
 pub(crate) use seam::entry;
 pub use set::MilestoneSet;
-pub use simulator::{Milestones, Rules};
+pub use simulator::Milestones;
 pub use window::{RADIUS, WINDOW, window};
 pub use world::World;
 pub(crate) use world::{EMPTY, ITEMS, WALL};

@@ -9,9 +9,11 @@ use alloc::vec::Vec;
 use serde::Deserialize;
 
 use super::VERSION;
+use super::episode::Standing;
 use super::game::Game;
+use super::rules::Rules;
 use super::set::MilestoneSet;
-use super::simulator::{Milestones, Rules, Standing};
+use super::simulator::Milestones;
 use super::spec::{IMPOSSIBLE, TIME};
 use super::states;
 use super::window;

@@ -4,7 +4,9 @@ use alloc::vec;
 use alloc::vec::Vec;
 use core::marker::PhantomData;
 
+use super::episode::{Episode, Standing};
 use super::game::Game;
+use super::rules::Rules;
 use super::set::MilestoneSet;
 use super::spec::spec;
 use super::world::{ITEMS, World};
@@ -14,58 +16,6 @@ use crate::spec::Spec;
 
 /// What every step costs: a discount of 0.99, as the public code subtracts it.
 const STEP_COST: f64 = 1.0 - 0.99;
-
-/// What the rules leave open.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Rules {
-    /// The milestones in use, the task last.
-    pub milestones: MilestoneSet,
-    /// Whether the first of each milestone is paid for, instead of the task alone.
-    pub dense: bool,
-    /// Chance of each step that an item gets lost.
-    pub loss: f64,
-    /// Steps after which an episode that is measured is over.
-    pub limit: u16,
-    /// Steps after which one to learn from is over.
-    pub training_limit: u16,
-}
-
-impl Rules {
-    /// The usual rules of a game for a set of milestones.
-    pub fn usual<G: Game>(milestones: MilestoneSet) -> Self {
-        let limit = (30 * G::SIZE * G::SIZE) as u16;
-        Self { milestones, dense: false, loss: 0.0, limit, training_limit: 1_500 }
-    }
-}
-
-/// How an episode stands.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Standing {
-    Running,
-    Solved,
-    /// No milestone can be had any more.
-    Impossible,
-}
-
-/// What an instance has once.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Episode {
-    pub(super) world: World,
-    pub(super) steps: u16,
-    pub(super) limit: u16,
-    pub(super) standing: Standing,
-    pub(super) episode_return: f64,
-    /// The milestones that were reached, as bits by the game's numbers.
-    pub(super) reached: u16,
-    /// The milestone in use that the last step reached, by its place.
-    pub(super) milestone: Option<u8>,
-}
-
-impl Episode {
-    pub(super) fn is_done(&self) -> bool {
-        self.standing != Standing::Running || self.steps >= self.limit
-    }
-}
 
 /// Grids of a game, many instances in one object. A step allocates nothing.
 #[derive(Clone, Debug)]

@@ -6,7 +6,7 @@ use alloc::vec::Vec;
 
 use super::VERSION;
 use super::game::Game;
-use super::simulator::Rules;
+use super::rules::Rules;
 use super::states::state_bytes;
 use super::window::{RADIUS, WINDOW, channels, columns};
 use crate::spec::{Metric, Shape, Spec, View};

@@ -3,8 +3,8 @@
 use alloc::format;
 use alloc::vec::Vec;
 
+use super::episode::{Episode, Standing};
 use super::game::Game;
-use super::simulator::{Episode, Standing};
 use super::world::{CELLS, HOMES, ITEMS, World};
 use crate::environment::StateError;
 

@@ -1,7 +1,7 @@
 //! The window that the agent sees, as the features of an observation.
 
 use super::game::Game;
-use super::world::{EMPTY, ITEMS, WALL, World};
+use super::world::{EMPTY, WALL, World};
 use crate::rows::SparseRows;
 
 /// Cells that are seen to each side.
@@ -67,35 +67,35 @@ pub(super) const fn columns<G: Game>() -> usize {
     WINDOW * WINDOW * channels::<G>() + G::ITEMS.len()
 }
 
-/// Most features of a row that differ from zero: an object and a state of each cell, and all items.
-const FEATURES: usize = 2 * WINDOW * WINDOW + ITEMS;
-
 /// Writes what the agent sees and carries; in a mirror, left for right.
 pub(super) fn write<G: Game>(world: &World, is_mirrored: bool, rows: &mut SparseRows) {
     let window = window(world);
     let states: [u8; 16] = core::array::from_fn(|object| G::state(world, object as u8));
-    let mut features = [(0, 1.0); FEATURES + 2];
-    let mut count = 0;
-    for cell in 0..window.len() {
-        let from = if is_mirrored { MIRRORED[cell] } else { cell as u8 };
-        let object = window[usize::from(from)];
-        let is_there = usize::from(object != EMPTY);
-        let first = (cell * channels::<G>()) as u16;
-        // What an empty cell writes the next one overwrites, which costs less than not to write it.
-        features[count].0 = (first + u16::from(object)).wrapping_sub(FIRST as u16);
-        count += is_there;
-        if !G::STATES.is_empty() {
-            let state = u16::from(states[usize::from(object) & 15]);
-            features[count].0 = first + (G::OBJECTS.len() - FIRST) as u16 + state;
+    let mut features = [(0, 1.0); 2 * WINDOW + 2];
+    for top in (0..window.len()).step_by(WINDOW) {
+        let mut count = 0;
+        for cell in top..top + WINDOW {
+            let from = if is_mirrored { MIRRORED[cell] } else { cell as u8 };
+            let object = window[usize::from(from)];
+            let is_there = usize::from(object != EMPTY);
+            let first = (cell * channels::<G>()) as u16;
+            // What an empty cell writes the next one overwrites, which costs less than not to write it.
+            features[count].0 = (first + u16::from(object)).wrapping_sub(FIRST as u16);
             count += is_there;
+            if !G::STATES.is_empty() {
+                let state = u16::from(states[usize::from(object) & 15]);
+                features[count].0 = first + (G::OBJECTS.len() - FIRST) as u16 + state;
+                count += is_there;
+            }
         }
+        rows.push_all(&features[..count]);
     }
     let items = WINDOW * WINDOW * channels::<G>();
-    for (item, carried) in world.inventory[..G::ITEMS.len()].iter().enumerate() {
-        features[count] = ((items + item) as u16, f32::from(*carried));
-        count += usize::from(*carried > 0);
+    for (item, count) in world.inventory[..G::ITEMS.len()].iter().enumerate() {
+        if *count > 0 {
+            rows.push(items + item, f32::from(*count));
+        }
     }
-    rows.push_all(&features[..count]);
     rows.end_row();
 }
 

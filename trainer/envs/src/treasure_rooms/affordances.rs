@@ -1,6 +1,6 @@
 //! Which milestones of the treasure's rooms can be next.
 
-use super::rules::{case, is_door, item, milestone, object};
+use super::numbers::{case, is_door, item, milestone, object};
 use crate::milestones::{WALL, World, board};
 
 /// A state, and the milestones in use.
