@@ -4,6 +4,7 @@
 #![forbid(unsafe_code)]
 
 pub mod alma;
+pub mod hal;
 pub mod ma_exp;
 pub mod maac;
 pub mod registry;

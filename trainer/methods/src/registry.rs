@@ -2,7 +2,7 @@
 
 use sortie_learn::session::MethodEntry;
 
-use crate::{alma, ma_exp, maac, value_factorisation};
+use crate::{alma, hal, ma_exp, maac, value_factorisation};
 
 /// Every method of this crate.
 pub const METHODS: &[MethodEntry] = &[
@@ -19,6 +19,9 @@ pub const METHODS: &[MethodEntry] = &[
     maac::MADDPG_SAC,
     maac::DDPG,
     ma_exp::MA_EXP,
+    hal::HAL,
+    hal::HAL_ORACLE,
+    hal::H_DQN,
 ];
 
 /// A method by its name.

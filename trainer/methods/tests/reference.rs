@@ -7,6 +7,7 @@ use sortie_envs::{ENVIRONMENTS, Split};
 use sortie_learn::run::Difference;
 use sortie_learn::session::MethodEntry;
 use sortie_methods::alma::{ALMA, COPA, FLAT};
+use sortie_methods::hal::{H_DQN, HAL, HAL_ORACLE};
 use sortie_methods::maac::{COMA, COMA_SAC, DDPG, MAAC, MADDPG, MADDPG_SAC};
 use sortie_methods::value_factorisation::{QMIX, REFIL, VDN};
 
@@ -59,7 +60,13 @@ fn others(first: &MethodEntry, others: &[MethodEntry]) -> String {
 fn the_page_lists_every_key() {
     let mut page = HEAD.to_owned();
     let compared = [COMA, COMA_SAC, MADDPG, MADDPG_SAC, DDPG];
-    for (first, like_it) in [(ALMA, &[FLAT, COPA][..]), (QMIX, &[VDN, REFIL]), (MAAC, &compared)] {
+    let pages = [
+        (ALMA, &[FLAT, COPA][..]),
+        (QMIX, &[VDN, REFIL]),
+        (MAAC, &compared),
+        (HAL, &[HAL_ORACLE, H_DQN]),
+    ];
+    for (first, like_it) in pages {
         page += &first.reference().unwrap();
         page += &others(&first, like_it);
     }

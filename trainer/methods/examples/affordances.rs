@@ -1,0 +1,113 @@
+//! Learns HAL, and looks at what it believes it can reach: `affordances [METHOD] [ENV/SET] [SEED] [STEPS] [KEY=VALUE]...`
+//!
+//! Prints how training goes, then the mask beside the truth in states of measured episodes, and the success with all
+//! combinations of chance in actions and goals.
+
+#![expect(clippy::print_stdout, reason = "it prints what it finds")]
+
+use std::error::Error;
+
+use sortie_envs::{Environment, Split, Step};
+use sortie_learn::play::{Onlooker, Play, Watched, evaluate, evaluate_watched};
+use sortie_learn::random::{Purpose, generator};
+use sortie_learn::run::{EpisodeCounts, Reports};
+use sortie_learn::session::Opening;
+use sortie_learn::{LearnError, Method, Now};
+use sortie_methods::find;
+use sortie_methods::hal::{Hal, MeasuredConfig};
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let words: Vec<String> = std::env::args().skip(1).collect();
+    let (keys, words): (Vec<_>, Vec<_>) = words.into_iter().partition(|word| word.contains('='));
+    let word = |place: usize, usual: &str| words.get(place).map_or(usual.to_owned(), String::clone);
+    let (name, environment) = (word(0, "hal"), word(1, "crafting/iron"));
+    let entry = find(&name).ok_or("no such method")?;
+    let mut setup = entry.preset("fast")?;
+    let (seed, steps): (u64, u64) = (word(2, "1").parse()?, word(3, "5000000").parse()?);
+    for key in &keys {
+        setup = entry.set(&setup, key)?;
+    }
+    let settings = &setup.environment.settings;
+    let world = sortie_envs::open(&environment, Split::Train, 1, settings)?;
+    let opening = Opening { setup: &setup, environment: &*world, seed, threads: 1 };
+    let mut hal = Hal::new(setup.own()?, &opening).ok_or("the environment shows no picture")?;
+    learn(&mut hal, &*world, setup.environment.instances, seed, steps)?;
+    look(&hal, &*world, keys.iter().any(|key| key == "run.final_episodes=0"))
+}
+
+fn learn(
+    hal: &mut Hal,
+    world: &dyn Environment,
+    instances: usize,
+    seed: u64,
+    steps: u64,
+) -> Result<(), Box<dyn Error>> {
+    let random = (0..instances as u64).map(|index| generator(seed, Purpose::Rollout, index));
+    let mut play = Play::new(world, hal, random.collect());
+    let (mut now, mut counts) = (Now { env_steps: 0, of: steps }, EpisodeCounts::default());
+    let every = (steps / 10).max(1);
+    while now.env_steps < steps {
+        let before = now.env_steps / every;
+        now.env_steps += play.round(hal, now, &mut counts)?;
+        hal.update(play.environment(), now, &mut Reports::default())?;
+        if now.env_steps / every > before {
+            let share = counts.solved as f64 / counts.episodes.max(1) as f64;
+            let team = hal.measured(MeasuredConfig::default());
+            let result = evaluate(world, &mut *{ team }, 50, 7)?;
+            println!(
+                "{:>8} steps: {share:.2} of {} training episodes solved, {:.2} of 50 measured ones, {:.1} milestones",
+                now.env_steps, counts.episodes, result.success, result.metrics["milestones"]
+            );
+            counts = EpisodeCounts::default();
+        }
+    }
+    Ok(())
+}
+
+/// Keeps every 16th state of episodes.
+#[derive(Default)]
+struct States(Vec<Vec<u8>>, usize);
+
+impl Onlooker for States {
+    fn started(&mut self, _: Watched<'_>) -> Result<(), LearnError> {
+        Ok(())
+    }
+
+    fn stepped(&mut self, watched: Watched<'_>, _: &[u16], step: &Step) -> Result<(), LearnError> {
+        self.1 += 1;
+        if self.1.is_multiple_of(16) && !step.done() {
+            let mut state = Vec::new();
+            watched.worlds.save(watched.instance, &mut state);
+            self.0.push(state);
+        }
+        Ok(())
+    }
+}
+
+fn look(hal: &Hal, world: &dyn Environment, is_short: bool) -> Result<(), Box<dyn Error>> {
+    let mut states = States::default();
+    let mut team = hal.measured(MeasuredConfig::default());
+    evaluate_watched(world, &mut *team, 100, 3, &mut states)?;
+    let counts = hal.compare_masks(world, &states.0);
+    let share = |part: u64, whole: u64| part as f64 / whole.max(1) as f64;
+    println!(
+        "mask in {} states: {:.3} over-pruned, {:.3} under-pruned",
+        states.0.len(),
+        share(counts.over_pruned, counts.afforded),
+        share(counts.under_pruned, counts.others)
+    );
+    let chances = [(0.05, 0.05), (0.05, 0.0), (0.0, 0.05), (0.0, 0.0)];
+    let all = chances.map(|(actions, goals)| {
+        [false, true].map(|varied| MeasuredConfig { actions, goals, varied })
+    });
+    for chances in all.into_iter().flatten() {
+        let mut team = hal.measured(chances);
+        let episodes = if is_short { 100 } else { 2_000 };
+        let result = evaluate(world, &mut *team, episodes, 1)?;
+        println!(
+            "{chances:?}: success {:.3} {:.3?}, {:.0} steps, {:?}",
+            result.success, result.success_ci95, result.length_mean, result.failures
+        );
+    }
+    Ok(())
+}

@@ -1,0 +1,290 @@
+//! Which milestones can be reached next, learned from what options came to.
+
+use serde::{Deserialize, Serialize};
+use sortie_envs::Random;
+use sortie_envs::random::{below, chance};
+use sortie_nn::layers::elementwise::{Activation, activate};
+use sortie_nn::random::normals;
+
+use super::config::AffordancesConfig;
+use super::filter::{Population, square_distance};
+use super::learner::Learner;
+use super::networks::{Space, slopes};
+use super::replay::{Finished, NONE, Place, Replay};
+use super::shown::Shown;
+
+/// A state of an option that is over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+struct Sample {
+    place: Place,
+    /// Its place in the option, and the steps of that.
+    step: u8,
+    steps: u8,
+    /// Drawn for the option as a whole: positives of one parity are measured by those of the other.
+    parity: bool,
+}
+
+/// States by what their options came to.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct Classes {
+    kept: usize,
+    /// `[milestones][positive or not]`, each a ring with the number of states that it was given.
+    samples: Vec<[(usize, Vec<Sample>); 2]>,
+}
+
+const POSITIVE: usize = 1;
+
+impl Classes {
+    pub(super) fn new(milestones: usize, kept: usize) -> Self {
+        Self { kept, samples: vec![Default::default(); milestones] }
+    }
+
+    /// Learns of an option: its states could reach what it reached, and could not what it was meant to reach.
+    pub(super) fn add(&mut self, option: &Finished, random: &mut Random) {
+        let parity = chance(random, 0.5);
+        let missed = if option.goal == option.reached { NONE } else { option.goal };
+        for (milestone, class) in [(option.reached, POSITIVE), (missed, 1 - POSITIVE)] {
+            let Some(classes) = self.samples.get_mut(usize::from(milestone)) else { continue };
+            let (count, samples) = &mut classes[class];
+            for step in 0..option.steps {
+                let place = option.start.after(step.into());
+                let sample = Sample { place, step, steps: option.steps, parity };
+                if samples.len() < self.kept {
+                    samples.push(sample);
+                } else {
+                    samples[*count % self.kept] = sample;
+                }
+                *count += 1;
+            }
+        }
+    }
+
+    /// Milestones, as bits, with states of a class.
+    fn with(&self, class: usize) -> u32 {
+        let known = self.samples.iter().enumerate().filter(|(_, it)| !it[class].1.is_empty());
+        known.fold(0, |set, (milestone, _)| set | 1 << milestone)
+    }
+
+    /// Milestones, as bits, that were reached ever, and those with states of both classes.
+    pub(super) fn known(&self) -> [u32; 2] {
+        let reached = self.with(POSITIVE);
+        [reached, reached & self.with(1 - POSITIVE)]
+    }
+
+    /// A state of a milestone and class.
+    fn draw(
+        &self,
+        milestone: usize,
+        class: usize,
+        replay: &Replay,
+        random: &mut Random,
+    ) -> Option<Sample> {
+        let samples = &self.samples[milestone][class].1;
+        let sample = *samples.get(below(random, samples.len()))?;
+        replay.has(sample.place).then_some(sample)
+    }
+
+    /// A state of any milestone and class, both drawn evenly.
+    fn draw_any(&self, replay: &Replay, random: &mut Random) -> Option<Sample> {
+        let milestone = below(random, self.samples.len());
+        let classes =
+            [0, 1].into_iter().filter(|class| !self.samples[milestone][*class].1.is_empty());
+        let class = classes.clone().nth(below(random, classes.count()))?;
+        self.draw(milestone, class, replay, random)
+    }
+
+    /// Up to so many positives of one parity.
+    fn drawn_positives(
+        &self,
+        milestone: usize,
+        parity: bool,
+        count: usize,
+        replay: &Replay,
+        random: &mut Random,
+    ) -> Vec<Place> {
+        let draws = (0..4 * count).filter_map(|_| self.draw(milestone, POSITIVE, replay, random));
+        let meant = draws.filter(|sample| sample.parity == parity);
+        meant.map(|sample| sample.place).take(count).collect()
+    }
+}
+
+/// A neighbour in time, in the same option.
+fn neighbour(sample: Sample, spread: f32, random: &mut Random) -> Option<Place> {
+    if sample.steps < 2 {
+        return None;
+    }
+    loop {
+        let offset = (spread * normals(random, 1)[0]).round() as i32;
+        let step = i32::from(sample.step) + offset;
+        if offset != 0 && (0..i32::from(sample.steps)).contains(&step) {
+            let time = sample.place.time.checked_add_signed(offset)?;
+            return Some(Place { time, ..sample.place });
+        }
+    }
+}
+
+/// Slopes by the three embeddings of a triplet: half the square of how much farther than by 1 the neighbour is.
+fn triplet_slopes(embedded: &[f32], share: f32, slopes: &mut [f32]) -> f32 {
+    let width = embedded.len() / 3;
+    let [anchor, near, far] = [0, 1, 2].map(|row| &embedded[row * width..][..width]);
+    let distances = [near, far].map(|other| square_distance(anchor, other).sqrt().max(1e-6));
+    let excess = (1.0 + distances[0] - distances[1]).max(0.0);
+    for column in 0..width {
+        let by = [(near, distances[0]), (far, -distances[1])]
+            .map(|(other, distance)| share * excess * (anchor[column] - other[column]) / distance);
+        slopes[column] = by[0] + by[1];
+        slopes[width + column] = -by[0];
+        slopes[2 * width + column] = -by[1];
+    }
+    0.5 * share * excess * excess
+}
+
+/// Memory of updates.
+#[derive(Debug, Default)]
+pub(super) struct Memory {
+    places: Vec<Place>,
+    labels: Vec<(usize, bool)>,
+    space: Space,
+    embedding: Vec<f32>,
+    logits: Vec<f32>,
+}
+
+/// Adds the gradient of an update: of the embedding by triplets, of the classifier by states of both classes, negatives
+/// left out where they look like positives. Returns the classifier's loss.
+pub(super) fn descend(
+    learner: &mut Learner,
+    config: &AffordancesConfig,
+    (classes, populations): (&Classes, &[Population]),
+    (replay, shown): (&Replay, &Shown),
+    memory: &mut Memory,
+    random: &mut Random,
+) -> f64 {
+    let Memory { places, labels, space, embedding, logits } = memory;
+    places.clear();
+    for _ in 0..config.triplets {
+        let anchor = classes.draw_any(replay, random);
+        let near = anchor.and_then(|anchor| neighbour(anchor, config.spread, random));
+        let far = classes.draw_any(replay, random);
+        if let (Some(anchor), Some(near), Some(far)) = (anchor, near, far) {
+            places.extend([anchor.place, near, far.place]);
+        }
+    }
+    let triplets = places.len() / 3;
+    labels.clear();
+    let both = classes.known()[1];
+    for milestone in (0..classes.samples.len()).filter(|milestone| both >> milestone & 1 == 1) {
+        for _ in 0..config.batch {
+            let is_positive = chance(random, 0.5);
+            if let Some(sample) = classes.draw(milestone, is_positive.into(), replay, random) {
+                places.push(sample.place);
+                labels.push((milestone, is_positive));
+            }
+        }
+    }
+    if places.is_empty() {
+        return 0.0;
+    }
+    space.rows.clear();
+    places.iter().for_each(|place| shown.push(replay.shown(*place), false, &mut space.rows));
+    let network = &learner.network;
+    let (width, outputs) = (network.width(), network.outputs());
+    let mut pass = space.tape.begin(&learner.online);
+    let hidden = network.hidden(&mut pass, &space.rows);
+    let head = network.head(&mut pass, hidden);
+    embedding.clear();
+    embedding.resize(places.len() * width, 0.0);
+    let embedded = pass.values(hidden);
+    let share = 1.0 / triplets.max(1) as f32;
+    let rows = embedded.chunks_exact(3 * width).zip(embedding.chunks_exact_mut(3 * width));
+    rows.take(triplets).for_each(|(row, slopes)| _ = triplet_slopes(row, share, slopes));
+    logits.clear();
+    logits.resize(places.len() * outputs, 0.0);
+    let (mut loss, share) = (0.0, 1.0 / config.batch as f32);
+    for (row, (milestone, is_positive)) in labels.iter().enumerate() {
+        let row = 3 * triplets + row;
+        let state = &embedded[row * width..][..width];
+        if config.filter && !is_positive && populations[*milestone].holds(state) {
+            continue;
+        }
+        let place = row * outputs + milestone;
+        let mut likelihood = [0.0];
+        activate(Activation::Sigmoid, &pass.values(head)[place..=place], &mut likelihood);
+        let wanted = f32::from(u8::from(*is_positive));
+        logits[place] = share * (likelihood[0] - wanted);
+        loss -= f64::from(share * (1.0 - (likelihood[0] - wanted).abs()).max(1e-9).ln());
+    }
+    let sums = [slopes(&mut pass, hidden, embedding), slopes(&mut pass, head, logits)];
+    let sum = pass.add(sums[0], sums[1]);
+    pass.backward(sum, &mut learner.gradient);
+    loss / f64::from(both.count_ones().max(1))
+}
+
+/// Measures anew how far apart the positives of a milestone are: those of one parity from those of the other.
+pub(super) fn refresh(
+    population: &mut Population,
+    milestone: usize,
+    count: usize,
+    (classes, learner): (&Classes, &Learner),
+    (replay, shown): (&Replay, &Shown),
+    memory: &mut Memory,
+    random: &mut Random,
+) {
+    let [members, others] = [false, true].map(|parity| {
+        let places = classes.drawn_positives(milestone, parity, count, replay, random);
+        let states = places.iter().map(|place| (replay.shown(*place), false));
+        memory.space.hidden(&learner.network, &learner.online, shown, states).to_vec()
+    });
+    if !members.is_empty() && !others.is_empty() {
+        *population = Population::new(&members, &others, learner.network.width());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::replay::End;
+    use super::*;
+
+    #[test]
+    fn slopes_of_triplets_are_those_of_their_loss() {
+        let mut embedded: Vec<f32> =
+            (0..24).map(|number| 0.3 * (number as f32 * 1.7).sin()).collect();
+        let (mut slopes, mut other) = ([0.0; 24], [0.0; 24]);
+        assert!(triplet_slopes(&embedded, 0.5, &mut slopes) > 0.0);
+        for column in 0..24 {
+            let mut loss = |step: f32| {
+                embedded[column] += step;
+                triplet_slopes(&embedded, 0.5, &mut other)
+            };
+            let difference = (loss(1e-2) - loss(-2e-2)) / 2e-2;
+            embedded[column] += 1e-2;
+            assert!((difference - slopes[column]).abs() < 2e-3, "{column}");
+        }
+        // Far enough is far enough.
+        embedded[16..].iter_mut().for_each(|number| *number += 9.0);
+        assert_eq!(triplet_slopes(&embedded, 0.5, &mut slopes), 0.0);
+        assert_eq!(slopes, [0.0; 24]);
+    }
+
+    #[test]
+    fn options_teach_what_they_reached_and_what_they_missed() {
+        let mut classes = Classes::new(3, 4);
+        let mut random = sortie_envs::random::generator(1);
+        let start = Place { instance: 0, time: 7 };
+        let option =
+            Finished { start, steps: 3, goal: 2, reached: NONE, mask: 7, end: End::GoesOn };
+        for (goal, reached, want) in [
+            (2, NONE, [0b000, 0b000]),
+            (0, 1, [0b010, 0b000]),
+            (2, 2, [0b110, 0b100]),
+            (1, 0, [0b111, 0b111]),
+        ] {
+            classes.add(&Finished { goal, reached, ..option }, &mut random);
+            assert_eq!(classes.known(), want, "{goal} {reached}");
+        }
+        classes
+            .add(&Finished { goal: 2, reached: 2, start: start.after(3), ..option }, &mut random);
+        let (count, samples) = &classes.samples[2][POSITIVE];
+        let times: Vec<u32> = samples.iter().map(|sample| sample.place.time).collect();
+        assert_eq!((*count, times), (6, vec![11, 12, 9, 10]));
+    }
+}

@@ -1,0 +1,110 @@
+//! The controller: how actions lead to each milestone (equation 6.1, double Q-learning).
+
+use sortie_envs::random::chance;
+use sortie_envs::{Environment, Random};
+
+use super::config::{ReplayConfig, ReturnsConfig};
+use super::learner::Learner;
+use super::networks::{Heads, Space, best, slopes};
+use super::replay::{NONE, Place, Replay};
+use super::samples::{Window, window};
+use super::shown::Shown;
+
+/// A step that is learned from.
+#[derive(Clone, Copy, Debug)]
+struct Drawn {
+    place: Place,
+    action: usize,
+    is_mirrored: bool,
+    window: Window,
+    /// The goals whose values are corrected, and what they should be.
+    goals: [(u8, f32); 2],
+}
+
+/// Memory of updates.
+#[derive(Debug, Default)]
+pub(super) struct Memory {
+    drawn: Vec<Drawn>,
+    space: Space,
+    target_space: Space,
+    slopes: Vec<f32>,
+}
+
+/// Adds the gradient of an update, and returns its loss; none where too little is kept.
+pub(super) fn descend(
+    learner: &mut Learner,
+    heads: Heads,
+    (returns, sizes): (&ReturnsConfig, &ReplayConfig),
+    (replay, shown, environment): (&Replay, &Shown, &dyn Environment),
+    memory: &mut Memory,
+    random: &mut Random,
+) -> f64 {
+    let Memory { drawn, space, target_space, slopes: by_head } = memory;
+    drawn.clear();
+    while drawn.len() < sizes.batch {
+        let reached = chance(random, sizes.reached.into());
+        let place = reached.then(|| replay.draw_reached(random)).flatten();
+        let place = place.unwrap_or_else(|| replay.draw_step(random));
+        let Some(window) = window(replay, place, returns) else { continue };
+        let moment = replay.moment(place);
+        let is_mirrored = returns.mirror && chance(random, 0.5);
+        let action = environment.turned_action(is_mirrored.into(), moment.action.into());
+        let other = if returns.relabel { moment.option_reached } else { NONE };
+        let other = if other == moment.goal { NONE } else { other };
+        let reward = |goal| if window.reached == goal { window.discount } else { 0.0 };
+        let goals =
+            [moment.goal, other].map(|goal| (goal, if goal == NONE { 0.0 } else { reward(goal) }));
+        drawn.push(Drawn { place, action: action.into(), is_mirrored, window, goals });
+    }
+    look_up(learner, heads, (replay, shown), drawn, space, target_space);
+    space.rows.clear();
+    for step in &*drawn {
+        shown.push(replay.shown(step.place), step.is_mirrored, &mut space.rows);
+    }
+    let mut pass = space.tape.begin(&learner.online);
+    let hidden = learner.network.hidden(&mut pass, &space.rows);
+    let values = learner.network.head(&mut pass, hidden);
+    let (outputs, share) = (heads.outputs(), 1.0 / drawn.len() as f32);
+    by_head.clear();
+    by_head.resize(drawn.len() * outputs, 0.0);
+    let mut loss = 0.0;
+    let rows = pass.values(values).chunks_exact(outputs).zip(by_head.chunks_exact_mut(outputs));
+    for (step, (values, slopes)) in drawn.iter().zip(rows) {
+        for (goal, target) in step.goals.into_iter().filter(|(goal, _)| *goal != NONE) {
+            let error = heads.value(values, goal.into(), step.action) - target;
+            loss += 0.5 * f64::from(error * error * share);
+            heads.add_slope(slopes, goal.into(), step.action, error * share);
+        }
+    }
+    let sum = slopes(&mut pass, values, by_head);
+    pass.backward(sum, &mut learner.gradient);
+    loss
+}
+
+/// Adds to targets what the states behind the windows are worth: the best action by the online network, its value by
+/// the target network.
+fn look_up(
+    learner: &Learner,
+    heads: Heads,
+    (replay, shown): (&Replay, &Shown),
+    drawn: &mut [Drawn],
+    space: &mut Space,
+    target_space: &mut Space,
+) {
+    let network = &learner.network;
+    let next = |step: &Drawn| step.window.next.map(|place| (replay.shown(place), step.is_mirrored));
+    let online = space.hidden(network, &learner.online, shown, drawn.iter().filter_map(next));
+    let target =
+        target_space.hidden(network, &learner.target, shown, drawn.iter().filter_map(next));
+    let width = network.width();
+    let hidden = online.chunks_exact(width).zip(target.chunks_exact(width));
+    let (mut chosen, mut worth) = (Vec::new(), Vec::new());
+    let followed = drawn.iter_mut().filter(|step| step.window.next.is_some());
+    for (step, (online, target)) in followed.zip(hidden) {
+        for (goal, sum) in step.goals.iter_mut().filter(|(goal, _)| *goal != NONE) {
+            heads.values(network, &learner.online, online, (*goal).into(), &mut chosen);
+            heads.values(network, &learner.target, target, (*goal).into(), &mut worth);
+            *sum += step.window.discount * worth[best(&chosen, u32::MAX)].clamp(0.0, 1.0);
+        }
+    }
+}

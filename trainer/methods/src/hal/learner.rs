@@ -1,0 +1,72 @@
+//! Weights that follow a gradient, with those that targets are computed by and those that are measured.
+
+use sortie_envs::Random;
+use sortie_learn::configuration::OptimiserConfig;
+use sortie_learn::run::UpdateReport;
+use sortie_learn::state::Tensor;
+use sortie_learn::{LearnError, State};
+use sortie_nn::optimise::{Adam, clip_norm, move_towards};
+
+use super::config::NetworkConfig;
+use super::networks::Network;
+
+/// A network that learns.
+#[derive(Clone, Debug)]
+pub(super) struct Learner {
+    pub(super) network: Network,
+    pub(super) online: Vec<f32>,
+    pub(super) target: Vec<f32>,
+    pub(super) average: Vec<f32>,
+    pub(super) gradient: Vec<f32>,
+    adam: Adam,
+}
+
+impl Learner {
+    /// Draws the first weights.
+    pub(super) fn new(
+        network: &NetworkConfig,
+        optimiser: &OptimiserConfig,
+        [columns, outputs]: [usize; 2],
+        random: &mut Random,
+    ) -> Self {
+        let network = Network::new(network, columns, outputs, random);
+        let weights = network.parameters.values.clone();
+        Self {
+            online: weights.clone(),
+            target: weights.clone(),
+            average: weights.clone(),
+            gradient: vec![0.0; weights.len()],
+            adam: Adam::new(weights.len(), optimiser.epsilon),
+            network,
+        }
+    }
+
+    /// Follows the gradient, which is forgotten.
+    pub(super) fn step(
+        &mut self,
+        config: &OptimiserConfig,
+        learning_rate: f32,
+        loss: f64,
+    ) -> UpdateReport {
+        let gradient_norm = clip_norm(&mut self.gradient, config.clip);
+        self.adam.step(&mut [&mut self.online], &self.gradient, learning_rate);
+        self.gradient.fill(0.0);
+        move_towards(&mut self.target, &self.online, config.target_rate);
+        move_towards(&mut self.average, &self.online, config.average_rate);
+        UpdateReport { loss, gradient_norm }
+    }
+
+    pub(super) fn state(&mut self, state: &mut State<'_>, name: &str) -> Result<(), LearnError> {
+        let tensors: Vec<Tensor> = self.network.parameters.tensors().to_vec();
+        for (kind, vector) in [
+            ("online", &mut self.online),
+            ("target", &mut self.target),
+            ("average", &mut self.average),
+            ("adam-mean", &mut self.adam.mean),
+            ("adam-square", &mut self.adam.square),
+        ] {
+            state.tensors(&format!("{name}/{kind}"), &tensors, vector)?;
+        }
+        state.value(&format!("{name}/adam-steps"), &mut self.adam.steps)
+    }
+}

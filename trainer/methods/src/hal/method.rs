@@ -1,0 +1,322 @@
+//! HAL as a [`Method`].
+
+use sortie_envs::{Environment, Random};
+use sortie_learn::random::{Purpose, generator};
+use sortie_learn::run::{Rates, Reports};
+use sortie_learn::session::Opening;
+use sortie_learn::{Act, LearnError, Method, Now, Scene, Scenes, State, Transition};
+
+use super::affordances::{self, Classes};
+use super::config::{Config, Mask, MeasuredConfig};
+use super::controller;
+use super::filter::Population;
+use super::learner::Learner;
+use super::meta;
+use super::networks::Heads;
+use super::options::{Actors, Chances, Player, Running};
+use super::replay::{End, Finished, Moment, NONE, Place, Replay};
+use super::shown::Shown;
+
+/// An agent that learns which milestones can be reached, which to go for, and how.
+#[derive(Debug)]
+pub struct Hal {
+    config: Config,
+    shown: Shown,
+    heads: Heads,
+    controller: Learner,
+    meta: Learner,
+    classifier: Learner,
+    replay: Replay,
+    classes: Classes,
+    populations: Vec<Population>,
+    /// Milestones, as bits, that were ever reached, and those that the classifier has met both classes of.
+    known: [u32; 2],
+    /// How often each milestone was reached.
+    reached: Vec<u64>,
+    player: Player,
+    /// The first step of the running option of each instance.
+    started: Vec<Option<Place>>,
+    /// Draws what updates learn from.
+    random: Random,
+    updates: u64,
+    memories: (controller::Memory, meta::Memory, affordances::Memory),
+}
+
+/// What a learned mask says beside the truth.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct MaskCounts {
+    /// Milestones that could be reached, over all states.
+    pub afforded: u64,
+    /// Those of them that the mask hides.
+    pub over_pruned: u64,
+    /// Milestones that could not be reached.
+    pub others: u64,
+    /// Those of them that the mask lets through.
+    pub under_pruned: u64,
+}
+
+impl Hal {
+    /// Draws the first weights; none where the environment shows no picture that fits.
+    pub fn new(config: Config, opening: &Opening<'_>) -> Option<Self> {
+        let Opening { setup, environment, seed, .. } = *opening;
+        let spec = environment.spec();
+        let shown = Shown::new(spec, config.network.crop, config.network.nearest)?;
+        let instances = setup.environment.instances;
+        let milestones = spec.milestones.len();
+        let heads = Heads { goals: milestones, actions: spec.shape.actions };
+        let learner = |outputs: usize, index: u64| {
+            let mut random = generator(seed, Purpose::Weights, index);
+            let sizes = [shown.columns(), outputs];
+            Learner::new(&config.network, &config.optimiser, sizes, &mut random)
+        };
+        let kept = config.replay.capacity / instances;
+        Some(Self {
+            controller: learner(heads.outputs(), 0),
+            meta: learner(milestones, 1),
+            classifier: learner(milestones, 2),
+            replay: Replay::new(instances, kept, shown.bytes(), milestones),
+            classes: Classes::new(milestones, config.affordances.kept),
+            populations: vec![Population::default(); milestones],
+            known: [0; 2],
+            reached: vec![0; milestones],
+            player: Player::default(),
+            started: vec![None; instances],
+            random: generator(seed, Purpose::Replay, 0),
+            updates: 0,
+            memories: Default::default(),
+            shown,
+            heads,
+            config,
+        })
+    }
+
+    fn actors(&self, weights: impl Fn(&Learner) -> &[f32]) -> Actors<'_> {
+        Actors {
+            config: &self.config,
+            shown: &self.shown,
+            heads: self.heads,
+            controller: (&self.controller.network, weights(&self.controller)),
+            meta: (&self.meta.network, weights(&self.meta)),
+            classifier: (&self.classifier.network, weights(&self.classifier)),
+            known: self.known,
+        }
+    }
+
+    /// The agent with so much of chance left.
+    pub fn measured(&self, chances: MeasuredConfig) -> Box<dyn Act + '_> {
+        Box::new(self.agent(chances))
+    }
+
+    fn agent(&self, chances: MeasuredConfig) -> Measured<'_> {
+        let actors = self.actors(|learner| &learner.average);
+        Measured { actors, chances, player: Player::default() }
+    }
+
+    /// Compares the mask with the truth in states of an environment that knows it.
+    pub fn compare_masks(&self, environment: &dyn Environment, states: &[Vec<u8>]) -> MaskCounts {
+        let mut agent = self.agent(MeasuredConfig::default());
+        let mut counts = MaskCounts::default();
+        let all = u32::MAX >> (32 - self.heads.goals);
+        for state in states {
+            let Some(truth) = environment.affordances(state) else { continue };
+            let scene = Scene { instance: 0, state, begins: true, tasks_changed: false };
+            agent.player.look(&self.shown, environment, &scene);
+            let mask = agent.player.masks(agent.actors, environment, &[&scene])[0];
+            counts.afforded += u64::from(truth.count_ones());
+            counts.over_pruned += u64::from((truth & !mask).count_ones());
+            counts.others += u64::from((all & !truth).count_ones());
+            counts.under_pruned += u64::from((mask & !truth).count_ones());
+        }
+        counts
+    }
+
+    /// Keeps an option that is over, and learns from what it came to.
+    fn finish(&mut self, option: Finished) {
+        self.replay.finish(option);
+        if let Some(count) = self.reached.get_mut(usize::from(option.reached)) {
+            *count += 1;
+        }
+        self.classes.add(&option, &mut self.random);
+        self.known = self.classes.known();
+    }
+
+    /// One update of each network that is due.
+    fn learn(&mut self, environment: &dyn Environment, learning_rate: f32, reports: &mut Reports) {
+        let Self { config, shown, replay, random, memories, .. } = self;
+        let (returns, kept) = (&config.returns, (&*replay, &*shown, environment));
+        let sizes = (returns, &config.replay);
+        let controller = &mut self.controller;
+        let loss =
+            controller::descend(controller, self.heads, sizes, kept, &mut memories.0, random);
+        reports.agents.push(controller.step(&config.optimiser, learning_rate, loss));
+        let (meta, kept) = (&mut self.meta, (&*replay, &*shown));
+        let changes = [returns.relabel, returns.mirror];
+        let loss = meta::descend(meta, &config.meta, changes, kept, &mut memories.1, random);
+        if let Some(loss) = loss {
+            reports.allocator.push(meta.step(&config.optimiser, learning_rate, loss));
+        }
+        let own = &config.affordances;
+        if own.mask != Mask::Learned || !self.updates.is_multiple_of(own.every) {
+            return;
+        }
+        let round = self.updates / own.every;
+        let (classifier, memory) = (&mut self.classifier, &mut memories.2);
+        if own.filter && round.is_multiple_of(REFRESHED) {
+            let milestone = (round / REFRESHED) as usize % self.populations.len();
+            let population = &mut self.populations[milestone];
+            let from = (&self.classes, &*classifier);
+            affordances::refresh(population, milestone, own.population, from, kept, memory, random);
+        }
+        let data = (&self.classes, &*self.populations);
+        let loss = affordances::descend(classifier, own, data, kept, memory, random);
+        classifier.step(&config.optimiser, learning_rate, loss);
+    }
+}
+
+/// Updates of the classifier for each milestone whose positives are measured anew.
+const REFRESHED: u64 = 4;
+
+impl Method for Hal {
+    fn act(
+        &mut self,
+        scenes: &Scenes<'_>,
+        now: Now,
+        random: &mut [Random],
+        actions: &mut [u16],
+    ) -> Result<(), LearnError> {
+        let exploration = &self.config.exploration;
+        let at = |chances| exploration.at(chances, now.env_steps, now.of);
+        let [goals, afforded] = match self.config.affordances.mask {
+            _ if now.env_steps < exploration.first => [1.0, 0.0],
+            Mask::Learned => [at(exploration.goals), at(exploration.afforded)],
+            Mask::Oracle => [0.0, at(exploration.goals) + at(exploration.afforded)],
+            Mask::None => [at(exploration.goals), 0.0],
+        };
+        let actions_chance =
+            if now.env_steps < exploration.first { 1.0 } else { at(exploration.actions) };
+        let mut player = std::mem::take(&mut self.player);
+        let chances = Chances {
+            actions: actions_chance,
+            goals,
+            afforded,
+            reached: &self.reached,
+            varied: false,
+        };
+        let actors = self.actors(|learner| &learner.online);
+        player.act(actors, scenes, chances, random, actions);
+        self.player = player;
+        Ok(())
+    }
+
+    fn remember(&mut self, transition: &Transition<'_>) -> Result<(), LearnError> {
+        let Transition { environment, instance, step, .. } = *transition;
+        let reached = environment.milestone(instance).map_or(NONE, |milestone| milestone as u8);
+        let running = self.player.running[instance].clone();
+        let before = self.player.seen[instance].rows.clone();
+        let shown = std::mem::take(&mut self.player.shown[instance]);
+        let scene = Scene { instance, state: transition.next, begins: false, tasks_changed: false };
+        self.player.look(&self.shown, environment, &scene);
+        let over = running.steps >= self.config.returns.option_steps;
+        let ends_option = reached != NONE || over || step.done();
+        let moment = Moment {
+            action: transition.actions[0] as u8,
+            goal: running.goal,
+            reached,
+            option_reached: NONE,
+            changed_nothing: reached == NONE && before == self.player.seen[instance].rows,
+            ends_option,
+            terminated: step.terminated,
+            is_last: false,
+        };
+        let place = self.replay.push(instance, &shown, moment);
+        let start = *self.started[instance].get_or_insert(place);
+        if !ends_option {
+            return Ok(());
+        }
+        self.started[instance] = None;
+        self.player.running[instance].is_over = true;
+        let end = match step {
+            _ if step.terminated => End::Terminated,
+            _ if step.timed_out => End::TimedOut,
+            _ => End::GoesOn,
+        };
+        if step.done() {
+            let last = Moment { is_last: true, ..moment };
+            self.replay.push(instance, &self.player.shown[instance], last);
+        }
+        let Running { goal, steps, mask, .. } = running;
+        self.finish(Finished { start, steps, goal, reached, mask, end });
+        Ok(())
+    }
+
+    fn update(
+        &mut self,
+        environment: &dyn Environment,
+        now: Now,
+        reports: &mut Reports,
+    ) -> Result<(), LearnError> {
+        let first = self.config.exploration.first;
+        let due = now.env_steps.saturating_sub(first) / self.config.replay.steps_per_update;
+        let learning_rate = self.config.optimiser.learning_rate_at(now.env_steps, now.of);
+        while self.updates < due {
+            self.updates += 1;
+            self.learn(environment, learning_rate, reports);
+        }
+        Ok(())
+    }
+
+    fn rates(&self, now: Now) -> Rates {
+        Rates {
+            epsilon: self.config.exploration.at(
+                self.config.exploration.actions,
+                now.env_steps,
+                now.of,
+            ),
+            learning_rate: self.config.optimiser.learning_rate_at(now.env_steps, now.of),
+        }
+    }
+
+    fn team(&self) -> Box<dyn Act + '_> {
+        self.measured(self.config.measured)
+    }
+
+    fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
+        self.controller.state(state, "controller")?;
+        self.meta.state(state, "meta")?;
+        self.classifier.state(state, "classifier")?;
+        // Which answers of the classifier count is part of what was learned; so few bits are exact.
+        let mut known = self.known.map(|set| set as f32);
+        state.vector("known", &mut known)?;
+        self.known = known.map(|set| set as u32);
+        state.value("replay", &mut self.replay)?;
+        state.value("classes", &mut self.classes)?;
+        state.value("populations", &mut self.populations)?;
+        state.value("reached", &mut self.reached)?;
+        state.value("running", &mut self.player.running)?;
+        state.value("started", &mut self.started)?;
+        state.value("random", &mut self.random)?;
+        state.value("updates", &mut self.updates)
+    }
+}
+
+/// An agent that is measured.
+struct Measured<'a> {
+    actors: Actors<'a>,
+    chances: MeasuredConfig,
+    player: Player,
+}
+
+impl Act for Measured<'_> {
+    fn act(
+        &mut self,
+        scenes: &Scenes<'_>,
+        random: &mut [Random],
+        actions: &mut [u16],
+    ) -> Result<(), LearnError> {
+        let MeasuredConfig { actions: chance, goals, varied } = self.chances;
+        let chances =
+            Chances { actions: chance, goals: 0.0, afforded: goals, reached: &[], varied };
+        self.player.act(self.actors, scenes, chances, random, actions);
+        Ok(())
+    }
+}

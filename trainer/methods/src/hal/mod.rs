@@ -1,0 +1,27 @@
+//! HAL: hierarchical affordance learning (Costales, Iqbal and Sha 2022; dissertation chapter 6).
+//!
+//! A meta-controller chooses which milestone to go for, a controller acts until a milestone is reached. Which milestones
+//! can be reached next is learned from what happened, and masks the choice.
+
+mod affordances;
+mod config;
+mod controller;
+mod filter;
+mod keys;
+mod learner;
+mod meta;
+mod method;
+mod networks;
+mod options;
+mod presets;
+mod replay;
+mod samples;
+mod shown;
+
+pub use config::{
+    AffordancesConfig, Config, ExplorationConfig, Mask, MeasuredConfig, MetaConfig, NetworkConfig,
+    ReplayConfig, ReturnsConfig,
+};
+pub use filter::tolerance;
+pub use method::{Hal, MaskCounts};
+pub use presets::{H_DQN, HAL, HAL_ORACLE};

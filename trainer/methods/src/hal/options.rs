@@ -1,0 +1,301 @@
+//! Options at work: which milestone to go for, and how.
+
+use serde::{Deserialize, Serialize};
+use sortie_envs::random::{below, chance, unit};
+use sortie_envs::{EntitySet, Environment, Observation, Random};
+use sortie_learn::{Scene, Scenes};
+
+use super::config::{Config, Mask};
+use super::networks::{Heads, Network, Space, best};
+use super::shown::Shown;
+
+/// What an instance is doing.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(super) struct Running {
+    /// The milestone that it goes for.
+    pub(super) goal: u8,
+    /// Steps that it has gone for it, the one that it is about to take included.
+    pub(super) steps: u8,
+    /// The milestones that it could choose from.
+    pub(super) mask: u32,
+    /// Whether it is over; who only acts sees that by the milestone or the steps.
+    pub(super) is_over: bool,
+    /// What was seen in the option, by a hash; kept where play is varied.
+    views: Vec<u64>,
+    /// Goals that were missed since the last milestone, kept likewise.
+    missed: Vec<u8>,
+}
+
+impl Running {
+    /// How often a view was met in the option before.
+    fn meets(&mut self, shown: &[u8]) -> usize {
+        let view = hash(shown);
+        let before = self.views.iter().filter(|other| **other == view).count();
+        self.views.push(view);
+        before
+    }
+
+    /// Of a mask the goals that were missed least often since the last milestone.
+    fn least_missed(&self, mask: u32, milestones: usize) -> u32 {
+        let missed =
+            |goal: usize| self.missed.iter().filter(|it| usize::from(**it) == goal).count();
+        let open = || (0..milestones).filter(|goal| mask >> goal & 1 == 1);
+        let least = open().map(missed).min();
+        open().filter(|goal| Some(missed(*goal)) == least).fold(0, |set, goal| set | 1 << goal)
+    }
+}
+
+/// 64 bits of some bytes (Fowler, Noll and Vo).
+fn hash(bytes: &[u8]) -> u64 {
+    let mix = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01B3);
+    bytes.iter().fold(0xCBF2_9CE4_8422_2325, mix)
+}
+
+/// Networks and weights that act.
+#[derive(Clone, Copy)]
+pub(super) struct Actors<'a> {
+    pub(super) config: &'a Config,
+    pub(super) shown: &'a Shown,
+    pub(super) heads: Heads,
+    pub(super) controller: (&'a Network, &'a [f32]),
+    pub(super) meta: (&'a Network, &'a [f32]),
+    pub(super) classifier: (&'a Network, &'a [f32]),
+    /// Milestones, as bits, that were ever reached, and those that the classifier knows both classes of.
+    pub(super) known: [u32; 2],
+}
+
+/// How much is tried out.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Chances<'a> {
+    /// Of a random action.
+    pub(super) actions: f32,
+    /// Of any milestone as a goal.
+    pub(super) goals: f32,
+    /// Of a goal that is drawn from the mask.
+    pub(super) afforded: f32,
+    /// How often each milestone was reached, where what was seldom reached is drawn more often.
+    pub(super) reached: &'a [u64],
+    /// Whether what is met again is answered otherwise.
+    pub(super) varied: bool,
+}
+
+/// Agents at work in several instances.
+#[derive(Debug, Default)]
+pub(super) struct Player {
+    /// By the numbers of the instances.
+    pub(super) running: Vec<Running>,
+    /// What is seen in each instance.
+    pub(super) seen: Vec<Observation>,
+    /// Bytes of what is seen in each instance.
+    pub(super) shown: Vec<Vec<u8>>,
+    /// Whether what an instance is in has been looked at already.
+    looked: Vec<bool>,
+    space: Space,
+    values: Vec<f32>,
+}
+
+impl Player {
+    /// Writes an action for each scene.
+    pub(super) fn act(
+        &mut self,
+        actors: Actors<'_>,
+        scenes: &Scenes<'_>,
+        chances: Chances<'_>,
+        random: &mut [Random],
+        actions: &mut [u16],
+    ) {
+        for scene in scenes.scenes {
+            if scene.begins || !self.looked.get(scene.instance).is_some_and(|looked| *looked) {
+                self.look(actors.shown, scenes.environment, scene);
+            }
+            self.looked[scene.instance] = false;
+        }
+        let over = |running: &Running| {
+            running.is_over || running.steps >= actors.config.returns.option_steps
+        };
+        let deciding = scenes.scenes.iter().filter(|scene| {
+            let reached = scenes.environment.milestone(scene.instance).is_some();
+            scene.begins || reached || over(&self.running[scene.instance])
+        });
+        let deciding: Vec<&Scene<'_>> = deciding.collect();
+        self.decide(actors, scenes.environment, &deciding, chances, random);
+        let mut greedy = Vec::new();
+        for (place, scene) in scenes.scenes.iter().enumerate() {
+            self.running[scene.instance].steps += 1;
+            let random = &mut random[scene.instance];
+            if chance(random, chances.actions.into()) {
+                actions[place] = below(random, actors.heads.actions) as u16;
+            } else {
+                greedy.push((place, scene.instance));
+            }
+        }
+        let Self { running, shown, space, values, .. } = self;
+        let (network, weights) = actors.controller;
+        let states = greedy.iter().map(|(_, instance)| (&*shown[*instance], false));
+        let hidden = space.hidden(network, weights, actors.shown, states);
+        for ((place, instance), hidden) in greedy.iter().zip(hidden.chunks_exact(network.width())) {
+            let goal = running[*instance].goal.into();
+            actors.heads.values(network, weights, hidden, goal, values);
+            let met = if chances.varied { running[*instance].meets(&shown[*instance]) } else { 0 };
+            actions[*place] = ranked(values, met % actors.heads.actions) as u16;
+        }
+    }
+
+    /// Looks at what a scene shows.
+    pub(super) fn look(&mut self, shown: &Shown, environment: &dyn Environment, scene: &Scene<'_>) {
+        let places = self.running.len().max(scene.instance + 1);
+        self.running.resize_with(places, Running::default);
+        self.seen.resize_with(places, Observation::default);
+        self.shown.resize_with(places, Vec::new);
+        self.looked.resize(places, false);
+        self.looked[scene.instance] = true;
+        let seen = &mut self.seen[scene.instance];
+        environment.observe(scene.state, 0, EntitySet::MAX, seen);
+        let bytes = &mut self.shown[scene.instance];
+        bytes.resize(shown.bytes(), 0);
+        shown.write(&seen.rows, bytes);
+    }
+
+    /// Chooses a goal for each of these scenes.
+    fn decide(
+        &mut self,
+        actors: Actors<'_>,
+        environment: &dyn Environment,
+        scenes: &[&Scene<'_>],
+        chances: Chances<'_>,
+        random: &mut [Random],
+    ) {
+        let masks = self.masks(actors, environment, scenes);
+        let Self { running, shown, space, values, .. } = self;
+        let (network, weights) = actors.meta;
+        let states = scenes.iter().map(|scene| (&*shown[scene.instance], false));
+        let hidden = space.hidden(network, weights, actors.shown, states);
+        let milestones = network.outputs();
+        for ((scene, mask), hidden) in
+            scenes.iter().zip(masks).zip(hidden.chunks_exact(network.width()))
+        {
+            let random = &mut random[scene.instance];
+            let number = unit(random) as f32;
+            let running = &mut running[scene.instance];
+            let (reached, mut missed) =
+                (environment.milestone(scene.instance).is_some(), Vec::new());
+            if chances.varied && !scene.begins && !reached {
+                running.missed.push(running.goal);
+                std::mem::swap(&mut missed, &mut running.missed);
+            }
+            *running = Running { missed, mask, ..Running::default() };
+            let goal = if number < chances.goals {
+                below(random, milestones)
+            } else if number < chances.goals + chances.afforded {
+                seldom(mask, milestones, chances.reached, random)
+            } else {
+                values.resize(milestones, 0.0);
+                network.read(weights, hidden, 0..milestones, values);
+                best(values, running.least_missed(mask, milestones))
+            };
+            running.goal = goal as u8;
+        }
+    }
+
+    /// The milestones that can be chosen from in each scene; all where none could.
+    pub(super) fn masks(
+        &mut self,
+        actors: Actors<'_>,
+        environment: &dyn Environment,
+        scenes: &[&Scene<'_>],
+    ) -> Vec<u32> {
+        let (network, weights) = actors.classifier;
+        let milestones = network.outputs();
+        let all = u32::MAX >> (32 - milestones);
+        let masks: Vec<u32> = match actors.config.affordances.mask {
+            Mask::None => vec![all; scenes.len()],
+            Mask::Oracle => {
+                let truth = |scene: &&Scene<'_>| environment.affordances(scene.state);
+                scenes.iter().map(|scene| truth(scene).unwrap_or(all)).collect()
+            }
+            Mask::Learned => {
+                let Self { shown, space, values, .. } = self;
+                let states = scenes.iter().map(|scene| (&*shown[scene.instance], false));
+                let hidden = space.hidden(network, weights, actors.shown, states);
+                values.resize(milestones, 0.0);
+                let threshold = actors.config.affordances.threshold;
+                let least = (threshold / (1.0 - threshold)).ln();
+                let mask = |hidden: &[f32]| {
+                    network.read(weights, hidden, 0..milestones, values);
+                    mask(values, least, actors.known)
+                };
+                hidden.chunks_exact(network.width()).map(mask).collect()
+            }
+        };
+        masks.into_iter().map(|mask| if mask == 0 { all } else { mask }).collect()
+    }
+}
+
+/// The place of the largest number but so many.
+fn ranked(values: &[f32], skipped: usize) -> usize {
+    let mut rest = u32::MAX;
+    (0..skipped).for_each(|_| rest &= !(1 << best(values, rest)));
+    best(values, rest)
+}
+
+/// The milestones that a classifier affords: what was never reached it does not, what has no negatives yet it does.
+fn mask(logits: &[f32], least: f32, [reached, known]: [u32; 2]) -> u32 {
+    let likely = logits.iter().enumerate().filter(|(_, logit)| **logit > least);
+    let likely = likely.fold(0, |set, (milestone, _)| set | 1 << milestone);
+    reached & (likely | !known)
+}
+
+/// A milestone of a mask, those that were reached seldom more often than others.
+fn seldom(mask: u32, milestones: usize, reached: &[u64], random: &mut Random) -> usize {
+    let most = reached.iter().max().copied().unwrap_or(0);
+    let weight = |milestone: usize| match mask >> milestone & 1 {
+        1 => most - reached.get(milestone).copied().unwrap_or(most) + 1,
+        _ => 0,
+    };
+    let mut left = below(random, (0..milestones).map(weight).sum::<u64>() as usize) as u64;
+    (0..milestones)
+        .find(|milestone| {
+            let weight = weight(*milestone);
+            let found = left < weight;
+            left = left.saturating_sub(weight);
+            found
+        })
+        .unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn masks_hold_what_is_likely_and_what_nothing_speaks_against() {
+        let logits = [3.0, -3.0, 3.0, -3.0, 0.1];
+        assert_eq!(mask(&logits, 0.0, [0b11110, 0b10110]), 0b11100);
+        assert_eq!(mask(&logits, 0.2, [0b11111, 0b11111]), 0b00101);
+    }
+
+    #[test]
+    fn what_is_met_again_is_answered_by_the_next_best() {
+        let values = [0.5, 2.0, -1.0, 2.0];
+        assert_eq!([0, 1, 2, 3].map(|skipped| ranked(&values, skipped)), [1, 3, 0, 2]);
+        let mut running = Running { missed: vec![0, 2, 0], ..Running::default() };
+        assert_eq!(running.least_missed(0b0101, 4), 0b0100);
+        assert_eq!(running.least_missed(0b1111, 4), 0b1010);
+        let met = [&[1, 2][..], &[2, 1], &[1, 2], &[1, 2]].map(|view| running.meets(view));
+        assert_eq!(met, [0, 0, 1, 2]);
+    }
+
+    #[test]
+    fn what_was_seldom_reached_is_drawn_more_often() {
+        let mut random = sortie_envs::random::generator(1);
+        let mut drawn = [0; 4];
+        (0..10_000).for_each(|_| drawn[seldom(0b1101, 4, &[9, 0, 4, 7], &mut random)] += 1);
+        // Of weights 1, 6 and 3.
+        for (found, want) in drawn.into_iter().zip([1_000_i32, 0, 6_000, 3_000]) {
+            assert!((found - want).abs() < 200, "{drawn:?}");
+        }
+        drawn = [0; 4];
+        (0..10_000).for_each(|_| drawn[seldom(0b1010, 4, &[], &mut random)] += 1);
+        assert!(drawn[0] == 0 && drawn[2] == 0 && drawn[1].abs_diff(5_000) < 200, "{drawn:?}");
+    }
+}

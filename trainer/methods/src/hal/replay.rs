@@ -1,0 +1,220 @@
+//! What is kept: steps in rings, one for each instance, and the options that they make up.
+
+use std::collections::VecDeque;
+
+use serde::{Deserialize, Serialize};
+use sortie_envs::Random;
+use sortie_envs::random::below;
+
+/// No milestone.
+pub(super) const NONE: u8 = u8::MAX;
+
+/// A step of an instance: where it stands, for as long as it is kept.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Place {
+    pub(super) instance: u32,
+    /// Number of the state since the instance began.
+    pub(super) time: u32,
+}
+
+impl Place {
+    pub(super) fn after(self, steps: u32) -> Self {
+        Self { time: self.time + steps, ..self }
+    }
+}
+
+/// What was done in a state.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Moment {
+    pub(super) action: u8,
+    pub(super) goal: u8,
+    /// The milestone that the step reached, or none.
+    pub(super) reached: u8,
+    /// The milestone that the option reached; told to all of its steps when it is over.
+    pub(super) option_reached: u8,
+    /// Whether the step changed nothing that is seen.
+    pub(super) changed_nothing: bool,
+    /// Whether the option was over behind it.
+    pub(super) ends_option: bool,
+    /// Whether nothing can follow.
+    pub(super) terminated: bool,
+    /// A last state, in which nothing was done.
+    pub(super) is_last: bool,
+}
+
+/// An option that is over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Finished {
+    pub(super) start: Place,
+    pub(super) steps: u8,
+    pub(super) goal: u8,
+    pub(super) reached: u8,
+    /// The milestones that could be chosen from.
+    pub(super) mask: u32,
+    pub(super) end: End,
+}
+
+/// How an option left its episode.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) enum End {
+    /// The next option follows in the list of the instance.
+    GoesOn,
+    /// The task was fulfilled, or nothing can be reached any more.
+    Terminated,
+    /// The time ran out.
+    TimedOut,
+}
+
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+struct Ring {
+    /// States so far.
+    count: u32,
+    shown: Vec<u8>,
+    moments: Vec<Moment>,
+}
+
+/// An option by its instance and its number there.
+type OptionPlace = (u32, u32);
+
+/// Everything that is kept.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct Replay {
+    bytes: usize,
+    /// States kept of each instance.
+    kept: usize,
+    rings: Vec<Ring>,
+    /// Of each instance, with how many were forgotten before.
+    options: Vec<(u32, VecDeque<Finished>)>,
+    /// By milestones, options that reached them.
+    reached: Vec<VecDeque<OptionPlace>>,
+    /// Options of episodes that were solved.
+    solved: VecDeque<OptionPlace>,
+}
+
+impl Replay {
+    pub(super) fn new(instances: usize, kept: usize, bytes: usize, milestones: usize) -> Self {
+        Self {
+            bytes,
+            kept,
+            rings: vec![Ring::default(); instances],
+            options: vec![(0, VecDeque::new()); instances],
+            reached: vec![VecDeque::new(); milestones],
+            solved: VecDeque::new(),
+        }
+    }
+
+    /// Keeps a state and what was done in it.
+    pub(super) fn push(&mut self, instance: usize, shown: &[u8], moment: Moment) -> Place {
+        let (bytes, kept) = (self.bytes, self.kept);
+        let ring = &mut self.rings[instance];
+        let place = ring.count as usize % kept;
+        if place == ring.moments.len() {
+            ring.shown.extend_from_slice(shown);
+            ring.moments.push(moment);
+        } else {
+            ring.shown[place * bytes..][..bytes].copy_from_slice(shown);
+            ring.moments[place] = moment;
+        }
+        ring.count += 1;
+        Place { instance: instance as u32, time: ring.count - 1 }
+    }
+
+    /// Whether a state is still kept.
+    pub(super) fn has(&self, place: Place) -> bool {
+        let count = self.rings[place.instance as usize].count;
+        place.time < count && (count - place.time) as usize <= self.kept
+    }
+
+    pub(super) fn shown(&self, place: Place) -> &[u8] {
+        let at = place.time as usize % self.kept * self.bytes;
+        &self.rings[place.instance as usize].shown[at..][..self.bytes]
+    }
+
+    pub(super) fn moment(&self, place: Place) -> Moment {
+        self.rings[place.instance as usize].moments[place.time as usize % self.kept]
+    }
+
+    /// Keeps an option whose steps are there, and tells them what it reached.
+    pub(super) fn finish(&mut self, option: Finished) {
+        let instance = option.start.instance as usize;
+        for step in 0..u32::from(option.steps) {
+            let place = option.start.after(step).time as usize % self.kept;
+            self.rings[instance].moments[place].option_reached = option.reached;
+        }
+        while self.options[instance].1.front().is_some_and(|first| !self.has(first.start)) {
+            self.options[instance].1.pop_front();
+            self.options[instance].0 += 1;
+        }
+        let (forgotten, options) = &mut self.options[instance];
+        options.push_back(option);
+        let number = *forgotten + options.len() as u32 - 1;
+        let place = (instance as u32, number);
+        if option.reached == NONE {
+            return;
+        }
+        let task = usize::from(option.reached) + 1 == self.reached.len();
+        self.add_reached(option.reached.into(), place);
+        if task {
+            self.add_solved(place);
+        }
+    }
+
+    fn add_reached(&mut self, milestone: usize, place: OptionPlace) {
+        while self.reached[milestone].front().is_some_and(|first| self.option(*first).is_none()) {
+            self.reached[milestone].pop_front();
+        }
+        self.reached[milestone].push_back(place);
+    }
+
+    /// All options of the episode that the last one of an instance solved.
+    fn add_solved(&mut self, (instance, last): OptionPlace) {
+        while self.solved.front().is_some_and(|first| self.option(*first).is_none()) {
+            self.solved.pop_front();
+        }
+        let goes_on = |number: &u32| {
+            self.option((instance, *number)).is_some_and(|option| option.end == End::GoesOn)
+        };
+        let first = (0..last).rev().take_while(goes_on).last().unwrap_or(last);
+        self.solved.extend((first..=last).map(|number| (instance, number)));
+    }
+
+    /// An option that is still kept.
+    pub(super) fn option(&self, (instance, number): OptionPlace) -> Option<&Finished> {
+        let (forgotten, options) = &self.options[instance as usize];
+        let option = options.get(number.checked_sub(*forgotten)? as usize)?;
+        self.has(option.start).then_some(option)
+    }
+
+    /// A step that something was done in, any of those that are kept.
+    pub(super) fn draw_step(&self, random: &mut Random) -> Place {
+        loop {
+            let instance = below(random, self.rings.len());
+            let ring = &self.rings[instance];
+            let last = ring.count - 1 - below(random, ring.moments.len()) as u32;
+            let place = Place { instance: instance as u32, time: last };
+            if !self.moment(place).is_last {
+                return place;
+            }
+        }
+    }
+
+    /// A step of an option that reached a milestone, each as likely; none where no option did.
+    pub(super) fn draw_reached(&self, random: &mut Random) -> Option<Place> {
+        let known = self.reached.iter().filter(|options| !options.is_empty());
+        let options = known.clone().nth(below(random, known.count()))?;
+        let option = self.option(options[below(random, options.len())])?;
+        Some(option.start.after(below(random, option.steps.into()) as u32))
+    }
+
+    /// An option, any of those that are kept, of a solved episode where that is wanted.
+    pub(super) fn draw_option(&self, is_solved: bool, random: &mut Random) -> Option<OptionPlace> {
+        let place = if is_solved {
+            *self.solved.get(below(random, self.solved.len()))?
+        } else {
+            let instance = below(random, self.options.len());
+            let (forgotten, options) = &self.options[instance];
+            (instance as u32, *forgotten + below(random, options.len()) as u32)
+        };
+        self.option(place).map(|_| place)
+    }
+}

@@ -1,0 +1,189 @@
+//! What steps and options led to: returns, and where values are looked up behind them.
+
+use super::config::{MetaConfig, ReturnsConfig};
+use super::replay::{End, NONE, Place, Replay};
+
+/// What some steps from one on led to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Window {
+    /// The milestone that was reached, or none.
+    pub(super) reached: u8,
+    /// What a value behind it counts; where a milestone was reached, what that counts.
+    pub(super) discount: f32,
+    /// Where a value is looked up; nowhere where nothing can follow.
+    pub(super) next: Option<Place>,
+}
+
+/// What the steps of an option from one on led to; none where that is not known yet.
+pub(super) fn window(replay: &Replay, start: Place, config: &ReturnsConfig) -> Option<Window> {
+    let mut discount = 1.0;
+    let nothing = Window { reached: NONE, discount: 0.0, next: None };
+    for step in 0..u32::from(config.steps) {
+        let place = start.after(step);
+        if !replay.has(place) {
+            return None;
+        }
+        let moment = replay.moment(place);
+        if config.no_operations && moment.changed_nothing {
+            // What changes nothing is worth nothing as a start; behind other steps it is not followed.
+            let before = Window { next: Some(place), discount, ..nothing };
+            return Some(if step == 0 { nothing } else { before });
+        }
+        if moment.reached != NONE {
+            return Some(Window { reached: moment.reached, discount, next: None });
+        }
+        if moment.terminated {
+            return Some(nothing);
+        }
+        discount *= config.discount;
+        if moment.ends_option || step + 1 == u32::from(config.steps) {
+            let next = place.after(1);
+            return replay.has(next).then_some(Window { next: Some(next), discount, ..nothing });
+        }
+    }
+    None
+}
+
+/// What some options from one on led to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Course {
+    pub(super) start: Place,
+    /// The goal that counts as chosen.
+    pub(super) goal: u8,
+    /// What was earned.
+    pub(super) reward: f32,
+    pub(super) discount: f32,
+    /// Where a value is looked up, and the milestones that could be chosen there.
+    pub(super) next: Option<(Place, u32)>,
+}
+
+/// What the options of an episode from one on led to; none where that is not known yet.
+pub(super) fn course(
+    replay: &Replay,
+    (instance, number): (u32, u32),
+    config: &MetaConfig,
+    relabel: bool,
+    milestones: usize,
+) -> Option<Course> {
+    let task = milestones as u8 - 1;
+    let first = *replay.option((instance, number))?;
+    let goal = if relabel && first.reached == task { task } else { first.goal };
+    let over = |reward| Course { start: first.start, goal, reward, discount: 0.0, next: None };
+    let all = u32::MAX >> (32 - milestones);
+    let (mut discount, mut last) = (1.0, first);
+    for ahead in 0..config.options as u32 {
+        let Some(option) = replay.option((instance, number + ahead)) else { break };
+        last = *option;
+        if option.reached == task {
+            return Some(over(discount));
+        }
+        if option.end == End::Terminated {
+            return Some(over(0.0));
+        }
+        discount *= config.discount * config.step_discount.powi(option.steps.into());
+        if option.end == End::TimedOut {
+            break;
+        }
+    }
+    let following = replay.option((instance, number + config.options as u32));
+    let place = last.start.after(last.steps.into());
+    // The mask of an option that still runs is not known yet, nor one behind the last.
+    let mask = following.filter(|option| option.start == place).map_or(all, |option| option.mask);
+    replay.has(place).then_some(Course { discount, next: Some((place, mask)), ..over(0.0) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::replay::{Finished, Moment};
+    use super::*;
+
+    /// An instance whose states are their numbers.
+    fn kept(moments: &[Moment]) -> Replay {
+        let mut replay = Replay::new(1, 100, 1, 3);
+        for (index, moment) in moments.iter().enumerate() {
+            replay.push(0, &[index as u8], *moment);
+        }
+        replay
+    }
+
+    fn at(time: u32) -> Place {
+        Place { instance: 0, time }
+    }
+
+    #[test]
+    fn returns_end_where_a_naive_list_says() {
+        let step = Moment { reached: NONE, option_reached: NONE, ..Moment::default() };
+        let mut moments = vec![step; 12];
+        moments[4].reached = 1;
+        moments[4].ends_option = true;
+        moments[7].changed_nothing = true;
+        moments[9].ends_option = true;
+        moments[11].terminated = true;
+        let replay = kept(&moments);
+        let config = ReturnsConfig { discount: 0.5, ..ReturnsConfig::default() };
+        let found = |time| {
+            let window = window(&replay, at(time), &config)?;
+            Some((window.reached, window.discount, window.next.map(|place| place.time)))
+        };
+        for (time, want) in [
+            (0, Some((NONE, 0.125, Some(3)))),
+            (2, Some((1, 0.25, None))),
+            (4, Some((1, 1.0, None))),
+            (5, Some((NONE, 0.25, Some(7)))),
+            (7, Some((NONE, 0.0, None))),
+            (8, Some((NONE, 0.25, Some(10)))),
+            (10, Some((NONE, 0.0, None))),
+            (12, None),
+        ] {
+            assert_eq!(found(time), want, "{time}");
+        }
+        let published = ReturnsConfig { no_operations: false, ..config };
+        let window = window(&replay, at(7), &published).unwrap();
+        assert_eq!(window.next, Some(at(10)));
+        // What follows the last step is not known yet.
+        let short = kept(&moments[..9]);
+        assert_eq!(super::window(&short, at(8), &published), None);
+    }
+
+    #[test]
+    fn options_are_followed_to_the_end_of_their_episode() {
+        let mut replay = kept(&[Moment::default(); 40]);
+        let mut option = Finished {
+            start: at(0),
+            steps: 4,
+            goal: 0,
+            reached: NONE,
+            mask: 0b101,
+            end: End::GoesOn,
+        };
+        for (reached, end) in [
+            (0, End::GoesOn),
+            (NONE, End::GoesOn),
+            (2, End::Terminated),
+            (1, End::GoesOn),
+            (NONE, End::TimedOut),
+        ] {
+            (option.reached, option.end) = (reached, end);
+            replay.finish(option);
+            option.start = option.start.after(4);
+        }
+        let config =
+            MetaConfig { options: 2, discount: 0.5, step_discount: 1.0, ..MetaConfig::default() };
+        let found = |number, relabel| {
+            let course = course(&replay, (0, number), &config, relabel, 3)?;
+            Some((course.goal, course.reward, course.discount, course.next))
+        };
+        assert_eq!(found(0, true), Some((0, 0.0, 0.25, Some((at(8), 0b101)))));
+        assert_eq!(found(1, true), Some((0, 0.5, 0.0, None)));
+        assert_eq!(found(2, true), Some((2, 1.0, 0.0, None)));
+        assert_eq!(found(2, false), Some((0, 1.0, 0.0, None)));
+        assert_eq!(found(3, true), Some((0, 0.0, 0.25, Some((at(20), 0b111)))));
+        assert_eq!(found(4, true), Some((0, 0.0, 0.5, Some((at(20), 0b111)))));
+        assert_eq!(found(5, true), None);
+        // Solved are the options from the start of the episode on.
+        let mut random = sortie_envs::random::generator(1);
+        let draw = |_| replay.draw_option(true, &mut random).unwrap().1;
+        let drawn: std::collections::BTreeSet<u32> = (0..50).map(draw).collect();
+        assert_eq!(drawn.into_iter().collect::<Vec<_>>(), [0, 1, 2]);
+    }
+}

@@ -1,0 +1,123 @@
+//! Runs of HAL and its variants: they learn what leads to milestones, repeat themselves, and go on as if they had never
+//! stopped.
+
+#[expect(dead_code, reason = "runs of ALMA are opened otherwise")]
+mod sessions;
+
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use sortie_envs::Split;
+use sortie_learn::play;
+use sortie_learn::run::{Observer, Progress};
+use sortie_learn::session::{Opening, Setup, load_weights};
+use sortie_methods::find;
+
+use sessions::{begin, environment_of, resume, with};
+
+/// Iron by two milestones, small networks.
+fn small(method: &str, assignments: &[&str]) -> Setup {
+    let mut setup = find(method).unwrap().preset("fast").unwrap();
+    setup.environment.name = "crafting".to_owned();
+    setup.environment.set = "iron".to_owned();
+    let small = [
+        "environment.instances=16",
+        "network.width=16",
+        "affordances.batch=8",
+        "affordances.triplets=8",
+        "affordances.population=20",
+        "replay.batch=32",
+        "replay.steps_per_update=32",
+        "meta.batch=16",
+        "exploration.first=800",
+        "optimiser.average_rate=0.01",
+        "run.final_episodes=0",
+        "run.evaluate_every=100000",
+    ];
+    with(&with(&setup, &small), assignments)
+}
+
+fn weights(folder: &Path) -> Vec<u8> {
+    let checkpoints = std::fs::read_dir(folder.join("checkpoints")).unwrap();
+    let newest = checkpoints.map(|entry| entry.unwrap().path()).max().unwrap();
+    std::fs::read(newest.join("tensors.safetensors")).unwrap()
+}
+
+/// Stops a run after so many steps.
+struct Stopping<'a>(&'a AtomicBool, u64);
+
+impl Observer for Stopping<'_> {
+    fn progress(&mut self, progress: &Progress) {
+        self.0.store(progress.env_steps >= self.1, Ordering::Relaxed);
+    }
+}
+
+#[test]
+fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
+    for (method, kind) in [
+        ("hal", &["run.steps=6000", "affordances.kept=300"][..]),
+        ("hal-oracle", &["run.steps=6000", "replay.capacity=3000"]),
+        ("h-dqn", &["run.steps=6000", "returns.relabel=false", "network.crop=11"]),
+    ] {
+        let setup = small(method, kind);
+        let [whole, parted] = [0, 1].map(|_| tempfile::tempdir().unwrap());
+        let mut session = begin(setup.clone(), 3, 1, whole.path()).unwrap();
+        session.run(&mut (), &AtomicBool::new(false)).unwrap();
+        let stop = AtomicBool::new(false);
+        let mut session = begin(setup, 3, 2, parted.path()).unwrap();
+        session.run(&mut Stopping(&stop, 3100), &stop).unwrap();
+        drop(session);
+        assert!(!parted.path().join("result.json").exists());
+        let mut session = resume(parted.path(), Some(1)).unwrap();
+        session.run(&mut (), &AtomicBool::new(false)).unwrap();
+        assert!(weights(whole.path()) == weights(parted.path()), "{method}");
+    }
+}
+
+#[test]
+fn a_short_run_reaches_more_milestones_than_none_and_is_read_back_as_it_was() {
+    let chances = ["measured.varied=false", "measured.actions=0.05", "measured.goals=0.05"];
+    let more = [
+        "environment.instances=64",
+        "environment.settings.limit=300",
+        "network.width=32",
+        "replay.batch=128",
+        "run.steps=80000",
+    ];
+    let setup = with(&small("hal", &more), &chances);
+    let folder = tempfile::tempdir().unwrap();
+    let mut session = begin(setup.clone(), 1, 1, folder.path()).unwrap();
+    session.run(&mut (), &AtomicBool::new(false)).unwrap();
+    let world = environment_of(&setup).unwrap();
+    let learned = play::evaluate(&*world, &mut *session.method().team(), 100, 1).unwrap();
+    let opening = Opening { setup: &setup, environment: &*world, seed: 1, threads: 1 };
+    let mut method = find("hal").unwrap().method(&opening).unwrap();
+    let fresh = play::evaluate(&*world, &mut *method.team(), 100, 1).unwrap();
+    let milestones = [fresh, learned.clone()].map(|found| found.metrics["milestones"]);
+    assert!(milestones[1] > milestones[0] + 1.0, "{milestones:?}");
+
+    load_weights(folder.path(), &mut *method).unwrap();
+    let again = play::evaluate(&*world, &mut *method.team(), 100, 1).unwrap();
+    assert_eq!(again, learned);
+}
+
+#[test]
+fn what_it_cannot_learn_in_or_by_is_refused() {
+    let world = sortie_envs::open("particle/navigation-3", Split::Train, 1, &Default::default());
+    let refusal = |setup: &Setup, world: &dyn sortie_envs::Environment| {
+        let opening = Opening { setup, environment: world, seed: 1, threads: 1 };
+        find("hal").unwrap().method(&opening).err().unwrap().to_string()
+    };
+    let setup = small("hal", &[]);
+    assert!(refusal(&setup, &*world.unwrap()).contains("its agent sees a picture"));
+    let world = environment_of(&setup).unwrap();
+    for (assignment, words) in [
+        ("network.width=12", "must be a multiple of 8"),
+        ("network.crop=13", "the picture has no such middle"),
+        ("network.crop=4", "the picture has no such middle"),
+        ("replay.capacity=1000", "leaves 62 steps for each instance"),
+    ] {
+        let error = refusal(&with(&setup, &[assignment]), &*world);
+        assert!(error.contains(words), "{error}");
+    }
+}
