@@ -69,6 +69,7 @@ pub mod operators {
     pub use crate::ops::{
         AllOperators, FeedForward, Int8FeedForward, OpKind, OperatorSet, Policies,
     };
+    pub use crate::plan::Needed;
 }
 
 /// What compilers of plans, trainers and tests of this repository take besides. It changes without notice.

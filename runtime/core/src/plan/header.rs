@@ -211,7 +211,24 @@ pub struct Checksums {
 ///
 /// A plan too short to have a header needs 0 bytes, and is refused at load.
 pub const fn arena_bytes(plan: &[u8]) -> usize {
-    let Some((_, rest)) = plan.split_at_checked(20) else { return 0 };
+    word(plan, 20)
+}
+
+/// The records of a plan's program, behind the sizes of its arena; none where the plan is too short.
+pub(super) const fn records(plan: &[u8]) -> &[u8] {
+    const SIZES: usize = 8;
+    let (offset, len) = (word(plan, 44), word(plan, 48));
+    let Some((_, rest)) = plan.split_at_checked(offset) else { return &[] };
+    let Some((program, _)) = rest.split_at_checked(len) else { return &[] };
+    match program.split_at_checked(SIZES) {
+        Some((_, records)) => records,
+        None => &[],
+    }
+}
+
+/// A word of the header, 0 where the plan is too short.
+const fn word(plan: &[u8], offset: usize) -> usize {
+    let Some((_, rest)) = plan.split_at_checked(offset) else { return 0 };
     let Some(field) = rest.first_chunk::<4>() else { return 0 };
     u32::from_le_bytes(*field) as usize
 }

@@ -12,6 +12,7 @@ mod draft;
 mod error;
 mod header;
 mod in_place;
+mod needed;
 mod policy;
 mod program;
 #[cfg(test)]
@@ -27,6 +28,7 @@ pub use header::{ALIGNMENT, Header, Network, Profile, VERSION, arena_bytes};
 #[doc(hidden)]
 pub use header::{Checksums, HEADER_BYTES};
 pub use in_place::Aligned;
+pub use needed::Needed;
 pub use policy::Given;
 #[doc(hidden)]
 pub use program::{OPS, Ops, Program};
