@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-use super::Portable;
+use super::OfTarget;
 use super::arithmetic::Arithmetic;
 pub use super::work::Work;
 
@@ -12,6 +12,8 @@ pub struct Build(InstructionSet);
 
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum InstructionSet {
+    #[cfg(test)]
+    Small,
     Portable,
     #[cfg(all(feature = "std", target_arch = "x86_64"))]
     Avx2,
@@ -41,6 +43,8 @@ impl Build {
     pub fn all() -> impl Iterator<Item = Self> {
         let widest = Self::widest();
         let sets = [
+            #[cfg(test)]
+            InstructionSet::Small,
             InstructionSet::Portable,
             #[cfg(all(feature = "std", target_arch = "x86_64"))]
             InstructionSet::Avx2,
@@ -53,6 +57,8 @@ impl Build {
     /// Whether fused multiply-add is an instruction and not a function. Plans use it with the feature `std` alone.
     pub const fn fuses(self) -> bool {
         match self.0 {
+            #[cfg(test)]
+            InstructionSet::Small => false,
             InstructionSet::Portable => cfg!(target_arch = "aarch64"),
             #[cfg(all(feature = "std", target_arch = "x86_64"))]
             InstructionSet::Avx2 | InstructionSet::Avx512 => true,
@@ -62,6 +68,8 @@ impl Build {
     /// The build's name.
     pub const fn name(self) -> &'static str {
         match self.0 {
+            #[cfg(test)]
+            InstructionSet::Small => "small",
             InstructionSet::Portable => "portable",
             #[cfg(all(feature = "std", target_arch = "x86_64"))]
             InstructionSet::Avx2 => "avx2",
@@ -74,7 +82,9 @@ impl Build {
     #[inline]
     pub fn run<A: Arithmetic, W: Work>(self, work: W) -> W::Output {
         match self.0 {
-            InstructionSet::Portable => work.run(Portable::<A>::new()),
+            #[cfg(test)]
+            InstructionSet::Small => work.run(super::small::Small::<A>::new()),
+            InstructionSet::Portable => work.run(OfTarget::<A>::new()),
             // SAFETY: a build with features comes from `widest` or `all`, which asked the processor for them.
             #[cfg(all(feature = "std", target_arch = "x86_64"))]
             #[allow(unsafe_code)]

@@ -34,7 +34,7 @@ pub type Inputs = [Pair; PAIRS];
 const GROUP: usize = 6;
 
 /// Inputs whose absolute value is at most this are taken for zeros: the inverse of their scale is no f32.
-const NOTHING: f32 = 1.0e-30;
+pub(super) const NOTHING: f32 = 1.0e-30;
 
 /// 1.5 · 2²³: added to a number below 2²², it leaves the nearest integer, ties to even, in the low bits.
 pub(super) const ROUND: f32 = 12_582_912.0;

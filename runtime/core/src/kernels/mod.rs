@@ -19,6 +19,8 @@ pub(crate) mod pause;
 pub mod product;
 pub mod rows;
 pub mod several;
+#[cfg(any(test, all(target_os = "none", any(target_arch = "arm", target_arch = "riscv32"))))]
+mod small;
 pub mod softmax;
 #[cfg(test)]
 mod tests;
@@ -27,6 +29,12 @@ mod work;
 mod x86;
 
 use core::marker::PhantomData;
+
+// What every processor of the target runs: microcontrollers have neither vectors nor flash to waste.
+#[cfg(not(all(target_os = "none", any(target_arch = "arm", target_arch = "riscv32"))))]
+use Portable as OfTarget;
+#[cfg(all(target_os = "none", any(target_arch = "arm", target_arch = "riscv32")))]
+use small::Small as OfTarget;
 
 use arithmetic::Arithmetic;
 use int8::Int8Kernels;
