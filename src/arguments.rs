@@ -8,8 +8,8 @@ use clap::{ColorChoice, Command, CommandFactory, FromArgMatches, Parser, Subcomm
 use crate::failure::Outcome;
 use crate::terminal::Color;
 use crate::{
-    bench, compare, compile, compiler, control, doctor, eval, export, inspect, manual, replay, run,
-    serve, train, verify, version, view,
+    bench, compare, compile, compiler, control, doctor, eval, export, firmware, inspect, manual,
+    replay, run, serve, train, verify, version, view,
 };
 
 const EXIT_CODES: &str = "\
@@ -95,6 +95,7 @@ enum Verb {
     Inspect(inspect::InspectArguments),
     Verify(verify::VerifyArguments),
     Bench(bench::BenchArguments),
+    Firmware(firmware::FirmwareArguments),
     View(view::ViewArguments),
     Completions(manual::CompletionsArguments),
     Man(manual::ManArguments),
@@ -121,6 +122,7 @@ pub(crate) fn dispatch(arguments: Arguments) -> Outcome {
         Verb::Inspect(arguments) => inspect::run(&arguments),
         Verb::Verify(arguments) => verify::run(&arguments),
         Verb::Bench(arguments) => bench::run(&arguments),
+        Verb::Firmware(arguments) => firmware::run(&arguments),
         Verb::View(arguments) => view::run(&arguments),
         Verb::Completions(arguments) => manual::complete(&arguments, &mut command()),
         Verb::Man(arguments) => manual::run(&arguments, command()),

@@ -17,6 +17,7 @@ mod eval;
 mod export;
 mod failure;
 mod files;
+mod firmware;
 mod foreign;
 mod inspect;
 mod latency;

@@ -1,0 +1,248 @@
+//! `sortie firmware`: the same decisions on a microcontroller, and what they need there.
+
+mod board;
+mod device;
+mod figures;
+mod toolchain;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use clap::Args;
+use serde::Serialize;
+use sortie_bundle::{Bundle, Recording};
+use sortie_core::plan::{AlignedBytes, Plan};
+use sortie_plans::CompileError;
+
+use self::board::Board;
+use self::device::Told;
+use self::figures::{Figures, Flash, Instructions, Ram, Recorded, Verdict};
+use self::toolchain::Toolchain;
+use crate::compiler::plans;
+use crate::deployment::open_bundle;
+use crate::failure::{Exit, Failure, Outcome};
+use crate::files::write_output;
+use crate::options::Common;
+use crate::output::{Table, print_json, say, tell};
+use crate::policy::PlanProfile;
+use crate::progress;
+
+/// Run a bundle's policy on an emulated microcontroller, and print what it needs there
+///
+/// Builds a program with the plan inside, runs it on the bundle's golden observations, and compares the bits of all utilities
+/// with those of this machine: exit code 1 where they differ. Prints instructions, flash, RAM and stack; instructions
+/// are not cycles.
+///
+/// It needs the sources of Sortie (`runtime/firmware`), cargo, a compiler with a library for the board, and QEMU. What is
+/// missing is named, with exit code 69; nothing is installed.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  sortie firmware models/save-the-city --board cortex-m4f --profile int8
+  sortie firmware models/save-the-city --board rv32imc --json
+  sortie firmware models/save-the-city --board cortex-m0 --profile int8 --table docs/firmware.md")]
+pub(crate) struct FirmwareArguments {
+    /// A bundle's folder
+    bundle: PathBuf,
+    /// The board
+    #[arg(long, value_enum)]
+    board: Board,
+    /// How the plan computes
+    #[arg(long, value_enum, default_value_t = PlanProfile::Exact)]
+    profile: PlanProfile,
+    /// Golden observations to decide on, the first so many [default: all]
+    #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u32).range(1..))]
+    decisions: Option<u32>,
+    /// A Markdown document with a table of such figures. Exit code 1 where instructions are more than 1 % above it, bytes more
+    /// than 3 %, or the bits are others; where another compiler built what it has, a warning above 10 %
+    #[arg(long, value_name = "FILE")]
+    table: Option<PathBuf>,
+    /// Write the figures to the table instead
+    #[arg(long, requires = "table")]
+    write: bool,
+    /// The folder `runtime/firmware` of Sortie's sources [default: below this folder or one above it, or where this program was built]
+    #[arg(long, value_name = "FOLDER", env = "SORTIE_FIRMWARE")]
+    sources: Option<PathBuf>,
+    /// A compiler with the sources of its library, for boards that the toolchain of rustup has no library for
+    #[arg(long, value_name = "PROGRAM", default_value = "/usr/bin/rustc")]
+    rustc: PathBuf,
+    /// Seconds after which a board that does not end is given up
+    #[arg(long, value_name = "SECONDS", default_value_t = 600, value_parser = clap::value_parser!(u64).range(1..))]
+    limit: u64,
+    #[command(flatten)]
+    common: Common,
+}
+
+#[derive(Serialize)]
+struct Report<'a> {
+    #[serde(flatten)]
+    figures: &'a Figures,
+    /// Whether the board's utilities have the bits of this machine's.
+    equal: bool,
+}
+
+pub(crate) fn run(arguments: &FirmwareArguments) -> Outcome {
+    if arguments.profile == PlanProfile::Fused {
+        let message = "microcontrollers run plans of profile `exact` and `int8`: those have the same bits everywhere";
+        return Err(Failure::new(Exit::Usage, message));
+    }
+    let bundle = open_bundle(&arguments.bundle)?;
+    let sources = sources(arguments.sources.as_deref())?;
+    let toolchain = Toolchain::find(&arguments.board.machine(), &arguments.rustc)?;
+    let figures = measure(arguments, &bundle, &sources, &toolchain)?;
+    let equal = figures.hash == figures.host_hash;
+    if arguments.common.json {
+        print_json(&Report { figures: &figures, equal });
+    } else {
+        print(&figures);
+    }
+    if !equal {
+        let message =
+            "the board's utilities have other bits than this machine's; please report this";
+        return Err(Failure::difference(message));
+    }
+    match &arguments.table {
+        Some(table) => compare(table, &figures, arguments.write),
+        None => Ok(()),
+    }
+}
+
+/// Builds the program, runs it on the board, and decides on the same observations here.
+fn measure(
+    arguments: &FirmwareArguments,
+    bundle: &Bundle,
+    sources: &Path,
+    toolchain: &Toolchain,
+) -> Result<Figures, Failure> {
+    let machine = arguments.board.machine();
+    let profile = arguments.profile.profile();
+    let within = |error: CompileError| Failure::from(error).within(bundle.folder().display());
+    let plans = plans().agents(bundle, profile).map_err(within)?;
+    let [plan] = plans.plans() else {
+        let message = "the agents of this bundle decide by several networks, and a board runs one";
+        return Err(Failure::new(Exit::Usage, message).within(bundle.folder().display()));
+    };
+    let cases = bundle
+        .golden()
+        .cases
+        .iter()
+        .take(arguments.decisions.map_or(usize::MAX, |most| most as usize));
+    let (features, actions) = (bundle.contract().features.into(), bundle.contract().actions.into());
+    let mut recording = Recording::new(bundle.contract().hash(), features, actions);
+    cases.for_each(|case| recording.add(&case.observation.view()));
+    let host_hash = hash(plan, &recording)?;
+
+    let folder = tempfile::tempdir()
+        .map_err(|error| Failure::file(Path::new("a temporary folder"), &error))?;
+    let observations = folder.path().join("observations.bin");
+    fs::write(&observations, recording.to_bytes())
+        .map_err(|error| Failure::file(&observations, &error))?;
+    let spinner = progress::spinner(arguments.common);
+    spinner.set_message("building the firmware");
+    let program = toolchain.build(&machine, sources, plan.as_slice())?;
+    spinner.set_message("running it on the board");
+    let mut emulator = toolchain.emulator(&machine, &program);
+    emulator.current_dir(folder.path());
+    let told = Told::by(emulator, Duration::from_secs(arguments.limit))?;
+    spinner.finish_and_clear();
+
+    let name = bundle.folder().file_name().unwrap_or_default().to_string_lossy();
+    Ok(Figures {
+        board: arguments.board.name(),
+        bundle: name.into_owned(),
+        profile: profile.name(),
+        compiler: toolchain.version.clone(),
+        decisions: told.number("decisions")?,
+        hash: format!("{:016x}", told.number("hash")?),
+        host_hash: format!("{host_hash:016x}"),
+        instructions: Instructions::told(&told)?,
+        flash: Flash::told(&told)?,
+        ram: Ram::told(&told)?,
+    })
+}
+
+/// FNV-1a over the bits of all utilities, every observation the first of an episode.
+fn hash(plan: &AlignedBytes, recording: &Recording) -> Result<u64, Failure> {
+    let plan = Plan::load(plan.as_slice()).map_err(CompileError::from)?;
+    let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
+    let mut utilities = vec![0.0; plan.actions()];
+    let mut hash = 0xcbf2_9ce4_8422_2325_u64;
+    for observation in recording.observations() {
+        let mut states = vec![0.0; plan.hidden()];
+        plan.utilities(arena.as_mut_slice(), &observation, Some(&mut states), &mut utilities)
+            .map_err(|error| Failure::new(Exit::BadData, error.to_string()))?;
+        for byte in utilities.iter().flat_map(|utility| utility.to_bits().to_le_bytes()) {
+            hash = (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
+        }
+    }
+    Ok(hash)
+}
+
+/// The folder of the firmware's sources, which this program does not hold.
+fn sources(named: Option<&Path>) -> Result<PathBuf, Failure> {
+    const FOLDER: &str = "runtime/firmware";
+    let is_there =
+        |folder: &PathBuf| folder.join("boards").is_dir() && folder.join("Cargo.toml").is_file();
+    let around = std::env::current_dir().unwrap_or_default();
+    let around = around.ancestors().map(|folder| folder.join(FOLDER));
+    let built = Path::new(env!("CARGO_MANIFEST_DIR")).join(FOLDER);
+    let found = match named {
+        Some(folder) => Some(folder.to_owned()).filter(is_there),
+        None => around.chain([built]).find(is_there),
+    };
+    let found = found.ok_or_else(|| {
+        let message = format!(
+            "the firmware is built from Sortie's sources, which this program does not hold: \
+             get those of version {} and name their folder `{FOLDER}` with `--sources FOLDER`",
+            env!("CARGO_PKG_VERSION")
+        );
+        Failure::new(Exit::Missing, message)
+    })?;
+    fs::canonicalize(&found).map_err(|error| Failure::file(&found, &error))
+}
+
+fn print(figures: &Figures) {
+    let Figures { board, bundle, profile, decisions, instructions, flash, ram, .. } = figures;
+    say!("{bundle}, {profile}, on {board} (emulated), built by rustc {}", figures.compiler);
+    let equal = if figures.hash == figures.host_hash { "the bits of" } else { "OTHER bits than" };
+    say!("{decisions} golden decisions: {equal} this machine's, hash {}", figures.hash);
+    let mut table = Table::new(&["", ""]);
+    let mut row = |name: &str, number: u64| table.row([name.to_owned(), number.to_string()]);
+    row(
+        &format!("instructions of a decision, most ({} visible)", instructions.most_visible),
+        instructions.most,
+    );
+    row("instructions of a decision, mean", instructions.mean);
+    row("flash: code and constants, bytes", flash.code);
+    row("flash: the plan, bytes", flash.plan);
+    row("RAM, bytes", ram.all);
+    row("  of it the arena", ram.arena);
+    row("  of it what an agent remembers", ram.states);
+    row("  of it the loaded plan", ram.loaded);
+    row("  of it the stack of a decision", ram.stack);
+    row("stack of loading, bytes", ram.loading_stack);
+    table.print();
+}
+
+/// Holds figures to a table, or writes them to it.
+fn compare(path: &Path, figures: &Figures, write: bool) -> Outcome {
+    let document = match fs::read_to_string(path) {
+        Err(error) if write && error.kind() == std::io::ErrorKind::NotFound => String::new(),
+        document => document.map_err(|error| Failure::file(path, &error))?,
+    };
+    let mut recorded = Recorded::read(&document);
+    if write {
+        recorded.put(figures);
+        return write_output(path, recorded.write().as_bytes());
+    }
+    let within = |said: String| format!("{}: {said}", path.display());
+    match recorded.judge(figures) {
+        Verdict::Held => {}
+        Verdict::New => {
+            tell!("note: {}", within("nothing is recorded of this; `--write` does".to_owned()))
+        }
+        Verdict::Larger(said) => tell!("warning: {}", within(said + ", by another compiler")),
+        Verdict::Broken(said) => return Err(Failure::difference(within(said))),
+    }
+    Ok(())
+}
