@@ -8,6 +8,7 @@ use sortie_learn::run::Difference;
 use sortie_learn::session::MethodEntry;
 use sortie_methods::alma::{ALMA, COPA, FLAT};
 use sortie_methods::hal::{H_DQN, HAL, HAL_ORACLE};
+use sortie_methods::ma_exp::MA_EXP;
 use sortie_methods::maac::{COMA, COMA_SAC, DDPG, MAAC, MADDPG, MADDPG_SAC};
 use sortie_methods::value_factorisation::{QMIX, REFIL, VDN};
 
@@ -65,10 +66,13 @@ fn the_page_lists_every_key() {
         (QMIX, &[VDN, REFIL]),
         (MAAC, &compared),
         (HAL, &[HAL_ORACLE, H_DQN]),
+        (MA_EXP, &[]),
     ];
     for (first, like_it) in pages {
         page += &first.reference().unwrap();
-        page += &others(&first, like_it);
+        if !like_it.is_empty() {
+            page += &others(&first, like_it);
+        }
     }
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/configuration.md");
     if std::env::var_os("SORTIE_WRITE_DOCS").is_some() {

@@ -16,7 +16,6 @@ pub struct DeployedAgents<'a> {
 }
 
 /// What agents decide by.
-#[expect(clippy::large_enum_variant, reason = "there is one of them")]
 pub enum DeployedNetworks<'a> {
     /// All run one attention network over the entities that they see.
     Attention {

@@ -9,7 +9,6 @@ mod config;
 mod counts;
 mod deployed;
 mod intrinsic;
-mod keys;
 mod learner;
 mod method;
 mod model;

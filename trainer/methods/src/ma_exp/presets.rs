@@ -5,8 +5,7 @@ use sortie_learn::run::RunConfig;
 use sortie_learn::session::{MethodEntry, Opening, Preset, Setup};
 use sortie_learn::{LearnError, Method};
 
-use super::config::Config;
-use super::keys::KEYS;
+use super::config::{Config, KEYS};
 use super::method::MaExp;
 use super::places::Columns;
 use super::table::ACTIONS;

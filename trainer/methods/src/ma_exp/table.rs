@@ -174,8 +174,8 @@ impl Table {
         let best = self.rows[row].best(&terms.weights);
         let here = &mut self.rows[row].here;
         here.extrinsic = best.extrinsic;
-        for head in 0..HEADS {
-            here.intrinsic[head] = paid[head] + intrinsic_discount * best.intrinsic[head];
+        for (head, paid) in paid.iter().enumerate() {
+            here.intrinsic[head] = paid + intrinsic_discount * best.intrinsic[head];
         }
     }
 }
