@@ -75,8 +75,8 @@ pub(super) fn write<G: Game>(world: &World, is_mirrored: bool, rows: &mut Sparse
     for top in (0..window.len()).step_by(WINDOW) {
         let mut count = 0;
         for cell in top..top + WINDOW {
-            let from = if is_mirrored { MIRRORED[cell] } else { cell as u8 };
-            let object = window[usize::from(from)];
+            let from = if is_mirrored { 2 * top + WINDOW - 1 - cell } else { cell };
+            let object = window[from];
             let is_there = usize::from(object != EMPTY);
             let first = (cell * channels::<G>()) as u16;
             // What an empty cell writes the next one overwrites, which costs less than not to write it.
@@ -98,14 +98,3 @@ pub(super) fn write<G: Game>(world: &World, is_mirrored: bool, rows: &mut Sparse
     }
     rows.end_row();
 }
-
-/// The cells of the window left for right.
-const MIRRORED: [u8; WINDOW * WINDOW] = {
-    let mut mirrored = [0; WINDOW * WINDOW];
-    let mut cell = 0;
-    while cell < mirrored.len() {
-        mirrored[cell] = (cell / WINDOW * WINDOW + WINDOW - 1 - cell % WINDOW) as u8;
-        cell += 1;
-    }
-    mirrored
-};
