@@ -222,6 +222,6 @@ pub struct MeasuredConfig {
 
 impl Default for MeasuredConfig {
     fn default() -> Self {
-        Self { actions: 0.0, goals: 0.0, varied: true }
+        Self { actions: 0.05, goals: 0.05, varied: true }
     }
 }
