@@ -10,7 +10,7 @@ global_asm!(
     ".section .init, \"ax\"",
     ".globl start",
     "start:",
-    "la t0, {fault}",
+    "la t0, 4f",
     "csrw mtvec, t0",
     "li t0, 0x2000",
     "csrs mstatus, t0",
@@ -22,6 +22,9 @@ global_asm!(
     "addi t0, t0, 4",
     "j 2b",
     "3: call {main}",
+    // The address of a fault's code is a multiple of four.
+    ".balign 4",
+    "4: j {fault}",
     ".text",
     fault = sym fault,
     main = sym enter,
@@ -32,7 +35,6 @@ extern "C" fn enter() -> ! {
     crate::start()
 }
 
-#[repr(align(4))]
 #[unsafe(link_section = ".harness")]
 extern "C" fn fault() -> ! {
     crate::console::fail(b"a fault of the processor\n\0")
