@@ -85,7 +85,7 @@ mod tests {
             assert_eq!(shown[0], headline);
             let text = shown.join("\n");
             assert!(text.ends_with("q quits"), "{text}");
-            assert!((4..=23).contains(&shown.len()), "{text}");
+            assert!((3..=23).contains(&shown.len()), "{text}");
             assert!(shown.iter().all(|line| line.is_ascii() && line.len() <= 79), "{text}");
         }
     }

@@ -2,53 +2,10 @@
 
 use std::collections::BTreeSet;
 
-use serde::{Deserialize, Serialize};
 use sortie_core::limits;
 
-use crate::bundle::{AGENT, AGENT_PLAN};
 use crate::contract::ContractV1;
-use crate::manifest::{Network, POLICY};
-
-/// A graph by which some of a team's agents decide.
-///
-/// It reads the first features of an agent's row and scores the first actions: what a role sees and does.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct AgentGraph {
-    /// What its files are named by; empty where all agents decide by the same.
-    pub name: String,
-    /// Features that it reads.
-    pub features: u16,
-    /// Actions that it scores.
-    pub actions: u16,
-}
-
-impl AgentGraph {
-    /// The graph of all agents.
-    pub(crate) fn of_all(contract: &ContractV1) -> Self {
-        Self { name: String::new(), features: contract.features, actions: contract.actions }
-    }
-
-    /// Its ONNX file.
-    pub fn onnx_part(&self) -> String {
-        self.part(AGENT)
-    }
-
-    /// Its plan.
-    pub fn plan_part(&self) -> String {
-        self.part(AGENT_PLAN)
-    }
-
-    /// The name of a file of all agents becomes that of this graph's.
-    fn part(&self, of_all: &str) -> String {
-        match of_all.split_once('.') {
-            Some((agent, ending)) if !self.name.is_empty() => {
-                format!("{agent}-{}.{ending}", self.name)
-            }
-            _ => of_all.to_owned(),
-        }
-    }
-}
+use crate::manifest::{AgentGraph, Network, POLICY};
 
 impl Network {
     /// What is wrong with the agents' graphs.

@@ -5,27 +5,23 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use crate::agent_graphs::AgentGraph;
 use crate::contract::ContractV1;
 use crate::digest::{hex, sha256};
 use crate::error::BundleError;
 use crate::golden::{Golden, MIN_ALLOCATIONS, MIN_CASES};
 use crate::manifest::{
-    Contract, Environment, FORMAT, Limits, Manifest, Network, POLICY, PROPOSALS, TEAM_VALUE,
+    AGENT, AgentGraph, Contract, Environment, FORMAT, Limits, Manifest, Network, POLICY, PROPOSALS,
+    TEAM_VALUE,
 };
 use crate::policy_roles::PolicyRoles;
 
 /// The file that vouches for all others.
 pub const MANIFEST: &str = "bundle.toml";
-/// The network of all agents; that of some has their graph's name in its own, see [`AgentGraph`].
-pub const AGENT: &str = "agent.onnx";
 /// The team-value network of a learned allocator.
 pub const ALLOCATOR: &str = "allocator_team_value.onnx";
 /// Trunk, step and critic of an allocator that proposes.
 pub const PROPOSAL_PARTS: [&str; 3] =
     ["allocator_trunk.onnx", "allocator_step.onnx", "allocator_critic.onnx"];
-/// The plan of the agent's network: profile `exact`, for as many entities as the limits say.
-pub const AGENT_PLAN: &str = "agent.plan";
 /// The plan of the allocator's network, or of its three networks.
 pub const ALLOCATOR_PLAN: &str = "allocator.plan";
 /// What is what in the agent's network, where that is a policy of somebody else and must be said.

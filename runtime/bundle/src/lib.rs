@@ -19,18 +19,18 @@ mod observation;
 mod policy_roles;
 mod recording;
 
-pub use agent_graphs::AgentGraph;
 pub use allocation::{GoldenAllocation, GoldenValue, OwnedAllocationState};
 pub use bundle::{
-    AGENT, AGENT_PLAN, ALLOCATOR, ALLOCATOR_PLAN, Bundle, CARD, CURVE, CURVE_DATA, Draft, GOLDEN,
-    MANIFEST, POLICY_ROLES, PROPOSAL_PARTS, TRAINING,
+    ALLOCATOR, ALLOCATOR_PLAN, Bundle, CARD, CURVE, CURVE_DATA, Draft, GOLDEN, MANIFEST,
+    POLICY_ROLES, PROPOSAL_PARTS, TRAINING,
 };
 pub use contract::{ContractV1, FallbackAllocation, SubtaskConditioning, WIRE_ABI};
 pub use digest::{hex, sha256};
 pub use error::BundleError;
 pub use golden::{Golden, GoldenCase, MIN_ALLOCATIONS, MIN_CASES};
 pub use manifest::{
-    Contract, Environment, Limits, Manifest, Network, POLICY, PROPOSALS, TEAM_VALUE,
+    AGENT, AGENT_PLAN, AgentGraph, Contract, Environment, Limits, Manifest, Network, POLICY,
+    PROPOSALS, TEAM_VALUE,
 };
 pub use observation::OwnedObservation;
 pub use policy_roles::PolicyRoles;

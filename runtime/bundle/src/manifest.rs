@@ -5,9 +5,12 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use sortie_core::limits;
 
-use crate::agent_graphs::AgentGraph;
 use crate::contract::ContractV1;
 
+/// The network of all agents; that of some has their graph's name in its own, see [`AgentGraph`].
+pub const AGENT: &str = "agent.onnx";
+/// The plan of the agent's network: profile `exact`, for as many entities as the limits say.
+pub const AGENT_PLAN: &str = "agent.plan";
 /// The newest bundle format that this program reads.
 pub(crate) const FORMAT: u32 = 2;
 
@@ -112,6 +115,47 @@ pub struct Network {
     /// The graphs of [`POLICY`] agents that do not all decide by the same.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub graphs: Vec<AgentGraph>,
+}
+
+/// A graph by which some of a team's agents decide.
+///
+/// It reads the first features of an agent's row and scores the first actions: what a role sees and does.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AgentGraph {
+    /// What its files are named by; empty where all agents decide by the same.
+    pub name: String,
+    /// Features that it reads.
+    pub features: u16,
+    /// Actions that it scores.
+    pub actions: u16,
+}
+
+impl AgentGraph {
+    /// The graph of all agents.
+    pub(crate) fn of_all(contract: &ContractV1) -> Self {
+        Self { name: String::new(), features: contract.features, actions: contract.actions }
+    }
+
+    /// Its ONNX file.
+    pub fn onnx_part(&self) -> String {
+        self.part(AGENT)
+    }
+
+    /// Its plan.
+    pub fn plan_part(&self) -> String {
+        self.part(AGENT_PLAN)
+    }
+
+    /// The name of a file of all agents becomes that of this graph's.
+    fn part(&self, of_all: &str) -> String {
+        match of_all.split_once('.') {
+            Some((agent, ending)) if !self.name.is_empty() => {
+                format!("{agent}-{}.{ending}", self.name)
+            }
+            _ => of_all.to_owned(),
+        }
+    }
 }
 
 impl Network {

@@ -6,7 +6,7 @@ use sortie_learn::play::{Onlooker, Watched, watch};
 use sortie_learn::{Act, LearnError, Scenes, Thought};
 
 use super::data::{AgentFacts, Captured, State, Step};
-use super::events::events;
+use super::events::{Seen, events};
 use crate::failure::Failure;
 use crate::views::mind;
 use crate::views::page::rounded;
@@ -37,13 +37,6 @@ pub(super) fn give_thoughts(captured: &mut Captured, thoughts: Vec<mind::Thought
     for (state, own) in captured.states.iter_mut().zip(of_states) {
         state.thoughts = Some(own.to_vec());
     }
-}
-
-/// One state as it was seen, and what each agent had earned by the step before it.
-#[derive(Debug)]
-pub(super) struct Seen {
-    pub(super) picture: Picture,
-    pub(super) rewards: Vec<f64>,
 }
 
 /// Writes down what is played.

@@ -1,13 +1,19 @@
 //! What is worth jumping to in an episode.
 
-use sortie_envs::particle::Disc;
+use sortie_envs::particle::{Disc, Picture};
 
-use super::capture::Seen;
 use super::data::{Event, EventKind};
 use crate::views::particle::{kind_name, lettered};
 
 /// Agents of these roles lose by touching each other.
 const BUMPING: [&str; 2] = ["collector", "agent"];
+
+/// One state as it was seen, and what each agent had earned by the step before it.
+#[derive(Debug)]
+pub(super) struct Seen {
+    pub(super) picture: Picture,
+    pub(super) rewards: Vec<f64>,
+}
 
 /// The events of an episode, in order.
 pub(super) fn events(seen: &[Seen], roles: &[&str]) -> Vec<Event> {

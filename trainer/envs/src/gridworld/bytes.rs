@@ -4,8 +4,8 @@ use alloc::format;
 use alloc::string::String;
 use alloc::vec::Vec;
 
+use super::episode::{Episode, Rules};
 use super::pits::Pit;
-use super::simulator::{Episode, Rules};
 use crate::environment::StateError;
 
 /// The version of the layout.

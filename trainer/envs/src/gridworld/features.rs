@@ -5,8 +5,8 @@ use alloc::string::{String, ToString};
 use alloc::vec::Vec;
 
 use super::bytes::State;
+use super::episode::Rules;
 use super::map::{NONE, SIDE};
-use super::simulator::Rules;
 use crate::observation::members;
 use crate::rows::SparseRows;
 

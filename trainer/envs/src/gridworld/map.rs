@@ -6,7 +6,10 @@ use alloc::vec;
 use alloc::vec::Vec;
 use core::fmt;
 
-use super::tasks::{MAX_AGENTS, MAX_TREASURES};
+/// Most agents.
+pub const MAX_AGENTS: usize = 4;
+/// Most kinds of treasures.
+pub const MAX_TREASURES: usize = 8;
 
 /// Rows and columns of every map.
 pub const SIDE: usize = 20;

@@ -6,6 +6,7 @@
 
 mod bytes;
 mod chance;
+mod episode;
 mod features;
 mod flip;
 mod map;
@@ -17,12 +18,13 @@ mod tasks;
 
 pub use bytes::state_bytes;
 pub use chance::{Chance, Normals};
+pub use episode::Rules;
 pub use flip::{Draw, draw_map};
-pub use map::{CELLS, Map, MapError, SIDE};
+pub use map::{CELLS, MAX_AGENTS, MAX_TREASURES, Map, MapError, SIDE};
 pub use pits::Pit;
 pub use seam::{ENTRY, SET_NAMES};
-pub use simulator::{Gridworld, Rules};
-pub use tasks::{Found, MAX_AGENTS, MAX_TREASURES, Task};
+pub use simulator::Gridworld;
+pub use tasks::{Found, Task};
 
 /// The version of the rules: another one where a trained policy would notice the difference.
 pub const VERSION: &str = "1";

@@ -9,12 +9,13 @@ use alloc::vec::Vec;
 use serde::Deserialize;
 
 use super::bytes::State;
+use super::episode::Rules;
 use super::features::write_row;
 use super::flip::{PATHS, draw_map};
-use super::map::{MAZE, Map};
-use super::simulator::{Gridworld, Rules};
+use super::map::{MAX_AGENTS, MAX_TREASURES, MAZE, Map};
+use super::simulator::Gridworld;
 use super::spec::NAME;
-use super::tasks::{MAX_AGENTS, MAX_TREASURES, Task, script};
+use super::tasks::{Task, script};
 use super::{ACTION_NAMES, VERSION};
 use crate::entry::{Choice, Entry, EnvironmentError};
 use crate::environment::{Environment, Episode, Split, StateError, Step, StepError};

@@ -3,8 +3,8 @@
 use alloc::string::String;
 
 use super::bytes::state_bytes;
+use super::episode::Rules;
 use super::features::{columns, entries, names, units};
-use super::simulator::Rules;
 use super::{ACTION_NAMES, STAY, VERSION};
 use crate::spec::{Metric, Shape, Spec, View};
 

@@ -1,12 +1,7 @@
 //! What the treasures are to be found for.
 
-use super::map::Map;
+use super::map::{MAX_AGENTS, MAX_TREASURES, Map};
 use crate::observation::members;
-
-/// Most agents.
-pub const MAX_AGENTS: usize = 4;
-/// Most kinds of treasures.
-pub const MAX_TREASURES: usize = 8;
 
 /// What each agent found: kinds of treasures as bits.
 pub type Found = [u8; MAX_AGENTS];

@@ -6,6 +6,7 @@
 
 mod bytes;
 mod columns;
+mod drawing;
 mod navigation;
 mod physics;
 mod picture;
@@ -21,9 +22,10 @@ mod treasure;
 
 pub use bytes::Reader;
 pub use columns::Row;
+pub use drawing::picture_of;
 pub use navigation::{Navigated, Navigation};
 pub use physics::{ACTIONS, Body, MOVES, Mover};
-pub use picture::{Disc, Drawn, Picture, Thing, picture_of};
+pub use picture::{Disc, Drawn, Picture, Thing};
 pub use plane::Point;
 pub use rover_tower::{Roved, RoverTower, Tower};
 pub use scenario::Scenario;

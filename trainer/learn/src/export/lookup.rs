@@ -110,10 +110,16 @@ fn floats(graph: &mut Graph, name: &str, numbers: &[u32], factor: usize) -> Stri
     graph.floats(name, &[numbers.len(), 1], &numbers).to_owned()
 }
 
-/// Adds the number that such a list has at a place.
+/// Adds the number that such a list has at a place; at the nearest place where there is none, so that every
+/// observation has an answer.
 fn looked_up(graph: &mut Graph, name: &str, numbers: &[u32], factor: usize, at: &str) -> String {
     let list = floats(graph, &format!("{name}.list"), numbers, factor);
-    let at = whole(graph, name, at);
+    let (least, most) = (format!("{name}.least"), format!("{name}.most"));
+    graph.floats(&least, &[1, 1], &[0.0]);
+    graph.floats(&most, &[1, 1], &[numbers.len().saturating_sub(1) as f32]);
+    let at = graph.node(&format!("{name}.above"), "Max", &[at, &least], &[]);
+    let at = graph.node(&format!("{name}.inside"), "Min", &[&at, &most], &[]);
+    let at = whole(graph, name, &at);
     graph.node(&format!("{name}.found"), "Gather", &[&list, &at], &[])
 }
 

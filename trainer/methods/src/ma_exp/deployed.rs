@@ -3,11 +3,10 @@
 use sortie_core::choose::masked_argmax;
 use sortie_core::{DecideError, Decision, Observation, Policy};
 use sortie_envs::SparseRows;
-use sortie_envs::gridworld::CELLS;
 use sortie_learn::export::{DeployedAgents, DeployedNetworks, LookupTables};
 
 use super::learner::Learner;
-use super::places::{Columns, PITS, Place};
+use super::places::{CELLS, Columns, PITS, Place};
 use super::table::ACTIONS;
 
 /// The agents of a team that has learned so much.

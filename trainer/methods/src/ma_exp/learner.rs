@@ -1,12 +1,11 @@
 //! The tables of a team, and all that their values are made of.
 
 use serde::{Deserialize, Serialize};
-use sortie_envs::gridworld::CELLS;
 
 use super::audition::Audition;
 use super::counts::Counts;
 use super::intrinsic::Intrinsic;
-use super::places::Place;
+use super::places::{CELLS, Place};
 use super::shares::Shares;
 use super::table::{ACTIONS, HEADS, Lanes, Table, Terms, Version, Worth};
 

@@ -1,11 +1,14 @@
 //! What an agent's tables are asked by: its cell, the pit that it sees, and what it found.
 
 use serde::{Deserialize, Serialize};
-use sortie_envs::gridworld::{CELLS, SIDE};
 use sortie_envs::{SparseRows, Spec};
 
 /// Probabilities of a pit from which on it counts as likelier to open; below the first it counts as none.
 pub(super) const PITS: [f32; 3] = [0.02, 0.08, 0.25];
+/// Rows and columns of the maps that tables are about: agents see where they are as shares of them.
+pub(super) const SIDE: usize = 20;
+/// Cells of such a map.
+pub(super) const CELLS: usize = SIDE * SIDE;
 /// Kinds of pits.
 const KINDS: usize = PITS.len() + 1;
 
@@ -98,5 +101,15 @@ impl Place {
     pub fn index(self) -> usize {
         let Self { cell, pit, found } = self;
         (usize::from(found) * KINDS + usize::from(pit)) * CELLS + usize::from(cell)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use sortie_envs::gridworld;
+
+    #[test]
+    fn tables_are_about_the_cells_that_there_are() {
+        assert_eq!((super::SIDE, super::CELLS), (gridworld::SIDE, gridworld::CELLS));
     }
 }

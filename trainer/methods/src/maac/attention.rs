@@ -4,9 +4,10 @@ use sortie_learn::Thought;
 use sortie_nn::tape::Tape;
 
 use super::acting::Acting;
-use super::critic::{Critic, Encoded};
+use super::critic::Critic;
 use super::groups::{Group, Groups, Rows};
 use super::learner::Learner;
+use super::values::Encoded;
 
 /// `[scenes, A]`: what agents that have looked at scenes think, where these are their actions.
 ///
@@ -66,7 +67,7 @@ mod tests {
 
     use super::super::acting::Actors;
     use super::super::config::{Config, CriticKind};
-    use super::super::critic::SLOPE;
+    use super::super::values::SLOPE;
     use super::*;
 
     /// Two rovers and two towers in two scenes.

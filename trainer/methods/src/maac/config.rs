@@ -4,8 +4,6 @@ use sortie_learn::configuration::Range::{self, Number, OneOf, Truth, Whole};
 use sortie_learn::configuration::SHARE;
 use sortie_learn::{sections, words};
 
-use super::critic::CriticShape;
-
 const ANY: Range = Number(0.0, 1e6);
 const WIDTH: Range = Whole(4, 1024);
 const SIZE: Range = Whole(1, 20_000_000);
@@ -112,6 +110,19 @@ sections! {
         /// What the mean squared score of attention counts.
         attention_penalty: f32 = 0.001, ANY;
     }
+}
+
+/// Sizes of a critic.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CriticShape {
+    /// What it makes of the others.
+    pub kind: CriticKind,
+    /// Width of its layers.
+    pub width: usize,
+    /// Attention heads.
+    pub heads: usize,
+    /// Whether it is shown an agent's own action as well, and says what that is worth instead of each.
+    pub sees_own: bool,
 }
 
 words! {

@@ -9,25 +9,10 @@ use sortie_nn::layers::normalise;
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Linear, Parameters, Pass, Var};
 
-use super::config::CriticKind;
+use super::config::{CriticKind, CriticShape};
 use super::groups::{Group, Groups, Rows};
 use super::joint::Joint;
-
-/// Slope of leaky ReLU below zero.
-pub(super) const SLOPE: f32 = 0.01;
-
-/// Sizes of a critic.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct CriticShape {
-    /// What it makes of the others.
-    pub kind: CriticKind,
-    /// Width of its layers.
-    pub width: usize,
-    /// Attention heads.
-    pub heads: usize,
-    /// Whether it is shown an agent's own action as well, and says what that is worth instead of each.
-    pub sees_own: bool,
-}
+use super::values::{Encoded, Shown, Values, leaky};
 
 /// A critic's layers and weights.
 #[derive(Clone, Debug)]
@@ -63,37 +48,6 @@ struct GroupLayers {
     state_encoder: Linear,
     hidden: Linear,
     head: Linear,
-}
-
-/// What was done, as a critic is shown it, by groups.
-#[derive(Debug, Default)]
-pub struct Encoded {
-    /// `[rows, columns]`
-    pub(super) taken: Rows,
-    /// `[rows, actions]`: the own action, which only some critics see.
-    pub(super) own: Rows,
-}
-
-/// What a critic is shown, by groups: rows of records.
-#[derive(Clone, Copy, Debug)]
-pub struct Shown<'a> {
-    /// `[rows, inputs]`
-    pub observations: &'a Rows,
-    /// What was done.
-    pub encoded: &'a Encoded,
-}
-
-/// What a critic says.
-#[derive(Debug)]
-pub struct Values {
-    /// By groups, `[rows, actions]`: the value of each own action, or `[rows, 1]` of the one that it sees.
-    pub of_actions: Vec<Var>,
-    /// `[rows, width]`: what attention makes of the others, where it is learned.
-    pub attended: Option<Var>,
-    /// `[rows, 1]`: the squared scores of attention, where it is learned.
-    pub squared_scores: Option<Var>,
-    /// By groups, `[rows, actions]`: the leaves of own actions that it sees.
-    pub own: Vec<Var>,
 }
 
 impl Critic {
@@ -253,12 +207,6 @@ impl Attentive {
         });
         Values { of_actions: of_actions.collect(), attended, squared_scores, own: Vec::new() }
     }
-}
-
-/// A layer with leaky ReLU behind it.
-pub(super) fn leaky(pass: &mut Pass<'_>, x: Var, layer: Linear) -> Var {
-    let y = pass.linear(x, layer);
-    pass.leaky_relu(y, SLOPE)
 }
 
 /// For every row the mean of the other rows of its record.

@@ -9,7 +9,7 @@ use sortie_nn::layers::normalise::EPSILON;
 use sortie_nn::tape::Linear;
 
 use super::acting::{Acting, Actors};
-use super::critic::SLOPE;
+use super::values::SLOPE;
 
 /// The agents that these policies are, in teams with so many actions.
 pub(super) fn deployed(actors: Actors<'_>, actions: usize) -> DeployedAgents<'_> {

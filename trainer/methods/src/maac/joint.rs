@@ -7,9 +7,9 @@ use sortie_nn::layers::linear::LinearShape;
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Linear, Parameters, Pass, Var};
 
-use super::config::CriticKind;
-use super::critic::{CriticShape, Shown, Values, leaky};
+use super::config::{CriticKind, CriticShape};
 use super::groups::{Groups, Rows};
+use super::values::{SLOPE, Shown, Values, leaky};
 
 /// Such a critic's layers.
 #[derive(Clone, Debug)]
@@ -143,7 +143,7 @@ impl Joint {
                 let part = pass.linear(leaf, layer);
                 first = pass.add(first, part);
             }
-            let first = pass.leaky_relu(first, super::critic::SLOPE);
+            let first = pass.leaky_relu(first, SLOPE);
             let hidden = leaky(pass, first, layers.hidden);
             let values = pass.linear(hidden, layers.head);
             let known = group.actions.min(layers.head.shape.output);

@@ -8,11 +8,12 @@ use sortie_nn::tape::Chunks;
 
 use super::batch::{Batch, Running};
 use super::config::{Config, OptimiserConfig, OwnActions, PolicyValues};
-use super::critic::{Critic, Encoded};
+use super::critic::Critic;
 use super::drawing::{Draw, best_of_all};
 use super::groups::{Groups, Rows};
 use super::losses::{added, drawn_loss, expected_loss, relaxed_loss, soft_value, sum};
 use super::policies::Policies;
+use super::values::Encoded;
 
 /// Networks and optimisers.
 #[derive(Debug)]

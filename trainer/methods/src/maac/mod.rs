@@ -18,13 +18,14 @@ mod method;
 mod policies;
 mod presets;
 mod replay;
+mod values;
 
 pub use batch::{Batch, Running};
 pub use config::{
-    Config, CriticKind, EntropyConfig, NetworkConfig, OptimiserConfig, OwnActions, PolicyValues,
-    ReplayConfig, ReturnsConfig, UpdateConfig,
+    Config, CriticKind, CriticShape, EntropyConfig, NetworkConfig, OptimiserConfig, OwnActions,
+    PolicyValues, ReplayConfig, ReturnsConfig, UpdateConfig,
 };
-pub use critic::{Critic, CriticShape};
+pub use critic::Critic;
 pub use drawing::Draw;
 pub use groups::{Group, Groups, Rows};
 pub use learner::Learner;

@@ -5,8 +5,8 @@ use std::ops::Range;
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Linear, Parameters, Pass, Var};
 
-use super::critic::leaky;
 use super::groups::Groups;
+use super::values::leaky;
 
 /// The policies of all groups: three layers each.
 #[derive(Clone, Debug)]

@@ -8,8 +8,8 @@ use sortie_learn::{LearnError, Method};
 use sortie_nn::random::stream;
 use toml::{Table, Value};
 
-use super::config::{Config, CriticKind, KEYS, OwnActions, PolicyValues};
-use super::critic::{Critic, CriticShape};
+use super::config::{Config, CriticKind, CriticShape, KEYS, OwnActions, PolicyValues};
+use super::critic::Critic;
 use super::groups::Groups;
 use super::method::Maac;
 

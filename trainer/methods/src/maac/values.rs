@@ -1,0 +1,45 @@
+//! What critics are shown and what they say, whatever their layers.
+
+use sortie_nn::tape::{Linear, Pass, Var};
+
+use super::groups::Rows;
+
+/// Slope of leaky ReLU below zero.
+pub(super) const SLOPE: f32 = 0.01;
+
+/// What was done, as a critic is shown it, by groups.
+#[derive(Debug, Default)]
+pub struct Encoded {
+    /// `[rows, columns]`
+    pub(super) taken: Rows,
+    /// `[rows, actions]`: the own action, which only some critics see.
+    pub(super) own: Rows,
+}
+
+/// What a critic is shown, by groups: rows of records.
+#[derive(Clone, Copy, Debug)]
+pub struct Shown<'a> {
+    /// `[rows, inputs]`
+    pub observations: &'a Rows,
+    /// What was done.
+    pub encoded: &'a Encoded,
+}
+
+/// What a critic says.
+#[derive(Debug)]
+pub struct Values {
+    /// By groups, `[rows, actions]`: the value of each own action, or `[rows, 1]` of the one that it sees.
+    pub of_actions: Vec<Var>,
+    /// `[rows, width]`: what attention makes of the others, where it is learned.
+    pub attended: Option<Var>,
+    /// `[rows, 1]`: the squared scores of attention, where it is learned.
+    pub squared_scores: Option<Var>,
+    /// By groups, `[rows, actions]`: the leaves of own actions that it sees.
+    pub own: Vec<Var>,
+}
+
+/// A layer with leaky ReLU behind it.
+pub(super) fn leaky(pass: &mut Pass<'_>, x: Var, layer: Linear) -> Var {
+    let y = pass.linear(x, layer);
+    pass.leaky_relu(y, SLOPE)
+}
