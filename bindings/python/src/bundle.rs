@@ -159,10 +159,10 @@ impl Bundle {
         let mut decisions = vec![Err(DecideError::BadLength); seen.len()];
         let mut working = self.working.lock().unwrap_or_else(PoisonError::into_inner);
         let Working { arenas, memory } = &mut *working;
-        let bind = |(plan, arena): (&OwnedPlan, &mut AlignedBytes)| {
-            PlanPolicy::boxed(plan.plan().clone(), arena.as_mut_slice())
-        };
-        let policies = self.agents.iter().zip(arenas).map(bind).collect::<Result<Vec<_>, _>>();
+        let policies = self.agents.iter().zip(arenas);
+        let policies = policies
+            .map(|(plan, arena)| PlanPolicy::boxed(plan.plan().clone(), arena.as_mut_slice()))
+            .collect::<Result<Vec<_>, _>>();
         // They were bound to these arenas when the bundle was opened.
         let Ok(policies) = policies else { return decisions };
         let (graph_of, actions) =
