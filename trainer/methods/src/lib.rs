@@ -3,6 +3,7 @@
 //! A method is a [`Method`](sortie_learn::Method); [`METHODS`] is what command lines and files find it by.
 #![forbid(unsafe_code)]
 
+mod actor_critic;
 pub mod alma;
 pub mod hal;
 pub mod ma_exp;

@@ -3,11 +3,11 @@
 use sortie_learn::Thought;
 use sortie_nn::tape::Tape;
 
-use super::acting::Acting;
 use super::critic::Critic;
-use super::groups::{Group, Groups, Rows};
 use super::learner::Learner;
-use super::values::Encoded;
+use crate::actor_critic::acting::Acting;
+use crate::actor_critic::groups::{Group, Groups, Rows};
+use crate::actor_critic::values::Encoded;
 
 /// `[scenes, A]`: what agents that have looked at scenes think, where these are their actions.
 ///
@@ -65,10 +65,10 @@ mod tests {
     use sortie_learn::Scene;
     use sortie_nn::random::stream;
 
-    use super::super::acting::Actors;
     use super::super::config::{Config, CriticKind};
-    use super::super::values::SLOPE;
     use super::*;
+    use crate::actor_critic::acting::Actors;
+    use crate::actor_critic::values::SLOPE;
 
     /// Two rovers and two towers in two scenes.
     struct Fixture {
@@ -100,7 +100,7 @@ mod tests {
             let learner = &self.learner;
             let actors = Actors {
                 groups: &learner.groups,
-                network: &learner.config.network,
+                inputs: learner.config.inputs(),
                 policies: &learner.policies,
                 weights: &learner.policies.parameters.values,
                 running: &learner.running,

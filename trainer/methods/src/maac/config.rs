@@ -4,6 +4,9 @@ use sortie_learn::configuration::Range::{self, Number, OneOf, Truth, Whole};
 use sortie_learn::configuration::SHARE;
 use sortie_learn::{sections, words};
 
+use crate::actor_critic::acting::Inputs;
+use crate::actor_critic::step::Step;
+
 const ANY: Range = Number(0.0, 1e6);
 const WIDTH: Range = Whole(4, 1024);
 const SIZE: Range = Whole(1, 20_000_000);
@@ -181,10 +184,23 @@ impl Config {
         paper
     }
 
+    /// What becomes of observations.
+    pub(super) fn inputs(&self) -> Inputs {
+        let NetworkConfig { normalised, input_scale: scale, .. } = self.network;
+        Inputs { normalised, scale }
+    }
+
     /// The critic's sizes.
     pub fn critic_shape(&self) -> CriticShape {
         let NetworkConfig { critic: kind, critic_width: width, heads, .. } = self.network;
         CriticShape { kind, width, heads, sees_own: self.update.own_actions == OwnActions::Relaxed }
+    }
+}
+
+impl OptimiserConfig {
+    /// How networks of this rate and decay move.
+    pub(super) fn step(&self, rate: f32, decay: f32) -> Step {
+        Step { rate, decay, epsilon: self.epsilon, early_epsilon: self.early_epsilon }
     }
 }
 

@@ -10,9 +10,9 @@ use sortie_nn::random::Generator;
 use sortie_nn::tape::{Linear, Parameters, Pass, Var};
 
 use super::config::{CriticKind, CriticShape};
-use super::groups::{Group, Groups, Rows};
 use super::joint::Joint;
-use super::values::{Encoded, Shown, Values, leaky};
+use crate::actor_critic::groups::{Group, Groups, Rows};
+use crate::actor_critic::values::{Encoded, Shown, Values, leaky};
 
 /// A critic's layers and weights.
 #[derive(Clone, Debug)]

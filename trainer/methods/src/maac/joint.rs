@@ -8,8 +8,8 @@ use sortie_nn::random::Generator;
 use sortie_nn::tape::{Linear, Parameters, Pass, Var};
 
 use super::config::{CriticKind, CriticShape};
-use super::groups::{Groups, Rows};
-use super::values::{SLOPE, Shown, Values, leaky};
+use crate::actor_critic::groups::{Groups, Rows};
+use crate::actor_critic::values::{SLOPE, Shown, Values, leaky};
 
 /// Such a critic's layers.
 #[derive(Clone, Debug)]

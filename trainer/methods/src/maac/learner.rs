@@ -6,14 +6,17 @@ use sortie_nn::layers::{normalise, softmax};
 use sortie_nn::optimise::{Adam, clip_norm, move_towards};
 use sortie_nn::tape::Chunks;
 
-use super::batch::{Batch, Running};
-use super::config::{Config, OptimiserConfig, OwnActions, PolicyValues};
+use super::config::{Config, OwnActions, PolicyValues};
 use super::critic::Critic;
-use super::drawing::{Draw, best_of_all};
-use super::groups::{Groups, Rows};
-use super::losses::{added, drawn_loss, expected_loss, relaxed_loss, soft_value, sum};
-use super::policies::Policies;
-use super::values::Encoded;
+use crate::actor_critic::batch::Batch;
+use crate::actor_critic::drawing::{Draw, best_of_all};
+use crate::actor_critic::groups::{Groups, Rows};
+use crate::actor_critic::losses::{
+    added, drawn_loss, expected_loss, relaxed_loss, soft_value, sum,
+};
+use crate::actor_critic::policies::Policies;
+use crate::actor_critic::running::Running;
+use crate::actor_critic::values::Encoded;
 
 /// Networks and optimisers.
 #[derive(Debug)]
@@ -198,7 +201,7 @@ impl Learner {
         let gradient_norm = clip_norm(gradient, settings.critic_clip * agents as f32);
         let adam = &mut self.critic_optimiser;
         let weights = &mut critic.parameters.values;
-        follow(adam, weights, gradient, settings.critic_rate, settings.weight_decay, settings);
+        settings.step(settings.critic_rate, settings.weight_decay).take(adam, weights, gradient);
         UpdateReport { loss, gradient_norm }
     }
 
@@ -249,7 +252,7 @@ impl Learner {
         }
         let adam = &mut self.policy_optimiser;
         let weights = &mut policies.parameters.values;
-        follow(adam, weights, gradient, settings.policy_rate, 0.0, settings);
+        settings.step(settings.policy_rate, 0.0).take(adam, weights, gradient);
     }
 
     /// Has all agents act as they would now, and finds the updated critic's values of that. Returns the actions.
@@ -295,36 +298,13 @@ impl Learner {
     }
 }
 
-/// Takes one step down a gradient.
-fn follow(
-    adam: &mut Adam,
-    weights: &mut [f32],
-    gradient: &[f32],
-    rate: f32,
-    decay: f32,
-    settings: &OptimiserConfig,
-) {
-    if settings.early_epsilon {
-        // Before the correction: what is added is corrected as well.
-        let correction = 1.0 - 0.999_f64.powf((adam.steps + 1) as f64);
-        adam.epsilon = (f64::from(settings.epsilon) / correction.sqrt()) as f32;
-    }
-    if decay == 0.0 {
-        adam.step(&mut [weights], gradient, rate);
-        return;
-    }
-    let decayed = gradient.iter().zip(&*weights).map(|(slope, weight)| slope + decay * weight);
-    let decayed: Vec<f32> = decayed.collect();
-    adam.step(&mut [weights], &decayed, rate);
-}
-
 #[cfg(test)]
 mod tests {
     use sortie_envs::random::generator;
 
     use super::super::config::CriticKind;
-    use super::super::groups::Group;
     use super::*;
+    use crate::actor_critic::groups::Group;
 
     const RECORDS: usize = 6;
 

@@ -1,6 +1,5 @@
 //! MAAC as a [`Method`].
 
-use serde::{Deserialize, Serialize};
 use sortie_envs::{Environment, Observation, Random};
 use sortie_learn::export::DeployedAgents;
 use sortie_learn::random::{Purpose, generator};
@@ -8,14 +7,15 @@ use sortie_learn::run::{Rates, Reports};
 use sortie_learn::session::Opening;
 use sortie_learn::{Act, LearnError, Method, Now, Scene, Scenes, State, Thought, Transition};
 
-use super::acting::{Acting, Actors, observe, observed, show};
 use super::attention::thoughts;
-use super::batch::Batch;
 use super::config::Config;
-use super::deployed::deployed;
-use super::groups::Groups;
 use super::learner::Learner;
-use super::replay::{Future, Outcome, Place, Replay};
+use crate::actor_critic::acting::{Acting, Actors, observe, observed};
+use crate::actor_critic::batch::Batch;
+use crate::actor_critic::decision::Decision;
+use crate::actor_critic::deployed::deployed;
+use crate::actor_critic::groups::Groups;
+use crate::actor_critic::replay::{Future, Outcome, Place, Replay};
 
 /// Agents that learn from rewards of their own, and what they have seen.
 #[derive(Debug)]
@@ -38,20 +38,6 @@ pub struct Maac {
     seen: Observation,
     /// Actions of an agent, the most of any.
     actions: usize,
-}
-
-/// What an instance is doing.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
-struct Decision {
-    actions: Vec<u16>,
-    /// Steps that it holds for.
-    left: usize,
-    /// What each agent has earned by it.
-    rewards: Vec<f32>,
-    /// What a reward of the next step counts.
-    discount: f32,
-    /// How near each agent was to what it is after.
-    potentials: Vec<f32>,
 }
 
 impl Maac {
@@ -87,7 +73,7 @@ impl Maac {
         let Self { config, learner, .. } = self;
         Actors {
             groups: &learner.groups,
-            network: &config.network,
+            inputs: config.inputs(),
             policies: &learner.policies,
             weights: &learner.average_policies,
             running: &learner.running,
@@ -97,44 +83,21 @@ impl Maac {
     /// Draws records for an update, or takes those that are fresh.
     fn gather(&mut self) {
         let Self { config, learner, replay, random, fresh, batch, future, .. } = self;
-        let (groups, network, steps) = (&learner.groups, &config.network, config.returns.steps);
+        let (groups, inputs, steps) = (&learner.groups, config.inputs(), config.returns.steps);
         batch.clear(groups);
         fresh.sort_unstable();
         batch.follows.extend(fresh.windows(2).map(|pair| pair[0].next() == pair[1]));
-        batch.records = if fresh.is_empty() { config.replay.batch } else { fresh.len() };
-        for record in 0..batch.records {
+        let records = if fresh.is_empty() { config.replay.batch } else { fresh.len() };
+        for record in 0..records {
             let place = match fresh.get(record) {
                 Some(place) => *place,
                 None => replay.draw(steps, random),
             };
             replay.future(place, steps, future);
-            show(groups, network, replay.observation(place), &mut batch.observations);
-            if let Some(next) = future.next {
-                show(groups, network, replay.observation(next), &mut batch.next);
-            }
-            let actions = replay.actions(place);
-            for (index, group) in groups.0.iter().enumerate() {
-                let own = group.agents.clone();
-                batch.actions[index].extend(actions[own.clone()].iter().map(|a| u32::from(*a)));
-                batch.rewards[index].extend_from_slice(&future.rewards[own.clone()]);
-                batch.discounts[index].extend(own.map(|_| future.discount));
-            }
+            batch.add(groups, inputs, replay, place, future);
         }
         fresh.clear();
     }
-}
-
-/// Writes `[agents]` how near each agent is to what it is after, by which its rewards are shaped.
-fn find_potentials(
-    environment: &dyn Environment,
-    state: &[u8],
-    scale: f32,
-    agents: usize,
-    potentials: &mut Vec<f32>,
-) {
-    let near = |agent: usize| environment.potential(state, scale, 1 << agent, None);
-    potentials.clear();
-    potentials.extend((0..agents).map(|agent| if scale == 0.0 { 0.0 } else { near(agent) }));
 }
 
 impl Method for Maac {
@@ -156,7 +119,7 @@ impl Method for Maac {
         let deciding: Vec<&Scene<'_>> = scenes.scenes.iter().filter(decides).collect();
         let actors = Actors {
             groups,
-            network: &config.network,
+            inputs: config.inputs(),
             policies: &learner.policies,
             weights: &learner.policies.parameters.values,
             running: &learner.running,
@@ -168,16 +131,10 @@ impl Method for Maac {
         for (place, scene) in deciding.into_iter().enumerate() {
             let instance = scene.instance;
             let decision = &mut running[instance];
-            decision.actions.resize(groups.agents(), 0);
+            decision.begin(groups.agents(), config.returns.decision_interval);
             acting.choose(groups, place, Some(&mut random[instance]), &mut decision.actions);
-            decision.left = config.returns.decision_interval;
-            decision.rewards.clear();
-            decision.rewards.resize(groups.agents(), 0.0);
-            decision.discount = 1.0;
             if scene.begins {
-                let (scale, agents) = (config.returns.shaping, groups.agents());
-                let before = &mut decision.potentials;
-                find_potentials(scenes.environment, scene.state, scale, agents, before);
+                decision.look(scenes.environment, scene.state, config.returns.shaping);
             }
             let observation = &acting.observations[place * width..][..width];
             replay.decide(instance, observation, &decision.actions);
@@ -195,20 +152,12 @@ impl Method for Maac {
         let Self { config, learner, replay, running, fresh, last, seen, .. } = self;
         let returns = &config.returns;
         let decision = &mut running[transition.instance];
-        for (sum, reward) in decision.rewards.iter_mut().zip(transition.agent_rewards) {
-            *sum += decision.discount * *reward as f32;
-        }
-        decision.discount *= returns.discount;
+        decision.earn(transition.agent_rewards, returns.discount);
         let is_last = transition.step.done();
         if decision.left > 0 && !is_last {
             return Ok(());
         }
-        let (agents, before) = (learner.groups.agents(), std::mem::take(&mut decision.potentials));
-        let after = &mut decision.potentials;
-        find_potentials(transition.environment, transition.next, returns.shaping, agents, after);
-        for ((sum, before), after) in decision.rewards.iter_mut().zip(&before).zip(after) {
-            *sum += decision.discount * *after - before;
-        }
+        decision.shape(transition.environment, transition.next, returns.shaping);
         let discount = if transition.step.terminated { 0.0 } else { decision.discount };
         let outcome = Outcome { rewards: &decision.rewards, discount, is_last };
         let place = replay.conclude(transition.instance, outcome);

@@ -10,8 +10,8 @@ use toml::{Table, Value};
 
 use super::config::{Config, CriticKind, CriticShape, KEYS, OwnActions, PolicyValues};
 use super::critic::Critic;
-use super::groups::Groups;
 use super::method::Maac;
+use crate::actor_critic::groups::Groups;
 
 /// MAAC: policies of their own, and a critic that looks at the others.
 pub const MAAC: MethodEntry = MethodEntry {

@@ -1,45 +1,9 @@
-//! What an update sees, and what networks are shown of it.
+//! What policies were shown so far, by which they normalise what they are shown next.
 
 use sortie_learn::{LearnError, State};
 use sortie_nn::layers::normalise::Moments;
 
 use super::groups::Groups;
-
-/// Records, by groups: rows of agents.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Batch {
-    /// Joint records.
-    pub records: usize,
-    /// `[rows, inputs]`: what they saw.
-    pub observations: Vec<Vec<f32>>,
-    /// `[rows]`: what they did.
-    pub actions: Vec<Vec<u32>>,
-    /// `[rows]`: what they earned until the next observation.
-    pub rewards: Vec<Vec<f32>>,
-    /// `[rows]`: what the value of the next observation counts, 0 behind an end.
-    pub discounts: Vec<Vec<f32>>,
-    /// `[rows, inputs]`: what they saw next.
-    pub next: Vec<Vec<f32>>,
-    /// `[records]`: whether the next record is the next decision of the same episode; empty where none is.
-    pub follows: Vec<bool>,
-}
-
-impl Batch {
-    /// Forgets all records, keeps the memory.
-    pub fn clear(&mut self, groups: &Groups) {
-        fn emptied<T>(all: &mut Vec<Vec<T>>, groups: usize) {
-            all.resize_with(groups, Vec::new);
-            all.iter_mut().for_each(Vec::clear);
-        }
-        self.records = 0;
-        self.follows.clear();
-        emptied(&mut self.actions, groups.0.len());
-        let Self { observations, rewards, discounts, next, .. } = self;
-        for all in [observations, rewards, discounts, next] {
-            emptied(all, groups.0.len());
-        }
-    }
-}
 
 /// Mean and variance of what each group's policy was shown, moved a tenth of the way with every batch.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -72,7 +36,7 @@ impl Running {
     }
 
     /// Visits them: rounded to f32 as part of the weights, and as they are for runs that go on.
-    pub(super) fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
+    pub(crate) fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
         let all = || self.means.iter().chain(&self.variances).flatten();
         let mut rounded: Vec<f32> = all().map(|moment| *moment as f32).collect();
         state.vector("inputs", &mut rounded)?;

@@ -42,19 +42,19 @@ impl Draw for Random {
 }
 
 /// The best action of every row of every group.
-pub(super) fn best_of_all(groups: &Groups, scores: &Rows) -> Vec<Vec<u32>> {
+pub(crate) fn best_of_all(groups: &Groups, scores: &Rows) -> Vec<Vec<u32>> {
     let all = groups.0.iter().zip(scores);
     all.map(|(of, scores)| scores.chunks_exact(of.actions).map(best).collect()).collect()
 }
 
 /// The first of the largest.
-pub(super) fn best(scores: &[f32]) -> u32 {
+pub(crate) fn best(scores: &[f32]) -> u32 {
     let largest = scores.iter().enumerate().reduce(|a, b| if b.1 > a.1 { b } else { a });
     largest.map_or(0, |(action, _)| action as u32)
 }
 
 /// The action whose share of 0..1 a number falls into.
-pub(super) fn drawn(chances: &[f32], mut number: f32) -> u32 {
+pub(crate) fn drawn(chances: &[f32], mut number: f32) -> u32 {
     for (action, chance) in chances.iter().enumerate() {
         if number < *chance {
             return action as u32;

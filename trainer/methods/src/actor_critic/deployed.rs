@@ -12,7 +12,7 @@ use super::acting::{Acting, Actors};
 use super::values::SLOPE;
 
 /// The agents that these policies are, in teams with so many actions.
-pub(super) fn deployed(actors: Actors<'_>, actions: usize) -> DeployedAgents<'_> {
+pub(crate) fn deployed(actors: Actors<'_>, actions: usize) -> DeployedAgents<'_> {
     let policy = OwnPass { actors, acting: Acting::default(), actions };
     DeployedAgents {
         networks: DeployedNetworks::OwnRow(networks(actors)),
@@ -39,14 +39,14 @@ struct Columns(Vec<[f64; 2]>);
 
 impl Columns {
     fn of(actors: Actors<'_>, index: usize) -> Self {
-        let Actors { groups, network, running, .. } = actors;
+        let Actors { groups, inputs, running, .. } = actors;
         let group = &groups.0[index];
         let column = |column: usize| {
-            if network.normalised {
+            if inputs.normalised {
                 let factor = 1.0 / (running.variances[index][column] + f64::from(EPSILON)).sqrt();
                 [factor, -factor * running.means[index][column]]
             } else if column < group.observed {
-                [f64::from(network.input_scale), 0.0]
+                [f64::from(inputs.scale), 0.0]
             } else {
                 [1.0, 0.0]
             }

@@ -6,7 +6,7 @@ use sortie_envs::random::below;
 
 /// What came of a decision.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Outcome<'a> {
+pub(crate) struct Outcome<'a> {
     /// `[agents]`: what each earned until the next decision.
     pub rewards: &'a [f32],
     /// What the value of the next decision counts.
@@ -17,7 +17,7 @@ pub struct Outcome<'a> {
 
 /// Decisions of all instances, the latest of each.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Replay {
+pub(crate) struct Replay {
     agents: usize,
     observed: usize,
     capacity: usize,
@@ -62,21 +62,21 @@ struct Total {
 
 /// A decision by its instance and number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-pub struct Place {
+pub(crate) struct Place {
     instance: usize,
     number: usize,
 }
 
 impl Place {
     /// The next of its episode, if that went on.
-    pub fn next(self) -> Self {
+    pub(crate) fn next(self) -> Self {
         Self { number: self.number + 1, ..self }
     }
 }
 
 /// What followed a decision.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Future {
+pub(crate) struct Future {
     /// The decision that is looked at next.
     pub next: Option<Place>,
     /// `[agents]`: the discounted rewards until there, in deviations from the mean of those that are kept.
@@ -87,18 +87,18 @@ pub struct Future {
 
 impl Replay {
     /// Room for so many decisions of each instance, of so many agents who see so many numbers together.
-    pub fn new(instances: usize, capacity: usize, agents: usize, observed: usize) -> Self {
+    pub(crate) fn new(instances: usize, capacity: usize, agents: usize, observed: usize) -> Self {
         let stretches = vec![Stretch::default(); instances];
         Self { agents, observed, capacity, stretches, totals: vec![Total::default(); agents] }
     }
 
     /// Adds a decision.
-    pub fn decide(&mut self, instance: usize, observation: &[f32], actions: &[u16]) {
+    pub(crate) fn decide(&mut self, instance: usize, observation: &[f32], actions: &[u16]) {
         self.write(instance, observation, actions, Next::Pending);
     }
 
     /// Adds what came of the last decision of an instance, whose place this returns.
-    pub fn conclude(&mut self, instance: usize, outcome: Outcome<'_>) -> Place {
+    pub(crate) fn conclude(&mut self, instance: usize, outcome: Outcome<'_>) -> Place {
         let (agents, stretch) = (self.agents, &mut self.stretches[instance]);
         let slot = (stretch.written - 1) % self.capacity;
         stretch.rewards[slot * agents..][..agents].copy_from_slice(outcome.rewards);
@@ -111,7 +111,7 @@ impl Replay {
     }
 
     /// Adds the last observation of an episode.
-    pub fn end(&mut self, instance: usize, observation: &[f32]) {
+    pub(crate) fn end(&mut self, instance: usize, observation: &[f32]) {
         let nothing = vec![0; self.agents];
         self.write(instance, observation, &nothing, Next::Nothing);
     }
@@ -138,12 +138,12 @@ impl Replay {
     }
 
     /// Decisions that are kept and of which something came.
-    pub fn decisions(&self) -> usize {
+    pub(crate) fn decisions(&self) -> usize {
         self.totals.first().map_or(0, |total| total.count as usize)
     }
 
     /// Draws a decision that so many observations follow, or of whose episode the end is kept.
-    pub fn draw(&self, steps: usize, random: &mut Random) -> Place {
+    pub(crate) fn draw(&self, steps: usize, random: &mut Random) -> Place {
         loop {
             let instance = below(random, self.stretches.len());
             let stretch = &self.stretches[instance];
@@ -169,20 +169,20 @@ impl Replay {
     }
 
     /// What all agents saw, one behind the other.
-    pub fn observation(&self, place: Place) -> &[f32] {
+    pub(crate) fn observation(&self, place: Place) -> &[f32] {
         let slot = place.number % self.capacity;
         &self.stretches[place.instance].observations[slot * self.observed..][..self.observed]
     }
 
     /// What they did.
-    pub fn actions(&self, place: Place) -> &[u16] {
+    pub(crate) fn actions(&self, place: Place) -> &[u16] {
         let slot = place.number % self.capacity;
         &self.stretches[place.instance].actions[slot * self.agents..][..self.agents]
     }
 
     /// What each agent earned by a decision of an instance, by its number.
     #[cfg(test)]
-    pub(super) fn rewards(&self, instance: usize, number: usize) -> &[f32] {
+    pub(crate) fn rewards(&self, instance: usize, number: usize) -> &[f32] {
         &self.stretches[instance].rewards[number * self.agents..][..self.agents]
     }
 
@@ -196,7 +196,7 @@ impl Replay {
     }
 
     /// What followed a decision within so many, or until its episode ended.
-    pub fn future(&self, place: Place, steps: usize, future: &mut Future) {
+    pub(crate) fn future(&self, place: Place, steps: usize, future: &mut Future) {
         let stretch = &self.stretches[place.instance];
         future.rewards.clear();
         future.rewards.resize(self.agents, 0.0);

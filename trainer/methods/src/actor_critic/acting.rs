@@ -6,14 +6,22 @@ use sortie_learn::Scene;
 use sortie_nn::layers::softmax;
 use sortie_nn::tape::Tape;
 
-use super::batch::Running;
-use super::config::NetworkConfig;
 use super::drawing::{best, drawn};
 use super::groups::Groups;
 use super::policies::Policies;
+use super::running::Running;
+
+/// What becomes of observations before networks are shown them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Inputs {
+    /// Whether they are normalised.
+    pub(crate) normalised: bool,
+    /// What they are multiplied with if they are not.
+    pub(crate) scale: f32,
+}
 
 /// What is seen in one state, all agents one behind the other, each as far as its role sees.
-pub(super) fn observe(
+pub(crate) fn observe(
     environment: &dyn Environment,
     groups: &Groups,
     state: &[u8],
@@ -31,18 +39,18 @@ pub(super) fn observe(
 }
 
 /// Numbers that all agents see together.
-pub(super) fn observed(groups: &Groups) -> usize {
+pub(crate) fn observed(groups: &Groups) -> usize {
     groups.0.iter().map(|group| group.observed * group.agents.len()).sum()
 }
 
 /// Adds, by groups, the rows that the networks are shown of what is seen in one state.
-pub(super) fn show(
+pub(crate) fn show(
     groups: &Groups,
-    network: &NetworkConfig,
+    inputs: Inputs,
     mut observation: &[f32],
     shown: &mut [Vec<f32>],
 ) {
-    let scale = if network.normalised { 1.0 } else { network.input_scale };
+    let scale = if inputs.normalised { 1.0 } else { inputs.scale };
     for (group, shown) in groups.0.iter().zip(shown) {
         for index in 0..group.agents.len() {
             let (own, rest) = observation.split_at(group.observed);
@@ -59,43 +67,43 @@ pub(super) fn show(
 
 /// Agents at work in several scenes.
 #[derive(Debug, Default)]
-pub(super) struct Acting {
+pub(crate) struct Acting {
     seen: Observation,
     /// `[scenes, observed]`
-    pub(super) observations: Vec<f32>,
+    pub(crate) observations: Vec<f32>,
     /// By groups, `[scenes, agents, inputs]`.
-    pub(super) shown: Vec<Vec<f32>>,
+    pub(crate) shown: Vec<Vec<f32>>,
     tape: Tape,
     /// By groups, `[scenes, agents, actions]`.
-    pub(super) scores: Vec<Vec<f32>>,
+    pub(crate) scores: Vec<Vec<f32>>,
 }
 
 /// The policies that act.
 #[derive(Clone, Copy)]
-pub(super) struct Actors<'a> {
-    pub(super) groups: &'a Groups,
-    pub(super) network: &'a NetworkConfig,
-    pub(super) policies: &'a Policies,
-    pub(super) weights: &'a [f32],
-    pub(super) running: &'a Running,
+pub(crate) struct Actors<'a> {
+    pub(crate) groups: &'a Groups,
+    pub(crate) inputs: Inputs,
+    pub(crate) policies: &'a Policies,
+    pub(crate) weights: &'a [f32],
+    pub(crate) running: &'a Running,
 }
 
 impl Acting {
     /// Finds the scores of all actions in scenes.
-    pub(super) fn look<'s>(
+    pub(crate) fn look<'s>(
         &mut self,
         actors: Actors<'_>,
         environment: &dyn Environment,
         scenes: impl Iterator<Item = &'s Scene<'s>>,
     ) {
-        let Actors { groups, network, .. } = actors;
+        let Actors { groups, inputs, .. } = actors;
         self.forget(groups);
         let width = observed(groups);
         let mut count = 0;
         for scene in scenes {
             observe(environment, groups, scene.state, &mut self.seen, &mut self.observations);
             let own = &self.observations[count * width..];
-            show(groups, network, own, &mut self.shown);
+            show(groups, inputs, own, &mut self.shown);
             count += 1;
         }
         self.score(actors, count);
@@ -103,7 +111,7 @@ impl Acting {
 
     /// What an agent thinks of its actions by its own row alone, `[actions]`; none of an agent that there is not, or of
     /// a row that is too short.
-    pub(super) fn look_from(
+    pub(crate) fn look_from(
         &mut self,
         actors: Actors<'_>,
         agent: usize,
@@ -121,7 +129,7 @@ impl Acting {
                 self.observations.resize(end, 0.0);
             }
         }
-        show(groups, actors.network, &self.observations, &mut self.shown);
+        show(groups, actors.inputs, &self.observations, &mut self.shown);
         self.score(actors, 1);
         let place = agent - group.agents.start;
         self.scores.get(index)?.get(place * group.actions..)?.get(..group.actions)
@@ -134,8 +142,8 @@ impl Acting {
     }
 
     fn score(&mut self, actors: Actors<'_>, count: usize) {
-        let Actors { groups, network, policies, weights, running } = actors;
-        if network.normalised {
+        let Actors { groups, inputs, policies, weights, running } = actors;
+        if inputs.normalised {
             let rows = self.shown.iter_mut().enumerate();
             rows.for_each(|(group, rows)| running.normalise(group, rows));
         }
@@ -149,7 +157,7 @@ impl Acting {
     }
 
     /// Writes `[agents]` what agents choose in one of the scenes: drawn by their scores, or without a generator the best.
-    pub(super) fn choose(
+    pub(crate) fn choose(
         &mut self,
         groups: &Groups,
         scene: usize,
@@ -176,7 +184,6 @@ impl Acting {
 mod tests {
     use sortie_envs::Split;
 
-    use super::super::config::Config;
     use super::*;
 
     #[test]
@@ -186,10 +193,10 @@ mod tests {
         let world = world.unwrap();
         let groups = Groups::new(world.spec(), true, true);
         assert_eq!(groups.0.iter().map(|group| group.inputs()).collect::<Vec<_>>(), [13, 8]);
-        let network = NetworkConfig { input_scale: 2.0, ..Config::default().network };
+        let inputs = Inputs { normalised: false, scale: 2.0 };
         let observation: Vec<f32> = (1..=34).map(|number| number as f32).collect();
         let mut shown = vec![Vec::new(); 2];
-        show(&groups, &network, &observation, &mut shown);
+        show(&groups, inputs, &observation, &mut shown);
         let second: Vec<f32> = (12..=22).map(|number| 2.0 * number as f32).collect();
         assert_eq!((shown[0].len(), &shown[0][13..24]), (26, &second[..]));
         assert_eq!((&shown[0][11..13], &shown[0][24..]), (&[1.0, 0.0][..], &[0.0, 1.0][..]));

@@ -25,7 +25,7 @@ impl Group {
     }
 
     /// Of numbers with so many columns for each of its rows those of some records.
-    pub(super) fn rows<'a>(
+    pub(crate) fn rows<'a>(
         &self,
         numbers: &'a [f32],
         columns: usize,
@@ -36,18 +36,18 @@ impl Group {
     }
 
     /// Record and agent of each of its rows.
-    pub(super) fn order(&self, records: usize) -> impl Iterator<Item = (usize, usize)> + use<> {
+    pub(crate) fn order(&self, records: usize) -> impl Iterator<Item = (usize, usize)> + use<> {
         let agents = self.agents.clone();
         (0..records).flat_map(move |record| agents.clone().map(move |agent| (record, agent)))
     }
 
     /// Where its rows stand among those of all groups, of so many records.
-    pub(super) fn places(&self, records: usize) -> Range<usize> {
+    pub(crate) fn places(&self, records: usize) -> Range<usize> {
         self.agents.start * records..self.agents.end * records
     }
 
     /// `[rows, actions]`: a one for each of these actions, among zeros.
-    pub(super) fn one_hot(&self, actions: &[u32]) -> Vec<f32> {
+    pub(crate) fn one_hot(&self, actions: &[u32]) -> Vec<f32> {
         let mut taken = vec![0.0; actions.len() * self.actions];
         for (taken, action) in taken.chunks_exact_mut(self.actions).zip(actions) {
             taken[*action as usize] = 1.0;

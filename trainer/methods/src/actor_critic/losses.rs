@@ -3,13 +3,13 @@
 use sortie_nn::tape::{Pass, Var};
 
 /// What a state is worth to an agent that draws its action: `sum of p (Q - entropy log p)`.
-pub(super) fn soft_value(values: &[f32], logarithms: &[f32], entropy: f32) -> f32 {
+pub(crate) fn soft_value(values: &[f32], logarithms: &[f32], entropy: f32) -> f32 {
     let worth = values.iter().zip(logarithms);
     worth.map(|(value, log)| log.exp() * (value - entropy * log)).sum()
 }
 
 /// The sum over rows of `sum of p (entropy log p - Q)`.
-pub(super) fn expected_loss(pass: &mut Pass<'_>, scores: Var, values: &[f32], entropy: f32) -> Var {
+pub(crate) fn expected_loss(pass: &mut Pass<'_>, scores: Var, values: &[f32], entropy: f32) -> Var {
     let columns = pass.size(scores)[1];
     let (chances, logarithms) = (pass.softmax(scores), pass.log_softmax(scores));
     let values = pass.input(columns, values);
@@ -21,7 +21,7 @@ pub(super) fn expected_loss(pass: &mut Pass<'_>, scores: Var, values: &[f32], en
 
 /// The sum over rows of `log p(a) (entropy log p(a) - advantage)`, the bracket a constant: the advantage is the value of
 /// the action beyond the mean value of all by their chances.
-pub(super) fn drawn_loss(
+pub(crate) fn drawn_loss(
     pass: &mut Pass<'_>,
     scores: Var,
     values: &[f32],
@@ -48,7 +48,7 @@ pub(super) fn drawn_loss(
 
 /// The sum over rows of the slopes of a cost by actions times their relaxed chances: straight-through, as the critic was
 /// shown the largest of the shaken scores instead, whose slopes these are.
-pub(super) fn relaxed_loss(pass: &mut Pass<'_>, scores: Var, noise: &[f32], slopes: &[f32]) -> Var {
+pub(crate) fn relaxed_loss(pass: &mut Pass<'_>, scores: Var, noise: &[f32], slopes: &[f32]) -> Var {
     let columns = pass.size(scores)[1];
     let (noise, slopes) = (pass.input(columns, noise), pass.input(columns, slopes));
     let shaken = pass.add(scores, noise);
@@ -57,13 +57,13 @@ pub(super) fn relaxed_loss(pass: &mut Pass<'_>, scores: Var, noise: &[f32], slop
     sum(pass, cost)
 }
 
-pub(super) fn sum(pass: &mut Pass<'_>, x: Var) -> Var {
+pub(crate) fn sum(pass: &mut Pass<'_>, x: Var) -> Var {
     let [rows, columns] = pass.size(x);
     let row = pass.reshape(x, rows * columns);
     pass.sum_columns(row)
 }
 
-pub(super) fn added(pass: &mut Pass<'_>, loss: Option<Var>, part: Var) -> Var {
+pub(crate) fn added(pass: &mut Pass<'_>, loss: Option<Var>, part: Var) -> Var {
     match loss {
         Some(loss) => pass.add(loss, part),
         None => part,

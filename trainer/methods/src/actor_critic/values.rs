@@ -5,15 +5,15 @@ use sortie_nn::tape::{Linear, Pass, Var};
 use super::groups::Rows;
 
 /// Slope of leaky ReLU below zero.
-pub(super) const SLOPE: f32 = 0.01;
+pub(crate) const SLOPE: f32 = 0.01;
 
 /// What was done, as a critic is shown it, by groups.
 #[derive(Debug, Default)]
 pub struct Encoded {
     /// `[rows, columns]`
-    pub(super) taken: Rows,
+    pub(crate) taken: Rows,
     /// `[rows, actions]`: the own action, which only some critics see.
-    pub(super) own: Rows,
+    pub(crate) own: Rows,
 }
 
 /// What a critic is shown, by groups: rows of records.
@@ -39,7 +39,7 @@ pub struct Values {
 }
 
 /// A layer with leaky ReLU behind it.
-pub(super) fn leaky(pass: &mut Pass<'_>, x: Var, layer: Linear) -> Var {
+pub(crate) fn leaky(pass: &mut Pass<'_>, x: Var, layer: Linear) -> Var {
     let y = pass.linear(x, layer);
     pass.leaky_relu(y, SLOPE)
 }
