@@ -146,7 +146,7 @@ impl Exported {
             let mut team = PolicyTeam::new(&mut recorder);
             evaluate(&**environment, &mut team, GOLDEN_EPISODES, seed.wrapping_add(round))?;
         }
-        let golden = Golden { cases: recorder.cases, allocations: Vec::new() };
+        let golden = Golden { cases: recorder.cases, ..Golden::default() };
         let mut parts = BTreeMap::from([
             (AGENT.to_owned(), self.onnx.clone()),
             (CARD.to_owned(), card(set, &measured).into_bytes()),

@@ -5,7 +5,8 @@ use std::collections::BTreeSet;
 use sortie_core::limits;
 
 use crate::contract::ContractV1;
-use crate::manifest::{AgentGraph, Network, POLICY};
+use crate::manifest::{AgentGraph, Network, OPTIONS, POLICY};
+use crate::options::OptionsContract;
 
 impl Network {
     /// What is wrong with the agents' graphs.
@@ -14,6 +15,14 @@ impl Network {
         let (agents, count) = (graph_of.len(), graphs.len());
         let names: BTreeSet<&str> = graphs.iter().map(|graph| graph.name.as_str()).collect();
         let unused = |index: &usize| !graph_of.iter().any(|graph| usize::from(*graph) == *index);
+        if (agent == OPTIONS) != self.options.is_some() {
+            return Some(
+                "an agent of kind `options` needs its rules, and no other has any".to_owned(),
+            );
+        }
+        if let Some(options) = &self.options {
+            return options_flaw(options, contract);
+        }
         if graphs.is_empty() && graph_of.is_empty() {
             return None;
         }
@@ -43,5 +52,17 @@ impl Network {
             let (what, got, most) = sizes.into_iter().find(wrong)?;
             Some(format!("the graph `{name}` has {got} {what}, a row has {most}"))
         })
+    }
+}
+
+/// What is wrong with the rules of options.
+fn options_flaw(options: &OptionsContract, contract: &ContractV1) -> Option<String> {
+    match options.rules(contract.actions.into()) {
+        Err(reason) => Some(reason),
+        Ok(rules) if rules.picture.features() != usize::from(contract.features) => {
+            let (want, got) = (contract.features, rules.picture.features());
+            Some(format!("the picture of options has {got} numbers, the contract says {want}"))
+        }
+        Ok(_) => None,
     }
 }

@@ -10,9 +10,10 @@ use crate::digest::{hex, sha256};
 use crate::error::BundleError;
 use crate::golden::{Golden, MIN_ALLOCATIONS, MIN_CASES};
 use crate::manifest::{
-    AGENT, AgentGraph, Contract, Environment, FORMAT, Limits, Manifest, Network, POLICY, PROPOSALS,
-    TEAM_VALUE,
+    AGENT, AgentGraph, Contract, Environment, FORMAT, Limits, Manifest, Network, OPTION_GRAPHS,
+    POLICY, PROPOSALS, TEAM_VALUE,
 };
+use crate::options::OptionsContract;
 use crate::policy_roles::PolicyRoles;
 
 /// The file that vouches for all others.
@@ -143,12 +144,23 @@ impl Bundle {
     /// The graphs that agents decide by: one for all, or several.
     pub fn agent_graphs(&self) -> Vec<AgentGraph> {
         let graphs = &self.manifest.network.graphs;
-        if graphs.is_empty() { vec![AgentGraph::of_all(self.contract())] } else { graphs.clone() }
+        if self.manifest.network.options.is_some() {
+            AgentGraph::of_options(self.contract()).into()
+        } else if graphs.is_empty() {
+            vec![AgentGraph::of_all(self.contract())]
+        } else {
+            graphs.clone()
+        }
     }
 
     /// The network of one of them.
     pub fn graph_onnx(&self, graph: &AgentGraph) -> &[u8] {
         self.part(&graph.onnx_part()).unwrap_or_default()
+    }
+
+    /// The rules of an agent that goes from milestone to milestone.
+    pub fn options(&self) -> Option<&OptionsContract> {
+        self.manifest.network.options.as_ref()
     }
 
     /// What is said of the agent's network, where that is a policy over inputs of fixed sizes.
@@ -327,6 +339,9 @@ impl Manifest {
 
 /// The networks that agents decide by.
 fn agent_parts(network: &Network) -> Vec<String> {
+    if network.options.is_some() {
+        return OPTION_GRAPHS.map(|name| AgentGraph::part_of(name, AGENT)).into();
+    }
     match network.graphs.as_slice() {
         [] => vec![AGENT.to_owned()],
         graphs => graphs.iter().map(AgentGraph::onnx_part).collect(),
@@ -391,6 +406,11 @@ fn golden_flaw(golden: &Golden, network: &Network) -> Option<String> {
     let (cases, allocations) = (golden.cases.len(), golden.allocations.len());
     if cases < MIN_CASES {
         return Some(format!("{cases} cases, at least {MIN_CASES} are needed"));
+    }
+    if network.options.is_some() != !golden.episodes.is_empty() {
+        return Some(
+            "golden episodes belong to agents that run options, and they need some".to_owned(),
+        );
     }
     let deciding: BTreeSet<Option<u16>> = golden
         .cases

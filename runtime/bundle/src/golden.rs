@@ -21,12 +21,59 @@ pub const MIN_ALLOCATIONS: usize = 16;
 const FORMAT: &str = "sortie-golden-1";
 
 /// The golden observations of a bundle.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Golden {
     /// The cases, at least [`MIN_CASES`] in a bundle.
     pub cases: Vec<GoldenCase>,
     /// What the allocator must answer, at least [`MIN_ALLOCATIONS`] in a bundle that has one.
     pub allocations: Vec<GoldenAllocation>,
+    /// Whole episodes of an agent that runs options.
+    pub episodes: Vec<GoldenEpisode>,
+}
+
+/// A whole episode of an agent that runs options.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct GoldenEpisode {
+    /// Its ticks, in order.
+    pub ticks: Vec<GoldenTick>,
+}
+
+/// What such an agent saw and did in a tick.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct GoldenTick {
+    /// The features that are 1.
+    pub ones: Vec<u16>,
+    /// Other features that are not 0, and what they are.
+    pub others: Vec<(u16, f32)>,
+    /// The milestone that it went for.
+    pub goal: u16,
+    /// Whether it chose that in this tick.
+    pub chose: bool,
+    /// What it did.
+    pub action: u16,
+}
+
+impl GoldenTick {
+    /// A row as a tick keeps it: what is 1, and what is something else than 0.
+    pub fn sparse(row: &[f32]) -> (Vec<u16>, Vec<(u16, f32)>) {
+        let lit = (0..).zip(row.iter().copied()).filter(|(_, value)| *value != 0.0);
+        let (ones, others): (Vec<_>, Vec<_>) = lit.partition(|(_, value)| *value == 1.0);
+        (ones.into_iter().map(|(column, _)| column).collect(), others)
+    }
+
+    /// The row, of so many features.
+    ///
+    /// # Errors
+    /// It has other features.
+    pub fn row(&self, features: usize) -> Result<Vec<f32>, String> {
+        let mut row = vec![0.0; features];
+        let ones = self.ones.iter().map(|column| (*column, 1.0));
+        for (column, value) in ones.chain(self.others.iter().copied()) {
+            let to = row.get_mut(usize::from(column));
+            *to.ok_or_else(|| format!("there is no feature {column}"))? = value;
+        }
+        Ok(row)
+    }
 }
 
 /// One observation and its expected answer.
@@ -46,6 +93,8 @@ struct File {
     cases: Vec<Case>,
     #[serde(default)]
     allocations: Vec<AllocationCase>,
+    #[serde(default)]
+    episodes: Vec<Vec<GoldenTick>>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -71,6 +120,11 @@ impl Golden {
             text += "],\"allocations\":[\n";
             text += &lines(allocations.map(|case| AllocationCase::from_case(case, contract)))?;
         }
+        if !self.episodes.is_empty() {
+            let episodes: Vec<String> =
+                self.episodes.iter().map(|it| lines(it.ticks.iter())).collect::<Result<_, _>>()?;
+            text += &format!("],\"episodes\":[[\n{}]", episodes.join("],[\n"));
+        }
         Ok((text + "]}\n").into_bytes())
     }
 
@@ -86,7 +140,16 @@ impl Golden {
         let allocations = file.allocations.into_iter().enumerate().map(|(index, case)| {
             case.into_case(contract).map_err(|reason| format!("allocation {index}: {reason}"))
         });
+        let episode = |(index, ticks): (usize, Vec<GoldenTick>)| {
+            let wrong = |tick: &GoldenTick| tick.row(contract.features.into()).err();
+            match ticks.iter().find_map(wrong) {
+                Some(reason) => Err(format!("episode {index}: {reason}")),
+                None => Ok(GoldenEpisode { ticks }),
+            }
+        };
+        let episodes = file.episodes.into_iter().enumerate().map(episode);
         Ok(Self {
+            episodes: episodes.collect::<Result<_, _>>()?,
             cases: cases.collect::<Result<_, _>>()?,
             allocations: allocations.collect::<Result<_, _>>()?,
         })
@@ -162,7 +225,7 @@ pub(crate) mod tests {
             utilities: vec![0.123_456_79, -1.0e-7],
             action: 0,
         };
-        Golden { cases: (0..cases).map(case).collect(), allocations: Vec::new() }
+        Golden { cases: (0..cases).map(case).collect(), ..Golden::default() }
     }
 
     #[test]

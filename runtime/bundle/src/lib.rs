@@ -16,6 +16,7 @@ pub mod files;
 mod golden;
 mod manifest;
 mod observation;
+mod options;
 mod policy_roles;
 mod recording;
 
@@ -27,11 +28,12 @@ pub use bundle::{
 pub use contract::{ContractV1, FallbackAllocation, SubtaskConditioning, WIRE_ABI};
 pub use digest::{hex, sha256};
 pub use error::BundleError;
-pub use golden::{Golden, GoldenCase, MIN_ALLOCATIONS, MIN_CASES};
+pub use golden::{Golden, GoldenCase, GoldenEpisode, GoldenTick, MIN_ALLOCATIONS, MIN_CASES};
 pub use manifest::{
-    AGENT, AGENT_PLAN, AgentGraph, Contract, Environment, Limits, Manifest, Network, POLICY,
-    PROPOSALS, TEAM_VALUE,
+    AGENT, AGENT_PLAN, AgentGraph, Contract, Environment, Limits, Manifest, Network, OPTION_GRAPHS,
+    OPTIONS, POLICY, PROPOSALS, TEAM_VALUE,
 };
 pub use observation::OwnedObservation;
+pub use options::{Affords, MilestoneSign, OptionsContract, PictureContract};
 pub use policy_roles::PolicyRoles;
 pub use recording::{RecordedAgent, RecordedFrame, Recording, RecordingError};

@@ -6,16 +6,22 @@ use serde::{Deserialize, Serialize};
 use sortie_core::limits;
 
 use crate::contract::ContractV1;
+use crate::options::OptionsContract;
 
 /// The network of all agents; that of some has their graph's name in its own, see [`AgentGraph`].
 pub const AGENT: &str = "agent.onnx";
 /// The plan of the agent's network: profile `exact`, for as many entities as the limits say.
 pub const AGENT_PLAN: &str = "agent.plan";
 /// The newest bundle format that this program reads.
-pub(crate) const FORMAT: u32 = 2;
+pub(crate) const FORMAT: u32 = 3;
 
 /// The kind of agent network that is a policy over inputs of fixed sizes, whoever exported it.
 pub const POLICY: &str = "policy";
+
+/// The kind of agent that goes from milestone to milestone, by three networks.
+pub const OPTIONS: &str = "options";
+/// What its graphs are named: controller, meta-controller and affordances.
+pub const OPTION_GRAPHS: [&str; 3] = ["controller", "meta", "affordance"];
 
 /// The kind of allocator that values a team at a subtask, and searches.
 pub const TEAM_VALUE: &str = "team-value";
@@ -99,7 +105,7 @@ impl Limits {
 }
 
 /// What the networks of a bundle are.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Network {
     /// Kind of the agent network, for example `masked-attention`, or [`POLICY`].
@@ -115,6 +121,9 @@ pub struct Network {
     /// The graphs of [`POLICY`] agents that do not all decide by the same.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub graphs: Vec<AgentGraph>,
+    /// The rules of an [`OPTIONS`] agent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub options: Option<OptionsContract>,
 }
 
 /// A graph by which some of a team's agents decide.
@@ -147,20 +156,33 @@ impl AgentGraph {
         self.part(AGENT_PLAN)
     }
 
-    /// The name of a file of all agents becomes that of this graph's.
+    /// The graphs of an agent that goes from milestone to milestone; what they take and give is in the files.
+    pub(crate) fn of_options(contract: &ContractV1) -> [Self; 3] {
+        let ContractV1 { features, actions, .. } = *contract;
+        OPTION_GRAPHS.map(|name| Self { name: name.to_owned(), features, actions })
+    }
+
     fn part(&self, of_all: &str) -> String {
+        Self::part_of(&self.name, of_all)
+    }
+
+    /// The name of a file of all agents becomes that of a graph's.
+    pub fn part_of(name: &str, of_all: &str) -> String {
         match of_all.split_once('.') {
-            Some((agent, ending)) if !self.name.is_empty() => {
-                format!("{agent}-{}.{ending}", self.name)
-            }
+            Some((agent, ending)) if !name.is_empty() => format!("{agent}-{name}.{ending}"),
             _ => of_all.to_owned(),
         }
     }
 }
 
 impl Network {
-    /// The format of its bundle: programs that know of one graph for all agents read the first.
+    /// The format of its bundle: programs that know of one graph for all agents read the first, those that know of no options
+    /// the second.
     pub(crate) fn format(&self) -> u32 {
-        if self.graphs.is_empty() { 1 } else { 2 }
+        match self.options {
+            Some(_) => 3,
+            None if self.graphs.is_empty() => 1,
+            None => 2,
+        }
     }
 }

@@ -50,7 +50,7 @@ fn draft() -> Draft {
         environment,
         limits: Limits { n_max: 11, t_max: 6, team_max: 3 },
         network: Network { agent: "masked-attention".into(), ..Network::default() },
-        golden: Golden { cases: (0..MIN_CASES).map(case).collect(), allocations: Vec::new() },
+        golden: Golden { cases: (0..MIN_CASES).map(case).collect(), ..Golden::default() },
         parts: parts.map(|(name, bytes)| (name.to_owned(), bytes.to_vec())).into(),
     }
 }

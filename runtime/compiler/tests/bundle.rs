@@ -89,7 +89,7 @@ fn bundle(home: &tempfile::TempDir, contract: ContractV1) -> Bundle {
         network: Network { agent: "masked-attention".into(), ..Network::default() },
         golden: Golden {
             cases: observations.into_iter().map(answer).collect(),
-            allocations: Vec::new(),
+            ..Golden::default()
         },
         parts: [(AGENT.to_owned(), onnx())].into(),
     };

@@ -27,6 +27,7 @@
 //! | policies over inputs of fixed sizes | [`Plan::respond`](plan::Plan::respond), [`Plan::choose`](plan::Plan::choose) |
 //! | agents that see entities through masks | [`Policy`], [`PlanPolicy`], [`Observation`] |
 //! | teams of several policies | [`PolicyByAgent`] |
+//! | agents that go from milestone to milestone | [`options`] |
 //! | who works on which subtask | [`allocate`], [`Allocator`] |
 //! | agents, allocator and world as processes or devices | [`wire`], [`roles`], [`link`] |
 //! | images with only the operators that a plan needs | [`operators`] |
@@ -56,6 +57,7 @@ pub mod entity_mask;
 pub mod identity;
 pub mod limits;
 pub mod link;
+pub mod options;
 pub mod plan;
 pub mod policy;
 pub mod remember;

@@ -9,8 +9,8 @@ pub const TASKS: usize = 32;
 /// Most actions of one agent.
 pub const ACTIONS: usize = 256;
 /// Most features of one entity, the last action not counted.
-pub const FEATURES: usize = 1024;
+pub const FEATURES: usize = 2048;
 /// Most bytes of one frame's payload.
-pub const FRAME_BYTES: usize = 1 << 20;
+pub const FRAME_BYTES: usize = (1 << 20) + (1 << 16);
 /// Most allocations that an allocator proposes in one decision.
 pub const PROPOSALS: usize = 256;

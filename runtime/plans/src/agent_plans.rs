@@ -1,8 +1,10 @@
 //! The plans that a bundle's agents decide by: one for all, or one for each of its graphs.
 
-use sortie_bundle::Bundle;
+use sortie_bundle::{Bundle, OptionsContract};
 use sortie_core::plan::{AlignedBytes, Plan, PlanError};
 use sortie_core::{PlanPolicy, Policy, PolicyByAgent};
+
+use crate::options;
 
 /// The plans of a bundle's agents, in the order of [`Bundle::agent_graphs`].
 #[derive(Debug)]
@@ -10,13 +12,15 @@ pub struct AgentPlans {
     plans: Vec<AlignedBytes>,
     graph_of: Vec<u16>,
     actions: usize,
+    options: Option<OptionsContract>,
 }
 
 impl AgentPlans {
     /// The plans of a bundle's graphs, in their order.
     pub fn new(bundle: &Bundle, plans: Vec<AlignedBytes>) -> Self {
         let graph_of = bundle.manifest().network.graph_of.clone();
-        Self { plans, graph_of, actions: bundle.contract().actions.into() }
+        let (actions, options) = (bundle.contract().actions.into(), bundle.options().cloned());
+        Self { plans, graph_of, actions, options }
     }
 
     /// The plans, in the order of the graphs.
@@ -34,6 +38,9 @@ impl AgentPlans {
     /// # Errors
     /// A plan cannot be loaded.
     pub fn arenas(&self, agents: usize) -> Result<Vec<AlignedBytes>, PlanError> {
+        if let Some(options) = &self.options {
+            return options::arenas(options, &self.plans);
+        }
         let arena = |plan: &AlignedBytes| {
             let bytes = Plan::load(plan.as_slice())?.batch_arena_bytes(agents);
             Ok(AlignedBytes::zeroed(bytes))
@@ -49,6 +56,9 @@ impl AgentPlans {
         &'a self,
         arenas: &'a mut [AlignedBytes],
     ) -> Result<Box<dyn Policy + 'a>, PlanError> {
+        if let Some(options) = &self.options {
+            return options::over_plans((options, self.actions), &self.plans, arenas);
+        }
         let policy = |(plan, arena): (&'a AlignedBytes, &'a mut AlignedBytes)| {
             PlanPolicy::boxed(Plan::load(plan.as_slice())?, arena.as_mut_slice())
         };

@@ -11,7 +11,7 @@ use crate::cache::{PlanKey, keep, kept};
 use crate::error::CompileError;
 use crate::policy::{PolicyOptions, roles_of};
 use crate::policy_plan::CompiledPolicy;
-use crate::proof::{prove_agents, prove_allocator};
+use crate::proof::{prove_agents, prove_allocator, prove_options};
 use crate::proposal_files::ProposalFiles;
 use crate::report::{CompileOptions, Compiled, VERSION};
 use crate::team_sizes::TeamSizes;
@@ -91,7 +91,11 @@ impl<C: Compiler> BundlePlans<C> {
     pub fn agents(&self, bundle: &Bundle, profile: Profile) -> Result<AgentPlans, CompileError> {
         let wanted = Wanted::agents(bundle, profile)?;
         let plans = wanted.iter().map(|wanted| self.find(wanted));
-        Ok(AgentPlans::new(bundle, plans.collect::<Result<_, _>>()?))
+        let plans = AgentPlans::new(bundle, plans.collect::<Result<_, _>>()?);
+        if self.proves && bundle.options().is_some() {
+            prove_options(&plans, bundle, profile)?;
+        }
+        Ok(plans)
     }
 
     /// The plan of a bundle's team-value network, if it has one.
@@ -205,13 +209,17 @@ impl<C: Compiler> BundlePlans<C> {
 
 impl<'a> Wanted<'a> {
     fn agents(bundle: &'a Bundle, profile: Profile) -> Result<Vec<Self>, CompileError> {
-        let policy = roles_of(bundle)?;
+        let policy = match bundle.options() {
+            Some(_) => Some(PolicyOptions::default()),
+            None => roles_of(bundle)?,
+        };
         let network = if policy.is_some() { Network::Policy } else { Network::Agent };
         let n_max = bundle.manifest().limits.n_max.into();
         let wanted = |(graph, place): (AgentGraph, usize)| {
             let (part, onnx, policy) =
                 (graph.plan_part(), bundle.graph_onnx(&graph), policy.clone());
-            let graph = Some((graph, place));
+            // No graph of an option's agent acts alone.
+            let graph = bundle.options().is_none().then_some((graph, place));
             Self { bundle, part, network, onnx, profile, n_max, policy, graph }
         };
         Ok(bundle.agent_graphs().into_iter().zip(0..).map(wanted).collect())

@@ -22,6 +22,7 @@ mod judged_agents;
 mod layers;
 mod observations;
 mod onnx_file;
+mod options;
 mod policy;
 mod policy_agreement;
 mod policy_plan;
@@ -62,6 +63,7 @@ pub use observations::{
     random_team_queries_of,
 };
 pub use onnx_file::read_onnx;
+pub use options::{compare_with_golden_episodes, options_over_graphs};
 pub use policy::{
     FlatPolicy, InputRole, OutputRole, PolicyAnswer, PolicyFacts, PolicyInput, PolicyOptions,
     PolicyOutput, PolicyState, ValueType, roles_of,

@@ -5,10 +5,11 @@ use sortie_core::allocate::PlanTeamValue;
 use sortie_core::plan::{AlignedBytes, Plan, Profile};
 use sortie_core::{PlanPolicy, limits};
 
-use crate::agent_plans::policy_by_agent;
+use crate::agent_plans::{AgentPlans, policy_by_agent};
 use crate::comparison::{Comparison, TOLERANCE, compare_with_golden};
 use crate::error::CompileError;
 use crate::golden_allocations::compare_with_golden_allocations;
+use crate::options::compare_with_golden_episodes;
 
 /// Asks the plan of a bundle's graph about all golden observations of agents that decide by it.
 ///
@@ -32,6 +33,23 @@ pub(crate) fn prove_agents(
     let cases = bundle.golden().cases.iter().filter(decides);
     let found = compare_with_golden("plan", policy.as_mut(), cases)?;
     if is_int8 { Ok(()) } else { judge(&found) }
+}
+
+/// Asks the plans of an agent that runs options about all golden observations and episodes.
+pub(crate) fn prove_options(
+    plans: &AgentPlans,
+    bundle: &Bundle,
+    profile: Profile,
+) -> Result<(), CompileError> {
+    let mut arenas = plans.arenas(1)?;
+    let mut policy = plans.policy(&mut arenas)?;
+    let cases = compare_with_golden("plan", policy.as_mut(), &bundle.golden().cases)?;
+    let episodes = compare_with_golden_episodes("plan", policy.as_mut(), bundle)?;
+    if profile == Profile::Int8 {
+        return Ok(());
+    }
+    judge(&cases)?;
+    judge(&episodes)
 }
 
 /// Asks a team-value plan about all golden allocations.

@@ -52,5 +52,5 @@ pub use observation::{ActionSet, AgentSet, EntitySet, Observation, members};
 pub use random::Random;
 pub use registry::{Choice, ENVIRONMENTS, Entry, EnvironmentError, open};
 pub use rows::SparseRows;
-pub use spec::{Metric, Rewards, Role, Rule, Shape, Spec, SpecError, View};
+pub use spec::{Metric, Rewards, Role, Rule, Shape, Sign, Spec, SpecError, View};
 pub use throughput::{observe_and_step, step_alone};

@@ -81,6 +81,17 @@ pub struct Role {
     pub actions: Vec<String>,
 }
 
+/// How a milestone shows from one observation to the next: a feature that changes by so much, or more, in this direction.
+///
+/// Where several do, what rises tells.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Sign {
+    /// The feature.
+    pub feature: usize,
+    /// Its change.
+    pub change: i16,
+}
+
 /// Who earns rewards besides the team.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Rewards {
@@ -119,6 +130,8 @@ pub struct Spec {
     pub causes: &'static [&'static str],
     /// Names of what can be reached on the way to the task, which is the last; none where no such thing is told.
     pub milestones: Vec<String>,
+    /// How each of them shows in what is observed; empty where that is not told.
+    pub signs: Vec<Sign>,
     /// Who earns rewards besides the team.
     pub rewards: Rewards,
     /// Symmetries of the rules, the one that changes nothing included.
@@ -152,6 +165,7 @@ impl Default for Spec {
             metrics: &[],
             causes: &[],
             milestones: Vec::new(),
+            signs: Vec::new(),
             rewards: Rewards::default(),
             turns: 1,
             rules: &[],

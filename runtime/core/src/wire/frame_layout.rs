@@ -351,7 +351,7 @@ mod tests {
             (Shape { entities: 129, ..good }, LayoutError::Entities(129)),
             (Shape { tasks: 33, ..good }, LayoutError::Tasks(33)),
             (Shape { actions: 0, ..good }, LayoutError::Actions(0)),
-            (Shape { features: 1025, ..good }, LayoutError::Features(1025)),
+            (Shape { features: 2049, ..good }, LayoutError::Features(2049)),
         ];
         for (shape, error) in refused {
             assert_eq!(FrameLayout::new(shape), Err(error));

@@ -75,6 +75,21 @@ impl Game for Crafting {
         "iron_pickaxe",
         "diamond",
     ];
+    const SIGNS: &'static [(u8, i16)] = &[
+        (item::LOG, 1),
+        (item::WOOD, 4),
+        (item::STICK, 4),
+        (item::WOOD, -4),
+        (item::WOOD_PICKAXE, 1),
+        (item::STONE, 1),
+        (item::STONE, -4),
+        (item::STONE_PICKAXE, 1),
+        (item::IRON_ORE, 1),
+        (item::COAL, 1),
+        (item::IRON, 1),
+        (item::IRON_PICKAXE, 1),
+        (item::DIAMOND, 1),
+    ];
     const PAID: u16 = (1 << 13) - 1;
     const TASKS: &'static [&'static str] = &["iron", "diamond"];
     const LOSSES: Option<[u32; ITEMS]> = Some([20, 0, 20, 20, 10, 10, 8, 2, 5, 5, 5, 1]);

@@ -26,6 +26,8 @@ pub trait Game: Clone + Copy + Debug + Default + Send + Sync + 'static {
     const ACTIONS: &'static [&'static str];
     /// All milestones in their order.
     const MILESTONES: &'static [&'static str];
+    /// How each milestone shows in what is carried: an item, and by how much its count changes.
+    const SIGNS: &'static [(u8, i16)];
     /// Those that a dense reward pays for, as bits.
     const PAID: u16;
     /// Tasks: milestones that can be the last one.

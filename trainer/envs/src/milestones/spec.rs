@@ -9,7 +9,7 @@ use super::game::Game;
 use super::rules::Rules;
 use super::states::state_bytes;
 use super::window::{RADIUS, WINDOW, channels, columns};
-use crate::spec::{Metric, Shape, Spec, View};
+use crate::spec::{Metric, Shape, Sign, Spec, View};
 
 const METRICS: &[Metric] = &[Metric {
     name: "milestones",
@@ -41,12 +41,23 @@ pub(super) fn spec<G: Game>(rules: &Rules) -> Spec {
         metrics: METRICS,
         causes: &[IMPOSSIBLE, TIME],
         milestones: names(&rules.milestones.names::<G>()),
+        signs: signs::<G>(rules),
         turns: 2,
         row_entries: cells * (1 + usize::from(!G::STATES.is_empty())) + G::ITEMS.len(),
         state_bytes: state_bytes::<G>(),
         episode_limit: rules.limit.max(rules.training_limit).into(),
         ..Spec::default()
     }
+}
+
+/// How the milestones in use show in what is carried.
+fn signs<G: Game>(rules: &Rules) -> Vec<Sign> {
+    let first = columns::<G>() - G::ITEMS.len();
+    let used = rules.milestones.bits();
+    let signs = G::SIGNS.iter().enumerate().filter(|(milestone, _)| used >> milestone & 1 == 1);
+    signs
+        .map(|(_, (item, change))| Sign { feature: first + usize::from(*item), change: *change })
+        .collect()
 }
 
 /// Such as `ahead2.left1.tree`, and `items.log`.

@@ -81,6 +81,18 @@ impl Game for TreasureRooms {
         "purple_key",
         "treasure",
     ];
+    const SIGNS: &'static [(u8, i16)] = &[
+        (item::RED_KEY, 1),
+        (item::YELLOW_KEY, 1),
+        (item::RED_KEY, -1),
+        (item::YELLOW_KEY, -1),
+        (item::GREEN_WEIGHT, 1),
+        (item::BLUE_KEY, 1),
+        (item::BLUE_KEY, -1),
+        (item::PRESSED, 1),
+        (item::PURPLE_KEY, 1),
+        (item::TREASURE, 1),
+    ];
     const PAID: u16 = 1 << milestone::RED_KEY
         | 1 << milestone::YELLOW_KEY
         | 1 << milestone::GREEN_WEIGHT

@@ -5,14 +5,14 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use sortie_bundle::{
-    AGENT, AgentGraph, CARD, CURVE, CURVE_DATA, ContractV1, Draft, Golden, Network, POLICY,
-    POLICY_ROLES, PolicyRoles, TRAINING,
+    AGENT, AgentGraph, CARD, CURVE, CURVE_DATA, ContractV1, Draft, Golden, Network, OPTION_GRAPHS,
+    OPTIONS, POLICY, POLICY_ROLES, PolicyRoles, TRAINING,
 };
 use sortie_envs::{Environment, Shape, Spec};
 
 use super::described::{contract, described, limits};
 use super::measured::{Measured, measured_table, read_part};
-use super::recorder::Recorder;
+use super::recorder::{EpisodeRecorder, Recorder};
 use crate::error::LearnError;
 use crate::export::{
     AGENT_NUMBER, AgentNetwork, DeployedAgents, DeployedNetworks, ExportError, OwnRowNetworks,
@@ -24,6 +24,10 @@ use crate::run::{CurvePoint, RunDescription};
 
 /// Episodes that golden observations are drawn from.
 const GOLDEN_EPISODES: usize = 400;
+/// The same of agents that run options, whose episodes are long.
+const OPTION_CASES: usize = 30;
+/// Episodes that are golden as a whole, where agents run options.
+const WHOLE_EPISODES: u64 = 3;
 
 /// A run of any method, as far as its bundle needs it.
 pub struct MethodRun<'a> {
@@ -53,9 +57,16 @@ pub fn draft_method(
     let contract = contract(spec, networks.take_last_actions(spec.shape.features));
     let agents =
         networks.to_parts(spec, &contract).map_err(|error| LearnError::format(folder, error))?;
+    let runs_options = matches!(networks, DeployedNetworks::Options { .. });
     let mut team = PolicyTeam::new(Recorder::new(&mut *policy, spec.shape.features));
-    evaluate(run.environment, &mut team, GOLDEN_EPISODES, seed)?;
-    let golden = Golden { cases: team.into_policy().cases, allocations: Vec::new() };
+    let episodes = if runs_options { OPTION_CASES } else { GOLDEN_EPISODES };
+    evaluate(run.environment, &mut team, episodes, seed)?;
+    let mut golden = Golden { cases: team.into_policy().cases, ..Golden::default() };
+    for index in 0..if runs_options { WHOLE_EPISODES } else { 0 } {
+        let mut team = PolicyTeam::new(EpisodeRecorder::new(&mut *policy));
+        evaluate(run.environment, &mut team, 1, seed.wrapping_add(index))?;
+        golden.episodes.push(team.into_policy().episode);
+    }
     let mut parts = BTreeMap::from([
         (CARD.to_owned(), card(run, measured, &networks).into_bytes()),
         (CURVE.to_owned(), read_part(folder, CURVE)?),
@@ -107,6 +118,13 @@ impl DeployedNetworks<'_> {
                 Ok(AgentParts { network, parts: [(AGENT.to_owned(), onnx)].into() })
             }
             Self::OwnRow(networks) => own_row_parts(networks, spec, contract),
+            Self::Options { options, graphs } => {
+                let (agent, options) = (OPTIONS.to_owned(), Some(options.clone()));
+                let network = Network { agent, options, ..Network::default() };
+                let names = OPTION_GRAPHS.map(|name| AgentGraph::part_of(name, AGENT));
+                let parts = names.into_iter().zip(graphs.to_onnx(contract.hash())?).collect();
+                Ok(AgentParts { network, parts })
+            }
             Self::Lookup(tables) => {
                 let network = Network { agent: POLICY.to_owned(), ..Network::default() };
                 let onnx = tables.to_onnx(contract.hash())?;
@@ -123,6 +141,9 @@ impl DeployedNetworks<'_> {
             }
             Self::OwnRow(_) => {
                 "Every agent decides by its own row alone, by the network that `bundle.toml` names for it."
+            }
+            Self::Options { .. } => {
+                "The agent chooses which milestone to go for among those that it believes it can reach, and goes for it."
             }
             Self::Lookup(_) => "Every agent looks up in a table of its own what to do where it is.",
         }
@@ -183,9 +204,10 @@ fn card(run: &MethodRun<'_>, measured: &[Measured], networks: &DeployedNetworks<
          {} Trained by\n\
          `sortie train {method}`, seed {seed}, Sortie {version}; `train.toml` repeats the run.\n\n\
          ## How well it does\n\n\
-         Greedy episodes that training never saw. The interval is that of the episodes, not of training again.\n\n",
+         {}pisodes that training never saw. The interval is that of the episodes, not of training again.\n\n",
         config.environment,
         networks.about(),
+        if matches!(networks, DeployedNetworks::Options { .. }) { "E" } else { "Greedy e" },
     );
     card += &measured_table(measured);
     if let Some(last) = run.curve.last() {
@@ -200,6 +222,16 @@ fn card(run: &MethodRun<'_>, measured: &[Measured], networks: &DeployedNetworks<
         "\nMatrix products were computed with `{}`: `--set run.products={0}` repeats the run byte for byte.",
         config.run.products
     );
+    if let DeployedNetworks::Options { options, .. } = networks {
+        let _ = writeln!(
+            card,
+            "\n{:.0} % of its actions are drawn, and {:.0} % of its goals, from the seed {} that `bundle.toml` states: the \
+             same episode is the same again.",
+            100.0 * options.action_chance,
+            100.0 * options.goal_chance,
+            options.seed
+        );
+    }
     if matches!(networks, DeployedNetworks::Attention { network, .. } if network.skip.is_some()) {
         card += "\n## Where the training departs from the dissertation\n\n\
                  - An agent's own embedding reaches the layer before the head past the attention (`network.skip`).\n";

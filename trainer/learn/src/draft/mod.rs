@@ -8,4 +8,4 @@ mod recorder;
 pub use described::{contract, described, limits};
 pub use measured::{Measured, measured_table, read_part};
 pub use method::{MethodRun, draft_method};
-pub use recorder::Recorder;
+pub use recorder::{EpisodeRecorder, Recorder};

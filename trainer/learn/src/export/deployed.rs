@@ -1,9 +1,11 @@
 //! The agents of a method as they are deployed.
 
+use sortie_bundle::OptionsContract;
 use sortie_core::Policy;
 
 use super::attention::AttentionNetwork;
 use super::lookup::LookupTables;
+use super::options::OptionGraphs;
 use super::own_row::OwnRowNetworks;
 use super::recurrent::GruCell;
 
@@ -28,4 +30,11 @@ pub enum DeployedNetworks<'a> {
     OwnRow(OwnRowNetworks),
     /// Each looks its answers up.
     Lookup(LookupTables),
+    /// It goes from milestone to milestone.
+    Options {
+        /// By which rules.
+        options: OptionsContract,
+        /// The networks.
+        graphs: OptionGraphs,
+    },
 }

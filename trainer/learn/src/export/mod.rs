@@ -10,6 +10,7 @@ mod deployed;
 mod entities;
 mod lookup;
 pub mod onnx;
+mod options;
 mod own_row;
 mod recurrent;
 #[cfg(test)]
@@ -21,6 +22,7 @@ pub use attention::{AttentionNetwork, ExportError, Layer, Layout, Matrix};
 pub use deployed::{DeployedAgents, DeployedNetworks};
 pub use entities::{EntityNetwork, Members, entity_network_onnx};
 pub use lookup::LookupTables;
+pub use options::{GOAL, OptionGraphs};
 pub use own_row::{AGENT_NUMBER, DenseLayer, OwnRowNetwork, OwnRowNetworks};
 pub use recurrent::{GruCell, RecurrentAgent, recurrent_agent_onnx};
 pub use team_value::{TeamValueExport, team_value_onnx};

@@ -131,7 +131,7 @@ impl OwnRowNetwork {
 
 impl DenseLayer {
     /// `[inputs, outputs]`
-    fn turned(&self) -> Vec<f32> {
+    pub(super) fn turned(&self) -> Vec<f32> {
         let column = |input| self.weight.iter().skip(input).step_by(self.inputs);
         (0..self.inputs).flat_map(column).copied().collect()
     }

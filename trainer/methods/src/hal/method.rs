@@ -1,6 +1,7 @@
 //! HAL as a [`Method`].
 
-use sortie_envs::{Environment, Random};
+use sortie_envs::{Environment, Random, Sign};
+use sortie_learn::export::DeployedAgents;
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Rates, Reports};
 use sortie_learn::session::Opening;
@@ -9,6 +10,7 @@ use sortie_learn::{Act, LearnError, Method, Now, Scene, Scenes, State, Transitio
 use super::affordances::{self, Classes};
 use super::config::{Config, Mask, MeasuredConfig};
 use super::controller;
+use super::deployed;
 use super::filter::Population;
 use super::learner::Learner;
 use super::meta;
@@ -34,6 +36,10 @@ pub struct Hal {
     /// How often each milestone was reached.
     reached: Vec<u64>,
     player: Player,
+    /// The milestones' names, and how they show.
+    signs: Vec<(String, Sign)>,
+    /// What the deployed agent draws by.
+    seed: u64,
     /// The first step of the running option of each instance.
     started: Vec<Option<Place>>,
     /// Draws what updates learn from.
@@ -80,6 +86,8 @@ impl Hal {
             known: [0; 2],
             reached: vec![0; milestones],
             player: Player::default(),
+            signs: spec.milestones.iter().cloned().zip(spec.signs.iter().copied()).collect(),
+            seed,
             started: vec![None; instances],
             random: generator(seed, Purpose::Replay, 0),
             updates: 0,
@@ -278,6 +286,20 @@ impl Method for Hal {
 
     fn team(&self) -> Box<dyn Act + '_> {
         self.measured(self.config.measured)
+    }
+
+    fn deployed(&self) -> Result<DeployedAgents<'_>, LearnError> {
+        if self.config.affordances.mask != Mask::Learned {
+            let reason =
+                "only agents that have learned what they can reach are deployed: those of `hal`";
+            return Err(LearnError::Config(reason.to_owned()));
+        }
+        let actors = self.actors(|learner| &learner.average);
+        let agents = deployed::deployed(actors, &self.shown, &self.signs, self.seed);
+        agents.ok_or_else(|| {
+            let reason = "the environment does not say how its milestones show in what is observed";
+            LearnError::Config(reason.to_owned())
+        })
     }
 
     fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {

@@ -6,6 +6,7 @@
 mod affordances;
 mod config;
 mod controller;
+mod deployed;
 mod filter;
 mod keys;
 mod learner;

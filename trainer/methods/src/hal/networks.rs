@@ -1,5 +1,6 @@
 //! The networks: two hidden layers over sparse inputs, and a head.
 
+use sortie_learn::export::DenseLayer;
 use sortie_nn::layers::SparseRows;
 use sortie_nn::layers::linear::LinearShape;
 use sortie_nn::random::Generator;
@@ -50,6 +51,21 @@ impl Network {
     /// What the head makes of it, `[rows, outputs]`.
     pub(super) fn head(&self, pass: &mut Pass<'_>, hidden: Var) -> Var {
         pass.linear(hidden, self.layers[2])
+    }
+
+    /// The layers by these weights, as they are deployed.
+    pub(super) fn dense(&self, weights: &[f32]) -> [DenseLayer; 3] {
+        self.layers.map(|layer| {
+            let LinearShape { input, output } = layer.shape;
+            let part = |start: usize, length: usize| weights[start..start + length].to_vec();
+            let weight = part(layer.weight, input * output);
+            let bias = part(layer.bias.expect("every layer has one"), output);
+            // The first layer sums up rows of columns that differ from zero; it stands turned.
+            let is_turned = layer == self.layers[0];
+            let own = |output_: usize| weight.iter().skip(output_).step_by(output).copied();
+            let weight = if is_turned { (0..output).flat_map(own).collect() } else { weight };
+            DenseLayer { inputs: input, weight, bias }
+        })
     }
 
     /// Numbers of the head.
@@ -121,6 +137,20 @@ impl Space {
             let hidden = network.hidden(&mut pass, &self.rows);
             self.hidden.extend_from_slice(pass.values(hidden));
         }
+        &self.hidden
+    }
+
+    /// The same for rows of columns.
+    pub(super) fn hidden_of(
+        &mut self,
+        network: &Network,
+        weights: &[f32],
+        rows: &SparseRows,
+    ) -> &[f32] {
+        let mut pass = self.tape.begin(weights);
+        let hidden = network.hidden(&mut pass, rows);
+        self.hidden.clear();
+        self.hidden.extend_from_slice(pass.values(hidden));
         &self.hidden
     }
 }

@@ -1,6 +1,7 @@
 //! Options at work: which milestone to go for, and how.
 
 use serde::{Deserialize, Serialize};
+use sortie_core::options::view_of;
 use sortie_envs::random::{below, chance, unit};
 use sortie_envs::{EntitySet, Environment, Observation, Random};
 use sortie_learn::{Scene, Scenes};
@@ -21,7 +22,7 @@ pub(super) struct Running {
     /// Whether it is over; who only acts sees that by the milestone or the steps.
     pub(super) is_over: bool,
     /// What was seen in the option, by a hash; kept where play is varied.
-    views: Vec<u64>,
+    views: Vec<u32>,
     /// Goals that were missed since the last milestone, kept likewise.
     missed: Vec<u8>,
 }
@@ -29,7 +30,7 @@ pub(super) struct Running {
 impl Running {
     /// How often a view was met in the option before.
     fn meets(&mut self, shown: &[u8]) -> usize {
-        let view = hash(shown);
+        let view = view_of(shown);
         let before = self.views.iter().filter(|other| **other == view).count();
         self.views.push(view);
         before
@@ -43,12 +44,6 @@ impl Running {
         let least = open().map(missed).min();
         open().filter(|goal| Some(missed(*goal)) == least).fold(0, |set, goal| set | 1 << goal)
     }
-}
-
-/// 64 bits of some bytes (Fowler, Noll and Vo).
-fn hash(bytes: &[u8]) -> u64 {
-    let mix = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01B3);
-    bytes.iter().fold(0xCBF2_9CE4_8422_2325, mix)
 }
 
 /// Networks and weights that act.

@@ -1,117 +1,46 @@
 //! What the networks are shown of a state: cells around the middle, the nearest of every channel, what is carried.
 
+use sortie_core::options::{self, PictureShape};
 use sortie_envs::{Spec, View};
 use sortie_nn::layers::SparseRows;
 
-/// Numbers from which on a count lights the next column.
-const LEVELS: [u16; 6] = [1, 2, 3, 4, 6, 8];
-
-/// How a row of an observation, a picture and counts, becomes bytes that can be kept and columns of a network.
+/// How a row of an observation, a picture and counts, becomes bytes that can be kept and columns of a network: as where
+/// agents are deployed.
 #[derive(Clone, Debug)]
-pub(super) struct Shown {
-    channels: usize,
-    size: usize,
-    counts: usize,
-    crop: usize,
-    nearest: bool,
-    /// Cells of the picture, nearest to the middle first.
-    by_distance: Vec<usize>,
-    /// The place of each cell among them.
-    rank: Vec<u8>,
-}
+pub(super) struct Shown(options::Shown);
 
 impl Shown {
     /// None of an environment that shows no picture, one that has too many channels, or no middle.
     pub(super) fn new(spec: &Spec, crop: usize, nearest: bool) -> Option<Self> {
         let View::Pictures([channels, size, columns]) = spec.view else { return None };
-        let fits = size == columns && size % 2 == 1 && channels <= 16 && size <= 15;
-        let fits = fits && crop <= size && crop % 2 == 1;
-        let counts = spec.shape.features.checked_sub(size * size * channels).filter(|_| fits)?;
-        let mut by_distance: Vec<usize> = (0..size * size).collect();
-        by_distance.sort_by_key(|cell| {
-            let ahead = (size / 2) as i32 - (cell / size) as i32;
-            let across = (cell % size) as i32 - (size / 2) as i32;
-            // Of equals what lies straight ahead, then ahead, then beside, then behind.
-            let side = if ahead > 0 { i32::from(across != 0) } else { 2 + i32::from(ahead < 0) };
-            (ahead.abs() + across.abs(), side, *cell)
-        });
-        let mut rank = vec![0; size * size];
-        by_distance.iter().enumerate().for_each(|(place, cell)| rank[*cell] = place as u8);
-        Some(Self { channels, size, counts, crop, nearest, by_distance, rank })
+        let counts = spec.shape.features.checked_sub(size * size * channels)?;
+        let shape = PictureShape { channels, size, counts, crop, nearest };
+        if size == columns { options::Shown::new(shape).map(Self) } else { None }
+    }
+
+    /// The picture.
+    pub(super) fn shape(&self) -> PictureShape {
+        *self.0.shape()
     }
 
     /// Bytes of a state.
     pub(super) fn bytes(&self) -> usize {
-        2 * self.crop * self.crop + self.nearest_channels() + self.counts
+        self.0.bytes()
     }
 
     /// Columns of the networks.
     pub(super) fn columns(&self) -> usize {
-        self.crop * self.crop * self.channels
-            + self.nearest_channels() * self.size * self.size
-            + self.counts * LEVELS.len()
-    }
-
-    fn nearest_channels(&self) -> usize {
-        if self.nearest { self.channels } else { 0 }
+        self.0.columns()
     }
 
     /// Writes the bytes of the only row of an observation.
     pub(super) fn write(&self, rows: &SparseRows, bytes: &mut [u8]) {
-        let cells = self.size * self.size;
-        let border = (self.size - self.crop) / 2;
-        let inside = border..border + self.crop;
-        let (crop, rest) = bytes.split_at_mut(2 * self.crop * self.crop);
-        let (nearest, counts) = rest.split_at_mut(self.nearest_channels());
-        crop.fill(0);
-        nearest.fill(u8::MAX);
-        counts.fill(0);
-        for (column, value) in rows.row(0) {
-            let (cell, channel) = (column / self.channels, column % self.channels);
-            if cell >= cells {
-                let count = value as u16;
-                counts[column - cells * self.channels] =
-                    LEVELS.iter().filter(|level| count >= **level).count() as u8;
-                continue;
-            }
-            if self.nearest {
-                nearest[channel] = nearest[channel].min(self.rank[cell]);
-            }
-            let (y, x) = (cell / self.size, cell % self.size);
-            if inside.contains(&y) && inside.contains(&x) {
-                let place = (y - border) * self.crop + x - border;
-                crop[2 * place + channel / 8] |= 1 << (channel % 8);
-            }
-        }
+        self.0.write(rows.row(0), bytes);
     }
 
     /// Adds the row of the networks for the bytes of a state, in a mirror left for right.
     pub(super) fn push(&self, bytes: &[u8], is_mirrored: bool, rows: &mut SparseRows) {
-        let (crop, rest) = bytes.split_at(2 * self.crop * self.crop);
-        let (nearest, counts) = rest.split_at(self.nearest_channels());
-        let mirrored = |cell: usize, size: usize| {
-            if is_mirrored { cell / size * size + size - 1 - cell % size } else { cell }
-        };
-        for (cell, bits) in crop.chunks_exact(2).enumerate() {
-            let mut bits = u16::from_le_bytes([bits[0], bits[1]]);
-            let first = mirrored(cell, self.crop) * self.channels;
-            while bits != 0 {
-                rows.push(first + bits.trailing_zeros() as usize, 1.0);
-                bits &= bits - 1;
-            }
-        }
-        let first = self.crop * self.crop * self.channels;
-        let cells = self.size * self.size;
-        for (channel, rank) in nearest.iter().enumerate() {
-            if let Some(cell) = self.by_distance.get(usize::from(*rank)) {
-                rows.push(first + channel * cells + mirrored(*cell, self.size), 1.0);
-            }
-        }
-        let first = first + nearest.len() * cells;
-        for (item, level) in counts.iter().enumerate() {
-            (0..usize::from(*level))
-                .for_each(|level| rows.push(first + item * LEVELS.len() + level, 1.0));
-        }
+        self.0.light(bytes, is_mirrored, |column| rows.push(column, 1.0));
         rows.end_row();
     }
 }

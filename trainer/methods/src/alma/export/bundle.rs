@@ -180,5 +180,5 @@ fn golden(
         Recorder::new(NetworkPolicy::new(&run.network), environment.spec().shape.features);
     let mut team = PolicyTeam::new(&mut recorder as &mut dyn Policy);
     evaluate(&plan, &mut team, &mut Allocation::Coordinated.allocator())?;
-    Ok(Golden { cases: recorder.cases, allocations })
+    Ok(Golden { cases: recorder.cases, allocations, ..Golden::default() })
 }

@@ -1,0 +1,159 @@
+//! The agent as it is deployed: three networks, what it is shown, and the rules of its options.
+
+use sortie_bundle::{Affords, MilestoneSign, OptionsContract, PictureContract};
+use sortie_core::DecideError;
+use sortie_core::options::{OptionNetworks, OptionPolicy};
+use sortie_envs::Sign;
+use sortie_learn::export::{DenseLayer, DeployedAgents, DeployedNetworks, OptionGraphs};
+use sortie_nn::layers::SparseRows;
+use sortie_nn::layers::elementwise::{Activation, activate};
+
+use super::networks::{Network, Space};
+use super::options::Actors;
+use super::shown::Shown;
+
+/// The agent that these networks are, by a seed for what it draws.
+pub(super) fn deployed<'a>(
+    actors: Actors<'a>,
+    shown: &Shown,
+    signs: &[(String, Sign)],
+    seed: u64,
+) -> Option<DeployedAgents<'a>> {
+    let options = contract(actors, shown, signs, seed)?;
+    let rules = options.rules(actors.heads.actions).ok()?;
+    let row = vec![0.0; shown.columns()];
+    let policy = OptionPolicy::new(rules, OwnNetworks::new(actors), row)?;
+    let networks = graphs(actors);
+    Some(DeployedAgents {
+        networks: DeployedNetworks::Options { options, graphs: networks },
+        policy: Box::new(policy),
+    })
+}
+
+fn contract(
+    actors: Actors<'_>,
+    shown: &Shown,
+    signs: &[(String, Sign)],
+    seed: u64,
+) -> Option<OptionsContract> {
+    let shape = shown.shape();
+    let first = shape.features() - shape.counts;
+    let [reached, known] = actors.known;
+    let milestone = |(place, (name, sign)): (usize, &(String, Sign))| {
+        let affordance = match (reached >> place & 1, known >> place & 1) {
+            (0, _) => Affords::Never,
+            (_, 0) => Affords::Always,
+            _ => Affords::Learned,
+        };
+        let carried = (sign.feature.checked_sub(first)?) as u16;
+        Some(MilestoneSign { name: name.clone(), carried, change: sign.change, affordance })
+    };
+    let milestones = signs.iter().enumerate().map(milestone);
+    let milestones: Vec<_> = milestones.collect::<Option<_>>()?;
+    let measured = actors.config.measured;
+    (milestones.len() == actors.heads.goals).then_some(OptionsContract {
+        steps: actors.config.returns.option_steps,
+        threshold: actors.config.affordances.threshold,
+        action_chance: measured.actions,
+        goal_chance: measured.goals,
+        varied: measured.varied,
+        // What TOML holds.
+        seed: seed >> 1,
+        picture: PictureContract {
+            channels: shape.channels as u16,
+            size: shape.size as u16,
+            counts: shape.counts as u16,
+            crop: shape.crop as u16,
+            nearest: shape.nearest,
+        },
+        milestones,
+    })
+}
+
+fn graphs(actors: Actors<'_>) -> OptionGraphs {
+    let layers = |(network, weights): (&Network, &[f32])| network.dense(weights);
+    let mut controller = layers(actors.controller);
+    let [.., head] = &mut controller;
+    let (goals, actions) = (actors.heads.goals, actors.heads.actions);
+    let heads = (0..goals).map(|goal| head_of(head, goals, actions, goal)).collect();
+    let [first, second, _] = controller;
+    OptionGraphs {
+        controller: [first, second],
+        heads,
+        meta: layers(actors.meta),
+        affordance: layers(actors.classifier),
+    }
+}
+
+/// The values of all actions for a goal as one layer: value and advantages, less their mean.
+fn head_of(head: &DenseLayer, goals: usize, actions: usize, goal: usize) -> DenseLayer {
+    let row = |output: usize| {
+        let weights = &head.weight[output * head.inputs..][..head.inputs];
+        weights.iter().chain(&head.bias[output..=output]).map(|number| f64::from(*number))
+    };
+    let advantages = (0..actions).map(|action| row(goals + goal * actions + action));
+    let mut mean = vec![0.0; head.inputs + 1];
+    for advantage in advantages.clone() {
+        mean.iter_mut().zip(advantage).for_each(|(sum, number)| *sum += number / actions as f64);
+    }
+    let mut layer = DenseLayer { inputs: head.inputs, weight: Vec::new(), bias: Vec::new() };
+    for advantage in advantages {
+        let numbers = advantage.zip(row(goal)).zip(&mean);
+        let mut numbers: Vec<f32> =
+            numbers.map(|((advantage, value), mean)| (value + advantage - mean) as f32).collect();
+        layer.bias.extend(numbers.pop());
+        layer.weight.extend(numbers);
+    }
+    layer
+}
+
+/// The trainer's own passes: what golden answers expect of every engine.
+struct OwnNetworks<'a> {
+    actors: Actors<'a>,
+    space: Space,
+    values: Vec<f32>,
+}
+
+impl<'a> OwnNetworks<'a> {
+    fn new(actors: Actors<'a>) -> Self {
+        Self { actors, space: Space::default(), values: Vec::new() }
+    }
+
+    /// The second hidden layer for what is shown.
+    fn hidden(&mut self, (network, weights): (&Network, &[f32]), shown: &[f32]) -> Vec<f32> {
+        let mut rows = SparseRows::default();
+        rows.push_dense(shown);
+        self.space.hidden_of(network, weights, &rows).to_vec()
+    }
+}
+
+impl OptionNetworks for OwnNetworks<'_> {
+    fn actions(
+        &mut self,
+        shown: &[f32],
+        goal: usize,
+        values: &mut [f32],
+    ) -> Result<(), DecideError> {
+        let (network, weights) = self.actors.controller;
+        let hidden = self.hidden((network, weights), shown);
+        self.actors.heads.values(network, weights, &hidden, goal, &mut self.values);
+        values.copy_from_slice(&self.values);
+        Ok(())
+    }
+
+    fn goals(&mut self, shown: &[f32], values: &mut [f32]) -> Result<(), DecideError> {
+        let (network, weights) = self.actors.meta;
+        let hidden = self.hidden((network, weights), shown);
+        network.read(weights, &hidden, 0..values.len(), values);
+        Ok(())
+    }
+
+    fn affordances(&mut self, shown: &[f32], likelihoods: &mut [f32]) -> Result<(), DecideError> {
+        let (network, weights) = self.actors.classifier;
+        let hidden = self.hidden((network, weights), shown);
+        let mut logits = vec![0.0; likelihoods.len()];
+        network.read(weights, &hidden, 0..logits.len(), &mut logits);
+        activate(Activation::Sigmoid, &logits, likelihoods);
+        Ok(())
+    }
+}
