@@ -5,7 +5,8 @@ use sortie_bundle::{AgentGraph, Bundle};
 use sortie_core::plan::{AlignedBytes, PlanError, Profile};
 use sortie_core::{Policy, Remembering, limits};
 use sortie_plans::{
-    AgentPlans, CompileError, Ending, GraphEngine, TeamPolicy, TeamSizes, policy_by_agent, roles_of,
+    AgentPlans, CompileError, Ending, GraphEngine, PolicyOptions, TeamPolicy, TeamSizes,
+    options_over_graphs, policy_by_agent, roles_of,
 };
 
 use crate::compiler::{compiler, plans};
@@ -132,6 +133,17 @@ pub(crate) fn graph_policy(
     engine: &dyn GraphEngine,
 ) -> Result<Box<dyn Policy>, CompileError> {
     let (onnx, contract) = (bundle.agent_onnx(), bundle.contract());
+    if let Some(options) = bundle.options() {
+        let roles = PolicyOptions::default();
+        let graph = |graph: &AgentGraph| {
+            let onnx = bundle.graph_onnx(graph);
+            compiler().rehearse_policy(onnx, &roles)?;
+            engine.flat_policy(onnx, &roles)
+        };
+        let [controller, meta, affordance] = bundle.option_graphs();
+        let graphs = [graph(&controller)?, graph(&meta)?, graph(&affordance)?];
+        return options_over_graphs(bundle, options, graphs);
+    }
     if let Some(roles) = roles_of(bundle)? {
         let policy = |graph: &AgentGraph| -> Result<Box<dyn Policy>, CompileError> {
             let onnx = bundle.graph_onnx(graph);

@@ -14,8 +14,9 @@ use sortie_plans::{
     AgentPlans, Annex, BundlePlans, Comparison, CompileError, CompileOptions, Compiler,
     CompilerProcess, GraphEngine, ObservationSizes, OnnxRuntimeEngine, PolicyOptions,
     ProposalFiles, Standard, TeamQuerySizes, agreement, compare_agents, compare_with_golden,
-    compare_with_golden_allocations, inspect_plan, observation_families, random_allocation_states,
-    random_entities, read_onnx, team_query_families,
+    compare_with_golden_allocations, compare_with_golden_episodes, inspect_plan,
+    observation_families, random_allocation_states, random_entities, read_onnx,
+    team_query_families,
 };
 
 use crate::allocator::LearnedAllocator;
@@ -331,7 +332,7 @@ fn judged_agents(
 ) -> Result<Vec<Compared>, Failure> {
     let within = within(bundle.folder());
     let plans = unproved().agents(bundle, profile).map_err(&within)?;
-    if bundle.manifest().network.agent == POLICY {
+    if bundle.manifest().network.agent == POLICY || bundle.options().is_some() {
         return judged_policies(arguments, bundle, &plans, judges).map_err(within);
     }
     let (onnx, n_max) = (bundle.agent_onnx(), bundle.manifest().limits.n_max.into());
@@ -440,6 +441,10 @@ fn against_golden(
     for (engine, policy) in &mut policies {
         let name = format!("{engine} against golden");
         found.push(compare_with_golden(&name, policy.policy()?.as_mut(), &golden.cases));
+        if bundle.options().is_some() {
+            let name = format!("{engine} in golden episodes");
+            found.push(compare_with_golden_episodes(&name, policy.policy()?.as_mut(), bundle));
+        }
     }
     for (engine, allocator) in &mut allocators {
         let (name, network) =

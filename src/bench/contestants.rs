@@ -102,7 +102,7 @@ impl OnnxRuntimePeer {
         let features = bundle.contract().features.into();
         let onnx = bundle.agent_onnx();
         let alone = graph_policy(bundle, runtime)?;
-        if bundle.manifest().network.agent == POLICY {
+        if takes_fixed_sizes(bundle) {
             return Ok(Self { runtime, alone, quantised: None, team: None });
         }
         let quantised = quantise_or_note(python, onnx)
@@ -112,11 +112,16 @@ impl OnnxRuntimePeer {
     }
 }
 
+/// Whether its networks take inputs of fixed sizes.
+fn takes_fixed_sizes(bundle: &Bundle) -> bool {
+    bundle.manifest().network.agent == POLICY || bundle.options().is_some()
+}
+
 /// The bundle's networks for more entities than they may have been exported for; what takes inputs of fixed sizes is
 /// as it is.
 fn plans_for_large_teams(bundle: &Bundle, profile: Profile) -> Result<AgentPlans, Failure> {
     let failed = |error: CompileError| Failure::from(error).within(bundle.folder().display());
-    if bundle.manifest().network.agent == POLICY {
+    if takes_fixed_sizes(bundle) {
         return plans().agents(bundle, profile).map_err(failed);
     }
     let own = ScenarioSetName::parse_with_subtasks(&bundle.manifest().contract.environment.name)?;

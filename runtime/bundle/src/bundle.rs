@@ -144,13 +144,18 @@ impl Bundle {
     /// The graphs that agents decide by: one for all, or several.
     pub fn agent_graphs(&self) -> Vec<AgentGraph> {
         let graphs = &self.manifest.network.graphs;
-        if self.manifest.network.options.is_some() {
-            AgentGraph::of_options(self.contract()).into()
+        if self.options().is_some() {
+            self.option_graphs().into()
         } else if graphs.is_empty() {
             vec![AgentGraph::of_all(self.contract())]
         } else {
             graphs.clone()
         }
+    }
+
+    /// Controller, meta-controller and affordances of an agent that goes from milestone to milestone.
+    pub fn option_graphs(&self) -> [AgentGraph; 3] {
+        AgentGraph::of_options(self.contract())
     }
 
     /// The network of one of them.

@@ -8,7 +8,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use sortie_envs::Split;
-use sortie_learn::play;
+use sortie_learn::play::{self, PolicyTeam};
 use sortie_learn::run::{Observer, Progress};
 use sortie_learn::session::{Opening, Setup, load_weights};
 use sortie_methods::find;
@@ -99,6 +99,36 @@ fn a_short_run_reaches_more_milestones_than_none_and_is_read_back_as_it_was() {
     load_weights(folder.path(), &mut *method).unwrap();
     let again = play::evaluate(&*world, &mut *method.team(), 100, 1).unwrap();
     assert_eq!(again, learned);
+}
+
+#[test]
+fn the_deployed_agent_acts_as_the_measured_one_over_whole_episodes() {
+    let more = [
+        "environment.instances=64",
+        "environment.settings.limit=300",
+        "replay.batch=128",
+        "run.steps=40000",
+        "measured.actions=0",
+        "measured.goals=0",
+    ];
+    let setup = small("hal", &more);
+    let folder = tempfile::tempdir().unwrap();
+    let mut session = begin(setup.clone(), 2, 1, folder.path()).unwrap();
+    session.run(&mut (), &AtomicBool::new(false)).unwrap();
+    let world = environment_of(&setup).unwrap();
+    let measured = play::evaluate(&*world, &mut *session.method().team(), 60, 1).unwrap();
+    let deployed = session.method().deployed().unwrap();
+    let mut team = PolicyTeam::new(deployed.policy);
+    let found = play::evaluate(&*world, &mut team, 60, 1).unwrap();
+    assert!(measured.metrics["milestones"] > 1.0, "{measured:?}");
+    assert_eq!(found, measured);
+
+    for method in ["hal-oracle", "h-dqn"] {
+        let opening =
+            Opening { setup: &small(method, &[]), environment: &*world, seed: 1, threads: 1 };
+        let refused = find(method).unwrap().method(&opening).unwrap().deployed().err().unwrap();
+        assert!(refused.to_string().contains("those of `hal`"), "{refused}");
+    }
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use sortie_envs::crafting::Crafting;
 use sortie_envs::milestones::{Game, MilestoneSet, Milestones, Rules, World};
-use sortie_envs::random::generator;
+use sortie_envs::random::{below, generator};
 use sortie_envs::{EntitySet, Environment, Observation, Split};
 
 use super::open;
@@ -124,4 +124,47 @@ fn columns_have_the_names_of_what_they_show() {
     assert_eq!(at("ahead1.left0.tree"), (4 * 11 + 5) * 9 + 2);
     assert_eq!(at("behind5.right5.furnace"), 121 * 9 - 1);
     assert_eq!(at("items.diamond"), 121 * 9 + 11);
+}
+
+#[test]
+fn milestones_show_in_what_is_carried() {
+    for (name, least) in [("crafting/diamond", 500), ("treasure-rooms", 100)] {
+        let mut world = open(name, Split::Train, &[]).unwrap();
+        let (signs, actions) = (world.spec().signs.clone(), world.spec().shape.actions);
+        assert_eq!(signs.len(), world.spec().milestones.len());
+        let row = |world: &dyn Environment| {
+            let (mut state, mut seen) = (Vec::new(), Observation::default());
+            world.save(0, &mut state);
+            world.observe(&state, 0, EntitySet::MAX, &mut seen);
+            let mut row = vec![0.0; world.spec().shape.features];
+            seen.rows.write_dense(0, &mut row);
+            row
+        };
+        let mut reached = 0;
+        for seed in 0..8 {
+            let mut random = generator(seed);
+            world.reset(0, &mut random);
+            let mut before = row(&*world);
+            for _ in 0..3_000 {
+                let action = below(&mut random, actions) as u16;
+                let done = world.step(0, &[action], &mut random).unwrap().done();
+                let now = row(&*world);
+                let change = |feature: usize| now[feature] - before[feature];
+                let shown = |rises: bool| {
+                    signs.iter().position(|sign| {
+                        let (found, wanted) = (change(sign.feature), f32::from(sign.change));
+                        (wanted > 0.0) == rises
+                            && if rises { found >= wanted } else { found <= wanted }
+                    })
+                };
+                assert_eq!(shown(true).or_else(|| shown(false)), world.milestone(0), "{name}");
+                reached += usize::from(world.milestone(0).is_some());
+                before = now;
+                if done {
+                    break;
+                }
+            }
+        }
+        assert!(reached > least, "{name}: {reached}");
+    }
 }
