@@ -5,8 +5,8 @@ use sortie_bundle::{AgentGraph, Bundle};
 use sortie_core::plan::{AlignedBytes, PlanError, Profile};
 use sortie_core::{Policy, Remembering, limits};
 use sortie_plans::{
-    AgentPlans, CompileError, Ending, GraphEngine, PolicyOptions, TeamPolicy, TeamSizes,
-    options_over_graphs, policy_by_agent, roles_of,
+    AgentPlans, CompileError, Ending, FlatPolicy, GraphEngine, PolicyOptions, TeamPolicy,
+    TeamSizes, options_over_graphs, policy_by_agent, roles_of,
 };
 
 use crate::compiler::{compiler, plans};
@@ -134,15 +134,7 @@ pub(crate) fn graph_policy(
 ) -> Result<Box<dyn Policy>, CompileError> {
     let (onnx, contract) = (bundle.agent_onnx(), bundle.contract());
     if let Some(options) = bundle.options() {
-        let roles = PolicyOptions::default();
-        let graph = |graph: &AgentGraph| {
-            let onnx = bundle.graph_onnx(graph);
-            compiler().rehearse_policy(onnx, &roles)?;
-            engine.flat_policy(onnx, &roles)
-        };
-        let [controller, meta, affordance] = bundle.option_graphs();
-        let graphs = [graph(&controller)?, graph(&meta)?, graph(&affordance)?];
-        return options_over_graphs(bundle, options, graphs);
+        return options_over_graphs(bundle, options, option_graphs(bundle, engine)?);
     }
     if let Some(roles) = roles_of(bundle)? {
         let policy = |graph: &AgentGraph| -> Result<Box<dyn Policy>, CompileError> {
@@ -158,6 +150,21 @@ pub(crate) fn graph_policy(
     let features = contract.features.into();
     compiler().rehearse(onnx, bundle.manifest().limits.n_max.into(), Some(features))?;
     engine.policy(onnx, features)
+}
+
+/// Controller, meta-controller and affordances in an engine, once another process has read and run them.
+pub(crate) fn option_graphs(
+    bundle: &Bundle,
+    engine: &dyn GraphEngine,
+) -> Result<[Box<dyn FlatPolicy>; 3], CompileError> {
+    let roles = PolicyOptions::default();
+    let graph = |graph: &AgentGraph| {
+        let onnx = bundle.graph_onnx(graph);
+        compiler().rehearse_policy(onnx, &roles)?;
+        engine.flat_policy(onnx, &roles)
+    };
+    let [controller, meta, affordance] = bundle.option_graphs();
+    Ok([graph(&controller)?, graph(&meta)?, graph(&affordance)?])
 }
 
 impl Engine {

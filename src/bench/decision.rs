@@ -10,7 +10,7 @@ use super::cases::{Case, all_visible, few_visible, recorded};
 use super::contestants::Contestants;
 use super::rounds::{Pace, alternate, engine, our_engine};
 use super::schedule::Schedule;
-use super::{FLOOR, Figures, Measuring, TRACT_VERSION, pin, scenes, team};
+use super::{FLOOR, Figures, Measuring, TRACT_VERSION, option_networks, pin, scenes, team};
 use crate::deployment::open_bundle;
 use crate::environment::ScenarioSetName;
 use crate::failure::{Failure, Outcome};
@@ -21,7 +21,8 @@ use crate::onnxruntime::OnnxRuntimeArguments;
 ///
 /// Decides on observations of episodes that the bundle plays, or that were recorded: alone with everything
 /// visible, with four entities and with the recorded masks, and as a team of five and of eight in one call
-/// against one batched call of onnxruntime. The floor only reads the exact plan's weights, once.
+/// against one batched call of onnxruntime. An agent that runs options is measured network by network, on its golden
+/// episodes. The floor only reads the exact plan's weights, once.
 #[derive(Debug, Args)]
 pub(super) struct DecisionArguments {
     /// Folders of bundles
@@ -34,7 +35,7 @@ pub(super) struct DecisionArguments {
     #[arg(long, value_enum, value_delimiter = ',', default_values_t = Pace::ALL)]
     pace: Vec<Pace>,
     #[command(flatten)]
-    onnxruntime: OnnxRuntimeArguments,
+    pub(super) onnxruntime: OnnxRuntimeArguments,
     #[command(flatten)]
     pub(super) measuring: Measuring,
 }
@@ -43,6 +44,16 @@ pub(super) fn measure(arguments: &DecisionArguments) -> Result<Figures, Failure>
     let mut figures = Figures::default();
     for folder in &arguments.bundles {
         let bundle = open_bundle(folder)?;
+        if let Some(options) = bundle.options() {
+            option_networks::measure(
+                arguments,
+                &bundle,
+                options,
+                &schedule(arguments),
+                &mut figures,
+            )?;
+            continue;
+        }
         let mut contestants = Contestants::open(&bundle, &arguments.onnxruntime)?;
         let recordings = recordings(arguments, &bundle, contestants.first()?.as_mut())?;
         pin(arguments.measuring.pin)?;

@@ -7,6 +7,7 @@ mod decision;
 mod environment;
 pub(crate) mod faults;
 mod floor;
+mod option_networks;
 mod policies;
 mod proposals;
 mod quantised;

@@ -63,7 +63,7 @@ pub use observations::{
     random_team_queries_of,
 };
 pub use onnx_file::read_onnx;
-pub use options::{compare_with_golden_episodes, options_over_graphs};
+pub use options::{GraphNetworks, compare_with_golden_episodes, options_over_graphs};
 pub use policy::{
     FlatPolicy, InputRole, OutputRole, PolicyAnswer, PolicyFacts, PolicyInput, PolicyOptions,
     PolicyOutput, PolicyState, ValueType, roles_of,

@@ -54,14 +54,14 @@ pub fn options_over_graphs(
     let unfit = |reason: String| CompileError::NoAgent { reason };
     let rules = options.rules(bundle.contract().actions.into()).map_err(unfit)?;
     let columns = Shown::new(rules.picture).map_or(0, |shown| shown.columns());
-    let policy = OptionPolicy::new(rules, Graphs(graphs), vec![0.0; columns]);
+    let policy = OptionPolicy::new(rules, GraphNetworks(graphs), vec![0.0; columns]);
     Ok(Box::new(policy.ok_or_else(|| unfit("its picture cannot be shown".to_owned()))?))
 }
 
 /// Controller, meta-controller and affordances in an engine.
-struct Graphs([Box<dyn FlatPolicy>; 3]);
+pub struct GraphNetworks(pub [Box<dyn FlatPolicy>; 3]);
 
-impl Graphs {
+impl GraphNetworks {
     fn run(&mut self, which: usize, given: &[&[f32]], to: &mut [f32]) -> Result<(), DecideError> {
         let graph = self.0.get_mut(which).ok_or(DecideError::BadLength)?;
         let answers = graph.run(given, &mut []).map_err(|_| DecideError::NonFinite)?;
@@ -72,7 +72,7 @@ impl Graphs {
     }
 }
 
-impl OptionNetworks for Graphs {
+impl OptionNetworks for GraphNetworks {
     fn actions(
         &mut self,
         shown: &[f32],
