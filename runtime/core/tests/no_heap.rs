@@ -9,6 +9,9 @@ use sortie_core::allocate::{
     CostAllocator, CostMethod, CostModel, LastAllocation, PlanTeamValue, ProposalAllocator,
     SearchMemory, TaskRelation, TeamValueAllocator, exact,
 };
+use sortie_core::options::{
+    Affordance, Milestone, OptionPolicy, OptionRules, PictureShape, PlanNetworks, Pursuit,
+};
 use sortie_core::plan::{Aligned, Given, Plan, arena_bytes};
 use sortie_core::{
     AllocateError, AllocationState, Allocator, EntityMask, NO_ACTION, Observation, PlanPolicy,
@@ -22,6 +25,10 @@ const TEAM_VALUE: &[u8] = include_plan!("../../../tests/golden/plans/team-value-
 
 const POLICY: &[u8] = include_plan!("../../../tests/golden/plans/policy-2.0.plan");
 const PROPOSALS: &[u8] = include_plan!("../../../tests/golden/plans/proposals-2.0.plan");
+
+const CONTROLLER: &[u8] = include_plan!("../../../models/crafting-iron/agent-controller.plan");
+const META: &[u8] = include_plan!("../../../models/crafting-iron/agent-meta.plan");
+const AFFORDANCE: &[u8] = include_plan!("../../../models/crafting-iron/agent-affordance.plan");
 
 /// The system's allocator, counting the calls of each thread.
 struct Counting;
@@ -201,6 +208,50 @@ fn policies_never_touch_the_heap() {
         }
     });
     assert_eq!((calls, made), (0, count));
+}
+
+/// The milestones of iron, by what is carried.
+fn rules() -> Option<OptionRules> {
+    let picture = PictureShape { channels: 9, size: 11, counts: 12, crop: 5, nearest: true };
+    let signs =
+        [(0, 1), (2, 4), (3, 4), (2, -4), (5, 1), (4, 1), (4, -4), (6, 1), (8, 1), (10, 1), (9, 1)];
+    let affordance = Affordance::Learned;
+    let milestones = signs.map(|(carried, change)| Milestone { carried, change, affordance });
+    let mut rules = OptionRules::new(picture, 11, 51, &milestones)?;
+    (rules.action_chance, rules.goal_chance, rules.seed) = (0.05, 0.05, 3);
+    Some(rules)
+}
+
+#[test]
+fn options_never_touch_the_heap() {
+    let mut arena = Aligned([0; arena_bytes(CONTROLLER)]);
+    assert!(arena_bytes(META).max(arena_bytes(AFFORDANCE)) <= arena.0.len());
+    let (mut shown, mut memory) = ([0.0; 1386], [0.0; 78]);
+    let mut row = [0.0; 1101];
+    let count = decisions() / 100;
+    let (mut made, mut began) = (0, 0);
+    let calls = heap_calls(|| {
+        let plans = [CONTROLLER, META, AFFORDANCE].map(|plan| Plan::load(plan).expect("a plan"));
+        let networks = PlanNetworks::new(plans, &mut arena.0).expect("an arena that fits");
+        let rules = rules().expect("sound rules");
+        let mut policy = OptionPolicy::new(rules, networks, &mut shown[..]).expect("a row");
+        for number in 0..count {
+            row[number * 7 % 1101] = (number % 2) as f32;
+            row[1089] = (number / 40) as f32;
+            let seen = Observation {
+                rows: &row,
+                stride: 1101,
+                last_actions: &[],
+                visible: EntityMask::first(1),
+                self_index: 0,
+                available: &[1; 11],
+            };
+            made += usize::from(policy.decide_with(&seen, &mut memory).is_ok());
+            began += usize::from(Pursuit::of(&memory).is_some_and(|pursuit| pursuit.steps == 1));
+        }
+    });
+    assert_eq!((calls, made), (0, count));
+    assert!(began > count / 51, "{began}");
 }
 
 #[test]

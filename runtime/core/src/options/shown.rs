@@ -107,7 +107,7 @@ impl Shown {
             if let (Some(least), Some(rank)) = (nearest.get_mut(channel), self.rank.get(cell)) {
                 *least = (*least).min(*rank);
             }
-            let (y, x) = (cell / size, cell % size);
+            let (y, x) = (cell / size.max(1), cell % size.max(1));
             if inside.contains(&y) && inside.contains(&x) {
                 let place = 2 * ((y - border) * crop + x - border) + channel / 8;
                 around.get_mut(place).into_iter().for_each(|bits| *bits |= 1 << (channel % 8));

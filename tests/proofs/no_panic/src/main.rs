@@ -15,6 +15,9 @@ use sortie_core::allocate::{
     CostAllocator, CostMethod, CostModel, LastAllocation, PlanTeamValue, ProposalAllocator,
     SearchMemory, TaskRelation, TeamValueAllocator, exact,
 };
+use sortie_core::options::{
+    Affordance, Milestone, OptionPolicy, OptionRules, PictureShape, PlanNetworks, Pursuit,
+};
 use sortie_core::plan::{Aligned, Given, Plan, arena_bytes};
 use sortie_core::wire::{AllocMsg, FrameFormat, FrameHeader, FrameLayout, FrameMut, FrameView};
 use sortie_core::{
@@ -28,6 +31,9 @@ const INT8: &[u8] = include_plan!("../../../golden/plans/agent-int8-2.0.plan");
 const TEAM_VALUE: &[u8] = include_plan!("../../../golden/plans/team-value-2.0.plan");
 
 const POLICY: &[u8] = include_plan!("../../../golden/plans/policy-2.0.plan");
+const CONTROLLER: &[u8] = include_plan!("../../../../models/crafting-iron/agent-controller.plan");
+const META: &[u8] = include_plan!("../../../../models/crafting-iron/agent-meta.plan");
+const AFFORDANCE: &[u8] = include_plan!("../../../../models/crafting-iron/agent-affordance.plan");
 const PROPOSALS: &[u8] = include_plan!("../../../golden/plans/proposals-2.0.plan");
 
 /// Whether all gave what it should.
@@ -43,6 +49,7 @@ fn everything() -> bool {
         && allocate() == Some(true)
         && propose() == Some(true)
         && respond() == Some(true)
+        && run_options() == Some(true)
         && read_messages() == Some(true)
         && links::on_a_chip() == Some(true)
         && links::over_a_line() == Some(true)
@@ -183,6 +190,57 @@ fn places_both(allocator: &mut impl Allocator, state: &AllocationState<'_>) -> b
     let mut allocation = [9; 3];
     let places = black_box(allocation.as_mut_slice());
     allocator.allocate(state, places).is_ok() && matches!(allocation, [0..=1, 0xFF, 0..=1])
+}
+
+/// The milestones of iron, by what is carried.
+fn rules() -> Option<OptionRules> {
+    let picture = PictureShape { channels: 9, size: 11, counts: 12, crop: 5, nearest: true };
+    let signs = [
+        (0, 1),
+        (2, 4),
+        (3, 4),
+        (2, -4),
+        (5, 1),
+        (4, 1),
+        (4, -4),
+        (6, 1),
+        (8, 1),
+        (10, 1),
+        (9, 1),
+    ];
+    let affordance = Affordance::Learned;
+    let milestones = signs.map(|(carried, change)| Milestone { carried, change, affordance });
+    let mut rules = OptionRules::new(picture, 11, 51, black_box(&milestones))?;
+    (rules.action_chance, rules.goal_chance, rules.seed) = (0.05, 0.05, 3);
+    Some(rules)
+}
+
+/// An agent that runs options chooses what to go for, and goes for it.
+fn run_options() -> Option<bool> {
+    let plans = [CONTROLLER, META, AFFORDANCE].map(|plan| Plan::load(black_box(plan)).ok());
+    let [controller, meta, affordance] = plans;
+    let mut arena = Aligned([0; arena_bytes(CONTROLLER)]);
+    let networks = PlanNetworks::new([controller?, meta?, affordance?], black_box(&mut arena.0));
+    let (mut shown, mut memory, mut row) = ([0.0; 1386], [0.0; 78], [0.0; 1101]);
+    let shown = black_box(shown.as_mut_slice());
+    let mut policy = OptionPolicy::new(rules()?, networks.ok()?, shown)?;
+    // A tree in front, three logs.
+    *row.get_mut(4 * 99 + 5 * 9 + 2)? = 1.0;
+    *row.get_mut(1089)? = 3.0;
+    let seen = Observation {
+        rows: black_box(&row),
+        stride: black_box(1101),
+        last_actions: &[],
+        visible: EntityMask::first(1),
+        self_index: black_box(0),
+        available: black_box(&[1; 11]),
+    };
+    let memory = black_box(memory.as_mut_slice());
+    let decision = policy.decide_with(&seen, memory).ok()?;
+    let pursuit = Pursuit::of(memory)?;
+    let mask = policy.mask(&seen).ok()?;
+    let is_afforded = mask >> (pursuit.goal as u32 & 31) & 1 == 1;
+    Some(pursuit.steps == 1 && is_afforded && decision.action < 11)
 }
 
 /// A frame that was written is read, and an allocation of another schema is not.
