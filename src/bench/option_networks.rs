@@ -1,9 +1,9 @@
 //! The networks of an agent that runs options: within an option, and where it chooses anew.
 
 use sortie_bundle::{Bundle, OptionsContract};
-use sortie_core::options::{OptionNetworks, PlanNetworks, SHOWN_BYTES, Shown};
-use sortie_core::plan::{AlignedBytes, Plan, Profile};
-use sortie_plans::{CompileError, GraphNetworks};
+use sortie_core::options::{OptionNetworks, SHOWN_BYTES, Shown};
+use sortie_core::plan::Profile;
+use sortie_plans::{CompileError, GraphNetworks, option_arena, option_networks};
 
 use super::decision::DecisionArguments;
 use super::rounds::{Work, alternate, engine, our_engine};
@@ -74,8 +74,9 @@ pub(super) fn measure(
     let within = |error: CompileError| Failure::from(error).within(bundle.folder().display());
     let seen = Seen::of(bundle, options).map_err(within)?;
     let found = plans().agents(bundle, Profile::Exact).map_err(within)?;
-    let mut arena = AlignedBytes::zeroed(arena_bytes(found.plans()).map_err(within)?);
-    let mut ours = networks(found.plans(), &mut arena).map_err(within)?;
+    let fits = |error| within(CompileError::from(error));
+    let mut arena = option_arena(found.plans()).map_err(fits)?;
+    let mut ours = option_networks(found.plans(), &mut arena).map_err(fits)?;
     let tract = option_graphs(bundle, engines()?.tract()).map_err(within)?;
     let mut tract = GraphNetworks(tract);
     let runtime = arguments.onnxruntime.open_or_note("onnxruntime is not measured")?;
@@ -109,22 +110,6 @@ pub(super) fn measure(
         figures.add("decision", &case, &engines, &measured);
     }
     Ok(())
-}
-
-fn arena_bytes(plans: &[AlignedBytes]) -> Result<usize, CompileError> {
-    let bytes = |plan: &AlignedBytes| Ok(Plan::load(plan.as_slice())?.arena_bytes());
-    let bytes: Vec<usize> = plans.iter().map(bytes).collect::<Result<_, CompileError>>()?;
-    Ok(bytes.into_iter().max().unwrap_or(0))
-}
-
-fn networks<'a>(
-    plans: &'a [AlignedBytes],
-    arena: &'a mut AlignedBytes,
-) -> Result<PlanNetworks<'a>, CompileError> {
-    let plans: Vec<Plan<'_>> =
-        plans.iter().map(|plan| Plan::load(plan.as_slice())).collect::<Result<_, _>>()?;
-    let plans: [Plan<'_>; 3] = plans.try_into().expect("such an agent has three networks");
-    Ok(PlanNetworks::new(plans, arena.as_mut_slice())?)
 }
 
 /// The networks of a tick on what was shown.

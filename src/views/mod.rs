@@ -4,6 +4,7 @@
 
 mod flat;
 mod group_matching;
+mod milestones;
 mod mind;
 mod page;
 mod particle;
@@ -22,7 +23,13 @@ use crate::subject::Subject;
 use crate::worlds::tally::Tally;
 
 /// Every environment that is shown by more than its numbers.
-const VIEWS: &[(&str, &dyn View)] = &[save_the_city::VIEW, group_matching::VIEW, particle::VIEW];
+const VIEWS: &[(&str, &dyn View)] = &[
+    save_the_city::VIEW,
+    group_matching::VIEW,
+    particle::VIEW,
+    milestones::CRAFTING,
+    milestones::TREASURE,
+];
 
 /// What is shown of an environment of this name.
 pub(crate) fn view_of(environment: &str) -> &'static dyn View {

@@ -63,7 +63,9 @@ pub use observations::{
     random_team_queries_of,
 };
 pub use onnx_file::read_onnx;
-pub use options::{GraphNetworks, compare_with_golden_episodes, options_over_graphs};
+pub use options::{
+    GraphNetworks, compare_with_golden_episodes, option_arena, option_networks, options_over_graphs,
+};
 pub use policy::{
     FlatPolicy, InputRole, OutputRole, PolicyAnswer, PolicyFacts, PolicyInput, PolicyOptions,
     PolicyOutput, PolicyState, ValueType, roles_of,

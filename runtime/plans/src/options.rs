@@ -10,6 +10,30 @@ use crate::comparison::{Comparison, cannot_run};
 use crate::error::CompileError;
 use crate::policy::FlatPolicy;
 
+/// The plans of controller, meta-controller and affordances as networks, over [`option_arena`].
+///
+/// # Errors
+/// They are not three, or cannot be loaded.
+pub fn option_networks<'a>(
+    plans: &'a [AlignedBytes],
+    arena: &'a mut AlignedBytes,
+) -> Result<PlanNetworks<'a>, PlanError> {
+    let [controller, meta, affordance] = plans else { return Err(PlanError::WrongNetwork) };
+    let [controller, meta, affordance] =
+        [controller, meta, affordance].map(|plan| Plan::load(plan.as_slice()));
+    PlanNetworks::new([controller?, meta?, affordance?], arena.as_mut_slice())
+}
+
+/// What they write to.
+///
+/// # Errors
+/// A plan cannot be loaded.
+pub fn option_arena(plans: &[AlignedBytes]) -> Result<AlignedBytes, PlanError> {
+    let bytes = |plan: &AlignedBytes| Ok(Plan::load(plan.as_slice())?.arena_bytes());
+    let bytes: Vec<usize> = plans.iter().map(bytes).collect::<Result<_, PlanError>>()?;
+    Ok(AlignedBytes::zeroed(bytes.into_iter().max().unwrap_or(0)))
+}
+
 /// An agent over the plans of controller, meta-controller and affordances.
 ///
 /// Its two arenas are one for the plans, and room for what they are shown.
@@ -18,11 +42,8 @@ pub(crate) fn over_plans<'a>(
     plans: &'a [AlignedBytes],
     arenas: &'a mut [AlignedBytes],
 ) -> Result<Box<dyn Policy + 'a>, PlanError> {
-    let [controller, meta, affordance] = plans else { return Err(PlanError::WrongNetwork) };
     let [arena, row] = arenas else { return Err(PlanError::WrongNetwork) };
-    let [controller, meta, affordance] =
-        [controller, meta, affordance].map(|plan| Plan::load(plan.as_slice()));
-    let networks = PlanNetworks::new([controller?, meta?, affordance?], arena.as_mut_slice())?;
+    let networks = option_networks(plans, arena)?;
     let row = <[f32]>::mut_from_bytes(row.as_mut_slice()).map_err(|_| PlanError::WrongNetwork)?;
     let rules = options.rules(actions).map_err(|_| PlanError::WrongNetwork)?;
     let policy = OptionPolicy::new(rules, networks, row).ok_or(PlanError::WrongNetwork)?;
@@ -34,12 +55,9 @@ pub(crate) fn arenas(
     options: &OptionsContract,
     plans: &[AlignedBytes],
 ) -> Result<Vec<AlignedBytes>, PlanError> {
-    let bytes = |plan: &AlignedBytes| Ok(Plan::load(plan.as_slice())?.arena_bytes());
-    let bytes: Vec<usize> = plans.iter().map(bytes).collect::<Result<_, PlanError>>()?;
     let rules = options.rules(1).map_err(|_| PlanError::WrongNetwork)?;
     let columns = Shown::new(rules.picture).map_or(0, |shown| shown.columns());
-    let arena = bytes.into_iter().max().unwrap_or(0);
-    Ok(vec![AlignedBytes::zeroed(arena), AlignedBytes::zeroed(4 * columns)])
+    Ok(vec![option_arena(plans)?, AlignedBytes::zeroed(4 * columns)])
 }
 
 /// The same agent over the three graphs in an engine.

@@ -1,0 +1,184 @@
+//! Plays an episode and writes it down.
+
+use sortie_bundle::{Bundle, OptionsContract};
+use sortie_core::options::{OptionNetworks, PlanNetworks, Pursuit, SHOWN_BYTES, Shown};
+use sortie_core::plan::Profile;
+use sortie_core::{DecideError, Decision, Observation, Policy};
+use sortie_envs::Environment;
+use sortie_envs::Split;
+use sortie_learn::LearnError;
+use sortie_learn::play::{Onlooker, PolicyTeam, Watched, watch};
+use sortie_plans::{CompileError, option_arena, option_networks};
+
+use super::data::{AgentFacts, Captured, Event, State, Step, Thought};
+use super::grid;
+use crate::compiler::plans;
+use crate::failure::{Exit, Failure};
+use crate::policy::DeployedPolicy;
+use crate::views::page::rounded;
+
+/// Plays an episode of the environment, and writes down what went on in the agent.
+pub(super) fn capture(
+    environment: &dyn Environment,
+    (seed, episode): (u64, usize),
+    bundle: &Bundle,
+    options: &OptionsContract,
+) -> Result<Captured, Failure> {
+    let found = plans().agents(bundle, Profile::Exact)?;
+    let mut arena = option_arena(found.plans()).map_err(CompileError::from)?;
+    let networks = option_networks(found.plans(), &mut arena);
+    let networks = networks.map_err(CompileError::from)?;
+    let mut deployed = DeployedPolicy::of_plans(plans().agents(bundle, Profile::Exact)?)?;
+    let mut world = environment.open(1, Split::Test);
+    let spec = world.spec().clone();
+    let mut diary = Diary::new(deployed.policy()?, networks, options, spec.shape.actions)?;
+    let mut recorder = Recorder::default();
+    let mut team = PolicyTeam::new(&mut diary);
+    watch(&mut *world, &mut team, episode..episode + 1, seed, &mut recorder)?;
+    let Recorder { mut captured, objects } = recorder;
+    for (state, thought) in captured.states.iter_mut().zip(diary.thoughts) {
+        state.thought = Some(thought);
+    }
+    let reached =
+        captured.steps.iter().enumerate().filter_map(|(step, it)| Some((step, it.reached?)));
+    let named = |(step, milestone): (usize, usize)| Event {
+        at: step + 1,
+        text: spec.milestones.get(milestone).cloned().unwrap_or_default(),
+    };
+    captured.events = reached.map(named).collect();
+    let last = captured.steps.last().and_then(|step| step.reached);
+    captured.result =
+        if last == spec.milestones.len().checked_sub(1) { "solved" } else { "timed-out" };
+    captured.team = "1 agent";
+    captured.agents = vec![AgentFacts { name: "agent", actions: spec.actions.clone() }];
+    captured.objects = objects;
+    captured.items = spec
+        .features
+        .iter()
+        .filter_map(|it| it.strip_prefix("items."))
+        .map(str::to_owned)
+        .collect();
+    captured.milestones = spec.milestones;
+    captured.threshold = options.threshold;
+    Ok(captured)
+}
+
+/// Writes down what is played.
+#[derive(Default)]
+struct Recorder {
+    captured: Captured,
+    objects: &'static [&'static str],
+}
+
+impl Recorder {
+    fn look(&mut self, watched: Watched<'_>) -> Result<(), LearnError> {
+        let found = grid(watched.worlds, watched.instance);
+        let (world, objects) =
+            found.ok_or_else(|| LearnError::Team("this is no game of milestones".to_owned()))?;
+        let mut state = Vec::new();
+        watched.worlds.save(watched.instance, &mut state);
+        let cells = usize::from(world.size) * usize::from(world.size);
+        self.objects = objects;
+        self.captured.size = world.size;
+        self.captured.states.push(State {
+            cells: world.cells[..cells].to_vec(),
+            open: world.open,
+            at: world.position,
+            direction: world.direction,
+            carried: world.inventory.to_vec(),
+            truth: watched.worlds.affordances(&state).unwrap_or(0),
+            thought: None,
+        });
+        Ok(())
+    }
+}
+
+impl Onlooker for Recorder {
+    fn started(&mut self, watched: Watched<'_>) -> Result<(), LearnError> {
+        self.look(watched)
+    }
+
+    fn stepped(
+        &mut self,
+        watched: Watched<'_>,
+        actions: &[u16],
+        step: &sortie_envs::Step,
+    ) -> Result<(), LearnError> {
+        self.captured.steps.push(Step {
+            actions: actions.to_vec(),
+            reward: rounded(step.reward),
+            reached: watched.worlds.milestone(watched.instance),
+        });
+        self.look(watched)
+    }
+}
+
+/// Decides, and writes down what it thinks.
+struct Diary<'a> {
+    policy: Box<dyn Policy + 'a>,
+    networks: PlanNetworks<'a>,
+    rules: sortie_core::options::OptionRules,
+    shown: Shown,
+    thoughts: Vec<Thought>,
+}
+
+impl<'a> Diary<'a> {
+    fn new(
+        policy: Box<dyn Policy + 'a>,
+        networks: PlanNetworks<'a>,
+        options: &OptionsContract,
+        actions: usize,
+    ) -> Result<Self, Failure> {
+        let unfit = |reason: String| Failure::new(Exit::BadData, reason);
+        let rules = options.rules(actions).map_err(unfit)?;
+        let shown = Shown::new(rules.picture);
+        let shown = shown.ok_or_else(|| unfit("its picture cannot be shown".to_owned()))?;
+        Ok(Self { policy, networks, rules, shown, thoughts: Vec::new() })
+    }
+
+    /// How likely it believes each milestone can be reached next.
+    fn likelihoods(&mut self, row: &[f32]) -> Result<Vec<f32>, DecideError> {
+        let mut bytes = [0; SHOWN_BYTES];
+        let bytes = &mut bytes[..self.shown.bytes()];
+        let lit = row.iter().copied().enumerate().filter(|entry| entry.1 != 0.0);
+        self.shown.write(lit, bytes);
+        let mut columns = vec![0.0; self.shown.columns()];
+        self.shown.light(bytes, false, |column| columns[column] = 1.0);
+        let mut likelihoods = vec![0.0; self.rules.milestones().len()];
+        self.networks.affordances(&columns, &mut likelihoods)?;
+        Ok(likelihoods)
+    }
+}
+
+impl Policy for Diary<'_> {
+    fn actions(&self) -> usize {
+        self.policy.actions()
+    }
+
+    fn utilities(&mut self, seen: &Observation<'_>, to: &mut [f32]) -> Result<(), DecideError> {
+        self.policy.utilities(seen, to)
+    }
+
+    fn decide(&mut self, seen: &Observation<'_>) -> Result<Decision, DecideError> {
+        self.policy.decide(seen)
+    }
+
+    fn hidden(&self) -> usize {
+        self.policy.hidden()
+    }
+
+    fn decide_with(
+        &mut self,
+        seen: &Observation<'_>,
+        hidden: &mut [f32],
+    ) -> Result<Decision, DecideError> {
+        let decision = self.policy.decide_with(seen, hidden)?;
+        let likelihoods = self.likelihoods(seen.rows)?;
+        if let Some(Pursuit { goal, steps }) = Pursuit::of(hidden) {
+            let mask = self.rules.mask(&likelihoods);
+            let likelihoods = likelihoods.into_iter().map(rounded).collect();
+            self.thoughts.push(Thought { goal, step: steps, likelihoods, mask });
+        }
+        Ok(decision)
+    }
+}

@@ -1,0 +1,92 @@
+//! Games of milestones as they are shown: the map, what is carried, and what an agent that runs options thinks.
+
+mod capture;
+mod data;
+
+use std::any::Any;
+
+use sortie_envs::crafting::Crafting;
+use sortie_envs::milestones::{Game, Milestones, World};
+use sortie_envs::treasure_rooms::TreasureRooms;
+use sortie_envs::{Environment, Split, crafting, treasure_rooms};
+
+use super::page::{Web, html, script, style};
+use super::{Page, View, Wanted, no_page};
+use crate::environment::check_fits;
+use crate::failure::Failure;
+use crate::subject::Subject;
+use data::Data;
+
+/// How they are found.
+pub(super) const CRAFTING: (&str, &dyn View) = (crafting::ENTRY.name, &Shown);
+pub(super) const TREASURE: (&str, &dyn View) = (treasure_rooms::ENTRY.name, &Shown);
+
+struct Shown;
+
+const WEB: Web = Web {
+    styles: &[
+        style::COLOURS,
+        style::BASICS,
+        style::LAYOUT,
+        style::DESK,
+        style::RESULT,
+        style::DISCS,
+        include_str!("web/board.css"),
+        style::LANES,
+        style::PLAYBACK,
+        style::AGENT,
+        style::DIALOG,
+    ],
+    map: include_str!("web/map.html"),
+    panels: include_str!("web/panels.html"),
+    scripts: &[
+        script::EPISODE,
+        script::SUMS,
+        script::NUMBERS,
+        script::ELEMENTS,
+        include_str!("web/board.js"),
+        include_str!("web/options.js"),
+        script::LANES,
+        include_str!("web/timeline.js"),
+        script::PLAYER,
+    ],
+};
+
+impl View for Shown {
+    fn played(&self, wanted: &Wanted<'_>, subject: &Subject) -> Result<Page, Failure> {
+        let set = wanted.set.clone().unwrap_or_default();
+        let Subject::Bundle(bundle) = subject else { return Err(no_page(wanted)) };
+        let Some(options) = bundle.options() else { return Err(no_page(wanted)) };
+        if let Some(asked) = wanted.allocation {
+            return Err(asked.of_no_use());
+        }
+        check_fits(bundle, &set)?;
+        let world = set.open(Split::Test)?;
+        let captured = capture::capture(&*world, (wanted.seed, wanted.episode), bundle, options)?;
+        let steps = captured.steps.len();
+        let data = Data {
+            format: data::FORMAT,
+            subject: wanted.subject.display().to_string(),
+            allocation: None,
+            env: set.to_string(),
+            episode: (wanted.seed, wanted.episode),
+            notes: &["What can be reached is the environment's own answer; the agent is not told."],
+            captured,
+        };
+        Ok(Page { html: html(&WEB, &data), steps })
+    }
+}
+
+/// The grid of an instance, and the names of its objects.
+fn grid(
+    environment: &dyn Environment,
+    instance: usize,
+) -> Option<(World, &'static [&'static str])> {
+    fn of<G: Game>(environment: &dyn Any, instance: usize) -> Option<World> {
+        environment.downcast_ref::<Milestones<G>>().map(|world| *world.world(instance))
+    }
+    let any = environment as &dyn Any;
+    let crafting = of::<Crafting>(any, instance).map(|world| (world, Crafting::OBJECTS));
+    crafting
+        .or_else(|| of::<TreasureRooms>(any, instance).map(|world| (world, TreasureRooms::OBJECTS)))
+}

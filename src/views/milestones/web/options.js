@@ -1,0 +1,66 @@
+// What the agent goes for, what it believes it can reach, and what its options came to.
+
+/** Options that are over before a state, by their goals: how many, and how many reached it. */
+function optionsBefore(at) {
+  const counts = episode.milestones.map(() => ({ tried: 0, reached: 0 }));
+  for (let step = 0; step < at; step += 1) {
+    const goal = episode.states[step].thought?.goal;
+    const ends = step + 1 >= LAST || episode.states[step + 1].thought?.step === 1;
+    if (goal !== undefined && ends) {
+      counts[goal].tried += 1;
+      counts[goal].reached += episode.steps[step].reached === goal ? 1 : 0;
+    }
+  }
+  return counts;
+}
+
+const bit = (set, place) => ((set >> place) & 1) === 1;
+
+/** The returned function shows a state. */
+function createAgentPanel() {
+  return function showAgent(view) {
+    const state = episode.states[view.at];
+    const { thought, truth } = state;
+    const action = episode.steps[view.at]?.actions[0];
+    byId("agent-title").textContent = thought ? `goes for ${nameOf(thought.goal)}` : "the episode is over";
+    byId("agent-text").textContent = thought
+      ? `step ${thought.step} of the option; action: ${episode.agents[0].actions[action].replaceAll("_", " ")}`
+      : "";
+    const counts = optionsBefore(view.at);
+    const rows = episode.milestones.map((_, place) => milestoneRow(place, thought, truth, counts[place]));
+    byId("milestones").tBodies[0].replaceChildren(...rows);
+  };
+}
+
+function nameOf(milestone) {
+  return episode.milestones[milestone].replaceAll("_", " ");
+}
+
+function milestoneRow(place, thought, truth, { tried, reached }) {
+  const bar = html("div", { class: "bar" });
+  const likely = thought?.likelihoods[place];
+  bar.style.width = `${100 * (likely ?? 0)}%`;
+  const masked = thought ? bit(thought.mask, place) : undefined;
+  const isWrong = thought && masked !== bit(truth, place);
+  return html(
+    "tr",
+    { class: place === thought?.goal ? "goal" : "" },
+    html("th", { scope: "row" }, nameOf(place)),
+    html("td", { class: "track" }, bar),
+    html("td", { class: "number" }, likely === undefined ? "" : percent(likely)),
+    html("td", { class: isWrong ? "wrong" : "yes" }, masked ? "✓" : isWrong ? "–" : ""),
+    html("td", { class: "yes" }, bit(truth, place) ? "✓" : ""),
+    html("td", { class: "count" }, tried ? `${reached} of ${tried}` : ""),
+  );
+}
+
+/** What it carries. */
+function createBuildingPanel() {
+  return function showCarried(view) {
+    const { carried } = episode.states[view.at];
+    const rows = episode.items.map((item, place) =>
+      html("tr", {}, html("th", { scope: "row" }, item.replaceAll("_", " ")), html("td", { class: "count" }, carried[place] || "")),
+    );
+    byId("carried").tBodies[0].replaceChildren(...rows);
+  };
+}
