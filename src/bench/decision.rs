@@ -35,7 +35,7 @@ pub(super) struct DecisionArguments {
     #[arg(long, value_enum, value_delimiter = ',', default_values_t = Pace::ALL)]
     pace: Vec<Pace>,
     #[command(flatten)]
-    pub(super) onnxruntime: OnnxRuntimeArguments,
+    onnxruntime: OnnxRuntimeArguments,
     #[command(flatten)]
     pub(super) measuring: Measuring,
 }
@@ -45,13 +45,8 @@ pub(super) fn measure(arguments: &DecisionArguments) -> Result<Figures, Failure>
     for folder in &arguments.bundles {
         let bundle = open_bundle(folder)?;
         if let Some(options) = bundle.options() {
-            option_networks::measure(
-                arguments,
-                &bundle,
-                options,
-                &schedule(arguments),
-                &mut figures,
-            )?;
+            let own = (&arguments.onnxruntime, arguments.measuring.pin);
+            option_networks::measure(own, &bundle, options, &schedule(arguments), &mut figures)?;
             continue;
         }
         let mut contestants = Contestants::open(&bundle, &arguments.onnxruntime)?;

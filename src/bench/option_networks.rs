@@ -5,13 +5,13 @@ use sortie_core::options::{OptionNetworks, SHOWN_BYTES, Shown};
 use sortie_core::plan::Profile;
 use sortie_plans::{CompileError, GraphNetworks, option_arena, option_networks};
 
-use super::decision::DecisionArguments;
 use super::rounds::{Work, alternate, engine, our_engine};
 use super::schedule::Schedule;
-use super::{Figures, OURS, TRACT_VERSION};
+use super::{Figures, OURS, TRACT_VERSION, pin};
 use crate::compiler::plans;
 use crate::engines::engines;
 use crate::failure::{Failure, Outcome};
+use crate::onnxruntime::OnnxRuntimeArguments;
 use crate::policy::option_graphs;
 
 /// What is decided on: rows of golden episodes, and what is shown of them.
@@ -65,7 +65,7 @@ enum Tick {
 
 /// Measures a bundle's networks beside the peers'.
 pub(super) fn measure(
-    arguments: &DecisionArguments,
+    (onnxruntime, core): (&OnnxRuntimeArguments, usize),
     bundle: &Bundle,
     options: &OptionsContract,
     schedule: &Schedule<'_>,
@@ -79,12 +79,12 @@ pub(super) fn measure(
     let mut ours = option_networks(found.plans(), &mut arena).map_err(fits)?;
     let tract = option_graphs(bundle, engines()?.tract()).map_err(within)?;
     let mut tract = GraphNetworks(tract);
-    let runtime = arguments.onnxruntime.open_or_note("onnxruntime is not measured")?;
+    let runtime = onnxruntime.open_or_note("onnxruntime is not measured")?;
     let peer = runtime.map(|runtime| {
         option_graphs(bundle, runtime).map(|graphs| (runtime.version(), GraphNetworks(graphs)))
     });
     let mut peer = peer.transpose().map_err(within)?;
-    super::pin(arguments.measuring.pin)?;
+    pin(core)?;
     let name = bundle.folder().file_name().unwrap_or_default().display();
     let sizes = [usize::from(bundle.contract().actions), options.milestones.len()];
     for pace in schedule.paces {

@@ -2,6 +2,7 @@
 //!
 //! The rest of the command line knows environments by their names alone.
 
+mod crafting;
 mod flat;
 mod group_matching;
 mod milestones;
@@ -9,6 +10,7 @@ mod mind;
 mod page;
 mod particle;
 mod save_the_city;
+mod treasure_rooms;
 
 use std::path::Path;
 
@@ -27,8 +29,8 @@ const VIEWS: &[(&str, &dyn View)] = &[
     save_the_city::VIEW,
     group_matching::VIEW,
     particle::VIEW,
-    milestones::CRAFTING,
-    milestones::TREASURE,
+    crafting::VIEW,
+    treasure_rooms::VIEW,
 ];
 
 /// What is shown of an environment of this name.

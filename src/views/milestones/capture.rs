@@ -4,25 +4,31 @@ use sortie_bundle::{Bundle, OptionsContract};
 use sortie_core::options::{OptionNetworks, PlanNetworks, Pursuit, SHOWN_BYTES, Shown};
 use sortie_core::plan::Profile;
 use sortie_core::{DecideError, Decision, Observation, Policy};
-use sortie_envs::Environment;
-use sortie_envs::Split;
+use sortie_envs::milestones::World;
+use sortie_envs::{Environment, Split};
 use sortie_learn::LearnError;
 use sortie_learn::play::{Onlooker, PolicyTeam, Watched, watch};
 use sortie_plans::{CompileError, option_arena, option_networks};
 
 use super::data::{AgentFacts, Captured, Event, State, Step, Thought};
-use super::grid;
 use crate::compiler::plans;
 use crate::failure::{Exit, Failure};
 use crate::policy::DeployedPolicy;
 use crate::views::page::rounded;
 
+/// How a game's grid is found, and the names of its objects.
+#[derive(Clone, Copy)]
+pub(super) struct Board {
+    pub(super) grid: fn(&dyn Environment, usize) -> Option<World>,
+    pub(super) objects: &'static [&'static str],
+}
+
 /// Plays an episode of the environment, and writes down what went on in the agent.
 pub(super) fn capture(
     environment: &dyn Environment,
     (seed, episode): (u64, usize),
-    bundle: &Bundle,
-    options: &OptionsContract,
+    (bundle, options): (&Bundle, &OptionsContract),
+    board: Board,
 ) -> Result<Captured, Failure> {
     let found = plans().agents(bundle, Profile::Exact)?;
     let mut arena = option_arena(found.plans()).map_err(CompileError::from)?;
@@ -32,10 +38,10 @@ pub(super) fn capture(
     let mut world = environment.open(1, Split::Test);
     let spec = world.spec().clone();
     let mut diary = Diary::new(deployed.policy()?, networks, options, spec.shape.actions)?;
-    let mut recorder = Recorder::default();
+    let mut recorder = Recorder { board, captured: Captured::default() };
     let mut team = PolicyTeam::new(&mut diary);
     watch(&mut *world, &mut team, episode..episode + 1, seed, &mut recorder)?;
-    let Recorder { mut captured, objects } = recorder;
+    let Recorder { mut captured, board } = recorder;
     for (state, thought) in captured.states.iter_mut().zip(diary.thoughts) {
         state.thought = Some(thought);
     }
@@ -51,7 +57,7 @@ pub(super) fn capture(
         if last == spec.milestones.len().checked_sub(1) { "solved" } else { "timed-out" };
     captured.team = "1 agent";
     captured.agents = vec![AgentFacts { name: "agent", actions: spec.actions.clone() }];
-    captured.objects = objects;
+    captured.objects = board.objects;
     captured.items = spec
         .features
         .iter()
@@ -64,21 +70,19 @@ pub(super) fn capture(
 }
 
 /// Writes down what is played.
-#[derive(Default)]
 struct Recorder {
+    board: Board,
     captured: Captured,
-    objects: &'static [&'static str],
 }
 
 impl Recorder {
     fn look(&mut self, watched: Watched<'_>) -> Result<(), LearnError> {
-        let found = grid(watched.worlds, watched.instance);
-        let (world, objects) =
+        let found = (self.board.grid)(watched.worlds, watched.instance);
+        let world =
             found.ok_or_else(|| LearnError::Team("this is no game of milestones".to_owned()))?;
         let mut state = Vec::new();
         watched.worlds.save(watched.instance, &mut state);
         let cells = usize::from(world.size) * usize::from(world.size);
-        self.objects = objects;
         self.captured.size = world.size;
         self.captured.states.push(State {
             cells: world.cells[..cells].to_vec(),

@@ -4,24 +4,25 @@ mod capture;
 mod data;
 
 use std::any::Any;
+use std::marker::PhantomData;
 
-use sortie_envs::crafting::Crafting;
 use sortie_envs::milestones::{Game, Milestones, World};
-use sortie_envs::treasure_rooms::TreasureRooms;
-use sortie_envs::{Environment, Split, crafting, treasure_rooms};
+use sortie_envs::{Environment, Split};
 
 use super::page::{Web, html, script, style};
 use super::{Page, View, Wanted, no_page};
 use crate::environment::check_fits;
 use crate::failure::Failure;
 use crate::subject::Subject;
+use capture::{Board, capture};
 use data::Data;
 
-/// How they are found.
-pub(super) const CRAFTING: (&str, &dyn View) = (crafting::ENTRY.name, &Shown);
-pub(super) const TREASURE: (&str, &dyn View) = (treasure_rooms::ENTRY.name, &Shown);
+/// What is shown of such a game.
+pub(super) struct Shown<G>(PhantomData<G>);
 
-struct Shown;
+impl<G> Shown<G> {
+    pub(super) const NEW: Self = Self(PhantomData);
+}
 
 const WEB: Web = Web {
     styles: &[
@@ -52,7 +53,7 @@ const WEB: Web = Web {
     ],
 };
 
-impl View for Shown {
+impl<G: Game> View for Shown<G> {
     fn played(&self, wanted: &Wanted<'_>, subject: &Subject) -> Result<Page, Failure> {
         let set = wanted.set.clone().unwrap_or_default();
         let Subject::Bundle(bundle) = subject else { return Err(no_page(wanted)) };
@@ -62,7 +63,8 @@ impl View for Shown {
         }
         check_fits(bundle, &set)?;
         let world = set.open(Split::Test)?;
-        let captured = capture::capture(&*world, (wanted.seed, wanted.episode), bundle, options)?;
+        let board = Board { grid: grid::<G>, objects: G::OBJECTS };
+        let captured = capture(&*world, (wanted.seed, wanted.episode), (bundle, options), board)?;
         let steps = captured.steps.len();
         let data = Data {
             format: data::FORMAT,
@@ -77,16 +79,8 @@ impl View for Shown {
     }
 }
 
-/// The grid of an instance, and the names of its objects.
-fn grid(
-    environment: &dyn Environment,
-    instance: usize,
-) -> Option<(World, &'static [&'static str])> {
-    fn of<G: Game>(environment: &dyn Any, instance: usize) -> Option<World> {
-        environment.downcast_ref::<Milestones<G>>().map(|world| *world.world(instance))
-    }
-    let any = environment as &dyn Any;
-    let crafting = of::<Crafting>(any, instance).map(|world| (world, Crafting::OBJECTS));
-    crafting
-        .or_else(|| of::<TreasureRooms>(any, instance).map(|world| (world, TreasureRooms::OBJECTS)))
+/// The grid of an instance.
+fn grid<G: Game>(environment: &dyn Environment, instance: usize) -> Option<World> {
+    let environment: &dyn Any = environment;
+    environment.downcast_ref::<Milestones<G>>().map(|world| *world.world(instance))
 }
