@@ -412,7 +412,7 @@ fn golden_flaw(golden: &Golden, network: &Network) -> Option<String> {
     if cases < MIN_CASES {
         return Some(format!("{cases} cases, at least {MIN_CASES} are needed"));
     }
-    if network.options.is_some() != !golden.episodes.is_empty() {
+    if network.options.is_some() == golden.episodes.is_empty() {
         return Some(
             "golden episodes belong to agents that run options, and they need some".to_owned(),
         );

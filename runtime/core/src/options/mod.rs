@@ -258,9 +258,9 @@ fn best(values: &[f32], is_open: impl Fn(usize) -> bool) -> Option<usize> {
 fn draw(seed: u64, tick: u32, what: u64) -> u32 {
     let counter = u64::from(tick).wrapping_mul(4).wrapping_add(what).wrapping_add(1);
     let mut bits = seed.wrapping_add(counter.wrapping_mul(0x9E37_79B9_7F4A_7C15));
-    bits = (bits ^ bits >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-    bits = (bits ^ bits >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
-    ((bits ^ bits >> 31) >> 32) as u32
+    bits = (bits ^ (bits >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    bits = (bits ^ (bits >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    ((bits ^ (bits >> 31)) >> 32) as u32
 }
 
 /// A number in [0, 1).
@@ -270,5 +270,5 @@ fn unit(bits: u32) -> f32 {
 
 /// A whole number below another.
 fn below(bits: u32, most: usize) -> usize {
-    (u64::from(bits) * most as u64 >> 32) as usize
+    ((u64::from(bits) * most as u64) >> 32) as usize
 }
