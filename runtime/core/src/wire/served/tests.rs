@@ -137,9 +137,9 @@ fn what_does_not_fit_the_format_is_not_written() {
 
 #[test]
 fn messages_have_a_limit() {
+    const MOST: usize = limits::FRAME_BYTES / 4;
     assert!(ServedFormat::new(0, 200_000, 200_000, 256).is_ok());
-    for (inputs, outputs, actions) in
-        [(1 << 18, 1, 0), (1, 1 << 18, 0), (1, 1, 257), (usize::MAX, 1, 0)]
+    for (inputs, outputs, actions) in [(MOST, 1, 0), (1, MOST, 0), (1, 1, 257), (usize::MAX, 1, 0)]
     {
         let refused = ServedFormat::new(0, inputs, outputs, actions);
         assert_eq!(refused, Err(MessageError::Length));
