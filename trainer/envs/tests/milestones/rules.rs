@@ -128,7 +128,7 @@ fn columns_have_the_names_of_what_they_show() {
 
 #[test]
 fn milestones_show_in_what_is_carried() {
-    for (name, least) in [("crafting/diamond", 500), ("treasure-rooms", 100)] {
+    for (name, least) in [("crafting/diamond", 50), ("treasure-rooms", 50)] {
         let mut world = open(name, Split::Train, &[]).unwrap();
         let (signs, actions) = (world.spec().signs.clone(), world.spec().shape.actions);
         assert_eq!(signs.len(), world.spec().milestones.len());
