@@ -97,6 +97,21 @@ impl<'a> State<'a> {
         Ok(())
     }
 
+    /// The same of what checkpoints of earlier versions lack: it stays as it is then.
+    ///
+    /// # Errors
+    /// The value is of another kind.
+    pub(crate) fn later<T: Serialize + DeserializeOwned>(
+        &mut self,
+        name: &str,
+        value: &mut T,
+    ) -> Result<(), LearnError> {
+        match &self.0 {
+            Visit::Read { values, .. } if !values.contains_key(name) => Ok(()),
+            _ => self.value(name, value),
+        }
+    }
+
     /// The same of what is needed to use what was learned, beside tensors.
     ///
     /// # Errors

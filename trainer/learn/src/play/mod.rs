@@ -3,6 +3,9 @@
 mod episodes;
 mod policy;
 mod random;
+mod recent;
+
+use std::collections::BTreeMap;
 
 use rand_core::Rng;
 use sortie_envs::{Environment, Random, Split, Step};
@@ -15,6 +18,7 @@ use crate::error::LearnError;
 use crate::method::{Method, Now, Scene, Scenes, Transition};
 use crate::run::EpisodeCounts;
 use crate::state::State;
+use recent::Recent;
 
 /// Instances that are played to learn from.
 pub struct Play {
@@ -22,6 +26,7 @@ pub struct Play {
     /// A generator for each instance: it draws what its steps, and whoever acts in it, leave to chance.
     random: Vec<Random>,
     running: Vec<Running>,
+    recent: Recent,
     actions: Vec<u16>,
     next: Vec<u8>,
 }
@@ -45,7 +50,8 @@ impl Play {
     ) -> Self {
         let worlds = environment.open(random.len(), Split::Train);
         let running = vec![Running::default(); random.len()];
-        let mut play = Self { worlds, random, running, actions: Vec::new(), next: Vec::new() };
+        let (recent, actions, next) = Default::default();
+        let mut play = Self { worlds, random, running, recent, actions, next };
         (0..play.running.len()).for_each(|instance| play.start(instance, method));
         play
     }
@@ -53,6 +59,11 @@ impl Play {
     /// What is played in.
     pub fn environment(&self) -> &dyn Environment {
         &*self.worlds
+    }
+
+    /// Means of the environment's metrics over the last hundred episodes that ended, by their names; none before.
+    pub fn recent(&self) -> BTreeMap<String, f64> {
+        self.recent.means(self.worlds.spec())
     }
 
     /// Steps every instance once; where the method [waits](Method::waits), until the episodes of all are over. Returns
@@ -139,11 +150,13 @@ impl Play {
         Ok(())
     }
 
-    fn count(&self, instance: usize, step: Step, counts: &mut EpisodeCounts) {
+    fn count(&mut self, instance: usize, step: Step, counts: &mut EpisodeCounts) {
+        let episode = self.worlds.episode(instance);
         counts.episodes += 1;
-        counts.solved += u64::from(self.worlds.episode(instance).solved);
+        counts.solved += u64::from(episode.solved);
         counts.timed_out += u64::from(step.timed_out);
         counts.return_sum += self.running[instance].episode_return;
+        self.recent.add(episode.metrics);
     }
 
     /// Starts an episode, from a generator of its own, so that starts with more draws shift nothing else.
@@ -164,6 +177,7 @@ impl Play {
         let instances = self.running.len();
         state.value("play/random", &mut self.random)?;
         state.value("play/running", &mut self.running)?;
+        state.later("play/recent", &mut self.recent)?;
         if [self.random.len(), self.running.len()] != [instances; 2] {
             return Err(LearnError::Config("the checkpoint has other instances".to_owned()));
         }

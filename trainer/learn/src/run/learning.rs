@@ -1,5 +1,6 @@
 //! The course of a run: steps, evaluations and checkpoints in turn, whatever the method.
 
+use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
@@ -22,6 +23,8 @@ pub(crate) trait Learning {
     fn counters(&mut self) -> &mut Counters;
     /// Takes some environment steps and makes the updates that are due.
     fn step(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError>;
+    /// Means of the environment's metrics over the last episodes that it learned from, by their names.
+    fn recent(&self) -> BTreeMap<String, f64>;
     /// Measures what it has learned on so many greedy episodes.
     fn measure(&self, episodes: usize, seed: u64) -> Result<Evaluation, LearnError>;
     /// Writes a checkpoint.
@@ -144,7 +147,9 @@ fn evaluate(
     // Counted from the top, so that ordinary seeds remain fresh for later evaluations.
     let result = run.measure(run.schedule().evaluate_episodes, u64::MAX - seed)?;
     let rates = run.rates();
-    let point = run.counters().point(&result, allocation, rates);
+    let recent = run.recent().into_iter().map(|(name, mean)| (format!("training_{name}"), mean));
+    let mut point = run.counters().point(&result, allocation, rates);
+    point.metrics.extend(recent);
     observer.evaluated(&point);
     run.counters().add_point(point);
     let curve = run.counters().curve.clone();

@@ -7,6 +7,7 @@
 
 mod entry;
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
@@ -219,6 +220,10 @@ impl Learning for Session {
         self.counters.window.add(reports, now.env_steps)?;
         observer.progress(&Progress { env_steps: now.env_steps, env_steps_total: now.of });
         Ok(())
+    }
+
+    fn recent(&self) -> BTreeMap<String, f64> {
+        self.play.recent()
     }
 
     fn measure(&self, episodes: usize, seed: u64) -> Result<Evaluation, LearnError> {
