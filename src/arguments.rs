@@ -9,7 +9,7 @@ use crate::failure::Outcome;
 use crate::terminal::Color;
 use crate::{
     bench, compare, compile, compiler, control, doctor, eval, export, firmware, inspect, manual,
-    replay, run, serve, train, verify, version, view,
+    replay, reproduce, run, serve, train, verify, version, view,
 };
 
 const EXIT_CODES: &str = "\
@@ -90,6 +90,7 @@ enum Verb {
     Replay(replay::ReplayArguments),
     Train(train::TrainArguments),
     Compare(compare::CompareArguments),
+    Reproduce(reproduce::ReproduceArguments),
     Export(export::ExportArguments),
     Compile(compile::CompileArguments),
     Inspect(inspect::InspectArguments),
@@ -117,6 +118,7 @@ pub(crate) fn dispatch(arguments: Arguments) -> Outcome {
         Verb::Replay(arguments) => replay::run(&arguments),
         Verb::Train(arguments) => train::run(&arguments),
         Verb::Compare(arguments) => compare::run(&arguments),
+        Verb::Reproduce(arguments) => reproduce::run(&arguments),
         Verb::Export(arguments) => export::run(&arguments),
         Verb::Compile(arguments) => compile::run(&arguments),
         Verb::Inspect(arguments) => inspect::run(&arguments),

@@ -33,6 +33,7 @@ mod progress;
 mod proposals;
 mod recorded_inputs;
 mod replay;
+mod reproduce;
 mod run;
 mod scripted;
 mod seeds;

@@ -4,6 +4,7 @@ mod configuration;
 mod method;
 mod reporter;
 mod seeds;
+mod sweep;
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
@@ -28,6 +29,7 @@ use crate::signals::stop_on_signals;
 use configuration::setup;
 use method::Method;
 use reporter::Reporter;
+pub(crate) use sweep::{Sweep, learn_all, suffixed};
 
 /// Learn a team's policy and write the run to a folder
 ///
@@ -163,7 +165,7 @@ pub(crate) fn run(arguments: &TrainArguments) -> Outcome {
 }
 
 /// The setup that the command line asks for, which environment and method take.
-fn checked(arguments: &TrainArguments) -> Result<Setup, Failure> {
+pub(crate) fn checked(arguments: &TrainArguments) -> Result<Setup, Failure> {
     let description = RunDescription::new(setup(arguments)?, 0, 1);
     methods::open(arguments.method.0, &description, 1)?;
     Ok(description.config)

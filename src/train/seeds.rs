@@ -1,38 +1,18 @@
-//! One run per seed, as many at a time as there are cores, each in a process of its own.
+//! One run per seed, and what all of them came to.
 
-use std::fs;
-use std::io::{BufRead, BufReader};
-use std::os::unix::process::CommandExt;
-use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStderr, ChildStdout, Command, Stdio};
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::thread;
+use std::path::Path;
 
-use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
-use rustix::event::{PollFd, PollFlags, Timespec, poll};
-use rustix::process::{Pid, PidfdFlags, Signal, pidfd_open, pidfd_send_signal};
 use serde::Serialize;
-use serde_json::Value;
-use sortie_bundle::files::{Durability, replace_file};
 use sortie_ipc::Stop;
 use sortie_learn::evaluate::Score;
 use sortie_learn::report::Spread;
-use sortie_learn::run::{Difference, Setup, method_of, read_description};
+use sortie_learn::run::Setup;
 
-use super::cores;
+use super::sweep::{Finished, Sweep, learn_all, suffixed};
 use crate::failure::{Exit, Failure, Outcome};
 use crate::options::Common;
-use crate::output::{Table, plural, print_json, tell};
+use crate::output::{Table, print_json};
 use crate::seeds::SeedRange;
-
-/// How one seed's run ended.
-#[derive(Clone, Debug, Serialize)]
-struct Finished {
-    seed: u64,
-    run: PathBuf,
-    success: f64,
-    return_mean: f64,
-}
 
 /// What all seeds together came to.
 #[derive(Clone, Debug, Serialize)]
@@ -60,253 +40,16 @@ pub(super) fn run(
         let reason = "`run.final_episodes` is 0: a sweep compares what its seeds report in the end";
         return Err(Failure::new(Exit::Usage, reason));
     }
-    let sweep = Sweep::new(setup, threads, out, common);
-    for seed in seeds.first..=seeds.last {
+    let configuration = suffixed(out, ".toml");
+    let sweep = Sweep::new(setup, threads, [out, &configuration], common);
+    for seed in seeds.iter() {
         sweep.check(seed)?;
     }
     sweep.write_configuration()?;
-    let next = AtomicU64::new(seeds.first);
-    let worker = || {
-        let mut ended = Vec::new();
-        loop {
-            let seed = next.fetch_add(1, Ordering::Relaxed);
-            if seed > seeds.last || stop.flag().load(Ordering::Relaxed) {
-                return ended;
-            }
-            ended.push((seed, sweep.run(seed, stop)));
-        }
-    };
-    let ended = thread::scope(|scope| {
-        let workers = (0..(cores() / threads).max(1)).map(|_| scope.spawn(worker));
-        let workers: Vec<_> = workers.collect();
-        let join = |worker: thread::ScopedJoinHandle<'_, _>| worker.join().map_err(|_| died());
-        workers.into_iter().map(join).collect::<Result<Vec<Vec<_>>, Failure>>()
-    })?;
-    let mut ended: Vec<_> = ended.into_iter().flatten().collect();
-    ended.sort_by_key(|(seed, _)| *seed);
-    if stop.flag().load(Ordering::Relaxed) {
-        let again = "stopped; the same command again goes on with what is unfinished";
-        return Err(Failure::new(Exit::Interrupted, again));
-    }
-    print(&Summary::new(successes(ended)?), sweep.score, common);
+    let jobs: Vec<_> = seeds.iter().map(|seed| (&sweep, seed)).collect();
+    let runs = learn_all(&jobs, threads, stop, || ())?;
+    print(&Summary::new(runs), Score::of_environment(&setup.environment.to_string()), common);
     Ok(())
-}
-
-/// All runs, or the first failure of a seed and how many others failed.
-fn successes(ended: Vec<(u64, Result<Finished, Failure>)>) -> Result<Vec<Finished>, Failure> {
-    let failures = ended.iter().filter(|(_, run)| run.is_err()).count();
-    let runs = ended.into_iter().map(|(_, run)| run).collect::<Result<Vec<_>, _>>();
-    runs.map_err(|failure| match failures {
-        1 => failure,
-        _ => {
-            let message =
-                format!("{}; {} more failed", failure.message, plural(failures - 1, "seed"));
-            Failure { message, ..failure }
-        }
-    })
-}
-
-fn died() -> Failure {
-    Failure::new(Exit::Bug, "a thread of the sweep died; please report this")
-}
-
-/// What the runs of all seeds have in common.
-struct Sweep<'a> {
-    out: &'a Path,
-    setup: &'a Setup,
-    threads: usize,
-    common: Common,
-    bars: MultiProgress,
-    /// What says how good the runs are.
-    score: Score,
-}
-
-impl<'a> Sweep<'a> {
-    fn new(setup: &'a Setup, threads: usize, out: &'a Path, common: Common) -> Self {
-        let hidden = common.json || common.quiet;
-        let target =
-            if hidden { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
-        let score = Score::of_environment(&setup.environment.to_string());
-        Self { out, setup, threads, common, score, bars: MultiProgress::with_draw_target(target) }
-    }
-
-    /// Refuses a seed whose folder holds a run of another configuration, finished or not.
-    fn check(&self, seed: u64) -> Outcome {
-        let folder = self.folder(seed);
-        if !folder.join("train.toml").exists() {
-            return Ok(());
-        }
-        let found_method = method_of(&folder)?;
-        let (method, place) = (&self.setup.method, folder.display());
-        let other = |key: &str, there: &str, here: &str| {
-            let reason = format!(
-                "{place} has `{key}` = {there}, this sweep {here}: repeat what began it, or choose another --out"
-            );
-            Err(Failure::new(Exit::Usage, reason))
-        };
-        if found_method != *method {
-            return other("method", &found_method, method);
-        }
-        let found = read_description(&folder)?;
-        if found.seed != seed {
-            return other("seed", &found.seed.to_string(), &seed.to_string());
-        }
-        match &Difference::between(self.setup, &found.config)?[..] {
-            [Difference { key, ours, theirs }, ..] => other(key, theirs, ours),
-            [] => Ok(()),
-        }
-    }
-
-    /// Writes the configuration beside the runs, for all of them to read.
-    fn write_configuration(&self) -> Outcome {
-        let path = self.configuration_path();
-        if let Some(parent) = self.out.parent() {
-            fs::create_dir_all(parent).map_err(|error| Failure::file(parent, &error))?;
-        }
-        if !path.exists() {
-            let text = self.setup.to_toml()?;
-            return replace_file(&path, text.as_bytes(), Durability::Forced)
-                .map_err(|error| Failure::file(&path, &error));
-        }
-        let text = fs::read_to_string(&path).map_err(|error| Failure::file(&path, &error))?;
-        let found = Setup::from_text(&self.setup.method, &text)
-            .map_err(|error| Failure::from(error).within(path.display()))?;
-        let differences = Difference::between(self.setup, &found)?;
-        let Some(Difference { key, ours, theirs }) = differences.first() else { return Ok(()) };
-        let reason = format!(
-            "{} has `{key}` = {theirs}, this sweep {ours}: remove it, or choose another --out",
-            path.display()
-        );
-        Err(Failure::new(Exit::Usage, reason))
-    }
-
-    fn configuration_path(&self) -> PathBuf {
-        suffixed(self.out, ".toml")
-    }
-
-    fn folder(&self, seed: u64) -> PathBuf {
-        suffixed(self.out, &format!("-s{seed}"))
-    }
-
-    /// Runs one seed, or goes on with it, or reads how it ended.
-    fn run(&self, seed: u64, stop: &Stop) -> Result<Finished, Failure> {
-        let folder = self.folder(seed);
-        if !folder.join("result.json").exists() {
-            self.learn(seed, &folder, stop)?;
-        }
-        let [success, return_mean] = ["success", "return_mean"].map(|key| figure(&folder, key));
-        Ok(Finished { seed, success: success?, return_mean: return_mean?, run: folder })
-    }
-
-    fn learn(&self, seed: u64, folder: &Path, stop: &Stop) -> Outcome {
-        let failed = |error: std::io::Error| Failure::new(Exit::InputOutput, error.to_string());
-        let mut child = self.command(seed, folder).spawn().map_err(failed)?;
-        let (output, words) = (child.stdout.take(), child.stderr.take());
-        let bar = self.bars.add(bar(self.setup.run.steps, seed));
-        let error = thread::scope(|scope| {
-            scope.spawn(|| forward_stop(&child, stop));
-            let error = scope.spawn(|| words.map_or(String::new(), |words| self.listen(words)));
-            if let Some(output) = output {
-                self.follow(seed, output, &bar);
-            }
-            error.join().unwrap_or_default()
-        });
-        bar.finish_and_clear();
-        let status = child.wait().map_err(failed)?;
-        match status.code() {
-            Some(0) => Ok(()),
-            Some(code) => {
-                Err(Failure::new(Exit::from_code(code as u8), format!("seed {seed}: {error}")))
-            }
-            None => {
-                let reason =
-                    format!("seed {seed}: {status}; the same command again goes on with it");
-                Err(Failure::new(Exit::NotRunning, reason))
-            }
-        }
-    }
-
-    /// Passes on what a run tells a person, and returns why it failed.
-    fn listen(&self, words: ChildStderr) -> String {
-        let mut error = String::new();
-        for line in BufReader::new(words).lines().map_while(Result::ok) {
-            match line.strip_prefix("error: ") {
-                Some(reason) => error = reason.to_owned(),
-                None => self.bars.suspend(|| tell!("{line}")),
-            }
-        }
-        error
-    }
-
-    fn command(&self, seed: u64, folder: &Path) -> Command {
-        // A program that was replaced while it runs is still itself under this name.
-        let mut command = Command::new("/proc/self/exe");
-        command.args(["train", &self.setup.method, "--json"]);
-        command.args(["--threads", &self.threads.to_string()]);
-        command.args(["--sweep", &std::process::id().to_string()]);
-        if folder.join("train.toml").exists() {
-            command.arg("--resume").arg(folder);
-        } else {
-            command.arg("--config").arg(self.configuration_path()).arg("--out").arg(folder);
-            command.args(["--seed", &seed.to_string()]);
-        }
-        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
-        // Its own group, so that Ctrl-C reaches it once: by this process.
-        command.process_group(0);
-        command
-    }
-
-    /// Shows what a run tells, a JSON object a line.
-    fn follow(&self, seed: u64, output: ChildStdout, bar: &ProgressBar) {
-        for line in BufReader::new(output).lines().map_while(Result::ok) {
-            let Ok(Value::Object(mut point)) = serde_json::from_str(&line) else { continue };
-            let score = point.get(self.score.key()).and_then(Value::as_f64).unwrap_or(0.0);
-            if let Some(steps) = point.get("env_steps").and_then(Value::as_u64) {
-                bar.set_position(steps);
-                bar.set_message(format!("{} {}", self.score.name(), self.score.text(score)));
-            }
-            if self.common.json {
-                point.insert("run_seed".to_owned(), seed.into());
-                print_json(&point);
-            }
-        }
-    }
-}
-
-/// Passes a stop on to a run until the run has ended.
-fn forward_stop(child: &Child, stop: &Stop) -> rustix::io::Result<()> {
-    let pause = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
-    let process = pidfd_open(Pid::from_child(child), PidfdFlags::empty())?;
-    let mut ended = [PollFd::new(&process, PollFlags::IN)];
-    while poll(&mut ended, Some(&pause))? == 0 {
-        if stop.flag().load(Ordering::Relaxed) {
-            return pidfd_send_signal(&process, Signal::INT);
-        }
-    }
-    Ok(())
-}
-
-fn bar(steps: u64, seed: u64) -> ProgressBar {
-    let template = format!("seed {seed:<4} {{bar:30}} {{percent:>3}} %, {{eta}} left, {{msg}}");
-    let style = ProgressStyle::with_template(&template).expect("the template is sound");
-    ProgressBar::new(steps).with_style(style).with_message("not measured yet")
-}
-
-/// `path` with more at its end.
-fn suffixed(path: &Path, suffix: &str) -> PathBuf {
-    let mut name = path.as_os_str().to_owned();
-    name.push(suffix);
-    name.into()
-}
-
-/// A figure that a finished run reports.
-fn figure(folder: &Path, key: &str) -> Result<f64, Failure> {
-    let path = folder.join("result.json");
-    let text = fs::read_to_string(&path).map_err(|error| Failure::file(&path, &error))?;
-    let result: Option<Value> = serde_json::from_str(&text).ok();
-    result
-        .and_then(|result| result.get(key)?.as_f64())
-        .ok_or_else(|| Failure::new(Exit::BadData, format!("{}: no `{key}` in it", path.display())))
 }
 
 /// Mean and spread of what finished runs report.
@@ -355,6 +98,8 @@ fn print(summary: &Summary, score: Score, common: Common) {
 
 #[cfg(test)]
 mod tests {
+    use std::path::PathBuf;
+
     use super::*;
 
     #[test]

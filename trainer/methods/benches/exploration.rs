@@ -1,6 +1,6 @@
 //! What exploring brings in the gridworld: treasures while learning and once frozen, steps and processor time.
 //!
-//! `cargo bench -p sortie-methods --bench exploration -- SET[:STEPS],... SEEDS [KEY=VALUE...]`
+//! `cargo bench -p sortie-methods --bench exploration -- SET[:STEPS],... SEEDS|A..B [KEY=VALUE...]`
 #![allow(clippy::print_stdout, reason = "a program of its own")]
 
 use std::collections::VecDeque;
@@ -139,7 +139,10 @@ fn main() -> Result<(), LearnError> {
     let assignments: Vec<&String> = arguments.iter().filter(is_assignment).collect();
     let mut words = arguments.iter().filter(|it| !is_assignment(it));
     let sets = words.next().map_or("task1-2,task2-2,task3-2", String::as_str);
-    let seeds: u64 = words.next().and_then(|seeds| seeds.parse().ok()).unwrap_or(6);
+    let seeds = words.next().map_or("6", String::as_str);
+    let (first, last) = seeds.split_once("..").unwrap_or(("1", seeds));
+    let number = |text: &str| text.parse::<u64>().expect("seeds are a number, or A..B");
+    let seeds = number(first)..=number(last);
     println!(
         "| set | steps | last {LAST} | frozen | its length | all but a tenth: k steps | CPU s | CPU s of the run |"
     );
@@ -161,7 +164,7 @@ fn main() -> Result<(), LearnError> {
             setup = MA_EXP.set(&setup, assignment)?;
         }
         let learned: Vec<Learned> =
-            (1..=seeds).map(|seed| learn(&setup, seed)).collect::<Result<_, _>>()?;
+            seeds.clone().map(|seed| learn(&setup, seed)).collect::<Result<_, _>>()?;
         let all = |number: fn(&Learned) -> f64| learned.iter().map(number).collect::<Vec<f64>>();
         let frozen = all(|it| it.frozen);
         let least = frozen.iter().copied().fold(f64::INFINITY, f64::min);
@@ -180,12 +183,12 @@ fn main() -> Result<(), LearnError> {
             setup.run.steps / 1000,
             spread(&all(|it| it.last)),
             spread(&frozen),
-            all(|it| it.length).iter().sum::<f64>() / seeds as f64,
+            all(|it| it.length).iter().sum::<f64>() / learned.len() as f64,
             middle(&steps),
             steps[0],
             steps[steps.len() - 1],
             middle(&seconds),
-            all(|it| it.seconds).iter().sum::<f64>() / seeds as f64,
+            all(|it| it.seconds).iter().sum::<f64>() / learned.len() as f64,
         );
     }
     Ok(())

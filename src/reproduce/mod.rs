@@ -1,0 +1,311 @@
+//! `sortie reproduce`: figures and tables of the dissertation, learned and measured anew.
+
+mod came;
+mod recipe;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use serde::Serialize;
+use sortie_bundle::files::{Durability, replace_file};
+use sortie_learn::evaluate::Score;
+use sortie_learn::report::{self, Comparison, Group, RunRecord, Spread, TeamSummary, chart};
+use sortie_learn::session::Setup;
+
+use crate::failure::{Exit, Failure, Outcome};
+use crate::options::Common;
+use crate::output::{Table, plural, print_json, say, tell};
+use crate::progress::bar;
+use crate::seeds::SeedRange;
+use crate::signals::stop_on_signals;
+use crate::train::{Sweep, learn_all, suffixed};
+use came::{Came, Measured, Row};
+use recipe::{Case, Figure, Method, OWN, Recipes, slug};
+
+/// Redo a figure or table of the dissertation: learn what is missing, and lay it beside what was published
+///
+/// Runs are those of `sortie train`, one for each case, method and seed, as many at a time as there are cores. What is
+/// finished is only read; the same command again goes on with what was stopped. The folder gets `table.md`, `table.json`,
+/// `picture.svg` where episodes can be solved, and for every case what `sortie compare` writes.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  sortie reproduce --list
+  sortie reproduce table-4.1
+  sortie reproduce figure-7.4 --out runs/again --seeds 1..5
+  sortie reproduce table-4.1 --seeds 1..1 --json
+  sortie reproduce mine --recipes mine.toml")]
+pub(crate) struct ReproduceArguments {
+    /// Figure or table, as --list names it
+    #[arg(value_name = "FIGURE", required_unless_present = "list")]
+    figure: Option<String>,
+    /// Say of every figure and table of chapters 3 to 7 whether it can be redone, and why not
+    #[arg(long, conflicts_with_all = ["figure", "seeds"])]
+    list: bool,
+    /// Folder of the runs and of what they come to: DIR/FIGURE
+    #[arg(long, value_name = "DIR", default_value = "runs/reproduce")]
+    out: PathBuf,
+    /// Seeds of the runs, A and B included [default: as the recipe says]
+    #[arg(long, value_name = "A..B")]
+    seeds: Option<SeedRange>,
+    /// Recipes of your own, a file like docs/reproduce.toml
+    #[arg(long, value_name = "FILE")]
+    recipes: Option<PathBuf>,
+    #[command(flatten)]
+    common: Common,
+}
+
+pub(crate) fn run(arguments: &ReproduceArguments) -> Outcome {
+    let recipes = match &arguments.recipes {
+        None => Recipes::from_text(OWN, "docs/reproduce.toml")?,
+        Some(path) => {
+            let text = fs::read_to_string(path).map_err(|error| Failure::file(path, &error))?;
+            Recipes::from_text(&text, &path.display().to_string())?
+        }
+    };
+    match &arguments.figure {
+        Some(name) => reproduce(recipes.find(name)?, arguments),
+        None => list(&recipes, arguments),
+    }
+}
+
+/// What is said of a figure in a list.
+#[derive(Serialize)]
+struct Listed<'a> {
+    figure: &'a str,
+    about: &'a str,
+    state: recipe::State,
+    why: &'a str,
+    /// Runs that it takes, and those that are finished.
+    runs: usize,
+    finished: usize,
+}
+
+fn list(recipes: &Recipes, arguments: &ReproduceArguments) -> Outcome {
+    let mut table = Table::of_text(&["figure", "state", "runs", "what"]);
+    for figure in &recipes.figures {
+        let seeds = figure.seeds(None)?;
+        let folder = arguments.out.join(&figure.name);
+        let folders = figure.pairs().flat_map(|(case, method)| {
+            let out = folder_of(&folder, case, method);
+            seeds.iter().map(move |seed| suffixed(&out, &format!("-s{seed}")))
+        });
+        let ended: Vec<bool> = folders.map(|run| run.join("result.json").exists()).collect();
+        let finished = ended.iter().filter(|ended| **ended).count();
+        let Figure { name, about, state, why, .. } = figure;
+        if arguments.common.json {
+            let (state, runs) = (*state, ended.len());
+            print_json(&Listed { figure: name, about, state, why, runs, finished });
+        }
+        let runs =
+            if ended.is_empty() { String::new() } else { format!("{finished} of {}", ended.len()) };
+        table.row([name.clone(), state.name().to_owned(), runs, about.clone()]);
+        if !arguments.common.quiet {
+            table.row(["".into(), "".into(), "".into(), format!("  {why}")]);
+        }
+    }
+    if !arguments.common.json {
+        table.print();
+    }
+    Ok(())
+}
+
+/// Where the runs of a case and a method lie, but for their seeds.
+fn folder_of(folder: &Path, case: &Case, method: &Method) -> PathBuf {
+    folder.join(slug(&case.name)).join(slug(&method.name))
+}
+
+/// Runs of a case and a method that differ in nothing but their seeds.
+struct Part<'a> {
+    case: &'a Case,
+    method: &'a Method,
+    setup: Setup,
+    seeds: Vec<u64>,
+    out: PathBuf,
+    configuration: PathBuf,
+}
+
+impl Part<'_> {
+    fn sweep(&self, common: Common) -> Sweep<'_> {
+        Sweep::new(&self.setup, 1, [&self.out, &self.configuration], common)
+    }
+
+    /// Its runs, which have ended.
+    fn records(&self) -> Result<Vec<RunRecord>, Failure> {
+        let folder = |seed: &u64| suffixed(&self.out, &format!("-s{seed}"));
+        Ok(self
+            .seeds
+            .iter()
+            .map(|seed| RunRecord::open(&folder(seed)))
+            .collect::<Result<_, _>>()?)
+    }
+}
+
+/// All that is learned for a figure, in the order of its rows.
+fn parts<'a>(figure: &'a Figure, seeds: &[u64], folder: &Path) -> Result<Vec<Part<'a>>, Failure> {
+    let mut parts = Vec::new();
+    for (case, method) in figure.pairs() {
+        let out = folder_of(folder, case, method);
+        let differs = figure.differs_by_seed(case, method);
+        for seeds in seeds.chunks(if differs { 1 } else { seeds.len() }) {
+            let name = if differs { format!("-s{}.toml", seeds[0]) } else { ".toml".to_owned() };
+            parts.push(Part {
+                case,
+                method,
+                setup: figure.setup(case, method, seeds[0])?,
+                seeds: seeds.to_vec(),
+                configuration: suffixed(&out, &name),
+                out: out.clone(),
+            });
+        }
+    }
+    Ok(parts)
+}
+
+fn reproduce(figure: &Figure, arguments: &ReproduceArguments) -> Outcome {
+    if !figure.has_runs() {
+        let (name, state) = (&figure.name, figure.state.name());
+        let reason = format!("`{name}` ({state}) takes no runs: {}", figure.why);
+        return Err(Failure::new(Exit::Usage, reason));
+    }
+    let seeds = figure.seeds(arguments.seeds)?;
+    let folder = arguments.out.join(&figure.name);
+    let parts = parts(figure, &seeds, &folder)?;
+    learn(&parts, arguments.common)?;
+    let came = came(figure, &seeds, &parts)?;
+    let files = write(&folder, &came, &parts)?;
+    if arguments.common.json {
+        print_json(&came);
+        return Ok(());
+    }
+    print(&came);
+    if !arguments.common.quiet {
+        say!();
+        say!("{}", figure.why);
+        tell!("{} in {}", plural(files, "file"), folder.display());
+    }
+    Ok(())
+}
+
+/// Learns what is missing.
+fn learn(parts: &[Part<'_>], common: Common) -> Outcome {
+    let stop = stop_on_signals()?;
+    let quiet = Common { quiet: true, json: false, ..common };
+    let sweeps: Vec<Sweep<'_>> = parts.iter().map(|part| part.sweep(quiet)).collect();
+    let seeds = || {
+        sweeps
+            .iter()
+            .zip(parts)
+            .flat_map(|(sweep, part)| part.seeds.iter().map(move |seed| (sweep, *seed)))
+    };
+    for (sweep, seed) in seeds() {
+        sweep.check(seed)?;
+    }
+    for sweep in &sweeps {
+        sweep.write_configuration()?;
+    }
+    let jobs: Vec<_> = seeds().collect();
+    let bar = bar(common, jobs.len() as u64, "runs");
+    learn_all(&jobs, 1, &stop, || bar.inc(1))?;
+    bar.finish_and_clear();
+    Ok(())
+}
+
+/// The runs of a case and a method, of all seeds.
+fn group(parts: &[Part<'_>], case: &Case, method: &Method) -> Result<Group, Failure> {
+    let is_one = |part: &&Part<'_>| part.case.name == case.name && part.method.name == method.name;
+    let runs = parts.iter().filter(is_one).map(Part::records).collect::<Result<Vec<_>, _>>()?;
+    Ok(Group { label: method.name.clone(), runs: runs.into_iter().flatten().collect() })
+}
+
+/// What the runs came to, row by row.
+fn came<'a>(figure: &'a Figure, seeds: &'a [u64], parts: &[Part<'a>]) -> Result<Came<'a>, Failure> {
+    let mut rows = Vec::new();
+    for (case, method) in figure.pairs() {
+        let Group { runs, .. } = group(parts, case, method)?;
+        let measured = figure.measures.iter().map(|measure| Measured::of(measure, &runs));
+        let cpu_s = Spread::of(runs.iter().map(|run| run.last().cpu_s));
+        rows.push(Row {
+            case: &case.name,
+            method: &method.name,
+            command: figure.words(case, method, "SEED") + " --seed SEED --threads 1",
+            measures: measured.collect::<Result<_, _>>()?,
+            published: method.published.get(&case.name).map(String::as_str),
+            cpu_s: cpu_s.ok_or_else(|| Failure::new(Exit::Usage, "there are no seeds"))?,
+        });
+    }
+    let cpu_s = rows.iter().map(|row| row.cpu_s.mean * seeds.len() as f64).sum();
+    let Figure { name, about, why, .. } = figure;
+    Ok(Came { figure: name, about, why, seeds, rows, cpu_s })
+}
+
+/// Writes table and pictures; how many files.
+fn write(folder: &Path, came: &Came<'_>, parts: &[Part<'_>]) -> Result<usize, Failure> {
+    let mut files = 2;
+    let mut solved: Option<Comparison> = None;
+    let mut cases: Vec<&Case> = parts.iter().map(|part| part.case).collect();
+    cases.dedup_by_key(|case| &case.name);
+    for case in cases {
+        let methods = came.rows.iter().filter(|row| row.case == case.name);
+        let method = |row: &Row<'_>| parts.iter().find(|part| part.method.name == row.method);
+        let groups = methods.filter_map(method).map(|part| group(parts, case, part.method));
+        let groups = groups.collect::<Result<Vec<_>, _>>()?;
+        let title = format!("{}: {}", came.figure, case.name);
+        let comparison = Comparison::of(&title, &groups);
+        let place = folder.join(slug(&case.name)).join("comparison");
+        files += report::write(&place, &groups, &comparison)?.len();
+        if comparison.score == Score::Success {
+            let teams = teams(&case.name, &comparison);
+            solved
+                .get_or_insert(Comparison { teams: Vec::new(), ..comparison })
+                .teams
+                .extend(teams);
+        }
+    }
+    if let Some(solved) = solved {
+        let title = format!("{}: solved episodes", came.figure);
+        if let Some(picture) = chart::teams(&title, &solved)? {
+            replace(&folder.join("picture.svg"), &picture)?;
+            files += 1;
+        }
+    }
+    let json = serde_json::to_string_pretty(came).map_err(Failure::bug)?;
+    replace(&folder.join("table.json"), &(json + "\n"))?;
+    replace(&folder.join("table.md"), &came.markdown())?;
+    Ok(files)
+}
+
+/// How often each method solved a case: a group of bars.
+fn teams<'a>(case: &'a str, comparison: &'a Comparison) -> Vec<TeamSummary> {
+    let of = |group: &report::GroupSummary| TeamSummary {
+        team: case.to_owned(),
+        label: group.label.clone(),
+        episodes: 0,
+        success: group.success,
+    };
+    comparison.groups.iter().map(of).collect()
+}
+
+fn replace(path: &Path, text: &str) -> Outcome {
+    replace_file(path, text.as_bytes(), Durability::Cached)
+        .map_err(|error| Failure::file(path, &error))
+}
+
+fn print(came: &Came<'_>) {
+    let names = came.rows.first().map_or(&[][..], |row| &row.measures[..]);
+    let mut header = vec!["case", "method"];
+    header.extend(names.iter().map(|measure| measure.name));
+    header.extend(["CPU s", "published"]);
+    let mut table = Table::of_text(&header);
+    for row in &came.rows {
+        let mut cells = vec![row.case.to_owned(), row.method.to_owned()];
+        cells.extend(row.measures.iter().map(Measured::text));
+        cells.extend([
+            format!("{:.2}", row.cpu_s.mean),
+            row.published.unwrap_or_default().to_owned(),
+        ]);
+        table.row(cells);
+    }
+    table.print();
+    say!("{:.0} seconds of processor time in all runs", came.cpu_s);
+}
