@@ -149,3 +149,33 @@ fn agents_that_look_up_what_to_do_are_deployed() {
     let play = ["run", &bundle, "--json", "--in-process", "--episodes", "5"];
     assert!(json(&play)["decisions"].as_u64() > Some(0));
 }
+
+#[test]
+fn the_shipped_team_of_the_gridworld_acts_in_processes_in_one_and_in_training_alike() {
+    const SHIPPED: &str = "models/gridworld";
+    let run = |more: &[&str]| {
+        let play = ["run", SHIPPED, "--rate", "0", "--episodes", "6", "--seed", "5", "--json"];
+        json(&[&play[..], more].concat())
+    };
+    let [apart, together] = [run(&[]), run(&["--in-process"])];
+    for report in [&apart, &together] {
+        assert_eq!(
+            (&report["success"], &report["metrics"]["treasures"]),
+            (&1.0.into(), &2.0.into())
+        );
+        assert_eq!(report["fallbacks"], 0, "{report}");
+    }
+    assert_eq!(apart["decisions"], together["decisions"]);
+    assert_eq!(apart["return_mean"], together["return_mean"]);
+    // The run that its folder describes learns the same team again.
+    let place = tempfile::tempdir().expect("a folder");
+    let run = place.path().join("run").display().to_string();
+    let train = ["train", "ma-exp", "--config", "models/gridworld/train.toml", "--seed", "106"];
+    let trained = output(&[&train[..], &["--threads", "1", "--out", &run, "-q"]].concat());
+    assert!(trained.status.success(), "{}", support::stderr(&trained));
+    let evaluate = |subject: &str| json(&["eval", subject, "--episodes", "60", "--json"]);
+    let [learned, deployed] = [evaluate(&run), evaluate(SHIPPED)];
+    for figure in ["return_mean", "length_mean", "treasures"] {
+        assert_eq!(deployed[figure], learned[figure], "{figure}");
+    }
+}
