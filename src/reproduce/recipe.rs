@@ -213,12 +213,8 @@ mod tests {
         assert!(names.is_sorted_by(|a, b| a < b), "twice: {names:?}");
         for figure in &recipes.figures {
             assert!(figure.why.ends_with('.'), "{}", figure.name);
-            assert_eq!(
-                figure.state == State::NotYet && figure.has_runs(),
-                false,
-                "{}",
-                figure.name
-            );
+            let is_early = figure.state == State::NotYet && figure.has_runs();
+            assert!(!is_early, "{}", figure.name);
             assert_eq!(figure.has_runs(), !figure.measures.is_empty(), "{}", figure.name);
             for (case, method) in figure.pairs() {
                 figure.setup(case, method, 1).unwrap_or_else(|error| panic!("{}", error.message));
