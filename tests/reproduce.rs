@@ -22,7 +22,7 @@ cases = [
 ]
 measures = [
     { name = "twice frozen", key = "treasures", factor = 2, digits = 1 },
-    { name = "success", key = "success" },
+    { name = "learning", key = "training_treasures" },
 ]
 methods = [
     { name = "multi", words = "ma-exp", published = { "Task 2" = "1.83 ± 0.41" } },
@@ -47,7 +47,7 @@ fn place(steps: &str) -> (tempfile::TempDir, String, String) {
 
 #[test]
 fn a_figure_is_learned_once_and_laid_beside_what_was_published() {
-    let (_place, recipes, out) = place("6000");
+    let (_place, recipes, out) = place("60000");
     let arguments = ["reproduce", "small", "--recipes", &recipes, "--out", &out];
     let came = json(&[&arguments[..], &["--json"]].concat());
     let rows = came["rows"].as_array().expect("rows");
@@ -72,6 +72,12 @@ fn a_figure_is_learned_once_and_laid_beside_what_was_published() {
                 "{path}"
             );
         }
+        let curve =
+            fs::read_to_string(folder.join(format!("{path}-s4/curve.json"))).expect("a curve");
+        let last = curve.lines().last().expect("a point");
+        let point: serde_json::Value = serde_json::from_str(last).expect("JSON");
+        let learning = &row["measures"][1]["seeds"][1];
+        assert!(learning.is_f64() && *learning == point["training_treasures"], "{path}: {row}");
         let means = row["measures"][0]["seeds"].as_array().expect("seeds");
         let mean = means.iter().filter_map(serde_json::Value::as_f64).sum::<f64>() / 2.0;
         assert_eq!(row["measures"][0]["mean"].as_f64(), Some(mean), "{path}");
@@ -112,9 +118,10 @@ fn a_figure_is_learned_once_and_laid_beside_what_was_published() {
     let text = String::from_utf8_lossy(&listed.stdout).into_owned();
     assert!(text.contains("8 of 8") && text.contains("The environment is not there."), "{text}");
 
-    // Another recipe does not take these runs for its own.
-    fs::write(&recipes, RECIPES.replace("STEPS", "7000")).expect("a file");
-    assert_fails(&output(&arguments), 2, &["run.steps", "6000", "7000"]);
+    // Another recipe does not take these runs for its own, whatever lies beside them.
+    fs::write(&recipes, RECIPES.replace("STEPS", "70000")).expect("a file");
+    fs::remove_file(folder.join("task-2/multi.toml")).expect("the configuration of two runs");
+    assert_fails(&output(&arguments), 2, &["multi-s3 has `run.steps`", "60000", "70000"]);
 }
 
 #[test]
