@@ -1,7 +1,7 @@
 //! The networks of an agent that runs options: within an option, and where it chooses anew.
 
 use sortie_bundle::{Bundle, OptionsContract};
-use sortie_core::options::{OptionNetworks, SHOWN_BYTES, Shown};
+use sortie_core::options::{OptionNetworks, Shown};
 use sortie_core::plan::Profile;
 use sortie_plans::{CompileError, GraphNetworks, option_arena, option_networks};
 
@@ -25,10 +25,8 @@ struct Seen {
 impl Seen {
     fn of(bundle: &Bundle, options: &OptionsContract) -> Result<Self, CompileError> {
         let unfit = |reason: String| CompileError::NoAgent { reason };
-        let (features, actions) = (bundle.contract().features, bundle.contract().actions);
-        let rules = options.rules(actions.into()).map_err(unfit)?;
-        let step = Shown::new(rules.picture);
-        let step = step.ok_or_else(|| unfit("its picture cannot be shown".to_owned()))?;
+        let features = bundle.contract().features;
+        let step = options.shown().map_err(unfit)?;
         let ticks = || bundle.golden().episodes.iter().flat_map(|episode| &episode.ticks);
         let rows = ticks().map(|tick| tick.row(features.into()).map_err(unfit));
         let rows: Vec<Vec<f32>> = rows.collect::<Result<_, _>>()?;
@@ -44,13 +42,8 @@ impl Seen {
 
     /// The feature step.
     fn show(&self, call: usize, to: &mut [f32]) {
-        let row = &self.rows[call % self.rows.len()];
-        let mut bytes = [0; SHOWN_BYTES];
-        let bytes = &mut bytes[..self.step.bytes()];
-        let entries = row.iter().copied().enumerate().filter(|entry| entry.1 != 0.0);
-        self.step.write(entries, bytes);
-        to.fill(0.0);
-        self.step.light(bytes, false, |column| to[column] = 1.0);
+        let view = self.step.lay_out(&self.rows[call % self.rows.len()], to);
+        std::hint::black_box(view);
     }
 }
 

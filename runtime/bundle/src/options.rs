@@ -68,18 +68,26 @@ pub enum Affords {
 }
 
 impl OptionsContract {
+    /// What the networks are shown of an observation.
+    ///
+    /// # Errors
+    /// The picture has no such middle, or is too large.
+    pub fn shown(&self) -> Result<Shown, String> {
+        let PictureContract { channels, size, counts, crop, nearest } = self.picture;
+        let [channels, size, counts, crop] = [channels, size, counts, crop].map(usize::from);
+        let picture = PictureShape { channels, size, counts, crop, nearest };
+        Shown::new(picture)
+            .ok_or_else(|| format!("the picture has no such middle, or is too large: {picture:?}"))
+    }
+
     /// The rules as the runtime takes them, for so many actions.
     ///
     /// # Errors
     /// What is wrong with them.
     pub fn rules(&self, actions: usize) -> Result<OptionRules, String> {
-        let PictureContract { channels, size, counts, crop, nearest } = self.picture;
-        let [channels, size, counts, crop] = [channels, size, counts, crop].map(usize::from);
-        let picture = PictureShape { channels, size, counts, crop, nearest };
-        let beyond = |it: &&MilestoneSign| usize::from(it.carried) >= counts || it.change == 0;
-        if Shown::new(picture).is_none() {
-            return Err(format!("the picture has no such middle, or is too large: {picture:?}"));
-        }
+        let picture = *self.shown()?.shape();
+        let beyond =
+            |it: &&MilestoneSign| usize::from(it.carried) >= picture.counts || it.change == 0;
         if let Some(sign) = self.milestones.iter().find(beyond) {
             return Err(format!("the milestone `{}` shows in no count", sign.name));
         }

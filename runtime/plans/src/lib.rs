@@ -64,7 +64,8 @@ pub use observations::{
 };
 pub use onnx_file::read_onnx;
 pub use options::{
-    GraphNetworks, compare_with_golden_episodes, option_arena, option_networks, options_over_graphs,
+    GraphNetworks, compare_with_golden_episodes, option_arena, option_networks, option_policy,
+    options_over_graphs,
 };
 pub use policy::{
     FlatPolicy, InputRole, OutputRole, PolicyAnswer, PolicyFacts, PolicyInput, PolicyOptions,

@@ -1,7 +1,7 @@
 //! Agents that run options: their networks in any engine, and their golden episodes.
 
 use sortie_bundle::{Bundle, OptionsContract};
-use sortie_core::options::{OptionNetworks, OptionPolicy, PlanNetworks, Pursuit, Shown};
+use sortie_core::options::{OptionNetworks, OptionPolicy, PlanNetworks, Pursuit};
 use sortie_core::plan::{AlignedBytes, Plan, PlanError};
 use sortie_core::{DecideError, EntityMask, Observation, Policy};
 use zerocopy::FromBytes;
@@ -55,25 +55,36 @@ pub(crate) fn arenas(
     options: &OptionsContract,
     plans: &[AlignedBytes],
 ) -> Result<Vec<AlignedBytes>, PlanError> {
-    let rules = options.rules(1).map_err(|_| PlanError::WrongNetwork)?;
-    let columns = Shown::new(rules.picture).map_or(0, |shown| shown.columns());
-    Ok(vec![option_arena(plans)?, AlignedBytes::zeroed(4 * columns)])
+    let shown = options.shown().map_err(|_| PlanError::WrongNetwork)?;
+    Ok(vec![option_arena(plans)?, AlignedBytes::zeroed(4 * shown.columns())])
 }
 
-/// The same agent over the three graphs in an engine.
+/// An agent of so many actions over networks in any engine.
 ///
 /// # Errors
 /// The rules do not hold together.
+pub fn option_policy<N: OptionNetworks>(
+    (options, actions): (&OptionsContract, usize),
+    networks: N,
+) -> Result<OptionPolicy<N, Vec<f32>>, CompileError> {
+    let unfit = |reason: String| CompileError::NoAgent { reason };
+    let rules = options.rules(actions).map_err(unfit)?;
+    let row = vec![0.0; options.shown().map_err(unfit)?.columns()];
+    let policy = OptionPolicy::new(rules, networks, row);
+    policy.ok_or_else(|| unfit("its picture cannot be shown".to_owned()))
+}
+
+/// The same over the three graphs in an engine.
+///
+/// # Errors
+/// As [`option_policy`].
 pub fn options_over_graphs(
     bundle: &Bundle,
     options: &OptionsContract,
     graphs: [Box<dyn FlatPolicy>; 3],
 ) -> Result<Box<dyn Policy>, CompileError> {
-    let unfit = |reason: String| CompileError::NoAgent { reason };
-    let rules = options.rules(bundle.contract().actions.into()).map_err(unfit)?;
-    let columns = Shown::new(rules.picture).map_or(0, |shown| shown.columns());
-    let policy = OptionPolicy::new(rules, GraphNetworks(graphs), vec![0.0; columns]);
-    Ok(Box::new(policy.ok_or_else(|| unfit("its picture cannot be shown".to_owned()))?))
+    let actions = bundle.contract().actions.into();
+    Ok(Box::new(option_policy((options, actions), GraphNetworks(graphs))?))
 }
 
 /// Controller, meta-controller and affordances in an engine.

@@ -1,19 +1,18 @@
 //! Plays an episode and writes it down.
 
 use sortie_bundle::{Bundle, OptionsContract};
-use sortie_core::options::{OptionNetworks, PlanNetworks, Pursuit, SHOWN_BYTES, Shown};
+use sortie_core::options::{OptionPolicy, PlanNetworks, Pursuit};
 use sortie_core::plan::Profile;
 use sortie_core::{DecideError, Decision, Observation, Policy};
 use sortie_envs::milestones::World;
 use sortie_envs::{Environment, Split};
 use sortie_learn::LearnError;
 use sortie_learn::play::{Onlooker, PolicyTeam, Watched, watch};
-use sortie_plans::{CompileError, option_arena, option_networks};
+use sortie_plans::{CompileError, option_arena, option_networks, option_policy};
 
 use super::data::{AgentFacts, Captured, Event, State, Step, Thought};
 use crate::compiler::plans;
-use crate::failure::{Exit, Failure};
-use crate::policy::DeployedPolicy;
+use crate::failure::Failure;
 use crate::views::page::rounded;
 
 /// How a game's grid is found, and the names of its objects.
@@ -34,10 +33,10 @@ pub(super) fn capture(
     let mut arena = option_arena(found.plans()).map_err(CompileError::from)?;
     let networks = option_networks(found.plans(), &mut arena);
     let networks = networks.map_err(CompileError::from)?;
-    let mut deployed = DeployedPolicy::of_plans(plans().agents(bundle, Profile::Exact)?)?;
+    let policy = option_policy((options, environment.spec().shape.actions), networks)?;
+    let mut diary = Diary { policy, thoughts: Vec::new() };
     let mut world = environment.open(1, Split::Test);
     let spec = world.spec().clone();
-    let mut diary = Diary::new(deployed.policy()?, networks, options, spec.shape.actions)?;
     let mut recorder = Recorder { board, captured: Captured::default() };
     let mut team = PolicyTeam::new(&mut diary);
     watch(&mut *world, &mut team, episode..episode + 1, seed, &mut recorder)?;
@@ -119,39 +118,8 @@ impl Onlooker for Recorder {
 
 /// Decides, and writes down what it thinks.
 struct Diary<'a> {
-    policy: Box<dyn Policy + 'a>,
-    networks: PlanNetworks<'a>,
-    rules: sortie_core::options::OptionRules,
-    shown: Shown,
+    policy: OptionPolicy<PlanNetworks<'a>, Vec<f32>>,
     thoughts: Vec<Thought>,
-}
-
-impl<'a> Diary<'a> {
-    fn new(
-        policy: Box<dyn Policy + 'a>,
-        networks: PlanNetworks<'a>,
-        options: &OptionsContract,
-        actions: usize,
-    ) -> Result<Self, Failure> {
-        let unfit = |reason: String| Failure::new(Exit::BadData, reason);
-        let rules = options.rules(actions).map_err(unfit)?;
-        let shown = Shown::new(rules.picture);
-        let shown = shown.ok_or_else(|| unfit("its picture cannot be shown".to_owned()))?;
-        Ok(Self { policy, networks, rules, shown, thoughts: Vec::new() })
-    }
-
-    /// How likely it believes each milestone can be reached next.
-    fn likelihoods(&mut self, row: &[f32]) -> Result<Vec<f32>, DecideError> {
-        let mut bytes = [0; SHOWN_BYTES];
-        let bytes = &mut bytes[..self.shown.bytes()];
-        let lit = row.iter().copied().enumerate().filter(|entry| entry.1 != 0.0);
-        self.shown.write(lit, bytes);
-        let mut columns = vec![0.0; self.shown.columns()];
-        self.shown.light(bytes, false, |column| columns[column] = 1.0);
-        let mut likelihoods = vec![0.0; self.rules.milestones().len()];
-        self.networks.affordances(&columns, &mut likelihoods)?;
-        Ok(likelihoods)
-    }
 }
 
 impl Policy for Diary<'_> {
@@ -177,9 +145,10 @@ impl Policy for Diary<'_> {
         hidden: &mut [f32],
     ) -> Result<Decision, DecideError> {
         let decision = self.policy.decide_with(seen, hidden)?;
-        let likelihoods = self.likelihoods(seen.rows)?;
+        let mut likelihoods = vec![0.0; self.policy.rules().milestones().len()];
+        self.policy.likelihoods(seen, &mut likelihoods)?;
         if let Some(Pursuit { goal, steps }) = Pursuit::of(hidden) {
-            let mask = self.rules.mask(&likelihoods);
+            let mask = self.policy.rules().mask(&likelihoods);
             let likelihoods = likelihoods.into_iter().map(rounded).collect();
             self.thoughts.push(Thought { goal, step: steps, likelihoods, mask });
         }

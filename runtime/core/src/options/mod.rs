@@ -14,10 +14,9 @@ mod tests;
 pub use memory::Pursuit;
 pub use networks::{OptionNetworks, PlanNetworks};
 pub use rules::{Affordance, MILESTONES, Milestone, OptionRules};
-pub use shown::{LEVELS, PictureShape, SHOWN_BYTES, Shown};
+pub use shown::{LEVELS, PictureShape, Shown, view_of};
 
 use crate::choose::masked_argmax;
-use crate::identity::fnv1a;
 use crate::limits;
 use crate::math::all_finite;
 use crate::policy::{DecideError, Decision, Observation, Policy};
@@ -64,10 +63,17 @@ impl<N: OptionNetworks, R: AsMut<[f32]>> OptionPolicy<N, R> {
         &self.rules
     }
 
-    /// The milestones, as bits, that an agent with such a row believes it can go for.
-    pub fn mask(&mut self, observation: &Observation<'_>) -> Result<u32, DecideError> {
+    /// Writes how likely an agent with such a row believes each milestone can be reached next.
+    pub fn likelihoods(
+        &mut self,
+        observation: &Observation<'_>,
+        likelihoods: &mut [f32],
+    ) -> Result<(), DecideError> {
+        if likelihoods.len() != self.rules.milestones().len() {
+            return Err(DecideError::BadLength);
+        }
         self.look(observation)?;
-        self.mask_of_seen()
+        self.networks.affordances(self.row.as_mut(), likelihoods)
     }
 
     fn mask_of_seen(&mut self) -> Result<u32, DecideError> {
@@ -78,19 +84,10 @@ impl<N: OptionNetworks, R: AsMut<[f32]>> OptionPolicy<N, R> {
         Ok(self.rules.mask(likelihoods))
     }
 
-    /// Lays out what the networks are shown; returns a hash of it.
+    /// Lays out what the networks are shown; returns what stands for it.
     fn look(&mut self, observation: &Observation<'_>) -> Result<u32, DecideError> {
         let row = own_row(observation, self.rules.picture.features())?;
-        let mut bytes = [0; SHOWN_BYTES];
-        let bytes = bytes.get_mut(..self.shown.bytes()).ok_or(DecideError::BadLength)?;
-        let entries = row.iter().copied().enumerate().filter(|entry| entry.1 != 0.0);
-        self.shown.write(entries, bytes);
-        let to = self.row.as_mut();
-        to.fill(0.0);
-        self.shown.light(bytes, false, |column| {
-            to.get_mut(column).into_iter().for_each(|to| *to = 1.0);
-        });
-        Ok(view_of(bytes))
+        self.shown.lay_out(row, self.row.as_mut()).ok_or(DecideError::BadLength)
     }
 
     /// Computes a tick and the values of its actions, and remembers it.
@@ -240,11 +237,6 @@ fn own_row<'o>(observation: &Observation<'o>, features: usize) -> Result<&'o [f3
     let row = observation.rows.get(start..start.saturating_add(features));
     let row = row.filter(|_| observation.stride >= features).ok_or(DecideError::BadLength)?;
     all_finite(row).then_some(row).ok_or(DecideError::NonFinite)
-}
-
-/// The number that stands for what is shown, among 2^24, which an f32 holds exactly.
-pub fn view_of(shown: &[u8]) -> u32 {
-    (fnv1a(shown) >> 40) as u32
 }
 
 /// The first of the largest numbers among those that are open; NaN never wins.

@@ -1,10 +1,12 @@
 //! What networks are shown of a picture: cells around the middle, the nearest of every channel, what is carried.
 
+use crate::identity::fnv1a;
+
 /// Numbers from which on a count lights the next column.
 pub const LEVELS: [u16; 6] = [1, 2, 3, 4, 6, 8];
 
 /// Most bytes of a [`Shown`] state.
-pub const SHOWN_BYTES: usize = 512;
+const SHOWN_BYTES: usize = 512;
 
 /// Most cells to a side.
 const SIDE: usize = 15;
@@ -85,6 +87,19 @@ impl Shown {
         if self.shape.nearest { self.shape.channels } else { 0 }
     }
 
+    /// Lays a row out as the columns of the networks, [`Self::columns`] of them; what stands for it, as [`view_of`] says.
+    pub fn lay_out(&self, row: &[f32], columns: &mut [f32]) -> Option<u32> {
+        let mut bytes = [0; SHOWN_BYTES];
+        let bytes = bytes.get_mut(..self.bytes())?;
+        let entries = row.iter().copied().enumerate().filter(|entry| entry.1 != 0.0);
+        self.write(entries, bytes);
+        columns.fill(0.0);
+        self.light(bytes, false, |column| {
+            columns.get_mut(column).into_iter().for_each(|to| *to = 1.0);
+        });
+        Some(view_of(bytes))
+    }
+
     /// Writes the bytes of a row, of which all numbers that are not zero are given with their columns.
     pub fn write(&self, entries: impl Iterator<Item = (usize, f32)>, bytes: &mut [u8]) {
         let PictureShape { channels, size, crop, .. } = self.shape;
@@ -145,6 +160,11 @@ impl Shown {
             (0..usize::from(*level)).for_each(|level| column(first + item * LEVELS.len() + level));
         }
     }
+}
+
+/// The number that stands for the bytes of a state, among 2^24, which an f32 holds exactly.
+pub fn view_of(bytes: &[u8]) -> u32 {
+    (fnv1a(bytes) >> 40) as u32
 }
 
 /// The cell and channel of a column; none of a count.

@@ -16,7 +16,8 @@ use sortie_core::allocate::{
     SearchMemory, TaskRelation, TeamValueAllocator, exact,
 };
 use sortie_core::options::{
-    Affordance, Milestone, OptionPolicy, OptionRules, PictureShape, PlanNetworks, Pursuit,
+    Affordance, MILESTONES, Milestone, OptionPolicy, OptionRules, PictureShape, PlanNetworks,
+    Pursuit,
 };
 use sortie_core::plan::{Aligned, Given, Plan, arena_bytes};
 use sortie_core::wire::{AllocMsg, FrameFormat, FrameHeader, FrameLayout, FrameMut, FrameView};
@@ -238,7 +239,10 @@ fn run_options() -> Option<bool> {
     let memory = black_box(memory.as_mut_slice());
     let decision = policy.decide_with(&seen, memory).ok()?;
     let pursuit = Pursuit::of(memory)?;
-    let mask = policy.mask(&seen).ok()?;
+    let mut likelihoods = [0.0; MILESTONES];
+    let likelihoods = likelihoods.get_mut(..policy.rules().milestones().len())?;
+    policy.likelihoods(&seen, likelihoods).ok()?;
+    let mask = policy.rules().mask(likelihoods);
     let is_afforded = mask >> (pursuit.goal as u32 & 31) & 1 == 1;
     Some(pursuit.steps == 1 && is_afforded && decision.action < 11)
 }
