@@ -5,24 +5,6 @@ use serde::Serialize;
 /// Version of this data; the page's script and these types change together.
 pub(super) const FORMAT: u32 = 1;
 
-/// One episode.
-#[derive(Debug, Serialize)]
-pub(super) struct Data {
-    pub(super) format: u32,
-    /// The bundle that was viewed.
-    pub(super) subject: String,
-    /// Nobody assigns agents.
-    pub(super) allocation: Option<String>,
-    /// `ENV/SET`.
-    pub(super) env: String,
-    /// Seed and number.
-    pub(super) episode: (u64, usize),
-    /// What the reader must know about where figures come from.
-    pub(super) notes: &'static [&'static str],
-    #[serde(flatten)]
-    pub(super) captured: Captured,
-}
-
 /// An episode as it went.
 #[derive(Debug, Default, Serialize)]
 pub(super) struct Captured {

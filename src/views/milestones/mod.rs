@@ -9,13 +9,13 @@ use std::marker::PhantomData;
 use sortie_envs::milestones::{Game, Milestones, World};
 use sortie_envs::{Environment, Split};
 
-use super::page::{Web, html, script, style};
+use super::page::{Web, page, script, style};
 use super::{Page, View, Wanted, no_page};
 use crate::environment::check_fits;
 use crate::failure::Failure;
 use crate::subject::Subject;
 use capture::{Board, capture};
-use data::Data;
+use data::FORMAT;
 
 /// What is shown of such a game.
 pub(super) struct Shown<G>(PhantomData<G>);
@@ -66,16 +66,8 @@ impl<G: Game> View for Shown<G> {
         let board = Board { grid: grid::<G>, objects: G::OBJECTS };
         let captured = capture(&*world, (wanted.seed, wanted.episode), (bundle, options), board)?;
         let steps = captured.steps.len();
-        let data = Data {
-            format: data::FORMAT,
-            subject: wanted.subject.display().to_string(),
-            allocation: None,
-            env: set.to_string(),
-            episode: (wanted.seed, wanted.episode),
-            notes: &["What can be reached is the environment's own answer; the agent is not told."],
-            captured,
-        };
-        Ok(Page { html: html(&WEB, &data), steps })
+        let told = "What can be reached is the environment's own answer; the agent is not told.";
+        Ok(page(&WEB, wanted, (set.to_string(), vec![told]), (FORMAT, captured, steps)))
     }
 }
 

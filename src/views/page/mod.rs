@@ -6,6 +6,8 @@
 
 use serde::Serialize;
 
+use super::{Page, Wanted};
+
 const SKELETON: &str = include_str!("web/page.html");
 
 /// Parts of a style that all pages share.
@@ -43,6 +45,36 @@ pub(super) struct Web {
     pub(super) panels: &'static str,
     /// In the order in which they build on each other.
     pub(super) scripts: &'static [&'static str],
+}
+
+/// What the page of an episode knows in which nobody assigns agents.
+#[derive(Debug, Serialize)]
+struct Data<C> {
+    /// Version of what was captured; the page's script and its types change together.
+    format: u32,
+    /// What was viewed: a run, a bundle or `scripted`.
+    subject: String,
+    allocation: Option<String>,
+    /// `ENV/SET`.
+    env: String,
+    /// Seed and number.
+    episode: (u64, usize),
+    /// What the reader must know about where figures come from.
+    notes: Vec<&'static str>,
+    #[serde(flatten)]
+    captured: C,
+}
+
+/// The page of an episode of so many steps in which nobody assigned agents, with what was captured of it in a format.
+pub(super) fn page<C: Serialize>(
+    web: &Web,
+    wanted: &Wanted<'_>,
+    (env, notes): (String, Vec<&'static str>),
+    (format, captured, steps): (u32, C, usize),
+) -> Page {
+    let (subject, episode) = (wanted.subject.display().to_string(), (wanted.seed, wanted.episode));
+    let data = Data { format, subject, allocation: None, env, episode, notes, captured };
+    Page { html: html(web, &data), steps }
 }
 
 /// The page as HTML.

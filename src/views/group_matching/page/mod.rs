@@ -9,10 +9,10 @@ use sortie_learn::play::Start;
 
 use crate::failure::Failure;
 use crate::subject::Subject;
-use crate::views::page::{Web, html, script, style};
+use crate::views::page::{self, Web, script, style};
 use crate::views::{Page, Wanted, flat};
 use capture::{capture, give_thoughts};
-use data::{Captured, Data};
+use data::{Captured, FORMAT};
 
 const WEB: Web = Web {
     styles: &[
@@ -83,14 +83,6 @@ fn play(
 fn page(wanted: &Wanted<'_>, env: String, notes: &[&'static str], captured: Captured) -> Page {
     const TRUTH: &str = "Groups are shown as they are; agents know of them what they see.";
     let steps = captured.steps.len();
-    let data = Data {
-        format: data::FORMAT,
-        subject: wanted.subject.display().to_string(),
-        allocation: None,
-        env,
-        episode: Some((wanted.seed, wanted.episode)),
-        notes: [&[TRUTH], notes].concat(),
-        captured,
-    };
-    Page { html: html(&WEB, &data), steps }
+    let notes = [&[TRUTH], notes].concat();
+    page::page(&WEB, wanted, (env, notes), (FORMAT, captured, steps))
 }

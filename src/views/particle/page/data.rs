@@ -8,24 +8,6 @@ use crate::views::mind::Thought;
 /// Version of this data; the page's script and these types change together.
 pub(super) const FORMAT: u32 = 1;
 
-/// One episode.
-#[derive(Debug, Serialize)]
-pub(super) struct Data {
-    pub(super) format: u32,
-    /// What was viewed: a run, a bundle or `scripted`.
-    pub(super) subject: String,
-    /// Nobody assigns agents.
-    pub(super) allocation: Option<String>,
-    /// `ENV/SET`.
-    pub(super) env: String,
-    /// Seed and number.
-    pub(super) episode: Option<(u64, usize)>,
-    /// What the reader must know about where figures come from.
-    pub(super) notes: Vec<&'static str>,
-    #[serde(flatten)]
-    pub(super) captured: Captured,
-}
-
 /// An episode as it went.
 #[derive(Debug, Default, Serialize)]
 pub(super) struct Captured {

@@ -9,10 +9,10 @@ use sortie_learn::Act;
 
 use crate::failure::Failure;
 use crate::subject::Subject;
-use crate::views::page::{Web, html, script, style};
+use crate::views::page::{self, Web, script, style};
 use crate::views::{Page, Wanted, flat};
 use capture::{capture, give_thoughts};
-use data::{Captured, Data};
+use data::{Captured, FORMAT};
 
 const WEB: Web = Web {
     styles: &[
@@ -79,14 +79,6 @@ fn page(wanted: &Wanted<'_>, env: String, notes: &[&'static str], captured: Capt
     const TRUTH: &str = "What agents hold is shown as it is; agents see it one step later.";
     let is_hunt = !captured.kinds.is_empty();
     let steps = captured.steps.len();
-    let data = Data {
-        format: data::FORMAT,
-        subject: wanted.subject.display().to_string(),
-        allocation: None,
-        env,
-        episode: Some((wanted.seed, wanted.episode)),
-        notes: [if is_hunt { &[TRUTH][..] } else { &[] }, notes].concat(),
-        captured,
-    };
-    Page { html: html(&WEB, &data), steps }
+    let notes = [if is_hunt { &[TRUTH][..] } else { &[] }, notes].concat();
+    page::page(&WEB, wanted, (env, notes), (FORMAT, captured, steps))
 }
