@@ -8,18 +8,18 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde::Serialize;
-use sortie_bundle::files::{Durability, replace_file};
 use sortie_learn::evaluate::Score;
 use sortie_learn::report::{self, Comparison, Group, RunRecord, Spread, TeamSummary, chart};
 use sortie_learn::session::Setup;
 
 use crate::failure::{Exit, Failure, Outcome};
+use crate::files::write_output;
 use crate::options::Common;
 use crate::output::{Table, plural, print_json, say, tell};
 use crate::progress::bar;
 use crate::seeds::SeedRange;
 use crate::signals::stop_on_signals;
-use crate::train::{Sweep, learn_all, suffixed};
+use crate::train::{Sweep, learn_all, run_folder, suffixed};
 use came::{Came, Measured, Row};
 use recipe::{Case, Figure, Method, OWN, Recipes, slug};
 
@@ -88,7 +88,7 @@ fn list(recipes: &Recipes, arguments: &ReproduceArguments) -> Outcome {
         let folder = arguments.out.join(&figure.name);
         let folders = figure.pairs().flat_map(|(case, method)| {
             let out = folder_of(&folder, case, method);
-            seeds.iter().map(move |seed| suffixed(&out, &format!("-s{seed}")))
+            seeds.iter().map(move |seed| run_folder(&out, *seed))
         });
         let ended: Vec<bool> = folders.map(|run| run.join("result.json").exists()).collect();
         let finished = ended.iter().filter(|ended| **ended).count();
@@ -132,12 +132,8 @@ impl Part<'_> {
 
     /// Its runs, which have ended.
     fn records(&self) -> Result<Vec<RunRecord>, Failure> {
-        let folder = |seed: &u64| suffixed(&self.out, &format!("-s{seed}"));
-        Ok(self
-            .seeds
-            .iter()
-            .map(|seed| RunRecord::open(&folder(seed)))
-            .collect::<Result<_, _>>()?)
+        let record = |seed: &u64| RunRecord::open(&run_folder(&self.out, *seed));
+        Ok(self.seeds.iter().map(record).collect::<Result<_, _>>()?)
     }
 }
 
@@ -172,8 +168,9 @@ fn reproduce(figure: &Figure, arguments: &ReproduceArguments) -> Outcome {
     let folder = arguments.out.join(&figure.name);
     let parts = parts(figure, &seeds, &folder)?;
     learn(&parts, arguments.common)?;
-    let came = came(figure, &seeds, &parts)?;
-    let files = write(&folder, &came, &parts)?;
+    let groups = groups(figure, &parts)?;
+    let came = came(figure, &seeds, &groups)?;
+    let files = write(figure, &folder, &came, &groups)?;
     if arguments.common.json {
         print_json(&came);
         return Ok(());
@@ -211,19 +208,22 @@ fn learn(parts: &[Part<'_>], common: Common) -> Outcome {
     Ok(())
 }
 
-/// The runs of a case and a method, of all seeds.
-fn group(parts: &[Part<'_>], case: &Case, method: &Method) -> Result<Group, Failure> {
-    let is_one = |part: &&Part<'_>| part.case.name == case.name && part.method.name == method.name;
-    let runs = parts.iter().filter(is_one).map(Part::records).collect::<Result<Vec<_>, _>>()?;
-    Ok(Group { label: method.name.clone(), runs: runs.into_iter().flatten().collect() })
+/// The runs of every case and method, of all seeds, in the order of [`Figure::pairs`].
+fn groups(figure: &Figure, parts: &[Part<'_>]) -> Result<Vec<Group>, Failure> {
+    let group = |(case, method): (&Case, &Method)| {
+        let is_one =
+            |part: &&Part<'_>| part.case.name == case.name && part.method.name == method.name;
+        let runs = parts.iter().filter(is_one).map(Part::records).collect::<Result<Vec<_>, _>>()?;
+        Ok(Group { label: method.name.clone(), runs: runs.into_iter().flatten().collect() })
+    };
+    figure.pairs().map(group).collect()
 }
 
 /// What the runs came to, row by row.
-fn came<'a>(figure: &'a Figure, seeds: &'a [u64], parts: &[Part<'a>]) -> Result<Came<'a>, Failure> {
+fn came<'a>(figure: &'a Figure, seeds: &'a [u64], groups: &[Group]) -> Result<Came<'a>, Failure> {
     let mut rows = Vec::new();
-    for (case, method) in figure.pairs() {
-        let Group { runs, .. } = group(parts, case, method)?;
-        let measured = figure.measures.iter().map(|measure| Measured::of(measure, &runs));
+    for ((case, method), Group { runs, .. }) in figure.pairs().zip(groups) {
+        let measured = figure.measures.iter().map(|measure| Measured::of(measure, runs));
         let cpu_s = Spread::of(runs.iter().map(|run| run.last().cpu_s));
         rows.push(Row {
             case: &case.name,
@@ -240,20 +240,19 @@ fn came<'a>(figure: &'a Figure, seeds: &'a [u64], parts: &[Part<'a>]) -> Result<
 }
 
 /// Writes table and pictures; how many files.
-fn write(folder: &Path, came: &Came<'_>, parts: &[Part<'_>]) -> Result<usize, Failure> {
+fn write(
+    figure: &Figure,
+    folder: &Path,
+    came: &Came<'_>,
+    groups: &[Group],
+) -> Result<usize, Failure> {
     let mut files = 2;
     let mut solved: Option<Comparison> = None;
-    let mut cases: Vec<&Case> = parts.iter().map(|part| part.case).collect();
-    cases.dedup_by_key(|case| &case.name);
-    for case in cases {
-        let methods = came.rows.iter().filter(|row| row.case == case.name);
-        let method = |row: &Row<'_>| parts.iter().find(|part| part.method.name == row.method);
-        let groups = methods.filter_map(method).map(|part| group(parts, case, part.method));
-        let groups = groups.collect::<Result<Vec<_>, _>>()?;
+    for (case, groups) in figure.cases.iter().zip(groups.chunks(figure.methods.len())) {
         let title = format!("{}: {}", came.figure, case.name);
-        let comparison = Comparison::of(&title, &groups);
+        let comparison = Comparison::of(&title, groups);
         let place = folder.join(slug(&case.name)).join("comparison");
-        files += report::write(&place, &groups, &comparison)?.len();
+        files += report::write(&place, groups, &comparison)?.len();
         if comparison.score == Score::Success {
             let teams = teams(&case.name, &comparison);
             solved
@@ -265,13 +264,13 @@ fn write(folder: &Path, came: &Came<'_>, parts: &[Part<'_>]) -> Result<usize, Fa
     if let Some(solved) = solved {
         let title = format!("{}: solved episodes", came.figure);
         if let Some(picture) = chart::teams(&title, &solved)? {
-            replace(&folder.join("picture.svg"), &picture)?;
+            write_output(&folder.join("picture.svg"), picture.as_bytes())?;
             files += 1;
         }
     }
-    let json = serde_json::to_string_pretty(came).map_err(Failure::bug)?;
-    replace(&folder.join("table.json"), &(json + "\n"))?;
-    replace(&folder.join("table.md"), &came.markdown())?;
+    let json = serde_json::to_string_pretty(came).map_err(Failure::bug)? + "\n";
+    write_output(&folder.join("table.json"), json.as_bytes())?;
+    write_output(&folder.join("table.md"), came.markdown().as_bytes())?;
     Ok(files)
 }
 
@@ -284,11 +283,6 @@ fn teams<'a>(case: &'a str, comparison: &'a Comparison) -> Vec<TeamSummary> {
         success: group.success,
     };
     comparison.groups.iter().map(of).collect()
-}
-
-fn replace(path: &Path, text: &str) -> Outcome {
-    replace_file(path, text.as_bytes(), Durability::Cached)
-        .map_err(|error| Failure::file(path, &error))
 }
 
 fn print(came: &Came<'_>) {

@@ -29,7 +29,7 @@ use crate::signals::stop_on_signals;
 use configuration::setup;
 use method::Method;
 use reporter::Reporter;
-pub(crate) use sweep::{Sweep, learn_all, suffixed};
+pub(crate) use sweep::{Sweep, learn_all, run_folder, suffixed};
 
 /// Learn a team's policy and write the run to a folder
 ///

@@ -170,7 +170,7 @@ impl<'a> Sweep<'a> {
 
     /// The folder of a seed's run.
     pub(crate) fn folder(&self, seed: u64) -> PathBuf {
-        suffixed(self.out, &format!("-s{seed}"))
+        run_folder(self.out, seed)
     }
 
     /// Runs one seed, or goes on with it, or reads how it ended.
@@ -179,8 +179,8 @@ impl<'a> Sweep<'a> {
         if !folder.join("result.json").exists() {
             self.learn(seed, &folder, stop)?;
         }
-        let [success, return_mean] = ["success", "return_mean"].map(|key| figure(&folder, key));
-        Ok(Finished { seed, success: success?, return_mean: return_mean?, run: folder })
+        let [success, return_mean] = figures(&folder, ["success", "return_mean"])?;
+        Ok(Finished { seed, success, return_mean, run: folder })
     }
 
     fn learn(&self, seed: u64, folder: &Path, stop: &Stop) -> Outcome {
@@ -277,6 +277,11 @@ fn bar(steps: u64, seed: u64) -> ProgressBar {
     ProgressBar::new(steps).with_style(style).with_message("not measured yet")
 }
 
+/// The folder of a seed's run, of runs that differ in their seeds.
+pub(crate) fn run_folder(out: &Path, seed: u64) -> PathBuf {
+    suffixed(out, &format!("-s{seed}"))
+}
+
 /// `path` with more at its end.
 pub(crate) fn suffixed(path: &Path, suffix: &str) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
@@ -284,12 +289,16 @@ pub(crate) fn suffixed(path: &Path, suffix: &str) -> PathBuf {
     name.into()
 }
 
-/// A figure that a finished run reports.
-fn figure(folder: &Path, key: &str) -> Result<f64, Failure> {
+/// Figures that a finished run reports.
+fn figures<const N: usize>(folder: &Path, keys: [&str; N]) -> Result<[f64; N], Failure> {
     let path = folder.join("result.json");
     let text = fs::read_to_string(&path).map_err(|error| Failure::file(&path, &error))?;
     let result: Option<Value> = serde_json::from_str(&text).ok();
-    result
-        .and_then(|result| result.get(key)?.as_f64())
-        .ok_or_else(|| Failure::new(Exit::BadData, format!("{}: no `{key}` in it", path.display())))
+    let mut found = [0.0; N];
+    for (to, key) in found.iter_mut().zip(keys) {
+        let figure = result.as_ref().and_then(|result| result.get(key)?.as_f64());
+        let missing = || format!("{}: no `{key}` in it", path.display());
+        *to = figure.ok_or_else(|| Failure::new(Exit::BadData, missing()))?;
+    }
+    Ok(found)
 }
