@@ -204,10 +204,14 @@ fn card(run: &MethodRun<'_>, measured: &[Measured], networks: &DeployedNetworks<
          {} Trained by\n\
          `sortie train {method}`, seed {seed}, Sortie {version}; `train.toml` repeats the run.\n\n\
          ## How well it does\n\n\
-         {}pisodes that training never saw. The interval is that of the episodes, not of training again.\n\n",
+         {} that training never saw. The interval is that of the episodes, not of training again.\n\n",
         config.environment,
         networks.about(),
-        if matches!(networks, DeployedNetworks::Options { .. }) { "E" } else { "Greedy e" },
+        if matches!(networks, DeployedNetworks::Options { .. }) {
+            "Episodes"
+        } else {
+            "Greedy episodes"
+        },
     );
     card += &measured_table(measured);
     if let Some(last) = run.curve.last() {
