@@ -136,7 +136,8 @@ impl Bundle {
     fn open(folder: &std::path::Path, compiler: CompilerProcess) -> Result<Self, Failure> {
         let bundle = sortie_bundle::Bundle::open(folder)?;
         if bundle.options().is_some() {
-            let words = "agents that run options are not bound; `sortie run` and Rust programs run them";
+            let words =
+                "agents that run options are not bound; `sortie run` and Rust programs run them";
             return Err(Failure::Words(within(Some(folder), words.to_owned())));
         }
         let plans = BundlePlans::new(compiler, user_cache(), warn);
