@@ -13,7 +13,9 @@ from sortie import _compiler
 
 MODELS = ROOT / "models"
 PROPOSING = ROOT / "tests/golden/proposing-team"
-TEAMS = sorted(path.name for path in MODELS.iterdir())
+# Agents that run options decide by three networks, and are not bound.
+OPTIONS = MODELS / "crafting-iron"
+TEAMS = sorted(path.name for path in MODELS.iterdir() if path != OPTIONS)
 EXACT_AGENTS = 10
 ALLOCATING = [name for name in TEAMS if (MODELS / name / "allocator.plan").exists()]
 
@@ -46,6 +48,11 @@ def state_of(case, contract):
 def team(request):
     bundle = opened(request.param)
     return bundle, bundle.inspect()["contract"], json.loads((MODELS / request.param / "golden.json").read_text())
+
+
+def test_agents_that_run_options_are_refused_with_what_runs_them():
+    with pytest.raises(sortie.BundleError, match="crafting-iron.*options are not bound; `sortie run`"):
+        sortie.Bundle(OPTIONS)
 
 
 def test_every_recorded_observation_gets_its_action(team):

@@ -196,19 +196,8 @@ fn places_both(allocator: &mut impl Allocator, state: &AllocationState<'_>) -> b
 /// The milestones of iron, by what is carried.
 fn rules() -> Option<OptionRules> {
     let picture = PictureShape { channels: 9, size: 11, counts: 12, crop: 5, nearest: true };
-    let signs = [
-        (0, 1),
-        (2, 4),
-        (3, 4),
-        (2, -4),
-        (5, 1),
-        (4, 1),
-        (4, -4),
-        (6, 1),
-        (8, 1),
-        (10, 1),
-        (9, 1),
-    ];
+    let signs =
+        [(0, 1), (2, 4), (3, 4), (2, -4), (5, 1), (4, 1), (4, -4), (6, 1), (8, 1), (10, 1), (9, 1)];
     let affordance = Affordance::Learned;
     let milestones = signs.map(|(carried, change)| Milestone { carried, change, affordance });
     let mut rules = OptionRules::new(picture, 11, 51, black_box(&milestones))?;
