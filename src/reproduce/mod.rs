@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde::Serialize;
-use sortie_learn::evaluate::Score;
-use sortie_learn::report::{self, Comparison, Group, RunRecord, Spread, TeamSummary, chart};
+use sortie_learn::report::chart::{self, Axis, Bar, Bars};
+use sortie_learn::report::{self, Comparison, Group, RunRecord, Spread};
 use sortie_learn::session::Setup;
 
 use crate::failure::{Exit, Failure, Outcome};
@@ -27,7 +27,7 @@ use recipe::{Case, Figure, Method, OWN, Recipes, slug};
 ///
 /// Runs are those of `sortie train`, one for each case, method and seed, as many at a time as there are cores. What is
 /// finished is only read; the same command again goes on with what was stopped. The folder gets `table.md`, `table.json`,
-/// `picture.svg` where episodes can be solved, and for every case what `sortie compare` writes.
+/// `picture.svg`, and for every case what `sortie compare` writes.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   sortie reproduce --list
@@ -246,43 +246,37 @@ fn write(
     came: &Came<'_>,
     groups: &[Group],
 ) -> Result<usize, Failure> {
-    let mut files = 2;
-    let mut solved: Option<Comparison> = None;
+    let mut files = 3;
     for (case, groups) in figure.cases.iter().zip(groups.chunks(figure.methods.len())) {
         let title = format!("{}: {}", came.figure, case.name);
         let comparison = Comparison::of(&title, groups);
         let place = folder.join(slug(&case.name)).join("comparison");
         files += report::write(&place, groups, &comparison)?.len();
-        if comparison.score == Score::Success {
-            let teams = teams(&case.name, &comparison);
-            solved
-                .get_or_insert(Comparison { teams: Vec::new(), ..comparison })
-                .teams
-                .extend(teams);
-        }
     }
-    if let Some(solved) = solved {
-        let title = format!("{}: solved episodes", came.figure);
-        if let Some(picture) = chart::teams(&title, &solved)? {
-            write_output(&folder.join("picture.svg"), picture.as_bytes())?;
-            files += 1;
-        }
-    }
+    write_output(&folder.join("picture.svg"), drawn(figure, came)?.as_bytes())?;
     let json = serde_json::to_string_pretty(came).map_err(Failure::bug)? + "\n";
     write_output(&folder.join("table.json"), json.as_bytes())?;
     write_output(&folder.join("table.md"), came.markdown().as_bytes())?;
     Ok(files)
 }
 
-/// How often each method solved a case: a group of bars.
-fn teams<'a>(case: &'a str, comparison: &'a Comparison) -> Vec<TeamSummary> {
-    let of = |group: &report::GroupSummary| TeamSummary {
-        team: case.to_owned(),
-        label: group.label.clone(),
-        episodes: 0,
-        success: group.success,
+/// The first measure as a picture: a group of bars for each case.
+fn drawn(figure: &Figure, came: &Came<'_>) -> Result<String, Failure> {
+    let labels: Vec<&str> = figure.methods.iter().map(|method| &*method.name).collect();
+    let bars = came.rows.iter().filter_map(|row| {
+        let label = labels.iter().position(|label| *label == row.method)?;
+        Some(Bar { group: row.case, label, spread: row.measures.first()?.spread })
+    });
+    let bars: Vec<Bar<'_>> = bars.collect();
+    let (about, axis) = match figure.measures.first() {
+        Some(measure) if measure.key == "success" => ("share of solved episodes", Axis::SHARE),
+        measure => {
+            let name = measure.map_or("", |measure| &*measure.name);
+            (name, Axis::of(bars.iter().map(|bar| &bar.spread)))
+        }
     };
-    comparison.groups.iter().map(of).collect()
+    let title = format!("{}: {about}", came.figure);
+    Ok(chart::draw_bars(&title, &Bars { about, labels, bars, axis })?)
 }
 
 fn print(came: &Came<'_>) {

@@ -4,6 +4,7 @@
 
 mod crafting;
 mod flat;
+mod gridworld;
 mod group_matching;
 mod milestones;
 mod mind;
@@ -11,6 +12,7 @@ mod page;
 mod particle;
 mod save_the_city;
 mod treasure_rooms;
+mod witness;
 
 use std::path::Path;
 
@@ -29,6 +31,7 @@ const VIEWS: &[(&str, &dyn View)] = &[
     save_the_city::VIEW,
     group_matching::VIEW,
     particle::VIEW,
+    gridworld::VIEW,
     crafting::VIEW,
     treasure_rooms::VIEW,
 ];

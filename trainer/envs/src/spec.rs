@@ -142,6 +142,9 @@ pub struct Spec {
     pub relations: usize,
     /// Most features of one row that differ from zero.
     pub row_entries: usize,
+    /// Rows of a map that no step changes, a character for each cell, as the environment writes them; empty where there is
+    /// none.
+    pub map: Vec<String>,
     /// Most bytes of a state.
     pub state_bytes: usize,
     /// Steps after which an episode is over, however it stands.
@@ -171,6 +174,7 @@ impl Default for Spec {
             rules: &[],
             relations: 0,
             row_entries: 0,
+            map: Vec::new(),
             state_bytes: 0,
             episode_limit: u32::MAX,
         }

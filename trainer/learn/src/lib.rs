@@ -19,6 +19,6 @@ pub mod session;
 pub mod state;
 
 pub use error::LearnError;
-pub use method::{Act, Method, Now, Scene, Scenes, Thought, Transition};
+pub use method::{Act, Head, Method, Now, Scene, Scenes, Thought, Transition};
 pub use session::Session;
 pub use state::State;

@@ -47,6 +47,21 @@ pub struct Thought {
     pub scores: Vec<f32>,
     /// Other agents and how much its critic looks at each, by heads; empty where it looks at nobody in particular.
     pub attention: Vec<(usize, Vec<f32>)>,
+    /// What each of its heads thinks, where it explores by several.
+    pub heads: Vec<Head>,
+}
+
+/// What one of the heads thinks by which an agent explores.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Head {
+    /// What it explores for.
+    pub name: String,
+    /// Its intrinsic reward for being in this scene.
+    pub pays: f32,
+    /// The action that it likes best.
+    pub likes: u16,
+    /// Whether the agent acts by it.
+    pub acts: bool,
 }
 
 /// What chooses the actions of all agents, the best that it knows.
@@ -74,6 +89,11 @@ pub trait Act {
     /// does not tell.
     fn thoughts(&mut self, scenes: &Scenes<'_>, actions: &[u16]) -> Vec<Thought> {
         let _ = (scenes, actions);
+        Vec::new()
+    }
+
+    /// `[A, cells]`: how often each agent was in each cell of the map while it learned; empty where that is not counted.
+    fn visits(&self) -> Vec<Vec<u32>> {
         Vec::new()
     }
 }

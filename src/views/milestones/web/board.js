@@ -4,10 +4,13 @@ const CELL = 40;
 const EMPTY = 0;
 const WALL = 2;
 
-/** Two letters for an object. */
-function objectSign(name) {
-  const words = name.split("_");
-  return words.length > 1 ? words[0][0] + words[1][0] : name.slice(0, 2);
+/** Two letters for each object that is ever on the grid, no two alike. */
+const SIGNS = new Map();
+for (const object of [...new Set(episode.states.flatMap(({ cells }) => cells))].sort((a, b) => a - b)) {
+  const [first, ...rest] = episode.objects[object].split("_");
+  const seconds = [...rest.map((word) => word[0]), ...first.slice(1)];
+  const signs = seconds.map((second) => first[0] + second);
+  SIGNS.set(object, signs.find((sign) => ![...SIGNS.values()].includes(sign)) ?? signs[0]);
 }
 
 function objectHue(object) {
@@ -19,10 +22,9 @@ function createMap() {
   const map = byId("map");
   const side = episode.size * CELL;
   setAll(map, { viewBox: `0 0 ${side} ${side}` });
-  const used = new Set(episode.states.flatMap(({ cells }) => cells));
-  const named = [...used].filter((object) => object !== EMPTY && object !== WALL).sort((a, b) => a - b);
+  const named = [...SIGNS].filter(([object]) => object !== EMPTY && object !== WALL);
   byId("legend").append(
-    ...named.map((object) => html("li", {}, `${objectSign(episode.objects[object])} ${episode.objects[object].replaceAll("_", " ")}`)),
+    ...named.map(([object, sign]) => html("li", {}, `${sign} ${episode.objects[object].replaceAll("_", " ")}`)),
   );
   return function showMap(view) {
     const state = episode.states[view.at];
@@ -38,7 +40,7 @@ function drawCell(state, object, cell) {
   if (object === EMPTY || object === WALL) {
     return [rect];
   }
-  const sign = objectSign(episode.objects[object]);
+  const sign = SIGNS.get(object);
   const text = (state.open >> object) & 1 ? `(${sign})` : sign;
   return [rect, svg("text", { class: "cell-name", x: x + CELL / 2, y: y + CELL / 2 }, text)];
 }

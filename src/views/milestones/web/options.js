@@ -59,7 +59,7 @@ function createBuildingPanel() {
   return function showCarried(view) {
     const { carried } = episode.states[view.at];
     const rows = episode.items.map((item, place) =>
-      html("tr", {}, html("th", { scope: "row" }, item.replaceAll("_", " ")), html("td", { class: "count" }, carried[place] || "")),
+      html("tr", {}, html("th", { scope: "row" }, item.replaceAll("_", " ")), html("td", { class: "count" }, String(carried[place]))),
     );
     byId("carried").tBodies[0].replaceChildren(...rows);
   };

@@ -5,6 +5,7 @@ function createTimeline(go) {
   return createLanes(go, {
     count: 1 + episode.milestones.length,
     above: 1,
+    gutter: 96,
     draw: (number, lane, column) => (number === 0 ? reachedLane(lane, column) : goalLane(number - 1, lane, column)),
   });
 }
@@ -28,5 +29,5 @@ function goalLane(milestone, lane, column) {
       ? [svg("rect", { class: "lane-cell", style: "--tint: var(--taken)", x: at * column, y: 2, width: Math.max(column, 1), height: lane - 4 })]
       : [],
   );
-  return svg("g", {}, laneName(nameOf(milestone).slice(0, 6), lane), laneTrack(lane, column), ...marks);
+  return svg("g", {}, laneName(nameOf(milestone), lane), laneTrack(lane, column), ...marks);
 }

@@ -1,13 +1,13 @@
 // Lanes across the whole episode, one below the other: a column for every state.
 
-const GUTTER = 40;
 const GAP = 8;
 
 /**
- * Draws as many lanes, with a gap below the first `above`, again whenever the width changes; the returned function
- * moves the cursor. `draw(number, lane, column)` is one lane of this height with columns of this width.
+ * Draws as many lanes, with a gap below the first `above` and room for names on the left, again whenever the width
+ * changes; the returned function moves the cursor. `draw(number, lane, column)` is one lane of this height with columns of
+ * this width.
  */
-function createLanes(go, { count, above, draw }) {
+function createLanes(go, { count, above, gutter = 40, draw }) {
   const timeline = byId("timeline");
   const lane = Math.max(9, Math.min(18, Math.floor(220 / count)));
   const height = count * lane + GAP + 2;
@@ -16,17 +16,17 @@ function createLanes(go, { count, above, draw }) {
   let at = 0;
 
   function moveCursor() {
-    setAll(cursor, { x: GUTTER + at * column, width: Math.max(column, 2) });
+    setAll(cursor, { x: gutter + at * column, width: Math.max(column, 2) });
   }
 
   function drawAll() {
     const width = timeline.parentElement.clientWidth;
-    column = Math.min(90, (width - GUTTER - 8) / (LAST + 1));
+    column = Math.min(90, (width - gutter - 8) / (LAST + 1));
     setAll(timeline, { viewBox: `0 0 ${width} ${height}`, width, height });
     const lanes = Array.from({ length: count }, (_, number) => {
       const element = draw(number, lane, column);
       const y = number * lane + (number < above ? 0 : GAP);
-      element.setAttribute("transform", `translate(${GUTTER}, ${y})`);
+      element.setAttribute("transform", `translate(${gutter}, ${y})`);
       return element;
     });
     timeline.replaceChildren(...lanes, cursor);
@@ -34,7 +34,7 @@ function createLanes(go, { count, above, draw }) {
   }
 
   function pointed(event) {
-    const x = event.clientX - timeline.getBoundingClientRect().left - GUTTER;
+    const x = event.clientX - timeline.getBoundingClientRect().left - gutter;
     go(Math.max(0, Math.min(LAST, Math.floor(x / column))));
   }
   timeline.addEventListener("pointerdown", (event) => {

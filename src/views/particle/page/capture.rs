@@ -1,9 +1,8 @@
 //! Plays an episode and writes it down.
 
 use sortie_envs::particle::{Disc, Picture, Point, picture_of};
-use sortie_envs::{Environment, Random, Spec, Split};
-use sortie_learn::play::{Onlooker, Watched, watch};
-use sortie_learn::{Act, LearnError, Scenes, Thought};
+use sortie_envs::{Environment, Spec};
+use sortie_learn::{Act, Thought};
 
 use super::data::{AgentFacts, Captured, State, Step};
 use super::events::{Seen, events};
@@ -11,6 +10,7 @@ use crate::failure::Failure;
 use crate::views::mind;
 use crate::views::page::rounded;
 use crate::views::particle::{kind_name, lettered, role_of};
+use crate::views::witness::{Taken, Witnessed, witness};
 
 /// Half of the side that is drawn at least, and at most: who goes farther is drawn at the edge.
 const HALF: [f64; 2] = [1.1, 2.0];
@@ -18,16 +18,22 @@ const HALF: [f64; 2] = [1.1, 2.0];
 /// Plays an episode of the environment and writes it down; with what the team thinks, if it tells.
 pub(super) fn capture(
     environment: &dyn Environment,
-    (seed, episode): (u64, usize),
+    episode: (u64, usize),
     team: &mut dyn Act,
 ) -> Result<Captured, Failure> {
-    let mut world = environment.open(1, Split::Test);
-    let mut team = Telling { team, thoughts: Vec::new() };
-    let mut recorder = Recorder::default();
-    watch(&mut *world, &mut team, episode..episode + 1, seed, &mut recorder)?;
-    let Recorder { seen, steps } = recorder;
-    let mut captured = captured(world.spec(), &seen, steps);
-    give_thoughts(&mut captured, team.thoughts.into_iter().map(told).collect());
+    let Witnessed { pictures, steps, thoughts, .. } =
+        witness(environment, episode, team, picture_of)?;
+    let rewards = steps.iter().map(|step| step.rewards.clone());
+    let rewards = std::iter::once(Vec::new()).chain(rewards);
+    let seen = pictures.into_iter().zip(rewards);
+    let seen: Vec<Seen> = seen.map(|(picture, rewards)| Seen { picture, rewards }).collect();
+    let steps = steps.into_iter().map(|Taken { actions, reward, rewards }| Step {
+        actions,
+        reward: rounded(reward),
+        rewards: rewards.into_iter().map(rounded).collect(),
+    });
+    let mut captured = captured(environment.spec(), &seen, steps.collect());
+    give_thoughts(&mut captured, thoughts.into_iter().map(told).collect());
     Ok(captured)
 }
 
@@ -36,64 +42,6 @@ pub(super) fn give_thoughts(captured: &mut Captured, thoughts: Vec<mind::Thought
     let of_states = thoughts.chunks(captured.agents.len());
     for (state, own) in captured.states.iter_mut().zip(of_states) {
         state.thoughts = Some(own.to_vec());
-    }
-}
-
-/// Writes down what is played.
-#[derive(Default)]
-struct Recorder {
-    seen: Vec<Seen>,
-    steps: Vec<Step>,
-}
-
-impl Recorder {
-    fn look(&mut self, watched: Watched<'_>, rewards: Vec<f64>) -> Result<(), LearnError> {
-        let mut state = Vec::new();
-        watched.worlds.save(watched.instance, &mut state);
-        let picture = picture_of(watched.worlds.spec(), &state);
-        let picture = picture.map_err(|error| LearnError::Team(error.to_string()))?;
-        self.seen.push(Seen { picture, rewards });
-        Ok(())
-    }
-}
-
-impl Onlooker for Recorder {
-    fn started(&mut self, watched: Watched<'_>) -> Result<(), LearnError> {
-        self.look(watched, Vec::new())
-    }
-
-    fn stepped(
-        &mut self,
-        watched: Watched<'_>,
-        actions: &[u16],
-        step: &sortie_envs::Step,
-    ) -> Result<(), LearnError> {
-        let rewards = watched.worlds.agent_rewards(watched.instance);
-        self.steps.push(Step {
-            actions: actions.to_vec(),
-            reward: rounded(step.reward),
-            rewards: rewards.iter().copied().map(rounded).collect(),
-        });
-        self.look(watched, rewards.to_vec())
-    }
-}
-
-/// A team that is asked what it thinks whenever it acts.
-struct Telling<'a> {
-    team: &'a mut dyn Act,
-    thoughts: Vec<Thought>,
-}
-
-impl Act for Telling<'_> {
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        random: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
-        self.team.act(scenes, random, actions)?;
-        self.thoughts.extend(self.team.thoughts(scenes, actions));
-        Ok(())
     }
 }
 

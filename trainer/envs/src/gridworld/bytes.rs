@@ -17,7 +17,11 @@ const PIT: usize = 8 + 4 + 1;
 
 /// Bytes of a state under such rules.
 pub fn state_bytes(rules: &Rules) -> usize {
-    HEAD + 3 * rules.agents() + PIT * rules.map.pits().len()
+    bytes_of(rules.agents(), rules.map.pits().len())
+}
+
+fn bytes_of(agents: usize, pits: usize) -> usize {
+    HEAD + 3 * agents + PIT * pits
 }
 
 /// What the bytes of a state say.
@@ -51,9 +55,12 @@ impl<'a> State<'a> {
         }
     }
 
-    /// Reads what [`write`](Self::write) wrote under the same rules; nothing is checked but the length.
-    pub(super) fn read(rules: &Rules, bytes: &'a [u8]) -> Result<Self, StateError> {
-        let wanted = state_bytes(rules);
+    /// Reads what [`write`](Self::write) wrote of so many agents and pits; nothing is checked but the length.
+    pub(super) fn read(
+        (agents, pits): (usize, usize),
+        bytes: &'a [u8],
+    ) -> Result<Self, StateError> {
+        let wanted = bytes_of(agents, pits);
         match bytes.first() {
             Some(&found) if found != LAYOUT => {
                 return Err(StateError::Version { found, wanted: LAYOUT });
@@ -62,8 +69,8 @@ impl<'a> State<'a> {
             _ => return Err(StateError::Length { found: bytes.len(), wanted }),
         }
         let (head, rest) = bytes.split_at(HEAD);
-        let (cells, rest) = rest.split_at(2 * rules.agents());
-        let (found, pits) = rest.split_at(rules.agents());
+        let (cells, rest) = rest.split_at(2 * agents);
+        let (found, pits) = rest.split_at(agents);
         Ok(Self {
             steps: u32::from_le_bytes([head[1], head[2], head[3], head[4]]),
             episode_return: number(&head[5..13]),
@@ -101,7 +108,8 @@ impl<'a> State<'a> {
         number(&self.pits[usize::from(pit)][..8])
     }
 
-    fn pit(&self, pit: usize) -> Pit {
+    /// A pit as it was when somebody last looked.
+    pub(super) fn pit(&self, pit: usize) -> Pit {
         let bytes = &self.pits[pit];
         let ticks = u32::from_le_bytes([bytes[8], bytes[9], bytes[10], bytes[11]]);
         Pit { probability: number(&bytes[..8]), ticks, is_open: bytes[12] == 1 }

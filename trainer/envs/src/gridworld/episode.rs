@@ -30,6 +30,11 @@ impl Rules {
         self.map.starts.len()
     }
 
+    /// Agents and pits.
+    pub(super) fn counts(&self) -> (usize, usize) {
+        (self.agents(), self.map.pits().len())
+    }
+
     /// The task of a tier and its treasures, as bits.
     #[inline]
     pub(super) fn tier(&self, tier: u8) -> (Task, u8) {

@@ -19,12 +19,12 @@ pub const CELLS: usize = SIDE * SIDE;
 /// The maze of tasks 1 to 3, with starts and treasures of the largest team.
 pub(super) const MAZE: &str = include_str!("maze.txt");
 /// Characters of maps.
-const WALL: u8 = b'#';
-const PIT: u8 = b'!';
+pub(super) const WALL: u8 = b'#';
+pub(super) const PIT: u8 = b'!';
 const FREE: u8 = b' ';
 pub(super) const FIRST_DOOR: u8 = b'$';
 /// Doors that differ.
-const DOORS: u8 = 12;
+pub(super) const DOORS: u8 = 12;
 /// What cells are shut for that never open.
 const NEVER: u8 = u8::MAX;
 /// Where there is none.
@@ -105,6 +105,12 @@ impl Map {
     /// The characters, row by row.
     pub fn rows(&self) -> &[u8] {
         &self.rows
+    }
+
+    /// The characters, a line for each row.
+    pub(super) fn lines(&self) -> Vec<String> {
+        let line = |row: &[u8]| row.iter().copied().map(char::from).collect();
+        self.rows.chunks(SIDE).map(line).collect()
     }
 
     /// Where agents start.

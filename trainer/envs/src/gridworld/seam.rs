@@ -103,7 +103,7 @@ fn flip(agents: usize, seed: u64) -> (String, usize, Vec<Task>) {
 impl Gridworld {
     /// What a state that has been checked before says.
     fn known<'a>(&self, state: &'a [u8]) -> State<'a> {
-        match State::read(self.rules(), state) {
+        match State::read(self.rules().counts(), state) {
             Ok(state) => state,
             Err(error) => panic!("a state that `load` refuses: {error}"),
         }

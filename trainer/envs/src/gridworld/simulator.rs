@@ -142,7 +142,7 @@ impl Gridworld {
     }
 
     pub(super) fn read_state(&mut self, instance: usize, bytes: &[u8]) -> Result<(), StateError> {
-        let state = State::read(&self.rules, bytes)?.check(&self.rules)?;
+        let state = State::read(self.rules.counts(), bytes)?.check(&self.rules)?;
         state.continue_in(&mut self.episodes[instance]);
         Ok(())
     }

@@ -41,6 +41,7 @@ pub(super) fn spec(rules: &Rules) -> Spec {
         safe_action: Some(STAY.into()),
         metrics: METRICS,
         row_entries: entries(rules),
+        map: rules.map.lines(),
         state_bytes: state_bytes(rules),
         episode_limit: rules.episode_limit,
         ..Spec::default()

@@ -3,6 +3,7 @@
 mod conformance;
 mod golden;
 mod maps;
+mod pictures;
 mod recorded;
 mod rules;
 mod states;

@@ -50,6 +50,12 @@ impl Counts {
         self.visits[usize::from(cell) * self.agents + agent]
     }
 
+    /// `[agents, cells]`: visits of each agent to each cell.
+    pub fn all(&self) -> Vec<Vec<u32>> {
+        let of = |agent| self.visits.iter().skip(agent).step_by(self.agents).copied().collect();
+        (0..self.agents).map(of).collect()
+    }
+
     /// `[agents]`: how novel a cell is to each agent.
     #[inline]
     pub fn novelties(&self, cell: u16) -> &[f32] {

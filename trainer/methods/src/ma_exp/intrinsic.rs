@@ -26,6 +26,18 @@ impl Intrinsic {
     pub const CHOSEN: [Self; 5] =
         [Self::Independent, Self::Minimum, Self::Covering, Self::Burrowing, Self::LeaderFollower];
 
+    /// Its name, as configurations have it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Independent => "independent",
+            Self::Minimum => "minimum",
+            Self::Covering => "covering",
+            Self::Burrowing => "burrowing",
+            Self::LeaderFollower => "leader-follower",
+            Self::Centralized => "centralized",
+        }
+    }
+
     /// What an agent earns in a cell that is so novel to each agent, and where the team's cells together are so novel.
     ///
     /// In 32 bits and in the published order: where all are equal, the mean may differ from them by one bit, and a tie

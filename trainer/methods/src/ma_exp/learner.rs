@@ -7,7 +7,7 @@ use super::counts::Counts;
 use super::intrinsic::Intrinsic;
 use super::places::{CELLS, Place};
 use super::shares::Shares;
-use super::table::{ACTIONS, HEADS, Lanes, Table, Terms, Version, Worth};
+use super::table::{ACTIONS, HEADS, Lanes, Row, Table, Terms, Version, Worth};
 
 /// How a team learns.
 #[derive(Clone, Debug, PartialEq)]
@@ -97,8 +97,7 @@ impl Learner {
     }
 
     /// What each head pays an agent for coming to a row's place, by where everybody has been until now.
-    fn paid(&self, rules: &Rules, agent: usize, row: usize) -> Lanes {
-        let row = &self.tables[agent].rows[row];
+    pub fn paid(&self, rules: &Rules, agent: usize, row: &Row) -> Lanes {
         let novelties = self.counts.novelties(row.place.cell);
         let mut paid = [0.0; HEADS];
         for (paid, head) in paid.iter_mut().zip(&rules.heads) {
@@ -112,8 +111,9 @@ impl Learner {
         let terms = self.terms(rules);
         for rows in trail.chunks_exact(self.tables.len()).rev() {
             for (agent, row) in rows.iter().enumerate() {
-                let paid = self.paid(rules, agent, *row as usize);
-                self.tables[agent].back_up(*row as usize, &terms, &paid);
+                let row = *row as usize;
+                let paid = self.paid(rules, agent, &self.tables[agent].rows[row]);
+                self.tables[agent].back_up(row, &terms, &paid);
             }
         }
     }
@@ -123,7 +123,7 @@ impl Learner {
         let terms = self.terms(rules);
         for agent in 0..self.tables.len() {
             for row in (0..self.tables[agent].rows.len()).rev() {
-                let paid = self.paid(rules, agent, row);
+                let paid = self.paid(rules, agent, &self.tables[agent].rows[row]);
                 self.tables[agent].back_up(row, &terms, &paid);
             }
         }

@@ -6,7 +6,7 @@ use sortie_envs::{EntitySet, Environment, Observation, Random};
 use sortie_learn::export::DeployedAgents;
 use sortie_learn::run::{Rates, Reports};
 use sortie_learn::session::Opening;
-use sortie_learn::{Act, LearnError, Method, Now, Scene, Scenes, State, Transition};
+use sortie_learn::{Act, LearnError, Method, Now, Scene, Scenes, State, Thought, Transition};
 
 use super::config::Config;
 use super::deployed::deployed;
@@ -14,6 +14,7 @@ use super::learner::{Deed, Learner, Rules};
 use super::places::{Columns, Place};
 use super::selector::Selector;
 use super::table::{ACTIONS, Row, Version};
+use super::thoughts::thought;
 
 /// Noise by which equal actions are told apart.
 const TIES: f32 = 1e-3;
@@ -238,5 +239,21 @@ impl Act for Greedy<'_> {
             }
         }
         Ok(())
+    }
+
+    fn thoughts(&mut self, scenes: &Scenes<'_>, _: &[u16]) -> Vec<Thought> {
+        let Self { team, seen, places } = self;
+        let MaExp { learner, rules, columns, .. } = team;
+        let mut thoughts = Vec::new();
+        for scene in scenes.scenes {
+            look(scenes.environment, columns, scene.state, seen, places);
+            let of = |(agent, place): (usize, &Place)| thought(learner, rules, agent, *place);
+            thoughts.extend(places.iter().enumerate().map(of));
+        }
+        thoughts
+    }
+
+    fn visits(&self) -> Vec<Vec<u32>> {
+        self.team.learner.counts.all()
     }
 }

@@ -17,6 +17,7 @@ mod presets;
 mod selector;
 mod shares;
 mod table;
+mod thoughts;
 
 pub use audition::Audition;
 pub use config::{AuditionConfig, Config, ExplorationConfig, HeadsConfig, Types, ValuesConfig};

@@ -3,8 +3,8 @@
 //! Every label keeps its colour and its dash in all pictures. The colours can be told apart by people
 //! with any colour vision (Okabe and Ito); where they repeat, the dash differs.
 
+mod bars;
 mod curves;
-mod teams;
 
 use std::io;
 
@@ -13,8 +13,8 @@ use plotters::element::DashedPathElement;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
+pub use bars::{Axis, Bar, Bars, draw_bars, teams};
 pub use curves::curves;
-pub use teams::teams;
 
 use crate::error::LearnError;
 

@@ -1,0 +1,97 @@
+//! The gridworld as it is shown.
+
+mod page;
+mod terminal;
+
+use sortie_envs::gridworld::{ENTRY, picture_of};
+use sortie_envs::{Environment, Episode, Spec};
+use sortie_learn::Act;
+
+use super::{Canvas, Drawing, Figures, Page, Scene, View, Wanted, lettered};
+use crate::failure::Failure;
+use crate::subject::Subject;
+use crate::worlds::tally::Tally;
+
+/// How it is found.
+pub(super) const VIEW: (&str, &dyn View) = (ENTRY.name, &Shown);
+
+struct Shown;
+
+impl View for Shown {
+    fn outcome(&self, spec: &Spec, episode: &Episode) -> String {
+        let values = spec.metrics.iter().zip(&episode.metrics);
+        told(
+            &values
+                .filter_map(|(metric, value)| Some((metric.name, (*value)?)))
+                .collect::<Vec<_>>(),
+        )
+    }
+
+    fn figures(&self, spec: &Spec, tally: &Tally) -> Figures {
+        let means = spec.metrics.iter().filter_map(|metric| {
+            let sum = tally.metric(spec, metric.name);
+            (sum.episodes > 0).then(|| (metric.name, sum.sum / sum.episodes as f64))
+        });
+        let means: Vec<(&str, f64)> = means.collect();
+        let fields: serde_json::Map<_, _> =
+            means.iter().map(|(name, mean)| ((*name).to_owned(), (*mean).into())).collect();
+        Figures { text: told(&means), fields: vec![("metrics", fields.into())] }
+    }
+
+    fn draw(&self, scene: &Scene<'_>, canvas: Canvas) -> Drawing {
+        match picture_of(scene.spec, scene.state) {
+            Ok(picture) => terminal::draw(&picture, scene, canvas),
+            Err(error) => Drawing { lines: vec![error.to_string()], legend: String::new() },
+        }
+    }
+
+    fn played(&self, wanted: &Wanted<'_>, subject: &Subject) -> Result<Page, Failure> {
+        page::played(wanted, subject)
+    }
+
+    fn acted(
+        &self,
+        wanted: &Wanted<'_>,
+        env: String,
+        world: &dyn Environment,
+        team: &mut dyn Act,
+    ) -> Result<Page, Failure> {
+        page::acted(wanted, env, world, team)
+    }
+}
+
+/// Metrics in words; means have two decimals.
+fn told(metrics: &[(&str, f64)]) -> String {
+    let told = metrics.iter().map(|(name, value)| {
+        let number = if value.fract() == 0.0 { value.to_string() } else { format!("{value:.2}") };
+        match *name {
+            "treasures" => format!("{number} treasures found"),
+            "tiers" => format!("{number} tiers finished"),
+            name => format!("{number} {name}"),
+        }
+    });
+    told.collect::<Vec<_>>().join(", ")
+}
+
+/// The letters of treasures, given as bits.
+fn letters(treasures: u8) -> String {
+    sortie_envs::members(treasures.into()).map(lettered).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::views::tests::episode;
+
+    #[test]
+    fn episodes_are_told_in_their_own_words() {
+        let (spec, played) = episode(ENTRY.name, &[("treasures", 2.0), ("tiers", 1.0)]);
+        assert_eq!(Shown.outcome(&spec, &played), "2 treasures found, 1 tiers finished");
+        let mut tally = Tally::default();
+        tally.add(played);
+        tally.add(episode(ENTRY.name, &[("treasures", 1.0), ("tiers", 1.0)]).1);
+        let figures = Shown.figures(&spec, &tally);
+        assert_eq!(figures.text, "1.50 treasures found, 1 tiers finished");
+        assert_eq!(figures.fields[0].1["treasures"], 1.5);
+    }
+}

@@ -1,0 +1,83 @@
+//! An episode of the gridworld as a page.
+
+mod capture;
+mod data;
+
+use sortie_envs::Environment;
+use sortie_learn::Act;
+
+use crate::failure::Failure;
+use crate::subject::Subject;
+use crate::views::page::{self, Web, script, style};
+use crate::views::{Page, Wanted, flat};
+use capture::{capture, give_utilities};
+use data::{Captured, FORMAT};
+
+const WEB: Web = Web {
+    styles: &[
+        style::COLOURS,
+        style::BASICS,
+        style::LAYOUT,
+        style::DESK,
+        style::RESULT,
+        style::DISCS,
+        include_str!("web/maze.css"),
+        style::LANES,
+        style::PLAYBACK,
+        style::AGENT,
+        style::HEAT,
+        style::DIALOG,
+    ],
+    map: include_str!("web/map.html"),
+    panels: include_str!("web/panels.html"),
+    scripts: &[
+        script::EPISODE,
+        script::SUMS,
+        script::NUMBERS,
+        script::ELEMENTS,
+        include_str!("web/names.js"),
+        include_str!("web/maze.js"),
+        include_str!("web/agent.js"),
+        include_str!("web/team.js"),
+        script::LANES,
+        include_str!("web/timeline.js"),
+        script::PLAYER,
+    ],
+};
+
+const PITS: &str = "A pit is shown as it was when an agent last looked at it.";
+
+/// The page of an episode that the subject plays.
+pub(super) fn played(wanted: &Wanted<'_>, subject: &Subject) -> Result<Page, Failure> {
+    let note = match subject {
+        Subject::Scripted => "The scripted team has no values.",
+        _ => "Heads that explore are not deployed: what they pay is shown of runs.",
+    };
+    let capture = |world: &dyn Environment, team: &mut dyn Act| play(wanted, world, team);
+    let (env, captured) = flat::played(wanted, subject, capture, give_utilities)?;
+    Ok(page(wanted, env, vec![PITS, note], captured))
+}
+
+/// The page of an episode that a team plays, which may tell what it thinks.
+pub(super) fn acted(
+    wanted: &Wanted<'_>,
+    env: String,
+    world: &dyn Environment,
+    team: &mut dyn Act,
+) -> Result<Page, Failure> {
+    let captured = play(wanted, world, team)?;
+    Ok(page(wanted, env, vec![PITS], captured))
+}
+
+fn play(
+    wanted: &Wanted<'_>,
+    world: &dyn Environment,
+    team: &mut dyn Act,
+) -> Result<Captured, Failure> {
+    capture(world, (wanted.seed, wanted.episode), team)
+}
+
+fn page(wanted: &Wanted<'_>, env: String, notes: Vec<&'static str>, captured: Captured) -> Page {
+    let steps = captured.steps.len();
+    page::page(&WEB, wanted, (env, notes), (FORMAT, captured, steps))
+}

@@ -1,0 +1,134 @@
+//! The live picture of the maze: who is where, which pits are open, and beside it what everybody found and does.
+
+use console::{Color, Style};
+use sortie_envs::gridworld::{Cell, Picture, SIDE};
+
+use super::{lettered, letters};
+use crate::views::{Canvas, Drawing, Scene, fitting};
+
+/// Characters of a cell, and of the gap beside the maze.
+const CELL: usize = 2;
+const GAP: usize = 2;
+/// Colours of agents.
+const COLOURS: [Color; 4] = [Color::Cyan, Color::Yellow, Color::Magenta, Color::Green];
+
+/// The maze as lines of text, without line ends.
+pub(super) fn draw(picture: &Picture, scene: &Scene<'_>, canvas: Canvas) -> Drawing {
+    let list = list(picture, scene, canvas);
+    let legend = "0: agent, A: treasure, o: pit, O: open pit, =: shut door".to_owned();
+    if canvas.width < CELL * SIDE || canvas.lines < SIDE {
+        return Drawing { lines: list, legend };
+    }
+    let signs = signs(picture, scene, canvas.is_unicode);
+    let maze = signs.chunks(SIDE).map(|row| row.concat());
+    let beside = canvas.width - CELL * SIDE > GAP;
+    let mut list = list.into_iter().filter(|_| beside);
+    let room = canvas.width.saturating_sub(CELL * SIDE + GAP);
+    let line = |maze: String| match list.next() {
+        None => maze,
+        Some(agent) => format!("{maze}{}{}", " ".repeat(GAP), fitting(agent, room)),
+    };
+    Drawing { lines: maze.map(line).collect(), legend }
+}
+
+/// Two characters for every cell.
+fn signs(picture: &Picture, scene: &Scene<'_>, is_unicode: bool) -> Vec<String> {
+    let mut pits = picture.pits.iter();
+    let all_found = picture.found.iter().fold(0, |all, own| all | own);
+    let mut signs: Vec<String> = Cell::all(scene.spec)
+        .map(|cell| match cell {
+            Cell::Free => "  ".to_owned(),
+            Cell::Wall => if is_unicode { "██" } else { "##" }.to_owned(),
+            Cell::Pit if pits.next().is_some_and(|pit| pit.is_open) => "O ".to_owned(),
+            Cell::Pit => "o ".to_owned(),
+            Cell::Door(tier) if tier <= picture.tiers => "  ".to_owned(),
+            Cell::Door(_) => "==".to_owned(),
+            Cell::Treasure(kind) => {
+                let found = all_found >> kind & 1 == 1;
+                let style = if found { Style::new().dim() } else { Style::new().bold() };
+                style.apply_to(format!("{} ", lettered(kind.into()))).to_string()
+            }
+        })
+        .collect();
+    for (agent, cell) in picture.cells.iter().enumerate() {
+        if let Some(sign) = signs.get_mut(usize::from(*cell)) {
+            *sign = colour(agent).apply_to(format!("{agent} ")).bold().to_string();
+        }
+    }
+    signs
+}
+
+/// A line for every agent: what it found, what it did last.
+fn list(picture: &Picture, scene: &Scene<'_>, canvas: Canvas) -> Vec<String> {
+    let line = |(agent, found): (usize, &u8)| {
+        let action = scene.actions.get(agent).copied().unwrap_or(u16::MAX);
+        let action = scene.spec.actions_of(agent).get(usize::from(action));
+        let found = match found {
+            0 => "nothing".to_owned(),
+            found => letters(*found),
+        };
+        let action = action.map_or("-", String::as_str);
+        let text = format!("{agent} found {found:8} {action}");
+        colour(agent).apply_to(fitting(text, canvas.width)).to_string()
+    };
+    let mut lines: Vec<String> = picture.found.iter().enumerate().map(line).collect();
+    lines.push(fitting(format!("tiers finished: {}", picture.tiers), canvas.width));
+    lines.truncate(canvas.lines);
+    lines
+}
+
+fn colour(agent: usize) -> Style {
+    Style::new().fg(COLOURS[agent % COLOURS.len()])
+}
+
+#[cfg(test)]
+mod tests {
+    use sortie_envs::gridworld::Pit;
+    use sortie_envs::{Split, open};
+
+    use super::*;
+
+    fn drawn(cells: Vec<u16>, tiers: u8, canvas: Canvas) -> Drawing {
+        console::set_colors_enabled(false);
+        let world =
+            open("gridworld/flip-2", Split::Train, 1, &Default::default()).expect("it opens");
+        let spec = world.spec();
+        let count = Cell::all(spec).filter(|cell| *cell == Cell::Pit).count();
+        let mut pits = vec![Pit::default(); count];
+        pits[0].is_open = true;
+        let picture = Picture { cells, found: vec![0b101, 0], tiers, pits };
+        let scene = Scene { spec, state: &[], allocation: &[], actions: &[1, u16::MAX] };
+        draw(&picture, &scene, canvas)
+    }
+
+    const CANVAS: Canvas = Canvas { width: 79, lines: 21, is_unicode: false };
+
+    #[test]
+    fn the_maze_shows_who_is_where_and_which_pits_are_open() {
+        let shut = drawn(vec![21, 22], 0, CANVAS).lines;
+        assert_eq!(shut.len(), SIDE);
+        assert!(shut[0].starts_with(&"##".repeat(SIDE)), "{}", shut[0]);
+        assert!(shut[0].ends_with("0 found AC       down"), "{}", shut[0]);
+        assert!(
+            shut[1].starts_with("##0 1 ") && shut[1].ends_with("1 found nothing  -"),
+            "{}",
+            shut[1]
+        );
+        assert_eq!(shut[2].split_once("tiers finished").map(|(_, rest)| rest), Some(": 0"));
+        let count = |lines: &[String], sign| lines.concat().matches(sign).count();
+        assert_eq!(count(&shut, "O "), 1);
+        let open = drawn(vec![21, 22], 3, CANVAS).lines;
+        assert_eq!((count(&shut, "=="), count(&open, "==")), (6, 0));
+    }
+
+    #[test]
+    fn the_picture_fits_its_canvas() {
+        for (width, lines) in [(79, 21), (200, 60), (41, 20), (30, 10), (12, 2)] {
+            let canvas = Canvas { width, lines, is_unicode: true };
+            let shown = drawn(vec![21, 22], 0, canvas).lines;
+            assert!(shown.len() <= lines, "{} lines of {lines}", shown.len());
+            let wide = shown.iter().find(|line| line.chars().count() > width);
+            assert_eq!(wide, None, "{width}");
+        }
+    }
+}
