@@ -64,9 +64,10 @@ impl View for Shown {
 fn told(metrics: &[(&str, f64)]) -> String {
     let told = metrics.iter().map(|(name, value)| {
         let number = if value.fract() == 0.0 { value.to_string() } else { format!("{value:.2}") };
+        let ending = if *value == 1.0 { "" } else { "s" };
         match *name {
-            "treasures" => format!("{number} treasures found"),
-            "tiers" => format!("{number} tiers finished"),
+            "treasures" => format!("{number} treasure{ending} found"),
+            "tiers" => format!("{number} tier{ending} finished"),
             name => format!("{number} {name}"),
         }
     });
@@ -86,12 +87,12 @@ mod tests {
     #[test]
     fn episodes_are_told_in_their_own_words() {
         let (spec, played) = episode(ENTRY.name, &[("treasures", 2.0), ("tiers", 1.0)]);
-        assert_eq!(Shown.outcome(&spec, &played), "2 treasures found, 1 tiers finished");
+        assert_eq!(Shown.outcome(&spec, &played), "2 treasures found, 1 tier finished");
         let mut tally = Tally::default();
         tally.add(played);
         tally.add(episode(ENTRY.name, &[("treasures", 1.0), ("tiers", 1.0)]).1);
         let figures = Shown.figures(&spec, &tally);
-        assert_eq!(figures.text, "1.50 treasures found, 1 tiers finished");
+        assert_eq!(figures.text, "1.50 treasures found, 1 tier finished");
         assert_eq!(figures.fields[0].1["treasures"], 1.5);
     }
 }
