@@ -95,7 +95,7 @@ mod tests {
         let spec = world.spec();
         let count = Cell::all(spec).filter(|cell| *cell == Cell::Pit).count();
         let mut pits = vec![Pit::default(); count];
-        pits[0].is_open = true;
+        pits[count - 1].is_open = true;
         let picture = Picture { cells, found: vec![0b101, 0], tiers, pits };
         let scene = Scene { spec, state: &[], allocation: &[], actions: &[1, u16::MAX] };
         draw(&picture, &scene, canvas)
