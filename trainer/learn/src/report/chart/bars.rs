@@ -268,7 +268,7 @@ mod tests {
     fn an_axis_has_room_for_zero_and_all_numbers_at_round_marks() {
         let of = |numbers: &[f64]| {
             let spreads: Vec<Spread> =
-                numbers.iter().filter_map(|number| Spread::of([*number].into_iter())).collect();
+                numbers.iter().filter_map(|number| Spread::of([*number])).collect();
             let axis = Axis::of(spreads.iter());
             (axis.text(0), axis.text(1), axis.text(axis.steps))
         };
@@ -283,7 +283,7 @@ mod tests {
 
     #[test]
     fn bars_of_losses_lead_to_the_left_of_zero() {
-        let spread = Spread::of([-30.0, -50.0].into_iter()).unwrap();
+        let spread = Spread::of([-30.0, -50.0]).unwrap();
         let bars = vec![Bar { group: "g", label: 0, spread }];
         let axis = Axis::of([spread].iter());
         let bars = Bars { about: "return", labels: vec!["one"], bars, axis };
