@@ -83,7 +83,7 @@ pub enum Types {
 
 impl Types {
     /// All of them, as files have them.
-    const WORDS: &[&str] = &[
+    pub(super) const WORDS: &[&str] = &[
         "multi",
         "none",
         "independent",
@@ -95,7 +95,7 @@ impl Types {
     ];
 
     /// The types of the heads, and at last the one without.
-    fn heads(self) -> Vec<Option<Intrinsic>> {
+    pub(super) fn heads(self) -> Vec<Option<Intrinsic>> {
         let types = match self {
             Self::Multi => Intrinsic::CHOSEN.to_vec(),
             Self::None => Vec::new(),

@@ -12,6 +12,7 @@ mod intrinsic;
 mod learner;
 mod method;
 mod model;
+pub mod networks;
 mod places;
 mod presets;
 mod selector;

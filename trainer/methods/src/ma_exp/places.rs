@@ -58,6 +58,36 @@ impl Columns {
         weights
     }
 
+    /// Columns of a state for each agent: what it sees of walls, pits and finds, and its row and its column of the map.
+    pub(super) fn of_state(&self) -> usize {
+        self.row + 2 * SIDE
+    }
+
+    /// Adds a state, from what all agents see, one behind the other.
+    pub(super) fn write_state(&self, observation: &[f32], state: &mut Vec<f32>) {
+        for row in observation.chunks_exact(self.width) {
+            state.extend_from_slice(&row[..self.row]);
+        }
+        for cell in self.cells(observation) {
+            let start = state.len();
+            state.resize(start + 2 * SIDE, 0.0);
+            state[start + usize::from(cell) / SIDE] = 1.0;
+            state[start + SIDE + usize::from(cell) % SIDE] = 1.0;
+        }
+    }
+
+    /// The agents' cells, from the same.
+    pub(super) fn cells<'a>(
+        &self,
+        observation: &'a [f32],
+    ) -> impl Iterator<Item = u16> + Clone + 'a {
+        let (row, column) = (self.row, self.column);
+        observation.chunks_exact(self.width).map(move |seen| {
+            let [row, column] = [seen[row], seen[column]].map(|part| (part * SIDE as f32).round());
+            row as u16 * SIDE as u16 + column as u16
+        })
+    }
+
     /// Where a row says that its agent is.
     #[inline]
     pub fn place(&self, rows: &SparseRows, row: usize) -> Place {
