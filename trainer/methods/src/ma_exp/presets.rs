@@ -64,9 +64,8 @@ fn misfit(spec: &Spec) -> Option<&'static str> {
 
 fn open(opening: &Opening<'_>) -> Result<Box<dyn Method>, LearnError> {
     if is_networks(&opening.setup.own) {
-        let mut setup = opening.setup.clone();
-        setup.own.remove(LEARNER);
-        return Ok(Box::new(MaExpNetworks::new(setup.own()?, opening)));
+        let config = networks::Config::of(opening.setup)?;
+        return Ok(Box::new(MaExpNetworks::new(config, opening)));
     }
     let config: Config = opening.setup.own()?;
     Ok(Box::new(MaExp::new(config, opening)))

@@ -70,6 +70,11 @@ impl HeadCritic {
         Self { parameters, encoder, valuers, paid: shape.paid.clone() }
     }
 
+    /// Numbers of a state.
+    pub fn state(&self) -> usize {
+        self.encoder.shape.input
+    }
+
     /// Where the weights stand that all values depend on.
     pub fn shared(&self) -> Range<usize> {
         0..(self.encoder.shape.input + 1) * self.encoder.shape.output

@@ -1,13 +1,17 @@
 //! What a run of the published learner leaves open.
 
+use sortie_envs::{Random, Spec};
 use sortie_learn::configuration::Range::{self, Number, OneOf, Truth, Whole};
 use sortie_learn::configuration::{Key, SHARE, Section};
-use sortie_learn::sections;
+use sortie_learn::session::Setup;
+use sortie_learn::{LearnError, sections};
 use toml::Table;
 
 use super::super::config::Types;
 use super::super::intrinsic::Intrinsic;
-use crate::actor_critic::heads::HeadRules;
+use super::super::places::Columns;
+use crate::actor_critic::groups::Groups;
+use crate::actor_critic::heads::{HeadCriticShape, HeadLearner, HeadRules};
 use crate::actor_critic::policies::PolicyShape;
 use crate::actor_critic::step::Step;
 
@@ -129,6 +133,28 @@ pub(in super::super) fn is_networks(own: &Table) -> bool {
 }
 
 impl Config {
+    /// What a setup says.
+    ///
+    /// # Errors
+    /// A key is unknown or has an impossible value.
+    pub fn of(setup: &Setup) -> Result<Self, LearnError> {
+        let mut setup = setup.clone();
+        setup.own.remove(LEARNER);
+        setup.own()
+    }
+
+    /// The networks for an environment before their first update; none where it shows no places.
+    pub fn learner(&self, spec: &Spec, threads: usize, random: &mut Random) -> Option<HeadLearner> {
+        let groups = Groups::new(spec, false, false);
+        let critic = HeadCriticShape {
+            state: groups.agents() * Columns::of(spec)?.of_state(),
+            width: self.network.critic_width,
+            paid: self.heads().iter().map(Option::is_some).collect(),
+        };
+        let shapes = (self.policy_shape(), &critic);
+        Some(HeadLearner::new(self.rules(), shapes, groups, threads, random))
+    }
+
     /// What each head is paid for.
     pub fn heads(&self) -> Vec<Option<Intrinsic>> {
         let mut heads = self.heads.intrinsic.heads();

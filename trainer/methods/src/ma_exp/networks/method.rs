@@ -17,8 +17,7 @@ use super::moments::Moments;
 use crate::actor_critic::acting::{Acting, Actors, Inputs, observe, observed};
 use crate::actor_critic::deployed::deployed;
 use crate::actor_critic::experience::{Experience, Rule};
-use crate::actor_critic::groups::Groups;
-use crate::actor_critic::heads::{HeadBatch, HeadCriticShape, HeadLearner};
+use crate::actor_critic::heads::{HeadBatch, HeadLearner};
 use crate::actor_critic::replay::{Future, Replay};
 use crate::actor_critic::running::Running;
 
@@ -67,23 +66,18 @@ impl MaExpNetworks {
     pub fn new(config: Config, opening: &Opening<'_>) -> Self {
         let Opening { setup, environment, seed, threads } = *opening;
         let spec = environment.spec();
-        let columns = Columns::of(spec).expect("the environment was found to fit");
-        let (groups, instances) = (Groups::new(spec, false, false), setup.environment.instances);
-        let (agents, heads) = (groups.agents(), config.heads());
-        let critic = HeadCriticShape {
-            state: agents * columns.of_state(),
-            width: config.network.critic_width,
-            paid: heads.iter().map(Option::is_some).collect(),
-        };
+        let mut weights = generator(seed, Purpose::Weights, 0);
+        let networks = Columns::of(spec).zip(config.learner(spec, threads, &mut weights));
+        let (columns, learner) = networks.expect("the environment was found to fit");
+        let (agents, instances) = (learner.groups.agents(), setup.environment.instances);
+        let heads = config.heads();
         let capacity = config.replay.capacity.div_ceil(instances);
-        let replay = Replay::new(instances, capacity, agents, observed(&groups));
+        let replay = Replay::new(instances, capacity, agents, observed(&learner.groups));
         let rule = Rule { interval: 1, discount: 1.0, shaping: 0.0 };
         let mut random = generator(seed, Purpose::Replay, 0);
-        let shapes = (config.policy_shape(), &critic);
-        let mut weights = generator(seed, Purpose::Weights, 0);
         Self {
-            unchanged: Running::new(&groups),
-            learner: HeadLearner::new(config.rules(), shapes, groups, threads, &mut weights),
+            unchanged: Running::new(&learner.groups),
+            learner,
             experience: Experience::new(rule, instances, replay),
             meta: MetaPolicy::new(heads.len(), &mut random),
             counts: Counts::new(agents, CELLS, heads.contains(&Some(Intrinsic::Centralized))),
