@@ -31,6 +31,23 @@ class Published(Round):
         """What is computed at once of parts by agents and heads."""
         return parts
 
+    def join(self, of):
+        """Weights that can learn; a layer that is given in parts is one."""
+        given = super().join(of)
+        joined = {}
+        for name, weight in given.items():
+            start = name.rsplit(".", 2)[0]
+            if name.endswith(".state.weight"):
+                both = [given[start + ".others.weight"], weight]
+                joined[start + ".0.weight"] = torch.cat(both, 1).detach().requires_grad_()
+            elif name.endswith(".state.bias"):
+                joined[start + ".0.bias"] = weight
+            elif ".last." in name:
+                joined[name.replace(".last.", ".1.")] = weight
+            elif not name.endswith(".others.weight"):
+                joined[name] = weight
+        return joined
+
     def shares(self):
         return 1.0 / (2 * len(self.pairs)), 1.0 / self.heads
 

@@ -58,10 +58,18 @@ impl Recorded {
         let get = |name: String| self.case.get(&format!("{of}{name}")).f32s();
         match parts[..] {
             ["encoder", end] => get(format!("critic/state_vect_encoder.vect_enc_fc.{end}")),
-            [kind @ ("team" | "own"), head, agent, layer, end] => {
+            [kind @ ("team" | "own"), head, agent, part, end] => {
                 let kind = if kind == "team" { "extr" } else { "intr" };
-                let layer = 2 * layer.parse::<usize>().unwrap();
-                get(format!("critic/{kind}_critics.{head}.{agent}.{layer}.{end}"))
+                let layer = if part == "last" { 2 } else { 0 };
+                let whole = get(format!("critic/{kind}_critics.{head}.{agent}.{layer}.{end}"));
+                let rows = || whole.chunks_exact(ACTIONS + 16);
+                match (part, end) {
+                    ("others", _) => rows().flat_map(|row| &row[..ACTIONS]).copied().collect(),
+                    ("state", "weight") => {
+                        rows().flat_map(|row| &row[ACTIONS..]).copied().collect()
+                    }
+                    _ => whole,
+                }
             }
             ["policy", agent, "0", end] => get(format!("policy{agent}/network.vect_fc.0.{end}")),
             ["policy", agent, layer, end] => {
@@ -268,18 +276,18 @@ fn intrinsic_rewards_have_the_recorded_deviations() {
 fn any_number_of_threads_finds_the_same_bits() {
     let (recorded, _) = &recordings()[0];
     let small = recorded.batch(0);
-    let times = |numbers: &Vec<f32>| numbers.repeat(20);
+    let times = |numbers: &Vec<f32>| numbers.repeat(40);
     let batch = HeadBatch {
         records: Batch {
-            records: 20 * small.records.records,
+            records: 40 * small.records.records,
             observations: small.records.observations.iter().map(times).collect(),
-            actions: small.records.actions.iter().map(|actions| actions.repeat(20)).collect(),
+            actions: small.records.actions.iter().map(|actions| actions.repeat(40)).collect(),
             rewards: small.records.rewards.iter().map(times).collect(),
             discounts: small.records.discounts.iter().map(times).collect(),
             next: small.records.next.iter().map(times).collect(),
             follows: Vec::new(),
         },
-        states: small.states.clone().map(|state| state.repeat(20)),
+        states: small.states.clone().map(|state| state.repeat(40)),
         own: small.own.iter().map(times).collect(),
     };
     let learned = |threads: usize| {

@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use sortie_nn::layers::linear::LinearShape;
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Linear, Parameters, Pass, Var};
 
@@ -33,9 +34,16 @@ pub struct HeadCritic {
 #[derive(Clone, Copy, Debug)]
 struct Valuer {
     /// Of the team's reward.
-    team: [Linear; 2],
+    team: Layers,
     /// Of the head's own.
-    own: Option<[Linear; 2]>,
+    own: Option<Layers>,
+}
+
+/// The first layer is in two parts, of the state and of what the others do.
+#[derive(Clone, Copy, Debug)]
+struct Layers {
+    first: [Linear; 2],
+    last: Linear,
 }
 
 /// Values in some records, by agents and heads.
@@ -57,12 +65,25 @@ impl HeadCritic {
         for (agent, group) in groups.0.iter().enumerate() {
             for (head, is_paid) in shape.paid.iter().enumerate() {
                 let mut layers = |kind: &str| {
-                    let name = |layer: usize| format!("{kind}.{head}.{agent}.{layer}");
-                    let inputs = all - group.actions + width;
-                    [
-                        parameters.linear(&name(0), inputs, width, random),
-                        parameters.linear(&name(1), width, group.actions, random),
-                    ]
+                    let name = |part: &str| format!("{kind}.{head}.{agent}.{part}");
+                    let inputs = [width, all - group.actions];
+                    // The parts are drawn as one layer is.
+                    let bound = 1.0 / ((inputs[0] + inputs[1]) as f32).sqrt();
+                    let mut part = |what: &str, shape: &[usize]| {
+                        parameters.tensor(&name(what), shape, bound, random)
+                    };
+                    let weights = [
+                        part("state.weight", &[width, inputs[0]]),
+                        part("others.weight", &[width, inputs[1]]),
+                    ];
+                    let biases = [Some(part("state.bias", &[width])), None];
+                    let first = std::array::from_fn(|part| Linear {
+                        shape: LinearShape { input: inputs[part], output: width },
+                        weight: weights[part],
+                        bias: biases[part],
+                    });
+                    let last = parameters.linear(&name("last"), width, group.actions, random);
+                    Layers { first, last }
                 };
                 valuers.push(Valuer { team: layers("team"), own: is_paid.then(|| layers("own")) });
             }
@@ -113,9 +134,8 @@ impl HeadCritic {
                 &mut context,
             );
             let others = pass.input(context.len() / records.len(), &context);
-            let seen = pass.concat(&[others, state]);
-            let mut value = |[hidden, last]: [Linear; 2]| {
-                let hidden = pass.linear_rectified(seen, hidden);
+            let mut value = |Layers { first, last }| {
+                let hidden = pass.linear_sum_rectified([state, others], first);
                 pass.linear(hidden, last)
             };
             HeadValues { team: value(valuer.team), own: valuer.own.map(value) }

@@ -16,6 +16,9 @@ use crate::actor_critic::policies::{Policies, PolicyShape};
 use crate::actor_critic::policy_gradient::Following;
 use crate::actor_critic::step::Step;
 
+/// Rows that are computed at once: a critic of many heads has more weights than records.
+const ROWS: usize = 256;
+
 /// How networks learn.
 #[derive(Clone, Debug)]
 pub struct HeadRules {
@@ -102,7 +105,7 @@ impl HeadLearner {
             policy_optimiser: adam(&policies.parameters.values, policy_step),
             critic_gradient: Vec::new(),
             policy_gradient: Vec::new(),
-            chunks: Chunks::default(),
+            chunks: Chunks::of_rows(ROWS),
             space: Space::default(),
             each: Groups(each.collect()),
             threads,
