@@ -7,9 +7,9 @@ use sortie_learn::{LearnError, Method};
 
 use super::config::{Config, KEYS};
 use super::method::MaExp;
-use super::networks::{self, ALL_KEYS, LEARNER, MaExpNetworks, NETWORKS, is_networks};
-use super::places::Columns;
 use super::table::ACTIONS;
+use crate::multi_explore::{self, ALL_KEYS, LEARNER, MultiExplore, NETWORKS, is_networks};
+use crate::novelty::places::Columns;
 
 /// MA-Exp: several ways to explore together, and a choice between them.
 pub const MA_EXP: MethodEntry = MethodEntry {
@@ -42,7 +42,7 @@ fn paper() -> Setup {
         evaluate_episodes: 200,
         ..RunConfig::default()
     };
-    let mut setup = Setup::of(12, run, &networks::Config::default());
+    let mut setup = Setup::of(12, run, &multi_explore::Config::default());
     setup.own.insert(LEARNER.to_owned(), NETWORKS.into());
     setup
 }
@@ -64,8 +64,8 @@ fn misfit(spec: &Spec) -> Option<&'static str> {
 
 fn open(opening: &Opening<'_>) -> Result<Box<dyn Method>, LearnError> {
     if is_networks(&opening.setup.own) {
-        let config = networks::Config::of(opening.setup)?;
-        return Ok(Box::new(MaExpNetworks::new(config, opening)));
+        let config = multi_explore::Config::of(opening.setup)?;
+        return Ok(Box::new(MultiExplore::new(config, opening)));
     }
     let config: Config = opening.setup.own()?;
     Ok(Box::new(MaExp::new(config, opening)))

@@ -1,4 +1,4 @@
-//! The published learner: networks with a head for each type of intrinsic reward, and a meta-policy between heads.
+//! The published learner of MA-Exp (Iqbal and Sha 2019; dissertation chapter 4), the preset `paper`: networks with a head for each type of intrinsic reward, and a meta-policy between heads.
 
 mod config;
 mod meta;
@@ -16,7 +16,7 @@ pub use config::{
     Config, HeadsConfig, MetaConfig, NetworkConfig, OptimiserConfig, ReplayConfig, ReturnsConfig,
 };
 pub use meta::MetaPolicy;
-pub use method::MaExpNetworks;
+pub use method::MultiExplore;
 pub use moments::Moments;
 
-pub(super) use config::{ALL_KEYS, LEARNER, NETWORKS, is_networks};
+pub(crate) use config::{ALL_KEYS, LEARNER, NETWORKS, is_networks};

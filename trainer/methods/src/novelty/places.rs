@@ -4,11 +4,11 @@ use serde::{Deserialize, Serialize};
 use sortie_envs::{SparseRows, Spec};
 
 /// Probabilities of a pit from which on it counts as likelier to open; below the first it counts as none.
-pub(super) const PITS: [f32; 3] = [0.02, 0.08, 0.25];
+pub(crate) const PITS: [f32; 3] = [0.02, 0.08, 0.25];
 /// Rows and columns of the maps that tables are about: agents see where they are as shares of them.
-pub(super) const SIDE: usize = 20;
+pub(crate) const SIDE: usize = 20;
 /// Cells of such a map.
-pub(super) const CELLS: usize = SIDE * SIDE;
+pub(crate) const CELLS: usize = SIDE * SIDE;
 /// Kinds of pits.
 const KINDS: usize = PITS.len() + 1;
 
@@ -59,12 +59,12 @@ impl Columns {
     }
 
     /// Columns of a state for each agent: what it sees of walls, pits and finds, and its row and its column of the map.
-    pub(super) fn of_state(&self) -> usize {
+    pub(crate) fn of_state(&self) -> usize {
         self.row + 2 * SIDE
     }
 
     /// Adds a state, from what all agents see, one behind the other.
-    pub(super) fn write_state(&self, observation: &[f32], state: &mut Vec<f32>) {
+    pub(crate) fn write_state(&self, observation: &[f32], state: &mut Vec<f32>) {
         for row in observation.chunks_exact(self.width) {
             state.extend_from_slice(&row[..self.row]);
         }
@@ -77,7 +77,7 @@ impl Columns {
     }
 
     /// The agents' cells, from the same.
-    pub(super) fn cells<'a>(
+    pub(crate) fn cells<'a>(
         &self,
         observation: &'a [f32],
     ) -> impl Iterator<Item = u16> + Clone + 'a {

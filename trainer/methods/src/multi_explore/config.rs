@@ -7,13 +7,13 @@ use sortie_learn::session::Setup;
 use sortie_learn::{LearnError, sections};
 use toml::Table;
 
-use super::super::config::Types;
-use super::super::intrinsic::Intrinsic;
-use super::super::places::Columns;
 use crate::actor_critic::groups::Groups;
 use crate::actor_critic::heads::{HeadCriticShape, HeadLearner, HeadRules};
 use crate::actor_critic::policies::PolicyShape;
 use crate::actor_critic::step::Step;
+use crate::novelty::intrinsic::Intrinsic;
+use crate::novelty::intrinsic::Types;
+use crate::novelty::places::Columns;
 
 const ANY: Range = Number(0.0, 1e6);
 const WIDTH: Range = Whole(4, 1024);
@@ -103,12 +103,12 @@ sections! {
 }
 
 /// The key that tells a file of this learner from one of tables.
-pub(in super::super) const LEARNER: &str = "learner";
+pub(crate) const LEARNER: &str = "learner";
 /// What it says.
-pub(in super::super) const NETWORKS: &str = "networks";
+pub(crate) const NETWORKS: &str = "networks";
 
 /// All keys of the learner.
-pub(in super::super) const ALL_KEYS: &[Section] = &[
+pub(crate) const ALL_KEYS: &[Section] = &[
     Section {
         name: "",
         about: "What is learned.",
@@ -128,7 +128,7 @@ pub(in super::super) const ALL_KEYS: &[Section] = &[
 ];
 
 /// Whether a setup has this learner.
-pub(in super::super) fn is_networks(own: &Table) -> bool {
+pub(crate) fn is_networks(own: &Table) -> bool {
     own.contains_key(LEARNER)
 }
 

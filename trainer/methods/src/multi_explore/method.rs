@@ -7,10 +7,6 @@ use sortie_learn::run::{Rates, Reports};
 use sortie_learn::session::Opening;
 use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition};
 
-use super::super::counts::Counts;
-use super::super::intrinsic::Intrinsic;
-use super::super::places::{CELLS, Columns};
-use super::super::table::ACTIONS;
 use super::config::Config;
 use super::meta::MetaPolicy;
 use super::moments::Moments;
@@ -20,10 +16,13 @@ use crate::actor_critic::experience::{Experience, Rule};
 use crate::actor_critic::heads::{HeadBatch, HeadLearner};
 use crate::actor_critic::replay::{Future, Replay};
 use crate::actor_critic::running::Running;
+use crate::novelty::counts::Counts;
+use crate::novelty::intrinsic::Intrinsic;
+use crate::novelty::places::{CELLS, Columns};
 
 /// Agents of several heads, and what they have seen.
 #[derive(Debug)]
-pub struct MaExpNetworks {
+pub struct MultiExplore {
     config: Config,
     columns: Columns,
     heads: Vec<Option<Intrinsic>>,
@@ -58,7 +57,7 @@ struct Episode {
 
 const INPUTS: Inputs = Inputs { normalised: false, scale: 1.0 };
 
-impl MaExpNetworks {
+impl MultiExplore {
     /// Draws the first weights.
     ///
     /// # Panics
@@ -175,7 +174,7 @@ fn actors<'a>(learner: &'a HeadLearner, head: usize, running: &'a Running) -> Ac
     Actors { groups, inputs: INPUTS, policies, head, weights, running }
 }
 
-impl Method for MaExpNetworks {
+impl Method for MultiExplore {
     /// All act by one head, an episode of every instance.
     fn waits(&self) -> bool {
         true
@@ -254,7 +253,8 @@ impl Method for MaExpNetworks {
     }
 
     fn deployed(&self) -> Result<DeployedAgents<'_>, LearnError> {
-        Ok(deployed(self.best(), ACTIONS))
+        let actors = self.best();
+        Ok(deployed(actors, actors.groups.0[0].actions))
     }
 
     fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
