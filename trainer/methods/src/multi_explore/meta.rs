@@ -75,3 +75,30 @@ impl MetaPolicy {
         (0..self.returns.len()).rev().max_by(|a, b| mean(a).total_cmp(&mean(b))).unwrap_or(0)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use sortie_envs::random::generator;
+
+    use super::*;
+
+    #[test]
+    fn heads_are_drawn_by_their_chances_or_uniformly_and_the_best_is_the_first_of_equal_ones() {
+        let mut random = generator(1);
+        let mut meta = MetaPolicy::new(3, &mut random);
+        assert!(meta.scores.iter().all(|score| score.abs() < 0.05));
+        meta.scores = vec![0.0, 2.0_f64.ln(), 0.0];
+        for (uniform, want) in [(false, [0.25, 0.5, 0.25]), (true, [1.0 / 3.0; 3])] {
+            let mut drawn = [0.0_f64; 3];
+            for _ in 0..20_000 {
+                meta.draw(uniform, &mut random);
+                drawn[meta.head] += 1.0 / 20_000.0;
+            }
+            assert!((0..3).all(|head| (drawn[head] - want[head]).abs() < 0.015), "{drawn:?}");
+        }
+        for (head, mean) in [-2.0, 1.0, 1.0].into_iter().enumerate() {
+            meta.returns[head].mean = mean;
+        }
+        assert_eq!(meta.best(), 1);
+    }
+}

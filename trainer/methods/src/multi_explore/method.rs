@@ -292,3 +292,126 @@ impl Act for Greedy<'_> {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use sortie_envs::Split;
+
+    use super::*;
+    use crate::ma_exp::MA_EXP;
+
+    /// Plays three instances in rounds, in small, for so many environment steps; returns how many those were.
+    fn played(steps: u64) -> (MultiExplore, Reports, u64) {
+        let small = [
+            "environment.instances=3",
+            "network.critic_width=8",
+            "network.base_width=8",
+            "network.head_width=4",
+            "replay.batch=90",
+            "replay.steps_per_period=30",
+            "replay.updates_per_period=2",
+        ];
+        let set = |setup, assignment: &&str| MA_EXP.set(&setup, assignment).unwrap();
+        let setup = small.iter().fold(MA_EXP.preset("paper").unwrap(), set);
+        let world = sortie_envs::open("gridworld/task1-2", Split::Train, 1, &Default::default());
+        let world = world.unwrap();
+        let opening = Opening { setup: &setup, environment: &*world, seed: 1, threads: 1 };
+        let mut method = MultiExplore::new(Config::of(&setup).unwrap(), &opening);
+        let random = (0..3).map(|index| generator(1, Purpose::Rollout, index)).collect();
+        let mut play = sortie_learn::play::Play::new(&*world, &mut method, random);
+        let (mut reports, mut counts) = (Reports::default(), Default::default());
+        let mut now = Now { env_steps: 0, of: 10_000 };
+        while now.env_steps < steps {
+            now.env_steps += play.round(&mut method, now, &mut counts).unwrap();
+            method.update(&*world, now, &mut reports).unwrap();
+        }
+        (method, reports, now.env_steps)
+    }
+
+    #[test]
+    fn as_many_updates_are_made_as_are_due_once_a_batch_is_there() {
+        let (_, reports, steps) = played(240);
+        assert_eq!((steps, reports.agents.len()), (240, 2 * 150 / 30));
+        assert_eq!(played(87).1.agents.len(), 0);
+    }
+
+    #[test]
+    fn cells_and_rewards_are_counted_once_a_step() {
+        let (method, _, steps) = played(240);
+        // The cells in which episodes began count too.
+        let visits = |agent| (0..CELLS as u16).map(|cell| method.counts.visits(agent, cell)).sum();
+        let all: [u32; 2] = [0, 1].map(visits);
+        assert_eq!(all, [steps as u32 + 3; 2]);
+        let count = |moments: &Moments| (moments.count - 1e-4).round();
+        assert!(method.moments.iter().all(|moments| count(moments) == steps as f64));
+        assert_eq!((method.moments.len(), method.experience.replay.decisions()), (10, 240));
+    }
+
+    #[test]
+    fn heads_are_paid_for_where_agents_came_to_by_todays_counts() {
+        let (mut method, _, _) = played(120);
+        method.gather();
+        let (batch, groups) = (&method.batch, &method.learner.groups);
+        assert_eq!((batch.records.records, batch.own.len(), groups.agents()), (90, 10, 2));
+        let columns = &method.columns;
+        for record in 0..90 {
+            let seen = |of: &[Vec<f32>]| -> Vec<f32> {
+                of.iter().flat_map(|own| &own[record * 15..][..15]).copied().collect()
+            };
+            let (before, after) = (seen(&batch.records.observations), seen(&batch.records.next));
+            for (seen, states) in [(&before, &batch.states[0]), (&after, &batch.states[1])] {
+                let mut state = Vec::new();
+                columns.write_state(seen, &mut state);
+                assert_eq!((state.len(), &states[record * 102..][..102]), (102, &state[..]));
+            }
+            for (agent, cell) in columns.cells(&after).enumerate() {
+                let novelties = method.counts.novelties(cell);
+                for (head, kind) in Intrinsic::CHOSEN.into_iter().enumerate() {
+                    let place = agent * 5 + head;
+                    let deviation = method.moments[place].variance.sqrt() as f32;
+                    let want = kind.reward(novelties, 0.0, agent) / deviation;
+                    assert_eq!(batch.own[place][record], want);
+                }
+            }
+            // The team's reward as it is: a step costs 0.2.
+            let rewards = [0, 1].map(|agent| batch.records.rewards[agent][record]);
+            assert!(rewards == [-0.2; 2] && batch.records.discounts[0][record] == 1.0);
+        }
+    }
+
+    #[test]
+    fn a_turn_is_an_episode_of_every_instance_under_one_head() {
+        let (mut method, _, _) = played(3);
+        let first = method.meta.clone();
+        let world = sortie_envs::open("gridworld/task1-2", Split::Train, 1, &Default::default());
+        let world = world.unwrap();
+        let mut worlds = world.open(1, Split::Train);
+        worlds.reset(0, &mut generator(1, Purpose::Rollout, 7));
+        let mut state = Vec::new();
+        worlds.save(0, &mut state);
+        let mut end = |method: &mut MultiExplore, instance: usize, reward: f64| {
+            let step = sortie_envs::Step { reward, timed_out: true, ..Default::default() };
+            let transition = Transition {
+                environment: &*world,
+                instance,
+                state: &state,
+                actions: &[0, 0],
+                step,
+                task_rewards: &[],
+                agent_rewards: &[],
+                next: &state,
+            };
+            method.remember(&transition).unwrap();
+        };
+        for (instance, reward) in [(0, 5.0), (1, 7.0)] {
+            method.episodes[instance] = Episode { discounted: 1.0, discount: 0.5 };
+            end(&mut method, instance, reward);
+        }
+        assert_eq!((&method.meta, &method.turn[..]), (&first, &[3.5, 4.5][..]));
+        method.episodes[2] = Episode { discounted: 1.0, discount: 0.5 };
+        end(&mut method, 2, 8.0);
+        assert!(method.turn.is_empty());
+        assert!((method.meta.returns[first.head].mean - 13.0 / 3.0).abs() < 1e-3);
+        assert!(method.meta.scores != first.scores);
+    }
+}

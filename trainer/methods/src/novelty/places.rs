@@ -138,8 +138,27 @@ impl Place {
 mod tests {
     use sortie_envs::gridworld;
 
+    use super::*;
+
     #[test]
     fn tables_are_about_the_cells_that_there_are() {
-        assert_eq!((super::SIDE, super::CELLS), (gridworld::SIDE, gridworld::CELLS));
+        assert_eq!((SIDE, CELLS), (gridworld::SIDE, gridworld::CELLS));
+    }
+
+    #[test]
+    fn a_state_is_what_all_see_of_themselves_and_where_they_are() {
+        // A wall, a pit and two kinds of finds, then row, column and where the other is.
+        let columns = Columns { pits: 1..2, found: 2..4, row: 4, column: 5, width: 8 };
+        let seen = [1.0, 0.0, 0.0, 1.0, 0.35, 0.85, 0.3, 0.3];
+        let other = [0.0, 0.25, 1.0, 0.0, 0.0, 0.95, -0.3, -0.3];
+        let observation = [seen, other].concat();
+        assert_eq!(columns.cells(&observation).collect::<Vec<_>>(), [7 * 20 + 17, 19]);
+        let mut state = Vec::new();
+        columns.write_state(&observation, &mut state);
+        assert_eq!(state.len(), 2 * columns.of_state());
+        let ones: Vec<usize> = (8..state.len()).filter(|at| state[*at] == 1.0).collect();
+        assert_eq!(state[..8], [1.0, 0.0, 0.0, 1.0, 0.0, 0.25, 1.0, 0.0]);
+        assert_eq!(ones, [8 + 7, 8 + 20 + 17, 8 + 40, 8 + 60 + 19]);
+        assert_eq!(state[8..].iter().sum::<f32>(), 4.0);
     }
 }
