@@ -389,7 +389,7 @@ mod tests {
         worlds.reset(0, &mut generator(1, Purpose::Rollout, 7));
         let mut state = Vec::new();
         worlds.save(0, &mut state);
-        let mut end = |method: &mut MultiExplore, instance: usize, reward: f64| {
+        let end = |method: &mut MultiExplore, instance: usize, reward: f64| {
             let step = sortie_envs::Step { reward, timed_out: true, ..Default::default() };
             let transition = Transition {
                 environment: &*world,
