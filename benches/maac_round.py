@@ -4,84 +4,36 @@ One thread, two formulations. `published` is structured as the public code is: a
 agent, an attention head at a time. `lean` stacks the networks of agents that observe and do as much, takes all
 heads in one product, and normalises what several networks are shown once.
 
-Called as `maac_round.py FILE`. FILE is a safetensors file with networks, a batch, drawn actions, and gradients to
-compare with. Prints a line of JSON with the comparison; then, for every formulation named on standard input, does
-one round and prints `{"cpu_s": S}`.
+Called as `maac_round.py FILE`; what it reads and says is as `rounds.py` has it.
 """
-
-import json
-import struct
-import sys
-import time
 
 import torch
 import torch.nn.functional as F
 
-TYPES = {"F32": torch.float32, "I64": torch.int64}
+from rounds import Round, chosen, linear, main, one_hot
+
 LAYERS = {"action_encoder", "state_encoder", "hidden", "head"}
-
-
-def read(path):
-    """The tensors and the metadata of a safetensors file."""
-    with open(path, "rb") as file:
-        data = bytearray(file.read())
-    start = 8 + struct.unpack("<Q", data[:8])[0]
-    header = json.loads(bytes(data[8:start]))
-    metadata = header.pop("__metadata__")
-    tensors = {}
-    for name, entry in header.items():
-        first, end = entry["data_offsets"]
-        part = data[start + first : start + end]
-        tensors[name] = torch.frombuffer(part, dtype=TYPES[entry["dtype"]]).view(entry["shape"])
-    return tensors, {key: float(value) for key, value in metadata.items()}
-
-
-def linear(x, layer):
-    """Rows `[B, inputs]`, or of several networks `[n, B, inputs]`."""
-    weight, bias = layer
-    if x.dim() == 2:
-        return F.linear(x, weight, bias)
-    return torch.baddbmm(bias[:, None], x, weight.transpose(1, 2))
 
 
 def leaky(x, layer):
     return F.leaky_relu(linear(x, layer), 0.01)
 
 
-def one_hot(actions, count):
-    return F.one_hot(actions, count).float()
-
-
-def chosen(values, actions):
-    return values.gather(-1, actions[..., None])[..., 0]
-
-
-class Published:
+class Published(Round):
     """A network at a time."""
 
     def __init__(self, tensors, settings):
         self.heads = int(settings["heads"])
         self.agents = int(settings["agents"])
-        self.tensors, self.settings = tensors, settings
+        self.tensors = tensors
         self.units = self.divide()
-        named = lambda of: [name[len(of) :] for name in tensors if name.startswith(of)]
-        self.critic = self.join("critic.", named("critic."))
-        self.policies = self.join("policies.", named("policies."))
-        copied = lambda network: {name: weight.detach().clone() for name, weight in network.items()}
-        self.target_critic, self.target_policies = copied(self.critic), copied(self.policies)
         self.observations, self.next = self.rows("observations"), self.rows("next")
         self.actions, self.rewards = self.rows("actions"), self.rows("rewards")
         self.discounts = self.rows("discounts")
         self.given = [self.rows("drawn_next"), self.rows("drawn")]
         self.counts = [self.actions_of(unit) for unit in self.units]
         self.running = {}
-        adam = lambda weights, decay: torch.optim.Adam(
-            weights.values(), lr=settings["rate"], weight_decay=decay, **self.optimiser()
-        )
-        self.optimisers = [adam(self.critic, settings["weight_decay"]), adam(self.policies, 0.0)]
-
-    def optimiser(self):
-        return {"foreach": True}
+        super().__init__(tensors, settings)
 
     def divide(self):
         """Agents by the networks that are computed at once."""
@@ -94,10 +46,10 @@ class Published:
     def actions_of(self, unit):
         return len(self.tensors[f"critic.head.{unit[0]}.bias"])
 
-    def join(self, of, names):
+    def join(self, of):
         """Weights that can learn, those of agents by units."""
         joined = {}
-        for name in names:
+        for name in self.named(of):
             kind, rest = name.split(".", 1)
             if kind in LAYERS or kind == "policy":
                 agent, end = rest.split(".", 1)
@@ -112,9 +64,6 @@ class Published:
 
     def rows(self, kind):
         return [self.together([self.tensors[f"{kind}.{agent}"] for agent in unit]) for unit in self.units]
-
-    def layer(self, network, name):
-        return network[name + ".weight"], network[name + ".bias"]
 
     def shown(self, observations):
         """What all networks are shown of a batch, as far as it is computed once."""
@@ -179,16 +128,6 @@ class Published:
             weights = [w for name, w in self.policies.items() if name.startswith(f"policy.{unit}.")]
             torch.nn.utils.clip_grad_norm_(weights, self.settings["policy_clip"], foreach=True)
 
-    def compare_with(self, of, network):
-        """Our gradients in the same form."""
-        return self.join(of, [name[len(of) :] for name in self.tensors if name.startswith(of)])
-
-    def draw(self, scores, given):
-        if given is not None:
-            return given
-        flat = lambda x: x.softmax(-1).flatten(0, -2).multinomial(1).view(x.shape[:-1])
-        return [flat(x) for x in scores]
-
     def targets(self, given):
         with torch.no_grad():
             shown = self.shown(self.next)
@@ -221,8 +160,7 @@ class Published:
         self.norm = torch.nn.utils.clip_grad_norm_(self.critic.values(), clip, foreach=True)
         self.optimisers[0].step()
         self.improve(shown, given[1])
-        self.follow(self.target_critic, self.critic)
-        self.follow(self.target_policies, self.policies)
+        self.follow()
         return loss
 
     def improve(self, shown, given):
@@ -242,25 +180,6 @@ class Published:
         loss.backward()
         self.clip_policies()
         self.optimisers[1].step()
-
-    def follow(self, target, online):
-        with torch.no_grad():
-            torch._foreach_lerp_(list(target.values()), list(online.values()), self.settings["target_rate"])
-
-    def compare(self):
-        """One round with the given draws: loss, gradient norm, and the gradients' distance from the given ones."""
-        loss = self.learn(self.given)
-        got, want = [], []
-        for of, network in [("gradient.critic.", self.critic), ("gradient.policies.", self.policies)]:
-            given = self.compare_with(of, network)
-            got += [weight.grad.flatten() for weight in network.values()]
-            want += [given[name].detach().flatten() for name in network]
-        got, want = torch.cat(got), torch.cat(want)
-        return {
-            "loss": loss.item(),
-            "gradient_norm": self.norm.item(),
-            "gradient_error": ((got - want).norm() / want.norm()).item(),
-        }
 
 
 class Lean(Published):
@@ -324,24 +243,5 @@ def normalised(x):
     return (x - mean) * (variance + 1e-5).rsqrt()
 
 
-FORMULATIONS = {"published": Published, "lean": Lean}
-
-
-def main():
-    torch.set_num_threads(1)
-    torch.manual_seed(0)
-    tensors, settings = read(sys.argv[1])
-    ready = {"torch": torch.__version__}
-    for name, formulation in FORMULATIONS.items():
-        ready[name] = formulation(tensors, settings).compare()
-    print(json.dumps(ready), flush=True)
-    learners = {name: formulation(tensors, settings) for name, formulation in FORMULATIONS.items()}
-    for line in sys.stdin:
-        learner = learners[line.strip()]
-        start = time.process_time()
-        learner.learn([None, None])
-        print(json.dumps({"cpu_s": time.process_time() - start}), flush=True)
-
-
 if __name__ == "__main__":
-    main()
+    main({"published": Published, "lean": Lean})

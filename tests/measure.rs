@@ -24,7 +24,7 @@ fn an_evaluation_without_a_planner_does_not_mention_one() {
 
 #[test]
 fn a_python_without_torch_is_named() {
-    for preset in ["fast", "paper", "paper-maac"] {
+    for preset in ["fast", "paper", "paper-maac", "paper-ma-exp"] {
         let output = output(&["bench", "train", "--preset", preset, "--python", "no-such-python"]);
         assert_fails(&output, 69, &["no-such-python", "torch"]);
     }

@@ -1,51 +1,27 @@
-//! MAAC's preset `paper`: CPU-seconds of a round of updates, and of the same round in PyTorch.
+//! MAAC's preset `paper`: a round of updates.
 
 use std::collections::HashMap;
 use std::path::Path;
-use std::time::Instant;
 
-use serde::Deserialize;
 use sortie_envs::random::{below, unit};
 use sortie_learn::random::{Purpose, generator};
-use sortie_methods::maac::{Batch, Config, Draw, Group, Groups, Learner, MAAC, Rows};
+use sortie_methods::maac::{Batch, Config, Group, Groups, Learner, MAAC};
 use sortie_nn::layers::products::Products;
 use sortie_nn::random::Generator;
-use sortie_nn::tape::Parameters;
 
-use super::super::rounds::paired_ratio;
-use super::super::{Figures, Measuring, Ratio, Row, pin, thread_cpu_s};
-use super::program::{Comparison, Expected, Program};
+use super::super::Figures;
+use super::TrainArguments;
+use super::program::Expected;
+use super::round::{self, Kept, Round};
 use super::tensors::Tensors;
-use super::{Arithmetic, TrainArguments, at, find, peak_gflops, peak_row};
 use crate::failure::{Exit, Failure};
 use crate::methods;
 
-const PROGRAM: &str = include_str!("../../../benches/maac_round.py");
-/// How the round is written for PyTorch: its name in the program, and as a peer.
-const FORMULATIONS: [(&str, &str); 2] =
-    [("published", "pytorch, as published"), ("lean", "pytorch, lean")];
 /// The world whose sizes the networks have.
 const SET: &str = "treasure-8";
-/// Rounds that are measured however little time there is.
-const LEAST_ROUNDS: usize = 3;
-/// CPU-seconds for the machine's peak in every round.
-const PEAK_S: f64 = 0.1;
-
-/// What the program says once it is ready.
-#[derive(Deserialize)]
-struct Ready {
-    torch: String,
-    published: Comparison,
-    lean: Comparison,
-}
-
-#[derive(Deserialize)]
-struct Turn {
-    cpu_s: f64,
-}
 
 /// Networks, and what they learn from.
-struct Round {
+struct MaacRound {
     config: Config,
     groups: Groups,
     learner: Learner,
@@ -55,64 +31,11 @@ struct Round {
     products: Products,
 }
 
-/// Draws as agents do, and keeps what was drawn.
-struct Kept<'a> {
-    random: &'a mut Generator,
-    drawn: Vec<Vec<Vec<u32>>>,
-}
-
-impl Draw for Kept<'_> {
-    fn draw(&mut self, groups: &Groups, scores: &Rows) -> Vec<Vec<u32>> {
-        let drawn = self.random.draw(groups, scores);
-        self.drawn.push(drawn.clone());
-        drawn
-    }
-}
-
 pub(super) fn measure(arguments: &TrainArguments) -> Result<Figures, Failure> {
-    let Measuring { common, seconds, .. } = arguments.measuring;
-    let python = find(arguments.python.as_deref(), common.quiet)?;
-    pin(arguments.measuring.pin)?;
-    let mut round = Round::new(&arguments.assignments, common.seed)?;
-    let mut torch = python.map(|python| round.start(&python, common.quiet)).transpose()?;
-    let (records, products) = (round.config.replay.batch, round.products);
-    let name = format!("round of MAAC, {records} records of {SET}, {products}");
-    let (mut ours, mut peaks) = (Vec::new(), Vec::new());
-    let mut peers = FORMULATIONS.map(|_| Vec::new());
-    let since = Instant::now();
-    // The first round fills caches and buffers.
-    let mut turns = 0;
-    while turns <= LEAST_ROUNDS || since.elapsed().as_secs_f64() < seconds {
-        peaks.push(peak_gflops(PEAK_S));
-        ours.push(round.turn());
-        if let Some((program, _)) = &mut torch {
-            for ((formulation, _), cpu_s) in FORMULATIONS.iter().zip(&mut peers) {
-                cpu_s.push(program.ask::<Turn>(formulation)?.cpu_s);
-            }
-        }
-        if turns == 0 {
-            ours.clear();
-            peers.iter_mut().for_each(Vec::clear);
-        }
-        turns += 1;
-    }
-    let peak = peaks.iter().copied().fold(0.0, f64::max);
-    let mut figures = Figures::default();
-    figures.rows.push(times(&name, "sortie", env!("CARGO_PKG_VERSION"), &ours));
-    figures.arithmetic.push(round.arithmetic(&name, at(&ours, 0.5), peak));
-    if let Some((_, version)) = &torch {
-        for ((_, peer), cpu_s) in FORMULATIONS.into_iter().zip(&peers) {
-            figures.rows.push(times(&name, peer, version, cpu_s));
-            let [ratio, low, high] = paired_ratio(&ours, cpu_s);
-            let (what, case, engine) = ("train", name.clone(), "sortie");
-            figures.ratios.push(Ratio { what, case, engine, peer, ratio, low, high });
-        }
-    }
-    figures.rows.push(peak_row(&peaks));
-    Ok(figures)
+    round::measure(arguments, MaacRound::new)
 }
 
-impl Round {
+impl MaacRound {
     fn new(assignments: &[String], seed: u64) -> Result<Self, Failure> {
         let set = |setup, assignment: &String| MAAC.set(&setup, assignment);
         let mut setup = assignments.iter().try_fold(MAAC.preset("paper")?, set)?;
@@ -131,26 +54,20 @@ impl Round {
         let learner = Learner::new(config.clone(), groups.clone(), 1, &mut weights);
         Ok(Self { config, groups, learner, batch, random, products })
     }
+}
 
-    /// CPU-seconds of a round.
-    fn turn(&mut self) -> f64 {
-        let start = thread_cpu_s();
+impl Round for MaacRound {
+    const PROGRAM: &'static str = include_str!("../../../benches/maac_round.py");
+
+    fn name(&self) -> String {
+        let (records, products) = (self.config.replay.batch, self.products);
+        format!("round of MAAC, {records} records of {SET}, {products}")
+    }
+
+    fn update(&mut self) {
         self.learner.update(&mut self.batch, self.config.entropy.end, &mut self.random);
-        thread_cpu_s() - start
     }
 
-    /// Starts the PyTorch program and compares a round with ours; returns it with the version of torch.
-    fn start(&mut self, python: &Path, quiet: bool) -> Result<(Program, String), Failure> {
-        let mut ours = Expected { loss: f64::NAN, gradient_norm: f64::NAN };
-        let write = |path: &Path| self.write(path).map(|expected| ours = expected);
-        let (program, ready) = Program::start::<Ready>(python, PROGRAM, write)?;
-        for ((_, engine), found) in FORMULATIONS.iter().zip([&ready.published, &ready.lean]) {
-            found.check((engine, "policies and critic"), ours, quiet)?;
-        }
-        Ok((program, ready.torch))
-    }
-
-    /// Writes networks and batch, does a round and writes its draws and gradients.
     fn write(&mut self, path: &Path) -> Result<Expected, Failure> {
         let mut tensors = Tensors::default();
         let Self { config, groups, learner, batch, random, .. } = self;
@@ -183,17 +100,8 @@ impl Round {
         Ok(Expected { loss: report.loss, gradient_norm: f64::from(report.gradient_norm) })
     }
 
-    /// What the products of a round compute, by sizes alone.
-    fn arithmetic(&self, name: &str, cpu_s: f64, peak: f64) -> Arithmetic {
-        let operations: f64 =
-            self.groups.0.iter().map(|group| operations(group, &self.groups, &self.config)).sum();
-        let gflop_per_cpu_s = operations / cpu_s / 1e9;
-        Arithmetic {
-            case: name.to_string(),
-            mflop: operations / 1e6,
-            gflop_per_cpu_s,
-            share_of_peak: gflop_per_cpu_s / peak,
-        }
+    fn operations(&self) -> f64 {
+        self.groups.0.iter().map(|group| operations(group, &self.groups, &self.config)).sum()
     }
 }
 
@@ -252,35 +160,4 @@ fn operations(group: &Group, groups: &Groups, config: &Config) -> f64 {
     let passes: usize = first.iter().zip(inner).map(|(first, inner)| 4 * first + 5 * inner).sum();
     let rows = config.replay.batch * group.agents.len();
     2.0 * (rows * passes) as f64
-}
-
-impl Tensors {
-    fn parameters(&mut self, of: &str, parameters: &Parameters, values: &[f32]) {
-        for tensor in parameters.tensors() {
-            let name = format!("{of}.{}", tensor.name);
-            self.floats(name, &tensor.shape, &values[tensor.range.clone()]);
-        }
-    }
-
-    fn actions(&mut self, kind: &str, actions: &[Vec<u32>]) {
-        for (index, actions) in actions.iter().enumerate() {
-            let values: Vec<i64> = actions.iter().map(|action| i64::from(*action)).collect();
-            self.integers(format!("{kind}.{index}"), &[values.len()], &values);
-        }
-    }
-}
-
-/// A row of CPU-seconds of one round.
-fn times(case: &str, engine: &'static str, version: &str, cpu_s: &[f64]) -> Row {
-    Row {
-        what: "train",
-        case: case.to_string(),
-        engine,
-        version: version.to_string(),
-        p50: at(cpu_s, 0.5),
-        p99: at(cpu_s, 0.99),
-        p999: None,
-        max: at(cpu_s, 1.0),
-        unit: "CPU-seconds",
-    }
 }

@@ -2,9 +2,11 @@
 
 mod batch;
 mod learning;
+mod ma_exp;
 mod maac;
 mod paper;
 mod program;
+mod round;
 mod tensors;
 mod torch;
 
@@ -35,7 +37,7 @@ const PEAK_SIDE: usize = 512;
 /// reaches in the same run. Where Python has torch, the update alternates with a PyTorch program of ours
 /// on the same records, in two formulations; loss and gradient are compared before. Preset `fast` counts
 /// updates per CPU-second; `paper` CPU-seconds per step of each level, and how they are spent; `paper-maac`
-/// CPU-seconds per round of MAAC's updates.
+/// and `paper-ma-exp` CPU-seconds per round of MAAC's and MA-Exp's updates.
 #[derive(Debug, Args)]
 pub(super) struct TrainArguments {
     /// How it is learned
@@ -60,6 +62,8 @@ enum Preset {
     Paper,
     /// A round of MAAC as published
     PaperMaac,
+    /// A round of MA-Exp as published
+    PaperMaExp,
 }
 
 /// The arithmetic of one case, medians over the rounds.
@@ -91,6 +95,7 @@ pub(super) fn measure(arguments: &TrainArguments) -> Result<Figures, Failure> {
         Preset::Fast => measure_fast(arguments),
         Preset::Paper => paper::measure(arguments),
         Preset::PaperMaac => maac::measure(arguments),
+        Preset::PaperMaExp => ma_exp::measure(arguments),
     }
 }
 

@@ -23,17 +23,25 @@ pub(super) struct Program {
 }
 
 impl Program {
-    /// Starts a program on the data that `write` writes, and reads what it says once it is ready.
+    /// Starts a program on the data that `write` writes, beside modules by their file names, and reads what it says once
+    /// it is ready.
     pub(super) fn start<T: DeserializeOwned>(
         python: &Path,
         source: &str,
+        modules: &[(&str, &str)],
         write: impl FnOnce(&Path) -> Result<(), Failure>,
     ) -> Result<(Self, T), Failure> {
         let folder =
             tempfile::tempdir().map_err(|error| Failure::file(&env::temp_dir(), &error))?;
         let data = folder.path().join("data.safetensors");
         let program = folder.path().join("program.py");
-        fs::write(&program, source).map_err(|error| Failure::file(&program, &error))?;
+        let put = |file: &Path, text: &str| {
+            fs::write(file, text).map_err(|error| Failure::file(file, &error))
+        };
+        put(&program, source)?;
+        for (name, text) in modules {
+            put(&folder.path().join(name), text)?;
+        }
         write(&data)?;
         let mut process = Command::new(python)
             .args([&program, &data])

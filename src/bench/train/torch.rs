@@ -72,7 +72,7 @@ impl Torch {
     ) -> Result<Self, Failure> {
         let mut expected = Expected { loss: f64::NAN, gradient_norm: f64::NAN };
         let write = |path: &Path| batch::write(learning, path).map(|found| expected = found);
-        let (program, ready) = Program::start::<Ready>(python, PROGRAM, write)?;
+        let (program, ready) = Program::start::<Ready>(python, PROGRAM, &[], write)?;
         for (formulation, found) in Formulation::ALL.iter().zip([&ready.padded, &ready.packed]) {
             found.check((formulation.engine(), "the agents"), expected, quiet)?;
         }

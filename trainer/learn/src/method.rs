@@ -135,6 +135,11 @@ pub trait Method: Send {
         false
     }
 
+    /// Whether it makes its updates after every step all the same, not only when the episodes of all are over.
+    fn learns_while_waiting(&self) -> bool {
+        false
+    }
+
     /// An instance is about to start an episode; `random` is its generator.
     fn begins(&mut self, instance: usize, random: &mut Random) {
         let _ = (instance, random);

@@ -8,6 +8,8 @@ pub mod alma;
 pub mod hal;
 pub mod ma_exp;
 pub mod maac;
+pub mod multi_explore;
+mod novelty;
 pub mod registry;
 mod saved_states;
 pub mod value_factorisation;

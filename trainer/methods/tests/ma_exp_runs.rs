@@ -3,6 +3,7 @@
 #[expect(dead_code, reason = "runs of ALMA are opened otherwise")]
 mod sessions;
 
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use sortie_learn::export::DeployedNetworks;
@@ -94,6 +95,63 @@ fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
     let mut method = find("ma-exp").unwrap().method(&opening).unwrap();
     load_weights(parted.path(), &mut *method).unwrap();
     assert_eq!(answers(&*method), want, "what was learned is read back to be used");
+}
+
+/// The published learner in small.
+fn networks(assignments: &[&str]) -> Setup {
+    let mut setup = find("ma-exp").unwrap().preset("paper").unwrap();
+    setup.environment.name = "gridworld".to_owned();
+    setup.environment.set = "task1-2".to_owned();
+    let small = [
+        "environment.instances=4",
+        "network.critic_width=16",
+        "network.base_width=16",
+        "network.head_width=8",
+        "replay.batch=150",
+        "replay.updates_per_period=1",
+        "replay.capacity=3000",
+        "run.steps=4400",
+        "run.final_episodes=0",
+        "run.evaluate_every=1000000",
+        "run.evaluate_episodes=4",
+    ];
+    with(&with(&setup, &small), assignments)
+}
+
+fn weights(folder: &Path) -> Vec<u8> {
+    let checkpoints = std::fs::read_dir(folder.join("checkpoints")).unwrap();
+    let newest = checkpoints.map(|entry| entry.unwrap().path()).max().unwrap();
+    std::fs::read(newest.join("tensors.safetensors")).unwrap()
+}
+
+#[test]
+fn networks_go_on_as_if_they_had_never_stopped() {
+    for kind in [
+        &[][..],
+        &["heads.intrinsic=centralized", "heads.exploits=true", "meta.uniform=true"],
+        &["heads.intrinsic=none"],
+    ] {
+        let setup = networks(kind);
+        let [whole, parted] = [0, 1].map(|_| tempfile::tempdir().unwrap());
+        let mut session = begin(setup.clone(), 3, 1, whole.path()).unwrap();
+        session.run(&mut (), &AtomicBool::new(false)).unwrap();
+        // Stopped amid a turn.
+        let stop = AtomicBool::new(false);
+        let mut session = begin(setup.clone(), 3, 2, parted.path()).unwrap();
+        session.run(&mut Stopping(&stop, 2_100), &stop).unwrap();
+        drop(session);
+        assert_ne!(weights(whole.path()), weights(parted.path()));
+        let mut session = resume(parted.path(), Some(1)).unwrap();
+        session.run(&mut (), &AtomicBool::new(false)).unwrap();
+        assert_eq!(weights(whole.path()), weights(parted.path()), "{kind:?}");
+        let played = measured(&setup, session.method());
+
+        let world = environment_of(&setup).unwrap();
+        let opening = Opening { setup: &setup, environment: &*world, seed: 4, threads: 1 };
+        let mut method = find("ma-exp").unwrap().method(&opening).unwrap();
+        load_weights(parted.path(), &mut *method).unwrap();
+        assert_eq!(measured(&setup, &*method), played, "what was learned is read back to be used");
+    }
 }
 
 #[test]

@@ -79,7 +79,7 @@ impl Torch {
             ours = Some(batch::compute(levels, Some(path))?);
             Ok(())
         };
-        let (program, ready) = Program::start::<Ready>(python, PROGRAM, write)?;
+        let (program, ready) = Program::start::<Ready>(python, PROGRAM, &[], write)?;
         let ours =
             ours.ok_or_else(|| Failure::new(Exit::Bug, "the PyTorch program got no batch"))?;
         for (formulation, found) in Formulation::ALL.iter().zip([&ready.padded, &ready.lean]) {

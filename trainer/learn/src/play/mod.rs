@@ -66,8 +66,8 @@ impl Play {
         self.recent.means(self.worlds.spec())
     }
 
-    /// Steps every instance once; where the method [waits](Method::waits), until the episodes of all are over. Returns
-    /// the number of steps.
+    /// Steps every instance once; where the method [waits](Method::waits) and does not learn meanwhile, until the
+    /// episodes of all are over. Returns the number of steps.
     ///
     /// # Errors
     /// The method cannot act or remember, or chose an action that is not available.
@@ -78,7 +78,7 @@ impl Play {
         counts: &mut EpisodeCounts,
     ) -> Result<u64, LearnError> {
         let mut steps = 0;
-        loop {
+        let all_are_over = loop {
             self.act(method, now)?;
             let mut place = 0;
             for instance in 0..self.running.len() {
@@ -88,13 +88,13 @@ impl Play {
                 }
             }
             steps += place as u64;
-            let over = self.running.iter().filter(|running| running.is_over).count();
-            if !method.waits() || over == self.running.len() {
-                break;
+            let all_are_over = self.running.iter().all(|running| running.is_over);
+            if all_are_over || !method.waits() || method.learns_while_waiting() {
+                break all_are_over;
             }
-        }
+        };
         for instance in 0..self.running.len() {
-            if self.running[instance].is_over {
+            if self.running[instance].is_over && (all_are_over || !method.waits()) {
                 self.start(instance, method);
             }
         }
@@ -200,6 +200,7 @@ mod tests {
     #[derive(Default)]
     struct Counting {
         waits: bool,
+        learns_while_waiting: bool,
         told: Vec<usize>,
         seen: Vec<usize>,
     }
@@ -207,6 +208,10 @@ mod tests {
     impl Method for Counting {
         fn waits(&self) -> bool {
             self.waits
+        }
+
+        fn learns_while_waiting(&self) -> bool {
+            self.learns_while_waiting
         }
 
         fn begins(&mut self, instance: usize, _: &mut Random) {
@@ -269,5 +274,23 @@ mod tests {
         assert!(steps > 3 && steps <= 3 * 50, "{steps}");
         assert_eq!((counts.episodes, &method.seen[..]), (3, &[0, 1, 2][..]));
         assert_eq!(method.told, [0, 1, 2, 0, 1, 2]);
+    }
+
+    #[test]
+    fn who_learns_while_others_wait_has_them_wait_all_the_same() {
+        let mut method =
+            Counting { waits: true, learns_while_waiting: true, ..Counting::default() };
+        let (mut play, mut counts) = (play(&mut method), EpisodeCounts::default());
+        let mut stepped = Vec::new();
+        while counts.episodes < 3 {
+            stepped.push(play.round(&mut method, Now::default(), &mut counts).unwrap());
+        }
+        assert_eq!((stepped[0], counts.episodes, &method.seen[..]), (3, 3, &[0, 1, 2][..]));
+        assert!(
+            stepped.is_sorted_by(|one, next| one >= next) && stepped.contains(&1),
+            "{stepped:?}"
+        );
+        assert_eq!(method.told, [0, 1, 2, 0, 1, 2], "they start anew together");
+        assert_eq!(play.round(&mut method, Now::default(), &mut counts).unwrap(), 3);
     }
 }

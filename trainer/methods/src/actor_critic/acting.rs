@@ -84,6 +84,8 @@ pub(crate) struct Actors<'a> {
     pub(crate) groups: &'a Groups,
     pub(crate) inputs: Inputs,
     pub(crate) policies: &'a Policies,
+    /// Which of their heads.
+    pub(crate) head: usize,
     pub(crate) weights: &'a [f32],
     pub(crate) running: &'a Running,
 }
@@ -142,13 +144,14 @@ impl Acting {
     }
 
     fn score(&mut self, actors: Actors<'_>, count: usize) {
-        let Actors { groups, inputs, policies, weights, running } = actors;
+        let Actors { groups, inputs, policies, head, weights, running } = actors;
         if inputs.normalised {
             let rows = self.shown.iter_mut().enumerate();
             rows.for_each(|(group, rows)| running.normalise(group, rows));
         }
         let mut pass = self.tape.begin(weights);
-        let scores = policies.scores(&mut pass, groups, &self.shown, 0..count);
+        let heads = head..head + 1;
+        let scores = policies.scores_of(heads, &mut pass, groups, &self.shown, 0..count);
         self.scores.resize_with(scores.len(), Vec::new);
         for (scores, kept) in scores.into_iter().zip(&mut self.scores) {
             kept.clear();

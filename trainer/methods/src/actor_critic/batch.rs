@@ -85,7 +85,7 @@ mod tests {
         let (mut batch, mut future) = (Batch::default(), Future::default());
         batch.clear(&groups);
         for (place, steps) in [(places[0], 2), (places[1], 2)] {
-            replay.future(place, steps, &mut future);
+            replay.future(place, steps, true, &mut future);
             let inputs = Inputs { normalised: false, scale: 2.0 };
             batch.add(&groups, inputs, &replay, place, &future);
         }

@@ -9,7 +9,6 @@ use sortie_nn::layers::normalise::EPSILON;
 use sortie_nn::tape::Linear;
 
 use super::acting::{Acting, Actors};
-use super::values::SLOPE;
 
 /// The agents that these policies are, in teams with so many actions.
 pub(crate) fn deployed(actors: Actors<'_>, actions: usize) -> DeployedAgents<'_> {
@@ -23,7 +22,7 @@ pub(crate) fn deployed(actors: Actors<'_>, actions: usize) -> DeployedAgents<'_>
 /// The policies' layers. What is done to their inputs is folded into the first.
 fn networks(actors: Actors<'_>) -> OwnRowNetworks {
     let (mut network_of, mut networks) = (Vec::new(), Vec::new());
-    for (index, layers) in actors.policies.layers().enumerate() {
+    for (index, layers) in actors.policies.layers(actors.head).enumerate() {
         let group = &actors.groups.0[index];
         let [mut first, second, last] = layers.map(|layer| dense(actors.weights, layer));
         Columns::of(actors, index).fold(&mut first);
@@ -31,7 +30,7 @@ fn networks(actors: Actors<'_>) -> OwnRowNetworks {
         networks
             .push(OwnRowNetwork { features: group.observed, layers: vec![first, second, last] });
     }
-    OwnRowNetworks { slope: SLOPE, network_of, networks }
+    OwnRowNetworks { slope: actors.policies.slope(), network_of, networks }
 }
 
 /// What becomes of each input of a group's network: a factor times it, and an offset.

@@ -79,7 +79,7 @@ impl Place {
 pub(crate) struct Future {
     /// The decision that is looked at next.
     pub next: Option<Place>,
-    /// `[agents]`: the discounted rewards until there, in deviations from the mean of those that are kept.
+    /// `[agents]`: the discounted rewards until there, perhaps in deviations from the mean of those that are kept.
     pub rewards: Vec<f32>,
     /// What its value counts.
     pub discount: f32,
@@ -195,8 +195,9 @@ impl Replay {
         ((f64::from(reward) - mean) / deviation) as f32
     }
 
-    /// What followed a decision within so many, or until its episode ended.
-    pub(crate) fn future(&self, place: Place, steps: usize, future: &mut Future) {
+    /// What followed a decision within so many, or until its episode ended; rewards in deviations if they are to be
+    /// `normalised`.
+    pub(crate) fn future(&self, place: Place, steps: usize, normalised: bool, future: &mut Future) {
         let stretch = &self.stretches[place.instance];
         future.rewards.clear();
         future.rewards.resize(self.agents, 0.0);
@@ -206,7 +207,8 @@ impl Replay {
             let slot = number % self.capacity;
             let rewards = &stretch.rewards[slot * self.agents..][..self.agents];
             for (agent, (sum, reward)) in future.rewards.iter_mut().zip(rewards).enumerate() {
-                *sum += future.discount * self.scaled(agent, *reward);
+                let reward = if normalised { self.scaled(agent, *reward) } else { *reward };
+                *sum += future.discount * reward;
             }
             future.discount *= stretch.discounts[slot];
             number += 1;
@@ -249,7 +251,7 @@ mod tests {
 
     fn future(replay: &Replay, place: Place, steps: usize) -> (f32, Future) {
         let mut future = Future::default();
-        replay.future(place, steps, &mut future);
+        replay.future(place, steps, true, &mut future);
         (replay.observation(future.next.unwrap())[0], future)
     }
 
@@ -265,6 +267,9 @@ mod tests {
         assert!((found.rewards[0] - want).abs() < 1e-6, "{found:?}");
         // An agent that always earns the same learns of nothing.
         assert_eq!(found.rewards[1], 0.0);
+        let mut found = Future::default();
+        replay.future(Place { instance: 0, number: 1 }, 2, false, &mut found);
+        assert_eq!(found.rewards, [1.0 + 0.5 * 2.0, 2.0 + 0.5 * 2.0]);
         // The decision behind the first last observation.
         let (next, found) = future(&replay, Place { instance: 0, number: 4 }, 9);
         assert_eq!((next, found.discount), (105.0, 0.125));

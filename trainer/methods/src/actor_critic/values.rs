@@ -40,6 +40,14 @@ pub struct Values {
 
 /// A layer with leaky ReLU behind it.
 pub(crate) fn leaky(pass: &mut Pass<'_>, x: Var, layer: Linear) -> Var {
+    bent(pass, x, layer, SLOPE)
+}
+
+/// A layer behind which numbers below zero count so many times as much.
+pub(crate) fn bent(pass: &mut Pass<'_>, x: Var, layer: Linear, slope: f32) -> Var {
+    if slope == 0.0 {
+        return pass.linear_rectified(x, layer);
+    }
     let y = pass.linear(x, layer);
-    pass.leaky_relu(y, SLOPE)
+    pass.leaky_relu(y, slope)
 }

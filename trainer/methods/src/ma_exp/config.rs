@@ -1,13 +1,12 @@
 //! What a run of MA-Exp leaves open.
 
-use serde::{Deserialize, Serialize};
 use sortie_learn::configuration::Range::{self, Number, OneOf, Positive, Whole};
 use sortie_learn::configuration::SHARE;
 use sortie_learn::sections;
 
-use super::intrinsic::Intrinsic;
 use super::learner::Rules;
 use super::table::HEADS;
+use crate::novelty::intrinsic::Types;
 
 const VALUE: Range = Number(-1e6, 1e6);
 const STEPS: Range = Whole(1, 1_000_000_000);
@@ -65,43 +64,6 @@ sections! {
         instances: usize = 2, Whole(0, 4096), "instances";
         /// Episodes of each.
         episodes: u32 = 20, Whole(1, 1_000_000), "episodes";
-    }
-}
-
-/// Types of intrinsic rewards.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Types {
-    /// The five that the dissertation chooses among.
-    Multi,
-    /// None.
-    None,
-    /// One.
-    #[serde(untagged)]
-    One(Intrinsic),
-}
-
-impl Types {
-    /// All of them, as files have them.
-    const WORDS: &[&str] = &[
-        "multi",
-        "none",
-        "independent",
-        "minimum",
-        "covering",
-        "burrowing",
-        "leader-follower",
-        "centralized",
-    ];
-
-    /// The types of the heads, and at last the one without.
-    fn heads(self) -> Vec<Option<Intrinsic>> {
-        let types = match self {
-            Self::Multi => Intrinsic::CHOSEN.to_vec(),
-            Self::None => Vec::new(),
-            Self::One(intrinsic) => vec![intrinsic],
-        };
-        types.into_iter().map(Some).chain([None]).collect()
     }
 }
 

@@ -3,11 +3,11 @@
 use serde::{Deserialize, Serialize};
 
 use super::audition::Audition;
-use super::counts::Counts;
-use super::intrinsic::Intrinsic;
-use super::places::{CELLS, Place};
 use super::shares::Shares;
 use super::table::{ACTIONS, HEADS, Lanes, Row, Table, Terms, Version, Worth};
+use crate::novelty::counts::Counts;
+use crate::novelty::intrinsic::Intrinsic;
+use crate::novelty::places::{CELLS, Place};
 
 /// How a team learns.
 #[derive(Clone, Debug, PartialEq)]

@@ -11,10 +11,10 @@ use sortie_learn::{Act, LearnError, Method, Now, Scene, Scenes, State, Thought, 
 use super::config::Config;
 use super::deployed::deployed;
 use super::learner::{Deed, Learner, Rules};
-use super::places::{Columns, Place};
 use super::selector::Selector;
 use super::table::{ACTIONS, Row, Version};
 use super::thoughts::thought;
+use crate::novelty::places::{Columns, Place};
 
 /// Noise by which equal actions are told apart.
 const TIES: f32 = 1e-3;

@@ -6,27 +6,25 @@
 
 mod audition;
 mod config;
-mod counts;
 mod deployed;
-mod intrinsic;
 mod learner;
 mod method;
 mod model;
-mod places;
 mod presets;
 mod selector;
 mod shares;
 mod table;
 mod thoughts;
 
+pub use crate::multi_explore as networks;
+pub use crate::novelty::counts::{Counts, novelty};
+pub use crate::novelty::intrinsic::{Intrinsic, Types};
+pub use crate::novelty::places::{Columns, Place};
 pub use audition::Audition;
-pub use config::{AuditionConfig, Config, ExplorationConfig, HeadsConfig, Types, ValuesConfig};
-pub use counts::{Counts, novelty};
-pub use intrinsic::Intrinsic;
+pub use config::{AuditionConfig, Config, ExplorationConfig, HeadsConfig, ValuesConfig};
 pub use learner::{Deed, Learner, Rules};
 pub use method::MaExp;
 pub use model::{Outcome, Way};
-pub use places::{Columns, Place};
 pub use presets::MA_EXP;
 pub use selector::Selector;
 pub use shares::Shares;

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::model::Outcome;
-use super::places::Place;
+use crate::novelty::places::Place;
 
 /// Actions that tables hold.
 pub(super) const ACTIONS: usize = 5;

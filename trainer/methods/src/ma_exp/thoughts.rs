@@ -2,10 +2,10 @@
 
 use sortie_learn::{Head, Thought};
 
-use super::intrinsic::Intrinsic;
 use super::learner::{Learner, Rules};
-use super::places::Place;
 use super::table::ACTIONS;
+use crate::novelty::intrinsic::Intrinsic;
+use crate::novelty::places::Place;
 
 /// What a deployed agent thinks where it is, and what its heads would pay and do there; nothing of them where it never
 /// was.

@@ -102,6 +102,7 @@ mod tests {
                 groups: &learner.groups,
                 inputs: learner.config.inputs(),
                 policies: &learner.policies,
+                head: 0,
                 weights: &learner.policies.parameters.values,
                 running: &learner.running,
             };

@@ -5,7 +5,9 @@ use sortie_learn::configuration::SHARE;
 use sortie_learn::{sections, words};
 
 use crate::actor_critic::acting::Inputs;
+use crate::actor_critic::policies::PolicyShape;
 use crate::actor_critic::step::Step;
+use crate::actor_critic::values::SLOPE;
 
 const ANY: Range = Number(0.0, 1e6);
 const WIDTH: Range = Whole(4, 1024);
@@ -188,6 +190,11 @@ impl Config {
     pub(super) fn inputs(&self) -> Inputs {
         let NetworkConfig { normalised, input_scale: scale, .. } = self.network;
         Inputs { normalised, scale }
+    }
+
+    /// The policies' sizes.
+    pub(super) fn policy_shape(&self) -> PolicyShape {
+        PolicyShape { widths: [self.network.policy_width; 2], heads: 1, slope: SLOPE }
     }
 
     /// The critic's sizes.

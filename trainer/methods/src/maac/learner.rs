@@ -11,10 +11,9 @@ use super::critic::Critic;
 use crate::actor_critic::batch::Batch;
 use crate::actor_critic::drawing::{Draw, best_of_all};
 use crate::actor_critic::groups::{Groups, Rows};
-use crate::actor_critic::losses::{
-    added, drawn_loss, expected_loss, relaxed_loss, soft_value, sum,
-};
+use crate::actor_critic::losses::{added, drawn_loss, expected_loss, relaxed_loss, soft_value};
 use crate::actor_critic::policies::Policies;
+use crate::actor_critic::policy_gradient::Following;
 use crate::actor_critic::running::Running;
 use crate::actor_critic::values::Encoded;
 
@@ -62,7 +61,7 @@ impl Learner {
     /// Draws the first weights.
     pub fn new(config: Config, groups: Groups, threads: usize, random: &mut Random) -> Self {
         let critic = Critic::new(config.critic_shape(), &groups, random);
-        let policies = Policies::new(config.network.policy_width, &groups, random);
+        let policies = Policies::new(config.policy_shape(), &groups, random);
         let adam = |parameters: &[f32]| Adam::new(parameters.len(), config.optimiser.epsilon);
         Self {
             target_critic: critic.parameters.values.clone(),
@@ -212,39 +211,23 @@ impl Learner {
             rule.own_actions == OwnActions::Relaxed || rule.policy_values == PolicyValues::Fresh;
         let actions = anew.then(|| self.value_anew(batch, draw));
         let actions = actions.as_ref().unwrap_or(&batch.actions);
-        let Self { groups, policies, threads, chunks, space, config, .. } = self;
-        let (share, rule) = (1.0 / batch.records as f32, &config.update);
+        let Self { groups, policies, chunks, space, config, .. } = self;
+        let (threads, rule) = (self.threads, &config.update);
         let gradient = &mut self.policy_gradient;
-        gradient.clear();
-        gradient.resize(policies.parameters.values.len(), 0.0);
-        let of = &policies.parameters.values;
         let Space { values, noise, .. } = space;
-        chunks.gradient(*threads, of, batch.records, gradient, |pass, range| {
-            let all = policies.scores(pass, groups, &batch.observations, range.clone());
-            let mut loss = None;
-            for (index, scores) in all.into_iter().enumerate() {
-                let group = &groups.0[index];
-                let rows = range.start * group.agents.len()..range.end * group.agents.len();
-                let numbers = rows.start * group.actions..rows.end * group.actions;
-                let values = &values[index][numbers.clone()];
-                let gain = match rule.own_actions {
-                    OwnActions::Expected => expected_loss(pass, scores, values, entropy),
-                    OwnActions::Drawn => {
-                        drawn_loss(pass, scores, values, &actions[index][rows], entropy)
-                    }
-                    OwnActions::Relaxed => {
-                        relaxed_loss(pass, scores, &noise[index][numbers], values)
-                    }
-                };
-                let gain = pass.scale(gain, share);
-                loss = Some(added(pass, loss, gain));
-                let squares = pass.multiply(scores, scores);
-                let squares = sum(pass, squares);
-                let penalty = rule.score_penalty * share / group.actions as f32;
-                let squares = pass.scale(squares, penalty);
-                loss = Some(added(pass, loss, squares));
+        let score_penalty = rule.score_penalty;
+        let following = Following { policies, groups, score_penalty, threads, chunks };
+        following.gradient(batch, gradient, |pass, index, scores, rows| {
+            let columns = groups.0[index].actions;
+            let numbers = rows.start * columns..rows.end * columns;
+            let values = &values[index][numbers.clone()];
+            match rule.own_actions {
+                OwnActions::Expected => expected_loss(pass, scores, values, entropy),
+                OwnActions::Drawn => {
+                    drawn_loss(pass, scores, values, &actions[index][rows], entropy)
+                }
+                OwnActions::Relaxed => relaxed_loss(pass, scores, &noise[index][numbers], values),
             }
-            loss.expect("there are agents")
         });
         let settings = &config.optimiser;
         for range in policies.ranges() {

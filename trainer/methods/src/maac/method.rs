@@ -1,32 +1,30 @@
 //! MAAC as a [`Method`].
 
-use sortie_envs::{Environment, Observation, Random};
+use sortie_envs::{Environment, Random};
 use sortie_learn::export::DeployedAgents;
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Rates, Reports};
 use sortie_learn::session::Opening;
-use sortie_learn::{Act, LearnError, Method, Now, Scene, Scenes, State, Thought, Transition};
+use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Thought, Transition};
 
 use super::attention::thoughts;
 use super::config::Config;
 use super::learner::Learner;
-use crate::actor_critic::acting::{Acting, Actors, observe, observed};
+use crate::actor_critic::acting::{Acting, Actors, observed};
 use crate::actor_critic::batch::Batch;
-use crate::actor_critic::decision::Decision;
 use crate::actor_critic::deployed::deployed;
+use crate::actor_critic::experience::{Experience, Rule};
 use crate::actor_critic::groups::Groups;
-use crate::actor_critic::replay::{Future, Outcome, Place, Replay};
+use crate::actor_critic::replay::{Future, Place, Replay};
 
 /// Agents that learn from rewards of their own, and what they have seen.
 #[derive(Debug)]
 pub struct Maac {
     config: Config,
     learner: Learner,
-    replay: Replay,
+    experience: Experience,
     /// Draws records and actions.
     random: Random,
-    acting: Acting,
-    running: Vec<Decision>,
     /// Environment steps at which the memory held enough to learn from.
     began: Option<u64>,
     updates: u64,
@@ -34,8 +32,6 @@ pub struct Maac {
     fresh: Vec<Place>,
     batch: Batch,
     future: Future,
-    last: Vec<f32>,
-    seen: Observation,
     /// Actions of an agent, the most of any.
     actions: usize,
 }
@@ -50,19 +46,21 @@ impl Maac {
         let mut weights = generator(seed, Purpose::Weights, 0);
         let capacity = config.replay.capacity.div_ceil(instances);
         let replay = Replay::new(instances, capacity, groups.agents(), observed(&groups));
+        let returns = &config.returns;
+        let rule = Rule {
+            interval: returns.decision_interval,
+            discount: returns.discount,
+            shaping: returns.shaping,
+        };
         Self {
             learner: Learner::new(config.clone(), groups, threads, &mut weights),
-            replay,
+            experience: Experience::new(rule, instances, replay),
             random: generator(seed, Purpose::Replay, 0),
-            acting: Acting::default(),
-            running: vec![Decision::default(); instances],
             began: None,
             updates: 0,
             fresh: Vec::new(),
             batch: Batch::default(),
             future: Future::default(),
-            last: Vec::new(),
-            seen: Observation::default(),
             actions: spec.shape.actions,
             config,
         }
@@ -75,6 +73,7 @@ impl Maac {
             groups: &learner.groups,
             inputs: config.inputs(),
             policies: &learner.policies,
+            head: 0,
             weights: &learner.average_policies,
             running: &learner.running,
         }
@@ -82,7 +81,8 @@ impl Maac {
 
     /// Draws records for an update, or takes those that are fresh.
     fn gather(&mut self) {
-        let Self { config, learner, replay, random, fresh, batch, future, .. } = self;
+        let Self { config, learner, experience, random, fresh, batch, future, .. } = self;
+        let replay = &experience.replay;
         let (groups, inputs, steps) = (&learner.groups, config.inputs(), config.returns.steps);
         batch.clear(groups);
         fresh.sort_unstable();
@@ -93,7 +93,7 @@ impl Maac {
                 Some(place) => *place,
                 None => replay.draw(steps, random),
             };
-            replay.future(place, steps, future);
+            replay.future(place, steps, true, future);
             batch.add(groups, inputs, replay, place, future);
         }
         fresh.clear();
@@ -113,62 +113,23 @@ impl Method for Maac {
         random: &mut [Random],
         actions: &mut [u16],
     ) -> Result<(), LearnError> {
-        let Self { config, learner, replay, acting, running, .. } = self;
-        let groups = &learner.groups;
-        let decides = |scene: &&Scene<'_>| scene.begins || running[scene.instance].left == 0;
-        let deciding: Vec<&Scene<'_>> = scenes.scenes.iter().filter(decides).collect();
+        let Self { config, learner, experience, .. } = self;
         let actors = Actors {
-            groups,
+            groups: &learner.groups,
             inputs: config.inputs(),
             policies: &learner.policies,
+            head: 0,
             weights: &learner.policies.parameters.values,
             running: &learner.running,
         };
-        if !deciding.is_empty() {
-            acting.look(actors, scenes.environment, deciding.iter().copied());
-        }
-        let width = observed(groups);
-        for (place, scene) in deciding.into_iter().enumerate() {
-            let instance = scene.instance;
-            let decision = &mut running[instance];
-            decision.begin(groups.agents(), config.returns.decision_interval);
-            acting.choose(groups, place, Some(&mut random[instance]), &mut decision.actions);
-            if scene.begins {
-                decision.look(scenes.environment, scene.state, config.returns.shaping);
-            }
-            let observation = &acting.observations[place * width..][..width];
-            replay.decide(instance, observation, &decision.actions);
-        }
-        let chunks = actions.chunks_exact_mut(groups.agents());
-        for (scene, actions) in scenes.scenes.iter().zip(chunks) {
-            let decision = &mut running[scene.instance];
-            actions.copy_from_slice(&decision.actions);
-            decision.left -= 1;
-        }
+        experience.act(actors, scenes, random, actions);
         Ok(())
     }
 
     fn remember(&mut self, transition: &Transition<'_>) -> Result<(), LearnError> {
-        let Self { config, learner, replay, running, fresh, last, seen, .. } = self;
-        let returns = &config.returns;
-        let decision = &mut running[transition.instance];
-        decision.earn(transition.agent_rewards, returns.discount);
-        let is_last = transition.step.done();
-        if decision.left > 0 && !is_last {
-            return Ok(());
-        }
-        decision.shape(transition.environment, transition.next, returns.shaping);
-        let discount = if transition.step.terminated { 0.0 } else { decision.discount };
-        let outcome = Outcome { rewards: &decision.rewards, discount, is_last };
-        let place = replay.conclude(transition.instance, outcome);
-        if config.replay.on_policy {
-            fresh.push(place);
-        }
-        if is_last {
-            last.clear();
-            observe(transition.environment, &learner.groups, transition.next, seen, last);
-            replay.end(transition.instance, last);
-        }
+        let Self { config, learner, experience, fresh, .. } = self;
+        let place = experience.remember(&learner.groups, transition.agent_rewards, transition);
+        fresh.extend(place.filter(|_| config.replay.on_policy));
         Ok(())
     }
 
@@ -179,7 +140,7 @@ impl Method for Maac {
         reports: &mut Reports,
     ) -> Result<(), LearnError> {
         let rule = &self.config.replay;
-        if self.began.is_none() && self.replay.decisions() >= rule.first {
+        if self.began.is_none() && self.experience.replay.decisions() >= rule.first {
             self.began = Some(now.env_steps);
         }
         let Some(began) = self.began else {
@@ -246,13 +207,12 @@ impl Method for Maac {
         state.value("policy-adam-steps", &mut policy_optimiser.steps)?;
         running.state(state)?;
         state.value("random", &mut self.random)?;
-        state.value("decisions", &mut self.running)?;
         state.value("began", &mut self.began)?;
         state.value("updates", &mut self.updates)?;
         if self.config.replay.on_policy {
             state.value("fresh", &mut self.fresh)?;
         }
-        state.value("replay", &mut self.replay)
+        self.experience.state(state)
     }
 }
 
@@ -288,6 +248,7 @@ impl Act for Greedy<'_> {
 #[cfg(test)]
 mod tests {
     use sortie_envs::Split;
+    use sortie_learn::Scene;
 
     use super::super::presets::MAAC;
     use super::*;
@@ -346,7 +307,7 @@ mod tests {
                 *sum += factor * *reward as f32;
             }
             if step % INTERVAL == INTERVAL - 1 {
-                let kept = maac.replay.rewards(0, step / INTERVAL);
+                let kept = maac.experience.replay.rewards(0, step / INTERVAL);
                 for (agent, (kept, sum)) in kept.iter().zip(&rewards).enumerate() {
                     let want = sum + factor * discount * near(&*world, &next, agent);
                     assert!((kept - want).abs() < 1e-4, "agent {agent}: {kept} {want}");

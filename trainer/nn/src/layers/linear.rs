@@ -32,7 +32,8 @@ pub fn forward_rectified(
     run_widest(AddBias { least: 0.0, bias, y });
 }
 
-/// As [`forward_rectified`] of two inputs with a matrix each, whose products are added up.
+/// As [`forward_rectified`] of two inputs with a matrix each, whose products are added up. The second may be of another
+/// width.
 pub fn forward_rectified_sum(
     shape: LinearShape,
     [(x, weight), (added_x, added_weight)]: [(&[f32], &[f32]); 2],
@@ -40,7 +41,8 @@ pub fn forward_rectified_sum(
     y: &mut [f32],
 ) {
     forward_without_bias(shape, x, weight, y);
-    product(shape, Store::Add, added_x, added_weight, y);
+    let added = LinearShape { input: added_weight.len() / shape.output, ..shape };
+    product(added, Store::Add, added_x, added_weight, y);
     run_widest(AddBias { least: 0.0, bias, y });
 }
 

@@ -43,6 +43,12 @@ impl Tape {
                 }
                 self.descend_linear(x, layer, own, parameters, gradient);
             }
+            Operation::LinearSum { x, layers } => {
+                relu::backward(&self.values[own.clone()], &mut self.slopes[own.clone()]);
+                for (x, layer) in x.into_iter().zip(layers) {
+                    self.descend_linear(x, layer, own.clone(), parameters, gradient);
+                }
+            }
             Operation::SparseLinear { rows, layer } => {
                 let [weight, bias] = weight_and_bias(layer, gradient);
                 let rows = &self.sparse.things[rows as usize];

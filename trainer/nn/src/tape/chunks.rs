@@ -8,7 +8,7 @@ use crate::lanes::in_lanes;
 use crate::layers::elementwise;
 use crate::layers::matrix::Store;
 
-/// Most rows of a chunk: what fits beside weights into the caches of a core.
+/// Most rows of a chunk, unless it is said otherwise: what fits beside weights into the caches of a core.
 pub const ROWS: usize = 128;
 
 /// A tape and a gradient for every chunk.
@@ -16,6 +16,7 @@ pub const ROWS: usize = 128;
 /// Chunks are what is computed at the same time; their number follows from the rows, not from the threads.
 pub struct Chunks {
     chunks: Vec<Chunk>,
+    rows: usize,
     tape: Box<dyn Fn() -> Tape + Send + Sync>,
 }
 
@@ -42,7 +43,12 @@ impl Default for Chunks {
 impl Chunks {
     /// Chunks whose tapes are made so, with the custom passes that they need.
     pub fn new(tape: impl Fn() -> Tape + Send + Sync + 'static) -> Self {
-        Self { chunks: Vec::new(), tape: Box::new(tape) }
+        Self { chunks: Vec::new(), rows: ROWS, tape: Box::new(tape) }
+    }
+
+    /// Chunks of so many rows: more where the weights are many, which every chunk passes over.
+    pub fn of_rows(rows: usize) -> Self {
+        Self { rows, ..Self::default() }
     }
 
     /// Adds to `gradient` that of a loss over so many rows, and returns the loss.
@@ -76,7 +82,7 @@ impl Chunks {
             keep(vars.iter().map(|var| pass.values(*var)), &mut chunk.found);
             back(&mut pass, loss, parameters, &mut chunk.gradient);
         });
-        let chunks = &self.chunks[..rows.div_ceil(ROWS)];
+        let chunks = &self.chunks[..rows.div_ceil(self.rows)];
         for chunk in chunks {
             elementwise::scale(1.0, &chunk.gradient, Store::Add, gradient);
         }
@@ -98,7 +104,7 @@ impl Chunks {
             let vars = values(&mut pass, range);
             keep(vars.iter().map(|var| pass.values(*var)), &mut chunk.found);
         });
-        join(&self.chunks[..rows.div_ceil(ROWS)], found);
+        join(&self.chunks[..rows.div_ceil(self.rows)], found);
     }
 
     /// The slopes of a loss by leaves, which come behind it.
@@ -117,16 +123,16 @@ impl Chunks {
             let slopes = leaves.iter().map(|leaf| pass.slopes(*leaf).unwrap_or_default());
             keep(slopes, &mut chunk.found);
         });
-        join(&self.chunks[..rows.div_ceil(ROWS)], found);
+        join(&self.chunks[..rows.div_ceil(self.rows)], found);
     }
 
     fn run(&mut self, threads: usize, rows: usize, work: impl Fn(&mut Chunk, Range<usize>) + Sync) {
-        let count = rows.div_ceil(ROWS);
+        let (most, count) = (self.rows, rows.div_ceil(self.rows));
         while self.chunks.len() < count {
             self.chunks.push(Chunk { tape: (self.tape)(), ..Chunk::default() });
         }
         in_lanes(threads, &mut self.chunks[..count], |index, chunk| {
-            work(chunk, index * ROWS..rows.min((index + 1) * ROWS));
+            work(chunk, index * most..rows.min((index + 1) * most));
         });
     }
 }

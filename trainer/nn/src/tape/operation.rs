@@ -18,6 +18,11 @@ pub(super) enum Operation {
         layer: Linear,
         rectified: bool,
     },
+    /// Two products and the offsets of the first layer, rectified.
+    LinearSum {
+        x: [Var; 2],
+        layers: [Linear; 2],
+    },
     /// `rows` is the place of the features in their pool.
     SparseLinear {
         rows: u32,

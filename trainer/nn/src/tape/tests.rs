@@ -120,6 +120,14 @@ fn gradients_of_layers_agree_with_finite_differences() {
     check("rectified", &p, (6, 4), |t, x| t.linear_rectified(x, layer));
 
     let mut p = Parameters::default();
+    let layers = [p.linear("layer", 4, 5, drawn), p.projection("added", 3, 5, drawn)];
+    check("rectified sum", &p, (6, 4), |t, x| {
+        let squares = t.multiply(x, x);
+        let added = t.columns(squares, 1..4);
+        t.linear_sum_rectified([x, added], layers)
+    });
+
+    let mut p = Parameters::default();
     let layer = p.projection("projection", 4, 5, drawn);
     check("projection", &p, (6, 4), |t, x| t.linear(x, layer));
 
@@ -232,6 +240,23 @@ fn any_number_of_threads_gives_the_same_gradient() {
     assert!(one.0 > 0.0);
     assert_eq!(one, gradient(2));
     assert_eq!(one, gradient(4));
+}
+
+#[test]
+fn chunks_may_have_other_numbers_of_rows() {
+    let mut p = Parameters::default();
+    let layer = p.linear("layer", 1, 1, &mut stream(3, 1, 0));
+    for (rows, sizes) in [(700, vec![300, 300, 100]), (300, vec![300]), (1, vec![1])] {
+        let x: Vec<f32> = (0..rows).map(|row| row as f32).collect();
+        let found = std::sync::Mutex::new(Vec::new());
+        let mut values = Vec::new();
+        Chunks::of_rows(300).values(1, &p.values, rows, &mut values, |t, range| {
+            found.lock().unwrap().push(range.len());
+            let x = t.input(1, &x[range]);
+            vec![x, t.linear(x, layer)]
+        });
+        assert_eq!((found.into_inner().unwrap(), &values[0]), (sizes, &x));
+    }
 }
 
 #[test]

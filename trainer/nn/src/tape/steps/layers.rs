@@ -18,6 +18,29 @@ impl Pass<'_> {
         self.affine(x, layer, true)
     }
 
+    /// `max(0, x W' + added V' + b)`: a layer whose columns are in two parts, the second of which has no offsets.
+    pub fn linear_sum_rectified(
+        &mut self,
+        [x, added]: [Var; 2],
+        [layer, added_layer]: [Linear; 2],
+    ) -> Var {
+        let ([rows, columns], [added_rows, added_columns]) = (self.size(x), self.size(added));
+        let inputs = [layer, added_layer].map(|layer| layer.shape.input);
+        assert_eq!(([columns, added_columns], rows), (inputs, added_rows), "sizes of the inputs");
+        assert_eq!(layer.shape.output, added_layer.shape.output, "columns of the output");
+        let operation = Operation::LinearSum { x: [x, added], layers: [layer, added_layer] };
+        let y = self.tape.push(operation, rows, layer.shape.output, true);
+        let [weight, added_weight] =
+            [layer, added_layer].map(|layer| &self.parameters[layer.weight_range()]);
+        let bias = &self.parameters[layer.bias_range().expect("the first part has the offsets")];
+        let ranges = [x, added].map(|var| self.tape.of(var).range());
+        let (before, out) = self.tape.split(y);
+        let [x, added] = ranges.map(|range| &before[range]);
+        let parts = [(x, weight), (added, added_weight)];
+        linear::forward_rectified_sum(layer.shape, parts, bias, out);
+        y
+    }
+
     fn affine(&mut self, x: Var, layer: Linear, rectified: bool) -> Var {
         let [rows, columns] = self.size(x);
         assert_eq!(columns, layer.shape.input, "columns of the input");

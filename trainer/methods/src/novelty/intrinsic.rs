@@ -61,3 +61,40 @@ impl Intrinsic {
         }
     }
 }
+
+/// Types of intrinsic rewards.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Types {
+    /// The five that the dissertation chooses among.
+    Multi,
+    /// None.
+    None,
+    /// One.
+    #[serde(untagged)]
+    One(Intrinsic),
+}
+
+impl Types {
+    /// All of them, as files have them.
+    pub(crate) const WORDS: &[&str] = &[
+        "multi",
+        "none",
+        "independent",
+        "minimum",
+        "covering",
+        "burrowing",
+        "leader-follower",
+        "centralized",
+    ];
+
+    /// The types of the heads, and at last the one without.
+    pub(crate) fn heads(self) -> Vec<Option<Intrinsic>> {
+        let types = match self {
+            Self::Multi => Intrinsic::CHOSEN.to_vec(),
+            Self::None => Vec::new(),
+            Self::One(intrinsic) => vec![intrinsic],
+        };
+        types.into_iter().map(Some).chain([None]).collect()
+    }
+}

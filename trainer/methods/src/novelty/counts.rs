@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 /// How fast novelty fades with visits.
-pub(super) const DECAY: f32 = 0.7;
+pub(crate) const DECAY: f32 = 0.7;
 
 /// How novel a place is that was visited so often.
 pub fn novelty(visits: u32) -> f32 {

@@ -4,11 +4,11 @@ use serde::{Deserialize, Serialize};
 use sortie_envs::{SparseRows, Spec};
 
 /// Probabilities of a pit from which on it counts as likelier to open; below the first it counts as none.
-pub(super) const PITS: [f32; 3] = [0.02, 0.08, 0.25];
+pub(crate) const PITS: [f32; 3] = [0.02, 0.08, 0.25];
 /// Rows and columns of the maps that tables are about: agents see where they are as shares of them.
-pub(super) const SIDE: usize = 20;
+pub(crate) const SIDE: usize = 20;
 /// Cells of such a map.
-pub(super) const CELLS: usize = SIDE * SIDE;
+pub(crate) const CELLS: usize = SIDE * SIDE;
 /// Kinds of pits.
 const KINDS: usize = PITS.len() + 1;
 
@@ -56,6 +56,36 @@ impl Columns {
             weights[2][column] = (1_u32 << place) as f32;
         }
         weights
+    }
+
+    /// Columns of a state for each agent: what it sees of walls, pits and finds, and its row and its column of the map.
+    pub(crate) fn of_state(&self) -> usize {
+        self.row + 2 * SIDE
+    }
+
+    /// Adds a state, from what all agents see, one behind the other.
+    pub(crate) fn write_state(&self, observation: &[f32], state: &mut Vec<f32>) {
+        for row in observation.chunks_exact(self.width) {
+            state.extend_from_slice(&row[..self.row]);
+        }
+        for cell in self.cells(observation) {
+            let start = state.len();
+            state.resize(start + 2 * SIDE, 0.0);
+            state[start + usize::from(cell) / SIDE] = 1.0;
+            state[start + SIDE + usize::from(cell) % SIDE] = 1.0;
+        }
+    }
+
+    /// The agents' cells, from the same.
+    pub(crate) fn cells<'a>(
+        &self,
+        observation: &'a [f32],
+    ) -> impl Iterator<Item = u16> + Clone + 'a {
+        let (row, column) = (self.row, self.column);
+        observation.chunks_exact(self.width).map(move |seen| {
+            let [row, column] = [seen[row], seen[column]].map(|part| (part * SIDE as f32).round());
+            row as u16 * SIDE as u16 + column as u16
+        })
     }
 
     /// Where a row says that its agent is.
@@ -108,8 +138,27 @@ impl Place {
 mod tests {
     use sortie_envs::gridworld;
 
+    use super::*;
+
     #[test]
     fn tables_are_about_the_cells_that_there_are() {
-        assert_eq!((super::SIDE, super::CELLS), (gridworld::SIDE, gridworld::CELLS));
+        assert_eq!((SIDE, CELLS), (gridworld::SIDE, gridworld::CELLS));
+    }
+
+    #[test]
+    fn a_state_is_what_all_see_of_themselves_and_where_they_are() {
+        // A wall, a pit and two kinds of finds, then row, column and where the other is.
+        let columns = Columns { pits: 1..2, found: 2..4, row: 4, column: 5, width: 8 };
+        let seen = [1.0, 0.0, 0.0, 1.0, 0.35, 0.85, 0.3, 0.3];
+        let other = [0.0, 0.25, 1.0, 0.0, 0.0, 0.95, -0.3, -0.3];
+        let observation = [seen, other].concat();
+        assert_eq!(columns.cells(&observation).collect::<Vec<_>>(), [7 * 20 + 17, 19]);
+        let mut state = Vec::new();
+        columns.write_state(&observation, &mut state);
+        assert_eq!(state.len(), 2 * columns.of_state());
+        let ones: Vec<usize> = (8..state.len()).filter(|at| state[*at] == 1.0).collect();
+        assert_eq!(state[..8], [1.0, 0.0, 0.0, 1.0, 0.0, 0.25, 1.0, 0.0]);
+        assert_eq!(ones, [8 + 7, 8 + 20 + 17, 8 + 40, 8 + 60 + 19]);
+        assert_eq!(state[8..].iter().sum::<f32>(), 4.0);
     }
 }

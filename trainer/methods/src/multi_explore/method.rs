@@ -1,0 +1,417 @@
+//! The published learner as a [`Method`].
+
+use sortie_envs::{Environment, Observation, Random};
+use sortie_learn::export::DeployedAgents;
+use sortie_learn::random::{Purpose, generator};
+use sortie_learn::run::{Rates, Reports};
+use sortie_learn::session::Opening;
+use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition};
+
+use super::config::Config;
+use super::meta::MetaPolicy;
+use super::moments::Moments;
+use crate::actor_critic::acting::{Acting, Actors, Inputs, observe, observed};
+use crate::actor_critic::deployed::deployed;
+use crate::actor_critic::experience::{Experience, Rule};
+use crate::actor_critic::heads::{HeadBatch, HeadLearner};
+use crate::actor_critic::replay::{Future, Replay};
+use crate::actor_critic::running::Running;
+use crate::novelty::counts::Counts;
+use crate::novelty::intrinsic::Intrinsic;
+use crate::novelty::places::{CELLS, Columns};
+
+/// Agents of several heads, and what they have seen.
+#[derive(Debug)]
+pub struct MultiExplore {
+    config: Config,
+    columns: Columns,
+    heads: Vec<Option<Intrinsic>>,
+    learner: HeadLearner,
+    experience: Experience,
+    meta: MetaPolicy,
+    counts: Counts,
+    /// By agents and heads: intrinsic rewards of what happened.
+    moments: Vec<Moments>,
+    episodes: Vec<Episode>,
+    /// Discounted returns of the episodes of this turn that ended.
+    turn: Vec<f64>,
+    /// What agents saw in all that was stepped into since the last update, one behind the other.
+    stepped: Vec<f32>,
+    seen: Observation,
+    /// Draws records, actions and heads.
+    random: Random,
+    began: Option<u64>,
+    updates: u64,
+    batch: HeadBatch,
+    /// What networks are shown is as it is.
+    unchanged: Running,
+}
+
+/// What the running episode of an instance returned.
+#[derive(Clone, Copy, Debug, Default, serde::Serialize, serde::Deserialize)]
+struct Episode {
+    discounted: f64,
+    /// What a reward of the next step counts.
+    discount: f64,
+}
+
+const INPUTS: Inputs = Inputs { normalised: false, scale: 1.0 };
+
+impl MultiExplore {
+    /// Draws the first weights.
+    ///
+    /// # Panics
+    /// The environment shows no places.
+    pub fn new(config: Config, opening: &Opening<'_>) -> Self {
+        let Opening { setup, environment, seed, threads } = *opening;
+        let spec = environment.spec();
+        let mut weights = generator(seed, Purpose::Weights, 0);
+        let networks = Columns::of(spec).zip(config.learner(spec, threads, &mut weights));
+        let (columns, learner) = networks.expect("the environment was found to fit");
+        let (agents, instances) = (learner.groups.agents(), setup.environment.instances);
+        let heads = config.heads();
+        let capacity = config.replay.capacity.div_ceil(instances);
+        let replay = Replay::new(instances, capacity, agents, observed(&learner.groups));
+        let rule = Rule { interval: 1, discount: 1.0, shaping: 0.0 };
+        let mut random = generator(seed, Purpose::Replay, 0);
+        Self {
+            unchanged: Running::new(&learner.groups),
+            learner,
+            experience: Experience::new(rule, instances, replay),
+            meta: MetaPolicy::new(heads.len(), &mut random),
+            counts: Counts::new(agents, CELLS, heads.contains(&Some(Intrinsic::Centralized))),
+            moments: vec![Moments::default(); agents * heads.len()],
+            episodes: vec![Episode::default(); instances],
+            turn: Vec::new(),
+            stepped: Vec::new(),
+            seen: Observation::new(&spec.shape),
+            began: None,
+            updates: 0,
+            batch: HeadBatch::default(),
+            random,
+            columns,
+            heads,
+            config,
+        }
+    }
+
+    /// The policies of the head that is deployed.
+    fn best(&self) -> Actors<'_> {
+        actors(&self.learner, self.meta.best(), &self.unchanged)
+    }
+
+    /// Looks what all agents see in a state and counts them there; keeps that if they stepped into it.
+    fn visit(&mut self, environment: &dyn Environment, state: &[u8], is_step: bool) {
+        let start = self.stepped.len();
+        observe(environment, &self.learner.groups, state, &mut self.seen, &mut self.stepped);
+        self.counts.visit(self.columns.cells(&self.stepped[start..]));
+        if !is_step {
+            self.stepped.truncate(start);
+        }
+    }
+
+    /// Adds by agents and heads what each is paid where all see this, not normalised yet.
+    fn pay(&self, observation: &[f32], paid: &mut [Vec<f32>]) {
+        let cells = || self.columns.cells(observation);
+        let team = self.counts.team_novelty(cells());
+        for (agent, cell) in cells().enumerate() {
+            let novelties = self.counts.novelties(cell);
+            for (head, kind) in self.heads.iter().enumerate() {
+                let paid = &mut paid[agent * self.heads.len() + head];
+                paid.extend(kind.map(|kind| kind.reward(novelties, team, agent)));
+            }
+        }
+    }
+
+    /// Adds what was paid for the last steps to the moments of intrinsic rewards.
+    fn add_moments(&mut self) {
+        let stepped = std::mem::take(&mut self.stepped);
+        let mut paid = vec![Vec::new(); self.moments.len()];
+        for observation in stepped.chunks_exact(observed(&self.learner.groups)) {
+            self.pay(observation, &mut paid);
+        }
+        for (moments, paid) in self.moments.iter_mut().zip(paid) {
+            let paid: Vec<f64> = paid.into_iter().map(f64::from).collect();
+            if !paid.is_empty() {
+                moments.add(&paid);
+            }
+        }
+        self.stepped = stepped;
+        self.stepped.clear();
+    }
+
+    /// Draws records for an update. Intrinsic rewards are those of today, in today's deviations.
+    fn gather(&mut self) {
+        let (mut batch, mut future) = (std::mem::take(&mut self.batch), Future::default());
+        let groups = &self.learner.groups;
+        batch.records.clear(groups);
+        batch.states.iter_mut().for_each(Vec::clear);
+        batch.own.resize_with(self.moments.len(), Vec::new);
+        batch.own.iter_mut().for_each(Vec::clear);
+        for _ in 0..self.config.replay.batch {
+            let replay = &self.experience.replay;
+            let place = replay.draw(1, &mut self.random);
+            replay.future(place, 1, false, &mut future);
+            batch.records.add(groups, INPUTS, replay, place, &future);
+            let next = replay.observation(place.next());
+            let [state, next_state] = &mut batch.states;
+            self.columns.write_state(replay.observation(place), state);
+            self.columns.write_state(next, next_state);
+            self.pay(next, &mut batch.own);
+        }
+        for (own, moments) in batch.own.iter_mut().zip(&self.moments) {
+            let deviation = moments.variance.sqrt() as f32;
+            own.iter_mut().for_each(|reward| *reward /= deviation);
+        }
+        self.batch = batch;
+    }
+}
+
+/// The policies of a head.
+fn actors<'a>(learner: &'a HeadLearner, head: usize, running: &'a Running) -> Actors<'a> {
+    let HeadLearner { groups, policies, .. } = learner;
+    let weights = &policies.parameters.values;
+    Actors { groups, inputs: INPUTS, policies, head, weights, running }
+}
+
+impl Method for MultiExplore {
+    /// All act by one head, an episode of every instance.
+    fn waits(&self) -> bool {
+        true
+    }
+
+    fn learns_while_waiting(&self) -> bool {
+        true
+    }
+
+    fn begins(&mut self, instance: usize, _: &mut Random) {
+        self.episodes[instance] = Episode { discounted: 0.0, discount: 1.0 };
+    }
+
+    fn act(
+        &mut self,
+        scenes: &Scenes<'_>,
+        _: Now,
+        random: &mut [Random],
+        actions: &mut [u16],
+    ) -> Result<(), LearnError> {
+        for scene in scenes.scenes.iter().filter(|scene| scene.begins) {
+            self.visit(scenes.environment, scene.state, false);
+        }
+        let actors = actors(&self.learner, self.meta.head, &self.unchanged);
+        self.experience.act(actors, scenes, random, actions);
+        Ok(())
+    }
+
+    fn remember(&mut self, transition: &Transition<'_>) -> Result<(), LearnError> {
+        let Transition { environment, instance, step, next, .. } = *transition;
+        self.visit(environment, next, true);
+        let groups = &self.learner.groups;
+        let rewards = vec![step.reward; groups.agents()];
+        self.experience.remember(groups, &rewards, transition);
+        let episode = &mut self.episodes[instance];
+        episode.discounted += episode.discount * step.reward;
+        episode.discount *= f64::from(self.config.returns.discount);
+        if step.done() {
+            self.turn.push(episode.discounted);
+        }
+        if self.turn.len() == self.episodes.len() {
+            self.meta.learn(&self.config.meta, &self.turn);
+            self.meta.draw(self.config.meta.uniform, &mut self.random);
+            self.turn.clear();
+        }
+        Ok(())
+    }
+
+    fn update(
+        &mut self,
+        _: &dyn Environment,
+        now: Now,
+        reports: &mut Reports,
+    ) -> Result<(), LearnError> {
+        self.add_moments();
+        let rule = &self.config.replay;
+        if self.began.is_none() && self.experience.replay.decisions() >= rule.batch {
+            self.began = Some(now.env_steps);
+        }
+        let Some(began) = self.began else { return Ok(()) };
+        let due = (now.env_steps - began) / rule.steps_per_period * rule.updates_per_period;
+        while self.updates < due {
+            self.updates += 1;
+            self.gather();
+            reports.agents.push(self.learner.update(&self.batch, &mut self.random));
+        }
+        Ok(())
+    }
+
+    fn rates(&self, _: Now) -> Rates {
+        Rates { epsilon: 0.0, learning_rate: self.config.optimiser.policy_rate }
+    }
+
+    fn team(&self) -> Box<dyn Act + '_> {
+        Box::new(Greedy { actors: self.best(), acting: Acting::default() })
+    }
+
+    fn deployed(&self) -> Result<DeployedAgents<'_>, LearnError> {
+        let actors = self.best();
+        Ok(deployed(actors, actors.groups.0[0].actions))
+    }
+
+    fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
+        self.learner.state(state)?;
+        self.experience.state(state)?;
+        state.kept("meta-policy", &mut self.meta)?;
+        state.value("counts", &mut self.counts)?;
+        state.value("moments", &mut self.moments)?;
+        state.value("episodes", &mut self.episodes)?;
+        state.value("turn", &mut self.turn)?;
+        state.value("random", &mut self.random)?;
+        state.value("began", &mut self.began)?;
+        state.value("updates", &mut self.updates)
+    }
+}
+
+/// Agents that take the action that they think the likeliest, by one head.
+struct Greedy<'a> {
+    actors: Actors<'a>,
+    acting: Acting,
+}
+
+impl Act for Greedy<'_> {
+    fn act(
+        &mut self,
+        scenes: &Scenes<'_>,
+        _: &mut [Random],
+        actions: &mut [u16],
+    ) -> Result<(), LearnError> {
+        let groups = self.actors.groups;
+        self.acting.look(self.actors, scenes.environment, scenes.scenes.iter());
+        for (place, actions) in actions.chunks_exact_mut(groups.agents()).enumerate() {
+            self.acting.choose(groups, place, None, actions);
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use sortie_envs::Split;
+
+    use super::*;
+    use crate::ma_exp::MA_EXP;
+
+    /// Plays three instances in rounds, in small, for so many environment steps; returns how many those were.
+    fn played(steps: u64) -> (MultiExplore, Reports, u64) {
+        let small = [
+            "environment.instances=3",
+            "network.critic_width=8",
+            "network.base_width=8",
+            "network.head_width=4",
+            "replay.batch=90",
+            "replay.steps_per_period=30",
+            "replay.updates_per_period=2",
+        ];
+        let set = |setup, assignment: &&str| MA_EXP.set(&setup, assignment).unwrap();
+        let setup = small.iter().fold(MA_EXP.preset("paper").unwrap(), set);
+        let world = sortie_envs::open("gridworld/task1-2", Split::Train, 1, &Default::default());
+        let world = world.unwrap();
+        let opening = Opening { setup: &setup, environment: &*world, seed: 1, threads: 1 };
+        let mut method = MultiExplore::new(Config::of(&setup).unwrap(), &opening);
+        let random = (0..3).map(|index| generator(1, Purpose::Rollout, index)).collect();
+        let mut play = sortie_learn::play::Play::new(&*world, &mut method, random);
+        let (mut reports, mut counts) = (Reports::default(), Default::default());
+        let mut now = Now { env_steps: 0, of: 10_000 };
+        while now.env_steps < steps {
+            now.env_steps += play.round(&mut method, now, &mut counts).unwrap();
+            method.update(&*world, now, &mut reports).unwrap();
+        }
+        (method, reports, now.env_steps)
+    }
+
+    #[test]
+    fn as_many_updates_are_made_as_are_due_once_a_batch_is_there() {
+        let (_, reports, steps) = played(240);
+        assert_eq!((steps, reports.agents.len()), (240, 2 * 150 / 30));
+        assert_eq!(played(87).1.agents.len(), 0);
+    }
+
+    #[test]
+    fn cells_and_rewards_are_counted_once_a_step() {
+        let (method, _, steps) = played(240);
+        // The cells in which episodes began count too.
+        let visits = |agent| (0..CELLS as u16).map(|cell| method.counts.visits(agent, cell)).sum();
+        let all: [u32; 2] = [0, 1].map(visits);
+        assert_eq!(all, [steps as u32 + 3; 2]);
+        let count = |moments: &Moments| (moments.count - 1e-4).round();
+        assert!(method.moments.iter().all(|moments| count(moments) == steps as f64));
+        assert_eq!((method.moments.len(), method.experience.replay.decisions()), (10, 240));
+    }
+
+    #[test]
+    fn heads_are_paid_for_where_agents_came_to_by_todays_counts() {
+        let (mut method, _, _) = played(120);
+        method.gather();
+        let (batch, groups) = (&method.batch, &method.learner.groups);
+        assert_eq!((batch.records.records, batch.own.len(), groups.agents()), (90, 10, 2));
+        let columns = &method.columns;
+        for record in 0..90 {
+            let seen = |of: &[Vec<f32>]| -> Vec<f32> {
+                of.iter().flat_map(|own| &own[record * 15..][..15]).copied().collect()
+            };
+            let (before, after) = (seen(&batch.records.observations), seen(&batch.records.next));
+            for (seen, states) in [(&before, &batch.states[0]), (&after, &batch.states[1])] {
+                let mut state = Vec::new();
+                columns.write_state(seen, &mut state);
+                assert_eq!((state.len(), &states[record * 102..][..102]), (102, &state[..]));
+            }
+            for (agent, cell) in columns.cells(&after).enumerate() {
+                let novelties = method.counts.novelties(cell);
+                for (head, kind) in Intrinsic::CHOSEN.into_iter().enumerate() {
+                    let place = agent * 5 + head;
+                    let deviation = method.moments[place].variance.sqrt() as f32;
+                    let want = kind.reward(novelties, 0.0, agent) / deviation;
+                    assert_eq!(batch.own[place][record], want);
+                }
+            }
+            // The team's reward as it is: a step costs 0.2.
+            let rewards = [0, 1].map(|agent| batch.records.rewards[agent][record]);
+            assert!(rewards == [-0.2; 2] && batch.records.discounts[0][record] == 1.0);
+        }
+    }
+
+    #[test]
+    fn a_turn_is_an_episode_of_every_instance_under_one_head() {
+        let (mut method, _, _) = played(3);
+        let first = method.meta.clone();
+        let world = sortie_envs::open("gridworld/task1-2", Split::Train, 1, &Default::default());
+        let world = world.unwrap();
+        let mut worlds = world.open(1, Split::Train);
+        worlds.reset(0, &mut generator(1, Purpose::Rollout, 7));
+        let mut state = Vec::new();
+        worlds.save(0, &mut state);
+        let end = |method: &mut MultiExplore, instance: usize, reward: f64| {
+            let step = sortie_envs::Step { reward, timed_out: true, ..Default::default() };
+            let transition = Transition {
+                environment: &*world,
+                instance,
+                state: &state,
+                actions: &[0, 0],
+                step,
+                task_rewards: &[],
+                agent_rewards: &[],
+                next: &state,
+            };
+            method.remember(&transition).unwrap();
+        };
+        for (instance, reward) in [(0, 5.0), (1, 7.0)] {
+            method.episodes[instance] = Episode { discounted: 1.0, discount: 0.5 };
+            end(&mut method, instance, reward);
+        }
+        assert_eq!((&method.meta, &method.turn[..]), (&first, &[3.5, 4.5][..]));
+        method.episodes[2] = Episode { discounted: 1.0, discount: 0.5 };
+        end(&mut method, 2, 8.0);
+        assert!(method.turn.is_empty());
+        assert!((method.meta.returns[first.head].mean - 13.0 / 3.0).abs() < 1e-3);
+        assert!(method.meta.scores != first.scores);
+    }
+}
