@@ -5,13 +5,14 @@ use sortie_learn::export::DeployedAgents;
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Rates, Reports};
 use sortie_learn::session::Opening;
-use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition};
+use sortie_learn::{Act, Head, LearnError, Method, Now, Scenes, State, Thought, Transition};
 
 use super::config::Config;
 use super::meta::MetaPolicy;
 use super::moments::Moments;
 use crate::actor_critic::acting::{Acting, Actors, Inputs, observe, observed};
 use crate::actor_critic::deployed::deployed;
+use crate::actor_critic::drawing::best;
 use crate::actor_critic::experience::{Experience, Rule};
 use crate::actor_critic::heads::{HeadBatch, HeadLearner};
 use crate::actor_critic::replay::{Future, Replay};
@@ -121,6 +122,34 @@ impl MultiExplore {
                 paid.extend(kind.map(|kind| kind.reward(novelties, team, agent)));
             }
         }
+    }
+
+    /// `[agents]`: what agents think where all see this, and what each head would pay and do there.
+    fn thoughts(&self, observation: &[f32], acting: &mut Acting) -> Vec<Thought> {
+        let Self { learner, heads, meta, unchanged, .. } = self;
+        let mut paid = vec![Vec::new(); self.moments.len()];
+        self.pay(observation, &mut paid);
+        let (mut rest, mut thoughts) = (observation, Vec::new());
+        for group in &learner.groups.0 {
+            for agent in group.agents.clone() {
+                let row;
+                (row, rest) = rest.split_at(group.observed);
+                let mut scores = |head| {
+                    let actors = actors(learner, head, unchanged);
+                    acting.look_from(actors, agent, row).unwrap_or_default().to_vec()
+                };
+                let head = |(head, explores): (usize, &Option<Intrinsic>)| Head {
+                    name: explores.map_or("none", Intrinsic::name).to_owned(),
+                    pays: paid[agent * heads.len() + head].first().copied().unwrap_or_default(),
+                    likes: best(&scores(head)) as u16,
+                    acts: head == meta.best(),
+                };
+                let heads = heads.iter().enumerate().map(head).collect();
+                let scores = scores(meta.best());
+                thoughts.push(Thought { scores, heads, ..Thought::default() });
+            }
+        }
+        thoughts
     }
 
     /// Adds what was paid for the last steps to the moments of intrinsic rewards.
@@ -249,7 +278,7 @@ impl Method for MultiExplore {
     }
 
     fn team(&self) -> Box<dyn Act + '_> {
-        Box::new(Greedy { actors: self.best(), acting: Acting::default() })
+        Box::new(Greedy { team: self, actors: self.best(), acting: Acting::default() })
     }
 
     fn deployed(&self) -> Result<DeployedAgents<'_>, LearnError> {
@@ -273,6 +302,7 @@ impl Method for MultiExplore {
 
 /// Agents that take the action that they think the likeliest, by one head.
 struct Greedy<'a> {
+    team: &'a MultiExplore,
     actors: Actors<'a>,
     acting: Acting,
 }
@@ -291,11 +321,23 @@ impl Act for Greedy<'_> {
         }
         Ok(())
     }
+
+    fn thoughts(&mut self, _: &Scenes<'_>, _: &[u16]) -> Vec<Thought> {
+        // They have just looked at the scenes.
+        let observations = std::mem::take(&mut self.acting.observations);
+        let scenes = observations.chunks_exact(observed(self.actors.groups));
+        scenes.flat_map(|scene| self.team.thoughts(scene, &mut self.acting)).collect()
+    }
+
+    fn visits(&self) -> Vec<Vec<u32>> {
+        self.team.counts.all()
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use sortie_envs::Split;
+    use sortie_learn::Scene;
 
     use super::*;
     use crate::ma_exp::MA_EXP;
@@ -379,16 +421,52 @@ mod tests {
         }
     }
 
+    /// The gridworld, and a state in which an episode begins.
+    fn begun() -> (Box<dyn Environment>, Vec<u8>) {
+        let world = sortie_envs::open("gridworld/task1-2", Split::Train, 1, &Default::default());
+        let mut world = world.unwrap();
+        world.reset(0, &mut generator(1, Purpose::Rollout, 7));
+        let mut state = Vec::new();
+        world.save(0, &mut state);
+        (world, state)
+    }
+
+    #[test]
+    fn agents_do_what_they_think_best_and_tell_what_heads_would_pay() {
+        let (method, _, _) = played(120);
+        let (world, state) = begun();
+        let scene = Scene { instance: 0, state: &state, begins: true, tasks_changed: false };
+        let scenes = Scenes { environment: &*world, scenes: &[scene] };
+        let (mut team, mut actions) = (method.team(), [0; 2]);
+        team.act(&scenes, &mut [generator(1, Purpose::Rollout, 8)], &mut actions).unwrap();
+        let thoughts = team.thoughts(&scenes, &actions);
+        assert_eq!(thoughts.len(), 2);
+        assert_eq!(team.visits()[1].iter().sum::<u32>(), 120 + 3);
+        let mut seen = Vec::new();
+        let groups = &method.learner.groups;
+        observe(&*world, groups, &state, &mut Observation::default(), &mut seen);
+        let cells: Vec<u16> = method.columns.cells(&seen).collect();
+        for (agent, thought) in thoughts.iter().enumerate() {
+            assert_eq!(best(&thought.scores), u32::from(actions[agent]));
+            assert_eq!(thought.heads.len(), 5);
+            let novelties = method.counts.novelties(cells[agent]);
+            for (head, kind) in thought.heads.iter().zip(Intrinsic::CHOSEN) {
+                assert_eq!(
+                    (&*head.name, head.pays),
+                    (kind.name(), kind.reward(novelties, 0.0, agent))
+                );
+            }
+            let acts: Vec<u16> =
+                thought.heads.iter().filter(|head| head.acts).map(|head| head.likes).collect();
+            assert_eq!(acts, [actions[agent]]);
+        }
+    }
+
     #[test]
     fn a_turn_is_an_episode_of_every_instance_under_one_head() {
         let (mut method, _, _) = played(3);
         let first = method.meta.clone();
-        let world = sortie_envs::open("gridworld/task1-2", Split::Train, 1, &Default::default());
-        let world = world.unwrap();
-        let mut worlds = world.open(1, Split::Train);
-        worlds.reset(0, &mut generator(1, Purpose::Rollout, 7));
-        let mut state = Vec::new();
-        worlds.save(0, &mut state);
+        let (world, state) = begun();
         let end = |method: &mut MultiExplore, instance: usize, reward: f64| {
             let step = sortie_envs::Step { reward, timed_out: true, ..Default::default() };
             let transition = Transition {

@@ -30,7 +30,7 @@ function showUtilities(view, state) {
   const { actions } = episode.agents[view.agent];
   const utilities = state.thoughts?.[view.agent].utilities;
   const [least, most] = utilities ? [Math.min(...utilities), Math.max(...utilities)] : [0, 0];
-  byId("utilities-text").textContent = utilities ? "what each is worth to the team" : "utilities are not known";
+  byId("utilities-text").textContent = utilities ? "what the agent makes of each" : "utilities are not known";
   const taken = actionOf(view.at, view.agent);
   const rows = actions.map((action, index) => {
     const note = index === taken ? [" ", html("small", {}, "taken")] : [];
