@@ -5,6 +5,7 @@
 //! `createTimeline`, and its data the agents' names, `states`, `steps` with rewards, `events` and a `result`.
 
 use serde::Serialize;
+pub(super) use sortie_stage::rounded;
 
 use super::{Page, Wanted};
 
@@ -102,11 +103,4 @@ pub(super) fn html(web: &Web, data: &impl Serialize) -> String {
 /// Inside a script element only `<` could end it, or begin a comment. JSON has it in texts alone.
 fn escape(json: &str) -> String {
     json.replace('<', "\\u003c")
-}
-
-/// Four decimals are enough to read, and keep pages small.
-pub(super) fn rounded(value: impl Into<f64>) -> f64 {
-    let rounded = (value.into() * 1e4).round() / 1e4;
-    // Minus zero reads oddly.
-    rounded + 0.0
 }
