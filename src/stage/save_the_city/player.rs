@@ -43,6 +43,8 @@ pub struct Opening<'p> {
     actions: &'static [&'static str],
     agents: &'p [AgentFacts],
     buildings: &'p [BuildingFacts],
+    /// Steps after which an episode times out.
+    limit: u32,
     /// Who may allocate, by name.
     allocators: Vec<&'static str>,
     #[serde(flatten)]
@@ -131,6 +133,7 @@ impl<'a> Player<'a> {
             actions: &ACTION_NAMES,
             agents: &self.agents,
             buildings: &self.buildings,
+            limit: self.stage.world.with(|cities| cities.constants().episode_limit),
             allocators: ["learned"].into_iter().chain(rules).collect(),
             news,
         })

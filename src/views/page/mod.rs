@@ -80,12 +80,24 @@ pub(super) fn page<C: Serialize>(
 
 /// The page as HTML.
 pub(super) fn html(web: &Web, data: &impl Serialize) -> String {
+    filled(web, data, ["", "", ""])
+}
+
+/// The page as HTML, of a script that runs a program of WebAssembly, with keys of its own for the list.
+pub(super) fn html_with_program(web: &Web, data: &impl Serialize, keys: &str) -> String {
+    filled(web, data, [" 'wasm-unsafe-eval'", keys, " type=\"module\""])
+}
+
+fn filled(web: &Web, data: &impl Serialize, [permit, keys, kind]: [&str; 3]) -> String {
     let data = serde_json::to_string(data).expect("pages have string keys only");
     let parts = [
+        ("<!-- PERMIT -->", permit.to_string()),
         ("/* STYLE */", web.styles.concat()),
         ("<!-- MAP -->", web.map.to_string()),
         ("<!-- PANELS -->", web.panels.to_string()),
+        ("<!-- KEYS -->", keys.to_string()),
         ("\"DATA\"", escape(&data)),
+        ("<!-- KIND -->", kind.to_string()),
         ("/* SCRIPT */", web.scripts.concat()),
     ];
     let mut html = String::new();
