@@ -76,7 +76,9 @@ pub(crate) fn run(arguments: &ViewArguments) -> Outcome {
     if arguments.live {
         return live(arguments);
     }
-    let Some(file) = &arguments.output else { return Err(usage("name the page to write: -o FILE.html")) };
+    let Some(file) = &arguments.output else {
+        return Err(usage("name the page to write: -o FILE.html"));
+    };
     try_output(file, Kind::Page)?;
     let subject = arguments.subject.as_path();
     let page = if subject.is_file() {

@@ -61,14 +61,18 @@ impl Memory {
         };
         let layout = FrameLayout::new(shape)?;
         // The limits of a layout fit 16 bits.
-        let [agents, entities, tasks] = [shape.agents, shape.entities, shape.tasks].map(|n| n as u16);
+        let [agents, entities, tasks] =
+            [shape.agents, shape.entities, shape.tasks].map(|n| n as u16);
         let schema = schema_hash(cast.contract, agents, entities, tasks);
         Ok(Self {
             arena: AlignedBytes::zeroed(arena),
             agent,
             values: TeamValuePlan::new(values, cast.entities.into())?,
             search: Search::new(entry, sizes).ok_or(StageError::NoRules)?,
-            frames: vec![FrameBlock::zeroed(); layout.payload_bytes().div_ceil(size_of::<FrameBlock>())],
+            frames: vec![
+                FrameBlock::zeroed();
+                layout.payload_bytes().div_ceil(size_of::<FrameBlock>())
+            ],
             format: FrameFormat { schema, layout },
             clock: StageClock::default(),
             entry,

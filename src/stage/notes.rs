@@ -50,7 +50,8 @@ impl Policy for NotingPolicy<'_> {
     fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
         let mut utilities = vec![0.0; self.actions()];
         self.policy.utilities(observation, &mut utilities)?;
-        let attention = self.probe.as_ref().map(|probe| probe.by_entity(observation)).transpose()?;
+        let attention =
+            self.probe.as_ref().map(|probe| probe.by_entity(observation)).transpose()?;
         let decision = masked_argmax(&utilities, observation.available);
         self.notes.push(Note {
             agent: observation.self_index,

@@ -85,7 +85,8 @@ impl Browser {
         let start = json!({ "type": "pointerMove", "origin": element, "x": 0, "y": 0 });
         let by = |x: i32, y: i32| json!({ "type": "pointerMove", "origin": "pointer", "x": x, "y": y, "duration": 50 });
         let (near, far) = (by(right / 2, down / 2), by(right - right / 2, down - down / 2));
-        let [press, release] = ["pointerDown", "pointerUp"].map(|kind| json!({ "type": kind, "button": 0 }));
+        let [press, release] =
+            ["pointerDown", "pointerUp"].map(|kind| json!({ "type": kind, "button": 0 }));
         let pointer = json!([{ "type": "pointer", "id": "mouse", "actions": [start, press, near, far, release] }]);
         self.command("/actions", &json!({ "actions": pointer }));
     }

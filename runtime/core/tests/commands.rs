@@ -2,11 +2,15 @@
 
 use std::cell::Cell;
 
-use sortie_core::link::{ActionTx, AllocTx, Clock, Direct, DirectCursor, Frame, FrameBlock, FrameRx, StatTx};
+use sortie_core::link::{
+    ActionTx, AllocTx, Clock, Direct, DirectCursor, Frame, FrameBlock, FrameRx, StatTx,
+};
 use sortie_core::roles::{
     Identity, Poll, RunnerOptions, RunnerRole, TickReport, WorldObserver, WorldOptions, WorldRole,
 };
-use sortie_core::wire::{ActionMsg, AllocMsg, FrameFormat, FrameHeader, FrameLayout, FrameMut, Role, StatMsg};
+use sortie_core::wire::{
+    ActionMsg, AllocMsg, FrameFormat, FrameHeader, FrameLayout, FrameMut, Role, StatMsg,
+};
 use sortie_core::{
     DecideError, Decision, EntityMask, Observation, Policy, Shape, StepOutcome, UnavailableAction,
     World,

@@ -116,7 +116,18 @@ impl<'a> Player<'a> {
         });
         let (before, team_max) = (None, cast.team_max.into());
         let (at, is_over, rehearsed, decisions) = (0, false, UtilityHash::default(), 0);
-        Ok(Self { stage, team_max, agents, buildings, at, before, now, is_over, rehearsed, decisions })
+        Ok(Self {
+            stage,
+            team_max,
+            agents,
+            buildings,
+            at,
+            before,
+            now,
+            is_over,
+            rehearsed,
+            decisions,
+        })
     }
 
     /// What to show first, agents' attention included.
@@ -253,11 +264,17 @@ impl<'a> Player<'a> {
             self.now.decided = self.stage.is_allocated_anew();
             self.now.values = Some(self.values()?);
         }
+        let slots = self.stage.allocation().len();
         let (mut thoughts, mut chosen) = (Vec::new(), Vec::new());
         thoughts.resize(self.agents.len(), None);
         chosen.resize(self.agents.len(), None);
         for note in self.stage.notes().iter().filter(|note| note.agent < self.agents.len()) {
-            thoughts[note.agent] = Some(Thought::new(&note.utilities, note.attention.clone()));
+            let attention = note.attention.iter().map(|(row, weights)| {
+                // Frames have rows for agents that do not exist; pages do not.
+                let missing = if *row < slots { 0 } else { slots - self.agents.len() };
+                (row - missing, weights.clone())
+            });
+            thoughts[note.agent] = Some(Thought::new(&note.utilities, attention.collect()));
             chosen[note.agent] = note.action;
         }
         self.now.thoughts = (!self.is_over).then_some(thoughts);

@@ -130,7 +130,9 @@ fn cast(bundle: &Bundle, set: &ScenarioSetName) -> Result<Cast, Failure> {
         agent: agent.as_slice().to_vec(),
         allocator: allocator.as_slice().to_vec(),
         attention: compiler().attention(bundle.agent_onnx())?,
-        golden: golden.map(|case| GoldenObservation::new(&case.observation.view(), features)).collect(),
+        golden: golden
+            .map(|case| GoldenObservation::new(&case.observation.view(), features))
+            .collect(),
     })
 }
 

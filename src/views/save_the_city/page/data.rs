@@ -1,9 +1,7 @@
 //! What a page knows: one episode as the page's script reads it.
 
 use serde::Serialize;
-use sortie_stage::save_the_city::{
-    AgentFacts, BuildingFacts, EpisodeResult, Event, State, Step,
-};
+use sortie_stage::save_the_city::{AgentFacts, BuildingFacts, EpisodeResult, Event, State, Step};
 
 /// Version of this data; the page's script and these types change together.
 pub(super) const FORMAT: u32 = 1;

@@ -35,7 +35,7 @@ function agentText(view, state) {
     return isDead ? "No process acts for it: the world repeats its last action, or has it stay." : "The episode is over.";
   }
   const where = task === null ? "unassigned" : `assigned to ${episode.buildings[task].name}`;
-  const bounced = episode.steps[view.at].bounced.includes(view.agent)
+  const bounced = episode.steps[view.at]?.bounced.includes(view.agent)
     ? ", but runs into another and goes back"
     : isDead
       ? ", which the world repeats: its process is dead"
