@@ -59,8 +59,9 @@ function createBits() {
   showHash("golden", hexadecimal(team.call("golden")), golden);
   let shown = null;
 
-  return function showBits() {
-    const what = `${view.agent},${episode.changes >> 3}`;
+  return function showBits(view) {
+    const isDead = episode.states[LAST].dead.includes(view.agent);
+    const what = `${view.agent},${isDead},${episode.changes >> 3}`;
     // Now and then is enough.
     if (what !== shown && isRunning()) {
       shown = what;

@@ -60,7 +60,7 @@ function showUtilities(rows, view, state) {
   const taken = actionOf(view.at, view.agent);
   const best = utilities && bestAction(state, view.agent);
   rows.forEach(({ name, bar, value, element }, action) => {
-    const available = taken !== undefined && isAvailable(state, view.agent, action);
+    const available = (taken !== undefined || isRunning()) && isAvailable(state, view.agent, action);
     element.classList.toggle("unavailable", !available);
     element.classList.toggle("taken", action === taken);
     bar.style.width = utilities ? `${2 + (98 * (utilities[action] - low)) / (high - low || 1)}%` : "0";
