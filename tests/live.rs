@@ -216,7 +216,7 @@ fn a_visitor_interferes() {
     browser.click("#allocator option:nth-child(3)");
     assert!(browser.text("#facts").contains("heuristic allocation"));
     // The past stays as it was.
-    browser.press(RIGHT);
+    browser.click("#next");
     browser.press(HOME);
     assert_eq!(newest(&browser), "0 / 2");
     assert_eq!(count(&browser, "#map .person.dead"), 1);
