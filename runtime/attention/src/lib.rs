@@ -129,6 +129,8 @@ mod tests {
         for (got, want) in weights.iter().zip(wanted) {
             assert!((got - want).abs() < 1e-6, "{weights:?}");
         }
+        let attended = [(0, weights[..2].to_vec()), (2, weights[2..].to_vec())];
+        assert_eq!(probe.by_entity(&observation).unwrap(), attended);
         let short = Observation { rows: &[1.0, 2.0], ..observation };
         assert_eq!(probe.weights(&short), Err(DecideError::BadLength));
     }

@@ -168,6 +168,14 @@ fn what_is_changed_is_seen_at_once() {
             .collect();
         assert_ne!(sent[0], sent[2]);
         assert_eq!(told(player.choose_allocator(0))["state"]["allocation"], sent[0]);
+        // What nobody at a building is worth does not depend on who allocates.
+        told(player.choose_allocator(2));
+        let nobody = |news: &Value| -> Vec<Value> {
+            let values = news["state"]["values"].as_array().unwrap();
+            values.iter().map(|value| value["nobody"].clone()).collect()
+        };
+        let by_rule = told(player.place(0, (15, 15)));
+        assert_eq!(nobody(&by_rule), nobody(&told(player.choose_allocator(0))));
         // The values of the teams that are there, and of others.
         let values = burning["state"]["values"].as_array().unwrap();
         let known = values
