@@ -260,23 +260,14 @@ impl WorldRole {
                 self.publish_tick(link, world)?;
                 Ok(Poll::Again)
             }
-            Phase::Acting => {
-                if self.is_observed_anew() {
-                    return Ok(self.ask_again(now));
-                }
-                self.await_actions(link, world, observer, now)
-            }
+            Phase::Acting => match self.is_observed_anew() {
+                true => Ok(self.ask_again(now)),
+                false => self.await_actions(link, world, observer, now),
+            },
             Phase::Paused if self.is_paused() => Ok(super::IDLE),
             Phase::Paused => Ok(self.ask_again(now)),
             Phase::Ended => Ok(Poll::Ended),
         }
-    }
-
-    /// The next frame is due now, and asks for an allocation.
-    fn ask_again(&mut self, now: u64) -> Poll {
-        self.allocate_next = true;
-        self.phase = Phase::Pacing { until_ns: now };
-        Poll::Again
     }
 
     /// Tells runners and allocator to end.

@@ -8,18 +8,23 @@ use sortie_envs::save_the_city::{
 };
 use sortie_envs::{Environment, Step, StepError};
 
-const STAY: u16 = 0;
+pub(crate) const STAY: u16 = 0;
 const NORTH: u16 = 1;
 const EAST: u16 = 2;
 const WEST: u16 = 4;
 const FIGHT: u16 = 9;
-const BUILD: u16 = 10;
+pub(crate) const BUILD: u16 = 10;
 const FREEZE: u16 = 11;
 
 /// Cells around the building at (7, 7).
-const BESIDE: [(u8, u8); 4] = [(7, 8), (8, 7), (7, 6), (6, 7)];
+pub(crate) const BESIDE: [(u8, u8); 4] = [(7, 8), (8, 7), (7, 6), (6, 7)];
 
-fn building(kind: BuildingKind, (x, y): (u8, u8), health: f64, fire: f64) -> BuildingState {
+pub(crate) fn building(
+    kind: BuildingKind,
+    (x, y): (u8, u8),
+    health: f64,
+    fire: f64,
+) -> BuildingState {
     let period = kind.periods().1;
     BuildingState {
         health,
@@ -34,12 +39,12 @@ fn building(kind: BuildingKind, (x, y): (u8, u8), health: f64, fire: f64) -> Bui
     }
 }
 
-fn fast(health: f64, fire: f64) -> BuildingState {
+pub(crate) fn fast(health: f64, fire: f64) -> BuildingState {
     building(BuildingKind::Fast, (7, 7), health, fire)
 }
 
 /// A city in exactly this state, for a set of at most 5 agents and 6 buildings.
-fn city_of(
+pub(crate) fn city_of(
     constants: Constants,
     agents: &[AgentState],
     buildings: &[BuildingState],
@@ -51,17 +56,17 @@ fn city_of(
 }
 
 /// Agents of these kinds around the building at (7, 7).
-fn around(team: &[AgentKind], building: BuildingState) -> SaveTheCity {
+pub(crate) fn around(team: &[AgentKind], building: BuildingState) -> SaveTheCity {
     let place = |(&kind, (x, y)): (&AgentKind, (u8, u8))| AgentState::at(kind, x, y);
     let agents = team.iter().zip(BESIDE).map(place).collect::<Vec<_>>();
     city_of(Constants::default(), &agents, &[building])
 }
 
-fn first(city: &SaveTheCity) -> BuildingState {
+pub(crate) fn first(city: &SaveTheCity) -> BuildingState {
     city.city(0).buildings[0]
 }
 
-fn step(city: &mut SaveTheCity, actions: &[u16]) -> Step {
+pub(crate) fn step(city: &mut SaveTheCity, actions: &[u16]) -> Step {
     city.step(0, actions, &mut generator(1)).unwrap()
 }
 
@@ -364,41 +369,6 @@ fn states_that_break_the_rules_are_refused() {
         assert!(city.restore(0, &agents, &buildings, 0).is_err(), "{agents:?} {buildings:?}");
     }
     assert_eq!(first(&city).health, 0.5);
-}
-
-#[test]
-fn agents_can_be_put_elsewhere_while_the_episode_goes_on() {
-    let mut city = around(&[Builder, Firefighter], fast(0.5, 0.0));
-    step(&mut city, &[BUILD, STAY]);
-    let (earned, steps) = (city.metrics(0).episode_return, city.metrics(0).steps);
-    city.place_agent(0, 0, (2, 2)).unwrap();
-    let moved = city.city(0).agents[0];
-    assert_eq!((moved.x, moved.y, moved.kind), (2, 2, Builder));
-    assert_eq!(moved.available >> BUILD & 1, 0, "it is beside no building any more");
-    assert_eq!((city.metrics(0).episode_return, city.metrics(0).steps), (earned, steps));
-    assert!(earned > 0.0 && steps == 1 && !city.is_done(0));
-    // The other agent's cell, the building's, none of the map, nobody's.
-    for (agent, place) in [(0, BESIDE[1]), (0, (7, 7)), (0, (16, 2)), (2, (3, 3))] {
-        assert!(city.place_agent(0, agent, place).is_err(), "{agent} {place:?}");
-    }
-    assert_eq!(city.city(0).agents[0], moved);
-    city.place_agent(0, 0, (2, 2)).unwrap();
-}
-
-#[test]
-fn buildings_can_be_set_on_fire_while_they_are_open() {
-    let buildings = [fast(0.5, 0.0), building(BuildingKind::Slow, (11, 11), 1.0, 0.0)];
-    let mut city = city_of(Constants::default(), &[AgentState::at(Builder, 2, 2)], &buildings);
-    step(&mut city, &[STAY]);
-    city.set_fire(0, 0).unwrap();
-    let burning = first(&city);
-    assert_eq!((burning.fire, burning.since_last_fire), (1.0, 0));
-    assert_eq!(burning.to_next_fire, burning.period);
-    for (building, why) in [(1, "is complete or burned down"), (2, "no such building")] {
-        let refused = city.set_fire(0, building).unwrap_err().to_string();
-        assert!(refused.contains(why), "{refused}");
-    }
-    assert_eq!(city.metrics(0).steps, 1);
 }
 
 #[test]

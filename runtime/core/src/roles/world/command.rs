@@ -89,6 +89,13 @@ impl WorldRole {
         }
     }
 
+    /// The next frame is due now, and asks for an allocation.
+    pub(super) fn ask_again(&mut self, now: u64) -> Poll {
+        self.allocate_next = true;
+        self.phase = Phase::Pacing { until_ns: now };
+        Poll::Again
+    }
+
     pub(super) fn is_observed_anew(&mut self) -> bool {
         core::mem::take(&mut self.orders.anew)
     }
