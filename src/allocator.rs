@@ -1,23 +1,20 @@
 //! What allocates in a deployed team: a rule of the environment, or the network of a bundle.
 
 use sortie_bundle::Bundle;
-use sortie_core::allocate::{
-    EXACT_AGENTS, PlanTeamValue, SearchMemory, TaskRelation, TeamQuery, TeamValueAllocator,
-    TeamValueNetwork, exact,
-};
-use sortie_core::plan::{AlignedBytes, Plan, PlanError};
+use sortie_core::allocate::{PlanTeamValue, TeamQuery, TeamValueNetwork};
+use sortie_core::plan::PlanError;
 use sortie_core::{AllocateError, Allocator};
-use sortie_envs::Entry;
 use sortie_plans::{BundlePlans, CompileError, CompilerProcess, GraphEngine};
+use sortie_stage::{Search, SearchSizes, TeamValuePlan};
 
-use crate::allocation::{Allocation, AllocatorChoice, usual_rule};
+use crate::allocation::AllocatorChoice;
 use crate::compiler::{compiler, plans};
 use crate::engines::engines;
 use crate::environment::entry_of;
 use crate::failure::{Exit, Failure};
 use crate::policy::Backend;
 use crate::proposals::{ProposalArguments, ProposalMemory};
-use crate::worlds::rules::{FrameRelation, RuleAllocator};
+use crate::worlds::rules::{RuleAllocator, rule_allocator};
 
 /// The memory of a team's allocator.
 pub(crate) enum DeployedAllocator {
@@ -50,7 +47,7 @@ impl DeployedAllocator {
     ) -> Result<Self, Failure> {
         if let Some(rule) = choice.rule() {
             proposals.check_unused()?;
-            return Ok(Self::Rule(RuleAllocator::new(entry_of(bundle)?, rule, seed)?));
+            return Ok(Self::Rule(rule_allocator(entry_of(bundle)?, rule, seed)?));
         }
         match ProposalMemory::open(bundle, backend, proposals.count(), seed)? {
             Some(memory) => Ok(Self::Proposing(Box::new(memory))),
@@ -74,13 +71,7 @@ impl DeployedAllocator {
 /// A bundle's learned allocator: its network and the memory of the search.
 pub(crate) struct LearnedAllocator {
     network: NetworkMemory,
-    cells: Vec<exact::Cell>,
-    values: Vec<f32>,
-    relation: Vec<f32>,
-    team_max: usize,
-    entry: &'static Entry,
-    /// Where the search starts.
-    start: Allocation,
+    search: Search,
 }
 
 impl LearnedAllocator {
@@ -116,20 +107,13 @@ impl LearnedAllocator {
         let onnx = bundle.allocator_onnx().ok_or_else(|| none_learned(&name.to_string()))?;
         let network = network(onnx).map_err(|error| Failure::from(error).within(&name))?;
         let limits = bundle.manifest().limits;
-        let entities = usize::from(limits.n_max);
-        let cells = exact::cells(EXACT_AGENTS, limits.t_max.into());
-        let entry = entry_of(bundle)?;
-        let start = usual_rule(entry).and_then(AllocatorChoice::rule);
-        let start = start.ok_or_else(|| none_learned(&name.to_string()))?;
-        Ok(Self {
-            network,
-            cells: vec![exact::Cell::default(); cells],
-            values: vec![0.0; cells],
-            relation: vec![0.0; entities * FrameRelation::new(entry)?.columns()],
+        let sizes = SearchSizes {
+            entities: limits.n_max.into(),
+            tasks: limits.t_max.into(),
             team_max: limits.team_max.into(),
-            entry,
-            start,
-        })
+        };
+        let search = Search::new(entry_of(bundle)?, sizes);
+        Ok(Self { network, search: search.ok_or_else(|| none_learned(&name.to_string()))? })
     }
 
     /// The team-value network alone.
@@ -139,18 +123,7 @@ impl LearnedAllocator {
 
     /// Network and search.
     pub(crate) fn allocator(&mut self) -> Result<impl Allocator + '_, Failure> {
-        Ok(TeamValueAllocator {
-            network: self.network.bind()?,
-            relation: FrameRelation::new(self.entry)?,
-            start: RuleAllocator::new(self.entry, self.start, 0)?,
-            team_max: self.team_max,
-            exact_agents: EXACT_AGENTS,
-            memory: SearchMemory {
-                cells: &mut self.cells,
-                values: &mut self.values,
-                relation: &mut self.relation,
-            },
-        })
+        Ok(self.search.allocator(self.network.bind()?))
     }
 }
 
@@ -163,7 +136,7 @@ pub(crate) fn none_learned(name: &str) -> Failure {
 }
 
 enum NetworkMemory {
-    Plan { plan: AlignedBytes, arena: AlignedBytes, rows: Vec<f32> },
+    Plan(TeamValuePlan),
     Graph(Box<dyn TeamValueNetwork>),
 }
 
@@ -178,19 +151,14 @@ impl NetworkMemory {
         plans: &BundlePlans<CompilerProcess>,
     ) -> Result<Self, CompileError> {
         let plan = plans.allocator(bundle)?.ok_or(PlanError::WrongNetwork)?;
-        let loaded = Plan::load(plan.as_slice())?;
-        let arena = AlignedBytes::zeroed(loaded.batch_arena_bytes(sortie_core::limits::AGENTS));
         let entities = usize::from(bundle.manifest().limits.n_max);
-        let rows = vec![0.0; PlanTeamValue::memory_floats(&loaded, entities)];
-        Ok(Self::Plan { plan, arena, rows })
+        Ok(Self::Plan(TeamValuePlan::new(plan, entities)?))
     }
 
     fn bind(&mut self) -> Result<BoundNetwork<'_>, Failure> {
         match self {
-            Self::Plan { plan, arena, rows } => {
-                let network = Plan::load(plan.as_slice())
-                    .and_then(|plan| PlanTeamValue::new(plan, arena.as_mut_slice(), rows))
-                    .map_err(CompileError::from)?;
+            Self::Plan(memory) => {
+                let network = memory.bind().map_err(CompileError::from)?;
                 Ok(BoundNetwork::Plan(Box::new(network)))
             }
             Self::Graph(network) => Ok(BoundNetwork::Graph(network.as_mut())),

@@ -15,22 +15,25 @@ use crate::options::Common;
 use crate::output::{plural, print_json, say};
 use crate::replay;
 use crate::subject::Subject;
-use crate::views::{Page, Wanted, view_of};
+use crate::views::{Hashes, Live, Page, Wanted, not_live, view_of};
 
 /// Look at one episode: where everybody is, who is assigned where, what each agent computes
 ///
 /// SUBJECT is a training run, a bundle, `scripted`, or a recorded episode (`sortie eval
 /// --episodes-out`). The page is one HTML file that needs nothing else and works offline.
+///
+/// With --live the team plays in the page itself, with the bits of this machine, and whoever looks at it can interfere.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   sortie view models/save-the-city -o episode.html --episode 7
-  sortie view episodes/00007.json --policy runs/first -o episode.html")]
+  sortie view episodes/00007.json --policy runs/first -o episode.html
+  sortie view models/save-the-city --live -o team.html")]
 pub(crate) struct ViewArguments {
     /// A training run, a bundle, `scripted`, or the file of a recorded episode
     subject: PathBuf,
     /// The page to write
-    #[arg(short, long, value_name = "FILE.html")]
-    output: PathBuf,
+    #[arg(short, long, value_name = "FILE.html", required_unless_present = "hash")]
+    output: Option<PathBuf>,
     /// Number of the episode to play, as `sortie eval --episodes-out` counts them; default: 0
     #[arg(long, value_name = "N")]
     episode: Option<u32>,
@@ -44,6 +47,15 @@ pub(crate) struct ViewArguments {
     /// Show what this run or bundle computes in a recorded episode
     #[arg(long, value_name = "RUN|BUNDLE", visible_aliases = ["run", "bundle"])]
     policy: Option<PathBuf>,
+    /// A page in which the team plays, without a server; for bundles of save-the-city
+    #[arg(long, conflicts_with_all = ["allocation", "policy"])]
+    live: bool,
+    /// Print the hashes that the page of --live shows, as this machine computes them
+    #[arg(long, requires = "live")]
+    hash: bool,
+    /// Another build of the program that the page of --live runs, packed by gzip [default: the one in this program]
+    #[arg(long, requires = "live", value_name = "FILE.wasm.gz")]
+    program: Option<PathBuf>,
     #[command(flatten)]
     common: Common,
 }
@@ -54,8 +66,19 @@ struct Report<'a> {
     steps: usize,
 }
 
+#[derive(Serialize)]
+struct LiveReport<'a> {
+    file: Option<&'a Path>,
+    hashes: &'a Hashes,
+}
+
 pub(crate) fn run(arguments: &ViewArguments) -> Outcome {
-    let file = &arguments.output;
+    if arguments.live {
+        return live(arguments);
+    }
+    let Some(file) = &arguments.output else {
+        return Err(usage("name the page to write: -o FILE.html"));
+    };
     try_output(file, Kind::Page)?;
     let subject = arguments.subject.as_path();
     let page = if subject.is_file() {
@@ -71,6 +94,37 @@ pub(crate) fn run(arguments: &ViewArguments) -> Outcome {
         say!("{}: {}", file.display(), plural(report.steps, "step"));
     }
     Ok(())
+}
+
+/// Writes the page in which a team plays, and says what bits it is to have.
+fn live(arguments: &ViewArguments) -> Outcome {
+    if let Some(file) = &arguments.output {
+        try_output(file, Kind::Page)?;
+    }
+    let subject = Subject::find(&arguments.subject)?;
+    let Subject::Bundle(bundle) = &subject else { return Err(not_live(&wanted(arguments))) };
+    let set = subject.scenario_set(arguments.env.as_deref())?;
+    let view = view_of(set.entry().name);
+    let program = arguments.program.as_deref().map(read).transpose()?;
+    let wanted = Wanted { set: Some(set), ..wanted(arguments) };
+    let Live { html, hashes } = view.live(&wanted, bundle, program.as_deref())?;
+    if let Some(file) = &arguments.output {
+        write_output(file, html.as_bytes())?;
+    }
+    if arguments.common.json {
+        print_json(&LiveReport { file: arguments.output.as_deref(), hashes: &hashes });
+    } else if arguments.hash {
+        let Hashes { golden, played, decisions, seed } = &hashes;
+        say!("golden utilities: {golden}");
+        say!("{decisions} decisions of seed {seed}: {played}");
+    } else if let Some(file) = &arguments.output {
+        say!("{}: {} KB", file.display(), html.len() / 1000);
+    }
+    Ok(())
+}
+
+fn read(file: &Path) -> Result<Vec<u8>, Failure> {
+    fs::read(file).map_err(|error| Failure::file(file, &error))
 }
 
 fn played_page(arguments: &ViewArguments) -> Result<Page, Failure> {

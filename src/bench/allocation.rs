@@ -18,7 +18,7 @@ use crate::failure::{Exit, Failure, Outcome};
 use crate::onnxruntime::OnnxRuntimeArguments;
 use crate::policy::{Backend, DeployedPolicy};
 use crate::proposals::{ProposalArguments, ProposalMemory};
-use crate::worlds::rules::FrameRelation;
+use crate::worlds::rules::{FrameRelation, relation};
 
 /// Agents and open subtasks of the states that are measured.
 const SIZE: (usize, usize) = (5, 6);
@@ -179,7 +179,7 @@ impl Batched {
         let cells = exact::cells(SIZE.0, SIZE.1);
         Ok(Self {
             network,
-            relation: FrameRelation::new(entry_of(bundle)?)?,
+            relation: relation(entry_of(bundle)?)?,
             team_max: bundle.manifest().limits.team_max.into(),
             relations: vec![Vec::new(); SIZE.1],
             values: vec![0.0; cells],

@@ -14,6 +14,7 @@ use serde::Serialize;
 use sortie_bundle::{Bundle, Recording};
 use sortie_core::plan::{AlignedBytes, Plan};
 use sortie_plans::CompileError;
+use sortie_stage::hash_of;
 
 use self::board::Board;
 use self::device::Told;
@@ -164,18 +165,8 @@ fn measure(
 /// FNV-1a over the bits of all utilities, every observation the first of an episode.
 fn hash(plan: &AlignedBytes, recording: &Recording) -> Result<u64, Failure> {
     let plan = Plan::load(plan.as_slice()).map_err(CompileError::from)?;
-    let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
-    let mut utilities = vec![0.0; plan.actions()];
-    let mut hash = 0xcbf2_9ce4_8422_2325_u64;
-    for observation in recording.observations() {
-        let mut states = vec![0.0; plan.hidden()];
-        plan.utilities(arena.as_mut_slice(), &observation, Some(&mut states), &mut utilities)
-            .map_err(|error| Failure::new(Exit::BadData, error.to_string()))?;
-        for byte in utilities.iter().flat_map(|utility| utility.to_bits().to_le_bytes()) {
-            hash = (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
-        }
-    }
-    Ok(hash)
+    hash_of(&plan, recording.observations())
+        .map_err(|error| Failure::new(Exit::BadData, error.to_string()))
 }
 
 /// The folder of the firmware's sources, which this program does not hold.

@@ -21,7 +21,7 @@ use crate::failure::{Exit, Failure, Outcome};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::proposals::ProposalArguments;
 use crate::signals::stop_on_signals;
-use crate::worlds::rules::RuleAllocator;
+use crate::worlds::rules::{RuleAllocator, rule_allocator};
 
 /// Run one process of a team: what `run` and `up` start, and what a person may start in its place
 #[derive(Debug, Args)]
@@ -160,7 +160,7 @@ fn fallback(bundle: &Bundle) -> Result<Option<RuleAllocator>, Failure> {
         return Ok(None);
     }
     let rule = Allocation::named("heuristic")?;
-    RuleAllocator::new(entry_of(bundle)?, rule, 0).map(Some)
+    rule_allocator(entry_of(bundle)?, rule, 0).map(Some)
 }
 
 /// An allocator: with the bundle that it was started with, then with those that it is told to load.

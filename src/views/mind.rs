@@ -1,32 +1,14 @@
 //! What agents think: utilities and attention of a run's network or of a bundle's.
 
-use serde::Serialize;
 use sortie_bundle::Bundle;
 use sortie_core::choose::masked_argmax;
 use sortie_core::{DecideError, Decision, Observation, Policy};
 use sortie_methods::alma::agents::NetworkPolicy;
 use sortie_plans::{AttentionProbe, roles_of};
+pub(super) use sortie_stage::{Attention, Thought};
 
-use super::page::rounded;
 use crate::compiler::compiler;
 use crate::failure::Failure;
-
-/// What one agent computes.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub(super) struct Thought {
-    /// Utility of every action, available or not.
-    pub(super) utilities: Vec<f64>,
-    pub(super) attention: Vec<Attention>,
-}
-
-/// How much an agent attends to one entity.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub(super) struct Attention {
-    /// Agents first.
-    pub(super) entity: usize,
-    /// One weight per head.
-    pub(super) weights: Vec<f64>,
-}
 
 /// A policy that also tells what it attends to.
 pub(super) trait Mind: Policy {
@@ -92,10 +74,8 @@ impl Mind for DeployedMind<'_> {
         &mut self,
         observation: &Observation<'_>,
     ) -> Result<Vec<(usize, Vec<f32>)>, DecideError> {
-        let Some(probe) = &mut self.probe else { return Ok(Vec::new()) };
-        let weights = probe.weights(observation)?;
-        let parts = weights.chunks_exact(probe.heads()).map(<[f32]>::to_vec);
-        Ok(observation.visible.iter().zip(parts).collect())
+        let attention = self.probe.as_ref().map(|probe| probe.by_entity(observation));
+        attention.unwrap_or_else(|| Ok(Vec::new()))
     }
 }
 
@@ -128,14 +108,7 @@ impl Policy for Diary<'_> {
         let mut utilities = vec![0.0; self.mind.actions()];
         self.mind.utilities(observation, &mut utilities)?;
         let attention = self.mind.attention(observation)?;
-        let attended = |(entity, weights): (usize, Vec<f32>)| Attention {
-            entity,
-            weights: weights.into_iter().map(rounded).collect(),
-        };
-        self.thoughts.push(Thought {
-            utilities: utilities.iter().copied().map(rounded).collect(),
-            attention: attention.into_iter().map(attended).collect(),
-        });
+        self.thoughts.push(Thought::new(&utilities, attention));
         masked_argmax(&utilities, observation.available)
     }
 }

@@ -16,7 +16,9 @@ mod witness;
 
 use std::path::Path;
 
+use serde::Serialize;
 use serde_json::{Map, Value};
+use sortie_bundle::Bundle;
 use sortie_envs::{Environment, Episode, Spec};
 use sortie_learn::Act;
 
@@ -101,6 +103,22 @@ pub(crate) trait View {
         Err(Failure::new(Exit::Usage, message))
     }
 
+    /// Whether there are pages in which a team plays.
+    fn plays_live(&self) -> bool {
+        false
+    }
+
+    /// The page in which a bundle's team plays, by another build of its program where one is given.
+    fn live(
+        &self,
+        wanted: &Wanted<'_>,
+        bundle: &Bundle,
+        program: Option<&[u8]>,
+    ) -> Result<Live, Failure> {
+        let _ = (bundle, program);
+        Err(not_live(wanted))
+    }
+
     /// The page of a recorded episode, given as text.
     fn recorded(&self, wanted: &Wanted<'_>, text: &str) -> Result<Page, Failure> {
         let _ = text;
@@ -176,6 +194,23 @@ pub(crate) struct Page {
     pub(crate) steps: usize,
 }
 
+/// A page in which a team plays.
+pub(crate) struct Live {
+    pub(crate) html: String,
+    pub(crate) hashes: Hashes,
+}
+
+/// What a page computes if it has the bits of this machine.
+#[derive(Debug, Serialize)]
+pub(crate) struct Hashes {
+    /// FNV-1a over the utilities of the bundle's golden observations.
+    pub(crate) golden: String,
+    /// The same over those of the first decisions in the episodes of a seed.
+    pub(crate) played: String,
+    pub(crate) decisions: u64,
+    pub(crate) seed: String,
+}
+
 /// `A` for the first of some things, `A2` for the one after `Z`.
 fn lettered(number: usize) -> String {
     let letter = char::from(b'A' + (number % 26) as u8);
@@ -188,6 +223,20 @@ fn lettered(number: usize) -> String {
 /// A line that is no longer than this.
 fn fitting(text: String, width: usize) -> String {
     console::truncate_str(&text, width, "+").into_owned()
+}
+
+/// Why a team does not play in a page.
+pub(crate) fn not_live(wanted: &Wanted<'_>) -> Failure {
+    let live = VIEWS.iter().filter(|(_, view)| view.plays_live());
+    let known: Vec<&str> = live.map(|(name, _)| *name).collect();
+    let message = format!(
+        "`{}` cannot play in a page: --live takes bundles of {} whose team has learned to allocate, such as \
+         models/{}",
+        wanted.subject.display(),
+        known.join(", "),
+        known.first().unwrap_or(&"")
+    );
+    Failure::new(Exit::Usage, message)
 }
 
 fn no_page(wanted: &Wanted<'_>) -> Failure {

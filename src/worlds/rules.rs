@@ -1,92 +1,27 @@
-//! Rules and relations of an environment, read back from frames: what processes that see nothing else have of them.
+//! Rules and relations of an environment, by the names of the command line.
 
-use sortie_core::allocate::TaskRelation;
-use sortie_core::{AllocateError, AllocationState, Allocator, EntityMask};
-use sortie_envs::random::generator;
-use sortie_envs::{Entry, Frame, FrameError, FrameReader, Random};
+use sortie_envs::Entry;
+pub(crate) use sortie_stage::{FrameRelation, RuleAllocator};
 
 use crate::allocation::Allocation;
 use crate::failure::{Exit, Failure};
 
-/// A rule of allocation.
-pub(crate) struct RuleAllocator {
-    reader: Box<dyn FrameReader>,
-    rule: usize,
-    random: Random,
+/// A rule of allocation; `seed` matters to rules that draw.
+pub(crate) fn rule_allocator(
+    entry: &Entry,
+    rule: Allocation,
+    seed: u64,
+) -> Result<RuleAllocator, Failure> {
+    let rule = rule.number(entry)?;
+    RuleAllocator::new(entry, rule, seed).ok_or_else(|| unread(entry))
 }
 
-impl RuleAllocator {
-    /// `seed` matters to rules that draw.
-    pub(crate) fn new(entry: &Entry, rule: Allocation, seed: u64) -> Result<Self, Failure> {
-        let rule = rule.number(entry)?;
-        Ok(Self { reader: reader(entry)?, rule, random: generator(seed) })
-    }
+/// How entities of an environment stand to subtasks.
+pub(crate) fn relation(entry: &Entry) -> Result<FrameRelation, Failure> {
+    FrameRelation::new(entry).ok_or_else(|| unread(entry))
 }
 
-impl Allocator for RuleAllocator {
-    fn allocate(
-        &mut self,
-        state: &AllocationState<'_>,
-        allocation: &mut [u8],
-    ) -> Result<(), AllocateError> {
-        state.check(allocation)?;
-        let read = self.reader.read(&frame(state));
-        read.and_then(|()| self.reader.allocate(self.rule, &mut self.random, allocation))
-            .map_err(refusal)
-    }
-}
-
-/// How entities stand to subtasks, which a learned allocator knows beside features.
-pub(crate) struct FrameRelation(Box<dyn FrameReader>);
-
-impl FrameRelation {
-    pub(crate) fn new(entry: &Entry) -> Result<Self, Failure> {
-        reader(entry).map(Self)
-    }
-}
-
-impl TaskRelation for FrameRelation {
-    fn columns(&self) -> usize {
-        self.0.relations()
-    }
-
-    fn observe(&mut self, state: &AllocationState<'_>) -> Result<(), AllocateError> {
-        self.0.read(&frame(state)).map_err(refusal)
-    }
-
-    fn write(&mut self, _: &AllocationState<'_>, task: usize, relation: &mut [f32]) {
-        self.0.relate(task, relation);
-    }
-}
-
-/// What reads frames of an environment.
-fn reader(entry: &Entry) -> Result<Box<dyn FrameReader>, Failure> {
-    entry.reader.map(|open| open()).ok_or_else(|| {
-        let message = format!("nobody can be allocated by frames of `{}`", entry.name);
-        Failure::new(Exit::Usage, message)
-    })
-}
-
-fn refusal(error: FrameError) -> AllocateError {
-    match error {
-        FrameError::TooLarge => AllocateError::TooLarge,
-        FrameError::BadLength => AllocateError::BadLength,
-        _ => AllocateError::NonFinite,
-    }
-}
-
-fn frame<'a>(state: &AllocationState<'a>) -> Frame<'a> {
-    Frame {
-        rows: state.rows,
-        stride: state.stride,
-        agents: state.agents,
-        tasks: state.tasks,
-        present: bits(&state.present),
-        open_tasks: state.open_tasks,
-    }
-}
-
-fn bits(entities: &EntityMask) -> u128 {
-    let word = |index| u128::from(entities.words().get(index).copied().unwrap_or(0));
-    word(0) | word(1) << 64
+fn unread(entry: &Entry) -> Failure {
+    let message = format!("nobody can be allocated by frames of `{}`", entry.name);
+    Failure::new(Exit::Usage, message)
 }

@@ -9,8 +9,12 @@ use sortie_methods::METHODS;
 use crate::tokens::tokens;
 
 /// Files that name each environment so many times: as a module and in a registry.
-const REGISTRIES: [(&str, usize); 3] =
-    [("trainer/envs/src/lib.rs", 1), ("trainer/envs/src/registry.rs", 1), ("src/views/mod.rs", 2)];
+const REGISTRIES: [(&str, usize); 4] = [
+    ("src/stage/lib.rs", 1),
+    ("trainer/envs/src/lib.rs", 1),
+    ("trainer/envs/src/registry.rs", 1),
+    ("src/views/mod.rs", 2),
+];
 
 /// Folders of sources that know environments by their seam alone.
 const FOLDERS: [&str; 5] =

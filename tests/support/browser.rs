@@ -73,6 +73,24 @@ impl Browser {
         self.command("/url", &json!({ "url": format!("file://{}", file.display()) }));
     }
 
+    /// Opens a file at an address within it, from the start even where it is shown already.
+    pub(crate) fn open_at(&self, file: &Path, address: &str) {
+        self.command("/url", &json!({ "url": "about:blank" }));
+        self.command("/url", &json!({ "url": format!("file://{}{address}", file.display()) }));
+    }
+
+    /// Drags an element by so many pixels.
+    pub(crate) fn drag(&self, selector: &str, (right, down): (i32, i32)) {
+        let element = json!({ ELEMENT: self.find(selector) });
+        let start = json!({ "type": "pointerMove", "origin": element, "x": 0, "y": 0 });
+        let by = |x: i32, y: i32| json!({ "type": "pointerMove", "origin": "pointer", "x": x, "y": y, "duration": 50 });
+        let (near, far) = (by(right / 2, down / 2), by(right - right / 2, down - down / 2));
+        let [press, release] =
+            ["pointerDown", "pointerUp"].map(|kind| json!({ "type": kind, "button": 0 }));
+        let pointer = json!([{ "type": "pointer", "id": "mouse", "actions": [start, press, near, far, release] }]);
+        self.command("/actions", &json!({ "actions": pointer }));
+    }
+
     /// The text of the first element that matches a CSS selector, as it is shown.
     pub(crate) fn text(&self, selector: &str) -> String {
         let path = format!("{}/element/{}/text", self.session, self.find(selector));

@@ -2,11 +2,15 @@
 
 use std::cell::Cell;
 
-use sortie_core::link::{AllocTx, Clock, Direct, DirectCursor, Frame, FrameBlock, FrameRx, StatTx};
+use sortie_core::link::{
+    ActionTx, AllocTx, Clock, Direct, DirectCursor, Frame, FrameBlock, FrameRx, StatTx,
+};
 use sortie_core::roles::{
     Identity, Poll, RunnerOptions, RunnerRole, TickReport, WorldObserver, WorldOptions, WorldRole,
 };
-use sortie_core::wire::{AllocMsg, FrameFormat, FrameHeader, FrameLayout, FrameMut, Role, StatMsg};
+use sortie_core::wire::{
+    ActionMsg, AllocMsg, FrameFormat, FrameHeader, FrameLayout, FrameMut, Role, StatMsg,
+};
 use sortie_core::{
     DecideError, Decision, EntityMask, Observation, Policy, Shape, StepOutcome, UnavailableAction,
     World,
@@ -68,6 +72,8 @@ struct Watch {
     ticks: Vec<(u32, u32)>,
     started: Vec<u32>,
     ended: u32,
+    /// Agents that answered in the last tick, as bits.
+    answered: u64,
 }
 
 impl WorldObserver for Watch {
@@ -77,6 +83,7 @@ impl WorldObserver for Watch {
 
     fn tick(&mut self, report: &TickReport<'_>) {
         self.ticks.push((report.episode, report.step));
+        self.answered = report.answered;
     }
 
     fn episode_ended(&mut self, _: u32, _: u32) {
@@ -181,6 +188,38 @@ impl Stage {
         }
     }
 
+    /// Polls until the world has sent a frame.
+    fn publish(&mut self) {
+        let frames = self.frames.len();
+        while self.frames.len() == frames {
+            let mut link = self.team.world(&mut self.cursors[0]);
+            let polled = self.world.poll(&mut link, &mut Still, &mut self.watch).unwrap();
+            let frames = &mut self.frames;
+            let mut agent = self.team.agent(&mut self.cursors[1]);
+            let mut note = |frame: Frame<'_>| {
+                frames.push(*frame.header);
+                true
+            };
+            agent.receive_frames(&mut note).unwrap();
+            if let Poll::Wait { until_ns } = polled {
+                self.clock.0.set(until_ns.min(self.clock.now_ns() + PERIOD / 10));
+            }
+        }
+    }
+
+    /// The agent answers a tick, its low 32 bits given.
+    fn answer(&mut self, tick: u64) {
+        let action = ActionMsg {
+            schema: SCHEMA,
+            tick: self.world.tick() & !u64::from(u32::MAX) | tick,
+            task: sortie_core::UNASSIGNED,
+            abi: 1,
+            runner: RUNNER,
+            ..ActionMsg::new_zeroed()
+        };
+        self.team.agent(&mut self.cursors[1]).send_action(&action).unwrap();
+    }
+
     fn last(&self) -> (u32, u32, u64) {
         let header = self.frames.last().unwrap();
         (header.episode, header.flags, header.tick & u64::from(u32::MAX))
@@ -237,6 +276,31 @@ fn a_world_is_reset_while_it_is_paused() {
     stage.world.resume();
     stage.play(1);
     assert_eq!(stage.watch.ticks, [(0, 0), (0, 1), (1, 0)]);
+}
+
+#[test]
+fn a_world_that_was_changed_is_seen_anew_and_old_answers_are_void() {
+    let mut stage = Stage::new();
+    stage.play(2);
+    stage.publish();
+    let (before, frames) = (stage.last(), stage.frames.len());
+    stage.answer(before.2);
+    stage.world.observe_anew();
+    stage.publish();
+    // The next frame asks for an allocation; its tick is another, the episode's step is the same.
+    assert_eq!(stage.frames.len(), frames + 1);
+    assert_eq!(stage.last(), (0, FrameHeader::REALLOC, before.2 + 1));
+    stage.play(1);
+    assert_eq!(stage.watch.ticks, [(0, 0), (0, 1), (0, 2)]);
+    assert_eq!(stage.watch.answered, 0, "what was decided on the frame before does not count");
+    // Between two ticks there is nothing to take back.
+    stage.world.observe_anew();
+    let frames = stage.frames.len();
+    stage.publish();
+    assert_eq!(stage.frames.len(), frames + 1);
+    stage.answer(stage.last().2);
+    stage.play(1);
+    assert_eq!((stage.watch.ticks.len(), stage.watch.answered), (4, 1));
 }
 
 #[test]

@@ -8,7 +8,6 @@
 mod agent_plans;
 mod agreement;
 mod annex;
-mod attention;
 mod bundle_plans;
 mod cache;
 mod comparison;
@@ -19,7 +18,6 @@ mod facts;
 mod families;
 mod golden_allocations;
 mod judged_agents;
-mod layers;
 mod observations;
 mod onnx_file;
 mod options;
@@ -39,7 +37,6 @@ pub use agreement::{
     Agreement, LEAST_AGREEMENT, LEAST_OBSERVATIONS, Quantised, RECORDED, agreement, quantise,
 };
 pub use annex::Annex;
-pub use attention::{AttentionLayers, AttentionProbe};
 pub use bundle_plans::{BundlePlans, Compiler};
 pub use cache::user_cache;
 pub use comparison::{Comparison, TOLERANCE, cannot_run, compare_with_golden, magnitude};
@@ -56,7 +53,6 @@ pub use families::{
 };
 pub use golden_allocations::compare_with_golden_allocations;
 pub use judged_agents::{Answers, compare_agents};
-pub use layers::{Layer, Matrix};
 pub use observations::{
     OwnedEntities, OwnedTeamQuery, random_allocation_states, random_entities, random_observations,
     random_observations_of, random_policy_inputs, random_states, random_team_queries,
@@ -79,5 +75,6 @@ pub use process::{CompilerProcess, ProcessLimits, Request, read_request};
 pub use proposal_files::ProposalFiles;
 pub use quantised_policy::{QuantisedPolicy, quantise_policy};
 pub use report::{CompileOptions, Compiled, OperatorReport, Report, VERSION, report};
+pub use sortie_attention::{AttentionLayers, AttentionProbe, Layer, Matrix};
 pub use team_policy::TeamPolicy;
 pub use team_sizes::TeamSizes;

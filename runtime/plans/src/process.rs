@@ -19,8 +19,8 @@ use rustix::process::{
 };
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
+use sortie_attention::AttentionLayers;
 
-use crate::attention::AttentionLayers;
 use crate::bundle_plans::Compiler;
 use crate::ending::Ending;
 use crate::error::CompileError;

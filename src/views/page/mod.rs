@@ -5,6 +5,7 @@
 //! `createTimeline`, and its data the agents' names, `states`, `steps` with rewards, `events` and a `result`.
 
 use serde::Serialize;
+pub(super) use sortie_stage::rounded;
 
 use super::{Page, Wanted};
 
@@ -79,12 +80,24 @@ pub(super) fn page<C: Serialize>(
 
 /// The page as HTML.
 pub(super) fn html(web: &Web, data: &impl Serialize) -> String {
+    filled(web, data, ["", "", ""])
+}
+
+/// The page as HTML, of a script that runs a program of WebAssembly, with keys of its own for the list.
+pub(super) fn html_with_program(web: &Web, data: &impl Serialize, keys: &str) -> String {
+    filled(web, data, [" 'wasm-unsafe-eval'", keys, " type=\"module\""])
+}
+
+fn filled(web: &Web, data: &impl Serialize, [permit, keys, kind]: [&str; 3]) -> String {
     let data = serde_json::to_string(data).expect("pages have string keys only");
     let parts = [
+        ("<!-- PERMIT -->", permit.to_string()),
         ("/* STYLE */", web.styles.concat()),
         ("<!-- MAP -->", web.map.to_string()),
         ("<!-- PANELS -->", web.panels.to_string()),
+        ("<!-- KEYS -->", keys.to_string()),
         ("\"DATA\"", escape(&data)),
+        ("<!-- KIND -->", kind.to_string()),
         ("/* SCRIPT */", web.scripts.concat()),
     ];
     let mut html = String::new();
@@ -102,11 +115,4 @@ pub(super) fn html(web: &Web, data: &impl Serialize) -> String {
 /// Inside a script element only `<` could end it, or begin a comment. JSON has it in texts alone.
 fn escape(json: &str) -> String {
     json.replace('<', "\\u003c")
-}
-
-/// Four decimals are enough to read, and keep pages small.
-pub(super) fn rounded(value: impl Into<f64>) -> f64 {
-    let rounded = (value.into() * 1e4).round() / 1e4;
-    // Minus zero reads oddly.
-    rounded + 0.0
 }

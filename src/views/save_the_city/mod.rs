@@ -1,13 +1,15 @@
 //! SaveTheCity as it is shown.
 
+mod live;
 mod looks;
 mod page;
 mod terminal;
 
+use sortie_bundle::Bundle;
 use sortie_envs::save_the_city::{ENTRY, with_city};
 use sortie_envs::{Episode, Spec};
 
-use super::{Canvas, Drawing, Figures, Page, Scene, View, Wanted};
+use super::{Canvas, Drawing, Figures, Live, Page, Scene, View, Wanted};
 use crate::failure::Failure;
 use crate::subject::Subject;
 use crate::worlds::tally::Tally;
@@ -44,6 +46,19 @@ impl View for Shown {
 
     fn played(&self, wanted: &Wanted<'_>, subject: &Subject) -> Result<Page, Failure> {
         page::played(wanted, subject)
+    }
+
+    fn plays_live(&self) -> bool {
+        true
+    }
+
+    fn live(
+        &self,
+        wanted: &Wanted<'_>,
+        bundle: &Bundle,
+        program: Option<&[u8]>,
+    ) -> Result<Live, Failure> {
+        live::live(wanted, bundle, program)
     }
 
     fn recorded(&self, wanted: &Wanted<'_>, text: &str) -> Result<Page, Failure> {

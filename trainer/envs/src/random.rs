@@ -13,6 +13,23 @@ pub fn generator(seed: u64) -> Xoshiro256PlusPlus {
     Xoshiro256PlusPlus::seed_from_u64(seed)
 }
 
+/// The [stream](stream) of what is measured on: it must not shift with what training draws.
+pub const EVALUATION: u64 = 4;
+
+/// One of the generators of a seed: each stream has its own numbers, and each index of a stream.
+pub fn stream(seed: u64, stream: u64, index: u64) -> Random {
+    let mut mixer = generator(seed);
+    let mut mix = |word: u64| mixer.next_u64() ^ word.wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    let base = mix(stream);
+    generator(base ^ mix(index))
+}
+
+/// An episode to be measured on, by its number: what the world draws from, and what the team draws from.
+pub fn episode(seed: u64, number: usize) -> (Random, Random) {
+    let mut team = stream(seed, EVALUATION, number as u64);
+    (generator(team.next_u64()), team)
+}
+
 /// A uniform integer in `0..bound`; 0 where the bound is 0.
 ///
 /// Scaling 64 bits leaves a bias below `bound / 2^64`, far from measurable.

@@ -13,7 +13,7 @@ pub enum Purpose {
     /// Episodes, exploration and allocation while training.
     Rollout = 3,
     /// Episodes to measure on.
-    Evaluation = 4,
+    Evaluation = sortie_envs::random::EVALUATION,
     /// What a planner tries, and the chances that it assumes.
     Planning = 5,
     /// Choices of proposed allocations.

@@ -1,19 +1,11 @@
 //! Seeded random numbers: the same bits on every target.
 
-use rand_core::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
+pub use sortie_envs::random::stream;
 use sortie_envs::random::unit;
 
 /// The generator of every random choice of a trainer.
 pub type Generator = Xoshiro256PlusPlus;
-
-/// One of the generators of a seed: each stream has its own numbers, and each index of a stream.
-pub fn stream(seed: u64, stream: u64, index: u64) -> Generator {
-    let mut mixer = Generator::seed_from_u64(seed);
-    let mut mix = |word: u64| mixer.next_u64() ^ word.wrapping_mul(0x9E37_79B9_7F4A_7C15);
-    let base = mix(stream);
-    Generator::seed_from_u64(base ^ mix(index))
-}
 
 /// Standard normal numbers (Box and Muller 1958).
 pub fn normals(generator: &mut Generator, count: usize) -> Vec<f32> {

@@ -1,7 +1,7 @@
 //! Bytes on the heap that start where weights and arenas must.
 
-use std::vec;
-use std::vec::Vec;
+use alloc::vec;
+use alloc::vec::Vec;
 
 use super::ALIGNMENT;
 

@@ -4,7 +4,7 @@
 //! the observation's sake ([`DecideError`]). Weights are never copied: they stay in the caller's bytes, be that
 //! flash, a memory map or [`AlignedBytes`].
 
-#[cfg(any(test, feature = "std"))]
+#[cfg(any(test, feature = "alloc"))]
 mod aligned;
 mod batch;
 #[cfg(any(test, feature = "std"))]
@@ -18,7 +18,7 @@ mod program;
 #[cfg(test)]
 mod tests;
 
-#[cfg(any(test, feature = "std"))]
+#[cfg(any(test, feature = "alloc"))]
 pub use aligned::AlignedBytes;
 #[cfg(any(test, feature = "std"))]
 #[doc(hidden)]

@@ -260,13 +260,12 @@ impl WorldRole {
                 self.publish_tick(link, world)?;
                 Ok(Poll::Again)
             }
-            Phase::Acting => self.await_actions(link, world, observer, now),
+            Phase::Acting => match self.is_observed_anew() {
+                true => Ok(self.ask_again(now)),
+                false => self.await_actions(link, world, observer, now),
+            },
             Phase::Paused if self.is_paused() => Ok(super::IDLE),
-            Phase::Paused => {
-                self.allocate_next = true;
-                self.phase = Phase::Pacing { until_ns: now };
-                Ok(Poll::Again)
-            }
+            Phase::Paused => Ok(self.ask_again(now)),
             Phase::Ended => Ok(Poll::Ended),
         }
     }

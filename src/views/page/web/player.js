@@ -24,11 +24,12 @@ function refresh() {
 /** Puts what is looked at into the address, for whoever copies it. Browsers refuse many changes in a row: the last one counts. */
 function tellAddress() {
   clearTimeout(telling);
-  telling = setTimeout(() => history.replaceState(null, "", `#${view.at},${view.agent}`), 250);
+  telling = setTimeout(() => history.replaceState(null, "", addressOf(view)), 250);
 }
 
-/** Shows another state; out of range means the nearest. */
+/** Shows another state; out of range means the nearest, once all is played that there is. */
 function go(at) {
+  while (at > LAST && playOn());
   view.at = Math.max(0, Math.min(LAST, at));
   refresh();
 }
@@ -49,11 +50,16 @@ function pause() {
   refresh();
 }
 
+/** Whether the episode ends with the state that is shown. */
+function isAtEnd() {
+  return view.at === LAST && !isRunning();
+}
+
 /** Plays on from here, from the start where the end is reached. */
 function play() {
   clearInterval(timer);
-  timer = setInterval(() => (view.at < LAST ? go(view.at + 1) : pause()), 1000 / Number(byId("speed").value));
-  go(view.at < LAST ? view.at : 0);
+  timer = setInterval(() => (isAtEnd() ? pause() : go(view.at + 1)), 1000 / Number(byId("speed").value));
+  go(isAtEnd() ? 0 : view.at);
 }
 
 function toggle() {
@@ -81,6 +87,7 @@ function showTransport() {
   const button = byId("play");
   button.textContent = playing ? "Pause" : "Play";
   const scrubber = byId("scrubber");
+  scrubber.max = LAST;
   scrubber.value = view.at;
   scrubber.setAttribute("aria-valuetext", `step ${view.at} of ${LAST}`);
   byId("step").textContent = `${view.at} / ${LAST}`;
@@ -95,7 +102,7 @@ function showTransport() {
 }
 
 function quiet() {
-  if (view.at === LAST) {
+  if (isAtEnd()) {
     return "the episode is over";
   }
   return episode.states[view.at].decided && episode.allocation
@@ -116,15 +123,29 @@ function createHeader() {
     facts.push(`episode ${number} of seed ${seed}`);
   }
   byId("facts").textContent = facts.join(" · ");
-  const result = byId("result");
-  result.classList.add(episode.result);
-  const came = episode.result === "over" ? `return ${fixed(returns[LAST])}` : episode.result.replace("-", " ");
-  result.textContent = `${came} after ${LAST} steps`;
+  showResult();
   byId("notes").replaceChildren(...episode.notes.map((note) => html("p", {}, note)));
 }
 
+function showResult() {
+  const result = byId("result");
+  result.hidden = !episode.result;
+  if (episode.result) {
+    result.classList.add(episode.result);
+    const came = episode.result === "over" ? `return ${fixed(returns[LAST])}` : episode.result.replace("-", " ");
+    result.textContent = `${came} after ${LAST} steps`;
+  }
+}
+
+/** What can be jumped to. */
+function listEvents() {
+  const options = [...eventsAt].map(([at, events]) =>
+    html("option", { value: at }, `${at}: ${events.map((event) => event.text).join(", ")}`),
+  );
+  byId("jump").replaceChildren(html("option", { value: "" }, `${episode.events.length} events …`), ...options);
+}
+
 function createTransport() {
-  byId("scrubber").max = LAST;
   byId("scrubber").addEventListener("input", (event) => go(Number(event.target.value)));
   const buttons = {
     first: () => go(0),
@@ -138,10 +159,7 @@ function createTransport() {
   }
   byId("speed").addEventListener("change", () => changeSpeed(0));
   const jump = byId("jump");
-  const options = [...eventsAt].map(([at, events]) =>
-    html("option", { value: at }, `${at}: ${events.map((event) => event.text).join(", ")}`),
-  );
-  jump.append(html("option", { value: "" }, `${episode.events.length} events …`), ...options);
+  listEvents();
   jump.addEventListener("change", () => jump.value && go(Number(jump.value)));
   byId("help-open").addEventListener("click", () => byId("help").showModal());
 }
@@ -164,7 +182,7 @@ document.addEventListener("keydown", (event) => {
     return;
   }
   // Controls keep the keys that they understand themselves.
-  if (event.target.matches("select") || (event.key === " " && event.target.matches("button"))) {
+  if (event.target.matches("select, [type=number]") || (event.key === " " && event.target.matches("button"))) {
     return;
   }
   const agent = event.key.length === 1 && event.key >= "0" && event.key <= "9" ? Number(event.key) : null;
@@ -176,9 +194,8 @@ document.addEventListener("keydown", (event) => {
   }
 });
 
-/** `page.html#12` opens at step 12, `#12,1` with agent 1 selected. */
 function followAddress() {
-  const [at, agent] = location.hash.slice(1).split(",").map(Number);
+  const { at, agent } = readAddress();
   if (episode.agents[agent]) {
     select({ agent });
   }

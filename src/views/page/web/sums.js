@@ -1,6 +1,8 @@
 /** Rewards summed up to each state. */
 const returns = [0];
-for (const step of episode.steps) {
+episode.steps.forEach(addReward);
+
+function addReward(step) {
   returns.push(returns.at(-1) + step.reward);
 }
 

@@ -2,21 +2,20 @@
 
 use std::any::Any;
 
-use sortie_envs::Environment;
-use sortie_envs::save_the_city::{
-    AgentKind, BuildingKind, City, EpisodeMetrics, MAX_AGENTS, SaveTheCity, with_city,
-};
+use sortie_envs::save_the_city::{MAX_AGENTS, SaveTheCity, with_city};
 use sortie_envs::{DecisionPoints, UNASSIGNED};
 use sortie_learn::LearnError;
 use sortie_learn::play::{Onlooker, Watched};
 use sortie_methods::alma::teams::{PolicyTeam, Scene, Team};
+use sortie_stage::save_the_city::{
+    AgentFacts, BuildingFacts, EpisodeResult, State, Step, agent_facts, building_facts, result,
+    state, step,
+};
 
-use super::data::{AgentFacts, BuildingFacts, EpisodeResult, State, Step};
 use super::episode::Episode;
 use super::values::TeamValueProbe;
 use crate::failure::Failure;
 use crate::views::mind::{Diary, Mind, Thought};
-use crate::views::page::rounded;
 
 /// An episode as it went.
 pub(super) struct Captured {
@@ -77,7 +76,7 @@ fn play(
 fn give_thoughts(states: &mut [State], thoughts: Vec<Thought>) {
     let mut thoughts = thoughts.into_iter();
     for state in states {
-        let own: Vec<Thought> = thoughts.by_ref().take(state.places.len()).collect();
+        let own: Vec<_> = thoughts.by_ref().take(state.places.len()).map(Some).collect();
         state.thoughts = (!own.is_empty()).then_some(own);
     }
 }
@@ -105,23 +104,6 @@ impl Team for StateLog<'_> {
     }
 }
 
-fn state(city: City<'_>, allocation: &[u8]) -> State {
-    let (agents, buildings) = (city.agents, city.buildings);
-    let assigned = allocation.iter().map(|&task| (task != UNASSIGNED).then_some(task));
-    State {
-        places: agents.iter().map(|agent| (agent.x, agent.y)).collect(),
-        health: buildings.iter().map(|building| rounded(building.health)).collect(),
-        fire: buildings.iter().map(|building| rounded(building.fire)).collect(),
-        status: buildings.iter().map(|building| building.status as u8).collect(),
-        next_fire: buildings.iter().map(|building| building.to_next_fire).collect(),
-        available: agents.iter().map(|agent| agent.available).collect(),
-        allocation: assigned.take(agents.len()).collect(),
-        decided: false,
-        thoughts: None,
-        values: None,
-    }
-}
-
 /// An onlooker that writes down every step.
 #[derive(Default)]
 struct StepLog {
@@ -138,23 +120,8 @@ struct StepLog {
 
 impl Onlooker for StepLog {
     fn started(&mut self, watched: Watched<'_>) -> Result<(), LearnError> {
-        let City { agents, buildings } = cities(&watched)?.city(watched.instance);
-        let agent = |(number, kind): (usize, AgentKind)| AgentFacts {
-            name: format!("{}{number}", kind.letter()),
-            kind: kind_name(kind),
-        };
-        self.agents = agents.iter().map(|agent| agent.kind).enumerate().map(agent).collect();
-        let buildings = buildings.iter().enumerate().map(|(number, building)| BuildingFacts {
-            name: building_name(number),
-            kind: match building.kind {
-                BuildingKind::Fast => "fast",
-                BuildingKind::Slow => "slow",
-            },
-            x: building.x,
-            y: building.y,
-            period: building.period,
-        });
-        self.buildings = buildings.collect();
+        let city = cities(&watched)?.city(watched.instance);
+        (self.agents, self.buildings) = (agent_facts(city), building_facts(city));
         self.decided.push(self.decisions.is_due(false));
         Ok(())
     }
@@ -166,18 +133,11 @@ impl Onlooker for StepLog {
         outcome: &sortie_envs::Step,
     ) -> Result<(), LearnError> {
         let (worlds, instance) = (cities(&watched)?, watched.instance);
-        let city = worlds.city(instance);
-        let rewards = worlds.task_rewards(instance).iter().take(city.buildings.len());
-        self.steps.push(Step {
-            actions: actions[..city.agents.len()].to_vec(),
-            reward: rounded(outcome.reward),
-            task_rewards: rewards.copied().map(rounded).collect(),
-            bounced: worlds.bounces(instance).iter().map(|bounce| bounce.loser).collect(),
-        });
+        self.steps.push(step(worlds, instance, actions, outcome.reward));
         if !outcome.done() {
             self.decided.push(self.decisions.is_due(outcome.tasks_changed));
         }
-        self.last_state = Some(state(city, &[UNASSIGNED; MAX_AGENTS]));
+        self.last_state = Some(state(worlds.city(instance), &[UNASSIGNED; MAX_AGENTS]));
         self.result = Some(result(worlds.metrics(instance)));
         Ok(())
     }
@@ -188,25 +148,4 @@ fn cities<'a>(watched: &Watched<'a>) -> Result<&'a SaveTheCity, LearnError> {
     let worlds: &dyn Any = watched.worlds;
     let elsewhere = || LearnError::Team("this page is made for another environment".to_owned());
     worlds.downcast_ref().ok_or_else(elsewhere)
-}
-
-fn result(metrics: &EpisodeMetrics) -> EpisodeResult {
-    match (metrics.solved, metrics.timed_out) {
-        (true, _) => EpisodeResult::Solved,
-        (false, true) => EpisodeResult::TimedOut,
-        (false, false) => EpisodeResult::Lost,
-    }
-}
-
-fn kind_name(kind: AgentKind) -> &'static str {
-    match kind {
-        AgentKind::Firefighter => "firefighter",
-        AgentKind::Builder => "builder",
-        AgentKind::Generalist => "generalist",
-    }
-}
-
-/// `a` for building 0; a city has at most 25.
-fn building_name(number: usize) -> String {
-    char::from(b'a'.saturating_add(number as u8)).to_string()
 }

@@ -4,7 +4,6 @@ mod allocator;
 mod capture;
 mod data;
 mod episode;
-mod events;
 mod value_networks;
 mod values;
 
@@ -17,6 +16,7 @@ use sortie_learn::LearnError;
 use sortie_methods::alma::agents::{Conditioning, NetworkPolicy};
 use sortie_methods::alma::evaluate::EvaluationPlan;
 use sortie_methods::alma::teams::{Allocate, Scene, ScriptedActors, Team};
+use sortie_stage::save_the_city::Names;
 
 use crate::allocation::AllocatorChoice;
 use crate::environment;
@@ -223,8 +223,8 @@ impl Team for Nobody {
 }
 
 fn data_of(subject: String, captured: Captured) -> Data {
-    let events = events::events(&captured);
     let Captured { agents, buildings, states, steps, result } = captured;
+    let events = Names { agents: &agents, buildings: &buildings }.events(&states);
     Data {
         format: data::FORMAT,
         subject,

@@ -9,7 +9,7 @@ use sortie_methods::alma::records::team_value::{TeamQuery, TeamValueInput};
 use sortie_methods::alma::teams::{Scene, allocation_state};
 
 use crate::allocator::LearnedAllocator;
-use crate::worlds::rules::FrameRelation;
+use crate::worlds::rules::relation;
 
 /// Tells what teams at a building are worth.
 pub(super) trait ValueTeams {
@@ -61,15 +61,15 @@ impl ValueTeams for DeployedNetwork {
     ) -> Result<Vec<f32>, LearnError> {
         let state = allocation_state(scene.environment, scene.state);
         let state = state.view();
-        let travel = FrameRelation::new(&ENTRY);
+        let travel = relation(&ENTRY);
         let mut travel = travel.map_err(|failure| LearnError::Team(failure.message))?;
         travel.observe(&state).map_err(refusal)?;
-        let mut relation = vec![0.0; state.entity_task.len() * travel.columns()];
-        travel.write(&state, task, &mut relation);
+        let mut related = vec![0.0; state.entity_task.len() * travel.columns()];
+        travel.write(&state, task, &mut related);
         let network = self.0.network();
         let mut network = network.map_err(|failure| LearnError::Team(failure.message))?;
         let value = |&team| {
-            let query = DeployedQuery { state: &state, task, team, relation: &relation };
+            let query = DeployedQuery { state: &state, task, team, relation: &related };
             network.value(&query).map_err(refusal)
         };
         teams.iter().map(value).collect()

@@ -1,22 +1,15 @@
 //! What the learned allocator expects of teams.
 
-use sortie_envs::members;
 use sortie_learn::LearnError;
 use sortie_methods::alma::export::LearnedAllocator;
 use sortie_methods::alma::teams::Scene;
+use sortie_stage::save_the_city::{TeamValues, candidates};
 
-use super::data::TeamValues;
 use super::value_networks::{DeployedNetwork, RunNetwork, ValueTeams};
 use crate::allocator::LearnedAllocator as DeployedLearned;
 use crate::failure::Failure;
 use crate::policy::Backend;
 use crate::subject::Subject;
-use crate::views::page::rounded;
-
-/// Other teams that are shown.
-const OTHERS: usize = 3;
-/// Most agents for which all teams are compared; beyond, those that differ in one agent.
-const ALL_TEAMS: usize = 8;
 
 /// Asks a team-value network about the teams that are there, and about others.
 pub(super) struct TeamValueProbe<'a> {
@@ -70,43 +63,16 @@ impl<'a> TeamValueProbe<'a> {
         chosen: u64,
     ) -> Result<TeamValues, LearnError> {
         let agents = scene.seen.agents();
-        let teams = self.candidates(agents, chosen);
+        let teams = candidates(agents, self.team_max, chosen);
         let values = self.network.values(scene, task, &teams)?;
-        let mut others = Vec::new();
-        let (mut own, mut nobody) = (0.0, 0.0);
-        for (&team, value) in teams.iter().zip(values) {
-            if team == 0 {
-                nobody = rounded(value);
-            }
-            if team == chosen {
-                own = rounded(value);
-            } else if team != 0 {
-                others.push((members(team.into()).collect(), rounded(value)));
-            }
-        }
-        others.sort_by(|(_, one): &(Vec<usize>, f64), (_, other)| other.total_cmp(one));
-        others.truncate(OTHERS);
-        Ok(TeamValues { chosen: own, nobody, others })
-    }
-
-    /// Nobody, the chosen team, and others that the allocator may give.
-    fn candidates(&self, agents: usize, chosen: u64) -> Vec<u64> {
-        let fits = |team: &u64| team.count_ones() as usize <= self.team_max;
-        let mut teams: Vec<u64> = if agents <= ALL_TEAMS {
-            (0..1 << agents).filter(fits).collect()
-        } else {
-            (0..agents).map(|agent| chosen ^ 1 << agent).filter(fits).collect()
-        };
-        teams.extend([0, chosen]);
-        teams.sort_unstable();
-        teams.dedup();
-        teams
+        Ok(TeamValues::of(&teams, &values, chosen))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::views::page::rounded;
     use sortie_envs::UNASSIGNED;
     use sortie_envs::{EntitySet, Observation, Split};
     use sortie_learn::random::{Purpose, generator};

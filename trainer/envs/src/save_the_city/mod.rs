@@ -16,6 +16,7 @@ mod features;
 pub mod golden;
 mod grid;
 mod heuristic;
+mod interference;
 mod metrics;
 mod potential;
 mod relation;

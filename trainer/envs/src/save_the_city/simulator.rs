@@ -251,7 +251,7 @@ impl SaveTheCity {
         self.restore_with(instance, agents, buildings, 0, metrics)
     }
 
-    /// The same with all that the episode has counted.
+    /// As [`restore`](Self::restore), with all that the episode has counted.
     pub(super) fn restore_with(
         &mut self,
         instance: usize,

@@ -4,6 +4,7 @@ mod allocation;
 mod conformance;
 mod features;
 mod golden;
+mod interference;
 mod laws;
 mod reference_points;
 mod resets;

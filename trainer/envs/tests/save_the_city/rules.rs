@@ -8,18 +8,23 @@ use sortie_envs::save_the_city::{
 };
 use sortie_envs::{Environment, Step, StepError};
 
-const STAY: u16 = 0;
+pub(crate) const STAY: u16 = 0;
 const NORTH: u16 = 1;
 const EAST: u16 = 2;
 const WEST: u16 = 4;
 const FIGHT: u16 = 9;
-const BUILD: u16 = 10;
+pub(crate) const BUILD: u16 = 10;
 const FREEZE: u16 = 11;
 
 /// Cells around the building at (7, 7).
-const BESIDE: [(u8, u8); 4] = [(7, 8), (8, 7), (7, 6), (6, 7)];
+pub(crate) const BESIDE: [(u8, u8); 4] = [(7, 8), (8, 7), (7, 6), (6, 7)];
 
-fn building(kind: BuildingKind, (x, y): (u8, u8), health: f64, fire: f64) -> BuildingState {
+pub(crate) fn building(
+    kind: BuildingKind,
+    (x, y): (u8, u8),
+    health: f64,
+    fire: f64,
+) -> BuildingState {
     let period = kind.periods().1;
     BuildingState {
         health,
@@ -34,12 +39,12 @@ fn building(kind: BuildingKind, (x, y): (u8, u8), health: f64, fire: f64) -> Bui
     }
 }
 
-fn fast(health: f64, fire: f64) -> BuildingState {
+pub(crate) fn fast(health: f64, fire: f64) -> BuildingState {
     building(BuildingKind::Fast, (7, 7), health, fire)
 }
 
 /// A city in exactly this state, for a set of at most 5 agents and 6 buildings.
-fn city_of(
+pub(crate) fn city_of(
     constants: Constants,
     agents: &[AgentState],
     buildings: &[BuildingState],
@@ -51,17 +56,17 @@ fn city_of(
 }
 
 /// Agents of these kinds around the building at (7, 7).
-fn around(team: &[AgentKind], building: BuildingState) -> SaveTheCity {
+pub(crate) fn around(team: &[AgentKind], building: BuildingState) -> SaveTheCity {
     let place = |(&kind, (x, y)): (&AgentKind, (u8, u8))| AgentState::at(kind, x, y);
     let agents = team.iter().zip(BESIDE).map(place).collect::<Vec<_>>();
     city_of(Constants::default(), &agents, &[building])
 }
 
-fn first(city: &SaveTheCity) -> BuildingState {
+pub(crate) fn first(city: &SaveTheCity) -> BuildingState {
     city.city(0).buildings[0]
 }
 
-fn step(city: &mut SaveTheCity, actions: &[u16]) -> Step {
+pub(crate) fn step(city: &mut SaveTheCity, actions: &[u16]) -> Step {
     city.step(0, actions, &mut generator(1)).unwrap()
 }
 

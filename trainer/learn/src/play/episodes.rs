@@ -2,13 +2,11 @@
 
 use std::ops::Range;
 
-use rand_core::Rng;
 use sortie_envs::{Environment, Episode, Random, Split, Step};
 
 use crate::error::LearnError;
 use crate::evaluate::Evaluation;
 use crate::method::{Act, Scene, Scenes};
-use crate::random::{Purpose, generator};
 
 /// Episodes that are played at the same time.
 pub const WORLDS: usize = 64;
@@ -148,8 +146,8 @@ pub struct Start {
 impl Start {
     /// An episode of a seed, by its number.
     pub fn of(seed: u64, episode: usize) -> Self {
-        let mut team = generator(seed, Purpose::Evaluation, episode as u64);
-        Self { episode, world: sortie_envs::random::generator(team.next_u64()), team }
+        let (world, team) = sortie_envs::random::episode(seed, episode);
+        Self { episode, world, team }
     }
 
     fn begin(self, worlds: &mut dyn Environment, instance: usize, teams: &mut [Random]) -> Open {

@@ -1,4 +1,5 @@
-//! What a world is told from outside. It obeys between two ticks: the current one is always played.
+//! What a world is told from outside. It obeys between two ticks: the current one is always played, unless what was seen
+//! in it is no longer so.
 
 use super::{Phase, WorldError, WorldObserver, WorldRole, ring_all};
 use crate::link::{LinkError, WorldLink};
@@ -16,6 +17,8 @@ pub(super) struct Orders {
     pause: bool,
     /// The episode is to be given up.
     reset: bool,
+    /// What the current frame shows is no longer so.
+    anew: bool,
     /// The world is to end.
     end: bool,
 }
@@ -50,6 +53,12 @@ impl WorldRole {
         self.orders.reset = true;
     }
 
+    /// Somebody has changed the world while its team was deciding: answers to the current frame are void, the team sees
+    /// the world anew in another, which asks for a new allocation. A frame that is still to come shows the change anyway.
+    pub fn observe_anew(&mut self) {
+        self.orders.anew = self.phase == Phase::Acting;
+    }
+
     /// Ends with the next poll, and the team with it.
     pub fn end(&mut self) {
         self.orders.end = true;
@@ -78,6 +87,17 @@ impl WorldRole {
             self.chances.silent = self.seats.leader();
             self.chances.used_up_at = self.allocations_missed.saturating_add(LEADER_CHANCES);
         }
+    }
+
+    /// The next frame is due now, and asks for an allocation.
+    pub(super) fn ask_again(&mut self, now: u64) -> Poll {
+        self.allocate_next = true;
+        self.phase = Phase::Pacing { until_ns: now };
+        Poll::Again
+    }
+
+    pub(super) fn is_observed_anew(&mut self) -> bool {
+        core::mem::take(&mut self.orders.anew)
     }
 
     pub(super) fn is_told_to_end(&self) -> bool {

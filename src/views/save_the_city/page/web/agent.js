@@ -30,13 +30,16 @@ function createAgentPanel(select) {
 function agentText(view, state) {
   const task = state.allocation[view.agent];
   const action = actionOf(view.at, view.agent);
+  const isDead = state.dead?.includes(view.agent);
   if (action === undefined) {
-    return "The episode is over.";
+    return isDead ? "No process acts for it: the world repeats its last action, or has it stay." : "The episode is over.";
   }
   const where = task === null ? "unassigned" : `assigned to ${episode.buildings[task].name}`;
-  const bounced = episode.steps[view.at].bounced.includes(view.agent)
+  const bounced = episode.steps[view.at]?.bounced.includes(view.agent)
     ? ", but runs into another and goes back"
-    : "";
+    : isDead
+      ? ", which the world repeats: its process is dead"
+      : "";
   return `${where}, action: ${episode.actions[action]}${bounced}`;
 }
 
@@ -49,7 +52,7 @@ function createUtilityRow(action) {
 
 /** Bars reach from the lowest utility of this agent and state to the highest. */
 function showUtilities(rows, view, state) {
-  const utilities = state.thoughts?.[view.agent].utilities;
+  const utilities = state.thoughts?.[view.agent]?.utilities;
   const [low, high] = utilities ? [Math.min(...utilities), Math.max(...utilities)] : [0, 1];
   byId("utilities-range").textContent = utilities
     ? `bars from ${fixed(low)} to ${fixed(high)}`
@@ -57,7 +60,7 @@ function showUtilities(rows, view, state) {
   const taken = actionOf(view.at, view.agent);
   const best = utilities && bestAction(state, view.agent);
   rows.forEach(({ name, bar, value, element }, action) => {
-    const available = taken !== undefined && isAvailable(state, view.agent, action);
+    const available = (taken !== undefined || isRunning()) && isAvailable(state, view.agent, action);
     element.classList.toggle("unavailable", !available);
     element.classList.toggle("taken", action === taken);
     bar.style.width = utilities ? `${2 + (98 * (utilities[action] - low)) / (high - low || 1)}%` : "0";
@@ -78,7 +81,7 @@ function showUtilities(rows, view, state) {
 /** One row per visible entity, the most attended first. */
 function showAttention(view, state) {
   const table = byId("attention");
-  const attention = state.thoughts?.[view.agent].attention ?? [];
+  const attention = state.thoughts?.[view.agent]?.attention ?? [];
   table.hidden = attention.length === 0;
   const rows = attention
     .map(({ entity, weights }) => ({ entity, weights, average: mean(weights) }))

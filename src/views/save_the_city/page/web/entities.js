@@ -15,9 +15,9 @@ function teamOf(state, building) {
   return episode.agents.flatMap((_, agent) => (state.allocation[agent] === building ? [agent] : []));
 }
 
-/** What an agent does in a state; nothing in the final one. */
+/** What an agent does in a state, or has decided to do; nothing in the final one. */
 function actionOf(at, agent) {
-  return episode.steps[at]?.actions[agent];
+  return episode.steps[at]?.actions[agent] ?? episode.states[at].chosen?.[agent] ?? undefined;
 }
 
 function isAvailable(state, agent, action) {

@@ -129,7 +129,7 @@ function trailLines(view, state) {
 
 /** Rings around what the selected agent attends to, wider for more weight. */
 function attentionMarks(view, state) {
-  const attention = state.thoughts?.[view.agent].attention ?? [];
+  const attention = state.thoughts?.[view.agent]?.attention ?? [];
   return attention.map(({ entity, weights }) => {
     const [x, y] = place(entityPlace(state, entity));
     const weight = mean(weights);

@@ -12,6 +12,7 @@ function createTimeline(go) {
   const cursor = svg("rect", { class: "cursor", y: 0, height });
   let column = 1;
   let at = 0;
+  let drawn = episode.changes;
 
   function moveCursor() {
     setAll(cursor, { x: GUTTER + at * column, width: Math.max(column, 2) });
@@ -19,7 +20,8 @@ function createTimeline(go) {
 
   function draw() {
     const width = timeline.parentElement.clientWidth;
-    column = (width - GUTTER - 8) / (LAST + 1);
+    drawn = episode.changes;
+    column = (width - GUTTER - 8) / Math.max(LAST + 1, episode.room ?? 0);
     setAll(timeline, { viewBox: `0 0 ${width} ${height}`, width, height });
     const buildings = episode.buildings.map((facts, building) => buildingLane(building, facts, lane, column));
     const agents = episode.agents.map((facts, agent) => agentLane(agent, facts, lane, column));
@@ -49,7 +51,7 @@ function createTimeline(go) {
 
   return function showTimeline(view) {
     at = view.at;
-    moveCursor();
+    (drawn === episode.changes ? moveCursor : draw)();
   };
 }
 

@@ -1,5 +1,8 @@
 //! Layers of networks as numbers.
 
+use alloc::vec;
+use alloc::vec::Vec;
+
 use serde::{Deserialize, Serialize};
 
 /// A matrix `[inputs, outputs]`, row-major.

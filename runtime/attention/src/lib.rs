@@ -1,9 +1,17 @@
-//! What an agent's network attends to, for people who look at its decisions.
+//! What an agent's network attends to, for people who look at its decisions: on a host and in a browser.
+#![no_std]
+#![forbid(unsafe_code)]
+
+extern crate alloc;
+
+mod layers;
+
+use alloc::vec::Vec;
 
 use serde::{Deserialize, Serialize};
 use sortie_core::{DecideError, NO_ACTION, Observation};
 
-use crate::layers::{Layer, Matrix};
+pub use layers::{Layer, Matrix};
 
 /// The layers of an agent's network that give its attention.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -56,6 +64,19 @@ impl AttentionProbe {
         Ok(weights)
     }
 
+    /// Every visible entity with its weights `[heads]`.
+    ///
+    /// # Errors
+    /// The rows are shorter than the observation says.
+    pub fn by_entity(
+        &self,
+        observation: &Observation<'_>,
+    ) -> Result<Vec<(usize, Vec<f32>)>, DecideError> {
+        let weights = self.weights(observation)?;
+        let parts = weights.chunks_exact(self.heads()).map(<[f32]>::to_vec);
+        Ok(observation.visible.iter().zip(parts).collect())
+    }
+
     /// The embedding of an entity's row and last action.
     fn embed(&self, observation: &Observation<'_>, entity: usize) -> Result<Vec<f32>, DecideError> {
         let start = entity * observation.stride;
@@ -74,13 +95,14 @@ impl AttentionProbe {
 
 fn softmax(scores: Vec<&mut f32>) {
     let max = scores.iter().fold(f32::NEG_INFINITY, |max, score| max.max(**score));
-    let sum: f32 = scores.iter().map(|score| (**score - max).exp()).sum();
-    scores.into_iter().for_each(|score| *score = (*score - max).exp() / sum);
+    let sum: f32 = scores.iter().map(|score| libm::expf(**score - max)).sum();
+    scores.into_iter().for_each(|score| *score = libm::expf(*score - max) / sum);
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use alloc::vec;
     use sortie_core::EntityMask;
 
     #[test]
@@ -100,13 +122,15 @@ mod tests {
             available: &[1],
         };
         // Head 0 scores 1 and 3, head 1 scores 4 and 2.
-        let low = 1.0 / (1.0 + 2.0_f32.exp());
+        let low = 1.0 / (1.0 + libm::expf(2.0));
         let weights = probe.weights(&observation).unwrap();
         let wanted = [low, 1.0 - low, 1.0 - low, low];
         assert_eq!(weights.len(), 4);
         for (got, want) in weights.iter().zip(wanted) {
             assert!((got - want).abs() < 1e-6, "{weights:?}");
         }
+        let attended = [(0, weights[..2].to_vec()), (2, weights[2..].to_vec())];
+        assert_eq!(probe.by_entity(&observation).unwrap(), attended);
         let short = Observation { rows: &[1.0, 2.0], ..observation };
         assert_eq!(probe.weights(&short), Err(DecideError::BadLength));
     }

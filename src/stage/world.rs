@@ -1,25 +1,30 @@
 //! Any environment as a world that a team of processes acts in.
 
-use std::cell::RefCell;
-use std::rc::Rc;
+use alloc::boxed::Box;
+use alloc::rc::Rc;
+use alloc::vec::Vec;
+use core::cell::RefCell;
 
 use sortie_core::EntityMask;
 use sortie_core::wire::FrameMut;
 use sortie_core::world::{Shape, StepOutcome, UnavailableAction, World};
-use sortie_envs::{EntitySet, Environment, Observation, Random, StepError};
+use sortie_envs::{EntitySet, Environment, Observation, Random, Step, StepError};
 
-use super::tally::Tally;
+use crate::tally::Tally;
 
 /// What is played, shared with the onlooker that draws it.
-pub(crate) type SharedEnvironment = Rc<RefCell<Box<dyn Environment>>>;
+pub type SharedEnvironment = Rc<RefCell<Box<dyn Environment>>>;
 
 /// The finished episodes, shared with whoever reports them.
-pub(crate) type SharedTally = Rc<RefCell<Tally>>;
+pub type SharedTally = Rc<RefCell<Tally>>;
 
 /// One instance of an environment that a team of processes acts in.
-pub(crate) struct EnvironmentWorld {
-    pub(crate) environment: SharedEnvironment,
-    pub(crate) tally: SharedTally,
+pub struct EnvironmentWorld {
+    /// The environment.
+    pub environment: SharedEnvironment,
+    /// What has been played.
+    pub tally: SharedTally,
+    last: Step,
     random: Random,
     seen: RefCell<Seen>,
 }
@@ -33,14 +38,31 @@ struct Seen {
 
 impl EnvironmentWorld {
     /// A world over the first instance of `environment`, which begins an episode.
-    pub(crate) fn new(mut environment: Box<dyn Environment>, mut random: Random) -> Self {
-        environment.reset(0, &mut random);
+    pub fn new(environment: Box<dyn Environment>, random: Random) -> Self {
+        let mut world = Self::not_begun(environment, random);
+        world.reset();
+        world
+    }
+
+    /// The same before its first episode: `reset` begins it.
+    pub fn not_begun(environment: Box<dyn Environment>, random: Random) -> Self {
         Self {
             environment: Rc::new(RefCell::new(environment)),
             tally: SharedTally::default(),
+            last: Step::default(),
             random,
             seen: RefCell::default(),
         }
+    }
+
+    /// Draws the next episode, and what its steps leave to chance, from this generator on.
+    pub fn draw_from(&mut self, random: Random) {
+        self.random = random;
+    }
+
+    /// What the last step came to.
+    pub fn last_step(&self) -> Step {
+        self.last
     }
 }
 
@@ -75,6 +97,7 @@ impl World for EnvironmentWorld {
             StepError::Unavailable { agent, action } => UnavailableAction { agent, action },
             _ => UnavailableAction { agent: 0, action: sortie_core::NO_ACTION },
         })?;
+        self.last = step;
         if step.done() {
             self.tally.borrow_mut().add(environment.episode(0));
         }
@@ -108,7 +131,7 @@ fn write_frame(seen: &Observation, shape: &sortie_envs::Shape, frame: &mut Frame
 }
 
 /// The set as the runtime has it.
-pub(crate) fn entity_mask(set: EntitySet) -> EntityMask {
+fn entity_mask(set: EntitySet) -> EntityMask {
     EntityMask::from_words(&[set as u64, (set >> 64) as u64])
 }
 
@@ -120,7 +143,6 @@ mod tests {
     use sortie_ipc::{DomainContract, InProcess, Stop, WorldSettings, run_in_process};
 
     use super::*;
-    use crate::environment::ScenarioSetName;
 
     /// Takes the last available action.
     struct Last(usize);
@@ -145,9 +167,8 @@ mod tests {
 
     /// Plays episodes of an environment in this process, without subtasks.
     fn play(name: &str, seed: u64, episodes: u32) -> EnvironmentWorld {
-        let set = ScenarioSetName::parse(name).expect("a set");
-        let mut world =
-            EnvironmentWorld::new(set.open(Split::Train).expect("it opens"), generator(seed));
+        let environment = sortie_envs::open(name, Split::Train, 1, &Default::default());
+        let mut world = EnvironmentWorld::new(environment.expect("it opens"), generator(seed));
         let actions = world.shape().actions;
         let contract = DomainContract {
             hash: 1,

@@ -1,40 +1,51 @@
 //! What a world has played, in sums that do not grow with it.
 
-use std::collections::BTreeMap;
+use alloc::collections::BTreeMap;
+use alloc::string::String;
+use alloc::vec::Vec;
 
 use serde::{Deserialize, Serialize};
 use sortie_envs::{Episode, Spec};
 
 /// The finished episodes of a world.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
-pub(crate) struct Tally {
-    pub(crate) episodes: usize,
-    pub(crate) solved: usize,
-    pub(crate) returns: f64,
+pub struct Tally {
+    /// How many.
+    pub episodes: usize,
+    /// Those whose task was fulfilled.
+    pub solved: usize,
+    /// Sum of their returns.
+    pub returns: f64,
     /// Of every [metric](Spec::metrics) in their order.
     metrics: Vec<Sum>,
-    pub(crate) by_team: BTreeMap<String, TeamTally>,
+    /// By what kind of episode they are.
+    pub by_team: BTreeMap<String, TeamTally>,
     /// The newest of them.
     #[serde(skip)]
-    pub(crate) last: Option<Episode>,
+    pub last: Option<Episode>,
 }
 
 /// A metric over the episodes that have a value of it.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
-pub(crate) struct Sum {
-    pub(crate) sum: f64,
-    pub(crate) episodes: usize,
+pub struct Sum {
+    /// The sum.
+    pub sum: f64,
+    /// How many episodes have a value.
+    pub episodes: usize,
 }
 
 /// The finished episodes of one team.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
-pub(crate) struct TeamTally {
-    pub(crate) episodes: usize,
-    pub(crate) solved: usize,
+pub struct TeamTally {
+    /// How many.
+    pub episodes: usize,
+    /// Those whose task was fulfilled.
+    pub solved: usize,
 }
 
 impl Tally {
-    pub(crate) fn add(&mut self, episode: Episode) {
+    /// Counts one more.
+    pub fn add(&mut self, episode: Episode) {
         self.episodes += 1;
         self.solved += usize::from(episode.solved);
         self.returns += episode.episode_return;
@@ -50,7 +61,7 @@ impl Tally {
     }
 
     /// The sum of a metric of the environment that was played.
-    pub(crate) fn metric(&self, spec: &Spec, name: &str) -> Sum {
+    pub fn metric(&self, spec: &Spec, name: &str) -> Sum {
         let place = spec.metrics.iter().position(|metric| metric.name == name);
         place.and_then(|place| self.metrics.get(place)).copied().unwrap_or_default()
     }

@@ -1,26 +1,57 @@
 //! What is worth jumping to.
 
-use super::capture::Captured;
-use super::data::{Event, EventKind, State};
+use alloc::format;
+use alloc::string::String;
+use alloc::vec::Vec;
 
-/// The events of an episode, in order.
-pub(super) fn events(episode: &Captured) -> Vec<Event> {
-    let mut events = Vec::new();
-    for (at, state) in episode.states.iter().enumerate() {
-        let before = at.checked_sub(1).and_then(|before| episode.states.get(before));
-        for building in 0..episode.buildings.len() {
+use super::data::{AgentFacts, BuildingFacts, Event, EventKind, State};
+
+/// Who is there, for what is told of it.
+#[derive(Clone, Copy, Debug)]
+pub struct Names<'a> {
+    /// The agents.
+    pub agents: &'a [AgentFacts],
+    /// The buildings.
+    pub buildings: &'a [BuildingFacts],
+}
+
+impl Names<'_> {
+    /// The events of an episode, in order.
+    pub fn events(&self, states: &[State]) -> Vec<Event> {
+        let before = |at: usize| at.checked_sub(1).and_then(|before| states.get(before));
+        let events = states.iter().enumerate();
+        events.flat_map(|(at, state)| self.events_at(at, before(at), state)).collect()
+    }
+
+    /// The events that show in a state; the first one has none before it.
+    pub fn events_at(&self, at: usize, before: Option<&State>, state: &State) -> Vec<Event> {
+        let mut events = Vec::new();
+        for (building, BuildingFacts { name, .. }) in self.buildings.iter().enumerate() {
             if let Some((kind, what)) = change(before, state, building) {
-                let text = format!("building {} {what}", episode.buildings[building].name);
+                let text = format!("building {name} {what}");
                 events.push(Event { at, kind, building: Some(building), text });
             }
         }
-        let moved = before.map(|before| moved(episode, before, state)).unwrap_or_default();
+        let moved = before.map(|before| self.moved(before, state)).unwrap_or_default();
         if !moved.is_empty() {
             let text = format!("reallocated: {}", moved.join(", "));
             events.push(Event { at, kind: EventKind::Reallocated, building: None, text });
         }
+        events
     }
-    events
+
+    /// The agents that got another building, as text. In final states nobody is assigned.
+    fn moved(&self, before: &State, state: &State) -> Vec<String> {
+        let pairs = before.allocation.iter().zip(&state.allocation).enumerate();
+        let moved =
+            pairs.filter_map(|(agent, (from, to))| to.filter(|_| from != to).map(|to| (agent, to)));
+        moved
+            .map(|(agent, to)| {
+                let building = &self.buildings[usize::from(to)].name;
+                format!("{} to {building}", self.agents[agent].name)
+            })
+            .collect()
+    }
 }
 
 /// What a building went through since the state before; the first state has none.
@@ -50,23 +81,11 @@ fn change(
     }
 }
 
-/// The agents that got another building, as text. In final states nobody is assigned.
-fn moved(episode: &Captured, before: &State, state: &State) -> Vec<String> {
-    let pairs = before.allocation.iter().zip(&state.allocation).enumerate();
-    let moved =
-        pairs.filter_map(|(agent, (from, to))| to.filter(|_| from != to).map(|to| (agent, to)));
-    moved
-        .map(|(agent, to)| {
-            let building = &episode.buildings[usize::from(to)].name;
-            format!("{} to {building}", episode.agents[agent].name)
-        })
-        .collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::views::save_the_city::page::data::{AgentFacts, BuildingFacts, EpisodeResult};
+    use alloc::borrow::ToOwned;
+    use alloc::vec;
 
     /// One agent at one of two buildings; building a has this status and fire, and burns next then.
     fn state(status: u8, fire: f64, next_fire: u16, task: Option<u8>) -> State {
@@ -87,14 +106,9 @@ mod tests {
     fn told(states: Vec<State>) -> Vec<(usize, EventKind, String)> {
         let building =
             |name: &str| BuildingFacts { name: name.into(), kind: "slow", x: 1, y: 1, period: 20 };
-        let episode = Captured {
-            agents: vec![AgentFacts { name: "B0".into(), kind: "builder" }],
-            buildings: vec![building("a"), building("b")],
-            states,
-            steps: Vec::new(),
-            result: EpisodeResult::Solved,
-        };
-        events(&episode).into_iter().map(|event| (event.at, event.kind, event.text)).collect()
+        let agents = [AgentFacts { name: "B0".into(), kind: "builder" }];
+        let names = Names { agents: &agents, buildings: &[building("a"), building("b")] };
+        names.events(&states).into_iter().map(|event| (event.at, event.kind, event.text)).collect()
     }
 
     #[test]

@@ -1,0 +1,99 @@
+//! The memory of a learned allocator: of its network's plan, and of its search.
+
+use alloc::vec;
+use alloc::vec::Vec;
+
+use sortie_core::allocate::{
+    EXACT_AGENTS, PlanTeamValue, SearchMemory, TaskRelation, TeamValueAllocator, TeamValueNetwork,
+    exact,
+};
+use sortie_core::limits;
+use sortie_core::plan::{AlignedBytes, Plan, PlanError};
+use sortie_envs::Entry;
+
+use crate::rules::{FrameRelation, RuleAllocator};
+
+/// A search by the values of a network that allocates.
+pub type LearnedAllocator<'a, N> = TeamValueAllocator<'a, N, FrameRelation, RuleAllocator>;
+
+/// What is searched.
+#[derive(Clone, Copy, Debug)]
+pub struct SearchSizes {
+    /// Most entities N.
+    pub entities: usize,
+    /// Most subtasks T.
+    pub tasks: usize,
+    /// Largest team of one subtask.
+    pub team_max: usize,
+}
+
+/// The memory of a search for the best allocation.
+pub struct Search {
+    cells: Vec<exact::Cell>,
+    values: Vec<f32>,
+    relation: Vec<f32>,
+    team_max: usize,
+    entry: &'static Entry,
+}
+
+impl Search {
+    /// Memory for an environment; none where it has no rule to start from, or none of frames.
+    pub fn new(entry: &'static Entry, sizes: SearchSizes) -> Option<Self> {
+        let cells = exact::cells(EXACT_AGENTS, sizes.tasks);
+        let columns = FrameRelation::new(entry)?.columns();
+        let search = Self {
+            cells: vec![exact::Cell::default(); cells],
+            values: vec![0.0; cells],
+            relation: vec![0.0; sizes.entities * columns],
+            team_max: sizes.team_max,
+            entry,
+        };
+        (!entry.rules.is_empty()).then_some(search)
+    }
+
+    /// The search by the values of this network, from the environment's usual rule on.
+    pub fn allocator<N: TeamValueNetwork>(&mut self, network: N) -> LearnedAllocator<'_, N> {
+        const READ: &str = "frames of the environment could be read when the memory was made";
+        TeamValueAllocator {
+            network,
+            relation: FrameRelation::new(self.entry).expect(READ),
+            start: RuleAllocator::new(self.entry, 0, 0).expect(READ),
+            team_max: self.team_max,
+            exact_agents: EXACT_AGENTS,
+            memory: SearchMemory {
+                cells: &mut self.cells,
+                values: &mut self.values,
+                relation: &mut self.relation,
+            },
+        }
+    }
+}
+
+/// The plan of a network that values teams, with its memory.
+pub struct TeamValuePlan {
+    plan: AlignedBytes,
+    arena: AlignedBytes,
+    rows: Vec<f32>,
+}
+
+impl TeamValuePlan {
+    /// Memory for states of so many entities.
+    ///
+    /// # Errors
+    /// The bytes are no plan.
+    pub fn new(plan: AlignedBytes, entities: usize) -> Result<Self, PlanError> {
+        let loaded = Plan::load(plan.as_slice())?;
+        let arena = AlignedBytes::zeroed(loaded.batch_arena_bytes(limits::AGENTS));
+        let rows = vec![0.0; PlanTeamValue::memory_floats(&loaded, entities)];
+        Ok(Self { plan, arena, rows })
+    }
+
+    /// The network.
+    ///
+    /// # Errors
+    /// The plan is another network's.
+    pub fn bind(&mut self) -> Result<PlanTeamValue<'_>, PlanError> {
+        let Self { plan, arena, rows } = self;
+        PlanTeamValue::new(Plan::load(plan.as_slice())?, arena.as_mut_slice(), rows)
+    }
+}

@@ -1,0 +1,69 @@
+//! One number for the bits of many utilities, by which machines are compared.
+
+use alloc::vec;
+
+use sortie_core::plan::{AlignedBytes, Plan};
+use sortie_core::{DecideError, Observation};
+
+/// FNV-1a of 64 bits over the bits of utilities, in their order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct UtilityHash(u64);
+
+impl Default for UtilityHash {
+    fn default() -> Self {
+        Self(0xcbf2_9ce4_8422_2325)
+    }
+}
+
+impl UtilityHash {
+    /// Adds utilities.
+    pub fn add(&mut self, utilities: &[f32]) {
+        for byte in utilities.iter().flat_map(|utility| utility.to_bits().to_le_bytes()) {
+            self.0 = (self.0 ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
+        }
+    }
+
+    /// The number.
+    pub fn value(self) -> u64 {
+        self.0
+    }
+}
+
+/// The hash of a plan's utilities, every observation the first of an episode.
+///
+/// # Errors
+/// The plan does not take an observation.
+pub fn hash_of<'o>(
+    plan: &Plan<'_>,
+    observations: impl Iterator<Item = Observation<'o>>,
+) -> Result<u64, DecideError> {
+    let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
+    let mut utilities = vec![0.0; plan.actions()];
+    let mut hash = UtilityHash::default();
+    for observation in observations {
+        let mut states = vec![0.0; plan.hidden()];
+        plan.utilities(arena.as_mut_slice(), &observation, Some(&mut states), &mut utilities)?;
+        hash.add(&utilities);
+    }
+    Ok(hash.value())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_hash_is_of_every_bit_in_order() {
+        let of = |parts: &[&[f32]]| {
+            let mut hash = UtilityHash::default();
+            parts.iter().for_each(|part| hash.add(part));
+            hash.value()
+        };
+        // FNV-1a of the eight bytes 0, 0, 0x80, 0x3f, 0, 0, 0, 0x40.
+        assert_eq!(of(&[&[1.0, 2.0]]), 0x097a_69ee_2da3_01d8);
+        assert_eq!(of(&[&[1.0, 2.0]]), of(&[&[1.0], &[2.0]]));
+        assert_eq!(of(&[]), 0xcbf2_9ce4_8422_2325);
+        assert_ne!(of(&[&[1.0, 2.0]]), of(&[&[2.0, 1.0]]));
+        assert_ne!(of(&[&[0.0]]), of(&[&[-0.0]]), "the sign of zero is a bit");
+    }
+}
