@@ -13,7 +13,7 @@ pub fn generator(seed: u64) -> Xoshiro256PlusPlus {
     Xoshiro256PlusPlus::seed_from_u64(seed)
 }
 
-/// The [stream](stream) of what is measured on: it must not shift with what training draws.
+/// The [stream] of what is measured on: it must not shift with what training draws.
 pub const EVALUATION: u64 = 4;
 
 /// One of the generators of a seed: each stream has its own numbers, and each index of a stream.
