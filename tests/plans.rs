@@ -88,9 +88,20 @@ fn a_bundle_without_plans_plays_as_one_with_plans() {
 fn compiling_a_bundle_gives_it_the_plans_that_were_shipped() {
     let (folder, bundle) = without_plans();
     let written = folder.path().join("written");
-    let report = json(&["compile", text(&bundle), "-o", text(&written), "--json"]);
-    let shipped = json(&["inspect", BUNDLE, "--json"]);
-    assert_eq!(report["sha256"], shipped["sha256"]);
+    json(&["compile", text(&bundle), "-o", text(&written), "--json"]);
+    for name in ["agent.plan", "allocator.plan"] {
+        let [shipped, compiled] =
+            [Path::new(BUNDLE), &written].map(|bundle| unmeasured(&bundle.join(name)));
+        assert_eq!(shipped, compiled, "{name}");
+    }
+}
+
+/// A plan without the largest error beside the graph, in which processors differ by the last bits.
+fn unmeasured(path: &Path) -> (Header, Vec<u8>) {
+    let plan = fs::read(path).expect("a plan");
+    let (header, _) = Header::read(&plan).expect("its header");
+    assert!(header.max_error < 1e-5, "{}", header.max_error);
+    (Header { max_error: 0.0, ..header }, plan[HEADER_BYTES..].to_vec())
 }
 
 #[test]
