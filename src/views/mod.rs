@@ -143,6 +143,24 @@ pub(crate) struct Figures {
     pub(crate) fields: Vec<(&'static str, Value)>,
 }
 
+impl Figures {
+    /// The means of an environment's own numbers, in these words.
+    fn of_means(
+        spec: &Spec,
+        tally: &Tally,
+        told: impl Fn(&[(&'static str, f64)]) -> String,
+    ) -> Self {
+        let means = spec.metrics.iter().filter_map(|metric| {
+            let sum = tally.metric(spec, metric.name);
+            (sum.episodes > 0).then(|| (metric.name, sum.sum / sum.episodes as f64))
+        });
+        let means: Vec<(&str, f64)> = means.collect();
+        let fields: Map<String, Value> =
+            means.iter().map(|(name, mean)| ((*name).to_owned(), (*mean).into())).collect();
+        Self { text: told(&means), fields: vec![("metrics", fields.into())] }
+    }
+}
+
 /// One state that is drawn.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Scene<'a> {

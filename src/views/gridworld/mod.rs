@@ -28,14 +28,7 @@ impl View for Shown {
     }
 
     fn figures(&self, spec: &Spec, tally: &Tally) -> Figures {
-        let means = spec.metrics.iter().filter_map(|metric| {
-            let sum = tally.metric(spec, metric.name);
-            (sum.episodes > 0).then(|| (metric.name, sum.sum / sum.episodes as f64))
-        });
-        let means: Vec<(&str, f64)> = means.collect();
-        let fields: serde_json::Map<_, _> =
-            means.iter().map(|(name, mean)| ((*name).to_owned(), (*mean).into())).collect();
-        Figures { text: told(&means), fields: vec![("metrics", fields.into())] }
+        Figures::of_means(spec, tally, told)
     }
 
     fn draw(&self, scene: &Scene<'_>, canvas: Canvas) -> Drawing {

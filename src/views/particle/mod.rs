@@ -25,18 +25,10 @@ impl View for Shown {
     }
 
     fn figures(&self, spec: &Spec, tally: &Tally) -> Figures {
-        let means = spec.metrics.iter().filter_map(|metric| {
-            let sum = tally.metric(spec, metric.name);
-            (sum.episodes > 0).then(|| (metric.name, sum.sum / sum.episodes as f64))
-        });
-        let means: Vec<(&str, f64)> = means.collect();
-        let text = means.iter().map(|(name, mean)| told(name, *mean));
-        let fields: serde_json::Map<_, _> =
-            means.iter().map(|(name, mean)| ((*name).to_owned(), (*mean).into())).collect();
-        Figures {
-            text: text.collect::<Vec<_>>().join(", "),
-            fields: vec![("metrics", fields.into())],
-        }
+        Figures::of_means(spec, tally, |means| {
+            let told = means.iter().map(|(name, mean)| told(name, *mean));
+            told.collect::<Vec<_>>().join(", ")
+        })
     }
 
     fn draw(&self, scene: &Scene<'_>, canvas: Canvas) -> Drawing {
