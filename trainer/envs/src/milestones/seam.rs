@@ -3,8 +3,8 @@
 use alloc::boxed::Box;
 use alloc::format;
 use alloc::string::{String, ToString};
-use alloc::vec;
 use alloc::vec::Vec;
+use core::iter;
 
 use serde::Deserialize;
 
@@ -113,6 +113,15 @@ impl<G: Game> Milestones<G> {
         assert_eq!(state.len(), self.spec.state_bytes, "a state that `load` refuses");
         states::read_world::<G>(state)
     }
+
+    /// How many milestones were reached, and for each of the game whether it was; nothing of those that are not in use.
+    fn metrics(&self, reached: u16) -> Vec<Option<f64>> {
+        let used = self.rules.milestones.bits();
+        let is = |set: u16, milestone: usize| set >> milestone & 1;
+        let own = (0..G::MILESTONES.len())
+            .map(|milestone| (is(used, milestone) == 1).then(|| f64::from(is(reached, milestone))));
+        iter::once(Some(f64::from(reached.count_ones()))).chain(own).collect()
+    }
 }
 
 impl<G: Game> Environment for Milestones<G> {
@@ -178,7 +187,7 @@ impl<G: Game> Environment for Milestones<G> {
             timed_out,
             episode_return: episode.episode_return,
             group: String::new(),
-            metrics: vec![Some(f64::from(episode.reached.count_ones()))],
+            metrics: self.metrics(episode.reached),
             cause: match episode.standing {
                 Standing::Impossible => Some(IMPOSSIBLE),
                 Standing::Running if timed_out => Some(TIME),

@@ -7,16 +7,36 @@ use alloc::vec::Vec;
 use super::VERSION;
 use super::game::Game;
 use super::rules::Rules;
+use super::simulator::Milestones;
 use super::states::state_bytes;
 use super::window::{RADIUS, WINDOW, channels, columns};
 use crate::spec::{Metric, Shape, Sign, Spec, View};
 
-const METRICS: &[Metric] = &[Metric {
-    name: "milestones",
-    unit: "milestones",
-    about: "different milestones reached",
-    is_reported: true,
-}];
+/// How many numbers of episodes a game can have: one, and one for each milestone.
+const MOST: usize = 17;
+
+impl<G: Game> Milestones<G> {
+    const METRICS: &[Metric; MOST] = &metrics::<G>();
+}
+
+/// What episodes are measured by: how many milestones they reached, and which.
+const fn metrics<G: Game>() -> [Metric; MOST] {
+    let share =
+        Metric { name: "", unit: "share", about: "reached at least once", is_reported: true };
+    let mut metrics = [share; MOST];
+    metrics[0] = Metric {
+        name: "milestones",
+        unit: "milestones",
+        about: "different milestones reached",
+        is_reported: true,
+    };
+    let mut milestone = 0;
+    while milestone < G::MILESTONES.len() {
+        metrics[1 + milestone].name = G::MILESTONES[milestone];
+        milestone += 1;
+    }
+    metrics
+}
 
 /// No milestone can be had any more.
 pub(super) const IMPOSSIBLE: &str = "impossible";
@@ -38,7 +58,7 @@ pub(super) fn spec<G: Game>(rules: &Rules) -> Spec {
         units: (0..features).map(units).collect(),
         actions: names(G::ACTIONS),
         safe_action: Some(0),
-        metrics: METRICS,
+        metrics: Milestones::<G>::METRICS.split_at(1 + G::MILESTONES.len()).0,
         causes: &[IMPOSSIBLE, TIME],
         milestones: names(&rules.milestones.names::<G>()),
         signs: signs::<G>(rules),

@@ -1,5 +1,6 @@
 //! Recorded episodes of the public code, replayed with the items that got lost.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -102,6 +103,7 @@ fn replay<G: Game>(path: &Path) -> usize {
     let parts = ["view_objects", "view_attr", "afforded_distinct"].map(|name| &init[name]);
     check_state(&grids, parts, "start");
     let steps = episode["steps"].as_array().unwrap();
+    let mut fired_ever = BTreeSet::new();
     for (index, want) in steps.iter().enumerate() {
         let at = format!("{}, step {index}", path.display());
         let lost = want["lost"].as_str().map(|name| G::ITEMS.iter().position(|it| *it == name));
@@ -116,6 +118,7 @@ fn replay<G: Game>(path: &Path) -> usize {
         assert_eq!(step.reward.to_bits(), want["r"].as_f64().unwrap().to_bits(), "{at}");
         let fired = grids.milestone(0).map(|milestone| names[milestone]);
         assert_eq!(fired, want["ms"].as_str(), "{at}");
+        fired_ever.extend(fired);
         let flags = ["imp", "ok", "to", "d"].map(|name| want[name].as_u64() == Some(1));
         let reached = grids.episode(0);
         let impossible = reached.cause == Some("impossible");
@@ -128,6 +131,10 @@ fn replay<G: Game>(path: &Path) -> usize {
             assert_eq!(world.carried, 0, "{at}");
         }
         check_state(&grids, ["vo", "va", "aff1"].map(|name| &want[name]), &at);
+    }
+    for (metric, value) in grids.spec().metrics.iter().zip(grids.episode(0).metrics).skip(1) {
+        let is = names.contains(&metric.name).then(|| fired_ever.contains(metric.name));
+        assert_eq!(value, is.map(|is| f64::from(u8::from(is))), "{}", metric.name);
     }
     let rows = episode["final"]["grid"].as_array().unwrap().iter();
     let cells: Vec<u8> = rows.flat_map(|row| row.as_str().unwrap().chars()).map(digit).collect();
