@@ -101,7 +101,7 @@ fn look(hal: &Hal, world: &dyn Environment, is_short: bool) -> Result<(), Box<dy
         [false, true].map(|varied| MeasuredConfig { actions, goals, varied })
     });
     for chances in all.into_iter().flatten() {
-        let mut team = hal.measured(chances);
+        let mut team = hal.measured(chances.clone());
         let episodes = if is_short { 100 } else { 2_000 };
         let result = evaluate(world, &mut *team, episodes, 1)?;
         println!(

@@ -10,6 +10,8 @@ pub mod ma_exp;
 pub mod maac;
 pub mod multi_explore;
 mod novelty;
+mod options;
+mod pictures;
 pub mod registry;
 mod saved_states;
 pub mod value_factorisation;

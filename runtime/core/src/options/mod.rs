@@ -4,6 +4,7 @@
 //! *option*), and a classifier says which milestones can be reached next. [`OptionPolicy`] is such an agent over its three
 //! networks: a [`Policy`] whose memory is the running option. Nothing is allocated, and the same bits come out everywhere.
 
+mod choices;
 mod memory;
 mod networks;
 mod rules;
@@ -11,6 +12,7 @@ mod shown;
 #[cfg(test)]
 mod tests;
 
+pub use choices::{best, least_missed};
 pub use memory::Pursuit;
 pub use networks::{OptionNetworks, PlanNetworks};
 pub use rules::{Affordance, MILESTONES, Milestone, OptionRules};
@@ -166,10 +168,7 @@ impl<N: OptionNetworks, R: AsMut<[f32]>> OptionPolicy<N, R> {
         }
         if self.rules.varied && missed.is_some() {
             let count = |goal: usize| memory.missed(goal) + usize::from(missed == Some(goal));
-            let open = |mask: u32| (0..goals).filter(move |goal| mask & bit(*goal) != 0);
-            let least = open(mask).map(count).min();
-            let kept = open(mask).filter(|goal| Some(count(*goal)) == least);
-            mask = kept.fold(0, |set, goal| set | bit(goal));
+            mask = least_missed(mask, count);
         }
         let mut values = [0.0; MILESTONES];
         let values = values.get_mut(..goals).ok_or(DecideError::BadLength)?;
@@ -237,13 +236,6 @@ fn own_row<'o>(observation: &Observation<'o>, features: usize) -> Result<&'o [f3
     let row = observation.rows.get(start..start.saturating_add(features));
     let row = row.filter(|_| observation.stride >= features).ok_or(DecideError::BadLength)?;
     all_finite(row).then_some(row).ok_or(DecideError::NonFinite)
-}
-
-/// The first of the largest numbers among those that are open; NaN never wins.
-fn best(values: &[f32], is_open: impl Fn(usize) -> bool) -> Option<usize> {
-    let open =
-        values.iter().enumerate().filter(|(index, value)| is_open(*index) && !value.is_nan());
-    open.reduce(|a, b| if b.1 > a.1 { b } else { a }).map(|(index, _)| index)
 }
 
 /// 32 random bits for a tick (SplitMix64).

@@ -3,7 +3,8 @@
 /// Defines the configuration of a method: the type of the whole, one of each section with its defaults, and the keys.
 ///
 /// A key is its sentence, name, type, default, range, and unit if its value is a number of something. The sentence is
-/// the field's documentation and what is said of the key in files.
+/// the field's documentation and what is said of the key in files. Sections that several methods have come last, behind
+/// `also:`, as their type and its keys.
 ///
 /// ```
 /// # use sortie_learn::configuration::Range;
@@ -34,12 +35,17 @@ macro_rules! sections {
                 )+
             }
         )+
+        $(also: $(
+            $(#[doc = $other_about:literal])+
+            $other:ident: $other_type:ty = $other_keys:expr;
+        )+)?
     ) => {
         $(#[doc = $whole])+
         #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
         #[serde(deny_unknown_fields)]
         pub struct $config {
             $($(#[doc = $about])+ pub $section: $type,)+
+            $($($(#[doc = $other_about])+ pub $other: $other_type,)+)?
         }
 
         $(
@@ -71,7 +77,13 @@ macro_rules! sections {
                     ),
                 )+],
             },
-        )+];
+        )+ $($(
+            $crate::configuration::Section {
+                name: stringify!($other),
+                about: concat!($($other_about),+).trim_ascii(),
+                keys: $other_keys,
+            },
+        )+)?];
     };
 }
 

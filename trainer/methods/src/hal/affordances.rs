@@ -8,10 +8,8 @@ use sortie_nn::random::normals;
 
 use super::config::AffordancesConfig;
 use super::filter::{Population, square_distance};
-use super::learner::Learner;
-use super::networks::{Space, slopes};
-use super::replay::{Finished, NONE, Place, Replay};
-use super::shown::Shown;
+use crate::options::{Finished, NONE, Place, Replay};
+use crate::pictures::{Learner, Shown, Space, slopes};
 
 /// A state of an option that is over.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -241,8 +239,8 @@ pub(super) fn refresh(
 
 #[cfg(test)]
 mod tests {
-    use super::super::replay::End;
     use super::*;
+    use crate::options::End;
 
     #[test]
     fn slopes_of_triplets_are_those_of_their_loss() {

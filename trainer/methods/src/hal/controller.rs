@@ -4,11 +4,8 @@ use sortie_envs::random::chance;
 use sortie_envs::{Environment, Random};
 
 use super::config::{ReplayConfig, ReturnsConfig};
-use super::learner::Learner;
-use super::networks::{Heads, Space, best, slopes};
-use super::replay::{NONE, Place, Replay};
-use super::samples::{Window, window};
-use super::shown::Shown;
+use crate::options::{NONE, Place, Replay, Window, window};
+use crate::pictures::{Heads, Learner, Shown, Space, best, slopes};
 
 /// A step that is learned from.
 #[derive(Clone, Copy, Debug)]
@@ -45,7 +42,7 @@ pub(super) fn descend(
         let reached = chance(random, sizes.reached.into());
         let place = reached.then(|| replay.draw_reached(random)).flatten();
         let place = place.unwrap_or_else(|| replay.draw_step(random));
-        let Some(window) = window(replay, place, returns) else { continue };
+        let Some(window) = window(replay, place, returns.rules()) else { continue };
         let moment = replay.moment(place);
         let is_mirrored = returns.mirror && chance(random, 0.5);
         let action = environment.turned_action(is_mirrored.into(), moment.action.into());

@@ -8,18 +8,19 @@ use sortie_learn::export::{DenseLayer, DeployedAgents, DeployedNetworks, OptionG
 use sortie_nn::layers::SparseRows;
 use sortie_nn::layers::elementwise::{Activation, activate};
 
-use super::networks::{Network, Space};
-use super::options::Actors;
-use super::shown::Shown;
+use super::config::MeasuredConfig;
+use crate::options::Actors;
+use crate::pictures::{Network, Shown, Space};
 
 /// The agent that these networks are, by a seed for what it draws.
 pub(super) fn deployed<'a>(
     actors: Actors<'a>,
     shown: &Shown,
     signs: &[(String, Sign)],
+    measured: &MeasuredConfig,
     seed: u64,
 ) -> Option<DeployedAgents<'a>> {
-    let options = contract(actors, shown, signs, seed)?;
+    let options = contract(actors, shown, signs, measured, seed)?;
     let rules = options.rules(actors.heads.actions).ok()?;
     let row = vec![0.0; shown.columns()];
     let policy = OptionPolicy::new(rules, OwnNetworks::new(actors), row)?;
@@ -34,6 +35,7 @@ fn contract(
     actors: Actors<'_>,
     shown: &Shown,
     signs: &[(String, Sign)],
+    measured: &MeasuredConfig,
     seed: u64,
 ) -> Option<OptionsContract> {
     let shape = shown.shape();
@@ -50,10 +52,9 @@ fn contract(
     };
     let milestones = signs.iter().enumerate().map(milestone);
     let milestones: Vec<_> = milestones.collect::<Option<_>>()?;
-    let measured = actors.config.measured;
     (milestones.len() == actors.heads.goals).then_some(OptionsContract {
-        steps: actors.config.returns.option_steps,
-        threshold: actors.config.affordances.threshold,
+        steps: actors.rules.option_steps,
+        threshold: actors.rules.threshold,
         action_chance: measured.actions,
         goal_chance: measured.goals,
         varied: measured.varied,

@@ -4,11 +4,8 @@ use sortie_envs::Random;
 use sortie_envs::random::chance;
 
 use super::config::MetaConfig;
-use super::learner::Learner;
-use super::networks::{Space, best, slopes};
-use super::replay::Replay;
-use super::samples::{Course, course};
-use super::shown::Shown;
+use crate::options::{Course, CourseRules, Replay, course};
+use crate::pictures::{Learner, Shown, Space, best, slopes};
 
 /// Memory of updates.
 #[derive(Debug, Default)]
@@ -35,12 +32,14 @@ pub(super) fn descend(
     let Memory { drawn, targets, space, target_space, slopes: by_goal } = memory;
     let network = &learner.network;
     let milestones = network.outputs();
+    let MetaConfig { options, discount, step_discount, .. } = *config;
+    let rules = CourseRules { options, discount, step_discount, relabel, milestones };
     drawn.clear();
     for _ in 0..TRIES {
         let is_solved = chance(random, config.solved.into());
         let place = replay.draw_option(is_solved, random);
         let place = place.or_else(|| replay.draw_option(false, random));
-        let course = place.and_then(|place| course(replay, place, config, relabel, milestones));
+        let course = place.and_then(|place| course(replay, place, rules));
         drawn.extend(course.map(|course| (course, mirror && chance(random, 0.5))));
         if drawn.len() == config.batch {
             break;

@@ -8,16 +8,15 @@ use sortie_learn::session::Opening;
 use sortie_learn::{Act, LearnError, Method, Now, Scene, Scenes, State, Transition};
 
 use super::affordances::{self, Classes};
-use super::config::{Config, Mask, MeasuredConfig};
+use super::config::{Config, MeasuredConfig};
 use super::controller;
 use super::deployed;
 use super::filter::Population;
-use super::learner::Learner;
 use super::meta;
-use super::networks::Heads;
-use super::options::{Actors, Chances, Player, Running};
-use super::replay::{End, Finished, Moment, NONE, Place, Replay};
-use super::shown::Shown;
+use crate::options::{
+    Actors, Chances, End, Finished, Mask, Moment, NONE, Place, PlayRules, Player, Replay, Running,
+};
+use crate::pictures::{Heads, Learner, NetworkShape, Shown};
 
 /// An agent that learns which milestones can be reached, which to go for, and how.
 #[derive(Debug)]
@@ -72,8 +71,9 @@ impl Hal {
         let heads = Heads { goals: milestones, actions: spec.shape.actions };
         let learner = |outputs: usize, index: u64| {
             let mut random = generator(seed, Purpose::Weights, index);
-            let sizes = [shown.columns(), outputs];
-            Learner::new(&config.network, &config.optimiser, sizes, &mut random)
+            let (width, active) = (config.network.width, config.network.active_inputs);
+            let shape = NetworkShape { columns: shown.columns(), active, width, outputs };
+            Learner::new(shape, &config.optimiser, &mut random)
         };
         let kept = config.replay.capacity / instances;
         Some(Self {
@@ -100,7 +100,11 @@ impl Hal {
 
     fn actors(&self, weights: impl Fn(&Learner) -> &[f32]) -> Actors<'_> {
         Actors {
-            config: &self.config,
+            rules: PlayRules {
+                option_steps: self.config.returns.option_steps,
+                mask: self.config.affordances.mask,
+                threshold: self.config.affordances.threshold,
+            },
             shown: &self.shown,
             heads: self.heads,
             controller: (&self.controller.network, weights(&self.controller)),
@@ -285,7 +289,7 @@ impl Method for Hal {
     }
 
     fn team(&self) -> Box<dyn Act + '_> {
-        self.measured(self.config.measured)
+        self.measured(self.config.measured.clone())
     }
 
     fn deployed(&self) -> Result<DeployedAgents<'_>, LearnError> {
@@ -295,7 +299,8 @@ impl Method for Hal {
             return Err(LearnError::Config(reason.to_owned()));
         }
         let actors = self.actors(|learner| &learner.average);
-        let agents = deployed::deployed(actors, &self.shown, &self.signs, self.seed);
+        let agents =
+            deployed::deployed(actors, &self.shown, &self.signs, &self.config.measured, self.seed);
         agents.ok_or_else(|| {
             let reason = "the environment does not say how its milestones show in what is observed";
             LearnError::Config(reason.to_owned())

@@ -8,21 +8,16 @@ mod config;
 mod controller;
 mod deployed;
 mod filter;
-mod keys;
-mod learner;
 mod meta;
 mod method;
-mod networks;
-mod options;
 mod presets;
-mod replay;
-mod samples;
-mod shown;
 
 pub use config::{
-    AffordancesConfig, Config, ExplorationConfig, Mask, MeasuredConfig, MetaConfig, NetworkConfig,
+    AffordancesConfig, Config, ExplorationConfig, MeasuredConfig, MetaConfig, NetworkConfig,
     ReplayConfig, ReturnsConfig,
 };
 pub use filter::tolerance;
 pub use method::{Hal, MaskCounts};
 pub use presets::{H_DQN, HAL, HAL_ORACLE};
+
+pub use crate::options::Mask;

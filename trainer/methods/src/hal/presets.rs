@@ -6,9 +6,9 @@ use sortie_learn::run::RunConfig;
 use sortie_learn::session::{MethodEntry, Opening, Preset, Setup};
 use sortie_learn::{LearnError, Method};
 
-use super::config::{Config, Mask};
-use super::keys::KEYS;
+use super::config::{Config, KEYS};
 use super::method::Hal;
+use crate::options::Mask;
 
 /// HAL: affordances are learned.
 pub const HAL: MethodEntry = MethodEntry {

@@ -7,56 +7,56 @@ use sortie_envs::Random;
 use sortie_envs::random::below;
 
 /// No milestone.
-pub(super) const NONE: u8 = u8::MAX;
+pub(crate) const NONE: u8 = u8::MAX;
 
 /// A step of an instance: where it stands, for as long as it is kept.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) struct Place {
-    pub(super) instance: u32,
+pub(crate) struct Place {
+    pub(crate) instance: u32,
     /// Number of the state since the instance began.
-    pub(super) time: u32,
+    pub(crate) time: u32,
 }
 
 impl Place {
-    pub(super) fn after(self, steps: u32) -> Self {
+    pub(crate) fn after(self, steps: u32) -> Self {
         Self { time: self.time + steps, ..self }
     }
 }
 
 /// What was done in a state.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) struct Moment {
-    pub(super) action: u8,
-    pub(super) goal: u8,
+pub(crate) struct Moment {
+    pub(crate) action: u8,
+    pub(crate) goal: u8,
     /// The milestone that the step reached, or none.
-    pub(super) reached: u8,
+    pub(crate) reached: u8,
     /// The milestone that the option reached; told to all of its steps when it is over.
-    pub(super) option_reached: u8,
+    pub(crate) option_reached: u8,
     /// Whether the step changed nothing that is seen.
-    pub(super) changed_nothing: bool,
+    pub(crate) changed_nothing: bool,
     /// Whether the option was over behind it.
-    pub(super) ends_option: bool,
+    pub(crate) ends_option: bool,
     /// Whether nothing can follow.
-    pub(super) terminated: bool,
+    pub(crate) terminated: bool,
     /// A last state, in which nothing was done.
-    pub(super) is_last: bool,
+    pub(crate) is_last: bool,
 }
 
 /// An option that is over.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) struct Finished {
-    pub(super) start: Place,
-    pub(super) steps: u8,
-    pub(super) goal: u8,
-    pub(super) reached: u8,
+pub(crate) struct Finished {
+    pub(crate) start: Place,
+    pub(crate) steps: u8,
+    pub(crate) goal: u8,
+    pub(crate) reached: u8,
     /// The milestones that could be chosen from.
-    pub(super) mask: u32,
-    pub(super) end: End,
+    pub(crate) mask: u32,
+    pub(crate) end: End,
 }
 
 /// How an option left its episode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) enum End {
+pub(crate) enum End {
     /// The next option follows in the list of the instance.
     GoesOn,
     /// The task was fulfilled, or nothing can be reached any more.
@@ -78,7 +78,7 @@ type OptionPlace = (u32, u32);
 
 /// Everything that is kept.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(super) struct Replay {
+pub(crate) struct Replay {
     bytes: usize,
     /// States kept of each instance.
     kept: usize,
@@ -92,7 +92,7 @@ pub(super) struct Replay {
 }
 
 impl Replay {
-    pub(super) fn new(instances: usize, kept: usize, bytes: usize, milestones: usize) -> Self {
+    pub(crate) fn new(instances: usize, kept: usize, bytes: usize, milestones: usize) -> Self {
         Self {
             bytes,
             kept,
@@ -104,7 +104,7 @@ impl Replay {
     }
 
     /// Keeps a state and what was done in it.
-    pub(super) fn push(&mut self, instance: usize, shown: &[u8], moment: Moment) -> Place {
+    pub(crate) fn push(&mut self, instance: usize, shown: &[u8], moment: Moment) -> Place {
         let (bytes, kept) = (self.bytes, self.kept);
         let ring = &mut self.rings[instance];
         let place = ring.count as usize % kept;
@@ -120,22 +120,22 @@ impl Replay {
     }
 
     /// Whether a state is still kept.
-    pub(super) fn has(&self, place: Place) -> bool {
+    pub(crate) fn has(&self, place: Place) -> bool {
         let count = self.rings[place.instance as usize].count;
         place.time < count && (count - place.time) as usize <= self.kept
     }
 
-    pub(super) fn shown(&self, place: Place) -> &[u8] {
+    pub(crate) fn shown(&self, place: Place) -> &[u8] {
         let at = place.time as usize % self.kept * self.bytes;
         &self.rings[place.instance as usize].shown[at..][..self.bytes]
     }
 
-    pub(super) fn moment(&self, place: Place) -> Moment {
+    pub(crate) fn moment(&self, place: Place) -> Moment {
         self.rings[place.instance as usize].moments[place.time as usize % self.kept]
     }
 
     /// Keeps an option whose steps are there, and tells them what it reached.
-    pub(super) fn finish(&mut self, option: Finished) {
+    pub(crate) fn finish(&mut self, option: Finished) {
         let instance = option.start.instance as usize;
         for step in 0..u32::from(option.steps) {
             let place = option.start.after(step).time as usize % self.kept;
@@ -179,14 +179,14 @@ impl Replay {
     }
 
     /// An option that is still kept.
-    pub(super) fn option(&self, (instance, number): OptionPlace) -> Option<&Finished> {
+    pub(crate) fn option(&self, (instance, number): OptionPlace) -> Option<&Finished> {
         let (forgotten, options) = &self.options[instance as usize];
         let option = options.get(number.checked_sub(*forgotten)? as usize)?;
         self.has(option.start).then_some(option)
     }
 
     /// A step that something was done in, any of those that are kept.
-    pub(super) fn draw_step(&self, random: &mut Random) -> Place {
+    pub(crate) fn draw_step(&self, random: &mut Random) -> Place {
         loop {
             let instance = below(random, self.rings.len());
             let ring = &self.rings[instance];
@@ -199,7 +199,7 @@ impl Replay {
     }
 
     /// A step of an option that reached a milestone, each as likely; none where no option did.
-    pub(super) fn draw_reached(&self, random: &mut Random) -> Option<Place> {
+    pub(crate) fn draw_reached(&self, random: &mut Random) -> Option<Place> {
         let known = self.reached.iter().filter(|options| !options.is_empty());
         let options = known.clone().nth(below(random, known.count()))?;
         let option = self.option(options[below(random, options.len())])?;
@@ -207,7 +207,7 @@ impl Replay {
     }
 
     /// An option, any of those that are kept, of a solved episode where that is wanted.
-    pub(super) fn draw_option(&self, is_solved: bool, random: &mut Random) -> Option<OptionPlace> {
+    pub(crate) fn draw_option(&self, is_solved: bool, random: &mut Random) -> Option<OptionPlace> {
         let place = if is_solved {
             *self.solved.get(below(random, self.solved.len()))?
         } else {

@@ -1,30 +1,55 @@
 //! What steps and options led to: returns, and where values are looked up behind them.
 
-use super::config::{MetaConfig, ReturnsConfig};
 use super::replay::{End, NONE, Place, Replay};
+
+/// How steps become returns.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ReturnRules {
+    /// Steps before a value is looked up.
+    pub(crate) steps: u8,
+    /// Discount per step.
+    pub(crate) discount: f32,
+    /// Whether actions that change nothing are worth nothing.
+    pub(crate) no_operations: bool,
+}
+
+/// How options do.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct CourseRules {
+    /// Options before a value is looked up.
+    pub(crate) options: usize,
+    /// Discount per option.
+    pub(crate) discount: f32,
+    /// Discount per environment step of an option, besides.
+    pub(crate) step_discount: f32,
+    /// Whether an option that fulfilled the task counts as meant to.
+    pub(crate) relabel: bool,
+    /// How many there are; the last is the task.
+    pub(crate) milestones: usize,
+}
 
 /// What some steps from one on led to.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Window {
+pub(crate) struct Window {
     /// The milestone that was reached, or none.
-    pub(super) reached: u8,
+    pub(crate) reached: u8,
     /// What a value behind it counts; where a milestone was reached, what that counts.
-    pub(super) discount: f32,
+    pub(crate) discount: f32,
     /// Where a value is looked up; nowhere where nothing can follow.
-    pub(super) next: Option<Place>,
+    pub(crate) next: Option<Place>,
 }
 
 /// What the steps of an option from one on led to; none where that is not known yet.
-pub(super) fn window(replay: &Replay, start: Place, config: &ReturnsConfig) -> Option<Window> {
+pub(crate) fn window(replay: &Replay, start: Place, rules: ReturnRules) -> Option<Window> {
     let mut discount = 1.0;
     let nothing = Window { reached: NONE, discount: 0.0, next: None };
-    for step in 0..u32::from(config.steps) {
+    for step in 0..u32::from(rules.steps) {
         let place = start.after(step);
         if !replay.has(place) {
             return None;
         }
         let moment = replay.moment(place);
-        if config.no_operations && moment.changed_nothing {
+        if rules.no_operations && moment.changed_nothing {
             // What changes nothing is worth nothing as a start; behind other steps it is not followed.
             let before = Window { next: Some(place), discount, ..nothing };
             return Some(if step == 0 { nothing } else { before });
@@ -35,8 +60,8 @@ pub(super) fn window(replay: &Replay, start: Place, config: &ReturnsConfig) -> O
         if moment.terminated {
             return Some(nothing);
         }
-        discount *= config.discount;
-        if moment.ends_option || step + 1 == u32::from(config.steps) {
+        discount *= rules.discount;
+        if moment.ends_option || step + 1 == u32::from(rules.steps) {
             let next = place.after(1);
             return replay.has(next).then_some(Window { next: Some(next), discount, ..nothing });
         }
@@ -46,32 +71,31 @@ pub(super) fn window(replay: &Replay, start: Place, config: &ReturnsConfig) -> O
 
 /// What some options from one on led to.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Course {
-    pub(super) start: Place,
+pub(crate) struct Course {
+    pub(crate) start: Place,
     /// The goal that counts as chosen.
-    pub(super) goal: u8,
+    pub(crate) goal: u8,
     /// What was earned.
-    pub(super) reward: f32,
-    pub(super) discount: f32,
+    pub(crate) reward: f32,
+    pub(crate) discount: f32,
     /// Where a value is looked up, and the milestones that could be chosen there.
-    pub(super) next: Option<(Place, u32)>,
+    pub(crate) next: Option<(Place, u32)>,
 }
 
 /// What the options of an episode from one on led to; none where that is not known yet.
-pub(super) fn course(
+pub(crate) fn course(
     replay: &Replay,
     (instance, number): (u32, u32),
-    config: &MetaConfig,
-    relabel: bool,
-    milestones: usize,
+    rules: CourseRules,
 ) -> Option<Course> {
+    let CourseRules { milestones, relabel, .. } = rules;
     let task = milestones as u8 - 1;
     let first = *replay.option((instance, number))?;
     let goal = if relabel && first.reached == task { task } else { first.goal };
     let over = |reward| Course { start: first.start, goal, reward, discount: 0.0, next: None };
     let all = u32::MAX >> (32 - milestones);
     let (mut discount, mut last) = (1.0, first);
-    for ahead in 0..config.options as u32 {
+    for ahead in 0..rules.options as u32 {
         let Some(option) = replay.option((instance, number + ahead)) else { break };
         last = *option;
         if option.reached == task {
@@ -80,12 +104,12 @@ pub(super) fn course(
         if option.end == End::Terminated {
             return Some(over(0.0));
         }
-        discount *= config.discount * config.step_discount.powi(option.steps.into());
+        discount *= rules.discount * rules.step_discount.powi(option.steps.into());
         if option.end == End::TimedOut {
             break;
         }
     }
-    let following = replay.option((instance, number + config.options as u32));
+    let following = replay.option((instance, number + rules.options as u32));
     let place = last.start.after(last.steps.into());
     // The mask of an option that still runs is not known yet, nor one behind the last.
     let mask = following.filter(|option| option.start == place).map_or(all, |option| option.mask);
@@ -120,9 +144,9 @@ mod tests {
         moments[9].ends_option = true;
         moments[11].terminated = true;
         let replay = kept(&moments);
-        let config = ReturnsConfig { discount: 0.5, ..ReturnsConfig::default() };
+        let rules = ReturnRules { steps: 3, discount: 0.5, no_operations: true };
         let found = |time| {
-            let window = window(&replay, at(time), &config)?;
+            let window = window(&replay, at(time), rules)?;
             Some((window.reached, window.discount, window.next.map(|place| place.time)))
         };
         for (time, want) in [
@@ -137,12 +161,12 @@ mod tests {
         ] {
             assert_eq!(found(time), want, "{time}");
         }
-        let published = ReturnsConfig { no_operations: false, ..config };
-        let window = window(&replay, at(7), &published).unwrap();
+        let published = ReturnRules { no_operations: false, ..rules };
+        let window = window(&replay, at(7), published).unwrap();
         assert_eq!(window.next, Some(at(10)));
         // What follows the last step is not known yet.
         let short = kept(&moments[..9]);
-        assert_eq!(super::window(&short, at(8), &published), None);
+        assert_eq!(super::window(&short, at(8), published), None);
     }
 
     #[test]
@@ -167,10 +191,15 @@ mod tests {
             replay.finish(option);
             option.start = option.start.after(4);
         }
-        let config =
-            MetaConfig { options: 2, discount: 0.5, step_discount: 1.0, ..MetaConfig::default() };
+        let rules = CourseRules {
+            options: 2,
+            discount: 0.5,
+            step_discount: 1.0,
+            relabel: true,
+            milestones: 3,
+        };
         let found = |number, relabel| {
-            let course = course(&replay, (0, number), &config, relabel, 3)?;
+            let course = course(&replay, (0, number), CourseRules { relabel, ..rules })?;
             Some((course.goal, course.reward, course.discount, course.next))
         };
         assert_eq!(found(0, true), Some((0, 0.0, 0.25, Some((at(8), 0b101)))));

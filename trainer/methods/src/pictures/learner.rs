@@ -7,29 +7,27 @@ use sortie_learn::state::Tensor;
 use sortie_learn::{LearnError, State};
 use sortie_nn::optimise::{Adam, clip_norm, move_towards};
 
-use super::config::NetworkConfig;
-use super::networks::Network;
+use super::network::{Network, NetworkShape};
 
 /// A network that learns.
 #[derive(Clone, Debug)]
-pub(super) struct Learner {
-    pub(super) network: Network,
-    pub(super) online: Vec<f32>,
-    pub(super) target: Vec<f32>,
-    pub(super) average: Vec<f32>,
-    pub(super) gradient: Vec<f32>,
+pub(crate) struct Learner {
+    pub(crate) network: Network,
+    pub(crate) online: Vec<f32>,
+    pub(crate) target: Vec<f32>,
+    pub(crate) average: Vec<f32>,
+    pub(crate) gradient: Vec<f32>,
     adam: Adam,
 }
 
 impl Learner {
     /// Draws the first weights.
-    pub(super) fn new(
-        network: &NetworkConfig,
+    pub(crate) fn new(
+        shape: NetworkShape,
         optimiser: &OptimiserConfig,
-        [columns, outputs]: [usize; 2],
         random: &mut Random,
     ) -> Self {
-        let network = Network::new(network, columns, outputs, random);
+        let network = Network::new(shape, random);
         let weights = network.parameters.values.clone();
         Self {
             online: weights.clone(),
@@ -42,7 +40,7 @@ impl Learner {
     }
 
     /// Follows the gradient, which is forgotten.
-    pub(super) fn step(
+    pub(crate) fn step(
         &mut self,
         config: &OptimiserConfig,
         learning_rate: f32,
@@ -56,7 +54,7 @@ impl Learner {
         UpdateReport { loss, gradient_norm }
     }
 
-    pub(super) fn state(&mut self, state: &mut State<'_>, name: &str) -> Result<(), LearnError> {
+    pub(crate) fn state(&mut self, state: &mut State<'_>, name: &str) -> Result<(), LearnError> {
         let tensors: Vec<Tensor> = self.network.parameters.tensors().to_vec();
         for (kind, vector) in [
             ("online", &mut self.online),

@@ -6,27 +6,34 @@ use sortie_nn::layers::linear::LinearShape;
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Linear, Parameters, Pass, Tape, Var};
 
-use super::config::NetworkConfig;
 use super::shown::Shown;
+
+/// Sizes of a network.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct NetworkShape {
+    /// Columns that are shown.
+    pub(crate) columns: usize,
+    /// Those of them that differ from zero, which the first weights are sized for.
+    pub(crate) active: usize,
+    /// Width of the hidden layers.
+    pub(crate) width: usize,
+    /// Numbers of the head.
+    pub(crate) outputs: usize,
+}
 
 /// A network, and how its head is read.
 #[derive(Clone, Debug)]
-pub(super) struct Network {
+pub(crate) struct Network {
     /// The first weights that were drawn, and their names.
-    pub(super) parameters: Parameters,
+    pub(crate) parameters: Parameters,
     layers: [Linear; 3],
 }
 
 impl Network {
     /// Draws the first weights: for inputs most of which are zero (He et al. 2015), small ones for the head.
-    pub(super) fn new(
-        config: &NetworkConfig,
-        columns: usize,
-        outputs: usize,
-        random: &mut Generator,
-    ) -> Self {
+    pub(crate) fn new(shape: NetworkShape, random: &mut Generator) -> Self {
         let mut parameters = Parameters::default();
-        let width = config.width;
+        let NetworkShape { columns, active, width, outputs } = shape;
         let mut layer = |name: &str, shape: [usize; 2], sizes: [usize; 2], bound: f32| {
             let weight = parameters.tensor(&format!("{name}.weight"), &shape, bound, random);
             let bias = parameters.tensor(&format!("{name}.bias"), &[sizes[1]], 0.0, random);
@@ -34,7 +41,7 @@ impl Network {
             Linear { shape, weight, bias: Some(bias) }
         };
         let he = |inputs: usize| (6.0 / inputs as f32).sqrt();
-        let first = layer("first", [columns, width], [columns, width], he(config.active_inputs));
+        let first = layer("first", [columns, width], [columns, width], he(active));
         let second = layer("second", [width, width], [width, width], he(width));
         let bound = 0.1 / (width as f32).sqrt();
         let head = layer("head", [outputs, width], [width, outputs], bound);
@@ -42,19 +49,19 @@ impl Network {
     }
 
     /// The second hidden layer, `[rows, width]`.
-    pub(super) fn hidden(&self, pass: &mut Pass<'_>, rows: &SparseRows) -> Var {
+    pub(crate) fn hidden(&self, pass: &mut Pass<'_>, rows: &SparseRows) -> Var {
         let x = pass.sparse_linear(rows, self.layers[0]);
         let x = pass.relu(x);
         pass.linear_rectified(x, self.layers[1])
     }
 
     /// What the head makes of it, `[rows, outputs]`.
-    pub(super) fn head(&self, pass: &mut Pass<'_>, hidden: Var) -> Var {
+    pub(crate) fn head(&self, pass: &mut Pass<'_>, hidden: Var) -> Var {
         pass.linear(hidden, self.layers[2])
     }
 
     /// The layers by these weights, as they are deployed.
-    pub(super) fn dense(&self, weights: &[f32]) -> [DenseLayer; 3] {
+    pub(crate) fn dense(&self, weights: &[f32]) -> [DenseLayer; 3] {
         self.layers.map(|layer| {
             let LinearShape { input, output } = layer.shape;
             let part = |start: usize, length: usize| weights[start..start + length].to_vec();
@@ -69,17 +76,17 @@ impl Network {
     }
 
     /// Numbers of the head.
-    pub(super) fn outputs(&self) -> usize {
+    pub(crate) fn outputs(&self) -> usize {
         self.layers[2].shape.output
     }
 
     /// Width of the hidden layers.
-    pub(super) fn width(&self) -> usize {
+    pub(crate) fn width(&self) -> usize {
         self.layers[1].shape.output
     }
 
     /// Some numbers of the head by weights `[outputs, width]` of a hidden row.
-    pub(super) fn read(
+    pub(crate) fn read(
         &self,
         weights: &[f32],
         hidden: &[f32],
@@ -111,15 +118,15 @@ const ROWS: usize = 128;
 
 /// Memory of passes without gradients, and of the rows that are shown.
 #[derive(Debug, Default)]
-pub(super) struct Space {
-    pub(super) tape: Tape,
-    pub(super) rows: SparseRows,
+pub(crate) struct Space {
+    pub(crate) tape: Tape,
+    pub(crate) rows: SparseRows,
     hidden: Vec<f32>,
 }
 
 impl Space {
     /// The second hidden layer `[states, width]` for the bytes of states.
-    pub(super) fn hidden<'s>(
+    pub(crate) fn hidden<'s>(
         &mut self,
         network: &Network,
         weights: &[f32],
@@ -141,7 +148,7 @@ impl Space {
     }
 
     /// The same for rows of columns.
-    pub(super) fn hidden_of(
+    pub(crate) fn hidden_of(
         &mut self,
         network: &Network,
         weights: &[f32],
@@ -156,62 +163,10 @@ impl Space {
 }
 
 /// A number whose slopes by a matrix are these: what a loss that was computed by hand tells a tape.
-pub(super) fn slopes(pass: &mut Pass<'_>, x: Var, slopes: &[f32]) -> Var {
+pub(crate) fn slopes(pass: &mut Pass<'_>, x: Var, slopes: &[f32]) -> Var {
     let columns = pass.size(x)[1];
     let given = pass.input(columns, slopes);
     let product = pass.multiply(x, given);
     let sums = pass.sum_columns(product);
     pass.sum_rows(sums)
-}
-
-/// The controller's numbers: a value and advantages of all actions for each goal (Wang et al. 2016).
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Heads {
-    pub(super) goals: usize,
-    pub(super) actions: usize,
-}
-
-impl Heads {
-    pub(super) fn outputs(self) -> usize {
-        self.goals * (1 + self.actions)
-    }
-
-    /// Values of all actions for one goal, of a hidden row.
-    pub(super) fn values(
-        self,
-        network: &Network,
-        weights: &[f32],
-        hidden: &[f32],
-        goal: usize,
-        values: &mut Vec<f32>,
-    ) {
-        let first = self.goals + goal * self.actions;
-        values.clear();
-        values.resize(1 + self.actions, 0.0);
-        let outputs = std::iter::once(goal).chain(first..first + self.actions);
-        network.read(weights, hidden, outputs, values);
-        let value = values.remove(0);
-        let level = value - values.iter().sum::<f32>() / self.actions as f32;
-        values.iter_mut().for_each(|advantage| *advantage += level);
-    }
-
-    /// The value of one action, of all numbers of a row.
-    pub(super) fn value(self, row: &[f32], goal: usize, action: usize) -> f32 {
-        let advantages = &row[self.goals + goal * self.actions..][..self.actions];
-        row[goal] + advantages[action] - advantages.iter().sum::<f32>() / self.actions as f32
-    }
-
-    /// Adds the slopes of all numbers of a row by that of the value of one action.
-    pub(super) fn add_slope(self, slopes: &mut [f32], goal: usize, action: usize, slope: f32) {
-        slopes[goal] += slope;
-        let advantages = &mut slopes[self.goals + goal * self.actions..][..self.actions];
-        advantages.iter_mut().for_each(|advantage| *advantage -= slope / self.actions as f32);
-        advantages[action] += slope;
-    }
-}
-
-/// The first of the largest numbers among those that a mask holds.
-pub(super) fn best(values: &[f32], mask: u32) -> usize {
-    let open = values.iter().enumerate().filter(|(index, _)| mask >> index & 1 == 1);
-    open.reduce(|a, b| if b.1 > a.1 { b } else { a }).map_or(0, |(index, _)| index)
 }

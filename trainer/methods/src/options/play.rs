@@ -1,26 +1,24 @@
 //! Options at work: which milestone to go for, and how.
 
 use serde::{Deserialize, Serialize};
-use sortie_core::options::view_of;
+use sortie_core::options::{least_missed, view_of};
 use sortie_envs::random::{below, chance, unit};
 use sortie_envs::{EntitySet, Environment, Observation, Random};
-use sortie_learn::{Scene, Scenes};
+use sortie_learn::{Scene, Scenes, words};
 
-use super::config::{Config, Mask};
-use super::networks::{Heads, Network, Space, best};
-use super::shown::Shown;
+use crate::pictures::{Heads, Network, Shown, Space, best};
 
 /// What an instance is doing.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(super) struct Running {
+pub(crate) struct Running {
     /// The milestone that it goes for.
-    pub(super) goal: u8,
+    pub(crate) goal: u8,
     /// Steps that it has gone for it, the one that it is about to take included.
-    pub(super) steps: u8,
+    pub(crate) steps: u8,
     /// The milestones that it could choose from.
-    pub(super) mask: u32,
+    pub(crate) mask: u32,
     /// Whether it is over; who only acts sees that by the milestone or the steps.
-    pub(super) is_over: bool,
+    pub(crate) is_over: bool,
     /// What was seen in the option, by a hash; kept where play is varied.
     views: Vec<u32>,
     /// Goals that were missed since the last milestone, kept likewise.
@@ -37,52 +35,73 @@ impl Running {
     }
 
     /// Of a mask the goals that were missed least often since the last milestone.
-    fn least_missed(&self, mask: u32, milestones: usize) -> u32 {
+    fn least_missed(&self, mask: u32) -> u32 {
         let missed =
             |goal: usize| self.missed.iter().filter(|it| usize::from(**it) == goal).count();
-        let open = || (0..milestones).filter(|goal| mask >> goal & 1 == 1);
-        let least = open().map(missed).min();
-        open().filter(|goal| Some(missed(*goal)) == least).fold(0, |set, goal| set | 1 << goal)
+        least_missed(mask, missed)
     }
+}
+
+words! {
+    /// Where the mask of milestones comes from.
+    Mask {
+        /// A classifier that learns from what options came to.
+        Learned = "learned",
+        /// The truth.
+        Oracle = "oracle",
+        /// All milestones, always.
+        None = "none",
+    }
+}
+
+/// What options go by.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PlayRules {
+    /// Steps after which an option is over without a milestone.
+    pub(crate) option_steps: u8,
+    /// Where the mask comes from.
+    pub(crate) mask: Mask,
+    /// Likelihood from which on a milestone counts as afforded.
+    pub(crate) threshold: f32,
 }
 
 /// Networks and weights that act.
 #[derive(Clone, Copy)]
-pub(super) struct Actors<'a> {
-    pub(super) config: &'a Config,
-    pub(super) shown: &'a Shown,
-    pub(super) heads: Heads,
-    pub(super) controller: (&'a Network, &'a [f32]),
-    pub(super) meta: (&'a Network, &'a [f32]),
-    pub(super) classifier: (&'a Network, &'a [f32]),
+pub(crate) struct Actors<'a> {
+    pub(crate) rules: PlayRules,
+    pub(crate) shown: &'a Shown,
+    pub(crate) heads: Heads,
+    pub(crate) controller: (&'a Network, &'a [f32]),
+    pub(crate) meta: (&'a Network, &'a [f32]),
+    pub(crate) classifier: (&'a Network, &'a [f32]),
     /// Milestones, as bits, that were ever reached, and those that the classifier knows both classes of.
-    pub(super) known: [u32; 2],
+    pub(crate) known: [u32; 2],
 }
 
 /// How much is tried out.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Chances<'a> {
+pub(crate) struct Chances<'a> {
     /// Of a random action.
-    pub(super) actions: f32,
+    pub(crate) actions: f32,
     /// Of any milestone as a goal.
-    pub(super) goals: f32,
+    pub(crate) goals: f32,
     /// Of a goal that is drawn from the mask.
-    pub(super) afforded: f32,
+    pub(crate) afforded: f32,
     /// How often each milestone was reached, where what was seldom reached is drawn more often.
-    pub(super) reached: &'a [u64],
+    pub(crate) reached: &'a [u64],
     /// Whether what is met again is answered otherwise.
-    pub(super) varied: bool,
+    pub(crate) varied: bool,
 }
 
 /// Agents at work in several instances.
 #[derive(Debug, Default)]
-pub(super) struct Player {
+pub(crate) struct Player {
     /// By the numbers of the instances.
-    pub(super) running: Vec<Running>,
+    pub(crate) running: Vec<Running>,
     /// What is seen in each instance.
-    pub(super) seen: Vec<Observation>,
+    pub(crate) seen: Vec<Observation>,
     /// Bytes of what is seen in each instance.
-    pub(super) shown: Vec<Vec<u8>>,
+    pub(crate) shown: Vec<Vec<u8>>,
     /// Whether what an instance is in has been looked at already.
     looked: Vec<bool>,
     space: Space,
@@ -91,7 +110,7 @@ pub(super) struct Player {
 
 impl Player {
     /// Writes an action for each scene.
-    pub(super) fn act(
+    pub(crate) fn act(
         &mut self,
         actors: Actors<'_>,
         scenes: &Scenes<'_>,
@@ -105,9 +124,8 @@ impl Player {
             }
             self.looked[scene.instance] = false;
         }
-        let over = |running: &Running| {
-            running.is_over || running.steps >= actors.config.returns.option_steps
-        };
+        let over =
+            |running: &Running| running.is_over || running.steps >= actors.rules.option_steps;
         let deciding = scenes.scenes.iter().filter(|scene| {
             let reached = scenes.environment.milestone(scene.instance).is_some();
             scene.begins || reached || over(&self.running[scene.instance])
@@ -137,7 +155,7 @@ impl Player {
     }
 
     /// Looks at what a scene shows.
-    pub(super) fn look(&mut self, shown: &Shown, environment: &dyn Environment, scene: &Scene<'_>) {
+    pub(crate) fn look(&mut self, shown: &Shown, environment: &dyn Environment, scene: &Scene<'_>) {
         let places = self.running.len().max(scene.instance + 1);
         self.running.resize_with(places, Running::default);
         self.seen.resize_with(places, Observation::default);
@@ -186,14 +204,14 @@ impl Player {
             } else {
                 values.resize(milestones, 0.0);
                 network.read(weights, hidden, 0..milestones, values);
-                best(values, running.least_missed(mask, milestones))
+                best(values, running.least_missed(mask))
             };
             running.goal = goal as u8;
         }
     }
 
     /// The milestones that can be chosen from in each scene; all where none could.
-    pub(super) fn masks(
+    pub(crate) fn masks(
         &mut self,
         actors: Actors<'_>,
         environment: &dyn Environment,
@@ -202,7 +220,7 @@ impl Player {
         let (network, weights) = actors.classifier;
         let milestones = network.outputs();
         let all = u32::MAX >> (32 - milestones);
-        let masks: Vec<u32> = match actors.config.affordances.mask {
+        let masks: Vec<u32> = match actors.rules.mask {
             Mask::None => vec![all; scenes.len()],
             Mask::Oracle => {
                 let truth = |scene: &&Scene<'_>| environment.affordances(scene.state);
@@ -213,7 +231,7 @@ impl Player {
                 let states = scenes.iter().map(|scene| (&*shown[scene.instance], false));
                 let hidden = space.hidden(network, weights, actors.shown, states);
                 values.resize(milestones, 0.0);
-                let threshold = actors.config.affordances.threshold;
+                let threshold = actors.rules.threshold;
                 let least = (threshold / (1.0 - threshold)).ln();
                 let mask = |hidden: &[f32]| {
                     network.read(weights, hidden, 0..milestones, values);
@@ -274,8 +292,8 @@ mod tests {
         let values = [0.5, 2.0, -1.0, 2.0];
         assert_eq!([0, 1, 2, 3].map(|skipped| ranked(&values, skipped)), [1, 3, 0, 2]);
         let mut running = Running { missed: vec![0, 2, 0], ..Running::default() };
-        assert_eq!(running.least_missed(0b0101, 4), 0b0100);
-        assert_eq!(running.least_missed(0b1111, 4), 0b1010);
+        assert_eq!(running.least_missed(0b0101), 0b0100);
+        assert_eq!(running.least_missed(0b1111), 0b1010);
         let met = [&[1, 2][..], &[2, 1], &[1, 2], &[1, 2]].map(|view| running.meets(view));
         assert_eq!(met, [0, 0, 1, 2]);
     }

@@ -7,11 +7,11 @@ use sortie_nn::layers::SparseRows;
 /// How a row of an observation, a picture and counts, becomes bytes that can be kept and columns of a network: as where
 /// agents are deployed.
 #[derive(Clone, Debug)]
-pub(super) struct Shown(options::Shown);
+pub(crate) struct Shown(options::Shown);
 
 impl Shown {
     /// None of an environment that shows no picture, one that has too many channels, or no middle.
-    pub(super) fn new(spec: &Spec, crop: usize, nearest: bool) -> Option<Self> {
+    pub(crate) fn new(spec: &Spec, crop: usize, nearest: bool) -> Option<Self> {
         let View::Pictures([channels, size, columns]) = spec.view else { return None };
         let counts = spec.shape.features.checked_sub(size * size * channels)?;
         let shape = PictureShape { channels, size, counts, crop, nearest };
@@ -19,27 +19,27 @@ impl Shown {
     }
 
     /// The picture.
-    pub(super) fn shape(&self) -> PictureShape {
+    pub(crate) fn shape(&self) -> PictureShape {
         *self.0.shape()
     }
 
     /// Bytes of a state.
-    pub(super) fn bytes(&self) -> usize {
+    pub(crate) fn bytes(&self) -> usize {
         self.0.bytes()
     }
 
     /// Columns of the networks.
-    pub(super) fn columns(&self) -> usize {
+    pub(crate) fn columns(&self) -> usize {
         self.0.columns()
     }
 
     /// Writes the bytes of the only row of an observation.
-    pub(super) fn write(&self, rows: &SparseRows, bytes: &mut [u8]) {
+    pub(crate) fn write(&self, rows: &SparseRows, bytes: &mut [u8]) {
         self.0.write(rows.row(0), bytes);
     }
 
     /// Adds the row of the networks for the bytes of a state, in a mirror left for right.
-    pub(super) fn push(&self, bytes: &[u8], is_mirrored: bool, rows: &mut SparseRows) {
+    pub(crate) fn push(&self, bytes: &[u8], is_mirrored: bool, rows: &mut SparseRows) {
         self.0.light(bytes, is_mirrored, |column| rows.push(column, 1.0));
         rows.end_row();
     }
