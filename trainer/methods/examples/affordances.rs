@@ -7,14 +7,14 @@
 
 use std::error::Error;
 
-use sortie_envs::{Environment, Split, Step};
-use sortie_learn::play::{Onlooker, Play, Watched, evaluate, evaluate_watched};
+use sortie_envs::{Environment, Split};
+use sortie_learn::play::{Play, evaluate};
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{EpisodeCounts, Reports};
 use sortie_learn::session::Opening;
-use sortie_learn::{LearnError, Method, Now};
+use sortie_learn::{Method, Now};
 use sortie_methods::find;
-use sortie_methods::hal::{Hal, MeasuredConfig};
+use sortie_methods::hal::{Hal, MaskCounts, MeasuredConfig};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let words: Vec<String> = std::env::args().skip(1).collect();
@@ -53,7 +53,7 @@ fn learn(
         if now.env_steps / every > before {
             let share = counts.solved as f64 / counts.episodes.max(1) as f64;
             let team = hal.measured(MeasuredConfig::default());
-            let result = evaluate(world, &mut *{ team }, 50, 7)?;
+            let result = evaluate(world, &mut { team }, 50, 7)?;
             println!(
                 "{:>8} steps: {share:.2} of {} training episodes solved, {:.2} of 50 measured ones, {:.1} milestones",
                 now.env_steps, counts.episodes, result.success, result.metrics["milestones"]
@@ -64,38 +64,27 @@ fn learn(
     Ok(())
 }
 
-/// Keeps every 16th state of episodes.
-#[derive(Default)]
-struct States(Vec<Vec<u8>>, usize);
-
-impl Onlooker for States {
-    fn started(&mut self, _: Watched<'_>) -> Result<(), LearnError> {
-        Ok(())
-    }
-
-    fn stepped(&mut self, watched: Watched<'_>, _: &[u16], step: &Step) -> Result<(), LearnError> {
-        self.1 += 1;
-        if self.1.is_multiple_of(16) && !step.done() {
-            let mut state = Vec::new();
-            watched.worlds.save(watched.instance, &mut state);
-            self.0.push(state);
-        }
-        Ok(())
-    }
-}
-
 fn look(hal: &Hal, world: &dyn Environment, is_short: bool) -> Result<(), Box<dyn Error>> {
-    let mut states = States::default();
     let mut team = hal.measured(MeasuredConfig::default());
-    evaluate_watched(world, &mut *team, 100, 3, &mut states)?;
-    let counts = hal.compare_masks(world, &states.0);
+    evaluate(world, &mut team, 100, 3)?;
     let share = |part: u64, whole: u64| part as f64 / whole.max(1) as f64;
-    println!(
-        "mask in {} states: {:.3} over-pruned, {:.3} under-pruned",
-        states.0.len(),
-        share(counts.over_pruned, counts.afforded),
-        share(counts.under_pruned, counts.others)
-    );
+    let all = |count: fn(&MaskCounts) -> u64| team.masks.iter().map(count).sum();
+    let masks = world.spec().milestones.iter().map(String::as_str).zip(team.masks.iter().copied());
+    let total = MaskCounts {
+        afforded: all(|it| it.afforded),
+        over_pruned: all(|it| it.over_pruned),
+        others: all(|it| it.others),
+        under_pruned: all(|it| it.under_pruned),
+    };
+    for (name, counts) in masks.chain([("all", total)]) {
+        println!(
+            "mask of {name}: {:.3} of {} over-pruned, {:.3} of {} under-pruned",
+            share(counts.over_pruned, counts.afforded),
+            counts.afforded,
+            share(counts.under_pruned, counts.others),
+            counts.others
+        );
+    }
     let chances = [(0.05, 0.05), (0.05, 0.0), (0.0, 0.05), (0.0, 0.0)];
     let all = chances.map(|(actions, goals)| {
         [false, true].map(|varied| MeasuredConfig { actions, goals, varied })
@@ -103,7 +92,7 @@ fn look(hal: &Hal, world: &dyn Environment, is_short: bool) -> Result<(), Box<dy
     for chances in all.into_iter().flatten() {
         let mut team = hal.measured(chances.clone());
         let episodes = if is_short { 100 } else { 2_000 };
-        let result = evaluate(world, &mut *team, episodes, 1)?;
+        let result = evaluate(world, &mut team, episodes, 1)?;
         println!(
             "{chances:?}: success {:.3} {:.3?}, {:.0} steps, {:?}",
             result.success, result.success_ci95, result.length_mean, result.failures

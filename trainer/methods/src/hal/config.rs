@@ -68,9 +68,9 @@ sections! {
     /// How the meta-controller learns.
     meta: MetaConfig {
         /// Options before a target bootstraps.
-        options: usize = 10, Whole(1, 1000), "options";
+        options: usize = 3, Whole(1, 1000), "options";
         /// Worth of the task one option later.
-        discount: f32 = 0.98, SHARE, "factor per option";
+        discount: f32 = 0.95, SHARE, "factor per option";
         /// Worth of the task one environment step later, besides.
         step_discount: f32 = 0.995, SHARE, "factor per step";
         /// In an update.

@@ -47,16 +47,16 @@ pub struct Hal {
     memories: (controller::Memory, meta::Memory, affordances::Memory),
 }
 
-/// What a learned mask says beside the truth.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+/// What masks say of a milestone beside the truth, over all choices of a goal.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct MaskCounts {
-    /// Milestones that could be reached, over all states.
+    /// Choices where it could be reached.
     pub afforded: u64,
-    /// Those of them that the mask hides.
+    /// Those of them where the mask hides it.
     pub over_pruned: u64,
-    /// Milestones that could not be reached.
+    /// Choices where it could not be reached.
     pub others: u64,
-    /// Those of them that the mask lets through.
+    /// Those of them where the mask lets it through.
     pub under_pruned: u64,
 }
 
@@ -115,31 +115,10 @@ impl Hal {
     }
 
     /// The agent with so much of chance left.
-    pub fn measured(&self, chances: MeasuredConfig) -> Box<dyn Act + '_> {
-        Box::new(self.agent(chances))
-    }
-
-    fn agent(&self, chances: MeasuredConfig) -> Measured<'_> {
+    pub fn measured(&self, chances: MeasuredConfig) -> Measured<'_> {
         let actors = self.actors(|learner| &learner.average);
-        Measured { actors, chances, player: Player::default() }
-    }
-
-    /// Compares the mask with the truth in states of an environment that knows it.
-    pub fn compare_masks(&self, environment: &dyn Environment, states: &[Vec<u8>]) -> MaskCounts {
-        let mut agent = self.agent(MeasuredConfig::default());
-        let mut counts = MaskCounts::default();
-        let all = u32::MAX >> (32 - self.heads.goals);
-        for state in states {
-            let Some(truth) = environment.affordances(state) else { continue };
-            let scene = Scene { instance: 0, state, begins: true, tasks_changed: false };
-            agent.player.look(&self.shown, environment, &scene);
-            let mask = agent.player.masks(agent.actors, environment, &[&scene])[0];
-            counts.afforded += u64::from(truth.count_ones());
-            counts.over_pruned += u64::from((truth & !mask).count_ones());
-            counts.others += u64::from((all & !truth).count_ones());
-            counts.under_pruned += u64::from((mask & !truth).count_ones());
-        }
-        counts
+        let masks = vec![MaskCounts::default(); self.heads.goals];
+        Measured { actors, chances, player: Player::default(), masks }
     }
 
     /// Keeps an option that is over, and learns from what it came to.
@@ -289,7 +268,7 @@ impl Method for Hal {
     }
 
     fn team(&self) -> Box<dyn Act + '_> {
-        self.measured(self.config.measured.clone())
+        Box::new(self.measured(self.config.measured.clone()))
     }
 
     fn deployed(&self) -> Result<DeployedAgents<'_>, LearnError> {
@@ -327,10 +306,33 @@ impl Method for Hal {
 }
 
 /// An agent that is measured.
-struct Measured<'a> {
+#[derive(Debug)]
+pub struct Measured<'a> {
     actors: Actors<'a>,
     chances: MeasuredConfig,
     player: Player,
+    /// By milestones: the masks that goals were chosen from so far, where the environment knows the truth.
+    pub masks: Vec<MaskCounts>,
+}
+
+impl Measured<'_> {
+    /// Holds the masks of the goals that were just chosen against the truth.
+    fn count_masks(&mut self, scenes: &Scenes<'_>) {
+        for scene in scenes.scenes {
+            let running = &self.player.running[scene.instance];
+            if running.steps != 1 {
+                continue;
+            }
+            let Some(truth) = scenes.environment.affordances(scene.state) else { return };
+            for (milestone, counts) in self.masks.iter_mut().enumerate() {
+                let is = |set: u32| u64::from(set >> milestone & 1);
+                counts.afforded += is(truth);
+                counts.over_pruned += is(truth & !running.mask);
+                counts.others += is(!truth);
+                counts.under_pruned += is(running.mask & !truth);
+            }
+        }
+    }
 }
 
 impl Act for Measured<'_> {
@@ -344,6 +346,7 @@ impl Act for Measured<'_> {
         let chances =
             Chances { actions: chance, goals: 0.0, afforded: goals, reached: &[], varied };
         self.player.act(self.actors, scenes, chances, random, actions);
+        self.count_masks(scenes);
         Ok(())
     }
 }

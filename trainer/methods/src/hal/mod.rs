@@ -17,7 +17,7 @@ pub use config::{
     ReplayConfig, ReturnsConfig,
 };
 pub use filter::tolerance;
-pub use method::{Hal, MaskCounts};
+pub use method::{Hal, MaskCounts, Measured};
 pub use presets::{H_DQN, HAL, HAL_ORACLE};
 
 pub use crate::options::Mask;

@@ -66,7 +66,7 @@ pub(crate) struct PlayRules {
 }
 
 /// Networks and weights that act.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct Actors<'a> {
     pub(crate) rules: PlayRules,
     pub(crate) shown: &'a Shown,
