@@ -21,3 +21,4 @@ pub use method::{Hal, MaskCounts};
 pub use presets::{H_DQN, HAL, HAL_ORACLE};
 
 pub use crate::options::Mask;
+pub use crate::pictures::Body;

@@ -37,9 +37,8 @@ impl Convolution {
             (side, channels) = (shape.patches().0, outputs);
             (shape, layer)
         });
-        let mut layer = |name: &str, inputs: usize| {
-            parameters.orthogonal(name, inputs, width, random)
-        };
+        let mut layer =
+            |name: &str, inputs: usize| parameters.orthogonal(name, inputs, width, random);
         let flat = layer("flat", side * side * channels);
         let carried = layer("carried", picture.counts);
         Self { kernels, flat, carried, joint: layer("joint", 2 * width) }

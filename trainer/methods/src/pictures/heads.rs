@@ -9,11 +9,23 @@ use super::network::Network;
 pub(crate) struct Heads {
     pub(crate) goals: usize,
     pub(crate) actions: usize,
+    /// Whether a value of the state stands apart from advantages; values of actions stand for themselves otherwise.
+    pub(crate) dueling: bool,
 }
 
 impl Heads {
     pub(crate) fn outputs(self) -> usize {
-        self.goals * (1 + self.actions)
+        self.goals * (usize::from(self.dueling) + self.actions)
+    }
+
+    /// Of a head whose actions are these goals.
+    pub(crate) fn of_goals(self, dueling: bool) -> Self {
+        Self { goals: 1, actions: self.goals, dueling }
+    }
+
+    /// Where the numbers of the actions begin.
+    fn first(self, goal: usize) -> usize {
+        goal * self.actions + if self.dueling { self.goals } else { 0 }
     }
 
     /// Values of all actions for one goal, of a hidden row.
@@ -25,8 +37,13 @@ impl Heads {
         goal: usize,
         values: &mut Vec<f32>,
     ) {
-        let first = self.goals + goal * self.actions;
+        let first = self.first(goal);
         values.clear();
+        if !self.dueling {
+            values.resize(self.actions, 0.0);
+            network.read(weights, hidden, first..first + self.actions, values);
+            return;
+        }
         values.resize(1 + self.actions, 0.0);
         let outputs = std::iter::once(goal).chain(first..first + self.actions);
         network.read(weights, hidden, outputs, values);
@@ -37,16 +54,21 @@ impl Heads {
 
     /// The value of one action, of all numbers of a row.
     pub(crate) fn value(self, row: &[f32], goal: usize, action: usize) -> f32 {
-        let advantages = &row[self.goals + goal * self.actions..][..self.actions];
+        let advantages = &row[self.first(goal)..][..self.actions];
+        if !self.dueling {
+            return advantages[action];
+        }
         row[goal] + advantages[action] - advantages.iter().sum::<f32>() / self.actions as f32
     }
 
     /// Adds the slopes of all numbers of a row by that of the value of one action.
     pub(crate) fn add_slope(self, slopes: &mut [f32], goal: usize, action: usize, slope: f32) {
-        slopes[goal] += slope;
-        let advantages = &mut slopes[self.goals + goal * self.actions..][..self.actions];
-        advantages.iter_mut().for_each(|advantage| *advantage -= slope / self.actions as f32);
+        let advantages = &mut slopes[self.first(goal)..][..self.actions];
         advantages[action] += slope;
+        if self.dueling {
+            advantages.iter_mut().for_each(|advantage| *advantage -= slope / self.actions as f32);
+            slopes[goal] += slope;
+        }
     }
 }
 
