@@ -11,6 +11,8 @@ mod filter;
 mod meta;
 mod method;
 mod presets;
+#[cfg(test)]
+mod tests;
 
 pub use config::{
     AffordancesConfig, Config, ExplorationConfig, MeasuredConfig, MetaConfig, NetworkConfig,

@@ -303,3 +303,68 @@ fn latest(count: usize, kept: usize, place: usize) -> u32 {
     let last = count - 1;
     (last - (last % kept + kept - place) % kept) as u32
 }
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+
+    /// Options of three steps, `steps` states of one instance of two in all.
+    fn played(kept: usize, options_kept: usize, steps: u32) -> Replay {
+        let mut replay = Replay::new(2, kept, 1, 2).by_priority(0.5, options_kept);
+        for time in 0..steps {
+            let moment = Moment { reached: NONE, ends_option: time % 3 == 2, ..Moment::default() };
+            replay.push(1, &[time as u8], moment);
+            if time % 3 == 2 {
+                let start = Place { instance: 1, time: time - 2 };
+                let (goal, reached) = (0, NONE);
+                let option = Finished { start, steps: 3, goal, reached, mask: 3, end: End::GoesOn };
+                replay.finish(option);
+            }
+        }
+        replay
+    }
+
+    #[test]
+    fn what_is_drawn_by_priorities_is_kept_and_over() {
+        let mut random = sortie_envs::random::generator(1);
+        // Before a ring is full, and after it went round.
+        for (steps, first, last) in [(8, 0, 5), (26, 16, 23)] {
+            let replay = played(10, 100, steps);
+            let draw = |_| replay.draw_step_by_priority(&mut random).unwrap().0;
+            let drawn: BTreeSet<_> = (0..500).map(draw).map(|it| (it.instance, it.time)).collect();
+            let want: Vec<_> = (first..=last).map(|time| (1, time)).collect();
+            assert_eq!(drawn.into_iter().collect::<Vec<_>>(), want, "{steps}");
+        }
+        for (options_kept, want) in [(2, [6, 7].as_slice()), (100, &[6, 7])] {
+            let mut replay = played(10, options_kept, 26);
+            let draw = |_| replay.draw_option_by_priority(&mut random);
+            let drawn: BTreeSet<_> = (0..500).filter_map(draw).map(|it| it.0).collect();
+            let want: Vec<_> = want.iter().map(|number| (1, *number)).collect();
+            assert_eq!(drawn.into_iter().collect::<Vec<_>>(), want, "{options_kept}");
+        }
+        assert!(Replay::new(2, 10, 1, 2).draw_step_by_priority(&mut random).is_none());
+    }
+
+    #[test]
+    fn errors_become_priorities_of_the_steps_and_options_that_had_them() {
+        let mut random = sortie_envs::random::generator(1);
+        let mut replay = played(10, 2, 26);
+        let place = |time| Place { instance: 1, time };
+        replay
+            .correct_steps((16..24).map(|time| (place(time), if time == 19 { 4.0 } else { 0.0 })));
+        replay.correct_options([((1, 6), 0.25), ((1, 7), 2.25)].into_iter());
+        let priority = |error: f64| (error + 0.001).powf(0.5);
+        let mut seen = [0; 2];
+        for _ in 0..300 {
+            let (step, found) = replay.draw_step_by_priority(&mut random).unwrap();
+            assert_eq!(found, priority(if step.time == 19 { 4.0 } else { 0.0 }));
+            let (option, found) = replay.draw_option_by_priority(&mut random).unwrap();
+            assert_eq!(found, priority(if option.1 == 6 { 0.25 } else { 2.25 }));
+            seen[0] += usize::from(step.time == 19);
+            seen[1] += usize::from(option.1 == 7);
+        }
+        assert!(seen[0] > 240 && (190..260).contains(&seen[1]), "{seen:?}");
+    }
+}

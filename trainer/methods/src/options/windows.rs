@@ -272,4 +272,116 @@ mod tests {
         let drawn: std::collections::BTreeSet<u32> = (0..50).map(draw).collect();
         assert_eq!(drawn.into_iter().collect::<Vec<_>>(), [0, 1, 2]);
     }
+
+    /// The published returns of a list of rewards, step by step from the front.
+    fn naive(
+        moments: &[Moment],
+        start: usize,
+        goal: u8,
+        rules: ReturnRules,
+    ) -> Option<(f32, f32, Option<u32>)> {
+        let is_time_out = |at: usize| moments[at].ends_option && moments[at].reached == NONE;
+        if is_time_out(start) {
+            return None;
+        }
+        let (mut sum, mut at) = (0.0, start);
+        loop {
+            let ahead = (at - start) as i32;
+            let reached = moments[at].reached;
+            let reward = match reached {
+                _ if reached != NONE && reached == goal => rules.worth,
+                _ if reached != NONE && rules.forgives => 0.0,
+                _ => -rules.cost,
+            };
+            sum += rules.discount.powi(ahead) * reward;
+            at += 1;
+            if reached != NONE {
+                return Some((sum, 0.0, None));
+            }
+            if at - start == usize::from(rules.steps) || is_time_out(at) {
+                return Some((sum, rules.discount.powi(ahead + 1), Some(at as u32)));
+            }
+        }
+    }
+
+    #[test]
+    fn published_returns_are_those_of_a_naive_list() {
+        let step = Moment { reached: NONE, option_reached: NONE, ..Moment::default() };
+        let mut moments = vec![step; 40];
+        // Options end by a milestone, by their time, where nothing can be reached, and with the episode's time.
+        for (at, reached) in [(5, 1), (13, NONE), (14, 2), (20, NONE), (31, NONE), (39, 0)] {
+            moments[at] = Moment { reached, ends_option: true, ..step };
+        }
+        (moments[20].terminated, moments[21].is_last) = (true, true);
+        (moments[31].ends_option, moments[32].is_last) = (true, true);
+        let replay = kept(&moments);
+        for (steps, forgives) in [(10, false), (3, true), (1, false)] {
+            let rules = ReturnRules {
+                steps,
+                discount: 0.99,
+                no_operations: false,
+                time_outs: false,
+                worth: 0.75,
+                cost: 0.25,
+                forgives,
+            };
+            for (start, goal) in (0..40).flat_map(|start| (0..3).map(move |goal| (start, goal))) {
+                if moments[start].is_last {
+                    continue;
+                }
+                let found = window(&replay, at(start as u32), rules);
+                let found = found.map(|window| {
+                    let next = window.next.map(|place| place.time);
+                    (window.earned(goal, rules), next.map_or(0.0, |_| window.discount), next)
+                });
+                let want = naive(&moments, start, goal, rules);
+                let close = match (found, want) {
+                    (Some(found), Some(want)) => {
+                        let differences = [found.0 - want.0, found.1 - want.1];
+                        found.2 == want.2 && differences.iter().all(|it| it.abs() < 1e-5)
+                    }
+                    (found, want) => found == want,
+                };
+                assert!(close, "{start} {goal} {steps}: {found:?} {want:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn published_courses_pay_for_steps_that_reach_and_end_before_the_time_is_over() {
+        let mut replay = kept(&[Moment::default(); 40]);
+        let mut start = at(0);
+        for (reached, end) in [
+            (0, End::GoesOn),
+            (NONE, End::GoesOn),
+            (1, End::Terminated),
+            (1, End::GoesOn),
+            (0, End::GoesOn),
+            (2, End::Terminated),
+        ] {
+            let mask = 0b11;
+            replay.finish(Finished { start, steps: 4, goal: 1, reached, mask, end });
+            start = start.after(4);
+        }
+        let rules = CourseRules {
+            options: 10,
+            discount: 0.5,
+            step_discount: 1.0,
+            time_outs: false,
+            worth: 0.75,
+            cost: 0.25,
+            relabel: true,
+            milestones: 3,
+        };
+        let found = |number| {
+            let course = course(&replay, (0, number), rules)?;
+            Some((course.goal, course.reward, course.discount, course.next))
+        };
+        let before = Some((at(8), 0b11));
+        assert_eq!(found(0), Some((1, -0.25, 0.25, before)));
+        assert_eq!(found(1), Some((1, 0.0, 0.5, before)));
+        assert_eq!(found(2), None);
+        assert_eq!(found(3), Some((1, -0.25 - 0.125 + 0.1875, 0.0, None)));
+        assert_eq!(found(5), Some((2, 0.75, 0.0, None)));
+    }
 }

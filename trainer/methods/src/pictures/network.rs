@@ -217,3 +217,36 @@ pub(crate) fn slopes(pass: &mut Pass<'_>, x: Var, slopes: &[f32]) -> Var {
     let sums = pass.sum_columns(product);
     pass.sum_rows(sums)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::heads::Heads;
+    use super::*;
+
+    #[test]
+    fn published_networks_have_as_many_weights_as_published() {
+        // Channels, things carried, milestones and actions of crafting up to diamond, up to iron, and of treasure, with
+        // the weights of controller, meta-controller, embedding, and classes.
+        for (channels, counts, goals, actions, want) in [
+            (11, 12, 13, 11, [1_458_524, 1_385_678, 266_816, 1_677]),
+            (11, 12, 11, 11, [1_446_212, 1_384_652, 266_816, 1_419]),
+            (18, 7, 10, 5, [1_412_316, 1_387_179, 271_776, 1_290]),
+        ] {
+            let picture = PictureShape { channels, size: 11, counts, crop: 11, nearest: false };
+            let controller = Heads { goals, actions, dueling: true };
+            let weights = |width: usize, outputs: usize| {
+                let (body, columns, active) = (Body::Convolution, 0, 0);
+                let shape = NetworkShape { body, picture, columns, active, width, outputs };
+                let mut random = sortie_nn::random::stream(1, 1, 0);
+                Network::new(shape, &mut random).parameters.values.len()
+            };
+            let found = [
+                weights(512, controller.outputs()),
+                weights(512, controller.of_goals(true).outputs()),
+                weights(128, 0),
+                weights(128, goals) - weights(128, 0),
+            ];
+            assert_eq!(found, want, "{channels} {goals}");
+        }
+    }
+}
