@@ -137,6 +137,15 @@ fn triplet_slopes(embedded: &[f32], share: f32, slopes: &mut [f32]) -> f32 {
     0.5 * share * excess * excess
 }
 
+/// The loss of a likelihood and its slope by the logit: cross entropy, or half the square of the error.
+fn class_loss(likelihood: f32, wanted: f32, squared: bool) -> (f32, f32) {
+    let error = likelihood - wanted;
+    if squared {
+        return (0.5 * error * error, error * likelihood * (1.0 - likelihood));
+    }
+    (-(1.0 - error.abs()).max(1e-9).ln(), error)
+}
+
 /// Memory of updates.
 #[derive(Debug, Default)]
 pub(super) struct Memory {
@@ -147,11 +156,12 @@ pub(super) struct Memory {
     logits: Vec<f32>,
 }
 
-/// Adds the gradient of an update: of the embedding by triplets, of the classifier by states of both classes, negatives
-/// left out where they look like positives. Returns the classifier's loss.
+/// Adds the gradient of an update: of the embedding by triplets, and of the classifier by states of both classes, as far
+/// as each is due; negatives are left out where they look like positives. Returns the classifier's loss.
 pub(super) fn descend(
     learner: &mut Learner,
     config: &AffordancesConfig,
+    [embeds, classifies]: [bool; 2],
     (classes, populations): (&Classes, &[Population]),
     (replay, shown): (&Replay, &Shown),
     memory: &mut Memory,
@@ -159,7 +169,8 @@ pub(super) fn descend(
 ) -> f64 {
     let Memory { places, labels, space, embedding, logits } = memory;
     places.clear();
-    for _ in 0..config.triplets {
+    let triplets = if embeds { config.triplets } else { 0 };
+    for _ in 0..triplets {
         let anchor = classes.draw_any(replay, random);
         let near = anchor.and_then(|anchor| neighbour(anchor, config.spread, random));
         let far = classes.draw_any(replay, random);
@@ -169,7 +180,7 @@ pub(super) fn descend(
     }
     let triplets = places.len() / 3;
     labels.clear();
-    let both = classes.known()[1];
+    let both = if classifies { classes.known()[1] } else { 0 };
     for milestone in (0..classes.samples.len()).filter(|milestone| both >> milestone & 1 == 1) {
         for _ in 0..config.batch {
             let is_positive = chance(random, 0.5);
@@ -208,8 +219,9 @@ pub(super) fn descend(
         let mut likelihood = [0.0];
         activate(Activation::Sigmoid, &pass.values(head)[place..=place], &mut likelihood);
         let wanted = f32::from(u8::from(*is_positive));
-        logits[place] = share * (likelihood[0] - wanted);
-        loss -= f64::from(share * (1.0 - (likelihood[0] - wanted).abs()).max(1e-9).ln());
+        let (own, slope) = class_loss(likelihood[0], wanted, config.squared);
+        logits[place] = share * slope;
+        loss += f64::from(share * own);
     }
     let sums = [slopes(&mut pass, hidden, embedding), slopes(&mut pass, head, logits)];
     let sum = pass.add(sums[0], sums[1]);
@@ -261,6 +273,19 @@ mod tests {
         embedded[16..].iter_mut().for_each(|number| *number += 9.0);
         assert_eq!(triplet_slopes(&embedded, 0.5, &mut slopes), 0.0);
         assert_eq!(slopes, [0.0; 24]);
+    }
+
+    #[test]
+    fn slopes_of_classes_are_those_of_their_loss() {
+        let likelihood = |logit: f32| 1.0 / (1.0 + (-logit).exp());
+        for (logit, wanted, squared) in
+            [(0.3, 1.0, true), (-0.7, 0.0, true), (0.3, 1.0, false), (-0.7, 0.0, false)]
+        {
+            let loss = |step: f32| class_loss(likelihood(logit + step), wanted, squared).0;
+            let (_, slope) = class_loss(likelihood(logit), wanted, squared);
+            assert!(((loss(1e-2) - loss(-1e-2)) / 2e-2 - slope).abs() < 1e-4, "{logit} {squared}");
+        }
+        assert_eq!(class_loss(0.25, 1.0, true).0, 0.5 * 0.5625);
     }
 
     #[test]

@@ -2,10 +2,11 @@
 
 use sortie_learn::configuration::Range::{self, Number, Numbers, OneOf, Truth, Whole};
 use sortie_learn::configuration::{OPTIMISER, OptimiserConfig, SHARE};
-use sortie_learn::sections;
+use sortie_learn::{Now, sections};
 use sortie_nn::schedule::linear;
 
-use crate::options::{Mask, ReturnRules};
+use crate::options::{CourseRules, Mask, ReturnRules};
+use crate::pictures::Body;
 
 const SIZE: Range = Whole(1, 20_000_000);
 const BATCH: Range = Whole(1, 65_536);
@@ -17,12 +18,18 @@ sections! {
 
     /// What the three networks are shown, and how wide they are.
     network: NetworkConfig {
+        /// Two layers over sparse inputs, or convolutions over the picture as published.
+        body: Body = Body::Layers, OneOf(Body::WORDS);
         /// Cells around the agent, each way across, that are shown one by one; odd.
         crop: usize = 5, Whole(1, 15), "cells";
         /// Whether the nearest cell of every kind is shown.
         nearest: bool = true, Truth;
-        /// Width of the two hidden layers, a multiple of 8.
+        /// Width of the hidden layers of controller and meta-controller, a multiple of 8.
         width: usize = 64, Whole(8, 1024), "columns";
+        /// That of the classifier, whose last hidden layer embeds states.
+        embedding: usize = 64, Whole(8, 1024), "columns";
+        /// Whether the meta-controller's values are a value of the state and advantages of the milestones.
+        dueling: bool = false, Truth;
         /// Inputs that differ from zero, which the first weights are sized for.
         active_inputs: usize = 30, Whole(1, 4096), "columns";
     }
@@ -35,6 +42,15 @@ sections! {
         threshold: f32 = 0.5, Number(0.001, 0.999), "likelihood";
         /// Whether negatives that look like positives are left out.
         filter: bool = true, Truth;
+        /// Whether milestones that were never reached count as afforded.
+        unreached: bool = false, Truth;
+        /// Whether the classifier's loss is the squared error of likelihoods; cross entropy otherwise.
+        squared: bool = false, Truth;
+        /// Whether triplets, positives and classes are learned from at the start, after three and after six tenths of the
+        /// updates from one to the next; all in the same update otherwise.
+        apart: bool = false, Truth;
+        /// Of the classifier, for each milestone whose positives are measured anew.
+        refresh: u64 = 4, SIZE, "updates";
         /// Updates of the controller for each of the classifier.
         every: u64 = 4, SIZE, "updates";
         /// Kept of each milestone, reached and missed.
@@ -57,6 +73,17 @@ sections! {
         steps: u8 = 3, Whole(1, 254), "steps";
         /// Worth of a milestone one step later.
         discount: f32 = 0.93, SHARE, "factor per step";
+        /// What a step costs; the goal is worth 1 less that.
+        cost: f32 = 0.0, SHARE, "reward";
+        /// Whether rewards are learned as `sign(r) log2(1 + |r|)`.
+        logarithm: bool = false, Truth;
+        /// Whether values that are looked up are held between 0 and 1.
+        bounded: bool = true, Truth;
+        /// Whether steps and options behind which time was over, or nothing could be reached any more, are learned from.
+        time_outs: bool = true, Truth;
+        /// Of the controller, from one copy of the weights to those that targets are computed by to the next; 0 moves these
+        /// by `optimiser.target_rate` in every update.
+        target_every: u64 = 0, Whole(0, 20_000_000), "updates";
         /// Whether what an option reached is learned from as if it had been its goal.
         relabel: bool = true, Truth;
         /// Whether actions that change nothing are worth nothing.
@@ -73,6 +100,14 @@ sections! {
         discount: f32 = 0.95, SHARE, "factor per option";
         /// Worth of the task one environment step later, besides.
         step_discount: f32 = 0.995, SHARE, "factor per step";
+        /// Whether values behind an option are looked up for milestones of the mask only.
+        masked: bool = true, Truth;
+        /// Of the controller, before the first.
+        first: u64 = 0, Whole(0, 20_000_000), "updates";
+        /// Of the controller for each.
+        every: u64 = 1, SIZE, "updates";
+        /// That are drawn by priorities: the latest, of all instances.
+        kept: usize = 100_000, SIZE, "options";
         /// In an update.
         batch: usize = 128, BATCH, "options";
         /// Of them, drawn from episodes that were solved.
@@ -87,15 +122,25 @@ sections! {
         batch: usize = 256, BATCH, "steps";
         /// Of them, drawn from options that reached a milestone, every milestone as often.
         reached: f32 = 0.5, SHARE, "share";
+        /// Power of the last error that steps and options are drawn by; 0 draws evenly, and by `reached` and `solved`.
+        priorities: f64 = 0.0, SHARE, "exponent";
+        /// How far losses make up for that, from the start of the run to its end in a straight line.
+        importance: [f32; 2] = [0.0, 0.0], CHANCES, "exponent";
+        /// Before the first update.
+        first: u64 = 6_400, Whole(0, 20_000_000), "environment steps";
         /// From one update to the next.
         steps_per_update: u64 = 256, SIZE, "environment steps";
     }
 
     /// How much is tried out: from the first chance to the second in a straight line.
     exploration: ExplorationConfig {
-        /// In which everything is drawn.
+        /// In which goals are drawn.
         first: u64 = 6_400, Whole(0, 20_000_000), "environment steps";
-        /// Over which chances change.
+        /// In which actions are drawn.
+        first_actions: u64 = 6_400, Whole(0, 20_000_000), "environment steps";
+        /// From which on chances of goals change.
+        start: u64 = 0, Whole(0, 20_000_000), "environment steps";
+        /// Over which chances change, those of goals from `start` on.
         share: f64 = 0.8, SHARE, "share of the run";
         /// Of a random action.
         actions: [f32; 2] = [0.5, 0.05], CHANCES, "probability";
@@ -116,21 +161,147 @@ sections! {
         varied: bool = true, Truth;
     }
 
+    /// What keeps weights small.
+    weights: WeightsConfig {
+        /// What a weight adds to its slope.
+        decay: f32 = 0.0, SHARE, "slope per weight";
+    }
+
     also:
     /// How the weights follow the gradient.
     optimiser: OptimiserConfig = OPTIMISER;
 }
 
 impl ReturnsConfig {
+    /// What the goal is worth, and what every other step costs.
+    fn worth(&self) -> [f32; 2] {
+        let learned = |reward: f32| if self.logarithm { (1.0 + reward).log2() } else { reward };
+        [1.0 - self.cost, self.cost].map(learned)
+    }
+
     pub(super) fn rules(&self) -> ReturnRules {
-        let Self { steps, discount, no_operations, .. } = *self;
-        ReturnRules { steps, discount, no_operations }
+        let Self { steps, discount, no_operations, time_outs, relabel, .. } = *self;
+        let ([worth, cost], forgives) = (self.worth(), !relabel);
+        ReturnRules { steps, discount, no_operations, time_outs, worth, cost, forgives }
+    }
+
+    pub(super) fn course_rules(&self, meta: &MetaConfig, milestones: usize) -> CourseRules {
+        let Self { relabel, time_outs, .. } = *self;
+        let MetaConfig { options, discount, step_discount, .. } = *meta;
+        let [worth, cost] = self.worth();
+        CourseRules {
+            options,
+            discount,
+            step_discount,
+            relabel,
+            time_outs,
+            worth,
+            cost,
+            milestones,
+        }
+    }
+
+    /// A value that was looked up, as targets take it.
+    pub(super) fn bound(&self, value: f32) -> f32 {
+        if self.bounded { value.clamp(0.0, 1.0) } else { value }
     }
 }
 
 impl ExplorationConfig {
-    /// A chance after so many of all environment steps.
-    pub fn at(&self, [start, end]: [f32; 2], step: u64, of: u64) -> f32 {
-        linear(start, end, (self.share * of as f64) as u64, step)
+    /// A chance after so many of all environment steps, if it changes from some of them on.
+    pub(super) fn at(&self, [start, end]: [f32; 2], from: u64, now: Now) -> f32 {
+        let over = self.share * now.of.saturating_sub(from) as f64;
+        linear(start, end, over as u64, now.env_steps.saturating_sub(from))
+    }
+
+    /// The chance of a random action.
+    pub(super) fn actions_at(&self, now: Now) -> f32 {
+        if now.env_steps < self.first_actions { 1.0 } else { self.at(self.actions, 0, now) }
+    }
+
+    /// The chances of any goal, and of one that is drawn from the mask.
+    pub(super) fn goals_at(&self, mask: Mask, now: Now) -> [f32; 2] {
+        let [any, afforded] =
+            [self.goals, self.afforded].map(|chances| self.at(chances, self.start, now));
+        match mask {
+            _ if now.env_steps < self.first => [1.0, 0.0],
+            Mask::Learned => [any, afforded],
+            Mask::Oracle => [0.0, any + afforded],
+            Mask::None => [any, 0.0],
+        }
+    }
+}
+
+impl Config {
+    /// The published settings of the iron task (dissertation chapter 6 and the public code).
+    pub(super) fn paper() -> Self {
+        let usual = Self::default();
+        Self {
+            network: NetworkConfig {
+                body: Body::Convolution,
+                crop: 11,
+                nearest: false,
+                width: 512,
+                embedding: 128,
+                dueling: true,
+                ..usual.network
+            },
+            affordances: AffordancesConfig {
+                unreached: true,
+                squared: true,
+                apart: true,
+                refresh: 1,
+                every: 10,
+                triplets: 32,
+                population: 1_000,
+                ..usual.affordances
+            },
+            returns: ReturnsConfig {
+                steps: 10,
+                discount: 0.99,
+                cost: 0.01,
+                logarithm: true,
+                bounded: false,
+                time_outs: false,
+                target_every: 10_000,
+                no_operations: false,
+                mirror: false,
+                ..usual.returns
+            },
+            meta: MetaConfig {
+                discount: 0.99,
+                step_discount: 1.0,
+                masked: false,
+                first: 1_600,
+                every: 10,
+                batch: 32,
+                ..usual.meta
+            },
+            replay: ReplayConfig {
+                capacity: 1_000_000,
+                batch: 32,
+                priorities: 0.4,
+                importance: [0.6, 1.0],
+                first: 400,
+                steps_per_update: 4,
+                ..usual.replay
+            },
+            exploration: ExplorationConfig {
+                first_actions: 400,
+                start: 25_600,
+                afforded: [0.8, 0.0],
+                ..usual.exploration
+            },
+            measured: MeasuredConfig { varied: false, ..usual.measured },
+            weights: WeightsConfig { decay: 1e-5 },
+            optimiser: OptimiserConfig {
+                learning_rate: 6.25e-4,
+                learning_rate_end: 6.25e-4,
+                epsilon: 1.5e-4,
+                target_rate: 0.0,
+                average_rate: 1.0,
+                ..usual.optimiser
+            },
+        }
     }
 }

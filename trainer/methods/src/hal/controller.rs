@@ -4,7 +4,7 @@ use sortie_envs::random::chance;
 use sortie_envs::{Environment, Random};
 
 use super::config::{ReplayConfig, ReturnsConfig};
-use crate::options::{NONE, Place, Replay, Window, window};
+use crate::options::{NONE, Place, Replay, Window, importance, window};
 use crate::pictures::{Heads, Learner, Shown, Space, best, slopes};
 
 /// A step that is learned from.
@@ -16,12 +16,16 @@ struct Drawn {
     window: Window,
     /// The goals whose values are corrected, and what they should be.
     goals: [(u8, f32); 2],
+    /// What it counts in the loss, and how far off its values were.
+    weight: f32,
+    error: f32,
 }
 
 /// Memory of updates.
 #[derive(Debug, Default)]
 pub(super) struct Memory {
     drawn: Vec<Drawn>,
+    priorities: Vec<f64>,
     space: Space,
     target_space: Space,
     slopes: Vec<f32>,
@@ -31,29 +35,38 @@ pub(super) struct Memory {
 pub(super) fn descend(
     learner: &mut Learner,
     heads: Heads,
-    (returns, sizes): (&ReturnsConfig, &ReplayConfig),
-    (replay, shown, environment): (&Replay, &Shown, &dyn Environment),
+    (returns, sizes, exponent): (&ReturnsConfig, &ReplayConfig, f32),
+    (replay, shown, environment): (&mut Replay, &Shown, &dyn Environment),
     memory: &mut Memory,
     random: &mut Random,
 ) -> f64 {
-    let Memory { drawn, space, target_space, slopes: by_head } = memory;
+    let Memory { drawn, priorities, space, target_space, slopes: by_head } = memory;
+    let rules = returns.rules();
     drawn.clear();
+    priorities.clear();
     while drawn.len() < sizes.batch {
-        let reached = chance(random, sizes.reached.into());
-        let place = reached.then(|| replay.draw_reached(random)).flatten();
-        let place = place.unwrap_or_else(|| replay.draw_step(random));
-        let Some(window) = window(replay, place, returns.rules()) else { continue };
+        let (place, priority) = match replay.draw_step_by_priority(random) {
+            Some(drawn) => drawn,
+            None => {
+                let reached = chance(random, sizes.reached.into());
+                let place = reached.then(|| replay.draw_reached(random)).flatten();
+                (place.unwrap_or_else(|| replay.draw_step(random)), 1.0)
+            }
+        };
+        let Some(window) = window(replay, place, rules) else { continue };
+        priorities.push(priority);
         let moment = replay.moment(place);
         let is_mirrored = returns.mirror && chance(random, 0.5);
         let action = environment.turned_action(is_mirrored.into(), moment.action.into());
         let other = if returns.relabel { moment.option_reached } else { NONE };
         let other = if other == moment.goal { NONE } else { other };
-        let reward = |goal| if window.reached == goal { window.discount } else { 0.0 };
-        let goals =
-            [moment.goal, other].map(|goal| (goal, if goal == NONE { 0.0 } else { reward(goal) }));
-        drawn.push(Drawn { place, action: action.into(), is_mirrored, window, goals });
+        let goals = [moment.goal, other].map(|goal| (goal, window.earned(goal, rules)));
+        let action = action.into();
+        drawn.push(Drawn { place, action, is_mirrored, window, goals, weight: 1.0, error: 0.0 });
     }
-    look_up(learner, heads, (replay, shown), drawn, space, target_space);
+    let weights = importance(priorities, exponent.into());
+    drawn.iter_mut().zip(weights).for_each(|(step, weight)| step.weight = weight);
+    look_up(learner, (heads, returns), (replay, shown), drawn, space, target_space);
     space.rows.clear();
     for step in &*drawn {
         shown.push(replay.shown(step.place), step.is_mirrored, &mut space.rows);
@@ -66,15 +79,20 @@ pub(super) fn descend(
     by_head.resize(drawn.len() * outputs, 0.0);
     let mut loss = 0.0;
     let rows = pass.values(values).chunks_exact(outputs).zip(by_head.chunks_exact_mut(outputs));
-    for (step, (values, slopes)) in drawn.iter().zip(rows) {
-        for (goal, target) in step.goals.into_iter().filter(|(goal, _)| *goal != NONE) {
+    for (step, (values, slopes)) in drawn.iter_mut().zip(rows) {
+        let active = step.goals.into_iter().filter(|(goal, _)| *goal != NONE);
+        let goals = active.clone().count() as f32;
+        let share = share * step.weight * step.weight;
+        for (goal, target) in active {
             let error = heads.value(values, goal.into(), step.action) - target;
             loss += 0.5 * f64::from(error * error * share);
+            step.error += error.abs() / goals;
             heads.add_slope(slopes, goal.into(), step.action, error * share);
         }
     }
     let sum = slopes(&mut pass, values, by_head);
     pass.backward(sum, &mut learner.gradient);
+    replay.correct_steps(drawn.iter().map(|step| (step.place, step.error)));
     loss
 }
 
@@ -82,7 +100,7 @@ pub(super) fn descend(
 /// the target network.
 fn look_up(
     learner: &Learner,
-    heads: Heads,
+    (heads, returns): (Heads, &ReturnsConfig),
     (replay, shown): (&Replay, &Shown),
     drawn: &mut [Drawn],
     space: &mut Space,
@@ -101,7 +119,7 @@ fn look_up(
         for (goal, sum) in step.goals.iter_mut().filter(|(goal, _)| *goal != NONE) {
             heads.values(network, &learner.online, online, (*goal).into(), &mut chosen);
             heads.values(network, &learner.target, target, (*goal).into(), &mut worth);
-            *sum += step.window.discount * worth[best(&chosen, u32::MAX)].clamp(0.0, 1.0);
+            *sum += step.window.discount * returns.bound(worth[best(&chosen, u32::MAX)]);
         }
     }
 }

@@ -24,7 +24,7 @@ pub(super) fn deployed<'a>(
     let rules = options.rules(actors.heads.actions).ok()?;
     let row = vec![0.0; shown.columns()];
     let policy = OptionPolicy::new(rules, OwnNetworks::new(actors), row)?;
-    let networks = graphs(actors);
+    let networks = graphs(actors)?;
     Some(DeployedAgents {
         networks: DeployedNetworks::Options { options, graphs: networks },
         policy: Box::new(policy),
@@ -43,7 +43,7 @@ fn contract(
     let [reached, known] = actors.known;
     let milestone = |(place, (name, sign)): (usize, &(String, Sign))| {
         let affordance = match (reached >> place & 1, known >> place & 1) {
-            (0, _) => Affords::Never,
+            (0, _) if !actors.rules.unreached => Affords::Never,
             (_, 0) => Affords::Always,
             _ => Affords::Learned,
         };
@@ -71,19 +71,23 @@ fn contract(
     })
 }
 
-fn graphs(actors: Actors<'_>) -> OptionGraphs {
+fn graphs(actors: Actors<'_>) -> Option<OptionGraphs> {
     let layers = |(network, weights): (&Network, &[f32])| network.dense(weights);
-    let mut controller = layers(actors.controller);
+    let mut controller = layers(actors.controller)?;
     let [.., head] = &mut controller;
     let (goals, actions) = (actors.heads.goals, actors.heads.actions);
     let heads = (0..goals).map(|goal| head_of(head, goals, actions, goal)).collect();
     let [first, second, _] = controller;
-    OptionGraphs {
+    let mut meta = layers(actors.meta)?;
+    if actors.meta_heads.dueling {
+        meta[2] = head_of(&meta[2], 1, goals, 0);
+    }
+    Some(OptionGraphs {
         controller: [first, second],
         heads,
-        meta: layers(actors.meta),
-        affordance: layers(actors.classifier),
-    }
+        meta,
+        affordance: layers(actors.classifier)?,
+    })
 }
 
 /// The values of all actions for a goal as one layer: value and advantages, less their mean.
@@ -145,7 +149,8 @@ impl OptionNetworks for OwnNetworks<'_> {
     fn goals(&mut self, shown: &[f32], values: &mut [f32]) -> Result<(), DecideError> {
         let (network, weights) = self.actors.meta;
         let hidden = self.hidden((network, weights), shown);
-        network.read(weights, &hidden, 0..values.len(), values);
+        self.actors.meta_heads.values(network, weights, &hidden, 0, &mut self.values);
+        values.copy_from_slice(&self.values);
         Ok(())
     }
 

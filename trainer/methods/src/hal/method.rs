@@ -6,9 +6,10 @@ use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Rates, Reports};
 use sortie_learn::session::Opening;
 use sortie_learn::{Act, LearnError, Method, Now, Scene, Scenes, State, Transition};
+use sortie_nn::schedule::linear;
 
 use super::affordances::{self, Classes};
-use super::config::{Config, MeasuredConfig};
+use super::config::{Config, MeasuredConfig, NetworkConfig};
 use super::controller;
 use super::deployed;
 use super::filter::Population;
@@ -16,7 +17,7 @@ use super::meta;
 use crate::options::{
     Actors, Chances, End, Finished, Mask, Moment, NONE, Place, PlayRules, Player, Replay, Running,
 };
-use crate::pictures::{Heads, Learner, NetworkShape, Shown};
+use crate::pictures::{Body, Heads, Learner, NetworkShape, Shown};
 
 /// An agent that learns which milestones can be reached, which to go for, and how.
 #[derive(Debug)]
@@ -65,22 +66,29 @@ impl Hal {
     pub fn new(config: Config, opening: &Opening<'_>) -> Option<Self> {
         let Opening { setup, environment, seed, .. } = *opening;
         let spec = environment.spec();
-        let shown = Shown::new(spec, config.network.crop, config.network.nearest)?;
+        let NetworkConfig { body, crop, nearest, width, embedding, dueling, .. } = config.network;
+        let shown = Shown::new(spec, crop, nearest, body == Body::Convolution)?;
         let instances = setup.environment.instances;
         let milestones = spec.milestones.len();
-        let heads = Heads { goals: milestones, actions: spec.shape.actions };
-        let learner = |outputs: usize, index: u64| {
+        let heads = Heads { goals: milestones, actions: spec.shape.actions, dueling: true };
+        let learner = |width: usize, outputs: usize, index: u64| {
             let mut random = generator(seed, Purpose::Weights, index);
-            let (width, active) = (config.network.width, config.network.active_inputs);
-            let shape = NetworkShape { columns: shown.columns(), active, width, outputs };
+            let (columns, active) = (shown.columns(), config.network.active_inputs);
+            let picture = shown.shape();
+            let shape = NetworkShape { body, picture, columns, active, width, outputs };
             Learner::new(shape, &config.optimiser, &mut random)
         };
         let kept = config.replay.capacity / instances;
+        let replay = Replay::new(instances, kept, shown.bytes(), milestones);
+        let replay = match config.replay.priorities {
+            0.0 => replay,
+            exponent => replay.by_priority(exponent, config.meta.kept.div_ceil(instances)),
+        };
         Some(Self {
-            controller: learner(heads.outputs(), 0),
-            meta: learner(milestones, 1),
-            classifier: learner(milestones, 2),
-            replay: Replay::new(instances, kept, shown.bytes(), milestones),
+            controller: learner(width, heads.outputs(), 0),
+            meta: learner(width, heads.of_goals(dueling).outputs(), 1),
+            classifier: learner(embedding, milestones, 2),
+            replay,
             classes: Classes::new(milestones, config.affordances.kept),
             populations: vec![Population::default(); milestones],
             known: [0; 2],
@@ -104,9 +112,11 @@ impl Hal {
                 option_steps: self.config.returns.option_steps,
                 mask: self.config.affordances.mask,
                 threshold: self.config.affordances.threshold,
+                unreached: self.config.affordances.unreached,
             },
             shown: &self.shown,
             heads: self.heads,
+            meta_heads: self.heads.of_goals(self.config.network.dueling),
             controller: (&self.controller.network, weights(&self.controller)),
             meta: (&self.meta.network, weights(&self.meta)),
             classifier: (&self.classifier.network, weights(&self.classifier)),
@@ -132,40 +142,68 @@ impl Hal {
     }
 
     /// One update of each network that is due.
-    fn learn(&mut self, environment: &dyn Environment, learning_rate: f32, reports: &mut Reports) {
-        let Self { config, shown, replay, random, memories, .. } = self;
-        let (returns, kept) = (&config.returns, (&*replay, &*shown, environment));
-        let sizes = (returns, &config.replay);
+    fn learn(&mut self, environment: &dyn Environment, now: Now, reports: &mut Reports) {
+        self.updates += 1;
+        let learning_rate = self.config.optimiser.learning_rate_at(now.env_steps, now.of);
+        self.learn_values(environment, now, learning_rate, reports);
+        if self.config.affordances.mask == Mask::Learned {
+            self.learn_affordances(learning_rate);
+        }
+    }
+
+    fn learn_values(
+        &mut self,
+        environment: &dyn Environment,
+        now: Now,
+        learning_rate: f32,
+        reports: &mut Reports,
+    ) {
+        let Config { network, returns, meta: own, replay: sizes, optimiser, weights, .. } =
+            &self.config;
+        let (heads, shown, random) = (self.heads, &self.shown, &mut self.random);
+        let (replay, memories) = (&mut self.replay, &mut self.memories);
+        let [start, end] = sizes.importance;
+        let exponent = linear(start, end, now.of, now.env_steps);
         let controller = &mut self.controller;
-        let loss =
-            controller::descend(controller, self.heads, sizes, kept, &mut memories.0, random);
-        reports.agents.push(controller.step(&config.optimiser, learning_rate, loss));
-        let (meta, kept) = (&mut self.meta, (&*replay, &*shown));
-        let changes = [returns.relabel, returns.mirror];
-        let loss = meta::descend(meta, &config.meta, changes, kept, &mut memories.1, random);
-        if let Some(loss) = loss {
-            reports.allocator.push(meta.step(&config.optimiser, learning_rate, loss));
+        let (settings, kept) = ((returns, sizes, exponent), (&mut *replay, shown, environment));
+        let loss = controller::descend(controller, heads, settings, kept, &mut memories.0, random);
+        reports.agents.push(controller.step(optimiser, learning_rate, weights.decay, loss));
+        let meta = &mut self.meta;
+        if self.updates > own.first && self.updates.is_multiple_of(own.every) {
+            let (heads, settings) = (heads.of_goals(network.dueling), (own, returns, exponent));
+            let loss =
+                meta::descend(meta, heads, settings, (replay, shown), &mut memories.1, random);
+            let report = |loss| meta.step(optimiser, learning_rate, weights.decay, loss);
+            reports.allocator.extend(loss.map(report));
         }
-        let own = &config.affordances;
-        if own.mask != Mask::Learned || !self.updates.is_multiple_of(own.every) {
-            return;
+        if returns.target_every > 0 && self.updates.is_multiple_of(returns.target_every) {
+            self.controller.copy_to_target();
+            self.meta.copy_to_target();
         }
-        let round = self.updates / own.every;
-        let (classifier, memory) = (&mut self.classifier, &mut memories.2);
-        if own.filter && round.is_multiple_of(REFRESHED) {
-            let milestone = (round / REFRESHED) as usize % self.populations.len();
+    }
+
+    /// What is due of the embedding, the positives and the classes.
+    fn learn_affordances(&mut self, learning_rate: f32) {
+        let own = &self.config.affordances;
+        let (round, turn) = (self.updates / own.every, self.updates % own.every);
+        let is_due = |tenths: u64| turn == if own.apart { own.every * tenths / 10 } else { 0 };
+        let (kept, random) = ((&self.replay, &self.shown), &mut self.random);
+        let (classifier, memory) = (&mut self.classifier, &mut self.memories.2);
+        if own.filter && is_due(3) && round.is_multiple_of(own.refresh) {
+            let milestone = (round / own.refresh) as usize % self.populations.len();
             let population = &mut self.populations[milestone];
             let from = (&self.classes, &*classifier);
             affordances::refresh(population, milestone, own.population, from, kept, memory, random);
         }
-        let data = (&self.classes, &*self.populations);
-        let loss = affordances::descend(classifier, own, data, kept, memory, random);
-        classifier.step(&config.optimiser, learning_rate, loss);
+        let parts = [is_due(0), is_due(6)];
+        if parts != [false; 2] {
+            let data = (&self.classes, &*self.populations);
+            let loss = affordances::descend(classifier, own, parts, data, kept, memory, random);
+            let decay = self.config.weights.decay;
+            classifier.step(&self.config.optimiser, learning_rate, decay, loss);
+        }
     }
 }
-
-/// Updates of the classifier for each milestone whose positives are measured anew.
-const REFRESHED: u64 = 4;
 
 impl Method for Hal {
     fn act(
@@ -176,15 +214,8 @@ impl Method for Hal {
         actions: &mut [u16],
     ) -> Result<(), LearnError> {
         let exploration = &self.config.exploration;
-        let at = |chances| exploration.at(chances, now.env_steps, now.of);
-        let [goals, afforded] = match self.config.affordances.mask {
-            _ if now.env_steps < exploration.first => [1.0, 0.0],
-            Mask::Learned => [at(exploration.goals), at(exploration.afforded)],
-            Mask::Oracle => [0.0, at(exploration.goals) + at(exploration.afforded)],
-            Mask::None => [at(exploration.goals), 0.0],
-        };
-        let actions_chance =
-            if now.env_steps < exploration.first { 1.0 } else { at(exploration.actions) };
+        let [goals, afforded] = exploration.goals_at(self.config.affordances.mask, now);
+        let actions_chance = exploration.actions_at(now);
         let mut player = std::mem::take(&mut self.player);
         let chances = Chances {
             actions: actions_chance,
@@ -246,23 +277,17 @@ impl Method for Hal {
         now: Now,
         reports: &mut Reports,
     ) -> Result<(), LearnError> {
-        let first = self.config.exploration.first;
-        let due = now.env_steps.saturating_sub(first) / self.config.replay.steps_per_update;
-        let learning_rate = self.config.optimiser.learning_rate_at(now.env_steps, now.of);
+        let sizes = &self.config.replay;
+        let due = now.env_steps.saturating_sub(sizes.first) / sizes.steps_per_update;
         while self.updates < due {
-            self.updates += 1;
-            self.learn(environment, learning_rate, reports);
+            self.learn(environment, now, reports);
         }
         Ok(())
     }
 
     fn rates(&self, now: Now) -> Rates {
         Rates {
-            epsilon: self.config.exploration.at(
-                self.config.exploration.actions,
-                now.env_steps,
-                now.of,
-            ),
+            epsilon: self.config.exploration.actions_at(now),
             learning_rate: self.config.optimiser.learning_rate_at(now.env_steps, now.of),
         }
     }
@@ -275,6 +300,11 @@ impl Method for Hal {
         if self.config.affordances.mask != Mask::Learned {
             let reason =
                 "only agents that have learned what they can reach are deployed: those of `hal`";
+            return Err(LearnError::Config(reason.to_owned()));
+        }
+        if self.config.network.body == Body::Convolution {
+            let reason =
+                "agents of convolutions are not deployed: those of `network.body=layers` are";
             return Err(LearnError::Config(reason.to_owned()));
         }
         let actors = self.actors(|learner| &learner.average);

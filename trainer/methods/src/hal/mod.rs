@@ -11,6 +11,8 @@ mod filter;
 mod meta;
 mod method;
 mod presets;
+#[cfg(test)]
+mod tests;
 
 pub use config::{
     AffordancesConfig, Config, ExplorationConfig, MeasuredConfig, MetaConfig, NetworkConfig,
@@ -21,3 +23,4 @@ pub use method::{Hal, MaskCounts, Measured};
 pub use presets::{H_DQN, HAL, HAL_ORACLE};
 
 pub use crate::options::Mask;
+pub use crate::pictures::Body;

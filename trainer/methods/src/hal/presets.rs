@@ -9,13 +9,17 @@ use sortie_learn::{LearnError, Method};
 use super::config::{Config, KEYS};
 use super::method::Hal;
 use crate::options::Mask;
+use crate::pictures::Body;
 
 /// HAL: affordances are learned.
 pub const HAL: MethodEntry = MethodEntry {
     name: "hal",
     about: "An agent that learns which milestones it can reach, which to go for, and how (HAL, dissertation chapter 6)",
     keys: |_| KEYS,
-    presets: &[Preset { name: "fast", setup: || fast(Mask::Learned) }],
+    presets: &[
+        Preset { name: "fast", setup: || fast(Mask::Learned) },
+        Preset { name: "paper", setup: || paper(Mask::Learned) },
+    ],
     flags: &[],
     in_proportion: &[],
     suit: |_, _, _| {},
@@ -28,7 +32,10 @@ pub const HAL: MethodEntry = MethodEntry {
 pub const HAL_ORACLE: MethodEntry = MethodEntry {
     name: "hal-oracle",
     about: "The same agent, told which milestones it can reach (oracle mask)",
-    presets: &[Preset { name: "fast", setup: || fast(Mask::Oracle) }],
+    presets: &[
+        Preset { name: "fast", setup: || fast(Mask::Oracle) },
+        Preset { name: "paper", setup: || paper(Mask::Oracle) },
+    ],
     ..HAL
 };
 
@@ -36,7 +43,10 @@ pub const HAL_ORACLE: MethodEntry = MethodEntry {
 pub const H_DQN: MethodEntry = MethodEntry {
     name: "h-dqn",
     about: "The same agent, which may go for any milestone at any time (H-Rainbow with HER)",
-    presets: &[Preset { name: "fast", setup: || fast(Mask::None) }],
+    presets: &[
+        Preset { name: "fast", setup: || fast(Mask::None) },
+        Preset { name: "paper", setup: || paper(Mask::None) },
+    ],
     ..HAL
 };
 
@@ -51,6 +61,21 @@ fn fast(mask: Mask) -> Setup {
         ..RunConfig::default()
     };
     Setup::of(256, run, &config)
+}
+
+/// The published learner of the iron task; its episodes are as long in training as where it is measured.
+fn paper(mask: Mask) -> Setup {
+    let mut config = Config::paper();
+    config.affordances.mask = mask;
+    let run = RunConfig {
+        steps: 6_000_000,
+        evaluate_every: 200_000,
+        evaluate_episodes: 100,
+        ..RunConfig::default()
+    };
+    let mut setup = Setup::of(4, run, &config);
+    setup.environment.settings.insert("training_limit".to_owned(), 4_320_i64.into());
+    setup
 }
 
 fn misfit(spec: &Spec) -> Option<&'static str> {
@@ -68,6 +93,19 @@ fn open(opening: &Opening<'_>) -> Result<Box<dyn Method>, LearnError> {
         return refused(format!(
             "`network.width` is {}, must be a multiple of 8",
             config.network.width
+        ));
+    }
+    if !config.network.embedding.is_multiple_of(8) {
+        return refused(format!(
+            "`network.embedding` is {}, must be a multiple of 8",
+            config.network.embedding
+        ));
+    }
+    let kernels_fit = config.network.crop >= Body::SIDE && !config.network.nearest;
+    if config.network.body == Body::Convolution && !kernels_fit {
+        return refused(format!(
+            "`network.body=convolution` goes over a picture: set `network.nearest=false` and `network.crop` to at least {}",
+            Body::SIDE
         ));
     }
     let kept = config.replay.capacity / opening.setup.environment.instances;

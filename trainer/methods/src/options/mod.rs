@@ -1,10 +1,12 @@
 //! Options of agents that go from milestone to milestone: how they are played, kept, and learned from.
 
 mod play;
+mod priorities;
 mod replay;
 mod windows;
 
 pub use play::Mask;
 pub(crate) use play::{Actors, Chances, PlayRules, Player, Running};
-pub(crate) use replay::{End, Finished, Moment, NONE, Place, Replay};
+pub(crate) use priorities::importance;
+pub(crate) use replay::{End, Finished, Moment, NONE, OptionPlace, Place, Replay};
 pub(crate) use windows::{Course, CourseRules, ReturnRules, Window, course, window};

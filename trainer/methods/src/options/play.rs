@@ -63,6 +63,8 @@ pub(crate) struct PlayRules {
     pub(crate) mask: Mask,
     /// Likelihood from which on a milestone counts as afforded.
     pub(crate) threshold: f32,
+    /// Whether milestones that were never reached count as afforded.
+    pub(crate) unreached: bool,
 }
 
 /// Networks and weights that act.
@@ -71,6 +73,7 @@ pub(crate) struct Actors<'a> {
     pub(crate) rules: PlayRules,
     pub(crate) shown: &'a Shown,
     pub(crate) heads: Heads,
+    pub(crate) meta_heads: Heads,
     pub(crate) controller: (&'a Network, &'a [f32]),
     pub(crate) meta: (&'a Network, &'a [f32]),
     pub(crate) classifier: (&'a Network, &'a [f32]),
@@ -183,7 +186,7 @@ impl Player {
         let (network, weights) = actors.meta;
         let states = scenes.iter().map(|scene| (&*shown[scene.instance], false));
         let hidden = space.hidden(network, weights, actors.shown, states);
-        let milestones = network.outputs();
+        let milestones = actors.heads.goals;
         for ((scene, mask), hidden) in
             scenes.iter().zip(masks).zip(hidden.chunks_exact(network.width()))
         {
@@ -202,8 +205,7 @@ impl Player {
             } else if number < chances.goals + chances.afforded {
                 seldom(mask, milestones, chances.reached, random)
             } else {
-                values.resize(milestones, 0.0);
-                network.read(weights, hidden, 0..milestones, values);
+                actors.meta_heads.values(network, weights, hidden, 0, values);
                 best(values, running.least_missed(mask))
             };
             running.goal = goal as u8;
@@ -233,9 +235,11 @@ impl Player {
                 values.resize(milestones, 0.0);
                 let threshold = actors.rules.threshold;
                 let least = (threshold / (1.0 - threshold)).ln();
+                let [reached, both] = actors.known;
+                let known = [if actors.rules.unreached { all } else { reached }, both];
                 let mask = |hidden: &[f32]| {
                     network.read(weights, hidden, 0..milestones, values);
-                    mask(values, least, actors.known)
+                    mask(values, least, known)
                 };
                 hidden.chunks_exact(network.width()).map(mask).collect()
             }

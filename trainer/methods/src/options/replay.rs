@@ -6,6 +6,8 @@ use serde::{Deserialize, Serialize};
 use sortie_envs::Random;
 use sortie_envs::random::below;
 
+use super::priorities::Priorities;
+
 /// No milestone.
 pub(crate) const NONE: u8 = u8::MAX;
 
@@ -74,7 +76,7 @@ struct Ring {
 }
 
 /// An option by its instance and its number there.
-type OptionPlace = (u32, u32);
+pub(crate) type OptionPlace = (u32, u32);
 
 /// Everything that is kept.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -89,6 +91,16 @@ pub(crate) struct Replay {
     reached: Vec<VecDeque<OptionPlace>>,
     /// Options of episodes that were solved.
     solved: VecDeque<OptionPlace>,
+    /// Of steps and of options, where they are drawn by priorities.
+    priorities: Option<ByPriority>,
+}
+
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct ByPriority {
+    steps: Priorities,
+    options: Priorities,
+    /// Options of each instance that can be drawn, the latest.
+    options_kept: usize,
 }
 
 impl Replay {
@@ -100,7 +112,16 @@ impl Replay {
             options: vec![(0, VecDeque::new()); instances],
             reached: vec![VecDeque::new(); milestones],
             solved: VecDeque::new(),
+            priorities: None,
         }
+    }
+
+    /// The same, from which is drawn by priorities: so many options of each instance.
+    pub(crate) fn by_priority(self, exponent: f64, options_kept: usize) -> Self {
+        let places = |kept: usize| Priorities::new(self.rings.len() * kept, exponent);
+        let priorities =
+            ByPriority { steps: places(self.kept), options: places(options_kept), options_kept };
+        Self { priorities: Some(priorities), ..self }
     }
 
     /// Keeps a state and what was done in it.
@@ -116,6 +137,9 @@ impl Replay {
             ring.moments[place] = moment;
         }
         ring.count += 1;
+        if let Some(priorities) = &mut self.priorities {
+            priorities.steps.remove(instance * kept + place);
+        }
         Place { instance: instance as u32, time: ring.count - 1 }
     }
 
@@ -140,6 +164,10 @@ impl Replay {
         for step in 0..u32::from(option.steps) {
             let place = option.start.after(step).time as usize % self.kept;
             self.rings[instance].moments[place].option_reached = option.reached;
+            // Only now is it known what they are learned from as.
+            if let Some(priorities) = &mut self.priorities {
+                priorities.steps.add(instance * self.kept + place);
+            }
         }
         while self.options[instance].1.front().is_some_and(|first| !self.has(first.start)) {
             self.options[instance].1.pop_front();
@@ -149,6 +177,9 @@ impl Replay {
         options.push_back(option);
         let number = *forgotten + options.len() as u32 - 1;
         let place = (instance as u32, number);
+        if let Some(ByPriority { options, options_kept, .. }) = &mut self.priorities {
+            options.add(instance * *options_kept + number as usize % *options_kept);
+        }
         if option.reached == NONE {
             return;
         }
@@ -185,6 +216,54 @@ impl Replay {
         self.has(option.start).then_some(option)
     }
 
+    /// A step of an option that is over, by priorities, and its own.
+    pub(crate) fn draw_step_by_priority(&self, random: &mut Random) -> Option<(Place, f64)> {
+        let steps = &self.priorities.as_ref()?.steps;
+        let drawn = steps.draw(random)?;
+        let (instance, place) = (drawn / self.kept, drawn % self.kept);
+        let time = latest(self.rings[instance].count as usize, self.kept, place);
+        Some((Place { instance: instance as u32, time }, steps.of(drawn)))
+    }
+
+    /// An option by priorities, and its own.
+    pub(crate) fn draw_option_by_priority(
+        &mut self,
+        random: &mut Random,
+    ) -> Option<(OptionPlace, f64)> {
+        let ByPriority { options, options_kept, .. } = self.priorities.as_ref()?;
+        let drawn = options.draw(random)?;
+        let (instance, place) = (drawn / options_kept, drawn % options_kept);
+        let (forgotten, known) = &self.options[instance];
+        let option =
+            (instance as u32, latest(*forgotten as usize + known.len(), *options_kept, place));
+        let priority = options.of(drawn);
+        if self.option(option).is_none()
+            && let Some(priorities) = &mut self.priorities
+        {
+            priorities.options.remove(drawn);
+            return None;
+        }
+        Some((option, priority))
+    }
+
+    /// Tells steps how far off their values were.
+    pub(crate) fn correct_steps(&mut self, errors: impl Iterator<Item = (Place, f32)>) {
+        let Some(priorities) = &mut self.priorities else { return };
+        for (Place { instance, time }, error) in errors {
+            let place = instance as usize * self.kept + time as usize % self.kept;
+            priorities.steps.correct(place, error);
+        }
+    }
+
+    /// The same of options.
+    pub(crate) fn correct_options(&mut self, errors: impl Iterator<Item = (OptionPlace, f32)>) {
+        let Some(ByPriority { options, options_kept, .. }) = &mut self.priorities else { return };
+        for ((instance, number), error) in errors {
+            let place = instance as usize * *options_kept + number as usize % *options_kept;
+            options.correct(place, error);
+        }
+    }
+
     /// A step that something was done in, any of those that are kept.
     pub(crate) fn draw_step(&self, random: &mut Random) -> Place {
         loop {
@@ -216,5 +295,76 @@ impl Replay {
             (instance as u32, *forgotten + below(random, options.len()) as u32)
         };
         self.option(place).map(|_| place)
+    }
+}
+
+/// The latest of so many numbers that stands at a place of a ring.
+fn latest(count: usize, kept: usize, place: usize) -> u32 {
+    let last = count - 1;
+    (last - (last % kept + kept - place) % kept) as u32
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+
+    /// Options of three steps, `steps` states of one instance of two in all.
+    fn played(kept: usize, options_kept: usize, steps: u32) -> Replay {
+        let mut replay = Replay::new(2, kept, 1, 2).by_priority(0.5, options_kept);
+        for time in 0..steps {
+            let moment = Moment { reached: NONE, ends_option: time % 3 == 2, ..Moment::default() };
+            replay.push(1, &[time as u8], moment);
+            if time % 3 == 2 {
+                let start = Place { instance: 1, time: time - 2 };
+                let (goal, reached) = (0, NONE);
+                let option = Finished { start, steps: 3, goal, reached, mask: 3, end: End::GoesOn };
+                replay.finish(option);
+            }
+        }
+        replay
+    }
+
+    #[test]
+    fn what_is_drawn_by_priorities_is_kept_and_over() {
+        let mut random = sortie_envs::random::generator(1);
+        // Before a ring is full, and after it went round.
+        for (steps, first, last) in [(8, 0, 5), (26, 16, 23)] {
+            let replay = played(10, 100, steps);
+            let draw = |_| replay.draw_step_by_priority(&mut random).unwrap().0;
+            let drawn: BTreeSet<_> = (0..500).map(draw).map(|it| (it.instance, it.time)).collect();
+            let want: Vec<_> = (first..=last).map(|time| (1, time)).collect();
+            assert_eq!(drawn.into_iter().collect::<Vec<_>>(), want, "{steps}");
+        }
+        for (options_kept, want) in [(2, [6, 7].as_slice()), (100, &[6, 7])] {
+            let mut replay = played(10, options_kept, 26);
+            let draw = |_| replay.draw_option_by_priority(&mut random);
+            let drawn: BTreeSet<_> = (0..500).filter_map(draw).map(|it| it.0).collect();
+            let want: Vec<_> = want.iter().map(|number| (1, *number)).collect();
+            assert_eq!(drawn.into_iter().collect::<Vec<_>>(), want, "{options_kept}");
+        }
+        assert!(Replay::new(2, 10, 1, 2).draw_step_by_priority(&mut random).is_none());
+    }
+
+    #[test]
+    fn errors_become_priorities_of_the_steps_and_options_that_had_them() {
+        let mut random = sortie_envs::random::generator(1);
+        let mut replay = played(10, 2, 26);
+        let place = |time| Place { instance: 1, time };
+        replay
+            .correct_steps((16..24).map(|time| (place(time), if time == 19 { 4.0 } else { 0.0 })));
+        replay.correct_options([((1, 6), 0.25), ((1, 7), 2.25)].into_iter());
+        let priority = |error: f64| (error + 0.001).powf(0.5);
+        let mut seen = [0; 2];
+        for _ in 0..300 {
+            let (step, found) = replay.draw_step_by_priority(&mut random).unwrap();
+            assert_eq!(found, priority(if step.time == 19 { 4.0 } else { 0.0 }));
+            let (option, found) = replay.draw_option_by_priority(&mut random).unwrap();
+            assert_eq!(found, priority(if option.1 == 6 { 0.25 } else { 2.25 }));
+            seen[0] += usize::from(step.time == 19);
+            seen[1] += usize::from(option.1 == 7);
+        }
+        assert!(seen[0] > 240 && (190..260).contains(&seen[1]), "{seen:?}");
     }
 }

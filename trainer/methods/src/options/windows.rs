@@ -11,6 +11,14 @@ pub(crate) struct ReturnRules {
     pub(crate) discount: f32,
     /// Whether actions that change nothing are worth nothing.
     pub(crate) no_operations: bool,
+    /// Whether steps behind which time was over, or nothing could be reached any more, are learned from; else what comes
+    /// before them ends where they begin.
+    pub(crate) time_outs: bool,
+    /// What the goal is worth, and what every other step costs.
+    pub(crate) worth: f32,
+    pub(crate) cost: f32,
+    /// Whether a step that reached something else costs nothing.
+    pub(crate) forgives: bool,
 }
 
 /// How options do.
@@ -22,6 +30,12 @@ pub(crate) struct CourseRules {
     pub(crate) discount: f32,
     /// Discount per environment step of an option, besides.
     pub(crate) step_discount: f32,
+    /// Whether options behind which time was over, or nothing could be reached any more, are learned from; else what comes
+    /// before them ends where they begin.
+    pub(crate) time_outs: bool,
+    /// What the task is worth, and what a step that reached something else costs.
+    pub(crate) worth: f32,
+    pub(crate) cost: f32,
     /// Whether an option that fulfilled the task counts as meant to.
     pub(crate) relabel: bool,
     /// How many there are; the last is the task.
@@ -33,37 +47,58 @@ pub(crate) struct CourseRules {
 pub(crate) struct Window {
     /// The milestone that was reached, or none.
     pub(crate) reached: u8,
+    /// What the steps before it earned.
+    pub(crate) earned: f32,
     /// What a value behind it counts; where a milestone was reached, what that counts.
     pub(crate) discount: f32,
     /// Where a value is looked up; nowhere where nothing can follow.
     pub(crate) next: Option<Place>,
 }
 
-/// What the steps of an option from one on led to; none where that is not known yet.
+impl Window {
+    /// What was earned on the way to a goal, without what follows.
+    pub(crate) fn earned(&self, goal: u8, rules: ReturnRules) -> f32 {
+        let last = match self.reached {
+            NONE => 0.0,
+            reached if reached == goal => rules.worth,
+            _ if rules.forgives => 0.0,
+            _ => -rules.cost,
+        };
+        self.earned + self.discount * last
+    }
+}
+
+/// What the steps of an option from one on led to; none where that is not known yet, or is not learned from.
 pub(crate) fn window(replay: &Replay, start: Place, rules: ReturnRules) -> Option<Window> {
-    let mut discount = 1.0;
-    let nothing = Window { reached: NONE, discount: 0.0, next: None };
+    let (mut discount, mut earned) = (1.0, 0.0);
     for step in 0..u32::from(rules.steps) {
         let place = start.after(step);
         if !replay.has(place) {
             return None;
         }
         let moment = replay.moment(place);
+        let window = Window { reached: moment.reached, earned, discount, next: None };
+        let nothing = Window { reached: NONE, discount: 0.0, ..window };
         if rules.no_operations && moment.changed_nothing {
             // What changes nothing is worth nothing as a start; behind other steps it is not followed.
             let before = Window { next: Some(place), discount, ..nothing };
             return Some(if step == 0 { nothing } else { before });
         }
         if moment.reached != NONE {
-            return Some(Window { reached: moment.reached, discount, next: None });
+            return Some(window);
         }
+        if moment.ends_option && !rules.time_outs {
+            return (step > 0).then_some(Window { next: Some(place), ..window });
+        }
+        earned -= discount * rules.cost;
         if moment.terminated {
-            return Some(nothing);
+            return Some(Window { earned, ..nothing });
         }
         discount *= rules.discount;
         if moment.ends_option || step + 1 == u32::from(rules.steps) {
             let next = place.after(1);
-            return replay.has(next).then_some(Window { next: Some(next), discount, ..nothing });
+            let window = Window { reached: NONE, earned, discount, next: Some(next) };
+            return replay.has(next).then_some(window);
         }
     }
     None
@@ -92,28 +127,39 @@ pub(crate) fn course(
     let task = milestones as u8 - 1;
     let first = *replay.option((instance, number))?;
     let goal = if relabel && first.reached == task { task } else { first.goal };
-    let over = |reward| Course { start: first.start, goal, reward, discount: 0.0, next: None };
     let all = u32::MAX >> (32 - milestones);
-    let (mut discount, mut last) = (1.0, first);
+    let (mut reward, mut discount, mut next) = (0.0, 1.0, None);
     for ahead in 0..rules.options as u32 {
         let Some(option) = replay.option((instance, number + ahead)) else { break };
-        last = *option;
+        let over = |reward| Course { start: first.start, goal, reward, discount: 0.0, next: None };
         if option.reached == task {
-            return Some(over(discount));
+            return Some(over(reward + discount * rules.worth));
+        }
+        if option.end != End::GoesOn && !rules.time_outs {
+            if ahead == 0 {
+                return None;
+            }
+            next = Some((option.start, option.mask));
+            break;
+        }
+        if option.reached != NONE {
+            reward -= discount * rules.cost;
         }
         if option.end == End::Terminated {
-            return Some(over(0.0));
+            return Some(over(reward));
         }
         discount *= rules.discount * rules.step_discount.powi(option.steps.into());
+        // The mask of an option that still runs is not known yet, nor one behind the last.
+        next = Some((option.start.after(option.steps.into()), all));
         if option.end == End::TimedOut {
             break;
         }
     }
+    let (place, mask) = next?;
     let following = replay.option((instance, number + rules.options as u32));
-    let place = last.start.after(last.steps.into());
-    // The mask of an option that still runs is not known yet, nor one behind the last.
-    let mask = following.filter(|option| option.start == place).map_or(all, |option| option.mask);
-    replay.has(place).then_some(Course { discount, next: Some((place, mask)), ..over(0.0) })
+    let mask = following.filter(|option| option.start == place).map_or(mask, |option| option.mask);
+    let course = Course { start: first.start, goal, reward, discount, next: Some((place, mask)) };
+    replay.has(place).then_some(course)
 }
 
 #[cfg(test)]
@@ -144,7 +190,15 @@ mod tests {
         moments[9].ends_option = true;
         moments[11].terminated = true;
         let replay = kept(&moments);
-        let rules = ReturnRules { steps: 3, discount: 0.5, no_operations: true };
+        let rules = ReturnRules {
+            steps: 3,
+            discount: 0.5,
+            no_operations: true,
+            time_outs: true,
+            worth: 1.0,
+            cost: 0.0,
+            forgives: false,
+        };
         let found = |time| {
             let window = window(&replay, at(time), rules)?;
             Some((window.reached, window.discount, window.next.map(|place| place.time)))
@@ -195,6 +249,9 @@ mod tests {
             options: 2,
             discount: 0.5,
             step_discount: 1.0,
+            time_outs: true,
+            worth: 1.0,
+            cost: 0.0,
             relabel: true,
             milestones: 3,
         };
@@ -214,5 +271,117 @@ mod tests {
         let draw = |_| replay.draw_option(true, &mut random).unwrap().1;
         let drawn: std::collections::BTreeSet<u32> = (0..50).map(draw).collect();
         assert_eq!(drawn.into_iter().collect::<Vec<_>>(), [0, 1, 2]);
+    }
+
+    /// The published returns of a list of rewards, step by step from the front.
+    fn naive(
+        moments: &[Moment],
+        start: usize,
+        goal: u8,
+        rules: ReturnRules,
+    ) -> Option<(f32, f32, Option<u32>)> {
+        let is_time_out = |at: usize| moments[at].ends_option && moments[at].reached == NONE;
+        if is_time_out(start) {
+            return None;
+        }
+        let (mut sum, mut at) = (0.0, start);
+        loop {
+            let ahead = (at - start) as i32;
+            let reached = moments[at].reached;
+            let reward = match reached {
+                _ if reached != NONE && reached == goal => rules.worth,
+                _ if reached != NONE && rules.forgives => 0.0,
+                _ => -rules.cost,
+            };
+            sum += rules.discount.powi(ahead) * reward;
+            at += 1;
+            if reached != NONE {
+                return Some((sum, 0.0, None));
+            }
+            if at - start == usize::from(rules.steps) || is_time_out(at) {
+                return Some((sum, rules.discount.powi(ahead + 1), Some(at as u32)));
+            }
+        }
+    }
+
+    #[test]
+    fn published_returns_are_those_of_a_naive_list() {
+        let step = Moment { reached: NONE, option_reached: NONE, ..Moment::default() };
+        let mut moments = vec![step; 40];
+        // Options end by a milestone, by their time, where nothing can be reached, and with the episode's time.
+        for (at, reached) in [(5, 1), (13, NONE), (14, 2), (20, NONE), (31, NONE), (39, 0)] {
+            moments[at] = Moment { reached, ends_option: true, ..step };
+        }
+        (moments[20].terminated, moments[21].is_last) = (true, true);
+        (moments[31].ends_option, moments[32].is_last) = (true, true);
+        let replay = kept(&moments);
+        for (steps, forgives) in [(10, false), (3, true), (1, false)] {
+            let rules = ReturnRules {
+                steps,
+                discount: 0.99,
+                no_operations: false,
+                time_outs: false,
+                worth: 0.75,
+                cost: 0.25,
+                forgives,
+            };
+            for (start, goal) in (0..40).flat_map(|start| (0..3).map(move |goal| (start, goal))) {
+                if moments[start].is_last {
+                    continue;
+                }
+                let found = window(&replay, at(start as u32), rules);
+                let found = found.map(|window| {
+                    let next = window.next.map(|place| place.time);
+                    (window.earned(goal, rules), next.map_or(0.0, |_| window.discount), next)
+                });
+                let want = naive(&moments, start, goal, rules);
+                let close = match (found, want) {
+                    (Some(found), Some(want)) => {
+                        let differences = [found.0 - want.0, found.1 - want.1];
+                        found.2 == want.2 && differences.iter().all(|it| it.abs() < 1e-5)
+                    }
+                    (found, want) => found == want,
+                };
+                assert!(close, "{start} {goal} {steps}: {found:?} {want:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn published_courses_pay_for_steps_that_reach_and_end_before_the_time_is_over() {
+        let mut replay = kept(&[Moment::default(); 40]);
+        let mut start = at(0);
+        for (reached, end) in [
+            (0, End::GoesOn),
+            (NONE, End::GoesOn),
+            (1, End::Terminated),
+            (1, End::GoesOn),
+            (0, End::GoesOn),
+            (2, End::Terminated),
+        ] {
+            let mask = 0b11;
+            replay.finish(Finished { start, steps: 4, goal: 1, reached, mask, end });
+            start = start.after(4);
+        }
+        let rules = CourseRules {
+            options: 10,
+            discount: 0.5,
+            step_discount: 1.0,
+            time_outs: false,
+            worth: 0.75,
+            cost: 0.25,
+            relabel: true,
+            milestones: 3,
+        };
+        let found = |number| {
+            let course = course(&replay, (0, number), rules)?;
+            Some((course.goal, course.reward, course.discount, course.next))
+        };
+        let before = Some((at(8), 0b11));
+        assert_eq!(found(0), Some((1, -0.25, 0.25, before)));
+        assert_eq!(found(1), Some((1, 0.0, 0.5, before)));
+        assert_eq!(found(2), None);
+        assert_eq!(found(3), Some((1, -0.25 - 0.125 + 0.1875, 0.0, None)));
+        assert_eq!(found(5), Some((2, 0.75, 0.0, None)));
     }
 }

@@ -9,11 +9,23 @@ use super::network::Network;
 pub(crate) struct Heads {
     pub(crate) goals: usize,
     pub(crate) actions: usize,
+    /// Whether a value of the state stands apart from advantages; values of actions stand for themselves otherwise.
+    pub(crate) dueling: bool,
 }
 
 impl Heads {
     pub(crate) fn outputs(self) -> usize {
-        self.goals * (1 + self.actions)
+        self.goals * (usize::from(self.dueling) + self.actions)
+    }
+
+    /// Of a head whose actions are these goals.
+    pub(crate) fn of_goals(self, dueling: bool) -> Self {
+        Self { goals: 1, actions: self.goals, dueling }
+    }
+
+    /// Where the numbers of the actions begin.
+    fn first(self, goal: usize) -> usize {
+        goal * self.actions + if self.dueling { self.goals } else { 0 }
     }
 
     /// Values of all actions for one goal, of a hidden row.
@@ -25,8 +37,13 @@ impl Heads {
         goal: usize,
         values: &mut Vec<f32>,
     ) {
-        let first = self.goals + goal * self.actions;
+        let first = self.first(goal);
         values.clear();
+        if !self.dueling {
+            values.resize(self.actions, 0.0);
+            network.read(weights, hidden, first..first + self.actions, values);
+            return;
+        }
         values.resize(1 + self.actions, 0.0);
         let outputs = std::iter::once(goal).chain(first..first + self.actions);
         network.read(weights, hidden, outputs, values);
@@ -37,20 +54,69 @@ impl Heads {
 
     /// The value of one action, of all numbers of a row.
     pub(crate) fn value(self, row: &[f32], goal: usize, action: usize) -> f32 {
-        let advantages = &row[self.goals + goal * self.actions..][..self.actions];
+        let advantages = &row[self.first(goal)..][..self.actions];
+        if !self.dueling {
+            return advantages[action];
+        }
         row[goal] + advantages[action] - advantages.iter().sum::<f32>() / self.actions as f32
     }
 
     /// Adds the slopes of all numbers of a row by that of the value of one action.
     pub(crate) fn add_slope(self, slopes: &mut [f32], goal: usize, action: usize, slope: f32) {
-        slopes[goal] += slope;
-        let advantages = &mut slopes[self.goals + goal * self.actions..][..self.actions];
-        advantages.iter_mut().for_each(|advantage| *advantage -= slope / self.actions as f32);
+        let advantages = &mut slopes[self.first(goal)..][..self.actions];
         advantages[action] += slope;
+        if self.dueling {
+            advantages.iter_mut().for_each(|advantage| *advantage -= slope / self.actions as f32);
+            slopes[goal] += slope;
+        }
     }
 }
 
 /// The first of the largest numbers among those that a mask holds.
 pub(crate) fn best(values: &[f32], mask: u32) -> usize {
     options::best(values, |index| mask >> index & 1 == 1).unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use sortie_core::options::PictureShape;
+    use sortie_nn::gradient_check::{assert_gradient, random};
+
+    use super::super::network::{Body, NetworkShape};
+    use super::*;
+
+    #[test]
+    fn values_of_a_row_of_numbers_and_of_a_hidden_row_are_the_same_and_have_their_slopes() {
+        let picture = PictureShape { channels: 1, size: 7, counts: 1, crop: 7, nearest: false };
+        for dueling in [true, false] {
+            let heads = Heads { goals: 3, actions: 4, dueling };
+            assert_eq!(heads.outputs(), if dueling { 15 } else { 12 });
+            let (body, outputs) = (Body::Layers, heads.outputs());
+            let shape = NetworkShape { body, picture, columns: 5, active: 5, width: 8, outputs };
+            let mut generator = sortie_nn::random::stream(1, 1, 0);
+            let network = Network::new(shape, &mut generator);
+            let hidden = random(2, 8);
+            let mut row = vec![0.0; outputs];
+            let weights = &network.parameters.values;
+            network.read(weights, &hidden, 0..outputs, &mut row);
+            for goal in 0..3 {
+                let mut values = Vec::new();
+                heads.values(&network, weights, &hidden, goal, &mut values);
+                let first = if dueling { 3 + 4 * goal } else { 4 * goal };
+                let mean = row[first..first + 4].iter().sum::<f32>() / 4.0;
+                for (action, value) in values.into_iter().enumerate() {
+                    let level = if dueling { row[goal] - mean } else { 0.0 };
+                    assert!((value - level - row[first + action]).abs() < 1e-6);
+                    assert!((heads.value(&row, goal, action) - value).abs() < 1e-6);
+                    let mut slopes = vec![0.0; outputs];
+                    heads.add_slope(&mut slopes, goal, action, 0.5);
+                    assert_gradient("value", &row, &slopes, |row| {
+                        0.5 * f64::from(heads.value(row, goal, action))
+                    });
+                }
+            }
+        }
+        assert_eq!(best(&[1.0, 3.0, 3.0, 2.0], 0b1101), 2);
+        assert_eq!(best(&[1.0, 3.0, 3.0, 2.0], u32::MAX), 1);
+    }
 }

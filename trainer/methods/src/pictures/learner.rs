@@ -8,6 +8,7 @@ use sortie_learn::{LearnError, State};
 use sortie_nn::optimise::{Adam, clip_norm, move_towards};
 
 use super::network::{Network, NetworkShape};
+use crate::actor_critic::step::Step;
 
 /// A network that learns.
 #[derive(Clone, Debug)]
@@ -39,19 +40,27 @@ impl Learner {
         }
     }
 
-    /// Follows the gradient, which is forgotten.
+    /// Follows the gradient, which is forgotten; `decay` is what a weight adds to its slope.
     pub(crate) fn step(
         &mut self,
         config: &OptimiserConfig,
         learning_rate: f32,
+        decay: f32,
         loss: f64,
     ) -> UpdateReport {
         let gradient_norm = clip_norm(&mut self.gradient, config.clip);
-        self.adam.step(&mut [&mut self.online], &self.gradient, learning_rate);
+        let step =
+            Step { rate: learning_rate, decay, epsilon: config.epsilon, early_epsilon: false };
+        step.take(&mut self.adam, &mut self.online, &self.gradient);
         self.gradient.fill(0.0);
         move_towards(&mut self.target, &self.online, config.target_rate);
         move_towards(&mut self.average, &self.online, config.average_rate);
         UpdateReport { loss, gradient_norm }
+    }
+
+    /// Targets are computed by the weights of today.
+    pub(crate) fn copy_to_target(&mut self) {
+        self.target.copy_from_slice(&self.online);
     }
 
     pub(crate) fn state(&mut self, state: &mut State<'_>, name: &str) -> Result<(), LearnError> {

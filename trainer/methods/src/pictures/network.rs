@@ -1,16 +1,37 @@
-//! The networks: two hidden layers over sparse inputs, and a head.
+//! The networks: a body, two hidden layers over sparse inputs or convolutions, and a head.
 
+use sortie_core::options::PictureShape;
 use sortie_learn::export::DenseLayer;
+use sortie_learn::words;
 use sortie_nn::layers::SparseRows;
 use sortie_nn::layers::linear::LinearShape;
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Linear, Parameters, Pass, Tape, Var};
 
+use super::convolution::Convolution;
 use super::shown::Shown;
+
+words! {
+    /// What stands below a head.
+    Body {
+        /// Two layers over inputs most of which are zero.
+        Layers = "layers",
+        /// Convolutions over the picture, as published.
+        Convolution = "convolution",
+    }
+}
+
+impl Body {
+    /// The least side of a picture that convolutions go over.
+    pub(crate) const SIDE: usize = Convolution::SIDE;
+}
 
 /// Sizes of a network.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct NetworkShape {
+    pub(crate) body: Body,
+    /// What is shown.
+    pub(crate) picture: PictureShape,
     /// Columns that are shown.
     pub(crate) columns: usize,
     /// Those of them that differ from zero, which the first weights are sized for.
@@ -26,14 +47,35 @@ pub(crate) struct NetworkShape {
 pub(crate) struct Network {
     /// The first weights that were drawn, and their names.
     pub(crate) parameters: Parameters,
-    layers: [Linear; 3],
+    body: OwnBody,
+    head: Linear,
+}
+
+#[derive(Clone, Debug)]
+enum OwnBody {
+    Layers([Linear; 2]),
+    Convolution(Convolution),
 }
 
 impl Network {
-    /// Draws the first weights: for inputs most of which are zero (He et al. 2015), small ones for the head.
+    /// Draws the first weights, as the body asks for.
     pub(crate) fn new(shape: NetworkShape, random: &mut Generator) -> Self {
+        match shape.body {
+            Body::Layers => Self::of_layers(shape, random),
+            Body::Convolution => {
+                let mut parameters = Parameters::default();
+                let NetworkShape { picture, width, outputs, .. } = shape;
+                let body = Convolution::new(&mut parameters, picture, width, random);
+                let head = parameters.orthogonal("head", width, outputs, random);
+                Self { parameters, body: OwnBody::Convolution(body), head }
+            }
+        }
+    }
+
+    /// Draws the first weights: for inputs most of which are zero (He et al. 2015), small ones for the head.
+    fn of_layers(shape: NetworkShape, random: &mut Generator) -> Self {
         let mut parameters = Parameters::default();
-        let NetworkShape { columns, active, width, outputs } = shape;
+        let NetworkShape { columns, active, width, outputs, .. } = shape;
         let mut layer = |name: &str, shape: [usize; 2], sizes: [usize; 2], bound: f32| {
             let weight = parameters.tensor(&format!("{name}.weight"), &shape, bound, random);
             let bias = parameters.tensor(&format!("{name}.bias"), &[sizes[1]], 0.0, random);
@@ -45,44 +87,50 @@ impl Network {
         let second = layer("second", [width, width], [width, width], he(width));
         let bound = 0.1 / (width as f32).sqrt();
         let head = layer("head", [outputs, width], [width, outputs], bound);
-        Self { layers: [first, second, head], parameters }
+        Self { parameters, body: OwnBody::Layers([first, second]), head }
     }
 
-    /// The second hidden layer, `[rows, width]`.
+    /// The last hidden layer, `[rows, width]`.
     pub(crate) fn hidden(&self, pass: &mut Pass<'_>, rows: &SparseRows) -> Var {
-        let x = pass.sparse_linear(rows, self.layers[0]);
-        let x = pass.relu(x);
-        pass.linear_rectified(x, self.layers[1])
+        match &self.body {
+            OwnBody::Layers([first, second]) => {
+                let x = pass.sparse_linear(rows, *first);
+                let x = pass.relu(x);
+                pass.linear_rectified(x, *second)
+            }
+            OwnBody::Convolution(body) => body.hidden(pass, rows),
+        }
     }
 
     /// What the head makes of it, `[rows, outputs]`.
     pub(crate) fn head(&self, pass: &mut Pass<'_>, hidden: Var) -> Var {
-        pass.linear(hidden, self.layers[2])
+        pass.linear(hidden, self.head)
     }
 
-    /// The layers by these weights, as they are deployed.
-    pub(crate) fn dense(&self, weights: &[f32]) -> [DenseLayer; 3] {
-        self.layers.map(|layer| {
+    /// The layers by these weights, as they are deployed; none of convolutions.
+    pub(crate) fn dense(&self, weights: &[f32]) -> Option<[DenseLayer; 3]> {
+        let OwnBody::Layers([first, second]) = self.body else { return None };
+        Some([first, second, self.head].map(|layer| {
             let LinearShape { input, output } = layer.shape;
             let part = |start: usize, length: usize| weights[start..start + length].to_vec();
             let weight = part(layer.weight, input * output);
             let bias = part(layer.bias.expect("every layer has one"), output);
             // The first layer sums up rows of columns that differ from zero; it stands turned.
-            let is_turned = layer == self.layers[0];
+            let is_turned = layer == first;
             let own = |output_: usize| weight.iter().skip(output_).step_by(output).copied();
             let weight = if is_turned { (0..output).flat_map(own).collect() } else { weight };
             DenseLayer { inputs: input, weight, bias }
-        })
+        }))
     }
 
     /// Numbers of the head.
     pub(crate) fn outputs(&self) -> usize {
-        self.layers[2].shape.output
+        self.head.shape.output
     }
 
     /// Width of the hidden layers.
     pub(crate) fn width(&self) -> usize {
-        self.layers[1].shape.output
+        self.head.shape.input
     }
 
     /// Some numbers of the head by weights `[outputs, width]` of a hidden row.
@@ -93,10 +141,9 @@ impl Network {
         outputs: impl Iterator<Item = usize>,
         to: &mut [f32],
     ) {
-        let head = self.layers[2];
-        let bias = head.bias.expect("every layer has one");
+        let bias = self.head.bias.expect("every layer has one");
         for (to, output) in to.iter_mut().zip(outputs) {
-            let row = &weights[head.weight + output * hidden.len()..][..hidden.len()];
+            let row = &weights[self.head.weight + output * hidden.len()..][..hidden.len()];
             *to = weights[bias + output] + dot(row, hidden);
         }
     }
@@ -125,7 +172,7 @@ pub(crate) struct Space {
 }
 
 impl Space {
-    /// The second hidden layer `[states, width]` for the bytes of states.
+    /// The last hidden layer `[states, width]` for the bytes of states.
     pub(crate) fn hidden<'s>(
         &mut self,
         network: &Network,
@@ -169,4 +216,37 @@ pub(crate) fn slopes(pass: &mut Pass<'_>, x: Var, slopes: &[f32]) -> Var {
     let product = pass.multiply(x, given);
     let sums = pass.sum_columns(product);
     pass.sum_rows(sums)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::heads::Heads;
+    use super::*;
+
+    #[test]
+    fn published_networks_have_as_many_weights_as_published() {
+        // Channels, things carried, milestones and actions of crafting up to diamond, up to iron, and of treasure, with
+        // the weights of controller, meta-controller, embedding, and classes.
+        for (channels, counts, goals, actions, want) in [
+            (11, 12, 13, 11, [1_458_524, 1_385_678, 266_816, 1_677]),
+            (11, 12, 11, 11, [1_446_212, 1_384_652, 266_816, 1_419]),
+            (18, 7, 10, 5, [1_412_316, 1_387_179, 271_776, 1_290]),
+        ] {
+            let picture = PictureShape { channels, size: 11, counts, crop: 11, nearest: false };
+            let controller = Heads { goals, actions, dueling: true };
+            let weights = |width: usize, outputs: usize| {
+                let (body, columns, active) = (Body::Convolution, 0, 0);
+                let shape = NetworkShape { body, picture, columns, active, width, outputs };
+                let mut random = sortie_nn::random::stream(1, 1, 0);
+                Network::new(shape, &mut random).parameters.values.len()
+            };
+            let found = [
+                weights(512, controller.outputs()),
+                weights(512, controller.of_goals(true).outputs()),
+                weights(128, 0),
+                weights(128, goals) - weights(128, 0),
+            ];
+            assert_eq!(found, want, "{channels} {goals}");
+        }
+    }
 }

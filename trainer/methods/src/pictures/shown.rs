@@ -1,46 +1,65 @@
 //! What the networks are shown of a state: cells around the middle, the nearest of every channel, what is carried.
 
-use sortie_core::options::{self, PictureShape};
+use sortie_core::options::{self, LEVELS, PictureShape};
 use sortie_envs::{Spec, View};
 use sortie_nn::layers::SparseRows;
 
 /// How a row of an observation, a picture and counts, becomes bytes that can be kept and columns of a network: as where
 /// agents are deployed.
 #[derive(Clone, Debug)]
-pub(crate) struct Shown(options::Shown);
+pub(crate) struct Shown {
+    shown: options::Shown,
+    /// Whether networks are told how much is carried, as one number each; up to levels otherwise.
+    counted: bool,
+}
 
 impl Shown {
     /// None of an environment that shows no picture, one that has too many channels, or no middle.
-    pub(crate) fn new(spec: &Spec, crop: usize, nearest: bool) -> Option<Self> {
+    pub(crate) fn new(spec: &Spec, crop: usize, nearest: bool, counted: bool) -> Option<Self> {
         let View::Pictures([channels, size, columns]) = spec.view else { return None };
         let counts = spec.shape.features.checked_sub(size * size * channels)?;
         let shape = PictureShape { channels, size, counts, crop, nearest };
-        if size == columns { options::Shown::new(shape).map(Self) } else { None }
+        let shown = if size == columns { options::Shown::new(shape) } else { None };
+        shown.map(|shown| Self { shown, counted })
     }
 
     /// The picture.
     pub(crate) fn shape(&self) -> PictureShape {
-        *self.0.shape()
+        *self.shown.shape()
     }
 
     /// Bytes of a state.
     pub(crate) fn bytes(&self) -> usize {
-        self.0.bytes()
+        self.shown.bytes()
     }
 
     /// Columns of the networks.
     pub(crate) fn columns(&self) -> usize {
-        self.0.columns()
+        let columns = self.shown.columns();
+        if self.counted { columns - (LEVELS.len() - 1) * self.shape().counts } else { columns }
     }
 
     /// Writes the bytes of the only row of an observation.
     pub(crate) fn write(&self, rows: &SparseRows, bytes: &mut [u8]) {
-        self.0.write(rows.row(0), bytes);
+        self.shown.write(rows.row(0), bytes);
+        if self.counted {
+            let first = bytes.len() - self.shape().counts;
+            bytes[first..].fill(0);
+            let cells = self.shape().features() - self.shape().counts;
+            for (column, count) in rows.row(0).filter(|(column, _)| *column >= cells) {
+                bytes[first + column - cells] = count as u8;
+            }
+        }
     }
 
     /// Adds the row of the networks for the bytes of a state, in a mirror left for right.
     pub(crate) fn push(&self, bytes: &[u8], is_mirrored: bool, rows: &mut SparseRows) {
-        self.0.light(bytes, is_mirrored, |column| rows.push(column, 1.0));
+        let counts = if self.counted { self.shape().counts } else { 0 };
+        let (lit, counts) = bytes.split_at(bytes.len() - counts);
+        self.shown.light(lit, is_mirrored, |column| rows.push(column, 1.0));
+        let items = counts.iter().enumerate().filter(|(_, count)| **count > 0);
+        let first = self.columns() - counts.len();
+        items.for_each(|(item, count)| rows.push(first + item, f32::from(*count)));
         rows.end_row();
     }
 }
@@ -56,7 +75,7 @@ mod tests {
         for name in ["crafting/iron", "treasure-rooms"] {
             let mut world = sortie_envs::open(name, Split::Train, 1, &Default::default()).unwrap();
             for nearest in [false, true] {
-                let shown = Shown::new(world.spec(), 5, nearest).unwrap();
+                let shown = Shown::new(world.spec(), 5, nearest, false).unwrap();
                 let (mut differing, mut lopsided) = (0, 0);
                 for seed in 0..50 {
                     world.reset(0, &mut sortie_envs::random::generator(seed));
@@ -90,7 +109,7 @@ mod tests {
     fn the_nearest_and_what_is_carried_light_their_columns() {
         let world =
             sortie_envs::open("crafting/iron", Split::Train, 1, &Default::default()).unwrap();
-        let shown = Shown::new(world.spec(), 3, true).unwrap();
+        let shown = Shown::new(world.spec(), 3, true, false).unwrap();
         let mut seen = SparseRows::default();
         // A tree two cells ahead, another beside; three logs.
         for cell in [3 * 11 + 5, 5 * 11 + 3] {
@@ -104,5 +123,14 @@ mod tests {
         let columns: Vec<_> = rows.row(0).map(|entry| entry.0).collect();
         let items = 81 + 9 * 121;
         assert_eq!(columns, [81 + 2 * 121 + 3 * 11 + 5, items, items + 1, items + 2]);
+        // Or as a number.
+        let shown = Shown::new(world.spec(), 11, false, true).unwrap();
+        let (mut bytes, mut rows) = (vec![7; shown.bytes()], SparseRows::default());
+        shown.write(&seen, &mut bytes);
+        shown.push(&bytes, false, &mut rows);
+        let entries: Vec<_> = rows.row(0).collect();
+        let carried = (121 * 9, 3.0);
+        assert_eq!(entries, [((3 * 11 + 5) * 9 + 2, 1.0), ((5 * 11 + 3) * 9 + 2, 1.0), carried]);
+        assert_eq!(shown.columns(), 121 * 9 + shown.shape().counts);
     }
 }

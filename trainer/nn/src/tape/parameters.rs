@@ -5,7 +5,7 @@ use std::ops::Range;
 use crate::layers::gru;
 use crate::layers::linear::LinearShape;
 use crate::layers::unfold::UnfoldShape;
-use crate::random::{Generator, signed_unit};
+use crate::random::{Generator, normals, signed_unit};
 
 /// One tensor of a vector of parameters.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -132,6 +132,27 @@ impl Parameters {
         self.linear(name, shape.patch(), output, random)
     }
 
+    /// Adds a linear layer of orthogonal weights (Saxe et al. 2014): the rows, or the columns where these are fewer, are
+    /// of length 1 and at right angles. Offsets are 0.
+    pub fn orthogonal(
+        &mut self,
+        name: &str,
+        input: usize,
+        output: usize,
+        random: &mut Generator,
+    ) -> Linear {
+        let (vectors, length) = (input.min(output), input.max(output));
+        let drawn = at_right_angles(normals(random, vectors * length), length);
+        let mut place = 0..input * output;
+        let weight = self.add(&format!("{name}.weight"), &[output, input], || {
+            let place = place.next().unwrap_or(0);
+            let (row, column) = (place / input, place % input);
+            if output > input { drawn[column * length + row] } else { drawn[place] }
+        });
+        let bias = Some(self.add(&format!("{name}.bias"), &[output], || 0.0));
+        Linear { shape: LinearShape { input, output }, weight, bias }
+    }
+
     /// Adds a recurrent unit, drawn as PyTorch does.
     pub fn gru(&mut self, name: &str, width: usize, random: &mut Generator) -> Gru {
         let (start, bound) = (self.values.len(), 1.0 / (width as f32).sqrt());
@@ -165,5 +186,61 @@ impl Linear {
 impl Gru {
     pub(super) fn range(self) -> Range<usize> {
         self.start..self.start + gru::lengths(self.width).iter().sum::<usize>()
+    }
+}
+
+/// Vectors of such a length, each made as long as 1 and turned away from those before (Gram and Schmidt; twice, for
+/// precision).
+fn at_right_angles(mut vectors: Vec<f32>, length: usize) -> Vec<f32> {
+    for start in (0..vectors.len()).step_by(length) {
+        let (before, rest) = vectors.split_at_mut(start);
+        let vector = &mut rest[..length];
+        for other in before.chunks_exact(length).chain(before.chunks_exact(length)) {
+            let along = product(other, vector);
+            vector.iter_mut().zip(other).for_each(|(x, other)| *x -= along * other);
+        }
+        let norm = product(vector, vector).sqrt();
+        vector.iter_mut().for_each(|x| *x /= norm);
+    }
+    vectors
+}
+
+/// The product of two vectors, in eight sums that the compiler keeps apart.
+fn product(one: &[f32], other: &[f32]) -> f32 {
+    let (ones, others) = (one.as_chunks::<8>(), other.as_chunks::<8>());
+    let mut sums = [0.0; 8];
+    for (one, other) in ones.0.iter().zip(others.0) {
+        sums.iter_mut().zip(one.iter().zip(other)).for_each(|(sum, (a, b))| *sum += a * b);
+    }
+    let rest = ones.1.iter().zip(others.1).map(|(a, b)| a * b);
+    sums.into_iter().chain(rest).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn orthogonal_layers_keep_lengths() {
+        for (input, output) in [(30, 12), (12, 30), (16, 16)] {
+            let mut parameters = Parameters::default();
+            let mut random = crate::random::stream(1, 1, 0);
+            let layer = parameters.orthogonal("layer", input, output, &mut random);
+            let weight = &parameters.values[layer.weight_range()];
+            let entry = |row: usize, column: usize| weight[row * input + column];
+            let vectors = input.min(output);
+            for (one, other) in
+                (0..vectors).flat_map(|one| (0..=one).map(move |other| (one, other)))
+            {
+                let product: f32 = if output > input {
+                    (0..output).map(|row| entry(row, one) * entry(row, other)).sum()
+                } else {
+                    (0..input).map(|column| entry(one, column) * entry(other, column)).sum()
+                };
+                let want = f32::from(u8::from(one == other));
+                assert!((product - want).abs() < 1e-5, "{input} {output} {one} {other} {product}");
+            }
+            assert!(parameters.values[layer.bias_range().unwrap()].iter().all(|it| *it == 0.0));
+        }
     }
 }

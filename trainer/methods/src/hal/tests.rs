@@ -1,0 +1,250 @@
+//! What the published learner does in an update, beside naive lists.
+
+use sortie_envs::random::{below, chance, generator};
+use sortie_envs::{Environment, Random, Split};
+use sortie_learn::configuration::OptimiserConfig;
+use sortie_nn::gradient_check::assert_gradient;
+
+use super::config::{Config, MetaConfig, ReplayConfig, ReturnsConfig};
+use super::{controller, meta};
+use crate::options::{End, Finished, Moment, NONE, Place, Replay, course, window};
+use crate::pictures::{Body, Heads, Learner, NetworkShape, Shown};
+
+const GOALS: usize = 3;
+const EXPONENT: f32 = 0.7;
+
+/// Networks, and what was played, with priorities that differ.
+struct Scene {
+    world: Box<dyn Environment>,
+    shown: Shown,
+    heads: Heads,
+    replay: Replay,
+    returns: ReturnsConfig,
+    sizes: ReplayConfig,
+    meta: MetaConfig,
+}
+
+impl Scene {
+    fn new(relabel: bool) -> Self {
+        let world =
+            sortie_envs::open("crafting/iron", Split::Train, 1, &Default::default()).unwrap();
+        let shown = Shown::new(world.spec(), 7, false, true).unwrap();
+        let heads = Heads { goals: GOALS, actions: 11, dueling: true };
+        let Config { returns, replay, meta, .. } = Config::paper();
+        let kept = Replay::new(1, 400, shown.bytes(), GOALS).by_priority(replay.priorities, 100);
+        let mut scene = Self {
+            world,
+            shown,
+            heads,
+            replay: kept,
+            returns: ReturnsConfig { relabel, steps: 4, ..returns },
+            sizes: ReplayConfig { batch: 24, ..replay },
+            meta: MetaConfig { options: 3, batch: 16, ..meta },
+        };
+        scene.play();
+        scene
+    }
+
+    /// States of a picture whose cells are drawn, in options that reach milestones now and then.
+    fn play(&mut self) {
+        let mut random = generator(5);
+        let mut start = Place { instance: 0, time: 0 };
+        while start.time < 300 {
+            let (goal, steps) = (below(&mut random, GOALS) as u8, 1 + below(&mut random, 6) as u8);
+            let reached =
+                if chance(&mut random, 0.6) { below(&mut random, GOALS) as u8 } else { NONE };
+            let end = if chance(&mut random, 0.1) { End::TimedOut } else { End::GoesOn };
+            for step in 1..=steps {
+                let ends_option = step == steps;
+                let moment = Moment {
+                    action: below(&mut random, 11) as u8,
+                    goal,
+                    reached: if ends_option { reached } else { NONE },
+                    option_reached: NONE,
+                    ends_option,
+                    ..Moment::default()
+                };
+                let state = drawn_state(self.shown.bytes(), &mut random);
+                self.replay.push(0, &state, moment);
+            }
+            self.replay.finish(Finished { start, steps, goal, reached, mask: 0b111, end });
+            start = start.after(steps.into());
+        }
+        let errors: Vec<_> = (0..start.time)
+            .map(|time| (Place { instance: 0, time }, 0.1 + below(&mut random, 9) as f32))
+            .collect();
+        self.replay.correct_steps(errors.into_iter());
+    }
+
+    /// Weights, online ones and others for targets.
+    fn learner(&self, outputs: usize) -> Learner {
+        let (body, picture) = (Body::Convolution, self.shown.shape());
+        let (columns, active, width) = (self.shown.columns(), 1, 16);
+        let shape = NetworkShape { body, picture, columns, active, width, outputs };
+        let mut learner = Learner::new(shape, &OptimiserConfig::default(), &mut generator(1));
+        learner.target = Learner::new(shape, &OptimiserConfig::default(), &mut generator(2)).online;
+        learner
+    }
+
+    /// The values of a head's actions in a state by some weights, computed alone.
+    fn values(&self, learner: &Learner, weights: &[f32], place: Place, goal: usize) -> Vec<f32> {
+        let heads = if learner.network.outputs() == self.heads.outputs() {
+            self.heads
+        } else {
+            self.heads.of_goals(true)
+        };
+        let mut space = crate::pictures::Space::default();
+        let state = [(self.replay.shown(place), false)];
+        let hidden = space.hidden(&learner.network, weights, &self.shown, state.into_iter());
+        let mut values = Vec::new();
+        heads.values(&learner.network, weights, hidden, goal, &mut values);
+        values
+    }
+
+    fn descend(&mut self, learner: &mut Learner, memory: &mut controller::Memory) -> f64 {
+        let settings = (&self.returns, &self.sizes, EXPONENT);
+        let kept = (&mut self.replay, &self.shown, &*self.world);
+        controller::descend(learner, self.heads, settings, kept, memory, &mut generator(9))
+    }
+
+    fn descend_meta(&mut self, learner: &mut Learner) -> f64 {
+        let settings = (&self.meta, &self.returns, EXPONENT);
+        let kept = (&mut self.replay, &self.shown);
+        let (heads, mut memory) = (self.heads.of_goals(true), meta::Memory::default());
+        meta::descend(learner, heads, settings, kept, &mut memory, &mut generator(9)).unwrap()
+    }
+}
+
+fn drawn_state(bytes: usize, random: &mut Random) -> Vec<u8> {
+    // Two bytes a cell, of nine channels; counts behind them.
+    let cell = |at: usize| at < 98;
+    (0..bytes)
+        .map(|at| match () {
+            () if cell(at) && at % 2 == 1 => 0,
+            () if cell(at) => 1 << below(random, 8),
+            () => below(random, 4) as u8,
+        })
+        .collect()
+}
+
+/// The first of the largest numbers.
+fn greedy(values: &[f32]) -> usize {
+    (0..values.len()).rev().max_by(|a, b| values[*a].total_cmp(&values[*b])).unwrap()
+}
+
+#[test]
+fn an_update_of_the_controller_is_that_of_a_naive_list() {
+    for relabel in [true, false] {
+        let mut scene = Scene::new(relabel);
+        let mut learner = scene.learner(scene.heads.outputs());
+        // The same draws, one by one.
+        let mut random = generator(9);
+        let mut drawn = Vec::new();
+        while drawn.len() < scene.sizes.batch {
+            let (place, priority) = scene.replay.draw_step_by_priority(&mut random).unwrap();
+            let window = window(&scene.replay, place, scene.returns.rules());
+            drawn.extend(window.map(|window| (place, priority, window)));
+        }
+        let least = drawn.iter().map(|it| it.1).fold(f64::MAX, f64::min);
+        let (mut loss, mut errors) = (0.0, Vec::new());
+        for (place, priority, window) in &drawn {
+            let moment = scene.replay.moment(*place);
+            let mut goals = vec![moment.goal];
+            if relabel && moment.option_reached != NONE && moment.option_reached != moment.goal {
+                goals.push(moment.option_reached);
+            }
+            let weight = (least / priority).powf(EXPONENT.into());
+            let mut sum = 0.0;
+            for goal in &goals {
+                let follows = window.next.map_or(0.0, |next| {
+                    let chosen = scene.values(&learner, &learner.online, next, (*goal).into());
+                    let worth = scene.values(&learner, &learner.target, next, (*goal).into());
+                    window.discount * worth[greedy(&chosen)]
+                });
+                let target = window.earned(*goal, scene.returns.rules()) + follows;
+                let values = scene.values(&learner, &learner.online, *place, (*goal).into());
+                let error = f64::from(values[usize::from(moment.action)] - target);
+                loss += 0.5 * (weight * error).powi(2) / drawn.len() as f64;
+                sum += error.abs();
+            }
+            errors.push((*place, sum / goals.len() as f64));
+        }
+        assert!(drawn.iter().any(|it| it.2.next.is_some()) && least < drawn[0].1);
+        let found = scene.descend(&mut learner, &mut controller::Memory::default());
+        assert!((found - loss).abs() < 1e-4 * loss, "{found} {loss}");
+        // A step that was drawn now has the priority of its error.
+        for _ in 0..200 {
+            let (place, priority) = scene.replay.draw_step_by_priority(&mut random).unwrap();
+            for (_, error) in errors.iter().filter(|it| it.0 == place) {
+                assert!((priority - (error + 0.001).powf(0.4)).abs() < 1e-4);
+            }
+        }
+    }
+}
+
+#[test]
+fn an_update_of_the_meta_controller_is_that_of_a_naive_list() {
+    let mut scene = Scene::new(true);
+    let mut learner = scene.learner(scene.heads.of_goals(true).outputs());
+    let options: Vec<_> = (0..10).map(|number| ((0, number), 0.3 * number as f32)).collect();
+    scene.replay.correct_options(options.into_iter());
+    let rules = scene.returns.course_rules(&scene.meta, GOALS);
+    let mut random = generator(9);
+    let mut drawn = Vec::new();
+    while drawn.len() < scene.meta.batch {
+        let (place, priority) = scene.replay.draw_option_by_priority(&mut random).unwrap();
+        let course = course(&scene.replay, place, rules);
+        drawn.extend(course.map(|course| (place, priority, course)));
+    }
+    let least = drawn.iter().map(|it| it.1).fold(f64::MAX, f64::min);
+    let (mut loss, mut errors) = (0.0, Vec::new());
+    for (place, priority, course) in &drawn {
+        let follows = course.next.map_or(0.0, |(next, _)| {
+            let chosen = scene.values(&learner, &learner.online, next, 0);
+            course.discount * scene.values(&learner, &learner.target, next, 0)[greedy(&chosen)]
+        });
+        let values = scene.values(&learner, &learner.online, course.start, 0);
+        let error = f64::from(values[usize::from(course.goal)] - course.reward - follows);
+        let weight = (least / priority).powf(EXPONENT.into());
+        loss += 0.5 * (weight * error).powi(2) / drawn.len() as f64;
+        errors.push((*place, error));
+    }
+    let found = scene.descend_meta(&mut learner);
+    assert!((found - loss).abs() < 1e-4 * loss, "{found} {loss}");
+    for _ in 0..200 {
+        let (place, priority) = scene.replay.draw_option_by_priority(&mut random).unwrap();
+        for (_, error) in errors.iter().filter(|it| it.0 == place) {
+            assert!((priority - (error.abs() + 0.001).powf(0.4)).abs() < 1e-4);
+        }
+    }
+}
+
+#[test]
+fn gradients_of_updates_agree_with_finite_differences() {
+    let scene = || Scene::new(true);
+    let learner = scene().learner(scene().heads.outputs());
+    let loss = |weights: &[f32]| {
+        let mut learner = learner.clone();
+        learner.online = weights.to_vec();
+        let loss = scene().descend(&mut learner, &mut controller::Memory::default());
+        (loss, learner.gradient)
+    };
+    assert_gradient("controller", &learner.online, &loss(&learner.online).1, |it| loss(it).0);
+    let learner = scene().learner(scene().heads.of_goals(true).outputs());
+    let loss = |weights: &[f32]| {
+        let mut learner = learner.clone();
+        learner.online = weights.to_vec();
+        (scene().descend_meta(&mut learner), learner.gradient)
+    };
+    assert_gradient("meta-controller", &learner.online, &loss(&learner.online).1, |it| loss(it).0);
+}
+
+#[test]
+fn published_rewards_are_logarithms() {
+    let returns = Config::paper().returns;
+    let rules = returns.rules();
+    assert!((rules.worth - 0.99277).abs() < 1e-5 && (rules.cost - 0.014355).abs() < 1e-6);
+    assert!(!rules.forgives && ReturnsConfig { relabel: false, ..returns }.rules().forgives);
+    let fast = ReturnsConfig::default().rules();
+    assert_eq!((fast.worth, fast.cost), (1.0, 0.0));
+}
