@@ -260,19 +260,25 @@ fn write(
     Ok(files)
 }
 
-/// The first measure as a picture: a group of bars for each case.
+/// A picture: a group of bars for each case, by the first measure; for each measure where there is but one case.
 fn drawn(figure: &Figure, came: &Came<'_>) -> Result<String, Failure> {
     let labels: Vec<&str> = figure.methods.iter().map(|method| &*method.name).collect();
-    let bars = came.rows.iter().filter_map(|row| {
-        let label = labels.iter().position(|label| *label == row.method)?;
-        Some(Bar { group: row.case, label, spread: row.measures.first()?.spread })
+    let by_measures = figure.cases.len() == 1 && figure.measures.len() > 1;
+    let bars = came.rows.iter().flat_map(|row| {
+        let label = labels.iter().position(|label| *label == row.method);
+        let shown = if by_measures { row.measures.len() } else { 1 };
+        row.measures.iter().take(shown).filter_map(move |measured| {
+            let group = if by_measures { measured.name } else { row.case };
+            Some(Bar { group, label: label?, spread: measured.spread })
+        })
     });
     let bars: Vec<Bar<'_>> = bars.collect();
     let (about, axis) = match figure.measures.first() {
         Some(measure) if measure.key == "success" => ("share of solved episodes", Axis::SHARE),
         measure => {
             let name = measure.map_or("", |measure| &*measure.name);
-            (name, Axis::of(bars.iter().map(|bar| &bar.spread)))
+            let about = if by_measures { &*figure.about } else { name };
+            (about, Axis::of(bars.iter().map(|bar| &bar.spread)))
         }
     };
     let title = format!("{}: {about}", came.figure);
