@@ -1,4 +1,5 @@
-//! Learns HAL, and looks at what it believes it can reach: `affordances [METHOD] [ENV/SET] [SEED] [STEPS] [KEY=VALUE]...`
+//! Learns HAL, and looks at what it believes it can reach: `affordances [METHOD[/PRESET]] [ENV/SET] [SEED] [STEPS]
+//! [KEY=VALUE]...`
 //!
 //! Prints how training goes, then the mask beside the truth in states of measured episodes, and the success with all
 //! combinations of chance in actions and goals.
@@ -21,8 +22,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (keys, words): (Vec<_>, Vec<_>) = words.into_iter().partition(|word| word.contains('='));
     let word = |place: usize, usual: &str| words.get(place).map_or(usual.to_owned(), String::clone);
     let (name, environment) = (word(0, "hal"), word(1, "crafting/iron"));
-    let entry = find(&name).ok_or("no such method")?;
-    let mut setup = entry.preset("fast")?;
+    let (name, preset) = name.split_once('/').unwrap_or((&name, "fast"));
+    let entry = find(name).ok_or("no such method")?;
+    let mut setup = entry.preset(preset)?;
     let (seed, steps): (u64, u64) = (word(2, "1").parse()?, word(3, "5000000").parse()?);
     for key in &keys {
         setup = entry.set(&setup, key)?;

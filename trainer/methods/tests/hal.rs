@@ -52,25 +52,55 @@ impl Observer for Stopping<'_> {
     }
 }
 
+/// The published learner, of a smaller picture and smaller networks, for a few hundred updates.
+fn published(method: &str, assignments: &[&str]) -> Setup {
+    let mut setup = find(method).unwrap().preset("paper").unwrap();
+    setup.environment.name = "crafting".to_owned();
+    setup.environment.set = "iron".to_owned();
+    let small = [
+        "network.crop=7",
+        "network.width=16",
+        "network.embedding=8",
+        "affordances.kept=300",
+        "affordances.population=20",
+        "returns.target_every=100",
+        "replay.capacity=1600",
+        "replay.batch=8",
+        "replay.steps_per_update=8",
+        "meta.batch=8",
+        "meta.first=40",
+        "meta.kept=60",
+        "exploration.first=800",
+        "exploration.start=1000",
+        "run.steps=4000",
+        "run.final_episodes=0",
+        "run.evaluate_every=100000",
+        "run.evaluate_episodes=4",
+    ];
+    with(&with(&setup, &small), assignments)
+}
+
 #[test]
 fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
-    for (method, kind) in [
-        ("hal", &["run.steps=6000", "affordances.kept=300"][..]),
-        ("hal-oracle", &["run.steps=6000", "replay.capacity=3000"]),
-        ("h-dqn", &["run.steps=6000", "returns.relabel=false", "network.crop=11"]),
+    for setup in [
+        small("hal", &["run.steps=6000", "affordances.kept=300"]),
+        small("hal-oracle", &["run.steps=6000", "replay.capacity=3000"]),
+        small("h-dqn", &["run.steps=6000", "returns.relabel=false", "network.crop=11"]),
+        published("hal", &[]),
+        published("hal-oracle", &["meta.every=2"]),
+        published("h-dqn", &["returns.relabel=false"]),
     ] {
-        let setup = small(method, kind);
         let [whole, parted] = [0, 1].map(|_| tempfile::tempdir().unwrap());
         let mut session = begin(setup.clone(), 3, 1, whole.path()).unwrap();
         session.run(&mut (), &AtomicBool::new(false)).unwrap();
         let stop = AtomicBool::new(false);
-        let mut session = begin(setup, 3, 2, parted.path()).unwrap();
-        session.run(&mut Stopping(&stop, 3100), &stop).unwrap();
+        let mut session = begin(setup.clone(), 3, 2, parted.path()).unwrap();
+        session.run(&mut Stopping(&stop, 2100), &stop).unwrap();
         drop(session);
         assert!(!parted.path().join("result.json").exists());
         let mut session = resume(parted.path(), Some(1)).unwrap();
         session.run(&mut (), &AtomicBool::new(false)).unwrap();
-        assert!(weights(whole.path()) == weights(parted.path()), "{method}");
+        assert!(weights(whole.path()) == weights(parted.path()), "{}", setup.method);
     }
 }
 
@@ -123,11 +153,15 @@ fn the_deployed_agent_acts_as_the_measured_one_over_whole_episodes() {
     assert!(measured.metrics["milestones"] > 1.0, "{measured:?}");
     assert_eq!(found, measured);
 
-    for method in ["hal-oracle", "h-dqn"] {
-        let opening =
-            Opening { setup: &small(method, &[]), environment: &*world, seed: 1, threads: 1 };
-        let refused = find(method).unwrap().method(&opening).unwrap().deployed().err().unwrap();
-        assert!(refused.to_string().contains("those of `hal`"), "{refused}");
+    for (setup, words) in [
+        (small("hal-oracle", &[]), "those of `hal`"),
+        (small("h-dqn", &[]), "those of `hal`"),
+        (published("hal", &[]), "those of `network.body=layers`"),
+    ] {
+        let opening = Opening { setup: &setup, environment: &*world, seed: 1, threads: 1 };
+        let method = find(&setup.method).unwrap().method(&opening).unwrap();
+        let refused = method.deployed().err().unwrap().to_string();
+        assert!(refused.contains(words), "{refused}");
     }
 }
 
@@ -138,11 +172,18 @@ fn what_it_cannot_learn_in_or_by_is_refused() {
         let opening = Opening { setup, environment: world, seed: 1, threads: 1 };
         find("hal").unwrap().method(&opening).err().unwrap().to_string()
     };
+    let narrow = with(&published("hal", &[]), &["network.crop=5"]);
     let setup = small("hal", &[]);
     assert!(refusal(&setup, &*world.unwrap()).contains("its agent sees a picture"));
     let world = environment_of(&setup).unwrap();
+    assert!(refusal(&narrow, &*world).contains("`network.crop` to at least 7"));
     for (assignment, words) in [
         ("network.width=12", "must be a multiple of 8"),
+        ("network.embedding=12", "must be a multiple of 8"),
+        (
+            "network.body=convolution",
+            "set `network.nearest=false` and `network.crop` to at least 7",
+        ),
         ("network.crop=13", "the picture has no such middle"),
         ("network.crop=4", "the picture has no such middle"),
         ("replay.capacity=1000", "leaves 62 steps for each instance"),
@@ -150,4 +191,22 @@ fn what_it_cannot_learn_in_or_by_is_refused() {
         let error = refusal(&with(&setup, &[assignment]), &*world);
         assert!(error.contains(words), "{error}");
     }
+}
+
+#[test]
+fn what_the_published_learner_learned_is_read_back_as_it_was() {
+    let short = ["environment.settings.limit=300", "run.steps=3000"];
+    let setup = published("hal", &short);
+    let folder = tempfile::tempdir().unwrap();
+    let mut session = begin(setup.clone(), 1, 1, folder.path()).unwrap();
+    session.run(&mut (), &AtomicBool::new(false)).unwrap();
+    let world = environment_of(&setup).unwrap();
+    let learned = play::evaluate(&*world, &mut *session.method().team(), 20, 1).unwrap();
+    let opening = Opening { setup: &setup, environment: &*world, seed: 2, threads: 1 };
+    let mut method = find("hal").unwrap().method(&opening).unwrap();
+    let fresh = play::evaluate(&*world, &mut *method.team(), 20, 1).unwrap();
+    load_weights(folder.path(), &mut *method).unwrap();
+    let again = play::evaluate(&*world, &mut *method.team(), 20, 1).unwrap();
+    assert_eq!(again, learned);
+    assert_ne!(again, fresh);
 }

@@ -26,8 +26,8 @@ sections! {
         nearest: bool = true, Truth;
         /// Width of the hidden layers of controller and meta-controller, a multiple of 8.
         width: usize = 64, Whole(8, 1024), "columns";
-        /// That of the classifier, whose last hidden layer embeds states.
-        embedding: usize = 64, Whole(8, 1024), "columns";
+        /// That of the classifier, whose last hidden layer embeds states; 0: the same.
+        embedding: usize = 0, Whole(0, 1024), "columns";
         /// Whether the meta-controller's values are a value of the state and advantages of the milestones.
         dueling: bool = false, Truth;
         /// Inputs that differ from zero, which the first weights are sized for.

@@ -87,7 +87,7 @@ impl Hal {
         Some(Self {
             controller: learner(width, heads.outputs(), 0),
             meta: learner(width, heads.of_goals(dueling).outputs(), 1),
-            classifier: learner(embedding, milestones, 2),
+            classifier: learner(if embedding == 0 { width } else { embedding }, milestones, 2),
             replay,
             classes: Classes::new(milestones, config.affordances.kept),
             populations: vec![Population::default(); milestones],

@@ -2,12 +2,13 @@
 
 use sortie_envs::random::{below, chance, generator};
 use sortie_envs::{Environment, Random, Split};
+use sortie_learn::Now;
 use sortie_learn::configuration::OptimiserConfig;
 use sortie_nn::gradient_check::assert_gradient;
 
 use super::config::{Config, MetaConfig, ReplayConfig, ReturnsConfig};
 use super::{controller, meta};
-use crate::options::{End, Finished, Moment, NONE, Place, Replay, course, window};
+use crate::options::{End, Finished, Mask, Moment, NONE, Place, Replay, course, window};
 use crate::pictures::{Body, Heads, Learner, NetworkShape, Shown};
 
 const GOALS: usize = 3;
@@ -22,6 +23,8 @@ struct Scene {
     returns: ReturnsConfig,
     sizes: ReplayConfig,
     meta: MetaConfig,
+    /// What an update draws by.
+    draws: u64,
 }
 
 impl Scene {
@@ -40,6 +43,7 @@ impl Scene {
             returns: ReturnsConfig { relabel, steps: 4, ..returns },
             sizes: ReplayConfig { batch: 24, ..replay },
             meta: MetaConfig { options: 3, batch: 16, ..meta },
+            draws: 9,
         };
         scene.play();
         scene
@@ -104,7 +108,7 @@ impl Scene {
     fn descend(&mut self, learner: &mut Learner, memory: &mut controller::Memory) -> f64 {
         let settings = (&self.returns, &self.sizes, EXPONENT);
         let kept = (&mut self.replay, &self.shown, &*self.world);
-        controller::descend(learner, self.heads, settings, kept, memory, &mut generator(9))
+        controller::descend(learner, self.heads, settings, kept, memory, &mut generator(self.draws))
     }
 
     fn descend_meta(&mut self, learner: &mut Learner) -> f64 {
@@ -247,4 +251,54 @@ fn published_rewards_are_logarithms() {
     assert!(!rules.forgives && ReturnsConfig { relabel: false, ..returns }.rules().forgives);
     let fast = ReturnsConfig::default().rules();
     assert_eq!((fast.worth, fast.cost), (1.0, 0.0));
+}
+
+#[test]
+fn values_come_to_what_was_earned() {
+    let mut scene = Scene::new(true);
+    scene.returns.discount = 0.9;
+    let mut learner = scene.learner(scene.heads.outputs());
+    let optimiser = OptimiserConfig { target_rate: 0.0, ..OptimiserConfig::default() };
+    let mut memory = controller::Memory::default();
+    let mut losses = Vec::new();
+    for update in 1..=400 {
+        scene.draws = update;
+        losses.push(scene.descend(&mut learner, &mut memory));
+        learner.step(&optimiser, 1e-3, 1e-5, losses[losses.len() - 1]);
+        if update % 100 == 0 {
+            assert!(learner.target != learner.online);
+            learner.copy_to_target();
+            assert!(learner.target == learner.online);
+        }
+    }
+    let mean = |losses: &[f64]| losses.iter().sum::<f64>() / losses.len() as f64;
+    let [first, last] = [mean(&losses[..20]), mean(&losses[380..])];
+    assert!(last < 0.1 * first, "{first} {last}");
+}
+
+#[test]
+fn chances_change_as_published() {
+    let exploration = Config::paper().exploration;
+    let of = 1_025_600;
+    let now = |env_steps| Now { env_steps, of };
+    let near = |found: f32, want: f32| (found - want).abs() < 1e-5;
+    for (step, want) in [(0, 1.0), (399, 1.0), (410_240, 0.275), (820_480, 0.05), (of, 0.05)] {
+        assert!(near(exploration.actions_at(now(step)), want), "{step}");
+    }
+    for (step, learned) in [
+        (6_399, [1.0, 0.0]),
+        (6_400, [0.2, 0.8]),
+        (25_600, [0.2, 0.8]),
+        (425_600, [0.125, 0.4]),
+        (825_600, [0.05, 0.0]),
+    ] {
+        let found = exploration.goals_at(Mask::Learned, now(step));
+        assert!(near(found[0], learned[0]) && near(found[1], learned[1]), "{step} {found:?}");
+        let oracle = exploration.goals_at(Mask::Oracle, now(step));
+        let none = exploration.goals_at(Mask::None, now(step));
+        let sum = learned[0] + learned[1];
+        let want = if step < 6_400 { [1.0, 0.0] } else { [0.0, sum] };
+        assert!(near(oracle[0], want[0]) && near(oracle[1], want[1]), "{step} {oracle:?}");
+        assert!(near(none[0], learned[0]) && none[1] == 0.0, "{step} {none:?}");
+    }
 }

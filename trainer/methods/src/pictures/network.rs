@@ -234,17 +234,19 @@ mod tests {
         ] {
             let picture = PictureShape { channels, size: 11, counts, crop: 11, nearest: false };
             let controller = Heads { goals, actions, dueling: true };
-            let weights = |width: usize, outputs: usize| {
-                let (body, columns, active) = (Body::Convolution, 0, 0);
+            let body = |width: usize| {
+                let (body, columns, active, outputs) = (Body::Convolution, 0, 0, 1);
                 let shape = NetworkShape { body, picture, columns, active, width, outputs };
                 let mut random = sortie_nn::random::stream(1, 1, 0);
-                Network::new(shape, &mut random).parameters.values.len()
+                let network = Network::new(shape, &mut random);
+                network.parameters.values.len() - (width + 1)
             };
+            let (wide, embedding) = (body(512), body(128));
             let found = [
-                weights(512, controller.outputs()),
-                weights(512, controller.of_goals(true).outputs()),
-                weights(128, 0),
-                weights(128, goals) - weights(128, 0),
+                wide + controller.outputs() * 513,
+                wide + controller.of_goals(true).outputs() * 513,
+                embedding,
+                goals * 129,
             ];
             assert_eq!(found, want, "{channels} {goals}");
         }

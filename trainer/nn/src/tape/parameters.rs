@@ -189,13 +189,12 @@ impl Gru {
     }
 }
 
-/// Vectors of such a length, each made as long as 1 and turned away from those before (Gram and Schmidt; twice, for
-/// precision).
+/// Vectors of such a length, each made as long as 1 and turned away from those before (Gram and Schmidt).
 fn at_right_angles(mut vectors: Vec<f32>, length: usize) -> Vec<f32> {
     for start in (0..vectors.len()).step_by(length) {
         let (before, rest) = vectors.split_at_mut(start);
         let vector = &mut rest[..length];
-        for other in before.chunks_exact(length).chain(before.chunks_exact(length)) {
+        for other in before.chunks_exact(length) {
             let along = product(other, vector);
             vector.iter_mut().zip(other).for_each(|(x, other)| *x -= along * other);
         }
