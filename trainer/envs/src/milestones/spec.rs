@@ -19,21 +19,20 @@ impl<G: Game> Milestones<G> {
     const METRICS: &[Metric; MOST] = &metrics::<G>();
 }
 
-/// What episodes are measured by: how many milestones they reached, and which.
+/// What episodes are measured by: how many milestones they reached, and of each whether they did.
 const fn metrics<G: Game>() -> [Metric; MOST] {
-    let share =
-        Metric { name: "", unit: "share", about: "reached at least once", is_reported: true };
-    let mut metrics = [share; MOST];
-    metrics[0] = Metric {
+    let reached = Metric {
         name: "milestones",
         unit: "milestones",
         about: "different milestones reached",
         is_reported: true,
     };
-    let mut milestone = 0;
-    while milestone < G::MILESTONES.len() {
-        metrics[1 + milestone].name = G::MILESTONES[milestone];
-        milestone += 1;
+    let mut metrics = [reached; MOST];
+    let mut place = 0;
+    while place < G::MILESTONES.len() {
+        let name = G::MILESTONES[place];
+        metrics[1 + place] = Metric { name, unit: "share", about: name, is_reported: true };
+        place += 1;
     }
     metrics
 }
