@@ -3,11 +3,11 @@
 use alloc::format;
 use alloc::string::{String, ToString};
 use alloc::vec::Vec;
+use core::marker::PhantomData;
 
 use super::VERSION;
 use super::game::Game;
 use super::rules::Rules;
-use super::simulator::Milestones;
 use super::states::state_bytes;
 use super::window::{RADIUS, WINDOW, channels, columns};
 use crate::spec::{Metric, Shape, Sign, Spec, View};
@@ -15,8 +15,10 @@ use crate::spec::{Metric, Shape, Sign, Spec, View};
 /// How many numbers of episodes a game can have: one, and one for each milestone.
 const MOST: usize = 17;
 
-impl<G: Game> Milestones<G> {
-    const METRICS: &[Metric; MOST] = &metrics::<G>();
+struct Metrics<G>(PhantomData<G>);
+
+impl<G: Game> Metrics<G> {
+    const ALL: &[Metric; MOST] = &metrics::<G>();
 }
 
 /// What episodes are measured by: how many milestones they reached, and of each whether they did.
@@ -57,7 +59,7 @@ pub(super) fn spec<G: Game>(rules: &Rules) -> Spec {
         units: (0..features).map(units).collect(),
         actions: names(G::ACTIONS),
         safe_action: Some(0),
-        metrics: Milestones::<G>::METRICS.split_at(1 + G::MILESTONES.len()).0,
+        metrics: Metrics::<G>::ALL.split_at(1 + G::MILESTONES.len()).0,
         causes: &[IMPOSSIBLE, TIME],
         milestones: names(&rules.milestones.names::<G>()),
         signs: signs::<G>(rules),
