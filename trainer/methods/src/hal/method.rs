@@ -299,7 +299,8 @@ impl Method for Hal {
         reports: &mut Reports,
     ) -> Result<(), LearnError> {
         let sizes = &self.config.replay;
-        let due = now.env_steps.saturating_sub(sizes.first) / sizes.steps_per_update;
+        let first = sizes.first_update(&self.config.exploration);
+        let due = now.env_steps.saturating_sub(first) / sizes.steps_per_update;
         while self.updates < due {
             self.learn(environment, now, reports);
         }
@@ -345,7 +346,7 @@ impl Method for Hal {
         let mut known = self.known.map(|set| set as f32);
         state.vector("known", &mut known)?;
         self.known = known.map(|set| set as u32);
-        state.value("replay", &mut self.replay)?;
+        self.replay.state(state)?;
         state.value("classes", &mut self.classes)?;
         state.value("populations", &mut self.populations)?;
         state.value("reached", &mut self.reached)?;
