@@ -5,7 +5,7 @@ use sortie_learn::configuration::{OPTIMISER, OptimiserConfig, SHARE};
 use sortie_learn::{Now, sections};
 use sortie_nn::schedule::linear;
 
-use crate::options::{CourseRules, Mask, ReturnRules};
+use crate::options::{Chances, CourseRules, Mask, ReturnRules};
 use crate::pictures::Body;
 
 const SIZE: Range = Whole(1, 20_000_000);
@@ -170,6 +170,23 @@ sections! {
     also:
     /// How the weights follow the gradient.
     optimiser: OptimiserConfig = OPTIMISER;
+}
+
+impl AffordancesConfig {
+    /// The number of the classifier's update, and whether triplets, positives and classes are due.
+    pub(super) fn due(&self, update: u64) -> (u64, [bool; 3]) {
+        let (round, turn) = (update / self.every, update % self.every);
+        let is_due = |tenths: u64| turn == if self.apart { self.every * tenths / 10 } else { 0 };
+        (round, [is_due(0), is_due(3) && round.is_multiple_of(self.refresh), is_due(6)])
+    }
+}
+
+impl MeasuredConfig {
+    /// Goals are drawn from the mask only.
+    pub(super) fn chances(&self) -> Chances<'static> {
+        let Self { actions, goals, varied } = *self;
+        Chances { actions, goals: 0.0, afforded: goals, reached: &[], varied }
+    }
 }
 
 impl ReplayConfig {

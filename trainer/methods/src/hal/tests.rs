@@ -6,7 +6,7 @@ use sortie_learn::Now;
 use sortie_learn::configuration::OptimiserConfig;
 use sortie_nn::gradient_check::assert_gradient;
 
-use super::config::{Config, MetaConfig, ReplayConfig, ReturnsConfig};
+use super::config::{AffordancesConfig, Config, MetaConfig, ReplayConfig, ReturnsConfig};
 use super::{controller, meta};
 use crate::options::{End, Finished, Mask, Moment, NONE, Place, Replay, course, window};
 use crate::pictures::{Body, Heads, Learner, NetworkShape, Shown};
@@ -274,6 +274,18 @@ fn values_come_to_what_was_earned() {
     let mean = |losses: &[f64]| losses.iter().sum::<f64>() / losses.len() as f64;
     let [first, last] = [mean(&losses[..20]), mean(&losses[380..])];
     assert!(last < 0.1 * first, "{first} {last}");
+}
+
+#[test]
+fn the_classifier_learns_when_it_is_due() {
+    let due = |config: &AffordancesConfig, update| config.due(update).1.map(u8::from);
+    let paper = Config::paper().affordances;
+    let found = [10, 13, 16, 20, 23].map(|update| due(&paper, update));
+    assert_eq!(found, [[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 0], [0, 1, 0]]);
+    assert!([11, 12, 14, 15, 17, 18, 19].iter().all(|update| due(&paper, *update) == [0; 3]));
+    let fast = AffordancesConfig::default();
+    let found = [4, 8, 16, 17].map(|update| due(&fast, update));
+    assert_eq!(found, [[1, 0, 1], [1, 0, 1], [1, 1, 1], [0, 0, 0]]);
 }
 
 #[test]
