@@ -294,6 +294,11 @@ fn chances_change_as_published() {
     let of = 1_025_600;
     let now = |env_steps| Now { env_steps, of };
     let near = |found: f32, want: f32| (found - want).abs() < 1e-5;
+    let Config { exploration: fast, replay, .. } = Config::default();
+    assert_eq!([6_399, 6_400].map(|step| fast.actions_at(now(step)) == 1.0), [true, false]);
+    let first = [replay.first_update(&fast), Config::paper().replay.first_update(&exploration)];
+    assert_eq!(first, [6_400, 400]);
+    assert!(exploration.actions_at(now(400)) < 0.5);
     for (step, want) in [(0, 1.0), (399, 1.0), (410_240, 0.275), (820_480, 0.05), (of, 0.05)] {
         assert!(near(exploration.actions_at(now(step)), want), "{step}");
     }
