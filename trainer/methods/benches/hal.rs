@@ -42,7 +42,8 @@ fn seconds(name: &str, preset: &str, updates: u64) -> Result<[f64; 2], Box<dyn E
     let mut play = Play::new(&*world, &mut hal, random.collect());
     let mut now = Now { env_steps: 0, of: setup.run.steps };
     // Until the meta-controller learns, goals are known whose classes can be told apart, and more than was drawn is kept.
-    let warm = config.replay.first + (config.meta.first + 400) * config.replay.steps_per_update;
+    let first = config.replay.first.max(400);
+    let warm = first + (config.meta.first + 400) * config.replay.steps_per_update;
     let end = warm + updates * config.replay.steps_per_update;
     let (mut learning, mut acting) = (Duration::ZERO, Duration::ZERO);
     while now.env_steps < end {

@@ -5,7 +5,7 @@ use sortie_learn::configuration::{OPTIMISER, OptimiserConfig, SHARE};
 use sortie_learn::{Now, sections};
 use sortie_nn::schedule::linear;
 
-use crate::options::{CourseRules, Mask, ReturnRules};
+use crate::options::{Chances, CourseRules, Mask, ReturnRules};
 use crate::pictures::Body;
 
 const SIZE: Range = Whole(1, 20_000_000);
@@ -126,8 +126,8 @@ sections! {
         priorities: f64 = 0.0, SHARE, "exponent";
         /// How far losses make up for that, from the start of the run to its end in a straight line.
         importance: [f32; 2] = [0.0, 0.0], CHANCES, "exponent";
-        /// Before the first update.
-        first: u64 = 6_400, Whole(0, 20_000_000), "environment steps";
+        /// Before the first update; 0: as long as goals are drawn.
+        first: u64 = 0, Whole(0, 20_000_000), "environment steps";
         /// From one update to the next.
         steps_per_update: u64 = 256, SIZE, "environment steps";
     }
@@ -136,8 +136,8 @@ sections! {
     exploration: ExplorationConfig {
         /// In which goals are drawn.
         first: u64 = 6_400, Whole(0, 20_000_000), "environment steps";
-        /// In which actions are drawn.
-        first_actions: u64 = 6_400, Whole(0, 20_000_000), "environment steps";
+        /// In which actions are drawn; 0: as long as goals are.
+        first_actions: u64 = 0, Whole(0, 20_000_000), "environment steps";
         /// From which on chances of goals change.
         start: u64 = 0, Whole(0, 20_000_000), "environment steps";
         /// Over which chances change, those of goals from `start` on.
@@ -170,6 +170,30 @@ sections! {
     also:
     /// How the weights follow the gradient.
     optimiser: OptimiserConfig = OPTIMISER;
+}
+
+impl AffordancesConfig {
+    /// The number of the classifier's update, and whether triplets, positives and classes are due.
+    pub(super) fn due(&self, update: u64) -> (u64, [bool; 3]) {
+        let (round, turn) = (update / self.every, update % self.every);
+        let is_due = |tenths: u64| turn == if self.apart { self.every * tenths / 10 } else { 0 };
+        (round, [is_due(0), is_due(3) && round.is_multiple_of(self.refresh), is_due(6)])
+    }
+}
+
+impl MeasuredConfig {
+    /// Goals are drawn from the mask only.
+    pub(super) fn chances(&self) -> Chances<'static> {
+        let Self { actions, goals, varied } = *self;
+        Chances { actions, goals: 0.0, afforded: goals, reached: &[], varied }
+    }
+}
+
+impl ReplayConfig {
+    /// Environment steps before the first update.
+    pub(super) fn first_update(&self, exploration: &ExplorationConfig) -> u64 {
+        if self.first == 0 { exploration.first } else { self.first }
+    }
 }
 
 impl ReturnsConfig {
@@ -216,7 +240,8 @@ impl ExplorationConfig {
 
     /// The chance of a random action.
     pub(super) fn actions_at(&self, now: Now) -> f32 {
-        if now.env_steps < self.first_actions { 1.0 } else { self.at(self.actions, 0, now) }
+        let first = if self.first_actions == 0 { self.first } else { self.first_actions };
+        if now.env_steps < first { 1.0 } else { self.at(self.actions, 0, now) }
     }
 
     /// The chances of any goal, and of one that is drawn from the mask.

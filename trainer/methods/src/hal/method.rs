@@ -11,11 +11,11 @@ use sortie_nn::schedule::linear;
 use super::affordances::{self, Classes};
 use super::config::{Config, MeasuredConfig, NetworkConfig};
 use super::controller;
-use super::deployed;
 use super::filter::Population;
 use super::meta;
 use crate::options::{
     Actors, Chances, End, Finished, Mask, Moment, NONE, Place, PlayRules, Player, Replay, Running,
+    deployed,
 };
 use crate::pictures::{Body, Heads, Learner, NetworkShape, Shown};
 
@@ -185,18 +185,17 @@ impl Hal {
     /// What is due of the embedding, the positives and the classes.
     fn learn_affordances(&mut self, learning_rate: f32) {
         let own = &self.config.affordances;
-        let (round, turn) = (self.updates / own.every, self.updates % own.every);
-        let is_due = |tenths: u64| turn == if own.apart { own.every * tenths / 10 } else { 0 };
+        let (round, [embeds, measures, classifies]) = own.due(self.updates);
         let (kept, random) = ((&self.replay, &self.shown), &mut self.random);
         let (classifier, memory) = (&mut self.classifier, &mut self.memories.2);
-        if own.filter && is_due(3) && round.is_multiple_of(own.refresh) {
+        if own.filter && measures {
             let milestone = (round / own.refresh) as usize % self.populations.len();
             let population = &mut self.populations[milestone];
             let from = (&self.classes, &*classifier);
             affordances::refresh(population, milestone, own.population, from, kept, memory, random);
         }
-        let parts = [is_due(0), is_due(6)];
-        if parts != [false; 2] {
+        if embeds || classifies {
+            let parts = [embeds, classifies];
             let data = (&self.classes, &*self.populations);
             let loss = affordances::descend(classifier, own, parts, data, kept, memory, random);
             let decay = self.config.weights.decay;
@@ -278,7 +277,8 @@ impl Method for Hal {
         reports: &mut Reports,
     ) -> Result<(), LearnError> {
         let sizes = &self.config.replay;
-        let due = now.env_steps.saturating_sub(sizes.first) / sizes.steps_per_update;
+        let first = sizes.first_update(&self.config.exploration);
+        let due = now.env_steps.saturating_sub(first) / sizes.steps_per_update;
         while self.updates < due {
             self.learn(environment, now, reports);
         }
@@ -308,8 +308,8 @@ impl Method for Hal {
             return Err(LearnError::Config(reason.to_owned()));
         }
         let actors = self.actors(|learner| &learner.average);
-        let agents =
-            deployed::deployed(actors, &self.shown, &self.signs, &self.config.measured, self.seed);
+        let chances = self.config.measured.chances();
+        let agents = deployed(actors, &self.shown, &self.signs, chances, self.seed);
         agents.ok_or_else(|| {
             let reason = "the environment does not say how its milestones show in what is observed";
             LearnError::Config(reason.to_owned())
@@ -324,7 +324,7 @@ impl Method for Hal {
         let mut known = self.known.map(|set| set as f32);
         state.vector("known", &mut known)?;
         self.known = known.map(|set| set as u32);
-        state.value("replay", &mut self.replay)?;
+        self.replay.state(state)?;
         state.value("classes", &mut self.classes)?;
         state.value("populations", &mut self.populations)?;
         state.value("reached", &mut self.reached)?;
@@ -372,10 +372,7 @@ impl Act for Measured<'_> {
         random: &mut [Random],
         actions: &mut [u16],
     ) -> Result<(), LearnError> {
-        let MeasuredConfig { actions: chance, goals, varied } = self.chances;
-        let chances =
-            Chances { actions: chance, goals: 0.0, afforded: goals, reached: &[], varied };
-        self.player.act(self.actors, scenes, chances, random, actions);
+        self.player.act(self.actors, scenes, self.chances.chances(), random, actions);
         self.count_masks(scenes);
         Ok(())
     }

@@ -6,7 +6,6 @@
 mod affordances;
 mod config;
 mod controller;
-mod deployed;
 mod filter;
 mod meta;
 mod method;

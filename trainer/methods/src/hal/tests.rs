@@ -6,7 +6,7 @@ use sortie_learn::Now;
 use sortie_learn::configuration::OptimiserConfig;
 use sortie_nn::gradient_check::assert_gradient;
 
-use super::config::{Config, MetaConfig, ReplayConfig, ReturnsConfig};
+use super::config::{AffordancesConfig, Config, MetaConfig, ReplayConfig, ReturnsConfig};
 use super::{controller, meta};
 use crate::options::{End, Finished, Mask, Moment, NONE, Place, Replay, course, window};
 use crate::pictures::{Body, Heads, Learner, NetworkShape, Shown};
@@ -277,11 +277,28 @@ fn values_come_to_what_was_earned() {
 }
 
 #[test]
+fn the_classifier_learns_when_it_is_due() {
+    let due = |config: &AffordancesConfig, update| config.due(update).1.map(u8::from);
+    let paper = Config::paper().affordances;
+    let found = [10, 13, 16, 20, 23].map(|update| due(&paper, update));
+    assert_eq!(found, [[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 0], [0, 1, 0]]);
+    assert!([11, 12, 14, 15, 17, 18, 19].iter().all(|update| due(&paper, *update) == [0; 3]));
+    let fast = AffordancesConfig::default();
+    let found = [4, 8, 16, 17].map(|update| due(&fast, update));
+    assert_eq!(found, [[1, 0, 1], [1, 0, 1], [1, 1, 1], [0, 0, 0]]);
+}
+
+#[test]
 fn chances_change_as_published() {
     let exploration = Config::paper().exploration;
     let of = 1_025_600;
     let now = |env_steps| Now { env_steps, of };
     let near = |found: f32, want: f32| (found - want).abs() < 1e-5;
+    let Config { exploration: fast, replay, .. } = Config::default();
+    assert_eq!([6_399, 6_400].map(|step| fast.actions_at(now(step)) == 1.0), [true, false]);
+    let first = [replay.first_update(&fast), Config::paper().replay.first_update(&exploration)];
+    assert_eq!(first, [6_400, 400]);
+    assert!(exploration.actions_at(now(400)) < 0.5);
     for (step, want) in [(0, 1.0), (399, 1.0), (410_240, 0.275), (820_480, 0.05), (of, 0.05)] {
         assert!(near(exploration.actions_at(now(step)), want), "{step}");
     }

@@ -1,10 +1,12 @@
 //! Options of agents that go from milestone to milestone: how they are played, kept, and learned from.
 
+mod deployed;
 mod play;
 mod priorities;
 mod replay;
 mod windows;
 
+pub(crate) use deployed::deployed;
 pub use play::Mask;
 pub(crate) use play::{Actors, Chances, PlayRules, Player, Running};
 pub(crate) use priorities::importance;

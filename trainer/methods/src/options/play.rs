@@ -235,11 +235,9 @@ impl Player {
                 values.resize(milestones, 0.0);
                 let threshold = actors.rules.threshold;
                 let least = (threshold / (1.0 - threshold)).ln();
-                let [reached, both] = actors.known;
-                let known = [if actors.rules.unreached { all } else { reached }, both];
                 let mask = |hidden: &[f32]| {
                     network.read(weights, hidden, 0..milestones, values);
-                    mask(values, least, known)
+                    mask(values, least, actors.known, actors.rules.unreached)
                 };
                 hidden.chunks_exact(network.width()).map(mask).collect()
             }
@@ -255,11 +253,13 @@ fn ranked(values: &[f32], skipped: usize) -> usize {
     best(values, rest)
 }
 
-/// The milestones that a classifier affords: what was never reached it does not, what has no negatives yet it does.
-fn mask(logits: &[f32], least: f32, [reached, known]: [u32; 2]) -> u32 {
+/// The milestones that a classifier affords: what was never reached it does not unless that is wanted, what has no
+/// negatives yet it does.
+fn mask(logits: &[f32], least: f32, [reached, known]: [u32; 2], unreached: bool) -> u32 {
     let likely = logits.iter().enumerate().filter(|(_, logit)| **logit > least);
     let likely = likely.fold(0, |set, (milestone, _)| set | 1 << milestone);
-    reached & (likely | !known)
+    let all = u32::MAX >> (32 - logits.len());
+    (if unreached { all } else { reached }) & (likely | !known)
 }
 
 /// A milestone of a mask, those that were reached seldom more often than others.
@@ -287,8 +287,9 @@ mod tests {
     #[test]
     fn masks_hold_what_is_likely_and_what_nothing_speaks_against() {
         let logits = [3.0, -3.0, 3.0, -3.0, 0.1];
-        assert_eq!(mask(&logits, 0.0, [0b11110, 0b10110]), 0b11100);
-        assert_eq!(mask(&logits, 0.2, [0b11111, 0b11111]), 0b00101);
+        assert_eq!(mask(&logits, 0.0, [0b11110, 0b10110], false), 0b11100);
+        assert_eq!(mask(&logits, 0.0, [0b11110, 0b10110], true), 0b11101);
+        assert_eq!(mask(&logits, 0.2, [0b11111, 0b11111], false), 0b00101);
     }
 
     #[test]

@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 use serde::{Deserialize, Serialize};
 use sortie_envs::Random;
 use sortie_envs::random::below;
+use sortie_learn::{LearnError, State};
 
 use super::priorities::Priorities;
 
@@ -91,10 +92,12 @@ pub(crate) struct Replay {
     reached: Vec<VecDeque<OptionPlace>>,
     /// Options of episodes that were solved.
     solved: VecDeque<OptionPlace>,
-    /// Of steps and of options, where they are drawn by priorities.
+    /// Of steps and of options, where they are drawn by priorities; files have them apart, most runs have none.
+    #[serde(skip)]
     priorities: Option<ByPriority>,
 }
 
+/// What steps and options count where they are drawn.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct ByPriority {
     steps: Priorities,
@@ -122,6 +125,16 @@ impl Replay {
         let priorities =
             ByPriority { steps: places(self.kept), options: places(options_kept), options_kept };
         Self { priorities: Some(priorities), ..self }
+    }
+
+    pub(crate) fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
+        let mut priorities = self.priorities.take();
+        state.value("replay", self)?;
+        if let Some(priorities) = &mut priorities {
+            state.value("priorities", priorities)?;
+        }
+        self.priorities = priorities;
+        Ok(())
     }
 
     /// Keeps a state and what was done in it.

@@ -8,19 +8,18 @@ use sortie_learn::export::{DenseLayer, DeployedAgents, DeployedNetworks, OptionG
 use sortie_nn::layers::SparseRows;
 use sortie_nn::layers::elementwise::{Activation, activate};
 
-use super::config::MeasuredConfig;
-use crate::options::Actors;
+use super::play::{Actors, Chances};
 use crate::pictures::{Network, Shown, Space};
 
 /// The agent that these networks are, by a seed for what it draws.
-pub(super) fn deployed<'a>(
+pub(crate) fn deployed<'a>(
     actors: Actors<'a>,
     shown: &Shown,
     signs: &[(String, Sign)],
-    measured: &MeasuredConfig,
+    chances: Chances<'_>,
     seed: u64,
 ) -> Option<DeployedAgents<'a>> {
-    let options = contract(actors, shown, signs, measured, seed)?;
+    let options = contract(actors, shown, signs, chances, seed)?;
     let rules = options.rules(actors.heads.actions).ok()?;
     let row = vec![0.0; shown.columns()];
     let policy = OptionPolicy::new(rules, OwnNetworks::new(actors), row)?;
@@ -35,7 +34,7 @@ fn contract(
     actors: Actors<'_>,
     shown: &Shown,
     signs: &[(String, Sign)],
-    measured: &MeasuredConfig,
+    chances: Chances<'_>,
     seed: u64,
 ) -> Option<OptionsContract> {
     let shape = shown.shape();
@@ -55,9 +54,9 @@ fn contract(
     (milestones.len() == actors.heads.goals).then_some(OptionsContract {
         steps: actors.rules.option_steps,
         threshold: actors.rules.threshold,
-        action_chance: measured.actions,
-        goal_chance: measured.goals,
-        varied: measured.varied,
+        action_chance: chances.actions,
+        goal_chance: chances.afforded,
+        varied: chances.varied,
         // What TOML holds.
         seed: seed >> 1,
         picture: PictureContract {
