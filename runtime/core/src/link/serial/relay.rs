@@ -19,6 +19,8 @@ pub struct Relay<'b, IO> {
     format: FrameFormat,
     agents: u64,
     outgoing: &'b mut [u8],
+    /// The newest allocation, for a runner that begins anew.
+    newest: Option<AllocMsg>,
     is_heard: bool,
 }
 
@@ -28,7 +30,7 @@ impl<'b, IO: Read + ReadReady + Write> Relay<'b, IO> {
     /// [`packet_bytes`](super::packet_bytes) at most.
     pub fn new(io: IO, format: FrameFormat, agents: u64, packet: &'b mut [u8]) -> Self {
         let line = Line::new(io, [0; SMALL_PACKET]);
-        Self { line, format, agents, outgoing: packet, is_heard: false }
+        Self { line, format, agents, outgoing: packet, newest: None, is_heard: false }
     }
 
     /// What came over the line.
@@ -78,20 +80,22 @@ impl<'b, IO: Read + ReadReady + Write> Relay<'b, IO> {
             // There is room: one was taken out above.
             let _ = waiting.push_back(*allocation);
         })?;
-        for allocation in &waiting {
-            let mut bytes = [0; SMALL_PACKET];
-            let mut packer = Packer::new(&mut bytes);
-            let packet = Packet::Allocation(AllocationPacket::new(allocation));
-            let packet = packer.put(&packet).and_then(|()| packer.seal());
-            let sent = packet.map(|packet| self.line.send(packet));
-            sent.and_then(Result::ok).ok_or(LinkError::Bell)?;
-        }
-        Ok(())
+        self.newest = waiting.back().copied().or(self.newest);
+        waiting.iter().try_for_each(|allocation| self.send_allocation(allocation))
+    }
+
+    fn send_allocation(&mut self, allocation: &AllocMsg) -> Result<(), LinkError> {
+        let mut bytes = [0; SMALL_PACKET];
+        let mut packer = Packer::new(&mut bytes);
+        let packet = Packet::Allocation(AllocationPacket::new(allocation));
+        let packet = packer.put(&packet).and_then(|()| packer.seal());
+        let sent = packet.map(|packet| self.line.send(packet));
+        sent.and_then(Result::ok).ok_or(LinkError::Bell)
     }
 
     fn pass_on(&mut self, team: &mut impl AgentLink) -> Result<(), LinkError> {
         let (now_ns, agents) = (team.now_ns(), self.agents);
-        let mut is_heard = false;
+        let (mut is_heard, mut is_greeted) = (false, false);
         loop {
             let received = self.line.receive(&Now(now_ns)).map_err(|Broken| LinkError::Bell)?;
             let Some((bytes, _)) = received else { break };
@@ -106,6 +110,7 @@ impl<'b, IO: Read + ReadReady + Write> Relay<'b, IO> {
                         self.line.counters.refused += 1;
                         continue;
                     };
+                    is_greeted |= message.has(StatMsg::HELLO);
                     team.send_status(&message)?;
                 }
                 _ => {
@@ -116,6 +121,10 @@ impl<'b, IO: Read + ReadReady + Write> Relay<'b, IO> {
             is_heard = true;
         }
         self.is_heard |= is_heard;
+        // Whoever joins late is shown the newest allocation, as on every link.
+        if let Some(newest) = self.newest.filter(|_| is_greeted) {
+            self.send_allocation(&newest)?;
+        }
         if is_heard { team.ring(Role::World) } else { Ok(()) }
     }
 }

@@ -329,7 +329,7 @@ fn packets_of_another_domain_are_refused_whole() {
     wire.0.borrow_mut().extend(encoded(&vec![1; packet_bytes(SHAPE) + 1]));
     wire.0.borrow_mut().extend(encoded(&frame_packet(1 << 32 | 6)));
     assert!(link.receive_frames(&mut |_| true).unwrap());
-    assert_eq!(link.counters().damaged, 1);
+    assert_eq!(link.counters().too_long, 1);
 }
 
 /// Bytes as hexadecimal digits.
