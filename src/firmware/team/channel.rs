@@ -3,7 +3,7 @@
 use serde::Serialize;
 use sortie_envs::random::{Random, below, stream};
 
-/// What is done to bytes and packets. Each packet has its own draws, so that one more or less changes no other.
+/// What is done to bytes and packets.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Noise {
     pub(crate) seed: u64,
@@ -44,9 +44,11 @@ impl Channel {
         Self { noise, direction, last: Vec::new(), held: Vec::new(), carried: Carried::default() }
     }
 
-    /// What arrives of a packet, and of one that waited for it.
-    pub(crate) fn carry(&mut self, packet: &[u8]) -> Vec<u8> {
-        let mut random = stream(self.noise.seed, self.direction, self.carried.packets);
+    /// What arrives of a packet, and of one that waited for it. The draws are those of its place: a device that says
+    /// something more in one turn changes nothing in the next.
+    pub(crate) fn carry(&mut self, packet: &[u8], (turn, index): (u64, usize)) -> Vec<u8> {
+        let place = turn << 16 | index as u64;
+        let mut random = stream(self.noise.seed, self.direction, place);
         self.carried.packets += 1;
         self.carried.bytes += packet.len() as u64;
         let waited = std::mem::take(&mut self.held);

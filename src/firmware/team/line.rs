@@ -26,6 +26,8 @@ pub(crate) struct Line<'d> {
     /// Episode and step from which on the device is switched off and on again.
     resets: BTreeSet<(u32, u32)>,
     done: u64,
+    /// Turns that the line has had.
+    turns: u64,
 }
 
 /// What became of the line.
@@ -57,6 +59,7 @@ impl<'d> Line<'d> {
             uncounted: 0,
             resets,
             done: 0,
+            turns: 0,
         };
         let (bytes, counted) = line.device.exchange(&[])?;
         line.receive(&bytes, counted);
@@ -74,7 +77,11 @@ impl<'d> Line<'d> {
         if sent.is_empty() {
             return Ok(false);
         }
-        let arrives: Vec<u8> = sent.iter().flat_map(|packet| self.down.carry(packet)).collect();
+        self.turns += 1;
+        let mut arrives = Vec::new();
+        for (index, packet) in sent.iter().enumerate() {
+            arrives.extend(self.down.carry(packet, (self.turns, index)));
+        }
         let (bytes, counted) = if self.is_due(episode, step) {
             self.settle();
             self.done += 1;
@@ -94,8 +101,8 @@ impl<'d> Line<'d> {
 
     fn receive(&mut self, bytes: &[u8], counted: Counted) {
         self.counted = counted;
-        for packet in packets(bytes) {
-            let arrives = self.up.carry(packet);
+        for (index, packet) in packets(bytes).enumerate() {
+            let arrives = self.up.carry(packet, (self.turns, index));
             self.to_relay.add(&arrives);
             self.port.bring(&arrives);
         }

@@ -79,12 +79,17 @@ struct Watch {
     agent: usize,
     episode: u32,
     step: u32,
+    ended: u32,
     executed: u64,
 }
 
 impl WorldObserver for Watch {
     fn episode_started(&mut self, episode: u32) {
         (self.episode, self.step) = (episode, 0);
+    }
+
+    fn episode_ended(&mut self, _episode: u32, _steps: u32) {
+        self.ended += 1;
     }
 
     fn tick(&mut self, report: &TickReport<'_>) {
@@ -109,21 +114,20 @@ pub(crate) fn play(
     let mut watch = Watch { agent: setup.agent, ..Watch::default() };
     let mut relay_cursor = DirectCursor::default();
     loop {
-        let (polled, is_moving) = roles.poll(&mut team, cast, &mut watch)?;
-        if polled == Poll::Ended {
+        let polled = roles.poll_world(&mut team, cast, &mut watch)?;
+        // What the world says of its end does not go over the line: the device is asked what it has counted.
+        if watch.ended == setup.episodes {
             break;
         }
-        if is_moving {
-            continue;
-        }
-        // Everybody else rests: frame and allocation go together.
+        // Everybody else works first: frame and allocation go over the line together.
+        let is_moving = roles.settle(&mut team, cast)? || polled.is_progress();
         judge.look(&mut team)?;
         let mut link = Noted::new(team.agent(&mut relay_cursor));
         relay.turn(&mut link)?;
         let passed_on = link.actions;
         judge.judge(&mut team, cast.own, &passed_on)?;
         let is_heard = relay.take_heard();
-        if !line.turn(watch.episode, watch.step)? && !is_heard {
+        if !line.turn(watch.episode, watch.step)? && !is_heard && !is_moving {
             pass_time(&clock, polled)?;
         }
     }
@@ -182,24 +186,33 @@ impl Roles {
         Ok(roles)
     }
 
-    /// What the world waits for, and whether anybody did anything.
-    fn poll(
+    /// What the world waits for.
+    fn poll_world(
         &mut self,
         team: &mut Direct<'_>,
         cast: &mut Cast<'_>,
         watch: &mut Watch,
-    ) -> Result<(Poll, bool), Failure> {
-        let [world, runner, allocator] = &mut self.cursors;
+    ) -> Result<Poll, Failure> {
+        let [world, ..] = &mut self.cursors;
         let polled = self.world.poll(&mut team.world(world), cast.world, watch);
-        let polled = polled.map_err(Failure::bug)?;
-        let mut is_moving = polled.is_progress();
-        if let Some(policy) = cast.allocator.as_deref_mut() {
-            let polled = self.allocator.poll(&mut team.allocator(allocator), policy);
-            let polled = polled.map_err(Failure::bug)?;
-            is_moving |= polled.is_progress();
+        polled.map_err(Failure::bug)
+    }
+
+    /// Allocator and runners of this machine work until they rest. Returns whether they did anything.
+    fn settle(&mut self, team: &mut Direct<'_>, cast: &mut Cast<'_>) -> Result<bool, Failure> {
+        let [_, runner, allocator] = &mut self.cursors;
+        for turn in 0.. {
+            let mut is_moving = false;
+            if let Some(policy) = cast.allocator.as_deref_mut() {
+                let polled = self.allocator.poll(&mut team.allocator(allocator), policy);
+                is_moving |= polled.map_err(Failure::bug)?.is_progress();
+            }
+            let others = self.others.poll(&mut team.agent(runner), cast.others)?;
+            if !is_moving && !others.is_progress() {
+                return Ok(turn > 0);
+            }
         }
-        let others = self.others.poll(&mut team.agent(runner), cast.others)?;
-        Ok((polled, is_moving || others.is_progress()))
+        Ok(true)
     }
 }
 
@@ -260,7 +273,7 @@ impl Judge {
     }
 }
 
-fn runner_options(setup: &Setup<'_>, agents: u64) -> RunnerOptions {
+pub(super) fn runner_options(setup: &Setup<'_>, agents: u64) -> RunnerOptions {
     RunnerOptions {
         format: setup.format,
         identity: Identity::new(1, "runner"),
