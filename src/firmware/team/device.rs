@@ -44,6 +44,7 @@ struct Running {
     sent: Vec<u8>,
     passed_on: u32,
     counted: Counted,
+    has_rested: bool,
 }
 
 impl Emulator {
@@ -59,6 +60,10 @@ impl Emulator {
 
 impl Device for Emulator {
     fn exchange(&mut self, bytes: &[u8]) -> Result<(Vec<u8>, Counted), Failure> {
+        // Who rests, and is given nothing, has nothing to say.
+        if bytes.is_empty() && self.running.has_rested {
+            return Ok((Vec::new(), self.running.counted));
+        }
         self.running.give(bytes)?;
         self.running.rest(self.limit)
     }
@@ -83,7 +88,7 @@ impl Running {
         pass_bytes(bytes, sender.clone());
         pass_lines(lines, sender);
         let (sent, counted) = (Vec::new(), Counted::default());
-        Ok(Self { child, line, said, given: 0, sent, passed_on: 0, counted })
+        Ok(Self { child, line, said, given: 0, sent, passed_on: 0, counted, has_rested: false })
     }
 
     fn give(&mut self, bytes: &[u8]) -> Result<(), Failure> {
@@ -102,6 +107,7 @@ impl Running {
                 && self.passed_on.wrapping_add(self.sent.len() as u32) == sent
             {
                 self.passed_on = sent;
+                self.has_rested = true;
                 return Ok((std::mem::take(&mut self.sent), self.counted));
             }
             match self.said.recv_timeout(limit) {

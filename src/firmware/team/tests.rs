@@ -305,6 +305,7 @@ fn an_emulator_is_heard_when_it_rests() {
     assert_eq!((bytes.as_slice(), counted.packets), (&b"ab"[..], 7));
     // It has not read everything at its first rest.
     assert_eq!(emulator.exchange(b"xyz").unwrap().0, b"xyz");
+    assert_eq!(emulator.exchange(&[]).unwrap().0, b"", "it has nothing to say");
     let (bytes, _) = emulator.restart(b"lost").unwrap();
     assert_eq!(bytes, b"ab", "it begins anew");
 }

@@ -156,7 +156,7 @@ fn is_overdue(newest: &AllocMsg, action: &ActionMsg) -> bool {
 fn announcement(agents: u64, action: &ActionMsg) -> StatMsg {
     StatMsg {
         schema: action.schema,
-        abi: action.abi.into(),
+        abi: action.abi,
         pid: action.runner,
         role: Role::Runner as u8,
         // The limit of agents fits the field.

@@ -1,5 +1,6 @@
 //! Lines that lose, double and change bytes, by seeds; and frames that show the same at both ends.
 
+mod order;
 use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::convert::Infallible;
@@ -73,7 +74,6 @@ impl Write for Wire {
     }
 }
 
-/// A step of a linear congruential generator.
 struct Random(u64);
 
 impl Random {
