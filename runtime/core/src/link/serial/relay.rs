@@ -91,7 +91,8 @@ impl<'b, IO: Read + ReadReady + Write> Relay<'b, IO> {
             // There is room: one was taken out above.
             let _ = waiting.push_back(*allocation);
         })?;
-        self.newest = waiting.back().copied().or(self.newest);
+        // Allocations are ordered by term and epoch, however they come.
+        self.newest = waiting.iter().copied().chain(self.newest).max_by_key(AllocMsg::order);
         waiting.iter().try_for_each(|allocation| self.send_allocation(allocation))
     }
 
