@@ -104,3 +104,12 @@ fn wrong_uses_are_refused() {
     assert!(stderr(&table).contains("--table"), "{}", stderr(&table));
     assert_fails(&output(&["firmware", "nowhere", "--board", "cortex-m4f"]), 66, &["nowhere"]);
 }
+
+#[test]
+fn wrong_uses_of_a_team_are_refused() {
+    let board = ["firmware", BUNDLE, "--board", "cortex-m4f"];
+    let asked = |more: &[&str]| output(&[&board, more].concat());
+    assert_fails(&asked(&["--damage", "2000"]), 2, &["--team"]);
+    assert_fails(&asked(&["--team", "--damage", "1"]), 2, &["--damage"]);
+    assert_fails(&asked(&["--team", "--table", "docs/firmware.md"]), 2, &["--table"]);
+}

@@ -3,6 +3,7 @@
 mod board;
 mod device;
 mod figures;
+mod team;
 mod toolchain;
 
 use std::fs;
@@ -12,14 +13,15 @@ use std::time::Duration;
 use clap::Args;
 use serde::Serialize;
 use sortie_bundle::{Bundle, Recording};
-use sortie_core::plan::{AlignedBytes, Plan};
-use sortie_plans::CompileError;
+use sortie_core::plan::{AlignedBytes, Plan, Profile};
+use sortie_plans::{AgentPlans, CompileError};
 use sortie_stage::hash_of;
 
 use self::board::Board;
 use self::device::Told;
 use self::figures::{Figures, Flash, Instructions, Ram, Recorded, Verdict};
-use self::toolchain::Toolchain;
+use self::team::TeamArguments;
+use self::toolchain::{Program, Toolchain};
 use crate::compiler::plans;
 use crate::deployment::open_bundle;
 use crate::failure::{Exit, Failure, Outcome};
@@ -37,11 +39,16 @@ use crate::progress;
 ///
 /// It needs the sources of Sortie (`runtime/firmware`), cargo, a compiler with a library for the board, and QEMU. What is
 /// missing is named, with exit code 69; nothing is installed.
+///
+/// With --team the board acts for one agent of a running team: packets cross its serial line, which may be damaged, and
+/// each of its actions is compared with what this machine's runtime decides on the same frame (exit code 1).
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   sortie firmware models/save-the-city --board cortex-m4f --profile int8
   sortie firmware models/save-the-city --board rv32imc --json
-  sortie firmware models/save-the-city --board cortex-m0 --profile int8 --table docs/firmware.md")]
+  sortie firmware models/save-the-city --board cortex-m0 --profile int8 --table docs/firmware.md
+  sortie firmware models/save-the-city --board cortex-m4f --team --episodes 20
+  sortie firmware models/save-the-city --board cortex-m4f --team --damage 2000 --resets 5 --json")]
 pub(crate) struct FirmwareArguments {
     /// A bundle's folder
     bundle: PathBuf,
@@ -67,9 +74,11 @@ pub(crate) struct FirmwareArguments {
     /// A compiler with the sources of its library, for boards that the toolchain of rustup has no library for
     #[arg(long, value_name = "PROGRAM", default_value = "/usr/bin/rustc")]
     rustc: PathBuf,
-    /// Seconds after which a board that does not end is given up
+    /// Seconds after which a board that does not end, or does not answer, is given up
     #[arg(long, value_name = "SECONDS", default_value_t = 600, value_parser = clap::value_parser!(u64).range(1..))]
     limit: u64,
+    #[command(flatten)]
+    team: TeamArguments,
     #[command(flatten)]
     common: Common,
 }
@@ -90,6 +99,9 @@ pub(crate) fn run(arguments: &FirmwareArguments) -> Outcome {
     let bundle = open_bundle(&arguments.bundle)?;
     let sources = sources(arguments.sources.as_deref())?;
     let toolchain = Toolchain::find(&arguments.board.machine(), &arguments.rustc)?;
+    if arguments.team.team {
+        return team::run(arguments, &bundle, &sources, &toolchain);
+    }
     let figures = measure(arguments, &bundle, &sources, &toolchain)?;
     let equal = figures.hash == figures.host_hash;
     if arguments.common.json {
@@ -117,12 +129,8 @@ fn measure(
 ) -> Result<Figures, Failure> {
     let machine = arguments.board.machine();
     let profile = arguments.profile.profile();
-    let within = |error: CompileError| Failure::from(error).within(bundle.folder().display());
-    let plans = plans().agents(bundle, profile).map_err(within)?;
-    let [plan] = plans.plans() else {
-        let message = "the agents of this bundle decide by several networks, and a board runs one";
-        return Err(Failure::new(Exit::Usage, message).within(bundle.folder().display()));
-    };
+    let plans = agent_plans(bundle, profile)?;
+    let plan = only_plan(bundle, &plans)?;
     let cases = bundle
         .golden()
         .cases
@@ -140,10 +148,12 @@ fn measure(
         .map_err(|error| Failure::file(&observations, &error))?;
     let spinner = progress::spinner(arguments.common);
     spinner.set_message("building the firmware");
-    let program = toolchain.build(&machine, sources, plan.as_slice())?;
+    let files = [("SORTIE_PLAN", plan.as_slice())];
+    let program = Program { name: "sortie-firmware", features: &[], files: &files };
+    let program = toolchain.build(&machine, sources, &program)?;
     spinner.set_message("running it on the board");
     let mut emulator = toolchain.emulator(&machine, &program);
-    emulator.current_dir(folder.path());
+    emulator.arg("-nographic").current_dir(folder.path());
     let told = Told::by(emulator, Duration::from_secs(arguments.limit))?;
     spinner.finish_and_clear();
 
@@ -160,6 +170,20 @@ fn measure(
         flash: Flash::told(&told)?,
         ram: Ram::told(&told)?,
     })
+}
+
+fn agent_plans(bundle: &Bundle, profile: Profile) -> Result<AgentPlans, Failure> {
+    let within = |error: CompileError| Failure::from(error).within(bundle.folder().display());
+    plans().agents(bundle, profile).map_err(within)
+}
+
+/// The one plan of a bundle's agents.
+fn only_plan<'p>(bundle: &Bundle, plans: &'p AgentPlans) -> Result<&'p AlignedBytes, Failure> {
+    let [plan] = plans.plans() else {
+        let message = "the agents of this bundle decide by several networks, and a board runs one";
+        return Err(Failure::new(Exit::Usage, message).within(bundle.folder().display()));
+    };
+    Ok(plan)
 }
 
 /// FNV-1a over the bits of all utilities, every observation the first of an episode.

@@ -23,6 +23,15 @@ pub(crate) struct Toolchain {
     emulator: PathBuf,
 }
 
+/// A program of the firmware, and what it is built around.
+pub(crate) struct Program<'a> {
+    pub(crate) name: &'static str,
+    /// Features of the firmware that it needs.
+    pub(crate) features: &'static [&'static str],
+    /// Variables that name files, and what these hold.
+    pub(crate) files: &'a [(&'static str, &'a [u8])],
+}
+
 /// Where the library `core` of the target comes from.
 enum Compiler {
     /// The toolchain has it: `rustup target add` brought it.
@@ -64,16 +73,15 @@ impl Toolchain {
         }
     }
 
-    /// Builds the firmware in `sources` around a plan, and returns the program.
+    /// Builds a program of the firmware in `sources`, and returns its file.
     pub(crate) fn build(
         &self,
         machine: &Machine,
         sources: &Path,
-        plan: &[u8],
+        program: &Program<'_>,
     ) -> Result<PathBuf, Failure> {
         let target = sources.join("../../target");
         let target = env::var_os("CARGO_TARGET_DIR").map_or(target, PathBuf::from).join("firmware");
-        let plan = kept(&target.join("plans"), plan)?;
         let boards = sources.join("boards");
         let mut flags = vec![
             format!("-Clink-arg=-L{}", boards.display()),
@@ -81,8 +89,12 @@ impl Toolchain {
         ];
         let mut cargo = Command::new("cargo");
         cargo.args(["build", "--release", "--locked", "--target", machine.target]);
+        cargo.args(["--bin", program.name, "--features", &program.features.join(",")]);
         cargo.arg("--manifest-path").arg(sources.join("Cargo.toml"));
-        cargo.arg("--target-dir").arg(&target).env("SORTIE_PLAN", &plan);
+        cargo.arg("--target-dir").arg(&target);
+        for (variable, content) in program.files {
+            cargo.env(variable, kept(&target.join("plans"), content)?);
+        }
         if let Compiler::Sources { rustc, linker } = &self.compiler {
             flags.push(format!("-Clinker={}", linker.display()));
             // Unlocks the one flag of cargo: the firmware's packages use nothing that is unstable.
@@ -94,25 +106,25 @@ impl Toolchain {
         if !output.status.success() {
             return Err(not_built(&String::from_utf8_lossy(&output.stderr)));
         }
-        Ok(target.join(machine.target).join("release/sortie-firmware"))
+        Ok(target.join(machine.target).join("release").join(program.name))
     }
 
     /// The emulator, which ends as the program does.
     pub(crate) fn emulator(&self, machine: &Machine, program: &Path) -> Command {
         let mut command = Command::new(&self.emulator);
         command.args(machine.emulator.iter().skip(1));
-        command.args(["-nographic", "-semihosting-config", "enable=on,target=native", "-kernel"]);
+        command.args(["-semihosting-config", "enable=on,target=native", "-kernel"]);
         command.arg(program);
         command
     }
 }
 
-/// A plan as a file that is named by its content, so that what is built around it need not be built again.
-fn kept(folder: &Path, plan: &[u8]) -> Result<PathBuf, Failure> {
-    let path = folder.join(format!("{}.plan", hex(&sha256(plan))));
+/// Bytes as a file that is named by their content, so that what is built around it need not be built again.
+fn kept(folder: &Path, bytes: &[u8]) -> Result<PathBuf, Failure> {
+    let path = folder.join(format!("{}.plan", hex(&sha256(bytes))));
     if !path.exists() {
         fs::create_dir_all(folder).map_err(|error| Failure::file(folder, &error))?;
-        write_output(&path, plan)?;
+        write_output(&path, bytes)?;
     }
     // The compiler takes other paths from the file that names them.
     fs::canonicalize(&path).map_err(|error| Failure::file(&path, &error))

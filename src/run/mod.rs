@@ -11,7 +11,7 @@ mod scheduling;
 mod screen;
 mod team;
 pub(crate) mod up;
-mod world;
+pub(crate) mod world;
 
 use std::path::PathBuf;
 use std::time::Duration;

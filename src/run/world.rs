@@ -53,7 +53,7 @@ impl Playing {
 }
 
 /// The world that a bundle is to play in.
-pub(super) fn open_world(
+pub(crate) fn open_world(
     bundle: &Bundle,
     asked: Option<&str>,
     seed: u64,

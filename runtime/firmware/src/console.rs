@@ -1,10 +1,8 @@
-//! What a debugger does for a program, or the emulator in its place: shows text, reads a file, ends the program.
+//! What a debugger does for a program, or the emulator in its place: shows text, ends the program.
 
 use crate::machine::call;
 
-const OPEN: usize = 0x01;
 const WRITE: usize = 0x04;
-const READ: usize = 0x06;
 const END: usize = 0x20;
 
 /// `ADP_Stopped_ApplicationExit`.
@@ -41,30 +39,4 @@ pub(crate) fn tell(name: &[u8], number: u64) {
         text.iter_mut().zip(line).for_each(|(to, from)| *to = from);
     }
     call(WRITE, text.as_ptr().addr());
-}
-
-/// A file of the machine that runs the emulator.
-pub(crate) struct File(usize);
-
-impl File {
-    /// Opens a file for reading. The name ends with a zero.
-    #[unsafe(link_section = ".harness")]
-    pub(crate) fn open(name: &[u8]) -> Option<Self> {
-        /// `rb`
-        const MODE: usize = 1;
-        let block = [name.as_ptr().addr(), MODE, name.len().saturating_sub(1)];
-        let handle = call(OPEN, block.as_ptr().addr());
-        (handle != usize::MAX).then_some(Self(handle))
-    }
-
-    /// Fills `bytes`; nothing where the file ends before.
-    #[unsafe(link_section = ".harness")]
-    pub(crate) fn read(&self, bytes: &mut [u8]) -> Option<()> {
-        if bytes.is_empty() {
-            return Some(());
-        }
-        let block = [self.0, bytes.as_mut_ptr().expose_provenance(), bytes.len()];
-        let missing = call(READ, block.as_ptr().addr());
-        (missing == 0).then_some(())
-    }
 }

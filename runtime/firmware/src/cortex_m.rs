@@ -78,18 +78,6 @@ pub(crate) fn now() -> u32 {
     MOST_TICKS - unsafe { SYSTICK.add(2).read_volatile() }
 }
 
-/// Runs exactly 100,000 instructions, but for one or two.
-#[inline(always)]
-pub(crate) fn run_instructions() {
-    // SAFETY: counts in one register.
-    unsafe {
-        asm!(
-            "2:", "nop", "nop", "nop", "nop", "nop", "nop", "nop", "nop", "subs {left}, {left}, #1", "bne 2b",
-            left = inout(reg) 10_000 => _, options(nomem, nostack),
-        );
-    }
-}
-
 /// Asks the debugger, or the emulator in its place.
 #[inline(always)]
 pub(crate) fn call(operation: usize, argument: usize) -> usize {
@@ -99,13 +87,4 @@ pub(crate) fn call(operation: usize, argument: usize) -> usize {
         asm!("bkpt 0xab", inlateout("r0") operation => answer, in("r1") argument, options(nostack))
     };
     answer
-}
-
-/// Where the stack stands.
-#[inline(always)]
-pub(crate) fn stack_pointer() -> usize {
-    let at;
-    // SAFETY: only reads.
-    unsafe { asm!("mov {}, sp", out(reg) at, options(nomem, nostack, preserves_flags)) };
-    at
 }

@@ -7,34 +7,27 @@
 #![no_main]
 
 mod console;
+mod file;
+mod known;
 #[cfg_attr(target_arch = "arm", path = "cortex_m.rs")]
 #[cfg_attr(target_arch = "riscv32", path = "riscv.rs")]
 mod machine;
 mod observations;
+mod plan;
 mod stack;
 
 use core::hint::black_box;
-use core::panic::PanicInfo;
 
 use observations::{Recording, Room};
+use plan::{OfPlan, PLAN};
 use sortie_core::choose::masked_argmax;
-use sortie_core::operators::{Needed, OpKind, OperatorSet};
 use sortie_core::plan::{Aligned, Plan, PlanError, arena_bytes};
-use sortie_core::{DecideError, Decision, Observation, include_plan};
+use sortie_core::{DecideError, Decision, Observation};
 
-const PLAN: &[u8] = include_plan!(env!("SORTIE_PLAN"));
 const N_MAX: usize = header_field(28);
 const FEATURES: usize = header_field(32);
 const ACTIONS: usize = header_field(36);
 const HIDDEN: usize = header_field(40);
-
-/// The operators of the plan.
-#[derive(Clone, Copy, Debug)]
-struct OfPlan;
-
-impl OperatorSet for OfPlan {
-    const OPERATORS: &[OpKind] = const { &Needed::by(PLAN) }.kinds();
-}
 
 /// All memory that decisions need besides the stack, and the room that observations are read into.
 struct Memory {
@@ -50,14 +43,6 @@ static mut MEMORY: Memory =
 unsafe extern "C" {
     static __flash_bytes: u8;
     static __harness_bytes: u8;
-    /// Exists nowhere: a program that can call it does not link.
-    fn a_path_to_a_panic_is_left() -> !;
-}
-
-#[panic_handler]
-fn panic(_: &PanicInfo<'_>) -> ! {
-    // SAFETY: never runs: there is no program with it.
-    unsafe { a_path_to_a_panic_is_left() }
 }
 
 /// A field of the plan's header.
@@ -92,7 +77,7 @@ fn start() -> ! {
 fn run() -> Result<(), &'static [u8]> {
     machine::start_counter();
     let start = machine::now();
-    machine::run_instructions();
+    known::run_instructions();
     console::tell(b"ticks-of-100000", since(start).into());
     console::tell(b"flash", (&raw const __flash_bytes).addr() as u64);
     console::tell(b"harness", (&raw const __harness_bytes).addr() as u64);
@@ -106,7 +91,7 @@ fn run() -> Result<(), &'static [u8]> {
     }
     // SAFETY: nobody else has it: this runs once, and there is no interrupt.
     let memory = unsafe { &mut *(&raw mut MEMORY) };
-    let base = machine::stack_pointer();
+    let base = stack::stack_pointer();
     stack::paint(base);
     let plan = load(black_box(PLAN)).map_err(|_| &b"the plan is refused\n\0"[..])?;
     console::tell(b"stack-of-loading", stack::used(base) as u64);

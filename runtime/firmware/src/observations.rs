@@ -3,7 +3,7 @@
 use sortie_core::{EntityMask, Observation};
 use zerocopy::IntoBytes;
 
-use crate::console::File;
+use crate::file::File;
 
 /// Room for what one agent sees: `ROWS` floats of features, `ENTITIES` rows, `ACTIONS` actions.
 pub(crate) struct Room<const ROWS: usize, const ENTITIES: usize, const ACTIONS: usize> {

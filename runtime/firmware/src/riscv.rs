@@ -53,18 +53,6 @@ pub(crate) fn now() -> u32 {
     count
 }
 
-/// Runs exactly 100,000 instructions, but for one or two.
-#[inline(always)]
-pub(crate) fn run_instructions() {
-    // SAFETY: counts in one register.
-    unsafe {
-        asm!(
-            "2:", "nop", "nop", "nop", "nop", "nop", "nop", "nop", "nop", "addi {left}, {left}, -1", "bnez {left}, 2b",
-            left = inout(reg) 10_000 => _, options(nomem, nostack),
-        );
-    }
-}
-
 /// Asks the debugger, or the emulator in its place, by three instructions that stay together in one page.
 #[inline(always)]
 pub(crate) fn call(operation: usize, argument: usize) -> usize {
@@ -83,13 +71,4 @@ pub(crate) fn call(operation: usize, argument: usize) -> usize {
         );
     }
     answer
-}
-
-/// Where the stack stands.
-#[inline(always)]
-pub(crate) fn stack_pointer() -> usize {
-    let at;
-    // SAFETY: only reads.
-    unsafe { asm!("mv {}, sp", out(reg) at, options(nomem, nostack, preserves_flags)) };
-    at
 }

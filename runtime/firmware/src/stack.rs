@@ -1,6 +1,6 @@
 //! How deep the stack became: what lies below it is painted, and looked at afterwards.
 
-use crate::machine::stack_pointer;
+use core::arch::asm;
 
 const PAINT: u32 = 0x5ac7_57ac;
 /// Bytes that are painted at most.
@@ -43,4 +43,21 @@ pub(crate) fn used(base: usize) -> usize {
         at += 4;
     }
     base - at
+}
+
+/// Where the stack stands.
+#[inline(always)]
+pub(crate) fn stack_pointer() -> usize {
+    let at;
+    // SAFETY: only reads.
+    #[cfg(target_arch = "arm")]
+    unsafe {
+        asm!("mov {}, sp", out(reg) at, options(nomem, nostack, preserves_flags));
+    }
+    // SAFETY: likewise.
+    #[cfg(target_arch = "riscv32")]
+    unsafe {
+        asm!("mv {}, sp", out(reg) at, options(nomem, nostack, preserves_flags));
+    }
+    at
 }

@@ -280,10 +280,11 @@ impl RunnerRole {
     /// Decides once for every own agent and forgets the decisions.
     fn warm_up<P: Policy + ?Sized>(&mut self, view: &FrameView<'_>, policy: &mut P) {
         let present = view.present();
-        let agents = self.agents().filter(|&agent| present.contains(agent));
-        let seen: Vec<Observation<'_>, { limits::AGENTS }> = agents
-            .map(|agent| view.observation(agent, &view.observable(agent).and(&present)))
-            .collect();
+        let mut seen: Vec<Observation<'_>, { limits::AGENTS }> = Vec::new();
+        for agent in self.agents().filter(|&agent| present.contains(agent)) {
+            // There is room for every agent.
+            let _ = seen.push(view.observation(agent, &view.observable(agent).and(&present)));
+        }
         policy.warm();
         policy.decide_batch(&seen, &mut [Err(DecideError::BadLength); limits::AGENTS]);
         self.warmed_term = view.header().world_term;

@@ -5,7 +5,9 @@ use heapless::Deque;
 use zerocopy::IntoBytes;
 
 use super::line::{Broken, Line, LineCounters};
-use super::packet::{ActionPacket, Packer, Packet, SMALL_PACKET, StatusPacket, Unpacker};
+use super::packet::{
+    ActionPacket, FramePacket, Packer, Packet, SMALL_PACKET, StatusPacket, Unpacker,
+};
 use super::view;
 use crate::link::{
     ActionTx, AllocRx, Bell, Clock, Frame, FrameBlock, FrameRx, LinkError, Processor, StatTx, Wake,
@@ -40,6 +42,11 @@ impl Slot<'_> {
     fn frame(&self) -> Option<Frame<'_>> {
         let header = self.header.as_ref()?;
         Some(Frame { header, payload: self.payload.as_bytes() })
+    }
+
+    /// Whether the frame is of this domain, and not older than that which arrives.
+    fn overtakes(&self, arriving: &FramePacket, schema: u64) -> bool {
+        self.header.is_some_and(|own| own.fits(schema) && own.tick >= arriving.tick)
     }
 }
 
@@ -82,6 +89,12 @@ impl<'b, IO: Read + ReadReady + Write> Serial<'b, IO> {
         while let Some((bytes, started_ns)) = line.receive(*processor)? {
             let mut packet = Unpacker(bytes);
             let taken = match packet.take() {
+                Some(Packet::Frame(head))
+                    if self.is_waiting && spare.overtakes(&head, format.schema) =>
+                {
+                    line.counters.overtaken += 1;
+                    true
+                }
                 Some(Packet::Frame(head)) => {
                     let payload = spare.payload.as_mut_bytes();
                     let FrameFormat { layout, schema } = &*format;

@@ -21,10 +21,30 @@ const LONGEST_RUN: usize = 254;
 pub struct LineCounters {
     /// Packets with a right checksum.
     pub packets: u64,
-    /// What stood between two zeros and was no packet, or was longer than there is room.
-    pub damaged: u64,
+    /// What stood between two zeros and ended before it was whole.
+    pub torn: u64,
+    /// What was whole, and whose checksum was another.
+    pub corrupt: u64,
+    /// What was longer than there is room.
+    pub too_long: u64,
     /// Packets with content that does not exist in the domain.
     pub refused: u64,
+    /// Frames that came behind a newer one, or once more, while that one waited to be looked at.
+    pub overtaken: u64,
+}
+
+impl LineCounters {
+    /// What was no packet.
+    pub fn damaged(&self) -> u64 {
+        self.torn + self.corrupt + self.too_long
+    }
+}
+
+/// Why what stands between two zeros is no packet, before its checksum is looked at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Flaw {
+    Torn,
+    TooLong,
 }
 
 /// The line failed.
@@ -41,7 +61,7 @@ pub(super) struct Line<IO, P> {
     len: usize,
     /// When the first byte of the packet was seen.
     started_ns: Option<u64>,
-    is_spoilt: bool,
+    flaw: Option<Flaw>,
     pub(super) counters: LineCounters,
 }
 
@@ -56,7 +76,7 @@ impl<IO: Read + ReadReady + Write, P: AsMut<[u8]>> Line<IO, P> {
             packet,
             len: 0,
             started_ns: None,
-            is_spoilt: false,
+            flaw: None,
             counters: LineCounters::default(),
         }
     }
@@ -100,10 +120,11 @@ impl<IO: Read + ReadReady + Write, P: AsMut<[u8]>> Line<IO, P> {
                     *place = byte;
                     self.len += 1;
                 }
-                None => self.is_spoilt = true,
+                None => self.flaw = Some(Flaw::TooLong),
             },
             Ok(DecodeResult::NoData | DecodeResult::DataComplete) => {}
-            Err(_) => self.is_spoilt = true,
+            // What is too long stays so, whatever ends it.
+            Err(_) => self.flaw = self.flaw.or(Some(Flaw::Torn)),
         }
         // A zero ends everything; between two zeros in a row there is nothing.
         if byte == 0 { self.end() } else { None }
@@ -111,18 +132,21 @@ impl<IO: Read + ReadReady + Write, P: AsMut<[u8]>> Line<IO, P> {
 
     fn end(&mut self) -> Option<(usize, u64)> {
         let len = core::mem::take(&mut self.len);
-        let is_spoilt = core::mem::take(&mut self.is_spoilt);
+        let flaw = self.flaw.take();
         let started_ns = self.started_ns.take()?;
         let packet = self.packet.as_mut().get(..len).unwrap_or_default();
-        let whole = packet
-            .split_last_chunk::<CHECKSUM>()
-            .filter(|(body, sum)| !is_spoilt && crc32c(body) == u32::from_le_bytes(**sum));
-        let Some((body, _)) = whole else {
-            self.counters.damaged += 1;
-            return None;
+        let counters = &mut self.counters;
+        let refused = match (flaw, packet.split_last_chunk::<CHECKSUM>()) {
+            (Some(Flaw::TooLong), _) => &mut counters.too_long,
+            (Some(Flaw::Torn), _) | (None, None) => &mut counters.torn,
+            (None, Some((body, sum))) if crc32c(body) == u32::from_le_bytes(*sum) => {
+                counters.packets += 1;
+                return Some((body.len(), started_ns));
+            }
+            (None, Some(_)) => &mut counters.corrupt,
         };
-        self.counters.packets += 1;
-        Some((body.len(), started_ns))
+        *refused += 1;
+        None
     }
 
     /// Sends a packet that carries its checksum. Takes as long as the line does.

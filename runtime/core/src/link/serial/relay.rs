@@ -2,6 +2,7 @@
 
 use embedded_io::{Read, ReadReady, Write};
 use heapless::Deque;
+use zerocopy::FromZeros;
 
 use super::line::{Broken, Line, LineCounters};
 use super::packet::{AllocationPacket, Packer, Packet, SMALL_PACKET, Unpacker};
@@ -19,6 +20,10 @@ pub struct Relay<'b, IO> {
     format: FrameFormat,
     agents: u64,
     outgoing: &'b mut [u8],
+    /// The newest allocation, for a runner that begins anew.
+    newest: Option<AllocMsg>,
+    /// The team knows of the runner.
+    is_announced: bool,
     is_heard: bool,
 }
 
@@ -28,7 +33,15 @@ impl<'b, IO: Read + ReadReady + Write> Relay<'b, IO> {
     /// [`packet_bytes`](super::packet_bytes) at most.
     pub fn new(io: IO, format: FrameFormat, agents: u64, packet: &'b mut [u8]) -> Self {
         let line = Line::new(io, [0; SMALL_PACKET]);
-        Self { line, format, agents, outgoing: packet, is_heard: false }
+        Self {
+            line,
+            format,
+            agents,
+            outgoing: packet,
+            newest: None,
+            is_announced: false,
+            is_heard: false,
+        }
     }
 
     /// What came over the line.
@@ -78,27 +91,35 @@ impl<'b, IO: Read + ReadReady + Write> Relay<'b, IO> {
             // There is room: one was taken out above.
             let _ = waiting.push_back(*allocation);
         })?;
-        for allocation in &waiting {
-            let mut bytes = [0; SMALL_PACKET];
-            let mut packer = Packer::new(&mut bytes);
-            let packet = Packet::Allocation(AllocationPacket::new(allocation));
-            let packet = packer.put(&packet).and_then(|()| packer.seal());
-            let sent = packet.map(|packet| self.line.send(packet));
-            sent.and_then(Result::ok).ok_or(LinkError::Bell)?;
-        }
-        Ok(())
+        // Allocations are ordered by term and epoch, however they come.
+        self.newest = waiting.iter().copied().chain(self.newest).max_by_key(AllocMsg::order);
+        waiting.iter().try_for_each(|allocation| self.send_allocation(allocation))
+    }
+
+    fn send_allocation(&mut self, allocation: &AllocMsg) -> Result<(), LinkError> {
+        let mut bytes = [0; SMALL_PACKET];
+        let mut packer = Packer::new(&mut bytes);
+        let packet = Packet::Allocation(AllocationPacket::new(allocation));
+        let packet = packer.put(&packet).and_then(|()| packer.seal());
+        let sent = packet.map(|packet| self.line.send(packet));
+        sent.and_then(Result::ok).ok_or(LinkError::Bell)
     }
 
     fn pass_on(&mut self, team: &mut impl AgentLink) -> Result<(), LinkError> {
         let (now_ns, agents) = (team.now_ns(), self.agents);
-        let mut is_heard = false;
+        let (mut is_heard, mut is_behind) = (false, false);
         loop {
             let received = self.line.receive(&Now(now_ns)).map_err(|Broken| LinkError::Bell)?;
             let Some((bytes, _)) = received else { break };
             let mut packet = Unpacker(bytes);
             match packet.take().filter(|_| packet.is_empty()) {
                 Some(Packet::Action(action)) if acts(agents, &action.message(now_ns)) => {
-                    team.send_action(&action.message(now_ns))?;
+                    let message = action.message(now_ns);
+                    if !core::mem::replace(&mut self.is_announced, true) {
+                        team.send_status(&announcement(agents, &message))?;
+                    }
+                    is_behind |= self.newest.is_some_and(|newest| is_overdue(&newest, &message));
+                    team.send_action(&message)?;
                 }
                 Some(Packet::Status(status)) => {
                     let message = status.message(now_ns).filter(|status| speaks(agents, status));
@@ -106,6 +127,8 @@ impl<'b, IO: Read + ReadReady + Write> Relay<'b, IO> {
                         self.line.counters.refused += 1;
                         continue;
                     };
+                    self.is_announced = true;
+                    is_behind |= message.has(StatMsg::HELLO);
                     team.send_status(&message)?;
                 }
                 _ => {
@@ -116,7 +139,34 @@ impl<'b, IO: Read + ReadReady + Write> Relay<'b, IO> {
             is_heard = true;
         }
         self.is_heard |= is_heard;
+        // Whoever joins late is shown the newest allocation, as on every link; and so is whom it did not reach.
+        if let Some(newest) = self.newest.filter(|_| is_behind) {
+            self.send_allocation(&newest)?;
+        }
         if is_heard { team.ring(Role::World) } else { Ok(()) }
+    }
+}
+
+/// Whether a runner acts on another allocation than the newest, which holds for that tick.
+fn is_overdue(newest: &AllocMsg, action: &ActionMsg) -> bool {
+    let order = (action.alloc_term, action.alloc_epoch);
+    newest.order() != order && (newest.tick..=newest.valid_until).contains(&action.tick)
+}
+
+/// What the team is told of a runner whose own words were lost: that it acts.
+fn announcement(agents: u64, action: &ActionMsg) -> StatMsg {
+    StatMsg {
+        schema: action.schema,
+        abi: action.abi,
+        pid: action.runner,
+        role: Role::Runner as u8,
+        // The limit of agents fits the field.
+        n_agents: agents.count_ones() as u16,
+        agents,
+        t_ns: action.t_ns,
+        start_ns: action.t_ns,
+        last_tick: action.tick,
+        ..StatMsg::new_zeroed()
     }
 }
 

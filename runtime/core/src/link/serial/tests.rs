@@ -1,5 +1,6 @@
 //! Lines that lose, double and change bytes, by seeds; and frames that show the same at both ends.
 
+mod order;
 use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::convert::Infallible;
@@ -73,7 +74,6 @@ impl Write for Wire {
     }
 }
 
-/// A step of a linear congruential generator.
 struct Random(u64);
 
 impl Random {
@@ -329,7 +329,7 @@ fn packets_of_another_domain_are_refused_whole() {
     wire.0.borrow_mut().extend(encoded(&vec![1; packet_bytes(SHAPE) + 1]));
     wire.0.borrow_mut().extend(encoded(&frame_packet(1 << 32 | 6)));
     assert!(link.receive_frames(&mut |_| true).unwrap());
-    assert_eq!(link.counters().damaged, 1);
+    assert_eq!(link.counters().too_long, 1);
 }
 
 /// Bytes as hexadecimal digits.

@@ -45,9 +45,7 @@ impl RunnerRole {
             (answer.alloc_term, answer.alloc_epoch) = in_force.order;
             let _ = answers.push(answer);
         }
-        let undecided = seen.iter().map(|_| Err(DecideError::BadLength));
-        let mut decisions: Vec<Result<Decision, DecideError>, { limits::AGENTS }> =
-            undecided.collect();
+        let mut decisions = [Err(DecideError::BadLength); limits::AGENTS];
         let started = clock.now_ns();
         policy.decide_batch(&seen, &mut decisions);
         // Agents decide together; each is told its share of the time.
