@@ -21,8 +21,10 @@ use std::time::Duration;
 use clap::Args;
 use sortie_bundle::Bundle;
 use sortie_core::World;
+use sortie_core::plan::Plan;
 use sortie_envs::random::{below, generator};
 use sortie_ipc::{DomainContract, DomainFacts};
+use sortie_plans::CompileError;
 
 use self::channel::Noise;
 use self::device::{Device, Emulator};
@@ -81,12 +83,17 @@ pub(super) fn run(
     let contract = domain_contract(bundle, allocation);
     let format = DomainFacts::new(&contract, world.shape()).format()?;
     let agent = usize::from(asked.agent);
-    check(arguments, agent, world.shape().agents)?;
+    let plans = agent_plans(bundle, arguments.profile.profile())?;
+    let plan = only_plan(bundle, &plans)?;
+    let hidden = Plan::load(plan.as_slice()).map_err(CompileError::from)?.hidden();
+    check(arguments, agent, world.shape().agents, hidden)?;
     let spinner = progress::spinner(arguments.common);
     spinner.set_message("building the firmware");
     let profile = arguments.profile.profile();
     let domain = domain(&contract, format.schema, world.shape(), agent);
-    let program = build(arguments, bundle, sources, toolchain, &domain)?;
+    let files = [("SORTIE_PLAN", plan.as_slice()), ("SORTIE_DOMAIN", &domain)];
+    let program = Program { name: "sortie-agent", features: &["team"], files: &files };
+    let program = toolchain.build(&arguments.board.machine(), sources, &program)?;
     spinner.set_message("playing with the board");
     let mut emulator = switched_on(arguments, toolchain, &program)?;
     let [mut others, mut own] = [
@@ -121,9 +128,13 @@ pub(super) fn run(
     report.verdict()
 }
 
-fn check(arguments: &FirmwareArguments, agent: usize, agents: usize) -> Outcome {
+fn check(arguments: &FirmwareArguments, agent: usize, agents: usize, hidden: usize) -> Outcome {
     if arguments.board == Board::CortexM0 {
         let message = "the micro:bit has no room for a team's frames: choose another board";
+        return Err(Failure::new(Exit::Usage, message));
+    }
+    if hidden > 0 {
+        let message = "the agents of this bundle remember, and a board in a team does not yet";
         return Err(Failure::new(Exit::Usage, message));
     }
     if agent >= agents {
@@ -131,20 +142,6 @@ fn check(arguments: &FirmwareArguments, agent: usize, agents: usize) -> Outcome 
         return Err(Failure::new(Exit::Usage, message));
     }
     Ok(())
-}
-
-fn build(
-    arguments: &FirmwareArguments,
-    bundle: &Bundle,
-    sources: &Path,
-    toolchain: &Toolchain,
-    domain: &[u8],
-) -> Result<std::path::PathBuf, Failure> {
-    let plans = agent_plans(bundle, arguments.profile.profile())?;
-    let plan = only_plan(bundle, &plans)?;
-    let files = [("SORTIE_PLAN", plan.as_slice()), ("SORTIE_DOMAIN", domain)];
-    let program = Program { name: "sortie-agent", features: &["team"], files: &files };
-    toolchain.build(&arguments.board.machine(), sources, &program)
 }
 
 /// The board, its first UART at the pipes of this program.

@@ -319,3 +319,27 @@ fn an_emulator_that_ends_or_hangs_is_given_up() {
     let hangs = shell("exec sleep 600", Duration::from_millis(50)).exchange(&[]);
     assert_eq!(hangs.map(drop).unwrap_err().exit, Exit::NotRunning);
 }
+
+#[test]
+fn boards_and_agents_that_cannot_act_in_a_team_are_refused() {
+    #[derive(clap::Parser)]
+    struct Line {
+        #[command(flatten)]
+        arguments: FirmwareArguments,
+    }
+    let refused = |board: &str, agent, hidden| {
+        let words = ["sortie", "models/save-the-city", "--board", board, "--team"];
+        let line = <Line as clap::Parser>::try_parse_from(words).unwrap();
+        let refused = check(&line.arguments, agent, 5, hidden).err();
+        refused.map(|failure| failure.message).unwrap_or_default()
+    };
+    assert_eq!(refused("cortex-m3", 4, 0), "");
+    for (board, agent, hidden, words) in [
+        ("cortex-m0", 0, 0, "micro:bit"),
+        ("cortex-m3", 5, 0, "agents 0 to 4"),
+        ("rv32imc", 0, 8, "remember"),
+    ] {
+        let message = refused(board, agent, hidden);
+        assert!(message.contains(words), "{message}");
+    }
+}
