@@ -109,7 +109,9 @@ fn wrong_uses_are_refused() {
 fn wrong_uses_of_a_team_are_refused() {
     let board = ["firmware", BUNDLE, "--board", "cortex-m4f"];
     let asked = |more: &[&str]| output(&[&board, more].concat());
-    assert_fails(&asked(&["--damage", "2000"]), 2, &["--team"]);
+    let alone = asked(&["--damage", "2000"]);
+    assert_fails(&alone, 2, &["required arguments"]);
+    assert!(stderr(&alone).contains("--team"), "{}", stderr(&alone));
     assert_fails(&asked(&["--team", "--damage", "1"]), 2, &["--damage"]);
     assert_fails(&asked(&["--team", "--table", "docs/firmware.md"]), 2, &["--table"]);
 }

@@ -54,6 +54,8 @@ fn every_key_is_described_and_every_preset_is_within_the_limits() {
         let table: Table = setup.to_toml().unwrap().parse().unwrap();
         let (mut there, mut known) = (Vec::new(), paths(&sections).collect::<Vec<_>>());
         keys_of("", &table, &mut there);
+        // What an environment can be set to, it says itself.
+        there.retain(|key| !key.starts_with("environment.settings."));
         there.sort();
         known.sort();
         assert_eq!(there, known, "{} {name}", entry.name);

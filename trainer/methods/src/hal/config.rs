@@ -75,7 +75,7 @@ sections! {
         discount: f32 = 0.93, SHARE, "factor per step";
         /// What a step costs; the goal is worth 1 less that.
         cost: f32 = 0.0, SHARE, "reward";
-        /// Whether rewards are learned as `sign(r) log2(1 + |r|)`.
+        /// Whether rewards are learned as `sign(r) log2(1 + abs(r))`.
         logarithm: bool = false, Truth;
         /// Whether values that are looked up are held between 0 and 1.
         bounded: bool = true, Truth;

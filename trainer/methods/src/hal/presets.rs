@@ -6,7 +6,7 @@ use sortie_learn::run::RunConfig;
 use sortie_learn::session::{MethodEntry, Opening, Preset, Setup};
 use sortie_learn::{LearnError, Method};
 
-use super::config::{Config, KEYS};
+use super::config::{Config, KEYS, MetaConfig};
 use super::method::Hal;
 use crate::options::Mask;
 use crate::pictures::Body;
@@ -53,6 +53,10 @@ pub const H_DQN: MethodEntry = MethodEntry {
 fn fast(mask: Mask) -> Setup {
     let mut config = Config::default();
     config.affordances.mask = mask;
+    if mask == Mask::None {
+        // What did best without a mask; with one an option that gains nothing has to cost more.
+        config.meta = MetaConfig { options: 10, discount: 0.98, ..config.meta };
+    }
     config.optimiser = OptimiserConfig { learning_rate_end: 1e-4, ..config.optimiser };
     let run = RunConfig {
         steps: 5_000_000,
