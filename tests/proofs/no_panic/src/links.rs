@@ -118,5 +118,5 @@ pub(crate) fn over_a_line() -> Option<bool> {
     let status = Aligned([7; size_of::<StatMsg>()]);
     link.send_status(black_box(StatMsg::ref_from_bytes(&status.0).ok()?)).ok()?;
     let heard = *link.counters();
-    Some(!shown && allocations == 0 && is_quiet && heard.packets == 0 && heard.damaged > 0)
+    Some(!shown && allocations == 0 && is_quiet && heard.packets == 0 && heard.damaged() > 0)
 }
