@@ -12,6 +12,7 @@ use sortie_learn::play::{self, PolicyTeam};
 use sortie_learn::run::{Observer, Progress};
 use sortie_learn::session::{Opening, Setup, load_weights};
 use sortie_methods::find;
+use sortie_methods::hal::{Hal, MaskCounts, MeasuredConfig};
 
 use sessions::{begin, environment_of, resume, with};
 
@@ -209,4 +210,25 @@ fn what_the_published_learner_learned_is_read_back_as_it_was() {
     let again = play::evaluate(&*world, &mut *method.team(), 20, 1).unwrap();
     assert_eq!(again, learned);
     assert_ne!(again, fresh);
+}
+
+/// What a mask says is counted where goals are chosen: the truth errs nowhere, no mask lets everything through.
+#[test]
+fn masks_are_held_against_the_truth_where_goals_are_chosen() {
+    for (method, lets_through) in [("hal-oracle", false), ("h-dqn", true)] {
+        let setup = small(method, &["environment.settings.limit=300"]);
+        let world = environment_of(&setup).unwrap();
+        let opening = Opening { setup: &setup, environment: &*world, seed: 1, threads: 1 };
+        let hal = Hal::new(setup.own().unwrap(), &opening).unwrap();
+        let mut team = hal.measured(MeasuredConfig::default());
+        let measured = play::evaluate(&*world, &mut team, 5, 3).unwrap();
+        let sum = |count: fn(&MaskCounts) -> u64| team.masks.iter().map(count).sum::<u64>();
+        let choices = team.masks[0].afforded + team.masks[0].others;
+        assert!(choices >= 5 && (choices as f64) < 5.0 * measured.length_mean / 2.0, "{choices}");
+        assert!(team.masks.iter().all(|it| it.afforded + it.others == choices));
+        assert!(sum(|it| it.afforded) > 0 && sum(|it| it.others) > 0);
+        assert_eq!(sum(|it| it.over_pruned), 0, "{method}");
+        let wanted = if lets_through { sum(|it| it.others) } else { 0 };
+        assert_eq!(sum(|it| it.under_pruned), wanted, "{method}");
+    }
 }
