@@ -42,7 +42,7 @@ fn damage_has_a_name() {
     assert_eq!((counters.packets, counters.torn, counters.corrupt), (0, 2, 1));
 }
 
-/// The allocations that a relay sends when these packets come, after it has sent that of tick 7.
+/// The allocations that a relay sends when these packets come, after it has sent that of tick 7 and an older one, late.
 fn sent_again(comes: &[Packet<'_>]) -> (Vec<u64>, u64) {
     let mut memory = vec![FrameBlock::zeroed(); format().layout.payload_bytes() / 64];
     let mut team = Direct::new(memory.as_mut_slice(), &Still);
@@ -50,9 +50,11 @@ fn sent_again(comes: &[Packet<'_>]) -> (Vec<u64>, u64) {
     let mut packet = vec![0; packet_bytes(SHAPE)];
     let wire = Wire::default();
     let mut relay = Relay::new(wire.clone(), format(), AGENTS, &mut packet);
-    let message = crate::wire::AllocMsg { term: 1, epoch: 3, ..allocation(7) };
-    team.allocator(&mut allocator).send_allocation(&message).unwrap();
-    relay.turn(&mut team.agent(&mut runner)).unwrap();
+    for (tick, epoch) in [(7, 3), (6, 2)] {
+        let message = crate::wire::AllocMsg { term: 1, epoch, ..allocation(tick) };
+        team.allocator(&mut allocator).send_allocation(&message).unwrap();
+        relay.turn(&mut team.agent(&mut runner)).unwrap();
+    }
     wire.0.borrow_mut().clear();
     for packet in comes {
         wire.0.borrow_mut().extend(encoded(&sealed(|packer| packer.put(packet))));
