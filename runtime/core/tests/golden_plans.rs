@@ -7,10 +7,10 @@ use sortie_core::plan::{Aligned, Plan, PlanError, arena_bytes};
 use sortie_core::{AllocationState, DecideError, EntityMask, NO_ACTION, Observation, include_plan};
 
 const AGENT: &[u8] = include_plan!("../../../tests/golden/plans/agent-2.0.plan");
-const INT8: &[u8] = include_plan!("../../../tests/golden/plans/agent-int8-2.0.plan");
+const INT8: &[u8] = include_plan!("../../../tests/golden/plans/agent-int8-2.2.plan");
 const ODD_SIZES: &[u8] = include_plan!("../../../tests/golden/plans/agent-odd-sizes-2.0.plan");
 const SKIP: &[u8] = include_plan!("../../../tests/golden/plans/agent-skip-2.0.plan");
-const INT8_SKIP: &[u8] = include_plan!("../../../tests/golden/plans/agent-skip-int8-2.0.plan");
+const INT8_SKIP: &[u8] = include_plan!("../../../tests/golden/plans/agent-skip-int8-2.2.plan");
 const TEAM_VALUE: &[u8] = include_plan!("../../../tests/golden/plans/team-value-2.0.plan");
 const TEAM_VALUE_SKIP: &[u8] =
     include_plan!("../../../tests/golden/plans/team-value-skip-2.0.plan");
@@ -93,7 +93,7 @@ fn an_agent_decides_as_recorded() {
 
 #[test]
 fn an_int8_agent_decides_as_recorded() {
-    let want = include_str!("../../../tests/golden/plans/agent-int8-2.0.txt");
+    let want = include_str!("../../../tests/golden/plans/agent-int8-2.2.txt");
     assert_eq!(decisions::<{ arena_bytes(INT8) }>(INT8), want);
 }
 
@@ -107,7 +107,7 @@ fn odd_sizes_decide_as_recorded() {
 fn agents_with_a_skip_decide_as_recorded() {
     let want = include_str!("../../../tests/golden/plans/agent-skip-2.0.txt");
     assert_eq!(decisions::<{ arena_bytes(SKIP) }>(SKIP), want);
-    let want = include_str!("../../../tests/golden/plans/agent-skip-int8-2.0.txt");
+    let want = include_str!("../../../tests/golden/plans/agent-skip-int8-2.2.txt");
     assert_eq!(decisions::<{ arena_bytes(INT8_SKIP) }>(INT8_SKIP), want);
 }
 
@@ -222,6 +222,14 @@ fn plans_of_the_first_major_version_are_refused_by_name() {
         let text = error.to_string();
         assert!(text.contains(&format!("1.{minor}")) && text.contains("compile"), "{text}");
     }
+}
+
+#[test]
+fn int8_plans_that_attended_to_rows_of_f32_are_refused() {
+    let before = include_plan!("../../../tests/golden/plans/agent-int8-2.0.plan");
+    let error = Plan::load(before).map(drop).expect_err("a layout of before");
+    assert_eq!(error, PlanError::WrongLayout { got: 2 });
+    assert!(error.to_string().contains("compile"), "{error}");
 }
 
 #[test]

@@ -19,7 +19,7 @@ use sortie_core::{
 };
 
 const AGENT: &[u8] = include_plan!("../../../tests/golden/plans/agent-2.0.plan");
-const INT8: &[u8] = include_plan!("../../../tests/golden/plans/agent-int8-2.0.plan");
+const INT8: &[u8] = include_plan!("../../../tests/golden/plans/agent-int8-2.2.plan");
 const SKIP: &[u8] = include_plan!("../../../tests/golden/plans/agent-skip-2.0.plan");
 const TEAM_VALUE: &[u8] = include_plan!("../../../tests/golden/plans/team-value-2.0.plan");
 

@@ -11,7 +11,7 @@ use sortie_core::operators::OpKind;
 use sortie_core::plan::{Checksums, HEADER_BYTES, Header, Network, Plan, Profile, VERSION};
 
 const DOCUMENT: &str = include_str!("../../../docs/plan-format.md");
-const INT8: &[u8] = include_plan!("../../../tests/golden/plans/agent-int8-2.0.plan");
+const INT8: &[u8] = include_plan!("../../../tests/golden/plans/agent-int8-2.2.plan");
 const PROPOSALS: &[u8] = include_plan!("../../../tests/golden/plans/proposals-2.0.plan");
 const AGENT: &[u8] = include_plan!("../../../tests/golden/plans/agent-2.0.plan");
 
@@ -172,12 +172,11 @@ fn other_operators() -> [Op; 9] {
         query_place: place(2),
         absorbed: place(3),
         scores: place(4),
-        mixed: place(5),
-        attended: place(6),
-        to: place(7),
-        quantised: place(8),
+        attended: place(5),
+        to: place(6),
+        quantised: place(7),
     };
-    let (from, quantised) = (place(3), place(4));
+    let (from, quantised, embedded) = (place(3), place(4), place(5));
     [
         Op::Int8EmbedEntities(Int8EmbedEntities {
             layer,
@@ -185,6 +184,7 @@ fn other_operators() -> [Op; 9] {
             relu: Flag::Yes,
             rows,
             quantised,
+            embedded,
         }),
         Op::Int8AttendOwn(int8_attend),
         Op::Int8Dense(Int8Dense { layer, relu: Flag::Yes, from, to, quantised }),
@@ -358,7 +358,7 @@ fn profiles_have_the_documented_numbers() {
     ] {
         assert!(row[4].contains(text) && text.starts_with(&profile.id().to_string()), "{text}");
     }
-    assert_eq!([Profile::Fused, Profile::Int8].map(Profile::layout), [1, 2]);
+    assert_eq!([Profile::Fused, Profile::Int8].map(Profile::layout), [1, 3]);
 }
 
 #[test]
@@ -368,6 +368,7 @@ fn int8_weights_stand_where_the_document_says() {
         "32 · (s · P + p)    in Int8AttendOwn and Int8Dense",
         "32 · (p · S + s)    in Int8EmbedEntities",
         "byte 2 · (o mod 16) + i mod 2 of the row of pair i / 2 and strip o / 16",
+        "Layout 4, int8 for the DSP extension",
     ] {
         assert!(DOCUMENT.contains(text), "{text}");
     }

@@ -140,13 +140,18 @@ impl From<Agreement> for Comparison {
 pub(crate) fn note_mismatch(plan: &mut [u8], share: f64) -> Result<(), CompileError> {
     let (mut header, _) = Header::read(plan)?;
     header.action_mismatch = share as f32;
+    seal(plan, &header);
+    Ok(())
+}
+
+/// Gives a plan this header, with the checksums of what the plan holds.
+pub(crate) fn seal(plan: &mut [u8], header: &Header) {
     let part =
         |offset: u32, len: u32| plan.get(offset as usize..).and_then(|p| p.get(..len as usize));
     let program = part(header.program_offset, header.program_len).unwrap_or_default();
     let weights = part(header.weights_offset, header.weights_len).unwrap_or_default();
-    let bytes = header.to_bytes(checksums(&header, program, weights));
+    let bytes = header.to_bytes(checksums(header, program, weights));
     if let Some(to) = plan.first_chunk_mut::<HEADER_BYTES>() {
         *to = bytes;
     }
-    Ok(())
 }

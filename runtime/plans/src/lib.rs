@@ -11,6 +11,7 @@ mod annex;
 mod bundle_plans;
 mod cache;
 mod comparison;
+mod dsp;
 mod ending;
 mod engines;
 mod error;
@@ -40,6 +41,7 @@ pub use annex::Annex;
 pub use bundle_plans::{BundlePlans, Compiler};
 pub use cache::user_cache;
 pub use comparison::{Comparison, TOLERANCE, cannot_run, compare_with_golden, magnitude};
+pub use dsp::for_dsp;
 pub use ending::Ending;
 pub use engines::{
     BatchedUtilities, BatchedValues, DrawnProposals, Engines, GraphEngine, OnnxRuntimeEngine,

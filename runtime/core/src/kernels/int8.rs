@@ -3,13 +3,16 @@
 //!
 //! Inputs are scaled to integers anew for every vector ([`quantise`]): the largest becomes [`input_max`], which is
 //! chosen so that no sum can leave i32, whatever the weights are. Weights are stored for pairs of inputs, as vector
-//! instructions multiply them ([`Row`]). A sum becomes f32 once, at the end of its layer.
+//! instructions multiply them ([`Row`]). A sum becomes f32 once, at the end of its layer. Attention compares and mixes
+//! rows of integers ([`IntegerRows`]).
 
+mod attention;
 mod portable;
 mod sparse;
 #[cfg(test)]
 mod tests;
 
+pub use attention::{IntegerRows, mixing_max, narrow, row_max};
 pub use sparse::{Marked, SparseVector, Strips, sparse_product};
 
 /// Columns of weights that are worked on together.
@@ -52,6 +55,23 @@ pub fn input_max(inputs: usize) -> u16 {
     (most - 1).checked_div(inputs).unwrap_or(0) as u16
 }
 
+/// How far a vector's integers reach.
+#[derive(Clone, Copy, Debug)]
+pub struct Reach {
+    /// What at least counts as the largest absolute value of the inputs.
+    pub least: f32,
+    /// The integer that the largest becomes.
+    pub most: u16,
+}
+
+impl Reach {
+    /// For inputs of a product: `integers` of them are added up.
+    #[inline(always)]
+    pub fn of_inputs(integers: usize) -> Self {
+        Self { least: 0.0, most: input_max(integers) }
+    }
+}
+
 /// What makes integers of a vector's inputs, and numbers of integers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scale {
@@ -62,6 +82,21 @@ pub struct Scale {
 }
 
 impl Scale {
+    /// The scale of a vector whose largest absolute value has these bits; none where it is no finite number.
+    #[inline(always)]
+    pub(super) fn reaching(largest: u32, reach: Reach) -> Option<Self> {
+        let largest = u32::max(largest, reach.least.to_bits());
+        if largest >= 0x7f80_0000 {
+            return None;
+        }
+        let (largest, most) = (f32::from_bits(largest), f32::from(reach.most));
+        Some(if largest > NOTHING {
+            Self { factor: most / largest, step: largest / most }
+        } else {
+            Self { factor: 0.0, step: 0.0 }
+        })
+    }
+
     /// The integer of an input, at most as large as the one that the scale was made for.
     #[inline(always)]
     pub fn integer(self, input: f32) -> i16 {
@@ -100,13 +135,22 @@ pub struct Vector<'a> {
 /// The int8 kernels of one build.
 pub trait Int8Kernels: Copy {
     /// Makes integers of numbers ([`quantise`]).
-    fn quantise(self, values: &[f32], least: f32, integers: &mut [i16]) -> Option<Scale>;
+    fn quantise(self, values: &[f32], reach: Reach, integers: &mut [i16]) -> Option<Scale>;
 
     /// One matrix times several vectors ([`products`]).
     fn int8_products(self, matrix: &Matrix<'_>, vectors: &mut [Vector<'_>]);
 
     /// A matrix times a vector of which much is zero ([`sparse_product`]).
     fn int8_sparse_product(self, matrix: &Matrix<'_>, vector: SparseVector<'_>) -> Option<()>;
+
+    /// Dot products of one vector with rows, each as the number that it counts: `step` times the row's.
+    fn int8_dots(self, vector: &[i16], step: f32, rows: IntegerRows<'_>, products: &mut [f32]);
+
+    /// The weighted sums of rows, of as many columns as there are sums: a multiple of [`INPUTS`].
+    fn int8_mix(self, weights: &[i16], rows: IntegerRows<'_>, sums: &mut [i32]);
+
+    /// Makes short integers of sums ([`narrow`]).
+    fn narrow(self, sums: &[i32], most: u16, integers: &mut [i16]) -> f32;
 }
 
 /// What a build writes with its own instructions.
@@ -153,25 +197,16 @@ pub struct Count<'a> {
     pub relu: bool,
 }
 
-/// Makes integers of numbers: the largest absolute value, or `least` where that is larger, becomes [`input_max`].
+/// Makes integers of numbers: the largest absolute value, or the least that counts as it, becomes the most that is asked for.
 /// Integers behind the values are zero. None where a value is not a finite number.
 #[inline(always)]
 pub fn quantise(
     lanes: impl Lanes,
     values: &[f32],
-    least: f32,
+    reach: Reach,
     integers: &mut [i16],
 ) -> Option<Scale> {
-    let largest = u32::max(lanes.largest_magnitude(values), least.to_bits());
-    if largest >= 0x7f80_0000 {
-        return None;
-    }
-    let (largest, most) = (f32::from_bits(largest), f32::from(input_max(integers.len())));
-    let scale = if largest > NOTHING {
-        Scale { factor: most / largest, step: largest / most }
-    } else {
-        Scale { factor: 0.0, step: 0.0 }
-    };
+    let scale = Scale::reaching(lanes.largest_magnitude(values), reach)?;
     let (chunks, rest) = values.as_chunks::<STRIP>();
     for (index, place) in integers.as_chunks_mut().0.iter_mut().enumerate() {
         // Zeros become zeros.

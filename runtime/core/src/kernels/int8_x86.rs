@@ -7,8 +7,8 @@ mod avx2;
 mod avx512;
 
 use super::int8::{
-    Count, Inputs, Int8Kernels, Lanes, Marked, Matrix, PAIRS, Row, STRIP, Scale, SparseVector,
-    Strips, Vector, products, quantise, sparse_product,
+    Count, Inputs, Int8Kernels, IntegerRows, Lanes, Marked, Matrix, PAIRS, Reach, Row, STRIP,
+    Scale, SparseVector, Strips, Vector, narrow, products, quantise, sparse_product,
 };
 use super::x86::{Avx2, Avx512};
 
@@ -109,13 +109,13 @@ impl<A> Lanes for Avx512<A> {
 
 /// Builds the int8 kernels for an instruction set.
 macro_rules! build {
-    ($name:ident, $module:ident, $features:literal) => {
+    ($name:ident, $module:ident, $instructions:ident, $features:literal) => {
         // SAFETY: as above.
         #[allow(unsafe_code, clippy::undocumented_unsafe_blocks)]
         impl<A> Int8Kernels for $name<A> {
             #[inline]
-            fn quantise(self, values: &[f32], least: f32, integers: &mut [i16]) -> Option<Scale> {
-                unsafe { $module::quantise(self, values, least, integers) }
+            fn quantise(self, values: &[f32], reach: Reach, integers: &mut [i16]) -> Option<Scale> {
+                unsafe { $module::quantise(self, values, reach, integers) }
             }
 
             #[inline]
@@ -131,6 +131,31 @@ macro_rules! build {
             ) -> Option<()> {
                 unsafe { $module::sparse_product(self, matrix, vector) }
             }
+
+            #[inline]
+            fn int8_dots(
+                self,
+                vector: &[i16],
+                step: f32,
+                rows: IntegerRows<'_>,
+                products: &mut [f32],
+            ) {
+                for (slot, product) in rows.slots.iter().zip(products) {
+                    let (row, row_step) = rows.row(*slot);
+                    let sum = unsafe { $instructions::dot(vector, row) };
+                    *product = sum as f32 * (step * row_step);
+                }
+            }
+
+            #[inline]
+            fn int8_mix(self, weights: &[i16], rows: IntegerRows<'_>, sums: &mut [i32]) {
+                unsafe { $instructions::mix(weights, rows, sums) }
+            }
+
+            #[inline]
+            fn narrow(self, sums: &[i32], most: u16, integers: &mut [i16]) -> f32 {
+                unsafe { $module::narrow(sums, most, integers) }
+            }
         }
 
         mod $module {
@@ -140,10 +165,15 @@ macro_rules! build {
             pub(super) fn quantise<A>(
                 kernels: $name<A>,
                 values: &[f32],
-                least: f32,
+                reach: Reach,
                 integers: &mut [i16],
             ) -> Option<Scale> {
-                super::quantise(kernels, values, least, integers)
+                super::quantise(kernels, values, reach, integers)
+            }
+
+            #[target_feature(enable = $features)]
+            pub(super) fn narrow(sums: &[i32], most: u16, integers: &mut [i16]) -> f32 {
+                super::narrow(sums, most, integers)
             }
 
             #[target_feature(enable = $features)]
@@ -167,10 +197,10 @@ macro_rules! build {
     };
 }
 
-build! { Avx2, with_avx2, "avx2,fma,bmi1,bmi2,lzcnt,popcnt" }
+build! { Avx2, with_avx2, avx2, "avx2,fma,bmi1,bmi2,lzcnt,popcnt" }
 
 build! {
-    Avx512, with_avx512,
+    Avx512, with_avx512, avx512,
     "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl,avx512vnni"
 }
 

@@ -141,7 +141,7 @@ fn mix_columns<A: Arithmetic, const WIDTH: usize>(
 }
 
 /// The tiles of a matrix that are still to be worked on.
-pub(super) struct Tiles<'w, 'o> {
+struct Tiles<'w, 'o> {
     weights: &'w [f32],
     rows: usize,
     bias: Option<&'w [f32]>,
@@ -150,28 +150,23 @@ pub(super) struct Tiles<'w, 'o> {
 }
 
 /// Weights of a tile, where its sums start, and where they go.
-pub(super) struct Tile<'w, 'o, const WIDTH: usize> {
-    pub(super) rows: &'w [[f32; WIDTH]],
-    pub(super) start: [f32; WIDTH],
-    pub(super) relu: bool,
-    pub(super) columns: &'o mut [f32; WIDTH],
+struct Tile<'w, 'o, const WIDTH: usize> {
+    rows: &'w [[f32; WIDTH]],
+    start: [f32; WIDTH],
+    relu: bool,
+    columns: &'o mut [f32; WIDTH],
 }
 
 impl<'w, 'o> Tiles<'w, 'o> {
     /// Takes `Around` apart: copied in one piece, its flag, just written, would have to be waited for.
     #[inline(always)]
-    pub(super) fn new(
-        weights: &'w [f32],
-        rows: usize,
-        around: Around<'w>,
-        outputs: &'o mut [f32],
-    ) -> Self {
+    fn new(weights: &'w [f32], rows: usize, around: Around<'w>, outputs: &'o mut [f32]) -> Self {
         Self { weights, rows, bias: around.bias, relu: around.relu, outputs }
     }
 
     /// The next tile, unless it is narrower.
     #[inline(always)]
-    pub(super) fn next<const WIDTH: usize>(&mut self) -> Option<Tile<'w, 'o, WIDTH>> {
+    fn next<const WIDTH: usize>(&mut self) -> Option<Tile<'w, 'o, WIDTH>> {
         let columns = self.outputs.split_off_mut(..WIDTH)?.first_chunk_mut()?;
         let rows = split_off_rows(&mut self.weights, self.rows)?;
         let start = match &mut self.bias {

@@ -27,11 +27,17 @@ static IN_ORDER: [u16; ENTITIES] = {
     slots
 };
 
+/// The first slots, at most as many as there can be entities.
+#[inline]
+pub fn first_slots(count: usize) -> &'static [u16] {
+    IN_ORDER.get(..count).unwrap_or(&IN_ORDER)
+}
+
 impl<'a> Rows<'a> {
     /// The first rows of a matrix, at most as many as there can be entities.
     #[inline]
     pub fn first(floats: &'a [f32], width: usize, count: usize) -> Self {
-        Self { floats, width, stride: width, slots: IN_ORDER.get(..count).unwrap_or(&IN_ORDER) }
+        Self { floats, width, stride: width, slots: first_slots(count) }
     }
 
     /// The row in a slot, empty where there is none.

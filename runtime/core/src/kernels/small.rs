@@ -4,7 +4,10 @@
 //! registers where there is a floating-point unit; where there is none, factors that are zero are left out, for then
 //! looking is cheaper than multiplying.
 
+#[cfg(all(feature = "dsp", target_arch = "arm"))]
+mod dsp;
 mod int8;
+mod sums;
 #[cfg(test)]
 mod tests;
 
@@ -14,13 +17,16 @@ use super::Kernels;
 use super::arithmetic::Arithmetic;
 use super::dot::{LANES, join};
 use super::mark::{MARKED, Marks};
-use super::product::{Around, Sparse, Tile, Tiles, add_row, finished};
+use super::product::{Around, Sparse, add_row, finished, tile_width};
 use super::rows::Rows;
 use super::several::Pair;
 use crate::math::exp;
 
 /// Columns whose sums are kept together.
 const PART: usize = 16;
+
+/// Columns of rows that are mixed together.
+const MIXED: usize = 8;
 
 /// Whether a multiplication takes so long that factors are looked at first.
 const HAS_SOFT_FLOAT: bool = cfg!(not(target_abi = "eabihf"));
@@ -102,26 +108,24 @@ impl<A: Arithmetic, const SKIPS: bool> Kernels for Small<A, SKIPS> {
 
     #[inline(never)]
     fn mix(self, weights: &[f32], rows: Rows<'_>, sums: &mut [f32]) {
-        let (parts, rest) = sums.as_chunks_mut::<PART>();
-        for (part, sums) in parts.iter_mut().enumerate() {
-            *sums = mixed::<A, SKIPS, PART>(weights, rows, part * PART);
-        }
         // Rows are padded to a multiple of eight.
-        if let Some(sums) = rest.first_chunk_mut() {
-            *sums = mixed::<A, SKIPS, 8>(weights, rows, parts.len() * PART);
+        for (part, sums) in sums.as_chunks_mut().0.iter_mut().enumerate() {
+            *sums = mixed::<A, SKIPS, MIXED>(weights, rows, part * MIXED);
         }
     }
 }
 
+/// Some columns of a tile: its floats from the first of them on, and the width of a row.
+#[derive(Clone, Copy)]
+struct Columns<'a> {
+    floats: &'a [f32],
+    width: usize,
+}
+
 /// What is multiplied with the rows of a matrix.
 trait Inputs: Copy {
-    /// Adds up some columns of all rows, `PART` from `part` times as many on.
-    fn add<A: Arithmetic, const WIDTH: usize, const PART: usize>(
-        self,
-        rows: &[[f32; WIDTH]],
-        part: usize,
-        sums: &mut [f32; PART],
-    );
+    /// Adds up the first columns of all rows.
+    fn add<A: Arithmetic, const PART: usize>(self, rows: Columns<'_>, sums: &mut [f32; PART]);
 }
 
 /// All inputs.
@@ -134,109 +138,101 @@ struct Marked<'a>(Sparse<'a>);
 
 impl Inputs for Dense<'_> {
     #[inline(always)]
-    fn add<A: Arithmetic, const WIDTH: usize, const PART: usize>(
-        self,
-        rows: &[[f32; WIDTH]],
-        part: usize,
-        sums: &mut [f32; PART],
-    ) {
-        for (input, row) in self.0.iter().zip(rows) {
-            add_part::<A, WIDTH, PART>(sums, *input, row, part);
+    fn add<A: Arithmetic, const PART: usize>(self, rows: Columns<'_>, sums: &mut [f32; PART]) {
+        for (input, row) in self.0.iter().zip(rows.floats.chunks(rows.width.max(1))) {
+            if let Some(columns) = row.first_chunk() {
+                add_row::<A, PART>(sums, *input, columns);
+            }
         }
     }
 }
 
 impl Inputs for Marked<'_> {
     #[inline(always)]
-    fn add<A: Arithmetic, const WIDTH: usize, const PART: usize>(
-        self,
-        rows: &[[f32; WIDTH]],
-        part: usize,
-        sums: &mut [f32; PART],
-    ) {
+    fn add<A: Arithmetic, const PART: usize>(self, rows: Columns<'_>, sums: &mut [f32; PART]) {
         let Self(inputs) = self;
+        let mut add = |index: usize, value: f32| {
+            let row = rows.floats.get(index.saturating_mul(rows.width)..);
+            if let Some(columns) = row.and_then(|row| row.first_chunk()) {
+                add_row::<A, PART>(sums, value, columns);
+            }
+        };
         let words = inputs.marks.as_flattened().iter();
-        let halves = inputs.values.chunks(MARKED / 2).zip(rows.chunks(MARKED / 2));
-        for (word, (values, rows)) in words.zip(halves) {
+        for (first, word) in (0..).step_by(MARKED / 2).zip(words) {
             let mut marks = *word;
             while marks != 0 {
-                let index = marks.trailing_zeros() as usize;
+                let index = first + marks.trailing_zeros() as usize;
                 marks &= marks - 1;
-                let (Some(value), Some(row)) = (values.get(index), rows.get(index)) else { break };
-                add_part::<A, WIDTH, PART>(sums, *value, row, part);
+                let Some(value) = inputs.values.get(index) else { break };
+                add(index, *value);
             }
         }
-        if let Some(row) = inputs.one.and_then(|index| rows.get(index)) {
-            add_part::<A, WIDTH, PART>(sums, 1.0, row, part);
+        if let Some(index) = inputs.one {
+            add(index, 1.0);
         }
     }
 }
 
-#[inline(always)]
-fn add_part<A: Arithmetic, const WIDTH: usize, const PART: usize>(
-    sums: &mut [f32; PART],
-    input: f32,
-    row: &[f32; WIDTH],
-    part: usize,
-) {
-    if let Some(columns) = row.as_chunks::<PART>().0.get(part) {
-        add_row::<A, PART>(sums, input, columns);
-    }
-}
-
-/// Fills the outputs tile after tile.
+/// Fills the outputs tile after tile, one code for tiles of all widths.
 #[inline(always)]
 fn fill<A: Arithmetic>(
-    weights: &[f32],
+    mut weights: &[f32],
     rows: usize,
     around: Around<'_>,
-    outputs: &mut [f32],
+    mut outputs: &mut [f32],
     inputs: impl Inputs,
 ) {
-    let mut tiles = Tiles::new(weights, rows, around, outputs);
-    while let Some(tile) = tiles.next::<64>() {
-        fill_tile::<A, 64, PART>(tile, inputs);
-    }
-    if let Some(tile) = tiles.next::<32>() {
-        fill_tile::<A, 32, PART>(tile, inputs);
-    }
-    if let Some(tile) = tiles.next::<16>() {
-        fill_tile::<A, 16, PART>(tile, inputs);
-    }
-    if let Some(tile) = tiles.next::<8>() {
-        fill_tile::<A, 8, 8>(tile, inputs);
-    }
-}
-
-#[inline(always)]
-fn fill_tile<A: Arithmetic, const WIDTH: usize, const PART: usize>(
-    tile: Tile<'_, '_, WIDTH>,
-    inputs: impl Inputs,
-) {
-    let (starts, _) = tile.start.as_chunks::<PART>();
-    let (columns, _) = tile.columns.as_chunks_mut::<PART>();
-    for (part, (start, columns)) in starts.iter().zip(columns).enumerate() {
-        let mut sums = *start;
-        inputs.add::<A, WIDTH, PART>(tile.rows, part, &mut sums);
-        *columns = finished(sums, tile.relu);
-    }
-}
-
-/// The dot product of two vectors, in lanes.
-#[inline(always)]
-fn dot<A: Arithmetic, const SKIPS: bool>(vector: &[f32], row: &[f32]) -> f32 {
-    let mut sums = [0.0; LANES];
-    let (chunks, rest) = vector.as_chunks::<LANES>();
-    let (columns, last) = row.as_chunks::<LANES>();
-    for (chunk, columns) in chunks.iter().zip(columns) {
-        for ((sum, a), b) in sums.iter_mut().zip(chunk).zip(columns) {
-            add_product::<A, SKIPS>(sum, *a, *b);
+    let mut bias = around.bias;
+    while !outputs.is_empty() {
+        let width = tile_width(outputs.len());
+        let tile = weights.split_off(..rows.saturating_mul(width));
+        let (Some(tile), Some(outputs)) = (tile, outputs.split_off_mut(..width)) else { return };
+        let bias = bias.as_mut().and_then(|bias| bias.split_off(..width)).unwrap_or(&[]);
+        let (parts, narrow) = outputs.as_chunks_mut::<PART>();
+        for (part, outputs) in parts.iter_mut().enumerate() {
+            fill_part::<A, PART>((tile, width), part * PART, bias, around.relu, outputs, inputs);
+        }
+        if let Some(outputs) = narrow.first_chunk_mut::<8>() {
+            fill_part::<A, 8>((tile, width), 0, bias, around.relu, outputs, inputs);
         }
     }
-    for ((sum, a), b) in sums.iter_mut().zip(rest).zip(last) {
-        add_product::<A, SKIPS>(sum, *a, *b);
+}
+
+/// Fills some outputs of a tile.
+#[inline(always)]
+fn fill_part<A: Arithmetic, const PART: usize>(
+    (tile, width): (&[f32], usize),
+    first: usize,
+    bias: &[f32],
+    relu: bool,
+    outputs: &mut [f32; PART],
+    inputs: impl Inputs,
+) {
+    let bias = bias.get(first..).and_then(|bias| bias.first_chunk());
+    let mut sums = *bias.unwrap_or(&[0.0; PART]);
+    let Some(floats) = tile.get(first..) else { return };
+    inputs.add::<A, PART>(Columns { floats, width }, &mut sums);
+    *outputs = finished(sums, relu);
+}
+
+/// The dot product of two vectors, padded to a multiple of eight, in lanes: eight after the other eight.
+#[inline(always)]
+fn dot<A: Arithmetic, const SKIPS: bool>(vector: &[f32], row: &[f32]) -> f32 {
+    let mut sums = [[0.0; LANES / 2]; 2];
+    let [first, second] = &mut sums;
+    let add = |sums: &mut [f32; LANES / 2], (a, b): (&[f32; LANES / 2], &[f32; LANES / 2])| {
+        for ((sum, a), b) in sums.iter_mut().zip(a).zip(b) {
+            add_product::<A, SKIPS>(sum, *a, *b);
+        }
+    };
+    let mut eights = vector.as_chunks().0.iter().zip(row.as_chunks().0);
+    while let Some(eight) = eights.next() {
+        add(first, eight);
+        if let Some(eight) = eights.next() {
+            add(second, eight);
+        }
     }
-    join(sums)
+    join(*sums.as_flattened().first_chunk().unwrap_or(&[0.0; LANES]))
 }
 
 /// The weighted sum of some columns of rows.

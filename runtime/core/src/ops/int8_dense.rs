@@ -76,7 +76,7 @@ impl Operator for Int8Dense {
     ) -> Result<(), DecideError> {
         let Self { from, quantised, to, .. } = self;
         let matrix = self.layer.matrix(weights, self.relu.is_set())?;
-        let between = Between { from: From::Own(from), quantised, to };
+        let between = Between { from: From::Floats(from), quantised, to };
         team_products(kernels, &matrix, team, between, |_| true)
     }
 }

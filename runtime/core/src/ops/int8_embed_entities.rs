@@ -4,16 +4,17 @@ use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::embed_entities::last_action;
 use super::int8_layer::{Int8Layer, integers, quantised_floats};
+use super::int8_rows::{RowsMut, rows_floats};
 use super::operator::Operator;
 use super::team::{Member, Team};
 use super::{Flag, LAYOUT_INT8, Place, Scratch, Sizes, places};
 use crate::entity_mask::EntityMask;
 use crate::kernels::Kernels;
-use crate::kernels::int8::{Matrix, SparseVector};
+use crate::kernels::int8::{Matrix, Reach, SparseVector, row_max};
 use crate::policy::{DecideError, Observation};
 
-/// As [`super::EmbedEntities`]; every row is quantised by itself, and pairs of inputs that are both zero are left
-/// out. The matrix stores all outputs of a pair of inputs side by side.
+/// As [`super::EmbedEntities`]; every row of features is quantised by itself, as is its embedding, and pairs of inputs that are
+/// both zero are left out. The matrix stores all outputs of a pair of inputs side by side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
 #[repr(C)]
 pub struct Int8EmbedEntities {
@@ -23,11 +24,13 @@ pub struct Int8EmbedEntities {
     pub last_actions: u32,
     /// Whether a ReLU follows.
     pub relu: Flag,
-    /// Where the embeddings go: `[n_max + 1, padded outputs]`, the own row of an agent that does not see
-    /// itself behind the visible ones.
+    /// Where the embeddings go: n_max + 1 rows of integers, the own row of an agent that does not see itself behind the
+    /// visible ones, then what an integer of each row counts.
     pub rows: Place,
     /// The quantised inputs of one row.
     pub quantised: Place,
+    /// The embedding of one row, padded floats.
+    pub embedded: Place,
 }
 
 impl Operator for Int8EmbedEntities {
@@ -36,12 +39,13 @@ impl Operator for Int8EmbedEntities {
     fn check(&self, sizes: &Sizes) -> bool {
         let inputs = u32::from(self.layer.inputs);
         let actions = self.last_actions;
-        let rows = (u64::from(sizes.n_max) + 1).saturating_mul(self.layer.padded_outputs() as u64);
+        let rows = rows_floats(sizes.n_max, self.layer.outputs);
         self.layer.check(sizes)
             && inputs.checked_sub(actions) == Some(sizes.features)
             && (actions == 0 || actions == sizes.actions)
-            && sizes.hold_apart(&[&self.rows, &self.quantised])
+            && sizes.hold_apart(&[&self.rows, &self.quantised, &self.embedded])
             && u64::from(self.rows.len) == rows
+            && self.embedded.len as usize == self.layer.padded_outputs()
             && self.quantised.len as usize == quantised_floats(self.layer.inputs.into())
     }
 
@@ -58,18 +62,19 @@ impl Operator for Int8EmbedEntities {
         scratch: &mut Scratch<'_>,
     ) -> Result<(), DecideError> {
         let matrix = self.layer.matrix(weights, self.relu.is_set())?;
-        let [rows, quantised] = places(scratch.floats, [&self.rows, &self.quantised])?;
-        let rows = rows.chunks_exact_mut(self.layer.padded_outputs());
+        let wanted = [&self.rows, &self.quantised, &self.embedded];
+        let [rows, quantised, embedded] = places(scratch.floats, wanted)?;
+        let mut rows = RowsMut::new(rows, self.layer.outputs.into())?;
         let visible = observation.visible;
         let own = observation.self_index;
         // The own row comes last where the agent does not see itself.
         let hidden = (!visible.contains(own)).then_some(own);
         (scratch.visible, scratch.own) = (visible.len(), visible.len());
-        for ((slot, entity), row) in visible.iter().chain(hidden).enumerate().zip(rows) {
+        for ((slot, entity), row) in visible.iter().chain(hidden).enumerate().zip(rows.iter()) {
             if entity == own {
                 scratch.own = slot;
             }
-            self.embed(kernels, &matrix, (entity, observation), quantised, row)?;
+            self.embed(kernels, &matrix, (entity, observation), [quantised, embedded], row)?;
         }
         Ok(())
     }
@@ -88,9 +93,9 @@ impl Operator for Int8EmbedEntities {
         team: &mut Team<'_>,
     ) -> Result<(), DecideError> {
         let matrix = self.layer.matrix(weights, self.relu.is_set())?;
-        let quantised = team.own_place(&self.quantised);
+        let wanted = [self.quantised, self.embedded].map(|place| team.own_place(&place));
         let Team { rows, own: floats, members, .. } = team;
-        let quantised = floats.get_mut(quantised.range()).ok_or(DecideError::BadLength)?;
+        let mut room = places(floats, wanted.each_ref())?;
         let own = |member: &Member| observations.get(member.index);
         let mut union = EntityMask::EMPTY;
         for observation in members.iter().filter_map(own) {
@@ -98,9 +103,10 @@ impl Operator for Int8EmbedEntities {
             union.insert(observation.self_index);
         }
         let Some(frame) = members.first().and_then(own) else { return Ok(()) };
-        let rows = rows.chunks_exact_mut(self.layer.padded_outputs());
-        for ((slot, entity), row) in (0..).zip(union.iter()).zip(rows) {
-            let embedded = self.embed(kernels, &matrix, (entity, frame), quantised, row);
+        let mut rows = RowsMut::new(rows, self.layer.outputs.into())?;
+        for ((slot, entity), row) in (0..).zip(union.iter()).zip(rows.iter()) {
+            let room = room.each_mut().map(|floats| &mut **floats);
+            let embedded = self.embed(kernels, &matrix, (entity, frame), room, row);
             let slot = embedded.is_ok().then_some(slot);
             for member in members.iter_mut() {
                 if let Some(observation) = observations.get(member.index) {
@@ -120,17 +126,21 @@ impl Int8EmbedEntities {
         kernels: impl Kernels,
         matrix: &Matrix<'_>,
         (entity, observation): (usize, &Observation<'_>),
-        quantised: &mut [f32],
-        outputs: &mut [f32],
+        [quantised, embedded]: [&mut [f32]; 2],
+        (row, row_step): (&mut [i16], &mut f32),
     ) -> Result<(), DecideError> {
         let features = u32::from(self.layer.inputs).saturating_sub(self.last_actions) as usize;
         let start = entity.saturating_mul(observation.stride);
-        let row = observation.rows.get(start..start.saturating_add(features));
-        let values = row.ok_or(DecideError::BadLength)?;
+        let values = observation.rows.get(start..start.saturating_add(features));
+        let values = values.ok_or(DecideError::BadLength)?;
         let integers = integers(quantised, self.layer.inputs.into())?;
         let action = last_action(self.last_actions, entity, observation)?;
         let one = action.map(|action| features + usize::from(action));
-        let vector = SparseVector { values, one, integers, outputs };
-        kernels.int8_sparse_product(matrix, vector).ok_or(DecideError::NonFinite)
+        let vector = SparseVector { values, one, integers, outputs: embedded };
+        kernels.int8_sparse_product(matrix, vector).ok_or(DecideError::NonFinite)?;
+        let outputs = embedded.get(..self.layer.outputs.into()).ok_or(DecideError::BadLength)?;
+        let reach = Reach { least: 0.0, most: row_max(row.len()) };
+        *row_step = kernels.quantise(outputs, reach, row).ok_or(DecideError::NonFinite)?.step;
+        Ok(())
     }
 }

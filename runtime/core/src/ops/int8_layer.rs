@@ -6,7 +6,7 @@ use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, TryFromBytes};
 use super::team::{Member, TEAM, Team};
 use super::{Place, Sizes, places, slice};
 use crate::kernels::Kernels;
-use crate::kernels::int8::{INPUTS, Inputs, Matrix, PAIRS, Row, STRIP, Scale, Vector};
+use crate::kernels::int8::{INPUTS, Inputs, Matrix, PAIRS, Reach, Row, STRIP, Scale, Vector};
 use crate::kernels::product::padded;
 use crate::policy::DecideError;
 
@@ -58,7 +58,8 @@ impl Int8Shape {
     }
 
     /// The matrix without bias whose weights and steps start at the given floats.
-    #[inline(always)]
+    #[cfg_attr(target_os = "none", inline(never))]
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     pub(super) fn matrix(
         self,
         floats: &[f32],
@@ -120,9 +121,15 @@ pub(super) fn integers(floats: &mut [f32], inputs: usize) -> Result<&mut [i16], 
     <[i16]>::mut_from_bytes(floats.as_mut_bytes()).map_err(|_| DecideError::BadLength)
 }
 
+/// Floats of the arena as the integers that stand there.
+#[inline(always)]
+pub(super) fn as_integers(floats: &[f32]) -> Result<&[i16], DecideError> {
+    <[i16]>::ref_from_bytes(floats.as_bytes()).map_err(|_| DecideError::BadLength)
+}
+
 /// Quantised inputs as kernels take them.
 #[inline(always)]
-fn as_inputs(integers: &[i16]) -> &[Inputs] {
+pub(super) fn as_inputs(integers: &[i16]) -> &[Inputs] {
     integers.as_chunks().0.as_chunks().0
 }
 
@@ -134,12 +141,14 @@ fn quantise<'q>(
     quantised: &'q mut [f32],
 ) -> Result<(&'q [Inputs], Scale), DecideError> {
     let integers = integers(quantised, values.len())?;
-    let scale = kernels.quantise(values, 0.0, integers).ok_or(DecideError::NonFinite)?;
+    let reach = Reach::of_inputs(integers.len());
+    let scale = kernels.quantise(values, reach, integers).ok_or(DecideError::NonFinite)?;
     Ok((as_inputs(integers), scale))
 }
 
 /// Writes the product of a matrix and `from`, which is quantised at `quantised`.
-#[inline(always)]
+#[cfg_attr(target_os = "none", inline(never))]
+#[cfg_attr(not(target_os = "none"), inline(always))]
 pub(super) fn product(
     kernels: impl Kernels,
     matrix: &Matrix<'_>,
@@ -152,13 +161,13 @@ pub(super) fn product(
     Ok(())
 }
 
-/// Where the inputs of a team's products stand.
+/// The integers that a product of a team is made with, among a member's own places.
 #[derive(Clone, Copy)]
 pub(super) enum From<'a> {
-    /// Among each member's own places.
-    Own(&'a Place),
-    /// The first floats of each member's own row, as many.
-    Rows(usize),
+    /// Floats, which are quantised.
+    Floats(&'a Place),
+    /// What stands in `quantised` already: what an integer counts, by member.
+    Quantised(&'a [f32; TEAM]),
 }
 
 /// Places of a team's products.
@@ -179,24 +188,25 @@ pub(super) fn team_products(
 ) -> Result<(), DecideError> {
     let [quantised, to] = [between.quantised, between.to].map(|place| team.own_place(place));
     let own = match between.from {
-        From::Own(place) => team.own_place(place),
+        From::Floats(place) => team.own_place(place),
         // A place of nothing, which overlaps none.
-        From::Rows(_) => Place { offset: 0, len: 0 },
+        From::Quantised(_) => Place { offset: 0, len: 0 },
     };
-    let Team { rows, own: floats, own_floats, members, .. } = team;
     let mut vectors: Vec<Vector<'_>, TEAM> = Vec::new();
-    let floats = floats.chunks_exact_mut((*own_floats).max(1));
-    for (member, floats) in members.iter_mut().zip(floats).filter(|(member, _)| wanted(member)) {
+    for (index, (member, floats)) in team.own_places().enumerate() {
+        if !wanted(member) {
+            continue;
+        }
         let [from, quantised, outputs] = places(floats, [&own, &quantised, &to])?;
-        let from: &[f32] = match between.from {
-            From::Own(_) => from,
-            From::Rows(width) => {
-                let start = usize::from(member.own).saturating_mul(padded(width));
-                rows.get(start..start.saturating_add(width)).ok_or(DecideError::BadLength)?
+        let inputs = match between.from {
+            From::Floats(_) => quantise(kernels, from, quantised).map(|(i, scale)| (i, scale.step)),
+            From::Quantised(steps) => {
+                let step = steps.get(index).copied().unwrap_or(0.0);
+                as_integers(quantised).map(|integers| (as_inputs(integers), step))
             }
         };
-        match quantise(kernels, from, quantised) {
-            Ok((inputs, Scale { step, .. })) => {
+        match inputs {
+            Ok((inputs, step)) => {
                 // There is room for every member.
                 let _ = vectors.push(Vector { inputs, step, outputs });
             }

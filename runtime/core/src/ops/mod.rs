@@ -15,6 +15,7 @@ mod int8_attend_own;
 mod int8_dense;
 mod int8_embed_entities;
 mod int8_layer;
+mod int8_rows;
 mod masked_argmax;
 mod masked_sample;
 mod mean_rows;
@@ -64,8 +65,16 @@ use crate::policy::DecideError;
 
 /// Layout 1 of weights: f32 in tiles of 64 columns.
 pub const LAYOUT_TILES: u32 = 1;
-/// Layout 2 of weights: int8 in strips of 16 columns, pairs of inputs side by side; steps and biases f32.
-pub const LAYOUT_INT8: u32 = 2;
+/// Layout 3 of weights: int8 in strips of 16 columns, pairs of inputs side by side; steps and biases f32.
+pub const LAYOUT_INT8_PAIRS: u32 = 3;
+/// Layout 4 of weights: as 3, for the DSP extension; of every four bytes of int8 the two in the middle are exchanged.
+pub const LAYOUT_INT8_DSP: u32 = 4;
+/// The layout of int8 weights that this build reads.
+pub const LAYOUT_INT8: u32 = if cfg!(all(feature = "dsp", target_arch = "arm")) {
+    LAYOUT_INT8_DSP
+} else {
+    LAYOUT_INT8_PAIRS
+};
 
 /// The sizes of a plan that its operators are checked against.
 #[derive(Clone, Copy, Debug)]

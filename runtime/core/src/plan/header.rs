@@ -6,7 +6,7 @@ use crate::ops::{LAYOUT_INT8, LAYOUT_TILES};
 /// Bytes of the header.
 pub const HEADER_BYTES: usize = 128;
 /// The plan format of this build: major, minor. It reads the same major up to the same minor.
-pub const VERSION: (u16, u16) = (2, 1);
+pub const VERSION: (u16, u16) = (2, 2);
 /// Alignment of the weights inside a plan and of the arena, in bytes.
 pub const ALIGNMENT: usize = 64;
 
@@ -167,7 +167,7 @@ impl Header {
         };
         put(&MAGIC);
         put(&VERSION.0.to_le_bytes());
-        put(&self.network.minor().to_le_bytes());
+        put(&self.network.minor().max(self.profile.minor()).to_le_bytes());
         let sizes = [
             ENDIAN_PROBE,
             self.layout,
@@ -249,6 +249,14 @@ impl Profile {
             Self::Exact => 0,
             Self::Fused => 1,
             Self::Int8 => 2,
+        }
+    }
+
+    /// As [`Network::minor`].
+    const fn minor(self) -> u16 {
+        match self {
+            Self::Int8 => 2,
+            _ => 0,
         }
     }
 

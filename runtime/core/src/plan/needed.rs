@@ -85,7 +85,7 @@ mod tests {
     #[test]
     fn a_plan_needs_what_its_program_names() {
         let agent = include_bytes!("../../../../tests/golden/plans/agent-2.0.plan");
-        let int8 = include_bytes!("../../../../tests/golden/plans/agent-int8-2.0.plan");
+        let int8 = include_bytes!("../../../../tests/golden/plans/agent-int8-2.2.plan");
         assert_eq!(Needed::by(agent).kinds(), FeedForward::OPERATORS);
         let mut want = Int8FeedForward::OPERATORS.to_vec();
         want.sort_by_key(|kind| *kind as u16);

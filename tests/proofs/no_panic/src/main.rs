@@ -28,7 +28,7 @@ use sortie_core::{
 use zerocopy::FromBytes;
 
 const AGENT: &[u8] = include_plan!("../../../golden/plans/agent-2.0.plan");
-const INT8: &[u8] = include_plan!("../../../golden/plans/agent-int8-2.0.plan");
+const INT8: &[u8] = include_plan!("../../../golden/plans/agent-int8-2.2.plan");
 const TEAM_VALUE: &[u8] = include_plan!("../../../golden/plans/team-value-2.0.plan");
 
 const POLICY: &[u8] = include_plan!("../../../golden/plans/policy-2.0.plan");

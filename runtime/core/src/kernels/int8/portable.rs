@@ -1,8 +1,8 @@
 //! The int8 kernels as every processor of the target runs them.
 
 use super::{
-    Count, Inputs, Int8Kernels, Lanes, Marked, Matrix, PAIRS, Pair, Row, STRIP, Scale,
-    SparseVector, Strips, Vector, products, quantise, sparse_product,
+    Count, Inputs, Int8Kernels, IntegerRows, Lanes, Marked, Matrix, PAIRS, Pair, Reach, Row, STRIP,
+    Scale, SparseVector, Strips, Vector, narrow, products, quantise, sparse_product,
 };
 use crate::kernels::Portable;
 use crate::math::relu;
@@ -95,8 +95,8 @@ fn add_row(sums: &mut [i32; STRIP], row: &Row, [first, second]: Pair) {
 }
 
 impl<A> Int8Kernels for Portable<A> {
-    fn quantise(self, values: &[f32], least: f32, integers: &mut [i16]) -> Option<Scale> {
-        quantise(self, values, least, integers)
+    fn quantise(self, values: &[f32], reach: Reach, integers: &mut [i16]) -> Option<Scale> {
+        quantise(self, values, reach, integers)
     }
 
     fn int8_products(self, matrix: &Matrix<'_>, vectors: &mut [Vector<'_>]) {
@@ -105,5 +105,31 @@ impl<A> Int8Kernels for Portable<A> {
 
     fn int8_sparse_product(self, matrix: &Matrix<'_>, vector: SparseVector<'_>) -> Option<()> {
         sparse_product(self, matrix, vector)
+    }
+
+    fn int8_dots(self, vector: &[i16], step: f32, rows: IntegerRows<'_>, products: &mut [f32]) {
+        for (slot, product) in rows.slots.iter().zip(products) {
+            let (row, row_step) = rows.row(*slot);
+            // Never wraps, see `row_max`.
+            let sum = vector
+                .iter()
+                .zip(row)
+                .fold(0_i32, |sum, (a, b)| sum.wrapping_add(i32::from(*a) * i32::from(*b)));
+            *product = sum as f32 * (step * row_step);
+        }
+    }
+
+    fn int8_mix(self, weights: &[i16], rows: IntegerRows<'_>, sums: &mut [i32]) {
+        sums.fill(0);
+        for (slot, weight) in rows.slots.iter().zip(weights) {
+            for (sum, integer) in sums.iter_mut().zip(rows.row(*slot).0) {
+                // Never wraps, see `mixing_max`.
+                *sum = sum.wrapping_add(i32::from(*weight) * i32::from(*integer));
+            }
+        }
+    }
+
+    fn narrow(self, sums: &[i32], most: u16, integers: &mut [i16]) -> f32 {
+        narrow(sums, most, integers)
     }
 }

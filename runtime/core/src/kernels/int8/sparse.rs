@@ -1,6 +1,6 @@
 //! The product of an int8 matrix and a vector of which much is zero.
 
-use super::{Lanes, Matrix, Pair, Row, STRIP, quantise};
+use super::{Lanes, Matrix, Pair, Reach, Row, STRIP, quantise};
 
 /// Pairs that are marked together.
 const MARKED: usize = 64;
@@ -21,6 +21,15 @@ pub struct SparseVector<'a> {
     pub outputs: &'a mut [f32],
 }
 
+impl SparseVector<'_> {
+    /// How far its integers reach: the one is an input as well.
+    #[inline(always)]
+    pub(crate) fn reach(&self) -> Reach {
+        let least = if self.one.is_some() { 1.0 } else { 0.0 };
+        Reach { least, ..Reach::of_inputs(self.integers.len()) }
+    }
+}
+
 /// As [`super::products`] for one vector of which few pairs of inputs are not zero, and which is quantised first; the matrix
 /// stores all strips of a pair side by side. None where an input is not a finite number.
 #[inline(always)]
@@ -29,10 +38,9 @@ pub fn sparse_product(
     matrix: &Matrix<'_>,
     vector: SparseVector<'_>,
 ) -> Option<()> {
+    let reach = vector.reach();
     let SparseVector { values, one, integers, outputs } = vector;
-    // The one is an input as well.
-    let least = if one.is_some() { 1.0 } else { 0.0 };
-    let scale = quantise(lanes, values, least, integers)?;
+    let scale = quantise(lanes, values, reach, integers)?;
     if let Some(place) = one.and_then(|one| integers.get_mut(one)) {
         *place = scale.integer(1.0);
     }

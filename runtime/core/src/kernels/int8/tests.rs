@@ -4,6 +4,8 @@ use crate::kernels::arithmetic::Exact;
 use std::vec;
 use std::vec::Vec;
 
+const REACH: Reach = Reach { least: 0.0, most: 32_767 };
+
 #[test]
 fn no_sum_leaves_i32() {
     for inputs in [1, 2, 31, 64, 511, 512, 513, 1000, 8191, 65_535] {
@@ -24,7 +26,7 @@ fn integers_are_the_nearest() {
         let values: Vec<f32> = (0..len).map(|i| (i as f32 - 20.0) / 7.0).collect();
         let largest = values.iter().fold(0.0_f32, |most, value| most.max(value.abs()));
         let mut integers = vec![-7; 160];
-        let scale = Portable::<Exact>::new().quantise(&values, 0.0, &mut integers).unwrap();
+        let scale = Portable::<Exact>::new().quantise(&values, REACH, &mut integers).unwrap();
         assert!((scale.step * 32_767.0 - largest).abs() < 1e-6 * largest);
         for (value, integer) in values.iter().zip(&integers) {
             let error = (value - f32::from(*integer) * scale.step).abs();
@@ -39,7 +41,9 @@ fn integers_are_the_nearest() {
 #[test]
 fn a_scale_reaches_as_far_as_is_asked() {
     let mut integers = [1; 32];
-    let scale = Portable::<Exact>::new().quantise(&[0.25, -0.5], 1.0, &mut integers).unwrap();
+    let scale = Portable::<Exact>::new()
+        .quantise(&[0.25, -0.5], Reach { least: 1.0, ..REACH }, &mut integers)
+        .unwrap();
     assert_eq!((scale.integer(1.0), integers[0], integers[1]), (32_767, 8192, -16_384));
 }
 
@@ -47,14 +51,14 @@ fn a_scale_reaches_as_far_as_is_asked() {
 fn next_to_nothing_is_nothing_and_no_number_is_refused() {
     let mut integers = [1; 32];
     for values in [[0.0, -0.0], [1e-40, -1e-31], [f32::MIN_POSITIVE, 0.0]] {
-        let scale = Portable::<Exact>::new().quantise(&values, 0.0, &mut integers).unwrap();
+        let scale = Portable::<Exact>::new().quantise(&values, REACH, &mut integers).unwrap();
         assert_eq!((scale.step, integers), (0.0, [0; 32]));
     }
     for bad in [f32::NAN, -f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
-        assert_eq!(Portable::<Exact>::new().quantise(&[0.5, bad], 0.0, &mut integers), None);
+        assert_eq!(Portable::<Exact>::new().quantise(&[0.5, bad], REACH, &mut integers), None);
     }
     let scale =
-        Portable::<Exact>::new().quantise(&[f32::MAX, f32::MIN], 0.0, &mut integers).unwrap();
+        Portable::<Exact>::new().quantise(&[f32::MAX, f32::MIN], REACH, &mut integers).unwrap();
     assert!(scale.factor > 0.0 && integers[..2] == [32_767, -32_767]);
 }
 

@@ -4,15 +4,16 @@ use core::arch::x86_64::{
     __m128i, __m256, __m256i, _mm_max_epu32, _mm256_add_epi32, _mm256_add_ps, _mm256_and_si256,
     _mm256_castps_si256, _mm256_castsi256_pd, _mm256_cmpeq_epi64, _mm256_cvtepi8_epi16,
     _mm256_cvtepi32_ps, _mm256_madd_epi16, _mm256_max_epu32, _mm256_max_ps, _mm256_movemask_pd,
-    _mm256_mul_ps, _mm256_packs_epi32, _mm256_permute4x64_epi64, _mm256_set1_epi32, _mm256_set1_ps,
-    _mm256_setzero_si256, _mm256_slli_epi32, _mm256_srai_epi32,
+    _mm256_mul_ps, _mm256_packs_epi32, _mm256_permute2x128_si256, _mm256_permute4x64_epi64,
+    _mm256_set1_epi32, _mm256_set1_ps, _mm256_setzero_si256, _mm256_slli_epi32, _mm256_srai_epi32,
+    _mm256_unpackhi_epi16, _mm256_unpacklo_epi16,
 };
 
 use zerocopy::transmute;
 
 use super::{MAGNITUDE, filled};
 use crate::kernels::int8::{
-    Count, Inputs, Lanes, Marked, PAIRS, Pair, ROUND, Row, STRIP, Scale, Strips,
+    Count, Inputs, IntegerRows, Lanes, Marked, PAIRS, Pair, ROUND, Row, STRIP, Scale, Strips,
 };
 
 /// Sums of a strip, eight columns in each vector.
@@ -184,4 +185,49 @@ pub(super) fn numbers(sums: &[i32; STRIP], count: Count<'_>) -> [f32; STRIP] {
     };
     let ([s0, s1], [t0, t1], [b0, b1]) = (sums, steps, bias);
     transmute!([number(s0, t0, b0), number(s1, t1, b1)])
+}
+
+/// The dot product of two vectors of whole strips.
+#[inline]
+#[target_feature(enable = "avx2")]
+pub(super) fn dot(vector: &[i16], row: &[i16]) -> i32 {
+    let mut sums = [_mm256_setzero_si256(); 2];
+    let chunks = vector.as_chunks::<STRIP>().0.iter().zip(row.as_chunks::<STRIP>().0);
+    for (index, (a, b)) in chunks.enumerate() {
+        let Some(sum) = sums.get_mut(index % 2) else { continue };
+        *sum = _mm256_add_epi32(*sum, _mm256_madd_epi16(transmute!(*a), transmute!(*b)));
+    }
+    let [even, odd] = sums;
+    let lanes: [i32; 8] = transmute!(_mm256_add_epi32(even, odd));
+    // Never wraps, see `row_max`; nor do partial sums in whichever order.
+    lanes.iter().fold(0, |sum, lane| sum.wrapping_add(*lane))
+}
+
+/// The weighted sums of rows, in columns of whole strips: two rows at a time, whose columns are multiplied as pairs.
+#[inline]
+#[target_feature(enable = "avx2")]
+pub(super) fn mix(weights: &[i16], rows: IntegerRows<'_>, sums: &mut [i32]) {
+    for (strip, sums) in sums.as_chunks_mut::<STRIP>().0.iter_mut().enumerate() {
+        let mut halves = [_mm256_setzero_si256(); 2];
+        for (slots, pair) in rows.slots.chunks(2).zip(weights.as_chunks::<2>().0) {
+            let pair = _mm256_set1_epi32(transmute!(*pair));
+            let columns = |slot: Option<&u16>| {
+                let row = slot.map_or(&[] as &[i16], |slot| rows.row(*slot).0);
+                // The weight of a row that is not there is zero.
+                *row.as_chunks::<STRIP>().0.get(strip).unwrap_or(&[0; STRIP])
+            };
+            let (first, second) = (columns(slots.first()), columns(slots.get(1)));
+            let (first, second) = (transmute!(first), transmute!(second));
+            let [low, high] = &mut halves;
+            let even = _mm256_madd_epi16(_mm256_unpacklo_epi16(first, second), pair);
+            let odd = _mm256_madd_epi16(_mm256_unpackhi_epi16(first, second), pair);
+            *low = _mm256_add_epi32(*low, even);
+            *high = _mm256_add_epi32(*high, odd);
+        }
+        // Unpacking works in halves of the vector: quarters stand in the order 0, 2 and 1, 3.
+        let [low, high] = halves;
+        let first = _mm256_permute2x128_si256::<0x20>(low, high);
+        let second = _mm256_permute2x128_si256::<0x31>(low, high);
+        *sums = transmute!([first, second]);
+    }
 }

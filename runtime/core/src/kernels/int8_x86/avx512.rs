@@ -3,15 +3,17 @@
 use core::arch::x86_64::{
     __m256i, __m512i, _mm512_add_epi32, _mm512_add_ps, _mm512_and_si512, _mm512_castps_si512,
     _mm512_cvtepi8_epi16, _mm512_cvtepi32_epi16, _mm512_cvtepi32_ps, _mm512_dpwssd_epi32,
-    _mm512_max_epu32, _mm512_max_ps, _mm512_mul_ps, _mm512_reduce_max_epu32, _mm512_set1_epi32,
-    _mm512_set1_ps, _mm512_setzero_si512, _mm512_test_epi64_mask,
+    _mm512_max_epu32, _mm512_max_ps, _mm512_mul_ps, _mm512_permutex2var_epi64,
+    _mm512_reduce_add_epi32, _mm512_reduce_max_epu32, _mm512_set1_epi32, _mm512_set1_ps,
+    _mm512_setzero_si512, _mm512_test_epi64_mask, _mm512_unpackhi_epi16, _mm512_unpacklo_epi16,
 };
 
 use zerocopy::transmute;
 
 use super::{MAGNITUDE, filled};
 use crate::kernels::int8::{
-    Count, Inputs, Lanes, Marked, PAIRS, Pair, ROUND, Row, STRIP, Scale, Strips,
+    Count, INPUTS, Inputs, IntegerRows, Lanes, Marked, PAIRS, Pair, ROUND, Row, STRIP, Scale,
+    Strips,
 };
 
 /// Adds a row of weights, times its pair of inputs.
@@ -150,4 +152,47 @@ pub(super) fn numbers(sums: &[i32; STRIP], count: Count<'_>) -> [f32; STRIP] {
     let numbers = _mm512_add_ps(sums, transmute!(*count.bias));
     // The second operand is the result where it is no number.
     transmute!(_mm512_max_ps(_mm512_set1_ps(count.least()), numbers))
+}
+
+/// The dot product of two vectors of whole [`INPUTS`].
+#[inline]
+#[target_feature(enable = "avx512f,avx512vnni")]
+pub(super) fn dot(vector: &[i16], row: &[i16]) -> i32 {
+    let mut sums = _mm512_setzero_si512();
+    let chunks = vector.as_chunks::<INPUTS>().0.iter().zip(row.as_chunks::<INPUTS>().0);
+    for (a, b) in chunks {
+        sums = _mm512_dpwssd_epi32(sums, transmute!(*a), transmute!(*b));
+    }
+    _mm512_reduce_add_epi32(sums)
+}
+
+/// Which eighths of two vectors of unpacked columns are those of the first sixteen columns, and of the others.
+const FIRST: [u64; 8] = [0, 1, 8, 9, 2, 3, 10, 11];
+const SECOND: [u64; 8] = [4, 5, 12, 13, 6, 7, 14, 15];
+
+/// The weighted sums of rows, in columns of whole [`INPUTS`]: two rows at a time, whose columns are multiplied as pairs.
+#[inline]
+#[target_feature(enable = "avx512f,avx512bw,avx512vnni")]
+pub(super) fn mix(weights: &[i16], rows: IntegerRows<'_>, sums: &mut [i32]) {
+    for (part, sums) in sums.as_chunks_mut::<INPUTS>().0.iter_mut().enumerate() {
+        let mut halves = [_mm512_setzero_si512(); 2];
+        for (slots, pair) in rows.slots.chunks(2).zip(weights.as_chunks::<2>().0) {
+            let pair = _mm512_set1_epi32(transmute!(*pair));
+            let columns = |slot: Option<&u16>| {
+                let row = slot.map_or(&[] as &[i16], |slot| rows.row(*slot).0);
+                // The weight of a row that is not there is zero.
+                *row.as_chunks::<INPUTS>().0.get(part).unwrap_or(&[0; INPUTS])
+            };
+            let (first, second) = (columns(slots.first()), columns(slots.get(1)));
+            let (first, second) = (transmute!(first), transmute!(second));
+            let [low, high] = &mut halves;
+            *low = _mm512_dpwssd_epi32(*low, _mm512_unpacklo_epi16(first, second), pair);
+            *high = _mm512_dpwssd_epi32(*high, _mm512_unpackhi_epi16(first, second), pair);
+        }
+        // Unpacking works in quarters of the vector.
+        let [low, high] = halves;
+        let first = _mm512_permutex2var_epi64(low, transmute!(FIRST), high);
+        let second = _mm512_permutex2var_epi64(low, transmute!(SECOND), high);
+        *sums = transmute!([first, second]);
+    }
 }

@@ -5,8 +5,10 @@ use std::vec::Vec;
 
 use super::Small;
 use crate::kernels::arithmetic::Exact;
+use crate::kernels::build::{Build, Work};
 use crate::kernels::int8::{
-    INPUTS, Int8Kernels, Matrix, PAIRS, Row, STRIP, Scale, SparseVector, Vector,
+    INPUTS, Int8Kernels, IntegerRows, Matrix, PAIRS, Reach, Row, STRIP, Scale, SparseVector,
+    Vector, mixing_max, row_max,
 };
 use crate::kernels::product::{Around, Sparse};
 use crate::kernels::rows::Rows;
@@ -73,17 +75,17 @@ fn numbers_have_the_bits_of_the_portable_kernels() {
 fn what_is_no_number_is_found() {
     let small = Small::<Exact, true>::new();
     for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
-        for place in 0..70 {
-            let mut values = numbers(70, 4);
+        for place in 0..72 {
+            let mut values = numbers(72, 4);
             values[place] = bad;
             assert!(!small.mark(&values, &mut [[0; 2]; 2]));
-            assert_eq!(small.quantise(&values, 0.0, &mut [0; 96]), None);
+            assert_eq!(small.quantise(&values, Reach::of_inputs(96), &mut [0; 96]), None);
             let mut scores = [0.5; 80];
             scores[place] = bad;
-            assert!(!small.softmax(&mut scores, 70));
+            assert!(!small.softmax(&mut scores, 72));
             // A zero times what is no finite number is none.
             let mut product = [0.0; 4];
-            small.dots(&values, Rows::first(&[0.0; 70], 70, 1), &mut product);
+            small.dots(&values, Rows::first(&[0.0; 72], 72, 1), &mut product);
             assert!(product[0].is_nan(), "{place}");
         }
     }
@@ -107,7 +109,8 @@ fn integers(kernels: impl Int8Kernels, inputs: usize, outputs: usize, relu: bool
         let matrix = Matrix { rows, groups, steps: &steps, bias, relu };
         let values = numbers(inputs, 7);
         let mut quantised = vec![9; inputs.div_ceil(INPUTS) * INPUTS];
-        let Scale { step, .. } = kernels.quantise(&values, 0.0, &mut quantised).unwrap();
+        let reach = Reach::of_inputs(quantised.len());
+        let Scale { step, .. } = kernels.quantise(&values, reach, &mut quantised).unwrap();
         all.extend(quantised.iter().map(|integer| *integer as u32));
         let mut products = vec![f32::NAN; outputs.next_multiple_of(8)];
         let pairs = quantised.as_chunks().0.as_chunks().0;
@@ -135,6 +138,53 @@ fn integers_have_the_bits_of_the_portable_kernels() {
                 assert_eq!(skipping, want, "{inputs} x {outputs}");
                 let others = integers(Small::<Exact, false>::new(), inputs, outputs, relu);
                 assert_eq!(others, want, "{inputs} x {outputs}");
+            }
+        }
+    }
+}
+
+/// What attention makes of rows of integers, those of some slots, as large as they may be.
+fn attended(kernels: impl Int8Kernels, width: usize, slots: &[u16]) -> Vec<u32> {
+    let integer = |index: usize, most: u16| {
+        (index.wrapping_mul(2_654_435_761) >> 9) as i32 % (i32::from(most) + 1)
+            * if index.is_multiple_of(3) { -1 } else { 1 }
+    };
+    let integers = |count: usize, most: u16| -> Vec<i16> {
+        (0..count).map(|index| integer(index + count, most) as i16).collect()
+    };
+    let steps = numbers(8, 8);
+    let rows = integers(8 * width, row_max(width));
+    let rows = IntegerRows { integers: &rows, width, steps: &steps, slots };
+    let vector = integers(width, row_max(width));
+    let mut products = vec![f32::NAN; slots.len()];
+    kernels.int8_dots(&vector, 0.37, rows, &mut products);
+    let mut weights = integers(slots.len(), mixing_max(slots.len(), width));
+    weights.resize(INPUTS, 0);
+    let mut sums = vec![7; width];
+    kernels.int8_mix(&weights, rows, &mut sums);
+    let mut short = vec![9; width + 5];
+    let step = kernels.narrow(&sums, 32_767, &mut short);
+    let integers = sums.iter().map(|sum| *sum as u32).chain(short.iter().map(|s| *s as u32));
+    bits(&products).into_iter().chain(integers).chain([step.to_bits()]).collect()
+}
+
+#[test]
+fn attention_has_the_bits_of_the_portable_kernels() {
+    /// Attends on the kernels of one build.
+    struct Attend<'a>(usize, &'a [u16]);
+    impl Work for Attend<'_> {
+        type Output = Vec<u32>;
+
+        fn run(self, kernels: impl Kernels) -> Vec<u32> {
+            attended(kernels, self.0, self.1)
+        }
+    }
+    for width in [32, 64, 96, 128, 512] {
+        for slots in [&[3][..], &[5, 0], &[7, 1, 2], &[0, 1, 2, 3, 4, 5, 6, 7], &[4, 4, 6, 1, 0]] {
+            let want = attended(Portable::<Exact>::new(), width, slots);
+            for build in Build::all() {
+                let got = build.run::<Exact, _>(Attend(width, slots));
+                assert_eq!(got, want, "{build:?}, {slots:?} of {width}");
             }
         }
     }

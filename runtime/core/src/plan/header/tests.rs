@@ -58,6 +58,9 @@ fn a_plan_with_a_skip_says_so() {
     let policy = Header { network: Network::Policy, ..header() };
     assert_eq!(policy.to_bytes(Checksums::default())[8..12], [2, 0, 1, 0]);
     assert_eq!(Header::read(&bytes), Ok((with, Checksums::default())));
+    // And weights of int8 are laid out as older builds do not read them.
+    let int8 = Header { profile: Profile::Int8, layout: LAYOUT_INT8, ..header() };
+    assert_eq!(int8.to_bytes(Checksums::default())[8..12], [2, 0, 2, 0]);
 }
 
 #[test]
@@ -70,7 +73,7 @@ fn refuses_what_it_cannot_read() {
     };
     assert_eq!(with(0, b'X'), Err(PlanError::BadMagic));
     assert_eq!(with(8, 1), Err(PlanError::Version { major: 1, minor: 0 }));
-    assert_eq!(with(10, 2), Err(PlanError::Version { major: 2, minor: 2 }));
+    assert_eq!(with(10, 3), Err(PlanError::Version { major: 2, minor: 3 }));
     assert_eq!(with(124, 2), Err(PlanError::UnknownOp));
     assert_eq!(with(12, 1), Err(PlanError::Endian));
     assert_eq!(with(116, 9), Err(PlanError::WrongProfile { got: 9 }));

@@ -46,7 +46,7 @@ fn program(sizes: Sizes, random: &mut Random) -> (ProgramDraft, Vec<f32>) {
     let Sizes { n_max, features, actions, width, heads, base, skip, .. } = sizes;
     let head = padded(sizes.head);
     let mut build = Builder { random, weights: Vec::new(), floats: 0 };
-    let rows = build.place((n_max + 1) * width);
+    let rows = build.place((n_max + 1) * (quantised_floats(width) + 1));
     let last_actions = if sizes.last_action { actions } else { 0 };
     let embed = Int8EmbedEntities {
         layer: build.int8_layer(features + last_actions, width),
@@ -54,6 +54,7 @@ fn program(sizes: Sizes, random: &mut Random) -> (ProgramDraft, Vec<f32>) {
         relu: Flag::Yes,
         rows,
         quantised: build.place(quantised_floats(features + last_actions)),
+        embedded: build.place(width),
     };
     let (keys, key_steps) = build.int8_matrices(heads, head, width);
     let (values, value_steps) = build.int8_matrices(heads, width, head);
@@ -69,12 +70,11 @@ fn program(sizes: Sizes, random: &mut Random) -> (ProgramDraft, Vec<f32>) {
         output: build.int8_layer(heads * head + skip, width),
         relu: (build.random.below(2) == 0).into(),
         query_place: build.place(heads * head),
-        absorbed: build.place(width),
+        absorbed: build.place(2 * quantised_floats(width)),
         scores: build.place(n_max),
-        mixed: build.place(width),
         attended: build.place(heads * head + skip),
         to: build.place(width),
-        quantised: build.place(quantised_floats(width.max(heads * head + skip))),
+        quantised: build.place(quantised_floats(width.max(heads * head + skip).max(n_max))),
     };
     let mut dense = |inputs: usize, outputs: usize, relu: bool, from: Place| Int8Dense {
         layer: build.int8_layer(inputs, outputs),
@@ -136,6 +136,8 @@ fn places_and_sizes_that_do_not_fit_are_refused() {
     refused(0, embed(|op| op.layer.weights = 1 << 30));
     refused(0, embed(|op| op.layer.steps = u32::MAX));
     refused(0, embed(|op| op.last_actions = 3));
+    refused(0, embed(|op| op.embedded.offset = op.quantised.offset));
+    refused(0, embed(|op| op.embedded.len -= 8));
     let attend = |change: fn(&mut Int8AttendOwn)| {
         refusal(|ops| {
             ops.iter_mut().for_each(|op| {
@@ -148,7 +150,10 @@ fn places_and_sizes_that_do_not_fit_are_refused() {
     refused(1, attend(|op| op.heads = 0));
     refused(1, attend(|op| op.heads = 4));
     refused(1, attend(|op| op.rows.len += 1));
-    refused(1, attend(|op| op.quantised = op.mixed));
+    refused(1, attend(|op| op.quantised.offset = op.attended.offset));
+    refused(1, attend(|op| op.absorbed.len -= 1));
+    refused(1, attend(|op| op.to.offset = op.attended.offset));
+    assert_eq!(attend(|op| op.to.offset = op.query_place.offset), None);
     refused(1, attend(|op| op.key_steps = 1 << 30));
     refused(1, attend(|op| op.values = 1 << 30));
     refused(1, attend(|op| op.output.inputs = 8));
