@@ -1,20 +1,20 @@
 //! `sortie compile`: an ONNX network becomes a plan, proved against its source.
 
+mod bundle;
 mod policy;
 
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde::Serialize;
-use sortie_bundle::hex;
 use sortie_core::plan::Profile;
 use sortie_plans::{
     Agreement, CompileError, CompileOptions, Compiled, Compiler, LEAST_AGREEMENT,
     LEAST_OBSERVATIONS, PolicyOptions, Quantised, Report, quantise, read_onnx,
 };
 
-use crate::compiler::{compiler, with_plans};
-use crate::deployment::open_bundle;
+use self::bundle::Paired;
+use crate::compiler::compiler;
 use crate::engines::check_program;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::files::{Kind, try_output, write_output};
@@ -27,20 +27,23 @@ use crate::policy::PlanProfile;
 /// Compile an ONNX network to a plan for the runtime core
 ///
 /// The plan is compared with the graph on random observations of all mask patterns and refused where
-/// they differ by more than 1e-5 relative. An int8 plan is compared with the f32 plan on recorded observations
-/// instead, and refused where it takes another action in more than 0.5 % of them. Prints what the plan will
-/// cost: flash, arena, work.
+/// they differ by more than 1e-5 relative. The weights of an int8 plan are rounded for a tenth of the recorded observations,
+/// and the plan is compared with the f32 plan on all others instead: it is refused where it takes another action in more
+/// than 0.5 % of them. Prints what the plan will cost: flash, arena, work.
 ///
 /// A policy that somebody else exported becomes a plan of general steps; what is what in it is found, or said by flags.
 ///
-/// Given a bundle, writes the same bundle with plans of its own networks, which run without being compiled again.
+/// Given a bundle, writes the same bundle with plans of its own networks, which run without being compiled again. With
+/// `--profile int8` it writes the plan of the bundle's agents instead, rounded for episodes that it plays, and judges it
+/// by success over 2,000 episodes that the f32 plan plays too: more than 0.01 below is refused.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   sortie compile models/save-the-city/agent.onnx -o agent.plan --n-max 11
   sortie compile models/save-the-city/agent.onnx -o agent.plan --n-max 11 --profile int8 --observations seen.bin
   sortie compile walking.onnx -o walking.plan
   sortie compile walking.onnx -o walking.plan --profile int8 --npz recorded.npz
-  sortie compile models/first -o models/first-with-plans")]
+  sortie compile models/first -o models/first-with-plans
+  sortie compile models/save-the-city -o agent.plan --profile int8")]
 pub(crate) struct CompileArguments {
     /// The network, or the folder of a bundle
     #[arg(value_name = "ONNX|BUNDLE")]
@@ -54,14 +57,15 @@ pub(crate) struct CompileArguments {
     /// How the plan computes
     #[arg(long, value_enum, default_value_t = PlanProfile::Exact)]
     profile: PlanProfile,
-    /// Observations of `sortie eval BUNDLE --dump FILE`, on which an int8 plan must act as the f32 plan does
+    /// Observations of `sortie eval BUNDLE --dump FILE`, for some of which an int8 plan is rounded, and on the others of
+    /// which it must act as the f32 plan does
     #[arg(long, value_name = "FILE")]
     observations: Option<PathBuf>,
     /// Recorded inputs `in__NAME` of a policy of somebody else, on which its int8 plan must act as the f32 plan does:
     /// arrays that `numpy.savez` saved, one case behind the other
     #[arg(long, value_name = "FILE", conflicts_with = "observations")]
     npz: Option<PathBuf>,
-    /// Write an int8 plan however seldom it takes the same action, and whatever was recorded
+    /// Write an int8 plan however seldom it takes the same action or succeeds, and whatever was recorded
     #[arg(long)]
     force: bool,
     #[command(flatten)]
@@ -78,6 +82,9 @@ struct Written<'a> {
     /// How an int8 plan acts beside the f32 plan of the same network, and what that costs.
     #[serde(skip_serializing_if = "Option::is_none")]
     agreement: Option<&'a Agreement>,
+    /// What an int8 plan of a bundle achieves beside the f32 plan.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    paired: Option<&'a Paired>,
     #[serde(skip_serializing_if = "Option::is_none")]
     exact: Option<&'a Report>,
 }
@@ -106,7 +113,7 @@ pub(crate) fn run(arguments: &CompileArguments) -> Outcome {
     let path = &arguments.onnx;
     check_program()?;
     if path.is_dir() {
-        return compile_bundle(arguments);
+        return bundle::compile_bundle(arguments);
     }
     let onnx = read_onnx(path).map_err(|error| Failure::file(path, &error))?;
     let options = CompileOptions {
@@ -125,7 +132,9 @@ pub(crate) fn run(arguments: &CompileArguments) -> Outcome {
     try_output(plan, Kind::Plan)?;
     let recording = arguments.observations.as_deref().map(read_any_recording).transpose()?;
     if let (Profile::Int8, Some(recording)) = (options.profile, &recording) {
-        let compile = |profile| compiler().compile(&onnx, &CompileOptions { profile, ..options });
+        let compile = |profile, examples: &_| {
+            compiler().compile_rounded(&onnx, &CompileOptions { profile, ..options }, examples)
+        };
         let quantised = quantise(compile, recording).map_err(failed)?;
         if !arguments.common.json && !arguments.common.quiet {
             print_agreement(&quantised);
@@ -133,7 +142,7 @@ pub(crate) fn run(arguments: &CompileArguments) -> Outcome {
         judge(&quantised.agreement, arguments.force)?;
         write_output(plan, &quantised.compiled.bytes)?;
         let Quantised { compiled, exact, agreement } = &quantised;
-        print(arguments, &compiled.report, Some((agreement, exact)));
+        print(arguments, &compiled.report, Some((agreement, exact)), None);
         return Ok(());
     }
     if let (Profile::Int8, Some(file)) = (options.profile, &arguments.npz) {
@@ -150,7 +159,7 @@ pub(crate) fn run(arguments: &CompileArguments) -> Outcome {
     let policy = arguments.policy.options_for(path)?;
     let compiled = compile_any(&onnx, &options, &policy).map_err(failed)?;
     write_output(plan, &compiled.bytes)?;
-    print(arguments, &compiled.report, None);
+    print(arguments, &compiled.report, None, None);
     Ok(())
 }
 
@@ -171,32 +180,13 @@ fn compile_any(
     }
 }
 
-/// Writes a bundle again, with plans.
-fn compile_bundle(arguments: &CompileArguments) -> Outcome {
-    let CompileArguments { onnx: folder, output, profile, common, .. } = arguments;
-    if *profile != PlanProfile::Exact {
-        let message =
-            "bundles ship plans of profile `exact`; compile the bundle's `agent.onnx` for others";
-        return Err(Failure::new(Exit::Usage, message));
-    }
-    let draft = open_bundle(folder)?.draft();
-    let bundle = with_plans(draft, output)?.write(output)?;
-    let (bundle, sha256) = (output, hex(bundle.id()));
-    if common.json {
-        print_json(&WrittenBundle { bundle, sha256 });
-    } else {
-        say!("{}: {sha256}", bundle.display());
-    }
-    Ok(())
-}
-
 /// Refuses an int8 plan that acts differently too often, or of which too little is known.
 fn judge(agreement: &Agreement, force: bool) -> Outcome {
     let Agreement { observations, .. } = *agreement;
     let flaw = if observations < LEAST_OBSERVATIONS {
         format!(
-            "{observations} observations say too little about an int8 plan, {LEAST_OBSERVATIONS} are needed: \
-             record more with `sortie eval BUNDLE --episodes 1000 --dump FILE`"
+            "{observations} observations say too little about an int8 plan, {LEAST_OBSERVATIONS} are needed that its \
+             weights were not rounded for: record more with `sortie eval BUNDLE --episodes 1000 --dump FILE`"
         )
     } else if !agreement.is_enough() {
         format!(
@@ -222,7 +212,7 @@ fn refuse(flaw: &str, force: bool) -> Outcome {
 fn print_agreement(quantised: &Quantised) {
     let Quantised { compiled: Compiled { report, .. }, exact, agreement } = quantised;
     say!(
-        "same action on {:.3} % of {} recorded observations, largest error of a utility {:.1e}",
+        "same action on {:.3} % of {} recorded observations that no weight was rounded for, largest error of a utility {:.1e}",
         100.0 * agreement.share(),
         agreement.observations,
         agreement.max_utility_error
@@ -250,11 +240,16 @@ fn refusal(error: &CompileError) -> Refusal<'_> {
     }
 }
 
-fn print(arguments: &CompileArguments, report: &Report, int8: Option<(&Agreement, &Report)>) {
+fn print(
+    arguments: &CompileArguments,
+    report: &Report,
+    int8: Option<(&Agreement, &Report)>,
+    paired: Option<&Paired>,
+) {
     let plan = &arguments.output;
     if arguments.common.json {
         let (agreement, exact) = int8.unzip();
-        print_json(&Written { plan, report, agreement, exact });
+        print_json(&Written { plan, report, agreement, paired, exact });
     }
     if arguments.common.json {
         return;

@@ -131,14 +131,8 @@ fn measure(
     let profile = arguments.profile.profile();
     let plans = agent_plans(bundle, profile)?;
     let plan = only_plan(bundle, &plans)?;
-    let cases = bundle
-        .golden()
-        .cases
-        .iter()
-        .take(arguments.decisions.map_or(usize::MAX, |most| most as usize));
-    let (features, actions) = (bundle.contract().features.into(), bundle.contract().actions.into());
-    let mut recording = Recording::new(bundle.contract().hash(), features, actions);
-    cases.for_each(|case| recording.add(&case.observation.view()));
+    let most = arguments.decisions.map_or(usize::MAX, |most| most as usize);
+    let recording = bundle.golden_recording(most);
     let host_hash = hash(plan, &recording)?;
 
     let folder = tempfile::tempdir()

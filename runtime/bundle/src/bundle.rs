@@ -15,6 +15,7 @@ use crate::manifest::{
 };
 use crate::options::OptionsContract;
 use crate::policy_roles::PolicyRoles;
+use crate::recording::Recording;
 
 /// The file that vouches for all others.
 pub const MANIFEST: &str = "bundle.toml";
@@ -129,6 +130,16 @@ impl Bundle {
     /// Observations with expected answers.
     pub fn golden(&self) -> &Golden {
         &self.golden
+    }
+
+    /// The first golden observations, so many at most.
+    pub fn golden_recording(&self, most: usize) -> Recording {
+        let contract = self.contract();
+        let (features, actions) = (contract.features.into(), contract.actions.into());
+        let mut recording = Recording::new(contract.hash(), features, actions);
+        let cases = self.golden.cases.iter().take(most);
+        cases.for_each(|case| recording.add(&case.observation.view()));
+        recording
     }
 
     /// A file of the bundle by name.

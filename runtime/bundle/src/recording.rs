@@ -121,6 +121,17 @@ impl Recording {
         self.frames.iter().flat_map(|frame| frame.observations(self.features))
     }
 
+    /// One of `every` frames, from the first on, and all others.
+    pub fn split(&self, every: usize) -> [Self; 2] {
+        let mut parts = [(); 2].map(|()| Self::new(self.contract, self.features, self.actions));
+        for (number, frame) in self.frames.iter().enumerate() {
+            let [chosen, others] = &mut parts;
+            let part = if number % every.max(1) == 0 { chosen } else { others };
+            part.frames.push(frame.clone());
+        }
+        parts
+    }
+
     /// The file.
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut body = Vec::new();

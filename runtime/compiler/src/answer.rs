@@ -2,12 +2,13 @@
 
 use std::io::{self, Write};
 
+use sortie_bundle::Recording;
 use sortie_plans::{
     AttentionLayers, CompileError, FlatPolicy, PolicyFacts, PolicyOptions, ProposalFiles, Request,
     Rows, random_entities, random_observations_of, random_team_queries_of, read_request,
 };
 
-use crate::compile::{compile, compile_policy, compile_proposals};
+use crate::compile::{compile, compile_policy, compile_proposals, compile_rounded};
 use crate::engine::TeamValueEngine;
 use crate::flat::FlatGraph;
 use crate::graph::{EntityRoles, Graph, Inputs, TeamRoles};
@@ -23,6 +24,10 @@ pub fn answer_compiler() -> io::Result<()> {
     let (request, onnx) = read_request()?;
     let answer = match request {
         Request::Compile(options) => postcard::to_stdvec(&compile(&onnx, &options)),
+        Request::CompileRounded(options, examples) => postcard::to_stdvec(
+            &read_examples(&examples)
+                .and_then(|examples| compile_rounded(&onnx, &options, &examples)),
+        ),
         Request::CompileProposals(options) => postcard::to_stdvec(
             &ProposalFiles::split(&onnx).and_then(|files| compile_proposals(&files, &options)),
         ),
@@ -37,6 +42,11 @@ pub fn answer_compiler() -> io::Result<()> {
         Request::Attention => postcard::to_stdvec(&attention_layers(&onnx)),
     };
     io::stdout().lock().write_all(&answer.map_err(io::Error::other)?)
+}
+
+fn read_examples(bytes: &[u8]) -> Result<Recording, CompileError> {
+    Recording::from_bytes(bytes)
+        .map_err(|error| CompileError::Unreadable { reason: error.to_string() })
 }
 
 fn attention_layers(onnx: &[u8]) -> Result<AttentionLayers, CompileError> {

@@ -19,12 +19,13 @@ mod linked;
 mod lower;
 mod matching;
 pub mod onnxruntime;
+mod rounding;
 mod tract;
 
 pub use answer::answer_compiler;
 pub use compile::{
     compare_entities_with_graph, compare_proposals_with_graphs, compare_team_values_with_graph,
-    compare_with_graph, compile, compile_policy, compile_proposals,
+    compare_with_graph, compile, compile_policy, compile_proposals, compile_rounded,
 };
 pub use inspect::{inspect, inspect_onnx};
 pub use judge::{Judge, judge_agent, judge_team_values};

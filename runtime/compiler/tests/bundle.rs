@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 use sortie_bundle::{
     AGENT, Bundle, ContractV1, Draft, Environment, FallbackAllocation, Golden, GoldenCase, Limits,
-    MIN_CASES, Network, SubtaskConditioning, WIRE_ABI,
+    MIN_CASES, Network, Recording, SubtaskConditioning, WIRE_ABI,
 };
 use sortie_compiler::{InProcess, TractPolicy, compile};
 use sortie_core::plan::{AlignedBytes, Header, Plan, Profile, checksums};
@@ -47,6 +47,16 @@ impl Compiler for &Counting {
     fn compile(&self, onnx: &[u8], options: &CompileOptions) -> Result<Compiled, CompileError> {
         self.0.set(self.0.get() + 1);
         InProcess.compile(onnx, options)
+    }
+
+    fn compile_rounded(
+        &self,
+        onnx: &[u8],
+        options: &CompileOptions,
+        examples: &Recording,
+    ) -> Result<Compiled, CompileError> {
+        self.0.set(self.0.get() + 1);
+        InProcess.compile_rounded(onnx, options, examples)
     }
 
     fn compile_proposals(

@@ -12,6 +12,9 @@ use crate::report::{Compiled, Report};
 /// Least share of observations on which an int8 plan takes the same action.
 pub const LEAST_AGREEMENT: f64 = 0.995;
 
+/// Of so many frames of a recording one is for rounding weights, the others judge.
+const ONE_IN: usize = 10;
+
 /// Least number of observations that say anything about a plan.
 pub const LEAST_OBSERVATIONS: usize = 10_000;
 
@@ -50,22 +53,24 @@ pub struct Quantised {
     pub compiled: Compiled,
     /// What the f32 plan costs.
     pub exact: Report,
-    /// How both act.
+    /// How both act on the observations that no weight was rounded for.
     pub agreement: Agreement,
 }
 
-/// Compiles a network to an int8 plan and asks it and the f32 plan about recorded observations. `compile` compiles the
-/// network in a profile.
+/// Compiles a network to an int8 plan, rounded for a tenth of what was recorded, and asks it and the f32 plan about the
+/// other observations. `compile` compiles the network in a profile, and rounds what it rounds for the
+/// observations that it is given.
 ///
 /// Whether the agreement is enough is the caller's to judge ([`Agreement::is_enough`]), as is the number of
 /// observations ([`LEAST_OBSERVATIONS`]).
 pub fn quantise(
-    compile: impl Fn(Profile) -> Result<Compiled, CompileError>,
+    compile: impl Fn(Profile, &Recording) -> Result<Compiled, CompileError>,
     recording: &Recording,
 ) -> Result<Quantised, CompileError> {
-    let exact = compile(Profile::Exact)?;
-    let mut compiled = compile(Profile::Int8)?;
-    let agreement = agreement_of_plans(&compiled.bytes, &exact.bytes, recording)?;
+    let [examples, judges] = recording.split(ONE_IN);
+    let exact = compile(Profile::Exact, &examples)?;
+    let mut compiled = compile(Profile::Int8, &examples)?;
+    let agreement = agreement_of_plans(&compiled.bytes, &exact.bytes, &judges)?;
     note_mismatch(&mut compiled.bytes, 1.0 - agreement.share())?;
     Ok(Quantised { compiled, exact: exact.report, agreement })
 }

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use sortie_bundle::{ALLOCATOR_PLAN, AgentGraph, Bundle, POLICY_ROLES, sha256};
+use sortie_bundle::{ALLOCATOR_PLAN, AgentGraph, Bundle, GOLDEN, POLICY_ROLES, Recording, sha256};
 use sortie_core::limits;
 use sortie_core::plan::{AlignedBytes, Network, Plan, PlanError, Profile};
 
@@ -23,6 +23,17 @@ pub trait Compiler {
     /// # Errors
     /// The file is no network that plans can express, or the plan differs from its graph.
     fn compile(&self, onnx: &[u8], options: &CompileOptions) -> Result<Compiled, CompileError>;
+
+    /// The same, and the weights of a plan of profile int8 are rounded so that its products err little on `examples`.
+    ///
+    /// # Errors
+    /// As [`Self::compile`].
+    fn compile_rounded(
+        &self,
+        onnx: &[u8],
+        options: &CompileOptions,
+        examples: &Recording,
+    ) -> Result<Compiled, CompileError>;
 
     /// The same for the three networks of an allocator that proposes.
     ///
@@ -129,11 +140,32 @@ impl<C: Compiler> BundlePlans<C> {
             joined.as_ref().map(|joined| Wanted::proposals(bundle, joined, Profile::Exact));
         let agents = Wanted::agents(bundle, Profile::Exact)?;
         let ship = |wanted: Wanted<'_>| {
-            let plan = self.compiled(&wanted)?;
+            let plan = self.compiled_for_golden(&wanted)?;
             self.checked(&wanted, &plan)?;
             Ok((wanted.part, plan.as_slice().to_vec()))
         };
         agents.into_iter().chain(Wanted::allocator(bundle)).chain(proposals).map(ship).collect()
+    }
+
+    /// Compiles the one network that all agents of a bundle decide by. Of profile int8 it is rounded for `examples`. The
+    /// plan is not kept.
+    ///
+    /// # Errors
+    /// As [`Self::agents`], or the agents decide by several networks.
+    pub fn agent(
+        &self,
+        bundle: &Bundle,
+        profile: Profile,
+        examples: &Recording,
+    ) -> Result<Compiled, CompileError> {
+        let wanted = Wanted::agents(bundle, profile)?;
+        let [wanted] = wanted.as_slice() else {
+            let reason = "the agents of this bundle decide by several networks, a plan is of one";
+            return Err(CompileError::NoAgent { reason: reason.to_owned() });
+        };
+        let compiled = self.compiled(wanted, examples)?;
+        self.checked(wanted, &AlignedBytes::copy_of(&compiled.bytes))?;
+        Ok(compiled)
     }
 
     fn find(&self, wanted: &Wanted<'_>) -> Result<AlignedBytes, CompileError> {
@@ -143,7 +175,7 @@ impl<C: Compiler> BundlePlans<C> {
         if let Some(plan) = self.of_cache(wanted) {
             return Ok(plan);
         }
-        let plan = self.compiled(wanted)?;
+        let plan = self.compiled_for_golden(wanted)?;
         self.checked(wanted, &plan)?;
         // Nowhere is fine too: the next start compiles again.
         let _ = self.cache.as_ref().map(|cache| keep(cache, &wanted.key(), plan.as_slice()));
@@ -179,19 +211,29 @@ impl<C: Compiler> BundlePlans<C> {
         }
     }
 
-    fn compiled(&self, wanted: &Wanted<'_>) -> Result<AlignedBytes, CompileError> {
+    /// As everybody who has the bundle compiles it, with the same bits.
+    fn compiled_for_golden(&self, wanted: &Wanted<'_>) -> Result<AlignedBytes, CompileError> {
+        let compiled = self.compiled(wanted, &wanted.bundle.golden_recording(usize::MAX))?;
+        Ok(AlignedBytes::copy_of(&compiled.bytes))
+    }
+
+    fn compiled(
+        &self,
+        wanted: &Wanted<'_>,
+        examples: &Recording,
+    ) -> Result<Compiled, CompileError> {
         let options = wanted.options();
-        let compiled = match (wanted.network, proposal_files(wanted.bundle)) {
+        match (wanted.network, proposal_files(wanted.bundle)) {
             (Network::Policy, _) => {
                 let policy = wanted.policy.clone().unwrap_or_default();
-                self.compiler.compile_policy(wanted.onnx, &policy, &options)?.compiled
+                Ok(self.compiler.compile_policy(wanted.onnx, &policy, &options)?.compiled)
             }
-            (Network::Proposals, Some(files)) => {
-                self.compiler.compile_proposals(&files, &options)?
+            (Network::Proposals, Some(files)) => self.compiler.compile_proposals(&files, &options),
+            _ if wanted.is_rounded() => {
+                self.compiler.compile_rounded(wanted.onnx, &options, examples)
             }
-            _ => self.compiler.compile(wanted.onnx, &options)?,
-        };
-        Ok(AlignedBytes::copy_of(&compiled.bytes))
+            _ => self.compiler.compile(wanted.onnx, &options),
+        }
     }
 
     /// Whether the plan is of the bundle's sizes, and gives its golden answers.
@@ -249,7 +291,13 @@ impl<'a> Wanted<'a> {
             n_max: self.n_max,
             t_max: self.bundle.manifest().limits.t_max,
             roles: self.bundle.part(POLICY_ROLES).unwrap_or_default(),
+            golden: self.bundle.part(GOLDEN).filter(|_| self.is_rounded()).unwrap_or_default(),
         }
+    }
+
+    /// Whether its weights are rounded for observations.
+    fn is_rounded(&self) -> bool {
+        self.network == Network::Agent && self.profile == Profile::Int8
     }
 
     fn options(&self) -> CompileOptions {

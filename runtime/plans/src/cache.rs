@@ -31,14 +31,17 @@ pub(crate) struct PlanKey<'a> {
     pub(crate) t_max: u16,
     /// What is said of the network's inputs and outputs.
     pub(crate) roles: &'a [u8],
+    /// The golden observations, where weights were rounded for them.
+    pub(crate) golden: &'a [u8],
 }
 
 impl PlanKey<'_> {
     /// The file name of the plan: the same for the same plan, different for any other.
     fn file_name(&self) -> String {
-        let source = hex(&sha256(self.onnx));
+        let [source, golden] = [self.onnx, self.golden].map(|file| hex(&sha256(file)));
         let rest = (self.profile, self.compiler, self.contract, self.n_max, self.t_max, self.roles);
-        hex(&sha256(format!("{source} {rest:?}").as_bytes())).split_at(32).0.to_owned() + ".plan"
+        hex(&sha256(format!("{source} {golden} {rest:?}").as_bytes())).split_at(32).0.to_owned()
+            + ".plan"
     }
 }
 
@@ -93,6 +96,7 @@ mod tests {
         n_max: 8,
         t_max: 3,
         roles: b"",
+        golden: b"",
     };
 
     #[test]
@@ -135,6 +139,7 @@ mod tests {
             PlanKey { n_max: 9, ..KEY },
             PlanKey { t_max: 4, ..KEY },
             PlanKey { roles: b"output = 'q'", ..KEY },
+            PlanKey { golden: b"cases", ..KEY },
         ];
         for other in changed {
             assert_ne!(other.file_name(), KEY.file_name(), "{other:?}");

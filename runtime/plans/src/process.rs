@@ -20,6 +20,7 @@ use rustix::process::{
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use sortie_attention::AttentionLayers;
+use sortie_bundle::Recording;
 
 use crate::bundle_plans::Compiler;
 use crate::ending::Ending;
@@ -52,6 +53,8 @@ impl Default for ProcessLimits {
 pub enum Request {
     /// A plan of one network.
     Compile(CompileOptions),
+    /// An int8 plan of one network, rounded for observations: the bytes of a recording.
+    CompileRounded(CompileOptions, Vec<u8>),
     /// A plan of three, [`ProposalFiles::joined`].
     CompileProposals(CompileOptions),
     /// A plan of a policy.
@@ -92,6 +95,15 @@ pub struct CompilerProcess {
 impl Compiler for CompilerProcess {
     fn compile(&self, onnx: &[u8], options: &CompileOptions) -> Result<Compiled, CompileError> {
         self.ask(Request::Compile(*options), onnx)
+    }
+
+    fn compile_rounded(
+        &self,
+        onnx: &[u8],
+        options: &CompileOptions,
+        examples: &Recording,
+    ) -> Result<Compiled, CompileError> {
+        self.ask(Request::CompileRounded(*options, examples.to_bytes()), onnx)
     }
 
     fn compile_proposals(

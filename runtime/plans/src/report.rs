@@ -9,7 +9,7 @@ use crate::comparison::Comparison;
 use crate::team_sizes::TeamSizes;
 
 /// The compiler's version; a plan of another version is compiled again.
-pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), "-3");
+pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), "-4");
 
 /// What the file alone does not say.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]

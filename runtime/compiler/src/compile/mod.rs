@@ -4,7 +4,7 @@ mod parity;
 mod policy;
 mod proposals;
 
-use sortie_bundle::sha256;
+use sortie_bundle::{Recording, sha256};
 use sortie_core::plan::{Network, Profile, Program, ProgramDraft};
 use sortie_plans::{
     Comparison, CompileError, CompileOptions, Compiled, TOLERANCE, random_entities,
@@ -28,8 +28,26 @@ use parity::{entities_against_graph, plan_against_graph, team_values_against_gra
 /// A damaged file can make the parser allocate without bound, loop or overflow the stack: files of strangers are
 /// for a [`sortie_plans::CompilerProcess`].
 pub fn compile(onnx: &[u8], options: &CompileOptions) -> Result<Compiled, CompileError> {
+    compile_for(onnx, options, None)
+}
+
+/// As [`compile`]; the weights of a plan of profile int8 are not the nearest, but rounded so that its products err
+/// little on these observations.
+pub fn compile_rounded(
+    onnx: &[u8],
+    options: &CompileOptions,
+    examples: &Recording,
+) -> Result<Compiled, CompileError> {
+    compile_for(onnx, options, Some(examples))
+}
+
+fn compile_for(
+    onnx: &[u8],
+    options: &CompileOptions,
+    examples: Option<&Recording>,
+) -> Result<Compiled, CompileError> {
     let graph = Graph::read(onnx)?;
-    let Lowered { program, weights, sizes, network } = lower(&graph, options)?;
+    let Lowered { program, weights, sizes, network } = lower(&graph, options, examples)?;
     let metadata = graph.metadata.get("sortie.contract");
     let known = metadata.and_then(|hash| u64::from_str_radix(hash, 16).ok());
     let mut origin = Origin {
@@ -64,7 +82,11 @@ struct Lowered {
 }
 
 /// Matches a graph and lowers what was found.
-fn lower(graph: &Graph, options: &CompileOptions) -> Result<Lowered, CompileError> {
+fn lower(
+    graph: &Graph,
+    options: &CompileOptions,
+    examples: Option<&Recording>,
+) -> Result<Lowered, CompileError> {
     let n_max = options.n_max;
     let drawn = graph.metadata.get("sortie.choice").is_some_and(|choice| choice == "sample");
     let choice = if drawn { Choice::Drawn } else { Choice::Greedy };
@@ -94,7 +116,7 @@ fn lower(graph: &Graph, options: &CompileOptions) -> Result<Lowered, CompileErro
             });
         }
     };
-    let (program, weights) = lower_layers(&layers, sizes, network, options.profile)?;
+    let (program, weights) = lower_layers(&layers, sizes, network, (options.profile, examples))?;
     Ok(Lowered { program, weights, sizes, network })
 }
 
@@ -108,7 +130,7 @@ fn lower_layers(
     layers: &AgentLayers,
     sizes: AgentSizes,
     network: Network,
-    profile: Profile,
+    (profile, examples): (Profile, Option<&Recording>),
 ) -> Result<(ProgramDraft, Vec<u8>), CompileError> {
     if profile != Profile::Int8 {
         return lower_agent(layers, sizes).map(|(program, weights)| (program, weights.to_bytes()));
@@ -116,7 +138,7 @@ fn lower_layers(
     if network != Network::Agent {
         return Err(CompileError::NoInt8 { what: "an allocator's network".into() });
     }
-    lower_agent_int8(layers, sizes).map(|(program, weights)| (program, weights.bytes))
+    lower_agent_int8(layers, sizes, examples).map(|(program, weights)| (program, weights.bytes))
 }
 
 /// Compares a plan with its graph on random inputs, and refuses one that differs; of an int8 plan only the error is

@@ -5,7 +5,7 @@ mod onnxruntime;
 use std::io;
 use std::path::Path;
 
-use sortie_bundle::{OwnedAllocationState, OwnedObservation};
+use sortie_bundle::{OwnedAllocationState, OwnedObservation, Recording};
 use sortie_core::Policy;
 use sortie_core::allocate::TeamValueNetwork;
 use sortie_plans::{
@@ -17,7 +17,7 @@ use sortie_plans::{
 use crate::answer::answer_compiler;
 use crate::compile::{
     compare_entities_with_graph, compare_proposals_with_graphs, compile, compile_policy,
-    compile_proposals,
+    compile_proposals, compile_rounded,
 };
 use crate::flat::FlatGraph;
 use crate::judge::{Judge, judge_agent, judge_team_values};
@@ -34,6 +34,15 @@ pub struct InProcess;
 impl Compiler for InProcess {
     fn compile(&self, onnx: &[u8], options: &CompileOptions) -> Result<Compiled, CompileError> {
         compile(onnx, options)
+    }
+
+    fn compile_rounded(
+        &self,
+        onnx: &[u8],
+        options: &CompileOptions,
+        examples: &Recording,
+    ) -> Result<Compiled, CompileError> {
+        compile_rounded(onnx, options, examples)
     }
 
     fn compile_proposals(

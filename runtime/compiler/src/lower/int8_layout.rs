@@ -3,13 +3,10 @@
 use sortie_core::internal::kernels::int8::{PAIRS, STRIP};
 use sortie_core::internal::ops::Int8Layer;
 
-use crate::matching::{Layer, Matrix};
+use crate::rounding::Rounded;
 
 /// Bytes that every part starts at a multiple of: one cache line.
 const ALIGN: usize = 64;
-
-/// The largest weight: as far from zero as the smallest, -127.
-const MOST: f32 = 127.0;
 
 /// In which order rows of weights are stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,33 +25,33 @@ pub(crate) struct Int8Weights {
 
 impl Int8Weights {
     /// Adds a layer: its matrix, what the weights count, its bias.
-    pub(crate) fn add_layer(&mut self, layer: &Layer, order: Order) -> Int8Layer {
-        let Matrix { inputs, outputs, .. } = layer.matrix;
-        let (weights, steps) = self.add_matrices(&[&layer.matrix], order);
+    pub(crate) fn add_layer(&mut self, layer: &Rounded, order: Order) -> Int8Layer {
+        let Rounded { inputs, outputs, .. } = *layer;
+        let (weights, steps) = self.add_matrices(std::slice::from_ref(layer), order);
         let bias = self.add_floats(&layer.bias);
         Int8Layer { inputs: inputs as u16, outputs: outputs as u16, weights, steps, bias }
     }
 
     /// Adds matrices of the same size one behind the other, then their steps; returns where both start, in floats.
-    pub(crate) fn add_matrices(&mut self, matrices: &[&Matrix], order: Order) -> (u32, u32) {
+    pub(crate) fn add_matrices(&mut self, matrices: &[Rounded], order: Order) -> (u32, u32) {
         let start = self.align();
         let mut all_steps = Vec::new();
         for matrix in matrices {
-            let steps = steps(matrix);
-            self.add_rows(matrix, &steps, order);
-            all_steps.extend(steps);
+            self.add_rows(matrix, order);
+            all_steps.extend(&matrix.steps);
             all_steps.resize(all_steps.len().next_multiple_of(STRIP), 0.0);
         }
         (start, self.add_floats(&all_steps))
     }
 
-    fn add_rows(&mut self, matrix: &Matrix, steps: &[f32], order: Order) {
+    fn add_rows(&mut self, matrix: &Rounded, order: Order) {
         let pairs = matrix.inputs.div_ceil(2).next_multiple_of(PAIRS);
         let strips = matrix.outputs.div_ceil(STRIP);
-        let weight = |input: usize, output: usize| match steps.get(output) {
-            Some(step) if input < matrix.inputs && *step > 0.0 => {
-                (matrix.values[input * matrix.outputs + output] / step).round() as i8
-            }
+        let weight = |input: usize, output: usize| match matrix
+            .integers
+            .get(input * matrix.outputs + output)
+        {
+            Some(integer) if output < matrix.outputs => *integer,
             _ => 0,
         };
         let mut add = |pair: usize, strip: usize| {
@@ -89,27 +86,14 @@ impl Int8Weights {
     }
 }
 
-/// What a weight of each output counts: its largest weight becomes 127.
-fn steps(matrix: &Matrix) -> Vec<f32> {
-    let mut largest = vec![0.0_f32; matrix.outputs];
-    for row in matrix.values.chunks_exact(matrix.outputs) {
-        for (largest, value) in largest.iter_mut().zip(row) {
-            *largest = largest.max(value.abs());
-        }
-    }
-    // What is smaller has no quotient by it that is a number, and counts for nothing.
-    largest.iter().map(|most| if *most > 1.0e-30 { most / MOST } else { 0.0 }).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn layer() -> Layer {
-        let value = |input: usize, output: usize| (input as f32 - 1.0) * (output as f32 + 1.0);
-        let values = (0..3).flat_map(|input| (0..18).map(move |output| value(input, output)));
-        let matrix = Matrix { inputs: 3, outputs: 18, values: values.collect() };
-        Layer { matrix, bias: vec![-0.0; 18], relu: false }
+    fn layer() -> Rounded {
+        let integers = [-127, 0, 127].iter().flat_map(|weight| [*weight; 18]).collect();
+        let steps = (1..=18).map(|output| output as f32 / 127.0).collect();
+        Rounded { inputs: 3, outputs: 18, integers, steps, bias: vec![-0.0; 18] }
     }
 
     #[test]
@@ -137,29 +121,5 @@ mod tests {
             assert_eq!((float(64), float(81), float(82)), (1.0 / 127.0, 18.0 / 127.0, 0.0));
             assert!(weights.bytes[384..].iter().all(|byte| *byte == 0));
         }
-    }
-
-    #[test]
-    fn weights_are_the_nearest() {
-        let values: Vec<f32> = (0..64).map(|i| ((i * 37 % 64) as f32 - 31.0) / 50.0).collect();
-        let matrix = Matrix { inputs: 4, outputs: 16, values };
-        let mut weights = Int8Weights::default();
-        weights.add_matrices(&[&matrix], Order::Strips);
-        let steps = steps(&matrix);
-        for (input, row) in matrix.values.chunks(16).enumerate() {
-            for (output, value) in row.iter().enumerate() {
-                let got = weights.bytes[32 * (input / 2) + 2 * output + input % 2] as i8;
-                let error = (value - f32::from(got) * steps[output]).abs();
-                assert!(error <= 0.501 * steps[output], "{value} became {got}");
-            }
-        }
-    }
-
-    #[test]
-    fn an_output_without_weights_stays_zero() {
-        let matrix = Matrix { inputs: 2, outputs: 1, values: vec![0.0, 1.0e-38] };
-        let mut weights = Int8Weights::default();
-        weights.add_matrices(&[&matrix], Order::Strips);
-        assert!(weights.bytes.iter().all(|byte| *byte == 0));
     }
 }

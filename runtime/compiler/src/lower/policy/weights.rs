@@ -12,6 +12,7 @@ use crate::lower::agent::Arena;
 use crate::lower::int8_layout::{Int8Weights, Order};
 use crate::lower::layout::Weights;
 use crate::matching::Layer;
+use crate::rounding::Rounded;
 
 /// The weights of a plan, part after part.
 pub(crate) enum PolicyWeights {
@@ -64,7 +65,7 @@ impl PolicyWeights {
             Self::Int8(weights, rooms) => {
                 let room = quantised_floats(layer.matrix.inputs);
                 let quantised = rooms.entry(room).or_insert_with(|| arena.place(room));
-                Stored::Int8(weights.add_layer(layer, Order::Strips), *quantised)
+                Stored::Int8(weights.add_layer(&Rounded::nearest(layer), Order::Strips), *quantised)
             }
         };
         StoredLayer { kind, relu: Flag::from(layer.relu) }

@@ -93,7 +93,7 @@ fn recurrent_units_are_refused_by_name() {
         actions: SMALL.actions,
         choice: Choice::Greedy,
     };
-    let refused = lower_agent_int8(&layers, sizes).unwrap_err();
+    let refused = lower_agent_int8(&layers, sizes, None).unwrap_err();
     assert!(matches!(refused, CompileError::NoInt8 { .. }) && refused.to_string().contains("Gru"));
 }
 

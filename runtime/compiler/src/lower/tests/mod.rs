@@ -6,3 +6,4 @@ mod int8;
 pub(in crate::lower) mod networks;
 mod proposals;
 mod recurrent;
+mod rounding;

@@ -129,7 +129,7 @@ pub(crate) fn plan_that(choice: Choice, layers: &AgentLayers, shape: Shape) -> V
 pub(crate) fn int8_plan(layers: &AgentLayers, shape: Shape) -> Vec<u8> {
     let Shape { n_max, features, actions, .. } = shape;
     let sizes = AgentSizes { n_max, features, actions, choice: Choice::Greedy };
-    let (program, weights) = lower_agent_int8(layers, sizes).unwrap();
+    let (program, weights) = lower_agent_int8(layers, sizes, None).unwrap();
     let origin = Origin {
         source: [0; 32],
         profile: Profile::Int8,
