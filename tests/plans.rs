@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use sortie_bundle::{hex, sha256};
-use sortie_core::plan::{HEADER_BYTES, Header, checksums};
+use sortie_core::plan::{HEADER_BYTES, Header, Profile, checksums};
 use support::{BUNDLE, assert_fails, copied_bundle, json, output, stderr};
 
 /// The program in a folder of its own: `sortie-tract` does not lie beside it.
@@ -145,4 +145,40 @@ fn a_forged_plan_that_its_bundle_vouches_for_never_acts() {
         // Who asks how far it is off gets the table.
         assert_eq!(output(&["verify", bundle, "--inputs", "8"]).status.code(), Some(1));
     }
+}
+
+#[test]
+fn the_int8_plan_of_a_bundle_is_judged_by_what_it_achieves() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("agent.plan");
+    let compile = ["compile", BUNDLE, "-o", text(&path), "--profile", "int8", "--json"];
+    let written = json(&compile);
+    let number = |part: &str, name: &str| written[part][name].as_f64().expect("a number");
+    let paired = |name: &str| number("paired", name);
+    assert!(paired("success_int8") >= paired("success_exact") - 0.01, "{written}");
+    assert!(paired("success_exact") > 0.87 && paired("episodes") == 2000.0, "{written}");
+    assert!(paired("seed") != paired("rounding_seed"), "{written}");
+    let rule = written["paired"]["rule"].as_str().expect("a rule");
+    assert!(["2,000", "0.01"].iter().all(|part| rule.contains(part)), "{rule}");
+    // With the nearest weights it is less than 0.85.
+    let same = number("agreement", "equal_actions") / number("agreement", "observations");
+    assert!(same > 0.93, "{written}");
+    let (header, _) = Header::read(&fs::read(&path).expect("the plan")).expect("its header");
+    assert_eq!(header.profile, Profile::Int8);
+    assert!((f64::from(header.action_mismatch) - (1.0 - same)).abs() < 1e-6);
+}
+
+#[test]
+fn bundles_without_a_judgement_have_no_int8_plan() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("agent.plan");
+    let compile = |bundle: &str, more: &[&str]| {
+        output(&[&["compile", bundle, "-o", text(&path)], more].concat())
+    };
+    let int8 = ["--profile", "int8"];
+    assert_fails(&compile("models/treasure-8", &int8), 2, &["success", "cannot be solved"]);
+    let observed = ["--profile", "int8", "--observations", "seen.bin"];
+    assert_fails(&compile(BUNDLE, &observed), 2, &["--observations", "ONNX"]);
+    assert_fails(&compile(BUNDLE, &["--profile", "fused"]), 2, &["int8", "agent.onnx"]);
+    assert!(!path.exists());
 }

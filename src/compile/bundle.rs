@@ -149,7 +149,7 @@ fn compile_int8(arguments: &CompileArguments) -> Outcome {
 
 /// The seed of the episodes that weights are rounded for: never that of the episodes that judge.
 fn apart(seed: u64) -> u64 {
-    !seed
+    seed.wrapping_add(1)
 }
 
 /// A bundle in the environment that it was learned in, under its own allocator.

@@ -314,6 +314,15 @@ mod tests {
     }
 
     #[test]
+    fn parts_of_a_recording_share_no_frame() {
+        let recording = recording();
+        let [chosen, others] = recording.split(3);
+        let frames = |numbers: [usize; 2]| numbers.map(|number| recording.frames[number].clone());
+        assert_eq!([chosen.frames.as_slice(), &others.frames], [frames([0, 3]), frames([1, 2])]);
+        assert_eq!((chosen.contract, others.actions), (recording.contract, recording.actions));
+    }
+
+    #[test]
     fn comes_back_as_it_was() {
         let recording = recording();
         assert_eq!(Recording::from_bytes(&recording.to_bytes()), Ok(recording));

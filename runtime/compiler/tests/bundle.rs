@@ -14,7 +14,7 @@ use sortie_core::plan::{AlignedBytes, Header, Plan, Profile, checksums};
 use sortie_core::{PlanPolicy, Policy};
 use sortie_plans::{
     BundlePlans, CompileError, CompileOptions, Compiled, CompiledPolicy, Compiler, PolicyOptions,
-    ProposalFiles, compare_with_golden, random_observations,
+    ProposalFiles, compare_with_golden, quantise, random_observations,
 };
 
 fn onnx() -> Vec<u8> {
@@ -137,6 +137,37 @@ fn a_network_of_other_sizes_is_refused() {
     let options = CompileOptions { features: Some(5), ..CompileOptions::default() };
     let error = compile(good.agent_onnx(), &options).unwrap_err();
     assert_eq!(error.to_string(), "the input width is 10 in the file, the contract says 9");
+}
+
+#[test]
+fn an_int8_plan_is_rounded_for_the_golden_observations() {
+    let home = tempfile::tempdir().unwrap();
+    let (bundle, plans) = (bundle(&home, contract()), plans(None));
+    let found = plans.agents(&bundle, Profile::Int8).unwrap();
+    let compiled = |profile, observations| {
+        let examples = bundle.golden_recording(observations);
+        plans.agent(&bundle, profile, &examples).unwrap().bytes
+    };
+    let all = compiled(Profile::Int8, usize::MAX);
+    assert_eq!(found.plans()[0].as_slice(), all);
+    assert_ne!(all, compiled(Profile::Int8, 8));
+    // In other profiles nothing is rounded.
+    assert_eq!(compiled(Profile::Exact, usize::MAX), compiled(Profile::Exact, 8));
+}
+
+#[test]
+fn observations_that_judge_an_int8_plan_rounded_nothing() {
+    let home = tempfile::tempdir().unwrap();
+    let bundle = bundle(&home, contract());
+    let recording = bundle.golden_recording(usize::MAX);
+    let [examples, judges] = recording.split(10);
+    let compile = |profile, given: &Recording| {
+        assert_eq!(*given, examples);
+        plans(None).agent(&bundle, profile, given)
+    };
+    let quantised = quantise(compile, &recording).unwrap();
+    assert_eq!(quantised.agreement.observations, judges.observations().count());
+    assert!(quantised.agreement.share() > 0.9, "{:?}", quantised.agreement);
 }
 
 /// The bundle with plans of its own, in another folder.

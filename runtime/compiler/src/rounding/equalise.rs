@@ -7,25 +7,9 @@
 use super::products::{EMBED, Products, QUERY};
 use crate::matching::Layer;
 
-/// Moves scales in a whole network, from the last product to the first: a product's outputs have their scales before
-/// those of its inputs are looked for.
+/// Moves scales in a whole network, from the first product to the last.
 pub(crate) fn equalise(products: &mut Products) {
-    for index in (products.output()..products.layers.len() - 1).rev() {
-        for unit in 0..products.layers[index].matrix.outputs {
-            pass(products, (index, unit), (index + 1, unit));
-        }
-    }
     let head_width = products.head_width();
-    for (head, (keys, values)) in products.keys().zip(products.values()).enumerate() {
-        for unit in 0..head_width {
-            let place = head * head_width + unit;
-            // What a narrower head has beyond its width is zero.
-            if unit < products.layers[values].matrix.outputs {
-                pass(products, (values, unit), (products.output(), place));
-            }
-            pass(products, (QUERY, place), (keys, unit));
-        }
-    }
     let inner = products.heads * head_width;
     let skips = products.layers[products.output()].matrix.inputs > inner;
     for unit in 0..products.layers[EMBED].matrix.outputs {
@@ -36,9 +20,24 @@ pub(crate) fn equalise(products: &mut Products) {
         products.layers[EMBED].scale_output(unit, scale);
         // Scores are products of rows and absorbed keys.
         products.keys().for_each(|keys| products.layers[keys].scale_output(unit, 1.0 / scale));
-        takers
-            .iter()
-            .for_each(|&(index, input)| products.layers[index].scale_input(input, 1.0 / scale));
+        for (index, input) in takers {
+            products.layers[index].scale_input(input, 1.0 / scale);
+        }
+    }
+    for (head, (keys, values)) in products.keys().zip(products.values()).enumerate() {
+        for unit in 0..head_width {
+            let place = head * head_width + unit;
+            pass(products, (QUERY, place), (keys, unit));
+            // What a narrower head has beyond its width is zero.
+            if unit < products.layers[values].matrix.outputs {
+                pass(products, (values, unit), (products.output(), place));
+            }
+        }
+    }
+    for index in products.output()..products.layers.len() - 1 {
+        for unit in 0..products.layers[index].matrix.outputs {
+            pass(products, (index, unit), (index + 1, unit));
+        }
     }
 }
 

@@ -11,7 +11,7 @@ use crate::lower::{AgentSizes, Choice, lower_agent_int8};
 use sortie_plans::CompileError;
 use sortie_plans::random_observations;
 
-fn ask(plan: &[u8], observations: &[OwnedObservation]) -> Vec<Vec<f32>> {
+pub(super) fn ask(plan: &[u8], observations: &[OwnedObservation]) -> Vec<Vec<f32>> {
     let bytes = AlignedBytes::copy_of(plan);
     let plan = Plan::load(bytes.as_slice()).unwrap();
     let mut arena = AlignedBytes::zeroed(plan.arena_bytes());

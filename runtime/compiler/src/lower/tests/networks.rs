@@ -2,7 +2,7 @@
 
 use rand_core::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
-use sortie_bundle::OwnedObservation;
+use sortie_bundle::{OwnedObservation, Recording};
 use sortie_core::NO_ACTION;
 use sortie_core::plan::{
     AlignedBytes, Checksums, HEADER_BYTES, Header, Network, Plan, Profile, Program, ProgramDraft,
@@ -127,9 +127,18 @@ pub(crate) fn plan_that(choice: Choice, layers: &AgentLayers, shape: Shape) -> V
 
 /// The int8 plan of a random network.
 pub(crate) fn int8_plan(layers: &AgentLayers, shape: Shape) -> Vec<u8> {
+    int8_plan_for(layers, shape, None)
+}
+
+/// The same, rounded for observations.
+pub(crate) fn int8_plan_for(
+    layers: &AgentLayers,
+    shape: Shape,
+    examples: Option<&Recording>,
+) -> Vec<u8> {
     let Shape { n_max, features, actions, .. } = shape;
     let sizes = AgentSizes { n_max, features, actions, choice: Choice::Greedy };
-    let (program, weights) = lower_agent_int8(layers, sizes, None).unwrap();
+    let (program, weights) = lower_agent_int8(layers, sizes, examples).unwrap();
     let origin = Origin {
         source: [0; 32],
         profile: Profile::Int8,

@@ -3,17 +3,25 @@
 use sortie_bundle::{OwnedObservation, Recording};
 use sortie_plans::random_observations;
 
-use super::networks::{Random, Shape, reference};
+use super::int8::ask;
+use super::networks::{Random, Shape, int8_plan_for, reference};
 use crate::matching::AgentLayers;
 use crate::rounding::{Products, Rounded, equalise, nearest, round};
 
 const SHAPE: Shape =
     Shape { n_max: 8, features: 12, actions: 5, last_action: true, width: 32, heads: 2, base: 16 };
 
-fn network(seed: u64) -> AgentLayers {
+/// Its heads are narrower than what a plan has for them.
+const NARROW: Shape = Shape { width: 24, ..SHAPE };
+
+fn network_of(shape: Shape, seed: u64) -> AgentLayers {
     let mut random = Random::new(seed);
-    let layers = random.layers(SHAPE);
-    random.with_skip(layers)
+    let layers = random.layers(shape);
+    if seed % 2 == 0 { random.with_skip(layers) } else { layers }
+}
+
+fn network(seed: u64) -> AgentLayers {
+    network_of(SHAPE, seed)
 }
 
 fn products(network: &AgentLayers) -> Products {
@@ -53,8 +61,8 @@ fn of_whole(products: &Products, rounded: &[Rounded]) -> Products {
 
 #[test]
 fn products_are_the_network() {
-    for seed in 0..4 {
-        let network = network(seed);
+    for (shape, seed) in [(SHAPE, 0), (SHAPE, 1), (NARROW, 2), (NARROW, 3)] {
+        let network = network_of(shape, seed);
         let products = products(&network);
         for observation in observations(40, seed) {
             let want = reference(&network, &observation, &mut Vec::new());
@@ -67,39 +75,33 @@ fn products_are_the_network() {
 
 #[test]
 fn moving_scales_changes_no_bit_of_the_network() {
-    let network = network(5);
-    let exact = products(&network);
-    let mut moved = exact.clone();
-    equalise(&mut moved);
-    assert_ne!(exact, moved);
-    for observation in observations(60, 5) {
-        let bits = |products: &Products| -> Vec<u32> {
-            utilities(products, &observation).iter().map(|value| value.to_bits()).collect()
-        };
-        assert_eq!(bits(&exact), bits(&moved));
+    for (shape, seed) in [(SHAPE, 5), (NARROW, 6)] {
+        let exact = products(&network_of(shape, seed));
+        let mut moved = exact.clone();
+        equalise(&mut moved);
+        assert_ne!(exact, moved);
+        for observation in observations(60, seed) {
+            let bits = |products: &Products| -> Vec<u32> {
+                utilities(products, &observation).iter().map(|value| value.to_bits()).collect()
+            };
+            assert_eq!(bits(&exact), bits(&moved));
+        }
     }
 }
 
 #[test]
 fn moving_scales_makes_the_weights_of_inputs_of_like_size() {
     let mut products = products(&network(6));
+    let last = products.layers.len() - 1;
     // As a network that learned may be: units that speak up, and units that are listened to.
     for (unit, scale) in [(3, 40.0), (7, 0.02)] {
-        let outputs = products.layers[0].matrix.outputs;
-        let column = products.layers[0].matrix.values.iter_mut().skip(unit).step_by(outputs);
-        column.for_each(|weight| *weight *= scale);
-        let first = products.output() + 1;
-        let width = products.layers[first].matrix.outputs;
-        let row = &mut products.layers[first].matrix.values[unit * width..][..width];
-        row.iter_mut().for_each(|weight| *weight /= scale);
+        let row = &mut products.layers[last].matrix.values[unit * SHAPE.actions..][..SHAPE.actions];
+        row.iter_mut().for_each(|weight| *weight *= scale);
     }
     equalise(&mut products);
-    for index in products.output() + 1..products.layers.len() {
-        let matrix = &products.layers[index].matrix;
-        for row in matrix.values.chunks(matrix.outputs) {
-            let largest = row.iter().fold(0.0_f32, |most, weight| most.max(weight.abs()));
-            assert!((0.7..1.42).contains(&largest), "{index}: {largest}");
-        }
+    for row in products.layers[last].matrix.values.chunks(SHAPE.actions) {
+        let largest = row.iter().fold(0.0_f32, |most, weight| most.max(weight.abs()));
+        assert!((0.7..1.42).contains(&largest), "{largest}");
     }
 }
 
@@ -120,6 +122,24 @@ fn rounded_for_observations_a_network_errs_less_than_with_the_nearest_weights() 
         let nearest = of_whole(&exact, &nearest(&exact));
         let (rounded, nearest) = (error(&rounded, &exact), error(&nearest, &exact));
         assert!(rounded < 0.5 * nearest, "seed {seed}: {rounded}, nearest {nearest}");
+    }
+}
+
+#[test]
+fn a_plan_has_the_weights_that_were_rounded() {
+    for (shape, seed) in [(SHAPE, 0), (NARROW, 1), (NARROW, 2)] {
+        let network = network_of(shape, seed);
+        let examples = recording(&observations(100, seed));
+        let exact = products(&network);
+        let rounded = of_whole(&exact, &round(&exact, &examples));
+        let unseen = observations(20, 77);
+        let answers = ask(&int8_plan_for(&network, shape, Some(&examples)), &unseen);
+        for (observation, got) in unseen.iter().zip(answers) {
+            for (got, want) in got.iter().zip(utilities(&rounded, observation)) {
+                // A plan's inputs have 16 bits.
+                assert!((got - want).abs() < 1e-3, "{got}, want {want}");
+            }
+        }
     }
 }
 
