@@ -121,7 +121,7 @@ fn compile_int8(arguments: &CompileArguments) -> Outcome {
     let plan = AlignedBytes::copy_of(&quantised.compiled.bytes);
     let int8 = AgentPlans::new(bundle, vec![plan]);
     let mut int8 = DeployedPolicy::of_plans(int8).map_err(within)?;
-    let mut success = |policy: &mut dyn Policy| {
+    let success = |policy: &mut dyn Policy| {
         Ok::<_, Failure>(playing.play(policy, JUDGED, common.seed, &bar)?.success)
     };
     let paired = Paired {
@@ -167,9 +167,8 @@ impl Playing {
         let environment = set.open(Split::Test)?;
         if !environment.spec().has_success {
             let message = format!(
-                "an int8 plan of a bundle is judged by success, and episodes of `{set}` cannot be solved: compile the \
-                 bundle's network with recorded inputs, `sortie compile {}/agent.onnx --profile int8 --npz FILE`",
-                bundle.folder().display()
+                "an int8 plan of a bundle is judged by success, and episodes of `{set}` cannot be solved: compile each \
+                 of its networks with recorded inputs, `sortie compile FILE.onnx --profile int8 --npz FILE`"
             );
             return Err(Failure::new(Exit::Usage, message));
         }

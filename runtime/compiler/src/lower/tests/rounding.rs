@@ -106,6 +106,21 @@ fn moving_scales_makes_the_weights_of_inputs_of_like_size() {
 }
 
 #[test]
+fn it_does_not_matter_how_loud_a_unit_is() {
+    let quiet = products(&network(7));
+    let mut loud = quiet.clone();
+    let last = loud.layers.len() - 1;
+    let (unit, width) = (3, loud.layers[last].matrix.inputs);
+    let before = &mut loud.layers[last - 1];
+    let column = before.matrix.values.iter_mut().skip(unit).step_by(width);
+    column.chain(before.bias.get_mut(unit)).for_each(|weight| *weight /= 64.0);
+    let row = &mut loud.layers[last].matrix.values[unit * SHAPE.actions..][..SHAPE.actions];
+    row.iter_mut().for_each(|weight| *weight *= 64.0);
+    let examples = recording(&observations(50, 7));
+    assert_eq!(round(&loud, &examples), round(&quiet, &examples));
+}
+
+#[test]
 fn rounded_for_observations_a_network_errs_less_than_with_the_nearest_weights() {
     let error = |products: &Products, exact: &Products| -> f64 {
         // None of them is among those that weights were rounded for.
