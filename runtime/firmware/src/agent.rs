@@ -12,11 +12,13 @@ mod domain;
 #[cfg_attr(target_arch = "arm", path = "cortex_m.rs")]
 #[cfg_attr(target_arch = "riscv32", path = "riscv.rs")]
 mod machine;
+mod no_panic;
 mod plan;
 #[cfg_attr(target_arch = "arm", path = "port_cmsdk.rs")]
 #[cfg_attr(target_arch = "riscv32", path = "port_16550.rs")]
 mod port;
 mod uart;
+mod words;
 
 use core::hint::black_box;
 use core::mem::MaybeUninit;
@@ -24,10 +26,10 @@ use core::mem::MaybeUninit;
 use clock::CLOCK;
 use domain::SHAPE;
 use plan::{OfPlan, PLAN};
-use sortie_core::PlanPolicy;
 use sortie_core::link::{Bell, Clock, FrameBlock, Serial, Wake, packet_bytes};
 use sortie_core::plan::{Aligned, Plan, arena_bytes};
 use sortie_core::roles::{Poll, RunnerRole};
+use sortie_core::{PlanPolicy, PolicyByAgent};
 use uart::{Traffic, Uart};
 
 /// After so long without a byte the line is quiet.
@@ -59,7 +61,9 @@ fn run() -> Result<(), &'static [u8]> {
     let frames = unsafe { frames.assume_init_mut() };
     let plan = Plan::<OfPlan>::load_with(black_box(PLAN));
     let policy = plan.and_then(|plan| PlanPolicy::new(plan, &mut arena.0));
-    let mut policy = policy.map_err(|_| &b"the plan is refused\n\0"[..])?;
+    let mut policies = [policy.map_err(|_| &b"the plan is refused\n\0"[..])?];
+    // It may choose among fewer actions than others of the team.
+    let mut policy = PolicyByAgent::new(&mut policies[..], &[0; SHAPE.agents][..], SHAPE.actions);
     let format = domain::format().ok_or(&b"there are no such frames\n\0"[..])?;
     let traffic = Traffic::default();
     let link = Serial::new(Uart::new(&traffic), &CLOCK, format, frames, packet);

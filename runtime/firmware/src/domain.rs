@@ -4,6 +4,8 @@ use sortie_core::Shape;
 use sortie_core::roles::{Identity, RunnerOptions};
 use sortie_core::wire::{FrameFormat, FrameLayout};
 
+use crate::words;
+
 const DOMAIN: &[u8] = include_bytes!(env!("SORTIE_DOMAIN"));
 const SCHEMA: u64 = (word(1) as u64) << 32 | word(0) as u64;
 const DECISION_INTERVAL: u32 = word(7);
@@ -22,9 +24,7 @@ pub(crate) const SHAPE: Shape = Shape {
 };
 
 const fn word(index: usize) -> u32 {
-    let Some((_, rest)) = DOMAIN.split_at_checked(4 * index) else { return 0 };
-    let Some(word) = rest.first_chunk::<4>() else { return 0 };
-    u32::from_le_bytes(*word)
+    words::word(DOMAIN, index)
 }
 
 /// The team's frames, if there can be such.

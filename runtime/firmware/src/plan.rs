@@ -1,6 +1,4 @@
-//! The plan that the program is built around, and what stands for a panic.
-
-use core::panic::PanicInfo;
+//! The plan that the program is built around.
 
 use sortie_core::include_plan;
 use sortie_core::operators::{Needed, OpKind, OperatorSet};
@@ -13,15 +11,4 @@ pub(crate) struct OfPlan;
 
 impl OperatorSet for OfPlan {
     const OPERATORS: &[OpKind] = const { &Needed::by(PLAN) }.kinds();
-}
-
-unsafe extern "C" {
-    /// Exists nowhere: a program that can call it does not link.
-    fn a_path_to_a_panic_is_left() -> !;
-}
-
-#[panic_handler]
-fn panic(_: &PanicInfo<'_>) -> ! {
-    // SAFETY: never runs: there is no program with it.
-    unsafe { a_path_to_a_panic_is_left() }
 }

@@ -1,9 +1,10 @@
-//! The operators that one plan needs.
+//! The operators that plans need.
 
 use super::header::records;
 use crate::ops::OpKind;
 
-/// The operators of one plan, found where it is compiled in: a program with nothing but that plan links no others.
+/// The operators of a plan, or of several, found where they are compiled in: a program with nothing but these links no
+/// others.
 ///
 /// ```
 /// use sortie_core::include_plan;
@@ -31,10 +32,15 @@ pub struct Needed {
 impl Needed {
     /// What the program of a plan names. Of what is no plan that may be nothing: loading refuses it.
     pub const fn by(plan: &[u8]) -> Self {
+        Self::by_all(&[plan])
+    }
+
+    /// The same of several plans.
+    pub const fn by_all(plans: &[&[u8]]) -> Self {
         let mut kinds = [OpKind::EmbedEntities; OpKind::ALL.len()];
         let (mut places, mut all, mut count) = (kinds.as_mut_slice(), OpKind::ALL, 0);
         while let [place, later @ ..] = places {
-            let Some((kind, others)) = next(plan, all) else { break };
+            let Some((kind, others)) = next(plans, all) else { break };
             *place = kind;
             (places, all, count) = (later, others, count + 1);
         }
@@ -50,11 +56,15 @@ impl Needed {
     }
 }
 
-/// The first of some kinds that the plan's program names, and those behind it.
-const fn next<'k>(plan: &[u8], mut kinds: &'k [OpKind]) -> Option<(OpKind, &'k [OpKind])> {
+/// The first of some kinds that a program of the plans names, and those behind it.
+const fn next<'k>(plans: &[&[u8]], mut kinds: &'k [OpKind]) -> Option<(OpKind, &'k [OpKind])> {
     while let [kind, others @ ..] = kinds {
-        if names(plan, *kind) {
-            return Some((*kind, others));
+        let mut rest = plans;
+        while let [plan, later @ ..] = rest {
+            if names(plan, *kind) {
+                return Some((*kind, others));
+            }
+            rest = later;
         }
         kinds = others;
     }
@@ -90,6 +100,11 @@ mod tests {
         let mut want = Int8FeedForward::OPERATORS.to_vec();
         want.sort_by_key(|kind| *kind as u16);
         assert_eq!(Needed::by(int8).kinds(), want);
+        want.extend(FeedForward::OPERATORS);
+        want.sort_by_key(|kind| *kind as u16);
+        want.dedup();
+        assert_eq!(Needed::by_all(&[int8, agent]).kinds(), want);
+        assert_eq!(Needed::by_all(&[]).kinds(), []);
         for len in 0..agent.len() {
             assert!(Needed::by(&agent[..len]).kinds().len() <= want.len(), "{len}");
         }
