@@ -103,6 +103,12 @@ fn wrong_uses_are_refused() {
     assert_fails(&table, 2, &["required arguments"]);
     assert!(stderr(&table).contains("--table"), "{}", stderr(&table));
     assert_fails(&output(&["firmware", "nowhere", "--board", "cortex-m4f"]), 66, &["nowhere"]);
+    let plain = |more: &[&str]| output(&[&["firmware", "--board", "cortex-m4f"], more].concat());
+    assert_fails(&plain(&["examples/embed_c/cart.onnx"]), 2, &["sortie compile"]);
+    let plan = "examples/embed_c/cart.plan";
+    assert_fails(&plain(&[plan, "--profile", "int8"]), 2, &["profile `exact`"]);
+    let allocator = "tests/golden/plans/team-value-2.0.plan";
+    assert_fails(&plain(&[allocator]), 2, &["allocator"]);
 }
 
 #[test]

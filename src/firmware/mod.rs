@@ -3,6 +3,8 @@
 mod board;
 mod device;
 mod figures;
+mod numbers;
+mod subject;
 mod team;
 mod toolchain;
 
@@ -12,18 +14,14 @@ use std::time::Duration;
 
 use clap::Args;
 use serde::Serialize;
-use sortie_bundle::{Bundle, Recording};
-use sortie_core::plan::{AlignedBytes, Plan, Profile};
-use sortie_plans::{AgentPlans, CompileError};
-use sortie_stage::hash_of;
+use sortie_core::plan::Profile;
 
 use self::board::Board;
 use self::device::Told;
 use self::figures::{Figures, Flash, Instructions, Ram, Recorded, Verdict};
+use self::subject::{Named, Subject};
 use self::team::TeamArguments;
 use self::toolchain::{Program, Toolchain};
-use crate::compiler::plans;
-use crate::deployment::open_bundle;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::files::write_output;
 use crate::options::Common;
@@ -31,11 +29,11 @@ use crate::output::{Table, print_json, say, tell};
 use crate::policy::PlanProfile;
 use crate::progress;
 
-/// Run a bundle's policy on an emulated microcontroller, and print what it needs there
+/// Run a bundle's policy, or a plan, on an emulated microcontroller, and print what it needs there
 ///
-/// Builds a program with the plan inside, runs it on the bundle's golden observations, and compares the bits of all utilities
-/// with those of this machine: exit code 1 where they differ. Prints instructions, flash, RAM and stack; instructions
-/// are not cycles.
+/// Builds a program with the plan inside, runs it on the bundle's golden observations or episodes, and compares the bits of
+/// all that comes out with those of this machine: exit code 1 where they differ. A plan without a bundle decides on random
+/// cases. Prints instructions, flash, RAM and stack; instructions are not cycles.
 ///
 /// It needs the sources of Sortie (`runtime/firmware`), cargo, a compiler with a library for the board, and QEMU. What is
 /// missing is named, with exit code 69; nothing is installed.
@@ -47,18 +45,24 @@ use crate::progress;
   sortie firmware models/save-the-city --board cortex-m4f --profile int8
   sortie firmware models/save-the-city --board rv32imc --json
   sortie firmware models/save-the-city --board cortex-m0 --profile int8 --table docs/firmware.md
+  sortie firmware models/rover-tower-8 --board cortex-m3 --agent 7
+  sortie firmware walking.plan --board cortex-m4f
   sortie firmware models/save-the-city --board cortex-m4f --team --episodes 20
   sortie firmware models/save-the-city --board cortex-m4f --team --damage 2000 --resets 5 --json")]
 pub(crate) struct FirmwareArguments {
-    /// A bundle's folder
-    bundle: PathBuf,
+    /// A bundle's folder, or a plan
+    #[arg(value_name = "BUNDLE|PLAN")]
+    subject: PathBuf,
     /// The board
     #[arg(long, value_enum)]
     board: Board,
-    /// How the plan computes
-    #[arg(long, value_enum, default_value_t = PlanProfile::Exact)]
-    profile: PlanProfile,
-    /// Golden observations to decide on, the first so many [default: all]
+    /// How the plan computes [default: exact; of a plan, as it does]
+    #[arg(long, value_enum)]
+    profile: Option<PlanProfile>,
+    /// The agent that the board acts for, in a team whose agents decide by several networks or with --team
+    #[arg(long, default_value_t = 0)]
+    agent: u8,
+    /// Golden cases to decide on, the first so many [default: all]
     #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u32).range(1..))]
     decisions: Option<u32>,
     /// A Markdown document with a table of such figures. Exit code 1 where instructions are more than 1 % above it, bytes more
@@ -87,22 +91,25 @@ pub(crate) struct FirmwareArguments {
 struct Report<'a> {
     #[serde(flatten)]
     figures: &'a Figures,
-    /// Whether the board's utilities have the bits of this machine's.
+    /// Whether what comes out has the bits of this machine's.
     equal: bool,
 }
 
-pub(crate) fn run(arguments: &FirmwareArguments) -> Outcome {
-    if arguments.profile == PlanProfile::Fused {
-        let message = "microcontrollers run plans of profile `exact` and `int8`: those have the same bits everywhere";
-        return Err(Failure::new(Exit::Usage, message));
+impl FirmwareArguments {
+    /// The profile of a bundle's plans.
+    fn profile(&self) -> Profile {
+        self.profile.unwrap_or(PlanProfile::Exact).profile()
     }
-    let bundle = open_bundle(&arguments.bundle)?;
+}
+
+pub(crate) fn run(arguments: &FirmwareArguments) -> Outcome {
+    let named = Named::open(&arguments.subject, arguments.profile.map(PlanProfile::profile))?;
     let sources = sources(arguments.sources.as_deref())?;
     let toolchain = Toolchain::find(&arguments.board.machine(), &arguments.rustc)?;
     if arguments.team.team {
-        return team::run(arguments, &bundle, &sources, &toolchain);
+        return team::run(arguments, named.bundle()?, &sources, &toolchain);
     }
-    let figures = measure(arguments, &bundle, &sources, &toolchain)?;
+    let figures = measure(arguments, &subject(arguments, &named)?, &sources, &toolchain)?;
     let equal = figures.hash == figures.host_hash;
     if arguments.common.json {
         print_json(&Report { figures: &figures, equal });
@@ -111,7 +118,7 @@ pub(crate) fn run(arguments: &FirmwareArguments) -> Outcome {
     }
     if !equal {
         let message =
-            "the board's utilities have other bits than this machine's; please report this";
+            "what the board decides has other bits than on this machine; please report this";
         return Err(Failure::difference(message));
     }
     match &arguments.table {
@@ -120,71 +127,50 @@ pub(crate) fn run(arguments: &FirmwareArguments) -> Outcome {
     }
 }
 
-/// Builds the program, runs it on the board, and decides on the same observations here.
+/// What the board decides by, and on what.
+fn subject(arguments: &FirmwareArguments, named: &Named) -> Result<Subject, Failure> {
+    let most = arguments.decisions.map_or(usize::MAX, |most| most as usize);
+    match named {
+        Named::Bundle(bundle) => {
+            Subject::of_bundle(bundle, arguments.profile(), arguments.agent.into(), most)
+        }
+        Named::Plan(path, plan) => Subject::of_plan(path, plan, arguments.common.seed, most),
+    }
+}
+
+/// Builds the program, and runs it on the board.
 fn measure(
     arguments: &FirmwareArguments,
-    bundle: &Bundle,
+    subject: &Subject,
     sources: &Path,
     toolchain: &Toolchain,
 ) -> Result<Figures, Failure> {
     let machine = arguments.board.machine();
-    let profile = arguments.profile.profile();
-    let plans = agent_plans(bundle, profile)?;
-    let plan = only_plan(bundle, &plans)?;
-    let most = arguments.decisions.map_or(usize::MAX, |most| most as usize);
-    let recording = bundle.golden_recording(most);
-    let host_hash = hash(plan, &recording)?;
-
     let folder = tempfile::tempdir()
         .map_err(|error| Failure::file(Path::new("a temporary folder"), &error))?;
-    let observations = folder.path().join("observations.bin");
-    fs::write(&observations, recording.to_bytes())
-        .map_err(|error| Failure::file(&observations, &error))?;
+    let cases = folder.path().join("cases.bin");
+    fs::write(&cases, &subject.cases).map_err(|error| Failure::file(&cases, &error))?;
     let spinner = progress::spinner(arguments.common);
     spinner.set_message("building the firmware");
-    let files = [("SORTIE_PLAN", plan.as_slice())];
-    let program = Program { name: "sortie-firmware", features: &[], files: &files };
+    let program = Program { name: subject.program, features: &[], files: &subject.files };
     let program = toolchain.build(&machine, sources, &program)?;
     spinner.set_message("running it on the board");
     let mut emulator = toolchain.emulator(&machine, &program);
     emulator.arg("-nographic").current_dir(folder.path());
     let told = Told::by(emulator, Duration::from_secs(arguments.limit))?;
     spinner.finish_and_clear();
-
-    let name = bundle.folder().file_name().unwrap_or_default().to_string_lossy();
     Ok(Figures {
         board: arguments.board.name(),
-        bundle: name.into_owned(),
-        profile: profile.name(),
+        bundle: subject.name.clone(),
+        profile: subject.profile.name(),
         compiler: toolchain.version.clone(),
         decisions: told.number("decisions")?,
         hash: format!("{:016x}", told.number("hash")?),
-        host_hash: format!("{host_hash:016x}"),
+        host_hash: format!("{:016x}", subject.hash),
         instructions: Instructions::told(&told)?,
         flash: Flash::told(&told)?,
         ram: Ram::told(&told)?,
     })
-}
-
-fn agent_plans(bundle: &Bundle, profile: Profile) -> Result<AgentPlans, Failure> {
-    let within = |error: CompileError| Failure::from(error).within(bundle.folder().display());
-    plans().agents(bundle, profile).map_err(within)
-}
-
-/// The one plan of a bundle's agents.
-fn only_plan<'p>(bundle: &Bundle, plans: &'p AgentPlans) -> Result<&'p AlignedBytes, Failure> {
-    let [plan] = plans.plans() else {
-        let message = "the agents of this bundle decide by several networks, and a board runs one";
-        return Err(Failure::new(Exit::Usage, message).within(bundle.folder().display()));
-    };
-    Ok(plan)
-}
-
-/// FNV-1a over the bits of all utilities, every observation the first of an episode.
-fn hash(plan: &AlignedBytes, recording: &Recording) -> Result<u64, Failure> {
-    let plan = Plan::load(plan.as_slice()).map_err(CompileError::from)?;
-    hash_of(&plan, recording.observations())
-        .map_err(|error| Failure::new(Exit::BadData, error.to_string()))
 }
 
 /// The folder of the firmware's sources, which this program does not hold.
@@ -214,13 +200,14 @@ fn print(figures: &Figures) {
     let Figures { board, bundle, profile, decisions, instructions, flash, ram, .. } = figures;
     say!("{bundle}, {profile}, on {board} (emulated), built by rustc {}", figures.compiler);
     let equal = if figures.hash == figures.host_hash { "the bits of" } else { "OTHER bits than" };
-    say!("{decisions} golden decisions: {equal} this machine's, hash {}", figures.hash);
+    say!("{decisions} decisions: {equal} this machine's, hash {}", figures.hash);
     let mut table = Table::new(&["", ""]);
     let mut row = |name: &str, number: u64| table.row([name.to_owned(), number.to_string()]);
-    row(
-        &format!("instructions of a decision, most ({} visible)", instructions.most_visible),
-        instructions.most,
-    );
+    let visible = match instructions.most_visible {
+        0 => String::new(),
+        visible => format!(" ({visible} visible)"),
+    };
+    row(&format!("instructions of a decision, most{visible}"), instructions.most);
     row("instructions of a decision, mean", instructions.mean);
     row("flash: code and constants, bytes", flash.code);
     row("flash: the plan, bytes", flash.plan);

@@ -29,7 +29,7 @@ pub(crate) struct Program<'a> {
     /// Features of the firmware that it needs.
     pub(crate) features: &'static [&'static str],
     /// Variables that name files, and what these hold.
-    pub(crate) files: &'a [(&'static str, &'a [u8])],
+    pub(crate) files: &'a [(&'static str, Vec<u8>)],
 }
 
 /// Where the library `core` of the target comes from.

@@ -29,7 +29,7 @@ impl UtilityHash {
     }
 }
 
-/// The hash of a plan's utilities, every observation the first of an episode.
+/// The hash of a plan's utilities, all observations those of one agent in one episode.
 ///
 /// # Errors
 /// The plan does not take an observation.
@@ -40,8 +40,8 @@ pub fn hash_of<'o>(
     let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
     let mut utilities = vec![0.0; plan.actions()];
     let mut hash = UtilityHash::default();
+    let mut states = vec![0.0; plan.hidden()];
     for observation in observations {
-        let mut states = vec![0.0; plan.hidden()];
         plan.utilities(arena.as_mut_slice(), &observation, Some(&mut states), &mut utilities)?;
         hash.add(&utilities);
     }

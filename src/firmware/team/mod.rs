@@ -21,7 +21,6 @@ use std::time::Duration;
 use clap::Args;
 use sortie_bundle::Bundle;
 use sortie_core::World;
-use sortie_core::plan::Plan;
 use sortie_envs::random::{below, generator};
 use sortie_ipc::{DomainContract, DomainFacts};
 use sortie_plans::CompileError;
@@ -31,9 +30,11 @@ use self::device::{Device, Emulator};
 use self::line::Line;
 use self::play::{Cast, Setup, play};
 use self::report::{Ran, Report};
+use super::FirmwareArguments;
 use super::board::Board;
+use super::numbers::words;
+use super::subject::{agent_plans, plan_of_agent};
 use super::toolchain::{Program, Toolchain};
-use super::{FirmwareArguments, agent_plans, only_plan};
 use crate::allocation::AllocatorChoice;
 use crate::allocator::DeployedAllocator;
 use crate::deployment::domain_contract;
@@ -50,9 +51,6 @@ pub(crate) struct TeamArguments {
     /// Have the board act for one agent of a team that plays here, at the end of a serial line
     #[arg(long, conflicts_with_all = ["decisions", "table"])]
     pub(super) team: bool,
-    /// The agent that the board acts for
-    #[arg(long, default_value_t = 0, requires = "team")]
-    agent: u8,
     /// Scenario set to play; default: the one that the bundle was trained on
     #[arg(long, value_name = "ENV[/SET]", requires = "team")]
     env: Option<String>,
@@ -82,16 +80,16 @@ pub(super) fn run(
     let allocation = AllocatorChoice::of_bundle(bundle, None)?;
     let contract = domain_contract(bundle, allocation);
     let format = DomainFacts::new(&contract, world.shape()).format()?;
-    let agent = usize::from(asked.agent);
-    let plans = agent_plans(bundle, arguments.profile.profile())?;
-    let plan = only_plan(bundle, &plans)?;
-    let hidden = Plan::load(plan.as_slice()).map_err(CompileError::from)?.hidden();
+    let (agent, profile) = (usize::from(arguments.agent), arguments.profile());
+    let plans = agent_plans(bundle, profile)?;
+    let (_, plan) = plan_of_agent(bundle, &plans, agent)?;
+    let mut arenas = plans.arenas(1).map_err(CompileError::from)?;
+    let hidden = plans.policy(&mut arenas).map_err(CompileError::from)?.hidden();
     check(arguments, agent, world.shape().agents, hidden)?;
     let spinner = progress::spinner(arguments.common);
     spinner.set_message("building the firmware");
-    let profile = arguments.profile.profile();
     let domain = domain(&contract, format.schema, world.shape(), agent);
-    let files = [("SORTIE_PLAN", plan.as_slice()), ("SORTIE_DOMAIN", &domain)];
+    let files = [("SORTIE_PLAN", plan.as_slice().to_vec()), ("SORTIE_DOMAIN", domain)];
     let program = Program { name: "sortie-agent", features: &["team"], files: &files };
     let program = toolchain.build(&arguments.board.machine(), sources, &program)?;
     spinner.set_message("playing with the board");
@@ -185,12 +183,11 @@ fn domain(
     agent: usize,
 ) -> Vec<u8> {
     let sizes = [shape.agents, shape.entities, shape.tasks, shape.actions, shape.features];
-    let words = [schema as u32, (schema >> 32) as u32].into_iter();
-    let words = words.chain(sizes.map(|size| size as u32)).chain([
+    let head = [schema as u32, (schema >> 32) as u32].into_iter();
+    words(head.chain(sizes.map(|size| size as u32)).chain([
         contract.decision_interval,
         contract.subtasks.into(),
         contract.safe_action.map_or(u32::MAX, u32::from),
         agent as u32,
-    ]);
-    words.flat_map(u32::to_le_bytes).collect()
+    ]))
 }

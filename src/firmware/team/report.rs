@@ -38,7 +38,7 @@ impl Ran {
         Self {
             board: arguments.board.name(),
             bundle: name.into_owned(),
-            profile: arguments.profile.profile().name(),
+            profile: arguments.profile().name(),
             compiler: toolchain.version.clone(),
             agent,
             damage: arguments.team.damage.unwrap_or(0),
