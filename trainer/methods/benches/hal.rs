@@ -36,7 +36,7 @@ fn seconds(name: &str, preset: &str, updates: u64) -> Result<[f64; 2], Box<dyn E
     let config: Config = setup.own()?;
     let world = sortie_envs::open("crafting/iron", Split::Train, 1, &setup.environment.settings)?;
     let opening = Opening { setup: &setup, environment: &*world, seed: 1, threads: 1 };
-    let mut hal = Hal::new(config.clone(), &opening).ok_or("the environment shows no picture")?;
+    let mut hal = Hal::new(config.clone(), &opening)?;
     let random =
         (0..setup.environment.instances as u64).map(|index| generator(1, Purpose::Rollout, index));
     let mut play = Play::new(&*world, &mut hal, random.collect());

@@ -32,7 +32,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let settings = &setup.environment.settings;
     let world = sortie_envs::open(&environment, Split::Train, 1, settings)?;
     let opening = Opening { setup: &setup, environment: &*world, seed, threads: 1 };
-    let mut hal = Hal::new(setup.own()?, &opening).ok_or("the environment shows no picture")?;
+    let mut hal = Hal::new(setup.own()?, &opening)?;
     learn(&mut hal, &*world, setup.environment.instances, seed, steps)?;
     look(&hal, &*world, keys.iter().any(|key| key == "run.final_episodes=0"))
 }

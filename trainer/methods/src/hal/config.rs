@@ -5,7 +5,10 @@ use sortie_learn::configuration::{OPTIMISER, OptimiserConfig, SHARE};
 use sortie_learn::{Now, sections};
 use sortie_nn::schedule::linear;
 
-use crate::options::{Chances, CourseRules, Mask, ReturnRules};
+use crate::options::{
+    Chances, CourseRules, Mask, REPLAY, ReplayConfig, ReturnRules, WEIGHTS, WeightsConfig,
+    learned_as, presets,
+};
 use crate::pictures::Body;
 
 const SIZE: Range = Whole(1, 20_000_000);
@@ -114,24 +117,6 @@ sections! {
         solved: f32 = 0.3, SHARE, "share";
     }
 
-    /// What is kept, and how much of it an update of the controller sees.
-    replay: ReplayConfig {
-        /// Kept, of all instances.
-        capacity: usize = 5_200_000, Whole(1, 1_000_000_000), "steps";
-        /// In an update.
-        batch: usize = 256, BATCH, "steps";
-        /// Of them, drawn from options that reached a milestone, every milestone as often.
-        reached: f32 = 0.5, SHARE, "share";
-        /// Power of the last error that steps and options are drawn by; 0 draws evenly, and by `reached` and `solved`.
-        priorities: f64 = 0.0, SHARE, "exponent";
-        /// How far losses make up for that, from the start of the run to its end in a straight line.
-        importance: [f32; 2] = [0.0, 0.0], CHANCES, "exponent";
-        /// Before the first update; 0: as long as goals are drawn.
-        first: u64 = 0, Whole(0, 20_000_000), "environment steps";
-        /// From one update to the next.
-        steps_per_update: u64 = 256, SIZE, "environment steps";
-    }
-
     /// How much is tried out: from the first chance to the second in a straight line.
     exploration: ExplorationConfig {
         /// In which goals are drawn.
@@ -161,13 +146,11 @@ sections! {
         varied: bool = true, Truth;
     }
 
-    /// What keeps weights small.
-    weights: WeightsConfig {
-        /// What a weight adds to its slope.
-        decay: f32 = 0.0, SHARE, "slope per weight";
-    }
-
     also:
+    /// What is kept, and how much of it an update of the controller sees.
+    replay: ReplayConfig = REPLAY;
+    /// What keeps weights small.
+    weights: WeightsConfig = WEIGHTS;
     /// How the weights follow the gradient.
     optimiser: OptimiserConfig = OPTIMISER;
 }
@@ -189,18 +172,10 @@ impl MeasuredConfig {
     }
 }
 
-impl ReplayConfig {
-    /// Environment steps before the first update.
-    pub(super) fn first_update(&self, exploration: &ExplorationConfig) -> u64 {
-        if self.first == 0 { exploration.first } else { self.first }
-    }
-}
-
 impl ReturnsConfig {
     /// What the goal is worth, and what every other step costs.
     fn worth(&self) -> [f32; 2] {
-        let learned = |reward: f32| if self.logarithm { (1.0 + reward).log2() } else { reward };
-        [1.0 - self.cost, self.cost].map(learned)
+        [1.0 - self.cost, self.cost].map(|reward| learned_as(reward, self.logarithm))
     }
 
     pub(super) fn rules(&self) -> ReturnRules {
@@ -223,11 +198,6 @@ impl ReturnsConfig {
             cost,
             milestones,
         }
-    }
-
-    /// A value that was looked up, as targets take it.
-    pub(super) fn bound(&self, value: f32) -> f32 {
-        if self.bounded { value.clamp(0.0, 1.0) } else { value }
     }
 }
 
@@ -302,15 +272,7 @@ impl Config {
                 batch: 32,
                 ..usual.meta
             },
-            replay: ReplayConfig {
-                capacity: 1_000_000,
-                batch: 32,
-                priorities: 0.4,
-                importance: [0.6, 1.0],
-                first: 400,
-                steps_per_update: 4,
-                ..usual.replay
-            },
+            replay: ReplayConfig::paper(),
             exploration: ExplorationConfig {
                 first_actions: 400,
                 start: 25_600,
@@ -319,14 +281,7 @@ impl Config {
             },
             measured: MeasuredConfig { varied: false, ..usual.measured },
             weights: WeightsConfig { decay: 1e-5 },
-            optimiser: OptimiserConfig {
-                learning_rate: 6.25e-4,
-                learning_rate_end: 6.25e-4,
-                epsilon: 1.5e-4,
-                target_rate: 0.0,
-                average_rate: 1.0,
-                ..usual.optimiser
-            },
+            optimiser: presets::paper_optimiser(),
         }
     }
 }

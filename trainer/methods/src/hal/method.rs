@@ -5,18 +5,14 @@ use sortie_learn::export::DeployedAgents;
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Rates, Reports};
 use sortie_learn::session::Opening;
-use sortie_learn::{Act, LearnError, Method, Now, Scene, Scenes, State, Transition};
-use sortie_nn::schedule::linear;
+use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition};
 
 use super::affordances::{self, Classes};
-use super::config::{Config, MeasuredConfig, NetworkConfig};
+use super::config::{AffordancesConfig, Config, MeasuredConfig, NetworkConfig};
 use super::controller;
 use super::filter::Population;
 use super::meta;
-use crate::options::{
-    Actors, Chances, End, Finished, Mask, Moment, NONE, Place, PlayRules, Player, Replay, Running,
-    deployed,
-};
+use crate::options::{Actors, Chances, Chooser, Mask, Player, Recorder, Replay, deployed, shown};
 use crate::pictures::{Body, Heads, Learner, NetworkShape, Shown};
 
 /// An agent that learns which milestones can be reached, which to go for, and how.
@@ -28,20 +24,17 @@ pub struct Hal {
     controller: Learner,
     meta: Learner,
     classifier: Learner,
-    replay: Replay,
+    recorder: Recorder,
     classes: Classes,
     populations: Vec<Population>,
     /// Milestones, as bits, that were ever reached, and those that the classifier has met both classes of.
     known: [u32; 2],
     /// How often each milestone was reached.
     reached: Vec<u64>,
-    player: Player,
     /// The milestones' names, and how they show.
     signs: Vec<(String, Sign)>,
     /// What the deployed agent draws by.
     seed: u64,
-    /// The first step of the running option of each instance.
-    started: Vec<Option<Place>>,
     /// Draws what updates learn from.
     random: Random,
     updates: u64,
@@ -62,12 +55,16 @@ pub struct MaskCounts {
 }
 
 impl Hal {
-    /// Draws the first weights; none where the environment shows no picture that fits.
-    pub fn new(config: Config, opening: &Opening<'_>) -> Option<Self> {
+    /// Draws the first weights.
+    ///
+    /// # Errors
+    /// The environment shows no picture that fits, there can be no such networks, or too little is kept.
+    pub fn new(config: Config, opening: &Opening<'_>) -> Result<Self, LearnError> {
         let Opening { setup, environment, seed, .. } = *opening;
         let spec = environment.spec();
         let NetworkConfig { body, crop, nearest, width, embedding, dueling, .. } = config.network;
-        let shown = Shown::new(spec, crop, nearest, body == Body::Convolution)?;
+        let widths = [("width", width), ("embedding", embedding)];
+        let shown = shown(spec, body, (crop, nearest), &widths)?;
         let instances = setup.environment.instances;
         let milestones = spec.milestones.len();
         let heads = Heads { goals: milestones, actions: spec.shape.actions, dueling: true };
@@ -78,25 +75,23 @@ impl Hal {
             let shape = NetworkShape { body, picture, columns, active, width, outputs };
             Learner::new(shape, &config.optimiser, &mut random)
         };
-        let kept = config.replay.capacity / instances;
+        let kept = config.replay.kept(instances, config.returns.option_steps)?;
         let replay = Replay::new(instances, kept, shown.bytes(), milestones);
         let replay = match config.replay.priorities {
             0.0 => replay,
             exponent => replay.by_priority(exponent, config.meta.kept.div_ceil(instances)),
         };
-        Some(Self {
+        Ok(Self {
             controller: learner(width, heads.outputs(), 0),
             meta: learner(width, heads.of_goals(dueling).outputs(), 1),
             classifier: learner(if embedding == 0 { width } else { embedding }, milestones, 2),
-            replay,
+            recorder: Recorder::new(instances, replay),
             classes: Classes::new(milestones, config.affordances.kept),
             populations: vec![Population::default(); milestones],
             known: [0; 2],
             reached: vec![0; milestones],
-            player: Player::default(),
             signs: spec.milestones.iter().cloned().zip(spec.signs.iter().copied()).collect(),
             seed,
-            started: vec![None; instances],
             random: generator(seed, Purpose::Replay, 0),
             updates: 0,
             memories: Default::default(),
@@ -108,16 +103,21 @@ impl Hal {
 
     fn actors(&self, weights: impl Fn(&Learner) -> &[f32]) -> Actors<'_> {
         Actors {
-            rules: PlayRules {
-                option_steps: self.config.returns.option_steps,
-                mask: self.config.affordances.mask,
-                threshold: self.config.affordances.threshold,
-                unreached: self.config.affordances.unreached,
-            },
+            option_steps: self.config.returns.option_steps,
             shown: &self.shown,
             heads: self.heads,
-            meta_heads: self.heads.of_goals(self.config.network.dueling),
             controller: (&self.controller.network, weights(&self.controller)),
+            chooser: Some(self.chooser(weights)),
+        }
+    }
+
+    fn chooser(&self, weights: impl Fn(&Learner) -> &[f32]) -> Chooser<'_> {
+        let AffordancesConfig { mask, threshold, unreached, .. } = self.config.affordances;
+        Chooser {
+            mask,
+            threshold,
+            unreached,
+            heads: self.heads.of_goals(self.config.network.dueling),
             meta: (&self.meta.network, weights(&self.meta)),
             classifier: (&self.classifier.network, weights(&self.classifier)),
             known: self.known,
@@ -129,16 +129,6 @@ impl Hal {
         let actors = self.actors(|learner| &learner.average);
         let masks = vec![MaskCounts::default(); self.heads.goals];
         Measured { actors, chances, player: Player::default(), masks }
-    }
-
-    /// Keeps an option that is over, and learns from what it came to.
-    fn finish(&mut self, option: Finished) {
-        self.replay.finish(option);
-        if let Some(count) = self.reached.get_mut(usize::from(option.reached)) {
-            *count += 1;
-        }
-        self.classes.add(&option, &mut self.random);
-        self.known = self.classes.known();
     }
 
     /// One update of each network that is due.
@@ -161,9 +151,8 @@ impl Hal {
         let Config { network, returns, meta: own, replay: sizes, optimiser, weights, .. } =
             &self.config;
         let (heads, shown, random) = (self.heads, &self.shown, &mut self.random);
-        let (replay, memories) = (&mut self.replay, &mut self.memories);
-        let [start, end] = sizes.importance;
-        let exponent = linear(start, end, now.of, now.env_steps);
+        let (replay, memories) = (&mut self.recorder.replay, &mut self.memories);
+        let exponent = sizes.importance_at(now);
         let controller = &mut self.controller;
         let (settings, kept) = ((returns, sizes, exponent), (&mut *replay, shown, environment));
         let loss = controller::descend(controller, heads, settings, kept, &mut memories.0, random);
@@ -186,7 +175,7 @@ impl Hal {
     fn learn_affordances(&mut self, learning_rate: f32) {
         let own = &self.config.affordances;
         let (round, [embeds, measures, classifies]) = own.due(self.updates);
-        let (kept, random) = ((&self.replay, &self.shown), &mut self.random);
+        let (kept, random) = ((&self.recorder.replay, &self.shown), &mut self.random);
         let (classifier, memory) = (&mut self.classifier, &mut self.memories.2);
         if own.filter && measures {
             let milestone = (round / own.refresh) as usize % self.populations.len();
@@ -215,7 +204,7 @@ impl Method for Hal {
         let exploration = &self.config.exploration;
         let [goals, afforded] = exploration.goals_at(self.config.affordances.mask, now);
         let actions_chance = exploration.actions_at(now);
-        let mut player = std::mem::take(&mut self.player);
+        let mut player = std::mem::take(&mut self.recorder.player);
         let chances = Chances {
             actions: actions_chance,
             goals,
@@ -225,48 +214,19 @@ impl Method for Hal {
         };
         let actors = self.actors(|learner| &learner.online);
         player.act(actors, scenes, chances, random, actions);
-        self.player = player;
+        self.recorder.player = player;
         Ok(())
     }
 
     fn remember(&mut self, transition: &Transition<'_>) -> Result<(), LearnError> {
-        let Transition { environment, instance, step, .. } = *transition;
-        let reached = environment.milestone(instance).map_or(NONE, |milestone| milestone as u8);
-        let running = self.player.running[instance].clone();
-        let before = self.player.seen[instance].rows.clone();
-        let shown = std::mem::take(&mut self.player.shown[instance]);
-        let scene = Scene { instance, state: transition.next, begins: false, tasks_changed: false };
-        self.player.look(&self.shown, environment, &scene);
-        let over = running.steps >= self.config.returns.option_steps;
-        let ends_option = reached != NONE || over || step.done();
-        let moment = Moment {
-            action: transition.actions[0] as u8,
-            goal: running.goal,
-            reached,
-            option_reached: NONE,
-            changed_nothing: reached == NONE && before == self.player.seen[instance].rows,
-            ends_option,
-            terminated: step.terminated,
-            is_last: false,
-        };
-        let place = self.replay.push(instance, &shown, moment);
-        let start = *self.started[instance].get_or_insert(place);
-        if !ends_option {
-            return Ok(());
+        let option_steps = self.config.returns.option_steps;
+        if let Some(option) = self.recorder.record(transition, &self.shown, option_steps) {
+            if let Some(count) = self.reached.get_mut(usize::from(option.reached)) {
+                *count += 1;
+            }
+            self.classes.add(&option, &mut self.random);
+            self.known = self.classes.known();
         }
-        self.started[instance] = None;
-        self.player.running[instance].is_over = true;
-        let end = match step {
-            _ if step.terminated => End::Terminated,
-            _ if step.timed_out => End::TimedOut,
-            _ => End::GoesOn,
-        };
-        if step.done() {
-            let last = Moment { is_last: true, ..moment };
-            self.replay.push(instance, &self.player.shown[instance], last);
-        }
-        let Running { goal, steps, mask, .. } = running;
-        self.finish(Finished { start, steps, goal, reached, mask, end });
         Ok(())
     }
 
@@ -276,9 +236,7 @@ impl Method for Hal {
         now: Now,
         reports: &mut Reports,
     ) -> Result<(), LearnError> {
-        let sizes = &self.config.replay;
-        let first = sizes.first_update(&self.config.exploration);
-        let due = now.env_steps.saturating_sub(first) / sizes.steps_per_update;
+        let due = self.config.replay.due(self.config.exploration.first, now);
         while self.updates < due {
             self.learn(environment, now, reports);
         }
@@ -309,7 +267,7 @@ impl Method for Hal {
         }
         let actors = self.actors(|learner| &learner.average);
         let chances = self.config.measured.chances();
-        let agents = deployed(actors, &self.shown, &self.signs, chances, self.seed);
+        let agents = deployed(actors, &self.signs, chances, self.seed);
         agents.ok_or_else(|| {
             let reason = "the environment does not say how its milestones show in what is observed";
             LearnError::Config(reason.to_owned())
@@ -324,12 +282,10 @@ impl Method for Hal {
         let mut known = self.known.map(|set| set as f32);
         state.vector("known", &mut known)?;
         self.known = known.map(|set| set as u32);
-        self.replay.state(state)?;
+        self.recorder.state(state)?;
         state.value("classes", &mut self.classes)?;
         state.value("populations", &mut self.populations)?;
         state.value("reached", &mut self.reached)?;
-        state.value("running", &mut self.player.running)?;
-        state.value("started", &mut self.started)?;
         state.value("random", &mut self.random)?;
         state.value("updates", &mut self.updates)
     }

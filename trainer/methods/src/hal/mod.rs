@@ -15,11 +15,11 @@ mod tests;
 
 pub use config::{
     AffordancesConfig, Config, ExplorationConfig, MeasuredConfig, MetaConfig, NetworkConfig,
-    ReplayConfig, ReturnsConfig,
+    ReturnsConfig,
 };
 pub use filter::tolerance;
 pub use method::{Hal, MaskCounts, Measured};
 pub use presets::{H_DQN, HAL, HAL_ORACLE};
 
-pub use crate::options::Mask;
+pub use crate::options::{Mask, ReplayConfig, WeightsConfig};
 pub use crate::pictures::Body;

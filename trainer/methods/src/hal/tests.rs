@@ -6,9 +6,12 @@ use sortie_learn::Now;
 use sortie_learn::configuration::OptimiserConfig;
 use sortie_nn::gradient_check::assert_gradient;
 
-use super::config::{AffordancesConfig, Config, MetaConfig, ReplayConfig, ReturnsConfig};
+use super::config::{AffordancesConfig, Config, MetaConfig, ReturnsConfig};
 use super::{controller, meta};
-use crate::options::{End, Finished, Mask, Moment, NONE, Place, Replay, course, window};
+use crate::options::naive::{greedy, values};
+use crate::options::{
+    End, Finished, Mask, Moment, NONE, Place, Replay, ReplayConfig, course, window,
+};
 use crate::pictures::{Body, Heads, Learner, NetworkShape, Shown};
 
 const GOALS: usize = 3;
@@ -97,12 +100,7 @@ impl Scene {
         } else {
             self.heads.of_goals(true)
         };
-        let mut space = crate::pictures::Space::default();
-        let state = [(self.replay.shown(place), false)];
-        let hidden = space.hidden(&learner.network, weights, &self.shown, state.into_iter());
-        let mut values = Vec::new();
-        heads.values(&learner.network, weights, hidden, goal, &mut values);
-        values
+        values((learner, weights, heads), (&self.replay, &self.shown), (place, false, goal))
     }
 
     fn descend(&mut self, learner: &mut Learner, memory: &mut controller::Memory) -> f64 {
@@ -129,11 +127,6 @@ fn drawn_state(bytes: usize, random: &mut Random) -> Vec<u8> {
             () => below(random, 4) as u8,
         })
         .collect()
-}
-
-/// The first of the largest numbers.
-fn greedy(values: &[f32]) -> usize {
-    (0..values.len()).rev().max_by(|a, b| values[*a].total_cmp(&values[*b])).unwrap()
 }
 
 #[test]
@@ -296,8 +289,10 @@ fn chances_change_as_published() {
     let near = |found: f32, want: f32| (found - want).abs() < 1e-5;
     let Config { exploration: fast, replay, .. } = Config::default();
     assert_eq!([6_399, 6_400].map(|step| fast.actions_at(now(step)) == 1.0), [true, false]);
-    let first = [replay.first_update(&fast), Config::paper().replay.first_update(&exploration)];
-    assert_eq!(first, [6_400, 400]);
+    let updates = |replay: &ReplayConfig, first: u64, step| replay.due(first, now(step));
+    assert_eq!([6_400, 6_655, 6_656].map(|step| updates(&replay, fast.first, step)), [0, 0, 1]);
+    let replay = Config::paper().replay;
+    assert_eq!([400, 403, 404].map(|step| updates(&replay, exploration.first, step)), [0, 0, 1]);
     assert!(exploration.actions_at(now(400)) < 0.5);
     for (step, want) in [(0, 1.0), (399, 1.0), (410_240, 0.275), (820_480, 0.05), (of, 0.05)] {
         assert!(near(exploration.actions_at(now(step)), want), "{step}");

@@ -8,22 +8,22 @@ use sortie_learn::export::{DenseLayer, DeployedAgents, DeployedNetworks, OptionG
 use sortie_nn::layers::SparseRows;
 use sortie_nn::layers::elementwise::{Activation, activate};
 
-use super::play::{Actors, Chances};
-use crate::pictures::{Network, Shown, Space};
+use super::play::{Actors, Chances, Chooser};
+use crate::pictures::{Network, Space};
 
 /// The agent that these networks are, by a seed for what it draws.
 pub(crate) fn deployed<'a>(
     actors: Actors<'a>,
-    shown: &Shown,
     signs: &[(String, Sign)],
     chances: Chances<'_>,
     seed: u64,
 ) -> Option<DeployedAgents<'a>> {
-    let options = contract(actors, shown, signs, chances, seed)?;
+    let chooser = actors.chooser?;
+    let options = contract(actors, chooser, signs, chances, seed)?;
     let rules = options.rules(actors.heads.actions).ok()?;
-    let row = vec![0.0; shown.columns()];
-    let policy = OptionPolicy::new(rules, OwnNetworks::new(actors), row)?;
-    let networks = graphs(actors)?;
+    let row = vec![0.0; actors.shown.columns()];
+    let policy = OptionPolicy::new(rules, OwnNetworks::new(actors, chooser), row)?;
+    let networks = graphs(actors, chooser)?;
     Some(DeployedAgents {
         networks: DeployedNetworks::Options { options, graphs: networks },
         policy: Box::new(policy),
@@ -32,17 +32,17 @@ pub(crate) fn deployed<'a>(
 
 fn contract(
     actors: Actors<'_>,
-    shown: &Shown,
+    chooser: Chooser<'_>,
     signs: &[(String, Sign)],
     chances: Chances<'_>,
     seed: u64,
 ) -> Option<OptionsContract> {
-    let shape = shown.shape();
+    let shape = actors.shown.shape();
     let first = shape.features() - shape.counts;
-    let [reached, known] = actors.known;
+    let [reached, known] = chooser.known;
     let milestone = |(place, (name, sign)): (usize, &(String, Sign))| {
         let affordance = match (reached >> place & 1, known >> place & 1) {
-            (0, _) if !actors.rules.unreached => Affords::Never,
+            (0, _) if !chooser.unreached => Affords::Never,
             (_, 0) => Affords::Always,
             _ => Affords::Learned,
         };
@@ -52,8 +52,8 @@ fn contract(
     let milestones = signs.iter().enumerate().map(milestone);
     let milestones: Vec<_> = milestones.collect::<Option<_>>()?;
     (milestones.len() == actors.heads.goals).then_some(OptionsContract {
-        steps: actors.rules.option_steps,
-        threshold: actors.rules.threshold,
+        steps: actors.option_steps,
+        threshold: chooser.threshold,
         action_chance: chances.actions,
         goal_chance: chances.afforded,
         varied: chances.varied,
@@ -70,22 +70,22 @@ fn contract(
     })
 }
 
-fn graphs(actors: Actors<'_>) -> Option<OptionGraphs> {
+fn graphs(actors: Actors<'_>, chooser: Chooser<'_>) -> Option<OptionGraphs> {
     let layers = |(network, weights): (&Network, &[f32])| network.dense(weights);
     let mut controller = layers(actors.controller)?;
     let [.., head] = &mut controller;
     let (goals, actions) = (actors.heads.goals, actors.heads.actions);
     let heads = (0..goals).map(|goal| head_of(head, goals, actions, goal)).collect();
     let [first, second, _] = controller;
-    let mut meta = layers(actors.meta)?;
-    if actors.meta_heads.dueling {
+    let mut meta = layers(chooser.meta)?;
+    if chooser.heads.dueling {
         meta[2] = head_of(&meta[2], 1, goals, 0);
     }
     Some(OptionGraphs {
         controller: [first, second],
         heads,
         meta,
-        affordance: layers(actors.classifier)?,
+        affordance: layers(chooser.classifier)?,
     })
 }
 
@@ -114,13 +114,14 @@ fn head_of(head: &DenseLayer, goals: usize, actions: usize, goal: usize) -> Dens
 /// The trainer's own passes: what golden answers expect of every engine.
 struct OwnNetworks<'a> {
     actors: Actors<'a>,
+    chooser: Chooser<'a>,
     space: Space,
     values: Vec<f32>,
 }
 
 impl<'a> OwnNetworks<'a> {
-    fn new(actors: Actors<'a>) -> Self {
-        Self { actors, space: Space::default(), values: Vec::new() }
+    fn new(actors: Actors<'a>, chooser: Chooser<'a>) -> Self {
+        Self { actors, chooser, space: Space::default(), values: Vec::new() }
     }
 
     /// The second hidden layer for what is shown.
@@ -146,15 +147,15 @@ impl OptionNetworks for OwnNetworks<'_> {
     }
 
     fn goals(&mut self, shown: &[f32], values: &mut [f32]) -> Result<(), DecideError> {
-        let (network, weights) = self.actors.meta;
+        let (network, weights) = self.chooser.meta;
         let hidden = self.hidden((network, weights), shown);
-        self.actors.meta_heads.values(network, weights, &hidden, 0, &mut self.values);
+        self.chooser.heads.values(network, weights, &hidden, 0, &mut self.values);
         values.copy_from_slice(&self.values);
         Ok(())
     }
 
     fn affordances(&mut self, shown: &[f32], likelihoods: &mut [f32]) -> Result<(), DecideError> {
-        let (network, weights) = self.actors.classifier;
+        let (network, weights) = self.chooser.classifier;
         let hidden = self.hidden((network, weights), shown);
         let mut logits = vec![0.0; likelihoods.len()];
         network.read(weights, &hidden, 0..logits.len(), &mut logits);

@@ -54,27 +54,28 @@ words! {
     }
 }
 
-/// What options go by.
+/// Networks and weights that act.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct PlayRules {
+pub(crate) struct Actors<'a> {
     /// Steps after which an option is over without a milestone.
     pub(crate) option_steps: u8,
+    pub(crate) shown: &'a Shown,
+    pub(crate) heads: Heads,
+    pub(crate) controller: (&'a Network, &'a [f32]),
+    /// What goals are chosen by; agents of a single goal choose nothing.
+    pub(crate) chooser: Option<Chooser<'a>>,
+}
+
+/// Networks, weights and rules by which goals are chosen.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Chooser<'a> {
     /// Where the mask comes from.
     pub(crate) mask: Mask,
     /// Likelihood from which on a milestone counts as afforded.
     pub(crate) threshold: f32,
     /// Whether milestones that were never reached count as afforded.
     pub(crate) unreached: bool,
-}
-
-/// Networks and weights that act.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Actors<'a> {
-    pub(crate) rules: PlayRules,
-    pub(crate) shown: &'a Shown,
     pub(crate) heads: Heads,
-    pub(crate) meta_heads: Heads,
-    pub(crate) controller: (&'a Network, &'a [f32]),
     pub(crate) meta: (&'a Network, &'a [f32]),
     pub(crate) classifier: (&'a Network, &'a [f32]),
     /// Milestones, as bits, that were ever reached, and those that the classifier knows both classes of.
@@ -127,8 +128,7 @@ impl Player {
             }
             self.looked[scene.instance] = false;
         }
-        let over =
-            |running: &Running| running.is_over || running.steps >= actors.rules.option_steps;
+        let over = |running: &Running| running.is_over || running.steps >= actors.option_steps;
         let deciding = scenes.scenes.iter().filter(|scene| {
             let reached = scenes.environment.milestone(scene.instance).is_some();
             scene.begins || reached || over(&self.running[scene.instance])
@@ -181,9 +181,14 @@ impl Player {
         chances: Chances<'_>,
         random: &mut [Random],
     ) {
-        let masks = self.masks(actors, environment, scenes);
+        let Some(chooser) = actors.chooser else {
+            let begin = |scene: &&Scene<'_>| self.running[scene.instance] = Running::default();
+            scenes.iter().for_each(begin);
+            return;
+        };
+        let masks = self.masks(chooser, actors.shown, environment, scenes);
         let Self { running, shown, space, values, .. } = self;
-        let (network, weights) = actors.meta;
+        let (network, weights) = chooser.meta;
         let states = scenes.iter().map(|scene| (&*shown[scene.instance], false));
         let hidden = space.hidden(network, weights, actors.shown, states);
         let milestones = actors.heads.goals;
@@ -205,7 +210,7 @@ impl Player {
             } else if number < chances.goals + chances.afforded {
                 seldom(mask, milestones, chances.reached, random)
             } else {
-                actors.meta_heads.values(network, weights, hidden, 0, values);
+                chooser.heads.values(network, weights, hidden, 0, values);
                 best(values, running.least_missed(mask))
             };
             running.goal = goal as u8;
@@ -213,31 +218,32 @@ impl Player {
     }
 
     /// The milestones that can be chosen from in each scene; all where none could.
-    pub(crate) fn masks(
+    fn masks(
         &mut self,
-        actors: Actors<'_>,
+        chooser: Chooser<'_>,
+        shown: &Shown,
         environment: &dyn Environment,
         scenes: &[&Scene<'_>],
     ) -> Vec<u32> {
-        let (network, weights) = actors.classifier;
+        let (network, weights) = chooser.classifier;
         let milestones = network.outputs();
         let all = u32::MAX >> (32 - milestones);
-        let masks: Vec<u32> = match actors.rules.mask {
+        let masks: Vec<u32> = match chooser.mask {
             Mask::None => vec![all; scenes.len()],
             Mask::Oracle => {
                 let truth = |scene: &&Scene<'_>| environment.affordances(scene.state);
                 scenes.iter().map(|scene| truth(scene).unwrap_or(all)).collect()
             }
             Mask::Learned => {
-                let Self { shown, space, values, .. } = self;
-                let states = scenes.iter().map(|scene| (&*shown[scene.instance], false));
-                let hidden = space.hidden(network, weights, actors.shown, states);
+                let Self { shown: states, space, values, .. } = self;
+                let states = scenes.iter().map(|scene| (&*states[scene.instance], false));
+                let hidden = space.hidden(network, weights, shown, states);
                 values.resize(milestones, 0.0);
-                let threshold = actors.rules.threshold;
+                let threshold = chooser.threshold;
                 let least = (threshold / (1.0 - threshold)).ln();
                 let mask = |hidden: &[f32]| {
                     network.read(weights, hidden, 0..milestones, values);
-                    mask(values, least, actors.known, actors.rules.unreached)
+                    mask(values, least, chooser.known, chooser.unreached)
                 };
                 hidden.chunks_exact(network.width()).map(mask).collect()
             }

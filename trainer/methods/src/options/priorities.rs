@@ -71,9 +71,12 @@ impl Priorities {
 }
 
 /// What each of some items counts in a loss, so that drawing by priorities shifts no mean: the least likely counts 1.
-pub(crate) fn importance(priorities: &[f64], exponent: f64) -> impl Iterator<Item = f32> {
-    let least = priorities.iter().copied().fold(f64::INFINITY, f64::min);
-    priorities.iter().map(move |priority| (least / priority).powf(exponent) as f32)
+pub(crate) fn importance(
+    priorities: impl Iterator<Item = f64> + Clone,
+    exponent: f64,
+) -> impl Iterator<Item = f32> {
+    let least = priorities.clone().fold(f64::INFINITY, f64::min);
+    priorities.map(move |priority| (least / priority).powf(exponent) as f32)
 }
 
 #[cfg(test)]
@@ -112,7 +115,7 @@ mod tests {
 
     #[test]
     fn what_is_drawn_often_counts_less() {
-        let found: Vec<f32> = importance(&[0.5, 2.0, 1.0], 0.5).collect();
+        let found: Vec<f32> = importance([0.5, 2.0, 1.0].into_iter(), 0.5).collect();
         let all = [0.5_f64, 2.0, 1.0].map(|priority| {
             // As published: (number times probability)^-exponent, by the largest of the batch.
             (3.0 * priority / 3.5).powf(-0.5)

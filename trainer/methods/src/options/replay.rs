@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use serde::{Deserialize, Serialize};
 use sortie_envs::Random;
-use sortie_envs::random::below;
+use sortie_envs::random::{below, chance};
 use sortie_learn::{LearnError, State};
 
 use super::priorities::Priorities;
@@ -277,8 +277,18 @@ impl Replay {
         }
     }
 
+    /// A step and its priority: by priorities where there are any, else of an option that reached a milestone with such a
+    /// chance, or any.
+    pub(crate) fn draw(&self, reached: f32, random: &mut Random) -> (Place, f64) {
+        self.draw_step_by_priority(random).unwrap_or_else(|| {
+            let reached = chance(random, reached.into());
+            let place = reached.then(|| self.draw_reached(random)).flatten();
+            (place.unwrap_or_else(|| self.draw_step(random)), 1.0)
+        })
+    }
+
     /// A step that something was done in, any of those that are kept.
-    pub(crate) fn draw_step(&self, random: &mut Random) -> Place {
+    fn draw_step(&self, random: &mut Random) -> Place {
         loop {
             let instance = below(random, self.rings.len());
             let ring = &self.rings[instance];
@@ -291,7 +301,7 @@ impl Replay {
     }
 
     /// A step of an option that reached a milestone, each as likely; none where no option did.
-    pub(crate) fn draw_reached(&self, random: &mut Random) -> Option<Place> {
+    fn draw_reached(&self, random: &mut Random) -> Option<Place> {
         let known = self.reached.iter().filter(|options| !options.is_empty());
         let options = known.clone().nth(below(random, known.count()))?;
         let option = self.option(options[below(random, options.len())])?;

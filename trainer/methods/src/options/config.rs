@@ -1,0 +1,126 @@
+//! What runs of methods that learn from milestones leave open alike, and what is refused.
+
+use sortie_envs::{Spec, View};
+use sortie_learn::configuration::Key;
+use sortie_learn::configuration::Range::{Number, Numbers, Whole};
+use sortie_learn::configuration::SHARE;
+use sortie_learn::{LearnError, Now, sections};
+use sortie_nn::schedule::linear;
+
+use crate::pictures::{Body, Shown};
+
+sections! {
+    /// Sections that several methods have.
+    Shared, SECTIONS;
+
+    /// What is kept, and how much of it an update of the controller sees.
+    replay: ReplayConfig {
+        /// Kept, of all instances.
+        capacity: usize = 5_200_000, Whole(1, 1_000_000_000), "steps";
+        /// In an update.
+        batch: usize = 256, Whole(1, 65_536), "steps";
+        /// Of them, drawn from options that reached a milestone, every milestone as often.
+        reached: f32 = 0.5, SHARE, "share";
+        /// Power of the last error that steps and options are drawn by; 0 draws evenly, and by `reached` and `solved`.
+        priorities: f64 = 0.0, SHARE, "exponent";
+        /// How far losses make up for that, from the start of the run to its end in a straight line.
+        importance: [f32; 2] = [0.0, 0.0], Numbers(0.0, 1.0), "exponent";
+        /// Before the first update; 0: as long as all is drawn.
+        first: u64 = 0, Whole(0, 20_000_000), "environment steps";
+        /// From one update to the next.
+        steps_per_update: u64 = 256, Whole(1, 20_000_000), "environment steps";
+    }
+
+    /// What keeps weights small.
+    weights: WeightsConfig {
+        /// What a weight adds to its slope.
+        decay: f32 = 0.0, Number(0.0, 1.0), "slope per weight";
+    }
+}
+
+/// Keys of the section `replay`.
+pub(crate) const REPLAY: &[Key] = SECTIONS[0].keys;
+/// Keys of the section `weights`.
+pub(crate) const WEIGHTS: &[Key] = SECTIONS[1].keys;
+
+impl ReplayConfig {
+    /// Those of the published learners.
+    pub(crate) fn paper() -> Self {
+        Self {
+            capacity: 1_000_000,
+            batch: 32,
+            priorities: 0.4,
+            importance: [0.6, 1.0],
+            first: 400,
+            steps_per_update: 4,
+            ..Self::default()
+        }
+    }
+
+    /// Updates that are due so far, where so many first steps are drawn.
+    pub(crate) fn due(&self, drawn: u64, now: Now) -> u64 {
+        let first = if self.first == 0 { drawn } else { self.first };
+        now.env_steps.saturating_sub(first) / self.steps_per_update
+    }
+
+    /// How far losses make up for priorities by now.
+    pub(crate) fn importance_at(&self, now: Now) -> f32 {
+        let [start, end] = self.importance;
+        linear(start, end, now.of, now.env_steps)
+    }
+
+    /// What each of so many instances keeps, of options of so many steps.
+    ///
+    /// # Errors
+    /// It is too little.
+    pub(crate) fn kept(&self, instances: usize, option_steps: u8) -> Result<usize, LearnError> {
+        let kept = self.capacity / instances;
+        if kept <= 2 * usize::from(option_steps) {
+            return Err(LearnError::Config(format!(
+                "`replay.capacity` leaves {kept} steps for each instance, too few"
+            )));
+        }
+        Ok(kept)
+    }
+}
+
+/// What networks are shown: a body, cells each way across, and whether the nearest; with their widths by their keys.
+///
+/// # Errors
+/// There can be no such networks, or the picture has no such middle.
+pub(crate) fn shown(
+    spec: &Spec,
+    body: Body,
+    (crop, nearest): (usize, bool),
+    widths: &[(&str, usize)],
+) -> Result<Shown, LearnError> {
+    let refused = |reason: String| Err(LearnError::Config(reason));
+    for (key, width) in widths {
+        if !width.is_multiple_of(8) {
+            return refused(format!("`network.{key}` is {width}, must be a multiple of 8"));
+        }
+    }
+    if body == Body::Convolution && (crop < Body::SIDE || nearest) {
+        return refused(format!(
+            "`network.body=convolution` goes over a picture: set `network.nearest=false` and `network.crop` to at least {}",
+            Body::SIDE
+        ));
+    }
+    Shown::new(spec, crop, nearest, body == Body::Convolution).ok_or_else(|| {
+        LearnError::Config(format!("`network.crop` is {crop}: the picture has no such middle"))
+    })
+}
+
+/// A reward as it is learned: `sign(r) log2(1 + abs(r))` where that is wanted.
+pub(crate) fn learned_as(reward: f32, logarithm: bool) -> f32 {
+    if logarithm { (1.0 + reward.abs()).log2().copysign(reward) } else { reward }
+}
+
+/// Why an environment is not one for agents that learn from milestones.
+pub(crate) fn misfit(spec: &Spec) -> Option<&'static str> {
+    if !matches!(spec.view, View::Pictures(_)) {
+        return Some("its agent sees a picture, this environment shows something else");
+    }
+    (!(1..=24).contains(&spec.milestones.len()))
+        .then_some("it learns from milestones, of which this environment tells none")
+}
