@@ -5,6 +5,7 @@
 
 mod actor_critic;
 pub mod alma;
+pub mod dqn;
 pub mod hal;
 pub mod ma_exp;
 pub mod maac;

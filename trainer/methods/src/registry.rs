@@ -2,7 +2,7 @@
 
 use sortie_learn::session::MethodEntry;
 
-use crate::{alma, hal, ma_exp, maac, value_factorisation};
+use crate::{alma, dqn, hal, ma_exp, maac, value_factorisation};
 
 /// Every method of this crate.
 pub const METHODS: &[MethodEntry] = &[
@@ -22,6 +22,7 @@ pub const METHODS: &[MethodEntry] = &[
     hal::HAL,
     hal::HAL_ORACLE,
     hal::H_DQN,
+    dqn::DQN,
 ];
 
 /// A method by its name.

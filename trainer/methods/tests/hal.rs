@@ -1,4 +1,4 @@
-//! Runs of HAL and its variants: they learn what leads to milestones, repeat themselves, and go on as if they had never
+//! Runs of HAL and of what it is compared with: they learn what leads to milestones, repeat themselves, and go on as if they had never
 //! stopped.
 
 #[expect(dead_code, reason = "runs of ALMA are opened otherwise")]
@@ -24,18 +24,21 @@ fn small(method: &str, assignments: &[&str]) -> Setup {
     let small = [
         "environment.instances=16",
         "network.width=16",
-        "affordances.batch=8",
-        "affordances.triplets=8",
-        "affordances.population=20",
         "replay.batch=32",
         "replay.steps_per_update=32",
-        "meta.batch=16",
         "exploration.first=800",
         "optimiser.average_rate=0.01",
         "run.final_episodes=0",
         "run.evaluate_every=100000",
     ];
-    with(&with(&setup, &small), assignments)
+    let options = [
+        "affordances.batch=8",
+        "affordances.triplets=8",
+        "affordances.population=20",
+        "meta.batch=16",
+    ];
+    let options = if method == "dqn" { &[][..] } else { &options };
+    with(&with(&with(&setup, &small), options), assignments)
 }
 
 fn weights(folder: &Path) -> Vec<u8> {
@@ -61,24 +64,27 @@ fn published(method: &str, assignments: &[&str]) -> Setup {
     let small = [
         "network.crop=7",
         "network.width=16",
-        "network.embedding=8",
-        "affordances.kept=300",
-        "affordances.population=20",
         "returns.target_every=100",
         "replay.capacity=1600",
         "replay.batch=8",
         "replay.steps_per_update=8",
-        "meta.batch=8",
-        "meta.first=40",
-        "meta.kept=60",
         "exploration.first=800",
-        "exploration.start=1000",
         "run.steps=4000",
         "run.final_episodes=0",
         "run.evaluate_every=100000",
         "run.evaluate_episodes=4",
     ];
-    with(&with(&setup, &small), assignments)
+    let options = [
+        "network.embedding=8",
+        "affordances.kept=300",
+        "affordances.population=20",
+        "meta.batch=8",
+        "meta.first=40",
+        "meta.kept=60",
+        "exploration.start=1000",
+    ];
+    let options = if method == "dqn" { &[][..] } else { &options };
+    with(&with(&with(&setup, &small), options), assignments)
 }
 
 #[test]
@@ -90,6 +96,8 @@ fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
         published("hal", &[]),
         published("hal-oracle", &["meta.every=2"]),
         published("h-dqn", &["returns.relabel=false"]),
+        small("dqn", &["run.steps=6000", "replay.capacity=3000"]),
+        published("dqn", &["returns.milestones=false"]),
     ] {
         let [whole, parted] = [0, 1].map(|_| tempfile::tempdir().unwrap());
         let mut session = begin(setup.clone(), 3, 1, whole.path()).unwrap();
@@ -108,28 +116,30 @@ fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
 #[test]
 fn a_short_run_reaches_more_milestones_than_none_and_is_read_back_as_it_was() {
     let chances = ["measured.varied=false", "measured.actions=0.05", "measured.goals=0.05"];
-    let more = [
-        "environment.instances=64",
-        "environment.settings.limit=300",
-        "network.width=32",
-        "replay.batch=128",
-        "run.steps=80000",
-    ];
-    let setup = with(&small("hal", &more), &chances);
-    let folder = tempfile::tempdir().unwrap();
-    let mut session = begin(setup.clone(), 1, 1, folder.path()).unwrap();
-    session.run(&mut (), &AtomicBool::new(false)).unwrap();
-    let world = environment_of(&setup).unwrap();
-    let learned = play::evaluate(&*world, &mut *session.method().team(), 100, 1).unwrap();
-    let opening = Opening { setup: &setup, environment: &*world, seed: 1, threads: 1 };
-    let mut method = find("hal").unwrap().method(&opening).unwrap();
-    let fresh = play::evaluate(&*world, &mut *method.team(), 100, 1).unwrap();
-    let milestones = [fresh, learned.clone()].map(|found| found.metrics["milestones"]);
-    assert!(milestones[1] > milestones[0] + 1.0, "{milestones:?}");
+    for (method, chances) in [("hal", &chances[..]), ("dqn", &chances[..2])] {
+        let more = [
+            "environment.instances=64",
+            "environment.settings.limit=300",
+            "network.width=32",
+            "replay.batch=128",
+            "run.steps=80000",
+        ];
+        let setup = with(&small(method, &more), chances);
+        let folder = tempfile::tempdir().unwrap();
+        let mut session = begin(setup.clone(), 1, 1, folder.path()).unwrap();
+        session.run(&mut (), &AtomicBool::new(false)).unwrap();
+        let world = environment_of(&setup).unwrap();
+        let learned = play::evaluate(&*world, &mut *session.method().team(), 100, 1).unwrap();
+        let opening = Opening { setup: &setup, environment: &*world, seed: 1, threads: 1 };
+        let mut method = find(method).unwrap().method(&opening).unwrap();
+        let fresh = play::evaluate(&*world, &mut *method.team(), 100, 1).unwrap();
+        let milestones = [fresh, learned.clone()].map(|found| found.metrics["milestones"]);
+        assert!(milestones[1] > milestones[0] + 1.0, "{} {milestones:?}", setup.method);
 
-    load_weights(folder.path(), &mut *method).unwrap();
-    let again = play::evaluate(&*world, &mut *method.team(), 100, 1).unwrap();
-    assert_eq!(again, learned);
+        load_weights(folder.path(), &mut *method).unwrap();
+        let again = play::evaluate(&*world, &mut *method.team(), 100, 1).unwrap();
+        assert_eq!(again, learned);
+    }
 }
 
 #[test]
@@ -158,6 +168,7 @@ fn the_deployed_agent_acts_as_the_measured_one_over_whole_episodes() {
         (small("hal-oracle", &[]), "those of `hal`"),
         (small("h-dqn", &[]), "those of `hal`"),
         (published("hal", &[]), "those of `network.body=layers`"),
+        (small("dqn", &[]), "evaluated only"),
     ] {
         let opening = Opening { setup: &setup, environment: &*world, seed: 1, threads: 1 };
         let method = find(&setup.method).unwrap().method(&opening).unwrap();

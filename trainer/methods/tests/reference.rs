@@ -7,6 +7,7 @@ use sortie_envs::{ENVIRONMENTS, Split};
 use sortie_learn::run::Difference;
 use sortie_learn::session::MethodEntry;
 use sortie_methods::alma::{ALMA, COPA, FLAT};
+use sortie_methods::dqn::DQN;
 use sortie_methods::hal::{H_DQN, HAL, HAL_ORACLE};
 use sortie_methods::ma_exp::MA_EXP;
 use sortie_methods::maac::{COMA, COMA_SAC, DDPG, MAAC, MADDPG, MADDPG_SAC};
@@ -66,6 +67,7 @@ fn the_page_lists_every_key() {
         (QMIX, &[VDN, REFIL]),
         (MAAC, &compared),
         (HAL, &[HAL_ORACLE, H_DQN]),
+        (DQN, &[]),
         (MA_EXP, &[]),
     ];
     for (first, like_it) in pages {

@@ -27,7 +27,7 @@ pub(crate) fn lower_agent_int8(
     let (mut weights, mut arena) = (Int8Weights::default(), Arena::default());
     let mut ops = Vec::new();
     let embed = &rounded[EMBED];
-    let places = Shared::new(&products, &rounded, sizes, &mut arena);
+    let places = Shared::new(&rounded, sizes, &mut arena);
     ops.push(Op::Int8EmbedEntities(Int8EmbedEntities {
         layer: weights.add_layer(embed, Order::Pairs),
         last_actions: (embed.inputs - sizes.features) as u32,
@@ -75,12 +75,7 @@ struct Shared {
 }
 
 impl Shared {
-    fn new(
-        products: &Products,
-        rounded: &[Rounded],
-        sizes: AgentSizes,
-        arena: &mut Arena,
-    ) -> Self {
+    fn new(rounded: &[Rounded], sizes: AgentSizes, arena: &mut Arena) -> Self {
         let width = rounded[QUERY].inputs;
         let inputs = rounded.iter().map(|product| product.inputs);
         let longest = inputs.max().unwrap_or(0).max(sizes.n_max);

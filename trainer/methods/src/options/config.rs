@@ -21,7 +21,8 @@ sections! {
         batch: usize = 256, Whole(1, 65_536), "steps";
         /// Of them, drawn from options that reached a milestone, every milestone as often.
         reached: f32 = 0.5, SHARE, "share";
-        /// Power of the last error that steps and options are drawn by; 0 draws evenly, and by `reached` and `solved`.
+        /// Power of the last error that steps and options are drawn by; 0 draws evenly, but for what
+        /// `reached` and such keys say.
         priorities: f64 = 0.0, SHARE, "exponent";
         /// How far losses make up for that, from the start of the run to its end in a straight line.
         importance: [f32; 2] = [0.0, 0.0], Numbers(0.0, 1.0), "exponent";
