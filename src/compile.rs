@@ -10,7 +10,7 @@ use serde::Serialize;
 use sortie_core::plan::Profile;
 use sortie_plans::{
     Agreement, CompileError, CompileOptions, Compiled, Compiler, LEAST_AGREEMENT,
-    LEAST_OBSERVATIONS, PolicyOptions, Quantised, Report, quantise, read_onnx,
+    LEAST_OBSERVATIONS, PolicyOptions, Quantised, Report, for_dsp, quantise, read_onnx,
 };
 
 use self::bundle::Paired;
@@ -43,7 +43,8 @@ use crate::policy::PlanProfile;
   sortie compile walking.onnx -o walking.plan
   sortie compile walking.onnx -o walking.plan --profile int8 --npz recorded.npz
   sortie compile models/first -o models/first-with-plans
-  sortie compile models/save-the-city -o agent.plan --profile int8")]
+  sortie compile models/save-the-city -o agent.plan --profile int8
+  sortie compile models/save-the-city -o agent.plan --profile int8 --dsp")]
 pub(crate) struct CompileArguments {
     /// The network, or the folder of a bundle
     #[arg(value_name = "ONNX|BUNDLE")]
@@ -68,6 +69,10 @@ pub(crate) struct CompileArguments {
     /// Write an int8 plan however seldom it takes the same action or succeeds, and whatever was recorded
     #[arg(long)]
     force: bool,
+    /// Lay the weights of an int8 plan out for Cortex-M4, M7 and others with the DSP extension: builds of `sortie-core` with the
+    /// feature `dsp` read such plans alone, other builds refuse them
+    #[arg(long)]
+    dsp: bool,
     #[command(flatten)]
     policy: PolicyArguments,
     #[command(flatten)]
@@ -112,6 +117,11 @@ struct Refusal<'a> {
 pub(crate) fn run(arguments: &CompileArguments) -> Outcome {
     let path = &arguments.onnx;
     check_program()?;
+    if arguments.dsp && arguments.profile != PlanProfile::Int8 {
+        let message = "`--dsp` lays weights of int8 out, and goes with `--profile int8`: plans of other profiles are the \
+                       same for all processors";
+        return Err(Failure::new(Exit::Usage, message));
+    }
     if path.is_dir() {
         return bundle::compile_bundle(arguments);
     }
@@ -140,14 +150,14 @@ pub(crate) fn run(arguments: &CompileArguments) -> Outcome {
             print_agreement(&quantised);
         }
         judge(&quantised.agreement, arguments.force)?;
-        write_output(plan, &quantised.compiled.bytes)?;
+        write_plan(arguments, &quantised.compiled.bytes)?;
         let Quantised { compiled, exact, agreement } = &quantised;
         print(arguments, &compiled.report, Some((agreement, exact)), None);
         return Ok(());
     }
     if let (Profile::Int8, Some(file)) = (options.profile, &arguments.npz) {
         let quantised = policy::quantised(arguments, &onnx, &options, file, &failed)?;
-        write_output(plan, &quantised.compiled.compiled.bytes)?;
+        write_plan(arguments, &quantised.compiled.compiled.bytes)?;
         policy::print(arguments, &quantised);
         return Ok(());
     }
@@ -158,9 +168,17 @@ pub(crate) fn run(arguments: &CompileArguments) -> Outcome {
     }
     let policy = arguments.policy.options_for(path)?;
     let compiled = compile_any(&onnx, &options, &policy).map_err(failed)?;
-    write_output(plan, &compiled.bytes)?;
+    write_plan(arguments, &compiled.bytes)?;
     print(arguments, &compiled.report, None, None);
     Ok(())
+}
+
+/// Writes a plan, laid out as is asked for.
+fn write_plan(arguments: &CompileArguments, plan: &[u8]) -> Outcome {
+    if arguments.dsp {
+        return write_output(&arguments.output, for_dsp(plan)?.as_slice());
+    }
+    write_output(&arguments.output, plan)
 }
 
 /// Compiles a network of ours, or a policy of somebody else: what says something about one means one.

@@ -11,12 +11,12 @@ use sortie_methods::alma::evaluate::{EvaluationPlan, evaluate_watched};
 use sortie_methods::alma::teams::PolicyTeam;
 use sortie_plans::{AgentPlans, Compiled, Quantised, quantise};
 
-use super::{CompileArguments, WrittenBundle, print, print_agreement, refuse};
+use super::{CompileArguments, WrittenBundle, print, print_agreement, refuse, write_plan};
 use crate::compiler::{plans, with_plans};
 use crate::deployment::open_bundle;
 use crate::environment::{ScenarioSetName, check_fits};
 use crate::failure::{Exit, Failure, Outcome};
-use crate::files::{Kind, try_output, write_output};
+use crate::files::{Kind, try_output};
 use crate::observations::RecordingPolicy;
 use crate::output::{print_json, say};
 use crate::policy::{Backend, DeployedPolicy, PlanProfile};
@@ -142,7 +142,7 @@ fn compile_int8(arguments: &CompileArguments) -> Outcome {
     }
     paired.judge(arguments.force)?;
     let Quantised { compiled: Compiled { bytes, report }, exact, agreement } = &quantised;
-    write_output(output, bytes)?;
+    write_plan(arguments, bytes)?;
     print(arguments, report, Some((agreement, exact)), Some(&paired));
     Ok(())
 }

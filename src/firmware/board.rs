@@ -35,6 +35,8 @@ pub(crate) struct Machine {
     pub(crate) emulator: &'static [&'static str],
     /// The package that brings the emulator.
     pub(crate) package: &'static str,
+    /// Whether it has the DSP extension, for which weights of int8 are laid out.
+    pub(crate) has_dsp: bool,
 }
 
 impl Board {
@@ -49,12 +51,14 @@ impl Board {
             script,
             emulator,
             package: "qemu-system-arm",
+            has_dsp: matches!(self, Self::CortexM4f | Self::CortexM7),
         };
         let riscv = |target| Machine {
             target,
             script: "virt.ld",
             emulator: &["qemu-system-riscv32", "-M", "virt", "-bios", "none", "-icount", "shift=0"],
             package: "qemu-system-misc",
+            has_dsp: false,
         };
         // Of eight nanoseconds each, 24 bits of the timer are enough for 80 million instructions.
         match self {

@@ -47,6 +47,7 @@ use crate::progress;
   sortie firmware models/save-the-city --board cortex-m0 --profile int8 --table docs/firmware.md
   sortie firmware models/rover-tower-8 --board cortex-m3 --agent 7
   sortie firmware walking.plan --board cortex-m4f
+  sortie firmware models/save-the-city --board cortex-m4f --profile int8 --all-visible
   sortie firmware models/save-the-city --board cortex-m4f --team --episodes 20
   sortie firmware models/save-the-city --board cortex-m4f --team --damage 2000 --resets 5 --json")]
 pub(crate) struct FirmwareArguments {
@@ -65,6 +66,9 @@ pub(crate) struct FirmwareArguments {
     /// Golden cases to decide on, the first so many [default: all]
     #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u32).range(1..))]
     decisions: Option<u32>,
+    /// Let an agent of a bundle see all entities of a case: what a decision takes at most. A row of its own in the table
+    #[arg(long, conflicts_with = "team")]
+    all_visible: bool,
     /// A Markdown document with a table of such figures. Exit code 1 where instructions are more than 1 % above it, bytes more
     /// than 3 %, or the bits are others; where another compiler built what it has, a warning above 10 %
     #[arg(long, value_name = "FILE")]
@@ -132,7 +136,8 @@ fn subject(arguments: &FirmwareArguments, named: &Named) -> Result<Subject, Fail
     let most = arguments.decisions.map_or(usize::MAX, |most| most as usize);
     match named {
         Named::Bundle(bundle) => {
-            Subject::of_bundle(bundle, arguments.profile(), arguments.agent.into(), most)
+            let cases = (most, arguments.all_visible);
+            Subject::of_bundle(bundle, arguments.profile(), arguments.agent.into(), cases)
         }
         Named::Plan(path, plan) => Subject::of_plan(path, plan, arguments.common.seed, most),
     }

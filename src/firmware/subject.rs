@@ -108,12 +108,12 @@ pub(super) fn agent_plans(bundle: &Bundle, profile: Profile) -> Result<AgentPlan
 }
 
 impl Subject {
-    /// An agent of a bundle on the first golden cases, `most` of them at most.
+    /// An agent of a bundle on the first golden cases, `most` of them at most; where `sees_all`, with all their entities visible.
     pub(super) fn of_bundle(
         bundle: &Bundle,
         profile: Profile,
         agent: usize,
-        most: usize,
+        (most, sees_all): (usize, bool),
     ) -> Result<Self, Failure> {
         let plans = agent_plans(bundle, profile)?;
         if let Some(options) = bundle.options() {
@@ -136,8 +136,11 @@ impl Subject {
         for case in bundle.golden().cases.iter().filter(decides).take(most) {
             let seen = case.observation.view();
             let available = seen.available.get(..actions).unwrap_or_default();
-            recording.add(&Observation { available, ..seen });
+            let all = EntityMask::first(case.observation.entities());
+            let visible = if sees_all { all } else { seen.visible };
+            recording.add(&Observation { available, visible, ..seen });
         }
+        let name = if sees_all { format!("{name}, all visible") } else { name };
         Self::observing(name, plan, &recording)
     }
 
@@ -297,7 +300,7 @@ mod tests {
     #[test]
     fn an_agent_sees_what_those_of_its_network_see() {
         let bundle = bundle("rover-tower-8");
-        let of = |agent| Subject::of_bundle(&bundle, Profile::Exact, agent, usize::MAX);
+        let of = |agent| Subject::of_bundle(&bundle, Profile::Exact, agent, (usize::MAX, false));
         let (rover, tower) = (of(0).unwrap(), of(7).unwrap());
         let names = [&rover, &tower].map(|subject| subject.name.as_str());
         assert_eq!(names, ["rover-tower-8/rover", "rover-tower-8/tower"]);
@@ -317,9 +320,28 @@ mod tests {
     }
 
     #[test]
+    fn an_agent_that_sees_all_sees_every_entity_of_a_case() {
+        let bundle = bundle("save-the-city");
+        let of = |sees_all| Subject::of_bundle(&bundle, Profile::Exact, 0, (64, sees_all)).unwrap();
+        let (seen, all) = (of(false), of(true));
+        let visible = |subject: &Subject| -> Vec<usize> {
+            let recording = Recording::from_bytes(&subject.cases).unwrap();
+            recording.observations().map(|case| case.visible.len()).collect()
+        };
+        let entities = bundle.golden().cases.iter().map(|case| case.observation.entities());
+        assert_eq!(visible(&all), entities.take(64).collect::<Vec<_>>());
+        assert!(visible(&seen).iter().sum::<usize>() < visible(&all).iter().sum());
+        assert_eq!(
+            (seen.name.as_str(), all.name.as_str()),
+            ("save-the-city", "save-the-city, all visible")
+        );
+        assert_ne!(seen.hash, all.hash);
+    }
+
+    #[test]
     fn an_agent_that_runs_options_plays_its_golden_episodes() {
         let bundle = bundle("crafting-iron");
-        let of = |most| Subject::of_bundle(&bundle, Profile::Exact, 0, most).unwrap();
+        let of = |most| Subject::of_bundle(&bundle, Profile::Exact, 0, (most, false)).unwrap();
         let (all, first) = (of(usize::MAX), of(60));
         let ticks: usize = bundle.golden().episodes.iter().map(|it| it.ticks.len()).sum();
         let case = 1 + usize::from(bundle.contract().features);

@@ -6,6 +6,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use sortie_bundle::{hex, sha256};
+use sortie_core::plan::{AlignedBytes, Header};
+use sortie_plans::for_dsp;
 
 use super::board::Machine;
 use crate::failure::{Exit, Failure, with_sources};
@@ -93,6 +95,8 @@ impl Toolchain {
         cargo.arg("--manifest-path").arg(sources.join("Cargo.toml"));
         cargo.arg("--target-dir").arg(&target);
         for (variable, content) in program.files {
+            let plan = if machine.has_dsp { laid_out_for_dsp(content)? } else { None };
+            let content = plan.as_ref().map_or(content.as_slice(), AlignedBytes::as_slice);
             cargo.env(variable, kept(&target.join("plans"), content)?);
         }
         if let Compiler::Sources { rustc, linker } = &self.compiler {
@@ -117,6 +121,12 @@ impl Toolchain {
         command.arg(program);
         command
     }
+}
+
+/// A plan as boards with the DSP extension read it; nothing where the file is no plan.
+fn laid_out_for_dsp(file: &[u8]) -> Result<Option<AlignedBytes>, Failure> {
+    let is_plan = Header::read(file).is_ok();
+    is_plan.then(|| for_dsp(file)).transpose().map_err(Failure::from)
 }
 
 /// Bytes as a file that is named by their content, so that what is built around it need not be built again.

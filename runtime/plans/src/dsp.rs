@@ -46,3 +46,51 @@ fn matrices(op: OpRef<'_>) -> Vec<(u32, usize)> {
         _ => Vec::new(),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sortie_core::plan::{Header, PlanError};
+
+    fn golden(name: &str) -> Vec<u8> {
+        let path = std::path::Path::new("../../tests/golden/plans").join(name);
+        std::fs::read(path).unwrap()
+    }
+
+    #[test]
+    fn weights_of_neighbouring_outputs_change_places_and_nothing_else_does() {
+        for name in ["agent-int8-2.2.plan", "agent-skip-int8-2.2.plan"] {
+            let plan = golden(name);
+            let dsp = for_dsp(&plan).unwrap();
+            let (header, _) = Header::read(&plan).unwrap();
+            let start = header.weights_offset as usize;
+            let original = AlignedBytes::copy_of(&plan);
+            let loaded = Plan::load(original.as_slice()).unwrap();
+            let mut of_matrices = vec![false; plan.len()];
+            for (first, len) in loaded.program().ops().flat_map(matrices) {
+                of_matrices[start + 4 * first as usize..][..4 * len].fill(true);
+            }
+            assert!(of_matrices.iter().filter(|is| **is).count() > 500);
+            for (index, is_weight) in of_matrices.iter().enumerate().skip(start) {
+                // Byte 4c + 1 is the first input's weight for output 2c + 1, 4c + 2 the second's for output 2c.
+                let from = match index % 4 {
+                    1 if *is_weight => index + 1,
+                    2 if *is_weight => index - 1,
+                    _ => index,
+                };
+                assert_eq!(dsp.as_slice()[index], plan[from], "byte {index} of {name}");
+            }
+            let (laid_out, _) = Header::read(dsp.as_slice()).unwrap();
+            assert_eq!(laid_out, Header { layout: LAYOUT_INT8_DSP, ..header });
+            let refused = Plan::load(dsp.as_slice()).map(drop);
+            assert_eq!(refused, Err(PlanError::WrongLayout { got: LAYOUT_INT8_DSP }));
+        }
+    }
+
+    #[test]
+    fn plans_of_f32_are_the_same_for_all_processors() {
+        let plan = golden("agent-2.0.plan");
+        assert_eq!(for_dsp(&plan).unwrap().as_slice(), plan);
+        assert!(for_dsp(&plan[..200]).is_err());
+    }
+}
