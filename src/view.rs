@@ -47,7 +47,7 @@ pub(crate) struct ViewArguments {
     /// Show what this run or bundle computes in a recorded episode
     #[arg(long, value_name = "RUN|BUNDLE", visible_aliases = ["run", "bundle"])]
     policy: Option<PathBuf>,
-    /// A page in which the team plays, without a server; for bundles of save-the-city
+    /// A page in which the team of a bundle plays, without a server
     #[arg(long, conflicts_with_all = ["allocation", "policy"])]
     live: bool,
     /// Print the hashes that the page of --live shows, as this machine computes them

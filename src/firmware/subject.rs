@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use sortie_bundle::{Bundle, GoldenCase, OptionsContract, Recording};
 use sortie_core::options::Pursuit;
 use sortie_core::plan::{AlignedBytes, Header, Network, Plan, Profile};
-use sortie_core::{DecideError, EntityMask, Observation};
+use sortie_core::{DecideError, EntityMask, Observation, PlanPolicy};
 use sortie_plans::{
     AgentPlans, Annex, CompileError, random_observations, random_policy_inputs, read_onnx,
 };
@@ -176,13 +176,17 @@ impl Subject {
     /// An agent that sees entities.
     fn observing(name: String, plan: &AlignedBytes, cases: &Recording) -> Result<Self, Failure> {
         let loaded = Plan::load(plan.as_slice()).map_err(CompileError::from)?;
+        let (profile, mut arena) =
+            (loaded.header().profile, AlignedBytes::zeroed(loaded.arena_bytes()));
+        let policy = PlanPolicy::new(loaded, arena.as_mut_slice());
+        let mut policy = policy.map_err(CompileError::from)?;
         Ok(Self {
             name,
-            profile: loaded.header().profile,
+            profile,
             program: "sortie-firmware",
             files: vec![("SORTIE_PLAN", plan.as_slice().to_vec())],
             cases: cases.to_bytes(),
-            hash: hash_of(&loaded, cases.observations()).map_err(cannot_decide)?,
+            hash: hash_of(&mut policy, cases.observations()).map_err(cannot_decide)?,
         })
     }
 

@@ -21,6 +21,8 @@ pub enum StageError {
     Environment(EnvironmentError),
     /// The environment has no rules of allocation that read frames.
     NoRules,
+    /// The rules of an agent's options do not hold together.
+    NoOptions,
     /// The world ended.
     World(WorldError),
     /// The allocator ended.
@@ -42,6 +44,7 @@ impl fmt::Display for StageError {
             Self::Layout(error) => write!(f, "{error}"),
             Self::Environment(error) => write!(f, "{error}"),
             Self::NoRules => f.write_str("the environment has no rules of allocation"),
+            Self::NoOptions => f.write_str("the rules of the agent's options do not hold together"),
             Self::World(error) => write!(f, "{error}"),
             Self::Allocator(error) => write!(f, "{error}"),
             Self::Link(error) => write!(f, "{error}"),

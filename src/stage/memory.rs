@@ -7,13 +7,14 @@ use core::cell::Cell;
 use sortie_core::identity::schema_hash;
 use sortie_core::limits;
 use sortie_core::link::{Clock, FrameBlock};
-use sortie_core::plan::{AlignedBytes, Plan};
+use sortie_core::plan::{AlignedBytes, Plan, PlanError};
 use sortie_core::wire::{FrameFormat, FrameLayout};
 use sortie_core::world::Shape;
 use sortie_envs::Entry;
 
-use crate::cast::Cast;
+use crate::cast::{AllocatorCast, Cast};
 use crate::error::StageError;
+use crate::mind::Mind;
 use crate::search::{Search, SearchSizes, TeamValuePlan};
 
 /// Time that passes only where everybody waits: what is played depends on no clock.
@@ -33,12 +34,61 @@ impl Clock for StageClock {
     }
 }
 
-/// Plans, arenas and frames of a team.
-pub struct Memory {
-    pub(crate) agent: AlignedBytes,
-    pub(crate) arena: AlignedBytes,
+/// Plans and arenas of the agents, and whose are which.
+pub(crate) struct AgentMemory {
+    plans: Vec<AlignedBytes>,
+    arenas: Vec<AlignedBytes>,
+}
+
+impl AgentMemory {
+    pub(crate) fn new(cast: &Cast) -> Result<Self, StageError> {
+        let plans: Vec<AlignedBytes> =
+            cast.plans.iter().map(|plan| AlignedBytes::copy_of(plan)).collect();
+        let bytes = |plan: &AlignedBytes| Ok(Plan::load(plan.as_slice())?.arena_bytes());
+        let bytes = plans.iter().map(bytes).collect::<Result<Vec<usize>, PlanError>>()?;
+        // Networks of options do not work at once: the largest arena is for all.
+        let most = bytes.iter().copied().max().unwrap_or(0);
+        let bytes = if cast.options.is_some() { vec![most] } else { bytes };
+        Ok(Self { arenas: bytes.into_iter().map(AlignedBytes::zeroed).collect(), plans })
+    }
+
+    /// What the agents decide by.
+    pub(crate) fn mind(&mut self, cast: &Cast) -> Result<Mind<'_>, StageError> {
+        let Self { plans, arenas } = self;
+        if let Some(settings) = &cast.options {
+            return Mind::of_options(settings, plans, arenas);
+        }
+        let one_for_all = vec![0; limits::AGENTS];
+        let plan_of = if cast.plan_of.is_empty() { one_for_all } else { cast.plan_of.clone() };
+        Ok(Mind::of_networks(plans, arenas, plan_of)?)
+    }
+}
+
+/// The memory of whoever values teams, and searches for the best ones.
+pub(crate) struct AllocatorMemory {
     pub(crate) values: TeamValuePlan,
     pub(crate) search: Search,
+}
+
+impl AllocatorMemory {
+    fn new(cast: &AllocatorCast, entry: &'static Entry) -> Result<Self, StageError> {
+        let sizes = SearchSizes {
+            entities: cast.entities.into(),
+            tasks: cast.tasks.into(),
+            team_max: cast.team_max.into(),
+        };
+        let plan = AlignedBytes::copy_of(&cast.plan);
+        Ok(Self {
+            values: TeamValuePlan::new(plan, sizes.entities)?,
+            search: Search::new(entry, sizes).ok_or(StageError::NoRules)?,
+        })
+    }
+}
+
+/// Plans, arenas and frames of a team.
+pub struct Memory {
+    pub(crate) agents: AgentMemory,
+    pub(crate) allocator: Option<AllocatorMemory>,
     pub(crate) frames: Vec<FrameBlock>,
     pub(crate) format: FrameFormat,
     pub(crate) clock: StageClock,
@@ -51,24 +101,15 @@ impl Memory {
     /// # Errors
     /// The plans are damaged, or the team is for another environment.
     pub fn new(cast: &Cast, entry: &'static Entry, shape: Shape) -> Result<Self, StageError> {
-        let agent = AlignedBytes::copy_of(&cast.agent);
-        let arena = Plan::load(agent.as_slice())?.batch_arena_bytes(limits::AGENTS);
-        let values = AlignedBytes::copy_of(&cast.allocator);
-        let sizes = SearchSizes {
-            entities: cast.entities.into(),
-            tasks: cast.tasks.into(),
-            team_max: cast.team_max.into(),
-        };
         let layout = FrameLayout::new(shape)?;
         // The limits of a layout fit 16 bits.
         let [agents, entities, tasks] =
             [shape.agents, shape.entities, shape.tasks].map(|n| n as u16);
         let schema = schema_hash(cast.contract, agents, entities, tasks);
+        let allocator = cast.allocator.as_ref();
         Ok(Self {
-            arena: AlignedBytes::zeroed(arena),
-            agent,
-            values: TeamValuePlan::new(values, cast.entities.into())?,
-            search: Search::new(entry, sizes).ok_or(StageError::NoRules)?,
+            agents: AgentMemory::new(cast)?,
+            allocator: allocator.map(|cast| AllocatorMemory::new(cast, entry)).transpose()?,
             frames: vec![
                 FrameBlock::zeroed();
                 layout.payload_bytes().div_ceil(size_of::<FrameBlock>())

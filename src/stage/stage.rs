@@ -8,18 +8,17 @@ use alloc::vec::Vec;
 use sortie_attention::AttentionProbe;
 use sortie_core::allocate::{TaskRelation, TeamQuery, TeamValueNetwork};
 use sortie_core::link::{Direct, DirectCursor, FrameRx};
-use sortie_core::plan::Plan;
 use sortie_core::roles::{
     AllocatorOptions, AllocatorRole, Identity, Poll, RunnerOptions, RunnerRole, TickReport,
     WorldObserver, WorldOptions, WorldRole,
 };
 use sortie_core::wire::{FrameFormat, FrameView};
-use sortie_core::{PlanPolicy, Policy, World};
+use sortie_core::{Policy, World};
 
 use crate::cast::Cast;
 use crate::error::StageError;
-use crate::memory::{Memory, StageClock};
-use crate::notes::{Allocators, Note, NotingPolicy};
+use crate::memory::{AllocatorMemory, Memory, StageClock};
+use crate::notes::{Allocators, Decisions, Note, NotingPolicy, Remembered};
 
 /// How long a world waits for an agent that does not answer: only the order of events counts here.
 const PATIENCE_NS: u64 = 1_000_000;
@@ -54,14 +53,16 @@ pub struct Stage<'a, W> {
     processes: u32,
     /// Reads what the team sees.
     onlooker: DirectCursor,
-    policy: NotingPolicy<'a>,
-    allocators: Allocators<'a>,
+    decisions: Decisions<'a>,
+    /// None where agents are not assigned to subtasks.
+    allocators: Option<Allocators<'a>>,
 }
 
 /// The process of one agent.
 struct Runner {
     role: Box<RunnerRole>,
     cursor: DirectCursor,
+    memory: Remembered,
 }
 
 /// What a world told while it was polled.
@@ -89,11 +90,21 @@ impl<'a, W: World> Stage<'a, W> {
         world: W,
         seed: u64,
     ) -> Result<Self, StageError> {
-        let Memory { agent, arena, values, search, frames, format, clock, entry } = memory;
+        let Memory { agents: team, allocator: allocating, frames, format, clock, entry } = memory;
         let clock: &'a StageClock = clock;
         let format = *format;
         let agents = format.layout.shape().agents;
-        let policy = PlanPolicy::new(Plan::load(agent.as_slice())?, arena.as_mut_slice())?;
+        let (assigns, probe) = (allocating.is_some(), cast.attention.clone());
+        let probe = probe.map(|layers| AttentionProbe::new(layers, format.layout.shape().features));
+        let mind = team.mind(cast)?;
+        let allocators = allocating.as_mut().map(|AllocatorMemory { values, search }| {
+            Ok::<_, StageError>(Allocators::new(
+                search.allocator(values.bind()?),
+                entry,
+                agents,
+                seed,
+            ))
+        });
         let allocator = AllocatorOptions {
             format,
             identity: Identity::new(1, "allocator"),
@@ -103,7 +114,7 @@ impl<'a, W: World> Stage<'a, W> {
             format,
             identity: Identity::new(1, "runner"),
             agents: 0,
-            subtasks: true,
+            subtasks: assigns,
             decision_interval: cast.decision_interval,
             period_ns: 0,
             safe_action: cast.safe_action,
@@ -113,7 +124,7 @@ impl<'a, W: World> Stage<'a, W> {
             format,
             clock,
             messages: Direct::new(frames, clock),
-            world_role: Box::new(WorldRole::new(world_options(cast, format))),
+            world_role: Box::new(WorldRole::new(world_options(cast, format, assigns))),
             world_cursor: DirectCursor::default(),
             allocator_role: Box::new(AllocatorRole::new(allocator)),
             allocator_cursor: DirectCursor::default(),
@@ -121,11 +132,15 @@ impl<'a, W: World> Stage<'a, W> {
             runners: (0..agents).map(|_| None).collect(),
             processes: 1,
             onlooker: DirectCursor::default(),
-            policy: NotingPolicy { policy, probe: None, notes: Vec::new() },
-            allocators: Allocators::new(search.allocator(values.bind()?), entry, agents, seed),
+            decisions: Decisions { mind, are_told: false, probe, notes: Vec::new() },
+            allocators: allocators.transpose()?,
         };
-        stage.allocator_role.lead(1);
-        stage.allocator_role.join(&mut stage.messages.allocator(&mut stage.allocator_cursor))?;
+        if assigns {
+            stage.allocator_role.lead(1);
+            stage
+                .allocator_role
+                .join(&mut stage.messages.allocator(&mut stage.allocator_cursor))?;
+        }
         for agent in 0..agents {
             stage.revive(agent)?;
             // There is room for a few statuses at a time.
@@ -134,9 +149,9 @@ impl<'a, W: World> Stage<'a, W> {
         Ok(stage)
     }
 
-    /// Notes from now on whom agents attend to, which takes longer than their decisions.
-    pub fn attend(&mut self, probe: AttentionProbe) {
-        self.policy.probe = Some(probe);
+    /// Notes from now on what agents think, which takes longer than their decisions.
+    pub fn attend(&mut self) {
+        self.decisions.are_told = true;
     }
 
     /// Takes the step that has been decided on, if there is one, and decides on the next.
@@ -161,6 +176,9 @@ impl<'a, W: World> Stage<'a, W> {
                 Poll::Again | Poll::Answered => {}
             }
         }
+        for Runner { memory, .. } in self.runners.iter_mut().flatten() {
+            memory.before.copy_from_slice(&memory.now);
+        }
         self.decide()?;
         Ok(if watch.stepped { Moment::Stepped } else { Moment::Begun })
     }
@@ -170,6 +188,9 @@ impl<'a, W: World> Stage<'a, W> {
     /// # Errors
     /// As [`Self::go_on`].
     pub fn look_again(&mut self) -> Result<(), StageError> {
+        for Runner { memory, .. } in self.runners.iter_mut().flatten() {
+            memory.now.copy_from_slice(&memory.before);
+        }
         self.world_role.observe_anew();
         self.go_on().map(drop)
     }
@@ -189,8 +210,11 @@ impl<'a, W: World> Stage<'a, W> {
         self.processes += 1;
         let identity = Identity::new(self.processes, &format!("runner/{agent}"));
         let options = RunnerOptions { identity, agents: 1 << agent, ..self.runner };
-        let mut runner =
-            Runner { role: Box::new(RunnerRole::new(options)), cursor: DirectCursor::default() };
+        let mut runner = Runner {
+            role: Box::new(RunnerRole::new(options)),
+            cursor: DirectCursor::default(),
+            memory: Remembered::nothing(self.decisions.mind.hidden()),
+        };
         runner.role.join(&mut self.messages.agent(&mut runner.cursor))?;
         if let Some(seat) = self.runners.get_mut(agent) {
             *seat = Some(runner);
@@ -205,22 +229,34 @@ impl<'a, W: World> Stage<'a, W> {
 
     /// Has somebody else allocate from the next decision on: 0 what was learned, 1 and up the environment's rules.
     pub fn choose_allocator(&mut self, choice: usize) {
-        self.allocators.chosen = choice;
+        if let Some(allocators) = &mut self.allocators {
+            allocators.chosen = choice;
+        }
     }
 
-    /// `[A]`: the allocation in force.
+    /// Agents that there may be.
+    pub fn slots(&self) -> usize {
+        self.runners.len()
+    }
+
+    /// `[A]`: the allocation in force; empty where agents are not assigned.
     pub fn allocation(&self) -> &[u8] {
-        &self.allocators.newest
+        self.allocators.as_ref().map_or(&[], |allocators| &allocators.newest)
     }
 
     /// Whether the allocator was asked in the current state.
     pub fn is_allocated_anew(&self) -> bool {
-        self.allocators.decided
+        self.allocators.as_ref().is_some_and(|allocators| allocators.decided)
+    }
+
+    /// Largest team of one subtask.
+    pub fn team_max(&self) -> usize {
+        self.allocators.as_ref().map_or(0, |allocators| allocators.learned.team_max)
     }
 
     /// The decisions in the current state, in the order of the agents.
     pub(crate) fn notes(&self) -> &[Note] {
-        &self.policy.notes
+        &self.decisions.notes
     }
 
     /// Computes an agent's utilities once more, for whoever takes the time. False where it does not decide.
@@ -228,17 +264,24 @@ impl<'a, W: World> Stage<'a, W> {
     /// # Errors
     /// The plan refuses what it has taken before.
     pub fn repeat_decision(&mut self, agent: usize) -> Result<bool, StageError> {
-        let note = self.policy.notes.iter().find(|note| note.agent == agent);
-        let Some(visible) = note.map(|note| note.visible) else { return Ok(false) };
+        let note = self.decisions.notes.iter().find(|note| note.agent == agent);
+        let (Some(Note { visible, .. }), Some(Some(runner))) = (note, self.runners.get_mut(agent))
+        else {
+            return Ok(false);
+        };
+        let visible = *visible;
         let end = self.messages.agent(&mut self.onlooker);
         let Some(view) = view(&end, &self.format) else { return Ok(false) };
         let mut utilities = [0.0; sortie_core::limits::ACTIONS];
-        let utilities = &mut utilities[..self.policy.policy.actions()];
-        self.policy.policy.utilities(&view.observation(agent, &visible), utilities)?;
+        let mut policy =
+            NotingPolicy { decisions: &mut self.decisions, memory: &mut runner.memory };
+        let utilities = &mut utilities[..policy.actions()];
+        policy.utilities(&view.observation(agent, &visible), utilities)?;
         Ok(true)
     }
 
-    /// What the network expects of teams, bit a for agent a, at a subtask that is open; none where there is no frame.
+    /// What the network expects of teams, bit a for agent a, at a subtask that is open; none where there is no frame, or
+    /// agents are not assigned.
     ///
     /// # Errors
     /// The network refuses the state.
@@ -250,7 +293,7 @@ impl<'a, W: World> Stage<'a, W> {
         let end = self.messages.agent(&mut self.onlooker);
         let Some(view) = view(&end, &self.format) else { return Ok(None) };
         let state = view.allocation_state();
-        let learned = &mut self.allocators.learned;
+        let Some(Allocators { learned, .. }) = &mut self.allocators else { return Ok(None) };
         let mut relation = vec![0.0; state.entity_task.len() * learned.relation.columns()];
         learned.relation.observe(&state)?;
         learned.relation.write(&state, task, &mut relation);
@@ -275,15 +318,18 @@ impl<'a, W: World> Stage<'a, W> {
     fn decide(&mut self) -> Result<(), StageError> {
         self.forget();
         loop {
-            let mut link = self.messages.allocator(&mut self.allocator_cursor);
-            let polled = self.allocator_role.poll(&mut link, &mut self.allocators)?;
-            let mut is_moving = polled.is_progress();
-            for runner in self.runners.iter_mut().flatten() {
-                let mut link = self.messages.agent(&mut runner.cursor);
-                is_moving |= runner.role.poll(&mut link, &mut self.policy)?.is_progress();
+            let mut is_moving = false;
+            if let Some(allocators) = &mut self.allocators {
+                let mut link = self.messages.allocator(&mut self.allocator_cursor);
+                is_moving |= self.allocator_role.poll(&mut link, allocators)?.is_progress();
+            }
+            for Runner { role, cursor, memory } in self.runners.iter_mut().flatten() {
+                let mut policy = NotingPolicy { decisions: &mut self.decisions, memory };
+                let mut link = self.messages.agent(cursor);
+                is_moving |= role.poll(&mut link, &mut policy)?.is_progress();
             }
             if !is_moving {
-                self.policy.notes.sort_by_key(|note| note.agent);
+                self.decisions.notes.sort_by_key(|note| note.agent);
                 return Ok(());
             }
         }
@@ -291,8 +337,10 @@ impl<'a, W: World> Stage<'a, W> {
 
     /// What was noted is of an earlier state.
     fn forget(&mut self) {
-        self.policy.notes.clear();
-        self.allocators.decided = false;
+        self.decisions.notes.clear();
+        if let Some(allocators) = &mut self.allocators {
+            allocators.decided = false;
+        }
     }
 }
 
@@ -302,13 +350,13 @@ fn view<'f>(end: &'f impl FrameRx, format: &FrameFormat) -> Option<FrameView<'f>
     FrameView::new(frame.header, frame.payload, format).ok()
 }
 
-fn world_options(cast: &Cast, format: FrameFormat) -> WorldOptions {
+fn world_options(cast: &Cast, format: FrameFormat, assigns: bool) -> WorldOptions {
     WorldOptions {
         format,
         identity: Identity::new(1, "world"),
         term: 1,
         required: format.layout.every_agent(),
-        allocator: true,
+        allocator: assigns,
         strict: false,
         pipelined: false,
         join_patience_ns: u64::MAX,

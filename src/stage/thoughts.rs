@@ -1,5 +1,6 @@
 //! What agents think, in numbers that people read.
 
+use alloc::string::String;
 use alloc::vec::Vec;
 
 use serde::Serialize;
@@ -11,6 +12,12 @@ pub struct Thought {
     pub utilities: Vec<f64>,
     /// Whom it attends to.
     pub attention: Vec<Attention>,
+    /// What each of its heads thinks, where it explores by several.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub heads: Vec<Head>,
+    /// What it goes for, where it runs options.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub option: Option<Pursued>,
 }
 
 /// How much an agent attends to one entity.
@@ -20,6 +27,32 @@ pub struct Attention {
     pub entity: usize,
     /// One weight per head.
     pub weights: Vec<f64>,
+}
+
+/// What one of the heads thinks by which an agent explores.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Head {
+    /// What it explores for.
+    pub name: String,
+    /// Its intrinsic reward for being here.
+    pub pays: f64,
+    /// The action that it likes best.
+    pub likes: u16,
+    /// Whether the agent acts by it.
+    pub acts: bool,
+}
+
+/// What an agent that runs options goes for.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Pursued {
+    /// The milestone.
+    pub goal: usize,
+    /// Its step of the option, from 1.
+    pub step: usize,
+    /// How likely it believes each milestone can be reached next.
+    pub likelihoods: Vec<f64>,
+    /// Those that it can choose from, as bits.
+    pub mask: u32,
 }
 
 impl Thought {
@@ -32,6 +65,8 @@ impl Thought {
         Self {
             utilities: utilities.iter().copied().map(rounded).collect(),
             attention: attention.into_iter().map(attended).collect(),
+            heads: Vec::new(),
+            option: None,
         }
     }
 }

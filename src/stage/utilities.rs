@@ -2,8 +2,7 @@
 
 use alloc::vec;
 
-use sortie_core::plan::{AlignedBytes, Plan};
-use sortie_core::{DecideError, Observation};
+use sortie_core::{DecideError, Observation, Policy};
 
 /// FNV-1a of 64 bits over the bits of utilities, in their order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,20 +28,19 @@ impl UtilityHash {
     }
 }
 
-/// The hash of a plan's utilities, all observations those of one agent in one episode.
+/// The hash of a policy's utilities, all observations those of one agent in one episode.
 ///
 /// # Errors
-/// The plan does not take an observation.
+/// The policy does not take an observation.
 pub fn hash_of<'o>(
-    plan: &Plan<'_>,
+    policy: &mut dyn Policy,
     observations: impl Iterator<Item = Observation<'o>>,
 ) -> Result<u64, DecideError> {
-    let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
-    let mut utilities = vec![0.0; plan.actions()];
+    let mut utilities = vec![0.0; policy.actions()];
+    let mut memory = vec![0.0; policy.hidden()];
     let mut hash = UtilityHash::default();
-    let mut states = vec![0.0; plan.hidden()];
     for observation in observations {
-        plan.utilities(arena.as_mut_slice(), &observation, Some(&mut states), &mut utilities)?;
+        policy.utilities_with(&observation, &mut memory, &mut utilities)?;
         hash.add(&utilities);
     }
     Ok(hash.value())

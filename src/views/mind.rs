@@ -4,8 +4,8 @@ use sortie_bundle::Bundle;
 use sortie_core::choose::masked_argmax;
 use sortie_core::{DecideError, Decision, Observation, Policy};
 use sortie_methods::alma::agents::NetworkPolicy;
-use sortie_plans::{AttentionProbe, roles_of};
-pub(super) use sortie_stage::{Attention, Thought};
+use sortie_plans::{AttentionLayers, AttentionProbe, roles_of};
+pub(super) use sortie_stage::Thought;
 
 use crate::compiler::compiler;
 use crate::failure::Failure;
@@ -30,6 +30,12 @@ impl Mind for NetworkPolicy<'_> {
     }
 }
 
+/// What tells whom a bundle's agents attend to; none where they attend to nobody that is known.
+pub(super) fn attention_of(bundle: &Bundle) -> Result<Option<AttentionLayers>, Failure> {
+    let attends = bundle.options().is_none() && roles_of(bundle)?.is_none();
+    Ok(attends.then(|| compiler().attention(bundle.agent_onnx())).transpose()?)
+}
+
 /// A bundle as deployed, with the attention read from its graph.
 pub(super) struct DeployedMind<'a> {
     policy: Box<dyn Policy + 'a>,
@@ -40,9 +46,7 @@ pub(super) struct DeployedMind<'a> {
 impl<'a> DeployedMind<'a> {
     pub(super) fn new(bundle: &Bundle, policy: Box<dyn Policy + 'a>) -> Result<Self, Failure> {
         let features = usize::from(bundle.contract().features);
-        let attends = roles_of(bundle)?.is_none();
-        let layers = attends.then(|| compiler().attention(bundle.agent_onnx())).transpose()?;
-        let probe = layers.map(|layers| AttentionProbe::new(layers, features));
+        let probe = attention_of(bundle)?.map(|layers| AttentionProbe::new(layers, features));
         Ok(Self { policy, probe })
     }
 }

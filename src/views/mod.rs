@@ -2,17 +2,18 @@
 //!
 //! The rest of the command line knows environments by their names alone.
 
+mod captured;
 mod crafting;
 mod flat;
 mod gridworld;
 mod group_matching;
+mod live;
 mod milestones;
 mod mind;
 mod page;
 mod particle;
 mod save_the_city;
 mod treasure_rooms;
-mod witness;
 
 use std::path::Path;
 
@@ -101,11 +102,6 @@ pub(crate) trait View {
         let message =
             format!("`{subject}` cannot be looked at in `{env}`; `sortie eval` measures it");
         Err(Failure::new(Exit::Usage, message))
-    }
-
-    /// Whether there are pages in which a team plays.
-    fn plays_live(&self) -> bool {
-        false
     }
 
     /// The page in which a bundle's team plays, by another build of its program where one is given.
@@ -229,15 +225,6 @@ pub(crate) struct Hashes {
     pub(crate) seed: String,
 }
 
-/// `A` for the first of some things, `A2` for the one after `Z`.
-fn lettered(number: usize) -> String {
-    let letter = char::from(b'A' + (number % 26) as u8);
-    match number / 26 {
-        0 => letter.to_string(),
-        round => format!("{letter}{}", round + 1),
-    }
-}
-
 /// A line that is no longer than this.
 fn fitting(text: String, width: usize) -> String {
     console::truncate_str(&text, width, "+").into_owned()
@@ -245,26 +232,27 @@ fn fitting(text: String, width: usize) -> String {
 
 /// Why a team does not play in a page.
 pub(crate) fn not_live(wanted: &Wanted<'_>) -> Failure {
-    let live = VIEWS.iter().filter(|(_, view)| view.plays_live());
-    let known: Vec<&str> = live.map(|(name, _)| *name).collect();
     let message = format!(
-        "`{}` cannot play in a page: --live takes bundles of {} whose team has learned to allocate, such as \
-         models/{}",
+        "`{}` cannot play in a page: --live takes bundles of {}, such as models/{}",
         wanted.subject.display(),
-        known.join(", "),
-        known.first().unwrap_or(&"")
+        known_names(),
+        VIEWS.first().map_or("", |(name, _)| name)
     );
     Failure::new(Exit::Usage, message)
 }
 
 fn no_page(wanted: &Wanted<'_>) -> Failure {
-    let known: Vec<&str> = VIEWS.iter().map(|(name, _)| *name).collect();
     let message = format!(
         "`{}` cannot be looked at: there are pages of {} only",
         wanted.subject.display(),
-        known.join(", ")
+        known_names()
     );
     Failure::new(Exit::Usage, message)
+}
+
+/// The environments that are shown, as text.
+fn known_names() -> String {
+    VIEWS.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(", ")
 }
 
 #[cfg(test)]

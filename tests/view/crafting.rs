@@ -15,12 +15,12 @@ fn options_and_what_they_reach_are_shown() {
 
     let browser = Browser::start();
     browser.open(&page.file());
-    let thought = &data["states"][0]["thought"];
+    let option = &data["states"][0]["thoughts"][0]["option"];
     let name = |milestone: &Value| {
         let place = milestone.as_u64().expect("a milestone") as usize;
         data["milestones"][place].as_str().expect("a name").replace('_', " ")
     };
-    let title = format!("goes for {}", name(&thought["goal"]));
+    let title = format!("goes for {}", name(&option["goal"]));
     assert_eq!(browser.text("#agent-title"), title);
     browser.evaluate(&format!("go({at})"));
     let happens = first["text"].as_str().expect("a text");

@@ -6,13 +6,15 @@
 
 extern crate alloc;
 
+mod playing;
+
 use alloc::boxed::Box;
 use alloc::string::{String, ToString};
 use alloc::vec;
 
-use serde::Serialize;
-use sortie_stage::save_the_city::{Player, golden_hash, memory};
-use sortie_stage::{Cast, StageError};
+use sortie_stage::{Cast, golden_hash};
+
+use playing::{Playing, begin};
 
 #[cfg(target_arch = "wasm32")]
 #[global_allocator]
@@ -35,7 +37,7 @@ const REFUSED: i32 = -1;
 /// One instance of the page's program. It lives as long as the instance.
 pub struct Program {
     cast: Cast,
-    player: Player<'static>,
+    playing: Box<dyn Playing>,
     text: String,
 }
 
@@ -58,14 +60,11 @@ pub unsafe extern "C" fn open(
 ) -> *mut Program {
     // SAFETY: of a `room`, as the caller promises: it was leaked as a boxed slice of this length, and nobody else has it.
     let bytes = unsafe { Box::from_raw(core::ptr::slice_from_raw_parts_mut(bytes, length)) };
-    let program = Cast::from_bytes(&bytes).ok().and_then(|cast| begin(cast, seed, episode).ok());
+    let program = Cast::from_bytes(&bytes).ok().and_then(|cast| {
+        let playing = begin(&cast, seed, episode as usize).ok()?;
+        Some(Program { cast, playing, text: String::new() })
+    });
     program.map_or(core::ptr::null_mut(), |program| Box::into_raw(Box::new(program)))
-}
-
-fn begin(cast: Cast, seed: u64, episode: u32) -> Result<Program, StageError> {
-    let memory = Box::leak(Box::new(memory(&cast)?));
-    let player = Player::new(memory, &cast, seed, episode as usize)?;
-    Ok(Program { cast, player, text: String::new() })
 }
 
 /// Where the text of the last call lies.
@@ -83,60 +82,53 @@ pub extern "C" fn text_bytes(program: &Program) -> usize {
 /// What to show first.
 #[unsafe(no_mangle)]
 pub extern "C" fn opening(program: &mut Program) -> i32 {
-    let Program { cast, player, text } = program;
-    let opening = player.open(cast).map_err(|error| error.to_string());
-    tell(text, opening.map(Some))
+    program.tell(|playing| playing.open().map(Some))
 }
 
 /// The next step.
 #[unsafe(no_mangle)]
 pub extern "C" fn step(program: &mut Program) -> i32 {
-    let stepped = program.player.step().map_err(|error| error.to_string());
-    tell(&mut program.text, stepped)
+    program.tell(|playing| playing.step())
 }
 
-/// Puts an agent on another cell.
+/// Puts an agent, or a thing behind the agents, elsewhere.
 #[unsafe(no_mangle)]
-pub extern "C" fn place(program: &mut Program, agent: usize, x: u8, y: u8) -> i32 {
-    let news = program.player.place(agent, (x, y));
-    tell(&mut program.text, news.map(Some))
+pub extern "C" fn place(program: &mut Program, entity: usize, x: f64, y: f64) -> i32 {
+    program.tell(|playing| playing.place(entity, [x, y]).map(Some))
 }
 
-/// Sets a building on fire.
+/// Does to a thing what may come about by chance as well: sets a building on fire.
 #[unsafe(no_mangle)]
-pub extern "C" fn set_fire(program: &mut Program, building: usize) -> i32 {
-    let news = program.player.set_fire(building);
-    tell(&mut program.text, news.map(Some))
+pub extern "C" fn disturb(program: &mut Program, thing: usize) -> i32 {
+    program.tell(|playing| playing.disturb(thing).map(Some))
 }
 
 /// Ends an agent's process, or starts one.
 #[unsafe(no_mangle)]
 pub extern "C" fn kill_or_revive(program: &mut Program, agent: usize) -> i32 {
-    let news = program.player.kill_or_revive(agent);
-    tell(&mut program.text, news.map(Some))
+    program.tell(|playing| playing.kill_or_revive(agent).map(Some))
 }
 
 /// Has somebody else allocate.
 #[unsafe(no_mangle)]
 pub extern "C" fn choose_allocator(program: &mut Program, choice: usize) -> i32 {
-    let news = program.player.choose_allocator(choice);
-    tell(&mut program.text, news.map(Some))
+    program.tell(|playing| playing.choose_allocator(choice).map(Some))
 }
 
 /// Repeats an agent's decision so many times, for whoever takes the time.
 #[unsafe(no_mangle)]
 pub extern "C" fn repeat_decision(program: &mut Program, agent: usize, times: u32) -> i32 {
     for _ in 0..times {
-        match program.player.repeat_decision(agent) {
+        match program.playing.repeat_decision(agent) {
             Ok(true) => {}
             Ok(false) => return NOTHING,
-            Err(error) => return refuse(&mut program.text, error.to_string()),
+            Err(error) => return program.refuse(error.to_string()),
         }
     }
     TOLD
 }
 
-/// The hash of the golden observations' utilities; 0 where the plan refuses them.
+/// The hash of the golden observations' utilities; 0 where a plan refuses them.
 #[unsafe(no_mangle)]
 pub extern "C" fn golden(program: &Program) -> u64 {
     golden_hash(&program.cast).unwrap_or(0)
@@ -145,32 +137,36 @@ pub extern "C" fn golden(program: &Program) -> u64 {
 /// Plays on unseen; how many decisions have been counted, `most` at most. Negative where a role ended.
 #[unsafe(no_mangle)]
 pub extern "C" fn rehearse(program: &mut Program, most: u32) -> i32 {
-    match program.player.rehearse(most.into()) {
+    match program.playing.rehearse(most.into()) {
         Ok(decisions) => decisions as i32,
-        Err(error) => refuse(&mut program.text, error.to_string()),
+        Err(error) => program.refuse(error.to_string()),
     }
 }
 
 /// The hash of the utilities that [`rehearse`] counted.
 #[unsafe(no_mangle)]
 pub extern "C" fn rehearsed(program: &Program) -> u64 {
-    program.player.rehearsed()
+    program.playing.rehearsed()
 }
 
-/// Writes what is to be told.
-fn tell(text: &mut String, told: Result<Option<impl Serialize>, String>) -> i32 {
-    match told.map(|told| told.map(|told| serde_json::to_string(&told))) {
-        Ok(None) => NOTHING,
-        Ok(Some(Ok(json))) => {
-            *text = json;
-            TOLD
+impl Program {
+    /// Keeps what is to be told.
+    fn tell(
+        &mut self,
+        told: impl FnOnce(&mut dyn Playing) -> Result<Option<String>, String>,
+    ) -> i32 {
+        match told(&mut *self.playing) {
+            Ok(None) => NOTHING,
+            Ok(Some(json)) => {
+                self.text = json;
+                TOLD
+            }
+            Err(why) => self.refuse(why),
         }
-        Ok(Some(Err(error))) => refuse(text, error.to_string()),
-        Err(why) => refuse(text, why),
     }
-}
 
-fn refuse(text: &mut String, why: String) -> i32 {
-    *text = why;
-    REFUSED
+    fn refuse(&mut self, why: String) -> i32 {
+        self.text = why;
+        REFUSED
+    }
 }

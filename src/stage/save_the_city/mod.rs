@@ -1,10 +1,9 @@
 //! SaveTheCity as pages show it.
 
-mod cities;
 mod data;
 mod events;
 mod facts;
-mod player;
+mod show;
 mod values;
 
 pub use data::{
@@ -12,5 +11,5 @@ pub use data::{
 };
 pub use events::Names;
 pub use facts::{agent_facts, building_facts, result, state, step};
-pub use player::{News, Opening, Player, golden_hash, memory};
+pub use show::City;
 pub use values::candidates;

@@ -3,11 +3,15 @@
 mod page;
 mod terminal;
 
+use sortie_bundle::Bundle;
 use sortie_envs::gridworld::{ENTRY, picture_of};
 use sortie_envs::{Environment, Episode, Spec};
 use sortie_learn::Act;
+use sortie_stage::gridworld::Maze;
+use sortie_stage::lettered;
 
-use super::{Canvas, Drawing, Figures, Page, Scene, View, Wanted, lettered};
+use super::live::live;
+use super::{Canvas, Drawing, Figures, Live, Page, Scene, View, Wanted};
 use crate::failure::Failure;
 use crate::subject::Subject;
 use crate::worlds::tally::Tally;
@@ -50,6 +54,15 @@ impl View for Shown {
         team: &mut dyn Act,
     ) -> Result<Page, Failure> {
         page::acted(wanted, env, world, team)
+    }
+
+    fn live(
+        &self,
+        wanted: &Wanted<'_>,
+        bundle: &Bundle,
+        program: Option<&[u8]>,
+    ) -> Result<Live, Failure> {
+        live::<Maze>((&page::WEB, &[page::PITS]), wanted, bundle, program)
     }
 }
 

@@ -3,7 +3,9 @@
 use console::{Color, Style};
 use sortie_envs::gridworld::{Cell, Picture, SIDE};
 
-use super::{lettered, letters};
+use sortie_stage::lettered;
+
+use super::letters;
 use crate::views::{Canvas, Drawing, Scene, fitting};
 
 /// Characters of a cell, and of the gap beside the maze.

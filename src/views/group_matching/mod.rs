@@ -3,11 +3,14 @@
 mod page;
 mod terminal;
 
+use sortie_bundle::Bundle;
 use sortie_envs::group_matching::{ENTRY, ring_of, sizes};
 use sortie_envs::{Environment, Episode, Spec};
 use sortie_learn::Act;
+use sortie_stage::group_matching::Groups;
 
-use super::{Canvas, Drawing, Figures, Page, Scene, View, Wanted};
+use super::live::live;
+use super::{Canvas, Drawing, Figures, Live, Page, Scene, View, Wanted};
 use crate::failure::Failure;
 use crate::subject::Subject;
 use crate::worlds::tally::Tally;
@@ -53,6 +56,15 @@ impl View for Shown {
         team: &mut dyn Act,
     ) -> Result<Page, Failure> {
         page::acted(wanted, env, world, team)
+    }
+
+    fn live(
+        &self,
+        wanted: &Wanted<'_>,
+        bundle: &Bundle,
+        program: Option<&[u8]>,
+    ) -> Result<Live, Failure> {
+        live::<Groups>((&page::WEB, &[page::TRUTH]), wanted, bundle, program)
     }
 }
 

@@ -4,7 +4,9 @@ use console::style;
 use sortie_envs::group_matching::{ACTION_NAMES, Parameters, Ring};
 use sortie_envs::members;
 
-use crate::views::{Canvas, Drawing, Scene, fitting, lettered};
+use sortie_stage::lettered;
+
+use crate::views::{Canvas, Drawing, Scene, fitting};
 
 /// The ring as lines of text, without line ends.
 pub(super) fn draw(

@@ -1,21 +1,20 @@
 //! Games of milestones as they are shown: the map, what is carried, and what an agent that runs options thinks.
 
 mod capture;
-mod data;
 
-use std::any::Any;
 use std::marker::PhantomData;
 
-use sortie_envs::milestones::{Game, Milestones, World};
-use sortie_envs::{Environment, Split};
+use sortie_bundle::Bundle;
+use sortie_envs::Split;
+use sortie_stage::milestones::{Board, KnownGame};
 
-use super::page::{Web, page, script, style};
-use super::{Page, View, Wanted, no_page};
+use super::live::live;
+use super::page::{Deeds, Web, page, script, style};
+use super::{Live, Page, View, Wanted, no_page};
 use crate::environment::check_fits;
 use crate::failure::Failure;
 use crate::subject::Subject;
-use capture::{Board, capture};
-use data::FORMAT;
+use capture::capture;
 
 /// What is shown of such a game.
 pub(super) struct Shown<G>(PhantomData<G>);
@@ -23,6 +22,8 @@ pub(super) struct Shown<G>(PhantomData<G>);
 impl<G> Shown<G> {
     pub(super) const NEW: Self = Self(PhantomData);
 }
+
+const TRUTH: &str = "What can be reached is the environment's own answer; the agent is not told.";
 
 const WEB: Web = Web {
     styles: &[
@@ -38,22 +39,28 @@ const WEB: Web = Web {
         style::AGENT,
         style::DIALOG,
     ],
-    map: include_str!("web/map.html"),
+    map: "Map",
     panels: include_str!("web/panels.html"),
     scripts: &[
-        script::EPISODE,
         script::SUMS,
         script::NUMBERS,
         script::ELEMENTS,
+        script::ACTS,
         include_str!("web/board.js"),
         include_str!("web/options.js"),
         script::LANES,
         include_str!("web/timeline.js"),
         script::PLAYER,
     ],
+    deeds: Deeds {
+        hint: "Drag the agent to another empty cell.",
+        controls: "",
+        keys: "",
+        script: include_str!("web/deeds.js"),
+    },
 };
 
-impl<G: Game> View for Shown<G> {
+impl<G: KnownGame> View for Shown<G> {
     fn played(&self, wanted: &Wanted<'_>, subject: &Subject) -> Result<Page, Failure> {
         let set = wanted.set.clone().unwrap_or_default();
         let Subject::Bundle(bundle) = subject else { return Err(no_page(wanted)) };
@@ -63,16 +70,17 @@ impl<G: Game> View for Shown<G> {
         }
         check_fits(bundle, &set)?;
         let world = set.open(Split::Test)?;
-        let board = Board { grid: grid::<G>, objects: G::OBJECTS };
-        let captured = capture(&*world, (wanted.seed, wanted.episode), (bundle, options), board)?;
-        let steps = captured.steps.len();
-        let told = "What can be reached is the environment's own answer; the agent is not told.";
-        Ok(page(&WEB, wanted, (set.to_string(), vec![told]), (FORMAT, captured, steps)))
+        let captured =
+            capture::<Board<G>>(&*world, (wanted.seed, wanted.episode), (bundle, options))?;
+        Ok(page(&WEB, wanted, (set.to_string(), vec![TRUTH]), captured))
     }
-}
 
-/// The grid of an instance.
-fn grid<G: Game>(environment: &dyn Environment, instance: usize) -> Option<World> {
-    let environment: &dyn Any = environment;
-    environment.downcast_ref::<Milestones<G>>().map(|world| *world.world(instance))
+    fn live(
+        &self,
+        wanted: &Wanted<'_>,
+        bundle: &Bundle,
+        program: Option<&[u8]>,
+    ) -> Result<Live, Failure> {
+        live::<Board<G>>((&WEB, &[TRUTH]), wanted, bundle, program)
+    }
 }

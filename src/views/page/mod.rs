@@ -5,8 +5,9 @@
 //! `createTimeline`, and its data the agents' names, `states`, `steps` with rewards, `events` and a `result`.
 
 use serde::Serialize;
-pub(super) use sortie_stage::rounded;
+use sortie_stage::Show;
 
+use super::captured::Captured;
 use super::{Page, Wanted};
 
 const SKELETON: &str = include_str!("web/page.html");
@@ -24,34 +25,60 @@ pub(super) mod style {
     pub(in crate::views) const PLAYBACK: &str = include_str!("web/playback.css");
     pub(in crate::views) const AGENT: &str = include_str!("web/agent.css");
     pub(in crate::views) const DIALOG: &str = include_str!("web/dialog.css");
+    pub(super) const LIVE: &str = include_str!("../live/web/live.css");
 }
 
 /// Parts of a script that all pages share.
 pub(super) mod script {
-    pub(in crate::views) const EPISODE: &str = include_str!("web/episode.js");
     pub(in crate::views) const SUMS: &str = include_str!("web/sums.js");
     pub(in crate::views) const NUMBERS: &str = include_str!("web/numbers.js");
     pub(in crate::views) const ELEMENTS: &str = include_str!("web/elements.js");
+    pub(in crate::views) const ACTS: &str = include_str!("web/acts.js");
     pub(in crate::views) const LANES: &str = include_str!("web/lanes.js");
     pub(in crate::views) const PLAYER: &str = include_str!("web/player.js");
+    /// What an episode is: one that was recorded, before all others.
+    pub(super) const EPISODE: &str = include_str!("web/episode.js");
+    /// The same of one that is played in the page.
+    pub(super) const PROGRAM: &str = include_str!("../live/web/program.js");
+    /// What else such a page has, behind all others and the environment's own.
+    pub(super) const LIVE: [&str; 3] = [
+        include_str!("../live/web/deeds.js"),
+        include_str!("../live/web/bits.js"),
+        include_str!("../live/web/begin.js"),
+    ];
 }
 
 /// What a page is made of beside its data.
 pub(super) struct Web {
     /// In the order of the cascade.
     pub(super) styles: &'static [&'static str],
-    /// The panel of the picture.
+    /// What the picture is called.
     pub(super) map: &'static str,
     /// The panels behind the slider.
     pub(super) panels: &'static str,
     /// In the order in which they build on each other.
     pub(super) scripts: &'static [&'static str],
+    pub(super) deeds: Deeds,
 }
 
+/// What somebody can do to a team that plays in the page, beside what can be done to all.
+pub(super) struct Deeds {
+    /// What can be dragged, in words.
+    pub(super) hint: &'static str,
+    /// Buttons.
+    pub(super) controls: &'static str,
+    /// Their keys, for the list.
+    pub(super) keys: &'static str,
+    /// Where things are, in the program's numbers, and what the controls do.
+    pub(super) script: &'static str,
+}
+
+/// Version of what was captured; the page's script and its types change together.
+pub(super) const FORMAT: u32 = 2;
+
 /// What the page of an episode knows in which nobody assigns agents.
-#[derive(Debug, Serialize)]
+#[derive(Serialize)]
 struct Data<C> {
-    /// Version of what was captured; the page's script and its types change together.
     format: u32,
     /// What was viewed: a run, a bundle or `scripted`.
     subject: String,
@@ -66,46 +93,83 @@ struct Data<C> {
     captured: C,
 }
 
-/// The page of an episode of so many steps in which nobody assigned agents, with what was captured of it in a format.
-pub(super) fn page<C: Serialize>(
+/// The page of an episode in which nobody assigned agents, with what was captured of it.
+pub(super) fn page<S: Show>(
     web: &Web,
     wanted: &Wanted<'_>,
     (env, notes): (String, Vec<&'static str>),
-    (format, captured, steps): (u32, C, usize),
+    captured: Captured<S>,
 ) -> Page {
     let (subject, episode) = (wanted.subject.display().to_string(), (wanted.seed, wanted.episode));
-    let data = Data { format, subject, allocation: None, env, episode, notes, captured };
+    let steps = captured.steps.len();
+    let data = Data { format: FORMAT, subject, allocation: None, env, episode, notes, captured };
     Page { html: html(web, &data), steps }
 }
 
 /// The page as HTML.
 pub(super) fn html(web: &Web, data: &impl Serialize) -> String {
-    filled(web, data, ["", "", ""])
+    let scripts = [script::EPISODE, &web.scripts.concat()].concat();
+    let parts = Parts {
+        permit: "",
+        styles: web.styles.concat(),
+        deeds: "",
+        more_panels: "",
+        keys: "",
+        kind: "",
+        scripts,
+    };
+    filled(web, data, parts)
 }
 
-/// The page as HTML, of a script that runs a program of WebAssembly, with keys of its own for the list.
-pub(super) fn html_with_program(web: &Web, data: &impl Serialize, keys: &str) -> String {
-    filled(web, data, [" 'wasm-unsafe-eval'", keys, " type=\"module\""])
+/// The page as HTML, of a script that runs a program of WebAssembly.
+pub(super) fn html_with_program(web: &Web, data: &impl Serialize) -> String {
+    const DEEDS: &str = include_str!("../live/web/deeds.html");
+    const KEYS: &str = include_str!("../live/web/keys.html");
+    let Deeds { hint, controls, keys, script: own } = web.deeds;
+    let deeds = DEEDS.replace("<!-- CONTROLS -->", controls).replace("<!-- HINT -->", hint);
+    let scripts = [&[script::PROGRAM], web.scripts, &[own], &script::LIVE].concat();
+    let parts = Parts {
+        permit: " 'wasm-unsafe-eval'",
+        styles: web.styles.concat() + style::LIVE,
+        deeds: &deeds,
+        more_panels: include_str!("../live/web/panel.html"),
+        keys: &(keys.to_owned() + KEYS),
+        kind: " type=\"module\"",
+        scripts: scripts.concat(),
+    };
+    filled(web, data, parts)
 }
 
-fn filled(web: &Web, data: &impl Serialize, [permit, keys, kind]: [&str; 3]) -> String {
+/// What differs between a page of an episode, and one in which a team plays.
+struct Parts<'a> {
+    permit: &'a str,
+    styles: String,
+    deeds: &'a str,
+    more_panels: &'a str,
+    keys: &'a str,
+    kind: &'a str,
+    scripts: String,
+}
+
+fn filled(web: &Web, data: &impl Serialize, own: Parts<'_>) -> String {
     let data = serde_json::to_string(data).expect("pages have string keys only");
     let parts = [
-        ("<!-- PERMIT -->", permit.to_string()),
-        ("/* STYLE */", web.styles.concat()),
-        ("<!-- MAP -->", web.map.to_string()),
-        ("<!-- PANELS -->", web.panels.to_string()),
-        ("<!-- KEYS -->", keys.to_string()),
-        ("\"DATA\"", escape(&data)),
-        ("<!-- KIND -->", kind.to_string()),
-        ("/* SCRIPT */", web.scripts.concat()),
+        ("<!-- PERMIT -->", own.permit),
+        ("/* STYLE */", &own.styles),
+        ("<!-- MAP -->", web.map),
+        ("<!-- DEEDS -->", own.deeds),
+        ("<!-- PANELS -->", &[web.panels, own.more_panels].concat()),
+        ("<!-- KEYS -->", own.keys),
+        ("\"DATA\"", &escape(&data)),
+        ("<!-- KIND -->", own.kind),
+        ("/* SCRIPT */", &own.scripts),
     ];
     let mut html = String::new();
     let mut rest = SKELETON;
     for (place, part) in parts {
         let (before, after) = rest.split_once(place).expect("the skeleton has a place for it");
         html.push_str(before);
-        html.push_str(&part);
+        html.push_str(part);
         rest = after;
     }
     html.push_str(rest);

@@ -3,11 +3,14 @@
 mod page;
 mod terminal;
 
+use sortie_bundle::Bundle;
 use sortie_envs::particle::{ENTRY, picture_of};
 use sortie_envs::{Environment, Episode, Spec};
 use sortie_learn::Act;
+use sortie_stage::particle::Plane;
 
-use super::{Canvas, Drawing, Figures, Page, Scene, View, Wanted, lettered};
+use super::live::live;
+use super::{Canvas, Drawing, Figures, Live, Page, Scene, View, Wanted};
 use crate::failure::Failure;
 use crate::subject::Subject;
 use crate::worlds::tally::Tally;
@@ -51,6 +54,15 @@ impl View for Shown {
     ) -> Result<Page, Failure> {
         page::acted(wanted, env, world, team)
     }
+
+    fn live(
+        &self,
+        wanted: &Wanted<'_>,
+        bundle: &Bundle,
+        program: Option<&[u8]>,
+    ) -> Result<Live, Failure> {
+        live::<Plane>((&page::WEB, &[]), wanted, bundle, program)
+    }
 }
 
 /// A metric in words; means have a decimal.
@@ -63,16 +75,6 @@ fn told(metric: &str, value: f64) -> String {
         "uncovered" => format!("landmarks uncovered by {value:.2}"),
         name => format!("{number} {name}"),
     }
-}
-
-/// The letter of a kind of treasure; that of its bank is a capital.
-fn kind_name(kind: u8) -> String {
-    lettered(kind.into()).to_lowercase()
-}
-
-/// What an agent is.
-fn role_of(spec: &Spec, agent: usize) -> &'static str {
-    spec.role_of(agent).map_or("agent", |role| role.name)
 }
 
 #[cfg(test)]

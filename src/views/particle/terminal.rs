@@ -3,8 +3,9 @@
 use console::{Color, Style};
 use sortie_envs::particle::{Disc, Drawn, Picture, Thing};
 
-use super::{kind_name, lettered, role_of};
 use crate::views::{Canvas, Drawing, Scene, fitting};
+use sortie_stage::lettered;
+use sortie_stage::particle::{kind_name, role_of};
 
 /// Half of the side that is drawn: agents may leave the square in which everything starts.
 const HALF: f64 = 1.15;

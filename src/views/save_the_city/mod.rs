@@ -1,6 +1,5 @@
 //! SaveTheCity as it is shown.
 
-mod live;
 mod looks;
 mod page;
 mod terminal;
@@ -8,7 +7,9 @@ mod terminal;
 use sortie_bundle::Bundle;
 use sortie_envs::save_the_city::{ENTRY, with_city};
 use sortie_envs::{Episode, Spec};
+use sortie_stage::save_the_city::City;
 
+use super::live::live;
 use super::{Canvas, Drawing, Figures, Live, Page, Scene, View, Wanted};
 use crate::failure::Failure;
 use crate::subject::Subject;
@@ -48,17 +49,13 @@ impl View for Shown {
         page::played(wanted, subject)
     }
 
-    fn plays_live(&self) -> bool {
-        true
-    }
-
     fn live(
         &self,
         wanted: &Wanted<'_>,
         bundle: &Bundle,
         program: Option<&[u8]>,
     ) -> Result<Live, Failure> {
-        live::live(wanted, bundle, program)
+        live::<City>((&page::WEB, &[]), wanted, bundle, program)
     }
 
     fn recorded(&self, wanted: &Wanted<'_>, text: &str) -> Result<Page, Failure> {

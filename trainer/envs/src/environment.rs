@@ -202,6 +202,16 @@ pub trait Environment: Any + Send + Sync {
     /// entities that exist. Turn 0 changes nothing.
     fn observe(&self, state: &[u8], turn: usize, wanted: EntitySet, seen: &mut Observation);
 
+    /// Puts an entity elsewhere between two steps: agents come first, things behind them. A place is a column and a row,
+    /// from 0, or a point of a plane, as the environment's own states have it.
+    ///
+    /// # Errors
+    /// It cannot be there; nothing has changed then.
+    fn place(&mut self, instance: usize, entity: usize, place: [f64; 2]) -> Result<(), StateError> {
+        let _ = (instance, entity, place);
+        Err(StateError::Impossible("nothing here can be put elsewhere".into()))
+    }
+
     /// What the running or last episode has come to.
     fn episode(&self, instance: usize) -> Episode;
 

@@ -4,13 +4,22 @@ const CELL = 40;
 const EMPTY = 0;
 const WALL = 2;
 
-/** Two letters for each object that is ever on the grid, no two alike. */
+/** Two letters for each object that has been on the grid, no two alike. */
 const SIGNS = new Map();
-for (const object of [...new Set(episode.states.flatMap(({ cells }) => cells))].sort((a, b) => a - b)) {
-  const [first, ...rest] = episode.objects[object].split("_");
-  const seconds = [...rest.map((word) => word[0]), ...first.slice(1)];
-  const signs = seconds.map((second) => first[0] + second);
-  SIGNS.set(object, signs.find((sign) => ![...SIGNS.values()].includes(sign)) ?? signs[0]);
+
+/** Gives signs to objects that have none, and explains them. */
+function learnSigns(states) {
+  const objects = [...new Set(states.flatMap(({ cells }) => cells))].sort((a, b) => a - b);
+  for (const object of objects.filter((object) => !SIGNS.has(object))) {
+    const [first, ...rest] = episode.objects[object].split("_");
+    const seconds = [...rest.map((word) => word[0]), ...first.slice(1)];
+    const signs = seconds.map((second) => first[0] + second);
+    const sign = signs.find((sign) => ![...SIGNS.values()].includes(sign)) ?? signs[0];
+    SIGNS.set(object, sign);
+    if (object !== EMPTY && object !== WALL) {
+      byId("legend").append(html("li", {}, `${sign} ${episode.objects[object].replaceAll("_", " ")}`));
+    }
+  }
 }
 
 function objectHue(object) {
@@ -22,12 +31,10 @@ function createMap() {
   const map = byId("map");
   const side = episode.size * CELL;
   setAll(map, { viewBox: `0 0 ${side} ${side}` });
-  const named = [...SIGNS].filter(([object]) => object !== EMPTY && object !== WALL);
-  byId("legend").append(
-    ...named.map(([object, sign]) => html("li", {}, `${sign} ${episode.objects[object].replaceAll("_", " ")}`)),
-  );
+  learnSigns(episode.states);
   return function showMap(view) {
     const state = episode.states[view.at];
+    learnSigns([state]);
     map.replaceChildren(...state.cells.flatMap((object, cell) => drawCell(state, object, cell)), walker(state));
     byId("map-text").textContent = `agent in column ${state.at % episode.size}, row ${Math.floor(state.at / episode.size)}`;
   };
@@ -47,9 +54,7 @@ function drawCell(state, object, cell) {
 
 /** A triangle that points to where the agent looks. */
 function walker({ at, direction }) {
-  const [x, y] = [(at % episode.size) * CELL, Math.floor(at / episode.size) * CELL];
-  const turn = `rotate(${90 * direction} ${x + CELL / 2} ${y + CELL / 2})`;
-  const [left, right, top, bottom] = [x + 9, x + CELL - 6, y + 8, y + CELL - 8];
-  const points = `${left},${top} ${right},${y + CELL / 2} ${left},${bottom}`;
-  return svg("polygon", { class: "walker", points, transform: turn });
+  const [x, y] = [at % episode.size, Math.floor(at / episode.size)].map((part) => (part + 0.5) * CELL);
+  const body = svg("polygon", { points: "-11,-12 14,0 -11,12", transform: `rotate(${90 * direction})` });
+  return svg("g", { class: "walker", "data-entity": 0, style: `transform: translate(${x}px, ${y}px)` }, body);
 }

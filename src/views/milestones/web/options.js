@@ -1,11 +1,16 @@
 // What the agent goes for, what it believes it can reach, and what its options came to.
 
+/** What the agent goes for in a state; nothing where it does not decide. */
+function optionAt(at) {
+  return episode.states[at].thoughts?.[0]?.option;
+}
+
 /** Options that are over before a state, by their goals: how many, and how many reached it. */
 function optionsBefore(at) {
   const counts = episode.milestones.map(() => ({ tried: 0, reached: 0 }));
   for (let step = 0; step < at; step += 1) {
-    const goal = episode.states[step].thought?.goal;
-    const ends = step + 1 >= LAST || episode.states[step + 1].thought?.step === 1;
+    const goal = optionAt(step)?.goal;
+    const ends = (optionAt(step + 1)?.step ?? 1) === 1;
     if (goal !== undefined && ends) {
       counts[goal].tried += 1;
       counts[goal].reached += episode.steps[step].reached === goal ? 1 : 0;
@@ -20,14 +25,12 @@ const bit = (set, place) => ((set >> place) & 1) === 1;
 function createAgentPanel() {
   return function showAgent(view) {
     const state = episode.states[view.at];
-    const { thought, truth } = state;
-    const action = episode.steps[view.at]?.actions[0];
-    byId("agent-title").textContent = thought ? `goes for ${nameOf(thought.goal)}` : "the episode is over";
-    byId("agent-text").textContent = thought
-      ? `step ${thought.step} of the option; action: ${episode.agents[0].actions[action].replaceAll("_", " ")}`
-      : "";
+    const [option, { truth }] = [optionAt(view.at), state];
+    const action = episode.agents[0].actions[actionOf(view.at, 0)]?.replaceAll("_", " ");
+    byId("agent-title").textContent = option ? `goes for ${nameOf(option.goal)}` : idle(state, 0);
+    byId("agent-text").textContent = option ? `step ${option.step} of the option; action: ${action}` : "";
     const counts = optionsBefore(view.at);
-    const rows = episode.milestones.map((_, place) => milestoneRow(place, thought, truth, counts[place]));
+    const rows = episode.milestones.map((_, place) => milestoneRow(place, option, truth, counts[place]));
     byId("milestones").tBodies[0].replaceChildren(...rows);
   };
 }
@@ -36,15 +39,15 @@ function nameOf(milestone) {
   return episode.milestones[milestone].replaceAll("_", " ");
 }
 
-function milestoneRow(place, thought, truth, { tried, reached }) {
+function milestoneRow(place, option, truth, { tried, reached }) {
   const bar = html("div", { class: "bar" });
-  const likely = thought?.likelihoods[place];
+  const likely = option?.likelihoods[place];
   bar.style.width = `${100 * (likely ?? 0)}%`;
-  const masked = thought ? bit(thought.mask, place) : undefined;
-  const isWrong = thought && masked !== bit(truth, place);
+  const masked = option ? bit(option.mask, place) : undefined;
+  const isWrong = option && masked !== bit(truth, place);
   return html(
     "tr",
-    { class: place === thought?.goal ? "goal" : "" },
+    { class: place === option?.goal ? "goal" : "" },
     html("th", { scope: "row" }, nameOf(place)),
     html("td", { class: "track" }, bar),
     html("td", { class: "number" }, likely === undefined ? "" : percent(likely)),

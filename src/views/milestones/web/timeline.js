@@ -24,8 +24,8 @@ function reachedLane(lane, column) {
 
 /** Where a milestone is the goal. */
 function goalLane(milestone, lane, column) {
-  const marks = episode.states.flatMap(({ thought }, at) =>
-    thought?.goal === milestone
+  const marks = episode.states.flatMap((_, at) =>
+    optionAt(at)?.goal === milestone
       ? [svg("rect", { class: "lane-cell", style: "--tint: var(--taken)", x: at * column, y: 2, width: Math.max(column, 1), height: lane - 4 })]
       : [],
   );

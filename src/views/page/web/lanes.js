@@ -1,6 +1,8 @@
 // Lanes across the whole episode, one below the other: a column for every state.
 
 const GAP = 8;
+/** Most columns that are kept free for states of an episode that is being played. */
+const KEPT_FREE = 150;
 
 /**
  * Draws as many lanes, with a gap below the first `above` and room for names on the left, again whenever the width
@@ -14,6 +16,7 @@ function createLanes(go, { count, above, gutter = 40, draw }) {
   const cursor = svg("rect", { class: "cursor", y: 0, height });
   let column = 1;
   let at = 0;
+  let drawn = episode.changes;
 
   function moveCursor() {
     setAll(cursor, { x: gutter + at * column, width: Math.max(column, 2) });
@@ -21,7 +24,8 @@ function createLanes(go, { count, above, gutter = 40, draw }) {
 
   function drawAll() {
     const width = timeline.parentElement.clientWidth;
-    column = Math.min(90, (width - gutter - 8) / (LAST + 1));
+    drawn = episode.changes;
+    column = Math.min(90, (width - gutter - 8) / Math.max(LAST + 1, Math.min(episode.room ?? 0, KEPT_FREE)));
     setAll(timeline, { viewBox: `0 0 ${width} ${height}`, width, height });
     const lanes = Array.from({ length: count }, (_, number) => {
       const element = draw(number, lane, column);
@@ -51,7 +55,7 @@ function createLanes(go, { count, above, gutter = 40, draw }) {
 
   return function showTimeline(view) {
     at = view.at;
-    moveCursor();
+    (drawn === episode.changes ? moveCursor : drawAll)();
   };
 }
 

@@ -3,9 +3,6 @@
 use serde::Serialize;
 use sortie_stage::save_the_city::{AgentFacts, BuildingFacts, EpisodeResult, Event, State, Step};
 
-/// Version of this data; the page's script and these types change together.
-pub(super) const FORMAT: u32 = 1;
-
 /// One episode.
 #[derive(Debug, Serialize)]
 pub(super) struct Page {

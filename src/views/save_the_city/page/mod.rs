@@ -26,14 +26,14 @@ use crate::proposals::ProposalArguments;
 use crate::subject::Subject;
 use crate::subject_allocator::{self, SubjectAllocator};
 use crate::views::mind::DeployedMind;
-use crate::views::page::{Web, html, script, style};
+use crate::views::page::{Deeds, FORMAT, Web, html, script, style};
 use crate::views::{Page, Wanted};
 use capture::{Captured, Thinker, capture};
 use data::Page as Data;
 use episode::{Played, Replayed, open_recording};
 use values::TeamValueProbe;
 
-const WEB: Web = Web {
+pub(super) const WEB: Web = Web {
     styles: &[
         include_str!("web/colours.css"),
         style::BASICS,
@@ -43,27 +43,35 @@ const WEB: Web = Web {
         style::RESULT,
         include_str!("web/map.css"),
         style::PLAYBACK,
+        style::LANES,
         include_str!("web/timeline.css"),
         style::AGENT,
         include_str!("web/buildings.css"),
         style::DIALOG,
     ],
-    map: include_str!("web/map.html"),
+    map: "Map",
     panels: include_str!("web/panels.html"),
     scripts: &[
-        script::EPISODE,
         include_str!("web/status.js"),
         script::SUMS,
         include_str!("web/entities.js"),
         script::NUMBERS,
         script::ELEMENTS,
+        script::ACTS,
         include_str!("web/signs.js"),
         include_str!("web/map.js"),
         include_str!("web/agent.js"),
         include_str!("web/building.js"),
+        script::LANES,
         include_str!("web/timeline.js"),
         script::PLAYER,
     ],
+    deeds: Deeds {
+        hint: "Drag an agent to another cell.",
+        controls: include_str!("web/deeds.html"),
+        keys: include_str!("web/keys.html"),
+        script: include_str!("web/deeds.js"),
+    },
 };
 
 /// The page of an episode that the subject plays.
@@ -226,7 +234,7 @@ fn data_of(subject: String, captured: Captured) -> Data {
     let Captured { agents, buildings, states, steps, result } = captured;
     let events = Names { agents: &agents, buildings: &buildings }.events(&states);
     Data {
-        format: data::FORMAT,
+        format: FORMAT,
         subject,
         allocation: None,
         env: String::new(),

@@ -144,6 +144,10 @@ impl Environment for Gridworld {
         self.read_state(instance, state)
     }
 
+    fn place(&mut self, instance: usize, agent: usize, place: [f64; 2]) -> Result<(), StateError> {
+        self.put(instance, agent, place.map(|part| part as usize))
+    }
+
     fn observe(&self, state: &[u8], _: usize, wanted: EntitySet, seen: &mut Observation) {
         let state = self.known(state);
         let agents = self.rules().agents();

@@ -8,7 +8,7 @@ use super::ACTION_NAMES;
 use super::bytes::State;
 use super::chance::{Chance, Drawn, Normals};
 use super::episode::{Episode, Rules};
-use super::map::MAX_AGENTS;
+use super::map::{MAX_AGENTS, SIDE};
 use super::pits::Pit;
 use super::spec::spec;
 use crate::environment::{StateError, Step, StepError};
@@ -135,6 +135,24 @@ impl Gridworld {
         if !episode.is_solved(rules) {
             episode.settle(rules.tier(episode.tiers).0.magnitude(), chance);
         }
+    }
+
+    /// Puts an agent in another cell.
+    pub(super) fn put(
+        &mut self,
+        instance: usize,
+        agent: usize,
+        [column, row]: [usize; 2],
+    ) -> Result<(), StateError> {
+        let Self { rules, episodes, .. } = self;
+        let episode = &mut episodes[instance];
+        let is_inside = agent < rules.agents() && column.max(row) < SIDE;
+        let cell = (row.min(SIDE) * SIDE + column) as u16;
+        if !is_inside || !rules.map.is_open(cell, episode.tiers) {
+            return Err(StateError::Impossible("a wall or a shut door is there".into()));
+        }
+        episode.cells[agent] = cell;
+        Ok(())
     }
 
     pub(super) fn write_state(&self, instance: usize, bytes: &mut Vec<u8>) {

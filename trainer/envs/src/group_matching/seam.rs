@@ -131,6 +131,16 @@ impl Environment for GroupMatching {
         self.read_state(instance, state)
     }
 
+    /// A cell is a column of the only row.
+    fn place(
+        &mut self,
+        instance: usize,
+        agent: usize,
+        [cell, _]: [f64; 2],
+    ) -> Result<(), StateError> {
+        self.put(instance, agent, cell as u8)
+    }
+
     fn observe(&self, state: &[u8], _: usize, wanted: EntitySet, seen: &mut Observation) {
         let parameters = self.parameters();
         let ring = self.known(state).ring;

@@ -1,5 +1,6 @@
 //! Many rings at once: resets, steps and states.
 
+use alloc::format;
 use alloc::vec;
 use alloc::vec::Vec;
 
@@ -174,6 +175,28 @@ impl GroupMatching {
         // What ends at the limit counts as cut off there, solved or not.
         let (solved, timed_out) = (episode.matches == groups, episode.steps >= episode_limit);
         Ok(Step { reward, terminated: solved && !timed_out, timed_out, tasks_changed: false })
+    }
+
+    /// Puts an agent in another cell; what the groups came to so far counts from there.
+    pub(super) fn put(
+        &mut self,
+        instance: usize,
+        agent: usize,
+        cell: u8,
+    ) -> Result<(), StateError> {
+        let Parameters { agents, cells, groups, .. } = self.parameters;
+        if agent >= agents || usize::from(cell) >= cells {
+            return Err(StateError::Impossible(format!("the ring has {cells} cells")));
+        }
+        let episode = &mut self.episodes[instance];
+        let before = core::mem::replace(&mut episode.cells[agent], cell);
+        let matches = episode.ring().matches();
+        if matches == groups {
+            episode.cells[agent] = before;
+            return Err(StateError::Impossible("the last group gathers by itself only".into()));
+        }
+        episode.matches = matches;
+        Ok(())
     }
 
     pub(super) fn write_state(&self, instance: usize, bytes: &mut Vec<u8>) {

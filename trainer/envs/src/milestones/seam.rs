@@ -17,7 +17,7 @@ use super::simulator::Milestones;
 use super::spec::{IMPOSSIBLE, TIME};
 use super::states;
 use super::window;
-use super::world::World;
+use super::world::{EMPTY, World};
 use crate::entry::{Choice, Entry, EnvironmentError};
 use crate::environment::{Environment, Episode, Split, StateError, Step, StepError};
 use crate::observation::{EntitySet, Observation};
@@ -158,6 +158,17 @@ impl<G: Game> Environment for Milestones<G> {
     fn load(&mut self, instance: usize, state: &[u8]) -> Result<(), StateError> {
         let longest = self.rules.limit.max(self.rules.training_limit);
         self.episodes[instance] = states::read::<G>(state, longest)?;
+        Ok(())
+    }
+
+    fn place(&mut self, instance: usize, entity: usize, place: [f64; 2]) -> Result<(), StateError> {
+        let world = &mut self.episodes[instance].world;
+        let [x, y] = place.map(|part| part as usize);
+        let is_inside = entity == 0 && x.max(y) < world.size.into();
+        if !is_inside || world.object(world.at(x, y)) != EMPTY {
+            return Err(StateError::Impossible("the agent can stand in empty cells only".into()));
+        }
+        world.position = world.at(x, y) as u8;
         Ok(())
     }
 

@@ -163,6 +163,18 @@ impl Scenario for Navigation {
         }
     }
 
+    fn entity<'w>(
+        &self,
+        world: &'w mut Navigated,
+        entity: usize,
+    ) -> Option<(&'w mut Point, Option<&'w mut Point>)> {
+        if let Some(mover) = world.movers.get_mut(entity) {
+            return Some((&mut mover.position, Some(&mut mover.velocity)));
+        }
+        let landmark = entity.checked_sub(self.agents())?;
+        Some((world.landmarks.get_mut(landmark)?, None))
+    }
+
     fn picture(&self, world: &Navigated) -> Picture {
         let disc = |place, radius| Some(Disc { place, radius });
         let agent =

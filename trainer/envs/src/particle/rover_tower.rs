@@ -198,6 +198,18 @@ impl Scenario for RoverTower {
         }
     }
 
+    fn entity<'w>(
+        &self,
+        world: &'w mut Roved,
+        entity: usize,
+    ) -> Option<(&'w mut Point, Option<&'w mut Point>)> {
+        if let Some(mover) = world.movers.get_mut(entity) {
+            return Some((&mut mover.position, Some(&mut mover.velocity)));
+        }
+        let landmark = entity.checked_sub(2 * self.rovers())?;
+        Some((world.landmarks.get_mut(landmark)?, None))
+    }
+
     fn picture(&self, world: &Roved) -> Picture {
         let disc = |place, radius| Some(Disc { place, radius });
         let rover = |(rover, mover): (usize, &Mover)| {

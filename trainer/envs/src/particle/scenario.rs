@@ -6,6 +6,7 @@ use core::fmt::Debug;
 use super::bytes::Reader;
 use super::columns::Row;
 use super::picture::Picture;
+use super::plane::Point;
 use crate::random::Random;
 use crate::spec::{Metric, Role};
 
@@ -48,6 +49,13 @@ pub trait Scenario: Clone + Debug + Send + Sync + 'static {
 
     /// Writes what an agent sees.
     fn observe(&self, world: &Self::World, agent: usize, row: &mut Row<'_>);
+
+    /// Where an agent or a thing is, with its velocity if it has one; agents come first. None of those that are nowhere.
+    fn entity<'w>(
+        &self,
+        world: &'w mut Self::World,
+        entity: usize,
+    ) -> Option<(&'w mut Point, Option<&'w mut Point>)>;
 
     /// What there is to draw of a world.
     fn picture(&self, world: &Self::World) -> Picture;

@@ -175,6 +175,10 @@ impl<S: Scenario> Environment for Particle<S> {
         self.read_state(instance, state)
     }
 
+    fn place(&mut self, instance: usize, entity: usize, place: [f64; 2]) -> Result<(), StateError> {
+        self.put(instance, entity, place)
+    }
+
     fn observe(&self, state: &[u8], _: usize, wanted: EntitySet, seen: &mut Observation) {
         let world = self.known(state);
         let agents = self.own_spec().shape.agents;

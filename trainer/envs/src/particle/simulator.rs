@@ -4,6 +4,7 @@ use alloc::vec;
 use alloc::vec::Vec;
 
 use super::physics::ACTIONS;
+use super::plane::Point;
 use super::scenario::Scenario;
 use super::spec::spec;
 use super::states::{self, State};
@@ -11,6 +12,9 @@ use super::treasure::{Hoard, TreasureCollection};
 use crate::environment::{StateError, Step, StepError};
 use crate::random::Random;
 use crate::spec::Spec;
+
+/// How far from the middle anything can be put, in half sides of the square that everything starts in.
+const FARTHEST: f64 = 2.0;
 
 /// A scenario of the plane, many instances in one object. A step allocates nothing.
 #[derive(Clone, Debug)]
@@ -107,6 +111,28 @@ impl<S: Scenario> Particle<S> {
         *episode_return += reward;
         let timed_out = *steps >= self.spec.episode_limit;
         Ok(Step { reward, timed_out, ..Step::default() })
+    }
+
+    /// Puts an agent or a thing elsewhere, where it comes to rest.
+    pub(super) fn put(
+        &mut self,
+        instance: usize,
+        entity: usize,
+        place: Point,
+    ) -> Result<(), StateError> {
+        let refused = |reason: &str| Err(StateError::Impossible(reason.into()));
+        if !place.iter().all(|part| part.abs() <= FARTHEST) {
+            return refused("that is too far away");
+        }
+        let world = &mut self.episodes[instance].world;
+        let Some((position, velocity)) = self.scenario.entity(world, entity) else {
+            return refused("it is nowhere, and stays there");
+        };
+        *position = place;
+        if let Some(velocity) = velocity {
+            *velocity = [0.0; 2];
+        }
+        Ok(())
     }
 
     pub(super) fn write_state(&self, instance: usize, state: &mut Vec<u8>) {

@@ -8,6 +8,7 @@ use super::allocation::RULES;
 use super::bytes::{CityBytes, write_state};
 use super::causes::Cause;
 use super::decode::CityDecoder;
+use super::error::CityError;
 use super::features::{agent_features, building_features};
 use super::metrics::EpisodeMetrics;
 use super::potential::potential;
@@ -137,6 +138,15 @@ impl Environment for SaveTheCity {
 
     fn save(&self, instance: usize, state: &mut Vec<u8>) {
         write_state(self.city(instance), self.scenario(instance), self.metrics(instance), state);
+    }
+
+    fn place(&mut self, instance: usize, agent: usize, place: [f64; 2]) -> Result<(), StateError> {
+        // Whatever is less than the first cell is none of the map either.
+        let [x, y] = place.map(|part| if part < 0.0 { u8::MAX } else { part as u8 });
+        self.place_agent(instance, agent, (x, y)).map_err(|error| match error {
+            CityError::State(reason) => StateError::Impossible(reason),
+            error => StateError::Impossible(error.to_string()),
+        })
     }
 
     fn load(&mut self, instance: usize, state: &[u8]) -> Result<(), StateError> {

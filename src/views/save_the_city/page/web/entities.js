@@ -15,11 +15,6 @@ function teamOf(state, building) {
   return episode.agents.flatMap((_, agent) => (state.allocation[agent] === building ? [agent] : []));
 }
 
-/** What an agent does in a state, or has decided to do; nothing in the final one. */
-function actionOf(at, agent) {
-  return episode.steps[at]?.actions[agent] ?? episode.states[at].chosen?.[agent] ?? undefined;
-}
-
 function isAvailable(state, agent, action) {
   return ((state.available[agent] >> action) & 1) === 1;
 }

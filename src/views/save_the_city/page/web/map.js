@@ -10,6 +10,7 @@ function place([x, y]) {
 /** Draws the map once; the returned function shows a state of it. */
 function createMap(select) {
   const map = byId("map");
+  map.setAttribute("viewBox", "0 0 640 640");
   const layers = ["grid", "assignments", "trails", "houses", "people", "marks"].map((name) =>
     svg("g", { class: name }),
   );
@@ -24,6 +25,7 @@ function createMap(select) {
   });
   const agents = episode.agents.map((facts, agent) => {
     const element = createPerson(facts);
+    element.dataset.entity = agent;
     element.addEventListener("click", () => select({ agent }));
     people.append(element);
     return element;

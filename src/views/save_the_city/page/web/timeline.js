@@ -1,62 +1,16 @@
 // The whole episode at a glance: a lane for every building and every agent, a column for every state.
 
-const GUTTER = 34;
-const GAP = 8;
-
-/** Draws the lanes, again whenever the width changes; the returned function moves the cursor. */
+/** Draws the lanes; the returned function moves the cursor. */
 function createTimeline(go) {
-  const timeline = byId("timeline");
-  const lanes = episode.buildings.length + episode.agents.length;
-  const lane = Math.max(8, Math.min(15, Math.floor(180 / lanes)));
-  const height = lanes * lane + GAP + 2;
-  const cursor = svg("rect", { class: "cursor", y: 0, height });
-  let column = 1;
-  let at = 0;
-  let drawn = episode.changes;
-
-  function moveCursor() {
-    setAll(cursor, { x: GUTTER + at * column, width: Math.max(column, 2) });
-  }
-
-  function draw() {
-    const width = timeline.parentElement.clientWidth;
-    drawn = episode.changes;
-    column = (width - GUTTER - 8) / Math.max(LAST + 1, episode.room ?? 0);
-    setAll(timeline, { viewBox: `0 0 ${width} ${height}`, width, height });
-    const buildings = episode.buildings.map((facts, building) => buildingLane(building, facts, lane, column));
-    const agents = episode.agents.map((facts, agent) => agentLane(agent, facts, lane, column));
-    buildings.forEach((element, i) => element.setAttribute("transform", `translate(${GUTTER}, ${i * lane})`));
-    agents.forEach((element, i) =>
-      element.setAttribute("transform", `translate(${GUTTER}, ${(buildings.length + i) * lane + GAP})`),
-    );
-    timeline.replaceChildren(...buildings, ...agents, cursor);
-    moveCursor();
-  }
-
-  function pointed(event) {
-    const x = event.clientX - timeline.getBoundingClientRect().left - GUTTER;
-    go(Math.max(0, Math.min(LAST, Math.floor(x / column))));
-  }
-  timeline.addEventListener("pointerdown", (event) => {
-    timeline.setPointerCapture(event.pointerId);
-    pointed(event);
+  const buildings = episode.buildings.length;
+  return createLanes(go, {
+    count: buildings + episode.agents.length,
+    above: buildings,
+    draw: (number, lane, column) =>
+      number < buildings
+        ? buildingLane(number, episode.buildings[number], lane, column)
+        : agentLane(number - buildings, episode.agents[number - buildings], lane, column),
   });
-  timeline.addEventListener("pointermove", (event) => {
-    if (event.buttons) {
-      pointed(event);
-    }
-  });
-  new ResizeObserver(draw).observe(timeline.parentElement);
-  draw();
-
-  return function showTimeline(view) {
-    at = view.at;
-    (drawn === episode.changes ? moveCursor : draw)();
-  };
-}
-
-function laneName(name, lane) {
-  return svg("text", { x: -6, y: lane / 2, class: "lane-name", "font-size": Math.min(12, lane) }, name);
 }
 
 /** Health as an area, fire as a band above it, events as signs. */

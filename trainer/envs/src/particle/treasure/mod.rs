@@ -170,6 +170,18 @@ impl Scenario for TreasureCollection {
         self.see(world, agent, row);
     }
 
+    fn entity<'w>(
+        &self,
+        world: &'w mut Hoard,
+        entity: usize,
+    ) -> Option<(&'w mut Point, Option<&'w mut Point>)> {
+        if let Some(mover) = world.movers.get_mut(entity) {
+            return Some((&mut mover.position, Some(&mut mover.velocity)));
+        }
+        let treasure = world.treasures.get_mut(entity.checked_sub(self.agents())?)?;
+        treasure.is_alive().then_some((&mut treasure.position, None))
+    }
+
     fn picture(&self, world: &Hoard) -> Picture {
         let agent = |(agent, mover): (usize, &Mover)| Drawn {
             disc: Some(Disc { place: mover.position, radius: self.bodies[agent].radius }),
