@@ -46,6 +46,7 @@ impl Laws {
         self.played.reset(instance, random);
         let start = self.played.episode(instance);
         require(start.steps == 0 && start.episode_return == 0.0, || "a reset starts anew".into())?;
+        self.check_places(&self.saved(instance)?)?;
         let mut returned = 0.0;
         while !self.played.episode(instance).done {
             let state = self.saved(instance)?;
@@ -86,6 +87,31 @@ impl Laws {
             )
         })?;
         Ok(state)
+    }
+
+    /// Whatever is put elsewhere leaves a state that an episode goes on from; where that is refused nothing has changed.
+    fn check_places(&mut self, state: &[u8]) -> Result<(), String> {
+        self.other.load(0, state).map_err(|error| format!("a saved state is refused: {error}"))?;
+        let places = [[0.0; 2], [1.0, 2.0], [5.0, 1.0], [-1.0, 1.0], [1e300; 2], [f64::NAN; 2]];
+        let mut before = state.to_vec();
+        for entity in 0..=self.spec.shape.entities {
+            for place in places {
+                let placed = self.other.place(0, entity, place);
+                let mut after = Vec::new();
+                self.other.save(0, &mut after);
+                require(placed.is_ok() || after == before, || {
+                    format!("entity {entity} is not put to {place:?}, but something has changed")
+                })?;
+                require(!self.other.episode(0).done, || {
+                    format!("the episode is over by putting entity {entity} to {place:?}")
+                })?;
+                self.other.load(0, &after).map_err(|error| {
+                    format!("no episode goes on from entity {entity} at {place:?}: {error}")
+                })?;
+                before = after;
+            }
+        }
+        Ok(())
     }
 
     /// Takes the same step in a copy of the state, and in the instance itself.

@@ -56,7 +56,8 @@ function createBits() {
   const { decisions, seed: ofSeed, golden } = page.hashes;
   byId("rehearse").textContent = `Play ${decisions} decisions of seed ${ofSeed}`;
   byId("rehearse").addEventListener("click", rehearse);
-  showHash("golden", hexadecimal(team.call("golden")), golden);
+  // Once the first state is drawn.
+  requestAnimationFrame(() => setTimeout(() => showHash("golden", hexadecimal(team.call("golden")), golden)));
   let shown = null;
 
   return function showBits(view) {

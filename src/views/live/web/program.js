@@ -16,7 +16,12 @@ const number = Number(askedNumber("episode", 9, page.number));
 
 /** Bytes that the page holds as text. */
 function bytesOf(text) {
-  return Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  const letters = atob(text);
+  const bytes = new Uint8Array(letters.length);
+  for (let place = 0; place < letters.length; place += 1) {
+    bytes[place] = letters.charCodeAt(place);
+  }
+  return bytes;
 }
 
 async function unpacked(bytes, format) {

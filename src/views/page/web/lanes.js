@@ -25,7 +25,8 @@ function createLanes(go, { count, above, gutter = 40, draw }) {
   function drawAll() {
     const width = timeline.parentElement.clientWidth;
     drawn = episode.changes;
-    column = Math.min(90, (width - gutter - 8) / Math.max(LAST + 1, Math.min(episode.room ?? 0, KEPT_FREE)));
+    const columns = Math.max(LAST + 1, Math.min(episode.room ?? 0, KEPT_FREE));
+    column = Math.min(90, Math.max(0, width - gutter - 8) / columns);
     setAll(timeline, { viewBox: `0 0 ${width} ${height}`, width, height });
     const lanes = Array.from({ length: count }, (_, number) => {
       const element = draw(number, lane, column);

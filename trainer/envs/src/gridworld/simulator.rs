@@ -147,10 +147,11 @@ impl Gridworld {
         let Self { rules, episodes, .. } = self;
         let episode = &mut episodes[instance];
         let is_inside = agent < rules.agents() && column.max(row) < SIDE;
-        let cell = (row.min(SIDE) * SIDE + column) as u16;
-        if !is_inside || !rules.map.is_open(cell, episode.tiers) {
+        let cell = is_inside.then(|| (row * SIDE + column) as u16);
+        let open = cell.filter(|cell| rules.map.is_open(*cell, episode.tiers));
+        let Some(cell) = open else {
             return Err(StateError::Impossible("a wall or a shut door is there".into()));
-        }
+        };
         episode.cells[agent] = cell;
         Ok(())
     }
