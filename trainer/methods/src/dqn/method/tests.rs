@@ -36,7 +36,8 @@ fn an_update_is_that_of_a_naive_list() {
     ] {
         let (mut dqn, world) = played(300, assignments);
         let other = played(1, &["network.active_inputs=3"]).0.learner.online;
-        dqn.learner.target = other;
+        // So large that values lie beyond what bounds them.
+        dqn.learner.target = other.iter().map(|weight| 3.0 * weight).collect();
         let (mut random, mut drawn) = (dqn.random.clone(), Vec::new());
         while drawn.len() < 24 {
             drawn.extend(dqn.draw(&*world));
