@@ -7,7 +7,8 @@ use sortie_core::options::Pursuit;
 use sortie_core::plan::{AlignedBytes, Header, Network, Plan, Profile};
 use sortie_core::{DecideError, EntityMask, Observation, PlanPolicy};
 use sortie_plans::{
-    AgentPlans, Annex, CompileError, random_observations, random_policy_inputs, read_onnx,
+    AgentPlans, Annex, CompileError, random_observations, random_policy_inputs, random_states,
+    read_onnx,
 };
 use sortie_stage::{UtilityHash, hash_of};
 
@@ -157,11 +158,10 @@ impl Subject {
         let (header, count) = (loaded.header(), most.min(RANDOM_CASES));
         if header.network == Network::Policy {
             let annex = Annex::of_plan(plan.as_slice()).map_err(within)?;
-            let facts = annex.map(|annex| annex.facts).ok_or_else(|| {
-                let message = "this plan does not say what it takes: compile it anew";
-                Failure::new(Exit::BadData, message).within(path.display())
-            })?;
-            let given = random_policy_inputs(count, &facts, seed);
+            let given = match annex {
+                Some(Annex { facts, .. }) => random_policy_inputs(count, &facts, seed),
+                None => random_inputs(count, &loaded, seed),
+            };
             return Self::responding(name, plan, &loaded, &given);
         }
         let [n_max, features, actions] =
@@ -273,6 +273,16 @@ impl Subject {
             hash: hash.value(),
         })
     }
+}
+
+/// Random numbers for a policy of which nothing is said but how many it takes.
+fn random_inputs(count: usize, plan: &Plan<'_>, seed: u64) -> Vec<Vec<Vec<f32>>> {
+    let mut numbers = random_states(plan.inputs().sum(), seed);
+    let mut case = |_| {
+        let mut rest = numbers();
+        plan.inputs().map(|length| rest.drain(..length).collect()).collect()
+    };
+    (0..count).map(&mut case).collect()
 }
 
 fn fused() -> Failure {
