@@ -104,7 +104,7 @@ mod tests {
         want.sort_by_key(|kind| *kind as u16);
         want.dedup();
         assert_eq!(Needed::by_all(&[int8, agent]).kinds(), want);
-        assert_eq!(Needed::by_all(&[]).kinds(), []);
+        assert!(Needed::by_all(&[]).kinds().is_empty());
         for len in 0..agent.len() {
             assert!(Needed::by(&agent[..len]).kinds().len() <= want.len(), "{len}");
         }
