@@ -5,6 +5,7 @@ use alloc::vec::Vec;
 
 use sortie_attention::AttentionProbe;
 use sortie_core::allocate::PlanTeamValue;
+use sortie_core::choose::masked_argmax;
 use sortie_core::{
     AllocateError, AllocationState, Allocator, DecideError, Decision, EntityMask, Observation,
     Policy, UNASSIGNED,
@@ -78,7 +79,11 @@ impl Policy for NotingPolicy<'_, '_> {
         let mut utilities = vec![0.0; self.actions()];
         self.utilities(seen, &mut utilities)?;
         let Self { decisions: Decisions { mind, are_told, probe, notes }, memory } = self;
-        let decision = mind.decide_with(seen, &mut memory.now);
+        // What decides by the present alone need not compute it twice.
+        let decision = match memory.now.is_empty() {
+            true => masked_argmax(&utilities, seen.available),
+            false => mind.decide_with(seen, &mut memory.now),
+        };
         let probe = probe.as_ref().filter(|_| *are_told);
         let attention = probe.map(|probe| probe.by_entity(seen)).transpose()?;
         let option = if *are_told { mind.pursued(seen, &memory.now)? } else { None };
