@@ -1,5 +1,6 @@
 //! What a team's agents decide by: the plans of their networks, or options over three of them.
 
+use alloc::boxed::Box;
 use alloc::vec;
 use alloc::vec::Vec;
 
@@ -16,7 +17,7 @@ pub(crate) enum Mind<'a> {
     /// A network for each agent, some of them the same.
     Networks(PolicyByAgent<Vec<PlanPolicy<'a>>, Vec<u16>>),
     /// An agent that goes from milestone to milestone.
-    Options(OptionPolicy<PlanNetworks<'a>, Vec<f32>>),
+    Options(Box<OptionPolicy<PlanNetworks<'a>, Vec<f32>>>),
 }
 
 impl<'a> Mind<'a> {
@@ -50,7 +51,7 @@ impl<'a> Mind<'a> {
         let rules = settings.rules().ok_or(StageError::NoOptions)?;
         let shown = Shown::new(rules.picture).ok_or(StageError::NoOptions)?;
         let policy = OptionPolicy::new(rules, networks, vec![0.0; shown.columns()]);
-        Ok(Self::Options(policy.ok_or(StageError::NoOptions)?))
+        Ok(Self::Options(Box::new(policy.ok_or(StageError::NoOptions)?)))
     }
 
     /// What an agent with such a memory goes for; none of agents that run no options.
@@ -71,14 +72,14 @@ impl<'a> Mind<'a> {
     fn policy(&self) -> &dyn Policy {
         match self {
             Self::Networks(policy) => policy,
-            Self::Options(policy) => policy,
+            Self::Options(policy) => policy.as_ref(),
         }
     }
 
     fn policy_mut(&mut self) -> &mut dyn Policy {
         match self {
             Self::Networks(policy) => policy,
-            Self::Options(policy) => policy,
+            Self::Options(policy) => policy.as_mut(),
         }
     }
 }

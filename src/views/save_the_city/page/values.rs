@@ -72,12 +72,12 @@ impl<'a> TeamValueProbe<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::views::page::rounded;
     use sortie_envs::UNASSIGNED;
     use sortie_envs::{EntitySet, Observation, Split};
     use sortie_learn::random::{Purpose, generator};
     use sortie_methods::alma::agents::{UtilityNetwork, UtilityPass, UtilityShape};
     use sortie_methods::alma::records::team_value::{TeamColumns, TeamQuery, TeamValueInput};
+    use sortie_stage::rounded;
 
     #[test]
     fn values_are_those_of_the_network_for_the_teams_that_are_named() {

@@ -17,7 +17,7 @@ const NARROW: Shape = Shape { width: 24, ..SHAPE };
 fn network_of(shape: Shape, seed: u64) -> AgentLayers {
     let mut random = Random::new(seed);
     let layers = random.layers(shape);
-    if seed % 2 == 0 { random.with_skip(layers) } else { layers }
+    if seed.is_multiple_of(2) { random.with_skip(layers) } else { layers }
 }
 
 fn network(seed: u64) -> AgentLayers {
@@ -163,7 +163,7 @@ fn biases_make_up_for_the_means_of_errors() {
     let exact = products(&network(8));
     let seen = observations(200, 8);
     let mean = |products: &Products| -> Vec<f64> {
-        let mut sums = vec![0.0; SHAPE.actions];
+        let mut sums = [0.0; SHAPE.actions];
         for observation in &seen {
             let utilities = utilities(products, observation);
             sums.iter_mut().zip(utilities).for_each(|(sum, value)| *sum += f64::from(value));

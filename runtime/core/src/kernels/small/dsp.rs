@@ -28,10 +28,11 @@ pub(super) fn of_listed(
     list: &List,
     sums: &mut [i32; PART],
 ) -> Option<()> {
-    rows.get(list.last())?;
-    // SAFETY: all rows up to the last one of the list are there, behind whose pairs stands one of zeros, and the sums may be
+    let pairs = list.pairs();
+    rows.get(pairs.last().map_or(0, |last| last.row as usize))?;
+    // SAFETY: rows of a list rise, and all up to the last one are there, behind whose pairs stands one of zeros, and the sums may be
     // written; the feature says that the processor has the instructions.
-    unsafe { add_listed(sums, columns(rows, half), list.pairs().as_ptr()) };
+    unsafe { add_listed(sums, columns(rows, half), pairs.as_ptr()) };
     Some(())
 }
 

@@ -42,7 +42,6 @@ pub(super) struct Listed {
 pub(super) struct List {
     pairs: [Listed; LISTED + 1],
     count: usize,
-    last: u32,
 }
 
 impl<A, const SKIPS: bool> Int8Kernels for Small<A, SKIPS> {
@@ -75,11 +74,11 @@ impl<A, const SKIPS: bool> Int8Kernels for Small<A, SKIPS> {
     fn int8_products(self, matrix: &Matrix<'_>, vectors: &mut [Vector<'_>]) {
         let all = halves(matrix.rows);
         for vector in vectors {
-            let mut strips = all.chunks_exact((matrix.groups * PAIRS).max(1));
+            let strips = all.chunks_exact((matrix.groups * PAIRS).max(1));
             let (mut parts, inputs) =
                 (Parts::of(matrix, vector.step, vector.outputs), vector.inputs);
             let mut sums = [0; PART];
-            while let Some(rows) = strips.next() {
+            for rows in strips {
                 for half in 0..2 {
                     of_all(rows, half, inputs, &mut sums);
                     parts.fill(&sums);
@@ -137,8 +136,7 @@ impl<A, const SKIPS: bool> Int8Kernels for Small<A, SKIPS> {
 }
 
 impl List {
-    const EMPTY: Self =
-        Self { pairs: [Listed { row: 0, pair: [0; 2] }; LISTED + 1], count: 0, last: 0 };
+    const EMPTY: Self = Self { pairs: [Listed { row: 0, pair: [0; 2] }; LISTED + 1], count: 0 };
 
     /// Lists the first pairs of inputs that are not zero, each with the first of its rows; those behind the last one that there is
     /// room for are returned.
@@ -152,7 +150,7 @@ impl List {
                     break;
                 };
                 *place = Listed { row, pair: *pair };
-                (self.count, self.last) = (self.count + 1, row);
+                self.count += 1;
             }
             // Far from overflow: inputs and outputs are numbers of 16 bits.
             (row, rest) = (row.wrapping_add(strips as u32), others);
@@ -163,12 +161,6 @@ impl List {
     /// The listed pairs.
     pub(super) fn pairs(&self) -> &[Listed] {
         self.pairs.get(..self.count).unwrap_or(&[])
-    }
-
-    /// The last row that a listed pair names.
-    #[inline(always)]
-    pub(super) fn last(&self) -> usize {
-        self.last as usize
     }
 }
 
