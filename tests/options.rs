@@ -39,7 +39,7 @@ fn its_page_shows_what_it_goes_for_and_believes_beside_the_truth() {
     assert_eq!((states[0]["cells"].as_array().unwrap().len(), &data["size"]), (144, &12.into()));
     let (mut agreeing, mut bits) = (0, 0);
     for (state, step) in states.iter().zip(steps) {
-        let thought = &state["thought"];
+        let thought = &state["thoughts"][0]["option"];
         let (mask, truth) = (thought["mask"].as_u64().unwrap(), state["truth"].as_u64().unwrap());
         agreeing += 11 - (mask ^ truth).count_ones();
         bits += 11;
@@ -50,7 +50,7 @@ fn its_page_shows_what_it_goes_for_and_believes_beside_the_truth() {
     }
     // Most of what it believes is so.
     assert!(agreeing * 10 > bits * 7, "{agreeing} of {bits}");
-    assert!(states.last().unwrap().get("thought").is_none());
+    assert!(states.last().unwrap().get("thoughts").is_none());
     let events = data["events"].as_array().unwrap();
     assert!(events.len() > 5 && events[0]["text"] == "log", "{events:?}");
 }

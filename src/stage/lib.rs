@@ -8,6 +8,7 @@
 extern crate alloc;
 
 mod cast;
+mod crafting;
 mod episodes;
 mod error;
 mod golden;
@@ -28,6 +29,7 @@ mod show;
 mod stage;
 pub mod tally;
 mod thoughts;
+mod treasure_rooms;
 mod utilities;
 pub mod world;
 

@@ -76,14 +76,6 @@ pub trait KnownGame: Game {
     const ENTRY: &'static Entry;
 }
 
-impl KnownGame for sortie_envs::crafting::Crafting {
-    const ENTRY: &'static Entry = &sortie_envs::crafting::ENTRY;
-}
-
-impl KnownGame for sortie_envs::treasure_rooms::TreasureRooms {
-    const ENTRY: &'static Entry = &sortie_envs::treasure_rooms::ENTRY;
-}
-
 impl<G: KnownGame> Show for Board<G> {
     type Facts = Facts;
     type State = State;

@@ -88,7 +88,7 @@ fn sources(folder: &Path) -> Vec<PathBuf> {
         |path: &Path| for_tests.iter().any(|name| path.file_stem() == Some(name.as_ref()));
     let entries = fs::read_dir(folder).expect("a folder of sources").flatten();
     let found = entries.flat_map(|entry| match entry.path() {
-        path if is_for_tests(&path) => Vec::new(),
+        path if is_for_tests(&path) || path.ends_with("tests") => Vec::new(),
         path if path.is_dir() => sources(&path),
         path if path.extension().is_some_and(|end| end == "rs") => vec![path],
         _ => Vec::new(),

@@ -7,6 +7,7 @@
 #[cfg(all(feature = "dsp", target_arch = "arm"))]
 mod dsp;
 mod int8;
+mod parts;
 mod sums;
 #[cfg(test)]
 mod tests;

@@ -59,7 +59,11 @@ fn a_process_that_comes_back_remembers_nothing() {
         assert_eq!(action(&stepped(player)), repeated, "the world repeats its last action");
         let back = told(player.kill_or_revive(0));
         assert_eq!(option(&back)["step"], 1, "its option begins anew");
-        assert_eq!(option(&json(&stepped(player)))["step"], 2);
+        let steps = (0..9).map(|_| option(&stepped(player))["step"].as_u64().expect("a step"));
+        let steps: Vec<u64> = [1].into_iter().chain(steps).collect();
+        let goes_on = |pair: &[u64]| pair[1] == pair[0] + 1;
+        assert!(steps.windows(2).all(|pair| goes_on(pair) || pair[1] == 1), "{steps:?}");
+        assert!(steps.windows(2).any(goes_on), "it remembers again: {steps:?}");
     });
 }
 

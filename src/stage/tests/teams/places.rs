@@ -64,14 +64,16 @@ fn rovers_and_landmarks_are_put_elsewhere_and_towers_are_nowhere() {
     with::<Plane, _>(&team, 0, |player, opening| {
         let goal = opening["agents"][0]["goal"].as_u64().expect("a goal") as usize;
         let tower = opening["agents"][0]["partner"].as_u64().expect("a tower") as usize;
-        let at = opening["state"]["things"][goal].clone();
-        let [x, y] = [0, 1].map(|axis| at[axis].as_f64().expect("a number"));
-        let moved = told(player.place(8 + goal, [-x, -y]));
-        assert_eq!(moved["state"]["things"][goal], json!([-x, -y]));
-        assert_ne!(chosen(&moved)[tower], chosen(&opening)[tower], "its tower says so");
+        let mut said = Vec::new();
+        for at in [[0.9, 0.9], [-0.9, 0.9], [-0.9, -0.9], [0.9, -0.9]] {
+            let moved = told(player.place(8 + goal, at));
+            assert_eq!(moved["state"]["things"][goal], json!(at));
+            said.push(chosen(&moved)[tower].clone());
+        }
+        assert!(said.iter().any(|word| *word != said[0]), "its tower says where: {said:?}");
         is_refused(player, tower, [0.0, 0.0], "nowhere");
-        let moved = told(player.place(0, [x, y]));
-        assert_eq!(moved["state"]["places"][0], json!([x, y]));
+        let moved = told(player.place(0, [0.5, -0.5]));
+        assert_eq!(moved["state"]["places"][0], json!([0.5, -0.5]));
     });
 }
 

@@ -6,7 +6,7 @@
 
 use core::arch::naked_asm;
 
-use super::int8::{List, Listed, PART, Part};
+use super::parts::{List, Listed, PART, Part};
 use crate::kernels::int8::{Inputs, IntegerRows, PAIRS};
 
 /// As [`super::sums::of_all`].

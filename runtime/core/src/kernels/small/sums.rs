@@ -1,7 +1,7 @@
 //! Sums of products as every processor computes them.
 #![cfg_attr(all(feature = "dsp", target_arch = "arm"), allow(dead_code))]
 
-use super::int8::{Columns, List, Listed, PART, Part};
+use super::parts::{Columns, List, Listed, PART, Part};
 use crate::kernels::int8::{Inputs, IntegerRows, PAIRS, Pair};
 
 /// The sums of a part's columns, of all pairs of inputs; rows without an input and inputs without a row are left out.
