@@ -19,7 +19,6 @@ mod linked;
 mod lower;
 mod matching;
 pub mod onnxruntime;
-mod rounding;
 mod tract;
 
 pub use answer::answer_compiler;

@@ -9,8 +9,8 @@ use sortie_core::plan::{OPS, ProgramDraft};
 
 use super::agent::{AgentSizes, Arena, Choice, at_most, check};
 use super::int8_layout::{Int8Weights, Order};
+use super::rounding::{EMBED, Products, QUERY, Rounded, nearest, round};
 use crate::matching::{AgentLayers, Layer};
-use crate::rounding::{EMBED, Products, QUERY, Rounded, nearest, round};
 use sortie_bundle::Recording;
 use sortie_plans::CompileError;
 

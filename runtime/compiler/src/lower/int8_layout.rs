@@ -3,7 +3,7 @@
 use sortie_core::internal::kernels::int8::{PAIRS, STRIP};
 use sortie_core::internal::ops::Int8Layer;
 
-use crate::rounding::Rounded;
+use super::rounding::Rounded;
 
 /// Bytes that every part starts at a multiple of: one cache line.
 const ALIGN: usize = 64;

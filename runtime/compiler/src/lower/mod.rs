@@ -8,10 +8,11 @@ mod int8_layout;
 mod layout;
 mod policy;
 mod proposals;
+mod rounding;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use agent::{AgentSizes, Choice, behind_heads, lower_agent, padded_heads, side_by_side};
+pub(crate) use agent::{AgentSizes, Choice, lower_agent};
 pub(crate) use assemble::{Origin, assemble};
 pub(crate) use entities::{EntitySizes, lower_entities};
 pub(crate) use int8::lower_agent_int8;

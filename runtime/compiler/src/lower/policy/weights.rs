@@ -11,8 +11,8 @@ use sortie_core::plan::Profile;
 use crate::lower::agent::Arena;
 use crate::lower::int8_layout::{Int8Weights, Order};
 use crate::lower::layout::Weights;
+use crate::lower::rounding::Rounded;
 use crate::matching::Layer;
-use crate::rounding::Rounded;
 
 /// The weights of a plan, part after part.
 pub(crate) enum PolicyWeights {

@@ -5,8 +5,8 @@ use sortie_plans::random_observations;
 
 use super::int8::ask;
 use super::networks::{Random, Shape, int8_plan_for, reference};
+use crate::lower::rounding::{Products, Rounded, equalise, nearest, round};
 use crate::matching::AgentLayers;
-use crate::rounding::{Products, Rounded, equalise, nearest, round};
 
 const SHAPE: Shape =
     Shape { n_max: 8, features: 12, actions: 5, last_action: true, width: 32, heads: 2, base: 16 };

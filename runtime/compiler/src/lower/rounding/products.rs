@@ -6,7 +6,7 @@ use sortie_core::internal::math::exp;
 use sortie_core::{NO_ACTION, Observation};
 use sortie_plans::CompileError;
 
-use crate::lower::{behind_heads, padded_heads, side_by_side};
+use crate::lower::agent::{behind_heads, padded_heads, side_by_side};
 use crate::matching::{AgentLayers, Layer, Matrix, Step};
 
 /// The first product, of entities' rows.
