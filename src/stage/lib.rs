@@ -12,6 +12,7 @@ mod crafting;
 mod episodes;
 mod error;
 mod golden;
+mod golden_hash;
 pub mod gridworld;
 pub mod group_matching;
 mod memory;
@@ -35,7 +36,8 @@ pub mod world;
 
 pub use cast::{AllocatorCast, Cast};
 pub use error::StageError;
-pub use golden::{GoldenObservation, golden_hash};
+pub use golden::GoldenObservation;
+pub use golden_hash::golden_hash;
 pub use memory::Memory;
 pub use names::lettered;
 pub use options::OptionSettings;
