@@ -128,9 +128,9 @@ pub(crate) fn copied_bundle() -> tempfile::TempDir {
 
 /// Polls until `done`, for at most half a minute.
 pub(crate) fn wait_until(what: &str, mut done: impl FnMut() -> bool) {
-    let until = Instant::now() + Duration::from_secs(30);
+    let until = Instant::now() + Duration::from_secs(120);
     while !done() {
-        assert!(Instant::now() < until, "in 30 s: {what}");
+        assert!(Instant::now() < until, "in 120 s: {what}");
         std::thread::park_timeout(Duration::from_millis(5));
     }
 }
