@@ -21,6 +21,15 @@ impl<'a> IntegerRows<'a> {
         let row = self.integers.get(start..start + self.width).unwrap_or(&[]);
         (row, self.steps.get(index).copied().unwrap_or(0.0))
     }
+
+    /// The rows in one slot or two, from a column on; where there is no second slot the first row once more, for a weight of zero.
+    #[cfg(all(feature = "std", target_arch = "x86_64"))]
+    #[inline(always)]
+    pub(crate) fn two(&self, slots: &[u16], column: usize) -> Option<[&'a [i16]; 2]> {
+        let first = slots.first()?;
+        let second = slots.get(1).unwrap_or(first);
+        Some([self.row(*first).0.get(column..)?, self.row(*second).0.get(column..)?])
+    }
 }
 
 /// The largest absolute value of an integer in a row, and of one that it is compared with: 32,767 halved until `width` products

@@ -207,25 +207,39 @@ pub(super) fn dot(vector: &[i16], row: &[i16]) -> i32 {
 #[inline]
 #[target_feature(enable = "avx2")]
 pub(super) fn mix(weights: &[i16], rows: IntegerRows<'_>, sums: &mut [i32]) {
-    for (strip, sums) in sums.as_chunks_mut::<STRIP>().0.iter_mut().enumerate() {
-        let mut halves = [_mm256_setzero_si256(); 2];
-        for (slots, pair) in rows.slots.chunks(2).zip(weights.as_chunks::<2>().0) {
-            let pair = _mm256_set1_epi32(transmute!(*pair));
-            let columns = |slot: Option<&u16>| {
-                let row = slot.map_or(&[] as &[i16], |slot| rows.row(*slot).0);
-                // The weight of a row that is not there is zero.
-                *row.as_chunks::<STRIP>().0.get(strip).unwrap_or(&[0; STRIP])
-            };
-            let (first, second) = (columns(slots.first()), columns(slots.get(1)));
-            let (first, second) = (transmute!(first), transmute!(second));
-            let [low, high] = &mut halves;
+    let (fours, rest) = sums.as_chunks_mut::<STRIP>().0.as_chunks_mut::<4>();
+    for (four, sums) in fours.iter_mut().enumerate() {
+        mix_strips(weights, rows, 4 * four, sums);
+    }
+    for (strip, sums) in (4 * fours.len()..).zip(rest) {
+        mix_strips(weights, rows, strip, core::array::from_mut(sums));
+    }
+}
+
+/// Strips of the sums, from a first one on.
+#[inline]
+#[target_feature(enable = "avx2")]
+fn mix_strips<const COUNT: usize>(
+    weights: &[i16],
+    rows: IntegerRows<'_>,
+    first: usize,
+    sums: &mut [[i32; STRIP]; COUNT],
+) {
+    let mut halves = [[_mm256_setzero_si256(); 2]; COUNT];
+    for (slots, pair) in rows.slots.chunks(2).zip(weights.as_chunks::<2>().0) {
+        let Some([first, second]) = rows.two(slots, first * STRIP) else { return };
+        let pair = _mm256_set1_epi32(transmute!(*pair));
+        let strips = first.as_chunks::<STRIP>().0.iter().zip(second.as_chunks::<STRIP>().0);
+        for ([low, high], (first, second)) in halves.iter_mut().zip(strips) {
+            let (first, second) = (transmute!(*first), transmute!(*second));
             let even = _mm256_madd_epi16(_mm256_unpacklo_epi16(first, second), pair);
             let odd = _mm256_madd_epi16(_mm256_unpackhi_epi16(first, second), pair);
             *low = _mm256_add_epi32(*low, even);
             *high = _mm256_add_epi32(*high, odd);
         }
-        // Unpacking works in halves of the vector: quarters stand in the order 0, 2 and 1, 3.
-        let [low, high] = halves;
+    }
+    // Unpacking works in halves of the vector: quarters stand in the order 0, 2 and 1, 3.
+    for (sums, [low, high]) in sums.iter_mut().zip(halves) {
         let first = _mm256_permute2x128_si256::<0x20>(low, high);
         let second = _mm256_permute2x128_si256::<0x31>(low, high);
         *sums = transmute!([first, second]);

@@ -174,23 +174,37 @@ const SECOND: [u64; 8] = [4, 5, 12, 13, 6, 7, 14, 15];
 #[inline]
 #[target_feature(enable = "avx512f,avx512bw,avx512vnni")]
 pub(super) fn mix(weights: &[i16], rows: IntegerRows<'_>, sums: &mut [i32]) {
-    for (part, sums) in sums.as_chunks_mut::<INPUTS>().0.iter_mut().enumerate() {
-        let mut halves = [_mm512_setzero_si512(); 2];
-        for (slots, pair) in rows.slots.chunks(2).zip(weights.as_chunks::<2>().0) {
-            let pair = _mm512_set1_epi32(transmute!(*pair));
-            let columns = |slot: Option<&u16>| {
-                let row = slot.map_or(&[] as &[i16], |slot| rows.row(*slot).0);
-                // The weight of a row that is not there is zero.
-                *row.as_chunks::<INPUTS>().0.get(part).unwrap_or(&[0; INPUTS])
-            };
-            let (first, second) = (columns(slots.first()), columns(slots.get(1)));
-            let (first, second) = (transmute!(first), transmute!(second));
-            let [low, high] = &mut halves;
+    let (fours, rest) = sums.as_chunks_mut::<INPUTS>().0.as_chunks_mut::<4>();
+    for (four, sums) in fours.iter_mut().enumerate() {
+        mix_parts(weights, rows, 4 * four, sums);
+    }
+    for (part, sums) in (4 * fours.len()..).zip(rest) {
+        mix_parts(weights, rows, part, core::array::from_mut(sums));
+    }
+}
+
+/// Parts of the sums, from a first one on.
+#[inline]
+#[target_feature(enable = "avx512f,avx512bw,avx512vnni")]
+fn mix_parts<const COUNT: usize>(
+    weights: &[i16],
+    rows: IntegerRows<'_>,
+    first: usize,
+    sums: &mut [[i32; INPUTS]; COUNT],
+) {
+    let mut halves = [[_mm512_setzero_si512(); 2]; COUNT];
+    for (slots, pair) in rows.slots.chunks(2).zip(weights.as_chunks::<2>().0) {
+        let Some([first, second]) = rows.two(slots, first * INPUTS) else { return };
+        let pair = _mm512_set1_epi32(transmute!(*pair));
+        let parts = first.as_chunks::<INPUTS>().0.iter().zip(second.as_chunks::<INPUTS>().0);
+        for ([low, high], (first, second)) in halves.iter_mut().zip(parts) {
+            let (first, second) = (transmute!(*first), transmute!(*second));
             *low = _mm512_dpwssd_epi32(*low, _mm512_unpacklo_epi16(first, second), pair);
             *high = _mm512_dpwssd_epi32(*high, _mm512_unpackhi_epi16(first, second), pair);
         }
-        // Unpacking works in quarters of the vector.
-        let [low, high] = halves;
+    }
+    // Unpacking works in quarters of the vector.
+    for (sums, [low, high]) in sums.iter_mut().zip(halves) {
         let first = _mm512_permutex2var_epi64(low, transmute!(FIRST), high);
         let second = _mm512_permutex2var_epi64(low, transmute!(SECOND), high);
         *sums = transmute!([first, second]);
