@@ -180,5 +180,6 @@ fn bundles_without_a_judgement_have_no_int8_plan() {
     let observed = ["--profile", "int8", "--observations", "seen.bin"];
     assert_fails(&compile(BUNDLE, &observed), 2, &["--observations", "ONNX"]);
     assert_fails(&compile(BUNDLE, &["--profile", "fused"]), 2, &["int8", "agent.onnx"]);
+    assert_fails(&compile(BUNDLE, &["--dsp"]), 2, &["--profile int8"]);
     assert!(!path.exists());
 }

@@ -227,7 +227,7 @@ fn mix_strips<const COUNT: usize>(
 ) {
     let mut halves = [[_mm256_setzero_si256(); 2]; COUNT];
     for (slots, pair) in rows.slots.chunks(2).zip(weights.as_chunks::<2>().0) {
-        let Some([first, second]) = rows.two(slots, first * STRIP) else { return };
+        let Some([first, second]) = rows.two(slots, first * STRIP) else { continue };
         let pair = _mm256_set1_epi32(transmute!(*pair));
         let strips = first.as_chunks::<STRIP>().0.iter().zip(second.as_chunks::<STRIP>().0);
         for ([low, high], (first, second)) in halves.iter_mut().zip(strips) {

@@ -194,7 +194,7 @@ fn mix_parts<const COUNT: usize>(
 ) {
     let mut halves = [[_mm512_setzero_si512(); 2]; COUNT];
     for (slots, pair) in rows.slots.chunks(2).zip(weights.as_chunks::<2>().0) {
-        let Some([first, second]) = rows.two(slots, first * INPUTS) else { return };
+        let Some([first, second]) = rows.two(slots, first * INPUTS) else { continue };
         let pair = _mm512_set1_epi32(transmute!(*pair));
         let parts = first.as_chunks::<INPUTS>().0.iter().zip(second.as_chunks::<INPUTS>().0);
         for ([low, high], (first, second)) in halves.iter_mut().zip(parts) {

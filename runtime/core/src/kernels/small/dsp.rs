@@ -42,13 +42,23 @@ fn columns(rows: &[[Part; 2]], half: usize) -> *const Part {
     rows.as_ptr().cast::<Part>().wrapping_add(half & 1)
 }
 
-/// As [`super::sums::dot`], of vectors of the same whole multiple of eight integers.
+/// As [`super::sums::dot`], of vectors of the same whole multiple of eight integers that start at words, as those of an arena do;
+/// of others 0.
 #[allow(unsafe_code)]
 #[inline(always)]
 pub(super) fn dot(vector: &[i16], row: &[i16]) -> i32 {
     let eights = usize::min(vector.len(), row.len()) / 8;
-    // SAFETY: both have so many; the feature says that the processor has the instructions.
+    if !starts_at_word(vector) || !starts_at_word(row) {
+        return 0;
+    }
+    // SAFETY: both have so many, and start at words; the feature says that the processor has the instructions.
     unsafe { add_dot(vector.as_ptr(), row.as_ptr(), eights) }
+}
+
+/// Whether integers may be read two by two.
+#[inline(always)]
+fn starts_at_word(integers: &[i16]) -> bool {
+    integers.as_ptr().cast::<u32>().is_aligned()
 }
 
 /// As [`super::sums::mix`].
@@ -58,7 +68,9 @@ pub(super) fn mix(weights: &[i16], rows: IntegerRows<'_>, sums: &mut [i32]) {
     let ends = |slot: &u16| (usize::from(*slot) + 1).saturating_mul(rows.width);
     let most = rows.slots.iter().map(ends).fold(0, usize::max);
     let parts = sums.len().min(rows.width) / PART;
-    if most > rows.integers.len() || weights.len() < rows.slots.len() || rows.slots.is_empty() {
+    let are_there = most <= rows.integers.len() && weights.len() >= rows.slots.len();
+    let are_words = starts_at_word(rows.integers) && rows.width.is_multiple_of(2);
+    if !are_there || !are_words || rows.slots.is_empty() {
         sums.fill(0);
         return;
     }
@@ -68,8 +80,8 @@ pub(super) fn mix(weights: &[i16], rows: IntegerRows<'_>, sums: &mut [i32]) {
         end: rows.slots.as_ptr_range().end,
     };
     for sums in sums.as_chunks_mut::<PART>().0.iter_mut().take(parts) {
-        // SAFETY: every row has these columns, every slot has a weight, and there is a slot; the feature says that the
-        // processor has the instructions.
+        // SAFETY: every row has these columns and starts at a word, every slot has a weight, and there is a slot; the feature
+        // says that the processor has the instructions.
         unsafe { add_rows(sums, weights.as_ptr(), rows.slots.as_ptr(), &columns) };
         columns.columns = columns.columns.wrapping_add(PART);
     }
