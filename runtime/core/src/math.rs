@@ -6,6 +6,10 @@
 // The coefficients stand as they are published.
 #![allow(clippy::excessive_precision)]
 
+mod angle;
+
+pub use angle::{cosine, sine};
+
 /// Smallest argument of [`exp`]; below it the result stays at e⁻⁸⁷, the last normal power.
 const EXP_MIN: f32 = -87.0;
 /// Largest argument of [`exp`] whose result is finite.
@@ -51,58 +55,6 @@ fn beyond_linear(x: f32) -> f32 {
 pub fn exp_minus_one(x: f32) -> f32 {
     let near_zero = beyond_linear(x) + x;
     if x.abs() < 0.34 { near_zero } else { exp(x) - 1.0 }
-}
-
-/// The sine, within one unit in the last place; of sizes from 2²⁸ on not a number.
-#[inline(always)]
-pub fn sine(x: f32) -> f32 {
-    of_angle(x, 0)
-}
-
-/// The cosine, within the same.
-#[inline(always)]
-pub fn cosine(x: f32) -> f32 {
-    of_angle(x, 1)
-}
-
-/// The sine so many quarters of a turn further.
-#[inline(always)]
-fn of_angle(x: f32, quarters: u32) -> f32 {
-    /// 1.5 · 2⁵², as [`ROUND`] in f64.
-    const ROUND_WIDE: f64 = 6_755_399_441_055_744.0;
-    /// A quarter of a turn in two parts, as [`LN2_HIGH`] and [`LN2_LOW`].
-    const QUARTER_HIGH: f64 = 1.570_796_310_901_641_845_70;
-    const QUARTER_LOW: f64 = 1.589_325_477_352_819_669_16e-8;
-    let wide = f64::from(x);
-    let shifted = wide * core::f64::consts::FRAC_2_PI + ROUND_WIDE;
-    let count = shifted - ROUND_WIDE;
-    let rest = (wide - count * QUARTER_HIGH) - count * QUARTER_LOW;
-    // The low bits hold the count.
-    let quarter = (shifted.to_bits() as u32).wrapping_add(quarters);
-    let square = rest * rest;
-    let value = if quarter & 1 == 0 {
-        let mut factor = 2.718_311_493_989_821_906_4e-6;
-        for coefficient in [
-            -1.983_933_483_609_663_173_47e-4,
-            8.333_329_385_889_463_175_6e-3,
-            -0.166_666_666_416_265_235_595,
-        ] {
-            factor = factor * square + coefficient;
-        }
-        rest + rest * square * factor
-    } else {
-        let mut factor = 2.439_044_879_627_740_906_54e-5;
-        for coefficient in [
-            -1.388_676_377_460_992_946_92e-3,
-            4.166_662_332_373_906_319e-2,
-            -0.499_999_997_251_031_003_120,
-        ] {
-            factor = factor * square + coefficient;
-        }
-        1.0 + square * factor
-    };
-    let value = if quarter & 2 == 0 { value } else { -value };
-    if x.abs() < 268_435_456.0 { value as f32 } else { f32::NAN }
 }
 
 /// The arc tangent, within three units in the last place.

@@ -15,9 +15,6 @@ struct Function {
     to: f32,
 }
 
-/// Angles beyond this are no numbers to the sine.
-const FAR: f32 = 268_435_440.0;
-
 const FUNCTIONS: [Function; 12] = [
     Function { name: "exp", own: math::exp, exact: f64::exp, from: -87.0, to: 88.0 },
     Function {
@@ -33,8 +30,8 @@ const FUNCTIONS: [Function; 12] = [
     Function { name: "softplus", own: math::softplus, exact: softplus, from: -80.0, to: f32::MAX },
     Function { name: "silu", own: silu, exact: exact_silu, from: -80.0, to: 1e38 },
     Function { name: "erf", own: libm::erff, exact: libm::erf, from: f32::MIN, to: f32::MAX },
-    Function { name: "sine", own: math::sine, exact: f64::sin, from: -FAR, to: FAR },
-    Function { name: "cosine", own: math::cosine, exact: f64::cos, from: -FAR, to: FAR },
+    Function { name: "sine", own: math::sine, exact: f64::sin, from: f32::MIN, to: f32::MAX },
+    Function { name: "cosine", own: math::cosine, exact: f64::cos, from: f32::MIN, to: f32::MAX },
     Function {
         name: "arc tangent",
         own: math::arc_tangent,

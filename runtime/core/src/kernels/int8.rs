@@ -208,10 +208,11 @@ pub fn quantise(
 ) -> Option<Scale> {
     let scale = Scale::reaching(lanes.largest_magnitude(values), reach)?;
     let (chunks, rest) = values.as_chunks::<STRIP>();
-    for (index, place) in integers.as_chunks_mut().0.iter_mut().enumerate() {
-        // Zeros become zeros.
-        *place = lanes.integers(scale, chunks.get(index).unwrap_or(&[0.0; STRIP]));
+    let mut places = integers.as_chunks_mut().0.iter_mut();
+    for (chunk, place) in chunks.iter().zip(places.by_ref()) {
+        *place = lanes.integers(scale, chunk);
     }
+    places.for_each(|place| *place = [0; STRIP]);
     if rest.is_empty() {
         return Some(scale);
     }

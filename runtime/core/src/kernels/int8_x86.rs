@@ -140,11 +140,7 @@ macro_rules! build {
                 rows: IntegerRows<'_>,
                 products: &mut [f32],
             ) {
-                for (slot, product) in rows.slots.iter().zip(products) {
-                    let (row, row_step) = rows.row(*slot);
-                    let sum = unsafe { $instructions::dot(vector, row) };
-                    *product = sum as f32 * (step * row_step);
-                }
+                unsafe { $module::dots(vector, step, rows, products) }
             }
 
             #[inline]
@@ -169,6 +165,19 @@ macro_rules! build {
                 integers: &mut [i16],
             ) -> Option<Scale> {
                 super::quantise(kernels, values, reach, integers)
+            }
+
+            #[target_feature(enable = $features)]
+            pub(super) fn dots(
+                vector: &[i16],
+                step: f32,
+                rows: IntegerRows<'_>,
+                products: &mut [f32],
+            ) {
+                for (slot, product) in rows.slots.iter().zip(products) {
+                    let (row, row_step) = rows.row(*slot);
+                    *product = $instructions::dot(vector, row) as f32 * (step * row_step);
+                }
             }
 
             #[target_feature(enable = $features)]

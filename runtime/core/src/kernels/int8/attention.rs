@@ -22,13 +22,22 @@ impl<'a> IntegerRows<'a> {
         (row, self.steps.get(index).copied().unwrap_or(0.0))
     }
 
-    /// The rows in one slot or two, from a column on; where there is no second slot the first row once more, for a weight of zero.
+    /// Of the rows in one slot or two `COUNT` parts of so many columns, from a first part on; where there is no second slot the
+    /// first row's once more, for a weight of zero.
     #[cfg(all(feature = "std", target_arch = "x86_64"))]
     #[inline(always)]
-    pub(crate) fn two(&self, slots: &[u16], column: usize) -> Option<[&'a [i16]; 2]> {
+    pub(crate) fn two<const COLUMNS: usize, const COUNT: usize>(
+        &self,
+        slots: &[u16],
+        part: usize,
+    ) -> Option<[&'a [[i16; COLUMNS]; COUNT]; 2]> {
+        let parts = |slot: u16| {
+            // Far from overflow: slots and columns are numbers of 16 bits.
+            let start = usize::from(slot).wrapping_mul(self.width / COLUMNS).wrapping_add(part);
+            self.integers.as_chunks().0.get(start..)?.first_chunk()
+        };
         let first = slots.first()?;
-        let second = slots.get(1).unwrap_or(first);
-        Some([self.row(*first).0.get(column..)?, self.row(*second).0.get(column..)?])
+        Some([parts(*first)?, parts(*slots.get(1).unwrap_or(first))?])
     }
 }
 
@@ -68,15 +77,16 @@ const fn halved(terms: usize, other: Option<u16>) -> u16 {
 pub fn narrow(sums: &[i32], most: u16, integers: &mut [i16]) -> f32 {
     let magnitudes = sums.iter().map(|sum| sum.unsigned_abs());
     let largest = magnitudes.fold(0, u32::max);
-    let mut halvings = 0_u32;
+    let most = u32::from(most.max(1));
+    // So that the largest has no more bits than the most.
+    let halvings = most.leading_zeros().saturating_sub(largest.leading_zeros());
     // Rounding may add one.
-    while largest >> halvings >= u32::from(most) && halvings < 31 {
-        halvings += 1;
-    }
+    let halvings = (halvings + u32::from(largest >> halvings >= most)).min(31);
     let half = (1_i32 << halvings) >> 1;
     let (to, behind) = integers.split_at_mut(sums.len().min(integers.len()));
     for (integer, sum) in to.iter_mut().zip(sums) {
-        *integer = (sum.saturating_add(half) >> halvings) as i16;
+        // Never wraps, see [`row_max`].
+        *integer = (sum.wrapping_add(half) >> halvings) as i16;
     }
     behind.fill(0);
     f32::from_bits((127 + halvings) << 23)
@@ -85,6 +95,7 @@ pub fn narrow(sums: &[i32], most: u16, integers: &mut [i16]) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::kernels::int8::input_max;
 
     #[test]
     fn no_sum_of_rows_leaves_i32() {
@@ -102,6 +113,23 @@ mod tests {
             [32_767, 8_191, 4_095, 4_095]
         );
         assert_eq!([mixing_max(11, 128), mixing_max(128, 128)], [32_767, 4_095]);
+    }
+
+    #[test]
+    fn rounding_leaves_no_sum_of_rows_outside_of_i32() {
+        for width in [1, 2, 8, 32, 64, 96, 128, 512, 1024, 65_536] {
+            for count in 1..=128 {
+                let weight = u64::from(mixing_max(count, width));
+                let largest = count as u64 * weight * u64::from(row_max(width));
+                let halvings = halvings(largest, input_max(width));
+                assert!(largest + (1 << halvings) / 2 <= i32::MAX as u64, "{count}, {width}");
+            }
+        }
+    }
+
+    /// How often a sum is halved until it is smaller than the most.
+    fn halvings(largest: u64, most: u16) -> u32 {
+        (0..64).find(|halvings| largest >> halvings < most.into()).expect("zero is smaller")
     }
 
     #[test]
@@ -123,6 +151,12 @@ mod tests {
                 assert!(integer.unsigned_abs() <= most);
             }
             assert_eq!(integers[5..], [0; 3]);
+        }
+        for largest in [0, 1, 99, 100, 101, 199, 200, 4_095, 4_096, 65_535, 1 << 30] {
+            for most in [2, 100, 255, 16_384, 32_767] {
+                let step = (1_u64 << halvings(largest as u64, most)) as f32;
+                assert_eq!(narrow(&[-largest, 0], most, &mut [0; 2]), step, "{largest}, {most}");
+            }
         }
         // Halves are rounded up.
         let mut integers = [0; 2];

@@ -1,19 +1,19 @@
 //! The int8 kernels for AVX2: eight sums in a vector.
 
 use core::arch::x86_64::{
-    __m128i, __m256, __m256i, _mm_max_epu32, _mm256_add_epi32, _mm256_add_ps, _mm256_and_si256,
-    _mm256_castps_si256, _mm256_castsi256_pd, _mm256_cmpeq_epi64, _mm256_cvtepi8_epi16,
-    _mm256_cvtepi32_ps, _mm256_madd_epi16, _mm256_max_epu32, _mm256_max_ps, _mm256_movemask_pd,
-    _mm256_mul_ps, _mm256_packs_epi32, _mm256_permute2x128_si256, _mm256_permute4x64_epi64,
-    _mm256_set1_epi32, _mm256_set1_ps, _mm256_setzero_si256, _mm256_slli_epi32, _mm256_srai_epi32,
-    _mm256_unpackhi_epi16, _mm256_unpacklo_epi16,
+    __m128i, __m256, __m256i, _mm_add_epi32, _mm_cvtsi128_si32, _mm_max_epu32, _mm_shuffle_epi32,
+    _mm256_add_epi32, _mm256_add_ps, _mm256_and_si256, _mm256_castsi256_pd, _mm256_cmpeq_epi64,
+    _mm256_cvtepi8_epi16, _mm256_cvtepi32_ps, _mm256_cvtps_epi32, _mm256_madd_epi16,
+    _mm256_max_epu32, _mm256_max_ps, _mm256_movemask_pd, _mm256_mul_ps, _mm256_packs_epi32,
+    _mm256_permute2x128_si256, _mm256_permute4x64_epi64, _mm256_set1_epi32, _mm256_set1_ps,
+    _mm256_setzero_si256, _mm256_unpackhi_epi16, _mm256_unpacklo_epi16,
 };
 
 use zerocopy::transmute;
 
 use super::{MAGNITUDE, filled};
 use crate::kernels::int8::{
-    Count, Inputs, IntegerRows, Lanes, Marked, PAIRS, Pair, ROUND, Row, STRIP, Scale, Strips,
+    Count, INPUTS, Inputs, IntegerRows, Lanes, Marked, PAIRS, Pair, Row, STRIP, Scale, Strips,
 };
 
 /// Sums of a strip, eight columns in each vector.
@@ -134,21 +134,28 @@ pub(super) fn add_marked<const COUNT: usize>(
 #[inline]
 #[target_feature(enable = "avx2")]
 pub(super) fn largest_magnitude(values: &[f32]) -> u32 {
-    let mut largest = _mm256_setzero_si256();
-    let compare = |largest: __m256i, lanes: &[f32; 8]| {
-        let magnitudes = _mm256_and_si256(transmute!(*lanes), _mm256_set1_epi32(MAGNITUDE));
+    let mut largest = [_mm256_setzero_si256(); 2];
+    let compare = |largest: __m256i, lanes: __m256i| {
+        let magnitudes = _mm256_and_si256(lanes, _mm256_set1_epi32(MAGNITUDE));
         _mm256_max_epu32(largest, magnitudes)
     };
+    let compare = |[a, b]: Sums, values: &[f32; STRIP]| -> Sums {
+        let [low, high]: [__m256i; 2] = transmute!(*values);
+        [compare(a, low), compare(b, high)]
+    };
     let (chunks, rest) = values.as_chunks();
-    for lanes in chunks {
-        largest = compare(largest, lanes);
+    for chunk in chunks {
+        largest = compare(largest, chunk);
     }
-    // Comparing some of them once more changes nothing.
-    match values.last_chunk() {
-        Some(lanes) => largest = compare(largest, lanes),
-        None => largest = compare(largest, &filled(rest)),
+    if !rest.is_empty() {
+        // Comparing some of them once more changes nothing.
+        largest = match values.last_chunk() {
+            Some(chunk) => compare(largest, chunk),
+            None => compare(largest, &filled(rest)),
+        };
     }
-    let halves: [__m128i; 2] = transmute!(largest);
+    let [low, high] = largest;
+    let halves: [__m128i; 2] = transmute!(_mm256_max_epu32(low, high));
     let [low, high] = halves;
     let four: [u32; 4] = transmute!(_mm_max_epu32(low, high));
     let [a, b, c, d] = four;
@@ -160,11 +167,9 @@ pub(super) fn largest_magnitude(values: &[f32]) -> u32 {
 #[target_feature(enable = "avx2")]
 pub(super) fn integers(scale: Scale, values: &[f32; STRIP]) -> [i16; STRIP] {
     let halves: [__m256; 2] = transmute!(*values);
-    let (factor, round) = (_mm256_set1_ps(scale.factor), _mm256_set1_ps(ROUND));
-    let integers = |half: __m256| {
-        let bits = _mm256_castps_si256(_mm256_add_ps(_mm256_mul_ps(half, factor), round));
-        _mm256_srai_epi32::<16>(_mm256_slli_epi32::<16>(bits))
-    };
+    let factor = _mm256_set1_ps(scale.factor);
+    // Rounds to the nearest, ties to even, as adding a constant does.
+    let integers = |half: __m256| _mm256_cvtps_epi32(_mm256_mul_ps(half, factor));
     let [low, high] = halves;
     // Packing works in halves of the vector, whose quarters then stand in the order 0, 2, 1, 3.
     let packed = _mm256_packs_epi32(integers(low), integers(high));
@@ -187,20 +192,24 @@ pub(super) fn numbers(sums: &[i32; STRIP], count: Count<'_>) -> [f32; STRIP] {
     transmute!([number(s0, t0, b0), number(s1, t1, b1)])
 }
 
-/// The dot product of two vectors of whole strips.
+/// The dot product of two vectors of whole [`INPUTS`].
 #[inline]
 #[target_feature(enable = "avx2")]
 pub(super) fn dot(vector: &[i16], row: &[i16]) -> i32 {
     let mut sums = [_mm256_setzero_si256(); 2];
-    let chunks = vector.as_chunks::<STRIP>().0.iter().zip(row.as_chunks::<STRIP>().0);
-    for (index, (a, b)) in chunks.enumerate() {
-        let Some(sum) = sums.get_mut(index % 2) else { continue };
-        *sum = _mm256_add_epi32(*sum, _mm256_madd_epi16(transmute!(*a), transmute!(*b)));
+    let chunks = vector.as_chunks::<INPUTS>().0.iter().zip(row.as_chunks::<INPUTS>().0);
+    for (a, b) in chunks {
+        let (a, b): ([__m256i; 2], [__m256i; 2]) = (transmute!(*a), transmute!(*b));
+        for ((sum, a), b) in sums.iter_mut().zip(a).zip(b) {
+            *sum = _mm256_add_epi32(*sum, _mm256_madd_epi16(a, b));
+        }
     }
     let [even, odd] = sums;
-    let lanes: [i32; 8] = transmute!(_mm256_add_epi32(even, odd));
-    // Never wraps, see `row_max`; nor do partial sums in whichever order.
-    lanes.iter().fold(0, |sum, lane| sum.wrapping_add(*lane))
+    let halves: [__m128i; 2] = transmute!(_mm256_add_epi32(even, odd));
+    let [low, high] = halves;
+    let four = _mm_add_epi32(low, high);
+    let two = _mm_add_epi32(four, _mm_shuffle_epi32::<0b11_10_11_10>(four));
+    _mm_cvtsi128_si32(_mm_add_epi32(two, _mm_shuffle_epi32::<0b01>(two)))
 }
 
 /// The weighted sums of rows, in columns of whole strips: two rows at a time, whose columns are multiplied as pairs.
@@ -227,10 +236,9 @@ fn mix_strips<const COUNT: usize>(
 ) {
     let mut halves = [[_mm256_setzero_si256(); 2]; COUNT];
     for (slots, pair) in rows.slots.chunks(2).zip(weights.as_chunks::<2>().0) {
-        let Some([first, second]) = rows.two(slots, first * STRIP) else { continue };
+        let Some([first, second]) = rows.two::<STRIP, COUNT>(slots, first) else { continue };
         let pair = _mm256_set1_epi32(transmute!(*pair));
-        let strips = first.as_chunks::<STRIP>().0.iter().zip(second.as_chunks::<STRIP>().0);
-        for ([low, high], (first, second)) in halves.iter_mut().zip(strips) {
+        for ([low, high], (first, second)) in halves.iter_mut().zip(first.iter().zip(second)) {
             let (first, second) = (transmute!(*first), transmute!(*second));
             let even = _mm256_madd_epi16(_mm256_unpacklo_epi16(first, second), pair);
             let odd = _mm256_madd_epi16(_mm256_unpackhi_epi16(first, second), pair);

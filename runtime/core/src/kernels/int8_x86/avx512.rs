@@ -194,10 +194,9 @@ fn mix_parts<const COUNT: usize>(
 ) {
     let mut halves = [[_mm512_setzero_si512(); 2]; COUNT];
     for (slots, pair) in rows.slots.chunks(2).zip(weights.as_chunks::<2>().0) {
-        let Some([first, second]) = rows.two(slots, first * INPUTS) else { continue };
+        let Some([first, second]) = rows.two::<INPUTS, COUNT>(slots, first) else { continue };
         let pair = _mm512_set1_epi32(transmute!(*pair));
-        let parts = first.as_chunks::<INPUTS>().0.iter().zip(second.as_chunks::<INPUTS>().0);
-        for ([low, high], (first, second)) in halves.iter_mut().zip(parts) {
+        for ([low, high], (first, second)) in halves.iter_mut().zip(first.iter().zip(second)) {
             let (first, second) = (transmute!(*first), transmute!(*second));
             *low = _mm512_dpwssd_epi32(*low, _mm512_unpacklo_epi16(first, second), pair);
             *high = _mm512_dpwssd_epi32(*high, _mm512_unpackhi_epi16(first, second), pair);

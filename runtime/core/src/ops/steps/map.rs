@@ -53,9 +53,9 @@ pub enum Function {
     Round,
     /// 1 where x is positive, -1 where it is negative, else x
     Sign,
-    /// The sine, of sizes below 2²⁸; else something that is not finite
+    /// The sine
     Sine,
-    /// The cosine, of the same
+    /// The cosine
     Cosine,
     /// The arc tangent
     ArcTangent,
