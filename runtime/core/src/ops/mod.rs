@@ -1,4 +1,4 @@
-//! The macro-operators of a plan, one file each: what they need, how they are checked, what they compute.
+//! The macro-operators of a plan, by subject: what they need, how they are checked, what they compute.
 //!
 //! An operator names its places in the weights and in the arena as offsets in floats. `OpRef::check` proves once,
 //! at load, that all of them lie inside and that what is written is not read by the same step; execution then
@@ -7,6 +7,7 @@
 mod attend_all;
 mod attend_own;
 mod attend_own_shared;
+mod choice;
 mod dense;
 mod embed_entities;
 mod group_sum;
@@ -16,8 +17,6 @@ mod int8_dense;
 mod int8_embed_entities;
 mod int8_layer;
 mod int8_rows;
-mod masked_argmax;
-mod masked_sample;
 mod mean_rows;
 mod operator;
 mod output;
@@ -32,6 +31,7 @@ use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 pub use attend_all::AttendAll;
 pub use attend_own::AttendOwn;
+pub use choice::{MaskedArgmax, MaskedSample};
 pub use dense::Dense;
 pub use embed_entities::EmbedEntities;
 pub use group_sum::GroupSum;
@@ -40,8 +40,6 @@ pub use int8_attend_own::Int8AttendOwn;
 pub use int8_dense::Int8Dense;
 pub use int8_embed_entities::Int8EmbedEntities;
 pub use int8_layer::{Int8Layer, quantised_floats};
-pub use masked_argmax::MaskedArgmax;
-pub use masked_sample::MaskedSample;
 pub use mean_rows::{MeanRows, Members};
 pub use output::{Output, OutputRows};
 pub use place::Place;
