@@ -75,7 +75,8 @@ const fn halved(terms: usize, other: Option<u16>) -> u16 {
 /// in absolute value. Returns what an integer counts of what a sum counts, a power of two. Integers behind the sums are zero.
 #[inline(always)]
 pub fn narrow(sums: &[i32], most: u16, integers: &mut [i16]) -> f32 {
-    let magnitudes = sums.iter().map(|sum| sum.unsigned_abs());
+    // Of negative sums one less, which is as good: halves are rounded up.
+    let magnitudes = sums.iter().map(|sum| (sum ^ (sum >> 31)) as u32);
     let largest = magnitudes.fold(0, u32::max);
     let most = u32::from(most.max(1));
     // So that the largest has no more bits than the most.
@@ -155,7 +156,11 @@ mod tests {
         for largest in [0, 1, 99, 100, 101, 199, 200, 4_095, 4_096, 65_535, 1 << 30] {
             for most in [2, 100, 255, 16_384, 32_767] {
                 let step = (1_u64 << halvings(largest as u64, most)) as f32;
-                assert_eq!(narrow(&[-largest, 0], most, &mut [0; 2]), step, "{largest}, {most}");
+                for sum in [largest, -largest - 1] {
+                    let mut integers = [0; 2];
+                    assert_eq!(narrow(&[sum, 0], most, &mut integers), step, "{sum}, {most}");
+                    assert!(integers[0].unsigned_abs() <= most, "{sum}, {most}: {integers:?}");
+                }
             }
         }
         // Halves are rounded up.

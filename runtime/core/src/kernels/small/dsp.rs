@@ -48,17 +48,17 @@ fn columns(rows: &[[Part; 2]], half: usize) -> *const Part {
 #[inline(always)]
 pub(super) fn dot(vector: &[i16], row: &[i16]) -> i32 {
     let eights = usize::min(vector.len(), row.len()) / 8;
-    if !starts_at_word(vector) || !starts_at_word(row) {
+    if !are_words(vector.as_ptr().addr() | row.as_ptr().addr()) {
         return 0;
     }
     // SAFETY: both have so many, and start at words; the feature says that the processor has the instructions.
     unsafe { add_dot(vector.as_ptr(), row.as_ptr(), eights) }
 }
 
-/// Whether integers may be read two by two.
+/// Whether integers at an address may be read two by two, or at several addresses that are joined bit by bit.
 #[inline(always)]
-fn starts_at_word(integers: &[i16]) -> bool {
-    integers.as_ptr().cast::<u32>().is_aligned()
+fn are_words(addresses: usize) -> bool {
+    addresses.is_multiple_of(4)
 }
 
 /// As [`super::sums::mix`].
@@ -69,7 +69,7 @@ pub(super) fn mix(weights: &[i16], rows: IntegerRows<'_>, sums: &mut [i32]) {
     let most = rows.slots.iter().map(ends).fold(0, usize::max);
     let parts = sums.len().min(rows.width) / PART;
     let are_there = most <= rows.integers.len() && weights.len() >= rows.slots.len();
-    let are_words = starts_at_word(rows.integers) && rows.width.is_multiple_of(2);
+    let are_words = are_words(rows.integers.as_ptr().addr() | 2 * rows.width);
     if !are_there || !are_words || rows.slots.is_empty() {
         sums.fill(0);
         return;
