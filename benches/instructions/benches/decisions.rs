@@ -84,8 +84,8 @@ fn at_most(instructions_per_decision: u64) -> LibraryBenchmarkConfig {
 #[bench::exact_everything(args = ("exact", Sight::Everything), config = at_most(39_944), setup = scene)]
 #[bench::exact_four(args = ("exact", Sight::Four), config = at_most(28_953), setup = scene)]
 #[bench::fused_everything(args = ("fused", Sight::Everything), config = at_most(29_816), setup = scene)]
-#[bench::int8_everything(args = ("int8", Sight::Everything), config = at_most(53_121), setup = scene)]
-#[bench::int8_four(args = ("int8", Sight::Four), config = at_most(37_558), setup = scene)]
+#[bench::int8_everything(args = ("int8", Sight::Everything), config = at_most(53_245), setup = scene)]
+#[bench::int8_four(args = ("int8", Sight::Four), config = at_most(37_682), setup = scene)]
 #[bench::fused_four(args = ("fused", Sight::Four), config = at_most(20_797), setup = scene)]
 fn alone(scene: Scene) {
     let Scene { plan, mut arena, observations } = scene;
@@ -97,7 +97,7 @@ fn alone(scene: Scene) {
 #[library_benchmark]
 #[bench::exact(args = ("exact", Sight::Team), config = at_most(45_998), setup = scene)]
 #[bench::fused(args = ("fused", Sight::Team), config = at_most(34_872), setup = scene)]
-#[bench::int8(args = ("int8", Sight::Team), config = at_most(40_229), setup = scene)]
+#[bench::int8(args = ("int8", Sight::Team), config = at_most(40_353), setup = scene)]
 fn together(scene: Scene) {
     let Scene { plan, mut arena, observations } = scene;
     let mut decisions: [Result<Decision, DecideError>; TEAM] = [Err(DecideError::BadLength); TEAM];
