@@ -137,6 +137,19 @@ fn the_golden_hash_is_the_one_of_microcontrollers() {
 }
 
 #[test]
+fn the_page_says_where_its_bits_are_others() {
+    let (page, browser) = (Page::of(BUNDLE), Browser::start());
+    let (own, other) = (hash(&page.report, "golden"), "0123456789abcdef");
+    let text = fs::read_to_string(page.file()).expect("the page");
+    fs::write(page.file(), text.replace(&own, other)).expect("a page that wants other bits");
+    browser.open_at(&page.file(), "");
+    wait_until("it has compared", || browser.text("#golden").contains(&own));
+    let said = browser.text("#golden");
+    assert!(said.contains(&format!("OTHER BITS than {other}")), "{said}");
+    assert_eq!(count(&browser, "#golden.loss"), 1);
+}
+
+#[test]
 fn the_page_plays_the_episode_that_view_shows() {
     // A team of the most agents, and a smaller one.
     for number in [7, 0] {
@@ -208,8 +221,13 @@ fn a_visitor_interferes() {
     assert_eq!(newest(&browser), "0 / 0", "no step was taken");
     // By keys, one cell at a time, and not where somebody is.
     browser.press("0");
+    let column = || {
+        let place = place_of(&browser, &name);
+        place.split(", ").next().and_then(|x| x.parse::<i32>().ok()).expect("a column")
+    };
+    let left = column();
     browser.press("d");
-    assert_ne!(place_of(&browser, &name), after);
+    assert_eq!(column(), left + 1);
     browser.press("q");
     assert_eq!(place_of(&browser, &name), after);
     // On fire.
