@@ -1,13 +1,47 @@
 //! Sets of operators for the usual plans.
 
-use super::{OpKind, OperatorSet};
+use super::team::Team;
+use super::{OpKind, OperatorSet, Scratch};
+use crate::plan::Plan;
+use crate::plan::execution::{Execution, TeamExecution};
+use crate::policy::{DecideError, Observation};
 
 /// Every operator of this crate.
 #[derive(Clone, Copy, Debug)]
 pub struct AllOperators;
 
+/// What every host takes: its runs are compiled here, once, and not again in each crate that decides. Images without `std`
+/// are linked whole, and leave inlining to the linker.
+#[expect(private_interfaces, reason = "those of the trait")]
 impl OperatorSet for AllOperators {
     const OPERATORS: &[OpKind] = OpKind::ALL;
+
+    #[cfg_attr(feature = "std", inline(never))]
+    fn run_agent(
+        plan: &Plan<'_, Self>,
+        observation: &Observation<'_>,
+        scratch: &mut Scratch<'_>,
+    ) -> Result<(), DecideError> {
+        plan.execute(Execution::<_, false> { plan, observation, scratch })
+    }
+
+    #[cfg_attr(feature = "std", inline(never))]
+    fn run_policy(
+        plan: &Plan<'_, Self>,
+        observation: &Observation<'_>,
+        scratch: &mut Scratch<'_>,
+    ) -> Result<(), DecideError> {
+        plan.execute(Execution::<_, true> { plan, observation, scratch })
+    }
+
+    #[cfg_attr(feature = "std", inline(never))]
+    fn run_team(
+        plan: &Plan<'_, Self>,
+        observations: &[Observation<'_>],
+        team: &mut Team<'_>,
+    ) -> Result<(), DecideError> {
+        plan.execute(TeamExecution { plan, observations, team })
+    }
 }
 
 /// What feed-forward agents and team values need.

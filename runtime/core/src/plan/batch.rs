@@ -10,8 +10,6 @@ use zerocopy::FromBytes;
 use super::Plan;
 use crate::choose::masked_argmax;
 use crate::entity_mask::EntityMask;
-use crate::kernels::Kernels;
-use crate::kernels::build::Work;
 use crate::kernels::mark::Marks;
 use crate::limits;
 use crate::ops::team::{Member, TEAM, Team};
@@ -193,7 +191,7 @@ impl<S: OperatorSet> Plan<'_, S> {
             recall(gru, &mut team, asked.hidden)?;
         }
         let observations = asked.observations;
-        self.execute(TeamExecution { plan: self, observations, team: &mut team })?;
+        S::run_team(self, observations, &mut team)?;
         let place = self.program.utilities().ok_or(DecideError::BadLength)?;
         let utilities = team.own_place(&place);
         let memory = self.program.memory().map(|gru| (gru, team.own_place(&gru.to)));
@@ -252,22 +250,4 @@ fn is_same_frame(a: &Observation<'_>, b: &Observation<'_>) -> bool {
     core::ptr::eq(a.rows, b.rows)
         && a.stride == b.stride
         && core::ptr::eq(a.last_actions, b.last_actions)
-}
-
-struct TeamExecution<'p, 'a, 's, S: OperatorSet> {
-    plan: &'p Plan<'a, S>,
-    observations: &'p [Observation<'p>],
-    team: &'p mut Team<'s>,
-}
-
-impl<S: OperatorSet> Work for TeamExecution<'_, '_, '_, S> {
-    type Output = Result<(), DecideError>;
-
-    #[inline(always)]
-    fn run(self, kernels: impl Kernels) -> Self::Output {
-        for op in self.plan.program.ops() {
-            op.run_team::<S>(kernels, self.plan.weights, self.observations, self.team)?;
-        }
-        Ok(())
-    }
 }

@@ -10,6 +10,7 @@ mod batch;
 #[cfg(any(test, feature = "std"))]
 mod draft;
 mod error;
+pub(crate) mod execution;
 mod header;
 mod in_place;
 mod needed;
@@ -42,7 +43,6 @@ use crate::checksum::{CRC32C, crc32c};
 use crate::choose::{masked_argmax, masked_sample};
 use crate::entities::Entities;
 use crate::entity_mask::EntityMask;
-use crate::kernels::Kernels;
 use crate::kernels::arithmetic::Exact;
 #[cfg(any(test, feature = "std"))]
 use crate::kernels::arithmetic::Fused;
@@ -230,7 +230,7 @@ impl<'a, S: OperatorSet> Plan<'a, S> {
         };
         let mut scratch = self.scratch(arena, &observation)?;
         (scratch.agents, scratch.groups) = (entities.agents, entities.groups);
-        self.execute(Execution { plan: self, observation: &observation, scratch: &mut scratch })?;
+        S::run_agent(self, &observation, &mut scratch)?;
         self.program.outputs().zip(outputs).try_for_each(|(output, to)| output.read(&scratch, to))
     }
 
@@ -279,7 +279,7 @@ impl<'a, S: OperatorSet> Plan<'a, S> {
                 *to = *from;
             }
         }
-        self.execute(Execution { plan: self, observation, scratch: &mut scratch })?;
+        S::run_agent(self, observation, &mut scratch)?;
         let place = self.program.utilities().ok_or(DecideError::BadLength)?;
         let floats: &'s [f32] = scratch.floats;
         let utilities = finite(floats.get(place.range()).ok_or(DecideError::BadLength)?)?;
@@ -333,7 +333,8 @@ impl<'a, S: OperatorSet> Plan<'a, S> {
         self.weights
     }
 
-    /// Runs work on the plan's build and in its profile.
+    /// Runs work on the plan's build and in its profile: all kernels are compiled into the caller, so callers are few.
+    #[inline]
     pub(crate) fn execute<W: Work>(&self, work: W) -> W::Output {
         match self.sums {
             Sums::Exact => self.build.run::<Exact, W>(work),
@@ -345,27 +346,6 @@ impl<'a, S: OperatorSet> Plan<'a, S> {
 
 fn finite(utilities: &[f32]) -> Result<&[f32], DecideError> {
     all_finite(utilities).then_some(utilities).ok_or(DecideError::NonFinite)
-}
-
-struct Execution<'p, 'a, 's, S: OperatorSet> {
-    plan: &'p Plan<'a, S>,
-    observation: &'p Observation<'p>,
-    scratch: &'p mut Scratch<'s>,
-}
-
-impl<S: OperatorSet> Work for Execution<'_, '_, '_, S> {
-    type Output = Result<(), DecideError>;
-
-    #[inline(always)]
-    fn run(self, kernels: impl Kernels) -> Self::Output {
-        // Where no entity exists there is no row either, not even an agent's own.
-        let skip =
-            self.plan.header.network == Network::Entities && self.observation.visible.is_empty();
-        for op in self.plan.program.ops().skip(usize::from(skip)) {
-            op.run::<S, false>(kernels, self.plan.weights, self.observation, self.scratch)?;
-        }
-        Ok(())
-    }
 }
 
 /// Checks that header and program agree, that parts do not overlap and that all sizes are ones that messages can express.

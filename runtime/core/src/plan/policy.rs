@@ -3,8 +3,6 @@
 use super::{Network, Plan, finite};
 use crate::choose::{masked_argmax, masked_sample};
 use crate::entity_mask::EntityMask;
-use crate::kernels::Kernels;
-use crate::kernels::build::Work;
 use crate::ops::{OperatorSet, Place, Scratch};
 use crate::policy::{DecideError, Decision, Observation};
 
@@ -161,7 +159,7 @@ impl<S: OperatorSet> Plan<'_, S> {
             finite(from)?;
             copy(from, floats(&mut scratch, &state.from)?);
         }
-        self.execute(PolicyExecution { plan: self, observation, scratch: &mut scratch })?;
+        S::run_policy(self, observation, &mut scratch)?;
         Ok(scratch)
     }
 
@@ -178,24 +176,6 @@ impl<S: OperatorSet> Plan<'_, S> {
         for state in self.program.states() {
             let to = rest.split_off_mut(..state.to.len as usize).ok_or(DecideError::BadLength)?;
             copy(next(&state.to)?, to);
-        }
-        Ok(())
-    }
-}
-
-struct PolicyExecution<'p, 'a, 's, S: OperatorSet> {
-    plan: &'p Plan<'a, S>,
-    observation: &'p Observation<'p>,
-    scratch: &'p mut Scratch<'s>,
-}
-
-impl<S: OperatorSet> Work for PolicyExecution<'_, '_, '_, S> {
-    type Output = Result<(), DecideError>;
-
-    #[inline(always)]
-    fn run(self, kernels: impl Kernels) -> Self::Output {
-        for op in self.plan.program.ops() {
-            op.run::<S, true>(kernels, self.plan.weights, self.observation, self.scratch)?;
         }
         Ok(())
     }

@@ -2,9 +2,14 @@
 
 use core::ops::Range;
 
+use super::Proposing;
+use super::memory::Memory;
+use super::scene::Scene;
+use crate::allocator::AllocateError;
 use crate::limits;
 use crate::math::ln;
 use crate::ops::proposal_arena::TOGETHER;
+use crate::plan::Plan;
 
 /// The place of each of them.
 const LANES: [u32; TOGETHER] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15];
@@ -13,6 +18,7 @@ const LANES: [u32; TOGETHER] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14
 ///
 /// Agents choose in rising order; proposals may be asked in any. The logits `[T]` are finite, and not normalised: their
 /// softmax over the open subtasks is the policy. A choice that is not open makes the decision fail.
+#[expect(private_interfaces, reason = "the run is for draws of this crate to have compiled once")]
 pub trait Draw {
     /// The subtask; at least one is open.
     fn draw(&mut self, proposal: usize, agent: usize, logits: &[f32], open_tasks: u32) -> usize;
@@ -36,6 +42,21 @@ pub trait Draw {
         }
         choices
     }
+
+    /// Runs the networks of a plan, with every choice drawn here.
+    #[doc(hidden)]
+    #[inline(always)]
+    fn propose(
+        &mut self,
+        plan: &Plan<'_>,
+        scene: Scene<'_>,
+        memory: &mut Memory<'_>,
+    ) -> Result<(), AllocateError>
+    where
+        Self: Sized,
+    {
+        plan.execute(Proposing { scene, memory, draw: self })
+    }
 }
 
 /// Draws from the policy by Gumbel noise that is computed from a seed and a place: the largest sum of logit and noise.
@@ -46,6 +67,7 @@ pub struct GumbelDraw {
     pub seed: u64,
 }
 
+#[expect(private_interfaces, reason = "those of the trait")]
 impl Draw for GumbelDraw {
     #[inline(always)]
     fn draw(&mut self, proposal: usize, agent: usize, logits: &[f32], open_tasks: u32) -> usize {
@@ -83,6 +105,17 @@ impl Draw for GumbelDraw {
             }
         }
         choices.map(|choice| choice as usize)
+    }
+
+    /// Compiled here once, as runs of [`AllOperators`](crate::operators::AllOperators) are.
+    #[cfg_attr(feature = "std", inline(never))]
+    fn propose(
+        &mut self,
+        plan: &Plan<'_>,
+        scene: Scene<'_>,
+        memory: &mut Memory<'_>,
+    ) -> Result<(), AllocateError> {
+        plan.execute(Proposing { scene, memory, draw: self })
     }
 }
 

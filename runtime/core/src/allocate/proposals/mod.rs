@@ -113,7 +113,7 @@ impl<'a> ProposalAllocator<'a> {
         let scene = Scene { state, network: &self.network, weights, extent, present };
         let memory = Memory::new(&self.network, &extent, self.arena);
         let mut memory = memory.ok_or(AllocateError::TooLarge)?;
-        self.plan.execute(Proposing { scene, memory: &mut memory, draw })?;
+        draw.propose(&self.plan, scene, &mut memory)?;
         let values = memory.critic.of_proposal.cells.get(..self.proposals);
         let values = values.ok_or(AllocateError::TooLarge)?;
         Ok(Proposals { places: memory.step.places.cells, values, agents })
@@ -170,6 +170,7 @@ impl Proposals<'_> {
     }
 }
 
+/// One run of all three networks.
 struct Proposing<'p, 'a, D> {
     scene: Scene<'p>,
     memory: &'p mut Memory<'a>,
