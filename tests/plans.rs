@@ -10,7 +10,7 @@ use sortie_bundle::{hex, sha256};
 use sortie_core::plan::{HEADER_BYTES, Header, Profile, checksums};
 use support::{BUNDLE, assert_fails, copied_bundle, json, output, stderr};
 
-/// The program in a folder of its own: `sortie-tract` does not lie beside it.
+/// The program in a folder of its own: `sortie-tools` does not lie beside it.
 struct Alone {
     folder: tempfile::TempDir,
 }
@@ -71,7 +71,7 @@ fn what_reads_onnx_files_is_missed_by_name_and_the_command_that_makes_it() {
         &["compile", &onnx, "-o", "/nowhere/agent.plan"],
         &["run", text(&bundle)],
     ] {
-        let words = ["sortie-tract", "missing", "cargo build", "-p sortie-tract"];
+        let words = ["sortie-tools", "missing", "cargo build", "-p sortie-tools"];
         assert_fails(&alone.output(arguments), 69, &words);
     }
 }

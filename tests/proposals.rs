@@ -98,7 +98,7 @@ struct Recorded {
 
 /// What the team's allocator gives in the states that the shipped team recorded, by so many proposals from a seed.
 fn allocations(bundle: &Bundle, proposals: usize, seed: u64) -> Vec<Vec<i64>> {
-    let compiler = Path::new(env!("CARGO_BIN_EXE_sortie")).with_file_name("sortie-tract");
+    let compiler = Path::new(env!("CARGO_BIN_EXE_sortie")).with_file_name("sortie-tools");
     let plans = BundlePlans::new(CompilerProcess::new(compiler, ["compiler"]), None, |_| {});
     let plan = plans.proposals(bundle, Profile::Exact).expect("a plan").expect("it proposes");
     let plan = Plan::load(plan.as_slice()).expect("a plan");

@@ -19,8 +19,8 @@ pub(crate) const BUNDLE: &str = "models/save-the-city";
 /// `cargo test --workspace` builds what it starts in its place for tract; `cargo test -p sortie` does not.
 pub(crate) fn sortie(arguments: &[&str]) -> Command {
     let program = Path::new(env!("CARGO_BIN_EXE_sortie"));
-    let linked = program.with_file_name("sortie-tract");
-    assert!(linked.exists(), "{} is missing: `cargo build -p sortie-tract`", linked.display());
+    let linked = program.with_file_name("sortie-tools");
+    assert!(linked.exists(), "{} is missing: `cargo build -p sortie-tools`", linked.display());
     let mut command = Command::new(program);
     command.current_dir(env!("CARGO_MANIFEST_DIR")).args(arguments);
     command

@@ -15,7 +15,7 @@ from sortie import _compiler
 
 @pytest.fixture
 def no_compiler(monkeypatch, tmp_path):
-    monkeypatch.setattr(_compiler, "PROGRAM", tmp_path / "sortie-tract")
+    monkeypatch.setattr(_compiler, "PROGRAM", tmp_path / "sortie-tools")
 
 
 def plan_of(name, folder):
@@ -28,14 +28,14 @@ def test_an_installation_without_compiler_runs_plans_and_says_what_it_lacks(tmp_
     path = plan_of("sb3_dqn.classic", tmp_path)
     observation = recorded("sb3_dqn.classic")["in__observation"][0]
     want = sortie.Plan(foreign("sb3_dqn.classic"))(observation)
-    monkeypatch.setattr(_compiler, "PROGRAM", tmp_path / "sortie-tract")
+    monkeypatch.setattr(_compiler, "PROGRAM", tmp_path / "sortie-tools")
     assert sortie.Plan(path)(observation[0]).tobytes() == want.tobytes()
     for refused in (
         lambda: sortie.Plan(foreign("sb3_dqn.classic")),
         lambda: sortie.compile(foreign("sb3_dqn.classic"), tmp_path / "other.plan"),
         lambda: sortie.verify(foreign("sb3_dqn.classic"), "recorded.npz"),
     ):
-        with pytest.raises(sortie.CompileError, match="sortie-tract` is missing, which reads ONNX files"):
+        with pytest.raises(sortie.CompileError, match="sortie-tools` is missing, which reads ONNX files"):
             refused()
 
 
@@ -132,7 +132,7 @@ def test_a_file_that_allocates_without_bound_ends_its_own_process_only(root):
 
 def test_threads_run_while_a_file_is_compiled(tmp_path, monkeypatch):
     # It answers once another thread of this program has written to a pipe, and gives up where none could.
-    program, pipe = tmp_path / "sortie-tract", tmp_path / "pipe"
+    program, pipe = tmp_path / "sortie-tools", tmp_path / "pipe"
     os.mkfifo(pipe)
     program.write_text(f'#!/bin/sh\ncat >/dev/null\ntimeout 60 cat "{pipe}" >/dev/null || exit 4\nexit 3\n')
     program.chmod(0o755)

@@ -21,7 +21,6 @@ mod random;
 mod real_time;
 mod registry;
 mod stop;
-pub mod storm;
 mod supervisor;
 mod threads;
 mod waker;

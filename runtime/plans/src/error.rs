@@ -172,13 +172,29 @@ pub enum CompileError {
     },
     /// There is no program that reads ONNX files.
     #[error(
-        "`{}` is missing, which reads ONNX files: `cargo build {}-p sortie-tract` makes it",
+        "`{}` is missing, which reads ONNX files: `cargo build {}-p sortie-tools` makes it",
         program.display(),
         if cfg!(debug_assertions) { "" } else { "--release " }
     )]
     NoCompiler {
         /// Where it should be.
         program: PathBuf,
+    },
+    /// The program that reads ONNX files is of another version.
+    #[error(
+        "`{}` is version {}, this program is {want}: `cargo build {}-p sortie-tools` makes it anew, or take both from one \
+         release",
+        program.display(),
+        if got.is_empty() { "unknown" } else { got },
+        if cfg!(debug_assertions) { "" } else { "--release " }
+    )]
+    OtherVersion {
+        /// Where it lies.
+        program: PathBuf,
+        /// Its version, empty where it does not say.
+        got: String,
+        /// The version of the program that asks.
+        want: String,
     },
     /// The plan that a bundle ships is of another network, or of other sizes.
     #[error("`{part}` is no plan of this bundle's network: {reason}")]

@@ -73,7 +73,7 @@ pub use policy_agreement::{
     LARGEST_DEVIATION, OutputAgreement, PolicyAgreement, RecordedCase, policy_agreement,
 };
 pub use policy_plan::{CompiledPolicy, PlanFlatPolicy, choices};
-pub use process::{CompilerProcess, ProcessLimits, Request, read_request};
+pub use process::{CompilerProcess, ProcessLimits, Request, check_version, read_request};
 pub use proposal_files::ProposalFiles;
 pub use quantised_policy::{QuantisedPolicy, quantise_policy};
 pub use report::{CompileOptions, Compiled, OperatorReport, Report, VERSION, report};

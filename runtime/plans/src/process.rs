@@ -8,7 +8,7 @@
 use std::ffi::OsString;
 use std::io::{self, Read, Write};
 use std::os::unix::process::ExitStatusExt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::thread;
@@ -80,7 +80,7 @@ pub enum Request {
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// use sortie_plans::{CompileOptions, Compiler, CompilerProcess};
 ///
-/// let compiler = CompilerProcess::new("target/release/sortie-tract", ["compiler"]);
+/// let compiler = CompilerProcess::new("target/release/sortie-tools", ["compiler"]);
 /// let compiled = compiler.compile(&std::fs::read("agent.onnx")?, &CompileOptions::default())?;
 /// # Ok(())
 /// # }
@@ -89,6 +89,7 @@ pub enum Request {
 pub struct CompilerProcess {
     program: PathBuf,
     arguments: Vec<OsString>,
+    version: Option<&'static str>,
     limits: ProcessLimits,
 }
 
@@ -131,7 +132,12 @@ impl CompilerProcess {
         arguments: impl IntoIterator<Item = A>,
     ) -> Self {
         let arguments = arguments.into_iter().map(Into::into).collect();
-        Self { program: program.into(), arguments, limits: ProcessLimits::default() }
+        Self { program: program.into(), arguments, version: None, limits: ProcessLimits::default() }
+    }
+
+    /// The same, refused where the program is of another version than this: both speak a language of their own.
+    pub fn of_version(self, version: &'static str) -> Self {
+        Self { version: Some(version), ..self }
     }
 
     /// The same with other limits.
@@ -193,6 +199,9 @@ impl CompilerProcess {
     }
 
     fn ask<T: DeserializeOwned>(&self, request: Request, onnx: &[u8]) -> Result<T, CompileError> {
+        if let Some(version) = self.version {
+            check_version(&self.program, version)?;
+        }
         let answered = self.exchange(request, onnx);
         let not_started = |error| CompileError::not_started(self.program.clone(), &error);
         let Answered { output, in_time } = answered.map_err(not_started)?;
@@ -244,6 +253,19 @@ impl CompilerProcess {
             None => Ending::Code(status.code().unwrap_or_default()),
         }
     }
+}
+
+/// Refuses a program of Sortie that is missing, or says with `--version` that it is of another version than `want`.
+pub fn check_version(program: &Path, want: &str) -> Result<(), CompileError> {
+    let said = Command::new(program).arg("--version").stdin(Stdio::null()).output();
+    let said = said.map_err(|error| CompileError::not_started(program.to_owned(), &error))?;
+    let said = String::from_utf8_lossy(&said.stdout);
+    let got = said.lines().next().unwrap_or_default().trim_start_matches("sortie ").trim();
+    if got == want {
+        return Ok(());
+    }
+    let (program, got) = (program.to_owned(), got.to_owned());
+    Err(CompileError::OtherVersion { program, got, want: want.to_owned() })
 }
 
 /// What a process said, and whether it ended before its time was over.

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from ._errors import CompileError
 
-PROGRAM = Path(__file__).parent / "bin" / "sortie-tract"
+PROGRAM = Path(__file__).parent / "bin" / "sortie-tools"
 
 
 def program() -> str:

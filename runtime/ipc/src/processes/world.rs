@@ -127,7 +127,7 @@ pub fn world_process(
     observer: &mut dyn WorldObserver,
     stop: &Stop,
 ) -> Result<Counters, Error> {
-    play(domain, contract, (world, None), settings, start_team, observer, stop)
+    play(domain, contract, (world, None), settings, Box::new(start_team), observer, stop)
 }
 
 /// As [`world_process`]; the agents for which no process acts are acted for in this one, with `fill`, until one joins
@@ -145,15 +145,18 @@ pub fn world_process_with_fill(
     observer: &mut dyn WorldObserver,
     stop: &Stop,
 ) -> Result<Counters, Error> {
-    play(domain, contract, (world, Some(fill)), settings, start_team, observer, stop)
+    play(domain, contract, (world, Some(fill)), settings, Box::new(start_team), observer, stop)
 }
+
+/// Starts the processes of a team. Boxed, so that the whole of a world is compiled here and not in every crate that runs one.
+type StartTeam<'a> = Box<dyn FnOnce(&mut Children) -> Result<(), Error> + 'a>;
 
 fn play(
     domain: &Domain,
     contract: &DomainContract,
     (world, fill): (&mut dyn World, Option<Fill<'_>>),
     settings: &WorldSettings,
-    start_team: impl FnOnce(&mut Children) -> Result<(), Error>,
+    start_team: StartTeam<'_>,
     observer: &mut dyn WorldObserver,
     stop: &Stop,
 ) -> Result<Counters, Error> {

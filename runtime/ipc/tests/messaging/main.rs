@@ -11,7 +11,6 @@ mod processes;
 mod reload;
 mod signals;
 mod starts;
-mod storm;
 mod stress;
 mod supervisor;
 mod threads;

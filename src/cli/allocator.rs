@@ -1,0 +1,185 @@
+//! What allocates in a deployed team: a rule of the environment, or the network of a bundle.
+
+use sortie_bundle::Bundle;
+use sortie_core::allocate::{PlanTeamValue, TeamQuery, TeamValueNetwork};
+use sortie_core::plan::PlanError;
+use sortie_core::{AllocateError, Allocator};
+use sortie_plans::{BundlePlans, CompileError, CompilerProcess, GraphEngine};
+use sortie_stage::{Search, SearchSizes, TeamValuePlan};
+
+use crate::allocation::AllocatorChoice;
+use crate::compiler::{compiler, plans};
+use crate::environment::entry_of;
+use crate::failure::{Exit, Failure};
+use crate::policy::Backend;
+use crate::proposals::{ProposalArguments, ProposalMemory};
+use crate::tools::engines;
+use crate::worlds::rules::{RuleAllocator, rule_allocator};
+
+/// The memory of a team's allocator.
+pub enum DeployedAllocator {
+    Rule(RuleAllocator),
+    Learned(Box<LearnedAllocator>),
+    Proposing(Box<ProposalMemory>),
+}
+
+impl DeployedAllocator {
+    /// As [`open`](Self::open), where anybody allocates.
+    pub fn open_for(
+        bundle: &Bundle,
+        choice: Option<AllocatorChoice>,
+        backend: Backend,
+        (seed, proposals): (u64, ProposalArguments),
+    ) -> Result<Option<Self>, Failure> {
+        match choice {
+            Some(choice) => Self::open(bundle, choice, backend, seed, proposals).map(Some),
+            None => proposals.check_unused().map(|()| None),
+        }
+    }
+
+    /// `seed` matters to what draws, `backend` to the learned allocator, `proposals` to one that proposes.
+    pub fn open(
+        bundle: &Bundle,
+        choice: AllocatorChoice,
+        backend: Backend,
+        seed: u64,
+        proposals: ProposalArguments,
+    ) -> Result<Self, Failure> {
+        if let Some(rule) = choice.rule() {
+            proposals.check_unused()?;
+            return Ok(Self::Rule(rule_allocator(entry_of(bundle)?, rule, seed)?));
+        }
+        match ProposalMemory::open(bundle, backend, proposals.count(), seed)? {
+            Some(memory) => Ok(Self::Proposing(Box::new(memory))),
+            None => {
+                proposals.check_unused()?;
+                Ok(Self::Learned(Box::new(LearnedAllocator::open(bundle, backend)?)))
+            }
+        }
+    }
+
+    /// The allocator over this memory.
+    pub fn allocator(&mut self) -> Result<Box<dyn Allocator + '_>, Failure> {
+        match self {
+            Self::Rule(rule) => Ok(Box::new(rule)),
+            Self::Learned(learned) => Ok(Box::new(learned.allocator()?)),
+            Self::Proposing(memory) => Ok(Box::new(memory.allocator()?)),
+        }
+    }
+}
+
+/// A bundle's learned allocator: its network and the memory of the search.
+pub struct LearnedAllocator {
+    network: NetworkMemory,
+    search: Search,
+}
+
+impl LearnedAllocator {
+    /// The plan of the bundle's team-value network, which has given its golden answers, or its graph.
+    pub fn open(bundle: &Bundle, backend: Backend) -> Result<Self, Failure> {
+        match backend {
+            Backend::Plan => Self::of_plan(bundle, &plans()),
+            Backend::Tract => Self::of_graph(bundle, engines()?.tract()),
+        }
+    }
+
+    /// The plan that `plans` gives.
+    pub fn of_plan(bundle: &Bundle, plans: &BundlePlans<CompilerProcess>) -> Result<Self, Failure> {
+        Self::with(bundle, |_| NetworkMemory::of_plan(bundle, plans))
+    }
+
+    /// The graph in an engine, once another process has read and run it.
+    pub fn of_graph(bundle: &Bundle, engine: &dyn GraphEngine) -> Result<Self, Failure> {
+        Self::with(bundle, |onnx| {
+            compiler().rehearse(onnx, bundle.manifest().limits.n_max.into(), None)?;
+            Ok(NetworkMemory::Graph(engine.team_value(onnx)?))
+        })
+    }
+
+    fn with(
+        bundle: &Bundle,
+        network: impl FnOnce(&[u8]) -> Result<NetworkMemory, CompileError>,
+    ) -> Result<Self, Failure> {
+        let name = bundle.folder().display();
+        let onnx = bundle.allocator_onnx().ok_or_else(|| none_learned(&name.to_string()))?;
+        let network = network(onnx).map_err(|error| Failure::from(error).within(&name))?;
+        let limits = bundle.manifest().limits;
+        let sizes = SearchSizes {
+            entities: limits.n_max.into(),
+            tasks: limits.t_max.into(),
+            team_max: limits.team_max.into(),
+        };
+        let search = Search::new(entry_of(bundle)?, sizes);
+        Ok(Self { network, search: search.ok_or_else(|| none_learned(&name.to_string()))? })
+    }
+
+    /// The team-value network alone.
+    pub fn network(&mut self) -> Result<impl TeamValueNetwork + '_, Failure> {
+        self.network.bind()
+    }
+
+    /// Network and search.
+    pub fn allocator(&mut self) -> Result<impl Allocator + '_, Failure> {
+        Ok(self.search.allocator(self.network.bind()?))
+    }
+}
+
+/// No learned allocator where one was asked for.
+pub fn none_learned(name: &str) -> Failure {
+    let message = format!(
+        "`{name}` has no learned allocator; choose a rule with --allocation, or a team that learned one"
+    );
+    Failure::new(Exit::Usage, message)
+}
+
+enum NetworkMemory {
+    Plan(TeamValuePlan),
+    Graph(Box<dyn TeamValueNetwork>),
+}
+
+enum BoundNetwork<'a> {
+    Plan(Box<PlanTeamValue<'a>>),
+    Graph(&'a mut dyn TeamValueNetwork),
+}
+
+impl NetworkMemory {
+    fn of_plan(
+        bundle: &Bundle,
+        plans: &BundlePlans<CompilerProcess>,
+    ) -> Result<Self, CompileError> {
+        let plan = plans.allocator(bundle)?.ok_or(PlanError::WrongNetwork)?;
+        let entities = usize::from(bundle.manifest().limits.n_max);
+        Ok(Self::Plan(TeamValuePlan::new(plan, entities)?))
+    }
+
+    fn bind(&mut self) -> Result<BoundNetwork<'_>, Failure> {
+        match self {
+            Self::Plan(memory) => {
+                let network = memory.bind().map_err(CompileError::from)?;
+                Ok(BoundNetwork::Plan(Box::new(network)))
+            }
+            Self::Graph(network) => Ok(BoundNetwork::Graph(network.as_mut())),
+        }
+    }
+}
+
+impl TeamValueNetwork for BoundNetwork<'_> {
+    fn value(&mut self, query: &TeamQuery<'_>) -> Result<f32, AllocateError> {
+        match self {
+            Self::Plan(network) => network.value(query),
+            Self::Graph(network) => network.value(query),
+        }
+    }
+
+    fn values(
+        &mut self,
+        query: &TeamQuery<'_>,
+        teams: &[u64],
+        values: &mut [f32],
+    ) -> Result<(), AllocateError> {
+        match self {
+            Self::Plan(network) => network.values(query, teams, values),
+            Self::Graph(network) => network.values(query, teams, values),
+        }
+    }
+}

@@ -1,0 +1,137 @@
+//! The grammar of the command line: `sortie VERB [SUBJECT] [--flags]`.
+
+use std::ffi::OsString;
+
+use clap::error;
+use clap::{ArgMatches, ColorChoice, Command, CommandFactory, FromArgMatches, Parser, Subcommand};
+
+use crate::failure::Outcome;
+use crate::terminal::Color;
+use crate::{
+    Program, compare, compiler, control, doctor, eval, export, inspect, manual, replay, reproduce,
+    run, serve, tools, train, view,
+};
+
+const EXIT_CODES: &str = "\
+Exit codes: 0 done, 1 a check found a difference, 2 wrong use, 3 training diverged, 65 bad data,
+66 file missing, 69 something needed is not running, 70 a fault of this program,
+74 input or output failed, 75 busy (another instance), 77 not permitted, 78 contract or version do not fit, 130 interrupted,
+141 the reader of standard output has gone.";
+
+/// Teams of learned agents, from training to deployment.
+#[derive(Debug, Parser)]
+#[command(name = "sortie", about, after_help = EXIT_CODES, max_term_width = 100)]
+struct Arguments {
+    #[command(subcommand)]
+    verb: Verb,
+    /// When to use colours
+    #[arg(long, global = true, value_enum, value_name = "WHEN", default_value_t)]
+    color: Color,
+}
+
+/// What is asked for.
+pub(crate) enum Asked {
+    /// A verb of this crate.
+    Here(Box<Verb>),
+    /// One of [`tools::VERBS`], and its words.
+    Tool(String, ArgMatches),
+}
+
+/// Reads a command line, its program's name first.
+///
+/// # Errors
+/// It is wrong, or asks for help or the version.
+pub(crate) fn read(program: &Program, words: &[OsString]) -> Result<Asked, error::Error> {
+    let mut matches = command(program).color(color(words)).try_get_matches_from(words)?;
+    if let Some(color) = matches.get_one::<Color>("color") {
+        color.apply();
+    }
+    let of_tools = |name: &str| tools::VERBS.iter().any(|(verb, _)| *verb == name);
+    if let Some((verb, matches)) = matches.remove_subcommand().filter(|(name, _)| of_tools(name)) {
+        return Ok(Asked::Tool(verb, matches));
+    }
+    Ok(Asked::Here(Box::new(Arguments::from_arg_matches(&matches)?.verb)))
+}
+
+/// The grammar, as it is parsed, completed and printed.
+fn command(program: &Program) -> Command {
+    let own = Arguments::command().version(program.version).long_version(program.built);
+    with_negative_numbers(own.subcommands(tools::VERBS.map(tools::grammar)))
+}
+
+/// A negative number is the value of the flag before it, so that the error speaks of that flag.
+fn with_negative_numbers(command: Command) -> Command {
+    let option = |argument: clap::Arg| match argument.get_long() {
+        Some(_) if argument.get_action().takes_values() => argument.allow_negative_numbers(true),
+        _ => argument,
+    };
+    command.mut_args(option).mut_subcommands(with_negative_numbers)
+}
+
+/// What `--color` says, for errors of the command line itself, which come before it is read.
+fn color(words: &[OsString]) -> ColorChoice {
+    let mut words = words.iter().map(|word| word.to_string_lossy());
+    while let Some(word) = words.next() {
+        let choice = match word.strip_prefix("--color") {
+            Some("") => words.next(),
+            Some(choice) => choice.strip_prefix('=').map(|choice| choice.to_owned().into()),
+            None => None,
+        };
+        match choice.as_deref() {
+            Some("always") => return ColorChoice::Always,
+            Some("never") => return ColorChoice::Never,
+            _ => {}
+        }
+    }
+    ColorChoice::Auto
+}
+
+/// The verbs that both programs have.
+#[derive(Debug, Subcommand)]
+pub(crate) enum Verb {
+    Run(run::RunArguments),
+    Up(run::up::UpArguments),
+    Serve(serve::ServeArguments),
+    Control(control::ControlArguments),
+    Doctor(doctor::DoctorArguments),
+    Eval(eval::EvalArguments),
+    Replay(replay::ReplayArguments),
+    Train(train::TrainArguments),
+    Compare(compare::CompareArguments),
+    Reproduce(reproduce::ReproduceArguments),
+    Export(export::ExportArguments),
+    Inspect(inspect::InspectArguments),
+    View(view::ViewArguments),
+    Completions(manual::CompletionsArguments),
+    Man(manual::ManArguments),
+    #[command(hide = true)]
+    Compiler(compiler::CompilerArguments),
+    #[command(hide = true)]
+    Process(run::process::ProcessArguments),
+}
+
+pub(crate) fn dispatch(program: &Program, asked: Asked) -> Outcome {
+    let verb = match asked {
+        Asked::Here(verb) => *verb,
+        Asked::Tool(verb, matches) => return tools::run(&verb, &matches),
+    };
+    match verb {
+        Verb::Run(arguments) => run::run(&arguments),
+        Verb::Up(arguments) => run::up::run(&arguments),
+        Verb::Serve(arguments) => serve::run(&arguments),
+        Verb::Control(arguments) => control::run(&arguments),
+        Verb::Doctor(arguments) => doctor::run(&arguments),
+        Verb::Eval(arguments) => eval::run(&arguments),
+        Verb::Replay(arguments) => replay::run(&arguments),
+        Verb::Train(arguments) => train::run(&arguments),
+        Verb::Compare(arguments) => compare::run(&arguments),
+        Verb::Reproduce(arguments) => reproduce::run(&arguments),
+        Verb::Export(arguments) => export::run(&arguments),
+        Verb::Inspect(arguments) => inspect::run(&arguments),
+        Verb::View(arguments) => view::run(&arguments),
+        Verb::Completions(arguments) => manual::complete(&arguments, || command(program)),
+        Verb::Man(arguments) => manual::run(&arguments, || command(program)),
+        Verb::Compiler(arguments) => compiler::run(&arguments),
+        Verb::Process(arguments) => run::process::run(&arguments),
+    }
+}

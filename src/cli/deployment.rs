@@ -1,0 +1,71 @@
+//! What a bundle means to a domain.
+
+use std::path::Path;
+
+use sortie_bundle::{Bundle, BundleError, Environment, MANIFEST, SubtaskConditioning};
+use sortie_ipc::DomainContract;
+
+use crate::allocation::AllocatorChoice;
+use crate::environment::check_known;
+use crate::failure::{Exit, Failure};
+
+/// Opens a bundle and checks that its environment is one that this program knows.
+pub fn open_bundle(folder: &Path) -> Result<Bundle, Failure> {
+    let bundle = Bundle::open(folder).map_err(|error| match error {
+        BundleError::NotABundle { .. } => no_bundle(folder).unwrap_or_else(|| error.into()),
+        error => error.into(),
+    })?;
+    check_known(&bundle.manifest().contract.environment)
+        .map_err(|reason| Failure::new(Exit::BadData, format!("{}: {reason}", folder.display())))?;
+    Ok(bundle)
+}
+
+/// Why a folder is no bundle, where more can be said than that.
+fn no_bundle(folder: &Path) -> Option<Failure> {
+    let name = folder.display();
+    if !folder.exists() {
+        return Some(Failure::new(Exit::Missing, format!("`{name}` does not exist")));
+    }
+    let entries = folder.read_dir().into_iter().flatten().flatten();
+    let bundles = entries.map(|entry| entry.path()).filter(|path| path.join(MANIFEST).exists());
+    let mut bundles: Vec<String> = bundles.map(|path| path.display().to_string()).collect();
+    bundles.sort();
+    (!bundles.is_empty()).then(|| {
+        let bundles = bundles.join(", ");
+        let message = format!("`{name}` is not a bundle, but holds some; name one of: {bundles}");
+        Failure::new(Exit::Missing, message)
+    })
+}
+
+/// The contract of a domain that this bundle's policy acts in.
+///
+/// A process that allocates, or reports who does, names the `allocation`.
+pub fn domain_contract(bundle: &Bundle, allocation: Option<AllocatorChoice>) -> DomainContract {
+    let contract = bundle.contract();
+    let mut fields =
+        toml::Table::try_from(contract).expect("a contract is a table of plain values");
+    // Outside the hash, which says what a network takes: names of features may be those of another environment.
+    let Environment { name, version, .. } = &bundle.manifest().contract.environment;
+    let name = name.split('/').next().unwrap_or_default();
+    fields.insert("environment".to_owned(), name.into());
+    fields.insert("environment_version".to_owned(), version.as_str().into());
+    DomainContract {
+        hash: contract.hash(),
+        decision_interval: contract.decision_interval,
+        subtasks: contract.subtask_conditioning == SubtaskConditioning::Mask,
+        safe_action: contract.safe_action,
+        model: model_id(bundle),
+        allocation: allocation.map(|choice| choice.name().to_string()),
+        mixes_teams: false,
+        fields,
+    }
+}
+
+/// The model's id in messages: the first 16 bytes of the bundle's.
+pub fn model_id(bundle: &Bundle) -> [u8; 16] {
+    let mut id = [0; 16];
+    for (to, from) in id.iter_mut().zip(bundle.id()) {
+        *to = *from;
+    }
+    id
+}

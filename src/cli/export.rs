@@ -1,0 +1,221 @@
+//! `sortie export`: a training run, or a policy of somebody else, becomes a bundle.
+
+mod policy;
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use indicatif::ProgressBar;
+use serde::Serialize;
+use sortie_bundle::files::check_folder;
+use sortie_bundle::{BundleError, Draft, hex};
+use sortie_envs::Split;
+use sortie_learn::draft::{Measured, MethodRun, draft_method};
+use sortie_learn::evaluate::Evaluation;
+use sortie_learn::play;
+use sortie_learn::run::read_curve;
+use sortie_methods::alma;
+use sortie_methods::alma::evaluate::{EvaluationPlan, evaluate_watched};
+use sortie_methods::alma::export::{check_exportable, draft_bundle};
+use sortie_methods::alma::run::Run;
+use sortie_methods::alma::teams::Allocate;
+use sortie_plans::PolicyOptions;
+
+use crate::allocation::Allocation;
+use crate::compiler::with_plans;
+use crate::environment::ScenarioSetName;
+use crate::failure::{Exit, Failure, Outcome};
+use crate::foreign::PolicyArguments;
+use crate::methods::LearnedMethod;
+use crate::options::Common;
+use crate::output::{print_json, say};
+use crate::progress::{self, CountedEpisodes};
+use crate::proposals::ProposalArguments;
+use crate::seeds::SeedRange;
+use crate::subject::open_run;
+use crate::tools::check_program;
+
+/// Rules that the agents are measured under beside their own allocator.
+const RULES: [&str; 2] = ["coordinated", "heuristic"];
+
+/// Export a training run as a bundle: networks as ONNX, contract, golden observations, card and curve
+///
+/// The averaged weights are evaluated first, over fresh greedy episodes; the card tells the result.
+///
+/// An ONNX file, a policy that somebody else trained, becomes a bundle as well, whose agents decide by it on their own
+/// rows of --env. It must choose one of the environment's actions.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  sortie export runs/first --out models/first
+  sortie export runs/large --env save-the-city/12a_12b --env save-the-city/24a_24b --out models/large
+  sortie export agent.onnx --env group-matching/8x6x2 --out models/mine")]
+pub(crate) struct ExportArguments {
+    /// Folder of the run, or the ONNX file of a policy
+    #[arg(value_name = "RUN|ONNX")]
+    run: PathBuf,
+    /// Folder of the new bundle
+    #[arg(long, value_name = "BUNDLE")]
+    out: PathBuf,
+    /// Scenario set to measure on, and to size the bundle for; may be given several times [default:
+    /// what the run learned on; an ONNX file needs it]
+    #[arg(long, value_name = "ENV[/SET]")]
+    env: Vec<String>,
+    /// Episodes to evaluate for the card, on each set and under each allocation
+    #[arg(long, default_value_t = 2000, value_parser = clap::value_parser!(u32).range(1..))]
+    episodes: u32,
+    /// Take the episodes of several seeds together, A and B included, --episodes of each; one seed may be an easy one
+    #[arg(long, value_name = "A..B")]
+    seeds: Option<SeedRange>,
+    /// Largest team of one subtask that the deployed allocator forms [default: as in training]
+    #[arg(long, value_name = "AGENTS", value_parser = clap::value_parser!(u16).range(1..))]
+    team_max: Option<u16>,
+    #[command(flatten)]
+    common: Common,
+    // Last: what follows would stand under its heading.
+    #[command(flatten)]
+    policy: PolicyArguments,
+}
+
+#[derive(Serialize)]
+struct Report {
+    bundle: PathBuf,
+    sha256: String,
+}
+
+pub(crate) fn run(arguments: &ExportArguments) -> Outcome {
+    check_place(&arguments.out)?;
+    check_program()?;
+    if policy::is_policy(&arguments.run) {
+        return policy::export(arguments);
+    }
+    if arguments.policy.options() != PolicyOptions::default() {
+        let reason = "what is said about a policy's inputs and outputs goes with an ONNX file";
+        return Err(Failure::new(Exit::Usage, reason));
+    }
+    if let Some(learned) = LearnedMethod::find(&arguments.run)? {
+        return export_method(arguments, &learned);
+    }
+    let (mut run, learned_in) = open_run(&arguments.run)?;
+    check_exportable(&run)?;
+    if let Some(team_max) = arguments.team_max {
+        let alma::Config::Records(config) = &mut run.config else {
+            let reason =
+                "`--team-max` limits a team-value allocator, which this run has not learned";
+            return Err(Failure::new(Exit::Usage, reason));
+        };
+        config.allocation.team_max = team_max.into();
+    }
+    let seed = arguments.common.seed;
+    let sets = sets(arguments, &run)?;
+    let allocators = RULES.len() + usize::from(run.allocator.is_some());
+    let seeds = arguments.seeds.unwrap_or(SeedRange::only(seed));
+    let evaluations = (sets.len() * allocators).saturating_mul(seeds.iter().count());
+    let episodes = u64::from(arguments.episodes).saturating_mul(evaluations as u64);
+    let bar = progress::bar(arguments.common, episodes, "episodes");
+    let (mut measured, mut sizes) = (Vec::new(), vec![learned_in.spec().shape]);
+    for set in sets {
+        let environment = set.open(Split::Test)?;
+        sizes.push(environment.spec().shape);
+        let plan = |seed| EvaluationPlan::new(&*environment, arguments.episodes as usize, seed);
+        let plans: Vec<EvaluationPlan<'_>> = seeds.iter().map(plan).collect();
+        measure(&run, (set.set(), &plans), &bar, &mut measured)?;
+    }
+    bar.finish_and_clear();
+    write(arguments, draft_bundle((&run, &*learned_in), &arguments.run, &sizes, &measured, seed)?)
+}
+
+/// Writes the bundle with its plans.
+fn write(arguments: &ExportArguments, draft: Draft) -> Outcome {
+    let draft = with_plans(draft, &arguments.out)?;
+    let bundle = draft.write(&arguments.out)?;
+    let report = Report { bundle: arguments.out.clone(), sha256: hex(bundle.id()) };
+    if arguments.common.json {
+        print_json(&report);
+    } else {
+        say!("{}: {}", report.bundle.display(), report.sha256);
+    }
+    Ok(())
+}
+
+/// Exports what a method has learned in any environment.
+fn export_method(arguments: &ExportArguments, learned: &LearnedMethod) -> Outcome {
+    if arguments.team_max.is_some() {
+        let reason = "`--team-max` limits an allocator, which this run has not learned";
+        return Err(Failure::new(Exit::Usage, reason));
+    }
+    learned.method.deployed()?;
+    let seed = arguments.common.seed;
+    let seeds = arguments.seeds.unwrap_or(SeedRange::only(seed));
+    let (mut measured, mut sizes) = (Vec::new(), vec![learned.environment.spec().shape]);
+    let choices = learned.choices(&arguments.env)?;
+    let evaluations = choices.len().saturating_mul(seeds.iter().count());
+    let all = u64::from(arguments.episodes).saturating_mul(evaluations as u64);
+    let bar = progress::bar(arguments.common, all, "episodes");
+    let mut counted = CountedEpisodes { bar: &bar, next: &mut () };
+    for choice in choices {
+        let environment = learned.open_as(&choice)?;
+        sizes.push(environment.spec().shape);
+        let play = |seed| {
+            let (mut team, episodes) = (learned.method.team(), arguments.episodes as usize);
+            play::evaluate_watched(&*environment, &mut *team, episodes, seed, &mut counted)
+        };
+        let parts: Vec<Evaluation> = seeds.iter().map(play).collect::<Result<_, _>>()?;
+        let evaluation = Evaluation::pooled(&parts);
+        measured.push(Measured { set: choice.set, allocation: "none".to_owned(), evaluation });
+    }
+    bar.finish_and_clear();
+    let run = MethodRun {
+        description: &learned.description,
+        environment: &*learned.environment,
+        method: &*learned.method,
+        curve: &read_curve(&arguments.run)?,
+    };
+    write(arguments, draft_method(&run, &arguments.run, &sizes, &measured, seed)?)
+}
+
+/// Refuses a place that a bundle cannot be written to, before anything is measured.
+fn check_place(out: &Path) -> Outcome {
+    if out.exists() {
+        return Err(BundleError::Exists { path: out.to_owned() }.into());
+    }
+    let folder = out.parent().filter(|parent| parent.is_dir());
+    folder.map_or(Ok(()), |folder| {
+        check_folder(folder).map_err(|error| Failure::file(folder, &error))
+    })
+}
+
+/// The scenario sets to measure on.
+fn sets(arguments: &ExportArguments, run: &Run) -> Result<Vec<ScenarioSetName>, Failure> {
+    if arguments.env.is_empty() {
+        let own = run.description.config.environment.to_string();
+        return Ok(vec![ScenarioSetName::parse_with_subtasks(&own)?]);
+    }
+    arguments.env.iter().map(|name| ScenarioSetName::parse_with_subtasks(name)).collect()
+}
+
+/// Measures the run's agents under its own allocator and under the rules.
+fn measure(
+    run: &Run,
+    (set, plans): (&str, &[EvaluationPlan<'_>]),
+    bar: &ProgressBar,
+    measured: &mut Vec<Measured>,
+) -> Outcome {
+    let mut add = |name: &str, allocator: &mut dyn Allocate| -> Outcome {
+        let mut parts = Vec::new();
+        for plan in plans {
+            let mut counted = CountedEpisodes { bar, next: &mut () };
+            parts.push(evaluate_watched(plan, &mut run.team(), allocator, &mut counted)?);
+        }
+        let evaluation = Evaluation::pooled(&parts);
+        let (set, allocation) = (set.to_owned(), name.to_owned());
+        measured.push(Measured { set, allocation, evaluation });
+        Ok(())
+    };
+    if let Some(mut allocator) = run.learned_allocator(ProposalArguments::default().count()) {
+        add("learned", &mut *allocator)?;
+    }
+    for name in RULES {
+        add(name, &mut Allocation::named(name)?.measured())?;
+    }
+    Ok(())
+}

@@ -1,0 +1,91 @@
+//! The command line of Sortie: teams of learned agents, from training to deployment.
+//!
+//! Both programs are this library: `sortie` as it is, `sortie-tools` with engines for ONNX graphs and the verbs that need or
+//! measure them. What is public here is what those verbs share with the others, and no interface for anybody else.
+#![expect(
+    missing_docs,
+    reason = "public for the program beside, where names say it; no interface for anybody else"
+)]
+
+pub mod allocation;
+pub mod allocator;
+mod arguments;
+mod compare;
+pub mod compiler;
+mod control;
+pub mod deployment;
+mod doctor;
+pub mod environment;
+mod episodes;
+mod eval;
+mod export;
+pub mod failure;
+pub mod files;
+pub mod foreign;
+mod inspect;
+pub mod latency;
+mod manual;
+pub mod methods;
+pub mod npz;
+pub mod observations;
+pub mod onnxruntime;
+pub mod options;
+pub mod output;
+pub mod policy;
+pub mod progress;
+pub mod proposals;
+pub mod recorded_inputs;
+mod replay;
+mod reproduce;
+pub mod run;
+mod scripted;
+mod seeds;
+mod serve;
+pub mod signals;
+pub mod subject;
+pub mod subject_allocator;
+mod terminal;
+mod terminal_curve;
+pub mod tools;
+mod train;
+mod view;
+mod views;
+pub mod worlds;
+
+use std::process::ExitCode;
+
+use crate::failure::Outcome;
+use crate::tools::Tools;
+
+/// What differs between the two programs.
+pub struct Program {
+    /// `0.1.0 (077de5c 2026-11-22)`.
+    pub version: &'static str,
+    /// The same, and how it was built.
+    pub built: &'static str,
+    /// What `sortie-tools` has and `sortie` has not.
+    pub tools: Option<&'static dyn Tools>,
+}
+
+/// Does what the command line says.
+pub fn run_program(program: &'static Program) -> ExitCode {
+    tools::start(program);
+    match work(program) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            if !failure.message.is_empty() {
+                tell!("error: {}", failure.message);
+            }
+            ExitCode::from(failure.exit as u8)
+        }
+    }
+}
+
+fn work(program: &Program) -> Outcome {
+    let words: Vec<_> = std::env::args_os().collect();
+    match arguments::read(program, &words) {
+        Ok(asked) => arguments::dispatch(program, asked)?,
+        Err(message) => output::explain(&message)?,
+    }
+    output::check()
+}

@@ -1,0 +1,274 @@
+//! What can be redone of the dissertation: a figure or table, and the runs that it is made of.
+
+use std::collections::BTreeMap;
+
+use clap::Parser;
+use serde::{Deserialize, Serialize};
+use sortie_learn::session::Setup;
+
+use crate::failure::{Exit, Failure};
+use crate::seeds::SeedRange;
+use crate::train::{TrainArguments, checked};
+
+/// The recipes that this program brings along.
+pub(super) const OWN: &str = include_str!("../../../docs/reproduce.toml");
+/// What stands for the seed in words of a command line.
+const SEED: &str = "{seed}";
+
+/// A file of recipes.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Recipes {
+    #[serde(rename = "figure")]
+    pub(super) figures: Vec<Figure>,
+}
+
+/// A figure or table of the dissertation.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Figure {
+    pub(super) name: String,
+    /// What it shows.
+    pub(super) about: String,
+    pub(super) state: State,
+    /// Why it is not done, or what a reader must know.
+    pub(super) why: String,
+    /// Seeds of the runs of each case and method.
+    #[serde(default)]
+    pub(super) seeds: Option<String>,
+    /// Words of all command lines.
+    #[serde(default)]
+    words: String,
+    #[serde(default)]
+    pub(super) cases: Vec<Case>,
+    #[serde(default)]
+    pub(super) measures: Vec<Measure>,
+    #[serde(default)]
+    pub(super) methods: Vec<Method>,
+}
+
+/// How much of it can be redone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) enum State {
+    #[serde(rename = "done")]
+    Done,
+    #[serde(rename = "partly")]
+    Partly,
+    #[serde(rename = "not yet")]
+    NotYet,
+}
+
+impl State {
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Self::Done => "done",
+            Self::Partly => "partly",
+            Self::NotYet => "not yet",
+        }
+    }
+}
+
+/// Where methods are compared.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Case {
+    pub(super) name: String,
+    words: String,
+}
+
+/// What is compared.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Method {
+    pub(super) name: String,
+    words: String,
+    /// By cases: what the dissertation says.
+    #[serde(default)]
+    pub(super) published: BTreeMap<String, String>,
+}
+
+/// A number of each run.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Measure {
+    pub(super) name: String,
+    /// Its name in the files of a run.
+    pub(super) key: String,
+    #[serde(default = "one")]
+    pub(super) factor: f64,
+    #[serde(default = "two")]
+    pub(super) digits: usize,
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+fn two() -> usize {
+    2
+}
+
+/// A command line of `sortie train` without its program and verb.
+#[derive(Debug, Parser)]
+#[command(name = "sortie train")]
+struct Line {
+    #[command(flatten)]
+    train: TrainArguments,
+}
+
+impl Recipes {
+    /// Reads a file, whose seeds and measures have to be sound.
+    pub(super) fn from_text(text: &str, place: &str) -> Result<Self, Failure> {
+        let recipes: Self = toml::from_str(text).map_err(|error| {
+            let reason = error.to_string().trim_end().replace('\n', " ");
+            Failure::new(Exit::BadData, format!("{place}: {reason}"))
+        })?;
+        for figure in &recipes.figures {
+            figure.seeds(None).map_err(|failure| failure.within(place))?;
+        }
+        Ok(recipes)
+    }
+
+    /// The figure of a name.
+    pub(super) fn find(&self, name: &str) -> Result<&Figure, Failure> {
+        let found = self.figures.iter().find(|figure| figure.name == name);
+        found.ok_or_else(|| {
+            let runs = self.figures.iter().filter(|figure| figure.has_runs());
+            let names: Vec<&str> = runs.map(|figure| figure.name.as_str()).collect();
+            let reason = format!("no figure `{name}`; with runs there are {}", names.join(", "));
+            Failure::new(Exit::Usage, reason)
+        })
+    }
+}
+
+impl Figure {
+    /// Whether anything is learned for it.
+    pub(super) fn has_runs(&self) -> bool {
+        !self.methods.is_empty() && !self.cases.is_empty()
+    }
+
+    /// Cases and methods, a case at a time.
+    pub(super) fn pairs(&self) -> impl Iterator<Item = (&Case, &Method)> {
+        self.cases.iter().flat_map(|case| self.methods.iter().map(move |method| (case, method)))
+    }
+
+    /// Those that were asked for, else its own; none where nothing is learned.
+    pub(super) fn seeds(&self, asked: Option<SeedRange>) -> Result<Vec<u64>, Failure> {
+        let own = self.seeds.as_ref().map(|text| text.parse::<SeedRange>()).transpose();
+        let own = own.map_err(|reason| {
+            Failure::new(Exit::BadData, format!("figure `{}`: {reason}", self.name))
+        })?;
+        if self.has_runs() && own.is_none() {
+            let reason = format!("figure `{}` has methods and no seeds", self.name);
+            return Err(Failure::new(Exit::BadData, reason));
+        }
+        Ok(asked.or(own).map_or_else(Vec::new, |seeds| seeds.iter().collect()))
+    }
+
+    /// What `sortie train` is told for a case, a method and a seed, but where to.
+    pub(super) fn words(&self, case: &Case, method: &Method, seed: &str) -> String {
+        let parts = [&method.words, &case.words, &self.words];
+        let parts: Vec<&str> = parts.into_iter().map(|part| part.trim()).collect();
+        parts.join(" ").trim_end().replace(SEED, seed)
+    }
+
+    /// Whether runs of other seeds differ in more than their seeds.
+    pub(super) fn differs_by_seed(&self, case: &Case, method: &Method) -> bool {
+        self.words(case, method, SEED).contains(SEED)
+    }
+
+    /// How runs of a case, a method and a seed learn.
+    pub(super) fn setup(&self, case: &Case, method: &Method, seed: u64) -> Result<Setup, Failure> {
+        let words = self.words(case, method, &seed.to_string());
+        let all = ["sortie train", "--out", "run"].into_iter().chain(words.split_whitespace());
+        let refused = |error: clap::Error| {
+            let reason = error.to_string();
+            let reason = reason.lines().next().unwrap_or_default().to_owned();
+            Failure::new(Exit::BadData, format!("figure `{}`: `{words}`: {reason}", self.name))
+        };
+        let line = Line::try_parse_from(all).map_err(refused)?;
+        let mut setup = checked(&line.train)?;
+        setup.run.settle_products()?;
+        Ok(setup)
+    }
+}
+
+/// A name as part of a path.
+pub(super) fn slug(name: &str) -> String {
+    let letter = |letter: char| if letter.is_alphanumeric() { letter } else { '-' };
+    let text: String = name.to_lowercase().chars().map(letter).collect();
+    let parts: Vec<&str> = text.split('-').filter(|part| !part.is_empty()).collect();
+    parts.join("-")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_recipe_can_be_learned_and_every_gap_has_its_reason() {
+        let recipes = Recipes::from_text(OWN, "docs/reproduce.toml").unwrap();
+        let mut names: Vec<&str> = recipes.figures.iter().map(|it| it.name.as_str()).collect();
+        names.sort_unstable();
+        assert!(names.is_sorted_by(|a, b| a < b), "twice: {names:?}");
+        for figure in &recipes.figures {
+            assert!(figure.why.ends_with('.'), "{}", figure.name);
+            let is_missing = figure.state == State::NotYet;
+            assert!(!(is_missing && figure.has_runs()), "{}", figure.name);
+            assert_eq!(figure.has_runs(), !figure.measures.is_empty(), "{}", figure.name);
+            for (case, method) in figure.pairs() {
+                figure.setup(case, method, 1).unwrap_or_else(|error| panic!("{}", error.message));
+            }
+            for method in &figure.methods {
+                let is_case = |name: &String| figure.cases.iter().any(|case| case.name == *name);
+                assert!(method.published.keys().all(is_case), "{} {}", figure.name, method.name);
+            }
+        }
+    }
+
+    #[test]
+    fn words_of_a_seed_are_those_of_method_case_and_figure() {
+        let recipes = Recipes::from_text(OWN, "").unwrap();
+        let figure = recipes.find("table-4.1").unwrap();
+        let [task, .., flip] = &figure.cases[..] else { panic!("four cases") };
+        let multi = figure.methods.iter().find(|method| method.name == "multi").unwrap();
+        assert!(figure.differs_by_seed(flip, multi) && !figure.differs_by_seed(task, multi));
+        let setup = figure.setup(flip, multi, 103).unwrap();
+        assert_eq!(setup.environment.to_string(), "gridworld/flip-2");
+        assert_eq!(format!("{:?}", setup.environment.settings["map_seed"]), "Whole(103)");
+        assert_eq!((setup.run.steps, setup.run.final_episodes), (1_000_000, 200));
+        assert_eq!(figure.setup(task, multi, 103).unwrap().run.steps, 300_000);
+    }
+
+    #[test]
+    fn broken_recipes_are_refused_with_their_reason() {
+        let figure = "[[figure]]\nname = \"f\"\nabout = \"\"\nstate = \"done\"\nwhy = \"\"\n";
+        let runs = "cases = [{ name = \"c\", words = \"\" }]\nmethods = [{ name = \"m\", words = \"no-method\" }]\n";
+        let seeds = "seeds = \"1..2\"\n";
+        for (text, reason) in [
+            (figure.replace("done", "soon"), "unknown variant"),
+            (figure.to_owned() + "colour = 1\n", "unknown field"),
+            (figure.to_owned() + runs, "no seeds"),
+            (figure.to_owned() + "seeds = \"2..1\"\n", "no range"),
+        ] {
+            let failure = Recipes::from_text(&text, "mine.toml").unwrap_err();
+            assert!(failure.message.starts_with("mine.toml: "), "{}", failure.message);
+            assert!(failure.message.contains(reason), "{}", failure.message);
+        }
+        let recipes = Recipes::from_text(&(figure.to_owned() + seeds + runs), "").unwrap();
+        let [figure] = &recipes.figures[..] else { panic!("one") };
+        let failure = figure.setup(&figure.cases[0], &figure.methods[0], 1).unwrap_err();
+        assert!(failure.message.contains("no-method"), "{}", failure.message);
+    }
+
+    #[test]
+    fn names_become_parts_of_paths() {
+        for (name, path) in [
+            ("task 1", "task-1"),
+            ("REFIL (Fixed Oracle)", "refil-fixed-oracle"),
+            ("MADDPG+SAC", "maddpg-sac"),
+        ] {
+            assert_eq!(slug(name), path);
+        }
+    }
+}

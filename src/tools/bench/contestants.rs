@@ -1,0 +1,145 @@
+//! Who decides in a benchmark: a bundle's plans in every profile, tract, onnxruntime and the floor.
+
+use std::path::Path;
+
+use sortie_bundle::{Bundle, POLICY};
+use sortie_core::Policy;
+use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
+use sortie_plans::{
+    AgentPlans, BatchedUtilities, CompileError, CompileOptions, Compiler, OnnxRuntimeEngine,
+};
+
+use super::floor::Floor;
+use super::quantised::quantise_or_note;
+use super::scenes::large_set;
+use sortie_cli::compiler::{compiler, plans};
+use sortie_cli::environment::ScenarioSetName;
+use sortie_cli::failure::Failure;
+use sortie_cli::onnxruntime::OnnxRuntimeArguments;
+use sortie_cli::output::tell;
+use sortie_cli::policy::{Backend, DeployedPolicy, graph_policy};
+use sortie_envs::Split;
+
+/// The profiles of our plans, and what their engines are called.
+pub(super) const PROFILES: [(&str, Profile); 3] = [
+    ("sortie exact", Profile::Exact),
+    ("sortie fused", Profile::Fused),
+    ("sortie int8", Profile::Int8),
+];
+
+/// All engines of one bundle.
+pub(super) struct Contestants<'b> {
+    pub(super) bundle: &'b Bundle,
+    /// The folder's own name.
+    pub(super) name: String,
+    /// Our plans; the first is of the profile `exact`.
+    pub(super) ours: Vec<(&'static str, DeployedPolicy)>,
+    pub(super) tract: DeployedPolicy,
+    pub(super) onnxruntime: Option<OnnxRuntimePeer>,
+    pub(super) floor: Floor,
+}
+
+/// The peer's sessions.
+pub(super) struct OnnxRuntimePeer {
+    pub(super) runtime: &'static dyn OnnxRuntimeEngine,
+    pub(super) alone: Box<dyn Policy>,
+    /// The same network quantised by onnxruntime.
+    pub(super) quantised: Option<Box<dyn Policy>>,
+    /// None for policies of others, which take one agent's row.
+    pub(super) team: Option<Box<dyn BatchedUtilities>>,
+}
+
+impl<'b> Contestants<'b> {
+    /// Compiles the bundle's network in every profile that this machine has.
+    pub(super) fn open(
+        bundle: &'b Bundle,
+        onnxruntime: &OnnxRuntimeArguments,
+    ) -> Result<Self, Failure> {
+        let folder = bundle.folder();
+        let within = |error: CompileError| Failure::from(error).within(folder.display());
+        let mut ours = Vec::new();
+        let mut floor = None;
+        for (name, profile) in PROFILES {
+            let plans = plans_for_large_teams(bundle, profile)?;
+            if let (Profile::Exact, Some(plan)) = (profile, plans.plans().first()) {
+                floor = Some(floor_of(plan.as_slice()).map_err(within)?);
+            }
+            match DeployedPolicy::of_plans(plans) {
+                Ok(policy) => ours.push((name, policy)),
+                Err(CompileError::Plan(PlanError::WrongProfile { .. })) => {
+                    tell!("note: this machine cannot run `{name}`");
+                }
+                Err(error) => return Err(within(error)),
+            }
+        }
+        let runtime = onnxruntime.open_or_note("onnxruntime is not measured")?;
+        let peer = runtime.map(|runtime| {
+            OnnxRuntimePeer::open(runtime, onnxruntime.python(), bundle).map_err(within)
+        });
+        Ok(Self {
+            bundle,
+            name: folder.file_name().unwrap_or(folder.as_os_str()).display().to_string(),
+            ours,
+            tract: DeployedPolicy::open(bundle, Backend::Tract)?,
+            onnxruntime: peer.transpose()?,
+            floor: floor.expect("the exact profile is among ours"),
+        })
+    }
+
+    /// Our policy of the default profile.
+    pub(super) fn first(&mut self) -> Result<Box<dyn Policy + '_>, Failure> {
+        let (_, exact) = self.ours.first_mut().expect("every machine runs the exact profile");
+        exact.team()
+    }
+}
+
+impl OnnxRuntimePeer {
+    fn open(
+        runtime: &'static dyn OnnxRuntimeEngine,
+        python: Option<&Path>,
+        bundle: &Bundle,
+    ) -> Result<Self, CompileError> {
+        let features = bundle.contract().features.into();
+        let onnx = bundle.agent_onnx();
+        let alone = graph_policy(bundle, runtime)?;
+        if takes_fixed_sizes(bundle) {
+            return Ok(Self { runtime, alone, quantised: None, team: None });
+        }
+        let quantised = quantise_or_note(python, onnx)
+            .map(|variant| runtime.policy_of_variant(onnx, &variant, features));
+        let team = Some(runtime.batched_agents(onnx, features)?);
+        Ok(Self { runtime, alone, quantised: quantised.transpose()?, team })
+    }
+}
+
+/// Whether its networks take inputs of fixed sizes.
+fn takes_fixed_sizes(bundle: &Bundle) -> bool {
+    bundle.manifest().network.agent == POLICY || bundle.options().is_some()
+}
+
+/// The bundle's networks for more entities than they may have been exported for; what takes inputs of fixed sizes is
+/// as it is.
+fn plans_for_large_teams(bundle: &Bundle, profile: Profile) -> Result<AgentPlans, Failure> {
+    let failed = |error: CompileError| Failure::from(error).within(bundle.folder().display());
+    if takes_fixed_sizes(bundle) {
+        return plans().agents(bundle, profile).map_err(failed);
+    }
+    let own = ScenarioSetName::parse_with_subtasks(&bundle.manifest().contract.environment.name)?;
+    let large = large_set(&own)?.open(Split::Test)?.spec().shape.entities;
+    let options = CompileOptions {
+        n_max: large.max(bundle.manifest().limits.n_max.into()),
+        features: Some(bundle.contract().features.into()),
+        profile,
+        ..CompileOptions::default()
+    };
+    let compiled = compiler().compile(bundle.agent_onnx(), &options).map_err(failed)?;
+    Ok(AgentPlans::new(bundle, vec![AlignedBytes::copy_of(&compiled.bytes)]))
+}
+
+pub(super) fn floor_of(plan: &[u8]) -> Result<Floor, CompileError> {
+    let loaded = Plan::load(plan)?;
+    let header = loaded.header();
+    let start = header.weights_offset as usize;
+    let weights = plan.get(start..start + header.weights_len as usize);
+    Ok(Floor::new(weights.unwrap_or_default()))
+}

@@ -1,0 +1,292 @@
+//! `sortie bench`: our figures beside the peers', measured in one run.
+
+mod allocation;
+mod cases;
+mod contestants;
+mod decision;
+mod environment;
+pub(crate) mod faults;
+mod floor;
+mod option_networks;
+mod policies;
+mod proposals;
+mod quantised;
+mod rounds;
+mod scenes;
+mod schedule;
+mod team;
+mod train;
+
+use clap::{Args, Subcommand};
+use rustix::thread::{CpuSet, sched_setaffinity};
+use rustix::time::{ClockId, clock_gettime};
+use serde::Serialize;
+
+use rounds::{Engine, Measured, paired_ratio};
+use sortie_cli::failure::{Exit, Failure, Outcome};
+use sortie_cli::options::Common;
+use sortie_cli::output::{Table, print_json, say};
+use sortie_cli::tools::engines;
+
+/// Our engine in tables: a compiled plan of the exact profile.
+const OURS: &str = "sortie exact";
+const VERSION: &str = env!("CARGO_PKG_VERSION");
+const TRACT_VERSION: &str = "0.23.9";
+/// What only reads the weights.
+const FLOOR: &str = "floor";
+
+/// Measure latency and throughput, ours and the peers' alternating in one run
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  sortie bench decision --pin 1
+  sortie bench decision models/save-the-city --python venv/bin/python3 --pace hot
+  sortie bench allocation --seconds 5
+  sortie bench policy walking.onnx --python venv/bin/python3
+  sortie bench proposals --python venv/bin/python3
+  sortie bench env --seconds 10
+  sortie bench faults --runner-kills 1000 --allocator-kills 200
+  sortie bench train --python venv/bin/python3 --seconds 30")]
+pub(crate) struct BenchArguments {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    Decision(decision::DecisionArguments),
+    Allocation(allocation::AllocationArguments),
+    Policy(policies::PolicyBenchArguments),
+    Proposals(proposals::ProposalsArguments),
+    Env(environment::EnvironmentArguments),
+    Train(train::TrainArguments),
+    Faults(faults::FaultsArguments),
+}
+
+/// What every measurement takes.
+#[derive(Clone, Copy, Debug, Args)]
+struct Measuring {
+    /// Core to run on
+    #[arg(long, default_value_t = 1, value_name = "CORE")]
+    pin: usize,
+    /// Seconds to measure for
+    #[arg(long, default_value_t = 10.0, value_name = "S")]
+    seconds: f64,
+    #[command(flatten)]
+    common: Common,
+}
+
+/// One measured distribution; `unit` says of what.
+#[derive(Clone, Debug, Serialize)]
+struct Row {
+    what: &'static str,
+    case: String,
+    engine: &'static str,
+    version: String,
+    p50: f64,
+    p99: f64,
+    p999: Option<f64>,
+    max: f64,
+    unit: &'static str,
+}
+
+/// How many times as long as one of our engines a peer takes, paired round by round; less than 1 where it is faster.
+#[derive(Clone, Debug, Serialize)]
+struct Ratio {
+    what: &'static str,
+    case: String,
+    engine: &'static str,
+    peer: &'static str,
+    ratio: f64,
+    low: f64,
+    high: f64,
+}
+
+/// All that one measurement found.
+#[derive(Clone, Debug, Default, Serialize)]
+struct Figures {
+    rows: Vec<Row>,
+    ratios: Vec<Ratio>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    arithmetic: Vec<train::Arithmetic>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    parts: Vec<train::Part>,
+}
+
+pub(crate) fn run(arguments: &BenchArguments) -> Outcome {
+    if let What::Decision(_) | What::Allocation(_) | What::Policy(_) | What::Proposals(_) =
+        &arguments.what
+    {
+        // Before plans are compiled, which the other program would do once more.
+        engines()?;
+    }
+    let (figures, common) = match &arguments.what {
+        What::Decision(arguments) => (decision::measure(arguments)?, arguments.measuring.common),
+        What::Allocation(arguments) => {
+            (allocation::measure(arguments)?, arguments.measuring.common)
+        }
+        What::Policy(arguments) => (policies::measure(arguments)?, arguments.measuring.common),
+        What::Proposals(arguments) => (proposals::measure(arguments)?, arguments.measuring.common),
+        What::Env(arguments) => (environment::measure(arguments)?, arguments.measuring.common),
+        What::Faults(arguments) => return faults::run(arguments),
+        What::Train(arguments) => (train::measure(arguments)?, arguments.measuring.common),
+    };
+    if common.json {
+        print_json(&figures);
+    } else {
+        figures.print();
+    }
+    Ok(())
+}
+
+/// Keeps this thread on one core, so that figures do not mix cores.
+fn pin(core: usize) -> Outcome {
+    let mut cores = CpuSet::new();
+    if core >= CpuSet::MAX_CPU {
+        return Err(no_core(core));
+    }
+    cores.set(core);
+    sched_setaffinity(None, &cores).map_err(|_| no_core(core))
+}
+
+/// Processor time of this thread in seconds: other work on the core does not count.
+fn thread_cpu_s() -> f64 {
+    let time = clock_gettime(ClockId::ThreadCPUTime);
+    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
+}
+
+fn no_core(core: usize) -> Failure {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let message = format!("core {core} cannot be used; this process has {cores}, counted from 0");
+    Failure::new(Exit::Usage, message)
+}
+
+impl Row {
+    /// Whether more is better: then the tails are the small figures.
+    fn is_rate(&self) -> bool {
+        self.unit.contains(" per ")
+    }
+}
+
+/// Rows under their unit and the names of their median and their tails; nothing where there are none.
+fn print_rows([median, one_percent, one_permille, last]: [&str; 4], rows: &[&Row]) {
+    for unit in rows.chunk_by(|one, next| one.unit == next.unit) {
+        say!("{}", unit[0].unit);
+        let mut table = Table::new(&["case", "engine", median, one_percent, one_permille, last]);
+        for row in unit {
+            let figure = |value: f64| format!("{value:.2}");
+            table.row([
+                row.case.clone(),
+                format!("{} {}", row.engine, row.version).trim_end().to_string(),
+                figure(row.p50),
+                figure(row.p99),
+                row.p999.map_or("-".to_string(), figure),
+                figure(row.max),
+            ]);
+        }
+        table.print();
+    }
+}
+
+impl Figures {
+    /// Adds what engines took for a case, and the ratio of every peer to every engine of ours.
+    fn add(
+        &mut self,
+        what: &'static str,
+        case: &str,
+        engines: &[Engine<'_>],
+        measured: &[Measured],
+    ) {
+        for (engine, measured) in engines.iter().zip(measured) {
+            let shown = measured.latency.percentiles();
+            self.rows.push(Row {
+                what,
+                case: case.to_string(),
+                engine: engine.name,
+                version: engine.version.clone(),
+                p50: shown.p50,
+                p99: shown.p99,
+                p999: shown.p999,
+                max: shown.max,
+                unit: "us",
+            });
+        }
+        let (ours, peers): (Vec<_>, Vec<_>) =
+            engines.iter().zip(measured).partition(|(engine, _)| engine.is_ours());
+        for (our, our_times) in ours {
+            for (peer, peer_times) in &peers {
+                let [ratio, low, high] =
+                    paired_ratio(&our_times.medians_ns, &peer_times.medians_ns);
+                let (engine, peer) = (our.name, peer.name);
+                self.ratios.push(Ratio {
+                    what,
+                    case: case.to_string(),
+                    engine,
+                    peer,
+                    ratio,
+                    low,
+                    high,
+                });
+            }
+        }
+    }
+
+    fn print(&self) {
+        let (rates, times): (Vec<&Row>, Vec<&Row>) =
+            self.rows.iter().partition(|row| row.is_rate());
+        print_rows(["p50", "p99", "p99.9", "max"], &times);
+        print_rows(["median", "slow 1 %", "slow 0.1 %", "slowest"], &rates);
+        self.print_parts();
+        self.print_arithmetic();
+        self.print_ratios();
+    }
+
+    fn print_ratios(&self) {
+        if self.ratios.is_empty() {
+            return;
+        }
+        say!();
+        let mut table = Table::new(&["case", "engine", "", "peer", "rounds"]);
+        for Ratio { case, engine, peer, ratio, low, high, .. } in &self.ratios {
+            let (said, low, high) = if *peer == FLOOR {
+                (format!("takes {:.2} times", 1.0 / ratio), 1.0 / high, 1.0 / low)
+            } else {
+                (format!("{ratio:.1} times as fast as"), *low, *high)
+            };
+            let rounds = format!("{low:.2} to {high:.2}");
+            table.row([case.clone(), (*engine).to_owned(), said, (*peer).to_owned(), rounds]);
+        }
+        table.print();
+    }
+
+    fn print_parts(&self) {
+        if self.parts.is_empty() {
+            return;
+        }
+        say!();
+        let mut table = Table::new(&["case", "part", "CPU-seconds", "share"]);
+        for train::Part { case, part, cpu_s, share } in &self.parts {
+            let (cpu_s, share) = (format!("{cpu_s:.3}"), format!("{:.0} %", 100.0 * share));
+            table.row([case.clone(), (*part).to_owned(), cpu_s, share]);
+        }
+        table.print();
+    }
+
+    fn print_arithmetic(&self) {
+        if self.arithmetic.is_empty() {
+            return;
+        }
+        say!();
+        let mut table =
+            Table::new(&["case", "MFLOP each", "GFLOP per CPU-second", "share of peak"]);
+        for train::Arithmetic { case, mflop, gflop_per_cpu_s, share_of_peak } in &self.arithmetic {
+            table.row([
+                case.clone(),
+                format!("{mflop:.2}"),
+                format!("{gflop_per_cpu_s:.1}"),
+                format!("{:.0} %", 100.0 * share_of_peak),
+            ]);
+        }
+        table.print();
+        say!();
+    }
+}

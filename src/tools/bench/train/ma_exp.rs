@@ -1,0 +1,187 @@
+//! MA-Exp's preset `paper`: a round of updates.
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use sortie_envs::random::{below, unit};
+use sortie_learn::random::{Purpose, generator};
+use sortie_methods::ma_exp::MA_EXP;
+use sortie_methods::ma_exp::networks::{Batch, Config, HeadBatch, HeadLearner};
+use sortie_nn::layers::products::Products;
+use sortie_nn::random::Generator;
+
+use super::super::Figures;
+use super::TrainArguments;
+use super::program::Expected;
+use super::round::{self, Kept, Round};
+use super::tensors::Tensors;
+use sortie_cli::failure::{Exit, Failure};
+use sortie_cli::methods;
+
+/// The world whose sizes the networks have.
+const SET: &str = "task1-2";
+
+/// Networks, and what they learn from.
+struct MaExpRound {
+    config: Config,
+    learner: HeadLearner,
+    batch: HeadBatch,
+    random: Generator,
+    /// With which instructions products are computed.
+    products: Products,
+}
+
+pub(super) fn measure(arguments: &TrainArguments) -> Result<Figures, Failure> {
+    round::measure(arguments, MaExpRound::new)
+}
+
+impl MaExpRound {
+    fn new(assignments: &[String], seed: u64) -> Result<Self, Failure> {
+        let set = |setup, assignment: &String| MA_EXP.set(&setup, assignment);
+        let mut setup = assignments.iter().try_fold(MA_EXP.preset("paper")?, set)?;
+        setup.environment.set = SET.to_string();
+        methods::settle(&MA_EXP, &mut setup.environment)?;
+        let environment = methods::open_environment(&setup.environment)?;
+        let products = setup.run.settled_products()?;
+        products.use_here();
+        let mut config = Config::of(&setup)?;
+        // As the PyTorch of today has it; the work is the same.
+        config.optimiser.early_epsilon = false;
+        let mut weights = generator(seed, Purpose::Weights, 0);
+        let learner = config
+            .learner(environment.spec(), 1, &mut weights)
+            .ok_or_else(|| Failure::new(Exit::Bug, "the gridworld shows no places"))?;
+        let mut random = generator(seed, Purpose::Replay, 0);
+        let batch = batch(&learner, &config, &mut random);
+        Ok(Self { config, learner, batch, random, products })
+    }
+}
+
+impl Round for MaExpRound {
+    const PROGRAM: &'static str = include_str!("../../../../benches/ma_exp_round.py");
+
+    fn name(&self) -> String {
+        let (records, products) = (self.config.replay.batch, self.products);
+        format!("round of MA-Exp, {records} records of {SET}, {products}")
+    }
+
+    fn update(&mut self) {
+        self.learner.update(&self.batch, &mut self.random);
+    }
+
+    fn write(&mut self, path: &Path) -> Result<Expected, Failure> {
+        let mut tensors = Tensors::default();
+        let Self { config, learner, batch, random, .. } = self;
+        let (critic, policies) = (&learner.critic.parameters, &learner.policies.parameters);
+        tensors.parameters("critic", critic, &critic.values);
+        tensors.parameters("policies", policies, &policies.values);
+        let records = &batch.records;
+        let mut floats = |name: String, values: &[f32]| {
+            let columns = values.len() / records.records;
+            let shape = [records.records, columns];
+            tensors.floats(name, if columns == 1 { &shape[..1] } else { &shape }, values);
+        };
+        for (kind, all) in
+            [("observations", &records.observations), ("next", &records.next), ("own", &batch.own)]
+        {
+            for (index, values) in all.iter().enumerate() {
+                floats(format!("{kind}.{index}"), values);
+            }
+        }
+        for (kind, values) in [
+            ("states", &batch.states[0]),
+            ("next_states", &batch.states[1]),
+            ("rewards", &records.rewards[0]),
+            ("goes_on", &records.discounts[0]),
+        ] {
+            floats(kind.to_string(), values);
+        }
+        tensors.actions("actions", &records.actions);
+        let mut kept = Kept { random, drawn: Vec::new() };
+        let report = learner.update(batch, &mut kept);
+        for (kind, drawn) in ["drawn_next", "drawn"].iter().zip(&kept.drawn) {
+            tensors.actions(kind, drawn);
+        }
+        tensors.parameters("gradient.critic", &learner.critic.parameters, &learner.critic_gradient);
+        let (policies, gradient) = (&learner.policies.parameters, &learner.policy_gradient);
+        tensors.parameters("gradient.policies", policies, gradient);
+        tensors
+            .write(settings(config, learner), path)
+            .map_err(|error| Failure::new(Exit::Bug, format!("{}: {error}", path.display())))?;
+        Ok(Expected { loss: report.loss, gradient_norm: f64::from(report.gradient_norm) })
+    }
+
+    /// Of three passes through the critic one goes back, of three through the policies too. A layer that goes back costs as
+    /// much again for its weights, and as much for its input.
+    fn operations(&self) -> f64 {
+        let Self { config, learner, batch, .. } = self;
+        let (network, heads) = (&config.network, config.heads().len());
+        let records = batch.records.records;
+        let agents = learner.groups.0.len();
+        let mut passes = 4 * batch.states[0].len() / records * network.critic_width;
+        for group in &learner.groups.0 {
+            let others = (agents - 1) * group.actions;
+            let value = [
+                others * network.critic_width,
+                (network.critic_width + group.actions) * network.critic_width,
+            ];
+            let head = (network.base_width + group.actions) * network.head_width;
+            passes += 4 * group.inputs() * network.base_width + 5 * heads * head;
+            passes += 2 * heads * (4 * value[0] + 5 * value[1]);
+        }
+        2.0 * (records * passes) as f64
+    }
+}
+
+/// Records of agents that saw noise, did anything and earned noise; one in fifty ended an episode.
+fn batch(learner: &HeadLearner, config: &Config, random: &mut Generator) -> HeadBatch {
+    let records = config.replay.batch;
+    let groups = &learner.groups;
+    let noise = |columns: usize, random: &mut Generator| -> Vec<f32> {
+        (0..records * columns).map(|_| 2.0 * unit(random) as f32 - 1.0).collect()
+    };
+    let state = learner.critic.state();
+    let states = [state, state].map(|columns| noise(columns, random));
+    let pairs = 0..groups.0.len() * learner.policies.heads();
+    let own = pairs.map(|_| noise(1, random)).collect();
+    let goes_on: Vec<f32> =
+        (0..records).map(|_| if below(random, 50) == 0 { 0.0 } else { 1.0 }).collect();
+    let rewards = noise(1, random);
+    let mut seen = || groups.0.iter().map(|group| noise(group.inputs(), random)).collect();
+    let [observations, next] = [seen(), seen()];
+    let did = groups
+        .0
+        .iter()
+        .map(|group| (0..records).map(|_| below(random, group.actions) as u32).collect());
+    let records = Batch {
+        records,
+        observations,
+        actions: did.collect(),
+        rewards: vec![rewards; groups.0.len()],
+        discounts: vec![goes_on; groups.0.len()],
+        next,
+        follows: Vec::new(),
+    };
+    HeadBatch { records, states, own }
+}
+
+fn settings(config: &Config, learner: &HeadLearner) -> HashMap<String, String> {
+    let (optimiser, returns) = (&config.optimiser, &config.returns);
+    let of = |(name, number): (&str, f64)| (name.to_string(), number.to_string());
+    let settings = [
+        ("agents", learner.groups.0.len() as f64),
+        ("heads", learner.policies.heads() as f64),
+        ("choices", learner.groups.0[0].actions as f64),
+        ("rate", f64::from(optimiser.critic_rate)),
+        ("weight_decay", f64::from(optimiser.weight_decay)),
+        ("critic_clip", f64::from(optimiser.critic_clip)),
+        ("policy_clip", f64::from(optimiser.policy_clip)),
+        ("target_rate", f64::from(optimiser.target_rate)),
+        ("score_penalty", f64::from(optimiser.score_penalty)),
+        ("entropy", f64::from(returns.entropy)),
+        ("discount", f64::from(returns.discount)),
+        ("own_discount", f64::from(returns.intrinsic_discount)),
+        ("own_weight", f64::from(returns.intrinsic_weight)),
+    ];
+    settings.into_iter().map(of).collect()
+}

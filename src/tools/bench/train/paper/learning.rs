@@ -1,0 +1,182 @@
+//! What is timed: both levels' steps and the roll-out of preset `paper`, on experience of its own.
+
+use std::time::Duration;
+
+use sortie_learn::Now;
+use sortie_learn::play::Play;
+use sortie_learn::random::{Purpose, generator};
+use sortie_learn::run::EpisodeCounts;
+use sortie_methods::alma::teams::Allocation;
+use sortie_methods::alma::windows::allocation::{AllocationLevel, AllocationState};
+use sortie_methods::alma::windows::low_level::{LowLevel, LowLevelConfig};
+use sortie_methods::alma::windows::{
+    Config, Replay, SampleShape, Shaping, WindowLearner, WindowShape, Windows, cut_windows,
+    draw_episodes,
+};
+use sortie_nn::random::Generator;
+
+use crate::bench::thread_cpu_s;
+use crate::bench::train::setup;
+use sortie_cli::failure::{Exit, Failure};
+use sortie_cli::methods;
+
+/// Environment steps into a run, for how much is tried out.
+const TRIED_OUT_AT: u64 = 1_000_000;
+/// Steps that teach the networks before anything is timed, so that targets differ from what learns.
+const FIRST_STEPS: usize = 3;
+
+/// One call: CPU-seconds, floating-point operations, and the CPU-seconds of its parts.
+pub(super) struct Call {
+    pub(super) cpu_s: f64,
+    pub(super) operations: f64,
+    pub(super) parts: Vec<(&'static str, f64)>,
+}
+
+/// Both levels of a run, its roll-out, and a batch of it.
+pub(super) struct Levels {
+    pub(super) config: Config,
+    pub(super) low_level: LowLevel,
+    pub(super) allocation: AllocationLevel,
+    pub(super) windows: Windows,
+    pub(super) generator: Generator,
+    /// Plays by the same networks.
+    player: Player,
+}
+
+/// A method that plays rounds of episodes and learns nothing.
+struct Player {
+    method: WindowLearner,
+    play: Play,
+}
+
+impl Player {
+    fn new(config: &Config, seed: u64) -> Result<Self, Failure> {
+        let environment = methods::open_environment(&config.environment)?;
+        let mut method = WindowLearner::new(config, environment.spec(), seed, 1);
+        let stream = |index| generator(seed, Purpose::Rollout, index as u64);
+        let random = (0..config.environment.instances).map(stream).collect();
+        let play = Play::new(&*environment, &mut method, random);
+        Ok(Self { method, play })
+    }
+
+    /// One episode in every environment, which are kept; environment steps.
+    fn round(&mut self) -> Result<u64, Failure> {
+        let now = Now { env_steps: TRIED_OUT_AT, of: TRIED_OUT_AT };
+        let steps = self.play.round(&mut self.method, now, &mut EpisodeCounts::default())?;
+        self.method.keep_episodes();
+        Ok(steps)
+    }
+}
+
+impl Levels {
+    /// Plays by initial networks under rules that allocate, cuts a batch, and learns from it a little.
+    pub(super) fn new(assignments: &[String], seed: u64) -> Result<Self, Failure> {
+        let config = Config::of(&setup("paper", assignments)?)?;
+        let environment = methods::open_environment(&config.environment)?;
+        let sizes = WindowShape::of(environment.spec().shape);
+        let mut weights = generator(seed, Purpose::Weights, 0);
+        let mut low_level = LowLevel::new(config.low_level.clone(), sizes, &mut weights);
+        let mut allocation = AllocationLevel::new(config.allocation_learning(sizes), seed);
+        let mut generator = generator(seed, Purpose::Replay, 0);
+        let sample = SampleShape {
+            windows: config.learning.windows,
+            steps: config.learning.steps,
+            shaping: Shaping::default(),
+        };
+        let replay = fill(&config, seed, sample.windows)?;
+        let drawn = draw_episodes(&replay, sample.windows, &mut generator, |_| true)
+            .ok_or_else(|| Failure::new(Exit::Bug, "too few episodes for a batch"))?;
+        let windows = cut_windows(&*environment, &replay, &drawn, sample, &mut generator);
+        let drawn_policy = allocation.state().policy;
+        for _ in 0..FIRST_STEPS {
+            low_level.learn(&windows, 1, &mut generator);
+            allocation.learn(&windows, 0, &mut generator, 1);
+        }
+        // From here on steps have no length, and the policy is as it was drawn: policies that learn
+        // from one batch again and again propose the same, which saves work.
+        let still = LowLevelConfig { learning_rate: 0.0, ..config.low_level.clone() };
+        let mut low = LowLevel::new(still, sizes, &mut weights);
+        (low.online, low.target) = (low_level.online, low_level.target);
+        low.optimisers = low_level.optimisers;
+        let mut still = *allocation.learning();
+        still.learning_rate = 0.0;
+        let state = AllocationState { policy: drawn_policy, ..allocation.state() };
+        let allocation = AllocationLevel::restore(still, state)
+            .ok_or_else(|| Failure::new(Exit::Bug, "the allocator does not fit itself"))?;
+        let learned = Allocation::Learned.name().to_owned();
+        let mut player = Player::new(&with_allocation(&config, &learned), seed)?;
+        player.method.low_level = low.clone();
+        player.method.allocation = Some(allocation.clone());
+        Ok(Self { config, low_level: low, allocation, windows, generator, player })
+    }
+
+    /// Episodes of a round, which is also the number of steps that follow it.
+    pub(super) fn episodes(&self) -> usize {
+        self.config.environment.instances
+    }
+
+    /// One step of the low level.
+    pub(super) fn low_level_step(&mut self) -> Call {
+        let Self { low_level, windows, generator, .. } = self;
+        let (operations, before) = (low_level.operations(), low_level.times());
+        let start = thread_cpu_s();
+        std::hint::black_box(low_level.learn(windows, 1, generator));
+        let cpu_s = thread_cpu_s() - start;
+        let after = low_level.times();
+        let part = |from: Duration, to: Duration| (to - from).as_secs_f64();
+        let parts = vec![
+            ("targets", part(before.targets, after.targets)),
+            ("values and descent", part(before.descent, after.descent)),
+            ("optimiser", part(before.optimiser, after.optimiser)),
+        ];
+        Call { cpu_s, operations: (low_level.operations() - operations) as f64, parts }
+    }
+
+    /// One step of proposal policy and critic.
+    pub(super) fn allocation_step(&mut self) -> Call {
+        let Self { allocation, windows, generator, .. } = self;
+        let before = allocation.times();
+        let start = thread_cpu_s();
+        let report = allocation.learn(windows, 0, generator, 1);
+        let cpu_s = thread_cpu_s() - start;
+        let after = allocation.times();
+        let part = |from: Duration, to: Duration| (to - from).as_secs_f64();
+        let parts = vec![
+            ("proposals", part(before.proposals, after.proposals)),
+            ("critic", part(before.critic, after.critic)),
+            ("policy's gradient", part(before.policy, after.policy)),
+            ("optimisers", part(before.optimiser, after.optimiser)),
+        ];
+        let operations = report.map_or(0, |report| report.operations) as f64;
+        Call { cpu_s, operations, parts }
+    }
+
+    /// One episode in every environment under the learned allocator: environment steps and CPU-seconds.
+    pub(super) fn play(&mut self) -> Result<(f64, f64), Failure> {
+        let start = thread_cpu_s();
+        let steps = self.player.round()?;
+        Ok((steps as f64, thread_cpu_s() - start))
+    }
+}
+
+/// The same under another allocation.
+fn with_allocation(config: &Config, by: &str) -> Config {
+    let mut config = config.clone();
+    config.allocation.by = by.to_owned();
+    config
+}
+
+/// Plays so many episodes, in turns under the heuristic and under random allocations.
+fn fill(config: &Config, seed: u64, episodes: usize) -> Result<Replay, Failure> {
+    let rules = ["heuristic", "random"].map(|by| with_allocation(config, by));
+    let [mut first, mut second] = [Player::new(&rules[0], seed)?, Player::new(&rules[1], seed)?];
+    let played = |player: &Player| player.method.replay.len();
+    while played(&first) + played(&second) < episodes {
+        first.round()?;
+        second.round()?;
+    }
+    let mut replay = Replay::new(2 * episodes);
+    let all = [&first, &second].into_iter().flat_map(|player| player.method.replay.episodes());
+    all.for_each(|episode| replay.push(episode.clone()));
+    Ok(replay)
+}

@@ -1,0 +1,285 @@
+//! What a plan needs on a board, and the table that it is compared with.
+
+use serde::Serialize;
+
+use super::device::Told;
+use sortie_cli::failure::Failure;
+
+/// What a plan needed on a board, and what it came to. Sizes are bytes.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(crate) struct Figures {
+    pub(crate) board: String,
+    pub(crate) bundle: String,
+    pub(crate) profile: &'static str,
+    /// The compiler's version, on which figures depend.
+    pub(crate) compiler: String,
+    pub(crate) decisions: u64,
+    /// FNV-1a over the bits of all utilities, of the board and of this machine.
+    pub(crate) hash: String,
+    pub(crate) host_hash: String,
+    pub(crate) instructions: Instructions,
+    pub(crate) flash: Flash,
+    pub(crate) ram: Ram,
+}
+
+/// Instructions of a decision, which are not cycles.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(crate) struct Instructions {
+    pub(crate) most: u64,
+    /// Entities that were visible in that decision.
+    pub(crate) most_visible: u64,
+    pub(crate) mean: u64,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(crate) struct Flash {
+    /// Code and constants, without what reads observations and prints.
+    pub(crate) code: u64,
+    /// The plan, nearly all of it weights.
+    pub(crate) plan: u64,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(crate) struct Ram {
+    /// All of the following together, but for the stack of loading, which is over when decisions begin.
+    pub(crate) all: u64,
+    pub(crate) arena: u64,
+    /// What one agent remembers.
+    pub(crate) states: u64,
+    /// What is known of the loaded plan.
+    pub(crate) loaded: u64,
+    /// The deepest stack of a decision.
+    pub(crate) stack: u64,
+    pub(crate) loading_stack: u64,
+}
+
+impl Instructions {
+    pub(crate) fn told(told: &Told) -> Result<Self, Failure> {
+        let ticks = told.number("ticks-of-100000")?.max(1);
+        let count = |name| Ok::<_, Failure>(told.number(name)? * 100_000 / ticks);
+        let mean = count("ticks")? / told.number("decisions")?.max(1);
+        Ok(Self { most: count("most-ticks")?, most_visible: told.number("most-visible")?, mean })
+    }
+}
+
+impl Flash {
+    pub(crate) fn told(told: &Told) -> Result<Self, Failure> {
+        let (all, plan) = (told.number("flash")?, told.number("plan")?);
+        Ok(Self { code: all.saturating_sub(plan + told.number("harness")?), plan })
+    }
+}
+
+impl Ram {
+    pub(crate) fn told(told: &Told) -> Result<Self, Failure> {
+        let number = |name| told.number(name);
+        let (arena, states) = (number("arena")?, number("states")?);
+        let (loaded, stack) = (number("loaded")?, number("stack")?);
+        let all = arena + states + loaded + stack;
+        Ok(Self { all, arena, states, loaded, stack, loading_stack: number("stack-of-loading")? })
+    }
+}
+
+/// The columns of the table.
+const COLUMNS: [&str; 11] = [
+    "board",
+    "bundle",
+    "profile",
+    "compiler",
+    "instructions, most",
+    "mean",
+    "code",
+    "plan",
+    "RAM",
+    "of it stack",
+    "hash",
+];
+/// Columns that say what a row is of.
+const KEYS: usize = 3;
+/// Columns of instructions, and of bytes, with the percentage that they may grow by.
+const HELD: [(std::ops::Range<usize>, u64); 2] = [(4..6, 1), (6..10, 3)];
+/// The same where another compiler built the program.
+const OF_ANOTHER_COMPILER: u64 = 10;
+
+/// A row of the table.
+type Row = Vec<String>;
+
+/// A Markdown document with a table of figures.
+pub(crate) struct Recorded {
+    before: String,
+    rows: Vec<Row>,
+    after: String,
+}
+
+/// What a table says about figures.
+#[derive(Debug, PartialEq)]
+pub(crate) enum Verdict {
+    /// They are not larger than is allowed.
+    Held,
+    /// The table has none of these.
+    New,
+    /// Another compiler built what it has, and some are much larger.
+    Larger(String),
+    /// They are too large, or the bits are others.
+    Broken(String),
+}
+
+impl Figures {
+    fn row(&self) -> Row {
+        let Self { instructions, flash, ram, .. } = self;
+        let numbers =
+            [instructions.most, instructions.mean, flash.code, flash.plan, ram.all, ram.stack];
+        let names = [&self.board, &self.bundle, self.profile, &self.compiler].map(str::to_owned);
+        let numbers = numbers.iter().map(ToString::to_string);
+        names.into_iter().chain(numbers).chain([self.hash.clone()]).collect()
+    }
+}
+
+impl Recorded {
+    /// Finds the table of a document; where there is none, one is to be written behind its last line.
+    pub(crate) fn read(document: &str) -> Self {
+        let header = line(&COLUMNS);
+        let Some((before, rest)) = document.split_once(&header) else {
+            return Self { before: document.to_owned(), rows: Vec::new(), after: String::new() };
+        };
+        let cells = |line: &str| {
+            line.trim_matches('|').split('|').map(|cell| cell.trim().to_owned()).collect()
+        };
+        let is_row = |line: &&str| line.starts_with('|');
+        let table = rest.split_inclusive('\n').take_while(is_row).map(str::len).sum();
+        let (table, after) = rest.split_at(table);
+        let rows: Vec<Row> = table.lines().skip(1).map(cells).collect();
+        let rows = rows.into_iter().filter(|row| row.len() == COLUMNS.len()).collect();
+        Self { before: before.to_owned(), rows, after: after.to_owned() }
+    }
+
+    /// Puts figures in the place of those of the same plan on the same board.
+    pub(crate) fn put(&mut self, figures: &Figures) {
+        let row = figures.row();
+        self.rows.retain(|other| !is_same(other, &row));
+        self.rows.push(row);
+        self.rows.sort();
+    }
+
+    /// The document.
+    pub(crate) fn write(&self) -> String {
+        let rule = line(&COLUMNS.map(|_| "---"));
+        let rows: String = self.rows.iter().map(|row| line(row)).collect();
+        [&self.before, &line(&COLUMNS), &rule, &rows, &self.after].map(String::as_str).concat()
+    }
+
+    /// Compares figures with the recorded ones.
+    pub(crate) fn judge(&self, figures: &Figures) -> Verdict {
+        let row = figures.row();
+        let Some(recorded) = self.rows.iter().find(|other| is_same(other, &row)) else {
+            return Verdict::New;
+        };
+        let is_same_compiler = recorded.get(KEYS) == row.get(KEYS);
+        for (columns, percent) in HELD {
+            let percent = if is_same_compiler { percent } else { OF_ANOTHER_COMPILER };
+            for column in columns {
+                let number = |row: &Row| row.get(column).and_then(|cell| cell.parse::<u64>().ok());
+                let (Some(was), Some(is)) = (number(recorded), number(&row)) else { continue };
+                if 100 * is > (100 + percent) * was {
+                    let name = COLUMNS.get(column).copied().unwrap_or_default();
+                    let said = format!("{name}: {is}, recorded {was}, more than {percent} % above");
+                    return if is_same_compiler {
+                        Verdict::Broken(said)
+                    } else {
+                        Verdict::Larger(said)
+                    };
+                }
+            }
+        }
+        match (recorded.last(), row.last()) {
+            (Some(was), Some(is)) if was != is => {
+                Verdict::Broken(format!("hash: {is}, recorded {was}"))
+            }
+            _ => Verdict::Held,
+        }
+    }
+}
+
+/// Whether two rows are of the same plan on the same board.
+fn is_same(one: &Row, other: &Row) -> bool {
+    one.iter().zip(other).take(KEYS).all(|(one, other)| one == other)
+}
+
+fn line(cells: &[impl AsRef<str>]) -> String {
+    let cells: String = cells.iter().map(|cell| format!(" {} |", cell.as_ref())).collect();
+    format!("|{cells}\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn figures() -> Figures {
+        Figures {
+            board: "cortex-m0".to_owned(),
+            bundle: "team".to_owned(),
+            profile: "int8",
+            compiler: "1.96.0".to_owned(),
+            decisions: 64,
+            hash: "00ff".to_owned(),
+            host_hash: "00ff".to_owned(),
+            instructions: Instructions { most: 2000, most_visible: 9, mean: 1000 },
+            flash: Flash { code: 1000, plan: 5000 },
+            ram: Ram {
+                all: 1000,
+                arena: 700,
+                states: 0,
+                loaded: 100,
+                stack: 200,
+                loading_stack: 300,
+            },
+        }
+    }
+
+    #[test]
+    fn a_table_is_read_as_it_was_written() {
+        let mut recorded = Recorded::read("# Figures\n\ntext\n");
+        assert_eq!(recorded.judge(&figures()), Verdict::New);
+        recorded.put(&Figures { board: "rv32imc".to_owned(), ..figures() });
+        recorded.put(&Figures { hash: "1".to_owned(), ..figures() });
+        recorded.put(&figures());
+        let document = recorded.write() + "\nmore text\n";
+        let again = Recorded::read(&document);
+        assert_eq!((again.rows.len(), again.write()), (2, document.clone()));
+        assert!(document.starts_with("# Figures\n\ntext\n| board | bundle |"), "{document}");
+        assert!(document.contains("| cortex-m0 | team | int8 | 1.96.0 | 2000 | 1000 | 1000 | 5000 | 1000 | 200 | 00ff |\n| rv32imc |"));
+        assert_eq!(again.judge(&figures()), Verdict::Held);
+    }
+
+    #[test]
+    fn figures_are_held_to_what_was_recorded() {
+        let mut recorded = Recorded::read("");
+        recorded.put(&figures());
+        let instructions = |most, mean| Figures {
+            instructions: Instructions { most, most_visible: 9, mean },
+            ..figures()
+        };
+        assert_eq!(recorded.judge(&instructions(2020, 1010)), Verdict::Held);
+        assert_eq!(recorded.judge(&instructions(100, 100)), Verdict::Held);
+        assert_eq!(recorded.judge(&code_of(1030)), Verdict::Held);
+        let broken = [
+            instructions(2021, 1000),
+            instructions(2000, 1011),
+            code_of(1031),
+            Figures { flash: Flash { code: 1000, plan: 5151 }, ..figures() },
+            Figures { ram: Ram { all: 1031, ..figures().ram }, ..figures() },
+            Figures { ram: Ram { stack: 207, ..figures().ram }, ..figures() },
+            Figures { hash: "1".to_owned(), ..figures() },
+        ];
+        for figures in broken {
+            let verdict = recorded.judge(&figures);
+            assert!(matches!(verdict, Verdict::Broken(_)), "{figures:?}: {verdict:?}");
+        }
+        let other = |code| Figures { compiler: "1.97.0".to_owned(), ..code_of(code) };
+        assert_eq!(recorded.judge(&other(1100)), Verdict::Held);
+        assert!(matches!(recorded.judge(&other(1101)), Verdict::Larger(_)));
+    }
+
+    fn code_of(code: u64) -> Figures {
+        Figures { flash: Flash { code, plan: 5000 }, ..figures() }
+    }
+}
