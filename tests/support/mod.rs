@@ -13,6 +13,10 @@ use serde_json::Value;
 /// The shipped bundle.
 pub(crate) const BUNDLE: &str = "models/save-the-city";
 
+/// What helps where tests find no onnxruntime to compare with.
+pub(crate) const NO_ONNXRUNTIME: &str = "tests compare with onnxruntime: `python3 -m venv target/onnxruntime && \
+    target/onnxruntime/bin/pip install onnxruntime`, then `export VIRTUAL_ENV=$PWD/target/onnxruntime`";
+
 /// The command line, started in the project's folder.
 ///
 /// `cargo test --workspace` builds what it starts in its place for tract; `cargo test -p sortie` does not.

@@ -1,5 +1,4 @@
 //! Plans before their judges, on all families of inputs.
-#![allow(clippy::print_stderr, reason = "helpers of tests print as well")]
 
 use sortie_compiler::{Judge, compile, judge_agent, judge_team_values};
 use sortie_plans::{
@@ -106,15 +105,14 @@ mod onnxruntime {
 
     use super::*;
 
-    /// The library, where it is installed; a test without it says so and compares nothing.
-    fn runtime() -> Option<&'static OnnxRuntime> {
-        match find_library(None).and_then(|library| OnnxRuntime::load(&library)) {
-            Ok(runtime) => Some(runtime),
-            Err(error) => {
-                eprintln!("NOT COMPARED with onnxruntime: {error}");
-                None
-            }
-        }
+    fn runtime() -> &'static OnnxRuntime {
+        let runtime = find_library(None).and_then(|library| OnnxRuntime::load(&library));
+        runtime.unwrap_or_else(|error| {
+            panic!(
+                "{error}: `python3 -m venv target/onnxruntime && target/onnxruntime/bin/pip install onnxruntime`, then \
+                 `export VIRTUAL_ENV=$PWD/target/onnxruntime`"
+            )
+        })
     }
 
     fn inputs<T>(families: Vec<Family<T>>, name: &str) -> Vec<T> {
@@ -130,14 +128,14 @@ mod onnxruntime {
 
     #[test]
     fn networks_agree_with_onnxruntime_on_every_family() {
-        let Some(runtime) = runtime() else { return };
+        let runtime = runtime();
         assert_agents_agree(Judge::OnnxRuntime(runtime));
         assert_team_values_agree(Judge::OnnxRuntime(runtime));
     }
 
     #[test]
     fn a_batched_call_gives_what_single_calls_give() {
-        let Some(runtime) = runtime() else { return };
+        let runtime = runtime();
         for name in ["agent_small", "agent_skip_small", "agent_skip_one_layer"] {
             assert_batched_agents_agree(runtime, name);
         }
@@ -169,7 +167,7 @@ mod onnxruntime {
 
     #[test]
     fn a_batched_call_values_all_teams_of_a_state() {
-        let Some(runtime) = runtime() else { return };
+        let runtime = runtime();
         TEAM_VALUES.iter().for_each(|name| assert_batched_team_values_agree(runtime, name));
     }
 
