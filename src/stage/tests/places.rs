@@ -1,12 +1,12 @@
 //! Teams without subtasks: what is put elsewhere is there, and seen there.
 
+use crate::gridworld::Maze;
+use crate::group_matching::Groups;
+use crate::particle::Plane;
+use crate::{Cast, Player, Show};
 use serde_json::{Value, json};
-use sortie_stage::gridworld::Maze;
-use sortie_stage::group_matching::Groups;
-use sortie_stage::particle::Plane;
-use sortie_stage::{Cast, Player, Show};
 
-use crate::{cast, stepped, told, with};
+use super::{cast, stepped, told, with};
 
 fn chosen(news: &Value) -> &Value {
     &news["state"]["chosen"]

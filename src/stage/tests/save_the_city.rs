@@ -1,11 +1,11 @@
 //! Agents that an allocator assigns to buildings.
 
+use crate::save_the_city::City;
+use crate::{Cast, Player, golden_hash, memory};
 use serde_json::{Value, to_value};
 use sortie_attention::{AttentionLayers, Layer, Matrix};
-use sortie_stage::save_the_city::City;
-use sortie_stage::{Cast, Player, golden_hash, memory};
 
-use crate::{stepped, told};
+use super::{stepped, told};
 
 const ALLOCATORS: [&str; 4] = ["learned", "coordinated", "heuristic", "random"];
 
@@ -16,7 +16,7 @@ fn cast() -> Cast {
     let one = Matrix { inputs: 1, outputs: 1, values: vec![0.0] };
     let query = Layer { matrix: one.clone(), bias: vec![0.0], relu: false };
     let attention = AttentionLayers { embed: layer, heads: 1, query, key: one };
-    let team = crate::cast("save-the-city", "2-5a_2-5b", &["agent"]);
+    let team = super::cast("save-the-city", "2-5a_2-5b", &["agent"]);
     let cast = Cast { attention: Some(attention), ..team };
     let bytes = cast.to_bytes().expect("there is room");
     assert!(Cast::from_bytes(&bytes[..100]).is_err());
@@ -24,7 +24,7 @@ fn cast() -> Cast {
 }
 
 fn with<T>(episode: usize, play: impl FnOnce(&mut Player<'_, City>, Value) -> T) -> T {
-    crate::with(&cast(), episode, play)
+    super::with(&cast(), episode, play)
 }
 
 #[test]

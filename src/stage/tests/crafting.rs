@@ -1,20 +1,20 @@
 //! An agent that runs options: what it remembers is its own process's.
 
+use crate::milestones::Board;
+use crate::{Cast, Player, golden_hash};
 use serde_json::Value;
 use sortie_envs::crafting::Crafting;
-use sortie_stage::milestones::Board;
-use sortie_stage::{Cast, Player, golden_hash};
 
-use crate::{json, stepped, told};
+use super::{json, stepped, told};
 
 const PLANS: [&str; 3] = ["agent-controller", "agent-meta", "agent-affordance"];
 
 fn cast() -> Cast {
-    crate::cast("crafting-iron", "iron", &PLANS)
+    super::cast("crafting-iron", "iron", &PLANS)
 }
 
 fn with<T>(play: impl FnOnce(&mut Player<'_, Board<Crafting>>, Value) -> T) -> T {
-    crate::with(&cast(), 0, play)
+    super::with(&cast(), 0, play)
 }
 
 fn option(news: &Value) -> &Value {
@@ -72,7 +72,7 @@ fn utilities_are_those_of_the_controller() {
     let cast = cast();
     let golden = golden_hash(&cast).expect("plans that fit");
     let hash = |most| {
-        crate::with::<Board<Crafting>, _>(&cast, 0, |player, _| {
+        super::with::<Board<Crafting>, _>(&cast, 0, |player, _| {
             while player.rehearse(most).expect("it plays") < most {}
             player.rehearsed()
         })
