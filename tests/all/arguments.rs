@@ -5,8 +5,9 @@ use std::fs;
 use std::os::unix::ffi::OsStrExt;
 use std::path::Path;
 
-use crate::support::{BUNDLE, assert_fails, copied_bundle, json, output, sortie, stderr};
 use serde_json::Value;
+
+use crate::support::{BUNDLE, assert_fails, copied_bundle, json, output, sortie, stderr};
 
 #[test]
 fn a_negative_number_is_the_value_of_its_flag() {

@@ -3,8 +3,9 @@
 use std::fs;
 use std::path::Path;
 
-use crate::support::{self, BUNDLE, TestDomain, assert_fails, copied_bundle, output, sortie};
 use sortie_bundle::{hex, sha256};
+
+use crate::support::{self, BUNDLE, TestDomain, assert_fails, copied_bundle, output, sortie};
 
 fn path_of(path: &Path) -> String {
     path.display().to_string()

@@ -7,11 +7,12 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
+use rustix::process::{Pid, Signal, kill_process_group};
+use serde_json::Value;
+
 use crate::support::{
     BUNDLE, SMALL, TestDomain, assert_fails, interrupt, kill, output, sortie, stderr, wait_until,
 };
-use rustix::process::{Pid, Signal, kill_process_group};
-use serde_json::Value;
 
 /// Two signals to the whole group, milliseconds apart, as `timeout` and terminals send them.
 fn interrupt_twice(child: &Child) {

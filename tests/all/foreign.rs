@@ -3,8 +3,9 @@
 use std::fs;
 use std::path::Path;
 
-use crate::support::{BUNDLE, NO_ONNXRUNTIME, assert_fails, json, output, stderr};
 use serde_json::Value;
+
+use crate::support::{BUNDLE, NO_ONNXRUNTIME, assert_fails, json, output, stderr};
 
 const FOLDER: &str = "tests/golden/onnx-foreign";
 

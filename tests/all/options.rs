@@ -2,8 +2,9 @@
 
 use std::fs;
 
-use crate::support::{assert_fails, json, output};
 use serde_json::Value;
+
+use crate::support::{assert_fails, json, output};
 
 const BUNDLE: &str = "models/crafting-iron";
 

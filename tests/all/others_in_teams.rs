@@ -4,8 +4,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
-use crate::support::{TestDomain, assert_fails, interrupt, json, output, sortie, wait_until};
 use serde_json::Value;
+
+use crate::support::{TestDomain, assert_fails, interrupt, json, output, sortie, wait_until};
 
 const FOLDER: &str = "tests/golden/onnx-team";
 const SET: &str = "group-matching/8x6x2";

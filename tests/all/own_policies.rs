@@ -2,8 +2,9 @@
 
 use std::fs;
 
-use crate::support::{self, TestDomain, assert_fails, json, output};
 use serde_json::{Value, json};
+
+use crate::support::{self, TestDomain, assert_fails, json, output};
 
 const SMALL: [&str; 15] = [
     "train",

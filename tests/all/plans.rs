@@ -4,9 +4,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use crate::support::{BUNDLE, assert_fails, copied_bundle, json, output, stderr};
 use sortie_bundle::{hex, sha256};
 use sortie_core::plan::{HEADER_BYTES, Header, Profile, checksums};
+
+use crate::support::{BUNDLE, assert_fails, copied_bundle, json, output, stderr};
 
 /// The program in a folder of its own: `sortie-tract` does not lie beside it.
 struct Alone {

@@ -3,8 +3,9 @@
 use std::fs;
 use std::path::Path;
 
-use crate::support::{assert_fails, json, output};
 use serde_json::Value;
+
+use crate::support::{assert_fails, json, output};
 
 const FOLDER: &str = "tests/golden/onnx-producers";
 

@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
-use crate::support::{BUNDLE, json};
 use serde::Deserialize;
 use sortie_bundle::{AGENT, Bundle, Draft, GoldenAllocation, MIN_CASES, PROPOSAL_PARTS, PROPOSALS};
 use sortie_core::allocate::ProposalAllocator;
@@ -13,6 +12,8 @@ use sortie_core::{Allocator, UNASSIGNED};
 use sortie_methods::alma::export::export_proposals;
 use sortie_methods::alma::windows::allocation::{AllocationShape, CriticWeights, PolicyWeights};
 use sortie_plans::{BundlePlans, CompilerProcess};
+
+use crate::support::{BUNDLE, json};
 
 /// The shipped team with an allocator of random weights, which proposes.
 fn proposing(folder: &Path) {

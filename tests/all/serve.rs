@@ -4,11 +4,12 @@ use std::path::PathBuf;
 use std::process::{Child, Stdio};
 use std::time::Duration;
 
-use crate::support::{TestDomain, assert_fails, interrupt, output, sortie, stderr, wait_until};
 use serde_json::Value;
 use sortie_core::plan::{AlignedBytes, Given, Plan};
 use sortie_core::wire::{AnswerStatus, Reason};
 use sortie_ipc::{ClientSettings, Domain, Expected, PolicyClient, PolicySchema};
+
+use crate::support::{TestDomain, assert_fails, interrupt, output, sortie, stderr, wait_until};
 
 const CART: &str = "examples/embed_c/cart.plan";
 const CART_SHAPE: Expected<'_> =

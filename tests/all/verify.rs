@@ -1,7 +1,8 @@
 //! `sortie verify`: which engines are compared, on what, and what is said where one is missing.
 
-use crate::support::{BUNDLE, NO_ONNXRUNTIME, assert_fails, json, output, sortie, stderr};
 use serde_json::Value;
+
+use crate::support::{BUNDLE, NO_ONNXRUNTIME, assert_fails, json, output, sortie, stderr};
 
 const AGENT: &str = "tests/golden/onnx/agent_small.onnx";
 const NO_PYTHON: &str = "/nowhere/bin/python3";

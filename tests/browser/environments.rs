@@ -3,9 +3,10 @@
 use std::fs;
 use std::path::PathBuf;
 
+use serde_json::Value;
+
 use crate::chromium::Browser;
 use crate::support::{BUNDLE, TestDomain, assert_fails, json, output, stderr};
-use serde_json::Value;
 
 const RING: &str = "group-matching/6x5x2";
 

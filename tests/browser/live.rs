@@ -4,9 +4,10 @@ use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use serde_json::Value;
+
 use crate::chromium::Browser;
 use crate::support::{BUNDLE, assert_fails, json, output, wait_until};
-use serde_json::Value;
 
 const TEAMS: [&str; 8] = [
     BUNDLE,

@@ -4,13 +4,14 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
+use sortie_core::EntityMask;
+
 use crate::{
     AGENT, ALLOCATOR, AgentGraph, Bundle, BundleError, CARD, ContractV1, Draft, Environment,
     FallbackAllocation, GOLDEN, Golden, GoldenAllocation, GoldenCase, GoldenValue, Limits,
     MANIFEST, MIN_ALLOCATIONS, MIN_CASES, Network, OwnedAllocationState, OwnedObservation, POLICY,
     PROPOSAL_PARTS, PROPOSALS, SubtaskConditioning, TEAM_VALUE, WIRE_ABI, hex, sha256,
 };
-use sortie_core::EntityMask;
 
 fn draft() -> Draft {
     let contract = ContractV1 {

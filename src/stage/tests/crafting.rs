@@ -1,11 +1,11 @@
 //! An agent that runs options: what it remembers is its own process's.
 
-use crate::milestones::Board;
-use crate::{Cast, Player, golden_hash};
 use serde_json::Value;
 use sortie_envs::crafting::Crafting;
 
 use super::{json, stepped, told};
+use crate::milestones::Board;
+use crate::{Cast, Player, golden_hash};
 
 const PLANS: [&str; 3] = ["agent-controller", "agent-meta", "agent-affordance"];
 

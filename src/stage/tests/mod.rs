@@ -6,12 +6,13 @@ mod save_the_city;
 
 use std::path::Path;
 
-use crate::{
-    AllocatorCast, Cast, GoldenObservation, Memory, News, OptionSettings, Player, Show, memory,
-};
 use serde::Serialize;
 use serde_json::{Value, to_value};
 use sortie_bundle::Bundle;
+
+use crate::{
+    AllocatorCast, Cast, GoldenObservation, Memory, News, OptionSettings, Player, Show, memory,
+};
 
 /// A shipped team as a page brings it along, with the plans that lie beside its bundle.
 fn cast(model: &str, set: &str, plans: &[&str]) -> Cast {

@@ -1,12 +1,12 @@
 //! Teams without subtasks: what is put elsewhere is there, and seen there.
 
+use serde_json::{Value, json};
+
+use super::{cast, stepped, told, with};
 use crate::gridworld::Maze;
 use crate::group_matching::Groups;
 use crate::particle::Plane;
 use crate::{Cast, Player, Show};
-use serde_json::{Value, json};
-
-use super::{cast, stepped, told, with};
 
 fn chosen(news: &Value) -> &Value {
     &news["state"]["chosen"]

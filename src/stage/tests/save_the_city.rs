@@ -1,11 +1,11 @@
 //! Agents that an allocator assigns to buildings.
 
-use crate::save_the_city::City;
-use crate::{Cast, Player, golden_hash, memory};
 use serde_json::{Value, to_value};
 use sortie_attention::{AttentionLayers, Layer, Matrix};
 
 use super::{stepped, told};
+use crate::save_the_city::City;
+use crate::{Cast, Player, golden_hash, memory};
 
 const ALLOCATORS: [&str; 4] = ["learned", "coordinated", "heuristic", "random"];
 

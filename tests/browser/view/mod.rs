@@ -3,12 +3,14 @@
 mod crafting;
 mod gridworld;
 mod particle;
+
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use serde_json::Value;
+
 use crate::chromium::Browser;
 use crate::support::{self, BUNDLE, assert_fails, json, learned_bundle, output, wait_until};
-use serde_json::Value;
 
 const EPISODE: &str = "tests/golden/save-the-city/043-3a-BFG-random-end-on-burn.json";
 /// WebDriver's names of keys.

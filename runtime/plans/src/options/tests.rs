@@ -3,11 +3,12 @@
 
 use std::path::Path;
 
-use crate::{AgentPlans, compare_with_golden, compare_with_golden_episodes};
 use sortie_bundle::Bundle;
 use sortie_core::options::Pursuit;
 use sortie_core::plan::AlignedBytes;
 use sortie_core::{DecideError, EntityMask, Observation};
+
+use crate::{AgentPlans, compare_with_golden, compare_with_golden_episodes};
 
 fn bundle() -> Bundle {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");

@@ -3,7 +3,6 @@
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use crate::sessions::{begin, environment_of, open_run, resume};
 use sortie_learn::run::{CurvePoint, Observer, Outcome, Progress};
 use sortie_learn::session::{MethodEntry, Session, Setup};
 use sortie_methods::alma::evaluate::{EvaluationPlan, evaluate};
@@ -11,6 +10,8 @@ use sortie_methods::alma::export::check_exportable;
 use sortie_methods::alma::run::{Run, RunAllocator};
 use sortie_methods::alma::teams::{NoSubtasks, RuleAllocator};
 use sortie_methods::alma::{ALMA, COPA, FLAT};
+
+use crate::sessions::{begin, environment_of, open_run, resume};
 
 /// A run of a few seconds, with some values replaced.
 fn small(method: &MethodEntry, assignments: &[&str]) -> Setup {

@@ -3,13 +3,14 @@
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use crate::sessions::{begin, open_run, resume};
 use sortie_envs::Split;
 use sortie_learn::run::{Observer, Outcome, Progress};
 use sortie_learn::session::{Session, Setup};
 use sortie_methods::alma::evaluate::{EvaluationPlan, evaluate};
 use sortie_methods::alma::teams::RuleAllocator;
 use sortie_methods::alma::{ALMA, FLAT};
+
+use crate::sessions::{begin, open_run, resume};
 
 /// A run of a few seconds whose replay overflows, with some values replaced.
 fn with(assignments: &[&str]) -> Setup {

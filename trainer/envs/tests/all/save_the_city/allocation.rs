@@ -1,6 +1,5 @@
 //! Allocation from a state and from its feature rows, and when it is due.
 
-use super::{environment, for_random_states, observed};
 use sortie_envs::random::{below, generator};
 use sortie_envs::save_the_city::{
     AgentKind, AgentState, AllocationRule, BuildingKind, BuildingState, City, CityDecoder,
@@ -8,6 +7,8 @@ use sortie_envs::save_the_city::{
 };
 use sortie_envs::{DecisionPoints, UNASSIGNED};
 use sortie_envs::{Frame, FrameError, FrameReader, Random};
+
+use super::{environment, for_random_states, observed};
 
 /// What an allocator is shown: rows of 60 columns, absent ones as zeros.
 #[derive(Clone)]
