@@ -2,7 +2,7 @@
 //!
 //! The command line plays and shows teams by this; the program of `sortie view --live` pages does the same in a browser.
 //! So both have the same world, the same roles and the same search, and give the same bits.
-#![no_std]
+#![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
 
 extern crate alloc;
@@ -29,6 +29,8 @@ mod search;
 mod show;
 mod stage;
 pub mod tally;
+#[cfg(test)]
+mod tests;
 mod thoughts;
 mod treasure_rooms;
 mod utilities;

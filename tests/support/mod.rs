@@ -1,11 +1,10 @@
 //! Starts the command line as users do.
 #![allow(dead_code, reason = "every test file uses its own part of this")]
 
-pub(crate) mod browser;
-
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output};
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process};
@@ -13,6 +12,10 @@ use serde_json::Value;
 
 /// The shipped bundle.
 pub(crate) const BUNDLE: &str = "models/save-the-city";
+
+/// What helps where tests find no onnxruntime to compare with.
+pub(crate) const NO_ONNXRUNTIME: &str = "tests compare with onnxruntime: `python3 -m venv target/onnxruntime && \
+    target/onnxruntime/bin/pip install onnxruntime`, then `export VIRTUAL_ENV=$PWD/target/onnxruntime`";
 
 /// The command line, started in the project's folder.
 ///
@@ -61,9 +64,12 @@ pub(crate) struct TestDomain {
 }
 
 impl TestDomain {
-    /// Short, so that paths have the id in them: the system limits those of sockets.
+    /// Short, so that paths have the id in them: the system limits those of sockets. Counted, since tests run side by side
+    /// and no id may be a part of another.
     pub(crate) fn new(name: &str) -> Self {
-        Self { id: format!("{name}-{}", std::process::id() % 10_000) }
+        static COUNT: AtomicU32 = AtomicU32::new(0);
+        let count = COUNT.fetch_add(1, Ordering::Relaxed);
+        Self { id: format!("t{count}-{name}-{}", std::process::id() % 10_000) }
     }
 
     /// Everything in shared memory that carries the domain's name.

@@ -19,6 +19,8 @@ mod observation;
 mod options;
 mod policy_roles;
 mod recording;
+#[cfg(test)]
+mod tests;
 
 pub use allocation::{GoldenAllocation, GoldenValue, OwnedAllocationState};
 pub use bundle::{

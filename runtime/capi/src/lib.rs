@@ -24,6 +24,8 @@ mod errors;
 #[allow(unsafe_code, reason = "functions that C calls")]
 #[allow(clippy::missing_safety_doc, reason = "the header says it once, for all")]
 mod exports;
+#[cfg(test)]
+mod header;
 mod operators;
 #[cfg(not(any(test, feature = "std")))]
 #[allow(unsafe_code, reason = "calls a function that exists nowhere")]

@@ -157,3 +157,6 @@ pub fn compare_with_golden_episodes(
     }
     Ok(found)
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,11 @@
+//! Plans of graphs agree with their graphs, and what is no graph is refused.
+
+mod bundle;
+mod compile;
+mod entities;
+mod judges;
+mod laws;
+mod proposals;
+mod recurrent;
+mod skip;
+mod team_value;

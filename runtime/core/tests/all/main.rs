@@ -1,0 +1,12 @@
+//! What programs see of the crate: plans, allocators, messages and roles.
+
+mod allocators;
+mod commands;
+mod elementary;
+mod fleet;
+mod golden_plans;
+mod plan_format;
+mod refused_plans;
+mod rewritten_frames;
+mod roles;
+mod worlds;

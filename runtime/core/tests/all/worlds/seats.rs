@@ -1,0 +1,105 @@
+//! Who acts for which agent, and who allocates.
+
+use sortie_core::roles::{Poll, WorldError};
+use sortie_core::wire::{ActionMsg, Role, StatMsg};
+
+use super::stage::{ALLOCATOR, RUNNERS, START, Stage, WORLD, wait};
+
+#[test]
+fn a_world_acts_for_seats_that_are_free_when_a_tick_begins() {
+    let mut stage = Stage::new(|_| ());
+    stage.role.fill_free_seats();
+    stage.poll().unwrap();
+    stage.join(0b01, true);
+    while stage.poll() == Ok(Poll::Again) {}
+    assert_eq!((stage.role.joined(), stage.role.filled()), (0b01, 0b10));
+    assert_eq!(stage.table.awaited_rings, 1, "its own process acts on any ring");
+    let (other, own) = (stage.answer(0), ActionMsg { runner: WORLD, ..stage.answer(1) });
+    stage.table.actions.extend([other, own]);
+    stage.poll().unwrap();
+    assert_eq!(stage.watch.answered, [0b11]);
+}
+
+#[test]
+fn the_first_answer_of_an_agent_counts() {
+    let mut stage = Stage::acting(|_| ());
+    let second = |answer| ActionMsg { action: 1, ..answer };
+    let (first, other) = (stage.answer(1), stage.answer(0));
+    stage.table.actions.extend([first, second(first), second(other), other]);
+    stage.poll().unwrap();
+    assert_eq!(stage.watch.actions, [[1, 0]]);
+}
+
+#[test]
+fn an_agent_that_does_not_exist_keeps_its_seat() {
+    let mut stage = Stage::acting(|_| ());
+    stage.rounds.present = 1;
+    stage.tick(&[stage.answer(0), stage.answer(1)]);
+    for _ in 0..5 {
+        stage.tick(&[stage.answer(0)]);
+    }
+    assert_eq!(stage.role.joined(), 0b11);
+}
+
+#[test]
+fn an_agent_keeps_its_seat_unless_it_is_silent_for_three_ticks_in_a_row() {
+    let mut stage = Stage::acting(|_| ());
+    for silent in [true, true, false, true, true, false, true, true] {
+        let answers = [stage.answer(0), stage.answer(1)];
+        stage.tick(if silent { &answers[..1] } else { &answers });
+    }
+    assert_eq!(stage.role.joined(), 0b11);
+    stage.tick(&[stage.answer(0)]);
+    assert_eq!(stage.role.joined(), 0b01);
+}
+
+#[test]
+fn processes_that_take_a_seat_from_another_are_counted() {
+    let mut stage = Stage::acting(|options| options.absent_after = u32::MAX);
+    let [first, second] = RUNNERS;
+    for (pid, agents, flags, restarts) in [
+        (first, 0b01, 0, 0),
+        (second, 0b10, 0, 0),
+        (40, 0b10, StatMsg::HELLO, 1),
+        // The goodbye of the earlier one comes late.
+        (second, 0b10, StatMsg::BYE, 1),
+        (40, 0b10, StatMsg::BYE, 1),
+        (41, 0b10, StatMsg::HELLO, 2),
+    ] {
+        stage.tell(Role::Runner, pid, agents, flags);
+        stage.table.now_ns += 100_000_000;
+        stage.tick(&[]);
+        stage.poll().unwrap();
+        assert_eq!(stage.role.counters().restarts_seen, restarts, "{pid}, {flags}");
+    }
+}
+
+#[test]
+fn a_new_process_asks_for_an_allocation_and_one_that_is_there_does_not() {
+    let mut stage = Stage::acting(|_| ());
+    for pid in [RUNNERS[1], RUNNERS[1], 40, 40, 40] {
+        stage.tell(Role::Runner, pid, 0b10, 0);
+        stage.tick(&[stage.answer(0), stage.answer(1)]);
+    }
+    assert_eq!(stage.asked(), [1, 4]);
+}
+
+#[test]
+fn only_the_allocator_that_leads_is_waited_for_and_missed() {
+    let mut stage = Stage::new(|options| options.strict = true);
+    stage.poll().unwrap();
+    stage.join(0b11, false);
+    stage.tell(Role::Allocator, ALLOCATOR, 0, StatMsg::HELLO);
+    assert_eq!(stage.poll(), wait(START + 500));
+    let standby = ALLOCATOR + 1;
+    for (pid, flags) in [(ALLOCATOR, StatMsg::LEADER), (standby, 0), (ALLOCATOR, StatMsg::LEADER)] {
+        stage.tell(Role::Allocator, pid, 0, flags);
+    }
+    stage.tell(Role::Allocator, standby, 0, StatMsg::BYE);
+    while stage.poll().unwrap() == Poll::Again {}
+    stage.allocate(1);
+    stage.table.actions.extend([stage.answer(0), stage.answer(1)]);
+    assert_eq!(stage.poll(), Ok(Poll::Again));
+    stage.tell(Role::Allocator, ALLOCATOR, 0, StatMsg::BYE | StatMsg::LEADER);
+    assert_eq!(stage.poll(), Err(WorldError::AllocatorLeft));
+}

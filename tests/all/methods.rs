@@ -1,0 +1,187 @@
+//! Methods that learn in any environment, from training to evaluation.
+
+use crate::support::{self, assert_fails, json, output};
+
+/// A run of a second.
+const SMALL: [&str; 12] = [
+    "--env",
+    "group-matching/4x3x2",
+    "--steps",
+    "2000",
+    "--set",
+    "network.width=16",
+    "--set",
+    "replay.batch=32",
+    "--set",
+    "run.evaluate_every=1000",
+    "--set",
+    "run.final_episodes=50",
+];
+
+/// Agents with a memory.
+const REMEMBERING: [&str; 8] = [
+    "--set",
+    "network.memory=24",
+    "--set",
+    "replay.unit=episodes",
+    "--set",
+    "replay.batch=8",
+    "--set",
+    "replay.steps_per_update=0",
+];
+
+fn train(method: &str, folder: &str, more: &[&str]) {
+    let mut arguments =
+        vec!["train", method, "--out", folder, "-q", "--set", "run.evaluate_episodes=20"];
+    arguments.extend(SMALL);
+    arguments.extend(more);
+    let output = output(&arguments);
+    assert!(output.status.success(), "{}", support::stderr(&output));
+}
+
+#[test]
+fn a_run_is_inspected_evaluated_prolonged_and_exported() {
+    let place = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| place.path().join(name).display().to_string();
+    let (run, bundle) = (path("run"), path("bundle"));
+    train("refil", &run, &[]);
+    let facts = json(&["inspect", &run, "--json"]);
+    assert_eq!(facts["configuration"]["imagination"]["partitions"], "drawn");
+    assert_eq!(facts["curve"].as_array().map(Vec::len), Some(2));
+    let evaluate = |subject: &str| json(&["eval", subject, "--episodes", "40", "--json"]);
+    let learned = evaluate(&run);
+    assert_eq!(learned["env"], "group-matching/4x3x2");
+    assert!(learned["matches"].is_f64() && learned["by_team"]["2+2"].is_object(), "{learned}");
+
+    let exported = json(&["export", &run, "--out", &bundle, "--episodes", "40", "--json"]);
+    assert_eq!(exported["sha256"].as_str().map(str::len), Some(64));
+    let verified = json(&["verify", &bundle, "--inputs", "32", "--json"]);
+    let engines = verified["engines"].as_array().expect("engines");
+    assert!(engines.iter().all(|engine| engine["action_mismatches"] == 0), "{verified}");
+    let deployed = evaluate(&bundle);
+    for figure in ["success", "return_mean", "length_mean", "by_team"] {
+        assert_eq!(deployed[figure], learned[figure], "{figure}");
+    }
+
+    let longer = output(&["train", "refil", "--resume", &run, "--steps", "3000", "-q"]);
+    assert!(longer.status.success(), "{}", support::stderr(&longer));
+    let facts = json(&["inspect", &run, "--json"]);
+    assert_eq!(facts["curve"].as_array().map(Vec::len), Some(3));
+    let words = ["train", "vdn", "--resume", &run];
+    assert_fails(&output(&words), 2, &["learns by `refil`, not by `vdn`"]);
+}
+
+#[test]
+fn agents_with_a_memory_are_deployed_as_they_were_measured() {
+    let place = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| place.path().join(name).display().to_string();
+    let (run, bundle) = (path("run"), path("bundle"));
+    train("vdn", &run, &REMEMBERING);
+    let exported = output(&["export", &run, "--out", &bundle, "--episodes", "10", "-q"]);
+    assert!(exported.status.success(), "{}", support::stderr(&exported));
+    assert_eq!(json(&["inspect", &bundle, "--json"])["network"]["hidden"], 24);
+    let verified = json(&["verify", &bundle, "--inputs", "32", "--json"]);
+    let engines = verified["engines"].as_array().expect("engines");
+    assert!(engines.len() > 2, "{verified}");
+    assert!(engines.iter().all(|engine| engine["action_mismatches"] == 0), "{verified}");
+    let evaluate = |subject: &str| json(&["eval", subject, "--episodes", "40", "--json"]);
+    let (learned, deployed) = (evaluate(&run), evaluate(&bundle));
+    for figure in ["success", "return_mean", "length_mean", "by_team"] {
+        assert_eq!(deployed[figure], learned[figure], "{figure}");
+    }
+
+    let domain = support::TestDomain::new("remember");
+    let play = |more: &[&str]| {
+        let arguments = ["run", &bundle, "--episodes", "3", "--seed", "3", "--json", "--domain"];
+        json(&[&arguments, &[domain.id.as_str()][..], more].concat())
+    };
+    let (processes, in_process) = (play(&["--isolate"]), play(&["--in-process"]));
+    for figure in ["success", "return_mean", "by_team", "decisions"] {
+        assert_eq!(processes[figure], in_process[figure], "{figure}");
+    }
+}
+
+#[test]
+fn what_does_not_fit_is_refused_in_one_line() {
+    for (arguments, part) in [
+        (
+            &["train", "vdn", "--env", "group-matching", "--steps", "0", "--out", "x"][..],
+            "`run.steps` is 0",
+        ),
+        (
+            &["train", "vdn", "--out", "nowhere"][..],
+            "say where by `--env`: save-the-city, group-matching",
+        ),
+        (&["train", "vdn", "--env", "nowhere", "--out", "x"], "unknown environment `nowhere`"),
+        (&["train", "vdn", "--env", "group-matching/9", "--out", "x"], "9"),
+        (
+            &["train", "vdn", "--env", "group-matching", "--no-mask", "--out", "x"],
+            "drop `--no-mask`",
+        ),
+        (
+            &["train", "vdn", "--env", "group-matching", "--preset", "slow", "--out", "x"],
+            "no preset `slow`; there are `fast`, `paper`",
+        ),
+        (
+            &["train", "qmix", "--env", "group-matching", "--set", "mixer.kid=sum", "--out", "x"],
+            "mixer.kind",
+        ),
+        (
+            &[
+                "train",
+                "qmix",
+                "--env",
+                "group-matching",
+                "--set",
+                "network.width=17",
+                "--out",
+                "x",
+            ],
+            "[16, 32, 64, 128]",
+        ),
+        (
+            &[
+                "train",
+                "refil",
+                "--env",
+                "group-matching",
+                "--set",
+                "environment.settings.noize=1",
+                "--out",
+                "x",
+            ],
+            "noize",
+        ),
+    ] {
+        assert_fails(&output(arguments), 2, &[part]);
+    }
+}
+
+#[test]
+fn a_configuration_explains_itself_and_is_read_back() {
+    let place = tempfile::tempdir().expect("a temporary folder");
+    let printed = output(&[
+        "train",
+        "refil",
+        "--env",
+        "group-matching/4x3x2",
+        "--set",
+        "environment.settings.noise=0.1",
+        "--print-config",
+    ]);
+    assert!(printed.status.success(), "{}", support::stderr(&printed));
+    let file = place.path().join("mine.toml");
+    std::fs::write(&file, &printed.stdout).expect("a file");
+    let again =
+        output(&["train", "refil", "--config", &file.display().to_string(), "--print-config"]);
+    assert_eq!(String::from_utf8_lossy(&again.stdout), String::from_utf8_lossy(&printed.stdout));
+}
+
+#[test]
+fn the_page_shows_the_programs_that_are_there() {
+    let read = |name: &str| std::fs::read_to_string(name).expect("a file of the project");
+    let page = read("docs/your-own.md");
+    for example in ["own_environment", "own_method"] {
+        assert!(page.contains(&read(&format!("examples/{example}/src/main.rs"))), "{example}");
+    }
+}

@@ -1,0 +1,326 @@
+//! The allocation networks and one step of their learner against the reference's.
+
+use sortie_methods::alma::windows::allocation::{
+    AllocationCritic, AllocationLearning, AllocationLevel, AllocationNetworks, AllocationPolicy,
+    AllocationShape, CriticWeights, Decider, Noise, PolicyWeights, RowRules, StateView, States,
+    StepDraws, TaskColumns,
+};
+use sortie_methods::alma::windows::{NO_TASK, PopArt};
+use sortie_nn::layers::SparseRows;
+
+use super::windows::{task_of, windows};
+use crate::files::{Case, Tensor, assert_close, json_cases, safetensors_case};
+
+const HEADS: usize = 4;
+
+/// The critic whose tensors stand under a prefix; without a PopArt head it is the identity.
+fn critic(case: &Case, prefix: &str) -> CriticWeights {
+    let tensor = |name: &str| case.get(&format!("{prefix}{name}"));
+    let sizes = &tensor("in_fc_ent.weight").shape;
+    let columns = tensor("in_fc_alloc.fc.weight").shape[1];
+    let head = |name: &str| case.tensors.get(&format!("{prefix}popart_{name}"));
+    let head = |name: &str| head(name).map(|tensor| tensor.f32s()[0]);
+    CriticWeights {
+        shape: AllocationShape { features: sizes[1], columns, width: sizes[0], heads: HEADS },
+        entity_weight: tensor("in_fc_ent.weight").f32s(),
+        entity_bias: tensor("in_fc_ent.bias").f32s(),
+        task_weight: tensor("in_fc_alloc.fc.weight").f32s(),
+        count_weight: tensor("count_embed.count_embed.weight").f32s(),
+        count_bias: tensor("count_embed.count_embed.bias").f32s(),
+        attention_in_weight: tensor("attn.in_trans.weight").f32s(),
+        attention_out_weight: tensor("attn.out_trans.weight").f32s(),
+        attention_out_bias: tensor("attn.out_trans.bias").f32s(),
+        value_weight: tensor("out_fc.weight").f32s(),
+        value_bias: tensor("out_fc.bias").f32s(),
+        popart_weight: head("weight").unwrap_or(1.0),
+        popart_bias: head("bias").unwrap_or(0.0),
+        mean: 0.0,
+        deviation: 1.0,
+    }
+}
+
+/// The policy whose tensors stand under a prefix.
+fn policy(case: &Case, prefix: &str) -> PolicyWeights {
+    let tensor = |name: &str| case.get(&format!("{prefix}{name}"));
+    let sizes = &tensor("fc1.weight").shape;
+    let columns = tensor("task_embed.fc.weight").shape[1];
+    PolicyWeights {
+        shape: AllocationShape { features: sizes[1], columns, width: sizes[0], heads: HEADS },
+        entity_weight: tensor("fc1.weight").f32s(),
+        entity_bias: tensor("fc1.bias").f32s(),
+        task_weight: tensor("task_embed.fc.weight").f32s(),
+        attention_in_weight: tensor("attn.in_trans.weight").f32s(),
+        attention_out_weight: tensor("attn.out_trans.weight").f32s(),
+        attention_out_bias: tensor("attn.out_trans.bias").f32s(),
+        count_weight: tensor("count_embed.weight").f32s(),
+        count_bias: tensor("count_embed.bias").f32s(),
+        update_weight: tensor("embed_update.weight").f32s(),
+        update_bias: tensor("embed_update.bias").f32s(),
+    }
+}
+
+/// The columns of tasks, where the reference says which task each column stands for.
+fn columns(order: &[f64]) -> Vec<u8> {
+    let column = |task: usize| order.iter().position(|t| *t == task as f64);
+    (0..order.len()).map(|task| column(task).expect("an order of all tasks") as u8).collect()
+}
+
+fn columns_of(case: &Case, tasks: usize) -> TaskColumns {
+    match case.tensors.get("in/task_perm") {
+        Some(order) => TaskColumns { policy: columns(&order.data), critic: columns(&order.data) },
+        None => TaskColumns::in_order(tasks),
+    }
+}
+
+/// The subtask of every row of memberships, where 1 is a member.
+fn tasks_of(member: &Tensor, yes: f64) -> Vec<u8> {
+    let tasks = *member.shape.last().expect("tasks");
+    let member: Vec<bool> = member.data.iter().map(|v| *v == yes).collect();
+    member.chunks(tasks).map(task_of).collect()
+}
+
+/// The states of a recorded case; where it has no last allocation, nobody had one.
+fn states(case: &Case, agents: usize) -> States {
+    let entities = case.get("in/entities");
+    let [count, slots, width] = entities.shape[..] else { panic!("sizes") };
+    let entity_task = tasks_of(case.get("in/entity2task_mask"), 0.0);
+    let tasks = case.get("in/entity2task_mask").shape[2];
+    let present: Vec<bool> = case.get("in/entity_mask").data.iter().map(|v| *v == 0.0).collect();
+    let open = match case.tensors.get("in/task_mask") {
+        Some(mask) => mask.data.iter().map(|v| *v == 0.0).collect(),
+        None => vec![true; count * tasks],
+    };
+    let last = match case.tensors.get("in/last_alloc") {
+        Some(last) => tasks_of(last, 1.0),
+        None => vec![NO_TASK; count * agents],
+    };
+    let mut features = SparseRows::default();
+    entities.f32s().chunks(width).for_each(|row| features.push_dense(row));
+    let mut states = States::new(agents, slots, tasks);
+    for state in 0..count {
+        states.push(StateView {
+            features: &features,
+            first_row: state * slots,
+            present: &present[state * slots..][..slots],
+            entity_task: &entity_task[state * slots..][..slots],
+            open: &open[state * tasks..][..tasks],
+            last_allocation: &last[state * agents..][..agents],
+        });
+    }
+    states
+}
+
+#[test]
+fn critic_agrees() {
+    for case in json_cases("alloc_critic") {
+        let weights = critic(&case, "w/");
+        let critic = AllocationCritic::from_weights(&weights).expect("tensors that fit");
+        let given = case.get("in/override_alloc");
+        let states = states(&case, given.shape[2]);
+        let columns = columns_of(&case, given.shape[3]);
+        let mut decider = Decider::default();
+        let stored: Vec<u8> =
+            (0..states.len()).flat_map(|s| states.allocation(s).to_vec()).collect();
+        let got = decider.value(&critic, &states, &columns, &stored);
+        assert_close(&case.name, &got, &case.get("out/q_stored").data);
+        let given = tasks_of(given, 1.0);
+        let got = decider.value(&critic, &states, &columns, &given);
+        assert_close(&case.name, &got, &case.get("out/q_override").data);
+    }
+}
+
+/// The recorded allocations, in which absent agents are -1.
+fn allocations(tensor: &Tensor) -> Vec<u8> {
+    let task = |v: &f64| if *v < 0.0 { NO_TASK } else { *v as u8 };
+    tensor.data.iter().map(task).collect()
+}
+
+#[test]
+fn policy_agrees() {
+    for case in json_cases("alloc_policy_default") {
+        let policy =
+            AllocationPolicy::from_weights(&policy(&case, "w/")).expect("tensors that fit");
+        let gumbel = case.get("in/gumbel");
+        let [_, proposals, agents, tasks] = gumbel.shape[..] else { panic!("sizes") };
+        let states = states(&case, agents);
+        let noise = gumbel.f32s();
+        let sampling = (proposals, Noise::Gumbel(&noise));
+        let columns = columns_of(&case, tasks);
+        let got = Decider::default().propose(&policy, &states, &columns, sampling);
+        assert_eq!(got.allocations, allocations(case.get("out/alloc")), "{}", case.name);
+        assert_close(&case.name, &got.log_probabilities, &case.get("out/log_pi").data);
+        assert_close(&case.name, &got.entropies, &case.get("out/entropy").data);
+    }
+}
+
+#[test]
+fn decisions_at_save_the_city_sizes_agree() {
+    let case = safetensors_case("networks", "allocation_decision_default");
+    let weights = critic(&case, "w/critic.");
+    let critic = AllocationCritic::from_weights(&weights).expect("tensors that fit");
+    let policy =
+        AllocationPolicy::from_weights(&policy(&case, "w/policy.")).expect("tensors that fit");
+    let gumbel = case.get("in/gumbel");
+    let [_, proposals, agents, tasks] = gumbel.shape[..] else { panic!("sizes") };
+    let states = states(&case, agents);
+    let noise = gumbel.f32s();
+    let sampling = (proposals, Noise::Gumbel(&noise));
+    let columns = columns_of(&case, tasks);
+    let mut decider = Decider::default();
+
+    let proposed = decider.propose(&policy, &states, &columns, sampling);
+    assert_eq!(proposed.allocations, allocations(case.get("out/proposals")));
+    assert_close("log f", &proposed.log_probabilities, &case.get("out/log_pi").data);
+    let values = decider.value(&critic, &states, &columns, &proposed.allocations);
+    assert_close("values", &values, &case.get("out/critic_values").data);
+
+    let networks = AllocationNetworks { policy: &policy, critic: &critic };
+    let decided = decider.decide(networks, &states, &columns, sampling);
+    assert_eq!(decided.best, allocations(case.get("out/best_alloc")));
+    let first = proposed.allocations.chunks(proposals * agents).flat_map(|own| &own[..agents]);
+    assert!(decided.first.iter().eq(first));
+}
+
+/// The level of the recorded step, and the case.
+fn recorded_level() -> (AllocationLevel, Case) {
+    let case = safetensors_case("learner", "alloc_aql_0");
+    let popart = PopArt { mean: 0.25, variance: 2.25, started: true };
+    let with_statistics = |prefix| {
+        let weights = critic(&case, prefix);
+        let mut critic = AllocationCritic::from_weights(&weights).expect("tensors that fit");
+        critic.popart = popart;
+        critic
+    };
+    let policy =
+        AllocationPolicy::from_weights(&policy(&case, "w/policy.")).expect("tensors that fit");
+    let learning = AllocationLearning {
+        proposals: 4,
+        rows: RowRules { interval: 3.0, most: 400, age_limit: 150_000.0 },
+        as_public_code: true,
+        ..AllocationLearning::published(policy.shape(), 3.0)
+    };
+    let (online, target) = (with_statistics("w/critic."), with_statistics("target_w/critic."));
+    (AllocationLevel::with_networks(learning, online, policy, target), case)
+}
+
+fn recorded_draws(noise: &[f32]) -> StepDraws<'_> {
+    let order = columns(&[2.0, 0.0, 1.0]);
+    StepDraws {
+        proposals: TaskColumns { policy: order.clone(), critic: order.clone() },
+        stored: order.clone(),
+        target: order,
+        noise: Noise::Gumbel(noise),
+    }
+}
+
+#[test]
+fn recorded_step_agrees() {
+    let (mut level, case) = recorded_level();
+    let shape = level.learning().shape;
+    let noise = case.get("in/gumbel").f32s();
+    let windows = windows(&case);
+    let draws = recorded_draws(&noise);
+    let report = level.learn_with(&windows, 1_000_000, &draws, 2).expect("rows to learn from");
+
+    let step = level.last_step();
+    let number = |flags: &[bool]| flags.iter().map(|f| f32::from(u8::from(*f))).collect::<Vec<_>>();
+    let rows = &step.rows;
+    assert_close("reward", &rows.reward, &case.get("out/meta/reward").data);
+    assert_close("end", &number(&rows.terminated), &case.get("out/meta/terminated").data);
+    assert_close("mask", &number(&rows.mask), &case.get("out/meta/mask").data);
+    let narrow = |values: &[f64]| values.iter().map(|v| *v as f32).collect::<Vec<_>>();
+    assert_close("targets", &narrow(&step.targets), &case.get("out/targets").data);
+    assert_close("normalised", &narrow(&step.normalised), &case.get("out/targets_normalised").data);
+    assert_eq!(step.best, tasks_of(case.get("out/best_alloc"), 1.0));
+    let popart = level.networks().critic.popart;
+    assert_close("mean", &[popart.mean as f32], &case.get("out/popart_mean").data);
+    assert_close("variance", &[popart.variance as f32], &case.get("out/popart_var").data);
+    for (name, got) in [
+        ("losses.alloc_q_loss", report.critic_loss),
+        ("losses.alloc_amort_loss", report.policy_loss),
+        ("losses.alloc_entropy", report.entropy),
+        ("train_metrics.alloc_q_grad_norm", f64::from(report.critic_norm)),
+        ("train_metrics.alloc_pi_grad_norm", f64::from(report.policy_norm)),
+    ] {
+        assert_close(name, &[got as f32], &case.get(&format!("out/stat/{name}")).data);
+    }
+
+    let gradient = step.critic_gradient.clone();
+    let gradient = AllocationCritic::from_parameters(shape, gradient, PopArt::default());
+    let gradient = critic_tensors(gradient.expect("as many").weights());
+    compare(&gradient, &critic_tensors(critic(&case, "out/grad/critic.")), None);
+    let after = critic_tensors(level.networks().critic.weights());
+    compare(&after, &critic_tensors(critic(&case, "out/after/critic.")), Some(&gradient));
+
+    let gradient = AllocationPolicy::from_parameters(shape, step.policy_gradient.clone());
+    let gradient = policy_tensors(gradient.expect("as many").weights());
+    compare(&gradient, &policy_tensors(policy(&case, "out/grad/policy.")), None);
+    let after = policy_tensors(level.networks().policy.weights());
+    compare(&after, &policy_tensors(policy(&case, "out/after/policy.")), Some(&gradient));
+}
+
+fn critic_tensors(weights: CriticWeights) -> Vec<(&'static str, Vec<f32>)> {
+    vec![
+        ("entity", weights.entity_weight),
+        ("entity bias", weights.entity_bias),
+        ("task", weights.task_weight),
+        ("count", weights.count_weight),
+        ("count bias", weights.count_bias),
+        ("attention in", weights.attention_in_weight),
+        ("attention out", weights.attention_out_weight),
+        ("attention out bias", weights.attention_out_bias),
+        ("value", weights.value_weight),
+        ("value bias", weights.value_bias),
+        ("head", vec![weights.popart_weight, weights.popart_bias]),
+    ]
+}
+
+fn policy_tensors(weights: PolicyWeights) -> Vec<(&'static str, Vec<f32>)> {
+    vec![
+        ("entity", weights.entity_weight),
+        ("entity bias", weights.entity_bias),
+        ("task", weights.task_weight),
+        ("count", weights.count_weight),
+        ("count bias", weights.count_bias),
+        ("attention in", weights.attention_in_weight),
+        ("attention out", weights.attention_out_weight),
+        ("attention out bias", weights.attention_out_bias),
+        ("update", weights.update_weight),
+        ("update bias", weights.update_bias),
+    ]
+}
+
+/// Compares gradients, or parameters after a step where gradients are given: those below 1e-9 say nothing
+/// of the sign of the step.
+fn compare(
+    got: &[(&str, Vec<f32>)],
+    want: &[(&str, Vec<f32>)],
+    gradients: Option<&[(&str, Vec<f32>)]>,
+) {
+    for (index, ((name, got), (_, want))) in got.iter().zip(want).enumerate() {
+        assert_eq!(got.len(), want.len(), "{name}");
+        for (place, (got, want)) in got.iter().zip(want).enumerate() {
+            let limit = match gradients {
+                None => 1e-6 + 1e-3 * want.abs(),
+                Some(gradients) if gradients[index].1[place].abs() < 1e-9 => continue,
+                Some(_) => 1e-5,
+            };
+            assert!((got - want).abs() <= limit, "{name}[{place}]: {got} against {want}");
+        }
+    }
+}
+
+#[test]
+fn the_number_of_threads_changes_nothing() {
+    let (level, case) = recorded_level();
+    let noise = case.get("in/gumbel").f32s();
+    let windows = windows(&case);
+    let step = |threads: usize| {
+        let mut level = level.clone();
+        let report = level.learn_with(&windows, 1_000_000, &recorded_draws(&noise), threads);
+        (report.expect("rows to learn from"), level.state())
+    };
+    let one = step(1);
+    assert_eq!(one, step(2));
+    assert_eq!(one, step(3));
+}

@@ -1,0 +1,127 @@
+//! COPA's coach and recognition network against the reference's modules.
+
+use sortie_methods::alma::agents::{TaskOrder, UtilityInput};
+use sortie_methods::alma::coach::{
+    Coach, CoachPass, CoachShape, Recognition, RecognitionPass, RecognitionShape, gaussian::drawn,
+};
+use sortie_methods::alma::windows::low_level::coaching::state_input;
+
+use super::reference;
+use crate::files::{Case, assert_close, json_cases};
+
+/// The columns of all matrices `[out, in]`, one matrix behind the other: rows `[in, out]` of one layer.
+fn columns(case: &Case, names: &[&str]) -> Vec<f32> {
+    let mut rows = Vec::new();
+    for name in names {
+        let tensor = case.get(name);
+        let (outputs, inputs) = (tensor.shape[0], tensor.shape[1]);
+        for column in 0..inputs {
+            rows.extend((0..outputs).map(|row| tensor.data[row * inputs + column] as f32));
+        }
+    }
+    rows
+}
+
+fn parameters(case: &Case, first: &[&str], rest: &[&str]) -> Vec<f32> {
+    let mut parameters = columns(case, first);
+    rest.iter().for_each(|name| parameters.extend(case.get(name).f32s()));
+    parameters
+}
+
+#[test]
+fn coach_and_recognition_agree() {
+    for case in json_cases("copa") {
+        let [samples, agents, actions] = case.get("in/actions_onehot").shape[..] else {
+            panic!("sizes")
+        };
+        let mut windows = reference::states(&case, agents, 0);
+        let taken = case.get("in/actions_onehot").data.chunks(actions);
+        let taken = taken.map(|row| row.iter().position(|v| *v == 1.0).unwrap_or(0) as u8);
+        windows.actions = taken.collect();
+        let order = case.get("in/task_perm").data.iter().map(|task| *task as usize);
+        let order = TaskOrder::of_columns(&order.collect::<Vec<_>>());
+        let encode = case.get("w/coach.entity_encode.weight");
+        let strategy = case.get("w/coach.mean.bias").data.len();
+        let shape = CoachShape {
+            features: encode.shape[1],
+            marks: windows.shape.tasks,
+            width: encode.shape[0],
+            heads: 4,
+            strategy,
+        };
+        let states: Vec<usize> = (0..samples).collect();
+        let present: Vec<usize> = (0..samples * agents)
+            .filter(|at| windows.present[at / agents * windows.shape.entities + at % agents])
+            .collect();
+        assert!((10..samples * agents).contains(&present.len()), "{}", case.name);
+        let check = |name: &str, rows: Vec<f32>| {
+            let all = &case.get(name).data;
+            let want = present.iter().flat_map(|at| &all[at * strategy..][..strategy]);
+            assert_close(
+                &format!("{} {name}", case.name),
+                &rows,
+                &want.copied().collect::<Vec<_>>(),
+            );
+        };
+        let half = |rows: &[f32], second: usize| -> Vec<f32> {
+            let rows = rows.chunks(2 * strategy);
+            rows.flat_map(|row| row[second * strategy..][..strategy].to_vec()).collect()
+        };
+
+        let coach = parameters(
+            &case,
+            &["w/coach.entity_encode.weight", "w/coach.task_embed.fc.weight"],
+            &[
+                "w/coach.entity_encode.bias",
+                "w/coach.mha.in_trans.weight",
+                "w/coach.mha.out_trans.weight",
+                "w/coach.mha.out_trans.bias",
+                "w/coach.mean.weight",
+                "w/coach.logvar.weight",
+                "w/coach.mean.bias",
+                "w/coach.logvar.bias",
+            ],
+        );
+        let coach = Coach::from_parameters(shape, coach).expect("all tensors");
+        let mut input = UtilityInput::default();
+        state_input(shape, &windows, &states, &order, false, &mut input);
+        let mut pass = CoachPass::default();
+        let rows = pass.forward(&coach, &input);
+        check("out/mu", half(rows, 0));
+        check("out/logvar", half(rows, 1));
+        let noise = case.get("in/eps").f32s();
+        let noise = present.iter().map(|at| &noise[at * strategy..][..strategy]);
+        let strategies = rows.chunks(2 * strategy).zip(noise);
+        check("out/z", strategies.flat_map(|(row, noise)| drawn(row, noise)).collect());
+
+        let recognition = parameters(
+            &case,
+            &[
+                "w/recog.entity_encode.weight",
+                "w/recog.task_embed.fc.weight",
+                "w/recog.action_embedding.weight",
+            ],
+            &[
+                "w/recog.entity_encode.bias",
+                "w/recog.mha.in_trans.weight",
+                "w/recog.mha.out_trans.weight",
+                "w/recog.mha.out_trans.bias",
+                "w/recog.mean.0.weight",
+                "w/recog.logvar.0.weight",
+                "w/recog.mean.0.bias",
+                "w/recog.logvar.0.bias",
+                "w/recog.mean.2.weight",
+                "w/recog.logvar.2.weight",
+                "w/recog.mean.2.bias",
+                "w/recog.logvar.2.bias",
+            ],
+        );
+        let shape = RecognitionShape { coach: shape, actions };
+        let recognition = Recognition::from_parameters(shape, recognition).expect("all tensors");
+        state_input(shape.coach, &windows, &states, &order, true, &mut input);
+        let mut pass = RecognitionPass::default();
+        let rows = pass.forward(&recognition, &input);
+        check("out/recog_mean", half(rows, 0));
+        check("out/recog_logvar", half(rows, 1));
+    }
+}

@@ -1,0 +1,18 @@
+//! Methods against recorded rounds of other code, and runs of them.
+
+mod alma_golden;
+mod files;
+mod hal;
+mod ma_exp;
+mod ma_exp_networks;
+mod ma_exp_runs;
+mod maac;
+mod maac_runs;
+mod published;
+mod reference;
+mod sessions;
+mod setups;
+mod tape;
+mod training;
+mod value_factorisation;
+mod value_factorisation_golden;
