@@ -185,3 +185,17 @@ fn the_page_shows_the_programs_that_are_there() {
         assert!(page.contains(&read(&format!("examples/{example}/src/main.rs"))), "{example}");
     }
 }
+
+#[test]
+fn a_run_whose_folder_is_not_named_says_in_its_name_what_it_is() {
+    let place = tempfile::tempdir().expect("a temporary folder");
+    let learn = |more: &[&str]| {
+        let words = ["train", "maac", "--env", "particle/rover-tower-8", "--steps", "100", "-q"];
+        let mut command = support::sortie(&[&words[..], more].concat());
+        command.current_dir(place.path()).output().expect("it starts")
+    };
+    let first = learn(&["--seed", "3"]);
+    assert!(first.status.success(), "{}", support::stderr(&first));
+    assert!(place.path().join("runs/maac-particle-rover-tower-8-s3/result.json").exists());
+    assert_fails(&learn(&["--seed", "3"]), 2, &["runs/maac-particle-rover-tower-8-s3", "--out"]);
+}

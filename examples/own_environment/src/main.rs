@@ -190,8 +190,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     );
     let (method, curve) = (session.method(), session.curve());
     let run = MethodRun { description: &description, environment: &*depot(), method, curve };
-    let bundle =
-        draft_method(&run, &folder, &[depot().spec.shape], &[], 1)?.write(&folder.join("bundle"))?;
+    let bundle = draft_method(&run, &folder, &[depot().spec.shape], &[], 1)?
+        .write(&folder.join("bundle"))?;
     println!("exported: {}", bundle.folder().join("agent.onnx").display());
     Ok(())
 }

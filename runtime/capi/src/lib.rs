@@ -2,6 +2,11 @@
 //!
 //! Every function is total: what a caller can get wrong is answered with a [`SortieError`], as far as C lets anyone see
 //! it. Nothing is allocated: a policy lives in memory that the caller gives, its plan is used where it lies.
+//!
+//! | feature | adds |
+//! | --- | --- |
+//! | `agents` (default) | agents of teams, which see entities; without it only policies over inputs of fixed sizes, in half the flash |
+//! | `std` (default) | kernels chosen at run time by what the processor offers; without it no operating system is needed |
 #![no_std]
 #![deny(unsafe_code)]
 #![cfg_attr(

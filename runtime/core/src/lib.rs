@@ -31,6 +31,14 @@
 //! | who works on which subtask | [`allocate`], [`Allocator`] |
 //! | agents, allocator and world as processes or devices | [`wire`], [`roles`], [`link`] |
 //! | images with only the operators that a plan needs | [`operators`] |
+//!
+//! | feature | adds |
+//! | --- | --- |
+//! | `alloc` | `plan::AlignedBytes`, for programs with a heap and without an operating system |
+//! | `std` | `alloc`, and kernels chosen at run time by what the processor offers (the same bits, faster) |
+//! | `serial` | links over serial lines: `link::Serial` and `link::Relay`, small packages without heap |
+//! | `defmt` | `defmt::Format` for errors, decisions and facts of a plan |
+//! | `dsp` | int8 weights by the DSP extension of Cortex-M4, M7 and others (the same bits, faster), for plans laid out for it |
 #![no_std]
 #![deny(unsafe_code)]
 #![cfg_attr(

@@ -25,7 +25,7 @@ use crate::worlds::rules::{RuleAllocator, rule_allocator};
 
 /// Run one process of a team: what `run` and `up` start, and what a person may start in its place
 #[derive(Debug, Args)]
-pub struct ProcessArguments {
+pub(crate) struct ProcessArguments {
     #[arg(value_enum)]
     role: Role,
     bundle: PathBuf,

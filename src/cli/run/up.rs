@@ -35,7 +35,7 @@ use crate::terminal::line_width;
   sortie up models/save-the-city --isolate --episodes 100 --rate 200
   sortie up models/save-the-city --private
   sortie up models/save-the-city --domain north --standbys 2 --restart never")]
-pub struct UpArguments {
+pub(crate) struct UpArguments {
     /// Folder of the bundle
     bundle: PathBuf,
     #[command(flatten)]

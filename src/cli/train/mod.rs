@@ -58,7 +58,7 @@ pub(crate) struct TrainArguments {
     #[arg(long, value_name = "ENV[/SET]")]
     env: Option<String>,
     /// Named configuration to start from: `fast`, or `paper`, the dissertation's algorithm to the letter
-    #[arg(long, default_value = "fast")]
+    #[arg(long, default_value = USUAL_PRESET)]
     preset: String,
     /// Configuration file to start from, as `train.toml` has it
     #[arg(long, value_name = "FILE", conflicts_with = "preset")]
@@ -85,8 +85,8 @@ pub(crate) struct TrainArguments {
     /// Threads that compute gradients; they change no result [default: all cores, with --seeds one]
     #[arg(long, value_parser = threads)]
     threads: Option<usize>,
-    /// Folder of the new run
-    #[arg(long, value_name = "DIR", required_unless_present_any = ["resume", "print_config"])]
+    /// Folder of the new run [default: runs/METHOD-ENVIRONMENT-sSEED]
+    #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Folder of a run to go on with, as it was configured
     #[arg(long, value_name = "DIR", conflicts_with_all = ["out", "preset", "config", "assignments", "allocation", "no_mask", "mixer", "env", "seed"])]
@@ -125,6 +125,9 @@ impl Mixer {
     }
 }
 
+/// The preset that needs no flag.
+const USUAL_PRESET: &str = "fast";
+
 /// How long a seed of a sweep waits for a run that is being stopped: that of a sweep that was killed.
 const PATIENCE: Duration = Duration::from_secs(10);
 
@@ -138,8 +141,8 @@ pub(crate) fn run(arguments: &TrainArguments) -> Outcome {
     if let Some(sweep) = arguments.sweep {
         stop_without(sweep, &stop)?;
     }
-    if let (Some(seeds), Some(out)) = (arguments.seeds, &arguments.out) {
-        return sweep(seeds, checked(arguments)?, arguments, out, &stop);
+    if let Some(seeds) = arguments.seeds {
+        return sweep(seeds, checked(arguments)?, arguments, &stop);
     }
     let (mut session, folder) = session(arguments)?;
     warn_of_refused(session.refused());
@@ -172,20 +175,31 @@ pub(crate) fn checked(arguments: &TrainArguments) -> Result<Setup, Failure> {
 }
 
 /// One run per seed.
-fn sweep(
-    seeds: SeedRange,
-    mut setup: Setup,
-    arguments: &TrainArguments,
-    out: &Path,
-    stop: &Stop,
-) -> Outcome {
+fn sweep(seeds: SeedRange, mut setup: Setup, arguments: &TrainArguments, stop: &Stop) -> Outcome {
     setup.run.settle_products()?;
-    seeds::run(seeds, &setup, arguments.threads.unwrap_or(1), out, arguments.common, stop)
+    let out = arguments.out.clone().unwrap_or_else(|| usual_folder(arguments, &setup));
+    seeds::run(seeds, &setup, arguments.threads.unwrap_or(1), &out, arguments.common, stop)
+}
+
+/// Where runs go for which no folder is named, without their seeds.
+fn usual_folder(arguments: &TrainArguments, setup: &Setup) -> PathBuf {
+    let environment = &setup.environment;
+    let mut name = format!("{}-{}", arguments.method.0.name, environment.name);
+    let preset = Some(arguments.preset.as_str()).filter(|preset| *preset != USUAL_PRESET);
+    for part in [Some(environment.set.as_str()), preset].into_iter().flatten() {
+        if !part.is_empty() {
+            name = format!("{name}-{part}");
+        }
+    }
+    Path::new("runs").join(name.replace('/', "-"))
 }
 
 /// A new run, or one to go on with, and its folder.
 fn session(arguments: &TrainArguments) -> Result<(Session, PathBuf), Failure> {
-    let folder = arguments.resume.as_ref().or(arguments.out.as_ref()).cloned().unwrap_or_default();
+    let folder = match arguments.resume.as_ref().or(arguments.out.as_ref()) {
+        Some(folder) => folder.clone(),
+        None => run_folder(&usual_folder(arguments, &checked(arguments)?), arguments.common.seed),
+    };
     if arguments.resume.is_none() {
         match begun(arguments, &folder) {
             // The process of a sweep that was killed was about to begin it.

@@ -185,7 +185,7 @@ fn sources(named: Option<&Path>) -> Result<PathBuf, Failure> {
         |folder: &PathBuf| folder.join("boards").is_dir() && folder.join("Cargo.toml").is_file();
     let around = std::env::current_dir().unwrap_or_default();
     let around = around.ancestors().map(|folder| folder.join(FOLDER));
-    let built = Path::new(env!("CARGO_MANIFEST_DIR")).join(FOLDER);
+    let built = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(FOLDER);
     let found = match named {
         Some(folder) => Some(folder.to_owned()).filter(is_there),
         None => around.chain([built]).find(is_there),

@@ -303,7 +303,7 @@ mod tests {
     use super::*;
 
     fn bundle(name: &str) -> Bundle {
-        open_bundle(&Path::new(env!("CARGO_MANIFEST_DIR")).join("models").join(name)).unwrap()
+        open_bundle(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models").join(name)).unwrap()
     }
 
     /// What is in a file of words.
@@ -371,7 +371,7 @@ mod tests {
 
     #[test]
     fn a_plan_remembers_from_case_to_case() {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/embed_c/cart.plan");
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/embed_c/cart.plan");
         let Named::Plan(path, plan) = Named::open(&path, None).unwrap() else { panic!("a plan") };
         let of = |most| Subject::of_plan(&path, &plan, 1, most).unwrap();
         let (two, all) = (of(2), of(usize::MAX));

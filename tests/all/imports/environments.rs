@@ -13,7 +13,7 @@ const REGISTRIES: [(&str, usize); 4] = [
     ("src/stage/lib.rs", 1),
     ("trainer/envs/src/lib.rs", 1),
     ("trainer/envs/src/registry.rs", 1),
-    ("src/views/mod.rs", 2),
+    ("src/cli/views/mod.rs", 2),
 ];
 
 /// Folders of sources that know environments by their seam alone.

@@ -46,18 +46,17 @@ fn a_circle_is_found_through_folders_re_exports_and_paths_in_code() {
     assert_eq!(found, [expected]);
 }
 
-/// Every crate of the workspace by its folder, `src` for that of the whole, with its root file.
+/// Every crate of the workspace by its folder, with its root file.
 fn crates() -> Vec<(String, PathBuf)> {
     let manifest = fs::read_to_string("Cargo.toml").expect("the test runs in the project's folder");
     let manifest: toml::Table = manifest.parse().expect("the manifest is TOML");
     let members = manifest["workspace"]["members"].as_array().expect("a list of members");
     let folders = members.iter().filter_map(|member| member.as_str());
-    let named = folders.map(|folder| (folder.to_owned(), root_file(Path::new(folder))));
-    named.chain([("src".to_owned(), "src/lib.rs".into())]).collect()
+    folders.map(|folder| (folder.to_owned(), root_file(Path::new(folder)))).collect()
 }
 
 fn root_file(folder: &Path) -> PathBuf {
-    ["src/lib.rs", "lib.rs", "main.rs"]
+    ["src/lib.rs", "lib.rs", "src/main.rs", "main.rs"]
         .iter()
         .map(|file| folder.join(file))
         .find(|file| file.exists())

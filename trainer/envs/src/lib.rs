@@ -17,6 +17,10 @@
 //! assert!(seen.agents() >= 2 && !step.done());
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
+//!
+//! | feature | adds |
+//! | --- | --- |
+//! | `std` (default) | readers of recorded episodes, which need files and JSON |
 #![cfg_attr(not(feature = "std"), no_std)]
 #![forbid(unsafe_code)]
 

@@ -130,7 +130,7 @@ const CALM: Asked =
     Asked { episodes: 4, damage: 0, disorder: 0, resets: BTreeSet::new(), is_contrary: false };
 
 fn played(asked: Asked) -> (Played, usize) {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/save-the-city");
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/save-the-city");
     let bundle = sortie_cli::deployment::open_bundle(&folder).unwrap();
     let mut world = open_world(&bundle, None, 3).unwrap();
     let allocation = AllocatorChoice::of_bundle(&bundle, None).unwrap();
@@ -180,7 +180,7 @@ fn over_a_calm_line_a_team_plays_as_beside_its_world() {
     assert_eq!([turns.executed, played.line.device.decided], [turns.asked; 2]);
     assert_eq!(played.line.device.pieces(), played.line.down.packets);
     // The same world, all agents in one runner.
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/save-the-city");
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/save-the-city");
     let bundle = sortie_cli::deployment::open_bundle(&folder).unwrap();
     let mut world = open_world(&bundle, None, 3).unwrap();
     let allocation = AllocatorChoice::of_bundle(&bundle, None).unwrap();

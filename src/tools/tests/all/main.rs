@@ -1,0 +1,4 @@
+//! What only the second program does.
+
+mod hostile_onnx;
+mod storm;
