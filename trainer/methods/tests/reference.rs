@@ -76,19 +76,19 @@ fn the_page_lists_every_key() {
             page += &others(&first, like_it);
         }
     }
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/configuration.md");
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/reference/configuration.md");
     if std::env::var_os("SORTIE_WRITE_DOCS").is_some() {
         std::fs::write(path, &page).unwrap();
     }
     assert!(
         std::fs::read_to_string(path).unwrap_or_default() == page,
-        "docs/configuration.md is another: SORTIE_WRITE_DOCS=1 cargo test -p sortie-methods --test reference"
+        "docs/reference/configuration.md is another: SORTIE_WRITE_DOCS=1 cargo test -p sortie-methods --test reference"
     );
 }
 
 #[test]
 fn the_page_of_environments_lists_every_setting() {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/environments.md");
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/reference/environments.md");
     let page = std::fs::read_to_string(path).unwrap();
     for entry in ENVIRONMENTS {
         let (_, section) = page.split_once(&format!("\n### {}\n", entry.name)).unwrap();
