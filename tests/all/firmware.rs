@@ -117,5 +117,5 @@ fn wrong_uses_of_a_team_are_refused() {
     assert_fails(&alone, 2, &["required arguments"]);
     assert!(stderr(&alone).contains("--team"), "{}", stderr(&alone));
     assert_fails(&asked(&["--team", "--damage", "1"]), 2, &["--damage"]);
-    assert_fails(&asked(&["--team", "--table", "docs/firmware.md"]), 2, &["--table"]);
+    assert_fails(&asked(&["--team", "--table", "docs/evidence/firmware.md"]), 2, &["--table"]);
 }

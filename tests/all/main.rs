@@ -4,6 +4,8 @@ mod arguments;
 mod bad_input;
 mod compare;
 mod control;
+mod dependencies;
+mod documentation;
 mod domains;
 mod endings;
 mod firmware;

@@ -1,4 +1,4 @@
-/* Sortie: policies in C programs, from the plans that `sortie compile` makes. docs/c.md shows how.
+/* Sortie: policies in C programs, from the plans that `sortie compile` makes. docs/guide/c.md shows how.
  *
  * Nothing is allocated, nothing blocks, nothing panics. Every function answers whatever it is given: functions that can
  * fail with a SortieError, sizes with 0. What C cannot see stays the caller's word: a pointer is NULL or leads to as many

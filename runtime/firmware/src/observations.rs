@@ -1,4 +1,4 @@
-//! Recorded observations, read one after the other: `docs/recorded-observations.md` has the format.
+//! Recorded observations, read one after the other: `docs/reference/recorded-files.md` has the format.
 
 use sortie_core::{EntityMask, Observation};
 use zerocopy::IntoBytes;

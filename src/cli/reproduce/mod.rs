@@ -48,7 +48,7 @@ pub(crate) struct ReproduceArguments {
     /// Seeds of the runs, A and B included [default: as the recipe says]
     #[arg(long, value_name = "A..B")]
     seeds: Option<SeedRange>,
-    /// Recipes of your own, a file like docs/reproduce.toml
+    /// Recipes of your own, a file like docs/evidence/reproduce.toml
     #[arg(long, value_name = "FILE")]
     recipes: Option<PathBuf>,
     #[command(flatten)]
@@ -57,7 +57,7 @@ pub(crate) struct ReproduceArguments {
 
 pub(crate) fn run(arguments: &ReproduceArguments) -> Outcome {
     let recipes = match &arguments.recipes {
-        None => Recipes::from_text(OWN, "docs/reproduce.toml")?,
+        None => Recipes::from_text(OWN, "docs/evidence/reproduce.toml")?,
         Some(path) => {
             let text = fs::read_to_string(path).map_err(|error| Failure::file(path, &error))?;
             Recipes::from_text(&text, &path.display().to_string())?

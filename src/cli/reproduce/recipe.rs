@@ -11,7 +11,7 @@ use crate::seeds::SeedRange;
 use crate::train::{TrainArguments, checked};
 
 /// The recipes that this program brings along.
-pub(super) const OWN: &str = include_str!("../../../docs/reproduce.toml");
+pub(super) const OWN: &str = include_str!("../../../docs/evidence/reproduce.toml");
 /// What stands for the seed in words of a command line.
 const SEED: &str = "{seed}";
 
@@ -207,7 +207,7 @@ mod tests {
 
     #[test]
     fn every_recipe_can_be_learned_and_every_gap_has_its_reason() {
-        let recipes = Recipes::from_text(OWN, "docs/reproduce.toml").unwrap();
+        let recipes = Recipes::from_text(OWN, "docs/evidence/reproduce.toml").unwrap();
         let mut names: Vec<&str> = recipes.figures.iter().map(|it| it.name.as_str()).collect();
         names.sort_unstable();
         assert!(names.is_sorted_by(|a, b| a < b), "twice: {names:?}");

@@ -44,7 +44,7 @@ use sortie_cli::progress;
 #[command(after_help = "Examples:
   sortie firmware models/save-the-city --board cortex-m4f --profile int8
   sortie firmware models/save-the-city --board rv32imc --json
-  sortie firmware models/save-the-city --board cortex-m0 --profile int8 --table docs/firmware.md
+  sortie firmware models/save-the-city --board cortex-m0 --profile int8 --table docs/evidence/firmware.md
   sortie firmware models/rover-tower-8 --board cortex-m3 --agent 7
   sortie firmware walking.plan --board cortex-m4f
   sortie firmware models/save-the-city --board cortex-m4f --profile int8 --all-visible

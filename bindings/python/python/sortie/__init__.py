@@ -3,7 +3,7 @@
     plan = sortie.Plan("walking.onnx")
     actions = plan(observation)
 
-Everything else is in docs/python.md.
+Everything else is in docs/guide/python.md.
 """
 
 from ._errors import BundleError, CompileError, DecideError, DifferenceError, PlanError, ServeError, SortieError

@@ -15,6 +15,6 @@ def program() -> str:
     if not PROGRAM.is_file():
         raise CompileError(
             f"`{PROGRAM}` is missing, which reads ONNX files: this installation runs plans; make them with "
-            "`sortie compile`, or install a wheel that was built with the compiler (docs/python.md)"
+            "`sortie compile`, or install a wheel that was built with the compiler (docs/guide/python.md)"
         )
     return str(PROGRAM)

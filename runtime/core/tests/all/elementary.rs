@@ -1,10 +1,10 @@
-//! How far elementary functions are from correctly rounded ones, as docs/operators.md says.
+//! How far elementary functions are from correctly rounded ones, as docs/reference/arithmetic.md says.
 //!
 //! Samples are spread over all numbers of f32 by their bits. `SORTIE_ULP_SAMPLES=16777216` takes more of them.
 
 use sortie_core::internal::math;
 
-const DOCUMENT: &str = include_str!("../../../../docs/operators.md");
+const DOCUMENT: &str = include_str!("../../../../docs/reference/arithmetic.md");
 
 /// A function, what it should be, and the arguments that count.
 struct Function {

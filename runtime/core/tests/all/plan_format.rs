@@ -10,7 +10,7 @@ use sortie_core::internal::ops::{
 use sortie_core::operators::OpKind;
 use sortie_core::plan::{Checksums, HEADER_BYTES, Header, Network, Plan, Profile, VERSION};
 
-const DOCUMENT: &str = include_str!("../../../../docs/plan-format.md");
+const DOCUMENT: &str = include_str!("../../../../docs/reference/plan-format.md");
 const INT8: &[u8] = include_plan!("../../../../tests/golden/plans/agent-int8-2.2.plan");
 const PROPOSALS: &[u8] = include_plan!("../../../../tests/golden/plans/proposals-2.0.plan");
 const AGENT: &[u8] = include_plan!("../../../../tests/golden/plans/agent-2.0.plan");

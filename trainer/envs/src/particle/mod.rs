@@ -1,8 +1,9 @@
 //! The particle world: discs with inertia on a plane, in the three scenarios of dissertation chapter 3.
 //!
-//! Agrees with the world that MAAC's public code runs on; others of the name differ (docs/environments.md). Every
-//! agent sees one vector of its own, and earns rewards of its own: the team's is their mean, so that the return of an
-//! episode is the mean of theirs. No scenario comes to an end of its own: time runs out.
+//! Agrees with the world that MAAC's public code runs on; others of the name differ
+//! (docs/reference/environments.md). Every agent sees one vector of its own, and earns rewards of its own: the team's
+//! is their mean, so that the return of an episode is the mean of theirs. No scenario comes to an end of its own: time
+//! runs out.
 
 mod bytes;
 mod columns;

@@ -1,4 +1,4 @@
-//! Configurations with an explanation of every key: as a file, and as a page of the documentation.
+//! Configurations as files that explain every key.
 
 use toml::{Table, Value};
 
@@ -23,25 +23,6 @@ pub fn explained(sections: &[Section], table: &Table) -> Result<String, LearnErr
             let Key { name, about, .. } = key;
             let value = value(table, section, key)?;
             text += &format!("# {about}\n#   {}\n{name} = {value}\n", limits(key));
-        }
-    }
-    Ok(text)
-}
-
-/// The keys of these sections as tables, with their defaults.
-pub fn tables(title: &str, sections: &[Section], table: &Table) -> Result<String, LearnError> {
-    let mut text = format!("\n## {title}\n");
-    for section in sections {
-        let heading = if section.name.is_empty() { "At the top" } else { section.name };
-        text += &format!("\n### {heading}\n\n{}\n", section.about);
-        if section.keys.is_empty() {
-            continue;
-        }
-        text += "\n| key | default | range | what |\n| --- | --- | --- | --- |\n";
-        for key in section.keys {
-            let Key { name, about, .. } = key;
-            let value = value(table, section, key)?;
-            text += &format!("| `{name}` | `{value}` | {} | {about} |\n", limits(key));
         }
     }
     Ok(text)

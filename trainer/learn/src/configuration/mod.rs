@@ -10,7 +10,7 @@ use serde::Serialize;
 use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
-pub use explained::{explained, tables};
+pub use explained::explained;
 pub(crate) use key::find;
 use key::nearest_path;
 pub use key::{Key, Range, Section, paths};

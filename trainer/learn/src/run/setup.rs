@@ -86,7 +86,10 @@ impl Setup {
     }
 
     /// Everything but the method's name, as the file has it.
-    pub(crate) fn table(&self) -> Result<Table, LearnError> {
+    ///
+    /// # Errors
+    /// A value cannot be written in TOML.
+    pub fn table(&self) -> Result<Table, LearnError> {
         let mut table = self.own.clone();
         table.extend(self.common()?);
         Ok(table)

@@ -190,20 +190,6 @@ impl MethodEntry {
         configuration::explained(&self.sections(&setup.own), &setup.table()?)
     }
 
-    /// All keys with their defaults, as a part of a page of documentation.
-    ///
-    /// # Errors
-    /// A preset lacks a key.
-    pub fn reference(&self) -> Result<String, LearnError> {
-        let mut text = String::new();
-        for preset in self.presets {
-            let title = format!("`{}`, preset `{}`", self.name, preset.name);
-            let setup = (preset.setup)();
-            text += &configuration::tables(&title, &self.sections(&setup.own), &setup.table()?)?;
-        }
-        Ok(text)
-    }
-
     /// All keys of a setup whose own table is this one, those at the top of a file first.
     pub fn sections(&self, own: &Table) -> Vec<Section> {
         let mut sections = [&WHERE, (self.keys)(own), &[RUN]].concat();

@@ -1,9 +1,10 @@
-//! The page about the keys of methods says what the program knows.
+//! The pages about the keys of methods and the settings of environments say what the program knows.
 
 use std::fmt::Write as _;
 
 use sortie_envs::registry::Setting;
 use sortie_envs::{ENVIRONMENTS, Split};
+use sortie_learn::configuration::{Key, Range, Section};
 use sortie_learn::run::Difference;
 use sortie_learn::session::MethodEntry;
 use sortie_methods::alma::{ALMA, COPA, FLAT};
@@ -12,6 +13,7 @@ use sortie_methods::hal::{H_DQN, HAL, HAL_ORACLE};
 use sortie_methods::ma_exp::MA_EXP;
 use sortie_methods::maac::{COMA, COMA_SAC, DDPG, MAAC, MADDPG, MADDPG_SAC};
 use sortie_methods::value_factorisation::{QMIX, REFIL, VDN};
+use toml::Table;
 
 const HEAD: &str = "\
 # The configuration, key by key
@@ -24,19 +26,150 @@ that the run learns by; `sortie train METHOD --resume DIR --steps N` changes `ru
 
 `--mixer M`, `--no-mask` and `--allocation RULE` are short for `--set` of the keys that they are about.
 
-`environment.settings` holds numbers of the rules: `--set environment.settings.episode_limit=100`. Which there are is up to the
-environment, see [environments.md](environments.md#settings).
-
 In the preset `fast` of `alma` and `flat`, runs of less than 600,000 steps shrink `exploration.steps`, `allocator.learns_from` and
 `allocator.decides_from` in proportion, unless they are set.
+
+Every key stands here once, under its section of the file, with the methods that have it and its value in their presets `fast` and `paper`.
+Ranges of whole numbers are written `1 to 64`, of other numbers `0.0 to 1.0`, with the unit behind them. Methods that differ from one of
+these in a few keys are [at the end](#methods-like-others).
 
 This page is written by the program; a test compares them.
 ";
 
+/// The settings of environments are explained elsewhere.
+const SETTINGS: &str = "environment.settings";
+
+/// The methods of the page; each stands for those that are like it.
+fn pages() -> [(MethodEntry, Vec<MethodEntry>); 6] {
+    [
+        (ALMA, vec![FLAT, COPA]),
+        (QMIX, vec![VDN, REFIL]),
+        (MAAC, vec![COMA, COMA_SAC, MADDPG, MADDPG_SAC, DDPG]),
+        (HAL, vec![HAL_ORACLE, H_DQN]),
+        (DQN, vec![]),
+        (MA_EXP, vec![]),
+    ]
+}
+
+/// A section of the file in one preset of a method, and the values of all its keys.
+struct Part {
+    method: &'static str,
+    preset: &'static str,
+    section: Section,
+    values: Table,
+}
+
+fn parts() -> Vec<Part> {
+    let mut parts = Vec::new();
+    for (method, _) in pages() {
+        for preset in method.presets {
+            let setup = method.preset(preset.name).unwrap();
+            let table = setup.table().unwrap();
+            for section in method.sections(&setup.own) {
+                let names = section.name.split('.').filter(|name| !name.is_empty());
+                let values = names.fold(&table, |table, name| table[name].as_table().unwrap());
+                let (method, preset, values) = (method.name, preset.name, values.clone());
+                parts.push(Part { method, preset, section, values });
+            }
+        }
+    }
+    parts
+}
+
+/// Items in the order in which they come first, each once.
+fn each_once<T: PartialEq>(items: impl IntoIterator<Item = T>) -> Vec<T> {
+    let mut once = Vec::new();
+    for item in items {
+        if !once.contains(&item) {
+            once.push(item);
+        }
+    }
+    once
+}
+
+fn range(key: &Key) -> String {
+    let range = match key.range {
+        Range::Whole(from, to) => format!("{from} to {to}"),
+        Range::Number(from, to) => format!("{from:?} to {to:?}"),
+        Range::Positive(to) => format!("above 0.0, at most {to:?}"),
+        Range::Numbers(from, to) => format!("a list of {from:?} to {to:?}"),
+        Range::OneOf(words) => format!("`{}`", words.join("`, `")),
+        Range::Truth => "`true`, `false`".to_owned(),
+        other => other.to_string(),
+    };
+    if key.unit.is_empty() { range } else { format!("{range}, {}", key.unit) }
+}
+
+/// A cell by methods: what they all have alike is said without their names.
+fn by_method(cells: &[(&'static str, String)]) -> String {
+    let values = each_once(cells.iter().map(|(_, value)| value));
+    let named = |value: &&String| {
+        let methods = cells.iter().filter(|(_, other)| other == *value).map(|(method, _)| *method);
+        format!("{value} {}", each_once(methods).join(", "))
+    };
+    match values[..] {
+        [] => String::new(),
+        [value] => value.clone(),
+        _ => values.iter().map(named).collect::<Vec<_>>().join("; "),
+    }
+}
+
+/// The table of one section: every key of it once.
+fn table(parts: &[&Part]) -> String {
+    let rows =
+        each_once(parts.iter().flat_map(|part| {
+            part.section.keys.iter().map(|key| (key.name, range(key), key.about))
+        }));
+    let mut text =
+        "\n| key | of | `fast` | `paper` | range | what |\n| --- | --- | --- | --- | --- | --- |\n"
+            .to_owned();
+    for (name, limits, about) in rows {
+        let holds = |part: &&&Part| {
+            let same =
+                |key: &&Key| (key.name, range(key), key.about) == (name, limits.clone(), about);
+            part.section.keys.iter().any(|key| same(&key))
+        };
+        let having: Vec<_> = parts.iter().filter(holds).collect();
+        let methods = each_once(having.iter().map(|part| part.method)).join(", ");
+        let in_preset = |preset: &str| {
+            let of_it = having.iter().filter(|part| part.preset == preset);
+            let value = |part: &&&Part| (part.method, format!("`{}`", part.values[name]));
+            by_method(&of_it.map(|part| value(&&**part)).collect::<Vec<_>>())
+        };
+        let (fast, paper) = (in_preset("fast"), in_preset("paper"));
+        writeln!(text, "| `{name}` | {methods} | {fast} | {paper} | {limits} | {about} |").unwrap();
+    }
+    text
+}
+
+/// All sections, each once, in the order of files.
+fn sections() -> String {
+    let parts = parts();
+    let mut text = String::new();
+    let mut names = each_once(parts.iter().map(|part| part.section.name));
+    names.sort_by_key(|name| !name.is_empty());
+    for name in names.into_iter().filter(|name| *name != SETTINGS) {
+        let heading = if name.is_empty() { "At the top" } else { name };
+        let of_it: Vec<_> = parts.iter().filter(|part| part.section.name == name).collect();
+        let abouts: Vec<_> =
+            of_it.iter().map(|part| (part.method, part.section.about.to_owned())).collect();
+        let about = each_once(abouts.iter().map(|(_, about)| about));
+        write!(text, "\n## {heading}\n\n").unwrap();
+        match about[..] {
+            [about] => writeln!(text, "{about}").unwrap(),
+            _ => about.into_iter().for_each(|about| {
+                let of = abouts.iter().filter(|(_, other)| other == about).map(|(of, _)| *of);
+                writeln!(text, "- {}: {about}", each_once(of).join(", ")).unwrap();
+            }),
+        }
+        text += &table(&of_it);
+    }
+    text
+}
+
 /// What methods have otherwise than a first one.
 fn others(first: &MethodEntry, others: &[MethodEntry]) -> String {
-    let names: Vec<&str> = others.iter().map(|other| other.name).collect();
-    let mut text = format!("\n## `{}`\n\nAs `{}` but for:\n\n", names.join("` and `"), first.name);
+    let mut text = String::new();
     for other in others {
         for preset in other.presets {
             let setup = other.preset(preset.name).unwrap();
@@ -45,50 +178,40 @@ fn others(first: &MethodEntry, others: &[MethodEntry]) -> String {
             let apart = presets.map(|usual| Difference::between(&usual, &setup).unwrap());
             let (like, apart) =
                 first.presets.iter().zip(apart).min_by_key(|(_, apart)| apart.len()).unwrap();
-            let keys: Vec<String> = apart
-                .iter()
-                .map(|other| format!("`{}` is `{}`", other.key, other.theirs))
-                .collect();
-            let (name, preset, like) = (other.name, preset.name, like.name);
-            let unlike =
-                if preset == like { String::new() } else { format!(", as `{like}` but for") };
-            writeln!(text, "- `{name}`, preset `{preset}`{unlike}: {}.", keys.join(", ")).unwrap();
+            let keys: Vec<String> =
+                apart.iter().map(|other| format!("`{}` = `{}`", other.key, other.theirs)).collect();
+            let (name, first, preset, like) = (other.name, first.name, preset.name, like.name);
+            let keys = keys.join(", ");
+            writeln!(text, "| `{name}` | `{preset}` | `{first}`, `{like}` | {keys} |").unwrap();
         }
     }
     text
 }
 
 #[test]
-fn the_page_lists_every_key() {
+fn the_page_says_every_key_once() {
     let mut page = HEAD.to_owned();
-    let compared = [COMA, COMA_SAC, MADDPG, MADDPG_SAC, DDPG];
-    let pages = [
-        (ALMA, &[FLAT, COPA][..]),
-        (QMIX, &[VDN, REFIL]),
-        (MAAC, &compared),
-        (HAL, &[HAL_ORACLE, H_DQN]),
-        (DQN, &[]),
-        (MA_EXP, &[]),
-    ];
-    for (first, like_it) in pages {
-        page += &first.reference().unwrap();
-        if !like_it.is_empty() {
-            page += &others(&first, like_it);
-        }
+    page += "\n## environment.settings\n\nNumbers of the rules that differ from the usual ones: \
+        `--set environment.settings.episode_limit=100`. Which there are is up to the environment, see \
+        [environments.md](environments.md#settings).\n";
+    page += &sections();
+    page += "\n## Methods like others\n\n| method | preset | as | but for |\n| --- | --- | --- | --- |\n";
+    for (first, like_it) in pages() {
+        page += &others(&first, &like_it);
     }
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/configuration.md");
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/reference/configuration.md");
     if std::env::var_os("SORTIE_WRITE_DOCS").is_some() {
         std::fs::write(path, &page).unwrap();
     }
     assert!(
         std::fs::read_to_string(path).unwrap_or_default() == page,
-        "docs/configuration.md is another: SORTIE_WRITE_DOCS=1 cargo test -p sortie-methods --test all reference::"
+        "docs/reference/configuration.md is another: SORTIE_WRITE_DOCS=1 cargo test -p sortie-methods --test all reference::"
     );
 }
 
 #[test]
 fn the_page_of_environments_lists_every_setting() {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/environments.md");
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/reference/environments.md");
     let page = std::fs::read_to_string(path).unwrap();
     for entry in ENVIRONMENTS {
         let (_, section) = page.split_once(&format!("\n### {}\n", entry.name)).unwrap();

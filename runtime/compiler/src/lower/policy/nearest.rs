@@ -12,6 +12,6 @@ pub(super) fn nearest(operator: &str) -> &'static str {
         }
         "Sort" => "it has no step, the nearest that has is TopK of at most 16 numbers",
         "ConvTranspose" | "DeconvSum" | "Deconv" => "it has no step, the nearest that has is Conv",
-        _ => "it has no step, docs/operators.md lists what has",
+        _ => "it has no step, docs/reference/operators.md lists what has",
     }
 }
