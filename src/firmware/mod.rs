@@ -166,7 +166,8 @@ fn measure(
     fs::write(&cases, &subject.cases).map_err(|error| Failure::file(&cases, &error))?;
     for (name, content) in &subject.read {
         let path = folder.path().join(name);
-        fs::write(&path, &*machine.laid_out(content)?).map_err(|error| Failure::file(&path, &error))?;
+        fs::write(&path, &*machine.laid_out(content)?)
+            .map_err(|error| Failure::file(&path, &error))?;
     }
     let spinner = progress::spinner(arguments.common);
     spinner.set_message("building the firmware");

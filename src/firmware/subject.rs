@@ -282,7 +282,8 @@ impl Subject {
     /// The same by the program that reads its plan when it starts.
     pub(super) fn read(self) -> Result<Self, Failure> {
         if self.program == "sortie-options" {
-            let message = "an agent that runs options has its three networks inside: leave `--read` out";
+            let message =
+                "an agent that runs options has its three networks inside: leave `--read` out";
             return Err(Failure::new(Exit::Usage, message).within(self.name));
         }
         let name = format!("{}, read", self.name);
@@ -383,6 +384,21 @@ mod tests {
         assert_ne!(first.hash, all.hash);
         let variables: Vec<&str> = all.files.iter().map(|file| file.0).collect();
         assert_eq!(variables, ["SORTIE_PLAN", "SORTIE_META", "SORTIE_AFFORDANCE", "SORTIE_RULES"]);
+    }
+
+    #[test]
+    fn one_program_reads_whatever_single_plan_it_is_given() {
+        let of = |name| Subject::of_bundle(&bundle(name), Profile::Exact, 0, (8, false)).unwrap();
+        let (inside, read) = (of("save-the-city"), of("save-the-city").read().unwrap());
+        assert_eq!((read.name.as_str(), read.program), ("save-the-city, read", "sortie-any"));
+        assert_eq!(
+            (&read.read, &read.cases, read.hash),
+            (&inside.files, &inside.cases, inside.hash)
+        );
+        assert!(read.files.is_empty() && inside.read.is_empty());
+        let refused = of("crafting-iron").read().err().unwrap();
+        assert_eq!(refused.exit, Exit::Usage);
+        assert!(refused.message.contains("--read"), "{}", refused.message);
     }
 
     #[test]
