@@ -4,6 +4,7 @@ use crate::machine::call;
 
 const OPEN: usize = 0x01;
 const READ: usize = 0x06;
+const LENGTH: usize = 0x0c;
 
 /// A file of the machine that runs the emulator.
 pub(crate) struct File(usize);
@@ -17,6 +18,15 @@ impl File {
         let block = [name.as_ptr().addr(), MODE, name.len().saturating_sub(1)];
         let handle = call(OPEN, block.as_ptr().addr());
         (handle != usize::MAX).then_some(Self(handle))
+    }
+
+    /// Bytes of the file.
+    #[allow(dead_code, reason = "a plan that is inside a program has a length")]
+    #[unsafe(link_section = ".harness")]
+    pub(crate) fn length(&self) -> Option<usize> {
+        let block = [self.0];
+        let length = call(LENGTH, block.as_ptr().addr());
+        (length != usize::MAX).then_some(length)
     }
 
     /// Fills `bytes`; nothing where the file ends before.

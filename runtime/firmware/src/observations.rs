@@ -34,6 +34,7 @@ impl<const ROWS: usize, const ENTITIES: usize, const ACTIONS: usize> Room<ROWS, 
 pub(crate) struct Recording {
     file: File,
     features: usize,
+    actions: usize,
     /// Frames that are still to be read.
     frames: u32,
     frame: Frame,
@@ -55,7 +56,7 @@ impl Recording {
         let [_, _, version, _, _, _, d, u, frames, _] = header;
         let fits = version == 1 && (d as usize, u as usize) == (features, actions);
         let frame = Frame { floats: 0, agents: 0, observations: 0 };
-        fits.then_some(Self { file, features, frames, frame })
+        fits.then_some(Self { file, features, actions, frames, frame })
     }
 
     /// Reads the next observation; false behind the last, nothing where the file ends too early or a frame has no room.
@@ -74,7 +75,7 @@ impl Recording {
         }
         self.frame.observations -= 1;
         self.file.read(room.own.as_mut_bytes())?;
-        self.file.read(room.available.as_mut_bytes())?;
+        self.file.read(room.available.get_mut(..self.actions)?.as_mut_bytes())?;
         self.file.read(room.visible.as_mut_bytes())?;
         Some(true)
     }

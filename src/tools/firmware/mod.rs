@@ -48,6 +48,7 @@ use sortie_cli::progress;
   sortie firmware models/rover-tower-8 --board cortex-m3 --agent 7
   sortie firmware walking.plan --board cortex-m4f
   sortie firmware models/save-the-city --board cortex-m4f --profile int8 --all-visible
+  sortie firmware models/save-the-city --board cortex-m4f --read
   sortie firmware models/save-the-city --board cortex-m4f --team --episodes 20
   sortie firmware models/save-the-city --board cortex-m4f --team --damage 2000 --resets 5 --json")]
 pub(crate) struct FirmwareArguments {
@@ -69,6 +70,10 @@ pub(crate) struct FirmwareArguments {
     /// Let an agent of a bundle see all entities of a case: what a decision takes at most. A row of its own in the table
     #[arg(long, conflicts_with = "team")]
     all_visible: bool,
+    /// Have the board read the plan when it starts, by one program for all plans, which is built once: the same bits. In the
+    /// table a row of its own, whose code is that of all operators. Not for an agent that runs options
+    #[arg(long, conflicts_with = "team")]
+    read: bool,
     /// A Markdown document with a table of such figures. Exit code 1 where instructions are more than 1 % above it, bytes more
     /// than 3 %, or the bits are others; where another compiler built what it has, a warning above 10 %
     #[arg(long, value_name = "FILE")]
@@ -113,7 +118,11 @@ pub(crate) fn run(arguments: &FirmwareArguments) -> Outcome {
     if arguments.team.team {
         return team::run(arguments, named.bundle()?, &sources, &toolchain);
     }
-    let figures = measure(arguments, &subject(arguments, &named)?, &sources, &toolchain)?;
+    let mut subject = subject(arguments, &named)?;
+    if arguments.read {
+        subject = subject.read()?;
+    }
+    let figures = measure(arguments, &subject, &sources, &toolchain)?;
     let equal = figures.hash == figures.host_hash;
     if arguments.common.json {
         print_json(&Report { figures: &figures, equal });
@@ -155,6 +164,11 @@ fn measure(
         .map_err(|error| Failure::file(Path::new("a temporary folder"), &error))?;
     let cases = folder.path().join("cases.bin");
     fs::write(&cases, &subject.cases).map_err(|error| Failure::file(&cases, &error))?;
+    for (name, content) in &subject.read {
+        let path = folder.path().join(name);
+        fs::write(&path, &*machine.laid_out(content)?)
+            .map_err(|error| Failure::file(&path, &error))?;
+    }
     let spinner = progress::spinner(arguments.common);
     spinner.set_message("building the firmware");
     let program = Program { name: subject.program, features: &[], files: &subject.files };

@@ -35,6 +35,8 @@ pub(super) struct Subject {
     pub(super) program: &'static str,
     /// What the program is built around, by the variables that name such files.
     pub(super) files: Vec<(&'static str, Vec<u8>)>,
+    /// What it reads when it starts, by name.
+    pub(super) read: Vec<(&'static str, Vec<u8>)>,
     /// What streams in.
     pub(super) cases: Vec<u8>,
     /// FNV-1a over the bits of what comes out on this machine.
@@ -185,6 +187,7 @@ impl Subject {
             profile,
             program: "sortie-firmware",
             files: vec![("SORTIE_PLAN", plan.as_slice().to_vec())],
+            read: Vec::new(),
             cases: cases.to_bytes(),
             hash: hash_of(&mut policy, cases.observations()).map_err(cannot_decide)?,
         })
@@ -220,6 +223,7 @@ impl Subject {
                 ("SORTIE_PLAN", plan.as_slice().to_vec()),
                 ("SORTIE_SIZES", words(sizes.map(|size: usize| size as u32))),
             ],
+            read: Vec::new(),
             cases: cases.to_bytes(),
             hash: hash.value(),
         })
@@ -269,9 +273,22 @@ impl Subject {
             profile,
             program: "sortie-options",
             files,
+            read: Vec::new(),
             cases: cases.to_bytes(),
             hash: hash.value(),
         })
+    }
+
+    /// The same by the program that reads its plan when it starts.
+    pub(super) fn read(self) -> Result<Self, Failure> {
+        if self.program == "sortie-options" {
+            let message =
+                "an agent that runs options has its three networks inside: leave `--read` out";
+            return Err(Failure::new(Exit::Usage, message).within(self.name));
+        }
+        let name = format!("{}, read", self.name);
+        let read = self.files.into_iter().filter(|file| file.0 == "SORTIE_PLAN").collect();
+        Ok(Self { name, program: "sortie-any", files: Vec::new(), read, ..self })
     }
 }
 
@@ -367,6 +384,21 @@ mod tests {
         assert_ne!(first.hash, all.hash);
         let variables: Vec<&str> = all.files.iter().map(|file| file.0).collect();
         assert_eq!(variables, ["SORTIE_PLAN", "SORTIE_META", "SORTIE_AFFORDANCE", "SORTIE_RULES"]);
+    }
+
+    #[test]
+    fn one_program_reads_whatever_single_plan_it_is_given() {
+        let of = |name| Subject::of_bundle(&bundle(name), Profile::Exact, 0, (8, false)).unwrap();
+        let (inside, read) = (of("save-the-city"), of("save-the-city").read().unwrap());
+        assert_eq!((read.name.as_str(), read.program), ("save-the-city, read", "sortie-any"));
+        assert_eq!(
+            (&read.read, &read.cases, read.hash),
+            (&inside.files, &inside.cases, inside.hash)
+        );
+        assert!(read.files.is_empty() && inside.read.is_empty());
+        let refused = of("crafting-iron").read().err().unwrap();
+        assert_eq!(refused.exit, Exit::Usage);
+        assert!(refused.message.contains("--read"), "{}", refused.message);
     }
 
     #[test]

@@ -1,12 +1,13 @@
 //! What builds and runs programs for a board: found on this machine, or named as missing. Nothing is installed.
 
+use std::borrow::Cow;
 use std::env;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use sortie_bundle::{hex, sha256};
-use sortie_core::plan::{AlignedBytes, Header};
+use sortie_core::plan::Header;
 use sortie_plans::for_dsp;
 
 use super::board::Machine;
@@ -95,9 +96,7 @@ impl Toolchain {
         cargo.arg("--manifest-path").arg(sources.join("Cargo.toml"));
         cargo.arg("--target-dir").arg(&target);
         for (variable, content) in program.files {
-            let plan = if machine.has_dsp { laid_out_for_dsp(content)? } else { None };
-            let content = plan.as_ref().map_or(content.as_slice(), AlignedBytes::as_slice);
-            cargo.env(variable, kept(&target.join("plans"), content)?);
+            cargo.env(variable, kept(&target.join("plans"), &machine.laid_out(content)?)?);
         }
         if let Compiler::Sources { rustc, linker } = &self.compiler {
             flags.push(format!("-Clinker={}", linker.display()));
@@ -123,10 +122,14 @@ impl Toolchain {
     }
 }
 
-/// A plan as boards with the DSP extension read it; nothing where the file is no plan.
-fn laid_out_for_dsp(file: &[u8]) -> Result<Option<AlignedBytes>, Failure> {
-    let is_plan = Header::read(file).is_ok();
-    is_plan.then(|| for_dsp(file)).transpose().map_err(Failure::from)
+impl Machine {
+    /// A file as this board reads it: a plan is laid out for the DSP extension where there is one.
+    pub(crate) fn laid_out<'f>(&self, file: &'f [u8]) -> Result<Cow<'f, [u8]>, Failure> {
+        if self.has_dsp && Header::read(file).is_ok() {
+            return Ok(for_dsp(file)?.as_slice().to_vec().into());
+        }
+        Ok(file.into())
+    }
 }
 
 /// Bytes as a file that is named by their content, so that what is built around it need not be built again.

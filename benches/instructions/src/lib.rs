@@ -1,1 +1,0 @@
-//! Its benchmark counts the instructions of decisions.
