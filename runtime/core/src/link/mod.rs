@@ -7,13 +7,11 @@ mod direct;
 mod private;
 #[cfg(feature = "serial")]
 mod serial;
-mod spsc;
 
 pub use direct::{Direct, DirectAgent, DirectAllocator, DirectCursor, DirectWorld, FrameBlock};
 pub use private::{PrivateAgent, PrivateFrames};
 #[cfg(feature = "serial")]
 pub use serial::{LineCounters, Relay, Serial, packet_bytes};
-pub use spsc::{Processor, Spsc, SpscAgent, SpscAllocator, SpscEnds, SpscWorld, frame_words};
 
 use crate::wire::{ActionMsg, AllocMsg, FrameError, FrameHeader, Role, StatMsg};
 

@@ -16,7 +16,6 @@ use sortie_ipc::{
 
 use crate::toy;
 
-pub(crate) mod one_chip;
 mod over_serial;
 mod runner_laws;
 mod stage;
@@ -229,13 +228,6 @@ macro_rules! every_link_obeys {
             $($(#[test]
             fn $law() {
                 super::$subject::$law::<super::InThreads>();
-            })+)+
-        }
-
-        mod one_chip_links {
-            $($(#[test]
-            fn $law() {
-                super::$subject::$law::<super::one_chip::OneChip>();
             })+)+
         }
 

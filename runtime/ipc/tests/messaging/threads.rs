@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use sortie_core::World;
-use sortie_core::link::{AgentLink, AllocLink, Bell, Clock, SpscEnds, WorldLink};
+use sortie_core::link::{AgentLink, AllocLink, Bell, Clock, WorldLink};
 use sortie_core::roles::{
     AllocatorOptions, AllocatorRole, Identity, Poll, RunnerOptions, RunnerRole, WorldOptions,
     WorldRole,
@@ -13,7 +13,6 @@ use sortie_ipc::{
     BellKind, DomainFacts, IntraProcess, IoxAgent, IoxAllocator, IoxWorld, LinkSetup, Threads,
 };
 
-use crate::conformance::one_chip::{Host, ToySpsc};
 use crate::processes::run_in_one_thread;
 use crate::toy::{self, DecisionLog, ToyAllocator, ToyPolicy, ToyWorld, Watchdog};
 
@@ -100,21 +99,6 @@ fn threads_decide_exactly_as_one_thread_does() {
         scope.spawn(move || act(other, 0b010));
         scope.spawn(move || allocate(allocator));
         decide(team.world())
-    });
-    toy::assert_same_log(&log, &run_in_one_thread(EPISODES));
-}
-
-#[test]
-fn cores_of_one_chip_decide_exactly_as_one_thread_does() {
-    let _watchdog = Watchdog::new();
-    let mut memory = ToySpsc::new();
-    let SpscEnds { world, agents: [one, other, _], allocators: [allocator, _] } =
-        memory.split(&format().layout, &Host).unwrap();
-    let log = std::thread::scope(|scope| {
-        scope.spawn(move || act(one, 0b101));
-        scope.spawn(move || act(other, 0b010));
-        scope.spawn(move || allocate(allocator));
-        decide(world)
     });
     toy::assert_same_log(&log, &run_in_one_thread(EPISODES));
 }
