@@ -1,6 +1,7 @@
 //! Which plan acts: the one that the bundle ships, without anything that reads ONNX files.
 
-use std::fs;
+use std::fs::{self, Permissions};
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -72,6 +73,24 @@ fn what_reads_onnx_files_is_missed_by_name_and_the_command_that_makes_it() {
     ] {
         let words = ["sortie-tools", "missing", "cargo build", "-p sortie-tools"];
         assert_fails(&alone.output(arguments), 69, &words);
+    }
+}
+
+#[test]
+fn a_second_program_of_another_version_is_refused_by_name() {
+    let alone = Alone::new();
+    let (_folder, bundle) = without_plans();
+    let other = alone.folder.path().join("sortie-tools");
+    fs::write(&other, "#!/bin/sh\necho 'sortie 0.0.9 (abcdef0 2020-01-01)'\n").expect("a program");
+    fs::set_permissions(&other, Permissions::from_mode(0o755)).expect("a program");
+    for arguments in [
+        &["verify", BUNDLE][..],
+        &["run", BUNDLE, "--backend", "tract"],
+        &["inspect", BUNDLE],
+        &["run", text(&bundle)],
+    ] {
+        let words = ["sortie-tools", "0.0.9 (abcdef0 2020-01-01)", "cargo build"];
+        assert_fails(&alone.output(arguments), 78, &words);
     }
 }
 

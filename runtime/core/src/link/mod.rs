@@ -173,6 +173,14 @@ pub trait Clock {
     fn now_ns(&self) -> u64;
 }
 
+/// The processor of a board: its clock, and how it waits.
+pub trait Processor: Clock + Sync {
+    /// Waits for an event, on Cortex-M by `wfe`; may return at any time.
+    fn rest(&self) {
+        core::hint::spin_loop();
+    }
+}
+
 /// All that a runner needs.
 pub trait AgentLink: FrameRx + AllocRx + ActionTx + StatTx + Bell + Clock {}
 impl<L: FrameRx + AllocRx + ActionTx + StatTx + Bell + Clock> AgentLink for L {}

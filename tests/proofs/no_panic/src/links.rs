@@ -6,7 +6,8 @@ use core::hint::black_box;
 use embedded_io::{ErrorType, Read, ReadReady, Write};
 use sortie_core::Shape;
 use sortie_core::link::{
-    ActionTx, AllocRx, Bell, Clock, FrameBlock, FrameRx, Serial, StatTx, Wake, packet_bytes,
+    ActionTx, AllocRx, Bell, Clock, FrameBlock, FrameRx, Processor, Serial, StatTx, Wake,
+    packet_bytes,
 };
 use sortie_core::plan::Aligned;
 use sortie_core::wire::{ActionMsg, FrameFormat, FrameLayout, StatMsg};
@@ -21,6 +22,8 @@ impl Clock for Still {
         black_box(1)
     }
 }
+
+impl Processor for Still {}
 
 /// Brings bytes until there are none left; takes all that is sent.
 struct Noise(u64, usize);
