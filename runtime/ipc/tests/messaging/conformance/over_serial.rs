@@ -8,14 +8,29 @@ use std::rc::Rc;
 
 use embedded_io::{ErrorType, Read, ReadReady, Write};
 use sortie_core::link::{
-    Direct, DirectAllocator, DirectCursor, DirectWorld, FrameBlock, Relay, Serial, packet_bytes,
+    Clock, Direct, DirectAllocator, DirectCursor, DirectWorld, FrameBlock, Processor, Relay,
+    Serial, packet_bytes,
 };
 use sortie_core::wire::FrameFormat;
 use sortie_ipc::MonotonicClock;
 
-use super::one_chip::Host;
 use super::{Transport, format_of};
 use crate::toy;
+
+/// Lets other threads run where a board would sleep.
+struct Host;
+
+impl Clock for Host {
+    fn now_ns(&self) -> u64 {
+        MonotonicClock.now_ns()
+    }
+}
+
+impl Processor for Host {
+    fn rest(&self) {
+        std::thread::yield_now();
+    }
+}
 
 type Bytes = Rc<RefCell<VecDeque<u8>>>;
 
