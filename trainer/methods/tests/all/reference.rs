@@ -29,9 +29,9 @@ that the run learns by; `sortie train METHOD --resume DIR --steps N` changes `ru
 In the preset `fast` of `alma` and `flat`, runs of less than 600,000 steps shrink `exploration.steps`, `allocator.learns_from` and
 `allocator.decides_from` in proportion, unless they are set.
 
-Every key stands here once, under its section of the file, with the methods that have it and its value in their presets `fast` and `paper`.
-Ranges of whole numbers are written `1 to 64`, of other numbers `0.0 to 1.0`, with the unit behind them. Methods that differ from one of
-these in a few keys are [at the end](#methods-like-others).
+Every key stands here once, under its section of the file, with the methods that have it (where a section is of several) and its value in
+their presets `fast` and `paper`. Ranges hold both ends: `1..64` of whole numbers, `0.0..1.0` of others, with the unit behind them.
+Methods that differ from one of these in a few keys are [at the end](#methods-like-others).
 
 This page is written by the program; a test compares them.
 ";
@@ -89,15 +89,15 @@ fn each_once<T: PartialEq>(items: impl IntoIterator<Item = T>) -> Vec<T> {
 
 fn range(key: &Key) -> String {
     let range = match key.range {
-        Range::Whole(from, to) => format!("{from} to {to}"),
-        Range::Number(from, to) => format!("{from:?} to {to:?}"),
-        Range::Positive(to) => format!("above 0.0, at most {to:?}"),
-        Range::Numbers(from, to) => format!("a list of {from:?} to {to:?}"),
-        Range::OneOf(words) => format!("`{}`", words.join("`, `")),
-        Range::Truth => "`true`, `false`".to_owned(),
+        Range::Whole(from, to) => format!("{from}..{to}"),
+        Range::Number(from, to) => format!("{from:?}..{to:?}"),
+        Range::Positive(to) => format!("above 0.0..{to:?}"),
+        Range::Numbers(from, to) => format!("list of {from:?}..{to:?}"),
+        Range::OneOf(words) => format!("`{}`", words.join("`/`")),
+        Range::Truth => "`true`/`false`".to_owned(),
         other => other.to_string(),
     };
-    if key.unit.is_empty() { range } else { format!("{range}, {}", key.unit) }
+    if key.unit.is_empty() { range } else { format!("{range} {}", key.unit) }
 }
 
 /// A cell by methods: what they all have alike is said without their names.
@@ -114,32 +114,39 @@ fn by_method(cells: &[(&'static str, String)]) -> String {
     }
 }
 
-/// The table of one section: every key of it once.
+/// The table of one section: every key of it once. What is alike in all rows is no column.
 fn table(parts: &[&Part]) -> String {
     let rows =
         each_once(parts.iter().flat_map(|part| {
             part.section.keys.iter().map(|key| (key.name, range(key), key.about))
         }));
-    let mut text =
-        "\n| key | of | `fast` | `paper` | range | what |\n| --- | --- | --- | --- | --- | --- |\n"
-            .to_owned();
+    let presets = each_once(parts.iter().map(|part| part.preset));
+    let is_of_several = each_once(parts.iter().map(|part| part.method)).len() > 1;
+    let of = is_of_several.then_some("of".to_owned());
+    let presets_said = presets.iter().map(|preset| format!("`{preset}`"));
+    let columns = ["key".to_owned()].into_iter().chain(of).chain(presets_said);
+    let columns: Vec<_> = columns.chain(["range".to_owned(), "what".to_owned()]).collect();
+    let mut text = format!("\n{}{}", row(&columns), row(&vec!["---".to_owned(); columns.len()]));
     for (name, limits, about) in rows {
-        let holds = |part: &&&Part| {
-            let same =
-                |key: &&Key| (key.name, range(key), key.about) == (name, limits.clone(), about);
-            part.section.keys.iter().any(|key| same(&key))
-        };
-        let having: Vec<_> = parts.iter().filter(holds).collect();
+        let is_this =
+            |key: &Key| (key.name, range(key), key.about) == (name, limits.clone(), about);
+        let having: Vec<_> =
+            parts.iter().filter(|part| part.section.keys.iter().any(is_this)).collect();
         let methods = each_once(having.iter().map(|part| part.method)).join(", ");
-        let in_preset = |preset: &str| {
-            let of_it = having.iter().filter(|part| part.preset == preset);
-            let value = |part: &&&Part| (part.method, format!("`{}`", part.values[name]));
-            by_method(&of_it.map(|part| value(&&**part)).collect::<Vec<_>>())
+        let in_preset = |preset: &&str| {
+            let of_it = having.iter().filter(|part| part.preset == *preset);
+            let values = of_it.map(|part| (part.method, format!("`{}`", part.values[name])));
+            by_method(&values.collect::<Vec<_>>())
         };
-        let (fast, paper) = (in_preset("fast"), in_preset("paper"));
-        writeln!(text, "| `{name}` | {methods} | {fast} | {paper} | {limits} | {about} |").unwrap();
+        let cells = [format!("`{name}`")].into_iter().chain(is_of_several.then_some(methods));
+        let cells = cells.chain(presets.iter().map(in_preset));
+        text += &row(&cells.chain([limits.clone(), about.to_owned()]).collect::<Vec<_>>());
     }
     text
+}
+
+fn row(cells: &[String]) -> String {
+    format!("| {} |\n", cells.join(" | "))
 }
 
 /// All sections, each once, in the order of files.
@@ -151,16 +158,11 @@ fn sections() -> String {
     for name in names.into_iter().filter(|name| *name != SETTINGS) {
         let heading = if name.is_empty() { "At the top" } else { name };
         let of_it: Vec<_> = parts.iter().filter(|part| part.section.name == name).collect();
-        let abouts: Vec<_> =
-            of_it.iter().map(|part| (part.method, part.section.about.to_owned())).collect();
-        let about = each_once(abouts.iter().map(|(_, about)| about));
         write!(text, "\n## {heading}\n\n").unwrap();
-        match about[..] {
-            [about] => writeln!(text, "{about}").unwrap(),
-            _ => about.into_iter().for_each(|about| {
-                let of = abouts.iter().filter(|(_, other)| other == about).map(|(of, _)| *of);
-                writeln!(text, "- {}: {about}", each_once(of).join(", ")).unwrap();
-            }),
+        for about in each_once(of_it.iter().map(|part| part.section.about)) {
+            let saying = of_it.iter().filter(|part| part.section.about == about);
+            let of = each_once(saying.map(|part| part.method)).join(", ");
+            writeln!(text, "- {of}: {about}").unwrap();
         }
         text += &table(&of_it);
     }
