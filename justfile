@@ -4,9 +4,9 @@
 run bundle="models/save-the-city":
     cargo run --release -- run {{bundle}}
 
-# All tests, or one test program: `just test team`.
+# All tests, or those of one file: `just test team`.
 test name="":
-    cargo test {{ if name == "" { "--workspace" } else { "--test " + name } }}
+    cargo test {{ if name == "" { "--workspace" } else { "--test all " + name + "::" } }}
 
 lint:
     cargo fmt --check
@@ -19,4 +19,4 @@ gate *stage:
 # Writes the pages that programs write, and checks links and commands.
 docs:
     SORTIE_WRITE_DOCS=1 cargo test -p sortie-methods --test all reference::
-    cargo test --test documentation
+    cargo test --test all documentation::

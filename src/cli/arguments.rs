@@ -46,8 +46,10 @@ pub(crate) fn read(program: &Program, words: &[OsString]) -> Result<Asked, error
     if let Some(color) = matches.get_one::<Color>("color") {
         color.apply();
     }
-    let of_tools = |name: &str| tools::VERBS.iter().any(|(verb, _)| *verb == name);
-    if let Some((verb, matches)) = matches.remove_subcommand().filter(|(name, _)| of_tools(name)) {
+    let verb = matches.subcommand_name().unwrap_or_default();
+    if tools::VERBS.iter().any(|(known, _)| *known == verb)
+        && let Some((verb, matches)) = matches.remove_subcommand()
+    {
         return Ok(Asked::Tool(verb, matches));
     }
     Ok(Asked::Here(Box::new(Arguments::from_arg_matches(&matches)?.verb)))
