@@ -18,9 +18,13 @@ Exit codes: 0 done, 1 a check found a difference, 2 wrong use, 3 training diverg
 74 input or output failed, 75 busy (another instance), 77 not permitted, 78 contract or version do not fit, 130 interrupted,
 141 the reader of standard output has gone.";
 
-/// Teams of learned agents, from training to deployment.
+/// Where in the list of verbs stands what is seldom asked for.
+const LAST: usize = 100;
+const ABOUT: &str = "Teams of learned agents, from training to deployment";
+
+/// The whole command line.
 #[derive(Debug, Parser)]
-#[command(name = "sortie", about, after_help = EXIT_CODES, max_term_width = 100)]
+#[command(name = "sortie", about = ABOUT, after_help = EXIT_CODES, max_term_width = 100)]
 struct Arguments {
     #[command(subcommand)]
     verb: Verb,
@@ -104,7 +108,9 @@ pub(crate) enum Verb {
     Export(export::ExportArguments),
     Inspect(inspect::InspectArguments),
     View(view::ViewArguments),
+    #[command(display_order = LAST)]
     Completions(manual::CompletionsArguments),
+    #[command(display_order = LAST)]
     Man(manual::ManArguments),
     #[command(hide = true)]
     Compiler(compiler::CompilerArguments),

@@ -86,7 +86,12 @@ pub(crate) fn expected_version() -> Option<&'static str> {
 pub(crate) fn grammar((verb, about): (&'static str, &str)) -> clap::Command {
     let about = format!("{about} [{FILE}]");
     match linked() {
-        Some(tools) => tools.grammar(verb).about(about),
+        Some(tools) => {
+            let grammar = tools.grammar(verb);
+            let long =
+                grammar.get_long_about().or(grammar.get_about()).cloned().unwrap_or_default();
+            grammar.about(about).long_about(format!("{long}\n\nA verb of `{FILE}`."))
+        }
         None => {
             let words = Arg::new("words").num_args(0..).hide(true);
             let words = words.trailing_var_arg(true).allow_hyphen_values(true);
