@@ -25,7 +25,7 @@ use numbers::Numbers;
 use observations::{Recording, Room};
 use sortie_core::choose::masked_argmax;
 use sortie_core::limits;
-use sortie_core::plan::{Aligned, Header, Network, Plan, PlanError, arena_bytes};
+use sortie_core::plan::{Aligned, Header, Plan, PlanError, arena_bytes};
 use sortie_core::{DecideError, Decision, Observation};
 
 /// Bytes of the largest plan and arena, numbers of the largest case and answer, most inputs and outputs.
@@ -69,9 +69,12 @@ fn start() -> ! {
         states: 4 * header.hidden as usize,
         loaded: size_of::<Plan<'_>>(),
     };
-    match header.network {
-        Network::Policy => measure::run(&needs, |cases| controller(plan, cases)),
-        _ => measure::run(&needs, |cases| agent(plan, cases)),
+    // A policy over inputs of fixed sizes may be an agent of a team, too: the cases say what it is here.
+    let (features, actions) = (header.features as usize, header.actions as usize);
+    let cases = File::open(b"cases.bin\0");
+    match cases.and_then(|cases| Recording::open(cases, features, actions)) {
+        Some(_) => measure::run(&needs, |cases| agent(plan, cases)),
+        None => measure::run(&needs, |cases| controller(plan, cases)),
     }
 }
 
