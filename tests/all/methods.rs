@@ -197,5 +197,9 @@ fn a_run_whose_folder_is_not_named_says_in_its_name_what_it_is() {
     let first = learn(&["--seed", "3"]);
     assert!(first.status.success(), "{}", support::stderr(&first));
     assert!(place.path().join("runs/maac-particle-rover-tower-8-s3/result.json").exists());
-    assert_fails(&learn(&["--seed", "3"]), 2, &["runs/maac-particle-rover-tower-8-s3", "--out"]);
+    assert_fails(
+        &learn(&["--seed", "3"]),
+        2,
+        &["runs/maac-particle-rover-tower-8-s3", "another folder"],
+    );
 }

@@ -53,8 +53,8 @@ pub use steps::{
     Arrange, Combination, Combine, Constant, Convolve, DenseRows, Function, GruCell, Input,
     LstmCell, Map, Meaning, Multiply, Normalise, Reduce, Reduction, Select, Softmax, State,
 };
-pub(crate) use table::has;
 pub use table::{Op, OpKind, OpRef, OperatorSet};
+pub(crate) use table::{has, has_all};
 
 use crate::entity_mask::EntityMask;
 use crate::kernels::mark::{MARKED, Marks};

@@ -1,47 +1,13 @@
 //! Sets of operators for the usual plans.
 
-use super::team::Team;
-use super::{OpKind, OperatorSet, Scratch};
-use crate::plan::Plan;
-use crate::plan::execution::{Execution, TeamExecution};
-use crate::policy::{DecideError, Observation};
+use super::{OpKind, OperatorSet};
 
 /// Every operator of this crate.
 #[derive(Clone, Copy, Debug)]
 pub struct AllOperators;
 
-/// What every host takes: its runs are compiled here, once, and not again in each crate that decides. Images without `std`
-/// are linked whole, and leave inlining to the linker.
-#[expect(private_interfaces, reason = "those of the trait")]
 impl OperatorSet for AllOperators {
     const OPERATORS: &[OpKind] = OpKind::ALL;
-
-    #[cfg_attr(feature = "std", inline(never))]
-    fn run_agent(
-        plan: &Plan<'_, Self>,
-        observation: &Observation<'_>,
-        scratch: &mut Scratch<'_>,
-    ) -> Result<(), DecideError> {
-        plan.execute(Execution::<_, false> { plan, observation, scratch })
-    }
-
-    #[cfg_attr(feature = "std", inline(never))]
-    fn run_policy(
-        plan: &Plan<'_, Self>,
-        observation: &Observation<'_>,
-        scratch: &mut Scratch<'_>,
-    ) -> Result<(), DecideError> {
-        plan.execute(Execution::<_, true> { plan, observation, scratch })
-    }
-
-    #[cfg_attr(feature = "std", inline(never))]
-    fn run_team(
-        plan: &Plan<'_, Self>,
-        observations: &[Observation<'_>],
-        team: &mut Team<'_>,
-    ) -> Result<(), DecideError> {
-        plan.execute(TeamExecution { plan, observations, team })
-    }
 }
 
 /// What feed-forward agents and team values need.
@@ -98,7 +64,7 @@ impl OperatorSet for Policies {
 
 #[cfg(test)]
 mod tests {
-    use super::super::table::has;
+    use super::super::table::{has, has_all};
     use super::*;
 
     #[test]
@@ -124,5 +90,6 @@ mod tests {
             assert_eq!(has::<FeedForward>(kind), FeedForward::OPERATORS.contains(&kind));
         }
         assert!(!has::<FeedForward>(OpKind::Gru));
+        assert!(has_all::<AllOperators>() && !has_all::<Policies>());
     }
 }

@@ -12,8 +12,6 @@ use super::{
 };
 use crate::kernels::Kernels;
 use crate::limits;
-use crate::plan::Plan;
-use crate::plan::execution::{Execution, TeamExecution};
 use crate::policy::{DecideError, Observation};
 
 /// The operators that a plan may use; code of the others is never linked through it.
@@ -31,43 +29,9 @@ use crate::policy::{DecideError, Observation};
 ///         &[OpKind::EmbedEntities, OpKind::AttendOwn, OpKind::Dense, OpKind::MaskedArgmax];
 /// }
 /// ```
-#[expect(private_interfaces, reason = "the runs are for sets of this crate to have compiled once")]
 pub trait OperatorSet: Copy + core::fmt::Debug {
     /// The operators of the set.
     const OPERATORS: &[OpKind];
-
-    /// Runs a program for one agent, or over all entities.
-    #[doc(hidden)]
-    #[inline(always)]
-    fn run_agent(
-        plan: &Plan<'_, Self>,
-        observation: &Observation<'_>,
-        scratch: &mut Scratch<'_>,
-    ) -> Result<(), DecideError> {
-        plan.execute(Execution::<_, false> { plan, observation, scratch })
-    }
-
-    /// Runs the program of a policy, whose operators are steps.
-    #[doc(hidden)]
-    #[inline(always)]
-    fn run_policy(
-        plan: &Plan<'_, Self>,
-        observation: &Observation<'_>,
-        scratch: &mut Scratch<'_>,
-    ) -> Result<(), DecideError> {
-        plan.execute(Execution::<_, true> { plan, observation, scratch })
-    }
-
-    /// Runs a program for all members of a team.
-    #[doc(hidden)]
-    #[inline(always)]
-    fn run_team(
-        plan: &Plan<'_, Self>,
-        observations: &[Observation<'_>],
-        team: &mut Team<'_>,
-    ) -> Result<(), DecideError> {
-        plan.execute(TeamExecution { plan, observations, team })
-    }
 }
 
 /// Whether `kind` is among the operators of `S`; constant, so that what is missing is not linked.
@@ -80,6 +44,18 @@ pub(crate) const fn has<S: OperatorSet>(kind: OpKind) -> bool {
         kinds = rest;
     }
     false
+}
+
+/// Whether `S` lacks no operator.
+pub(crate) const fn has_all<S: OperatorSet>() -> bool {
+    let mut kinds = OpKind::ALL;
+    while let [first, rest @ ..] = kinds {
+        if !has::<S>(*first) {
+            return false;
+        }
+        kinds = rest;
+    }
+    true
 }
 
 /// Whether an operator of `S` runs where there are steps of policies, or are none.

@@ -191,7 +191,7 @@ impl<S: OperatorSet> Plan<'_, S> {
             recall(gru, &mut team, asked.hidden)?;
         }
         let observations = asked.observations;
-        S::run_team(self, observations, &mut team)?;
+        self.run_members(observations, &mut team)?;
         let place = self.program.utilities().ok_or(DecideError::BadLength)?;
         let utilities = team.own_place(&place);
         let memory = self.program.memory().map(|gru| (gru, team.own_place(&gru.to)));

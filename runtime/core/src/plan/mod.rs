@@ -10,7 +10,7 @@ mod batch;
 #[cfg(any(test, feature = "std"))]
 mod draft;
 mod error;
-pub(crate) mod execution;
+mod execution;
 mod header;
 mod in_place;
 mod needed;
@@ -37,16 +37,15 @@ pub use program::{OPS, Ops, Program};
 #[doc(hidden)]
 pub use crate::ops::{LAYOUT_INT8, LAYOUT_TILES};
 
+pub(crate) use execution::PlanArithmetic;
+
 use zerocopy::FromBytes;
 
 use crate::checksum::{CRC32C, crc32c};
 use crate::choose::{masked_argmax, masked_sample};
 use crate::entities::Entities;
 use crate::entity_mask::EntityMask;
-use crate::kernels::arithmetic::Exact;
-#[cfg(any(test, feature = "std"))]
-use crate::kernels::arithmetic::Fused;
-use crate::kernels::build::{Build, Work};
+use crate::kernels::build::Build;
 use crate::kernels::mark::Marks;
 use crate::limits;
 use crate::math::all_finite;
@@ -59,30 +58,7 @@ pub struct Plan<'a, S: OperatorSet = AllOperators> {
     header: Header,
     program: Program<'a, S>,
     weights: &'a [f32],
-    build: Build,
-    sums: Sums,
-}
-
-/// How products are added up. Only a build that has fused sums can say so.
-#[derive(Clone, Copy, Debug)]
-enum Sums {
-    Exact,
-    #[cfg(any(test, feature = "std"))]
-    Fused,
-}
-
-impl Sums {
-    /// What a profile asks for; `None` where this build does not have it.
-    fn of(profile: Profile, build: Build) -> Option<Self> {
-        match profile {
-            Profile::Exact | Profile::Int8 => Some(Self::Exact),
-            Profile::Fused if !build.fuses() => None,
-            #[cfg(any(test, feature = "std"))]
-            Profile::Fused => Some(Self::Fused),
-            #[cfg(not(any(test, feature = "std")))]
-            Profile::Fused => None,
-        }
-    }
+    arithmetic: PlanArithmetic,
 }
 
 impl<'a> Plan<'a> {
@@ -113,17 +89,16 @@ impl<'a, S: OperatorSet> Plan<'a, S> {
             <[f32]>::ref_from_bytes(weights).map_err(|_| PlanError::ShapeMismatch { op: 0 })?;
         let program = Program::read(program_bytes)?;
         check(&header, &program)?;
-        let build = Build::widest();
-        let sums = Sums::of(header.profile, build)
+        let arithmetic = PlanArithmetic::of(header.profile, Build::widest())
             .ok_or(PlanError::WrongProfile { got: header.profile.id() })?;
-        Ok(Self { header, program, weights, build, sums })
+        Ok(Self { header, program, weights, arithmetic })
     }
 
     /// The same plan on another build of the kernels than the widest.
     ///
     /// All builds give the same bits; this exists to check that.
     pub fn on(self, build: Build) -> Self {
-        Self { build, ..self }
+        Self { arithmetic: self.arithmetic.on(build), ..self }
     }
 
     /// The header.
@@ -230,7 +205,7 @@ impl<'a, S: OperatorSet> Plan<'a, S> {
         };
         let mut scratch = self.scratch(arena, &observation)?;
         (scratch.agents, scratch.groups) = (entities.agents, entities.groups);
-        S::run_agent(self, &observation, &mut scratch)?;
+        self.run_agent(&observation, &mut scratch)?;
         self.program.outputs().zip(outputs).try_for_each(|(output, to)| output.read(&scratch, to))
     }
 
@@ -279,7 +254,7 @@ impl<'a, S: OperatorSet> Plan<'a, S> {
                 *to = *from;
             }
         }
-        S::run_agent(self, observation, &mut scratch)?;
+        self.run_agent(observation, &mut scratch)?;
         let place = self.program.utilities().ok_or(DecideError::BadLength)?;
         let floats: &'s [f32] = scratch.floats;
         let utilities = finite(floats.get(place.range()).ok_or(DecideError::BadLength)?)?;
@@ -333,14 +308,9 @@ impl<'a, S: OperatorSet> Plan<'a, S> {
         self.weights
     }
 
-    /// Runs work on the plan's build and in its profile: all kernels are compiled into the caller, so callers are few.
-    #[inline]
-    pub(crate) fn execute<W: Work>(&self, work: W) -> W::Output {
-        match self.sums {
-            Sums::Exact => self.build.run::<Exact, W>(work),
-            #[cfg(any(test, feature = "std"))]
-            Sums::Fused => self.build.run::<Fused, W>(work),
-        }
+    /// How it computes.
+    pub(crate) fn arithmetic(&self) -> PlanArithmetic {
+        self.arithmetic
     }
 }
 

@@ -159,7 +159,7 @@ impl<S: OperatorSet> Plan<'_, S> {
             finite(from)?;
             copy(from, floats(&mut scratch, &state.from)?);
         }
-        S::run_policy(self, observation, &mut scratch)?;
+        self.run_steps(observation, &mut scratch)?;
         Ok(scratch)
     }
 

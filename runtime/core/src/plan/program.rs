@@ -52,6 +52,13 @@ pub struct Ops<'a, S> {
     operators: PhantomData<S>,
 }
 
+impl<'a, S> Ops<'a, S> {
+    /// The same operators as those of another set, which ends where it has not the next.
+    pub(super) fn of<T>(self) -> Ops<'a, T> {
+        Ops { rest: self.rest, operators: PhantomData }
+    }
+}
+
 impl<'a, S: OperatorSet> Iterator for Ops<'a, S> {
     type Item = OpRef<'a>;
 

@@ -55,7 +55,7 @@ pub trait Draw {
     where
         Self: Sized,
     {
-        plan.execute(Proposing { scene, memory, draw: self })
+        plan.arithmetic().run(Proposing { scene, memory, draw: self })
     }
 }
 
@@ -115,7 +115,7 @@ impl Draw for GumbelDraw {
         scene: Scene<'_>,
         memory: &mut Memory<'_>,
     ) -> Result<(), AllocateError> {
-        plan.execute(Proposing { scene, memory, draw: self })
+        plan.arithmetic().run(Proposing { scene, memory, draw: self })
     }
 }
 
