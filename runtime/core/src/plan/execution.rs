@@ -50,6 +50,11 @@ impl PlanArithmetic {
         Self { build, ..self }
     }
 
+    #[cfg(test)]
+    pub(super) fn build(self) -> Build {
+        self.build
+    }
+
     /// Runs work, which is compiled into the caller for each build: callers are few.
     #[inline]
     pub(crate) fn run<W: Work>(self, work: W) -> W::Output {

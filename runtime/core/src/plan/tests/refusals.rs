@@ -141,6 +141,6 @@ fn a_plan_runs_on_the_build_that_it_is_put_on() {
     let (_, bytes) = any();
     let plan = Plan::load(bytes.as_slice()).unwrap();
     for build in Build::all() {
-        assert_eq!(plan.clone().on(build).build, build);
+        assert_eq!(plan.clone().on(build).arithmetic().build(), build);
     }
 }
