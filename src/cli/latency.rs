@@ -26,12 +26,15 @@ pub struct Percentiles {
     pub max: f64,
 }
 
-impl Latency {
-    pub fn new() -> Self {
+impl Default for Latency {
+    /// Nothing measured.
+    fn default() -> Self {
         let histogram = Histogram::new_with_max(LONGEST_NS, 3).expect("the bounds are constants");
         Self { histogram }
     }
+}
 
+impl Latency {
     pub fn record_ns(&mut self, ns: u64) {
         self.histogram.saturating_record(ns.clamp(1, LONGEST_NS));
     }
@@ -57,7 +60,7 @@ mod tests {
 
     #[test]
     fn the_far_tail_is_shown_only_with_enough_samples() {
-        let mut latency = Latency::new();
+        let mut latency = Latency::default();
         for ns in 1..SAMPLES_FOR_P999 {
             latency.record_ns(ns * 1000);
         }

@@ -178,7 +178,7 @@ fn serve(
         }
         say!("serving in domain `{}`; Ctrl-C ends it", domain.id());
     }
-    let (mut wake, mut decision) = (Latency::new(), Latency::new());
+    let (mut wake, mut decision) = (Latency::default(), Latency::default());
     let mut observe = |served: &Served| {
         wake.record_ns(served.wake_ns);
         decision.record_ns(served.decide_ns);

@@ -73,9 +73,9 @@ impl Onlooker {
     ) -> Self {
         let figures = Figures {
             decisions: 0,
-            decide: Latency::new(),
-            act: Latency::new(),
-            tick: Latency::new(),
+            decide: Latency::default(),
+            act: Latency::default(),
+            tick: Latency::default(),
             fallbacks: 0,
             processes: BTreeSet::from([std::process::id()]),
         };

@@ -117,7 +117,7 @@ fn take_turns(
     if pace != Pace::Hot {
         engines.iter_mut().for_each(|engine| (engine.work)(0));
     }
-    let new = || Measured { latency: Latency::new(), medians_ns: Vec::new() };
+    let new = || Measured { latency: Latency::default(), medians_ns: Vec::new() };
     let mut measured: Vec<Measured> = engines.iter().map(|_| new()).collect();
     let until = Instant::now() + Duration::from_secs_f64(seconds);
     let mut round = 0;

@@ -89,7 +89,7 @@ pub(super) fn run(arguments: &FaultsArguments) -> Outcome {
 }
 
 fn latency(times_ns: &[u64]) -> Latency {
-    let mut latency = Latency::new();
+    let mut latency = Latency::default();
     times_ns.iter().for_each(|&time| latency.record_ns(time));
     latency
 }
