@@ -72,12 +72,12 @@ pub(crate) fn program() -> PathBuf {
     env::current_exe().unwrap_or_default().with_file_name(FILE)
 }
 
-/// Fails early where [`program`] is missing, or is of another version: before anything is computed for it.
+/// Fails early where that program is missing, or is of another version: before anything is computed for it.
 pub fn check_program() -> Outcome {
     if linked().is_some() { Ok(()) } else { Ok(check_version(&program(), version())?) }
 }
 
-/// The version that [`program`] must be of; none where it is this program.
+/// The version that `program` must be of; none where it is this program.
 pub(crate) fn expected_version() -> Option<&'static str> {
     linked().is_none().then(version)
 }
