@@ -38,7 +38,7 @@ fn small(method: &MethodEntry, assignments: &[&str]) -> Setup {
         "run.final_episodes=8",
         "run.checkpoint_minutes=60",
     ];
-    sessions::with(&method.preset("paper").unwrap(), &[&usual, assignments].concat())
+    crate::sessions::with(&method.preset("paper").unwrap(), &[&usual, assignments].concat())
 }
 
 fn config() -> Setup {

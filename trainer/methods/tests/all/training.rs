@@ -40,7 +40,7 @@ fn with(assignments: &[&str]) -> Setup {
         "run.checkpoint_minutes=60",
     ];
     let method = if assignments.contains(&WITHOUT_SUBTASKS) { FLAT } else { ALMA };
-    sessions::with(&method.preset("fast").unwrap(), &[&usual, assignments].concat())
+    crate::sessions::with(&method.preset("fast").unwrap(), &[&usual, assignments].concat())
 }
 
 /// What `flat` has and `alma` has not.
