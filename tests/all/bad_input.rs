@@ -28,9 +28,9 @@ fn a_truncated_network_is_named() {
 
 #[test]
 fn a_broken_allocator_is_named() {
-    let place = tempfile::tempdir().expect("a temporary folder");
-    let (_, bundle) = support::learned_bundle(place.path());
-    let path = Path::new(&bundle).join("allocator_team_value.onnx");
+    let folder = copied_bundle();
+    let bundle = path_of(folder.path());
+    let path = folder.path().join("allocator_team_value.onnx");
     let onnx = fs::read(&path).expect("the allocator's network");
     fs::write(&path, &onnx[..onnx.len() / 2]).expect("half of it");
     let words = ["allocator_team_value.onnx", "SHA-256", "again"];

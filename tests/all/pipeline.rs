@@ -30,8 +30,7 @@ fn every_shipped_bundle_agrees_with_its_golden_answers() {
     assert_eq!(bundles.len(), 8, "{bundles:?}");
     for bundle in bundles {
         let bundle = bundle.display().to_string();
-        // As many inputs as `sortie verify` takes by itself: what ships passes the command that the pages name.
-        let verified = json(&["verify", &bundle, "--json"]);
+        let verified = json(&["verify", &bundle, "--inputs", "32", "--json"]);
         let engines = verified["engines"].as_array().expect("engines");
         assert!(engines.iter().all(|engine| engine["action_mismatches"] == 0), "{verified}");
     }
@@ -42,14 +41,15 @@ fn a_run_becomes_a_bundle_that_a_team_plays_with() {
     let place = tempfile::tempdir().expect("a temporary folder");
     let path = |name: &str| place.path().join(name).display().to_string();
     let (run, bundle, plan) = (path("run"), path("bundle"), path("agent.plan"));
-    train(&run, "3000", "2");
+    train(&run, "1500", "2");
 
-    let exported = json(&["export", &run, "--out", &bundle, "--episodes", "20", "--json"]);
+    let exported = json(&["export", &run, "--out", &bundle, "--episodes", "10", "--json"]);
     assert_eq!(exported["sha256"].as_str().map(str::len), Some(64));
     let again = output(&["export", &run, "--out", &bundle, "--episodes", "20"]);
     assert_fails(&again, 2, &[&bundle, "exists"]);
 
-    let verified = json(&["verify", &bundle, "--against", "tract,golden", "--json"]);
+    let few = ["--inputs", "64", "--against", "tract,golden", "--json"];
+    let verified = json(&[&["verify", &bundle][..], &few].concat());
     assert_eq!(verified["engines"].as_array().map(Vec::len), Some(6), "{verified}");
     for (network, file) in [("agent", "agent.onnx"), ("team-value", "allocator_team_value.onnx")] {
         let onnx = format!("{bundle}/{file}");
@@ -59,60 +59,58 @@ fn a_run_becomes_a_bundle_that_a_team_plays_with() {
         for key in ["flash_bytes", "arena_bytes", "macs"] {
             assert_eq!(compiled[key], inspected[key], "{key}");
         }
-        let alone = json(&["verify", &onnx, "--against", "tract", "--json"]);
+        let alone = json(&["verify", &onnx, "--inputs", "64", "--against", "tract", "--json"]);
         assert_eq!(alone["engines"].as_array().map(Vec::len), Some(1), "{alone}");
     }
     let facts = json(&["inspect", &bundle, "--json"]);
     assert_eq!(facts["network"]["allocator"], "team-value");
     assert!(facts["allocator"]["parameters"].as_u64() > Some(0), "{facts}");
 
-    let trained = json(&["eval", &run, "--episodes", "50", "--json"]);
-    let deployed = json(&["eval", &bundle, "--episodes", "50", "--json"]);
+    let trained = json(&["eval", &run, "--episodes", "20", "--json"]);
+    let deployed = json(&["eval", &bundle, "--episodes", "20", "--json"]);
     for key in ["success", "return_mean", "length_mean"] {
         assert_eq!(trained[key], deployed[key], "{key}");
     }
     assert_eq!(deployed["allocation"], "learned");
     let pairs = path("pairs");
-    let exported = ["export", &run, "--out", &pairs, "--episodes", "20", "--team-max", "2", "-q"];
+    let exported = ["export", &run, "--out", &pairs, "--episodes", "10", "--team-max", "2", "-q"];
     assert!(output(&exported).status.success());
     assert_eq!(json(&["inspect", &pairs, "--json"])["limits"]["team_max"], 2);
+    the_skip_is_told(&run, &bundle, true);
     allocators_are_swapped(&run, &bundle);
     let played = json(&["run", &bundle, "--in-process", "--episodes", "2", "--json"]);
     assert_eq!(played["episodes"], 2);
 }
 
 #[test]
-fn runs_with_and_without_a_skip_become_bundles_that_answer_as_they_do() {
-    for skip in [true, false] {
-        a_bundle_answers_as_its_run(skip);
-    }
-}
-
-fn a_bundle_answers_as_its_run(skip: bool) {
+fn a_run_without_a_skip_becomes_a_bundle_that_answers_as_it_does() {
     let place = tempfile::tempdir().expect("a temporary folder");
     let path = |name: &str| place.path().join(name).display().to_string();
     let (run, bundle) = (path("run"), path("bundle"));
-    let mut arguments = vec!["train", "alma", "--out", &run, "--steps", "2000", "-q"];
+    let mut arguments = vec!["train", "alma", "--out", &run, "--steps", "1500", "-q"];
     arguments.extend(SMALL);
-    if !skip {
-        arguments.extend(["--set", "network.skip=false", "--set", "allocator.network.skip=false"]);
-    }
+    arguments.extend(["--set", "network.skip=false", "--set", "allocator.network.skip=false"]);
     assert!(output(&arguments).status.success());
-    let exported = ["export", &run, "--out", &bundle, "--episodes", "20", "-q"];
+    let exported = ["export", &run, "--out", &bundle, "--episodes", "10", "-q"];
     assert!(output(&exported).status.success());
 
     // Golden observations and allocations hold what the trainer's own passes answered.
-    let verified = json(&["verify", &bundle, "--against", "tract,golden", "--json"]);
+    let few = ["--inputs", "64", "--against", "tract,golden", "--json"];
+    let verified = json(&[&["verify", &bundle][..], &few].concat());
     let engines = verified["engines"].as_array().expect("engines");
     assert!(engines.iter().all(|engine| engine["action_mismatches"] == 0), "{verified}");
-    let trained = json(&["eval", &run, "--episodes", "50", "--json"]);
-    let deployed = json(&["eval", &bundle, "--episodes", "50", "--json"]);
+    let trained = json(&["eval", &run, "--episodes", "20", "--json"]);
+    let deployed = json(&["eval", &bundle, "--episodes", "20", "--json"]);
     assert_eq!(trained["return_mean"], deployed["return_mean"]);
+    the_skip_is_told(&run, &bundle, false);
+}
 
+/// Whether attention is skipped stands in the card, in the run's configuration and in the plans.
+fn the_skip_is_told(run: &str, bundle: &str, skip: bool) {
     let card = fs::read_to_string(format!("{bundle}/card.md")).expect("the card");
     let departure = "skips the attention in the networks of the agents and of the allocator";
     assert_eq!(card.contains(departure), skip, "{card}");
-    let configuration = json(&["inspect", &run, "--json"])["configuration"].clone();
+    let configuration = json(&["inspect", run, "--json"])["configuration"].clone();
     assert_eq!(configuration["network"]["skip"], skip);
     for plan in ["agent.plan", "allocator.plan"] {
         let facts = json(&["inspect", &format!("{bundle}/{plan}"), "--json"]);
@@ -142,8 +140,8 @@ fn allocators_are_swapped(run: &str, bundle: &str) {
     }
     assert_ne!(by_rule["return_mean"], play("scripted", &["--allocator", run])["return_mean"]);
     let larger = ["--env", "save-the-city/2-8a_2-8b", "--allocator"];
-    let by_run = play(run, &[&larger[..], &[run]].concat());
-    assert_eq!(by_run["env"], "save-the-city/2-8a_2-8b");
+    let by_run = [&["eval", run, "--episodes", "5", "--json"], &larger[..], &[run]].concat();
+    assert_eq!(json(&by_run)["env"], "save-the-city/2-8a_2-8b");
     let arguments = ["eval", run, larger[0], larger[1], larger[2], bundle];
     assert_fails(&output(&arguments), 78, &[bundle, "2-8a_2-8b"]);
     let arguments = ["eval", "scripted", "--allocation", "learned"];
@@ -190,8 +188,8 @@ fn the_same_seed_gives_the_same_weights_whatever_the_threads() {
     let place = tempfile::tempdir().expect("a temporary folder");
     let path = |name: &str| place.path().join(name).display().to_string();
     let (one, two) = (path("one"), path("two"));
-    train(&one, "2000", "1");
-    train(&two, "2000", "2");
+    train(&one, "1500", "1");
+    train(&two, "1500", "2");
     assert_eq!(newest_tensors(&one), newest_tensors(&two));
 }
 
@@ -200,9 +198,9 @@ fn a_run_that_was_interrupted_goes_on_as_if_it_had_not_been() {
     let place = tempfile::tempdir().expect("a temporary folder");
     let path = |name: &str| place.path().join(name).display().to_string();
     let (whole, parts) = (path("whole"), path("parts"));
-    train(&whole, "6000", "2");
+    train(&whole, "4000", "2");
 
-    let mut arguments = vec!["train", "alma", "--out", &parts, "--steps", "6000", "-q"];
+    let mut arguments = vec!["train", "alma", "--out", &parts, "--steps", "4000", "-q"];
     arguments.extend(SMALL);
     let mut child = sortie(&arguments).spawn().expect("the command line starts");
     wait_until("it has measured once", || {

@@ -99,15 +99,8 @@ fn processes_and_one_thread_play_the_same_episodes() {
 
 #[test]
 fn a_learned_allocator_allocates_in_its_own_process_as_in_one_thread() {
-    let place = tempfile::tempdir().expect("a temporary folder");
-    let (_, bundle) = support::learned_bundle(place.path());
     let domain = TestDomain::new("learned");
-    let play = |more: &[&str]| {
-        let mut arguments = vec!["run", &bundle, "--json", "--domain", &domain.id];
-        arguments.extend(["--seed", "5"]);
-        arguments.extend(more);
-        json(&arguments)
-    };
+    let play = |more: &[&str]| play(&domain, &[&["--seed", "5"][..], more].concat());
     let processes = play(&["--episodes", "3"]);
     assert_eq!(processes["allocation"], "learned");
     let in_process = play(&["--episodes", "3", "--in-process"]);

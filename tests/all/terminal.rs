@@ -5,7 +5,7 @@ use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 
-use crate::support::{BUNDLE, TestDomain, learned_bundle, output, sortie, stderr, wait_until};
+use crate::support::{BUNDLE, SMALL, TestDomain, output, sortie, stderr, wait_until};
 
 /// What hides and what shows the cursor.
 const CURSOR: [&str; 2] = ["\x1b[?25l", "\x1b[?25h"];
@@ -163,7 +163,10 @@ fn assert_fits(text: &str) {
 #[test]
 fn what_verbs_print_fits_80_columns() {
     let place = tempfile::tempdir().expect("a temporary folder");
-    let (run, _) = learned_bundle(place.path());
+    let run = place.path().join("run").display().to_string();
+    let train = ["train", "alma", "--out", &run, "--steps", "400", "-q"];
+    let trained = output(&[&train[..], &SMALL].concat());
+    assert!(trained.status.success(), "{}", stderr(&trained));
     let onnx = format!("{BUNDLE}/agent.onnx");
     let plan = place.path().join("agent.plan").display().to_string();
     let compiled = output(&["compile", &onnx, "-o", &plan]);

@@ -107,19 +107,6 @@ pub(crate) const SMALL: [&str; 12] = [
     "run.final_episodes=10",
 ];
 
-/// A bundle with a learned allocator, and the run that it is made of, in this folder. It plays badly.
-pub(crate) fn learned_bundle(place: &Path) -> (String, String) {
-    let path = |name: &str| place.join(name).display().to_string();
-    let (run, bundle) = (path("run"), path("bundle"));
-    let mut arguments = vec!["train", "alma", "--out", &run, "--steps", "1500", "-q"];
-    arguments.extend(SMALL);
-    let trained = output(&arguments);
-    assert!(trained.status.success(), "{}", stderr(&trained));
-    let exported = output(&["export", &run, "--out", &bundle, "--episodes", "10", "-q"]);
-    assert!(exported.status.success(), "{}", stderr(&exported));
-    (run, bundle)
-}
-
 /// A copy of the shipped bundle that a test may break.
 pub(crate) fn copied_bundle() -> tempfile::TempDir {
     let folder = tempfile::tempdir().expect("a temporary folder");

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 
 use crate::chromium::Browser;
-use crate::support::{self, BUNDLE, assert_fails, json, learned_bundle, output, wait_until};
+use crate::support::{self, BUNDLE, SMALL, assert_fails, json, output, wait_until};
 
 const EPISODE: &str = "tests/golden/save-the-city/043-3a-BFG-random-end-on-burn.json";
 /// WebDriver's names of keys.
@@ -18,6 +18,19 @@ const RIGHT: &str = "\u{E014}";
 const LEFT: &str = "\u{E012}";
 const HOME: &str = "\u{E011}";
 const END: &str = "\u{E010}";
+
+/// A bundle with a learned allocator, and the run that it is made of, in this folder. It plays badly.
+fn learned_bundle(place: &Path) -> (String, String) {
+    let path = |name: &str| place.join(name).display().to_string();
+    let (run, bundle) = (path("run"), path("bundle"));
+    let mut arguments = vec!["train", "alma", "--out", &run, "--steps", "1500", "-q"];
+    arguments.extend(SMALL);
+    let trained = output(&arguments);
+    assert!(trained.status.success(), "{}", support::stderr(&trained));
+    let exported = output(&["export", &run, "--out", &bundle, "--episodes", "10", "-q"]);
+    assert!(exported.status.success(), "{}", support::stderr(&exported));
+    (run, bundle)
+}
 
 /// A page in a folder of its own.
 struct Page {

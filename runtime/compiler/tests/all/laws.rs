@@ -2,6 +2,7 @@
 //! skip; a network without one sees what the team for SaveTheCity saw.
 
 use std::path::PathBuf;
+use std::sync::LazyLock;
 
 use sortie_bundle::{Bundle, OwnedObservation, POLICY};
 use sortie_compiler::{InProcess, compile};
@@ -24,37 +25,40 @@ fn without_skip(n_max: usize, profile: Profile) -> AlignedBytes {
     AlignedBytes::copy_of(&compile(&onnx, &options).unwrap().bytes)
 }
 
-/// A network in one profile.
+/// A network in one profile, and what it is asked.
 struct Network {
     profile: Profile,
     plan: AlignedBytes,
-    arena: AlignedBytes,
+    golden: Vec<OwnedObservation>,
 }
 
 impl Network {
     /// `None` where this machine does not have the profile.
-    fn open(plan: AlignedBytes, profile: Profile) -> Option<Self> {
-        let arena = match Plan::load(plan.as_slice()) {
-            Ok(plan) => AlignedBytes::zeroed(plan.batch_arena_bytes(16)),
-            Err(PlanError::WrongProfile { .. }) => return None,
+    fn open(plan: AlignedBytes, profile: Profile, golden: &[OwnedObservation]) -> Option<Self> {
+        match Plan::load(plan.as_slice()) {
+            Ok(_) => Some(Self { profile, plan, golden: golden.to_vec() }),
+            Err(PlanError::WrongProfile { .. }) => None,
             Err(error) => panic!("{error}"),
-        };
-        Some(Self { profile, plan, arena })
+        }
     }
 
-    fn utilities(&mut self, observation: &OwnedObservation) -> Vec<f32> {
-        let plan = Plan::load(self.plan.as_slice()).unwrap();
+    fn plan(&self) -> Plan<'_> {
+        Plan::load(self.plan.as_slice()).unwrap()
+    }
+
+    fn utilities(&self, arena: &mut AlignedBytes, observation: &OwnedObservation) -> Vec<f32> {
+        let plan = self.plan();
         let mut utilities = vec![0.0; plan.actions()];
-        let arena = self.arena.as_mut_slice();
-        plan.utilities(arena, &observation.view(), None, &mut utilities).unwrap();
+        plan.utilities(arena.as_mut_slice(), &observation.view(), None, &mut utilities).unwrap();
         utilities
     }
 }
 
-/// Runs a law for every shipped bundle and a network without a skip, in every profile; the exact one is everywhere.
-fn everywhere(mut law: impl FnMut(&mut Network, &[OwnedObservation])) {
+/// Every shipped bundle and a network without a skip, in every profile; the exact one is everywhere. Compiling is what takes
+/// long, so it is done once.
+static NETWORKS: LazyLock<Vec<Network>> = LazyLock::new(|| {
     let models = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../models");
-    let mut networks = 0;
+    let mut networks = Vec::new();
     for folder in models.read_dir().unwrap() {
         let folder = folder.unwrap().path();
         let bundle = Bundle::open(&folder).unwrap();
@@ -68,14 +72,19 @@ fn everywhere(mut law: impl FnMut(&mut Network, &[OwnedObservation])) {
             let shipped = plans().agents(&bundle, profile).unwrap();
             let shipped = shipped.into_plans().pop();
             let plain = folder.ends_with("save-the-city").then(|| without_skip(most, profile));
-            for plan in [shipped, plain].into_iter().flatten() {
-                let Some(mut network) = Network::open(plan, profile) else { continue };
-                law(&mut network, &golden);
-                networks += 1;
-            }
+            let plans = [shipped, plain].into_iter().flatten();
+            networks.extend(plans.filter_map(|plan| Network::open(plan, profile, &golden)));
         }
     }
-    assert!(networks >= 5, "{networks} networks");
+    assert!(networks.len() >= 5, "{} networks", networks.len());
+    networks
+});
+
+/// Runs a law for every network.
+fn everywhere(law: impl Fn(&Network, &mut AlignedBytes)) {
+    for network in &*NETWORKS {
+        law(network, &mut AlignedBytes::zeroed(network.plan().batch_arena_bytes(16)));
+    }
 }
 
 fn bits(utilities: &[f32]) -> Vec<u32> {
@@ -84,15 +93,16 @@ fn bits(utilities: &[f32]) -> Vec<u32> {
 
 #[test]
 fn what_is_behind_the_mask_never_changes_a_bit() {
-    everywhere(|network, golden| {
-        for observation in golden {
+    everywhere(|network, arena| {
+        for observation in &network.golden {
             let mut poisoned = observation.clone();
             for (entity, row) in poisoned.rows.chunks_mut(observation.features).enumerate() {
                 if !observation.visible.contains(entity) && entity != observation.self_index {
                     row.fill(f32::NAN);
                 }
             }
-            let [want, got] = [observation, &poisoned].map(|seen| bits(&network.utilities(seen)));
+            let [want, got] =
+                [observation, &poisoned].map(|seen| bits(&network.utilities(arena, seen)));
             assert_eq!(got, want);
         }
     });
@@ -100,27 +110,27 @@ fn what_is_behind_the_mask_never_changes_a_bit() {
 
 #[test]
 fn the_order_of_entities_changes_rounding_only() {
-    everywhere(|network, golden| {
-        for observation in golden {
-            let want = network.utilities(observation);
-            for by in 1..observation.entities() {
-                let got = network.utilities(&turned(observation, by));
-                // What is rounded to integers can fall to the other side.
-                let unit = if network.profile == Profile::Int8 { 1e-3 } else { 1e-6 };
-                // A small utility may be the difference of large sums.
-                let largest = want.iter().fold(0.0_f32, |most, utility| most.max(utility.abs()));
-                let band = unit * (1.0 + largest);
-                for (got, want) in got.iter().zip(&want) {
-                    assert!((got - want).abs() <= band, "{got}, want {want}, at most {band} apart");
-                }
-                let [got, best] = [&got, &want]
-                    .map(|utilities| masked_argmax(utilities, &observation.available).unwrap());
-                let as_good = want[usize::from(got.action)];
-                assert!(
-                    got.action == best.action || best.utility - as_good <= 2.0 * band,
-                    "another action outside the band"
-                );
+    everywhere(|network, arena| {
+        for (case, observation) in network.golden.iter().enumerate() {
+            let want = network.utilities(arena, observation);
+            // Each is turned once; all of them together by every number of places.
+            let by = 1 + case % (observation.entities() - 1).max(1);
+            let got = network.utilities(arena, &turned(observation, by));
+            // What is rounded to integers can fall to the other side.
+            let unit = if network.profile == Profile::Int8 { 1e-3 } else { 1e-6 };
+            // A small utility may be the difference of large sums.
+            let largest = want.iter().fold(0.0_f32, |most, utility| most.max(utility.abs()));
+            let band = unit * (1.0 + largest);
+            for (got, want) in got.iter().zip(&want) {
+                assert!((got - want).abs() <= band, "{got}, want {want}, at most {band} apart");
             }
+            let [got, best] = [&got, &want]
+                .map(|utilities| masked_argmax(utilities, &observation.available).unwrap());
+            let as_good = want[usize::from(got.action)];
+            assert!(
+                got.action == best.action || best.utility - as_good <= 2.0 * band,
+                "another action outside the band"
+            );
         }
     });
 }
@@ -141,8 +151,8 @@ fn turned(observation: &OwnedObservation, by: usize) -> OwnedObservation {
 
 #[test]
 fn a_team_gets_the_bits_that_its_members_get_alone() {
-    everywhere(|network, golden| {
-        for frame in golden {
+    everywhere(|network, arena| {
+        for frame in network.golden.iter().step_by(4) {
             let agents = frame.last_actions.len();
             let team: Vec<_> = (0..agents)
                 .map(|self_index| OwnedObservation { self_index, ..frame.clone() })
@@ -155,14 +165,13 @@ fn a_team_gets_the_bits_that_its_members_get_alone() {
                     ..frame.view()
                 })
                 .collect();
-            let plan = Plan::load(network.plan.as_slice()).unwrap();
+            let plan = network.plan();
             let mut together = vec![0.0; agents * plan.actions()];
             let mut results = vec![Err(DecideError::BadLength); agents];
-            let arena = network.arena.as_mut_slice();
-            plan.utilities_batch(arena, &seen, &mut together, &mut results);
+            plan.utilities_batch(arena.as_mut_slice(), &seen, &mut together, &mut results);
             assert!(results.iter().all(Result::is_ok), "{results:?}");
             for (member, got) in team.iter().zip(together.chunks(plan.actions())) {
-                assert_eq!(bits(got), bits(&network.utilities(member)));
+                assert_eq!(bits(got), bits(&network.utilities(arena, member)));
             }
         }
     });

@@ -19,10 +19,10 @@ use sortie_plans::{
 };
 
 /// Changes to every file that each run of the tests tries.
-const SEEDS: u64 = 300;
+const SEEDS: u64 = 120;
 
 /// The same for every policy that others exported.
-const POLICY_SEEDS: u64 = 60;
+const POLICY_SEEDS: u64 = 40;
 
 const FILES: [&str; 7] = [
     "agent_small",

@@ -66,7 +66,7 @@ fn published(method: &str, assignments: &[&str]) -> Setup {
         "replay.batch=8",
         "replay.steps_per_update=8",
         "exploration.first=800",
-        "run.steps=4000",
+        "run.steps=2300",
         "run.final_episodes=0",
         "run.evaluate_every=100000",
         "run.evaluate_episodes=4",
@@ -87,13 +87,13 @@ fn published(method: &str, assignments: &[&str]) -> Setup {
 #[test]
 fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
     for setup in [
-        small("hal", &["run.steps=6000", "affordances.kept=300"]),
-        small("hal-oracle", &["run.steps=6000", "replay.capacity=3000"]),
-        small("h-dqn", &["run.steps=6000", "returns.relabel=false", "network.crop=11"]),
+        small("hal", &["run.steps=2600", "affordances.kept=300"]),
+        small("hal-oracle", &["run.steps=2600", "replay.capacity=1760"]),
+        small("h-dqn", &["run.steps=2600", "returns.relabel=false", "network.crop=11"]),
         published("hal", &[]),
         published("hal-oracle", &["meta.every=2"]),
         published("h-dqn", &["returns.relabel=false"]),
-        small("dqn", &["run.steps=6000", "replay.capacity=3000"]),
+        small("dqn", &["run.steps=2600", "replay.capacity=1760"]),
         published("dqn", &["returns.milestones=false"]),
     ] {
         let [whole, parted] = [0, 1].map(|_| tempfile::tempdir().unwrap());
@@ -101,7 +101,7 @@ fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
         session.run(&mut (), &AtomicBool::new(false)).unwrap();
         let stop = AtomicBool::new(false);
         let mut session = begin(setup.clone(), 3, 2, parted.path()).unwrap();
-        session.run(&mut Stopping(&stop, 2100), &stop).unwrap();
+        session.run(&mut Stopping(&stop, 1800), &stop).unwrap();
         drop(session);
         assert!(!parted.path().join("result.json").exists());
         let mut session = resume(parted.path(), Some(1)).unwrap();
@@ -119,22 +119,22 @@ fn a_short_run_reaches_more_milestones_than_none_and_is_read_back_as_it_was() {
             "environment.settings.limit=300",
             "network.width=32",
             "replay.batch=128",
-            "run.steps=80000",
+            "run.steps=40000",
         ];
         let setup = with(&small(method, &more), chances);
         let folder = tempfile::tempdir().unwrap();
         let mut session = begin(setup.clone(), 1, 1, folder.path()).unwrap();
         session.run(&mut (), &AtomicBool::new(false)).unwrap();
         let world = environment_of(&setup).unwrap();
-        let learned = play::evaluate(&*world, &mut *session.method().team(), 100, 1).unwrap();
+        let learned = play::evaluate(&*world, &mut *session.method().team(), 40, 1).unwrap();
         let opening = Opening { setup: &setup, environment: &*world, seed: 1, threads: 1 };
         let mut method = find(method).unwrap().method(&opening).unwrap();
-        let fresh = play::evaluate(&*world, &mut *method.team(), 100, 1).unwrap();
+        let fresh = play::evaluate(&*world, &mut *method.team(), 40, 1).unwrap();
         let milestones = [fresh, learned.clone()].map(|found| found.metrics["milestones"]);
         assert!(milestones[1] > milestones[0] + 1.0, "{} {milestones:?}", setup.method);
 
         load_weights(folder.path(), &mut *method).unwrap();
-        let again = play::evaluate(&*world, &mut *method.team(), 100, 1).unwrap();
+        let again = play::evaluate(&*world, &mut *method.team(), 40, 1).unwrap();
         assert_eq!(again, learned);
     }
 }

@@ -71,11 +71,11 @@ fn a_rover_learns_what_its_tower_says() {
 #[test]
 fn a_rover_learns_by_the_methods_that_are_compared() {
     for (method, least, assignments) in [
-        ("coma-sac", 60.0, &["run.steps=40000"][..]),
-        ("maddpg-sac", 60.0, &["run.steps=40000"]),
-        ("maddpg", 60.0, &["run.steps=40000"]),
-        ("ddpg", 20.0, &["run.steps=60000"]),
-        ("coma", 30.0, &["run.steps=200000", "environment.instances=4"]),
+        ("coma-sac", 60.0, &["run.steps=20000"][..]),
+        ("maddpg-sac", 60.0, &["run.steps=20000"]),
+        ("maddpg", 60.0, &["run.steps=20000"]),
+        ("ddpg", 20.0, &["run.steps=30000"]),
+        ("coma", 30.0, &["run.steps=100000", "environment.instances=4"]),
     ] {
         let [_, learned] = learned(method, assignments);
         assert!(learned > least, "{method}: {learned}");
@@ -105,13 +105,13 @@ fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
         ],
     ] {
         let setup =
-            with(&pair(&["run.steps=4000", "replay.capacity=2000", "replay.first=500"]), kind);
+            with(&pair(&["run.steps=2600", "replay.capacity=1200", "replay.first=500"]), kind);
         let [whole, parted] = [0, 1].map(|_| tempfile::tempdir().unwrap());
         let mut session = begin(setup.clone(), 3, 1, whole.path()).unwrap();
         session.run(&mut (), &AtomicBool::new(false)).unwrap();
         let stop = AtomicBool::new(false);
         let mut session = begin(setup, 3, 2, parted.path()).unwrap();
-        session.run(&mut Stopping(&stop, 2100), &stop).unwrap();
+        session.run(&mut Stopping(&stop, 1500), &stop).unwrap();
         drop(session);
         assert!(!parted.path().join("result.json").exists());
         let mut session = resume(parted.path(), Some(1)).unwrap();
