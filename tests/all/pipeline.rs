@@ -30,7 +30,10 @@ fn every_shipped_bundle_agrees_with_its_golden_answers() {
     assert_eq!(bundles.len(), 8, "{bundles:?}");
     for bundle in bundles {
         let bundle = bundle.display().to_string();
-        let verified = json(&["verify", &bundle, "--inputs", "32", "--json"]);
+        // The team that the pages name passes the command that they name, with as many inputs as it takes by itself.
+        let named = bundle == BUNDLE;
+        let few: &[&str] = if named { &[] } else { &["--inputs", "32"] };
+        let verified = json(&[&["verify", &bundle, "--json"], few].concat());
         let engines = verified["engines"].as_array().expect("engines");
         assert!(engines.iter().all(|engine| engine["action_mismatches"] == 0), "{verified}");
     }
