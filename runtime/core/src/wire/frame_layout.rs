@@ -253,6 +253,7 @@ const fn section_bytes(shape: Shape, counts: Counts) -> [usize; 6] {
 }
 
 /// Bytes of the payload of a world frame of `shape`, which has to be one that a frame can have.
+#[cfg(feature = "serial")]
 pub(crate) const fn payload_bytes(shape: Shape) -> usize {
     whole_bytes(section_bytes(shape, Counts::of_world(shape)))
 }

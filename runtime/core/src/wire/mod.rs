@@ -21,6 +21,7 @@ pub use allocation::{AllocMsg, AllocationFault};
 pub use control::{Command, ControlRep, ControlReq, ControlStatus};
 pub use frame_fill::FrameMut;
 pub use frame_header::{FrameHeader, FrameKind};
+#[cfg(feature = "serial")]
 pub(crate) use frame_layout::payload_bytes;
 pub use frame_layout::{FrameFormat, FrameHead, FrameLayout, LayoutError};
 pub use frame_view::{FrameError, FrameView};
