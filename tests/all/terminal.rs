@@ -222,7 +222,7 @@ fn the_result_is_printed_however_quiet() {
         &["run", BUNDLE, "--in-process", "--episodes", "1", "-q"][..],
         &["up", BUNDLE, "--domain", &domain.id, "--episodes", "1", "--rate", "0", "-q"],
         &["eval", "scripted", "--episodes", "2", "-q"],
-        &["verify", BUNDLE, "--inputs", "4", "--against", "golden", "-q"],
+        &["verify", "models/group-matching", "--inputs", "4", "--against", "golden", "-q"],
         &["replay", "tests/golden/save-the-city/043-3a-BFG-random-end-on-burn.json", "-q"],
     ] {
         let quiet = sortie(arguments).output().expect("the command line starts");

@@ -27,6 +27,7 @@ fn small(method: &str, assignments: &[&str]) -> Setup {
         "optimiser.average_rate=0.01",
         "run.final_episodes=0",
         "run.evaluate_every=100000",
+        "run.evaluate_episodes=1",
     ];
     let options = [
         "affordances.batch=8",
@@ -66,10 +67,10 @@ fn published(method: &str, assignments: &[&str]) -> Setup {
         "replay.batch=8",
         "replay.steps_per_update=8",
         "exploration.first=800",
-        "run.steps=2300",
+        "run.steps=4000",
         "run.final_episodes=0",
         "run.evaluate_every=100000",
-        "run.evaluate_episodes=4",
+        "run.evaluate_episodes=1",
     ];
     let options = [
         "network.embedding=8",
@@ -87,13 +88,13 @@ fn published(method: &str, assignments: &[&str]) -> Setup {
 #[test]
 fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
     for setup in [
-        small("hal", &["run.steps=2600", "affordances.kept=300"]),
-        small("hal-oracle", &["run.steps=2600", "replay.capacity=1760"]),
-        small("h-dqn", &["run.steps=2600", "returns.relabel=false", "network.crop=11"]),
+        small("hal", &["run.steps=6000", "affordances.kept=300"]),
+        small("hal-oracle", &["run.steps=6000", "replay.capacity=3000"]),
+        small("h-dqn", &["run.steps=6000", "returns.relabel=false", "network.crop=11"]),
         published("hal", &[]),
         published("hal-oracle", &["meta.every=2"]),
         published("h-dqn", &["returns.relabel=false"]),
-        small("dqn", &["run.steps=2600", "replay.capacity=1760"]),
+        small("dqn", &["run.steps=6000", "replay.capacity=3000"]),
         published("dqn", &["returns.milestones=false"]),
     ] {
         let [whole, parted] = [0, 1].map(|_| tempfile::tempdir().unwrap());
@@ -101,7 +102,7 @@ fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
         session.run(&mut (), &AtomicBool::new(false)).unwrap();
         let stop = AtomicBool::new(false);
         let mut session = begin(setup.clone(), 3, 2, parted.path()).unwrap();
-        session.run(&mut Stopping(&stop, 1800), &stop).unwrap();
+        session.run(&mut Stopping(&stop, 2100), &stop).unwrap();
         drop(session);
         assert!(!parted.path().join("result.json").exists());
         let mut session = resume(parted.path(), Some(1)).unwrap();

@@ -53,7 +53,7 @@ fn learned(method: &str, assignments: &[&str]) -> [f64; 2] {
         ["optimiser.critic_rate=0.01", "optimiser.policy_rate=0.005", "returns.discount=0.9"];
     let setup = with(&pair_of(method, &quick), assignments);
     let folder = tempfile::tempdir().unwrap();
-    let mut session = begin(setup.clone(), 1, 2, folder.path()).unwrap();
+    let mut session = begin(setup.clone(), 1, 1, folder.path()).unwrap();
     session.run(&mut (), &AtomicBool::new(false)).unwrap();
     let world = environment_of(&setup).unwrap();
     let chance = play::evaluate(&*world, &mut play::RandomTeam::new(1), 300, 1).unwrap();
@@ -72,8 +72,8 @@ fn a_rover_learns_what_its_tower_says() {
 fn a_rover_learns_by_the_methods_that_are_compared() {
     for (method, least, assignments) in [
         ("coma-sac", 60.0, &["run.steps=20000"][..]),
-        ("maddpg-sac", 60.0, &["run.steps=20000"]),
-        ("maddpg", 60.0, &["run.steps=20000"]),
+        ("maddpg-sac", 40.0, &["run.steps=20000"]),
+        ("maddpg", 40.0, &["run.steps=20000"]),
         ("ddpg", 20.0, &["run.steps=30000"]),
         ("coma", 30.0, &["run.steps=100000", "environment.instances=4"]),
     ] {
