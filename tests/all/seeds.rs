@@ -47,7 +47,7 @@ fn every_seed_gets_its_run_and_the_summary_tells_all() {
 fn a_stopped_sweep_goes_on_with_the_same_command() {
     let place = tempfile::tempdir().expect("a temporary folder");
     let out = place.path().join("sweep").display().to_string();
-    let mut child = sortie(&sweep(&out, "2500", "-q")).spawn().expect("the command line starts");
+    let mut child = sortie(&sweep(&out, "2400", "-q")).spawn().expect("the command line starts");
     wait_until("a run has measured once", || {
         (1..=3).any(|seed| {
             let curve = fs::metadata(format!("{out}-s{seed}/curve.json"));
@@ -58,12 +58,12 @@ fn a_stopped_sweep_goes_on_with_the_same_command() {
     assert_eq!(child.wait().expect("its status").code(), Some(130));
     assert!((1..=3).any(|seed| reported(&out, seed).is_none()), "something is left to do");
 
-    let finished = output(&sweep(&out, "2500", "-q"));
+    let finished = output(&sweep(&out, "2400", "-q"));
     assert!(finished.status.success(), "{}", stderr(&finished));
     for seed in 1..=3 {
         assert!(reported(&out, seed).is_some(), "seed {seed}");
         let facts = json(&["inspect", &format!("{out}-s{seed}"), "--json"]);
         let last = facts["curve"].as_array().and_then(|curve| curve.last());
-        assert_eq!(last.and_then(|point| point["env_steps"].as_u64()), Some(2500), "{facts}");
+        assert_eq!(last.and_then(|point| point["env_steps"].as_u64()), Some(2400), "{facts}");
     }
 }
