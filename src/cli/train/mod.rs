@@ -204,6 +204,10 @@ fn session(arguments: &TrainArguments) -> Result<(Session, PathBuf), Failure> {
         match begun(arguments, &folder) {
             // The process of a sweep that was killed was about to begin it.
             Err(_) if arguments.sweep.is_some() && folder.join(TRAINING).exists() => {}
+            Err(failure) if arguments.out.is_none() && failure.exit == Exit::InputOutput => {
+                let message = format!("{}; name a folder of yours with `--out`", failure.message);
+                return Err(Failure::new(failure.exit, message));
+            }
             session => return Ok((session?, folder)),
         }
     }
