@@ -1,4 +1,4 @@
-//! What every environment offers: the seam between simulators and learners.
+//! What every environment offers to learners.
 
 use alloc::boxed::Box;
 use alloc::string::String;
@@ -99,6 +99,24 @@ impl fmt::Display for StepError {
 }
 
 impl core::error::Error for StepError {}
+
+/// The actions of so many agents, each one of so many that are always possible, in an episode that runs.
+pub(crate) fn checked_actions(
+    is_done: bool,
+    agents: usize,
+    known: usize,
+    actions: &[u16],
+) -> Result<&[u16], StepError> {
+    if is_done {
+        return Err(StepError::EpisodeOver);
+    }
+    let too_few = StepError::TooFewActions { agents, actions: actions.len() };
+    let actions = actions.get(..agents).ok_or(too_few)?;
+    match actions.iter().position(|action| usize::from(*action) >= known) {
+        Some(agent) => Err(StepError::Unavailable { agent, action: actions[agent] }),
+        None => Ok(actions),
+    }
+}
 
 /// Bytes are no state of this environment; the instance is as it was.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -67,6 +67,26 @@ impl Observation {
         }
     }
 
+    /// Begins what agents alone show, all of whom exist and may do so many things each; rows are still to come.
+    pub(crate) fn begin_agents(
+        &mut self,
+        agents: usize,
+        actions: usize,
+        wanted: EntitySet,
+        sees: impl Fn(usize) -> EntitySet,
+    ) {
+        self.present = EntitySet::MAX >> (EntitySet::BITS as usize - agents);
+        self.entities = wanted & self.present;
+        self.observable.clear();
+        self.observable.extend((0..agents).map(sees));
+        self.entity_task.clear();
+        self.entity_task.resize(agents, 0);
+        self.available.clear();
+        self.available.resize(agents, (1 << actions) - 1);
+        self.open_tasks = 0;
+        self.rows.clear();
+    }
+
     /// Number of agents that exist.
     pub fn agents(&self) -> usize {
         let agents = self.observable.len() as u32;

@@ -49,6 +49,11 @@ pub fn member(rng: &mut Random, set: EntitySet) -> Option<usize> {
     members(set).nth(chosen)
 }
 
+/// Puts a list into a random order (Fisher and Yates 1938).
+pub fn shuffle<T>(rng: &mut Random, list: &mut [T]) {
+    (1..list.len()).rev().for_each(|last| list.swap(last, below(rng, last + 1)));
+}
+
 /// True with the given probability.
 pub fn chance(rng: &mut Xoshiro256PlusPlus, probability: f64) -> bool {
     unit(rng) < probability

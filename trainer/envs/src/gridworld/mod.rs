@@ -5,28 +5,16 @@
 //! own: walls and pits next to it, what it found itself, where it is and who is near. The team shares one reward.
 
 mod bytes;
-mod chance;
-mod episode;
-mod features;
-mod flip;
+mod environment;
 mod map;
-mod picture;
-mod pits;
-mod seam;
-mod simulator;
-mod spec;
-mod tasks;
+mod observation;
+mod rules;
 
 pub use bytes::state_bytes;
-pub use chance::{Chance, Normals};
-pub use episode::Rules;
-pub use flip::{Draw, draw_map};
-pub use map::{CELLS, MAX_AGENTS, MAX_TREASURES, Map, MapError, SIDE};
-pub use picture::{Cell, Picture, picture_of};
-pub use pits::Pit;
-pub use seam::{ENTRY, SET_NAMES};
-pub use simulator::Gridworld;
-pub use tasks::{Found, Task};
+pub use environment::{ENTRY, Gridworld, SET_NAMES};
+pub use map::{CELLS, Draw, MAX_AGENTS, MAX_TREASURES, Map, MapError, SIDE, draw_map};
+pub use observation::{Cell, Picture, picture_of};
+pub use rules::{Chance, Found, Normals, Pit, Rules, Task};
 
 /// The version of the rules: another one where a trained policy would notice the difference.
 pub const VERSION: &str = "1";

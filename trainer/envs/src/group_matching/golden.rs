@@ -7,17 +7,11 @@
 use crc::{CRC_32_ISO_HDLC, Crc};
 use serde_json::{Value, json};
 
-use super::bytes::State;
-use super::features::write_row;
-use super::groups::same_group;
+use super::environment::{GroupMatching, write_row};
 use super::parameters::{MAX_AGENTS, MAX_CELLS, MAX_GROUPS, Parameters};
-use super::ring::{Ring, member_bytes};
-use super::rules::ACTIONS;
-use super::simulator::GroupMatching;
-use crate::environment::Step;
-use crate::recorded::Field;
-use crate::recorded::GoldenError;
-use crate::recorded::{Comparison, Recordings, Replay};
+use super::ring::{ACTIONS, Ring, State, member_bytes, same_group};
+use crate::environment::{Environment, Step};
+use crate::golden::{Comparison, Field, GoldenError, Recordings, Replay};
 
 /// The schema that files must name.
 pub const SCHEMA: &str = "sortie-golden/group-matching/1";
@@ -31,21 +25,14 @@ const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 pub fn replay(file: &str, text: &str) -> Result<Replay, GoldenError> {
     let value = serde_json::from_str(text).map_err(GoldenError::Json)?;
     let root = Field::root(&value);
-    if root.get("schema")?.text()? != SCHEMA {
-        return Err(root.get("schema")?.refuse(format!("is not `{SCHEMA}`")));
-    }
-    for name in ["name", "policy"] {
-        root.get(name)?.text()?;
-    }
-    root.get("seed")?.integer(0..=u64::MAX)?;
-    let length = root.get("length")?.integer(0..=1_000_000)? as usize;
+    let length = root.episode_length(SCHEMA, &["name", "policy"])?;
     let steps = root.get("steps")?.exactly(length)?;
     let frames = root.get("frames")?.exactly(length + 1)?;
     let mut world = restore(&root)?;
 
     let mut comparison = Comparison::new(file);
     comparison.compare(&root.get("static_masks")?, &masks(&world))?;
-    comparison.compare(&root.get("initial_features")?, &features(&world))?;
+    comparison.compare(&root.get("initial_features")?, &json!(rows(&world)))?;
     comparison.compare(&frames[0], &frame(&world))?;
     for (index, (want, frame_after)) in steps.iter().zip(&frames[1..]).enumerate() {
         comparison.step = index;
@@ -100,7 +87,7 @@ fn restore(root: &Field<'_>) -> Result<GroupMatching, GoldenError> {
     let ring = Ring { cells: &cells, members: &members };
     let mut state = Vec::new();
     State { steps: 0, episode_return: 0.0, ring }.write(&mut state);
-    world.read_state(0, &state).map_err(|error| refuse(&error))?;
+    world.load(0, &state).map_err(|error| refuse(&error))?;
     Ok(world)
 }
 
@@ -132,10 +119,6 @@ fn rows(world: &GroupMatching) -> Vec<Vec<f32>> {
         row
     };
     (0..parameters.agents).map(row).collect()
-}
-
-fn features(world: &GroupMatching) -> Value {
-    json!(rows(world))
 }
 
 fn frame(world: &GroupMatching) -> Value {

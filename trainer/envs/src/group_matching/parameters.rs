@@ -1,6 +1,10 @@
 //! The sizes and chances of a ring.
 
-use super::error::ParametersError;
+use alloc::string::String;
+use core::fmt;
+
+use serde::Deserialize;
+
 use crate::spec::Shape;
 
 /// Most agents.
@@ -13,20 +17,26 @@ pub const MAX_GROUPS: usize = 128;
 /// The names of sets that reports and lists show; every `AGENTSxCELLSxGROUPS` is one.
 pub const SET_NAMES: [&str; 2] = ["8x6x2", "8x6x2-fixed"];
 
-/// What the rules leave open, with the dissertation's values as default.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// What the rules leave open, with the dissertation's values as default. Settings say all but the sizes, which the name
+/// of the set says.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
 pub struct Parameters {
     /// Agents.
+    #[serde(skip)]
     pub agents: usize,
     /// Cells of the ring.
+    #[serde(skip)]
     pub cells: usize,
     /// Groups.
+    #[serde(skip)]
     pub groups: usize,
     /// Chance per agent and step that its action is replaced by a random one.
     pub noise: f64,
     /// Most steps of an episode.
     pub episode_limit: u32,
     /// Whether all episodes have the same groups, of agents that stand beside each other in number.
+    #[serde(skip)]
     pub fixed_groups: bool,
     /// Whether oracles are told the groups in an episode's first state only, and later that everybody is
     /// one, as in the public code.
@@ -108,3 +118,48 @@ impl Parameters {
         self.cells + self.groups + self.agents
     }
 }
+
+/// Parameters that the rules do not allow.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum ParametersError {
+    /// A name that says no sizes.
+    UnknownSet(String),
+    /// A size outside its range.
+    Size {
+        /// What there would be so many of.
+        what: &'static str,
+        /// How many.
+        count: usize,
+        /// The most that there may be.
+        most: usize,
+    },
+    /// The noise is no probability.
+    Noise,
+    /// Episodes without a step.
+    NoSteps,
+    /// Held-out starts where none or all are.
+    HeldOut,
+}
+
+impl fmt::Display for ParametersError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::UnknownSet(name) => write!(
+                f,
+                "no set `{name}`; a set is named AGENTSxCELLSxGROUPS, such as `8x6x2`, and may end \
+                 in `-fixed`"
+            ),
+            Self::Size { what, count, most } => {
+                write!(f, "{count} {what} are not possible: from 1 to {most} are")
+            }
+            Self::Noise => f.write_str("the noise is not a probability from 0 to 1"),
+            Self::HeldOut => f.write_str(
+                "what is held out leaves no starts to learn from, or none to measure on",
+            ),
+            Self::NoSteps => f.write_str("an episode limit of 0 steps leaves no episode"),
+        }
+    }
+}
+
+impl core::error::Error for ParametersError {}

@@ -7,26 +7,17 @@
 //! [`Spec::milestones`]: crate::Spec::milestones
 //! [`Environment::affordances`]: crate::Environment::affordances
 
-pub(crate) mod board;
-mod episode;
-mod game;
+mod environment;
+mod observation;
 mod rules;
-mod seam;
-mod set;
-mod simulator;
-mod spec;
-mod states;
-mod window;
-mod world;
+pub(crate) mod world;
 
-pub use game::{Effect, Game};
-pub use rules::Rules;
-pub(crate) use seam::entry;
-pub use set::MilestoneSet;
-pub use simulator::Milestones;
-pub use window::{RADIUS, WINDOW, window};
-pub use world::World;
+pub use environment::Milestones;
+pub(crate) use environment::entry;
+pub use observation::{RADIUS, WINDOW, window};
+pub use rules::{MilestoneSet, Rules};
 pub(crate) use world::{EMPTY, ITEMS, WALL};
+pub use world::{Effect, Game, World};
 
 /// The version of the rules: another one where a trained policy would notice the difference.
 pub const VERSION: &str = "1";

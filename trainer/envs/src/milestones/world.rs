@@ -1,6 +1,71 @@
-//! What one grid holds, and how the agent moves on it.
+//! The grid: a board of objects, what the agent carries and how it moves, and what the games on such grids differ in.
+
+use core::fmt::Debug;
 
 use crate::random::{Random, below};
+
+/// A set of cells: a number for each row, a bit for each column.
+pub(crate) type Board = [u16; 12];
+
+/// The cells whose object a predicate holds for.
+pub(crate) fn cells(world: &World, is_meant: impl Fn(u8) -> bool) -> Board {
+    let size = usize::from(world.size);
+    let mut board = [0; 12];
+    for (bits, row) in board.iter_mut().zip(world.cells[..size * size].chunks_exact(size)) {
+        for (x, object) in row.iter().enumerate() {
+            *bits |= u16::from(is_meant(*object)) << x;
+        }
+    }
+    board
+}
+
+/// The agent's cell.
+pub(crate) fn agent(world: &World) -> Board {
+    let (position, size) = (usize::from(world.position), usize::from(world.size));
+    let mut board = [0; 12];
+    board[position / size] = 1 << (position % size);
+    board
+}
+
+/// The cells of a set and their four neighbours.
+pub(crate) fn spread(board: &Board) -> Board {
+    core::array::from_fn(|y| {
+        let row = board[y];
+        let above = if y > 0 { board[y - 1] } else { 0 };
+        let below = board.get(y + 1).copied().unwrap_or(0);
+        row | row << 1 | row >> 1 | above | below
+    })
+}
+
+pub(crate) fn both(one: &Board, other: &Board) -> Board {
+    core::array::from_fn(|y| one[y] & other[y])
+}
+
+pub(crate) fn any(one: &Board, other: &Board) -> Board {
+    core::array::from_fn(|y| one[y] | other[y])
+}
+
+pub(crate) fn count(board: &Board) -> u32 {
+    board.iter().map(|row| row.count_ones()).sum()
+}
+
+/// The cells that a walk meets which goes on from those that `is_passable` holds for.
+pub(crate) fn met(world: &World, is_passable: impl Fn(u8) -> bool) -> Board {
+    let passable = cells(world, |object| object == EMPTY || is_passable(object));
+    let mut met = agent(world);
+    loop {
+        let next = any(&met, &spread(&both(&met, &passable)));
+        if next == met {
+            return met;
+        }
+        met = next;
+    }
+}
+
+/// Cells next to which the agent can stand, or stands: whose neighbour is empty or its own.
+pub(crate) fn touchable(world: &World) -> Board {
+    spread(&any(&cells(world, |object| object == EMPTY), &agent(world)))
+}
 
 /// Most cells of a grid.
 pub(crate) const CELLS: usize = 144;
@@ -129,5 +194,55 @@ impl World {
         let chosen = below(random, empty.clone().count());
         self.position = empty.clone().nth(chosen).expect("a start has an empty cell") as u8;
         self.direction = below(random, 4) as u8;
+    }
+}
+
+/// What an action did.
+pub type Effect = Option<u8>;
+
+/// The rules of one game.
+pub trait Game: Clone + Copy + Debug + Default + Send + Sync + 'static {
+    /// Its name, as `--env` takes it.
+    const NAME: &'static str;
+    /// What it is, in one sentence.
+    const ABOUT: &'static str;
+    /// Cells of a row, and rows.
+    const SIZE: usize;
+    /// Kinds of objects by their numbers: empty, agent and wall first.
+    const OBJECTS: &'static [&'static str];
+    /// States that objects can be in, by their numbers; none where all are alike.
+    const STATES: &'static [&'static str];
+    /// What can be carried, by its numbers.
+    const ITEMS: &'static [&'static str];
+    /// Names of the actions.
+    const ACTIONS: &'static [&'static str];
+    /// All milestones in their order.
+    const MILESTONES: &'static [&'static str];
+    /// How each milestone shows in what is carried: an item, and by how much its count changes.
+    const SIGNS: &'static [(u8, i16)];
+    /// Those that a dense reward pays for, as bits.
+    const PAID: u16;
+    /// Tasks: milestones that can be the last one.
+    const TASKS: &'static [&'static str];
+    /// How likely each item is to be the one that gets lost, where items can.
+    const LOSSES: Option<[u32; ITEMS]>;
+    /// Whether an episode is over where no milestone can be had any more.
+    const ENDS_IF_IMPOSSIBLE: bool;
+
+    /// Draws a start.
+    fn draw(random: &mut Random) -> World;
+
+    /// Takes an action; the milestone that it reached, if any.
+    fn act(world: &mut World, action: usize) -> Effect;
+
+    /// The number of the state that objects of a kind are in.
+    fn state(world: &World, object: u8) -> u8;
+
+    /// Of the milestones in use, as bits, those that can be next, without another one of them before.
+    fn affordances(world: &World, used: u16) -> u16;
+
+    /// Whether one of them can be had.
+    fn affords_any(world: &World, used: u16) -> bool {
+        Self::affordances(world, used) != 0
     }
 }

@@ -5,33 +5,19 @@
 //! is their mean, so that the return of an episode is the mean of theirs. No scenario comes to an end of its own: time
 //! runs out.
 
-mod bytes;
-mod columns;
-mod drawing;
+mod environment;
 mod navigation;
 mod physics;
-mod picture;
-mod plane;
 mod rover_tower;
 mod scenario;
-mod seam;
-mod simulator;
-mod spec;
-mod states;
-mod steering;
 mod treasure;
 
-pub use bytes::Reader;
-pub use columns::Row;
-pub use drawing::picture_of;
+pub use crate::bytes::Reader;
+pub use environment::{ENTRY, Particle, SET_NAMES, picture_of};
 pub use navigation::{Navigated, Navigation};
-pub use physics::{ACTIONS, Body, MOVES, Mover};
-pub use picture::{Disc, Drawn, Picture, Thing};
-pub use plane::Point;
+pub use physics::{ACTIONS, Body, MOVES, Mover, Point};
 pub use rover_tower::{Roved, RoverTower, Tower};
-pub use scenario::Scenario;
-pub use seam::{ENTRY, SET_NAMES};
-pub use simulator::Particle;
+pub use scenario::{Disc, Drawn, Picture, Row, Scenario, Spot, Thing};
 pub use treasure::{DeadTreasures, Hand, Hoard, Stage, Treasure, TreasureCollection};
 
 /// The version of the rules: another one where a trained policy would notice the difference.

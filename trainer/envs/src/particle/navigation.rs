@@ -1,16 +1,17 @@
 //! Cooperative Navigation: agents cover landmarks without touching each other.
 
-use alloc::format;
-use alloc::vec;
 use alloc::vec::Vec;
+use alloc::{format, vec};
 
-use super::bytes::{Reader, write_movers, write_number, write_point};
-use super::columns::{Names, Row};
-use super::physics::{Body, MOVES, Mover, advance, touch};
-use super::picture::{Disc, Drawn, Picture, Thing};
-use super::plane::{Point, anywhere, from_to, squared_distance};
-use super::scenario::Scenario;
-use super::steering::{pair_nearest, towards};
+use super::physics::{
+    Body, MOVES, Mover, Point, advance, anywhere, from_to, pair_nearest, squared_distance, touch,
+    towards,
+};
+use super::scenario::{
+    Disc, Drawn, Names, Picture, Row, Scenario, Spot, Thing, write_movers, write_number,
+    write_point,
+};
+use crate::bytes::Reader;
 use crate::random::Random;
 use crate::spec::{Metric, Role};
 
@@ -146,7 +147,7 @@ impl Scenario for Navigation {
         Navigated {
             movers: (0..self.agents()).map(|_| bytes.mover()).collect(),
             landmarks: (0..self.agents()).map(|_| bytes.point()).collect(),
-            collisions: bytes.count(),
+            collisions: bytes.u32(),
             uncovered: bytes.number(),
         }
     }
@@ -163,11 +164,7 @@ impl Scenario for Navigation {
         }
     }
 
-    fn entity<'w>(
-        &self,
-        world: &'w mut Navigated,
-        entity: usize,
-    ) -> Option<(&'w mut Point, Option<&'w mut Point>)> {
+    fn entity<'w>(&self, world: &'w mut Navigated, entity: usize) -> Option<Spot<'w>> {
         if let Some(mover) = world.movers.get_mut(entity) {
             return Some((&mut mover.position, Some(&mut mover.velocity)));
         }

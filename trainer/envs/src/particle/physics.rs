@@ -1,6 +1,86 @@
-//! How agents move: thrust, contact, damping. Everything that moves is a disc.
+//! Points of the plane, and how agents move: thrust, contact, damping. Everything that moves is a disc.
 
-use super::plane::{Point, from_to, plus, squared, times};
+use alloc::vec::Vec;
+
+use crate::random::{Random, unit};
+
+/// A place or a direction, in half sides of the square that everything starts in.
+pub type Point = [f64; 2];
+
+/// The way from one place to another.
+#[inline]
+pub(super) fn from_to(from: Point, to: Point) -> Point {
+    [to[0] - from[0], to[1] - from[1]]
+}
+
+/// A direction so many times as long.
+#[inline]
+pub(super) fn times(factor: f64, way: Point) -> Point {
+    [factor * way[0], factor * way[1]]
+}
+
+/// Two directions, one behind the other.
+#[inline]
+pub(super) fn plus(one: Point, other: Point) -> Point {
+    [one[0] + other[0], one[1] + other[1]]
+}
+
+/// The square of a length, which compares as the length does.
+#[inline]
+pub(super) fn squared(way: Point) -> f64 {
+    way[0] * way[0] + way[1] * way[1]
+}
+
+#[inline]
+pub(super) fn squared_distance(one: Point, other: Point) -> f64 {
+    squared(from_to(one, other))
+}
+
+pub(super) fn distance(one: Point, other: Point) -> f64 {
+    libm::sqrt(squared_distance(one, other))
+}
+
+/// A place in the square of this half side.
+pub(super) fn anywhere(random: &mut Random, half: f64) -> Point {
+    [(); 2].map(|()| half * (2.0 * unit(random) - 1.0))
+}
+
+/// Most things that an agent sees of a kind.
+pub(super) const SEEN: usize = 7;
+
+/// The nearest things with their squared distances, nearest first; of equally near ones the first.
+pub(super) struct Nearest {
+    found: [(f64, usize); SEEN],
+    count: usize,
+}
+
+impl Nearest {
+    /// The nearest of these things, at most [`SEEN`].
+    pub(super) fn to(own: Point, things: impl Iterator<Item = (usize, Point)>) -> Self {
+        let mut nearest = Self { found: [(0.0, 0); SEEN], count: 0 };
+        things.for_each(|(thing, place)| nearest.add(squared_distance(own, place), thing));
+        nearest
+    }
+
+    fn add(&mut self, squared: f64, thing: usize) {
+        if self.count < SEEN {
+            self.count += 1;
+        } else if squared >= self.found[SEEN - 1].0 {
+            return;
+        }
+        let mut at = self.count - 1;
+        while at > 0 && self.found[at - 1].0 > squared {
+            self.found[at] = self.found[at - 1];
+            at -= 1;
+        }
+        self.found[at] = (squared, thing);
+    }
+
+    /// Their numbers.
+    pub(super) fn things(&self) -> impl ExactSizeIterator<Item = usize> {
+        self.found[..self.count].iter().map(|(_, thing)| *thing)
+    }
+}
 
 /// Actions of every agent, of those that move and of those that speak.
 pub const ACTIONS: usize = 5;
@@ -13,7 +93,7 @@ pub(super) const DIRECTIONS: [Point; ACTIONS] =
 /// Time of one step.
 pub(super) const STEP: f64 = 0.1;
 /// Share of the velocity that a step leaves.
-pub(super) const KEPT: f64 = 0.75;
+const KEPT: f64 = 0.75;
 /// Force of a contact, per length that two discs lie in each other.
 const STIFFNESS: f64 = 100.0;
 /// Length over which a contact sets in.
@@ -99,4 +179,36 @@ fn accelerated(body: &Body, velocity: Point, force: Point) -> Point {
     }
     let speed = libm::sqrt(squared);
     [x, y].map(|part| part / speed * body.max_speed)
+}
+
+/// Steps that a script looks ahead, at the velocity that the first of them gives.
+const AHEAD: f64 = 2.0;
+
+/// The action that leads nearest to a place.
+pub(super) fn towards(body: &Body, mover: &Mover, place: Point) -> u16 {
+    let missing = |action: usize| {
+        let gained = times(STEP * body.thrust, DIRECTIONS[action]);
+        let velocity = plus(times(KEPT, mover.velocity), gained);
+        squared_distance(plus(mover.position, times(AHEAD * STEP, velocity)), place)
+    };
+    let nearer = |best: usize, action| if missing(action) < missing(best) { action } else { best };
+    (1..ACTIONS).fold(0, nearer) as u16
+}
+
+/// Pairs the nearest two by their numbers, then the nearest of those that are left, until one side is used up.
+pub(super) fn pair_nearest(
+    mut ones: Vec<(usize, Point)>,
+    mut others: Vec<(usize, Point)>,
+) -> Vec<(usize, usize)> {
+    let mut pairs = Vec::new();
+    while !ones.is_empty() && !others.is_empty() {
+        let places =
+            (0..ones.len()).flat_map(|one| (0..others.len()).map(move |other| (one, other)));
+        let apart =
+            |(one, other): &(usize, usize)| squared_distance(ones[*one].1, others[*other].1);
+        let nearest = places.min_by(|pair, next| apart(pair).total_cmp(&apart(next)));
+        let (one, other) = nearest.expect("both sides have somebody");
+        pairs.push((ones.remove(one).0, others.remove(other).0));
+    }
+    pairs
 }

@@ -1,18 +1,18 @@
 //! Rover-Tower: each rover is led by words of a tower, which alone knows the goal (dissertation chapter 3).
 
-use alloc::format;
 use alloc::string::String;
-use alloc::vec;
 use alloc::vec::Vec;
+use alloc::{format, vec};
 use core::mem;
 
-use super::bytes::{Reader, write_choice, write_movers, write_point};
-use super::columns::{Names, Row};
-use super::physics::{ACTIONS, Body, MOVES, Mover, advance};
-use super::picture::{Disc, Drawn, Picture, Thing};
-use super::plane::{Point, anywhere, squared_distance};
-use super::scenario::Scenario;
-use super::steering::towards;
+use super::physics::{
+    ACTIONS, Body, MOVES, Mover, Point, advance, anywhere, squared_distance, towards,
+};
+use super::scenario::{
+    Disc, Drawn, Names, Picture, Row, Scenario, Spot, Thing, write_choice, write_movers,
+    write_point,
+};
+use crate::bytes::Reader;
 use crate::random::{Random, below};
 use crate::spec::{Metric, Role};
 
@@ -170,7 +170,7 @@ impl Scenario for RoverTower {
             said: bytes.choice("a tower says", ACTIONS),
         };
         let towers: Vec<Tower> = (0..pairs).map(&mut tower).collect();
-        let near = bytes.count();
+        let near = bytes.u32();
         let led = towers.iter().fold(0_u64, |led, tower| led | 1 << (tower.rover % 64));
         let is_shared = led.count_ones() as usize != pairs;
         bytes.refuse(is_shared, || "two towers lead the same rover".into());
@@ -198,11 +198,7 @@ impl Scenario for RoverTower {
         }
     }
 
-    fn entity<'w>(
-        &self,
-        world: &'w mut Roved,
-        entity: usize,
-    ) -> Option<(&'w mut Point, Option<&'w mut Point>)> {
+    fn entity<'w>(&self, world: &'w mut Roved, entity: usize) -> Option<Spot<'w>> {
         if let Some(mover) = world.movers.get_mut(entity) {
             return Some((&mut mover.position, Some(&mut mover.velocity)));
         }

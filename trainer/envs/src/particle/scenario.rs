@@ -1,14 +1,20 @@
-//! What the scenarios of the plane differ in.
+//! What the scenarios of the plane differ in, and in what form they say what agents see, what is drawn, and their bytes.
 
+use alloc::format;
+use alloc::string::{String, ToString};
 use alloc::vec::Vec;
 use core::fmt::Debug;
+use core::ops::Range;
 
-use super::bytes::Reader;
-use super::columns::Row;
-use super::picture::Picture;
-use super::plane::Point;
+use super::physics::{Mover, Point};
+use crate::bytes::{LAYOUT, Reader};
+use crate::environment::StateError;
 use crate::random::Random;
+use crate::rows::SparseRows;
 use crate::spec::{Metric, Role};
+
+/// Where something is, and how fast it moves, if it does.
+pub type Spot<'w> = (&'w mut Point, Option<&'w mut Point>);
 
 /// The rules of one scenario for teams of one size.
 pub trait Scenario: Clone + Debug + Send + Sync + 'static {
@@ -51,11 +57,7 @@ pub trait Scenario: Clone + Debug + Send + Sync + 'static {
     fn observe(&self, world: &Self::World, agent: usize, row: &mut Row<'_>);
 
     /// Where an agent or a thing is, with its velocity if it has one; agents come first. None of those that are nowhere.
-    fn entity<'w>(
-        &self,
-        world: &'w mut Self::World,
-        entity: usize,
-    ) -> Option<(&'w mut Point, Option<&'w mut Point>)>;
+    fn entity<'w>(&self, world: &'w mut Self::World, entity: usize) -> Option<Spot<'w>>;
 
     /// What there is to draw of a world.
     fn picture(&self, world: &Self::World) -> Picture;
@@ -68,4 +70,239 @@ pub trait Scenario: Clone + Debug + Send + Sync + 'static {
         let _ = (world, agent);
         0.0
     }
+}
+
+const LENGTH: &str = "half sides of the square";
+const SPEED: &str = "half sides in ten steps";
+const FLAG: &str = "flag";
+
+/// The names and units of what an agent sees.
+#[derive(Default)]
+pub(super) struct Names {
+    names: Vec<String>,
+    units: Vec<&'static str>,
+}
+
+impl Names {
+    fn pair(mut self, name: &str, unit: &'static str) -> Self {
+        for axis in ["x", "y"] {
+            self.names.push(format!("{name}{axis}"));
+            self.units.push(unit);
+        }
+        self
+    }
+
+    /// A place, or the way to one.
+    pub(super) fn place(self, prefix: &str) -> Self {
+        self.pair(prefix, LENGTH)
+    }
+
+    pub(super) fn velocity(self, prefix: &str) -> Self {
+        self.pair(&format!("{prefix}velocity-"), SPEED)
+    }
+
+    /// So many flags, of which one is set or none.
+    pub(super) fn flags(mut self, prefix: &str, count: usize) -> Self {
+        self.names.extend((0..count).map(|flag| format!("{prefix}{flag}")));
+        self.units.resize(self.names.len(), FLAG);
+        self
+    }
+
+    /// The same for each of so many things.
+    pub(super) fn each(self, what: &str, count: usize, add: impl Fn(Self, &str) -> Self) -> Self {
+        (0..count).fold(self, |names, thing| add(names, &format!("{what}-{thing}-")))
+    }
+
+    /// A role whose agents see this.
+    pub(super) fn role(self, name: &'static str, agents: Range<usize>, actions: &[&str]) -> Role {
+        let actions = actions.iter().map(ToString::to_string).collect();
+        Role { name, agents, features: self.names, units: self.units, actions }
+    }
+}
+
+/// Writes what an agent sees, in the order of its names.
+pub struct Row<'a> {
+    rows: &'a mut SparseRows,
+    column: usize,
+}
+
+impl<'a> Row<'a> {
+    pub(super) fn new(rows: &'a mut SparseRows) -> Self {
+        Self { rows, column: 0 }
+    }
+
+    #[inline]
+    pub(super) fn pair(&mut self, pair: Point) {
+        for number in pair {
+            if number != 0.0 {
+                self.rows.push(self.column, number as f32);
+            }
+            self.column += 1;
+        }
+    }
+
+    /// So many flags, of which one is set or none.
+    #[inline]
+    pub(super) fn flags(&mut self, set: Option<u8>, count: usize) {
+        if let Some(flag) = set {
+            self.rows.push(self.column + usize::from(flag), 1.0);
+        }
+        self.skip(count);
+    }
+
+    /// So many zeros.
+    #[inline]
+    pub(super) fn skip(&mut self, count: usize) {
+        self.column += count;
+    }
+
+    /// Where a mover is, and how fast.
+    #[inline]
+    pub(super) fn mover(&mut self, mover: &Mover) {
+        self.pair(mover.position);
+        self.pair(mover.velocity);
+    }
+}
+
+/// A state as it is drawn.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Picture {
+    /// All agents in their order.
+    pub agents: Vec<Drawn>,
+    /// Treasures or landmarks.
+    pub things: Vec<Thing>,
+}
+
+/// One agent as it is drawn.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Drawn {
+    /// Where it is; towers are nowhere.
+    pub disc: Option<Disc>,
+    /// The kind of treasure that it takes, as a bank.
+    pub takes: Option<u8>,
+    /// The kind of treasure that it holds.
+    pub holds: Option<u8>,
+    /// What it said in the last step.
+    pub says: Option<u8>,
+    /// The agent that it leads, or that leads it.
+    pub partner: Option<usize>,
+    /// The landmark that it, or the agent that it leads, should be at.
+    pub goal: Option<usize>,
+}
+
+/// Something that lies on the plane.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Thing {
+    /// Where it is; a treasure that was just taken is nowhere.
+    pub disc: Option<Disc>,
+    /// The kind of a treasure.
+    pub kind: Option<u8>,
+}
+
+/// A place and how far it reaches, in half sides of the square.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Disc {
+    /// Its middle.
+    pub place: Point,
+    /// Its radius.
+    pub radius: f64,
+}
+
+/// The byte of what is not there.
+const NONE: u8 = u8::MAX;
+
+impl Reader<'_> {
+    #[inline]
+    pub(super) fn number(&mut self) -> f64 {
+        let number = self.f64();
+        self.refuse(!number.is_finite(), || "one of its numbers is none".into());
+        number
+    }
+
+    #[inline]
+    pub(super) fn point(&mut self) -> Point {
+        [self.number(), self.number()]
+    }
+
+    #[inline]
+    pub(super) fn mover(&mut self) -> Mover {
+        Mover { position: self.point(), velocity: self.point() }
+    }
+
+    /// One of so many things.
+    #[inline]
+    pub(super) fn index(&mut self, what: &str, count: usize) -> u8 {
+        let index = self.u8();
+        self.refuse(usize::from(index) >= count, || format!("{what} {index}"));
+        index
+    }
+
+    /// One of so many things, or none of them.
+    #[inline]
+    pub(super) fn choice(&mut self, what: &str, count: usize) -> Option<u8> {
+        let index = self.u8();
+        self.refuse(index != NONE && usize::from(index) >= count, || format!("{what} {index}"));
+        (index != NONE).then_some(index)
+    }
+}
+
+pub(super) fn write_number(number: f64, bytes: &mut Vec<u8>) {
+    bytes.extend_from_slice(&number.to_le_bytes());
+}
+
+pub(super) fn write_point(point: Point, bytes: &mut Vec<u8>) {
+    point.into_iter().for_each(|part| write_number(part, bytes));
+}
+
+pub(super) fn write_movers(movers: &[Mover], bytes: &mut Vec<u8>) {
+    for mover in movers {
+        write_point(mover.position, bytes);
+        write_point(mover.velocity, bytes);
+    }
+}
+
+pub(super) fn write_choice(choice: Option<u8>, bytes: &mut Vec<u8>) {
+    bytes.push(choice.unwrap_or(NONE));
+}
+
+/// Bytes before the world: the layout, the steps, the return.
+const HEAD: usize = 1 + 4 + 8;
+
+/// What the bytes of a state say.
+pub(super) struct State<W> {
+    pub(super) steps: u32,
+    pub(super) episode_return: f64,
+    pub(super) world: W,
+}
+
+/// Bytes of every state of a scenario.
+pub(super) fn state_bytes<S: Scenario>(scenario: &S) -> usize {
+    let mut bytes = Vec::new();
+    scenario.write(&scenario.world(), &mut bytes);
+    HEAD + bytes.len()
+}
+
+/// Adds the bytes of a state.
+pub(super) fn write_state<S: Scenario>(
+    scenario: &S,
+    (steps, episode_return, world): (u32, f64, &S::World),
+    bytes: &mut Vec<u8>,
+) {
+    bytes.push(LAYOUT);
+    bytes.extend_from_slice(&steps.to_le_bytes());
+    write_number(episode_return, bytes);
+    scenario.write(world, bytes);
+}
+
+/// Reads what [`write_state`] wrote, which has so many bytes.
+pub(super) fn read_state<S: Scenario>(
+    scenario: &S,
+    wanted: usize,
+    bytes: &[u8],
+) -> Result<State<S::World>, StateError> {
+    let mut reader = Reader::new(bytes, wanted)?;
+    let steps = reader.u32();
+    reader.refuse(steps > scenario.episode_limit(), || format!("it is {steps} steps long"));
+    let state = State { steps, episode_return: reader.number(), world: scenario.read(&mut reader) };
+    reader.sound(state)
 }

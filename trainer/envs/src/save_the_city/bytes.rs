@@ -3,14 +3,13 @@
 use alloc::format;
 use alloc::vec::Vec;
 
-use super::metrics::{EpisodeMetrics, KindCount};
+use super::episode::{EpisodeMetrics, KindCount};
 use super::state::{
     AgentKind, AgentState, BuildingKind, BuildingState, City, MAX_AGENTS, MAX_BUILDINGS, Status,
 };
+use crate::bytes::LAYOUT;
 use crate::environment::StateError;
 
-/// The version of this layout.
-const LAYOUT: u8 = 1;
 const HEADER: usize = 60;
 const AGENT: usize = 6;
 const BUILDING: usize = 25;
@@ -69,20 +68,22 @@ impl<'a> CityBytes<'a> {
     /// Checks layout and length.
     #[inline]
     pub(super) fn new(bytes: &'a [u8]) -> Result<Self, StateError> {
-        Self::known(bytes).ok_or_else(|| refusal(bytes))
-    }
-
-    /// The same without a reason where they do not hold.
-    #[inline]
-    fn known(bytes: &'a [u8]) -> Option<Self> {
-        let (header, rest) = bytes.split_first_chunk::<HEADER>()?;
+        let length = |wanted| StateError::Length { found: bytes.len(), wanted };
+        let (header, rest) = bytes.split_first_chunk::<HEADER>().ok_or_else(|| length(HEADER))?;
+        if header[0] != LAYOUT {
+            return Err(StateError::Version { found: header[0], wanted: LAYOUT });
+        }
         let (agents, buildings) = (usize::from(header[2]), usize::from(header[3]));
-        let holds = header[0] == LAYOUT
-            && bytes.len() == state_bytes(agents, buildings)
-            && agents <= MAX_AGENTS
-            && buildings <= MAX_BUILDINGS;
-        let (agents, buildings) = rest.split_at_checked(agents * AGENT).filter(|_| holds)?;
-        Some(Self { header, agents: agents.as_chunks().0, buildings: buildings.as_chunks().0 })
+        let wanted = state_bytes(agents, buildings);
+        if bytes.len() != wanted {
+            return Err(length(wanted));
+        }
+        if agents > MAX_AGENTS || buildings > MAX_BUILDINGS {
+            let reason = format!("{agents} agents and {buildings} buildings");
+            return Err(StateError::Impossible(reason));
+        }
+        let (agents, buildings) = rest.split_at(agents * AGENT);
+        Ok(Self { header, agents: agents.as_chunks().0, buildings: buildings.as_chunks().0 })
     }
 
     #[inline]
@@ -127,13 +128,8 @@ impl<'a> CityBytes<'a> {
     #[inline]
     pub(super) fn agent(&self, index: usize) -> AgentState {
         let [kind, x, y, beside, low, high] = self.agents[index];
-        AgentState {
-            kind: agent_kind(kind),
-            x,
-            y,
-            beside,
-            available: u16::from_le_bytes([low, high]),
-        }
+        let available = u16::from_le_bytes([low, high]);
+        AgentState { kind: agent_kind(kind), x, y, beside, available }
     }
 
     #[inline]
@@ -164,23 +160,6 @@ impl<'a> CityBytes<'a> {
     pub(super) fn open_tasks(&self) -> u32 {
         (0..self.buildings.len()).map(|task| u32::from(self.is_open(task)) << task).sum()
     }
-}
-
-/// Why bytes are no state.
-#[cold]
-fn refusal(bytes: &[u8]) -> StateError {
-    let Some((header, _)) = bytes.split_first_chunk::<HEADER>() else {
-        return StateError::Length { found: bytes.len(), wanted: HEADER };
-    };
-    if header[0] != LAYOUT {
-        return StateError::Version { found: header[0], wanted: LAYOUT };
-    }
-    let (agents, buildings) = (usize::from(header[2]), usize::from(header[3]));
-    let wanted = state_bytes(agents, buildings);
-    if bytes.len() != wanted {
-        return StateError::Length { found: bytes.len(), wanted };
-    }
-    StateError::Impossible(format!("{agents} agents and {buildings} buildings"))
 }
 
 fn agent_kind(code: u8) -> AgentKind {

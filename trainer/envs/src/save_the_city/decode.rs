@@ -2,14 +2,13 @@
 
 use alloc::vec::Vec;
 
-use super::allocation::RULES;
-use super::features::{
-    AVAILABLE, BURNING, COMPLETE, FEATURES, FIRE, HEALTH, IGNITION_RATE, SINCE_LAST_FIRE, X_SCALED,
-    Y_SCALED,
+use super::observation::{
+    AVAILABLE, BURNING, COMPLETE, FEATURES, FIRE, HEALTH, IGNITION_RATE, RELATIONS,
+    SINCE_LAST_FIRE, X_SCALED, Y_SCALED, write_relation,
 };
-use super::relation::{RELATIONS, write_relation};
-use super::reset::ABSENT_BUILDING;
 use super::rules::ACTIONS;
+use super::scenarios::ABSENT_BUILDING;
+use super::scripted::RULES;
 use super::state::{
     AgentKind, AgentState, BuildingKind, BuildingState, City, MAX_AGENTS, MAX_BUILDINGS,
     NO_BUILDING, Status,

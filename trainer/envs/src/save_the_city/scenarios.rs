@@ -1,13 +1,19 @@
-//! Which teams meet how many buildings.
+//! Which teams meet how many buildings, how such an episode starts, and which states the rules allow.
 
 use alloc::format;
 use alloc::string::{String, ToString};
 use alloc::vec::Vec;
+use core::fmt;
 
-use super::error::CityError;
+use rand_xoshiro::Xoshiro256PlusPlus;
+
 use super::grid::{agent_candidates, sites};
-use super::state::{AgentKind, BuildingKind, MAX_AGENTS, MAX_BUILDINGS};
+use super::rules::{self, Constants};
+use super::state::{
+    AgentKind, AgentState, BuildingKind, BuildingState, MAX_AGENTS, MAX_BUILDINGS, SIDE, Status,
+};
 use crate::environment::Split;
+use crate::random::{below, chance, unit};
 
 const SETS: &str = include_str!("scenarios.txt");
 
@@ -188,4 +194,180 @@ fn expand(list: &str) -> impl Iterator<Item = char> + '_ {
         let digits = rest.len() - rest.trim_start_matches(|c: char| c.is_ascii_digit()).len();
         core::iter::repeat_n(letter, rest[..digits].parse().unwrap_or(1))
     })
+}
+
+/// A scenario set or a state that the rules do not allow.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum CityError {
+    /// There is no scenario set of that name.
+    UnknownSet {
+        /// The name.
+        name: String,
+        /// Those that there are.
+        known: &'static [&'static str],
+    },
+    /// A scenario set breaks a limit; the text says which.
+    Set(String),
+    /// A state breaks a rule; the text says which.
+    State(String),
+}
+
+impl fmt::Display for CityError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::UnknownSet { name, known } => {
+                write!(f, "no scenario set `{name}`; there are `{}`", known.join("`, `"))
+            }
+            Self::Set(reason) => write!(f, "impossible scenario set: {reason}"),
+            Self::State(reason) => write!(f, "impossible state: {reason}"),
+        }
+    }
+}
+
+impl core::error::Error for CityError {}
+
+/// Cells to draw from without replacement, kept so that a reset allocates nothing.
+#[derive(Clone, Debug)]
+pub(super) struct Lots {
+    cells: Vec<(u8, u8)>,
+}
+
+impl Lots {
+    pub(super) fn new() -> Self {
+        Self { cells: Vec::with_capacity(usize::from(SIDE) * usize::from(SIDE)) }
+    }
+
+    fn refill(&mut self, cells: impl Iterator<Item = (u8, u8)>) {
+        self.cells.clear();
+        self.cells.extend(cells);
+    }
+
+    fn draw(&mut self, rng: &mut Xoshiro256PlusPlus) -> (u8, u8) {
+        let index = below(rng, self.cells.len());
+        self.cells.remove(index)
+    }
+}
+
+/// Draws the kinds of a scenario's buildings.
+fn building_kinds(
+    plan: &BuildingPlan,
+    rng: &mut Xoshiro256PlusPlus,
+) -> [BuildingKind; MAX_BUILDINGS] {
+    let mut kinds = [BuildingKind::Fast; MAX_BUILDINGS];
+    match plan {
+        BuildingPlan::Kinds(given) => kinds[..given.len()].copy_from_slice(given),
+        BuildingPlan::Count(count) => {
+            for kind in &mut kinds[..*count] {
+                *kind = BuildingKind::ALL[below(rng, 2)];
+            }
+        }
+    }
+    kinds
+}
+
+/// Draws one building on one of the sites that are left; it does not burn yet.
+fn draw_building(
+    kind: BuildingKind,
+    lots: &mut Lots,
+    rng: &mut Xoshiro256PlusPlus,
+) -> BuildingState {
+    let (x, y) = lots.draw(rng);
+    let (low, high) = if chance(rng, 0.5) { (0.25, 0.4) } else { (0.6, 0.75) };
+    let share = unit(rng);
+    let health = low * share + high * (1.0 - share);
+    let (shortest, longest) = kind.periods();
+    let period = shortest + below(rng, usize::from(longest - shortest) + 1) as u16;
+    BuildingState {
+        health,
+        fire: 0.0,
+        period,
+        to_next_fire: period,
+        since_last_fire: 0,
+        kind,
+        status: Status::Open,
+        x,
+        y,
+    }
+}
+
+/// Draws agents and buildings of an episode into slices of the scenario's sizes.
+///
+/// The draws come in the order of the dissertation's code.
+pub(super) fn draw_city(
+    constants: &Constants,
+    spacing: u8,
+    scenario: &Scenario,
+    lots: &mut Lots,
+    rng: &mut Xoshiro256PlusPlus,
+    agents: &mut [AgentState],
+    buildings: &mut [BuildingState],
+) {
+    let kinds = building_kinds(&scenario.buildings, rng);
+    lots.refill(agent_candidates(spacing, agents.len()));
+    for (agent, &kind) in agents.iter_mut().zip(&scenario.team) {
+        let (x, y) = lots.draw(rng);
+        *agent = AgentState::at(kind, x, y);
+    }
+    lots.refill(sites(spacing));
+    for (building, kind) in buildings.iter_mut().zip(kinds) {
+        *building = draw_building(kind, lots, rng);
+    }
+    for building in buildings {
+        if chance(rng, constants.init_fire_chance) {
+            rules::ignite(building);
+        }
+    }
+}
+
+/// What fills the slots of absent agents.
+pub(super) const ABSENT_AGENT: AgentState = AgentState::at(AgentKind::Firefighter, 0, 0);
+
+/// What fills the slots of absent buildings.
+pub(super) const ABSENT_BUILDING: BuildingState = BuildingState {
+    health: 1.0,
+    fire: 0.0,
+    period: 1,
+    to_next_fire: 1000,
+    since_last_fire: 0,
+    kind: BuildingKind::Fast,
+    status: Status::Complete,
+    x: 0,
+    y: 0,
+};
+
+/// Refuses a state that no episode of the set can be in.
+pub(super) fn check_state(
+    set: &ScenarioSet,
+    agents: &[AgentState],
+    buildings: &[BuildingState],
+) -> Result<(), CityError> {
+    let require = |holds: bool, what: &str, index: usize, reason: &str| {
+        if holds { Ok(()) } else { Err(CityError::State(format!("{what} {index} {reason}"))) }
+    };
+    let on_map = |x: u8, y: u8| x < SIDE && y < SIDE;
+    let fits = (1..=set.max_agents).contains(&agents.len());
+    require(fits, "a team of", agents.len(), "does not fit the set")?;
+    let fits = (1..=set.max_buildings).contains(&buildings.len());
+    require(fits, "a number of buildings of", buildings.len(), "does not fit the set")?;
+    for (index, building) in buildings.iter().enumerate() {
+        let (health, fire) = (building.health, building.fire);
+        let say = |holds, reason| require(holds, "building", index, reason);
+        say(on_map(building.x, building.y), "is off the map")?;
+        say((0.0..=1.0).contains(&health), "has a health outside 0..=1")?;
+        say((0.0..=1.0).contains(&fire), "has a fire outside 0..=1")?;
+        say(building.period > 0, "has a period of 0")?;
+        let closed = Status::of_health(health) != Status::Open;
+        say(!(closed && building.is_burning()), "is closed and burns")?;
+        say(closed || building.to_next_fire > 0, "is open and its clock has run out")?;
+    }
+    for (index, agent) in agents.iter().enumerate() {
+        let say = |holds, reason| require(holds, "agent", index, reason);
+        say(on_map(agent.x, agent.y), "is off the map")?;
+        let place = (agent.x, agent.y);
+        let shared = agents[..index].iter().any(|other| (other.x, other.y) == place)
+            || buildings.iter().any(|building| (building.x, building.y) == place);
+        say(!shared, "shares its cell")?;
+    }
+    Ok(())
 }

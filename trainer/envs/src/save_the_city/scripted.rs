@@ -1,14 +1,170 @@
-//! The scripted low level: walk to the assigned building, then do there what fits.
+//! Scripted teams: rules that assign agents to buildings, and the low level that walks there and does what fits.
 
 use rand_xoshiro::Xoshiro256PlusPlus;
+use serde::{Deserialize, Serialize};
 
-use super::allocation::AllocationRule;
 use super::grid::{FreeCells, cell, neighbours};
-use super::rules::{BUILD, FIGHT, FREEZE, STAY, displacement};
-use super::state::{AgentKind, AgentState, BuildingState, City, MAX_AGENTS, SIDE};
-use crate::decisions::DecisionPoints;
-use crate::decisions::UNASSIGNED;
+use super::rules::{BUILD, Constants, FIGHT, FREEZE, STAY, displacement};
+use super::state::{AgentKind, AgentState, BuildingState, City, MAX_AGENTS, MAX_BUILDINGS, SIDE};
+use crate::decisions::{DecisionPoints, UNASSIGNED};
 use crate::random::{below, member};
+use crate::spec::Rule;
+
+/// A rule that assigns agents to buildings.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum AllocationRule {
+    /// Every agent an open building, uniformly and independently.
+    Random,
+    /// Every agent for itself: the nearest building of the sort it prefers.
+    Heuristic,
+    /// One agent after the other, by travel time, urgency and who is there already.
+    Coordinated,
+}
+
+/// The rules as command lines name them, the usual one first.
+pub(super) const RULES: [(Rule, AllocationRule); 3] = [
+    (
+        Rule {
+            name: "coordinated",
+            about: "One agent after the other, by travel time, urgency and who is there already",
+        },
+        AllocationRule::Coordinated,
+    ),
+    (
+        Rule {
+            name: "heuristic",
+            about: "Every agent for itself, the nearest subtask of the kind it prefers",
+        },
+        AllocationRule::Heuristic,
+    ),
+    (
+        Rule { name: "random", about: "Every agent an open subtask at random" },
+        AllocationRule::Random,
+    ),
+];
+
+impl AllocationRule {
+    /// The rule of this name.
+    pub fn named(name: &str) -> Option<Self> {
+        RULES.into_iter().find(|(rule, _)| rule.name == name).map(|(_, rule)| rule)
+    }
+
+    /// Writes for every agent its building, or [`UNASSIGNED`]; further entries are [`UNASSIGNED`].
+    ///
+    /// Only [`AllocationRule::Random`] draws from the generator.
+    pub fn allocate(self, city: City<'_>, rng: &mut Xoshiro256PlusPlus, allocation: &mut [u8]) {
+        match self {
+            Self::Random => random_allocation(city, rng, allocation),
+            Self::Heuristic => heuristic_allocation(city, allocation),
+            Self::Coordinated => coordinated_allocation(city, allocation),
+        }
+    }
+}
+
+/// Gives every agent an open building, uniformly and independently.
+pub fn random_allocation(city: City<'_>, rng: &mut Xoshiro256PlusPlus, allocation: &mut [u8]) {
+    let open = city.open_tasks();
+    allocation.fill(UNASSIGNED);
+    for (task, _) in allocation.iter_mut().zip(city.agents) {
+        *task = member(rng, open.into()).map_or(UNASSIGNED, |task| task as u8);
+    }
+}
+
+/// Agents already given to one building, by kind.
+#[derive(Clone, Copy, Default)]
+struct Given([u8; 3]);
+
+/// Gives agents, all firefighters first, then generalists, then builders, the building of lowest cost.
+///
+/// Ties go to the lower building index. Without an open building agents stay [`UNASSIGNED`], as do
+/// entries beyond the team. The cost sees health as feature rows show it, rounded to f32, so that the
+/// answer is the same from a state and from its rows.
+pub fn coordinated_allocation(city: City<'_>, allocation: &mut [u8]) {
+    const ORDER: [AgentKind; 3] =
+        [AgentKind::Firefighter, AgentKind::Generalist, AgentKind::Builder];
+    allocation.fill(UNASSIGNED);
+    let mut given = [Given::default(); MAX_BUILDINGS];
+    for kind in ORDER {
+        for (agent, task) in city.agents.iter().zip(allocation.iter_mut()) {
+            if agent.kind != kind {
+                continue;
+            }
+            *task = cheapest_building(agent, city.buildings, &given);
+            if let Some(given) = given.get_mut(usize::from(*task)) {
+                given.0[kind as usize] += 1;
+            }
+        }
+    }
+}
+
+fn cheapest_building(agent: &AgentState, buildings: &[BuildingState], given: &[Given]) -> u8 {
+    let mut best = (f64::INFINITY, UNASSIGNED);
+    for ((building, given), index) in buildings.iter().zip(given).zip(0..) {
+        if building.is_open() {
+            let cost = cost(agent, building) + crowding(agent.kind, given);
+            if cost < best.0 {
+                best = (cost, index);
+            }
+        }
+    }
+    best.1
+}
+
+/// What it takes this agent, and what waits for it, at a building that nobody else goes to.
+fn cost(agent: &AgentState, building: &BuildingState) -> f64 {
+    let travel = agent.travel_time_to(building);
+    let health = f64::from(building.health as f32);
+    let to_next_fire = f64::from(building.to_next_fire);
+    if building.is_burning() {
+        let burn_rate = Constants::default().fire_burn_rate * building.kind.burn_rate();
+        let lifetime = health / burn_rate;
+        match agent.kind {
+            AgentKind::Firefighter => travel + 0.15 * (lifetime - travel).max(0.0),
+            AgentKind::Generalist => {
+                travel + 0.2 * lifetime + if travel > lifetime { 8.0 } else { 0.0 }
+            }
+            AgentKind::Builder => travel + 12.0,
+        }
+    } else {
+        match agent.kind {
+            AgentKind::Builder => {
+                let too_late = if to_next_fire < travel { 20.0 } else { 0.0 };
+                travel + 4.0 * (1.0 - health) + too_late
+            }
+            AgentKind::Firefighter => travel + 15.0 + 0.5 * to_next_fire,
+            AgentKind::Generalist => travel + 10.0 + 0.5 * to_next_fire,
+        }
+    }
+}
+
+/// Agents of one kind are better spread; a generalist does less where a firefighter goes.
+fn crowding(kind: AgentKind, given: &Given) -> f64 {
+    let same = 8.0 * f64::from(given.0[kind as usize]);
+    let firefighters = given.0[AgentKind::Firefighter as usize];
+    let redundant = kind == AgentKind::Generalist && firefighters > 0;
+    same + if redundant { 1.5 } else { 0.0 }
+}
+
+/// Gives every agent the nearest open building of the sort that it prefers.
+///
+/// Builders prefer buildings that do not burn, the others those that do; ties go to the lower index.
+/// Without an open building agents stay [`UNASSIGNED`], as do entries beyond the team.
+pub fn heuristic_allocation(city: City<'_>, allocation: &mut [u8]) {
+    allocation.fill(UNASSIGNED);
+    for (task, agent) in allocation.iter_mut().zip(city.agents) {
+        *task = preferred_building(agent, city.buildings);
+    }
+}
+
+fn preferred_building(agent: &AgentState, buildings: &[BuildingState]) -> u8 {
+    let wants_fire = agent.kind != AgentKind::Builder;
+    let open = buildings.iter().zip(0..).filter(|(building, _)| building.is_open());
+    open.min_by_key(|(building, index)| {
+        (building.is_burning() != wants_fire, agent.distance_to(building), *index)
+    })
+    .map_or(UNASSIGNED, |(_, index)| index)
+}
 
 /// Steps from a cell to the goal; [`FAR`] where there is no way.
 type Distances = [u8; CELLS];

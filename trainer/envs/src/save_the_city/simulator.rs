@@ -1,19 +1,16 @@
-//! Many cities at once: resets, steps and observations.
+//! Many cities at once: resets, steps, and what somebody outside changes between two of them.
 
-use alloc::format;
-use alloc::vec;
 use alloc::vec::Vec;
+use alloc::{format, vec};
 
 use super::causes::{Cause, CauseFinder, Done};
-use super::checks::check_state;
-use super::episode::{Episode, rewards};
-use super::error::CityError;
+use super::episode::{Episode, EpisodeMetrics, rewards};
 use super::grid::Ground;
-use super::metrics::EpisodeMetrics;
-use super::reset::{ABSENT_AGENT, ABSENT_BUILDING, Lots, draw_city};
+use super::observation::spec;
 use super::rules::{self, Bounce, Change, Constants, Effort};
-use super::scenarios::ScenarioSet;
-use super::spec::spec;
+use super::scenarios::{
+    ABSENT_AGENT, ABSENT_BUILDING, CityError, Lots, ScenarioSet, check_state, draw_city,
+};
 use super::state::{AgentState, BuildingState, City, MAX_BUILDINGS, Status};
 use crate::decisions::UNASSIGNED;
 use crate::environment::{Split, Step, StepError};
@@ -26,15 +23,15 @@ use crate::spec::{Shape, Spec};
 /// every instance exist.
 #[derive(Clone, Debug)]
 pub struct SaveTheCity {
-    spec: Spec,
-    set: ScenarioSet,
+    pub(super) spec: Spec,
+    pub(super) set: ScenarioSet,
     split: Split,
-    constants: Constants,
+    pub(super) constants: Constants,
     agents: Vec<AgentState>,
     buildings: Vec<BuildingState>,
-    task_rewards: Vec<f64>,
+    pub(super) task_rewards: Vec<f64>,
     bounces: Vec<Bounce>,
-    episodes: Vec<Episode>,
+    pub(super) episodes: Vec<Episode>,
     lots: Lots,
     /// Those who are told how agents are allocated, one by one as they are.
     causes: Vec<Option<Told>>,
@@ -59,13 +56,13 @@ impl SaveTheCity {
         let mut random = generator(seed);
         let mut city = Self::empty(set, constants, instances);
         for instance in 0..instances {
-            city.reset_from(instance, &mut random);
+            city.reset_to_any(instance, &mut random);
         }
         Ok(city)
     }
 
     /// Cities without agents and buildings, whose episodes are over.
-    fn empty(set: ScenarioSet, constants: Constants, instances: usize) -> Self {
+    pub(super) fn empty(set: ScenarioSet, constants: Constants, instances: usize) -> Self {
         let empty = Episode {
             agents: 0,
             buildings: 0,
@@ -91,23 +88,9 @@ impl SaveTheCity {
         }
     }
 
-    /// The same scenarios and rules with instances of their own, whose episodes are over.
-    pub(super) fn with_instances(&self, instances: usize, split: Split) -> Self {
-        Self { split, ..Self::empty(self.set.clone(), self.constants, instances) }
-    }
-
-    pub(super) fn own_spec(&self) -> &Spec {
-        &self.spec
-    }
-
     /// The padded sizes.
     pub fn shape(&self) -> Shape {
         self.spec.shape
-    }
-
-    /// How many cities this object holds.
-    pub(super) fn count(&self) -> usize {
-        self.episodes.len()
     }
 
     /// The agents that exist in the running episode.
@@ -123,18 +106,6 @@ impl SaveTheCity {
     /// The buildings that are open, as bits.
     pub fn open_tasks(&self, instance: usize) -> u32 {
         self.episodes[instance].open_tasks
-    }
-
-    /// What each building earned in the last step.
-    pub(super) fn rewards_of_tasks(&self, instance: usize) -> &[f64] {
-        &self.task_rewards[instance * self.set.max_buildings..][..self.set.max_buildings]
-    }
-
-    /// Starts an episode of a random scenario of the current list.
-    pub(super) fn reset_from(&mut self, instance: usize, random: &mut Random) {
-        let count = self.set.scenarios(self.split).len();
-        let scenario = below(random, count);
-        self.start(instance, scenario, random);
     }
 
     /// Chooses the list that later resets draw from.
@@ -197,6 +168,12 @@ impl SaveTheCity {
         &self.bounces[instance * self.set.max_agents..][..self.episodes[instance].bounces]
     }
 
+    /// Starts an episode of a random scenario of the current list.
+    pub(super) fn reset_to_any(&mut self, instance: usize, random: &mut Random) {
+        let scenario = below(random, self.set.scenarios(self.split).len());
+        self.start(instance, scenario, random);
+    }
+
     /// Starts an episode of one scenario of the current list.
     pub fn reset_to(
         &mut self,
@@ -206,10 +183,8 @@ impl SaveTheCity {
     ) -> Result<(), CityError> {
         let count = self.set.scenarios(self.split).len();
         if scenario >= count {
-            return Err(CityError::Set(format!(
-                "`{}`: scenario {scenario} of {count}",
-                self.set.name
-            )));
+            let reason = format!("`{}`: scenario {scenario} of {count}", self.set.name);
+            return Err(CityError::Set(reason));
         }
         self.start(instance, scenario, random);
         Ok(())
@@ -226,10 +201,8 @@ impl SaveTheCity {
         let fits = |index: &usize| scenarios[*index].buildings.count() == tasks;
         let candidates = (0..scenarios.len()).filter(fits).count();
         if candidates == 0 {
-            return Err(CityError::Set(format!(
-                "`{}`: no scenario has {tasks} buildings",
-                self.set.name
-            )));
+            let reason = format!("`{}`: no scenario has {tasks} buildings", self.set.name);
+            return Err(CityError::Set(reason));
         }
         let chosen = below(random, candidates);
         let scenario = (0..scenarios.len()).filter(fits).nth(chosen).unwrap_or(0);
@@ -359,15 +332,59 @@ impl SaveTheCity {
         let changes = &changes[..buildings.len()];
         let mut outcome = episode.advance(&self.constants, buildings, changes);
         let task_rewards = &mut self.task_rewards[instance * self.set.max_buildings..];
-        let total =
-            rewards(&self.constants, changes, episode.metrics.solved, max_reward, task_rewards);
-        outcome.reward = total;
-        episode.metrics.episode_return += total;
+        let solved = episode.metrics.solved;
+        outcome.reward = rewards(&self.constants, changes, solved, max_reward, task_rewards);
+        episode.metrics.episode_return += outcome.reward;
         if let Some(Told { finder, allocation }) = &mut self.causes[instance] {
             let bounces = &self.bounces[instance * self.set.max_agents..][..episode.bounces];
             let city = City { agents, buildings };
             finder.stepped(&self.constants, Done { city, allocation, actions, bounces });
         }
         Ok(outcome)
+    }
+
+    /// Puts an agent on another cell, between two steps.
+    ///
+    /// # Errors
+    /// There is no such agent, or the cell is taken or none of the map; nothing has changed then.
+    pub fn place_agent(
+        &mut self,
+        instance: usize,
+        agent: usize,
+        (x, y): (u8, u8),
+    ) -> Result<(), CityError> {
+        self.change(instance, |agents, _| {
+            let own = agents.get_mut(agent).ok_or("there is no such agent")?;
+            *own = AgentState { x, y, ..*own };
+            Ok(())
+        })
+    }
+
+    /// Sets a building on full fire and restarts its clock, between two steps.
+    ///
+    /// # Errors
+    /// There is no such building, or it is complete or burned down; nothing has changed then.
+    pub fn set_fire(&mut self, instance: usize, building: usize) -> Result<(), CityError> {
+        self.change(instance, |_, buildings| {
+            let own = buildings.get_mut(building).ok_or("there is no such building")?;
+            if !own.is_open() {
+                return Err("the building is complete or burned down");
+            }
+            rules::ignite(own);
+            Ok(())
+        })
+    }
+
+    /// Continues from a changed state.
+    fn change(
+        &mut self,
+        instance: usize,
+        change: impl FnOnce(&mut [AgentState], &mut [BuildingState]) -> Result<(), &'static str>,
+    ) -> Result<(), CityError> {
+        let City { agents, buildings } = self.city(instance);
+        let (mut agents, mut buildings) = (agents.to_vec(), buildings.to_vec());
+        change(&mut agents, &mut buildings).map_err(|why| CityError::State(why.into()))?;
+        let (scenario, metrics) = (self.scenario(instance), *self.metrics(instance));
+        self.restore_with(instance, &agents, &buildings, scenario, metrics)
     }
 }

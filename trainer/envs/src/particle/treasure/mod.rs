@@ -1,25 +1,21 @@
 //! Cooperative Treasure Collection: collectors take treasures to banks of their kind (dissertation chapter 3).
 
-mod rules;
-mod script;
-mod seen;
 mod world;
 
 use alloc::string::String;
-use alloc::vec;
 use alloc::vec::Vec;
+use alloc::{format, vec};
 
 use serde::Deserialize;
 
-use super::bytes::Reader;
-use super::columns::Row;
-use super::physics::{Body, Mover};
-use super::picture::{Disc, Drawn, Picture, Thing};
-use super::plane::{Point, anywhere};
-use super::scenario::Scenario;
+use super::physics::{
+    Body, MOVES, Mover, Nearest, Point, SEEN, anywhere, distance, from_to, pair_nearest,
+    squared_distance, towards,
+};
+use super::scenario::{Disc, Drawn, Names, Picture, Row, Scenario, Spot, Thing};
+use crate::bytes::Reader;
 use crate::random::{Random, below};
 use crate::spec::{Metric, Role};
-
 pub use world::{Hand, Hoard, Stage, Treasure};
 
 /// One of so many agents is a bank.
@@ -121,7 +117,26 @@ impl Scenario for TreasureCollection {
     ];
 
     fn roles(&self) -> Vec<Role> {
-        self.named_roles()
+        let (agents, kinds) = (self.agents(), self.banks());
+        let other = |names: Names, other: &str| {
+            let names = names.place(other).velocity(other);
+            names.flags(&format!("{other}bank-"), kinds).flags(&format!("{other}holds-"), kinds)
+        };
+        let treasure = |names: Names, treasure: &str| {
+            names.place(treasure).flags(&format!("{treasure}kind-"), kinds)
+        };
+        let own = || Names::default().place("").velocity("");
+        let around = |own: Names| {
+            own.each("other", SEEN.min(agents - 1), other).each(
+                "treasure",
+                SEEN.min(self.treasures()),
+                treasure,
+            )
+        };
+        vec![
+            around(own().flags("holds-", kinds)).role("collector", 0..self.collectors, &MOVES),
+            around(own()).role("bank", self.collectors..agents, &MOVES),
+        ]
     }
 
     fn episode_limit(&self) -> u32 {
@@ -167,14 +182,33 @@ impl Scenario for TreasureCollection {
     }
 
     fn observe(&self, world: &Hoard, agent: usize, row: &mut Row<'_>) {
-        self.see(world, agent, row);
+        let (own, kinds) = (&world.movers[agent], self.banks());
+        row.mover(own);
+        if let Some(hand) = world.hands.get(agent) {
+            row.flags(hand.seen, kinds);
+        }
+        let others = world.movers.iter().map(|mover| mover.position).enumerate();
+        let others = Nearest::to(own.position, others.filter(|(other, _)| *other != agent));
+        for other in others.things() {
+            let mover = &world.movers[other];
+            row.pair(from_to(own.position, mover.position));
+            row.pair(mover.velocity);
+            row.flags(other.checked_sub(self.collectors).map(|bank| bank as u8), kinds);
+            row.flags(world.hands.get(other).and_then(|hand| hand.seen), kinds);
+        }
+        let treasures = world.treasures.iter().map(|treasure| treasure.seen_place());
+        for treasure in Nearest::to(own.position, treasures.enumerate()).things() {
+            let treasure = &world.treasures[treasure];
+            if treasure.is_seen_dead() && self.dead_treasures == DeadTreasures::Zeros {
+                row.skip(2 + kinds);
+            } else {
+                row.pair(from_to(own.position, treasure.seen_place()));
+                row.flags(Some(treasure.seen_kind()), kinds);
+            }
+        }
     }
 
-    fn entity<'w>(
-        &self,
-        world: &'w mut Hoard,
-        entity: usize,
-    ) -> Option<(&'w mut Point, Option<&'w mut Point>)> {
+    fn entity<'w>(&self, world: &'w mut Hoard, entity: usize) -> Option<Spot<'w>> {
         if let Some(mover) = world.movers.get_mut(entity) {
             return Some((&mut mover.position, Some(&mut mover.velocity)));
         }
@@ -199,11 +233,73 @@ impl Scenario for TreasureCollection {
         }
     }
 
+    /// Writes everybody's action.
+    ///
+    /// Free collectors go to treasures, nearest pairs first, holders to their bank, banks to the nearest holder of
+    /// their kind.
     fn script(&self, world: &Hoard, actions: &mut [u16]) {
-        self.collect(world, actions);
+        let place = |agent: usize| world.movers[agent].position;
+        let free = (0..self.collectors).filter(|collector| world.hands[*collector].now.is_none());
+        let lie = world.treasures.iter().enumerate().filter(|(_, treasure)| treasure.is_alive());
+        let pairs = pair_nearest(
+            free.map(|collector| (collector, place(collector))).collect(),
+            lie.map(|(number, treasure)| (number, treasure.position)).collect(),
+        );
+        actions[..self.collectors].fill(0);
+        for (collector, treasure) in pairs {
+            let goal = world.treasures[treasure].position;
+            actions[collector] = towards(&COLLECTOR, &world.movers[collector], goal);
+        }
+        for (collector, hand) in world.hands.iter().enumerate() {
+            if let Some(kind) = hand.now {
+                let goal = place(self.bank_of(kind));
+                actions[collector] = towards(&COLLECTOR, &world.movers[collector], goal);
+            }
+        }
+        for kind in 0..self.banks() as u8 {
+            let bank = self.bank_of(kind);
+            let goal = self.nearest_holder(world, kind).unwrap_or_else(|| self.waiting_place(kind));
+            actions[bank] = towards(&BANK, &world.movers[bank], goal);
+        }
     }
 
     fn distance_to_go(&self, world: &Hoard, agent: usize) -> f64 {
-        self.missing(world, agent)
+        let own = world.movers[agent].position;
+        let Some(hand) = world.hands.get(agent) else {
+            let kind = (agent - self.collectors) as u8;
+            let holder = self.nearest_holder(world, kind);
+            return holder.map_or(NO_HOLDER, |holder| distance(own, holder).min(NO_HOLDER));
+        };
+        if let Some(kind) = hand.now {
+            return distance(own, world.movers[self.bank_of(kind)].position);
+        }
+        let lie = world.treasures.iter().filter(|treasure| treasure.is_alive());
+        let apart = lie.map(|treasure| distance(own, treasure.position));
+        apart.fold(NO_TREASURE, f64::min)
+    }
+}
+
+/// Half of the line, through the middle of the square, along which banks wait.
+const LINE: f64 = 0.6;
+/// Most that a free collector without a treasure, or a bank without a holder, is away from what it waits for.
+const NO_TREASURE: f64 = 2.0;
+const NO_HOLDER: f64 = 1.0;
+
+impl TreasureCollection {
+    /// Where the nearest holder of a bank's kind is.
+    fn nearest_holder(&self, world: &Hoard, kind: u8) -> Option<Point> {
+        let own = world.movers[self.bank_of(kind)].position;
+        let holders = world.hands.iter().zip(&world.movers);
+        let holders = holders.filter(|(hand, _)| hand.now == Some(kind));
+        let apart = |place: &Point| squared_distance(own, *place);
+        holders
+            .map(|(_, mover)| mover.position)
+            .min_by(|one, other| apart(one).total_cmp(&apart(other)))
+    }
+
+    /// Banks wait side by side, each in the middle of its share of the line.
+    fn waiting_place(&self, kind: u8) -> Point {
+        let share = (2.0 * f64::from(kind) + 1.0) / self.banks() as f64;
+        [LINE * (share - 1.0), 0.0]
     }
 }

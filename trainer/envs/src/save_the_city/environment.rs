@@ -4,27 +4,26 @@ use alloc::boxed::Box;
 use alloc::string::{String, ToString};
 use alloc::vec::Vec;
 
-use super::allocation::RULES;
 use super::bytes::{CityBytes, write_state};
 use super::causes::Cause;
 use super::decode::CityDecoder;
-use super::error::CityError;
-use super::features::{agent_features, building_features};
-use super::metrics::EpisodeMetrics;
-use super::potential::potential;
-use super::relation::{agent_relation, building_relation};
+use super::episode::EpisodeMetrics;
+use super::grid::Symmetry;
+use super::observation::{
+    BUILDINGS, METRICS, NAME, RULE_NAMES, agent_features, agent_relation, building_features,
+    building_relation, potential,
+};
 use super::rules::FIGHT;
-use super::scenarios::{SET_NAMES, ScenarioSet};
-use super::scripted::scripted_actions;
+use super::scenarios::{CityError, SET_NAMES, ScenarioSet};
+use super::scripted::{RULES, scripted_actions};
 use super::simulator::SaveTheCity;
-use super::spec::{BUILDINGS, METRICS, NAME, RULE_NAMES};
 use super::state::{AgentState, BuildingState, City, MAX_AGENTS, MAX_BUILDINGS, NO_BUILDING};
-use super::symmetry::Symmetry;
 use super::{Constants, VERSION};
-use crate::entry::{Choice, Entry, EnvironmentError};
+use crate::bytes::known;
 use crate::environment::{Environment, Episode, Split, StateError, Step, StepError};
 use crate::observation::{AgentSet, EntitySet, Observation, members};
 use crate::random::{Random, below};
+use crate::registry::{Choice, Entry, EnvironmentError};
 use crate::rows::SparseRows;
 use crate::spec::{Shape, Spec};
 
@@ -55,23 +54,14 @@ fn open(choice: &Choice<'_>) -> Result<SaveTheCity, EnvironmentError> {
     Ok(city)
 }
 
-/// A state that has been checked before.
-#[inline]
-fn known(state: &[u8]) -> CityBytes<'_> {
-    match CityBytes::new(state) {
-        Ok(state) => state,
-        Err(error) => panic!("a state that `load` refuses: {error}"),
-    }
-}
-
 /// Calls `with` on the city of a saved state.
 ///
 /// # Panics
 /// The bytes are none that [`Environment::save`] has written.
 pub fn with_city<T>(state: &[u8], with: impl FnOnce(City<'_>) -> T) -> T {
-    let state = known(state);
-    let mut agents = [super::reset::ABSENT_AGENT; MAX_AGENTS];
-    let mut buildings = [super::reset::ABSENT_BUILDING; MAX_BUILDINGS];
+    let state = known(CityBytes::new(state));
+    let mut agents = [super::scenarios::ABSENT_AGENT; MAX_AGENTS];
+    let mut buildings = [super::scenarios::ABSENT_BUILDING; MAX_BUILDINGS];
     let (agents, buildings) = decode(&state, &mut agents, &mut buildings);
     with(City { agents, buildings })
 }
@@ -98,19 +88,21 @@ fn metrics(metrics: &EpisodeMetrics) -> Vec<Option<f64>> {
 
 impl Environment for SaveTheCity {
     fn spec(&self) -> &Spec {
-        self.own_spec()
+        &self.spec
     }
 
     fn instances(&self) -> usize {
-        self.count()
+        self.episodes.len()
     }
 
     fn open(&self, instances: usize, split: Split) -> Box<dyn Environment> {
-        Box::new(self.with_instances(instances, split))
+        let mut city = Self::empty(self.set.clone(), self.constants, instances);
+        city.use_split(split);
+        Box::new(city)
     }
 
     fn reset(&mut self, instance: usize, random: &mut Random) {
-        self.reset_from(instance, random);
+        self.reset_to_any(instance, random);
     }
 
     fn step(
@@ -133,7 +125,8 @@ impl Environment for SaveTheCity {
     }
 
     fn task_rewards(&self, instance: usize) -> &[f64] {
-        self.rewards_of_tasks(instance)
+        let buildings = self.set.max_buildings;
+        &self.task_rewards[instance * buildings..][..buildings]
     }
 
     fn save(&self, instance: usize, state: &mut Vec<u8>) {
@@ -151,16 +144,16 @@ impl Environment for SaveTheCity {
 
     fn load(&mut self, instance: usize, state: &[u8]) -> Result<(), StateError> {
         let state = CityBytes::new(state)?;
-        let mut agents = [super::reset::ABSENT_AGENT; MAX_AGENTS];
-        let mut buildings = [super::reset::ABSENT_BUILDING; MAX_BUILDINGS];
+        let mut agents = [super::scenarios::ABSENT_AGENT; MAX_AGENTS];
+        let mut buildings = [super::scenarios::ABSENT_BUILDING; MAX_BUILDINGS];
         let (agents, buildings) = decode(&state, &mut agents, &mut buildings);
         self.restore_with(instance, agents, buildings, state.scenario(), state.metrics())
             .map_err(|error| StateError::Impossible(error.to_string()))
     }
 
     fn observe(&self, state: &[u8], turn: usize, wanted: EntitySet, seen: &mut Observation) {
-        let state = known(state);
-        let Shape { agents: max_agents, entities, .. } = self.own_spec().shape;
+        let state = known(CityBytes::new(state));
+        let Shape { agents: max_agents, entities, .. } = self.spec.shape;
         let (agents, buildings) = (state.agents(), state.buildings());
         let turn = Symmetry::ALL[turn];
 
@@ -214,7 +207,7 @@ impl Environment for SaveTheCity {
     }
 
     fn subtask_of(&self, state: &[u8], agent: usize, action: u16) -> Option<usize> {
-        let agent = known(state).agent(agent);
+        let agent = known(CityBytes::new(state)).agent(agent);
         let applies = action >= FIGHT && agent.beside != NO_BUILDING;
         applies.then_some(agent.beside.into())
     }
@@ -248,8 +241,8 @@ impl Environment for SaveTheCity {
     ) {
         // Distances look the same from every side.
         let _ = turn;
-        let state = known(state);
-        let max_agents = self.own_spec().shape.agents;
+        let state = known(CityBytes::new(state));
+        let max_agents = self.spec.shape.agents;
         let present = ((1 << state.buildings()) - 1) << max_agents | ((1 << state.agents()) - 1);
         let is_open = task < state.buildings() && state.is_open(task);
         for entity in members(wanted & present) {
