@@ -7,46 +7,37 @@
 
 extern crate alloc;
 
+mod allocation;
 mod cast;
 mod crafting;
-mod episodes;
 mod error;
-mod golden;
-mod golden_hash;
 pub mod gridworld;
 pub mod group_matching;
 mod memory;
 pub mod milestones;
 mod mind;
-mod names;
-mod notes;
-mod options;
 pub mod particle;
 mod player;
-mod rules;
 pub mod save_the_city;
-mod search;
 mod show;
 mod stage;
 pub mod tally;
-#[cfg(test)]
-mod tests;
 mod thoughts;
 mod treasure_rooms;
 mod utilities;
 pub mod world;
 
-pub use cast::{AllocatorCast, Cast};
+pub use allocation::{
+    FrameRelation, LearnedAllocator, RuleAllocator, Search, SearchSizes, TeamValuePlan,
+};
+pub use cast::{AllocatorCast, Cast, GoldenObservation, OptionSettings};
 pub use error::StageError;
-pub use golden::GoldenObservation;
-pub use golden_hash::golden_hash;
 pub use memory::Memory;
-pub use names::lettered;
-pub use options::OptionSettings;
 pub use player::{News, Opening, Player, memory};
-pub use rules::{FrameRelation, RuleAllocator};
-pub use search::{LearnedAllocator, Search, SearchSizes, TeamValuePlan};
 pub use show::{Glance, Show, Shown};
 pub use stage::{Moment, Stage};
-pub use thoughts::{Attention, Head, Pursued, Thought, rounded};
-pub use utilities::{UtilityHash, hash_of};
+pub use thoughts::{Attention, Head, Pursued, Thought, lettered, rounded};
+pub use utilities::{UtilityHash, golden_hash, hash_of};
+
+#[cfg(test)]
+mod tests;

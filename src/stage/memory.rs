@@ -12,10 +12,10 @@ use sortie_core::wire::{FrameFormat, FrameLayout};
 use sortie_core::world::Shape;
 use sortie_envs::Entry;
 
+use crate::allocation::{Search, SearchSizes, TeamValuePlan};
 use crate::cast::{AllocatorCast, Cast};
 use crate::error::StageError;
 use crate::mind::Mind;
-use crate::search::{Search, SearchSizes, TeamValuePlan};
 
 /// Time that passes only where everybody waits: what is played depends on no clock.
 #[derive(Debug, Default)]

@@ -1,21 +1,25 @@
-//! A team in its world that people watch, and interfere with.
+//! A team in its world that people watch, and interfere with, episode after episode of a seed.
 
+use alloc::collections::BTreeMap;
 use alloc::string::{String, ToString};
 use alloc::vec;
 use alloc::vec::Vec;
+use core::cell::RefCell;
 
 use serde::Serialize;
-use sortie_core::World;
-use sortie_envs::{Environment, StateError};
+use sortie_core::wire::FrameMut;
+use sortie_core::world::{Shape, StepOutcome, UnavailableAction, World};
+use sortie_envs::random::episode;
+use sortie_envs::{Choice, Environment, EnvironmentError, Split, StateError};
 
 use crate::cast::Cast;
-use crate::episodes::{Episodes, Stepped};
 use crate::error::StageError;
 use crate::memory::Memory;
-use crate::show::{Show, Shown};
+use crate::show::{Glance, Show, Shown};
 use crate::stage::{Moment, Stage};
 use crate::thoughts::Thought;
 use crate::utilities::UtilityHash;
+use crate::world::EnvironmentWorld;
 
 /// A team that plays episodes of a seed.
 pub struct Player<'a, S: Show> {
@@ -126,7 +130,7 @@ impl<'a, S: Show> Player<'a, S> {
             return Ok(None);
         }
         let moment = self.stage.go_on()?;
-        let Some(Stepped { shown, result }) = self.stage.world.take_step() else {
+        let Some(Stepped { shown, result }) = self.stage.world.stepped.take() else {
             return Ok(None);
         };
         self.at += 1;
@@ -252,5 +256,78 @@ impl<'a, S: Show> Player<'a, S> {
         let (state, thoughts) = (self.now.state.clone(), (!self.is_over).then_some(thoughts));
         let state = Decided { state, thoughts, chosen, dead };
         Ok(News { at: self.at, step: None, state, events, result: None })
+    }
+}
+
+/// Worlds, each the start of the next episode of a seed.
+struct Episodes<S: Show> {
+    world: EnvironmentWorld,
+    seed: u64,
+    next: usize,
+    /// The newest step, until it is taken.
+    stepped: Option<Stepped<S>>,
+    /// Room for a state.
+    state: RefCell<Vec<u8>>,
+}
+
+/// A step with the state that it led to.
+struct Stepped<S: Show> {
+    shown: Shown<S>,
+    /// Where the episode is over.
+    result: Option<&'static str>,
+}
+
+impl<S: Show> Episodes<S> {
+    /// The starts of a set that are measured on, from episode `first` of `seed` on.
+    fn new(set: &str, seed: u64, first: usize) -> Result<Self, EnvironmentError> {
+        let choice =
+            Choice { set: Some(set), split: Split::Test, instances: 1, settings: &BTreeMap::new() };
+        let environment = (S::entry().open)(&choice)?;
+        let world = EnvironmentWorld::not_begun(environment, episode(seed, first).0);
+        Ok(Self { world, seed, next: first, stepped: None, state: RefCell::default() })
+    }
+
+    /// Calls `with` on the running episode.
+    fn with<T>(&self, with: impl FnOnce(Glance<'_>) -> T) -> T {
+        let (environment, mut state) = (self.world.environment.borrow(), self.state.borrow_mut());
+        with(Glance::at(&**environment, 0, &mut state))
+    }
+
+    /// Changes the running episode.
+    fn change<E>(
+        &self,
+        change: impl FnOnce(&mut dyn Environment) -> Result<(), E>,
+    ) -> Result<(), E> {
+        change(&mut **self.world.environment.borrow_mut())
+    }
+}
+
+impl<S: Show> World for Episodes<S> {
+    fn shape(&self) -> Shape {
+        self.world.shape()
+    }
+
+    fn reset(&mut self) {
+        self.world.draw_from(episode(self.seed, self.next).0);
+        self.next += 1;
+        self.world.reset();
+    }
+
+    fn observe(&self, frame: &mut FrameMut<'_>) {
+        self.world.observe(frame);
+    }
+
+    fn step(&mut self, actions: &[u16]) -> Result<StepOutcome, UnavailableAction> {
+        let before = self.with(S::state);
+        let outcome = self.world.step(actions)?;
+        let reward = self.world.last_step().reward;
+        self.stepped = Some(self.with(|seen| {
+            let state = S::state(seen);
+            let step = Some(S::step(seen, actions, reward, [&before, &state]));
+            let ended = outcome.episode_ended.then(|| seen.worlds.episode(seen.instance));
+            let result = ended.map(|episode| S::result(&episode));
+            Stepped { shown: Shown { step, state }, result }
+        }));
+        Ok(outcome)
     }
 }

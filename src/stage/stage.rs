@@ -1,9 +1,8 @@
 //! World, runners and allocator of a deployed team in one thread, a step at a time.
 
 use alloc::boxed::Box;
-use alloc::format;
-use alloc::vec;
 use alloc::vec::Vec;
+use alloc::{format, vec};
 
 use sortie_attention::AttentionProbe;
 use sortie_core::allocate::{TaskRelation, TeamQuery, TeamValueNetwork};
@@ -18,7 +17,7 @@ use sortie_core::{Policy, World};
 use crate::cast::Cast;
 use crate::error::StageError;
 use crate::memory::{AllocatorMemory, Memory, StageClock};
-use crate::notes::{Allocators, Decisions, Note, NotingPolicy, Remembered};
+use crate::mind::{Allocators, Decisions, Note, NotingPolicy, Remembered};
 
 /// How long a world waits for an agent that does not answer: only the order of events counts here.
 const PATIENCE_NS: u64 = 1_000_000;

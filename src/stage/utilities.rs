@@ -1,8 +1,13 @@
 //! One number for the bits of many utilities, by which machines are compared.
 
 use alloc::vec;
+use alloc::vec::Vec;
 
 use sortie_core::{DecideError, Observation, Policy};
+
+use crate::cast::{Cast, GoldenObservation};
+use crate::error::StageError;
+use crate::memory::AgentMemory;
 
 /// FNV-1a of 64 bits over the bits of utilities, in their order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,6 +49,17 @@ pub fn hash_of<'o>(
         hash.add(&utilities);
     }
     Ok(hash.value())
+}
+
+/// The hash of all utilities of a team's golden observations.
+///
+/// # Errors
+/// A plan is damaged, or for other observations.
+pub fn golden_hash(cast: &Cast) -> Result<u64, StageError> {
+    let mut memory = AgentMemory::new(cast)?;
+    let rows: Vec<Vec<f32>> = cast.golden.iter().map(GoldenObservation::dense).collect();
+    let seen = cast.golden.iter().zip(&rows).map(|(seen, rows)| seen.view(rows));
+    Ok(hash_of(&mut memory.mind(cast)?, seen)?)
 }
 
 #[cfg(test)]

@@ -8,9 +8,8 @@ use serde::Serialize;
 use sortie_envs::gridworld::{ENTRY, SIDE, picture_of};
 use sortie_envs::{Entry, members};
 
-use crate::names::lettered;
 use crate::show::{Glance, Show, Shown};
-use crate::thoughts::rounded;
+use crate::thoughts::{lettered, rounded};
 
 /// The gridworld.
 #[derive(Debug)]

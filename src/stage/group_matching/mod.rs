@@ -8,9 +8,8 @@ use serde::Serialize;
 use sortie_envs::group_matching::{ENTRY, LEFT, RIGHT, Ring, ring_of, sizes};
 use sortie_envs::{EntitySet, Entry, Observation, members};
 
-use crate::names::lettered;
 use crate::show::{Glance, Show, Shown};
-use crate::thoughts::rounded;
+use crate::thoughts::{lettered, rounded};
 
 /// Group Matching.
 #[derive(Debug)]

@@ -1,24 +1,107 @@
 //! What pages show of the particle world.
 
-mod data;
-mod events;
-
 use alloc::format;
 use alloc::string::{String, ToString};
 use alloc::vec::Vec;
 
+use serde::Serialize;
 use sortie_envs::particle::{Disc, ENTRY, Picture, Point, picture_of};
 use sortie_envs::{Entry, Episode, Spec};
 
-pub use data::{AgentFacts, Event, EventKind, Facts, State, Step};
-
-use crate::names::lettered;
 use crate::show::{Glance, Show, Shown};
-use crate::thoughts::rounded;
+use crate::thoughts::{lettered, rounded};
 
 /// The particle world.
 #[derive(Debug)]
 pub struct Plane;
+
+/// What does not change while an episode is played.
+#[derive(Debug, Serialize)]
+pub struct Facts {
+    /// How many agents there are of each role.
+    pub team: String,
+    /// The agents.
+    pub agents: Vec<AgentFacts>,
+    /// Letters of landmarks; those of treasures are their kinds'.
+    pub things: Vec<Option<String>>,
+    /// Kinds of treasures.
+    pub kinds: Vec<String>,
+}
+
+/// What does not change about an agent.
+#[derive(Debug, Serialize)]
+pub struct AgentFacts {
+    /// Its number.
+    pub name: String,
+    /// What it is.
+    pub role: &'static str,
+    /// What it can do.
+    pub actions: Vec<String>,
+    /// None of an agent that stands nowhere.
+    pub radius: Option<f64>,
+    /// The kind of treasure that it takes.
+    pub takes: Option<u8>,
+    /// The agent that it leads, or that leads it.
+    pub partner: Option<usize>,
+    /// The landmark where it, or the agent that it leads, should be.
+    pub goal: Option<usize>,
+}
+
+/// One state. Lists go by agent or by thing.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct State {
+    /// Of the agents; none of those that stand nowhere.
+    pub places: Vec<Option<Point>>,
+    /// Kinds of treasures.
+    pub holds: Vec<Option<u8>>,
+    /// Messages.
+    pub says: Vec<Option<u8>>,
+    /// None where a treasure was just taken.
+    pub things: Vec<Option<Point>>,
+    /// Of the treasures.
+    pub kinds: Vec<Option<u8>>,
+}
+
+/// What happened between two states.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Step {
+    /// Of the agents.
+    pub actions: Vec<u16>,
+    /// The team's reward, the mean of the agents'.
+    pub reward: f64,
+    /// Of the agents.
+    pub rewards: Vec<f64>,
+}
+
+/// Something worth jumping to.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Event {
+    /// The state in which it shows.
+    pub at: usize,
+    /// What it is.
+    pub kind: EventKind,
+    /// The agent.
+    pub of: usize,
+    /// What is told of it.
+    pub text: String,
+}
+
+/// Kinds of events.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum EventKind {
+    /// A collector takes a treasure.
+    Taken,
+    /// A bank gets one.
+    Delivered,
+    /// A rover comes near its goal.
+    Near,
+    /// Two agents touch that lose by it.
+    Touch,
+}
+
+/// Agents of these roles lose by touching each other.
+const BUMPING: [&str; 2] = ["collector", "agent"];
 
 impl Show for Plane {
     type Facts = Facts;
@@ -86,7 +169,43 @@ impl Show for Plane {
         before: Option<&Shown<Self>>,
         now: &Shown<Self>,
     ) -> Vec<Event> {
-        before.map(|before| events::events(facts, at, before, now)).unwrap_or_default()
+        let Some(before) = before else { return Vec::new() };
+        let mut events = Vec::new();
+        let mut add = |kind, of, text| events.push(Event { at, kind, of, text });
+        for (agent, own) in facts.agents.iter().enumerate() {
+            match (before.state.holds[agent], now.state.holds[agent]) {
+                (None, Some(kind)) => {
+                    add(EventKind::Taken, agent, format!("{agent} takes {}", kind_name(kind)));
+                }
+                (Some(kind), None) => {
+                    let text = format!("{agent} brings {} to its bank", kind_name(kind));
+                    add(EventKind::Delivered, agent, text);
+                }
+                _ => {}
+            }
+            // Near its goal a rover earns, elsewhere it loses.
+            let near = |shown: &Shown<Plane>| {
+                shown.step.as_ref().is_some_and(|step| step.rewards[agent] > 0.0)
+            };
+            if let (Some(goal), Some(_)) = (own.goal, own.radius)
+                && near(now)
+                && !near(before)
+            {
+                add(EventKind::Near, agent, format!("{agent} is near {}", lettered(goal)));
+            }
+            for (other, its) in facts.agents[..agent].iter().enumerate() {
+                let (Some(one), Some(another)) = (its.radius, own.radius) else { continue };
+                let touch = |shown: &Shown<Plane>| {
+                    let [from, to] = [other, agent].map(|it| shown.state.places[it]);
+                    distance(from, to) < one + another
+                };
+                let bump = [its, own].iter().all(|it| BUMPING.contains(&it.role));
+                if bump && touch(now) && !touch(before) {
+                    add(EventKind::Touch, agent, format!("{other} and {agent} touch"));
+                }
+            }
+        }
+        events
     }
 
     /// No episode is solved.
@@ -119,4 +238,9 @@ fn team(spec: &Spec) -> String {
             roles.collect::<Vec<_>>().join(", ")
         }
     }
+}
+
+fn distance(one: Option<Point>, other: Option<Point>) -> f64 {
+    let (Some(one), Some(other)) = (one, other) else { return f64::INFINITY };
+    libm::hypot(one[0] - other[0], one[1] - other[1])
 }
