@@ -11,7 +11,6 @@ pub mod attention_scores;
 pub mod elementwise;
 pub mod gru;
 pub mod linear;
-pub mod losses;
 pub mod matrix;
 pub mod normalise;
 pub mod products;

@@ -3,11 +3,14 @@
 use std::mem;
 use std::ops::Range;
 
-use super::operation::{Indices, Operation};
-use super::{Gru, Linear, Norm, Pass, Tape, Var};
+use super::{Gru, Indices, Linear, Norm, Operation, Pass, Tape, Var};
+use crate::layers::attention::AttentionShape;
 use crate::layers::gru::GruShape;
 use crate::layers::matrix::Store;
-use crate::layers::{elementwise, linear, losses, normalise, relu, softmax, sparse_linear, unfold};
+use crate::layers::{
+    attention, attention_scores, elementwise, linear, normalise, relu, softmax, sparse_linear,
+    unfold,
+};
 
 impl Pass<'_> {
     /// Adds to `gradient`, which has a number for every parameter, that of a loss, a matrix of one number.
@@ -57,20 +60,8 @@ impl Tape {
             Operation::Activate { x, activation } => self.from(x, own, |store, _, y, d_y, d_x| {
                 elementwise::activate_backward(activation, y, d_y, store, d_x);
             }),
-            Operation::Softmax { x } => {
-                let columns = self.columns(x);
-                self.through(x, own, |_, y, d_x| {
-                    let rows = y.chunks_exact(columns).zip(d_x.chunks_exact_mut(columns));
-                    rows.for_each(|(y, d_x)| softmax::backward(y, d_x));
-                });
-            }
-            Operation::LogSoftmax { x } => {
-                let columns = self.columns(x);
-                self.through(x, own, |_, y, d_x| {
-                    let rows = y.chunks_exact(columns).zip(d_x.chunks_exact_mut(columns));
-                    rows.for_each(|(y, d_x)| softmax::log_backward(y, d_x));
-                });
-            }
+            Operation::Softmax { x } => self.through_rows(x, own, softmax::backward),
+            Operation::LogSoftmax { x } => self.through_rows(x, own, softmax::log_backward),
             Operation::Normalise { x } => {
                 let columns = self.columns(x);
                 self.through(x, own, |x, y, d_x| normalise::rows_backward(columns, x, y, d_x));
@@ -177,12 +168,12 @@ impl Tape {
             }
             Operation::SquaredError { x, target, factor } => {
                 self.descend_loss(x, target, own, |x, target, d_y| {
-                    losses::squared_error_slope(x - target, factor * d_y)
+                    elementwise::squared_error_slope(x - target, factor * d_y)
                 });
             }
             Operation::Huber { x, target, factor, bound } => {
                 self.descend_loss(x, target, own, |x, target, d_y| {
-                    losses::huber_slope(x - target, factor * d_y, bound)
+                    elementwise::huber_slope(x - target, factor * d_y, bound)
                 });
             }
             Operation::Custom { x, number } => {
@@ -226,6 +217,15 @@ impl Tape {
         self.scratch = scratch;
     }
 
+    /// Has `turn` make slopes by a row of `x` of those by a row of the results, from that row.
+    fn through_rows(&mut self, x: Var, own: Range<usize>, turn: impl Fn(&[f32], &mut [f32])) {
+        let columns = self.columns(x);
+        self.through(x, own, |_, y, d_x| {
+            let rows = y.chunks_exact(columns).zip(d_x.chunks_exact_mut(columns));
+            rows.for_each(|(y, d_x)| turn(y, d_x));
+        });
+    }
+
     /// Has `add` add to the slopes by `x`, from indices and the slopes by the results.
     fn added(
         &mut self,
@@ -244,7 +244,7 @@ impl Tape {
     }
 
     /// Stores slopes by `x` that were computed elsewhere.
-    pub(super) fn keep(&mut self, x: Var, slopes: &[f32]) {
+    fn keep(&mut self, x: Var, slopes: &[f32]) {
         if let Some((range, store)) = self.slopes_of(x) {
             elementwise::scale(1.0, slopes, store, &mut self.slopes[range]);
         }
@@ -360,6 +360,66 @@ impl Tape {
             }
         });
     }
+
+    /// Through queries, keys and values.
+    fn descend_attention(
+        &mut self,
+        [queries, keys_values]: [Var; 2],
+        lists: u32,
+        weights: usize,
+        shape: AttentionShape,
+        own: Range<usize>,
+    ) {
+        let visible = &self.lists.things[lists as usize];
+        let ranges = [queries, keys_values].map(|var| self.of(var).range());
+        let [q, kv] = ranges.clone().map(|range| &self.values[range]);
+        let longest = (0..visible.queries()).map(|query| visible.span(query).1.len()).max();
+        let numbers = [q.len(), kv.len(), longest.unwrap_or(0) * shape.heads];
+        let mut scratch = mem::take(&mut self.scratch);
+        let space = sized(&mut scratch, numbers.iter().sum());
+        let (d_queries, space) = space.split_at_mut(numbers[0]);
+        let (d_keys_values, d_scores) = space.split_at_mut(numbers[1]);
+        let pass = attention::Backward {
+            queries: q,
+            keys_values: kv,
+            weights: &self.values[weights..][..visible.pairs() * shape.heads],
+            d_output: &self.slopes[own],
+            d_scores,
+            d_queries: &mut *d_queries,
+            d_keys_values: &mut *d_keys_values,
+        };
+        attention::backward(shape, visible, pass);
+        self.keep(keys_values, d_keys_values);
+        self.keep(queries, d_queries);
+        self.scratch = scratch;
+    }
+
+    /// Through the squared scores of queries and keys.
+    fn descend_scores(
+        &mut self,
+        [queries, keys_values]: [Var; 2],
+        lists: u32,
+        shape: AttentionShape,
+        own: Range<usize>,
+    ) {
+        let ranges = [queries, keys_values].map(|var| self.of(var).range());
+        let [q, kv] = ranges.map(|range| &self.values[range]);
+        let mut scratch = mem::take(&mut self.scratch);
+        let space = sized(&mut scratch, q.len() + kv.len());
+        space.fill(0.0);
+        let (d_queries, d_keys_values) = space.split_at_mut(q.len());
+        let pass = attention_scores::Backward {
+            queries: q,
+            keys_values: kv,
+            d_sums: &self.slopes[own],
+            d_queries: &mut *d_queries,
+            d_keys_values: &mut *d_keys_values,
+        };
+        attention_scores::backward(shape, &self.lists.things[lists as usize], pass);
+        self.keep(keys_values, d_keys_values);
+        self.keep(queries, d_queries);
+        self.scratch = scratch;
+    }
 }
 
 /// The gradients of weight and bias of a layer that has both.
@@ -369,7 +429,7 @@ fn weight_and_bias(layer: Linear, gradient: &mut [f32]) -> [&mut [f32]; 2] {
 }
 
 /// The first so many numbers of a buffer that only grows.
-pub(super) fn sized(buffer: &mut Vec<f32>, numbers: usize) -> &mut [f32] {
+fn sized(buffer: &mut Vec<f32>, numbers: usize) -> &mut [f32] {
     if buffer.len() < numbers {
         buffer.resize(numbers, 0.0);
     }

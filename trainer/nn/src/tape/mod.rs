@@ -27,23 +27,24 @@
 //! # assert!(loss > 0.0 && gradient.iter().any(|slope| *slope != 0.0));
 //! ```
 
-mod attending;
 mod backward;
 pub mod chunks;
-mod operation;
+mod layers;
 mod parameters;
 mod steps;
 
 use std::fmt;
 use std::ops::Range;
 
-pub use chunks::Chunks;
-pub use parameters::{Gru, Linear, Norm, Parameters, Tensor};
-
+use crate::layers::attention::AttentionShape;
+use crate::layers::elementwise::Activation;
 use crate::layers::gru::GruPass;
 use crate::layers::matrix::Store;
+use crate::layers::unfold::UnfoldShape;
 use crate::layers::{SparseRows, VisibleLists};
-use operation::Operation;
+
+pub use chunks::Chunks;
+pub use parameters::{Gru, Linear, Norm, Parameters, Tensor};
 
 /// A matrix that a pass has computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -264,6 +265,138 @@ impl Pass<'_> {
     pub fn size(&self, var: Var) -> [usize; 2] {
         [self.tape.rows(var), self.tape.columns(var)]
     }
+}
+
+/// A part of the tape's indices.
+type Indices = (u32, u32);
+
+#[derive(Clone, Copy, Debug)]
+enum Operation {
+    /// Given from outside, or the memory of another step seen otherwise.
+    Given,
+    Linear {
+        x: Var,
+        layer: Linear,
+        rectified: bool,
+    },
+    /// Two products and the offsets of the first layer, rectified.
+    LinearSum {
+        x: [Var; 2],
+        layers: [Linear; 2],
+    },
+    /// `rows` is the place of the features in their pool.
+    SparseLinear {
+        rows: u32,
+        layer: Linear,
+    },
+    Activate {
+        x: Var,
+        activation: Activation,
+    },
+    Softmax {
+        x: Var,
+    },
+    LogSoftmax {
+        x: Var,
+    },
+    Normalise {
+        x: Var,
+    },
+    /// Columns times and plus parameters.
+    Affine {
+        x: Var,
+        layer: Norm,
+    },
+    /// `weights` is where the attention weights begin in the arena.
+    Attend {
+        queries: Var,
+        keys_values: Var,
+        lists: u32,
+        weights: u32,
+        shape: AttentionShape,
+    },
+    SquaredScores {
+        queries: Var,
+        keys_values: Var,
+        lists: u32,
+        shape: AttentionShape,
+    },
+    /// `carry` is where it begins in the tape's.
+    Recur {
+        x: Var,
+        pass: u32,
+        carry: u32,
+        slots: u32,
+        layer: Gru,
+    },
+    Unfold {
+        x: Var,
+        shape: UnfoldShape,
+    },
+    /// Row i is row `indices[i]` of `x`.
+    Gather {
+        x: Var,
+        indices: Indices,
+    },
+    /// Row `indices[i]` gets row i of `x` added.
+    Scatter {
+        x: Var,
+        indices: Indices,
+    },
+    /// Row i is the one number in column `indices[i]`.
+    Pick {
+        x: Var,
+        indices: Indices,
+    },
+    Columns {
+        x: Var,
+        first: u32,
+    },
+    /// Columns of several; the indices are their numbers.
+    Concat {
+        parts: Indices,
+    },
+    /// One number for each row.
+    SumColumns {
+        x: Var,
+    },
+    Scale {
+        x: Var,
+        factor: f32,
+    },
+    Add {
+        a: Var,
+        b: Var,
+    },
+    Multiply {
+        a: Var,
+        b: Var,
+    },
+    /// Every row times its number.
+    ScaleRows {
+        x: Var,
+        by: Var,
+    },
+    /// `value + advantage - mean of the row's advantages`.
+    Dueling {
+        value: Var,
+        advantages: Var,
+    },
+    SquaredError {
+        x: Var,
+        target: Var,
+        factor: f32,
+    },
+    Huber {
+        x: Var,
+        target: Var,
+        factor: f32,
+        bound: f32,
+    },
+    Custom {
+        x: Var,
+        number: u32,
+    },
 }
 
 #[cfg(test)]

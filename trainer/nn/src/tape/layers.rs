@@ -1,11 +1,12 @@
 //! Steps with parameters, and those of networks: layers, attention, memories.
 
-use super::super::operation::Operation;
-use super::super::{Gru, Linear, Norm, Pass, Var};
-use crate::layers::attention::{self, AttentionShape};
+use super::{Gru, Linear, Norm, Operation, Pass, Var};
+use crate::layers::attention::AttentionShape;
 use crate::layers::gru::GruShape;
-use crate::layers::unfold::{self, UnfoldShape};
-use crate::layers::{SparseRows, VisibleLists, attention_scores, linear, normalise, sparse_linear};
+use crate::layers::unfold::UnfoldShape;
+use crate::layers::{
+    SparseRows, VisibleLists, attention, attention_scores, linear, normalise, sparse_linear, unfold,
+};
 
 impl Pass<'_> {
     /// `x W' + b`
@@ -167,13 +168,9 @@ impl Pass<'_> {
         let (lists, kept) = self.tape.lists.next();
         kept.copy_from(visible);
         let operation = Operation::SquaredScores { queries, keys_values, lists, shape };
-        let needs = self.tape.needs(queries) || self.tape.needs(keys_values);
-        let y = self.tape.push(operation, count, 1, needs);
-        let ranges = [queries, keys_values].map(|var| self.tape.of(var).range());
-        let (before, out) = self.tape.split(y);
-        let [queries, keys_values] = ranges.map(|range| &before[range]);
-        attention_scores::forward(shape, visible, queries, keys_values, out);
-        y
+        self.join(operation, [queries, keys_values], [count, 1], |queries, keys_values, y| {
+            attention_scores::forward(shape, visible, queries, keys_values, y);
+        })
     }
 
     /// The memories of a recurrent unit after each step of `x [steps * slots, width]`, from `memory
